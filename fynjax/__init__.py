@@ -2,8 +2,9 @@
 
 `import fynjax as fx` is quick: what follows is imported when it is first used.
 
-- `fx.Scene.from_table`, `fx.observe`, `fx.sensor`: a scene from a species table, and what a sensor
-  measures of it; `scene.parameters` are what gradients and fits are by.
+- `fx.read_scene`, `fx.Scene.from_table`: a scene from a plot file or a species table, or from a
+  frame or records. `fx.observe`, `fx.sensor`: what a sensor measures of it; `scene.parameters` are
+  what gradients and fits are by.
 - `fx.free`, `fx.prior`, `fx.Data`, `fx.fit`, `fx.sample`: the arrow backwards, of a scene or of any
   function, by `fx.BroydenLM` or any solver of optimistix and jaxopt; `fx.whitened_residual` for a
   loop of one's own, `fx.emulate` for a polynomial in place of a costly function.
@@ -11,7 +12,7 @@
   `fx.fit_leaf`: from a folder of measured leaves to their traits.
 - `fx.canopy_reflectance`, `fx.canopy_albedo`, `fx.fit_canopy`: a uniform canopy in one line, and
   backward.
-- `fx.read_plot`: a plot from its files; `fx.jobs`: what the commands do, from Python.
+- `fx.jobs`: what the commands do, from Python.
 - `fx.progress`: bars of how far long work is, `with fx.progress(): ...`; the logger `fynjax` has
   its stages too.
 - `fx.cite`: BibTeX of the models used.

@@ -21,6 +21,7 @@ from .assembly import emulate as emulate
 from .assembly import fit as fit
 from .assembly import free as free
 from .assembly import prior as prior
+from .assembly import read_scene as read_scene
 from .assembly import sample as sample
 from .inversion import BroydenLM as BroydenLM
 from .inversion import FitResult as FitResult
@@ -28,7 +29,6 @@ from .inversion import FitStatus as FitStatus
 from .inversion import ParameterSpace as ParameterSpace
 from .inversion import fit_canopy as fit_canopy
 from .inversion import whitened_residual as whitened_residual
-from .io.plot import read_plot as read_plot
 from .io.spectra import read_spectra as read_spectra
 from .leaf import Leaf as Leaf
 from .leaf import LeafParameters as LeafParameters

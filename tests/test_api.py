@@ -37,7 +37,7 @@ def test_leaves_and_light_do_without_what_reads_and_draws():
 
 def test_every_name_is_there_and_described():
     assert {
-        *("read_plot", "fit", "sample", "Leaf", "LeafParameters", "prospect"),
+        *("read_scene", "fit", "sample", "Leaf", "LeafParameters", "prospect"),
         *("fit_leaf", "sensor", "errors", "cite", "canopy_reflectance"),
         *("canopy_albedo", "fit_canopy"),
     } <= set(fx.__all__)

@@ -1,5 +1,8 @@
 """A scene, what a sensor sees of it, and the arrow backwards, in the lines that a user writes."""
 
+import dataclasses
+
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -9,7 +12,7 @@ import rasterio
 
 import fynjax as fx
 from fynjax.errors import InputError
-from fynjax.inversion import CalibrationSettings
+from fynjax.inversion import AbstractView, CalibrationSettings
 from fynjax.sensors import Gains, shipped_lidars
 
 COLUMNS = "taxon", "growth_form", "mean_diameter_cm", "cover_percent", "height_max_m"
@@ -51,6 +54,109 @@ def test_an_image_has_bands_indices_tables_and_a_picture(image, monkeypatch):
     assert "mavic_3m" in image._repr_html_()
     grid = image.plot()
     assert grid.axs.size == 4
+
+
+def test_a_spectrometer_has_indices_of_its_wavelengths(scene):
+    """Those of the camera, whose bands its means are over; and a gradient."""
+    spectra = fx.observe(scene, "aviris_ng", pixel=1.0)
+    ndvi = spectra.index("NDVI")
+    wide = fx.observe(scene, "mavic_3m", pixel=1.0)
+    np.testing.assert_allclose(ndvi, wide.index("NDVI"), atol=0.01)
+    slope = jax.grad(lambda r: dataclasses.replace(spectra, reflectance=r).index("NDVI").sum())(
+        spectra.reflectance
+    )
+    by_band = dict(zip(spectra.wavelength, np.asarray(slope.sum(axis=(1, 2))), strict=True))
+    assert by_band[852.68] > 0.0 > by_band[652.34]
+    frame = spectra.to_dataframe()
+    assert len(frame) == 4
+    assert frame.shape[1] == 2 + len(spectra.bands)
+    with pytest.raises(InputError, match=r"an index that the 416 bands .* got 'NDVX'"):
+        spectra.index("NDVX")
+
+
+@pytest.fixture(scope="module")
+def cloud(scene):
+    return fx.observe(scene, "flash_lidar_paper", seed=3)
+
+
+def test_a_cloud_has_metrics_tables_and_a_picture(scene, cloud):
+    frame = cloud.to_dataframe()
+    assert len(frame) == len(cloud.returns)
+    assert {"x", "y", "z", "reflectance", "classification"} <= set(frame.columns)
+    np.testing.assert_array_equal(frame["z"], cloud.returns.position[:, 2])
+    waves = cloud.to_xarray()
+    assert waves["waveform"].dims == ("pulse", "sample")
+    assert waves.sizes["pulse"] == len(cloud.beams)
+    assert str(cloud).startswith(f"flash_lidar_paper: {len(cloud.beams)} pulses, ")
+    assert f"{len(cloud.returns)} returns" in str(cloud)
+    assert "flash_lidar_paper" in cloud._repr_html_()
+    assert cloud.plot().get_ylabel() == "z"
+    first = frame[frame["number"] == 1]
+    for percent in (75, 95):  # of first hits; the peak of an echo lies within a pulse below
+        below = float(cloud.metric(f"height_p{percent}")) - np.percentile(first["z"], percent)
+        assert 0.0 < below < 0.3
+    gap = float(cloud.metric("gap_fraction"))
+    assert gap == pytest.approx(float(np.mean(first["z"] < 0.1)), abs=0.16)
+    with pytest.raises(InputError, match=r"got 'gap_fractio'. Did you mean 'gap_fraction'"):
+        cloud.metric("gap_fractio")
+    with pytest.raises(InputError, match="a percentile of height such as"):
+        cloud.metric("height_p101")
+
+
+def test_metrics_of_a_cloud_have_gradients(scene):
+    lidar = fx.sensor("flash_lidar_paper")
+
+    @jax.jit
+    def top(p):
+        return fx.observe(scene, lidar, parameters=p).metric("height_p95")
+
+    slope = jax.grad(top)(scene.parameters)
+    assert jax.tree.structure(slope) == jax.tree.structure(scene.parameters)
+    assert (slope.species.height > 0).all()  # metres of the percentile for each of a plant
+    assert (slope.species.cover > 0).all()
+    higher, lower = (
+        scene.with_values({"species.Erica.height": height}).parameters for height in (0.61, 0.59)
+    )
+    quotient = (top(higher) - top(lower)) / 0.02
+    assert float(slope.species.height[0]) == pytest.approx(float(quotient), rel=0.1)
+
+
+def test_scenes_and_parameters_print_a_line_for_each_species(scene):
+    lines = str(scene.parameters).splitlines()
+    assert len(lines) == 1 + 2 + 2
+    assert lines[1].startswith("  1: cover 0.3, diameter 0.4 m, height 0.6 m, leaf_area_index ")
+    assert "leaf.chlorophyll 54.3 ug cm-2" in lines[2]
+    assert lines[-1] == "  light: sun_zenith 30 degree, sun_azimuth 0 degree, aerosol 0.1"
+    assert "Restio (tussock)" in scene._repr_html_()
+    assert "sun_zenith" in scene.parameters._repr_html_()
+    seen = []
+    jax.vmap(lambda p: seen.append(str(p)) or p.species.cover)(
+        jax.tree.map(lambda leaf: leaf[None], scene.parameters)
+    )
+    assert seen == ["Parameters of 2 species, shape (2,)"]
+
+
+def test_a_scene_is_read_from_a_plot_file_its_folder_or_a_table(scene, tmp_path):
+    from fynjax.io.plot import example_folder
+
+    options = {"size_m": (2.0, 2.0), "structure_m": "even"}
+    of_file = fx.read_scene(example_folder() / "plot.toml", **options)
+    of_folder = fx.read_scene(example_folder(), **options, seed=5)
+    assert of_file.taxa == of_folder.taxa
+    assert of_file.grid.extent[:2] == (2.0, 2.0)
+    assert of_folder.planting.foot.tolist() != of_file.planting.foot.tolist()
+    pd.DataFrame(TABLE).to_csv(tmp_path / "species.csv", index=False)
+    same = {"size": 2.0, "voxel": 0.25, "structure": "even"}
+    of_table = fx.read_scene(tmp_path / "species.csv", **same, seed=1)
+    np.testing.assert_array_equal(of_table.planting.foot, scene.planting.foot)
+    np.testing.assert_array_equal(of_table.parameters.species.cover, scene.parameters.species.cover)
+    with pytest.raises(InputError, match="expected the `size`"):
+        fx.read_scene(tmp_path / "species.csv")
+    with pytest.raises(InputError, match=r"`fx.read_scene` reads files"):
+        fx.Scene.from_table(str(tmp_path / "species.csv"), size=2.0)
+    (tmp_path / "species.csv").write_text("taxon,cover_percent\nErica,x\n")
+    with pytest.raises(InputError, match=r"species\.csv"):
+        fx.read_scene(tmp_path / "species.csv", size=2.0)
 
 
 def test_gradients_have_the_shape_of_the_parameters(scene):
@@ -147,6 +253,70 @@ def drone(scene, tmp_path_factory):
     return path
 
 
+class Numbers(AbstractView):
+    """Numbers of a plot that need no light, so that nothing takes long."""
+
+    names: tuple[str, ...] = eqx.field(static=True, default=("a", "b"))
+
+    def observe(self, scene, parameters):
+        cover, height = parameters.species.cover, parameters.species.height
+        return None, jnp.stack([cover @ height, cover[0] - cover[1]])
+
+    def for_search(self, scene, accuracy, stride):
+        return self
+
+
+@pytest.fixture(scope="module")
+def numbers(scene):
+    """Numbers of a denser plot."""
+    dense = scene.with_values({"species.Erica.cover": 0.45})
+    value = Numbers().predict(dense, dense.parameters)
+    data = fx.inversion.Data(Numbers().names, value, jnp.full(2, 0.01))
+    return fx.Data._of(data, (lambda *_: Numbers(),))
+
+
+def test_a_fit_of_a_scene_leads_with_the_stand_and_is_gone_on_with(scene, numbers):
+    free = fx.free(scene, "species.*.cover")
+    found = fx.fit(scene, numbers, free, settings=QUICK)
+    lines = str(found).splitlines()
+    assert lines[1].startswith("The stand: green leaf area ")
+    assert "The stand: " in found._repr_html_()
+    assert set(found.stand()["unit"]) <= {"m2 m-2", "g m-2", "-"}
+    own, other = (np.asarray(stand.planting.foot) for stand in found.stands)
+    assert not np.isin(own, other).any()  # sites are drawn again
+    at = float(found.after.species.cover[0])
+    assert at == pytest.approx(0.45, abs=0.03)
+    wider = fx.free(scene, "species.*.cover", "species.Restio.height")
+    again = fx.fit(scene, numbers, wider, settings=QUICK, start=found)
+    assert float(again.before.species.cover[0]) == pytest.approx(at, rel=1e-6)
+    assert float(again.before.species.height[1]) == pytest.approx(0.5)
+    drawn = fx.sample(found, "laplace", target=50.0)
+    assert drawn.values.shape[-1] == 2
+
+
+def test_plants_of_another_chance_stand_elsewhere(scene):
+    """The same number finds the same plants; more of them join those that there were."""
+    again = scene.replanted(0)
+    for one, other in zip(
+        jax.tree.leaves(scene.planting), jax.tree.leaves(again.planting), strict=True
+    ):
+        np.testing.assert_array_equal(one, other)
+    other = scene.replanted(3)
+    assert len(other.planting.foot) == len(scene.planting.foot)
+    assert not np.isin(other.planting.foot, scene.planting.foot).any()
+    np.testing.assert_array_equal(other.planting.foot, scene.replanted(3).planting.foot)
+    counts = 4.0 * np.asarray(scene.counts(scene.parameters))
+    more = scene.replanted(0, counts)
+    assert (np.bincount(more.planting.species) >= counts).all()
+    there = {tuple(foot) for foot in more.planting.foot.tolist()}
+    assert {tuple(foot) for foot in scene.planting.foot.tolist()} < there
+    known = dataclasses.replace(scene, known_plants=True)
+    assert known.replanted(2) is known
+    with pytest.raises(InputError, match="given shapes cannot be drawn again"):
+        dataclasses.replace(scene, shaped=True).replanted(1)
+
+
+@pytest.mark.slow
 def test_a_scene_is_fitted_to_an_image_and_sampled(scene, drone):
     free = fx.free(scene, "species.*.cover", "species.*.leaf.chlorophyll")
     data = fx.Data.from_image(drone, "mavic_3m", statistics=("*.mean",), gains=Gains(0.01))
@@ -194,6 +364,13 @@ def test_any_function_is_fitted_and_sampled():
     assert "Of 2 free parameters 2 are known twice as well as before" in str(found)
     drawn = fx.sample(found, "laplace", predict=line, target=200.0)
     assert drawn.values.reshape(-1, 2).mean(axis=0) == pytest.approx([1.0, 1.0], abs=0.05)
+    lines = str(drawn).splitlines()
+    assert lines[0].startswith("200 effective draws by laplace: ")
+    assert lines[1] == "Of 2 free parameters 2 are known twice as well as before:"
+    assert lines[2].startswith("  offset ")
+    low, high = lines[3].partition("[")[2].rstrip("]").split(", ")
+    assert float(low) < 1.0 < float(high)
+    assert "draws by laplace" in drawn._repr_html_()
     with pytest.raises(InputError, match="expected `predict`"):
         fx.sample(found)
 

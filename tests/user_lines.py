@@ -10,7 +10,7 @@ from fynjax.scene import PlotParameters
 
 def forward(table: str) -> fx.Scene:
     """A scene, an image and a gradient."""
-    scene = fx.Scene.from_table(table, size=2.0, seed=1)
+    scene = fx.read_scene(table, size=2.0, seed=1)
     image = fx.observe(scene, "mavic_3m", pixel=0.1)
     print(scene, image["nir"], image.index("NDVI"), image.to_xarray(), image.to_dataframe())
     camera = fx.sensor("mavic_3m")
@@ -20,6 +20,7 @@ def forward(table: str) -> fx.Scene:
         mean: jax.Array = seen.index("NDVI").mean()
         return mean
 
+    print(fx.observe(scene, "flash_lidar_paper").metric("height_p95"), scene.parameters)
     print(jax.grad(ndvi)(scene.parameters).species.cover)
     return scene.with_values({"species.*.cover": 0.1})
 

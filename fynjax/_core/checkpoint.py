@@ -7,6 +7,7 @@ what its steps returned, and a run that starts again is given those instead of c
 import dataclasses
 import hashlib
 import os
+import time
 import zipfile
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
@@ -23,14 +24,6 @@ from fynjax._core.errors import InputError
 
 State = TypeVar("State")
 
-Keep = Callable[[Callable[[], tuple[Array, ...]]], tuple[Array, ...]]
-"""Does a step, or gives back what it returned in an earlier run."""
-
-
-def keep_nothing(step: Callable[[], tuple[Array, ...]]) -> tuple[Array, ...]:
-    """Do a step."""
-    return step()
-
 
 class Journal:
     """Keeps the arrays that each step returns in a file of its own, by the step's number."""
@@ -43,8 +36,6 @@ class Journal:
         """
         self._folder = Path(folder)
         self._count = 0
-        self.repeating = False
-        """Whether the last step was one of an earlier run."""
         mark = self._folder / _MARK
         if mark.is_file():
             if mark.read_text("utf-8").strip() != signature:
@@ -60,16 +51,15 @@ class Journal:
         except OSError as error:
             raise InputError(f"cannot write here: {error.strerror}", file=self._folder) from error
 
-    def __call__(self, step: Callable[[], tuple[Array, ...]]) -> tuple[Array, ...]:
-        """Do a step and keep what it returns; or, if an earlier run did it, give that back."""
+    def __call__(self, step: Callable[..., Array | np.ndarray], *of: Any) -> np.ndarray:
+        """Do a step and keep the array that it returns; or, if an earlier run did it, give that
+        back. `of` are the arguments of the step."""
         number = self.reserve(1)
         kept = self.kept(number)
-        self.repeating = kept is not None
-        if kept is not None:
-            return tuple(jnp.asarray(array) for array in kept)
-        arrays = step()
-        self.put(number, arrays)
-        return arrays
+        if kept is None:
+            kept = (np.asarray(step(*of)),)
+            self.put(number, kept)
+        return kept[0]
 
     def reserve(self, count: int) -> int:
         """The number of the next of `count` steps, which may be done in any order."""
@@ -122,6 +112,26 @@ class Journal:
                 "no checkpoint, or a damaged one; remove its folder to start again", file=path
             ) from error
 
+    def states(
+        self, name: str, kind: type[State], go_on: Callable[[State | None], Iterator[State]]
+    ) -> Iterator[State]:
+        """The states that `go_on` gives, from the one that an earlier run kept, or else from None.
+
+        They are kept, every few seconds and the last at the end or an interruption, as `put_state`
+        does.
+        """
+        last, written = None, -np.inf
+        try:
+            for state in go_on(self.kept_state(name, kind)):
+                last = state
+                if time.monotonic() - written > _KEEP_SECONDS:
+                    last, written = None, time.monotonic()
+                    self.put_state(name, state)
+                yield state
+        finally:
+            if last is not None:
+                self.put_state(name, last)
+
     def _cannot_keep(self, error: OSError) -> InputError:
         return InputError(
             f"cannot keep what was done: {error.strerror}. What was kept before stays, and the "
@@ -139,6 +149,8 @@ class Journal:
         return path
 
 
+_KEEP_SECONDS = 5.0
+"""A kill loses at most so much work of a solver, and the step under way."""
 _MARK = "calibration.mark"
 _STEP = "calibration.{:04d}.npz"
 _STATE = "calibration.{}.npz"

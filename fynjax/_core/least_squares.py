@@ -46,7 +46,7 @@ class BroydenLM(optx.AbstractLeastSquaresSolver):
     coordinate not at all.
 
     Works in `optx.least_squares` and, step by step, in `descend`. `options["jacobian"]` may be a
-    function (y, args) -> (residual, jacobian), where these are known more cheaply than by
+    function (y, args) -> (residual, jacobian), where these are known with less work than by
     differentiating `fn`. Points and residuals are arrays of one axis, without further outputs
     (`has_aux`). The state is a pytree of arrays; jit and vmap work.
 

@@ -222,6 +222,12 @@ class Pool:
                 client.cancel(list(number), force=True)
 
 
+Do = Callable[..., list[Arrays]]
+"""How the parts of some work are done, called as `Pool.all` is."""
+in_order: Do = Pool().all
+"""One after another in this process."""
+
+
 @contextmanager
 def at_work(workers: Workers | None = None) -> Iterator[Pool]:
     """Where the parts of a job are done, until the block ends; in this process by default.

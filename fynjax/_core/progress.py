@@ -56,11 +56,6 @@ def listening(listener: Listener | None) -> Iterator[None]:
         _listener.reset(before)
 
 
-def is_heard() -> bool:
-    """Whether somebody listens."""
-    return _listener.get() is not None
-
-
 @contextmanager
 def stage(name: str, total: int | None = None) -> Iterator[None]:
     """A stage of long work, of `total` steps (`None`: unknown), that is open until the block
@@ -156,6 +151,7 @@ class _Bars:
             self._bars.stop_task(task)
             self._open.pop()
             if not self._open:
+                self._bars.refresh()  # in a notebook `stop` does not
                 self._bars.stop()
 
     def advance(self, n: int, **info: float | str) -> None:

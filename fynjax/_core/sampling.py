@@ -1,16 +1,14 @@
-"""Two samplers of a posterior: emcee's ensemble and blackjax's NUTS, watched and resumable.
+"""Two samplers of a posterior: emcee's ensemble and blackjax's NUTS.
 
 Neither knows what it samples. Both stop when the chain is long against its own autocorrelation
-time, say why they stopped, and go on from a checkpoint exactly as if nothing had happened.
+time, and say why they stopped. They go from state to state: from one that was kept a sampler goes
+on exactly as if nothing had happened.
 """
 
-import os
-import shutil
-import time
+import dataclasses
 import warnings
-import zipfile
-from collections.abc import Callable
-from pathlib import Path
+from collections import deque
+from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
 import emcee
@@ -18,14 +16,12 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
-from fynjax._core.errors import InputError
 from fynjax._core.extras import require
 
-Report = Callable[[int, dict[str, float]], None]
-"""Called after each step with the steps done so far, and figures to show beside them."""
-
+_BLOCK = 50
+"""Steps from one state to the next."""
 _CHECK_EVERY = 200
 _BURN_IN = 100
 # Below this many autocorrelation times the chain is too short to estimate the autocorrelation time
@@ -33,8 +29,6 @@ _BURN_IN = 100
 _TIMES_TAU = 50.0
 _R_HAT = 1.1
 """Largest disagreement of chains that count as converged."""
-_SAVE_SECONDS = 20.0
-"""A kill loses at most so much work (and the step under way); a resumed chain is the same."""
 _DIVERGENT = 0.01
 _ACCEPTANCE = 0.85
 
@@ -60,18 +54,96 @@ class Draws(NamedTuple):
         return self.status == "converged"
 
 
-def ensemble(
-    density: Callable[[np.ndarray], np.ndarray],
-    start: Float[np.ndarray, "walker parameter"],
-    *,
-    target: float,
-    steps: int,
-    seed: int,
-    checkpoint: Path | None = None,
-    signature: str = "",
-    report: Report | None = None,
-) -> Draws:
-    """Sample by an ensemble of walkers (Foreman-Mackey et al. 2013).
+class ChainState(eqx.Module):
+    """Where a sampler is: what it did, and what its next step follows from."""
+
+    chain: Float[np.ndarray, "step chain parameter"]
+    """Positions, with those that the draws leave out."""
+    log_density: Float[np.ndarray, "step chain"]
+    accepted: Float[np.ndarray, " chain"]
+    """Proposals that were accepted, or the sum of their chances."""
+    faulty: Int[np.ndarray, ""]
+    """Proposals whose log density was not a number, or trajectories that diverged."""
+    effective_size: Float[np.ndarray, ""]
+    """Effective number of draws when the chain was last looked at; NaN before."""
+    ahead: tuple[Array, ...]
+    """Of the next step; nothing where there can be none."""
+
+
+class _Sampler:
+    """Goes from state to state until a chain is long enough; arguments as of `Hamiltonian`."""
+
+    def __init__(
+        self,
+        start: Float[np.ndarray, "chain parameter"],
+        target: float,
+        steps: int,
+        warmup: int = 0,
+    ) -> None:
+        self._start, self._target, self._steps, self._warmup = start, target, steps, warmup
+
+    def states(self, state: ChainState | None = None) -> Iterator[ChainState]:
+        """The states from one of them, else from the start, to the end; that one is the first."""
+        state = self._first() if state is None else state
+        yield state
+        while state.ahead:
+            done = len(state.chain) - self._warmup
+            if done >= self._steps:
+                return
+            # Looked at a second time only where it may be the end.
+            large = done % _CHECK_EVERY == 0 and state.effective_size >= self._target
+            if large and self.draws(state).status.startswith("converged"):
+                return
+            state = self._after(state, min(_BLOCK - done % _BLOCK, self._steps - done))
+            done = len(state.chain) - self._warmup
+            if done > 0 and done % _CHECK_EVERY == 0:
+                size = np.asarray(self.draws(state).effective_size)
+                state = dataclasses.replace(state, effective_size=size)
+            yield state
+
+    def run(self) -> Draws:
+        """The draws at the end."""
+        (end,) = deque(self.states(), maxlen=1)
+        return self.draws(end)
+
+    def draws(self, state: ChainState) -> Draws:
+        """What the chain of a state holds, and whether that is enough."""
+        chain = np.asarray(state.chain)[self._warmup :]
+        if not len(chain):
+            failed = "failed: the log density or its slope is not finite at the starting points"
+            status = "not converged: no steps" if state.ahead else failed
+            return Draws(chain, chain[..., 0], 0.0, np.inf, 0.0, status)
+        kept = self._settled(chain)
+        return self._doubted(
+            _judge(kept, self._target)._replace(
+                log_density=np.asarray(state.log_density)[-len(kept) :],
+                acceptance=float(np.mean(state.accepted) / len(chain)),
+            ),
+            int(state.faulty),
+            chain.shape[0] * chain.shape[1],
+        )
+
+    def _begun(self, start: np.ndarray, *ahead: Any) -> ChainState:
+        """The state at the start; without what is ahead no step can follow."""
+        empty, none = np.zeros((0, *start.shape)), np.zeros(len(start))
+        later = tuple(map(jnp.asarray, ahead))
+        return ChainState(empty, empty[..., 0], none, np.asarray(0), np.asarray(np.nan), later)
+
+    def _first(self) -> ChainState:
+        raise NotImplementedError
+
+    def _after(self, state: ChainState, steps: int) -> ChainState:
+        raise NotImplementedError
+
+    def _settled(self, chain: np.ndarray) -> np.ndarray:
+        return chain
+
+    def _doubted(self, draws: Draws, faulty: int, proposals: int) -> Draws:
+        raise NotImplementedError
+
+
+class Ensemble(_Sampler):
+    """An ensemble of walkers (Foreman-Mackey et al. 2013), by emcee.
 
     **Arguments:**
 
@@ -79,59 +151,70 @@ def ensemble(
       is not finite the proposal is refused.
     - `start`: positions of the walkers, at least twice as many as parameters.
     - `target`: effective draws to reach, on a chain of 50 autocorrelation times or more.
-    - `steps`: most steps, those of an earlier run included.
-    - `checkpoint`: HDF5 file of emcee's backend, which the run keeps up to date and starts from
-      if it is there; needs h5py. `signature` names what is sampled.
-
-    **Raises:** `InputError` for a checkpoint of something else, or that cannot be read.
+    - `steps`: most steps.
+    - `seed`: of the random numbers.
     """
-    refused = _Refused(density)
-    saved = None if checkpoint is None else _EnsembleFile(checkpoint, signature)
-    # Differential evolution (ter Braak 2006) mixes well where parameters are correlated, stretches
-    # keep the walkers from sharing a subspace. Not emcee's snooker move: up to its version 3.1.6
-    # that is no correct step, and leaves standard deviations 5 to 10 % small.
-    moves = [(emcee.moves.DEMove(), 0.8), (emcee.moves.StretchMove(), 0.2)]
-    backend = None if saved is None else saved.backend
-    sampler = emcee.EnsembleSampler(
-        *start.shape, refused, vectorize=True, moves=moves, backend=backend
-    )
-    sampler.log_prob_fn = refused  # emcee's wrapper prints a traceback at an interruption
-    if sampler.iteration:
-        assert saved is not None
-        state, refused.count = sampler.get_last_sample(), saved.refused
-    else:
-        alive = np.isfinite(refused(start))
+
+    def __init__(
+        self,
+        density: Callable[[np.ndarray], np.ndarray],
+        start: Float[np.ndarray, "walker parameter"],
+        *,
+        target: float,
+        steps: int,
+        seed: int,
+    ) -> None:
+        super().__init__(start, target, steps)
+        self._density, self._seed = density, seed
+
+    def _first(self) -> ChainState:
+        level = _Refused(self._density)(self._start)
+        alive = np.isfinite(level)
         if not alive.any():
-            return _nothing(start, "the log density is finite at none of the starting points")
+            return self._begun(self._start)
         # A walker that starts where the density is zero takes the place of one that does not.
-        place = np.where(alive, np.arange(len(start)), np.argmax(alive))
-        state, refused.count = emcee.State(start[place]), 0
-        sampler.random_state = np.random.RandomState(seed).get_state()
-    judged = None
-    while True:
-        done = sampler.iteration
-        if done >= steps or (done and done % _CHECK_EVERY == 0):
-            judged = _judge(_without_burn_in(sampler.get_chain()), target)
-            if judged.converged or done >= steps:
-                break
-        block = min(_CHECK_EVERY - done % _CHECK_EVERY, steps - done)
-        for _ in sampler.sample(state, iterations=block, skip_initial_state_check=True):
-            done += 1
-            if saved is not None:
-                saved.keep_up(refused.count)
-            if report is not None:
-                report(done, {} if judged is None else {"effective": judged.effective_size})
-        state = sampler.get_last_sample()
-    if saved is not None:
-        saved.save(refused.count)
-    status = judged.status
-    if refused.count:
-        status += f"; {refused.count} proposals had a log density that is not a number"
-    return judged._replace(
-        log_density=sampler.get_log_prob()[-len(judged.chain) :],
-        acceptance=float(np.mean(sampler.backend.accepted) / sampler.iteration),
-        status=status,
-    )
+        place = np.where(alive, np.arange(len(alive)), np.argmax(alive))
+        random: Any = np.random.RandomState(self._seed).get_state()
+        return self._begun(self._start, self._start[place], level[place], *random[1:])
+
+    def _after(self, state: ChainState, steps: int) -> ChainState:
+        position, level, *random = map(np.asarray, state.ahead)
+        refused = _Refused(self._density)
+        # Differential evolution (ter Braak 2006) mixes well where parameters are correlated,
+        # stretches keep the walkers from sharing a subspace. Not emcee's snooker move: up to its
+        # version 3.1.6 that is no correct step, and leaves standard deviations 5 to 10 % small.
+        moves = [(emcee.moves.DEMove(), 0.8), (emcee.moves.StretchMove(), 0.2)]
+        sampler = emcee.EnsembleSampler(*position.shape, refused, vectorize=True, moves=moves)
+        sampler.log_prob_fn = refused  # emcee's wrapper prints a traceback at an interruption
+        key, *rest = random
+        number = ("MT19937", key, *(one.item() for one in rest))
+        now = sampler.run_mcmc(
+            emcee.State(position, log_prob=level, random_state=number),
+            steps,
+            skip_initial_state_check=True,
+        )
+        return ChainState(
+            np.concatenate([state.chain, sampler.get_chain()]),
+            np.concatenate([state.log_density, sampler.get_log_prob()]),
+            state.accepted + sampler.backend.accepted,
+            state.faulty + refused.count,
+            state.effective_size,
+            tuple(map(jnp.asarray, (now.coords, now.log_prob, *now.random_state[1:]))),
+        )
+
+    def _settled(self, chain: np.ndarray) -> np.ndarray:
+        """The first steps go, more of them where the chain is slow to forget its start."""
+        kept = chain[min(_BURN_IN, len(chain) // 2) :]
+        tau = _autocorrelation(kept)
+        if np.isfinite(tau) and _BURN_IN < 5 * tau < len(chain) / 2:
+            return chain[int(5 * tau) :]
+        return kept
+
+    def _doubted(self, draws: Draws, faulty: int, proposals: int) -> Draws:
+        if not faulty:
+            return draws
+        why = f"{faulty} proposals had a log density that is not a number"
+        return draws._replace(status=f"{draws.status}; {why}")
 
 
 class _Refused:
@@ -146,81 +229,6 @@ class _Refused:
         self.count += int(bad.sum())
         value[bad] = -np.inf
         return value
-
-
-class _EnsembleFile:
-    """emcee's HDF5 file, worked on in a copy: what is killed while writing is only the copy."""
-
-    def __init__(self, path: Path, signature: str) -> None:
-        self._h5py = require("h5py", "posterior")
-        self._path = Path(path)
-        self._work = self._path.with_name(self._path.name + ".work")
-        self._path.parent.mkdir(parents=True, exist_ok=True)
-        self._work.unlink(missing_ok=True)
-        if self._path.exists():
-            shutil.copyfile(self._path, self._work)
-        try:
-            with self._h5py.File(self._work, "a") as file:
-                if not self._path.exists():
-                    file.attrs["signature"] = signature
-                known = file.attrs.get("signature")
-        except OSError as error:
-            raise _unreadable(self._path) from error
-        if known != signature:
-            self._work.unlink(missing_ok=True)
-            raise _foreign(self._path)
-        self.backend = emcee.backends.HDFBackend(str(self._work))
-        self._last = time.monotonic()
-
-    @property
-    def refused(self) -> int:
-        """Proposals refused so far, earlier runs included."""
-        with self._h5py.File(self.backend.filename, "r") as file:
-            return int(file.attrs.get("refused", 0))
-
-    def keep_up(self, refused: int) -> None:
-        """Save now and then."""
-        if time.monotonic() - self._last > _SAVE_SECONDS:
-            self._note(refused)
-            copy = self._path.with_name(self._path.name + ".copy")
-            shutil.copyfile(self._work, copy)
-            os.replace(copy, self._path)
-            self._last = time.monotonic()
-
-    def save(self, refused: int) -> None:
-        """Save for good."""
-        self._note(refused)
-        os.replace(self._work, self._path)
-        self.backend.filename = str(self._path)  # which it opens anew each time
-
-    def _note(self, refused: int) -> None:
-        with self._h5py.File(self._work, "a") as file:
-            file.attrs["refused"] = refused
-
-
-def _foreign(path: Path) -> InputError:
-    return InputError(
-        "this checkpoint is of another problem: other data, parameters, priors, walkers or seed. "
-        "Choose another, or remove it to start again",
-        file=path,
-    )
-
-
-def _unreadable(path: Path) -> InputError:
-    return InputError(
-        "this is no checkpoint that can be read. Is it another file, or cut short by a full disk? "
-        "Remove it to start again",
-        file=path,
-    )
-
-
-def _without_burn_in(chain: np.ndarray) -> np.ndarray:
-    """The first steps go, more of them where the chain is slow to forget its start."""
-    kept = chain[min(_BURN_IN, len(chain) // 2) :]
-    tau = _autocorrelation(kept)
-    if np.isfinite(tau) and _BURN_IN < 5 * tau < len(chain) / 2:
-        return chain[int(5 * tau) :]
-    return kept
 
 
 def _judge(chain: np.ndarray, target: float) -> Draws:
@@ -271,13 +279,6 @@ def _autocorrelation(chain: np.ndarray) -> float:
     return max(float(np.max(tau)), 0.1) if np.all(np.isfinite(tau)) else np.inf
 
 
-def _nothing(start: np.ndarray, why: str) -> Draws:
-    count, size = start.shape
-    return Draws(
-        np.empty((0, count, size)), np.empty((0, count)), 0.0, np.inf, 0.0, f"failed: {why}"
-    )
-
-
 # -- Hamiltonian ----------------------------------------------------------------------------
 
 
@@ -305,114 +306,74 @@ def _transitions(
     return jax.lax.map(step_chain, (keys, states, scales))
 
 
-def hamiltonian(
-    density: Callable[[Array], Array],
-    start: Float[np.ndarray, "chain parameter"],
-    covariance: Float[np.ndarray, "parameter parameter"],
-    *,
-    target: float,
-    steps: int,
-    seed: int,
-    warmup: int = 200,
-    checkpoint: Path | None = None,
-    signature: str = "",
-    report: Report | None = None,
-) -> Draws:
-    """Sample by NUTS (Hoffman & Gelman 2014), chain by chain; needs the extra `nuts`.
+class Hamiltonian(_Sampler):
+    """NUTS (Hoffman & Gelman 2014), chain by chain; needs the extra `nuts`.
 
-    **Arguments:** those of `ensemble`, and
+    **Arguments:** those of `Ensemble`, and
 
     - `density`: differentiable log density of one position. A pytree (an equinox module, or
       `jax.tree_util.Partial`) compiles once for all densities of its structure.
     - `covariance`: about that of the density; its inverse is the mass. Only the step size is
       tuned, by dual averaging (Nesterov 2009) in `warmup` steps, which are left out of the chain.
-    - `checkpoint`: a NumPy archive here.
     """
-    require("blackjax", "nuts")
-    import blackjax
-    from blackjax.adaptation.step_size import dual_averaging_adaptation
 
-    position = jnp.asarray(start)
-    states = eqx.filter_jit(
-        lambda d, z: jax.lax.map(lambda start: blackjax.nuts.init(start, d), z)
-    )(density, position)
-    finite = np.isfinite(np.asarray(states.logdensity))
-    slope = np.isfinite(np.asarray(states.logdensity_grad)).all(axis=1)
-    if not (finite & slope).all():
-        return _nothing(start, "the log density or its gradient is not finite at a starting point")
-    initial, _, _ = dual_averaging_adaptation(_ACCEPTANCE)
-    scales = jax.tree.map(
-        lambda x: jnp.full(len(start), x), initial(jnp.asarray(0.5, position.dtype))
-    )
-    carry: Any = (states, scales)
-    rows: list[np.ndarray] = []  # [chain, position, log density, acceptance, divergent] of a step
-    saved = None if checkpoint is None else _ChainFile(checkpoint, signature)
-    if saved is not None and saved.path.exists():
-        rows, carry = saved.load(carry)
-    key, mass = jax.random.key(seed), jnp.asarray(covariance)
-    judged = None
-    while True:
-        done = len(rows) - warmup
-        if done >= steps or (done > 0 and done % _CHECK_EVERY == 0):
-            judged = _judge_hamiltonian(rows[warmup:], target)
-            if judged.converged or done >= steps:
-                break
-        carry, (accepted, diverged) = _transitions(
-            density, mass, jax.random.fold_in(key, len(rows)), carry, jnp.asarray(done < 0)
+    def __init__(
+        self,
+        density: Callable[[Array], Array],
+        start: Float[np.ndarray, "chain parameter"],
+        covariance: Float[np.ndarray, "parameter parameter"],
+        *,
+        target: float,
+        steps: int,
+        seed: int,
+        warmup: int = 200,
+    ) -> None:
+        require("blackjax", "nuts")
+        import blackjax
+        from blackjax.adaptation.step_size import dual_averaging_adaptation
+
+        super().__init__(start, target, steps, warmup)
+        self._density, self._mass = density, jnp.asarray(covariance)
+        self._key = jax.random.key(seed)
+        states = eqx.filter_jit(
+            lambda d, z: jax.lax.map(lambda start: blackjax.nuts.init(start, d), z)
+        )(density, jnp.asarray(start))
+        initial, _, _ = dual_averaging_adaptation(_ACCEPTANCE)
+        scales = jax.tree.map(
+            lambda x: jnp.full(len(start), x), initial(jnp.asarray(0.5, states.position.dtype))
         )
-        statistics = (carry[0].logdensity, accepted, diverged)
-        rows.append(np.column_stack([carry[0].position, *statistics]))
-        if saved is not None:
-            saved.keep_up(rows, carry)
-        if report is not None:
-            report(len(rows), {} if judged is None else {"effective": judged.effective_size})
-    if saved is not None:
-        saved.save(rows, carry)
-    return judged
+        self._carry: Any = (states, scales)
 
+    def _first(self) -> ChainState:
+        states, _ = self._carry
+        finite = np.isfinite(np.column_stack([states.logdensity, states.logdensity_grad])).all()
+        return self._begun(self._start, *(jax.tree.leaves(self._carry) if finite else ()))
 
-def _judge_hamiltonian(rows: list[np.ndarray], target: float) -> Draws:
-    every = np.stack(rows)
-    judged = _judge(every[:, :, :-3], target)
-    diverged = float(np.mean(every[:, :, -1]))
-    if diverged > _DIVERGENT:
+    def _after(self, state: ChainState, steps: int) -> ChainState:
+        carry = jax.tree.unflatten(jax.tree.structure(self._carry), state.ahead)
+        first, rows = len(state.chain), []
+        tuning = first < self._warmup
+        for number in range(first, first + steps):
+            key = jax.random.fold_in(self._key, number)
+            carry, figures = _transitions(
+                self._density, self._mass, key, carry, jnp.asarray(tuning)
+            )
+            now = carry[0].position, carry[0].logdensity, *figures
+            rows.append([np.asarray(one) for one in now])
+        chain, level, accepted, diverged = (np.stack(one) for one in zip(*rows, strict=True))
+        return ChainState(
+            np.concatenate([state.chain, chain]),
+            np.concatenate([state.log_density, level]),
+            sum(() if tuning else accepted, start=state.accepted),
+            state.faulty + (0 if tuning else diverged.sum()),
+            state.effective_size,
+            tuple(jax.tree.leaves(carry)),
+        )
+
+    def _doubted(self, draws: Draws, faulty: int, proposals: int) -> Draws:
+        share = faulty / proposals
+        if not share > _DIVERGENT:
+            return draws
         why = "the density has a kink, an edge, or a scale that the covariance lacks"
-        status = f"not converged: {100 * diverged:.0f} % of the trajectories diverged; {why}"
-        judged = judged._replace(status=status)
-    return judged._replace(log_density=every[:, :, -3], acceptance=float(np.mean(every[:, :, -2])))
-
-
-class _ChainFile:
-    """The rows of a chain and what its next step needs, in a NumPy archive."""
-
-    def __init__(self, path: Path, signature: str) -> None:
-        self.path, self._signature = Path(path), signature
-        self.path.parent.mkdir(parents=True, exist_ok=True)
-        self._last = time.monotonic()
-
-    def load(self, like: Any) -> tuple[list[np.ndarray], Any]:
-        try:
-            with np.load(self.path) as file:
-                parts = dict(file)
-        except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
-            raise _unreadable(self.path) from error
-        if parts.get("signature") != self._signature:
-            raise _foreign(self.path)
-        leaves, structure = jax.tree.flatten(like)
-        arrays = [jnp.asarray(parts[f"leaf{i}"], leaf.dtype) for i, leaf in enumerate(leaves)]
-        return list(parts["rows"]), jax.tree.unflatten(structure, arrays)
-
-    def keep_up(self, rows: list[np.ndarray], carry: Any) -> None:
-        if time.monotonic() - self._last > _SAVE_SECONDS:
-            self.save(rows, carry)
-
-    def save(self, rows: list[np.ndarray], carry: Any) -> None:
-        parts: dict[str, Any] = {
-            f"leaf{i}": np.asarray(leaf) for i, leaf in enumerate(jax.tree.leaves(carry))
-        }
-        parts |= {"rows": np.stack(rows), "signature": np.array(self._signature)}
-        work = self.path.with_name(self.path.name + ".work")
-        with open(work, "wb") as file:
-            np.savez(file, **parts)
-        os.replace(work, self.path)
-        self._last = time.monotonic()
+        text = f"not converged: {100 * share:.0f} % of the trajectories diverged; {why}"
+        return draws._replace(status=text)

@@ -38,6 +38,8 @@ _SEPARATOR_LINE = re.compile(r"sep=(.)\s*", re.IGNORECASE)
 _SAMPLE_LINES, _SAMPLE_SIZE = 200, 1 << 20
 _BATCH = 1 << 14
 """Cells that are looked at together."""
+_LARGEST_SHEET = 1 << 24
+"""Cells that a sheet may reach over."""
 _LEAST = -900.0
 """A number below it may stand for none, such as -999."""
 
@@ -504,8 +506,8 @@ def _open(
         data = _workbook(data, path, what)
     elif data[:4] == b"\xd0\xcf\x11\xe0":
         raise InputError(
-            f"expected {what}, but this is a workbook of Excel before 2007. Save it as .xlsx or as "
-            "CSV.",
+            f"expected {what}, but this is a workbook of Excel before 2007, or one with a "
+            "password. Save it as .xlsx or as CSV.",
             file=path,
         )
     table, lines, size = TextTable(path, as_utf8(data, path), ","), [], 0
@@ -572,7 +574,7 @@ def _workbook(data: bytes, path: Path, what: str) -> bytes:
         with zipfile.ZipFile(io.BytesIO(data)) as parts:
             size = sum(part.file_size for part in parts.infolist())
             excel_file = "xl/workbook.xml" in parts.namelist()
-    except (OSError, ValueError, zipfile.BadZipFile) as error:
+    except (OSError, RuntimeError, ValueError, zipfile.BadZipFile) as error:
         raise InputError("this Excel workbook is damaged or cut short", file=path) from error
     if not excel_file:
         raise InputError(f"expected {what}, but this is a zip file", file=path)
@@ -584,6 +586,8 @@ def _workbook(data: bytes, path: Path, what: str) -> bytes:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of styles and rules that are of no matter here
             for sheet in excel.load_workbook(io.BytesIO(data), data_only=True).worksheets:
+                if sheet.max_row * sheet.max_column > _LARGEST_SHEET:
+                    raise ValueError(f"{sheet.title!r} reaches to {sheet.dimensions}")
                 text = io.StringIO()
                 rows = ([_cell(cell) for cell in row] for row in sheet.iter_rows())
                 csv.writer(text, lineterminator="\n").writerows(rows)

@@ -9,7 +9,16 @@ from fynjax.assembly._forward import (
     prepare,
     shown_unit,
 )
-from fynjax.assembly._front import Emulated, PlotData, emulate, fit, free, prior, sample
+from fynjax.assembly._front import (
+    Emulated,
+    PlotData,
+    emulate,
+    fit,
+    free,
+    prior,
+    read_scene,
+    sample,
+)
 from fynjax.assembly._front import PlotData as Data
 from fynjax.assembly._memory import check_memory
 from fynjax.assembly._pixels import sample_pixel
@@ -51,6 +60,7 @@ __all__ = [
     "plot_parameters",
     "prepare",
     "prior",
+    "read_scene",
     "read_targets",
     "sample",
     "sample_pixel",

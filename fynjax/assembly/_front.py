@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -12,9 +12,10 @@ import pandas as pd
 from jaxtyping import Array, Float
 
 from fynjax._core.errors import InputError, did_you_mean
+from fynjax._core.progress import stage, track
+from fynjax.assembly._build import build_plot
 from fynjax.assembly._targets import (
     TargetRules,
-    fitting_structure,
     image_data,
     spectrum_data,
     structure_data,
@@ -38,13 +39,59 @@ from fynjax.inversion import (
 )
 from fynjax.inversion import fit as fit_function
 from fynjax.io.instruments import load_instrument
-from fynjax.io.plot import BY_FORM, LearnedPrior, read_prior
+from fynjax.io.plot import BY_FORM, LearnedPrior, read_plot, read_prior
+from fynjax.io.text import read_rows
 from fynjax.metrics import BANDS
-from fynjax.scene import Placement, PlotParameters, Scene, aim, named_values
+from fynjax.scene import (
+    Placement,
+    PlotParameters,
+    Scene,
+    SpeciesRow,
+    aim,
+    fitting_structure,
+    named_values,
+)
 from fynjax.sensors import Gains, Lidar, Sensor
 
 View = Callable[[Scene, PlotParameters], AbstractView]
 """Makes a sensor's view of a scene."""
+
+
+def read_scene(
+    path: str | Path,
+    *,
+    seed: int | None = None,
+    rounding: Literal["random", "up"] = "random",
+    **options: Any,
+) -> Scene:
+    """A scene with its parameters from a file: of a plot file, or of a species table.
+
+    **Arguments:**
+
+    - `path`: a plot file, the folder of one (`plot.toml`), or a species table (CSV).
+    - `seed`: of everything random; that of the plot file by default, of a table 0.
+    - `rounding`: of the numbers of plants, see `PlantingRules`; the commands `render`, `build` and
+      `simulate` round "up".
+    - `options`: of a table those of `Scene.from_table`, of which `size` is needed; of a plot file
+      values in place of its own, as the fields of `fynjax.io.plot.Plot` (`size_m=(5.0, 5.0)`).
+
+    **Raises:** `InputError` as `fynjax.io.plot.read_plot`, `build_plot` and `Scene.from_table`, and
+    for a table without `size`; `TypeError` for an option that there is not.
+
+    >>> import fynjax as fx
+    >>> from fynjax.io.plot import example_folder
+    >>> scene = fx.read_scene(example_folder(), size_m=(2.0, 2.0), structure_m="even")
+    >>> len(scene.taxa), scene.grid.shape[:2]
+    (13, (20, 20))
+    """
+    path = Path(path)
+    if path.is_dir() or path.suffix.lower() == ".toml":
+        plot = read_plot(path / "plot.toml" if path.is_dir() else path).replace(**options)
+        return build_plot(plot, seed=seed, rounding=rounding)[0]
+    if "size" not in options:
+        raise InputError("expected the `size` of the plot [m] with a species table", file=path)
+    rows = [row for _, row in read_rows(path, SpeciesRow, "a species table")]
+    return Scene.from_table(rows, seed=0 if seed is None else seed, rounding=rounding, **options)
 
 
 class PlotData(Data):
@@ -290,6 +337,7 @@ def fit(
     solver: Any = None,
     max_steps: int = 30,
     settings: CalibrationSettings | None = None,
+    start: Calibration | FitResult | Float[Array, " free"] | None = None,
     **options: Any,
 ) -> Any:
     """The most probable parameters of a scene, or of any function, given what was measured.
@@ -302,8 +350,11 @@ def fit(
     - `solver`: `fx.BroydenLM()` by default; or a solver object of optimistix or jaxopt.
     - `max_steps`: most steps of the solver, of a scene in the first round.
     - `settings`: of a scene: plantings, rounds and light of the search, with its own `max_steps`.
-    - `options`: of a function as `fynjax.inversion.fit` takes them: `tolerance`, `start`, `offset`,
-      `context`; of a scene as `fynjax.inversion.calibrate_plot`: `start`, `replant`.
+    - `start`: what an earlier fit found, to go on from there: parameters that it did not have start
+      at their priors. Or whitened coordinates. By default the prior's centre.
+    - `options`: of a function as `fynjax.inversion.fit` takes them: `tolerance`, `offset`,
+      `context`; of a scene as `fynjax.inversion.calibrate_plot`: `replant`, by default the scene's
+      own (`Scene.replanted`).
 
     **Returns:** `Calibration` of a scene, `FitResult` of a function; both print what they found.
 
@@ -314,7 +365,11 @@ def fit(
             raise InputError(f"expected a scene or a function, but got {model!r:.60}")
         if settings is not None:
             raise InputError("expected `settings` with a scene, not with a function")
-        return fit_function(model, data, free, solver=solver, max_steps=max_steps, **options)
+        with stage("Fit"):
+            return fit_function(
+                model, data, free, solver=solver, max_steps=max_steps,
+                start=_place(start, free), **options,
+            )  # fmt: skip
     sensors = data.sensors if isinstance(data, PlotData) else ()
     if not sensors:
         raise InputError(
@@ -322,9 +377,27 @@ def fit(
         )
     views = [view(model, model.parameters) for view in sensors]
     settings = CalibrationSettings(max_steps=max_steps) if settings is None else settings
+    options = {"replant": model.replanted} | options
     return calibrate_plot(
-        model, model.parameters, data, free, views, settings, solver=solver, **options
-    )
+        model, model.parameters, data, free, views, settings,
+        solver=solver, start=_place(start, free), **options,
+    )  # fmt: skip
+
+
+_FARTHEST = 4.0
+"""Of a start from the prior [standard deviations]: beyond, a parameter at its bound is flat."""
+
+
+def _place(start: Any, space: ParameterSpace) -> Float[Array, " free"] | None:
+    """Whitened coordinates of an earlier fit's estimate, or as they were given."""
+    found = start.fit if isinstance(start, Calibration) else start
+    if not isinstance(found, FitResult):
+        return found
+    if bool(eqx.tree_equal(found.space, space)):
+        return found.whitened
+    known = dict(zip(found.names, found.estimate))
+    values = [known.get(name, prior) for name, prior in zip(space.names, space.prior)]
+    return jnp.clip(space.whitened(jnp.stack(values)), -_FARTHEST, _FARTHEST)
 
 
 def sample(
@@ -358,7 +431,7 @@ def sample(
         )
     if not isinstance(fitted, Calibration):
         raise InputError(f"expected what `fx.fit` returns, but got {fitted!r:.60}")
-    found = fit_surrogate(fitted, fitted.before, fitted.coarse_views, seed=seed)
+    found = fit_surrogate(fitted, seed=seed)
     start = fitted.fit
     return sample_posterior(
         found.surrogate, fitted.data, start.space, method=method, start=start, seed=seed, **options
@@ -430,7 +503,9 @@ def emulate(
     sequence = qmc.Sobol(low.size, rng=np.random.default_rng(seed))
     unit = 2.0 * sequence.random(1 << (count - 1).bit_length())[:count] - 1.0
     centre, scale = 0.5 * (low + high), 0.5 * (high - low)
-    found = np.stack([np.ravel(function(jnp.asarray(centre + scale * u))) for u in unit])
+    found = np.stack(
+        [np.ravel(function(jnp.asarray(centre + scale * u))) for u in track(unit, "Emulate")]
+    )
     if not np.isfinite(found).all():
         at = centre + scale * unit[int(np.argmin(np.isfinite(found).all(axis=1)))]
         raise InputError(f"the function is not finite at {at.tolist()}")

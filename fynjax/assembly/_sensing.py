@@ -9,9 +9,16 @@ from fynjax.io.plot import (
     AtmosphereTable,
     Plot,
     sensor_place,
+)
+from fynjax.scene import (
+    AimedSensor,
+    Placement,
+    PlotAir,
+    PlotParameters,
+    Scene,
+    aim,
     visible_sensor,
 )
-from fynjax.scene import AimedSensor, Placement, PlotAir, PlotParameters, Scene, aim
 from fynjax.sensors import Atmosphere, OrthographicCamera, Sensor
 
 _DISAGREE = 0.02  # share by which a pixel may differ from the optics without a warning

@@ -41,7 +41,7 @@ from fynjax.metrics import (
     match_wavelengths,
     spectral_mask,
 )
-from fynjax.scene import PlotParameters, Scene
+from fynjax.scene import PlotParameters, Scene, fitting_structure
 from fynjax.sensors import (
     BandSet,
     ClearAir,
@@ -69,8 +69,6 @@ _MOST_BANDS = 30
 _NARROWEST, _WIDEST = 5.0, 15.0  # nm; finer spectra are averaged to bands of the first
 _RANGE = (405.0, 2450.0)
 _CONFIDENCE = 0.95
-_CANOPY_CELL = 0.5  # m
-_GRAINS = (1.0, 2.0, 3.0, 4.0, 5.0)
 
 
 @dataclass(frozen=True)
@@ -449,25 +447,3 @@ def structure_settings(plot: Plot) -> tuple[StructureSettings, tuple[float, ...]
         return fitting_structure(plot.voxel_m, min(plot.size_m))
     except InputError as error:
         raise InputError(str(error), file=plot.file) from error
-
-
-def fitting_structure(voxel: float, side: float) -> tuple[StructureSettings, tuple[float, ...]]:
-    """Settings and grains [m] of structure that fit voxels of an edge in a plot of a side [m].
-
-    **Arguments:** `voxel` edge and `side` of the plot [m].
-
-    **Raises:** `InputError` where cells of no grain are whole voxels.
-    """
-    cell = max(1, round(_CANOPY_CELL / voxel)) * voxel
-    grains = []
-    for grain in _GRAINS:
-        across = grain / max(1, round(grain / cell)) / voxel
-        if abs(across - round(across)) < 1e-6 <= across and grain <= side + 1e-9:
-            grains.append(grain)
-    if not grains:
-        raise InputError(
-            f"a plot of {side:g} m with voxels of {voxel:g} m has no cells of whole "
-            f"voxels among {', '.join(f'{g:g}' for g in _GRAINS)} m for a cloud's structure. "
-            "Voxels of 0.1 m have."
-        )
-    return StructureSettings(canopy_cell=cell), tuple(grains)

@@ -80,13 +80,6 @@ def posterior(
     max_steps: Annotated[
         int, typer.Option("--steps", min=1, help="Most steps of the chain.")
     ] = 5000,
-    simulations: Annotated[
-        int,
-        typer.Option(
-            min=0,
-            help="Simulations of the prior, for a regression that checks the posterior; 0: none.",
-        ),
-    ] = 300,
     prior: PriorFile = "none",
     checkpoint: Checkpoint = None,
     seed: OwnSeed = None,

@@ -214,10 +214,10 @@ def command(
                     from fynjax.io.plot import read_plot
 
                     given["plot"] = read_plot(given["plot"], allow_outside=allow_outside)
-                for key, (kind, fields) in packed.items():
-                    parts = {field: given.pop(field) for field in fields if field in given}
-                    given[key] = _imported(kind)(**parts)
                 try:
+                    for key, (kind, fields) in packed.items():
+                        parts = {field: given.pop(field) for field in fields if field in given}
+                        given[key] = _imported(kind)(**parts)
                     result: JobResult = _imported(job)(output=folder, **given)
                 except InputError as error:
                     error.args = (_naming_options(str(error), flags),)

@@ -57,7 +57,7 @@ from fynjax.inversion._population import (
     fit_population,
     log_marginal,
 )
-from fynjax.inversion._posterior import SamplingMethod, sample_posterior
+from fynjax.inversion._posterior import PosteriorSampler, SamplingMethod, sample_posterior
 from fynjax.inversion._posterior_result import Posterior
 from fynjax.inversion._prior_sampler import (
     PriorChain,
@@ -65,19 +65,13 @@ from fynjax.inversion._prior_sampler import (
     sample_prior,
     spectrum_likelihood,
 )
-from fynjax.inversion._regressed import (
-    KNOWN,
-    NARROWER,
-    OFF,
-    WIDER,
-    Comparison,
-    RegressedPosterior,
-    TooFewSimulationsError,
-    regress,
-    simulated_parts,
-    simulation_posterior,
+from fynjax.inversion._search import (
+    COARSE,
+    CalibrationSettings,
+    PlotSearch,
+    SearchState,
+    search_states,
 )
-from fynjax.inversion._search import COARSE, CalibrationSettings, PlotSearch, SearchState
 from fynjax.inversion._sensitivity import (
     LEADING_ELASTICITIES,
     DerivativeMeasures,
@@ -93,7 +87,6 @@ from fynjax.inversion._sensitivity import (
 from fynjax.inversion._sensor_sweep import SensorSetting, even_bands, sweep_sensors
 from fynjax.inversion._space import ParameterSpace, make_space, match_names
 from fynjax.inversion._surrogate import (
-    RENDERS,
     FittedSurrogate,
     Surrogate,
     fit_surrogate,
@@ -128,23 +121,17 @@ __all__ = [
     "GAIN",
     "IMAGE_STATISTICS",
     "INTERVALS",
-    "KNOWN",
     "LEADING_ELASTICITIES",
-    "NARROWER",
-    "OFF",
     "OFFSET",
     "PIXEL_SD",
-    "RENDERS",
     "STAND_FUNCTIONALS",
     "WELL_CONSTRAINED",
-    "WIDER",
     "AbstractView",
     "AmortisedPosterior",
     "BroydenLM",
     "Calibration",
     "CalibrationSettings",
     "CanopyFit",
-    "Comparison",
     "Data",
     "DerivativeMeasures",
     "Ends",
@@ -170,8 +157,8 @@ __all__ = [
     "PlotSearch",
     "Population",
     "Posterior",
+    "PosteriorSampler",
     "PriorChain",
-    "RegressedPosterior",
     "SamplingMethod",
     "SearchState",
     "SensorSetting",
@@ -179,7 +166,6 @@ __all__ = [
     "SpectrumView",
     "StructureView",
     "Surrogate",
-    "TooFewSimulationsError",
     "block_of",
     "calibrate_known_plants",
     "calibrate_plot",
@@ -208,13 +194,11 @@ __all__ = [
     "nadir_imager",
     "plot_search",
     "predicted_statistics",
-    "regress",
     "sample_posterior",
     "sample_prior",
     "search_form",
     "search_starts",
-    "simulated_parts",
-    "simulation_posterior",
+    "search_states",
     "sobol_indices",
     "spectrum_likelihood",
     "spectrum_names",

@@ -1,6 +1,7 @@
 """Calibrate a plot to what sensors measured of it."""
 
 import dataclasses
+from collections import deque
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -12,12 +13,20 @@ from jaxtyping import Array, Float
 from scipy.stats import chi2
 
 from fynjax._core.errors import InputError
+from fynjax._core.html import as_html
 from fynjax._core.precision import require_double_precision
+from fynjax._core.progress import stage
 from fynjax.canopy import VoxelGrid
 from fynjax.inversion._expected import Replant, mean_information, with_error
 from fynjax.inversion._fit_result import Data, FitResult, fit_result, status_of
 from fynjax.inversion._functionals import stand_sentence, stand_table
-from fynjax.inversion._search import COARSE, CalibrationSettings, PlotSearch, SearchState
+from fynjax.inversion._search import (
+    COARSE,
+    CalibrationSettings,
+    PlotSearch,
+    SearchState,
+    search_states,
+)
 from fynjax.inversion._space import ParameterSpace, make_space, match_names
 from fynjax.inversion._views import AbstractView, ImageView, radiometric_covariance
 from fynjax.radiation import Accuracy
@@ -95,6 +104,8 @@ class Calibration(eqx.Module):
                 str(self.fit).partition("\n")[2],
             ]
         )
+
+    _repr_html_ = as_html
 
     def stand(self) -> "pd.DataFrame":
         """Numbers of the whole stand before and after the data (`stand_table`)."""
@@ -255,11 +266,9 @@ def calibrate_plot(
         scene, parameters, data, space, views, settings, solver=solver, replant=replant
     )
     ends: list[SearchState] = []
-    for u in search_starts(search, start):
-        state = search.begin(u, ends[0] if ends else None)
-        while not state.ended:
-            state = search.step(state)
-        ends.append(state)
+    with stage("Calibrate", search.settings.evaluations):
+        for u in search_starts(search, start):
+            ends += deque(search_states(search, search.begin(u, *ends[:1])), maxlen=1)
     return calibration(search, ends)
 
 
@@ -439,7 +448,7 @@ def search_form(
     stride: int | None = None,
     accuracy: Accuracy = COARSE,
 ) -> tuple[Scene, tuple[AbstractView, ...]]:
-    """What a fit searches with: the scene in thick layers, and cheaper forms of its views.
+    """What a fit searches with: the scene in thick layers, and coarse forms of its views.
 
     **Arguments:**
 

@@ -14,7 +14,7 @@ from fynjax.inversion._space import ParameterSpace
 from fynjax.inversion._views import PlotForward
 from fynjax.scene import PlotParameters, Scene, stand_realisation, with_values
 
-FARTHEST = 2.2
+_FARTHEST = 2.2
 """Of a draw of a parameter from its mean [standard deviations]."""
 
 
@@ -22,7 +22,7 @@ def unit_draw(seed: int, number: int, size: int) -> Float[np.ndarray, " free"]:
     """Independent unit normal numbers of the draw of a `number`. Two in a row are opposite
     (antithetic), so that what is linear in these leaves a mean as it is."""
     random = np.random.default_rng([seed, 83, number // 2])
-    normal = random.normal(size=size).clip(-FARTHEST, FARTHEST)
+    normal = random.normal(size=size).clip(-_FARTHEST, _FARTHEST)
     return normal if number % 2 == 0 else -normal
 
 

@@ -53,7 +53,7 @@ def fit(
       no more than this, whatever tolerances the solver has of its own: 1e-3 is 0.045 posterior
       standard deviations.
     - `start`: whitened coordinates to start from; the prior's centre by default.
-    - `offset`: added to the predicted statistics: what a cheap forward model lacks.
+    - `offset`: added to the predicted statistics: what a coarse model lacks.
     - `context`: further arguments of `predict`. A `Scene` among them shows whole plants, so that a
       cover moves its image by steps: fit with `scene.faded()`, whose image moves as its slope says,
       and give what whole plants differ by as `offset`.

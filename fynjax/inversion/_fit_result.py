@@ -14,6 +14,7 @@ from jaxtyping import Array, Bool, Float, Int
 from scipy.special import stdtrit
 
 from fynjax._core.errors import InputError
+from fynjax._core.html import as_html
 from fynjax.inversion._space import ParameterSpace
 from fynjax.scene import PARAMETERS, parameter_kind
 
@@ -189,15 +190,10 @@ class FitResult(eqx.Module):
         """What was found, in sentences."""
         if self.whitened.ndim > 1:
             return f"{len(self.whitened)} fits of {len(self.names)} parameters."
-        known = self.well_constrained()
-        lines = [self.explanation, _known_sentence(known, len(self.names))]
-        table = self.table().set_index("name").loc[list(known)[:_SHOWN]]
-        for name, row in table.iterrows():
-            unit = "" if row["unit"] == "-" else f" {row['unit']}"
-            lines.append(
-                f"  {name} {row['estimate']:.4g} [{row['q05']:.4g}, {row['q95']:.4g}]{unit}"
-            )
-        return "\n".join(lines)
+        interval = np.stack([self.estimate, *self.quantiles(0.05, 0.95)])
+        return f"{self.explanation}\n{known_lines(self.names, self.well_constrained(), interval)}"
+
+    _repr_html_ = as_html
 
     def table(self) -> "pd.DataFrame":
         """Every parameter, in the unit of field crews: name, unit, median and standard deviation of
@@ -310,11 +306,29 @@ _SHOWN = 10
 """Most parameters that a fit prints."""
 
 
-def _known_sentence(known: Sequence[str], free: int) -> str:
+def known_lines(
+    names: Sequence[str], known: Sequence[str], interval: Float[np.ndarray, "3 free"]
+) -> str:
+    """Which parameters are known, in lines: middle and 90 % interval in the unit of field crews.
+
+    **Arguments:**
+
+    - `names`: of the free parameters.
+    - `known`: those of them that are known twice as well as before.
+    - `interval`: middle, 5 and 95 % quantile of each free parameter in its own unit.
+    """
+    free = len(names)
     if not known:
         return f"Of {free} free parameters none is known twice as well as before."
     shown = "" if len(known) <= _SHOWN else f", of which {_SHOWN} are"
-    return f"Of {free} free parameters {len(known)} are known twice as well as before{shown}:"
+    lines = [f"Of {free} free parameters {len(known)} are known twice as well as before{shown}:"]
+    for name in known[:_SHOWN]:
+        record = PARAMETERS.get(parameter_kind(name))
+        factor = 1.0 if record is None else record.shown_factor
+        unit = "" if record is None or record.shown_unit == "-" else f" {record.shown_unit}"
+        middle, low, high = factor * interval[:, names.index(name)]
+        lines.append(f"  {name} {middle:.4g} [{low:.4g}, {high:.4g}]{unit}")
+    return "\n".join(lines)
 
 
 _SLIGHT = 0.05

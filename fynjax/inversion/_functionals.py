@@ -20,7 +20,7 @@ class Functional(NamedTuple):
     words: str
     """What it is, for sentences."""
     unit: str
-    """As `m2 m-2`; 1 for a share."""
+    """As `m2 m-2`; "-" for a share."""
     value: Callable[[Scene, PlotParameters], Float[Array, ""]]
     """Differentiable in the parameters; of a scene whose plants fade (`Scene.faded`) it is the
     expectation over the number of plants."""
@@ -58,9 +58,9 @@ STAND_FUNCTIONALS: Mapping[str, Functional] = {
     "green_leaf_area": Functional(
         "green leaf area", "m2 m-2", lambda scene, plot: jnp.sum(_green(scene, plot))
     ),
-    "dead_share": Functional("dead share of the shoots", "1", _dead_share),
+    "dead_share": Functional("dead share of the shoots", "-", _dead_share),
     "canopy_chlorophyll": Functional("canopy chlorophyll", "g m-2", _chlorophyll),
-    "crown_cover": Functional("ground under crowns", "1", _crowns),
+    "crown_cover": Functional("ground under crowns", "-", _crowns),
 }
 """Of a stand, over its ground: one-sided area of green leaves; share of the area of live shoots
 that is dead or woody; chlorophyll of the green leaves; share of the ground under crowns as seen
@@ -95,7 +95,12 @@ def _slopes(
 
 
 def stand_table(
-    scene: Scene, parameters: PlotParameters, fit: FitResult, *, seed: int = 0
+    scene: Scene,
+    parameters: PlotParameters,
+    fit: FitResult,
+    *,
+    seed: int = 0,
+    draws: Float[np.ndarray, "draw free"] | None = None,
 ) -> pd.DataFrame:
     """What a fit says of the stand: each functional before and after the data.
 
@@ -108,6 +113,8 @@ def stand_table(
     - `parameters`: of the plot; those that are not free count.
     - `fit`: the estimate with its covariance.
     - `seed`: of the draws of the prior.
+    - `draws`: of a posterior in whitened coordinates, whose medians and quantiles are to be given;
+      those of the fit's covariance by default.
 
     **Returns:** a row for each of `STAND_FUNCTIONALS`: name, unit, median and quantiles of 5 and
     95 % of the prior (`prior`, `prior_q05`, `prior_q95`) and of the posterior (`estimate`, `q05`,
@@ -127,7 +134,13 @@ def stand_table(
     known = (value > 0.0) & (before > 0.0)
     half = np.exp(_NINETY * np.sqrt(np.where(known, variance, 0.0)))
     removed = 1.0 - variance / np.where(known, before, 1.0)
-    low, middle, high = np.quantile(prior, (0.05, 0.5, 0.95), axis=0)
+    shares = (0.05, 0.5, 0.95)
+    low, middle, high = np.quantile(prior, shares, axis=0)
+    after = value / half, value, value * half
+    if draws is not None:
+        found = np.asarray(_draws(scene, parameters, fit.space, jnp.asarray(draws)), float)
+        after = tuple(np.quantile(found, shares, axis=0))
+        removed = 1.0 - np.log(np.maximum(found, tiny)).var(axis=0) / np.where(known, before, 1.0)
     return pd.DataFrame(
         {
             "name": list(STAND_FUNCTIONALS),
@@ -135,9 +148,9 @@ def stand_table(
             "prior": middle,
             "prior_q05": low,
             "prior_q95": high,
-            "estimate": value,
-            "q05": value / half,
-            "q95": value * half,
+            "estimate": after[1],
+            "q05": after[0],
+            "q95": after[2],
             "constrained": np.where(known, np.maximum(removed, 0.0), 0.0),
         }
     )
@@ -152,6 +165,6 @@ def stand_sentence(table: pd.DataFrame) -> str:
     numbers = table[["estimate", "q05", "q95"]].to_numpy(float)
     for name, (middle, low, high) in zip(table["name"], numbers, strict=True):
         functional = STAND_FUNCTIONALS[str(name)]
-        unit = "" if functional.unit == "1" else f" {functional.unit}"
+        unit = "" if functional.unit == "-" else f" {functional.unit}"
         parts.append(f"{functional.words} {middle:.3g} [{low:.3g}, {high:.3g}]{unit}")
     return f"The stand: {', '.join(parts)} (5 to 95 %)."

@@ -8,7 +8,8 @@ parameter that acts through optics alone.
 """
 
 import dataclasses
-from typing import Any
+from collections import deque
+from typing import TYPE_CHECKING, Any
 
 import equinox as eqx
 import jax
@@ -21,6 +22,7 @@ from scipy.stats import chi2
 from fynjax._core.errors import InputError
 from fynjax._core.least_squares import NO_TAGS, BroydenLM, BroydenState, figures_of
 from fynjax._core.precision import require_double_precision
+from fynjax._core.progress import stage
 from fynjax.inversion._calibrate import Ends
 from fynjax.inversion._fit_result import (
     Data,
@@ -30,10 +32,15 @@ from fynjax.inversion._fit_result import (
     number_of,
     status_of,
 )
+from fynjax.inversion._functionals import stand_table
+from fynjax.inversion._search import search_states
 from fynjax.inversion._space import ParameterSpace
 from fynjax.radiation import VoxelScene
 from fynjax.scene import AimedSensor, PlotParameters, Scene, with_values
 from fynjax.sensors import Gains
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 PIXEL_SD = 0.05
 """What the model's pixel is off by, as a share of it [-]: against a path tracer 1 to 2 % where both
@@ -85,6 +92,10 @@ class KnownPlants(eqx.Module):
     misfit: float
     """Squared whitened misfit and distance from the prior, at the estimate: of data that the model
     and the prior explain a chi-square of `degrees`."""
+
+    def stand(self) -> "pd.DataFrame":
+        """Numbers of the whole stand before and after the data (`stand_table`)."""
+        return stand_table(self.scene, self.before, self.fit)
 
     @property
     def data(self) -> Data:
@@ -160,10 +171,9 @@ def calibrate_known_plants(
         scene, parameters, image, space, camera, block=block, pixel_sd=pixel_sd, gains=gains,
         max_steps=max_steps, tolerance=tolerance,
     )  # fmt: skip
-    state = search.begin()
-    while not state.ended:
-        state = search.step(state)
-    return search.result(state)
+    with stage("Calibrate", max_steps):
+        (end,) = deque(search_states(search, search.begin()), maxlen=1)
+    return search.result(end)
 
 
 def known_plants_search(

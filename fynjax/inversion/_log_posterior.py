@@ -16,7 +16,7 @@ Predict = Callable[..., Float[Array, " statistic"]]
 `context`; differentiable and traceable.
 
 Derivatives are by reverse mode, a statistic at a time: a plot has more free parameters than
-statistics. A forward model that knows a cheaper way has a method `jacobian(values_at, u, *context)`
+statistics. A forward model that knows a quicker way has a method `jacobian(values_at, u, *context)`
 with the statistics and their derivatives by `u`, of which `values_at` makes the values. One that is
 an equinox module hands its arrays on as arguments: another of the same shapes compiles nothing."""
 

@@ -1,12 +1,11 @@
 """The posterior of parameters by sampling, or by the Gaussian about the best fit."""
 
-import hashlib
-from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
+import copy
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, Literal
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -15,7 +14,7 @@ from fynjax._core.errors import InputError
 from fynjax._core.extras import require
 from fynjax._core.precision import require_double_precision
 from fynjax._core.progress import advance, stage
-from fynjax._core.sampling import Draws, ensemble, hamiltonian
+from fynjax._core.sampling import ChainState, Draws, Ensemble, Hamiltonian
 from fynjax.inversion._fit import fit
 from fynjax.inversion._fit_result import Data, FitResult
 from fynjax.inversion._log_posterior import LogPosterior, Predict
@@ -33,27 +32,40 @@ _NAMED = 3
 
 
 def sample_posterior(
-    predict: Predict,
-    data: Data,
-    space: ParameterSpace,
-    *,
-    method: SamplingMethod = "emcee",
-    start: FitResult | None = None,
-    offset: Float[Array, " statistic"] | None = None,
-    context: tuple[Any, ...] = (),
-    log_prior: Callable[[Float[Array, " free"]], Array] | None = None,
-    target: float = 400.0,
-    max_steps: int = 10_000,
-    chains: int | None = None,
-    warmup: int = 200,
-    seed: int = 0,
-    batch: int | None = None,
-    predictive: int = 100,
-    checkpoint: str | Path | None = None,
+    predict: Predict, data: Data, space: ParameterSpace, **options: Any
 ) -> Posterior:
     """Sample the posterior of the free parameters.
 
+    To watch, keep or stop it go through the states of a `PosteriorSampler`, as this function does.
+
+    **Arguments:** `predict`, `data`, `space` and `options`: those of `PosteriorSampler`.
+
+    **Returns:** `Posterior`. Its `status` says whether the chain converged, and names directions
+    that the data say nothing about. A posterior that is not finite gives no draws and the reason.
+
+    **Raises:** as `PosteriorSampler`.
+    """
+    return PosteriorSampler(predict, data, space, **options).posterior()
+
+
+class PosteriorSampler:
+    """Sampling of the posterior of free parameters, from state to state.
+
     Works in whitened coordinates (`LogPosterior`), from draws of the Gaussian about the best fit.
+    `states` gives a state every 50 steps; from one that was kept the same sampler goes on, and ends
+    as if nothing had happened. `posterior` is what a state holds.
+
+    >>> import jax.numpy as jnp
+    >>> from fynjax.inversion import Data, ParameterSpace, PosteriorSampler
+    >>> data = Data(("sum",), jnp.array([1.0]), jnp.array([0.1]))
+    >>> space = ParameterSpace(
+    ...     ("x", "y"), jnp.zeros(2), jnp.ones(2), jnp.array([0.4, 0.6]), jnp.full(2, 0.1)
+    ... )
+    >>> sampler = PosteriorSampler(lambda x: x.sum()[None], data, space, max_steps=150)
+    >>> for state in sampler.states():
+    ...     last = state  # keep it, or stop here
+    >>> len(last.chain), sampler.posterior(last).names
+    (150, ('x', 'y'))
 
     **Arguments:**
 
@@ -70,80 +82,111 @@ def sample_posterior(
     - `seed`: of all random numbers. The same seed gives the same draws.
     - `batch`: parameter sets computed at once; what the memory holds if left out.
     - `predictive`: draws whose statistics are computed.
-    - `checkpoint`: file that keeps the chain (HDF5 for "emcee", extra `posterior`). A run that was
-      interrupted or killed goes on from it, and ends as if it had not been.
 
-    **Returns:** `Posterior`. Its `status` says whether the chain converged, and names directions
-    that the data say nothing about. A posterior that is not finite gives no draws and the reason.
-
-    **Raises:** `InputError` for wrong arguments, or a checkpoint of another problem;
-    `MissingExtraError` without the packages of the method.
+    **Raises:** `InputError` for wrong arguments; `MissingExtraError` without the packages of the
+    method.
     """
-    require_double_precision("`sample_posterior`")
-    if method not in ("emcee", "nuts", "laplace"):
-        raise InputError(f"`method` must be 'emcee', 'nuts' or 'laplace', but is {method!r}")
-    if max_steps < 1 or warmup < 1 or predictive < 1 or not target > 0:
-        raise InputError("`max_steps`, `warmup`, `predictive` and `target` must be positive")
-    if method == "laplace" and log_prior is not None:
-        raise InputError("the Gaussian about the fit is that of the space's prior: no `log_prior`")
-    if method == "nuts":
-        require("blackjax", "nuts")
-    shift = jnp.zeros_like(data.value) if offset is None else jnp.asarray(offset)
-    density = LogPosterior(predict, space, data, shift, context, log_prior)
-    if start is None:
-        with stage("Fit"):
-            start = fit(predict, data, space, offset=shift, context=context)
-    centre, covariance = np.asarray(start.whitened, float), np.asarray(start.covariance, float)
-    parts = (centre, covariance, start.predicted, start.jacobian)
-    if not all(np.isfinite(np.asarray(part)).all() for part in parts):
-        return _result(density, method, start, _none("the fit to start from is not finite", space))
-    if batch is None:
-        batch = memory_batch(density, centre)
-    random = np.random.default_rng(seed)
-    if method == "laplace":
-        count = max(int(np.ceil(target)), 2)
-        found = _gaussian(centre, covariance, count, random, start)
-    else:
+
+    _draws: Draws
+    """Where nothing has to be sampled."""
+    _sampler: Ensemble | Hamiltonian | None
+
+    def __init__(
+        self,
+        predict: Predict,
+        data: Data,
+        space: ParameterSpace,
+        *,
+        method: SamplingMethod = "emcee",
+        start: FitResult | None = None,
+        offset: Float[Array, " statistic"] | None = None,
+        context: tuple[Any, ...] = (),
+        log_prior: Callable[[Float[Array, " free"]], Array] | None = None,
+        target: float = 400.0,
+        max_steps: int = 10_000,
+        chains: int | None = None,
+        warmup: int = 200,
+        seed: int = 0,
+        batch: int | None = None,
+        predictive: int = 100,
+    ) -> None:
+        require_double_precision("`sample_posterior`")
+        if method not in ("emcee", "nuts", "laplace"):
+            raise InputError(f"`method` must be 'emcee', 'nuts' or 'laplace', but is {method!r}")
+        if max_steps < 1 or warmup < 1 or predictive < 1 or not target > 0:
+            raise InputError("`max_steps`, `warmup`, `predictive` and `target` must be positive")
+        if method == "laplace" and log_prior is not None:
+            raise InputError(
+                "the Gaussian about the fit is that of the space's prior: no `log_prior`"
+            )
+        if method == "nuts":
+            require("blackjax", "nuts")
+        shift = jnp.zeros_like(data.value) if offset is None else jnp.asarray(offset)
+        self._density = density = LogPosterior(predict, space, data, shift, context, log_prior)
+        if start is None:
+            with stage("Fit"):
+                start = fit(predict, data, space, offset=shift, context=context)
+        self._method, self._start, self._predictive = method, start, predictive
+        self._random, self._sampler = np.random.default_rng(seed), None
+        self._steps = max_steps + (warmup if method == "nuts" else 0)
+        centre, covariance = np.asarray(start.whitened, float), np.asarray(start.covariance, float)
+        parts = (centre, covariance, start.predicted, start.jacobian)
+        if not all(np.isfinite(np.asarray(part)).all() for part in parts):
+            self._draws = _none("the fit to start from is not finite", space)
+            return
+        self._batch = memory_batch(density, centre) if batch is None else batch
+        if method == "laplace":
+            count = max(int(np.ceil(target)), 2)
+            self._draws = _gaussian(centre, covariance, count, self._random, start)
+            return
         size = _chain_count(method, chains, centre.size)
-        begin = random.multivariate_normal(centre, covariance, size, method="eigh")
-        path = None if checkpoint is None else Path(checkpoint)
-        mark = _signature(density, begin, f"{method} {seed} {warmup}")
-        limits: dict[str, Any] = {
-            "target": target, "steps": max_steps, "seed": seed, "checkpoint": path,
-            "signature": mark,
-        }  # fmt: skip
-        total = max_steps + (warmup if method == "nuts" else 0)
-        with stage(f"Sample by {method}", total):
-            limits["report"] = _reporter()
-            if method == "emcee":
-                found = ensemble(lambda u: evaluate_many(density, u, batch=batch), begin, **limits)
-            else:
-                found = hamiltonian(density, begin, covariance, warmup=warmup, **limits)
-    if not len(found.chain):
-        return _result(density, method, start, found)
-    flat = found.chain.reshape(-1, centre.size)
-    picked = flat[random.integers(0, len(flat), predictive)]
-    with stage("Predict", predictive):
+        begin = self._random.multivariate_normal(centre, covariance, size, method="eigh")
+        self.signed = density, begin, method, seed, warmup
+        limits: dict[str, Any] = {"target": target, "steps": max_steps, "seed": seed}
+        if method == "emcee":
+            many = lambda u: evaluate_many(density, u, batch=self._batch)  # noqa: E731
+            self._sampler = Ensemble(many, begin, **limits)
+        else:
+            self._sampler = Hamiltonian(density, begin, covariance, warmup=warmup, **limits)
+
+    def states(self, state: ChainState | None = None) -> Iterator[ChainState]:
+        """The states from a kept one, which is the first, or else from the start, to the end; none
+        where nothing has to be sampled."""
+        if self._sampler is None:
+            return
+        shown = 0
+        with stage(f"Sample by {self._method}", self._steps):
+            for now in self._sampler.states(state):
+                known = np.isfinite(now.effective_size)
+                info = {"effective": float(now.effective_size)} if known else {}
+                advance(len(now.chain) - shown, **info)
+                shown = len(now.chain)
+                yield now
+
+    def posterior(self, state: ChainState | None = None) -> Posterior:
+        """What is known at a state; by default at the end, to which it then goes."""
+        if self._sampler is None:
+            found = self._draws
+        else:
+            (end,) = [state] if state is not None else deque(self.states(), maxlen=1)
+            found = self._sampler.draws(end)
+        density, start = self._density, self._start
+        if not len(found.chain):
+            return _result(density, self._method, start, found)
+        flat = found.chain.reshape(-1, found.chain.shape[-1])
+        random = copy.deepcopy(self._random)  # the same figures whenever it is asked
+        picked = flat[random.integers(0, len(flat), self._predictive)]
         predicted = []
-        for some in evaluate_batches(eqx.Partial(_statistics, density), picked, batch=batch):
-            predicted.append(some)
-            advance(len(some))
-    return _result(density, method, start, found, np.concatenate(predicted))
+        with stage("Predict", self._predictive):
+            model = eqx.Partial(_statistics, density)
+            for some in evaluate_batches(model, picked, batch=self._batch):
+                predicted.append(some)
+                advance(len(some))
+        return _result(density, self._method, start, found, np.concatenate(predicted))
 
 
 def _statistics(density: LogPosterior, u: Array) -> Array:
     return density.statistics(u)
-
-
-def _reporter() -> Callable[[int, dict[str, float]], None]:
-    done = 0
-
-    def report(steps: int, figures: dict[str, float]) -> None:
-        nonlocal done
-        advance(steps - done, **figures)  # after a resumption, all that was done before
-        done = steps
-
-    return report
 
 
 def _chain_count(method: str, chains: int | None, free: int) -> int:
@@ -157,15 +200,6 @@ def _chain_count(method: str, chains: int | None, free: int) -> int:
     if chains < 1:
         raise InputError(f"`chains` must be at least 1, but is {chains}")
     return chains
-
-
-def _signature(density: LogPosterior, begin: np.ndarray, settings: str) -> str:
-    """Differs where the problem, the start or the settings do."""
-    total = hashlib.sha256(settings.encode())
-    total.update("\n".join(density.space.names + density.data.names).encode())
-    for leaf in (*jax.tree.leaves(eqx.filter(density, eqx.is_array_like)), begin):
-        total.update(np.ascontiguousarray(leaf).tobytes())
-    return total.hexdigest()
 
 
 def _gaussian(

@@ -12,7 +12,13 @@ import numpy as np
 from jaxtyping import Float
 
 from fynjax._core.extras import require
-from fynjax.inversion._fit_result import WELL_CONSTRAINED, Data, well_constrained
+from fynjax._core.html import as_html
+from fynjax.inversion._fit_result import (
+    WELL_CONSTRAINED,
+    Data,
+    known_lines,
+    well_constrained,
+)
 from fynjax.inversion._space import ParameterSpace
 
 
@@ -37,6 +43,15 @@ class Posterior(eqx.Module):
     converged: bool = eqx.field(static=True)
     status: str = eqx.field(static=True)
     """`converged`, or why the draws may not be the posterior; and what is flat."""
+
+    def __str__(self) -> str:
+        """What was drawn, and what is known, in sentences."""
+        status = self.status.rstrip(".")
+        text = f"{self.effective_size:.0f} effective draws by {self.method}: {status}."
+        interval = self.quantiles(0.5, 0.05, 0.95)
+        return f"{text}\n{known_lines(self.names, self.well_constrained(), interval)}"
+
+    _repr_html_ = as_html
 
     @property
     def names(self) -> tuple[str, ...]:

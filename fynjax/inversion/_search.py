@@ -1,7 +1,7 @@
 """The search of a calibration: rounds over coarse scenes, each corrected by whole ones."""
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import equinox as eqx
@@ -13,6 +13,7 @@ from jaxtyping import Array, Float, Int
 
 from fynjax._core.errors import InputError
 from fynjax._core.least_squares import NO_TAGS, BroydenLM, BroydenState, figures_of
+from fynjax._core.progress import advance
 from fynjax.inversion._expected import (
     Expected,
     Replant,
@@ -71,7 +72,8 @@ class CalibrationSettings:
     full_renders: int = 2
     """Plantings on which what the coarse form lacks is measured, at most `stand_realisations`."""
     max_steps: int = 30
-    """Most steps of the first round; those after have half as many."""
+    """Most steps of the first round; those after have half as many. Of a `solver` that goes through
+    a round by itself, those of each round."""
     tolerance: float = 0.05
     """A round ends where another step would lower the objective by less than this, which is half a
     squared distance in posterior standard deviations."""
@@ -79,6 +81,11 @@ class CalibrationSettings:
     """Searches, the others from draws of the prior; the best is kept."""
     seed: int = 0
     """Of those draws, and of those that choose directions of many statistics."""
+
+    @property
+    def evaluations(self) -> int:
+        """Steps of two rounds from each start: about how long a search is."""
+        return self.starts * (self.max_steps + (self.max_steps + 1) // 2)
 
     def __post_init__(self) -> None:
         for name in ("rounds", "starts", "max_steps", "full_renders"):
@@ -197,12 +204,38 @@ class Expectation(eqx.Module):
         return -0.5 * (rest @ rest + u @ u)
 
 
+_run_compiled = eqx.filter_jit(run_solver)
+
+
+def search_states(search: Any, state: Any, name: str = "") -> Iterator[Any]:
+    """The states of a search from one of them, which is the first, to its end.
+
+    Each evaluation is a step of the open stage of `fynjax.progress`.
+
+    **Arguments:**
+
+    - `search`: a `PlotSearch` or a `PixelSearch`.
+    - `state`: as its `begin` or an earlier `step` gave it.
+    - `name`: stands before the round where progress is shown.
+    """
+    shown = 0
+    while True:
+        for loss, norm in np.asarray(state.trace)[shown:]:
+            where = f"{name}round {int(state.turn) + 1}"
+            advance(stage=where, loss=f"{loss:.1f}", gradient=f"{norm:.1f}")
+        shown = len(state.trace)
+        yield state
+        if state.ended:
+            return
+        state = search.step(state)
+
+
 class PlotSearch:
     """Search of a calibration from one start, step by step.
 
     `begin` gives the state at a start, `step` the next one until `state.ended`; `calibrate_plot`
-    runs it. Who watches, keeps or stops a search does so between the steps. What is compiled is
-    shared by all starts.
+    runs it. Who watches, keeps or stops a search does so between the steps (`search_states`). What
+    is compiled is shared by all starts.
 
     **Arguments:** those of `calibrate_plot`; `form` makes of a scene its coarse form and the views
     of it (`search_form`). A `solver` of optimistix or jaxopt goes through a whole round at once;
@@ -480,7 +513,8 @@ class PlotSearch:
                 self.expected(state), state.place.spread, state.place.offset,
                 self.data.along(weights),
             )  # fmt: skip
-            u, reason, _ = run_solver(self._solver, expectation, state.u, most)
+            most = self.settings.max_steps  # the same program in every round
+            u, reason, _ = _run_compiled(self._solver, expectation, state.u, most)
             return self._next_round(dataclasses.replace(state, u=u), reason)
         expected, place = self.expected(state), state.place
         weights = self.weights(place, state.subspace)

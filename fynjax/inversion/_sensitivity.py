@@ -12,10 +12,9 @@ from jaxtyping import Array, Bool, Float
 from scipy.special import ndtri
 from scipy.stats import qmc, t
 
-from fynjax._core.checkpoint import Journal, keep_nothing
 from fynjax._core.errors import InputError
 from fynjax._core.extras import require
-from fynjax._core.parts import Workers, at_work
+from fynjax._core.parts import Do, in_order
 from fynjax._core.progress import stage
 from fynjax.inversion._fit import Predict
 from fynjax.inversion._space import ParameterSpace
@@ -148,8 +147,7 @@ def expected_sensitivity(
     accuracy: float = 0.1,
     most: int = 64,
     mode: str = "auto",
-    journal: Journal | None = None,
-    workers: Workers | None = None,
+    do: Do = in_order,
 ) -> ExpectedSensitivity:
     """Slopes and elasticities of the expectation of `predict` over plantings, with their errors.
 
@@ -162,11 +160,10 @@ def expected_sensitivity(
 
     - `predict`, `names`, `metrics`, `at`, `mode`: as `local_sensitivity` has them.
     - `planting`: makes the context of `predict`, such as a scene, from the number of a planting.
-      Plantings must be independent of each other. With `workers` it is called there.
+      Plantings must be independent of each other.
     - `accuracy`: standard error of a leading elasticity, as a share of it, at which the run ends.
     - `most`: plantings, at most; at least 2.
-    - `journal`: keeps what plantings gave, for a run that is interrupted; nothing does by default.
-    - `workers`: where plantings are computed; in this process by default.
+    - `do`: how plantings are done; one after another in this process by default.
 
     **Returns:** `ExpectedSensitivity`, whose `leading_error` says how near the errors came.
 
@@ -176,19 +173,18 @@ def expected_sensitivity(
     if most < 2:
         raise InputError(f"an error needs at least 2 plantings, but {most} are allowed")
     done: list[tuple[np.ndarray, ...]] = []
-    with at_work(workers) as pool:
-        while True:
-            next_ones = range(len(done), min(len(done) + _PLANTINGS, most))
-            name = f"Slopes of plantings {next_ones[0] + 1} to {next_ones[-1] + 1}"
-            with stage(name, len(next_ones)):
-                done += pool.all(
-                    _slopes_of_planting, next_ones, planting, predict, names, metrics, at, mode,
-                    names=[f"planting {i + 1}" for i in next_ones], journal=journal,
-                )  # fmt: skip
-            values, slopes = (np.stack(part) for part in zip(*done, strict=True))
-            found = _expected(tuple(names), tuple(metrics), np.asarray(at, float), values, slopes)
-            if len(done) >= most or (found.leading_error <= accuracy).all():
-                return found
+    while True:
+        next_ones = range(len(done), min(len(done) + _PLANTINGS, most))
+        name = f"Slopes of plantings {next_ones[0] + 1} to {next_ones[-1] + 1}"
+        with stage(name, len(next_ones)):
+            done += do(
+                _slopes_of_planting, next_ones, planting, predict, names, metrics, at, mode,
+                names=[f"planting {i + 1}" for i in next_ones],
+            )  # fmt: skip
+        values, slopes = (np.stack(part) for part in zip(*done, strict=True))
+        found = _expected(tuple(names), tuple(metrics), np.asarray(at, float), values, slopes)
+        if len(done) >= most or (found.leading_error <= accuracy).all():
+            return found
 
 
 def _slopes_of_planting(
@@ -294,8 +290,7 @@ def sobol_indices(
     context: tuple[Any, ...] = (),
     seed: int = 0,
     batch: int | None = None,
-    journal: Journal | None = None,
-    workers: Workers | None = None,
+    do: Do = in_order,
 ) -> SobolIndices:
     """First-order and total Sobol indices, by SALib (extra `sensitivity`).
 
@@ -309,8 +304,7 @@ def sobol_indices(
     - `samples`: a power of two.
     - `seed`: of the design and the bootstrap.
     - `batch`: runs computed at once; what the memory holds by default.
-    - `journal`: keeps what batches gave, for a run that is interrupted; nothing does by default.
-    - `workers`: where batches are computed; in this process by default.
+    - `do`: how batches are done; one after another in this process by default.
 
     **Returns:** `SobolIndices`.
 
@@ -325,7 +319,7 @@ def sobol_indices(
     size = len(space.names)
     problem = {"num_vars": size, "names": list(space.names), "bounds": [[0.0, 1.0]] * size}
     shares = design.sample(problem, samples, calc_second_order=False, seed=seed)
-    values = _run(model, model, shares, metrics, batch, journal, workers)
+    values = _run(model, model, shares, metrics, batch, do)
     found: dict[str, list[np.ndarray]] = {key: [] for key in ("S1", "S1_conf", "ST", "ST_conf")}
     for column in values.T:
         if np.ptp(column) == 0.0:  # nothing to share out
@@ -366,8 +360,7 @@ def derivative_measures(
     context: tuple[Any, ...] = (),
     seed: int = 0,
     batch: int | None = None,
-    journal: Journal | None = None,
-    workers: Workers | None = None,
+    do: Do = in_order,
 ) -> DerivativeMeasures:
     """Derivative-based global sensitivity measures (DGSM), with slopes by autodiff.
 
@@ -375,9 +368,8 @@ def derivative_measures(
     is the Poincaré constant of the parameter's distribution: 1 / pi^2 for an even one of unit
     range, 1 for a unit normal one (Sobol and Kucherenko 2009; Lamboni et al. 2013).
 
-    **Arguments:** `predict`, `space`, `metrics`, `over`, `samples`, `context`, `seed`, `batch`,
-    `journal` and `workers` as `sobol_indices` has them. Takes `samples` runs with their
-    Jacobians.
+    **Arguments:** `predict`, `space`, `metrics`, `over`, `samples`, `context`, `seed`, `batch` and
+    `do` as `sobol_indices` has them. Takes `samples` runs with their Jacobians.
 
     **Returns:** `DerivativeMeasures`.
 
@@ -387,7 +379,7 @@ def derivative_measures(
     _check(over, samples)
     model = _OverUnits(predict, space, context, over)
     shares = qmc.Sobol(len(space.names), rng=seed).random(samples)
-    both = _run(_Slopes(model), model, shares, metrics, batch, journal, workers)
+    both = _run(_Slopes(model), model, shares, metrics, batch, do)
     squared = both[..., 1:] ** 2
     variance = both[..., 0].var(axis=0)
     measure = squared.mean(axis=0)
@@ -421,26 +413,22 @@ def _run(
     shares: np.ndarray,
     metrics: Sequence[str],
     batch: int | None,
-    journal: Journal | None,
-    workers: Workers | None,
+    do: Do,
 ) -> np.ndarray:
     """`function` at all points, finite, its first axis after that of the points the metrics."""
     points = model.coordinates(shares)
     count = jax.eval_shape(model, jnp.asarray(points[0])).size
     if count != len(metrics):
         raise InputError(f"{len(metrics)} metrics are named, but `predict` gives {count}")
-    if batch is None:  # as in the run that was interrupted, whatever memory is free by now
-        keep = keep_nothing if journal is None else journal
-        batch = int(keep(lambda: (jnp.asarray(memory_batch(function, points[0])),))[0])
+    if batch is None:  # a part too: one run has one, whatever memory is free when it goes on
+        ((found,),) = do(_memory, points[:1], function, names=["memory"], sizes=[0])
+        batch = int(found)
     some = _BATCHES * batch
     cut = [points[first : first + some] for first in range(0, len(points), some)]
     names = [f"runs {i * some + 1} to {i * some + len(p)}" for i, p in enumerate(cut)]
-    with stage("Run the model", len(points)), at_work(workers) as pool:
-        found = pool.all(
-            _values, cut, function, batch,
-            names=names, sizes=[*map(len, cut)], journal=journal,
-        )  # fmt: skip
-    values = np.concatenate([values for (values,) in found]).astype(float)
+    with stage("Run the model", len(points)):
+        done = do(_values, cut, function, batch, names=names, sizes=[*map(len, cut)])
+    values = np.concatenate([values for (values,) in done]).astype(float)
     bad = ~np.isfinite(values).all(axis=tuple(range(1, values.ndim)))
     if bad.any():
         raise InputError(
@@ -448,6 +436,10 @@ def _run(
             "is a parameter at the end of its range? Narrow its prior"
         )
     return values
+
+
+def _memory(point: np.ndarray, function: Callable[[Array], Array]) -> tuple[np.ndarray]:
+    return (np.asarray(memory_batch(function, point)),)
 
 
 def _values(

@@ -1,6 +1,6 @@
 """Statistics near an estimate without a render, for chains that ask for a hundred thousand."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import equinox as eqx
@@ -8,16 +8,16 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from fynjax._core.progress import track
 from fynjax.inversion._calibrate import Calibration
 from fynjax.inversion._expected import predicted
 from fynjax.inversion._fit_result import FitResult
-from fynjax.inversion._views import AbstractView, PlotForward
-from fynjax.scene import PlotParameters
+from fynjax.inversion._views import PlotForward
 
 _CURVED = 6
 """Directions along which a surrogate bends: those that the data know most."""
-RENDERS, _LEFT_OUT = 60, 12
-"""Cheap renders that it is fitted to, and those of them that tell its error."""
+_RENDERS, _LEFT_OUT = 60, 12
+"""Coarse renders that it is fitted to, and those of them that tell its error."""
 _SPREAD = 1.5
 """Standard deviations of the posterior over which these lie."""
 
@@ -53,28 +53,24 @@ class FittedSurrogate(NamedTuple):
 
 def fit_surrogate(
     calibration: Calibration,
-    parameters: PlotParameters,
-    views: Sequence[AbstractView],
     *,
     seed: int = 0,
     rendered: Float[np.ndarray, "draw statistic"] | None = None,
 ) -> FittedSurrogate:
     """A surrogate of the statistics about the estimate of a calibration.
 
-    Cheap renders at draws of one and a half times the Laplace posterior show how statistics bend.
+    Coarse renders at draws of one and a half times the Laplace posterior show how statistics bend.
     Each is compared with the same plants at the estimate, so that plantings scatter them little.
 
     **Arguments:**
 
     - `calibration`: with one or more stands.
-    - `parameters`: of the plot; those that are not free count.
-    - `views`: in the cheap form (`search_form`).
     - `seed`: of the draws.
     - `rendered`: what `surrogate_renders` of the same arguments gives; done here if left out.
     """
     fit = calibration.fit
     if rendered is None:
-        renders = surrogate_renders(calibration, parameters, views, seed=seed)
+        renders = surrogate_renders(calibration, seed=seed)
         rendered = np.stack(list(renders))
     centre, draws, count = np.asarray(fit.whitened), _draws(fit, seed), len(calibration.stands)
     at_centre, slopes = calibration.stand_statistics, np.asarray(fit.jacobian)
@@ -101,18 +97,16 @@ def fit_surrogate(
 
 def surrogate_renders(
     calibration: Calibration,
-    parameters: PlotParameters,
-    views: Sequence[AbstractView],
     *,
     seed: int = 0,
 ) -> Iterator[Float[np.ndarray, " statistic"]]:
     """The coarse renders that a surrogate is fitted to, one by one, for who watches or keeps them.
 
-    **Arguments:** `calibration`, `parameters`, `views`, `seed`: as of `fit_surrogate`.
+    **Arguments:** `calibration`, `seed`: as of `fit_surrogate`.
     """
     fit = calibration.fit
-    forward = PlotForward(parameters, fit.names, tuple(views))
-    for i, u in enumerate(_draws(fit, seed)):
+    forward = PlotForward(calibration.before, fit.names, calibration.coarse_views)
+    for i, u in enumerate(track(_draws(fit, seed), "Fit a surrogate", _RENDERS)):
         stand = calibration.stands[i % len(calibration.stands)].faded()
         yield np.asarray(predicted(forward, fit.space, stand, jnp.asarray(u)))
 
@@ -120,7 +114,7 @@ def surrogate_renders(
 def _draws(fit: FitResult, seed: int) -> Float[np.ndarray, "draw free"]:
     random = np.random.default_rng([seed, 71])
     centre, covariance = np.asarray(fit.whitened), np.asarray(fit.covariance)
-    return random.multivariate_normal(centre, _SPREAD**2 * covariance, RENDERS, method="eigh")
+    return random.multivariate_normal(centre, _SPREAD**2 * covariance, _RENDERS, method="eigh")
 
 
 def _terms(z: Float[Array, "*draw direction"]) -> Float[Array, "*draw term"]:

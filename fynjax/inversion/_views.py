@@ -16,16 +16,16 @@ import numpy as np
 import scipy.linalg
 from jaxtyping import Array, Float, Int
 
-from fynjax.canopy import FORMS, VoxelGrid, leaf_angle
+from fynjax.canopy import VoxelGrid
 from fynjax.inversion._log_posterior import jacobian_by_rows
-from fynjax.metrics import STRUCTURE_METRICS, StructureSettings, image_statistics, voxel_structure
+from fynjax.metrics import STRUCTURE_METRICS, StructureSettings, image_statistics
 from fynjax.radiation import Accuracy, VoxelScene
 from fynjax.scene import (
     AimedSensor,
     PlotParameters,
     Scene,
     aim,
-    leafy_species,
+    scene_structure,
     slope_of_fading,
     with_values,
 )
@@ -51,7 +51,7 @@ class AbstractView(eqx.Module):
 
     @abc.abstractmethod
     def for_search(self, scene: Scene, accuracy: Accuracy, stride: int | None) -> Self:
-        """A cheaper form of the view, for a `scene` of thicker layers (`search_form`): light of
+        """The coarse form of the view, for a `scene` of thicker layers (`search_form`): light of
         `accuracy`, and of a drone's image every `stride`-th pixel along each axis, or those a voxel
         apart. `scene` is that of the full form."""
 
@@ -275,10 +275,9 @@ def spectrum_view(
 
 
 class StructureView(AbstractView):
-    """Structure metrics that a LiDAR from above is expected to measure (`voxel_structure`).
+    """Structure metrics that a LiDAR from above is expected to measure (`scene_structure`).
 
-    Means over the cells of the plot. What a leaf hides of a beam is by the inclination of its
-    species' leaves. `structure_view` makes one.
+    `structure_view` makes one.
     """
 
     names: tuple[str, ...] = eqx.field(static=True)
@@ -293,36 +292,14 @@ class StructureView(AbstractView):
     def observe(
         self, scene: Scene, parameters: PlotParameters
     ) -> tuple[None, Float[Array, " statistic"]]:
-        return None, slope_of_fading(_structure, apart=True)(scene, parameters, self)
-
-    def _measure(self, scene: Scene, parameters: PlotParameters) -> Float[Array, " statistic"]:
-        if self.grid is not None:
-            scene = dataclasses.replace(scene, grid=self.grid)
-        density = scene.area_density(parameters)
-        projected = jnp.asarray(_projections(scene), density.dtype) / _EVEN
-        settings, top = self.settings, scene.grid.extent[2]
-        layers = int(np.ceil((top - settings.base) / settings.layer - 1e-9))
-        terrain = None if scene.terrain is None else jnp.asarray(scene.terrain, density.dtype)
-        found = voxel_structure(
-            jnp.tensordot(projected, density, axes=1),
-            settings,
-            voxel=(scene.grid.horizontal_size, scene.grid.vertical_size),
-            grain=self.grain,
-            pulses=self.pulses,
-            layers=max(layers, settings.first_layer(settings.lowest) + 1),
-            projection=_EVEN,
-            ground=terrain,
-        ).means()
-        return jnp.stack([found[name.split(".", 1)[1]] for name in self.names])
+        names = [name.split(".", 1)[1] for name in self.names]
+        return None, scene_structure(
+            scene, parameters, names, self.settings,
+            grain=self.grain, pulses=self.pulses, grid=self.grid,
+        )  # fmt: skip
 
     def for_search(self, scene: Scene, accuracy: Accuracy, stride: int | None) -> "StructureView":
         return dataclasses.replace(self, grid=scene.grid)
-
-
-def _structure(
-    scene: Scene, parameters: PlotParameters, view: StructureView
-) -> Float[Array, " statistic"]:
-    return view._measure(scene, parameters)
 
 
 def structure_view(
@@ -345,20 +322,6 @@ def structure_view(
     """
     names = tuple(f"{LIDAR}.{metric}" for metric in metrics)
     return StructureView(names, settings or StructureSettings(), grain, pulses)
-
-
-_EVEN = 0.5
-"""Area projected over area of surfaces that face all directions alike [-]."""
-
-
-def _projections(scene: Scene) -> Float[Array, " class"]:
-    """Area seen from above over area, of each optical class: leaves, then wood, then flowers."""
-    found = []
-    for i in leafy_species(scene.forms):
-        own = scene.species[i]
-        angle = own.leaf_angle or leaf_angle(FORMS[own.form].leaf_angle)
-        found.append(angle.projection(jnp.ones(())))
-    return jnp.stack([*found, *(jnp.asarray(_EVEN),) * 2])
 
 
 @eqx.filter_jit

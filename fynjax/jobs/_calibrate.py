@@ -10,7 +10,14 @@ import pandas as pd
 from fynjax._core.dry_run import begin_work
 from fynjax._core.errors import InputError
 from fynjax.assembly import Measured, prepare, read_targets
-from fynjax.inversion import Calibration, calibration, join_data, plot_search, search_starts
+from fynjax.inversion import (
+    Calibration,
+    calibration,
+    join_data,
+    plot_search,
+    search_starts,
+    stand_sentence,
+)
 from fynjax.io.plot import NO_PRIOR, Plot, as_plot, with_prior
 from fynjax.io.raster import write_run
 from fynjax.jobs._calibrate_known import known_plants
@@ -184,8 +191,7 @@ def calibrate_to(
     with run.stage("Build the plot", "build"):
         ready = prepare(plot, None, seed=run.seed)
         views = [sensor.view_of(ready.scene, ready.parameters) for sensor in measured]
-    steps = ready.settings.max_steps
-    evaluations = ready.settings.starts * (steps + (steps + 1) // 2)
+    evaluations = ready.settings.evaluations
     images = any(sensor.kind == "image" for sensor in measured)
     begin_work(
         {"parameters.csv": f"{len(ready.space.names)} parameters", "statistics.csv": ""}
@@ -206,17 +212,17 @@ def calibrate_to(
     if result.image_after is not None:
         check_finite(result.image_after, plot)
     reference = ReferenceImage() if reference is None else reference
-    parameters_of_fit, statistics = parameter_table(result), statistic_table(result, reference)
+    stand, parameters_of_fit = result.stand(), parameter_table(result)
+    tables = stand, parameters_of_fit, (statistics := statistic_table(result, reference))
     with run.stage("Write"):
-        page = calibration_page(
-            run, plot, result, measured, (parameters_of_fit, statistics), reference, inputs
-        )
-        _write(run, plot, result.scene, result, page, (parameters_of_fit, statistics))
+        page = calibration_page(run, plot, result, measured, tables, reference, inputs)
+        _write(run, plot, result.scene, result, page, tables)
     rows = statistics.rename(columns={"real": "target"})
     return run.result(
         CalibrateResult,
         command=command,
         headline=[
+            stand_sentence(stand),
             *agreement_sentences(plot, measured, statistics, reference),
             *parameter_sentences(result),
         ],
@@ -249,9 +255,10 @@ def _write(
     scene: Scene,
     result: Calibration,
     page: Page,
-    tables: tuple[pd.DataFrame, pd.DataFrame],
+    tables: tuple[pd.DataFrame, pd.DataFrame, pd.DataFrame],
 ) -> None:
-    parameters, statistics = tables
+    stand, parameters, statistics = tables
+    run.table("stand.csv", stand, "prior and estimate of the whole stand")
     run.table("parameters.csv", parameters, "prior, estimate, sd of every parameter")
     each = "every statistic" if result.image_before is None else "every band and index"
     run.table("statistics.csv", statistics, f"{each}, real and simulated")

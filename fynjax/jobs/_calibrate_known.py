@@ -12,7 +12,7 @@ from fynjax._core.dry_run import begin_work
 from fynjax._core.errors import InputError
 from fynjax.assembly import aim_without_air, prepare
 from fynjax.compare import read_drone_image
-from fynjax.inversion import KnownPlants, block_of, known_plants_search
+from fynjax.inversion import KnownPlants, block_of, known_plants_search, stand_sentence
 from fynjax.io.plot import Plot, drone_sensor, sensor_place
 from fynjax.jobs._calibration_page import (
     doubt_first,
@@ -87,7 +87,9 @@ def known_plants(
     check_finite(jnp.asarray(result.image_after), plot)
     parameters, table = parameter_table(result), band_table(result)
     rmse = _relative_rmse(result)
+    stand = result.stand()
     headline = [
+        stand_sentence(stand),
         f"{plot.name}: {result.degrees} means of {result.block} x {result.block} pixels compared; "
         f"their relative error {rmse[0]:.2f} % before, {rmse[1]:.2f} % after.",
         *([] if plot.crowns_note is None else [plot.crowns_note]),
@@ -96,6 +98,7 @@ def known_plants(
     ]
     with run.stage("Write"):
         record = run.record(inputs)
+        run.table("stand.csv", stand, "prior and estimate of the whole stand")
         run.table("parameters.csv", parameters, "prior, estimate, sd of every parameter")
         run.table("statistics.csv", table, "every band, real and simulated")
         blocks = dataclasses.replace(camera, pixel=pixel * result.block)
@@ -105,11 +108,11 @@ def known_plants(
         run.page(
             Page(
                 f"Calibration: {plot.name}",
-                doubt_first(result.fit, headline[0]),
+                doubt_first(result.fit, " ".join(headline[:2])),
                 [
                     Section("The image", _pictures(result, blocks.pixel)),
                     Section("", [Table(table, "Every band.", folded=True)]),
-                    parameter_section(result, parameters),
+                    parameter_section(result, stand, parameters),
                     search_section(run, result, peak_memory_mib()),
                 ],
                 {"relative error after": f"{rmse[1]:.2f} %", "wall time": f"{run.total():.0f} s"},

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from fynjax.assembly import Measured
-from fynjax.inversion import Calibration, FitResult, KnownPlants
+from fynjax.inversion import Calibration, FitResult, KnownPlants, stand_sentence
 from fynjax.io.plot import Plot, sensor_place
 from fynjax.jobs._calibration_tables import (
     ReferenceImage,
@@ -122,12 +122,12 @@ def calibration_page(
     plot: Plot,
     result: Calibration,
     measured: Sequence[Measured],
-    tables: tuple[pd.DataFrame, pd.DataFrame],
+    tables: tuple[pd.DataFrame, pd.DataFrame, pd.DataFrame],
     reference: ReferenceImage,
     inputs: Sequence[Path | None],
 ) -> Page:
-    """The page. `tables` are those of the parameters and of the statistics."""
-    parameters, statistics = tables
+    """The page. `tables` are those of the stand, of the parameters and of the statistics."""
+    stand, parameters, statistics = tables
     memory = peak_memory_mib()
     keys = {
         "evaluations": str(len(result.fit.loss)),
@@ -146,11 +146,11 @@ def calibration_page(
             sections.append(sensor_section(sensor, sensor_table(sensor, statistics)))
     sections += [
         Section("", [Table(statistics, "Every statistic.", folded=True)]),
-        parameter_section(result, parameters),
+        parameter_section(result, stand, parameters),
         search_section(run, result, memory),
     ]
     agreement = agreement_sentences(plot, measured, statistics, reference)
-    lead = doubt_first(result.fit, " ".join(agreement))
+    lead = doubt_first(result.fit, " ".join([stand_sentence(stand), *agreement]))
     return Page(f"Calibration: {plot.name}", lead, sections, keys, run.record(inputs))
 
 
@@ -198,15 +198,19 @@ def _image_sections(
     ]
 
 
-def parameter_section(result: Calibration | KnownPlants, parameters: pd.DataFrame) -> Section:
-    """Prior and estimate of every parameter."""
+def parameter_section(
+    result: Calibration | KnownPlants, stand: pd.DataFrame, parameters: pd.DataFrame
+) -> Section:
+    """Prior and estimate of the stand, and of every parameter."""
     directions = "; ".join(
         ", ".join(f"{name} {weight:+.2f}" for name, weight in direction.items())
         for direction in result.fit.weakly_constrained_directions()
     )
     return Section(
-        "The parameters",
+        "The stand and its parameters",
         [
+            stand_sentence(stand),
+            Table(stand, "The stand, before and after."),
             " ".join(parameter_sentences(result)),
             Picture(
                 "parameters.png",

@@ -1,14 +1,15 @@
-"""Go through a search step by step: show its progress, keep its state, go on from a kept one."""
+"""Go through a search step by step: keep its state, go on from a kept one."""
 
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from fynjax._core.checkpoint import Journal, signature
-from fynjax._core.progress import advance
+from fynjax.inversion import search_states
 from fynjax.jobs._run import Run
 
 
@@ -31,32 +32,23 @@ def follow(
     """
     kept = None if checkpoint is None else Journal(checkpoint, signature(search.signed, starts))
     ends: list[Any] = []
-    began, steps = time.perf_counter(), []
+    began, before, steps = time.perf_counter(), 0.0, []
     for number, u in enumerate(starts, start=1):
         name = f"start {number}, " if len(starts) > 1 else ""
-        state = None if kept is None else kept.kept_state(f"start_{number}", search.state)
-        if state is None:
-            state = search.begin(u, *ends[:1])
-        shown = 0
-        while True:
-            for loss, norm in np.asarray(state.trace)[shown:]:
-                advance(
-                    1,
-                    stage=f"{name}round {int(state.turn) + 1}",
-                    loss=f"{loss:.1f}",
-                    gradient=f"{norm:.1f}",
-                )
-            shown = len(state.trace)
-            if kept is not None:
-                kept.put_state(f"start_{number}", state)
-            if state.ended:
-                break
-            before = time.perf_counter()
-            turn, state = int(state.turn), search.step(state)
+        states = partial(_states, search, u, ends[:1], name)
+        turn = -1
+        for state in (
+            states(None) if kept is None else kept.states(f"start_{number}", search.state, states)
+        ):
             if int(state.turn) == turn:
                 steps.append(time.perf_counter() - before)
+            turn, before = int(state.turn), time.perf_counter()
         ends.append(state)
     if steps:
         run.seconds["search_step"] = float(np.median(steps))
     run.seconds["search"] = time.perf_counter() - began
     return ends
+
+
+def _states(search: Any, u: Any, after: Sequence[Any], name: str, kept: Any) -> Iterator[Any]:
+    return search_states(search, search.begin(u, *after) if kept is None else kept, name)

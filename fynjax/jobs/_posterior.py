@@ -1,7 +1,7 @@
 """The posterior of a plot's parameters: what `fynjax posterior` does."""
 
-from collections.abc import Callable, Sequence
-from functools import partial
+from collections import deque
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -13,7 +13,7 @@ from fynjax._core.checkpoint import Journal, signature
 from fynjax._core.dry_run import begin_work
 from fynjax._core.errors import InputError
 from fynjax._core.extras import require
-from fynjax._core.progress import track
+from fynjax._core.sampling import ChainState
 from fynjax.assembly import (
     Prepared,
     parameter_columns,
@@ -22,23 +22,16 @@ from fynjax.assembly import (
     shown_unit,
 )
 from fynjax.inversion import (
-    KNOWN,
-    NARROWER,
-    OFF,
-    RENDERS,
-    WIDER,
     Posterior,
-    RegressedPosterior,
+    PosteriorSampler,
     SamplingMethod,
-    TooFewSimulationsError,
     calibration,
     fit_surrogate,
     join_data,
     plot_search,
-    sample_posterior,
     search_starts,
-    simulated_parts,
-    simulation_posterior,
+    stand_sentence,
+    stand_table,
     surrogate_renders,
 )
 from fynjax.io.plot import NO_PRIOR, Plot, as_plot, with_prior
@@ -69,10 +62,6 @@ class PosteriorParameter(ParameterSummary):
         default=None, description="End of the 90 % interval of the Gaussian about the estimate."
     )
     laplace_q95: Number = Field(default=None, description="Its other end.")
-    regression_q05: Number = Field(
-        default=None, description="The same by a regression on simulations of the prior."
-    )
-    regression_q95: Number = Field(default=None, description="Its other end.")
 
 
 class PosteriorResult(JobResult):
@@ -83,10 +72,10 @@ class PosteriorResult(JobResult):
     posterior_status: str
 
 
-_FEWEST = 100
-"""Simulations of a regression: of the 24 directions of an image it needs 96."""
-_NAMED, _COMPARED = 5, 16
-"""Parameters that are named where methods differ, and that are drawn side by side."""
+_COMPARED = 16
+"""Parameters that are drawn side by side, by each method."""
+_STANDS = 400
+"""Draws of the posterior whose stands are computed, at most."""
 
 
 def posterior(
@@ -98,7 +87,6 @@ def posterior(
     free: Sequence[str] | None = None,
     target_size: float = 400.0,
     max_steps: int = 5000,
-    simulations: int = 300,
     prior: str | Path = NO_PRIOR,
     checkpoint: Path,
     bands: Sequence[str] | None = None,
@@ -121,7 +109,6 @@ def posterior(
     - `free`: patterns of parameters to sample; those of the plot file by default.
     - `target_size`: effective draws to reach.
     - `max_steps`: most steps of the sampler.
-    - `simulations`: of the prior, for a regression that checks the posterior; 0 for none.
     - `prior`: learned population of what the plot's files leave open (`with_prior`); none by
       default.
     - `checkpoint`: folder that keeps the calibration and the chain, from which an interrupted run
@@ -139,14 +126,7 @@ def posterior(
     Example: `jobs.posterior("plot.toml", Path("drone.tif"), Path("results"),
     checkpoint=Path("chain"))`.
     """
-    for package in ("arviz", "h5py") if method == "emcee" else ("arviz",):
-        require(package, "posterior")
-    if 0 < simulations < _FEWEST or simulations < 0:
-        raise InputError(
-            f"expected {_FEWEST} simulations or more, or 0 for none, but got {simulations}"
-        )
-    if simulations:
-        require("sklearn", "posterior", "scikit-learn")
+    require("arviz", "posterior")
     if method == "nuts":
         require("blackjax", "nuts")
     read = with_prior(as_plot(plot), prior)
@@ -158,11 +138,10 @@ def posterior(
         ready = prepare(read, free, seed=run.seed)
         views = [sensor.view_of(ready.scene, ready.parameters) for sensor in measured]
     inputs = (*(p for p in ready.plot.inputs if p is not None), *paths)
-    steps = ready.settings.max_steps
     parameters = f"{len(ready.space.names)} parameters"
     draws = f"{parameters}, {max_steps} steps of the sampler at most"
     begin_work({"posterior.nc": draws, "parameters.csv": parameters, "report.html": ""})
-    with run.stage("Calibrate", total=steps + (steps + 1) // 2):
+    with run.stage("Calibrate", total=ready.settings.evaluations):
         search = plot_search(
             ready.scene,
             ready.parameters,
@@ -175,31 +154,10 @@ def posterior(
         ends = follow(search, search_starts(search), run, checkpoint / "calibration")
         calibrated = calibration(search, ends)
     found = signature(calibrated.fit.whitened, run.seed)
-    plot_of = calibrated, ready.parameters, calibrated.coarse_views
-    renders = surrogate_renders(*plot_of, seed=run.seed)
-
-    def render_all() -> tuple[Any, ...]:
-        return (np.stack([*track(renders, "Fit a surrogate", RENDERS)]),)
-
-    (rendered,) = Journal(checkpoint / "surrogate", found)(render_all)
-    surrogate, surrogate_error = fit_surrogate(
-        *plot_of, seed=run.seed, rendered=np.asarray(rendered)
-    )
-    regressed, unchecked = None, ""
-    if simulations:
-        try:
-            parts = simulated_parts(*plot_of, simulations=simulations, seed=run.seed)
-            keep = Journal(checkpoint / "simulations", found)
-            done = [keep(partial(_alone, part))[0] for part in track(parts, "Simulate the prior")]
-            regressed = simulation_posterior(
-                *plot_of,
-                simulations=simulations,
-                seed=run.seed,
-                rendered=np.concatenate([np.asarray(one) for one in done]),
-            )
-        except TooFewSimulationsError as error:  # what is left unchecked may be sound
-            unchecked = f"Not checked by a regression: {error}."
-    sampled = sample_posterior(
+    renders = surrogate_renders(calibrated, seed=run.seed)
+    rendered = Journal(checkpoint / "surrogate", found)(lambda: np.stack([*renders]))
+    surrogate, surrogate_error = fit_surrogate(calibrated, seed=run.seed, rendered=rendered)
+    sampler = PosteriorSampler(
         surrogate,
         calibrated.data,
         ready.space,
@@ -208,31 +166,41 @@ def posterior(
         target=target_size,
         max_steps=max_steps,
         seed=run.seed,
-        checkpoint=None if method == "laplace" else checkpoint / f"{method}.chain",
     )
+    end = None
+    if method != "laplace":
+        journal = Journal(checkpoint / method, signature(sampler.signed))
+        (end,) = deque(journal.states("chain", ChainState, sampler.states), maxlen=1)
+    sampled = sampler.posterior(end)
     if not sampled.whitened.size:
         raise InputError(f"no posterior: {sampled.status}", file=read.file)
     table = posterior_table(sampled)
     others: dict[str, Any] = {}
     if sampled.method != "laplace":
         others["laplace_q05"], others["laplace_q95"] = calibrated.fit.quantiles(0.05, 0.95)
-    if regressed is not None:
-        others["regression_q05"], others["regression_q95"] = regressed.quantiles(
-            ready.space, 0.05, 0.95
-        )
     table = table.join(parameter_columns(sampled.names, others)[list(others)])
-    headline = [*_headline(ready, sampled, table), misfit_sentence(calibrated)]
-    if simulations:
-        headline.append(unchecked if regressed is None else _agreement(sampled, regressed))
+    drawn = sampled.whitened.reshape(-1, len(sampled.names))
+    stand = stand_table(
+        calibrated.scene,
+        ready.parameters,
+        calibrated.fit,
+        draws=drawn[:: -(-len(drawn) // _STANDS)],
+    )
+    headline = [
+        stand_sentence(stand),
+        *_headline(ready, sampled, table),
+        misfit_sentence(calibrated),
+    ]
     if not sampled.converged and sampled.method != "laplace":
         headline.append(f"The chain is kept in {checkpoint}: the same command goes on with it.")
     record = run.record(inputs)
     with run.stage("Write"):
+        run.table("stand.csv", stand, "prior and posterior of the whole stand")
         run.table("parameters.csv", table, "prior and posterior of every parameter")
         path = run.path("posterior.nc", "every draw, as arviz reads it (InferenceData)")
         with atomic_path(path) as work:
             sampled.inference_data({k: str(v) for k, v in record.items()}).to_netcdf(str(work))
-        run.page(_page(ready, sampled, table, headline, record, surrogate_error, regressed))
+        run.page(_page(ready, sampled, (stand, table), headline, record, surrogate_error))
     return run.result(
         PosteriorResult,
         headline=headline,
@@ -241,11 +209,6 @@ def posterior(
         status="ok" if sampled.converged else sampled.status,
         posterior_status=sampled.status,
     )
-
-
-def _alone(part: Callable[[], Any]) -> tuple[Any, ...]:
-    """What a part gives, as a `Journal` keeps it."""
-    return (part(),)
 
 
 def posterior_table(sampled: Posterior) -> pd.DataFrame:
@@ -295,46 +258,15 @@ def _headline(ready: Prepared, sampled: Posterior, table: pd.DataFrame) -> list[
     ]
 
 
-def _agreement(sampled: Posterior, regressed: RegressedPosterior) -> str:
-    """What a regression on simulations of the prior says of the draws."""
-    own = sampled.own.reshape(-1, len(sampled.names))
-    found = regressed.compare(own.mean(axis=0), own.std(axis=0), sampled.effective_size)
-    count, off = int(found.known.sum()), np.flatnonzero(found.off)
-    named = off[np.argsort(-found.distance[off])][:_NAMED]
-    names = ", ".join(short_name(sampled.names[i]) for i in named)
-    more = f" and {len(off) - _NAMED} others" if len(off) > _NAMED else ""
-    either = f"parameters that it or {sampled.method} knows"
-    if not count:
-        text = f"knows, as {sampled.method} does, no single parameter"
-    elif off.size:
-        text = f"agrees in {count - len(off)} of {count} {either}, not in {names}{more}"
-    elif count == 1:
-        text = f"agrees in the one {either.replace('parameters', 'parameter')}"
-    else:
-        text = f"agrees in all {count} {either}"
-    if found.narrower.any():
-        surer = int(found.narrower.sum())
-        text += f"; {sampled.method} claims to know {surer} of those that agree far better"
-    if found.scatter > found.usual:
-        text += (
-            f"; over all parameters the means lie {found.scatter:.2f} times as far apart as they "
-            f"should (up to {found.usual:.2f} is chance): do not trust the intervals"
-        )
-    farther = 100.0 * regressed.farther
-    text += f"; {farther:.0f} % of the simulations lie at least as far out as the measurement"
-    odd = ": the prior does not make such data" if regressed.impossible else ""
-    return f"A regression on {regressed.simulations} simulations of the prior {text}{odd}."
-
-
 def _page(
     ready: Prepared,
     sampled: Posterior,
-    table: pd.DataFrame,
+    tables: tuple[pd.DataFrame, pd.DataFrame],
     headline: list[str],
     record: dict[str, str | int],
     surrogate_error: np.ndarray,
-    regressed: RegressedPosterior | None,
 ) -> Page:
+    stand, table = tables
     order = np.argsort(-sampled.constrained)
     units = [shown_unit(name) for name in sampled.names]
     factor = np.array([f for _, _, f in units])
@@ -342,7 +274,7 @@ def _page(
     values, density = (np.asarray(part) for part in sampled.space.density())
     prior = factor * values, density / factor
     data = sampled.data
-    parts: list[Part] = [f"Status: {sampled.status}."]
+    parts: list[Part] = [f"Status: {sampled.status}.", Table(stand, "The stand.")]
     worst = int(surrogate_error.argmax())
     parts.append(
         "Chains ask a surrogate for the statistics, linear in all parameters and bent along those "
@@ -369,7 +301,7 @@ def _page(
             "statistics that the posterior predicts against the measured ones",
         ),
         Picture("parameters.png", parameter_plot(table), "prior and posterior of every parameter"),
-        *_methods(sampled, table.iloc[order[:_COMPARED]], regressed),
+        *_methods(sampled, table.iloc[order[:_COMPARED]]),
         Table(table, "Every parameter.", folded=True),
     ]
     keys = {
@@ -381,30 +313,15 @@ def _page(
     return Page(title, " ".join(headline), [Section("", parts)], keys, record)
 
 
-def _methods(
-    sampled: Posterior, best: pd.DataFrame, regressed: RegressedPosterior | None
-) -> list[Part]:
-    """The parameters best known by every method, side by side."""
-    kinds = {"laplace": ("laplace_q05", "laplace_q95")} | {sampled.method: ("q05", "q95")}
-    if regressed is not None:
-        kinds["regression on simulations"] = ("regression_q05", "regression_q95")
-    kinds = {kind: ends for kind, ends in kinds.items() if ends[0] in best}
-    if len(kinds) < 2:
+def _methods(sampled: Posterior, best: pd.DataFrame) -> list[Part]:
+    """The parameters best known, by the Gaussian and by a chain side by side."""
+    if "laplace_q05" not in best:
         return []
-    parts: list[Part] = [
+    kinds = {"laplace": ("laplace_q05", "laplace_q95"), sampled.method: ("q05", "q95")}
+    return [
         Picture(
             "methods.png",
             interval_plot(best, kinds),
-            "90 % intervals of the parameters best known, by every method",
+            "90 % intervals of the parameters best known, by both methods",
         )
     ]
-    if regressed is not None:
-        parts.append(
-            "The regression follows no slopes by parameters and no search, but knows only what is "
-            "linear in the statistics over the whole prior: where a parameter bends them, others "
-            "may be right and narrower. Parameters count as known from "
-            f"{100 * KNOWN:.0f} % of their prior variance on; a method does not agree where its "
-            f"mean lies more than {OFF:g} of the regression's standard deviations off, or it is "
-            f"more than {WIDER:g} times as wide, and claims far more below {NARROWER:g} times."
-        )
-    return parts

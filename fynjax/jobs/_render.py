@@ -13,10 +13,10 @@ import pandas as pd
 import xarray as xr
 from jaxtyping import Array, Float
 
-import fynjax
-from fynjax._core.checkpoint import Journal, Keep, keep_nothing, signature
+from fynjax._core.checkpoint import Journal, signature
 from fynjax._core.dry_run import begin_work, image_size
 from fynjax._core.errors import InputError
+from fynjax._core.progress import track
 from fynjax.assembly import aim_without_air, build_plot
 from fynjax.io.plot import Plot, as_plot, plot_instrument, plot_place
 from fynjax.io.raster import Cube, file_hash, image_array, write_geotiff, write_run
@@ -36,10 +36,10 @@ from fynjax.scene import (
     AimedSensor,
     PlotParameters,
     Scene,
+    TiledPicture,
     hard_counts,
     hard_scene,
     is_large,
-    observe_in_tiles,
 )
 
 SHOWN_INDICES = ("NDVI", "GNDVI", "SR", "GCI", "ARI2", "OSAVI", "GSAVI", "NormR")
@@ -96,12 +96,11 @@ def render(
     begin_work({"image.tif": size, "run.nc": size, "report.html": ""})
     with run.stage("Render", "render"):
         if is_large(camera, scene):
-            keep: Keep = keep_nothing
+            journal = None
             if checkpoint is not None:
                 hashes = [file_hash(path) for path in read.inputs]
-                signed = signature(read, hashes, run.seed, fynjax.__version__)
-                keep = Journal(checkpoint, signed)
-            image = observe_in_tiles(camera, scene, parameters, keep=keep)
+                journal = Journal(checkpoint, signature(read, hashes, run.seed))
+            image = _in_tiles(TiledPicture(camera, scene, parameters), journal)
         else:
             # Plants that do not stand take time and memory only.
             stand = hard_scene(scene, parameters)
@@ -123,6 +122,13 @@ def render(
             for band, value in means.items()
         ],
     )
+
+
+def _in_tiles(picture: TiledPicture, journal: Journal | None) -> Array:
+    """The picture, of tiles that a journal keeps."""
+    if journal is None:
+        return picture.image()
+    return picture.image(journal(picture.render, tile) for tile in track(picture.tiles, "Tiles"))
 
 
 @eqx.filter_jit

@@ -12,7 +12,7 @@ from fynjax._core.checkpoint import Journal, signature
 from fynjax._core.dry_run import begin_work
 from fynjax._core.errors import InputError
 from fynjax._core.extras import require
-from fynjax._core.parts import Workers
+from fynjax._core.parts import Workers, at_work
 from fynjax.assembly import Prepared, batch_for_device, image_view, prepare, shown_unit
 from fynjax.inversion import (
     LEADING_ELASTICITIES,
@@ -112,8 +112,8 @@ def sensitivity(
         ready = prepare(read, free, seed=run.seed)
     space = ready.space
     views = [image_view(read, ready.scene, ready.parameters, names)]
-    quick, cheap = search_form(ready.scene, ready.parameters, views)
-    predict = PlotForward(ready.parameters, space.names, cheap)
+    stand, coarse_views = search_form(ready.scene, ready.parameters, views)
+    predict = PlotForward(ready.parameters, space.names, coarse_views)
     at = np.asarray(space.prior)
     size = f"{len(names)} metrics by {len(space.names)} parameters"
     tables = ["slopes.csv", *(["variance.csv"] if derivative_samples or sobol_samples else [])]
@@ -123,29 +123,28 @@ def sensitivity(
         hashes = [file_hash(path) for path in read.inputs]
         asked = (names, space.names, plantings, derivative_samples, sobol_samples, run.seed)
         journal = Journal(checkpoint, signature(read, hashes, asked))
-    slopes = expected_sensitivity(
-        predict,
-        space.names,
-        names,
-        at,
-        partial(_planting, ready),
-        accuracy=_ACCURACY,
-        most=2 if ready.scene.known_plants else plantings,  # which are the same in each
-        journal=journal,
-        workers=workers,
-    )
-    common: dict[str, Any] = {
-        "context": (quick,),
-        "seed": run.seed,
-        "batch": batch_for_device(),
-        "journal": journal,
-        "workers": workers,
-    }
     measures = indices = None
-    if derivative_samples:
-        measures = derivative_measures(predict, space, names, samples=derivative_samples, **common)
-    if sobol_samples:
-        indices = sobol_indices(predict, space, names, samples=sobol_samples, **common)
+    with at_work(workers) as pool:
+        do = partial(pool.all, journal=journal)
+        slopes = expected_sensitivity(
+            predict,
+            space.names,
+            names,
+            at,
+            partial(_planting, ready),
+            accuracy=_ACCURACY,
+            most=2 if ready.scene.known_plants else plantings,  # which are the same in each
+            do=do,
+        )
+        over: dict[str, Any] = {
+            "context": (stand,), "seed": run.seed, "batch": batch_for_device(), "do": do
+        }  # fmt: skip
+        if derivative_samples:
+            measures = derivative_measures(
+                predict, space, names, samples=derivative_samples, **over
+            )
+        if sobol_samples:
+            indices = sobol_indices(predict, space, names, samples=sobol_samples, **over)
     table = _slope_table(slopes)
     over_priors = measures is not None or indices is not None
     spread = _spread_table(names, space.names, measures, indices) if over_priors else None
@@ -169,7 +168,7 @@ def sensitivity(
 
 
 def _planting(ready: Prepared, number: int) -> tuple[Scene]:
-    """The plot with other plants, in the cheap form: sites of another chance, in another order."""
+    """The plot with other plants, in the coarse form: sites of another chance, in another order."""
     try:
         scene = ready.replant(number)
     except InputError:  # another chance finds no room: the same sites in another order

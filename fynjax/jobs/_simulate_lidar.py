@@ -2,10 +2,9 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
-import xarray as xr
 
 from fynjax._core.dry_run import begin_work
 from fynjax._core.errors import InputError
@@ -20,7 +19,7 @@ from fynjax.jobs._run import Run
 from fynjax.radiation import VoxelScene
 from fynjax.report.figures import height_profiles, side_view
 from fynjax.report.pages import Page, Part, Picture, Section, Table
-from fynjax.scene import LidarObservation, hard_scene, observe
+from fynjax.scene import hard_scene, observe
 from fynjax.sensors import FlashGeometry, Lidar, LidarBeams, LidarReturns
 from fynjax.sensors.lidar import GROUND
 
@@ -70,7 +69,7 @@ def simulate_lidar(
     with run.stage("Send the pulses", "observe"):
         observation = observe(scene, lidar, parameters=parameters, noise=noise, seed=run.seed)
     voxels, beams, returns = observation.voxels, observation.beams, observation.returns
-    if len(returns) == 0:
+    if not returns:
         raise InputError(
             f"no pulse of {lidar.name!r} has a return: does its range gate hold the ground, "
             f"{lidar.geometry.altitude:g} m below, and is the signal above the noise?",
@@ -89,7 +88,7 @@ def simulate_lidar(
         cloud, origin = run.path("cloud.laz", "point cloud, LAS 1.4"), (*place.origin_m, lowest)
         write_cloud(cloud, returns, origin_m=origin, crs=place.crs, attributes=record)
         waveforms = run.path("waveforms.nc", "waveform of every pulse, NetCDF")
-        write_run(waveforms, waveform_dataset(lidar, observation), record)
+        write_run(waveforms, observation.to_xarray(), record)
         what = "percentiles of height of returns and of planted area"
         run.table("heights.csv", heights.table(), what, None)
     counts = _counts(plot, beams, returns)
@@ -117,63 +116,6 @@ def _light_of(lidar: Lidar) -> str:
     if isinstance(lidar.geometry, FlashGeometry):
         return "Light that is scattered more than once comes late; it is part of the waveforms."
     return "Light that is scattered more than once has left the narrow beam and is left out."
-
-
-def waveform_dataset(lidar: Lidar, observation: LidarObservation) -> xr.Dataset:
-    """What was recorded of each pulse, and the noise-free return of its ground."""
-    beams = observation.beams
-
-    def each(values: np.ndarray, name: str, units: str) -> tuple[str, np.ndarray, dict[str, str]]:
-        return "pulse", values, {"long_name": name, "units": units}
-
-    axes = zip("xyz", ("east", "north", "up"))
-    where: dict[str, Any] = {}
-    for k, (letter, name) in enumerate(axes):
-        where[f"origin_{letter}"] = each(
-            beams.origin[:, k], f"place of the sensor, {name} of the south-west bottom corner", "m"
-        )
-        where[f"direction_{letter}"] = each(
-            beams.direction[:, k], f"direction of the pulse, {name}", "1"
-        )
-    recorded = {"long_name": "electrons counted, mean background taken off", "units": "1"}
-    ground = {"long_name": "apparent reflectance of the ground in the sample", "units": "1"}
-    samples = (np.arange(beams.samples) + 0.5) * lidar.sample
-    return xr.Dataset(
-        {
-            "waveform": (
-                ("pulse", "sample"),
-                np.asarray(observation.electrons, np.float32),
-                recorded,
-            ),
-            "ground_waveform": (
-                ("pulse", "sample"),
-                np.asarray(observation.waveforms.ground, np.float32),
-                ground,
-            ),
-            **where,
-            "first_range": each(beams.start, "range at which the first sample begins", "m"),
-            "irradiance": each(
-                beams.irradiance, "of the pulse, relative to the beam's middle", "1"
-            ),
-            "scan_angle": each(beams.scan_angle, "angle from straight down", "degree"),
-            "time": each(beams.time, "time of the pulse since the start of the flight", "s"),
-        },
-        coords={
-            "pulse": each(np.arange(len(beams)), "index of the pulse", "1"),
-            "sample": (
-                "sample",
-                samples,
-                {"long_name": "range of the sample's middle beyond first_range", "units": "m"},
-            ),
-        },
-        attrs={
-            "title": f"waveforms of {lidar.name}",
-            "wavelength_nm": lidar.wavelength,
-            "pulse_fwhm_ns": lidar.pulse_length,
-            "sample_m": lidar.sample,
-            "comment": "single scattering",
-        },
-    )
 
 
 def _warnings(lidar: Lidar, voxels: VoxelScene, beams: LidarBeams) -> list[str]:

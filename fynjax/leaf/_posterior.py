@@ -14,7 +14,7 @@ from jaxtyping import Array, Float
 from fynjax._core.errors import InputError
 from fynjax._core.precision import require_double_precision
 from fynjax._core.progress import track
-from fynjax._core.sampling import ensemble, hamiltonian
+from fynjax._core.sampling import Ensemble, Hamiltonian
 from fynjax.leaf._area import LeafArea, LeafShape, area_factors
 from fynjax.leaf._coefficients import ProspectVersion
 from fynjax.leaf._error_model import ErrorModel
@@ -170,9 +170,9 @@ def sample_leaf_posterior(
         limits: dict[str, Any] = {"target": target, "steps": max_steps, "seed": seed + i}
         if sampler == "emcee":
             many: Any = partial(of_many, density)
-            chains = ensemble(many, start, **limits)
+            chains = Ensemble(many, start, **limits).run()
         else:
-            chains = hamiltonian(density, start, covariance, **limits)
+            chains = Hamiltonian(density, start, covariance, **limits).run()
         sizes[i] = chains.effective_size
         status.append(chains.status)
         if not len(chains.chain):

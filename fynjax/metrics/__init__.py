@@ -71,6 +71,7 @@ from fynjax.metrics.structure import (
     smooth_cell_structure,
     smooth_height_intersection,
     thinnings,
+    voxel_height_percentiles,
     voxel_structure,
 )
 
@@ -133,6 +134,7 @@ __all__ = [
     "standard_deviation",
     "thinnings",
     "vegetation_indices",
+    "voxel_height_percentiles",
     "voxel_structure",
     "wasserstein_distance",
 ]

@@ -9,18 +9,17 @@ from fynjax._core.precision import enable_double_precision
 from fynjax.scene._cover import ProjectedCover, crown_centres, projected_cover
 from fynjax.scene._ground import COVERS, Ground, ground_shares, random_patches
 from fynjax.scene._instances import Instances, hard_counts, hard_instances, hard_scene
-from fynjax.scene._large import is_large, observe_in_tiles
+from fynjax.scene._large import TiledPicture, is_large
+from fynjax.scene._lidar import LidarObservation, observe_lidar
 from fynjax.scene._observe import (
     DRONE,
     AimedSensor,
-    LidarObservation,
     Observation,
     Placement,
     PlotAir,
     aim,
     fitted_accuracy,
     observe,
-    observe_lidar,
 )
 from fynjax.scene._parameters import (
     FIXED_PARAMETERS,
@@ -70,8 +69,10 @@ from fynjax.scene._spectra import (
     background_spectrum,
     band_wavelengths,
     mixed_surroundings,
+    visible_sensor,
 )
 from fynjax.scene._stand import StandArea, stand_area
+from fynjax.scene._structure import fitting_structure, scene_structure
 
 enable_double_precision()
 keep_compiled()
@@ -105,6 +106,7 @@ __all__ = [
     "SpeciesRow",
     "Spectrum",
     "StandArea",
+    "TiledPicture",
     "aim",
     "background_spectrum",
     "band_wavelengths",
@@ -114,6 +116,7 @@ __all__ = [
     "crown_centres",
     "element_count",
     "fitted_accuracy",
+    "fitting_structure",
     "ground_at",
     "ground_shares",
     "hard_counts",
@@ -128,17 +131,18 @@ __all__ = [
     "mixed_surroundings",
     "named_values",
     "observe",
-    "observe_in_tiles",
     "observe_lidar",
     "parameter_kind",
     "parameter_reference",
     "projected_cover",
     "random_patches",
     "room_needed",
+    "scene_structure",
     "slope_of_fading",
     "species_parameters",
     "species_rows",
     "stand_area",
     "stand_realisation",
+    "visible_sensor",
     "with_values",
 ]

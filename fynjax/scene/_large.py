@@ -3,16 +3,15 @@
 import dataclasses
 import itertools
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import partial
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, ArrayLike, Float, Int
 
-from fynjax._core.checkpoint import Keep, keep_nothing
 from fynjax._core.progress import stage, track
 from fynjax.radiation import (
     Accuracy,
@@ -65,59 +64,70 @@ def is_large(aimed: AimedSensor, scene: Scene) -> bool:
     return few and isinstance(rays, RayLattice) and many
 
 
-def observe_in_tiles(
-    aimed: AimedSensor,
-    scene: Scene,
-    parameters: PlotParameters,
-    *,
-    tile: int = _TILE,
-    keep: Keep = keep_nothing,
-) -> Float[Array, "band y x"]:
-    """Reflectance factor of the pixels of a large picture, without air and noise [-].
+class TiledPicture:
+    """A large picture, rendered tile by tile with light that is solved once for the whole scene.
 
-    The light is solved once, for the whole scene, and the picture rendered tile by tile; it is that
-    of `AimedSensor.observe`. On level ground the voxels of a large scene, and its plants' area
-    elements, are made window by window: memory is that of the diffuse light on its coarse cells.
+    It is that of `AimedSensor.observe`, without air and noise. On level ground the voxels of a
+    large scene, and its plants' area elements, are made window by window: memory is that of the
+    diffuse light on its coarse cells. Who watches, keeps or stops it does so between the `tiles`.
 
     **Arguments:**
 
     - `aimed`, `scene`, `parameters`: the sensor, without air, and what it is aimed at.
     - `tile`: edge of a tile [rays], at most.
-    - `keep`: how a tile is done, such as by a `Journal`, which keeps those of an interrupted run.
 
     **Raises:** `InputError` where the light does not fit in memory, for rays that cannot be cut and
     for more bands than are solved for.
 
     Not differentiable: see `fynjax.radiation.render_tiles`.
     """
-    scene = scene.faded(False)
-    accuracy, bands, rays = aimed.accuracy, aimed.sensor.bands, aimed.rays
-    assert isinstance(rays, RayLattice)  # else `tile_picture` refuses them
-    bare = eqx.tree_at(lambda s: s.planting, scene, no_plants(scene.dtype))
-    whole = _without_voxels(bare, parameters, bands)
-    # Placing the elements takes about as much again for each class.
-    held = _HELD // (voxel_values(whole) + 3 * whole.area_density.shape[0])
-    draw: Callable[..., tuple[Array]]
-    if scene.terrain is None and math.prod(whole.shape) > held:
-        windows = _Windows(aimed, scene, parameters, whole, held)
-        light_in_windows = windows.light()
-        tiling = windows.tiling(light_in_windows, rays, tile)
-        tiling = tiling._replace(steepest=aimed.steepest)  # layers cut as those of the whole are
-        draw = partial(windows.tile, light_in_windows, rays, tiling, windows.room(tiling))
-    else:
-        check_light(whole, accuracy)
-        with stage("Light"):
-            # Plants that do not stand take memory only.
-            voxels = _voxels(hard_scene(scene, parameters), parameters, bands)
-            light = _light(voxels, accuracy)
-        tiling = tile_picture(light, rays, tile)._replace(steepest=aimed.steepest)
-        draw = partial(_tile, light, rays, tiling)
-    factor = np.empty((len(bands), *rays.shape), scene.dtype)
-    for row, column in track(np.ndindex(tiling.shape), "Tiles", math.prod(tiling.shape)):
-        (part,) = keep(partial(draw, jnp.asarray(row), jnp.asarray(column)))
-        factor[:, *tiling.pixels(row, column)] = part
-    image, _ = aimed.averages(jnp.asarray(factor), whole)
-    return image
+
+    tiles: list[tuple[int, int]]
+    """Row and column of each tile."""
+
+    def __init__(
+        self, aimed: AimedSensor, scene: Scene, parameters: PlotParameters, *, tile: int = _TILE
+    ) -> None:
+        scene = scene.faded(False)
+        accuracy, bands, rays = aimed.accuracy, aimed.sensor.bands, aimed.rays
+        assert isinstance(rays, RayLattice)  # else `tile_picture` refuses them
+        bare = eqx.tree_at(lambda s: s.planting, scene, no_plants(scene.dtype))
+        whole = _without_voxels(bare, parameters, bands)
+        # Placing the elements takes about as much again for each class.
+        held = _HELD // (voxel_values(whole) + 3 * whole.area_density.shape[0])
+        if scene.terrain is None and math.prod(whole.shape) > held:
+            windows = _Windows(aimed, scene, parameters, whole, held)
+            light_in_windows = windows.light()
+            tiling = windows.tiling(light_in_windows, rays, tile)
+            tiling = tiling._replace(steepest=aimed.steepest)  # layers cut as those of the whole
+            draw = partial(windows.tile, light_in_windows, rays, tiling, windows.room(tiling))
+        else:
+            check_light(whole, accuracy)
+            with stage("Light"):
+                # Plants that do not stand take memory only.
+                voxels = _voxels(hard_scene(scene, parameters), parameters, bands)
+                light = _light(voxels, accuracy)
+            tiling = tile_picture(light, rays, tile)._replace(steepest=aimed.steepest)
+            draw = partial(_tile, light, rays, tiling)
+        self._draw: Callable[[Array, Array], Array] = draw
+        self._aimed, self._whole, self._tiling = aimed, whole, tiling
+        self._factor = np.empty((len(bands), *rays.shape), scene.dtype)
+        self.tiles = [*np.ndindex(*tiling.shape)]
+
+    def render(self, tile: tuple[int, int]) -> Float[Array, "band row column"]:
+        """Reflectance factor along the rays of a tile [-]."""
+        return self._draw(*map(jnp.asarray, tile))
+
+    def image(
+        self, rendered: Iterable[Float[ArrayLike, "band row column"]] | None = None
+    ) -> Float[Array, "band y x"]:
+        """Reflectance factor of the pixels [-], from what was rendered of all `tiles`, in order;
+        rendered here if left out."""
+        if rendered is None:
+            rendered = map(self.render, track(self.tiles, "Tiles"))
+        for tile, part in zip(self.tiles, rendered, strict=True):
+            self._factor[:, *self._tiling.pixels(*tile)] = part
+        return self._aimed.averages(jnp.asarray(self._factor), self._whole)[0]
 
 
 class _Windows:
@@ -189,7 +199,7 @@ class _Windows:
         room: tuple[int, int],
         row: Array,
         column: Array,
-    ) -> tuple[Array]:
+    ) -> Array:
         """Reflectance factor of a tile."""
         window = self._window(tiling, room, int(row), int(column))
         return _tile_of_window(light, *self._make, window, rays, tiling, row, column)
@@ -286,10 +296,10 @@ def _tile_of_window(
     tiling: Tiling,
     row: Array,
     column: Array,
-) -> tuple[Float[Array, "band row column"]]:
+) -> Float[Array, "band row column"]:
     voxels = bare.voxels(parameters, bands, window)
     radiance = render_window(light, voxels, rays, tiling, row, column)
-    return (jnp.pi * radiance.total / voxels.illumination.incident[:, None, None],)
+    return jnp.pi * radiance.total / voxels.illumination.incident[:, None, None]
 
 
 @eqx.filter_jit
@@ -305,6 +315,6 @@ def _light(voxels: VoxelScene, accuracy: Accuracy) -> Light:
 @eqx.filter_jit
 def _tile(
     light: Light, rays: RayLattice, tiling: Tiling, row: Array, column: Array
-) -> tuple[Float[Array, "band row column"]]:
+) -> Float[Array, "band row column"]:
     radiance = render_tile(light, rays, tiling, row, column)
-    return (jnp.pi * radiance.total / light.scene.illumination.incident[:, None, None],)
+    return jnp.pi * radiance.total / light.scene.illumination.incident[:, None, None]

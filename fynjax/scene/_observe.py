@@ -11,7 +11,6 @@ its mean density.
 """
 
 import dataclasses
-import html
 import math
 from collections.abc import Sequence
 from functools import partial
@@ -25,8 +24,9 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from fynjax._core.errors import InputError, did_you_mean, listed
+from fynjax._core.html import as_html
 from fynjax._core.math import real_array
-from fynjax.metrics import BANDS, vegetation_indices
+from fynjax.metrics import BANDS, spectrometer_indices, vegetation_indices
 from fynjax.radiation import (
     AbstractRays,
     Accuracy,
@@ -35,31 +35,27 @@ from fynjax.radiation import (
     reflectance_factor,
     solve_light,
 )
+from fynjax.scene._lidar import LidarObservation, observe_lidar
 from fynjax.scene._panels import PanelsInPicture, panels_in_picture
 from fynjax.scene._parameters import LightParameters, PlotParameters
 from fynjax.scene._pixels import axis_pixels, footprint_shares
 from fynjax.scene._scene import Scene, slope_of_fading
+from fynjax.scene._spectra import visible_sensor
 from fynjax.sensors import (
     AbstractCamera,
     Atmosphere,
     ClearAir,
     Lidar,
-    LidarBeams,
-    LidarReturns,
     Panel,
     PushbroomCamera,
     Sensor,
-    Waveforms,
     at_sensor_radiance,
     band_atmosphere,
     check_within_table,
     clear_sky_atmosphere,
-    detect_returns,
     frame_of,
     is_transparent,
-    lidar_waveforms,
     map_rays,
-    received_electrons,
     shipped_lidar,
     shipped_lidars,
     shipped_sensor,
@@ -167,19 +163,26 @@ class Observation(eqx.Module):
         return self.reflectance[self.bands.index(band)]
 
     def index(self, name: str) -> Float[Array, "y x"]:
-        """A vegetation index of each pixel [-], of `fynjax.metrics.VEGETATION_INDICES`; NaN where
-        it is undefined. Differentiable.
+        """A vegetation index of each pixel [-]; NaN where it is undefined. Differentiable.
 
-        **Raises:** `InputError` for another name, and for a sensor without the bands green, red,
-        red edge and near infrared.
+        **Arguments:** `name` of `fynjax.metrics.VEGETATION_INDICES`; of a sensor without the bands
+        green, red, red edge and near infrared of `fynjax.metrics.SPECTROMETER_INDICES`, of means
+        over the wavelengths there.
+
+        **Raises:** `InputError` for another name, and for a sensor that has none of the index's
+        bands.
         """
-        if missing := [band for band in BANDS if band not in self.bands]:
+        if all(band in self.bands for band in BANDS):
+            return vegetation_indices(jnp.stack([self[band] for band in BANDS]), [name])[0]
+        order = np.argsort(self.wavelength)
+        spectra = jnp.moveaxis(self.reflectance, 0, -1)[..., order]
+        found = spectrometer_indices(np.array(self.wavelength)[order], spectra)
+        if name not in found:
             raise InputError(
-                f"expected the bands {listed(BANDS)} for an index, but {self.sensor} has no "
-                f"{missing[0]}"
+                f"expected an index that the {len(self.bands)} bands of {self.sensor} give "
+                f"({listed(found) or 'none'}), but got {name!r}.{did_you_mean(name, found)}"
             )
-        image = jnp.stack([self[band] for band in BANDS])
-        return vegetation_indices(image, [name])[0]
+        return found[name]
 
     def to_xarray(self) -> "xr.Dataset":
         """The image as a dataset with CF names, units and coordinates from the scene's south-west
@@ -256,8 +259,7 @@ class Observation(eqx.Module):
         shown = ", ".join(f"{self.bands[i]} {mean[i]:.3f}" for i in some)
         return f"{text}; mean reflectance {shown}."
 
-    def _repr_html_(self) -> str:
-        return f"<p>{html.escape(str(self))}</p>"
+    _repr_html_ = as_html
 
 
 class Placement(eqx.Module):
@@ -659,56 +661,6 @@ def aim(
     )
 
 
-class LidarObservation(eqx.Module):
-    """What a LiDAR measures of a scene. Heights count from the bottom of the scene's grid."""
-
-    voxels: VoxelScene
-    """The scene in the laser's line."""
-    beams: LidarBeams
-    """The pulses."""
-    sublayers: int = eqx.field(static=True)
-    """Steps in which a pulse crosses a layer of voxels."""
-    waveforms: Waveforms
-    """Apparent reflectance in each sample of each pulse, without noise [-]."""
-    electrons: Float[Array, "beam sample"]
-    """What the receiver counts, its mean background taken off [-]."""
-    returns: LidarReturns
-    """Discrete returns."""
-
-
-def observe_lidar(
-    scene: Scene, parameters: PlotParameters, lidar: Lidar, *, noise: bool = False, seed: int = 0
-) -> LidarObservation:
-    """Fly a LiDAR over a scene: its pulses, their waveforms and returns.
-
-    **Arguments:**
-
-    - `scene`, `parameters`: as of `observe`.
-    - `lidar`: from `fynjax.sensors` or a file, which says where it flies.
-    - `noise`: whether the receiver is noisy.
-    - `seed`: of the places of the pulses, the leaves that they hit, which are always drawn, and the
-      noise.
-
-    **Raises:** `InputError` as `Lidar.beams`.
-
-    Which light it has, see `lidar_waveforms`. Not differentiable, as returns are found one by one;
-    `lidar_waveforms` is.
-    """
-    voxels = _voxels(scene, parameters, lidar.bands)
-    beams = lidar.beams(
-        scene.grid.extent[:2], top=voxels.height, ground=scene.ground_level, seed=seed
-    )
-    # Steps in a layer, so that a pulse moves by at most half a voxel in each.
-    slant = np.abs(beams.direction[:, 2]).min()
-    run = float(np.sqrt(1.0 - slant**2) / slant)
-    sublayers = max(int(np.ceil(2.0 * run * voxels.vertical / voxels.horizontal)), 1)
-    leaves, counting = jax.random.split(jax.random.key(seed))
-    waveforms = lidar_waveforms(voxels, lidar, beams, key=leaves, sublayers=sublayers)
-    electrons = received_electrons(lidar, beams, waveforms.total, key=counting if noise else None)
-    returns = detect_returns(lidar, beams, np.asarray(electrons), waveforms)
-    return LidarObservation(voxels, beams, sublayers, waveforms, electrons, returns)
-
-
 @partial(slope_of_fading, relative=True)
 def _seen(
     scene: Scene, parameters: PlotParameters, sensor: AimedSensor, sky: Float[Array, " band"] | None
@@ -723,11 +675,6 @@ def _seen(
 
 
 _atmosphere = eqx.filter_jit(PlotAir.atmosphere)
-
-
-@eqx.filter_jit
-def _voxels(scene: Scene, parameters: PlotParameters, bands: Any) -> VoxelScene:
-    return scene.voxels(parameters, bands)
 
 
 @eqx.filter_jit
@@ -784,7 +731,8 @@ def observe(
     **Arguments:**
 
     - `scene`: from `Scene.from_table`, `build_scene` or a plot file.
-    - `sensor`: name of a shipped one, or an object (`fx.sensor` reads files).
+    - `sensor`: name of a shipped one, or an object (`fx.sensor` reads files). Bands beyond the
+      spectra of leaves and ground are left out (`visible_sensor`).
     - `parameters`: instead of the scene's own; of the same species.
     - `pixel`, `altitude`: edge of a pixel on the ground, and height of an imaging sensor above the
       ground [m]; left out, as the sensor's file has them.
@@ -829,7 +777,9 @@ def observe(
         raise InputError("expected `placement`, or `pixel` and `altitude`, but got both")
     known = scene.parameters  # of an open scene the sun must be known, which is traced in a slope
     traced = any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(parameters))
-    aimed = aim(scene, known if traced else parameters, sensor, placement, **options)
+    aimed = aim(
+        scene, known if traced else parameters, visible_sensor(sensor), placement, **options
+    )
     return _measure(aimed, scene, parameters, jax.random.key(seed) if noise else None)
 
 

@@ -4,9 +4,11 @@ import dataclasses
 from typing import TYPE_CHECKING, Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from fynjax._core.html import as_html
 from fynjax._core.parameters import (
     CENTIMETRES,
     PERCENT,
@@ -306,6 +308,38 @@ class PlotParameters(eqx.Module):
     """Vectors over species; those of a species without leaves have no effect."""
     ground: GroundParameters
     light: LightParameters
+
+    def __str__(self) -> str:
+        """A line for each species with its main values, for the ground and for the light, in the
+        units that `fynjax.scene.with_values` takes."""
+        cover = self.species.cover
+        lines = [f"Parameters of {jnp.shape(cover)[-1]} species:"]
+        if isinstance(cover, jax.core.Tracer) or jnp.ndim(cover) != 1:
+            return lines[0].replace(":", f", shape {jnp.shape(cover)}")
+        main = {name: getattr(self.species, name) for name in _MAIN}
+        main["leaf.chlorophyll"] = self.leaf.chlorophyll
+        for i in range(cover.size):
+            lines.append(f"  {i + 1}: {_values({k: v[i] for k, v in main.items()})}")
+        for group in (self.ground, self.light):
+            name = type(group).__name__.removesuffix("Parameters").lower()
+            values = {f.name: getattr(group, f.name) for f in dataclasses.fields(group)}
+            lines.append(f"  {name}: {_values(values)}")
+        return "\n".join(lines)
+
+    _repr_html_ = as_html
+
+
+_MAIN = ("cover", "diameter", "height", "leaf_area_index", "dead_fraction")
+"""Parameters of a species that are printed."""
+
+
+def _values(values: dict[str, Array]) -> str:
+    """Values with their names and units."""
+    units = {name: PARAMETERS[parameter_kind(name)].unit for name in values}
+    return ", ".join(
+        f"{name} {float(v):.4g}{'' if units[name] == '-' else f' {units[name]}'}"
+        for name, v in values.items()
+    )
 
 
 PARAMETERS: dict[str, Parameter] = {

@@ -244,6 +244,10 @@ def known_planting(
     return dataclasses.replace(planting, place=jnp.zeros_like(planting.place))
 
 
+SPARE_SITES = 4
+"""Sites that a species has beyond those of its plants times the room."""
+
+
 def draw_planting(
     species: Sequence[Species],
     wanted: Float[np.ndarray, " species"],
@@ -284,7 +288,7 @@ def draw_planting(
     taxa = [one.taxon for one in species]
     feet = np.empty((0, 2))
     for times in _rooms(np.broadcast_to(np.asarray(room, float), len(species))):
-        needed = np.ceil(times * wanted).astype(int) + np.where(wanted > 0, 4, 0)
+        needed = np.ceil(times * wanted).astype(int) + np.where(wanted > 0, SPARE_SITES, 0)
         # A disk radius that leaves a tenth more points than plants; Bridson packs 0.6 / r2 of them.
         crowd = max(1.1 * float(needed.sum()), 1.0)
         if probability is not None:  # room to choose, lest the last species take what is left

@@ -21,6 +21,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from fynjax._core.errors import InputError, did_you_mean
+from fynjax._core.html import as_html
 from fynjax.canopy import (
     FORMS,
     PlantModel,
@@ -47,6 +48,7 @@ from fynjax.scene._parameters import (
     with_values,
 )
 from fynjax.scene._planting import (
+    SPARE_SITES,
     Crowns,
     Planting,
     draw_planting,
@@ -205,6 +207,12 @@ class Scene(eqx.Module):
     fading: Bool[Array, ""] = eqx.field(converter=jnp.asarray, default=False)
     """Whether the last plants of each species stand in part, as `site_weight` and `element_weight`
     have it, instead of whole plants: the stand whose slopes are taken (`slope_of_fading`)."""
+    seed: Int[np.ndarray | Array, ""] = eqx.field(default_factory=lambda: np.zeros((), int))
+    """Of what was drawn; no part of what is observed."""
+    probability: Float[np.ndarray, "y x"] | None = None
+    """Where plants were likely to stand, as of `PlantingRules`."""
+    shaped: bool = eqx.field(static=True, default=False)
+    """Whether some plants have shapes that were given, and not that of their growth form."""
 
     @classmethod
     def from_table(
@@ -344,6 +352,8 @@ class Scene(eqx.Module):
             )
         return "\n".join(lines)
 
+    _repr_html_ = as_html
+
     @property
     def taxa(self) -> tuple[str, ...]:
         """Names of the species."""
@@ -358,6 +368,55 @@ class Scene(eqx.Module):
     def branches(self) -> tuple[float, ...]:
         """Copies of the plant model that make one plant of each species [-]."""
         return tuple(one.branches for one in self.species)
+
+    def replanted(
+        self, number: int, counts: Float[np.ndarray, " species"] | None = None
+    ) -> "Scene":
+        """The same plot with plants of another chance, in other places, as `calibrate_plot` asks
+        for it. Known plants stay where they are.
+
+        **Arguments:**
+
+        - `number`: of the chance; 0 for the scene's own plants.
+        - `counts`: plants of each species that are to find sites, besides those that do.
+
+        **Raises:** `InputError` where there is no room for them, and for plants of given shapes,
+        which are drawn by `fynjax.assembly.build_plot`.
+        """
+        if self.known_plants:
+            return self
+        if self.shaped:
+            raise InputError("plants of given shapes cannot be drawn again")
+        seed, taxa = int(self.seed), len(self.taxa)
+        if number:
+            seed = int(np.random.SeedSequence([seed, 83, number]).generate_state(1)[0] >> 1)
+        species, stated = self.parameters.species, np.asarray(self.counts(self.parameters))
+        ready = np.bincount(np.asarray(self.planting.species), minlength=taxa) - SPARE_SITES
+        # As many sites as there are, whose number was rounded up.
+        room = np.where(stated > 0, (ready - 1.0) / np.where(stated > 0, stated, 1.0), 0.0)
+        room = np.maximum(room, PlantingRules.room)
+        if counts is not None:
+            room = np.maximum(room, room_needed(self, self.parameters, counts))
+        edge = self.grid.horizontal_size
+        planting = draw_planting(
+            self.species,
+            stated,
+            np.asarray(species.diameter),
+            np.asarray(species.height),
+            [None] * taxa,
+            extent=self.grid.extent[:2],
+            resolved=max(self.tuft, edge / self.finer) if self.finer else edge,
+            structured=self.finer > 0,
+            periodic=self.boundary == "periodic",
+            probability=self.probability,
+            room=room,
+            size_variation=PlantingRules.size_variation,
+            seed=seed,
+            dtype=self.dtype,
+        )
+        drawn = bool(np.asarray(self.rounding).any())
+        rounding = _rounding(taxa, [seed], self.dtype, drawn)
+        return dataclasses.replace(self, planting=planting, rounding=rounding)
 
     def faded(self, fading: bool = True) -> "Scene":
         """The same scene with plants that stand in part (`fading`), or with whole ones."""
@@ -491,7 +550,7 @@ class Scene(eqx.Module):
         if not planting.listed:
             raise InputError(
                 f"the area elements of {len(planting.first)} plants are too many to be in memory "
-                "at once: render the plot in tiles (`observe_in_tiles`, `fynjax render`), or take "
+                "at once: render the plot in tiles (`TiledPicture`, `fynjax render`), or take "
                 "a smaller plot or larger voxels"
             )
         count, fits = planting.plant.shape[0], self.finer and _holds(grid, self.tuft)
@@ -761,6 +820,9 @@ def build_scene(
         hot_spot=hot_spot,
         dtype=dtype,
         known_plants=crowns is not None,
+        seed=np.asarray(seed),
+        probability=rules.probability,
+        shaped=any(model is not None for model in models),
     )
     if finer:
         _check_structure(scene)

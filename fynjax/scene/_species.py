@@ -270,18 +270,22 @@ def species_rows(table: Any) -> tuple[SpeciesRow, ...]:
     **Arguments:**
 
     - `table`: a pandas frame or records with the columns of a species table; empty cells are left
-      out, and rows are counted from 1.
+      out, and rows are counted from 1. Or rows that were read.
 
     **Raises:** `InputError` with row and column for what is no table and for a row or a table that
     a file would not be taken with either. Warns as `check_species`.
     """
     import pandas as pd  # late: the command line need not wait for it
 
+    if isinstance(table, list | tuple) and table and isinstance(table[0], SpeciesRow):
+        check_species(list(enumerate(table, start=1)))
+        return tuple(table)
     try:
         frame = pd.DataFrame(table).astype(object)
     except (TypeError, ValueError) as error:
         raise InputError(
-            f"expected a species table, a pandas frame or records, but got {table!r:.60}"
+            f"expected a species table, a pandas frame or records, but got {table!r:.60}. "
+            "`fx.read_scene` reads files"
         ) from error
     if frame.empty:
         raise InputError("expected a species table with rows, but it has none")

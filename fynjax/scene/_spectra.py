@@ -14,7 +14,7 @@ from jaxtyping import Float
 from fynjax._core.errors import InputError
 from fynjax.leaf import LeafParameters, prospect
 from fynjax.radiation import canopy_reflectance
-from fynjax.sensors import BandSet
+from fynjax.sensors import BandSet, Sensor
 
 LOWEST, HIGHEST = 400.0, 2500.0
 """Range of the spectra of leaves and ground, and so of a scene [nm]."""
@@ -73,6 +73,24 @@ def band_wavelengths(bands: BandSet) -> Float[np.ndarray, " wavelength"]:
         high = max(points[-1] for points, _ in bands.curves)
     step = max(1.0, round(float(width.min()) / 10))
     return np.arange(max(LOWEST, np.floor(low)), min(HIGHEST, np.ceil(high)) + step / 2, step)
+
+
+def visible_sensor(sensor: Sensor) -> Sensor:
+    """A sensor without the bands that the spectra of a plot do not cover (400 to 2500 nm).
+
+    **Arguments:** `sensor`, as of `fynjax.sensors.shipped_sensor`.
+
+    **Returns:** `sensor` itself where they cover all of its bands.
+
+    **Raises:** `InputError` where they cover none.
+    """
+    places = sensor.bands.covered(np.arange(LOWEST, HIGHEST + 1.0))
+    if not places:
+        raise InputError(
+            f"sensor {sensor.name!r} has no band within {LOWEST:g} to {HIGHEST:g} nm, where leaves "
+            "and ground have spectra"
+        )
+    return sensor if len(places) == len(sensor.bands) else sensor.select(places)
 
 
 def background_spectrum(

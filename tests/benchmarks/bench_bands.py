@@ -12,8 +12,8 @@ import numpy as np
 
 from fynjax.assembly import aim_at_plot, build_plot
 from fynjax.io.instruments import load_sensor
-from fynjax.io.plot import AtmosphereTable, visible_sensor
-from fynjax.scene import AimedSensor, PlotParameters, Scene
+from fynjax.io.plot import AtmosphereTable
+from fynjax.scene import AimedSensor, PlotParameters, Scene, visible_sensor
 from tests.benchmarks._measure import compiled, example_plot, options
 
 ONE_BAND = 860.0

@@ -17,7 +17,7 @@ import numpy as np
 from scipy import stats
 
 from fynjax._core.progress import progress, track
-from fynjax._core.sampling import ensemble, hamiltonian
+from fynjax._core.sampling import Ensemble, Hamiltonian
 from fynjax.leaf._error_model import bin_centres
 from fynjax.leaf._posterior import free_columns, leaf_density, of_many
 from fynjax.leaf._problem import Setup, leaf_problems, make_setup
@@ -72,10 +72,10 @@ def ranks(
         options: dict[str, Any] = {"target": 4.0 * DRAWS, "steps": 20_000, "seed": seed + i}
         if sampler == "emcee":
             start = random.multivariate_normal(state.z[i, columns], covariance, 32)
-            drawn = ensemble(partial(of_many, density), start, **options)
+            drawn = Ensemble(partial(of_many, density), start, **options).run()
         else:
             start = random.multivariate_normal(state.z[i, columns], covariance, 4)
-            drawn = hamiltonian(density, start, covariance, **options)
+            drawn = Hamiltonian(density, start, covariance, **options).run()
         short += drawn.status != "converged"
         flat = drawn.chain.reshape(-1, columns.size)
         picked = flat[random.choice(len(flat), DRAWS, replace=False)]

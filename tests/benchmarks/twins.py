@@ -310,7 +310,8 @@ def report(chosen, ready, views, twins):
     score = (truth - estimate) / sd
     print(f"{len(twins)} twins of {chosen.size:g} m, {len(names)} parameters")
     print(f"converged {np.mean([t['converged'] for t in twins]):.2f}")
-    print(f"CPU s a twin, median {np.median([t['seconds'] for t in twins]):.0f}")
+    if not chosen.line:
+        print(f"CPU s a twin, median {np.median([t['seconds'] for t in twins]):.0f}")
     for share in SHARES:
         inside = np.abs(score) < ndtri(0.5 + 0.5 * share)
         # Parameters of one twin hang together: the error is that of the mean over twins.

@@ -5,6 +5,7 @@ The jobs themselves are stood in for: what is tested is the door, not the house.
 
 import json
 import os
+import re
 import subprocess
 import sys
 import time
@@ -83,6 +84,36 @@ def test_help_has_an_example(command):
     assert f"Example:  fynjax {command}" in result.output
     for option in ("--output", "--seed", "--json", "--quiet"):
         assert option in result.output
+
+
+def test_commands_are_shown_by_what_they_are_about(capsys):
+    shown = CliRunner().invoke(app, ["--help"]).output
+    titles = re.findall(r"─ ([A-Z][a-z ]+) ─", shown)
+    panels = ["Plot", "Leaf", "Sensors", "Inversion", "Validation", "Many plots"]
+    assert titles == ["Options", *panels]
+    assert shown.index("─ Inversion ─") < shown.index("posterior") < shown.index("─ Validation ─")
+    group = CliRunner().invoke(app, ["bioscape", "--help"]).output
+    assert all(re.search(rf"│ {name} ", group) for name in ("plots", "learn", "validate"))
+    assert "No such command 'learn'" in one_line(*call(capsys, "learn"))
+
+
+def test_values_with_commas_are_read_and_a_wrong_one_names_its_option(capsys, calls, tmp_path):
+    spectrum = tmp_path / "a.csv"
+    line = ["fit-leaf", spectrum, "--output", tmp_path / "o", "--detector-changes"]
+    assert call(capsys, *line, "1000, 1830")[0] == 0
+    assert calls[0][1]["detector_changes"] == [1000.0, 1830.0]
+    err = one_line(*call(capsys, *line, "1000;1830"))
+    assert "`--detector-changes` must be wavelengths in nm" in err
+    assert "1000;1830" in err
+
+
+def test_an_error_of_a_job_names_options(capsys, calls, monkeypatch, tmp_path):
+    def plant(source, *, output, n_elements, seed, branches):
+        raise InputError("`n_elements` is too small for `area`", file="a.obj")
+
+    monkeypatch.setattr(jobs, "plant", plant, raising=False)
+    err = one_line(*call(capsys, "plant", "a.obj", "--output", tmp_path / "o"))
+    assert err == "fynjax: error: a.obj: `--elements` is too small for `area`\n"
 
 
 def test_help_and_version_are_fast_and_load_no_jax():

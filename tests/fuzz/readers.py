@@ -12,6 +12,7 @@ from typing import Any
 import jax.numpy as jnp
 import laspy
 import numpy as np
+import openpyxl
 import rasterio
 import trimesh
 import xarray as xr
@@ -273,6 +274,19 @@ def _written(path: Path, text: str) -> Path:
 
 _PANEL = "band,reflectance\nBlue,0.5\nRed,0.5\nNIR,0.5\n"
 _STATISTICS = "statistic,value,sd\ngreen.mean,0.05,0.001\nnir.mean,0.3,0.01\nNDVI.std,0.1,\n"
+
+
+def _workbook(folder: Path) -> None:
+    book = openpyxl.Workbook()
+    for row in _STATISTICS.splitlines():
+        book.active.append([_cell(cell) for cell in row.split(",")])
+    book.save(folder / "statistics.xlsx")
+
+
+def _cell(text: str) -> float | str:
+    return float(text) if text[:1].isdigit() else text
+
+
 _STRUCTURE = "metric,value,sd,grain_m,returns_m2\nrugosity,0.8,0.05,1,50\nheight_cv,1.1,,1,50\n"
 _COLUMNS = "wavelength_nm,leaf\n" + _rows(_WAVES, _GREEN)
 _EXPORT = "Wavelength\tleaf.asd\n" + _COLUMNS.split("\n", 1)[1].replace(",", "\t")
@@ -448,6 +462,7 @@ READERS: dict[str, Reader] = {
     "statistics": Reader(
         _text("statistics.csv", _STATISTICS), _one("statistics.csv", read_statistics), True
     ),
+    "workbook": Reader(_workbook, _one("statistics.xlsx", read_statistics), True),
     "structure": Reader(
         _text("structure.csv", _STRUCTURE), _one("structure.csv", read_structure), True
     ),

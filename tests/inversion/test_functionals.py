@@ -79,6 +79,13 @@ def test_what_data_say_of_the_stand_is_more_than_of_any_parameter(plot):
     assert row.constrained > 0.95
     assert np.max(np.asarray(found.constrained)) < row.constrained - 0.2
     assert f"green leaf area {row.estimate:.3g} [" in stand_sentence(table.reset_index())
+    ends = np.stack([np.asarray(found.whitened), np.zeros(len(space.names))])
+    drawn = stand_table(scene, parameters, found, draws=np.repeat(ends, [90, 10], axis=0))
+    of_draws = drawn.set_index("name").loc["green_leaf_area"]
+    assert of_draws.estimate == pytest.approx(row.estimate, rel=1e-6)
+    assert of_draws.q05 == pytest.approx(usual, rel=1e-3)
+    assert of_draws.q95 == pytest.approx(row.estimate, rel=1e-6)
+    np.testing.assert_allclose(drawn["prior"], table["prior"])
 
 
 def test_a_fit_prints_what_it_found(plot):

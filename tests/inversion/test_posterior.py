@@ -3,7 +3,7 @@
 import signal
 import subprocess
 import sys
-import textwrap
+from collections import deque
 from functools import cache
 from pathlib import Path
 
@@ -13,9 +13,17 @@ import numpy as np
 import pytest
 from scipy.integrate import trapezoid
 
+from fynjax._core.checkpoint import Journal, signature
 from fynjax._core.errors import InputError, MissingExtraError
-from fynjax._core.sampling import ensemble
-from fynjax.inversion import Data, LogPosterior, ParameterSpace, fit, sample_posterior
+from fynjax._core.sampling import ChainState, Ensemble
+from fynjax.inversion import (
+    Data,
+    LogPosterior,
+    ParameterSpace,
+    PosteriorSampler,
+    fit,
+    sample_posterior,
+)
 from fynjax.inversion._posterior import _flatness
 from fynjax.inversion._posterior_result import _arviz
 from tests.heard import hearing
@@ -72,9 +80,9 @@ def test_draws_are_those_of_the_normal_posterior(method):
 def test_the_ensemble_is_as_wide_as_what_it_samples():
     """Six unit normals. A move that is not quite right shows here first: 4 % of the width."""
     start = np.random.default_rng(0).normal(size=(32, 6))
-    found = ensemble(
+    found = Ensemble(
         lambda z: -0.5 * (z**2).sum(axis=1), start, target=6000.0, steps=20_000, seed=1
-    )
+    ).run()
     assert found.status == "converged"
     # The mean of six widths, each of 6000 draws, is known to 0.4 %.
     assert found.chain.reshape(-1, 6).std(axis=0).mean() == pytest.approx(1.0, abs=0.015)
@@ -197,52 +205,58 @@ def test_wrong_arguments_are_refused(options, text):
         sample_posterior(predict, DATA, SPACE, **options)
 
 
-@pytest.mark.parametrize(
-    ("module", "line"), [("h5py", r"fynjax\[posterior\]"), ("blackjax", r"fynjax\[nuts\]")]
-)
-def test_a_missing_extra_names_the_line_to_type(monkeypatch, tmp_path, module, line):
-    monkeypatch.setitem(sys.modules, module, None)
-    method = "nuts" if module == "blackjax" else "emcee"
-    with pytest.raises(MissingExtraError, match=line):
-        sample_posterior(predict, DATA, SPACE, method=method, checkpoint=tmp_path / "chain.h5")
+def test_a_missing_extra_names_the_line_to_type(monkeypatch):
+    monkeypatch.setitem(sys.modules, "blackjax", None)
+    with pytest.raises(MissingExtraError, match=r"fynjax\[nuts\]"):
+        sample_posterior(predict, DATA, SPACE, method="nuts")
 
 
 # -- interrupted ----------------------------------------------------------------------------
 
+
+def sampler(method, **options):
+    return PosteriorSampler(predict, DATA, SPACE, method=method, target=300.0, **options)
+
+
+def followed(method, folder, **options):
+    """The posterior, with the states kept in a folder."""
+    goes = sampler(method, **{"max_steps": 1500} | options)
+    journal = Journal(folder, signature(goes.signed))
+    (end,) = deque(journal.states("chain", ChainState, goes.states), maxlen=1)
+    return goes.posterior(end)
+
+
 CUT = """
-import signal, sys
+import signal, sys, time
 # A shell that runs the tests in the background has them ignore Ctrl-C.
 signal.signal(signal.SIGINT, signal.default_int_handler)
-import fynjax._core.sampling as sampling
-sampling._SAVE_SECONDS = 0.0
-from fynjax.inversion import sample_posterior
-from fynjax.inversion._posterior_result import _arviz
+import fynjax._core.checkpoint as checkpoint
+checkpoint._KEEP_SECONDS = float(sys.argv[3])
 from tests.heard import Heard, listening
-from tests.inversion.linear import DATA, SPACE, predict
+from tests.inversion.test_posterior import followed
 
 class Slow(Heard):
     def advance(self, n, **info):
         super().advance(n)
         if self.count > 60:
             print("far", flush=True)
-            import time; time.sleep(60)
+            time.sleep(60)
 with listening(Slow()):
-    sample_posterior(predict, DATA, SPACE, method=sys.argv[1], target=300.0, max_steps=1500,
-                     checkpoint=sys.argv[2])
+    followed(sys.argv[1], sys.argv[2])
 """
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("method", "end"), [("emcee", signal.SIGKILL), ("nuts", signal.SIGINT)])
-def test_a_killed_run_goes_on_as_if_it_had_not_been(tmp_path, method, end):
+@pytest.mark.parametrize(
+    ("method", "end", "seconds"), [("emcee", signal.SIGKILL, 0), ("nuts", signal.SIGINT, 1000)]
+)
+def test_a_killed_run_goes_on_as_if_it_had_not_been(tmp_path, method, end, seconds):
+    """What was done before the end is kept: by a kill what was written, else all of it."""
     need(method)
-    pytest.importorskip("h5py", reason="the extra `posterior` is not installed")
-    limits = {"method": method, "target": 300.0, "max_steps": 1500}
-    whole = sample_posterior(predict, DATA, SPACE, **limits)
-    path = tmp_path / "chain"
+    whole = sampler(method, max_steps=1500).posterior()
     root = Path(__file__).resolve().parents[2]
     run = subprocess.Popen(
-        [sys.executable, "-c", textwrap.dedent(CUT), method, str(path)], cwd=root,
+        [sys.executable, "-c", CUT, method, str(tmp_path), str(seconds)], cwd=root,
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
     assert run.stdout.readline().strip() == "far"
@@ -250,19 +264,37 @@ def test_a_killed_run_goes_on_as_if_it_had_not_been(tmp_path, method, end):
     assert run.wait(timeout=120) != 0
     for pipe in (run.stdout, run.stderr):
         pipe.close()
-    assert path.exists()
     with hearing() as heard:
-        rest = sample_posterior(predict, DATA, SPACE, checkpoint=path, **limits)
-    assert heard.steps[0] > 50  # what was done before the end counts at once
+        rest = followed(method, tmp_path)
+    assert heard.steps[0] >= 50  # what was done before the end counts at once
     np.testing.assert_array_equal(rest.whitened, whole.whitened)
+    np.testing.assert_array_equal(rest.log_density, whole.log_density)
     np.testing.assert_array_equal(rest.predicted, whole.predicted)
-    again = sample_posterior(predict, DATA, SPACE, checkpoint=path, **limits)
-    np.testing.assert_array_equal(again.whitened, whole.whitened)
-    with pytest.raises(InputError, match="another problem"):
-        sample_posterior(predict, DATA, SPACE, checkpoint=path, seed=1, **limits)
-    path.write_bytes(b"not a chain")
+    assert (rest.acceptance, rest.status) == (whole.acceptance, whole.status)
+    np.testing.assert_array_equal(followed(method, tmp_path).whitened, whole.whitened)
+    with pytest.raises(InputError, match="of another run"):
+        followed(method, tmp_path, seed=1)
+    (tmp_path / "calibration.chain.npz").write_bytes(b"not a chain")
     with pytest.raises(InputError, match="no checkpoint"):
-        sample_posterior(predict, DATA, SPACE, checkpoint=path, **limits)
+        followed(method, tmp_path)
+
+
+@pytest.mark.parametrize("method", ["emcee", "nuts"])
+def test_a_chain_that_was_too_short_goes_on(method):
+    """From every state, and as one that may be so long from the start."""
+    need(method)
+    short = list(sampler(method, max_steps=70, warmup=30).states())
+    long = sampler(method, max_steps=120, warmup=30)
+    whole = list(long.states())
+    assert [len(state.chain) for state in short][-1] == 70 + 30 * (method == "nuts")
+    for state in (short[1], short[-1]):
+        *_, end = long.states(state)
+        np.testing.assert_array_equal(end.chain, whole[-1].chain)
+        np.testing.assert_array_equal(end.accepted, whole[-1].accepted)
+    assert long.posterior(whole[0]).status.startswith("not converged: no steps")
+    np.testing.assert_array_equal(
+        long.posterior(whole[-1]).predicted, long.posterior(whole[-1]).predicted
+    )
 
 
 # -- what is saved --------------------------------------------------------------------------

@@ -19,8 +19,8 @@ def deviations(stands, lack_sd, count=2000):
     random = np.random.default_rng(5)
     squares, stated = np.zeros(3), np.zeros(3)
     for _ in range(count):
-        cheap = SD * random.normal(size=(stands, 3))
-        draws = np.concatenate([cheap, cheap])  # each set of sites twice
+        coarse = SD * random.normal(size=(stands, 3))
+        draws = np.concatenate([coarse, coarse])  # each set of sites twice
         lack = lack_sd * SD * random.normal(size=(2, 3))
         expectation = draws.mean(axis=0) + lack.mean(axis=0)
         squares += (SD * random.normal(size=3) - expectation) ** 2 / count

@@ -1,5 +1,7 @@
 """Sensitivities against closed forms: slopes, and the function of Ishigami and Homma (1990)."""
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -7,6 +9,7 @@ import pytest
 
 from fynjax._core.checkpoint import Journal
 from fynjax._core.errors import InputError, MissingExtraError
+from fynjax._core.parts import Pool
 from fynjax.inversion import (
     ParameterSpace,
     derivative_measures,
@@ -185,6 +188,11 @@ def test_there_are_as_many_plantings_as_the_leading_elasticities_need():
         run(most=1)
 
 
+def kept(folder):
+    """How parts are done that a folder keeps."""
+    return partial(Pool().all, journal=Journal(folder, "s"))
+
+
 def test_plantings_are_kept_and_counted(tmp_path):
     asked = []
 
@@ -197,9 +205,9 @@ def test_plantings_are_kept_and_counted(tmp_path):
 
     options = {"accuracy": 0.0, "most": 20}
     with pytest.raises(KeyboardInterrupt):
-        expected(planting, journal=Journal(tmp_path, "s"), **options)
+        expected(planting, do=kept(tmp_path), **options)
     with hearing() as heard:
-        again = expected(planting, journal=Journal(tmp_path, "s"), **options)
+        again = expected(planting, do=kept(tmp_path), **options)
     assert asked == [*range(10), None, *range(10, 20)]
     assert heard.count == sum(total for _, total in heard.stages) == 20
     assert heard.stages[-1] == ("Slopes of plantings 17 to 20", 4)
@@ -241,8 +249,8 @@ def test_interrupted_runs_go_on_and_give_what_one_run_does(tmp_path, monkeypatch
     pytest.importorskip("SALib", reason="the extra `sensitivity` is not installed")
     memory, calls, real = [], [], module._values
 
-    def both(journal=None):
-        options = {"over": "bounds", "samples": 16, "journal": journal}
+    def both(**how):
+        options = {"over": "bounds", "samples": 16, **how}
         slopes = derivative_measures(ishigami, CUBE, METRICS, **options)
         return slopes, sobol_indices(ishigami, CUBE, METRICS, **options)
 
@@ -263,8 +271,8 @@ def test_interrupted_runs_go_on_and_give_what_one_run_does(tmp_path, monkeypatch
     monkeypatch.setattr(module, "_values", interrupted)
     for _ in range(2):
         with pytest.raises(KeyboardInterrupt):
-            both(Journal(tmp_path / "kept", "s"))
-    again = both(Journal(tmp_path / "kept", "s"))
+            both(do=kept(tmp_path / "kept"))
+    again = both(do=kept(tmp_path / "kept"))
     for a, b in zip(jax.tree.leaves(again), jax.tree.leaves(whole), strict=True):
         np.testing.assert_array_equal(a, b)
     # 16 points of slopes by 4 times 2, then 80 runs by 4 times 4.

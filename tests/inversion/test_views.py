@@ -46,9 +46,9 @@ from fynjax.inversion import (
 )
 from fynjax.inversion._calibrate import _gains
 from fynjax.inversion._fit_result import fit_result, scatter_covariance, status_of
+from fynjax.inversion._search import Expectation
 from fynjax.inversion._views import (
     Directions,
-    _projections,
     informative_directions,
     radiometric_covariance,
 )
@@ -57,6 +57,7 @@ from fynjax.jobs._run import Run
 from fynjax.metrics import STRUCTURE_METRICS, voxel_structure
 from fynjax.radiation import parallel_rays, reflectance_factor, solve_light
 from fynjax.scene import stand_realisation, with_values
+from fynjax.scene._structure import _projections
 from fynjax.sensors import BandSet, Gains
 from tests.heard import hearing
 from tests.scene.plots import TAXA, densities, drone, small_parameters, small_plot
@@ -141,10 +142,10 @@ def test_slopes_of_each_view_are_those_of_central_differences(plot, views, numbe
     """
     model, parameters, space = plot
     model = model.faded()
-    cheap = views[number].for_search(model, ACCURACY, 3)
-    predict = PlotForward(parameters, space.names, [cheap])
-    none = jnp.zeros(len(cheap.names))
-    density = LogPosterior(predict, space, Data(cheap.names, none, none + 1), none, (model,))
+    coarse = views[number].for_search(model, ACCURACY, 3)
+    predict = PlotForward(parameters, space.names, [coarse])
+    none = jnp.zeros(len(coarse.names))
+    density = LogPosterior(predict, space, Data(coarse.names, none, none + 1), none, (model,))
     u = 0.3 * jnp.arange(-2.0, len(space.names) - 2.0)
     value, rows = statistics_and_jacobian(density, u)
     weight = np.random.default_rng(5).normal(size=value.size) / np.asarray(value)
@@ -172,8 +173,8 @@ def test_a_second_forward_model_of_the_same_shapes_compiles_nothing(plot, views)
     at, results = space.prior, []
     other = with_values(parameters, TAXA, {"ground.brightness": jnp.asarray(0.5)})
     for plant, start in ((model, parameters), (stand_realisation(model, 1), other)):
-        quick, cheap = search_form(plant, start, views[1:2], accuracy=ACCURACY)
-        results.append(predict(PlotForward(start, space.names, cheap), at, quick))
+        quick, coarse = search_form(plant, start, views[1:2], accuracy=ACCURACY)
+        results.append(predict(PlotForward(start, space.names, coarse), at, quick))
     assert traced == [1]
     assert np.abs(results[0] - results[1]).max() > 1e-3
 
@@ -193,7 +194,7 @@ def test_errors_of_a_spectrum_are_shared_by_its_bands():
     expected = [[alone[0], together], [together, alone[1]]]
     np.testing.assert_allclose(covariance, expected, rtol=1e-10)
     np.testing.assert_allclose(data.sd, np.sqrt(alone))
-    # A factor common to all bands is cheap, the same deviations with unlike signs are not.
+    # A factor common to all bands costs little, the same deviations with unlike signs are not.
     gain, shape = (
         float(jnp.sum(data.whiten(jnp.asarray(d)) ** 2)) for d in ([0.003, 0.012], [0.003, -0.012])
     )
@@ -228,7 +229,7 @@ class Sums(AbstractView):
 
     names: tuple[str, ...] = eqx.field(static=True, default=("a", "b", "c", "d"))
     lack: float = eqx.field(static=True, default=0.0)
-    """What the cheap form is off by."""
+    """What the coarse form is off by."""
 
     def observe(self, model, parameters):
         height, cover = parameters.species.height, parameters.species.cover
@@ -313,6 +314,18 @@ def test_a_search_from_several_starts_goes_on_within_any_of_them(sums, tmp_path)
         followed(sums, folder, starts=3)
     forget_journal(folder)
     assert not folder.exists()
+
+
+def test_a_calibration_tells_of_each_evaluation(sums):
+    with hearing() as heard:
+        found = calibrated(sums, max_steps=2)
+    assert heard.stages == [("Calibrate", 3)]
+    assert heard.count == len(found.fit.loss)
+    assert heard.shown[0] == {
+        "stage": "round 1",
+        "loss": f"{found.fit.loss[0]:.1f}",
+        "gradient": f"{found.fit.gradient_norm[0]:.1f}",
+    }
 
 
 def test_what_was_kept_is_not_done_again(sums, whole, tmp_path, monkeypatch):
@@ -496,7 +509,7 @@ def test_a_search_that_starts_at_its_optimum_has_converged(sums):
 
 
 class Misleading(Sums):
-    """Its cheap form falls where the full one rises."""
+    """Its coarse form falls where the full one rises."""
 
     def for_search(self, scene, accuracy, stride):
         return dataclasses.replace(self, lack=-3.0)
@@ -598,7 +611,7 @@ def test_data_count_as_one_draw_of_what_plantings_scatter(chance):
     cover = np.asarray(found.after.species.cover)
     values = np.array([cover[0], cover[1], cover[0] + cover[1]])
     draws = np.array([values * (1.0 + 0.1 * e) + e for e in places])
-    # The full form is that of fewer plantings, but it is the cheap one: nothing is lacking.
+    # The full form is that of fewer plantings, but it is the coarse one: nothing is lacking.
     np.testing.assert_allclose(found.statistics_after, draws.mean(axis=0), rtol=1e-3)
     extra = np.asarray(found.data.covariance) - 0.01**2 * np.eye(3)
     sample = np.cov(draws.T)
@@ -732,10 +745,10 @@ def test_slopes_along_directions_are_those_of_central_differences(plot, views):
     model = model.faded()
     rows = np.random.default_rng(6).normal(size=(2, len(views[0].names)))
     chosen = Directions(jnp.asarray(rows), jnp.asarray(np.linalg.pinv(rows)))
-    cheap = dataclasses.replace(views[0].for_search(model, ACCURACY, 3), directions=chosen)
-    none = jnp.zeros(len(cheap.names))
-    predict = PlotForward(parameters, space.names, [cheap])
-    density = LogPosterior(predict, space, Data(cheap.names, none, none + 1), none, (model,))
+    coarse = dataclasses.replace(views[0].for_search(model, ACCURACY, 3), directions=chosen)
+    none = jnp.zeros(len(coarse.names))
+    predict = PlotForward(parameters, space.names, [coarse])
+    density = LogPosterior(predict, space, Data(coarse.names, none, none + 1), none, (model,))
     u, step = 0.3 * jnp.arange(-2.0, len(space.names) - 2.0), 1e-5
     value, slopes = statistics_and_jacobian(density, u)
     np.testing.assert_allclose(value, predicted_statistics(density, u), rtol=1e-9)
@@ -767,16 +780,16 @@ def test_a_surrogate_bends_as_the_model_does(sums):
     """Quadratic statistics are met where linear ones are not."""
     model, start, _, space = sums
     whole = calibrated(sums, stand_realisations=8, scatter_draws=8)
-    cheap = whole.coarse_views
-    surrogate, error = fit_surrogate(whole, start, cheap)
+    coarse = whole.coarse_views
+    surrogate, error = fit_surrogate(whole)
     assert error.max() < 0.5
     fit = whole.fit
-    lack = Sums().predict(model, whole.after) - cheap[0].predict(model, whole.after)
+    lack = Sums().predict(model, whole.after) - coarse[0].predict(model, whole.after)
     near = np.random.default_rng(9).multivariate_normal(fit.whitened, 4.0 * fit.covariance, 100)
     bent, straight = [], []
     for u in map(jnp.asarray, near):
         plot = with_values(start, TAXA, space.named(u))
-        true = cheap[0].predict(model, plot) + lack
+        true = coarse[0].predict(model, plot) + lack
         bent.append(fit.data.whiten(surrogate(space.physical(u)) - true))
         linear = fit.predicted + fit.jacobian @ (u - fit.whitened)
         straight.append(fit.data.whiten(linear - true))
@@ -940,14 +953,21 @@ def test_a_twin_of_three_sensors_is_reproduced():
 
 @pytest.mark.parametrize(
     "solver",
-    [optx.Dogleg(1e-4, 1e-4), jaxopt.LBFGSB(fun=jnp.sum, tol=1e-3)],
+    [
+        optx.Dogleg(1e-4, 1e-4),
+        pytest.param(jaxopt.LBFGSB(fun=jnp.sum, tol=1e-3), marks=pytest.mark.slow),
+    ],
     ids=["Dogleg", "LBFGSB"],
 )
-def test_a_calibration_takes_any_solver(sums, whole, solver):
-    """To the same estimate, with errors and rounds of its own search."""
-    model, start, data, space = sums
-    settings = CalibrationSettings(stand_realisations=2, scatter_draws=3, max_steps=60)
-    found = calibrate_plot(model, start, data, space, (Sums(),), settings, solver=solver)
+def test_a_calibration_takes_any_solver(sums, whole, solver, monkeypatch):
+    """To the same estimate, with errors and rounds of its own search; compiled once for all."""
+    traced, real = [], Expectation.statistics
+    monkeypatch.setattr(Expectation, "statistics", lambda *a: (traced.append(1), real(*a))[1])
+    calibrated(sums, rounds=1, max_steps=60, solver=solver)
+    compiled = len(traced)
+    assert compiled > 0
+    found = calibrated(sums, max_steps=60, solver=solver)
+    assert len(traced) == compiled
     assert found.fit.converged
     sd = np.sqrt(np.diagonal(whole.fit.covariance))
     assert (

@@ -15,10 +15,9 @@ from fynjax.io.plot import (
     plot_instrument,
     read_plot,
     sensor_place,
-    visible_sensor,
 )
 from fynjax.metrics import BANDS
-from fynjax.scene import PlotAir
+from fynjax.scene import PlotAir, visible_sensor
 from fynjax.sensors import SPACE, Atmosphere, BandSet
 
 HEAD = """

@@ -126,6 +126,11 @@ def test_excel_workbooks(tmp_path, monkeypatch):
         with pytest.raises(InputError, match=words):
             read_rows(workbook(tmp_path / "bad.xlsx", *sheets), NamedRow, "a table")
     book = openpyxl.load_workbook(path)
+    book["sheet 1"]["XFD9999"] = 1
+    book.save(tmp_path / "wide.xlsx")
+    with pytest.raises(InputError, match="'sheet 1' reaches to A1:XFD9999"):
+        read_rows(tmp_path / "wide.xlsx", NamedRow, "a table")
+    del book["sheet 1"]._cells[9999, 16384]
     book["sheet 1"]["B3"].number_format = "0.00%"
     book.save(tmp_path / "percent.xlsx")
     with pytest.raises(InputError, match=r"row 3, column 'a_m': .*Leave out the unit"):
@@ -274,3 +279,37 @@ def test_cells_at_the_end_may_be_empty_in_all_rows(tmp_path):
     read = read_statistics(path)
     np.testing.assert_array_equal(read.value, [0.7, 0.1])
     np.testing.assert_array_equal(read.sd, [0.01, np.nan])
+
+
+@pytest.mark.parametrize("remark", ["", "# a remark\n"])
+def test_numbers_that_are_none(tmp_path, remark):
+    path = tmp_path / "table.csv"
+    path.write_text("wavelength;leaf\n400;0,1\n410;-999\n420;0,2\n" + remark)
+    (spectrum,) = read_file(path)
+    np.testing.assert_array_equal(spectrum.reflectance, [0.1, np.nan, 0.2])
+    for cell in ("inf", "1e999", "-nan"):
+        path.write_text(f"x,y,z\n1,2,3\n1,2,{cell}\n{remark}")
+        with pytest.raises(InputError, match=f"row 3, column 'z': expected a number, .*'{cell}'"):
+            open_points(path, "a table", "xyz").columns([0, 1, 2])
+
+
+def test_decimal_marks_are_compared_through_the_whole_table(tmp_path, monkeypatch):
+    monkeypatch.setattr("fynjax._core.tables._BATCH", 6)
+    path = tmp_path / "table.csv"
+    path.write_text("x;y;z\n1;2;3\n1;2,5;3\n" + "1;2;3\n" * 9 + "1;2;1.234\n")
+    with pytest.raises(InputError, match=r"row 13, column 'z': .*'1.234' here and '2,5' in row 3"):
+        open_points(path, "a table", "xyz").columns([0, 1, 2])
+
+
+def test_letters_that_look_like_those_of_another_encoding_are_said(tmp_path):
+    path = tmp_path / "table.csv"
+    path.write_bytes("taxon,a_m\nCafé,1\n".encode("mac_roman"))
+    with pytest.warns(UserWarning, match="read as Windows-1252, with 'Ž' in it"):
+        assert read_rows(path, NamedRow, "a table")[0][1].taxon == "CafŽ"
+
+
+def test_an_error_of_a_spreadsheet_is_no_comment(tmp_path):
+    path = tmp_path / "table.csv"
+    path.write_text("a_m;taxon\n1;x\n#N/A;y\n# z\n")
+    with pytest.raises(InputError, match=r"row 3, column 'a_m': .*'#N/A'. An error of the spread"):
+        read_rows(path, NamedRow, "a table")

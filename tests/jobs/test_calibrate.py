@@ -69,7 +69,8 @@ def test_a_table_of_statistics_is_approached(tmp_path):
     other = calibrate(path, table, output, seed=0)
     assert misfit(other, "after") < 0.2 * misfit(other, "before")
     # No index is a target, so the headline has none.
-    assert other.headline[0].startswith("small: largest error of a band mean")
+    assert other.headline[0].startswith("The stand: green leaf area ")
+    assert other.headline[1].startswith("small: largest error of a band mean")
     assert "nan" not in " ".join(other.headline)
     page = (output / "report.html").read_text("utf-8")
     assert "nan %" not in page

@@ -424,7 +424,11 @@ def test_full_posteriors_of_chosen_pixels_stand_beside_the_map(
     assert "row 3, column 2" in (tmp_path / "out" / "report.html").read_text()
     assert not (tmp_path / "work").exists()
     (alone,) = run("alone", [(3, 2), (3, 2)]).posteriors
-    assert alone == first
+    assert alone.effective_size == first.effective_size
+    for one, other in zip(alone.quantities, first.quantities, strict=True):
+        assert [one.mean, one.sd, one.q05, one.median, one.q95] == [
+            other.mean, other.sd, other.q05, other.median, other.q95,
+        ]  # fmt: skip
 
 
 def test_a_pixel_that_did_not_converge_is_said_first(trained, known, tmp_path, monkeypatch):

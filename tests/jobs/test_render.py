@@ -37,20 +37,25 @@ def test_an_interrupted_large_image_goes_on(tmp_path, monkeypatch):
     """Tiles that the checkpoint keeps are not made again; it is of one plot and seed."""
     plot, made = test_simulate.write_plot(tmp_path), []
 
-    def tiles(camera, scene, parameters, *, keep):
-        def step():
-            made.append(len(made))
-            return (np.full((len(camera.sensor.bands), *camera.shape), 0.2),)
+    class Picture:
+        tiles = ((0, 0), (0, 1))
 
-        (image,) = keep(step)
-        return image
+        def __init__(self, camera, scene, parameters):
+            self.half = np.full((len(camera.sensor.bands), *camera.shape), 0.1)
+
+        def render(self, tile):
+            made.append(tile)
+            return self.half
+
+        def image(self, rendered):
+            return sum(rendered)
 
     monkeypatch.setattr("fynjax.jobs._render.is_large", lambda *_: True)
-    monkeypatch.setattr("fynjax.jobs._render.observe_in_tiles", tiles)
+    monkeypatch.setattr("fynjax.jobs._render.TiledPicture", Picture)
     for _ in range(2):
         result = render(plot, tmp_path / "out", checkpoint=tmp_path / "kept")
         assert result.statistics[0].before == pytest.approx(0.2)
-    assert made == [0]
+    assert made == [(0, 0), (0, 1)]
     with pytest.raises(InputError, match="of another run"):
         render(plot, tmp_path / "out", seed=1, checkpoint=tmp_path / "kept")
 

@@ -16,6 +16,7 @@ from fynjax.metrics import (
     cell_structure,
     height_intersection,
     smooth_cell_structure,
+    voxel_height_percentiles,
     voxel_structure,
 )
 from fynjax.metrics.structure._smooth import height_percentile_rmse, smooth_height_intersection
@@ -193,6 +194,26 @@ def test_voxels_of_a_uniform_slab() -> None:
         ground=jnp.full((4, 4), 0.1),
     )  # fmt: skip
     np.testing.assert_allclose(raised.metrics["gap_fraction"], np.exp(-0.8 * 0.6), rtol=1e-9)
+
+
+def test_percentiles_of_height_are_those_of_drawn_first_hits() -> None:
+    """Pulses that meet leaves at random depths, on columns with a ground of their own."""
+    rng = np.random.default_rng(2)
+    density, ground = rng.uniform(0.0, 4.0, (6, 3, 2)), rng.uniform(0.0, 0.2, (3, 2))
+    depth = np.concatenate([np.zeros((1, 3, 2)), np.cumsum(0.5 * density[::-1] * 0.15, axis=0)])
+    levels, drawn = 0.9 - 0.15 * np.arange(7), []
+    for (row, column), floor in np.ndenumerate(ground):
+        optical = rng.exponential(size=40_000)
+        hit = np.interp(optical, depth[:, row, column], levels, right=0.0)
+        drawn.append(np.maximum(hit - floor, 0.0))
+    percents = [40.0, 60.0, 95.0]
+    found = voxel_height_percentiles(
+        jnp.asarray(density), percents, thick=0.15, ground=jnp.asarray(ground)
+    )
+    np.testing.assert_allclose(found, np.percentile(drawn, percents), atol=0.006)
+    assert_gradients(
+        lambda d: voxel_height_percentiles(d, percents, thick=0.15), jnp.asarray(density)
+    )
 
 
 def test_slopes_in_area_density_and_ground() -> None:

@@ -12,7 +12,7 @@ from fynjax._core.checkpoint import Journal
 from fynjax.errors import InputError
 from fynjax.radiation import Accuracy, Tiling
 from fynjax.radiation._tiles import _Axis
-from fynjax.scene import hard_scene, is_large, observe_in_tiles
+from fynjax.scene import TiledPicture, hard_scene, is_large
 from fynjax.scene._large import _Windows
 from tests.scene.plots import drone, reflectance, small_parameters, small_plot
 
@@ -29,27 +29,22 @@ def test_an_interrupted_image_in_tiles_goes_on_and_is_that_of_the_whole(tmp_path
     monkeypatch.setattr("fynjax.scene._large._MOST_VOXELS", 16 * 16)
     assert is_large(aimed, scene)
     whole = reflectance(aimed, scene, parameters)
-    journal, done = Journal(tmp_path, "this run"), 0
+    picture, journal = TiledPicture(aimed, scene, parameters, tile=10), Journal(tmp_path, "s")
+    assert picture.tiles == [(0, 0), (0, 1), (1, 0), (1, 1)]
+    for tile in picture.tiles[:3]:
+        journal(picture.render, tile)
+    picture, journal = TiledPicture(aimed, scene, parameters, tile=10), Journal(tmp_path, "s")
+    made = []
 
-    def keep(step):
-        nonlocal done
-        if done == 3:
-            raise KeyboardInterrupt
-        done += 1
-        return journal(step)
+    def render(tile):
+        made.append(tile)
+        return picture.render(tile)
 
-    with pytest.raises(KeyboardInterrupt):
-        observe_in_tiles(aimed, scene, parameters, tile=10, keep=keep)
-    again, new = Journal(tmp_path, "this run"), []
-
-    def keep_again(step):
-        kept = again(step)
-        new.append(not again.repeating)
-        return kept
-
-    image = observe_in_tiles(aimed, scene, parameters, tile=10, keep=keep_again)
-    assert new == [False, False, False, True]
+    image = picture.image(journal(render, tile) for tile in picture.tiles)
+    assert made == [(1, 1)]
     np.testing.assert_allclose(image, whole, rtol=1e-9)
+    with pytest.raises(ValueError, match="shorter"):
+        picture.image([])
 
 
 def test_a_light_that_does_not_fit_is_refused_before_plants_are_placed(monkeypatch):
@@ -58,7 +53,7 @@ def test_a_light_that_does_not_fit_is_refused_before_plants_are_placed(monkeypat
     monkeypatch.setattr("fynjax.radiation._check._memory", lambda: 2**16)
     monkeypatch.setattr("fynjax.scene._large._voxels", None)
     with pytest.raises(InputError, match="GiB"):
-        observe_in_tiles(aimed, scene, small_parameters())
+        TiledPicture(aimed, scene, small_parameters())
 
 
 def test_elements_placed_part_by_part_make_the_same_voxels(monkeypatch):
@@ -105,7 +100,7 @@ def test_windows_make_the_picture_of_the_whole(monkeypatch, boundary):
         "fynjax.scene._large._Windows._window",
         lambda self, *at, make=_Windows._window: held.append(make(self, *at)) or held[-1],
     )
-    image = observe_in_tiles(aimed, scene, parameters, tile=20)
+    image = TiledPicture(aimed, scene, parameters, tile=20).image()
     assert len(held) > 20
     assert max(len(window.planting.plant) for window in held) < 0.8 * whole.planting.plant.size
     np.testing.assert_allclose(image, expected, rtol=1e-9)

@@ -155,7 +155,7 @@ def test_the_command_writes_chosen_plots(
 ) -> None:
     output = tmp_path / "plots"
     with pytest.raises(SystemExit) as ended:
-        main(["bioscape", str(tables), "--output", str(output), "--plot", "A1", "--json"])
+        main(["bioscape", "plots", str(tables), "--output", str(output), "--plot", "A1", "--json"])
     assert ended.value.code == 0
     summary = json.loads(capsys.readouterr().out)
     assert summary["plots"] == ["A1"]

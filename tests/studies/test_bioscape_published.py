@@ -143,7 +143,7 @@ def test_the_command_writes_sources_counts_intercepts_and_oddities(
 ) -> None:
     output = tmp_path / "plots"
     with pytest.raises(SystemExit) as ended:
-        main(["bioscape", str(tables), "--output", str(output), "--json"])
+        main(["bioscape", "plots", str(tables), "--output", str(output), "--json"])
     summary = json.loads(capsys.readouterr().out)
     assert ended.value.code == 0, summary
     plot = read_plot(output / "T001" / "plot.toml")

@@ -37,7 +37,6 @@ from fynjax.io.plot._sensor import (
     drone_sensor,
     plot_instrument,
     sensor_place,
-    visible_sensor,
 )
 from fynjax.io.plot._sky import read_sky, read_sky_pattern
 from fynjax.io.plot._statistics import TargetStatistics, read_statistics, read_structure
@@ -81,7 +80,6 @@ __all__ = [
     "read_statistics",
     "read_structure",
     "sensor_place",
-    "visible_sensor",
     "with_parameter_table",
     "with_prior",
     "write_prior",

@@ -3,13 +3,12 @@
 import dataclasses
 import warnings
 
-import numpy as np
-
 from fynjax._core.errors import InputError, did_you_mean
 from fynjax.io.instruments import load_sensor
 from fynjax.io.plot._plot import Plot
 from fynjax.io.plot._plot_tables import SensorTable
 from fynjax.metrics import BANDS
+from fynjax.scene import visible_sensor
 from fynjax.sensors import Gains, Sensor
 
 DRONE = "mavic_3m"
@@ -47,34 +46,11 @@ def _load(table: SensorTable) -> Sensor:
         return load_sensor(table.path or table.name)
 
 
-SPECTRA = (400.0, 2500.0)
-"""Range of the spectra of leaves and ground, and so of a simulated plot [nm]."""
-
-
-def visible_sensor(instrument: Sensor) -> Sensor:
-    """A sensor without the bands that the spectra of a plot do not cover (400 to 2500 nm).
-
-    **Arguments:**
-
-    - `instrument`: as of `fynjax.io.instruments.load_sensor`.
-
-    **Returns:** `instrument` itself where they cover all of its bands.
-
-    **Raises:** `InputError` where they cover none.
-    """
-    places = instrument.bands.covered(np.arange(SPECTRA[0], SPECTRA[1] + 1.0))
-    if not places:
-        raise InputError(
-            f"sensor {instrument.name!r} has no band within {SPECTRA[0]:g} to {SPECTRA[1]:g} nm, "
-            "where leaves and ground have spectra"
-        )
-    return instrument if len(places) == len(instrument.bands) else instrument.select(places)
-
-
 def plot_instrument(plot: Plot) -> Sensor:
     """The sensor that the file of `plot` names, with the bands that can be simulated.
 
-    **Raises:** `InputError` as `fynjax.io.instruments.load_sensor` and `visible_sensor`.
+    **Raises:** `InputError` as `fynjax.io.instruments.load_sensor` and
+    `fynjax.scene.visible_sensor`.
     """
     return visible_sensor(load_sensor(plot.sensor.path or plot.sensor.name))
 

@@ -31,6 +31,7 @@ from fynjax.metrics.structure._smooth import (
     height_percentile_rmse,
     smooth_cell_structure,
     smooth_height_intersection,
+    voxel_height_percentiles,
     voxel_structure,
 )
 
@@ -59,5 +60,6 @@ __all__ = [
     "smooth_cell_structure",
     "smooth_height_intersection",
     "thinnings",
+    "voxel_height_percentiles",
     "voxel_structure",
 ]

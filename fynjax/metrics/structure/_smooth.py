@@ -194,16 +194,10 @@ def voxel_structure(
         )
     dtype = density.dtype
     floor = jnp.zeros(density.shape[1:], dtype) if ground is None else ground
-    # Area above each level of the grid; linear between levels, as density is even in a voxel.
-    inside = jnp.cumsum(density[::-1], axis=0)[::-1] * thick
-    above = jnp.concatenate([inside, jnp.zeros((1, *density.shape[1:]), dtype)])
-    levels = jnp.arange(density.shape[0] + 1, dtype=dtype) * thick
 
     def gap_at(heights: Float[Array, " level"]) -> Float[Array, "level canopy pixel"]:
         """Gap probability from the sky to heights above the ground, for canopy cells."""
-        area_above = jax.vmap(lambda g, a: jnp.interp(g + heights, levels, a), in_axes=(0, 1))
-        area = area_above(floor.ravel(), above.reshape(len(levels), -1))
-        gaps = jnp.exp(-projection * area).reshape(*density.shape[1:], -1)
+        gaps = _gaps(density, thick, projection, floor, heights).reshape(*density.shape[1:], -1)
         gaps = gaps[: rows * wide, : columns * wide]
         pixel = round(across)
         shape = (rows, canopy_cells, pixel, columns, canopy_cells, pixel, -1)
@@ -266,6 +260,58 @@ def voxel_structure(
             ),
         },
     )
+
+
+def voxel_height_percentiles(
+    density: Float[Array, "z y x"],
+    percents: Sequence[float],
+    *,
+    thick: float,
+    projection: float = 0.5,
+    ground: Float[Array, "y x"] | None = None,
+) -> Float[Array, " percent"]:
+    """Percentiles of the heights of first returns above the ground [m], as a LiDAR at nadir is
+    expected to measure them of an area density on voxels.
+
+    Pulses fall evenly on the columns and return from the first thing they hit, by the law of Beer
+    and Lambert: the share of them that returns from below a height is the gap probability from the
+    sky to it. Those that reach the ground count, at 0 m.
+
+    **Arguments:**
+
+    - `density`, `projection`, `ground`: as of `voxel_structure`.
+    - `percents`: of the percentiles, 0 to 100.
+    - `thick`: height of a voxel [m].
+
+    Differentiable in `density` and `ground` where the percentile is above the ground.
+
+    >>> import jax.numpy as jnp
+    >>> from fynjax.metrics import voxel_height_percentiles
+    >>> even = jnp.full((4, 1, 1), 2.0)  # 1 m of leaves: exp(-0.5 * 2 (1 - h)) = 0.5
+    >>> voxel_height_percentiles(even, [50.0], thick=0.25).round(3).tolist()
+    [0.307]
+    """
+    dtype, fine = density.dtype, density.shape[0] * _SUBDIVISIONS
+    floor = jnp.zeros(density.shape[1:], dtype) if ground is None else ground
+    heights = jnp.arange(fine + 1, dtype=dtype) * (thick / _SUBDIVISIONS)
+    gap = _gaps(density, thick, projection, floor, heights).mean(axis=0)
+    return jnp.interp(jnp.asarray(percents, dtype) / 100.0, gap, heights)
+
+
+def _gaps(
+    density: Float[Array, "z y x"],
+    thick: float,
+    projection: float,
+    ground: Float[Array, "y x"],
+    heights: Float[Array, " level"],
+) -> Float[Array, "column level"]:
+    """Gap probability of each column from the sky to heights above its ground."""
+    # Area above each level of the grid; linear between levels, as density is even in a voxel.
+    inside = jnp.cumsum(density[::-1], axis=0)[::-1] * thick
+    above = jnp.concatenate([inside, jnp.zeros((1, *density.shape[1:]), density.dtype)])
+    levels = jnp.arange(density.shape[0] + 1, dtype=density.dtype) * thick
+    area_above = jax.vmap(lambda g, a: jnp.interp(g + heights, levels, a), in_axes=(0, 1))
+    return jnp.exp(-projection * area_above(ground.ravel(), above.reshape(len(levels), -1)))
 
 
 def smooth_height_intersection(

@@ -1,0 +1,236 @@
+"""What a LiDAR measures of a scene: waveforms, returns, expected structure."""
+
+import dataclasses
+from typing import TYPE_CHECKING, Any
+
+import equinox as eqx
+import jax
+import numpy as np
+from jaxtyping import Array, Float
+
+from fynjax._core.errors import InputError
+from fynjax._core.html import as_html
+from fynjax.metrics import STRUCTURE_METRICS, StructureSettings
+from fynjax.radiation import VoxelScene
+from fynjax.scene._parameters import PlotParameters
+from fynjax.scene._scene import Scene
+from fynjax.scene._structure import fitting_structure, scene_structure
+from fynjax.sensors import (
+    BandSet,
+    Lidar,
+    LidarBeams,
+    LidarReturns,
+    Waveforms,
+    detect_returns,
+    lidar_waveforms,
+    received_electrons,
+)
+from fynjax.sensors.lidar import GROUND
+
+if TYPE_CHECKING:
+    import pandas as pd
+    import xarray as xr
+
+
+class LidarObservation(eqx.Module):
+    """What a LiDAR measures of a scene: `cloud.metric("gap_fraction")` is a number of its
+    structure. Heights of returns and beams count from the bottom of the scene's grid."""
+
+    scene: Scene
+    parameters: PlotParameters
+    lidar: Lidar
+    voxels: VoxelScene
+    """The scene in the laser's line."""
+    beams: LidarBeams
+    """The pulses."""
+    sublayers: int = eqx.field(static=True)
+    """Steps in which a pulse crosses a layer of voxels."""
+    waveforms: Waveforms
+    """Apparent reflectance in each sample of each pulse, without noise [-]."""
+    electrons: Float[Array, "beam sample"]
+    """What the receiver counts, its mean background taken off [-]."""
+    returns: LidarReturns | None
+    """Discrete returns; None inside a transformation, as they are found one by one."""
+
+    def metric(self, name: str, *, grain: float | None = None) -> Float[Array, ""]:
+        """A number of the structure that first returns of so many pulses are expected to have, by
+        the gaps between plants (`scene_structure`): the same with and without noise, inside and
+        outside of a transformation. Where a pulse first hits is up to its own length above the
+        return that its echo gives. Differentiable in the parameters that were observed.
+
+        **Arguments:**
+
+        - `name`: of `fynjax.metrics.STRUCTURE_METRICS`, or "height_p95" and the like, a percentile
+          of the heights above the ground [m].
+        - `grain`: side of the cells whose mean a metric is [m]; by default the nearest to 2 m that
+          fits the voxels.
+
+        **Raises:** `InputError` for another name, and where cells do not fit the voxels.
+        """
+        side = min(self.scene.grid.extent[:2])
+        if name in STRUCTURE_METRICS:
+            settings, grains = fitting_structure(self.scene.grid.horizontal_size, side)
+            grain = min(grains, key=lambda g: abs(g - 2.0)) if grain is None else grain
+        else:
+            settings, grain = StructureSettings(), side
+        return _metric(self.scene, self.parameters, name, settings, grain, self._density)
+
+    @property
+    def _density(self) -> float:
+        """Pulses for each square metre [m-2]."""
+        return len(self.beams) / float(np.prod(self.scene.grid.extent[:2]))
+
+    def to_dataframe(self) -> "pd.DataFrame":
+        """A row for each return, in the order of the pulses and then of range: x, y, z [m], and the
+        fields of `fynjax.sensors.LidarReturns`."""
+        import pandas as pd  # late: the command line need not wait for it
+
+        returns = self._returns()
+        places = dict(zip("xyz", returns.position.T, strict=True))
+        rest = {f.name: getattr(returns, f.name) for f in dataclasses.fields(returns)}
+        del rest["position"]
+        return pd.DataFrame(places | rest)
+
+    def to_xarray(self) -> "xr.Dataset":
+        """What was recorded of each pulse, and the noise-free return of its ground."""
+        import xarray as xr  # late: the command line need not wait for it
+
+        beams = self.beams
+
+        def each(
+            values: np.ndarray, name: str, units: str
+        ) -> tuple[str, np.ndarray, dict[str, str]]:
+            return "pulse", values, {"long_name": name, "units": units}
+
+        axes = zip("xyz", ("east", "north", "up"))
+        where: dict[str, Any] = {}
+        for k, (letter, name) in enumerate(axes):
+            where[f"origin_{letter}"] = each(
+                beams.origin[:, k],
+                f"place of the sensor, {name} of the south-west bottom corner",
+                "m",
+            )
+            where[f"direction_{letter}"] = each(
+                beams.direction[:, k], f"direction of the pulse, {name}", "1"
+            )
+        recorded = {"long_name": "electrons counted, mean background taken off", "units": "1"}
+        ground = {"long_name": "apparent reflectance of the ground in the sample", "units": "1"}
+        samples = (np.arange(beams.samples) + 0.5) * self.lidar.sample
+        return xr.Dataset(
+            {
+                "waveform": (
+                    ("pulse", "sample"),
+                    np.asarray(self.electrons, np.float32),
+                    recorded,
+                ),
+                "ground_waveform": (
+                    ("pulse", "sample"),
+                    np.asarray(self.waveforms.ground, np.float32),
+                    ground,
+                ),
+                **where,
+                "first_range": each(beams.start, "range at which the first sample begins", "m"),
+                "irradiance": each(
+                    beams.irradiance, "of the pulse, relative to the beam's middle", "1"
+                ),
+                "scan_angle": each(beams.scan_angle, "angle from straight down", "degree"),
+                "time": each(beams.time, "time of the pulse since the start of the flight", "s"),
+            },
+            coords={
+                "pulse": each(np.arange(len(beams)), "index of the pulse", "1"),
+                "sample": (
+                    "sample",
+                    samples,
+                    {"long_name": "range of the sample's middle beyond first_range", "units": "m"},
+                ),
+            },
+            attrs={
+                "title": f"waveforms of {self.lidar.name}",
+                "wavelength_nm": self.lidar.wavelength,
+                "pulse_fwhm_ns": self.lidar.pulse_length,
+                "sample_m": self.lidar.sample,
+                "comment": "single scattering",
+            },
+        )
+
+    def plot(self, **options: Any) -> Any:
+        """Draw the returns from the south, by pandas.
+
+        **Arguments:** `options` of `pandas.DataFrame.plot.scatter`.
+        """
+        drawn: Any = {"x": "x", "y": "z", "c": "reflectance", "s": 2, "colormap": "viridis"}
+        return self.to_dataframe().plot.scatter(**(drawn | options))
+
+    def __str__(self) -> str:
+        """What it is, and how high its returns are, in a sentence."""
+        text = f"{self.lidar.name}: {len(self.beams)} pulses, {self._density:.4g} a square metre"
+        if self.returns is None or not len(self.returns):
+            return f"{text}; no returns."
+        low, middle, high = np.percentile(self.returns.position[:, 2], (5.0, 50.0, 95.0))
+        ground = 100.0 * float(np.mean(self.returns.classification == GROUND))
+        return (
+            f"{text}; {len(self.returns)} returns, {ground:.1f} % of them from the ground; heights "
+            f"above the lowest ground {low:.2f}, {middle:.2f} and {high:.2f} m (5, 50 and 95 %)."
+        )
+
+    _repr_html_ = as_html
+
+    def _returns(self) -> LidarReturns:
+        if self.returns is None:
+            raise InputError("a transformation has no single returns: observe outside of it")
+        return self.returns
+
+
+@eqx.filter_jit
+def _metric(
+    scene: Scene,
+    parameters: PlotParameters,
+    name: str,
+    settings: StructureSettings,
+    grain: float,
+    pulses: float,
+) -> Float[Array, ""]:
+    return scene_structure(scene, parameters, [name], settings, grain=grain, pulses=pulses)[0]
+
+
+def observe_lidar(
+    scene: Scene, parameters: PlotParameters, lidar: Lidar, *, noise: bool = False, seed: int = 0
+) -> LidarObservation:
+    """Fly a LiDAR over a scene: its pulses, their waveforms and returns.
+
+    **Arguments:**
+
+    - `scene`, `parameters`: as of `observe`.
+    - `lidar`: from `fynjax.sensors` or a file, which says where it flies.
+    - `noise`: whether the receiver is noisy.
+    - `seed`: of the places of the pulses, the leaves that they hit, which are always drawn, and the
+      noise.
+
+    **Raises:** `InputError` as `Lidar.beams`.
+
+    Which light it has, see `lidar_waveforms`. Waveforms and `LidarObservation.metric` are
+    differentiable; returns are not, as they are found one by one.
+    """
+    voxels = observed_voxels(scene, parameters, lidar.bands)
+    beams = lidar.beams(
+        scene.grid.extent[:2], top=voxels.height, ground=scene.ground_level, seed=seed
+    )
+    # Steps in a layer, so that a pulse moves by at most half a voxel in each.
+    slant = np.abs(beams.direction[:, 2]).min()
+    run = float(np.sqrt(1.0 - slant**2) / slant)
+    sublayers = max(int(np.ceil(2.0 * run * voxels.vertical / voxels.horizontal)), 1)
+    leaves, counting = jax.random.split(jax.random.key(seed))
+    waveforms = lidar_waveforms(voxels, lidar, beams, key=leaves, sublayers=sublayers)
+    electrons = received_electrons(lidar, beams, waveforms.total, key=counting if noise else None)
+    returns = None
+    if not isinstance(electrons, jax.core.Tracer):
+        returns = detect_returns(lidar, beams, np.asarray(electrons), waveforms)
+    return LidarObservation(
+        scene, parameters, lidar, voxels, beams, sublayers, waveforms, electrons, returns
+    )
+
+
+@eqx.filter_jit
+def observed_voxels(scene: Scene, parameters: PlotParameters, bands: BandSet) -> VoxelScene:
+    """The scene's voxels in `bands`, compiled."""
+    return scene.voxels(parameters, bands)
