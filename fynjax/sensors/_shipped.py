@@ -8,6 +8,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 from numpy.typing import ArrayLike
 
@@ -75,6 +76,7 @@ def _shipped_table(name: str) -> Table:
     }
 
 
+@jax.ensure_compile_time_eval()
 def build_sensor(description: Mapping[str, Any], read_table: Callable[[str], Table]) -> Sensor:
     """A sensor from the contents of its file.
 

@@ -261,7 +261,8 @@ class PointSpreadTable(Strict):
     kind: Literal["gaussian", "box"] = Field(description="Form of the blur.")
     width_pixels: NonNegative | tuple[NonNegative, NonNegative] = Field(
         description="Width of the blur, or [across, along]: full width at half maximum of a "
-        "Gaussian that comes on top of the pixel's own footprint; whole width of a box [pixels].",
+        "Gaussian that comes on top of the pixel's own footprint; whole width of a box [pixels of "
+        "the sensor, however wide those of an image are].",
         json_schema_extra={"unit": "pixels"},
     )
 
