@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pandas as pd
 from jaxtyping import Array, Float
+from numpy.typing import ArrayLike
 
 from fynjax._core.errors import InputError, did_you_mean
 from fynjax._core.progress import stage, track
@@ -20,6 +21,8 @@ from fynjax.assembly._targets import (
     spectrum_data,
     structure_data,
 )
+from fynjax.compare import DroneImage, VegetationCheck, read_drone_image
+from fynjax.compare import check_vegetation as check_spectrum
 from fynjax.inversion import (
     AbstractView,
     Calibration,
@@ -51,7 +54,7 @@ from fynjax.scene import (
     fitting_structure,
     named_values,
 )
-from fynjax.sensors import Gains, Lidar, Sensor
+from fynjax.sensors import ASSUMED, Gains, Lidar, Sensor
 
 View = Callable[[Scene, PlotParameters], AbstractView]
 """Makes a sensor's view of a scene."""
@@ -254,12 +257,18 @@ class PlotData(Data):
         return cls._of(data, (view,))
 
 
-def _camera(camera: str | Path | Sensor | Lidar) -> Sensor:
-    """A camera's four bands."""
+def _imager(camera: str | Path | Sensor | Lidar) -> Sensor:
+    """An imaging sensor, from its name or file too."""
     sensor = load_instrument(camera) if isinstance(camera, str | Path) else camera
     if not isinstance(sensor, Sensor):
         what = f"the LiDAR {sensor.name!r}" if isinstance(sensor, Lidar) else repr(sensor)
         raise InputError(f"expected a camera, but got {what}")
+    return sensor
+
+
+def _camera(camera: str | Path | Sensor | Lidar) -> Sensor:
+    """A camera's four bands."""
+    sensor = _imager(camera)
     names = sensor.bands.names
     if missing := [name for name in BANDS if name not in names]:
         raise InputError(
@@ -267,6 +276,47 @@ def _camera(camera: str | Path | Sensor | Lidar) -> Sensor:
             f"{missing[0]}"
         )
     return sensor.select([names.index(name) for name in BANDS])
+
+
+def check_vegetation(
+    measured: Mapping[str, float] | ArrayLike | DroneImage | str | Path,
+    sensor: str | Path | Sensor | Lidar = "mavic_3m",
+    *,
+    gains: Gains | str | None = None,
+) -> VegetationCheck:
+    """Whether an image, or a spectrum, is one that shrubland can have: before anything is fitted.
+
+    **Arguments:**
+
+    - `measured`: reflectance of bands by their names, of any of them, or of all in order, of an
+      image [band, y, x] too, whose mean counts [-]; or a drone's image, or the path of one.
+    - `sensor`: that measured it; a name, a sensor file or an object.
+    - `gains`: what its calibration may be off by, or how it was calibrated, such as "panels"
+      (`Sensor.gains`); by default that of a good calibration, 5 % a band.
+
+    **Returns:** a `fynjax.compare.VegetationCheck`, which prints as a sentence.
+
+    **Raises:** `InputError` as `fynjax.compare.check_vegetation`, `read_drone_image` and
+    `Sensor.gains`.
+
+    >>> import fynjax as fx
+    >>> fx.check_vegetation({"red": 0.045, "red_edge": 0.15, "nir": 0.22}, "mavic_3m").unlike
+    False
+    >>> bad = {"red": 0.045, "red_edge": 0.08, "nir": 0.22}
+    >>> fx.check_vegetation(bad).unlike, fx.check_vegetation(bad, gains="light_sensor").unlike
+    (True, False)
+    """
+    camera = _imager(sensor)
+    if isinstance(measured, str | Path):
+        measured = read_drone_image(measured)
+    if isinstance(measured, DroneImage):
+        measured = dict(zip(BANDS, measured.pixels.mean(axis=1), strict=True))
+    elif not isinstance(measured, Mapping):
+        values = np.asarray(measured, dtype=float)
+        measured = np.nanmean(values, axis=(1, 2)) if values.ndim == 3 else values
+    if not isinstance(gains, Gains):
+        gains = ASSUMED if gains is None else camera.gains(gains)
+    return check_spectrum(measured, camera.bands, gains=gains)
 
 
 def prior(name: str | Path = "fynbos_2023") -> LearnedPrior:

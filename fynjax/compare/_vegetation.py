@@ -55,7 +55,8 @@ class VegetationCheck:
         for row in self.pairs.head(1).itertuples():
             words += (
                 f": {row.numerator} / {row.denominator} is {row.ratio:.2g}; measured plots have "
-                f"{row.low:.2g} to {row.high:.2g}. Is the calibration of these bands right?"
+                f"{row.low:.2g} to {row.high:.2g}. Is the calibration of these bands right, or "
+                "most of the ground bare or burnt?"
             )
         return words
 

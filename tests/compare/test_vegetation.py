@@ -30,7 +30,10 @@ def test_the_shipped_table_is_that_of_its_recipe(measured):
     np.testing.assert_allclose(left, np.sqrt(rest), atol=1e-4)
 
 
-@pytest.mark.parametrize("name", ["mavic_3m", "rededge_3", "sentinel_2a", "aviris_ng"])
+@pytest.mark.parametrize(
+    "name",
+    ["mavic_3m", "rededge_3", "sentinel_2a", pytest.param("aviris_ng", marks=pytest.mark.slow)],
+)
 def test_plots_that_were_left_out_are_shrubland(measured, monkeypatch, name):
     """And their chances are spread as chances are: the farthest twentieth is not far."""
     spectra, plots, others = measured
