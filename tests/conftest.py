@@ -15,8 +15,6 @@ import jax
 import psutil
 import pytest
 
-from fynjax._core.precision import enable_double_precision
-
 # Tests compile much and run little. So they compile in a quarter of the time; what comes out runs
 # a little slower. One piece of code a program: to split it for several cores costs more.
 # Read when JAX is first used; the children of a test inherit it.
@@ -26,7 +24,7 @@ os.environ.setdefault(
     " --xla_cpu_use_fusion_emitters=false"
     " --xla_cpu_parallel_codegen_split_count=1",
 )
-enable_double_precision()  # also for the packages that set nothing, such as `fynjax.radiation`
+jax.config.update("jax_enable_x64", True)  # in 32 bits: tests/test_precision.py
 
 
 # Tracing makes many objects and few cycles: the collector's usual rhythm takes a tenth of the time.

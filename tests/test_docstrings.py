@@ -127,7 +127,9 @@ def _failures(name: str, value: Any) -> str:
     )
     text = inspect.getdoc(value) or ""
     output: list[str] = []
-    runner.run(doctest.DocTestParser().get_doctest(text, {}, name, None, 0), out=output.append)
+    examples = doctest.DocTestParser().get_doctest(text, {}, name, None, 0)
+    with jax.enable_x64(False):  # as who reads them runs them
+        runner.run(examples, out=output.append)
     return "".join(output)
 
 

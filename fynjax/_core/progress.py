@@ -1,4 +1,4 @@
-"""How far long work is: work tells of its stages and steps, and whoever listens shows them.
+"""How far long work is: work names its stages and counts its steps, and a listener shows them.
 
 Long work says `with stage("Read"):` and `advance()`, or `for item in track(items, "Plantings"):`.
 Who listens is a context variable: `progress` shows bars, and where nobody listens nothing is shown.
@@ -32,7 +32,7 @@ _log = logging.getLogger("fynjax")
 
 
 class Listener(Protocol):
-    """What is told of stages, which may nest, and of the steps of the innermost open one."""
+    """Shows stages, which may nest, and the steps of the innermost open one."""
 
     def stage(self, name: str, total: int | None) -> AbstractContextManager[None]:
         """A stage of `total` steps (`None`: unknown) that is open until the block ends."""
@@ -48,7 +48,7 @@ _listener: ContextVar[Listener | None] = ContextVar("fynjax.progress", default=N
 
 @contextmanager
 def listening(listener: Listener | None) -> Iterator[None]:
-    """`listener` is told of what the block does, and nobody else; `None`: nobody is."""
+    """Let `listener` alone show the stages of the block; with `None` nobody does."""
     before = _listener.set(listener)
     try:
         yield
@@ -120,7 +120,7 @@ def _shown(info: dict[str, float | str]) -> str:
 
 
 class _Bars:
-    """One bar for each stage: name, bar, count, time used, time left, and what the work tells."""
+    """One bar for each stage: name, bar, count, time used, time left, figures of the step."""
 
     def __init__(self, console: Console) -> None:
         self._bars = Progress(

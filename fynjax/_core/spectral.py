@@ -10,7 +10,7 @@ moments of R: ∫ R and ∫ λ R. For Gaussian, box and tabulated (piecewise lin
 are closed forms, so the weights are exact on any increasing grid, however coarse or uneven.
 
 The weights are NumPy constants in float64: applying them is a matrix product, differentiable
-with respect to the spectrum and cheap to trace.
+with respect to the spectrum and quick to trace.
 """
 
 from collections.abc import Callable, Sequence

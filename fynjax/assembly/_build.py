@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from fynjax._core.errors import InputError
+from fynjax._core.precision import drawn_in_double
 from fynjax.assembly._ground import (
     cover_patches,
     dead_tissue,
@@ -45,6 +46,7 @@ from fynjax.scene import (
 AREA_INDICES = {"leaf_area_index": Organ.LEAF, "wood_area_index": Organ.WOOD}
 
 
+@drawn_in_double
 def build_plot(
     plot: Plot,
     *,
@@ -143,6 +145,7 @@ def _check_grid(
         )
 
 
+@drawn_in_double
 def plot_parameters(
     plot: Plot,
     fractions: tuple[float, ...] | None = None,

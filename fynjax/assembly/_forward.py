@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 from jaxtyping import Array, Float
 
+from fynjax._core.precision import double_precision
 from fynjax.assembly._build import build_plot
 from fynjax.assembly._sensing import aim_without_air
 from fynjax.inversion import CalibrationSettings, ImageView, ParameterSpace, free_space
@@ -61,6 +62,7 @@ class Prepared(NamedTuple):
         return build_plot(self.plot, seed=seed, counts=wanted, rounding="random")[0]
 
 
+@double_precision
 def prepare(plot: Plot, free: Sequence[str] | None, *, seed: int) -> Prepared:
     """Build a plot and its free parameters.
 

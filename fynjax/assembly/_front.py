@@ -13,6 +13,7 @@ from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
 from fynjax._core.errors import InputError, did_you_mean
+from fynjax._core.precision import double_precision
 from fynjax._core.progress import stage, track
 from fynjax.assembly._build import build_plot
 from fynjax.assembly._targets import (
@@ -109,6 +110,7 @@ class PlotData(Data):
     """How each sensor sees a scene, in the order of the statistics."""
 
     @classmethod
+    @double_precision
     def from_image(
         cls,
         path: str | Path,
@@ -143,6 +145,7 @@ class PlotData(Data):
         return cls._seen(data, _camera(camera), Placement(altitude, found), gains)
 
     @classmethod
+    @double_precision
     def from_table(
         cls,
         table: Any,
@@ -181,6 +184,7 @@ class PlotData(Data):
         return cls._seen(data, _camera(camera), Placement(altitude, pixel), gains)
 
     @classmethod
+    @double_precision
     def from_spectrum(
         cls,
         path: str | Path,
@@ -204,6 +208,7 @@ class PlotData(Data):
         return cls._of(found.data, (found.view_of,))
 
     @classmethod
+    @double_precision
     def from_cloud(
         cls,
         path: str | Path,
@@ -231,6 +236,7 @@ class PlotData(Data):
         found = structure_data(Path(path), rules, settings, grains, seed)
         return cls._of(found.data, (found.view_of,))
 
+    @double_precision
     def __add__(self, other: "PlotData") -> "PlotData":
         """Both measurements of the same plot."""
         if not isinstance(other, PlotData):
@@ -379,6 +385,7 @@ def free(
     return free_space(scene, scene.parameters, patterns, relative_sd)
 
 
+@double_precision
 def fit(
     model: Scene | Callable[..., Float[Array, " statistic"]],
     data: Data,
@@ -408,11 +415,13 @@ def fit(
 
     **Returns:** `Calibration` of a scene, `FitResult` of a function; both print what they found.
 
-    **Raises:** `InputError` for data of a scene without sensors, and as those functions.
+    **Raises:** `InputError` for an argument of another type, for data of a scene without sensors,
+    and as those functions.
     """
     if not isinstance(model, Scene):
         if not callable(model):
             raise InputError(f"expected a scene or a function, but got {model!r:.60}")
+        _check_problem(data, free)
         if settings is not None:
             raise InputError("expected `settings` with a scene, not with a function")
         with stage("Fit"):
@@ -425,6 +434,7 @@ def fit(
         raise InputError(
             "expected data with the sensors that measured them, such as of Data.from_image"
         )
+    _check_problem(data, free)
     views = [view(model, model.parameters) for view in sensors]
     settings = CalibrationSettings(max_steps=max_steps) if settings is None else settings
     options = {"replant": model.replanted} | options
@@ -450,6 +460,16 @@ def _place(start: Any, space: ParameterSpace) -> Float[Array, " free"] | None:
     return jnp.clip(space.whitened(jnp.stack(values)), -_FARTHEST, _FARTHEST)
 
 
+def _check_problem(data: Any, free: Any) -> None:
+    if not isinstance(data, Data):
+        raise InputError(f"expected `data` as `fx.Data`, but got {data!r:.60}")
+    if not isinstance(free, ParameterSpace):
+        raise InputError(
+            f"expected `free` as of `fx.free` or `fx.ParameterSpace`, but got {free!r:.60}"
+        )
+
+
+@double_precision
 def sample(
     fitted: Calibration | FitResult,
     method: SamplingMethod = "emcee",
@@ -512,6 +532,7 @@ def _terms(unit: Float[Array, "*point free"]) -> Float[Array, "*point term"]:
     return jnp.concatenate([one, unit, unit[..., first] * unit[..., second]], axis=-1)
 
 
+@double_precision
 def emulate(
     function: Callable[[Float[Array, " free"]], Float[Array, " output"]],
     lower: Any,

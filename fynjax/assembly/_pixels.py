@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
+from fynjax._core.precision import double_precision
 from fynjax.assembly._stands import StandSettings, make_stand, stand_numbers
 from fynjax.inversion import PriorChain, draws_like, sample_prior, spectrum_likelihood
 from fynjax.io.plot import LearnedPrior
@@ -17,6 +18,7 @@ _SOLVES = 12
 """Of the diffuse light of a stand with one set: the rest is some 0.1 % of the light."""
 
 
+@double_precision
 def sample_pixel(
     reflectance: Float[np.ndarray, " channel"],
     bands: BandSet,

@@ -17,6 +17,7 @@ import numpy as np
 import scipy.special
 from jaxtyping import Array, Float
 
+from fynjax._core.precision import double_precision, drawn_in_double
 from fynjax.canopy import FORMS
 from fynjax.inversion import nadir_imager
 from fynjax.io.plot import BY_FORM, LearnedPrior, leaf_factors
@@ -150,6 +151,7 @@ class Stands:
     first set of a stand [-]."""
 
 
+@double_precision
 def simulate_stands(
     numbers: tuple[int, ...],
     bands: BandSet,
@@ -184,6 +186,7 @@ def simulate_stands(
     )
 
 
+@drawn_in_double
 def make_stand(
     common: Float[np.ndarray, " number"],
     own: Float[np.ndarray, "set number"],

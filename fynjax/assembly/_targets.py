@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from fynjax._core.errors import InputError
+from fynjax._core.precision import double_precision
 from fynjax.assembly._forward import image_view
 from fynjax.compare import read_drone_image, read_spectra_sample
 from fynjax.compare.structure import ComparisonSettings, cloud_structure
@@ -134,6 +135,7 @@ def _is_number(text: str) -> bool:
         return False
 
 
+@double_precision
 def read_targets(
     plot: Plot,
     paths: Sequence[Path],

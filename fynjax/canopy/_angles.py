@@ -72,7 +72,8 @@ class AbstractLeafAngle(eqx.Module):
 
     def _weights(self) -> Float[Array, " node"]:
         """Share of the leaf area at each node of the inclination."""
-        weight = self.inclination_density(jnp.asarray(_INCLINATION)) * _INCLINATION_WEIGHT
+        nodes, share = (jnp.asarray(a, float) for a in (_INCLINATION, _INCLINATION_WEIGHT))
+        weight = self.inclination_density(nodes) * share
         return weight / jnp.sum(weight)
 
     def normals(self) -> tuple[Float[Array, "normal 3"], Float[Array, " normal"]]:
@@ -80,7 +81,7 @@ class AbstractLeafAngle(eqx.Module):
 
         The weights sum to one.
         """
-        return jnp.asarray(_NORMALS), jnp.repeat(self._weights() / _AZIMUTHS, _AZIMUTHS)
+        return jnp.asarray(_NORMALS, float), jnp.repeat(self._weights() / _AZIMUTHS, _AZIMUTHS)
 
 
 def projections(
@@ -174,7 +175,7 @@ class VerhoefLeafAngle(AbstractLeafAngle):
     >>> from fynjax.canopy import VerhoefLeafAngle
     >>> import jax.numpy as jnp
     >>> VerhoefLeafAngle(-1.0, 0.0).projection(jnp.array([1.0, 0.5])).round(3)  # G at 0, 60 degrees
-    Array([0.141, 0.541], dtype=float64)
+    Array([0.141, 0.541], dtype=float32)
     """
 
     first: Float[Array, ""] = eqx.field(converter=jnp.asarray)
@@ -320,7 +321,7 @@ def leaf_angle(name: str) -> AbstractLeafAngle:
     >>> from fynjax.canopy import leaf_angle
     >>> flat = leaf_angle("planophile")
     >>> flat.projection(jnp.array([1.0, 0.5])).round(3)  # G at zenith angles 0 and 60 degrees
-    Array([0.849, 0.473], dtype=float64)
+    Array([0.849, 0.473], dtype=float32)
     """
     if name == "spherical":
         return SphericalLeafAngle()

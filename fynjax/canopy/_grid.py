@@ -155,7 +155,7 @@ def deposit(
     ... )
     >>> density[0, :, :, 0].round(3)  # [z, y] of the western column
     Array([[0.8, 0. ],
-           [0. , 0.8]], dtype=float64)
+           [0. , 0.8]], dtype=float32)
     >>> round(float((density.sum() * grid.voxel_volume)), 6)  # m2: all of it
     0.3
     """

@@ -246,9 +246,9 @@ def site_weight(
 
     >>> from fynjax.canopy import soft_weights
     >>> soft_weights(2.3, 4).round(3)
-    Array([1. , 1. , 0.3, 0. ], dtype=float64)
+    Array([1. , 1. , 0.3, 0. ], dtype=float32)
     >>> soft_weights(2.3, 4, softness=1.0).round(3)
-    Array([1.   , 0.843, 0.413, 0.044], dtype=float64)
+    Array([1.   , 0.843, 0.413, 0.044], dtype=float32)
     """
     return _site_weight(count, index, width, softness)
 

@@ -1,10 +1,6 @@
-"""Inversion: from measured statistics back to the parameters of a plot.
-
-Importing it lets JAX compute in 64 bits, unless `JAX_ENABLE_X64=0` is in the environment.
-"""
+"""Inversion: from measured statistics back to the parameters of a plot."""
 
 from fynjax._core.least_squares import BroydenLM, descend
-from fynjax._core.precision import enable_double_precision
 from fynjax.inversion._amortised import (
     INTERVALS,
     AmortisedPosterior,
@@ -113,8 +109,6 @@ from fynjax.inversion._views import (
     spectrum_view,
     structure_view,
 )
-
-enable_double_precision()
 
 __all__ = [
     "COARSE",

@@ -26,6 +26,7 @@ import scipy.stats
 from jaxtyping import Array, Float
 
 from fynjax._core.extras import require
+from fynjax._core.precision import double_precision
 from fynjax._core.progress import track
 
 DARKEST = 0.005
@@ -88,7 +89,9 @@ class AmortisedPosterior(eqx.Module):
         nearly all simulations. Limits are such that the share `probability` of simulations is below
         1, each left out with its fold of the stands, if both distances are independent."""
         share = jnp.sqrt(jnp.asarray(probability, self.distance.dtype))
-        limits = jax.vmap(lambda row: jnp.interp(share, _PROBABILITY, row))(self.distance)
+        limits = jax.vmap(lambda row: jnp.interp(share, jnp.asarray(_PROBABILITY, float), row))(
+            self.distance
+        )
         return jnp.max(self.distances(log_reflectance) / limits, axis=1)
 
     def distances(self, log_reflectance: Float[Array, "pixel channel"]) -> Float[Array, "pixel 2"]:
@@ -110,6 +113,7 @@ class PixelEstimates(eqx.Module):
 
 
 @eqx.filter_jit
+@double_precision
 def estimate_pixels(
     posterior: AmortisedPosterior,
     reflectance: Float[Array, "pixel channel"],
@@ -168,6 +172,7 @@ INTERVALS = (0.5, 0.68, 0.9)
 """Central intervals whose coverage is held against the truth."""
 
 
+@double_precision
 def train_posterior(
     reflectance: Float[np.ndarray, "stand channel"],
     quantities: Float[np.ndarray, "stand quantity"],

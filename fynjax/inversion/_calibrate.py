@@ -14,7 +14,7 @@ from scipy.stats import chi2
 
 from fynjax._core.errors import InputError
 from fynjax._core.html import as_html
-from fynjax._core.precision import require_double_precision
+from fynjax._core.precision import double_precision
 from fynjax._core.progress import stage
 from fynjax.canopy import VoxelGrid
 from fynjax.inversion._expected import Replant, mean_information, with_error
@@ -107,15 +107,18 @@ class Calibration(eqx.Module):
 
     _repr_html_ = as_html
 
+    @double_precision
     def stand(self) -> "pd.DataFrame":
         """Numbers of the whole stand before and after the data (`stand_table`)."""
         return stand_table(self.scene, self.before, self.fit)
 
+    @double_precision
     def table(self) -> "pd.DataFrame":
         """Every parameter before and after the data (`FitResult.table`)."""
         return self.fit.table()
 
     @property
+    @double_precision
     def misfit(self) -> float:
         """Squared whitened misfit and distance from the prior, at the estimate: of data that the
         model and the prior explain a chi-square of `degrees`."""
@@ -123,6 +126,7 @@ class Calibration(eqx.Module):
         return float(rest @ rest + self.fit.whitened @ self.fit.whitened)
 
     @property
+    @double_precision
     def probability(self) -> float:
         """That the model and its prior would give data so far from its expectation [-], were it
         linear in the parameters: below some 0.01 it does not explain them."""
@@ -154,6 +158,7 @@ _OF_LEAVES = ("leaf_area_index", "shoot_clumping", "dead_fraction")
 """Parameters of a species that have no effect without leaves."""
 
 
+@double_precision
 def free_space(
     scene: Scene,
     parameters: PlotParameters,
@@ -205,6 +210,7 @@ def _without_effect(name: str, scene: Scene, parameters: PlotParameters) -> bool
     return given.get(name) is not None
 
 
+@double_precision
 def calibrate_plot(
     scene: Scene,
     parameters: PlotParameters,
@@ -259,8 +265,8 @@ def calibrate_plot(
     posterior. Where plants are known and no round improves on a start, that is the estimate:
     converged if a round ended there within the tolerance, `FitStatus.no_gain` if not.
 
-    **Raises:** `InputError` for views that do not yield the data's statistics, a start at which
-    these are not finite, and where JAX is limited to 32 bits.
+    **Raises:** `InputError` for views that do not yield the data's statistics, and a start at
+    which these are not finite.
     """
     search = plot_search(
         scene, parameters, data, space, views, settings, solver=solver, replant=replant
@@ -272,6 +278,7 @@ def calibrate_plot(
     return calibration(search, ends)
 
 
+@double_precision
 def plot_search(
     scene: Scene,
     parameters: PlotParameters,
@@ -290,10 +297,8 @@ def plot_search(
     - `scene`, `parameters`, `data`, `space`, `views`, `settings`, `solver`, `replant`: as of
       `calibrate_plot`.
 
-    **Raises:** `InputError` for views that do not yield the data's statistics, and where JAX is
-    limited to 32 bits.
+    **Raises:** `InputError` for views that do not yield the data's statistics.
     """
-    require_double_precision("`calibrate_plot`")
     settings = CalibrationSettings() if settings is None else settings
     if scene.known_plants:
         settings = dataclasses.replace(settings, stand_realisations=0)
@@ -314,6 +319,7 @@ def plot_search(
     return PlotSearch(scene, parameters, data, space, views, form, replant, settings, solver)
 
 
+@double_precision
 def search_starts(
     search: PlotSearch, start: Float[Array, " free"] | None = None
 ) -> list[Float[Array, " free"]]:
@@ -330,6 +336,7 @@ def search_starts(
     return [first, *map(jnp.asarray, drawn.clip(-2.0, 2.0))]
 
 
+@double_precision
 def calibration(search: PlotSearch, ends: Sequence[SearchState]) -> Calibration:
     """What the searches from all starts found.
 
@@ -440,6 +447,7 @@ def _ends(objective: Sequence[float], fits: Sequence[FitResult], best: FitResult
     )
 
 
+@double_precision
 def search_form(
     scene: Scene,
     parameters: PlotParameters,
@@ -465,6 +473,7 @@ def search_form(
     return quick, tuple(view.for_search(scene, fitted, stride) for view in views)
 
 
+@double_precision
 def coarser(scene: Scene, parameters: PlotParameters) -> Scene:
     """The `scene` in layers of twice the thickness, where their number is even, evenly filled.
 

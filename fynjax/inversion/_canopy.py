@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from fynjax._core.errors import InputError
+from fynjax._core.precision import double_precision
 from fynjax._core.spectral import check_wavelength
 from fynjax.canopy import EllipsoidalLeafAngle
 from fynjax.inversion._fit import fit
@@ -44,12 +45,14 @@ class CanopyFit(eqx.Module):
         return dict(zip(self.names, np.asarray(self.result.estimate).tolist()))
 
     @property
+    @double_precision
     def interval(self) -> dict[str, tuple[float, float]]:
         """Its 90 % interval."""
         ends = np.asarray(self.result.quantiles(0.05, 0.95)).T
         return {name: (low, high) for name, (low, high) in zip(self.names, ends.tolist())}
 
     @property
+    @double_precision
     def unconstrained(self) -> tuple[str, ...]:
         """Parameters of which the data say little: their prior's deviation is not even halved."""
         return tuple(n for n in self.names if n not in self.result.well_constrained())
@@ -73,6 +76,7 @@ class CanopyFit(eqx.Module):
         return "\n".join(lines)
 
 
+@double_precision
 def fit_canopy(
     bands: Sensor | BandSet | Float[np.ndarray, " band"],
     reflectance: Float[np.ndarray, " band"],

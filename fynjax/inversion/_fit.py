@@ -16,13 +16,14 @@ from jaxtyping import Array, Bool, Float, Int
 
 from fynjax._core.errors import InputError
 from fynjax._core.least_squares import BroydenLM
-from fynjax._core.precision import require_double_precision
+from fynjax._core.precision import double_precision
 from fynjax.inversion._fit_result import Data, FitResult, FitStatus, fit_result
 from fynjax.inversion._log_posterior import LogPosterior, Predict
 from fynjax.inversion._solvers import confirmed, gain, run_solver
 from fynjax.inversion._space import ParameterSpace
 
 
+@double_precision
 def fit(
     predict: Predict,
     data: Data,
@@ -67,9 +68,10 @@ def fit(
     context. To watch or stop it between steps, run the solver on `whitened_residual`. The
     estimate is differentiable once in data, priors, offset and context, by the implicit function
     theorem with the Hessian of the objective; only nearly where the model itself can be
-    differentiated once, as light in a canopy (`fynjax.radiation.solve_light`).
+    differentiated once, as light in a canopy (`fynjax.radiation.solve_light`). Computed in 64 bits;
+    in a process of 32 take `jax.grad` of a fit inside `with jax.enable_x64(True):`.
 
-    **Raises:** `InputError` for what is no solver, and where JAX is limited to 32 bits.
+    **Raises:** `InputError` for what is no solver.
 
     **Example:** a line through three points, whose offset and slope have wide priors.
 
@@ -83,7 +85,6 @@ def fit(
     >>> line.estimate.round(2).tolist(), bool(line.converged)
     ([1.0, 1.0], True)
     """
-    require_double_precision("`fit`")
     if max_steps < 1:
         raise InputError(f"`max_steps` must be at least 1, but is {max_steps}")
     # In 64 bits also for data in 32.
@@ -136,6 +137,7 @@ def whitened_residual(
     [2.0]
     """
     shift = jnp.zeros(data.value.shape) if offset is None else jnp.asarray(offset, float)
+    space, data = jax.tree.map(jnp.asarray, (space, data))
     density = LogPosterior(predict, space, data, shift, context)
 
     def residual(u: Float[Array, " free"], args: Any = None) -> Float[Array, " residual"]:

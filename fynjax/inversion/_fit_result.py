@@ -15,6 +15,7 @@ from scipy.special import stdtrit
 
 from fynjax._core.errors import InputError
 from fynjax._core.html import as_html
+from fynjax._core.precision import double_precision
 from fynjax.inversion._space import ParameterSpace
 from fynjax.scene import PARAMETERS, parameter_kind
 
@@ -35,6 +36,7 @@ class Data(eqx.Module):
     whitener: Float[Array, "statistic statistic"] | None = None
     """Makes errors that hang together independent, of unit size; without it they are."""
 
+    @double_precision
     def with_scatter(self, deviations: Float[Array, "draw statistic"]) -> "Data":
         """The data with an error of the model added that moves all statistics together.
 
@@ -45,6 +47,7 @@ class Data(eqx.Module):
         moments = deviations.T @ deviations / deviations.shape[0]
         return self.with_covariance(0.5 * (moments + jnp.diag(jnp.diagonal(moments))))
 
+    @double_precision
     def with_covariance(
         self, covariance: Float[Array | np.ndarray, "statistic statistic"]
     ) -> "Data":
@@ -53,6 +56,7 @@ class Data(eqx.Module):
         whitener = jnp.linalg.inv(jnp.linalg.cholesky(total))
         return Data(self.names, self.value, jnp.sqrt(jnp.diagonal(total)), whitener)
 
+    @double_precision
     def along(self, weights: Float[np.ndarray, "direction statistic"]) -> "Data":
         """The same data, of which only directions count: `weights` makes of misfits independent
         ones of unit size, as many as there are statistics, or fewer."""
@@ -61,6 +65,7 @@ class Data(eqx.Module):
         return Data(self.names, self.value, self.sd, jnp.asarray(whitener))
 
     @property
+    @double_precision
     def covariance(self) -> Float[Array, "statistic statistic"]:
         """Of the errors; not of data of which only directions count."""
         if self.whitener is None:
@@ -221,6 +226,7 @@ class FitResult(eqx.Module):
             }
         )
 
+    @double_precision
     def draws(self, number: int, *, seed: int = 0) -> Float[np.ndarray, "draw free"]:
         """Draws from the Laplace approximation of the posterior, in the parameters' own units.
 
@@ -232,6 +238,7 @@ class FitResult(eqx.Module):
         return np.asarray(jax.vmap(self.space.physical)(jnp.asarray(u)))
 
     @property
+    @double_precision
     def explanation(self) -> str:
         """Why the fit stopped, with the parameters and statistics concerned; of one fit."""
         predicted, jacobian = np.asarray(self.predicted), np.asarray(self.jacobian)
@@ -261,6 +268,7 @@ class FitResult(eqx.Module):
             sentence += f" {what.format(', '.join(named[:3]) + more)}" if named else ""
         return sentence
 
+    @double_precision
     def quantiles(self, *shares: float) -> Float[Array, "share free"]:
         """Quantiles of each parameter by the Laplace approximation, in its own unit.
 
@@ -274,6 +282,7 @@ class FitResult(eqx.Module):
         whose standard deviation they at least halve."""
         return well_constrained(self.names, np.asarray(self.constrained), least)
 
+    @double_precision
     def marginal(
         self,
         deviations: Float[Array, "draw statistic"],
@@ -292,6 +301,7 @@ class FitResult(eqx.Module):
         draws = jax.vmap(data.whiten)(jnp.concatenate([self.jacobian[None], jacobians]))
         return self.with_information(repeated_information(draws))
 
+    @double_precision
     def with_information(self, information: Float[Array, "free free"]) -> "FitResult":
         """The same estimate, with the uncertainty that this information about the whitened
         coordinates leaves."""

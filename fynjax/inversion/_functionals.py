@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 from jaxtyping import Array, Float
 
+from fynjax._core.precision import double_precision
 from fynjax.inversion._fit_result import FitResult
 from fynjax.scene import PlotParameters, Scene, with_values
 
@@ -70,6 +71,8 @@ _DRAWS = 400
 """Of the prior."""
 _NINETY = 1.6449
 """Half of a normal's central 90 % [standard deviations]."""
+_ROUNDING = 1e-12
+"""Variance of the logarithm up to which a functional is the same but for the rounding of light."""
 
 
 def _at(
@@ -94,6 +97,7 @@ def _slopes(
     return function(u), jax.jacrev(function)(u)
 
 
+@double_precision
 def stand_table(
     scene: Scene,
     parameters: PlotParameters,
@@ -119,7 +123,7 @@ def stand_table(
     **Returns:** a row for each of `STAND_FUNCTIONALS`: name, unit, median and quantiles of 5 and
     95 % of the prior (`prior`, `prior_q05`, `prior_q95`) and of the posterior (`estimate`, `q05`,
     `q95`), and `constrained`, the share of the prior variance of the logarithm that the data
-    removed [-]. What is zero has no interval.
+    removed [-]. What is zero, or the same whatever is free, has no interval.
     """
     normal = np.random.default_rng([seed, 53]).normal(size=(_DRAWS, len(fit.names)))
     drawn = _draws(scene, parameters, fit.space, jnp.asarray(normal.clip(-3.0, 3.0)))
@@ -131,7 +135,7 @@ def stand_table(
     relative = slopes / np.maximum(value, tiny)[:, None]
     variance = np.einsum("fi,ij,fj->f", relative, np.asarray(fit.covariance, float), relative)
     before = np.log(np.maximum(prior, tiny)).var(axis=0)
-    known = (value > 0.0) & (before > 0.0)
+    known = (value > 0.0) & (before > _ROUNDING)
     half = np.exp(_NINETY * np.sqrt(np.where(known, variance, 0.0)))
     removed = 1.0 - variance / np.where(known, before, 1.0)
     shares = (0.05, 0.5, 0.95)

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from fynjax._core.errors import InputError
+from fynjax._core.precision import double_precision
 from fynjax.inversion._fit_result import main_members
 
 _NOTHING = 1e-10
@@ -52,6 +53,7 @@ class Information(eqx.Module):
         return main_members(self.names, hidden)
 
 
+@double_precision
 def fisher_information(
     names: tuple[str, ...],
     jacobian: Float[np.ndarray, "observation free"],

@@ -21,7 +21,7 @@ from scipy.stats import chi2
 
 from fynjax._core.errors import InputError
 from fynjax._core.least_squares import NO_TAGS, BroydenLM, BroydenState, figures_of
-from fynjax._core.precision import require_double_precision
+from fynjax._core.precision import double_precision
 from fynjax._core.progress import stage
 from fynjax.inversion._calibrate import Ends
 from fynjax.inversion._fit_result import (
@@ -93,11 +93,13 @@ class KnownPlants(eqx.Module):
     """Squared whitened misfit and distance from the prior, at the estimate: of data that the model
     and the prior explain a chi-square of `degrees`."""
 
+    @double_precision
     def stand(self) -> "pd.DataFrame":
         """Numbers of the whole stand before and after the data (`stand_table`)."""
         return stand_table(self.scene, self.before, self.fit)
 
     @property
+    @double_precision
     def data(self) -> Data:
         return self.fit.data
 
@@ -107,17 +109,20 @@ class KnownPlants(eqx.Module):
         return len(self.fit.data.names)
 
     @property
+    @double_precision
     def probability(self) -> float:
         """That the model and its prior would give data so far from its expectation [-]."""
         return float(chi2.sf(self.misfit, self.degrees))
 
     @property
+    @double_precision
     def ends(self) -> Ends:
         """The search has one start."""
         u = np.asarray(self.fit.whitened)[None]
         return Ends(np.array([0.5 * self.misfit]), u, np.zeros(1), 1)
 
 
+@double_precision
 def calibrate_known_plants(
     scene: Scene,
     parameters: PlotParameters,
@@ -176,6 +181,7 @@ def calibrate_known_plants(
     return search.result(end)
 
 
+@double_precision
 def known_plants_search(
     scene: Scene,
     parameters: PlotParameters,
@@ -198,7 +204,6 @@ def known_plants_search(
 
     **Raises:** `InputError` as `calibrate_known_plants`.
     """
-    require_double_precision("`calibrate_known_plants`")
     bands = len(camera.sensor.bands)
     if np.shape(image) != (bands, *camera.shape):
         raise InputError(
@@ -373,6 +378,7 @@ class PixelSearch:
 
     state = PixelState
 
+    @double_precision
     def __init__(
         self,
         model: PixelModel,
@@ -400,11 +406,13 @@ class PixelSearch:
     def _gain(self, u: Array) -> np.ndarray:
         return np.exp(self._gain_root @ np.asarray(u)[self._free :])
 
+    @double_precision
     def image(self, u: Array) -> Float[np.ndarray, "band y x"]:
         """The blocks as the camera measures them."""
         image = np.asarray(self.model.image(self._values(u)), float)
         return image * self._gain(u)[:, None, None]
 
+    @double_precision
     def linear(
         self, u: Array
     ) -> tuple[Float[np.ndarray, " value"], Float[np.ndarray, "value coordinate"]]:
@@ -435,6 +443,7 @@ class PixelSearch:
         options = {"jacobian": lambda *_: known}
         return self._solver.init(None, u, None, options, None, None, NO_TAGS), jnp.asarray(sd)
 
+    @double_precision
     def begin(self, u: Float[Array, " free"] | None = None) -> PixelState:
         """The state at whitened coordinates of the parameters, by default the prior's centre."""
         own = np.zeros(self._free) if u is None else np.asarray(u)
@@ -447,6 +456,7 @@ class PixelSearch:
             number_of(FitStatus.max_steps), whole(0),
         )  # fmt: skip
 
+    @double_precision
     def step(self, state: PixelState) -> PixelState:
         """The next state: one step of the solver, or slopes and errors anew."""
         solver = self._solver
@@ -477,6 +487,7 @@ class PixelSearch:
             trace = jnp.concatenate([trace, figures_of(descent)[None]])
         return dataclasses.replace(state, u=u, descent=descent, trace=trace, step=state.step + 1)
 
+    @double_precision
     def result(self, state: PixelState) -> KnownPlants:
         """What a search that has ended found."""
         model, free, sd, u = self.model, self._free, np.asarray(state.sd), np.asarray(state.u)

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from fynjax._core.precision import require_double_precision
+from fynjax._core.precision import double_precision
 
 
 @dataclass(frozen=True)
@@ -83,6 +83,7 @@ class Population:
     """Of the variances, before each iteration, up to a constant; it never falls."""
 
 
+@double_precision
 def fit_population(
     plots: LinearPlots,
     prior: Hyperprior,
@@ -103,10 +104,7 @@ def fit_population(
 
     **Returns:** `Population`. Estimated variances are the mode of their marginal posterior, means
     and effects are posterior means at these. Not differentiable.
-
-    **Raises:** `InputError` if JAX is limited to 32 bits.
     """
-    require_double_precision("a population")
     count, size = plots.residual.shape
     free = size - prior.known
     sd, error = prior.sd, prior.error.copy()
@@ -193,6 +191,7 @@ def _log_marginal(
     return -0.5 * (likelihood + sd_weight * of_sd + error_weight * of_error)
 
 
+@double_precision
 def log_marginal(
     plots: LinearPlots,
     prior: Hyperprior,

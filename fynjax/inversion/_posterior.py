@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 
 from fynjax._core.errors import InputError
 from fynjax._core.extras import require
-from fynjax._core.precision import require_double_precision
+from fynjax._core.precision import double_precision
 from fynjax._core.progress import advance, stage
 from fynjax._core.sampling import ChainState, Draws, Ensemble, Hamiltonian
 from fynjax.inversion._fit import fit
@@ -31,6 +31,7 @@ _NAMED = 3
 """Most flat directions that are named one by one."""
 
 
+@double_precision
 def sample_posterior(
     predict: Predict, data: Data, space: ParameterSpace, **options: Any
 ) -> Posterior:
@@ -91,6 +92,7 @@ class PosteriorSampler:
     """Where nothing has to be sampled."""
     _sampler: Ensemble | Hamiltonian | None
 
+    @double_precision
     def __init__(
         self,
         predict: Predict,
@@ -110,7 +112,6 @@ class PosteriorSampler:
         batch: int | None = None,
         predictive: int = 100,
     ) -> None:
-        require_double_precision("`sample_posterior`")
         if method not in ("emcee", "nuts", "laplace"):
             raise InputError(f"`method` must be 'emcee', 'nuts' or 'laplace', but is {method!r}")
         if max_steps < 1 or warmup < 1 or predictive < 1 or not target > 0:
@@ -149,6 +150,7 @@ class PosteriorSampler:
         else:
             self._sampler = Hamiltonian(density, begin, covariance, warmup=warmup, **limits)
 
+    @double_precision
     def states(self, state: ChainState | None = None) -> Iterator[ChainState]:
         """The states from a kept one, which is the first, or else from the start, to the end; none
         where nothing has to be sampled."""
@@ -163,6 +165,7 @@ class PosteriorSampler:
                 shown = len(now.chain)
                 yield now
 
+    @double_precision
     def posterior(self, state: ChainState | None = None) -> Posterior:
         """What is known at a state; by default at the end, to which it then goes."""
         if self._sampler is None:

@@ -13,6 +13,7 @@ from jaxtyping import Float
 
 from fynjax._core.extras import require
 from fynjax._core.html import as_html
+from fynjax._core.precision import double_precision
 from fynjax.inversion._fit_result import (
     WELL_CONSTRAINED,
     Data,
@@ -58,12 +59,14 @@ class Posterior(eqx.Module):
         return self.space.names
 
     @property
+    @double_precision
     def values(self) -> Float[np.ndarray, "chain draw free"]:
         """Draws in the parameters' own units."""
         every = jax.vmap(jax.vmap(self.space.physical))
         return np.asarray(every(jnp.asarray(self.whitened)))
 
     @property
+    @double_precision
     def own(self) -> Float[np.ndarray, "chain draw free"]:
         """Draws in the normal coordinate of each parameter's own prior (`ParameterSpace.together`),
         which is a unit normal there."""
@@ -71,6 +74,7 @@ class Posterior(eqx.Module):
         return self.whitened if mixing is None else self.whitened @ np.asarray(mixing).T
 
     @property
+    @double_precision
     def constrained(self) -> Float[np.ndarray, " free"]:
         """1 - posterior over prior variance, in whitened coordinates [-]: 0, the data say
         nothing; 1, they say all."""
@@ -81,15 +85,18 @@ class Posterior(eqx.Module):
         return well_constrained(self.names, self.constrained, least)
 
     @property
+    @double_precision
     def misfit(self) -> Float[np.ndarray, " statistic"]:
         """Predicted median less measured value of each statistic [standard errors of that]."""
         off = np.median(self.predicted, axis=0) - np.asarray(self.data.value)
         return off / np.asarray(self.data.sd)
 
+    @double_precision
     def quantiles(self, *shares: float) -> Float[np.ndarray, "share free"]:
         """Quantiles of each parameter, in its own unit."""
         return np.quantile(self.values.reshape(-1, len(self.names)), shares, axis=0)
 
+    @double_precision
     def diagnostics(self) -> dict[str, dict[str, float]]:
         """Effective sample size (bulk and tail) and split R-hat of each parameter, by arviz.
 
@@ -109,6 +116,7 @@ class Posterior(eqx.Module):
             for i, name in enumerate(self.names)
         }
 
+    @double_precision
     def inference_data(self, attributes: dict[str, Any] | None = None) -> Any:
         """The draws as arviz's `InferenceData`: `to_netcdf` writes it, `arviz.from_netcdf` reads.
 

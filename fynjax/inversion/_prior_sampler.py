@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Float
 
 from fynjax._core.errors import InputError
+from fynjax._core.precision import double_precision
 from fynjax.inversion._amortised import DARKEST, OFFSET_SD, OWN_SD
 
 Simulate = Callable[
@@ -36,6 +37,7 @@ class PriorChain(NamedTuple):
     """Share of the proposals that were accepted [-]."""
 
 
+@double_precision
 def sample_prior(
     simulate: Simulate,
     start: Float[np.ndarray, "walker number"],
@@ -108,6 +110,7 @@ class _Proposal:
         return moved, 0.5 * (np.sum(moved**2, axis=1) - np.sum(z**2, axis=1))
 
 
+@double_precision
 def draws_like(
     candidates: Float[np.ndarray, "candidate number"],
     log_likelihood: Float[np.ndarray, " candidate"],
@@ -124,6 +127,7 @@ def draws_like(
     return candidates[order[:count]]
 
 
+@double_precision
 def spectrum_likelihood(
     observed: Float[np.ndarray, " channel"],
     reflectance: Float[np.ndarray, "draw channel"],

@@ -13,6 +13,7 @@ from jaxtyping import Array, Float, Int
 
 from fynjax._core.errors import InputError
 from fynjax._core.least_squares import NO_TAGS, BroydenLM, BroydenState, figures_of
+from fynjax._core.precision import double_precision
 from fynjax._core.progress import advance
 from fynjax.inversion._expected import (
     Expected,
@@ -244,6 +245,7 @@ class PlotSearch:
 
     state = SearchState
 
+    @double_precision
     def __init__(
         self,
         scene: Scene,
@@ -295,19 +297,23 @@ class PlotSearch:
             self._planted = wanted.tobytes(), full, coarse
         return self._planted[1], self._planted[2]
 
+    @double_precision
     def scene(self, state: SearchState) -> Scene:
         """The scene, with the sites that the search needed."""
         return self._stands(state.wanted)[0][0]
 
+    @double_precision
     def stands(self, state: SearchState) -> tuple[Scene, ...]:
         """The plantings of the search, in the coarse form."""
         return self._stands(state.wanted)[1]
 
     @property
+    @double_precision
     def coarse_views(self) -> tuple[AbstractView, ...]:
         """What each sensor yields of the plantings of the search."""
         return self._predict.views
 
+    @double_precision
     def expected(self, state: SearchState) -> Expected:
         """Statistics over the plantings of a state."""
         return self._expected(state.wanted, state.subspace)
@@ -379,6 +385,7 @@ class PlotSearch:
 
     # -- what a place says ------------------------------------------------------------------
 
+    @double_precision
     def plot(self, u: Array) -> PlotParameters:
         """The parameters at whitened coordinates."""
         return with_values(self._parameters, self._scene.taxa, self.space.named(u))
@@ -419,10 +426,12 @@ class PlotSearch:
             array(whole), array(lack), images,
         )  # fmt: skip
 
+    @double_precision
     def data_at(self, place: SearchPlace) -> Data:
         """The targets with the errors at a place."""
         return with_error(self.data, np.asarray(place.covariance))
 
+    @double_precision
     def weights(
         self, place: SearchPlace, subspace: Directions
     ) -> Float[np.ndarray, "direction statistic"]:
@@ -431,6 +440,7 @@ class PlotSearch:
         covariance = rows @ np.asarray(self.data_at(place).covariance) @ rows.T
         return np.asarray(np.linalg.solve(np.linalg.cholesky(covariance), rows))
 
+    @double_precision
     def objective(self, place: SearchPlace, weights: np.ndarray) -> float:
         """Half the squared whitened misfit and distance from the prior at a place."""
         rest = self._whitened(weights, np.asarray(place.statistics), place.u)
@@ -442,6 +452,7 @@ class PlotSearch:
 
     # -- the search -------------------------------------------------------------------------
 
+    @double_precision
     def begin(self, u: Float[Array, " free"], after: SearchState | None = None) -> SearchState:
         """The state at whitened coordinates `u`.
 
@@ -491,6 +502,7 @@ class PlotSearch:
         options = {"jacobian": lambda *_: known}
         return self._own.init(None, place.u, None, options, None, None, NO_TAGS)
 
+    @double_precision
     def step(self, state: SearchState) -> SearchState:
         """The next state: one step of the solver, or the end of a round and the full scenes there.
 

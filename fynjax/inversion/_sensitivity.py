@@ -15,6 +15,7 @@ from scipy.stats import qmc, t
 from fynjax._core.errors import InputError
 from fynjax._core.extras import require
 from fynjax._core.parts import Do, in_order
+from fynjax._core.precision import double_precision
 from fynjax._core.progress import stage
 from fynjax.inversion._fit import Predict
 from fynjax.inversion._space import ParameterSpace
@@ -45,6 +46,7 @@ class LocalSensitivity(eqx.Module):
     metric is zero."""
 
 
+@double_precision
 def local_sensitivity(
     predict: Predict,
     names: Sequence[str],
@@ -137,6 +139,7 @@ class ExpectedSensitivity(eqx.Module):
         return np.take_along_axis(relative, first, axis=1).max(axis=1)
 
 
+@double_precision
 def expected_sensitivity(
     predict: Predict,
     names: Sequence[str],
@@ -280,6 +283,7 @@ class SobolIndices(eqx.Module):
     total_error: Float[np.ndarray, "metric free"]
 
 
+@double_precision
 def sobol_indices(
     predict: Predict,
     space: ParameterSpace,
@@ -350,6 +354,7 @@ class DerivativeMeasures(eqx.Module):
     """No total Sobol index is larger [-]."""
 
 
+@double_precision
 def derivative_measures(
     predict: Predict,
     space: ParameterSpace,
@@ -438,10 +443,12 @@ def _run(
     return values
 
 
+@double_precision
 def _memory(point: np.ndarray, function: Callable[[Array], Array]) -> tuple[np.ndarray]:
     return (np.asarray(memory_batch(function, point)),)
 
 
+@double_precision
 def _values(
     points: np.ndarray, function: Callable[[Array], Array], batch: int
 ) -> tuple[np.ndarray]:

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from fynjax._core.errors import InputError
+from fynjax._core.precision import double_precision
 from fynjax._core.progress import track
 from fynjax.inversion._calibrate import COARSE, coarser
 from fynjax.inversion._fit_result import scatter_covariance
@@ -80,6 +81,7 @@ def even_bands(count: int, lowest: float, highest: float) -> BandSet:
     )  # fmt: skip
 
 
+@double_precision
 def sweep_sensors(
     scene: Scene,
     parameters: PlotParameters,

@@ -34,6 +34,7 @@ from scipy.optimize import brentq
 
 from fynjax._core.errors import InputError
 from fynjax._core.parameters import Distribution, Parameter
+from fynjax._core.precision import in_double
 from fynjax.scene import PARAMETERS, parameter_kind
 
 _NEAR, _FAR = 5.0, 37.0
@@ -123,31 +124,37 @@ class ParameterSpace(eqx.Module):
             wide = one.width_of(float(sd)) if width is None else float(sd)
             fitted.append((wide, *one.at(wide), one.sd(wide) if width is not None else sd))
         table = np.array(fitted).reshape(count, 5).T
-        self.lower, self.upper, self.prior = (jnp.asarray(a) for a in arrays[:3])
-        self.width, self.location, self.prior_sd = (jnp.asarray(table[i]) for i in (0, 1, 4))
-        self.cut = jnp.asarray(table[2:4])
+        self.lower, self.upper, self.prior = (in_double(a) for a in arrays[:3])
+        self.width, self.location, self.prior_sd = (in_double(table[i]) for i in (0, 1, 4))
+        self.cut = in_double(table[2:4])
         self.distribution = kinds
-        self.mixing = None if correlation is None else jnp.asarray(_root(correlation, count))
+        self.mixing = None if correlation is None else in_double(_root(correlation, count))
 
     def together(self, u: Float[Array, " free"]) -> Float[Array, " free"]:
         """The normal coordinate v of each parameter's own prior, from whitened coordinates."""
-        return u if self.mixing is None else self.mixing @ u
+        return u if self.mixing is None else jnp.asarray(self.mixing, float) @ u
 
     def own_variance(self, covariance: Float[Array, "free free"]) -> Float[Array, " free"]:
         """Variance of each parameter's normal coordinate, where the prior's is one, from the
         covariance of the whitened coordinates."""
         if self.mixing is None:
             return jnp.diagonal(covariance)
-        return jnp.sum((self.mixing @ covariance) * self.mixing, axis=1)
+        mixing = jnp.asarray(self.mixing, float)
+        return jnp.sum((mixing @ covariance) * mixing, axis=1)
 
     def _is(self, kind: Distribution) -> Bool[np.ndarray, " free"]:
         return np.array([own == kind for own in self.distribution], bool)
 
+    def _now(self) -> "ParameterSpace":
+        """The same in the precision that JAX has now."""
+        return jax.tree.map(lambda array: jnp.asarray(array, float), self)
+
     def _coordinate(self, v: Array) -> Array:
         """z from the normal coordinates."""
+        now = self._now()
         if self._is("logit-normal").all():
-            return self.location + self.width * v
-        return self.location + self.width * _cut_normal(v, *self.cut)
+            return now.location + now.width * v
+        return now.location + now.width * _cut_normal(v, *now.cut)
 
     def physical(self, u: Float[Array, " free"]) -> Float[Array, " free"]:
         """Parameters in their own units from whitened coordinates. Differentiable."""
@@ -157,19 +164,20 @@ class ParameterSpace(eqx.Module):
         """Parameters in their own units from their own normal coordinates, as if no priors were
         correlated. Differentiable."""
         z, log, logit = self._coordinate(v), self._is("lognormal"), self._is("logit-normal")
-        share = jnp.where(logit, self.lower, 0.0), jnp.where(logit, self.upper - self.lower, 1.0)
+        lower, upper = self._now().lower, self._now().upper
+        share = jnp.where(logit, lower, 0.0), jnp.where(logit, upper - lower, 1.0)
         value = jnp.where(log, jnp.exp(jnp.where(log, z, 0.0)), z)
         return jnp.where(logit, share[0] + share[1] * jax.nn.sigmoid(z), value)
 
     def whitened(self, values: Float[Array, " free"]) -> Float[Array, " free"]:
         """Inverse of `physical`, for values strictly inside the bounds."""
-        log, logit = self._is("lognormal"), self._is("logit-normal")
-        below = jnp.where(logit, values - self.lower, jnp.where(log, values, 1.0))
-        above = jnp.where(logit, self.upper - values, 1.0)
+        log, logit, now = self._is("lognormal"), self._is("logit-normal"), self._now()
+        below = jnp.where(logit, values - now.lower, jnp.where(log, values, 1.0))
+        above = jnp.where(logit, now.upper - values, 1.0)
         z = jnp.where(log | logit, jnp.log(below) - jnp.log(above), values)
-        t = (z - self.location) / self.width
-        v = t if logit.all() else _whole_normal(t, *self.cut)
-        return v if self.mixing is None else jnp.linalg.solve(self.mixing, v)
+        t = (z - now.location) / now.width
+        v = t if logit.all() else _whole_normal(t, *now.cut)
+        return v if now.mixing is None else jnp.linalg.solve(now.mixing, v)
 
     def slope(self, u: Float[Array, " free"]) -> Float[Array, " free"]:
         """d physical / d v, where v is `together(u)`."""
@@ -182,10 +190,11 @@ class ParameterSpace(eqx.Module):
 
     def _log_slope(self, v: Array) -> Array:
         z, log, logit = self._coordinate(v), self._is("lognormal"), self._is("logit-normal")
-        extent = jnp.where(logit, self.upper - self.lower, 1.0)
+        now = self._now()
+        extent = jnp.where(logit, now.upper - now.lower, 1.0)
         both = jnp.log(extent) + jax.nn.log_sigmoid(z) + jax.nn.log_sigmoid(-z)
-        rate = jnp.where(logit, both, jnp.where(log, z, 0.0)) + jnp.log(self.width)
-        return rate if logit.all() else rate + _log_rate(v, *self.cut)
+        rate = jnp.where(logit, both, jnp.where(log, z, 0.0)) + jnp.log(now.width)
+        return rate if logit.all() else rate + _log_rate(v, *now.cut)
 
     def named(self, u: Float[Array, " free"]) -> dict[str, Array]:
         """Parameters by name."""
@@ -213,16 +222,18 @@ class ParameterSpace(eqx.Module):
         """Standard deviation, in their own units, of parameters whose normal coordinates are normal
         about those of `u` with `sd`. Differentiable."""
         v = self.together(u)
-        values = jax.vmap(self.alone)(v + _NODES[:, None] * sd) - self.alone(v)
-        mean = _NODE_WEIGHT @ values
-        return jnp.sqrt(_NODE_WEIGHT @ (values - mean) ** 2)
+        nodes, weight = (jnp.asarray(a, float) for a in (_NODES, _NODE_WEIGHT))
+        values = jax.vmap(self.alone)(v + nodes[:, None] * sd) - self.alone(v)
+        mean = weight @ values
+        return jnp.sqrt(weight @ (values - mean) ** 2)
 
     def at_bound(self, values: Float[Array, " free"]) -> Bool[Array, " free"]:
         """Whether values lie at a bound: nearer than a thousandth of the range, and than a
         twentieth of the prior's median is."""
-        near = jnp.minimum(values - self.lower, self.upper - values)
-        usual = jnp.minimum(self.prior - self.lower, self.upper - self.prior)
-        return near < jnp.minimum(_AT_BOUND * (self.upper - self.lower), _NEARER * usual)
+        now = self._now()
+        near = jnp.minimum(values - now.lower, now.upper - values)
+        usual = jnp.minimum(now.prior - now.lower, now.upper - now.prior)
+        return near < jnp.minimum(_AT_BOUND * (now.upper - now.lower), _NEARER * usual)
 
 
 def _root(correlation: ArrayLike, count: int) -> np.ndarray:

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from fynjax._core.precision import double_precision
 from fynjax._core.progress import track
 from fynjax.inversion._calibrate import Calibration
 from fynjax.inversion._expected import predicted
@@ -51,6 +52,7 @@ class FittedSurrogate(NamedTuple):
     """Root mean square error of renders that were left out, in units of the errors of the data."""
 
 
+@double_precision
 def fit_surrogate(
     calibration: Calibration,
     *,
@@ -95,6 +97,7 @@ def fit_surrogate(
     return FittedSurrogate(surrogate, error)
 
 
+@double_precision
 def surrogate_renders(
     calibration: Calibration,
     *,

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from fynjax._core.errors import InputError
+from fynjax._core.precision import double_precision
 from fynjax.inversion._fit_result import Data
 from fynjax.metrics import BANDS
 
@@ -34,6 +35,7 @@ plants means are off by 1 %, standard deviations by 5 to 20 % (`tests.benchmarks
 and the camera's noise adds to them."""
 
 
+@double_precision
 def weigh_targets(
     names: Sequence[str],
     value: Float[np.ndarray, " statistic"],
@@ -80,6 +82,7 @@ GAIN, OFFSET = 0.03, 0.003
 Assumptions, of the size of what is left of atmosphere and calibration in surface reflectance."""
 
 
+@double_precision
 def weigh_spectrum(
     names: Sequence[str],
     value: Float[np.ndarray, " statistic"],
@@ -127,6 +130,7 @@ STRUCTURE_SD = 0.05
 to be off by at tens of pulses a square metre (`voxel_structure`)."""
 
 
+@double_precision
 def weigh_structure(
     names: Sequence[str],
     value: Float[np.ndarray, " statistic"],
@@ -155,6 +159,7 @@ def weigh_structure(
     return Data(tuple(names), jnp.asarray(value), jnp.asarray(error))
 
 
+@double_precision
 def join_data(parts: Sequence[Data]) -> Data:
     """Targets of several sensors, `parts`, as one; errors of different sensors are independent."""
     if len(parts) == 1:

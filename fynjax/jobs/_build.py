@@ -14,6 +14,7 @@ from pydantic import Field
 
 from fynjax._core.dry_run import begin_work
 from fynjax._core.errors import InputError
+from fynjax._core.precision import double_precision
 from fynjax.assembly import build_plot, check_memory
 from fynjax.canopy import PlantModel
 from fynjax.io.instruments import scene_meshes, write_scene_mesh
@@ -81,6 +82,7 @@ class BuildResult(JobResult):
     triangles: int | None = None
 
 
+@double_precision
 def build(
     plot: Plot | str | Path,
     output: Path,

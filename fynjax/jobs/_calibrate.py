@@ -9,6 +9,7 @@ import pandas as pd
 
 from fynjax._core.dry_run import begin_work
 from fynjax._core.errors import InputError
+from fynjax._core.precision import double_precision
 from fynjax.assembly import Measured, prepare, read_targets
 from fynjax.inversion import (
     Calibration,
@@ -75,6 +76,7 @@ class CalibrateResult(JobResult):
     starts: StartSummary
 
 
+@double_precision
 def calibrate(
     plot: Plot | str | Path,
     targets: Path | Sequence[Path],
@@ -163,6 +165,7 @@ def _calibrate_known(
     )
 
 
+@double_precision
 def calibrate_to(
     plot: Plot,
     measured: Sequence[Measured],

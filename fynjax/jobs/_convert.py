@@ -7,6 +7,7 @@ from typing import Literal
 import pandas as pd
 
 from fynjax._core.dry_run import begin_work
+from fynjax._core.precision import double_precision
 from fynjax.io.spectra import (
     measured_dataset,
     measured_table,
@@ -34,6 +35,7 @@ class ConvertResult(JobResult):
     repairs: list[SpectrumRepair]
 
 
+@double_precision
 def convert(
     paths: Sequence[str | Path],
     output: str | Path,

@@ -14,6 +14,7 @@ from fynjax._core.checkpoint import Journal, signature
 from fynjax._core.dry_run import begin_work
 from fynjax._core.errors import InputError
 from fynjax._core.parts import Workers, at_work
+from fynjax._core.precision import double_precision
 from fynjax._core.progress import stage
 from fynjax.io.spectra import (
     measured_dataset,
@@ -196,6 +197,7 @@ def _read_groups(path: str | Path, names: Sequence[str]) -> list[str]:
     return [species[name] for name in names]
 
 
+@double_precision
 def fit_leaf(
     paths: Sequence[str | Path],
     output: str | Path,

@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 
 from fynjax._core.dry_run import begin_work
+from fynjax._core.precision import double_precision
 from fynjax.assembly import prepare, shown_unit
 from fynjax.inversion import Information, SensorSetting, even_bands, sweep_sensors
 from fynjax.io.plot import Plot, as_plot, plot_instrument, sensor_place
@@ -29,6 +30,7 @@ class InformationResult(JobResult):
     """Combinations of parameters that the first sensor does not resolve, with their weights."""
 
 
+@double_precision
 def information(
     plot: Plot | str | Path,
     output: Path,

@@ -16,6 +16,7 @@ from fynjax._core.checkpoint import forget_journal, signature
 from fynjax._core.dry_run import begin_work, image_size
 from fynjax._core.errors import InputError, listed
 from fynjax._core.parts import Workers, at_work
+from fynjax._core.precision import double_precision
 from fynjax.assembly import STAND_QUANTITIES
 from fynjax.inversion import estimate_pixels
 from fynjax.io.plot import DEFAULT_PRIOR
@@ -72,6 +73,7 @@ class MapResult(JobResult):
     posteriors: list[PixelPosterior] = Field([], description="Of the pixels asked for.")
 
 
+@double_precision
 def map_cube(
     cube: str | Path,
     training: str | Path,

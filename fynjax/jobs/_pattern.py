@@ -6,6 +6,7 @@ from typing import Literal
 
 from fynjax._core.dry_run import begin_work
 from fynjax._core.errors import InputError
+from fynjax._core.precision import double_precision
 from fynjax.canopy import (
     Greenness,
     VegetationPattern,
@@ -80,6 +81,7 @@ class PatternResult(JobResult):
     alignment: list[AlignmentSummary] | None
 
 
+@double_precision
 def pattern(
     paths: Sequence[str | Path],
     output: str | Path,

@@ -12,6 +12,7 @@ from pydantic import Field
 
 from fynjax._core.dry_run import begin_work
 from fynjax._core.errors import InputError
+from fynjax._core.precision import double_precision
 from fynjax.canopy import (
     FORMS,
     GeneratedPlant,
@@ -99,6 +100,7 @@ class PlantResult(JobResult):
     materials: list[MaterialSummary]
 
 
+@double_precision
 def plant(
     source: str,
     output: str | Path,

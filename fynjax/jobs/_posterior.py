@@ -13,6 +13,7 @@ from fynjax._core.checkpoint import Journal, signature
 from fynjax._core.dry_run import begin_work
 from fynjax._core.errors import InputError
 from fynjax._core.extras import require
+from fynjax._core.precision import double_precision
 from fynjax._core.sampling import ChainState
 from fynjax.assembly import (
     Prepared,
@@ -79,6 +80,7 @@ _STANDS = 400
 """Draws of the posterior whose stands are computed, at most."""
 
 
+@double_precision
 def posterior(
     plot: Plot | str | Path,
     targets: Path | Sequence[Path],

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from fynjax._core.dry_run import begin_work
 from fynjax._core.errors import InputError
+from fynjax._core.precision import double_precision
 from fynjax._core.progress import track
 from fynjax.io.micasense import (
     AlignedCapture,
@@ -56,6 +57,7 @@ class ReflectanceResult(JobResult):
     captures: dict[str, CaptureSummary]
 
 
+@double_precision
 def reflectance(
     images: Sequence[str | Path],
     output: str | Path,

@@ -16,6 +16,7 @@ from jaxtyping import Array, Float
 from fynjax._core.checkpoint import Journal, signature
 from fynjax._core.dry_run import begin_work, image_size
 from fynjax._core.errors import InputError
+from fynjax._core.precision import double_precision
 from fynjax._core.progress import track
 from fynjax.assembly import aim_without_air, build_plot
 from fynjax.io.plot import Plot, as_plot, plot_instrument, plot_place
@@ -59,6 +60,7 @@ class RenderResult(JobResult):
     statistics: list[StatisticSummary]
 
 
+@double_precision
 def render(
     plot: Plot | str | Path,
     output: Path,

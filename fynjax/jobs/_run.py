@@ -14,14 +14,11 @@ from fynjax._core.dry_run import DryRunEnd as DryRunEnd
 from fynjax._core.dry_run import dry_run as dry_run
 from fynjax._core.memory import peak_memory
 from fynjax._core.parts import Workers as Workers
-from fynjax._core.precision import enable_double_precision
 from fynjax._core.progress import stage
 from fynjax.io.raster import provenance, write_qgis_style
 from fynjax.io.text import write_text
 from fynjax.jobs._result import JobResult
 from fynjax.report.pages import Page, Picture, Table, write_page
-
-enable_double_precision()
 
 Result = TypeVar("Result", bound=JobResult)
 _log = logging.getLogger("fynjax")

@@ -13,6 +13,7 @@ from fynjax._core.dry_run import begin_work
 from fynjax._core.errors import InputError
 from fynjax._core.extras import require
 from fynjax._core.parts import Workers, at_work
+from fynjax._core.precision import double_precision
 from fynjax.assembly import Prepared, batch_for_device, image_view, prepare, shown_unit
 from fynjax.inversion import (
     LEADING_ELASTICITIES,
@@ -54,6 +55,7 @@ class SensitivityResult(JobResult):
     """Rows of variance.csv; none where no samples were asked for."""
 
 
+@double_precision
 def sensitivity(
     plot: Plot | str | Path,
     output: Path,

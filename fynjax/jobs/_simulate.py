@@ -13,6 +13,7 @@ from jaxtyping import Array
 
 from fynjax._core.dry_run import begin_work, image_size
 from fynjax._core.errors import InputError
+from fynjax._core.precision import double_precision
 from fynjax.assembly import aim_at_plot, build_plot
 from fynjax.io.instruments import load_instrument
 from fynjax.io.plot import AtmosphereTable, Place, Plot, as_plot, plot_place
@@ -49,6 +50,7 @@ class SimulateResult(JobResult):
     noise: bool
 
 
+@double_precision
 def simulate(
     plot: Plot | str | Path,
     output: Path,

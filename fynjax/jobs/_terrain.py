@@ -8,6 +8,7 @@ import numpy as np
 
 from fynjax._core.dry_run import begin_work
 from fynjax._core.errors import InputError
+from fynjax._core.precision import double_precision
 from fynjax.io.raster import write_geotiff
 from fynjax.jobs._result import JobResult, Record
 from fynjax.jobs._run import Run
@@ -80,6 +81,7 @@ class TerrainResult(JobResult):
     terrain: TerrainSummary
 
 
+@double_precision
 def terrain(
     path: str | Path,
     output: str | Path,

@@ -17,6 +17,7 @@ from fynjax._core.dry_run import begin_work
 from fynjax._core.errors import InputError
 from fynjax._core.extras import require
 from fynjax._core.parts import Workers, at_work
+from fynjax._core.precision import double_precision
 from fynjax.assembly import STAND_QUANTITIES, StandSettings, simulate_stands, stand_forms
 from fynjax.inversion import (
     INTERVALS,
@@ -81,6 +82,7 @@ class Training:
     """How it came to be."""
 
 
+@double_precision
 def train(
     output: str | Path,
     *,
@@ -305,6 +307,7 @@ def write_training(path: Path, training: Training) -> None:
     write_run(path, data, training.record)
 
 
+@double_precision
 def read_training(path: str | Path) -> Training:
     """Read a regression that `train` wrote.
 

@@ -11,6 +11,7 @@ from pydantic import Field
 
 from fynjax._core.dry_run import begin_work
 from fynjax._core.errors import InputError
+from fynjax._core.precision import double_precision
 from fynjax.compare import (
     DroneComparison,
     PublishedComparison,
@@ -147,6 +148,7 @@ class ValidateResult(JobResult):
     structure: StructureSummary | None
 
 
+@double_precision
 def validate(
     data: ValidationData,
     output: str | Path,

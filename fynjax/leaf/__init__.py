@@ -1,9 +1,5 @@
-"""Leaf optics: PROSPECT, forward and backward.
+"""Leaf optics: PROSPECT, forward and backward."""
 
-Importing it lets JAX compute in 64 bits, unless `JAX_ENABLE_X64=0` is in the environment.
-"""
-
-from fynjax._core.precision import enable_double_precision
 from fynjax.leaf._area import FLAT, ROUND, LeafArea, LeafShape, area_factors
 from fynjax.leaf._coefficients import ProspectVersion
 from fynjax.leaf._detectors import LARGEST_JUMP, correct_detector_jumps
@@ -47,8 +43,6 @@ from fynjax.leaf._prospect import (
 from fynjax.leaf._regression import regress_water
 from fynjax.leaf._result import LeafFit, LeafStatus
 from fynjax.leaf._transmissivity import exponential_integral, layer_absorptance
-
-enable_double_precision()
 
 __all__ = [
     "FLAT",

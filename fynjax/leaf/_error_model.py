@@ -18,6 +18,7 @@ import pandas as pd
 from jaxtyping import Bool, Float
 
 from fynjax._core.errors import InputError
+from fynjax._core.precision import double_precision
 
 
 def bin_centres() -> np.ndarray:
@@ -97,6 +98,7 @@ def _distrust() -> Float[np.ndarray, " bin"]:
     return np.where(inside(centres, PUBLISHED_DOMAINS), 0.0, _DISTRUST)
 
 
+@double_precision
 def estimate_error_model(
     residual_sets: Sequence[Float[np.ndarray, "leaf 2 bin"]],
     factors: int = 40,

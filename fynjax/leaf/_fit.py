@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 from scipy.stats import chi2
 
-from fynjax._core.precision import require_double_precision
+from fynjax._core.precision import double_precision
 from fynjax.leaf._area import LeafShape
 from fynjax.leaf._coefficients import ProspectVersion
 from fynjax.leaf._error_model import ErrorModel, bin_centres
@@ -186,6 +186,7 @@ def thickness(dry_matter: np.ndarray) -> np.ndarray:
     return np.clip(np.log(dry_matter / USUAL_DRY_MATTER), -_THICKEST, _THICKEST)
 
 
+@double_precision
 def fit_leaf(
     wavelength: "ArrayLike | pd.DataFrame | xr.DataArray | xr.Dataset",
     reflectance: ArrayLike | None = None,
@@ -271,6 +272,7 @@ class LeafChunks:
     setup: Setup
     """What all leaves share."""
 
+    @double_precision
     def __init__(
         self,
         wavelength: Any,
@@ -288,7 +290,6 @@ class LeafChunks:
         error_model: ErrorModel | None = None,
     ) -> None:
         """Chunks of `size` leaves; other arguments and errors as `fit_leaf`."""
-        require_double_precision("`fit_leaf`")
         spectra = as_spectra(wavelength, reflectance, transmittance)
         self._source, self._data = spectra.source, binned_data(spectra, detector_changes)
         self._use = usable_bins(self._data, domain, outdoor)
@@ -299,6 +300,7 @@ class LeafChunks:
         self.parts = [(self._data[r], self._use[r], (mean[r], precision[r])) for r in self.rows]
 
     @staticmethod
+    @double_precision
     def fit(part: Chunk, setup: Setup) -> tuple[np.ndarray, ...]:
         """Arrays that `join` takes, of a chunk; can be sent to another process."""
         data, use, prior = part
@@ -308,6 +310,7 @@ class LeafChunks:
         values = describe_chunk(setup, found, problems, covariance, use, change)
         return np.array(list(values)), *values.values()
 
+    @double_precision
     def join(self, fitted: Iterable[tuple[np.ndarray, ...]]) -> LeafFit:
         """The result, from what `fit` gave of each chunk, in their order."""
         parts = [dict(zip(map(str, names), arrays)) for names, *arrays in fitted]

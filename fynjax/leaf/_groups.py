@@ -11,7 +11,7 @@ import pandas as pd
 from jaxtyping import Float
 
 from fynjax._core.errors import InputError
-from fynjax._core.precision import require_double_precision
+from fynjax._core.precision import double_precision
 from fynjax.leaf._area import LeafArea, LeafShape, area_factors
 from fynjax.leaf._coefficients import ProspectVersion
 from fynjax.leaf._error_model import ErrorModel, default_error_model
@@ -53,6 +53,7 @@ class LeafGroups(eqx.Module):
     leaves: LeafFit
     """Every leaf, fitted with its species as the prior."""
 
+    @double_precision
     def variants(self, count: int, seed: int = 0) -> LeafParameters:
         """Leaves drawn from each species: `count` materials for each, fields [group, variant].
 
@@ -95,6 +96,7 @@ def _parameters(z: np.ndarray, names: Sequence[str]) -> LeafParameters:
     return make(*(jnp.asarray(filled[name]) for name in LEAF_PARAMETERS))
 
 
+@double_precision
 def fit_leaf_groups(
     wavelength: Any,
     reflectance: Any = None,
@@ -152,7 +154,6 @@ def fit_leaf_groups(
     >>> bool(species.mean.chlorophyll[0] < 45.0 < species.mean.chlorophyll[1])
     True
     """
-    require_double_precision("`fit_leaf_groups`")
     spectra = as_spectra(wavelength, reflectance, transmittance)
     data = binned_data(spectra, detector_changes)
     if len(groups) != len(data):

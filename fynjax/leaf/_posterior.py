@@ -12,7 +12,7 @@ from jax.tree_util import Partial
 from jaxtyping import Array, Float
 
 from fynjax._core.errors import InputError
-from fynjax._core.precision import require_double_precision
+from fynjax._core.precision import double_precision
 from fynjax._core.progress import track
 from fynjax._core.sampling import Ensemble, Hamiltonian
 from fynjax.leaf._area import LeafArea, LeafShape, area_factors
@@ -101,6 +101,7 @@ def of_many(density: Callable[[Array], Array], z: Array) -> Array:
     return jax.vmap(density)(z)
 
 
+@double_precision
 def sample_leaf_posterior(
     wavelength: Any,
     reflectance: Any = None,
@@ -147,7 +148,6 @@ def sample_leaf_posterior(
     """
     if sampler not in ("emcee", "nuts"):
         raise InputError(f'`sampler` must be "emcee" or "nuts", but is {sampler!r}')
-    require_double_precision("`sample_leaf_posterior`")
     given = as_spectra(wavelength, reflectance, transmittance)
     data = binned_data(given, detector_changes)
     use = usable_bins(data, domain, outdoor)

@@ -18,6 +18,7 @@ from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Array, Float
 
 from fynjax._core.errors import InputError, did_you_mean
+from fynjax._core.precision import double_precision
 from fynjax.leaf._area import LeafShape, check_shape
 from fynjax.leaf._coefficients import (
     CONSTITUENTS,
@@ -343,6 +344,7 @@ def _kernel(
 
 
 @lru_cache(maxsize=64)
+@double_precision
 def _constants(
     version: str, grid: bytes | None, shape: str, angle: float, dtype: str
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:

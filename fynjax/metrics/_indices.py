@@ -162,7 +162,7 @@ def vegetation_indices(
     >>> from fynjax.metrics import vegetation_indices
     >>> pixel = jnp.array([0.06, 0.05, 0.15, 0.35])  # green, red, red edge, near infrared
     >>> vegetation_indices(pixel, ["NDVI", "GNDVI"]).round(3)
-    Array([0.75 , 0.707], dtype=float64)
+    Array([0.75 , 0.707], dtype=float32)
     """
     chosen, bands = _chosen(names), _bands(image)
     values = []

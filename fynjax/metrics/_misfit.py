@@ -86,7 +86,7 @@ def misfit_decomposition(real: Spectrum, simulated: Spectrum, valid: Mask | None
     >>> round(float(misfit.gain), 6), round(float(misfit.offset), 6)
     (1.5, 0.02)
     >>> misfit.shares.round(3)  # level, contrast, shape
-    Array([0.828, 0.172, 0.   ], dtype=float64)
+    Array([0.828, 0.172, 0.   ], dtype=float32)
     """
     x, y, count = _pair(real, simulated, valid)
     keep: Bool[Array, " wavelength"] = (

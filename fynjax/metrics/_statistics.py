@@ -84,7 +84,7 @@ def image_statistics(
     >>> from fynjax.metrics import image_statistics
     >>> image = jnp.array([0.06, 0.05, 0.15, 0.35])[:, None, None] * jnp.ones((4, 3, 3))
     >>> image_statistics(image, ["nir.mean", "NDVI.q50"]).round(3)
-    Array([0.35, 0.75], dtype=float64)
+    Array([0.35, 0.75], dtype=float32)
     """
     check_statistics(names)
     indices = list(

@@ -146,7 +146,7 @@ def canopy_albedo(
     >>> from fynjax.radiation import canopy_albedo
     >>> albedo = canopy_albedo(jnp.array([0.06, 0.45]), jnp.array([0.03, 0.45]), 2.0)
     >>> albedo.black_sky.round(3), albedo.white_sky.round(3)
-    (Array([0.03 , 0.335], dtype=float64), Array([0.029, 0.388], dtype=float64))
+    (Array([0.03 , 0.335], dtype=float32), Array([0.029, 0.388], dtype=float32))
     """
     rho, tau = (
         jnp.atleast_1d(as_floats(name, value))

@@ -58,9 +58,9 @@ def fluxes(light: Light) -> Fluxes:
     ... )
     >>> share = fluxes(solve_light(scene))
     >>> share.albedo.round(2)
-    Array([0.06, 0.35], dtype=float64)
+    Array([0.06, 0.35], dtype=float32)
     >>> (share.albedo + share.absorbed.sum(axis=1) + share.ground_absorbed).round(3)
-    Array([1., 1.], dtype=float64)
+    Array([1., 1.], dtype=float32)
     """
     return _by_band(light, lambda scene, field: _fluxes(light, scene, field))
 
@@ -90,7 +90,7 @@ def absorption(light: Light) -> Float[Array, "band z y x"]:
     >>> absorbed = absorption(solve_light(scene))
     >>> absorbed.mean(axis=(2, 3)).round(2)  # [band, layer]: more in red, and in the upper layer
     Array([[0.87, 1.04],
-           [0.18, 0.2 ]], dtype=float64)
+           [0.18, 0.2 ]], dtype=float32)
     """
 
     def absorbed_per_volume(scene: VoxelScene, field: DiffuseField) -> Array:

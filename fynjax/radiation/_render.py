@@ -436,7 +436,7 @@ def reflectance_factor(
     >>> rays = nadir_rays(centres, centres, footprint=0.125, camera=(0.5, 0.5, 30.0))
     >>> image = reflectance_factor(solve_light(scene), rays)
     >>> image.mean(axis=(1, 2)).round(2)  # red, near infrared
-    Array([0.08, 0.33], dtype=float64)
+    Array([0.08, 0.33], dtype=float32)
     """
     incident = light.scene.illumination.incident[:, None, None]
     check_whole("together", together)
@@ -482,7 +482,7 @@ def directional_reflectance(
     ... )
     >>> directional_reflectance(solve_light(scene), jnp.array([0.0, 45.0]), 180.0).round(2)
     Array([[0.08, 0.33],
-           [0.07, 0.37]], dtype=float64)
+           [0.07, 0.37]], dtype=float32)
     """
     zenith, azimuth = _views(view_zenith, view_azimuth, light.scene.area_density.dtype)
     scene, lattice = light.scene, light.sun.per_voxel

@@ -1,11 +1,9 @@
 """Scene: a plot put together from leaves, plants, ground and light; what sensors measure of it.
 
-Its light is computed in float32. Importing it lets JAX compute the rest in 64 bits, unless
-`JAX_ENABLE_X64=0` is in the environment.
+Its light is computed in float32.
 """
 
 from fynjax._core.compiler import keep_compiled
-from fynjax._core.precision import enable_double_precision
 from fynjax.scene._cover import ProjectedCover, crown_centres, projected_cover
 from fynjax.scene._ground import COVERS, Ground, ground_shares, random_patches
 from fynjax.scene._instances import Instances, hard_counts, hard_instances, hard_scene
@@ -74,7 +72,6 @@ from fynjax.scene._spectra import (
 from fynjax.scene._stand import StandArea, stand_area
 from fynjax.scene._structure import fitting_structure, scene_structure
 
-enable_double_precision()
 keep_compiled()
 
 __all__ = [

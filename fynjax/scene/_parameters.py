@@ -479,8 +479,9 @@ def with_values(
         names = [f"species.{taxon}.{prefix}{field}" for taxon in taxa]
         if values.keys().isdisjoint(names):
             return before
-        entries = [values.get(name, own) for name, own in zip(names, jnp.unstack(before))]
-        return jnp.stack([jnp.asarray(entry, before.dtype) for entry in entries])
+        own = jnp.unstack(jnp.asarray(before))
+        entries = [values.get(name, one) for name, one in zip(names, own)]
+        return jnp.stack([jnp.asarray(entry, own[0].dtype) for entry in entries])
 
     def record(group: str, before: Any) -> Any:
         names = {f.name: f"{group}.{f.name}" for f in dataclasses.fields(before)}

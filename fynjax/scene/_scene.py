@@ -22,6 +22,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from fynjax._core.errors import InputError, did_you_mean
 from fynjax._core.html import as_html
+from fynjax._core.precision import drawn_in_double
 from fynjax.canopy import (
     FORMS,
     PlantModel,
@@ -215,6 +216,7 @@ class Scene(eqx.Module):
     """Whether some plants have shapes that were given, and not that of their growth form."""
 
     @classmethod
+    @drawn_in_double
     def from_table(
         cls,
         table: Any,
@@ -369,6 +371,7 @@ class Scene(eqx.Module):
         """Copies of the plant model that make one plant of each species [-]."""
         return tuple(one.branches for one in self.species)
 
+    @drawn_in_double
     def replanted(
         self, number: int, counts: Float[np.ndarray, " species"] | None = None
     ) -> "Scene":
@@ -434,7 +437,7 @@ class Scene(eqx.Module):
             return self.number
         if self.known_plants:
             return jnp.bincount(self.planting.species, length=len(self.taxa)).astype(float)
-        species = parameters.species
+        species = jax.tree.map(jnp.asarray, parameters.species)
         each = instance_area(
             species.diameter,
             species.height,
@@ -480,7 +483,7 @@ class Scene(eqx.Module):
     def _whole_crowns(self, parameters: PlotParameters) -> Float[Array, " plant"]:
         """Ground area of the crown of every plant, if it stands [m2]."""
         owner = self.planting.species
-        diameter = parameters.species.diameter.astype(self.dtype)[owner] * self.planting.size
+        diameter = jnp.asarray(parameters.species.diameter, self.dtype)[owner] * self.planting.size
         crown = jnp.pi / 4.0 * diameter**2
         return crown / jnp.asarray(self.branches, self.dtype)[owner]
 
@@ -740,6 +743,7 @@ def ground_at(scene: Scene, foot: Float[Array, "plant 2"]) -> Float[Array, " pla
     return heights[jnp.clip(at[:, 1], 0, ny - 1), jnp.clip(at[:, 0], 0, nx - 1)]
 
 
+@drawn_in_double
 def build_scene(
     species: Sequence[Species],
     parameters: PlotParameters,

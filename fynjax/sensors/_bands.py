@@ -39,7 +39,7 @@ class BandSet(eqx.Module):
     >>> bands = BandSet(("red", "nir"), centre=(650.0, 860.0), fwhm=(32.0, 52.0))
     >>> wavelength = np.arange(500.0, 1001.0, 5.0)
     >>> bands.average(wavelength, jnp.asarray(wavelength / 1000.0)).round(3)
-    Array([0.65, 0.86], dtype=float64)
+    Array([0.65, 0.86], dtype=float32)
     """
 
     names: tuple[str, ...] = eqx.field(static=True, converter=tuple)

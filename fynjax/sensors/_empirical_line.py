@@ -105,7 +105,7 @@ def empirical_line(
     ... )
     >>> pixel = jnp.array([60.0])
     >>> line.reflectance(pixel).round(3), line.standard_deviation(pixel, signal_sd=1.0).round(3)
-    (Array([0.25], dtype=float64), Array([0.009], dtype=float64))
+    (Array([0.25], dtype=float32), Array([0.009], dtype=float32))
     """
     x, y = real_array(signal), real_array(reflectance)
     if x.ndim != 2 or x.shape[0] < 2 or y.shape not in {x.shape, (x.shape[0], 1)}:

@@ -1,5 +1,6 @@
 """A dry run reads and checks what the run would, ends as it would, and writes nothing."""
 
+import inspect
 import json
 from pathlib import Path
 from unittest.mock import patch
@@ -46,7 +47,7 @@ def test_a_dry_run_names_files_that_the_run_writes_and_writes_none(command, caps
         missing = {f for f in files if f"{name}/{f}" not in written and "html" not in f}
         assert not missing
         if any(str(out / name) in str(part) for parts in lines.values() for part in parts):
-            with patch.dict(jobs.train.__kwdefaults__, steps=30):
+            with patch.dict(inspect.unwrap(jobs.train).__kwdefaults__, steps=30):
                 assert call(capsys, [*line, "--quiet"])[0] == 0
 
 

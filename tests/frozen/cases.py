@@ -1,5 +1,6 @@
 """One tiny case of every command."""
 
+import inspect
 import json
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -73,7 +74,9 @@ def run(command: str, folder: Path) -> Numbers:
         line = list(map(str, line))
         if line[0] not in ("sensors", "view"):
             line += ["--output", str(out / name), "--quiet"]
-        with patch.dict(jobs.train.__kwdefaults__, steps=30):  # more would amplify rounding
+        with patch.dict(
+            inspect.unwrap(jobs.train).__kwdefaults__, steps=30
+        ):  # more would amplify rounding
             result = CliRunner().invoke(app, line, catch_exceptions=False)
         assert result.exit_code == 0, f"{line}: {result.output}"
         if line[0] == "sensors":

@@ -128,9 +128,7 @@ def _work(pipe: Connection, seeds: Path, seed: int) -> None:
     import resource
 
     import tests.fuzz.readers  # noqa: F401
-    from fynjax._core.precision import enable_double_precision
 
-    enable_double_precision()
     logging.disable()
     data = next(line for line in Path("/proc/self/status").read_text("utf-8").splitlines()
                 if line.startswith("VmData"))  # fmt: skip

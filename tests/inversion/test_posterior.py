@@ -1,5 +1,6 @@
 """Draws against the closed form of a linear model, against each other, and through a kill."""
 
+import os
 import signal
 import subprocess
 import sys
@@ -258,6 +259,7 @@ def test_a_killed_run_goes_on_as_if_it_had_not_been(tmp_path, method, end, secon
     run = subprocess.Popen(
         [sys.executable, "-c", CUT, method, str(tmp_path), str(seconds)], cwd=root,
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        env=os.environ | {"JAX_ENABLE_X64": "1"},  # a model in 32 bits is another problem
     )  # fmt: skip
     assert run.stdout.readline().strip() == "far"
     run.send_signal(end)

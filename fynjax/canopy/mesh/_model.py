@@ -99,7 +99,7 @@ def plant_model_from_mesh(
     >>> box = trimesh.creation.box((0.4, 0.4, 0.6))  # closed, 1.28 m2 of surface
     >>> plant = plant_model_from_mesh(box, 200, {"": "wood"}, solid_materials="closed")
     >>> plant.organ_area.round(3)  # one-sided, of leaf, wood and flower [m2]
-    Array([0.  , 0.64, 0.  ], dtype=float64)
+    Array([0.  , 0.64, 0.  ], dtype=float32)
     >>> plant.modelled_diameter, plant.depth
     (0.4, 0.6)
     """

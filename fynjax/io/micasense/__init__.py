@@ -1,6 +1,5 @@
 """Captures of MicaSense cameras (RedEdge, Altum) and of their reference panels."""
 
-from fynjax._core.precision import enable_double_precision
 from fynjax.io.micasense._capture import (
     AlignedCapture,
     Capture,
@@ -10,8 +9,6 @@ from fynjax.io.micasense._capture import (
     same_capture,
 )
 from fynjax.io.micasense._panel import PanelView, panel_reflectance, read_panel
-
-enable_double_precision()
 
 __all__ = [
     "AlignedCapture",

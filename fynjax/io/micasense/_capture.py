@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from fynjax._core.errors import InputError
-from fynjax._core.precision import require_double_precision
+from fynjax._core.precision import double_precision
 from fynjax.io.micasense._metadata import RedEdgeBand, read_rededge_band
 from fynjax.io.raster import Alignment, align_bands
 from fynjax.io.text import did_you_mean, existing_file
@@ -39,17 +39,17 @@ class Capture:
     def paths(self) -> list[Path]:
         return [band.path for band in self.bands]
 
+    @double_precision
     def radiance(self) -> Float[np.ndarray, "band row column"]:
         """Of each band on its own pixels [W m-2 sr-1 um-1], row 0 at the top; as float32."""
-        require_double_precision("the radiance of a capture")
         read = jax.jit(counts_to_radiance)
         return np.stack(
             [np.asarray(read(b.counts.astype(float), b.camera), np.float32) for b in self.bands]
         )
 
+    @double_precision
     def full_radiance(self) -> Float[np.ndarray, "band row column"]:
         """Radiance [W m-2 sr-1 um-1] from which pixels are full."""
-        require_double_precision("the radiance of a capture")
         read = jax.jit(counts_to_radiance)
         full = [np.full(b.counts.shape, float(b.saturation)) for b in self.bands]
         return np.stack(
@@ -143,6 +143,7 @@ def same_capture(path: str | Path, captures: dict[str, list[Path]]) -> tuple[str
     )
 
 
+@double_precision
 def read_capture(name: str, paths: Sequence[Path]) -> Capture:
     """Read the files of one capture, each with its metadata (`read_rededge_band`).
 
@@ -177,6 +178,7 @@ def read_capture(name: str, paths: Sequence[Path]) -> Capture:
     return Capture(name, bands)
 
 
+@double_precision
 def aligned_radiance(capture: Capture, *, align: bool = True) -> AlignedCapture:
     """Radiance of a capture, its bands laid on the first (`fynjax.io.raster.align_bands`).
 

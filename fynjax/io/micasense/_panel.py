@@ -14,6 +14,7 @@ from scipy import ndimage
 from scipy.spatial import ConvexHull
 
 from fynjax._core.errors import InputError
+from fynjax._core.precision import double_precision
 from fynjax.io.micasense._capture import Capture
 from fynjax.io.text import Strict, number, read_rows
 from fynjax.sensors import BandSet, PanelReading, panel_coverage, panel_reading
@@ -126,6 +127,7 @@ def _of_file(path: Path, capture: Capture) -> Float[np.ndarray, " band"]:
         raise InputError(str(error), file=path) from error
 
 
+@double_precision
 def read_panel(capture: Capture, area: NDArray[np.float64] | None = None) -> PanelView:
     """Read the radiance of a panel in every band of a capture.
 

@@ -181,12 +181,12 @@ def at_sensor_radiance(
     ... )
     >>> dark = jnp.array([0.06, 0.35])
     >>> at_sensor_radiance(atmosphere, dark).round(1)
-    Array([48.7, 86.9], dtype=float64)
+    Array([48.7, 86.9], dtype=float32)
     >>> radiance = at_sensor_radiance(atmosphere, dark, jnp.array([0.16, 0.35]))
     >>> radiance.round(1)
-    Array([53.7, 86.9], dtype=float64)
+    Array([53.7, 86.9], dtype=float32)
     >>> surface_reflectance(atmosphere, radiance, jnp.array([0.16, 0.35])).round(6)
-    Array([0.06, 0.35], dtype=float64)
+    Array([0.06, 0.35], dtype=float32)
     """
     reflectance = _on_grid(atmosphere, reflectance, "reflectance")
     around = surroundings if surroundings is not None else reflectance

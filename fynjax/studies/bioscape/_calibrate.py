@@ -12,6 +12,7 @@ from fynjax._core.checkpoint import Journal, signature
 from fynjax._core.dry_run import begin_work
 from fynjax._core.errors import InputError
 from fynjax._core.parts import Workers, at_work
+from fynjax._core.precision import double_precision
 from fynjax.inversion import Data, spectrum_view
 from fynjax.io.plot import DEFAULT_PRIOR, LearnedPrior, Plot, read_plot, read_prior
 from fynjax.io.raster import file_hash
@@ -83,6 +84,7 @@ class Prior:
     """Mean and standard deviation over the other plots; None where the plot's tables are it."""
 
 
+@double_precision
 def calibrate_plots(
     folder: str | Path,
     output: str | Path,

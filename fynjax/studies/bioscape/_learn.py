@@ -17,6 +17,7 @@ from fynjax._core.checkpoint import Journal, signature
 from fynjax._core.dry_run import begin_work
 from fynjax._core.errors import InputError
 from fynjax._core.parts import Workers, at_work
+from fynjax._core.precision import double_precision
 from fynjax.inversion import (
     LinearPlots,
     ParameterSpace,
@@ -63,6 +64,7 @@ _FARTHEST = 2.0
 _FEWEST = 4
 
 
+@double_precision
 def learn(
     folders: Sequence[str | Path],
     output: str | Path,

@@ -11,6 +11,7 @@ from typing import Any, Literal
 
 from fynjax._core.dry_run import begin_work
 from fynjax._core.errors import InputError
+from fynjax._core.precision import double_precision
 from fynjax.canopy import instance_area, soft_count, target_area
 from fynjax.io.plot import DEFAULT_PRIOR, LearnedPrior, leaf_factors, read_prior
 from fynjax.io.text import write_text
@@ -91,6 +92,7 @@ def mean_leaf(plot: BioscapePlot, population: Mapping[str, float]) -> dict[str, 
     return {name: sum(share * leaf[name] for share, leaf in leaves) for name in LEAF_FIELDS}
 
 
+@double_precision
 def write_plot_files(
     plot: BioscapePlot, folder: str | Path, prior: LearnedPrior | None = None
 ) -> None:
@@ -515,6 +517,7 @@ class BioscapeResult(JobResult):
     """Share of the listed cover, over all plots, by the source of leaf mass per area [-]."""
 
 
+@double_precision
 def run_bioscape(
     folder: str | Path,
     output: str | Path,

@@ -10,6 +10,7 @@ from fynjax._core.checkpoint import Journal, signature
 from fynjax._core.dry_run import begin_work
 from fynjax._core.errors import InputError
 from fynjax._core.parts import Workers, at_work
+from fynjax._core.precision import double_precision
 from fynjax.compare import PlotSpectraPair
 from fynjax.inversion import nadir_imager
 from fynjax.io.plot import DEFAULT_PRIOR, LearnedPrior, Plot, read_plot, read_prior
@@ -38,6 +39,7 @@ _MODEL_NM = (400.0, 2500.0)
 """Wavelengths that leaf and ground spectra cover [nm]."""
 
 
+@double_precision
 def validate_plots(
     folder: str | Path,
     output: str | Path,

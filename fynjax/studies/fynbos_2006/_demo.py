@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
+from fynjax._core.precision import double_precision
 from fynjax.assembly import Measured, drone_view
 from fynjax.compare import bands_2006, consistent_targets, table4_2006
 from fynjax.inversion import weigh_targets
@@ -21,6 +22,7 @@ DEMO_TARGETS = (
 reported beside, as a check."""
 
 
+@double_precision
 def demo(output: Path, *, seed: int) -> CalibrateResult:
     """Calibrate the shipped 2006 plot to the published statistics of its real drone image.
 
@@ -52,6 +54,7 @@ def demo(output: Path, *, seed: int) -> CalibrateResult:
     )
 
 
+@double_precision
 def paper_simulation() -> tuple[dict[str, float], dict[str, float]]:
     """Published DIRSIG simulation of the 2006 plot.
 

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Literal
 
 from fynjax._core.errors import InputError
+from fynjax._core.precision import double_precision
 from fynjax.io.plot import (
     BY_FORM,
     DEFAULT_PRIOR,
@@ -44,6 +45,7 @@ class InitResult(JobResult):
     command: Literal["init"] = "init"
 
 
+@double_precision
 def init(
     folder: Path,
     *,
