@@ -637,3 +637,13 @@ def test_sun_at_grootbos_at_noon():
     assert position.zenith == pytest.approx(34.54 - 23.44, abs=0.05)
     assert min(position.azimuth, 360.0 - position.azimuth) < 1.5
     assert position.solar_factor == pytest.approx(0.9837**-2, abs=1e-3)
+
+
+def test_the_table_serves_both_precisions_in_one_process():
+    """After work in 64 bits, as the tests above, a user of 32 gets the same air."""
+    air = {"sun_zenith": 30.0, "water_vapour": 2.0}
+    wide = jax.tree.map(np.asarray, tabulated_atmosphere(ClearAir(**air)))
+    with jax.enable_x64(False):
+        narrow = tabulated_atmosphere(ClearAir(**air))
+    for value, other in zip(jax.tree.leaves(narrow), jax.tree.leaves(wide), strict=True):
+        np.testing.assert_allclose(value, other, rtol=1e-4, atol=1e-5)

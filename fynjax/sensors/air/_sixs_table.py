@@ -40,16 +40,20 @@ class _Spline(NamedTuple):
     coefficients: Constants
     """[power, interval, node], highest power first."""
 
-    @partial(jax.jit, inline=True)
     def weights(self, x: Float[Array, ""]) -> Float[Array, " node"]:
         """Weight of each node at x, which is moved to the nodes' range. Differentiable in x."""
+        # Arrays of their own: see the last words of `fynjax._core.precision`.
         dtype = jnp.asarray(x).dtype
-        nodes = jnp.asarray(self.nodes, dtype)
-        x = jnp.clip(x, nodes[0], nodes[-1])
-        at = jnp.clip(jnp.searchsorted(nodes, x, side="right") - 1, 0, len(self.nodes) - 2)
-        piece = jnp.asarray(self.coefficients, dtype)[:, at]
-        t = x - nodes[at]
-        return ((piece[0] * t + piece[1]) * t + piece[2]) * t + piece[3]
+        return _weights(jnp.asarray(self.nodes, dtype), jnp.asarray(self.coefficients, dtype), x)
+
+
+@partial(jax.jit, inline=True)
+def _weights(nodes: Array, coefficients: Array, x: Array) -> Array:
+    x = jnp.clip(x, nodes[0], nodes[-1])
+    at = jnp.clip(jnp.searchsorted(nodes, x, side="right") - 1, 0, len(nodes) - 2)
+    piece = coefficients[:, at]
+    t = x - nodes[at]
+    return ((piece[0] * t + piece[1]) * t + piece[2]) * t + piece[3]
 
 
 def _spline(nodes: Any) -> _Spline:
