@@ -61,7 +61,7 @@ class Gains:
         return sd[:, None] * sd * (self.shared + (1.0 - self.shared) * np.eye(count))
 
     def select(self, places: Sequence[int]) -> "Gains":
-        """Those of the bands at `places` alone, in that order."""
+        """The same of the bands at `places` alone, in that order."""
         if isinstance(self.sd, float):
             return self
         return replace(self, sd=tuple(self.sd[i] for i in places))
