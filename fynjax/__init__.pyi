@@ -17,6 +17,7 @@ from ._cite import cite as cite
 from ._core.progress import progress as progress
 from ._sensor import sensor as sensor
 from .assembly import Data as Data
+from .assembly import check_vegetation as check_vegetation
 from .assembly import emulate as emulate
 from .assembly import fit as fit
 from .assembly import free as free

@@ -572,7 +572,7 @@ def aim(
     - `placement`: of the sensor and its pixels; left out, as its file has them.
     - `air`: between scene and sensor; None for reflectance alone.
     - `panels`: that lie in the picture and calibrate it, with sharp edges. For a sensor in air.
-    - `point_spread`: whether the optics blur.
+    - `point_spread`: whether the optics blur, as much on the ground whatever the image's pixel.
     - `accuracy`: of the light; left out, that of a drone's image.
 
     As many whole pixels as the scene holds lie in its middle; a periodic scene smaller than a pixel
@@ -609,6 +609,7 @@ def aim(
     (columns, west), (rows, south) = (axis_pixels(s, pixel, periodic=periodic) for s in (lx, ly))
     psf = sensor.psf if point_spread else None
     if psf is not None:  # its reach must be known inside transformations
+        psf = psf.on_pixels(pixel / own)
         psf = dataclasses.replace(psf, radius=psf.reach())
     few = accuracy.solves is None or len(sensor.bands) <= accuracy.solves
     samples = max(scene.finer, SAMPLES)
