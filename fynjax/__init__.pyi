@@ -1,6 +1,7 @@
 from . import assembly as assembly
 from . import canopy as canopy
 from . import compare as compare
+from . import diversity as diversity
 from . import errors as errors
 from . import inversion as inversion
 from . import io as io
