@@ -175,6 +175,7 @@ def spectral_rao(spectra: ArrayLike, valid: ArrayLike | None = None) -> PerWindo
     data, keep, count = _checked(spectra, valid)
 
     def one(x: Array, counts: Array, number: Array) -> Array:
+        @jax.checkpoint  # else a gradient holds every difference of two pixels in memory
         def from_one(pixel: Array) -> Array:
             return jnp.sum(jnp.where(counts, _root(jnp.sum((x - pixel) ** 2, axis=-1)), 0.0))
 
