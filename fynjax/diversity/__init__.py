@@ -12,7 +12,6 @@ from fynjax.diversity._separability import (
     bhattacharyya_distance,
     classify,
     jeffries_matusita_distance,
-    leading_species,
     separability,
 )
 from fynjax.diversity._species import (
@@ -69,7 +68,6 @@ __all__ = [
     "hill_partition",
     "hull_volume",
     "jeffries_matusita_distance",
-    "leading_species",
     "lit_pixels",
     "mean_pairwise_distance",
     "mean_spectral_angle",

@@ -15,33 +15,6 @@ from fynjax._core.extras import require
 Method = Literal["discriminant", "forest"]
 
 
-def leading_species(share: ArrayLike, least: float = 0.5) -> NDArray[np.int64]:
-    """The species that leads in each pixel, where it has enough of it.
-
-    **Arguments:**
-
-    - `share`: [..., species] what of a pixel is of each species [-], not negative; it may sum to
-      less than 1, the rest being ground.
-    - `least`: the leading species must have at least this share [-], above 0 to 1.
-
-    **Returns:** [...] number of the species from 0, -1 where none has enough. Not differentiable.
-
-    **Raises:** `InputError` for shares that are negative or not finite, and a limit out of range.
-
-    >>> from fynjax.diversity import leading_species
-    >>> leading_species([[0.7, 0.2], [0.4, 0.3]]).tolist()
-    [0, -1]
-    """
-    data = np.asarray(share, np.float64)
-    if data.ndim == 0 or data.shape[-1] == 0:
-        raise InputError(f"`share` must have species on its last axis, but has shape {data.shape}")
-    if not (np.isfinite(data).all() and (data >= 0.0).all()):
-        raise InputError("`share` must be finite and not negative")
-    if not 0.0 < least <= 1.0:
-        raise InputError(f"`least` must be above 0 and at most 1, but is {least:g}")
-    return np.where(data.max(axis=-1) >= least, data.argmax(axis=-1), -1)
-
-
 def bhattacharyya_distance(
     first: ArrayLike, second: ArrayLike, *, shrinkage: float | None = None
 ) -> float:
@@ -220,7 +193,8 @@ def classify(
     **Arguments:**
 
     - `spectra`: [pixel, band].
-    - `species`: name of the species of each pixel (`leading_species`).
+    - `species`: name of the species of each pixel. Of a simulated image it is the one that leads in
+      the pixel, and pixels without any that has enough are left out (`PixelTruth.leading`).
     - `group`: name or number of the group of each pixel; each group must have every species.
     - `method`: "discriminant", linear discriminant analysis with a covariance shrunk after Ledoit
       and Wolf, all species alike beforehand; or "forest", a random forest of 200 trees in which

@@ -282,7 +282,7 @@ def diversity_map(
 
     **Returns:** `coefficient_of_variation`, `spectral_variance` (alpha diversity of
     `spectral_partition`), `spectral_rao`, `mean_spectral_angle`, `hull_volume` and the number of
-    `pixels`, over y and x: centres of windows from the image's first pixel on [m]. Not
+    `pixels`, over y and x, the centres of windows from the edges of row and column 0 [m]. Not
     differentiable; the functions that it calls are, but for the hull.
 
     **Raises:** `InputError` as those, for values out of range, and where no window has enough
@@ -335,7 +335,9 @@ def diversity_map(
     centres = {
         name: (name, (np.arange(n) + 0.5) * size * pixel, {"long_name": words, "units": "m"})
         for name, n, words in zip(
-            ("y", "x"), used.shape, ("distance across the rows", "distance along a row")
+            ("y", "x"),
+            used.shape,
+            ("distance from the first row's edge", "distance from the west edge"),
         )
     }
     return xr.Dataset(variables, coords=centres)

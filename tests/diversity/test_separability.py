@@ -12,7 +12,6 @@ from fynjax.diversity import (
     bhattacharyya_distance,
     classify,
     jeffries_matusita_distance,
-    leading_species,
     separability,
 )
 from fynjax.errors import InputError, MissingExtraError
@@ -132,12 +131,6 @@ def test_a_group_is_never_judged_by_itself() -> None:
         got.merged({"Erica": "shrub", "Protea": "shrub"})
 
 
-def test_pixels_are_chosen_by_their_leading_species() -> None:
-    share = np.array([[[0.6, 0.3], [0.2, 0.79]], [[0.5, 0.5], [0.0, 0.0]]])
-    assert leading_species(share).tolist() == [[0, 1], [0, -1]]
-    assert leading_species(share, 0.7).tolist() == [[-1, 1], [-1, -1]]
-
-
 class Absent:
     """An environment without scikit-learn."""
 
@@ -163,10 +156,6 @@ SPECTRA, SPECIES, GROUP = plantings(1.0)
 @pytest.mark.parametrize(
     ("call", "words"),
     [
-        (lambda: leading_species([0.5, -0.1]), "not negative"),
-        (lambda: leading_species([0.5, np.nan]), "finite"),
-        (lambda: leading_species([0.5], 0.0), "above 0 and at most 1"),
-        (lambda: leading_species(0.5), "species on its last axis"),
         (lambda: bhattacharyya_distance(SPECTRA, SPECTRA[:, :3]), "in the same bands"),
         (lambda: bhattacharyya_distance(SPECTRA, SPECTRA[:1]), "two pixels or more"),
         (lambda: bhattacharyya_distance(SPECTRA, SPECTRA * np.nan), "finite spectra"),
