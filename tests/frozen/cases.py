@@ -142,7 +142,7 @@ def _build(folder: Path) -> Runs:
     return {"build": ["build", folder / "plot.toml", "--mesh", "--triangles", 20_000]}
 
 
-@_case("calibrate", "slow", {"weakly_constrained": 1e-3, "": 1e-4})
+@_case("calibrate", "study", {"weakly_constrained": 1e-3, "": 1e-4})
 def _calibrate(folder: Path) -> Runs:
     plot, target = _small(folder)
     spectrum, cloud = folder / "spectrum.csv", folder / "cloud.csv"
@@ -154,13 +154,13 @@ def _calibrate(folder: Path) -> Runs:
     }
 
 
-@_case("bioscape-calibrate", loose={"": 3e-2})
+@_case("bioscape-calibrate", "study", loose={"": 3e-2})
 def _calibrate_plots(folder: Path) -> Runs:
     write_tables(folder / "tables")
     return {"plots": ["bioscape", "calibrate", folder / "tables", "--size", 2]}
 
 
-@_case("posterior", loose={"^emcee": 5e-4, "^laplace": 2e-4})
+@_case("posterior", "study", loose={"^emcee": 5e-4, "^laplace": 2e-4})
 def _posterior(folder: Path) -> Runs:
     plot, target = _small(folder)
     line = ["posterior", plot, "--target", target]
@@ -222,7 +222,7 @@ def _learn(folder: Path) -> Runs:
 TRAIN = ["train", "sentinel_2a", "--sun-zenith", "25-35", "--simulations", 200]
 
 
-@_case("train")
+@_case("train", "study")  # the first of `map`, too
 def _train(folder: Path) -> Runs:
     return {"train": TRAIN}
 
