@@ -30,8 +30,12 @@ jax.config.update("jax_enable_x64", True)  # in 32 bits: tests/test_precision.py
 
 
 # JAX makes the context that holds a program's text anew for every program, a quarter of the time
-# that a small one takes. Here one serves a whole file.
-mlir.make_ir_context = functools.cache(mlir.make_ir_context)
+# that a small one takes. Here one serves a whole file, but for programs within another.
+new_context = mlir.make_ir_context
+context_of_file = functools.cache(new_context)
+mlir.make_ir_context = lambda: (
+    context_of_file() if mlir.ir.Context.current is None else new_context()
+)
 
 # Tracing makes many objects and few cycles: the collector's usual rhythm takes a tenth of the time.
 gc.set_threshold(50_000, 20, 20)
@@ -67,7 +71,7 @@ def shared_data() -> Path:
 def forget_compiled() -> Iterator[None]:
     """Frees what earlier files have compiled once it takes much memory; until then it serves."""
     yield
-    mlir.make_ir_context.cache_clear()
+    context_of_file.cache_clear()
     if psutil.Process().memory_info().rss > 3 * 2**30:
         jax.clear_caches()
         gc.collect()

@@ -170,7 +170,7 @@ def _posterior(folder: Path) -> Runs:
     }
 
 
-@_case("sensitivity", loose={"metric_sd|bound": 1e-4})
+@_case("sensitivity", "study", loose={"metric_sd|bound": 1e-4})
 def _sensitivity(folder: Path) -> Runs:
     line = ["sensitivity", _small(folder)[0], "--metrics", "nir.mean,NDVI.std", "--plantings", 2]
     return {"sensitivity": [*line, "--derivatives", 2, "--sobol", 2]}
@@ -211,7 +211,7 @@ def _plant(folder: Path) -> Runs:
     return {"taxon": line, "branches": mesh}
 
 
-@_case("bioscape-learn")
+@_case("bioscape-learn", "study")
 def _learn(folder: Path) -> Runs:
     write_population(folder / "tables")
     plots = [part for i in range(4) for part in ("--plot", f"P{i}")]
@@ -222,12 +222,12 @@ def _learn(folder: Path) -> Runs:
 TRAIN = ["train", "sentinel_2a", "--sun-zenith", "25-35", "--simulations", 200]
 
 
-@_case("train", "study")  # the first of `map`, too
+@_case("train", "study")
 def _train(folder: Path) -> Runs:
     return {"train": TRAIN}
 
 
-@_case("map")
+@_case("map", "study")
 def _map(folder: Path) -> Runs:
     rng = np.random.default_rng(5)
     names = [f"B{i}" for i in range(1, 14)]

@@ -343,5 +343,11 @@ def test_one_plot_alone_goes_on_from_its_checkpoint(tmp_path: Path, monkeypatch,
     first, second = (pd.read_csv(tmp_path / n / "estimates.csv") for n in ("first", "second"))
     pd.testing.assert_frame_equal(first, second)
     assert results[0].converged
+    spectra = pd.read_csv(tmp_path / "first" / "spectra.csv")
+    before, after = (
+        np.sqrt(np.mean((spectra[name] - spectra["measured"]) ** 2))
+        for name in ("tables_alone", "the_plot's_tables_as_prior")
+    )
+    assert after < 0.7 * before
     with pytest.raises(InputError, match="another run"):
         calibrate_plots(tmp_path / "tables", tmp_path / "first", **(options | {"seed": 1}))
