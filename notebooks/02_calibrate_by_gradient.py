@@ -128,6 +128,7 @@ pd.Series(losses).plot(ax=left, logy=True, style="o-", xlabel="step", ylabel="lo
 (walk / walk.iloc[0]).plot(ax=right, style=["o-", "s--", "^-", "d:"], alpha=0.8)
 right.hlines(end / walk.iloc[0], 0, len(walk), ["C0", "C1", "C2", "C3"], "dotted")
 right.set(xlabel="step", ylabel="over the table's value")
+right.legend(loc=(0.45, 0.3), frameon=False)
 plt.show()
 
 # %% [markdown]
@@ -143,7 +144,8 @@ fx.report.figures.composites(images, fx.metrics.BANDS, pixel_m=measured.pixel_m,
 #
 # Now leaf area, dead tissue and height of every species are free as well. Each bar is the share of
 # its prior variance that the image removed: of the stand, of the ground, and of the species the
-# median of a kind.
+# median of a kind. A number can have moved and yet have a bar of zero: it is as uncertain as
+# before.
 
 # %%
 more = () if FAST else ("species.*.leaf_area_index", "species.*.dead_fraction", "species.*.height")

@@ -135,7 +135,7 @@ def statistics(x, stand):
 
 
 ones, plot_truth = np.ones(4), np.array([0.8, 0.7, 0.7, 1.2])
-labels = ("cover", "chlorophyll", "litter", "brightness of the soil")
+labels = ("cover", "chlorophyll", "litter", "soil")
 plot = fx.ParameterSpace(labels, 0.3 * ones, 1.9 * ones, ones, 0.27 * ones)
 count = 24 if FAST else 60  # images that the polynomial is fitted to
 quick = fx.emulate(lambda x: statistics(x, scene), 0.4 * ones, 1.7 * ones, points=count)

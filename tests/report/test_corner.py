@@ -3,6 +3,7 @@
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from matplotlib.colors import to_rgba
 
 import fynjax as fx
 
@@ -25,6 +26,10 @@ def test_each_pair_has_contours_of_each_method_and_the_truth(draws):
     low, high = axes[1, 1].get_xlim()
     assert low < 0.5 < 3.0 < high  # far from all draws, yet shown
     assert [text.get_text() for text in figure.legends[0].get_texts()] == [*draws, "prior"]
+    colours = [line.get_color() for line in figure.legends[0].get_lines()]
+    assert [patch.get_edgecolor() for patch in axes[0, 0].patches] == [
+        to_rgba(colour) for colour in colours[:2]
+    ]
     x, density = draws["emcee"].space.density()
     grey = axes[0, 0].lines[-1]
     np.testing.assert_allclose(grey.get_xdata(), x[:, 0])

@@ -110,11 +110,11 @@ def corner(draws: Posterior | Mapping[str, Posterior], truth: ArrayLike | None =
         "plot_datapoints": False,
         "plot_density": False,
         "no_fill_contours": True,
-        "hist_kwargs": {"density": True},
     }
     figure = Figure(figsize=(1.9 * count + 0.4, 1.9 * count + 0.4))
     for (_, one), colour in zip(values.items(), _SERIES, strict=False):
-        package.corner(one, fig=figure, color=colour, **options)
+        shape = {"density": True, "color": colour}
+        package.corner(one, fig=figure, color=colour, hist_kwargs=shape, **options)
     x, density = (np.asarray(part) for part in space.density())
     for i, axes in enumerate(np.diagonal(np.reshape(figure.axes, (count, count)))):
         axes.plot(x[:, i], density[:, i], color=GREY)
