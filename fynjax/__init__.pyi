@@ -17,6 +17,7 @@ from ._cite import cite as cite
 from ._core.progress import progress as progress
 from ._sensor import sensor as sensor
 from .assembly import Data as Data
+from .assembly import check_vegetation as check_vegetation
 from .assembly import emulate as emulate
 from .assembly import fit as fit
 from .assembly import free as free
@@ -41,5 +42,6 @@ from .report.figures import photo as photo
 from .scene import Placement as Placement
 from .scene import Scene as Scene
 from .scene import observe as observe
+from .scene import pixel_truth as pixel_truth
 
 __version__: str

@@ -13,7 +13,7 @@ import rasterio
 import fynjax as fx
 from fynjax.errors import InputError
 from fynjax.inversion import AbstractView, CalibrationSettings
-from fynjax.sensors import shipped_lidars
+from fynjax.sensors import Gains, shipped_lidars
 
 COLUMNS = "taxon", "growth_form", "mean_diameter_cm", "cover_percent", "height_max_m"
 TABLE = [
@@ -338,7 +338,7 @@ def test_plants_of_another_chance_stand_elsewhere(scene):
 @pytest.mark.slow
 def test_a_scene_is_fitted_to_an_image_and_sampled(scene, drone):
     free = fx.free(scene, "species.*.cover", "species.*.leaf.chlorophyll")
-    data = fx.Data.from_image(drone, "mavic_3m", statistics=("*.mean",), gain_sd=0.01)
+    data = fx.Data.from_image(drone, "mavic_3m", statistics=("*.mean",), gains=Gains(0.01))
     found = fx.fit(scene, data, free, solver=fx.BroydenLM(), settings=QUICK)
     text = str(found)
     assert "The stand: green leaf area " in text
@@ -350,7 +350,7 @@ def test_a_scene_is_fitted_to_an_image_and_sampled(scene, drone):
     assert drawn.values.shape[-1] == len(free.names)
 
 
-def test_data_of_several_sensors_add(drone):
+def test_data_of_several_sensors_add(scene, drone):
     image = fx.Data.from_image(drone, statistics=("*.mean",))
     table = fx.Data.from_table({"nir.std": 0.03})
     framed = fx.Data.from_table(pd.DataFrame({"statistic": ["nir.std"], "value": [0.03]}))
@@ -358,6 +358,9 @@ def test_data_of_several_sensors_add(drone):
     both = image + table
     assert both.names == (*image.names, "nir.std")
     assert len(both.sensors) == 2
+    camera, panels = fx.sensor("mavic_3m"), fx.Data.from_table({"nir.std": 0.03}, gains="panels")
+    ways = [one.sensors[0](scene, scene.parameters).gains for one in (table, panels)]
+    assert ways == [camera.gains("light_sensor"), camera.gains("panels")]
     with pytest.raises(InputError, match=r"'nir.std' is in both"):
         both + table
     with pytest.raises(InputError, match="value is missing"):

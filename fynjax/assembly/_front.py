@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pandas as pd
 from jaxtyping import Array, Float
+from numpy.typing import ArrayLike
 
 from fynjax._core.errors import InputError, did_you_mean
 from fynjax._core.precision import double_precision
@@ -21,6 +22,8 @@ from fynjax.assembly._targets import (
     spectrum_data,
     structure_data,
 )
+from fynjax.compare import DroneImage, VegetationCheck, read_drone_image
+from fynjax.compare import check_vegetation as check_spectrum
 from fynjax.inversion import (
     AbstractView,
     Calibration,
@@ -52,7 +55,7 @@ from fynjax.scene import (
     fitting_structure,
     named_values,
 )
-from fynjax.sensors import Lidar, Sensor
+from fynjax.sensors import ASSUMED, Gains, Lidar, Sensor
 
 _OF_A_TABLE = "size", "voxel", "structure"
 """Options of `Scene.from_table` that a plot file has as fields with their unit (`size_m`)."""
@@ -127,7 +130,7 @@ class PlotData(Data):
         bands: Sequence[str] | None = None,
         statistics: Sequence[str] = ("*",),
         relative_sd: float = 0.01,
-        gain_sd: float = 0.05,
+        gains: Gains | str | None = None,
     ) -> "PlotData":
         """Statistics of a drone's image of the plot.
 
@@ -141,13 +144,14 @@ class PlotData(Data):
         - `bands`: names of the image's bands in their order, where the file does not name them.
         - `statistics`: patterns of those that count, such as "*.mean".
         - `relative_sd`: error of a mean or quantile as a share of it [-].
-        - `gain_sd`: what a band's calibration to reflectance may be off by, as a factor [-].
+        - `gains`: what the calibration of its bands to reflectance may be off by, or how they were
+          calibrated, such as "panels" (`Sensor.gains`); the usual of the camera by default.
 
         **Raises:** `InputError` for an image or camera that cannot be used.
         """
-        rules = TargetRules(relative_sd, tuple(statistics), gain_sd)
+        rules = TargetRules(relative_sd, tuple(statistics))
         data, _, found = image_data(Path(path), rules, pixel=pixel, bands=bands)
-        return cls._seen(data, _camera(camera), Placement(altitude, found), gain_sd)
+        return cls._seen(data, _camera(camera), Placement(altitude, found), gains)
 
     @classmethod
     @double_precision
@@ -159,7 +163,7 @@ class PlotData(Data):
         pixel: float | None = None,
         altitude: float | None = None,
         relative_sd: float = 0.01,
-        gain_sd: float = 0.05,
+        gains: Gains | str | None = None,
     ) -> "PlotData":
         """Statistics of a drone's image from a table.
 
@@ -167,12 +171,12 @@ class PlotData(Data):
 
         - `table`: path of a CSV, a pandas frame, or a mapping of names to values; with columns
           statistic, value and, where they are known, sd. Names such as `NDVI.mean`.
-        - `camera`, `pixel`, `altitude`, `relative_sd`, `gain_sd`: as of `from_image`.
+        - `camera`, `pixel`, `altitude`, `relative_sd`, `gains`: as of `from_image`.
 
         **Raises:** `InputError` for a table or camera that cannot be used.
         """
         if isinstance(table, str | Path):
-            rules = TargetRules(relative_sd, ("*",), gain_sd)
+            rules = TargetRules(relative_sd)
             data, _, _ = image_data(Path(table), rules)
         else:
             if isinstance(table, Mapping) and "statistic" not in table:
@@ -186,7 +190,7 @@ class PlotData(Data):
             sd = frame["sd"].to_numpy(float) if "sd" in frame else None
             names = [str(name) for name in frame["statistic"]]
             data = weigh_targets(names, frame["value"].to_numpy(float), relative_sd, sd=sd)
-        return cls._seen(data, _camera(camera), Placement(altitude, pixel), gain_sd)
+        return cls._seen(data, _camera(camera), Placement(altitude, pixel), gains)
 
     @classmethod
     @double_precision
@@ -256,20 +260,30 @@ class PlotData(Data):
         return cls(data.names, data.value, data.sd, data.whitener, sensors)
 
     @classmethod
-    def _seen(cls, data: Data, camera: Sensor, placement: Placement, gain_sd: float) -> "PlotData":
+    def _seen(
+        cls, data: Data, camera: Sensor, placement: Placement, gains: Gains | str | None
+    ) -> "PlotData":
+        found = gains if isinstance(gains, Gains) else camera.gains(gains)
+
         def view(scene: Scene, parameters: PlotParameters) -> AbstractView:
             aimed = aim(scene, parameters, camera, placement)
-            return ImageView(data.names, aimed, gain_sd)
+            return ImageView(data.names, aimed, found)
 
         return cls._of(data, (view,))
 
 
-def _camera(camera: str | Path | Sensor | Lidar) -> Sensor:
-    """A camera's four bands."""
+def _imager(camera: str | Path | Sensor | Lidar) -> Sensor:
+    """An imaging sensor, from its name or file too."""
     sensor = load_instrument(camera) if isinstance(camera, str | Path) else camera
     if not isinstance(sensor, Sensor):
         what = f"the LiDAR {sensor.name!r}" if isinstance(sensor, Lidar) else repr(sensor)
         raise InputError(f"expected a camera, but got {what}")
+    return sensor
+
+
+def _camera(camera: str | Path | Sensor | Lidar) -> Sensor:
+    """A camera's four bands."""
+    sensor = _imager(camera)
     names = sensor.bands.names
     if missing := [name for name in BANDS if name not in names]:
         raise InputError(
@@ -277,6 +291,47 @@ def _camera(camera: str | Path | Sensor | Lidar) -> Sensor:
             f"{missing[0]}"
         )
     return sensor.select([names.index(name) for name in BANDS])
+
+
+def check_vegetation(
+    measured: Mapping[str, float] | ArrayLike | DroneImage | str | Path,
+    sensor: str | Path | Sensor | Lidar = "mavic_3m",
+    *,
+    gains: Gains | str | None = None,
+) -> VegetationCheck:
+    """Whether an image, or a spectrum, is one that shrubland can have: before anything is fitted.
+
+    **Arguments:**
+
+    - `measured`: reflectance of bands by their names, of any of them, or of all in order, of an
+      image [band, y, x] too, whose mean counts [-]; or a drone's image, or the path of one.
+    - `sensor`: that measured it; a name, a sensor file or an object.
+    - `gains`: what its calibration may be off by, or how it was calibrated, such as "panels"
+      (`Sensor.gains`); by default that of a good calibration, 5 % a band.
+
+    **Returns:** a `fynjax.compare.VegetationCheck`, which prints as a sentence.
+
+    **Raises:** `InputError` as `fynjax.compare.check_vegetation`, `read_drone_image` and
+    `Sensor.gains`.
+
+    >>> import fynjax as fx
+    >>> fx.check_vegetation({"red": 0.045, "red_edge": 0.15, "nir": 0.22}, "mavic_3m").unlike
+    False
+    >>> bad = {"red": 0.045, "red_edge": 0.08, "nir": 0.22}
+    >>> fx.check_vegetation(bad).unlike, fx.check_vegetation(bad, gains="light_sensor").unlike
+    (True, False)
+    """
+    camera = _imager(sensor)
+    if isinstance(measured, str | Path):
+        measured = read_drone_image(measured)
+    if isinstance(measured, DroneImage):
+        measured = dict(zip(BANDS, measured.pixels.mean(axis=1), strict=True))
+    elif not isinstance(measured, Mapping):
+        values = np.asarray(measured, dtype=float)
+        measured = np.nanmean(values, axis=(1, 2)) if values.ndim == 3 else values
+    if not isinstance(gains, Gains):
+        gains = ASSUMED if gains is None else camera.gains(gains)
+    return check_spectrum(measured, camera.bands, gains=gains)
 
 
 def prior(name: str | Path = "fynbos_2023") -> LearnedPrior:

@@ -28,12 +28,7 @@ from fynjax.inversion._search import (
     search_states,
 )
 from fynjax.inversion._space import ParameterSpace, make_space, match_names
-from fynjax.inversion._views import (
-    AbstractView,
-    ImageView,
-    gain_covariance,
-    radiometric_covariance,
-)
+from fynjax.inversion._views import AbstractView, ImageView, radiometric_covariance
 from fynjax.radiation import Accuracy
 from fynjax.scene import (
     AimedSensor,
@@ -431,7 +426,7 @@ def _gains(
             own = np.asarray(view.gain_slopes(image), float)
             slopes = np.zeros((len(fit.data.names), own.shape[1]))
             slopes[first : first + len(view.names)] = own
-            prior = gain_covariance(own.shape[1], view.gain_sd)
+            prior = view.gains.covariance(own.shape[1])
             break  # the image is that of the first
         first += len(view.names)
     if not slopes.size:

@@ -15,6 +15,7 @@ from fynjax.report.figures._image import (
     layer_map,
     photo,
     residual_maps,
+    species_map,
 )
 from fynjax.report.figures._leaf import leaf_fit_figure
 from fynjax.report.figures._lidar import height_profiles, side_view
@@ -105,6 +106,7 @@ __all__ = [
     "short_name",
     "side_view",
     "species_colours",
+    "species_map",
     "spectra_plot",
     "spectrometer_index_bars",
     "spectrum_figure",
