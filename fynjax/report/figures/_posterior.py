@@ -112,12 +112,12 @@ def corner(draws: Posterior | Mapping[str, Posterior], truth: ArrayLike | None =
         "no_fill_contours": True,
     }
     figure = Figure(figsize=(1.9 * count + 0.4, 1.9 * count + 0.4))
-    for (_, one), colour in zip(values.items(), _SERIES, strict=False):
+    for one, colour in zip(values.values(), _SERIES, strict=False):
         shape = {"density": True, "color": colour}
         package.corner(one, fig=figure, color=colour, hist_kwargs=shape, **options)
     x, density = (np.asarray(part) for part in space.density())
-    for i, axes in enumerate(np.diagonal(np.reshape(figure.axes, (count, count)))):
-        axes.plot(x[:, i], density[:, i], color=GREY)
+    for i in range(count):
+        figure.axes[i * (count + 1)].plot(x[:, i], density[:, i], color=GREY)
     handles = [
         matplotlib.lines.Line2D([], [], color=colour, label=name)
         for name, colour in zip([*many, "prior"], [*_SERIES[: len(many)], GREY], strict=True)
