@@ -58,7 +58,7 @@ from fynjax.scene import (
 from fynjax.sensors import ASSUMED, Gains, Lidar, Sensor
 
 _OF_A_TABLE = "size", "voxel", "structure"
-"""Options of `Scene.from_table` that a plot file has as fields with their unit (`size_m`)."""
+"""Options of `Scene.from_table` that a plot file has with their unit in the name (`size_m`)."""
 View = Callable[[Scene, PlotParameters], AbstractView]
 """Makes a sensor's view of a scene."""
 
