@@ -160,8 +160,11 @@ def spectral_species(
     k_means = require("sklearn.cluster", "pattern", "scikit-learn").KMeans
     limits = require("threadpoolctl", "pattern").threadpool_limits
     data = np.asarray(spectra, np.float64)
-    if data.ndim < 3:
-        raise InputError(f"`spectra` must be [..., pixel, band], but has shape {data.shape}")
+    if data.ndim < 3 or data.size < 2 * data.shape[-1] * data.shape[-2]:
+        raise InputError(
+            "`spectra` must be [..., pixel, band] of two windows or more, but has shape "
+            f"{data.shape}"
+        )
     keep = np.ones(data.shape[:-1], bool) if valid is None else np.asarray(valid, bool)
     if keep.shape != data.shape[:-1]:
         raise InputError(f"`valid` must have shape {data.shape[:-1]}, but has {keep.shape}")

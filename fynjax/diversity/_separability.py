@@ -99,7 +99,7 @@ def jeffries_matusita_distance(bhattacharyya: ArrayLike) -> NDArray[np.float64]:
 
     **Raises:** `InputError` for a distance that is negative or NaN.
 
-    Differentiable by hand: 2 exp(-B).
+    Not differentiable (NumPy); its slope is 2 exp(-B).
 
     Source: Richards (2013), Remote Sensing Digital Image Analysis, section 10.2.
     """

@@ -66,9 +66,7 @@ def lit_pixels(spectra: ArrayLike, least: float) -> Bool[Array, "*pixel"]:
 
     **Raises:** `InputError` for a limit below 0, and where there are no bands.
     """
-    data = jnp.asarray(spectra)
-    if data.ndim == 0 or data.shape[-1] == 0:
-        raise InputError(f"`spectra` must have bands on its last axis, but has shape {data.shape}")
+    data = _with_bands(spectra)
     if not least >= 0.0:
         raise InputError(f"`least` must be a reflectance of at least 0, but is {least:g}")
     return jnp.isfinite(data).all(axis=-1) & (jnp.mean(data, axis=-1) >= least)
@@ -85,9 +83,7 @@ def normalise_brightness(spectra: ArrayLike) -> Float[Array, "*pixel band"]:
 
     Source: Feilhauer et al. (2010), Journal of Applied Remote Sensing 4, 041514.
     """
-    data = jnp.asarray(spectra)
-    if data.ndim == 0 or data.shape[-1] == 0:
-        raise InputError(f"`spectra` must have bands on its last axis, but has shape {data.shape}")
+    data = _with_bands(spectra)
     square = jnp.sum(data**2, axis=-1, keepdims=True)
     if not isinstance(data, jax.core.Tracer) and (square == 0.0).any():
         raise InputError("a spectrum that is zero in all bands has no shape: mask such pixels")
@@ -341,6 +337,13 @@ def diversity_map(
         )
     }
     return xr.Dataset(variables, coords=centres)
+
+
+def _with_bands(spectra: ArrayLike) -> Float[Array, "*pixel band"]:
+    data = jnp.asarray(spectra)
+    if data.ndim == 0 or data.shape[-1] == 0:
+        raise InputError(f"`spectra` must have bands on its last axis, but has shape {data.shape}")
+    return data
 
 
 def _checked(

@@ -300,7 +300,7 @@ FLAT = np.full((3, 2), 0.2)
         (lambda: spectral_species(spots(), np.zeros((2, 100), bool)), "one has none"),
         (lambda: spectral_species(spots(), np.ones(100, bool)), r"shape \(2, 100\)"),
         (lambda: spectral_species(spots(), clusters=3, least_share=1.0), "below 1"),
-        (lambda: spectral_species(spots()[:1], clusters=3), "two plots or more"),
+        (lambda: spectral_species(spots()[:1], clusters=3), "two windows or more"),
         (
             lambda: spectral_species(spots(), clusters=3, components=2, least_share=0.9),
             "no cluster has 0.9 of the pixels of window 1",
