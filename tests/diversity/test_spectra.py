@@ -265,6 +265,16 @@ def test_spectral_species_of_spots(repeats: int) -> None:
     assert (alone.label[0, 50:] == -1).all()
 
 
+def test_components_count_alike_when_pixels_are_clustered() -> None:
+    """Brightness varies ten times as much as the slope, but the slope has the two clusters."""
+    rng = np.random.default_rng(0)
+    brightness, kind = rng.uniform(-10.0, 10.0, (2, 100)), np.tile([0, 1], (2, 50))
+    slope = 2.0 * kind - 1.0 + 0.01 * rng.normal(size=kind.shape)
+    spectra = np.stack([brightness + slope, brightness - slope], axis=-1)
+    label = spectral_species(spectra, clusters=2, components=2).label
+    assert (label == kind).all() or (label == 1 - kind).all()
+
+
 FLAT = np.full((3, 2), 0.2)
 
 
