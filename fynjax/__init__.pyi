@@ -17,6 +17,7 @@ from ._cite import cite as cite
 from ._core.progress import progress as progress
 from ._sensor import sensor as sensor
 from .assembly import Data as Data
+from .assembly import check_vegetation as check_vegetation
 from .assembly import emulate as emulate
 from .assembly import fit as fit
 from .assembly import free as free
@@ -36,8 +37,11 @@ from .leaf import fit_leaf as fit_leaf
 from .leaf import prospect as prospect
 from .radiation import canopy_albedo as canopy_albedo
 from .radiation import canopy_reflectance as canopy_reflectance
+from .report.figures import corner as corner
+from .report.figures import photo as photo
 from .scene import Placement as Placement
 from .scene import Scene as Scene
 from .scene import observe as observe
+from .scene import pixel_truth as pixel_truth
 
 __version__: str

@@ -13,7 +13,7 @@ import rasterio
 import fynjax as fx
 from fynjax.errors import InputError
 from fynjax.inversion import AbstractView, CalibrationSettings
-from fynjax.sensors import shipped_lidars
+from fynjax.sensors import Gains, shipped_lidars
 
 COLUMNS = "taxon", "growth_form", "mean_diameter_cm", "cover_percent", "height_max_m"
 TABLE = [
@@ -160,10 +160,8 @@ def test_a_scene_is_read_from_a_plot_file_its_folder_or_a_table(scene, tmp_path)
 
 
 def test_gradients_have_the_shape_of_the_parameters(scene):
-    camera = fx.sensor("mavic_3m")
-
-    def ndvi(p):
-        return fx.observe(scene, camera, pixel=0.25, parameters=p).index("NDVI").mean()
+    def ndvi(p):  # the sensor by name: inside transformations too
+        return fx.observe(scene, "mavic_3m", pixel=0.25, parameters=p).index("NDVI").mean()
 
     p = scene.parameters
     slope = jax.grad(ndvi)(p)
@@ -240,6 +238,23 @@ def test_free_parameters_take_a_learned_prior(scene):
     assert learned["species.Erica.dead_fraction"] == pytest.approx(expected, rel=0.05)
     stated = fx.free(scene, "species.*.cover", prior={"species.Erica.*": 0.1})
     assert float(stated.prior_sd[0]) == pytest.approx(0.1 * 0.3)
+
+
+def test_what_one_eye_guessed_is_wrong_together(scene):
+    """Priors of one kind hang together, those of another do not; the bounds and widths stay."""
+    patterns = "species.*.cover", "ground.brightness"
+    apart, together = (fx.free(scene, *patterns, common=common) for common in (None, 0.9))
+    np.testing.assert_array_equal(apart.prior_sd, together.prior_sd)
+    drawn = np.random.default_rng(0).normal(size=(4000, 3))
+    values = np.log(jax.vmap(together.physical)(jnp.asarray(drawn)))
+    correlation = np.corrcoef(values.T)
+    names = list(together.names)
+    first, second, soil = (names.index(n) for n in names)
+    assert names[:2] == ["species.Erica.cover", "species.Restio.cover"]
+    assert correlation[first, second] == pytest.approx(0.9, abs=0.03)
+    assert abs(correlation[first, soil]) < 0.05
+    with pytest.raises(InputError, match="positive definite"):
+        fx.free(scene, *patterns, common=1.0)
 
 
 @pytest.fixture(scope="module")
@@ -323,7 +338,7 @@ def test_plants_of_another_chance_stand_elsewhere(scene):
 @pytest.mark.slow
 def test_a_scene_is_fitted_to_an_image_and_sampled(scene, drone):
     free = fx.free(scene, "species.*.cover", "species.*.leaf.chlorophyll")
-    data = fx.Data.from_image(drone, "mavic_3m", statistics=("*.mean",), gain_sd=0.01)
+    data = fx.Data.from_image(drone, "mavic_3m", statistics=("*.mean",), gains=Gains(0.01))
     found = fx.fit(scene, data, free, solver=fx.BroydenLM(), settings=QUICK)
     text = str(found)
     assert "The stand: green leaf area " in text
@@ -335,7 +350,7 @@ def test_a_scene_is_fitted_to_an_image_and_sampled(scene, drone):
     assert drawn.values.shape[-1] == len(free.names)
 
 
-def test_data_of_several_sensors_add(drone):
+def test_data_of_several_sensors_add(scene, drone):
     image = fx.Data.from_image(drone, statistics=("*.mean",))
     table = fx.Data.from_table({"nir.std": 0.03})
     framed = fx.Data.from_table(pd.DataFrame({"statistic": ["nir.std"], "value": [0.03]}))
@@ -343,6 +358,9 @@ def test_data_of_several_sensors_add(drone):
     both = image + table
     assert both.names == (*image.names, "nir.std")
     assert len(both.sensors) == 2
+    camera, panels = fx.sensor("mavic_3m"), fx.Data.from_table({"nir.std": 0.03}, gains="panels")
+    ways = [one.sensors[0](scene, scene.parameters).gains for one in (table, panels)]
+    assert ways == [camera.gains("light_sensor"), camera.gains("panels")]
     with pytest.raises(InputError, match=r"'nir.std' is in both"):
         both + table
     with pytest.raises(InputError, match="value is missing"):

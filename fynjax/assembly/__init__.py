@@ -12,6 +12,7 @@ from fynjax.assembly._forward import (
 from fynjax.assembly._front import (
     Emulated,
     PlotData,
+    check_vegetation,
     emulate,
     fit,
     free,
@@ -50,6 +51,7 @@ __all__ = [
     "batch_for_device",
     "build_plot",
     "check_memory",
+    "check_vegetation",
     "drone_view",
     "emulate",
     "fit",

@@ -116,7 +116,7 @@ def image_view(
     """
     sensor = drone_sensor(plot)
     camera = aim_without_air(plot, scene, parameters, sensor)
-    return ImageView(tuple(statistics), camera, plot.calibration.gain_sd)
+    return ImageView(tuple(statistics), camera, sensor.gains())
 
 
 def batch_for_device() -> int | None:

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pandas as pd
 from jaxtyping import Array, Float
+from numpy.typing import ArrayLike
 
 from fynjax._core.errors import InputError, did_you_mean
 from fynjax._core.precision import double_precision
@@ -21,6 +22,8 @@ from fynjax.assembly._targets import (
     spectrum_data,
     structure_data,
 )
+from fynjax.compare import DroneImage, VegetationCheck, read_drone_image
+from fynjax.compare import check_vegetation as check_spectrum
 from fynjax.inversion import (
     AbstractView,
     Calibration,
@@ -40,7 +43,7 @@ from fynjax.inversion import (
 )
 from fynjax.inversion import fit as fit_function
 from fynjax.io.instruments import load_instrument
-from fynjax.io.plot import BY_FORM, LearnedPrior, read_plot, read_prior
+from fynjax.io.plot import BY_FORM, LearnedPrior, example_folder, read_plot, read_prior
 from fynjax.io.text import read_rows
 from fynjax.metrics import BANDS
 from fynjax.scene import (
@@ -52,47 +55,56 @@ from fynjax.scene import (
     fitting_structure,
     named_values,
 )
-from fynjax.sensors import Lidar, Sensor
+from fynjax.sensors import ASSUMED, Gains, Lidar, Sensor
 
+_OF_A_TABLE = "size", "voxel", "structure"
+"""Options of `Scene.from_table` that a plot file has with their unit in the name (`size_m`)."""
 View = Callable[[Scene, PlotParameters], AbstractView]
 """Makes a sensor's view of a scene."""
 
 
 def read_scene(
-    path: str | Path,
+    path: str | Path | None = None,
     *,
     seed: int | None = None,
     rounding: Literal["random", "up"] = "random",
+    dtype: str = "float32",
     **options: Any,
 ) -> Scene:
     """A scene with its parameters from a file: of a plot file, or of a species table.
 
     **Arguments:**
 
-    - `path`: a plot file, the folder of one (`plot.toml`), or a species table (CSV).
+    - `path`: a plot file, the folder of one (`plot.toml`), or a species table (CSV); left out, the
+      shipped plot burnt in 2006.
     - `seed`: of everything random; that of the plot file by default, of a table 0.
     - `rounding`: of the numbers of plants, see `PlantingRules`; the commands `render`, `build` and
       `simulate` round "up".
-    - `options`: of a table those of `Scene.from_table`, of which `size` is needed; of a plot file
-      values in place of its own, as the fields of `fynjax.io.plot.Plot` (`size_m=(5.0, 5.0)`).
+    - `dtype`: floating type that the scene is computed in, "float32" or "float64".
+    - `options`: `size`, `voxel` and `structure` as of `Scene.from_table`; of a table `size` is
+      needed, and the others there may be given too; of a plot file they are in place of its own, as
+      any field of `fynjax.io.plot.Plot`.
 
     **Raises:** `InputError` as `fynjax.io.plot.read_plot`, `build_plot` and `Scene.from_table`, and
     for a table without `size`; `TypeError` for an option that there is not.
 
     >>> import fynjax as fx
-    >>> from fynjax.io.plot import example_folder
-    >>> scene = fx.read_scene(example_folder(), size_m=(2.0, 2.0), structure_m="even")
+    >>> scene = fx.read_scene(size=2.0, structure="even")  # or "species.csv", "plot.toml"
     >>> len(scene.taxa), scene.grid.shape[:2]
     (13, (20, 20))
     """
-    path = Path(path)
+    path = example_folder() if path is None else Path(path)
     if path.is_dir() or path.suffix.lower() == ".toml":
-        plot = read_plot(path / "plot.toml" if path.is_dir() else path).replace(**options)
-        return build_plot(plot, seed=seed, rounding=rounding)[0]
+        if isinstance(side := options.get("size"), int | float):
+            options["size"] = side, side
+        fields = {f"{k}_m" if k in _OF_A_TABLE else k: value for k, value in options.items()}
+        plot = read_plot(path / "plot.toml" if path.is_dir() else path).replace(**fields)
+        return build_plot(plot, seed=seed, rounding=rounding, dtype=dtype)[0]
     if "size" not in options:
         raise InputError("expected the `size` of the plot [m] with a species table", file=path)
     rows = [row for _, row in read_rows(path, SpeciesRow, "a species table")]
-    return Scene.from_table(rows, seed=0 if seed is None else seed, rounding=rounding, **options)
+    seed = 0 if seed is None else seed
+    return Scene.from_table(rows, seed=seed, rounding=rounding, dtype=dtype, **options)
 
 
 class PlotData(Data):
@@ -118,7 +130,7 @@ class PlotData(Data):
         bands: Sequence[str] | None = None,
         statistics: Sequence[str] = ("*",),
         relative_sd: float = 0.01,
-        gain_sd: float = 0.05,
+        gains: Gains | str | None = None,
     ) -> "PlotData":
         """Statistics of a drone's image of the plot.
 
@@ -132,13 +144,14 @@ class PlotData(Data):
         - `bands`: names of the image's bands in their order, where the file does not name them.
         - `statistics`: patterns of those that count, such as "*.mean".
         - `relative_sd`: error of a mean or quantile as a share of it [-].
-        - `gain_sd`: what a band's calibration to reflectance may be off by, as a factor [-].
+        - `gains`: what the calibration of its bands to reflectance may be off by, or how they were
+          calibrated, such as "panels" (`Sensor.gains`); the usual of the camera by default.
 
         **Raises:** `InputError` for an image or camera that cannot be used.
         """
-        rules = TargetRules(relative_sd, tuple(statistics), gain_sd)
+        rules = TargetRules(relative_sd, tuple(statistics))
         data, _, found = image_data(Path(path), rules, pixel=pixel, bands=bands)
-        return cls._seen(data, _camera(camera), Placement(altitude, found), gain_sd)
+        return cls._seen(data, _camera(camera), Placement(altitude, found), gains)
 
     @classmethod
     @double_precision
@@ -150,7 +163,7 @@ class PlotData(Data):
         pixel: float | None = None,
         altitude: float | None = None,
         relative_sd: float = 0.01,
-        gain_sd: float = 0.05,
+        gains: Gains | str | None = None,
     ) -> "PlotData":
         """Statistics of a drone's image from a table.
 
@@ -158,12 +171,12 @@ class PlotData(Data):
 
         - `table`: path of a CSV, a pandas frame, or a mapping of names to values; with columns
           statistic, value and, where they are known, sd. Names such as `NDVI.mean`.
-        - `camera`, `pixel`, `altitude`, `relative_sd`, `gain_sd`: as of `from_image`.
+        - `camera`, `pixel`, `altitude`, `relative_sd`, `gains`: as of `from_image`.
 
         **Raises:** `InputError` for a table or camera that cannot be used.
         """
         if isinstance(table, str | Path):
-            rules = TargetRules(relative_sd, ("*",), gain_sd)
+            rules = TargetRules(relative_sd)
             data, _, _ = image_data(Path(table), rules)
         else:
             if isinstance(table, Mapping) and "statistic" not in table:
@@ -177,7 +190,7 @@ class PlotData(Data):
             sd = frame["sd"].to_numpy(float) if "sd" in frame else None
             names = [str(name) for name in frame["statistic"]]
             data = weigh_targets(names, frame["value"].to_numpy(float), relative_sd, sd=sd)
-        return cls._seen(data, _camera(camera), Placement(altitude, pixel), gain_sd)
+        return cls._seen(data, _camera(camera), Placement(altitude, pixel), gains)
 
     @classmethod
     @double_precision
@@ -247,20 +260,30 @@ class PlotData(Data):
         return cls(data.names, data.value, data.sd, data.whitener, sensors)
 
     @classmethod
-    def _seen(cls, data: Data, camera: Sensor, placement: Placement, gain_sd: float) -> "PlotData":
+    def _seen(
+        cls, data: Data, camera: Sensor, placement: Placement, gains: Gains | str | None
+    ) -> "PlotData":
+        found = gains if isinstance(gains, Gains) else camera.gains(gains)
+
         def view(scene: Scene, parameters: PlotParameters) -> AbstractView:
             aimed = aim(scene, parameters, camera, placement)
-            return ImageView(data.names, aimed, gain_sd)
+            return ImageView(data.names, aimed, found)
 
         return cls._of(data, (view,))
 
 
-def _camera(camera: str | Path | Sensor | Lidar) -> Sensor:
-    """A camera's four bands."""
+def _imager(camera: str | Path | Sensor | Lidar) -> Sensor:
+    """An imaging sensor, from its name or file too."""
     sensor = load_instrument(camera) if isinstance(camera, str | Path) else camera
     if not isinstance(sensor, Sensor):
         what = f"the LiDAR {sensor.name!r}" if isinstance(sensor, Lidar) else repr(sensor)
         raise InputError(f"expected a camera, but got {what}")
+    return sensor
+
+
+def _camera(camera: str | Path | Sensor | Lidar) -> Sensor:
+    """A camera's four bands."""
+    sensor = _imager(camera)
     names = sensor.bands.names
     if missing := [name for name in BANDS if name not in names]:
         raise InputError(
@@ -268,6 +291,47 @@ def _camera(camera: str | Path | Sensor | Lidar) -> Sensor:
             f"{missing[0]}"
         )
     return sensor.select([names.index(name) for name in BANDS])
+
+
+def check_vegetation(
+    measured: Mapping[str, float] | ArrayLike | DroneImage | str | Path,
+    sensor: str | Path | Sensor | Lidar = "mavic_3m",
+    *,
+    gains: Gains | str | None = None,
+) -> VegetationCheck:
+    """Whether an image, or a spectrum, is one that shrubland can have: before anything is fitted.
+
+    **Arguments:**
+
+    - `measured`: reflectance of bands by their names, of any of them, or of all in order, of an
+      image [band, y, x] too, whose mean counts [-]; or a drone's image, or the path of one.
+    - `sensor`: that measured it; a name, a sensor file or an object.
+    - `gains`: what its calibration may be off by, or how it was calibrated, such as "panels"
+      (`Sensor.gains`); by default that of a good calibration, 5 % a band.
+
+    **Returns:** a `fynjax.compare.VegetationCheck`, which prints as a sentence.
+
+    **Raises:** `InputError` as `fynjax.compare.check_vegetation`, `read_drone_image` and
+    `Sensor.gains`.
+
+    >>> import fynjax as fx
+    >>> fx.check_vegetation({"red": 0.045, "red_edge": 0.15, "nir": 0.22}, "mavic_3m").unlike
+    False
+    >>> bad = {"red": 0.045, "red_edge": 0.08, "nir": 0.22}
+    >>> fx.check_vegetation(bad).unlike, fx.check_vegetation(bad, gains="light_sensor").unlike
+    (True, False)
+    """
+    camera = _imager(sensor)
+    if isinstance(measured, str | Path):
+        measured = read_drone_image(measured)
+    if isinstance(measured, DroneImage):
+        measured = dict(zip(BANDS, measured.pixels.mean(axis=1), strict=True))
+    elif not isinstance(measured, Mapping):
+        values = np.asarray(measured, dtype=float)
+        measured = np.nanmean(values, axis=(1, 2)) if values.ndim == 3 else values
+    if not isinstance(gains, Gains):
+        gains = ASSUMED if gains is None else camera.gains(gains)
+    return check_spectrum(measured, camera.bands, gains=gains)
 
 
 def prior(name: str | Path = "fynbos_2023") -> LearnedPrior:
@@ -287,6 +351,7 @@ def free(
     scene: Scene,
     *patterns: str,
     prior: LearnedPrior | Mapping[str, float] | None = None,
+    common: float | None = None,
 ) -> ParameterSpace:
     """The parameters of a scene that a fit may change, with priors about their present values.
 
@@ -297,6 +362,9 @@ def free(
     - `prior`: relative standard deviations by pattern [-], the first that fits a name, or a learned
       population (`fx.prior`), which says how leaf area, dead tissue and clumping vary; of all
       others that of the parameter's record.
+    - `common`: how far what the table is off by is common to all species, as the correlation of
+      their priors of one kind, 0 to below 1 [-]: near 1 where one eye guessed all covers. Left out,
+      as the parameters' records have it: none of covers.
 
     **Raises:** `InputError` for a pattern that fits no name, and a parameter that cannot be free.
 
@@ -327,7 +395,7 @@ def free(
             return prior.sd(f"{kind}.{form}", elsewhere=True) / float(values[name])
         return next((sd for pattern, sd in stated.items() if fnmatchcase(name, pattern)), None)
 
-    return free_space(scene, scene.parameters, patterns, relative_sd)
+    return free_space(scene, scene.parameters, patterns, relative_sd, common=common)
 
 
 @double_precision

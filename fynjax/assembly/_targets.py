@@ -184,8 +184,6 @@ class TargetRules(NamedTuple):
     """Standard deviation of a statistic over its value, where none is stated [-]."""
     statistics: tuple[str, ...] = ("*",)
     """Patterns of the names of those that count."""
-    gain_sd: float = 0.05
-    """What a band of a drone's camera may be off by, as a factor [-]."""
     file: Path | None = None
     """Where these are stated, for errors."""
 
@@ -202,7 +200,7 @@ class TargetRules(NamedTuple):
 def _rules(plot: Plot) -> TargetRules:
     settings = plot.calibration
     targets = tuple(settings.targets)
-    return TargetRules(settings.target_sd, targets, settings.gain_sd, plot.file)
+    return TargetRules(settings.target_sd, targets, plot.file)
 
 
 def image_target(

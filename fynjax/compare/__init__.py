@@ -36,6 +36,7 @@ from fynjax.compare._published_tables import (
 )
 from fynjax.compare._spectra import read_spectra_sample
 from fynjax.compare._spectral import LEFT_OUT, SpectralComparison, compare_spectra
+from fynjax.compare._vegetation import VegetationCheck, check_vegetation
 
 __all__ = [
     "FEATURES",
@@ -57,10 +58,12 @@ __all__ = [
     "Table4Row",
     "Table5Row",
     "Target",
+    "VegetationCheck",
     "agreement_table",
     "band_table",
     "bands_2006",
     "chance_correlation",
+    "check_vegetation",
     "compare_drone_images",
     "compare_heights",
     "compare_spectra",

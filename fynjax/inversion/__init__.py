@@ -34,6 +34,7 @@ from fynjax.inversion._functionals import (
     Functional,
     stand_sentence,
     stand_table,
+    stand_values,
 )
 from fynjax.inversion._information import Information, fisher_information
 from fynjax.inversion._known_plants import (
@@ -103,7 +104,6 @@ from fynjax.inversion._views import (
     PlotForward,
     SpectrumView,
     StructureView,
-    gain_covariance,
     look,
     nadir_imager,
     spectrum_names,
@@ -179,7 +179,6 @@ __all__ = [
     "fit_population",
     "fit_surrogate",
     "free_space",
-    "gain_covariance",
     "join_data",
     "known_plants_search",
     "local_sensitivity",
@@ -201,6 +200,7 @@ __all__ = [
     "spectrum_view",
     "stand_sentence",
     "stand_table",
+    "stand_values",
     "statistics_and_jacobian",
     "structure_view",
     "surrogate_renders",

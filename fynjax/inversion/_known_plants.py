@@ -35,9 +35,9 @@ from fynjax.inversion._fit_result import (
 from fynjax.inversion._functionals import stand_table
 from fynjax.inversion._search import search_states
 from fynjax.inversion._space import ParameterSpace
-from fynjax.inversion._views import gain_covariance
 from fynjax.radiation import VoxelScene
 from fynjax.scene import AimedSensor, PlotParameters, Scene, with_values
+from fynjax.sensors import Gains
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -132,7 +132,7 @@ def calibrate_known_plants(
     *,
     block: int | None = None,
     pixel_sd: float = PIXEL_SD,
-    gain_sd: float = 0.05,
+    gains: Gains | None = None,
     max_steps: int = 30,
     tolerance: float = 0.05,
 ) -> KnownPlants:
@@ -156,8 +156,8 @@ def calibrate_known_plants(
     - `pixel_sd`: error of a block's mean, of camera and model, as a share of it [-], positive.
       Errors of different blocks and bands are independent: give errors that hang together over the
       plot to the gains, or widen this.
-    - `gain_sd`: what a band's calibration may be off by, as a factor [-], positive; half of its
-      variance is common to all bands.
+    - `gains`: what the calibration of the bands may be off by; that of the camera's sensor by
+      default.
     - `max_steps`: most steps between two computations of the slopes.
     - `tolerance`: the search ends where another step would lower the objective by less than this,
       half a squared distance in posterior standard deviations.
@@ -173,7 +173,7 @@ def calibrate_known_plants(
     Not differentiable.
     """
     search = known_plants_search(
-        scene, parameters, image, space, camera, block=block, pixel_sd=pixel_sd, gain_sd=gain_sd,
+        scene, parameters, image, space, camera, block=block, pixel_sd=pixel_sd, gains=gains,
         max_steps=max_steps, tolerance=tolerance,
     )  # fmt: skip
     with stage("Calibrate", max_steps):
@@ -191,7 +191,7 @@ def known_plants_search(
     *,
     block: int | None = None,
     pixel_sd: float = PIXEL_SD,
-    gain_sd: float = 0.05,
+    gains: Gains | None = None,
     max_steps: int = 30,
     tolerance: float = 0.05,
 ) -> "PixelSearch":
@@ -199,7 +199,7 @@ def known_plants_search(
 
     **Arguments:**
 
-    - `scene`, `parameters`, `image`, `space`, `camera`, `block`, `pixel_sd`, `gain_sd`,
+    - `scene`, `parameters`, `image`, `space`, `camera`, `block`, `pixel_sd`, `gains`,
       `max_steps`, `tolerance`: as of `calibrate_known_plants`.
 
     **Raises:** `InputError` as `calibrate_known_plants`.
@@ -216,17 +216,16 @@ def known_plants_search(
             "chance no pixel says what stands in it"
         )
     block = block_of(bands, camera.shape) if block is None else block
-    if block < 1 or not pixel_sd > 0.0 or not gain_sd > 0.0:
+    if block < 1 or not pixel_sd > 0.0:
         raise InputError(
-            f"`block`, `pixel_sd` and `gain_sd` must be positive, but are {block}, {pixel_sd:g} "
-            f"and {gain_sd:g}"
+            f"`block` and `pixel_sd` must be positive, but are {block} and {pixel_sd:g}"
         )
     measured = np.asarray(_blocks(jnp.asarray(np.asarray(image, float)), block))
     compared = np.isfinite(measured).all(axis=0)
     if not compared.any():
         raise InputError(f"no block of {block} x {block} pixels of the image has all its values")
     model = PixelModel(scene, parameters, space.names, camera, block)
-    errors = (pixel_sd, gain_sd)
+    errors = (pixel_sd, camera.sensor.gains() if gains is None else gains)
     return PixelSearch(model, space, measured, compared, errors, max_steps, tolerance)
 
 
@@ -386,14 +385,16 @@ class PixelSearch:
         space: ParameterSpace,
         measured: Float[np.ndarray, "band y x"],
         compared: Bool[np.ndarray, "y x"],
-        errors: tuple[float, float],
+        errors: tuple[float, Gains],
         max_steps: int,
         tolerance: float,
     ) -> None:
         self.model, self.space, self._max_steps = model, space, max_steps
         self._measured, self._compared, self._pixel_sd = measured, compared, errors[0]
         self._free = len(space.names)
-        self._gain_root = np.linalg.cholesky(gain_covariance(len(measured), errors[1]))
+        # A little more, as the covariance of bands that are off alike, or not at all, is singular.
+        covariance = errors[1].covariance(len(measured)) + 1e-12 * np.eye(len(measured))
+        self._gain_root = np.linalg.cholesky(covariance)
         self._target = measured[:, compared].ravel()
         self._solver = BroydenLM(atol=tolerance)
         self.signed = (model, space, measured, compared, errors, max_steps, tolerance)

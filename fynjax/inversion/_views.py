@@ -29,7 +29,7 @@ from fynjax.scene import (
     slope_of_fading,
     with_values,
 )
-from fynjax.sensors import BandSet, OrthographicCamera, Sensor
+from fynjax.sensors import BandSet, Gains, OrthographicCamera, Sensor
 
 SPECTRUM = "spectrum"
 """Statistics of a mean spectrum are called '<SPECTRUM>.<centre>nm'."""
@@ -105,8 +105,8 @@ class ImageView(AbstractView):
     names: tuple[str, ...] = eqx.field(static=True, converter=tuple)
     camera: AimedSensor
     """The drone's camera over the scene, from `aim`; with the bands that the statistics name."""
-    gain_sd: float = eqx.field(static=True, default=0.0)
-    """What a band's calibration to reflectance may be off by, as a factor [-]."""
+    gains: Gains = eqx.field(static=True, default=Gains(0.0))
+    """What the calibration of its bands to reflectance may be off by; by default nothing."""
     spacing: float | None = eqx.field(static=True, default=None)
     """Distance of neighbouring pixels [m]; None: their edge."""
     window: float | None = eqx.field(static=True, default=None)
@@ -157,21 +157,6 @@ class ImageView(AbstractView):
         return jax.jacfwd(scaled)(none)
 
 
-GAIN_SHARED = 0.5
-"""Share of the variance of the bands' gains that is common to all: light and exposure [-]. An
-assumption."""
-
-
-def gain_covariance(bands: int, sd: float) -> Float[np.ndarray, "band band"]:
-    """Covariance of the logarithms of the gains of a camera's bands.
-
-    **Arguments:** `bands`, their number; `sd`, standard deviation of each [-], of whose variance
-    the share `GAIN_SHARED` is common to all.
-    """
-    own, common = (1.0 - GAIN_SHARED) * np.eye(bands), GAIN_SHARED * np.ones((bands, bands))
-    return np.asarray(sd**2 * (own + common))
-
-
 def radiometric_covariance(
     views: Sequence[AbstractView], images: Sequence[Float[Array, "band y x"]]
 ) -> Float[np.ndarray, "statistic statistic"]:
@@ -184,7 +169,7 @@ def radiometric_covariance(
         block = np.zeros((len(view.names),) * 2)
         if isinstance(view, ImageView):
             slopes = np.asarray(_gain_slopes(view, next(remaining)), float)
-            block = slopes @ gain_covariance(slopes.shape[1], view.gain_sd) @ slopes.T
+            block = slopes @ view.gains.covariance(slopes.shape[1]) @ slopes.T
         blocks.append(block)
     return np.asarray(scipy.linalg.block_diag(*blocks))
 

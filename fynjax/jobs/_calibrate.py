@@ -34,6 +34,7 @@ from fynjax.jobs._calibration_tables import (
     parameter_table,
     statistic_table,
 )
+from fynjax.jobs._doubt import doubt_targets
 from fynjax.jobs._follow import follow
 from fynjax.jobs._render import check_finite, write_image
 from fynjax.jobs._result import JobResult, Number, ParameterSummary, Record, StatisticSummary
@@ -191,6 +192,7 @@ def calibrate_to(
 
     **Raises:** `InputError` as `calibrate`.
     """
+    doubt_targets(run, plot, measured)
     with run.stage("Build the plot", "build"):
         ready = prepare(plot, None, seed=run.seed)
         views = [sensor.view_of(ready.scene, ready.parameters) for sensor in measured]

@@ -21,6 +21,7 @@ from fynjax.jobs._calibration_page import (
     search_section,
 )
 from fynjax.jobs._calibration_tables import parameter_table
+from fynjax.jobs._doubt import doubt_spectrum
 from fynjax.jobs._follow import follow
 from fynjax.jobs._render import check_finite, write_image
 from fynjax.jobs._run import Run, peak_memory_mib
@@ -65,6 +66,8 @@ def known_plants(
             file=path,
         )
     order = [BANDS.index(name) for name in camera.sensor.bands.names]
+    mean = image.pixels.mean(axis=1)[order]
+    doubt_spectrum(run, mean, camera.sensor.bands, camera.sensor)
     settings = plot.calibration
     block = _block(plot, len(order), camera.shape, pixel)
     begin_work(
@@ -81,7 +84,6 @@ def known_plants(
             camera,
             block=block,
             pixel_sd=settings.pixel_sd,
-            gain_sd=max(settings.gain_sd, 1e-6),
             max_steps=settings.max_iterations,
         )
         result = search.result(follow(search, [None], run, checkpoint)[0])

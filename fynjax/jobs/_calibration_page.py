@@ -72,7 +72,8 @@ def parameter_sentences(result: Calibration | KnownPlants) -> list[str]:
     if result.gain is not None and result.gain_sd is not None and result.camera is not None:
         bands = zip(result.camera.sensor.bands.names, result.gain, result.gain_sd, strict=True)
         each = ", ".join(f"{name} {gain:.3f} ± {gain * sd:.3f}" for name, gain, sd in bands)
-        lines.append(f"Gains of the camera: {each}.")
+        prior = result.camera.sensor.gains()
+        lines.append(f"Gains of the camera: {each}; beforehand 1, uncertain by {prior}.")
     return [*lines, result.fit.explanation]
 
 

@@ -21,6 +21,7 @@ from fynjax.assembly import STAND_QUANTITIES
 from fynjax.inversion import estimate_pixels
 from fynjax.io.plot import DEFAULT_PRIOR
 from fynjax.io.raster import CubeBlocks, MapWriter, file_hash, open_blocks
+from fynjax.jobs._doubt import doubt_spectrum
 from fynjax.jobs._map_pixels import (
     PixelPosterior,
     has_data,
@@ -129,6 +130,12 @@ def map_cube(
     with open_blocks(cube) as source:
         weights = _weights(source, trained)  # errors before any work
         scale = source.scale()
+        used = weights.any(axis=0)
+        seen = source.sample()[:, used]
+        seen = seen[np.isfinite(seen).all(axis=1)]
+        if len(seen):
+            mean = weights[:, used] @ seen.mean(axis=0) / scale
+            doubt_spectrum(run, mean, trained.responses)
         pixels = list(dict.fromkeys(pixels))
         learned = prior_of(trained, prior) if pixels else None
         channels = pick_pixels(source, weights, scale, pixels)

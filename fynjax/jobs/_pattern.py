@@ -14,10 +14,15 @@ from fynjax.canopy import (
     vegetation_pattern,
 )
 from fynjax.io.raster import BandStack, read_band_stack, write_probability_map
+from fynjax.jobs._doubt import doubt_spectrum
 from fynjax.jobs._result import JobResult, Record
 from fynjax.jobs._run import Run
 from fynjax.report.figures import pattern_figure
 from fynjax.report.pages import Picture
+from fynjax.sensors import BandSet, mavic_3m
+
+_NEAR_INFRARED = 750.0  # nm
+_WIDTH = 30.0  # of a band of which the file does not state it [nm]
 
 
 class MapSummary(Record):
@@ -116,6 +121,7 @@ def pattern(
         stack = read_band_stack(paths, bands=bands, pixel_m=pixel, align=align)
     try:
         green = choose_greenness(stack.names, stack.wavelengths, index=greenness)
+        _doubt(run, stack)
         with run.stage("Cluster the pixels"):
             pattern = vegetation_pattern(
                 stack.values,
@@ -150,6 +156,20 @@ def pattern(
         what = "the image, the map and the clusters' spectra"
         run.picture(Picture("pattern.png", pattern_figure(stack, pattern, green), what))
     return _result(run, stack, pattern, green, greenness_weight)
+
+
+def _doubt(run: Run, stack: BandStack) -> None:
+    """Say where an image of reflectance with near infrared is none of shrubland."""
+    usual = {"blue": 475.0} | dict(zip(mavic_3m().names, mavic_3m().centre, strict=True))
+    known = {
+        name: (wave or usual[name], float(values[stack.mask].mean()))
+        for name, wave, values in zip(stack.names, stack.wavelengths, stack.values, strict=True)
+        if wave is not None or name in usual
+    }
+    centres, means = zip(*known.values(), strict=True) if known else ((0.0,), (0.0,))
+    # Counts, and pictures of colours alone, are clustered as well as reflectance.
+    if max(centres) > _NEAR_INFRARED and max(means) <= 1.0:
+        doubt_spectrum(run, means, BandSet(tuple(known), centres, (_WIDTH,) * len(known)))
 
 
 def _result(

@@ -38,6 +38,7 @@ from fynjax.inversion import (
 from fynjax.io.plot import NO_PRIOR, Plot, as_plot, with_prior
 from fynjax.io.text import atomic_path
 from fynjax.jobs._calibration_page import misfit_sentence
+from fynjax.jobs._doubt import doubt_targets
 from fynjax.jobs._follow import follow
 from fynjax.jobs._result import JobResult, Number, ParameterSummary
 from fynjax.jobs._run import Run
@@ -136,6 +137,7 @@ def posterior(
     paths = [targets] if isinstance(targets, Path) else list(targets)
     measured = read_targets(read, paths, bands=bands, seed=run.seed)
     data = join_data([m.data for m in measured])
+    doubt_targets(run, read, measured)
     with run.stage("Build the plot"):
         ready = prepare(read, free, seed=run.seed)
         views = [sensor.view_of(ready.scene, ready.parameters) for sensor in measured]

@@ -1,5 +1,7 @@
 """A job at work: its folder and what was written there, its stages and their times."""
 
+import dataclasses
+import logging
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -19,6 +21,7 @@ from fynjax.jobs._result import JobResult
 from fynjax.report.pages import Page, Picture, Table, write_page
 
 Result = TypeVar("Result", bound=JobResult)
+_log = logging.getLogger("fynjax")
 
 
 def peak_memory_mib() -> float:
@@ -36,7 +39,15 @@ class Run:
         """What each file is, by its name."""
         self.seconds: dict[str, float] = {}
         """Wall time by stage [s]."""
+        self.doubts: list[str] = []
+        """Why the measurements are to be doubted."""
         self._began = time.perf_counter()
+
+    def doubt(self, text: str) -> None:
+        """Say at once, by the logger `fynjax`, why a measurement is to be doubted; and in the
+        result and on the page."""
+        self.doubts.append(text)
+        _log.warning("%s", text)
 
     @contextmanager
     def stage(self, name: str, timed_as: str = "", total: int | None = None) -> Iterator[None]:
@@ -77,7 +88,8 @@ class Run:
         self.files[picture.file] = picture.what
 
     def page(self, page: Page) -> None:
-        """Write the page with its figures."""
+        """Write the page with its figures, doubts first."""
+        page = dataclasses.replace(page, lead=" ".join([*self.doubts, page.lead]))
         self.files |= write_page(page, self.folder)
 
     def times(self, caption: str = "Wall time.", *, folded: bool = False) -> Table:
@@ -87,6 +99,7 @@ class Run:
 
     def result(self, kind: type[Result], **fields: Any) -> Result:
         """The job's result: `fields`, and what the run knows itself. Rasters get their styles."""
+        fields["warnings"] = [*self.doubts, *fields.get("warnings", [])]
         for name in [n for n in self.files if n.endswith(".tif")]:
             style = write_qgis_style(self.folder / name)
             self.files[style.name] = f"style of {name}, which QGIS takes by itself"

@@ -16,6 +16,7 @@ from fynjax.compare import (
     DroneComparison,
     PublishedComparison,
     SpectralComparison,
+    bands_2006,
     compare_drone_images,
     compare_spectra,
     compare_with_published,
@@ -32,9 +33,10 @@ from fynjax.compare.structure import (
 )
 from fynjax.io.raster import write_run
 from fynjax.io.text import existing_file
+from fynjax.jobs._doubt import doubt_spectrum
 from fynjax.jobs._result import JobResult, Record, Rows, rows_of
 from fynjax.jobs._run import Run
-from fynjax.metrics import WATER_WINDOWS, MatchingMethod
+from fynjax.metrics import BANDS, WATER_WINDOWS, MatchingMethod
 from fynjax.report.figures import words
 from fynjax.report.pages import (
     Page,
@@ -44,6 +46,7 @@ from fynjax.report.pages import (
     spectral_section,
     structure_section,
 )
+from fynjax.sensors import mavic_3m
 
 PUBLISHED = "published"
 """Stands for the paper's real drone image, of which only statistics are printed."""
@@ -204,6 +207,8 @@ def validate(
                 most_pixels=most_pixels,
             )
             drone = compare_drone_images(real, simulated)
+    if drone is not None:
+        _doubt(run, drone)
     spectra: SpectralComparison | None = None
     if data.simulated_spectra:
         spectra = compare_spectra(
@@ -259,6 +264,15 @@ def validate(
         spectra=None if spectra is None else _spectra_summary(spectra),
         structure=None if structure is None else _structure_summary(structure),
     )
+
+
+def _doubt(run: Run, drone: Drone) -> None:
+    """Say where the real image is none of shrubland."""
+    if isinstance(drone, PublishedComparison):
+        real = {name: row.real_mean for name, row in bands_2006().items()}
+    else:
+        real = dict(zip(BANDS, drone.real.pixels.mean(axis=1), strict=True))
+    doubt_spectrum(run, real, mavic_3m())
 
 
 def _write_drone(run: Run, drone: Drone) -> None:

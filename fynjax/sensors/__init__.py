@@ -24,6 +24,7 @@ from fynjax.sensors._empirical_line import (
     panel_reading,
     place_panels,
 )
+from fynjax.sensors._gains import ASSUMED, Gains
 from fynjax.sensors._noise import (
     RADIANCE_UNITS,
     AbstractNoise,
@@ -81,6 +82,7 @@ from fynjax.sensors.lidar import (
 )
 
 __all__ = [
+    "ASSUMED",
     "RADIANCE_UNITS",
     "SPACE",
     "AbstractCamera",
@@ -94,6 +96,7 @@ __all__ = [
     "EmpiricalLine",
     "FlashGeometry",
     "FrameCamera",
+    "Gains",
     "Lidar",
     "LidarBeams",
     "LidarNoise",

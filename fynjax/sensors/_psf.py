@@ -48,6 +48,14 @@ class PointSpread(eqx.Module):
                 f"but is {widths.tolist()}."
             )
 
+    def on_pixels(self, size: float) -> "PointSpread":
+        """The same blur of an image of other pixels, as wide as `size` of the present ones [-].
+
+        What blurs beyond a pixel's own footprint keeps its width on the ground.
+        """
+        own = 1.0 if self.kind == "box" else 0.0
+        return PointSpread(self.kind, own + (self.width - own) / size)
+
     def reach(self) -> int:
         """Pixels on each side that the blur takes from [-]."""
         if self.radius is not None:

@@ -10,10 +10,11 @@ import numpy as np
 from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
-from fynjax._core.errors import InputError
+from fynjax._core.errors import InputError, did_you_mean
 from fynjax.radiation import AbstractRays
 from fynjax.sensors._bands import BandSet
 from fynjax.sensors._camera import AbstractCamera, Real
+from fynjax.sensors._gains import ASSUMED, Gains
 from fynjax.sensors._noise import AbstractNoise
 from fynjax.sensors._psf import PointSpread
 from fynjax.sensors._pushbroom import frame_of
@@ -41,6 +42,9 @@ class Sensor(eqx.Module):
     """Pixel of each band on the ground where the bands of a product differ [m]."""
     pixel_factor: float = eqx.field(static=True, default=1.0)
     """Pixel of its images over that of its optics [-]: not 1 where the source states another."""
+    calibrations: tuple[Gains, ...] = eqx.field(static=True, default=())
+    """Errors of its bands for each way of calibration to reflectance, the usual one first; empty if
+    not known. See `gains`."""
     source: str = eqx.field(static=True, default="")
     """Where the numbers come from."""
 
@@ -50,6 +54,24 @@ class Sensor(eqx.Module):
                 f"`band_pixel` needs one value for each of {len(self.bands)} bands, but has "
                 f"{len(self.band_pixel)}."
             )
+        for one in self.calibrations:
+            one.of_bands(len(self.bands))
+
+    def gains(self, way: str | None = None) -> Gains:
+        """What the calibration of its bands to reflectance may be off by.
+
+        `way` of calibration, such as 'panels'; left out, the usual one, or an assumption where its
+        file states none. Raises `InputError` for a way that its file does not state.
+        """
+        ways = {one.way: one for one in self.calibrations}
+        if way is None:
+            return next(iter(self.calibrations), ASSUMED)
+        if way not in ways:
+            raise InputError(
+                f"expected a way of calibration that the file of {self.name!r} states "
+                f"({', '.join(ways) or 'none'}), but got {way!r}.{did_you_mean(way, list(ways))}"
+            )
+        return ways[way]
 
     def response(
         self, wavelength: ArrayLike, *, max_loss: float = 1e-3
@@ -113,7 +135,11 @@ class Sensor(eqx.Module):
         noise = jax.tree.map(lambda v: v[at] if np.shape(v) == (count,) else v, self.noise)
         pixel = None if self.band_pixel is None else tuple(self.band_pixel[i] for i in at)
         return dataclasses.replace(
-            self, bands=self.bands.select(at.tolist()), noise=noise, band_pixel=pixel
+            self,
+            bands=self.bands.select(at.tolist()),
+            noise=noise,
+            band_pixel=pixel,
+            calibrations=tuple(one.select(at.tolist()) for one in self.calibrations),
         )
 
     def rays(self) -> AbstractRays:

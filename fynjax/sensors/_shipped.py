@@ -8,6 +8,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 from numpy.typing import ArrayLike
 
@@ -19,6 +20,7 @@ from fynjax.sensors._camera import (
     OrthographicCamera,
     check_ground_sample_distance,
 )
+from fynjax.sensors._gains import Gains
 from fynjax.sensors._noise import AbstractNoise, CameraNoise, radiometric_noise
 from fynjax.sensors._psf import PointSpread
 from fynjax.sensors._pushbroom import PushbroomCamera
@@ -74,6 +76,7 @@ def _shipped_table(name: str) -> Table:
     }
 
 
+@jax.ensure_compile_time_eval()
 def build_sensor(description: Mapping[str, Any], read_table: Callable[[str], Table]) -> Sensor:
     """A sensor from the contents of its file.
 
@@ -99,8 +102,14 @@ def build_sensor(description: Mapping[str, Any], read_table: Callable[[str], Tab
         noise=None if noise is None else _noise(noise, bands, read_table),
         band_pixel=pixel,
         pixel_factor=1.0 if stated is None else stated / float(camera.ground_sample_distance),
+        calibrations=_calibrations(description.get("calibration", {})),
         source=description["source"],
     )
+
+
+def _calibrations(table: Mapping[str, Any]) -> tuple[Gains, ...]:
+    ways = sorted((way for way in table if way != "usual"), key=lambda way: way != table["usual"])
+    return tuple(Gains(table[way]["gain_sd"], table[way]["gain_shared"], way) for way in ways)
 
 
 def _bands(

@@ -161,6 +161,17 @@ def test_a_cloud_has_the_structure_of_its_cells(plot, tmp_path):
     assert sd["lidar.gap_fraction"] > 0.05 * gap
 
 
+def test_an_image_s_errors_are_those_of_how_it_was_calibrated(plot, tmp_path):
+    (tmp_path / "image.csv").write_text("statistic,value,sd\nred.mean,0.05,0.001\n")
+    panels = plot.replace(sensor=plot.sensor.replace(calibrated_by="panels"))
+    for of, way in ((plot, "light_sensor"), (panels, "panels")):
+        (one,) = read_targets(of, [tmp_path / "image.csv"])
+        view = one.view_of(*build_plot(of))
+        np.testing.assert_allclose(
+            view.gains.covariance(4), shipped_sensor("mavic_3m").gains(way).covariance(4)
+        )
+
+
 def test_one_target_of_each_kind_in_the_same_order(plot, tmp_path):
     table = tmp_path / "s.csv"
     table.write_text("statistic,value,sd\nnir.mean,0.3,\n")

@@ -21,6 +21,7 @@ from fynjax.inversion import calibrate_known_plants
 from fynjax.inversion._known_plants import PixelModel
 from fynjax.io.plot import drone_sensor
 from fynjax.scene import Crowns, hard_instances
+from fynjax.sensors import Gains
 from tests.benchmarks._measure import example_plot, options, peak_gib
 
 OPTICS = (
@@ -81,7 +82,7 @@ def main(arguments=None):
             began = time.process_time()
             found = calibrate_known_plants(
                 scene, ready.parameters, measured, space, camera,
-                block=1, pixel_sd=max(noise, EXACT), gain_sd=1e-5,
+                block=1, pixel_sd=max(noise, EXACT), gains=Gains(1e-5),
             )  # fmt: skip
             seconds = time.process_time() - began
             fit = found.fit

@@ -51,7 +51,6 @@ from fynjax.inversion import (
     PlotForward,
     StructureView,
     calibrate_plot,
-    gain_covariance,
     join_data,
     look,
     plot_search,
@@ -117,7 +116,7 @@ def measure(ready, views, u, number, random):
     for view in views:
         value, *image = (np.asarray(a, float) for a in look((view,), scene, plot))
         if isinstance(view, ImageView):
-            gain = random.multivariate_normal(np.zeros(4), gain_covariance(4, view.gain_sd))
+            gain = random.multivariate_normal(np.zeros(4), view.gains.covariance(4))
             noise = 1.0 + NOISE * random.normal(size=image[0].shape)
             image = jnp.asarray(image[0] * np.exp(gain)[:, None, None] * noise)
             value = np.asarray(image_statistics(image, view.names, pixel=view.camera.pixel))
@@ -259,7 +258,7 @@ def apart(count, ready, truths, view):
         random = np.random.default_rng([31, i])
         # Plantings of their own, or pairs of the two would have the same.
         _, simulated = simulations(one, view, count, random, first=2000 * (i + 1))
-        gains = random.multivariate_normal(np.zeros(4), gain_covariance(4, view.gain_sd), count)
+        gains = random.multivariate_normal(np.zeros(4), view.gains.covariance(4), count)
         found.append(simulated + gains @ slopes.T)
     x, wrong = np.concatenate(found), np.repeat([0, 1], count)
     folds = StratifiedKFold(10, shuffle=True, random_state=0)
@@ -366,7 +365,7 @@ def regressions(chosen, ready, view, twins):
     whole = np.asarray(look((view,), ready.scene, ready.parameters)[0])
     lack = whole / np.asarray(look((cheap,), quick, ready.parameters)[0])
     random = np.random.default_rng(29)
-    gains = random.multivariate_normal(np.zeros(4), gain_covariance(4, view.gain_sd), len(draws))
+    gains = random.multivariate_normal(np.zeros(4), view.gains.covariance(4), len(draws))
     slopes = np.asarray(view.gain_slopes(look((view,), ready.scene, ready.parameters)[1]))
     noisy = simulated * lack + gains @ slopes.T
     scale = StandardScaler().fit(noisy)

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from fynjax._core.checkpoint import Journal, signature
-from fynjax.inversion import ParameterSpace, gain_covariance
+from fynjax.inversion import ParameterSpace
 from fynjax.inversion._known_plants import PixelSearch, PixelState
+from fynjax.sensors import Gains
 from tests.scene.plots import TAXA, small_parameters
 
 NAMES = tuple(f"species.{taxon}.cover" for taxon in TAXA[:2])
@@ -22,7 +23,7 @@ RANDOM = np.random.default_rng(2)
 BASE = RANDOM.uniform(0.3, 0.5, (2, 2, 3))
 SLOPES = RANDOM.normal(size=(2, 2, 2, 3))
 """Of two parameters, in two bands."""
-PIXEL_SD, GAIN_SD = 0.3, 0.2
+PIXEL_SD, GAINS = 0.3, Gains(0.2)
 
 
 class Linear(SimpleNamespace):
@@ -44,7 +45,7 @@ def searched(max_steps=30):
     measured = model.image([0.35, 0.1]) * np.array([1.2, 0.9])[:, None, None]
     compared = np.ones((2, 3), bool)
     compared[1, 2] = False
-    search = PixelSearch(model, SPACE, measured, compared, (PIXEL_SD, GAIN_SD), max_steps, 1e-4)
+    search = PixelSearch(model, SPACE, measured, compared, (PIXEL_SD, GAINS), max_steps, 1e-4)
     states = [search.begin()]
     while not states[-1].ended:
         states.append(search.step(states[-1]))
@@ -85,7 +86,7 @@ def test_what_gains_may_be_is_an_error_of_the_parameters(found):
     to_u = np.asarray(SPACE.slope(result.fit.whitened))
     jacobian = (SLOPES[:, :, compared] * gain).reshape(2, -1).T * to_u
     by_gain = np.kron(np.eye(2), np.ones((image.shape[1], 1))) * image.reshape(-1, 1)
-    error = np.diag(sd**2) + by_gain @ gain_covariance(2, GAIN_SD) @ by_gain.T
+    error = np.diag(sd**2) + by_gain @ GAINS.covariance(2) @ by_gain.T
     want = np.linalg.inv(np.eye(2) + jacobian.T @ np.linalg.solve(error, jacobian))
     assert result.fit.converged
     np.testing.assert_allclose(sd, PIXEL_SD * image.ravel(), rtol=0.02)
@@ -97,7 +98,7 @@ def test_the_estimate_of_parameters_and_gains_is_where_the_posterior_is_densest(
     """No step of a parameter or a gain has a lower sum of squares and prior."""
     result, target, compared = found
     sd = np.asarray(result.fit.data.sd)
-    known = np.linalg.inv(gain_covariance(2, GAIN_SD))
+    known = np.linalg.inv(GAINS.covariance(2))
 
     def objective(u, log_gain):
         image = Linear().image(SPACE.physical(jnp.asarray(u))) * np.exp(log_gain)[:, None, None]

@@ -31,7 +31,6 @@ from fynjax.inversion import (
     fit,
     fit_surrogate,
     free_space,
-    gain_covariance,
     join_data,
     plot_search,
     predicted_statistics,
@@ -49,7 +48,6 @@ from fynjax.inversion._calibrate import _gains
 from fynjax.inversion._fit_result import fit_result, scatter_covariance, status_of
 from fynjax.inversion._search import Expectation
 from fynjax.inversion._views import (
-    GAIN_SHARED,
     Directions,
     informative_directions,
     radiometric_covariance,
@@ -60,7 +58,7 @@ from fynjax.metrics import STRUCTURE_METRICS, voxel_structure
 from fynjax.radiation import parallel_rays, reflectance_factor, solve_light
 from fynjax.scene import stand_realisation, with_values
 from fynjax.scene._structure import _projections
-from fynjax.sensors import BandSet
+from fynjax.sensors import BandSet, Gains
 from tests.heard import hearing
 from tests.scene.plots import TAXA, densities, drone, small_parameters, small_plot
 
@@ -813,7 +811,7 @@ def test_a_surrogate_bends_as_the_model_does(sums):
 
 def test_the_gains_of_a_camera_are_estimated(views):
     """An image that is brighter in one band than the plants can make it."""
-    view = dataclasses.replace(views[0], names=BAND_MEANS, gain_sd=0.05)
+    view = dataclasses.replace(views[0], names=BAND_MEANS, gains=Gains(0.05))
     image = jnp.asarray(0.05 + 0.3 * np.random.default_rng(2).random((4, 6, 6)))
     gain = np.array([1.08, 1.0, 0.94, 1.0])
     value = view._statistics(image * gain[:, None, None])
@@ -830,7 +828,7 @@ def test_the_gains_of_a_camera_are_estimated(views):
 
 
 def test_gains_of_a_camera_move_statistics_as_stated(views):
-    view = dataclasses.replace(views[0], gain_sd=0.05)
+    view = dataclasses.replace(views[0], gains=Gains(0.05))
     image = 0.05 + 0.3 * np.random.default_rng(2).random((4, 6, 6))
     slopes = np.asarray(view.gain_slopes(jnp.asarray(image)))
     step = 1e-5
@@ -841,22 +839,13 @@ def test_gains_of_a_camera_move_statistics_as_stated(views):
         np.testing.assert_allclose(slopes[:, band], (up - down) / (2 * step), rtol=1e-5, atol=1e-8)
     covariance = radiometric_covariance((view,), (jnp.asarray(image),))
     gains = np.random.default_rng(8).multivariate_normal(
-        np.zeros(4), gain_covariance(4, 0.05), 4000
+        np.zeros(4), Gains(0.05).covariance(4), 4000
     )
     drawn = [view._statistics(jnp.asarray(image * np.exp(g)[:, None, None])) for g in gains[:400]]
     # The spread of NDVI changes with the square of gains, beyond a linear model.
     sd = np.sqrt(np.diagonal(covariance))[:2]
     np.testing.assert_allclose(sd, np.std(drawn, axis=0)[:2], rtol=0.15)
-    np.testing.assert_allclose(np.cov(gains.T), gain_covariance(4, 0.05), rtol=0.2, atol=1e-5)
-
-
-def test_gains_have_the_stated_deviation_and_share_of_it_in_common():
-    """Against draws: the light is off for all bands alike, each band by itself besides."""
-    random, sd = np.random.default_rng(4), 0.05
-    common, own = random.normal(size=(200_000, 1)), random.normal(size=(200_000, 3))
-    drawn = sd * (np.sqrt(GAIN_SHARED) * common + np.sqrt(1.0 - GAIN_SHARED) * own)
-    np.testing.assert_allclose(gain_covariance(3, sd), np.cov(drawn.T), rtol=0.02)
-    np.testing.assert_allclose(np.diagonal(gain_covariance(3, sd)), sd**2)
+    np.testing.assert_allclose(np.cov(gains.T), Gains(0.05).covariance(4), rtol=0.2, atol=1e-5)
 
 
 class Bright(ImageView):
@@ -887,11 +876,11 @@ def test_what_a_camera_may_be_off_by_is_an_error_of_a_calibration(sums):
     cover = np.asarray(parameters.species.cover)
     names = ("a", "b", "c")
     data = Data(names, jnp.asarray(cover), jnp.full(3, 0.01))
-    view = Bright(names, None, gain_sd=0.1)
+    view = Bright(names, None, gains=Gains(0.1))
     settings = CalibrationSettings(stand_realisations=0, rounds=1)
     found = calibrate_plot(model, parameters, data, space, [view], settings)
     means = np.asarray(found.statistics_after)
-    want = 0.01**2 * np.eye(3) + np.outer(means, means) * gain_covariance(3, 0.1)
+    want = 0.01**2 * np.eye(3) + np.outer(means, means) * Gains(0.1).covariance(3)
     np.testing.assert_allclose(found.data.covariance, want, rtol=1e-6, atol=1e-12)
     np.testing.assert_allclose(found.measured.covariance, want, rtol=1e-6, atol=1e-12)
     # The weights of the search are those of the same errors.
@@ -901,7 +890,8 @@ def test_what_a_camera_may_be_off_by_is_an_error_of_a_calibration(sums):
 def test_gains_are_estimated_beside_the_parameters():
     """What parameters can explain as well is no gain: against the normal equations of both."""
     random, names = np.random.default_rng(6), ("a", "b", "c")
-    view, image = Bright(names, None, gain_sd=0.1), jnp.asarray(random.uniform(0.1, 0.5, (3, 2, 2)))
+    view = Bright(names, None, gains=Gains(0.1))
+    image = jnp.asarray(random.uniform(0.1, 0.5, (3, 2, 2)))
     means, jacobian = np.asarray(image.mean(axis=(1, 2))), 0.05 * random.normal(size=(3, 2))
     u, value = random.normal(size=2), means * np.array([1.1, 1.0, 0.95])
     data = Data(names, jnp.asarray(value), jnp.full(3, 0.01))
@@ -912,7 +902,7 @@ def test_gains_are_estimated_beside_the_parameters():
     found, sd, with_gain = _gains((view,), image, result, np.asarray(total.whitener))
     slopes = np.concatenate([jacobian, np.diag(means)], axis=1)
     prior = np.zeros((5, 5))
-    prior[:2, :2], prior[2:, 2:] = np.eye(2), np.linalg.inv(gain_covariance(3, 0.1))
+    prior[:2, :2], prior[2:, 2:] = np.eye(2), np.linalg.inv(Gains(0.1).covariance(3))
     covariance = np.linalg.inv(prior + slopes.T @ slopes / 0.01**2)
     mean = covariance @ slopes.T @ (value - means + jacobian @ u) / 0.01**2
     np.testing.assert_allclose(found, np.exp(mean[2:]), rtol=1e-9)

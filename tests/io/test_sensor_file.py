@@ -16,9 +16,11 @@ from fynjax.io.instruments import load_sensor
 from fynjax.io.instruments._sensor_tables import GEOMETRY_KEYS, NOISE_KEYS, RadianceUnit
 from fynjax.jobs._schemas import json_schema
 from fynjax.sensors import (
+    ASSUMED,
     RADIANCE_UNITS,
     CameraNoise,
     FrameCamera,
+    Gains,
     OrthographicCamera,
     PushbroomCamera,
     sensor_folder,
@@ -54,6 +56,14 @@ saturation_radiance = [400, 350, 300]
 full_well_electrons = 10500
 read_noise_electrons = 3
 bits = 12
+"""
+
+
+CALIBRATION = """
+[calibration]
+usual = "panels"
+light_sensor = {gain_sd = 0.2, gain_shared = 0.1}
+panels = {gain_sd = [0.1, 0.2, 0.3], gain_shared = 0.5}
 """
 
 
@@ -280,3 +290,26 @@ def test_names_that_are_not_there(tmp_path: Path) -> None:
         load_sensor(tmp_path / "none.toml")
     with pytest.raises(InputError, match="folder"):
         load_sensor(tmp_path)
+
+
+def test_errors_of_each_way_of_calibration(write: Callable) -> None:
+    assert load_sensor(write()).gains() == ASSUMED
+    sensor = load_sensor(write(("\n[psf]", CALIBRATION + "\n[psf]")))
+    assert sensor.gains() == Gains((0.1, 0.2, 0.3), 0.5, "panels")
+    assert sensor.gains("light_sensor") == Gains(0.2, 0.1, "light_sensor")
+    assert sensor.select([2, 0]).gains().sd == (0.3, 0.1)
+    with pytest.raises(InputError, match=r"states \(panels, light_sensor\), but got 'panel'"):
+        sensor.gains("panel")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("[0.1, 0.2, 0.3]", "[0.1, 0.2]", "one for each of 3 bands, but got 2"),
+        ('usual = "panels"', 'usual = "product"', "expected a table product"),
+        ("gain_shared = 0.1", "gain_shared = 1.1", "gain_shared, each of 0 to 1, .*got 1.1"),
+    ],
+)
+def test_wrong_errors_of_calibration_are_refused(write, old, new, message) -> None:
+    with pytest.raises(InputError, match=message):
+        load_sensor(write(("\n[psf]", CALIBRATION.replace(old, new) + "\n[psf]")))

@@ -200,6 +200,17 @@ def maps_of(folder):
             return file.read(), file.transform, file.crs, file.tags()
 
 
+def test_a_cube_that_is_no_vegetation_is_doubted(trained, known, tmp_path):
+    channels, _, _ = known
+    bright = 0.05 + 0.1 * (np.asarray(channels.centre) < 700.0)  # darker in the near infrared
+    values = np.tile(bright[:, None, None], (1, 3, 4))
+    values[:, 0, 0] = np.nan
+    path = cube_of(tmp_path, known, values=values)
+    training = trained[0] / "out" / "training.nc"
+    result = jobs.map_cube(path, training, tmp_path / "out", checkpoint=tmp_path / "work")
+    assert result.warnings[0].startswith("These bands are not such as shrubland has")
+
+
 def test_maps_of_emit_lie_on_the_grid_of_its_file(trained, known, tmp_path, monkeypatch):
     """Each pixel is that of the maps of the same swath without a place, also of a run that goes
     on."""

@@ -14,6 +14,8 @@ pixel_m = 0.1
 [calibration]
 free = ["species.*.cover", "ground.brightness"]
 max_iterations = 4
+gain_sd = 0.05
+gain_shared = 0.5
 """
 TARGET = "statistic,value,sd\nred.mean,0.14,0.005\nnir.mean,0.27,0.008\n"
 

@@ -78,8 +78,9 @@ def small_plot(**changes: Any) -> Scene:
 def drone(
     scene: Scene, accuracy: Accuracy = EXACT, pixel: float = 0.1, sensor: Sensor | None = None
 ) -> AimedSensor:
-    """The drone's camera 50 m over a scene."""
-    sensor = shipped_sensor("mavic_3m") if sensor is None else sensor
+    """The drone's camera 50 m over a scene, by default without blur."""
+    if sensor is None:
+        sensor = dataclasses.replace(shipped_sensor("mavic_3m"), psf=None)
     return aim(scene, small_parameters(), sensor, Placement(50.0, pixel), accuracy=accuracy)
 
 

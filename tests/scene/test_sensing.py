@@ -48,7 +48,16 @@ def model():
 
 @pytest.fixture(scope="module")
 def drone():
-    return shipped_sensor("mavic_3m")
+    return dataclasses.replace(shipped_sensor("mavic_3m"), psf=None)
+
+
+def test_the_blur_of_optics_is_as_wide_on_the_ground_whatever_the_pixel(model):
+    """Two pixels of the sensor in one of the image: half as many pixels of it."""
+    drone = shipped_sensor("mavic_3m")
+    own = float(drone.pixel(50.0))
+    for pixel in (own, 2.0 * own):
+        aimed = over(model, drone, Placement(50.0, pixel)).sensor
+        np.testing.assert_allclose(aimed.psf.width * pixel, drone.psf.width * own, rtol=1e-5)
 
 
 def test_pixels_lie_in_the_middle_of_the_plot():

@@ -305,6 +305,21 @@ def test_gaussian_blur_is_gaussian() -> None:
     np.testing.assert_allclose(wide, other, atol=0.002)
 
 
+def test_a_blur_keeps_its_width_on_the_ground() -> None:
+    """Pixels of four of an image that was blurred finely have the variance of blurred pixels of
+    four; of a box what goes beyond a pixel is kept."""
+    psf = PointSpread("gaussian", 3.0)
+    line = np.zeros((1, 400))
+    line[:, 202] = 1.0
+    place = np.arange(400) - 202.0
+    fine = np.asarray(psf.blur(line))[0] @ place**2
+    wide = np.asarray(psf.on_pixels(4.0).blur(line[:, ::4] + line[:, 2::4]))[0]
+    assert 4.0**2 * (wide @ (np.arange(100) - 50.0) ** 2) == pytest.approx(fine, rel=1e-5)
+    box = PointSpread("box", (4.0, 1.0))
+    np.testing.assert_allclose(box.on_pixels(4.0).width, [1.75, 1.0])
+    np.testing.assert_allclose(box.on_pixels(0.5).width, [7.0, 1.0])
+
+
 def test_blur_axes_edges_and_box() -> None:
     spike = jnp.zeros((9, 11)).at[4, 5].set(1.0)
     across = PointSpread("box", (3.0, 1.0)).blur(spike)

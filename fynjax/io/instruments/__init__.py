@@ -5,7 +5,13 @@ from fynjax.io.instruments._lidar_cloud import write_cloud
 from fynjax.io.instruments._lidar_file import LidarFile, load_lidar
 from fynjax.io.instruments._scene_mesh import scene_meshes, write_scene_mesh
 from fynjax.io.instruments._sensor_file import load_instrument, load_sensor
-from fynjax.io.instruments._sensor_tables import BandRow, CurveRow, NoiseRow, SensorFile
+from fynjax.io.instruments._sensor_tables import (
+    BandRow,
+    CurveRow,
+    NoiseRow,
+    SensorFile,
+    WayOfCalibration,
+)
 
 __all__ = [
     "BandRow",
@@ -13,6 +19,7 @@ __all__ = [
     "LidarFile",
     "NoiseRow",
     "SensorFile",
+    "WayOfCalibration",
     "load_instrument",
     "load_lidar",
     "load_sensor",

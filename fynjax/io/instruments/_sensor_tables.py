@@ -10,6 +10,8 @@ RadianceUnit = Literal[
     "W m-2 sr-1 um-1", "mW m-2 sr-1 nm-1", "uW cm-2 sr-1 nm-1", "W m-2 sr-1 nm-1"
 ]
 """The units of `fynjax.sensors.RADIANCE_UNITS`, as a type."""
+WayOfCalibration = Literal["panels", "light_sensor", "empirical_line", "product"]
+"""How images of a sensor become reflectance."""
 
 
 def _nanometre_slip(value: float) -> str | None:
@@ -259,7 +261,8 @@ class PointSpreadTable(Strict):
     kind: Literal["gaussian", "box"] = Field(description="Form of the blur.")
     width_pixels: NonNegative | tuple[NonNegative, NonNegative] = Field(
         description="Width of the blur, or [across, along]: full width at half maximum of a "
-        "Gaussian that comes on top of the pixel's own footprint; whole width of a box [pixels].",
+        "Gaussian that comes on top of the pixel's own footprint; whole width of a box [pixels of "
+        "the sensor, however wide those of an image are].",
         json_schema_extra={"unit": "pixels"},
     )
 
@@ -317,6 +320,54 @@ class NoiseTable(Strict):
         return self
 
 
+Share = Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]
+
+
+class GainsTable(Strict):
+    """What the gains of the bands may be off by after one way of calibration."""
+
+    gain_sd: Share | list[Share] = Field(
+        description="Standard deviation of the factor by which the reflectance of a band may be "
+        "off: one of all bands, or one a band [-].",
+        json_schema_extra={"unit": "-"},
+    )
+    gain_shared: float = number(
+        "Share of its variance that all bands have in common, as by light and exposure",
+        "-",
+        ge=0,
+        le=1,
+    )
+
+
+_ERRORS = "Errors gain_sd and gain_shared, each of 0 to 1"
+
+
+class CalibrationErrorsTable(Strict):
+    """Errors of reflectance for each way in which images of the sensor are calibrated."""
+
+    usual: WayOfCalibration = Field(description="The way where a user states none.")
+    panels: GainsTable | None = Field(
+        default=None,
+        description=f"{_ERRORS}, with a panel seen before or after.",
+    )
+    light_sensor: GainsTable | None = Field(
+        default=None, description=f"{_ERRORS}, with the sensor of downwelling light alone."
+    )
+    empirical_line: GainsTable | None = Field(
+        default=None, description=f"{_ERRORS}, with several targets in the image."
+    )
+    product: GainsTable | None = Field(
+        default=None,
+        description=f"{_ERRORS}, of reflectance as the provider computes it.",
+    )
+
+    @model_validator(mode="after")
+    def _usual_is_given(self) -> "CalibrationErrorsTable":
+        if getattr(self, self.usual) is None:
+            raise ValueError(f"expected a table {self.usual}, which is the usual way, beside it")
+        return self
+
+
 class SensorFile(Strict):
     """A sensor file: one sensor, its bands, lines of sight, blur and noise."""
 
@@ -326,5 +377,6 @@ class SensorFile(Strict):
     licence: str = Field(default="", description="Terms of the numbers, where there are any.")
     geometry: GeometryTable
     bands: BandsTable
+    calibration: CalibrationErrorsTable | None = None
     psf: PointSpreadTable | None = None
     noise: NoiseTable | None = None

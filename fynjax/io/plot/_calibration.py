@@ -17,6 +17,9 @@ DEFAULT_FREE = (
 wood are not among them: what darkens and browns live shoots is their dead tissue."""
 
 
+Share = Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]
+
+
 class CalibrationTable(Strict):
     """What a calibration may move, and how far it trusts the field table."""
 
@@ -37,14 +40,18 @@ class CalibrationTable(Strict):
         gt=0,
         le=1,
     )
-    gain_sd: float = number(
-        "Standard deviation of the factor by which each band of the drone's camera may be off, "
-        "half of its variance common to all bands: 0.05 with its light sensor alone "
-        "(Schneider-Zapp et al. 2019), 0.03 with panels (Mamaghani & Salvaggio 2019)",
-        "-",
-        default=0.05,
-        ge=0,
-        le=1,
+    gain_sd: Share | dict[str, Share] | None = Field(
+        default=None,
+        description="Standard deviation of the factor by which a band of the drone's camera may be "
+        "off, 0 to 1: one of all bands or a table by band, such as {red_edge = 0.1}; of other "
+        "bands, or left out, that of the sensor by `sensor.calibrated_by` [-].",
+        json_schema_extra={"unit": "-"},
+    )
+    gain_shared: Share | None = Field(
+        default=None,
+        description="Share of its variance that all bands have in common, as by light and "
+        "exposure; left out, that of the sensor [-].",
+        json_schema_extra={"unit": "-"},
     )
     pixel_sd: float = number(
         "Where the plants are known: relative error of a block of pixels, of camera and model, "

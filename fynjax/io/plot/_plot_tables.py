@@ -14,6 +14,7 @@ from pydantic import (
     model_validator,
 )
 
+from fynjax.io.instruments import WayOfCalibration
 from fynjax.io.plot._calibration import CalibrationTable
 from fynjax.io.text import (
     NamedFile,
@@ -333,6 +334,11 @@ class SensorTable(Strict):
         default=None,
         ge=-360,
         le=360,
+    )
+    calibrated_by: WayOfCalibration | None = Field(
+        default=None,
+        description="How its images became reflectance, which says how far the gains of bands may "
+        "be off; left out, the usual way of the sensor.",
     )
     noise: bool | None = Field(
         default=None, description="Whether to draw noise; left out, if the sensor has a model."

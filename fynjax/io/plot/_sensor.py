@@ -1,14 +1,15 @@
 """The sensor that a plot file names: its bands, and from where it looks."""
 
+import dataclasses
 import warnings
 
-from fynjax._core.errors import InputError
+from fynjax._core.errors import InputError, did_you_mean
 from fynjax.io.instruments import load_sensor
 from fynjax.io.plot._plot import Plot
 from fynjax.io.plot._plot_tables import SensorTable
 from fynjax.metrics import BANDS
 from fynjax.scene import visible_sensor
-from fynjax.sensors import Sensor
+from fynjax.sensors import Gains, Sensor
 
 DRONE = "mavic_3m"
 """The sensor of a plot file that names none."""
@@ -55,7 +56,8 @@ def plot_instrument(plot: Plot) -> Sensor:
 
 
 def drone_sensor(plot: Plot) -> Sensor:
-    """A plot's sensor with its bands green, red, red edge and near infrared.
+    """A plot's sensor with its bands green, red, red edge and near infrared, and the errors of its
+    calibration as the plot's file has them.
 
     **Arguments:**
 
@@ -63,7 +65,8 @@ def drone_sensor(plot: Plot) -> Sensor:
 
     **Returns:** the sensor with these four bands, in this order.
 
-    **Raises:** `InputError` for a sensor without them, and for pixels wider than the plot.
+    **Raises:** `InputError` for a sensor without them, for pixels wider than the plot, and for a
+    way of calibration or a band that the sensor does not have.
     """
     instrument = plot_instrument(plot)
     bands = instrument.bands
@@ -83,4 +86,25 @@ def drone_sensor(plot: Plot) -> Sensor:
             file=plot.file,
             column="sensor.pixel_m",
         )
-    return instrument.select([bands.names.index(name) for name in BANDS])
+    drone = instrument.select([bands.names.index(name) for name in BANDS])
+    return dataclasses.replace(drone, calibrations=(_gains(plot, drone),))
+
+
+def _gains(plot: Plot, drone: Sensor) -> Gains:
+    """Errors of the drone's calibration: of its file, but for what the plot's file states."""
+    names, sd, shared = drone.bands.names, plot.calibration.gain_sd, plot.calibration.gain_shared
+    try:
+        found = drone.gains(plot.sensor.calibrated_by)
+    except InputError as error:
+        raise InputError(str(error), file=plot.file, column="sensor.calibrated_by") from error
+    stated = sd if isinstance(sd, dict) else {}
+    if unknown := [name for name in stated if name not in names]:
+        raise InputError(
+            f"expected bands that are compared ({', '.join(names)}), but got {unknown[0]!r}."
+            f"{did_you_mean(unknown[0], names)}",
+            file=plot.file,
+            column="calibration.gain_sd",
+        )
+    each = zip(names, found.of_bands(len(names)), strict=True)
+    one_or_many = sd if isinstance(sd, float) else tuple(stated.get(n, own) for n, own in each)
+    return Gains(one_or_many, found.shared if shared is None else shared, found.way)

@@ -96,15 +96,19 @@ class CubeBlocks:
         values = np.where(np.abs(values) > 1e6, np.nan, values)
         return np.where((values == 0).all(axis=2, keepdims=True), np.nan, values)
 
+    def sample(self) -> Float[np.ndarray, "pixel band"]:
+        """Pixels of some four rows, as `read`, whose errors it raises."""
+        step = max(self.shape[0] // 4, 1)
+        parts = [self.read(start, 1) for start in range(0, self.shape[0], step)]
+        return np.concatenate([p.reshape(-1, p.shape[2]) for p in parts])
+
     def scale(self) -> float:
         """What values are divided by to become reflectance factors: 1, or 10 000 where a sample of
         the pixels shows that they are ten thousandths.
 
         **Raises:** `InputError` for values that are neither, such as radiance, and without data.
         """
-        step = max(self.shape[0] // 4, 1)
-        parts = [self.read(start, 1) for start in range(0, self.shape[0], step)]
-        values = np.concatenate([p.reshape(-1, p.shape[2]) for p in parts])[:, self.good]
+        values = self.sample()[:, self.good]
         values = values[np.isfinite(values) & (values > _DARK)]
         if not values.size:  # the sampled rows may lie in a border
             return 1.0

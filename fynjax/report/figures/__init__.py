@@ -9,7 +9,14 @@ from fynjax.report.figures._fit import (
     parameter_plot,
     spectrum_plot,
 )
-from fynjax.report.figures._image import composites, index_histograms, layer_map, residual_maps
+from fynjax.report.figures._image import (
+    composites,
+    index_histograms,
+    layer_map,
+    photo,
+    residual_maps,
+    species_map,
+)
 from fynjax.report.figures._leaf import leaf_fit_figure
 from fynjax.report.figures._lidar import height_profiles, side_view
 from fynjax.report.figures._maps import maps_figure, pixels_figure
@@ -20,6 +27,7 @@ from fynjax.report.figures._plots_inferred import estimates_plot, residuals_plot
 from fynjax.report.figures._population import population_plot
 from fynjax.report.figures._posterior import (
     bound_plot,
+    corner,
     corner_plot,
     indices_plot,
     predictive_plot,
@@ -58,6 +66,7 @@ __all__ = [
     "composites",
     "constraint_plot",
     "convergence_plot",
+    "corner",
     "corner_plot",
     "error_bars",
     "estimates_plot",
@@ -80,6 +89,7 @@ __all__ = [
     "panel_figure",
     "parameter_plot",
     "pattern_figure",
+    "photo",
     "pixels_figure",
     "plan_view",
     "plant_figure",
@@ -96,6 +106,7 @@ __all__ = [
     "short_name",
     "side_view",
     "species_colours",
+    "species_map",
     "spectra_plot",
     "spectrometer_index_bars",
     "spectrum_figure",
