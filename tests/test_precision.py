@@ -227,6 +227,7 @@ def test_fits_are_computed_in_64_bits(tmp_path, monkeypatch):
         whole = name in ("leaf", "traits", "space", "job", "measures")
         same(name, both, rtol=1e-9 if whole else 2e-5, atol=1e-12 if whole else 1e-6)
     assert narrow["traits"]["chlorophyll"].dtype == narrow["fit"]["estimate"].dtype == np.float64
+    assert narrow["fit of the plot"]["estimate"].dtype == np.float64
     assert narrow["traits.csv"] == wide["traits.csv"]
 
 
