@@ -388,7 +388,11 @@ def _derivative_of_solution(
         areas = transport.areas(transport.density, band)
         return transport.scatter(areas, made[0]) + emitted, made
 
-    _, left_over = jax.jvp(once, (transport, band, emitted), change[:3])
+    _, (scattered, light) = jax.jvp(once, (transport, band, emitted), change[:3])
+    # Where leaf optics alone change, the light on the way does not. JAX can transpose a solve only
+    # if each part of its right-hand side depends on the change, by nothing if need be.
+    nothing = 0.0 * scattered.ravel()[0]
+    left_over = scattered, jax.tree.map(lambda part: part + nothing, light)
     unlit = band.unlit()
 
     # The unknowns are the source and the light that it makes, so that the last sweep of a solve is

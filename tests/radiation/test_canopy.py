@@ -8,6 +8,7 @@ this test by the function `foursail` of prosail 2.0.5 (GPL-3) and by PythonicDIS
 """
 
 import json
+from functools import partial
 from pathlib import Path
 
 import jax
@@ -206,6 +207,22 @@ def test_without_leaves_there_is_soil_and_black_leaves_hide_it():
     )  # fmt: skip
     path = 0.5 * 1.5 * sum(1 / np.cos(np.deg2rad(a)) for a in (40.0, 20.0))
     np.testing.assert_allclose(black, SOIL * np.exp(-path), rtol=1e-5)
+
+
+@pytest.mark.parametrize("which", [(0,), (1,), (0, 1), (2,), (3,)])
+def test_slopes_by_some_of_the_arguments_are_those_by_all(which):
+    """Where leaf optics alone change, the light on its way to them does not."""
+
+    @partial(jax.jit, static_argnums=0)
+    def slopes(which, *at):
+        return jax.grad(
+            lambda *at: canopy_reflectance(at[0], at[1], at[2], soil=at[3], sky_share=0.2)[1], which
+        )(*at)
+
+    at = RHO, TAU, 2.0, SOIL
+    every = slopes((0, 1, 2, 3), *at)
+    for place, got in zip(which, slopes(which, *at), strict=True):
+        np.testing.assert_allclose(got, every[place], rtol=1e-5)
 
 
 def test_gradients_are_those_of_differences():
