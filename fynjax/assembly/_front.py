@@ -39,11 +39,12 @@ from fynjax.inversion import (
     free_space,
     join_data,
     sample_posterior,
+    sweep_sensors,
     weigh_targets,
 )
 from fynjax.inversion import fit as fit_function
 from fynjax.io.instruments import load_instrument
-from fynjax.io.plot import BY_FORM, LearnedPrior, read_plot, read_prior
+from fynjax.io.plot import BY_FORM, LearnedPrior, example_folder, read_plot, read_prior
 from fynjax.io.text import read_rows
 from fynjax.metrics import BANDS
 from fynjax.scene import (
@@ -57,45 +58,54 @@ from fynjax.scene import (
 )
 from fynjax.sensors import ASSUMED, Gains, Lidar, Sensor
 
+_OF_A_TABLE = "size", "voxel", "structure"
+"""Options of `Scene.from_table` that a plot file has with their unit in the name (`size_m`)."""
 View = Callable[[Scene, PlotParameters], AbstractView]
 """Makes a sensor's view of a scene."""
 
 
 def read_scene(
-    path: str | Path,
+    path: str | Path | None = None,
     *,
     seed: int | None = None,
     rounding: Literal["random", "up"] = "random",
+    dtype: str = "float32",
     **options: Any,
 ) -> Scene:
     """A scene with its parameters from a file: of a plot file, or of a species table.
 
     **Arguments:**
 
-    - `path`: a plot file, the folder of one (`plot.toml`), or a species table (CSV).
+    - `path`: a plot file, the folder of one (`plot.toml`), or a species table (CSV); left out, the
+      shipped plot burnt in 2006.
     - `seed`: of everything random; that of the plot file by default, of a table 0.
     - `rounding`: of the numbers of plants, see `PlantingRules`; the commands `render`, `build` and
       `simulate` round "up".
-    - `options`: of a table those of `Scene.from_table`, of which `size` is needed; of a plot file
-      values in place of its own, as the fields of `fynjax.io.plot.Plot` (`size_m=(5.0, 5.0)`).
+    - `dtype`: floating type that the scene is computed in, "float32" or "float64".
+    - `options`: `size`, `voxel` and `structure` as of `Scene.from_table`; of a table `size` is
+      needed, and the others there may be given too; of a plot file they are in place of its own, as
+      any field of `fynjax.io.plot.Plot`.
 
     **Raises:** `InputError` as `fynjax.io.plot.read_plot`, `build_plot` and `Scene.from_table`, and
     for a table without `size`; `TypeError` for an option that there is not.
 
     >>> import fynjax as fx
-    >>> from fynjax.io.plot import example_folder
-    >>> scene = fx.read_scene(example_folder(), size_m=(2.0, 2.0), structure_m="even")
+    >>> scene = fx.read_scene(size=2.0, structure="even")  # or "species.csv", "plot.toml"
     >>> len(scene.taxa), scene.grid.shape[:2]
     (13, (20, 20))
     """
-    path = Path(path)
+    path = example_folder() if path is None else Path(path)
     if path.is_dir() or path.suffix.lower() == ".toml":
-        plot = read_plot(path / "plot.toml" if path.is_dir() else path).replace(**options)
-        return build_plot(plot, seed=seed, rounding=rounding)[0]
+        if isinstance(side := options.get("size"), int | float):
+            options["size"] = side, side
+        fields = {f"{k}_m" if k in _OF_A_TABLE else k: value for k, value in options.items()}
+        plot = read_plot(path / "plot.toml" if path.is_dir() else path).replace(**fields)
+        return build_plot(plot, seed=seed, rounding=rounding, dtype=dtype)[0]
     if "size" not in options:
         raise InputError("expected the `size` of the plot [m] with a species table", file=path)
     rows = [row for _, row in read_rows(path, SpeciesRow, "a species table")]
-    return Scene.from_table(rows, seed=0 if seed is None else seed, rounding=rounding, **options)
+    seed = 0 if seed is None else seed
+    return Scene.from_table(rows, seed=seed, rounding=rounding, dtype=dtype, **options)
 
 
 class PlotData(Data):
@@ -383,6 +393,47 @@ def free(
         return next((sd for pattern, sd in stated.items() if fnmatchcase(name, pattern)), None)
 
     return free_space(scene, scene.parameters, patterns, relative_sd)
+
+
+def information(
+    scene: Scene,
+    free: ParameterSpace,
+    sensor: str | Path | Sensor | Lidar = "mavic_3m",
+    *,
+    gsd: Sequence[float],
+    plantings: int = 15,
+    seed: int = 0,
+) -> pd.DataFrame:
+    """How well an image can tell parameters at best: Cramér-Rao bounds for each size of pixel.
+
+    **Arguments:**
+
+    - `scene`: with its parameters.
+    - `free`: the parameters that are not known, with their priors (`fx.free`).
+    - `sensor`: an imaging one, by name, file or as an object.
+    - `gsd`: sides of a pixel [m], multiples of the smallest.
+    - `plantings`: other plantings of the table, by which chance is known; at least 2.
+    - `seed`: of the noise of pixels.
+
+    **Returns:** a row for each parameter, a column for each pixel: the bound on its standard
+    deviation from the image, where the others are known as well as their priors, over its value.
+    It never falls from a pixel to a larger one; how it is computed, see
+    `fynjax.inversion.sweep_sensors`.
+
+    **Raises:** `InputError` as `sweep_sensors`, and for a LiDAR.
+    """
+    camera = load_instrument(sensor) if isinstance(sensor, str | Path) else sensor
+    if not isinstance(camera, Sensor):
+        raise InputError(f"expected an imaging sensor, but got {camera.name!r}")
+    found = sweep_sensors(
+        scene, scene.parameters, free, camera,
+        gsd=gsd, bands=(len(camera.bands),), stand_realisations=plantings, seed=seed,
+    )  # fmt: skip
+    value = np.abs(np.asarray(free.prior))
+    table = {setting.gsd: known.bound / value for setting, known in found}
+    return (
+        pd.DataFrame(table, list(free.names)).rename_axis("parameter").rename_axis(columns="gsd_m")
+    )
 
 
 @double_precision

@@ -37,7 +37,7 @@ from fynjax.canopy import (
     soft_count,
     target_area,
 )
-from fynjax.radiation import Illumination, RahmanPintyVerstraete, VoxelScene
+from fynjax.radiation import Illumination, OpticalClasses, RahmanPintyVerstraete, VoxelScene
 from fynjax.scene._ground import COVERS, Ground, ground_shares
 from fynjax.scene._optics import class_angles, inclination, optical_classes
 from fynjax.scene._parameters import (
@@ -318,21 +318,31 @@ class Scene(eqx.Module):
         **Raises:** `InputError` for a name that the scene does not have, and for a number out of
         its parameter's bounds.
         """
-        known = named_values(self.parameters, self.taxa)
-        changed: dict[str, Array] = {}
+        known, changed = named_values(self.parameters, self.taxa), {}
         for pattern, value in values.items():
-            names = [name for name in known if fnmatchcase(name, pattern)]
-            if not names:
-                raise InputError(
-                    f"{pattern!r} fits none of the scene's parameters."
-                    f"{did_you_mean(pattern, known)}"
-                )
-            for name in names:
+            for name in _fitting(pattern, known):
                 if not isinstance(value, jax.core.Tracer):
                     PARAMETERS[parameter_kind(name)].check(float(value), name)
                 changed[name] = jnp.asarray(value, known[name].dtype)
         return dataclasses.replace(
             self, parameters=with_values(self.parameters, self.taxa, changed)
+        )
+
+    def scaled(self, factors: Mapping[str, float | Array]) -> "Scene":
+        """The same plants with parameters that are so many times what they were.
+
+        **Arguments:** `factors` by name or by a pattern such as "species.*.cover" [-], else as
+        `with_values`. Differentiable in the factors.
+
+        **Raises:** `InputError` as `with_values`.
+        """
+        known = named_values(self.parameters, self.taxa)
+        return self.with_values(
+            {
+                name: factor * known[name]
+                for pattern, factor in factors.items()
+                for name in _fitting(pattern, known)
+            }
         )
 
     def __str__(self) -> str:
@@ -628,14 +638,17 @@ class Scene(eqx.Module):
         share = jnp.where(self.fading, part, share)
         return positions, area[plant, planting.organ] * fraction * share
 
-    def voxels(
-        self, parameters: PlotParameters, bands: BandSet, window: Window | None = None
-    ) -> VoxelScene:
-        """What the radiation layer renders: area, optics, ground and light of `parameters`,
-        averaged over `bands`; of a part of level ground, with open sides, where `window` is given.
-        Differentiable in `parameters`.
+    def optics(
+        self, parameters: PlotParameters, bands: BandSet
+    ) -> tuple[OpticalClasses, Float[Array, " band"]]:
+        """Optics of the classes (the species' leaves, wood, flowers) and the share of the light
+        that comes from the sky [-], averaged over `bands`.
 
-        Raises `InputError` where a spectrum of ground, sky or dead tissue does not cover the bands.
+        **Arguments:** `parameters`, of the plot; `bands`, between 400 and 2500 nm.
+
+        **Raises:** `InputError` where a spectrum of sky or dead tissue does not cover the bands.
+
+        Differentiable in `parameters`.
         """
         parameters = jax.tree.map(lambda x: jnp.asarray(x, self.dtype), parameters)
         wavelength = band_wavelengths(bands)
@@ -648,15 +661,29 @@ class Scene(eqx.Module):
         classes = optical_classes(
             self.species, parameters, average, wavelength, dead, self.hot_spot
         )
-        light = parameters.light
         if self.sky is None:
             share = clear_sky_diffuse_fraction(
-                jnp.asarray(wavelength, self.dtype), light.sun_zenith, light.aerosol
+                jnp.asarray(wavelength, self.dtype),
+                parameters.light.sun_zenith,
+                parameters.light.aerosol,
             )
         else:
             self.sky.check(min(bands.centre), max(bands.centre))
             share = jnp.asarray(self.sky.at(wavelength), self.dtype)
-        sky = average @ share
+        return classes, average @ share
+
+    def voxels(
+        self, parameters: PlotParameters, bands: BandSet, window: Window | None = None
+    ) -> VoxelScene:
+        """What the radiation layer renders: area, optics, ground and light of `parameters`,
+        averaged over `bands`; of a part of level ground, with open sides, where `window` is given.
+        Differentiable in `parameters`.
+
+        Raises `InputError` where a spectrum of ground, sky or dead tissue does not cover the bands.
+        """
+        parameters = jax.tree.map(lambda x: jnp.asarray(x, self.dtype), parameters)
+        classes, sky = self.optics(parameters, bands)
+        light = parameters.light
         grid, columns = self.class_grid, self._columns
         terrain = None if self.terrain is None else jnp.asarray(self.terrain, self.dtype)
         pattern = None if self.sky_pattern is None else jnp.asarray(self.sky_pattern, self.dtype)
@@ -763,6 +790,16 @@ class Scene(eqx.Module):
         ground = parameters.ground
         mixed = ground.brightness * ((1 - ground.moisture) * dry + ground.moisture * wet)
         return jnp.concatenate([mixed[None], covers])
+
+
+def _fitting(pattern: str, known: Mapping[str, Any]) -> list[str]:
+    """Names that a pattern fits. Raises `InputError` where there are none."""
+    names = [name for name in known if fnmatchcase(name, pattern)]
+    if not names:
+        raise InputError(
+            f"{pattern!r} fits none of the scene's parameters.{did_you_mean(pattern, known)}"
+        )
+    return names
 
 
 def ground_at(scene: Scene, foot: Float[Array, "plant 2"]) -> Float[Array, " plant"]:
