@@ -13,6 +13,7 @@ from fynjax.report.figures._image import (
     composites,
     index_histograms,
     layer_map,
+    photo,
     residual_maps,
     species_map,
 )
@@ -41,6 +42,7 @@ from fynjax.report.figures._scene import (
     rgb,
     species_colours,
 )
+from fynjax.report.figures._scene_lit import lit_view
 from fynjax.report.figures._scene_oblique import oblique_view
 from fynjax.report.figures._scene_view import check_view, mesh_image
 from fynjax.report.figures._structure import structure_figure, structure_maps
@@ -75,6 +77,7 @@ __all__ = [
     "interval_plot",
     "layer_map",
     "leaf_fit_figure",
+    "lit_view",
     "maps_figure",
     "mean_spectra_plot",
     "mesh_image",
@@ -86,6 +89,7 @@ __all__ = [
     "panel_figure",
     "parameter_plot",
     "pattern_figure",
+    "photo",
     "pixels_figure",
     "plan_view",
     "plant_figure",
