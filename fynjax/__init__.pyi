@@ -21,6 +21,7 @@ from .assembly import check_vegetation as check_vegetation
 from .assembly import emulate as emulate
 from .assembly import fit as fit
 from .assembly import free as free
+from .assembly import information as information
 from .assembly import prior as prior
 from .assembly import read_scene as read_scene
 from .assembly import sample as sample
@@ -37,6 +38,8 @@ from .leaf import fit_leaf as fit_leaf
 from .leaf import prospect as prospect
 from .radiation import canopy_albedo as canopy_albedo
 from .radiation import canopy_reflectance as canopy_reflectance
+from .report.figures import lit_view as lit_view
+from .report.figures import photo as photo
 from .scene import Placement as Placement
 from .scene import Scene as Scene
 from .scene import observe as observe
