@@ -210,7 +210,7 @@ def test_fits_are_computed_in_64_bits(tmp_path, monkeypatch):
     assert narrow["traits.csv"] == wide["traits.csv"]
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_a_plot_and_a_canopy_are_fitted_in_32_bits(tmp_path):
     both = in_both(plots, tmp_path)
     for name in both[0]:

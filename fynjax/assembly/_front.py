@@ -352,6 +352,7 @@ def free(
     scene: Scene,
     *patterns: str,
     prior: LearnedPrior | Mapping[str, float] | None = None,
+    common: float | None = None,
 ) -> ParameterSpace:
     """The parameters of a scene that a fit may change, with priors about their present values.
 
@@ -362,6 +363,9 @@ def free(
     - `prior`: relative standard deviations by pattern [-], the first that fits a name, or a learned
       population (`fx.prior`), which says how leaf area, dead tissue and clumping vary; of all
       others that of the parameter's record.
+    - `common`: how far what the table is off by is common to all species, as the correlation of
+      their priors of one kind, 0 to below 1 [-]: near 1 where one eye guessed all covers. Left out,
+      as the parameters' records have it: none of covers.
 
     **Raises:** `InputError` for a pattern that fits no name, and a parameter that cannot be free.
 
@@ -392,7 +396,7 @@ def free(
             return prior.sd(f"{kind}.{form}", elsewhere=True) / float(values[name])
         return next((sd for pattern, sd in stated.items() if fnmatchcase(name, pattern)), None)
 
-    return free_space(scene, scene.parameters, patterns, relative_sd)
+    return free_space(scene, scene.parameters, patterns, relative_sd, common=common)
 
 
 def information(

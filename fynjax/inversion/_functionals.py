@@ -75,11 +75,22 @@ _ROUNDING = 1e-12
 """Variance of the logarithm up to which a functional is the same but for the rounding of light."""
 
 
+def stand_values(
+    scene: Scene, parameters: PlotParameters | None = None
+) -> dict[str, Float[Array, ""]]:
+    """Each of `STAND_FUNCTIONALS` by name, in its unit. Differentiable in the parameters.
+
+    **Arguments:** `scene`; `parameters` in place of its own.
+    """
+    plot = scene.parameters if parameters is None else parameters
+    return {name: one.value(scene, plot) for name, one in STAND_FUNCTIONALS.items()}
+
+
 def _at(
     scene: Scene, parameters: PlotParameters, space: Any, u: Float[Array, " free"]
 ) -> Float[Array, " functional"]:
     plot = with_values(parameters, scene.taxa, space.named(u))
-    return jnp.stack([f.value(scene.faded(), plot) for f in STAND_FUNCTIONALS.values()])
+    return jnp.stack(list(stand_values(scene.faded(), plot).values()))
 
 
 @eqx.filter_jit

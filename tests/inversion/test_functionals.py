@@ -7,7 +7,15 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from fynjax.inversion import STAND_FUNCTIONALS, Data, fit, free_space, stand_sentence, stand_table
+from fynjax.inversion import (
+    STAND_FUNCTIONALS,
+    Data,
+    fit,
+    free_space,
+    stand_sentence,
+    stand_table,
+    stand_values,
+)
 from fynjax.scene import stand_area, with_values
 from tests.scene.plots import TAXA, small_parameters, small_plot
 
@@ -21,7 +29,8 @@ def test_they_are_those_of_the_areas_of_organs(plot):
     """Counted by `stand_area` over the area elements instead of over crowns."""
     scene, parameters = plot
     areas = stand_area(scene, parameters)
-    found = {name: float(f.value(scene, parameters)) for name, f in STAND_FUNCTIONALS.items()}
+    found = {name: float(value) for name, value in stand_values(scene, parameters).items()}
+    assert found.keys() == STAND_FUNCTIONALS.keys()
     assert found["green_leaf_area"] == pytest.approx(areas.leaf.sum(), rel=1e-4)
     share = areas.dead.sum() / (areas.leaf + areas.dead).sum()
     assert found["dead_share"] == pytest.approx(share, rel=1e-4)

@@ -121,7 +121,7 @@ def grid_posterior():
     return mean, np.sqrt(np.array(moments[2:]) - mean**2)
 
 
-@pytest.mark.parametrize("method", ["emcee", "nuts"])
+@pytest.mark.parametrize("method", ["emcee", pytest.param("nuts", marks=pytest.mark.study)])
 def test_a_prior_over_values_gets_its_jacobian(method):
     """Against quadrature in the parameters' own units."""
     need(method)

@@ -526,7 +526,7 @@ def test_a_glitch_hidden_by_its_bin_is_no_water_band_and_a_soil_is_no_leaf():
     assert all(sentence.startswith("failed") for sentence in doubted.status)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_traits_of_a_campaign_left_out_of_the_error_model(shared_data):
     """ANGERS by a model of LOPEX and NASA FFT, against the sub-domain fits of the R package.
 

@@ -211,7 +211,7 @@ def test_ratios_within_a_pixel_have_the_slope_of_their_mean(power: float) -> Non
     np.testing.assert_array_equal(_relative(jnp.zeros(2), jnp.zeros(2), jnp.ones(2)), 1.0)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_an_index_has_the_slope_of_its_mean_over_plantings(plot, image) -> None:
     """The mean NDVI of the drone's pixels: a ratio within each pixel, so that bright and dark ones
     count as they are."""

@@ -27,6 +27,7 @@ from fynjax.report.figures._plots_inferred import estimates_plot, residuals_plot
 from fynjax.report.figures._population import population_plot
 from fynjax.report.figures._posterior import (
     bound_plot,
+    corner,
     corner_plot,
     indices_plot,
     predictive_plot,
@@ -66,6 +67,7 @@ __all__ = [
     "composites",
     "constraint_plot",
     "convergence_plot",
+    "corner",
     "corner_plot",
     "error_bars",
     "estimates_plot",
