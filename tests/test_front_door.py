@@ -373,7 +373,7 @@ def test_plants_of_another_chance_stand_elsewhere(scene):
         dataclasses.replace(scene, shaped=True).replanted(1)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_a_scene_is_fitted_to_an_image_and_sampled(scene, drone):
     free = fx.free(scene, "species.*.cover", "species.*.leaf.chlorophyll")
     data = fx.Data.from_image(drone, "mavic_3m", statistics=("*.mean",), gains=Gains(0.01))
