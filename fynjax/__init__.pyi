@@ -22,6 +22,7 @@ from .assembly import check_vegetation as check_vegetation
 from .assembly import emulate as emulate
 from .assembly import fit as fit
 from .assembly import free as free
+from .assembly import information as information
 from .assembly import prior as prior
 from .assembly import read_scene as read_scene
 from .assembly import sample as sample
@@ -39,6 +40,7 @@ from .leaf import prospect as prospect
 from .radiation import canopy_albedo as canopy_albedo
 from .radiation import canopy_reflectance as canopy_reflectance
 from .report.figures import corner as corner
+from .report.figures import lit_view as lit_view
 from .report.figures import photo as photo
 from .scene import Placement as Placement
 from .scene import Scene as Scene

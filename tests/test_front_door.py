@@ -145,6 +145,9 @@ def test_a_scene_is_read_from_a_plot_file_its_folder_or_a_table(scene, tmp_path)
     assert of_file.taxa == of_folder.taxa
     assert of_file.grid.extent[:2] == (2.0, 2.0)
     assert of_folder.planting.foot.tolist() != of_file.planting.foot.tolist()
+    shipped = fx.read_scene(size=2.0, structure="even", dtype="float64")
+    np.testing.assert_allclose(shipped.planting.foot, of_file.planting.foot, atol=1e-5)
+    assert (shipped.grid, shipped.finer, shipped.dtype) == (of_file.grid, 0, "float64")
     pd.DataFrame(TABLE).to_csv(tmp_path / "species.csv", index=False)
     same = {"size": 2.0, "voxel": 0.25, "structure": "even"}
     of_table = fx.read_scene(tmp_path / "species.csv", **same, seed=1)
@@ -157,6 +160,41 @@ def test_a_scene_is_read_from_a_plot_file_its_folder_or_a_table(scene, tmp_path)
     (tmp_path / "species.csv").write_text("taxon,cover_percent\nErica,x\n")
     with pytest.raises(InputError, match=r"species\.csv"):
         fx.read_scene(tmp_path / "species.csv", size=2.0)
+
+
+@pytest.mark.parametrize("written", [{"sep": ";"}, {"sep": ";", "decimal": ","}])
+def test_a_species_table_may_have_semicolons_and_decimal_commas(written, tmp_path):
+    pd.DataFrame(TABLE).to_csv(tmp_path / "species.csv", index=False, **written)
+    read = fx.read_scene(tmp_path / "species.csv", size=2.0, voxel=0.25, structure="even")
+    stated = fx.Scene.from_table(TABLE, size=2.0, voxel=0.25, structure="even").parameters
+    for name in ("cover", "diameter", "height"):
+        known = getattr(stated.species, name)
+        np.testing.assert_array_equal(getattr(read.parameters.species, name), known)
+
+
+def test_parameters_are_scaled_by_pattern(scene):
+    twice = scene.scaled({"species.*.cover": 2.0, "ground.brightness": 0.5})
+    before, after = scene.parameters, twice.parameters
+    np.testing.assert_allclose(after.species.cover, 2.0 * before.species.cover)
+    assert float(after.ground.brightness) == pytest.approx(0.5 * float(before.ground.brightness))
+    np.testing.assert_array_equal(after.species.height, before.species.height)
+    rise = jax.grad(lambda f: scene.scaled({"species.*.cover": f}).parameters.species.cover.sum())
+    assert float(rise(1.0)) == pytest.approx(float(before.species.cover.sum()))
+    with pytest.raises(InputError, match="fits none"):
+        scene.scaled({"species.*.covers": 2.0})
+    with pytest.raises(InputError):  # beyond its bounds
+        scene.scaled({"ground.brightness": 1e3})
+
+
+def test_a_larger_pixel_never_knows_more(scene):
+    free = fx.free(scene, "species.*.cover")
+    known = fx.information(scene, free, "mavic_3m", gsd=(0.5, 1.0, 2.0), plantings=2)
+    assert list(known.index) == list(free.names)
+    assert list(known.columns) == [0.5, 1.0, 2.0]
+    assert (known > 0.0).all(axis=None)
+    assert (np.diff(known.to_numpy(), axis=1) >= -1e-6 * known.iloc[:, :1].to_numpy()).all()
+    with pytest.raises(InputError, match="imaging sensor"):
+        fx.information(scene, free, "flash_lidar_paper", gsd=(0.5,))
 
 
 def test_gradients_have_the_shape_of_the_parameters(scene):

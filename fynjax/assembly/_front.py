@@ -39,6 +39,7 @@ from fynjax.inversion import (
     free_space,
     join_data,
     sample_posterior,
+    sweep_sensors,
     weigh_targets,
 )
 from fynjax.inversion import fit as fit_function
@@ -396,6 +397,47 @@ def free(
         return next((sd for pattern, sd in stated.items() if fnmatchcase(name, pattern)), None)
 
     return free_space(scene, scene.parameters, patterns, relative_sd, common=common)
+
+
+def information(
+    scene: Scene,
+    free: ParameterSpace,
+    sensor: str | Path | Sensor | Lidar = "mavic_3m",
+    *,
+    gsd: Sequence[float],
+    plantings: int = 15,
+    seed: int = 0,
+) -> pd.DataFrame:
+    """How well an image can tell parameters at best: Cramér-Rao bounds for each size of pixel.
+
+    **Arguments:**
+
+    - `scene`: with its parameters.
+    - `free`: the parameters that are not known, with their priors (`fx.free`).
+    - `sensor`: an imaging one, by name, file or as an object.
+    - `gsd`: sides of a pixel [m], multiples of the smallest.
+    - `plantings`: other plantings of the table, by which chance is known; at least 2.
+    - `seed`: of the noise of pixels.
+
+    **Returns:** a row for each parameter, a column for each pixel: the bound on its standard
+    deviation from the image, where the others are known as well as their priors, over its value.
+    It never falls from a pixel to a larger one; how it is computed, see
+    `fynjax.inversion.sweep_sensors`.
+
+    **Raises:** `InputError` as `sweep_sensors`, and for a LiDAR.
+    """
+    camera = load_instrument(sensor) if isinstance(sensor, str | Path) else sensor
+    if not isinstance(camera, Sensor):
+        raise InputError(f"expected an imaging sensor, but got {camera.name!r}")
+    found = sweep_sensors(
+        scene, scene.parameters, free, camera,
+        gsd=gsd, bands=(len(camera.bands),), stand_realisations=plantings, seed=seed,
+    )  # fmt: skip
+    value = np.abs(np.asarray(free.prior))
+    table = {setting.gsd: known.bound / value for setting, known in found}
+    return (
+        pd.DataFrame(table, list(free.names)).rename_axis("parameter").rename_axis(columns="gsd_m")
+    )
 
 
 @double_precision

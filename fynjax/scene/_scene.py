@@ -37,7 +37,7 @@ from fynjax.canopy import (
     soft_count,
     target_area,
 )
-from fynjax.radiation import Illumination, RahmanPintyVerstraete, VoxelScene
+from fynjax.radiation import Illumination, OpticalClasses, RahmanPintyVerstraete, VoxelScene
 from fynjax.scene._ground import COVERS, Ground, ground_shares
 from fynjax.scene._optics import class_angles, inclination, optical_classes
 from fynjax.scene._parameters import (
@@ -638,14 +638,17 @@ class Scene(eqx.Module):
         share = jnp.where(self.fading, part, share)
         return positions, area[plant, planting.organ] * fraction * share
 
-    def voxels(
-        self, parameters: PlotParameters, bands: BandSet, window: Window | None = None
-    ) -> VoxelScene:
-        """What the radiation layer renders: area, optics, ground and light of `parameters`,
-        averaged over `bands`; of a part of level ground, with open sides, where `window` is given.
-        Differentiable in `parameters`.
+    def optics(
+        self, parameters: PlotParameters, bands: BandSet
+    ) -> tuple[OpticalClasses, Float[Array, " band"]]:
+        """Optics of the classes (the species' leaves, wood, flowers) and the share of the light
+        that comes from the sky [-], averaged over `bands`.
 
-        Raises `InputError` where a spectrum of ground, sky or dead tissue does not cover the bands.
+        **Arguments:** `parameters`, of the plot; `bands`, between 400 and 2500 nm.
+
+        **Raises:** `InputError` where a spectrum of sky or dead tissue does not cover the bands.
+
+        Differentiable in `parameters`.
         """
         parameters = jax.tree.map(lambda x: jnp.asarray(x, self.dtype), parameters)
         wavelength = band_wavelengths(bands)
@@ -658,15 +661,29 @@ class Scene(eqx.Module):
         classes = optical_classes(
             self.species, parameters, average, wavelength, dead, self.hot_spot
         )
-        light = parameters.light
         if self.sky is None:
             share = clear_sky_diffuse_fraction(
-                jnp.asarray(wavelength, self.dtype), light.sun_zenith, light.aerosol
+                jnp.asarray(wavelength, self.dtype),
+                parameters.light.sun_zenith,
+                parameters.light.aerosol,
             )
         else:
             self.sky.check(min(bands.centre), max(bands.centre))
             share = jnp.asarray(self.sky.at(wavelength), self.dtype)
-        sky = average @ share
+        return classes, average @ share
+
+    def voxels(
+        self, parameters: PlotParameters, bands: BandSet, window: Window | None = None
+    ) -> VoxelScene:
+        """What the radiation layer renders: area, optics, ground and light of `parameters`,
+        averaged over `bands`; of a part of level ground, with open sides, where `window` is given.
+        Differentiable in `parameters`.
+
+        Raises `InputError` where a spectrum of ground, sky or dead tissue does not cover the bands.
+        """
+        parameters = jax.tree.map(lambda x: jnp.asarray(x, self.dtype), parameters)
+        classes, sky = self.optics(parameters, bands)
+        light = parameters.light
         grid, columns = self.class_grid, self._columns
         terrain = None if self.terrain is None else jnp.asarray(self.terrain, self.dtype)
         pattern = None if self.sky_pattern is None else jnp.asarray(self.sky_pattern, self.dtype)

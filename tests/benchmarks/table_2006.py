@@ -37,11 +37,10 @@ from fynjax.metrics import (
     spectral_mask,
     thinnings,
 )
-from fynjax.studies.fynbos_2006 import demo
+from fynjax.studies.fynbos_2006 import SWIR2_MEAN, demo
 from tests.benchmarks._measure import options
 
 SEED = 0
-SWIR2_MEAN = {"real": 0.063, "dirsig": 0.008}  # the paper's section on the spectrometer
 REAL_RETURNS = 1317  # 13.17 per m2 on 100 m2
 GRAIN = 2.0  # m
 LIDARS = ("flash_lidar_paper", "scanning_lidar")

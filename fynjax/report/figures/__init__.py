@@ -43,6 +43,7 @@ from fynjax.report.figures._scene import (
     rgb,
     species_colours,
 )
+from fynjax.report.figures._scene_lit import lit_view
 from fynjax.report.figures._scene_oblique import oblique_view
 from fynjax.report.figures._scene_view import check_view, mesh_image
 from fynjax.report.figures._structure import structure_figure, structure_maps
@@ -78,6 +79,7 @@ __all__ = [
     "interval_plot",
     "layer_map",
     "leaf_fit_figure",
+    "lit_view",
     "maps_figure",
     "mean_spectra_plot",
     "mesh_image",

@@ -27,7 +27,17 @@ _SOIL = "#B08F68"
 class View:
     """A camera in the south-south-west that looks down on the plot's middle."""
 
-    def __init__(self, extent: tuple[float, float], top: float) -> None:
+    finer = _FINER
+    """Of its pixels along an edge of one that is shown."""
+
+    def __init__(
+        self,
+        extent: tuple[float, float],
+        top: float,
+        pixels: tuple[int, int] = (_WIDTH, _HEIGHT),
+    ) -> None:
+        self.size = pixels[0] * _FINER, pixels[1] * _FINER
+        """Columns and rows [pixels]."""
         lx, ly = extent
         side = max(lx, ly)
         azimuth, elevation = np.deg2rad(205.0), np.deg2rad(42.0)
@@ -44,14 +54,9 @@ class View:
         self.scale, self.middle = 1.0, np.zeros(2)
         raw, _ = self.project(corners)
         low, high = raw.min(axis=0), raw.max(axis=0)
-        size = np.array([_WIDTH, _HEIGHT]) * _FINER
+        size = np.array(self.size)
         self.scale = float(np.min(0.88 * size / (high - low)))
         self.middle = size / 2 - self.scale * (low + high) / 2
-
-    @property
-    def size(self) -> tuple[int, int]:
-        """Columns and rows [pixels]."""
-        return _WIDTH * _FINER, _HEIGHT * _FINER
 
     def project(self, points: Float[np.ndarray, "n 3"]) -> tuple[np.ndarray, np.ndarray]:
         """Column and row from the bottom of points [pixels], and their distances [m]."""
@@ -62,9 +67,7 @@ class View:
 
     def ground(self) -> tuple[np.ndarray, np.ndarray]:
         """x and y of the ground behind each pixel [m]."""
-        column, row = np.meshgrid(
-            np.arange(_WIDTH * _FINER) + 0.5, np.arange(_HEIGHT * _FINER) + 0.5
-        )
+        column, row = np.meshgrid(*(np.arange(n) + 0.5 for n in self.size))
         right = (column - self.middle[0]) / self.scale
         up = (row - self.middle[1]) / self.scale
         rays = self.ahead + right[..., None] * self.right + up[..., None] * self.up

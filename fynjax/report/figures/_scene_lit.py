@@ -1,0 +1,161 @@
+"""A scene from obliquely above as light shows it: meshes of its plants in sun and sky.
+
+Every point of a leaf or stem, and of the ground, is as bright as the sunlight and skylight that
+reach it, between the plants above it, and as its reflectance or transmittance lets it be in red,
+green and blue. Light that is scattered more than once is left out.
+"""
+
+import warnings
+
+import numpy as np
+from jaxtyping import Float
+
+from fynjax._core.errors import InputError
+from fynjax.canopy import plant_model_from_mesh, unit_shapes
+from fynjax.io.instruments import scene_meshes
+from fynjax.report.figures._scene import paint_points
+from fynjax.report.figures._scene_oblique import View
+from fynjax.scene import Instances, Scene, hard_instances, hard_scene, leafy_species
+from fynjax.sensors import BandSet
+
+_COLOURS = BandSet(("red", "green", "blue"), (650.0, 550.0, 460.0), (40.0, 40.0, 40.0))
+_CELL = 0.01
+"""Width of the columns in which what stands above takes light away [m]."""
+_SKY = [(0.0, 0.0), *((50.0, azimuth) for azimuth in (20.0, 110.0, 200.0, 290.0))]
+"""Zenith angle and azimuth from which light of the sky comes [degrees]."""
+_TRIANGLES, _POINTS = 60_000, 4_000_000
+"""Most triangles of a plant, and points of all plants."""
+
+
+def lit_view(
+    scene: Scene, *, size: tuple[int, int] = (840, 840), points: int = _POINTS
+) -> Float[np.ndarray, "row column 3"]:
+    """The plants of a scene as meshes in sun and sky, from the south-south-west.
+
+    **Arguments:**
+
+    - `scene`: on level ground, with its parameters.
+    - `size`: most columns and rows of the picture, which ends where the plants do [pixels].
+    - `points`: that all plants are drawn with.
+
+    **Returns:** red, green and blue, 0 to 1, for `matplotlib.pyplot.imshow(..., origin="lower")`:
+    the square root of reflectance over the 98th percentile of the picture; white beside the plot.
+    Not differentiable.
+
+    **Raises:** `InputError` where no plants stand, and on ground that is not level.
+    """
+    if scene.terrain is not None:
+        raise InputError("expected level ground: `fynjax build` draws plants on other ground")
+    parameters = scene.parameters
+    plants, hard = hard_instances(scene, parameters), hard_scene(scene, parameters)
+    top = float((plants.z + plants.height).max(initial=0.3))
+    view = View(plants.extent, top, size)
+    place, normal, area, tint = _points(plants, hard, points)
+    optics, diffuse = hard.optics(parameters, _COLOURS)
+    sky = np.asarray(diffuse)
+    zenith, azimuth = (float(getattr(parameters.light, f"sun_{k}")) for k in ("zenith", "azimuth"))
+    sun = _direction(zenith, azimuth)
+    from_sun, on_ground = _reaching(plants.extent, place, normal, area, sun)
+    from_sky, ground_sky = np.zeros(len(place)), np.zeros_like(on_ground)
+    for way in _SKY:
+        above = _reaching(plants.extent, place, normal, area, _direction(*way))
+        from_sky += above[0] / len(_SKY)
+        ground_sky += above[1] / len(_SKY)
+    eye = view.eye - place
+    facing = normal @ sun
+    same = (facing * np.einsum("ij,ij->i", normal, eye) > 0.0)[:, None]
+    reflected, passed = (
+        np.asarray(optics.reflectance)[tint],
+        np.asarray(optics.transmittance)[tint],
+    )
+    direct = (np.abs(facing) / sun[2] * from_sun)[:, None] * np.where(same, reflected, passed)
+    colour = (1 - sky) * direct + sky * from_sky[:, None] * 0.5 * (reflected + passed)
+    x, y = view.ground()
+    lx, ly = plants.extent
+    image = np.full((*x.shape, 3), np.nan)
+    inside = (x >= 0) & (x < lx) & (y >= 0) & (y < ly)
+    cell = tuple((v[inside] / _CELL).astype(int) for v in (y, x))
+    soil = np.asarray(hard.ground_map(parameters, _COLOURS))
+    soil = soil.reshape(3, -1).mean(axis=1)
+    light = (1 - sky) * on_ground[cell][:, None] + sky * ground_sky[cell][:, None]
+    image[inside] = soil * light
+    flat, depth = view.project(place)
+    towards = np.abs(np.einsum("ij,ij->i", normal, eye)) / np.linalg.norm(eye, axis=1)
+    paint_points(image, flat, depth, area * towards * (view.scale / depth) ** 2, colour)
+    image = image / np.nanpercentile(image, 98.0)
+    drawn = np.isfinite(image[..., 0])
+    image = np.sqrt(np.clip(np.nan_to_num(image, nan=1.0), 0.0, 1.0))
+    image = image.reshape(size[1], view.finer, size[0], view.finer, 3).mean(axis=(1, 3))
+    rows, columns = (np.flatnonzero(drawn.any(axis=k)) // view.finer for k in (1, 0))
+    return image[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+
+
+def _direction(zenith: float, azimuth: float) -> Float[np.ndarray, "3"]:
+    up, turn = np.deg2rad(zenith), np.deg2rad(azimuth)
+    return np.array([np.sin(up) * np.sin(turn), np.sin(up) * np.cos(turn), np.cos(up)])
+
+
+def _points(
+    plants: Instances, scene: Scene, most: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Places [m], normals, one-sided areas [m2] and optical classes of points on all plants."""
+    counts, most_triangles = plants.counts, _TRIANGLES * len(plants)
+    with warnings.catch_warnings():  # of taxa with the usual leaf of their form
+        warnings.simplefilter("ignore", UserWarning)
+        meshes, _ = scene_meshes(
+            plants, scene, scene.parameters,
+            max_triangles=most_triangles, seed=int(scene.seed),
+        )  # fmt: skip
+    share = float(scene.crown_share(scene.parameters))
+    index = share * np.asarray(scene.organ_index(scene.parameters))
+    crowns = np.bincount(plants.species, np.pi / 4 * plants.diameter**2, len(plants.taxa))
+    total = np.maximum(index.sum(axis=1) * crowns, 1e-9)
+    leafy = leafy_species(scene.forms)
+    parts = []
+    for species, mesh in enumerate(meshes):
+        if mesh is None:
+            continue
+        mine = np.flatnonzero(plants.species == species)
+        number = int(np.clip(most * total[species] / total.sum() / counts[species], 200, 400_000))
+        model = plant_model_from_mesh(mesh, number, solid_materials="closed").plant
+        organ, position = np.asarray(model.organ), np.asarray(model.position, np.float32)
+        across, tall = unit_shapes(position, plants.azimuth[mine], plants.tilt[mine])
+        wide, high = plants.diameter[mine, None, None], plants.height[mine, None, None]
+        foot = np.stack([plants.x[mine], plants.y[mine], plants.z[mine]], axis=-1)
+        place = (wide * across + high * tall + foot[:, None]).astype(np.float32)
+        turned = sum(unit_shapes(np.asarray(model.normal), plants.azimuth[mine], plants.tilt[mine]))
+        disc = np.pi / 4 * plants.diameter[mine, None] ** 2
+        area = disc * np.asarray(model.area_fraction) * index[species][organ]
+        leaf = leafy.get(species, 0)
+        kind = np.array([leaf, len(leafy), len(leafy) + 1])[organ]
+        kinds = np.broadcast_to(kind, area.shape).ravel()
+        parts.append((place.reshape(-1, 3), turned.reshape(-1, 3), area.ravel(), kinds))
+    if not parts:
+        raise InputError("expected plants to look at, but none stand on the plot")
+    place, normal, area, kinds = (np.concatenate(part) for part in zip(*parts, strict=True))
+    return place, normal, area, kinds
+
+
+def _reaching(
+    extent: tuple[float, float],
+    place: np.ndarray,
+    normal: np.ndarray,
+    area: np.ndarray,
+    towards: Float[np.ndarray, "3"],
+) -> tuple[Float[np.ndarray, " point"], Float[np.ndarray, "y x"]]:
+    """Share of the light from `towards` that reaches each point, and the ground in cells: what is
+    above it in a column along that light takes as much as its area covers. The plot repeats
+    itself."""
+    nx, ny = (round(side / _CELL) for side in extent)
+    flat = place[:, :2] - place[:, 2:] * towards[:2] / towards[2]
+    column, row = (np.floor(flat / _CELL).astype(np.int64) % [nx, ny]).T
+    where = row * nx + column
+    order = np.lexsort((-place[:, 2], where))
+    covers = (area * np.abs(normal @ towards) / (towards[2] * _CELL**2))[order]
+    depth = np.cumsum(covers, dtype=float) - covers
+    first = np.flatnonzero(np.diff(where[order], prepend=-1))
+    depth -= np.repeat(depth[first], np.diff(first, append=len(order)))
+    share = np.empty(len(place))
+    share[order] = np.exp(-depth)
+    ground = np.bincount(where[order], covers, nx * ny).reshape(ny, nx)
+    return share, np.exp(-ground)
