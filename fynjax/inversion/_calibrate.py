@@ -250,8 +250,8 @@ def calibrate_plot(
     - `views`: what each sensor yields of `scene`.
     - `settings`: of the search. Of known plants there is one planting.
     - `solver`: of a round, of optimistix or jaxopt as of `fit`; `BroydenLM` by default, which takes
-      one Jacobian a round. Others take one at each step, or as many gradients, and their steps are
-      not counted: `fit.steps` are then the rounds.
+      one Jacobian a round. Others take one at each step, or as many gradients; of their rounds
+      `fit.loss` has the beginnings alone.
     - `start`: whitened coordinates to start from; the prior's centre by default.
     - `replant`: makes the same plot with the plants of another chance, by a number, 0 for those of
       `scene`; and with sites for so many plants of each species, asked for where the plants of a
@@ -391,7 +391,7 @@ def _fit_of(search: PlotSearch, end: SearchState) -> FitResult:
     slopes = np.asarray(place.slopes)
     result = fit_result(
         search.space, counted, place.u, place.statistics, jnp.asarray(place.slope),
-        status_of(end.status), len(end.trace), end.trace,
+        status_of(end.status), end.steps, end.trace, end.rounds,
     )  # fmt: skip
     if np.isfinite(slopes).all():
         result = result.with_information(jnp.asarray(mean_information(weights, slopes)))

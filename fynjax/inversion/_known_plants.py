@@ -33,7 +33,7 @@ from fynjax.inversion._fit_result import (
     status_of,
 )
 from fynjax.inversion._functionals import stand_table
-from fynjax.inversion._search import search_states
+from fynjax.inversion._search import recorded, search_states
 from fynjax.inversion._space import ParameterSpace
 from fynjax.radiation import VoxelScene
 from fynjax.scene import AimedSensor, PlotParameters, Scene, with_values
@@ -357,7 +357,11 @@ class PixelState(eqx.Module):
     before: Float[Array, "band y x"]
     """The blocks at the prior's centre, as the camera measures them."""
     trace: Float[Array, "evaluation 2"]
-    """Objective and norm of its gradient before each step, of all rounds."""
+    """Objective and norm of its gradient where each round began and after each of its steps."""
+    rounds: Int[Array, " evaluation"]
+    """The round of each, from 1."""
+    steps: Int[Array, ""]
+    """Steps of all rounds."""
     turn: Int[Array, ""]
     """Rounds that have ended."""
     step: Int[Array, ""]
@@ -452,7 +456,7 @@ class PixelSearch:
         whole = lambda number: jnp.asarray(number, int)  # noqa: E731
         return PixelState(
             place, descent, sd, jnp.asarray(self.image(place)),
-            figures_of(descent)[None], whole(0), whole(0),
+            figures_of(descent)[None], whole([1]), whole(0), whole(0), whole(0),
             number_of(FitStatus.max_steps), whole(0),
         )  # fmt: skip
 
@@ -469,23 +473,21 @@ class PixelSearch:
         if done or state.step >= self._max_steps:
             last = int(state.turn) + 1 == _ROUNDS
             descent, sd = self._descent(state.u, np.asarray(state.sd) if last else None)
-            trace = state.trace
-            if not last:
-                trace = jnp.concatenate([trace, figures_of(descent)[None]])
-            return dataclasses.replace(
-                state, descent=descent, sd=sd, trace=trace, turn=state.turn + 1,
+            renewed = dataclasses.replace(
+                state, descent=descent, sd=sd, turn=state.turn + 1,
                 step=jnp.asarray(0), ended=state.ended + int(last),
             )  # fmt: skip
+            return renewed if last else recorded(renewed)
         errors = np.asarray(state.sd)
 
         def whitened(u: Array, _: Any) -> tuple[Array, None]:
             return self._whitened(self.image(u)[:, self._compared].ravel(), u, errors), None
 
         u, descent, _ = solver.step(whitened, state.u, None, None, state.descent, NO_TAGS)
-        trace = state.trace
-        if state.step + 1 < self._max_steps:
-            trace = jnp.concatenate([trace, figures_of(descent)[None]])
-        return dataclasses.replace(state, u=u, descent=descent, trace=trace, step=state.step + 1)
+        reached = dataclasses.replace(
+            state, u=u, descent=descent, step=state.step + 1, steps=state.steps + 1
+        )
+        return recorded(reached)
 
     @double_precision
     def result(self, state: PixelState) -> KnownPlants:
@@ -501,7 +503,8 @@ class PixelSearch:
         data = Data(names, jnp.asarray(self._target), jnp.asarray(sd))
         result = fit_result(
             self.space, data, jnp.asarray(u[:free]), jnp.asarray(values),
-            jnp.asarray(slopes[:, :free]), status_of(state.status), len(state.trace), state.trace,
+            jnp.asarray(slopes[:, :free]), status_of(state.status), state.steps, state.trace,
+            state.rounds,
         )  # fmt: skip
         covariance = np.linalg.inv(scaled.T @ scaled + np.eye(len(u)))
         # Of the parameters alone, the gains integrated over.

@@ -196,14 +196,13 @@ def calibrate_to(
     with run.stage("Build the plot", "build"):
         ready = prepare(plot, None, seed=run.seed)
         views = [sensor.view_of(ready.scene, ready.parameters) for sensor in measured]
-    evaluations = ready.settings.evaluations
     images = any(sensor.kind == "image" for sensor in measured)
     begin_work(
         {"parameters.csv": f"{len(ready.space.names)} parameters", "statistics.csv": ""}
         | (dict.fromkeys(["image_before.tif", "image_after.tif"], "") if images else {})
-        | {"run.nc": f"after at most {evaluations} steps of the search", "report.html": ""}
+        | {"run.nc": f"rounds of at most {ready.settings.max_steps} steps", "report.html": ""}
     )
-    with run.stage("Calibrate", "calibrate", total=evaluations):
+    with run.stage("Calibrate", "calibrate", total=ready.settings.evaluations):
         search = plot_search(
             ready.scene,
             ready.parameters,

@@ -6,9 +6,12 @@ from types import SimpleNamespace
 
 import jax.numpy as jnp
 import jsonschema
+import numpy as np
+import pandas as pd
 import pytest
 
 from fynjax._core.errors import InputError
+from fynjax.compare import read_drone_image
 from fynjax.inversion import PlotSearch
 from fynjax.io.plot import example_folder, read_plot
 from fynjax.jobs import calibrate, render
@@ -16,6 +19,7 @@ from fynjax.jobs._calibrate import _short_of_sites
 from fynjax.jobs._calibration_page import doubt_first, status_of
 from fynjax.jobs._render import check_finite
 from fynjax.jobs._schemas import json_schema
+from fynjax.metrics import image_statistics
 from tests.heard import hearing
 from tests.scene.plots import small_parameters, small_plot
 from tests.small import write_plot
@@ -70,10 +74,16 @@ def test_a_table_of_statistics_is_approached(tmp_path):
     assert misfit(other, "after") < 0.2 * misfit(other, "before")
     # No index is a target, so the headline has none.
     assert other.headline[0].startswith("The stand: green leaf area ")
-    assert other.headline[1].startswith("small: largest error of a band mean")
+    assert other.headline[1].startswith("small, expected over plantings: largest error")
     assert "nan" not in " ".join(other.headline)
     page = (output / "report.html").read_text("utf-8")
     assert "nan %" not in page
+    image = jnp.asarray(read_drone_image(output / "image_after.tif").values)
+    table = pd.read_csv(output / "statistics.csv")
+    own = np.asarray(image_statistics(image, tuple(table["statistic"]), pixel=0.1))
+    np.testing.assert_allclose(table["image_after"], own, rtol=1e-4)
+    apart = 100.0 * (table["image_after"] / table["after"] - 1.0).abs().max()
+    assert f"differ from those of the image after by up to {apart:.0f} %" in page
     assert ('<p class="lead">Not converged: ' in page) == (not other.converged)
     assert "each with its 90 % interval" in page
     assert {"report.html", "parameters.csv", "run.nc"} <= set(other.files)

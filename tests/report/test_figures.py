@@ -174,6 +174,22 @@ def test_gaps_and_edges_do_not_break_a_figure(tmp_path, image):
     assert sorted(p.name for p in tmp_path.iterdir()) == [f"{c}.png" for c in "abcde"]
 
 
+def test_a_curve_of_the_objective_breaks_where_a_round_begins():
+    """Along the steps done; a round begins where the one before ended."""
+    figure = convergence_plot([9.0, 4.0, 3.0, 7.0, 5.0], rounds=[1, 1, 1, 2, 2])
+    (axes,) = figure.axes
+    first, second, mark = (line.get_xdata() for line in sorted_lines(axes))
+    assert first.tolist() == [0, 1, 2]
+    assert second.tolist() == [2, 3]
+    assert set(mark) == {2}
+    assert any(text.get_text() == "round 2" for text in axes.texts)
+
+
+def sorted_lines(axes):
+    """Curves, then marks."""
+    return sorted(axes.lines, key=lambda line: line.get_linestyle() == ":")
+
+
 def test_histogram_is_a_density_with_the_target_inside():
     rng = np.random.default_rng(0)
     values = rng.normal(0.5, 0.1, 20000)

@@ -197,14 +197,24 @@ def constraint_plot(table: pd.DataFrame, *, columns: int = 2) -> Figure:
 
 
 def convergence_plot(
-    loss: ArrayLike, gradient_norm: ArrayLike | None = None, *, loss_label: str = "Loss [-]"
+    loss: ArrayLike,
+    gradient_norm: ArrayLike | None = None,
+    *,
+    rounds: ArrayLike | None = None,
+    loss_label: str = "Loss [-]",
 ) -> Figure:
-    """Loss, and the norm of its gradient if given, against the iteration (from 0).
+    """Loss, and the norm of its gradient if given, against the steps done.
 
-    **Arguments:** `loss` and `gradient_norm` [iteration]; `loss_label`, the label of the axis
-    of the loss, with its unit.
+    **Arguments:**
+
+    - `loss`, `gradient_norm`: at the beginning of each round and after each of its steps.
+    - `rounds`: number of the round of each, from 1; by default all are of one. A line ends with its
+      round.
+    - `loss_label`: of the axis of the loss, with its unit.
     """
     losses = np.asarray(loss, dtype=float)
+    turn = np.ones(losses.size, int) if rounds is None else np.asarray(rounds)
+    steps = np.arange(losses.size) - (turn - 1)
     with style():
         rows = 1 if gradient_norm is None else 2
         figure = Figure(figsize=(5.2, 1.1 + 1.9 * rows))
@@ -213,7 +223,11 @@ def convergence_plot(
         if gradient_norm is not None:
             series.append((np.asarray(gradient_norm, dtype=float), "Gradient norm", GREEN))
         for axes, (values, label, colour) in zip(grid, series, strict=True):
-            axes.plot(values, "-o", ms=3, lw=1.2, color=colour)
+            for number in np.unique(turn):
+                here = turn == number
+                axes.plot(steps[here], values[here], "-o", ms=3, lw=1.2, color=colour)
+                if number > 1:
+                    axes.axvline(steps[here][0], color=GREY, lw=0.8, ls=":")
             finite = values[np.isfinite(values)]
             if finite.size and finite.min() > 0 and finite.max() / finite.min() > 5:
                 axes.set_yscale("log")
@@ -221,10 +235,15 @@ def convergence_plot(
             axes.grid(visible=True)
             if values.size:
                 axes.annotate(
-                    f"{values[-1]:.3g}", (values.size - 1, values[-1]), xytext=(4, 4),
+                    f"{values[-1]:.3g}", (steps[-1], values[-1]), xytext=(4, 4),
                     textcoords="offset points", fontsize=8, color=colour,
                 )  # fmt: skip
-        grid[-1].set_xlabel("Iteration")
+        for number in np.unique(turn)[1:]:
+            grid[0].annotate(
+                f"round {number}", (steps[turn == number][0], 1.0), xytext=(3, -9),
+                xycoords=("data", "axes fraction"), textcoords="offset points", fontsize=7,
+            )  # fmt: skip
+        grid[-1].set_xlabel("Steps")
         grid[-1].xaxis.get_major_locator().set_params(integer=True)
     return figure
 
