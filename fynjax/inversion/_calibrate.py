@@ -426,9 +426,11 @@ def _gains(
     rest = rest + jacobian @ np.asarray(fit.whitened)
     share = np.linalg.solve(total, by_gain @ prior).T
     left = prior - share @ by_gain @ prior
-    log_gain = share @ rest
+    off = share @ rest
     sd = np.sqrt(np.maximum(np.diagonal(left), 0.0))
-    return np.exp(log_gain), sd, np.asarray(fit.predicted) + slopes @ log_gain
+    # As the line has it, for means exactly: a factor, and not the exponential of a logarithm.
+    gain = 1.0 + off
+    return gain, sd / gain, np.asarray(fit.predicted) + slopes @ off
 
 
 def _ends(objective: Sequence[float], fits: Sequence[FitResult], best: FitResult) -> Ends:
