@@ -34,6 +34,7 @@ from fynjax.inversion._functionals import (
     Functional,
     stand_sentence,
     stand_table,
+    stand_values,
 )
 from fynjax.inversion._information import Information, fisher_information
 from fynjax.inversion._known_plants import (
@@ -199,6 +200,7 @@ __all__ = [
     "spectrum_view",
     "stand_sentence",
     "stand_table",
+    "stand_values",
     "statistics_and_jacobian",
     "structure_view",
     "surrogate_renders",

@@ -98,6 +98,15 @@ def _slopes(
 
 
 @double_precision
+def stand_values(
+    scene: Scene, parameters: PlotParameters, space: Any, u: Float[np.ndarray, " free"]
+) -> Float[np.ndarray, " functional"]:
+    """The `STAND_FUNCTIONALS` of a plot at whitened coordinates `u` of its free parameters,
+    expected over the number of plants."""
+    return np.asarray(_draws(scene, parameters, space, jnp.asarray(u)[None]), float)[0]
+
+
+@double_precision
 def stand_table(
     scene: Scene,
     parameters: PlotParameters,

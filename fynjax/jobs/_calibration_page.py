@@ -6,8 +6,9 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from scipy.stats import norm
 
-from fynjax.assembly import Measured
+from fynjax.assembly import Measured, Twin
 from fynjax.inversion import Calibration, FitResult, KnownPlants, stand_sentence
 from fynjax.io.plot import Plot, sensor_place
 from fynjax.jobs._calibration_tables import (
@@ -89,6 +90,28 @@ def status_of(fit: FitResult) -> str:
     )
 
 
+def twin_sentence(
+    result: Calibration, known: Twin, stand: pd.DataFrame, parameters: pd.DataFrame
+) -> str:
+    """How much of a twin's truth lies in the 90 % intervals; tables with a column `truth`."""
+
+    def inside(table: pd.DataFrame) -> str:
+        within = table["truth"].between(table["q05"], table["q95"])
+        return f"{within.sum()} of {len(table)}"
+
+    text = (
+        "A twin, whose truth was drawn from the prior, planted by a chance of its own and measured "
+        f"with errors: of the truth {inside(parameters)} parameters and {inside(stand)} numbers of "
+        "the stand lie in their 90 % intervals"
+    )
+    if known.gain is None or result.gain is None or result.gain_sd is None:
+        return f"{text}."
+    apart = np.abs(np.log(known.gain / result.gain))
+    within = np.sum(apart <= norm.ppf(0.95) * result.gain_sd)
+    gains = ", ".join(f"{gain:.3f}" for gain in known.gain)
+    return f"{text}, and {within} of {len(apart)} gains of the camera, which were {gains}."
+
+
 def doubt_first(fit: FitResult, text: str) -> str:
     """A page's lead: before anything else, why the fit is to be doubted."""
     status = status_of(fit)
@@ -127,8 +150,10 @@ def calibration_page(
     tables: tuple[pd.DataFrame, pd.DataFrame, pd.DataFrame],
     reference: ReferenceImage,
     inputs: Sequence[Path | None],
+    truth: Sequence[str] = (),
 ) -> Page:
-    """The page. `tables` are those of the stand, of the parameters and of the statistics."""
+    """The page. `tables` are those of the stand, of the parameters and of the statistics; `truth`
+    says of a twin how far it was found."""
     stand, parameters, statistics = tables
     memory = peak_memory_mib()
     keys = {
@@ -152,7 +177,7 @@ def calibration_page(
         search_section(run, result, memory),
     ]
     agreement = agreement_sentences(plot, measured, statistics, reference)
-    lead = doubt_first(result.fit, " ".join([stand_sentence(stand), *agreement]))
+    lead = doubt_first(result.fit, " ".join([*truth, stand_sentence(stand), *agreement]))
     return Page(f"Calibration: {plot.name}", lead, sections, keys, run.record(inputs))
 
 

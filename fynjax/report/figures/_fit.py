@@ -100,9 +100,10 @@ def parameter_plot(table: pd.DataFrame, *, columns: int = 2) -> Figure:
     """Prior against estimate, with 90 % intervals, one panel for each kind.
 
     **Arguments:** `table` with the columns name, kind, unit, prior, prior_q05, prior_q95, estimate,
-    q05, q95; a row for each parameter; `columns`, panels in a row. Within a kind, rows are sorted
-    by the prior, largest first.
+    q05, q95, and truth where that is known; a row for each parameter; `columns`, panels in a row.
+    Within a kind, rows are sorted by the prior, largest first.
     """
+    known = "truth" in table
     groups = [
         (kind, part.sort_values("prior", ascending=False, kind="stable"))
         for kind, part in _groups(table)
@@ -115,6 +116,8 @@ def parameter_plot(table: pd.DataFrame, *, columns: int = 2) -> Figure:
             axes.plot(part["prior"], y - 0.16, "o", ms=4, mfc="white", color=GREY)
             axes.hlines(y + 0.16, part["q05"], part["q95"], color=BLUE, lw=1.4)
             axes.plot(part["estimate"], y + 0.16, "o", ms=4, color=BLUE)
+            if known:
+                axes.plot(part["truth"], y, "x", ms=5, mew=1.4, color=VERMILION)
             units = part["unit"].astype(str).unique()
             axes.set_title(words(kind).capitalize() + (_unit(units[0]) if len(units) == 1 else ""))
             axes.locator_params(axis="x", nbins=6)
@@ -124,7 +127,11 @@ def parameter_plot(table: pd.DataFrame, *, columns: int = 2) -> Figure:
             ),
             matplotlib.lines.Line2D([], [], marker="o", color=BLUE, label="estimate, 90 %"),
         ]
-        figure.legend(handles=handles, loc="outside upper left", ncols=2)
+        if known:
+            handles.append(
+                matplotlib.lines.Line2D([], [], marker="x", ls="", color=VERMILION, label="truth")
+            )
+        figure.legend(handles=handles, loc="outside upper left", ncols=3)
     return figure
 
 
