@@ -2,7 +2,7 @@
 
 import dataclasses
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -19,7 +19,12 @@ from fynjax._core.progress import stage
 from fynjax.canopy import VoxelGrid
 from fynjax.inversion._expected import Replant, mean_information, with_error
 from fynjax.inversion._fit_result import Data, FitResult, fit_result, status_of
-from fynjax.inversion._functionals import stand_sentence, stand_table
+from fynjax.inversion._functionals import (
+    STAND_FUNCTIONALS,
+    Functional,
+    stand_sentence,
+    stand_table,
+)
 from fynjax.inversion._search import (
     COARSE,
     CalibrationSettings,
@@ -108,9 +113,10 @@ class Calibration(eqx.Module):
     _repr_html_ = as_html
 
     @double_precision
-    def stand(self) -> "pd.DataFrame":
-        """Numbers of the whole stand before and after the data (`stand_table`)."""
-        return stand_table(self.scene, self.before, self.fit)
+    def stand(self, functionals: Mapping[str, Functional] = STAND_FUNCTIONALS) -> "pd.DataFrame":
+        """Numbers of the whole stand before and after the data: `functionals` by name, of which any
+        may be one's own (`stand_table`)."""
+        return stand_table(self.scene, self.before, self.fit, functionals=functionals)
 
     @double_precision
     def table(self) -> "pd.DataFrame":

@@ -77,7 +77,13 @@ def _panels(
 
 
 def _groups(table: pd.DataFrame) -> list[tuple[str, pd.DataFrame]]:
-    return [(str(kind), part) for kind, part in table.groupby("kind", sort=False)]
+    """The rows of each kind, species in one order: by how far, over the prior's interval, that
+    parameter of each moved which moved farthest."""
+    wide = table["prior_q95"] - table["prior_q05"]
+    moved = (table["estimate"] - table["prior"]).abs() / wide.where(wide > 0.0)
+    of = [_label(str(name), str(kind)) for name, kind in zip(table["name"], table["kind"])]
+    order = (-moved.fillna(0.0)).groupby(of).transform("min").argsort(kind="stable")
+    return [(str(kind), part) for kind, part in table.iloc[order].groupby("kind", sort=False)]
 
 
 def _label(name: str, kind: str) -> str:
@@ -101,13 +107,10 @@ def parameter_plot(table: pd.DataFrame, *, columns: int = 2) -> Figure:
 
     **Arguments:** `table` with the columns name, kind, unit, prior, prior_q05, prior_q95, estimate,
     q05, q95, and truth where that is known; a row for each parameter; `columns`, panels in a row.
-    Within a kind, rows are sorted by the prior, largest first.
+    In all panels species come in one order, the one that moved farthest first.
     """
     known = "truth" in table
-    groups = [
-        (kind, part.sort_values("prior", ascending=False, kind="stable"))
-        for kind, part in _groups(table)
-    ]
+    groups = _groups(table)
     with style():
         figure, panels = _panels([(k, len(p)) for k, p in groups], columns, 0.35)
         for axes, (kind, part) in zip(panels, groups, strict=True):
@@ -165,13 +168,10 @@ def interval_plot(table: pd.DataFrame, methods: Mapping[str, tuple[str, str]]) -
 def constraint_plot(table: pd.DataFrame, *, columns: int = 2) -> Figure:
     """How far the data narrowed each parameter: 1 - (sd / prior sd)^2, in percent.
 
-    **Arguments:** `table` with the columns name, kind, constrained (0 to 1); `columns`, panels in a
-    row. Within a kind, rows are sorted, best constrained first.
+    **Arguments:** `table` with the columns of `parameter_plot`, in whose order rows come, and
+    constrained (0 to 1); `columns`, panels in a row.
     """
-    groups = [
-        (kind, part.sort_values("constrained", ascending=False, kind="stable"))
-        for kind, part in _groups(table)
-    ]
+    groups = _groups(table)
     with style():
         figure, panels = _panels([(k, len(p)) for k, p in groups], columns, 0.45)
         for axes, (kind, part) in zip(panels, groups, strict=True):
