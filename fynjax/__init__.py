@@ -4,7 +4,7 @@
 
 - `fx.read_scene`, `fx.Scene.from_table`: a scene from a plot file or a species table, or from a
   frame or records. `fx.observe`, `fx.sensor`: what a sensor measures of it; `scene.parameters` are
-  what gradients and fits are by.
+  what gradients and fits are by. `fx.pixel_truth`: which species each pixel sees.
 - `fx.free`, `fx.prior`, `fx.Data`, `fx.fit`, `fx.sample`: the arrow backwards, of a scene or of any
   function, by `fx.BroydenLM` or any solver of optimistix and jaxopt; `fx.whitened_residual` for a
   loop of one's own, `fx.emulate` for a polynomial in place of a costly function;

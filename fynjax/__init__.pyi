@@ -40,5 +40,6 @@ from .radiation import canopy_reflectance as canopy_reflectance
 from .scene import Placement as Placement
 from .scene import Scene as Scene
 from .scene import observe as observe
+from .scene import pixel_truth as pixel_truth
 
 __version__: str

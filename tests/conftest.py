@@ -16,15 +16,16 @@ import jax
 import psutil
 import pytest
 
+from fynjax._core.compiler import known_flags
+
 # Tests compile much and run little. So they compile in a quarter of the time; what comes out runs
 # a little slower. One piece of code a program: to split it for several cores costs more.
 # Read when JAX is first used; the children of a test inherit it.
-os.environ.setdefault(
-    "XLA_FLAGS",
-    "--xla_backend_optimization_level=0 --xla_llvm_disable_expensive_passes=true"
-    " --xla_cpu_use_fusion_emitters=false"
-    " --xla_cpu_parallel_codegen_split_count=1",
-)
+if os.environ["XLA_FLAGS"] == " ".join(known_flags()):  # else a person tries others
+    os.environ["XLA_FLAGS"] += (
+        " --xla_backend_optimization_level=0 --xla_llvm_disable_expensive_passes=true"
+        " --xla_cpu_parallel_codegen_split_count=1"
+    )
 jax.config.update("jax_enable_x64", True)  # in 32 bits: tests/test_precision.py
 
 

@@ -160,10 +160,8 @@ def test_a_scene_is_read_from_a_plot_file_its_folder_or_a_table(scene, tmp_path)
 
 
 def test_gradients_have_the_shape_of_the_parameters(scene):
-    camera = fx.sensor("mavic_3m")
-
-    def ndvi(p):
-        return fx.observe(scene, camera, pixel=0.25, parameters=p).index("NDVI").mean()
+    def ndvi(p):  # the sensor by name: inside transformations too
+        return fx.observe(scene, "mavic_3m", pixel=0.25, parameters=p).index("NDVI").mean()
 
     p = scene.parameters
     slope = jax.grad(ndvi)(p)

@@ -10,13 +10,13 @@ import tomllib
 from importlib.metadata import packages_distributions
 from pathlib import Path
 
+import jax
 import numpy as np
 import pytest
 import yaml
 
 import fynjax
 from fynjax._core import compiler
-from fynjax._core.compiler import refuse_wrong_sums
 
 ROOT = Path(__file__).resolve().parents[1]
 PYPROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))
@@ -92,13 +92,13 @@ def test_types_are_published() -> None:
 
 
 def test_sums_of_products_are_right() -> None:
-    """What the excluded versions of jaxlib get wrong: shape and size matter, and the threads."""
+    """What one version of jaxlib gets wrong without a flag: shape and size matter, and threads."""
     random = np.random.default_rng(0)
     left, right = (
         random.normal(size=n).astype(np.float32) for n in ((4, 120, 120), (4, 4, 120, 120))
     )
     code = (
-        "import sys, jax, numpy as np\n"
+        "import sys, jax, numpy as np, fynjax._core\n"
         "left, right = (np.load(name) for name in sys.argv[1:])\n"
         "total = jax.jit(lambda a, b: jax.numpy.sum(a[:, None] * b, axis=0))(left, right)\n"
         "np.testing.assert_allclose(total, np.einsum('ars,abrs->brs', left, right), atol=1e-4)\n"
@@ -112,14 +112,61 @@ def test_sums_of_products_are_right() -> None:
         subprocess.run([sys.executable, "-c", code, *files], check=True, env=environment)
 
 
-def test_a_compiler_that_sums_wrongly_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    refuse_wrong_sums()
-    monkeypatch.delenv("XLA_FLAGS", raising=False)
-    monkeypatch.setattr(compiler, "version", lambda name: compiler.WRONG_SUMS[0])
-    with pytest.raises(ImportError, match=r"jax==0\.10\.1"):
-        refuse_wrong_sums()
-    monkeypatch.setenv("XLA_FLAGS", "--xla_cpu_experimental_ynn_fusion_type=-reduce")
-    refuse_wrong_sums()
+@pytest.mark.parametrize(
+    ("installed", "stated", "set_to"),
+    [
+        ("0.10.1", None, list(compiler.QUICK)),
+        ("0.11.0", None, list(compiler.QUICK)),
+        ("0.11.1", None, list(compiler.QUICK)[:1]),
+        ("0.12.0.1", None, list(compiler.QUICK)[:1]),
+        ("0.13.0", None, []),
+        ("0.10.1", "--theirs", ["--theirs"]),
+        ("0.10.1", "", []),
+        ("0.10.2", None, [*compiler.QUICK, compiler.OWN_SUMS]),
+        ("0.10.2", "--theirs", ["--theirs", compiler.OWN_SUMS]),
+    ],
+)
+def test_flags_are_those_that_the_installed_compiler_knows(
+    installed: str, stated: str | None, set_to: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(compiler, "version", lambda name: installed)
+    monkeypatch.setattr(jax._src.xla_bridge, "backends_are_initialized", lambda: False)
+    monkeypatch.setenv("XLA_FLAGS", stated or "")
+    if stated is None:
+        monkeypatch.delenv("XLA_FLAGS")
+    compiler.set_flags()
+    assert os.environ["XLA_FLAGS"].split() == set_to
+
+
+def test_a_compiler_that_sums_wrongly_and_is_in_use_is_refused(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    jax.devices()
+    before = os.environ["XLA_FLAGS"]
+    compiler.set_flags()
+    assert os.environ["XLA_FLAGS"] == before
+    monkeypatch.setattr(compiler, "version", lambda name: compiler.WRONG_SUMS)
+    with pytest.raises(ImportError, match=r"Import fynjax first"):
+        compiler.set_flags()
+    monkeypatch.setenv("XLA_FLAGS", compiler.OWN_SUMS)
+    compiler.set_flags()
+
+
+@pytest.mark.parametrize("first", ["jax", "fynjax._core"])
+def test_a_graphics_card_multiplies_in_full_unless_its_user_says_otherwise(first: str) -> None:
+    """JAX's default there keeps 10 bits of a float32, which no processor shows."""
+    code = (
+        f"import {first}, fynjax._core, jax\n"
+        "import jax.numpy as jnp\n"
+        "print(jax.make_jaxpr(lambda a: a @ a)(jnp.ones((2, 2), 'float32')))"
+    )
+    environment = {k: v for k, v in os.environ.items() if k != "JAX_DEFAULT_MATMUL_PRECISION"}
+    for stated, found in (({}, 1), ({"JAX_DEFAULT_MATMUL_PRECISION": "bfloat16"}, 0)):
+        done = subprocess.run(
+            [sys.executable, "-c", code],
+            capture_output=True, text=True, check=True, env=environment | stated,
+        )  # fmt: skip
+        assert done.stdout.count("Precision.HIGHEST") // 2 == found
 
 
 def test_the_command_line_is_a_module_too() -> None:

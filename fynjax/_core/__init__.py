@@ -1,3 +1,4 @@
-from fynjax._core.compiler import refuse_wrong_sums
+from fynjax._core.compiler import multiply_in_full, set_flags
 
-refuse_wrong_sums()
+set_flags()
+multiply_in_full()

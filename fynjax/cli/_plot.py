@@ -76,7 +76,15 @@ def init(
 
 
 @command("render", "fynjax.jobs:render", forget=True)
-def render(plot: PlotPath, checkpoint: Checkpoint = None, seed: OwnSeed = None) -> None:
+def render(
+    plot: PlotPath,
+    checkpoint: Checkpoint = None,
+    seed: OwnSeed = None,
+    truth: Annotated[
+        bool,
+        typer.Option("--truth", help="Also write which species each pixel sees, and how much."),
+    ] = False,
+) -> None:
     """Render what the drone sees of a plot.
 
     Writes the reflectance image (GeoTIFF), the run (NetCDF) and a report page. A large image is

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from fynjax._core.compiler import cache_folder, keep_compiled
 from fynjax._core.dry_run import DryRunEnd, dry_run
 from fynjax._core.errors import InputError
 
@@ -120,23 +121,6 @@ DOUBTFUL = 3
 """Exit status with `--strict` where a result is to be doubted."""
 _TERMINATED = 143
 """Exit status of `kill`, as shells have it."""
-
-
-_COMPILER = (
-    "--xla_backend_extra_options=xla_cpu_disable_slp_vectorizer --xla_cpu_use_fusion_emitters=false"
-)
-"""A command compiles some thousand small loops. Without these two parts of the compiler, which
-concern processors only, that takes a third less time of an image and a sixth of a gradient; what
-comes out is the same, and as fast."""
-
-
-def prepare_jax() -> None:
-    """Compile quickly, unless `XLA_FLAGS` says how, and keep compiled programs for the next run
-    (`keep_compiled`). Before JAX is used."""
-    os.environ.setdefault("XLA_FLAGS", _COMPILER)
-    from fynjax._core.compiler import keep_compiled
-
-    keep_compiled()
 
 
 def _messages(caught: Sequence[warnings.WarningMessage]) -> list[str]:
@@ -332,8 +316,6 @@ def _alone(output: Path) -> Iterator[None]:
 
     name = hashlib.sha256(os.path.normcase(output.resolve()).encode()).hexdigest()[:16]
     try:
-        from fynjax._core.compiler import cache_folder
-
         locks = cache_folder() / "locks"
         locks.mkdir(parents=True, exist_ok=True)
         lock = FileLock(locks / name)
@@ -415,7 +397,7 @@ def run_job(
         warnings.simplefilter("ignore")
         warnings.simplefilter("always", UserWarning)
         with staged_folder(output) as folder:
-            prepare_jax()
+            keep_compiled()
             try:
                 with bars:
                     result = job(folder)

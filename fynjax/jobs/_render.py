@@ -29,18 +29,21 @@ from fynjax.report.figures import (
     index_histograms,
     layer_map,
     quick_looks,
+    species_map,
     spectrum_figure,
     words,
 )
 from fynjax.report.pages import Page, Part, Picture, Section, Table, Views
 from fynjax.scene import (
     AimedSensor,
+    PixelTruth,
     PlotParameters,
     Scene,
     TiledPicture,
     hard_counts,
     hard_scene,
     is_large,
+    truth_of_pixels,
 )
 
 SHOWN_INDICES = ("NDVI", "GNDVI", "SR", "GCI", "ARI2", "OSAVI", "GSAVI", "NormR")
@@ -67,6 +70,7 @@ def render(
     *,
     seed: int | None = None,
     checkpoint: Path | None = None,
+    truth: bool = False,
 ) -> RenderResult:
     """Render the reflectance image of a plot.
 
@@ -79,11 +83,13 @@ def render(
     - `seed`: seed of every random number; that of the plot file by default.
     - `checkpoint`: folder that keeps the tiles of a large image, from which an interrupted run goes
       on; none by default.
+    - `truth`: whether to write also what each pixel sees of each species and of the ground.
 
     **Returns:** `RenderResult`. Writes `image.tif` and `run.nc` (reflectance factor [-]), figures
-    and a page into `output`.
+    and a page into `output`; with `truth` also `truth.tif` and `truth.nc` (`PixelTruth`).
 
-    **Raises:** `InputError` as `read_plot`, for an image that is not finite or does not fit in
+    **Raises:** `InputError` as `read_plot`, for the `truth` of an image that is rendered in tiles,
+    for an image that is not finite or does not fit in
     memory, and for a checkpoint of another run.
 
     Example: `jobs.render("plot.toml", Path("results")).headline`.
@@ -95,7 +101,15 @@ def render(
         scene, parameters = build_plot(read, seed=run.seed)
         camera = aim_without_air(read, scene, parameters, instrument)
     size = image_size(camera.shape, len(camera.sensor.bands))
-    begin_work({"image.tif": size, "run.nc": size, "report.html": ""})
+    layers = image_size(camera.shape, 4 * len(scene.taxa) + 2)
+    shares = {"truth.tif": layers, "truth.nc": layers} if truth else {}
+    if truth and is_large(camera, scene):
+        raise InputError(
+            "this image is rendered in tiles, and of those no truth is written: take a smaller "
+            "plot or wider pixels",
+            file=read.file,
+        )
+    begin_work({"image.tif": size, "run.nc": size, "report.html": "", **shares})
     with run.stage("Render", "render"):
         if is_large(camera, scene):
             journal = None
@@ -107,10 +121,11 @@ def render(
             # Plants that do not stand take time and memory only.
             stand = hard_scene(scene, parameters)
             image = jax.block_until_ready(_measure(camera, stand, parameters))
+        seen = truth_of_pixels(camera, scene, parameters) if truth else None
         counts = hard_counts(scene, parameters)
     check_finite(image, read)
     with run.stage("Write"):
-        _write(run, read, scene, camera, np.asarray(image), counts)
+        _write(run, read, scene, camera, np.asarray(image), counts, seen)
     names = camera.sensor.bands.names
     means = dict(zip(names, np.asarray(jnp.mean(image, axis=(1, 2))).tolist(), strict=True))
     shown = dict(itertools.islice(means.items(), _FEW_BANDS))
@@ -147,6 +162,7 @@ def _write(
     camera: AimedSensor,
     image: np.ndarray,
     counts: np.ndarray,
+    truth: PixelTruth | None,
 ) -> None:
     record = run.record(plot.inputs)
     bands = camera.sensor.bands
@@ -167,6 +183,7 @@ def _write(
     pictures = _drone_pictures if set(BANDS) <= set(bands.names) else _other_pictures
     parts: list[Part] = [
         *pictures(plot, camera, image),
+        *([] if truth is None else [_write_truth(run, plot, scene, truth, record)]),
         _plants(plot, scene, counts),
     ]
     means = itertools.islice(zip(bands.names, image.mean((1, 2)), strict=True), _FEW_BANDS)
@@ -179,6 +196,31 @@ def _write(
             record,
         )
     )
+
+
+def _write_truth(
+    run: Run, plot: Plot, scene: Scene, truth: PixelTruth, record: Mapping[str, str | int]
+) -> Picture:
+    """What stands in the pixels, as files and as a map of the leading species."""
+    write_run(run.path("truth.nc", "what each pixel sees, NetCDF"), truth.to_xarray(), record)
+    organs = {
+        name: np.asarray(getattr(truth, name)) for name in ("live", "dead", "wood", "flowers")
+    }
+    ground = np.stack([truth.sunlit_ground, truth.shaded_ground])
+    names = [f"{organ}: {taxon}" for organ in organs for taxon in truth.taxa]
+    place = plot_place(plot)
+    west, south = (a + b for a, b in zip(place.origin_m, truth.origin, strict=True))
+    write_geotiff(
+        run.path("truth.tif", "share of each pixel that is each species, GeoTIFF"),
+        np.concatenate([*organs.values(), ground]),
+        [*names, "ground in the sun", "ground in shade"],
+        pixel_m=truth.pixel,
+        origin_m=(west, south),
+        crs=place.crs,
+        tags={k: str(v) for k, v in record.items()},
+    )
+    figure = species_map(*truth.leading(), truth.taxa, scene.forms, pixel_m=truth.pixel)
+    return Picture("species.png", figure, "species that leads in each pixel")
 
 
 def _plants(plot: Plot, scene: Scene, counts: np.ndarray) -> Table:

@@ -5,6 +5,7 @@ from fynjax.radiation._canopy import CanopyAlbedo, canopy_albedo, canopy_reflect
 from fynjax.radiation._check import check_scene, voxel_values
 from fynjax.radiation._fluxes import Fluxes, absorption, diffuse_sources, fluxes
 from fynjax.radiation._ground import RahmanPintyVerstraete
+from fynjax.radiation._image import Sight
 from fynjax.radiation._multiple import Cells, DiffuseField
 from fynjax.radiation._phase import area_scattering
 from fynjax.radiation._rays import (
@@ -21,6 +22,7 @@ from fynjax.radiation._render import (
     Light,
     check_light,
     directional_reflectance,
+    look,
     reflectance_factor,
     render,
     solve_light,
@@ -53,6 +55,7 @@ __all__ = [
     "RahmanPintyVerstraete",
     "RayField",
     "RayLattice",
+    "Sight",
     "Tiling",
     "VoxelScene",
     "absorption",
@@ -65,6 +68,7 @@ __all__ = [
     "diffuse_sources",
     "directional_reflectance",
     "fluxes",
+    "look",
     "nadir_rays",
     "parallel_rays",
     "perspective_rays",

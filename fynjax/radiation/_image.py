@@ -51,6 +51,17 @@ class Radiance(eqx.Module):
         return self.sunlit_leaves + self.diffuse_leaves + self.ground
 
 
+class Sight(eqx.Module):
+    """What the rays of a sensor meet first. The shares of a ray sum to one [-]."""
+
+    canopy: Float[Array, "class row column"]
+    """Share of the ray that ends on each class of the canopy [-]."""
+    sunlit_ground: Float[Array, "row column"]
+    """Share of the ray that ends on ground that the sun reaches [-]."""
+    shaded_ground: Float[Array, "row column"]
+    """Share of the ray that ends on ground in the shade of the canopy or of the terrain [-]."""
+
+
 class _GroundInView(NamedTuple):
     """Ground at one height within each pixel."""
 
@@ -81,6 +92,8 @@ class _View(NamedTuple):
     ground: _GroundInView | None
     """Level ground."""
     gap: Float[Array, "row column"]
+    met: Float[Array, "class row column"] | None
+    """Share of the ray that ends on each class [-]; None where it is not asked for."""
 
 
 class _Cut(NamedTuple):
@@ -142,6 +155,28 @@ def render_rays(
     kept = chunk_of_band * size + place - starts[chunk_of_band]
     leaves, more, ground = (p.reshape(-1, *p.shape[2:])[kept] for p in parts)
     return Radiance(leaves, more, ground, view.gap)
+
+
+def sight_of_rays(
+    scene: VoxelScene,
+    sun: SunField,
+    rays: AbstractRays,
+    sublayers: int,
+    lean: float,
+    together: int = 1,
+) -> Sight:
+    """What each ray meets first, as `render_rays` follows it; means of blocks of `together` x
+    `together`. Differentiable in everything but the lattice's integers."""
+    rays = jax.tree.map(lambda numbers: jnp.asarray(numbers, scene.area_density.dtype), rays)
+    cut = _cut(scene, (1, 1), sublayers, lean)
+    composition = _composition(scene, cut)
+    check_picture(scene, math.prod(rays.shape), len(composition), together)
+    view, slabs = _look(scene, sun, rays, composition, cut, None, together, classes_met=True)
+    ground = view.ground
+    if ground is None:  # of terrain, some in each slab
+        ground = jax.tree.map(lambda of_slabs: of_slabs.sum(axis=0), slabs.ground)
+    assert view.met is not None
+    return Sight(view.met, ground.sunlit, ground.gap - ground.sunlit)
 
 
 def _cut(scene: VoxelScene, factor: tuple[int, int], sublayers: int, lean: float) -> _Cut:
@@ -236,12 +271,13 @@ def _look(
     cut: _Cut,
     lit: _Lit | None,
     together: int = 1,
+    classes_met: bool = False,
 ) -> tuple[_View, Any]:
     """Follow the rays down through the slabs.
 
     Returns what they view and, with `lit`, the radiance of leaves and terrain out of the diffuse
     light; without it the `_Slab`s, stacked along a first axis, and all of it as means of blocks of
-    `together` x `together` rays.
+    `together` x `together` rays. The classes that they meet are counted with `classes_met`.
     """
     _, ny, nx = scene.shape
     classes = scene.classes
@@ -324,7 +360,7 @@ def _look(
     hilly = scene.terrain is not None
 
     def slab(carry: tuple[Any, ...], at: tuple[Any, ...]) -> tuple[tuple[Any, ...], Any]:
-        (depth, above, sunlit, states, blocked), sums = carry
+        (depth, above, sunlit, states, blocked, met), sums = carry
         pieces, mixed, height, scattered = at
         area = rays.sampler(height, voxels, smooth=scene.structure is not None)(mixed)
         turned = jnp.sum(area * projection, axis=0)
@@ -341,11 +377,12 @@ def _look(
         if end is not None:
             blocked = end[0]
             ground = _GroundInView(height - 0.5 * step * cut.pieces, *end[1:])
-        met = _Slab(height, viewed, ground)
-        carry = depth, above, sunlit + lit_path * area, states, blocked
+        in_view = _Slab(height, viewed, ground)
+        met = None if met is None else met + viewed * area * projection
+        carry = depth, above, sunlit + lit_path * area, states, blocked, met
         if lit is None:
-            return (carry, sums), slab_in_blocks(met, mixture[0], mixed)
-        return (carry, lit.add(sums, met, scattered)), None
+            return (carry, sums), slab_in_blocks(in_view, mixture[0], mixed)
+        return (carry, lit.add(sums, in_view, scattered)), None
 
     by_slab = lambda field: field.reshape(-1, cut.pieces, *field.shape[1:])  # noqa: E731
     heights = (jnp.arange(count) * step).astype(dtype)
@@ -360,15 +397,17 @@ def _look(
     pieces = structure, by_slab(planes[:-1]), by_slab(heights), terrain
     middles = heights[:: cut.pieces] + 0.5 * step * cut.pieces
     dark = jnp.zeros((0 if lit is None else classes.reflectance.shape[1], *rays.shape), dtype)
+    no_class = jnp.zeros((len(classes.angle_of_class), *rays.shape), dtype)
     start = (
         none,
         beams(jnp.asarray(scene.height, dtype))(planes[-1]),
-        jnp.zeros((len(classes.angle_of_class), *rays.shape), dtype),
+        no_class,
         tuple(o.start(rays.shape) for o in overlap),
         none,
+        no_class if classes_met else None,
     )
     # Recomputing a slab in the backward pass keeps memory to one slab's arrays.
-    ((depth, at_ground, sunlit, states, _), sums), slabs = jax.lax.scan(
+    ((depth, at_ground, sunlit, states, _, met), sums), slabs = jax.lax.scan(
         jax.checkpoint(slab),
         (start, (dark, dark)),
         (pieces, composition, middles, None if lit is None else lit.scattered),
@@ -379,7 +418,7 @@ def _look(
     if not hilly:
         shared = sum((state[0] + state[1] for state in states), start=jnp.zeros((), dtype))
         level = _GroundInView(jnp.zeros((), dtype), gap, gap * jnp.exp(shared - at_ground))
-    return in_blocks(_View(sunlit, level, gap)), slabs if lit is None else sums
+    return in_blocks(_View(sunlit, level, gap, met)), slabs if lit is None else sums
 
 
 def _radiance(

@@ -22,7 +22,7 @@ from fynjax.radiation._check import (
     concrete,
     short,
 )
-from fynjax.radiation._image import Radiance, render_rays
+from fynjax.radiation._image import Radiance, Sight, render_rays, sight_of_rays
 from fynjax.radiation._multiple import Cells, DiffuseField, cells_of, solve_diffuse
 from fynjax.radiation._ordinates import Ordinates, sky_radiance
 from fynjax.radiation._rays import AbstractRays, parallel_rays
@@ -383,13 +383,7 @@ def render_up_to(
     """`render` for rays whose zenith angle is `steepest` at most [degrees]; means of blocks of
     `together` x `together` rays."""
     check_whole("chunk", chunk)
-    if rays.sensor_height < light.scene.height:
-        raise InputError(
-            f"the sensor must stand above the grid, which is {light.scene.height:g} m high, but "
-            f"is at {rays.sensor_height:g} m: rays begin above the canopy"
-        )
-    across = aspect(light.scene)
-    sublayers = light.accuracy.sublayers or pieces(steepest, across)
+    sublayers, lean = _pieces_along(light.scene, light.accuracy, rays, steepest)
     return render_rays(
         light.scene,
         light.sun,
@@ -397,10 +391,83 @@ def render_up_to(
         rays,
         light.accuracy.ordinates,
         sublayers,
-        float(sublayers) if isinstance(steepest, jax.core.Tracer) else _lean(steepest, across),
+        lean,
         chunk,
         together,
     )
+
+
+def _pieces_along(
+    scene: VoxelScene, accuracy: Accuracy, rays: AbstractRays, steepest: Array | float
+) -> tuple[int, float]:
+    """Pieces of a layer that rays above the grid are followed in, and how many voxels they cross
+    sideways in a layer at most."""
+    if rays.sensor_height < scene.height:
+        raise InputError(
+            f"the sensor must stand above the grid, which is {scene.height:g} m high, but "
+            f"is at {rays.sensor_height:g} m: rays begin above the canopy"
+        )
+    across = aspect(scene)
+    sublayers = accuracy.sublayers or pieces(steepest, across)
+    known = not isinstance(steepest, jax.core.Tracer)
+    return sublayers, _lean(steepest, across) if known else float(sublayers)
+
+
+def look(
+    scene: VoxelScene,
+    rays: AbstractRays,
+    accuracy: Accuracy | None = None,
+    *,
+    steepest: float | None = None,
+    together: int = 1,
+) -> Sight:
+    """What each ray of a sensor meets first: a class of the canopy, ground in the sun or in shade.
+
+    **Arguments:**
+
+    - `scene`: the canopy, its ground and its sun; no optics count.
+    - `rays`, `steepest`, `together`: as for `reflectance_factor`.
+    - `accuracy`: how finely the sun is followed; the defaults suit voxels of 10 cm.
+
+    **Returns:** `Sight`, shares that sum to one along each ray: by Beer's law along the ray, in the
+    voxels and slabs that the image is made of.
+
+    **Raises:** `InputError` as `solve_light` and `render`.
+
+    Differentiable in every array of the scene and of the rays.
+
+    >>> import jax.numpy as jnp
+    >>> from fynjax.radiation import look, nadir_rays, voxel_scene
+    >>> scene = voxel_scene(
+    ...     area_density=jnp.stack([jnp.full((2, 4, 4), 2.0), jnp.full((2, 4, 4), 1.0)]),
+    ...     reflectance=jnp.array([[0.05], [0.3]]),
+    ...     transmittance=jnp.array([[0.03], [0.0]]),
+    ...     voxel=(0.25, 0.25, 0.25),
+    ...     ground=jnp.array([0.2]),
+    ...     sun_zenith=30.0,
+    ... )
+    >>> centres = (jnp.arange(8) + 0.5) * 0.125
+    >>> sight = look(scene, nadir_rays(centres, centres, 0.125, camera=(0.5, 0.5, 30.0)))
+    >>> ground = sight.sunlit_ground + sight.shaded_ground
+    >>> sight.canopy.mean(axis=(1, 2)).round(2), round(float(ground.mean()), 2)  # exp(-0.75)
+    (Array([0.35, 0.18], dtype=float32), 0.47)
+    """
+    accuracy = Accuracy() if accuracy is None else accuracy
+    check_scene(scene)
+    _check_blocks(rays, together)
+    most = _steepest(rays) if steepest is None else steepest
+    sublayers, lean = _pieces_along(scene, accuracy, rays, most)
+    sun = follow_sun(scene, accuracy, sun_margin(scene, accuracy))
+    return sight_of_rays(scene, sun, rays, sublayers, lean, together)
+
+
+def _check_blocks(rays: AbstractRays, together: int) -> None:
+    check_whole("together", together)
+    if any(size % together for size in rays.shape):
+        raise InputError(
+            f"`together` must divide the rows and columns of rays, but {together} does not divide "
+            f"{rays.shape[0]} x {rays.shape[1]}"
+        )
 
 
 def reflectance_factor(
@@ -439,12 +506,7 @@ def reflectance_factor(
     Array([0.08, 0.33], dtype=float32)
     """
     incident = light.scene.illumination.incident[:, None, None]
-    check_whole("together", together)
-    if any(size % together for size in rays.shape):
-        raise InputError(
-            f"`together` must divide the rows and columns of rays, but {together} does not divide "
-            f"{rays.shape[0]} x {rays.shape[1]}"
-        )
+    _check_blocks(rays, together)
     most = _steepest(rays) if steepest is None else steepest
     radiance = render_up_to(light, rays, most, chunk, together)
     return jnp.pi * radiance.total / incident

@@ -71,6 +71,7 @@ from fynjax.scene._spectra import (
 )
 from fynjax.scene._stand import StandArea, stand_area
 from fynjax.scene._structure import fitting_structure, scene_structure
+from fynjax.scene._truth import PixelTruth, pixel_truth, truth_of_pixels
 
 keep_compiled()
 
@@ -91,6 +92,7 @@ __all__ = [
     "LidarObservation",
     "LightParameters",
     "Observation",
+    "PixelTruth",
     "Placement",
     "Planting",
     "PlantingRules",
@@ -131,6 +133,7 @@ __all__ = [
     "observe_lidar",
     "parameter_kind",
     "parameter_reference",
+    "pixel_truth",
     "projected_cover",
     "random_patches",
     "room_needed",
@@ -140,6 +143,7 @@ __all__ = [
     "species_rows",
     "stand_area",
     "stand_realisation",
+    "truth_of_pixels",
     "visible_sensor",
     "with_values",
 ]

@@ -758,20 +758,33 @@ def observe(
     >>> image.bands, image["nir"].shape
     (('green', 'red', 'red_edge', 'nir'), (4, 4))
     """
-    if not isinstance(scene, Scene):
-        raise InputError(f"expected a scene, but got {type(scene).__name__}")
-    sensor = _shipped(sensor) if isinstance(sensor, str) else sensor
-    if not isinstance(sensor, Sensor | Lidar):
-        raise InputError(f"expected a sensor or the name of one, but got {type(sensor).__name__}")
-    parameters = scene.parameters if parameters is None else parameters
-    if not isinstance(parameters, PlotParameters):
-        raise InputError(
-            f"expected `parameters` as `scene.parameters`, but got {type(parameters).__name__}"
-        )
+    sensor = _named(sensor) if isinstance(sensor, str) else sensor
     if isinstance(sensor, Lidar):
+        parameters = _checked(scene, parameters)
         if placement is not None or pixel is not None or altitude is not None or options:
             raise InputError(f"expected no placement or options of the LiDAR {sensor.name!r}")
         return observe_lidar(scene, parameters, sensor, noise=noise, seed=seed)
+    options |= {"pixel": pixel, "altitude": altitude, "placement": placement}
+    aimed, parameters = aimed_at(scene, sensor, parameters, **options)
+    return _measure(aimed, scene, parameters, jax.random.key(seed) if noise else None)
+
+
+def aimed_at(
+    scene: Scene,
+    sensor: str | Sensor | Lidar,
+    parameters: PlotParameters | None = None,
+    *,
+    pixel: float | None = None,
+    altitude: float | None = None,
+    placement: Placement | None = None,
+    **options: Any,
+) -> tuple[AimedSensor, PlotParameters]:
+    """An imaging sensor over a scene, and the parameters that it sees: arguments and errors as of
+    `observe`."""
+    parameters = _checked(scene, parameters)
+    imager = _named(sensor) if isinstance(sensor, str) else sensor
+    if not isinstance(imager, Sensor):
+        raise InputError(f"expected a sensor or the name of one, but got {type(imager).__name__}")
     if placement is None:
         placement = Placement(altitude, pixel)
     elif pixel is not None or altitude is not None:
@@ -779,12 +792,25 @@ def observe(
     known = scene.parameters  # of an open scene the sun must be known, which is traced in a slope
     traced = any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(parameters))
     aimed = aim(
-        scene, known if traced else parameters, visible_sensor(sensor), placement, **options
+        scene, known if traced else parameters, visible_sensor(imager), placement, **options
     )
-    return _measure(aimed, scene, parameters, jax.random.key(seed) if noise else None)
+    return aimed, parameters
 
 
-def _shipped(name: str) -> Sensor | Lidar:
+def _checked(scene: Scene, parameters: PlotParameters | None) -> PlotParameters:
+    """`parameters`, or those of `scene`. Raises `InputError` where one is of another type."""
+    if not isinstance(scene, Scene):
+        raise InputError(f"expected a scene, but got {type(scene).__name__}")
+    parameters = scene.parameters if parameters is None else parameters
+    if not isinstance(parameters, PlotParameters):
+        raise InputError(
+            f"expected `parameters` as `scene.parameters`, but got {type(parameters).__name__}"
+        )
+    return parameters
+
+
+@jax.ensure_compile_time_eval()  # known inside transformations too, as `aim` needs it
+def _named(name: str) -> Sensor | Lidar:
     if name in shipped_sensors():
         return shipped_sensor(name)
     if name in shipped_lidars():

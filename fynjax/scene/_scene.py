@@ -25,6 +25,7 @@ from fynjax._core.html import as_html
 from fynjax._core.precision import drawn_in_double
 from fynjax.canopy import (
     FORMS,
+    Organ,
     PlantModel,
     VoxelGrid,
     deposit,
@@ -509,7 +510,7 @@ class Scene(eqx.Module):
 
     def area_density(self, parameters: PlotParameters) -> Float[Array, "class z y x"]:
         """Area per volume of each optical class: the species' leaves, then wood, then flowers."""
-        return self._deposit(parameters, self.grid, by_class=True)
+        return self._deposit(parameters, self.grid, by="class")
 
     def gap_fraction(self, parameters: PlotParameters) -> Float[Array, ""]:
         """Share of the ground that is seen from straight above, between leaves and stems [-].
@@ -524,7 +525,7 @@ class Scene(eqx.Module):
         down = down.astype(self.dtype)[jnp.asarray(angle_of_class)]
         finest = self._finest()
         columns = VoxelGrid((*finest.shape[:2], 1), finest.horizontal_size, finest.extent[2])
-        density = self._deposit(parameters, columns, by_class=False, share=down)
+        density = self._deposit(parameters, columns, by="all", share=down)
         return jnp.mean(jnp.exp(-density * columns.vertical_size))
 
     def _finest(self) -> VoxelGrid:
@@ -537,12 +538,13 @@ class Scene(eqx.Module):
         parameters: PlotParameters,
         grid: VoxelGrid,
         *,
-        by_class: bool,
+        by: Literal["class", "organ", "all"],
         share: Float[Array, " class"] | None = None,
         window: Window | None = None,
     ) -> Float[Array, "class z y x"]:
-        """Area per volume on `grid` [m2 m-3], of each class or of all; of `share` of each class's
-        area, if that is given. Many elements are placed part by part, for the sake of memory."""
+        """Area per volume on `grid` [m2 m-3], of each optical class, of each organ of each species
+        (`Organ`, species by species) or of all; of `share` of each class's area, if that is given.
+        Many elements are placed part by part, for the sake of memory."""
         if window is None:
             planting, boundary = self.planting, self.boundary
             crown = self._whole_crowns(parameters) * self.crown_share(parameters)
@@ -556,17 +558,24 @@ class Scene(eqx.Module):
                 "at once: render the plot in tiles (`TiledPicture`, `fynjax render`), or take "
                 "a smaller plot or larger voxels"
             )
+        organs = len(self.species) * len(Organ)
         count, fits = planting.plant.shape[0], self.finer and _holds(grid, self.tuft)
 
         def part(planting: Planting, weight: Array | float = 1.0) -> Array:
             positions, area = self._elements(parameters, planting, crown, standing)
-            classes = planting.optical_class
+            if share is not None:
+                weight = weight * share[planting.optical_class]
+            kind = {
+                "class": planting.optical_class,
+                "organ": planting.species[planting.plant] * len(Organ) + planting.organ,
+                "all": jnp.zeros_like(planting.plant),
+            }[by]
             return deposit(
                 positions,
-                area * weight if share is None else area * weight * share[classes],
-                classes if by_class else jnp.zeros_like(classes),
+                area * weight,
+                kind,
                 grid,
-                len(leafy_species(self.forms)) + 2 if by_class else 1,
+                {"class": len(leafy_species(self.forms)) + 2, "organ": organs, "all": 1}[by],
                 width=self.tuft if fits else None,
                 boundary=boundary,
             )
@@ -665,9 +674,9 @@ class Scene(eqx.Module):
             ground = window.cut(ground) if ground.ndim == 3 else ground
         structure = None
         if self.finer:
-            structure = self._deposit(parameters, finest, by_class=False, window=window)[0]
+            structure = self._deposit(parameters, finest, by="all", window=window)[0]
         return VoxelScene(
-            self._deposit(parameters, grid, by_class=True, window=window),
+            self._deposit(parameters, grid, by="class", window=window),
             classes,
             ground,
             Illumination(light.sun_zenith, light.sun_azimuth, 1.0 - sky, sky, pattern),
@@ -678,6 +687,29 @@ class Scene(eqx.Module):
             terrain=None if terrain is None else columns(terrain),
             structure=structure,
         )
+
+    def voxels_by_organ(self, parameters: PlotParameters, bands: BandSet) -> VoxelScene:
+        """`voxels` whose classes are leaves, wood and flowers of each species, species by species
+        (`Organ`); sun and sight meet the same area. Differentiable in `parameters`."""
+        voxels, leaves = self.voxels(parameters, bands), leafy_species(self.forms)
+        # A species without leaves has no area of them, whatever its class.
+        of_organ = [
+            kind
+            for species in range(len(self.species))
+            for kind in (leaves.get(species, len(leaves)), len(leaves), len(leaves) + 1)
+        ]
+        optics = voxels.classes
+        owner = np.array(of_organ)
+        classes = dataclasses.replace(
+            optics,
+            reflectance=optics.reflectance[owner],
+            transmittance=optics.transmittance[owner],
+            angle_of_class=tuple(optics.angle_of_class[kind] for kind in of_organ),
+            size_of_class=tuple(optics.sizes[kind] for kind in of_organ),
+        )
+        parameters = jax.tree.map(lambda x: jnp.asarray(x, self.dtype), parameters)
+        density = self._deposit(parameters, self.class_grid, by="organ")
+        return dataclasses.replace(voxels, area_density=density, classes=classes)
 
     @property
     def class_grid(self) -> VoxelGrid:

@@ -17,9 +17,10 @@ from typer.testing import CliRunner
 
 import fynjax
 from fynjax import jobs
+from fynjax._core.compiler import known_flags
 from fynjax._core.errors import InputError, MissingExtraError
 from fynjax.cli import app, main
-from fynjax.cli._runtime import _COMPILER, _alone
+from fynjax.cli._runtime import _alone
 from fynjax.io.plot import as_plot, read_plot
 from fynjax.sensors import shipped_lidars, shipped_sensors
 from fynjax.studies import fynbos_2006
@@ -67,7 +68,7 @@ def calls(monkeypatch):
     for name in ("render", "calibrate", "fit_leaf"):
         monkeypatch.setattr(jobs, name, job(name), raising=False)
     monkeypatch.setattr(fynbos_2006, "demo", job("demo"), raising=False)
-    monkeypatch.setattr("fynjax.cli._runtime.prepare_jax", lambda: None)
+    monkeypatch.setattr("fynjax.cli._runtime.keep_compiled", lambda: None)
     return made
 
 
@@ -437,7 +438,7 @@ def test_init_states_means_and_spreads_of_a_prior(capsys, tmp_path, burnt):
 
 def test_the_cache_folder_follows_jax_or_xdg_and_the_compiler_xla_flags(tmp_path):
     code = (
-        "from fynjax.cli._runtime import prepare_jax\nprepare_jax()\nimport jax, os\n"
+        "from fynjax.cli._runtime import keep_compiled\nkeep_compiled()\nimport jax, os\n"
         "print(jax.config.jax_compilation_cache_dir, os.environ['XLA_FLAGS'])\n"
         "jax.numpy.ones(3).sum()"  # flags that the compiler does not know would end it
     )
@@ -446,7 +447,7 @@ def test_the_cache_folder_follows_jax_or_xdg_and_the_compiler_xla_flags(tmp_path
     theirs = "--xla_cpu_enable_fast_math=false"
     for stated, shown in (
         ({"JAX_COMPILATION_CACHE_DIR": str(own), "XLA_FLAGS": theirs}, [str(own), theirs]),
-        ({}, [str(ours), *_COMPILER.split()]),
+        ({}, [str(ours), *known_flags()]),
     ):
         for name in ("JAX_COMPILATION_CACHE_DIR", "XLA_FLAGS"):
             environment.pop(name, None)

@@ -68,7 +68,7 @@ def test_files_of_two_workers_are_those_of_one_process(table, tmp_path, monkeypa
 
 
 def test_an_interrupted_fit_goes_on_and_is_that_of_one_run(table, tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr("fynjax.cli._runtime.prepare_jax", lambda: None)
+    monkeypatch.setattr("fynjax.cli._runtime.keep_compiled", lambda: None)
     jobs.fit_leaf([table], tmp_path / "whole")
     sizes, real = [], LeafChunks.fit
 

@@ -72,3 +72,23 @@ def test_the_page_of_a_render_counts_whole_plants(tmp_path):
     shown = re.search(r"Erica irregularis</td><td>([^<]*)<", page)
     assert shown is not None
     assert shown[1] == str(int(count))
+
+
+def test_the_truth_of_the_pixels_is_written_beside_the_image(tmp_path, monkeypatch):
+    plot = test_simulate.write_plot(tmp_path)
+    render(plot, tmp_path / "out", truth=True)
+    with xr.open_dataset(tmp_path / "out" / "truth.nc") as seen:
+        organs = sum(seen[name] for name in ("live", "dead", "wood", "flowers")).sum("species")
+        np.testing.assert_allclose(organs + seen.sunlit_ground + seen.shaded_ground, 1, atol=1e-5)
+        first = str(seen.species[0].item())
+        expected = np.flipud(seen["live"][0])
+    with rasterio.open(tmp_path / "out" / "truth.tif") as file:
+        assert file.descriptions[0] == f"live: {first}"
+        assert file.descriptions[-2:] == ("ground in the sun", "ground in shade")
+        np.testing.assert_allclose(file.read(1), expected, atol=1e-6)
+    with rasterio.open(tmp_path / "out" / "image.tif") as image:
+        assert image.shape == file.shape
+        assert image.transform == file.transform
+    monkeypatch.setattr("fynjax.jobs._render.is_large", lambda *_: True)
+    with pytest.raises(InputError, match="no truth is written"):
+        render(plot, tmp_path / "again", truth=True)

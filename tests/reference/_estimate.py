@@ -11,7 +11,7 @@ from fynjax._core.errors import InputError
 from fynjax.radiation._rays import RayLattice
 from fynjax.radiation._scene import VoxelScene
 from tests.reference._leaves import Leaves, with_leaves
-from tests.reference._paths import FIXED, backward, forward
+from tests.reference._paths import FIXED, backward, count_first, forward
 from tests.reference._world import World, build_world, plain, towards
 
 _BATCHES = 32
@@ -214,8 +214,29 @@ def _batches(
     return runs.mean(axis=0), runs.std(axis=0, ddof=1) / np.sqrt(_BATCHES)
 
 
+def first_met(
+    scene: VoxelScene, rays: RayLattice | PixelRays, *, samples: int, seed: int
+) -> np.ndarray:
+    """What rays meet first, counted: [class + 2, *pixel], at last ground in the sun and in shade.
+
+    **Arguments:** `scene` with level ground, `rays`, `seed` as for `image`; `samples`: rays of each
+    pixel, from points drawn evenly over it.
+    """
+    _positive("samples", samples)
+    out, shape = _by_pixel(count_first, build_world(scene, 0), rays, samples, seed)
+    return out.reshape(-1, *shape)
+
+
 def _image(world: World, rays: RayLattice | PixelRays, samples: int, seed: int) -> Estimate:
     _positive("samples", samples)
+    out, shape = _by_pixel(backward, world, rays, samples, seed)
+    return Estimate(out[0].reshape(shape), out[1].reshape(shape))
+
+
+def _by_pixel(
+    trace: Any, world: World, rays: RayLattice | PixelRays, samples: int, seed: int
+) -> tuple[np.ndarray, tuple[int, ...]]:
+    """What `trace` gives of each pixel, [result, pixel], and the shape of the pixels."""
     place, place_edges, direction, direction_edges = (
         _lattice_pixels(rays, world.high[2])
         if isinstance(rays, RayLattice)
@@ -228,7 +249,7 @@ def _image(world: World, rays: RayLattice | PixelRays, samples: int, seed: int) 
 
     def part(start: int) -> np.ndarray:
         some = slice(start, start + _PIXELS)
-        return backward(
+        found: np.ndarray = trace(
             world,
             place[some],
             place_edges[some],
@@ -237,9 +258,10 @@ def _image(world: World, rays: RayLattice | PixelRays, samples: int, seed: int) 
             samples,
             seeds[some],
         )
+        return found
 
-    out = np.concatenate(_share(part, range(0, len(place), _PIXELS)), axis=1)
-    return Estimate(out[0].reshape(shape), out[1].reshape(shape))
+    parts = _share(part, range(0, len(place), _PIXELS))
+    return np.concatenate(parts, axis=1), shape
 
 
 def _lattice_pixels(rays: RayLattice, top: float) -> tuple[np.ndarray, ...]:

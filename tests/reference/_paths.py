@@ -15,6 +15,7 @@ from tests.reference._random import (
     unit,
 )
 from tests.reference._trace import (
+    GROUND,
     LEAF,
     SIDE,
     SKY,
@@ -268,6 +269,72 @@ def _path(
     return radiance
 
 
+@compiled
+def _from_pixel(
+    place: np.ndarray,
+    place_edges: np.ndarray,
+    direction: np.ndarray,
+    direction_edges: np.ndarray,
+    state: np.ndarray,
+) -> tuple[Vector, Vector]:
+    """A place and a direction drawn evenly from the parallelograms about a pixel's own."""
+    u, v = uniform(state) - 0.5, uniform(state) - 0.5
+    a, b = place_edges
+    p = (
+        place[0] + u * a[0] + v * b[0],
+        place[1] + u * a[1] + v * b[1],
+        place[2] + u * a[2] + v * b[2],
+    )
+    a, b = direction_edges
+    d = unit(
+        direction[0] + u * a[0] + v * b[0],
+        direction[1] + u * a[1] + v * b[1],
+        direction[2] + u * a[2] + v * b[2],
+    )
+    return p, d
+
+
+@compiled_with_arrays
+def count_first(
+    world: World,
+    place: np.ndarray,
+    place_edges: np.ndarray,
+    direction: np.ndarray,
+    direction_edges: np.ndarray,
+    samples: int,
+    seeds: np.ndarray,
+) -> np.ndarray:
+    """Of `samples` rays of each pixel the share that first meets each class of leaves, ground that
+    a ray to the sun leaves, and ground that it does not: [class + 2, pixel]."""
+    medium, count = world.medium, world.medium.area.shape[3]
+    out = np.zeros((count + 2, place.shape[0]))
+    state, g = np.empty(1, np.uint64), np.empty(medium.projection.shape[0])
+    for pixel in range(place.shape[0]):
+        state[0] = seeds[pixel]
+        for _ in range(samples):
+            p, d = _from_pixel(
+                place[pixel], place_edges[pixel], direction[pixel], direction_edges[pixel], state
+            )
+            met = trace_path(world, p, d, -math.log(1.0 - uniform(state)), g)
+            if met[0] == LEAF:
+                k, j, i = met[4], met[5], met[6]
+                whole = 0.0
+                for c in range(count):
+                    whole += medium.area[k, j, i, c] * g[medium.angle_of_class[c]]
+                left, c = whole * uniform(state), 0
+                while c < count - 1:
+                    left -= medium.area[k, j, i, c] * g[medium.angle_of_class[c]]
+                    if left < 0.0:
+                        break
+                    c += 1
+                out[c, pixel] += 1.0 / samples
+            elif met[0] == GROUND:
+                at = met[1], met[2], 0.0
+                shaded = uniform(state) > transmittance(world, at, world.light.sunward, g)
+                out[count + (1 if shaded else 0), pixel] += 1.0 / samples
+    return out
+
+
 @compiled_with_arrays
 def backward(
     world: World,
@@ -291,19 +358,8 @@ def backward(
         state[0] = seeds[pixel]
         mean, square = 0.0, 0.0
         for sample in range(samples):
-            u, v = uniform(state) - 0.5, uniform(state) - 0.5
-            at, along = place[pixel], direction[pixel]
-            a, b = place_edges[pixel, 0], place_edges[pixel, 1]
-            p = (
-                at[0] + u * a[0] + v * b[0],
-                at[1] + u * a[1] + v * b[1],
-                at[2] + u * a[2] + v * b[2],
-            )
-            a, b = direction_edges[pixel, 0], direction_edges[pixel, 1]
-            d = unit(
-                along[0] + u * a[0] + v * b[0],
-                along[1] + u * a[1] + v * b[1],
-                along[2] + u * a[2] + v * b[2],
+            p, d = _from_pixel(
+                place[pixel], place_edges[pixel], direction[pixel], direction_edges[pixel], state
             )
             value = _path(world, p, d, g, g_sun, state)
             change = value - mean

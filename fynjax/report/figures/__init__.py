@@ -9,7 +9,13 @@ from fynjax.report.figures._fit import (
     parameter_plot,
     spectrum_plot,
 )
-from fynjax.report.figures._image import composites, index_histograms, layer_map, residual_maps
+from fynjax.report.figures._image import (
+    composites,
+    index_histograms,
+    layer_map,
+    residual_maps,
+    species_map,
+)
 from fynjax.report.figures._leaf import leaf_fit_figure
 from fynjax.report.figures._lidar import height_profiles, side_view
 from fynjax.report.figures._maps import maps_figure, pixels_figure
@@ -96,6 +102,7 @@ __all__ = [
     "short_name",
     "side_view",
     "species_colours",
+    "species_map",
     "spectra_plot",
     "spectrometer_index_bars",
     "spectrum_figure",

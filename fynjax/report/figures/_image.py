@@ -12,8 +12,10 @@ import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.patches import Patch
 from numpy.typing import ArrayLike, NDArray
 
+from fynjax.report.figures._scene import rgb, species_colours
 from fynjax.report.figures._style import AFTER, BEFORE, REAL, style, words
 
 _COMPOSITES: dict[str, tuple[tuple[str, str, str], str]] = {
@@ -28,6 +30,8 @@ _TRUE_COLOUR = ("red", "green", "blue"), "True colour: red, green and blue are t
 _LARGEST, _TOGETHER = 6.2, 9.2
 """Width of a picture that stands alone, and of all that stand side by side [inches]; a page is 9.4
 wide."""
+_NAMED = 20
+"""Most species that a legend names."""
 _LETTERS = 18.5
 """Letters of a caption to an inch."""
 
@@ -158,6 +162,44 @@ def layer_map(layers: Mapping[str, ArrayLike], what: str, *, pixel_m: float) -> 
             drawn, ax=list(grid), location="bottom", shrink=0.9 / len(values), extend="both"
         )
         bar.set_label(f"{what}, 1st to 99th percentile. North up.", fontsize=7.5)
+    return figure
+
+
+def species_map(
+    place: ArrayLike, share: ArrayLike, taxa: Sequence[str], forms: Sequence[str], *, pixel_m: float
+) -> Figure:
+    """The species that leads in each pixel, in its colour, the paler the smaller its share.
+
+    **Arguments:**
+
+    - `place`: [y, x] with y to the north, place of the leading species in `taxa`; -1 for none.
+    - `share`: [y, x], share of the pixel that it has [-].
+    - `taxa`, `forms`: names of the species and their growth forms.
+    - `pixel_m`: side of a pixel [m].
+    """
+    place, share = np.asarray(place), np.asarray(share, float)
+    colours = species_colours(forms)
+    tint = np.array([rgb(colour) for colour in colours] + [np.ones(3)])
+    image = 1.0 - share[..., None] * (1.0 - tint[place])
+    by_pixels = np.bincount(place[place >= 0], minlength=len(taxa))
+    shown = [i for i in np.argsort(-by_pixels) if by_pixels[i]][:_NAMED]
+    height, width = (n * pixel_m for n in place.shape)
+    with style():
+        figure = Figure(figsize=(_LARGEST + 2.6, _LARGEST + 0.4))
+        axes = figure.subplots()
+        axes.imshow(
+            np.clip(image, 0.0, 1.0),
+            origin="lower",
+            extent=(0, width, 0, height),
+            interpolation="nearest",
+        )
+        axes.set(title="Leading species of each pixel, paler the less of it", xticks=[], yticks=[])
+        _scale_bar(axes, width)
+        handles = [
+            Patch(facecolor=colours[i], label=f"{taxa[i]} ({by_pixels[i] / place.size:.0%})")
+            for i in shown
+        ]
+        figure.legend(handles=handles, loc="outside right upper", title="leads in pixels")
     return figure
 
 
