@@ -26,6 +26,7 @@ PACKAGES = (
     "fynjax.canopy.mesh",
     "fynjax.metrics",
     "fynjax.metrics.structure",
+    "fynjax.diversity",
     "fynjax.radiation",
     "fynjax.sensors",
     "fynjax.sensors.air",

@@ -1,6 +1,7 @@
 from . import assembly as assembly
 from . import canopy as canopy
 from . import compare as compare
+from . import diversity as diversity
 from . import errors as errors
 from . import inversion as inversion
 from . import io as io
@@ -37,6 +38,8 @@ from .leaf import fit_leaf as fit_leaf
 from .leaf import prospect as prospect
 from .radiation import canopy_albedo as canopy_albedo
 from .radiation import canopy_reflectance as canopy_reflectance
+from .report.figures import corner as corner
+from .report.figures import photo as photo
 from .scene import Placement as Placement
 from .scene import Scene as Scene
 from .scene import observe as observe

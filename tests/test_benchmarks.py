@@ -12,8 +12,9 @@ from tests import benchmarks
 
 FOLDER = Path(benchmarks.__file__).parent
 NAMES = sorted(path.stem for path in FOLDER.glob("*.py") if path.stem[0] != "_")
-SLOW = {"bench_workers", "known_plants", "map_plots", "table_2006", "twins"}
-"""More than 20 s."""
+LONG = {"bench_demo", "bench_workers", "journeys", "known_plants", "map_plots", "table_2006",
+        "table_gpu", "table_radiation", "table_slopes", "twins"}  # fmt: skip
+"""More than 12 s, run with the studies; imported in the check too."""
 FIGURES = {
     "bench_bands": (r"worst mean (\S+) %", 0.0, 0.1),
     "table_canopy": (r"fynjax / 32 streams +nir +\S+ +(\S+)", 0.0, 0.1),
@@ -24,7 +25,7 @@ FIGURES = {
 
 @pytest.mark.filterwarnings("ignore::UserWarning")  # of what the data themselves lack
 @pytest.mark.parametrize(
-    "name", [pytest.param(n, marks=[pytest.mark.slow] * (n in SLOW)) for n in NAMES]
+    "name", [pytest.param(n, marks=[pytest.mark.study] * (n in LONG)) for n in NAMES]
 )
 def test_it_runs_and_prints_numbers(name, request, tmp_path, monkeypatch, capsys):
     if re.search("data_folder|bioscape_plots", (FOLDER / f"{name}.py").read_text("utf-8")):

@@ -19,6 +19,7 @@ COMPLETE = (
     "fynjax.assembly",
     "fynjax.canopy",
     "fynjax.compare",
+    "fynjax.diversity",
     "fynjax.inversion",
     "fynjax.io",
     "fynjax.jobs",

@@ -240,6 +240,23 @@ def test_free_parameters_take_a_learned_prior(scene):
     assert float(stated.prior_sd[0]) == pytest.approx(0.1 * 0.3)
 
 
+def test_what_one_eye_guessed_is_wrong_together(scene):
+    """Priors of one kind hang together, those of another do not; the bounds and widths stay."""
+    patterns = "species.*.cover", "ground.brightness"
+    apart, together = (fx.free(scene, *patterns, common=common) for common in (None, 0.9))
+    np.testing.assert_array_equal(apart.prior_sd, together.prior_sd)
+    drawn = np.random.default_rng(0).normal(size=(4000, 3))
+    values = np.log(jax.vmap(together.physical)(jnp.asarray(drawn)))
+    correlation = np.corrcoef(values.T)
+    names = list(together.names)
+    first, second, soil = (names.index(n) for n in names)
+    assert names[:2] == ["species.Erica.cover", "species.Restio.cover"]
+    assert correlation[first, second] == pytest.approx(0.9, abs=0.03)
+    assert abs(correlation[first, soil]) < 0.05
+    with pytest.raises(InputError, match="positive definite"):
+        fx.free(scene, *patterns, common=1.0)
+
+
 @pytest.fixture(scope="module")
 def drone(scene, tmp_path_factory):
     """The image of a denser plot, as a GeoTIFF."""
@@ -318,7 +335,7 @@ def test_plants_of_another_chance_stand_elsewhere(scene):
         dataclasses.replace(scene, shaped=True).replanted(1)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_a_scene_is_fitted_to_an_image_and_sampled(scene, drone):
     free = fx.free(scene, "species.*.cover", "species.*.leaf.chlorophyll")
     data = fx.Data.from_image(drone, "mavic_3m", statistics=("*.mean",), gains=Gains(0.01))

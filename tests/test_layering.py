@@ -18,6 +18,7 @@ ROAD = (
     "leaf",
     "canopy",
     "metrics",
+    "diversity",
     "radiation",
     "sensors",
     "scene",

@@ -11,6 +11,15 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.py"))
+FRONT_DOOR = (
+    "01_leaf_spectra",
+    "02_calibrate_by_gradient",
+    "03_sensitivity",
+    "06_how_sure",
+)
+"""Notebooks that use of fynjax what `import fynjax as fx` gives, and are short."""
+LONGEST = 70
+"""Lines of code that a notebook has at most."""
 by_name = pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 
 
@@ -36,11 +45,12 @@ def test_files_to_take_are_named_in_the_first_cell(path: Path) -> None:
     first, *rest = [
         c.source for c in jupytext.read(path, fmt="py:percent").cells if c.cell_type == "code"
     ]
-    for settings in ("PLOT", "TABLE", "SPECTRUM"):
+    kinds = ("PLOT", "TABLE", "SPECTRUM", "FOLDER", "IMAGE")
+    for settings in ("PLOT", "TABLE", "SPECTRUM", "FOLDER"):
         assert not any(f"\n{settings} =" in f"\n{source}" for source in rest)
     if path.stem != "08_swir2":  # which is about one article's plot
         assert not any("example_folder()" in source for source in rest)
-        assert any(f"\n{settings} =" in f"\n{first}" for settings in ("PLOT", "TABLE", "SPECTRUM"))
+        assert any(f"\n{settings} =" in f"\n{first}" for settings in kinds)
 
 
 @by_name
@@ -52,6 +62,21 @@ def test_notebook_tells_a_story_in_the_public_interface(path: Path) -> None:
         if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("fynjax"):
             assert "._" not in (node.module or ""), f"{node.module} is private"
             assert not any(alias.name.startswith("_") for alias in node.names)
+
+
+@pytest.mark.parametrize("name", FRONT_DOOR)
+def test_of_fynjax_a_notebook_imports_the_front_door_alone(name: str) -> None:
+    cells = jupytext.read(ROOT / "notebooks" / f"{name}.py", fmt="py:percent").cells
+    code = [c.source for c in cells if c.cell_type == "code"]
+    imported = []
+    for node in ast.walk(ast.parse("\n".join(code))):
+        if isinstance(node, ast.Import):
+            imported += [(a.name, a.asname) for a in node.names if a.name.startswith("fynjax")]
+        elif isinstance(node, ast.ImportFrom):
+            assert not (node.module or "").startswith("fynjax")
+    assert set(imported) == {("fynjax", "fx")}
+    lines = [line for source in code for line in source.splitlines() if line.strip()]
+    assert sum(not line.lstrip().startswith("#") for line in lines) <= LONGEST
 
 
 @pytest.mark.slow

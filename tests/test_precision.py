@@ -21,7 +21,9 @@ from fynjax._core.parts import Pool
 from fynjax.canopy import leaf_angle, table1_2006
 from fynjax.errors import InputError
 from fynjax.inversion import (
+    AbstractView,
     CalibrationSettings,
+    Data,
     LogPosterior,
     PosteriorSampler,
     derivative_measures,
@@ -124,6 +126,18 @@ class Curve(eqx.Module):
         return jnp.exp(0.1 * x[0] + x[1] * jnp.array([0.0, 0.1, 0.2]))
 
 
+class Crowns(AbstractView):
+    """A number of a plot that needs no light."""
+
+    names: tuple[str, ...] = eqx.field(static=True, default=("a",))
+
+    def observe(self, scene: fx.Scene, parameters: Any) -> tuple[None, jax.Array]:
+        return None, parameters.species.cover * parameters.species.height
+
+    def for_search(self, scene: fx.Scene, accuracy: Any, stride: int) -> "Crowns":
+        return self
+
+
 def data(value: Any) -> fx.Data:
     return fx.Data(("a", "b", "c"), value, np.full(3, 0.1))
 
@@ -162,6 +176,12 @@ def fits(lines: Lines) -> None:
     lines(
         "own loop", lambda: space.physical(optx.least_squares(residual, solver, jnp.zeros(2)).value)
     )
+    plot, settings = scene(), CalibrationSettings(stand_realisations=2, scatter_draws=6)
+    crowns = fx.Data._of(Data(("a",), np.array([0.25]), np.array([0.02])), (lambda *_: Crowns(),))
+    found = lines("plot", lambda: fx.fit(
+        plot, crowns, fx.free(plot, "species.*.cover"), settings=settings), "spread")  # fmt: skip
+    lines("fit of the plot", lambda: found.fit, "estimate", "sd")
+    lines("drawn", lambda: fx.sample(found, "laplace", target=50.0), "values")
     rows = [f"{w:g},{r:.5f}" for w, r in zip(grid, spectrum, strict=True)]
     Path("leaf.csv").write_text("\n".join(["wavelength,leaf", *rows]), "utf-8")
     lines("job", lambda: fx.jobs.fit_leaf(["leaf.csv"], "fitted"), "seed")
@@ -207,10 +227,11 @@ def test_fits_are_computed_in_64_bits(tmp_path, monkeypatch):
         whole = name in ("leaf", "traits", "space", "job", "measures")
         same(name, both, rtol=1e-9 if whole else 2e-5, atol=1e-12 if whole else 1e-6)
     assert narrow["traits"]["chlorophyll"].dtype == narrow["fit"]["estimate"].dtype == np.float64
+    assert narrow["fit of the plot"]["estimate"].dtype == np.float64
     assert narrow["traits.csv"] == wide["traits.csv"]
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_a_plot_and_a_canopy_are_fitted_in_32_bits(tmp_path):
     both = in_both(plots, tmp_path)
     for name in both[0]:

@@ -46,7 +46,7 @@ def test_a_scene_from_a_table_is_seen_by_a_drone(tmp_path: Path) -> None:
     assert 0 < green < red < red_edge < nir < 0.6  # much soil between few plants
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_gradients_and_leaves_of_the_page_on_python(tmp_path: Path) -> None:
     names = run("".join(blocks("python", PYTHON)[:3]), tmp_path)
     assert names["slope"].species.cover.shape == (2,)

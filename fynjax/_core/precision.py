@@ -4,8 +4,8 @@ JAX makes float32 of everything unless its user sets `jax_enable_x64`. No import
 fynjax sets it, and none leaves it changed.
 
 - What computes forward (`prospect`, `Scene`, `observe`, and all of `fynjax.canopy`,
-  `fynjax.radiation`, `fynjax.sensors` and `fynjax.metrics`) takes the precision of its arrays,
-  light that of the scene, which is float32 (`build_scene` takes another `dtype`).
+  `fynjax.radiation`, `fynjax.sensors`, `fynjax.metrics` and `fynjax.diversity`) takes the precision
+  of its arrays, light that of the scene, which is float32 (`build_scene` takes another `dtype`).
 - What would lose small differences of large numbers (fits, posteriors, populations, planting, a
   camera's radiometry) and the functions of `fynjax.jobs` and `fynjax.studies` compute in 64 bits
   whatever the process has: they enter `jax.enable_x64(True)` and leave it (`double_precision`). In

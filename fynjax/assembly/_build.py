@@ -53,6 +53,7 @@ def build_plot(
     seed: int | None = None,
     counts: Float[np.ndarray, "*draw species"] | None = None,
     rounding: Literal["up", "random"] = "up",
+    dtype: str = "float32",
 ) -> tuple[Scene, PlotParameters]:
     """The scene of a plot and its parameters as the files state them.
 
@@ -66,6 +67,7 @@ def build_plot(
       the species table find them in any case, and those of a table of parameters.
     - `rounding`: of the number of plants: "up" as eq. (10) has it, or "random", whose mean over
       plantings is the real number, as a fit to a measurement means it.
+    - `dtype`: floating type that the scene is computed in, "float32" or "float64".
 
     **Raises:** `InputError` for a spectrum or map that cannot be used, and where the plants find no
     room on the plot or in memory.
@@ -108,6 +110,7 @@ def build_plot(
         sky_pattern=None if plot.sky.pattern is None else read_sky_pattern(plot.sky.pattern),
         plants=[None if plant is None else plant.plant for plant in plants],
         crowns=plot.known_crowns,
+        dtype=dtype,
     )
     scene = plant(rules=rules)
     if plot.parameters is not None:

@@ -43,7 +43,7 @@ from fynjax.inversion import (
 )
 from fynjax.inversion import fit as fit_function
 from fynjax.io.instruments import load_instrument
-from fynjax.io.plot import BY_FORM, LearnedPrior, read_plot, read_prior
+from fynjax.io.plot import BY_FORM, LearnedPrior, example_folder, read_plot, read_prior
 from fynjax.io.text import read_rows
 from fynjax.metrics import BANDS
 from fynjax.scene import (
@@ -57,45 +57,54 @@ from fynjax.scene import (
 )
 from fynjax.sensors import ASSUMED, Gains, Lidar, Sensor
 
+_OF_A_TABLE = "size", "voxel", "structure"
+"""Options of `Scene.from_table` that a plot file has with their unit in the name (`size_m`)."""
 View = Callable[[Scene, PlotParameters], AbstractView]
 """Makes a sensor's view of a scene."""
 
 
 def read_scene(
-    path: str | Path,
+    path: str | Path | None = None,
     *,
     seed: int | None = None,
     rounding: Literal["random", "up"] = "random",
+    dtype: str = "float32",
     **options: Any,
 ) -> Scene:
     """A scene with its parameters from a file: of a plot file, or of a species table.
 
     **Arguments:**
 
-    - `path`: a plot file, the folder of one (`plot.toml`), or a species table (CSV).
+    - `path`: a plot file, the folder of one (`plot.toml`), or a species table (CSV); left out, the
+      shipped plot burnt in 2006.
     - `seed`: of everything random; that of the plot file by default, of a table 0.
     - `rounding`: of the numbers of plants, see `PlantingRules`; the commands `render`, `build` and
       `simulate` round "up".
-    - `options`: of a table those of `Scene.from_table`, of which `size` is needed; of a plot file
-      values in place of its own, as the fields of `fynjax.io.plot.Plot` (`size_m=(5.0, 5.0)`).
+    - `dtype`: floating type that the scene is computed in, "float32" or "float64".
+    - `options`: `size`, `voxel` and `structure` as of `Scene.from_table`; of a table `size` is
+      needed, and the others there may be given too; of a plot file they are in place of its own, as
+      any field of `fynjax.io.plot.Plot`.
 
     **Raises:** `InputError` as `fynjax.io.plot.read_plot`, `build_plot` and `Scene.from_table`, and
     for a table without `size`; `TypeError` for an option that there is not.
 
     >>> import fynjax as fx
-    >>> from fynjax.io.plot import example_folder
-    >>> scene = fx.read_scene(example_folder(), size_m=(2.0, 2.0), structure_m="even")
+    >>> scene = fx.read_scene(size=2.0, structure="even")  # or "species.csv", "plot.toml"
     >>> len(scene.taxa), scene.grid.shape[:2]
     (13, (20, 20))
     """
-    path = Path(path)
+    path = example_folder() if path is None else Path(path)
     if path.is_dir() or path.suffix.lower() == ".toml":
-        plot = read_plot(path / "plot.toml" if path.is_dir() else path).replace(**options)
-        return build_plot(plot, seed=seed, rounding=rounding)[0]
+        if isinstance(side := options.get("size"), int | float):
+            options["size"] = side, side
+        fields = {f"{k}_m" if k in _OF_A_TABLE else k: value for k, value in options.items()}
+        plot = read_plot(path / "plot.toml" if path.is_dir() else path).replace(**fields)
+        return build_plot(plot, seed=seed, rounding=rounding, dtype=dtype)[0]
     if "size" not in options:
         raise InputError("expected the `size` of the plot [m] with a species table", file=path)
     rows = [row for _, row in read_rows(path, SpeciesRow, "a species table")]
-    return Scene.from_table(rows, seed=0 if seed is None else seed, rounding=rounding, **options)
+    seed = 0 if seed is None else seed
+    return Scene.from_table(rows, seed=seed, rounding=rounding, dtype=dtype, **options)
 
 
 class PlotData(Data):
@@ -342,6 +351,7 @@ def free(
     scene: Scene,
     *patterns: str,
     prior: LearnedPrior | Mapping[str, float] | None = None,
+    common: float | None = None,
 ) -> ParameterSpace:
     """The parameters of a scene that a fit may change, with priors about their present values.
 
@@ -352,6 +362,9 @@ def free(
     - `prior`: relative standard deviations by pattern [-], the first that fits a name, or a learned
       population (`fx.prior`), which says how leaf area, dead tissue and clumping vary; of all
       others that of the parameter's record.
+    - `common`: how far what the table is off by is common to all species, as the correlation of
+      their priors of one kind, 0 to below 1 [-]: near 1 where one eye guessed all covers. Left out,
+      as the parameters' records have it: none of covers.
 
     **Raises:** `InputError` for a pattern that fits no name, and a parameter that cannot be free.
 
@@ -382,7 +395,7 @@ def free(
             return prior.sd(f"{kind}.{form}", elsewhere=True) / float(values[name])
         return next((sd for pattern, sd in stated.items() if fnmatchcase(name, pattern)), None)
 
-    return free_space(scene, scene.parameters, patterns, relative_sd)
+    return free_space(scene, scene.parameters, patterns, relative_sd, common=common)
 
 
 @double_precision

@@ -42,6 +42,7 @@ from fynjax.scene import (
     element_count,
     fitted_accuracy,
     named_values,
+    parameter_kind,
 )
 
 if TYPE_CHECKING:
@@ -170,6 +171,8 @@ def free_space(
     parameters: PlotParameters,
     free: Sequence[str],
     relative_sd: Callable[[str], float | None],
+    *,
+    common: float | None = None,
 ) -> ParameterSpace:
     """The free parameters of a plot by name pattern, with priors about their present values.
 
@@ -184,11 +187,13 @@ def free_space(
     - `free`: patterns of names, such as "species.*.cover".
     - `relative_sd`: gives the prior's standard deviation over its centre by name [-], or None for
       that of the parameter's record.
+    - `common`: correlation of the priors of parameters of one kind, such as the covers of all
+      species [-]; left out, that of the parameters' records (`make_space`).
 
     **Returns:** `ParameterSpace`.
 
-    **Raises:** `InputError` for a pattern that fits no name, a parameter that cannot be free, and a
-    value outside its bounds.
+    **Raises:** `InputError` for a pattern that fits no name, a parameter that cannot be free, a
+    value outside its bounds, and a `common` of 1 or more.
     """
     values = {k: float(v) for k, v in named_values(parameters, scene.taxa).items()}
     chosen = [
@@ -196,7 +201,13 @@ def free_space(
         for name in match_names(list(values), free)
         if not _without_effect(name, scene, parameters)
     ]
-    return make_space({n: values[n] for n in chosen}, {n: relative_sd(n) for n in chosen})
+    correlation = None
+    if common is not None:
+        kinds = np.array([parameter_kind(name) for name in chosen])
+        correlation = np.where(np.equal.outer(kinds, kinds), common, 0.0)
+        np.fill_diagonal(correlation, 1.0)
+    relative = {n: relative_sd(n) for n in chosen}
+    return make_space({n: values[n] for n in chosen}, relative, correlation)
 
 
 def _without_effect(name: str, scene: Scene, parameters: PlotParameters) -> bool:

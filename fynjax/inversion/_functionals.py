@@ -78,6 +78,17 @@ _ROUNDING = 1e-12
 Functionals = tuple[Callable[[Scene, PlotParameters], Float[Array, ""]], ...]
 
 
+def stand_values(
+    scene: Scene, parameters: PlotParameters | None = None
+) -> dict[str, Float[Array, ""]]:
+    """Each of `STAND_FUNCTIONALS` by name, in its unit. Differentiable in the parameters.
+
+    **Arguments:** `scene`; `parameters` in place of its own.
+    """
+    plot = scene.parameters if parameters is None else parameters
+    return {name: one.value(scene, plot) for name, one in STAND_FUNCTIONALS.items()}
+
+
 def _at(
     scene: Scene,
     parameters: PlotParameters,
@@ -110,20 +121,6 @@ def _slopes(
 ) -> tuple[Float[Array, " functional"], Float[Array, "functional free"]]:
     function = lambda u: _at(scene, parameters, space, u, values)  # noqa: E731
     return function(u), jax.jacrev(function)(u)
-
-
-@double_precision
-def stand_values(
-    scene: Scene,
-    parameters: PlotParameters,
-    space: Any,
-    u: Float[np.ndarray, " free"],
-    functionals: Mapping[str, Functional] = STAND_FUNCTIONALS,
-) -> Float[np.ndarray, " functional"]:
-    """The `functionals` of a plot at whitened coordinates `u` of its free parameters, expected over
-    the number of plants."""
-    values = tuple(one.value for one in functionals.values())
-    return np.asarray(_draws(scene, parameters, space, jnp.asarray(u)[None], values), float)[0]
 
 
 @double_precision

@@ -416,7 +416,11 @@ _ROUNDING = 1e-6
 """A value so near its bound lies on it [usual range]."""
 
 
-def make_space(values: dict[str, float], relative_sd: Mapping[str, float | None]) -> ParameterSpace:
+def make_space(
+    values: dict[str, float],
+    relative_sd: Mapping[str, float | None],
+    correlation: Float[np.ndarray, "free free"] | None = None,
+) -> ParameterSpace:
     """The space of the parameters in `values`, within the bounds of `fynjax.scene.PARAMETERS`.
 
     A prior has the distribution of its parameter's record, its median at the value and the stated
@@ -433,9 +437,10 @@ def make_space(values: dict[str, float], relative_sd: Mapping[str, float | None]
     - `values`: the prior's median by name, in the parameters' own units, within the bounds.
     - `relative_sd`: the prior's standard deviation over its median by name, positive [-]; None
       takes that of the parameter's record.
+    - `correlation`: of the priors; left out, what a prior of a trait is off by is partly common to
+      the species of a plot (`Parameter.shared`).
 
-    **Returns:** `ParameterSpace`, its parameters in the order of `values`. What a prior of a trait
-    is off by is partly common to the species of a plot (`Parameter.shared`).
+    **Returns:** `ParameterSpace`, its parameters in the order of `values`.
 
     **Raises:** `InputError` for a value outside its bounds, and a parameter that has no prior.
     """
@@ -464,9 +469,9 @@ def make_space(values: dict[str, float], relative_sd: Mapping[str, float | None]
             stacklevel=2,
         )
     limits = np.asarray(columns, float).reshape(-1, 4)
-    return ParameterSpace(
-        tuple(values), *limits.T, distribution=kinds, correlation=_correlation(list(values))
-    )
+    if correlation is None:
+        correlation = _correlation(list(values))
+    return ParameterSpace(tuple(values), *limits.T, distribution=kinds, correlation=correlation)
 
 
 def _correlation(names: Sequence[str]) -> Float[np.ndarray, "free free"] | None:

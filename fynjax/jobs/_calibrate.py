@@ -50,7 +50,7 @@ from fynjax.jobs._render import check_finite, write_image
 from fynjax.jobs._result import JobResult, Number, ParameterSummary, Record, StatisticSummary
 from fynjax.jobs._run import Run
 from fynjax.report.pages import Page
-from fynjax.scene import PlotParameters, Scene
+from fynjax.scene import PlotParameters, Scene, with_values
 
 
 class TargetSummary(Record):
@@ -252,8 +252,11 @@ def calibrate_to(
     stand, parameters_of_fit = result.stand(), parameter_table(result)
     truth = []
     if known is not None:
-        stand["truth"] = stand_values(result.scene, result.before, result.fit.space, known.whitened)
-        truth_of = {"truth": result.fit.space.physical(jnp.asarray(known.whitened))}
+        space, scene = result.fit.space, result.scene
+        u = jnp.asarray(known.whitened)
+        there = with_values(result.before, scene.taxa, space.named(u))
+        stand["truth"] = [float(value) for value in stand_values(scene.faded(), there).values()]
+        truth_of = {"truth": space.physical(u)}
         parameters_of_fit["truth"] = parameter_columns(result.fit.names, truth_of)["truth"]
         truth = [twin_sentence(result, known, stand, parameters_of_fit)]
     tables = stand, parameters_of_fit, (statistics := statistic_table(result, reference))

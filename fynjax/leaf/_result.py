@@ -277,6 +277,45 @@ class LeafFit(eqx.Module):
                 panel.legend(frameon=False, fontsize=8)
         return panels
 
+    def plot_traits(self, laboratory: pd.DataFrame) -> Any:
+        """Draw traits with their 90 % intervals against what a laboratory measured of the leaves.
+
+        **Arguments:** `laboratory`, a row for each leaf by its label, a column for each trait by
+        the parameter's name and in its unit (`table().attrs["units"]`); NaN where not measured.
+
+        **Returns:** the axes, one of each trait, in a new figure. Titles say how many of the
+        laboratory's values lie within the intervals.
+
+        **Raises:** `InputError` for a table without any of the traits, or of no leaf of the fit.
+        """
+        names = [name for name in self.names if name in laboratory]
+        known = laboratory[names].reindex(self.labels)
+        if not names or known.isna().all(axis=None):
+            raise InputError(
+                f"expected rows such as {self.labels[0]!r} with columns such as {self.names[1]!r}, "
+                f"but the laboratory's table has rows {list(laboratory.index)[:3]} and columns "
+                f"{list(laboratory.columns)[:3]}"
+            )
+        blank = pd.DataFrame(np.nan, [0.0], names)  # makes a figure of as many panels
+        size = (2.8 * len(names), 3.0)
+        options: dict[str, Any] = {"layout": (1, len(names)), "sharex": False, "figsize": size}
+        panels = list(blank.plot(subplots=True, legend=False, **options).ravel())
+        table, units = self.table(), self.table().attrs["units"]
+        for name, panel in zip(names, panels, strict=True):
+            panel.lines[0].remove()
+            low, high = (table[f"{name}_{end}90"].to_numpy() for end in ("lower", "upper"))
+            found, truth = table[name].to_numpy(), known[name].to_numpy(float)
+            panel.errorbar(truth, found, yerr=[found - low, high - found], fmt="o", ms=4)
+            panel.axline((0.0, 0.0), slope=1.0, color="0.6", lw=0.8)
+            inside, count = int(((low <= truth) & (truth <= high)).sum()), np.isfinite(truth).sum()
+            panel.set(
+                xlim=(0, None), ylim=(0, None), xlabel=f"laboratory [{units[name]}]",
+                title=f"{name.replace('_', ' ')}\n{inside} of {count} within 90 %",
+            )  # fmt: skip
+        panels[0].set_ylabel("fitted")
+        panels[0].figure.set_layout_engine("constrained")
+        return panels
+
     def _place(self, leaf: str | int) -> int:
         if isinstance(leaf, str) and leaf in self.labels:
             return self.labels.index(leaf)

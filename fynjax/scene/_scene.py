@@ -318,21 +318,31 @@ class Scene(eqx.Module):
         **Raises:** `InputError` for a name that the scene does not have, and for a number out of
         its parameter's bounds.
         """
-        known = named_values(self.parameters, self.taxa)
-        changed: dict[str, Array] = {}
+        known, changed = named_values(self.parameters, self.taxa), {}
         for pattern, value in values.items():
-            names = [name for name in known if fnmatchcase(name, pattern)]
-            if not names:
-                raise InputError(
-                    f"{pattern!r} fits none of the scene's parameters."
-                    f"{did_you_mean(pattern, known)}"
-                )
-            for name in names:
+            for name in _fitting(pattern, known):
                 if not isinstance(value, jax.core.Tracer):
                     PARAMETERS[parameter_kind(name)].check(float(value), name)
                 changed[name] = jnp.asarray(value, known[name].dtype)
         return dataclasses.replace(
             self, parameters=with_values(self.parameters, self.taxa, changed)
+        )
+
+    def scaled(self, factors: Mapping[str, float | Array]) -> "Scene":
+        """The same plants with parameters that are so many times what they were.
+
+        **Arguments:** `factors` by name or by a pattern such as "species.*.cover" [-], else as
+        `with_values`. Differentiable in the factors.
+
+        **Raises:** `InputError` as `with_values`.
+        """
+        known = named_values(self.parameters, self.taxa)
+        return self.with_values(
+            {
+                name: factor * known[name]
+                for pattern, factor in factors.items()
+                for name in _fitting(pattern, known)
+            }
         )
 
     def __str__(self) -> str:
@@ -763,6 +773,16 @@ class Scene(eqx.Module):
         ground = parameters.ground
         mixed = ground.brightness * ((1 - ground.moisture) * dry + ground.moisture * wet)
         return jnp.concatenate([mixed[None], covers])
+
+
+def _fitting(pattern: str, known: Mapping[str, Any]) -> list[str]:
+    """Names that a pattern fits. Raises `InputError` where there are none."""
+    names = [name for name in known if fnmatchcase(name, pattern)]
+    if not names:
+        raise InputError(
+            f"{pattern!r} fits none of the scene's parameters.{did_you_mean(pattern, known)}"
+        )
+    return names
 
 
 def ground_at(scene: Scene, foot: Float[Array, "plant 2"]) -> Float[Array, " plant"]:

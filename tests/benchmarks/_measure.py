@@ -40,10 +40,10 @@ def bioscape_plots() -> tuple[Path, list[BioscapePlot], dict[str, PlotSpectra]]:
 
 
 def example_plot(size: float, tiny: bool = False, **changes: Any) -> Plot:
-    """The shipped plot with another side [m]; of its first two species alone where `tiny`."""
-    plot = read_plot(example_folder() / "plot.toml")
-    species = plot.species[:2] if tiny else plot.species
-    return plot.replace(size_m=(size, size), species=species, **changes)
+    """The shipped plot with another side [m]; where `tiny`, of its first two species alone, in
+    voxels filled evenly."""
+    plot = read_plot(example_folder() / "plot.toml").replace(size_m=(size, size), **changes)
+    return plot.replace(species=plot.species[:2], structure_m="even") if tiny else plot
 
 
 def seconds(call: Callable[[], Any], repeats: int = 3) -> tuple[Any, float, float]:

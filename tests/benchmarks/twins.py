@@ -133,12 +133,14 @@ def weigh(plot, view, value, share):
     return weigh_spectrum(view.names, value, share, noise=noise)
 
 
-def view_of(sensor, ready):
+def view_of(sensor, ready, tiny):
     """Of the drone's camera, AVIRIS-NG in some thirty clear bands, or a LiDAR."""
     plot = ready.plot
     if sensor == "image":
         statistics = [n for n in IMAGE_STATISTICS if "160cm" not in n or min(plot.size_m) >= 5]
-        return image_view(plot, ready.scene, ready.parameters, tuple(statistics))
+        return image_view(
+            plot, ready.scene, ready.parameters, tuple(statistics[:: 9 if tiny else 1])
+        )
     if sensor == "lidar":
         return structure_view(settings=structure_settings(plot)[0], grain=GRAIN, pulses=PULSES)
     bands = shipped_sensor("aviris_ng").bands
@@ -218,7 +220,7 @@ def experiment(size, wrong, sensors, tiny):
     truths = ready
     if wrong is not None:
         truths = prepare(wrong_plot(ready.plot, wrong), None, seed=0)
-    return ready, truths, tuple(view_of(sensor, ready) for sensor in sensors)
+    return ready, truths, tuple(view_of(sensor, ready, tiny) for sensor in sensors)
 
 
 def twin(number, size, wrong, sensors):

@@ -27,7 +27,7 @@ def listed(folder):
     return sorted(folder.rglob("*"))
 
 
-MARKED = [pytest.param(c, marks=pytest.mark.slow) if c == "map" else c for c in COMMANDS]
+MARKED = [pytest.param(c, marks=pytest.mark.study) if c == "map" else c for c in COMMANDS]
 
 
 @pytest.mark.parametrize("command", MARKED)

@@ -142,7 +142,7 @@ def _build(folder: Path) -> Runs:
     return {"build": ["build", folder / "plot.toml", "--mesh", "--triangles", 20_000]}
 
 
-@_case("calibrate", "slow", {"weakly_constrained": 1e-3, "": 1e-4})
+@_case("calibrate", "study", {"weakly_constrained": 1e-3, "": 1e-4})
 def _calibrate(folder: Path) -> Runs:
     plot, target = _small(folder)
     spectrum, cloud = folder / "spectrum.csv", folder / "cloud.csv"
@@ -154,13 +154,13 @@ def _calibrate(folder: Path) -> Runs:
     }
 
 
-@_case("bioscape-calibrate", loose={"": 3e-2})
+@_case("bioscape-calibrate", "study", loose={"": 3e-2})
 def _calibrate_plots(folder: Path) -> Runs:
     write_tables(folder / "tables")
     return {"plots": ["bioscape", "calibrate", folder / "tables", "--size", 2]}
 
 
-@_case("posterior", loose={"^emcee": 5e-4, "^laplace": 2e-4})
+@_case("posterior", "study", loose={"^emcee": 5e-4, "^laplace": 2e-4})
 def _posterior(folder: Path) -> Runs:
     plot, target = _small(folder)
     line = ["posterior", plot, "--target", target]
@@ -170,7 +170,7 @@ def _posterior(folder: Path) -> Runs:
     }
 
 
-@_case("sensitivity", loose={"metric_sd|bound": 1e-4})
+@_case("sensitivity", "study", loose={"metric_sd|bound": 1e-4})
 def _sensitivity(folder: Path) -> Runs:
     line = ["sensitivity", _small(folder)[0], "--metrics", "nir.mean,NDVI.std", "--plantings", 2]
     return {"sensitivity": [*line, "--derivatives", 2, "--sobol", 2]}
@@ -211,7 +211,7 @@ def _plant(folder: Path) -> Runs:
     return {"taxon": line, "branches": mesh}
 
 
-@_case("bioscape-learn")
+@_case("bioscape-learn", "study")
 def _learn(folder: Path) -> Runs:
     write_population(folder / "tables")
     plots = [part for i in range(4) for part in ("--plot", f"P{i}")]
@@ -222,12 +222,12 @@ def _learn(folder: Path) -> Runs:
 TRAIN = ["train", "sentinel_2a", "--sun-zenith", "25-35", "--simulations", 200]
 
 
-@_case("train")
+@_case("train", "study")
 def _train(folder: Path) -> Runs:
     return {"train": TRAIN}
 
 
-@_case("map")
+@_case("map", "study")
 def _map(folder: Path) -> Runs:
     rng = np.random.default_rng(5)
     names = [f"B{i}" for i in range(1, 14)]

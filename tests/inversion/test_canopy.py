@@ -31,7 +31,7 @@ def noisy(reflectance, rng):
     return np.clip(reflectance + 0.01 * absolute + 0.02 * reflectance * relative, 0.0, 1.0)
 
 
-@pytest.mark.slow  # compiles for 78 wavelengths
+@pytest.mark.study  # compiles for 78 wavelengths
 def test_bands_of_a_sensor_without_noise_give_the_truth_as_far_as_it_shows():
     sensor = fx.sensor("sentinel_2a")
     measured = np.asarray(model(*_parts(sensor.bands))(TRUTH))
@@ -50,7 +50,7 @@ def test_bands_of_a_sensor_without_noise_give_the_truth_as_far_as_it_shows():
     assert "chlorophyll [ug cm-2]" in text
 
 
-@pytest.mark.slow  # ten fits
+@pytest.mark.slow  # compiles a fit
 def test_nine_of_ten_intervals_hold_the_truth():
     rng, space, predict = np.random.default_rng(3), _space(), model()
     inside = np.zeros(len(space.names))

@@ -44,7 +44,9 @@ SOLVERS = {
     "BFGS": optx.BFGS(1e-6, 1e-6),  # less is lost in the rounding of the objective
     "jaxopt.LBFGSB": jaxopt.LBFGSB(fun=jnp.sum, tol=1e-6),
     "jaxopt.LBFGS": jaxopt.LBFGS(fun=jnp.sum, tol=1e-6),
-    "jaxopt.LevenbergMarquardt": jaxopt.LevenbergMarquardt(residual_fun=jnp.sum, tol=1e-5),
+    "jaxopt.LevenbergMarquardt": jaxopt.LevenbergMarquardt(
+        residual_fun=jnp.sum, tol=1e-5, materialize_jac=True, solver="cholesky"
+    ),
     "BroydenLM": BroydenLM(),
 }
 

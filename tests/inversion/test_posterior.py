@@ -121,7 +121,7 @@ def grid_posterior():
     return mean, np.sqrt(np.array(moments[2:]) - mean**2)
 
 
-@pytest.mark.parametrize("method", ["emcee", "nuts"])
+@pytest.mark.parametrize("method", ["emcee", pytest.param("nuts", marks=pytest.mark.study)])
 def test_a_prior_over_values_gets_its_jacobian(method):
     """Against quadrature in the parameters' own units."""
     need(method)
@@ -249,7 +249,11 @@ with listening(Slow()):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("method", "end", "seconds"), [("emcee", signal.SIGKILL, 0), ("nuts", signal.SIGINT, 1000)]
+    ("method", "end", "seconds"),
+    [
+        ("emcee", signal.SIGKILL, 0),
+        pytest.param("nuts", signal.SIGINT, 1000, marks=pytest.mark.study),
+    ],
 )
 def test_a_killed_run_goes_on_as_if_it_had_not_been(tmp_path, method, end, seconds):
     """What was done before the end is kept: by a kill what was written, else all of it."""

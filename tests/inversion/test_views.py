@@ -390,12 +390,15 @@ def test_a_checkpoint_of_another_calibration_is_refused(sums, tmp_path):
         pytest.param(optx.LevenbergMarquardt(1e-4, 1e-4), id="optimistix LevenbergMarquardt"),
         pytest.param(optx.Dogleg(1e-4, 1e-4), id="optimistix Dogleg"),
         pytest.param(optx.BFGS(1e-6, 1e-6), id="optimistix BFGS"),
-        pytest.param(jaxopt.LBFGSB(fun=jnp.sum, tol=1e-3), id="jaxopt LBFGSB"),
+        pytest.param(
+            jaxopt.LBFGSB(fun=jnp.sum, tol=1e-3), id="jaxopt LBFGSB", marks=pytest.mark.study
+        ),
         pytest.param(
             jaxopt.ProjectedGradient(
                 fun=jnp.sum, projection=jaxopt.projection.projection_box, tol=1e-3
             ),
             id="jaxopt ProjectedGradient",
+            marks=pytest.mark.study,
         ),
     ],
 )
@@ -651,6 +654,7 @@ def test_data_count_as_one_draw_of_what_plantings_scatter(chance):
     np.testing.assert_allclose(found.fit.covariance, expected, rtol=0.05, atol=1e-4)
 
 
+@pytest.mark.study
 def test_estimates_over_truths_have_the_stated_spread(chance):
     """Simulation-based calibration: truths of the prior, planted by their own chance."""
     parameters, space, _, replant = chance
@@ -977,7 +981,7 @@ def test_a_twin_of_three_sensors_is_reproduced():
     "solver",
     [
         optx.Dogleg(1e-4, 1e-4),
-        pytest.param(jaxopt.LBFGSB(fun=jnp.sum, tol=1e-3), marks=pytest.mark.slow),
+        pytest.param(jaxopt.LBFGSB(fun=jnp.sum, tol=1e-3), marks=pytest.mark.study),
     ],
     ids=["Dogleg", "LBFGSB"],
 )

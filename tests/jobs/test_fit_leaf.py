@@ -56,6 +56,7 @@ def without_times(result):
     return result.model_dump(exclude={"output", "timings_s", "peak_memory_mib"})
 
 
+@pytest.mark.study
 def test_files_of_two_workers_are_those_of_one_process(table, tmp_path, monkeypatch):
     pytest.importorskip("distributed", reason="the extra `cluster` is not installed")
     monkeypatch.setattr(parts, "_machine", lambda: (2, 8 * 2**30))

@@ -431,7 +431,14 @@ def test_real_leaves_of_a_set_left_out_of_the_error_model(shared_data):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("name", "given"), [("angers", "RT"), ("angers", "R"), ("nasa_fft", "R")])
+@pytest.mark.parametrize(
+    ("name", "given"),
+    [
+        ("angers", "RT"),
+        pytest.param("angers", "R", marks=pytest.mark.study),
+        pytest.param("nasa_fft", "R", marks=pytest.mark.study),
+    ],
+)
 def test_intervals_hold_what_the_laboratory_measured(shared_data, name, given):
     """Coverage of the 90 % intervals; NASA FFT is foreign to the error model."""
     with np.load(shared_data / "leaf" / f"{name}_spectra.npz") as stored:
@@ -526,7 +533,7 @@ def test_a_glitch_hidden_by_its_bin_is_no_water_band_and_a_soil_is_no_leaf():
     assert all(sentence.startswith("failed") for sentence in doubted.status)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_traits_of_a_campaign_left_out_of_the_error_model(shared_data):
     """ANGERS by a model of LOPEX and NASA FFT, against the sub-domain fits of the R package.
 

@@ -283,3 +283,26 @@ def test_bins_of_sparse_bands_are_nearer_by_lines_between_them(spectra):
     fit = fx.fit_leaf(bin_centres(), spectrum)
     have = np.isfinite(fit.measured[0, 0])
     np.testing.assert_array_equal(fit.measured[0, 0, have], spectrum[have])
+
+
+def test_the_example_leaves_agree_with_their_laboratory():
+    """Six ASD files, their panel and transmittance; most of the laboratory's values lie within 90 %
+    intervals, whose number the titles say."""
+    folder = fx.io.spectra.example_folder()
+    spectra = fx.read_spectra(folder / "reflectance", panel=folder / "panel.csv")
+    through = fx.read_spectra(folder / "transmittance.csv")[["transmittance"]]
+    fit = fx.fit_leaf(spectra.merge(through, join="outer"))
+    assert set(fit.status) == {"converged"}
+    known = pd.read_csv(folder / "laboratory.csv", index_col="name")
+    axes = fit.plot_traits(known)
+    table, inside = fit.table().set_index("name").loc[known.index], {}
+    for name in known:
+        within = known[name].between(table[f"{name}_lower90"], table[f"{name}_upper90"])
+        inside[name] = int(within.sum())
+        assert known[name].corr(table[name], method="spearman") > 0.5
+    assert sum(inside.values()) >= 20
+    titles = [ax.get_title() for ax in axes]
+    assert titles == [f"{n.replace('_', ' ')}\n{k} of 6 within 90 %" for n, k in inside.items()]
+    assert [ax.get_xlabel() for ax in axes][2] == "laboratory [cm]"
+    with pytest.raises(InputError, match=r"rows such as 'pale' .* rows \['leaf'\]"):
+        fit.plot_traits(pd.DataFrame({"chlorophyll": [1.0]}, ["leaf"]))

@@ -41,7 +41,7 @@ def test_posterior_agrees_with_the_gaussian_of_the_fit_where_that_holds():
     np.testing.assert_allclose(deviation[inner], spread[inner], rtol=0.35)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_the_two_samplers_agree():
     """Ensemble and Hamiltonian draws share nothing but the density."""
     pytest.importorskip("blackjax", reason="the extra `nuts` is not installed")

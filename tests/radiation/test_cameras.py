@@ -17,7 +17,6 @@ from fynjax.radiation import (
     perspective_rays,
     reflectance_factor,
     render,
-    solve_light,
     voxel_scene,
 )
 from tests import reference
@@ -242,11 +241,11 @@ def test_a_distant_frame_camera_sees_every_band_as_parallel_rays_do():
         ground=jnp.linspace(0.1, 0.3, bands),
         sun_zenith=30.0,
     )
-    light = solve_light(scene, Accuracy(refine=False))
+    light = solver(Accuracy(refine=False))(scene)
     centres = ((jnp.arange(120) + 0.5) / 120).astype(jnp.float32)
     nadir = jnp.float32(0.0)
-    parallel = render(light, parallel_rays(centres, centres, 1 / 120, nadir, nadir))
-    frame = render(light, nadir_rays(centres, centres, 1 / 120, (0.5, 0.5, 1e6)))
+    parallel = parts(light, parallel_rays(centres, centres, 1 / 120, nadir, nadir))
+    frame = parts(light, nadir_rays(centres, centres, 1 / 120, (0.5, 0.5, 1e6)))
     for name in ("sunlit_leaves", "diffuse_leaves", "ground"):
         want, found = (np.asarray(getattr(one, name)) for one in (parallel, frame))
         np.testing.assert_allclose(found.mean((1, 2)), want.mean((1, 2)), rtol=1e-4)
@@ -264,7 +263,7 @@ def test_rays_take_the_floating_type_of_the_scene(of_scene, of_rays):
         ground=jnp.full(1, 0.2, of_scene),
         sun_zenith=jnp.asarray(30.0, of_scene),
     )
-    light = solve_light(scene)
+    light = solver(Accuracy())(scene)
     centres = (jnp.arange(4, dtype=of_rays) + 0.5) * 0.25
     kinds = {
         "parallel": parallel_rays(centres, centres, 0.25, 10.0, 20.0),
@@ -275,6 +274,6 @@ def test_rays_take_the_floating_type_of_the_scene(of_scene, of_rays):
     }
     for rays in kinds.values():
         same = jax.tree.map(lambda numbers: jnp.asarray(numbers, of_scene), rays)
-        image, expected = reflectance_factor(light, rays), reflectance_factor(light, same)
+        image, expected = pixels(light, rays), pixels(light, same)
         assert image.dtype == of_scene
         np.testing.assert_allclose(image, expected, rtol=1e-5)

@@ -147,6 +147,6 @@ def test_as_much_ground_shows_from_above_as_the_scene_says():
     scene, parameters = build_plot(plot)
     instances, hard = hard_instances(scene, parameters), hard_scene(scene, parameters)
     plants = drawn_plants(plot, hard, parameters, instances, plot.seed)
-    image = from_above(plants, 0.002, periodic=True)
+    image = from_above(plants, 0.004, periodic=True)
     ground = np.all(image == rgb(GROUND), axis=-1).mean()
     assert ground == pytest.approx(float(hard.gap_fraction(parameters)), abs=0.06)

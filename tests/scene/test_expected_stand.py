@@ -85,15 +85,21 @@ def test_a_plant_that_is_cut_keeps_its_area_with_slope_one(share: float) -> None
         assert np.count_nonzero((weight > 0.01) & (weight < 0.99)) < 0.45 * 40
 
 
-def test_every_sensor_sees_the_same_whole_plants(plot) -> None:
-    """Camera, LiDAR, voxels and the list of plants, whether spare plants are held ready or not."""
+def test_voxels_hold_the_same_whole_plants(plot) -> None:
+    """As the list of plants does, whether spare plants are held ready or not."""
     parameters = small_parameters()
     alone = hard_scene(plot, parameters)
     assert len(hard_instances(plot, parameters)) == len(alone.planting.species)
     np.testing.assert_allclose(
         densities(plot, parameters), densities(alone, parameters), rtol=1e-9, atol=1e-12
     )
-    camera = drone(plot)
+
+
+@pytest.mark.study
+def test_every_sensor_sees_the_same_whole_plants(plot) -> None:
+    """Camera and LiDAR, whether spare plants are held ready or not."""
+    parameters = small_parameters()
+    alone, camera = hard_scene(plot, parameters), drone(plot)
     np.testing.assert_allclose(
         reflectance(camera, plot, parameters), reflectance(camera, alone, parameters), rtol=1e-6
     )
@@ -211,7 +217,7 @@ def test_ratios_within_a_pixel_have_the_slope_of_their_mean(power: float) -> Non
     np.testing.assert_array_equal(_relative(jnp.zeros(2), jnp.zeros(2), jnp.ones(2)), 1.0)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_an_index_has_the_slope_of_its_mean_over_plantings(plot, image) -> None:
     """The mean NDVI of the drone's pixels: a ratio within each pixel, so that bright and dark ones
     count as they are."""

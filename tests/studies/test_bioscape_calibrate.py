@@ -13,6 +13,7 @@ from fynjax._core.errors import InputError
 from fynjax.inversion import (
     Data,
     LogPosterior,
+    SpectrumView,
     predicted_statistics,
     spectrum_view,
     statistics_and_jacobian,
@@ -239,7 +240,7 @@ def test_without_spectra_there_is_nothing_to_learn(tmp_path: Path):
         calibrate_plots(tmp_path / "tables", tmp_path, checkpoint=tmp_path / "c")
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_a_plot_comes_back_from_its_own_spectrum(tmp_path: Path, plots):
     """A twin: another planting with other cover, traits and soil. The truth lies within what the
     posterior leaves, and the slopes are those of differences."""
@@ -304,9 +305,27 @@ def test_a_plot_comes_back_from_its_own_spectrum(tmp_path: Path, plots):
         assert ours == pytest.approx(expected, rel=0.02, abs=2e-5), name
 
 
-@pytest.mark.study
-def test_one_plot_alone_goes_on_from_its_checkpoint(tmp_path: Path):
+class Straight(eqx.Module):
+    """In place of `PlotSpectrumForward`: a spectrum without light, nearly linear."""
+
+    view: SpectrumView
+    dead: tuple[bool, ...] = eqx.field(static=True, converter=tuple)
+
+    def __call__(self, values, scene, parameters):
+        bands, free = len(self.view.names), values.size
+        slopes = jnp.cos(jnp.arange(bands)[:, None] * (1.0 + jnp.arange(free)))
+        return 0.2 + 0.05 * slopes @ jnp.tanh(values - 1.0)
+
+    def stand(self, values, scene, parameters):
+        return values[:3]
+
+
+@pytest.mark.parametrize(
+    "forward", [Straight, pytest.param(PlotSpectrumForward, marks=pytest.mark.study)]
+)
+def test_one_plot_alone_goes_on_from_its_checkpoint(tmp_path: Path, monkeypatch, forward):
     """Without other plots there is one prior; a second run takes the fits of the first."""
+    monkeypatch.setattr("fynjax.studies.bioscape._calibrate.PlotSpectrumForward", forward)
     write_tables(tmp_path / "tables")
     kept = tmp_path / "kept"
     options = {"resolution": Resolution(2.0, 0.25), "checkpoint": kept}
@@ -323,5 +342,12 @@ def test_one_plot_alone_goes_on_from_its_checkpoint(tmp_path: Path):
     assert "B2" in results[0].warnings[-1]
     first, second = (pd.read_csv(tmp_path / n / "estimates.csv") for n in ("first", "second"))
     pd.testing.assert_frame_equal(first, second)
+    assert results[0].converged
+    spectra = pd.read_csv(tmp_path / "first" / "spectra.csv")
+    before, after = (
+        np.sqrt(np.mean((spectra[name] - spectra["measured"]) ** 2))
+        for name in ("tables_alone", "the_plot's_tables_as_prior")
+    )
+    assert after < 0.7 * before
     with pytest.raises(InputError, match="another run"):
         calibrate_plots(tmp_path / "tables", tmp_path / "first", **(options | {"seed": 1}))

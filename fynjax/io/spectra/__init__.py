@@ -3,6 +3,7 @@
 from fynjax.io.spectra._asd import read_asd
 from fynjax.io.spectra._dataset import (
     Refused,
+    example_folder,
     measured_dataset,
     measured_table,
     read_spectra,
@@ -18,6 +19,7 @@ from fynjax.io.spectra._record import MeasuredSpectrum
 __all__ = [
     "MeasuredSpectrum",
     "Refused",
+    "example_folder",
     "header_numbers",
     "in_nanometres",
     "measured_dataset",

@@ -4,6 +4,7 @@ import json
 import re
 import warnings
 from collections.abc import Mapping, Sequence
+from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
@@ -72,6 +73,16 @@ def read_spectra(
         warnings.warn(sentence, stacklevel=2)
     inputs = dict.fromkeys([*(file for file, _ in read), *([] if panel is None else [panel])])
     return measured_dataset(read, provenance(inputs=inputs))
+
+
+def example_folder() -> Path:
+    """Folder of shipped example spectra of six leaves.
+
+    `reflectance` holds an ASD file of each, relative to the white panel of `panel.csv`;
+    `transmittance.csv` what a sphere measured of them; `laboratory.csv` chlorophyll and carotenoids
+    [ug cm-2], water and dry matter [g cm-2]. Simulated: see its `README.md`.
+    """
+    return Path(str(files("fynjax.io.spectra") / "data" / "leaves"))
 
 
 def usable_spectra(

@@ -13,6 +13,7 @@ from fynjax.report.figures._image import (
     composites,
     index_histograms,
     layer_map,
+    photo,
     residual_maps,
     species_map,
 )
@@ -26,6 +27,7 @@ from fynjax.report.figures._plots_inferred import estimates_plot, residuals_plot
 from fynjax.report.figures._population import population_plot
 from fynjax.report.figures._posterior import (
     bound_plot,
+    corner,
     corner_plot,
     indices_plot,
     predictive_plot,
@@ -64,6 +66,7 @@ __all__ = [
     "composites",
     "constraint_plot",
     "convergence_plot",
+    "corner",
     "corner_plot",
     "error_bars",
     "estimates_plot",
@@ -86,6 +89,7 @@ __all__ = [
     "panel_figure",
     "parameter_plot",
     "pattern_figure",
+    "photo",
     "pixels_figure",
     "plan_view",
     "plant_figure",

@@ -9,6 +9,7 @@ from typing import Literal
 
 import matplotlib
 import numpy as np
+from jaxtyping import Float
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -17,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fynjax.report.figures._scene import rgb, species_colours
 from fynjax.report.figures._style import AFTER, BEFORE, REAL, style, words
+from fynjax.scene import Observation
 
 _COMPOSITES: dict[str, tuple[tuple[str, str, str], str]] = {
     "false_colour": (("nir", "red", "green"), "False colour: red, green, blue = NIR, red, green"),
@@ -58,6 +60,16 @@ def _limits(stacks: Sequence[NDArray[np.float64]], shared: bool) -> list[tuple[f
         return [(0.0, max(high, 1e-6))] * 3
     low, top = np.nanpercentile(pooled, [1, 99], axis=1)
     return [(float(a), float(max(b, a + 1e-6))) for a, b in zip(low, top, strict=True)]
+
+
+def _shown(
+    stack: NDArray[np.float64], limits: Sequence[tuple[float, float]]
+) -> NDArray[np.float64]:
+    """Three channels between their limits as a picture [y, x, channel]; white where unknown."""
+    low, high = np.array(limits).T[..., None, None]
+    part = np.moveaxis((stack - low) / (high - low), 0, -1)
+    # Square root, as prints and screens do: shadows stay readable.
+    return np.sqrt(np.clip(np.nan_to_num(part, nan=1.0), 0.0, 1.0))
 
 
 def _nice_length(width: float) -> float:
@@ -105,12 +117,7 @@ def composites(
         figure = Figure(figsize=(side * count, side + 0.55))
         grid = figure.subplots(1, count, squeeze=False)[0]
         for axes, (title, stack) in zip(grid, stacks.items(), strict=True):
-            rgb = np.stack(
-                [(s - low) / (high - low) for s, (low, high) in zip(stack, limits, strict=True)],
-                axis=-1,
-            )
-            # Square root, as prints and screens do: shadows stay readable.
-            rgb = np.sqrt(np.clip(np.nan_to_num(rgb, nan=1.0), 0, 1))
+            rgb = _shown(stack, limits)
             width, height = stack.shape[2] * pixel_m, stack.shape[1] * pixel_m
             axes.imshow(rgb, origin="lower", extent=(0, width, 0, height), interpolation="nearest")
             axes.set(title=title, xticks=[], yticks=[])
@@ -131,6 +138,27 @@ def composites(
         lines = [textwrap.fill(line, wide) for line in (f"{what}.", shown)]
         figure.supxlabel("\n".join(lines), fontsize=7.5, color="#333333")
     return figure
+
+
+def photo(
+    image: Observation, kind: Literal["false_colour", "true_like"] = "true_like"
+) -> Float[np.ndarray, "y x 3"]:
+    """An image in colours to look at, for `matplotlib.pyplot.imshow(..., origin="lower")`.
+
+    **Arguments:** `image`, of a camera with bands red and green, for false colour nir; `kind` as of
+    `composites`.
+
+    **Returns:** red, green and blue, 0 to 1, stretched as `composites` does.
+
+    **Raises:** `InputError` for an image without the bands.
+    """
+    channels, _ = _COMPOSITES[kind]
+    if kind == "true_like" and "blue" in image.bands:
+        channels, _ = _TRUE_COLOUR
+    for name in channels:
+        image[name if name != "darker" else "red"]  # an `InputError` where there is none
+    stack = _channels(image.reflectance, image.bands, channels)
+    return _shown(stack, _limits([stack], kind == "true_like"))
 
 
 def layer_map(layers: Mapping[str, ArrayLike], what: str, *, pixel_m: float) -> Figure:

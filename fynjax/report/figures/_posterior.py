@@ -9,6 +9,8 @@ import pandas as pd
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike, NDArray
 
+from fynjax._core.extras import require
+from fynjax.inversion import Posterior
 from fynjax.report.figures._style import (
     BLUE,
     GREEN,
@@ -76,6 +78,51 @@ def corner_plot(
                     axes.set_ylabel(_broken(names[row]), fontsize=7)
                 elif column > 0 or row == 0:
                     axes.set_yticklabels([])
+    return figure
+
+
+def corner(draws: Posterior | Mapping[str, Posterior], truth: ArrayLike | None = None) -> Figure:
+    """Each parameter and each pair of posteriors of the same parameters, one over the other.
+
+    Contours hold 50 and 90 % of the draws; the prior is the grey curve on the diagonal.
+
+    **Arguments:** `draws` from `fx.sample`, or several by the name of their method; `truth`, values
+    to mark [free].
+
+    **Raises:** `MissingExtraError` without the package corner (extra `posterior`).
+    """
+    package = require("corner", "posterior")
+    many = {"posterior": draws} if isinstance(draws, Posterior) else dict(draws)
+    space = next(iter(many.values())).space
+    count = len(space.names)
+    values = {name: one.values.reshape(-1, count) for name, one in many.items()}
+    low, high = np.quantile(np.concatenate(list(values.values())), [0.002, 0.998], axis=0)
+    if truth is not None:
+        room = 0.05 * (high - low)
+        low, high = (np.minimum(low, truth - room), np.maximum(high, truth + room))
+    options: dict[str, Any] = {
+        "labels": [_broken(name) for name in space.names],
+        "truths": truth,
+        "truth_color": "k",
+        "range": list(zip(low, high)),
+        "levels": (0.5, 0.9),
+        "smooth": 1.0,
+        "plot_datapoints": False,
+        "plot_density": False,
+        "no_fill_contours": True,
+    }
+    figure = Figure(figsize=(1.9 * count + 0.4, 1.9 * count + 0.4))
+    for one, colour in zip(values.values(), _SERIES, strict=False):
+        shape = {"density": True, "color": colour}
+        package.corner(one, fig=figure, color=colour, hist_kwargs=shape, **options)
+    x, density = (np.asarray(part) for part in space.density())
+    for i in range(count):
+        figure.axes[i * (count + 1)].plot(x[:, i], density[:, i], color=GREY)
+    handles = [
+        matplotlib.lines.Line2D([], [], color=colour, label=name)
+        for name, colour in zip([*many, "prior"], [*_SERIES[: len(many)], GREY], strict=True)
+    ]
+    figure.legend(handles=handles, fontsize=11)
     return figure
 
 
