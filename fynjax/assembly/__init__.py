@@ -36,6 +36,7 @@ from fynjax.assembly._stands import (
     stand_numbers,
 )
 from fynjax.assembly._targets import Measured, drone_view, read_targets
+from fynjax.assembly._twin import Twin, plant_twin, twin_image
 
 __all__ = [
     "STAND_QUANTITIES",
@@ -47,6 +48,7 @@ __all__ = [
     "StandQuantity",
     "StandSettings",
     "Stands",
+    "Twin",
     "aim_at_plot",
     "aim_without_air",
     "batch_for_device",
@@ -61,6 +63,7 @@ __all__ = [
     "information",
     "make_stand",
     "parameter_columns",
+    "plant_twin",
     "plot_parameters",
     "prepare",
     "prior",
@@ -72,4 +75,5 @@ __all__ = [
     "simulate_stands",
     "stand_forms",
     "stand_numbers",
+    "twin_image",
 ]

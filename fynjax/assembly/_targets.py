@@ -197,7 +197,8 @@ class TargetRules(NamedTuple):
         return keep
 
 
-def _rules(plot: Plot) -> TargetRules:
+def target_rules(plot: Plot) -> TargetRules:
+    """The rules that a plot file states."""
     settings = plot.calibration
     targets = tuple(settings.targets)
     return TargetRules(settings.target_sd, targets, plot.file)
@@ -210,7 +211,9 @@ def image_target(
 ) -> Measured:
     """The statistics of a drone's image (GeoTIFF), with its `bands`, or of a table (CSV)."""
     pixel = sensor_place(plot)[1]
-    data, extra, _ = image_data(path, _rules(plot), pixel=pixel, side=min(plot.size_m), bands=bands)
+    data, extra, _ = image_data(
+        path, target_rules(plot), pixel=pixel, side=min(plot.size_m), bands=bands
+    )
     description = f"{path.name}: {len(data.names)} statistics of a drone's image."
     return Measured("image", path, data, drone_view(plot, data.names), description, extra)
 
@@ -281,7 +284,7 @@ def drone_view(
 
 def spectrum_target(plot: Plot, path: Path) -> Measured:
     """The mean of a file's spectra or pixels, in some thirty bands outside the water windows."""
-    return spectrum_data(path, _rules(plot), plot.sun.zenith)
+    return spectrum_data(path, target_rules(plot), plot.sun.zenith)
 
 
 def spectrum_data(path: Path, rules: TargetRules, sun_zenith: float) -> Measured:
@@ -377,7 +380,7 @@ def reflectance_noise(
 def structure_target(plot: Plot, path: Path, seed: int) -> Measured:
     """Structure metrics of a cloud, or of a table of them (CSV)."""
     settings, grains = structure_settings(plot)
-    return structure_data(path, _rules(plot), settings, grains, seed)
+    return structure_data(path, target_rules(plot), settings, grains, seed)
 
 
 def structure_data(

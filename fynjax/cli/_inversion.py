@@ -13,6 +13,7 @@ from fynjax.cli._runtime import (
     PlotPath,
     PriorFile,
     SchedulerAddress,
+    Twin,
     WorkerCount,
     command,
     listed,
@@ -46,9 +47,10 @@ _NUMBERS = "numbers with commas between"
 @command("calibrate", "fynjax.jobs:calibrate", forget=True)
 def calibrate(
     plot: PlotPath,
-    targets: Targets,
+    targets: Targets = [],  # noqa: B006
     bands: Bands = None,
     prior: PriorFile = "none",
+    twin: Twin = False,
     checkpoint: Checkpoint = None,
     seed: OwnSeed = None,
 ) -> None:

@@ -17,6 +17,7 @@ from fynjax.cli._runtime import (
     PriorFile,
     Quiet,
     Seed,
+    Twin,
     command,
     listed,
     show,
@@ -26,7 +27,7 @@ _PAGE = "report.html"
 
 
 @command("demo", "fynjax.studies.fynbos_2006:demo")
-def demo(seed: Seed = 0) -> None:
+def demo(twin: Twin = False, seed: Seed = 0) -> None:
     """Calibrate the 2006 burn plot to its real drone image, from shipped input.
 
     Builds the 10 m x 10 m plot from the paper's species table, renders the drone image, calibrates

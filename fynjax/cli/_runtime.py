@@ -28,6 +28,15 @@ if TYPE_CHECKING:
 Seed = Annotated[
     int, typer.Option(min=0, max=2**31 - 1, help="Seed of everything random.", show_default=True)
 ]
+Twin = Annotated[
+    bool,
+    typer.Option(
+        "--twin",
+        help="Calibrate a twin instead, whose truth is known: drawn from the prior, planted by a "
+        "chance of its own, measured with noise and gains. The report has the truth beside the "
+        "estimate.",
+    ),
+]
 Checkpoint = Annotated[
     Path | None,
     typer.Option(

@@ -2,7 +2,7 @@
 
 import dataclasses
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -19,7 +19,12 @@ from fynjax._core.progress import stage
 from fynjax.canopy import VoxelGrid
 from fynjax.inversion._expected import Replant, mean_information, with_error
 from fynjax.inversion._fit_result import Data, FitResult, fit_result, status_of
-from fynjax.inversion._functionals import stand_sentence, stand_table
+from fynjax.inversion._functionals import (
+    STAND_FUNCTIONALS,
+    Functional,
+    stand_sentence,
+    stand_table,
+)
 from fynjax.inversion._search import (
     COARSE,
     CalibrationSettings,
@@ -109,9 +114,10 @@ class Calibration(eqx.Module):
     _repr_html_ = as_html
 
     @double_precision
-    def stand(self) -> "pd.DataFrame":
-        """Numbers of the whole stand before and after the data (`stand_table`)."""
-        return stand_table(self.scene, self.before, self.fit)
+    def stand(self, functionals: Mapping[str, Functional] = STAND_FUNCTIONALS) -> "pd.DataFrame":
+        """Numbers of the whole stand before and after the data: `functionals` by name, of which any
+        may be one's own (`stand_table`)."""
+        return stand_table(self.scene, self.before, self.fit, functionals=functionals)
 
     @double_precision
     def table(self) -> "pd.DataFrame":
@@ -261,8 +267,8 @@ def calibrate_plot(
     - `views`: what each sensor yields of `scene`.
     - `settings`: of the search. Of known plants there is one planting.
     - `solver`: of a round, of optimistix or jaxopt as of `fit`; `BroydenLM` by default, which takes
-      one Jacobian a round. Others take one at each step, or as many gradients, and their steps are
-      not counted: `fit.steps` are then the rounds.
+      one Jacobian a round. Others take one at each step, or as many gradients; of their rounds
+      `fit.loss` has the beginnings alone.
     - `start`: whitened coordinates to start from; the prior's centre by default.
     - `replant`: makes the same plot with the plants of another chance, by a number, 0 for those of
       `scene`; and with sites for so many plants of each species, asked for where the plants of a
@@ -402,7 +408,7 @@ def _fit_of(search: PlotSearch, end: SearchState) -> FitResult:
     slopes = np.asarray(place.slopes)
     result = fit_result(
         search.space, counted, place.u, place.statistics, jnp.asarray(place.slope),
-        status_of(end.status), len(end.trace), end.trace,
+        status_of(end.status), end.steps, end.trace, end.rounds,
     )  # fmt: skip
     if np.isfinite(slopes).all():
         result = result.with_information(jnp.asarray(mean_information(weights, slopes)))
@@ -437,9 +443,11 @@ def _gains(
     rest = rest + jacobian @ np.asarray(fit.whitened)
     share = np.linalg.solve(total, by_gain @ prior).T
     left = prior - share @ by_gain @ prior
-    log_gain = share @ rest
+    off = share @ rest
     sd = np.sqrt(np.maximum(np.diagonal(left), 0.0))
-    return np.exp(log_gain), sd, np.asarray(fit.predicted) + slopes @ log_gain
+    # As the line has it, for means exactly: a factor, and not the exponential of a logarithm.
+    gain = 1.0 + off
+    return gain, sd / gain, np.asarray(fit.predicted) + slopes @ off
 
 
 def _ends(objective: Sequence[float], fits: Sequence[FitResult], best: FitResult) -> Ends:

@@ -132,6 +132,7 @@ class FitStatus(optx.RESULTS):
     at_bound = "Converged with a parameter at its bound: widen the bound, or look at the posterior."
     flat = "Converged; no statistic depends on some of the parameters, which stay at their priors."
     max_steps = "Stopped at the limit of steps, before it converged."
+    max_rounds = "Stopped at the limit of rounds, of which the last still moved the estimate."
     not_finite = "The objective, a statistic or a slope is not finite; the estimate is of no use."
     no_gain = "Stopped before it converged: no step improved on the estimate any more."
 
@@ -173,13 +174,17 @@ class FitResult(eqx.Module):
     modes: Float[Array, "mode free"]
     """Their eigenvectors in whitened coordinates."""
     loss: Float[Array | np.ndarray, " evaluation"]
-    """The objective: at the start and at the end of a fit; before each step of a calibration."""
+    """The objective: at the start and at the end of a fit; of a calibration where each round begins
+    and after each of its steps. A round begins with new errors, so that objectives of different
+    rounds do not compare."""
     gradient_norm: Float[Array | np.ndarray, " evaluation"]
     """Norm of the gradient of the objective by the whitened coordinates, likewise."""
     status: Any
     """Why the fit stopped, a `FitStatus`."""
     steps: Int[Array, ""]
     """Steps that the solver took: those of all rounds in a calibration."""
+    rounds: Int[Array | np.ndarray, " evaluation"] | None = None
+    """Of a calibration the round of each `loss`, from 1."""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -250,8 +255,14 @@ class FitResult(eqx.Module):
             slope = f"The slope of {self.data.names[row]} by {self.names[column]}"
             return f"{slope} is not finite; the estimate is of no use."
         count = f"{int(self.steps)} step" + ("s" if int(self.steps) != 1 else "")
+        if self.rounds is not None:
+            number = int(self.rounds[-1])
+            count += f" in {number} round" + ("s" if number != 1 else "")
         if bool(self.status == FitStatus.max_steps):
-            sentence = f"Stopped at the limit of steps, after {count}."
+            of = "" if self.rounds is None else " of a round"
+            sentence = f"Stopped at the limit of steps{of}, after {count}."
+        elif bool(self.status == FitStatus.max_rounds):
+            sentence = f"Stopped at the limit of rounds, the last of which still moved: {count}."
         elif bool(self.converged):
             sentence = f"Converged after {count}."
         else:
@@ -413,6 +424,7 @@ def fit_result(
     status: Any,
     steps: Any,
     trace: Float[Array | np.ndarray, "evaluation 2"],
+    rounds: Int[Array | np.ndarray, " evaluation"] | None = None,
 ) -> FitResult:
     """The result of a fit that ended at `u`: uncertainty, and what there is to doubt."""
     estimate = space.physical(u)
@@ -437,6 +449,7 @@ def fit_result(
         gradient_norm=trace[:, 1],
         status=status,
         steps=jnp.asarray(steps),
+        rounds=rounds,
         **posterior(space, u, scaled.T @ scaled),
     )
 

@@ -75,6 +75,9 @@ _ROUNDING = 1e-12
 """Variance of the logarithm up to which a functional is the same but for the rounding of light."""
 
 
+Functionals = tuple[Callable[[Scene, PlotParameters], Float[Array, ""]], ...]
+
+
 def stand_values(
     scene: Scene, parameters: PlotParameters | None = None
 ) -> dict[str, Float[Array, ""]]:
@@ -87,24 +90,36 @@ def stand_values(
 
 
 def _at(
-    scene: Scene, parameters: PlotParameters, space: Any, u: Float[Array, " free"]
+    scene: Scene,
+    parameters: PlotParameters,
+    space: Any,
+    u: Float[Array, " free"],
+    values: Functionals,
 ) -> Float[Array, " functional"]:
     plot = with_values(parameters, scene.taxa, space.named(u))
-    return jnp.stack(list(stand_values(scene.faded(), plot).values()))
+    return jnp.stack([jnp.asarray(value(scene.faded(), plot), float) for value in values])
 
 
 @eqx.filter_jit
 def _draws(
-    scene: Scene, parameters: PlotParameters, space: Any, u: Float[Array, "draw free"]
+    scene: Scene,
+    parameters: PlotParameters,
+    space: Any,
+    u: Float[Array, "draw free"],
+    values: Functionals,
 ) -> Float[Array, "draw functional"]:
-    return jax.lax.map(lambda one: _at(scene, parameters, space, one), u)
+    return jax.lax.map(lambda one: _at(scene, parameters, space, one, values), u)
 
 
 @eqx.filter_jit
 def _slopes(
-    scene: Scene, parameters: PlotParameters, space: Any, u: Float[Array, " free"]
+    scene: Scene,
+    parameters: PlotParameters,
+    space: Any,
+    u: Float[Array, " free"],
+    values: Functionals,
 ) -> tuple[Float[Array, " functional"], Float[Array, "functional free"]]:
-    function = lambda u: _at(scene, parameters, space, u)  # noqa: E731
+    function = lambda u: _at(scene, parameters, space, u, values)  # noqa: E731
     return function(u), jax.jacrev(function)(u)
 
 
@@ -114,6 +129,7 @@ def stand_table(
     parameters: PlotParameters,
     fit: FitResult,
     *,
+    functionals: Mapping[str, Functional] = STAND_FUNCTIONALS,
     seed: int = 0,
     draws: Float[np.ndarray, "draw free"] | None = None,
 ) -> pd.DataFrame:
@@ -127,20 +143,22 @@ def stand_table(
     - `scene`: that was fitted.
     - `parameters`: of the plot; those that are not free count.
     - `fit`: the estimate with its covariance.
+    - `functionals`: by name; more of them, or others, are `Functional`s of one's own.
     - `seed`: of the draws of the prior.
     - `draws`: of a posterior in whitened coordinates, whose medians and quantiles are to be given;
       those of the fit's covariance by default.
 
-    **Returns:** a row for each of `STAND_FUNCTIONALS`: name, unit, median and quantiles of 5 and
+    **Returns:** a row for each of `functionals`: name, unit, median and quantiles of 5 and
     95 % of the prior (`prior`, `prior_q05`, `prior_q95`) and of the posterior (`estimate`, `q05`,
     `q95`), and `constrained`, the share of the prior variance of the logarithm that the data
     removed [-]. What is zero, or the same whatever is free, has no interval.
     """
+    values = tuple(one.value for one in functionals.values())
     normal = np.random.default_rng([seed, 53]).normal(size=(_DRAWS, len(fit.names)))
-    drawn = _draws(scene, parameters, fit.space, jnp.asarray(normal.clip(-3.0, 3.0)))
+    drawn = _draws(scene, parameters, fit.space, jnp.asarray(normal.clip(-3.0, 3.0)), values)
     prior = np.asarray(drawn, float)
     value, slopes = (
-        np.asarray(x, float) for x in _slopes(scene, parameters, fit.space, fit.whitened)
+        np.asarray(x, float) for x in _slopes(scene, parameters, fit.space, fit.whitened, values)
     )
     tiny = np.finfo(float).tiny
     relative = slopes / np.maximum(value, tiny)[:, None]
@@ -153,13 +171,13 @@ def stand_table(
     low, middle, high = np.quantile(prior, shares, axis=0)
     after = value / half, value, value * half
     if draws is not None:
-        found = np.asarray(_draws(scene, parameters, fit.space, jnp.asarray(draws)), float)
+        found = np.asarray(_draws(scene, parameters, fit.space, jnp.asarray(draws), values), float)
         after = tuple(np.quantile(found, shares, axis=0))
         removed = 1.0 - np.log(np.maximum(found, tiny)).var(axis=0) / np.where(known, before, 1.0)
     return pd.DataFrame(
         {
-            "name": list(STAND_FUNCTIONALS),
-            "unit": [one.unit for one in STAND_FUNCTIONALS.values()],
+            "name": list(functionals),
+            "unit": [one.unit for one in functionals.values()],
             "prior": middle,
             "prior_q05": low,
             "prior_q95": high,
@@ -171,15 +189,17 @@ def stand_table(
     )
 
 
-def stand_sentence(table: pd.DataFrame) -> str:
+def stand_sentence(
+    table: pd.DataFrame, functionals: Mapping[str, Functional] = STAND_FUNCTIONALS
+) -> str:
     """The stand in one sentence.
 
-    **Arguments:** `table`, from `stand_table`.
+    **Arguments:** `table`, from `stand_table`, and its `functionals`.
     """
     parts = []
     numbers = table[["estimate", "q05", "q95"]].to_numpy(float)
     for name, (middle, low, high) in zip(table["name"], numbers, strict=True):
-        functional = STAND_FUNCTIONALS[str(name)]
+        functional = functionals[str(name)]
         unit = "" if functional.unit == "-" else f" {functional.unit}"
         parts.append(f"{functional.words} {middle:.3g} [{low:.3g}, {high:.3g}]{unit}")
     return f"The stand: {', '.join(parts)} (5 to 95 %)."

@@ -9,6 +9,7 @@ parameter that acts through optics alone.
 
 import dataclasses
 from collections import deque
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import equinox as eqx
@@ -32,8 +33,8 @@ from fynjax.inversion._fit_result import (
     number_of,
     status_of,
 )
-from fynjax.inversion._functionals import stand_table
-from fynjax.inversion._search import search_states
+from fynjax.inversion._functionals import STAND_FUNCTIONALS, Functional, stand_table
+from fynjax.inversion._search import recorded, search_states
 from fynjax.inversion._space import ParameterSpace
 from fynjax.radiation import VoxelScene
 from fynjax.scene import AimedSensor, PlotParameters, Scene, with_values
@@ -94,9 +95,10 @@ class KnownPlants(eqx.Module):
     and the prior explain a chi-square of `degrees`."""
 
     @double_precision
-    def stand(self) -> "pd.DataFrame":
-        """Numbers of the whole stand before and after the data (`stand_table`)."""
-        return stand_table(self.scene, self.before, self.fit)
+    def stand(self, functionals: Mapping[str, Functional] = STAND_FUNCTIONALS) -> "pd.DataFrame":
+        """Numbers of the whole stand before and after the data: `functionals` by name, of which any
+        may be one's own (`stand_table`)."""
+        return stand_table(self.scene, self.before, self.fit, functionals=functionals)
 
     @property
     @double_precision
@@ -357,7 +359,11 @@ class PixelState(eqx.Module):
     before: Float[Array, "band y x"]
     """The blocks at the prior's centre, as the camera measures them."""
     trace: Float[Array, "evaluation 2"]
-    """Objective and norm of its gradient before each step, of all rounds."""
+    """Objective and norm of its gradient where each round began and after each of its steps."""
+    rounds: Int[Array, " evaluation"]
+    """The round of each, from 1."""
+    steps: Int[Array, ""]
+    """Steps of all rounds."""
     turn: Int[Array, ""]
     """Rounds that have ended."""
     step: Int[Array, ""]
@@ -452,7 +458,7 @@ class PixelSearch:
         whole = lambda number: jnp.asarray(number, int)  # noqa: E731
         return PixelState(
             place, descent, sd, jnp.asarray(self.image(place)),
-            figures_of(descent)[None], whole(0), whole(0),
+            figures_of(descent)[None], whole([1]), whole(0), whole(0), whole(0),
             number_of(FitStatus.max_steps), whole(0),
         )  # fmt: skip
 
@@ -469,23 +475,21 @@ class PixelSearch:
         if done or state.step >= self._max_steps:
             last = int(state.turn) + 1 == _ROUNDS
             descent, sd = self._descent(state.u, np.asarray(state.sd) if last else None)
-            trace = state.trace
-            if not last:
-                trace = jnp.concatenate([trace, figures_of(descent)[None]])
-            return dataclasses.replace(
-                state, descent=descent, sd=sd, trace=trace, turn=state.turn + 1,
+            renewed = dataclasses.replace(
+                state, descent=descent, sd=sd, turn=state.turn + 1,
                 step=jnp.asarray(0), ended=state.ended + int(last),
             )  # fmt: skip
+            return renewed if last else recorded(renewed)
         errors = np.asarray(state.sd)
 
         def whitened(u: Array, _: Any) -> tuple[Array, None]:
             return self._whitened(self.image(u)[:, self._compared].ravel(), u, errors), None
 
         u, descent, _ = solver.step(whitened, state.u, None, None, state.descent, NO_TAGS)
-        trace = state.trace
-        if state.step + 1 < self._max_steps:
-            trace = jnp.concatenate([trace, figures_of(descent)[None]])
-        return dataclasses.replace(state, u=u, descent=descent, trace=trace, step=state.step + 1)
+        reached = dataclasses.replace(
+            state, u=u, descent=descent, step=state.step + 1, steps=state.steps + 1
+        )
+        return recorded(reached)
 
     @double_precision
     def result(self, state: PixelState) -> KnownPlants:
@@ -501,7 +505,8 @@ class PixelSearch:
         data = Data(names, jnp.asarray(self._target), jnp.asarray(sd))
         result = fit_result(
             self.space, data, jnp.asarray(u[:free]), jnp.asarray(values),
-            jnp.asarray(slopes[:, :free]), status_of(state.status), len(state.trace), state.trace,
+            jnp.asarray(slopes[:, :free]), status_of(state.status), state.steps, state.trace,
+            state.rounds,
         )  # fmt: skip
         covariance = np.linalg.inv(scaled.T @ scaled + np.eye(len(u)))
         # Of the parameters alone, the gains integrated over.

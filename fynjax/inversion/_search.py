@@ -85,8 +85,9 @@ class CalibrationSettings:
 
     @property
     def evaluations(self) -> int:
-        """Steps of two rounds from each start: about how long a search is."""
-        return self.starts * (self.max_steps + (self.max_steps + 1) // 2)
+        """Evaluations of the objective in two rounds from each start, about how long a search is:
+        where a round begins and after each of its steps."""
+        return self.starts * (2 + self.max_steps + (self.max_steps + 1) // 2)
 
     def __post_init__(self) -> None:
         for name in ("rounds", "starts", "max_steps", "full_renders"):
@@ -163,7 +164,11 @@ class SearchState(eqx.Module):
     wanted: Float[Array, " species"]
     """Plants for which sites were made; zeros: those of the scene suffice."""
     trace: Float[Array, "evaluation 2"]
-    """Objective and norm of its gradient before each step, of all rounds."""
+    """Objective and norm of its gradient where each round began and after each of its steps."""
+    rounds: Int[Array, " evaluation"]
+    """The round of each, from 1."""
+    steps: Int[Array, ""]
+    """Steps of all rounds."""
     status: Int[Array, ""]
     """Number of the `FitStatus` of `best`."""
     turn: Int[Array, ""]
@@ -488,8 +493,8 @@ class PlotSearch:
         whole = lambda number: jnp.asarray(number, int)  # noqa: E731
         return SearchState(
             place=place, u=u, descent=descent, origin=origin, best=place, subspace=subspace,
-            wanted=jnp.asarray(wanted), trace=figures_of(descent)[None],
-            status=number_of(FitStatus.no_gain), turn=whole(0),
+            wanted=jnp.asarray(wanted), trace=figures_of(descent)[None], rounds=whole([1]),
+            steps=whole(0), status=number_of(FitStatus.no_gain), turn=whole(0),
             turns=whole(self.settings.rounds), step=whole(0), ended=whole(0),
         )  # fmt: skip
 
@@ -526,8 +531,9 @@ class PlotSearch:
                 self.data.along(weights),
             )  # fmt: skip
             most = self.settings.max_steps  # the same program in every round
-            u, reason, _ = _run_compiled(self._solver, expectation, state.u, most)
-            return self._next_round(dataclasses.replace(state, u=u), reason)
+            u, reason, steps = _run_compiled(self._solver, expectation, state.u, most)
+            reached = dataclasses.replace(state, u=u, steps=state.steps + steps)
+            return self._next_round(reached, reason)
         expected, place = self.expected(state), state.place
         weights = self.weights(place, state.subspace)
 
@@ -536,10 +542,10 @@ class PlotSearch:
             return jnp.asarray(self._whitened(weights, np.asarray(reached), u)), None
 
         u, descent, _ = solver.step(whitened, state.u, None, None, state.descent, NO_TAGS)
-        trace = state.trace
-        if state.step + 1 < most:
-            trace = jnp.concatenate([trace, figures_of(descent)[None]])
-        return dataclasses.replace(state, u=u, descent=descent, trace=trace, step=state.step + 1)
+        reached = dataclasses.replace(
+            state, u=u, descent=descent, step=state.step + 1, steps=state.steps + 1
+        )
+        return recorded(reached)
 
     def _next_round(self, state: SearchState, status: Any) -> SearchState:
         """The place that a round has come to, and whether another one follows."""
@@ -571,19 +577,17 @@ class PlotSearch:
                 slopes = np.asarray(expected.slopes(u, spread))
                 place = self._observe(expected, wanted, u, spread, slopes, place)
                 descent = self._descent(place, state.subspace)
-            else:
-                status = FitStatus.max_steps
+            elif bool(status == FitStatus.successful):
+                status = FitStatus.max_rounds
         best, reason = self._better(state, place, status, fresh=grown)
         goes_on = turn < turns
-        trace = state.trace
-        if goes_on:
-            trace = jnp.concatenate([trace, figures_of(descent)[None]])
         whole = lambda number: jnp.asarray(number, int)  # noqa: E731
-        return dataclasses.replace(
+        ended = dataclasses.replace(
             state, place=place, u=u, descent=descent, best=best, wanted=jnp.asarray(wanted),
-            trace=trace, status=jnp.asarray(reason), turn=whole(turn), turns=whole(turns),
+            status=jnp.asarray(reason), turn=whole(turn), turns=whole(turns),
             step=whole(0), ended=whole(not goes_on),
         )  # fmt: skip
+        return recorded(ended) if goes_on else ended
 
     def _better(
         self, state: SearchState, place: SearchPlace, status: Any, *, fresh: bool
@@ -601,6 +605,15 @@ class PlotSearch:
         )
         settled = same.all() and bool(status == FitStatus.successful)
         return state.best, reason if settled else state.status
+
+
+def recorded(state: Any) -> Any:
+    """The state of a search, with its objective in the trace."""
+    return dataclasses.replace(
+        state,
+        trace=jnp.concatenate([state.trace, figures_of(state.descent)[None]]),
+        rounds=jnp.concatenate([state.rounds, state.turn[None] + 1]),
+    )
 
 
 def posterior_root(

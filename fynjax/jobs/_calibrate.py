@@ -4,13 +4,21 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal
 
+import jax.numpy as jnp
 import numpy as np
 import pandas as pd
 
 from fynjax._core.dry_run import begin_work
 from fynjax._core.errors import InputError
 from fynjax._core.precision import double_precision
-from fynjax.assembly import Measured, prepare, read_targets
+from fynjax.assembly import (
+    Measured,
+    parameter_columns,
+    plant_twin,
+    prepare,
+    read_targets,
+    twin_image,
+)
 from fynjax.inversion import (
     Calibration,
     calibration,
@@ -18,6 +26,7 @@ from fynjax.inversion import (
     plot_search,
     search_starts,
     stand_sentence,
+    stand_values,
 )
 from fynjax.io.plot import NO_PRIOR, Plot, as_plot, with_prior
 from fynjax.io.raster import write_run
@@ -27,6 +36,7 @@ from fynjax.jobs._calibration_page import (
     calibration_page,
     parameter_sentences,
     status_of,
+    twin_sentence,
 )
 from fynjax.jobs._calibration_tables import (
     ReferenceImage,
@@ -40,7 +50,7 @@ from fynjax.jobs._render import check_finite, write_image
 from fynjax.jobs._result import JobResult, Number, ParameterSummary, Record, StatisticSummary
 from fynjax.jobs._run import Run
 from fynjax.report.pages import Page
-from fynjax.scene import PlotParameters, Scene
+from fynjax.scene import PlotParameters, Scene, with_values
 
 
 class TargetSummary(Record):
@@ -86,6 +96,7 @@ def calibrate(
     bands: Sequence[str] | None = None,
     seed: int | None = None,
     checkpoint: Path | None = None,
+    twin: bool = False,
 ) -> CalibrateResult:
     """Calibrate a plot to the measurements of one or several sensors.
 
@@ -104,22 +115,36 @@ def calibrate(
     - `seed`: seed of every random number; that of the plot file by default.
     - `checkpoint`: folder that keeps every step, from which an interrupted run goes on; none by
       default.
+    - `twin`: calibrate a twin of the plot in place of the plot, whose parameters are drawn from the
+      prior, to what the sensors of the targets would measure of it, or its drone where there are no
+      targets; tables and page have the truth beside the estimate.
 
     **Returns:** `CalibrateResult`. Writes `parameters.csv`, `statistics.csv`, the images before and
     after (GeoTIFF) of a drone's camera, `run.nc`, figures and a page into `output`.
 
     **Raises:** `InputError` as `read_plot` and the readers of the measurements, for a rendered
-    image that is not finite, and for a checkpoint of another run.
+    image that is not finite, for a checkpoint of another run, and without targets or a twin.
 
     Example: `jobs.calibrate("plot.toml", Path("drone.tif"), Path("results"))`.
     """
-    read = with_prior(as_plot(plot), prior)
     paths = [targets] if isinstance(targets, Path) else list(targets)
+    if not paths and not twin:
+        raise InputError("expected what was measured (--target), or --twin")
+    read = with_prior(as_plot(plot), prior)
     run = Run(output, seed=read.seed if seed is None else seed)
-    if read.known_crowns is not None and paths[0].suffix.lower() in (".tif", ".tiff"):
+    if read.known_crowns is not None and any(p.suffix.lower() in (".tif", ".tiff") for p in paths):
+        if twin:
+            raise InputError(
+                "expected no twin of a plot whose crowns are known and whose image counts pixel by "
+                "pixel; leave the image out, for a twin by its statistics",
+                file=paths[0],
+            )
         return _calibrate_known(read, paths, run, bands, checkpoint)
     measured = read_targets(read, paths, bands=bands, seed=run.seed)
-    return calibrate_to(read, measured, run, inputs=(*read.inputs, *paths), checkpoint=checkpoint)
+    return calibrate_to(
+        read, measured or (twin_image(read),), run,
+        inputs=(*read.inputs, *paths), checkpoint=checkpoint, twin=twin,
+    )  # fmt: skip
 
 
 def _calibrate_known(
@@ -175,6 +200,7 @@ def calibrate_to(
     reference: ReferenceImage | None = None,
     checkpoint: Path | None = None,
     command: Literal["calibrate", "demo"] = "calibrate",
+    twin: bool = False,
 ) -> CalibrateResult:
     """Calibrate a plot to measurements that are already read: the common part of two jobs.
 
@@ -187,23 +213,29 @@ def calibrate_to(
     - `reference`: published statistics of the real image, to compare with; none by default.
     - `checkpoint`: as for `calibrate`.
     - `command`: name of the command in the result.
+    - `twin`: as for `calibrate`, of which `measured` says what sensors measure.
 
     **Returns:** `CalibrateResult`. Writes the files of `calibrate` into the folder of `run`.
 
     **Raises:** `InputError` as `calibrate`.
     """
-    doubt_targets(run, plot, measured)
+    if not twin:
+        doubt_targets(run, plot, measured)
     with run.stage("Build the plot", "build"):
         ready = prepare(plot, None, seed=run.seed)
         views = [sensor.view_of(ready.scene, ready.parameters) for sensor in measured]
-    evaluations = ready.settings.evaluations
     images = any(sensor.kind == "image" for sensor in measured)
     begin_work(
         {"parameters.csv": f"{len(ready.space.names)} parameters", "statistics.csv": ""}
         | (dict.fromkeys(["image_before.tif", "image_after.tif"], "") if images else {})
-        | {"run.nc": f"after at most {evaluations} steps of the search", "report.html": ""}
+        | {"run.nc": f"rounds of at most {ready.settings.max_steps} steps", "report.html": ""}
     )
-    with run.stage("Calibrate", "calibrate", total=evaluations):
+    known = None
+    if twin:
+        with run.stage("Measure the twin", "twin"):
+            known = plant_twin(ready, measured, seed=run.seed)
+        measured = known.measured
+    with run.stage("Calibrate", "calibrate", total=ready.settings.evaluations):
         search = plot_search(
             ready.scene,
             ready.parameters,
@@ -218,15 +250,25 @@ def calibrate_to(
         check_finite(result.image_after, plot)
     reference = ReferenceImage() if reference is None else reference
     stand, parameters_of_fit = result.stand(), parameter_table(result)
+    truth = []
+    if known is not None:
+        space, scene = result.fit.space, result.scene
+        u = jnp.asarray(known.whitened)
+        there = with_values(result.before, scene.taxa, space.named(u))
+        stand["truth"] = [float(value) for value in stand_values(scene.faded(), there).values()]
+        truth_of = {"truth": space.physical(u)}
+        parameters_of_fit["truth"] = parameter_columns(result.fit.names, truth_of)["truth"]
+        truth = [twin_sentence(result, known, stand, parameters_of_fit)]
     tables = stand, parameters_of_fit, (statistics := statistic_table(result, reference))
     with run.stage("Write"):
-        page = calibration_page(run, plot, result, measured, tables, reference, inputs)
+        page = calibration_page(run, plot, result, measured, tables, reference, inputs, truth)
         _write(run, plot, result.scene, result, page, tables)
     rows = statistics.rename(columns={"real": "target"})
     return run.result(
         CalibrateResult,
         command=command,
         headline=[
+            *truth,
             stand_sentence(stand),
             *agreement_sentences(plot, measured, statistics, reference),
             *parameter_sentences(result),

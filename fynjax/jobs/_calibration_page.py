@@ -6,8 +6,9 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from scipy.stats import norm
 
-from fynjax.assembly import Measured
+from fynjax.assembly import Measured, Twin
 from fynjax.inversion import Calibration, FitResult, KnownPlants, stand_sentence
 from fynjax.io.plot import Plot, sensor_place
 from fynjax.jobs._calibration_tables import (
@@ -46,7 +47,9 @@ def agreement_sentences(
                 f"{error['after']:.1f} % after{beside}, {error['with_gain']:.1f} % with the "
                 "camera's gains as estimated."
             )
-        lines = [f"{plot.name}: {lines[0]}", *map(_capitalised, lines[1:])] if lines else []
+        if lines:
+            lines[0] = f"{plot.name}, expected over plantings: {lines[0]}"
+            lines[1:] = map(_capitalised, lines[1:])
     for sensor in measured:
         if sensor.kind != "image":
             lines.append(sensor_misfit(sensor, sensor_table(sensor, statistics)))
@@ -87,6 +90,28 @@ def status_of(fit: FitResult) -> str:
     )
 
 
+def twin_sentence(
+    result: Calibration, known: Twin, stand: pd.DataFrame, parameters: pd.DataFrame
+) -> str:
+    """How much of a twin's truth lies in the 90 % intervals; tables with a column `truth`."""
+
+    def inside(table: pd.DataFrame) -> str:
+        within = table["truth"].between(table["q05"], table["q95"])
+        return f"{within.sum()} of {len(table)}"
+
+    text = (
+        "A twin, whose truth was drawn from the prior, planted by a chance of its own and measured "
+        f"with errors: of the truth {inside(parameters)} parameters and {inside(stand)} numbers of "
+        "the stand lie in their 90 % intervals"
+    )
+    if known.gain is None or result.gain is None or result.gain_sd is None:
+        return f"{text}."
+    apart = np.abs(np.log(known.gain / result.gain))
+    within = np.sum(apart <= norm.ppf(0.95) * result.gain_sd)
+    gains = ", ".join(f"{gain:.3f}" for gain in known.gain)
+    return f"{text}, and {within} of {len(apart)} gains of the camera, which were {gains}."
+
+
 def doubt_first(fit: FitResult, text: str) -> str:
     """A page's lead: before anything else, why the fit is to be doubted."""
     status = status_of(fit)
@@ -125,12 +150,14 @@ def calibration_page(
     tables: tuple[pd.DataFrame, pd.DataFrame, pd.DataFrame],
     reference: ReferenceImage,
     inputs: Sequence[Path | None],
+    truth: Sequence[str] = (),
 ) -> Page:
-    """The page. `tables` are those of the stand, of the parameters and of the statistics."""
+    """The page. `tables` are those of the stand, of the parameters and of the statistics; `truth`
+    says of a twin how far it was found."""
     stand, parameters, statistics = tables
     memory = peak_memory_mib()
     keys = {
-        "evaluations": str(len(result.fit.loss)),
+        "steps of the search": str(int(result.fit.steps)),
         "wall time": f"{run.total():.0f} s",
         "peak memory": f"{memory / 1024:.1f} GiB",
     }
@@ -145,12 +172,12 @@ def calibration_page(
         else:
             sections.append(sensor_section(sensor, sensor_table(sensor, statistics)))
     sections += [
-        Section("", [Table(statistics, "Every statistic.", folded=True)]),
+        Section("", [Table(statistics, _STATISTICS, folded=True)]),
         parameter_section(result, stand, parameters),
         search_section(run, result, memory),
     ]
     agreement = agreement_sentences(plot, measured, statistics, reference)
-    lead = doubt_first(result.fit, " ".join([stand_sentence(stand), *agreement]))
+    lead = doubt_first(result.fit, " ".join([*truth, stand_sentence(stand), *agreement]))
     return Page(f"Calibration: {plot.name}", lead, sections, keys, run.record(inputs))
 
 
@@ -183,19 +210,38 @@ def _image_sections(
             "errors.png",
             error_bars(errors),
             "error of each mean",
-            "Relative error of each mean, before and after.",
+            "Relative error of each mean, before and after. What was fitted is expected over "
+            "plantings; other means are those of the image.",
         ),
         Picture(
             "indices.png",
             histograms,
             "histograms of indices",
-            "Indices over the pixels; the real mean and spread marked.",
+            "Indices over the pixels of the images above; the real mean and spread marked.",
         ),
     ]
     return [
-        Section("The image", [image_views(pair, pixel)]),
+        Section("The image", [_one_planting(statistics), image_views(pair, pixel)]),
         Section("Against the real image", against),
     ]
+
+
+_STATISTICS = (
+    "Every statistic. Those that were fitted are expected over plantings, `after` and `with_gain` "
+    "also over what is unknown of the parameters; others are those of the image."
+)
+
+
+def _one_planting(statistics: pd.DataFrame) -> str:
+    """What the images show, and how far that is from the expectations of tables and headline."""
+    means = statistics[statistics["fitted"] & statistics["statistic"].str.endswith(".mean")]
+    apart = (means["image_after"] / means["after"] - 1.0).abs().max()
+    return (
+        "The same plants with the parameters before and at the estimate, without gains of the "
+        "camera. Headline, tables and bars have what is expected over other plantings, and after "
+        "calibration over what is unknown of the parameters: "
+        f"their means differ from those of the image after by up to {100.0 * apart:.0f} %."
+    )
 
 
 def parameter_section(
@@ -231,8 +277,17 @@ def parameter_section(
 
 def search_section(run: Run, result: Calibration | KnownPlants, memory: float) -> Section:
     """How the search went; `memory` at its peak [MiB]."""
-    convergence = convergence_plot(result.fit.loss, result.fit.gradient_norm)
-    parts: list[Part] = [Picture("convergence.png", convergence, "objective at each evaluation")]
+    fit = result.fit
+    convergence = convergence_plot(fit.loss, fit.gradient_norm, rounds=fit.rounds)
+    parts: list[Part] = [
+        Picture(
+            "convergence.png",
+            convergence,
+            "objective after each step",
+            "The objective after each step. Errors are estimated anew where a round begins: "
+            "objectives of different rounds do not compare.",
+        )
+    ]
     ends = result.ends
     if len(ends.objective) > 1:
         draws = [f"draw {i}" for i in range(1, len(ends.objective))]

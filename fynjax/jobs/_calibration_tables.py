@@ -10,7 +10,7 @@ import pandas as pd
 import xarray as xr
 
 from fynjax.assembly import Measured, parameter_columns
-from fynjax.inversion import Calibration, KnownPlants
+from fynjax.inversion import Calibration, ImageView, KnownPlants
 from fynjax.io.raster import image_array
 from fynjax.jobs._render import plant_counts
 from fynjax.metrics import BANDS, STRUCTURE_METRICS, image_statistics
@@ -61,7 +61,8 @@ def statistic_table(calibration: Calibration, reference: ReferenceImage) -> pd.D
 
     What was fitted is expected over plantings, and after also over what is unknown of the
     parameters; the reference's statistics that were not are those
-    of the image of the scene's own plants.
+    of the image of the scene's own plants. `image_after` has all of that image at the estimate, not
+    multiplied by the camera's gains.
     """
     data = calibration.fit.data
     extra = tuple(name for name in reference.real if name not in data.names)
@@ -85,6 +86,12 @@ def statistic_table(calibration: Calibration, reference: ReferenceImage) -> pd.D
                 _statistics(image, extra, pixel=camera.pixel), float
             )
         table[column] = values
+    image = calibration.image_after
+    if image is not None and camera is not None:
+        imaged = next(view.names for view in calibration.views if isinstance(view, ImageView))
+        own = (*imaged, *extra)
+        found = np.asarray(_statistics(image, own, pixel=camera.pixel), float)
+        table["image_after"] = table["statistic"].map(dict(zip(own, found, strict=True)))
     with_gain = np.full(len(names), np.nan)
     with_gain[: len(data.names)] = calibration.statistics_with_gain
     table["with_gain"] = with_gain

@@ -42,6 +42,7 @@ from sklearn.preprocessing import StandardScaler
 from fynjax._core.parts import Workers, at_work
 from fynjax.assembly import image_view, prepare
 from fynjax.assembly._targets import reflectance_noise, structure_settings
+from fynjax.assembly._twin import draw_truth, measure_truth
 from fynjax.inversion import (
     IMAGE_STATISTICS,
     CalibrationSettings,
@@ -63,8 +64,8 @@ from fynjax.inversion import (
     weigh_structure,
     weigh_targets,
 )
-from fynjax.metrics import image_statistics, spectral_mask
-from fynjax.scene import stand_realisation, with_values
+from fynjax.metrics import spectral_mask
+from fynjax.scene import stand_realisation
 from fynjax.sensors import BandSet, shipped_sensor
 from tests.benchmarks._measure import data_folder, example_plot, options
 
@@ -76,8 +77,6 @@ FREE = (
 SENSORS = ("image", "spectrum", "lidar")
 SHARES = (0.5, 0.68, 0.9)
 FOUND = ("truth", "measured", "estimate", "covariance", "misfit", "seconds", "converged")
-NOISE = 0.01
-"""Of a pixel of the camera, as a share of its value [-]."""
 GRAIN, PULSES, CELLS_APART = 1.0, 100.0, 0.1
 """Of the LiDAR: cells of its metrics [m], pulses [m-2], how cells differ by sampling [-]."""
 
@@ -110,16 +109,11 @@ def plot_of(size, tiny):
 def measure(ready, views, u, number, random):
     """What sensors measure of the plot at `u`, planted by its own chance: a camera with noise and
     gains, a spectrometer and a LiDAR with the errors that a calibration assumes of them."""
-    plot = with_values(ready.parameters, ready.scene.taxa, ready.space.named(jnp.asarray(u)))
-    share, scene = ready.plot.calibration.target_sd, ready.replant(1000 + number)
+    share = ready.plot.calibration.target_sd
     found = []
     for view in views:
-        value, *image = (np.asarray(a, float) for a in look((view,), scene, plot))
+        value, _ = measure_truth(ready, view, u, number, random)
         if isinstance(view, ImageView):
-            gain = random.multivariate_normal(np.zeros(4), view.gains.covariance(4))
-            noise = 1.0 + NOISE * random.normal(size=image[0].shape)
-            image = jnp.asarray(image[0] * np.exp(gain)[:, None, None] * noise)
-            value = np.asarray(image_statistics(image, view.names, pixel=view.camera.pixel))
             found.append(weigh_targets(view.names, value, share))
             continue
         data = weigh(ready.plot, view, value, share)
@@ -193,7 +187,7 @@ def line(chosen, ready, truths, view):
     twins = []
     for number in range(chosen.seeds):
         random = np.random.default_rng([number, 17])
-        truth = random.normal(size=free).clip(-2.2, 2.2)
+        truth = draw_truth(free, random)
         measured = np.asarray(measure(truths, (view,), truth, number, random).value)
         rest = weights @ (measured - np.asarray(place.statistics))
         estimate = covariance @ jacobian.T @ rest
@@ -233,7 +227,7 @@ def twin(number, size, wrong, sensors):
     """A whole calibration of one truth: the arrays of `FOUND`."""
     ready, truths, views = experiment(size, wrong, sensors, False)
     random = np.random.default_rng([number, 17])
-    truth = random.normal(size=len(ready.space.names)).clip(-2.2, 2.2)
+    truth = draw_truth(len(ready.space.names), random)
     data = measure(truths, views, truth, number, random)
     began = time.process_time()
     found = calibrate_plot(

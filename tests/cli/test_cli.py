@@ -236,7 +236,7 @@ def one_line(status, out, err):
         (["demo", "--seed", "-1"], "--seed"),
         (["demo", "--frob"], "--frob"),
         (["fit-leaf"], "SPECTRUM"),
-        (["calibrate", "plot.toml"], "--target"),
+        (["posterior", "plot.toml"], "--target"),
     ],
 )
 def test_wrong_arguments_are_one_line(capsys, calls, tmp_path, monkeypatch, arguments, word):

@@ -10,6 +10,7 @@ import pytest
 from fynjax.inversion import (
     STAND_FUNCTIONALS,
     Data,
+    Functional,
     fit,
     free_space,
     stand_sentence,
@@ -88,6 +89,15 @@ def test_what_data_say_of_the_stand_is_more_than_of_any_parameter(plot):
     assert row.constrained > 0.95
     assert np.max(np.asarray(found.constrained)) < row.constrained - 0.2
     assert f"green leaf area {row.estimate:.3g} [" in stand_sentence(table.reset_index())
+    own = {"twice": Functional("twice the leaf area", "m", lambda *a: 2.0 * functional.value(*a))}
+    double = stand_table(scene, parameters, found, functionals={**STAND_FUNCTIONALS, **own})
+    assert list(double["name"]) == [*STAND_FUNCTIONALS, "twice"]
+    numbers = ["prior", "prior_q05", "prior_q95", "estimate", "q05", "q95"]
+    double = double.set_index("name").loc["twice"]
+    np.testing.assert_allclose(double[numbers].astype(float), 2.0 * row[numbers].astype(float))
+    assert double.constrained == pytest.approx(row.constrained)
+    alone = stand_table(scene, parameters, found, functionals=own)
+    assert f"twice the leaf area {double.estimate:.3g} [" in stand_sentence(alone, own)
     ends = np.stack([np.asarray(found.whitened), np.zeros(len(space.names))])
     drawn = stand_table(scene, parameters, found, draws=np.repeat(ends, [90, 10], axis=0))
     of_draws = drawn.set_index("name").loc["green_leaf_area"]

@@ -72,8 +72,8 @@ def test_slopes_are_computed_once_a_round_and_are_those_of_the_estimate(max_step
     rest = (values - target) / np.asarray(last.sd)
     u = np.asarray(last.u)
     assert result.misfit == pytest.approx(rest @ rest + u @ u)
-    looks = len(states) - 1 if max_steps == 30 else 4  # before each step, and at the end
-    assert len(result.fit.loss) == looks
+    assert len(result.fit.loss) == len(states) - 1  # all but the end, which is that before it
+    assert int(result.fit.steps) == len(result.fit.loss) - int(result.fit.rounds[-1])
 
 
 def test_what_gains_may_be_is_an_error_of_the_parameters(found):

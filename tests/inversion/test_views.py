@@ -319,13 +319,34 @@ def test_a_search_from_several_starts_goes_on_within_any_of_them(sums, tmp_path)
 def test_a_calibration_tells_of_each_evaluation(sums):
     with hearing() as heard:
         found = calibrated(sums, max_steps=2)
-    assert heard.stages == [("Calibrate", 3)]
+    assert heard.stages == [("Calibrate", 5)]
     assert heard.count == len(found.fit.loss)
     assert heard.shown[0] == {
         "stage": "round 1",
         "loss": f"{found.fit.loss[0]:.1f}",
         "gradient": f"{found.fit.gradient_norm[0]:.1f}",
     }
+
+
+@pytest.mark.parametrize(("most", "tolerance"), [(2, 1e-20), (12, 0.05)])
+def test_the_steps_that_are_said_are_those_done(sums, monkeypatch, most, tolerance):
+    """Whether rounds converged or came to the limit: with the objective at the beginning of each
+    round and after each step."""
+    done = []
+    real = BroydenLM.step
+    monkeypatch.setattr(BroydenLM, "step", lambda *a: (done.append(1), real(*a))[1])
+    fit = calibrated(sums, max_steps=most, tolerance=tolerance).fit
+    assert bool(fit.converged) == (most == 12), fit.explanation
+    count, rounds = len(done), int(fit.rounds[-1])
+    assert int(fit.steps) == count > 1
+    assert len(fit.loss) == count + rounds
+    assert f"after {count} steps in {rounds} rounds" in fit.explanation
+    assert ("limit of steps of a round" in fit.explanation) == (most == 2)
+
+
+def test_steps_of_another_solver_are_counted(sums):
+    found = calibrated(sums, solver=optx.LevenbergMarquardt(1e-4, 1e-4), stand_realisations=0)
+    assert int(found.fit.steps) > int(found.fit.rounds[-1]) == len(found.fit.loss)
 
 
 def test_what_was_kept_is_not_done_again(sums, whole, tmp_path, monkeypatch):
@@ -508,7 +529,8 @@ def test_a_search_that_starts_at_its_optimum_has_converged(sums):
     found = calibrated((model, start, same, space), stand_realisations=0)
     assert found.fit.converged
     np.testing.assert_allclose(found.fit.whitened, 0.0, atol=1e-9)
-    assert int(found.fit.steps) == len(found.fit.loss) == 2  # one look a round
+    assert int(found.fit.steps) == 0
+    assert found.fit.rounds.tolist() == [1, 2]  # one look a round
 
 
 class Misleading(Sums):
@@ -810,10 +832,10 @@ def test_a_surrogate_bends_as_the_model_does(sums):
 
 
 def test_the_gains_of_a_camera_are_estimated(views):
-    """An image that is brighter in one band than the plants can make it."""
-    view = dataclasses.replace(views[0], names=BAND_MEANS, gains=Gains(0.05))
+    """An image that is brighter in one band than the plants can make it, and far darker in one."""
+    view = dataclasses.replace(views[0], names=BAND_MEANS, gains=Gains(0.3))
     image = jnp.asarray(0.05 + 0.3 * np.random.default_rng(2).random((4, 6, 6)))
-    gain = np.array([1.08, 1.0, 0.94, 1.0])
+    gain = np.array([1.08, 1.0, 0.6, 1.0])
     value = view._statistics(image * gain[:, None, None])
     own = Data(BAND_MEANS, value, 0.001 * value)
     data = own.with_covariance(radiometric_covariance((view,), (image,)))
@@ -823,7 +845,7 @@ def test_the_gains_of_a_camera_are_estimated(views):
     result = fit_result(space, data, jnp.zeros(1), predicted, flat, status, 1, np.empty((0, 2)))
     found, sd, with_gain = _gains((view,), image, result, np.asarray(data.whitener))
     np.testing.assert_allclose(found, gain, rtol=0.005)
-    assert sd.max() < 0.0012  # the means are known to a thousandth
+    assert sd.max() < 0.0018  # the means are known to a thousandth
     np.testing.assert_allclose(with_gain, value, rtol=0.005)
 
 
@@ -905,8 +927,8 @@ def test_gains_are_estimated_beside_the_parameters():
     prior[:2, :2], prior[2:, 2:] = np.eye(2), np.linalg.inv(Gains(0.1).covariance(3))
     covariance = np.linalg.inv(prior + slopes.T @ slopes / 0.01**2)
     mean = covariance @ slopes.T @ (value - means + jacobian @ u) / 0.01**2
-    np.testing.assert_allclose(found, np.exp(mean[2:]), rtol=1e-9)
-    np.testing.assert_allclose(sd, np.sqrt(np.diagonal(covariance)[2:]), rtol=1e-9)
+    np.testing.assert_allclose(found, 1.0 + mean[2:], rtol=1e-9)
+    np.testing.assert_allclose(sd * found, np.sqrt(np.diagonal(covariance)[2:]), rtol=1e-9)
     np.testing.assert_allclose(with_gain, means * (1.0 + mean[2:]), rtol=1e-9)
 
 

@@ -6,9 +6,12 @@ from types import SimpleNamespace
 
 import jax.numpy as jnp
 import jsonschema
+import numpy as np
+import pandas as pd
 import pytest
 
 from fynjax._core.errors import InputError
+from fynjax.compare import read_drone_image
 from fynjax.inversion import PlotSearch
 from fynjax.io.plot import example_folder, read_plot
 from fynjax.jobs import calibrate, render
@@ -16,6 +19,7 @@ from fynjax.jobs._calibrate import _short_of_sites
 from fynjax.jobs._calibration_page import doubt_first, status_of
 from fynjax.jobs._render import check_finite
 from fynjax.jobs._schemas import json_schema
+from fynjax.metrics import image_statistics
 from tests.heard import hearing
 from tests.scene.plots import small_parameters, small_plot
 from tests.small import write_plot
@@ -138,3 +142,37 @@ def test_a_page_says_first_that_the_search_did_not_converge():
     assert lead[0].lower() + lead[1:] == f"{status_of(stopped)} Plot: largest error 14 %."
     ended = SimpleNamespace(converged=True, explanation="")
     assert (status_of(ended), doubt_first(ended, "Plot.")) == ("ok", "Plot.")
+
+
+@pytest.mark.slow
+def test_a_twin_shows_its_truth(tmp_path):
+    """In tables, headline and page; and nearly all of it lies in its intervals."""
+    path = write_plot(tmp_path, MORE.replace("gain_sd = 0.0", "gain_sd = 0.1"))
+    found = calibrate(path, [], tmp_path / "output", seed=3, twin=True)
+    tables = [pd.read_csv(tmp_path / "output" / f"{n}.csv") for n in ("parameters", "stand")]
+    counts = []
+    for table in tables:
+        off = np.abs(table["truth"] / table["prior"] - 1.0)
+        assert off.max() > 0.02  # not the middle of the prior
+        counts.append(int(table["truth"].between(table["q05"], table["q95"]).sum()))
+        assert counts[-1] >= len(table) - 1
+    first = found.headline[0]
+    assert first.startswith("A twin, whose truth was drawn from the prior")
+    for count, table, what in zip(counts, tables, ("parameters", "numbers of the stand")):
+        assert f"{count} of {len(table)} {what}" in first
+    assert " of 4 gains of the camera" in first
+    page = (tmp_path / "output" / "report.html").read_text("utf-8")
+    assert first in page
+    image = jnp.asarray(read_drone_image(tmp_path / "output" / "image_after.tif").values)
+    table = pd.read_csv(tmp_path / "output" / "statistics.csv")
+    own = np.asarray(image_statistics(image, tuple(table["statistic"]), pixel=0.1))
+    np.testing.assert_allclose(table["image_after"], own, rtol=1e-3)
+    means = table[table["statistic"].str.endswith(".mean")]
+    apart = 100.0 * (means["image_after"] / means["after"] - 1.0).abs().max()
+    assert f"differ from those of the image after by up to {apart:.0f} %" in page
+    assert "of a plot whose truth is known" in found.targets[0].description.lower()
+
+
+def test_neither_a_target_nor_a_twin_is_said(tmp_path):
+    with pytest.raises(InputError, match=r"expected what was measured \(--target\), or --twin"):
+        calibrate(write_plot(tmp_path, MORE), [], tmp_path / "output")

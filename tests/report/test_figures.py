@@ -112,15 +112,24 @@ def test_an_image_that_was_not_calibrated_is_not_called_before():
     assert {"before", "after"} <= set(text_of(index_histograms(values, values)))
 
 
-def test_parameters_are_sorted_in_panels_with_units(table):
+def test_species_stand_in_one_order_in_panels_with_units(table):
+    """In both figures and all panels; the one of which a parameter moved farthest first."""
+    moved = table.index[table["name"] == "species.Genus epithet7.height"]
+    table.loc[moved, "estimate"] = table.loc[moved, "prior_q95"]
     figure = parameter_plot(table)
     assert len(figure.axes) == 4
     by_title = {axes.get_title(loc="left"): axes for axes in figure.axes}
     assert "Chlorophyll [µg cm⁻²]" in by_title
     axes = by_title["Cover [%]"]
-    labels = [label.get_text() for label in axes.get_yticklabels()]
-    cover = table[table["kind"] == "cover"].sort_values("prior", ascending=False)
-    assert labels == [name.split(".")[1] for name in cover["name"]]
+    every = [*figure.axes, *constraint_plot(table).axes]
+    labels = {tuple(label.get_text() for label in one.get_yticklabels()) for one in every}
+    (order,) = labels
+    wide = table["prior_q95"] - table["prior_q05"]
+    far = ((table["estimate"] - table["prior"]).abs() / wide).groupby(
+        table["name"].str.split(".").str[1]
+    )
+    assert list(order) == list(far.max().sort_values(ascending=False).index)
+    assert order[0] == "Genus epithet7"
     assert axes.get_ylim()[0] > axes.get_ylim()[1]  # largest on top
 
 
@@ -131,7 +140,7 @@ def test_constraint_bars_are_percent(table):
         p.get_width() for p in figure.axes[0].patches if p.get_facecolor()[:3] < (0.9, 0.9, 0.9)
     ]
     expected = 100 * table[table["kind"] == "cover"]["constrained"]
-    np.testing.assert_allclose(bars, sorted(expected, reverse=True))
+    np.testing.assert_allclose(sorted(bars), sorted(expected))
     assert "<1" in text_of(figure)
 
 
@@ -172,6 +181,22 @@ def test_gaps_and_edges_do_not_break_a_figure(tmp_path, image):
     save_figure(convergence_plot([3.0]), tmp_path / "d.png")
     save_figure(convergence_plot([3.0, np.nan, -1.0], [1.0, 0.0, 0.0]), tmp_path / "e.png")
     assert sorted(p.name for p in tmp_path.iterdir()) == [f"{c}.png" for c in "abcde"]
+
+
+def test_a_curve_of_the_objective_breaks_where_a_round_begins():
+    """Along the steps done; a round begins where the one before ended."""
+    figure = convergence_plot([9.0, 4.0, 3.0, 7.0, 5.0], rounds=[1, 1, 1, 2, 2])
+    (axes,) = figure.axes
+    first, second, mark = (line.get_xdata() for line in sorted_lines(axes))
+    assert first.tolist() == [0, 1, 2]
+    assert second.tolist() == [2, 3]
+    assert set(mark) == {2}
+    assert any(text.get_text() == "round 2" for text in axes.texts)
+
+
+def sorted_lines(axes):
+    """Curves, then marks."""
+    return sorted(axes.lines, key=lambda line: line.get_linestyle() == ":")
 
 
 def test_histogram_is_a_density_with_the_target_inside():

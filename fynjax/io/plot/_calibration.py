@@ -77,7 +77,11 @@ class CalibrationTable(Strict):
         "the parameter, which for dead tissue in shoots is 0.25, whatever its value.",
     )
     max_iterations: int = Field(
-        default=30, description="Most steps of the optimiser in a round [-].", ge=1, le=10000
+        default=30,
+        description="Most steps of the optimiser in the first round; where plants are not known "
+        "those after have half as many [-].",
+        ge=1,
+        le=10000,
     )
     starts: int = Field(
         default=1,

@@ -77,7 +77,13 @@ def _panels(
 
 
 def _groups(table: pd.DataFrame) -> list[tuple[str, pd.DataFrame]]:
-    return [(str(kind), part) for kind, part in table.groupby("kind", sort=False)]
+    """The rows of each kind, species in one order: by how far, over the prior's interval, that
+    parameter of each moved which moved farthest."""
+    wide = table["prior_q95"] - table["prior_q05"]
+    moved = (table["estimate"] - table["prior"]).abs() / wide.where(wide > 0.0)
+    of = [_label(str(name), str(kind)) for name, kind in zip(table["name"], table["kind"])]
+    order = (-moved.fillna(0.0)).groupby(of).transform("min").argsort(kind="stable")
+    return [(str(kind), part) for kind, part in table.iloc[order].groupby("kind", sort=False)]
 
 
 def _label(name: str, kind: str) -> str:
@@ -100,13 +106,11 @@ def parameter_plot(table: pd.DataFrame, *, columns: int = 2) -> Figure:
     """Prior against estimate, with 90 % intervals, one panel for each kind.
 
     **Arguments:** `table` with the columns name, kind, unit, prior, prior_q05, prior_q95, estimate,
-    q05, q95; a row for each parameter; `columns`, panels in a row. Within a kind, rows are sorted
-    by the prior, largest first.
+    q05, q95, and truth where that is known; a row for each parameter; `columns`, panels in a row.
+    In all panels species come in one order, the one that moved farthest first.
     """
-    groups = [
-        (kind, part.sort_values("prior", ascending=False, kind="stable"))
-        for kind, part in _groups(table)
-    ]
+    known = "truth" in table
+    groups = _groups(table)
     with style():
         figure, panels = _panels([(k, len(p)) for k, p in groups], columns, 0.35)
         for axes, (kind, part) in zip(panels, groups, strict=True):
@@ -115,6 +119,8 @@ def parameter_plot(table: pd.DataFrame, *, columns: int = 2) -> Figure:
             axes.plot(part["prior"], y - 0.16, "o", ms=4, mfc="white", color=GREY)
             axes.hlines(y + 0.16, part["q05"], part["q95"], color=BLUE, lw=1.4)
             axes.plot(part["estimate"], y + 0.16, "o", ms=4, color=BLUE)
+            if known:
+                axes.plot(part["truth"], y, "x", ms=5, mew=1.4, color=VERMILION)
             units = part["unit"].astype(str).unique()
             axes.set_title(words(kind).capitalize() + (_unit(units[0]) if len(units) == 1 else ""))
             axes.locator_params(axis="x", nbins=6)
@@ -124,7 +130,11 @@ def parameter_plot(table: pd.DataFrame, *, columns: int = 2) -> Figure:
             ),
             matplotlib.lines.Line2D([], [], marker="o", color=BLUE, label="estimate, 90 %"),
         ]
-        figure.legend(handles=handles, loc="outside upper left", ncols=2)
+        if known:
+            handles.append(
+                matplotlib.lines.Line2D([], [], marker="x", ls="", color=VERMILION, label="truth")
+            )
+        figure.legend(handles=handles, loc="outside upper left", ncols=3)
     return figure
 
 
@@ -158,13 +168,10 @@ def interval_plot(table: pd.DataFrame, methods: Mapping[str, tuple[str, str]]) -
 def constraint_plot(table: pd.DataFrame, *, columns: int = 2) -> Figure:
     """How far the data narrowed each parameter: 1 - (sd / prior sd)^2, in percent.
 
-    **Arguments:** `table` with the columns name, kind, constrained (0 to 1); `columns`, panels in a
-    row. Within a kind, rows are sorted, best constrained first.
+    **Arguments:** `table` with the columns of `parameter_plot`, in whose order rows come, and
+    constrained (0 to 1); `columns`, panels in a row.
     """
-    groups = [
-        (kind, part.sort_values("constrained", ascending=False, kind="stable"))
-        for kind, part in _groups(table)
-    ]
+    groups = _groups(table)
     with style():
         figure, panels = _panels([(k, len(p)) for k, p in groups], columns, 0.45)
         for axes, (kind, part) in zip(panels, groups, strict=True):
@@ -197,14 +204,24 @@ def constraint_plot(table: pd.DataFrame, *, columns: int = 2) -> Figure:
 
 
 def convergence_plot(
-    loss: ArrayLike, gradient_norm: ArrayLike | None = None, *, loss_label: str = "Loss [-]"
+    loss: ArrayLike,
+    gradient_norm: ArrayLike | None = None,
+    *,
+    rounds: ArrayLike | None = None,
+    loss_label: str = "Loss [-]",
 ) -> Figure:
-    """Loss, and the norm of its gradient if given, against the iteration (from 0).
+    """Loss, and the norm of its gradient if given, against the steps done.
 
-    **Arguments:** `loss` and `gradient_norm` [iteration]; `loss_label`, the label of the axis
-    of the loss, with its unit.
+    **Arguments:**
+
+    - `loss`, `gradient_norm`: at the beginning of each round and after each of its steps.
+    - `rounds`: number of the round of each, from 1; by default all are of one. A line ends with its
+      round.
+    - `loss_label`: of the axis of the loss, with its unit.
     """
     losses = np.asarray(loss, dtype=float)
+    turn = np.ones(losses.size, int) if rounds is None else np.asarray(rounds)
+    steps = np.arange(losses.size) - (turn - 1)
     with style():
         rows = 1 if gradient_norm is None else 2
         figure = Figure(figsize=(5.2, 1.1 + 1.9 * rows))
@@ -213,7 +230,11 @@ def convergence_plot(
         if gradient_norm is not None:
             series.append((np.asarray(gradient_norm, dtype=float), "Gradient norm", GREEN))
         for axes, (values, label, colour) in zip(grid, series, strict=True):
-            axes.plot(values, "-o", ms=3, lw=1.2, color=colour)
+            for number in np.unique(turn):
+                here = turn == number
+                axes.plot(steps[here], values[here], "-o", ms=3, lw=1.2, color=colour)
+                if number > 1:
+                    axes.axvline(steps[here][0], color=GREY, lw=0.8, ls=":")
             finite = values[np.isfinite(values)]
             if finite.size and finite.min() > 0 and finite.max() / finite.min() > 5:
                 axes.set_yscale("log")
@@ -221,10 +242,15 @@ def convergence_plot(
             axes.grid(visible=True)
             if values.size:
                 axes.annotate(
-                    f"{values[-1]:.3g}", (values.size - 1, values[-1]), xytext=(4, 4),
+                    f"{values[-1]:.3g}", (steps[-1], values[-1]), xytext=(4, 4),
                     textcoords="offset points", fontsize=8, color=colour,
                 )  # fmt: skip
-        grid[-1].set_xlabel("Iteration")
+        for number in np.unique(turn)[1:]:
+            grid[0].annotate(
+                f"round {number}", (steps[turn == number][0], 1.0), xytext=(3, -9),
+                xycoords=("data", "axes fraction"), textcoords="offset points", fontsize=7,
+            )  # fmt: skip
+        grid[-1].set_xlabel("Steps")
         grid[-1].xaxis.get_major_locator().set_params(integer=True)
     return figure
 

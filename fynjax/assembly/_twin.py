@@ -1,0 +1,124 @@
+"""A plot whose truth is known, and what sensors would measure of it."""
+
+import dataclasses
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from fynjax._core.precision import double_precision
+from fynjax.assembly._forward import Prepared
+from fynjax.assembly._targets import Measured, drone_view, target_rules
+from fynjax.inversion import (
+    IMAGE_STATISTICS,
+    AbstractView,
+    Data,
+    ImageView,
+    look,
+    weigh_targets,
+)
+from fynjax.io.plot import Plot, sensor_place
+from fynjax.metrics import fitting_statistics, image_statistics
+from fynjax.scene import with_values
+
+PIXEL_NOISE = 0.01
+"""Noise of a pixel of a camera over its reflectance [-]: an assumption, as no source states that of
+the shipped cameras."""
+_FARTHEST = 2.2
+"""Of a truth from the middle of the prior [standard deviations]."""
+_PLANTING = 1000
+"""Number of the chance that plants a twin; those of a search are small."""
+
+
+class Twin(NamedTuple):
+    """A plot whose truth is known."""
+
+    measured: tuple[Measured, ...]
+    """What sensors measured of it, in place of the targets of the real plot."""
+    whitened: Float[np.ndarray, " free"]
+    """Its parameters, in whitened coordinates of the prior."""
+    gain: Float[np.ndarray, " band"] | None
+    """By what factor each band of its camera was off [-]; None without a camera."""
+
+
+def draw_truth(free: int, random: np.random.Generator) -> Float[np.ndarray, " free"]:
+    """Whitened coordinates of a truth, drawn from the prior."""
+    return random.normal(size=free).clip(-_FARTHEST, _FARTHEST)
+
+
+@double_precision
+def measure_truth(
+    ready: Prepared,
+    view: AbstractView,
+    u: Float[Array | np.ndarray, " free"],
+    number: int,
+    random: np.random.Generator,
+) -> tuple[Float[np.ndarray, " statistic"], Float[np.ndarray, " band"] | None]:
+    """What a sensor measures of a plot whose parameters are known, planted by a chance of its own.
+
+    **Arguments:**
+
+    - `ready`: the plot. The scene is rendered in full, at the camera's own pixels and blur.
+    - `view`: the sensor's; an image gets the camera's gains, drawn from what they may be off by,
+      and noise (`PIXEL_NOISE`). Other sensors get no errors here.
+    - `u`: whitened coordinates of the parameters.
+    - `number`: of the chance that plants it, unlike those of a search.
+    - `random`: draws gains and noise.
+
+    **Returns:** the statistics, and the gains, None of a sensor that makes no image. Not
+    differentiable.
+    """
+    plot = with_values(ready.parameters, ready.scene.taxa, ready.space.named(jnp.asarray(u)))
+    value, *image = look((view,), ready.replant(_PLANTING + number), plot)
+    if not isinstance(view, ImageView):
+        return np.asarray(value, float), None
+    bands = image[0].shape[0]
+    gain = np.exp(random.multivariate_normal(np.zeros(bands), view.gains.covariance(bands)))
+    noise = 1.0 + PIXEL_NOISE * random.normal(size=image[0].shape)
+    seen = jnp.asarray(np.asarray(image[0], float) * gain[:, None, None] * noise)
+    return np.asarray(image_statistics(seen, view.names, pixel=view.camera.pixel)), gain
+
+
+@double_precision
+def plant_twin(ready: Prepared, measured: Sequence[Measured], *, seed: int) -> Twin:
+    """Draw a truth from the prior of a plot, plant it, and measure it as the real plot was.
+
+    **Arguments:**
+
+    - `ready`: the plot.
+    - `measured`: of the real plot, or `twin_image`: which statistics of which sensors. Those of an
+      image get the errors of `measure_truth`; others are drawn with the errors that they have here.
+    - `seed`: of truth and errors.
+    """
+    random = np.random.default_rng([seed, 101])
+    truth = draw_truth(len(ready.space.names), random)
+    found, gain = [], None
+    for one in measured:
+        view = one.view_of(ready.scene, ready.parameters)
+        value, own = measure_truth(ready, view, truth, 0, random)
+        if own is None:
+            covariance = np.asarray(one.data.covariance)
+            value = random.multivariate_normal(value, covariance, method="eigh")
+            data = dataclasses.replace(one.data, value=jnp.asarray(value))
+        else:
+            gain = own
+            data = weigh_targets(one.data.names, value, ready.plot.calibration.target_sd)
+        text = f"Of a plot whose truth is known, not of a real one: {one.description}"
+        curve = None if one.bands is None else (np.asarray(one.bands.centre), value)
+        found.append(dataclasses.replace(one, data=data, spectrum=curve, description=text))
+    return Twin(tuple(found), truth, gain)
+
+
+def twin_image(plot: Plot) -> Measured:
+    """The image of a plot's drone, for a twin of a plot of which nothing was measured: every
+    statistic that is compared with a whole image, without values. Raises `InputError` as
+    `drone_view`, and where the plot file's targets fit none of them."""
+    pixel = sensor_place(plot)[1]
+    every = fitting_statistics(IMAGE_STATISTICS, min(plot.size_m), pixel)
+    used = target_rules(plot).used(every, "the statistics")
+    names = tuple(every[i] for i in used)
+    data = Data(names, jnp.zeros(len(names)), jnp.ones(len(names)))
+    description = f"{len(names)} statistics of a drone's image."
+    return Measured("image", plot.file, data, drone_view(plot, names), description)

@@ -1,0 +1,79 @@
+"""A plot whose truth is known, and what sensors measure of it."""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from fynjax.assembly import plant_twin, prepare, twin_image
+from fynjax.assembly._twin import _PLANTING, PIXEL_NOISE, measure_truth
+from fynjax.inversion import ImageView
+from fynjax.io.plot import read_plot
+from fynjax.scene import with_values
+from tests.small import write_plot
+
+MORE = """
+[sensor]
+pixel_m = 0.1
+[calibration]
+free = ["species.*.leaf_area_index", "ground.brightness"]
+targets = ["*.mean", "nir.std"]
+gain_sd = 0.2
+gain_shared = 0.0
+"""
+
+
+@pytest.fixture(scope="module")
+def ready(tmp_path_factory):
+    plot = read_plot(write_plot(tmp_path_factory.mktemp("twin"), MORE))
+    return prepare(plot, None, seed=0)
+
+
+@pytest.fixture(scope="module")
+def twin(ready):
+    return plant_twin(ready, [twin_image(ready.plot)], seed=4)
+
+
+def test_a_twin_is_an_image_of_its_truth_with_gains_and_noise(ready, twin):
+    """Means are those of the full image times the gains; noise of a pixel adds to the spread."""
+    (one,) = twin.measured
+    view = one.view_of(ready.scene, ready.parameters)
+    truth = with_values(
+        ready.parameters, ready.scene.taxa, ready.space.named(jnp.asarray(twin.whitened))
+    )
+    scene = ready.replant(_PLANTING)
+    image, _ = eqx.filter_jit(ImageView.observe)(view, scene, truth)
+    found = dict(zip(one.data.names, np.asarray(one.data.value), strict=True))
+    mean, std = (np.asarray(f(image, axis=(1, 2)), float) for f in (jnp.mean, jnp.std))
+    for i, band in enumerate(("green", "red", "red_edge", "nir")):
+        assert found[f"{band}.mean"] == pytest.approx(twin.gain[i] * mean[i], rel=2e-3)
+    square = np.asarray((image[3] ** 2).mean(), float)
+    noisy = twin.gain[3] * np.sqrt(std[3] ** 2 + PIXEL_NOISE**2 * square)
+    assert found["nir.std"] == pytest.approx(noisy, rel=5e-3)
+    assert 0.05 < np.abs(np.log(twin.gain)).max() < 0.7
+
+
+def test_a_twin_is_planted_by_another_chance(ready):
+    """Than the scene, and than any planting of a search."""
+    feet = [np.asarray(ready.replant(i).planting.foot) for i in (*range(8), _PLANTING)]
+    assert all(one.shape != feet[-1].shape or (one != feet[-1]).any() for one in feet[:-1])
+
+
+def test_a_seed_is_a_truth(ready, twin):
+    again = plant_twin(ready, [twin_image(ready.plot)], seed=4)
+    np.testing.assert_array_equal(again.whitened, twin.whitened)
+    np.testing.assert_array_equal(again.measured[0].data.value, twin.measured[0].data.value)
+    other = plant_twin(ready, [twin_image(ready.plot)], seed=5)
+    assert np.abs(other.whitened - twin.whitened).max() > 0.1
+    assert np.abs(other.gain / twin.gain - 1.0).max() > 0.01
+
+
+def test_a_truth_moves_what_is_measured(ready, twin):
+    view = twin.measured[0].view_of(ready.scene, ready.parameters)
+    bright = np.zeros(len(ready.space.names))
+    bright[ready.space.names.index("ground.brightness")] = 1.0
+    values = [
+        measure_truth(ready, view, u, 0, np.random.default_rng(0))[0]
+        for u in (np.zeros_like(bright), bright)
+    ]
+    assert values[1][view.names.index("red.mean")] > 1.01 * values[0][view.names.index("red.mean")]
