@@ -475,3 +475,23 @@ def test_a_leaf_of_traits_unpacks_and_broadcasts():
         fx.prospect(chlorophyll=[1.0, 2.0], water=[0.1, 0.1, 0.1])
     with pytest.raises(InputError, match="but got both"):
         fx.prospect(fx.Leaf(), water=0.1)
+
+
+def test_data_are_made_of_what_was_observed_and_names_are_checked_at_once(image, tmp_path):
+    measured = fx.Data.from_image(image, statistics=("*.mean", "NDVI.std"))
+    fx.io.raster.write_geotiff(
+        tmp_path / "image.tif", image.reflectance, image.bands, pixel_m=image.pixel
+    )
+    read = fx.Data.from_image(tmp_path / "image.tif", statistics=("*.mean", "NDVI.std"))
+    assert measured.names == read.names
+    np.testing.assert_allclose(measured.value, read.value, rtol=1e-6)
+    assert measured.value[measured.names.index("nir.mean")] == pytest.approx(
+        float(image["nir"].mean())
+    )
+    with pytest.raises(InputError, match=r"got DataFrame; .*Data\.from_table"):
+        fx.Data.from_image(image.to_dataframe())
+    for wrong, right in (("NDVI_mean", "NDVI.mean"), ("ndvi.mean", "NDVI.mean")):
+        with pytest.raises(InputError, match=rf"{wrong}.*Did you mean '{right}'"):
+            fx.Data.from_table({wrong: 0.3})
+    with pytest.raises(InputError, match=r"'NDVI\.avg'"):
+        fx.Data.from_table({"NDVI.avg": 0.3})

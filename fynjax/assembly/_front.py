@@ -21,6 +21,7 @@ from fynjax.assembly._targets import (
     image_data,
     spectrum_data,
     structure_data,
+    weighed_statistics,
 )
 from fynjax.compare import DroneImage, VegetationCheck, read_drone_image
 from fynjax.compare import check_vegetation as check_spectrum
@@ -46,8 +47,9 @@ from fynjax.inversion import fit as fit_function
 from fynjax.io.instruments import load_instrument
 from fynjax.io.plot import BY_FORM, LearnedPrior, example_folder, read_plot, read_prior
 from fynjax.io.text import read_rows
-from fynjax.metrics import BANDS
+from fynjax.metrics import BANDS, check_statistics
 from fynjax.scene import (
+    Observation,
     Placement,
     PlotParameters,
     Scene,
@@ -123,7 +125,7 @@ class PlotData(Data):
     @double_precision
     def from_image(
         cls,
-        path: str | Path,
+        image: str | Path | Observation,
         camera: str | Path | Sensor | Lidar = "mavic_3m",
         *,
         pixel: float | None = None,
@@ -137,7 +139,7 @@ class PlotData(Data):
 
         **Arguments:**
 
-        - `path`: GeoTIFF of reflectance.
+        - `image`: GeoTIFF of reflectance, or what `observe` gives of such a camera.
         - `camera`: that took it; a name, a sensor file or an object, with bands green, red, red
           edge and near infrared.
         - `pixel`: edge of a pixel [m], where the image states none.
@@ -151,8 +153,19 @@ class PlotData(Data):
         **Raises:** `InputError` for an image or camera that cannot be used.
         """
         rules = TargetRules(relative_sd, tuple(statistics))
-        data, _, found = image_data(Path(path), rules, pixel=pixel, bands=bands)
-        return cls._seen(data, _camera(camera), Placement(altitude, found), gains)
+        edge: float | None
+        if isinstance(image, Observation):
+            values = np.stack([np.asarray(image[band]) for band in BANDS])
+            every = np.ones(values.shape[1:], bool)
+            data, edge = weighed_statistics(values, every, image.pixel, rules), image.pixel
+        elif isinstance(image, str | Path):
+            data, _, edge = image_data(Path(image), rules, pixel=pixel, bands=bands)
+        else:
+            raise InputError(
+                "expected the path of an image or what `observe` gives, but got "
+                f"{type(image).__name__}; statistics of an image go through `Data.from_table`"
+            )
+        return cls._seen(data, _camera(camera), Placement(altitude, edge), gains)
 
     @classmethod
     @double_precision
@@ -190,6 +203,7 @@ class PlotData(Data):
                 )
             sd = frame["sd"].to_numpy(float) if "sd" in frame else None
             names = [str(name) for name in frame["statistic"]]
+            check_statistics(names)
             data = weigh_targets(names, frame["value"].to_numpy(float), relative_sd, sd=sd)
         return cls._seen(data, _camera(camera), Placement(altitude, pixel), gains)
 
@@ -487,7 +501,8 @@ def fit(
     sensors = data.sensors if isinstance(data, PlotData) else ()
     if not sensors:
         raise InputError(
-            "expected data with the sensors that measured them, such as of Data.from_image"
+            "expected data with the sensors that measured them, of Data.from_image, from_table, "
+            "from_spectrum or from_cloud"
         )
     _check_problem(data, free)
     views = [view(model, model.parameters) for view in sensors]

@@ -10,6 +10,7 @@ from typing import Any, Literal, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Bool, Float
 
 from fynjax._core.errors import InputError
 from fynjax._core.precision import double_precision
@@ -246,13 +247,8 @@ def image_data(
         pixel = pixel if image.pixel_m is None else image.pixel_m
         if pixel is None:
             raise InputError("expected `pixel`: the image states none in metres", file=path)
-        side = min(side, pixel * min(image.mask.shape))
-        every = fitting_statistics(IMAGE_STATISTICS, side, pixel)
-        names = [every[i] for i in rules.used(every, "the statistics")]
-        clean = jnp.asarray(np.where(image.mask, image.values, 0.0))
-        value = np.asarray(image_statistics(clean, names, jnp.asarray(image.mask), pixel=pixel))
         extra = {"target_valid_share": float(image.mask.mean())}
-        data = weigh_targets(names, value, rules.relative_sd)
+        data = weighed_statistics(image.values, image.mask, pixel, rules, side=side)
     else:
         if bands is not None:
             raise InputError("expected `bands` with a drone image, but this is a table", file=path)
@@ -261,6 +257,31 @@ def image_data(
         names = [read.names[i] for i in keep]
         data = weigh_targets(names, read.value[keep], rules.relative_sd, sd=read.sd[keep])
     return data, extra, pixel
+
+
+def weighed_statistics(
+    values: Float[np.ndarray, "band y x"],
+    mask: Bool[np.ndarray, "y x"],
+    pixel: float,
+    rules: TargetRules,
+    *,
+    side: float = np.inf,
+) -> Data:
+    """Statistics of an image in memory as targets.
+
+    **Arguments:**
+
+    - `values`: reflectance in green, red, red edge and near infrared [-].
+    - `mask`: pixels that count.
+    - `pixel`: edge of a pixel on the ground [m].
+    - `rules`, `side`: as for `image_data`.
+    """
+    side = min(side, pixel * min(mask.shape))
+    every = fitting_statistics(IMAGE_STATISTICS, side, pixel)
+    names = [every[i] for i in rules.used(every, "the statistics")]
+    clean = jnp.asarray(np.where(mask, values, 0.0))
+    found = np.asarray(image_statistics(clean, names, jnp.asarray(mask), pixel=pixel))
+    return weigh_targets(names, found, rules.relative_sd)
 
 
 def drone_view(

@@ -65,11 +65,13 @@ def fit(
     `FitStatus.no_gain`. A minimum may be a local one.
 
     The fit can be compiled by `jax.jit` and mapped by `jax.vmap`, over data, priors, start or
-    context. To watch or stop it between steps, run the solver on `whitened_residual`. The
-    estimate is differentiable once in data, priors, offset and context, by the implicit function
-    theorem with the Hessian of the objective; only nearly where the model itself can be
-    differentiated once, as light in a canopy (`fynjax.radiation.solve_light`). Computed in 64 bits;
-    in a process of 32 take `jax.grad` of a fit inside `with jax.enable_x64(True):`.
+    context; inside `jax.jit` with a least-squares solver of optimistix, whose linear algebra keeps
+    the precision of the process, only within `jax.enable_x64(True)`. To watch or stop it between
+    steps, run the solver on `whitened_residual`. The estimate is differentiable once in data,
+    priors, offset and context, by the implicit function theorem with the Hessian of the objective;
+    only nearly where the model itself can be differentiated once, as light in a canopy
+    (`fynjax.radiation.solve_light`). Computed in 64 bits; in a process of 32 take `jax.grad` of a
+    fit inside `with jax.enable_x64(True):`.
 
     **Raises:** `InputError` for what is no solver.
 

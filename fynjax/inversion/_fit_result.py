@@ -260,7 +260,7 @@ class FitResult(eqx.Module):
             count += f" in {number} round" + ("s" if number != 1 else "")
         if bool(self.status == FitStatus.max_steps):
             of = "" if self.rounds is None else " of a round"
-            sentence = f"Stopped at the limit of steps{of}, after {count}."
+            sentence = f"Stopped at the limit of steps{of} (`max_steps`), after {count}."
         elif bool(self.status == FitStatus.max_rounds):
             sentence = f"Stopped at the limit of rounds, the last of which still moved: {count}."
         elif bool(self.converged):
@@ -330,7 +330,8 @@ _SHOWN = 10
 def known_lines(
     names: Sequence[str], known: Sequence[str], interval: Float[np.ndarray, "3 free"]
 ) -> str:
-    """Which parameters are known, in lines: middle and 90 % interval in the unit of field crews.
+    """Which parameters are known, or all of a few, in lines: middle and 90 % interval in the unit
+    of field crews.
 
     **Arguments:**
 
@@ -340,9 +341,15 @@ def known_lines(
     """
     free = len(names)
     if not known:
-        return f"Of {free} free parameters none is known twice as well as before."
-    shown = "" if len(known) <= _SHOWN else f", of which {_SHOWN} are"
-    lines = [f"Of {free} free parameters {len(known)} are known twice as well as before{shown}:"]
+        line = f"Of {free} free parameters none is known twice as well as before"
+        if free > _SHOWN:
+            return f"{line}."
+        lines, known = [f"{line}:"], names
+    else:
+        shown = "" if len(known) <= _SHOWN else f", of which {_SHOWN} are"
+        lines = [
+            f"Of {free} free parameters {len(known)} are known twice as well as before{shown}:"
+        ]
     for name in known[:_SHOWN]:
         record = PARAMETERS.get(parameter_kind(name))
         factor = 1.0 if record is None else record.shown_factor

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from fynjax._core.errors import InputError
+from fynjax._core.errors import InputError, did_you_mean
 from fynjax.metrics._distribution import mean, quantiles, standard_deviation
 from fynjax.metrics._indices import BANDS, VEGETATION_INDICES, smooth_vegetation_indices
 
@@ -27,9 +27,12 @@ def check_statistics(names: Sequence[str]) -> None:
     for name in names:
         match = _NAME.match(name)
         if match is None or match["layer"] not in (*BANDS, *VEGETATION_INDICES):
+            layer, _, kind = name.partition(".")
+            alike = [f"{one}.{kind or 'mean'}" for one in (*BANDS, *VEGETATION_INDICES)]
             raise InputError(
                 "a statistic must be '<band or index>.<mean|std|stdNNcm|qNN>' with a band of "
-                f"{', '.join(BANDS)} or an index of table 4, but is {name!r}"
+                f"{', '.join(BANDS)} or one of `fynjax.metrics.VEGETATION_INDICES`, but is "
+                f"{name!r}.{did_you_mean(name, alike) if layer else ''}"
             )
 
 

@@ -744,7 +744,8 @@ def observe(
       `accuracy`.
 
     **Returns:** an `Observation`, or a `LidarObservation`, of the same whole plants. An image is
-    differentiable in `parameters`, see `AimedSensor.observe`. A second call with the same shapes
+    differentiable in `parameters`, see `AimedSensor.observe`; a loop of your own that moves covers
+    takes `scene.faded()`, whose images move as their slopes say. A second call with the same shapes
     compiles nothing.
 
     **Raises:** `InputError` for a name that no sensor has, with the nearest, and for what is no

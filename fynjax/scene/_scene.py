@@ -313,7 +313,9 @@ class Scene(eqx.Module):
         fits, each in the parameter's own unit (`named_values`; `parameter_reference`).
 
         A cover beyond 2.5 times that of the table finds no more sites (`PlantingRules.room`).
-        Differentiable in the values.
+        Differentiable in the values. By a cover or a diameter what is seen moves in whole plants,
+        while its slope is that of the expected stand: a search of your own compares values and
+        takes `scene.faded()`. Inside `jax.jit` bounds are not checked.
 
         **Raises:** `InputError` for a name that the scene does not have, and for a number out of
         its parameter's bounds.

@@ -338,7 +338,7 @@ def test_the_objective_falls():
 def test_too_few_steps_are_not_called_converged():
     result = fit(lambda x: jnp.exp(predict(x) / 4), DATA, SPACE, max_steps=1)
     assert not result.converged
-    assert "limit of steps, after 1 step." in result.explanation
+    assert "limit of steps (`max_steps`), after 1 step." in result.explanation
 
 
 def test_a_model_that_is_not_finite_ends_in_a_status():
