@@ -112,9 +112,14 @@ def plant_twin(ready: Prepared, measured: Sequence[Measured], *, seed: int) -> T
 
 
 def twin_image(plot: Plot) -> Measured:
-    """The image of a plot's drone, for a twin of a plot of which nothing was measured: every
-    statistic that is compared with a whole image, without values. Raises `InputError` as
-    `drone_view`, and where the plot file's targets fit none of them."""
+    """The image of a plot's drone, for a twin of a plot of which nothing was measured.
+
+    **Arguments:** `plot`, as `read_plot` gives it.
+
+    **Returns:** every statistic that is compared with a whole image, without values.
+
+    **Raises:** `InputError` as `drone_view`, and where the plot file's targets fit none of them.
+    """
     pixel = sensor_place(plot)[1]
     every = fitting_statistics(IMAGE_STATISTICS, min(plot.size_m), pixel)
     used = target_rules(plot).used(every, "the statistics")
