@@ -115,7 +115,9 @@ def test_three_sensors_together_after_an_interruption(tmp_path, monkeypatch):
     assert misfit(calibration, "after") < 0.8 * misfit(calibration, "before")
     # No index is a target, so the headline has none.
     assert calibration.headline[0].startswith("The stand: green leaf area ")
-    assert calibration.headline[1].startswith("small: largest error of a band mean")
+    assert calibration.headline[1].startswith(
+        "small, expected over plantings: largest error of a band mean"
+    )
     assert "nan" not in " ".join(calibration.headline)
     files = {"image_after.tif", "spectrum.png", "structure.png", "parameters.csv", "run.nc"}
     assert files <= set(calibration.files)
