@@ -112,8 +112,8 @@ def corner(draws: Posterior | Mapping[str, Posterior], truth: ArrayLike | None =
         "no_fill_contours": True,
     }
     # The package places its axes itself, whatever the layout that the user's settings ask for.
-    figure = Figure(figsize=(1.9 * count + 0.4, 1.9 * count + 0.4))
-    figure.set_layout_engine("none")
+    with matplotlib.rc_context({"figure.constrained_layout.use": False}):
+        figure = Figure(figsize=(1.9 * count + 0.4, 1.9 * count + 0.4))
     for one, colour in zip(values.values(), _SERIES, strict=False):
         shape = {"density": True, "color": colour}
         package.corner(one, fig=figure, color=colour, hist_kwargs=shape, **options)
