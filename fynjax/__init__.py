@@ -15,7 +15,7 @@
   `fx.fit_leaf`: from a folder of measured leaves to their traits.
 - `fx.canopy_reflectance`, `fx.canopy_albedo`, `fx.fit_canopy`: a uniform canopy in one line, and
   backward.
-- `fx.diversity`: diversity of covers and of images, and how well species can be told apart.
+- `fx.diversity`: diversity of covers and of images, and how well species separate.
 - `fx.jobs`: what the commands do, from Python.
 - `fx.progress`: bars of how far long work is, `with fx.progress(): ...`; the logger `fynjax` has
   its stages too.

@@ -36,9 +36,9 @@ class Twin(NamedTuple):
     """A plot whose truth is known."""
 
     measured: tuple[Measured, ...]
-    """What sensors measured of it, in place of the targets of the real plot."""
+    """Data of simulated sensors over the twin, in place of the targets of the real plot."""
     whitened: Float[np.ndarray, " free"]
-    """Its parameters, in whitened coordinates of the prior."""
+    """True parameters of the twin, in whitened coordinates of the prior [-]."""
     gain: Float[np.ndarray, " band"] | None
     """By what factor each band of its camera was off [-]; None without a camera."""
 
@@ -56,7 +56,7 @@ def measure_truth(
     number: int,
     random: np.random.Generator,
 ) -> tuple[Float[np.ndarray, " statistic"], Float[np.ndarray, " band"] | None]:
-    """What a sensor measures of a plot whose parameters are known, planted by a chance of its own.
+    """A plot whose parameters are known, planted by a seed of its own, as a sensor measures it.
 
     **Arguments:**
 

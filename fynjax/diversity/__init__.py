@@ -1,4 +1,4 @@
-"""Diversity of what stands, of what an image shows, and how well species can be told apart."""
+"""Diversity of what stands, of what an image shows, and how well species separate."""
 
 from fynjax.diversity._components import (
     PrincipalComponents,

@@ -19,7 +19,7 @@ class PrincipalComponents:
     mean: Float[np.ndarray, " band"]
     """Mean spectrum, in the spectra's unit."""
     scale: Float[np.ndarray, " band"]
-    """What each band is divided by: its standard deviation, or 1."""
+    """Divisor of each band before components are taken: its standard deviation, or 1."""
     axes: Float[np.ndarray, "component band"]
     """Unit vectors; the largest entry of each is positive."""
     variance: Float[np.ndarray, " component"]

@@ -1,4 +1,4 @@
-"""How well species can be told apart by their spectra: distances and classifications."""
+"""Separability of species by their spectra: distances and classifications."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

@@ -50,8 +50,8 @@ class PanelsInPicture(eqx.Module):
         `haze` is the radiance over a black pixel: what one panel cannot tell, and is therefore
         unsure by. Both in the unit of the radiance.
 
-        In bands whose air is not `transparent` the panels cannot be told apart, and the line is of
-        no use (but finite). See `fynjax.sensors.empirical_line`; differentiable in `radiance`.
+        In bands whose air is not `transparent` the panels look alike, and the line is of no use
+        (but finite). See `fynjax.sensors.empirical_line`; differentiable in `radiance`.
         """
         # Pixels that are wholly panel; as weights, since inside transformations none can be picked.
         inside = jnp.asarray(self.coverage >= _WHOLE, radiance.dtype)

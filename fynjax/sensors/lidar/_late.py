@@ -24,7 +24,7 @@ from fynjax.radiation import Illumination, Light, VoxelScene, diffuse_sources, s
 _LAYERS = 24  # of the plane-parallel canopy
 _TOGETHER = 3  # layers whose delays are averaged
 _SLOPES = 6  # zenith angles in a hemisphere
-_LONGEST = 16.0  # delays that are told apart reach so far [m]
+_LONGEST = 16.0  # delays that are distinguished reach so far [m]
 _SHARPEST = 6.0  # wavenumbers beyond this over the pulse's standard deviation leave no trace
 
 
