@@ -1,5 +1,7 @@
 """A plot whose truth is known, and what sensors measure of it."""
 
+import dataclasses
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -7,7 +9,7 @@ import pytest
 
 from fynjax.assembly import plant_twin, prepare, twin_image
 from fynjax.assembly._twin import _PLANTING, PIXEL_NOISE, measure_truth
-from fynjax.inversion import ImageView
+from fynjax.inversion import Data, ImageView
 from fynjax.io.plot import read_plot
 from fynjax.scene import with_values
 from tests.small import write_plot
@@ -77,3 +79,18 @@ def test_a_truth_moves_what_is_measured(ready, twin):
         for u in (np.zeros_like(bright), bright)
     ]
     assert values[1][view.names.index("red.mean")] > 1.01 * values[0][view.names.index("red.mean")]
+
+
+def test_a_spectrum_of_a_twin_has_the_errors_of_the_real_one(ready, twin, monkeypatch):
+    truth = np.array([1.0, 2.0])
+    monkeypatch.setattr("fynjax.assembly._twin.measure_truth", lambda *_: (truth, None))
+    sd = jnp.array([0.1, 0.3])
+    one = dataclasses.replace(
+        twin.measured[0], data=Data(("a", "b"), jnp.zeros(2), sd), view_of=lambda *_: None
+    )
+    drawn = np.stack(
+        [plant_twin(ready, [one], seed=seed).measured[0].data.value for seed in range(400)]
+    )
+    np.testing.assert_allclose(drawn.mean(axis=0), truth, atol=0.05)
+    np.testing.assert_allclose(drawn.std(axis=0), sd, rtol=0.15)
+    assert plant_twin(ready, [one], seed=0).gain is None
