@@ -15,6 +15,8 @@ the coordinates above are v = R^(1/2) u instead of u, with R their correlation m
 unit normal, and each parameter keeps its own prior.
 """
 
+from __future__ import annotations  # so that `help` shows ArrayLike by its name
+
 import math
 import warnings
 from collections.abc import Mapping, Sequence
@@ -145,7 +147,7 @@ class ParameterSpace(eqx.Module):
     def _is(self, kind: Distribution) -> Bool[np.ndarray, " free"]:
         return np.array([own == kind for own in self.distribution], bool)
 
-    def _now(self) -> "ParameterSpace":
+    def _now(self) -> ParameterSpace:
         """The same in the precision that JAX has now."""
         return jax.tree.map(lambda array: jnp.asarray(array, float), self)
 
