@@ -296,7 +296,7 @@ def sobol_indices(
     batch: int | None = None,
     do: Do = in_order,
 ) -> SobolIndices:
-    """First-order and total Sobol indices, by SALib (extra `sensitivity`).
+    """First-order and total Sobol indices, by SALib (extra `analysis`).
 
     Saltelli's design on scrambled Sobol points: `samples` times (parameters + 2) runs.
 
@@ -314,7 +314,7 @@ def sobol_indices(
 
     **Raises:** `InputError` for `samples` that is no power of two, and a metric that is not finite.
     """
-    require("SALib", "sensitivity")
+    require("SALib", "analysis")
     from SALib.analyze import sobol as analysis
     from SALib.sample import sobol as design
 
