@@ -603,7 +603,7 @@ class Emulated(eqx.Module):
     scale: Float[np.ndarray, " free"]
     """Half the width of that range."""
     coefficients: Float[np.ndarray, "term output"]
-    """Of the constant, the coordinates and their products, where the range is -1 to 1."""
+    """Coefficients of the constant, the coordinates and their products; the range is -1 to 1."""
     error: Float[np.ndarray, " output"]
     """Root mean square error at points that were left out of its fit."""
 

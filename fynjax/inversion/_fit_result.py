@@ -174,8 +174,8 @@ class FitResult(eqx.Module):
     estimate: Float[Array, " free"]
     """The estimate in the parameters' own units."""
     sd: Float[Array, " free"]
-    """Its standard deviation, own units: of the Laplace approximation, which is normal in the
-    whitened coordinates."""
+    """Standard deviation of the estimate in the parameters' own units, by the Laplace
+    approximation, which is normal in the whitened coordinates."""
     constrained: Float[Array, " free"]
     """1 - posterior over prior variance, in whitened coordinates [-]: 0, the data say nothing; 1,
     they say all."""
@@ -189,19 +189,19 @@ class FitResult(eqx.Module):
     """Eigenvalues of the data's Fisher information in prior units, largest first: a direction
     with less than one is known from the prior rather than from the data."""
     modes: Float[Array, "mode free"]
-    """Their eigenvectors in whitened coordinates."""
+    """Eigenvectors of the data's Fisher information, in whitened coordinates."""
     loss: Float[Array | np.ndarray, " evaluation"]
     """The objective: at the start and at the end of a fit; of a calibration where each round begins
     and after each of its steps. A round begins with new errors, so that objectives of different
     rounds do not compare."""
     gradient_norm: Float[Array | np.ndarray, " evaluation"]
-    """Norm of the gradient of the objective by the whitened coordinates, likewise."""
+    """Norm of the gradient of the objective by the whitened coordinates, at each `loss`."""
     status: Any
     """Why the fit stopped, a `FitStatus`."""
     steps: Int[Array, ""]
     """Steps that the solver took: those of all rounds in a calibration."""
     rounds: Int[Array | np.ndarray, " evaluation"] | None = None
-    """Of a calibration the round of each `loss`, from 1."""
+    """Round of each `loss` of a calibration, from 1; None of another fit."""
 
     @property
     def names(self) -> tuple[str, ...]:

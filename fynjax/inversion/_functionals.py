@@ -19,9 +19,9 @@ class Functional(NamedTuple):
     """A number that follows from a scene and its parameters."""
 
     words: str
-    """What it is, for sentences."""
+    """Name of the number in sentences, such as "green leaf area"."""
     unit: str
-    """As `m2 m-2`; "-" for a share."""
+    """Unit of the number, such as `m2 m-2`; "-" for a share."""
     value: Callable[[Scene, PlotParameters], Float[Array, ""]]
     """Differentiable in the parameters; of a scene whose plants fade (`Scene.faded`) it is the
     expectation over the number of plants."""

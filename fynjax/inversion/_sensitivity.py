@@ -275,11 +275,11 @@ class SobolIndices(eqx.Module):
     metrics: tuple[str, ...] = eqx.field(static=True)
     variance: Float[np.ndarray, " metric"]
     first: Float[np.ndarray, "metric free"]
-    """By the parameter alone [-]."""
+    """Share of each metric's variance by each parameter alone [-]."""
     first_error: Float[np.ndarray, "metric free"]
-    """Half the 95 % interval of it, by bootstrap."""
+    """Half the 95 % interval of `first`, by bootstrap [-]."""
     total: Float[np.ndarray, "metric free"]
-    """With all its interactions [-]."""
+    """Share of each metric's variance by each parameter with all its interactions [-]."""
     total_error: Float[np.ndarray, "metric free"]
 
 

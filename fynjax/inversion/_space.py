@@ -78,21 +78,22 @@ class ParameterSpace(eqx.Module):
 
     names: tuple[str, ...] = eqx.field(static=True)
     lower: Float[Array, " free"]
-    """Bounds, in the parameters' own units."""
+    """Lower bound, in the parameter's own unit."""
     upper: Float[Array, " free"]
+    """Upper bound, in the parameter's own unit."""
     prior: Float[Array, " free"]
-    """Median of the prior."""
+    """Median of the prior, in the parameter's own unit."""
     prior_sd: Float[Array, " free"]
-    """Its standard deviation."""
+    """Standard deviation of the prior, in the parameter's own unit."""
     location: Float[Array, " free"]
     """Mean of the coordinate z, were it not cut."""
     width: Float[Array, " free"]
-    """Its standard deviation."""
+    """Standard deviation of the coordinate z, were it not cut."""
     cut: Float[Array, "2 free"]
-    """Where z is cut below and above, from `location`, in widths."""
+    """Ends below and above at which z is cut, from `location`, in widths."""
     distribution: tuple[Distribution, ...] = eqx.field(static=True)
     mixing: Float[Array, "free free"] | None
-    """Root of the correlation; None: independent."""
+    """Root of the correlation of the priors; None: independent."""
 
     def __init__(
         self,
