@@ -20,7 +20,6 @@ from fynjax.canopy import VoxelGrid
 from fynjax.inversion._expected import Replant, mean_information, with_error
 from fynjax.inversion._fit_result import Data, FitResult, fit_result, status_of
 from fynjax.inversion._functionals import (
-    STAND_FUNCTIONALS,
     Functional,
     stand_sentence,
     stand_table,
@@ -115,7 +114,7 @@ class Calibration(eqx.Module):
     _repr_html_ = as_html
 
     @double_precision
-    def stand(self, functionals: Mapping[str, Functional] = STAND_FUNCTIONALS) -> "pd.DataFrame":
+    def stand(self, functionals: Mapping[str, Functional] | None = None) -> "pd.DataFrame":
         """Numbers of the whole stand before and after the data: `functionals` by name, of which any
         may be one's own (`stand_table`)."""
         return stand_table(self.scene, self.before, self.fit, functionals=functionals)

@@ -33,7 +33,7 @@ from fynjax.inversion._fit_result import (
     number_of,
     status_of,
 )
-from fynjax.inversion._functionals import STAND_FUNCTIONALS, Functional, stand_table
+from fynjax.inversion._functionals import Functional, stand_table
 from fynjax.inversion._search import recorded, search_states
 from fynjax.inversion._space import ParameterSpace
 from fynjax.radiation import VoxelScene
@@ -98,7 +98,7 @@ class KnownPlants(eqx.Module):
     and the prior explain a chi-square of `degrees`."""
 
     @double_precision
-    def stand(self, functionals: Mapping[str, Functional] = STAND_FUNCTIONALS) -> "pd.DataFrame":
+    def stand(self, functionals: Mapping[str, Functional] | None = None) -> "pd.DataFrame":
         """Numbers of the whole stand before and after the data: `functionals` by name, of which any
         may be one's own (`stand_table`)."""
         return stand_table(self.scene, self.before, self.fit, functionals=functionals)
