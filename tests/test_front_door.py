@@ -340,7 +340,7 @@ def test_a_fit_of_a_scene_leads_with_the_stand_and_is_gone_on_with(scene, number
     lines = str(found).splitlines()
     assert lines[1].startswith("The stand: green leaf area ")
     assert "The stand: " in found._repr_html_()
-    assert set(found.stand()["unit"]) <= {"m2 m-2", "g m-2", "-"}
+    assert set(found.stand()["unit"]) <= {"m2 m-2", "g m-2", "m", "-"}
     own, other = (np.asarray(stand.planting.foot) for stand in found.stands)
     assert not np.isin(own, other).any()  # sites are drawn again
     at = float(found.after.species.cover[0])
