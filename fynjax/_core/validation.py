@@ -134,6 +134,12 @@ def sentence(error: ErrorDetails, model: type[BaseModel], name: str) -> str:
         return f"expected {name!r} ({expected(field) if field else 'a value'}), but it is missing"
     if kind == "value_error":
         return str(error["ctx"]["error"])
+    if kind == "union_tag_invalid":
+        known_tags, tag = error["ctx"]["expected_tags"], error["ctx"]["tag"]
+        near = did_you_mean(tag, known_tags.replace("'", "").split(", "))
+        return f"expected one of {known_tags}, but got {tag!r}.{near}"
+    if kind == "union_tag_not_found":
+        return f"expected {name!r}, which says what the other keys are, but it is missing"
     if field is None:
         return f"{error['msg']}, but got {shown(value)}"
     hint = ""

@@ -10,7 +10,13 @@ from pydantic import BaseModel
 
 from fynjax._core.errors import InputError
 from fynjax.io.instruments._lidar_file import load_lidar
-from fynjax.io.instruments._sensor_tables import BandRow, CurveRow, NoiseRow, SensorFile
+from fynjax.io.instruments._sensor_tables import (
+    BandRow,
+    CurveRow,
+    NoiseRow,
+    RadiometricNoise,
+    SensorFile,
+)
 from fynjax.io.text import (
     did_you_mean,
     line_of,
@@ -112,7 +118,7 @@ def load_sensor(name_or_path: str | Path) -> Sensor:
     elif bands.curves is not None:
         rows("bands.curves", bands.curves, CurveRow, "a table of response curves")
         _check_curve_rows(path.parent / bands.curves, tables[bands.curves])
-    if noise is not None and noise.table is not None:
+    if isinstance(noise, RadiometricNoise):
         rows("noise.table", noise.table, NoiseRow, "a table of noise coefficients")
 
     def columns(name: str) -> dict[str, list]:
