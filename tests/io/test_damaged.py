@@ -113,7 +113,7 @@ def test_an_image_of_more_pixels_than_its_file_can_hold(
 
 def test_lines_may_end_as_on_old_macs(shared_data: Path) -> None:
     structure = read_structure(shared_data / "damaged" / "structure-93-structure.csv")
-    assert structure.metrics == ("gap_fraction", "rugosity", "height_cv")
+    assert [row.metric for row in structure] == ["gap_fraction", "rugosity", "height_cv"]
 
 
 def test_a_compressed_file_that_unfolds_to_too_much(tmp_path: Path) -> None:

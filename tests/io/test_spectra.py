@@ -225,7 +225,8 @@ def test_envi_library(tmp_path):
     ("columns", "message"),
     [
         ({"wavelength": WAVELENGTH, "r": 100 * R}, "percent"),
-        ({"wavelength_nm": WAVELENGTH / 1000, "r": R}, "µm"),
+        ({"wavelength_nm": WAVELENGTH / 1000, "r": R}, "stated in 'nm'.*in µm"),
+        ({"wavelength_um": WAVELENGTH, "r": R}, "stated in 'µm'.*in nm"),
         ({"wavelength": WAVELENGTH, "r": np.nan * R}, "only NaN"),
         ({"wavelength": WAVELENGTH, "r": R - 0.3}, "negative"),
         ({"wavelength": WAVELENGTH, "r": R + 0.9}, "above one"),

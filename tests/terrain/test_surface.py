@@ -233,16 +233,6 @@ def test_gradient_is_the_planes():
     np.testing.assert_allclose(north, -0.2)
 
 
-def test_crop_takes_cells_that_touch():
-    terrain = raster_of(plane)
-    part = terrain.crop((4.0, -1.2, 5.7, 0.5))
-    assert part.bounds == pytest.approx((4.0, -1.5, 6.0, 0.5))
-    x, y = part.centres
-    np.testing.assert_allclose(part.heights, plane(x[None, :], y[:, None]))
-    with pytest.raises(InputError, match=r"covers \(3.00, -2.00\).*plot is \(2.00"):
-        terrain.crop((2.0, 0.0, 4.0, 1.0))
-
-
 def test_resampling_keeps_planes_and_means():
     rng = np.random.default_rng(2)
     rough = Terrain(rng.normal(size=(12, 18)), 0.5)

@@ -34,15 +34,15 @@ class PanelView:
 
     capture: Capture
     areas: tuple[Float[np.ndarray, "corner 2"], ...]
-    """Of each band, corners (x, y) on its own pixels [pixel], y down from the top."""
+    """Corners (x, y) of the panel in each band, on its own pixels [pixel], y down from the top."""
     found: str
     """How its place is known: 'found in the picture', 'given', or 'stated by the camera'."""
     mean: Float[np.ndarray, " band"]
-    """Radiance [W m-2 sr-1 um-1]."""
+    """Mean radiance of the panel in each band [W m-2 sr-1 um-1]."""
     spread: Float[np.ndarray, " band"]
-    """Standard deviation between pixels [same]."""
+    """Standard deviation of its radiance between pixels [W m-2 sr-1 um-1]."""
     count: tuple[int, ...]
-    """Pixels in each band."""
+    """Number of pixels that were read in each band."""
 
 
 class _PanelRow(Strict):

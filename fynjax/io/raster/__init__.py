@@ -22,7 +22,7 @@ from fynjax.io.raster._netcdf import (
     write_run,
 )
 from fynjax.io.raster._over_plot import read_over_plot
-from fynjax.io.raster._probability import read_probability_map, write_probability_map
+from fynjax.io.raster._probability import read_probability_map
 from fynjax.io.raster._qgis import colour_bands, write_qgis_style
 from fynjax.io.raster._reader import METRES, Raster, RasterFile, open_raster
 from fynjax.io.raster._writer import write_geotiff
@@ -58,7 +58,6 @@ __all__ = [
     "write_cube_geotiff",
     "write_cubes_netcdf",
     "write_geotiff",
-    "write_probability_map",
     "write_qgis_style",
     "write_run",
 ]

@@ -44,21 +44,21 @@ class Cube:
     """An image of any number of bands, with its wavelengths and its place."""
 
     values: NDArray[np.float64]
-    """[band, y, x], y increasing to the north; NaN where there are no data."""
+    """Values [band, y, x], y increasing to the north; NaN where there are no data."""
     names: tuple[str, ...]
-    """Of the bands."""
+    """Names of the bands."""
     wavelength: NDArray[np.float64] | None
     """Band centres [nm]; `None` where the file says none."""
     fwhm: NDArray[np.float64] | None
-    """Full widths at half maximum [nm]; `None` as above."""
+    """Full widths of the bands at half maximum [nm]; `None` where the file says none."""
     good: NDArray[np.bool_]
     """Bands that are to be used."""
     pixel_m: float | None
     """Side of a pixel [m]; `None` where the file has no place."""
     origin_m: tuple[float, float] | None
-    """South-west corner (x, y) [m]; `None` as above."""
+    """South-west corner (x, y) of the image [m]; `None` where the file has no place."""
     quantity: str = "reflectance"
-    """A key of `QUANTITIES`; of a file what it says, if it does, else by its unit."""
+    """What the values are, a key of `QUANTITIES`: as the file says, else by its unit."""
     crs: str | None = None
     """Coordinate reference system as WKT; `None` for the plot's own frame, or none."""
     attributes: Mapping[str, str] = field(default_factory=dict)

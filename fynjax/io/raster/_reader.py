@@ -48,13 +48,14 @@ class Raster:
     """Bands of a raster, or of a part of it."""
 
     values: Float[np.ndarray, "band y x"]
-    """In the file's unit, its scale and offset applied; y to the north; NaN without data."""
+    """Values in the file's unit, its scale and offset applied; y to the north; NaN without data."""
     mask: Bool[np.ndarray, "y x"]
     """True where every band has data."""
     full: Bool[np.ndarray, "y x"]
     """True where a band has the largest value of its integer type."""
     transform: Affine
-    """From column and row, counted from the north-west corner, to x and y in the file's system."""
+    """Affine map from column and row, counted from the north-west corner, to x and y in the file's
+    system."""
 
     @property
     def origin(self) -> tuple[float, float]:
@@ -71,13 +72,14 @@ class RasterFile:
     what: str
     """What it is to be, for errors, such as "a probability map"."""
     dataset: Any
-    """As rasterio opened it."""
+    """The open dataset of rasterio."""
     header: dict[str, Any]
-    """ENVI header; empty for other formats."""
+    """Fields of the ENVI header; empty for other formats."""
     header_path: Path
+    """The ENVI header; the raster itself for other formats."""
 
     shape: tuple[int, int]
-    """Rows and columns."""
+    """Rows and columns of pixels."""
     bands: tuple[int, ...]
     """Numbers of the bands, without one that says where there are data (alpha)."""
     names: tuple[str, ...]

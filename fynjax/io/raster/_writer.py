@@ -20,7 +20,7 @@ from fynjax.io.text import atomic_path
 LOCAL_FRAME = 'LOCAL_CS["fynjax plot frame, origin south-west",UNIT["metre",1]]'
 """Coordinate system of a plot without a place on Earth: x east, y north, in metres."""
 UNKNOWN_FRAME = 'LOCAL_CS["unknown reference system",UNIT["metre",1]]'
-"""Of coordinates that are kept as a file has them, which does not say what they are."""
+"""Coordinate system of coordinates whose file does not say what they are."""
 
 
 def write_geotiff(
