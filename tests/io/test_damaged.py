@@ -7,7 +7,7 @@ import struct
 import threading
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import laspy
 import netCDF4
@@ -33,7 +33,7 @@ from fynjax.io.raster import (
     write_geotiff,
 )
 from fynjax.io.spectra import read_spectra_file
-from fynjax.io.text import named_file
+from fynjax.io.text import NamedFile, Strict, read_toml
 from fynjax.sensors import sensor_folder
 from fynjax.terrain import read_cloud, read_terrain
 
@@ -172,6 +172,12 @@ def test_what_is_no_file_is_called_by_its_name(tmp_path: Path, make: Any, words:
             read(path)
 
 
+class NamesTable(Strict):
+    """A file that names another."""
+
+    table: Annotated[Path, NamedFile("a table")]
+
+
 @pytest.mark.parametrize(
     ("target", "words"),
     [("gone.csv", "a link to 'gone.csv', which is not there"), ("b.csv", "leads back to itself")],
@@ -182,8 +188,9 @@ def test_a_link_that_a_plot_file_names_is_called_a_link(
     owner = tmp_path / "plot.toml"
     (tmp_path / "b.csv").symlink_to(target)
     (tmp_path / "c.csv").touch()
-    with pytest.raises(InputError, match=rf"row 3.*'b.csv': expected a table, but .*{words}"):
-        named_file(owner, "b.csv", "a table", within=tmp_path, row=3)
+    owner.write_text('table = "b.csv"\n', "utf-8")
+    with pytest.raises(InputError, match=rf"row 1.*'b.csv': expected a table, but .*{words}"):
+        read_toml(owner, NamesTable, within=tmp_path)
 
 
 def test_a_name_that_no_file_can_have() -> None:

@@ -1,10 +1,11 @@
 """A sensor file and its tables, as pydantic models."""
 
+from pathlib import Path
 from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field, model_validator
 
-from fynjax.io.text import Slip, Strict, number
+from fynjax.io.text import NamedFile, Slip, Strict, number
 
 RadianceUnit = Literal[
     "W m-2 sr-1 um-1", "mW m-2 sr-1 nm-1", "uW cm-2 sr-1 nm-1", "W m-2 sr-1 nm-1"
@@ -38,6 +39,7 @@ class BandRow(Strict):
     """One row of a table of bands."""
 
     slips: ClassVar[dict[str, Slip]] = _SPECTRAL_SLIPS
+    unique = "name"
 
     name: str | None = Field(default=None, description="Name; left out: band_1, band_2, ...")
     centre_nm: float = number("Centre wavelength", "nm", ge=200, le=15000)
@@ -199,15 +201,17 @@ class BandsTable(Strict):
         description="Pixel of each band on the ground, where they differ [m].",
         json_schema_extra={"unit": "m"},
     )
-    table: str | None = Field(
+    table: Annotated[Path, NamedFile("a table of bands")] | None = Field(
         default=None, description="Table of bands (CSV); a path from this file's folder."
     )
-    curves: str | None = Field(
+    curves: Annotated[Path, NamedFile("a table of response curves")] | None = Field(
         default=None, description="Table of curves (CSV); a path from this file's folder."
     )
 
     @model_validator(mode="after")
     def _one_description(self) -> "BandsTable":
+        if twice := [n for k, n in enumerate(self.name or []) if n in (self.name or [])[:k]]:
+            raise ValueError(f"the band name {twice[0]!r} is there twice")
         given = [n for n in ("centre_nm", "table", "curves") if getattr(self, n) is not None]
         if len(given) != 1:
             came = " and ".join(given) or "none of them"
@@ -248,7 +252,7 @@ class RadiometricNoise(Strict):
     """Noise of the radiance L as a spectrometer's maker states it: |a sqrt(b + L) + c|."""
 
     kind: Literal["radiometric"] = Field(description="From a table of coefficients.")
-    table: str = Field(
+    table: Annotated[Path, NamedFile("a table of noise coefficients")] = Field(
         description="CSV with wavelength_nm, a, b, c; a path from this file's folder."
     )
     radiance_unit: RadianceUnit = Field(description="Unit of the radiance in the table.")
