@@ -14,6 +14,21 @@ import rasterio
 from jax.flatten_util import ravel_pytree
 from rasterio import Affine
 
+from fynjax.io.raster import Cube, open_raster
+
+
+def read_cube(path: Path) -> Cube:
+    """An image with all that its file states of it."""
+    with open_raster(path, "an image") as file:
+        raster = file.read()
+        known = np.isfinite(raster.values).any(axis=(1, 2))
+        return Cube(
+            raster.values, file.names, file.wavelengths, file.fwhm,
+            file.good if file.header else known, file.cell_m, raster.origin,
+            file.tags.get("quantity", file.tags.get("fynjax quantity", "reflectance")),
+            file.crs.to_wkt() if file.crs else None,
+        )  # fmt: skip
+
 
 def assert_gradients(
     function: Callable[[Any], Any],

@@ -28,7 +28,6 @@ from fynjax.io.raster import (
     _netcdf,
     parse_crs,
     read_band_stack,
-    read_cube,
     read_probability_map,
     write_geotiff,
 )
@@ -36,6 +35,7 @@ from fynjax.io.spectra import read_spectra_file
 from fynjax.io.text import NamedFile, Strict, read_toml
 from fynjax.sensors import sensor_folder
 from fynjax.terrain import read_cloud, read_terrain
+from tests.helpers import read_cube
 
 
 def drone_image(path: Path) -> Any:

@@ -8,7 +8,6 @@ from fynjax.io.raster._crs import UNITS, check_metric, parse_crs
 from fynjax.io.raster._cubes import (
     QUANTITIES,
     Cube,
-    read_cube,
     write_cube_envi,
     write_cube_geotiff,
     write_cubes_netcdf,
@@ -51,7 +50,6 @@ __all__ = [
     "provenance",
     "read_band_stack",
     "read_cover_map",
-    "read_cube",
     "read_over_plot",
     "read_probability_map",
     "write_cube_envi",

@@ -18,14 +18,12 @@ _PIXELS = 512
 
 
 def colour_bands(
-    wavelength: Float[np.ndarray, " band"] | None, good: Bool[np.ndarray, " band"]
+    wavelength: Float[np.ndarray, " band"], good: Bool[np.ndarray, " band"]
 ) -> dict[str, int]:
     """Place of the good band nearest to blue, green, red and near infrared; only of those near it.
 
     **Arguments:** `wavelength` of the bands [nm], NaN where unknown; `good`, those to be used.
     """
-    if wavelength is None:
-        return {}
     places = np.flatnonzero(good & np.isfinite(wavelength))
     bands = {}
     for name, wanted in _SHOWN_NM.items():

@@ -78,7 +78,7 @@ def in_nanometres(
         )
     if unit not in _UNSTATED and micrometres != (highest < 100.0):
         raise InputError(
-            f"wavelengths are stated in {unit!r}, but run to {highest:g}; are they in "
+            f"wavelengths are stated in {unit!r}, but run to {highest:g}; are they "
             f"{'nm' if micrometres else 'µm'}?",
             file=path,
         )
