@@ -425,6 +425,7 @@ def structure_data(
     **Raises:** `InputError` as the readers, and for a table of another grain.
     """
     extra: dict[str, Any]
+    values: dict[str, tuple[float, float]]
     if path.suffix.lower() == ".csv":
         read = read_structure(path)
         grain, pulses, how = read[0].grain_m, read[0].returns_m2, "a table"

@@ -1,18 +1,14 @@
 """The ground as a raster of heights."""
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float, Float64
+from jaxtyping import Float64
 from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import RegularGridInterpolator
 
 from fynjax._core.errors import InputError
 from fynjax.terrain._units import Bounds, check_bounds, check_inside, check_positive
-
-if TYPE_CHECKING:
-    from fynjax.canopy import VoxelGrid
 
 
 @dataclass(frozen=True)
@@ -105,52 +101,18 @@ class Terrain:
 
         **Raises:** `InputError` if `bounds` are not covered or not divided by `cell`.
         """
-        covered = self._covered(self.bounds if bounds is None else bounds)
-        return replace(
-            self, heights=self._means(cell, covered), cell=float(cell), origin=covered[:2]
+        place = check_inside(
+            self.bounds if bounds is None else bounds, self.bounds, 1e-6 * self.cell, "the terrain"
         )
-
-    def _means(self, cell: float, bounds: Bounds) -> NDArray[np.float64]:
-        """Mean height in cells of another size [y, x]."""
-        rows, columns = whole_cells(bounds, cell)
+        rows, columns = whole_cells(place, cell)
         parts = max(1, int(np.ceil(cell / self.cell - 1e-9)))
-        fine = cell / parts
-        x = bounds[0] + (np.arange(columns * parts) + 0.5) * fine
-        y = bounds[1] + (np.arange(rows * parts) + 0.5) * fine
+        x, y = (
+            start + (np.arange(count * parts) + 0.5) * (cell / parts)
+            for start, count in zip(place, (columns, rows))
+        )
         dense = self.height_at(x[None, :], y[:, None])
-        return dense.reshape(rows, parts, columns, parts).mean(axis=(1, 3))
-
-    def on_voxels(
-        self, grid: "VoxelGrid", origin: tuple[float, float] | None = None
-    ) -> Float[np.ndarray, "y x"]:
-        """Height of the ground on each voxel column above its lowest column [m].
-
-        What `VoxelScene.terrain` takes: from 0 up, and inside the grid.
-
-        **Arguments:**
-
-        - `grid`: the voxels, in the plot's frame.
-        - `origin`: (x, y) of the plot's frame in this raster's coordinates; its south-west corner
-          unless given.
-
-        **Raises:** `InputError` if the grid is not covered, or the relief is taller than the grid.
-        """
-        x, y = self.origin if origin is None else origin
-        west, south = x + grid.origin[0], y + grid.origin[1]
-        wide, deep, tall = grid.extent
-        covered = self._covered((west, south, west + wide, south + deep))
-        columns = self._means(grid.horizontal_size, covered)
-        relative = columns - columns.min()
-        if relative.max() > tall:
-            raise InputError(
-                f"the ground rises {relative.max():.2f} m over the plot, but the voxel grid is "
-                f"{tall:g} m tall: take a grid that holds the relief and the plants on it"
-            )
-        return relative
-
-    def _covered(self, bounds: Bounds) -> Bounds:
-        """`bounds`, if the raster covers them; else an `InputError`."""
-        return check_inside(bounds, self.bounds, 1e-6 * self.cell, "the terrain")
+        heights = dense.reshape(rows, parts, columns, parts).mean(axis=(1, 3))
+        return replace(self, heights=heights, cell=float(cell), origin=place[:2])
 
 
 def whole_cells(bounds: Bounds, cell: float) -> tuple[int, int]:
