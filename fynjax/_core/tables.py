@@ -275,9 +275,7 @@ class TextTable:
         return next(itertools.islice(self.rows(), index, None))[0]
 
 
-def open_table(
-    path: str | Path, what: str, *, largest: int = LARGEST_TEXT, data: bytes | None = None
-) -> TextTable:
+def open_table(path: str | Path, what: str, *, data: bytes | None = None) -> TextTable:
     """Find how a table is written; its first row is the header.
 
     Tabs, semicolons, bars, commas or blanks separate, cells may stand in double quotes, and
@@ -289,7 +287,6 @@ def open_table(
 
     - `path`: the file.
     - `what`: names the file in errors, such as "a species table".
-    - `largest`: most bytes that it may have.
     - `data`: its bytes, where they have been read.
 
     **Returns:** the table; its numbers have not been looked at.
@@ -297,7 +294,7 @@ def open_table(
     **Raises:** `InputError` for a file that is missing, empty or no table; `MissingExtraError` for
     a workbook without the extra `excel`. Warns of decimals that may be thousands.
     """
-    table, _ = _open(path, what, largest, data)
+    table, _ = _open(path, what, LARGEST_TEXT, data)
     table.row, table.skip, names = next(table._rows(0))
     table.names = tuple(trimmed(names))
     return table

@@ -195,7 +195,7 @@ def interpolate(points: NDArray[np.float64], places: NDArray[np.float64]) -> NDA
     else:
         heights = np.full(len(places), np.nan)
     outside = ~np.isfinite(heights)
-    if outside.any():
+    if outside.any():  # the plane through the nearest points, by its slope from their middle
         here = places[outside]
         nearest = min(_NEIGHBOURS, len(points))
         _, index = cKDTree(points[:, :2]).query(here, k=nearest)

@@ -283,6 +283,7 @@ class LearnedPrior:
         alike = np.array([kind in shared for kind in kinds])
         sd = np.array([p.mean_sd for p in rows])
         error = np.asarray(self.file.mean_correlation) * np.outer(sd, sd)
+        # Errors of the means that plots share first, then those of the others given these.
         joint = error[np.ix_(alike, alike)]
         gain = error[np.ix_(~alike, alike)] @ np.linalg.pinv(joint)
         given = error[np.ix_(~alike, ~alike)] - gain @ error[np.ix_(alike, ~alike)]
@@ -290,6 +291,8 @@ class LearnedPrior:
         of_mean = np.empty((len(own), len(rows)))
         of_mean[:, alike] = _root(joint) @ common[:first]
         of_mean[:, ~alike] = of_mean[:, alike] @ gain.T + own[:, :second] @ _root(given).T
+        # By what plots and their regions differ, each with the standard deviation of plots: one
+        # number for each kind, whatever the growth form.
         effect: dict[str, Any] = {}
         rest, own_rest = iter(common[first:]), iter(own[:, second:].T)
         for kind in dict.fromkeys(kinds):
@@ -301,6 +304,7 @@ class LearnedPrior:
             if math.isinf(high):
                 drawn[p.name] = p.mean * np.exp(apart / p.mean)
                 continue
+            # Move the logit by what moves the value by `apart` to first order.
             share = (p.mean - low) / (high - low)
             slope = (high - low) * share * (1.0 - share)
             z = math.log(share / (1.0 - share)) + apart / slope

@@ -276,6 +276,7 @@ class RasterFile:
             part = Window(left, top + start, width, min(block, height - start))
             raw = file.read(bands, window=part)[:, ::step, ::step]
             data = file.read_masks(bands, window=part)[:, ::step, ::step] > 0
+            # Zeros in all bands of an image, and what the file masks, are no data.
             rows = slice(start // step, start // step + raw.shape[1])
             with np.errstate(all="ignore"):  # what is no number is warned of below
                 values[:, rows] = raw
@@ -298,6 +299,7 @@ class RasterFile:
             )
         valid &= np.isfinite(values) & ~wrong
         values[~valid] = np.nan
+        # In memory y rises to the north.
         t = file.transform
         if t.is_identity or t.e < 0:
             values, valid, full = values[:, ::-1], valid[:, ::-1], full[::-1]
