@@ -312,7 +312,8 @@ def _read_ply(path: Path) -> PointCloud:
     for name in names:
         if re.fullmatch(r"(scalar_)?class(ification)?", name.lower()):
             labels = np.asarray(columns[name]).reshape(-1).astype(np.uint8)
-    return PointCloud(*points.T, labels)
+    x, y, z = points.T
+    return PointCloud(x, y, z, labels)
 
 
 def _check_precision(points: NDArray[np.float64], path: Path) -> None:
