@@ -250,6 +250,16 @@ def test_a_plot_file_may_not_choose_files_elsewhere(tmp_path: Path) -> None:
     assert end.value.code == 0
 
 
+def test_a_leaf_table_may_not_choose_files_elsewhere(tmp_path: Path) -> None:
+    folder = shutil.copytree(example_folder(), tmp_path / "plot")
+    (folder / "leaves.csv").write_text("taxon,spectrum\n*,../leaf.csv\n", "utf-8")
+    (tmp_path / "leaf.csv").touch()
+    with pytest.raises(InputError, match=r"row 2, column 'spectrum': '../leaf.csv': .*or below"):
+        read_plot(folder / "plot.toml")
+    plot = read_plot(folder / "plot.toml", allow_outside=True)
+    assert plot.leaves[0].spectrum == (tmp_path / "leaf.csv").resolve()
+
+
 def test_a_sensor_file_may_not_choose_files_elsewhere(tmp_path: Path) -> None:
     (tmp_path / "sub").mkdir()
     path = tmp_path / "sub" / "own.toml"
