@@ -36,7 +36,7 @@ def _divergence_slip(value: float) -> str | None:
     return f"Milliradians? In rad this is {value / 1000:g}." if 1.5 <= value < 1500 else None
 
 
-class LidarGeometry(Strict):
+class LidarGeometryTable(Strict):
     """What the lines of sight of a flash and of a scanner have in common."""
 
     kind: Literal["flash", "scan"]
@@ -51,7 +51,7 @@ class LidarGeometry(Strict):
     )
 
 
-class FlashGeometry(LidarGeometry):
+class FlashGeometryTable(LidarGeometryTable):
     """Lines of sight of a flash LiDAR: a camera of which each pixel times its own return."""
 
     slips: ClassVar[dict[str, Slip]] = {
@@ -74,7 +74,7 @@ class FlashGeometry(LidarGeometry):
     )
 
 
-class ScanGeometry(LidarGeometry):
+class ScanGeometryTable(LidarGeometryTable):
     """Lines of sight of a scanner: single pulses on straight flight lines."""
 
     slips: ClassVar[dict[str, Slip]] = {
@@ -171,7 +171,7 @@ class LidarFile(Strict):
     source: str = Field(description="Where the numbers come from.", min_length=1)
     licence: str = Field(default="", description="Terms of the numbers, where there are any.")
     laser: LaserTable
-    geometry: FlashGeometry | ScanGeometry = Field(discriminator="kind")
+    geometry: FlashGeometryTable | ScanGeometryTable = Field(discriminator="kind")
     receiver: ReceiverTable
     noise: LidarNoiseTable
 

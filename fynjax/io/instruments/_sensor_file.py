@@ -14,7 +14,7 @@ from fynjax.io.instruments._sensor_tables import (
     BandRow,
     CurveRow,
     NoiseRow,
-    RadiometricNoise,
+    RadiometricNoiseTable,
     SensorFile,
 )
 from fynjax.io.text import (
@@ -110,7 +110,7 @@ def load_sensor(name_or_path: str | Path) -> Sensor:
     elif bands.curves is not None:
         tables[bands.curves] = read_rows(bands.curves, CurveRow, "a table of response curves")
         _check_curve_rows(bands.curves, tables[bands.curves])
-    if isinstance(noise, RadiometricNoise):
+    if isinstance(noise, RadiometricNoiseTable):
         tables[noise.table] = read_rows(noise.table, NoiseRow, "a table of noise coefficients")
 
     def columns(table: Path) -> dict[str, list]:

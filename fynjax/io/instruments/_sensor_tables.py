@@ -85,7 +85,7 @@ def _tilt_slip(value: float) -> str | None:
     return "A gimbal pitch? Straight down is 0 here." if value == -90 else None
 
 
-class CameraGeometry(Strict):
+class CameraGeometryTable(Strict):
     """What the lines of sight of a pinhole camera and of a pushbroom have in common."""
 
     slips: ClassVar[dict[str, Slip]] = {
@@ -127,20 +127,20 @@ class CameraGeometry(Strict):
     )
 
 
-class FrameGeometry(CameraGeometry):
+class FrameGeometryTable(CameraGeometryTable):
     """Lines of sight of a pinhole camera."""
 
     kind: Literal["frame"] = Field(description="A pinhole camera.")
     rows: int = Field(description="Pixels along [-].", ge=1, le=100000)
 
 
-class PushbroomGeometry(CameraGeometry):
+class PushbroomGeometryTable(CameraGeometryTable):
     """Lines of sight of a pushbroom: one line of pixels that a flight sweeps on."""
 
     kind: Literal["pushbroom"] = Field(description="One line that a flight sweeps on.")
 
 
-class OrthographicGeometry(Strict):
+class OrthographicGeometryTable(Strict):
     """Parallel lines of sight and equal pixels, such as of a satellite product."""
 
     kind: Literal["orthographic"] = Field(description="Parallel lines of sight.")
@@ -248,7 +248,7 @@ class PointSpreadTable(Strict):
     )
 
 
-class RadiometricNoise(Strict):
+class RadiometricNoiseTable(Strict):
     """Noise of the radiance L as a spectrometer's maker states it: |a sqrt(b + L) + c|."""
 
     kind: Literal["radiometric"] = Field(description="From a table of coefficients.")
@@ -259,7 +259,7 @@ class RadiometricNoise(Strict):
     integrations: float = number("Frames that one pixel averages", "-", default=1, gt=0, le=1e6)
 
 
-class CameraNoise(Strict):
+class CameraNoiseTable(Strict):
     """Noise of a camera: shot noise, read noise and quantisation."""
 
     kind: Literal["camera"] = Field(description="From the numbers of a data sheet.")
@@ -333,8 +333,12 @@ class SensorFile(Strict):
     description: str = Field(default="", description="What it is, in a sentence.")
     source: str = Field(description="Where the numbers come from.", min_length=1)
     licence: str = Field(default="", description="Terms of the numbers, where there are any.")
-    geometry: FrameGeometry | PushbroomGeometry | OrthographicGeometry = Field(discriminator="kind")
+    geometry: FrameGeometryTable | PushbroomGeometryTable | OrthographicGeometryTable = Field(
+        discriminator="kind"
+    )
     bands: BandsTable
     calibration: CalibrationErrorsTable | None = None
     psf: PointSpreadTable | None = None
-    noise: RadiometricNoise | CameraNoise | None = Field(default=None, discriminator="kind")
+    noise: RadiometricNoiseTable | CameraNoiseTable | None = Field(
+        default=None, discriminator="kind"
+    )
