@@ -32,6 +32,7 @@ import dataclasses
 import functools
 import inspect
 from collections.abc import Callable, Generator, Iterator
+from contextvars import ContextVar
 from typing import Any, ParamSpec, TypeVar, cast
 
 import equinox as eqx
@@ -44,6 +45,15 @@ from fynjax._core.errors import InputError
 
 P = ParamSpec("P")
 R = TypeVar("R")
+
+
+_entered: ContextVar[bool] = ContextVar("_entered", default=False)
+
+
+def compiled_in_single() -> bool:
+    """Whether this runs in 64 bits inside a `jax.jit` of a process of 32: linear solves of lineax
+    do not compile there."""
+    return _entered.get() and isinstance(jnp.zeros(()), jax.core.Tracer)
 
 
 def double_precision(function: Callable[P, R]) -> Callable[P, R]:
@@ -92,8 +102,12 @@ def _in_64_bits(function: Callable[P, R], change: Callable[[jax.Array], Any]) ->
     def in_64_bits(*args: P.args, **kwargs: P.kwargs) -> R:
         if jax.config.read("jax_enable_x64"):
             return function(*args, **kwargs)
-        with jax.enable_x64(True):
-            found = function(*map(_afresh, args), **{k: _afresh(v) for k, v in kwargs.items()})
+        token = _entered.set(True)
+        try:
+            with jax.enable_x64(True):
+                found = function(*map(_afresh, args), **{k: _afresh(v) for k, v in kwargs.items()})
+        finally:
+            _entered.reset(token)
         return found if inspect.isgenerator(found) else _each(change, found)
 
     return in_64_bits
