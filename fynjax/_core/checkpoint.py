@@ -184,9 +184,12 @@ def _save(path: Path, arrays: dict[str, np.ndarray]) -> None:
 
 def _load(path: Path) -> dict[str, np.ndarray] | None:
     """The arrays of `_save`; None where there is no file. `InputError` for any other content."""
-    if not path.is_file():
+    try:
+        raw = path.read_bytes()
+    except FileNotFoundError:
         return None
-    raw = path.read_bytes()
+    except OSError as error:
+        raise InputError(f"it cannot be opened ({error.strerror})", file=path) from error
     size = hashlib.sha256().digest_size
     if hashlib.sha256(raw[size:]).digest() != raw[:size]:
         raise InputError(

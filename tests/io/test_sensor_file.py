@@ -59,6 +59,7 @@ bits = 12
 """
 
 
+GEOMETRY = OWN[OWN.index("[geometry]") : OWN.index("[bands]")]
 CALIBRATION = """
 [calibration]
 usual = "panels"
@@ -185,6 +186,9 @@ def test_units_named_twice_agree() -> None:
         (('"frame"', '"fisheye"'), 5, "'frame', 'pushbroom', 'orthographic'"),
         (('"frame"', '"frames"'), 5, "got 'frames'. Did you mean 'frame'"),
         (('kind = "frame"', ""), 4, "expected 'kind'.* missing"),
+        ((GEOMETRY, ""), None, "expected 'geometry'.* missing"),
+        ((GEOMETRY, "geometry = 3\n"), 4, "expected a table of lines of sight.* got 3"),
+        (("[noise]", "[[noise]]"), None, "expected a table of noise"),
         (("rows = 8", ""), 4, "expected 'rows'.* missing"),
         (('"frame"', '"pushbroom"'), 10, "unknown name 'rows'.*Known: kind, altitude_m"),
         (("columns = 12", "columns = 0"), 9, "geometry.columns': expected a whole number from 1"),

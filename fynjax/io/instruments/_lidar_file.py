@@ -171,7 +171,9 @@ class LidarFile(Strict):
     source: str = Field(description="Where the numbers come from.", min_length=1)
     licence: str = Field(default="", description="Terms of the numbers, where there are any.")
     laser: LaserTable
-    geometry: FlashGeometryTable | ScanGeometryTable = Field(discriminator="kind")
+    geometry: FlashGeometryTable | ScanGeometryTable = Field(
+        discriminator="kind", description="A table of lines of sight."
+    )
     receiver: ReceiverTable
     noise: LidarNoiseTable
 

@@ -334,11 +334,11 @@ class SensorFile(Strict):
     source: str = Field(description="Where the numbers come from.", min_length=1)
     licence: str = Field(default="", description="Terms of the numbers, where there are any.")
     geometry: FrameGeometryTable | PushbroomGeometryTable | OrthographicGeometryTable = Field(
-        discriminator="kind"
+        discriminator="kind", description="A table of lines of sight."
     )
     bands: BandsTable
     calibration: CalibrationErrorsTable | None = None
     psf: PointSpreadTable | None = None
     noise: RadiometricNoiseTable | CameraNoiseTable | None = Field(
-        default=None, discriminator="kind"
+        default=None, discriminator="kind", description="A table of noise."
     )

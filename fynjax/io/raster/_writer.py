@@ -100,7 +100,7 @@ def write_geotiff(
         if offset:
             file.offsets = (offset,) * bands
         file.descriptions = tuple(band_names)
-        for number, centre in enumerate(wavelengths or (), start=1):
+        for number, centre in enumerate(() if wavelengths is None else wavelengths, start=1):
             width = None if widths is None else widths[number - 1]
             _tag_band(file, number, float(centre), width)
         file.update_tags(

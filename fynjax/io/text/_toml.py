@@ -94,9 +94,9 @@ def _place(
         if error["type"].startswith("union_tag"):  # the kind is missing or not known
             return model, error, (*place, by)
         for record in _records(field):
-            if place[1] in typing.get_args(record.model_fields[by].annotation):
+            if place[1:] and place[1] in typing.get_args(record.model_fields[by].annotation):
                 model = record
-        place = (place[0], *place[2:])  # pydantic adds the kind to it
+        place = (*place[:1], *place[2:])  # pydantic adds the kind to it
     elif field is not None and len(place) > 1:
         model = next(iter(_records(field)), model)
     # Other unions add the branch's own name to the place, lists the position.
