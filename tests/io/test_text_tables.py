@@ -136,7 +136,7 @@ def test_excel_workbooks(tmp_path, monkeypatch):
     with pytest.raises(InputError, match=r"row 3, column 'a_m': .*Leave out the unit"):
         read_rows(tmp_path / "percent.xlsx", NamedRow, "a table")
     monkeypatch.setitem(sys.modules, "openpyxl", None)
-    with pytest.raises(MissingExtraError, match=r'pip install "fynjax\[excel\]"'):
+    with pytest.raises(MissingExtraError, match=r'pip install "fynjax\[tables\]"'):
         read_rows(path, NamedRow, "a table")
 
 
