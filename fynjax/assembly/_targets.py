@@ -253,9 +253,11 @@ def image_data(
         if bands is not None:
             raise InputError("expected `bands` with a drone image, but this is a table", file=path)
         read = read_statistics(path, {*BANDS, *VEGETATION_INDICES})
-        keep = rules.used(read.names, "the target's rows")
-        names = [read.names[i] for i in keep]
-        data = weigh_targets(names, read.value[keep], rules.relative_sd, sd=read.sd[keep])
+        keep = rules.used([row.statistic for row in read], "the target's rows")
+        names = [read[i].statistic for i in keep]
+        value = np.array([read[i].value for i in keep])
+        sd = np.array([read[i].sd for i in keep], float)  # NaN where the table states none
+        data = weigh_targets(names, value, rules.relative_sd, sd=sd)
     return data, extra, pixel
 
 
@@ -423,17 +425,18 @@ def structure_data(
     **Raises:** `InputError` as the readers, and for a table of another grain.
     """
     extra: dict[str, Any]
+    values: dict[str, tuple[float, float]]
     if path.suffix.lower() == ".csv":
         read = read_structure(path)
-        if read.grain_m not in grains:
+        grain, pulses, how = read[0].grain_m, read[0].returns_m2, "a table"
+        if grain not in grains:
             raise InputError(
                 f"expected a grain of {', '.join(f'{g:g}' for g in grains)} m, whole cells of the "
-                f"canopy's surface of {settings.canopy_cell:g} m, but got {read.grain_m:g} m",
+                f"canopy's surface of {settings.canopy_cell:g} m, but got {grain:g} m",
                 file=path,
                 column="grain_m",
             )
-        values = dict(zip(read.metrics, zip(read.value, read.sd)))
-        grain, pulses, how = read.grain_m, read.returns_m2, "a table"
+        values = {row.metric: (row.value, row.sd or 0.0) for row in read}
         extra = {}
     else:
         how = "resampling of the cells"

@@ -223,6 +223,5 @@ def test_noise_of_a_pixel_leaves_its_surroundings_as_they_are():
 def test_read_structure_fills_in(tmp_path):
     path = tmp_path / "t.csv"
     path.write_text("metric,value\nrugosity,0.2\n")
-    read = read_structure(path)
-    assert (read.grain_m, read.returns_m2) == (2.0, 100.0)
-    assert np.isnan(read.sd[0])
+    (read,) = read_structure(path)
+    assert (read.grain_m, read.returns_m2, read.sd) == (2.0, 100.0, None)

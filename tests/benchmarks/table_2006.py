@@ -26,7 +26,6 @@ from fynjax.compare._images import read_drone_image
 from fynjax.compare._published import compare_with_published, wins
 from fynjax.compare.structure import structure_2006
 from fynjax.io.plot import example_folder
-from fynjax.io.raster import read_cube
 from fynjax.jobs import render, simulate
 from fynjax.metrics import (
     STRUCTURE_PRESETS,
@@ -39,6 +38,7 @@ from fynjax.metrics import (
 )
 from fynjax.studies.fynbos_2006 import SWIR2_MEAN, demo
 from tests.benchmarks._measure import options
+from tests.helpers import read_cube
 
 SEED = 0
 REAL_RETURNS = 1317  # 13.17 per m2 on 100 m2

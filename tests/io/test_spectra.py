@@ -163,6 +163,12 @@ def test_columns_pair_reflectance_with_transmittance(tmp_path, sep):
     assert pine.transmittance is None
 
 
+def test_a_column_called_spectrum_says_nothing_of_micrometres(tmp_path):
+    (leaf,) = read_spectra_file(table(tmp_path / "a.csv", {"Spectrum": WAVELENGTH, "leaf": R}))
+    np.testing.assert_array_equal(leaf.wavelength, WAVELENGTH)
+    assert not leaf.meta["repairs"]
+
+
 def test_micrometres_percent_and_descending_order_are_repaired_and_said(tmp_path):
     columns = {"wavelength_um": WAVELENGTH[::-1] / 1000, "leaf reflectance (%)": 100 * R[::-1]}
     (spectrum,) = read_spectra_file(table(tmp_path / "a.csv", columns))
@@ -225,7 +231,8 @@ def test_envi_library(tmp_path):
     ("columns", "message"),
     [
         ({"wavelength": WAVELENGTH, "r": 100 * R}, "percent"),
-        ({"wavelength_nm": WAVELENGTH / 1000, "r": R}, "µm"),
+        ({"wavelength_nm": WAVELENGTH / 1000, "r": R}, "stated in 'nm'.*they µm"),
+        ({"wavelength_um": WAVELENGTH, "r": R}, "stated in 'µm'.*they nm"),
         ({"wavelength": WAVELENGTH, "r": np.nan * R}, "only NaN"),
         ({"wavelength": WAVELENGTH, "r": R - 0.3}, "negative"),
         ({"wavelength": WAVELENGTH, "r": R + 0.9}, "above one"),
