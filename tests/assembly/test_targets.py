@@ -17,7 +17,7 @@ from fynjax.io.plot import read_plot
 from fynjax.io.plot._rows import StructureRow
 from fynjax.io.plot._statistics import read_structure
 from fynjax.io.raster import Cube, write_cube_geotiff
-from fynjax.metrics import STRUCTURE_METRICS
+from fynjax.metrics.structure import STRUCTURE_METRICS
 from fynjax.sensors import BandSet, RadiometricNoise, at_sensor_radiance, shipped_sensor
 from fynjax.sensors.air import ClearAir, band_atmosphere, clear_sky_atmosphere
 from tests.small import write_plot

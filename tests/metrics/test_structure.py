@@ -9,7 +9,7 @@ from scipy import stats
 
 from fynjax._core.errors import InputError
 from fynjax.compare.structure import structure_2006
-from fynjax.metrics import (
+from fynjax.metrics.structure import (
     STRUCTURE_METRICS,
     STRUCTURE_PRESETS,
     StructureSettings,

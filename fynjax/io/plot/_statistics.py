@@ -81,7 +81,7 @@ class TargetStructure:
 
     file: Path
     metrics: tuple[str, ...]
-    """As in `fynjax.metrics.STRUCTURE_METRICS`."""
+    """As in `fynjax.metrics.structure.STRUCTURE_METRICS`."""
     value: NDArray[np.float64]
     """Mean over cells, in the metric's unit."""
     sd: NDArray[np.float64]

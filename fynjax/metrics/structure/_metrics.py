@@ -56,7 +56,7 @@ def cell_grid(
 
     **Raises:** `InputError` where not one cell fits.
 
-    >>> from fynjax.metrics import cell_grid
+    >>> from fynjax.metrics.structure import cell_grid
     >>> cell_grid((0.0, 0.0, 10.0, 10.0), 3.0).shape
     (3, 3)
     """
@@ -228,10 +228,15 @@ def cell_structure(returns: BinnedReturns) -> CellStructure:
     rugosity of less than two canopy cells with returns; the coefficient of variation of less than
     two returns, or of returns that all lie on the ground; all of them in a cell without a return.
 
-    Not differentiable: see `smooth_cell_structure`.
+    Not differentiable: `voxel_structure` is the differentiable form, of area density on voxels.
 
     >>> import numpy as np
-    >>> from fynjax.metrics import StructureSettings, bin_returns, cell_grid, cell_structure
+    >>> from fynjax.metrics.structure import (
+    ...     StructureSettings,
+    ...     bin_returns,
+    ...     cell_grid,
+    ...     cell_structure,
+    ... )
     >>> rng = np.random.default_rng(1)
     >>> x, y, height = rng.random(400) * 2.0, rng.random(400) * 2.0, rng.random(400)
     >>> cells = cell_grid((0.0, 0.0, 2.0, 2.0), 1.0)
