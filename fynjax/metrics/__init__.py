@@ -14,7 +14,6 @@ from fynjax.metrics._indices import (
     vegetation_indices,
 )
 from fynjax.metrics._matching import (
-    MATCHING_METHODS,
     MatchingMethod,
     WavelengthMatch,
     match_wavelengths,
@@ -24,10 +23,6 @@ from fynjax.metrics._spectral import (
     SPECTRAL_REGIONS,
     WATER_WINDOWS,
     SpectralAgreement,
-    nrmse,
-    pearson_correlation,
-    relative_mean_difference,
-    rmse,
     spectral_agreement,
     spectral_angle,
     spectral_mask,
@@ -46,7 +41,6 @@ from fynjax.metrics._statistics import (
 
 __all__ = [
     "BANDS",
-    "MATCHING_METHODS",
     "SPECTRAL_REGIONS",
     "SPECTROMETER_BANDS",
     "SPECTROMETER_INDICES",
@@ -65,11 +59,7 @@ __all__ = [
     "match_wavelengths",
     "mean",
     "misfit_decomposition",
-    "nrmse",
-    "pearson_correlation",
     "quantiles",
-    "relative_mean_difference",
-    "rmse",
     "smooth_vegetation_indices",
     "spectral_agreement",
     "spectral_angle",
