@@ -231,8 +231,8 @@ def read_bioscape(
     value is the mean of its genus, else family, else growth form in the library.
 
     **Raises:** `InputError` for a missing file, column or plot, a value that is no number or
-    out of range, rows that are there twice, and a plot without species. Warns where covers do
-    not sum to 100 %, and where a name is read as another.
+    out of range, rows that are there twice, a plot without species, and one whose name cannot be
+    that of a folder. Warns where covers do not sum to 100 %, and where a name is read as another.
     """
     folder = Path(folder)
     if not folder.is_dir():
@@ -289,6 +289,14 @@ def read_bioscape(
         read.append(_plot(name, tables, library, visits.get(name)))
     if not read:
         raise InputError("expected a plot with covers and species, but there is none", file=folder)
+    for plot in read:
+        if not plot.name.replace("-", "").replace("_", "").isalnum():
+            raise InputError(
+                f"expected a plot named by letters, digits, - and _, but got {plot.name!r}: a "
+                "folder is named after it",
+                file=folder,
+                column=column,
+            )
     return read
 
 
