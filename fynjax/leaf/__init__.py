@@ -38,7 +38,6 @@ from fynjax.leaf._prospect import (
     interface_transmissivity,
     prospect,
 )
-from fynjax.leaf._regression import regress_water
 from fynjax.leaf._result import LeafFit, LeafStatus
 from fynjax.leaf._transmissivity import exponential_integral, layer_absorptance
 
@@ -78,7 +77,6 @@ __all__ = [
     "layer_absorptance",
     "prospect",
     "recollided",
-    "regress_water",
     "resolved_by_two_readings",
     "sample_leaf_posterior",
     "structure_from_dry_matter",

@@ -3,7 +3,7 @@
 import warnings
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 from jaxtyping import Float
@@ -33,6 +33,8 @@ MUCH_NOISE = 0.005
 """Share of returns far below the ground from which on the ground itself is to be doubted [-]."""
 _MOST_ROUNDS = 4
 """Of looking for ground again without the noise below it."""
+GroundSource = Literal["auto", "labels", "smrf", "cloth", "none"]
+"""Where the ground of a cloud comes from."""
 _OPTIONS = ("tolerance", "deepest", "tallest")
 """Settings that are options of `fynjax validate` under the same name."""
 
@@ -41,7 +43,7 @@ _OPTIONS = ("tolerance", "deepest", "tallest")
 class CloudSettings:
     """How a cloud is read and its ground found."""
 
-    ground: Literal["auto", "labels", "smrf", "cloth", "none"] = "auto"
+    ground: GroundSource = "auto"
     """"labels" takes the file's ground classes, "smrf" and "cloth" filter (see
     `fynjax.terrain.find_ground`), "auto" takes labels where there are some and filters else;
     "none" is for heights that are above the ground already."""
@@ -68,8 +70,7 @@ class CloudSettings:
     """As `fynjax.terrain.read_cloud` takes them."""
 
     def __post_init__(self) -> None:
-        known = ("auto", "labels", "smrf", "cloth", "none")
-        if self.ground not in known:
+        if self.ground not in (known := get_args(GroundSource)):
             raise InputError(
                 f"`ground` (--real-ground, --simulated-ground) must be one of {', '.join(known)}, "
                 f"but is {self.ground!r}"
