@@ -1,5 +1,6 @@
 """Metrics: vegetation indices, distributions, agreement of spectra, published references."""
 
+from fynjax.metrics import structure as structure
 from fynjax.metrics._distribution import (
     histogram_intersection,
     mean,

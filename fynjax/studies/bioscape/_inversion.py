@@ -27,6 +27,7 @@ from fynjax.inversion import (
     weigh_spectrum,
 )
 from fynjax.io.plot import BY_FORM, FACTORS, LearnedPrior
+from fynjax.leaf import LeafParameters
 from fynjax.scene import PARAMETERS, PlotParameters, Scene
 from fynjax.studies.bioscape._plot_files import leaf_parameters
 from fynjax.studies.bioscape._plots import BioscapePlot
@@ -157,6 +158,15 @@ def quantity(reference: ReferencePlot, name: str, factor: Any) -> Any:
     return (reference.leaf_mass if name == "leaf_mass_per_area" else reference.water)(factor)
 
 
+def scaled_leaf(leaf: LeafParameters, factors: Mapping[str, Array]) -> LeafParameters:
+    """Leaves with some parameters times a factor."""
+    return eqx.tree_at(
+        lambda l: [getattr(l, name) for name in factors],
+        leaf,
+        [getattr(leaf, name) * factor for name, factor in factors.items()],
+    )
+
+
 class PlotSpectrumForward(eqx.Module):
     """The forward model: a plot's mean spectrum at values of `FREE`.
 
@@ -200,7 +210,7 @@ class PlotSpectrumForward(eqx.Module):
     def _plot(self, values: Array, parameters: PlotParameters) -> PlotParameters:
         dead = np.asarray(self.dead)
         at = {name: values[i] for i, name in enumerate(FREE)}
-        species, leaf, ground = parameters.species, parameters.leaf, parameters.ground
+        species, ground = parameters.species, parameters.ground
         mass = at["leaf_mass_per_area"]
         factors = {
             "structure": at["structure"],
@@ -217,11 +227,7 @@ class PlotSpectrumForward(eqx.Module):
                 leaf_area_index=species.leaf_area_index * at["leaf_area_index"],
                 dead_fraction=jnp.minimum(species.dead_fraction * at["dead_fraction"], 1.0),
             ),
-            leaf=eqx.tree_at(
-                lambda l: [getattr(l, name) for name in factors],
-                leaf,
-                [getattr(leaf, name) * factor for name, factor in factors.items()],
-            ),
+            leaf=scaled_leaf(parameters.leaf, factors),
             ground=replace(
                 ground,
                 brightness=at["soil_brightness"],

@@ -3,7 +3,6 @@
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from datetime import datetime
 from pathlib import Path
 
 from fynjax._core.errors import InputError
@@ -36,6 +35,7 @@ from fynjax.studies.bioscape._tables import (
     TraitRow,
     VisitRow,
     find_table,
+    flight_time,
     needed_table,
 )
 from fynjax.studies.bioscape._traits import Sourced, TraitLibrary, split_name
@@ -302,7 +302,7 @@ def read_bioscape(
 
 def _read_extract(folder: Path) -> FieldTables:
     cover_path, species_path = needed_table(folder, COVER), needed_table(folder, SPECIES)
-    cover = _unique(read_rows(cover_path, CoverRow, COVER[1]), cover_path)
+    cover = {row.Plot: (where, row) for where, row in read_rows(cover_path, CoverRow, COVER[1])}
     rows = read_rows(species_path, SpeciesCoverRow, SPECIES[1])
     listed = _species_by_plot(rows, species_path)
     return FieldTables(cover_path, species_path, cover, listed, set(cover))
@@ -373,20 +373,6 @@ def _sized(species: BioscapeSpecies, plot: BioscapePlot) -> BioscapeSpecies:
     return replace(species, size=sized, size_source=source)
 
 
-def _unique(rows: list[tuple[int, CoverRow]], path: Path) -> dict[str, tuple[int, CoverRow]]:
-    plots: dict[str, tuple[int, CoverRow]] = {}
-    for where, row in rows:
-        if row.Plot in plots:
-            raise InputError(
-                f"plot {row.Plot!r} is there twice, first in row {plots[row.Plot][0]}",
-                file=path,
-                row=where,
-                column="Plot",
-            )
-        plots[row.Plot] = where, row
-    return plots
-
-
 def _species_by_plot(
     rows: list[tuple[int, SpeciesCoverRow]], path: Path
 ) -> dict[str, dict[str, SpeciesNote]]:
@@ -433,15 +419,7 @@ def _species_by_plot(
 def _visits(path: Path) -> dict[str, Visit]:
     grouped: dict[str, list[VisitRow]] = {}
     for where, row in read_rows(path, VisitRow, VISITS[1]):
-        try:
-            datetime.fromisoformat(row.start_time)
-        except ValueError as error:
-            raise InputError(
-                f"expected a time such as 2023-11-09 13:31:24+00:00, but got {row.start_time!r}",
-                file=path,
-                row=where,
-                column="start_time",
-            ) from error
+        flight_time(row.start_time, path, where)
         grouped.setdefault(row.BScpPID, []).append(row)
     return {
         name: Visit(

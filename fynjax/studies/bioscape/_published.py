@@ -67,6 +67,7 @@ class PublishedRow(TableRow):
 class SummaryRow(PublishedRow):
     """Cover and height of a plot."""
 
+    unique = "plot"
     percent_bare_soil: Amount = percent("Bare soil", None)
     percent_bare_rock: Amount = percent("Bare rock", None)
     percent_dead_vegetation: Amount = percent("Dead vegetation", None)
@@ -246,16 +247,8 @@ def read_published(folder: Path) -> FieldTables:
 
 
 def _read_summary(tables: FieldTables) -> None:
-    path, first = tables.summary, dict[str, int]()
+    path = tables.summary
     for where, row in read_rows(path, SummaryRow, SUMMARY[1]):
-        if row.plot in first:
-            raise InputError(
-                f"plot {row.plot!r} is there twice, first in row {first[row.plot]}",
-                file=path,
-                row=where,
-                column="plot",
-            )
-        first[row.plot] = where
         tables.named.add(row.plot)
         covers = {new: getattr(row, old) for old, new in _COVERS.items()}
         if None in covers.values():
