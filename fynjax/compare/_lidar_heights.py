@@ -23,13 +23,13 @@ class Heights:
     """Where plants are, where light first meets them, and where returns are."""
 
     height: Float[np.ndarray, " point"]
-    """Of every return above the ground [m]."""
+    """Height of every return above the ground [m]."""
     edges: Float[np.ndarray, " edge"]
     """Borders of layers above the ground [m]."""
     shares: dict[str, Float[np.ndarray, " layer"]]
     """Share in each layer of planted area (leaf and wood), first hits and vegetation returns."""
     percentiles: dict[str, Float[np.ndarray, " level"]]
-    """`LEVELS` of height of the same [m]; empty without vegetation returns."""
+    """Percentiles (`LEVELS`) of height of planted area, first hits and vegetation returns [m]."""
 
     @property
     def rmse(self) -> dict[str, float] | None:

@@ -37,9 +37,9 @@ class PlotSpectraPair:
 
     plots: tuple[str, ...]
     wavelength: Float[np.ndarray, " band"]
-    """[nm], without water windows and the sensor's edges."""
+    """Band centres [nm], without water windows and the sensor's edges."""
     simulated: Float[np.ndarray, "plot band"]
-    """Reflectance [-]."""
+    """Simulated reflectance of each plot [-]."""
     flights: tuple[Float[np.ndarray, "flight band"], ...]
     """Measured spectra of each plot; none where nobody measured."""
 

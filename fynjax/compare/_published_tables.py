@@ -90,7 +90,7 @@ class Target:
     """A band (`green`, ...) or an index (`NDVI`, ...)."""
     statistic: Literal["mean", "std"]
     value: float
-    """[-]"""
+    """Value of the statistic in the real image [-]."""
     derived: bool
     """True if the number is inferred from the printed ones."""
 

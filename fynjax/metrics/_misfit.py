@@ -33,7 +33,7 @@ class Misfit(eqx.Module):
     gain: Scalar
     """Slope of the regression of simulated on real [-]."""
     offset: Scalar
-    """Its value at real = 0, in the spectra's unit."""
+    """Value of the regression line at real = 0, in the spectra's unit."""
     level: Scalar
     """Squared difference of the means, in the squared unit."""
     contrast: Scalar

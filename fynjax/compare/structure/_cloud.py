@@ -48,13 +48,16 @@ class CloudSettings:
     `fynjax.terrain.find_ground`), "auto" takes labels where there are some and filters else;
     "none" is for heights that are above the ground already."""
     window: float | None = None
+    """Radius of the widest closed stand of plants without ground inside it [m], for the filters
+    (`fynjax.terrain.find_ground`); their own unless given."""
     slope: float | None = None
-    """As `find_ground` takes them; its own unless given."""
+    """How much steeper than the cloud as a whole the ground may be [-], for the filters
+    (`fynjax.terrain.find_ground`); their own unless given."""
     tolerance: float = 0.1
-    """As `find_ground` takes it [m], for the filters. Its own of 0.3 m takes the lower parts of
-    low plants for ground, which in sparse clouds lowers all heights by 5 to 10 cm; 0.1 m leaves
-    less than 1 cm (on synthetic shrubland with returns that scatter by 2 cm). Rougher ground, or
-    noisier returns, need more."""
+    """Tolerance of the ground filters [m]. Their own of 0.3 m takes the lower parts of low plants
+    for ground, which in sparse clouds lowers all heights by 5 to 10 cm; 0.1 m leaves less than 1 cm
+    (on synthetic shrubland with returns that scatter by 2 cm). Rougher ground, or noisier returns,
+    need more."""
     terrain_cell: float | None = None
     """Side of a cell of the terrain [m]; unless given 0.25, or more in large or sparse clouds."""
     largest_gap: float = 10.0
@@ -65,9 +68,11 @@ class CloudSettings:
     tallest: float | None = None
     """Returns higher above the ground than this are left out [m]: birds, wires."""
     unit: str | None = None
+    """Unit of the coordinates, as `fynjax.terrain.read_cloud` takes it."""
     height_unit: str | None = None
+    """Unit of the heights, as `fynjax.terrain.read_cloud` takes it."""
     crs: str | None = None
-    """As `fynjax.terrain.read_cloud` takes them."""
+    """Reference system of the coordinates, as `fynjax.terrain.read_cloud` takes it."""
 
     def __post_init__(self) -> None:
         if self.ground not in (known := get_args(GroundSource)):
@@ -88,11 +93,11 @@ class HeightCloud:
 
     file: Path
     x: Float[np.ndarray, " return"]
-    """Easting [m]."""
+    """Easting of each return [m]."""
     y: Float[np.ndarray, " return"]
-    """Northing [m]."""
+    """Northing of each return [m]."""
     height: Float[np.ndarray, " return"]
-    """Above the ground [m], at least 0."""
+    """Height of each return above the ground [m], at least 0."""
     ground: str
     """How the ground was found."""
     ground_share: float | None

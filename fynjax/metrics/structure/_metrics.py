@@ -86,12 +86,15 @@ class BinnedReturns:
     canopy_cells: int
     """Cells of the canopy's surface along the side of a cell."""
     height: Float[np.ndarray, " return"]
-    """Above ground [m]."""
+    """Height of each return above the ground [m]."""
     weight: Float[np.ndarray, " return"]
+    """What each return counts [-]."""
     cell: Int[np.ndarray, " return"]
+    """Number of each return's cell, row by row."""
     layer: Int[np.ndarray, " return"]
-    """From 1 for the lowest; 0 is below all layers."""
+    """Number of each return's layer, from 1 for the lowest; 0 is below all layers."""
     canopy: Int[np.ndarray, " return"]
+    """Number of each return's cell of the canopy's surface."""
 
     def __len__(self) -> int:
         return len(self.height)
@@ -116,11 +119,12 @@ class CellStructure:
     returns: Int[np.ndarray, "y x"]
     """Returns in each cell."""
     metrics: dict[str, Float[np.ndarray, "y x"]]
-    """By name, as in `STRUCTURE_METRICS`."""
+    """Each metric in each cell, by its name in `STRUCTURE_METRICS`."""
     edges: Float[np.ndarray, " edge"]
     """Heights of the layers' edges [m], one more than layers."""
     leaf_area_density: Float[np.ndarray, "y x layer"]
-    """[m2 m-3]; NaN below `settings.lowest`, above the top, and where nothing passed."""
+    """Leaf area density of each layer of each cell [m2 m-3]; NaN below `settings.lowest`, above the
+    top, and where nothing passed."""
 
     def counted(self, least_returns: int) -> NDArray[np.bool_]:
         """Which cells have at least so many returns."""

@@ -21,9 +21,9 @@ class SmoothStructure(eqx.Module):
     """Structure in each cell, smooth; finite everywhere."""
 
     metrics: dict[str, Float[Array, " cell"]]
-    """By name, as in `STRUCTURE_METRICS`, in their units; some number where undefined."""
+    """Each metric in each cell, by its name in `STRUCTURE_METRICS`; some number where undefined."""
     defined: dict[str, Float[Array, " cell"]]
-    """How far each is defined [-], 0 to 1: its weight in a mean over cells."""
+    """How far each metric is defined in each cell [-], 0 to 1: its weight in a mean over cells."""
 
     def means(self) -> dict[str, Float[Array, ""]]:
         """Mean of each metric over the cells where it is defined; 0 where it is so in none."""

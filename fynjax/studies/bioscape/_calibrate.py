@@ -78,10 +78,11 @@ class Prior:
 
     name: str
     plots: list[BioscapePlot]
-    """With the traits that their scenes are built with."""
+    """The plots, with the traits that their scenes are built with."""
     parameters: list[PlotParameters]
     elsewhere: list[dict[str, tuple[float, float]]] | None
-    """Mean and standard deviation over the other plots; None where the plot's tables are it."""
+    """Mean and standard deviation of quantities over the other plots, for each plot; None where the
+    plot's own tables are the prior."""
 
 
 @double_precision

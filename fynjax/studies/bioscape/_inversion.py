@@ -78,7 +78,7 @@ class ReferencePlot:
     """Reference values of a plot, on which its parameters are factors."""
 
     plot: BioscapePlot
-    """With the traits that its scene was built with."""
+    """The plot, with the traits that its scene was built with."""
 
     @property
     def crowns(self) -> float:
@@ -360,20 +360,20 @@ class PlotEstimate:
 
     space: ParameterSpace
     whitened: np.ndarray
-    """In prior standard deviations, 0 is the prior's centre."""
+    """Estimate of each free parameter in prior standard deviations from the prior's centre."""
     covariance: np.ndarray
-    """Of these [free, free]."""
+    """Posterior covariance of the whitened parameters [free, free]."""
     before: np.ndarray
     """Spectrum at the prior's centre, as the model has it."""
     after: np.ndarray
-    """At the estimate, with the bias correction added."""
+    """Spectrum at the estimate, with the bias correction added."""
     misfit: tuple[float, float]
     """Root mean square of the whitened misfit before and after [-]."""
     converged: bool
     stand: np.ndarray
-    """What `STAND` names, at the estimate."""
+    """Quantities of the stand (`STAND`) at the estimate."""
     stand_slope: np.ndarray
-    """Its derivatives by the whitened parameters [quantity, free]."""
+    """Derivatives of the quantities of the stand by the whitened parameters [quantity, free]."""
 
     @classmethod
     def of(cls, space: ParameterSpace, arrays: Sequence[Array | np.ndarray]) -> Self:

@@ -487,7 +487,7 @@ class BioscapeResult(JobResult):
     """Plants counted over those that cover and diameter ask for, eq. (10): median of the species
     that are not clonal [-]; none where the tables hold no counts."""
     oddities: int = 0
-    """Rows of remarks.csv."""
+    """Number of oddities of the tables, the rows of remarks.csv."""
     cover_share_by_trait_source: dict[str, float]
     """Share of the listed cover, over all plots, by the source of leaf mass per area [-]."""
 

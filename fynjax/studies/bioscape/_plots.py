@@ -56,7 +56,7 @@ class BioscapeSpecies:
 
     taxon: str
     family: str
-    """'' if unknown."""
+    """Family of the species, '' if unknown."""
     cover: float
     """Live cover as noted, a share of the plot [-]."""
     shape: PlantShape
@@ -67,11 +67,11 @@ class BioscapeSpecies:
     """`leaf_mass_per_area` [g per m2 of projected area] and `water_content` [% of fresh mass],
     always; `nitrogen` and `carbon` [mg g-1] where the library has them."""
     library_name: str | None
-    """Its name in the trait library, `None` if it is not there."""
+    """Name of the species in the trait library, `None` if it is not there."""
     note: SpeciesNote
     """What the field tables say of it."""
     size_source: tuple[str, str] = (FORM_DEFAULT, FORM_DEFAULT)
-    """Where crown diameter and height came from."""
+    """Sources of the crown diameter and of the height."""
 
     @property
     def crown_cover(self) -> float:
@@ -95,13 +95,13 @@ class Visit:
     """Where a plot is and when the spectrometer flew over it."""
 
     longitude: float
-    """WGS84 [degree]."""
+    """Longitude of the plot, WGS84 [degree]."""
     latitude: float
-    """WGS84 [degree]."""
+    """Latitude of the plot, WGS84 [degree]."""
     times: tuple[str, ...]
     """Start of each flight line, ISO 8601, in order."""
     remark: str
-    """Of the crew, or ''."""
+    """Remark of the crew, or ''."""
 
 
 @dataclass(frozen=True)
@@ -118,7 +118,7 @@ class BioscapePlot:
     rock: float
     """Bare rock [-]."""
     species: tuple[BioscapeSpecies, ...]
-    """As listed; the crews list species of 5 % and more."""
+    """Species as listed; the crews list those of 5 % and more."""
     visit: Visit | None
     """`None` where no table of spectra or of places names the plot."""
     height: float | None = None

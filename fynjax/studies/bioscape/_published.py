@@ -150,7 +150,7 @@ class SpeciesNote:
     """What the tables say of a species on a plot; None where they do not."""
 
     where: str
-    """File and row."""
+    """File and row that name the species."""
     cover: float
     """Live cover [-]."""
     family: str | None = None
@@ -202,19 +202,19 @@ class FieldTables:
     cover: dict[str, tuple[int, CoverRow]] = field(default_factory=dict)
     """Row and covers of each plot."""
     listed: dict[str, dict[str, SpeciesNote]] = field(default_factory=dict)
-    """Species of each plot."""
+    """Species of each plot, by plot and taxon."""
     named: set[str] = field(default_factory=set)
     """Plots with a row, with covers or without."""
     height: dict[str, float] = field(default_factory=dict)
-    """Mean height of the vegetation [m]."""
+    """Mean height of the vegetation of each plot [m]."""
     age: dict[str, float] = field(default_factory=dict)
     """Years since fire, mean of the quadrants that state a number."""
     view: dict[str, ViewFromAbove] = field(default_factory=dict)
-    """Line intercepts."""
+    """Line intercepts of each plot."""
     place: dict[str, PlotCentre] = field(default_factory=dict)
     """Centres of the plots."""
     remarks: list[Remark] = field(default_factory=list)
-    """What is odd."""
+    """What is odd in the tables, and how it was read."""
 
     def remark(self, path: Path, row: int | None, plot: str, what: str) -> None:
         """Note that something is odd."""

@@ -25,7 +25,7 @@ class Spectrometer:
     """Bands of the spectra."""
 
     centre: Float[np.ndarray, " band"]
-    """[nm], increasing."""
+    """Centres of the bands [nm], increasing."""
     fwhm: Float[np.ndarray, " band"]
     """Full width at half maximum [nm]."""
 

@@ -80,13 +80,13 @@ class ValidatePlotsResult(JobResult):
     size_m: float
     voxel_m: float
     largest_residual: float
-    """Of the light's equations, over the plots [-]."""
+    """Largest residual of the light's equations over the plots [-]."""
     agreement: Rows | None = None
-    """Rows of agreement_mean.csv."""
+    """Agreement of each predictor, means over the plots: the rows of agreement_mean.csv."""
     by_plot: Rows | None = None
-    """Rows of agreement.csv: of the model, over all bands."""
+    """Agreement of the model with each plot over all bands: rows of agreement.csv."""
     features: Rows | None = None
-    """Rows of features.csv."""
+    """How well the model distinguishes plots: the rows of features.csv."""
 
 
 def write_report(
