@@ -30,6 +30,7 @@ _SHOWN_BINS = 60
 _OTHER_SCALE = 2.5
 """Ratio of pixels' sides from which on spreads and histograms are of different things [-]."""
 
+_KNOWN = {True: "yes", False: "no", None: "open"}
 _Values = Float[np.ndarray, " pixel"]
 
 
@@ -90,7 +91,9 @@ def compare_drone_images(real: DroneImage, simulated: DroneImage) -> DroneCompar
                 "paper_real_mean": paper.real_mean,
                 "paper_simulated_mean": paper.sim_mean,
                 "paper_real_std": paper.real_std,
-                "paper_real_std_consistent": _yes_or_no(paper.std_consistent),
+                "paper_real_std_consistent": {True: "yes", False: "no", None: "open"}[
+                    paper.std_consistent
+                ],
                 "paper_simulated_std": paper.sim_std,
                 "paper_histogram_intersection": paper.histogram_intersection,
                 "paper_ks": paper.ks,
@@ -111,10 +114,6 @@ def compare_drone_images(real: DroneImage, simulated: DroneImage) -> DroneCompar
         shown=np.stack([shares / np.diff(edges) for edges, shares in shown], axis=1),
         notes=tuple(_notes(real, simulated)),
     )
-
-
-def _yes_or_no(consistent: bool | None) -> str:
-    return {True: "yes", False: "no", None: "open"}[consistent]
 
 
 def _band_table(

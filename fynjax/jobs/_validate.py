@@ -1,7 +1,7 @@
 """What `fynjax validate` does: real against simulated data of any of three sensors."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
 
@@ -421,7 +421,7 @@ def _structure_summary(structure: StructureComparison) -> StructureSummary:
         *("below_ground_share", "too_high", "highest", "nearly_highest"),
     )
     return StructureSummary(
-        settings=structure.settings.as_dict(),
+        settings=asdict(structure.settings),
         options=structure.options,
         grain_m=structure.grain,
         bounds_m=structure.bounds,

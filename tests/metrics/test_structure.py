@@ -326,8 +326,8 @@ def test_bad_settings_and_returns() -> None:
 
 def test_settings_are_carried_and_names_agree() -> None:
     found = cell_structure(fynbos_cells(STRUCTURE_PRESETS["lidR"]))
-    assert found.settings.as_dict()["source"].startswith("lidR")
-    assert found.settings.as_dict()["layer"] == 1.0
+    assert found.settings.source.startswith("lidR")
+    assert found.settings.layer == 1.0
     assert tuple(found.metrics) == tuple(STRUCTURE_METRICS)
     assert set(STRUCTURE_METRICS) < set(structure_2006())
 

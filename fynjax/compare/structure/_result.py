@@ -1,6 +1,6 @@
 """What a comparison of two clouds found, as numbers, tables and data sets."""
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -117,7 +117,7 @@ class StructureComparison:
 
     def settings_table(self) -> pd.DataFrame:
         """Every setting that the numbers depend on, as name and value."""
-        everything = {**self.settings.as_dict(), **self.options, "seed": self.seed}
+        everything = {**asdict(self.settings), **self.options, "seed": self.seed}
         everything |= {"grain": self.grain, "matched_returns": self.matched_returns}
         everything |= {"cell_bounds": list(self.bounds), "plot_bounds": list(self.plot)}
         everything["thinned"] = self.thinned

@@ -132,12 +132,9 @@ class CellStructure:
 
     def means(self, least_returns: int = 1) -> dict[str, float]:
         """Mean of each metric over the cells that count; NaN where all are undefined."""
-        return {name: _mean(v) for name, v in self.values(least_returns).items()}
-
-    def values(self, least_returns: int = 1) -> dict[str, NDArray[np.float64]]:
-        """The defined values of each metric in the cells that count."""
         keep = self.counted(least_returns)
-        return {name: v[keep & np.isfinite(v)] for name, v in self.metrics.items()}
+        defined = {name: v[keep & np.isfinite(v)] for name, v in self.metrics.items()}
+        return {name: float(v.mean()) if v.size else np.nan for name, v in defined.items()}
 
     def profile(self, least_returns: int = 1) -> NDArray[np.float64]:
         """Leaf area density of each layer, mean over cells that count [m2 m-3].
@@ -184,7 +181,8 @@ def bin_returns(
         )
     for name, values in (("x", east), ("y", north), ("height", up), ("weight", count)):
         if not np.isfinite(values).all():
-            raise InputError(f"`{name}` must be finite, but return {_first(values)} is not")
+            first = int(np.argmin(np.isfinite(values))) + 1
+            raise InputError(f"`{name}` must be finite, but return {first} is not")
     if (count < 0.0).any():
         raise InputError("`weight` must be at least 0")
     column = np.floor((east - grid.origin[0]) / grid.grain).astype(np.int64)
@@ -352,11 +350,3 @@ def _moments(
     several = number > 1
     variance = squares * np.where(several, number / np.maximum(number - degrees_lost, 1), 0.0)
     return mean, np.sqrt(variance), several
-
-
-def _mean(values: NDArray[np.float64]) -> float:
-    return float(values.mean()) if values.size else float("nan")
-
-
-def _first(values: NDArray[np.float64]) -> int:
-    return int(np.argmin(np.isfinite(values))) + 1

@@ -1,7 +1,7 @@
 """How structure is measured: layers, thresholds and conventions, and those of known tools."""
 
-from dataclasses import dataclass, fields, replace
-from typing import Any, Literal, get_args, get_type_hints
+from dataclasses import dataclass, replace
+from typing import Literal, get_args, get_type_hints
 
 import numpy as np
 
@@ -117,10 +117,6 @@ class StructureSettings:
     def first_layer(self, height: float) -> int:
         """Number of whole layers between `base` and a height that is an edge."""
         return round((height - self.base) / self.layer)
-
-    def as_dict(self) -> dict[str, Any]:
-        """The settings by name, as outputs carry them."""
-        return {field.name: getattr(self, field.name) for field in fields(self)}
 
 
 _SHRUB = StructureSettings()

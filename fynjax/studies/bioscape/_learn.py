@@ -250,39 +250,27 @@ def _read(
     return read, bands, [f.mean(axis=0) for f in flights], files, remarks
 
 
-PlotAt = tuple[tuple[Scene, PlotParameters], np.ndarray]
+PlantedPlot = tuple[Scene, PlotParameters]
+"""Scene and parameters of a plot."""
+PlotAt = tuple[PlantedPlot, np.ndarray]
 """A plot, and its own parameters, whitened."""
 
 
 def simulate(plot: PlotAt, model: PopulationForward, space: ParameterSpace) -> tuple[Array]:
     """The statistics of a plot."""
-    scene, u = plot
-    return (_value(model, space, jnp.asarray(u), *scene),)
+    return (_value(model, space, *plot),)
 
 
 def differentiate(plot: PlotAt, model: PopulationForward, space: ParameterSpace) -> tuple[Array]:
-    """Their derivatives by its parameters."""
-    scene, u = plot
-    return (_slope(model, space, jnp.asarray(u), *scene),)
+    """Derivatives of the statistics of a plot by its parameters."""
+    return (_slope(model, space, *plot),)
 
 
 @eqx.filter_jit
-def _value(
-    model: PopulationForward,
-    space: ParameterSpace,
-    u: Array,
-    scene: Scene,
-    parameters: PlotParameters,
-) -> Array:
-    return model(space.physical(u), scene, parameters)
+def _value(model: PopulationForward, space: ParameterSpace, plot: PlantedPlot, u: Array) -> Array:
+    return model(space.physical(u), *plot)
 
 
 @eqx.filter_jit
-def _slope(
-    model: PopulationForward,
-    space: ParameterSpace,
-    u: Array,
-    scene: Scene,
-    parameters: PlotParameters,
-) -> Array:
-    return model.linearised(space, u, scene, parameters)[1]
+def _slope(model: PopulationForward, space: ParameterSpace, plot: PlantedPlot, u: Array) -> Array:
+    return model.linearised(space, u, *plot)[1]
