@@ -258,12 +258,12 @@ PlotAt = tuple[PlantedPlot, np.ndarray]
 
 def simulate(plot: PlotAt, model: PopulationForward, space: ParameterSpace) -> tuple[Array]:
     """The statistics of a plot."""
-    return (_value(model, space, *plot),)
+    return (_value(model, space, plot[0], jnp.asarray(plot[1])),)
 
 
 def differentiate(plot: PlotAt, model: PopulationForward, space: ParameterSpace) -> tuple[Array]:
     """Derivatives of the statistics of a plot by its parameters."""
-    return (_slope(model, space, *plot),)
+    return (_slope(model, space, plot[0], jnp.asarray(plot[1])),)
 
 
 @eqx.filter_jit
