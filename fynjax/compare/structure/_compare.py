@@ -21,7 +21,7 @@ from fynjax.metrics.structure import (
     CellStructure,
     cell_structure,
 )
-from fynjax.terrain import PointCloud
+from fynjax.terrain import Bounds, PointCloud
 
 
 def compare_clouds(
@@ -57,21 +57,11 @@ def compare_clouds(
     """
     settings = ComparisonSettings() if settings is None else settings
     paths = Path(real_path), Path(simulated_path)
-    with stage("Read the clouds"):
-        real = open_cloud(paths[0], settings.real)
-        simulated = open_cloud(paths[1], settings.simulated)
-    stated = settings.simulated_shift
-    bounds, shift, notes = common_plot(
-        real, simulated, settings.bounds, None if stated is None else stated[:2], paths[1]
-    )
-    up = stated[2] if stated is not None and len(stated) == 3 else 0.0
-    simulated = replace(
-        simulated, x=simulated.x + shift[0], y=simulated.y + shift[1], z=simulated.z + up
-    )
-    slack = 0.0 if settings.bounds else max(_spacing(c) for c in (real, simulated))
+    clouds, bounds, notes = _on_one_plot(paths, settings)
+    slack = 0.0 if settings.bounds else max(_spacing(cloud) for cloud in clouds)
     with stage("Find the ground", total=2):
         heights = []
-        for cloud, path, how in zip((real, simulated), paths, (settings.real, settings.simulated)):
+        for cloud, path, how in zip(clouds, paths, (settings.real, settings.simulated)):
             heights.append(height_cloud(cloud, path, how, bounds, slack))
             advance()
     sparser = int(len(heights[1]) < len(heights[0]))
@@ -98,18 +88,15 @@ def compare_clouds(
             repeated.append(cell_structure(part))
             rounds.append(_agreement(part.height, percentiles, shares, bins, settings))
             advance()
+    thinnings: list[list[CellStructure]] = [[], []]
+    thinnings[denser] = repeated if thinned != "neither" else []
+    shown = [percentiles, percentiles]
+    shown[denser] = np.median([r[0] for r in rounds], axis=0)
     with stage("Resample the cells"):
-        sides = []
-        for i, (above, structure) in enumerate(zip(heights, full)):
-            parts = repeated if i == denser and thinned != "neither" else None
-            if i == denser:
-                percentiles_here = np.median([r[0] for r in rounds], axis=0)
-            else:
-                percentiles_here = percentiles
-            cells, metrics = _estimates(structure, parts, settings, rng)
-            sides.append(
-                _side(above, binned[i], structure, metrics, cells, percentiles_here, bins, settings)
-            )
+        sides = [
+            _side(heights[i], binned[i], full[i], thinnings[i], shown[i], bins, settings, rng)
+            for i in (0, 1)
+        ]
     whole = _agreement(binned[denser].height, percentiles, shares, bins, settings)
     layers = max(len(part.edges) for part in full)
     edges = max((part.edges for part in full), key=len)
@@ -127,16 +114,7 @@ def compare_clouds(
         real=sides[0],
         simulated=sides[1],
         percents=settings.percents,
-        heights=pd.DataFrame(
-            {
-                "height_percentile_rmse": (
-                    "m",
-                    *_spread([r[1] for r in rounds], whole[1], settings),
-                ),
-                "height_intersection": ("1", *_spread([r[2] for r in rounds], whole[2], settings)),
-            },
-            index=["unit", "value", "full", "thinning_low", "thinning_high"],
-        ).T,
+        heights=_agreements(rounds, whole, settings),
         edges=edges,
         histogram_edges=settings.histogram_bin * np.arange(bins + 1),
         notes=(),
@@ -175,11 +153,27 @@ def cloud_structure(
         grid, grains = choose_cells(heights, bounds, slack, settings)
     binned = binned_returns(heights, grid, settings.structure)
     structure = cell_structure(binned)
-    cells, metrics = _estimates(structure, None, settings, np.random.default_rng(seed))
     percentiles = np.percentile(binned.height, settings.percents)
+    rng = np.random.default_rng(seed)
     bins = _bins([binned], settings)
-    side = _side(heights, binned, structure, metrics, cells, percentiles, bins, settings)
+    side = _side(heights, binned, structure, [], percentiles, bins, settings, rng)
     return CloudStructure(side, grid.grain, grains, structure)
+
+
+def _on_one_plot(
+    paths: tuple[Path, Path], settings: ComparisonSettings
+) -> tuple[tuple[PointCloud, PointCloud], Bounds, list[str]]:
+    """Both clouds in the real one's coordinates, the plot that is compared, and remarks."""
+    with stage("Read the clouds"):
+        real = open_cloud(paths[0], settings.real)
+        simulated = open_cloud(paths[1], settings.simulated)
+    stated = settings.simulated_shift
+    bounds, shift, notes = common_plot(
+        real, simulated, settings.bounds, None if stated is None else stated[:2], paths[1]
+    )
+    up = stated[2] if stated is not None and len(stated) == 3 else 0.0
+    x, y, z = simulated.x + shift[0], simulated.y + shift[1], simulated.z + up
+    return (real, replace(simulated, x=x, y=y, z=z)), bounds, notes
 
 
 def _spacing(cloud: PointCloud) -> float:
@@ -219,12 +213,22 @@ def height_shares(height: np.ndarray, width: float, bins: int) -> np.ndarray:
     return counts / counts.sum()
 
 
-def _spread(
-    values: list[float], full: float, settings: ComparisonSettings
-) -> tuple[float, float, float, float]:
-    """Median over thinnings, value of all returns, and the central part of the thinnings."""
-    low, high = central_interval(values, settings.confidence)
-    return float(np.median(values)), full, low, high
+def _agreements(
+    rounds: list[tuple[np.ndarray, float, float]],
+    whole: tuple[np.ndarray, float, float],
+    settings: ComparisonSettings,
+) -> pd.DataFrame:
+    """How the distributions of heights agree (`StructureComparison.heights`), from `_agreement` of
+    each thinning and of all returns."""
+    rows = {}
+    for name, unit, values, full in (
+        ("height_percentile_rmse", "m", [r[1] for r in rounds], whole[1]),
+        ("height_intersection", "1", [r[2] for r in rounds], whole[2]),
+    ):
+        interval = central_interval(values, settings.confidence)
+        rows[name] = (unit, float(np.median(values)), full, *interval)
+    columns = ("unit", "value", "full", "thinning_low", "thinning_high")
+    return pd.DataFrame.from_dict(rows, orient="index", columns=columns)
 
 
 def central_interval(values: list[float] | np.ndarray, confidence: float) -> tuple[float, float]:
@@ -255,13 +259,13 @@ def bootstrap_interval(
 
 def _estimates(
     full: CellStructure,
-    repeated: list[CellStructure] | None,
+    thinnings: list[CellStructure],
     settings: ComparisonSettings,
     rng: np.random.Generator,
 ) -> tuple[dict[str, np.ndarray], pd.DataFrame]:
     """Each metric in cells, and its mean over them with intervals (`CloudSide.metrics`)."""
     least = settings.least_returns
-    parts = [full] if repeated is None else repeated
+    parts = thinnings or [full]
     cells, rows = {}, {}
     means = pd.DataFrame([part.means(least) for part in parts])
     whole = full.means(least)
@@ -274,7 +278,7 @@ def _estimates(
             cells[name] = np.nanmedian(stack, axis=0)
         series, defined = means[name].dropna(), cells[name][np.isfinite(cells[name])]
         thinning = (np.nan, np.nan)
-        if repeated is not None and len(series):
+        if thinnings and len(series):
             thinning = central_interval(series.to_numpy(), settings.confidence)
         resampled = bootstrap_interval(defined, settings, rng)
         rows[name] = (series.median(), whole[name], *thinning, *resampled)
@@ -286,12 +290,14 @@ def _side(
     cloud: HeightCloud,
     binned: BinnedReturns,
     structure: CellStructure,
-    metrics: pd.DataFrame,
-    cells: dict[str, np.ndarray],
+    thinnings: list[CellStructure],
     percentiles: np.ndarray,
     bins: int,
     settings: ComparisonSettings,
+    rng: np.random.Generator,
 ) -> CloudSide:
+    """A cloud over the plot's cells; `thinnings` is empty of one that was not thinned."""
+    cells, metrics = _estimates(structure, thinnings, settings, rng)
     west, south, east, north = structure.grid.bounds
     return CloudSide(
         file=str(cloud.file),
