@@ -89,6 +89,11 @@ def test_no_grain_fits() -> None:
     # The largest has no next one, and is taken where no other fits.
     only = ComparisonSettings(median_returns=200.0)
     assert choose_grain(at_grains((2.0, 5.0)), only, PLOT)[0].grain == 5.0
+    bare = [with_means(one, 0.0) for one in at_grains((2.0, 5.0))]
+    assert choose_grain(bare, ComparisonSettings(), PLOT)[0].grain == 5.0
+    # Cells of 2 m have some 52 returns: few of them have 60.
+    many = ComparisonSettings(least_returns=60)
+    assert choose_grain(at_grains((2.0, 5.0)), many, PLOT)[0].grain == 5.0
 
 
 def test_bootstrap_against_scipy_and_the_normal_law() -> None:

@@ -112,6 +112,16 @@ def test_voxels_of_a_uniform_slab() -> None:
     np.testing.assert_allclose(raised.metrics["gap_fraction"], np.exp(-0.8 * 0.6), rtol=1e-9)
 
 
+def test_a_cell_counts_by_the_chance_that_it_is_defined() -> None:
+    """Of two expected returns in a cell, a coefficient of variation needs another one: the chance
+    of at least one of one expected, 1 - 1 / e."""
+    found = voxels(
+        jnp.ones((8, 4, 4)), StructureSettings(), voxel=(0.5, 0.1), grain=2.0, pulses=0.5, layers=3
+    )
+    np.testing.assert_allclose(found.defined["height_cv"], 1.0 - np.exp(-1.0), rtol=1e-9)
+    np.testing.assert_allclose(found.defined["gap_fraction"], 1.0)
+
+
 def test_percentiles_of_height_are_those_of_drawn_first_hits() -> None:
     """Pulses that meet leaves at random depths, on columns with a ground of their own."""
     rng = np.random.default_rng(2)
