@@ -121,29 +121,32 @@ def voxel_structure(
         pixel = round(across)
         shape = (rows, canopy_cells, pixel, columns, canopy_cells, pixel, -1)
         mean = gaps.reshape(shape).mean(axis=(2, 5))  # row, pixel row, column, pixel column, level
-        mean = mean.transpose(0, 2, 1, 3, 4).reshape(rows * columns, canopy_cells**2, -1)
-        return mean
+        return mean.transpose(0, 2, 1, 3, 4).reshape(rows * columns, canopy_cells**2, -1)
 
-    def gap_of_cell(*heights: float) -> Float[Array, "cell level"]:
-        return gap_at(jnp.asarray(heights, dtype)).mean(axis=1)
+    def gap_of_cell(height: float) -> Float[Array, " cell"]:
+        return gap_at(jnp.asarray([height], dtype)).mean(axis=1)[:, 0]
 
+    # Returns expected from each layer: the fall of the gap probability through it. From the ground
+    # up: what returns from below the ground's threshold lies under all layers.
     number = pulses * grain**2
-    # From the ground up: what returns from below the ground's threshold lies under all layers.
     low = max(settings.base, settings.ground_height)
     steps = settings.base + settings.layer * jnp.arange(layers + 1, dtype=dtype)
     gaps = gap_at(jnp.maximum(steps, low)).mean(axis=1).at[:, -1].set(1.0)
     if low <= 0.0:
         gaps = gaps.at[:, 0].set(0.0)  # returns from the ground are in the lowest layer
     counts = number * jnp.diff(gaps, axis=1)
-    soil = gap_of_cell(settings.ground_height)[:, 0] if settings.ground_height > 0.0 else 0.0
+    soil = gap_of_cell(settings.ground_height) if settings.ground_height > 0.0 else 0.0
     weighted = (settings.ground_weight - 1.0) * soil
     under = number * (gaps[:, 0] + weighted)
-    gap = gap_of_cell(settings.gap_height)[:, 0]
+    # Gap fraction: the share of returns below the threshold, those of the ground weighted.
+    gap = gap_of_cell(settings.gap_height)
     least = min(settings.ground_height, settings.gap_height)
     weighted_low = (settings.ground_weight - 1.0) * (
-        gap_of_cell(least)[:, 0] if settings.ground_height > 0.0 else 0.0
+        gap_of_cell(least) if settings.ground_height > 0.0 else 0.0
     )
     share = (gap + weighted_low) / (1.0 + weighted)
+    # Rugosity: all pulses on a canopy cell pass a height with the power of what one does, and that
+    # is the distribution of the highest return.
     fine = jnp.arange(density.shape[0] * _SUBDIVISIONS + 1, dtype=dtype) * (thick / _SUBDIVISIONS)
     column = gap_at(fine)
     hit = pulses * (grain / canopy_cells) ** 2
@@ -156,9 +159,10 @@ def voxel_structure(
     variance = between / max(many - lost, 1) + within * (1.0 if lost else (many - 1) / many)
     if settings.gap_of == "canopy":
         share = jnp.mean(gap_at(jnp.asarray([settings.gap_height], dtype))[..., 0] ** hit, axis=1)
+    # Variation of height: moments of single returns above the threshold.
     mean, square = _height_moments(column.mean(axis=1), fine, settings.cv_lowest)
     mass = number * (
-        1.0 - gap_of_cell(settings.cv_lowest)[:, 0]
+        1.0 - gap_of_cell(settings.cv_lowest)
         if settings.cv_lowest > 0.0
         else jnp.ones(rows * columns, dtype)
     )
