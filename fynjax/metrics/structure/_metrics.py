@@ -87,8 +87,6 @@ class BinnedReturns:
     """Cells of the canopy's surface along the side of a cell."""
     height: Float[np.ndarray, " return"]
     """Height of each return above the ground [m]."""
-    weight: Float[np.ndarray, " return"]
-    """What each return counts [-]."""
     cell: Int[np.ndarray, " return"]
     """Number of each return's cell, row by row."""
     layer: Int[np.ndarray, " return"]
@@ -103,10 +101,7 @@ class BinnedReturns:
         """Some of the returns, by number or by a mask, in the same cells and layers."""
         return replace(
             self,
-            **{
-                name: getattr(self, name)[index]
-                for name in ("height", "weight", "cell", "layer", "canopy")
-            },
+            **{name: getattr(self, name)[index] for name in ("height", "cell", "layer", "canopy")},
         )
 
 
@@ -153,8 +148,6 @@ def bin_returns(
     height: ArrayLike,
     grid: CellGrid,
     settings: StructureSettings,
-    *,
-    weight: ArrayLike | None = None,
 ) -> BinnedReturns:
     """Sort returns into the cells of a plot and the layers of its canopy.
 
@@ -164,41 +157,33 @@ def bin_returns(
     - `height`: above ground [m]; below 0 counts as 0.
     - `grid`: the cells (`cell_grid`).
     - `settings`: layers and thresholds.
-    - `weight`: what each return counts [-]: one over the number of returns of its pulse, or 0 and
-      1 to choose first returns; 1 unless given.
 
     **Returns:** a `BinnedReturns`, for `cell_structure`. Not differentiable.
 
-    **Raises:** `InputError` for arrays of different length, NaN, weights that are negative, no
-    return inside, or more cells times layers than memory is for.
+    **Raises:** `InputError` for arrays of different length, NaN, no return inside, or more cells
+    times layers than memory is for.
     """
     east, north, up = (np.asarray(v, np.float64).ravel() for v in (x, y, height))
-    count = np.ones(len(up)) if weight is None else np.asarray(weight, np.float64).ravel()
-    if not len(east) == len(north) == len(up) == len(count):
+    if not len(east) == len(north) == len(up):
         raise InputError(
-            "expected as many x, y, heights and weights, but got "
-            f"{len(east)}, {len(north)}, {len(up)} and {len(count)}"
+            f"expected as many x, y and heights, but got {len(east)}, {len(north)} and {len(up)}"
         )
-    for name, values in (("x", east), ("y", north), ("height", up), ("weight", count)):
+    for name, values in (("x", east), ("y", north), ("height", up)):
         if not np.isfinite(values).all():
             first = int(np.argmin(np.isfinite(values))) + 1
             raise InputError(f"`{name}` must be finite, but return {first} is not")
-    if (count < 0.0).any():
-        raise InputError("`weight` must be at least 0")
     column = np.floor((east - grid.origin[0]) / grid.grain).astype(np.int64)
     row = np.floor((north - grid.origin[1]) / grid.grain).astype(np.int64)
     # A return on the outer edge belongs to the last cell, as in a histogram.
     column[east == grid.bounds[2]] = grid.columns - 1
     row[north == grid.bounds[3]] = grid.rows - 1
     inside = (column >= 0) & (column < grid.columns) & (row >= 0) & (row < grid.rows)
-    inside &= count > 0.0
     if not inside.any():
         raise InputError(
             "expected returns in the cells of the plot, but there are none. Are both in the same "
             "coordinate reference system?"
         )
-    east, north, count = east[inside], north[inside], count[inside]
-    column, row = column[inside], row[inside]
+    east, north, column, row = (v[inside] for v in (east, north, column, row))
     up = np.maximum(up[inside], 0.0)
     cell = row * grid.columns + column
     layer = np.floor((up - settings.base) / settings.layer + _ON_EDGE).astype(np.int64) + 1
@@ -214,7 +199,7 @@ def bin_returns(
     j = ((north - grid.origin[1]) / grid.grain - row) * side
     part = [np.clip(v.astype(np.int64), 0, side - 1) for v in (j, i)]
     canopy = (cell * side + part[0]) * side + part[1]
-    return BinnedReturns(grid, settings, layers, side, up, count, cell, layer, canopy)
+    return BinnedReturns(grid, settings, layers, side, up, cell, layer, canopy)
 
 
 def cell_structure(returns: BinnedReturns) -> CellStructure:
@@ -250,7 +235,7 @@ def cell_structure(returns: BinnedReturns) -> CellStructure:
     grid, settings = returns.grid, returns.settings
     cells, layers = grid.rows * grid.columns, returns.layers
     ground = returns.height < settings.ground_height
-    weight = np.where(ground, settings.ground_weight, 1.0) * returns.weight
+    weight = np.where(ground, settings.ground_weight, 1.0)
     bins = np.bincount(
         returns.cell * (layers + 1) + returns.layer, weight, cells * (layers + 1)
     ).reshape(cells, layers + 1)
@@ -308,45 +293,33 @@ def _highest(returns: BinnedReturns, cells: int) -> NDArray[np.float64]:
 
 
 def _rugosity(returns: BinnedReturns, cells: int) -> tuple[Any, Any]:
+    lost = returns.settings.degrees_lost
     if returns.settings.rugosity_of == "canopy":
         value = _highest(returns, cells)
         good = np.isfinite(value)
     else:
         number = cells * returns.canopy_cells**2
-        _, deviation, good = _moments(
-            returns.height, returns.weight, returns.canopy, number, returns.settings.degrees_lost
+        _, value, good = (
+            v.reshape(cells, -1) for v in _moments(returns.height, returns.canopy, number, lost)
         )
-        value, good = deviation.reshape(cells, -1), good.reshape(cells, -1)
     which = np.broadcast_to(np.arange(cells)[:, None], value.shape)[good]
-    _, deviation, defined = _moments(
-        value[good], np.ones(len(which)), which, cells, returns.settings.degrees_lost
-    )
-    return deviation, defined
+    return _moments(value[good], which, cells, lost)[1:]
 
 
 def _height_cv(returns: BinnedReturns, cells: int) -> tuple[Any, Any]:
-    settings = returns.settings
-    high = returns.height >= settings.cv_lowest
+    high = returns.height >= returns.settings.cv_lowest
     mean, deviation, defined = _moments(
-        returns.height[high], returns.weight[high], returns.cell[high], cells, settings.degrees_lost
+        returns.height[high], returns.cell[high], cells, returns.settings.degrees_lost
     )
     return deviation / np.where(mean > 0.0, mean, 1.0), defined & (mean > 0.0)
 
 
 def _moments(
-    value: NDArray[np.float64],
-    weight: NDArray[np.float64],
-    group: NDArray[np.int64],
-    groups: int,
-    degrees_lost: int,
+    value: NDArray[np.float64], group: NDArray[np.int64], groups: int, degrees_lost: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
     """Mean and standard deviation in each group, and where there are two values or more."""
-    total = np.bincount(group, weight, groups)
-    safe = np.where(total > 0.0, total, 1.0)
-    mean = np.bincount(group, weight * value, groups) / safe
-    squares = np.bincount(group, weight * (value - mean[group]) ** 2, groups) / safe
-    # Of n values with unequal weights, n / (n - 1) makes the deviation that of the sample.
     number = np.bincount(group, minlength=groups)
+    mean = np.bincount(group, value, groups) / np.maximum(number, 1)
+    squares = np.bincount(group, (value - mean[group]) ** 2, groups)
     several = number > 1
-    variance = squares * np.where(several, number / np.maximum(number - degrees_lost, 1), 0.0)
-    return mean, np.sqrt(variance), several
+    return mean, np.sqrt(squares / np.maximum(number - degrees_lost, 1)) * several, several

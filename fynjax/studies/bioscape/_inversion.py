@@ -431,10 +431,8 @@ class PlotCase(NamedTuple):
     too (`bias_corrected_data`)."""
 
 
-def infer_plot(
-    case: PlotCase, predict: PlotSpectrumForward, max_steps: int = 20
-) -> tuple[Array, ...]:
-    """Fit one plot: the arrays of an `PlotEstimate`."""
+def infer_plot(case: PlotCase, predict: PlotSpectrumForward) -> tuple[Array, ...]:
+    """Fit one plot: the arrays of a `PlotEstimate`."""
     data, space, parameters, scenes, bias = case
     none = jnp.zeros_like(data.value)
     offset = none if bias is None else jnp.asarray(bias)
@@ -446,7 +444,7 @@ def infer_plot(
         predict,
         grown,
         space,
-        max_steps=max_steps,
+        max_steps=20,
         tolerance=0.02,
         context=densities[0].context,
         offset=offset,

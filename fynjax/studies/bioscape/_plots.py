@@ -187,11 +187,11 @@ class BioscapePlot:
         """The species with the largest cover."""
         return max(self.species, key=lambda s: s.cover)
 
-    def trait_shares(self, trait: str = "leaf_mass_per_area") -> dict[str, float]:
-        """Share of the listed cover for each source of a trait [-]."""
+    def trait_shares(self) -> dict[str, float]:
+        """Share of the listed cover for each source of leaf mass per area [-]."""
         shares: dict[str, float] = {}
         for s in self.species:
-            source = s.traits[trait].source
+            source = s.traits["leaf_mass_per_area"].source
             shares[source] = shares.get(source, 0.0) + s.cover / self.listed_cover
         return shares
 
