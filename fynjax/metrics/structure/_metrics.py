@@ -299,9 +299,8 @@ def _rugosity(returns: BinnedReturns, cells: int) -> tuple[Any, Any]:
         good = np.isfinite(value)
     else:
         number = cells * returns.canopy_cells**2
-        _, value, good = (
-            v.reshape(cells, -1) for v in _moments(returns.height, returns.canopy, number, lost)
-        )
+        _, value, good = _moments(returns.height, returns.canopy, number, lost)
+        value, good = value.reshape(cells, -1), good.reshape(cells, -1)
     which = np.broadcast_to(np.arange(cells)[:, None], value.shape)[good]
     return _moments(value[good], which, cells, lost)[1:]
 
