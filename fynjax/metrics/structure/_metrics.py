@@ -183,7 +183,7 @@ def bin_returns(
             "expected returns in the cells of the plot, but there are none. Are both in the same "
             "coordinate reference system?"
         )
-    east, north, column, row = (v[inside] for v in (east, north, column, row))
+    east, north, column, row = east[inside], north[inside], column[inside], row[inside]
     up = np.maximum(up[inside], 0.0)
     cell = row * grid.columns + column
     layer = np.floor((up - settings.base) / settings.layer + _ON_EDGE).astype(np.int64) + 1
