@@ -535,6 +535,23 @@ def planted_files(
     return files, list(written.warnings)
 
 
+def _cut_or_assumed(read: Sequence[BioscapePlot], learned: LearnedPrior | None) -> list[str]:
+    """What of the species is more than PROSPECT can mean, and what the prior does not know."""
+    said = []
+    for name, most in _MOST.items():
+        thick = {s.taxon for p in read for s in p.species if name in beyond_prospect(s)}
+        if thick:
+            said.append(
+                f"{name} of {len(thick)} species is more than PROSPECT can mean, and cut to "
+                f"{most:g} {PARAMETERS[name].unit} (sources.csv has what their traits give): "
+                f"{', '.join(sorted(thick))}"
+            )
+    if learned is not None:
+        forms = [s.shape.growth_form for p in read for s in p.species]
+        said += learned.unlearned([*forms, *(DOME for p in read if p.other_cover > 0)])
+    return said
+
+
 def write_plots(
     run: Run, folder: str | Path, read: Sequence[BioscapePlot], learned: LearnedPrior | None
 ) -> BioscapeResult:
@@ -558,18 +575,7 @@ def write_plots(
         for source in SOURCES
     }
     named = ", ".join(f"{100 * v:.1f} % {k}" for k, v in shares.items() if v > 0)
-    cut = []
-    for name, most in _MOST.items():
-        thick = {s.taxon for p in read for s in p.species if name in beyond_prospect(s)}
-        if thick:
-            cut.append(
-                f"{name} of {len(thick)} species is more than PROSPECT can mean, and cut to "
-                f"{most:g} {PARAMETERS[name].unit} (sources.csv has what their traits give): "
-                f"{', '.join(sorted(thick))}"
-            )
-    if learned is not None:
-        forms = [s.shape.growth_form for p in read for s in p.species]
-        cut += learned.unlearned([*forms, *(DOME for p in read if p.other_cover > 0)])
+    warnings = _cut_or_assumed(read, learned)
     headline = [
         f"{len(read)} plots with {len({s.taxon for p in read for s in p.species})} species.",
         f"Leaf mass per area by cover: {named}.",
@@ -582,14 +588,14 @@ def write_plots(
     if remarks:
         first = remarks[0]
         at = first.file if first.row is None else f"{first.file}, row {first.row}"
-        cut.append(
+        warnings.append(
             f"{len(remarks)} oddities of the tables, with file and row in remarks.csv; the first: "
             f"{at}, plot {first.plot}: {first.what}"
         )
     return run.result(
         BioscapeResult,
         headline=headline,
-        warnings=cut,
+        warnings=warnings,
         counted_over_from_cover=ratio,
         oddities=len(remarks),
         plots=[plot.name for plot in read],
