@@ -47,9 +47,6 @@ def set_flags() -> None:
 
     **Raises:** `ImportError` with the way out, where JAX is in use already and computes wrong sums.
     """
-    # Compiled programs that are kept are read with lines of false alarm: settings of this machine's
-    # own compiler are called features that it lacks.
-    os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
     flags = os.environ.get("XLA_FLAGS")
     mended = version("jaxlib") != WRONG_SUMS or OWN_SUMS in (flags or "")
     bridge = sys.modules.get("jax._src.xla_bridge")
