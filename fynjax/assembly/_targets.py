@@ -35,14 +35,13 @@ from fynjax.io.raster import open_raster
 from fynjax.io.text import existing_file, open_table
 from fynjax.metrics import (
     BANDS,
-    STRUCTURE_METRICS,
     VEGETATION_INDICES,
-    StructureSettings,
     fitting_statistics,
     image_statistics,
     match_wavelengths,
     spectral_mask,
 )
+from fynjax.metrics.structure import STRUCTURE_METRICS, StructureSettings
 from fynjax.scene import PlotParameters, Scene, fitting_structure
 from fynjax.sensors import (
     BandSet,
@@ -445,12 +444,10 @@ def structure_data(
             ComparisonSettings(structure=settings, grains=grains),
             seed=seed,
         )
-        values = {}
-        for name, one in found.metrics.items():
-            if one.value is not None:
-                low, high = one.bootstrap_interval or (one.value, one.value)
-                # The interval holds 95 % of a normal.
-                values[name] = (one.value, (high - low) / (2.0 * 1.959964))
+        metrics = found.side.metrics.dropna(subset="value")
+        # The interval holds 95 % of a normal.
+        width = (metrics["bootstrap_high"] - metrics["bootstrap_low"]).fillna(0.0)
+        values = dict(zip(metrics.index, zip(metrics["value"], width / (2.0 * 1.959964))))
         grain, pulses = found.grain, found.side.density
         extra = {"returns": found.side.returns, "ground": found.side.ground}
     names = [name for name in STRUCTURE_METRICS if name in values]

@@ -381,28 +381,6 @@ def test_the_command_fits_groups_and_samples_the_posterior(tmp_path, capsys):
         assert (data["status"] == "converged").all()
 
 
-def test_water_of_one_campaign_is_corrected(tmp_path, capsys):
-    """Through the door: as `regress_water` does, said in the headline and the files."""
-    wet = {name: R * (1 + 0.05 * size * np.exp(-0.5 * ((WAVELENGTH - 1150) / 30) ** 2))
-           for name, size in {"a": 0, "b": 0, "c": 1}.items()}  # fmt: skip
-    good = table(tmp_path / "good.csv", {"wavelength": WAVELENGTH, **wet})
-    water = {}
-    for options in ([], ["--regression"]):
-        out = tmp_path / f"out{len(options)}"
-        with pytest.raises(SystemExit) as caught:
-            main(["fit-leaf", str(good), "--output", str(out), *options])
-        assert not caught.value.code
-        assert ("corrected by regression" in capsys.readouterr().out) == bool(options)
-        with xr.open_dataset(out / "spectra.nc") as data:
-            assert data.attrs["regression"] == ("water" if options else "none")
-        water[len(options)] = pd.read_csv(out / "traits.csv")["water"]
-    np.testing.assert_allclose(water[1][:2], water[0][:2])
-    assert abs(water[1][2] / water[0][2] - 1) > 0.005
-    with pytest.raises(InputError, match="one by one"):
-        fit_leaf([good], tmp_path / "o", regression=True, posterior="emcee")
-    assert not (tmp_path / "o").exists()
-
-
 @pytest.mark.parametrize(
     ("text", "message"),
     [
