@@ -204,23 +204,6 @@ def _acceptance(
     return value / 255.0
 
 
-def soft_weights(
-    count: Any, n_sites: int, *, width: Any = 1.0, softness: Any = 0.0
-) -> Float[Array, " site"]:
-    """Weight in [0, 1] of each of a species' ordered sites, for a real number of plants.
-
-    **Arguments:**
-
-    - `count`: number of plants [-], at least 0. What exceeds `n_sites` is lost: provide enough
-      sites.
-    - `n_sites`: number of sites.
-    - `width`, `softness`: of the ramp from 1 to 0, as in `site_weight`.
-
-    Differentiable as `site_weight`.
-    """
-    return site_weight(count, np.arange(n_sites), width=width, softness=softness)
-
-
 def site_weight(
     count: Any, index: Any, *, width: Any = 1.0, softness: Any = 0.0
 ) -> Float[Array, "*site"]:
@@ -244,10 +227,11 @@ def site_weight(
     Differentiable in `count`, `width` and `softness`, with continuous slopes where there is a ramp;
     without one the slope at a kink is the one to the right.
 
-    >>> from fynjax.canopy import soft_weights
-    >>> soft_weights(2.3, 4).round(3)
+    >>> import jax.numpy as jnp
+    >>> from fynjax.canopy import site_weight
+    >>> site_weight(2.3, jnp.arange(4)).round(3)
     Array([1. , 1. , 0.3, 0. ], dtype=float32)
-    >>> soft_weights(2.3, 4, softness=1.0).round(3)
+    >>> site_weight(2.3, jnp.arange(4), softness=1.0).round(3)
     Array([1.   , 0.843, 0.413, 0.044], dtype=float32)
     """
     return _site_weight(count, index, width, softness)

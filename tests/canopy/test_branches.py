@@ -6,7 +6,7 @@ import pytest
 import trimesh
 
 from fynjax._core.errors import InputError
-from fynjax.canopy import Organ, instantiate
+from fynjax.canopy import Organ, unit_shapes
 from fynjax.canopy.mesh._branches import branch_rotation_spread, plant_from_branches
 from fynjax.canopy.mesh._model import plant_model_from_mesh, read_plant_mesh
 from fynjax.canopy.mesh._plant_mesh import MeshPlant, PlantMesh
@@ -64,24 +64,16 @@ def test_areas_are_multiplied_and_elements_agree_with_triangles() -> None:
 
 
 def test_copies_turn_as_planted_ones_do() -> None:
-    """A leaning plant of `instantiate` is the same rotation, about the same foot."""
+    """A leaning plant of a scene is the same rotation, about the same foot."""
     one = elements(branch(), 60)
     copy = plant_from_branches(one, 1, seed=11, rotation_spread=30.0)
     azimuth = 360.0 * np.random.default_rng([11, 0]).random(1)
     tilt = 30.0 * np.abs(np.random.default_rng([11, 1]).standard_normal(1))
-    planted, area, _ = instantiate(
-        one.plant,
-        np.zeros((1, 2)),
-        azimuth,
-        np.ones(1),
-        one.modelled_diameter,
-        one.depth,
-        *one.organ_area,
-        tilt=tilt,
-    )
-    shift = np.asarray(planted) - np.asarray(copy.position)
+    across, along = unit_shapes(np.asarray(one.plant.position), azimuth, tilt)
+    planted = one.modelled_diameter * across[0] + one.depth * along[0]
+    shift = planted - np.asarray(copy.position)
     np.testing.assert_allclose(shift, np.broadcast_to(shift[0], shift.shape), atol=1e-12)
-    np.testing.assert_allclose(copy.area, area)
+    np.testing.assert_allclose(copy.area, one.area)
 
 
 def test_upright_copies_surround_the_axis_and_tilted_ones_spread() -> None:

@@ -7,7 +7,6 @@ import pandas as pd
 import pytest
 
 from fynjax._core.errors import InputError
-from fynjax.canopy import hard_count
 from fynjax.scene import (
     background_spectrum,
     band_wavelengths,
@@ -34,7 +33,7 @@ def test_hard_scene_plants_whole_plants_of_equation_10():
     radius = np.asarray(species.diameter) / 2
     share = (1 - np.asarray(species.packing)) * np.asarray(species.fill)
     area = np.pi * radius**2 * share
-    count = hard_count(1.6**2 * np.asarray(species.cover), area)
+    count = np.ceil(1.6**2 * np.asarray(species.cover) / area).astype(int)
     planting = model.planting
     size = [
         np.asarray(planting.size)[np.asarray(planting.species) == i][: count[i]] for i in range(3)
