@@ -120,3 +120,10 @@ def assert_valid_summary(summary: Any) -> None:
     if not isinstance(summary, dict):
         summary = json.loads(summary.model_dump_json())
     jsonschema.validate(summary, json_schema("summary"))
+
+
+def radiance_to_counts(radiance: Any, camera: Any) -> Any:
+    """Counts of a picture of a given radiance, neither rounded nor cut off: the inverse of
+    `fynjax.sensors.counts_to_radiance`."""
+    scale = camera.sensitivity / (camera.gain * camera.exposure * camera.full_scale)
+    return radiance * camera.response(radiance.shape) / scale + camera.black_level

@@ -11,7 +11,6 @@ file's top-down row order is the business of its writer.
 
 import abc
 import dataclasses
-import warnings
 from typing import Any, Self
 
 import equinox as eqx
@@ -271,37 +270,3 @@ class OrthographicCamera(AbstractCamera):
         tx, ty = self.tangents()
         rise = jnp.asarray(height, dtype=dtype)
         return jnp.stack([x + tx * rise, y[:, None] + ty * rise])
-
-
-def check_ground_sample_distance(
-    camera: FrameCamera, stated: float, *, tolerance: float = 0.02, name: str = "camera"
-) -> float:
-    """Compare a stated ground sample distance with the optics, and return the optics' value [m].
-
-    Warns (`UserWarning`) when they differ by more than a given fraction. Of a sensor file images
-    have the stated pixel, seen along the lines of sight of the optics.
-
-    **Arguments:**
-
-    - `camera`: optics and altitude.
-    - `stated`: ground sample distance that a source states [m], positive.
-    - `tolerance`: largest relative difference without a warning [-].
-    - `name`: of the camera; opens the warning.
-
-    **Raises:** `InputError` if `stated` is not positive.
-
-    Not differentiable.
-    """
-    if not stated > 0.0:
-        raise InputError(f"a ground sample distance must be positive, in m, but is {stated:g}.")
-    optics = float(camera.ground_sample_distance)
-    if abs(stated / optics - 1.0) > tolerance:
-        fitting = float(camera.position[2]) * stated / optics
-        warnings.warn(
-            f"{name}: the stated ground sample distance of {stated:g} m disagrees with the "
-            f"optics, which give {optics:.4g} m at {float(camera.position[2]):g} m, and the stated "
-            f"one at {fitting:.4g} m. Images have the stated pixel.",
-            UserWarning,
-            stacklevel=2,
-        )
-    return optics

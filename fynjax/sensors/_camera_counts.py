@@ -97,20 +97,3 @@ def counts_to_radiance(
     counts = real_array(counts)
     scale = camera.sensitivity / (camera.gain * camera.exposure * camera.full_scale)
     return scale * (counts - camera.black_level) / camera.response(counts.shape)
-
-
-def radiance_to_counts(
-    radiance: Float[Array, "row column"], camera: CameraRadiometry
-) -> Float[Array, "row column"]:
-    """Counts of a picture of a given radiance [-]; inverse of `counts_to_radiance`.
-
-    **Arguments:**
-
-    - `radiance`: of the pixels [W m-2 sr-1 um-1].
-    - `camera`: as in `counts_to_radiance`.
-
-    Neither rounded nor cut off at the full scale, so differentiable in all arguments.
-    """
-    radiance = real_array(radiance)
-    scale = camera.sensitivity / (camera.gain * camera.exposure * camera.full_scale)
-    return radiance * camera.response(radiance.shape) / scale + camera.black_level

@@ -197,20 +197,3 @@ class CameraNoise(AbstractNoise):
         gain, step, read = self._scales(radiance.dtype)
         electrons = jnp.maximum(gain * radiance, 0.0)
         return jnp.sqrt(electrons + read**2 + step**2 / 12.0) / gain
-
-    def digitise(
-        self, key: Array | int, radiance: Float[Array, "*batch band"]
-    ) -> Float[Array, "*batch band"]:
-        """Radiance as read back from digital numbers [W m-2 sr-1 µm-1].
-
-        Electrons are drawn (Poisson), read, rounded and cut off at zero and at the full well. Not
-        differentiable: for gradients use `draw`, which has the same variance.
-        """
-        radiance = _floating(radiance)
-        gain, step, read = self._scales(radiance.dtype)
-        counting, reading = jax.random.split(_key(key))
-        mean = jnp.broadcast_to(jnp.maximum(gain * radiance, 0.0), radiance.shape)
-        electrons = jax.random.poisson(counting, mean).astype(radiance.dtype)
-        noise = read * jax.random.normal(reading, radiance.shape, radiance.dtype)
-        number = jnp.clip(jnp.round((electrons + noise) / step), 0.0, float(2**self.bits - 1))
-        return number * step / gain

@@ -5,10 +5,8 @@ from collections.abc import Sequence
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
-from numpy.typing import ArrayLike
 
 from fynjax._core.errors import InputError, did_you_mean
 from fynjax.radiation import AbstractRays
@@ -73,16 +71,6 @@ class Sensor(eqx.Module):
             )
         return ways[way]
 
-    def response(
-        self, wavelength: ArrayLike, *, max_loss: float = 1e-3
-    ) -> Float[Array, "band wavelength"]:
-        """Weights of a spectrum on `wavelength` [nm] in each band [-]; rows sum to one.
-
-        The integral of each response over the spectrum, taken linear between its points, is
-        exact. Raises `InputError` as `BandSet.weights`.
-        """
-        return jnp.asarray(self.bands.weights(wavelength, max_loss=max_loss))
-
     @property
     def altitude(self) -> float:
         """Usual height above the ground [m]; in space where its file has none."""
@@ -107,14 +95,6 @@ class Sensor(eqx.Module):
         file.
         """
         return self.ground_sample_distance(altitude) * self.pixel_factor
-
-    def swath(self, altitude: Real | None = None) -> Float[Array, " 2"]:
-        """Ground that the image spans straight below, across (x) and along (y) [m].
-
-        A pushbroom sensor has one line until `over` gives it more.
-        """
-        rows, columns = self.camera.shape
-        return self.ground_sample_distance(altitude) * jnp.asarray([columns, rows], dtype=float)
 
     def over(
         self,
@@ -145,37 +125,3 @@ class Sensor(eqx.Module):
     def rays(self) -> AbstractRays:
         """Rays of all pixels, for `fynjax.radiation.render`; see `camera_rays`."""
         return camera_rays(self.camera)
-
-    def observe(
-        self,
-        wavelength: ArrayLike,
-        spectra: Float[Array, "*batch wavelength y x"],
-        *,
-        key: Array | int | None = None,
-        max_loss: float = 1e-3,
-    ) -> Float[Array, "*batch band y x"]:
-        """The image that the sensor makes of spectra: averaged over the bands, blurred, noisy.
-
-        **Arguments:**
-
-        - `wavelength`: grid of the spectra [nm], increasing and concrete.
-        - `spectra`: one for each pixel, averaged over its footprint. Noise needs radiance in
-          W m-2 sr-1 µm-1.
-        - `key`: JAX key or seed of the noise. Left out, there is none.
-
-        Differentiable in `spectra`. Raises `InputError` for spectra that do not cover a band, and
-        where noise is requested and the sensor has no noise model.
-        """
-        averaged = self.bands.average(wavelength, jnp.moveaxis(spectra, -3, -1), max_loss=max_loss)
-        image = jnp.moveaxis(averaged, -1, -3)
-        if self.psf is not None:
-            image = self.psf.blur(image)
-        if key is None:
-            return image
-        if self.noise is None:
-            raise InputError(
-                f"sensor {self.name!r} has no noise model: leave `key` out, or give the sensor "
-                "file a [noise] table."
-            )
-        noisy = self.noise.draw(key, jnp.moveaxis(image, -3, -1))
-        return jnp.moveaxis(noisy, -1, -3)

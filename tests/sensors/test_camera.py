@@ -7,13 +7,7 @@ import numpy as np
 import pytest
 
 from fynjax._core.errors import InputError
-from fynjax.sensors import (
-    FrameCamera,
-    OrthographicCamera,
-    check_ground_sample_distance,
-    mavic_3m_camera,
-    mavic_3m_paper_camera,
-)
+from fynjax.sensors import AbstractCamera, FrameCamera, OrthographicCamera, shipped_sensor
 from tests.helpers import assert_gradients
 
 
@@ -27,8 +21,13 @@ def frame(**changes: object) -> FrameCamera:
     return FrameCamera(**{**settings, **changes})
 
 
+def placed(name: str, position: object = (5.0, 5.0, 50.0)) -> AbstractCamera:
+    x, y, altitude = jnp.asarray(position)
+    return shipped_sensor(name).camera.over(x, y, altitude=altitude)
+
+
 def test_paper_and_maker_cameras() -> None:
-    paper, maker = mavic_3m_paper_camera(), mavic_3m_camera()
+    paper, maker = placed("mavic_3m_paper"), placed("mavic_3m")
     assert paper.shape == (480, 640)
     assert maker.shape == (1944, 2592)
     # Table 2 of the paper, and DJI's own 2170 px focal length.
@@ -113,18 +112,6 @@ def test_a_distant_camera_is_orthographic() -> None:
     np.testing.assert_allclose(far.view_directions(), near.view_directions(), atol=2e-6)
 
 
-def test_stated_ground_sample_distance() -> None:
-    assert check_ground_sample_distance(mavic_3m_paper_camera(), 0.025) == pytest.approx(0.025)
-    # The paper's imaging spectrometer: optics 1.015 m, text 3 m, which needs 2.96 km.
-    spectrometer = frame(
-        position=(0.0, 0.0, 1000.0), focal_length_mm=26.6, pixel_pitch_um=27.0, array=(640, 480)
-    )
-    with pytest.warns(UserWarning, match=r"3 m .* 1\.015 m .* 2956 m"):
-        assert check_ground_sample_distance(spectrometer, 3.0) == pytest.approx(1.01504, abs=1e-5)
-    with pytest.raises(InputError, match="positive"):
-        check_ground_sample_distance(spectrometer, 0.0)
-
-
 def test_gradients_and_precision() -> None:
     at = {
         "position": jnp.array([5.0, 4.0, 50.0]),
@@ -144,12 +131,12 @@ def test_gradients_and_precision() -> None:
         {**at, "tilt": jnp.array(0.0)}
     )
     assert all(bool(jnp.all(jnp.isfinite(g))) for g in jax.tree.leaves(gradient))
-    single = mavic_3m_paper_camera(jnp.array([5.0, 5.0, 50.0], jnp.float32))
+    single = placed("mavic_3m_paper", jnp.array([5.0, 5.0, 50.0], jnp.float32))
     assert single.ground_coordinates().dtype == jnp.float32
     np.testing.assert_allclose(
-        single.ground_coordinates(), mavic_3m_paper_camera().ground_coordinates(), atol=5e-6
+        single.ground_coordinates(), placed("mavic_3m_paper").ground_coordinates(), atol=5e-6
     )
-    camera = eqx.filter_jit(lambda c: c.ground_coordinates())(mavic_3m_paper_camera())
+    camera = eqx.filter_jit(lambda c: c.ground_coordinates())(placed("mavic_3m_paper"))
     assert camera.shape == (2, 480, 640)
 
 

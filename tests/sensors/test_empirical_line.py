@@ -21,10 +21,9 @@ from fynjax.sensors import (
     panel_coverage,
     panel_reading,
     place_panels,
-    radiance_to_counts,
     tabulated_atmosphere,
 )
-from tests.helpers import assert_gradients
+from tests.helpers import assert_gradients, radiance_to_counts
 from tests.radiation.scenes import patchy, solver
 
 GAIN, OFFSET = np.array([0.0031, 0.0042, 0.0058]), np.array([-0.021, -0.009, 0.003])

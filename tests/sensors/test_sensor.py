@@ -24,7 +24,6 @@ from fynjax.sensors import (
     band_set_of_curves,
     camera_rays,
     mavic_3m,
-    mavic_3m_camera,
     shipped_sensor,
     shipped_sensors,
 )
@@ -44,7 +43,7 @@ def test_every_shipped_sensor_returns_lines_and_constants(name: str) -> None:
     """A linear spectrum comes back at the response's mean wavelength, however narrow the band."""
     bands = sensor(name).bands
     grid = np.arange(350.0, 2560.0, 10.0)
-    weights = np.asarray(sensor(name).response(grid))
+    weights = np.asarray(bands.weights(grid))
     np.testing.assert_allclose(weights.sum(axis=1), 1.0, rtol=1e-12)
     np.testing.assert_allclose(weights @ (0.2 + grid / 5000), 0.2 + np.array(bands.centre) / 5000)
     assert min(bands.fwhm) > 0.0
@@ -135,22 +134,23 @@ def test_response_curves_of_another_source(shared_data: Path) -> None:
 
 
 def test_spectra_to_bands_is_differentiable_and_linear() -> None:
-    blurred = Sensor("s", mavic_3m(), mavic_3m_camera(), PointSpread("gaussian", 1.3))
+    bands, blur = mavic_3m(), PointSpread("gaussian", 1.3).blur
     grid = np.arange(400.0, 1001.0, 25.0)
-    spectra = jnp.asarray(np.random.default_rng(0).uniform(size=(grid.size, 3, 4)))
-    observe = jax.jit(lambda x: blurred.observe(grid, spectra.at[12].set(x), max_loss=0.01))
-    assert_gradients(observe, spectra[12])
-    one = blurred.observe(grid, spectra, max_loss=0.01)
+    spectra = jnp.asarray(np.random.default_rng(0).uniform(size=(3, 4, grid.size)))
+
+    def image(spectra):
+        return blur(jnp.moveaxis(bands.average(grid, spectra, max_loss=0.01), -1, -3))
+
+    assert_gradients(jax.jit(lambda x: image(spectra.at[..., 12].set(x))), spectra[..., 12])
+    one = image(spectra)
     assert one.shape == (4, 3, 4)
-    batch = jax.jit(lambda s: blurred.observe(grid, s, max_loss=0.01))(jnp.stack([spectra] * 2))
+    batch = jax.jit(image)(jnp.stack([spectra] * 2))
     np.testing.assert_allclose(batch, jnp.stack([one, one]), rtol=1e-12)
-    single = blurred.observe(grid, spectra.astype(jnp.float32), max_loss=0.01)
+    single = image(spectra.astype(jnp.float32))
     assert single.dtype == jnp.float32
     np.testing.assert_allclose(single, one, rtol=1e-5)
-    with pytest.raises(InputError, match="no noise model"):
-        blurred.observe(grid, spectra, key=1, max_loss=0.01)
     with pytest.raises(InputError, match="outside the spectrum"):
-        sensor("aviris_ng").observe(grid, spectra)
+        sensor("aviris_ng").bands.average(grid, spectra)
 
 
 def test_pixels_of_the_paper() -> None:
@@ -158,7 +158,6 @@ def test_pixels_of_the_paper() -> None:
     maker = sensor("mavic_3m")
     assert float(maker.ground_sample_distance()) == pytest.approx(0.0230415, abs=1e-7)
     assert float(maker.ground_sample_distance(100.0)) == pytest.approx(0.046083, abs=1e-6)
-    np.testing.assert_allclose(maker.swath(), [59.72, 44.79], atol=0.01)
     with pytest.warns(UserWarning, match=r"aviris_ng_paper: .* 3 m .* 1\.015 m"):
         spectrometer = shipped_sensor("aviris_ng_paper")
     assert float(spectrometer.ground_sample_distance()) == pytest.approx(1.01504, abs=1e-5)
@@ -365,4 +364,4 @@ def test_unknown_sensor_and_band_pixels() -> None:
     with pytest.raises(InputError, match="mavic_3m"):
         shipped_sensor("mavic")
     with pytest.raises(InputError, match="band_pixel"):
-        Sensor("s", mavic_3m(), mavic_3m_camera(), band_pixel=(1.0,))
+        Sensor("s", mavic_3m(), sensor("mavic_3m").camera, band_pixel=(1.0,))
