@@ -1,6 +1,7 @@
 """Rays of a sensor: parallel, of a frame camera, or any."""
 
 import abc
+import dataclasses
 import math
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -160,6 +161,13 @@ class RayLattice(AbstractRays):
         if self.nodes == 1:
             return values
         return jnp.einsum("rj,...ji,ci->...rc", weight_y, values, weight_x)
+
+    def rows(self, start: Array | int, size: int) -> "RayLattice":
+        """The rays of `size` rows from `start` on, which may be a traced value: a part of the
+        picture that these are."""
+        cut = lambda axis: jax.lax.dynamic_slice_in_dim(axis, start, size)  # noqa: E731
+        y, slope_y = cut(self.y), cut(self.slope_y)
+        return dataclasses.replace(self, y=y, slope_y=slope_y, picture=self.ends)
 
     def together(self, size: int) -> "RayLattice":
         mean = lambda axis: axis.reshape(-1, size).mean(axis=1)  # noqa: E731
