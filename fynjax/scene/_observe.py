@@ -126,6 +126,24 @@ class PlotAir(eqx.Module):
         return tabulated_atmosphere(air) if self.model == "table" else clear_sky_atmosphere(air)
 
 
+def map_coordinates(
+    shape: Sequence[int], pixel: float, origin: tuple[float, float]
+) -> dict[str, Any]:
+    """CF coordinates y and x of the pixels of an image of `shape` (rows, columns), from the scene's
+    south-west corner [m]."""
+    coordinates = {}
+    for name, count, start, edge in zip("yx", shape, origin[::-1], ("south", "west"), strict=True):
+        about = {"units": "m", "axis": name.upper(), "long_name": f"distance from the {edge} edge"}
+        coordinates[name] = (name, start + (np.arange(count) + 0.5) * pixel, about)
+    return coordinates
+
+
+def map_attributes(title: str, pixel: float) -> dict[str, Any]:
+    """CF attributes of a dataset of images with pixels of an edge [m]."""
+    source = f"fynjax {version('fynjax')}"
+    return {"Conventions": "CF-1.11", "title": title, "source": source, "pixel_m": pixel}
+
+
 class Observation(eqx.Module):
     """What a sensor measures of a plot: `image["nir"]` is a band, `image.index("NDVI")` an
     index."""
@@ -189,21 +207,11 @@ class Observation(eqx.Module):
         corner [m]."""
         import xarray as xr  # late: the command line need not wait for it
 
-        rows, columns = self.reflectance.shape[1:]
-        metres = {"units": "m", "axis": "X", "long_name": "distance from the west edge"}
+        light = {"units": "nm", "standard_name": "radiation_wavelength"}
         coordinates = {
             "band": ("band", list(self.bands), {"long_name": "band"}),
-            "wavelength": (
-                "band",
-                np.array(self.wavelength),
-                {"units": "nm", "standard_name": "radiation_wavelength"},
-            ),
-            "y": (
-                "y",
-                self.origin[1] + (np.arange(rows) + 0.5) * self.pixel,
-                metres | {"axis": "Y", "long_name": "distance from the south edge"},
-            ),
-            "x": ("x", self.origin[0] + (np.arange(columns) + 0.5) * self.pixel, metres),
+            "wavelength": ("band", np.array(self.wavelength), light),
+            **map_coordinates(self.reflectance.shape[1:], self.pixel, self.origin),
         }
         dims = ("band", "y", "x")
         factor = {"units": "1", "long_name": "reflectance factor"}
@@ -214,13 +222,8 @@ class Observation(eqx.Module):
             data["radiance"] = (dims, np.asarray(self.radiance), light)
         if self.reflectance_sd is not None:
             data["reflectance_sd"] = (dims, np.asarray(self.reflectance_sd), deviation)
-        attributes = {
-            "Conventions": "CF-1.11",
-            "title": f"{self.sensor} over a simulated plot",
-            "source": f"fynjax {version('fynjax')}",
-            "pixel_m": self.pixel,
-        }
-        return xr.Dataset(data, coordinates, attributes)
+        title = f"{self.sensor} over a simulated plot"
+        return xr.Dataset(data, coordinates, map_attributes(title, self.pixel))
 
     def to_dataframe(self) -> "pd.DataFrame":
         """A row for each pixel: x and y of its middle [m], and a column for each band [-]."""
@@ -833,7 +836,7 @@ def _aimed(
     """The camera where its optical axis meets the ground, at `base` [m], in the `middle` [m]."""
     frame = frame_of(camera)
     if frame is None:
-        return camera.over(*middle)
+        return camera
     tilt = float(frame.tilt) if placement.tilt is None else placement.tilt
     heading = float(frame.heading) if placement.heading is None else placement.heading
     back = height * np.tan(np.deg2rad(tilt))

@@ -5,6 +5,8 @@ from fynjax.sensors._camera import (
     AbstractCamera,
     FrameCamera,
     OrthographicCamera,
+    PushbroomCamera,
+    frame_of,
 )
 from fynjax.sensors._camera_counts import (
     CameraRadiometry,
@@ -31,8 +33,7 @@ from fynjax.sensors._noise import (
     radiometric_noise,
 )
 from fynjax.sensors._psf import PointSpread
-from fynjax.sensors._pushbroom import PushbroomCamera, frame_of
-from fynjax.sensors._rays import camera_rays, map_rays
+from fynjax.sensors._rays import map_rays
 from fynjax.sensors._reference import sensor_reference
 from fynjax.sensors._sensor import Sensor
 from fynjax.sensors._shipped import (
@@ -110,7 +111,6 @@ __all__ = [
     "band_set_of_curves",
     "build_lidar",
     "build_sensor",
-    "camera_rays",
     "check_within_table",
     "clear_sky_atmosphere",
     "counts_to_radiance",

@@ -99,13 +99,6 @@ class RadiometricNoise(AbstractNoise):
     integrations: float = eqx.field(static=True, converter=float, default=1.0)
     """Frames that one pixel averages [-]; noise falls with their square root."""
 
-    def __check_init__(self) -> None:
-        shapes = {np.shape(v) for v in (self.a, self.b, self.c)}
-        if len(shapes) != 1 or len(next(iter(shapes))) != 1:
-            raise InputError(f"a, b and c need one value for each band, but have shapes {shapes}.")
-        if not self.integrations > 0.0:
-            raise InputError(f"`integrations` must be positive, but is {self.integrations:g}.")
-
     def pixel_deviation(self, radiance: Float[Array, "*batch band"]) -> Float[Array, "*batch band"]:
         a, b, c = (jnp.asarray(v, radiance.dtype) for v in (self.a, self.b, self.c))
         total = b + radiance
@@ -173,18 +166,6 @@ class CameraNoise(AbstractNoise):
     """Standard deviation of the reading [electrons]."""
     bits: int = eqx.field(static=True)
     """Bits of the digital number, which spans the full well."""
-
-    def __check_init__(self) -> None:
-        if isinstance(self.bits, bool) or self.bits != int(self.bits) or not 1 <= self.bits <= 32:
-            raise InputError(f"`bits` must be a whole number from 1 to 32, but is {self.bits}.")
-        for what in ("saturation", "full_well", "read_noise"):
-            value = getattr(self, what)
-            if isinstance(value, jax.core.Tracer):
-                continue
-            least = 0.0 if what == "read_noise" else np.finfo(np.float32).tiny
-            if not np.all(np.isfinite(value)) or np.any(np.asarray(value) < least):
-                word = "non-negative" if what == "read_noise" else "positive"
-                raise InputError(f"`{what}` must be {word} and finite, but is {value}.")
 
     def _scales(self, dtype: Any) -> tuple[Array, Array, Array]:
         """Electrons per radiance, electrons per digital number, read noise."""

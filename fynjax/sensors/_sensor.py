@@ -9,14 +9,11 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from fynjax._core.errors import InputError, did_you_mean
-from fynjax.radiation import AbstractRays
 from fynjax.sensors._bands import BandSet
-from fynjax.sensors._camera import AbstractCamera, Real
+from fynjax.sensors._camera import AbstractCamera, Real, frame_of
 from fynjax.sensors._gains import ASSUMED, Gains
 from fynjax.sensors._noise import AbstractNoise
 from fynjax.sensors._psf import PointSpread
-from fynjax.sensors._pushbroom import frame_of
-from fynjax.sensors._rays import camera_rays
 from fynjax.sensors.air import SPACE
 
 
@@ -31,7 +28,7 @@ class Sensor(eqx.Module):
     bands: BandSet
     """Names and spectral responses of the bands."""
     camera: AbstractCamera
-    """Geometry, above the point (0, 0) at the altitude of the file; see `over`."""
+    """Geometry, above the point (0, 0) at the altitude of the file."""
     psf: PointSpread | None = None
     """Blur on top of the pixels' footprints; none if not known."""
     noise: AbstractNoise | None = None
@@ -83,9 +80,10 @@ class Sensor(eqx.Module):
         `altitude` above the ground [m], without effect on parallel lines of sight; left out, that
         of the file.
         """
-        if altitude is None or frame_of(self.camera) is None:
+        frame = frame_of(self.camera)
+        if altitude is None or frame is None:
             return self.camera.ground_sample_distance
-        return self.camera.over(0.0, 0.0, altitude=altitude).ground_sample_distance
+        return frame.pixel_at(altitude)
 
     def pixel(self, altitude: Real | None = None) -> Float[Array, ""]:
         """Edge of a pixel of its images on the ground [m]: what the sensor's source states, else
@@ -95,18 +93,6 @@ class Sensor(eqx.Module):
         file.
         """
         return self.ground_sample_distance(altitude) * self.pixel_factor
-
-    def over(
-        self,
-        x: Real,
-        y: Real,
-        *,
-        altitude: Real | None = None,
-        shape: tuple[int, int] | None = None,
-    ) -> "Sensor":
-        """The same sensor above the point (`x`, `y`) [m]; see `AbstractCamera.over`."""
-        camera = self.camera.over(x, y, altitude=altitude, shape=shape)
-        return eqx.tree_at(lambda s: s.camera, self, camera)
 
     def select(self, places: Sequence[int]) -> "Sensor":
         """The same sensor with the bands at `places` alone, in that order."""
@@ -121,7 +107,3 @@ class Sensor(eqx.Module):
             band_pixel=pixel,
             calibrations=tuple(one.select(at.tolist()) for one in self.calibrations),
         )
-
-    def rays(self) -> AbstractRays:
-        """Rays of all pixels, for `fynjax.radiation.render`; see `camera_rays`."""
-        return camera_rays(self.camera)

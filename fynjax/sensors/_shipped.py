@@ -14,11 +14,15 @@ import jax.numpy as jnp
 
 from fynjax._core.errors import InputError
 from fynjax.sensors._bands import BandSet, band_set_of_curves
-from fynjax.sensors._camera import AbstractCamera, FrameCamera, OrthographicCamera
+from fynjax.sensors._camera import (
+    AbstractCamera,
+    FrameCamera,
+    OrthographicCamera,
+    PushbroomCamera,
+)
 from fynjax.sensors._gains import Gains
 from fynjax.sensors._noise import AbstractNoise, CameraNoise, radiometric_noise
 from fynjax.sensors._psf import PointSpread
-from fynjax.sensors._pushbroom import PushbroomCamera
 from fynjax.sensors._sensor import Sensor
 
 Table = Mapping[str, Sequence[Any]]
@@ -134,9 +138,8 @@ def _bands(
 
 def _camera(table: Mapping[str, Any], name: str) -> AbstractCamera:
     if table["kind"] == "orthographic":
-        half = 0.5 * table["pixel_m"]
         angles = (table.get("view_zenith_deg", 0.0), table.get("view_azimuth_deg", 0.0))
-        return OrthographicCamera((-half, -half, half, half), table["pixel_m"], *angles)
+        return OrthographicCamera(table["pixel_m"], *angles)
     pushbroom = table["kind"] == "pushbroom"
     frame = FrameCamera(
         position=jnp.asarray([0.0, 0.0, table["altitude_m"]]),

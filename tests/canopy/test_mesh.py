@@ -168,7 +168,7 @@ def test_each_connected_surface_is_closed_or_not() -> None:
 
 
 def test_a_mirroring_frame_turns_the_faces_over(tmp_path: Path) -> None:
-    """Else the mirrored closed body would be inside out, an error."""
+    """Else the mirrored closed body would be inside out in a file that is written of it."""
     scene = trimesh.Scene()
     mirror = np.diag([-1.0, 1.0, 1.0, 1.0])
     scene.add_geometry(bush(), geom_name="wood", transform=mirror)

@@ -331,7 +331,7 @@ def test_a_scene_from_plain_arrays():
         ({"reflectance": [0.1, 0.4]}, r"`reflectance` \[class, band\]"),
         ({"transmittance": [[0.9, 0.9]]}, "must not exceed 1"),
         ({"leaf_angles": "upright"}, "upright"),
-        ({"leaf_angles": ["spherical", "planophile"]}, "each of the 1 classes, but has 2"),
+        ({"leaf_angles": ["spherical", "planophile"]}, r"each of the 1 classes, but is \(0, 1\)"),
         ({"sky": [0.1, 0.2, 0.3]}, "one value for each of the 2 bands"),
         ({"sun_zenith": 95.0}, "at or below the horizon"),
         ({"ground": [20.0, 30.0]}, r"ground` must be finite and in \[0, 1\]"),

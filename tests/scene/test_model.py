@@ -10,7 +10,6 @@ from fynjax._core.errors import InputError
 from fynjax.scene import (
     background_spectrum,
     band_wavelengths,
-    mixed_surroundings,
     named_values,
     with_values,
 )
@@ -146,16 +145,6 @@ def test_background_spectra_are_reflectances():
     for name in ("dry_soil", "wet_soil", "bark", "litter", "char"):
         values = background_spectrum(name, np.arange(400.0, 2501.0, 10.0))
         assert np.all((values > 0.005) & (values < 0.7))
-
-
-def test_surroundings_are_mixed_by_area():
-    grid = np.array([550.0, 670.0, 860.0, 2200.0])
-    bare, green, half = (mixed_surroundings(grid, share) for share in (0.0, 1.0, 0.5))
-    np.testing.assert_allclose(bare, background_spectrum("dry_soil", grid), rtol=1e-12)
-    np.testing.assert_allclose(half, 0.5 * (bare + green), rtol=1e-12)
-    assert green[1] < 0.05 < 0.35 < green[2]  # chlorophyll, and leaves beyond it
-    with pytest.raises(InputError, match="share in 0 to 1"):
-        mixed_surroundings(grid, 1.5)
 
 
 def test_diffuse_fraction_against_6s(shared_data):

@@ -150,11 +150,6 @@ def test_aviris_ng_on_a_measured_lawn(shared_data: Path) -> None:
         ),
         (lambda: radiometric_noise([0.4, 0.5], [1, 1], [1, 1], [0, 0], centre=[450]), "µm"),
         (lambda: radiometric_noise([400, 500], [1, 1], [1, 1], [0, 0], centre=[650]), "650 nm"),
-        (lambda: RadiometricNoise([1.0], [1.0, 2.0], [0.0]), "one value for each band"),
-        (lambda: RadiometricNoise([1.0], [1.0], [0.0], 0), "integrations"),
-        (lambda: CameraNoise(0.0, 1e4, 5.0, 12), "saturation"),
-        (lambda: CameraNoise(100.0, 1e4, -5.0, 12), "read_noise"),
-        (lambda: CameraNoise(100.0, 1e4, 5.0, 0), "bits"),
     ],
 )
 def test_bad_noise(make: Callable, message: str) -> None:

@@ -162,8 +162,7 @@ def at_sensor_radiance(
       atmosphere's wavelengths, its last axis.
     - `surroundings`: rho_around, the reflectance of the wide surroundings, which light the pixel
       and the line of sight by way of the air (adjacency), on the same wavelengths. Left out, the
-      pixel's own: the ground is uniform. Of a picture, its mean; of a single target in a country
-      that is not known, `fynjax.scene.mixed_surroundings`.
+      pixel's own: the ground is uniform. Of a picture, its mean.
 
     Differentiable, to any order, in all arguments.
 

@@ -97,11 +97,9 @@ class Lidar(eqx.Module):
         if gate is not None:
             gate = (max(gate[0] + rise, 0.0), gate[1] + rise)
         geometry = dataclasses.replace(self.geometry, altitude=float(altitude))
-        noise = self.noise
-        if noise is not None:
-            # `signal_electrons` is of a plate at the altitude: less of the same pulse comes back.
-            loss = (self.geometry.altitude / altitude) ** 2
-            noise = dataclasses.replace(noise, signal_electrons=loss * noise.signal_electrons)
+        # `signal_electrons` is of a plate at the altitude: less of the same pulse comes back.
+        signal = (self.geometry.altitude / altitude) ** 2 * self.noise.signal_electrons
+        noise = dataclasses.replace(self.noise, signal_electrons=signal)
         return dataclasses.replace(self, geometry=geometry, gate=gate, noise=noise)
 
     def beams(
