@@ -392,9 +392,12 @@ def _look(
             # Its area over the voxels' mean, which the mixture is counted in.
             here = rays.sampler(height + 0.5 * step, finest)(structure)
             length = path * scene.relative_density(here, total)
+        # Depths of the piece along the ray, and of both ways, to the sensor and to the sun.
         along = turned * length
         below = beams(height)(plane)
         crossed = along + below - above
+        # Chance that leaves of the piece are seen and lit: with a hot spot at points of the piece,
+        # as leaves that stand in both ways count once; else in closed form.
         if overlap:
             areas = [area * (length / path) for area in common]
             shared = _sum_points([o.at_points(s, a) for o, s, a in zip(overlap, states, areas)])
@@ -405,6 +408,7 @@ def _look(
             states = tuple(o.advance(s, a) for o, s, a in zip(overlap, states, areas))
         else:
             weight = jnp.exp(-depth - above) * mean_transmittance(crossed)
+        # Chance that they are seen.
         mean = jnp.exp(-depth) * mean_transmittance(along)
         if terrain is not None:
             covering, unshaded = terrain
@@ -444,10 +448,12 @@ def _look(
     def slab(carry: tuple[Any, ...], at: tuple[Any, ...]) -> tuple[tuple[Any, ...], Any]:
         (depth, above, sunlit, states, blocked, met), sums = carry
         pieces, mixed, height, scattered = at
+        # Area of each class in the pixel's footprint, and what of it the ray meets.
         area = rays.sampler(height, voxels, smooth=scene.structure is not None)(mixed)
         turned = jnp.sum(area * projection, axis=0)
         common = [jnp.tensordot(jnp.asarray(m, dtype), area, axes=1) for m in members]
         mixture = area.sum(axis=0), turned, common if overlap else []
+        # Down through the pieces of the slab, the uppermost first.
         start = (depth, above, none, none, states, (blocked, none, none) if hilly else None)
         one = partial(piece, mixture)
         if cut.pieces == 1:
@@ -459,6 +465,7 @@ def _look(
         if end is not None:
             blocked = end[0]
             ground = _GroundInView(height - 0.5 * step * cut.pieces, *end[1:])
+        # What the slab adds: to the sunlit area of each class, and out of the diffuse light.
         in_view = _Slab(height, viewed, ground)
         met = None if met is None else met + viewed * area * projection
         carry = depth, above, sunlit + lit_path * area, states, blocked, met
@@ -488,6 +495,7 @@ def _look(
         ),
         reverse=True,
     )
+    # What is left of the ray ends on level ground, which the sun reaches as far as both ways share.
     gap = jnp.exp(-depth)
     level = None
     if not hilly:
@@ -513,6 +521,7 @@ def _radiance(
         """[reflection or transmission, angle, n]"""
         return jnp.stack(area_scattering_of(classes.angles, travel[None], vectors))[:, :, 0]
 
+    # Light of the sun on the sunlit area of each class, sent on by its two sides.
     reflect, transmit = rays.angular(phase)
     beam = scene.illumination.sun.astype(dtype) / sun.cosine / jnp.pi
     first = beam[:, None, None] * (

@@ -345,6 +345,7 @@ class AimedSensor(eqx.Module):
             every = jnp.ones(len(self.sensor.bands), bool)
             image, _, residual = _seen(scene, parameters, self, None)
             return Observation(image, None, every, None, residual, **self._described)
+        # The air in the bands, which it takes by rising wavelength; its sky lights the scene.
         by_band = self._air_of_bands(air, parameters.light, scene.dtype)
         order, back = _sorting(self.sensor)
         if surroundings is not None and jnp.shape(surroundings) != order.shape:
@@ -357,6 +358,7 @@ class AimedSensor(eqx.Module):
         image, mean, residual = _seen(scene, parameters, self, sky)
         if self.panels is not None:
             image = self.panels.laid_on(image)
+        # From reflectance to radiance at the sensor, with its noise.
         pixels = jnp.moveaxis(image, 0, -1)[..., order]
         around = (mean if surroundings is None else jnp.asarray(surroundings, mean.dtype))[order]
         radiance = at_sensor_radiance(by_band, pixels, around)
@@ -364,6 +366,7 @@ class AimedSensor(eqx.Module):
             noise = self.sensor.noise
             radiance = noise.draw(key, radiance[..., back], averaged=self.averaged)[..., order]
         transparent, measured = is_transparent(by_band)[back], radiance[..., back]
+        # And back, by what calibration knows: the air, or panels in the picture.
         reflectance_sd = None
         if self.panels is None:
             calibrated = surface_reflectance(by_band, radiance, around)[..., back]
@@ -593,6 +596,7 @@ def aim(
     if panels and air is None:
         raise InputError("expected an atmosphere: panels calibrate radiance")
     accuracy = fitted_accuracy(DRONE if accuracy is None else accuracy, scene, parameters)
+    # Where the sensor is, and how large its pixels are.
     lx, ly, top = scene.grid.extent
     base = scene.ground_level
     frame = frame_of(sensor.camera)
@@ -614,6 +618,7 @@ def aim(
     if psf is not None:  # its reach must be known inside transformations
         psf = psf.on_pixels(pixel / own)
         psf = dataclasses.replace(psf, radius=psf.reach())
+    # Rays: one a pixel, or where pixels are wider than voxels several a voxel, for their means.
     few = accuracy.solves is None or len(sensor.bands) <= accuracy.solves
     samples = max(scene.finer, SAMPLES)
     together = 1 if few or samples % SAMPLES else samples // SAMPLES

@@ -1,8 +1,8 @@
 """Sensor noise: how far a measured radiance may lie from the true one.
 
-A noise model is a distribution. It gives the standard deviation and the covariance that an
-inversion or an information analysis needs, and draws from a seed for an image with the noise of a
-measurement. Radiance is in W m-2 sr-1 µm-1 throughout, with bands on the last axis.
+A noise model is a distribution. It gives the standard deviation that an inversion or an information
+analysis needs, and draws from a seed for an image with the noise of a measurement. Radiance is in
+W m-2 sr-1 µm-1 throughout, with bands on the last axis.
 """
 
 import abc
@@ -40,7 +40,7 @@ def _floating(radiance: Any) -> Array:
 class AbstractNoise(eqx.Module):
     """Noise that is independent between pixels and between bands.
 
-    `standard_deviation`, `covariance` and `draw` are differentiable in the radiance.
+    `standard_deviation` and `draw` are differentiable in the radiance.
     """
 
     @abc.abstractmethod
@@ -53,13 +53,6 @@ class AbstractNoise(eqx.Module):
         """Standard deviation of the mean of `averaged` pixels [W m-2 sr-1 µm-1]."""
         deviation = self.pixel_deviation(_floating(radiance))
         return deviation / jnp.sqrt(jnp.asarray(averaged, deviation.dtype))
-
-    def covariance(
-        self, radiance: Float[Array, "*batch band"], *, averaged: float | Float[Array, ""] = 1.0
-    ) -> Float[Array, "*batch band band"]:
-        """Covariance of the bands of the mean of `averaged` pixels [(W m-2 sr-1 µm-1)²]."""
-        variance = self.standard_deviation(radiance, averaged=averaged) ** 2
-        return variance[..., None] * jnp.eye(variance.shape[-1], dtype=variance.dtype)
 
     def draw(
         self,

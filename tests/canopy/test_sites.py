@@ -148,19 +148,6 @@ def test_the_map_sets_the_pattern_and_not_the_abundance() -> None:
     strong = np.mean((east < 5) & (north < 5))
     # 255 : 85 : 85 among equal areas: 3/5 of few plants; a little less as the best places go.
     assert 0.5 < strong < 0.64
-    (by_function,) = assign_sites(
-        POINTS, [600], seed=5, probability=lambda x, y: np.where(x < 5, 255.0 * (y < 5), 85.0)
-    )
-    np.testing.assert_array_equal(by_function, sites)
-
-
-def test_one_map_a_species() -> None:
-    south, north = np.array([[255], [0]]), np.array([[0], [255]])
-    sites = assign_sites(
-        POINTS, [300, 300, 300], seed=5, probability=[south, north, None], extent=(10, 10)
-    )
-    assert sites[0][:, 1].max() < 5 < sites[1][:, 1].min()
-    assert np.ptp(sites[2][:, 1]) > 9
 
 
 def test_a_target_out_of_reach_is_said_with_numbers() -> None:

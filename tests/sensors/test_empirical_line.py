@@ -224,13 +224,6 @@ def test_reading_of_a_panel():
         panel_reading(image, np.ones((3, 3)))
 
 
-def test_panels_must_fit_the_map():
-    with pytest.raises(InputError, match="must not overlap"):
-        place_panels(np.zeros((2, 4, 4)), np.full((2, 4, 4), 0.6), np.ones((2, 2)))
-    with pytest.raises(InputError, match="coverage"):
-        place_panels(np.zeros((2, 4, 4)), np.zeros((2, 4, 3)), np.ones((2, 2)))
-
-
 # The camera
 
 
