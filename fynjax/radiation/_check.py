@@ -210,14 +210,14 @@ def check_scene(scene: VoxelScene) -> None:
                 f"`{name}` must have shape {axes} = {shape} to go with `area_density` and the "
                 f"bands, but has {array.shape}"
             )
-    owners = {"angle_of_class": (classes.angle_of_class, classes.angles)}
+    owners = {"angle_of_class": (classes.angle_of_class, len(classes.angles))}
     if classes.leaf_diameter is not None:
-        owners["size_of_class"] = classes.sizes, classes.leaf_diameter
-    for name, (places, entries) in owners.items():
-        if len(places) != n_class or max(places) >= len(entries):
+        owners["size_of_class"] = classes.sizes, len(classes.leaf_diameter)
+    for name, (places, count) in owners.items():
+        if len(places) != n_class or max(places) >= count:
             raise InputError(
-                f"`classes.{name}` must have one of the places 0 to {len(entries) - 1} for each of "
-                f"the {n_class} classes, but is {places}"
+                f"`classes.{name}` must have one of the places 0 to {count - 1} for each of the "
+                f"{n_class} classes, but is {places}"
             )
     for name in ("sun_zenith", "sun_azimuth"):
         check_shape(f"illumination.{name}", getattr(sun, name), (), ": a scene has one sun")

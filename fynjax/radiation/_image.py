@@ -162,7 +162,8 @@ def render_rays(
         none = jnp.zeros((size, *rays.shape), view.gap.dtype)
         return _radiance(part, sun, rays, lit, view, lit.add_all((none, none), slabs))
 
-    return Radiance(*_in_chunks(radiance_of, count, size, axis=0), view.gap)
+    leaves, more, ground = _in_chunks(radiance_of, count, size, axis=0)
+    return Radiance(leaves, more, ground, view.gap)
 
 
 def _rows_at_once(rays: AbstractRays, together: int) -> int:

@@ -143,7 +143,9 @@ class LightInWindows:
         assert fields is not None
         cells = Cells(*map(jnp.asarray, fields))
         fields.clear()
-        self._diffuse = _solve(scene, cells, accuracy)
+        diffuse = _solve(scene, cells, accuracy)
+        assert isinstance(diffuse, DiffuseField)  # every band is solved for
+        self._diffuse = diffuse
 
     def picture(
         self, rays: RayLattice, tile: int, steepest: float
@@ -176,11 +178,11 @@ class LightInWindows:
         [m]: as wide as can be held; or as narrow as rims let it be worth while."""
         scene, most = self._scene, max(len(y), len(x))
         for parts in range(-(-most // tile), most + 1):
-            axes = (
+            along_y, along_x = (
                 Axis.cut(scene, count, places, -(-most // parts), reach, self._wide)
                 for count, places in zip(scene.shape[1:], (y, x), strict=True)
             )
-            tiling = Tiling(*axes, self._wide)
+            tiling = Tiling(along_y, along_x, self._wide)
             each = tiling.voxels(scene)
             every = math.prod(tiling.shape) * each
             if each <= self._held or every > _MOST_RIM * math.prod(scene.shape):

@@ -92,11 +92,6 @@ class PushbroomCamera(AbstractCamera):
             raise InputError(f"`line` must have one row, but has {self.line.shape[0]}.")
 
     @property
-    def shape(self) -> tuple[int, int]:
-        """Rows and columns of the array."""
-        return self.line.shape
-
-    @property
     def ground_sample_distance(self) -> Float[Array, ""]:
         return self.line.ground_sample_distance
 

@@ -158,7 +158,7 @@ def test_pixels_of_the_paper() -> None:
     assert float(spectrometer.ground_sample_distance()) == pytest.approx(1.01504, abs=1e-5)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        assert shipped_sensor("aviris_ng").camera.shape == (1, 640)
+        assert shipped_sensor("aviris_ng").camera.line.shape == (1, 640)
         shipped_sensor("mavic_3m_paper")
     # 266.667 pixels per mm.
     assert float(sensor("rededge_3").ground_sample_distance(120.0)) == pytest.approx(
