@@ -44,7 +44,7 @@ class Radiance(eqx.Module):
     diffuse_leaves: Float[Array, "band row column"]
     """Sky light and light scattered before, scattered towards the sensor by the canopy."""
     ground: Float[Array, "band row column"]
-    """From the ground, direct and diffuse."""
+    """Light that the ground sends, direct and diffuse."""
     gap: Float[Array, "row column"]
     """Share of the ray that reaches the ground unhit [-]."""
 
@@ -69,18 +69,19 @@ class _GroundInView(NamedTuple):
     """Ground at one height within each pixel."""
 
     height: Array
-    """Above the bottom of the grid [m]."""
+    """Height of this ground above the bottom of the grid [m]."""
     gap: Float[Array, "row column"]
     """Share of the ray that ends on it [-]."""
     sunlit: Float[Array, "row column"]
-    """The same, times the sun's share that the canopy lets through on the way there."""
+    """Share of the ray that ends on it, times the share of sunlight that the canopy lets through on
+    the way there [-]."""
 
 
 class _Slab(NamedTuple):
     """What the rays meet between two heights, close enough for its classes to be mixed alike."""
 
     height: Array
-    """Of its middle [m]."""
+    """Height of the middle of the slab [m]."""
     viewed: Float[Array, "row column"]
     """Path through it times the gap to the sensor, per mean area of its voxels [m]."""
     ground: _GroundInView | None
@@ -93,7 +94,7 @@ class _View(NamedTuple):
     sunlit: Float[Array, "class row column"]
     """Area of each class within a pixel, times the gaps to sun and sensor [-]."""
     ground: _GroundInView | None
-    """Level ground."""
+    """Level ground in view; None on terrain."""
     gap: Float[Array, "row column"]
     met: Float[Array, "class row column"] | None
     """Share of the ray that ends on each class [-]; None where it is not asked for."""
@@ -131,7 +132,7 @@ def render_rays(
     """
     rays = jax.tree.map(lambda numbers: jnp.asarray(numbers, scene.area_density.dtype), rays)
     cut = _cut(scene, diffuse.factor(scene), sublayers, lean)
-    rows = _rows_at_once(rays, together)
+    rows = _rows_at_once(rays, together) if isinstance(diffuse, DiffuseField) else rays.shape[0]
     slabs_of_scene = scene.shape[0] * scene.structure_factor[0] * sublayers // cut.pieces
     check_picture(scene, rows * rays.shape[1], slabs_of_scene, together)
     composition = _composition(scene, cut)

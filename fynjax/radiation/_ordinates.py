@@ -103,7 +103,7 @@ class GroundShape(eqx.Module):
     diffuse: Float[Array, "downward upward"]
     """Reflectance factor over its amplitude, from each downward to each upward ordinate [-]."""
     sun: Float[Array, " upward"]
-    """The same from the sun [-]."""
+    """Reflectance factor over its amplitude, from the sun to each upward ordinate [-]."""
 
 
 class Coarse(eqx.Module):

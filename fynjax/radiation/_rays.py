@@ -41,7 +41,7 @@ class Lattice(NamedTuple):
     spacing: float
     """Side of a cell [m]."""
     boundary: str
-    """As in `VoxelScene`."""
+    """What stands beside the cells, as in `VoxelScene`."""
 
 
 class AbstractRays(eqx.Module):
@@ -233,7 +233,7 @@ class RayField(AbstractRays):
     x: Float[Array, "row column"]
     """Easting at which the pixel's ray meets the bottom of the grid [m]."""
     y: Float[Array, "row column"]
-    """Northing of the same [m]."""
+    """Northing at which the pixel's ray meets the bottom of the grid [m]."""
     slope_x: Float[Array, "row column"]
     """Eastward distance per height along the ray, towards the sensor [-]."""
     slope_y: Float[Array, "row column"]

@@ -92,11 +92,11 @@ class PlotAir(eqx.Module):
     model: Literal["table", "clear-sky"] = eqx.field(static=True, default="table")
     """'table': `tabulated_atmosphere` (6S); 'clear-sky': `clear_sky_atmosphere` (SPCTRL2)."""
     water_vapour: float | Float[Array, ""] = eqx.field(converter=real_array, default=1.5)
-    """[g cm-2]"""
+    """Column of water vapour [g cm-2]."""
     ozone: float | Float[Array, ""] = eqx.field(converter=real_array, default=0.3)
-    """[cm-atm]"""
+    """Column of ozone [cm-atm]."""
     pressure: float | Float[Array, ""] = eqx.field(converter=real_array, default=1013.25)
-    """[hPa]"""
+    """Air pressure at the ground [hPa]."""
     solar_factor: float | Float[Array, ""] = eqx.field(converter=real_array, default=1.0)
     """Sunlight of the day over that at one astronomical unit [-]."""
     aerosol: float | Float[Array, ""] | None = eqx.field(converter=_number, default=None)
@@ -155,7 +155,7 @@ class Observation(eqx.Module):
     radiance: Float[Array, "band y x"] | None
     """At the sensor, with its noise if that was drawn [W m-2 sr-1 um-1]; None without air."""
     transparent: Bool[Array, " band"]
-    """Where the air lets the ground's light through."""
+    """Whether the air lets the ground's light through in each band."""
     reflectance_sd: Float[Array, "band y x"] | None
     """Standard deviation of a reflectance by panels, of line and noise; None without panels [-]."""
     residual: Float[Array, " band"]
@@ -269,15 +269,15 @@ class Placement(eqx.Module):
     """Where an imaging sensor is, and how large its pixels are. None: as its file has it."""
 
     altitude: float | None = eqx.field(static=True, default=None)
-    """Above the ground [m]. A sensor without one, such as an orthographic view, is taken to be in
-    space where the air asks for it."""
+    """Height of the sensor above the ground [m]. A sensor without one, such as an orthographic
+    view, is taken to be in space where the air asks for it."""
     pixel: float | None = eqx.field(static=True, default=None)
     """Edge of a pixel on the ground [m]; None: that of the sensor (`Sensor.pixel`)."""
     tilt: float | None = eqx.field(static=True, default=None)
-    """Of the optical axis from straight down towards the heading [degrees]. Not of an orthographic
-    view, as the heading."""
+    """Angle of the optical axis from straight down towards the heading [degrees]. An orthographic
+    view has neither."""
     heading: float | None = eqx.field(static=True, default=None)
-    """Clockwise from north [degrees]."""
+    """Direction of the heading, clockwise from north [degrees]."""
 
 
 class AimedSensor(eqx.Module):
@@ -300,15 +300,15 @@ class AimedSensor(eqx.Module):
     origin: tuple[float, float] = eqx.field(static=True)
     """South-west corner of the image from that of the scene [m]."""
     sensor_height: Float[Array, ""]
-    """Of the sensor above the ground, for the air [m]."""
+    """Height of the sensor above the ground, for the air [m]."""
     margin: int = eqx.field(static=True)
     """Pixels around the image that `rays` has on top, for the point spread."""
     fine: tuple[int, int] | None = eqx.field(static=True)
     """Rows and columns of rays over the scene where pixels are wider than voxels; else None."""
     samples: int = eqx.field(static=True)
-    """Of these, along the edge of a voxel."""
+    """Rays along the edge of a voxel where pixels are wider than voxels."""
     together: int = eqx.field(static=True)
-    """Of these, along an edge of the blocks of rays that share the light of many bands."""
+    """Rays along an edge of the blocks that share the light of many bands."""
     steepest: float = eqx.field(static=True)
     """Zenith angle that no ray exceeds, in whole steps of 5, lest each height of the sensor compile
     anew [degrees]."""

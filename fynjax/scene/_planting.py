@@ -53,9 +53,9 @@ class Planting(eqx.Module):
     species: Int[Array, " plant"]
     """Which species each plant belongs to."""
     place: Float[Array, " plant"]
-    """Its place in the order in which its species fills the sites, from 0."""
+    """Place of each plant in the order in which its species fills the sites, from 0."""
     foot: Float[Array, "plant 2"]
-    """x and y of its foot [m]."""
+    """x and y of the foot of each plant [m]."""
     azimuth: Float[Array, " plant"]
     """Turn about the vertical, clockwise from above [degrees]."""
     tilt: Float[Array, " plant"]
@@ -65,9 +65,9 @@ class Planting(eqx.Module):
     stature: Float[Array, " plant"]
     """Height relative to the species' greatest [-]."""
     first: Int[Array, " plant"]
-    """First element of its shape in `shapes`."""
+    """First element of the shape of each plant in `shapes`."""
     count: Int[Array, " plant"]
-    """Elements of its shape."""
+    """Elements of the shape of each plant."""
     plant: Int[Array, " element"]
     """Which plant each element belongs to; empty where there are too many to be listed."""
     part: Int[Array, " element"]
@@ -194,9 +194,9 @@ class Crowns:
     foot: Float[np.ndarray, "plant 2"]
     """East and north of the plot's south-west corner [m]."""
     diameter: Float[np.ndarray, " plant"]
-    """Of the crown [m]."""
+    """Diameter of each crown [m]."""
     height: Float[np.ndarray, " plant"]
-    """[m]"""
+    """Height of each plant [m]."""
 
     def sizes(self, species: int) -> tuple[float, float]:
         """Diameter [m] whose square is the mean of the squares of a species' crowns, and the height
@@ -223,7 +223,7 @@ class Stand:
     structured: bool
     """Whether sun and sight follow the plants on voxels finer than the plot's."""
     seed: int
-    """Of everything random."""
+    """Seed of everything random."""
     dtype: str
     """Floating type of the planting."""
 

@@ -104,8 +104,8 @@ class PlantingRules:
     """Share of a species' plants over which one more of them is spread where a slope is taken [-];
     see `site_weight`. What is observed has whole plants whatever it is."""
     softness_plants: float = 1.0
-    """The same in plants, added to it, less one; 0 with `softness` 0: plants whose number has no
-    slope."""
+    """Plants over which one more is spread besides the share `softness` of them, and one [-], see
+    `site_weight`; 0 with `softness` 0: plants whose number has no slope."""
     flowering: float = 0.0
     """Share of full bloom [-]."""
     tuft: float = 0.05
@@ -170,7 +170,7 @@ class Scene(eqx.Module):
     planting: Planting
     grid: VoxelGrid
     parameters: PlotParameters
-    """As stated; what observes the scene may be given others."""
+    """Parameters as stated; what observes the scene may be given others."""
     species: tuple[Species, ...]
     boundary: Literal["periodic", "open"] = eqx.field(static=True)
     rounding: Float[Array, " species"]
@@ -180,8 +180,8 @@ class Scene(eqx.Module):
     """Share of a species' plants over which one more of them is spread where a slope is taken [-];
     see `site_weight`."""
     softness_plants: float = eqx.field(static=True)
-    """The same in plants, added to it, less one; 0 with `softness` 0: plants whose number has no
-    slope."""
+    """Plants over which one more is spread besides the share `softness` of them, and one [-], see
+    `site_weight`; 0 with `softness` 0: plants whose number has no slope."""
     flowering: float = eqx.field(static=True)
     """Share of full bloom [-]."""
     tuft: float = eqx.field(static=True)
@@ -211,7 +211,7 @@ class Scene(eqx.Module):
     """Whether the last plants of each species stand in part, as `site_weight` and `element_weight`
     have it, instead of whole plants: the stand whose slopes are taken (`slope_of_fading`)."""
     seed: Int[np.ndarray | Array, ""] = eqx.field(default_factory=lambda: np.zeros((), int))
-    """Of what was drawn; no part of what is observed."""
+    """Seed of what was drawn; no part of what is observed."""
     probability: Float[np.ndarray, "y x"] | None = None
     """Where plants were likely to stand, as of `PlantingRules`."""
     shaped: bool = eqx.field(static=True, default=False)

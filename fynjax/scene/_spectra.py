@@ -25,13 +25,13 @@ class Spectrum(eqx.Module):
     """
 
     values: Float[np.ndarray, " wavelength"]
-    """From 400 to 2500 nm [-]."""
+    """Values in steps of 1 nm from 400 to 2500 nm [-]."""
     what: str = eqx.field(static=True)
-    """Of what it is, for errors, such as "a soil spectrum"."""
+    """What it is a spectrum of, for errors, such as "a soil spectrum"."""
     known: tuple[float, float] = eqx.field(static=True)
     """Lowest and highest wavelength that was given [nm]."""
     file: Path | None = eqx.field(static=True, default=None)
-    """Where it was read from."""
+    """File that it was read from."""
 
     @classmethod
     def of(

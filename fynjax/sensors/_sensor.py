@@ -41,7 +41,7 @@ class Sensor(eqx.Module):
     """Errors of its bands for each way of calibration to reflectance, the usual one first; empty if
     not known. See `gains`."""
     source: str = eqx.field(static=True, default="")
-    """Where the numbers come from."""
+    """Source of the numbers."""
 
     def __check_init__(self) -> None:
         if self.band_pixel is not None and len(self.band_pixel) != len(self.bands):

@@ -38,7 +38,7 @@ class _Spline(NamedTuple):
 
     nodes: Constants
     coefficients: Constants
-    """[power, interval, node], highest power first."""
+    """Coefficients of the spline [power, interval, node], highest power first."""
 
     def weights(self, x: Float[Array, ""]) -> Float[Array, " node"]:
         """Weight of each node at x, which is moved to the nodes' range. Differentiable in x."""

@@ -22,7 +22,7 @@ class PencilPaths(eqx.Module):
     source: Float[Array, "step pencil"]
     """What each step would send back without shade, as the reflectance of a plate [-]."""
     late: Float[Array, "step pencil"] | None
-    """The same out of light that was scattered before."""
+    """What each step would send back without shade out of light that was scattered before [-]."""
     top: Float[Array, " pencil"]
     """Range of the grid's top [m]."""
     step: Float[Array, " pencil"]

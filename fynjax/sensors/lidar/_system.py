@@ -52,7 +52,7 @@ class Lidar(eqx.Module):
     name: str = eqx.field(static=True)
     """Short name, such as 'flash_lidar_paper'."""
     wavelength: float = eqx.field(static=True)
-    """Of the laser [nm]."""
+    """Wavelength of the laser [nm]."""
     line_width: float = eqx.field(static=True)
     """Full width at half maximum of its line [nm]."""
     pulse_length: float = eqx.field(static=True)
@@ -69,7 +69,7 @@ class Lidar(eqx.Module):
     """Nearest and farthest range that is recorded [m]; None: from the canopy's top to the ground
     of each pulse."""
     source: str = eqx.field(static=True, default="")
-    """Where the numbers come from."""
+    """Source of the numbers."""
 
     @property
     def pulse_sd(self) -> float:

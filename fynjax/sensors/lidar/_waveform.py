@@ -41,13 +41,13 @@ class Waveforms(eqx.Module):
     """
 
     canopy: Float[Array, "beam sample"]
-    """From leaves, wood and flowers [-]."""
+    """What leaves, wood and flowers send back [-]."""
     ground: Float[Array, "beam sample"]
-    """From the ground [-]."""
+    """What the ground sends back [-]."""
 
     @property
     def total(self) -> Float[Array, "beam sample"]:
-        """From both [-]."""
+        """What canopy and ground send back [-]."""
         return self.canopy + self.ground
 
 
