@@ -329,7 +329,7 @@ def compare(rows: pd.DataFrame) -> pd.DataFrame:
 def tabulated_solar() -> np.ndarray:
     from fynjax.sensors.air import _sixs_table
 
-    return _sixs_table._load(None).solar
+    return _sixs_table._load().solar
 
 
 @pytest.mark.parametrize("state", range(7))
@@ -558,14 +558,6 @@ def test_air_outside_the_table():
     for changes in ({"sun_zenith": 75.1}, {"water_vapour": 6.0}, {"aerosol_optical_depth": 0.7}):
         with pytest.raises(InputError, match="within the table"):
             tabulated_atmosphere(typical(**changes))
-
-
-def test_table_that_is_none(tmp_path):
-    with pytest.raises(InputError, match="no such file"):
-        tabulated_atmosphere(typical(), tmp_path / "none.nc")
-    (tmp_path / "bad.nc").write_text("no table")
-    with pytest.raises(InputError, match="cannot read"):
-        tabulated_atmosphere(typical(), tmp_path / "bad.nc")
 
 
 def test_atmosphere_with_curves_that_do_not_match():
