@@ -7,7 +7,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Real
 
 from fynjax._core.errors import InputError
 
@@ -74,7 +74,7 @@ def assign_sites(
     points: Float[np.ndarray, "n 2"],
     needed: Sequence[int],
     *,
-    probability: Float[np.ndarray, "y x"] | None = None,
+    probability: Real[np.ndarray, "y x"] | None = None,
     extent: tuple[float, float] | None = None,
     names: Sequence[str] | None = None,
     seed: int,
@@ -155,7 +155,7 @@ def _rounds_until_accepted(chance: np.ndarray, rng: np.random.Generator) -> np.n
 
 def _acceptance(
     points: np.ndarray,
-    raster: Float[np.ndarray, "y x"] | None,
+    raster: Real[np.ndarray, "y x"] | None,
     extent: tuple[float, float] | None,
 ) -> np.ndarray:
     """Chance [0, 1] that a point is accepted in one round."""
