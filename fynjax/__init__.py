@@ -1,5 +1,13 @@
 """fynjax: an open, differentiable simulator of low-stature, species-rich shrubland.
 
+Start here: a plot, what a drone's camera sees of it, and how that changes with the plants.
+
+    import fynjax as fx, jax
+    scene = fx.read_scene(size=2.0)                      # the shipped plot, or "species.csv"
+    image = fx.observe(scene, "mavic_3m", pixel=0.1)     # image["nir"], image.index("NDVI")
+    ndvi = lambda p: fx.observe(scene, "mavic_3m", pixel=0.1, parameters=p).index("NDVI").mean()
+    jax.grad(ndvi)(scene.parameters).species.cover       # a slope for each species
+
 `import fynjax as fx` is quick: what follows is imported when it is first used.
 
 - `fx.read_scene`, `fx.Scene.from_table`: a scene from a plot file or a species table, or from a
@@ -23,7 +31,12 @@
 - `fx.errors`: what a user's input can raise; the other packages by their names.
 """
 
+import os
+
 import lazy_loader
 
+# Compiled programs that are kept are read with lines of false alarm: settings of this machine's own
+# compiler are called features that it lacks. JAX asks for this when it is first imported.
+os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
 __version__ = "0.2.0"
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

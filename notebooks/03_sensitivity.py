@@ -21,10 +21,12 @@
 #
 # **You learn** to take the derivative of a whole image, to check it against finite differences, to
 # see how far slopes depend on chance, and to share out the variance of NDVI among all that a
-# field table leaves open. **You need** `pip install fynjax[sensitivity]`. **It takes** two
+# field table leaves open. **You need** `pip install fynjax[analysis]`. **It takes** two
 # minutes the first time, most of it compilation.
 
 # %%
+import fynjax as fx  # before jax, so that kept programs are read without a word
+
 PLOT = None  # your own: "my_plot/plot.toml" or "species.csv"; None takes the plot burnt in 2006
 SPECIES = None  # whose cover is moved in the image; None takes the one with the largest cover
 
@@ -36,8 +38,6 @@ import jax.numpy as jnp
 import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
-
-import fynjax as fx
 
 FAST = os.environ.get("FYNJAX_FAST") == "1"  # a smaller plot, fewer plantings, for the check
 scene = fx.read_scene(PLOT, size=1.0 if FAST else 2.0, structure="even")

@@ -18,7 +18,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from fynjax._core.errors import InputError
 from fynjax._core.least_squares import NO_TAGS, BroydenLM, BroydenState, figures_of
-from fynjax._core.precision import double_precision
+from fynjax._core.precision import compiled_in_single, double_precision
 from fynjax.inversion._fit_result import Data, FitResult, FitStatus, fit_result
 from fynjax.inversion._log_posterior import LogPosterior, Predict
 from fynjax.inversion._solvers import confirmed, gain, run_solver, whitened
@@ -75,7 +75,8 @@ def fit(
     (`fynjax.radiation.solve_light`). Computed in 64 bits; in a process of 32 take `jax.grad` of a
     fit inside `with jax.enable_x64(True):`.
 
-    **Raises:** `InputError` for what is no solver.
+    **Raises:** `InputError` for what is no solver, a model that gives another number of statistics
+    than there are data, and a fit inside `jax.jit` that needs 64 bits (above).
 
     **Example:** a line through three points, whose offset and slope have wide priors.
 
@@ -103,6 +104,12 @@ def fit(
     traced = any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves((density, u)))
     run = _run if traced else _run_compiled
     limit = jnp.asarray(tolerance)
+    of_lineax = isinstance(solver, optx.AbstractLeastSquaresSolver)
+    if of_lineax and not isinstance(solver, BroydenLM) and compiled_in_single():
+        raise InputError(
+            f"a fit by {type(solver).__name__} inside `jax.jit` needs 64 bits: compile and call it "
+            "inside `with jax.enable_x64(True):`, or take the default solver"
+        )
     found = run(density, solved, rest, u, max_steps, limit)
     u, predicted, jacobian, status, steps, trace = found
     status = confirmed(status, data, u, predicted, jacobian, limit)
@@ -223,6 +230,7 @@ def _renewed(
     free, observed = u.size, density.data.value.size
     value, slopes = jnp.zeros(observed, u.dtype), jnp.zeros((observed, free), u.dtype)
     residual, rows = whitened(density.data, u, value, slopes)
+    # After -1 steps: not evaluated yet.
     before = BroydenState(residual, rows, jnp.zeros(()), jnp.zeros(()), jnp.asarray(-1))
 
     def ended(u: Array, state: BroydenState) -> tuple[Array, Any]:

@@ -1,5 +1,6 @@
 """Figures, from arrays and typed results."""
 
+from fynjax.report.figures._communities import agreement_plot, recognition_plot
 from fynjax.report.figures._fit import (
     constraint_plot,
     convergence_plot,
@@ -60,6 +61,7 @@ __all__ = [
     "FIGURE_DPI",
     "REAL",
     "DrawnPlants",
+    "agreement_plot",
     "band_box_plot",
     "bound_plot",
     "capture_figure",
@@ -99,6 +101,7 @@ __all__ = [
     "predictive_plot",
     "profile_view",
     "quick_looks",
+    "recognition_plot",
     "residual_maps",
     "residual_plot",
     "residuals_plot",
