@@ -230,8 +230,8 @@ def _renewed(
     free, observed = u.size, density.data.value.size
     value, slopes = jnp.zeros(observed, u.dtype), jnp.zeros((observed, free), u.dtype)
     residual, rows = whitened(density.data, u, value, slopes)
-    # After -1 steps: not evaluated yet.
-    before = BroydenState(residual, rows, jnp.zeros(()), jnp.zeros(()), jnp.asarray(-1))
+    zero = jnp.zeros((), u.dtype)
+    before = BroydenState(residual, rows, zero, zero, jnp.asarray(-1))  # not evaluated yet
 
     def ended(u: Array, state: BroydenState) -> tuple[Array, Any]:
         return solver.terminate(None, u, None, None, state, NO_TAGS)
@@ -254,7 +254,7 @@ def _renewed(
         return u, state, value, slopes, jnp.where(first, figures_of(begun), start)
 
     u, state, value, slopes, start = jax.lax.while_loop(
-        going, step, (u, before, value, slopes, jnp.zeros(2))
+        going, step, (u, before, value, slopes, jnp.zeros(2, u.dtype))
     )
     done, result = ended(u, state)
     status = FitStatus.where(done, FitStatus.no_gain, FitStatus.max_steps)
