@@ -45,7 +45,6 @@ from fynjax.leaf import (
     area_factors,
     bin_centres,
     fit_leaf_groups,
-    regress_water,
     resolved_by_two_readings,
     sample_leaf_posterior,
     to_bins,
@@ -212,7 +211,6 @@ def fit_leaf(
     panel: str | Path | None = None,
     detector_changes: Sequence[float] | None = None,
     groups: str | Path | None = None,
-    regression: bool = False,
     posterior: Sampling = "none",
     seed: int = 0,
     checkpoint: str | Path | None = None,
@@ -249,8 +247,6 @@ def fit_leaf(
       all spectra, see `correct_detector_jumps`; `None` for those that an ASD file states.
     - `groups`: a CSV with the columns `name` (of a spectrum) and `species`: leaves of a species are
       fitted together, and `species.csv` holds the mean leaf and five material variants of each.
-    - `regression`: whether to correct water by `regress_water`: all spectra must be of one
-      campaign. Not with `groups`, a posterior, or the domain "optimal".
     - `posterior`: "none", or sample it by "emcee" or "nuts" into `posterior.nc`.
     - `seed`: seed of the posterior's random numbers; the fit itself draws none.
     - `checkpoint`: folder that keeps what each 1024 leaves of a larger table gave, from which an
@@ -268,11 +264,6 @@ def fit_leaf(
 
     Example: `jobs.fit_leaf(["leaves.csv"], "results", version="PRO")`.
     """
-    if regression and (groups is not None or posterior != "none" or domain != "full"):
-        raise InputError(
-            "`regression` corrects leaves that are fitted one by one over all wavelengths, so it "
-            'goes with neither `groups`, nor a posterior, nor the domain "optimal"'
-        )
     behind = None if background is None else _background(background, measurement)
     if over_background and behind is None:
         raise InputError("readings over a background need its reflectance, `background`")
@@ -320,11 +311,8 @@ def fit_leaf(
                 )
             )  # fmt: skip
         fit = chunks.join(done.pop(i) for i in range(len(chunks.rows)))
-    if regression:
-        fit = regress_water(fit)
     settings = {
         "prospect_version": version,
-        "regression": "water" if regression else "none",
         "measurement": measurement,
         "leaf_shape": leaf_shape,
         "area": area,
@@ -353,8 +341,6 @@ def fit_leaf(
     headline = [f"{good} of {len(names)} spectra fitted without doubt."]
     if good < len(names):
         headline.append("The others say why in the column status of traits.csv.")
-    if regression:
-        headline.append("Water is corrected by regression, as of leaves of one campaign.")
     if repaired := np.count_nonzero(spectra["repairs"].values != ""):
         headline.append(f"{repaired} were repaired while reading, see the column repairs.")
     if decided := np.count_nonzero(table["prior_decides"].fillna("") != ""):
