@@ -1,6 +1,12 @@
 """Files of a plot so small that whole jobs run on it."""
 
+from dataclasses import replace
 from pathlib import Path
+
+import pytest
+
+from fynjax.assembly import Prepared
+from fynjax.inversion import CalibrationSettings
 
 PLOT = """
 [plot]
@@ -22,3 +28,14 @@ def write_plot(folder: Path, more: str = "") -> Path:
     path.write_text(PLOT + more)
     (folder / "species.csv").write_text(SPECIES)
     return path
+
+
+def search_quickly(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let commands search with fewer draws of plants than they do: an expectation over half as
+    many, and chance from a third."""
+    usual = Prepared.settings.fget
+
+    def few(ready: Prepared) -> CalibrationSettings:
+        return replace(usual(ready), stand_realisations=4, scatter_draws=16, full_renders=1)
+
+    monkeypatch.setattr(Prepared, "settings", property(few))

@@ -87,9 +87,7 @@ class BroydenLM(optx.AbstractLeastSquaresSolver):
         """One step; where it would not lower the objective, none, and more damping."""
         residual, jacobian = state.residual, state.jacobian
         gradient, hessian = jacobian.T @ residual, jacobian.T @ jacobian
-        damped = hessian + state.damping * jnp.eye(y.size, dtype=hessian.dtype)
-        move = -jnp.linalg.solve(damped, gradient)
-        move = move / jnp.maximum(1.0, jnp.max(jnp.abs(move)) / self.longest)
+        move = self.move(state)
         if self.renew:
             reached, renewed = _jacobian(fn, y + move, args, options)
         else:
@@ -110,6 +108,13 @@ class BroydenLM(optx.AbstractLeastSquaresSolver):
         residual = jnp.where(accepted, reached, residual)
         y = jnp.where(accepted, y + move, y)
         return y, _state(residual, jacobian, damping, state.steps + 1), None
+
+    def move(self, state: BroydenState) -> Float[Array, " free"]:
+        """How far `step` goes from a state, should that lower the objective."""
+        gradient, hessian = state.jacobian.T @ state.residual, state.jacobian.T @ state.jacobian
+        damped = hessian + state.damping * jnp.eye(gradient.size, dtype=hessian.dtype)
+        move = -jnp.linalg.solve(damped, gradient)
+        return move / jnp.maximum(1.0, jnp.max(jnp.abs(move)) / self.longest)
 
     def terminate(
         self, fn: Any, y: Any, args: Any, options: Any, state: BroydenState, tags: Any

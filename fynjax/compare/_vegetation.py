@@ -4,7 +4,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
-from itertools import combinations
 
 import numpy as np
 import pandas as pd
@@ -144,22 +143,20 @@ def _pairs(
     covariance: Float[np.ndarray, "band band"],
 ) -> pd.DataFrame:
     """Ratios of two bands beside those of shrubland, the farthest first."""
-    wide = norm.ppf(0.975)
-    rows = []
-    for i, j in combinations(range(len(names)), 2):
-        centre = mean[i] - mean[j]
-        sd = np.sqrt(covariance[i, i] + covariance[j, j] - 2.0 * covariance[i, j])
-        rows.append(
-            {
-                "numerator": names[i],
-                "denominator": names[j],
-                "ratio": values[i] / values[j],
-                "low": np.exp(centre - wide * sd),
-                "high": np.exp(centre + wide * sd),
-                "deviations": (np.log(values[i] / values[j]) - centre) / sd,
-            }
-        )
-    return pd.DataFrame(rows).sort_values("deviations", key=np.abs, ascending=False)
+    first, second = np.triu_indices(len(names), 1)
+    variance = np.diag(covariance)
+    centre = mean[first] - mean[second]
+    sd = np.sqrt(variance[first] + variance[second] - 2.0 * covariance[first, second])
+    ratio, wide = values[first] / values[second], norm.ppf(0.975) * sd
+    table = {
+        "numerator": np.array(names)[first],
+        "denominator": np.array(names)[second],
+        "ratio": ratio,
+        "low": np.exp(centre - wide),
+        "high": np.exp(centre + wide),
+        "deviations": (np.log(ratio) - centre) / sd,
+    }
+    return pd.DataFrame(table).sort_values("deviations", key=np.abs, ascending=False)
 
 
 @cache

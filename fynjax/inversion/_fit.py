@@ -6,6 +6,7 @@ distance from the prior, also whitened: the negative log posterior, but for a co
 
 import dataclasses
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import equinox as eqx
@@ -16,11 +17,11 @@ import optimistix as optx
 from jaxtyping import Array, Bool, Float, Int
 
 from fynjax._core.errors import InputError
-from fynjax._core.least_squares import BroydenLM
+from fynjax._core.least_squares import NO_TAGS, BroydenLM, BroydenState, figures_of
 from fynjax._core.precision import compiled_in_single, double_precision
 from fynjax.inversion._fit_result import Data, FitResult, FitStatus, fit_result
 from fynjax.inversion._log_posterior import LogPosterior, Predict
-from fynjax.inversion._solvers import confirmed, gain, run_solver
+from fynjax.inversion._solvers import confirmed, gain, run_solver, whitened
 from fynjax.inversion._space import ParameterSpace
 
 
@@ -98,7 +99,7 @@ def fit(
     if solver is None:
         solver = BroydenLM(renew=True)
     if isinstance(solver, BroydenLM):  # by the same measure of what is to gain
-        solver = dataclasses.replace(solver, atol=jnp.minimum(solver.atol, tolerance))
+        solver = dataclasses.replace(solver, atol=jnp.minimum(solver.atol, tolerance), rtol=0.0)
     solved, rest = eqx.partition(solver, eqx.is_array)
     traced = any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves((density, u)))
     run = _run if traced else _run_compiled
@@ -181,8 +182,10 @@ def _run(
     from there as long as that lowers the objective.
     """
     density, u = _constant((density, u))
-    start = _Run(u, *density.jacobian(u), FitStatus.successful, jnp.asarray(0), jnp.asarray(True))
     solver = eqx.combine(solver, rest)
+    if isinstance(solver, BroydenLM) and solver.renew:
+        return _renewed(density, solver, u, max_steps)
+    start = _Run(u, *density.jacobian(u), FitStatus.successful, jnp.asarray(0), jnp.asarray(True))
 
     def going(run: _Run) -> Array:
         left = gain(density.data, run.u, run.predicted, run.jacobian) > tolerance
@@ -214,6 +217,50 @@ class _Run(eqx.Module):
     steps: Int[Array, ""]
     fell: Bool[Array, ""]
     """Whether the objective fell."""
+
+
+def _renewed(
+    density: LogPosterior, solver: BroydenLM, u: Array, max_steps: int
+) -> tuple[Array, Array, Array, FitStatus, Array, Array]:
+    """As `_run`, by a solver that takes the Jacobian at each step and ends by the rule of a fit.
+
+    The start is evaluated as the steps are, in the loop: so the Jacobian, most of the program, is
+    compiled once.
+    """
+    free, observed = u.size, density.data.value.size
+    value, slopes = jnp.zeros(observed, u.dtype), jnp.zeros((observed, free), u.dtype)
+    residual, rows = whitened(density.data, u, value, slopes)
+    zero = jnp.zeros((), u.dtype)
+    before = BroydenState(residual, rows, zero, zero, jnp.asarray(-1))  # not evaluated yet
+
+    def ended(u: Array, state: BroydenState) -> tuple[Array, Any]:
+        return solver.terminate(None, u, None, None, state, NO_TAGS)
+
+    def going(run: tuple) -> Array:
+        u, state, *_ = run
+        return (state.steps < 0) | (~ended(u, state)[0] & (state.steps < max_steps))
+
+    def step(run: tuple) -> tuple:
+        u, state, value, slopes, start = run
+        first = state.steps < 0
+        at = u + jnp.where(first, 0.0, solver.move(state))
+        there = density.jacobian(at)
+        options = {"jacobian": lambda *_: whitened(density.data, at, *there)}
+        begun = solver.init(None, at, None, options, None, None, NO_TAGS)
+        u, state, _ = solver.step(None, u, None, options, state, NO_TAGS)
+        u, state = jax.tree.map(partial(jnp.where, first), (at, begun), (u, state))
+        # Where a step was refused, `u` has stayed behind.
+        value, slopes = jax.tree.map(partial(jnp.where, jnp.all(u == at)), there, (value, slopes))
+        return u, state, value, slopes, jnp.where(first, figures_of(begun), start)
+
+    u, state, value, slopes, start = jax.lax.while_loop(
+        going, step, (u, before, value, slopes, jnp.zeros(2, u.dtype))
+    )
+    done, result = ended(u, state)
+    status = FitStatus.where(done, FitStatus.no_gain, FitStatus.max_steps)
+    good = done & (result == optx.RESULTS.successful)
+    status = FitStatus.where(good, FitStatus.successful, status)
+    return u, value, slopes, status, state.steps, jnp.stack([start, figures_of(state)])
 
 
 def _figures(density: LogPosterior, u: Array, end: tuple[Array, Array]) -> Float[Array, " 2"]:

@@ -30,8 +30,12 @@ def run_solver(solver: Any, density: Density, u: Float[Array, " free"], max_step
     **Raises:** `InputError` for what is no solver of optimistix or jaxopt that runs in JAX.
     """
     if isinstance(solver, BroydenLM):
-        options = {"jacobian": lambda u, _: _residual_and_jacobian(density, u)}
-        plain = lambda u, _: _misfit(density, density.statistics(u), u)  # noqa: E731
+        options = {"jacobian": lambda u, _: whitened(density.data, u, *density.jacobian(u))}
+        data = density.data
+
+        def plain(u: Array, _: Any) -> Array:
+            return jnp.concatenate([data.whiten(density.statistics(u) - data.value), u])
+
         return _optimistix(optx.least_squares, plain, solver, u, max_steps, options)
     if isinstance(solver, optx.AbstractLeastSquaresSolver):
         return _optimistix(
@@ -51,15 +55,11 @@ def run_solver(solver: Any, density: Density, u: Float[Array, " free"], max_step
     )
 
 
-def _misfit(density: Density, value: Array, u: Array) -> Array:
-    """Misfit of the statistics in units of their errors, then distance from the prior."""
-    return jnp.concatenate([density.data.whiten(value - density.data.value), u])
-
-
-def _residual_and_jacobian(density: Density, u: Array) -> tuple[Array, Array]:
-    value, slopes = density.jacobian(u)
-    rows = jnp.concatenate([density.data.whiten(slopes), jnp.eye(u.size)])
-    return _misfit(density, value, u), rows
+def whitened(data: Data, u: Array, value: Array, slopes: Array) -> tuple[Array, Array]:
+    """Residuals of statistics `value` at `u` in units of their errors, then distances from the
+    prior, and the Jacobian of both."""
+    rows = jnp.concatenate([data.whiten(slopes), jnp.eye(u.size)])
+    return jnp.concatenate([data.whiten(value - data.value), u]), rows
 
 
 def _with_jacobian(density: Density) -> Callable[[Array, Any], Array]:
@@ -68,7 +68,7 @@ def _with_jacobian(density: Density) -> Callable[[Array, Any], Array]:
 
     def residual(u: Array, _: Any) -> Array:
         here = jax.lax.stop_gradient(u)
-        rest, rows = _residual_and_jacobian(density, here)
+        rest, rows = whitened(density.data, here, *density.jacobian(here))
         return rest + rows @ (u - here)
 
     return residual

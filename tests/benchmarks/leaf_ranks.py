@@ -126,7 +126,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--save", type=Path)
     given = parser.parse_args(arguments)
-    given.leaves = 2 if given.tiny else given.leaves
+    given.leaves = 1 if given.tiny else given.leaves
     setup = make_setup("D", None, None, None)
     truth, problems = simulate(setup, given.leaves, given.seed, given.reflectance_only)
     with progress():

@@ -178,8 +178,8 @@ COUNTS = np.concatenate([[0.0], np.geomspace(0.05, 10_000, 300), np.arange(1.0, 
 """Numbers of plants, those among them that are whole, where weights without a ramp have kinks."""
 
 
-@pytest.mark.parametrize("softness", [0.0, 0.02, 0.25, 1.0, 2.0, 3.0])
-@pytest.mark.parametrize("width", [0.5, 1.0, 2.0, 5.0])
+@pytest.mark.parametrize("softness", [0.0, 0.02, 1.0, 3.0])
+@pytest.mark.parametrize("width", [0.5, 5.0])
 def test_the_sum_of_weights_is_the_count_with_slope_one(width: float, softness: float) -> None:
     weights = jax.jit(lambda n: site_weight(n, np.arange(21_000), width=width, softness=softness))
     total, slope = jax.lax.map(jax.value_and_grad(lambda n: weights(n).sum()), jnp.asarray(COUNTS))

@@ -30,10 +30,7 @@ def test_the_shipped_table_is_that_of_its_recipe(measured):
     np.testing.assert_allclose(left, np.sqrt(rest), atol=1e-4)
 
 
-@pytest.mark.parametrize(
-    "name",
-    ["mavic_3m", "rededge_3", "sentinel_2a", pytest.param("aviris_ng", marks=pytest.mark.slow)],
-)
+@pytest.mark.parametrize("name", ["mavic_3m", "rededge_3", "sentinel_2a", "aviris_ng"])
 def test_plots_that_were_left_out_are_shrubland(measured, monkeypatch, name):
     """And their chances are spread as chances are: the farthest twentieth is not far."""
     spectra, plots, others = measured
@@ -46,7 +43,8 @@ def test_plots_that_were_left_out_are_shrubland(measured, monkeypatch, name):
             grid(), m, f, np.sqrt(r)
         ))  # fmt: skip
         inside = sensor.select(sensor.covered(grid(), max_loss=0.02))
-        for values in np.exp(spectra[out]):
+        # Of many bands one spectrum a plot.
+        for values in np.exp(spectra[out])[: 1 if len(inside) > 20 else None]:
             seen = inside.weights(grid(), max_loss=0.02) @ values
             chances.append(check_vegetation(seen, inside).probability)
     assert min(chances) > module.UNLIKE
@@ -74,15 +72,15 @@ def test_the_chance_is_that_of_draws():
     """Images drawn from the envelope itself, with gains: a tenth has a chance below a tenth."""
     wavelength, mean, factors, rest = module._spectra()
     rng = np.random.default_rng(0)
-    z = rng.normal(size=(2000, len(factors)))
-    spectra = np.exp(mean + z @ factors + rng.normal(size=(2000, len(mean))) * rest)
-    common, own = rng.normal(size=(2000, 1)), rng.normal(size=(2000, 4))
+    z = rng.normal(size=(800, len(factors)))
+    spectra = np.exp(mean + z @ factors + rng.normal(size=(800, len(mean))) * rest)
+    common, own = rng.normal(size=(800, 1)), rng.normal(size=(800, 4))
     gain = np.exp(0.1 * (np.sqrt(0.5) * common + np.sqrt(0.5) * own))
     images = spectra @ MAVIC.weights(wavelength).T * gain
     few = [check_vegetation(image, MAVIC, gains=Gains(0.1)).distance for image in images]
     # Draws have the covariance itself: chi-square of four.
     assert np.mean(few) == pytest.approx(4.0, rel=0.08)
-    large = [check_vegetation(image, MAVIC, gains=Gains(0.02)).distance for image in images[:300]]
+    large = [check_vegetation(image, MAVIC, gains=Gains(0.02)).distance for image in images[:100]]
     assert np.mean(large) > 6.0
 
 

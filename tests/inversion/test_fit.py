@@ -343,6 +343,36 @@ def test_too_few_steps_are_not_called_converged():
     assert "limit of steps (`max_steps`), after 1 step." in result.explanation
 
 
+def test_a_refused_step_leaves_everything_where_it_was():
+    """A Gauss-Newton step from 5 on an arcus tangens ends at -31, farther from its zero."""
+    low, high, prior, sd = (jnp.full(1, v) for v in (-500.0, 500.0, 5.0, 30.0))
+    space = ParameterSpace(("x",), low, high, prior, sd)
+    zero = Data(("y",), jnp.zeros(1), jnp.full(1, 1e-3))
+    stopped, ended = (fit(jnp.arctan, zero, space, max_steps=most) for most in (1, 60))
+    assert (stopped.status == FitStatus.max_steps, int(stopped.steps)) == (True, 1)
+    assert float(stopped.estimate[0]) == pytest.approx(5.0)
+    assert float(stopped.predicted[0]) == pytest.approx(np.arctan(5.0))
+    assert stopped.loss[0] == stopped.loss[1]
+    assert ended.converged
+    assert float(ended.estimate[0]) == pytest.approx(0.0, abs=1e-3)
+
+
+def test_the_slopes_of_a_model_are_compiled_once_a_fit():
+    """They are most of its program: the start's are those of the loop."""
+    traced = []
+
+    class Counted(eqx.Module):
+        def __call__(self, x):
+            return predict(x)
+
+        def jacobian(self, values_at, u):
+            traced.append(1)
+            return predict(values_at(u)), jax.jacfwd(lambda u: predict(values_at(u)))(u)
+
+    assert fit(Counted(), DATA, SPACE).converged
+    assert len(traced) == 1
+
+
 def test_a_model_that_is_not_finite_ends_in_a_status():
     result = fit(lambda x: predict(x) * jnp.nan, DATA, SPACE, max_steps=3)
     assert not result.converged

@@ -67,12 +67,12 @@ def parameters() -> PlotParameters:
 
 
 def planted(seed):
-    """The plot of 3 m with the plants of a seed."""
+    """The plot of 2 m with the plants of a seed."""
     species = [Species(t, f) for t, f in zip(TAXA, ("rounded_shrub", "tussock"), strict=True)]
     return build_scene(
         species,
         parameters(),
-        extent=(3.0, 3.0),
+        extent=(2.0, 2.0),
         voxel=0.1,
         seed=seed,
         rules=PlantingRules(structure="even"),

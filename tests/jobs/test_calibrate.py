@@ -22,7 +22,7 @@ from fynjax.jobs._schemas import json_schema
 from fynjax.metrics import image_statistics
 from tests.heard import hearing
 from tests.scene.plots import small_parameters, small_plot
-from tests.small import write_plot
+from tests.small import search_quickly, write_plot
 
 MORE = """
 [sensor]
@@ -82,6 +82,7 @@ def test_plants_without_a_site_are_a_warning():
 def test_three_sensors_together_after_an_interruption(tmp_path, monkeypatch):
     """Statistics of an image, a spectrum and a cloud: the page tells of each, and the run goes on
     where it was."""
+    search_quickly(monkeypatch)
     write_plot(tmp_path, MORE.replace('"ground.brightness"', '"species.*.height"'))
     table, spectrum, cloud = (tmp_path / f"{name}.csv" for name in ("table", "spectrum", "cloud"))
     table.write_text("statistic,value,sd\nnir.mean,0.26,\nred.mean,0.08,\ngreen.mean,0.06,1000\n")
@@ -147,8 +148,9 @@ def test_a_page_says_first_that_the_search_did_not_converge():
 
 
 @pytest.mark.slow
-def test_a_twin_shows_its_truth(tmp_path):
+def test_a_twin_shows_its_truth(tmp_path, monkeypatch):
     """In tables, headline and page; and nearly all of it lies in its intervals."""
+    search_quickly(monkeypatch)
     path = write_plot(tmp_path, MORE.replace("gain_sd = 0.0", "gain_sd = 0.1"))
     found = calibrate(path, [], tmp_path / "output", seed=3, twin=True)
     tables = [pd.read_csv(tmp_path / "output" / f"{n}.csv") for n in ("parameters", "stand")]

@@ -1,6 +1,7 @@
 """`fynjax train` and `fynjax map` on a camera's few bands."""
 
 import dataclasses
+import functools
 import os
 import signal
 import subprocess
@@ -121,10 +122,16 @@ def test_a_training_is_read_back_as_it_was_written(trained, tmp_path):
         jobs.read_training(damaged)
 
 
+@functools.cache
+def simulated():
+    """Reflectance of three sets of stands [stand, band]."""
+    _, bands = group_bands(shipped_sensor(SENSOR).bands)
+    return simulate_stands((7, 8, 9), bands, read_prior("fynbos_2023"), SETTINGS, 5).reflectance
+
+
 def cube_of(folder, known, **changes):
-    channels, bands, prior = known
-    made = simulate_stands((7, 8, 9), bands, prior, SETTINGS, 5)
-    values = made.reflectance[::3].T.reshape(len(bands), 3, 4).copy()
+    channels, bands, _ = known
+    values = simulated()[::3].T.reshape(len(bands), 3, 4).copy()
     values[:, 1, 2] = np.nan
     values[:, 0, 0] = np.linspace(1.5, 0.1, len(bands))  # no vegetation looks like this
     cube = Cube(
@@ -187,8 +194,7 @@ def test_maps_lie_where_the_cube_lies_and_mask_what_is_unlike(trained, known, tm
 
 def emit_of(folder, known, name, **changes):
     channels, bands, _ = known
-    made = simulate_stands((7, 8, 9), bands, known[2], SETTINGS, 5)
-    values = made.reflectance[:24].reshape(6, 4, len(bands))
+    values = simulated()[:24].reshape(6, 4, len(bands))
     write_emit(folder / name, values, channels.centre, bands.fwhm, **changes)
     return folder / name
 

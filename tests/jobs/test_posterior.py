@@ -4,7 +4,7 @@ import pandas as pd
 import pytest
 
 from fynjax.jobs import posterior
-from tests.small import write_plot
+from tests.small import search_quickly, write_plot
 
 pytestmark = pytest.mark.slow
 
@@ -29,13 +29,15 @@ def runs(tmp_path_factory):
     target = folder / "target.csv"
     target.write_text(TARGET)
     found = []
-    for name, steps in (("few", 10), ("many", 6000)):
-        (folder / name).mkdir()
-        result = posterior(
-            path, target, folder / name, method="emcee", target_size=400.0, max_steps=steps,
-            checkpoint=folder / "kept", seed=0,
-        )  # fmt: skip
-        found.append((result, pd.read_csv(folder / name / "parameters.csv")))
+    with pytest.MonkeyPatch.context() as patch:
+        search_quickly(patch)
+        for name, steps in (("few", 10), ("many", 6000)):
+            (folder / name).mkdir()
+            result = posterior(
+                path, target, folder / name, method="emcee", target_size=400.0, max_steps=steps,
+                checkpoint=folder / "kept", seed=0,
+            )  # fmt: skip
+            found.append((result, pd.read_csv(folder / name / "parameters.csv")))
     return found
 
 

@@ -142,7 +142,7 @@ def blocked_by_both(angle, sun, view, diameter, height, count=400_000, seed=0):
 
 
 @pytest.mark.parametrize("height", [0.3, 5.0])
-@pytest.mark.parametrize(("zenith", "azimuth"), [(38.0, 270.0), (20.0, 270.0), (30.0, 290.0)])
+@pytest.mark.parametrize(("zenith", "azimuth"), [(38.0, 270.0), (30.0, 290.0)])
 @pytest.mark.parametrize("name", ["spherical", "planophile"])
 def test_the_overlap_of_discs_is_that_of_discs_thrown_at_random(name, zenith, azimuth, height):
     """Leaf area common to both rays, near the sun's direction: in a canopy lower than the overlap

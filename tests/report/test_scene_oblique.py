@@ -143,7 +143,7 @@ def test_as_much_ground_shows_from_above_as_the_scene_says():
     """Two ways to the gap: pixels of a picture, and light through columns of 2.5 cm, in which the
     scene spreads foliage over tufts of 5 cm and so hides a little of the ground."""
     plot = read_plot(example_folder() / "plot.toml")
-    plot = plot.replace(size_m=(2.0, 2.0))
+    plot = plot.replace(size_m=(1.0, 1.0))
     scene, parameters = build_plot(plot)
     instances, hard = hard_instances(scene, parameters), hard_scene(scene, parameters)
     plants = drawn_plants(plot, hard, parameters, instances, plot.seed)
