@@ -13,7 +13,6 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from fynjax.report.pages import Page, Picture, Section, Table, Views, format_number, write_page
-from fynjax.report.pages._page import _CSS
 
 
 class Checker(HTMLParser):
@@ -201,7 +200,7 @@ def test_numbers(value, shown):
     assert format_number(value) == shown
 
 
-def test_headers_of_a_wide_table_may_break_so_that_its_columns_fit():
-    rule = re.search(r"\nth \{([^}]*)\}", _CSS)
+def test_headers_of_a_wide_table_may_break_so_that_its_columns_fit(page, tmp_path):
+    rule = re.search(r"\nth \{([^}]*)\}", html(page, tmp_path))
     assert rule is not None
     assert "white-space: normal" in rule[1]
