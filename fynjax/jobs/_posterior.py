@@ -74,6 +74,8 @@ class PosteriorResult(JobResult):
     posterior_status: str
 
 
+_PAIRS = 7
+"""Parameters of which pairs are drawn."""
 _COMPARED = 16
 """Parameters that are drawn side by side, by each method."""
 _STANDS = 400
@@ -272,6 +274,7 @@ def _page(
 ) -> Page:
     stand, table = tables
     order = np.argsort(-sampled.constrained)
+    best = order[:_PAIRS]
     units = [shown_unit(name) for name in sampled.names]
     factor = np.array([f for _, _, f in units])
     draws = sampled.values.reshape(-1, len(sampled.names)) * factor
@@ -293,9 +296,9 @@ def _page(
         Picture(
             "corner.png",
             corner_plot(
-                draws[:, order],
-                [f"{sampled.names[i]} [{units[i][1]}]" for i in order],
-                prior=(prior[0][:, order], prior[1][:, order]),
+                {sampled.method: draws[:, best]},
+                [f"{sampled.names[i]} [{units[i][1]}]" for i in best],
+                prior=(prior[0][:, best], prior[1][:, best]),
             ),
             "draws of the parameters that the data constrain most, and of their pairs",
         ),

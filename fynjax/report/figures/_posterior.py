@@ -7,7 +7,7 @@ import matplotlib
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from fynjax._core.extras import require
 from fynjax.inversion import Posterior
@@ -36,72 +36,35 @@ def short_name(name: str) -> str:
 
 
 def corner_plot(
-    draws: ArrayLike,
+    draws: Mapping[str, ArrayLike],
     names: Sequence[str],
     *,
-    prior: tuple[ArrayLike, ArrayLike] | None = None,
-    most: int = 7,
+    prior: tuple[ArrayLike, ArrayLike],
+    truth: ArrayLike | None = None,
 ) -> Figure:
-    """Each parameter's distribution on the diagonal, each pair's below it (50 and 90 % of draws).
-
-    **Arguments:** `draws` [draw, parameter]; `names`; `prior`, values [point, parameter] and its
-    density there, drawn as a grey curve. Of more than `most` parameters the first are shown.
-    """
-    values = np.asarray(draws, float)[:, :most]
-    size = values.shape[1]
-    low, high = np.quantile(values, [0.002, 0.998], axis=0)
-    room = np.where(high > low, 0.06 * (high - low), 1e-6)
-    low, high = low - room, high + room
-    with style():
-        figure = Figure(figsize=(1.45 * size + 1.2, 1.45 * size + 0.9))
-        grid: Any = figure.subplots(size, size, squeeze=False)
-        for row in range(size):
-            for column in range(size):
-                axes = grid[row, column]
-                if column > row:
-                    axes.set_axis_off()
-                    continue
-                axes.set_xlim(low[column], high[column])
-                axes.locator_params(nbins=3)
-                axes.tick_params(labelsize=6.5)
-                if row == column:
-                    _marginal(axes, values[:, row], prior, row)
-                else:
-                    axes.set_ylim(low[row], high[row])
-                    _pair(axes, values[:, column], values[:, row])
-                if row < size - 1:
-                    axes.set_xticklabels([])
-                else:
-                    axes.set_xlabel(_broken(names[column]), fontsize=7)
-                    axes.tick_params(axis="x", rotation=35)
-                if column == 0 and row > 0:
-                    axes.set_ylabel(_broken(names[row]), fontsize=7)
-                elif column > 0 or row == 0:
-                    axes.set_yticklabels([])
-    return figure
-
-
-def corner(draws: Posterior | Mapping[str, Posterior], truth: ArrayLike | None = None) -> Figure:
-    """Each parameter and each pair of posteriors of the same parameters, one over the other.
+    """Each parameter's distribution on the diagonal and each pair's below it, one over the other.
 
     Contours hold 50 and 90 % of the draws; the prior is the grey curve on the diagonal.
 
-    **Arguments:** `draws` from `fx.sample`, or several by the name of their method; `truth`, values
-    to mark [free].
+    **Arguments:**
+
+    - `draws`: [draw, parameter], by the name of their method.
+    - `names`: of the parameters, for their axes.
+    - `prior`: values [point, parameter] and its density there.
+    - `truth`: values to mark [parameter].
 
     **Raises:** `MissingExtraError` without the package corner (extra `posterior`).
     """
     package = require("corner", "posterior")
-    many = {"posterior": draws} if isinstance(draws, Posterior) else dict(draws)
-    space = next(iter(many.values())).space
-    count = len(space.names)
-    values = {name: one.values.reshape(-1, count) for name, one in many.items()}
+    count = len(names)
+    values = {name: np.asarray(one, float) for name, one in draws.items()}
     low, high = np.quantile(np.concatenate(list(values.values())), [0.002, 0.998], axis=0)
+    room = np.maximum(0.05 * (high - low), 1e-9 + 1e-6 * np.abs(high))
+    low, high = low - room, high + room
     if truth is not None:
-        room = 0.05 * (high - low)
-        low, high = (np.minimum(low, truth - room), np.maximum(high, truth + room))
+        low, high = np.minimum(low, truth - room), np.maximum(high, truth + room)
     options: dict[str, Any] = {
-        "labels": [_broken(name) for name in space.names],
+        "labels": [short_name(name).replace(" ", "\n") for name in names],  # stay beside their panel
         "truths": truth,
         "truth_color": "k",
         "range": list(zip(low, high)),
@@ -117,54 +80,29 @@ def corner(draws: Posterior | Mapping[str, Posterior], truth: ArrayLike | None =
     for one, colour in zip(values.values(), _SERIES, strict=False):
         shape = {"density": True, "color": colour}
         package.corner(one, fig=figure, color=colour, hist_kwargs=shape, **options)
-    x, density = (np.asarray(part) for part in space.density())
+    x, density = (np.asarray(part) for part in prior)
     for i in range(count):
         figure.axes[i * (count + 1)].plot(x[:, i], density[:, i], color=GREY)
     handles = [
         matplotlib.lines.Line2D([], [], color=colour, label=name)
-        for name, colour in zip([*many, "prior"], [*_SERIES[: len(many)], GREY], strict=True)
+        for name, colour in zip([*values, "prior"], [*_SERIES[: len(values)], GREY], strict=True)
     ]
     figure.legend(handles=handles, fontsize=11)
     return figure
 
 
-def _broken(name: str) -> str:
-    """A label on as many lines as it has words, so that it stays beside its panel."""
-    return short_name(name).replace(" ", "\n")
+def corner(draws: Posterior | Mapping[str, Posterior], truth: ArrayLike | None = None) -> Figure:
+    """Each parameter and each pair of posteriors of the same parameters, as `corner_plot` has them.
 
+    **Arguments:** `draws` from `fx.sample`, or several by the name of their method; `truth`, values
+    to mark [free].
 
-def _marginal(
-    axes: Any, values: NDArray[np.float64], prior: tuple[ArrayLike, ArrayLike] | None, at: int
-) -> None:
-    left, right = axes.get_xlim()
-    axes.hist(values, np.linspace(left, right, 41), density=True, color=SKY)
-    if prior is not None:
-        x, density = (np.asarray(part, float)[:, at] for part in prior)
-        axes.plot(x, density, color=GREY, lw=1.0)
-    for share in np.quantile(values, [0.05, 0.5, 0.95]):
-        axes.axvline(share, color=BLUE, lw=0.8, ls="--")
-    axes.set_yticks([])
-
-
-def _pair(axes: Any, x: NDArray[np.float64], y: NDArray[np.float64]) -> None:
-    limits = (axes.get_xlim(), axes.get_ylim())
-    count, east, north = np.histogram2d(x, y, bins=24, range=limits)
-    padded = np.pad(count, 1, mode="edge")
-    smooth = sum(
-        padded[1 + i : 25 + i, 1 + j : 25 + j] * (2 - abs(i)) * (2 - abs(j)) / 16.0
-        for i in (-1, 0, 1)
-        for j in (-1, 0, 1)
-    )
-    assert isinstance(smooth, np.ndarray)
-    order = np.sort(smooth.ravel())[::-1]
-    held = np.cumsum(order) / max(order.sum(), 1e-300)
-    levels = sorted({float(order[np.searchsorted(held, share)]) for share in (0.9, 0.5)})
-    levels = [*levels, float(order[0]) * 1.001]
-    if len(levels) > 2 and levels[0] > 0:
-        middle = (0.5 * (east[1:] + east[:-1]), 0.5 * (north[1:] + north[:-1]))
-        axes.contourf(*middle, smooth.T, levels=levels, colors=["#CFE6F5", SKY])
-    else:
-        axes.plot(x, y, ",", color=SKY)
+    **Raises:** `MissingExtraError` without the package corner (extra `posterior`).
+    """
+    many = {"posterior": draws} if isinstance(draws, Posterior) else dict(draws)
+    space = next(iter(many.values())).space
+    values = {name: one.values.reshape(-1, len(space.names)) for name, one in many.items()}
+    return corner_plot(values, space.names, prior=space.density(), truth=truth)
 
 
 def predictive_plot(
