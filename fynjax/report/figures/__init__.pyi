@@ -42,10 +42,9 @@ from ._scene import plan_view as plan_view
 from ._scene import profile_view as profile_view
 from ._scene import rgb as rgb
 from ._scene import species_colours as species_colours
+from ._scene_lit import lit_figure as lit_figure
 from ._scene_lit import lit_view as lit_view
 from ._scene_oblique import oblique_view as oblique_view
-from ._scene_view import check_view as check_view
-from ._scene_view import mesh_image as mesh_image
 from ._structure import structure_figure as structure_figure
 from ._structure import structure_maps as structure_maps
 from ._style import FIGURE_DPI as FIGURE_DPI
