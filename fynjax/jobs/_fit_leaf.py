@@ -54,7 +54,7 @@ from fynjax.leaf import (
     usual_measurement,
 )
 from fynjax.report.figures import leaf_fit_figure
-from fynjax.report.pages import Picture
+from fynjax.report.pages import Picture, Table
 
 MEASUREMENTS: dict[str, Callable[[], AbstractMeasurement]] = {
     "sphere": IntegratingSphere,
@@ -65,6 +65,8 @@ MEASUREMENTS: dict[str, Callable[[], AbstractMeasurement]] = {
 Sampling = Literal["none", "emcee", "nuts"]
 """How the posterior is sampled, if at all."""
 _GRID = np.arange(350.0, 2501.0)
+_SHOWN = 100
+"""Spectra of which a page shows the traits, at most."""
 _PART = 1024
 """Leaves that are fitted together, in memory of some 130 MB."""
 
@@ -259,8 +261,8 @@ def fit_leaf(
     - `workers`: where chunks of 1024 leaves are fitted; in this process by default. Leaves that
       are fitted together (`groups`), and posteriors, stay there.
 
-    **Returns:** `FitLeafResult`. Writes `traits.csv`, `spectra.nc` and a figure into `output`, and
-    where asked for `species.csv` and `posterior.nc`.
+    **Returns:** `FitLeafResult`. Writes `traits.csv`, `spectra.nc`, a figure and a page into
+    `output`, and where asked for `species.csv` and `posterior.nc`.
 
     **Raises:** `InputError` if no file holds a usable spectrum, or the table of groups is wrong,
     or for an unknown measurement, or a checkpoint of another run; `MissingExtraError` for a sampler
@@ -294,7 +296,7 @@ def fit_leaf(
     species = None if groups is None else _read_groups(groups, names)
     size = f"{len(names)} spectra"
     begin_work(
-        {"traits.csv": f"{size}, {len(refused)} refused", "spectra.nc": size}
+        {"traits.csv": f"{size}, {len(refused)} refused", "spectra.nc": size, "report.html": ""}
         | ({} if species is None else {"species.csv": f"{len(set(species))} species"})
         | ({} if posterior == "none" else {"posterior.nc": size})
     )
@@ -340,7 +342,6 @@ def fit_leaf(
     what = "measured, fitted and predicted R and T on the fit's bins"
     dataset = fit.to_xarray(area).assign_attrs(settings)
     write_spectra_netcdf(dataset, run.path("spectra.nc", what))
-    run.picture(Picture("spectra.png", leaf_fit_figure(fit), "measured and fitted spectra"))
     if together is not None:
         what = "mean leaf and material variants of each species"
         run.table("species.csv", together.table(seed, area), what)
@@ -363,6 +364,12 @@ def fit_leaf(
             "prior_decides."
         )
     doubtful = len(names) - good
+    picture = Picture("spectra.png", leaf_fit_figure(fit), "measured and fitted spectra")
+    shown = Table(
+        table.head(_SHOWN), f"Traits, of the first {_SHOWN} spectra at most.", folded=True
+    )
+    title = f"PROSPECT-{version} of {len(names)} spectra"
+    run.pictures(title, headline, [picture, shown], sorted({file for file, _ in read}))
     return run.result(
         FitLeafResult,
         headline=headline,

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+import pandas as pd
 from pydantic import Field
 
 from fynjax._core.dry_run import begin_work
@@ -30,10 +31,10 @@ from fynjax.canopy import (
 )
 from fynjax.canopy.mesh import default_up, organ_of_name
 from fynjax.io.text import Strict, did_you_mean, existing_file, read_rows, write_text
-from fynjax.jobs._result import JobResult, Record
+from fynjax.jobs._result import JobResult, Record, rows_of
 from fynjax.jobs._run import Run
 from fynjax.report.figures import plant_figure
-from fynjax.report.pages import Picture
+from fynjax.report.pages import Picture, Table
 
 _MESHES = (".obj", ".ply", ".stl", ".glb", ".gltf")
 _SCANS = (".xyz", ".csv", ".txt")
@@ -130,8 +131,8 @@ def plant(
     - `diameter`, `height`, `flowering`, `max_triangles`: as in `generate_plant`.
     - `seed`: seed of the random numbers.
 
-    **Returns:** `PlantResult`. Writes `elements.csv` and `plant.png` into `output`, and for a taxon
-    or a mesh made of branches also `plant.obj` and `plant.mtl`.
+    **Returns:** `PlantResult`. Writes `elements.csv`, a picture and a page into `output`, and for a
+    taxon or a mesh made of branches also `plant.obj` and `plant.mtl`.
 
     **Raises:** `InputError` for arguments that do not apply to the source, and as these functions.
 
@@ -196,16 +197,14 @@ def plant(
             model = plant_model_from_mesh(
                 mesh, n_elements, known, seed, solid_materials="closed", maximum_extent=limit
             )
-    begin_work({"elements.csv": f"{len(model.area)} area elements"})
+    begin_work({"elements.csv": f"{len(model.area)} area elements", "report.html": ""})
     with run.stage("Write"):
         if mesh is not None and (made is not None or branches > 1):
             obj, mtl = mesh.obj("plant.mtl")
             write_text(run.path("plant.obj", "its mesh, in metres"), obj)
             write_text(run.path("plant.mtl", "its materials"), mtl)
         _write_elements(run.path("elements.csv", "the plant as area elements"), model)
-        what = "the elements from the side and from above"
-        run.picture(Picture("plant.png", plant_figure(model), what))
-    return _result(run, model, made, mesh, axis, materials is not None)
+    return _result(run, source, model, made, mesh, axis, materials is not None)
 
 
 @contextmanager
@@ -291,6 +290,7 @@ def _write_elements(path: Path, model: MeshPlant) -> None:
 
 def _result(
     run: Run,
+    source: str,
     model: MeshPlant,
     made: GeneratedPlant | None,
     mesh: PlantMesh | None,
@@ -324,6 +324,11 @@ def _result(
                 f"the mesh has one material, {materials[0].name!r}, whose name says no organ: "
                 "all of it counts as leaf"
             )
+    what = "the elements from the side and from above"
+    picture = Picture("plant.png", plant_figure(model), what)
+    rows = Table(pd.DataFrame(rows_of([m.model_dump() for m in materials])), "Its materials.")
+    file = source if made is None else None
+    run.pictures(f"Plant: {Path(source).name}", headline, [picture, rows], [file])
     return run.result(
         PlantResult,
         headline=headline,

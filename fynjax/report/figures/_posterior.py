@@ -20,10 +20,14 @@ from fynjax.report.figures._style import (
     REAL,
     SKY,
     VERMILION,
+    name_rows,
+    panel_grid,
     style,
     words,
 )
 
+_MOST_SHOWN = 15
+"""Parameters of a panel of sensitivities, at most."""
 _SERIES = (BLUE, ORANGE, GREEN, VERMILION, PURPLE, SKY, GREY)
 
 
@@ -64,7 +68,8 @@ def corner_plot(
     if truth is not None:
         low, high = np.minimum(low, truth - room), np.maximum(high, truth + room)
     options: dict[str, Any] = {
-        "labels": [short_name(name).replace(" ", "\n") for name in names],  # stay beside their panel
+        # On as many lines as words, so that they stay beside their panel.
+        "labels": [short_name(name).replace(" ", "\n") for name in names],
         "truths": truth,
         "truth_color": "k",
         "range": list(zip(low, high)),
@@ -118,79 +123,64 @@ def predictive_plot(
     """
     error = np.asarray(sd, float)
     off = (np.asarray(predicted, float) - np.asarray(observed, float)) / error
-    y = np.arange(len(names))
     with style():
         figure = Figure(figsize=(6.0, 0.19 * len(names) + 1.1))
         axes = figure.subplots()
+        y = name_rows(axes, [words(name) for name in names])
         axes.axvspan(-1.0, 1.0, color="#EFEFEF", lw=0)
         axes.axvline(0.0, color=REAL, lw=0.8)
         low, middle, high = np.quantile(off, [0.05, 0.5, 0.95], axis=0)
         axes.errorbar(middle, y, xerr=[middle - low, high - middle], fmt="o", ms=3.5, color=BLUE,
                       lw=1.2, label="predicted, 90 % of the draws")  # fmt: skip
-        axes.set_yticks(y, [words(n) for n in names], fontsize=7.5)
-        axes.set_ylim(len(names) - 0.4, -0.6)
         axes.set_xlabel("Predicted less measured, in standard errors of the measured (grey: one)")
-        axes.grid(axis="x")
         figure.legend(loc="outside upper left")
     return figure
 
 
-def tornado_plot(table: pd.DataFrame, *, most: int = 15) -> Figure:
+def tornado_plot(table: pd.DataFrame) -> Figure:
     """Elasticities of each metric, largest first, a panel for each metric.
 
     Bars that are not distinguished from zero are grey and hollow.
 
     **Arguments:** `table` with the columns metric, parameter, elasticity [-], interval (half of
-    it) [-] and distinguished; `most`, how many parameters to show.
+    it) [-] and distinguished; the 15 parameters of the largest are shown.
     """
     metrics = list(dict.fromkeys(table["metric"]))
-    columns = min(2, len(metrics))
-    rows = -(-len(metrics) // columns)
-    shown = min(most, table["parameter"].nunique())
+    shown = min(_MOST_SHOWN, table["parameter"].nunique())
     with style():
-        figure = Figure(figsize=(4.6 * columns, (0.17 * shown + 0.55) * rows + 0.5))
-        grid: Any = figure.subplots(rows, columns, squeeze=False)
-        for axes, metric in zip(grid.ravel(), metrics):
+        figure, panels = panel_grid(len(metrics), 2, (4.6, 0.17 * shown + 0.55), (0.0, 0.5))
+        for axes, metric in zip(panels, metrics, strict=True):
             part = table[(table["metric"] == metric) & table["elasticity"].notna()]
-            order = part["elasticity"].abs().sort_values(ascending=False).index[:most]
+            order = part["elasticity"].abs().sort_values(ascending=False).index[:_MOST_SHOWN]
             part = part.loc[order]
             value = part["elasticity"].to_numpy(float)
-            y = np.arange(len(part))
+            y = name_rows(axes, [short_name(str(n)) for n in part["parameter"]], room=shown)
             clear = part["distinguished"].to_numpy(bool)
             colour = np.where(clear, np.where(value > 0, BLUE, VERMILION), GREY)
             axes.barh(y, value, height=0.7, color=np.where(clear, colour, "none"), edgecolor=colour,
                       xerr=part["interval"].to_numpy(float),
                       error_kw={"lw": 0.8, "ecolor": REAL})  # fmt: skip
             axes.axvline(0.0, color=REAL, lw=0.7)
-            axes.set_yticks(y, [short_name(str(n)) for n in part["parameter"]], fontsize=7)
-            axes.set_ylim(shown - 0.4, -0.6)
-            axes.tick_params(axis="y", length=0)
             axes.set_title(words(metric))
-            axes.grid(axis="x")
-        for axes in grid.ravel()[len(metrics) :]:
-            axes.set_axis_off()
         figure.supxlabel("Change of the metric [%] for 1 % more of the parameter", fontsize=8.5)
     return figure
 
 
-def indices_plot(table: pd.DataFrame, *, most: int = 15) -> Figure:
+def indices_plot(table: pd.DataFrame) -> Figure:
     """First and total Sobol indices with their 95 % intervals, and the derivative-based bound.
 
     **Arguments:** `table` with the columns metric, parameter, first, first_error, total,
-    total_error, bound (NaN where unknown); `most`, how many parameters to show.
+    total_error, bound (NaN where unknown); the 15 parameters of the largest are shown.
     """
     metrics = list(dict.fromkeys(table["metric"]))
-    columns = min(2, len(metrics))
-    rows = -(-len(metrics) // columns)
-    shown = min(most, table["parameter"].nunique())
+    shown = min(_MOST_SHOWN, table["parameter"].nunique())
     with style():
-        figure = Figure(figsize=(4.6 * columns, (0.24 * shown + 0.6) * rows + 0.7))
-        grid: Any = figure.subplots(rows, columns, squeeze=False)
-        for axes, metric in zip(grid.ravel(), metrics):
+        figure, panels = panel_grid(len(metrics), 2, (4.6, 0.24 * shown + 0.6), (0.0, 0.7))
+        for axes, metric in zip(panels, metrics, strict=True):
             part = table[table["metric"] == metric]
             key = part["total"].fillna(part["bound"])
-            part = part.loc[key.sort_values(ascending=False).index[:most]]
-            y = np.arange(len(part))
+            part = part.loc[key.sort_values(ascending=False).index[:_MOST_SHOWN]]
+            y = name_rows(axes, [short_name(str(n)) for n in part["parameter"]], room=shown)
             for kind, colour, shift in (("first", SKY, -0.18), ("total", BLUE, 0.18)):
                 if part[kind].notna().any():
                     error = part[f"{kind}_error"].to_numpy(float)
@@ -198,13 +188,8 @@ def indices_plot(table: pd.DataFrame, *, most: int = 15) -> Figure:
                               xerr=error, error_kw={"lw": 0.8, "ecolor": REAL})  # fmt: skip
             axes.plot(np.minimum(part["bound"].to_numpy(float), 1.0), y, "|", ms=9, mew=1.6,
                       color=VERMILION)  # fmt: skip
-            axes.set_yticks(y, [short_name(str(n)) for n in part["parameter"]], fontsize=7)
-            axes.set_ylim(shown - 0.4, -0.6)
             axes.set_xlim(0.0, 1.05)
             axes.set_title(words(metric))
-            axes.grid(axis="x")
-        for axes in grid.ravel()[len(metrics) :]:
-            axes.set_axis_off()
         handles = [
             matplotlib.patches.Patch(color=SKY, label="alone"),
             matplotlib.patches.Patch(color=BLUE, label="with interactions"),
@@ -220,26 +205,23 @@ _HIGHEST = 90.0
 """Bound over cover up to which numbers are shown [-]."""
 
 
-def bound_plot(
-    table: pd.DataFrame, species: Sequence[str], *, labels: Mapping[int, str] | None = None
-) -> Figure:
+def bound_plot(table: pd.DataFrame, species: Sequence[str]) -> Figure:
     """Bound on the cover of each species over the cover, against the pixel size and bands.
 
     **Arguments:** `table` with the columns parameter, gsd_m, bands, bound, value; `species`, the
-    parameters to show; `labels` of the numbers of bands. Triangles mark where there is no bound.
+    parameters to show. Triangles mark where there is no bound.
     """
-    columns = min(3, len(species))
-    rows = -(-len(species) // columns)
     with style():
-        figure = Figure(figsize=(2.7 * columns + 0.4, 1.9 * rows + 1.0))
-        grid: Any = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
-        for axes, name in zip(grid.ravel(), species):
+        figure, panels = panel_grid(
+            len(species), 3, (2.7, 1.9), (0.4, 1.0), sharex=True, sharey=True
+        )
+        for axes, name in zip(panels, species, strict=True):
             part = table[table["parameter"] == name]
             for k, (count, line) in enumerate(part.groupby("bands")):
                 line = line.sort_values("gsd_m")
                 ratio = (line["bound"] / line["value"]).replace(np.inf, np.nan)
                 number, colour = int(str(count)), _SERIES[k % len(_SERIES)]
-                label = (labels or {}).get(number, f"{number} band{'s' * (number != 1)}")
+                label = f"{number} band{'s' * (number != 1)}"
                 axes.loglog(line["gsd_m"], np.clip(ratio, 0, _HIGHEST), "-o", ms=3, lw=1.2,
                             color=colour, label=label)  # fmt: skip
                 none = line["gsd_m"][ratio.isna()]
@@ -249,10 +231,8 @@ def bound_plot(
             axes.axhspan(1.0, 100.0, color="#F3E3DC", lw=0)
             axes.set_title(short_name(name.removesuffix(".cover")), fontsize=8)
             axes.grid(which="major")
-        grid[0, 0].set_ylim(0.02, 100.0)
-        for axes in grid.ravel()[len(species) :]:
-            axes.set_axis_off()
-        handles, names = grid[0, 0].get_legend_handles_labels()
+        panels[0].set_ylim(0.02, 100.0)
+        handles, names = panels[0].get_legend_handles_labels()
         figure.legend(handles, names, loc="outside upper left", ncols=len(names))
         figure.supxlabel("Pixel on the ground [m]", fontsize=8.5)
         figure.supylabel("Bound over cover [-]; shaded: lost", fontsize=8.5)

@@ -89,7 +89,9 @@ class View:
 Ground = Float[np.ndarray, "y x"] | None
 
 
-def view_of(instances: Instances, ground: Ground, size: tuple[int, int] = (_WIDTH, _HEIGHT)) -> View:
+def view_of(
+    instances: Instances, ground: Ground, size: tuple[int, int] = (_WIDTH, _HEIGHT)
+) -> View:
     """The view of a plot with its plants and ground, of `size` columns and rows."""
     top = float((instances.z + instances.height).max(initial=0.3))
     top = top if ground is None else max(top, float(ground.max()))
