@@ -46,8 +46,6 @@ from fynjax.scene import (
 )
 
 _COVER_HEADERS = {
-    "asked_percent": "asked",
-    "counted_percent": "counted",
     "crowns_percent": "crowns in full",
     "species_percent": "ground under the species",
     "visible_percent": "visible from above",
@@ -408,7 +406,6 @@ def _page(
         "Cover. Counted: crowns less packing and gaps, what eq. (10) steers to the cover asked "
         "for. Ground under the species: overlap counts once.",
         headers=_COVER_HEADERS,
-        units=dict.fromkeys(_COVER_HEADERS, "%"),
     )
     areas = Table(
         stand,

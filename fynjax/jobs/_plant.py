@@ -1,6 +1,5 @@
 """From a mesh, a scan or a taxon to area elements: what `fynjax plant` does."""
 
-import csv
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -203,7 +202,7 @@ def plant(
             obj, mtl = mesh.obj("plant.mtl")
             write_text(run.path("plant.obj", "its mesh, in metres"), obj)
             write_text(run.path("plant.mtl", "its materials"), mtl)
-        _write_elements(run.path("elements.csv", "the plant as area elements"), model)
+        run.table("elements.csv", _elements(model), "the plant as area elements", "%.9g")
     return _result(run, source, model, made, mesh, axis, materials is not None)
 
 
@@ -270,22 +269,19 @@ def _read_materials(
     return known
 
 
-def _write_elements(path: Path, model: MeshPlant) -> None:
-    with path.open("w", newline="", encoding="utf-8") as table:
-        writer = csv.writer(table)
-        names = ["x_m", "y_m", "z_m", "nx", "ny", "nz", "area_m2", "organ", "optics"]
-        writer.writerow([*names, "crown_diameter_m", "plant_height_m"])
-        size = [f"{value:.9g}" for value in (model.modelled_diameter, model.depth)]
-        for place, normal, area, organ, material in zip(
-            model.position.tolist(),
-            model.plant.normal.tolist(),
-            model.area.tolist(),
-            model.plant.organ.tolist(),
-            model.material.tolist(),
-            strict=True,
-        ):
-            numbers = [f"{value:.9g}" for value in (*place, *normal, area)]
-            writer.writerow([*numbers, _ORGANS[organ], model.optics[material], *size])
+def _elements(model: MeshPlant) -> pd.DataFrame:
+    """A row for each area element."""
+    place, normal = np.asarray(model.position).T, np.asarray(model.plant.normal).T
+    return pd.DataFrame(
+        {
+            **dict(zip(("x_m", "y_m", "z_m", "nx", "ny", "nz"), (*place, *normal), strict=True)),
+            "area_m2": model.area,
+            "organ": np.array(_ORGANS)[np.asarray(model.plant.organ)],
+            "optics": np.array(model.optics)[np.asarray(model.material)],
+            "crown_diameter_m": model.modelled_diameter,
+            "plant_height_m": model.depth,
+        }
+    )
 
 
 def _result(

@@ -38,6 +38,7 @@ from fynjax.inversion import (
 from fynjax.io.plot import NO_PRIOR, Plot, as_plot, with_prior
 from fynjax.io.text import atomic_path
 from fynjax.jobs._calibration_page import misfit_sentence
+from fynjax.jobs._calibration_tables import prior_columns
 from fynjax.jobs._doubt import doubt_targets
 from fynjax.jobs._follow import follow
 from fynjax.jobs._result import JobResult, Number, ParameterSummary
@@ -221,14 +222,10 @@ def posterior_table(sampled: Posterior) -> pd.DataFrame:
     """Every parameter: prior, mean, sd, quantiles, how far it is constrained, how it mixed."""
     values = sampled.values.reshape(-1, len(sampled.names))
     low, middle, high = sampled.quantiles(0.05, 0.5, 0.95)
-    prior_low, prior_high = sampled.space.quantiles(0.05, 0.95)
     table = parameter_columns(
         sampled.names,
         {
-            "prior": sampled.space.prior,
-            "prior_sd": sampled.space.prior_sd,
-            "prior_q05": prior_low,
-            "prior_q95": prior_high,
+            **prior_columns(sampled.space),
             "estimate": values.mean(axis=0),
             "sd": values.std(axis=0),
             "q05": low,

@@ -182,6 +182,22 @@ def test_table_has_units_headers_and_readable_numbers(page, tmp_path):
 
 
 @pytest.mark.parametrize(
+    ("column", "header"),
+    [
+        ("relief_m", ("relief", "m")),
+        ("leaf_mass_g_m2", ("leaf mass", "g m⁻²")),
+        ("returns_per_m2", ("returns", "m⁻²")),
+        ("real_mean", ("real mean", "")),
+        ("asked_percent", ("asked for", "%")),
+        ("cover_m", ("cover", "m of crown")),
+    ],
+)
+def test_headers_and_units_come_from_names_of_columns_unless_they_are_said(column, header):
+    said = {"headers": {"asked_percent": "asked for"}, "units": {"cover_m": "m of crown"}}
+    assert Table(pd.DataFrame({column: [1.0]}), **said).header(column) == header
+
+
+@pytest.mark.parametrize(
     ("value", "shown"),
     [
         (0.0, "0"),

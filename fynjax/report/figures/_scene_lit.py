@@ -49,8 +49,8 @@ def lit_view(
     plants = hard_instances(scene, scene.parameters)
     view = view_of(plants, scene.terrain, size)
     image = _lit(plants, hard_scene(scene, scene.parameters), view, points)
-    drawn = view.shown(np.isfinite(image)).any(axis=2)
-    rows, columns = (np.flatnonzero(drawn.any(axis=k)) for k in (1, 0))
+    drawn = np.any(view.shown(np.isfinite(image)), axis=2)
+    rows, columns = (np.flatnonzero(np.any(drawn, axis=k)) for k in (1, 0))
     cut = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
     return view.shown(_stretched(image))[cut]
 

@@ -120,7 +120,7 @@ def oblique_view(
         image[inside] = _sand(instances, x, y, periodic)
     else:
         place, light, area = relief(instances.extent, view, ground)
-        tint = _sand(instances, *place.T[:2], periodic) * light[:, None]
+        tint = _sand(instances, place[:, 0], place[:, 1], periodic) * light[:, None]
         points.append((place, np.where(np.isnan(tint), rgb(_SOIL), tint), area))
     view.paint(image, *(np.concatenate(part) for part in zip(*points, strict=True)))
     return oblique_figure(image, instances, title, ground, plants.forms)

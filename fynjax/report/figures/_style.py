@@ -115,7 +115,7 @@ def panel_grid(
     columns: int,
     panel: tuple[float, float],
     beside: tuple[float, float] = (0.0, 0.0),
-    **shared: bool,
+    **shared: Any,
 ) -> tuple[Figure, list[Any]]:
     """A figure of equal panels, row by row.
 

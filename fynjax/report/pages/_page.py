@@ -23,6 +23,11 @@ from fynjax.io.text import write_text
 from fynjax.report.figures import FIGURE_DPI, named_rows, save_figure
 
 _QUALITY = 88  # of WebP: figures' letters stay sharp
+_UNITS = {
+    "_percent": "%", "_deg": "°", "_nm": "nm",
+    "_g_m2": "g m⁻²", "_per_m2": "m⁻²", "_m2": "m²", "_m": "m",
+}  # fmt: skip
+"""Units by the ends of columns' names."""
 
 
 def format_number(value: float, digits: int = 4) -> str:
@@ -75,13 +80,20 @@ class Table:
     rows: pd.DataFrame
     caption: str = ""
     units: Mapping[str, str] = field(default_factory=dict)
-    """By column, shown below its header."""
+    """By column, shown below its header; those that names of columns end with need not be said."""
     headers: Mapping[str, str] = field(default_factory=dict)
-    """By column; one without a header shows its name with spaces for underscores."""
+    """By column; one without a header shows its name without unit and underscores."""
     digits: int = 4
     """Significant digits of numbers."""
     folded: bool = False
     """Whether the table is hidden behind its caption."""
+
+    def header(self, column: Any) -> tuple[str, str]:
+        """Header and unit of a column, such as "relief" and "m" of relief_m; "" without a unit."""
+        name = str(column)
+        ending = next((end for end in _UNITS if name.endswith(end)), "")
+        words = self.headers.get(name) or name.removesuffix(ending).replace("_", " ")
+        return words, self.units.get(name) or _UNITS.get(ending, "")
 
     @property
     def text_columns(self) -> list[Any]:
