@@ -22,10 +22,6 @@ from fynjax.assembly import (
 from fynjax.inversion import (
     Calibration,
     KnownPlants,
-    calibration,
-    join_data,
-    plot_search,
-    search_starts,
     stand_sentence,
     stand_values,
 )
@@ -46,7 +42,7 @@ from fynjax.jobs._calibration_tables import (
     statistic_table,
 )
 from fynjax.jobs._doubt import doubt_targets
-from fynjax.jobs._follow import follow
+from fynjax.jobs._follow import calibrated
 from fynjax.jobs._render import check_finite, write_image
 from fynjax.jobs._result import JobResult, Number, ParameterSummary, Record, StatisticSummary
 from fynjax.jobs._run import Run
@@ -244,16 +240,7 @@ def calibrate_to(
             known = plant_twin(ready, measured, seed=run.seed)
         measured = known.measured
     with run.stage("Calibrate", "calibrate", total=ready.settings.evaluations):
-        search = plot_search(
-            ready.scene,
-            ready.parameters,
-            join_data([sensor.data for sensor in measured]),
-            ready.space,
-            views,
-            ready.settings,
-            replant=ready.replant,
-        )
-        result = calibration(search, follow(search, search_starts(search), run, checkpoint))
+        result = calibrated(ready, measured, views, run, checkpoint)
     if result.image_after is not None:
         check_finite(result.image_after, plot)
     reference = ReferenceImage() if reference is None else reference

@@ -26,11 +26,7 @@ from fynjax.inversion import (
     Posterior,
     PosteriorSampler,
     SamplingMethod,
-    calibration,
     fit_surrogate,
-    join_data,
-    plot_search,
-    search_starts,
     stand_sentence,
     stand_table,
     surrogate_renders,
@@ -40,7 +36,7 @@ from fynjax.io.text import atomic_path
 from fynjax.jobs._calibration_page import misfit_sentence
 from fynjax.jobs._calibration_tables import prior_columns
 from fynjax.jobs._doubt import doubt_targets
-from fynjax.jobs._follow import follow
+from fynjax.jobs._follow import calibrated as calibrated_plot
 from fynjax.jobs._result import JobResult, Number, ParameterSummary
 from fynjax.jobs._run import Run
 from fynjax.report.figures import (
@@ -139,7 +135,6 @@ def posterior(
     run = Run(output, seed=read.seed if seed is None else seed)
     paths = [targets] if isinstance(targets, Path) else list(targets)
     measured = read_targets(read, paths, bands=bands, seed=run.seed)
-    data = join_data([m.data for m in measured])
     doubt_targets(run, read, measured)
     with run.stage("Build the plot"):
         ready = prepare(read, free, seed=run.seed)
@@ -149,17 +144,7 @@ def posterior(
     draws = f"{parameters}, {max_steps} steps of the sampler at most"
     begin_work({"posterior.nc": draws, "parameters.csv": parameters, "report.html": ""})
     with run.stage("Calibrate", total=ready.settings.evaluations):
-        search = plot_search(
-            ready.scene,
-            ready.parameters,
-            data,
-            ready.space,
-            views,
-            ready.settings,
-            replant=ready.replant,
-        )
-        ends = follow(search, search_starts(search), run, checkpoint / "calibration")
-        calibrated = calibration(search, ends)
+        calibrated = calibrated_plot(ready, measured, views, run, checkpoint / "calibration")
     found = signature(calibrated.fit.whitened, run.seed)
     renders = surrogate_renders(calibrated, seed=run.seed)
     rendered = Journal(checkpoint / "surrogate", found)(lambda: np.stack([*renders]))
