@@ -53,9 +53,9 @@ class ReferenceImage:
     real: Mapping[str, float] = field(default_factory=dict)
     """Statistics of the real image that were not fitted, or were, by name."""
     simulated: Mapping[str, float] = field(default_factory=dict)
-    """The other simulation's statistics."""
+    """Statistics of another simulation of the same plot, by name."""
     error_percent: Mapping[str, float] = field(default_factory=dict)
-    """Its relative errors where only those are known, without sign [%]."""
+    """Relative errors of that other simulation where only these are known, without sign [%]."""
     goals: Mapping[str, float] = field(default_factory=dict)
     """Errors that the calibration aims at, by what they are of [%]."""
 

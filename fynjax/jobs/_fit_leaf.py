@@ -182,7 +182,7 @@ class GroupRow(Strict):
     unique: ClassVar[str] = "name"
 
     name: str = Field(description="Name of the spectrum, as in traits.csv.", min_length=1)
-    species: str = Field(description="Its species.", min_length=1)
+    species: str = Field(description="Species of the leaf.", min_length=1)
 
 
 def _read_groups(path: str | Path, names: Sequence[str]) -> list[str]:

@@ -29,7 +29,7 @@ class MapSummary(Record):
     """Where the map lies."""
 
     bounds_m: tuple[float, float, float, float]
-    """West, south, east, north."""
+    """West, south, east and north edge of the map [m]."""
     pixel_m: tuple[float, float]
     crs: str | None
     masked_pixels: int

@@ -94,7 +94,7 @@ class PlantResult(JobResult):
     up: str | None
     triangles: int | None
     area_m2: dict[str, float]
-    """One-sided, by organ."""
+    """One-sided area of all elements of an organ [m2]."""
     diameter_m: float
     height_m: float
     materials: list[MaterialSummary]

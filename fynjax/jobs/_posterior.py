@@ -58,9 +58,11 @@ class PosteriorParameter(ParameterSummary):
     ess_tail: Number = None
     r_hat: Number = None
     laplace_q05: Number = Field(
-        default=None, description="End of the 90 % interval of the Gaussian about the estimate."
+        default=None, description="5 % quantile of the Gaussian about the estimate."
     )
-    laplace_q95: Number = Field(default=None, description="Its other end.")
+    laplace_q95: Number = Field(
+        default=None, description="95 % quantile of the Gaussian about the estimate."
+    )
 
 
 class PosteriorResult(JobResult):

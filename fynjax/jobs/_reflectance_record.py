@@ -26,7 +26,7 @@ class CapturedBand(Record):
     light_since_panel: float | None
     """Light over that at the time of the panel's picture [-]."""
     saturated: float
-    """Share of the pixels [-]."""
+    """Share of the pixels that are saturated [-]."""
     median_reflectance: Number
 
 
@@ -36,7 +36,7 @@ class CaptureSummary(Record):
     capture: str | None
     time: str | None
     size: list[int]
-    """Columns and rows."""
+    """Columns and rows of the converted image [pixels]."""
     pixel_m: float | None
     light_sensor_tilt_deg: float | None
     alignment_residual_px: float | None

@@ -275,7 +275,7 @@ def image_views(images: Mapping[str, np.ndarray], pixel_m: float) -> Views:
 
 
 def _other_pictures(plot: Plot, camera: AimedSensor, image: np.ndarray) -> list[Part]:
-    """Of a sensor without the drone's bands."""
+    """Pictures of the image of a sensor without the drone's bands."""
     bands = camera.sensor.bands
     cube = Cube(
         image,

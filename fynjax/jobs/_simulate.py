@@ -40,7 +40,7 @@ class SimulateResult(JobResult):
     command: Literal["simulate"] = "simulate"
     bands: int
     pixels: tuple[int, int]
-    """Rows and columns."""
+    """Rows and columns of the image."""
     pixel_m: float
     noise: bool
 

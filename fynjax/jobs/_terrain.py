@@ -51,7 +51,7 @@ class TerrainSummary(Record):
     """The terrain in numbers. `None` is what the file cannot say."""
 
     bounds_m: tuple[float, float, float, float]
-    """West, south, east, north."""
+    """West, south, east and north edge of the terrain [m]."""
     cell_m: float
     lowest_m: float
     relief_m: float

@@ -96,7 +96,7 @@ class Training:
     settings: StandSettings
     """How its stands were simulated."""
     bands: int
-    """Of the sensor that it was trained for."""
+    """Number of bands of the sensor that it was trained for."""
     record: dict[str, Any]
     """How it came to be."""
 

@@ -34,7 +34,7 @@ class View:
         pixels: tuple[int, int] = (_WIDTH, _HEIGHT),
     ) -> None:
         self.size = pixels[0] * _FINER, pixels[1] * _FINER
-        """Columns and rows [pixels]."""
+        """Columns and rows of the picture before it is thinned to what is shown [pixels]."""
         lx, ly = extent
         side = max(lx, ly)
         azimuth, elevation = np.deg2rad(205.0), np.deg2rad(42.0)

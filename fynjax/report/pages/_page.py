@@ -80,9 +80,9 @@ class Table:
     rows: pd.DataFrame
     caption: str = ""
     units: Mapping[str, str] = field(default_factory=dict)
-    """By column, shown below its header; those that names of columns end with need not be said."""
+    """Units by column, below headers; those that names of columns end with need not be said."""
     headers: Mapping[str, str] = field(default_factory=dict)
-    """By column; one without a header shows its name without unit and underscores."""
+    """Headers by column; one without shows its name without unit and underscores."""
     digits: int = 4
     """Significant digits of numbers."""
     folded: bool = False
@@ -106,7 +106,7 @@ class Views:
     """Pictures of one place, of which a reader chooses the one to see: bands, colours, indices."""
 
     pictures: Mapping[str, Picture]
-    """By the label of its button; the first is seen first."""
+    """Pictures by the labels of their buttons; the first is seen first."""
 
 
 Part = str | Picture | Views | Table
