@@ -39,6 +39,7 @@ from fynjax.leaf import (
     LeafArea,
     LeafChunks,
     LeafClip,
+    LeafFit,
     LeafShape,
     LeafStack,
     ProspectVersion,
@@ -303,25 +304,8 @@ def fit_leaf(
     options: dict[str, Any] = {
         "version": version, "measurement": instrument, "leaf_shape": leaf_shape, "domain": domain
     }  # fmt: skip
-    together = None
-    if species is not None:
-        together = fit_leaf_groups(spectra, groups=species, **options)
-        fit = together.leaves
-    else:
-        journal = None
-        chunks = LeafChunks(spectra, size=_PART, **options)
-        if checkpoint is not None and len(names) > _PART:
-            journal = Journal(checkpoint, signature(chunks.parts, options))
-        with stage("Fit leaves", len(names)), at_work(workers) as pool:
-            done = dict(
-                pool.each(
-                    LeafChunks.fit, chunks.parts, chunks.setup,
-                    names=[f"leaves {rows.start + 1} to {rows.stop}" for rows in chunks.rows],
-                    sizes=[rows.stop - rows.start for rows in chunks.rows],
-                    journal=journal,
-                )
-            )  # fmt: skip
-        fit = chunks.join(done.pop(i) for i in range(len(chunks.rows)))
+    together = None if species is None else fit_leaf_groups(spectra, groups=species, **options)
+    fit = _fit_apart(spectra, options, checkpoint, workers) if together is None else together.leaves
     if regression:
         fit = regress_water(fit)
     settings = {
@@ -351,18 +335,7 @@ def fit_leaf(
         dataset = draws.to_xarray(area).assign_attrs(settings)
         write_spectra_netcdf(dataset, run.path("posterior.nc", what))
     good = fit.status.count("converged")
-    headline = [f"{good} of {len(names)} spectra fitted without doubt."]
-    if good < len(names):
-        headline.append("The others say why in the column status of traits.csv.")
-    if regression:
-        headline.append("Water is corrected by regression, as of leaves of one campaign.")
-    if repaired := np.count_nonzero(spectra["repairs"].values != ""):
-        headline.append(f"{repaired} were repaired while reading, see the column repairs.")
-    if decided := np.count_nonzero(table["prior_decides"].fillna("") != ""):
-        headline.append(
-            f"Of {decided} the prior says more than the spectrum about a trait, see the column "
-            "prior_decides."
-        )
+    headline = _headline(spectra, table, good, regression)
     doubtful = len(names) - good
     picture = Picture("spectra.png", leaf_fit_figure(fit), "measured and fitted spectra")
     shown = Table(
@@ -384,3 +357,44 @@ def fit_leaf(
         refused=refused_spectra(refused),
         repairs=repairs(spectra),
     )
+
+
+def _fit_apart(
+    spectra: xr.Dataset,
+    options: dict[str, Any],
+    checkpoint: str | Path | None,
+    workers: Workers | None,
+) -> LeafFit:
+    """Each leaf fitted by itself, in parts that a checkpoint keeps."""
+    journal, count = None, spectra.sizes["spectrum"]
+    chunks = LeafChunks(spectra, size=_PART, **options)
+    if checkpoint is not None and count > _PART:
+        journal = Journal(checkpoint, signature(chunks.parts, options))
+    with stage("Fit leaves", count), at_work(workers) as pool:
+        done = dict(
+            pool.each(
+                LeafChunks.fit, chunks.parts, chunks.setup,
+                names=[f"leaves {rows.start + 1} to {rows.stop}" for rows in chunks.rows],
+                sizes=[rows.stop - rows.start for rows in chunks.rows],
+                journal=journal,
+            )
+        )  # fmt: skip
+    return chunks.join(done.pop(i) for i in range(len(chunks.rows)))
+
+
+def _headline(spectra: xr.Dataset, table: pd.DataFrame, good: int, regression: bool) -> list[str]:
+    """The fit in sentences: of how many spectra it is without doubt, and what else to mind."""
+    count = spectra.sizes["spectrum"]
+    lines = [f"{good} of {count} spectra fitted without doubt."]
+    if good < count:
+        lines.append("The others say why in the column status of traits.csv.")
+    if regression:
+        lines.append("Water is corrected by regression, as of leaves of one campaign.")
+    if repaired := np.count_nonzero(spectra["repairs"].values != ""):
+        lines.append(f"{repaired} were repaired while reading, see the column repairs.")
+    if decided := np.count_nonzero(table["prior_decides"].fillna("") != ""):
+        lines.append(
+            f"Of {decided} the prior says more than the spectrum about a trait, see the column "
+            "prior_decides."
+        )
+    return lines
