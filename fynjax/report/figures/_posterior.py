@@ -67,9 +67,12 @@ def corner_plot(
     low, high = low - room, high + room
     if truth is not None:
         low, high = np.minimum(low, truth - room), np.maximum(high, truth + room)
+    # On as many lines as words, so that they stay beside their panel.
+    labels = [short_name(name).replace(" ", "\n") for name in names]
+    beside = 0.65 + 0.17 * max(label.count("\n") + 1 for label in labels)
+    side = 1.9 * count + beside + 0.1  # [inches]
     options: dict[str, Any] = {
-        # On as many lines as words, so that they stay beside their panel.
-        "labels": [short_name(name).replace(" ", "\n") for name in names],
+        "labels": labels,
         "truths": truth,
         "truth_color": "k",
         "range": list(zip(low, high)),
@@ -81,10 +84,12 @@ def corner_plot(
     }
     # The package places its axes itself, whatever the layout that the user's settings ask for.
     with matplotlib.rc_context({"figure.constrained_layout.use": False}):
-        figure = Figure(figsize=(1.9 * count + 0.4, 1.9 * count + 0.4))
+        figure = Figure(figsize=(side, side))
     for one, colour in zip(values.values(), _SERIES, strict=False):
         shape = {"density": True, "color": colour}
         package.corner(one, fig=figure, color=colour, hist_kwargs=shape, **options)
+    edge, end = beside / side, 1.0 - 0.1 / side
+    figure.subplots_adjust(left=edge, bottom=edge, right=end, top=end)
     x, density = (np.asarray(part) for part in prior)
     for i in range(count):
         figure.axes[i * (count + 1)].plot(x[:, i], density[:, i], color=GREY)
