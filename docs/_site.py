@@ -4,8 +4,8 @@ A line such as `{{ options build }}` in a page is replaced by what a function be
 package: options of a command, keys of a file, parameters, sensors, citations. Pages of the API, of
 notebooks and of the project's own files are made here too.
 
-With `FYNJAX_DOCS_RUN=1` in the environment the notebooks are run (small) and shown with their
-figures.
+The notebooks are run and shown with their figures, which takes some ten minutes; with
+`FYNJAX_DOCS_RUN=0` in the environment their pages have code and text alone.
 """
 
 import importlib
@@ -305,21 +305,18 @@ def api_page(package: str) -> str:
 
 
 def notebook_page(path: Path, folder: str) -> tuple[str, dict[str, bytes]]:
-    """A notebook as Markdown, and its figures by file; run (small) if the environment asks."""
+    """A notebook as Markdown, and its figures by file; run unless the environment says no."""
     import nbformat
     from nbconvert import MarkdownExporter
 
     notebook = nbformat.read(path, as_version=4)
     notebook.metadata["language_info"] = {"name": "python"}  # which colours the code
-    if os.environ.get("FYNJAX_DOCS_RUN") == "1":
+    if os.environ.get("FYNJAX_DOCS_RUN") != "0":
         import tempfile
 
         from nbclient import NotebookClient
 
-        os.environ |= {
-            "FYNJAX_FAST": "1",
-            "MPLBACKEND": "module://matplotlib_inline.backend_inline",
-        }
+        os.environ["MPLBACKEND"] = "module://matplotlib_inline.backend_inline"
         with tempfile.TemporaryDirectory() as place:
             resources = {"metadata": {"path": place}}
             NotebookClient(notebook, timeout=900, resources=resources).execute()

@@ -1,5 +1,13 @@
 """fynjax: an open, differentiable simulator of low-stature, species-rich shrubland.
 
+Start here: a plot, what a drone's camera sees of it, and how that changes with the plants.
+
+    import fynjax as fx, jax
+    scene = fx.read_scene(size=2.0)                      # the shipped plot, or "species.csv"
+    image = fx.observe(scene, "mavic_3m", pixel=0.1)     # image["nir"], image.index("NDVI")
+    ndvi = lambda p: fx.observe(scene, "mavic_3m", pixel=0.1, parameters=p).index("NDVI").mean()
+    jax.grad(ndvi)(scene.parameters).species.cover       # a slope for each species
+
 `import fynjax as fx` is quick: what follows is imported when it is first used.
 
 - `fx.read_scene`, `fx.Scene.from_table`: a scene from a plot file or a species table, or from a

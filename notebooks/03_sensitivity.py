@@ -21,7 +21,7 @@
 #
 # **You learn** to take the derivative of a whole image, to check it against finite differences, to
 # see how far slopes depend on chance, and to share out the variance of NDVI among all that a
-# field table leaves open. **You need** `pip install fynjax[sensitivity]`. **It takes** two
+# field table leaves open. **You need** `pip install fynjax[analysis]`. **It takes** two
 # minutes the first time, most of it compilation.
 
 # %%

@@ -21,7 +21,7 @@
 #
 # **You learn** to fit any function of a few numbers, to draw from its posterior in three ways, and
 # to see in one picture what the data added to the prior. **You need**
-# `pip install fynjax[posterior,nuts]`; without blackjax NUTS is left out. **It takes** a minute.
+# `pip install fynjax[posterior]`; without blackjax NUTS is left out. **It takes** a minute.
 
 # %%
 PLOT = None  # your own: "my_plot/plot.toml" or "species.csv"; None takes the plot burnt in 2006

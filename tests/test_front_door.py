@@ -245,6 +245,8 @@ def test_values_are_set_by_name(scene, image):
         (lambda s: fx.fit(jnp.sin, fx.Data(("a",), jnp.ones(1), jnp.ones(1)), 3), "got 3"),
         (lambda s: fx.fit(s, fx.Data.from_table({"nir.mean": 0.3}), 3), "`fx.ParameterSpace`"),
         (lambda s: fx.sensor("mavic_3"), "got 'mavic_3'. Did you mean 'mavic_3m'"),
+        (lambda s: fx.Data(("a", "b"), [1.0, 2.0], 0.1), "a `sd` for each of the 2 statistics"),
+        (lambda s: fx.prospect(chl=40.0), "unknown trait 'chl'. Known are structure, chlorophyll"),
         (lambda s: fx.free(s), "expected patterns"),
         (lambda s: fx.free(s, "species.*.covr"), "fits none of the scene's parameters"),
         (lambda s: fx.prior("none"), "expected the name of a prior"),
@@ -338,7 +340,7 @@ def test_a_fit_of_a_scene_leads_with_the_stand_and_is_gone_on_with(scene, number
     lines = str(found).splitlines()
     assert lines[1].startswith("The stand: green leaf area ")
     assert "The stand: " in found._repr_html_()
-    assert set(found.stand()["unit"]) <= {"m2 m-2", "g m-2", "-"}
+    assert set(found.stand()["unit"]) <= {"m2 m-2", "g m-2", "m", "-"}
     own, other = (np.asarray(stand.planting.foot) for stand in found.stands)
     assert not np.isin(own, other).any()  # sites are drawn again
     at = float(found.after.species.cover[0])
@@ -428,8 +430,12 @@ def test_any_function_is_fitted_and_sampled():
     low, high = lines[3].partition("[")[2].rstrip("]").split(", ")
     assert float(low) < 1.0 < float(high)
     assert "draws by laplace" in drawn._repr_html_()
-    with pytest.raises(InputError, match="expected `predict`"):
+    with pytest.raises(InputError, match="the function that was fitted too"):
         fx.sample(found)
+    with pytest.raises(InputError, match=r"no option 'max_step'\. Did you mean 'max_steps'"):
+        fx.sample(found, predict=line, max_step=10)
+    with pytest.raises(InputError, match=r"one number for each of the 3 .* gives the shape \(2,\)"):
+        fx.fit(lambda x: x, data, space)
 
 
 def test_a_polynomial_stands_in_for_a_function():

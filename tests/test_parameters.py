@@ -303,5 +303,5 @@ def test_a_record_refuses_a_default_outside_its_bounds():
     record = records.Parameter(**words, lower=0.0, upper=1.0, usual=(0.0, 1.0))
     assert record.contains(float(np.float32(1.0)) + 5e-7)
     assert not record.contains(float("nan"))
-    with pytest.raises(InputError, match=r"from 0 to 1 -, but got nan"):
+    with pytest.raises(InputError, match=r"from 0 to 1, but got nan"):
         record.check(float("nan"), "X")

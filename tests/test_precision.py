@@ -255,3 +255,15 @@ def test_constants_keep_their_digits_where_both_precisions_are_compiled():
 def test_a_scene_in_float64_is_refused_in_32_bits():
     with jax.enable_x64(False), pytest.raises(InputError, match="float64 needs JAX in 64 bits"):
         fx.Scene.from_table(TABLE, size=1.0, voxel=0.5, dtype="float64")
+
+
+def test_a_fit_compiled_by_its_user_says_where_it_needs_64_bits():
+    bounds = (np.full(2, value) for value in (-100.0, 100.0, 0.1, 10.0))
+    space = fx.ParameterSpace(("offset", "slope"), *bounds)
+    found = jax.jit(
+        lambda value: fx.fit(straight, data(value), space, solver=optx.Dogleg(1e-6, 1e-6)).estimate
+    )
+    value = np.array([1.0, 2.0, 3.0])
+    with jax.enable_x64(False), pytest.raises(InputError, match="a fit by Dogleg inside"):
+        found(value)
+    assert found(value).tolist() == pytest.approx([1.0, 1.0], abs=1e-3)

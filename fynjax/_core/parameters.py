@@ -101,8 +101,9 @@ class Parameter:
         """
         unit, factor = (self.unit, 1.0) if stated is None else stated
         if not self.contains(value / factor):
+            shown = "" if unit == "-" else f" {unit}"
             raise InputError(
-                f"expected {what} from {factor * self.lower:g} to {factor * self.upper:g} {unit}, "
+                f"expected {what} from {factor * self.lower:g} to {factor * self.upper:g}{shown}, "
                 f"but got {value:g}{f'; {self.hint}' if self.hint else ''}",
                 **where,
             )

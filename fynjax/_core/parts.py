@@ -73,7 +73,7 @@ class Workers:
     """Where the parts of a job are done: in this process, unless one of the two is given.
 
     `count` processes on this machine, of one thread and an equal share of the memory each; or the
-    workers of a dask `scheduler` that runs already, by its address. Both need the extra `cluster`.
+    workers of a dask `scheduler` that runs already, by its address. Both need the extra `map`.
     Results are the same. Processes import the caller's script: one that uses `count` runs its
     commands under `if __name__ == "__main__":`.
 
@@ -203,7 +203,7 @@ class Pool:
             same = ([value] * len(parts) for value in (function, given, self._settings))
             sent = client.map(_there, list(parts.values()), *same, pure=False, retries=_RETRIES)
             number.update(zip(sent, parts, strict=True))
-            completed = require("distributed", "cluster").as_completed(sent, loop=client.loop)
+            completed = require("distributed", "map").as_completed(sent, loop=client.loop)
             del sent  # a worker keeps a result as long as somebody holds its future
             for future in completed:
                 failed = future.status == "error"
@@ -242,13 +242,13 @@ def at_work(workers: Workers | None = None) -> Iterator[Pool]:
     if workers is None or workers == Workers():
         yield Pool()
         return
-    distributed = require("distributed", "cluster")
+    distributed = require("distributed", "map")
     settings = _settings(this_machine=workers.scheduler is None)
     with contextlib.ExitStack() as stack:
         log = logging.getLogger("distributed")  # of workers that come and go: the errors say it
         stack.callback(log.setLevel, log.level)
         log.setLevel(logging.CRITICAL + 1)
-        stack.enter_context(require("dask", "cluster").config.set(_LARGE_PARTS))
+        stack.enter_context(require("dask", "map").config.set(_LARGE_PARTS))
         if workers.scheduler is None:
             where = "here"
             address = stack.enter_context(_cluster(workers.count, settings))
@@ -291,8 +291,8 @@ def at_work(workers: Workers | None = None) -> Iterator[Pool]:
 @contextmanager
 def _cluster(count: int, settings: _Settings) -> Iterator[Any]:
     """Workers of this machine; refuses more than there are cores, or room, for."""
-    distributed = require("distributed", "cluster")
-    require("cryptography", "cluster")  # for dask to make a certificate
+    distributed = require("distributed", "map")
+    require("cryptography", "map")  # for dask to make a certificate
     cores, free = _machine()
     if count > cores:
         raise InputError(
@@ -320,7 +320,7 @@ def _cluster(count: int, settings: _Settings) -> Iterator[Any]:
     keep |= {f"distributed.{process}.http.routes": [] for process in ("scheduler", "worker")}
     with (
         tempfile.TemporaryDirectory(prefix="fynjax-workers-") as scratch,
-        require("dask", "cluster").config.set(keep),
+        require("dask", "map").config.set(keep),
         distributed.LocalCluster(
             n_workers=count, threads_per_worker=1, processes=True, security=True,
             host="127.0.0.1", dashboard_address="127.0.0.1:0", memory_limit=memory,
@@ -334,8 +334,8 @@ def _cluster(count: int, settings: _Settings) -> Iterator[Any]:
 def _machine() -> tuple[int, int]:
     """Cores and memory [bytes] that this process may take; those of a container where it is in
     one."""
-    cores = require("dask.system", "cluster").CPU_COUNT
-    limit = require("distributed.system", "cluster").MEMORY_LIMIT
+    cores = require("dask.system", "map").CPU_COUNT
+    limit = require("distributed.system", "map").MEMORY_LIMIT
     return int(cores), min(int(limit), free_memory())
 
 

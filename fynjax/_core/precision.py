@@ -32,6 +32,7 @@ import dataclasses
 import functools
 import inspect
 from collections.abc import Callable, Generator, Iterator
+from contextvars import ContextVar
 from typing import Any, ParamSpec, TypeVar, cast
 
 import equinox as eqx
@@ -46,6 +47,15 @@ P = ParamSpec("P")
 R = TypeVar("R")
 
 
+_entered: ContextVar[bool] = ContextVar("_entered", default=False)
+
+
+def compiled_in_single() -> bool:
+    """Whether this runs in 64 bits inside a `jax.jit` of a process of 32: linear solves of lineax
+    do not compile there."""
+    return _entered.get() and isinstance(jnp.zeros(()), jax.core.Tracer)
+
+
 def double_precision(function: Callable[P, R]) -> Callable[P, R]:
     """Let a function compute in 64 bits; where the process has 32, its arrays of 64 bits come back
     as NumPy arrays. A generator computes each of its items so; between them the caller has the
@@ -55,8 +65,12 @@ def double_precision(function: Callable[P, R]) -> Callable[P, R]:
     def in_64_bits(*args: P.args, **kwargs: P.kwargs) -> R:
         if jax.config.read("jax_enable_x64"):
             return function(*args, **kwargs)
-        with jax.enable_x64(True):
-            found = function(*map(_afresh, args), **{k: _afresh(v) for k, v in kwargs.items()})
+        token = _entered.set(True)
+        try:
+            with jax.enable_x64(True):
+                found = function(*map(_afresh, args), **{k: _afresh(v) for k, v in kwargs.items()})
+        finally:
+            _entered.reset(token)
         return found if inspect.isgenerator(found) else _each(np.asarray, found)
 
     if not inspect.isgeneratorfunction(function):

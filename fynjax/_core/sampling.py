@@ -307,7 +307,7 @@ def _transitions(
 
 
 class Hamiltonian(_Sampler):
-    """NUTS (Hoffman & Gelman 2014), chain by chain; needs the extra `nuts`.
+    """NUTS (Hoffman & Gelman 2014), chain by chain; needs the extra `posterior`.
 
     **Arguments:** those of `Ensemble`, and
 
@@ -328,7 +328,7 @@ class Hamiltonian(_Sampler):
         seed: int,
         warmup: int = 200,
     ) -> None:
-        require("blackjax", "nuts")
+        require("blackjax", "posterior")
         import blackjax
         from blackjax.adaptation.step_size import dual_averaging_adaptation
 

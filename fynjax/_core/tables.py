@@ -320,7 +320,7 @@ def open_table(
     **Returns:** the table; its numbers have not been looked at.
 
     **Raises:** `InputError` for a file that is missing, empty or no table; `MissingExtraError` for
-    a workbook without the extra `excel`. Warns of decimals that may be thousands.
+    a workbook without the extra `tables`. Warns of decimals that may be thousands.
     """
     table, _ = _open(path, what, largest, data)
     table.row, table.skip, names = next(table._rows(0))
@@ -580,7 +580,7 @@ def _workbook(data: bytes, path: Path, what: str) -> bytes:
         raise InputError(f"expected {what}, but this is a zip file", file=path)
     if size > LARGEST_TEXT:
         raise InputError(f"the workbook unfolds to {size >> 20} MiB: save it as CSV", file=path)
-    excel = require("openpyxl", "excel")
+    excel = require("openpyxl", "tables")
     sheets = {}
     try:
         with warnings.catch_warnings():

@@ -31,7 +31,7 @@ class Prepared(NamedTuple):
     parameters: PlotParameters
     space: ParameterSpace
     seed: int
-    """Of everything random."""
+    """Seed of everything random."""
     counts: Float[np.ndarray, " species"]
     """Plants that find sites."""
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from fnmatch import fnmatchcase
+from inspect import signature
 from pathlib import Path
 from typing import Any, Literal
 
@@ -34,6 +35,7 @@ from fynjax.inversion import (
     ImageView,
     ParameterSpace,
     Posterior,
+    PosteriorSampler,
     SamplingMethod,
     calibrate_plot,
     fit_surrogate,
@@ -545,6 +547,9 @@ def sample(
     method: SamplingMethod = "emcee",
     *,
     predict: Callable[..., Float[Array, " statistic"]] | None = None,
+    target: float = 400.0,
+    max_steps: int = 10_000,
+    chains: int | None = None,
     seed: int = 0,
     **options: Any,
 ) -> Posterior:
@@ -556,25 +561,37 @@ def sample(
       to renders at draws of one and a half times the Laplace posterior.
     - `method`: "emcee", "nuts" or "laplace".
     - `predict`: the function that was fitted, where `fitted` is not of a scene.
+    - `target`: effective draws to reach, on a chain longer than 50 autocorrelation times.
+    - `max_steps`: of the chain, where to give up.
+    - `chains`: walkers of the ensemble (32, or four a parameter) or chains of NUTS (4).
     - `seed`: of all random numbers.
-    - `options`: as of `fynjax.inversion.sample_posterior`, such as `target` and `max_steps`.
+    - `options`: of a function the `offset`, `context` and `log_prior` of its fit; `warmup`, `batch`
+      and `predictive`, as `fynjax.inversion.PosteriorSampler` has them.
 
     **Returns:** `Posterior`; its `inference_data()` is arviz'.
 
-    **Raises:** `InputError` as `sample_posterior`, and for a fit of a function without it.
+    **Raises:** `InputError` as `PosteriorSampler`, for an option that it does not have, and for a
+    fit of a function without that function.
     """
+    options |= {"method": method, "target": target, "max_steps": max_steps, "chains": chains}
+    known = [name for name in signature(PosteriorSampler).parameters if name != "start"]
+    for name in options:
+        if name not in known:
+            raise InputError(f"`sample` has no option {name!r}.{did_you_mean(name, known)}")
     if isinstance(fitted, FitResult):
         if predict is None:
-            raise InputError("expected `predict`, the function that was fitted")
+            raise InputError(
+                "expected the function that was fitted too: fx.sample(fit, predict=function)"
+            )
         return sample_posterior(
-            predict, fitted.data, fitted.space, method=method, start=fitted, seed=seed, **options
+            predict, fitted.data, fitted.space, start=fitted, seed=seed, **options
         )
     if not isinstance(fitted, Calibration):
         raise InputError(f"expected what `fx.fit` returns, but got {fitted!r:.60}")
     found = fit_surrogate(fitted, seed=seed)
     start = fitted.fit
     return sample_posterior(
-        found.surrogate, fitted.data, start.space, method=method, start=start, seed=seed, **options
+        found.surrogate, fitted.data, start.space, start=start, seed=seed, **options
     )
 
 
@@ -586,7 +603,7 @@ class Emulated(eqx.Module):
     scale: Float[np.ndarray, " free"]
     """Half the width of that range."""
     coefficients: Float[np.ndarray, "term output"]
-    """Of the constant, the coordinates and their products, where the range is -1 to 1."""
+    """Coefficients of the constant, the coordinates and their products; the range is -1 to 1."""
     error: Float[np.ndarray, " output"]
     """Root mean square error at points that were left out of its fit."""
 

@@ -266,9 +266,9 @@ class _Drawn:
     light: LightParameters
     optics: _Optics
     leaf_mass: Float[np.ndarray, "set form"]
-    """As crews measure it [g m-2]."""
+    """Leaf mass per area, as crews measure it [g m-2]."""
     water: Float[np.ndarray, "set form"]
-    """Over fresh mass [-]."""
+    """Share of water in the fresh mass of leaves [-]."""
 
 
 class _Numbers:

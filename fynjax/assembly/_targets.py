@@ -83,13 +83,13 @@ class Measured:
     view_of: Callable[[Scene, PlotParameters], AbstractView]
     """The sensor's view of a scene."""
     description: str
-    """What was read and how it is weighed, in sentences."""
+    """Sentences on what was read and how it is weighed."""
     extra: dict[str, Any] = field(default_factory=dict)
-    """For the summary."""
+    """Further numbers for the summary, by name."""
     spectrum: tuple[np.ndarray, np.ndarray] | None = None
     """Wavelengths [nm] and reflectance of the whole measured spectrum."""
     bands: BandSet | None = None
-    """Those in which a spectrum is compared."""
+    """Bands in which a spectrum is compared; None of another measurement."""
 
 
 def target_kind(path: Path) -> Kind:
@@ -184,9 +184,9 @@ class TargetRules(NamedTuple):
     relative_sd: float = 0.01
     """Standard deviation of a statistic over its value, where none is stated [-]."""
     statistics: tuple[str, ...] = ("*",)
-    """Patterns of the names of those that count."""
+    """Patterns of the names of the statistics that count."""
     file: Path | None = None
-    """Where these are stated, for errors."""
+    """File that states these rules, which errors name."""
 
     def used(self, names: Sequence[str], what: str) -> list[int]:
         """Places of the names that count. Raises `InputError` where none does."""

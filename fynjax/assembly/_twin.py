@@ -40,7 +40,7 @@ class Twin(NamedTuple):
     whitened: Float[np.ndarray, " free"]
     """True parameters of the twin, in whitened coordinates of the prior [-]."""
     gain: Float[np.ndarray, " band"] | None
-    """By what factor each band of its camera was off [-]; None without a camera."""
+    """True factor by which each band of the twin's camera is off [-]; None without a camera."""
 
 
 def draw_truth(free: int, random: np.random.Generator) -> Float[np.ndarray, " free"]:

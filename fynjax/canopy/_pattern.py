@@ -190,8 +190,8 @@ def _standardised(spectra: np.ndarray) -> np.ndarray:
 
 def _k_means(points: np.ndarray, clusters: int, seed: int) -> tuple[np.ndarray, float]:
     """Cluster of each point, and the mean squared distance to the centres."""
-    k_means = require("sklearn.cluster", "pattern", "scikit-learn").KMeans
-    limits = require("threadpoolctl", "pattern").threadpool_limits
+    k_means = require("sklearn.cluster", "analysis", "scikit-learn").KMeans
+    limits = require("threadpoolctl", "analysis").threadpool_limits
     start = points
     if len(points) > _SAMPLE:
         start = points[np.random.default_rng(seed).choice(len(points), _SAMPLE, replace=False)]

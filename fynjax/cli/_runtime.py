@@ -52,7 +52,7 @@ WorkerCount = Annotated[
         metavar="N",
         min=0,
         help="Do the parts in N processes of this machine, one core each; same results. Needs the "
-        "extra `cluster`. 0 does them in this process.",
+        "extra `map`. 0 does them in this process.",
     ),
 ]
 SchedulerAddress = Annotated[

@@ -152,13 +152,13 @@ def spectral_species(
 
     **Raises:** `InputError` for values out of range, one window only, a window without pixels,
     fewer pixels than clusters, and as `principal_components`; `MissingExtraError` without
-    scikit-learn (extra `pattern`).
+    scikit-learn (extra `analysis`).
 
     Source: Féret and Asner (2014), Ecological Applications 24, 1289; Féret and de Boissieu (2020),
     Methods in Ecology and Evolution 11, 64.
     """
-    k_means = require("sklearn.cluster", "pattern", "scikit-learn").KMeans
-    limits = require("threadpoolctl", "pattern").threadpool_limits
+    k_means = require("sklearn.cluster", "analysis", "scikit-learn").KMeans
+    limits = require("threadpoolctl", "analysis").threadpool_limits
     data = np.asarray(spectra, np.float64)
     if data.ndim < 3 or data.size < 2 * data.shape[-1] * data.shape[-2]:
         raise InputError(

@@ -37,7 +37,7 @@ def bhattacharyya_distance(
 
     **Raises:** `InputError` for NaN or infinity, other bands, fewer than two pixels, and a
     covariance that stays singular (all pixels equal, or no more pixels than bands with shrinkage
-    0); `MissingExtraError` without scikit-learn (extra `pattern`), unless shrinkage is given.
+    0); `MissingExtraError` without scikit-learn (extra `analysis`), unless shrinkage is given.
 
     Source: Bhattacharyya (1943), Bulletin of the Calcutta Mathematical Society 35, 99; Kailath
     (1967), IEEE Transactions on Communication Technology 15, 52; Ledoit and Wolf (2004), Journal of
@@ -72,7 +72,7 @@ def _covariance(pixels: NDArray[np.float64], shrinkage: float | None) -> NDArray
     bands = pixels.shape[1]
     found = np.cov(pixels, rowvar=False).reshape(bands, bands)
     if shrinkage is None:
-        sklearn = require("sklearn.covariance", "pattern", "scikit-learn")
+        sklearn = require("sklearn.covariance", "analysis", "scikit-learn")
         shrinkage = float(sklearn.ledoit_wolf_shrinkage(pixels)) if bands > 1 else 0.0
     return (1.0 - shrinkage) * found + shrinkage * np.trace(found) / bands * np.eye(bands)
 
@@ -205,7 +205,7 @@ def classify(
 
     **Raises:** `InputError` for arrays that do not fit, NaN, one species, one group, a group that
     lacks a species, or has fewer pixels than species and one more; `MissingExtraError` without
-    scikit-learn (extra `pattern`).
+    scikit-learn (extra `analysis`).
 
     Source: Fisher (1936), Annals of Eugenics 7, 179; Breiman (2001), Machine Learning 45, 5; both
     by scikit-learn.
@@ -238,12 +238,12 @@ def classify(
 
 def _classifier(method: Method, kinds: int, seed: int) -> Any:
     if method == "discriminant":
-        module = require("sklearn.discriminant_analysis", "pattern", "scikit-learn")
+        module = require("sklearn.discriminant_analysis", "analysis", "scikit-learn")
         return module.LinearDiscriminantAnalysis(
             solver="lsqr", shrinkage="auto", priors=np.full(kinds, 1.0 / kinds)
         )
     if method == "forest":
-        module = require("sklearn.ensemble", "pattern", "scikit-learn")
+        module = require("sklearn.ensemble", "analysis", "scikit-learn")
         return module.RandomForestClassifier(200, class_weight="balanced", random_state=seed)
     raise InputError(f"`method` must be 'discriminant' or 'forest', but is {method!r}")
 

@@ -176,9 +176,9 @@ def read_phylogeny(tree: Path | str, taxa: Sequence[str]) -> Phylogeny:
 
     **Raises:** `InputError` for a file that is missing or no Newick tree, a taxon that the tree
     lacks or that is there twice, and a branch whose length is missing, negative or no number;
-    `MissingExtraError` without scikit-bio (extra `phylogeny`).
+    `MissingExtraError` without scikit-bio (extra `analysis`).
     """
-    skbio = require("skbio", "phylogeny", "scikit-bio")
+    skbio = require("skbio", "analysis", "scikit-bio")
     path = Path(tree)
     if not path.is_file():
         raise InputError("expected a Newick file, but there is none", file=path)

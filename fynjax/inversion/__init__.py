@@ -32,6 +32,7 @@ from fynjax.inversion._fit_result import WELL_CONSTRAINED, Data, FitResult, FitS
 from fynjax.inversion._functionals import (
     STAND_FUNCTIONALS,
     Functional,
+    stand_functionals,
     stand_sentence,
     stand_table,
     stand_values,
@@ -198,6 +199,7 @@ __all__ = [
     "spectrum_likelihood",
     "spectrum_names",
     "spectrum_view",
+    "stand_functionals",
     "stand_sentence",
     "stand_table",
     "stand_values",

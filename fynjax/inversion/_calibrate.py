@@ -20,7 +20,6 @@ from fynjax.canopy import VoxelGrid
 from fynjax.inversion._expected import Replant, mean_information, with_error
 from fynjax.inversion._fit_result import Data, FitResult, fit_result, status_of
 from fynjax.inversion._functionals import (
-    STAND_FUNCTIONALS,
     Functional,
     stand_sentence,
     stand_table,
@@ -57,25 +56,26 @@ class Calibration(eqx.Module):
     stands: tuple[Scene, ...]
     """Plantings over which the search took expectations, in its coarse form."""
     stand_statistics: Float[np.ndarray, "stand statistic"]
-    """Of each at the estimate, in the coarse form."""
+    """Statistics of each planting of `stands` at the estimate."""
     fit: FitResult
     """The estimate, with its uncertainty."""
     before: PlotParameters
     """The plot's parameters where the search started, those that are not free among them."""
     after: PlotParameters
-    """The same at the estimate."""
+    """The plot's parameters at the estimate, those that are not free among them."""
     views: tuple[AbstractView, ...]
-    """What each sensor yields, in the order of the statistics."""
+    """How each sensor sees the full scene, in the order of the statistics."""
     coarse_views: tuple[AbstractView, ...]
-    """The same of the `stands`, as the search had them."""
+    """How each sensor sees the `stands`, which are in the coarse form of the search."""
     image_before: Float[Array, "band y x"] | None
     """The drone's image of the full scene where the search started; None without such a camera."""
     image_after: Float[Array, "band y x"] | None
-    """The same at the estimate, without `gain`."""
+    """The drone's image of the full scene at the estimate, before the camera's `gain`."""
     statistics_before: Float[Array, " statistic"]
-    """Of full scenes at full accuracy, expected over plantings."""
+    """Statistics where the search started, of full scenes, expected over plantings."""
     statistics_after: Float[Array, " statistic"]
-    """The same, expected also over what is unknown of the parameters."""
+    """Statistics at the estimate, of full scenes, expected over plantings and over what is unknown
+    of the parameters."""
     spread: Float[np.ndarray, "free free"]
     """Root of the covariance of what is unknown of the parameters, over which statistics are
     expected, in whitened coordinates."""
@@ -84,20 +84,20 @@ class Calibration(eqx.Module):
     measured: Data
     """The targets with the errors of data, model and gains, but not of where plants stand."""
     lack: Float[np.ndarray, " statistic"]
-    """What the coarse form lacks at the estimate, on the same plants."""
+    """Statistics at the estimate, of full less those of coarse scenes of the same plants."""
     degrees: int = eqx.field(static=True)
     """Statistics, or directions of many, that the likelihood counts."""
     projector: Float[np.ndarray, "statistic statistic"]
     """Projects statistics onto the directions that the likelihood counts."""
     gain: Float[np.ndarray, " band"] | None
-    """By what factor each band of the drone's camera is off, as the fit has it [-]: what simulated
-    bands are to be multiplied by. None where no sensor is one."""
+    """Estimated factor by which each band of the drone's camera is off [-]: what simulated bands
+    are to be multiplied by. None without such a camera."""
     gain_sd: Float[np.ndarray, " band"] | None
-    """Standard deviation of its logarithm [-]."""
+    """Standard deviation of the logarithm of each `gain` [-]."""
     statistics_with_gain: Float[np.ndarray, " statistic"]
-    """Those after, as a camera with these gains measures them."""
+    """Statistics at the estimate, as a camera with these gains measures them."""
     ends: "Ends"
-    """Where the search ended from each start."""
+    """The ends of the searches, one from each start."""
 
     def __str__(self) -> str:
         """What was found, in sentences: of the stand first."""
@@ -114,7 +114,7 @@ class Calibration(eqx.Module):
     _repr_html_ = as_html
 
     @double_precision
-    def stand(self, functionals: Mapping[str, Functional] = STAND_FUNCTIONALS) -> "pd.DataFrame":
+    def stand(self, functionals: Mapping[str, Functional] | None = None) -> "pd.DataFrame":
         """Numbers of the whole stand before and after the data: `functionals` by name, of which any
         may be one's own (`stand_table`)."""
         return stand_table(self.scene, self.before, self.fit, functionals=functionals)

@@ -37,13 +37,13 @@ class Expected(eqx.Module):
     predict: PlotForward
     """Statistics of the coarse form."""
     along: PlotForward
-    """The same with slopes along the informative subspace of many statistics."""
+    """Statistics of the coarse form, with slopes along the informative subspace alone."""
     space: ParameterSpace
     """The free parameters, of whose whitened coordinates u the statistics are functions."""
     stands: tuple[Scene, ...]
     """Plantings, in the coarse form."""
     seed: int = eqx.field(static=True)
-    """Of the unit normal numbers."""
+    """Seed of the unit normal numbers of the draws."""
     number: int = eqx.field(static=True)
     """Draws in all; those beyond the plantings fill the same sites in another order."""
 

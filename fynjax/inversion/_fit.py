@@ -12,11 +12,12 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import lineax as lx
+import optimistix as optx
 from jaxtyping import Array, Bool, Float, Int
 
 from fynjax._core.errors import InputError
 from fynjax._core.least_squares import BroydenLM
-from fynjax._core.precision import double_precision
+from fynjax._core.precision import compiled_in_single, double_precision
 from fynjax.inversion._fit_result import Data, FitResult, FitStatus, fit_result
 from fynjax.inversion._log_posterior import LogPosterior, Predict
 from fynjax.inversion._solvers import confirmed, gain, run_solver
@@ -73,7 +74,8 @@ def fit(
     (`fynjax.radiation.solve_light`). Computed in 64 bits; in a process of 32 take `jax.grad` of a
     fit inside `with jax.enable_x64(True):`.
 
-    **Raises:** `InputError` for what is no solver.
+    **Raises:** `InputError` for what is no solver, a model that gives another number of statistics
+    than there are data, and a fit inside `jax.jit` that needs 64 bits (above).
 
     **Example:** a line through three points, whose offset and slope have wide priors.
 
@@ -101,6 +103,12 @@ def fit(
     traced = any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves((density, u)))
     run = _run if traced else _run_compiled
     limit = jnp.asarray(tolerance)
+    of_lineax = isinstance(solver, optx.AbstractLeastSquaresSolver)
+    if of_lineax and not isinstance(solver, BroydenLM) and compiled_in_single():
+        raise InputError(
+            f"a fit by {type(solver).__name__} inside `jax.jit` needs 64 bits: compile and call it "
+            "inside `with jax.enable_x64(True):`, or take the default solver"
+        )
     found = run(density, solved, rest, u, max_steps, limit)
     u, predicted, jacobian, status, steps, trace = found
     status = confirmed(status, data, u, predicted, jacobian, limit)

@@ -13,9 +13,9 @@ import optimistix as optx
 from jaxtyping import Array, Bool, Float, Int
 from scipy.special import stdtrit
 
-from fynjax._core.errors import InputError
+from fynjax._core.errors import InputError, listed
 from fynjax._core.html import as_html
-from fynjax._core.precision import double_precision
+from fynjax._core.precision import double_precision, in_double
 from fynjax.inversion._space import ParameterSpace
 from fynjax.scene import PARAMETERS, parameter_kind
 
@@ -26,12 +26,23 @@ WELL_CONSTRAINED = 0.75
 """Share of its prior variance that data must remove for a parameter to be well constrained [-]."""
 
 
-class Data(eqx.Module):
-    """What was measured."""
+def _array(values: Any) -> Any:
+    """Numbers as an array; what is one already as it is, of whatever precision."""
+    return values if isinstance(values, jax.Array | np.ndarray) else in_double(values)
 
-    names: tuple[str, ...] = eqx.field(static=True)
-    value: Float[Array, " statistic"]
-    sd: Float[Array, " statistic"]
+
+class Data(eqx.Module):
+    """What was measured: statistics, each with a name, a value and an error.
+
+    **Raises:** `InputError` for another number of values or errors than of names, a value that is
+    not finite, and an error that is not positive.
+    """
+
+    names: tuple[str, ...] = eqx.field(static=True, converter=tuple)
+    """Name of each statistic, such as NDVI.mean."""
+    value: Float[Array, " statistic"] = eqx.field(converter=_array)
+    """Measured value of each statistic, in its own unit."""
+    sd: Float[Array, " statistic"] = eqx.field(converter=_array)
     """Standard deviation, model error included, of each statistic."""
     whitener: Float[Array, "statistic statistic"] | None = None
     """Makes errors that hang together independent, of unit size; without it they are."""
@@ -79,6 +90,12 @@ class Data(eqx.Module):
         return misfit / (self.sd[:, None] if misfit.ndim == 2 else self.sd)
 
     def __check_init__(self) -> None:
+        for what, given in (("value", self.value), ("sd", self.sd)):
+            if jnp.shape(given)[-1:] != (len(self.names),):
+                raise InputError(
+                    f"expected a `{what}` for each of the {len(self.names)} statistics "
+                    f"({listed(self.names)}), but got an array of shape {jnp.shape(given)}"
+                )
         if any(isinstance(a, jax.core.Tracer) for a in (self.value, self.sd)):
             return
         bad = ~(np.isfinite(np.asarray(self.value)) & (np.asarray(self.sd) > 0))
@@ -157,8 +174,8 @@ class FitResult(eqx.Module):
     estimate: Float[Array, " free"]
     """The estimate in the parameters' own units."""
     sd: Float[Array, " free"]
-    """Its standard deviation, own units: of the Laplace approximation, which is normal in the
-    whitened coordinates."""
+    """Standard deviation of the estimate in the parameters' own units, by the Laplace
+    approximation, which is normal in the whitened coordinates."""
     constrained: Float[Array, " free"]
     """1 - posterior over prior variance, in whitened coordinates [-]: 0, the data say nothing; 1,
     they say all."""
@@ -172,19 +189,19 @@ class FitResult(eqx.Module):
     """Eigenvalues of the data's Fisher information in prior units, largest first: a direction
     with less than one is known from the prior rather than from the data."""
     modes: Float[Array, "mode free"]
-    """Their eigenvectors in whitened coordinates."""
+    """Eigenvectors of the data's Fisher information, in whitened coordinates."""
     loss: Float[Array | np.ndarray, " evaluation"]
     """The objective: at the start and at the end of a fit; of a calibration where each round begins
     and after each of its steps. A round begins with new errors, so that objectives of different
     rounds do not compare."""
     gradient_norm: Float[Array | np.ndarray, " evaluation"]
-    """Norm of the gradient of the objective by the whitened coordinates, likewise."""
+    """Norm of the gradient of the objective by the whitened coordinates, at each `loss`."""
     status: Any
     """Why the fit stopped, a `FitStatus`."""
     steps: Int[Array, ""]
     """Steps that the solver took: those of all rounds in a calibration."""
     rounds: Int[Array | np.ndarray, " evaluation"] | None = None
-    """Of a calibration the round of each `loss`, from 1."""
+    """Round of each `loss` of a calibration, from 1; None of another fit."""
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -1,6 +1,7 @@
 """Numbers of a whole stand, of which images say more than of any single species' parameter."""
 
 from collections.abc import Callable, Mapping
+from functools import cache
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -19,9 +20,9 @@ class Functional(NamedTuple):
     """A number that follows from a scene and its parameters."""
 
     words: str
-    """What it is, for sentences."""
+    """Name of the number in sentences, such as "green leaf area"."""
     unit: str
-    """As `m2 m-2`; "-" for a share."""
+    """Unit of the number, such as `m2 m-2`; "-" for a share."""
     value: Callable[[Scene, PlotParameters], Float[Array, ""]]
     """Differentiable in the parameters; of a scene whose plants fade (`Scene.faded`) it is the
     expectation over the number of plants."""
@@ -39,20 +40,39 @@ def _green(scene: Scene, parameters: PlotParameters) -> Float[Array, " species"]
     return _shoots(scene, parameters) * (1.0 - parameters.species.dead_fraction)
 
 
+def _ratio(above: Array, below: Array) -> Array:
+    """A ratio, which is 0 with slope 0 where the denominator is."""
+    some = below > 0.0
+    return jnp.where(some, above / jnp.where(some, below, 1.0), 0.0)
+
+
+def _dead(scene: Scene, parameters: PlotParameters) -> Float[Array, ""]:
+    return jnp.sum(_shoots(scene, parameters) * parameters.species.dead_fraction)
+
+
 def _dead_share(scene: Scene, parameters: PlotParameters) -> Float[Array, ""]:
-    shoots = _shoots(scene, parameters)
-    dead, every = jnp.sum(shoots * parameters.species.dead_fraction), jnp.sum(shoots)
-    return jnp.where(every > 0.0, dead / jnp.where(every > 0.0, every, 1.0), 0.0)
+    return _ratio(_dead(scene, parameters), jnp.sum(_shoots(scene, parameters)))
 
 
-def _chlorophyll(scene: Scene, parameters: PlotParameters) -> Float[Array, ""]:
-    # ug cm-2 of leaf times m2 of leaf over m2 of ground: 1 ug cm-2 is 0.01 g m-2.
-    return 0.01 * jnp.sum(_green(scene, parameters) * parameters.leaf.chlorophyll)
+def _in_leaves(trait: str, factor: float) -> Callable[[Scene, PlotParameters], Float[Array, ""]]:
+    """What green leaves hold of a substance over the ground [g m-2]: `trait` per leaf area, times
+    the `factor` to g m-2."""
+
+    def value(scene: Scene, parameters: PlotParameters) -> Float[Array, ""]:
+        return factor * jnp.sum(_green(scene, parameters) * getattr(parameters.leaf, trait))
+
+    return value
 
 
-def _crowns(scene: Scene, parameters: PlotParameters) -> Float[Array, ""]:
+def _cover(scene: Scene, parameters: PlotParameters) -> Float[Array, ""]:
     ground = float(np.prod(scene.grid.extent[:2]))
     return jnp.sum(scene.visible_crowns(parameters)) / ground
+
+
+def _height(scene: Scene, parameters: PlotParameters) -> Float[Array, ""]:
+    crowns = scene.visible_crowns(parameters)
+    tall = parameters.species.height[scene.planting.species] * scene.planting.stature
+    return _ratio(jnp.sum(crowns * tall), jnp.sum(crowns))
 
 
 STAND_FUNCTIONALS: Mapping[str, Functional] = {
@@ -60,12 +80,42 @@ STAND_FUNCTIONALS: Mapping[str, Functional] = {
         "green leaf area", "m2 m-2", lambda scene, plot: jnp.sum(_green(scene, plot))
     ),
     "dead_share": Functional("dead share of the shoots", "-", _dead_share),
-    "canopy_chlorophyll": Functional("canopy chlorophyll", "g m-2", _chlorophyll),
-    "crown_cover": Functional("ground under crowns", "-", _crowns),
+    "canopy_chlorophyll": Functional(
+        "canopy chlorophyll", "g m-2", _in_leaves("chlorophyll", 0.01)
+    ),
+    "crown_cover": Functional("ground under crowns", "-", _cover),
+    "dead_area": Functional("dead area", "m2 m-2", _dead),
+    "canopy_water": Functional("water in green leaves", "g m-2", _in_leaves("water", 1e4)),
+    "leaf_mass": Functional("dry mass of green leaves", "g m-2", _in_leaves("dry_matter", 1e4)),
+    "canopy_height": Functional("mean height of the crowns", "m", _height),
 }
-"""Of a stand, over its ground: one-sided area of green leaves; share of the area of live shoots
+"""Numbers of a stand, over its ground: one-sided area of green leaves; share of the area of shoots
 that is dead or woody; chlorophyll of the green leaves; share of the ground under crowns as seen
-from above, dead plants included."""
+from above, dead plants included, of which the rest is gap between crowns; area of dead shoots;
+water and dry mass of the green leaves; mean height of the plants, weighted by the areas of their
+crowns."""
+
+_LEADING = "green_leaf_area", "dead_share", "canopy_chlorophyll", "crown_cover"
+"""Numbers of a stand that a headline names."""
+
+
+@cache  # one object a form: what is compiled for it serves again
+def _cover_of(form: str) -> Functional:
+    def value(scene: Scene, parameters: PlotParameters) -> Float[Array, ""]:
+        mine = jnp.array([one == form for one in scene.forms])[scene.planting.species]
+        crowns = jnp.sum(jnp.where(mine, scene.visible_crowns(parameters), 0.0))
+        return crowns / float(np.prod(scene.grid.extent[:2]))
+
+    return Functional(f"ground under crowns of the form {form}", "-", value)
+
+
+def stand_functionals(scene: Scene) -> dict[str, Functional]:
+    """`STAND_FUNCTIONALS`, and of a scene of several growth forms the share of the ground under the
+    crowns of each, as seen from above (`cover.<form>`)."""
+    forms = list(dict.fromkeys(scene.forms))
+    covers = {f"cover.{form}": _cover_of(form) for form in forms} if len(forms) > 1 else {}
+    return {**STAND_FUNCTIONALS, **covers}
+
 
 _DRAWS = 400
 """Of the prior."""
@@ -81,12 +131,12 @@ Functionals = tuple[Callable[[Scene, PlotParameters], Float[Array, ""]], ...]
 def stand_values(
     scene: Scene, parameters: PlotParameters | None = None
 ) -> dict[str, Float[Array, ""]]:
-    """Each of `STAND_FUNCTIONALS` by name, in its unit. Differentiable in the parameters.
+    """Each of `stand_functionals` by name, in its unit. Differentiable in the parameters.
 
     **Arguments:** `scene`; `parameters` in place of its own.
     """
     plot = scene.parameters if parameters is None else parameters
-    return {name: one.value(scene, plot) for name, one in STAND_FUNCTIONALS.items()}
+    return {name: one.value(scene, plot) for name, one in stand_functionals(scene).items()}
 
 
 def _at(
@@ -129,7 +179,7 @@ def stand_table(
     parameters: PlotParameters,
     fit: FitResult,
     *,
-    functionals: Mapping[str, Functional] = STAND_FUNCTIONALS,
+    functionals: Mapping[str, Functional] | None = None,
     seed: int = 0,
     draws: Float[np.ndarray, "draw free"] | None = None,
 ) -> pd.DataFrame:
@@ -143,7 +193,8 @@ def stand_table(
     - `scene`: that was fitted.
     - `parameters`: of the plot; those that are not free count.
     - `fit`: the estimate with its covariance.
-    - `functionals`: by name; more of them, or others, are `Functional`s of one's own.
+    - `functionals`: by name, in place of `stand_functionals`; `Functional`s of one's own may be
+      among them.
     - `seed`: of the draws of the prior.
     - `draws`: of a posterior in whitened coordinates, whose medians and quantiles are to be given;
       those of the fit's covariance by default.
@@ -153,6 +204,7 @@ def stand_table(
     `q95`), and `constrained`, the share of the prior variance of the logarithm that the data
     removed [-]. What is zero, or the same whatever is free, has no interval.
     """
+    functionals = stand_functionals(scene) if functionals is None else functionals
     values = tuple(one.value for one in functionals.values())
     normal = np.random.default_rng([seed, 53]).normal(size=(_DRAWS, len(fit.names)))
     drawn = _draws(scene, parameters, fit.space, jnp.asarray(normal.clip(-3.0, 3.0)), values)
@@ -189,17 +241,18 @@ def stand_table(
     )
 
 
-def stand_sentence(
-    table: pd.DataFrame, functionals: Mapping[str, Functional] = STAND_FUNCTIONALS
-) -> str:
+def stand_sentence(table: pd.DataFrame, functionals: Mapping[str, Functional] | None = None) -> str:
     """The stand in one sentence.
 
-    **Arguments:** `table`, from `stand_table`, and its `functionals`.
+    **Arguments:** `table`, from `stand_table`; the `functionals` to be named, by default the four
+    that lead `STAND_FUNCTIONALS`.
     """
+    if functionals is None:
+        functionals = {name: STAND_FUNCTIONALS[name] for name in _LEADING}
+    rows = table.set_index("name")[["estimate", "q05", "q95"]].astype(float)
     parts = []
-    numbers = table[["estimate", "q05", "q95"]].to_numpy(float)
-    for name, (middle, low, high) in zip(table["name"], numbers, strict=True):
-        functional = functionals[str(name)]
+    for name, functional in functionals.items():
+        middle, low, high = rows.loc[name]
         unit = "" if functional.unit == "-" else f" {functional.unit}"
         parts.append(f"{functional.words} {middle:.3g} [{low:.3g}, {high:.3g}]{unit}")
     return f"The stand: {', '.join(parts)} (5 to 95 %)."

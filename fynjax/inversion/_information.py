@@ -22,7 +22,7 @@ class Information(eqx.Module):
 
     names: tuple[str, ...] = eqx.field(static=True)
     prior_sd: Float[np.ndarray, " free"]
-    """In the parameters' own units, as are the bounds."""
+    """Standard deviation of each prior, in the parameters' own units, as are the bounds."""
     fisher: Float[np.ndarray, "free free"]
     """Fisher information, per product of the parameters' units."""
     conditional: Float[np.ndarray, " free"]
@@ -39,7 +39,7 @@ class Information(eqx.Module):
     """Eigenvalues of the information in prior units, largest first: below one, a direction is
     known from the prior rather than from the data."""
     modes: Float[np.ndarray, "mode free"]
-    """Their directions, in prior units."""
+    """Eigenvectors of the information, in prior units."""
 
     @property
     def constrained(self) -> Float[np.ndarray, " free"]:

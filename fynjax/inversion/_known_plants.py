@@ -33,7 +33,7 @@ from fynjax.inversion._fit_result import (
     number_of,
     status_of,
 )
-from fynjax.inversion._functionals import STAND_FUNCTIONALS, Functional, stand_table
+from fynjax.inversion._functionals import Functional, stand_table
 from fynjax.inversion._search import recorded, search_states
 from fynjax.inversion._space import ParameterSpace
 from fynjax.radiation import VoxelScene
@@ -71,31 +71,34 @@ class KnownPlants(eqx.Module):
     scene: Scene
     """The plot, with known plants."""
     camera: AimedSensor
-    """That took the image, of single pixels."""
+    """The camera that took the image, of single pixels."""
     block: int = eqx.field(static=True)
     """Pixels along the edge of the blocks whose means are compared."""
     fit: FitResult
-    """Its data are the compared values, band by band; its sd are those of pixels and model."""
+    """The estimate. Its data are the compared values, band by band, with the errors of pixels and
+    model."""
     before: PlotParameters
     """The plot's parameters with the free ones at the prior's centre."""
     after: PlotParameters
-    """The same at the estimate."""
+    """The plot's parameters at the estimate."""
     measured: Float[np.ndarray, "band y x"]
     """Reflectance of the blocks [-]; NaN where they are not compared."""
     image_before: Float[np.ndarray, "band y x"]
     """Simulated reflectance of the blocks with the parameters `before` [-]."""
     image_after: Float[np.ndarray, "band y x"]
-    """The same with those `after`, as the camera measures it with the estimated gains."""
+    """Simulated reflectance of the blocks with the parameters `after`, as the camera measures it
+    with the estimated gains [-]."""
     gain: Float[np.ndarray, " band"]
-    """By what factor each band of the camera is off [-]: what simulated bands are multiplied by."""
+    """Estimated factor by which each band of the camera is off [-]: what simulated bands are
+    multiplied by."""
     gain_sd: Float[np.ndarray, " band"]
-    """Standard deviation of its logarithm [-]."""
+    """Standard deviation of the logarithm of each `gain` [-]."""
     misfit: float
     """Squared whitened misfit and distance from the prior, at the estimate: of data that the model
     and the prior explain a chi-square of `degrees`."""
 
     @double_precision
-    def stand(self, functionals: Mapping[str, Functional] = STAND_FUNCTIONALS) -> "pd.DataFrame":
+    def stand(self, functionals: Mapping[str, Functional] | None = None) -> "pd.DataFrame":
         """Numbers of the whole stand before and after the data: `functionals` by name, of which any
         may be one's own (`stand_table`)."""
         return stand_table(self.scene, self.before, self.fit, functionals=functionals)
@@ -237,11 +240,11 @@ class PixelModel(eqx.Module):
     scene: Scene
     """The plot."""
     parameters: PlotParameters
-    """Of the plot; those that are not free keep these values."""
+    """The plot's parameters; those that are not free keep these values."""
     free: tuple[str, ...] = eqx.field(static=True)
     """Names of the free parameters."""
     camera: AimedSensor
-    """Without air."""
+    """The camera, without air between it and the plot."""
     block: int = eqx.field(static=True)
     """Pixels along the edge of a block."""
 

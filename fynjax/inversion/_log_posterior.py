@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from fynjax._core.errors import InputError, listed
 from fynjax.inversion._fit_result import Data
 from fynjax.inversion._space import ParameterSpace
 
@@ -51,8 +52,18 @@ class LogPosterior(eqx.Module):
     """Log density of a prior over values in their own units, instead of the space's."""
 
     def statistics(self, u: Float[Array, " free"]) -> Float[Array, " statistic"]:
-        """What the model predicts."""
-        return self.predict(self.space.physical(u), *self.context).astype(u.dtype) + self.offset
+        """What the model predicts.
+
+        **Raises:** `InputError` where it predicts another number of statistics than there are data.
+        """
+        found = self.predict(self.space.physical(u), *self.context)
+        if jnp.shape(found) != self.data.value.shape:
+            raise InputError(
+                f"expected the model to give one number for each of the {len(self.data.names)} "
+                f"statistics of the data ({listed(self.data.names)}), as an array of shape "
+                f"{self.data.value.shape}, but it gives the shape {jnp.shape(found)}"
+            )
+        return found.astype(u.dtype) + self.offset
 
     def jacobian(
         self, u: Float[Array, " free"]

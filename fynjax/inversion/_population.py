@@ -44,7 +44,7 @@ class Hyperprior:
 
     mean: Float[np.ndarray, " mean"]
     covariance: Float[np.ndarray, "mean mean"]
-    """Of the means mu, a normal distribution."""
+    """Covariance of the means mu, whose distribution is normal."""
     sd: Float[np.ndarray, " effect"]
     """Expected standard deviations of the random effects."""
     sd_weight: float
@@ -72,15 +72,16 @@ class Population:
 
     mean: Float[np.ndarray, " mean"]
     covariance: Float[np.ndarray, "mean mean"]
-    """Of the means' posterior, at the variances estimated."""
+    """Posterior covariance of the means, at the estimated variances."""
     sd: Float[np.ndarray, " effect"]
-    """Of the random effects between plots."""
+    """Standard deviation of the random effects between plots."""
     error: Float[np.ndarray, "statistic statistic"]
     """Covariance of the error."""
     effects: Float[np.ndarray, "plot effect"]
     """Posterior means of the plots' random effects."""
     log_posterior: Float[np.ndarray, " iteration"]
-    """Of the variances, before each iteration, up to a constant; it never falls."""
+    """Logarithm of the posterior density of the variances before each iteration, up to a constant;
+    it never falls."""
 
 
 @double_precision

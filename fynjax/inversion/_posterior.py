@@ -73,7 +73,7 @@ class PosteriorSampler:
     - `predict`, `data`, `space`, `offset`, `context`: as `fit` has them; `log_prior` as
       `LogPosterior` has it.
     - `method`: "emcee", an ensemble of walkers (Foreman-Mackey et al. 2013), for up to some ten
-      parameters; "nuts", Hamiltonian (Hoffman & Gelman 2014; extra `nuts`), which needs a
+      parameters; "nuts", Hamiltonian (Hoffman & Gelman 2014; extra `posterior`), which needs a
       gradient and stands many; "laplace", the Gaussian about the fit, no sampling.
     - `start`: a fit of the same problem; made here if left out.
     - `target`: effective draws to reach, on a chain longer than 50 autocorrelation times;
@@ -121,7 +121,7 @@ class PosteriorSampler:
                 "the Gaussian about the fit is that of the space's prior: no `log_prior`"
             )
         if method == "nuts":
-            require("blackjax", "nuts")
+            require("blackjax", "posterior")
         shift = jnp.zeros_like(data.value) if offset is None else jnp.asarray(offset)
         self._density = density = LogPosterior(predict, space, data, shift, context, log_prior)
         if start is None:

@@ -59,7 +59,7 @@ class CalibrationSettings:
     """A search renders every so many pixels of a drone's image along each axis; None: pixels that
     lie a voxel apart."""
     accuracy: Accuracy = COARSE
-    """Of the light in a search."""
+    """Accuracy of the light in a search."""
     rounds: int = 2
     """Searches one after the other, each corrected by the full scene; up to three more follow while
     the last still moved."""
@@ -68,8 +68,8 @@ class CalibrationSettings:
     are expectations, better an even number; 0: the image's plants count as standing where the
     scene's do, and slopes are those at one place."""
     scatter_draws: int = 48
-    """Such draws from which the covariance of the statistics is estimated; those after the first
-    `stand_realisations` fill the sites of these in another order."""
+    """Draws of plants and parameters from which the covariance of the statistics is estimated;
+    those after the first `stand_realisations` fill the sites of these in another order."""
     full_renders: int = 2
     """Plantings on which what the coarse form lacks is measured, at most `stand_realisations`."""
     max_steps: int = 30
@@ -81,7 +81,7 @@ class CalibrationSettings:
     starts: int = 1
     """Searches, the others from draws of the prior; the best is kept."""
     seed: int = 0
-    """Of those draws, and of those that choose directions of many statistics."""
+    """Seed of the further starts, and of the draws that choose directions of many statistics."""
 
     @property
     def evaluations(self) -> int:
@@ -128,15 +128,16 @@ class SearchPlace(eqx.Module):
     statistics: Float[Array, " statistic"]
     """Expected statistics of the full scene."""
     covariance: Float[Array, "statistic statistic"]
-    """Of the errors of statistics by plantings, by how they bend and by the camera's gains."""
+    """Covariance of the errors of statistics by plantings, by how statistics bend with the
+    parameters, and by the camera's gains."""
     offset: Float[Array, " statistic"]
-    """What the coarse form's mean over the members of a search lacks."""
+    """Expected statistics of the full scene less those of the coarse form."""
     slopes: Float[Array, "member statistic free"]
     """Derivatives of the statistics by the coordinates, of each member of the search."""
     whole: Float[Array, "planting statistic"]
     """Statistics of the full form of some plantings, at `u` itself."""
     lack: Float[Array, "planting statistic"]
-    """What the coarse form of the same plants lacks of these."""
+    """Statistics `whole` less those of the coarse form of the same plants."""
     images: tuple[Float[Array, "band y x"], ...]
     """Images of the scene's own plants in the full form, of each sensor that makes one."""
 
@@ -150,15 +151,16 @@ class SearchState(eqx.Module):
     """Where a search stands: all that another process needs to go on from here."""
 
     place: SearchPlace
-    """Where the round began; its errors and offset hold all through the round."""
+    """The place where the round began, whose errors and offset hold all through the round."""
     u: Float[Array, " free"]
-    """Where the descent of the round has come to."""
+    """Whitened coordinates that the round has come to."""
     descent: BroydenState
     """State of the solver at `u`, with the errors of this round."""
     origin: SearchPlace
-    """What full and coarse scenes say about the start itself, with no unknown of the parameters."""
+    """The place of the start itself, with nothing unknown of the parameters."""
     best: SearchPlace
-    """What is kept: the end of the last round; of known plants the best of start and rounds."""
+    """The place that is kept: the end of the last round, or without expectation over plantings the
+    best of start and rounds."""
     subspace: Directions
     """Informative subspace of the statistics."""
     wanted: Float[Array, " species"]
@@ -190,7 +192,7 @@ class Expectation(eqx.Module):
     spread: Float[Array, "free free"]
     """Root of the covariance of what is unknown of the parameters, in whitened coordinates."""
     offset: Float[Array, " statistic"]
-    """What the coarse form lacks, added to its statistics."""
+    """Statistics of full scenes less those of the coarse form, which are added to the latter."""
     data: Data
     """The targets, with the errors at the start of the round."""
 

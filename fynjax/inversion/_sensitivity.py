@@ -275,11 +275,11 @@ class SobolIndices(eqx.Module):
     metrics: tuple[str, ...] = eqx.field(static=True)
     variance: Float[np.ndarray, " metric"]
     first: Float[np.ndarray, "metric free"]
-    """By the parameter alone [-]."""
+    """Share of each metric's variance by each parameter alone [-]."""
     first_error: Float[np.ndarray, "metric free"]
-    """Half the 95 % interval of it, by bootstrap."""
+    """Half the 95 % interval of `first`, by bootstrap [-]."""
     total: Float[np.ndarray, "metric free"]
-    """With all its interactions [-]."""
+    """Share of each metric's variance by each parameter with all its interactions [-]."""
     total_error: Float[np.ndarray, "metric free"]
 
 
@@ -296,7 +296,7 @@ def sobol_indices(
     batch: int | None = None,
     do: Do = in_order,
 ) -> SobolIndices:
-    """First-order and total Sobol indices, by SALib (extra `sensitivity`).
+    """First-order and total Sobol indices, by SALib (extra `analysis`).
 
     Saltelli's design on scrambled Sobol points: `samples` times (parameters + 2) runs.
 
@@ -314,7 +314,7 @@ def sobol_indices(
 
     **Raises:** `InputError` for `samples` that is no power of two, and a metric that is not finite.
     """
-    require("SALib", "sensitivity")
+    require("SALib", "analysis")
     from SALib.analyze import sobol as analysis
     from SALib.sample import sobol as design
 

@@ -268,15 +268,16 @@ class _Measured(NamedTuple):
     """What all sensors of one noise measure of one planting, coarse pixels and few bands first."""
 
     keys: list[tuple[int, int]]
-    """Of each block of statistics the step of its pixels, 0 for means, and its number of bands."""
+    """Step of the pixels of each block of statistics, 0 for means, and its number of bands."""
     values: list[np.ndarray]
     slopes: list[np.ndarray]
     variances: list[np.ndarray]
-    """By noise; zero for means, of which it depends on the pixel."""
+    """Variances of the statistics of each block by noise; zeros for means, whose variance depends
+    on the pixel (`mean_noise`)."""
     mean_noise: dict[tuple[int, int], np.ndarray]
     """Variance of the mean of each band by noise, for each step and number of bands."""
     pixels: dict[int, int]
-    """For each step."""
+    """Number of pixels for each step."""
 
 
 def _measure(
@@ -333,7 +334,7 @@ class _Sweep(NamedTuple):
     blocks: list[np.ndarray]
     covariance: np.ndarray
     slopes: np.ndarray
-    """By parameters in their own units."""
+    """Slopes of the statistics by the parameters in their own units."""
     mean_noise: dict[tuple[int, int], np.ndarray]
     pixels: dict[int, int]
 

@@ -41,9 +41,13 @@ def run_solver(solver: Any, density: Density, u: Float[Array, " free"], max_step
         return _optimistix(optx.minimise, lambda u, _: -density(u), solver, u, max_steps, {})
     if type(solver).__module__.split(".")[0] == "jaxopt" and hasattr(solver, "init_state"):
         return _jaxopt(solver, density, u, max_steps)
+    if isinstance(solver, type):
+        what = f"the class {solver.__name__} itself: make an object of it"
+    else:
+        what = f"of {type(solver).__module__}.{type(solver).__qualname__}"
     raise InputError(
         "`solver` must be a solver of optimistix or jaxopt that runs in JAX, for least squares or "
-        f"minimisation, but is of {type(solver).__module__}.{type(solver).__name__}"
+        f"minimisation, but is {what}. One of optax goes into optimistix.OptaxMinimiser"
     )
 
 

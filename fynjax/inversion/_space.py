@@ -15,6 +15,8 @@ the coordinates above are v = R^(1/2) u instead of u, with R their correlation m
 unit normal, and each parameter keeps its own prior.
 """
 
+from __future__ import annotations  # so that `help` shows ArrayLike by its name
+
 import math
 import warnings
 from collections.abc import Mapping, Sequence
@@ -76,21 +78,22 @@ class ParameterSpace(eqx.Module):
 
     names: tuple[str, ...] = eqx.field(static=True)
     lower: Float[Array, " free"]
-    """Bounds, in the parameters' own units."""
+    """Lower bound, in the parameter's own unit."""
     upper: Float[Array, " free"]
+    """Upper bound, in the parameter's own unit."""
     prior: Float[Array, " free"]
-    """Median of the prior."""
+    """Median of the prior, in the parameter's own unit."""
     prior_sd: Float[Array, " free"]
-    """Its standard deviation."""
+    """Standard deviation of the prior, in the parameter's own unit."""
     location: Float[Array, " free"]
     """Mean of the coordinate z, were it not cut."""
     width: Float[Array, " free"]
-    """Its standard deviation."""
+    """Standard deviation of the coordinate z, were it not cut."""
     cut: Float[Array, "2 free"]
-    """Where z is cut below and above, from `location`, in widths."""
+    """Ends below and above at which z is cut, from `location`, in widths."""
     distribution: tuple[Distribution, ...] = eqx.field(static=True)
     mixing: Float[Array, "free free"] | None
-    """Root of the correlation; None: independent."""
+    """Root of the correlation of the priors; None: independent."""
 
     def __init__(
         self,
@@ -145,7 +148,7 @@ class ParameterSpace(eqx.Module):
     def _is(self, kind: Distribution) -> Bool[np.ndarray, " free"]:
         return np.array([own == kind for own in self.distribution], bool)
 
-    def _now(self) -> "ParameterSpace":
+    def _now(self) -> ParameterSpace:
         """The same in the precision that JAX has now."""
         return jax.tree.map(lambda array: jnp.asarray(array, float), self)
 

@@ -31,11 +31,12 @@ class Surrogate(eqx.Module):
     """
 
     fit: FitResult
-    """About its estimate."""
+    """The fit about whose estimate the surrogate holds."""
     directions: Float[Array, "direction free"]
     curvature: Float[Array, "term statistic"]
     level: Float[Array, " statistic"]
-    """What bends on average over what the fit's expectation is taken over: it holds that."""
+    """Mean of the quadratic part over the posterior: the fit's statistics, which are expectations,
+    hold it already."""
 
     def __call__(self, values: Float[Array, " free"]) -> Float[Array, " statistic"]:
         fit = self.fit

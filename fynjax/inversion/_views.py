@@ -41,7 +41,7 @@ class AbstractView(eqx.Module):
     """What one sensor yields of a scene."""
 
     names: eqx.AbstractVar[tuple[str, ...]]
-    """Of the statistics."""
+    """Name of each statistic."""
 
     @abc.abstractmethod
     def observe(
@@ -72,7 +72,7 @@ class Directions(eqx.Module):
 
     rows: Float[Array, "direction statistic"]
     back: Float[Array, "statistic direction"]
-    """What a unit of each combination is in the statistics."""
+    """Change of the statistics by a unit of each combination."""
 
 
 def informative_directions(
@@ -106,13 +106,13 @@ class ImageView(AbstractView):
     camera: AimedSensor
     """The drone's camera over the scene, from `aim`; with the bands that the statistics name."""
     gains: Gains = eqx.field(static=True, default=Gains(0.0))
-    """What the calibration of its bands to reflectance may be off by; by default nothing."""
+    """Errors of the gains of the camera's bands; by default none."""
     spacing: float | None = eqx.field(static=True, default=None)
     """Distance of neighbouring pixels [m]; None: their edge."""
     window: float | None = eqx.field(static=True, default=None)
     """Share of the pixels that a quantile is the mean of, as `image_statistics` has it [-]."""
     directions: "Directions | None" = None
-    """Of the statistics, along which slopes are taken; None: all."""
+    """Combinations of the statistics along which slopes are taken; None: every statistic."""
 
     def observe(
         self, scene: Scene, parameters: PlotParameters

@@ -124,15 +124,14 @@ def posterior(
     **Returns:** `PosteriorResult`. Writes `posterior.nc`, `parameters.csv`, figures and a page into
     `output`.
 
-    **Raises:** `InputError` as `calibrate`; `MissingExtraError` without the extra `posterior`, or
-    `nuts` for that method.
+    **Raises:** `InputError` as `calibrate`; `MissingExtraError` without the extra `posterior`.
 
     Example: `jobs.posterior("plot.toml", Path("drone.tif"), Path("results"),
     checkpoint=Path("chain"))`.
     """
     require("arviz", "posterior")
     if method == "nuts":
-        require("blackjax", "nuts")
+        require("blackjax", "posterior")
     read = with_prior(as_plot(plot), prior)
     run = Run(output, seed=read.seed if seed is None else seed)
     paths = [targets] if isinstance(targets, Path) else list(targets)

@@ -105,7 +105,7 @@ def sensitivity(
         raise InputError("no metric is named; an example is NDVI.mean")
     check_statistics(names)
     if sobol_samples:
-        require("SALib", "sensitivity")
+        require("SALib", "analysis")
     for samples in filter(None, (derivative_samples, sobol_samples)):
         check_samples(samples)
     read = as_plot(plot)

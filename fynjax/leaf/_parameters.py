@@ -213,7 +213,10 @@ class LeafParameters(eqx.Module):
         """
         unknown = set(fields) - set(LEAF_PARAMETERS)
         if unknown:
-            raise TypeError(f"`LeafParameters` has no field {sorted(unknown)[0]!r}")
+            raise TypeError(
+                f"`LeafParameters` has no field {sorted(unknown)[0]!r}; it has "
+                f"{', '.join(LEAF_PARAMETERS)}"
+            )
         defaults = {f.name: f.default for f in dataclasses.fields(LeafParameters)}
         values = [real_array(fields.get(name, default)) for name, default in defaults.items()]
         columns = jnp.broadcast_arrays(*jnp.atleast_1d(*values))

@@ -134,7 +134,7 @@ def sample_leaf_posterior(
     - `wavelength`, `reflectance`, `transmittance`, `version`, `measurement`, `leaf_shape`,
       `domain`, `free`, `outdoor`, `detector_changes`, `error_model`: as for `fit_leaf`.
     - `sampler`: "emcee" (Foreman-Mackey et al. 2013), or "nuts" (Hoffman & Gelman 2014), which
-      needs the extra `nuts`.
+      needs the extra `posterior`.
     - `draws`: how many draws to return for each leaf.
     - `target`: effective draws to reach; `max_steps`: most steps of the ensemble.
     - `seed`: seed of the random numbers.

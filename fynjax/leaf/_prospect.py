@@ -454,7 +454,9 @@ def _leaves(traits: Mapping[str, Any]) -> LeafParameters:
     known = tuple(LEAF_PARAMETERS)
     for name in traits:
         if name not in known:
-            raise InputError(f"unknown trait {name!r}.{did_you_mean(name, known)}")
+            raise InputError(
+                f"unknown trait {name!r}.{did_you_mean(name, known)} Known are {', '.join(known)}"
+            )
     try:
         shape = np.broadcast_shapes(*(np.shape(value) for value in traits.values()))
     except ValueError as error:

@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from fynjax._core.errors import InputError
+from fynjax._core.errors import InputError, did_you_mean
 
 Band = Float[Array, "*pixel"]
 IndexFunction = Callable[[Band, Band, Band, Band], Band]
@@ -241,9 +241,10 @@ def _chosen(names: Sequence[str] | None) -> list[VegetationIndex]:
         raise InputError(f"`names` must be a list of names; write [{names!r}].")
     unknown = [name for name in names if name not in VEGETATION_INDICES]
     if unknown or not names:
+        near = did_you_mean(unknown[0], VEGETATION_INDICES) if unknown else ""
         raise InputError(
             f"vegetation indices must be among {', '.join(VEGETATION_INDICES)}, but "
-            f"{', '.join(map(repr, unknown)) or 'none'} was given."
+            f"{', '.join(map(repr, unknown)) or 'none'} was given.{near}"
         )
     return [VEGETATION_INDICES[name] for name in names]
 

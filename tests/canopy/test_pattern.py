@@ -16,7 +16,7 @@ from fynjax.canopy import (
     vegetation_pattern,
 )
 
-pytest.importorskip("sklearn", reason="needs the extra `pattern`")
+pytest.importorskip("sklearn", reason="needs the extra `analysis`")
 
 BANDS = ("green", "red", "nir")
 NDVI = choose_greenness(BANDS)

@@ -264,7 +264,7 @@ def test_a_bad_table_is_one_line_and_no_output(capsys, plot, tmp_path):
     ("error", "status", "words"),
     [
         (InputError("two\nlines", file="a.csv", row=3), 2, "a.csv, row 3: two lines"),
-        (MissingExtraError("blackjax", "nuts"), 1, 'pip install "fynjax[nuts]"'),
+        (MissingExtraError("blackjax", "posterior"), 1, 'pip install "fynjax[posterior]"'),
         (ZeroDivisionError("oh"), 1, "ZeroDivisionError: oh"),
     ],
 )

@@ -172,6 +172,8 @@ def test_what_is_no_solver_in_jax_is_refused():
     for solver in (optx.Newton(1e-3, 1e-3), "newton", scipy_solver):
         with pytest.raises(InputError, match="must be a solver of optimistix or jaxopt"):
             fit(predict, DATA, SPACE, solver=solver)
+    with pytest.raises(InputError, match="the class BFGS itself: make an object of it"):
+        fit(predict, DATA, SPACE, solver=optx.BFGS)
 
 
 def test_what_the_data_cannot_see_stays_at_its_prior_and_is_named():

@@ -13,6 +13,7 @@ from fynjax.inversion import (
     Functional,
     fit,
     free_space,
+    stand_functionals,
     stand_sentence,
     stand_table,
     stand_values,
@@ -31,14 +32,25 @@ def test_they_are_those_of_the_areas_of_organs(plot):
     scene, parameters = plot
     areas = stand_area(scene, parameters)
     found = {name: float(value) for name, value in stand_values(scene, parameters).items()}
-    assert found.keys() == STAND_FUNCTIONALS.keys()
+    assert found.keys() == stand_functionals(scene).keys()
     assert found["green_leaf_area"] == pytest.approx(areas.leaf.sum(), rel=1e-4)
     share = areas.dead.sum() / (areas.leaf + areas.dead).sum()
     assert found["dead_share"] == pytest.approx(share, rel=1e-4)
     chlorophyll = np.asarray(parameters.leaf.chlorophyll) @ areas.leaf  # ug cm-2 m2 m-2
     assert found["canopy_chlorophyll"] == pytest.approx(1e-6 * 1e4 * chlorophyll, rel=1e-4)
-    crowns = float(scene.visible_crowns(parameters).sum()) / 4.0
-    assert found["crown_cover"] == pytest.approx(crowns, rel=1e-4)
+    every = np.asarray(scene.visible_crowns(parameters)) / 4.0
+    assert found["crown_cover"] == pytest.approx(every.sum(), rel=1e-4)
+    assert found["dead_area"] == pytest.approx(areas.dead.sum(), rel=1e-4)
+    water = np.asarray(parameters.leaf.water) @ areas.leaf  # g cm-2 of leaf, m2 m-2
+    assert found["canopy_water"] == pytest.approx(1e4 * water, rel=1e-4)
+    mass = np.asarray(parameters.leaf.dry_matter) @ areas.leaf
+    assert found["leaf_mass"] == pytest.approx(1e4 * mass, rel=1e-4)
+    owner = np.asarray(scene.planting.species)
+    tall = np.asarray(parameters.species.height)[owner] * np.asarray(scene.planting.stature)
+    assert found["canopy_height"] == pytest.approx(np.average(tall, weights=every), rel=1e-4)
+    for form in set(scene.forms):
+        mine = [scene.forms[one] == form for one in owner]
+        assert found[f"cover.{form}"] == pytest.approx(every[mine].sum(), rel=1e-4)
 
 
 def test_their_slopes_are_those_of_the_expected_stand(plot):
@@ -64,8 +76,9 @@ def test_an_unplanted_plot_has_none(plot):
     )
     for functional in STAND_FUNCTIONALS.values():
         assert np.isfinite(float(functional.value(scene, bare)))
-    slope = jax.grad(lambda p: STAND_FUNCTIONALS["dead_share"].value(scene, p))(bare)
-    assert all(np.isfinite(np.asarray(leaf)).all() for leaf in jax.tree.leaves(slope))
+    for functional in stand_functionals(scene).values():
+        slope = jax.grad(lambda p, of=functional: of.value(scene, p))(bare)
+        assert all(np.isfinite(np.asarray(leaf)).all() for leaf in jax.tree.leaves(slope))
 
 
 def test_what_data_say_of_the_stand_is_more_than_of_any_parameter(plot):
@@ -96,6 +109,8 @@ def test_what_data_say_of_the_stand_is_more_than_of_any_parameter(plot):
     double = double.set_index("name").loc["twice"]
     np.testing.assert_allclose(double[numbers].astype(float), 2.0 * row[numbers].astype(float))
     assert double.constrained == pytest.approx(row.constrained)
+    forms = [f"cover.{form}" for form in dict.fromkeys(scene.forms)]
+    assert list(table.index) == [*STAND_FUNCTIONALS, *forms]
     alone = stand_table(scene, parameters, found, functionals=own)
     assert f"twice the leaf area {double.estimate:.3g} [" in stand_sentence(alone, own)
     ends = np.stack([np.asarray(found.whitened), np.zeros(len(space.names))])

@@ -46,7 +46,7 @@ def arviz():
 
 def need(method):
     if method == "nuts":
-        pytest.importorskip("blackjax", reason="the extra `nuts` is not installed")
+        pytest.importorskip("blackjax", reason="the extra `posterior` is not installed")
 
 
 def curved(x):

@@ -38,7 +38,7 @@ METRICS = ("ishigami", "twice x2")
 
 
 def sobol(**options):
-    pytest.importorskip("SALib", reason="the extra `sensitivity` is not installed")
+    pytest.importorskip("SALib", reason="the extra `analysis` is not installed")
     return sobol_indices(ishigami, CUBE, METRICS, over="bounds", **options)
 
 
@@ -74,7 +74,7 @@ def test_over_the_prior_a_linear_model_meets_its_bound():
     found = derivative_measures(linear, wide, ("sum",), samples=1024)
     share = np.array([1.0, 4.0]) / 5.0
     np.testing.assert_allclose(found.bound[0], share, rtol=0.02)
-    pytest.importorskip("SALib", reason="the extra `sensitivity` is not installed")
+    pytest.importorskip("SALib", reason="the extra `analysis` is not installed")
     totals = sobol_indices(linear, wide, ("sum",), samples=1024)
     np.testing.assert_allclose(totals.total[0], share, atol=0.02)
 
@@ -246,7 +246,7 @@ def test_wrong_arguments_and_values_are_refused(monkeypatch):
 
 def test_interrupted_runs_go_on_and_give_what_one_run_does(tmp_path, monkeypatch):
     """Slopes, then indices, in one checkpoint, interrupted in both."""
-    pytest.importorskip("SALib", reason="the extra `sensitivity` is not installed")
+    pytest.importorskip("SALib", reason="the extra `analysis` is not installed")
     memory, calls, real = [], [], module._values
 
     def both(**how):

@@ -150,7 +150,7 @@ def scene(seed: int, size: int = 340) -> np.ndarray:
 
 def test_bands_are_laid_on_the_first() -> None:
     """Turned, stretched, shifted, and bright where the other is dark, as plants are in red."""
-    pytest.importorskip("skimage", reason="needs the extra `pattern`")
+    pytest.importorskip("skimage", reason="needs the extra `analysis`")
     ground = scene(0)
     y, x = np.mgrid[:240, :300].astype(float)
     turn = np.array([[1.004, 0.006], [-0.006, 0.997]])
@@ -174,7 +174,7 @@ def test_bands_are_laid_on_the_first() -> None:
 
 
 def test_bands_of_two_places_are_refused() -> None:
-    pytest.importorskip("skimage", reason="needs the extra `pattern`")
+    pytest.importorskip("skimage", reason="needs the extra `analysis`")
     with pytest.raises(InputError, match=r"band 2 does not fit .* one capture"):
         align_bands(np.stack([scene(1, 200), scene(2, 200)]))
     with pytest.raises(InputError, match="80 x 80"):
@@ -183,7 +183,7 @@ def test_bands_of_two_places_are_refused() -> None:
 
 def test_a_real_capture(shared_data: Path) -> None:
     """Camera metadata name the bands; red and near infrared fall on each other."""
-    pytest.importorskip("skimage", reason="needs the extra `pattern`")
+    pytest.importorskip("skimage", reason="needs the extra `analysis`")
     folder = shared_data / "eco" / "uas_micasense"
     stack = read_band_stack([folder / f"IMG_0001_{k}.tif" for k in (3, 4)], pixel_m=0.08)
     assert stack.names == ("Red", "NIR")

@@ -190,7 +190,7 @@ def test_maps_go_on_where_they_were_interrupted(tmp_path, cube):
 
 @pytest.mark.parametrize("kind", ["hdr", "tif", "nc"])
 def test_a_cube_as_an_array_of_dask_reads_what_is_asked_for(tmp_path, cube, kind, monkeypatch):
-    pytest.importorskip("dask", reason="the extra `cluster` is not installed")
+    pytest.importorskip("dask", reason="the extra `map` is not installed")
     path = tmp_path / f"cube.{kind}"
     write = {"hdr": write_cube_envi, "tif": write_cube_geotiff}.get(kind)
     if write is None:

@@ -46,7 +46,7 @@ def test_estimates_replace_the_tables_numbers_and_nothing_else(plot, tmp_path):
 SLIPS = [
     ("name,estimate\nspecies.Erica.cover,1\n", "no parameter 'species.Erica.cover'.* Did you mean"),
     ("name,unit,estimate\nground.moisture,m,1\n", "expected moisture in - or %, but got 'm'"),
-    ("name,estimate\nground.moisture,-0.1\n", "moisture from 0 to 1 -, but got -0.1"),
+    ("name,estimate\nground.moisture,-0.1\n", "moisture from 0 to 1, but got -0.1"),
     ("name,unit,estimate\nspecies.Erica irregularis.cover,%,350\n", "cover from 0 to 100 %"),
     ("name,estimate\nspecies.Erica irregularis.cover,35\n", "expected the unit of cover, - or %"),
     ("name,estimate\nlight.sun_zenith,95\n", "sun_zenith from 0 to 89 "),

@@ -49,7 +49,7 @@ def raster(path: Path, values: np.ndarray, transform: Affine | None = None, **op
 
 
 def test_another_reader_sees_the_map_where_it_lies(tmp_path: Path) -> None:
-    tifffile = pytest.importorskip("tifffile", reason="needs the extra `pattern`")
+    tifffile = pytest.importorskip("tifffile", reason="needs the extra `analysis`")
     path = tmp_path / "new" / "map.tif"
     write_probability_map(path, GREY, frame(), crs=UTM, nodata=0, tags={"levels": [85, 255]})
     assert [p.name for p in path.parent.iterdir()] == ["map.tif"]

@@ -201,7 +201,7 @@ def test_reflectance_of_a_panel(tmp_path: Path) -> None:
 
 def test_saturated_pixels_are_marked(tmp_path: Path) -> None:
     """With their neighbours where bands were aligned, and wherever the lens is darkest."""
-    pytest.importorskip("skimage", reason="needs the extra `pattern`")
+    pytest.importorskip("skimage", reason="needs the extra `analysis`")
     rng = np.random.default_rng(2)
     ground = ndimage.gaussian_filter(rng.uniform(0.0, 1.0, (140, 180)), 2.0)
     ground = 0.1 + 0.2 * (ground - ground.min()) / np.ptp(ground)

@@ -58,7 +58,7 @@ def without_times(result):
 
 @pytest.mark.study
 def test_files_of_two_workers_are_those_of_one_process(table, tmp_path, monkeypatch):
-    pytest.importorskip("distributed", reason="the extra `cluster` is not installed")
+    pytest.importorskip("distributed", reason="the extra `map` is not installed")
     monkeypatch.setattr(parts, "_machine", lambda: (2, 8 * 2**30))
     here = jobs.fit_leaf([table], tmp_path / "here")
     there = jobs.fit_leaf([table], tmp_path / "there", workers=jobs.Workers(2))

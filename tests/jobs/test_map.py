@@ -275,7 +275,7 @@ def test_a_damaged_lookup_table_is_refused_before_any_work(trained, known, tmp_p
 
 
 def test_a_map_of_two_workers_is_that_of_one_process(trained, known, tmp_path, monkeypatch):
-    pytest.importorskip("distributed", reason="the extra `cluster` is not installed")
+    pytest.importorskip("distributed", reason="the extra `map` is not installed")
     monkeypatch.setattr(parts, "_machine", lambda: (2, 8 * 2**30))
     monkeypatch.setattr(CubeBlocks, "rows_at_once", 1)
     path, training = cube_of(tmp_path, known), trained[0] / "out" / "training.nc"

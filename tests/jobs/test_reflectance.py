@@ -159,7 +159,7 @@ def test_what_is_refused(flight: Path, tmp_path: Path) -> None:
 def test_a_real_flight(shared_data: Path, tmp_path: Path) -> None:
     """Rows of bushes and trees on dry soil, with the reflectance of the panel that its maker gives
     in the tutorial for these pictures (micasense/imageprocessing): 0.69, 0.68 and 0.61."""
-    pytest.importorskip("skimage", reason="needs the extra `pattern`")
+    pytest.importorskip("skimage", reason="needs the extra `analysis`")
     folder = shared_data / "eco" / "uas_micasense"
     files = [folder / f"IMG_000{capture}_{band}.tif" for capture in (0, 1) for band in (2, 3, 4)]
     out = tmp_path / "out"

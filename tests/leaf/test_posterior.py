@@ -44,7 +44,7 @@ def test_posterior_agrees_with_the_gaussian_of_the_fit_where_that_holds():
 @pytest.mark.study
 def test_the_two_samplers_agree():
     """Ensemble and Hamiltonian draws share nothing but the density."""
-    pytest.importorskip("blackjax", reason="the extra `nuts` is not installed")
+    pytest.importorskip("blackjax", reason="the extra `posterior` is not installed")
     posteriors = [
         sample_leaf_posterior(GRID, R, T, draws=6000, target=1500.0, sampler=name)
         for name in ("emcee", "nuts")

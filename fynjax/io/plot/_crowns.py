@@ -142,8 +142,8 @@ def _corner(plot: Plot, path: Path) -> tuple[float, float]:
 
 def _read_geopackage(path: Path, plot: Plot) -> list[tuple[int, CrownRow]]:
     """Crowns of the only layer of a GeoPackage, each with the number of its feature."""
-    pyogrio = require("pyogrio", "crowns")
-    shapely = require("shapely", "crowns")
+    pyogrio = require("pyogrio", "tables")
+    shapely = require("shapely", "tables")
     try:
         layers = pyogrio.list_layers(path)
         if len(layers) != 1:

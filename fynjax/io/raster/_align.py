@@ -54,8 +54,8 @@ def align_bands(
     **Raises:** `InputError` where a band does not fit the first; `MissingExtraError` without
     scikit-image.
     """
-    filters = require("skimage.filters", "pattern", "scikit-image")
-    transform = require("skimage.transform", "pattern", "scikit-image")
+    filters = require("skimage.filters", "analysis", "scikit-image")
+    transform = require("skimage.transform", "analysis", "scikit-image")
     bands, rows, columns = image.shape
     tile = min(rows, columns) // 5
     if tile < 16:
@@ -101,7 +101,7 @@ def align_bands(
 
 def _shift(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
     """By how much (x, y) the content of `b` must move to lie on `a` [pixel]."""
-    registration = require("skimage.registration", "pattern", "scikit-image")
+    registration = require("skimage.registration", "analysis", "scikit-image")
     # Not normalised to phase: at the noise of a camera that follows fixed patterns of its chip.
     shift = registration.phase_cross_correlation(
         a - a.mean(), b - b.mean(), upsample_factor=10, normalization=None
@@ -134,7 +134,7 @@ def _fitted(a: NDArray[np.float64], b: NDArray[np.float64], onto: Any, tile: int
     `b` is the other band already moved by `onto`, which is what comes back where too few tiles
     find a match.
     """
-    measure = require("skimage.measure", "pattern", "scikit-image")
+    measure = require("skimage.measure", "analysis", "scikit-image")
     middles, shifts = _tile_shifts(a, b, tile)
     if len(middles) < _LEAST_TILES:
         return onto

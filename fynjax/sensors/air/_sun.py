@@ -55,7 +55,7 @@ def sun_position(
                 f"{_UNITS}, not radians or metres."
             )
     moment = _moment(time)
-    pvlib: Any = require("pvlib", "atmosphere")
+    pvlib: Any = require("pvlib", "analysis")
     pressure = pvlib.atmosphere.alt2pres(altitude)
     table = pvlib.solarposition.get_solarposition(
         moment, latitude, longitude, altitude=altitude, pressure=pressure
