@@ -342,7 +342,8 @@ def fit_leaf(
         table.head(_SHOWN), f"Traits, of the first {_SHOWN} spectra at most.", folded=True
     )
     title = f"PROSPECT-{version} of {len(names)} spectra"
-    run.pictures(title, headline, [picture, shown], sorted({file for file, _ in read}))
+    inputs = [*dict.fromkeys(file for file, _ in read), panel, groups]
+    run.pictures(title, headline, [picture, shown], inputs)
     return run.result(
         FitLeafResult,
         headline=headline,

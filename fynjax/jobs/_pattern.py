@@ -240,8 +240,9 @@ def _result(
             for k, level in enumerate(pattern.levels)
         ],
         inertia=pattern.inertia,
-        alignment=stack.alignment
-        and [
+        alignment=None
+        if stack.alignment is None
+        else [
             AlignmentSummary(shift_px=band.shift, residual_px=band.residual, match=band.match)
             for band in stack.alignment
         ],

@@ -30,7 +30,7 @@ from fynjax.canopy import (
 )
 from fynjax.canopy.mesh import default_up, organ_of_name
 from fynjax.io.text import Strict, did_you_mean, existing_file, read_rows, write_text
-from fynjax.jobs._result import JobResult, Record, rows_of
+from fynjax.jobs._result import JobResult, Record
 from fynjax.jobs._run import Run
 from fynjax.report.figures import plant_figure
 from fynjax.report.pages import Picture, Table
@@ -203,7 +203,7 @@ def plant(
             write_text(run.path("plant.obj", "its mesh, in metres"), obj)
             write_text(run.path("plant.mtl", "its materials"), mtl)
         run.table("elements.csv", _elements(model), "the plant as area elements", "%.9g")
-    return _result(run, source, model, made, mesh, axis, materials is not None)
+    return _result(run, source, model, made, mesh, axis, materials)
 
 
 @contextmanager
@@ -291,7 +291,7 @@ def _result(
     made: GeneratedPlant | None,
     mesh: PlantMesh | None,
     axis: str,
-    stated: bool,
+    stated: str | Path | None,
 ) -> PlantResult:
     areas = dict(zip(_ORGANS, model.organ_area.tolist(), strict=True))
     named = ", ".join(f"{name} {area:.4g} m2" for name, area in areas.items() if area > 0.0)
@@ -315,16 +315,16 @@ def _result(
     if mesh is not None:
         parts = [f"{m.name!r} is {m.organ}, {m.surface}" for m in materials]
         headline.append("Materials: " + "; ".join(parts))
-        if not stated and len(materials) == 1 and organ_of_name(materials[0].name) is None:
+        if stated is None and len(materials) == 1 and organ_of_name(materials[0].name) is None:
             warnings.append(
                 f"the mesh has one material, {materials[0].name!r}, whose name says no organ: "
                 "all of it counts as leaf"
             )
     what = "the elements from the side and from above"
     picture = Picture("plant.png", plant_figure(model), what)
-    rows = Table(pd.DataFrame(rows_of([m.model_dump() for m in materials])), "Its materials.")
-    file = source if made is None else None
-    run.pictures(f"Plant: {Path(source).name}", headline, [picture, rows], [file])
+    rows = Table(pd.DataFrame([m.model_dump() for m in materials]), "Its materials.")
+    inputs = [source if made is None else None, stated]
+    run.pictures(f"Plant: {Path(source).name}", headline, [picture, rows], inputs)
     return run.result(
         PlantResult,
         headline=headline,
