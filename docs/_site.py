@@ -47,6 +47,7 @@ PACKAGES = (
     "fynjax.report.pages",
     "fynjax.studies.fynbos_2006",
     "fynjax.studies.bioscape",
+    "fynjax.studies.communities",
     "fynjax.errors",
 )
 """Public packages, in the order of the layers."""

@@ -31,7 +31,12 @@ Start here: a plot, what a drone's camera sees of it, and how that changes with 
 - `fx.errors`: what a user's input can raise; the other packages by their names.
 """
 
+import os
+
 import lazy_loader
 
+# Compiled programs that are kept are read with lines of false alarm: settings of this machine's own
+# compiler are called features that it lacks. JAX asks for this when it is first imported.
+os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
 __version__ = "0.2.0"
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -25,6 +25,8 @@
 # reflectance. **It takes** two to three minutes the first time, most of it compilation.
 
 # %%
+import fynjax as fx  # before jax, so that kept programs are read without a word
+
 IMAGE = None  # your own: "orthophoto.tif"; None makes one of a plot that differs from its table
 PLOT = None  # your own: "my_plot/plot.toml" or "species.csv"; None takes the plot burnt in 2006
 SIDE = 3.0  # m, of the simulated plot
@@ -37,8 +39,6 @@ import jax.numpy as jnp
 import matplotlib.pyplot as plt
 import optimistix as optx
 import pandas as pd
-
-import fynjax as fx
 
 FAST = os.environ.get("FYNJAX_FAST") == "1"  # a smaller plot, fewer draws, for the check
 scene = fx.read_scene(PLOT, size=1.0 if FAST else SIDE, structure="even")

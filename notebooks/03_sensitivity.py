@@ -25,6 +25,8 @@
 # minutes the first time, most of it compilation.
 
 # %%
+import fynjax as fx  # before jax, so that kept programs are read without a word
+
 PLOT = None  # your own: "my_plot/plot.toml" or "species.csv"; None takes the plot burnt in 2006
 SPECIES = None  # whose cover is moved in the image; None takes the one with the largest cover
 
@@ -36,8 +38,6 @@ import jax.numpy as jnp
 import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
-
-import fynjax as fx
 
 FAST = os.environ.get("FYNJAX_FAST") == "1"  # a smaller plot, fewer plantings, for the check
 scene = fx.read_scene(PLOT, size=1.0 if FAST else 2.0, structure="even")

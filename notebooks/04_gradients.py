@@ -25,6 +25,8 @@
 # - **It takes** one to two minutes, most of them compilation.
 
 # %%
+import fynjax as fx  # before jax, so that kept programs are read without a word
+
 TABLE = None  # your species table, such as "species.csv"; None is the plot burnt in 2006
 
 # %%
@@ -34,8 +36,6 @@ import jax
 import jax.numpy as jnp
 import matplotlib.pyplot as plt
 import numpy as np
-
-import fynjax as fx
 
 SMALL = os.environ.get("FYNJAX_FAST") == "1"  # a smaller plot and fewer plantings
 SIDE, PLANTINGS, COVERS = (1.0, 4, 9) if SMALL else (3.0, 16, 25)

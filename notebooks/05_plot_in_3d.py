@@ -25,6 +25,8 @@
 # - **It takes** about a minute.
 
 # %%
+import fynjax as fx  # before jax, so that kept programs are read without a word
+
 TABLE = None  # your species table, such as "species.csv"; None is the plot burnt in 2006
 
 # %%
@@ -33,8 +35,6 @@ import os
 import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
-
-import fynjax as fx
 
 SMALL = os.environ.get("FYNJAX_FAST") == "1"  # a smaller plot, and pictures of fewer points
 SIDE, PIXEL, POINTS = (1.0, 0.05, 100_000) if SMALL else (4.0, 0.02, 3_000_000)

@@ -24,6 +24,8 @@
 # `pip install fynjax[posterior]`; without blackjax NUTS is left out. **It takes** a minute.
 
 # %%
+import fynjax as fx  # before jax, so that kept programs are read without a word
+
 PLOT = None  # your own: "my_plot/plot.toml" or "species.csv"; None takes the plot burnt in 2006
 
 # %%
@@ -34,8 +36,6 @@ import jax
 import jax.numpy as jnp
 import matplotlib.pyplot as plt
 import numpy as np
-
-import fynjax as fx
 
 FAST = os.environ.get("FYNJAX_FAST") == "1"  # a smaller plot, shorter chains, for the check
 METHODS = ["laplace", "emcee", *(["nuts"] if importlib.util.find_spec("blackjax") else [])]

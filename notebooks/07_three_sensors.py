@@ -25,6 +25,8 @@
 # - **It takes** one to two minutes, half of them compilation.
 
 # %%
+import fynjax as fx  # before jax, so that kept programs are read without a word
+
 PLOT = None  # your "plot.toml" or species table "species.csv"; None is the plot burnt in 2006
 
 # %%
@@ -34,8 +36,6 @@ import jax
 import jax.numpy as jnp
 import matplotlib.pyplot as plt
 import numpy as np
-
-import fynjax as fx
 
 SMALL = os.environ.get("FYNJAX_FAST") == "1"  # a smaller plot, fewer bands and plantings
 SIDE, STEP, PLANTINGS, STRUCTURE = (1.0, 800, 3, "even") if SMALL else (3.0, 100, 9, None)

@@ -27,6 +27,8 @@
 # - **It takes** about two minutes.
 
 # %%
+import fynjax as fx  # before jax, so that kept programs are read without a word
+
 PLOT = None  # your "plot.toml" of this plot, such as a calibrated one; None is the shipped one
 
 # %%
@@ -36,8 +38,6 @@ import jax
 import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
-
-import fynjax as fx
 
 SMALL = os.environ.get("FYNJAX_FAST") == "1"  # a smaller plot, fewer pixels, channels and canopies
 SIDE, PIXEL, STRUCTURE = (1.0, 0.1, "even") if SMALL else (5.0, 0.05, None)

@@ -67,6 +67,8 @@ def test_of_fynjax_a_notebook_imports_the_front_door_alone(path: Path) -> None:
         elif isinstance(node, ast.ImportFrom):
             assert not (node.module or "").startswith("fynjax")
     assert set(imported) == {("fynjax", "fx")}
+    text = "\n".join(code)  # which asks the compiler for silence before JAX is imported
+    assert text.index("import fynjax as fx") < (text + "import jax").index("import jax")
     lines = [line for source in code for line in source.splitlines() if line.strip()]
     assert sum(not line.lstrip().startswith("#") for line in lines) <= LONGEST
 

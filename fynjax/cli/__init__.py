@@ -12,6 +12,7 @@ import typer
 import fynjax
 from fynjax._core.errors import InputError, MissingExtraError
 from fynjax.cli._bioscape import calibrate_plots, learn, plots_of_tables, validate_plots
+from fynjax.cli._diversity import diversity
 from fynjax.cli._inversion import calibrate, information, posterior, sensitivity
 from fynjax.cli._leaf import convert, fit_leaf
 from fynjax.cli._maps import map_command, train
@@ -33,7 +34,7 @@ _PANELS: dict[str, dict[str, Callable[..., None]]] = {
         **{"sensitivity": sensitivity, "information": information},
     },
     "Validation": {"validate": validate},
-    "Many plots": {"train": train, "map": map_command},
+    "Many plots": {"train": train, "map": map_command, "diversity": diversity},
 }
 _BIOSCAPE = {
     **{"plots": plots_of_tables, "learn": learn},
@@ -99,9 +100,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """
     # An exit, unlike the signal itself, lets unfinished results be cleared away.
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(_TERMINATED))
-    # Compiled programs that are kept are read with lines of false alarm: settings of this machine's
-    # own compiler are called features that it lacks. Before JAX is imported.
-    os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
     # GDAL reports through logging, and a logger without a handler prints to stderr.
     logging.getLogger("rasterio").addHandler(logging.NullHandler())
     status: object = 0

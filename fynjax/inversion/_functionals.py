@@ -110,8 +110,11 @@ def _cover_of(form: str) -> Functional:
 
 
 def stand_functionals(scene: Scene) -> dict[str, Functional]:
-    """`STAND_FUNCTIONALS`, and of a scene of several growth forms the share of the ground under the
-    crowns of each, as seen from above (`cover.<form>`)."""
+    """Numbers of a stand by name: `STAND_FUNCTIONALS`, and of several growth forms the share of the
+    ground under the crowns of each, as seen from above (`cover.<form>`).
+
+    **Arguments:** `scene`, whose growth forms count.
+    """
     forms = list(dict.fromkeys(scene.forms))
     covers = {f"cover.{form}": _cover_of(form) for form in forms} if len(forms) > 1 else {}
     return {**STAND_FUNCTIONALS, **covers}

@@ -145,6 +145,29 @@ class Planting(eqx.Module):
         part = np.arange(len(plant), dtype=np.int32) + (first - before)[plant]
         return dataclasses.replace(self, plant=jnp.asarray(plant), part=jnp.asarray(part))
 
+    def padded(self) -> "Planting":
+        """The same with plants that never stand and elements of theirs, up to sizes of which there
+        are few: plots of as many plants then share compiled programs."""
+        most = max(len(self.plant), len(self.shape_class), 32 * (len(self.species) + 1))
+        step = 1 << max(most.bit_length() - 2, 0)  # two sizes from a power of two to the next
+        size = -(-most // step) * step
+        plants = size // 32
+
+        def more(values: Array, count: int, fill: float) -> Array:
+            missing = jnp.full((count - len(values), *values.shape[1:]), fill, values.dtype)
+            return jnp.concatenate([values, missing])
+
+        never = dict.fromkeys(OF_PLANTS, 0.0) | {"place": 1e9, "size": 1.0, "stature": 1.0}
+        return dataclasses.replace(
+            self,
+            **{name: more(getattr(self, name), plants, fill) for name, fill in never.items()},
+            plant=more(self.plant, size, plants - 1),
+            part=more(self.part, size, 0),
+            shapes=jax.tree.map(lambda values: more(values, size, 0), self.shapes),
+            shape_class=more(self.shape_class, size, 0),
+            before=more(self.before, size, 0),
+        )
+
     def thinned(self, most: Sequence[int]) -> "Planting":
         """The same plants with fewer area elements, which carry the same area.
 

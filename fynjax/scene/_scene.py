@@ -438,6 +438,12 @@ class Scene(eqx.Module):
         """The same scene with plants that stand in part (`fading`), or with whole ones."""
         return eqx.tree_at(lambda s: s.fading, self, jnp.full_like(self.fading, fading))
 
+    def padded(self) -> "Scene":
+        """The same scene with room for plants that never stand: scenes of the same taxa, grid and
+        about as many plants then share compiled programs. For images and what a pixel sees; a table
+        of its plants would have rows too many."""
+        return dataclasses.replace(self, planting=self.planting.padded())
+
     @property
     def ground_level(self) -> float:
         """Mean height of the ground above the bottom of the grid [m]."""

@@ -60,6 +60,7 @@ DAMAGED = {
     "posterior": "target.csv",
     "sensitivity": "species.csv",
     "information": "plot.toml",
+    "diversity": "species.csv",
     "fit-leaf": "leaves.csv",
     "convert": "leaves.csv",
     "bioscape-learn": "tables/*VegCenters.csv",
@@ -76,6 +77,7 @@ WRONG = {
     "train": ["--simulations", "2"],
     "sensitivity": ["--sobol", "3"],
     "information": ["--bands", "3,8"],
+    "diversity": ["--pixels", "0.125,0.3"],
     "bioscape-learn": ["--plot", "none_of_these"],
     "fit-leaf": ["--background", "0.5"],
 }

@@ -93,6 +93,24 @@ def test_the_slope_is_that_of_the_shares_and_of_more_plants(scene):
     assert by_cover[0] > 0 > by_cover[2]
 
 
+def test_room_for_plants_that_never_stand_changes_nothing(scene, truth):
+    """And scenes of other numbers of plants have the same shapes, which compile once."""
+    padded = scene.padded()
+    found = fx.pixel_truth(padded, "mavic_3m", pixel=0.25)
+    for one, other in zip(jax.tree.leaves(found), jax.tree.leaves(truth), strict=True):
+        np.testing.assert_allclose(one, other, atol=1e-6)
+    image = fx.observe(padded, "mavic_3m", pixel=0.25)["nir"]
+    np.testing.assert_allclose(image, fx.observe(scene, "mavic_3m", pixel=0.25)["nir"], atol=1e-6)
+
+    def shapes(cover):
+        table = [dict(zip(COLUMNS, row, strict=True)) for row in SPECIES]
+        table[0]["cover_percent"] = cover
+        more = fx.Scene.from_table(table, size=2.0, voxel=0.25, structure="even", seed=3)
+        return [np.shape(leaf) for leaf in jax.tree.leaves(more.padded())]
+
+    assert shapes(40) == shapes(36) == [np.shape(leaf) for leaf in jax.tree.leaves(padded)]
+
+
 def test_a_lidar_has_no_pixels(scene):
     with pytest.raises(InputError, match="expected a sensor"):
         fx.pixel_truth(scene, "scanning_lidar")

@@ -1,3 +1,5 @@
+from ._communities import agreement_plot as agreement_plot
+from ._communities import recognition_plot as recognition_plot
 from ._fit import constraint_plot as constraint_plot
 from ._fit import convergence_plot as convergence_plot
 from ._fit import error_bars as error_bars

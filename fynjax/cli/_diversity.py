@@ -1,0 +1,100 @@
+"""The command `fynjax diversity`."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from fynjax.cli._runtime import (
+    Checkpoint,
+    SchedulerAddress,
+    Seed,
+    WorkerCount,
+    command,
+    listed,
+)
+
+_NUMBERS = "numbers"
+_GRADIENTS = {
+    "gradients": (
+        "fynjax.studies.communities:Gradients",
+        ("richness", "evenness", "cover", "age"),
+    )
+}
+
+
+@command("diversity", "fynjax.studies.communities:diversity", forget=True, records=_GRADIENTS)
+def diversity(
+    plot: Annotated[
+        Path | None,
+        typer.Argument(
+            metavar="[PLOT]",
+            help="Plot file whose species and leaves communities are drawn from; the shipped plot "
+            "if left out.",
+        ),
+    ] = None,
+    communities: Annotated[int, typer.Option(min=4, metavar="N", help="How many are drawn.")] = 100,
+    size: Annotated[
+        float, typer.Option(min=0.5, max=100.0, metavar="M", help="Side of a simulated plot [m].")
+    ] = 10.0,
+    sensors: Annotated[
+        str, listed(str, "names", "NAME,...", "Imaging sensors, by name or file.")
+    ] = "mavic_3m,aviris_ng",
+    pixels: Annotated[
+        str,
+        listed(
+            float,
+            _NUMBERS,
+            "M,...",
+            "Edges of a pixel [m] that divide the side, multiples of the smallest.",
+        ),
+    ] = "0.05,0.1,0.25,0.5,1,2.5,5,10",
+    noise: Annotated[
+        str, listed(float, _NUMBERS, "SHARE,...", "Noise of a pixel over its reflectance.")
+    ] = "0.01",
+    bands: Annotated[
+        int, typer.Option(min=1, metavar="N", help="Bands of a sensor that are used, at most.")
+    ] = 30,
+    samples: Annotated[
+        int,
+        typer.Option(min=1, metavar="N", help="Pixels of each species to be recognised."),
+    ] = 20,
+    threshold: Annotated[
+        float,
+        typer.Option(
+            min=0.0,
+            max=1.0,
+            help="Squared correlation with a spectral metric below which a diversity is lost.",
+        ),
+    ] = 0.25,
+    richness: Annotated[
+        str, listed(int, _NUMBERS, "LOW,HIGH", "Fewest and most species.")
+    ] = "2,12",
+    evenness: Annotated[
+        str, listed(float, _NUMBERS, "LOW,HIGH", "Evenness of the covers after Pielou.")
+    ] = "0.4,1",
+    cover: Annotated[
+        str, listed(float, _NUMBERS, "LOW,HIGH", "Sum of the covers as shares of the ground.")
+    ] = "0.3,0.9",
+    age: Annotated[
+        str | None,
+        listed(
+            float,
+            _NUMBERS,
+            "LOW,HIGH",
+            "Years since fire, of the article's taxa; sizes as in the table if left out.",
+        ),
+    ] = None,
+    checkpoint: Checkpoint = None,
+    count: WorkerCount = 0,
+    scheduler: SchedulerAddress = None,
+    seed: Seed = 0,
+) -> None:
+    """Find what sensors can know of the diversity of communities, and at which pixel it is lost.
+
+    Draws communities of a plot's species, plants them, and observes them at coarser and coarser
+    pixels. Writes how well spectral metrics tell richness, Shannon, Simpson, evenness and cover,
+    the pixel at which each is lost, how well species are recognised, figures and a report page.
+
+    Example:  fynjax diversity --communities 20 --size 5 --pixels 0.05,0.1,0.5,1,2.5 --output out
+    """

@@ -1,0 +1,6 @@
+"""What sensors can know of diversity: communities drawn along gradients, planted and observed."""
+
+from fynjax.studies.communities._draw import Gradients, draw_community
+from fynjax.studies.communities._job import DiversityResult, diversity
+
+__all__ = ["DiversityResult", "Gradients", "diversity", "draw_community"]

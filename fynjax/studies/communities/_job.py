@@ -1,0 +1,225 @@
+"""What a sensor can know of diversity: what `fynjax diversity` does."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import pandas as pd
+
+from fynjax._core.checkpoint import Journal, signature
+from fynjax._core.dry_run import begin_work
+from fynjax._core.errors import InputError
+from fynjax._core.extras import require
+from fynjax._core.parts import Workers, at_work
+from fynjax._core.precision import double_precision
+from fynjax._core.progress import stage
+from fynjax.io.instruments import load_instrument
+from fynjax.io.plot import Plot, as_plot, example_folder
+from fynjax.io.raster import file_hash
+from fynjax.jobs import JobResult, Rows, Run
+from fynjax.report.figures import agreement_plot, recognition_plot
+from fynjax.report.pages import Page, Picture, Section, Table
+from fynjax.scene import visible_sensor
+from fynjax.sensors import Sensor
+from fynjax.studies.communities._draw import Gradients, check_pool
+from fynjax.studies.communities._observe import DIVERSITIES, Design, observe_community
+from fynjax.studies.communities._scores import agreement, recognition
+
+PIXELS = (0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0)
+"""Edges of a pixel [m] of a run that names none."""
+_ROUNDING = 1e-6
+
+
+class DiversityResult(JobResult):
+    """Result of `diversity`: how well spectra tell of diversity, and where that is lost."""
+
+    command: Literal["diversity"] = "diversity"
+    lost: Rows
+    """Rows of lost.csv."""
+    recognition: Rows
+    """Rows of recognition.csv."""
+
+
+@double_precision
+def diversity(
+    output: str | Path,
+    plot: Plot | str | Path | None = None,
+    *,
+    communities: int = 100,
+    size: float = 10.0,
+    gradients: Gradients | None = None,
+    sensors: Sequence[str | Path | Sensor] = ("mavic_3m", "aviris_ng"),
+    pixels: Sequence[float] = PIXELS,
+    noise: Sequence[float] = (0.01,),
+    bands: int = 30,
+    samples: int = 20,
+    threshold: float = 0.25,
+    seed: int = 0,
+    checkpoint: str | Path | None = None,
+    workers: Workers | None = None,
+) -> DiversityResult:
+    """How well sensors of any pixel tell the diversity of communities, and tell species apart.
+
+    Communities of the species of a plot are drawn along gradients, planted and seen by each sensor
+    at its finest pixel; coarser pixels are means of these, blurred by the optics of a sensor of
+    such pixels. The light is that of the plot file; leaves of a species are all alike.
+
+    **Arguments:**
+
+    - `output`: folder of the results, made if missing.
+    - `plot`: whose species are drawn from, with their leaves; the shipped plot by default.
+    - `communities`: how many are drawn, at least 4.
+    - `size`: side of a simulated plot [m].
+    - `gradients`: of richness, evenness, cover and years since fire.
+    - `sensors`: imaging ones, by name, file or as objects.
+    - `pixels`: edges of a pixel on the ground [m], multiples of the smallest that divide the side.
+    - `noise`: standard deviations of the noise of a pixel, relative to its reflectance [-].
+    - `bands`: of a sensor, evenly chosen where it has more.
+    - `samples`: pixels of each species that a community gives to the classification, at most.
+    - `threshold`: squared correlation of a spectral metric with a diversity below which the
+      diversity is lost [-].
+    - `seed`: of every random number.
+    - `checkpoint`: folder that keeps what communities gave, from which an interrupted run goes on.
+    - `workers`: where communities are simulated; in this process by default.
+
+    **Returns:** `DiversityResult`. Writes `communities.csv`, `agreement.csv`, `lost.csv`,
+    `recognition.csv`, figures and a page into `output`.
+
+    **Raises:** `InputError` for settings that do not fit each other, as `read_plot` and
+    `build_plot`, and a checkpoint of another run; `MissingExtraError` without scikit-learn.
+
+    Source of the question, and of squared correlations against the pixel: Wang et al. (2018),
+    Ecological Applications 28, 541.
+
+    Example: `studies.communities.diversity("results", communities=20, size=5.0)`.
+    """
+    require("sklearn", "analysis", "scikit-learn")
+    gradients = Gradients() if gradients is None else gradients
+    read = as_plot(example_folder() / "plot.toml" if plot is None else plot)
+    check_pool(read, gradients)
+    pool = read.replace(size_m=(size, size))
+    fine = _checked_pixels(pixels, size)
+    if communities < 4 or samples < 1 or bands < 1 or not 0.0 < threshold < 1.0:
+        raise InputError(
+            "expected at least 4 `communities`, 1 of `samples` and `bands`, and a `threshold` "
+            f"between 0 and 1, but got {communities}, {samples}, {bands} and {threshold:g}"
+        )
+    if not noise or min(noise) < 0.0:
+        raise InputError("expected at least one `noise`, none below 0")
+    design = Design(
+        tuple(_few_bands(sensor, bands) for sensor in sensors), fine, tuple(noise), samples, seed
+    )
+    if not design.sensors:
+        raise InputError("expected at least one of `sensors`")
+    run = Run(output, seed=seed)
+    rows = f"{communities} communities"
+    files = dict.fromkeys(["communities.csv", "agreement.csv", "lost.csv", "recognition.csv"], rows)
+    begin_work(files | {"report.html": ""})
+    journal = None
+    if checkpoint is not None:
+        hashes = [file_hash(path) for path in read.inputs]
+        journal = Journal(checkpoint, signature(pool, hashes, gradients, design))
+    with at_work(workers) as pool_of_workers, stage("Communities", communities):
+        done = pool_of_workers.all(
+            observe_community, range(communities), pool, gradients, design, journal=journal
+        )
+    truth, metrics, species, *spectra = (np.stack(parts) for parts in zip(*done, strict=True))
+    with run.stage("Score"):
+        table, lost = agreement(truth, metrics, design, threshold)
+        known = recognition(species, spectra, pool.taxa, design)
+    headline = _headline(lost, known, threshold)
+    with run.stage("Write"):
+        run.table(
+            "communities.csv", pd.DataFrame(truth, columns=DIVERSITIES), "what stands in each"
+        )
+        run.table("agreement.csv", table, "squared correlation of metrics with diversity")
+        run.table("lost.csv", lost, "pixel at which each diversity is lost to each metric")
+        run.table("recognition.csv", known, "how well species are recognised")
+        sections = _sections(table, lost, known, threshold)
+        record = run.record(read.inputs)
+        title = f"Diversity as sensors see it: {communities} communities of {read.name}"
+        run.page(Page(title, " ".join(headline), sections, record=record))
+    return run.result(DiversityResult, headline=headline, lost=lost, recognition=known)
+
+
+def _checked_pixels(pixels: Sequence[float], size: float) -> tuple[float, ...]:
+    ascending = tuple(sorted(map(float, pixels)))
+    if not ascending or not ascending[0] > 0.0:
+        raise InputError("expected at least one of `pixels`, all above 0 m")
+    for pixel in ascending:
+        for whole, what in ((pixel / ascending[0], "a multiple of the smallest"),
+                            (size / pixel, f"a whole part of the side of {size:g} m")):  # fmt: skip
+            if abs(whole - round(whole)) > _ROUNDING * whole or round(whole) < 1:
+                raise InputError(f"expected each pixel as {what}, but got {pixel:g} m")
+    return ascending
+
+
+def _few_bands(sensor: str | Path | Sensor, most: int) -> Sensor:
+    """The bands of an imaging sensor that plants have spectra for, evenly chosen."""
+    found = load_instrument(sensor) if isinstance(sensor, str | Path) else sensor
+    if not isinstance(found, Sensor):
+        raise InputError(f"expected an imaging sensor, but got {found.name!r}")
+    seen = visible_sensor(found)
+    places = np.unique(np.linspace(0, len(seen.bands) - 1, min(most, len(seen.bands))).round())
+    return seen if len(places) == len(seen.bands) else seen.select(places.astype(int).tolist())
+
+
+def _headline(lost: pd.DataFrame, known: pd.DataFrame, threshold: float) -> list[str]:
+    """For each sensor, at its least noise: its best metric of Shannon and richness, and where
+    species are recognised."""
+    lines = []
+    least = lost[lost["noise"] == lost["noise"].min()]
+    for sensor, part in least.groupby("sensor", sort=False):
+        for what in ("shannon", "richness", "evenness"):
+            rows = part[part["diversity"] == what]
+            best = rows.loc[rows["best_r2"].fillna(0.0).idxmax()]
+            line = (
+                f"{sensor}: of {what} the {best['metric']} of spectra explains "
+                f"{100 * best['best_r2']:.0f} % at pixels of {best['best_pixel_m']:g} m"
+            )
+            if not best["best_r2"] >= threshold:
+                line += f", less than {100 * threshold:.0f} % at every pixel"
+            elif np.isfinite(best["lost_from_m"]):
+                line += f"; lost (below {100 * threshold:.0f} %) from {best['lost_from_m']:g} m on"
+                line += f" [{best['q05']:g}, {best['q95']:g}]"
+            else:
+                line += "; not lost at any of these pixels"
+            lines.append(f"{line}.")
+        mine = known[(known["sensor"] == sensor) & (known["noise"] == known["noise"].min())]
+        pixel, count, found, chance = mine[["pixel_m", "species", "accuracy", "by_chance"]].iloc[0]
+        lines.append(
+            f"{sensor}: {count:.0f} species are recognised in {100 * found:.0f} % of pixels of "
+            f"{pixel:g} m ({100 * chance:.0f} % by chance)."
+            if count
+            else f"{sensor}: no two species lead in enough pixels of {pixel:g} m."
+        )
+    return lines
+
+
+def _sections(
+    table: pd.DataFrame, lost: pd.DataFrame, known: pd.DataFrame, threshold: float
+) -> list[Section]:
+    curves = Picture(
+        "agreement.png",
+        agreement_plot(table, threshold),
+        "squared correlation of spectral metrics with diversity against the pixel",
+        "Squared correlation over communities, at the least noise; bands are 5 to 95 % over "
+        "bootstrapped communities. Below the dashed line a diversity counts as lost.",
+    )
+    skill = Picture(
+        "recognition.png",
+        recognition_plot(known),
+        "share of pixels whose species is recognised against the pixel",
+        "Pixels that are at least half of one species, recognised by a linear discriminant that "
+        "other communities trained; bands are 5 to 95 % over partings, dotted is chance. Numbers "
+        "are species that lead in enough pixels. Leaves of a species are all alike here: real "
+        "ones are not, and are recognised less often.",
+    )
+    return [
+        Section(
+            "Diversity", [curves, Table(lost, "Where each diversity is lost (–: at no pixel).")]
+        ),
+        Section("Species", [skill, Table(known, "How well species are recognised.")]),
+        Section("All numbers", [Table(table, "Squared correlations.", folded=True)]),
+    ]
