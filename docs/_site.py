@@ -172,13 +172,14 @@ def _key_table(schema: dict[str, Any], tables: dict[str, Any], key: str) -> str:
     return described((key, "meaning", "value", "unit", "range", "default"), rows)
 
 
-def _reference(entry: dict[str, Any]) -> tuple[str, bool] | None:
-    """Table of the schema that a key holds, and whether it is a list of them."""
-    for choice in entry.get("anyOf", [entry]):
-        items = choice.get("items", {})
-        if "$ref" in choice or "$ref" in items:
-            return (choice.get("$ref") or items["$ref"]).rsplit("/", 1)[-1], "$ref" in items
-    return None
+def _references(entry: dict[str, Any]) -> list[tuple[str, bool]]:
+    """Tables of the schema that a key may hold, and whether it is a list of them."""
+    if "$ref" in entry:
+        return [(entry["$ref"].rsplit("/", 1)[-1], False)]
+    if "$ref" in entry.get("items", {}):
+        return [(entry["items"]["$ref"].rsplit("/", 1)[-1], True)]
+    choices = entry.get("anyOf", entry.get("oneOf", ()))
+    return [reference for choice in choices for reference in _references(choice)]
 
 
 def keys(name: str) -> str:
@@ -189,15 +190,16 @@ def keys(name: str) -> str:
     tables = schema.get("$defs", {})
 
     def sections(entry: dict[str, Any], path: str) -> Iterator[str]:
-        inner = {k: r for k, v in entry.get("properties", {}).items() if (r := _reference(v))}
+        inner = {k: r for k, v in entry.get("properties", {}).items() if (r := _references(v))}
         plain = {k: v for k, v in entry.get("properties", {}).items() if k not in inner}
         if plain:
             if path:
                 yield f"### `{path}`\n\n{entry.get('description', '')}"
             yield _key_table({**entry, "properties": plain}, tables, "column" if row else "key")
-        for key, (reference, many) in inner.items():
+        for key, references in inner.items():
             below = f"{path.strip('[]')}.{key}".strip(".")
-            yield from sections(tables[reference], f"[[{below}]]" if many else f"[{below}]")
+            for reference, many in references:
+                yield from sections(tables[reference], f"[[{below}]]" if many else f"[{below}]")
 
     row = name.endswith("_row")
     return "\n\n".join(sections(schema, ""))

@@ -10,9 +10,27 @@ import jax
 import jax.numpy as jnp
 import jsonschema
 import numpy as np
+import optimistix as optx
 import rasterio
 from jax.flatten_util import ravel_pytree
+from jaxtyping import Array, Float
 from rasterio import Affine
+
+from fynjax._core.least_squares import NO_TAGS
+from fynjax.io.raster import Cube, open_raster
+
+
+def read_cube(path: Path) -> Cube:
+    """An image with all that its file states of it."""
+    with open_raster(path, "an image") as file:
+        raster = file.read()
+        known = np.isfinite(raster.values).any(axis=(1, 2))
+        return Cube(
+            raster.values, file.names, file.wavelengths, file.fwhm,
+            file.good if file.header else known, file.cell_m, raster.origin,
+            file.tags.get("quantity", file.tags.get("fynjax quantity", "reflectance")),
+            file.crs.to_wkt() if file.crs else None,
+        )  # fmt: skip
 
 
 def assert_gradients(
@@ -120,3 +138,40 @@ def assert_valid_summary(summary: Any) -> None:
     if not isinstance(summary, dict):
         summary = json.loads(summary.model_dump_json())
     jsonschema.validate(summary, json_schema("summary"))
+
+
+def descend(
+    residual: Callable[[Array], Array],
+    solver: Any,
+    start: Float[Array, " free"],
+    *,
+    max_steps: int,
+    jacobian: Callable[[Array], tuple[Array, Array]] | None = None,
+) -> Iterator[tuple[Float[Array, " free"], Any, optx.RESULTS]]:
+    """Steps of a solver of optimistix, one by one, for who watches, keeps or stops them.
+
+    **Arguments:**
+
+    - `residual`: residuals at y; need not be traceable where the solver only calls it.
+    - `solver`: for least squares, such as `BroydenLM()`.
+    - `start`: where to start from.
+    - `max_steps`: most steps.
+    - `jacobian`: gives residuals and Jacobian at y to a `BroydenLM`.
+
+    **Returns:** an iterator over y, the solver's state there, and why it stopped; at first of the
+    start. While it goes on the reason is `optx.RESULTS.nonlinear_max_steps_reached`.
+    """
+    options = {} if jacobian is None else {"jacobian": lambda y, _: jacobian(y)}
+    call = lambda y, _: (residual(y), None)  # noqa: E731
+    y = jnp.asarray(start)
+    struct = None if jacobian is not None else jax.eval_shape(residual, y)
+    state = solver.init(call, y, None, options, struct, None, NO_TAGS)
+    for number in range(max_steps + 1):
+        if number:
+            y, state, _ = solver.step(call, y, None, options, state, NO_TAGS)
+        done, result = solver.terminate(call, y, None, options, state, NO_TAGS)
+        ended = bool(done) or bool(result != optx.RESULTS.successful)
+        going: Any = optx.RESULTS.nonlinear_max_steps_reached
+        yield y, state, result if ended else going
+        if ended:
+            return

@@ -227,6 +227,25 @@ def test_a_full_disk_of_the_checkpoint_ends_in_one_line(tmp_path: Path, monkeypa
     ]
 
 
+def test_a_flipped_bit_of_a_checkpoint_is_refused(tmp_path: Path) -> None:
+    Journal(tmp_path, "s").put(0, (np.arange(6.0), np.array(3)))
+    kept = Journal(tmp_path, "s").kept(0)
+    assert kept is not None
+    np.testing.assert_array_equal(kept[0], np.arange(6.0))
+    (path,) = tmp_path.glob("*.npz")
+    whole = path.read_bytes()
+    for place in range(len(whole)):
+        damaged = bytearray(whole)
+        damaged[place] ^= 1 << place % 8
+        path.write_bytes(damaged)
+        with pytest.raises(InputError, match="damaged one") as error:
+            Journal(tmp_path, "s").kept(0)
+        assert error.value.file == path
+    path.write_bytes(whole[:-1])
+    with pytest.raises(InputError, match="damaged one"):
+        Journal(tmp_path, "s").kept(0)
+
+
 def test_more_workers_than_the_machine_has_room_for(monkeypatch) -> None:
     monkeypatch.setattr(parts, "_machine", lambda: (2, 3 * 2**30))
     for count, why in ((3, "may use 2 cores, but 3 workers"), (2, "1.3 GiB of memory each")):

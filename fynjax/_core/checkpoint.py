@@ -6,9 +6,9 @@ what its steps returned, and a run that starts again is given those instead of c
 
 import dataclasses
 import hashlib
+import io
 import os
 import time
-import zipfile
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from importlib.metadata import version
@@ -47,7 +47,7 @@ class Journal:
             return
         try:
             self._folder.mkdir(parents=True, exist_ok=True)
-            _write(mark, lambda path: path.write_text(signature + "\n", "utf-8"))
+            _write(mark, f"{signature}\n".encode())
         except OSError as error:
             raise InputError(f"cannot write here: {error.strerror}", file=self._folder) from error
 
@@ -68,23 +68,14 @@ class Journal:
 
     def kept(self, number: int) -> tuple[np.ndarray, ...] | None:
         """What a step returned in an earlier run; None if it was not done."""
-        path = self._folder / _STEP.format(number)
-        if not path.is_file():
-            return None
-        try:
-            with open(path, "rb") as raw, np.load(raw) as file:
-                return tuple(file[f"a{i}"] for i in range(len(file.files)))
-        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
-            raise InputError(
-                "no checkpoint, or a damaged one; remove its folder to start again", file=path
-            ) from error
+        arrays = _load(self._folder / _STEP.format(number))
+        return None if arrays is None else tuple(arrays.values())
 
     def put(self, number: int, arrays: Sequence[Array | np.ndarray]) -> None:
         """Keep what a step returned, and forget how it failed before."""
         kept = {f"a{i}": np.asarray(value) for i, value in enumerate(arrays)}
-        path = self._folder / _STEP.format(number)
         try:
-            _write(path, lambda work: _save(work, kept))
+            _save(self._folder / _STEP.format(number), kept)
             (self._folder / _FAILED.format(number)).unlink(missing_ok=True)
         except OSError as error:
             raise self._cannot_keep(error) from error
@@ -94,23 +85,14 @@ class Journal:
         of the last of this name."""
         kept = {key: np.asarray(value) for key, value in _leaves(state, "")}
         try:
-            _write(self._folder / _STATE.format(name), lambda work: _save(work, kept))
+            _save(self._folder / _STATE.format(name), kept)
         except OSError as error:
             raise self._cannot_keep(error) from error
 
     def kept_state(self, name: str, kind: type[State]) -> State | None:
         """The last state of a name, of the dataclass `kind`; None if none was kept."""
-        path = self._folder / _STATE.format(name)
-        if not path.is_file():
-            return None
-        try:
-            with open(path, "rb") as raw, np.load(raw) as file:
-                state: State = _built(kind, {key: file[key] for key in file.files}, "")
-                return state
-        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
-            raise InputError(
-                "no checkpoint, or a damaged one; remove its folder to start again", file=path
-            ) from error
+        arrays = _load(self._folder / _STATE.format(name))
+        return None if arrays is None else _built(kind, arrays, "")
 
     def states(
         self, name: str, kind: type[State], go_on: Callable[[State | None], Iterator[State]]
@@ -143,7 +125,7 @@ class Journal:
         """Keep how a step failed; gives the file, or None where nothing can be written."""
         path = self._folder / _FAILED.format(number)
         try:
-            _write(path, lambda work: work.write_text(text, "utf-8"))
+            _write(path, text.encode())
         except OSError:
             return None
         return path
@@ -193,15 +175,35 @@ def forget_journal(folder: str | Path) -> None:
 
 
 def _save(path: Path, arrays: dict[str, np.ndarray]) -> None:
-    with open(path, "wb") as file:
-        np.savez(file, **arrays)  # type: ignore[arg-type]
+    """Write arrays by name, behind the hash of what follows it."""
+    content = io.BytesIO()
+    np.savez(content, **arrays)  # type: ignore[arg-type]
+    data = content.getvalue()
+    _write(path, hashlib.sha256(data).digest() + data)
 
 
-def _write(path: Path, how: Callable[[Path], object]) -> None:
+def _load(path: Path) -> dict[str, np.ndarray] | None:
+    """The arrays of `_save`; None where there is no file. `InputError` for any other content."""
+    try:
+        raw = path.read_bytes()
+    except FileNotFoundError:
+        return None
+    except OSError as error:
+        raise InputError(f"it cannot be opened ({error.strerror})", file=path) from error
+    size = hashlib.sha256().digest_size
+    if hashlib.sha256(raw[size:]).digest() != raw[:size]:
+        raise InputError(
+            "no checkpoint, or a damaged one; remove its folder to start again", file=path
+        )
+    with np.load(io.BytesIO(raw[size:])) as file:
+        return dict(file)
+
+
+def _write(path: Path, data: bytes) -> None:
     """Beside, then renamed: a kill or a full disk leaves a whole file or none."""
     work = path.with_name(path.name + ".work")
     try:
-        how(work)
+        work.write_bytes(data)
     except OSError:
         work.unlink(missing_ok=True)
         raise

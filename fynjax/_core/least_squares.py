@@ -1,7 +1,7 @@
 """Levenberg-Marquardt as a solver of optimistix, for models whose Jacobian costs tens of
 evaluations."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
@@ -45,10 +45,10 @@ class BroydenLM(optx.AbstractLeastSquaresSolver):
     `optx.RESULTS.nonlinear_divergence`, as where a residual without a prior depends on some
     coordinate not at all.
 
-    Works in `optx.least_squares` and, step by step, in `descend`. `options["jacobian"]` may be a
-    function (y, args) -> (residual, jacobian), where these are known with less work than by
-    differentiating `fn`. Points and residuals are arrays of one axis, without further outputs
-    (`has_aux`). The state is a pytree of arrays; jit and vmap work.
+    Works in `optx.least_squares` and, step by step, by `init`, `step` and `terminate`.
+    `options["jacobian"]` may be a function (y, args) -> (residual, jacobian), where these are known
+    with less work than by differentiating `fn`. Points and residuals are arrays of one axis,
+    without further outputs (`has_aux`). The state is a pytree of arrays; jit and vmap work.
 
     **Example:**
 
@@ -147,40 +147,3 @@ def figures_of(state: BroydenState) -> Float[Array, " 2"]:
     """Half the squared residual at a state, and the norm of its gradient."""
     residual = state.residual
     return jnp.stack([0.5 * residual @ residual, jnp.linalg.norm(state.jacobian.T @ residual)])
-
-
-def descend(
-    residual: Callable[[Array], Array],
-    solver: Any,
-    start: Float[Array, " free"],
-    *,
-    max_steps: int,
-    jacobian: Callable[[Array], tuple[Array, Array]] | None = None,
-) -> Iterator[tuple[Float[Array, " free"], Any, optx.RESULTS]]:
-    """Steps of a solver of optimistix, one by one, for who watches, keeps or stops them.
-
-    **Arguments:**
-
-    - `residual`: residuals at y; need not be traceable where the solver only calls it.
-    - `solver`: for least squares, such as `BroydenLM()`.
-    - `start`: where to start from.
-    - `max_steps`: most steps.
-    - `jacobian`: gives residuals and Jacobian at y to a `BroydenLM`.
-
-    **Returns:** an iterator over y, the solver's state there, and why it stopped; at first of the
-    start. While it goes on the reason is `optx.RESULTS.nonlinear_max_steps_reached`.
-    """
-    options = {} if jacobian is None else {"jacobian": lambda y, _: jacobian(y)}
-    call = lambda y, _: (residual(y), None)  # noqa: E731
-    y = jnp.asarray(start)
-    struct = None if jacobian is not None else jax.eval_shape(residual, y)
-    state = solver.init(call, y, None, options, struct, None, NO_TAGS)
-    for number in range(max_steps + 1):
-        if number:
-            y, state, _ = solver.step(call, y, None, options, state, NO_TAGS)
-        done, result = solver.terminate(call, y, None, options, state, NO_TAGS)
-        ended = bool(done) or bool(result != optx.RESULTS.successful)
-        going: Any = optx.RESULTS.nonlinear_max_steps_reached
-        yield y, state, result if ended else going
-        if ended:
-            return

@@ -16,7 +16,7 @@ from fynjax._core.math import real_array
 _ROUNDING = 1e-6
 
 Distribution = Literal["lognormal", "logit-normal", "normal"]
-"""Of a prior. A logit-normal one is of log((x - lower) / (upper - x))."""
+"""Distribution of a prior. A logit-normal one is of log((x - lower) / (upper - x))."""
 
 PERCENT, CENTIMETRES = ("%", 100.0), ("cm", 100.0)
 
@@ -29,9 +29,9 @@ class Parameter:
     """
 
     symbol: str
-    """As equations write it."""
+    """Symbol of the parameter in equations."""
     name: str
-    """In words, as titles and the first words of a description."""
+    """Name in words, as titles and the first words of a description."""
     unit: str
     """Unit of every value inside the package, such as 'm', '-' or 'ug cm-2'."""
     lower: float
@@ -43,7 +43,7 @@ class Parameter:
     description: str
     """What it means, with the reason of its bounds."""
     source: str
-    """Where its values, bounds and prior are from; says what is assumed."""
+    """Where default, bounds and prior of the parameter are from; says what is assumed."""
     default: float | None = None
     """Value where nothing is stated; None where there is none, or it is that of the growth form."""
     relative_sd: float | None = None
@@ -52,7 +52,7 @@ class Parameter:
     """Standard deviation of the prior where it does not grow with the value [unit], instead of
     `relative_sd`; without either the parameter cannot be free."""
     distribution: Distribution = "lognormal"
-    """Of the prior: lognormal for sizes, areas and amounts, logit-normal for shares."""
+    """Distribution of the prior: lognormal for sizes and amounts, logit-normal for shares."""
     shared: float = 0.0
     """Share of the prior's variance that the species of a plot have in common [-]."""
     population: tuple[float, float] | None = None

@@ -38,7 +38,7 @@ from fynjax._core.memory import free_memory
 from fynjax._core.progress import advance, listening
 
 Arrays = tuple[np.ndarray, ...]
-"""What a part gives."""
+"""The arrays that a part gives."""
 PartFunction = Callable[..., tuple[Array | np.ndarray, ...]]
 """`function(part, *shared)`: of a module, so that another process can import it."""
 _Answer = tuple[Arrays | None, tuple[str, ...], str]
@@ -48,9 +48,9 @@ _RETRIES = 2
 """How often a part is tried again where a disk or memory failed; it may be another machine's."""
 _CONNECT_SECONDS = 15.0
 _LARGEST_SHARE = 0.9
-"""Of the free memory, for all workers together."""
+"""Share of the free memory that all workers together may take [-]."""
 _LEAST_MEMORY = 2 * 2**30
-"""Of a worker: compiling alone takes about half of it [bytes]."""
+"""Least memory of a worker, of which compiling alone takes about half [bytes]."""
 _SHOWN = 3
 _LARGE_PARTS = {"distributed.admin.large-graph-warning-threshold": "1 TiB"}
 """dask warns from 10 MB on, of what a user could load elsewhere; here nobody can."""
@@ -98,9 +98,11 @@ class _Settings:
     """What a process must have in common with the one that asks."""
 
     versions: tuple[tuple[str, str], ...]
+    """Names and versions of Python and packages."""
     environment: tuple[tuple[str, str], ...]
+    """Names and values of environment variables."""
     config: tuple[tuple[str, Any], ...]
-    """Of JAX."""
+    """Names and values of the settings of JAX."""
 
 
 class Pool:

@@ -60,19 +60,7 @@ def double_precision(function: Callable[P, R]) -> Callable[P, R]:
     """Let a function compute in 64 bits; where the process has 32, its arrays of 64 bits come back
     as NumPy arrays. A generator computes each of its items so; between them the caller has the
     precision of the process."""
-
-    @functools.wraps(function)
-    def in_64_bits(*args: P.args, **kwargs: P.kwargs) -> R:
-        if jax.config.read("jax_enable_x64"):
-            return function(*args, **kwargs)
-        token = _entered.set(True)
-        try:
-            with jax.enable_x64(True):
-                found = function(*map(_afresh, args), **{k: _afresh(v) for k, v in kwargs.items()})
-        finally:
-            _entered.reset(token)
-        return found if inspect.isgenerator(found) else _each(np.asarray, found)
-
+    in_64_bits = _in_64_bits(function, np.asarray)
     if not inspect.isgeneratorfunction(function):
         return in_64_bits
 
@@ -92,19 +80,35 @@ def drawn_in_double(function: Callable[P, R]) -> Callable[P, R]:
 
     **Raises:** `InputError` where a `dtype` of float64 is asked for in a process of 32 bits.
     """
+    in_64_bits = _in_64_bits(function, lambda array: jnp.asarray(np.asarray(array)))
+
+    @functools.wraps(function)
+    def drawn(*args: P.args, **kwargs: P.kwargs) -> R:
+        if kwargs.get("dtype") == "float64" and not jax.config.read("jax_enable_x64"):
+            raise InputError(
+                'a scene in float64 needs JAX in 64 bits: call jax.config.update("jax_enable_x64", '
+                "True) first, or leave out `dtype`"
+            )
+        return in_64_bits(*args, **kwargs)
+
+    return drawn
+
+
+def _in_64_bits(function: Callable[P, R], change: Callable[[jax.Array], Any]) -> Callable[P, R]:
+    """A function that computes in 64 bits; where the process has 32, `change` is made to each of
+    its arrays of 64 bits."""
 
     @functools.wraps(function)
     def in_64_bits(*args: P.args, **kwargs: P.kwargs) -> R:
         if jax.config.read("jax_enable_x64"):
             return function(*args, **kwargs)
-        if kwargs.get("dtype") == "float64":
-            raise InputError(
-                'a scene in float64 needs JAX in 64 bits: call jax.config.update("jax_enable_x64", '
-                "True) first, or leave out `dtype`"
-            )
-        with jax.enable_x64(True):
-            found = function(*map(_afresh, args), **{k: _afresh(v) for k, v in kwargs.items()})
-        return _each(lambda array: jnp.asarray(np.asarray(array)), found)
+        token = _entered.set(True)
+        try:
+            with jax.enable_x64(True):
+                found = function(*map(_afresh, args), **{k: _afresh(v) for k, v in kwargs.items()})
+        finally:
+            _entered.reset(token)
+        return found if inspect.isgenerator(found) else _each(change, found)
 
     return in_64_bits
 

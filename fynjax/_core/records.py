@@ -91,7 +91,7 @@ class Strict(BaseModel):
     slips: ClassVar[dict[str, Slip]] = {}
     """For a column, what a value outside its range was probably meant to be."""
     unique: ClassVar[str | None] = None
-    """Field whose value no two rows of a table share."""
+    """Field whose value, where there is one, no two rows of a table share."""
     if_twice: ClassVar[str] = ""
     """What to do about two rows that share it."""
     must_have: ClassVar[tuple[str, ...]] = ()

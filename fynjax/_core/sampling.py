@@ -39,10 +39,11 @@ class Draws(NamedTuple):
     chain: Float[np.ndarray, "step chain parameter"]
     """Positions, without burn-in; walkers of an ensemble count as chains."""
     log_density: Float[np.ndarray, "step chain"]
+    """Log density at each of the positions."""
     effective_size: float
     """Effective number of draws behind the least mixed parameter."""
     autocorrelation: float
-    """Integrated autocorrelation time of that parameter [steps]."""
+    """Integrated autocorrelation time of the least mixed parameter [steps]."""
     acceptance: float
     """Share of the proposals that were accepted [-]."""
     status: str
@@ -60,14 +61,16 @@ class ChainState(eqx.Module):
     chain: Float[np.ndarray, "step chain parameter"]
     """Positions, with those that the draws leave out."""
     log_density: Float[np.ndarray, "step chain"]
+    """Log density at each of the positions."""
     accepted: Float[np.ndarray, " chain"]
-    """Proposals that were accepted, or the sum of their chances."""
+    """Number of proposals of each chain that were accepted, or the sum of their chances."""
     faulty: Int[np.ndarray, ""]
-    """Proposals whose log density was not a number, or trajectories that diverged."""
+    """Number of proposals whose log density was not a number, or of trajectories that diverged."""
     effective_size: Float[np.ndarray, ""]
     """Effective number of draws when the chain was last looked at; NaN before."""
     ahead: tuple[Array, ...]
-    """Of the next step; nothing where there can be none."""
+    """What the next step starts from: positions, log densities, random numbers or step sizes; empty
+    where there can be no step."""
 
 
 class _Sampler:

@@ -80,20 +80,7 @@ def gaussian_matrix(
     Raises `InputError` if the grid is no wavelength grid in nm, a width is not positive, or a
     band loses more than `max_loss`.
     """
-    centres, widths = _centres_and_widths(centre, fwhm)
-
-    def moments_of(c: float, w: float) -> Moments:
-        sigma = w / FWHM_PER_SIGMA
-
-        def moments(x: NDArray) -> tuple[NDArray, NDArray]:
-            z = (x - c) / sigma
-            density = np.exp(-0.5 * z**2) / np.sqrt(2.0 * np.pi)
-            return ndtr(z), -sigma * density
-
-        return moments
-
-    responses = [moments_of(c, w) for c, w in zip(centres, widths)]
-    return _matrix(wavelength, centres, responses, names, max_loss)
+    return _of_widths(_gaussian_moments, wavelength, centre, fwhm, names, max_loss)
 
 
 def box_matrix(
@@ -108,17 +95,26 @@ def box_matrix(
 
     As `gaussian_matrix`, with `width` the full width of each band [nm].
     """
-    centres, widths = _centres_and_widths(centre, width)
+    return _of_widths(_box_moments, wavelength, centre, width, names, max_loss)
 
-    def moments_of(c: float, w: float) -> Moments:
-        def moments(x: NDArray) -> tuple[NDArray, NDArray]:
-            t = np.clip(x - c, -0.5 * w, 0.5 * w)
-            return t / w + 0.5, (t**2 - 0.25 * w**2) / (2.0 * w)
 
-        return moments
+def _gaussian_moments(centre: float, fwhm: float) -> Moments:
+    sigma = fwhm / FWHM_PER_SIGMA
 
-    responses = [moments_of(c, w) for c, w in zip(centres, widths)]
-    return _matrix(wavelength, centres, responses, names, max_loss)
+    def moments(x: NDArray) -> tuple[NDArray, NDArray]:
+        z = (x - centre) / sigma
+        density = np.exp(-0.5 * z**2) / np.sqrt(2.0 * np.pi)
+        return ndtr(z), -sigma * density
+
+    return moments
+
+
+def _box_moments(centre: float, width: float) -> Moments:
+    def moments(x: NDArray) -> tuple[NDArray, NDArray]:
+        t = np.clip(x - centre, -0.5 * width, 0.5 * width)
+        return t / width + 0.5, (t**2 - 0.25 * width**2) / (2.0 * width)
+
+    return moments
 
 
 def tabulated_matrix(
@@ -206,7 +202,15 @@ def _matrix(
     return weights / weights.sum(axis=1, keepdims=True)
 
 
-def _centres_and_widths(centre: ArrayLike, width: ArrayLike) -> tuple[NDArray, NDArray]:
+def _of_widths(
+    moments_of: Callable[[float, float], Moments],
+    wavelength: ArrayLike,
+    centre: ArrayLike,
+    width: ArrayLike,
+    names: Sequence[str] | None,
+    max_loss: float,
+) -> Float[np.ndarray, "band wavelength"]:
+    """Weights of bands of one form, each with a centre and a width [nm]."""
     centres = np.atleast_1d(np.asarray(centre, dtype=np.float64))
     widths = np.broadcast_to(np.asarray(width, dtype=np.float64), centres.shape)
     if not np.all(np.isfinite(widths)) or np.any(widths <= 0.0):
@@ -216,7 +220,8 @@ def _centres_and_widths(centre: ArrayLike, width: ArrayLike) -> tuple[NDArray, N
             f"band centres must be finite and in nm, but are {centres.tolist()}. "
             "Values below 100 look like µm: multiply by 1000."
         )
-    return centres, widths
+    responses = [moments_of(c, w) for c, w in zip(centres, widths)]
+    return _matrix(wavelength, centres, responses, names, max_loss)
 
 
 def _label(names: Sequence[str] | None, index: int) -> str:

@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fynjax._core.errors import InputError, listed
 from fynjax._core.extras import require
@@ -29,15 +28,12 @@ _MARKS = "\t;|,"
 """Separators, the likelier first; where none of them serves, blanks separate."""
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 _WITH_COMMA = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?", re.ASCII)
-_NUMBERS = re.compile(rf"(?:{_NUMBER.pattern}\n)*+", re.ASCII)
 _THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2}([.,]\d{3})+")
 _COMMENT = re.compile(r"\s*(#|//)\s*")
 _SHEET_ERROR = re.compile(r"#(N/A|DIV/0!|REF!|NAME\?|VALUE!|NUM!|NULL!)")
 _NO_TEXT = re.compile(rb"[\0-\x08\x0e-\x19\x1b-\x1f\x7f]")
 _SEPARATOR_LINE = re.compile(r"sep=(.)\s*", re.IGNORECASE)
 _SAMPLE_LINES, _SAMPLE_SIZE = 200, 1 << 20
-_BATCH = 1 << 14
-"""Cells that are looked at together."""
 _LARGEST_SHEET = 1 << 24
 """Cells that a sheet may reach over."""
 _LEAST = -900.0
@@ -50,11 +46,11 @@ class TextTable:
 
     path: Path
     data: bytes
-    """Its text as UTF-8."""
+    """Text of the file as UTF-8."""
     separator: str
-    """Between cells; a blank stands for any number of blanks and tabs."""
+    """What separates cells; a blank stands for any number of blanks and tabs."""
     names: tuple[str, ...] = ()
-    """Of its columns: the header, or what the reader calls those of a table without one."""
+    """Names of the columns: the header, or what the reader calls those of a table without one."""
     headed: bool = True
     """Whether the file has a header."""
     row: int = 1
@@ -227,39 +223,18 @@ class TextTable:
             for place in words:
                 frame[place] = frame[place].str.strip()
             return frame[[*numbers, *words]]
-        values, texts, rows = [], [], self.records()
-        while batch := list(itertools.islice(rows, max(_BATCH // max(len(numbers), 1), 1))):
-            values.append(self._numbers(batch, numbers, missing))
-            texts += [[cells[k] for k in words] for _, cells in batch]
-        if not values:
-            raise InputError("expected rows of numbers, but there is only a header", file=self.path)
-        table = pd.DataFrame(np.concatenate(values), columns=list(numbers))
-        return table.join(pd.DataFrame(texts, columns=list(words), index=table.index))
+        texts = []
 
-    def _numbers(
-        self,
-        rows: Sequence[tuple[int, list[str]]],
-        places: Sequence[int],
-        missing: Collection[str],
-    ) -> NDArray[np.float64]:
-        """Numbers of some rows, all at once where nothing is odd about any of them."""
-        text = "".join(f"{cells[k]}\n" for _, cells in rows for k in places)
-        marks = {mark for mark in ",." if mark in text}
-        marks |= {"."} if self.separator == "," else {self._first[0]} if self._first else set()
-        if len(marks) < 2 and _NUMBERS.fullmatch(plain := text.replace(",", ".")):
-            values = np.array(plain.split(), np.float64).reshape(len(rows), len(places))
-            if np.isfinite(values).all() and not (missing and (values < _LEAST).any()):
-                if marks and not self._first:
-                    (mark,) = marks
-                    marked = ((mark, c[k], row) for row, c in rows for k in places if mark in c[k])
-                    self._first = next(marked, None)
-                return values
-        return np.array(
-            [
-                [self.number(cells[k], row, self.names[k], missing) for k in places]
-                for row, cells in rows
-            ]
-        )
+        def cell_by_cell() -> Iterator[float]:
+            for row, cells in self.records():
+                texts.append([cells[k] for k in words])
+                yield from (self.number(cells[k], row, self.names[k], missing) for k in numbers)
+
+        values = np.fromiter(cell_by_cell(), np.float64).reshape(-1, len(numbers))
+        if not len(values):
+            raise InputError("expected rows of numbers, but there is only a header", file=self.path)
+        table = pd.DataFrame(values, columns=list(numbers))
+        return table.join(pd.DataFrame(texts, columns=list(words), index=table.index))
 
     def _clean_columns(self, numbers: Sequence[int], gaps: bool) -> "pd.DataFrame | None":
         """All columns, where pandas finds nothing but finite numbers and full rows; else `None`."""
@@ -300,9 +275,7 @@ class TextTable:
         return next(itertools.islice(self.rows(), index, None))[0]
 
 
-def open_table(
-    path: str | Path, what: str, *, largest: int = LARGEST_TEXT, data: bytes | None = None
-) -> TextTable:
+def open_table(path: str | Path, what: str, *, data: bytes | None = None) -> TextTable:
     """Find how a table is written; its first row is the header.
 
     Tabs, semicolons, bars, commas or blanks separate, cells may stand in double quotes, and
@@ -314,7 +287,6 @@ def open_table(
 
     - `path`: the file.
     - `what`: names the file in errors, such as "a species table".
-    - `largest`: most bytes that it may have.
     - `data`: its bytes, where they have been read.
 
     **Returns:** the table; its numbers have not been looked at.
@@ -322,7 +294,7 @@ def open_table(
     **Raises:** `InputError` for a file that is missing, empty or no table; `MissingExtraError` for
     a workbook without the extra `tables`. Warns of decimals that may be thousands.
     """
-    table, _ = _open(path, what, largest, data)
+    table, _ = _open(path, what, LARGEST_TEXT, data)
     table.row, table.skip, names = next(table._rows(0))
     table.names = tuple(trimmed(names))
     return table

@@ -134,6 +134,12 @@ def sentence(error: ErrorDetails, model: type[BaseModel], name: str) -> str:
         return f"expected {name!r} ({expected(field) if field else 'a value'}), but it is missing"
     if kind == "value_error":
         return str(error["ctx"]["error"])
+    if kind == "union_tag_invalid":
+        known_tags, tag = error["ctx"]["expected_tags"], error["ctx"]["tag"]
+        near = did_you_mean(tag, known_tags.replace("'", "").split(", "))
+        return f"expected one of {known_tags}, but got {tag!r}.{near}"
+    if kind == "union_tag_not_found":
+        return f"expected {name!r}, which says what the other keys are, but it is missing"
     if field is None:
         return f"{error['msg']}, but got {shown(value)}"
     hint = ""
@@ -158,27 +164,42 @@ def first_error(error: ValidationError) -> ErrorDetails:
     return min(errors, key=lambda e: (e["type"] != "extra_forbidden", e["type"] != "missing"))
 
 
-def checked_row(model: type[Row], given: Mapping[str, Any], **where: Any) -> Row:
+def checked_row(
+    model: type[Row],
+    given: Mapping[str, Any],
+    *,
+    file: Path | None = None,
+    row: int | None = None,
+    within: Path | None = None,
+) -> Row:
     """A record of what a row of a table states.
 
     **Arguments:**
 
     - `model`: class of the record.
     - `given`: values by column, without those of empty cells.
-    - `where`: file and row, as `InputError` takes them.
+    - `file`, `row`: that hold it.
+    - `within`: folder in which files must lie that a `NamedFile` of the record names.
 
     **Raises:** `InputError` with the column, what was expected, what came and the likely slip.
     """
+    context = None if file is None else {"owner": file, "within": within}
     try:
-        return model.model_validate(given)
+        return model.model_validate(given, context=context)
     except ValidationError as error:
         first = first_error(error)
         name = str(first["loc"][0]) if first["loc"] else None
-        raise InputError(sentence(first, model, name or ""), **where, column=name) from error
+        raise InputError(
+            sentence(first, model, name or ""), file=file, row=row, column=name
+        ) from error
 
 
 def checked_rows(
-    given: Iterable[tuple[int, Mapping[str, Any]]], model: type[Row], file: Path | None = None
+    given: Iterable[tuple[int, Mapping[str, Any]]],
+    model: type[Row],
+    file: Path | None = None,
+    *,
+    within: Path | None = None,
 ) -> list[tuple[int, Row]]:
     """Records of the rows of a table, each with its number.
 
@@ -187,6 +208,7 @@ def checked_rows(
     - `given`: number of each row, and its values as `checked_row` takes them.
     - `model`: class of the record.
     - `file`: that holds the table.
+    - `within`: as of `checked_row`.
 
     **Raises:** `InputError` as `checked_row`, and for rows that share what must be `unique`.
     """
@@ -195,8 +217,9 @@ def checked_rows(
     rules = model if issubclass(model, Strict) else Strict
     key = rules.unique
     for number, cells in given:
-        row = checked_row(model, cells, file=file, row=number)
-        if key is not None and first.setdefault(value := getattr(row, key), number) != number:
+        row = checked_row(model, cells, file=file, row=number, within=within)
+        value = None if key is None else getattr(row, key)
+        if value is not None and first.setdefault(value, number) != number:
             raise InputError(
                 f"{value!r} is there twice, first in row {first[value]}. {rules.if_twice}".rstrip(),
                 file=file,

@@ -22,6 +22,7 @@ from fynjax.assembly._front import (
     sample,
 )
 from fynjax.assembly._front import PlotData as Data
+from fynjax.assembly._ground import ground_heights
 from fynjax.assembly._memory import check_memory
 from fynjax.assembly._pixels import sample_pixel
 from fynjax.assembly._sensing import aim_at_plot, aim_without_air
@@ -59,6 +60,7 @@ __all__ = [
     "emulate",
     "fit",
     "free",
+    "ground_heights",
     "image_view",
     "information",
     "make_stand",

@@ -94,6 +94,7 @@ def build_plot(
         softness_plants=plot.softness_plants,
         structure=plot.structure_m,
     )
+    heights = ground_heights(plot)
     plant = partial(
         build_scene,
         [Species.of(row) for row in plot.species],
@@ -105,7 +106,7 @@ def build_plot(
         ground=plot_ground(plot, patches),
         dead_tissue=dead_tissue(plot),
         hot_spot=plot.hot_spot,
-        terrain=ground_heights(plot),
+        terrain=None if heights is None else heights - heights.min(),
         sky=_sky(plot),
         sky_pattern=None if plot.sky.pattern is None else read_sky_pattern(plot.sky.pattern),
         plants=[None if plant is None else plant.plant for plant in plants],

@@ -80,8 +80,10 @@ def cover_patches(plot: Plot, seed: int) -> Float64[np.ndarray, "kind y x"] | No
 
 
 def ground_heights(plot: Plot) -> Float64[np.ndarray, "y x"] | None:
-    """Height of the ground in the middles of the voxel columns above its lowest, y to the north
-    [m]; `None`: level.
+    """Height of the ground in the middles of the voxel columns, y to the north, as the map of the
+    plot's terrain has it [m]; `None`: level.
+
+    **Arguments:** `plot`, whose `terrain` is the map.
 
     **Raises:** `InputError` for a raster that cannot be read or placed, has several bands, states
     another unit than metres, or differs by more than twice the plot's side.
@@ -115,7 +117,7 @@ def ground_heights(plot: Plot) -> Float64[np.ndarray, "y x"] | None:
             f"{relief:g} m. Another unit, or a no-data value that the file does not declare?",
             file=plot.terrain,
         )
-    return height - height.min()
+    return height
 
 
 def _one_spectrum(path: Path, what: str) -> Spectrum:

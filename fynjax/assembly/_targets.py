@@ -35,14 +35,13 @@ from fynjax.io.raster import open_raster
 from fynjax.io.text import existing_file, open_table
 from fynjax.metrics import (
     BANDS,
-    STRUCTURE_METRICS,
     VEGETATION_INDICES,
-    StructureSettings,
     fitting_statistics,
     image_statistics,
     match_wavelengths,
     spectral_mask,
 )
+from fynjax.metrics.structure import STRUCTURE_METRICS, StructureSettings
 from fynjax.scene import PlotParameters, Scene, fitting_structure
 from fynjax.sensors import (
     BandSet,
@@ -253,9 +252,11 @@ def image_data(
         if bands is not None:
             raise InputError("expected `bands` with a drone image, but this is a table", file=path)
         read = read_statistics(path, {*BANDS, *VEGETATION_INDICES})
-        keep = rules.used(read.names, "the target's rows")
-        names = [read.names[i] for i in keep]
-        data = weigh_targets(names, read.value[keep], rules.relative_sd, sd=read.sd[keep])
+        keep = rules.used([row.statistic for row in read], "the target's rows")
+        names = [read[i].statistic for i in keep]
+        value = np.array([read[i].value for i in keep])
+        sd = np.array([read[i].sd for i in keep], float)  # NaN where the table states none
+        data = weigh_targets(names, value, rules.relative_sd, sd=sd)
     return data, extra, pixel
 
 
@@ -423,17 +424,18 @@ def structure_data(
     **Raises:** `InputError` as the readers, and for a table of another grain.
     """
     extra: dict[str, Any]
+    values: dict[str, tuple[float, float]]
     if path.suffix.lower() == ".csv":
         read = read_structure(path)
-        if read.grain_m not in grains:
+        grain, pulses, how = read[0].grain_m, read[0].returns_m2, "a table"
+        if grain not in grains:
             raise InputError(
                 f"expected a grain of {', '.join(f'{g:g}' for g in grains)} m, whole cells of the "
-                f"canopy's surface of {settings.canopy_cell:g} m, but got {read.grain_m:g} m",
+                f"canopy's surface of {settings.canopy_cell:g} m, but got {grain:g} m",
                 file=path,
                 column="grain_m",
             )
-        values = dict(zip(read.metrics, zip(read.value, read.sd)))
-        grain, pulses, how = read.grain_m, read.returns_m2, "a table"
+        values = {row.metric: (row.value, row.sd or 0.0) for row in read}
         extra = {}
     else:
         how = "resampling of the cells"
@@ -442,12 +444,10 @@ def structure_data(
             ComparisonSettings(structure=settings, grains=grains),
             seed=seed,
         )
-        values = {}
-        for name, one in found.metrics.items():
-            if one.value is not None:
-                low, high = one.bootstrap_interval or (one.value, one.value)
-                # The interval holds 95 % of a normal.
-                values[name] = (one.value, (high - low) / (2.0 * 1.959964))
+        metrics = found.side.metrics.dropna(subset="value")
+        # The interval holds 95 % of a normal.
+        width = (metrics["bootstrap_high"] - metrics["bootstrap_low"]).fillna(0.0)
+        values = dict(zip(metrics.index, zip(metrics["value"], width / (2.0 * 1.959964))))
         grain, pulses = found.grain, found.side.density
         extra = {"returns": found.side.returns, "ground": found.side.ground}
     names = [name for name in STRUCTURE_METRICS if name in values]

@@ -17,7 +17,7 @@ from fynjax.cli._inversion import calibrate, information, posterior, sensitivity
 from fynjax.cli._leaf import convert, fit_leaf
 from fynjax.cli._maps import map_command, train
 from fynjax.cli._plot import build, demo, init, pattern, plant, render, terrain, view
-from fynjax.cli._sensors import reflectance, sensors, simulate
+from fynjax.cli._sensors import doctor, reflectance, sensors, simulate
 from fynjax.cli._validate import validate
 
 __all__ = ["app", "main"]
@@ -28,6 +28,7 @@ _PANELS: dict[str, dict[str, Callable[..., None]]] = {
         **{"plant": plant, "terrain": terrain, "pattern": pattern},
     },
     "Leaf": {"fit-leaf": fit_leaf, "convert": convert},
+    "This machine": {"doctor": doctor},
     "Sensors": {"sensors": sensors, "simulate": simulate, "reflectance": reflectance},
     "Inversion": {
         **{"calibrate": calibrate, "posterior": posterior},

@@ -87,13 +87,6 @@ def fit_leaf(
         Path | None,
         typer.Option(help="CSV with columns name and species: fit leaves of a species together."),
     ] = None,
-    regression: Annotated[
-        bool,
-        typer.Option(
-            "--regression",
-            help="Correct water by what fits leave in the spectra, all of one campaign.",
-        ),
-    ] = False,
     posterior: Annotated[
         Literal["none", "emcee", "nuts"],
         typer.Option(help="Sample the posterior of each leaf as well."),

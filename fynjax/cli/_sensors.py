@@ -37,6 +37,36 @@ def sensors(
     Console().print(table)
 
 
+def doctor(
+    json: Annotated[bool, typer.Option("--json", help="Print the checks as JSON.")] = False,
+) -> None:
+    """Check that this machine computes what fynjax relies on, and say the way out where not.
+
+    Sums, products, an image and a gradient against other ways to them, 64 bits, memory, and the
+    folder of compiled programs. Exit status 1 if anything is wrong.
+
+    Example:  JAX_PLATFORMS=cpu fynjax doctor
+    """
+    from importlib.metadata import version
+
+    import jax
+
+    from fynjax.jobs import doctor as checks_of_backend
+
+    checks = checks_of_backend()
+    if json:
+        from json import dumps
+
+        print(dumps([check._asdict() for check in checks]))
+    else:
+        print(f"fynjax {version('fynjax')}, JAX {version('jax')}, {jax.devices()[0].device_kind}")
+        for check in checks:
+            advice = "" if check.passed else f". {check.advice[0].upper()}{check.advice[1:]}."
+            print(f"{'right' if check.passed else 'WRONG'}  {check.name}: {check.found}{advice}")
+    if not all(check.passed for check in checks):
+        raise typer.Exit(1)
+
+
 def _products(product: str) -> list[str]:
     return ["reflectance", "radiance"] if product == "both" else [product]
 

@@ -3,7 +3,7 @@
 from fynjax.compare._dataset import unit_of, validation_dataset
 from fynjax.compare._drone import DroneComparison, compare_drone_images
 from fynjax.compare._images import DroneImage, read_drone_image
-from fynjax.compare._lidar_heights import LEVELS, Heights, compare_heights, lowest_ground
+from fynjax.compare._lidar_heights import LEVELS, Heights, compare_heights
 from fynjax.compare._plots import (
     FEATURES,
     FLIGHT,
@@ -73,7 +73,6 @@ __all__ = [
     "feature_values",
     "figure12_2006",
     "leave_one_out",
-    "lowest_ground",
     "mean_agreement",
     "misfit_table",
     "read_drone_image",

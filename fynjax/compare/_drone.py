@@ -3,11 +3,11 @@
 import warnings
 from dataclasses import dataclass
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pandas as pd
-from jaxtyping import Bool, Float
+from jaxtyping import Float
+from scipy.stats import ks_2samp
 
 from fynjax._core.progress import advance, stage
 from fynjax.compare._images import FEW_PIXELS, DroneImage
@@ -16,7 +16,6 @@ from fynjax.metrics import (
     BANDS,
     VEGETATION_INDICES,
     histogram_intersection,
-    ks_distance,
     vegetation_indices,
 )
 
@@ -31,6 +30,7 @@ _SHOWN_BINS = 60
 _OTHER_SCALE = 2.5
 """Ratio of pixels' sides from which on spreads and histograms are of different things [-]."""
 
+_KNOWN = {True: "yes", False: "no", None: "open"}
 _Values = Float[np.ndarray, " pixel"]
 
 
@@ -76,7 +76,7 @@ def compare_drone_images(real: DroneImage, simulated: DroneImage) -> DroneCompar
     with stage("Compare the drone images", len(VEGETATION_INDICES)):
         bands = _band_table(*samples)
         for name, index in VEGETATION_INDICES.items():
-            x, y = (np.asarray(_index(s, name)) for s in samples)
+            x, y = (np.asarray(vegetation_indices(jnp.asarray(s), [name])[0]) for s in samples)
             row = {"index": name, "formula": index.formula, **_pair_row(x, y)}
             row["departure"] = index.departure
             row["literature_formula"] = index.literature_formula
@@ -91,7 +91,9 @@ def compare_drone_images(real: DroneImage, simulated: DroneImage) -> DroneCompar
                 "paper_real_mean": paper.real_mean,
                 "paper_simulated_mean": paper.sim_mean,
                 "paper_real_std": paper.real_std,
-                "paper_real_std_consistent": _yes_or_no(paper.std_consistent),
+                "paper_real_std_consistent": {True: "yes", False: "no", None: "open"}[
+                    paper.std_consistent
+                ],
                 "paper_simulated_std": paper.sim_std,
                 "paper_histogram_intersection": paper.histogram_intersection,
                 "paper_ks": paper.ks,
@@ -114,14 +116,6 @@ def compare_drone_images(real: DroneImage, simulated: DroneImage) -> DroneCompar
     )
 
 
-def _yes_or_no(consistent: bool | None) -> str:
-    return {True: "yes", False: "no", None: "open"}[consistent]
-
-
-def _index(pixels: Float[np.ndarray, "band pixel"], name: str) -> jax.Array:
-    return vegetation_indices(jnp.asarray(pixels), [name])[0]
-
-
 def _band_table(
     real: Float[np.ndarray, "band pixel"], simulated: Float[np.ndarray, "band pixel"]
 ) -> pd.DataFrame:
@@ -140,51 +134,25 @@ def _band_table(
 
 def _pair_row(x: _Values, y: _Values) -> dict[str, object]:
     """Means, spreads and distances of two samples; NaN is left out and counted."""
-    keep_x, keep_y = np.isfinite(x), np.isfinite(y)
-    a, b = x[keep_x], y[keep_y]
+    a, b = x[np.isfinite(x)], y[np.isfinite(y)]
     row: dict[str, object] = {}
     for side, part in (("real", a), ("simulated", b)):
         row[f"{side}_mean"] = part.mean() if part.size else np.nan
         row[f"{side}_std"] = part.std() if part.size else np.nan
-    if not (a.size and b.size):
-        names = ("difference_percent", "histogram_intersection", "ks", "central_intersection")
-        return {**row, **dict.fromkeys(names, np.nan), **_undefined(keep_x, keep_y)}
-    start = a.mean()
-    row["difference_percent"] = 100.0 * (b.mean() - start) / abs(start) if start else np.nan
-    both = (*map(jnp.asarray, (x, y, keep_x, keep_y)),)
-    row["histogram_intersection"] = float(_overlap(*both))
-    row["ks"] = float(_ks(*both))
-    pooled = np.concatenate([a, b])
-    low, high = np.percentile(pooled, _CENTRAL)
-    row["central_intersection"] = float(_overlap(*both, (low, high))) if high > low else np.nan
-    return {**row, **_undefined(keep_x, keep_y)}
-
-
-def _undefined(
-    real: Bool[np.ndarray, " pixel"], simulated: Bool[np.ndarray, " pixel"]
-) -> dict[str, float]:
-    return {
-        "real_undefined_percent": 100.0 * float(np.mean(~real)),
-        "simulated_undefined_percent": 100.0 * float(np.mean(~simulated)),
-    }
-
-
-@jax.jit
-def _overlap(
-    x: jax.Array,
-    y: jax.Array,
-    keep_x: jax.Array,
-    keep_y: jax.Array,
-    limits: tuple[float, float] | None = None,
-) -> jax.Array:
-    return histogram_intersection(
-        x, y, bins=BINS, limits=limits, real_valid=keep_x, simulated_valid=keep_y
-    )
-
-
-@jax.jit
-def _ks(x: jax.Array, y: jax.Array, keep_x: jax.Array, keep_y: jax.Array) -> jax.Array:
-    return ks_distance(x, y, real_valid=keep_x, simulated_valid=keep_y)
+    names = ("difference_percent", "histogram_intersection", "ks", "central_intersection")
+    row |= dict.fromkeys(names, np.nan)
+    if a.size and b.size:
+        if start := a.mean():
+            row["difference_percent"] = 100.0 * (b.mean() - start) / abs(start)
+        row["histogram_intersection"] = histogram_intersection(a, b, bins=BINS)
+        row["ks"] = float(ks_2samp(a, b, method="asymp").statistic)
+        low, high = np.percentile(np.concatenate([a, b]), _CENTRAL)
+        if high > low:
+            limits = (low, high)
+            row["central_intersection"] = histogram_intersection(a, b, bins=BINS, limits=limits)
+    for side, whole, part in (("real", x, a), ("simulated", y, b)):
+        row[f"{side}_undefined_percent"] = 100.0 * (1.0 - part.size / whole.size)
+    return row
 
 
 def _histograms(

@@ -7,8 +7,6 @@ import numpy as np
 import pandas as pd
 from jaxtyping import Float
 
-from fynjax.io.plot import Plot
-from fynjax.io.raster import read_over_plot
 from fynjax.radiation import VoxelScene
 from fynjax.scene import PlotParameters, Scene, ground_at, height_profile
 from fynjax.sensors import LidarBeams, LidarReturns, expected_returns
@@ -25,13 +23,13 @@ class Heights:
     """Where plants are, where light first meets them, and where returns are."""
 
     height: Float[np.ndarray, " point"]
-    """Of every return above the ground [m]."""
+    """Height of every return above the ground [m]."""
     edges: Float[np.ndarray, " edge"]
     """Borders of layers above the ground [m]."""
     shares: dict[str, Float[np.ndarray, " layer"]]
     """Share in each layer of planted area (leaf and wood), first hits and vegetation returns."""
     percentiles: dict[str, Float[np.ndarray, " level"]]
-    """`LEVELS` of height of the same [m]; empty without vegetation returns."""
+    """Percentiles (`LEVELS`) of height of planted area, first hits and vegetation returns [m]."""
 
     @property
     def rmse(self) -> dict[str, float] | None:
@@ -97,24 +95,3 @@ def compare_heights(
     if plants.any():
         percentiles[RETURNED] = np.percentile(height[plants], LEVELS)
     return Heights(height, edges, shares, percentiles)
-
-
-def lowest_ground(plot: Plot) -> float:
-    """Height of the plot's lowest voxel column on the map of its terrain [m].
-
-    **Arguments:**
-
-    - `plot`: with a terrain.
-
-    **Raises:** `InputError` for a map that cannot be read or does not cover the plot.
-    """
-    assert plot.terrain is not None
-    part = read_over_plot(
-        plot.terrain,
-        "a raster of heights",
-        plot.size_m,
-        origin_m=plot.map_origin_m,
-        option="map_origin_m",
-    )
-    columns, rows = (round(side / plot.voxel_m) for side in plot.size_m)
-    return float(part.at_centres((rows, columns)).min())

@@ -37,9 +37,9 @@ class PlotSpectraPair:
 
     plots: tuple[str, ...]
     wavelength: Float[np.ndarray, " band"]
-    """[nm], without water windows and the sensor's edges."""
+    """Band centres [nm], without water windows and the sensor's edges."""
     simulated: Float[np.ndarray, "plot band"]
-    """Reflectance [-]."""
+    """Simulated reflectance of each plot [-]."""
     flights: tuple[Float[np.ndarray, "flight band"], ...]
     """Measured spectra of each plot; none where nobody measured."""
 
@@ -51,14 +51,9 @@ class PlotSpectraPair:
              for f in self.flights]
         )  # fmt: skip
 
-    @property
-    def known(self) -> Bool[np.ndarray, " plot"]:
-        """Plots with a measured spectrum."""
-        return np.array([len(f) > 0 for f in self.flights], bool)
-
     def those_measured(self) -> "PlotSpectraPair":
         """The plots that have a measured spectrum."""
-        keep = np.flatnonzero(self.known)
+        keep = [i for i, flights in enumerate(self.flights) if len(flights)]
         return PlotSpectraPair(
             tuple(self.plots[i] for i in keep),
             self.wavelength,

@@ -3,68 +3,82 @@
 import csv
 from dataclasses import dataclass
 from importlib.resources import files
-from typing import Literal
+from typing import Annotated, Literal
+
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field
 
 from fynjax.metrics import BANDS, VEGETATION_INDICES
 
+Percent = Annotated[float, AfterValidator(lambda percent: percent / 100.0)]
+"""A number that a table states in percent, as a fraction."""
+Known = Annotated[bool | None, BeforeValidator({"true": True, "false": False}.get)]
+"""Whether something is so; None where no one knows."""
 
-@dataclass(frozen=True)
-class Table4Row:
+
+class _Published(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="ignore")
+
+
+class Table4Row(_Published):
     """One row of the paper's table 4: an index over the real and the paper's simulated image."""
 
     index: str
     real_mean: float
+    """Mean of the real image [-]."""
     real_std: float
+    """Standard deviation of the real image [-]."""
     sim_mean: float
+    """Mean of the paper's simulated image [-]."""
     sim_std: float
+    """Standard deviation of the paper's simulated image [-]."""
     histogram_intersection: float
+    """Overlap of the two histograms [-]."""
     ks: float
+    """Kolmogorov-Smirnov distance of the two [-]."""
     formula: str
     """Inferred form; G, R, RE, N are the bands."""
     formula_confidence: Literal["exact", "firm", "open"]
-    std_consistent: bool | None
+    std_consistent: Known
     """Whether the printed real std obeys the formula and the other rows; None if no one knows."""
-    affine_of: str | None
-    """Row of which this one is an exact affine function, so that it adds no information."""
+    affine_of: str
+    """Row of which this one is an exact affine function, so that it adds no information; empty
+    where there is none."""
 
 
-@dataclass(frozen=True)
-class BandReference:
+class BandReference(_Published):
     """Published comparison of one drone band."""
 
     band: str
-    real_mean: float
+    real_mean: float = Field(alias="real_mean_derived")
     """Mean reflectance of the real image [-]: derived from table 4, not printed."""
-    sim_abs_difference: float
+    sim_abs_difference: Percent = Field(alias="sim_abs_difference_percent")
     """Difference of the paper's simulated from the real mean, over the latter [-]; no sign."""
 
 
-@dataclass(frozen=True)
-class Table5Row:
+class Table5Row(_Published):
     """Published agreement of the simulated with the real spectrometer spectrum in one region."""
 
     region: str
     """Name in `SPECTRAL_REGIONS`."""
-    spectral_angle: float
-    """[degrees]"""
+    spectral_angle: float = Field(alias="spectral_angle_deg")
+    """Angle between the spectra [degrees]."""
     rmse: float
-    """[-]"""
-    nrmse: float
+    """Root mean square error of reflectance [-]."""
+    nrmse: Percent = Field(alias="nrmse_percent")
     """RMSE over the range of the real spectrum [-]."""
     correlation: float
-    """[-]"""
+    """Pearson correlation of the spectra [-]."""
 
 
-@dataclass(frozen=True)
-class Figure12Row:
+class Figure12Row(_Published):
     """Published difference of one index between the real and the simulated mean spectrum."""
 
     index: str
-    lower: float
+    lower: Percent = Field(alias="lower_percent")
     """Smallest absolute difference that the text allows, over the real value [-]."""
-    upper: float
+    upper: Percent = Field(alias="upper_percent")
     """Largest one; equal to `lower` where the text gives one number."""
-    simulated_higher: bool | None
+    simulated_higher: Known
     """None where the text gives no sign."""
 
 
@@ -76,7 +90,7 @@ class Target:
     """A band (`green`, ...) or an index (`NDVI`, ...)."""
     statistic: Literal["mean", "std"]
     value: float
-    """[-]"""
+    """Value of the statistic in the real image [-]."""
     derived: bool
     """True if the number is inferred from the printed ones."""
 
@@ -93,62 +107,22 @@ def table4_2006() -> dict[str, Table4Row]:
     >>> len(table4_2006())
     20
     """
-    consistent = {"true": True, "false": False, "open": None}
-    rows = {}
-    for row in _read("table4_2006.csv"):
-        rows[row["index"]] = Table4Row(
-            index=row["index"],
-            real_mean=float(row["real_mean"]),
-            real_std=float(row["real_std"]),
-            sim_mean=float(row["sim_mean"]),
-            sim_std=float(row["sim_std"]),
-            histogram_intersection=float(row["histogram_intersection"]),
-            ks=float(row["ks"]),
-            formula=row["formula"],
-            formula_confidence=row["formula_confidence"],  # type: ignore[arg-type]
-            std_consistent=consistent[row["std_consistent"]],
-            affine_of=row["affine_of"] or None,
-        )
-    return rows
+    return {row["index"]: Table4Row.model_validate(row) for row in _read("table4_2006.csv")}
 
 
 def bands_2006() -> dict[str, BandReference]:
     """Band means of the real image and figure 9's differences, by band name."""
-    return {
-        row["band"]: BandReference(
-            band=row["band"],
-            real_mean=float(row["real_mean_derived"]),
-            sim_abs_difference=float(row["sim_abs_difference_percent"]) / 100.0,
-        )
-        for row in _read("bands_2006.csv")
-    }
+    return {row["band"]: BandReference.model_validate(row) for row in _read("bands_2006.csv")}
 
 
 def table5_2006() -> dict[str, Table5Row]:
     """Table 5 of the paper (AVIRIS-NG over the 2006 burn plot), by region."""
-    return {
-        row["region"]: Table5Row(
-            region=row["region"],
-            spectral_angle=float(row["spectral_angle_deg"]),
-            rmse=float(row["rmse"]),
-            nrmse=float(row["nrmse_percent"]) / 100.0,
-            correlation=float(row["correlation"]),
-        )
-        for row in _read("table5_2006.csv")
-    }
+    return {row["region"]: Table5Row.model_validate(row) for row in _read("table5_2006.csv")}
 
 
 def figure12_2006() -> dict[str, Figure12Row]:
     """What the text says of figure 12's index differences, by index."""
-    return {
-        row["index"]: Figure12Row(
-            index=row["index"],
-            lower=float(row["lower_percent"]) / 100.0,
-            upper=float(row["upper_percent"]) / 100.0,
-            simulated_higher={"true": True, "": None}[row["simulated_higher"]],
-        )
-        for row in _read("figure12_2006.csv")
-    }
+    return {row["index"]: Figure12Row.model_validate(row) for row in _read("figure12_2006.csv")}
 
 
 def consistent_targets(*, independent: bool = False) -> tuple[Target, ...]:

@@ -40,7 +40,7 @@ class SpectraSample:
     dead: int
     """Bands without a value in most spectra."""
     step: int = 1
-    """Of a cube, every `step`-th row and column was read."""
+    """Step of the rows and columns of a cube that were read; 1 is all."""
 
     def description(self) -> str:
         """What was read, in sentences."""

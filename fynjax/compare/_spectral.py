@@ -222,7 +222,7 @@ def _misfit_row(name: str, misfit: Misfit) -> dict[str, object]:
         "shape_percent": shape,
         "gain": float(misfit.gain),
         "offset": float(misfit.offset),
-        "mean_by_offset": float(misfit.mean_by_offset),
+        "mean_by_offset": float(misfit.offset),
         "mean_by_gain": float(misfit.mean_by_gain),
         "rmse_without_offset": float(misfit.rmse_without_offset),
         "rmse_without_gain": float(misfit.rmse_without_gain),

@@ -1,6 +1,6 @@
 """Inversion: from measured statistics back to the parameters of a plot."""
 
-from fynjax._core.least_squares import BroydenLM, descend
+from fynjax._core.least_squares import BroydenLM
 from fynjax.inversion._amortised import (
     INTERVALS,
     AmortisedPosterior,
@@ -169,7 +169,6 @@ __all__ = [
     "check_samples",
     "coarser",
     "derivative_measures",
-    "descend",
     "draws_like",
     "estimate_pixels",
     "even_bands",

@@ -18,7 +18,8 @@ from jaxtyping import Array, Float, Int
 
 from fynjax.canopy import VoxelGrid
 from fynjax.inversion._log_posterior import jacobian_by_rows
-from fynjax.metrics import STRUCTURE_METRICS, StructureSettings, image_statistics
+from fynjax.metrics import image_statistics
+from fynjax.metrics.structure import STRUCTURE_METRICS, StructureSettings
 from fynjax.radiation import Accuracy, VoxelScene
 from fynjax.scene import (
     AimedSensor,

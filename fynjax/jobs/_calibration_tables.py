@@ -14,7 +14,8 @@ from fynjax.assembly import Measured, parameter_columns
 from fynjax.inversion import Calibration, ImageView, KnownPlants, ParameterSpace
 from fynjax.io.raster import image_array
 from fynjax.jobs._render import plant_counts
-from fynjax.metrics import BANDS, STRUCTURE_METRICS, image_statistics
+from fynjax.metrics import BANDS, image_statistics
+from fynjax.metrics.structure import STRUCTURE_METRICS
 from fynjax.scene import PARAMETERS, AimedSensor, Scene, named_values, parameter_kind
 
 _statistics = eqx.filter_jit(image_statistics)

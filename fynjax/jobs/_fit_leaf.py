@@ -46,7 +46,6 @@ from fynjax.leaf import (
     area_factors,
     bin_centres,
     fit_leaf_groups,
-    regress_water,
     resolved_by_two_readings,
     sample_leaf_posterior,
     to_bins,
@@ -215,7 +214,6 @@ def fit_leaf(
     panel: str | Path | None = None,
     detector_changes: Sequence[float] | None = None,
     groups: str | Path | None = None,
-    regression: bool = False,
     posterior: Sampling = "none",
     seed: int = 0,
     checkpoint: str | Path | None = None,
@@ -252,8 +250,6 @@ def fit_leaf(
       all spectra, see `correct_detector_jumps`; `None` for those that an ASD file states.
     - `groups`: a CSV with the columns `name` (of a spectrum) and `species`: leaves of a species are
       fitted together, and `species.csv` holds the mean leaf and five material variants of each.
-    - `regression`: whether to correct water by `regress_water`: all spectra must be of one
-      campaign. Not with `groups`, a posterior, or the domain "optimal".
     - `posterior`: "none", or sample it by "emcee" or "nuts" into `posterior.nc`.
     - `seed`: seed of the posterior's random numbers; the fit itself draws none.
     - `checkpoint`: folder that keeps what each 1024 leaves of a larger table gave, from which an
@@ -271,11 +267,6 @@ def fit_leaf(
 
     Example: `jobs.fit_leaf(["leaves.csv"], "results", version="PRO")`.
     """
-    if regression and (groups is not None or posterior != "none" or domain != "full"):
-        raise InputError(
-            "`regression` corrects leaves that are fitted one by one over all wavelengths, so it "
-            'goes with neither `groups`, nor a posterior, nor the domain "optimal"'
-        )
     behind = None if background is None else _background(background, measurement)
     if over_background and behind is None:
         raise InputError("readings over a background need its reflectance, `background`")
@@ -306,11 +297,8 @@ def fit_leaf(
     }  # fmt: skip
     together = None if species is None else fit_leaf_groups(spectra, groups=species, **options)
     fit = _fit_apart(spectra, options, checkpoint, workers) if together is None else together.leaves
-    if regression:
-        fit = regress_water(fit)
     settings = {
         "prospect_version": version,
-        "regression": "water" if regression else "none",
         "measurement": measurement,
         "leaf_shape": leaf_shape,
         "area": area,
@@ -335,7 +323,7 @@ def fit_leaf(
         dataset = draws.to_xarray(area).assign_attrs(settings)
         write_spectra_netcdf(dataset, run.path("posterior.nc", what))
     good = fit.status.count("converged")
-    headline = _headline(spectra, table, good, regression)
+    headline = _headline(spectra, table, good)
     doubtful = len(names) - good
     picture = Picture("spectra.png", leaf_fit_figure(fit), "measured and fitted spectra")
     shown = Table(
@@ -383,14 +371,12 @@ def _fit_apart(
     return chunks.join(done.pop(i) for i in range(len(chunks.rows)))
 
 
-def _headline(spectra: xr.Dataset, table: pd.DataFrame, good: int, regression: bool) -> list[str]:
+def _headline(spectra: xr.Dataset, table: pd.DataFrame, good: int) -> list[str]:
     """The fit in sentences: of how many spectra it is without doubt, and what else to mind."""
     count = spectra.sizes["spectrum"]
     lines = [f"{good} of {count} spectra fitted without doubt."]
     if good < count:
         lines.append("The others say why in the column status of traits.csv.")
-    if regression:
-        lines.append("Water is corrected by regression, as of leaves of one campaign.")
     if repaired := np.count_nonzero(spectra["repairs"].values != ""):
         lines.append(f"{repaired} were repaired while reading, see the column repairs.")
     if decided := np.count_nonzero(table["prior_decides"].fillna("") != ""):

@@ -13,7 +13,7 @@ from fynjax.canopy import (
     choose_greenness,
     vegetation_pattern,
 )
-from fynjax.io.raster import BandStack, read_band_stack, write_probability_map
+from fynjax.io.raster import BandStack, read_band_stack, write_geotiff
 from fynjax.jobs._doubt import doubt_spectrum
 from fynjax.jobs._result import JobResult, Record
 from fynjax.jobs._run import Run
@@ -138,10 +138,11 @@ def pattern(
     begin_work({"map.tif": f"{rows} rows and {columns} columns of pixels", "report.html": ""})
     masked = int((~stack.mask).sum())
     with run.stage("Write"):
-        write_probability_map(
+        write_geotiff(
             run.path("map.tif", "probability map, 0 to 255, for `probability_map` of a plot file"),
-            pattern.grey,
-            stack.transform,
+            pattern.grey[None],
+            ["probability"],
+            transform=stack.transform,
             crs=stack.crs,
             nodata=pattern.nodata if masked else None,
             tags={

@@ -9,8 +9,8 @@ import numpy as np
 from fynjax._core.dry_run import begin_work
 from fynjax._core.errors import InputError
 from fynjax._core.extras import require
-from fynjax.assembly import build_plot, check_memory
-from fynjax.compare import Heights, compare_heights, lowest_ground
+from fynjax.assembly import build_plot, check_memory, ground_heights
+from fynjax.compare import Heights, compare_heights
 from fynjax.io.instruments import write_cloud
 from fynjax.io.plot import Plot, plot_place
 from fynjax.io.raster import write_run
@@ -83,8 +83,8 @@ def simulate_lidar(
     record["lidar"] = lidar.name
     record["noise"] = "drawn" if noise else "none"
     with run.stage("Write", "write"):
-        place = plot_place(plot)
-        lowest = 0.0 if plot.terrain is None or place.crs is None else lowest_ground(plot)
+        place, ground = plot_place(plot), ground_heights(plot)
+        lowest = 0.0 if ground is None or place.crs is None else float(ground.min())
         cloud, origin = run.path("cloud.laz", "point cloud, LAS 1.4"), (*place.origin_m, lowest)
         write_cloud(cloud, returns, origin_m=origin, crs=place.crs, attributes=record)
         waveforms = run.path("waveforms.nc", "waveform of every pulse, NetCDF")

@@ -1,7 +1,7 @@
 """What `fynjax validate` does: real against simulated data of any of three sensors."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
 
@@ -29,7 +29,6 @@ from fynjax.compare.structure import (
     StructureComparison,
     cloud_settings,
     compare_clouds,
-    grain_table,
 )
 from fynjax.io.raster import write_run
 from fynjax.io.text import existing_file
@@ -177,7 +176,7 @@ def validate(
     - `most_pixels`: most pixels of an image that are read.
     - `matching`: how spectra are brought to the same bands, as for `compare_spectra`.
     - `windows`: ranges of wavelength that are left out of the comparison [nm].
-    - `structure_preset`: a name in `fynjax.metrics.STRUCTURE_PRESETS`.
+    - `structure_preset`: a name in `fynjax.metrics.structure.STRUCTURE_PRESETS`.
     - `cloud_options`: settings that override the preset, as for `cloud_settings`.
     - `seed`: seed of the random numbers in the comparison of clouds.
 
@@ -383,7 +382,7 @@ def _write_structure(
     for name, rows, what in (
         (
             "grains",
-            grain_table(structure.grains, structure.grain, structure.plot),
+            structure.grains,
             "grains that were tried, with their cells, area and bounds",
         ),
         ("profile", curves["profile"], "leaf area density by layer of both clouds [m2 m-3]"),
@@ -406,15 +405,15 @@ def _named(dataset: xr.Dataset) -> xr.Dataset:
 
 def _structure_sentence(structure: StructureComparison) -> str:
     changes = [
-        f"{metric.name.replace('_', ' ')} {metric.difference_percent:+.0f} %"
-        for metric in structure.metrics
-        if metric.difference_percent is not None and np.isfinite(metric.difference_percent)
+        f"{str(name).replace('_', ' ')} {change:+.0f} %"
+        for name, change in structure.difference_percent.dropna().items()
     ]
+    heights = structure.heights["value"]
     return (
         f"Structure at {structure.grain:g} m, simulated against real: "
         f"{', '.join(changes) or 'no metric is defined in both'}; heights overlap by "
-        f"{structure.height_intersection.value:.2f}, their percentiles differ by "
-        f"{structure.percentile_rmse.value:.3f} m RMSE."
+        f"{heights['height_intersection']:.2f}, their percentiles differ by "
+        f"{heights['height_percentile_rmse']:.3f} m RMSE."
     )
 
 
@@ -423,17 +422,18 @@ def _structure_summary(structure: StructureComparison) -> StructureSummary:
         *("file", "returns", "density", "ground", "ground_share", "below_ground"),
         *("below_ground_share", "too_high", "highest", "nearly_highest"),
     )
-    sides = {"real": structure.real, "simulated": structure.simulated}
     return StructureSummary(
-        settings=structure.settings.as_dict(),
+        settings=asdict(structure.settings),
         options=structure.options,
         grain_m=structure.grain,
         bounds_m=structure.bounds,
         plot_bounds_m=structure.plot,
-        grains=rows_of(grain_table(structure.grains, structure.grain, structure.plot)),
+        grains=rows_of(structure.grains),
         matched_returns=structure.matched_returns,
         thinned=structure.thinned,
-        clouds={n: {key: getattr(side, key) for key in shown} for n, side in sides.items()},
+        clouds={
+            n: {key: getattr(side, key) for key in shown} for n, side in structure.sides.items()
+        },
         metrics=rows_of(structure.table()),
         notes=list(structure.notes),
     )

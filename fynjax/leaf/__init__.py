@@ -7,8 +7,6 @@ from fynjax.leaf._error_model import (
     ErrorModel,
     bin_centres,
     default_error_model,
-    estimate_error_model,
-    independent_error_model,
     to_bins,
     to_nanometres,
 )
@@ -40,7 +38,6 @@ from fynjax.leaf._prospect import (
     interface_transmissivity,
     prospect,
 )
-from fynjax.leaf._regression import regress_water
 from fynjax.leaf._result import LeafFit, LeafStatus
 from fynjax.leaf._transmissivity import exponential_integral, layer_absorptance
 
@@ -73,16 +70,13 @@ __all__ = [
     "correct_detector_jumps",
     "cylinder_transmissivity",
     "default_error_model",
-    "estimate_error_model",
     "exponential_integral",
     "fit_leaf",
     "fit_leaf_groups",
-    "independent_error_model",
     "interface_transmissivity",
     "layer_absorptance",
     "prospect",
     "recollided",
-    "regress_water",
     "resolved_by_two_readings",
     "sample_leaf_posterior",
     "structure_from_dry_matter",

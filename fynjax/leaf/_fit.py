@@ -268,7 +268,7 @@ class LeafChunks:
     rows: list[slice]
     """Which leaves each chunk holds."""
     parts: list[Chunk]
-    """The chunks."""
+    """Spectra, bins and priors of the leaves of each chunk, as `fit` takes them."""
     setup: Setup
     """What all leaves share."""
 

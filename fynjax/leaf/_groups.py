@@ -45,7 +45,7 @@ class LeafGroups(eqx.Module):
     mean: LeafParameters
     """Typical leaf of each group, each field a vector [group]."""
     logit_mean: Float[np.ndarray, "group parameter"]
-    """The same in the unconstrained coordinates of the fit."""
+    """Typical leaf of each group in the unconstrained coordinates of the fit."""
     logit_covariance: Float[np.ndarray, "parameter parameter"]
     """Covariance of leaves within a species, shared by all, in those coordinates."""
     names: tuple[str, ...] = eqx.field(static=True)
@@ -203,7 +203,7 @@ class _Species(NamedTuple):
     mean: Float[np.ndarray, " parameter"]
     leaves: Float[np.ndarray, "leaf parameter"]
     covariance: Float[np.ndarray, "leaf parameter parameter"]
-    """Of each leaf."""
+    """Posterior covariance of each leaf."""
     scatter: Float[np.ndarray, "leaf parameter parameter"]
     """Expected squares and products of what leaves depart from the mean by."""
 

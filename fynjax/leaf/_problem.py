@@ -98,13 +98,14 @@ class Setup(NamedTuple):
     factors: Float[np.ndarray, "factor 2 bin"]
     """Factors of the error model, and last the instrument's offset, no property of the leaf."""
     discrepancy: Float[np.ndarray, "parameter 2"]
-    """Of each parameter, see `ErrorModel.trait_discrepancy`; none of those that are not fitted."""
+    """Discrepancy of each parameter (`ErrorModel.trait_discrepancy`); none of those not fitted."""
     noise: Float[np.ndarray, "2 bin"]
     distrust: Float[np.ndarray, " bin"]
     prior_mean: Float[np.ndarray, " parameter"]
     prior_precision: Float[np.ndarray, "parameter parameter"]
     reflectance_share: float
-    """See `ErrorModel.reflectance_share`; 0 where dry matter is not fitted."""
+    """Weight of the fit to R alone in dry matter (`ErrorModel.reflectance_share`); 0 where dry
+    matter is not fitted."""
 
 
 def make_setup(

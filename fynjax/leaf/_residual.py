@@ -60,7 +60,8 @@ class Solution(NamedTuple):
 
     z: Float[np.ndarray, "leaf parameter"]
     hessian: Float[np.ndarray, "leaf parameter parameter"]
-    """Of minus the log posterior density, after Gauss and Newton: the inverse of the covariance."""
+    """Hessian of minus the log posterior density, after Gauss and Newton: the inverse of the
+    covariance."""
     misfit: Float[np.ndarray, " leaf"]
     """Squared misfit in units of the error model's covariance, without inflation [-]."""
     converged: Bool[np.ndarray, " leaf"]

@@ -32,13 +32,13 @@ class VegetationIndex:
     function: IndexFunction
     """Index of (green, red, red_edge, nir) reflectance."""
     formula: str
-    """The same in the bands' letters G, R, RE, N."""
+    """Formula of the index in the bands' letters G, R, RE, N."""
     departure: str = ""
     """What the literature means by this name, where the paper's form differs; else empty."""
     literature: IndexFunction | None = None
     """The literature's form, where it differs and the four bands allow it."""
     literature_formula: str = ""
-    """The same in the bands' letters."""
+    """Formula of the literature's form in the bands' letters."""
     root_of: IndexFunction | None = None
     """For an index that is a square root: what the root is taken of."""
 

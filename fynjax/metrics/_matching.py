@@ -1,7 +1,7 @@
 """Two spectra on one set of bands: who follows whom, and how."""
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 from jaxtyping import Float
@@ -11,9 +11,6 @@ from fynjax._core.errors import InputError
 from fynjax._core.spectral import check_wavelength, gaussian_matrix
 
 MatchingMethod = Literal["auto", "nearest", "linear", "response"]
-"""How two spectra are brought onto one set of bands."""
-
-MATCHING_METHODS: tuple[str, ...] = ("auto", "nearest", "linear", "response")
 """How the finer of two spectra is brought onto the bands of the coarser one."""
 
 _SAME = 0.1
@@ -72,10 +69,8 @@ def match_wavelengths(
     >>> match.method, match.wavelength
     ('response', array([420., 440., 460., 480.]))
     """
-    if method not in MATCHING_METHODS:
-        raise InputError(
-            f"`method` must be one of {', '.join(MATCHING_METHODS)}, but is {method!r}."
-        )
+    if method not in (known := get_args(MatchingMethod)):
+        raise InputError(f"`method` must be one of {', '.join(known)}, but is {method!r}.")
     x = check_wavelength(real, "the wavelengths of the real spectrum")
     y = check_wavelength(simulated, "the wavelengths of the simulated spectrum")
     if min(x.size, y.size) < 2:
@@ -103,7 +98,7 @@ def match_wavelengths(
         # The tails of an outermost band may reach past the grid; the rest is renormalised.
         weights = gaussian_matrix(fine, target, width[kept], max_loss=0.5)
     elif method == "linear":
-        weights = _linear(fine, target)
+        weights = np.stack([np.interp(target, fine, one) for one in np.eye(fine.size)], axis=1)
     else:
         weights = np.eye(fine.size)[np.abs(fine[None, :] - target[:, None]).argmin(axis=1)]
     identity = np.eye(coarse.size)[kept]
@@ -143,15 +138,3 @@ def _covered(
     after = np.clip(np.searchsorted(source, target), 1, source.size - 1)
     nearest = np.minimum(np.abs(target - source[after - 1]), np.abs(source[after] - target))
     return inside & (nearest <= step + edge)
-
-
-def _linear(
-    source: NDArray[np.float64], target: NDArray[np.float64]
-) -> Float[np.ndarray, "band source"]:
-    after = np.clip(np.searchsorted(source, target), 1, source.size - 1)
-    share = (target - source[after - 1]) / (source[after] - source[after - 1])
-    rows = np.arange(target.size)
-    weights = np.zeros((target.size, source.size))
-    weights[rows, after - 1] = 1.0 - share
-    weights[rows, after] = share
-    return weights

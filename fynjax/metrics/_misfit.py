@@ -33,15 +33,14 @@ class Misfit(eqx.Module):
     gain: Scalar
     """Slope of the regression of simulated on real [-]."""
     offset: Scalar
-    """Its value at real = 0, in the spectra's unit."""
+    """Value of the regression line at real = 0, in the spectra's unit: the part of the difference
+    of the means that goes by the offset."""
     level: Scalar
     """Squared difference of the means, in the squared unit."""
     contrast: Scalar
     """Squared error by a gain about the mean, in the squared unit."""
     shape: Scalar
     """Squared error that no gain and offset can repair, in the squared unit."""
-    mean_by_offset: Scalar
-    """Difference of the means that goes by the offset: `offset`, in the spectra's unit."""
     mean_by_gain: Scalar
     """Difference of the means that goes by the gain: (gain - 1) mean(real), in that unit."""
     rmse_without_offset: Scalar
@@ -104,7 +103,6 @@ def misfit_decomposition(real: Spectrum, simulated: Spectrum, valid: Mask | None
         level=(mean_y - mean_x) ** 2,
         contrast=(gain - 1.0) ** 2 * jnp.sum(dx**2) / count,
         shape=shape,
-        mean_by_offset=mean_y - gain * mean_x,
         mean_by_gain=(gain - 1.0) * mean_x,
         rmse_without_offset=_root(jnp.sum((dy - dx) ** 2) / count),
         rmse_without_gain=_root(jnp.sum((y - through_zero * x) ** 2) / count),

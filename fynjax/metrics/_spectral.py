@@ -35,11 +35,11 @@ class SpectralAgreement(eqx.Module):
     rmse: Scalar
     """Root mean square error, in the spectra's unit."""
     nrmse: Scalar
-    """`rmse` over the range of the real spectrum [-]."""
+    """`rmse` over the range of the real spectrum [-]; NaN or infinite of a constant one."""
     correlation: Scalar
-    """Pearson correlation [-]; blind to gain and offset."""
+    """Pearson correlation [-]; blind to gain and offset. NaN where a spectrum is constant."""
     relative_mean_difference: Scalar
-    """(simulated - real) / real of the means [-]."""
+    """(simulated - real) / real of the means [-]; NaN or infinite where the real mean is zero."""
 
 
 def spectral_mask(
@@ -114,70 +114,6 @@ def spectral_angle(real: Spectrum, simulated: Spectrum, valid: Mask | None = Non
     return jnp.rad2deg(2.0 * jnp.arctan2(_norm(x - y), _norm(x + y)))
 
 
-def rmse(real: Spectrum, simulated: Spectrum, valid: Mask | None = None) -> Scalar:
-    """Root mean square error, in the spectra's unit.
-
-    **Arguments:**
-
-    - `real`, `simulated`: spectra on one grid, in one unit.
-    - `valid`: true where a wavelength counts; all unless given. A masked value may be NaN.
-
-    **Raises:** `InputError` if the shapes differ.
-
-    Differentiable in both; where they are equal it is 0 with the gradient 0.
-
-    >>> import jax.numpy as jnp
-    >>> from fynjax.metrics import rmse
-    >>> round(float(rmse(jnp.array([0.1, 0.3]), jnp.array([0.2, 0.2]))), 6)
-    0.1
-    """
-    x, y, count = _pair(real, simulated, valid)
-    return _norm(y - x) / jnp.sqrt(count)
-
-
-def nrmse(real: Spectrum, simulated: Spectrum, valid: Mask | None = None) -> Scalar:
-    """RMSE over the range (largest less smallest value) of the real spectrum [-], a fraction.
-
-    **Arguments:** `real`, `simulated`, `valid` and errors as for `rmse`.
-
-    Differentiable in both; the range is that of the valid wavelengths. NaN or infinite if it is
-    zero.
-    """
-    values = jnp.asarray(real)
-    keep = jnp.ones(values.shape, bool) if valid is None else jnp.asarray(valid)
-    span = jnp.max(values, where=keep, initial=-jnp.inf) - jnp.min(
-        values, where=keep, initial=jnp.inf
-    )
-    return rmse(real, simulated, valid) / span
-
-
-def pearson_correlation(real: Spectrum, simulated: Spectrum, valid: Mask | None = None) -> Scalar:
-    """Pearson correlation of two spectra [-], in [-1, 1].
-
-    **Arguments:** `real`, `simulated`, `valid` and errors as for `rmse`.
-
-    Differentiable in both. NaN if a spectrum is constant, for which it is not defined.
-    """
-    x, y, count = _pair(real, simulated, valid)
-    keep = jnp.ones(x.shape, bool) if valid is None else jnp.asarray(valid)
-    x = jnp.where(keep, x - jnp.sum(x) / count, 0.0)
-    y = jnp.where(keep, y - jnp.sum(y) / count, 0.0)
-    return jnp.sum(x * y) / (_norm(x) * _norm(y))
-
-
-def relative_mean_difference(
-    real: Spectrum, simulated: Spectrum, valid: Mask | None = None
-) -> Scalar:
-    """Difference of the means over the real mean, (simulated - real) / real [-].
-
-    **Arguments:** `real`, `simulated`, `valid` and errors as for `rmse`.
-
-    Differentiable in both. Infinite or NaN where the real mean is zero.
-    """
-    x, y, _ = _pair(real, simulated, valid)
-    return (jnp.sum(y) - jnp.sum(x)) / jnp.sum(x)
-
-
 def spectral_agreement(
     real: Spectrum, simulated: Spectrum, valid: Mask | None = None
 ) -> SpectralAgreement:
@@ -193,7 +129,8 @@ def spectral_agreement(
 
     **Raises:** `InputError` if the shapes differ.
 
-    Differentiable in both spectra, as each of its measures.
+    Differentiable in both spectra. Where they are equal RMSE and NRMSE are 0 with the gradient 0;
+    of the angle see `spectral_angle`.
 
     >>> import jax.numpy as jnp
     >>> from fynjax.metrics import spectral_agreement
@@ -201,12 +138,18 @@ def spectral_agreement(
     >>> round(float(agreement.rmse), 4), round(float(agreement.relative_mean_difference), 4)
     (0.0577, 0.1429)
     """
+    x, y, count = _pair(real, simulated, valid)
+    keep = jnp.ones(x.shape, bool) if valid is None else jnp.asarray(valid)
+    error = _norm(y - x) / jnp.sqrt(count)
+    highest = jnp.max(x, where=keep, initial=-jnp.inf)
+    lowest = jnp.min(x, where=keep, initial=jnp.inf)
+    dx, dy = (jnp.where(keep, v - jnp.sum(v) / count, 0.0) for v in (x, y))
     return SpectralAgreement(
         spectral_angle=spectral_angle(real, simulated, valid),
-        rmse=rmse(real, simulated, valid),
-        nrmse=nrmse(real, simulated, valid),
-        correlation=pearson_correlation(real, simulated, valid),
-        relative_mean_difference=relative_mean_difference(real, simulated, valid),
+        rmse=error,
+        nrmse=error / (highest - lowest),
+        correlation=jnp.sum(dx * dy) / (_norm(dx) * _norm(dy)),
+        relative_mean_difference=(jnp.sum(y) - jnp.sum(x)) / jnp.sum(x),
     )
 
 

@@ -39,7 +39,7 @@ class SpectrometerIndex:
     function: Callable[[Mapping[str, Values]], Values]
     """Index of the averages over `SPECTROMETER_BANDS`, by name."""
     formula: str
-    """The same in the bands' letters."""
+    """Formula of the index in the bands' letters."""
     bands: tuple[str, ...]
     source: str
     """Author and year; and where the name means something else elsewhere."""

@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 
 from fynjax._core.errors import InputError
 from fynjax._core.html import as_html
-from fynjax.metrics import STRUCTURE_METRICS, StructureSettings
+from fynjax.metrics.structure import STRUCTURE_METRICS, StructureSettings
 from fynjax.radiation import VoxelScene
 from fynjax.scene._parameters import PlotParameters
 from fynjax.scene._scene import Scene
@@ -60,8 +60,8 @@ class LidarObservation(eqx.Module):
 
         **Arguments:**
 
-        - `name`: of `fynjax.metrics.STRUCTURE_METRICS`, or "height_p95" and the like, a percentile
-          of the heights above the ground [m].
+        - `name`: of `fynjax.metrics.structure.STRUCTURE_METRICS`, or "height_p95" and the like, a
+          percentile of the heights above the ground [m].
         - `grain`: side of the cells whose mean a metric is [m]; by default the nearest to 2 m that
           fits the voxels.
 

@@ -9,7 +9,7 @@ import functools
 import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -17,6 +17,7 @@ import numpy as np
 from pydantic import ConfigDict, Field, ValidationInfo, field_validator, model_validator
 
 from fynjax._core.errors import InputError, did_you_mean
+from fynjax._core.files import NamedFile
 from fynjax._core.parameters import parameters_of
 from fynjax._core.records import Slip, Strict, quantity
 from fynjax._core.validation import check_header, checked_row, checked_rows
@@ -107,7 +108,7 @@ class SpeciesRow(Strict):
     minimum_area: float = _defaulted("minimum_area", "minimum_object_area_m2")
     """Least ground area that a plant counts for [m2]."""
     wood_area_index: float | None = _of_the_form("wood_area_index")
-    plant: Path | None = Field(
+    plant: Annotated[Path, NamedFile("a plant")] | None = Field(
         default=None,
         description="Mesh of one plant (OBJ, PLY, STL, GLB; metres), or the elements.csv that "
         "`fynjax plant` writes; a path from the table's folder. Its areas over its crown are "
@@ -173,7 +174,7 @@ class LeafRow(Strict):
     structure: float | None = quantity(
         PARAMETERS["structure"], default=None, note="computed from dry matter if left out"
     )
-    spectrum: Path | None = Field(
+    spectrum: Annotated[Path, NamedFile("a leaf spectrum")] | None = Field(
         default=None, description="Measured reflectance to fit; a path from the table's folder."
     )
 

@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 
 from fynjax._core.errors import InputError, did_you_mean
 from fynjax.canopy import FORMS, VoxelGrid, leaf_angle
-from fynjax.metrics import (
+from fynjax.metrics.structure import (
     STRUCTURE_METRICS,
     StructureSettings,
     voxel_height_percentiles,

@@ -77,13 +77,13 @@ def _shipped_table(name: str) -> Table:
 
 
 @jax.ensure_compile_time_eval()
-def build_sensor(description: Mapping[str, Any], read_table: Callable[[str], Table]) -> Sensor:
+def build_sensor(description: Mapping[str, Any], read_table: Callable[[Any], Table]) -> Sensor:
     """A sensor from the contents of its file.
 
     **Arguments:**
 
     - `description`: tables and keys of a sensor file (`data_schemas/sensor.schema.json`), valid.
-    - `read_table`: from the name of a table beside the file to its columns.
+    - `read_table`: from what `description` has for a table beside the file to its columns.
 
     Warns where the file states a ground sample distance that its optics do not give: images have
     the stated one, lines of sight are those of the optics.

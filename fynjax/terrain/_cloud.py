@@ -10,6 +10,7 @@ from typing import Any, BinaryIO
 import numpy as np
 from jaxtyping import Float64, UInt8
 from numpy.typing import NDArray
+from rasterio.crs import CRS
 
 from fynjax._core.errors import InputError
 from fynjax._core.extras import require
@@ -111,50 +112,47 @@ def read_cloud(
     path = existing_file(path, "a point cloud")
     if path.stat().st_size == 0:
         raise InputError("expected a point cloud, but the file is empty", file=path)
-    suffix = path.suffix.lower()
+    suffix, system = path.suffix.lower(), None
+    unit_stated, height_stated = unit is not None, unit is not None or height_unit is not None
     if suffix in (".las", ".laz"):
-        x, y, z, labels, stated = _read_las(
-            path, unit is not None, unit is not None or height_unit is not None
-        )
+        cloud, system = _read_las(path, unit_stated, height_stated)
     elif suffix == ".ply":
-        x, y, z, labels = _read_ply(path)
-        stated = None
+        cloud = _read_ply(path)
     elif suffix in (".xyz", ".txt", ".csv"):
-        from fynjax.terrain._text import read_text_cloud
+        from fynjax.terrain._text import read_text_cloud  # late: it imports this module
 
-        x, y, z, labels = read_text_cloud(path, unit_stated=unit is not None)
-        stated = None
+        cloud = read_text_cloud(path, unit_stated=unit_stated)
     else:
         raise InputError(
             f"expected a point cloud (.las, .laz, .ply, .xyz, .txt or .csv), but this is a "
             f"{suffix or 'file without a suffix'}",
             file=path,
         )
-    system = stated if crs is None else parse_crs(crs, path)
-    stated = unit is not None
+    system = system if crs is None else parse_crs(crs, path)
     if system is not None:
-        check_metric(
-            system,
-            path,
-            unit_stated=stated,
-            height_stated=stated or height_unit is not None,
-        )
+        check_metric(system, path, unit_stated=unit_stated, height_stated=height_stated)
     factor = unit_factor(unit or "metre")
     height_factor = unit_factor(height_unit or unit or "metre")
     if factor != 1.0:
-        x, y, system = x * factor, y * factor, None
-    z = z * height_factor
-    if labels is not None and np.isin(labels, _NOISE_CLASSES).any():
-        good = ~np.isin(labels, _NOISE_CLASSES)
-        x, y, z, labels = x[good], y[good], z[good], labels[good]
-    check_coordinates(x, y, z, path, unit_stated=stated)
+        system = None
+    cloud = replace(
+        cloud,
+        x=cloud.x * factor,
+        y=cloud.y * factor,
+        z=cloud.z * height_factor,
+        crs=None if system is None else system.to_wkt(),
+    )
+    labels = cloud.classification
+    if labels is not None and (noise := np.isin(labels, _NOISE_CLASSES)).any():
+        cloud = cloud.select(~noise)
+    check_coordinates(cloud.x, cloud.y, cloud.z, path, unit_stated=unit_stated)
     # Another unit than that of x and y would show in the relief.
-    check_height_range(z, path, "Take these points out.", unit_known=True)
-    return PointCloud(x, y, z, labels, None if system is None else system.to_wkt())
+    check_height_range(cloud.z, path, "Take these points out.", unit_known=True)
+    return cloud
 
 
-def _read_las(path: Path, unit_stated: bool, height_stated: bool) -> tuple[Any, Any, Any, Any, Any]:
-    """x, y, z, classes and reference system of a LAS or LAZ file."""
+def _read_las(path: Path, unit_stated: bool, height_stated: bool) -> tuple[PointCloud, CRS | None]:
+    """Points of a LAS or LAZ file, in its unit, and its reference system."""
     laspy = require("laspy", "terrain")
     if path.suffix.lower() == ".laz":
         require("lazrs", "terrain")
@@ -185,11 +183,9 @@ def _read_las(path: Path, unit_stated: bool, height_stated: bool) -> tuple[Any, 
             "It is cut short: copy it again.",
             file=path,
         )
-    keep = ~withheld
     # Zero is "created, never classified": a file with nothing else has no classes.
-    classes = labels[keep] if labels.any() else None
-    system = _las_crs(las.header, path, unit_stated, height_stated)
-    return x[keep], y[keep], z[keep], classes, system
+    cloud = PointCloud(x, y, z, labels if labels.any() else None)
+    return cloud.select(~withheld), _las_crs(las.header, path, unit_stated, height_stated)
 
 
 _LASZIP, _EXTRA_BYTES = 22204, 14
@@ -264,7 +260,7 @@ def _laszip_record(file: BinaryIO, start: int, count: int) -> bytes:
     return b""
 
 
-def _las_crs(header: Any, path: Path, unit_stated: bool, height_stated: bool) -> Any:
+def _las_crs(header: Any, path: Path, unit_stated: bool, height_stated: bool) -> CRS | None:
     """The reference system of a LAS header, from its WKT or its GeoTIFF keys (GeoTIFF 1.1)."""
     records = [*header.vlrs, *(header.evlrs or [])]
     for record in records:
@@ -294,8 +290,8 @@ def _las_crs(header: Any, path: Path, unit_stated: bool, height_stated: bool) ->
     return None
 
 
-def _read_ply(path: Path) -> tuple[Any, Any, Any, Any]:
-    """x, y, z and classes of the vertices of a PLY file."""
+def _read_ply(path: Path) -> PointCloud:
+    """Points of the vertices of a PLY file, in its unit."""
     import trimesh
 
     try:
@@ -316,7 +312,8 @@ def _read_ply(path: Path) -> tuple[Any, Any, Any, Any]:
     for name in names:
         if re.fullmatch(r"(scalar_)?class(ification)?", name.lower()):
             labels = np.asarray(columns[name]).reshape(-1).astype(np.uint8)
-    return points[:, 0], points[:, 1], points[:, 2], labels
+    x, y, z = points.T
+    return PointCloud(x, y, z, labels)
 
 
 def _check_precision(points: NDArray[np.float64], path: Path) -> None:

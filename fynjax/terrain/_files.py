@@ -14,8 +14,8 @@ from fynjax.terrain._raster import Terrain
 from fynjax.terrain._surface import fill, terrain_mesh
 from fynjax.terrain._units import (
     Bounds,
-    check_bounds,
     check_height_range,
+    check_inside,
     check_positive,
     unit_factor,
 )
@@ -194,17 +194,12 @@ def _window(file: RasterFile, cell: float, bounds: Bounds | None) -> Window | No
     if bounds is None:
         return None
     (rows, columns), edges = file.shape, file.dataset.bounds
-    west, south, east, north = check_bounds(bounds)
+    tiny = 1e-6
+    west, south, east, north = check_inside(
+        bounds, tuple(edges), tiny * cell, "the raster", file.path
+    )
     low = (west - edges.left) / cell, (edges.top - north) / cell
     high = (east - edges.left) / cell, (edges.top - south) / cell
-    tiny = 1e-6
-    if min(low) < -tiny or high[0] > columns + tiny or high[1] > rows + tiny:
-        raise InputError(
-            f"the raster covers ({edges.left:.2f}, {edges.bottom:.2f}) to ({edges.right:.2f}, "
-            f"{edges.top:.2f}), but the plot is ({west:.2f}, {south:.2f}) to ({east:.2f}, "
-            f"{north:.2f}). Are both in the same coordinate reference system?",
-            file=file.path,
-        )
     left, top = int(low[0] + tiny), int(low[1] + tiny)
     right = min(columns, int(np.ceil(high[0] - tiny)))
     bottom = min(rows, int(np.ceil(high[1] - tiny)))

@@ -1,17 +1,14 @@
 """The ground as a raster of heights."""
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float, Float64
+from jaxtyping import Float64
 from numpy.typing import ArrayLike, NDArray
+from scipy.interpolate import RegularGridInterpolator
 
 from fynjax._core.errors import InputError
-from fynjax.terrain._units import Bounds, check_bounds, check_positive
-
-if TYPE_CHECKING:
-    from fynjax.canopy import VoxelGrid
+from fynjax.terrain._units import Bounds, check_bounds, check_inside, check_positive
 
 
 @dataclass(frozen=True)
@@ -21,7 +18,7 @@ class Terrain:
     heights: Float64[np.ndarray, "y x"]
     """Height of the ground at the centre of each cell [m]; finite."""
     cell: float
-    """Side of a cell [m]."""
+    """Side of a square cell [m]."""
     origin: tuple[float, float] = (0.0, 0.0)
     """South-west corner (x, y) of the raster [m]."""
     crs: str | None = None
@@ -61,7 +58,10 @@ class Terrain:
     @property
     def centres(self) -> tuple[Float64[np.ndarray, " x"], Float64[np.ndarray, " y"]]:
         """Coordinates of the columns and of the rows [m]."""
-        return _centres(self.bounds, self.cell, self.heights.shape)
+        west, south, _, _ = self.bounds
+        rows, columns = self.heights.shape
+        x, y = (np.arange(count, dtype=np.float64) + 0.5 for count in (columns, rows))
+        return west + x * self.cell, south + y * self.cell
 
     def gradient(self) -> tuple[Float64[np.ndarray, "y x"], Float64[np.ndarray, "y x"]]:
         """Slope eastward and northward [-], by central differences."""
@@ -85,36 +85,10 @@ class Terrain:
                 f"{int(outside.sum())} of {outside.size} points lie outside, the first at "
                 f"({px[outside][0]:.2f}, {py[outside][0]:.2f})"
             )
-        rows, columns = self.heights.shape
-        u = (px - west) / self.cell - 0.5
-        v = (py - south) / self.cell - 0.5
-        i = np.clip(np.floor(u).astype(np.intp), 0, columns - 2)
-        j = np.clip(np.floor(v).astype(np.intp), 0, rows - 2)
-        u, v = u - i, v - j
-        h = self.heights
-        low = h[j, i] * (1.0 - u) + h[j, i + 1] * u
-        high = h[j + 1, i] * (1.0 - u) + h[j + 1, i + 1] * u
-        return low * (1.0 - v) + high * v
-
-    def crop(self, bounds: Bounds) -> "Terrain":
-        """The cells that lie in a rectangle or touch it.
-
-        Raises `InputError` where the rectangle is not covered.
-        """
-        west, south, east, north = self._covered(bounds)
-        x, y = self.origin
-        rows, columns = self.heights.shape
-        tiny = 1e-6
-        first = (int((west - x) / self.cell + tiny), int((south - y) / self.cell + tiny))
-        last = (
-            min(columns, int(np.ceil((east - x) / self.cell - tiny))),
-            min(rows, int(np.ceil((north - y) / self.cell - tiny))),
-        )
-        return replace(
-            self,
-            heights=self.heights[first[1] : last[1], first[0] : last[0]],
-            origin=(x + first[0] * self.cell, y + first[1] * self.cell),
-        )
+        x, y = self.centres
+        # Without a fill value it goes on beyond the outermost centres.
+        surface = RegularGridInterpolator((y, x), self.heights, bounds_error=False, fill_value=None)
+        return np.asarray(surface((py, px)), np.float64)
 
     def resample(self, cell: float, bounds: Bounds | None = None) -> "Terrain":
         """The same ground on cells of another size, over `bounds`.
@@ -127,70 +101,18 @@ class Terrain:
 
         **Raises:** `InputError` if `bounds` are not covered or not divided by `cell`.
         """
-        covered = self._covered(self.bounds if bounds is None else bounds)
-        return replace(
-            self, heights=self._means(cell, covered), cell=float(cell), origin=covered[:2]
+        place = check_inside(
+            self.bounds if bounds is None else bounds, self.bounds, 1e-6 * self.cell, "the terrain"
         )
-
-    def _means(self, cell: float, bounds: Bounds) -> NDArray[np.float64]:
-        """Mean height in cells of another size [y, x]."""
-        rows, columns = whole_cells(bounds, cell)
+        rows, columns = whole_cells(place, cell)
         parts = max(1, int(np.ceil(cell / self.cell - 1e-9)))
-        fine = cell / parts
-        x = bounds[0] + (np.arange(columns * parts) + 0.5) * fine
-        y = bounds[1] + (np.arange(rows * parts) + 0.5) * fine
+        x, y = (
+            start + (np.arange(count * parts) + 0.5) * (cell / parts)
+            for start, count in zip(place, (columns, rows))
+        )
         dense = self.height_at(x[None, :], y[:, None])
-        return dense.reshape(rows, parts, columns, parts).mean(axis=(1, 3))
-
-    def on_voxels(
-        self, grid: "VoxelGrid", origin: tuple[float, float] | None = None
-    ) -> Float[np.ndarray, "y x"]:
-        """Height of the ground on each voxel column above its lowest column [m].
-
-        What `VoxelScene.terrain` takes: from 0 up, and inside the grid.
-
-        **Arguments:**
-
-        - `grid`: the voxels, in the plot's frame.
-        - `origin`: (x, y) of the plot's frame in this raster's coordinates; its south-west corner
-          unless given.
-
-        **Raises:** `InputError` if the grid is not covered, or the relief is taller than the grid.
-        """
-        x, y = self.origin if origin is None else origin
-        west, south = x + grid.origin[0], y + grid.origin[1]
-        wide, deep, tall = grid.extent
-        covered = self._covered((west, south, west + wide, south + deep))
-        columns = self._means(grid.horizontal_size, covered)
-        relative = columns - columns.min()
-        if relative.max() > tall:
-            raise InputError(
-                f"the ground rises {relative.max():.2f} m over the plot, but the voxel grid is "
-                f"{tall:g} m tall: take a grid that holds the relief and the plants on it"
-            )
-        return relative
-
-    def _covered(self, bounds: Bounds) -> Bounds:
-        """`bounds`, if the raster covers them; else an `InputError`."""
-        west, south, east, north = check_bounds(bounds)
-        w, s, e, n = self.bounds
-        slack = 1e-6 * self.cell
-        if west < w - slack or south < s - slack or east > e + slack or north > n + slack:
-            raise InputError(
-                f"the terrain covers ({w:.2f}, {s:.2f}) to ({e:.2f}, {n:.2f}), but the plot is "
-                f"({west:.2f}, {south:.2f}) to ({east:.2f}, {north:.2f}). Are both in the same "
-                "coordinate reference system?"
-            )
-        return west, south, east, north
-
-
-def _centres(
-    bounds: Bounds, cell: float, shape: tuple[int, ...]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    rows, columns = shape
-    x = bounds[0] + (np.arange(columns, dtype=np.float64) + 0.5) * cell
-    y = bounds[1] + (np.arange(rows, dtype=np.float64) + 0.5) * cell
-    return x, y
+        heights = dense.reshape(rows, parts, columns, parts).mean(axis=(1, 3))
+        return replace(self, heights=heights, cell=float(cell), origin=place[:2])
 
 
 def whole_cells(bounds: Bounds, cell: float) -> tuple[int, int]:

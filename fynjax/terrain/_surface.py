@@ -11,7 +11,7 @@ from fynjax._core.errors import InputError
 from fynjax._core.extras import require
 from fynjax.terrain._cloud import PointCloud
 from fynjax.terrain._raster import Terrain, whole_cells
-from fynjax.terrain._units import Bounds, check_bounds, check_positive
+from fynjax.terrain._units import Bounds, check_bounds, check_inside, check_positive
 
 if TYPE_CHECKING:
     import trimesh
@@ -104,15 +104,7 @@ def check_covered(cloud: Bounds, plot: Bounds, cell: float) -> None:
 
     **Raises:** `InputError` for a plot that reaches farther.
     """
-    w, s, e, n = cloud
-    west, south, east, north = plot
-    slack = _SLACK_CELLS * cell * (1.0 + 1e-6)
-    if west < w - slack or south < s - slack or east > e + slack or north > n + slack:
-        raise InputError(
-            f"the cloud covers ({w:.2f}, {s:.2f}) to ({e:.2f}, {n:.2f}), but the plot is "
-            f"({west:.2f}, {south:.2f}) to ({east:.2f}, {north:.2f}). Choose a smaller plot. Are "
-            "both in the same coordinate reference system?"
-        )
+    check_inside(plot, cloud, _SLACK_CELLS * cell * (1.0 + 1e-6), "the cloud")
 
 
 def _cell_means(cloud: PointCloud, plot: Bounds, cell: float) -> NDArray[np.float64]:
@@ -203,7 +195,7 @@ def interpolate(points: NDArray[np.float64], places: NDArray[np.float64]) -> NDA
     else:
         heights = np.full(len(places), np.nan)
     outside = ~np.isfinite(heights)
-    if outside.any():
+    if outside.any():  # the plane through the nearest points, by its slope from their middle
         here = places[outside]
         nearest = min(_NEIGHBOURS, len(points))
         _, index = cKDTree(points[:, :2]).query(here, k=nearest)

@@ -1,12 +1,12 @@
 """Point clouds as text: XYZ, CSV and their like."""
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from fynjax._core.errors import InputError, listed
 from fynjax._core.tables import name_and_unit, open_points, places_of
+from fynjax.terrain._cloud import PointCloud
 
 _NAMES = {
     "x": ("x", "easting", "east", "e"),
@@ -55,8 +55,8 @@ def _columns(names: tuple[str, ...], path: Path, row: int, unit_stated: bool) ->
     return places
 
 
-def read_text_cloud(path: Path, *, unit_stated: bool) -> tuple[Any, Any, Any, Any]:
-    """x, y, z and classes (or `None`) of a cloud written as text, as `open_points` takes it.
+def read_text_cloud(path: Path, *, unit_stated: bool) -> PointCloud:
+    """Points of a cloud written as text, as `open_points` takes it, in its unit.
 
     **Raises:** `InputError` with the row of a cell that is no number.
     """
@@ -65,5 +65,5 @@ def read_text_cloud(path: Path, *, unit_stated: bool) -> tuple[Any, Any, Any, An
         table.names = (*"xyz", *table.names[3:])
     places = _columns(table.names, path, table.row, unit_stated)
     columns = table.columns(list(places.values())).to_numpy()
-    x, y, z, *classes = (columns[:, k] for k in range(len(places)))
-    return x, y, z, classes[0].astype(np.uint8) if classes else None
+    x, y, z, *classes = columns.T
+    return PointCloud(x, y, z, classes[0].astype(np.uint8) if classes else None)

@@ -150,3 +150,20 @@ def check_bounds(bounds: Bounds) -> Bounds:
             f"but are {values}"
         )
     return west, south, east, north
+
+
+def check_inside(
+    plot: Bounds, bounds: Bounds, slack: float, what: str, file: Path | None = None
+) -> Bounds:
+    """`plot`, if it lies within `bounds` or beyond them by up to `slack` [m]; else an `InputError`
+    that says what `what` covers."""
+    west, south, east, north = check_bounds(plot)
+    w, s, e, n = bounds
+    if west < w - slack or south < s - slack or east > e + slack or north > n + slack:
+        raise InputError(
+            f"{what} covers ({w:.2f}, {s:.2f}) to ({e:.2f}, {n:.2f}), but the plot is "
+            f"({west:.2f}, {south:.2f}) to ({east:.2f}, {north:.2f}). Choose a smaller plot. Are "
+            "both in the same coordinate reference system?",
+            file=file,
+        )
+    return west, south, east, north

@@ -21,10 +21,17 @@ import numpy as np
 from sklearn.cross_decomposition import PLSRegression
 from sklearn.model_selection import KFold, cross_val_predict
 
-from fynjax.leaf import ErrorModel, LeafFit, fit_leaf, independent_error_model
+from fynjax.leaf import ErrorModel, LeafFit, fit_leaf
 from fynjax.leaf._error_model import bin_centres, default_error_model
 from tests.benchmarks._measure import data_folder, options
-from tools.estimate_error_model import CAMPAIGNS, CHEMISTRY, LeafSet, estimate, read
+from tools.estimate_error_model import (
+    CAMPAIGNS,
+    CHEMISTRY,
+    LeafSet,
+    estimate,
+    independent_error_model,
+    read,
+)
 
 UNIT = {"chlorophyll": 1.0, "carotenoids": 1.0, "water": 1e3, "dry_matter": 1e3}
 COMPONENTS = (2, 4, 6, 8, 10, 12, 15, 20)

@@ -26,19 +26,18 @@ from fynjax.compare._images import read_drone_image
 from fynjax.compare._published import compare_with_published, wins
 from fynjax.compare.structure import structure_2006
 from fynjax.io.plot import example_folder
-from fynjax.io.raster import read_cube
 from fynjax.jobs import render, simulate
-from fynjax.metrics import (
+from fynjax.metrics import spectral_mask
+from fynjax.metrics.structure import (
     STRUCTURE_PRESETS,
     StructureSettings,
     bin_returns,
     cell_grid,
     cell_structure,
-    spectral_mask,
-    thinnings,
 )
 from fynjax.studies.fynbos_2006 import SWIR2_MEAN, demo
 from tests.benchmarks._measure import options
+from tests.helpers import read_cube
 
 SEED = 0
 REAL_RETURNS = 1317  # 13.17 per m2 on 100 m2
@@ -165,7 +164,9 @@ def _lidar(folder: Path, sensor: str, tiny: bool) -> pd.DataFrame:
     published, rows = structure_2006(), []
     for name, settings in CONVENTIONS.items():
         found: dict[str, list[float]] = {}
-        for chosen in thinnings(len(x), kept, times, np.random.default_rng(SEED)):
+        rng = np.random.default_rng(SEED)
+        for _ in range(times):
+            chosen = rng.choice(len(x), kept, replace=False)
             cells = cell_structure(bin_returns(x[chosen], y[chosen], z[chosen], grid, settings))
             for metric, values in cells.metrics.items():
                 known = values[np.isfinite(values)]

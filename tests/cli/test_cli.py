@@ -210,7 +210,6 @@ def test_calibrate_and_fit_leaf_pass_their_files(capsys, calls, plot, tmp_path):
         "leaf_shape": "broad",
         "area": "projected",
         "domain": "full",
-        "regression": False,
         "posterior": "none",
         "seed": 0,
         "checkpoint": tmp_path / "t.checkpoint",

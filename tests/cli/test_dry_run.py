@@ -12,7 +12,7 @@ from fynjax.cli import main
 from tests.frozen.cases import CASES
 
 FROZEN = Path(__file__).parents[1] / "frozen"
-COMMANDS = [name for name in CASES if name not in ("init", "sensors", "view")]
+COMMANDS = [name for name in CASES if name not in ("init", "sensors", "doctor", "view")]
 
 
 def call(capsys, line):

@@ -9,7 +9,7 @@ import rasterio
 from fynjax._core.errors import InputError
 from fynjax.compare.structure._cloud import CloudSettings, height_cloud
 from fynjax.compare.structure._compare import ComparisonSettings, cloud_structure, compare_clouds
-from fynjax.metrics import STRUCTURE_METRICS, StructureSettings
+from fynjax.metrics.structure import STRUCTURE_METRICS, StructureSettings
 from fynjax.report.figures._structure import structure_figure, structure_maps
 from fynjax.terrain import PointCloud
 
@@ -88,33 +88,33 @@ def test_compares_at_one_density_on_cells_of_2_m(found) -> None:
 
 def test_finds_what_differs(found) -> None:
     """Plants of the same places, 20 % taller: heights 20 % higher, cover the same."""
-    metrics = {one.name: one for one in found.metrics}
     # Their ground is found in two ways, which is worth 2 %; sampling the rest.
-    assert metrics["gap_fraction"].difference_percent == pytest.approx(0.0, abs=8.0)
-    assert metrics["rugosity"].difference_percent == pytest.approx(20.0, abs=9.0)
+    assert found.difference_percent["gap_fraction"] == pytest.approx(0.0, abs=8.0)
+    assert found.difference_percent["rugosity"] == pytest.approx(20.0, abs=9.0)
     high = [i for i, p in enumerate(found.percents) if p >= 75.0]
     ratio = found.simulated.percentiles[high] / found.real.percentiles[high]
     np.testing.assert_allclose(ratio, 1.2, atol=0.1)
     gap = found.simulated.percentiles - found.real.percentiles
-    assert found.percentile_rmse.value == pytest.approx(np.sqrt(np.mean(gap**2)), rel=0.1)
-    assert 0.85 < found.height_intersection.value < 0.97
+    heights = found.heights["value"]
+    assert heights["height_percentile_rmse"] == pytest.approx(np.sqrt(np.mean(gap**2)), rel=0.1)
+    assert 0.85 < heights["height_intersection"] < 0.97
 
 
 def test_intervals_hold_their_values(found) -> None:
-    for one in found.metrics:
-        for side in (one.real, one.simulated):
-            low, high = side.bootstrap_interval
-            assert low < side.value < high
-        assert one.real.thinning_interval is None
-        assert one.real.value == one.real.full
-        low, high = one.simulated.thinning_interval
-        assert low < one.simulated.value < high
+    for side in found.sides.values():
+        own = side.metrics
+        assert (
+            (own["bootstrap_low"] < own["value"]) & (own["value"] < own["bootstrap_high"])
+        ).all()
+    assert found.real.metrics[["thinning_low", "thinning_high"]].isna().all(axis=None)
+    assert found.real.metrics["value"].equals(found.real.metrics["full"].rename("value"))
+    own = found.simulated.metrics
+    assert ((own["thinning_low"] < own["value"]) & (own["value"] < own["thinning_high"])).all()
     # A share of returns does not depend on their density, as the canopy's highest returns do.
-    gap = next(one for one in found.metrics if one.name == "gap_fraction")
-    low, high = gap.simulated.thinning_interval
-    assert low < gap.simulated.full < high
-    low, high = found.percentile_rmse.interval
-    assert low < found.percentile_rmse.value < high
+    gap = own.loc["gap_fraction"]
+    assert gap["thinning_low"] < gap["full"] < gap["thinning_high"]
+    rmse = found.heights.loc["height_percentile_rmse"]
+    assert rmse["thinning_low"] < rmse["value"] < rmse["thinning_high"]
 
 
 def test_metrics_are_those_of_the_truth(pair, tmp_path) -> None:
@@ -127,11 +127,13 @@ def test_metrics_are_those_of_the_truth(pair, tmp_path) -> None:
     found = cloud_structure(pair[0], ComparisonSettings(grain=2.0))
     assert truth.side.ground_share is None
     for name, bound in (("gap_fraction", 0.1), ("rugosity", 0.05), ("height_cv", 0.1)):
-        assert found.metrics[name].value == pytest.approx(truth.metrics[name].value, rel=bound)
+        true = truth.side.metrics.loc[name, "value"]
+        assert found.side.metrics.loc[name, "value"] == pytest.approx(true, rel=bound)
     inside = (x > 0) & (y > 0)
     assert truth.side.returns == inside.sum()
     low = [(height[(x // 2 == i) & (y // 2 == j)] < 0.1).mean() for j in range(5) for i in range(5)]
-    assert truth.metrics["gap_fraction"].value == pytest.approx(np.mean(low), rel=0.01)
+    gap = truth.side.metrics.loc["gap_fraction", "value"]
+    assert gap == pytest.approx(np.mean(low), rel=0.01)
 
 
 def test_seed_decides_and_sides_swap(pair, found) -> None:
@@ -141,16 +143,16 @@ def test_seed_decides_and_sides_swap(pair, found) -> None:
     swapped = compare_clouds(*pair[::-1], settings=FEW)
     assert swapped.thinned == "real"
     assert swapped.grain == found.grain
-    assert swapped.metrics[0].simulated.value == pytest.approx(found.metrics[0].real.value)
-    assert swapped.metrics[0].simulated.thinning_interval is None
+    np.testing.assert_allclose(swapped.simulated.metrics["value"], found.real.metrics["value"])
+    assert swapped.simulated.metrics["thinning_low"].isna().all()
 
 
 def test_a_cloud_against_itself(pair) -> None:
     same = compare_clouds(pair[0], pair[0], settings=FEW)
     assert same.thinned == "neither"
-    assert same.percentile_rmse.value == 0.0
-    assert same.height_intersection.value == pytest.approx(1.0)
-    assert all(one.difference_percent == 0.0 for one in same.metrics)
+    assert same.heights.loc["height_percentile_rmse", "value"] == 0.0
+    assert same.heights.loc["height_intersection", "value"] == pytest.approx(1.0)
+    assert (same.difference_percent == 0.0).all()
     assert same.notes == ()
 
 
@@ -159,7 +161,7 @@ def test_outputs_carry_numbers_settings_and_the_papers_values(found, tmp_path) -
     assert list(table.index[:6]) == list(STRUCTURE_METRICS)
     assert table.loc["gap_fraction", "paper_real"] == 0.0625
     assert table.loc["rugosity", "paper_difference_percent"] == 35.8
-    assert table.loc["height_intersection", "simulated"] == found.height_intersection.value
+    assert table.loc["height_intersection", "simulated"] == found.heights["value"].iloc[1]
     settings = found.settings_table().set_index("setting")["value"]
     for name in (
         "layer",
@@ -184,10 +186,11 @@ def test_figures_show_what_was_found(found) -> None:
     figure = structure_figure(found)
     assert len(figure.axes) == len(STRUCTURE_METRICS) + 3
     titles = " ".join(axes.get_title("left") for axes in figure.axes)
-    assert f"intersection {found.height_intersection.value:.3f}" in titles
-    assert f"RMSE {found.percentile_rmse.value:.3f} m" in titles
+    rmse, overlap = found.heights["value"]
+    assert f"intersection {overlap:.3f}" in titles
+    assert f"RMSE {rmse:.3f} m" in titles
     labels = [axes.get_xlabel() for axes in figure.axes]
-    assert f"{found.metrics[0].difference_percent:+.1f} %" in labels
+    assert f"{found.difference_percent.iloc[0]:+.1f} %" in labels
     maps = structure_maps(found)
     np.testing.assert_array_equal(
         maps.axes[0].images[0].get_array(), found.real.cells["foliage_height_diversity"]
@@ -199,10 +202,7 @@ def test_bare_ground_has_no_plants_and_no_nan(pair, tmp_path) -> None:
     x, y = rng.uniform(0.0, 10.0, (2, 3000))
     bare = write_las(tmp_path / "bare.las", x, y, 50.0 + rng.normal(0.0, 0.005, 3000))
     found = compare_clouds(pair[0], bare, settings=FEW)
-    metrics = {one.name: one for one in found.metrics}
-    assert metrics["gap_fraction"].simulated.value == 1.0
-    assert metrics["foliage_height_diversity"].simulated.value is None
-    assert metrics["foliage_height_diversity"].difference_percent is None
+    assert found.simulated.metrics.loc["gap_fraction", "value"] == 1.0
     row = found.table().set_index("metric").loc["foliage_height_diversity"]
     assert np.isnan(row["simulated"])
     assert np.isnan(row["difference_percent"])
@@ -224,7 +224,7 @@ def test_empty_cells_and_cells_of_one_return(pair, tmp_path) -> None:
     assert counted[:, :2].all()
     assert not counted[:, 2:].any()
     expected = found.structure.metrics["gap_fraction"][:, :2].mean()
-    assert found.metrics["gap_fraction"].value == pytest.approx(expected)
+    assert found.side.metrics.loc["gap_fraction", "value"] == pytest.approx(expected)
 
 
 def test_clouds_that_cannot_be_compared(pair, tmp_path) -> None:
@@ -280,7 +280,8 @@ def test_real_clouds_with_and_without_their_classes(shared_data) -> None:
     assert labels.side.ground == "labels"
     assert labels.structure.grid.shape == (10, 10)  # 49.99 m of points are a plot of 50 m
     for name in ("gap_fraction", "foliage_height_diversity", "rugosity"):
-        assert smrf.metrics[name].value == pytest.approx(labels.metrics[name].value, rel=0.1), name
+        by_labels = labels.side.metrics.loc[name, "value"]
+        assert smrf.side.metrics.loc[name, "value"] == pytest.approx(by_labels, rel=0.1), name
 
 
 def test_shrub_height_rasters_as_clouds(shared_data, tmp_path) -> None:
@@ -304,4 +305,4 @@ def test_shrub_height_rasters_as_clouds(shared_data, tmp_path) -> None:
     expected = np.percentile(np.maximum(np.round(z, 3), 0.0), [25.0, 50.0, 75.0])
     middle = [settings.percents.index(p) for p in (25.0, 50.0, 75.0)]
     np.testing.assert_allclose(found.side.percentiles[middle], expected, atol=0.02)
-    assert all(one.value is not None for one in found.metrics.values())
+    assert found.side.metrics["value"].notna().all()

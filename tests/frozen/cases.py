@@ -72,14 +72,14 @@ def run(command: str, folder: Path) -> Numbers:
     out.mkdir()
     for name, line in CASES[command].runs(folder).items():
         line = list(map(str, line))
-        if line[0] not in ("sensors", "view"):
+        if line[0] not in ("sensors", "doctor", "view"):
             line += ["--output", str(out / name), "--quiet"]
         with patch.dict(
             inspect.unwrap(jobs.train).__kwdefaults__, steps=30
         ):  # more would amplify rounding
             result = CliRunner().invoke(app, line, catch_exceptions=False)
         assert result.exit_code == 0, f"{line}: {result.output}"
-        if line[0] == "sensors":
+        if line[0] in ("sensors", "doctor"):
             (out / f"{name}.json").write_text(json.dumps(json.loads(result.stdout)))
         if line[0] == "view":
             page = Path("".join(result.stdout.split("\n")))
@@ -128,6 +128,11 @@ def _simulate(folder: Path) -> Runs:
         "camera": ["simulate", camera, "--seed", 4],
         "lidar": ["simulate", plot, "--sensor", "flash_lidar_paper"],
     }
+
+
+@_case("doctor", loose={"found": np.inf})
+def _doctor(folder: Path) -> Runs:
+    return {"doctor": ["doctor", "--json"]}
 
 
 @_case("sensors")

@@ -40,7 +40,6 @@ from fynjax.io.raster import (
     open_blocks,
     read_band_stack,
     read_cover_map,
-    read_cube,
     read_probability_map,
     write_geotiff,
 )
@@ -51,7 +50,7 @@ from fynjax.scene import COVERS
 from fynjax.sensors import BandSet, group_bands, lidar_folder
 from fynjax.terrain import read_cloud, read_terrain
 from tests.canopy.test_scan import ball
-from tests.helpers import write_ply, write_raster
+from tests.helpers import read_cube, write_ply, write_raster
 from tests.io.emit_files import write_emit
 from tests.io.rededge_files import lit, panel_scene, write_rededge
 from tests.io.test_crowns import write as write_crowns

@@ -9,7 +9,8 @@ import pytest
 from scipy.optimize import least_squares
 
 from fynjax.errors import InputError
-from fynjax.inversion import BroydenLM, descend
+from fynjax.inversion import BroydenLM
+from tests.helpers import descend
 
 ROOT = np.diag([1.0 / 0.03, 1.0 / 0.05, 1.0 / 0.04])
 """Makes of misfits those in units of their errors."""

@@ -16,12 +16,12 @@ from fynjax.inversion import (
     Data,
     FitStatus,
     ParameterSpace,
-    descend,
     fit,
     whitened_residual,
 )
 from fynjax.inversion._fit_result import posterior as laplace
 from fynjax.inversion._fit_result import scatter_covariance
+from tests.helpers import descend
 from tests.inversion.linear import DATA, MATRIX, SPACE, posterior, predict
 
 

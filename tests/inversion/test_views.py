@@ -54,7 +54,7 @@ from fynjax.inversion._views import (
 )
 from fynjax.jobs._follow import follow
 from fynjax.jobs._run import Run
-from fynjax.metrics import STRUCTURE_METRICS, voxel_structure
+from fynjax.metrics.structure import STRUCTURE_METRICS, voxel_structure
 from fynjax.radiation import parallel_rays, reflectance_factor, solve_light
 from fynjax.scene import stand_realisation, with_values
 from fynjax.scene._structure import _projections

@@ -14,7 +14,6 @@ from fynjax.io.raster import (
     MapWriter,
     open_blocks,
     open_cube,
-    read_cube,
     write_cube_envi,
     write_cube_geotiff,
     write_cubes_netcdf,
@@ -22,6 +21,7 @@ from fynjax.io.raster import (
 from fynjax.io.raster import _blocks as blocks_module
 from fynjax.io.raster import _lazy as lazy_module
 from fynjax.io.raster import _lookup as lookup_module
+from tests.helpers import read_cube
 from tests.io.emit_files import FILL, GEOTRANSFORM, NOWHERE, lookup, write_emit
 
 CENTRE = np.array([480.0, 560.0, 660.0, 860.0])

@@ -116,5 +116,5 @@ def test_a_geopackage_of_polygons_and_points(tmp_path):
 
 def test_a_geopackage_asks_for_the_packages_that_read_it(tmp_path, monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "pyogrio", None)
-    with pytest.raises(MissingExtraError, match=r"fynjax\[crowns\]"):
+    with pytest.raises(MissingExtraError, match=r"fynjax\[tables\]"):
         read_plot(write(tmp_path, "", "crowns.gpkg"))

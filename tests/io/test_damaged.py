@@ -7,7 +7,7 @@ import struct
 import threading
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import laspy
 import netCDF4
@@ -28,14 +28,14 @@ from fynjax.io.raster import (
     _netcdf,
     parse_crs,
     read_band_stack,
-    read_cube,
     read_probability_map,
     write_geotiff,
 )
 from fynjax.io.spectra import read_spectra_file
-from fynjax.io.text import named_file
+from fynjax.io.text import NamedFile, Strict, read_toml
 from fynjax.sensors import sensor_folder
 from fynjax.terrain import read_cloud, read_terrain
+from tests.helpers import read_cube
 
 
 def drone_image(path: Path) -> Any:
@@ -113,7 +113,7 @@ def test_an_image_of_more_pixels_than_its_file_can_hold(
 
 def test_lines_may_end_as_on_old_macs(shared_data: Path) -> None:
     structure = read_structure(shared_data / "damaged" / "structure-93-structure.csv")
-    assert structure.metrics == ("gap_fraction", "rugosity", "height_cv")
+    assert [row.metric for row in structure] == ["gap_fraction", "rugosity", "height_cv"]
 
 
 def test_a_compressed_file_that_unfolds_to_too_much(tmp_path: Path) -> None:
@@ -172,6 +172,12 @@ def test_what_is_no_file_is_called_by_its_name(tmp_path: Path, make: Any, words:
             read(path)
 
 
+class NamesTable(Strict):
+    """A file that names another."""
+
+    table: Annotated[Path, NamedFile("a table")]
+
+
 @pytest.mark.parametrize(
     ("target", "words"),
     [("gone.csv", "a link to 'gone.csv', which is not there"), ("b.csv", "leads back to itself")],
@@ -182,8 +188,9 @@ def test_a_link_that_a_plot_file_names_is_called_a_link(
     owner = tmp_path / "plot.toml"
     (tmp_path / "b.csv").symlink_to(target)
     (tmp_path / "c.csv").touch()
-    with pytest.raises(InputError, match=rf"row 3.*'b.csv': expected a table, but .*{words}"):
-        named_file(owner, "b.csv", "a table", within=tmp_path, row=3)
+    owner.write_text('table = "b.csv"\n', "utf-8")
+    with pytest.raises(InputError, match=rf"row 1.*'b.csv': expected a table, but .*{words}"):
+        read_toml(owner, NamesTable, within=tmp_path)
 
 
 def test_a_name_that_no_file_can_have() -> None:
@@ -241,6 +248,16 @@ def test_a_plot_file_may_not_choose_files_elsewhere(tmp_path: Path) -> None:
     with pytest.raises(SystemExit) as end:
         main(["render", str(path), "--allow-outside", "--dry-run", "--quiet"])
     assert end.value.code == 0
+
+
+def test_a_leaf_table_may_not_choose_files_elsewhere(tmp_path: Path) -> None:
+    folder = shutil.copytree(example_folder(), tmp_path / "plot")
+    (folder / "leaves.csv").write_text("taxon,spectrum\n*,../leaf.csv\n", "utf-8")
+    (tmp_path / "leaf.csv").touch()
+    with pytest.raises(InputError, match=r"row 2, column 'spectrum': '../leaf.csv': .*or below"):
+        read_plot(folder / "plot.toml")
+    plot = read_plot(folder / "plot.toml", allow_outside=True)
+    assert plot.leaves[0].spectrum == (tmp_path / "leaf.csv").resolve()
 
 
 def test_a_sensor_file_may_not_choose_files_elsewhere(tmp_path: Path) -> None:

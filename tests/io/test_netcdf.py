@@ -36,10 +36,11 @@ def dataset():
     )
 
 
-def test_xarray_reads_it_with_names_units_and_record(tmp_path, dataset):
+def test_xarray_reads_it_with_names_units_and_record(tmp_path, dataset, monkeypatch):
+    monkeypatch.setattr("sys.argv", ["/somewhere/bin/fynjax", "render", "plot.toml"])
     source = tmp_path / "plot.toml"
     source.write_text("[plot]")
-    record = provenance(seed=4, inputs=[source], command="fynjax render plot.toml")
+    record = provenance(seed=4, inputs=[source])
     write_run(tmp_path / "run.nc", dataset, record)
     with xr.open_dataset(tmp_path / "run.nc") as back:
         np.testing.assert_array_equal(back["reflectance"], dataset["reflectance"])

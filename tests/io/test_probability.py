@@ -15,7 +15,7 @@ from rasterio.errors import NotGeoreferencedWarning
 from fynjax._core.errors import InputError
 from fynjax.assembly._build import _probability
 from fynjax.io.plot import example_folder, read_plot
-from fynjax.io.raster import read_probability_map, write_probability_map
+from fynjax.io.raster import read_probability_map, write_geotiff
 from fynjax.io.raster._writer import LOCAL_FRAME
 
 UTM = "EPSG:32734"
@@ -25,6 +25,12 @@ GREY = np.random.default_rng(3).integers(2, 256, (40, 60), dtype=np.uint8)  # ro
 
 def frame(cell: float = 0.5, corner: tuple[float, float] = CORNER, rows: int = 40) -> Affine:
     return Affine(cell, 0.0, corner[0], 0.0, -cell, corner[1] + rows * cell)
+
+
+def write_map(path: Path, grey: np.ndarray, transform: Affine, **options: Any) -> None:
+    """As `pattern` writes it."""
+    options = {"nodata": None, **options}
+    write_geotiff(path, grey[None], ["probability"], transform=transform, **options)
 
 
 def raster(path: Path, values: np.ndarray, transform: Affine | None = None, **options: Any) -> Path:
@@ -51,7 +57,7 @@ def raster(path: Path, values: np.ndarray, transform: Affine | None = None, **op
 def test_another_reader_sees_the_map_where_it_lies(tmp_path: Path) -> None:
     tifffile = pytest.importorskip("tifffile", reason="needs the extra `analysis`")
     path = tmp_path / "new" / "map.tif"
-    write_probability_map(path, GREY, frame(), crs=UTM, nodata=0, tags={"levels": [85, 255]})
+    write_map(path, GREY, frame(), crs=UTM, nodata=0, tags={"levels": [85, 255]})
     assert [p.name for p in path.parent.iterdir()] == ["map.tif"]
     with tifffile.TiffFile(path) as file:
         page = file.pages[0]
@@ -68,16 +74,10 @@ def test_another_reader_sees_the_map_where_it_lies(tmp_path: Path) -> None:
 
 
 def test_what_is_written_is_read(tmp_path: Path) -> None:
-    write_probability_map(tmp_path / "utm.tif", GREY, frame(), crs=UTM)
-    write_probability_map(tmp_path / "local.tif", GREY, frame(corner=(0.0, 0.0)))
+    write_map(tmp_path / "utm.tif", GREY, frame(), crs=UTM)
+    write_map(tmp_path / "local.tif", GREY, frame(corner=(0.0, 0.0)))
     for name in ("utm.tif", "local.tif"):
         np.testing.assert_array_equal(read_probability_map(tmp_path / name, (30, 20)), GREY)
-
-
-def test_the_writer_takes_8_bit_maps_only(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="uint8"):
-        write_probability_map(tmp_path / "m.tif", GREY.astype(float), frame())
-    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("dtype", ["uint8", "int16", "float32", "float64"])
@@ -215,7 +215,7 @@ def test_a_plot_file_reads_its_map(tmp_path: Path) -> None:
     (folder / "plot.toml").write_text(text.replace("# probability_map", "probability_map"))
     values = np.full((20, 20), 200, np.uint8)
     values[3, 5] = 7
-    write_probability_map(folder / "map.tif", values, frame(0.5, (0.0, 0.0), 20))
+    write_map(folder / "map.tif", values, frame(0.5, (0.0, 0.0), 20))
     plot = read_plot(folder / "plot.toml")
     assert plot.size_m == (10.0, 10.0)
     np.testing.assert_array_equal(_probability(plot), values)

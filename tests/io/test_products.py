@@ -11,13 +11,14 @@ import spectral
 import xarray as xr
 
 from fynjax._core.errors import InputError
-from fynjax.io.raster import Cube, read_cube, write_geotiff, write_qgis_style
+from fynjax.io.raster import Cube, write_geotiff, write_qgis_style
 from fynjax.io.raster._cubes import (
     NODATA,
     write_cube_envi,
     write_cube_geotiff,
     write_cubes_netcdf,
 )
+from tests.helpers import read_cube
 
 RECORD = {"source": "fynjax 0", "seed": 3, "note": '{"a": [1, 2]}'}
 NAMES = ("blue", "green", "red", "cirrus", "nir")
@@ -165,13 +166,6 @@ def test_wavelengths_in_micrometres_become_nanometres(folder, tmp_path):
     found = read_cube(path)
     np.testing.assert_allclose(found.wavelength, CENTRES)
     np.testing.assert_allclose(found.fwhm, WIDTHS)
-
-
-def test_a_cube_without_a_place_is_not_written(tmp_path):
-    lost = dataclasses.replace(cube(), pixel_m=None)
-    with pytest.raises(ValueError, match="must have a place"):
-        write_cube_envi(tmp_path / "a.hdr", lost, {})
-    assert not list(tmp_path.iterdir())
 
 
 def test_a_real_emit_cube_is_read_as_spy_reads_it(shared_data):

@@ -15,8 +15,8 @@ from rasterio import Affine
 
 from fynjax._core.errors import InputError
 from fynjax.compare import DroneImage, read_drone_image
-from fynjax.io.raster import open_raster, read_cube, write_geotiff
-from tests.helpers import write_raster
+from fynjax.io.raster import open_raster, write_geotiff
+from tests.helpers import read_cube, write_raster
 
 BANDS = ("green", "red", "red_edge", "nir")
 CENTRES = (560.0, 650.0, 730.0, 860.0)

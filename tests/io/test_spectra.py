@@ -163,6 +163,12 @@ def test_columns_pair_reflectance_with_transmittance(tmp_path, sep):
     assert pine.transmittance is None
 
 
+def test_a_column_called_spectrum_says_nothing_of_micrometres(tmp_path):
+    (leaf,) = read_spectra_file(table(tmp_path / "a.csv", {"Spectrum": WAVELENGTH, "leaf": R}))
+    np.testing.assert_array_equal(leaf.wavelength, WAVELENGTH)
+    assert not leaf.meta["repairs"]
+
+
 def test_micrometres_percent_and_descending_order_are_repaired_and_said(tmp_path):
     columns = {"wavelength_um": WAVELENGTH[::-1] / 1000, "leaf reflectance (%)": 100 * R[::-1]}
     (spectrum,) = read_spectra_file(table(tmp_path / "a.csv", columns))
@@ -225,7 +231,8 @@ def test_envi_library(tmp_path):
     ("columns", "message"),
     [
         ({"wavelength": WAVELENGTH, "r": 100 * R}, "percent"),
-        ({"wavelength_nm": WAVELENGTH / 1000, "r": R}, "µm"),
+        ({"wavelength_nm": WAVELENGTH / 1000, "r": R}, "stated in 'nm'.*they µm"),
+        ({"wavelength_um": WAVELENGTH, "r": R}, "stated in 'µm'.*they nm"),
         ({"wavelength": WAVELENGTH, "r": np.nan * R}, "only NaN"),
         ({"wavelength": WAVELENGTH, "r": R - 0.3}, "negative"),
         ({"wavelength": WAVELENGTH, "r": R + 0.9}, "above one"),
@@ -372,28 +379,6 @@ def test_the_command_fits_groups_and_samples_the_posterior(tmp_path, capsys):
         assert data["water"].shape == (2, 400)
         assert 0.005 < float(data["water"][0].median()) < 0.02
         assert (data["status"] == "converged").all()
-
-
-def test_water_of_one_campaign_is_corrected(tmp_path, capsys):
-    """Through the door: as `regress_water` does, said in the headline and the files."""
-    wet = {name: R * (1 + 0.05 * size * np.exp(-0.5 * ((WAVELENGTH - 1150) / 30) ** 2))
-           for name, size in {"a": 0, "b": 0, "c": 1}.items()}  # fmt: skip
-    good = table(tmp_path / "good.csv", {"wavelength": WAVELENGTH, **wet})
-    water = {}
-    for options in ([], ["--regression"]):
-        out = tmp_path / f"out{len(options)}"
-        with pytest.raises(SystemExit) as caught:
-            main(["fit-leaf", str(good), "--output", str(out), *options])
-        assert not caught.value.code
-        assert ("corrected by regression" in capsys.readouterr().out) == bool(options)
-        with xr.open_dataset(out / "spectra.nc") as data:
-            assert data.attrs["regression"] == ("water" if options else "none")
-        water[len(options)] = pd.read_csv(out / "traits.csv")["water"]
-    np.testing.assert_allclose(water[1][:2], water[0][:2])
-    assert abs(water[1][2] / water[0][2] - 1) > 0.005
-    with pytest.raises(InputError, match="one by one"):
-        fit_leaf([good], tmp_path / "o", regression=True, posterior="emcee")
-    assert not (tmp_path / "o").exists()
 
 
 @pytest.mark.parametrize(

@@ -12,8 +12,7 @@ from typer.testing import CliRunner
 
 from fynjax._core.errors import InputError
 from fynjax.cli._sensors import reflectance
-from fynjax.io.raster import read_cube
-from tests.helpers import assert_valid_summary
+from tests.helpers import assert_valid_summary, read_cube
 from tests.io.rededge_files import BANDS, IRRADIANCE, lit, panel_scene, write_rededge
 
 app = typer.Typer()

@@ -12,10 +12,10 @@ from rasterio import Affine
 
 from fynjax._core.errors import InputError
 from fynjax.cli import main
-from fynjax.io.raster import colour_bands, read_cube
+from fynjax.io.raster import colour_bands
 from fynjax.jobs._simulate import simulate
 from fynjax.report.figures._products import quick_looks, spectrum_figure
-from tests.helpers import assert_valid_summary, write_raster
+from tests.helpers import assert_valid_summary, read_cube, write_raster
 
 PLOT = """
 [plot]

@@ -22,7 +22,6 @@ from fynjax.leaf import (
     default_error_model,
     fit_leaf,
     fit_leaf_groups,
-    independent_error_model,
     prospect,
     recollided,
     sample_leaf_posterior,
@@ -39,7 +38,7 @@ from fynjax.leaf._problem import (
     make_setup,
 )
 from fynjax.leaf._residual import Problem, observed, residual, solve, to_physical, whitening
-from tools.estimate_error_model import estimate
+from tools.estimate_error_model import estimate, independent_error_model
 
 GRID = np.arange(400.0, 2501.0)
 

@@ -80,7 +80,7 @@ def test_the_truth_has_any_rank_among_the_draws(simulated):
 
 def test_a_missing_extra_names_the_line_to_type(monkeypatch):
     monkeypatch.setitem(sys.modules, "blackjax", None)
-    with pytest.raises(MissingExtraError, match=r'pip install "fynjax\[nuts\]"'):
+    with pytest.raises(MissingExtraError, match=r'pip install "fynjax\[posterior\]"'):
         sample_leaf_posterior(GRID, R, sampler="nuts")
     with pytest.raises(ValueError, match="sampler"):
         sample_leaf_posterior(GRID, R, sampler="gibbs")

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from fynjax.metrics import (
+from fynjax.metrics.structure import (
     STRUCTURE_PRESETS,
     BinnedReturns,
     StructureSettings,

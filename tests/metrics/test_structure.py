@@ -9,7 +9,7 @@ from scipy import stats
 
 from fynjax._core.errors import InputError
 from fynjax.compare.structure import structure_2006
-from fynjax.metrics import (
+from fynjax.metrics.structure import (
     STRUCTURE_METRICS,
     STRUCTURE_PRESETS,
     StructureSettings,
@@ -235,18 +235,6 @@ def test_layers_decide_the_diversity() -> None:
     assert values[0] > 5.0 * values[-1]
 
 
-def test_weights_count_returns() -> None:
-    """A return of weight 2 is two, and one of weight 0 is none."""
-    x, y, h = fynbos_returns(400)
-    grid, settings = cell_grid((0, 0, 10, 10), 5.0), StructureSettings(degrees_lost=0)
-    weight = np.arange(400) % 3
-    got = cell_structure(bin_returns(x, y, h, grid, settings, weight=weight)).metrics
-    twice = np.repeat(np.arange(400), weight)
-    expected = cell_structure(bin_returns(x[twice], y[twice], h[twice], grid, settings)).metrics
-    for name in STRUCTURE_METRICS:
-        np.testing.assert_allclose(got[name], expected[name], rtol=1e-12, err_msg=name)
-
-
 def test_decimal_heights_are_on_their_edge() -> None:
     """0.3 / 0.1 is less than 3 in binary; the return is in the layer that begins at 0.3 m."""
     settings = StructureSettings(layer=0.1, lowest=0.0, diversity_lowest=0.0)
@@ -318,16 +306,14 @@ def test_bad_settings_and_returns() -> None:
         bin_returns(good, good, [0.1], grid, settings)
     with pytest.raises(InputError, match="there are none"):
         bin_returns(good + 9.0, good, good, grid, settings)
-    with pytest.raises(InputError, match="at least 0"):
-        bin_returns(good, good, good, grid, settings, weight=[-1.0, 1.0])
     with pytest.raises(InputError, match="above the ground"):
         bin_returns(good, good, good * 1e9, grid, settings)
 
 
 def test_settings_are_carried_and_names_agree() -> None:
     found = cell_structure(fynbos_cells(STRUCTURE_PRESETS["lidR"]))
-    assert found.settings.as_dict()["source"].startswith("lidR")
-    assert found.settings.as_dict()["layer"] == 1.0
+    assert found.settings.source.startswith("lidR")
+    assert found.settings.layer == 1.0
     assert tuple(found.metrics) == tuple(STRUCTURE_METRICS)
     assert set(STRUCTURE_METRICS) < set(structure_2006())
 

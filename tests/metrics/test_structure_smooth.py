@@ -1,4 +1,4 @@
-"""Smooth structure metrics against the exact ones, drawn clouds, and finite differences."""
+"""Structure metrics of voxels against those of drawn clouds, and finite differences."""
 
 from dataclasses import replace
 
@@ -8,20 +8,17 @@ import numpy as np
 import pytest
 
 from fynjax._core.errors import InputError
-from fynjax.metrics import (
+from fynjax.metrics.structure import (
     STRUCTURE_METRICS,
     StructureSettings,
     bin_returns,
     cell_grid,
     cell_structure,
-    height_intersection,
-    smooth_cell_structure,
     voxel_height_percentiles,
     voxel_structure,
 )
-from fynjax.metrics.structure._smooth import height_percentile_rmse, smooth_height_intersection
 from tests.helpers import assert_gradients
-from tests.metrics.structure_clouds import LOW_PRESETS, fynbos_cells
+from tests.metrics.structure_clouds import LOW_PRESETS
 
 OF_AREA = replace(StructureSettings(), diversity_of="leaf_area", top="plot")
 CONVENTIONS = {**LOW_PRESETS, "of area": OF_AREA}
@@ -32,90 +29,9 @@ SOME = [
 ]
 
 
-def smooth(returns, height=None, weight=None, width=0.02):
-    def metrics(height, weight):
-        return smooth_cell_structure(
-            height,
-            jnp.asarray(returns.cell),
-            jnp.asarray(returns.canopy),
-            returns.settings,
-            cells=returns.grid.rows * returns.grid.columns,
-            layers=returns.layers,
-            canopy_cells=returns.canopy_cells,
-            weight=weight,
-            width=width,
-        )
-
-    return jax.jit(metrics)(jnp.asarray(returns.height) if height is None else height, weight)
-
-
 def voxels(density, settings, **options):
     run = jax.jit(lambda d: voxel_structure(d, settings, **options))
     return run(jnp.asarray(density))
-
-
-@pytest.mark.parametrize("number", [1317, 20_000])
-@pytest.mark.parametrize("name", SOME)
-def test_smooth_means_are_within_2_percent_of_exact_ones(name, number) -> None:
-    """At widths of 2 cm, the paper's density and fifteen times as much."""
-    returns = fynbos_cells(CONVENTIONS[name], number)
-    exact = cell_structure(returns).means()
-    found = smooth(returns).means()
-    for metric in STRUCTURE_METRICS:
-        assert float(found[metric]) == pytest.approx(exact[metric], rel=0.02), metric
-
-
-def test_smooth_metrics_of_cells_tend_to_exact_ones() -> None:
-    """Every cell, as the width goes to nothing; but for layers that a single return decides."""
-    returns = fynbos_cells(StructureSettings(), 20_000)
-    exact = cell_structure(returns).metrics
-    for width, bound in ((0.02, 0.08), (0.0005, 0.005)):
-        found = smooth(returns, width=width).metrics
-        for metric in ("gap_fraction", "foliage_height_diversity", "rugosity", "height_cv"):
-            np.testing.assert_allclose(
-                found[metric].reshape(5, 5), exact[metric], rtol=bound, err_msg=metric
-            )
-
-
-def small():
-    """Twenty returns in two cells, some on the ground."""
-    rng = np.random.default_rng(5)
-    x, y = rng.uniform(0.0, 2.0, 20), rng.uniform(0.0, 1.0, 20)
-    h = np.where(rng.random(20) < 0.2, 0.0, rng.gamma(4.0, 0.16, 20))
-    return x, y, h
-
-
-@pytest.mark.parametrize("name", SOME)
-def test_slopes_in_heights_and_weights(name) -> None:
-    settings = replace(CONVENTIONS[name], cv_lowest=0.15)
-    returns = bin_returns(*small(), cell_grid((0, 0, 2, 1), 1.0), settings)
-    start = {"height": jnp.asarray(returns.height) + 0.01, "weight": jnp.full(20, 0.8)}
-
-    @jax.jit
-    def metrics(p):
-        return smooth(returns, p["height"], p["weight"], width=0.15).metrics
-
-    assert_gradients(metrics, start, rtol=2e-4, step=1e-6)
-
-
-def test_no_nan_at_edges() -> None:
-    """Bare ground, one return, empty cells, weights of zero: finite values and slopes."""
-    settings = StructureSettings()
-    cell = canopy = jnp.zeros(3, int)
-
-    @jax.jit
-    def total(h, w):
-        found = smooth_cell_structure(
-            h, cell, canopy, settings, cells=2, layers=4, canopy_cells=2, weight=w
-        )
-        return sum(found.means().values()) + sum(v.sum() for v in found.metrics.values())
-
-    slope = jax.jit(jax.value_and_grad(total, argnums=(0, 1)))
-    for height in ([0.0, 0.0, 0.0], [0.5, 0.5, 0.5], [0.25, 0.1, 0.0], [0.0, 3.0, 0.375]):
-        for weight in ([1.0, 1.0, 1.0], [0.0, 0.0, 0.0], [0.0, 1.0, 0.0]):
-            value, slopes = slope(jnp.asarray(height), jnp.asarray(weight))
-            assert np.isfinite(value)
-            assert all(np.isfinite(s).all() for s in slopes)
 
 
 def shrubs(seed: int = 3):
@@ -196,6 +112,16 @@ def test_voxels_of_a_uniform_slab() -> None:
     np.testing.assert_allclose(raised.metrics["gap_fraction"], np.exp(-0.8 * 0.6), rtol=1e-9)
 
 
+def test_a_cell_counts_by_the_chance_that_it_is_defined() -> None:
+    """Of two expected returns in a cell, a coefficient of variation needs another one: the chance
+    of at least one of one expected, 1 - 1 / e."""
+    found = voxels(
+        jnp.ones((8, 4, 4)), StructureSettings(), voxel=(0.5, 0.1), grain=2.0, pulses=0.5, layers=3
+    )
+    np.testing.assert_allclose(found.defined["height_cv"], 1.0 - np.exp(-1.0), rtol=1e-9)
+    np.testing.assert_allclose(found.defined["gap_fraction"], 1.0)
+
+
 def test_percentiles_of_height_are_those_of_drawn_first_hits() -> None:
     """Pulses that meet leaves at random depths, on columns with a ground of their own."""
     rng = np.random.default_rng(2)
@@ -238,51 +164,20 @@ def test_slopes_in_area_density_and_ground() -> None:
 
 
 def test_single_precision_stays() -> None:
-    returns = fynbos_cells(StructureSettings())
-    found = smooth(returns, jnp.asarray(returns.height, jnp.float32))
-    of_voxels = voxels(
+    found = voxels(
         jnp.ones((6, 4, 4), jnp.float32), StructureSettings(), voxel=(0.5, 0.15), grain=2.0,
         pulses=50.0, layers=3,
     )  # fmt: skip
-    for one in (found, of_voxels):
-        assert all(v.dtype == jnp.float32 for v in one.metrics.values())
-        assert all(v.dtype == jnp.float32 for v in one.defined.values())
-    exact = cell_structure(returns).means()
-    assert float(found.means()["rugosity"]) == pytest.approx(exact["rugosity"], rel=0.02)
+    assert all(v.dtype == jnp.float32 for v in found.metrics.values())
+    assert all(v.dtype == jnp.float32 for v in found.defined.values())
 
 
-def test_what_has_no_smooth_form() -> None:
-    returns = fynbos_cells(StructureSettings(rugosity_of="columns"))
-    with pytest.raises(InputError, match="rugosity_of"):
-        smooth(returns)
-    with pytest.raises(InputError, match="`width`"):
-        smooth(fynbos_cells(StructureSettings()), width=0.5)
+def test_what_voxels_cannot_have() -> None:
     options = {"grain": 2.0, "pulses": 9.0, "layers": 3}
+    columns = StructureSettings(rugosity_of="columns")
+    with pytest.raises(InputError, match="rugosity_of"):
+        voxel_structure(jnp.ones((3, 9, 9)), columns, voxel=(0.5, 0.1), **options)
     with pytest.raises(InputError, match="voxels of"):
         voxel_structure(jnp.ones((3, 9, 9)), StructureSettings(), voxel=(0.3, 0.1), **options)
     with pytest.raises(InputError, match="one cell of"):
         voxel_structure(jnp.ones((3, 3, 3)), StructureSettings(), voxel=(0.5, 0.1), **options)
-
-
-def test_agreement_of_heights_smooth_and_exact() -> None:
-    """Against the exact overlap and NumPy's percentiles; slopes against differences."""
-    rng = np.random.default_rng(8)
-    percents = tuple(range(5, 100, 5))
-    ground = rng.random(20_000) < 0.1
-    real = np.where(ground, 0.0, rng.gamma(4.0, 0.16, 20_000))
-    for factor in (0.7, 1.0, 1.2, 1.6):
-        other = np.where(rng.random(15_000) < 0.15, 0.0, factor * rng.gamma(4.0, 0.16, 15_000))
-        smooth = smooth_height_intersection(jnp.asarray(real), jnp.asarray(other), 0.1, highest=3.0)
-        assert float(smooth) == pytest.approx(height_intersection(real, other, 0.1), abs=0.007)
-        rmse = height_percentile_rmse(jnp.asarray(real), jnp.asarray(other), percents)
-        gap = np.percentile(real, percents) - np.percentile(other, percents)
-        assert float(rmse) == pytest.approx(np.sqrt(np.mean(gap**2)), rel=1e-9)
-    first, second = jnp.asarray(real), jnp.asarray(other)
-    for measure in (
-        lambda s: smooth_height_intersection(first, s * second, 0.1, highest=3.0),
-        lambda s: height_percentile_rmse(first, s * second, percents),
-    ):
-        step = 1e-4
-        slope = (measure(1.0 + step) - measure(1.0 - step)) / (2.0 * step)
-        assert float(jax.grad(measure)(1.0)) == pytest.approx(float(slope), rel=0.02)
-    assert float(jax.grad(lambda s: height_percentile_rmse(first, s * first, percents))(1.0)) == 0.0

@@ -279,6 +279,14 @@ def test_missing_files_and_plots(tables: Path) -> None:
         read_bioscape(tables / "nowhere")
 
 
+def test_a_plot_whose_name_is_no_folder_is_refused(tables: Path) -> None:
+    for file in ("CleanCoverData.csv", "CleanVegData.csv"):
+        path = tables / file
+        path.write_text(path.read_text().replace("A1,", "../A1,"))
+    with pytest.raises(InputError, match=r"column 'Plot'.*letters, digits.*'../A1'"):
+        read_bioscape(tables)
+
+
 def test_covers_as_fractions_are_refused(tables: Path) -> None:
     (tables / "CleanVegData.csv").write_text(
         "Plot,GenusSpecies,PercentCoverAlive\nA1,Protea repens,0.3\nB2,Erica baccans,0.8\n"

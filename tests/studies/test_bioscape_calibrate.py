@@ -102,6 +102,17 @@ def test_dead_tissue_is_at_most_all_of_a_shoot(plots):
     np.testing.assert_allclose(moved.species.dead_fraction, [1.0, 0.6, 0.0])
 
 
+def test_factors_on_leaves_multiply_what_the_tables_say():
+    """Water follows dry matter and its own factor; other parameters stay."""
+    parameters = small_parameters()
+    factors = dict.fromkeys(FREE, 1.0) | {"leaf_mass_per_area": 2.0, "water_per_dry_matter": 1.5}
+    forward = PlotSpectrumForward(None, (False, False, True))
+    moved = forward._plot(jnp.array(list(factors.values())), parameters).leaf
+    for name, factor in (("dry_matter", 2.0), ("water", 3.0), ("chlorophyll", 1.0)):
+        before, after = getattr(parameters.leaf, name), getattr(moved, name)
+        np.testing.assert_allclose(after, factor * before, rtol=1e-6)
+
+
 def test_other_plots_as_prior_are_as_wide_as_they_differ(plots):
     known = {"leaf_mass_per_area": (250.0, 50.0), "water_content": (55.0, 3.0)}
     known["live_cover"] = (70.0, 8.0)

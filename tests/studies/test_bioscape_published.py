@@ -14,7 +14,7 @@ from fynjax._core.errors import InputError
 from fynjax.cli import main
 from fynjax.io.plot import read_plot
 from fynjax.studies.bioscape import read_bioscape
-from fynjax.studies.bioscape._plot_files import DEAD, OTHER
+from fynjax.studies.bioscape._plot_files import DEAD, OTHER, _counts, _median_ratio
 from tests.studies.test_bioscape import TRAITS, change, sources_of
 
 VERSION = "v20261007"
@@ -196,11 +196,23 @@ def test_the_command_writes_sources_counts_intercepts_and_oddities(
         assert any((*place, True) == (file, row, word in what) for file, row, what in oddities)
 
 
+def test_clonal_plants_are_not_held_against_their_cover(tables: Path) -> None:
+    change(tables, SPECIES, "1,T001,no,Protea", "1,T001,yes,Protea")
+    counts = _counts(read_bioscape(tables))
+    assert list(counts["clonal"]) == ["yes", "no"]
+    assert _median_ratio(counts) == pytest.approx(60 / (80 * (10 / 0.65) ** 2 / 100))
+    assert _median_ratio(counts[:1]) is None
+
+
 def test_plots_without_covers_are_left_out_and_errors_name_the_cell(tables: Path) -> None:
     with pytest.warns(UserWarning, match=r"plot_summary.*without covers or species.*T003"):
         assert [plot.name for plot in read_bioscape(tables)] == ["T001", "T002"]
     with pytest.raises(InputError, match="row with covers for plot 'T003'"):
         read_bioscape(tables, ["T003"])
+    change(tables, SUMMARY, "3,T003", "3,T002")
+    with pytest.raises(InputError, match=r"row 4, column 'plot'.*'T002' is there twice.*row 3"):
+        read_bioscape(tables)
+    change(tables, SUMMARY, "3,T002", "3,T003")
     change(tables, SPECIES, "30,10,15,4,100", "30,10,15,4,big")
     with pytest.raises(InputError, match=r"row 2, column 'mean_canopy_diameter_cm'.*big"):
         read_bioscape(tables, ["T001"])

@@ -6,8 +6,6 @@ import numpy as np
 import pytest
 
 from fynjax._core.errors import InputError, MissingExtraError
-from fynjax.canopy import VoxelGrid
-from fynjax.radiation import voxel_scene
 from fynjax.terrain import (
     PointCloud,
     Terrain,
@@ -233,16 +231,6 @@ def test_gradient_is_the_planes():
     np.testing.assert_allclose(north, -0.2)
 
 
-def test_crop_takes_cells_that_touch():
-    terrain = raster_of(plane)
-    part = terrain.crop((4.0, -1.2, 5.7, 0.5))
-    assert part.bounds == pytest.approx((4.0, -1.5, 6.0, 0.5))
-    x, y = part.centres
-    np.testing.assert_allclose(part.heights, plane(x[None, :], y[:, None]))
-    with pytest.raises(InputError, match=r"covers \(3.00, -2.00\).*plot is \(2.00"):
-        terrain.crop((2.0, 0.0, 4.0, 1.0))
-
-
 def test_resampling_keeps_planes_and_means():
     rng = np.random.default_rng(2)
     rough = Terrain(rng.normal(size=(12, 18)), 0.5)
@@ -256,39 +244,8 @@ def test_resampling_keeps_planes_and_means():
         np.testing.assert_allclose(terrain.heights, plane(x[None, :], y[:, None]), rtol=1e-12)
     with pytest.raises(InputError, match="does not divide"):
         rough.resample(0.7)
-
-
-def test_terrain_on_voxel_columns():
-    terrain = raster_of(plane)
-    grid = VoxelGrid((4, 3, 10), 1.0, 0.5, (0.5, 0.5, 0.0))
-    heights = terrain.on_voxels(grid, (3.5, -2.0))
-    x, y = np.arange(4) + 4.5, np.arange(3) - 1.0
-    expected = plane(x[None, :], y[:, None])
-    np.testing.assert_allclose(heights, expected - expected.min(), atol=1e-12)
-    assert heights.min() == 0.0
-    whole = terrain.on_voxels(VoxelGrid((6, 4, 10), 1.0, 0.5))
-    assert whole.shape == (4, 6)
-    with pytest.raises(InputError, match=r"1\.30 m .*1 m"):
-        terrain.on_voxels(VoxelGrid((4, 3, 2), 1.0, 0.5))
-    with pytest.raises(InputError, match="the terrain covers"):
-        terrain.on_voxels(grid, (6.0, -2.0))
-
-
-def test_a_voxel_scene_takes_it():
-    heights = raster_of(plane).on_voxels(VoxelGrid((6, 4, 10), 1.0, 0.5))
-    scene = voxel_scene(
-        np.zeros((1, 10, 4, 6)),
-        np.full((1, 1), 0.3),
-        np.full((1, 1), 0.2),
-        voxel=(1.0, 1.0, 0.5),
-        ground=np.array([0.2]),
-        sun_zenith=30.0,
-        terrain=heights,
-        boundary="open",
-    )
-    np.testing.assert_allclose(scene.terrain, heights)
-    one = raster_of(plane).on_voxels(VoxelGrid((1, 1, 1), 1.0, 0.5))
-    np.testing.assert_array_equal(one, [[0.0]])
+    with pytest.raises(InputError, match=r"the terrain covers \(0\.00.*plot is \(-1\.00"):
+        rough.resample(0.5, (-1.0, 0.0, 3.0, 3.0))
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,7 @@
 import warnings
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 from jaxtyping import Float
@@ -33,6 +33,8 @@ MUCH_NOISE = 0.005
 """Share of returns far below the ground from which on the ground itself is to be doubted [-]."""
 _MOST_ROUNDS = 4
 """Of looking for ground again without the noise below it."""
+GroundSource = Literal["auto", "labels", "smrf", "cloth", "none"]
+"""Where the ground of a cloud comes from."""
 _OPTIONS = ("tolerance", "deepest", "tallest")
 """Settings that are options of `fynjax validate` under the same name."""
 
@@ -41,18 +43,21 @@ _OPTIONS = ("tolerance", "deepest", "tallest")
 class CloudSettings:
     """How a cloud is read and its ground found."""
 
-    ground: Literal["auto", "labels", "smrf", "cloth", "none"] = "auto"
+    ground: GroundSource = "auto"
     """"labels" takes the file's ground classes, "smrf" and "cloth" filter (see
     `fynjax.terrain.find_ground`), "auto" takes labels where there are some and filters else;
     "none" is for heights that are above the ground already."""
     window: float | None = None
+    """Radius of the widest closed stand of plants without ground inside it [m], for the filters
+    (`fynjax.terrain.find_ground`); their own unless given."""
     slope: float | None = None
-    """As `find_ground` takes them; its own unless given."""
+    """How much steeper than the cloud as a whole the ground may be [-], for the filters
+    (`fynjax.terrain.find_ground`); their own unless given."""
     tolerance: float = 0.1
-    """As `find_ground` takes it [m], for the filters. Its own of 0.3 m takes the lower parts of
-    low plants for ground, which in sparse clouds lowers all heights by 5 to 10 cm; 0.1 m leaves
-    less than 1 cm (on synthetic shrubland with returns that scatter by 2 cm). Rougher ground, or
-    noisier returns, need more."""
+    """Tolerance of the ground filters [m]. Their own of 0.3 m takes the lower parts of low plants
+    for ground, which in sparse clouds lowers all heights by 5 to 10 cm; 0.1 m leaves less than 1 cm
+    (on synthetic shrubland with returns that scatter by 2 cm). Rougher ground, or noisier returns,
+    need more."""
     terrain_cell: float | None = None
     """Side of a cell of the terrain [m]; unless given 0.25, or more in large or sparse clouds."""
     largest_gap: float = 10.0
@@ -63,13 +68,14 @@ class CloudSettings:
     tallest: float | None = None
     """Returns higher above the ground than this are left out [m]: birds, wires."""
     unit: str | None = None
+    """Unit of the coordinates, as `fynjax.terrain.read_cloud` takes it."""
     height_unit: str | None = None
+    """Unit of the heights, as `fynjax.terrain.read_cloud` takes it."""
     crs: str | None = None
-    """As `fynjax.terrain.read_cloud` takes them."""
+    """Reference system of the coordinates, as `fynjax.terrain.read_cloud` takes it."""
 
     def __post_init__(self) -> None:
-        known = ("auto", "labels", "smrf", "cloth", "none")
-        if self.ground not in known:
+        if self.ground not in (known := get_args(GroundSource)):
             raise InputError(
                 f"`ground` (--real-ground, --simulated-ground) must be one of {', '.join(known)}, "
                 f"but is {self.ground!r}"
@@ -87,11 +93,11 @@ class HeightCloud:
 
     file: Path
     x: Float[np.ndarray, " return"]
-    """Easting [m]."""
+    """Easting of each return [m]."""
     y: Float[np.ndarray, " return"]
-    """Northing [m]."""
+    """Northing of each return [m]."""
     height: Float[np.ndarray, " return"]
-    """Above the ground [m], at least 0."""
+    """Height of each return above the ground [m], at least 0."""
     ground: str
     """How the ground was found."""
     ground_share: float | None

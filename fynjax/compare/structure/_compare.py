@@ -1,37 +1,27 @@
 """Two clouds in, their structure compared at one density of returns."""
 
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
+from scipy.stats import bootstrap
 
 from fynjax._core.progress import advance, stage
 from fynjax.compare.structure._cloud import HeightCloud, common_plot, height_cloud, open_cloud
 from fynjax.compare.structure._grain import binned_returns, choose_cells
 from fynjax.compare.structure._notes import comparison_notes, nearly_highest
-from fynjax.compare.structure._result import (
-    CloudSide,
-    CloudStructure,
-    DistributionComparison,
-    MetricComparison,
-    MetricEstimate,
-    StructureComparison,
-)
+from fynjax.compare.structure._result import CloudSide, CloudStructure, StructureComparison
 from fynjax.compare.structure._settings import ComparisonSettings
-from fynjax.metrics import (
+from fynjax.metrics.structure import (
     STRUCTURE_METRICS,
     BinnedReturns,
     CellStructure,
-    bootstrap_interval,
     cell_structure,
-    central_interval,
-    height_percentiles,
-    height_shares,
-    thinnings,
 )
-from fynjax.terrain import PointCloud
+from fynjax.terrain import Bounds, PointCloud
 
 
 def compare_clouds(
@@ -67,21 +57,11 @@ def compare_clouds(
     """
     settings = ComparisonSettings() if settings is None else settings
     paths = Path(real_path), Path(simulated_path)
-    with stage("Read the clouds"):
-        real = open_cloud(paths[0], settings.real)
-        simulated = open_cloud(paths[1], settings.simulated)
-    stated = settings.simulated_shift
-    bounds, shift, notes = common_plot(
-        real, simulated, settings.bounds, None if stated is None else stated[:2], paths[1]
-    )
-    up = stated[2] if stated is not None and len(stated) == 3 else 0.0
-    simulated = replace(
-        simulated, x=simulated.x + shift[0], y=simulated.y + shift[1], z=simulated.z + up
-    )
-    slack = 0.0 if settings.bounds else max(_spacing(c) for c in (real, simulated))
+    clouds, bounds, notes = _on_one_plot(paths, settings)
+    slack = 0.0 if settings.bounds else max(_spacing(cloud) for cloud in clouds)
     with stage("Find the ground", total=2):
         heights = []
-        for cloud, path, how in zip((real, simulated), paths, (settings.real, settings.simulated)):
+        for cloud, path, how in zip(clouds, paths, (settings.real, settings.simulated)):
             heights.append(height_cloud(cloud, path, how, bounds, slack))
             advance()
     sparser = int(len(heights[1]) < len(heights[0]))
@@ -97,33 +77,26 @@ def compare_clouds(
     repeated: list[CellStructure] = []
     rounds: list[tuple[np.ndarray, float, float]] = []
     other = binned[1 - denser].height
-    percentiles = height_percentiles(other, settings.percents)
+    percentiles = np.percentile(other, settings.percents)
     bins = _bins(binned, settings)
     shares = height_shares(other, settings.histogram_bin, bins)
     draws = settings.repetitions if thinned != "neither" else 1
     with stage("Thin the denser cloud", total=draws):
-        for index in thinnings(len(binned[denser]), target, draws, rng):
-            part = binned[denser].take(index)
+        for _ in range(draws):
+            index = rng.choice(len(binned[denser]), target, replace=False, shuffle=False)
+            part = binned[denser].take(np.sort(index))
             repeated.append(cell_structure(part))
             rounds.append(_agreement(part.height, percentiles, shares, bins, settings))
             advance()
+    thinnings: list[list[CellStructure]] = [[], []]
+    thinnings[denser] = repeated if thinned != "neither" else []
+    shown = [percentiles, percentiles]
+    shown[denser] = np.median([r[0] for r in rounds], axis=0)
     with stage("Resample the cells"):
-        sides, estimates = [], []
-        for i, (above, structure) in enumerate(zip(heights, full)):
-            parts = repeated if i == denser and thinned != "neither" else None
-            cells, estimate = _estimates(structure, parts, settings, rng)
-            estimates.append(estimate)
-            sides.append(
-                _side(
-                    above,
-                    binned[i],
-                    structure,
-                    cells,
-                    np.median([r[0] for r in rounds], axis=0) if i == denser else percentiles,
-                    bins,
-                    settings,
-                )
-            )
+        sides = [
+            _side(heights[i], binned[i], full[i], thinnings[i], shown[i], bins, settings, rng)
+            for i in (0, 1)
+        ]
     whole = _agreement(binned[denser].height, percentiles, shares, bins, settings)
     layers = max(len(part.edges) for part in full)
     edges = max((part.edges for part in full), key=len)
@@ -140,13 +113,8 @@ def compare_clouds(
         thinned=thinned,
         real=sides[0],
         simulated=sides[1],
-        metrics=tuple(
-            MetricComparison(name, unit, estimates[0][name], estimates[1][name])
-            for name, unit in STRUCTURE_METRICS.items()
-        ),
         percents=settings.percents,
-        percentile_rmse=_distribution([r[1] for r in rounds], whole[1], settings),
-        height_intersection=_distribution([r[2] for r in rounds], whole[2], settings),
+        heights=_agreements(rounds, whole, settings),
         edges=edges,
         histogram_edges=settings.histogram_bin * np.arange(bins + 1),
         notes=(),
@@ -185,11 +153,27 @@ def cloud_structure(
         grid, grains = choose_cells(heights, bounds, slack, settings)
     binned = binned_returns(heights, grid, settings.structure)
     structure = cell_structure(binned)
-    cells, estimates = _estimates(structure, None, settings, np.random.default_rng(seed))
-    percentiles = height_percentiles(binned.height, settings.percents)
+    percentiles = np.percentile(binned.height, settings.percents)
+    rng = np.random.default_rng(seed)
     bins = _bins([binned], settings)
-    side = _side(heights, binned, structure, cells, percentiles, bins, settings)
-    return CloudStructure(side, grid.grain, grains, structure, estimates)
+    side = _side(heights, binned, structure, [], percentiles, bins, settings, rng)
+    return CloudStructure(side, grid.grain, grains, structure)
+
+
+def _on_one_plot(
+    paths: tuple[Path, Path], settings: ComparisonSettings
+) -> tuple[tuple[PointCloud, PointCloud], Bounds, list[str]]:
+    """Both clouds in the real one's coordinates, the plot that is compared, and remarks."""
+    with stage("Read the clouds"):
+        real = open_cloud(paths[0], settings.real)
+        simulated = open_cloud(paths[1], settings.simulated)
+    stated = settings.simulated_shift
+    bounds, shift, notes = common_plot(
+        real, simulated, settings.bounds, None if stated is None else stated[:2], paths[1]
+    )
+    up = stated[2] if stated is not None and len(stated) == 3 else 0.0
+    x, y, z = simulated.x + shift[0], simulated.y + shift[1], simulated.z + up
+    return (real, replace(simulated, x=x, y=y, z=z)), bounds, notes
 
 
 def _spacing(cloud: PointCloud) -> float:
@@ -212,29 +196,78 @@ def _agreement(
     settings: ComparisonSettings,
 ) -> tuple[np.ndarray, float, float]:
     """Percentiles of heights, and how far they and the histogram are from another cloud's."""
-    of_heights = height_percentiles(height, settings.percents)
+    of_heights = np.percentile(height, settings.percents)
     both = np.minimum(height_shares(height, settings.histogram_bin, bins), shares)
     return of_heights, float(np.sqrt(np.mean((of_heights - percentiles) ** 2))), float(both.sum())
 
 
-def _distribution(
-    values: list[float], full: float, settings: ComparisonSettings
-) -> DistributionComparison:
-    interval = central_interval(values, settings.confidence)
-    return DistributionComparison(float(np.median(values)), interval, full)
+def height_shares(height: np.ndarray, width: float, bins: int) -> np.ndarray:
+    """Share of returns in each bin of heights above the ground [-].
+
+    `width` is the height of a bin [m]; bins begin at the ground, and higher returns count in the
+    last.
+    """
+    # As for layers, what is a rounding error below an edge is on it.
+    index = np.floor(height / width + 1e-6).astype(np.int64)
+    counts = np.bincount(np.clip(index, 0, bins - 1), minlength=bins)
+    return counts / counts.sum()
+
+
+def _agreements(
+    rounds: list[tuple[np.ndarray, float, float]],
+    whole: tuple[np.ndarray, float, float],
+    settings: ComparisonSettings,
+) -> pd.DataFrame:
+    """How the distributions of heights agree (`StructureComparison.heights`), from `_agreement` of
+    each thinning and of all returns."""
+    rows = {}
+    for name, unit, values, full in (
+        ("height_percentile_rmse", "m", [r[1] for r in rounds], whole[1]),
+        ("height_intersection", "1", [r[2] for r in rounds], whole[2]),
+    ):
+        interval = central_interval(values, settings.confidence)
+        rows[name] = (unit, float(np.median(values)), full, *interval)
+    columns = ("unit", "value", "full", "thinning_low", "thinning_high")
+    return pd.DataFrame.from_dict(rows, orient="index", columns=columns)
+
+
+def central_interval(values: list[float] | np.ndarray, confidence: float) -> tuple[float, float]:
+    """Quantiles between which the share `confidence` of a sample lies [-]."""
+    tail = 50.0 * (1.0 - confidence)
+    low, high = np.percentile(values, [tail, 100.0 - tail])
+    return float(low), float(high)
+
+
+def bootstrap_interval(
+    cells: np.ndarray, settings: ComparisonSettings, rng: np.random.Generator
+) -> tuple[float, float]:
+    """Percentile interval of the mean over cells, by resampling cells (Efron 1979); NaN for fewer
+    than two. Cells are taken as independent; neighbours that are alike make it too narrow."""
+    if cells.size < 2:
+        return np.nan, np.nan
+    interval = bootstrap(
+        (cells,),
+        np.mean,
+        n_resamples=settings.resamples,
+        confidence_level=settings.confidence,
+        method="percentile",
+        rng=rng,
+        batch=max(1, 10_000_000 // cells.size),
+    ).confidence_interval
+    return float(interval.low), float(interval.high)
 
 
 def _estimates(
     full: CellStructure,
-    repeated: list[CellStructure] | None,
+    thinnings: list[CellStructure],
     settings: ComparisonSettings,
     rng: np.random.Generator,
-) -> tuple[dict[str, np.ndarray], dict[str, MetricEstimate]]:
-    """Each metric in cells, and its mean over them with intervals."""
+) -> tuple[dict[str, np.ndarray], pd.DataFrame]:
+    """Each metric in cells, and its mean over them with intervals (`CloudSide.metrics`)."""
     least = settings.least_returns
-    parts = [full] if repeated is None else repeated
-    cells, estimates = {}, {}
-    means = [part.means(least) for part in parts]
+    parts = thinnings or [full]
+    cells, rows = {}, {}
+    means = pd.DataFrame([part.means(least) for part in parts])
     whole = full.means(least)
     for name in STRUCTURE_METRICS:
         stack = np.stack(
@@ -243,33 +276,28 @@ def _estimates(
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", RuntimeWarning)  # cells without any value stay NaN
             cells[name] = np.nanmedian(stack, axis=0)
-        series = np.array([m[name] for m in means])
-        series = series[np.isfinite(series)]
-        defined = cells[name][np.isfinite(cells[name])]
-        estimates[name] = MetricEstimate(
-            value=float(np.median(series)) if series.size else None,
-            full=whole[name] if np.isfinite(whole[name]) else None,
-            thinning_interval=(
-                central_interval(series, settings.confidence)
-                if repeated is not None and series.size
-                else None
-            ),
-            bootstrap_interval=bootstrap_interval(
-                defined, resamples=settings.resamples, confidence=settings.confidence, rng=rng
-            ),
-        )
-    return cells, estimates
+        series, defined = means[name].dropna(), cells[name][np.isfinite(cells[name])]
+        thinning = (np.nan, np.nan)
+        if thinnings and len(series):
+            thinning = central_interval(series.to_numpy(), settings.confidence)
+        resampled = bootstrap_interval(defined, settings, rng)
+        rows[name] = (series.median(), whole[name], *thinning, *resampled)
+    columns = ("value", "full", "thinning_low", "thinning_high", "bootstrap_low", "bootstrap_high")
+    return cells, pd.DataFrame.from_dict(rows, orient="index", columns=columns)
 
 
 def _side(
     cloud: HeightCloud,
     binned: BinnedReturns,
     structure: CellStructure,
-    cells: Mapping[str, np.ndarray],
+    thinnings: list[CellStructure],
     percentiles: np.ndarray,
     bins: int,
     settings: ComparisonSettings,
+    rng: np.random.Generator,
 ) -> CloudSide:
+    """A cloud over the plot's cells; `thinnings` is empty of one that was not thinned."""
+    cells, metrics = _estimates(structure, thinnings, settings, rng)
     west, south, east, north = structure.grid.bounds
     return CloudSide(
         file=str(cloud.file),
@@ -282,7 +310,8 @@ def _side(
         too_high=cloud.too_high,
         highest=float(binned.height.max()),
         nearly_highest=nearly_highest(binned.height),
-        cells=dict(cells),
+        metrics=metrics,
+        cells=cells,
         profile=structure.profile(settings.least_returns),
         percentiles=percentiles,
         histogram=height_shares(binned.height, settings.histogram_bin, bins),

@@ -1,6 +1,7 @@
 """The cells of a plot: how their size is chosen, and the table of what was tried."""
 
-from typing import Any
+from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 import pandas as pd
@@ -8,17 +9,15 @@ import pandas as pd
 from fynjax._core.errors import InputError
 from fynjax.compare.structure._cloud import HeightCloud
 from fynjax.compare.structure._settings import ComparisonSettings
-from fynjax.metrics import (
+from fynjax.metrics.structure import (
     BinnedReturns,
     CellGrid,
-    GrainCheck,
+    CellStructure,
     StructureSettings,
     bin_returns,
     cell_grid,
     cell_structure,
-    choose_grain,
 )
-from fynjax.metrics.structure import check_grains
 from fynjax.terrain import Bounds
 
 PAPER_GRAINS = {1.0: (17.9, 51.3), 2.0: (6.1, 10.6)}
@@ -35,69 +34,87 @@ def binned_returns(
 
 def choose_cells(
     cloud: HeightCloud, bounds: Bounds, slack: float, settings: ComparisonSettings
-) -> tuple[CellGrid, tuple[GrainCheck, ...]]:
-    """The cells of the plot, and how each size that was tried did.
+) -> tuple[CellGrid, pd.DataFrame]:
+    """The cells of the plot, and how each size that was tried did (`choose_grain`).
 
-    For a stated grain the checks say how much the metrics change to the next larger one.
+    For a stated grain the table says how much the metrics change to the next larger one.
     """
     side = min(bounds[2] - bounds[0], bounds[3] - bounds[1]) + slack
     grains = [g for g in sorted(settings.grains) if g <= side]
-    rule: dict[str, Any] = {
-        "least_returns": settings.least_returns,
-        "least_cells": settings.least_cells,
-        "median_returns": settings.median_returns,
-    }
+    if settings.grain is not None:
+        grains = [settings.grain, *[g for g in grains if g > settings.grain][:1]]
     try:
-        if settings.grain is not None:
-            larger = [g for g in grains if g > settings.grain][:1]
-            grids = [cell_grid(bounds, g, slack=slack) for g in (settings.grain, *larger)]
-        elif not grains:
+        if not grains:
             raise InputError(
                 f"expected a plot wider than the grains to choose from, {settings.grains} m, but "
                 f"it is {side:.2f} m. State a smaller one (`grain`; --grain)."
             )
-        else:
-            grids = [cell_grid(bounds, g, slack=slack) for g in grains]
-        structures = [cell_structure(binned_returns(cloud, g, settings.structure)) for g in grids]
-        if settings.grain is not None:
-            return grids[0], check_grains(structures, **rule)
-        return choose_grain(structures, **rule, largest_change=settings.largest_change)
+        structures = [
+            cell_structure(
+                binned_returns(cloud, cell_grid(bounds, g, slack=slack), settings.structure)
+            )
+            for g in grains
+        ]
+        return choose_grain(structures, settings, bounds)
     except InputError as error:
         raise InputError(str(error), file=cloud.file) from error
 
 
-def cut_off(plot: Bounds, cells: Bounds) -> float:
-    """Share of the area of `plot` that lies outside `cells` [-]; both are bounds [m]."""
-    area, used = ((b[2] - b[0]) * (b[3] - b[1]) for b in (plot, cells))
-    return max(0.0, 1.0 - used / area)
+def choose_grain(
+    structures: Sequence[CellStructure], settings: ComparisonSettings, plot: Bounds
+) -> tuple[CellGrid, pd.DataFrame]:
+    """The grain by the paper's rule, or that which `settings` state, and how each did that was
+    tried.
 
+    A grain fits if at least `least_cells` of its cells have `least_returns` or more, and the median
+    cell `median_returns` or more. Of those that fit, the smallest is taken whose metrics change no
+    more than `largest_change`, in the median over metrics, to the next larger grain. Where none
+    does, or with `None`, it is the one whose metrics change least, the smaller one of equals. The
+    largest grain has no next one: it is taken where no other fits.
 
-def grain_table(checks: tuple[GrainCheck, ...], taken: float, plot: Bounds) -> pd.DataFrame:
-    """A row for each grain that was tried, with its cells and the paper's changes beside it.
+    Least change alone takes any grain of several, by chance: large ones hold so few cells that a
+    change can be small, and cut off more of the plot.
 
     **Arguments:**
 
-    - `checks`: of the grains.
-    - `taken`: the grain that was taken [m].
-    - `plot`: bounds of the plot [m].
+    - `structures`: of one cloud, with grains that grow.
+    - `settings`: of the rule.
+    - `plot`: west, south, east and north edge of the plot [m].
+
+    **Returns:** cells of the grain chosen, and a table with a row for each grain: its cells, area
+    and edges, the share of the plot that is in no cell, returns in cells, how much the metrics
+    change to the next larger grain, in their median and at most, and that of the paper.
+
+    **Raises:** `InputError` if no grain fits; the message lists what each of them lacks.
     """
+    grains = [structure.grid.grain for structure in structures]
+    if any(b <= a for a, b in pairwise(grains)):
+        raise InputError(f"grains must grow, but are {grains}")
+    means = [structure.means(settings.least_returns) for structure in structures]
     rows = []
-    for check in checks:
-        west, south, east, north = check.bounds
-        paper = PAPER_GRAINS.get(check.grain, (np.nan, np.nan))
+    for i, (structure, grain) in enumerate(zip(structures, grains)):
+        west, south, east, north = structure.grid.bounds
+        changes = [
+            abs(means[i + 1][name] - value) / abs(value)
+            for name, value in means[i].items()
+            if i + 1 < len(structures) and value != 0.0 and np.isfinite(means[i + 1][name] - value)
+        ]
+        counted = float(structure.counted(settings.least_returns).mean())
+        median = float(np.median(structure.returns))
+        paper = PAPER_GRAINS.get(grain, (np.nan, np.nan))
         rows.append(
             {
-                "grain_m": check.grain,
-                "taken": "yes" if check.grain == taken else "no",
-                "fits": "yes" if check.fits else "no",
-                "cells": check.cells,
+                "grain_m": grain,
+                "taken": "no",
+                "fits": counted >= settings.least_cells and median >= settings.median_returns,
+                "cells": structure.returns.size,
                 "area_m2": (east - west) * (north - south),
-                "cut_off_percent": 100.0 * cut_off(plot, check.bounds),
-                "counted_percent": 100.0 * check.counted_share,
-                "least_returns": check.least_returns,
-                "median_returns": check.median_returns,
-                "median_change_percent": _percent(check.median_change),
-                "largest_change_percent": _percent(check.largest_change),
+                "cut_off_percent": 100.0 * cut_off(plot, structure.grid.bounds),
+                "counted_percent": 100.0 * counted,
+                "least_returns": int(structure.returns.min()),
+                "median_returns": median,
+                "median_change_percent": 100.0 * np.median(changes) if changes else np.nan,
+                "largest_change_percent": 100.0 * max(changes) if changes else np.nan,
                 "paper_median_change_percent": paper[0],
                 "paper_largest_change_percent": paper[1],
                 "west_m": west,
@@ -106,8 +123,38 @@ def grain_table(checks: tuple[GrainCheck, ...], taken: float, plot: Bounds) -> p
                 "north_m": north,
             }
         )
-    return pd.DataFrame(rows)
+    table = pd.DataFrame(rows)
+    chosen = 0 if settings.grain is not None else _chosen(table, settings)
+    table.loc[chosen, "taken"] = "yes"
+    table["fits"] = np.where(table["fits"], "yes", "no")
+    return structures[chosen].grid, table
 
 
-def _percent(share: float | None) -> float:
-    return np.nan if share is None else 100.0 * share
+def _chosen(table: pd.DataFrame, settings: ComparisonSettings) -> int:
+    """Which grain the rule takes."""
+    fitting = table[table["fits"]]
+    if fitting.empty:
+        tried = "; ".join(
+            f"{row.grain_m:g} m: {row.counted_percent:.0f} % of {row.cells} cells have "
+            f"{settings.least_returns}, median {row.median_returns:g}"
+            for row in table.itertuples()
+        )
+        raise InputError(
+            f"no grain has {settings.least_returns} returns in {100 * settings.least_cells:.0f} % "
+            f"of its cells and a median of {settings.median_returns:g} ({tried}). Try larger "
+            "grains (`grains`), or state one (`grain`; --grain)."
+        )
+    change = fitting["median_change_percent"].dropna()
+    if change.empty:
+        return int(fitting.index.to_numpy()[-1])
+    if settings.largest_change is not None:
+        steady = change[change <= 100.0 * settings.largest_change]
+        if not steady.empty:
+            return int(steady.index.to_numpy()[0])
+    return int(change.index.to_numpy()[change.argmin()])
+
+
+def cut_off(plot: Bounds, cells: Bounds) -> float:
+    """Share of the area of `plot` that lies outside `cells` [-]; both are bounds [m]."""
+    area, used = ((b[2] - b[0]) * (b[3] - b[1]) for b in (plot, cells))
+    return max(0.0, 1.0 - used / area)

@@ -23,7 +23,6 @@ def nearly_highest(height: np.ndarray) -> float:
 def comparison_notes(comparison: StructureComparison) -> tuple[str, ...]:
     """How ground, cells and density came about, where numbers may be wrong for it."""
     notes = []
-    sides = {"real": comparison.real, "simulated": comparison.simulated}
     if comparison.real.ground != comparison.simulated.ground:
         notes.append(
             f"the ground was found in two ways ({comparison.real.ground} in the real cloud, "
@@ -31,10 +30,10 @@ def comparison_notes(comparison: StructureComparison) -> tuple[str, ...]:
             "centimetres against each other; `ground` (--real-ground, --simulated-ground) states "
             "one for each"
         )
-    for side in sides.values():
+    for side in comparison.sides.values():
         notes += _side_notes(side)
     notes += _grain_notes(comparison)
-    for which, side in sides.items():
+    for which, side in comparison.sides.items():
         notes += _undefined_notes(comparison, which, side)
     return tuple(notes)
 
@@ -83,27 +82,23 @@ def _grain_notes(comparison: StructureComparison) -> list[str]:
             "take a smaller grain (`grain`; --grain) where there are returns enough, or a larger "
             "plot"
         )
-    taken = next((check for check in comparison.grains if check.grain == comparison.grain), None)
+    taken = comparison.grains[comparison.grains["taken"] == "yes"].iloc[0]
     limit = comparison.options.get("largest_change")
-    if taken is not None and taken.median_change is not None and limit is not None:
-        change = taken.median_change
-        if change > limit:
-            notes.append(
-                f"metrics change by {100.0 * change:.0f} % in their median from cells of "
-                f"{comparison.grain:g} m to the next larger, more than {100.0 * limit:g} % "
-                "(`largest_change`; --largest-change)"
-            )
+    if limit is not None and taken["median_change_percent"] > 100.0 * limit:
+        notes.append(
+            f"metrics change by {taken['median_change_percent']:.0f} % in their median from cells "
+            f"of {comparison.grain:g} m to the next larger, more than {100.0 * limit:g} % "
+            "(`largest_change`; --largest-change)"
+        )
     return notes
 
 
 def _undefined_notes(comparison: StructureComparison, which: str, side: CloudSide) -> list[str]:
-    lost = [metric.name for metric in comparison.metrics if getattr(metric, which).value is None]
+    value = side.metrics["value"]
+    lost = list(value.index[value.isna()])
     layered = [n for n in lost if n.startswith(("foliage", "leaf_area"))]
     notes, s = [], comparison.settings
-    diversity = next(
-        metric for metric in comparison.metrics if metric.name == "foliage_height_diversity"
-    )
-    if getattr(diversity, which).value == 0.0:
+    if value["foliage_height_diversity"] == 0.0:
         notes.append(
             f"foliage height diversity is 0 in the {which} cloud because one layer of {s.layer:g} "
             f"m from {s.diversity_lowest:g} m holds all that is above it in each cell, up to "

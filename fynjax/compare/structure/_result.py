@@ -1,6 +1,6 @@
 """What a comparison of two clouds found, as numbers, tables and data sets."""
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -9,87 +9,48 @@ import xarray as xr
 from jaxtyping import Float
 
 from fynjax.compare.structure._published import structure_2006
-from fynjax.metrics import STRUCTURE_METRICS, CellStructure, GrainCheck, StructureSettings
-
-Interval = tuple[float, float]
+from fynjax.metrics.structure import STRUCTURE_METRICS, CellStructure, StructureSettings
 
 _NEXT_TO_NOTHING = 1e-3
 """Values below this, in the metric's own unit, are rounding and noise, and nothing to divide by."""
 
 
 @dataclass(frozen=True)
-class MetricEstimate:
-    """One number of one cloud. `None` where it is undefined."""
-
-    value: float | None
-    """Mean over cells; of a cloud that was thinned, the median over thinnings."""
-    full: float | None
-    """Of all returns, without thinning."""
-    thinning_interval: Interval | None
-    """Central part of the thinnings; none for a cloud that was not thinned."""
-    bootstrap_interval: Interval | None
-    """Percentile interval of the mean over resampled cells; none with less than two cells."""
-
-
-@dataclass(frozen=True)
-class MetricComparison:
-    """One structure metric of both clouds."""
-
-    name: str
-    unit: str
-    real: MetricEstimate
-    simulated: MetricEstimate
-
-    @property
-    def difference_percent(self) -> float | None:
-        """Simulated minus real, over real [%]; none where the real value is next to nothing."""
-        real, simulated = self.real.value, self.simulated.value
-        if real is None or simulated is None or abs(real) < _NEXT_TO_NOTHING:
-            return None
-        return 100.0 * (simulated - real) / real
-
-
-@dataclass(frozen=True)
 class CloudSide:
-    """One of the clouds, over the plot's cells."""
+    """One cloud over the plot's cells."""
 
     file: str
     returns: int
-    """In the plot's cells, before thinning."""
+    """Returns in the plot's cells, before thinning."""
     density: float
     """Returns for each square metre, before thinning [m-2]."""
     ground: str
     """How the ground was found."""
     ground_share: float | None
+    """Share of returns that are ground [-]; none where heights were given."""
     below_ground: int
     """Returns left out as noise below the ground."""
     below_ground_share: float
-    """These over all returns of the plot [-]."""
+    """Returns left out as noise below the ground, over all returns of the plot [-]."""
     too_high: int
+    """Returns left out as higher than plants."""
     highest: float
     """Height of the highest return in the cells [m]."""
     nearly_highest: float
     """The 99.9th percentile of height [m]; in small clouds what ten returns are above."""
+    metrics: pd.DataFrame
+    """Mean of each metric over cells, a row by its name, in its unit; NaN where undefined. Columns:
+    `value`, of a cloud that was thinned the median over thinnings; `full`, of all returns;
+    `thinning_low` and `thinning_high`, the central part of the thinnings; `bootstrap_low` and
+    `bootstrap_high`, the percentile interval of the mean over resampled cells."""
     cells: dict[str, Float[np.ndarray, "y x"]]
     """Each metric in each cell, the median over thinnings; NaN where undefined."""
     profile: Float[np.ndarray, " layer"]
     """Leaf area density, mean over cells of all returns [m2 m-3]; NaN where undefined."""
     percentiles: Float[np.ndarray, " percent"]
-    """Of heights [m], the median over thinnings."""
+    """Percentiles of height [m], the median over thinnings."""
     histogram: Float[np.ndarray, " bin"]
     """Share of returns in bins of height [-], all returns."""
-
-
-@dataclass(frozen=True)
-class DistributionComparison:
-    """One number of how two distributions of heights agree."""
-
-    value: float
-    """Median over thinnings."""
-    interval: Interval
-    """Central part of the thinnings."""
-    full: float
-    """Of all returns, without thinning."""
 
 
 @dataclass(frozen=True)
@@ -106,67 +67,57 @@ class StructureComparison:
     """Edges of the cells in the real cloud's coordinates [m]."""
     plot: tuple[float, float, float, float]
     """Edges of the plot that the cells were cut from [m]."""
-    grains: tuple[GrainCheck, ...]
-    """The grains that were tried, on the sparser cloud; a given one, and the next larger."""
+    grains: pd.DataFrame
+    """A row for each grain that was tried, on the sparser cloud; a given one, and the next
+    larger."""
     matched_returns: int
     """Returns of both clouds after matching."""
     thinned: str
     """"simulated", "real", or "neither" where both have as many."""
     real: CloudSide
     simulated: CloudSide
-    metrics: tuple[MetricComparison, ...]
     percents: tuple[float, ...]
-    percentile_rmse: DistributionComparison
-    """Between the percentiles of height [m]."""
-    height_intersection: DistributionComparison
-    """Of the histograms of height [-]."""
+    """Percentiles of height that were compared [%]."""
+    heights: pd.DataFrame
+    """How the distributions of heights agree: rows "height_percentile_rmse" [m] and
+    "height_intersection" [-], columns `unit`, `value` (median over thinnings), `full` (of all
+    returns), `thinning_low` and `thinning_high`."""
     edges: Float[np.ndarray, " edge"]
-    """Of the layers [m]."""
+    """Edges of the layers [m]."""
     histogram_edges: Float[np.ndarray, " edge"]
-    """Of the bins of height [m]."""
+    """Edges of the bins of height [m]."""
     notes: tuple[str, ...]
     """What a reader should know of how the two were brought together."""
 
-    def table(self) -> pd.DataFrame:
-        """A row for each metric, with intervals and the paper's values where they are printed.
+    @property
+    def sides(self) -> dict[str, CloudSide]:
+        """Both clouds, by "real" and "simulated"."""
+        return {"real": self.real, "simulated": self.simulated}
 
-        Empty fields are undefined or not printed.
-        """
+    @property
+    def difference_percent(self) -> pd.Series:
+        """Simulated minus real over real, of each metric [%]; NaN where the real value is next to
+        nothing, or one is undefined."""
+        real, simulated = (side.metrics["value"] for side in self.sides.values())
+        return 100.0 * (simulated - real) / real.where(real.abs() >= _NEXT_TO_NOTHING)
+
+    def table(self) -> pd.DataFrame:
+        """A row for each metric, with intervals and the paper's values where they are printed; NaN
+        where something is undefined or not printed."""
+        columns = [_named(side.metrics, name) for name, side in self.sides.items()]
+        table = pd.concat(columns, axis=1)
+        table.insert(0, "unit", pd.Series(STRUCTURE_METRICS))
+        table["difference_percent"] = self.difference_percent
+        table = pd.concat([table, _named(self.heights, "simulated")])
         paper = structure_2006()
-        rows = [
-            {
-                "metric": metric.name,
-                "unit": metric.unit,
-                **_columns("real", metric.real),
-                **_columns("simulated", metric.simulated),
-                "difference_percent": metric.difference_percent,
-                "paper_real": paper[metric.name].real,
-                "paper_simulated": paper[metric.name].simulated,
-                "paper_difference_percent": paper[metric.name].difference_percent,
-            }
-            for metric in self.metrics
-        ]
-        for name, unit, agreement in (
-            ("height_percentile_rmse", "m", self.percentile_rmse),
-            ("height_intersection", "1", self.height_intersection),
-        ):
-            low, high = agreement.interval
-            rows.append(
-                {
-                    "metric": name,
-                    "unit": unit,
-                    "simulated": agreement.value,
-                    "simulated_full": agreement.full,
-                    "simulated_thinning_low": low,
-                    "simulated_thinning_high": high,
-                    "paper_simulated": paper[name].simulated,
-                }
-            )
-        return pd.DataFrame(rows)
+        for field in ("real", "simulated", "difference_percent"):
+            printed = [getattr(paper[str(name)], field) for name in table.index]
+            table[f"paper_{field}"] = np.array(printed, float)
+        return table.rename_axis("metric").reset_index()
 
     def settings_table(self) -> pd.DataFrame:
         """Every setting that the numbers depend on, as name and value."""
-        everything = {**self.settings.as_dict(), **self.options, "seed": self.seed}
+        everything = {**asdict(self.settings), **self.options, "seed": self.seed}
         everything |= {"grain": self.grain, "matched_returns": self.matched_returns}
         everything |= {"cell_bounds": list(self.bounds), "plot_bounds": list(self.plot)}
         everything["thinned"] = self.thinned
@@ -175,54 +126,47 @@ class StructureComparison:
     def dataset(self) -> xr.Dataset:
         """Maps, means with intervals, profiles, percentiles and histograms, with all settings."""
         west, south, _, _ = self.bounds
+        sides = list(self.sides.values())
         rows, columns = next(iter(self.real.cells.values())).shape
-        cloud = [name for name, _ in self._sides()]
-        middle = 0.5 * (self.edges[1:] + self.edges[:-1])
-        bins = 0.5 * (self.histogram_edges[1:] + self.histogram_edges[:-1])
 
-        def both(field: str) -> np.ndarray:
-            return np.stack([getattr(side, field) for _, side in self._sides()])
+        def both(dimensions: tuple[str, ...], values: list[Any], unit: str, what: str) -> Any:
+            attributes = {"units": unit, "long_name": what}
+            return (("cloud", *dimensions), np.stack(values), attributes)
 
         data: dict[str, Any] = {
-            name: (
-                ("cloud", "y", "x"),
-                np.stack([side.cells[name] for _, side in self._sides()]),
-                {"units": unit, "long_name": name.replace("_", " ")},
-            )
+            name: both(("y", "x"), [side.cells[name] for side in sides], unit, _words(name))
             for name, unit in STRUCTURE_METRICS.items()
         }
-        data |= self._means()
-        data["leaf_area_density"] = (
-            ("cloud", "layer"),
-            both("profile"),
-            {"units": "m2 m-3", "long_name": "leaf area density, mean over cells"},
+        data["metric_unit"] = ("metric", list(STRUCTURE_METRICS.values()))
+        data["metric_difference_percent"] = (
+            "metric",
+            self.difference_percent.to_numpy(),
+            {"units": "percent", "long_name": "simulated minus real, over real"},
         )
-        data["height_percentile"] = (
-            ("cloud", "percent"),
-            both("percentiles"),
-            {"units": "m", "long_name": "percentile of height above ground"},
-        )
-        data["height_share"] = (
-            ("cloud", "bin"),
-            both("histogram"),
-            {"units": "1", "long_name": "share of returns"},
-        )
-        for name, unit, agreement in (
-            ("height_percentile_rmse", "m", self.percentile_rmse),
-            ("height_intersection", "1", self.height_intersection),
-        ):
-            for end, value in zip(
-                ("", "_full", "_thinning_low", "_thinning_high"),
-                (agreement.value, agreement.full, *agreement.interval),
-            ):
-                said = f"{name}{end}".replace("_", " ")
-                data[name + end] = ((), value, {"units": unit, "long_name": said})
+        for name in _named(self.real.metrics, "metric_mean").columns:
+            values = [_named(side.metrics, "metric_mean")[name] for side in sides]
+            what = f"{_words(name)}, in the unit of the metric"
+            data[name] = both(("metric",), values, "1", what)
+        for name, field, dimension, unit, what in (
+            ("leaf_area_density", "profile", "layer", "m2 m-3",
+             "leaf area density, mean over cells"),
+            ("height_percentile", "percentiles", "percent", "m",
+             "percentile of height above ground"),
+            ("height_share", "histogram", "bin", "1", "share of returns"),
+        ):  # fmt: skip
+            data[name] = both((dimension,), [getattr(side, field) for side in sides], unit, what)
+        for measure, numbers in self.heights.T.items():
+            row = _named(numbers.to_frame().T, str(measure)).iloc[0]
+            for column, value in row.drop("unit").items():
+                attributes = {"units": row["unit"], "long_name": _words(str(column))}
+                data[str(column)] = ((), float(value), attributes)
         metres = {"units": "m"}
+        middle, bins = (_middle(edges) for edges in (self.edges, self.histogram_edges))
         return xr.Dataset(
             data,
             coords={
-                "cloud": cloud,
-                "metric": [metric.name for metric in self.metrics],
+                "cloud": list(self.sides),
+                "metric": list(STRUCTURE_METRICS),
                 "x": ("x", west + (np.arange(columns) + 0.5) * self.grain, metres),
                 "y": ("y", south + (np.arange(rows) + 0.5) * self.grain, metres),
                 "layer": ("layer", middle, {**metres, "long_name": "middle of the layer"}),
@@ -235,33 +179,11 @@ class StructureComparison:
             },
         )
 
-    def _means(self) -> dict[str, Any]:
-        """Mean of each metric over the cells of both clouds, with intervals; NaN if undefined."""
-        means: dict[str, Any] = {
-            "metric_unit": (("metric",), [metric.unit for metric in self.metrics], {}),
-            "metric_difference_percent": (
-                ("metric",),
-                np.array([metric.difference_percent for metric in self.metrics], float),
-                {"units": "percent", "long_name": "simulated minus real, over real"},
-            ),
-        }
-        rows = [
-            [_columns("metric_mean", getattr(metric, name)) for metric in self.metrics]
-            for name, _ in self._sides()
-        ]
-        for key in rows[0][0]:
-            means[key] = (
-                ("cloud", "metric"),
-                np.array([[row[key] for row in side] for side in rows], float),
-                {"units": "1", "long_name": f"{key.replace('_', ' ')}, in the unit of the metric"},
-            )
-        return means
-
     def curves(self) -> dict[str, pd.DataFrame]:
         """Profile, percentiles and histogram of both clouds: a row for each height."""
 
         def both(field: str) -> dict[str, np.ndarray]:
-            return {name: getattr(side, field) for name, side in self._sides()}
+            return {name: getattr(side, field) for name, side in self.sides.items()}
 
         def ends(edges: np.ndarray) -> dict[str, np.ndarray]:
             return {"low_m": edges[:-1], "high_m": edges[1:]}
@@ -272,9 +194,6 @@ class StructureComparison:
             "histogram": pd.DataFrame({**ends(self.histogram_edges), **both("histogram")}),
         }
 
-    def _sides(self) -> tuple[tuple[str, CloudSide], ...]:
-        return ("real", self.real), ("simulated", self.simulated)
-
 
 @dataclass(frozen=True)
 class CloudStructure:
@@ -283,32 +202,24 @@ class CloudStructure:
     side: CloudSide
     grain: float
     """Side of a cell [m]."""
-    grains: tuple[GrainCheck, ...]
-    """The grains that were tried; a given one, and the next larger."""
+    grains: pd.DataFrame
+    """A row for each grain that was tried; a given one, and the next larger."""
     structure: CellStructure
     """Every metric in each cell, with its settings."""
-    metrics: dict[str, MetricEstimate]
-    """Mean over cells and its bootstrap interval."""
-
-    def table(self) -> pd.DataFrame:
-        """A row for each metric; empty fields are undefined."""
-        return pd.DataFrame(
-            [
-                {"metric": name, "unit": STRUCTURE_METRICS[name], **_columns("cloud", estimate)}
-                for name, estimate in self.metrics.items()
-            ]
-        ).rename(columns={"cloud": "value"})
 
 
-def _columns(prefix: str, estimate: MetricEstimate) -> dict[str, float | None]:
-    columns: dict[str, float | None] = {prefix: estimate.value, f"{prefix}_full": estimate.full}
-    for kind, interval in (
-        ("thinning", estimate.thinning_interval),
-        ("bootstrap", estimate.bootstrap_interval),
-    ):
-        low, high = interval or (None, None)
-        columns |= {f"{prefix}_{kind}_low": low, f"{prefix}_{kind}_high": high}
-    return columns
+def _named(numbers: pd.DataFrame, name: str) -> pd.DataFrame:
+    """Columns under a name: `value` becomes "name", `full` "name_full" and so on."""
+    new = {c: name if c == "value" else f"{name}_{c}" for c in numbers.columns if c != "unit"}
+    return numbers.rename(columns=new)
+
+
+def _words(name: str) -> str:
+    return name.replace("_", " ")
+
+
+def _middle(edges: np.ndarray) -> np.ndarray:
+    return 0.5 * (edges[1:] + edges[:-1])
 
 
 def _plain(value: Any) -> str | float | int:

@@ -8,8 +8,7 @@ import numpy as np
 
 from fynjax._core.errors import InputError
 from fynjax.compare.structure._cloud import CloudSettings
-from fynjax.metrics import STRUCTURE_PRESETS, StructureSettings
-from fynjax.metrics.structure import LARGEST_CHANGE
+from fynjax.metrics.structure import STRUCTURE_PRESETS, StructureSettings
 from fynjax.terrain import Bounds
 
 
@@ -29,9 +28,10 @@ class ComparisonSettings:
     """Share of cells that must count, for a grain to fit [-]."""
     median_returns: float = 30.0
     """Median of the returns of cells, for a grain to fit."""
-    largest_change: float | None = LARGEST_CHANGE
+    largest_change: float | None = 0.1
     """The smallest grain that fits and whose metrics change no more than this, in the median over
-    metrics, to the next larger one is taken [-]; see `fynjax.metrics.choose_grain`."""
+    metrics, to the next larger one is taken [-]; `None` takes that of least change. The paper
+    prints no limit; it took 2 m at 6.1 % and not 1 m at 17.9 %, and this lies between."""
     repetitions: int = 100
     """Thinnings of the denser cloud, without replacement, to the returns of the sparser."""
     resamples: int = 1000

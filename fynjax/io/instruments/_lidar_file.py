@@ -32,57 +32,16 @@ class LaserTable(Strict):
     )
 
 
-LIDAR_KEYS = {
-    "flash": (
-        "altitude_m",
-        "columns",
-        "rows",
-        "pixel_pitch_um",
-        "focal_length_mm",
-        "half_divergence_rad",
-        "frame_step_m",
-        "pulse_rate_hz",
-    ),
-    "scan": (
-        "altitude_m",
-        "pulse_density_m2",
-        "divergence_mrad",
-        "half_scan_angle_deg",
-        "speed_m_s",
-        "pulse_rate_hz",
-    ),
-}
-"""Keys that each kind of LiDAR needs."""
-_OPTIONAL = {"flash": ("pencils",), "scan": ("pencils", "line_offsets_m", "heading_deg")}
-
-
 def _divergence_slip(value: float) -> str | None:
     return f"Milliradians? In rad this is {value / 1000:g}." if 1.5 <= value < 1500 else None
 
 
 class LidarGeometryTable(Strict):
-    """Lines of sight."""
+    """What the lines of sight of a flash and of a scanner have in common."""
 
-    slips: ClassVar[dict[str, Slip]] = {
-        "half_divergence_rad": _divergence_slip,
-        "focal_length_mm": lambda v: (
-            f"Metres? In mm this is {v * 1000:g}." if 0 < v < 0.5 else None
-        ),
-        "divergence_mrad": lambda v: (
-            f"Radians? In mrad this is {v * 1000:g}." if 0 < v < 0.01 else None
-        ),
-    }
-
-    kind: Literal["flash", "scan"] = Field(
-        description="'flash', a camera of which each pixel times its own return; 'scan', single "
-        "pulses on straight flight lines."
-    )
-    altitude_m: float | None = number(
-        "Usual height above the ground", "m", default=None, gt=0, le=1e6
-    )
-    pulse_rate_hz: float | None = number(
-        "Pulses (of a flash: frames) in a second", "Hz", default=None, gt=0, le=1e8
-    )
+    kind: Literal["flash", "scan"]
+    altitude_m: float = number("Usual height above the ground", "m", gt=0, le=1e6)
+    pulse_rate_hz: float = number("Pulses (of a flash: frames) in a second", "Hz", gt=0, le=1e8)
     pencils: int = Field(
         default=3,
         description="Pencils of light along each side of a pixel or footprint; where single "
@@ -90,49 +49,48 @@ class LidarGeometryTable(Strict):
         ge=1,
         le=32,
     )
-    columns: int | None = Field(
-        default=None, description="Pixels across, of a flash [-].", ge=1, le=4096
+
+
+class FlashGeometryTable(LidarGeometryTable):
+    """Lines of sight of a flash LiDAR: a camera of which each pixel times its own return."""
+
+    slips: ClassVar[dict[str, Slip]] = {
+        "half_divergence_rad": _divergence_slip,
+        "focal_length_mm": lambda v: (
+            f"Metres? In mm this is {v * 1000:g}." if 0 < v < 0.5 else None
+        ),
+    }
+
+    kind: Literal["flash"] = Field(description="A camera whose pixels time their own returns.")
+    columns: int = Field(description="Pixels across [-].", ge=1, le=4096)
+    rows: int = Field(description="Pixels along [-].", ge=1, le=4096)
+    pixel_pitch_um: float = number("Distance between pixels on the array", "um", ge=0.1, le=1000)
+    focal_length_mm: float = number("Focal length", "mm", ge=0.5, le=1e4)
+    half_divergence_rad: float = number(
+        "From the beam's axis to 1/e2 of the irradiance", "rad", gt=0, lt=1.5
     )
-    rows: int | None = Field(
-        default=None, description="Pixels along, of a flash [-].", ge=1, le=4096
+    frame_step_m: float = number(
+        "Distance between frames, as many as cover the plot", "m", gt=0, le=1e5
     )
-    pixel_pitch_um: float | None = number(
-        "Distance between pixels on the array, of a flash", "um", default=None, ge=0.1, le=1000
+
+
+class ScanGeometryTable(LidarGeometryTable):
+    """Lines of sight of a scanner: single pulses on straight flight lines."""
+
+    slips: ClassVar[dict[str, Slip]] = {
+        "divergence_mrad": lambda v: (
+            f"Radians? In mrad this is {v * 1000:g}." if 0 < v < 0.01 else None
+        ),
+    }
+
+    kind: Literal["scan"] = Field(description="Single pulses on straight flight lines.")
+    pulse_density_m2: float = number(
+        "Pulses of all flight lines together on level ground", "m-2", gt=0, le=1e5
     )
-    focal_length_mm: float | None = number(
-        "Focal length, of a flash", "mm", default=None, ge=0.5, le=1e4
+    divergence_mrad: float = number(
+        "Full angle of the beam at 1/e2 of the irradiance", "mrad", ge=0.01, le=100
     )
-    half_divergence_rad: float | None = number(
-        "From the beam's axis to 1/e2 of the irradiance, of a flash",
-        "rad",
-        default=None,
-        gt=0,
-        lt=1.5,
-    )
-    frame_step_m: float | None = number(
-        "Distance between frames, as many as cover the plot, of a flash",
-        "m",
-        default=None,
-        gt=0,
-        le=1e5,
-    )
-    pulse_density_m2: float | None = number(
-        "Pulses of all flight lines together on level ground, of a scanner",
-        "m-2",
-        default=None,
-        gt=0,
-        le=1e5,
-    )
-    divergence_mrad: float | None = number(
-        "Full angle of the beam at 1/e2 of the irradiance, of a scanner",
-        "mrad",
-        default=None,
-        ge=0.01,
-        le=100,
-    )
-    half_scan_angle_deg: float | None = number(
-        "Largest angle from straight down, of a scanner", "degree", default=None, gt=0, le=60
-    )
+    half_scan_angle_deg: float = number("Largest angle from straight down", "degree", gt=0, le=60)
     line_offsets_m: list[_Finite] | None = Field(
         default=None,
         description="Of each flight line from the plot's middle, to the right of the heading; "
@@ -141,27 +99,9 @@ class LidarGeometryTable(Strict):
         json_schema_extra={"unit": "m"},
     )
     heading_deg: float = number(
-        "Of the flight, clockwise from north, of a scanner", "degree", default=0.0, ge=-360, le=360
+        "Direction of the flight, clockwise from north", "degree", default=0.0, ge=-360, le=360
     )
-    speed_m_s: float | None = number(
-        "Of the flight, of a scanner", "m s-1", default=None, gt=0, le=1000
-    )
-
-    @model_validator(mode="after")
-    def _keys_of_the_kind(self) -> "LidarGeometryTable":
-        needed = LIDAR_KEYS[self.kind]
-        if missing := [name for name in needed if getattr(self, name) is None]:
-            raise ValueError(
-                f"a LiDAR of kind {self.kind!r} needs {', '.join(needed)}, but "
-                f"{', '.join(missing)} is missing"
-            )
-        known = {"kind", *needed, *_OPTIONAL[self.kind]}
-        if strange := sorted(self.model_fields_set - known):
-            raise ValueError(
-                f"a LiDAR of kind {self.kind!r} has no {', '.join(strange)}. It takes "
-                f"{', '.join([*needed, *_OPTIONAL[self.kind]])}."
-            )
-        return self
+    speed_m_s: float = number("Speed of the flight", "m s-1", gt=0, le=1000)
 
 
 class ReceiverTable(Strict):
@@ -231,7 +171,9 @@ class LidarFile(Strict):
     source: str = Field(description="Where the numbers come from.", min_length=1)
     licence: str = Field(default="", description="Terms of the numbers, where there are any.")
     laser: LaserTable
-    geometry: LidarGeometryTable
+    geometry: FlashGeometryTable | ScanGeometryTable = Field(
+        discriminator="kind", description="A table of lines of sight."
+    )
     receiver: ReceiverTable
     noise: LidarNoiseTable
 

@@ -4,17 +4,22 @@ import itertools
 import tomllib
 import warnings
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from pydantic import BaseModel
 
 from fynjax._core.errors import InputError
 from fynjax.io.instruments._lidar_file import load_lidar
-from fynjax.io.instruments._sensor_tables import BandRow, CurveRow, NoiseRow, SensorFile
+from fynjax.io.instruments._sensor_tables import (
+    BandRow,
+    CurveRow,
+    NoiseRow,
+    RadiometricNoiseTable,
+    SensorFile,
+)
 from fynjax.io.text import (
     did_you_mean,
     line_of,
-    named_file,
     read_rows,
     read_toml,
     shipped_or_own,
@@ -85,22 +90,15 @@ def load_sensor(name_or_path: str | Path) -> Sensor:
     ('green', 'red', 'red_edge', 'nir')
     """
     path = shipped_or_own(name_or_path, "sensor", shipped_sensors(), sensor_folder())
-    description, text = read_toml(path, SensorFile)
-    tables: dict[str, list[tuple[int, BaseModel]]] = {}
-
-    def rows(key: str, name: str, model: type[BaseModel], what: str) -> None:
-        row = line_of(text, tuple(key.split(".")))
-        beside = named_file(path, name, what, within=path.parent, row=row, column=key)
-        tables[name] = read_rows(beside, model, what)
-
+    description, text = read_toml(path, SensorFile, within=path.parent)
+    tables: dict[Path, list[tuple[int, Any]]] = {}
     bands, noise = description.bands, description.noise
     if bands.table is not None:
-        rows("bands.table", bands.table, BandRow, "a table of bands")
-        _check_band_rows(path.parent / bands.table, tables[bands.table], bands.any_order)
+        tables[bands.table] = read_rows(bands.table, BandRow, "a table of bands")
+        _check_band_rows(bands.table, tables[bands.table], bands.any_order)
     elif bands.centre_nm is not None:
         widths = bands.fwhm_nm or [2.0 * v for v in bands.half_width_nm or []]
         slip = _order_slip(bands.centre_nm, widths, bands.any_order)
-        _check_names(bands.name or [], path)
         if slip is not None:
             raise InputError(
                 slip[1],
@@ -110,13 +108,13 @@ def load_sensor(name_or_path: str | Path) -> Sensor:
             )
         _warn_of_half_widths(path, bands.centre_nm, widths)
     elif bands.curves is not None:
-        rows("bands.curves", bands.curves, CurveRow, "a table of response curves")
-        _check_curve_rows(path.parent / bands.curves, tables[bands.curves])
-    if noise is not None and noise.table is not None:
-        rows("noise.table", noise.table, NoiseRow, "a table of noise coefficients")
+        tables[bands.curves] = read_rows(bands.curves, CurveRow, "a table of response curves")
+        _check_curve_rows(bands.curves, tables[bands.curves])
+    if isinstance(noise, RadiometricNoiseTable):
+        tables[noise.table] = read_rows(noise.table, NoiseRow, "a table of noise coefficients")
 
-    def columns(name: str) -> dict[str, list]:
-        given = tables[name]
+    def columns(table: Path) -> dict[str, list]:
+        given = tables[table]
         fields = [f for f in type(given[0][1]).model_fields if getattr(given[0][1], f) is not None]
         return {field: [getattr(row, field) for _, row in given] for field in fields}
 
@@ -167,20 +165,12 @@ def _check_band_rows(path: Path, rows: list, any_order: bool) -> None:
                     row=number,
                     column=field,
                 )
-    if first.name is not None:
-        _check_names([row.name for _, row in rows], path)
     centres = [row.centre_nm for _, row in rows]
     widths = [row.fwhm_nm or 2.0 * row.half_width_nm for _, row in rows]
     slip = _order_slip(centres, widths, any_order)
     if slip is not None:
         raise InputError(slip[1], file=path, row=rows[slip[0]][0], column="centre_nm")
     _warn_of_half_widths(path, centres, widths)
-
-
-def _check_names(names: list[str], path: Path) -> None:
-    for index, name in enumerate(names):
-        if name in names[:index]:
-            raise InputError(f"the band name {name!r} is there twice", file=path, column="name")
 
 
 def _check_curve_rows(path: Path, rows: list) -> None:

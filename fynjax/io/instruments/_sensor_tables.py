@@ -1,10 +1,11 @@
 """A sensor file and its tables, as pydantic models."""
 
+from pathlib import Path
 from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field, model_validator
 
-from fynjax.io.text import Slip, Strict, number
+from fynjax.io.text import NamedFile, Slip, Strict, number
 
 RadianceUnit = Literal[
     "W m-2 sr-1 um-1", "mW m-2 sr-1 nm-1", "uW cm-2 sr-1 nm-1", "W m-2 sr-1 nm-1"
@@ -38,6 +39,7 @@ class BandRow(Strict):
     """One row of a table of bands."""
 
     slips: ClassVar[dict[str, Slip]] = _SPECTRAL_SLIPS
+    unique = "name"
 
     name: str | None = Field(default=None, description="Name; left out: band_1, band_2, ...")
     centre_nm: float = number("Centre wavelength", "nm", ge=200, le=15000)
@@ -79,26 +81,12 @@ class NoiseRow(Strict):
     c: float = number("Constant part", "radiance")
 
 
-FRAME_KEYS = ("altitude_m", "focal_length_mm", "pixel_pitch_um", "columns", "rows")
-GEOMETRY_KEYS = {
-    "frame": FRAME_KEYS,
-    "pushbroom": FRAME_KEYS[:-1],
-    "orthographic": ("pixel_m",),
-}
-"""Keys that each kind of geometry needs."""
-OPTIONAL_KEYS = {
-    "frame": ("tilt_deg", "heading_deg", "ground_sample_distance_m"),
-    "pushbroom": ("tilt_deg", "heading_deg", "ground_sample_distance_m"),
-    "orthographic": ("view_zenith_deg", "view_azimuth_deg"),
-}
-
-
 def _tilt_slip(value: float) -> str | None:
     return "A gimbal pitch? Straight down is 0 here." if value == -90 else None
 
 
-class GeometryTable(Strict):
-    """Lines of sight."""
+class CameraGeometryTable(Strict):
+    """What the lines of sight of a pinhole camera and of a pushbroom have in common."""
 
     slips: ClassVar[dict[str, Slip]] = {
         "focal_length_mm": lambda v: (
@@ -110,21 +98,11 @@ class GeometryTable(Strict):
         "tilt_deg": _tilt_slip,
     }
 
-    kind: Literal["frame", "pushbroom", "orthographic"] = Field(
-        description="'frame', a pinhole camera; 'pushbroom', one line that a flight sweeps on; "
-        "'orthographic', parallel lines of sight and equal pixels, such as of a satellite product."
-    )
-    altitude_m: float | None = number(
-        "Usual height above the ground", "m", default=None, gt=0, le=1e6
-    )
-    focal_length_mm: float | None = number("Focal length", "mm", default=None, ge=0.1, le=1e4)
-    pixel_pitch_um: float | None = number(
-        "Distance between pixels on the array", "um", default=None, ge=0.1, le=1000
-    )
-    columns: int | None = Field(default=None, description="Pixels across [-].", ge=1, le=100000)
-    rows: int | None = Field(
-        default=None, description="Pixels along; of a frame [-].", ge=1, le=100000
-    )
+    kind: Literal["frame", "pushbroom"]
+    altitude_m: float = number("Usual height above the ground", "m", gt=0, le=1e6)
+    focal_length_mm: float = number("Focal length", "mm", ge=0.1, le=1e4)
+    pixel_pitch_um: float = number("Distance between pixels on the array", "um", ge=0.1, le=1000)
+    columns: int = Field(description="Pixels across [-].", ge=1, le=100000)
     tilt_deg: float = number(
         "Angle of the optical axis from straight down, towards the heading",
         "degree",
@@ -139,23 +117,6 @@ class GeometryTable(Strict):
         ge=-360,
         le=360,
     )
-    pixel_m: float | None = number(
-        "Pixel on the ground, orthographic", "m", default=None, gt=0, le=100000
-    )
-    view_zenith_deg: float = number(
-        "Angle between the vertical and the direction to the sensor, orthographic",
-        "degree",
-        default=0.0,
-        ge=0,
-        lt=90,
-    )
-    view_azimuth_deg: float = number(
-        "Direction from the ground to the sensor, clockwise from north, orthographic",
-        "degree",
-        default=0.0,
-        ge=-360,
-        le=360,
-    )
     ground_sample_distance_m: float | None = number(
         "Pixel on the ground that the source states, from altitude_m: that of images; left out, "
         "from the optics, whose lines of sight it has in any case",
@@ -165,21 +126,39 @@ class GeometryTable(Strict):
         le=100000,
     )
 
-    @model_validator(mode="after")
-    def _keys_of_the_kind(self) -> "GeometryTable":
-        needed = GEOMETRY_KEYS[self.kind]
-        if missing := [name for name in needed if getattr(self, name) is None]:
-            raise ValueError(
-                f"a geometry of kind {self.kind!r} needs {', '.join(needed)}, but "
-                f"{', '.join(missing)} is missing"
-            )
-        known = {"kind", *needed, *OPTIONAL_KEYS[self.kind]}
-        if strange := sorted(self.model_fields_set - known):
-            raise ValueError(
-                f"a geometry of kind {self.kind!r} has no {', '.join(strange)}. It takes "
-                f"{', '.join([*needed, *OPTIONAL_KEYS[self.kind]])}."
-            )
-        return self
+
+class FrameGeometryTable(CameraGeometryTable):
+    """Lines of sight of a pinhole camera."""
+
+    kind: Literal["frame"] = Field(description="A pinhole camera.")
+    rows: int = Field(description="Pixels along [-].", ge=1, le=100000)
+
+
+class PushbroomGeometryTable(CameraGeometryTable):
+    """Lines of sight of a pushbroom: one line of pixels that a flight sweeps on."""
+
+    kind: Literal["pushbroom"] = Field(description="One line that a flight sweeps on.")
+
+
+class OrthographicGeometryTable(Strict):
+    """Parallel lines of sight and equal pixels, such as of a satellite product."""
+
+    kind: Literal["orthographic"] = Field(description="Parallel lines of sight.")
+    pixel_m: float = number("Pixel on the ground", "m", gt=0, le=100000)
+    view_zenith_deg: float = number(
+        "Angle between the vertical and the direction to the sensor",
+        "degree",
+        default=0.0,
+        ge=0,
+        lt=90,
+    )
+    view_azimuth_deg: float = number(
+        "Direction from the ground to the sensor, clockwise from north",
+        "degree",
+        default=0.0,
+        ge=-360,
+        le=360,
+    )
 
 
 Centre = Annotated[float, Field(ge=200, le=15000, allow_inf_nan=False)]
@@ -222,15 +201,17 @@ class BandsTable(Strict):
         description="Pixel of each band on the ground, where they differ [m].",
         json_schema_extra={"unit": "m"},
     )
-    table: str | None = Field(
+    table: Annotated[Path, NamedFile("a table of bands")] | None = Field(
         default=None, description="Table of bands (CSV); a path from this file's folder."
     )
-    curves: str | None = Field(
+    curves: Annotated[Path, NamedFile("a table of response curves")] | None = Field(
         default=None, description="Table of curves (CSV); a path from this file's folder."
     )
 
     @model_validator(mode="after")
     def _one_description(self) -> "BandsTable":
+        if twice := [n for k, n in enumerate(self.name or []) if n in (self.name or [])[:k]]:
+            raise ValueError(f"the band name {twice[0]!r} is there twice")
         given = [n for n in ("centre_nm", "table", "curves") if getattr(self, n) is not None]
         if len(given) != 1:
             came = " and ".join(given) or "none of them"
@@ -267,57 +248,34 @@ class PointSpreadTable(Strict):
     )
 
 
-NOISE_KEYS = {
-    "radiometric": ("table", "radiance_unit"),
-    "camera": ("saturation_radiance", "full_well_electrons", "read_noise_electrons", "bits"),
-}
-"""Keys that each kind of noise needs."""
+class RadiometricNoiseTable(Strict):
+    """Noise of the radiance L as a spectrometer's maker states it: |a sqrt(b + L) + c|."""
 
-
-class NoiseTable(Strict):
-    """Noise of the radiance."""
-
-    kind: Literal["radiometric", "camera"] = Field(
-        description="'radiometric': |a sqrt(b + L) + c| from a table of coefficients; 'camera': "
-        "shot noise, read noise and quantisation."
+    kind: Literal["radiometric"] = Field(description="From a table of coefficients.")
+    table: Annotated[Path, NamedFile("a table of noise coefficients")] = Field(
+        description="CSV with wavelength_nm, a, b, c; a path from this file's folder."
     )
-    table: str | None = Field(
-        default=None,
-        description="CSV with wavelength_nm, a, b, c; a path from this file's folder.",
-    )
-    radiance_unit: RadianceUnit | None = Field(
-        default=None, description="Unit of the radiance in the table."
-    )
+    radiance_unit: RadianceUnit = Field(description="Unit of the radiance in the table.")
     integrations: float = number("Frames that one pixel averages", "-", default=1, gt=0, le=1e6)
-    saturation_radiance: Positive | list[Positive] | None = Field(
-        default=None,
+
+
+class CameraNoiseTable(Strict):
+    """Noise of a camera: shot noise, read noise and quantisation."""
+
+    kind: Literal["camera"] = Field(description="From the numbers of a data sheet.")
+    saturation_radiance: Positive | list[Positive] = Field(
         description="Radiance that fills a pixel, of all bands or each [W m-2 sr-1 um-1].",
         json_schema_extra={"unit": "W m-2 sr-1 um-1"},
     )
-    full_well_electrons: Positive | list[Positive] | None = Field(
-        default=None,
+    full_well_electrons: Positive | list[Positive] = Field(
         description="Electrons of a full pixel, of all bands or each [-].",
         json_schema_extra={"unit": "-"},
     )
-    read_noise_electrons: NonNegative | list[NonNegative] | None = Field(
-        default=None,
+    read_noise_electrons: NonNegative | list[NonNegative] = Field(
         description="Standard deviation of the reading, of all bands or each [electrons].",
         json_schema_extra={"unit": "electrons"},
     )
-    bits: int | None = Field(default=None, description="Bits of a number [-].", ge=1, le=32)
-
-    @model_validator(mode="after")
-    def _keys_of_the_kind(self) -> "NoiseTable":
-        needed = NOISE_KEYS[self.kind]
-        if missing := [name for name in needed if getattr(self, name) is None]:
-            raise ValueError(
-                f"noise of kind {self.kind!r} needs {', '.join(needed)}, but "
-                f"{', '.join(missing)} is missing"
-            )
-        allowed = {"kind", *needed, *(["integrations"] if self.kind == "radiometric" else [])}
-        if strange := sorted(self.model_fields_set - allowed):
-            raise ValueError(f"noise of kind {self.kind!r} has no {', '.join(strange)}")
-        return self
+    bits: int = Field(description="Bits of a number [-].", ge=1, le=32)
 
 
 Share = Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]
@@ -375,8 +333,12 @@ class SensorFile(Strict):
     description: str = Field(default="", description="What it is, in a sentence.")
     source: str = Field(description="Where the numbers come from.", min_length=1)
     licence: str = Field(default="", description="Terms of the numbers, where there are any.")
-    geometry: GeometryTable
+    geometry: FrameGeometryTable | PushbroomGeometryTable | OrthographicGeometryTable = Field(
+        discriminator="kind", description="A table of lines of sight."
+    )
     bands: BandsTable
     calibration: CalibrationErrorsTable | None = None
     psf: PointSpreadTable | None = None
-    noise: NoiseTable | None = None
+    noise: RadiometricNoiseTable | CameraNoiseTable | None = Field(
+        default=None, discriminator="kind", description="A table of noise."
+    )

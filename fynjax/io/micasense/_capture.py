@@ -41,7 +41,7 @@ class Capture:
 
     @double_precision
     def radiance(self) -> Float[np.ndarray, "band row column"]:
-        """Of each band on its own pixels [W m-2 sr-1 um-1], row 0 at the top; as float32."""
+        """Radiance of each band on its own pixels [W m-2 sr-1 um-1], row 0 at the top; float32."""
         read = jax.jit(counts_to_radiance)
         return np.stack(
             [np.asarray(read(b.counts.astype(float), b.camera), np.float32) for b in self.bands]
@@ -62,11 +62,11 @@ class AlignedCapture:
     """Radiance of a capture with all bands on the pixels of the first."""
 
     radiance: Float[np.ndarray, "band y x"]
-    """[W m-2 sr-1 um-1]; row 0 at the bottom of the picture."""
+    """Radiance of each pixel [W m-2 sr-1 um-1]; row 0 at the bottom of the picture."""
     full: Bool[np.ndarray, "band y x"]
     """True where a pixel is saturated, or next to one that is."""
     alignment: tuple[Alignment, ...] | None
-    """`None` where the bands were left as they are."""
+    """How each band was moved; `None` where the bands were left as they are."""
 
 
 def find_captures(paths: Sequence[str | Path]) -> dict[str, list[Path]]:

@@ -28,30 +28,30 @@ class RedEdgeBand:
 
     path: Path
     counts: NDArray[np.uint16]
-    """[row, column], row 0 at the top of the picture."""
+    """Counts of each pixel [-], row 0 at the top of the picture."""
     camera: CameraRadiometry
     """How the counts become radiance."""
     saturation: int
     """Counts of a full pixel."""
     name: str
     wavelength: float
-    """Centre [nm]."""
+    """Centre of the band [nm]."""
     fwhm: float
-    """Full width at half maximum [nm]."""
+    """Full width of the band at half maximum [nm]."""
     capture: str
     """Identifier that all bands of one capture share."""
     time: str
     """When it was taken, as the camera has it (UTC)."""
     focal_length: float | None
-    """In pixels; `None` where the file does not say."""
+    """Focal length of the lens [pixel]; `None` where the file does not say."""
     irradiance: float | None
-    """Of the downwelling light sensor [W m-2 um-1]; `None` without one."""
+    """Irradiance that the downwelling light sensor measured [W m-2 um-1]; `None` without one."""
     irradiance_tilt: float | None
-    """Angle of that sensor from the horizontal [degrees]; `None` where it corrected for it."""
+    """Angle of the light sensor from the horizontal [degrees]; `None` where it corrected for it."""
     panel_reflectance: float | None
-    """Of a panel that the camera itself found by its code [-]."""
+    """Reflectance of a panel that the camera itself found by its code [-]; else `None`."""
     panel_area: NDArray[np.float64] | None
-    """Corners [corner, (x, y)] of that panel [pixel], as `panel_coverage` takes them."""
+    """Corners (x, y) of the panel that the camera found [pixel], as `panel_coverage` takes them."""
 
     @property
     def full(self) -> NDArray[np.bool_]:

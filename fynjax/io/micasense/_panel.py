@@ -34,15 +34,15 @@ class PanelView:
 
     capture: Capture
     areas: tuple[Float[np.ndarray, "corner 2"], ...]
-    """Of each band, corners (x, y) on its own pixels [pixel], y down from the top."""
+    """Corners (x, y) of the panel in each band, on its own pixels [pixel], y down from the top."""
     found: str
     """How its place is known: 'found in the picture', 'given', or 'stated by the camera'."""
     mean: Float[np.ndarray, " band"]
-    """Radiance [W m-2 sr-1 um-1]."""
+    """Mean radiance of the panel in each band [W m-2 sr-1 um-1]."""
     spread: Float[np.ndarray, " band"]
-    """Standard deviation between pixels [same]."""
+    """Standard deviation of its radiance between pixels [W m-2 sr-1 um-1]."""
     count: tuple[int, ...]
-    """Pixels in each band."""
+    """Number of pixels that were read in each band."""
 
 
 class _PanelRow(Strict):
@@ -229,6 +229,7 @@ def find_panel(picture: Float[np.ndarray, "row column"]) -> Float[np.ndarray, "4
     rectangle; its inner three quarters are returned. It may be turned.
     """
     values = np.asarray(picture, dtype=np.float64)
+    # Mean and spread in a square window around each pixel; the brightest even one near the middle.
     side = max(values.shape[0] // 10, 4)
     mean = ndimage.uniform_filter(values, side)
     spread = np.sqrt(np.maximum(ndimage.uniform_filter(values**2, side) - mean**2, 0.0))
@@ -245,6 +246,7 @@ def find_panel(picture: Float[np.ndarray, "row column"]) -> Float[np.ndarray, "4
     if labels[seed] == 0:
         return None
     region = ndimage.binary_fill_holes(labels == labels[seed])
+    # Grown to where the brightness changes, it must fill a rectangle.
     corners = _rectangle(np.argwhere(region)[:, ::-1] + 0.5)
     if region.sum() < 0.85 * _area(corners):
         return None

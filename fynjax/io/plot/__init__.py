@@ -39,7 +39,7 @@ from fynjax.io.plot._sensor import (
     sensor_place,
 )
 from fynjax.io.plot._sky import read_sky, read_sky_pattern
-from fynjax.io.plot._statistics import TargetStatistics, read_statistics, read_structure
+from fynjax.io.plot._statistics import read_statistics, read_structure
 
 __all__ = [
     "BY_FORM",
@@ -65,7 +65,6 @@ __all__ = [
     "SkyRow",
     "StatisticRow",
     "StructureRow",
-    "TargetStatistics",
     "as_plot",
     "assumed_by_form",
     "drone_sensor",

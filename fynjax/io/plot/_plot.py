@@ -32,7 +32,7 @@ class Plot(PlotTable, SceneTable):
     file: Path
     """The plot file."""
     species: tuple[SpeciesRow, ...]
-    """In the order of the species table."""
+    """Rows of the species table, in its order."""
     leaves: tuple[LeafRow, ...]
     """Rows of the leaf table; empty where the plot has none."""
     sun: SunPosition
@@ -40,7 +40,7 @@ class Plot(PlotTable, SceneTable):
     sky: SkyTable
     ground: GroundTable
     sensor: SensorTable
-    """Of a sensor file of the user, with the sensor's own name."""
+    """The plot file's [sensor], with the sensor's own name where it is a file of the user's."""
     air: AtmosphereTable | None
     """The plot file's [atmosphere]; `None` where it has none."""
     calibration: CalibrationTable
@@ -49,7 +49,8 @@ class Plot(PlotTable, SceneTable):
     known_crowns: InstanceOf[Crowns] | None = None
     """The plants, where they are known; `None`: as the species table has them, by chance."""
     crowns_note: str | None = None
-    """How far covers and sizes that follow from the crowns are from the species table's."""
+    """A sentence on how far covers and sizes that follow from the crowns are from the species
+    table's; `None` where the plants are not known."""
 
     @property
     def taxa(self) -> tuple[str, ...]:

@@ -8,14 +8,13 @@ from importlib.resources import files
 from pathlib import Path
 
 from fynjax._core.errors import InputError
-from fynjax._core.validation import Row
 from fynjax.canopy import FORMS
 from fynjax.io.plot._crowns import with_crowns
 from fynjax.io.plot._plot import Plot
 from fynjax.io.plot._plot_tables import PlotFile
 from fynjax.io.plot._sensor import DRONE, named_sensor, sensor_place
 from fynjax.io.plot._sky import read_sky, read_sky_pattern
-from fynjax.io.text import existing_file, line_of, named_file, read_rows, read_toml
+from fynjax.io.text import existing_file, line_of, read_rows, read_toml
 from fynjax.scene import LeafRow, SpeciesRow, check_species, check_taxa
 
 
@@ -27,7 +26,7 @@ def example_folder() -> Path:
 def _read_species(
     path: Path, within: Path | None, size: tuple[float, float]
 ) -> tuple[SpeciesRow, ...]:
-    rows = read_rows(path, SpeciesRow, "a species table")
+    rows = read_rows(path, SpeciesRow, "a species table", within=within)
     check_species(rows, path)
     for number, row in rows:
         if row.diameter > min(size):
@@ -38,13 +37,13 @@ def _read_species(
                 row=number,
                 column="mean_diameter_cm",
             )
-    return tuple(_located(row, number, "plant", "a plant", path, within) for number, row in rows)
+    return tuple(row for _, row in rows)
 
 
 def _read_leaves(
     path: Path, within: Path | None, species: Sequence[SpeciesRow]
 ) -> tuple[LeafRow, ...]:
-    rows = read_rows(path, LeafRow, "a leaf table")
+    rows = read_rows(path, LeafRow, "a leaf table", within=within)
     check_taxa(rows, [*(row.taxon for row in species), "*"], path)
     named = {row.taxon for _, row in rows}
     for one in species:
@@ -55,18 +54,7 @@ def _read_leaves(
                 file=path,
                 column="taxon",
             )
-    what = "a leaf spectrum"
-    return tuple(_located(row, number, "spectrum", what, path, within) for number, row in rows)
-
-
-def _located(
-    row: Row, number: int, column: str, what: str, table: Path, within: Path | None
-) -> Row:
-    """The row of a table with the place of the file that it names."""
-    if (name := getattr(row, column)) is None:
-        return row
-    path = named_file(table, str(name), what, within=within, row=number, column=column)
-    return row.model_copy(update={column: path})
+    return tuple(row for _, row in rows)
 
 
 def as_plot(plot: Plot | str | Path) -> Plot:

@@ -135,14 +135,14 @@ class SunTable(Strict):
         PARAMETERS["sun_azimuth"], default=PARAMETERS["sun_azimuth"].default
     )
     latitude_deg: float | None = number(
-        "Of the plot, north; with longitude_deg and time instead of the angles",
+        "Latitude of the plot, north; with longitude_deg and time instead of the angles",
         "degree",
         default=None,
         ge=-90,
         le=90,
     )
     longitude_deg: float | None = number(
-        "Of the plot, east; west is negative", "degree", default=None, ge=-180, le=180
+        "Longitude of the plot, east; west is negative", "degree", default=None, ge=-180, le=180
     )
     time: datetime | None = Field(
         default=None,
@@ -394,7 +394,7 @@ class AtmosphereTable(Strict):
     )
     water_vapour_cm: float = number("Column of water vapour", "cm", default=1.5, ge=0, le=12)
     aerosol_optical_depth: float | None = number(
-        "At 550 nm; left out, that of [sky]",
+        "Optical depth of aerosols at 550 nm; left out, that of [sky]",
         "-",
         default=None,
         ge=PARAMETERS["aerosol"].lower,
@@ -435,7 +435,8 @@ class SceneTable(Strict):
         le=1,
     )
     softness_plants: float = number(
-        "The same in plants, added to it, less one; with both 0 their number has no slope",
+        "Plants, less one, over which one more is spread besides; with `softness` 0 too, their "
+        "number has no slope",
         "plants",
         default=1.0,
         ge=0,

@@ -49,8 +49,10 @@ PRIOR_PARAMETERS = {
 class PriorParameter(Strict):
     """A parameter of the population."""
 
-    name: str = Field(description="What it is of, such as 'dead_fraction.tussock' or 'structure'.")
-    mean: float = number("Of the mean plot", "-")
+    name: str = Field(
+        description="Name of the parameter, such as 'dead_fraction.tussock' or 'structure'."
+    )
+    mean: float = number("Value of the mean plot", "-")
     mean_sd: float = number("Standard error of `mean`", "-", ge=0)
     plot_sd: float = number("Standard deviation between plots; 0 of what they share", "-", ge=0)
     assumed: float = number("What was assumed before any spectrum", "-")
@@ -77,26 +79,30 @@ class ModelError(Strict):
     """What no parameter explains of the logarithm of a spectrum."""
 
     wavelength_nm: list[Annotated[float, Field(gt=300, lt=3000)]] = Field(
-        description="Rising [nm].", min_length=2
+        description="Wavelengths of the error, rising [nm].", min_length=2
     )
     sd: list[Annotated[float, Field(gt=0)]] = Field(
         description="Standard deviation of the logarithm of reflectance [-]."
     )
-    correlation: list[list[float]] = Field(description="Between wavelengths, rows of a matrix [-].")
+    correlation: list[list[float]] = Field(
+        description="Correlation of the error between wavelengths, rows of a matrix [-]."
+    )
 
 
 class PriorFile(Strict):
     """A population of plots: means, variation between plots and the model's remaining error."""
 
     title: str = Field(description="What the plots are.", min_length=1)
-    licence: str = Field(description="Of these numbers.")
+    licence: str = Field(description="Licence of these numbers.")
     sources: list[str] = Field(description="Data that they were learned from.")
     made_with: str = Field(description="Program and version, size and voxels of the plots.")
     plots: int = Field(description="Number of plots learned from.", ge=1)
     error: ModelError = Field(description="The model's remaining error.")
-    parameters: list[PriorParameter] = Field(description="Of the population.", min_length=1)
+    parameters: list[PriorParameter] = Field(
+        description="Parameters of the population.", min_length=1
+    )
     mean_correlation: list[list[float]] = Field(
-        description="Between the errors of the means, rows of a matrix over `parameters` [-]."
+        description="Correlation of the errors of means, rows of a matrix over `parameters` [-]."
     )
     left_out: list[LeftOutPlot] = Field(
         default_factory=list, description="Populations without one of the plots each."
@@ -277,6 +283,7 @@ class LearnedPrior:
         alike = np.array([kind in shared for kind in kinds])
         sd = np.array([p.mean_sd for p in rows])
         error = np.asarray(self.file.mean_correlation) * np.outer(sd, sd)
+        # Errors of the means that plots share first, then those of the others given these.
         joint = error[np.ix_(alike, alike)]
         gain = error[np.ix_(~alike, alike)] @ np.linalg.pinv(joint)
         given = error[np.ix_(~alike, ~alike)] - gain @ error[np.ix_(alike, ~alike)]
@@ -284,6 +291,8 @@ class LearnedPrior:
         of_mean = np.empty((len(own), len(rows)))
         of_mean[:, alike] = _root(joint) @ common[:first]
         of_mean[:, ~alike] = of_mean[:, alike] @ gain.T + own[:, :second] @ _root(given).T
+        # By what plots and their regions differ, each with the standard deviation of plots: one
+        # number for each kind, whatever the growth form.
         effect: dict[str, Any] = {}
         rest, own_rest = iter(common[first:]), iter(own[:, second:].T)
         for kind in dict.fromkeys(kinds):
@@ -295,6 +304,7 @@ class LearnedPrior:
             if math.isinf(high):
                 drawn[p.name] = p.mean * np.exp(apart / p.mean)
                 continue
+            # Move the logit by what moves the value by `apart` to first order.
             share = (p.mean - low) / (high - low)
             slope = (high - low) * share * (1.0 - share)
             z = math.log(share / (1.0 - share)) + apart / slope

@@ -3,9 +3,10 @@ those of species and leaves."""
 
 from typing import ClassVar, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from fynjax.io.text import Slip, Strict, number, quantity
+from fynjax.metrics import BANDS
 from fynjax.scene import PARAMETERS, SpeciesRow
 
 
@@ -23,11 +24,17 @@ class CrownRow(Strict):
         min_length=1,
     )
     x_m: float | None = number("Foot, east of the plot's south-west corner", "m", default=None)
-    y_m: float | None = number("Foot, north of it", "m", default=None)
+    y_m: float | None = number("Foot, north of the plot's south-west corner", "m", default=None)
     easting_m: float | None = number(
-        "Foot in the coordinates of the plot's maps, instead of x_m and y_m", "m", default=None
+        "Foot, easting in the coordinates of the plot's maps, instead of x_m and y_m",
+        "m",
+        default=None,
     )
-    northing_m: float | None = number("The same, northward", "m", default=None)
+    northing_m: float | None = number(
+        "Foot, northing in the coordinates of the plot's maps, instead of x_m and y_m",
+        "m",
+        default=None,
+    )
     diameter_cm: float = quantity(
         PARAMETERS["diameter"], note="of this crown, the mean of its two extents"
     )
@@ -54,13 +61,32 @@ class StatisticRow(Strict):
         "'GCI.q25', 'nir.std40cm' (of means over squares of 40 cm).",
         pattern=r"^[A-Za-z][A-Za-z0-9_]*\.(mean|std(\d{1,4}cm)?|q\d{1,2})$",
     )
-    value: float = number("Its value; a reflectance is a fraction", "-")
+    value: float = number("Value of the statistic; a reflectance is a fraction", "-")
     sd: float | None = number(
-        "Its standard deviation; empty takes calibration.target_sd (ten times that for a std)",
+        "Standard deviation of the value; empty takes calibration.target_sd (ten times that for a "
+        "std)",
         "-",
         default=None,
         gt=0,
     )
+
+    @property
+    def subject(self) -> str:
+        """The band or index that the statistic is of."""
+        return self.statistic.rpartition(".")[0]
+
+    @field_validator("value")
+    @classmethod
+    def _possible(cls, value: float, info: ValidationInfo) -> float:
+        subject, _, kind = info.data.get("statistic", "").rpartition(".")
+        if subject in BANDS and not 0 <= value <= 1.5:
+            hint = f" Percent? This is {value / 100:g}." if value > 1.5 else ""
+            raise ValueError(
+                f"expected a reflectance as a fraction from 0 to 1.5, but got {value:g}.{hint}"
+            )
+        if kind == "std" and value < 0:
+            raise ValueError(f"expected a standard deviation of at least 0, but got {value:g}")
+        return value
 
 
 class ParameterRow(Strict):
@@ -72,12 +98,13 @@ class ParameterRow(Strict):
     name: str = Field(description="Such as 'species.Erica irregularis.cover'.", min_length=1)
     kind: str | None = Field(default=None, description="Last word of the name.")
     unit: str | None = Field(
-        default=None, description="Of the numbers; '%' of a cover, 'cm' of a length. Empty: '-', m."
+        default=None,
+        description="Unit of the numbers; '%' of a cover, 'cm' of a length. Empty: '-', m.",
     )
     prior: float | None = number("Median of the prior", "as stated", default=None)
-    prior_sd: float | None = number("Its standard deviation", "as stated", default=None)
-    prior_q05: float | None = number("Its quantile of 5 %", "as stated", default=None)
-    prior_q95: float | None = number("Its quantile of 95 %", "as stated", default=None)
+    prior_sd: float | None = number("Standard deviation of the prior", "as stated", default=None)
+    prior_q05: float | None = number("Quantile of 5 % of the prior", "as stated", default=None)
+    prior_q95: float | None = number("Quantile of 95 % of the prior", "as stated", default=None)
     estimate: float = number("Value that is used", "as stated")
     sd: float | None = number("Standard deviation of the estimate", "as stated", default=None)
     lower: float | None = number("Least plausible value", "as stated", default=None)
@@ -106,8 +133,10 @@ class StructureRow(Strict):
         "rugosity",
         "height_cv",
     ] = Field(description="A metric of `fynjax validate`, mean over the cells of the plot.")
-    value: float = number("Its value, in the metric's unit", "-", ge=0)
-    sd: float | None = number("Its standard deviation; empty: not known", "-", default=None, gt=0)
+    value: float = number("Value of the metric, in its unit", "-", ge=0)
+    sd: float | None = number(
+        "Standard deviation of the value; empty: not known", "-", default=None, gt=0
+    )
     grain_m: float = number("Side of a cell; the same in all rows", "m", default=2.0, gt=0)
     returns_m2: float = number(
         "Returns for each square metre; the same in all rows", "m-2", default=100.0, gt=0
@@ -120,9 +149,11 @@ class SkyPatternRow(Strict):
     slips: ClassVar[dict[str, Slip]] = {
         "zenith_deg": lambda v: "Is it the elevation?" if v > 90 else None
     }
-    zenith_deg: float = number("From straight up", "degree", ge=0, le=90)
-    azimuth_deg: float = number("Clockwise from north", "degree", ge=0, lt=360)
-    radiance: float = number("Of the sky, in any unit", "-", ge=0)
+    zenith_deg: float = number("Zenith angle of the direction", "degree", ge=0, le=90)
+    azimuth_deg: float = number(
+        "Azimuth of the direction, clockwise from north", "degree", ge=0, lt=360
+    )
+    radiance: float = number("Radiance of the sky there, in any unit", "-", ge=0)
 
 
 class SkyRow(Strict):

@@ -8,7 +8,6 @@ from fynjax.io.raster._crs import UNITS, check_metric, parse_crs
 from fynjax.io.raster._cubes import (
     QUANTITIES,
     Cube,
-    read_cube,
     write_cube_envi,
     write_cube_geotiff,
     write_cubes_netcdf,
@@ -22,7 +21,7 @@ from fynjax.io.raster._netcdf import (
     write_run,
 )
 from fynjax.io.raster._over_plot import read_over_plot
-from fynjax.io.raster._probability import read_probability_map, write_probability_map
+from fynjax.io.raster._probability import read_probability_map
 from fynjax.io.raster._qgis import colour_bands, write_qgis_style
 from fynjax.io.raster._reader import METRES, Raster, RasterFile, open_raster
 from fynjax.io.raster._writer import write_geotiff
@@ -51,14 +50,12 @@ __all__ = [
     "provenance",
     "read_band_stack",
     "read_cover_map",
-    "read_cube",
     "read_over_plot",
     "read_probability_map",
     "write_cube_envi",
     "write_cube_geotiff",
     "write_cubes_netcdf",
     "write_geotiff",
-    "write_probability_map",
     "write_qgis_style",
     "write_run",
 ]

@@ -75,10 +75,12 @@ def align_bands(
     alignments = [Alignment((0.0, 0.0), 0.0, 1.0)]
     middle = np.array([[(columns - 1) / 2.0, (rows - 1) / 2.0]])
     for number in track(range(1, bands), "Align the bands"):
+        # First the shift of the whole, then an affine map by what its tiles are still off.
         other = edges(image[number])
         shift = _shift(first, other)
         onto = transform.AffineTransform(translation=-shift)
         onto = _fitted(first, transform.warp(other, onto, order=1), onto, tile)
+        # How well both fit where they overlap.
         after = transform.warp(other, onto, order=1)
         outlines.append(onto.inverse(corners))
         y, x = _common(outlines[:1] + outlines[-1:])

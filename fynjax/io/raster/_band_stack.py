@@ -1,9 +1,10 @@
 """Images of any number of bands: one GeoTIFF, or the single-band files of one capture."""
 
+import itertools
 import re
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ from rasterio.enums import ColorInterp
 from fynjax._core.errors import InputError
 from fynjax.io.raster._align import Alignment, align_bands
 from fynjax.io.raster._reader import open_raster
+from fynjax.io.raster._writer import north_up
 
 _COLOURS = {ColorInterp.red: "red", ColorInterp.green: "green", ColorInterp.blue: "blue"}
 
@@ -23,14 +25,14 @@ class BandStack:
     """An image, what is known of its bands, and where it lies."""
 
     values: Float[np.ndarray, "band y x"]
-    """In the file's unit; row 0 at the southern edge."""
+    """Values of each band, in the file's unit; row 0 at the southern edge."""
     mask: Bool[np.ndarray, "y x"]
     """True where every band has a finite value that is data."""
     names: tuple[str, ...]
     wavelengths: tuple[float | None, ...]
     """Centres [nm], where known."""
     transform: Affine
-    """From column and row, counted from the north-west corner, to x and y [m]."""
+    """Affine map from column and row, counted from the north-west corner, to x and y [m]."""
     crs: str | None
     """Coordinate reference system as WKT; `None` is the plot's local frame."""
     alignment: tuple[Alignment, ...] | None = None
@@ -86,14 +88,14 @@ def read_band_stack(
     files = [Path(path) for path in paths]
     if not files:
         raise InputError("expected an image, but got no file")
-    parts = [_read(path) for path in files]
-    first = parts[0]
-    for path, part in zip(files[1:], parts[1:], strict=True):
-        _check_together(first, part, files[0], path)
-    values = np.concatenate([part.values for part in parts])
-    mask = np.all([part.mask for part in parts], axis=0)
+    first, placed = _read(files[0])
+    parts = [first]
+    for path in files[1:]:
+        part, same = _read(path)
+        _check_together(first, part, placed == same, files[0], path)
+        parts.append(part)
     names = [name for part in parts for name in part.names]
-    waves: list[float | None] = [wave for part in parts for wave in part.wavelengths]
+    waves = [wave for part in parts for wave in part.wavelengths]
     if len(parts) > 1:  # of single-band files nobody wrote which is which
         names = [
             f"band {k}" if re.fullmatch(r"band \d+", name) else name
@@ -101,74 +103,84 @@ def read_band_stack(
         ]
     if bands is not None:
         names, waves = _stated(bands, len(names), files[0])
-    alive = [bool(np.isfinite(band).any()) for band in values]
-    if not all(alive):
-        dead = [name for name, lives in zip(names, alive, strict=True) if not lives]
-        if len(dead) < len(names):
-            warnings.warn(
-                f"{files[0]}: {len(dead)} of {len(names)} bands have no data and are left out: "
-                f"{_listed(dead)}",
-                stacklevel=2,
-            )
-        values = values[alive]
-        names = [name for name, lives in zip(names, alive, strict=True) if lives]
-        waves = [wave for wave, lives in zip(waves, alive, strict=True) if lives]
-    mask &= np.isfinite(values).all(axis=0)
-    if not mask.any():
+    stack = replace(
+        first,
+        values=np.concatenate([part.values for part in parts]),
+        mask=np.all([part.mask for part in parts], axis=0),
+        names=tuple(names),
+        wavelengths=tuple(waves),
+    )
+    stack = _with_data(stack, files[0])
+    if not placed:
+        return _in_own_frame(stack, pixel_m, align and len(parts) > 1, files[0])
+    if pixel_m is not None:
+        raise InputError(
+            f"`pixel_m` is for an image without a coordinate reference system, but this one has "
+            f"pixels of {stack.transform.a:g} m. Leave it out.",
+            file=files[0],
+        )
+    return stack
+
+
+def _with_data(stack: BandStack, path: Path) -> BandStack:
+    """The bands that have data, and the pixels that all of these know."""
+    alive = np.isfinite(stack.values).any(axis=(1, 2))
+    values = stack.values[alive] if not alive.all() else stack.values
+    mask = stack.mask & np.isfinite(values).all(axis=0)
+    if not alive.any() or not mask.any():
         raise InputError(
             f"expected an image, but all {mask.size} pixels are without data (no data, NaN, or "
             "zero in every band)",
-            file=files[0],
+            file=path,
         )
-    transform, crs = first.transform, first.crs
-    alignment = None
-    if not first.placed:
-        if pixel_m is None:
-            raise InputError(
-                "expected an image with a coordinate reference system, but it has none. An "
-                "orthophoto has one; for a single picture say how large a pixel is on the ground: "
-                "--pixel METRES. The map is then in a frame of the plot's own.",
-                file=files[0],
-            )
-        if not (np.isfinite(pixel_m) and pixel_m > 0.0):
-            raise InputError(f"`pixel_m` must be positive [m], but is {pixel_m}")
-        if len(parts) > 1 and align:
-            if not mask.all():
-                raise InputError(
-                    f"bands can be aligned where all pixels are data, but {int((~mask).sum())} of "
-                    f"{mask.size} are not. Align them first, and leave it out here (--no-align).",
-                    file=files[0],
-                )
-            try:
-                values, cut, alignments = align_bands(values)
-            except InputError as error:
-                raise InputError(str(error), file=files[0]) from error
-            mask, alignment = mask[cut], tuple(alignments)
-        transform = Affine(pixel_m, 0.0, 0.0, 0.0, -pixel_m, mask.shape[0] * pixel_m)
-        crs = None
-    elif pixel_m is not None:
+    if not alive.all():
+        dead = [name for name, lives in zip(stack.names, alive, strict=True) if not lives]
+        warnings.warn(
+            f"{path}: {len(dead)} of {len(alive)} bands have no data and are left out: "
+            f"{_listed(dead)}",
+            stacklevel=3,
+        )
+    return replace(
+        stack,
+        values=values,
+        mask=mask,
+        names=tuple(itertools.compress(stack.names, alive)),
+        wavelengths=tuple(itertools.compress(stack.wavelengths, alive)),
+    )
+
+
+def _in_own_frame(stack: BandStack, pixel_m: float | None, align: bool, path: Path) -> BandStack:
+    """A picture without a place in the plot's own frame, its bands laid on the first."""
+    if pixel_m is None:
         raise InputError(
-            f"`pixel_m` is for an image without a coordinate reference system, but this one has "
-            f"pixels of {transform.a:g} m. Leave it out.",
-            file=files[0],
+            "expected an image with a coordinate reference system, but it has none. An "
+            "orthophoto has one; for a single picture say how large a pixel is on the ground: "
+            "--pixel METRES. The map is then in a frame of the plot's own.",
+            file=path,
         )
-    return BandStack(values, mask, tuple(names), tuple(waves), transform, crs, alignment)
+    if not (np.isfinite(pixel_m) and pixel_m > 0.0):
+        raise InputError(f"`pixel_m` must be positive [m], but is {pixel_m}")
+    values, mask, alignment = stack.values, stack.mask, None
+    if align:
+        if not mask.all():
+            raise InputError(
+                f"bands can be aligned where all pixels are data, but {int((~mask).sum())} of "
+                f"{mask.size} are not. Align them first, and leave it out here (--no-align).",
+                file=path,
+            )
+        try:
+            values, cut, alignments = align_bands(values)
+        except InputError as error:
+            raise InputError(str(error), file=path) from error
+        mask, alignment = mask[cut], tuple(alignments)
+    transform = north_up(pixel_m, (0.0, 0.0), mask.shape[0])
+    return replace(
+        stack, values=values, mask=mask, transform=transform, crs=None, alignment=alignment
+    )
 
 
-@dataclass(frozen=True)
-class _Part:
-    """One file."""
-
-    values: np.ndarray
-    mask: np.ndarray
-    names: list[str]
-    wavelengths: list[float | None]
-    transform: Affine
-    crs: str | None
-    placed: bool
-
-
-def _read(path: Path) -> _Part:
+def _read(path: Path) -> tuple[BandStack, bool]:
+    """The bands of one file, and whether it has a place."""
     with open_raster(path, "an image") as file:
         if file.crs is not None:
             file.check_place()
@@ -191,14 +203,14 @@ def _read(path: Path) -> _Part:
             names.append((given or f"band {number}").strip())
             stated = _numbers(xmp, "CentralWavelength") if np.isnan(wave) else [float(wave)]
             waves.append(stated[0] if stated else None)
-        placed, on_earth = file.has_place, file.on_earth
-        crs = file.crs.to_wkt() if file.crs is not None and on_earth else None
+        crs = file.crs.to_wkt() if file.crs is not None and file.on_earth else None
+        placed = file.has_place
     values = raster.values
     if dark := _numbers(xmp, "DarkRowValue"):  # what the camera's covered pixels read
         values = values - kind.type(np.mean(dark))
     with_data = np.isfinite(values).any(axis=(1, 2))
     mask = np.isfinite(values[with_data]).all(axis=0) & with_data.any()
-    return _Part(values, mask, names, waves, raster.transform, crs, placed)
+    return BandStack(values, mask, tuple(names), tuple(waves), raster.transform, crs), placed
 
 
 def _is_mask(band: np.ndarray) -> bool:
@@ -220,7 +232,9 @@ def _numbers(xmp: dict[str, list[str]], key: str) -> list[float]:
     return [value for value in values if np.isfinite(value) and value > 0.0]
 
 
-def _check_together(a: _Part, b: _Part, first: Path, path: Path) -> None:
+def _check_together(
+    a: BandStack, b: BandStack, alike_placed: bool, first: Path, path: Path
+) -> None:
     if len(a.values) != 1 or len(b.values) != 1:
         raise InputError(
             "expected one image of several bands, or files of one band each, but "
@@ -234,7 +248,7 @@ def _check_together(a: _Part, b: _Part, first: Path, path: Path) -> None:
             f"this file has {b.values.shape[2]} x {b.values.shape[1]}. Are both of one capture?",
             file=path,
         )
-    if a.placed != b.placed or a.crs != b.crs or not a.transform.almost_equals(b.transform, 1e-3):
+    if not alike_placed or a.crs != b.crs or not a.transform.almost_equals(b.transform, 1e-3):
         raise InputError(
             f"expected the same place and coordinate reference system as {first.name}, but this "
             "file has others. Warp both onto the same pixels: gdalwarp -t_srs ... -te ... -tr ...",

@@ -47,21 +47,22 @@ class CubeBlocks:
 
     path: Path
     shape: tuple[int, int]
-    """Rows and columns."""
+    """Rows and columns of pixels."""
     wavelength: Float[np.ndarray, " band"]
     """Centre of each band [nm]; NaN where the file says none."""
     fwhm: Float[np.ndarray, " band"]
-    """Full width at half maximum [nm]; NaN as above."""
+    """Full width of each band at half maximum [nm]; NaN where the file says none."""
     good: Bool[np.ndarray, " band"]
     """Bands that are to be used."""
     transform: Affine
-    """From column and row to x and y; the identity without a place, and of a swath."""
+    """Affine map from column and row to x and y; the identity without a place, and of a swath."""
     crs: str | None
     """Coordinate reference system as WKT."""
     source: Any
     """What `read` takes values of."""
     location: xr.Dataset | None = None
-    """Of a swath the lookup table that places its pixels on a map, with the file's attributes."""
+    """Lookup table that places the pixels of a swath on a map, with the file's attributes; `None`
+    for what is no swath."""
 
     @property
     def rows_at_once(self) -> int:

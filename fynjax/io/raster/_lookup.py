@@ -23,13 +23,13 @@ _NAMES = ("glt_x", "glt_y")
 
 @dataclass(frozen=True)
 class LookupTable:
-    """Of each pixel of a map, the pixel of a swath that lies there."""
+    """Which pixel of a swath lies at each pixel of a map."""
 
     path: Path
     shape: tuple[int, int]
     """Rows and columns of the map."""
     transform: Affine
-    """From column and row of the map to x and y."""
+    """Affine map from column and row of the map to x and y."""
     crs: str
     """Coordinate reference system of the map as WKT."""
     swath: tuple[int, int]
@@ -37,7 +37,7 @@ class LookupTable:
     columns: xr.DataArray
     """Column of the swath at each pixel of the map, from 1; 0 or NaN where there is none."""
     rows: xr.DataArray
-    """The same of its rows."""
+    """Row of the swath at each pixel of the map, from 1; 0 or NaN where there is none."""
 
     def blocks(
         self,

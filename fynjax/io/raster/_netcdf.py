@@ -79,18 +79,14 @@ def command_line() -> str:
 
 
 def provenance(
-    *,
-    seed: int | None = None,
-    inputs: Iterable[str | Path] = (),
-    command: str | None = None,
+    *, seed: int | None = None, inputs: Iterable[str | Path] = ()
 ) -> dict[str, str | int]:
-    """What made a file: version, command, seed, date (UTC) and the hashes of its input files.
+    """What made a file: version, command line, seed, date (UTC) and hashes of its input files.
 
     **Arguments:**
 
     - `seed`: seed of the run.
     - `inputs`: files that were read; each enters as `name: sha256`.
-    - `command`: what was run; the present command line if left out.
 
     **Returns:** file attributes by name.
     """
@@ -98,7 +94,7 @@ def provenance(
         "source": f"fynjax {fynjax.__version__}",
         "fynjax_version": fynjax.__version__,
         "jax_version": version("jax"),
-        "command": command if command is not None else command_line(),
+        "command": command_line(),
         "date_created": datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"),
         "input_sha256": json.dumps({Path(p).name: file_hash(p) for p in inputs}),
     }

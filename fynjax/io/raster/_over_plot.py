@@ -23,7 +23,7 @@ class OverPlot:
 
     file: Path
     values: NDArray[np.float64]
-    """[band, row, column], rows from the north, all cells that the plot touches."""
+    """Values [band, row, column] of all cells that the plot touches, rows from the north."""
     edges: tuple[Edges, Edges]
     """First and last edge of the plot in rows and in columns of `values`."""
     names: tuple[str, ...]

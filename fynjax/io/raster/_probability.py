@@ -1,57 +1,14 @@
-"""Probability maps, in and out: an 8-bit GeoTIFF that says where plants are likely to stand.
-
-In memory a map is [y, x] with row 0 at the southern edge; on disk row 0 is the northern one.
-"""
+"""Probability maps: rasters of 0 to 255 that say where plants are likely to stand."""
 
 import warnings
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from jaxtyping import Float64, UInt8
+from jaxtyping import Float64
 from numpy.typing import NDArray
-from rasterio import Affine
 
 from fynjax._core.errors import InputError
 from fynjax.io.raster._over_plot import read_over_plot
-from fynjax.io.raster._writer import write_geotiff
-
-
-def write_probability_map(
-    path: str | Path,
-    grey: UInt8[np.ndarray, "y x"],
-    transform: Affine,
-    *,
-    crs: str | None = None,
-    nodata: int | None = None,
-    tags: Mapping[str, Any] | None = None,
-) -> None:
-    """Write a probability map as a compressed 8-bit GeoTIFF of one band, whole or not at all.
-
-    **Arguments:**
-
-    - `path`: the file to write.
-    - `grey`: 0 to 255, row 0 at the southern edge.
-    - `transform`: from column and row, counted from the north-west corner, to x and y [m], as
-      rasterio has it; that of the image which the map was made from.
-    - `crs`: anything rasterio reads, such as "EPSG:32734"; `None` is the plot's local frame.
-    - `nodata`: grey of cells without data, if there are any.
-    - `tags`: file attributes, such as how the map was made.
-
-    **Raises:** `ValueError` for another shape or type.
-    """
-    if grey.ndim != 2 or grey.dtype != np.uint8:
-        raise ValueError(f"`grey` must be uint8 [y, x], but is {grey.dtype} of shape {grey.shape}")
-    write_geotiff(
-        path,
-        grey[None],
-        ["probability"],
-        transform=transform,
-        crs=crs,
-        nodata=nodata,
-        tags=tags,
-    )
 
 
 def read_probability_map(

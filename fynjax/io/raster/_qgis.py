@@ -1,8 +1,6 @@
 """Style files that QGIS takes by itself with a raster beside them."""
 
-from collections.abc import Mapping
 from pathlib import Path
-from xml.etree import ElementTree
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -20,14 +18,12 @@ _PIXELS = 512
 
 
 def colour_bands(
-    wavelength: Float[np.ndarray, " band"] | None, good: Bool[np.ndarray, " band"]
+    wavelength: Float[np.ndarray, " band"], good: Bool[np.ndarray, " band"]
 ) -> dict[str, int]:
     """Place of the good band nearest to blue, green, red and near infrared; only of those near it.
 
     **Arguments:** `wavelength` of the bands [nm], NaN where unknown; `good`, those to be used.
     """
-    if wavelength is None:
-        return {}
     places = np.flatnonzero(good & np.isfinite(wavelength))
     bands = {}
     for name, wanted in _SHOWN_NM.items():
@@ -58,16 +54,54 @@ def write_qgis_style(path: str | Path) -> Path:
             chosen = [0, 1, 2] if data.count >= 3 else [0]
         size = min(data.height, _PIXELS), min(data.width, _PIXELS)
         limits = [_stretch(data.read(b + 1, out_shape=size, masked=True)) for b in chosen]
-    root = ElementTree.Element("qgis", version="3.22", styleCategories="Symbology")
-    pipe = ElementTree.SubElement(root, "pipe")
-    if len(chosen) == 3:
-        _colours(pipe, chosen, limits)
-    else:
-        _ramp(pipe, *limits[0])
-    ElementTree.indent(root)
+    renderer = _colours(chosen, limits) if len(chosen) == 3 else _ramp(*limits[0])
     style = Path(path).with_suffix(".qml")
-    write_text(style, ElementTree.tostring(root, encoding="unicode") + "\n")
+    write_text(style, _STYLE.format(renderer=renderer))
     return style
+
+
+_STYLE = """\
+<qgis version="3.22" styleCategories="Symbology">
+  <pipe>
+    <rasterrenderer opacity="1" alphaBand="-1" nodataColor="" {renderer}
+    </rasterrenderer>
+  </pipe>
+</qgis>
+"""
+_STRETCH = """
+      <{colour}ContrastEnhancement>
+        <minValue>{low:.6g}</minValue>
+        <maxValue>{high:.6g}</maxValue>
+        <algorithm>StretchToMinimumMaximum</algorithm>
+      </{colour}ContrastEnhancement>"""
+_SHADER = """
+      <rastershader>
+        <colorrampshader colorRampType="INTERPOLATED" classificationMode="1" clip="0"
+         minimumValue="{low:.6g}" maximumValue="{high:.6g}">{items}
+        </colorrampshader>
+      </rastershader>"""
+_ITEM = """
+          <item value="{value:.6g}" label="{value:.3g}" color="{colour}" alpha="255"/>"""
+
+
+def _colours(bands: list[int], limits: list[tuple[float, float]]) -> str:
+    """Three bands as red, green and blue, each stretched between its limits."""
+    colours = ("red", "green", "blue")
+    places = " ".join(f'{c}Band="{band + 1}"' for c, band in zip(colours, bands, strict=True))
+    stretches = (
+        _STRETCH.format(colour=colour, low=low, high=high)
+        for colour, (low, high) in zip(colours, limits, strict=True)
+    )
+    return f'type="multibandcolor" {places}>{"".join(stretches)}'
+
+
+def _ramp(low: float, high: float) -> str:
+    """The first band as a ramp of colours between its limits."""
+    steps = zip(np.linspace(low, high, len(_RAMP)).tolist(), _RAMP, strict=True)
+    items = "".join(_ITEM.format(value=value, colour=colour) for value, colour in steps)
+    ends = f'classificationMin="{low:.6g}" classificationMax="{high:.6g}"'
+    shader = _SHADER.format(low=low, high=high, items=items)
+    return f'type="singlebandpseudocolor" band="1" {ends}>{shader}'
 
 
 def _stretch(values: np.ma.MaskedArray) -> tuple[float, float]:
@@ -77,43 +111,3 @@ def _stretch(values: np.ma.MaskedArray) -> tuple[float, float]:
         return 0.0, 1.0
     low, high = np.quantile(known, [0.02, 0.98]).tolist()
     return low, high if high > low else low + 1.0
-
-
-def _colours(
-    pipe: ElementTree.Element, bands: list[int], limits: list[tuple[float, float]]
-) -> None:
-    shown = dict(zip(("red", "green", "blue"), zip(bands, limits)))
-    places = {f"{colour}Band": str(band + 1) for colour, (band, _) in shown.items()}
-    renderer = _renderer(pipe, {"type": "multibandcolor", **places})
-    for colour, (_, (low, high)) in shown.items():
-        stretch = ElementTree.SubElement(renderer, f"{colour}ContrastEnhancement")
-        for tag, text in (
-            ("minValue", f"{low:.6g}"),
-            ("maxValue", f"{high:.6g}"),
-            ("algorithm", "StretchToMinimumMaximum"),
-        ):
-            ElementTree.SubElement(stretch, tag).text = text
-
-
-def _ramp(pipe: ElementTree.Element, low: float, high: float) -> None:
-    ends = {"classificationMin": f"{low:.6g}", "classificationMax": f"{high:.6g}"}
-    renderer = _renderer(pipe, {"type": "singlebandpseudocolor", "band": "1", **ends})
-    shader = ElementTree.SubElement(
-        ElementTree.SubElement(renderer, "rastershader"),
-        "colorrampshader",
-        colorRampType="INTERPOLATED",
-        classificationMode="1",
-        clip="0",
-        minimumValue=f"{low:.6g}",
-        maximumValue=f"{high:.6g}",
-    )
-    for value, colour in zip(np.linspace(low, high, len(_RAMP)).tolist(), _RAMP, strict=True):
-        ElementTree.SubElement(
-            shader, "item", value=f"{value:.6g}", label=f"{value:.3g}", color=colour, alpha="255"
-        )
-
-
-def _renderer(pipe: ElementTree.Element, attributes: Mapping[str, str]) -> ElementTree.Element:
-    return ElementTree.SubElement(
-        pipe, "rasterrenderer", {"opacity": "1", "alphaBand": "-1", "nodataColor": "", **attributes}
-    )

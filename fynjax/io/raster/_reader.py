@@ -48,13 +48,14 @@ class Raster:
     """Bands of a raster, or of a part of it."""
 
     values: Float[np.ndarray, "band y x"]
-    """In the file's unit, its scale and offset applied; y to the north; NaN without data."""
+    """Values in the file's unit, its scale and offset applied; y to the north; NaN without data."""
     mask: Bool[np.ndarray, "y x"]
     """True where every band has data."""
     full: Bool[np.ndarray, "y x"]
     """True where a band has the largest value of its integer type."""
     transform: Affine
-    """From column and row, counted from the north-west corner, to x and y in the file's system."""
+    """Affine map from column and row, counted from the north-west corner, to x and y in the file's
+    system."""
 
     @property
     def origin(self) -> tuple[float, float]:
@@ -71,13 +72,14 @@ class RasterFile:
     what: str
     """What it is to be, for errors, such as "a probability map"."""
     dataset: Any
-    """As rasterio opened it."""
+    """The open dataset of rasterio."""
     header: dict[str, Any]
-    """ENVI header; empty for other formats."""
+    """Fields of the ENVI header; empty for other formats."""
     header_path: Path
+    """The ENVI header; the raster itself for other formats."""
 
     shape: tuple[int, int]
-    """Rows and columns."""
+    """Rows and columns of pixels."""
     bands: tuple[int, ...]
     """Numbers of the bands, without one that says where there are data (alpha)."""
     names: tuple[str, ...]
@@ -274,6 +276,7 @@ class RasterFile:
             part = Window(left, top + start, width, min(block, height - start))
             raw = file.read(bands, window=part)[:, ::step, ::step]
             data = file.read_masks(bands, window=part)[:, ::step, ::step] > 0
+            # Zeros in all bands of an image, and what the file masks, are no data.
             rows = slice(start // step, start // step + raw.shape[1])
             with np.errstate(all="ignore"):  # what is no number is warned of below
                 values[:, rows] = raw
@@ -296,6 +299,7 @@ class RasterFile:
             )
         valid &= np.isfinite(values) & ~wrong
         values[~valid] = np.nan
+        # In memory y rises to the north.
         t = file.transform
         if t.is_identity or t.e < 0:
             values, valid, full = values[:, ::-1], valid[:, ::-1], full[::-1]

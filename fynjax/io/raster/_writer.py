@@ -20,7 +20,7 @@ from fynjax.io.text import atomic_path
 LOCAL_FRAME = 'LOCAL_CS["fynjax plot frame, origin south-west",UNIT["metre",1]]'
 """Coordinate system of a plot without a place on Earth: x east, y north, in metres."""
 UNKNOWN_FRAME = 'LOCAL_CS["unknown reference system",UNIT["metre",1]]'
-"""Of coordinates that are kept as a file has them, which does not say what they are."""
+"""Coordinate system of coordinates whose file does not say what they are."""
 
 
 def write_geotiff(
@@ -99,20 +99,23 @@ def write_geotiff(
             file.units = (unit,) * bands
         if offset:
             file.offsets = (offset,) * bands
-        for number, name in enumerate(band_names, start=1):
-            file.set_band_description(number, name)
-            if wavelengths is not None:
-                centre = float(wavelengths[number - 1])
-                file.update_tags(number, wavelength=f"{centre:g}", wavelength_units="Nanometers")
-                imagery = {"CENTRAL_WAVELENGTH_UM": f"{centre / 1e3:.7g}"}
-                if widths is not None:
-                    width = float(widths[number - 1])
-                    file.update_tags(number, fwhm=f"{width:g}")
-                    imagery["FWHM_UM"] = f"{width / 1e3:.7g}"
-                file.update_tags(number, ns="IMAGERY", **imagery)
+        file.descriptions = tuple(band_names)
+        for number, centre in enumerate(() if wavelengths is None else wavelengths, start=1):
+            width = None if widths is None else widths[number - 1]
+            _tag_band(file, number, float(centre), width)
         file.update_tags(
             **{k: v if isinstance(v, str) else json.dumps(v) for k, v in (tags or {}).items()}
         )
+
+
+def _tag_band(file: Any, number: int, centre: float, width: float | None) -> None:
+    """State centre and full width at half maximum of a band [nm], also as GDAL's drivers do."""
+    file.update_tags(number, wavelength=f"{centre:g}", wavelength_units="Nanometers")
+    imagery = {"CENTRAL_WAVELENGTH_UM": f"{centre / 1e3:.7g}"}
+    if width is not None:
+        file.update_tags(number, fwhm=f"{width:g}")
+        imagery["FWHM_UM"] = f"{width / 1e3:.7g}"
+    file.update_tags(number, ns="IMAGERY", **imagery)
 
 
 def north_up(pixel_m: float, origin_m: tuple[float, float], rows: int) -> Affine:

@@ -11,10 +11,10 @@ from fynjax.io.spectra._dataset import (
     warnings_of_reading,
     write_spectra_netcdf,
 )
-from fynjax.io.spectra._envi import header_numbers, in_nanometres, open_envi, read_header
+from fynjax.io.spectra._envi import header_numbers, open_envi, read_header
 from fynjax.io.spectra._panel import read_curve
 from fynjax.io.spectra._read import read_spectra_file, read_usable_spectra, reflectances
-from fynjax.io.spectra._record import MeasuredSpectrum
+from fynjax.io.spectra._record import MeasuredSpectrum, in_nanometres
 
 __all__ = [
     "MeasuredSpectrum",

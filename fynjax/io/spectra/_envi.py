@@ -8,13 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fynjax._core.errors import LARGEST, InputError
-from fynjax.io.spectra._record import MeasuredSpectrum, note
-
-_MICROMETRES = ("micro", "um", "\u00b5m", "\u03bcm")
-_NANOMETRES = ("nano", "nm")
-_UNSTATED = ("", "unknown", "index", "1", "dimensionless")
-_LONGEST = 1e6
-"""No file states a longer wavelength: a millimetre in nm."""
+from fynjax.io.spectra._record import MeasuredSpectrum, in_nanometres, note
 
 _INTERLEAVES = ("bsq", "bil", "bip")
 """Orders of the values in a data file: bands one by one, by line, by pixel."""
@@ -131,45 +125,6 @@ def header_numbers(
             column=key,
         )
     return values
-
-
-def in_nanometres(
-    wavelength: NDArray[np.float64], unit: str, path: Path
-) -> tuple[NDArray[np.float64], float]:
-    """Band centres in nanometres.
-
-    **Arguments:**
-
-    - `wavelength`: band centres in `unit`, shape (band,).
-    - `unit`: as a file states it; empty where it states none.
-    - `path`: of the file, for errors.
-
-    **Returns:** band centres [nm], and the factor from `unit` to nm.
-
-    **Raises:** `InputError` for a unit that is neither nm nor µm, for numbers that are in µm where
-    nm are stated, and for a wavelength that no spectrometer has.
-    """
-    unit = unit.strip().lower()
-    highest = float(np.nanmax(wavelength))
-    if highest > _LONGEST:
-        raise InputError(
-            f"expected wavelengths in Nanometers or Micrometers, but one is {highest:g}",
-            file=path,
-            column="wavelength",
-        )
-    if unit.startswith(_MICROMETRES) or (unit in _UNSTATED and highest < 100.0):
-        return wavelength * 1000.0, 1000.0
-    if not unit.startswith(_NANOMETRES) and unit not in _UNSTATED:
-        raise InputError(
-            f"expected wavelengths in Nanometers or Micrometers, but the unit is {unit!r}",
-            file=path,
-            column="wavelength units",
-        )
-    if highest < 100.0:
-        raise InputError(
-            f"wavelengths are stated in {unit!r}, but end at {highest:g}; are they µm?", file=path
-        )
-    return wavelength, 1.0
 
 
 def read_envi_library(path: str | Path) -> list[MeasuredSpectrum]:

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fynjax._core.errors import InputError
 
@@ -16,6 +17,11 @@ _LOWEST, _HIGHEST = -0.02, 1.05
 _OVERCORRECTED = -0.1
 # No ratio of two counts of 16 bits, be they noise, is larger.
 _LARGEST_RATIO = 65535.0
+_MICROMETRES = ("micro", "um", "\u00b5m", "\u03bcm")
+_NANOMETRES = ("nano", "nm")
+_UNSTATED = ("", "unknown", "index", "1", "dimensionless")
+_LONGEST = 1e6
+"""No file states a longer wavelength: a millimetre in nm."""
 
 
 @dataclass(frozen=True)
@@ -37,6 +43,46 @@ class MeasuredSpectrum:
 def note(meta: dict[str, Any], sentence: str) -> None:
     """Add `sentence` to the repairs in `meta`, which belongs to a spectrum under construction."""
     meta.setdefault("repairs", []).append(sentence)
+
+
+def in_nanometres(
+    wavelength: NDArray[np.float64], unit: str, path: Path
+) -> tuple[NDArray[np.float64], float]:
+    """Band centres in nanometres.
+
+    **Arguments:**
+
+    - `wavelength`: band centres in `unit`, shape (band,).
+    - `unit`: as a file states it; empty where it states none.
+    - `path`: of the file, for errors.
+
+    **Returns:** band centres [nm], and the factor from `unit` to nm.
+
+    **Raises:** `InputError` for a unit that is neither nm nor µm, for numbers that are in the other
+    of both, and for a wavelength that no spectrometer has.
+    """
+    unit = unit.strip().lower()
+    highest = float(np.nanmax(wavelength))
+    if highest > _LONGEST:
+        raise InputError(
+            f"expected wavelengths in Nanometers or Micrometers, but one is {highest:g}",
+            file=path,
+            column="wavelength",
+        )
+    micrometres = unit.startswith(_MICROMETRES)
+    if not micrometres and not unit.startswith(_NANOMETRES) and unit not in _UNSTATED:
+        raise InputError(
+            f"expected wavelengths in Nanometers or Micrometers, but the unit is {unit!r}",
+            file=path,
+            column="wavelength units",
+        )
+    if unit not in _UNSTATED and micrometres != (highest < 100.0):
+        raise InputError(
+            f"wavelengths are stated in {unit!r}, but run to {highest:g}; are they "
+            f"{'nm' if micrometres else 'µm'}?",
+            file=path,
+        )
+    return (wavelength * 1000.0, 1000.0) if highest < 100.0 else (wavelength, 1.0)
 
 
 def in_windows(wavelength: np.ndarray, windows: tuple[tuple[float, float], ...]) -> np.ndarray:

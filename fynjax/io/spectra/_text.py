@@ -9,9 +9,14 @@ import numpy as np
 
 from fynjax._core.errors import InputError
 from fynjax._core.tables import TextTable, is_number, open_table, trimmed, without_header
-from fynjax.io.spectra._record import MeasuredSpectrum, note
+from fynjax.io.spectra._record import MeasuredSpectrum, in_nanometres, note
 
 _WAVELENGTH = re.compile(r"^(wave[ _]?length|wavelen|wvl?|wl|lambda|nm|[uµμ]m|x)\b", re.I)
+_UNITS = {
+    "µm": re.compile(r"(?<![a-z])[uµμ]m\b|micro", re.I),
+    "nm": re.compile(r"\bnm\b|_nm|nano", re.I),
+}
+"""How a header names the unit of wavelengths."""
 _BAND_NAME = re.compile(r"^(?:[A-Za-z_. ]{0,12}?)(\d{3,4}(?:\.\d+)?|[0-2]\.\d+)\s*_?(nm|[uµμ]m)?$")
 MISSING = {"", "na", "nan", "null", "none", "-", "#n/a", "-999", "-9999", "-9999.0", "-999.0"}
 """What stands for a missing value, in small letters."""
@@ -21,26 +26,13 @@ _REFL = re.compile(r"(^|[ _.\-(])(r|refl|reflectance|rho)(?=$|[ _.\-)%])", re.I)
 
 
 def _to_nm(wavelength: np.ndarray, label: str, meta: dict[str, Any], file: Path) -> np.ndarray:
-    says_um = bool(re.search(r"[uµμ]m\b|micro", label, re.I))
-    says_nm = bool(re.search(r"\bnm\b|_nm|nano", label, re.I))
-    highest = float(np.nanmax(wavelength))
-    if says_um and highest < 100.0:
-        note(meta, "wavelengths converted from µm to nm")
-        return wavelength * 1000.0
-    if says_um:
-        raise InputError(
-            f"the header {label!r} says µm, but wavelengths run to {highest:g}; are they in nm?",
-            file=file,
+    """Wavelengths in nm by the unit in a header, or, where it has none, by their size."""
+    unit = next((unit for unit, sign in _UNITS.items() if sign.search(label)), "")
+    wavelength, factor = in_nanometres(wavelength, unit, file)
+    if factor != 1.0:
+        note(
+            meta, f"wavelengths converted from µm{'' if unit else ', as all are below 100,'} to nm"
         )
-    if highest < 100.0:
-        if says_nm:
-            raise InputError(
-                f"the header {label!r} says nm, but wavelengths end at {highest:g}; are they µm? "
-                "Name the column wavelength_um",
-                file=file,
-            )
-        note(meta, "wavelengths below 100 taken as µm and converted to nm")
-        return wavelength * 1000.0
     return wavelength
 
 

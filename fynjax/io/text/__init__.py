@@ -1,7 +1,7 @@
 """Text files of a user: strict tables and TOML with errors that point at the cell; safe writing."""
 
 from fynjax._core.errors import did_you_mean
-from fynjax._core.files import existing_file, read_bytes
+from fynjax._core.files import NamedFile, check_stated_size, existing_file, read_bytes
 from fynjax._core.records import Slip, Strict, number, optional_quantity, quantity
 from fynjax._core.tables import TextTable, open_table
 from fynjax._core.validation import first_error, sentence
@@ -12,7 +12,6 @@ from fynjax.io.text._atomic import (
     staged_folder,
     write_text,
 )
-from fynjax.io.text._files import NamedFile, check_stated_size, named_file
 from fynjax.io.text._named import shipped_or_own
 from fynjax.io.text._tables import read_rows, read_text
 from fynjax.io.text._toml import line_of, read_toml
@@ -28,7 +27,6 @@ __all__ = [
     "existing_file",
     "first_error",
     "line_of",
-    "named_file",
     "number",
     "open_table",
     "optional_quantity",

@@ -21,7 +21,9 @@ def read_text(path: Path) -> str:
     return text.replace("\r\n", "\n").replace("\r", "\n")  # \r alone ended lines on old Macs
 
 
-def read_rows(path: str | Path, model: type[Row], what: str) -> list[tuple[int, Row]]:
+def read_rows(
+    path: str | Path, model: type[Row], what: str, *, within: Path | None = None
+) -> list[tuple[int, Row]]:
     """Read a table as rows of `model`, each with its row number.
 
     The table may be written as `fynjax._core.tables.open_table` has it: as CSV with any separator,
@@ -33,6 +35,8 @@ def read_rows(path: str | Path, model: type[Row], what: str) -> list[tuple[int, 
     - `model`: the record of a row; its fields are the columns. Further columns are skipped if it
       ignores what it does not name; else they are an error.
     - `what`: names the file in errors, such as "a species table".
+    - `within`: folder in which files must lie that a `NamedFile` of the record names; `None` allows
+      any place.
 
     **Returns:** for each row its number, as an editor counts, and its record.
 
@@ -53,7 +57,7 @@ def read_rows(path: str | Path, model: type[Row], what: str) -> list[tuple[int, 
         )
         for row, found in table.records()
     )
-    rows = checked_rows(cells, model, table.path)
+    rows = checked_rows(cells, model, table.path, within=within)
     if not rows:
         raise InputError(f"expected {what}, but there is only a header", file=table.path)
     return rows

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
+from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
 from fynjax._core.errors import InputError
@@ -87,15 +88,24 @@ def _place(
     error: ErrorDetails, model: type[BaseModel], raw: dict[str, Any]
 ) -> tuple[type[BaseModel], ErrorDetails, tuple[str | int, ...]]:
     """The record, the complaint and the key as a user knows them: [table] and key."""
-    # Unions add the branch's own name to the place, lists the position.
-    loc = error["loc"][:2]
-    if len(loc) > 1:
-        model = _table_of(model, loc[0]) or model
-    if len(error["loc"]) > 3 and (row := _table_of(model, loc[1])):  # of a list of tables
-        return row, error, error["loc"][:4]
-    if len(error["loc"]) > 2:
+    place = error["loc"]
+    field = model.model_fields.get(str(place[0])) if place else None
+    if field is not None and isinstance(by := field.discriminator, str):
+        if error["type"].startswith("union_tag"):  # the kind is missing or not known
+            return model, error, (*place, by)
+        for record in _records(field):
+            if place[1:] and place[1] in typing.get_args(record.model_fields[by].annotation):
+                model = record
+        place = (*place[:1], *place[2:])  # pydantic adds the kind to it
+    elif field is not None and len(place) > 1:
+        model = next(iter(_records(field)), model)
+    # Other unions add the branch's own name to the place, lists the position.
+    loc = place[:2]
+    if len(place) > 3 and (field := model.model_fields.get(str(loc[1]))) and _records(field):
+        return _records(field)[0], error, place[:4]  # of a list of tables
+    if len(place) > 2:
         value: Any = raw
-        for part in error["loc"][:3]:  # the value itself, or the list or table that it stands in
+        for part in place[:3]:  # the value itself, or the list or table that it stands in
             inside = (isinstance(value, list) and isinstance(part, int) and part < len(value)) or (
                 isinstance(value, dict) and part in value
             )
@@ -104,10 +114,7 @@ def _place(
     return model, error, loc
 
 
-def _table_of(model: type[BaseModel], key: str | int) -> type[BaseModel] | None:
-    """The record that stands under a key, alone or in a list."""
-    field = model.model_fields.get(str(key))
-    if field is None:
-        return None
+def _records(field: FieldInfo) -> list[type[BaseModel]]:
+    """The records that may stand under a key, alone or in a list."""
     kinds = [field.annotation, *typing.get_args(field.annotation)]
-    return next((k for k in kinds if isinstance(k, type) and issubclass(k, BaseModel)), None)
+    return [k for k in kinds if isinstance(k, type) and issubclass(k, BaseModel)]

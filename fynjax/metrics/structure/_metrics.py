@@ -56,7 +56,7 @@ def cell_grid(
 
     **Raises:** `InputError` where not one cell fits.
 
-    >>> from fynjax.metrics import cell_grid
+    >>> from fynjax.metrics.structure import cell_grid
     >>> cell_grid((0.0, 0.0, 10.0, 10.0), 3.0).shape
     (3, 3)
     """
@@ -86,12 +86,13 @@ class BinnedReturns:
     canopy_cells: int
     """Cells of the canopy's surface along the side of a cell."""
     height: Float[np.ndarray, " return"]
-    """Above ground [m]."""
-    weight: Float[np.ndarray, " return"]
+    """Height of each return above the ground [m]."""
     cell: Int[np.ndarray, " return"]
+    """Number of each return's cell, row by row."""
     layer: Int[np.ndarray, " return"]
-    """From 1 for the lowest; 0 is below all layers."""
+    """Number of each return's layer, from 1 for the lowest; 0 is below all layers."""
     canopy: Int[np.ndarray, " return"]
+    """Number of each return's cell of the canopy's surface."""
 
     def __len__(self) -> int:
         return len(self.height)
@@ -100,10 +101,7 @@ class BinnedReturns:
         """Some of the returns, by number or by a mask, in the same cells and layers."""
         return replace(
             self,
-            **{
-                name: getattr(self, name)[index]
-                for name in ("height", "weight", "cell", "layer", "canopy")
-            },
+            **{name: getattr(self, name)[index] for name in ("height", "cell", "layer", "canopy")},
         )
 
 
@@ -116,11 +114,12 @@ class CellStructure:
     returns: Int[np.ndarray, "y x"]
     """Returns in each cell."""
     metrics: dict[str, Float[np.ndarray, "y x"]]
-    """By name, as in `STRUCTURE_METRICS`."""
+    """Each metric in each cell, by its name in `STRUCTURE_METRICS`."""
     edges: Float[np.ndarray, " edge"]
     """Heights of the layers' edges [m], one more than layers."""
     leaf_area_density: Float[np.ndarray, "y x layer"]
-    """[m2 m-3]; NaN below `settings.lowest`, above the top, and where nothing passed."""
+    """Leaf area density of each layer of each cell [m2 m-3]; NaN below `settings.lowest`, above the
+    top, and where nothing passed."""
 
     def counted(self, least_returns: int) -> NDArray[np.bool_]:
         """Which cells have at least so many returns."""
@@ -128,12 +127,9 @@ class CellStructure:
 
     def means(self, least_returns: int = 1) -> dict[str, float]:
         """Mean of each metric over the cells that count; NaN where all are undefined."""
-        return {name: _mean(v) for name, v in self.values(least_returns).items()}
-
-    def values(self, least_returns: int = 1) -> dict[str, NDArray[np.float64]]:
-        """The defined values of each metric in the cells that count."""
         keep = self.counted(least_returns)
-        return {name: v[keep & np.isfinite(v)] for name, v in self.metrics.items()}
+        defined = {name: v[keep & np.isfinite(v)] for name, v in self.metrics.items()}
+        return {name: float(v.mean()) if v.size else np.nan for name, v in defined.items()}
 
     def profile(self, least_returns: int = 1) -> NDArray[np.float64]:
         """Leaf area density of each layer, mean over cells that count [m2 m-3].
@@ -152,8 +148,6 @@ def bin_returns(
     height: ArrayLike,
     grid: CellGrid,
     settings: StructureSettings,
-    *,
-    weight: ArrayLike | None = None,
 ) -> BinnedReturns:
     """Sort returns into the cells of a plot and the layers of its canopy.
 
@@ -163,40 +157,33 @@ def bin_returns(
     - `height`: above ground [m]; below 0 counts as 0.
     - `grid`: the cells (`cell_grid`).
     - `settings`: layers and thresholds.
-    - `weight`: what each return counts [-]: one over the number of returns of its pulse, or 0 and
-      1 to choose first returns; 1 unless given.
 
     **Returns:** a `BinnedReturns`, for `cell_structure`. Not differentiable.
 
-    **Raises:** `InputError` for arrays of different length, NaN, weights that are negative, no
-    return inside, or more cells times layers than memory is for.
+    **Raises:** `InputError` for arrays of different length, NaN, no return inside, or more cells
+    times layers than memory is for.
     """
     east, north, up = (np.asarray(v, np.float64).ravel() for v in (x, y, height))
-    count = np.ones(len(up)) if weight is None else np.asarray(weight, np.float64).ravel()
-    if not len(east) == len(north) == len(up) == len(count):
+    if not len(east) == len(north) == len(up):
         raise InputError(
-            "expected as many x, y, heights and weights, but got "
-            f"{len(east)}, {len(north)}, {len(up)} and {len(count)}"
+            f"expected as many x, y and heights, but got {len(east)}, {len(north)} and {len(up)}"
         )
-    for name, values in (("x", east), ("y", north), ("height", up), ("weight", count)):
+    for name, values in (("x", east), ("y", north), ("height", up)):
         if not np.isfinite(values).all():
-            raise InputError(f"`{name}` must be finite, but return {_first(values)} is not")
-    if (count < 0.0).any():
-        raise InputError("`weight` must be at least 0")
+            first = int(np.argmin(np.isfinite(values))) + 1
+            raise InputError(f"`{name}` must be finite, but return {first} is not")
     column = np.floor((east - grid.origin[0]) / grid.grain).astype(np.int64)
     row = np.floor((north - grid.origin[1]) / grid.grain).astype(np.int64)
     # A return on the outer edge belongs to the last cell, as in a histogram.
     column[east == grid.bounds[2]] = grid.columns - 1
     row[north == grid.bounds[3]] = grid.rows - 1
     inside = (column >= 0) & (column < grid.columns) & (row >= 0) & (row < grid.rows)
-    inside &= count > 0.0
     if not inside.any():
         raise InputError(
             "expected returns in the cells of the plot, but there are none. Are both in the same "
             "coordinate reference system?"
         )
-    east, north, count = east[inside], north[inside], count[inside]
-    column, row = column[inside], row[inside]
+    east, north, column, row = east[inside], north[inside], column[inside], row[inside]
     up = np.maximum(up[inside], 0.0)
     cell = row * grid.columns + column
     layer = np.floor((up - settings.base) / settings.layer + _ON_EDGE).astype(np.int64) + 1
@@ -212,7 +199,7 @@ def bin_returns(
     j = ((north - grid.origin[1]) / grid.grain - row) * side
     part = [np.clip(v.astype(np.int64), 0, side - 1) for v in (j, i)]
     canopy = (cell * side + part[0]) * side + part[1]
-    return BinnedReturns(grid, settings, layers, side, up, count, cell, layer, canopy)
+    return BinnedReturns(grid, settings, layers, side, up, cell, layer, canopy)
 
 
 def cell_structure(returns: BinnedReturns) -> CellStructure:
@@ -228,10 +215,15 @@ def cell_structure(returns: BinnedReturns) -> CellStructure:
     rugosity of less than two canopy cells with returns; the coefficient of variation of less than
     two returns, or of returns that all lie on the ground; all of them in a cell without a return.
 
-    Not differentiable: see `smooth_cell_structure`.
+    Not differentiable: `voxel_structure` is the differentiable form, of area density on voxels.
 
     >>> import numpy as np
-    >>> from fynjax.metrics import StructureSettings, bin_returns, cell_grid, cell_structure
+    >>> from fynjax.metrics.structure import (
+    ...     StructureSettings,
+    ...     bin_returns,
+    ...     cell_grid,
+    ...     cell_structure,
+    ... )
     >>> rng = np.random.default_rng(1)
     >>> x, y, height = rng.random(400) * 2.0, rng.random(400) * 2.0, rng.random(400)
     >>> cells = cell_grid((0.0, 0.0, 2.0, 2.0), 1.0)
@@ -243,7 +235,7 @@ def cell_structure(returns: BinnedReturns) -> CellStructure:
     grid, settings = returns.grid, returns.settings
     cells, layers = grid.rows * grid.columns, returns.layers
     ground = returns.height < settings.ground_height
-    weight = np.where(ground, settings.ground_weight, 1.0) * returns.weight
+    weight = np.where(ground, settings.ground_weight, 1.0)
     bins = np.bincount(
         returns.cell * (layers + 1) + returns.layer, weight, cells * (layers + 1)
     ).reshape(cells, layers + 1)
@@ -301,53 +293,32 @@ def _highest(returns: BinnedReturns, cells: int) -> NDArray[np.float64]:
 
 
 def _rugosity(returns: BinnedReturns, cells: int) -> tuple[Any, Any]:
+    lost = returns.settings.degrees_lost
     if returns.settings.rugosity_of == "canopy":
         value = _highest(returns, cells)
         good = np.isfinite(value)
     else:
         number = cells * returns.canopy_cells**2
-        _, deviation, good = _moments(
-            returns.height, returns.weight, returns.canopy, number, returns.settings.degrees_lost
-        )
-        value, good = deviation.reshape(cells, -1), good.reshape(cells, -1)
+        _, value, good = _moments(returns.height, returns.canopy, number, lost)
+        value, good = value.reshape(cells, -1), good.reshape(cells, -1)
     which = np.broadcast_to(np.arange(cells)[:, None], value.shape)[good]
-    _, deviation, defined = _moments(
-        value[good], np.ones(len(which)), which, cells, returns.settings.degrees_lost
-    )
-    return deviation, defined
+    return _moments(value[good], which, cells, lost)[1:]
 
 
 def _height_cv(returns: BinnedReturns, cells: int) -> tuple[Any, Any]:
-    settings = returns.settings
-    high = returns.height >= settings.cv_lowest
+    high = returns.height >= returns.settings.cv_lowest
     mean, deviation, defined = _moments(
-        returns.height[high], returns.weight[high], returns.cell[high], cells, settings.degrees_lost
+        returns.height[high], returns.cell[high], cells, returns.settings.degrees_lost
     )
     return deviation / np.where(mean > 0.0, mean, 1.0), defined & (mean > 0.0)
 
 
 def _moments(
-    value: NDArray[np.float64],
-    weight: NDArray[np.float64],
-    group: NDArray[np.int64],
-    groups: int,
-    degrees_lost: int,
+    value: NDArray[np.float64], group: NDArray[np.int64], groups: int, degrees_lost: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
     """Mean and standard deviation in each group, and where there are two values or more."""
-    total = np.bincount(group, weight, groups)
-    safe = np.where(total > 0.0, total, 1.0)
-    mean = np.bincount(group, weight * value, groups) / safe
-    squares = np.bincount(group, weight * (value - mean[group]) ** 2, groups) / safe
-    # Of n values with unequal weights, n / (n - 1) makes the deviation that of the sample.
     number = np.bincount(group, minlength=groups)
+    mean = np.bincount(group, value, groups) / np.maximum(number, 1)
+    squares = np.bincount(group, (value - mean[group]) ** 2, groups)
     several = number > 1
-    variance = squares * np.where(several, number / np.maximum(number - degrees_lost, 1), 0.0)
-    return mean, np.sqrt(variance), several
-
-
-def _mean(values: NDArray[np.float64]) -> float:
-    return float(values.mean()) if values.size else float("nan")
-
-
-def _first(values: NDArray[np.float64]) -> int:
-    return int(np.argmin(np.isfinite(values))) + 1
+    return mean, np.sqrt(squares / np.maximum(number - degrees_lost, 1)) * several, several

@@ -32,7 +32,7 @@ def foliage_height_diversity(
     **Returns:** the diversity in natural units, at least 0 and at most the logarithm of the number
     of layers; NaN where there is nothing. Not differentiable (NumPy).
 
-    >>> from fynjax.metrics import foliage_height_diversity
+    >>> from fynjax.metrics.structure import foliage_height_diversity
     >>> round(float(foliage_height_diversity([10, 10, 0, 0])), 4)  # two layers alike: ln 2
     0.6931
     """

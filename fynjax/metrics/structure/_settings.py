@@ -1,7 +1,7 @@
 """How structure is measured: layers, thresholds and conventions, and those of known tools."""
 
-from dataclasses import dataclass, fields, replace
-from typing import Any, Literal
+from dataclasses import dataclass, replace
+from typing import Literal, get_args, get_type_hints
 
 import numpy as np
 
@@ -16,6 +16,9 @@ STRUCTURE_METRICS: dict[str, str] = {
     "height_cv": "1",
 }
 """Unit of each structure metric, in the order of the paper's figure 13; "1" has none."""
+
+
+_POSITIVE = ("layer", "extinction", "ground_weight", "gap_extinction", "canopy_cell")
 
 
 def _name_and_option(name: str) -> str:
@@ -80,30 +83,24 @@ class StructureSettings:
     taken."""
     cv_lowest: float = 0.0
     """Returns below this do not count for the coefficient of variation of height [m]."""
-    degrees_lost: int = 1
+    degrees_lost: Literal[0, 1] = 1
     """1 divides squared deviations by n - 1, as R does; 0 by n, as NumPy does."""
     source: str = "fynjax"
     """Where the conventions are from."""
 
     def __post_init__(self) -> None:
-        for name in ("layer", "extinction", "ground_weight", "gap_extinction", "canopy_cell"):
-            self._check(name, lowest=0.0, open_end=True)
-        for name in ("lowest", "ground_height", "diversity_lowest", "diversity_least_share"):
-            self._check(name, lowest=0.0, open_end=False)
-        for name in ("gap_height", "cv_lowest"):
-            self._check(name, lowest=0.0, open_end=False)
-        for name, known in (
-            ("top", ("cell", "plot")),
-            ("diversity_of", ("returns", "leaf_area")),
-            ("gap_of", ("returns", "canopy", "leaf_area")),
-            ("rugosity_of", ("canopy", "columns")),
-            ("degrees_lost", (0, 1)),
-        ):
-            if getattr(self, name) not in known:
+        for name, kind in get_type_hints(type(self)).items():
+            value, known = getattr(self, name), get_args(kind)
+            if known and value not in known:
                 raise InputError(
-                    f"{_name_and_option(name)} must be one of "
-                    f"{', '.join(map(repr, known))}, but is {getattr(self, name)!r}"
+                    f"{_name_and_option(name)} must be one of {', '.join(map(repr, known))}, but "
+                    f"is {value!r}"
                 )
+            if kind is float:
+                number = isinstance(value, int | float) and np.isfinite(value) and value >= 0.0
+                if not number or (name in _POSITIVE and value == 0.0):
+                    least = "positive" if name in _POSITIVE else "at least 0"
+                    raise InputError(f"{_name_and_option(name)} must be {least}, but is {value!r}")
         apart = (self.lowest - self.diversity_lowest) / self.layer
         if abs(apart - round(apart)) > 1e-6:
             raise InputError(
@@ -111,13 +108,6 @@ class StructureSettings:
                 f"whole layers apart, but are {self.lowest:g} and {self.diversity_lowest:g} m "
                 f"with layers of {self.layer:g} m"
             )
-
-    def _check(self, name: str, *, lowest: float, open_end: bool) -> None:
-        value = getattr(self, name)
-        good = isinstance(value, int | float) and np.isfinite(value)
-        if not good or value < lowest or (open_end and value == lowest):
-            kind = "positive" if open_end else "at least 0"
-            raise InputError(f"{_name_and_option(name)} must be {kind}, but is {value!r}")
 
     @property
     def base(self) -> float:
@@ -127,10 +117,6 @@ class StructureSettings:
     def first_layer(self, height: float) -> int:
         """Number of whole layers between `base` and a height that is an edge."""
         return round((height - self.base) / self.layer)
-
-    def as_dict(self) -> dict[str, Any]:
-        """The settings by name, as outputs carry them."""
-        return {field.name: getattr(self, field.name) for field in fields(self)}
 
 
 _SHRUB = StructureSettings()

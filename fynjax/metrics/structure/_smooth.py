@@ -1,4 +1,4 @@
-"""Structure metrics that an inversion can use: smooth in heights, weights or area density."""
+"""Structure metrics that an inversion can use: smooth in the area density of voxels."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -6,18 +6,14 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float
 
 from fynjax._core.errors import InputError
-from fynjax.metrics._distribution import quantiles, smooth_histogram_intersection
 from fynjax.metrics.structure._profile import leaf_area_gap, profile_metrics, ratio, root
 from fynjax.metrics.structure._settings import STRUCTURE_METRICS, StructureSettings
 
 # Added to shares before their logarithm is taken: the slope of -p ln p is infinite at 0.
 _FLOOR = 1e-5
-# Counts below this hardly make a layer of returns present: a real return, 1, does to 5e-5.
-_PRESENCE = 0.1
 _SUBDIVISIONS = 8
 
 
@@ -25,9 +21,9 @@ class SmoothStructure(eqx.Module):
     """Structure in each cell, smooth; finite everywhere."""
 
     metrics: dict[str, Float[Array, " cell"]]
-    """By name, as in `STRUCTURE_METRICS`, in their units; some number where undefined."""
+    """Each metric in each cell, by its name in `STRUCTURE_METRICS`; some number where undefined."""
     defined: dict[str, Float[Array, " cell"]]
-    """How far each is defined [-], 0 to 1: its weight in a mean over cells."""
+    """How far each metric is defined in each cell [-], 0 to 1: its weight in a mean over cells."""
 
     def means(self) -> dict[str, Float[Array, ""]]:
         """Mean of each metric over the cells where it is defined; 0 where it is so in none."""
@@ -35,83 +31,6 @@ class SmoothStructure(eqx.Module):
             name: ratio(jnp, jnp.sum(self.defined[name] * value), jnp.sum(self.defined[name]))
             for name, value in self.metrics.items()
         }
-
-
-def smooth_cell_structure(
-    height: Float[Array, " return"],
-    cell: Int[Array, " return"],
-    canopy: Int[Array, " return"],
-    settings: StructureSettings,
-    *,
-    cells: int,
-    layers: int,
-    canopy_cells: int,
-    weight: Float[Array, " return"] | None = None,
-    width: float = 0.02,
-) -> SmoothStructure:
-    """Smooth counterpart of `cell_structure`, for returns whose heights or weights move.
-
-    **Arguments:**
-
-    - `height`: above ground [m].
-    - `cell`, `canopy`: number of each return's cell, and of its canopy cell, as in
-      `BinnedReturns`; they are fixed.
-    - `settings`: layers and thresholds.
-    - `cells`, `layers`, `canopy_cells`: numbers of these, as there; returns above the highest
-      layer count in it.
-    - `weight`: what each return counts [-], at least 0; 1 unless given.
-    - `width`: height over which a return moves from one layer to the next, or past a threshold
-      [m], at most a layer.
-
-    **Returns:** a `SmoothStructure`. For `width` 0.02 m and fynbos-like heights, plot means are
-    within 2 % of the exact ones (measured: see the tests), the more so the smaller the width.
-    Undefined layers and cells fade out where exactly they would drop out. Rugosity is that of the
-    canopy, where the highest return is a mean weighted by exp(height / `width`).
-
-    **Raises:** `InputError` for a width out of range or settings without a smooth form
-    (`rugosity_of` "columns", `gap_of` "canopy").
-
-    Differentiable in `height` and `weight` to second order everywhere, with the slope 0 where a
-    metric is undefined.
-    """
-    if not 0.0 < width <= settings.layer:
-        raise InputError(f"`width` must be positive and at most a layer, but is {width}")
-    if settings.rugosity_of != "canopy" or settings.gap_of == "canopy":
-        raise InputError(
-            "the smooth metrics of returns need `rugosity_of` 'canopy' and `gap_of` 'returns' or "
-            f"'leaf_area', but have {settings.rugosity_of!r} and {settings.gap_of!r}"
-        )
-    h = jnp.maximum(height, 0.0)
-    w = jnp.ones_like(h) if weight is None else weight
-    ground = 1.0 - _above(h, settings.ground_height, width)
-    plant = w * (1.0 - ground)
-    place = (h - settings.base) / settings.layer
-    edge = jnp.floor(place + 0.5)
-    share = _step(0.5 + (place - edge) * (settings.layer / width))
-    if settings.base <= 0.0:
-        share = jnp.where(edge <= 0.0, 1.0, share)  # nothing lies below the ground
-    upper = jnp.clip(edge.astype(int) + 1, 0, layers)
-    lower = jnp.clip(edge.astype(int), 0, layers)
-    bins = jnp.zeros((cells, layers + 1), h.dtype)
-    bins = bins.at[cell, upper].add(plant * share).at[cell, lower].add(plant * (1.0 - share))
-    bins = bins.at[cell, 0].add(settings.ground_weight * w * ground)
-    all_weight = settings.ground_weight * w * ground + plant
-    low = 1.0 - _above(h, settings.gap_height, width)
-    total = _sum(all_weight, cell, cells)
-    gap = ratio(jnp, _sum(all_weight * low, cell, cells), total)
-    high = w * _above(h, settings.cv_lowest, width)
-    mean, spread, number = _moments(h, high, cell, cells, settings.degrees_lost)
-    return _assemble(
-        bins[:, 1:],
-        bins[:, 0],
-        settings,
-        _PRESENCE,
-        {
-            "gap_fraction": (gap, _present(total, _PRESENCE)),
-            "height_cv": (ratio(jnp, spread, mean), _present(number - 1.0, _PRESENCE)),
-            "rugosity": _soft_rugosity(h, w, canopy, cells, canopy_cells, settings, width),
-        },
-    )
 
 
 def voxel_structure(
@@ -160,7 +79,7 @@ def voxel_structure(
 
     >>> import jax
     >>> import jax.numpy as jnp
-    >>> from fynjax.metrics import StructureSettings, voxel_structure
+    >>> from fynjax.metrics.structure import StructureSettings, voxel_structure
     >>> @jax.jit
     ... def gap_fraction(density):
     ...     structure = voxel_structure(
@@ -202,29 +121,32 @@ def voxel_structure(
         pixel = round(across)
         shape = (rows, canopy_cells, pixel, columns, canopy_cells, pixel, -1)
         mean = gaps.reshape(shape).mean(axis=(2, 5))  # row, pixel row, column, pixel column, level
-        mean = mean.transpose(0, 2, 1, 3, 4).reshape(rows * columns, canopy_cells**2, -1)
-        return mean
+        return mean.transpose(0, 2, 1, 3, 4).reshape(rows * columns, canopy_cells**2, -1)
 
-    def gap_of_cell(*heights: float) -> Float[Array, "cell level"]:
-        return gap_at(jnp.asarray(heights, dtype)).mean(axis=1)
+    def gap_of_cell(height: float) -> Float[Array, " cell"]:
+        return gap_at(jnp.asarray([height], dtype)).mean(axis=1)[:, 0]
 
+    # Returns expected from each layer: the fall of the gap probability through it. From the ground
+    # up: what returns from below the ground's threshold lies under all layers.
     number = pulses * grain**2
-    # From the ground up: what returns from below the ground's threshold lies under all layers.
     low = max(settings.base, settings.ground_height)
     steps = settings.base + settings.layer * jnp.arange(layers + 1, dtype=dtype)
     gaps = gap_at(jnp.maximum(steps, low)).mean(axis=1).at[:, -1].set(1.0)
     if low <= 0.0:
         gaps = gaps.at[:, 0].set(0.0)  # returns from the ground are in the lowest layer
     counts = number * jnp.diff(gaps, axis=1)
-    soil = gap_of_cell(settings.ground_height)[:, 0] if settings.ground_height > 0.0 else 0.0
+    soil = gap_of_cell(settings.ground_height) if settings.ground_height > 0.0 else 0.0
     weighted = (settings.ground_weight - 1.0) * soil
     under = number * (gaps[:, 0] + weighted)
-    gap = gap_of_cell(settings.gap_height)[:, 0]
+    # Gap fraction: the share of returns below the threshold, those of the ground weighted.
+    gap = gap_of_cell(settings.gap_height)
     least = min(settings.ground_height, settings.gap_height)
     weighted_low = (settings.ground_weight - 1.0) * (
-        gap_of_cell(least)[:, 0] if settings.ground_height > 0.0 else 0.0
+        gap_of_cell(least) if settings.ground_height > 0.0 else 0.0
     )
     share = (gap + weighted_low) / (1.0 + weighted)
+    # Rugosity: all pulses on a canopy cell pass a height with the power of what one does, and that
+    # is the distribution of the highest return.
     fine = jnp.arange(density.shape[0] * _SUBDIVISIONS + 1, dtype=dtype) * (thick / _SUBDIVISIONS)
     column = gap_at(fine)
     hit = pulses * (grain / canopy_cells) ** 2
@@ -237,9 +159,10 @@ def voxel_structure(
     variance = between / max(many - lost, 1) + within * (1.0 if lost else (many - 1) / many)
     if settings.gap_of == "canopy":
         share = jnp.mean(gap_at(jnp.asarray([settings.gap_height], dtype))[..., 0] ** hit, axis=1)
+    # Variation of height: moments of single returns above the threshold.
     mean, square = _height_moments(column.mean(axis=1), fine, settings.cv_lowest)
     mass = number * (
-        1.0 - gap_of_cell(settings.cv_lowest)[:, 0]
+        1.0 - gap_of_cell(settings.cv_lowest)
         if settings.cv_lowest > 0.0
         else jnp.ones(rows * columns, dtype)
     )
@@ -250,10 +173,9 @@ def voxel_structure(
         counts,
         under,
         settings,
-        1.0,
         {
             "gap_fraction": (share, jnp.ones_like(share)),
-            "height_cv": (ratio(jnp, spread, mean), _present(mass - 1.0, 1.0)),
+            "height_cv": (ratio(jnp, spread, mean), _present(mass - 1.0)),
             "rugosity": (
                 root(jnp, variance) * (many > 1),
                 jnp.full_like(variance, float(many > 1)),
@@ -286,7 +208,7 @@ def voxel_height_percentiles(
     Differentiable in `density` and `ground` where the percentile is above the ground.
 
     >>> import jax.numpy as jnp
-    >>> from fynjax.metrics import voxel_height_percentiles
+    >>> from fynjax.metrics.structure import voxel_height_percentiles
     >>> even = jnp.full((4, 1, 1), 2.0)  # 1 m of leaves: exp(-0.5 * 2 (1 - h)) = 0.5
     >>> voxel_height_percentiles(even, [50.0], thick=0.25).round(3).tolist()
     [0.307]
@@ -314,90 +236,42 @@ def _gaps(
     return jnp.exp(-projection * area_above(ground.ravel(), above.reshape(len(levels), -1)))
 
 
-def smooth_height_intersection(
-    real: Float[Array, " n"],
-    simulated: Float[Array, " m"],
-    width: float,
-    *,
-    highest: float,
-    smoothing: float = 0.0,
-) -> Float[Array, ""]:
-    """Smooth counterpart of `height_intersection` [-].
-
-    **Arguments:**
-
-    - `real`, `simulated`: heights of returns above the ground [m].
-    - `width`: height of a bin [m], positive; bins begin at the ground.
-    - `highest`: height that the bins reach [m]; returns above it count in the highest bin.
-    - `smoothing`: standard deviation of a Gaussian that spreads bins and makes the slopes smoother
-      [bins].
-
-    Without smoothing it is within 0.005 of the exact one for 20 000 returns of fynbos-like heights
-    in bins of 0.1 m, and within 0.02 for 1317 (measured); with 0.5, within 0.015 and 0.03.
-    Differentiable as `soft_histogram` is.
-    """
-    bins = max(2, int(np.ceil(highest / width - 1e-6)))
-    limits = (0.0, bins * width)
-    return smooth_histogram_intersection(
-        real, simulated, bins=bins, smoothing=smoothing, limits=limits
-    )
-
-
-def height_percentile_rmse(
-    real: Float[Array, " n"], simulated: Float[Array, " m"], percents: Sequence[float]
-) -> Float[Array, ""]:
-    """RMSE between percentiles of height [m], exact.
-
-    **Arguments:**
-
-    - `real`, `simulated`: heights of returns above the ground [m].
-    - `percents`: of the percentiles compared, 0 to 100.
-
-    Differentiable in both almost everywhere. A percentile lies on one or two returns, whose slopes
-    are chance: as of `quantiles`, the derivative is that of the mean over a twentieth of the
-    returns about it. The slope is 0 where all agree.
-    """
-    at = jnp.asarray(percents) / 100.0
-    return root(jnp, jnp.mean((quantiles(real, at) - quantiles(simulated, at)) ** 2))
-
-
 def _assemble(
     counts: Float[Array, "cell layer"],
     under: Float[Array, " cell"],
     settings: StructureSettings,
-    presence: float,
     metrics: dict[str, tuple[Any, Any]],
 ) -> SmoothStructure:
     """The metrics of layers beside those found already."""
     reached = jnp.cumsum(counts[:, ::-1], axis=1)[:, ::-1]
     if settings.top == "plot":
-        present = _present(jnp.sum(reached, axis=0), presence)
-        present = present * _present(under + reached[:, 0], presence)[:, None]
+        present = _present(jnp.sum(reached, axis=0))
+        present = present * _present(under + reached[:, 0])[:, None]
     else:
-        present = _present(reached, presence)
+        present = _present(reached)
     left = under[:, None] + jnp.cumsum(counts, axis=1) - counts
     layered, density, defined = profile_metrics(
-        jnp, counts, under, present, _present(left, presence), settings, _FLOOR
+        jnp, counts, under, present, _present(left), settings, _FLOOR
     )
     total = under + reached[:, 0]
     if settings.gap_of == "leaf_area":
         gap, _ = leaf_area_gap(jnp, density, defined, settings, total)
-        metrics["gap_fraction"] = (gap, _present(total, presence))
+        metrics["gap_fraction"] = (gap, _present(total))
     first = settings.first_layer(settings.lowest)
     number = jnp.sum(defined[:, first:], axis=1)
     start = settings.first_layer(settings.diversity_lowest)
     metrics["leaf_area_density_mean"] = (
         layered["leaf_area_density_mean"][0],
-        _present(number, presence),
+        _present(number),
     )
     metrics["leaf_area_density_std"] = (
         layered["leaf_area_density_std"][0],
-        _present(number - settings.degrees_lost, presence),
+        _present(number - settings.degrees_lost),
     )
     value, good = layered["foliage_height_diversity"]
     metrics["foliage_height_diversity"] = (
         value,
-        _present(reached[:, start], presence) * jnp.where(good, 1.0, 0.0),
+        _present(reached[:, start]) * jnp.where(good, 1.0, 0.0),
     )
     return SmoothStructure(
         {name: metrics[name][0] for name in STRUCTURE_METRICS},
@@ -422,57 +296,6 @@ def _height_moments(
     return mean, start**2 * low + jnp.trapezoid(2.0 * at * higher, at, axis=-1)
 
 
-def _soft_rugosity(
-    h: Float[Array, " return"],
-    w: Float[Array, " return"],
-    canopy: Int[Array, " return"],
-    cells: int,
-    canopy_cells: int,
-    settings: StructureSettings,
-    width: float,
-) -> tuple[Any, Any]:
-    """Standard deviation of the soft maxima of canopy cells."""
-    number = cells * canopy_cells**2
-    highest = jax.ops.segment_max(jax.lax.stop_gradient(h), canopy, number)
-    lift = w * jnp.exp((h - highest[canopy]) / width)
-    top = ratio(jnp, _sum(lift * h, canopy, number), _sum(lift, canopy, number))
-    occupied = _present(_sum(w, canopy, number), _PRESENCE)
-    cell = jnp.repeat(jnp.arange(cells), canopy_cells**2)
-    _, deviation, weight = _moments(top, occupied, cell, cells, settings.degrees_lost)
-    return deviation, _present(weight - 1.0, _PRESENCE)
-
-
-def _moments(
-    value: Float[Array, " n"],
-    weight: Float[Array, " n"],
-    group: Int[Array, " n"],
-    groups: int,
-    degrees_lost: int,
-) -> tuple[Float[Array, " g"], Float[Array, " g"], Float[Array, " g"]]:
-    """Mean, standard deviation and sum of weights in each group."""
-    total = _sum(weight, group, groups)
-    mean = ratio(jnp, _sum(weight * value, group, groups), total)
-    squares = _sum(weight * (value - mean[group]) ** 2, group, groups)
-    return mean, root(jnp, ratio(jnp, squares, total - degrees_lost)), total
-
-
-def _sum(value: Float[Array, " n"], group: Int[Array, " n"], groups: int) -> Float[Array, " g"]:
-    return jnp.zeros(groups, value.dtype).at[group].add(value)
-
-
-def _present(count: Any, scale: float) -> Any:
-    """How sure something is there, of which `count` are expected: 0 for none, to 1 for many."""
-    return -jnp.expm1(-jnp.maximum(count, 0.0) / scale)
-
-
-def _above(height: Any, threshold: float, width: float) -> Any:
-    """1 above a threshold, 0 below, smooth over `width`; 1 for a threshold of 0."""
-    if threshold <= 0.0:
-        return jnp.ones_like(height)
-    return _step(0.5 + (height - threshold) / width)
-
-
-def _step(t: Any) -> Any:
-    """From 0 to 1 over t from 0 to 1, with two continuous derivatives."""
-    t = jnp.clip(t, 0.0, 1.0)
-    return t**3 * (10.0 - 15.0 * t + 6.0 * t**2)
+def _present(count: Any) -> Any:
+    """Probability that something is there, of which `count` are expected [-]."""
+    return -jnp.expm1(-jnp.maximum(count, 0.0))

@@ -26,7 +26,7 @@ def quick_looks(cube: Cube, title: str) -> dict[str, Figure]:
     bands = colour_bands(cube.wavelength, cube.good)
     if math.prod(cube.values.shape[1:]) <= _FEW_PIXELS:
         return {}
-    if cube.pixel_m is None or not {"green", "red"} <= set(bands):
+    if not {"green", "red"} <= set(bands):
         return {}
     image = cube.values[list(bands.values())]
     kinds = ("true_like", "false_colour") if "nir" in bands else ("true_like",)
@@ -61,7 +61,6 @@ def spectrum_figure(cubes: Mapping[str, Cube]) -> Figure:
 
 
 def _draw(axes: matplotlib.axes.Axes, cube: Cube) -> None:
-    assert cube.wavelength is not None
     order = np.argsort(cube.wavelength)
     x = cube.wavelength[order]
     values = np.where(cube.good[:, None, None], cube.values, np.nan)[order]

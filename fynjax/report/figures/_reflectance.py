@@ -23,7 +23,6 @@ _FAR = 45.0  # nm from there to a band, up to which it serves
 
 
 def _band(cube: Cube, wavelength: float) -> NDArray[np.float64] | None:
-    assert cube.wavelength is not None
     away = np.abs(cube.wavelength - wavelength)
     return cube.values[int(away.argmin())] if away.min() <= _FAR else None
 
@@ -53,7 +52,7 @@ def capture_figure(cube: Cube, title: str, *, pixels: bool) -> Figure:
         pictures = dict(zip(cube.names, cube.values, strict=True))
     rows, columns = cube.values.shape[1:]
     step = max(1, max(rows, columns) // _THIN)
-    side = cube.pixel_m or 1.0
+    side = cube.pixel_m
     extent = (0.0, columns * side, 0.0, rows * side)
     with style():
         figure = Figure(figsize=(3.9 * len(pictures) + 0.5, 3.9 * rows / columns + 0.9))

@@ -4,10 +4,12 @@ from typing import Any
 
 import matplotlib.colors
 import numpy as np
+import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from fynjax.compare.structure import MetricComparison, MetricEstimate, StructureComparison
+from fynjax.compare.structure import StructureComparison
+from fynjax.metrics.structure import STRUCTURE_METRICS
 from fynjax.report.figures._style import AFTER, REAL, note, style, words
 
 _SIDES = (("real", REAL, "o"), ("simulated", AFTER, "s"))
@@ -22,9 +24,9 @@ def structure_figure(comparison: StructureComparison) -> Figure:
         figure = Figure(figsize=(11.4, 7.4))
         parts: Any = figure.subfigures(2, 1, height_ratios=(1.0, 1.15))
         upper, lower = parts
-        panels = upper.subplots(1, len(comparison.metrics))
-        for axes, metric in zip(panels, comparison.metrics):
-            _metric(axes, metric)
+        panels = upper.subplots(1, len(STRUCTURE_METRICS))
+        for axes, metric in zip(panels, STRUCTURE_METRICS):
+            _metric(axes, comparison, metric)
         histogram, percentiles, profile = lower.subplots(1, 3)
         _histogram(histogram, comparison)
         _percentiles(percentiles, comparison)
@@ -43,11 +45,11 @@ def structure_maps(comparison: StructureComparison) -> Figure:
     west, south, east, north = comparison.bounds
     extent = (0.0, east - west, 0.0, north - south)
     with style():
-        count = len(comparison.metrics)
+        count = len(STRUCTURE_METRICS)
         figure = Figure(figsize=(2.05 * count, 4.9))
         grid = figure.subplots(2, count, sharex=True, sharey=True)
-        for column, metric in zip(grid.T, comparison.metrics):
-            maps = [comparison.real.cells[metric.name], comparison.simulated.cells[metric.name]]
+        for column, metric in zip(grid.T, STRUCTURE_METRICS):
+            maps = [side.cells[metric] for side in comparison.sides.values()]
             pooled = np.concatenate([m[np.isfinite(m)] for m in maps])
             low, high = (pooled.min(), pooled.max()) if pooled.size else (0.0, 1.0)
             scale = matplotlib.colors.Normalize(low, high if high > low else low + 1e-6)
@@ -71,7 +73,7 @@ def structure_maps(comparison: StructureComparison) -> Figure:
     return figure
 
 
-def _title(metric: MetricComparison) -> str:
+def _title(metric: str) -> str:
     short = {
         "foliage_height_diversity": "Foliage height\ndiversity",
         "leaf_area_density_mean": "Leaf area density,\nmean",
@@ -80,29 +82,28 @@ def _title(metric: MetricComparison) -> str:
         "rugosity": "\nRugosity",
         "height_cv": "Variation (CV)\nof height",
     }
-    unit = {"1": "-", "m2 m-3": "m² m⁻³"}.get(metric.unit, metric.unit)
-    return f"{short.get(metric.name, words(metric.name))} [{unit}]"
+    unit = STRUCTURE_METRICS[metric]
+    unit = {"1": "-", "m2 m-3": "m² m⁻³"}.get(unit, unit)
+    return f"{short.get(metric, words(metric))} [{unit}]"
 
 
-def _metric(axes: Axes, metric: MetricComparison) -> None:
+def _metric(axes: Axes, comparison: StructureComparison, metric: str) -> None:
     """Value, thinnings (thin) and bootstrap over cells (thick) of both clouds."""
+    values = []
     for place, (side, colour, marker) in enumerate(_SIDES):
-        estimate: MetricEstimate = getattr(metric, side)
-        for interval, width in (
-            (estimate.bootstrap_interval, 4.0),
-            (estimate.thinning_interval, 1.3),
+        row = comparison.sides[side].metrics.loc[metric]
+        for kind, x, width, alpha in (
+            ("bootstrap", place, 4.0, 0.35),
+            ("thinning", place + 0.16, 1.3, 1.0),
         ):
-            if interval is not None:
-                x = place + (0.16 if width < 2.0 else 0.0)
-                alpha = 1.0 if width < 2.0 else 0.35
-                axes.plot([x, x], interval, color=colour, lw=width, alpha=alpha)
-        if estimate.value is not None:
-            axes.plot(place, estimate.value, marker, color=colour, ms=6)
-    difference = metric.difference_percent
+            ends = [row[f"{kind}_low"], row[f"{kind}_high"]]
+            axes.plot([x, x], ends, color=colour, lw=width, alpha=alpha)
+        axes.plot(place, row["value"], marker, color=colour, ms=6)
+        values.append(row["value"])
+    difference = comparison.difference_percent[metric]
     axes.set_title(_title(metric), fontsize=8.5)
-    known = metric.real.value is not None and metric.simulated.value is not None
-    below = "real near 0" if known else "undefined"
-    below = below if difference is None else f"{difference:+.1f} %"
+    below = "real near 0" if np.isfinite(values).all() else "undefined"
+    below = f"{difference:+.1f} %" if np.isfinite(difference) else below
     axes.margins(y=0.08)
     axes.set(xticks=[], xlim=(-0.6, 1.6), xlabel=below)
     axes.set_ylim(0.0, None)
@@ -117,9 +118,9 @@ def _histogram(axes: Axes, comparison: StructureComparison) -> None:
             share, comparison.histogram_edges, orientation="horizontal", color=colour, label=side,
             **options,
         )  # fmt: skip
-    shown = comparison.height_intersection
+    shown = comparison.heights.T["height_intersection"]
     axes.set(
-        title=f"Heights: intersection {shown.value:.3f} ({_range(shown.interval)})",
+        title=f"Heights: intersection {_with_range(shown)}",
         xlabel="Density of returns [m⁻¹], square root",
         ylabel="Height [m]",
         ylim=(0.0, None),
@@ -139,9 +140,9 @@ def _percentiles(axes: Axes, comparison: StructureComparison) -> None:
         if percent in (50.0, 75.0, 95.0):
             axes.annotate(f"{percent:g}", (x, y), xytext=(5, -8), textcoords="offset points",
                           fontsize=7.5)  # fmt: skip
-    shown = comparison.percentile_rmse
+    shown = comparison.heights.T["height_percentile_rmse"]
     axes.set(
-        title=f"Percentiles: RMSE {shown.value:.3f} m ({_range(shown.interval)})",
+        title=f"Percentiles: RMSE {_with_range(shown, ' m')}",
         xlabel="Real [m]",
         ylabel="Simulated [m]",
         xlim=(0.0, high),
@@ -167,8 +168,9 @@ def _profile(axes: Axes, comparison: StructureComparison) -> None:
     axes.grid()
 
 
-def _range(interval: tuple[float, float]) -> str:
-    return f"{interval[0]:.3f} to {interval[1]:.3f}"
+def _with_range(row: pd.Series, unit: str = "") -> str:
+    low, high = row["thinning_low"], row["thinning_high"]
+    return f"{row['value']:.3f}{unit} ({low:.3f} to {high:.3f})"
 
 
 def _caption(comparison: StructureComparison) -> str:

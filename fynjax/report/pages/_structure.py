@@ -1,6 +1,6 @@
 """The section of a validation that is about point clouds."""
 
-from fynjax.compare.structure import StructureComparison, cut_off, grain_table
+from fynjax.compare.structure import StructureComparison, cut_off
 from fynjax.report.figures import structure_figure, structure_maps
 from fynjax.report.pages._page import Picture, Section, Table
 
@@ -17,10 +17,7 @@ def structure_section(structure: StructureComparison) -> Section:
 
     **Arguments:** `structure`, the comparison of the point clouds.
     """
-    table = structure.table()
-    numbers = table.columns.drop(["metric", "unit"])
-    table[numbers] = table[numbers].astype(float)
-    grains = grain_table(structure.grains, structure.grain, structure.plot)
+    table, grains = structure.table(), structure.grains
     tried = [c for c in grains.columns if not str(c).startswith("paper") and c not in _EDGES]
     west, south, east, north = structure.bounds
     rows, columns = next(iter(structure.real.cells.values())).shape

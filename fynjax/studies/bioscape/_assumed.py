@@ -49,9 +49,9 @@ class PlantSize:
     """Size of a plant."""
 
     crown_diameter_m: float
-    """Mean [m]."""
+    """Mean diameter of the crown [m]."""
     height_m: float
-    """Greatest in a plot [m]."""
+    """Height of the tallest plants of a plot [m]."""
     source: str
 
 

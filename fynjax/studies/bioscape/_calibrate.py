@@ -49,7 +49,7 @@ from fynjax.studies.bioscape._inversion_compare import (
     simple_table,
 )
 from fynjax.studies.bioscape._inversion_files import CalibratePlotsResult, Findings, write_findings
-from fynjax.studies.bioscape._plot_files import check_names, write_plot_files, write_plots
+from fynjax.studies.bioscape._plot_files import planted_files, write_plot_files
 from fynjax.studies.bioscape._plots import BioscapePlot, read_bioscape
 from fynjax.studies.bioscape._plsr import read_leaf_mass_model
 from fynjax.studies.bioscape._scenes import (
@@ -78,10 +78,11 @@ class Prior:
 
     name: str
     plots: list[BioscapePlot]
-    """With the traits that their scenes are built with."""
+    """The plots, with the traits that their scenes are built with."""
     parameters: list[PlotParameters]
     elsewhere: list[dict[str, tuple[float, float]]] | None
-    """Mean and standard deviation over the other plots; None where the plot's tables are it."""
+    """Mean and standard deviation of quantities over the other plots, for each plot; None where the
+    plot's own tables are the prior."""
 
 
 @double_precision
@@ -131,10 +132,8 @@ def calibrate_plots(
     if not read:
         raise InputError("none of the plots has a measured spectrum to learn from", file=folder)
     bands, flights = chosen_bands(spectrometer, [measured[p.name] for p in read], folder)
-    check_names(read, folder)
     begin_work({"estimates.csv": f"{len(read)} plots", "report.html": ""})
-    written = write_plots(Run(run.folder / "plots"), folder, read, learned)
-    files = [read_plot(run.folder / "plots" / p.name / "plot.toml") for p in read]
+    files, remarks = planted_files(run, folder, read, learned)
     field = field_values(read)
     slots = slots_of(files)
     with run.stage("Plant the plots"):
@@ -206,19 +205,11 @@ def calibrate_plots(
                 simple_table(findings.plots, REGRESSION, {"leaf_mass_per_area": lma}, field)
             )
         left = [p.name for p in everything if p not in read]
-        remarks = list(written.warnings)
         if left:
             remarks.append(
                 f"{len(left)} plots have no measured spectrum and are left out: {', '.join(left)}"
             )
-        return write_findings(
-            run,
-            findings,
-            resolution,
-            realisations,
-            inputs,
-            warnings=remarks,
-        )
+        return write_findings(run, findings, resolution, realisations, inputs, warnings=remarks)
 
 
 def chosen_bands(

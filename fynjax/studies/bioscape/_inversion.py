@@ -27,6 +27,7 @@ from fynjax.inversion import (
     weigh_spectrum,
 )
 from fynjax.io.plot import BY_FORM, FACTORS, LearnedPrior
+from fynjax.leaf import LeafParameters
 from fynjax.scene import PARAMETERS, PlotParameters, Scene
 from fynjax.studies.bioscape._plot_files import leaf_parameters
 from fynjax.studies.bioscape._plots import BioscapePlot
@@ -77,7 +78,7 @@ class ReferencePlot:
     """Reference values of a plot, on which its parameters are factors."""
 
     plot: BioscapePlot
-    """With the traits that its scene was built with."""
+    """The plot, with the traits that its scene was built with."""
 
     @property
     def crowns(self) -> float:
@@ -157,6 +158,15 @@ def quantity(reference: ReferencePlot, name: str, factor: Any) -> Any:
     return (reference.leaf_mass if name == "leaf_mass_per_area" else reference.water)(factor)
 
 
+def scaled_leaf(leaf: LeafParameters, factors: Mapping[str, Array]) -> LeafParameters:
+    """Leaves with some parameters times a factor."""
+    return eqx.tree_at(
+        lambda l: [getattr(l, name) for name in factors],
+        leaf,
+        [getattr(leaf, name) * factor for name, factor in factors.items()],
+    )
+
+
 class PlotSpectrumForward(eqx.Module):
     """The forward model: a plot's mean spectrum at values of `FREE`.
 
@@ -200,7 +210,7 @@ class PlotSpectrumForward(eqx.Module):
     def _plot(self, values: Array, parameters: PlotParameters) -> PlotParameters:
         dead = np.asarray(self.dead)
         at = {name: values[i] for i, name in enumerate(FREE)}
-        species, leaf, ground = parameters.species, parameters.leaf, parameters.ground
+        species, ground = parameters.species, parameters.ground
         mass = at["leaf_mass_per_area"]
         factors = {
             "structure": at["structure"],
@@ -217,11 +227,7 @@ class PlotSpectrumForward(eqx.Module):
                 leaf_area_index=species.leaf_area_index * at["leaf_area_index"],
                 dead_fraction=jnp.minimum(species.dead_fraction * at["dead_fraction"], 1.0),
             ),
-            leaf=eqx.tree_at(
-                lambda l: [getattr(l, name) for name in factors],
-                leaf,
-                [getattr(leaf, name) * factor for name, factor in factors.items()],
-            ),
+            leaf=scaled_leaf(parameters.leaf, factors),
             ground=replace(
                 ground,
                 brightness=at["soil_brightness"],
@@ -354,20 +360,20 @@ class PlotEstimate:
 
     space: ParameterSpace
     whitened: np.ndarray
-    """In prior standard deviations, 0 is the prior's centre."""
+    """Estimate of each free parameter in prior standard deviations from the prior's centre."""
     covariance: np.ndarray
-    """Of these [free, free]."""
+    """Posterior covariance of the whitened parameters [free, free]."""
     before: np.ndarray
     """Spectrum at the prior's centre, as the model has it."""
     after: np.ndarray
-    """At the estimate, with the bias correction added."""
+    """Spectrum at the estimate, with the bias correction added."""
     misfit: tuple[float, float]
     """Root mean square of the whitened misfit before and after [-]."""
     converged: bool
     stand: np.ndarray
-    """What `STAND` names, at the estimate."""
+    """Quantities of the stand (`STAND`) at the estimate."""
     stand_slope: np.ndarray
-    """Its derivatives by the whitened parameters [quantity, free]."""
+    """Derivatives of the quantities of the stand by the whitened parameters [quantity, free]."""
 
     @classmethod
     def of(cls, space: ParameterSpace, arrays: Sequence[Array | np.ndarray]) -> Self:
@@ -425,10 +431,8 @@ class PlotCase(NamedTuple):
     too (`bias_corrected_data`)."""
 
 
-def infer_plot(
-    case: PlotCase, predict: PlotSpectrumForward, max_steps: int = 20
-) -> tuple[Array, ...]:
-    """Fit one plot: the arrays of an `PlotEstimate`."""
+def infer_plot(case: PlotCase, predict: PlotSpectrumForward) -> tuple[Array, ...]:
+    """Fit one plot: the arrays of a `PlotEstimate`."""
     data, space, parameters, scenes, bias = case
     none = jnp.zeros_like(data.value)
     offset = none if bias is None else jnp.asarray(bias)
@@ -440,7 +444,7 @@ def infer_plot(
         predict,
         grown,
         space,
-        max_steps=max_steps,
+        max_steps=20,
         tolerance=0.02,
         context=densities[0].context,
         offset=offset,

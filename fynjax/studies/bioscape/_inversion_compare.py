@@ -51,10 +51,10 @@ class Field:
     """Measurements of the field, by plot."""
 
     value: dict[str, Float[np.ndarray, " plot"]]
-    """By name in `WORDS`, in their units, of what was measured. Traits are means over the species
+    """Measured quantities by name in `WORDS`, in their units. Traits are means over the species
     measured."""
     share: dict[str, Float[np.ndarray, " plot"]]
-    """Share of the listed cover behind it [-]."""
+    """Share of the listed cover behind each measured quantity [-]."""
 
 
 def field_values(plots: Sequence[BioscapePlot]) -> Field:

@@ -41,7 +41,7 @@ class Findings:
     wavelength: Float[np.ndarray, " band"]
     measured: Float[np.ndarray, "plot band"]
     estimates: dict[str, list[PlotEstimate]]
-    """By prior, in the order of the plots."""
+    """Estimates by the name of their prior, in the order of the plots."""
     tables: list[pd.DataFrame] = field(default_factory=list)
     """Estimates of each predictor."""
 
@@ -71,9 +71,9 @@ class CalibratePlotsResult(JobResult):
     voxel_m: float
     realisations: int
     agreement: Rows
-    """Rows of agreement.csv."""
+    """Agreement of the estimates with the field: the rows of agreement.csv."""
     parameter_shifts: Rows
-    """Rows of parameter_shifts.csv."""
+    """Shifts of the parameters that plots share: the rows of parameter_shifts.csv."""
 
 
 def write_findings(

@@ -25,7 +25,7 @@ from fynjax.inversion import (
     fit_population,
     spectrum_view,
 )
-from fynjax.io.plot import Plot, read_plot
+from fynjax.io.plot import Plot
 from fynjax.io.raster import file_hash
 from fynjax.jobs import Run
 from fynjax.scene import PlotParameters, Scene
@@ -38,7 +38,7 @@ from fynjax.studies.bioscape._learn_files import (
     Lesson,
     write_lesson,
 )
-from fynjax.studies.bioscape._plot_files import check_names, write_plots
+from fynjax.studies.bioscape._plot_files import planted_files
 from fynjax.studies.bioscape._plots import BioscapePlot, read_bioscape
 from fynjax.studies.bioscape._population import (
     PER_PLOT,
@@ -217,6 +217,7 @@ def _read(
     read: list[BioscapePlot] = []
     spectra: list[PlotSpectra] = []
     spectrometers: list[Spectrometer] = []
+    files: list[Plot] = []
     remarks: list[str] = []
     for folder in map(Path, folders):
         everything = read_bioscape(folder, plots, traits=traits)
@@ -236,9 +237,9 @@ def _read(
             raise InputError("expected the bands of the first folder, but got others", file=folder)
         read += known
         spectra += [flown[p.name] for p in known]
-        check_names(known, folder)
-        written = write_plots(Run(run.folder / "plots"), folder, known, None)
-        remarks += written.warnings
+        planted, said = planted_files(run, folder, known, None)
+        files += planted
+        remarks += said
     if len(read) < _FEWEST:
         raise InputError(
             f"expected {_FEWEST} plots with a measured spectrum or more to learn what plots share, "
@@ -246,43 +247,30 @@ def _read(
             file=Path(folders[0]),
         )
     bands, flights = chosen_bands(spectrometers[0], spectra, Path(folders[0]))
-    files = [read_plot(run.folder / "plots" / p.name / "plot.toml") for p in read]
     return read, bands, [f.mean(axis=0) for f in flights], files, remarks
 
 
-PlotAt = tuple[tuple[Scene, PlotParameters], np.ndarray]
+PlantedPlot = tuple[Scene, PlotParameters]
+"""Scene and parameters of a plot."""
+PlotAt = tuple[PlantedPlot, np.ndarray]
 """A plot, and its own parameters, whitened."""
 
 
 def simulate(plot: PlotAt, model: PopulationForward, space: ParameterSpace) -> tuple[Array]:
     """The statistics of a plot."""
-    scene, u = plot
-    return (_value(model, space, jnp.asarray(u), *scene),)
+    return (_value(model, space, plot[0], jnp.asarray(plot[1])),)
 
 
 def differentiate(plot: PlotAt, model: PopulationForward, space: ParameterSpace) -> tuple[Array]:
-    """Their derivatives by its parameters."""
-    scene, u = plot
-    return (_slope(model, space, jnp.asarray(u), *scene),)
+    """Derivatives of the statistics of a plot by its parameters."""
+    return (_slope(model, space, plot[0], jnp.asarray(plot[1])),)
 
 
 @eqx.filter_jit
-def _value(
-    model: PopulationForward,
-    space: ParameterSpace,
-    u: Array,
-    scene: Scene,
-    parameters: PlotParameters,
-) -> Array:
-    return model(space.physical(u), scene, parameters)
+def _value(model: PopulationForward, space: ParameterSpace, plot: PlantedPlot, u: Array) -> Array:
+    return model(space.physical(u), *plot)
 
 
 @eqx.filter_jit
-def _slope(
-    model: PopulationForward,
-    space: ParameterSpace,
-    u: Array,
-    scene: Scene,
-    parameters: PlotParameters,
-) -> Array:
-    return model.linearised(space, u, scene, parameters)[1]
+def _slope(model: PopulationForward, space: ParameterSpace, plot: PlantedPlot, u: Array) -> Array:
+    return model.linearised(space, u, *plot)[1]

@@ -47,18 +47,18 @@ class Lesson:
     plots: tuple[str, ...]
     bands: BandSet
     measured: Float[np.ndarray, "plot band"]
-    """Reflectance [-]."""
+    """Measured reflectance, mean of the flights [-]."""
     space: ParameterSpace
     prior: Hyperprior
     population: Population
     left_out: Sequence[Population]
-    """Of all plots but one each."""
+    """Population of all plots but one, for each plot."""
     ground: Float[np.ndarray, " plot"]
     """Share that tables leave to the ground [-]."""
     predicted: dict[str, Float[np.ndarray, "plot statistic"]]
     """Logarithm of reflectance and ground seen, by population (`ASSUMED` and others)."""
     parameters: Float[np.ndarray, "plot parameter"]
-    """Each plot's own, whitened."""
+    """Each plot's own parameters, whitened."""
     resolution: Resolution
 
     def file(self) -> PriorFile:
@@ -153,9 +153,9 @@ class LearnResult(JobResult):
     size_m: float
     voxel_m: float
     parameters: Rows
-    """Rows of population.csv."""
+    """What the plots share: the rows of population.csv."""
     scores: Rows
-    """Rows of scores.csv."""
+    """Agreement with the measured spectra: the rows of scores.csv."""
 
 
 def write_lesson(

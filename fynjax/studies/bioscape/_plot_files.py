@@ -3,17 +3,24 @@
 import csv
 import io
 import math
-import statistics
 from collections.abc import Iterable, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Literal
 
+import pandas as pd
+
 from fynjax._core.dry_run import begin_work
-from fynjax._core.errors import InputError
 from fynjax._core.precision import double_precision
 from fynjax.canopy import instance_area, soft_count, target_area
-from fynjax.io.plot import DEFAULT_PRIOR, LearnedPrior, leaf_factors, read_prior
+from fynjax.io.plot import (
+    DEFAULT_PRIOR,
+    LearnedPrior,
+    Plot,
+    leaf_factors,
+    read_plot,
+    read_prior,
+)
 from fynjax.io.text import write_text
 from fynjax.jobs import JobResult, Run
 from fynjax.leaf import structure_from_dry_matter
@@ -379,128 +386,96 @@ def _size_sources(species: BioscapeSpecies, plot: BioscapePlot) -> list[tuple[An
     return rows
 
 
-def _count_rows(plot: BioscapePlot) -> list[tuple[Any, ...]]:
-    """Live plants counted in a plot, and those that eq. (10) makes of cover and diameter."""
+def _counts(read: Sequence[BioscapePlot]) -> pd.DataFrame:
+    """Live plants counted in plots, and those that eq. (10) makes of cover and diameter."""
     rows = []
-    for s in plot.species:
-        if s.note.counted is None or s.note.diameter is None:
-            continue
-        each = float(instance_area(s.note.diameter, s.size.height_m))
-        expected = float(soft_count(target_area(CIRCLE_M2, s.cover), each))
-        ratio = s.note.counted / expected if expected > 0 else math.nan
-        clonal = "yes" if s.note.clonal else "no"
-        counted = s.note.counted
-        diameter = s.note.diameter
-        rows.append((plot.name, s.taxon, clonal, s.cover * 100, diameter, counted, expected, ratio))
-    return rows
-
-
-def _intercept_rows(plot: BioscapePlot) -> list[tuple[Any, ...]]:
-    """What line intercepts show from above, beside the covers that the crew judged."""
-    if plot.view is None:
-        return []
-    covers = {s.taxon: s.cover for s in plot.species}
-    kinds = [
-        ("live", sum(plot.view.live.values()), plot.live),
-        ("dead", plot.view.dead, plot.dead),
-        ("bare", plot.view.bare, plot.soil + plot.rock),
-        ("other", plot.view.other, None),
-        *((taxon, points, covers.get(taxon)) for taxon, points in sorted(plot.view.live.items())),
-    ]
-    return [
-        (
-            plot.name,
-            name,
-            points,
-            *(100 * value for value in plot.view.share(points)),
-            "" if cover is None else 100 * cover,
-        )
-        for name, points, cover in kinds
-    ]
-
-
-_COUNTS = (
-    "plot", "taxon", "clonal", "live_percent", "crown_diameter_m", "counted", "from_cover",
-    "counted_over_from_cover",
-)  # fmt: skip
-_INTERCEPTS = (
-    "plot", "shown", "points", "percent", "standard_error_percent", "crew_percent",
-)  # fmt: skip
-
-INDEX_COLUMNS = {
-    "plot": "name, and name of the folder",
-    "latitude_deg": "WGS84",
-    "longitude_deg": "WGS84",
-    "first_flight": "UTC",
-    "flights": "",
-    "species": "listed",
-    "live_percent": "",
-    "dead_percent": "",
-    "soil_percent": "",
-    "rock_percent": "",
-    "listed_percent": "sum of the species' covers",
-    "other_percent": "live cover of species that are not listed",
-    "packing_percent": "",
-    **{f"{source.replace(' ', '_')}_percent": "of the listed cover" for source in SOURCES},
-    "leaf_mass_per_area_g_m2": "mean of the listed species",
-    "water_content_percent": "mean of the listed species",
-    "nitrogen_mg_g": "mean of the listed species that have one",
-    "veg_height_m": "measured, mean",
-    "post_fire_age_years": "mean of the quadrants",
-    "diameter_measured_percent": "of the listed cover",
-    "dead_in_crowns_percent": "dead cover of the listed species",
-    "counted_over_from_cover": "median of species that are not clonal, see counts.csv",
-    "intercept_points": "of the line intercepts",
-    "intercept_live_percent": "from above",
-    "intercept_dead_percent": "from above",
-    "intercept_bare_percent": "from above",
-    "remark": "the crew's",
-}
-"""Columns of `plots.csv`; covers in % of the plot, means weighted with cover."""
-
-
-def _index_row(plot: BioscapePlot) -> list[Any]:
-    visit, shares = plot.visit, plot.trait_shares()
-    where = ("", "", "", 0) if visit is None else (
-        f"{visit.latitude:.6f}", f"{visit.longitude:.6f}", (*visit.times, "")[0], len(visit.times)
+    for plot in read:
+        for s in plot.species:
+            counted, diameter = s.note.counted, s.note.diameter
+            if counted is None or diameter is None:
+                continue
+            each = float(instance_area(diameter, s.size.height_m))
+            expected = float(soft_count(target_area(CIRCLE_M2, s.cover), each))
+            ratio = counted / expected if expected > 0 else math.nan
+            clonal = "yes" if s.note.clonal else "no"
+            rows.append(
+                (plot.name, s.taxon, clonal, 100 * s.cover, diameter, counted, expected, ratio)
+            )
+    columns = (
+        "plot", "taxon", "clonal", "live_percent", "crown_diameter_m", "counted", "from_cover",
+        "counted_over_from_cover",
     )  # fmt: skip
-    covers = (plot.live, plot.dead, plot.soil, plot.rock, plot.listed_cover, plot.other_cover)
-    means = (plot.weighted_mean(t) for t in ("leaf_mass_per_area", "water_content", "nitrogen"))
-    return [
-        plot.name,
-        *where,
-        len(plot.species),
-        *(c * 100 for c in (*covers, plot.packing)),
-        *(shares.get(source, 0.0) * 100 for source in SOURCES),
-        *("" if mean is None else mean for mean in means),
-        *("" if value is None else value for value in _field_values(plot)),
-        "" if visit is None else visit.remark,
-    ]
+    return pd.DataFrame(rows, columns=columns)
 
 
-def _field_values(plot: BioscapePlot) -> list[float | None]:
-    """What only the published tables have."""
-    view, listed = plot.view, plot.listed_cover
+def _median_ratio(counts: pd.DataFrame) -> float | None:
+    """Plants counted over those from cover, median of species that are not clonal."""
+    ratios = counts["counted_over_from_cover"][counts["clonal"] == "no"].dropna()
+    return float(ratios.median()) if len(ratios) else None
+
+
+def _intercepts(read: Sequence[BioscapePlot]) -> pd.DataFrame:
+    """What line intercepts show from above, beside the covers that the crew judged."""
+    rows = []
+    for plot in read:
+        if plot.view is None:
+            continue
+        covers = {s.taxon: s.cover for s in plot.species}
+        for name, points, cover in (
+            ("live", sum(plot.view.live.values()), plot.live),
+            ("dead", plot.view.dead, plot.dead),
+            ("bare", plot.view.bare, plot.soil + plot.rock),
+            ("other", plot.view.other, math.nan),
+            *(
+                (taxon, n, covers.get(taxon, math.nan))
+                for taxon, n in sorted(plot.view.live.items())
+            ),
+        ):
+            share, error = plot.view.share(points)
+            rows.append((plot.name, name, points, 100 * share, 100 * error, 100 * cover))
+    columns = ("plot", "shown", "points", "percent", "standard_error_percent", "crew_percent")
+    return pd.DataFrame(rows, columns=columns)
+
+
+def _index_row(plot: BioscapePlot) -> dict[str, Any]:
+    """A plot's row of `plots.csv`: covers in % of the plot, means weighted with cover; of what only
+    the published tables have, None elsewhere."""
+    visit, view, listed, shares = plot.visit, plot.view, plot.listed_cover, plot.trait_shares()
+    seen = {} if view is None else {
+        "live": sum(view.live.values()), "dead": view.dead, "bare": view.bare
+    }  # fmt: skip
     sized = sum(s.cover for s in plot.species if s.note.diameter is not None)
     dead = any(s.note.dead_cover is not None for s in plot.species)
-    seen: list[float | None] = [None] * 4
-    if view is not None:
-        points = (sum(view.live.values()), view.dead, view.bare)
-        seen = [view.points, *(100 * view.share(count)[0] for count in points)]
-    return [
-        plot.height,
-        plot.age,
-        100 * sized / listed if listed > 0 else None,
-        100 * plot.dead_in_crowns if dead else None,
-        _median_ratio(_count_rows(plot)),
-        *seen,
-    ]
-
-
-def _median_ratio(counts: Sequence[tuple[Any, ...]]) -> float | None:
-    """Plants counted over those from cover, of species that are not clonal."""
-    ratios = [row[-1] for row in counts if row[2] == "no" and math.isfinite(row[-1])]
-    return statistics.median(ratios) if ratios else None
+    return {
+        "plot": plot.name,
+        "latitude_deg": None if visit is None else f"{visit.latitude:.6f}",
+        "longitude_deg": None if visit is None else f"{visit.longitude:.6f}",
+        "first_flight": None if visit is None else next(iter(visit.times), None),
+        "flights": 0 if visit is None else len(visit.times),
+        "species": len(plot.species),
+        "live_percent": 100 * plot.live,
+        "dead_percent": 100 * plot.dead,
+        "soil_percent": 100 * plot.soil,
+        "rock_percent": 100 * plot.rock,
+        "listed_percent": 100 * listed,
+        "other_percent": 100 * plot.other_cover,
+        "packing_percent": 100 * plot.packing,
+        **{f"{s.replace(' ', '_')}_percent": 100 * shares.get(s, 0.0) for s in SOURCES},
+        "leaf_mass_per_area_g_m2": plot.weighted_mean("leaf_mass_per_area"),
+        "water_content_percent": plot.weighted_mean("water_content"),
+        "nitrogen_mg_g": plot.weighted_mean("nitrogen"),
+        "veg_height_m": plot.height,
+        "post_fire_age_years": plot.age,
+        "diameter_measured_percent": 100 * sized / listed if listed > 0 else None,
+        "dead_in_crowns_percent": 100 * plot.dead_in_crowns if dead else None,
+        "counted_over_from_cover": _median_ratio(_counts([plot])),
+        "intercept_points": None if view is None else view.points,
+        **{
+            f"intercept_{kind}_percent": None if view is None else 100 * view.share(seen[kind])[0]
+            for kind in ("live", "dead", "bare")
+        },
+        "remark": "" if visit is None else visit.remark,
+    }
 
 
 class BioscapeResult(JobResult):
@@ -512,7 +487,7 @@ class BioscapeResult(JobResult):
     """Plants counted over those that cover and diameter ask for, eq. (10): median of the species
     that are not clonal [-]; none where the tables hold no counts."""
     oddities: int = 0
-    """Rows of remarks.csv."""
+    """Number of oddities of the tables, the rows of remarks.csv."""
     cover_share_by_trait_source: dict[str, float]
     """Share of the listed cover, over all plots, by the source of leaf mass per area [-]."""
 
@@ -540,49 +515,57 @@ def run_bioscape(
 
     **Returns:** `BioscapeResult`, with the plots that were written.
 
-    **Raises:** as `read_bioscape`, and `InputError` for a plot whose name cannot be that of a
-    folder.
+    **Raises:** as `read_bioscape`.
     """
     run = Run(output)
     learned = read_prior(prior)
     with run.stage("Read the tables"):
         read = read_bioscape(folder, plots, traits=traits)
-    check_names(read, folder)
     begin_work({"plots.csv": f"{len(read)} plots"} | {f"{p.name}/plot.toml": "" for p in read})
     with run.stage("Write the plots"):
         return write_plots(run, folder, read, learned)
 
 
-def check_names(read: Sequence[BioscapePlot], folder: str | Path) -> None:
-    """Raise `InputError` for a plot whose name cannot be that of a folder."""
-    for plot in read:
-        if not plot.name.replace("-", "").replace("_", "").isalnum():
-            raise InputError(
-                f"expected a plot named by letters, digits, - and _, but got {plot.name!r}: a "
-                "folder is named after it",
-                file=folder,
-                column="Plot",
+def planted_files(
+    run: Run, folder: Path, read: Sequence[BioscapePlot], learned: LearnedPrior | None
+) -> tuple[list[Plot], list[str]]:
+    """Write plots into the folder `plots` of a run and read their files; what there is to say."""
+    written = write_plots(Run(run.folder / "plots"), folder, read, learned)
+    files = [read_plot(run.folder / "plots" / plot.name / "plot.toml") for plot in read]
+    return files, list(written.warnings)
+
+
+def _cut_or_assumed(read: Sequence[BioscapePlot], learned: LearnedPrior | None) -> list[str]:
+    """What of the species is more than PROSPECT can mean, and what the prior does not know."""
+    said = []
+    for name, most in _MOST.items():
+        thick = {s.taxon for p in read for s in p.species if name in beyond_prospect(s)}
+        if thick:
+            said.append(
+                f"{name} of {len(thick)} species is more than PROSPECT can mean, and cut to "
+                f"{most:g} {PARAMETERS[name].unit} (sources.csv has what their traits give): "
+                f"{', '.join(sorted(thick))}"
             )
+    if learned is not None:
+        forms = [s.shape.growth_form for p in read for s in p.species]
+        said += learned.unlearned([*forms, *(DOME for p in read if p.other_cover > 0)])
+    return said
 
 
 def write_plots(
     run: Run, folder: str | Path, read: Sequence[BioscapePlot], learned: LearnedPrior | None
 ) -> BioscapeResult:
     """Write what `run_bioscape` does of plots that are read."""
-    index = _table([tuple(INDEX_COLUMNS), *map(_index_row, read)])
-    write_text(run.path("plots.csv", "all plots, one a row"), index)
-    counts = [row for plot in read for row in _count_rows(plot)]
+    index = pd.DataFrame([_index_row(plot) for plot in read])
+    run.table("plots.csv", index, "all plots, one a row")
+    counts = _counts(read)
     remarks = [r for plot in read for r in plot.remarks]
     if is_published(Path(folder)):
-        for name, about, header, rows in (
-            ("counts.csv", "plants counted and from cover", _COUNTS, counts),
-            ("intercepts.csv", "line intercepts, the view from above", _INTERCEPTS,
-             [row for plot in read for row in _intercept_rows(plot)]),
-            ("remarks.csv", "oddities of the tables, and how they were read",
-             ("plot", "file", "row", "what"),
-             [(r.plot, r.file, "" if r.row is None else r.row, r.what) for r in remarks]),
-        ):  # fmt: skip
-            write_text(run.path(name, about), _table([header, *rows]))
+        odd = pd.DataFrame(remarks, columns=["file", "row", "plot", "what"])
+        odd = odd[["plot", "file", "row", "what"]].astype({"row": "Int64"})
+        run.table("counts.csv", counts, "plants counted and from cover")
+        run.table("intercepts.csv", _intercepts(read), "line intercepts, the view from above")
+        run.table("remarks.csv", odd, "oddities of the tables, and how they were read")
     for plot in read:
         write_plot_files(plot, run.folder / plot.name, learned)
         run.path(f"{plot.name}/plot.toml", f"{len(plot.species)} species")
@@ -592,18 +575,7 @@ def write_plots(
         for source in SOURCES
     }
     named = ", ".join(f"{100 * v:.1f} % {k}" for k, v in shares.items() if v > 0)
-    cut = []
-    for name, most in _MOST.items():
-        thick = {s.taxon for p in read for s in p.species if name in beyond_prospect(s)}
-        if thick:
-            cut.append(
-                f"{name} of {len(thick)} species is more than PROSPECT can mean, and cut to "
-                f"{most:g} {PARAMETERS[name].unit} (sources.csv has what their traits give): "
-                f"{', '.join(sorted(thick))}"
-            )
-    if learned is not None:
-        forms = [s.shape.growth_form for p in read for s in p.species]
-        cut += learned.unlearned([*forms, *(DOME for p in read if p.other_cover > 0)])
+    warnings = _cut_or_assumed(read, learned)
     headline = [
         f"{len(read)} plots with {len({s.taxon for p in read for s in p.species})} species.",
         f"Leaf mass per area by cover: {named}.",
@@ -616,14 +588,14 @@ def write_plots(
     if remarks:
         first = remarks[0]
         at = first.file if first.row is None else f"{first.file}, row {first.row}"
-        cut.append(
+        warnings.append(
             f"{len(remarks)} oddities of the tables, with file and row in remarks.csv; the first: "
             f"{at}, plot {first.plot}: {first.what}"
         )
     return run.result(
         BioscapeResult,
         headline=headline,
-        warnings=cut,
+        warnings=warnings,
         counted_over_from_cover=ratio,
         oddities=len(remarks),
         plots=[plot.name for plot in read],

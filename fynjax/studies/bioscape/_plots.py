@@ -3,7 +3,6 @@
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from datetime import datetime
 from pathlib import Path
 
 from fynjax._core.errors import InputError
@@ -36,6 +35,7 @@ from fynjax.studies.bioscape._tables import (
     TraitRow,
     VisitRow,
     find_table,
+    flight_time,
     needed_table,
 )
 from fynjax.studies.bioscape._traits import Sourced, TraitLibrary, split_name
@@ -56,7 +56,7 @@ class BioscapeSpecies:
 
     taxon: str
     family: str
-    """'' if unknown."""
+    """Family of the species, '' if unknown."""
     cover: float
     """Live cover as noted, a share of the plot [-]."""
     shape: PlantShape
@@ -67,11 +67,11 @@ class BioscapeSpecies:
     """`leaf_mass_per_area` [g per m2 of projected area] and `water_content` [% of fresh mass],
     always; `nitrogen` and `carbon` [mg g-1] where the library has them."""
     library_name: str | None
-    """Its name in the trait library, `None` if it is not there."""
+    """Name of the species in the trait library, `None` if it is not there."""
     note: SpeciesNote
     """What the field tables say of it."""
     size_source: tuple[str, str] = (FORM_DEFAULT, FORM_DEFAULT)
-    """Where crown diameter and height came from."""
+    """Sources of the crown diameter and of the height."""
 
     @property
     def crown_cover(self) -> float:
@@ -95,13 +95,13 @@ class Visit:
     """Where a plot is and when the spectrometer flew over it."""
 
     longitude: float
-    """WGS84 [degree]."""
+    """Longitude of the plot, WGS84 [degree]."""
     latitude: float
-    """WGS84 [degree]."""
+    """Latitude of the plot, WGS84 [degree]."""
     times: tuple[str, ...]
     """Start of each flight line, ISO 8601, in order."""
     remark: str
-    """Of the crew, or ''."""
+    """Remark of the crew, or ''."""
 
 
 @dataclass(frozen=True)
@@ -118,7 +118,7 @@ class BioscapePlot:
     rock: float
     """Bare rock [-]."""
     species: tuple[BioscapeSpecies, ...]
-    """As listed; the crews list species of 5 % and more."""
+    """Species as listed; the crews list those of 5 % and more."""
     visit: Visit | None
     """`None` where no table of spectra or of places names the plot."""
     height: float | None = None
@@ -187,11 +187,11 @@ class BioscapePlot:
         """The species with the largest cover."""
         return max(self.species, key=lambda s: s.cover)
 
-    def trait_shares(self, trait: str = "leaf_mass_per_area") -> dict[str, float]:
-        """Share of the listed cover for each source of a trait [-]."""
+    def trait_shares(self) -> dict[str, float]:
+        """Share of the listed cover for each source of leaf mass per area [-]."""
         shares: dict[str, float] = {}
         for s in self.species:
-            source = s.traits[trait].source
+            source = s.traits["leaf_mass_per_area"].source
             shares[source] = shares.get(source, 0.0) + s.cover / self.listed_cover
         return shares
 
@@ -231,8 +231,8 @@ def read_bioscape(
     value is the mean of its genus, else family, else growth form in the library.
 
     **Raises:** `InputError` for a missing file, column or plot, a value that is no number or
-    out of range, rows that are there twice, and a plot without species. Warns where covers do
-    not sum to 100 %, and where a name is read as another.
+    out of range, rows that are there twice, a plot without species, and one whose name cannot be
+    that of a folder. Warns where covers do not sum to 100 %, and where a name is read as another.
     """
     folder = Path(folder)
     if not folder.is_dir():
@@ -289,12 +289,20 @@ def read_bioscape(
         read.append(_plot(name, tables, library, visits.get(name)))
     if not read:
         raise InputError("expected a plot with covers and species, but there is none", file=folder)
+    for plot in read:
+        if not plot.name.replace("-", "").replace("_", "").isalnum():
+            raise InputError(
+                f"expected a plot named by letters, digits, - and _, but got {plot.name!r}: a "
+                "folder is named after it",
+                file=folder,
+                column=column,
+            )
     return read
 
 
 def _read_extract(folder: Path) -> FieldTables:
     cover_path, species_path = needed_table(folder, COVER), needed_table(folder, SPECIES)
-    cover = _unique(read_rows(cover_path, CoverRow, COVER[1]), cover_path)
+    cover = {row.Plot: (where, row) for where, row in read_rows(cover_path, CoverRow, COVER[1])}
     rows = read_rows(species_path, SpeciesCoverRow, SPECIES[1])
     listed = _species_by_plot(rows, species_path)
     return FieldTables(cover_path, species_path, cover, listed, set(cover))
@@ -365,20 +373,6 @@ def _sized(species: BioscapeSpecies, plot: BioscapePlot) -> BioscapeSpecies:
     return replace(species, size=sized, size_source=source)
 
 
-def _unique(rows: list[tuple[int, CoverRow]], path: Path) -> dict[str, tuple[int, CoverRow]]:
-    plots: dict[str, tuple[int, CoverRow]] = {}
-    for where, row in rows:
-        if row.Plot in plots:
-            raise InputError(
-                f"plot {row.Plot!r} is there twice, first in row {plots[row.Plot][0]}",
-                file=path,
-                row=where,
-                column="Plot",
-            )
-        plots[row.Plot] = where, row
-    return plots
-
-
 def _species_by_plot(
     rows: list[tuple[int, SpeciesCoverRow]], path: Path
 ) -> dict[str, dict[str, SpeciesNote]]:
@@ -425,15 +419,7 @@ def _species_by_plot(
 def _visits(path: Path) -> dict[str, Visit]:
     grouped: dict[str, list[VisitRow]] = {}
     for where, row in read_rows(path, VisitRow, VISITS[1]):
-        try:
-            datetime.fromisoformat(row.start_time)
-        except ValueError as error:
-            raise InputError(
-                f"expected a time such as 2023-11-09 13:31:24+00:00, but got {row.start_time!r}",
-                file=path,
-                row=where,
-                column="start_time",
-            ) from error
+        flight_time(row.start_time, path, where)
         grouped.setdefault(row.BScpPID, []).append(row)
     return {
         name: Visit(

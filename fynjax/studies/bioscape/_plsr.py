@@ -22,7 +22,7 @@ class SpectralRegression:
     """
 
     wavelength: Float[np.ndarray, " band"]
-    """[nm]"""
+    """Centres of the bands [nm]."""
     coefficients: Float[np.ndarray, "member band"]
     intercepts: Float[np.ndarray, " member"]
 

@@ -27,7 +27,7 @@ from fynjax.io.plot import (
 )
 from fynjax.scene import PARAMETERS, PlotParameters, Scene
 from fynjax.studies.bioscape._assumed import ASSUMED_POPULATION
-from fynjax.studies.bioscape._inversion import FREE, logit_space
+from fynjax.studies.bioscape._inversion import FREE, logit_space, scaled_leaf
 from fynjax.studies.bioscape._plots import BioscapePlot
 
 PER_PLOT = tuple(PRIOR_PARAMETERS)
@@ -147,7 +147,7 @@ class PopulationForward(eqx.Module):
     def plot(self, values: Array, parameters: PlotParameters) -> PlotParameters:
         """The parameters of a plot with those of the population in place of its own."""
         at = {name: values[i] for i, name in enumerate(PER_PLOT)}
-        species, leaf = parameters.species, parameters.leaf
+        species = parameters.species
 
         def by_form(kind: str) -> Array:
             own = getattr(species, kind)
@@ -160,7 +160,6 @@ class PopulationForward(eqx.Module):
         )
         live = (1.0 - by_form("dead_fraction")) * (1.0 - species.dead_fraction) / (1.0 - usual)
         leafy = np.isin(self.forms, LEAFY_FORMS)
-        factors = leaf_factors(at)
         return replace(
             parameters,
             species=replace(
@@ -169,11 +168,7 @@ class PopulationForward(eqx.Module):
                 shoot_clumping=by_form("shoot_clumping"),
                 dead_fraction=jnp.where(leafy, 1.0 - live, species.dead_fraction),
             ),
-            leaf=eqx.tree_at(
-                lambda l: [getattr(l, name) for name in factors],
-                leaf,
-                [getattr(leaf, name) * factor for name, factor in factors.items()],
-            ),
+            leaf=scaled_leaf(parameters.leaf, leaf_factors(at)),
             ground=replace(
                 parameters.ground,
                 brightness=at["soil_brightness"],

@@ -54,17 +54,20 @@ Amount = Annotated[float | None, BeforeValidator(_missing)]
 """A number, or -9999 where it is missing."""
 
 
-class SummaryRow(TableRow):
+class PublishedRow(TableRow):
+    """A row of a published table. Its columns must be there, but cells may be empty."""
+
+    plot: str = Field(description="Name of the plot.", min_length=1)
+
+    @classmethod
+    def __pydantic_init_subclass__(cls, **_: Any) -> None:
+        cls.must_have = tuple(name for name in cls.model_fields if name != "genus_species_combo")
+
+
+class SummaryRow(PublishedRow):
     """Cover and height of a plot."""
 
-    must_have = (
-        "percent_bare_soil",
-        "percent_bare_rock",
-        "percent_dead_vegetation",
-        "percent_live_vegetation",
-        "veg_height_mean_cm",
-    )
-    plot: str = Field(description="Name of the plot.", min_length=1)
+    unique = "plot"
     percent_bare_soil: Amount = percent("Bare soil", None)
     percent_bare_rock: Amount = percent("Bare rock", None)
     percent_dead_vegetation: Amount = percent("Dead vegetation", None)
@@ -72,22 +75,25 @@ class SummaryRow(TableRow):
     veg_height_mean_cm: Amount = _amount("Height of the vegetation", "cm", 2000)
 
 
-class PlotSpeciesRow(TableRow):
-    """A species of a plot."""
+class TaxonRow(PublishedRow):
+    """A row about a taxon; `genus_species_combo` stands in where there is no genus."""
 
-    must_have = (
-        "accepted_genus",
-        "accepted_species",
-        "percent_cover_alive",
-        "percent_cover_dead",
-        "abundance_alive_count",
-        "mean_canopy_diameter_cm",
-        "clonal",
-    )
-    plot: str = Field(description="Name of the plot.", min_length=1)
     accepted_genus: OptionalText = Field(default=None, description="Genus.")
     accepted_species: OptionalText = Field(default=None, description="Epithet.")
     genus_species_combo: OptionalText = Field(default=None, description="Both.")
+
+    @property
+    def taxon(self) -> str | None:
+        """Name of the plant, of the genus alone where that is all; None without any."""
+        name = self.genus_species_combo
+        if self.accepted_genus is not None:
+            name = f"{self.accepted_genus} {self.accepted_species or ''}"
+        return None if name is None else " ".join(name.replace("_", " ").split())
+
+
+class PlotSpeciesRow(TaxonRow):
+    """A species of a plot."""
+
     percent_cover_alive: Amount = percent("Live cover", None)
     percent_cover_dead: Amount = percent("Dead cover", None)
     abundance_alive_count: Amount = _amount("Live plants counted", "-")
@@ -95,37 +101,25 @@ class PlotSpeciesRow(TableRow):
     clonal: OptionalText = Field(default=None, description="Whether it spreads by clones.")
 
 
-class QuadratRow(TableRow):
+class QuadratRow(PublishedRow):
     """Cover and age of a quadrant."""
 
-    must_have = ("total_cover_check", "post_fire_age_years")
-    plot: str = Field(description="Name of the plot.", min_length=1)
     quadrant: str = Field(description="NE, NW, SE or SW.", min_length=1)
     total_cover_check: Amount = _amount("Sum of the covers", "%")
     post_fire_age_years: OptionalText = Field(default=None, description="Years since fire, text.")
 
 
-class QuadratSpeciesRow(TableRow):
+class QuadratSpeciesRow(TaxonRow):
     """A species of a quadrant, as far as it is compared."""
 
-    must_have = ("accepted_genus", "accepted_species")
-    plot: str = Field(description="Name of the plot.", min_length=1)
     quadrant: str = Field(description="NE, NW, SE or SW.", min_length=1)
-    accepted_genus: OptionalText = Field(default=None, description="Genus.")
-    accepted_species: OptionalText = Field(default=None, description="Epithet.")
-    genus_species_combo: OptionalText = Field(default=None, description="Both.")
 
 
-class InterceptRow(TableRow):
+class InterceptRow(TaxonRow):
     """What a point on a line across a plot shows from above."""
 
-    must_have = ("accepted_genus", "accepted_species", "other_cover_type")
-    plot: str = Field(description="Name of the plot.", min_length=1)
     line_transect: str = Field(description="NS or WE.", min_length=1)
     metres_along_line: str = Field(description="0L to 10R.", min_length=1)
-    accepted_genus: OptionalText = Field(default=None, description="Genus.")
-    accepted_species: OptionalText = Field(default=None, description="Epithet.")
-    genus_species_combo: OptionalText = Field(default=None, description="Both.")
     other_cover_type: OptionalText = Field(default=None, description="Bare, dead plant or other.")
 
 
@@ -156,7 +150,7 @@ class SpeciesNote:
     """What the tables say of a species on a plot; None where they do not."""
 
     where: str
-    """File and row."""
+    """File and row that name the species."""
     cover: float
     """Live cover [-]."""
     family: str | None = None
@@ -208,19 +202,19 @@ class FieldTables:
     cover: dict[str, tuple[int, CoverRow]] = field(default_factory=dict)
     """Row and covers of each plot."""
     listed: dict[str, dict[str, SpeciesNote]] = field(default_factory=dict)
-    """Species of each plot."""
+    """Species of each plot, by plot and taxon."""
     named: set[str] = field(default_factory=set)
     """Plots with a row, with covers or without."""
     height: dict[str, float] = field(default_factory=dict)
-    """Mean height of the vegetation [m]."""
+    """Mean height of the vegetation of each plot [m]."""
     age: dict[str, float] = field(default_factory=dict)
     """Years since fire, mean of the quadrants that state a number."""
     view: dict[str, ViewFromAbove] = field(default_factory=dict)
-    """Line intercepts."""
+    """Line intercepts of each plot."""
     place: dict[str, PlotCentre] = field(default_factory=dict)
     """Centres of the plots."""
     remarks: list[Remark] = field(default_factory=list)
-    """What is odd."""
+    """What is odd in the tables, and how it was read."""
 
     def remark(self, path: Path, row: int | None, plot: str, what: str) -> None:
         """Note that something is odd."""
@@ -253,16 +247,8 @@ def read_published(folder: Path) -> FieldTables:
 
 
 def _read_summary(tables: FieldTables) -> None:
-    path, first = tables.summary, dict[str, int]()
+    path = tables.summary
     for where, row in read_rows(path, SummaryRow, SUMMARY[1]):
-        if row.plot in first:
-            raise InputError(
-                f"plot {row.plot!r} is there twice, first in row {first[row.plot]}",
-                file=path,
-                row=where,
-                column="plot",
-            )
-        first[row.plot] = where
         tables.named.add(row.plot)
         covers = {new: getattr(row, old) for old, new in _COVERS.items()}
         if None in covers.values():
@@ -278,7 +264,7 @@ def _read_species(tables: FieldTables) -> None:
     path = tables.species
     rows: dict[tuple[str, str], list[tuple[int, PlotSpeciesRow]]] = {}
     for where, row in read_rows(path, PlotSpeciesRow, SPECIES[1]):
-        taxon = _taxon(row)
+        taxon = row.taxon
         if taxon is None:
             raise InputError(
                 "expected accepted_genus or genus_species_combo, but both are empty",
@@ -341,13 +327,6 @@ def _species_note(path: Path, several: list[tuple[int, PlotSpeciesRow]]) -> Spec
     )
 
 
-def _taxon(row: Any) -> str | None:
-    """Name of a row's plant, of the genus alone where that is all; None without any."""
-    parts = [p for p in (row.accepted_genus, row.accepted_species) if p is not None]
-    name = " ".join(parts) if row.accepted_genus is not None else row.genus_species_combo
-    return None if name is None else " ".join(name.replace("_", " ").split())
-
-
 def _read_quadrats(tables: FieldTables, path: Path) -> None:
     ages: dict[str, list[float]] = {}
     for where, row in read_rows(path, QuadratRow, QUADRATS[1]):
@@ -377,7 +356,7 @@ def _compare_quadrat_species(tables: FieldTables, path: Path) -> None:
     twice in them."""
     first: dict[tuple[str, str, str], int] = {}
     for where, row in read_rows(path, QuadratSpeciesRow, QUADRAT_SPECIES[1]):
-        taxon = _taxon(row)
+        taxon = row.taxon
         key = row.plot, row.quadrant, taxon or ""
         if taxon is not None and key in first:
             tables.remark(
@@ -403,7 +382,7 @@ def _read_intercepts(tables: FieldTables, path: Path) -> None:
             place = row.line_transect, row.metres_along_line
             repeated += place in first
             first.add(place)
-            other, taxon = (row.other_cover_type or "").lower(), _taxon(row)
+            other, taxon = (row.other_cover_type or "").lower(), row.taxon
             if other == _DEAD:
                 kinds["dead"] += 1
             elif other in _BARE:

@@ -36,7 +36,7 @@ class PlotSpectrum(eqx.Module):
     """Simulated spectrum of a plot at nadir."""
 
     reflectance: Float[Array, " band"]
-    """Mean reflectance factor [-]."""
+    """Mean reflectance factor of the plot in each band [-]."""
     ground_seen: Float[Array, ""]
     """Share of the plot where the ground shows between leaves and stems [-]."""
     residual: Float[Array, ""]

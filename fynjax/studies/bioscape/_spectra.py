@@ -2,7 +2,6 @@
 
 import re
 from dataclasses import dataclass
-from datetime import datetime
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +10,7 @@ from jaxtyping import Float
 from fynjax._core.errors import InputError
 from fynjax.io.text import TextTable, open_table
 from fynjax.sensors import shipped_sensor
-from fynjax.studies.bioscape._tables import VISITS, find_table
+from fynjax.studies.bioscape._tables import VISITS, find_table, flight_time
 
 WAVES = "*waves.csv", "a table of band centres"
 _MASKED = -0.01
@@ -26,7 +25,7 @@ class Spectrometer:
     """Bands of the spectra."""
 
     centre: Float[np.ndarray, " band"]
-    """[nm], increasing."""
+    """Centres of the bands [nm], increasing."""
     fwhm: Float[np.ndarray, " band"]
     """Full width at half maximum [nm]."""
 
@@ -95,7 +94,8 @@ def read_plot_spectra(folder: str | Path) -> dict[str, PlotSpectra]:
     names, times, values = [], [], []
     for where, cells in table.records():
         names.append(cells[plot])
-        times.append(_time(cells[start], path, where))
+        flight_time(cells[start], path, where)
+        times.append(cells[start])
         values.append([_reflectance(table, cells[i], where, header[i]) for i in columns])
     if not values:
         return {}
@@ -112,19 +112,6 @@ def read_plot_spectra(folder: str | Path) -> dict[str, PlotSpectra]:
             tuple(times[i] for i in keep), reflectance[keep], int(mine.sum() - keep.size)
         )
     return spectra
-
-
-def _time(text: str, path: Path, row: int) -> str:
-    try:
-        datetime.fromisoformat(text)
-    except ValueError as error:
-        raise InputError(
-            f"expected a time such as 2023-11-09 13:31:24+00:00, but got {text!r}",
-            file=path,
-            row=row,
-            column="start_time",
-        ) from error
-    return text
 
 
 def _reflectance(table: TextTable, text: str, row: int, column: str) -> float:

@@ -1,5 +1,6 @@
 """Rows of the BioSCape tables, checked cell by cell."""
 
+from datetime import datetime
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
@@ -40,6 +41,7 @@ class CoverRow(TableRow):
         f"Percent{name}": _over_100
         for name in ("BareSoil", "BareRock", "DeadVegetation", "LiveVegetation")
     }
+    unique = "Plot"
     Plot: str = Field(description="Name of the plot.", min_length=1)
     PercentBareSoil: float = percent("Bare soil")
     PercentBareRock: float = percent("Bare rock")
@@ -100,6 +102,19 @@ class VisitRow(TableRow):
     Y: float = number("Latitude, WGS84", "degree", ge=-90, le=90)
     QltyFlg: OptionalText = Field(default=None, description="Remark of the crew.")
     start_time: str = Field(description="Start of the flight line, ISO 8601.", min_length=10)
+
+
+def flight_time(text: str, path: Path, row: int) -> datetime:
+    """Start of a flight line from ISO 8601; `InputError` for another text."""
+    try:
+        return datetime.fromisoformat(text)
+    except ValueError as error:
+        raise InputError(
+            f"expected a time such as 2023-11-09 13:31:24+00:00, but got {text!r}",
+            file=path,
+            row=row,
+            column="start_time",
+        ) from error
 
 
 COVER = "*CoverData.csv", "a table of cover by plot"

@@ -33,7 +33,7 @@ class Sourced:
 
     value: float
     source: str
-    """One of `SOURCES`."""
+    """Where the value came from: one of `SOURCES`."""
 
 
 def split_name(name: str) -> tuple[str, str]:

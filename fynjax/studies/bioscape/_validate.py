@@ -13,12 +13,12 @@ from fynjax._core.parts import Workers, at_work
 from fynjax._core.precision import double_precision
 from fynjax.compare import PlotSpectraPair
 from fynjax.inversion import nadir_imager
-from fynjax.io.plot import DEFAULT_PRIOR, LearnedPrior, Plot, read_plot, read_prior
+from fynjax.io.plot import DEFAULT_PRIOR, LearnedPrior, Plot, read_prior
 from fynjax.io.raster import file_hash
 from fynjax.jobs import Run
 from fynjax.metrics import spectral_mask
 from fynjax.sensors import BandSet
-from fynjax.studies.bioscape._plot_files import check_names, flights, write_plots
+from fynjax.studies.bioscape._plot_files import flights, planted_files
 from fynjax.studies.bioscape._plots import BioscapePlot, read_bioscape
 from fynjax.studies.bioscape._scenes import (
     ACCURACY,
@@ -84,10 +84,8 @@ def validate_plots(
         tuple(spectrometer.centre[keep]),
         tuple(spectrometer.fwhm[keep]),
     )
-    check_names(read, folder)
     begin_work({"plots.csv": f"{len(read)} plots", "report.html": ""})
-    written = write_plots(Run(run.folder / "plots"), folder, read, learned)
-    files = [read_plot(run.folder / "plots" / p.name / "plot.toml") for p in read]
+    files, remarks = planted_files(run, folder, read, learned)
     with run.stage("Plant the plots"):
         scenes = build_scenes(files, resolution, [seed + i for i in range(len(files))])
     inputs = [*sorted(folder.glob("*.csv")), traits, None if learned is None else learned.path]
@@ -109,7 +107,6 @@ def validate_plots(
         tuple(_flights(measured.get(p.name), keep) for p in read),
     )
     unknown = sorted(set(measured) - set(pair.plots)) if plots is None else []
-    remarks = list(written.warnings)
     if unknown:
         remarks.append(
             f"{len(unknown)} plots have spectra but no row in the table of cover, and are left "

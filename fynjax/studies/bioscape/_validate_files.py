@@ -1,7 +1,6 @@
 """What `fynjax bioscape validate` writes: tables, NetCDF, figures, a page."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
@@ -81,13 +80,13 @@ class ValidatePlotsResult(JobResult):
     size_m: float
     voxel_m: float
     largest_residual: float
-    """Of the light's equations, over the plots [-]."""
+    """Largest residual of the light's equations over the plots [-]."""
     agreement: Rows | None = None
-    """Rows of agreement_mean.csv."""
+    """Agreement of each predictor, means over the plots: the rows of agreement_mean.csv."""
     by_plot: Rows | None = None
-    """Rows of agreement.csv: of the model, over all bands."""
+    """Agreement of the model with each plot over all bands: rows of agreement.csv."""
     features: Rows | None = None
-    """Rows of features.csv."""
+    """How well the model distinguishes plots: the rows of features.csv."""
 
 
 def write_report(
@@ -111,17 +110,22 @@ def write_report(
     keys: dict[str, str] = {}
     rows: dict[str, pd.DataFrame] = {}
     if count:
-        tables = _Tables.of(measured)
-        tables.write(run)
-        sentence, keys = _agreement(tables.mean)
+        agreement, features = agreement_table(measured), feature_table(measured)
+        mean, misfit = mean_agreement(agreement), misfit_table(measured)
+        for name, table, what in (
+            ("agreement.csv", agreement, "agreement by plot, predictor and region"),
+            ("agreement_mean.csv", mean, "agreement, means over the plots"),
+            ("misfit.csv", misfit, "offset, gain and shape of each plot's misfit"),
+            ("bands.csv", band_table(measured), "residual, errors and correlation by band"),
+            ("features.csv", features, "how well the model distinguishes plots"),
+        ):
+            run.table(name, table, what, None)
+        sentence, keys = _agreement(mean)
         headline.append(sentence)
-        sections = _comparison(measured, tables)
-        full = tables.model[tables.model["region"] == "full"]
-        rows = {
-            "agreement": tables.mean,
-            "by_plot": full[["plot", *MEASURES]],
-            "features": tables.features,
-        }
+        of_model = agreement[agreement["predictor"] == MODEL].drop(columns="predictor")
+        sections = _comparison(measured, mean, of_model, misfit, features)
+        full = of_model[of_model["region"] == "full"]
+        rows = {"agreement": mean, "by_plot": full[["plot", *MEASURES]], "features": features}
     else:
         sections = [
             Section(
@@ -165,44 +169,6 @@ def write_report(
     )
 
 
-@dataclass(frozen=True)
-class _Tables:
-    """How measured and simulated spectra agree."""
-
-    agreement: pd.DataFrame
-    mean: pd.DataFrame
-    misfit: pd.DataFrame
-    bands: pd.DataFrame
-    features: pd.DataFrame
-
-    @classmethod
-    def of(cls, pair: PlotSpectraPair) -> "_Tables":
-        agreement = agreement_table(pair)
-        return cls(
-            agreement,
-            mean_agreement(agreement),
-            misfit_table(pair),
-            band_table(pair),
-            feature_table(pair),
-        )
-
-    @property
-    def model(self) -> pd.DataFrame:
-        """The agreement of the model."""
-        rows = self.agreement[self.agreement["predictor"] == MODEL]
-        return rows.drop(columns="predictor")
-
-    def write(self, run: Run) -> None:
-        for name, table, what in (
-            ("agreement.csv", self.agreement, "agreement by plot, predictor and region"),
-            ("agreement_mean.csv", self.mean, "agreement, means over the plots"),
-            ("misfit.csv", self.misfit, "offset, gain and shape of each plot's misfit"),
-            ("bands.csv", self.bands, "residual, errors and correlation by band"),
-            ("features.csv", self.features, "how well the model distinguishes plots"),
-        ):
-            run.table(name, table, what, None)
-
-
 def _agreement(mean: pd.DataFrame) -> tuple[str, dict[str, str]]:
     """The agreement over all bands in a sentence, and as key figures."""
     full = {row["predictor"]: row for row in mean.to_dict("records") if row["region"] == "full"}
@@ -222,15 +188,21 @@ def _agreement(mean: pd.DataFrame) -> tuple[str, dict[str, str]]:
     return f"{sentence}.", figures
 
 
-def _comparison(pair: PlotSpectraPair, tables: _Tables) -> list[Section]:
-    """The sections on measured plots."""
+def _comparison(
+    pair: PlotSpectraPair,
+    mean: pd.DataFrame,
+    of_model: pd.DataFrame,
+    misfit: pd.DataFrame,
+    features: pd.DataFrame,
+) -> list[Section]:
+    """The sections on measured plots, from the tables of their agreement."""
     columns: dict[str, Any] = {"units": _UNITS, "headers": _HEADERS, "digits": 3}
     agreement: list[Part] = [
         "Water windows (1340 to 1460 and 1790 to 2100 nm) and the sensor's edges are left out. "
         + " ".join(f"“{name}” is {what}." for name, what in PREDICTORS.items())
         + " Skill is 1 less the squared error over that of the mean of the other plots: 1 is "
         "perfect, below 0 is worse than that mean.",
-        Table(tables.mean, **columns),
+        Table(mean, **columns),
     ]
     errors = [
         Picture(
@@ -250,9 +222,9 @@ def _comparison(pair: PlotSpectraPair, tables: _Tables) -> list[Section]:
             "one gain for the whole spectrum would repair; shape is what neither does.",
         ),
     ]
-    features: list[Part] = []
+    distinguished: list[Part] = []
     if len(pair.plots) > 1:
-        features.append(
+        distinguished.append(
             Picture(
                 "features.png",
                 feature_plot(pair),
@@ -260,16 +232,16 @@ def _comparison(pair: PlotSpectraPair, tables: _Tables) -> list[Section]:
                 "Simulated over measured, a point a plot; on the line is right.",
             )
         )
-    features.append(Table(tables.features, "Correlations are across plots.", digits=3))
+    distinguished.append(Table(features, "Correlations are across plots.", digits=3))
     each: list[Part] = [
         Picture("spectra.png", spectra_plot(pair), "simulated and measured spectrum of each plot"),
-        Table(tables.misfit, "Gain, offset and shares of the error", headers=_HEADERS, digits=3),
-        Table(tables.model, "Agreement of the model, by plot and region", folded=True, **columns),
+        Table(misfit, "Gain, offset and shares of the error", headers=_HEADERS, digits=3),
+        Table(of_model, "Agreement of the model, by plot and region", folded=True, **columns),
     ]
     return [
         Section("Agreement, mean of the plots", agreement),
         Section("Where the model is off", errors),
-        Section("Does the model distinguish plots?", features),
+        Section("Does the model distinguish plots?", distinguished),
         Section("Plot by plot", each),
     ]
 
