@@ -54,7 +54,7 @@ scene = fx.read_scene(PLOT, size=SIDE, structure=STRUCTURE)
 species = scene.parameters.species
 each = fx.canopy.instance_area(species.diameter, species.height)
 target = fx.canopy.target_area(100.0, species.cover)
-count = fx.canopy.hard_count(target, each)
+count = fx.canopy.rounded_count(fx.canopy.soft_count(target, each)).astype(int)
 pd.DataFrame({"m² each": each, "m² to cover": target, "plants": count}, scene.taxa).round(3)
 
 # %% [markdown]

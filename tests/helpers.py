@@ -175,3 +175,10 @@ def descend(
         yield y, state, result if ended else going
         if ended:
             return
+
+
+def radiance_to_counts(radiance: Any, camera: Any) -> Any:
+    """Counts of a picture of a given radiance, neither rounded nor cut off: the inverse of
+    `fynjax.sensors.counts_to_radiance`."""
+    scale = camera.sensitivity / (camera.gain * camera.exposure * camera.full_scale)
+    return radiance * camera.response(radiance.shape) / scale + camera.black_level

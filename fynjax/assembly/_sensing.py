@@ -19,7 +19,7 @@ from fynjax.scene import (
     aim,
     visible_sensor,
 )
-from fynjax.sensors import Atmosphere, OrthographicCamera, Sensor
+from fynjax.sensors import Atmosphere, OrthographicCamera, Sensor, frame_of
 
 _DISAGREE = 0.02  # share by which a pixel may differ from the optics without a warning
 
@@ -133,9 +133,10 @@ def aim_without_air(
 
 def _check_swath(plot: Plot, instrument: Sensor, pixel: float) -> None:
     """Warn where a plot is wider than the sensor's image."""
-    if isinstance(instrument.camera, OrthographicCamera):
+    frame = frame_of(instrument.camera)
+    if frame is None:
         return
-    rows, columns = instrument.camera.shape
+    rows, columns = frame.shape
     across = pixel * columns
     along = across if rows == 1 else pixel * rows
     if plot.size_m[0] > across + pixel or plot.size_m[1] > along + pixel:

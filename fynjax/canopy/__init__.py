@@ -11,11 +11,8 @@ from fynjax.canopy._angles import (
     projections,
 )
 from fynjax.canopy._counts import (
-    crown_scale,
-    hard_count,
     instance_area,
     modelled_diameter,
-    projected_area,
     rounded_count,
     share_from_above,
     soft_count,
@@ -25,7 +22,7 @@ from fynjax.canopy._elements import Crown, Foliage, Shoots
 from fynjax.canopy._form import FormPrior, GrowthForm, LeafGeometry, Taxa
 from fynjax.canopy._greenness import Greenness, band_roles, choose_greenness
 from fynjax.canopy._grid import VoxelGrid, deposit
-from fynjax.canopy._instances import instantiate, random_orientation, stack_plants, unit_shapes
+from fynjax.canopy._instances import random_orientation, unit_shapes
 from fynjax.canopy._pattern import VegetationPattern, even_levels, vegetation_pattern
 from fynjax.canopy._plant import Organ, PlantModel, thin_plant
 from fynjax.canopy._plant_model import plant_model
@@ -34,7 +31,6 @@ from fynjax.canopy._sites import (
     element_weight,
     poisson_disk,
     site_weight,
-    soft_weights,
 )
 from fynjax.canopy._table import table1_2006
 from fynjax.canopy.forms import FORMS
@@ -43,7 +39,6 @@ from fynjax.canopy.mesh import (
     MeshPlant,
     PlantMaterial,
     PlantMesh,
-    branch_rotation_spread,
     generate_plant,
     leaf_sizes,
     plant_from_branches,
@@ -79,16 +74,12 @@ __all__ = [
     "VoxelGrid",
     "assign_sites",
     "band_roles",
-    "branch_rotation_spread",
     "choose_greenness",
-    "crown_scale",
     "deposit",
     "element_weight",
     "even_levels",
     "generate_plant",
-    "hard_count",
     "instance_area",
-    "instantiate",
     "leaf_angle",
     "leaf_sizes",
     "modelled_diameter",
@@ -97,7 +88,6 @@ __all__ = [
     "plant_model_from_mesh",
     "plant_model_from_points",
     "poisson_disk",
-    "projected_area",
     "projections",
     "random_orientation",
     "read_plant_mesh",
@@ -106,8 +96,6 @@ __all__ = [
     "share_from_above",
     "site_weight",
     "soft_count",
-    "soft_weights",
-    "stack_plants",
     "table1_2006",
     "target_area",
     "thin_plant",

@@ -12,14 +12,10 @@ the two equations contradict each other; turn such a mesh (`up="y"` in
 from typing import Any
 
 import jax.numpy as jnp
-import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float
 
-from fynjax._core.errors import InputError
-
-# A count that is whole but for rounding must not be lifted to the next plant by the ceiling.
-_CEILING_SLACK = 1e-12
 _SINGLE_SLACK = 5e-7
+"""A number that is whole but for this share of it is not lifted to the next plant [-]."""
 
 
 def modelled_diameter(width: Any, height: Any) -> Any:
@@ -35,46 +31,6 @@ def modelled_diameter(width: Any, height: Any) -> Any:
     return (width + height) / 2.0
 
 
-def crown_scale(crown_diameter: Any, modelled_diameter: Any) -> Any:
-    """Scale s that brings a plant model to the real crown diameter, eq. (6) [-].
-
-    **Arguments:**
-
-    - `crown_diameter`: of the real plant [m].
-    - `modelled_diameter`: of the model, positive [m] (`modelled_diameter`).
-
-    Their ratio. Differentiable in both.
-    """
-    return crown_diameter / modelled_diameter
-
-
-def projected_area(
-    scale: Any,
-    modelled_diameter: Any,
-    depth: Any,
-    rotation_spread: Any = 0.0,
-    packing: Any = 0.0,
-    fill: Any = 1.0,
-) -> Any:
-    """Ground area A that one instance counts for, eq. (5), (8) and (9) [m2].
-
-    **Arguments:**
-
-    - `scale`: s of eq. (6) [-].
-    - `modelled_diameter`: D of eq. (7) [m].
-    - `depth`: vertical extent of the model [m]; see the note on axes of this module.
-    - `rotation_spread`: sigma_rot [degrees], 0 to 90.
-    - `packing`: PE / 100 [-], 0 to below 1: crowns that overlap count for less, so there are more
-      of them.
-    - `fill`: FF / 100 [-], above 0: crowns with gaps count for less.
-
-    Differentiable in every argument.
-    """
-    lean = scale * depth * jnp.sin(jnp.deg2rad(rotation_spread))
-    disc = jnp.pi * (scale * modelled_diameter / 2.0 + lean) ** 2
-    return disc * (1.0 - packing) * fill
-
-
 def instance_area(
     diameter: Any,
     height: Any,
@@ -85,14 +41,17 @@ def instance_area(
 ) -> Any:
     """Ground area A of one instance of a plant of known size [m2].
 
-    Equations (5)-(9) for a model whose proportions are already those of the plant (a parametric
-    form), so that s D is the diameter and s depth the height.
+    Equations (5)-(9), in which the scale s of eq. (6) brings a plant model to its real size: s D is
+    the real diameter and s depth the real height.
 
     **Arguments:**
 
     - `diameter`: of the real crown [m], positive.
-    - `height`: of the real plant [m], positive.
-    - `rotation_spread`, `packing`, `fill`: as `projected_area` has them.
+    - `height`: of the real plant [m], positive; see the note on axes of this module.
+    - `rotation_spread`: sigma_rot [degrees], 0 to 90.
+    - `packing`: PE / 100 [-], 0 to below 1: crowns that overlap count for less, so there are more
+      of them.
+    - `fill`: FF / 100 [-], above 0: crowns with gaps count for less.
     - `minimum_area`: least area that one instance counts for [m2]. The paper names the term without
       giving its equation: here it is a lower bound on A, and 0 leaves eq. (9) as it is.
 
@@ -101,8 +60,8 @@ def instance_area(
     Differentiable in every argument; where the minimum area takes over, the slope in the others is
     zero.
     """
-    area = projected_area(1.0, diameter, height, rotation_spread, packing, fill)
-    return jnp.maximum(area, minimum_area)
+    disc = jnp.pi * (diameter / 2.0 + height * jnp.sin(jnp.deg2rad(rotation_spread))) ** 2
+    return jnp.maximum(disc * (1.0 - packing) * fill, minimum_area)
 
 
 def target_area(scene_area: Any, cover: Any) -> Any:
@@ -185,38 +144,3 @@ def share_from_above(crowns: Any) -> Any:
     most = 1.0 - jnp.finfo(crowns.dtype).eps  # of the whole ground: finite in log and slope
     free = jnp.sum(jnp.log1p(-jnp.minimum(crowns, most)))
     return jnp.where(stands, -jnp.expm1(free) / jnp.where(stands, total, 1.0), 1.0)
-
-
-def hard_count(
-    target_area: Any, projected_area: Any, branches: Any = 1
-) -> Int[np.ndarray, "*species"] | int:
-    """Number of instances of a species, eq. (10) with its ceiling [-].
-
-    **Arguments:**
-
-    - `target_area`: area to be covered [m2], not negative; zero gives zero.
-    - `projected_area`: ground area of one instance [m2], positive.
-    - `branches`: number of copies that make one plant [-].
-
-    **Returns:** an int, or an int array where the arguments are arrays.
-
-    For concrete numbers, in float64. Not differentiable: see `soft_count`.
-
-    **Raises:** `InputError` for a projected area that is not positive, or a negative target.
-
-    >>> from fynjax.canopy import hard_count
-    >>> hard_count(target_area=10.0, projected_area=0.196)
-    52
-    """
-    target = np.asarray(target_area, float)
-    area = np.asarray(projected_area, float)
-    if not np.all(np.isfinite(area) & (area > 0.0)):
-        raise InputError(
-            f"`projected_area` must be positive [m2], but is {area}; a packing of 1, a fill of "
-            "0 or a crown without diameter gives zero"
-        )
-    if not np.all(np.isfinite(target) & (target >= 0.0)):
-        raise InputError(f"`target_area` must not be negative [m2], but is {target}")
-    count = np.asarray(branches, float) * target / area
-    whole = np.ceil(count * (1.0 - _CEILING_SLACK)).astype(np.int64)
-    return int(whole) if whole.ndim == 0 else whole

@@ -118,9 +118,9 @@ class GrowthForm:
     leaf_elements: Elements = leaves_in_bunches
     """Where the area elements of leaves lie, and so the leaves of a mesh."""
     wood_elements: Elements = wood_of_stems
-    """Where those of wood lie; twigs that a mesh has besides join leaves to them."""
+    """Where the area elements of wood lie; twigs that a mesh has besides join leaves to them."""
     flower_elements: Elements = flowers_on_top
-    """Where those of flowers lie."""
+    """Where the area elements of flowers lie."""
     leaf: LeafGeometry
     """One leaf of a plant whose taxon has no row in `leaf_sizes`."""
 
@@ -139,13 +139,13 @@ class GrowthForm:
     chlorophyll: float = 60.0
     """Chlorophyll of its leaves where none was measured [ug cm-2]."""
     carotenoids: float = 12.0
-    """Carotenoids of the same [ug cm-2]."""
+    """Carotenoids of its leaves where none were measured [ug cm-2]."""
     anthocyanins: float = 1.5
-    """Anthocyanins of the same [ug cm-2]."""
+    """Anthocyanins of its leaves where none were measured [ug cm-2]."""
     flat_leaved: Taxa = Taxa()
     """Plants of this form with flat leaves, in tables that state no form."""
     round_leaved: Taxa = Taxa()
-    """The same with rolled leaves, needles or culms."""
+    """Plants of this form with rolled leaves, needles or culms, in tables that state no form."""
 
     @property
     def leafy(self) -> bool:

@@ -19,7 +19,7 @@ class Organ(enum.IntEnum):
 class PlantModel(eqx.Module):
     """The shape of a plant, free of its size: area elements in crown coordinates.
 
-    One instance is one plant. Placed plants are `instantiate(plant, sites, ...)`.
+    One instance is one plant. `unit_shapes` turns and leans it.
     """
 
     position: Float[Array, "element 3"]

@@ -31,7 +31,7 @@ def plant_model(
 
     - `form`: a key of `FORMS`; `FORMS[form].description` describes its shape.
     - `n_elements`: number of area elements, at least 3. Where a form has several organs about 75 %
-      are leaf, 17 % wood and 8 % flower, whatever their areas: the areas come with `instantiate`.
+      are leaf, 17 % wood and 8 % flower, whatever their areas: the areas are the scene's.
     - `seed`: the same seed gives the same plant.
     - `share`: of the elements that each organ gets, in any unit, instead of these. Organs that the
       form does not have count for nothing.

@@ -1,17 +1,15 @@
 """Where plants stand: blue noise, shared out among the species, and their soft weights."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import partial
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Real
 
 from fynjax._core.errors import InputError
-
-Probability = np.ndarray | Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 
 def poisson_disk(
@@ -76,7 +74,7 @@ def assign_sites(
     points: Float[np.ndarray, "n 2"],
     needed: Sequence[int],
     *,
-    probability: Probability | Sequence[Probability | None] | None = None,
+    probability: Real[np.ndarray, "y x"] | None = None,
     extent: tuple[float, float] | None = None,
     names: Sequence[str] | None = None,
     seed: int,
@@ -96,9 +94,9 @@ def assign_sites(
 
     - `points`: places [m], for instance from `poisson_disk`.
     - `needed`: number of sites for each species.
-    - `probability`: None (the same everywhere), an array [y, x] of 0-255 with row 0 at the southern
-      edge, a function of (x, y) [m] that gives 0-255, or one of these for each species.
-    - `extent`: (lx, ly) [m] that an array covers; required with an array.
+    - `probability`: None (the same everywhere), or an array [y, x] of 0-255 with row 0 at the
+      southern edge.
+    - `extent`: (lx, ly) [m] that the array covers; required with one.
     - `names`: of the species, for errors.
     - `seed`: the same seed gives the same sites.
 
@@ -117,24 +115,13 @@ def assign_sites(
     wanted = [int(number) for number in needed]
     if any(number < 0 for number in wanted):
         raise InputError(f"`needed` must not be negative, but is {wanted}")
-    per_species: list[Probability | None]
-    if isinstance(probability, Sequence):
-        per_species = list(probability)
-        if len(per_species) != len(wanted):
-            raise InputError(
-                f"`probability` must hold one map for each of {len(wanted)} species, but holds "
-                f"{len(per_species)}"
-            )
-    else:
-        per_species = [probability] * len(wanted)
-
+    chance = _acceptance(points, probability, extent)
     free = np.ones(len(points), bool)
     sites: list[np.ndarray] = []
-    for species, (number, chance_map) in enumerate(zip(wanted, per_species, strict=True)):
+    for species, number in enumerate(wanted):
         if number == 0:
             sites.append(np.empty((0, 2)))
             continue
-        chance = _acceptance(points, chance_map, extent)
         rng = np.random.default_rng([seed, species])
         order = rng.permutation(len(points))
         passes = _rounds_until_accepted(chance[order], rng)
@@ -167,29 +154,27 @@ def _rounds_until_accepted(chance: np.ndarray, rng: np.random.Generator) -> np.n
 
 
 def _acceptance(
-    points: np.ndarray, chance_map: Probability | None, extent: tuple[float, float] | None
+    points: np.ndarray,
+    raster: Real[np.ndarray, "y x"] | None,
+    extent: tuple[float, float] | None,
 ) -> np.ndarray:
     """Chance [0, 1] that a point is accepted in one round."""
-    if chance_map is None:
+    if raster is None:
         return np.ones(len(points))
-    if callable(chance_map):
-        value = np.broadcast_to(np.asarray(chance_map(points[:, 0], points[:, 1])), len(points))
-    else:
-        raster = np.asarray(chance_map)
-        if raster.ndim != 2:
-            raise InputError(f"a probability map must have axes [y, x], but has {raster.shape}")
-        if extent is None:
-            raise InputError("`extent` (lx, ly) in metres must be given with a probability raster")
-        rows, columns = raster.shape
-        column = np.floor(points[:, 0] / extent[0] * columns).astype(int)
-        row = np.floor(points[:, 1] / extent[1] * rows).astype(int)
-        inside = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
-        if not inside.all():
-            raise InputError(
-                f"the probability map covers {extent[0]} m x {extent[1]} m, but "
-                f"{np.count_nonzero(~inside)} of {len(points)} points lie outside"
-            )
-        value = raster[row, column]
+    if raster.ndim != 2:
+        raise InputError(f"a probability map must have axes [y, x], but has {raster.shape}")
+    if extent is None:
+        raise InputError("`extent` (lx, ly) in metres must be given with a probability raster")
+    rows, columns = raster.shape
+    column = np.floor(points[:, 0] / extent[0] * columns).astype(int)
+    row = np.floor(points[:, 1] / extent[1] * rows).astype(int)
+    inside = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
+    if not inside.all():
+        raise InputError(
+            f"the probability map covers {extent[0]} m x {extent[1]} m, but "
+            f"{np.count_nonzero(~inside)} of {len(points)} points lie outside"
+        )
+    value = raster[row, column]
     value = value.astype(float)
     if not np.all((value >= 0.0) & (value <= 255.0)):
         raise InputError(
@@ -202,23 +187,6 @@ def _acceptance(
             f"{value.max():.3g}: fractions were probably given; multiply by 255"
         )
     return value / 255.0
-
-
-def soft_weights(
-    count: Any, n_sites: int, *, width: Any = 1.0, softness: Any = 0.0
-) -> Float[Array, " site"]:
-    """Weight in [0, 1] of each of a species' ordered sites, for a real number of plants.
-
-    **Arguments:**
-
-    - `count`: number of plants [-], at least 0. What exceeds `n_sites` is lost: provide enough
-      sites.
-    - `n_sites`: number of sites.
-    - `width`, `softness`: of the ramp from 1 to 0, as in `site_weight`.
-
-    Differentiable as `site_weight`.
-    """
-    return site_weight(count, np.arange(n_sites), width=width, softness=softness)
 
 
 def site_weight(
@@ -244,10 +212,11 @@ def site_weight(
     Differentiable in `count`, `width` and `softness`, with continuous slopes where there is a ramp;
     without one the slope at a kink is the one to the right.
 
-    >>> from fynjax.canopy import soft_weights
-    >>> soft_weights(2.3, 4).round(3)
+    >>> import jax.numpy as jnp
+    >>> from fynjax.canopy import site_weight
+    >>> site_weight(2.3, jnp.arange(4)).round(3)
     Array([1. , 1. , 0.3, 0. ], dtype=float32)
-    >>> soft_weights(2.3, 4, softness=1.0).round(3)
+    >>> site_weight(2.3, jnp.arange(4), softness=1.0).round(3)
     Array([1.   , 0.843, 0.413, 0.044], dtype=float32)
     """
     return _site_weight(count, index, width, softness)

@@ -252,9 +252,7 @@ def nadir_imager(
 
     **Returns:** `AimedSensor`.
     """
-    half = 0.5 * scene.grid.horizontal_size
-    camera = OrthographicCamera((-half, -half, half, half), 2.0 * half)
-    sensor = Sensor("nadir", bands, camera)
+    sensor = Sensor("nadir", bands, OrthographicCamera(scene.grid.horizontal_size))
     return aim(scene, parameters, sensor, accuracy=accuracy)
 
 

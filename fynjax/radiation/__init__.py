@@ -6,7 +6,7 @@ from fynjax.radiation._check import check_scene, voxel_values
 from fynjax.radiation._fluxes import Fluxes, absorption, diffuse_sources, fluxes
 from fynjax.radiation._ground import RahmanPintyVerstraete
 from fynjax.radiation._image import Sight
-from fynjax.radiation._multiple import Cells, DiffuseField
+from fynjax.radiation._multiple import DiffuseField
 from fynjax.radiation._phase import area_scattering
 from fynjax.radiation._rays import (
     AbstractRays,
@@ -20,7 +20,6 @@ from fynjax.radiation._rays import (
 from fynjax.radiation._render import (
     Accuracy,
     Light,
-    check_light,
     directional_reflectance,
     look,
     reflectance_factor,
@@ -28,23 +27,12 @@ from fynjax.radiation._render import (
     solve_light,
 )
 from fynjax.radiation._scene import Illumination, OpticalClasses, VoxelScene
-from fynjax.radiation._tiles import (
-    LightInWindows,
-    Tiling,
-    cut_cells,
-    render_tile,
-    render_tiles,
-    render_window,
-    solve_cells,
-    tile_picture,
-    window_cells,
-)
+from fynjax.radiation._tiles import LightInWindows, Tiling
 
 __all__ = [
     "AbstractRays",
     "Accuracy",
     "CanopyAlbedo",
-    "Cells",
     "DiffuseField",
     "Fluxes",
     "Illumination",
@@ -62,9 +50,7 @@ __all__ = [
     "area_scattering",
     "canopy_albedo",
     "canopy_reflectance",
-    "check_light",
     "check_scene",
-    "cut_cells",
     "diffuse_sources",
     "directional_reflectance",
     "fluxes",
@@ -74,13 +60,7 @@ __all__ = [
     "perspective_rays",
     "reflectance_factor",
     "render",
-    "render_tile",
-    "render_tiles",
-    "render_window",
-    "solve_cells",
     "solve_light",
-    "tile_picture",
     "voxel_scene",
     "voxel_values",
-    "window_cells",
 ]

@@ -175,44 +175,67 @@ def check_scene(scene: VoxelScene) -> None:
     out of range where they are known, that is outside a transformation.
     """
     density, classes, sun = scene.area_density, scene.classes, scene.illumination
+    pattern, soil = sun.sky_pattern, scene.ground_shape
     if density.ndim != 4 or 0 in density.shape:
         raise InputError(
             "`area_density` must have the axes [class, z, y, x], none of them empty, but has "
             f"shape {density.shape}"
         )
-    n_class, n_band = density.shape[0], (0, *classes.reflectance.shape)[-1]
-    if n_band == 0:
+    if classes.reflectance.ndim != 2 or classes.reflectance.shape[1] == 0:
         raise InputError(
             "`classes.reflectance` must have the axes [class, band], with one band or more, but "
             f"has shape {classes.reflectance.shape}"
         )
-    for name in ("reflectance", "transmittance"):
-        shape = getattr(classes, name).shape
-        if shape != (n_class, n_band):
+    if not isinstance(soil, RahmanPintyVerstraete | None):
+        raise InputError(
+            f"`ground_shape` must be a `RahmanPintyVerstraete` or None, but is {short(soil)}"
+        )
+    optics, columns = (density.shape[0], classes.reflectance.shape[1]), density.shape[2:]
+    n_class, *band = optics
+    of_band = tuple(band)
+    shapes: list[tuple[str, Any, str, tuple[int, ...]]] = [
+        ("classes.reflectance", classes.reflectance, "(class, band)", optics),
+        ("classes.transmittance", classes.transmittance, "(class, band)", optics),
+        ("illumination.sun", sun.sun, "(band,)", of_band),
+        ("illumination.sky", sun.sky, "(band,)", of_band),
+        ("terrain", scene.terrain, "(y, x)", columns),
+    ]
+    if scene.ground.shape != of_band:
+        shapes.append(("ground", scene.ground, "(band,) or (band, y, x)", (*band, *columns)))
+    if soil is not None:
+        shapes += [(f"ground_shape.{n}", v, "(band,)", of_band) for n, v in vars(soil).items()]
+    for name, array, axes, shape in shapes:
+        if array is not None and array.shape != shape:
             raise InputError(
-                f"`classes.{name}` must have shape (class, band) = {(n_class, n_band)} to go with "
-                f"`area_density`, but has {shape}"
+                f"`{name}` must have shape {axes} = {shape} to go with `area_density` and the "
+                f"bands, but has {array.shape}"
             )
-    if len(classes.angle_of_class) != n_class:
-        raise InputError(
-            f"`classes.angle_of_class` must name a distribution for each of the {n_class} classes, "
-            f"but has {len(classes.angle_of_class)} entries"
-        )
-    if max(classes.angle_of_class) >= len(classes.angles):
-        raise InputError("`classes.angle_of_class` points beyond the end of `classes.angles`")
-    if scene.ground.shape not in {(n_band,), (n_band, *density.shape[2:])}:
-        raise InputError(
-            f"`ground` must have shape (band,) or (band, y, x) = {(n_band, *density.shape[2:])}, "
-            f"but has {scene.ground.shape}"
-        )
-    if sun.sun.shape != (n_band,) or sun.sky.shape != (n_band,):
-        raise InputError(
-            f"`illumination.sun` and `illumination.sky` must have one value for each of the "
-            f"{n_band} bands, but have shapes {sun.sun.shape} and {sun.sky.shape}"
-        )
+    owners = {"angle_of_class": (classes.angle_of_class, len(classes.angles))}
+    if classes.leaf_diameter is not None:
+        owners["size_of_class"] = classes.sizes, len(classes.leaf_diameter)
+    for name, (places, count) in owners.items():
+        if len(places) != n_class or max(places) >= count:
+            raise InputError(
+                f"`classes.{name}` must have one of the places 0 to {count - 1} for each of the "
+                f"{n_class} classes, but is {places}"
+            )
     for name in ("sun_zenith", "sun_azimuth"):
         check_shape(f"illumination.{name}", getattr(sun, name), (), ": a scene has one sun")
-    _check_options(scene, n_band)
+    if pattern is not None:
+        few = pattern.ndim not in (2, 3) or pattern.shape[-2] < 2 or pattern.shape[-1] < 1
+        if few or (pattern.ndim == 3 and pattern.shape[:1] != of_band):
+            raise InputError(
+                "`illumination.sky_pattern` must have the axes [zenith, azimuth] or [band, zenith, "
+                f"azimuth], with an azimuth and two zeniths or more, but has shape {pattern.shape}"
+            )
+    if scene.structure is not None:
+        fine = scene.structure.shape
+        times = [n / m for n, m in zip(fine, scene.shape)] if len(fine) == 3 else [0.5]
+        if any(n < 1 or n != int(n) for n in times) or times[1] != times[2]:
+            raise InputError(
+                "`structure` must have a whole number of finer voxels to each of the grid's "
+                f"{scene.shape}, as many along y as along x, but has shape {fine}"
+            )
     if scene.boundary not in ("periodic", "open"):
         raise InputError(f"`boundary` must be 'periodic' or 'open', but is {scene.boundary!r}")
     for name in ("horizontal", "vertical"):
@@ -224,42 +247,29 @@ def check_scene(scene: VoxelScene) -> None:
 def _check_values(scene: VoxelScene) -> None:
     """Values of a scene that is known."""
     density, classes, sun = scene.area_density, scene.classes, scene.illumination
-    check_range("area_density [m2 m-3]", density, 0.0, math.inf)
-    check_range("ground", scene.ground, 0.0, 1.0)
-    for name in ("reflectance", "transmittance"):
-        check_range(f"classes.{name}", getattr(classes, name), 0.0, 1.0)
-    if scene.structure is not None:
-        check_range("structure [m2 m-3]", scene.structure, 0.0, math.inf)
-        mean = np.asarray(block_mean(scene.structure, scene.structure_factor))
-        total = np.asarray(scene.area_density).sum(axis=0)
-        if np.abs(mean - total).max() > 1e-3 * max(total.max(), 1e-3):
-            raise InputError(
-                "the mean of `structure` over a voxel must be the sum of `area_density` over the "
-                f"classes, but they differ by up to {np.abs(mean - total).max():.3g} m2 m-3: was "
-                "one of them changed alone?"
-            )
-    for name in ("sun", "sky"):
-        check_range(f"illumination.{name}", getattr(sun, name), 0.0, math.inf)
-    if not np.all(np.asarray(sun.sun) + np.asarray(sun.sky) > 0):
-        raise InputError("`illumination` must have light, of sun or sky, in every band")
-    if classes.leaf_diameter is not None:
-        check_range("classes.leaf_diameter [m]", classes.leaf_diameter, 0.0, 10.0)
-    if scene.terrain is not None:
-        check_range(
-            "terrain [m]",
-            scene.terrain,
-            0.0,
-            scene.height,
-            ": heights count from the bottom of the grid, are they above sea level?",
+    for name, values, high in (
+        ("area_density [m2 m-3]", density, math.inf),
+        ("structure [m2 m-3]", scene.structure, math.inf),
+        ("ground", scene.ground, 1.0),
+        ("classes.reflectance", classes.reflectance, 1.0),
+        ("classes.transmittance", classes.transmittance, 1.0),
+        ("classes.leaf_diameter [m]", classes.leaf_diameter, 10.0),
+        ("illumination.sun", sun.sun, math.inf),
+        ("illumination.sky", sun.sky, math.inf),
+        ("illumination.sky_pattern", sun.sky_pattern, math.inf),
+    ):
+        if values is not None:
+            check_range(name, values, 0.0, high)
+    check_range("sun_azimuth", sun.sun_azimuth, -math.inf, math.inf)
+    zenith = float(sun.sun_zenith)
+    if not 0 <= zenith < 89.5:
+        raise InputError(
+            f"`sun_zenith` must be in [0, 89.5) degrees, but is {zenith:g}: the sun is at or below "
+            "the horizon, or an elevation was passed"
         )
-    if sun.sky_pattern is not None:
-        check_range("illumination.sky_pattern", sun.sky_pattern, 0.0, math.inf)
-        dark = np.asarray(sun.sky_pattern).sum(axis=(-2, -1)) == 0
-        if np.any(dark & (np.asarray(sun.sky) > 0)):
-            raise InputError(
-                "`illumination.sky_pattern` must be bright somewhere in every band that has light "
-                "of the sky, but is zero everywhere: for no sky light set `sky` to zero"
-            )
+    if scene.terrain is not None:
+        slip = ": heights count from the bottom of the grid, are they above sea level?"
+        check_range("terrain [m]", scene.terrain, 0.0, scene.height, slip)
     if scene.ground_shape is not None:
         for name, low, high in (
             ("k", -math.inf, math.inf),
@@ -269,65 +279,29 @@ def _check_values(scene: VoxelScene) -> None:
         ):
             values = getattr(scene.ground_shape, name)
             check_range(f"ground_shape.{name}", values, low, high, ends="()")
+    if scene.structure is not None:
+        mean = np.asarray(block_mean(scene.structure, scene.structure_factor))
+        total = np.asarray(density).sum(axis=0)
+        if np.abs(mean - total).max() > 1e-3 * max(total.max(), 1e-3):
+            raise InputError(
+                "the mean of `structure` over a voxel must be the sum of `area_density` over the "
+                f"classes, but they differ by up to {np.abs(mean - total).max():.3g} m2 m-3: was "
+                "one of them changed alone?"
+            )
+    if not np.all(np.asarray(sun.sun) + np.asarray(sun.sky) > 0):
+        raise InputError("`illumination` must have light, of sun or sky, in every band")
+    if sun.sky_pattern is not None:
+        dark = np.asarray(sun.sky_pattern).sum(axis=(-2, -1)) == 0
+        if np.any(dark & (np.asarray(sun.sky) > 0)):
+            raise InputError(
+                "`illumination.sky_pattern` must be bright somewhere in every band that has light "
+                "of the sky, but is zero everywhere: for no sky light set `sky` to zero"
+            )
     total = np.max(np.asarray(classes.reflectance) + np.asarray(classes.transmittance))
     if total > 1 + 1e-5:
         raise InputError(
             f"reflectance + transmittance of a class must not exceed 1, but reaches {total:.4g}: "
             "are they in percent, or was absorptance passed?"
-        )
-    zenith = float(sun.sun_zenith)
-    if not 0 <= zenith < 89.5:
-        raise InputError(
-            f"`sun_zenith` must be in [0, 89.5) degrees, but is {zenith:g}: the sun is at or below "
-            "the horizon, or an elevation was passed"
-        )
-    check_range("sun_azimuth", sun.sun_azimuth, -math.inf, math.inf)
-
-
-def _check_options(scene: VoxelScene, n_band: int) -> None:
-    """Shapes of what a scene may have."""
-    classes, pattern, terrain = scene.classes, scene.illumination.sky_pattern, scene.terrain
-    if classes.leaf_diameter is not None:
-        count = len(classes.angle_of_class)
-        if classes.leaf_diameter.ndim != 1 or len(classes.sizes) != count:
-            raise InputError(
-                "`classes.leaf_diameter` must be a list of diameters and `classes.size_of_class` "
-                f"name one for each of the {count} classes, but they have shape "
-                f"{classes.leaf_diameter.shape} and {len(classes.sizes)} entries"
-            )
-        if max(classes.sizes) >= len(classes.leaf_diameter):
-            raise InputError("`classes.size_of_class` points beyond the end of `leaf_diameter`")
-    if pattern is not None:
-        few = pattern.ndim not in (2, 3) or pattern.shape[-2] < 2 or pattern.shape[-1] < 1
-        if few or (pattern.ndim == 3 and pattern.shape[0] != n_band):
-            raise InputError(
-                "`illumination.sky_pattern` must have the axes [zenith, azimuth] or [band, zenith, "
-                f"azimuth], with an azimuth and two zeniths or more, but has shape {pattern.shape}"
-            )
-    if scene.ground_shape is not None:
-        if not isinstance(scene.ground_shape, RahmanPintyVerstraete):
-            raise InputError(
-                "`ground_shape` must be a `RahmanPintyVerstraete` or None, but is "
-                f"{short(scene.ground_shape)}"
-            )
-        for name, value in vars(scene.ground_shape).items():
-            if value.shape != (n_band,):
-                raise InputError(
-                    f"`ground_shape.{name}` must have one value for each of the {n_band} bands, "
-                    f"but has shape {value.shape}"
-                )
-    if scene.structure is not None:
-        fine = scene.structure.shape
-        times = [n / m for n, m in zip(fine, scene.shape)] if len(fine) == 3 else [0.5]
-        if any(n < 1 or n != int(n) for n in times) or times[1] != times[2]:
-            raise InputError(
-                "`structure` must have a whole number of finer voxels to each of the grid's "
-                f"{scene.shape}, as many along y as along x, but has shape {fine}"
-            )
-    if terrain is not None and terrain.shape != scene.shape[1:]:
-        raise InputError(
-            f"`terrain` must have one height for each voxel column, {scene.shape[1:]}, but has "
-            f"shape {terrain.shape}"
         )
 
 
@@ -364,24 +338,20 @@ def check_memory(
         return
     layers, rows, columns = scene.shape
     length = factor[1] * scene.horizontal
-    fits = lambda *at: needed(*at) <= available  # noqa: E731
-    less = next((n for n in range(2, wide + 1) if fits(voxels, cell, fine, n)), None)
-    wider = next((n for n in range(1, 5) if fits(voxels, cell * n**2)), None)
-    larger = next((n for n in range(2, 9) if fits(voxels / n**3, cell)), None)
+    # The first of these that fits is advised.
+    remedies = [
+        *((f"a structure of {n * scene.horizontal / wide:g} m", needed(voxels, cell, fine, n))
+          for n in range(2, wide + 1)),
+        *((f"cells of {n * length:g} m for its diffuse light (`Accuracy(cell={n * length:g}, "
+           "refine=False)`)", needed(voxels, cell * n**2)) for n in range(1, 5)),
+        *((f"voxels {n} times as large", needed(voxels / n**3, cell)) for n in range(2, 9)),
+    ]  # fmt: skip
+    fits = next((remedy for remedy, less in remedies if less <= available), None)
     advice = "take larger voxels, a smaller scene or fewer bands"
-    if less is not None:
-        advice = f"with a structure of {less * scene.horizontal / wide:g} m it would fit"
-    elif wider is not None:
-        minutes = _SECONDS * voxels / (cell * wider**2) * ordinates * bands / 60
-        advice = (
-            f"with cells of {wider * length:g} m for its diffuse light it would fit (`Accuracy("
-            f"cell={wider * length:g}, refine=False)`; about {minutes:.2g} minutes of one core)"
-        )
-    elif larger is not None:
-        advice = f"with voxels {larger} times as large it would fit"
     raise InputError(
         f"a grid of {layers} x {rows} x {columns} voxels in {bands} bands needs about "
-        f"{need / 2**30:.1f} GiB, but this machine has {available / 2**30:.1f}: {advice}"
+        f"{need / 2**30:.1f} GiB, but this machine has {available / 2**30:.1f}: "
+        f"{advice if fits is None else f'with {fits} it would fit'}"
     )
 
 
@@ -404,15 +374,13 @@ def check_picture(scene: VoxelScene, pixels: int, slabs: int, together: int = 1)
     if need > available:
         raise InputError(
             f"a picture of {pixels} pixels in {bands} bands needs about {need / 2**30:.1f} GiB, "
-            f"but this machine has {available / 2**30:.1f}: render it in tiles (`render_tiles`)"
+            f"but this machine has {available / 2**30:.1f}: take larger pixels or fewer bands"
         )
 
 
 _COARSE_FIELDS, _FINE_FIELDS, _SUN_FIELDS, _PIXEL_FIELDS = 10, 8, 5, 12
 """Fields of one band that the solver, and the refinement, hold at once; those of the finest voxels
 along the sun's beams; and those of a picture."""
-_SECONDS = 2e-7
-"""Time of the diffuse light of one cell, ordinate and band on one core [s]."""
 
 
 def _memory() -> int:

@@ -28,7 +28,7 @@ class Fluxes(eqx.Module):
     transmitted: Float[Array, " band"]
     """Downward flux at the ground, light between ground and canopy included."""
     transmitted_direct: Float[Array, " band"]
-    """Of it, direct sun."""
+    """Direct sun at the ground."""
     ground_absorbed: Float[Array, " band"]
     """Absorbed by the ground."""
 

@@ -26,11 +26,14 @@ from fynjax.radiation._hotspot import POINT_WEIGHTS, POINTS, kinds, overlaps
 from fynjax.radiation._multiple import DiffuseField
 from fynjax.radiation._ordinates import Ordinates
 from fynjax.radiation._phase import area_scattering_of
-from fynjax.radiation._rays import AbstractRays, Lattice, pixel_projection
+from fynjax.radiation._rays import AbstractRays, Lattice, RayLattice, pixel_projection
 from fynjax.radiation._reduced import ReducedField
 from fynjax.radiation._scene import OpticalClasses, VoxelScene
 from fynjax.radiation._sun import SunField, unshaded_beams
 from fynjax.radiation._terrain import covered
+
+MOST_RAYS = 1500**2
+"""Rays of a lattice that are followed at once."""
 
 
 class Radiance(eqx.Module):
@@ -41,7 +44,7 @@ class Radiance(eqx.Module):
     diffuse_leaves: Float[Array, "band row column"]
     """Sky light and light scattered before, scattered towards the sensor by the canopy."""
     ground: Float[Array, "band row column"]
-    """From the ground, direct and diffuse."""
+    """Light that the ground sends, direct and diffuse."""
     gap: Float[Array, "row column"]
     """Share of the ray that reaches the ground unhit [-]."""
 
@@ -66,18 +69,19 @@ class _GroundInView(NamedTuple):
     """Ground at one height within each pixel."""
 
     height: Array
-    """Above the bottom of the grid [m]."""
+    """Height of this ground above the bottom of the grid [m]."""
     gap: Float[Array, "row column"]
     """Share of the ray that ends on it [-]."""
     sunlit: Float[Array, "row column"]
-    """The same, times the sun's share that the canopy lets through on the way there."""
+    """Share of the ray that ends on it, times the share of sunlight that the canopy lets through on
+    the way there [-]."""
 
 
 class _Slab(NamedTuple):
     """What the rays meet between two heights, close enough for its classes to be mixed alike."""
 
     height: Array
-    """Of its middle [m]."""
+    """Height of the middle of the slab [m]."""
     viewed: Float[Array, "row column"]
     """Path through it times the gap to the sensor, per mean area of its voxels [m]."""
     ground: _GroundInView | None
@@ -90,7 +94,7 @@ class _View(NamedTuple):
     sunlit: Float[Array, "class row column"]
     """Area of each class within a pixel, times the gaps to sun and sensor [-]."""
     ground: _GroundInView | None
-    """Level ground."""
+    """Level ground in view; None on terrain."""
     gap: Float[Array, "row column"]
     met: Float[Array, "class row column"] | None
     """Share of the ray that ends on each class [-]; None where it is not asked for."""
@@ -128,33 +132,68 @@ def render_rays(
     """
     rays = jax.tree.map(lambda numbers: jnp.asarray(numbers, scene.area_density.dtype), rays)
     cut = _cut(scene, diffuse.factor(scene), sublayers, lean)
+    rows = _rows_at_once(rays, together) if isinstance(diffuse, DiffuseField) else rays.shape[0]
     slabs_of_scene = scene.shape[0] * scene.structure_factor[0] * sublayers // cut.pieces
-    check_picture(scene, math.prod(rays.shape), slabs_of_scene, together)
+    check_picture(scene, rows * rays.shape[1], slabs_of_scene, together)
     composition = _composition(scene, cut)
+    layers = _layers(scene, sun, cut, composition)
     if isinstance(diffuse, DiffuseField):
-        lit = _Lit.create(scene, sun, diffuse, rays, ordinates, composition, cut)
-        view, sums = _look(scene, sun, rays, composition, cut, lit)
-        radiance = Radiance(*_radiance(scene, sun, rays, lit, view, sums), view.gap)
-        return jax.tree.map(lambda image: _mean_of_blocks(image, together), radiance)
-    view, slabs = _look(scene, sun, rays, composition, cut, None, together)
+        scattered = _scattered(scene, diffuse, rays, ordinates, composition, cut)
+
+        def radiance(rays: AbstractRays) -> Radiance:
+            lit = _Lit.create(scene, sun, diffuse, rays, ordinates, scattered)
+            view, sums = _look(scene, sun, rays, layers, cut, lit)
+            made = Radiance(*_radiance(scene, sun, rays, lit, view, sums), view.gap)
+            return jax.tree.map(lambda image: _mean_of_blocks(image, together), made)
+
+        if not isinstance(rays, RayLattice) or rows == rays.shape[0]:
+            return radiance(rays)
+        # The rows of a picture are like chunks of bands, along the last axis but one.
+        of_rows = lambda start: radiance(rays.rows(start, rows))  # noqa: E731
+        return _in_chunks(of_rows, rays.shape[0], rows, axis=-2, together=together)
+    view, slabs = _look(scene, sun, rays, layers, cut, None, together)
     rays = rays.together(together)
     count = scene.illumination.sun.shape[0]
     size = min(chunk, count)
 
     def radiance_of(start: Array) -> tuple[Array, ...]:
         part, field = scene.bands(start, size), diffuse.bands(start, size)
-        lit = _Lit.create(part, sun, field, rays, ordinates, composition, cut)
+        scattered = _scattered(part, field, rays, ordinates, composition, cut)
+        lit = _Lit.create(part, sun, field, rays, ordinates, scattered)
         none = jnp.zeros((size, *rays.shape), view.gap.dtype)
         return _radiance(part, sun, rays, lit, view, lit.add_all((none, none), slabs))
 
-    # The last chunk ends with the last band and repeats some of the one before.
-    starts = np.minimum(np.arange(0, count, size), count - size)
-    parts = jax.lax.map(jax.checkpoint(radiance_of), jnp.asarray(starts))
-    place = np.arange(count)
-    chunk_of_band = place // size
-    kept = chunk_of_band * size + place - starts[chunk_of_band]
-    leaves, more, ground = (p.reshape(-1, *p.shape[2:])[kept] for p in parts)
+    leaves, more, ground = _in_chunks(radiance_of, count, size, axis=0)
     return Radiance(leaves, more, ground, view.gap)
+
+
+def _rows_at_once(rays: AbstractRays, together: int) -> int:
+    """Rows of rays that are followed at once: all of a small picture, and of rays in any directions
+    whose middle is that of all of them."""
+    rows, columns = rays.shape
+    if rows * columns <= MOST_RAYS or not isinstance(rays, RayLattice):
+        return rows
+    return max(MOST_RAYS // columns // together, 1) * together
+
+
+def _in_chunks(
+    function: Callable[[Array], Any], count: int, size: int, *, axis: int, together: int = 1
+) -> Any:
+    """What a function of the start of a chunk of `size` gives of all `count`, one chunk after
+    another: arrays with the chunk along `axis`, as means of `together`. Chunks are computed anew
+    in the backward pass, so that memory is that of one."""
+    # The last chunk ends with the last one and repeats some of the chunk before.
+    starts = np.minimum(np.arange(0, count, size), count - size)
+    parts = jax.lax.map(jax.checkpoint(function), jnp.asarray(starts))
+    place = np.arange(count // together)
+    chunk = place // (size // together)
+    within = place - starts[chunk] // together
+
+    def join(field: Array) -> Array:
+        field = jnp.moveaxis(field, axis if axis < 0 else axis + 1, 1)
+        return jnp.moveaxis(field[chunk, within], 0, axis)
+
+    return jax.tree.map(join, parts)
 
 
 def sight_of_rays(
@@ -171,7 +210,8 @@ def sight_of_rays(
     cut = _cut(scene, (1, 1), sublayers, lean)
     composition = _composition(scene, cut)
     check_picture(scene, math.prod(rays.shape), len(composition), together)
-    view, slabs = _look(scene, sun, rays, composition, cut, None, together, classes_met=True)
+    layers = _layers(scene, sun, cut, composition)
+    view, slabs = _look(scene, sun, rays, layers, cut, None, together, classes_met=True)
     ground = view.ground
     if ground is None:  # of terrain, some in each slab
         ground = jax.tree.map(lambda of_slabs: of_slabs.sum(axis=0), slabs.ground)
@@ -198,6 +238,58 @@ def _composition(scene: VoxelScene, cut: _Cut) -> Float[Array, "slab class y x"]
     return jnp.repeat(density, scene.structure_factor[0] * cut.sublayers // cut.pieces, axis=0)
 
 
+class _Layers(NamedTuple):
+    """What rays pass on their way down: slabs, of one or several pieces each."""
+
+    composition: Float[Array, "slab class y x"]
+    """Area per volume of each class in the slabs [m2 m-3]."""
+    middles: Float[Array, " slab"]
+    """Heights of the middles of the slabs [m]."""
+    pieces: tuple[Any, ...]
+    """Of each piece of each slab: area per volume on the finest voxels, the sun's depth at its
+    bottom, the height of that, and on terrain the share of each voxel column that is covered and of
+    each sunbeam that is not stopped."""
+    top: Float[Array, "row column"]
+    """The sun's depth on top of them."""
+
+
+def _layers(
+    scene: VoxelScene, sun: SunField, cut: _Cut, composition: Float[Array, "slab class y x"]
+) -> _Layers:
+    dtype = scene.area_density.dtype
+    count = len(composition) * cut.pieces
+    step = scene.height / count
+    by_slab = lambda field: field.reshape(-1, cut.pieces, *field.shape[1:])  # noqa: E731
+    heights = (jnp.arange(count) * step).astype(dtype)
+    structure = terrain = None
+    if scene.terrain is not None:
+        covering = covered(scene, heights).at[0].set(1.0)  # nothing falls out of the grid
+        terrain = by_slab(covering), by_slab(unshaded_beams(scene, sun, heights + step))
+    if scene.structure is not None:
+        structure = by_slab(jnp.repeat(scene.structure, cut.sublayers, axis=0))
+    planes = _planes(sun.depth, cut.sublayers)
+    pieces = structure, by_slab(planes[:-1]), by_slab(heights), terrain
+    middles = heights[:: cut.pieces] + 0.5 * step * cut.pieces
+    return _Layers(composition, middles, pieces, planes[-1])
+
+
+def _scattered(
+    scene: VoxelScene,
+    diffuse: DiffuseField,
+    rays: AbstractRays,
+    ordinates: Ordinates,
+    composition: Float[Array, "slab class y x"],
+    cut: _Cut,
+) -> Float[Array, "slab angle band y x"]:
+    """`_Lit.scattered`."""
+    field = scattered_towards(scene, diffuse, rays.central, ordinates, composition, cut.slabs)
+    if not (rays.shape == (1, 1) or (isinstance(rays, RayLattice) and rays.nodes == 1)):
+        return field
+    # Parallel rays: a sum of slices, as that over an axis takes three times as long on a CPU.
+    parts = (field[:, [i]] for i in range(field.shape[1]))
+    return sum(parts, start=jnp.zeros((), field.dtype))
+
+
 class _Lit(eqx.Module):
     """The diffuse light of some bands as the slabs meet it, and the ground's own radiance."""
 
@@ -219,20 +311,13 @@ class _Lit(eqx.Module):
         diffuse: DiffuseField,
         rays: AbstractRays,
         ordinates: Ordinates,
-        composition: Float[Array, "slab class y x"],
-        cut: _Cut,
+        scattered: Float[Array, "slab angle band y x"],
     ) -> "_Lit":
         _, ny, nx = scene.shape
         projection = pixel_projection(scene.classes.angles, rays)
         in_middle = projections(scene.classes.angles, rays.central[2])
-        scattered = scattered_towards(
-            scene, diffuse, rays.central, ordinates, composition, cut.slabs
-        )
         turning = projection / in_middle.astype(projection.dtype)[:, None, None]
         if projection.shape[1:] == (1, 1):  # parallel rays
-            # A sum of slices: that over an axis takes three times as long on a CPU.
-            parts = (scattered[:, [i]] for i in range(scattered.shape[1]))
-            scattered = sum(parts, start=jnp.zeros((), scattered.dtype))
             turning = jnp.ones_like(turning[:1])
         return cls(
             scattered,
@@ -267,7 +352,7 @@ def _look(
     scene: VoxelScene,
     sun: SunField,
     rays: AbstractRays,
-    composition: Float[Array, "slab class y x"],
+    layers: _Layers,
     cut: _Cut,
     lit: _Lit | None,
     together: int = 1,
@@ -285,8 +370,7 @@ def _look(
     projection = pixel_projection(classes.angles, rays)[jnp.asarray(classes.angle_of_class)]
     cosine = rays.cosine
     wide = scene.structure_factor[1]
-    count = len(composition) * cut.pieces
-    step = scene.height / count
+    step = scene.height / (len(layers.middles) * cut.pieces)
     path = step / cosine
     towards_sun = jnp.concatenate([sun.slope, jnp.ones(1, dtype)]) * sun.cosine
     overlap = overlaps(classes, rays, towards_sun, step)
@@ -310,9 +394,12 @@ def _look(
             # Its area over the voxels' mean, which the mixture is counted in.
             here = rays.sampler(height + 0.5 * step, finest)(structure)
             length = path * scene.relative_density(here, total)
+        # Depths of the piece along the ray, and of both ways, to the sensor and to the sun.
         along = turned * length
         below = beams(height)(plane)
         crossed = along + below - above
+        # Chance that leaves of the piece are seen and lit: with a hot spot at points of the piece,
+        # as leaves that stand in both ways count once; else in closed form.
         if overlap:
             areas = [area * (length / path) for area in common]
             shared = _sum_points([o.at_points(s, a) for o, s, a in zip(overlap, states, areas)])
@@ -323,6 +410,7 @@ def _look(
             states = tuple(o.advance(s, a) for o, s, a in zip(overlap, states, areas))
         else:
             weight = jnp.exp(-depth - above) * mean_transmittance(crossed)
+        # Chance that they are seen.
         mean = jnp.exp(-depth) * mean_transmittance(along)
         if terrain is not None:
             covering, unshaded = terrain
@@ -362,10 +450,12 @@ def _look(
     def slab(carry: tuple[Any, ...], at: tuple[Any, ...]) -> tuple[tuple[Any, ...], Any]:
         (depth, above, sunlit, states, blocked, met), sums = carry
         pieces, mixed, height, scattered = at
+        # Area of each class in the pixel's footprint, and what of it the ray meets.
         area = rays.sampler(height, voxels, smooth=scene.structure is not None)(mixed)
         turned = jnp.sum(area * projection, axis=0)
         common = [jnp.tensordot(jnp.asarray(m, dtype), area, axes=1) for m in members]
         mixture = area.sum(axis=0), turned, common if overlap else []
+        # Down through the pieces of the slab, the uppermost first.
         start = (depth, above, none, none, states, (blocked, none, none) if hilly else None)
         one = partial(piece, mixture)
         if cut.pieces == 1:
@@ -377,6 +467,7 @@ def _look(
         if end is not None:
             blocked = end[0]
             ground = _GroundInView(height - 0.5 * step * cut.pieces, *end[1:])
+        # What the slab adds: to the sunlit area of each class, and out of the diffuse light.
         in_view = _Slab(height, viewed, ground)
         met = None if met is None else met + viewed * area * projection
         carry = depth, above, sunlit + lit_path * area, states, blocked, met
@@ -384,23 +475,11 @@ def _look(
             return (carry, sums), slab_in_blocks(in_view, mixture[0], mixed)
         return (carry, lit.add(sums, in_view, scattered)), None
 
-    by_slab = lambda field: field.reshape(-1, cut.pieces, *field.shape[1:])  # noqa: E731
-    heights = (jnp.arange(count) * step).astype(dtype)
-    terrain = None
-    if hilly:
-        covering = covered(scene, heights).at[0].set(1.0)  # nothing falls out of the grid
-        terrain = by_slab(covering), by_slab(unshaded_beams(scene, sun, heights + step))
-    structure = None
-    if scene.structure is not None:
-        structure = by_slab(jnp.repeat(scene.structure, cut.sublayers, axis=0))
-    planes = _planes(sun.depth, cut.sublayers)
-    pieces = structure, by_slab(planes[:-1]), by_slab(heights), terrain
-    middles = heights[:: cut.pieces] + 0.5 * step * cut.pieces
     dark = jnp.zeros((0 if lit is None else classes.reflectance.shape[1], *rays.shape), dtype)
     no_class = jnp.zeros((len(classes.angle_of_class), *rays.shape), dtype)
     start = (
         none,
-        beams(jnp.asarray(scene.height, dtype))(planes[-1]),
+        beams(jnp.asarray(scene.height, dtype))(layers.top),
         no_class,
         tuple(o.start(rays.shape) for o in overlap),
         none,
@@ -410,9 +489,15 @@ def _look(
     ((depth, at_ground, sunlit, states, _, met), sums), slabs = jax.lax.scan(
         jax.checkpoint(slab),
         (start, (dark, dark)),
-        (pieces, composition, middles, None if lit is None else lit.scattered),
+        (
+            layers.pieces,
+            layers.composition,
+            layers.middles,
+            None if lit is None else lit.scattered,
+        ),
         reverse=True,
     )
+    # What is left of the ray ends on level ground, which the sun reaches as far as both ways share.
     gap = jnp.exp(-depth)
     level = None
     if not hilly:
@@ -438,6 +523,7 @@ def _radiance(
         """[reflection or transmission, angle, n]"""
         return jnp.stack(area_scattering_of(classes.angles, travel[None], vectors))[:, :, 0]
 
+    # Light of the sun on the sunlit area of each class, sent on by its two sides.
     reflect, transmit = rays.angular(phase)
     beam = scene.illumination.sun.astype(dtype) / sun.cosine / jnp.pi
     first = beam[:, None, None] * (

@@ -315,6 +315,7 @@ def prepare_transport(
     """What all bands share, and what each has of its own. Of `scene` all but the voxels counts."""
     dtype = cells.density.dtype
     classes, light = scene.classes, scene.illumination
+    # Scattering from each ordinate and from the sun to each ordinate.
     travel = -direction(light.sun_zenith, light.sun_azimuth).astype(dtype)
     vectors = jnp.asarray(ordinates.vectors, dtype)
     weights = jnp.asarray(ordinates.weights, dtype)
@@ -464,6 +465,7 @@ def _solve(
         return jnp.where((size > goal) & (count < iterations), iterating, end).astype(jnp.int32)
 
     def step(state: tuple[Any, ...]) -> tuple[Any, ...]:
+        # Send the direction in which the residual points; at the ends, the solution with all light.
         solution, residual, direction, image, _, goal, count, stage = state
         within = stage == iterating
         x = jnp.where(within, residual, unit * solution)
@@ -476,6 +478,7 @@ def _solve(
         some = within & (length > 0)
         scale = jnp.where(some, 1.0 / jnp.where(some, length, 1.0), 0.0)
         image, direction = image * scale, direction * scale
+        # Go along it as far as the residual falls.
         along = image @ residual
         solution = solution + along * direction
         residual = residual - along * image - jnp.where(stage == first, 1.0 / unit, 0.0) * new

@@ -103,7 +103,7 @@ class GroundShape(eqx.Module):
     diffuse: Float[Array, "downward upward"]
     """Reflectance factor over its amplitude, from each downward to each upward ordinate [-]."""
     sun: Float[Array, " upward"]
-    """The same from the sun [-]."""
+    """Reflectance factor over its amplitude, from the sun to each upward ordinate [-]."""
 
 
 class Coarse(eqx.Module):
@@ -162,6 +162,7 @@ def coarse_grid(
     by_angle = scene.classes.total_by_angle(density)
     attenuation = []
     for levels, steps in _groups(ordinates, dz / dx):
+        # Optical depth of a step through each cell, along the ordinates of each level.
         cosine = jnp.asarray(ordinates.cosine[levels], density.dtype)
         projection = projections(scene.classes.angles, cosine)
         along = projection.astype(density.dtype) * (dz / (steps * cosine))
@@ -281,6 +282,7 @@ def sweep(
                     radiance = radiance - fell
                 return radiance, (total / steps, hit, fell)
 
+            # Layer after layer; then the other half move, so that what ends is over its own cell.
             end, (mean, hit, fell) = jax.lax.scan(
                 jax.checkpoint(layer), below, (emitted[:, group], cells, shares)
             )
@@ -289,6 +291,7 @@ def sweep(
             means.append(mean)
             leaving.append(end)
             ended.append(end if hit is None else end + hit.sum(axis=0))
+        # The ground sends up what fell on it, and sunlight.
         falling = jnp.concatenate(ended)
         received = falling if coarse.exposure is None else falling * coarse.exposure
         if shape is None:
@@ -302,6 +305,7 @@ def sweep(
             exitance = exitance.reshape(falling.shape)
         return exitance, (jnp.concatenate(means, axis=1), jnp.concatenate(leaving), received)
 
+    # Two passes of one program: down from the top, with the sky's light; up, with the ground's.
     by_layer = jnp.moveaxis(source.reshape(2, levels, azimuths, *source.shape[1:]), 3, 1)
     both = lambda down, up: jax.tree.map(lambda d, u: jnp.stack([d[::-1], u]), down, up)  # noqa: E731
     shares = None

@@ -1,6 +1,7 @@
 """Rays of a sensor: parallel, of a frame camera, or any."""
 
 import abc
+import dataclasses
 import math
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -40,7 +41,7 @@ class Lattice(NamedTuple):
     spacing: float
     """Side of a cell [m]."""
     boundary: str
-    """As in `VoxelScene`."""
+    """What stands beside the cells, as in `VoxelScene`."""
 
 
 class AbstractRays(eqx.Module):
@@ -161,6 +162,13 @@ class RayLattice(AbstractRays):
             return values
         return jnp.einsum("rj,...ji,ci->...rc", weight_y, values, weight_x)
 
+    def rows(self, start: Array | int, size: int) -> "RayLattice":
+        """The rays of `size` rows from `start` on, which may be a traced value: a part of the
+        picture that these are."""
+        cut = lambda axis: jax.lax.dynamic_slice_in_dim(axis, start, size)  # noqa: E731
+        y, slope_y = cut(self.y), cut(self.slope_y)
+        return dataclasses.replace(self, y=y, slope_y=slope_y, picture=self.ends)
+
     def together(self, size: int) -> "RayLattice":
         mean = lambda axis: axis.reshape(-1, size).mean(axis=1)  # noqa: E731
         return RayLattice(
@@ -225,7 +233,7 @@ class RayField(AbstractRays):
     x: Float[Array, "row column"]
     """Easting at which the pixel's ray meets the bottom of the grid [m]."""
     y: Float[Array, "row column"]
-    """Northing of the same [m]."""
+    """Northing at which the pixel's ray meets the bottom of the grid [m]."""
     slope_x: Float[Array, "row column"]
     """Eastward distance per height along the ray, towards the sensor [-]."""
     slope_y: Float[Array, "row column"]

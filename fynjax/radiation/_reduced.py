@@ -111,6 +111,7 @@ def solve_reduced(
     else:
         skies, sky = _mixture(bands.sky, 1 if pattern.ndim == 2 else min(materials, count))
     lights = jnp.concatenate([sky, bands.sun[:, None]], axis=1)
+    # Solve the chosen bands, one after another; their sources span the others'.
     chosen = _choose(transport, bands, soil, lights, min(solves, count))
     constant, solved = jax.lax.stop_gradient((transport, bands[chosen]))
     sources = jax.lax.map(lambda band: constant.source(band, tolerance, iterations), solved)
@@ -122,6 +123,7 @@ def solve_reduced(
         return transport.complete(band, source, None, sun, tolerance, iterations)[0]
 
     sources = jax.lax.map(jax.checkpoint(with_derivative), (bands[chosen], sources))
+    # Small systems of all bands, from inner products of what leaves send out of each source.
     basis, missing = _orthonormal(sources)
     system = _assemble(transport, bands, basis, missing, grounds, skies)
     coefficients = jax.lax.map(

@@ -57,6 +57,7 @@ def solve_refined(
         flux = jnp.asarray(ordinates.fluxes.ravel(), scene.area_density.dtype)
         # What a loose first solve lacks, the second finds in what is left over.
         start, field = coarse.solve(low, math.sqrt(tolerance), iterations, 10 * tolerance)
+        # The last flight on finer cells, and what its leaves send differently than the coarse ones.
         intensity, falling, top, right, residual = last_flight(high, field[0])
         # A tenth, for leaves that lose nothing: an error is scattered on and on.
         # Never looser than that, since a tangent is solved as its value is.

@@ -90,6 +90,7 @@ def trace_sun(scene: VoxelScene, per_voxel: int, sublayers: int, margin: int) ->
         field, heights, unshaded = at
         field = jnp.pad(jnp.repeat(jnp.repeat(field, fine, axis=0), fine, axis=1), pad)
         voxels = jnp.zeros_like(field)
+        # From the top of the layer down: what each beam crosses, and what of the light is left.
         for sub in reversed(range(sublayers)):
             shift = heights[sub] * slope / width
             crossed = _move(field, shift, scene.boundary) * (step / cosine)

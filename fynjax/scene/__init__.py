@@ -66,7 +66,6 @@ from fynjax.scene._spectra import (
     Spectrum,
     background_spectrum,
     band_wavelengths,
-    mixed_surroundings,
     visible_sensor,
 )
 from fynjax.scene._stand import StandArea, stand_area
@@ -127,7 +126,6 @@ __all__ = [
     "leaf_parameters",
     "leafy_species",
     "leaves_of",
-    "mixed_surroundings",
     "named_values",
     "observe",
     "observe_lidar",

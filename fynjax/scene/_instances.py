@@ -33,7 +33,7 @@ class Instances:
     tilt: Float[np.ndarray, " plant"]
     """Lean of the axis from the vertical, towards the azimuth [degrees]."""
     diameter: Float[np.ndarray, " plant"]
-    """Of the crown [m]."""
+    """Diameter of the crown [m]."""
     height: Float[np.ndarray, " plant"]
     """Length of the axis [m]."""
 

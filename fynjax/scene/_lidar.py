@@ -95,54 +95,44 @@ class LidarObservation(eqx.Module):
         """What was recorded of each pulse, and the noise-free return of its ground."""
         import xarray as xr  # late: the command line need not wait for it
 
-        beams = self.beams
-
-        def each(
-            values: np.ndarray, name: str, units: str
-        ) -> tuple[str, np.ndarray, dict[str, str]]:
-            return "pulse", values, {"long_name": name, "units": units}
-
-        axes = zip("xyz", ("east", "north", "up"))
-        where: dict[str, Any] = {}
-        for k, (letter, name) in enumerate(axes):
-            where[f"origin_{letter}"] = each(
-                beams.origin[:, k],
-                f"place of the sensor, {name} of the south-west bottom corner",
-                "m",
-            )
-            where[f"direction_{letter}"] = each(
-                beams.direction[:, k], f"direction of the pulse, {name}", "1"
-            )
-        recorded = {"long_name": "electrons counted, mean background taken off", "units": "1"}
-        ground = {"long_name": "apparent reflectance of the ground in the sample", "units": "1"}
+        beams, axes = self.beams, {"x": "east", "y": "north", "z": "up"}
+        of_pulse: dict[str, tuple[Any, str, str]] = {
+            "first_range": (beams.start, "range at which the first sample begins", "m"),
+            "irradiance": (beams.irradiance, "of the pulse, relative to the beam's middle", "1"),
+            "scan_angle": (beams.scan_angle, "angle from straight down", "degree"),
+            "time": (beams.time, "time of the pulse since the start of the flight", "s"),
+        }
+        for k, (letter, name) in enumerate(axes.items()):
+            place = f"place of the sensor, {name} of the south-west bottom corner"
+            of_pulse[f"origin_{letter}"] = beams.origin[:, k], place, "m"
+            towards = f"direction of the pulse, {name}"
+            of_pulse[f"direction_{letter}"] = beams.direction[:, k], towards, "1"
+        of_sample = {
+            "waveform": (self.electrons, "electrons counted, mean background taken off"),
+            "ground_waveform": (
+                self.waveforms.ground,
+                "apparent reflectance of the ground in the sample",
+            ),
+        }
         samples = (np.arange(beams.samples) + 0.5) * self.lidar.sample
+        beyond = {"long_name": "range of the sample's middle beyond first_range", "units": "m"}
+        index = {"long_name": "index of the pulse", "units": "1"}
         return xr.Dataset(
             {
-                "waveform": (
+                name: (
                     ("pulse", "sample"),
-                    np.asarray(self.electrons, np.float32),
-                    recorded,
-                ),
-                "ground_waveform": (
-                    ("pulse", "sample"),
-                    np.asarray(self.waveforms.ground, np.float32),
-                    ground,
-                ),
-                **where,
-                "first_range": each(beams.start, "range at which the first sample begins", "m"),
-                "irradiance": each(
-                    beams.irradiance, "of the pulse, relative to the beam's middle", "1"
-                ),
-                "scan_angle": each(beams.scan_angle, "angle from straight down", "degree"),
-                "time": each(beams.time, "time of the pulse since the start of the flight", "s"),
+                    np.asarray(values, np.float32),
+                    {"long_name": what, "units": "1"},
+                )
+                for name, (values, what) in of_sample.items()
+            }
+            | {
+                name: ("pulse", values, {"long_name": what, "units": unit})
+                for name, (values, what, unit) in of_pulse.items()
             },
             coords={
-                "pulse": each(np.arange(len(beams)), "index of the pulse", "1"),
-                "sample": (
-                    "sample",
-                    samples,
-                    {"long_name": "range of the sample's middle beyond first_range", "units": "m"},
-                ),
+                "pulse": ("pulse", np.arange(len(beams)), index),
+                "sample": ("sample", samples, beyond),
             },
             attrs={
                 "title": f"waveforms of {self.lidar.name}",

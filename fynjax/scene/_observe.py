@@ -92,11 +92,11 @@ class PlotAir(eqx.Module):
     model: Literal["table", "clear-sky"] = eqx.field(static=True, default="table")
     """'table': `tabulated_atmosphere` (6S); 'clear-sky': `clear_sky_atmosphere` (SPCTRL2)."""
     water_vapour: float | Float[Array, ""] = eqx.field(converter=real_array, default=1.5)
-    """[g cm-2]"""
+    """Column of water vapour [g cm-2]."""
     ozone: float | Float[Array, ""] = eqx.field(converter=real_array, default=0.3)
-    """[cm-atm]"""
+    """Column of ozone [cm-atm]."""
     pressure: float | Float[Array, ""] = eqx.field(converter=real_array, default=1013.25)
-    """[hPa]"""
+    """Air pressure at the ground [hPa]."""
     solar_factor: float | Float[Array, ""] = eqx.field(converter=real_array, default=1.0)
     """Sunlight of the day over that at one astronomical unit [-]."""
     aerosol: float | Float[Array, ""] | None = eqx.field(converter=_number, default=None)
@@ -126,6 +126,24 @@ class PlotAir(eqx.Module):
         return tabulated_atmosphere(air) if self.model == "table" else clear_sky_atmosphere(air)
 
 
+def map_coordinates(
+    shape: Sequence[int], pixel: float, origin: tuple[float, float]
+) -> dict[str, Any]:
+    """CF coordinates y and x of the pixels of an image of `shape` (rows, columns), from the scene's
+    south-west corner [m]."""
+    coordinates = {}
+    for name, count, start, edge in zip("yx", shape, origin[::-1], ("south", "west"), strict=True):
+        about = {"units": "m", "axis": name.upper(), "long_name": f"distance from the {edge} edge"}
+        coordinates[name] = (name, start + (np.arange(count) + 0.5) * pixel, about)
+    return coordinates
+
+
+def map_attributes(title: str, pixel: float) -> dict[str, Any]:
+    """CF attributes of a dataset of images with pixels of an edge [m]."""
+    source = f"fynjax {version('fynjax')}"
+    return {"Conventions": "CF-1.11", "title": title, "source": source, "pixel_m": pixel}
+
+
 class Observation(eqx.Module):
     """What a sensor measures of a plot: `image["nir"]` is a band, `image.index("NDVI")` an
     index."""
@@ -137,7 +155,7 @@ class Observation(eqx.Module):
     radiance: Float[Array, "band y x"] | None
     """At the sensor, with its noise if that was drawn [W m-2 sr-1 um-1]; None without air."""
     transparent: Bool[Array, " band"]
-    """Where the air lets the ground's light through."""
+    """Whether the air lets the ground's light through in each band."""
     reflectance_sd: Float[Array, "band y x"] | None
     """Standard deviation of a reflectance by panels, of line and noise; None without panels [-]."""
     residual: Float[Array, " band"]
@@ -189,21 +207,11 @@ class Observation(eqx.Module):
         corner [m]."""
         import xarray as xr  # late: the command line need not wait for it
 
-        rows, columns = self.reflectance.shape[1:]
-        metres = {"units": "m", "axis": "X", "long_name": "distance from the west edge"}
+        light = {"units": "nm", "standard_name": "radiation_wavelength"}
         coordinates = {
             "band": ("band", list(self.bands), {"long_name": "band"}),
-            "wavelength": (
-                "band",
-                np.array(self.wavelength),
-                {"units": "nm", "standard_name": "radiation_wavelength"},
-            ),
-            "y": (
-                "y",
-                self.origin[1] + (np.arange(rows) + 0.5) * self.pixel,
-                metres | {"axis": "Y", "long_name": "distance from the south edge"},
-            ),
-            "x": ("x", self.origin[0] + (np.arange(columns) + 0.5) * self.pixel, metres),
+            "wavelength": ("band", np.array(self.wavelength), light),
+            **map_coordinates(self.reflectance.shape[1:], self.pixel, self.origin),
         }
         dims = ("band", "y", "x")
         factor = {"units": "1", "long_name": "reflectance factor"}
@@ -214,13 +222,8 @@ class Observation(eqx.Module):
             data["radiance"] = (dims, np.asarray(self.radiance), light)
         if self.reflectance_sd is not None:
             data["reflectance_sd"] = (dims, np.asarray(self.reflectance_sd), deviation)
-        attributes = {
-            "Conventions": "CF-1.11",
-            "title": f"{self.sensor} over a simulated plot",
-            "source": f"fynjax {version('fynjax')}",
-            "pixel_m": self.pixel,
-        }
-        return xr.Dataset(data, coordinates, attributes)
+        title = f"{self.sensor} over a simulated plot"
+        return xr.Dataset(data, coordinates, map_attributes(title, self.pixel))
 
     def to_dataframe(self) -> "pd.DataFrame":
         """A row for each pixel: x and y of its middle [m], and a column for each band [-]."""
@@ -266,15 +269,15 @@ class Placement(eqx.Module):
     """Where an imaging sensor is, and how large its pixels are. None: as its file has it."""
 
     altitude: float | None = eqx.field(static=True, default=None)
-    """Above the ground [m]. A sensor without one, such as an orthographic view, is taken to be in
-    space where the air asks for it."""
+    """Height of the sensor above the ground [m]. A sensor without one, such as an orthographic
+    view, is taken to be in space where the air asks for it."""
     pixel: float | None = eqx.field(static=True, default=None)
     """Edge of a pixel on the ground [m]; None: that of the sensor (`Sensor.pixel`)."""
     tilt: float | None = eqx.field(static=True, default=None)
-    """Of the optical axis from straight down towards the heading [degrees]. Not of an orthographic
-    view, as the heading."""
+    """Angle of the optical axis from straight down towards the heading [degrees]. An orthographic
+    view has neither."""
     heading: float | None = eqx.field(static=True, default=None)
-    """Clockwise from north [degrees]."""
+    """Direction of the heading, clockwise from north [degrees]."""
 
 
 class AimedSensor(eqx.Module):
@@ -297,15 +300,15 @@ class AimedSensor(eqx.Module):
     origin: tuple[float, float] = eqx.field(static=True)
     """South-west corner of the image from that of the scene [m]."""
     sensor_height: Float[Array, ""]
-    """Of the sensor above the ground, for the air [m]."""
+    """Height of the sensor above the ground, for the air [m]."""
     margin: int = eqx.field(static=True)
     """Pixels around the image that `rays` has on top, for the point spread."""
     fine: tuple[int, int] | None = eqx.field(static=True)
     """Rows and columns of rays over the scene where pixels are wider than voxels; else None."""
     samples: int = eqx.field(static=True)
-    """Of these, along the edge of a voxel."""
+    """Rays along the edge of a voxel where pixels are wider than voxels."""
     together: int = eqx.field(static=True)
-    """Of these, along an edge of the blocks of rays that share the light of many bands."""
+    """Rays along an edge of the blocks that share the light of many bands."""
     steepest: float = eqx.field(static=True)
     """Zenith angle that no ray exceeds, in whole steps of 5, lest each height of the sensor compile
     anew [degrees]."""
@@ -342,6 +345,7 @@ class AimedSensor(eqx.Module):
             every = jnp.ones(len(self.sensor.bands), bool)
             image, _, residual = _seen(scene, parameters, self, None)
             return Observation(image, None, every, None, residual, **self._described)
+        # The air in the bands, which it takes by rising wavelength; its sky lights the scene.
         by_band = self._air_of_bands(air, parameters.light, scene.dtype)
         order, back = _sorting(self.sensor)
         if surroundings is not None and jnp.shape(surroundings) != order.shape:
@@ -354,6 +358,7 @@ class AimedSensor(eqx.Module):
         image, mean, residual = _seen(scene, parameters, self, sky)
         if self.panels is not None:
             image = self.panels.laid_on(image)
+        # From reflectance to radiance at the sensor, with its noise.
         pixels = jnp.moveaxis(image, 0, -1)[..., order]
         around = (mean if surroundings is None else jnp.asarray(surroundings, mean.dtype))[order]
         radiance = at_sensor_radiance(by_band, pixels, around)
@@ -361,6 +366,7 @@ class AimedSensor(eqx.Module):
             noise = self.sensor.noise
             radiance = noise.draw(key, radiance[..., back], averaged=self.averaged)[..., order]
         transparent, measured = is_transparent(by_band)[back], radiance[..., back]
+        # And back, by what calibration knows: the air, or panels in the picture.
         reflectance_sd = None
         if self.panels is None:
             calibrated = surface_reflectance(by_band, radiance, around)[..., back]
@@ -590,6 +596,7 @@ def aim(
     if panels and air is None:
         raise InputError("expected an atmosphere: panels calibrate radiance")
     accuracy = fitted_accuracy(DRONE if accuracy is None else accuracy, scene, parameters)
+    # Where the sensor is, and how large its pixels are.
     lx, ly, top = scene.grid.extent
     base = scene.ground_level
     frame = frame_of(sensor.camera)
@@ -611,6 +618,7 @@ def aim(
     if psf is not None:  # its reach must be known inside transformations
         psf = psf.on_pixels(pixel / own)
         psf = dataclasses.replace(psf, radius=psf.reach())
+    # Rays: one a pixel, or where pixels are wider than voxels several a voxel, for their means.
     few = accuracy.solves is None or len(sensor.bands) <= accuracy.solves
     samples = max(scene.finer, SAMPLES)
     together = 1 if few or samples % SAMPLES else samples // SAMPLES
@@ -833,7 +841,7 @@ def _aimed(
     """The camera where its optical axis meets the ground, at `base` [m], in the `middle` [m]."""
     frame = frame_of(camera)
     if frame is None:
-        return camera.over(*middle)
+        return camera
     tilt = float(frame.tilt) if placement.tilt is None else placement.tilt
     heading = float(frame.heading) if placement.heading is None else placement.heading
     back = height * np.tan(np.deg2rad(tilt))

@@ -27,7 +27,7 @@ _PETAL = LeafParameters.many(
     structure=2.0, chlorophyll=0.0, carotenoids=0.5, anthocyanins=1.0, water=0.008, dry_matter=0.003
 )
 _OTHER_DIAMETER = 0.005
-"""Of twigs and petals, for the hot spot: an assumption [m]."""
+"""Diameter of twigs and petals, for the hot spot: an assumption [m]."""
 
 
 def optical_classes(

@@ -414,27 +414,18 @@ def parameter_reference() -> "pd.DataFrame":
         {
             "group": group,
             "parameter": field,
-            "symbol": record.symbol,
-            "name": record.name,
-            "unit": record.unit,
-            "default": record.default,
-            "lower": record.lower,
-            "upper": record.upper,
+            **vars(record),
             "usual_lower": record.usual[0],
             "usual_upper": record.usual[1],
-            "prior_relative_sd": record.relative_sd,
-            "prior_sd": record.sd,
-            "prior_distribution": record.distribution,
-            "prior_shared": record.shared,
             "shown_unit": record.shown_unit,
-            "description": record.description,
-            "source": record.source,
         }
         for group, module in groups.items()
         for field, record in parameters_of(module).items()
     ]
+    of_prior = {n: f"prior_{n}" for n in ("relative_sd", "sd", "distribution", "shared")}
     numbers = ["default", "prior_relative_sd", "prior_sd"]
-    return pd.DataFrame(rows).astype(dict.fromkeys(numbers, float))
+    frame = pd.DataFrame(rows).drop(columns=["usual", "population", "shown", "hint"])
+    return frame.rename(columns=of_prior).astype(dict.fromkeys(numbers, float))
 
 
 def named_values(parameters: PlotParameters, taxa: tuple[str, ...]) -> dict[str, Array]:

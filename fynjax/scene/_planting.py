@@ -53,9 +53,9 @@ class Planting(eqx.Module):
     species: Int[Array, " plant"]
     """Which species each plant belongs to."""
     place: Float[Array, " plant"]
-    """Its place in the order in which its species fills the sites, from 0."""
+    """Place of each plant in the order in which its species fills the sites, from 0."""
     foot: Float[Array, "plant 2"]
-    """x and y of its foot [m]."""
+    """x and y of the foot of each plant [m]."""
     azimuth: Float[Array, " plant"]
     """Turn about the vertical, clockwise from above [degrees]."""
     tilt: Float[Array, " plant"]
@@ -65,9 +65,9 @@ class Planting(eqx.Module):
     stature: Float[Array, " plant"]
     """Height relative to the species' greatest [-]."""
     first: Int[Array, " plant"]
-    """First element of its shape in `shapes`."""
+    """First element of the shape of each plant in `shapes`."""
     count: Int[Array, " plant"]
-    """Elements of its shape."""
+    """Elements of the shape of each plant."""
     plant: Int[Array, " element"]
     """Which plant each element belongs to; empty where there are too many to be listed."""
     part: Int[Array, " element"]
@@ -217,9 +217,9 @@ class Crowns:
     foot: Float[np.ndarray, "plant 2"]
     """East and north of the plot's south-west corner [m]."""
     diameter: Float[np.ndarray, " plant"]
-    """Of the crown [m]."""
+    """Diameter of each crown [m]."""
     height: Float[np.ndarray, " plant"]
-    """[m]"""
+    """Height of each plant [m]."""
 
     def sizes(self, species: int) -> tuple[float, float]:
         """Diameter [m] whose square is the mean of the squares of a species' crowns, and the height
@@ -229,41 +229,45 @@ class Crowns:
         return float(mean), float(self.height[mine].max())
 
 
-def known_planting(
-    crowns: Crowns,
-    species: Sequence[Species],
-    diameter: Float[np.ndarray, " species"],
-    height: Float[np.ndarray, " species"],
-    models: Sequence[PlantModel | None],
-    *,
-    resolved: float,
-    structured: bool,
-    seed: int,
-    dtype: str,
-) -> Planting:
+@dataclasses.dataclass(frozen=True)
+class Stand:
+    """What the plants of a scene are, wherever they stand."""
+
+    species: Sequence[Species]
+    """What is fixed about each."""
+    diameter: Float[np.ndarray, " species"]
+    """Mean crown diameter of each [m]."""
+    height: Float[np.ndarray, " species"]
+    """Greatest height of each [m]."""
+    models: Sequence[PlantModel | None]
+    """Shape of the plants of each; None is up to `INDIVIDUALS` of the growth form."""
+    resolved: float
+    """Edge of the boxes in which leaf area is resolved [m], as `element_count` has it."""
+    structured: bool
+    """Whether sun and sight follow the plants on voxels finer than the plot's."""
+    seed: int
+    """Seed of everything random."""
+    dtype: str
+    """Floating type of the planting."""
+
+
+def known_planting(stand: Stand, crowns: Crowns) -> Planting:
     """The planting of known plants, all of which stand.
 
-    **Arguments:**
-
-    - `crowns`: the plants.
-    - `seed`: of how plants are turned and lean and which individuals they are.
-    - the others as `draw_planting` has them.
-
     Sizes are relative to `Crowns.sizes`: parameters of these diameters and heights give the crowns
-    as they are, and others scale them.
+    as they are, and others scale them. How plants are turned and lean and which individuals they
+    are follows from the seed of `stand`.
     """
     individuals: list[dict[str, np.ndarray]] = []
-    for i, one in enumerate(species):
+    for i, one in enumerate(stand.species):
         mine = np.repeat(np.flatnonzero(crowns.species == i), round(one.branches))
-        drawn = _individuals(crowns.foot[mine], i, one.rotation_spread, 0.0, seed)
+        drawn = _individuals(crowns.foot[mine], i, one.rotation_spread, 0.0, stand.seed)
         if len(mine):
             mean, greatest = crowns.sizes(i)
             drawn["size"] = crowns.diameter[mine] / mean
             drawn["stature"] = crowns.height[mine] / greatest
         individuals.append(drawn)
-    planting = _of_individuals(
-        individuals, species, diameter, height, models, resolved, structured, seed, dtype
-    )
+    planting = _of_individuals(stand, individuals)
     return dataclasses.replace(planting, place=jnp.zeros_like(planting.place))
 
 
@@ -272,41 +276,30 @@ SPARE_SITES = 4
 
 
 def draw_planting(
-    species: Sequence[Species],
+    stand: Stand,
     wanted: Float[np.ndarray, " species"],
-    diameter: Float[np.ndarray, " species"],
-    height: Float[np.ndarray, " species"],
-    models: Sequence[PlantModel | None],
     *,
     extent: tuple[float, float],
-    resolved: float,
-    structured: bool,
     periodic: bool,
     probability: Float[np.ndarray, "y x"] | None,
     room: float | Float[np.ndarray, " species"],
     size_variation: float,
-    seed: int,
-    dtype: str,
 ) -> Planting:
     """Draw sites, orientations and sizes of the plants of a scene.
 
     **Arguments:**
 
-    - `species`: what is fixed about each.
-    - `wanted`: real number of plants of each [-], 0 or more.
-    - `diameter`, `height`: mean crown diameter and greatest height of each [m].
-    - `models`: shape of the plants of each; None is up to `INDIVIDUALS` of the growth form.
+    - `stand`: what they are.
+    - `wanted`: real number of plants of each species [-], 0 or more.
     - `extent`: (east-west, north-south) sides of the plot [m].
-    - `resolved`, `structured`: as `element_count` has them.
     - `periodic`: whether the plot repeats itself.
     - `probability`, `room`, `size_variation`: as `PlantingRules` has them.
-    - `seed`: of everything random.
-    - `dtype`: floating type of the planting.
 
     **Raises:** `InputError` where a species finds no room on the plot.
 
     Not differentiable: the scene is, in the parameters.
     """
+    species, seed = stand.species, stand.seed
     individuals: list[dict[str, np.ndarray]] = [{} for _ in species]
     taxa = [one.taxon for one in species]
     feet = np.empty((0, 2))
@@ -333,23 +326,12 @@ def draw_planting(
                 drawn[name] = np.concatenate([values, drawn[name][len(values) :]])
             individuals[i] = drawn
         feet = np.concatenate(sites if not len(feet) else [feet, *sites])
-    return _of_individuals(
-        individuals, species, diameter, height, models, resolved, structured, seed, dtype
-    )
+    return _of_individuals(stand, individuals)
 
 
-def _of_individuals(
-    individuals: Sequence[dict[str, np.ndarray]],
-    species: Sequence[Species],
-    diameter: Float[np.ndarray, " species"],
-    height: Float[np.ndarray, " species"],
-    models: Sequence[PlantModel | None],
-    resolved: float,
-    structured: bool,
-    seed: int,
-    dtype: str,
-) -> Planting:
+def _of_individuals(stand: Stand, individuals: Sequence[dict[str, np.ndarray]]) -> Planting:
     """The planting of the plants of each species, with the shapes of these."""
+    species, seed, dtype = stand.species, stand.seed, stand.dtype
     shapes: list[PlantModel] = []
     plants: list[dict[str, np.ndarray]] = []
     own: list[int] = []
@@ -358,8 +340,9 @@ def _of_individuals(
         n = len(these["foot"])
         if n == 0:
             continue
-        number = element_count(diameter[i], height[i], resolved, structured=structured)
-        model = models[i]
+        size = stand.diameter[i], stand.height[i], stand.resolved
+        number = element_count(*size, structured=stand.structured)
+        model = stand.models[i]
         if model is None:
             seeds = individual_seeds(seed, i)
             several = [plant_model(one.form, number, seed=s) for s in seeds[:n]]

@@ -53,6 +53,7 @@ from fynjax.scene._planting import (
     SPARE_SITES,
     Crowns,
     Planting,
+    Stand,
     draw_planting,
     known_planting,
     leafy_species,
@@ -103,8 +104,8 @@ class PlantingRules:
     """Share of a species' plants over which one more of them is spread where a slope is taken [-];
     see `site_weight`. What is observed has whole plants whatever it is."""
     softness_plants: float = 1.0
-    """The same in plants, added to it, less one; 0 with `softness` 0: plants whose number has no
-    slope."""
+    """Plants over which one more is spread besides the share `softness` of them, and one [-], see
+    `site_weight`; 0 with `softness` 0: plants whose number has no slope."""
     flowering: float = 0.0
     """Share of full bloom [-]."""
     tuft: float = 0.05
@@ -169,7 +170,7 @@ class Scene(eqx.Module):
     planting: Planting
     grid: VoxelGrid
     parameters: PlotParameters
-    """As stated; what observes the scene may be given others."""
+    """Parameters as stated; what observes the scene may be given others."""
     species: tuple[Species, ...]
     boundary: Literal["periodic", "open"] = eqx.field(static=True)
     rounding: Float[Array, " species"]
@@ -179,8 +180,8 @@ class Scene(eqx.Module):
     """Share of a species' plants over which one more of them is spread where a slope is taken [-];
     see `site_weight`."""
     softness_plants: float = eqx.field(static=True)
-    """The same in plants, added to it, less one; 0 with `softness` 0: plants whose number has no
-    slope."""
+    """Plants over which one more is spread besides the share `softness` of them, and one [-], see
+    `site_weight`; 0 with `softness` 0: plants whose number has no slope."""
     flowering: float = eqx.field(static=True)
     """Share of full bloom [-]."""
     tuft: float = eqx.field(static=True)
@@ -210,7 +211,7 @@ class Scene(eqx.Module):
     """Whether the last plants of each species stand in part, as `site_weight` and `element_weight`
     have it, instead of whole plants: the stand whose slopes are taken (`slope_of_fading`)."""
     seed: Int[np.ndarray | Array, ""] = eqx.field(default_factory=lambda: np.zeros((), int))
-    """Of what was drawn; no part of what is observed."""
+    """Seed of what was drawn; no part of what is observed."""
     probability: Float[np.ndarray, "y x"] | None = None
     """Where plants were likely to stand, as of `PlantingRules`."""
     shaped: bool = eqx.field(static=True, default=False)
@@ -406,7 +407,7 @@ class Scene(eqx.Module):
         seed, taxa = int(self.seed), len(self.taxa)
         if number:
             seed = int(np.random.SeedSequence([seed, 83, number]).generate_state(1)[0] >> 1)
-        species, stated = self.parameters.species, np.asarray(self.counts(self.parameters))
+        stated = np.asarray(self.counts(self.parameters))
         ready = np.bincount(np.asarray(self.planting.species), minlength=taxa) - SPARE_SITES
         # As many sites as there are, whose number was rounded up.
         room = np.where(stated > 0, (ready - 1.0) / np.where(stated > 0, stated, 1.0), 0.0)
@@ -414,21 +415,16 @@ class Scene(eqx.Module):
         if counts is not None:
             room = np.maximum(room, room_needed(self, self.parameters, counts))
         edge = self.grid.horizontal_size
+        resolved = max(self.tuft, edge / self.finer) if self.finer else edge
+        stand = _stand(self, [None] * taxa, resolved, seed)
         planting = draw_planting(
-            self.species,
+            stand,
             stated,
-            np.asarray(species.diameter),
-            np.asarray(species.height),
-            [None] * taxa,
             extent=self.grid.extent[:2],
-            resolved=max(self.tuft, edge / self.finer) if self.finer else edge,
-            structured=self.finer > 0,
             periodic=self.boundary == "periodic",
             probability=self.probability,
             room=room,
             size_variation=PlantingRules.size_variation,
-            seed=seed,
-            dtype=self.dtype,
         )
         drawn = bool(np.asarray(self.rounding).any())
         rounding = _rounding(taxa, [seed], self.dtype, drawn)
@@ -628,6 +624,7 @@ class Scene(eqx.Module):
         """Places [m] and areas [m2] of the area elements of plants with crowns of `crown` [m2] that
         are there in the shares `standing`."""
         parameters = jax.tree.map(lambda x: jnp.asarray(x, self.dtype), parameters)
+        # Size of each plant, and the area of each of its organs.
         species = parameters.species
         owner = planting.species
         diameter = species.diameter[owner] * planting.size
@@ -641,6 +638,7 @@ class Scene(eqx.Module):
             + diameter[plant][:, None] * planting.per_diameter
             + height[plant][:, None] * planting.per_height
         )
+        # The share of its organ's area that an element carries, of plants that stand in part.
         share, fraction = standing[plant], planting.fraction
         part = element_weight(share, planting.before[planting.part], fraction)
         share = jnp.where(self.fading, part, share)
@@ -866,8 +864,7 @@ def build_scene(
     Not differentiable: the parameters come in again where the scene is observed.
     """
     rules = PlantingRules() if rules is None else rules
-    size = parameters.species
-    top = 1.1 * float(np.max(np.asarray(size.height)))
+    top = 1.1 * float(np.max(np.asarray(parameters.species.height)))
     if terrain is not None:
         top += float(np.max(terrain))
     grid = VoxelGrid.cover(extent, top, voxel)
@@ -908,6 +905,7 @@ def build_scene(
     if finer:
         _check_structure(scene)
         scene = dataclasses.replace(scene, tuft=_fitting_tuft(scene))
+    stand = _stand(scene, models, rules.resolved(voxel), seed)
     if crowns is not None:
         within = (crowns.foot >= 0.0) & (crowns.foot < np.asarray(extent))
         outside = np.asarray(~within.all(axis=1))
@@ -917,35 +915,31 @@ def build_scene(
                 f"{int(outside.sum())} of {outside.size} crowns are outside the plot of "
                 f"{extent[0]:g} m x {extent[1]:g} m, the first at ({x:g}, {y:g})"
             )
-        planting = known_planting(
-            crowns,
-            species,
-            np.asarray(size.diameter),
-            np.asarray(size.height),
-            models,
-            resolved=rules.resolved(voxel),
-            structured=finer > 0,
-            seed=seed,
-            dtype=dtype,
-        )
-        return eqx.tree_at(lambda s: s.planting, scene, planting)
+        return eqx.tree_at(lambda s: s.planting, scene, known_planting(stand, crowns))
     planting = draw_planting(
-        species,
+        stand,
         np.asarray(scene.counts(parameters)),
-        np.asarray(size.diameter),
-        np.asarray(size.height),
-        models,
         extent=extent,
-        resolved=rules.resolved(voxel),
-        structured=finer > 0,
         periodic=boundary == "periodic",
         probability=rules.probability,
         room=rules.room,
         size_variation=rules.size_variation,
-        seed=seed,
-        dtype=dtype,
     )
     return eqx.tree_at(lambda s: s.planting, scene, planting)
+
+
+def _stand(scene: Scene, models: Sequence[PlantModel | None], resolved: float, seed: int) -> Stand:
+    size = scene.parameters.species
+    return Stand(
+        scene.species,
+        np.asarray(size.diameter),
+        np.asarray(size.height),
+        models,
+        resolved,
+        scene.finer > 0,
+        seed,
+        scene.dtype,
+    )
 
 
 def _fitting_tuft(scene: Scene) -> float:

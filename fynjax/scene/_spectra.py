@@ -6,14 +6,11 @@ from pathlib import Path
 from typing import Any
 
 import equinox as eqx
-import jax
 import numpy as np
 import pandas as pd
 from jaxtyping import Float
 
 from fynjax._core.errors import InputError
-from fynjax.leaf import LeafParameters, prospect
-from fynjax.radiation import canopy_reflectance
 from fynjax.sensors import BandSet, Sensor
 
 LOWEST, HIGHEST = 400.0, 2500.0
@@ -28,13 +25,13 @@ class Spectrum(eqx.Module):
     """
 
     values: Float[np.ndarray, " wavelength"]
-    """From 400 to 2500 nm [-]."""
+    """Values in steps of 1 nm from 400 to 2500 nm [-]."""
     what: str = eqx.field(static=True)
-    """Of what it is, for errors, such as "a soil spectrum"."""
+    """What it is a spectrum of, for errors, such as "a soil spectrum"."""
     known: tuple[float, float] = eqx.field(static=True)
     """Lowest and highest wavelength that was given [nm]."""
     file: Path | None = eqx.field(static=True, default=None)
-    """Where it was read from."""
+    """File that it was read from."""
 
     @classmethod
     def of(
@@ -108,45 +105,3 @@ def background_spectrum(
 def _table() -> pd.DataFrame:
     with (resources.files("fynjax.scene") / "data" / "background.csv").open() as table:
         return pd.read_csv(table)
-
-
-def mixed_surroundings(
-    wavelength: Float[np.ndarray, " wavelength"], green: float = 0.5
-) -> Float[np.ndarray, " wavelength"]:
-    """Reflectance of a country that is not known, for `at_sensor_radiance`: an assumption [-].
-
-    Green vegetation and bare, dry ground side by side, half and half unless said otherwise: the
-    canopy of `canopy_reflectance` with PROSPECT's usual leaf, leaf area index 3, over `dry_soil`,
-    sun at 30 degrees; and `dry_soil` of `background_spectrum`. Give what the surroundings are
-    instead, where that is known.
-
-    **Arguments:**
-
-    - `wavelength`: [nm], 400 to 2500.
-    - `green`: share of the vegetation [-], 0 to 1.
-
-    **Raises:** `InputError` for a share out of range. Not differentiable.
-
-    >>> from fynjax.scene import mixed_surroundings
-    >>> [round(float(value), 2) for value in mixed_surroundings([550.0, 650.0, 860.0])]
-    [0.16, 0.17, 0.42]
-    """
-    if not 0.0 <= green <= 1.0:
-        raise InputError(f"`green` must be a share in 0 to 1, but is {green:g}.")
-    grid, canopy = _green_canopy()
-    bare = background_spectrum("dry_soil", wavelength)
-    return green * np.interp(wavelength, grid, canopy) + (1.0 - green) * bare
-
-
-@lru_cache(maxsize=1)
-def _green_canopy() -> tuple[np.ndarray, np.ndarray]:
-    grid = np.arange(LOWEST, HIGHEST + 1.0, 10.0)
-    with jax.ensure_compile_time_eval():
-        leaf = prospect(LeafParameters(), grid)
-        canopy = canopy_reflectance(
-            leaf.reflectance,
-            leaf.transmittance,
-            soil=background_spectrum("dry_soil", grid),  # type: ignore[arg-type]
-            hot_spot=0.0,  # it stands for light in all directions
-        )
-    return grid, np.asarray(canopy)

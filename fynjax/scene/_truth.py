@@ -1,7 +1,6 @@
 """What stands in each pixel of a sensor's image: the truth that no image shows."""
 
 from functools import partial
-from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
 import equinox as eqx
@@ -13,7 +12,7 @@ from jaxtyping import Array, Float
 from fynjax._core.html import as_html
 from fynjax.canopy import Organ
 from fynjax.radiation import look
-from fynjax.scene._observe import AimedSensor, aimed_at
+from fynjax.scene._observe import AimedSensor, aimed_at, map_attributes, map_coordinates
 from fynjax.scene._parameters import PlotParameters
 from fynjax.scene._scene import Scene, slope_of_fading
 from fynjax.sensors import Sensor
@@ -65,13 +64,9 @@ class PixelTruth(eqx.Module):
         coordinates from the scene's south-west corner [m]."""
         import xarray as xr  # late: the command line need not wait for it
 
-        rows, columns = self.sunlit_ground.shape
-        metres = {"units": "m", "axis": "X", "long_name": "distance from the west edge"}
-        south = metres | {"axis": "Y", "long_name": "distance from the south edge"}
         coordinates = {
             "species": ("species", list(self.taxa), {"long_name": "taxon"}),
-            "y": ("y", self.origin[1] + (np.arange(rows) + 0.5) * self.pixel, south),
-            "x": ("x", self.origin[0] + (np.arange(columns) + 0.5) * self.pixel, metres),
+            **map_coordinates(self.sunlit_ground.shape, self.pixel, self.origin),
         }
         of_species = {
             "live": "live leaf", "dead": "dead tissue", "wood": "wood", "flowers": "flowers"
@@ -91,13 +86,8 @@ class PixelTruth(eqx.Module):
         }
         data["leading_species"] = (("y", "x"), place.astype(np.int16), flags)
         data["leading_share"] = (("y", "x"), share, _share("the leading species"))
-        attributes = {
-            "Conventions": "CF-1.11",
-            "title": f"what {self.sensor} sees of a simulated plot",
-            "source": f"fynjax {version('fynjax')}",
-            "pixel_m": self.pixel,
-        }
-        return xr.Dataset(data, coordinates, attributes)
+        title = f"what {self.sensor} sees of a simulated plot"
+        return xr.Dataset(data, coordinates, map_attributes(title, self.pixel))
 
     def __str__(self) -> str:
         """What is in sight of the sensor over the whole plot, in a sentence."""

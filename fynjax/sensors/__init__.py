@@ -5,12 +5,12 @@ from fynjax.sensors._camera import (
     AbstractCamera,
     FrameCamera,
     OrthographicCamera,
-    check_ground_sample_distance,
+    PushbroomCamera,
+    frame_of,
 )
 from fynjax.sensors._camera_counts import (
     CameraRadiometry,
     counts_to_radiance,
-    radiance_to_counts,
 )
 from fynjax.sensors._channels import Channels, group_bands
 from fynjax.sensors._empirical_line import (
@@ -33,15 +33,12 @@ from fynjax.sensors._noise import (
     radiometric_noise,
 )
 from fynjax.sensors._psf import PointSpread
-from fynjax.sensors._pushbroom import PushbroomCamera, frame_of
-from fynjax.sensors._rays import camera_rays, map_rays
+from fynjax.sensors._rays import map_rays
 from fynjax.sensors._reference import sensor_reference
 from fynjax.sensors._sensor import Sensor
 from fynjax.sensors._shipped import (
     build_sensor,
     mavic_3m,
-    mavic_3m_camera,
-    mavic_3m_paper_camera,
     sensor_folder,
     shipped_sensor,
     shipped_sensors,
@@ -57,10 +54,8 @@ from fynjax.sensors.air import (
     clear_sky_atmosphere,
     ground_irradiance,
     is_transparent,
-    mean_surroundings,
     sun_position,
     surface_reflectance,
-    table_limits,
     tabulated_atmosphere,
 )
 from fynjax.sensors.lidar import (
@@ -116,8 +111,6 @@ __all__ = [
     "band_set_of_curves",
     "build_lidar",
     "build_sensor",
-    "camera_rays",
-    "check_ground_sample_distance",
     "check_within_table",
     "clear_sky_atmosphere",
     "counts_to_radiance",
@@ -133,14 +126,10 @@ __all__ = [
     "lidar_waveforms",
     "map_rays",
     "mavic_3m",
-    "mavic_3m_camera",
-    "mavic_3m_paper_camera",
-    "mean_surroundings",
     "one_panel_line",
     "panel_coverage",
     "panel_reading",
     "place_panels",
-    "radiance_to_counts",
     "radiometric_noise",
     "received_electrons",
     "sensor_folder",
@@ -151,6 +140,5 @@ __all__ = [
     "shipped_sensors",
     "sun_position",
     "surface_reflectance",
-    "table_limits",
     "tabulated_atmosphere",
 ]

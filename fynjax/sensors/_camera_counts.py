@@ -4,13 +4,12 @@ The model is that which MicaSense publishes for its RedEdge and Altum cameras ("
 Radiometric Calibration Model"), and with other settings that of DJI's multispectral cameras.
 """
 
-from typing import Any, Literal
+from typing import Literal
 
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from fynjax._core.errors import InputError
 from fynjax._core.math import real_array
 
 
@@ -41,24 +40,6 @@ class CameraRadiometry(eqx.Module):
     vignetting_is: Literal["response", "correction"] = eqx.field(static=True, default="response")
     """Whether that polynomial is the response of the pixels (MicaSense), or what their counts are
     to be multiplied with (DJI)."""
-
-    def __check_init__(self) -> None:
-        shapes: dict[str, Any] = {
-            "sensitivity": (), "exposure": (), "black_level": (), "gain": (),
-            "row_gradient": (2,), "vignetting_centre": (2,),
-        }  # fmt: skip
-        for name, shape in shapes.items():
-            if (actual := jnp.shape(getattr(self, name))) != shape:
-                raise InputError(
-                    f"`{name}` must have shape {shape}, but has {actual}. For many pictures use "
-                    "`jax.vmap`."
-                )
-        if self.vignetting_is not in ("response", "correction"):
-            raise InputError(
-                f"`vignetting_is` must be 'response' or 'correction', not {self.vignetting_is!r}."
-            )
-        if not self.full_scale > 1.0:
-            raise InputError(f"`full_scale` must be 2 to the bits, but is {self.full_scale:g}.")
 
     def response(self, shape: tuple[int, ...]) -> Float[Array, "row column"]:
         """Response of each pixel over that of the centre's in row 0 [-]. Differentiable."""
@@ -97,20 +78,3 @@ def counts_to_radiance(
     counts = real_array(counts)
     scale = camera.sensitivity / (camera.gain * camera.exposure * camera.full_scale)
     return scale * (counts - camera.black_level) / camera.response(counts.shape)
-
-
-def radiance_to_counts(
-    radiance: Float[Array, "row column"], camera: CameraRadiometry
-) -> Float[Array, "row column"]:
-    """Counts of a picture of a given radiance [-]; inverse of `counts_to_radiance`.
-
-    **Arguments:**
-
-    - `radiance`: of the pixels [W m-2 sr-1 um-1].
-    - `camera`: as in `counts_to_radiance`.
-
-    Neither rounded nor cut off at the full scale, so differentiable in all arguments.
-    """
-    radiance = real_array(radiance)
-    scale = camera.sensitivity / (camera.gain * camera.exposure * camera.full_scale)
-    return radiance * camera.response(radiance.shape) / scale + camera.black_level

@@ -26,9 +26,9 @@ class Channels:
     """Groups of neighbouring bands, each of which is taken as one: the mean of its bands."""
 
     lower: Float[np.ndarray, " channel"]
-    """Where a group begins [nm]."""
+    """Wavelength at which a group begins [nm]."""
     upper: Float[np.ndarray, " channel"]
-    """Where it ends [nm]."""
+    """Wavelength at which a group ends [nm]."""
     centre: Float[np.ndarray, " channel"]
     """Mean of the centres of its bands [nm]."""
 

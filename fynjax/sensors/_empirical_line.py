@@ -347,22 +347,13 @@ def place_panels(
     **Arguments:**
 
     - `reflectance`: of the ground [-].
-    - `coverage`: share of each pixel under each panel [-] (`panel_coverage`).
+    - `coverage`: share of each pixel under each panel [-] (`panel_coverage`), which do not overlap.
     - `panels`: their reflectance [-].
-
-    **Raises:** `InputError` for shapes that do not fit, and where panels overlap, if that is known.
 
     Differentiable in `reflectance` and `panels`.
     """
     ground, cover, panel = real_array(reflectance), real_array(coverage), real_array(panels)
-    if ground.ndim != 3 or cover.shape[1:] != ground.shape[1:] or panel.ndim != 2:
-        raise InputError(
-            "expected ground [band, y, x], coverage [panel, y, x] and panels [panel, band], but "
-            f"got shapes {ground.shape}, {cover.shape} and {panel.shape}"
-        )
     under = jnp.sum(cover, axis=0)
-    if not isinstance(under, jax.core.Tracer) and float(under.max()) > 1.0 + 1e-6:
-        raise InputError("panels must not overlap, but some pixels are under more than one")
     panel = jnp.broadcast_to(panel, (cover.shape[0], ground.shape[0]))
     return ground * (1.0 - under) + jnp.einsum("pyx,pb->byx", cover, panel)
 

@@ -68,4 +68,4 @@ class Gains:
 
 
 ASSUMED = Gains(0.05, 0.5)
-"""Of a sensor whose file states none."""
+"""Errors of the gains of a sensor whose file states none."""

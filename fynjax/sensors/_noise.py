@@ -1,8 +1,8 @@
 """Sensor noise: how far a measured radiance may lie from the true one.
 
-A noise model is a distribution. It gives the standard deviation and the covariance that an
-inversion or an information analysis needs, and draws from a seed for an image with the noise of a
-measurement. Radiance is in W m-2 sr-1 µm-1 throughout, with bands on the last axis.
+A noise model is a distribution. It gives the standard deviation that an inversion or an information
+analysis needs, and draws from a seed for an image with the noise of a measurement. Radiance is in
+W m-2 sr-1 µm-1 throughout, with bands on the last axis.
 """
 
 import abc
@@ -40,7 +40,7 @@ def _floating(radiance: Any) -> Array:
 class AbstractNoise(eqx.Module):
     """Noise that is independent between pixels and between bands.
 
-    `standard_deviation`, `covariance` and `draw` are differentiable in the radiance.
+    `standard_deviation` and `draw` are differentiable in the radiance.
     """
 
     @abc.abstractmethod
@@ -53,13 +53,6 @@ class AbstractNoise(eqx.Module):
         """Standard deviation of the mean of `averaged` pixels [W m-2 sr-1 µm-1]."""
         deviation = self.pixel_deviation(_floating(radiance))
         return deviation / jnp.sqrt(jnp.asarray(averaged, deviation.dtype))
-
-    def covariance(
-        self, radiance: Float[Array, "*batch band"], *, averaged: float | Float[Array, ""] = 1.0
-    ) -> Float[Array, "*batch band band"]:
-        """Covariance of the bands of the mean of `averaged` pixels [(W m-2 sr-1 µm-1)²]."""
-        variance = self.standard_deviation(radiance, averaged=averaged) ** 2
-        return variance[..., None] * jnp.eye(variance.shape[-1], dtype=variance.dtype)
 
     def draw(
         self,
@@ -98,13 +91,6 @@ class RadiometricNoise(AbstractNoise):
     """Constant part [W m-2 sr-1 µm-1]."""
     integrations: float = eqx.field(static=True, converter=float, default=1.0)
     """Frames that one pixel averages [-]; noise falls with their square root."""
-
-    def __check_init__(self) -> None:
-        shapes = {np.shape(v) for v in (self.a, self.b, self.c)}
-        if len(shapes) != 1 or len(next(iter(shapes))) != 1:
-            raise InputError(f"a, b and c need one value for each band, but have shapes {shapes}.")
-        if not self.integrations > 0.0:
-            raise InputError(f"`integrations` must be positive, but is {self.integrations:g}.")
 
     def pixel_deviation(self, radiance: Float[Array, "*batch band"]) -> Float[Array, "*batch band"]:
         a, b, c = (jnp.asarray(v, radiance.dtype) for v in (self.a, self.b, self.c))
@@ -174,18 +160,6 @@ class CameraNoise(AbstractNoise):
     bits: int = eqx.field(static=True)
     """Bits of the digital number, which spans the full well."""
 
-    def __check_init__(self) -> None:
-        if isinstance(self.bits, bool) or self.bits != int(self.bits) or not 1 <= self.bits <= 32:
-            raise InputError(f"`bits` must be a whole number from 1 to 32, but is {self.bits}.")
-        for what in ("saturation", "full_well", "read_noise"):
-            value = getattr(self, what)
-            if isinstance(value, jax.core.Tracer):
-                continue
-            least = 0.0 if what == "read_noise" else np.finfo(np.float32).tiny
-            if not np.all(np.isfinite(value)) or np.any(np.asarray(value) < least):
-                word = "non-negative" if what == "read_noise" else "positive"
-                raise InputError(f"`{what}` must be {word} and finite, but is {value}.")
-
     def _scales(self, dtype: Any) -> tuple[Array, Array, Array]:
         """Electrons per radiance, electrons per digital number, read noise."""
         well = jnp.asarray(self.full_well, dtype)
@@ -197,20 +171,3 @@ class CameraNoise(AbstractNoise):
         gain, step, read = self._scales(radiance.dtype)
         electrons = jnp.maximum(gain * radiance, 0.0)
         return jnp.sqrt(electrons + read**2 + step**2 / 12.0) / gain
-
-    def digitise(
-        self, key: Array | int, radiance: Float[Array, "*batch band"]
-    ) -> Float[Array, "*batch band"]:
-        """Radiance as read back from digital numbers [W m-2 sr-1 µm-1].
-
-        Electrons are drawn (Poisson), read, rounded and cut off at zero and at the full well. Not
-        differentiable: for gradients use `draw`, which has the same variance.
-        """
-        radiance = _floating(radiance)
-        gain, step, read = self._scales(radiance.dtype)
-        counting, reading = jax.random.split(_key(key))
-        mean = jnp.broadcast_to(jnp.maximum(gain * radiance, 0.0), radiance.shape)
-        electrons = jax.random.poisson(counting, mean).astype(radiance.dtype)
-        noise = read * jax.random.normal(reading, radiance.shape, radiance.dtype)
-        number = jnp.clip(jnp.round((electrons + noise) / step), 0.0, float(2**self.bits - 1))
-        return number * step / gain

@@ -28,8 +28,8 @@ class PointSpread(eqx.Module):
     kind: Literal["gaussian", "box"] = eqx.field(static=True)
     """'gaussian', the blur of optics; 'box', even response, such as by motion."""
     width: Float[Array, " 2"] = eqx.field(converter=_pair)
-    """Across (x) and along (y) [pixels]. Gaussian: full width at half maximum of the blur that
-    comes on top of the pixel's footprint. Box: width of the whole response, at least 1."""
+    """Width across (x) and along (y) [pixels]. Gaussian: full width at half maximum of the blur
+    that comes on top of the pixel's footprint. Box: width of the whole response, at least 1."""
     radius: int | None = eqx.field(static=True, default=None)
     """Reach of the blur [pixels]; left out, taken from `width`, which must then be concrete."""
 

@@ -1,56 +1,22 @@
-"""From a camera to the rays that the radiation layer renders along."""
+"""From a camera to the rays of the pixels of a map."""
 
 import dataclasses
 import math
 
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from fynjax.radiation import AbstractRays, RayField, RayLattice, nadir_rays, parallel_rays
-from fynjax.sensors._camera import AbstractCamera, FrameCamera, OrthographicCamera
-from fynjax.sensors._pushbroom import PushbroomCamera, frame_of
+from fynjax.radiation import RayField, RayLattice, nadir_rays, parallel_rays
+from fynjax.sensors._camera import (
+    AbstractCamera,
+    FrameCamera,
+    OrthographicCamera,
+    PushbroomCamera,
+)
 
 _NARROW = 0.02
 """Spread of the rays' slopes, 1.1 degrees, up to which the leaves' projection is taken as the same
 for all of them."""
-
-
-def camera_rays(camera: AbstractCamera) -> AbstractRays:
-    """Rays of all pixels of a camera, for `fynjax.radiation.render` and `reflectance_factor`.
-
-    **Arguments:**
-
-    - `camera`: its zero level is the bottom of the grid.
-
-    **Returns:** orthographic cameras, frame cameras that point straight down with the upper edge
-    north, and pushbroom sensors with a northward track give lattices of rays, which render fast;
-    all others, and cameras with traced fields, give free rays. Their positions and directions are
-    differentiable in the camera's fields.
-
-    **Raises:** `InputError` as `parallel_rays` and `nadir_rays`.
-    """
-    if isinstance(camera, OrthographicCamera):
-        x, y = camera.ground_coordinates()
-        zenith, azimuth = camera.view_zenith, camera.view_azimuth
-        return parallel_rays(x[0], y[:, 0], camera.pixel_size, zenith, azimuth)
-    frame = frame_of(camera)
-    if frame is not None and _known(camera):
-        place = (float(frame.position[0]), float(frame.position[1]), float(frame.position[2]))
-        if float(frame.heading) == 0.0:
-            x, y = camera.ground_coordinates()
-            footprint = float(camera.ground_sample_distance)
-            if isinstance(camera, PushbroomCamera):
-                tx, ty = camera.tangents()
-                return RayLattice(x[0], y[:, 0], tx[0], ty[:, 0], footprint, 5, place[2])
-            if float(frame.tilt) == 0.0:
-                return nadir_rays(x[0], y[:, 0], footprint, place)
-        altitude = place[2]
-    else:
-        altitude = math.inf  # the height above the canopy cannot be checked
-    x, y = camera.ground_coordinates()
-    tx, ty = camera.tangents()
-    return RayField(x, y, tx, ty, camera.pixel_widths(), altitude)
 
 
 def map_rays(
@@ -107,8 +73,3 @@ def map_rays(
 def _nodes(*slopes: Array) -> int:
     """Directions per axis at which functions of the angle are evaluated: one for a narrow view."""
     return 1 if max(float(jnp.ptp(s)) for s in slopes) < _NARROW else 5
-
-
-def _known(camera: AbstractCamera) -> bool:
-    leaves: list[Array] = jax.tree.leaves(camera)
-    return not any(isinstance(leaf, jax.core.Tracer) for leaf in leaves)

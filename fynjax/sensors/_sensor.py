@@ -5,20 +5,15 @@ from collections.abc import Sequence
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
-from numpy.typing import ArrayLike
 
 from fynjax._core.errors import InputError, did_you_mean
-from fynjax.radiation import AbstractRays
 from fynjax.sensors._bands import BandSet
-from fynjax.sensors._camera import AbstractCamera, Real
+from fynjax.sensors._camera import AbstractCamera, Real, frame_of
 from fynjax.sensors._gains import ASSUMED, Gains
 from fynjax.sensors._noise import AbstractNoise
 from fynjax.sensors._psf import PointSpread
-from fynjax.sensors._pushbroom import frame_of
-from fynjax.sensors._rays import camera_rays
 from fynjax.sensors.air import SPACE
 
 
@@ -33,7 +28,7 @@ class Sensor(eqx.Module):
     bands: BandSet
     """Names and spectral responses of the bands."""
     camera: AbstractCamera
-    """Geometry, above the point (0, 0) at the altitude of the file; see `over`."""
+    """Geometry, above the point (0, 0) at the altitude of the file."""
     psf: PointSpread | None = None
     """Blur on top of the pixels' footprints; none if not known."""
     noise: AbstractNoise | None = None
@@ -46,7 +41,7 @@ class Sensor(eqx.Module):
     """Errors of its bands for each way of calibration to reflectance, the usual one first; empty if
     not known. See `gains`."""
     source: str = eqx.field(static=True, default="")
-    """Where the numbers come from."""
+    """Source of the numbers."""
 
     def __check_init__(self) -> None:
         if self.band_pixel is not None and len(self.band_pixel) != len(self.bands):
@@ -73,16 +68,6 @@ class Sensor(eqx.Module):
             )
         return ways[way]
 
-    def response(
-        self, wavelength: ArrayLike, *, max_loss: float = 1e-3
-    ) -> Float[Array, "band wavelength"]:
-        """Weights of a spectrum on `wavelength` [nm] in each band [-]; rows sum to one.
-
-        The integral of each response over the spectrum, taken linear between its points, is
-        exact. Raises `InputError` as `BandSet.weights`.
-        """
-        return jnp.asarray(self.bands.weights(wavelength, max_loss=max_loss))
-
     @property
     def altitude(self) -> float:
         """Usual height above the ground [m]; in space where its file has none."""
@@ -95,9 +80,10 @@ class Sensor(eqx.Module):
         `altitude` above the ground [m], without effect on parallel lines of sight; left out, that
         of the file.
         """
-        if altitude is None or frame_of(self.camera) is None:
+        frame = frame_of(self.camera)
+        if altitude is None or frame is None:
             return self.camera.ground_sample_distance
-        return self.camera.over(0.0, 0.0, altitude=altitude).ground_sample_distance
+        return frame.pixel_at(altitude)
 
     def pixel(self, altitude: Real | None = None) -> Float[Array, ""]:
         """Edge of a pixel of its images on the ground [m]: what the sensor's source states, else
@@ -107,26 +93,6 @@ class Sensor(eqx.Module):
         file.
         """
         return self.ground_sample_distance(altitude) * self.pixel_factor
-
-    def swath(self, altitude: Real | None = None) -> Float[Array, " 2"]:
-        """Ground that the image spans straight below, across (x) and along (y) [m].
-
-        A pushbroom sensor has one line until `over` gives it more.
-        """
-        rows, columns = self.camera.shape
-        return self.ground_sample_distance(altitude) * jnp.asarray([columns, rows], dtype=float)
-
-    def over(
-        self,
-        x: Real,
-        y: Real,
-        *,
-        altitude: Real | None = None,
-        shape: tuple[int, int] | None = None,
-    ) -> "Sensor":
-        """The same sensor above the point (`x`, `y`) [m]; see `AbstractCamera.over`."""
-        camera = self.camera.over(x, y, altitude=altitude, shape=shape)
-        return eqx.tree_at(lambda s: s.camera, self, camera)
 
     def select(self, places: Sequence[int]) -> "Sensor":
         """The same sensor with the bands at `places` alone, in that order."""
@@ -141,41 +107,3 @@ class Sensor(eqx.Module):
             band_pixel=pixel,
             calibrations=tuple(one.select(at.tolist()) for one in self.calibrations),
         )
-
-    def rays(self) -> AbstractRays:
-        """Rays of all pixels, for `fynjax.radiation.render`; see `camera_rays`."""
-        return camera_rays(self.camera)
-
-    def observe(
-        self,
-        wavelength: ArrayLike,
-        spectra: Float[Array, "*batch wavelength y x"],
-        *,
-        key: Array | int | None = None,
-        max_loss: float = 1e-3,
-    ) -> Float[Array, "*batch band y x"]:
-        """The image that the sensor makes of spectra: averaged over the bands, blurred, noisy.
-
-        **Arguments:**
-
-        - `wavelength`: grid of the spectra [nm], increasing and concrete.
-        - `spectra`: one for each pixel, averaged over its footprint. Noise needs radiance in
-          W m-2 sr-1 µm-1.
-        - `key`: JAX key or seed of the noise. Left out, there is none.
-
-        Differentiable in `spectra`. Raises `InputError` for spectra that do not cover a band, and
-        where noise is requested and the sensor has no noise model.
-        """
-        averaged = self.bands.average(wavelength, jnp.moveaxis(spectra, -3, -1), max_loss=max_loss)
-        image = jnp.moveaxis(averaged, -1, -3)
-        if self.psf is not None:
-            image = self.psf.blur(image)
-        if key is None:
-            return image
-        if self.noise is None:
-            raise InputError(
-                f"sensor {self.name!r} has no noise model: leave `key` out, or give the sensor "
-                "file a [noise] table."
-            )
-        noisy = self.noise.draw(key, jnp.moveaxis(image, -3, -1))
-        return jnp.moveaxis(noisy, -1, -3)

@@ -2,6 +2,7 @@
 
 import csv
 import tomllib
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
 from importlib.resources import files
@@ -10,7 +11,6 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-from numpy.typing import ArrayLike
 
 from fynjax._core.errors import InputError
 from fynjax.sensors._bands import BandSet, band_set_of_curves
@@ -18,16 +18,17 @@ from fynjax.sensors._camera import (
     AbstractCamera,
     FrameCamera,
     OrthographicCamera,
-    check_ground_sample_distance,
+    PushbroomCamera,
 )
 from fynjax.sensors._gains import Gains
 from fynjax.sensors._noise import AbstractNoise, CameraNoise, radiometric_noise
 from fynjax.sensors._psf import PointSpread
-from fynjax.sensors._pushbroom import PushbroomCamera
 from fynjax.sensors._sensor import Sensor
 
 Table = Mapping[str, Sequence[Any]]
 """Columns of a table, by name."""
+_SAME_PIXEL = 0.02
+"""Difference between a stated pixel and that of the optics up to which they are the same [-]."""
 
 
 def sensor_folder() -> Path:
@@ -137,9 +138,8 @@ def _bands(
 
 def _camera(table: Mapping[str, Any], name: str) -> AbstractCamera:
     if table["kind"] == "orthographic":
-        half = 0.5 * table["pixel_m"]
         angles = (table.get("view_zenith_deg", 0.0), table.get("view_azimuth_deg", 0.0))
-        return OrthographicCamera((-half, -half, half, half), table["pixel_m"], *angles)
+        return OrthographicCamera(table["pixel_m"], *angles)
     pushbroom = table["kind"] == "pushbroom"
     frame = FrameCamera(
         position=jnp.asarray([0.0, 0.0, table["altitude_m"]]),
@@ -149,9 +149,15 @@ def _camera(table: Mapping[str, Any], name: str) -> AbstractCamera:
         tilt=table.get("tilt_deg", 0.0),
         heading=table.get("heading_deg", 0.0),
     )
-    stated = table.get("ground_sample_distance_m")
-    if stated is not None:
-        check_ground_sample_distance(frame, stated, name=name)
+    stated, optics = table.get("ground_sample_distance_m"), float(frame.ground_sample_distance)
+    if stated is not None and abs(stated / optics - 1.0) > _SAME_PIXEL:
+        height = float(frame.position[2])
+        warnings.warn(
+            f"{name}: the stated ground sample distance of {stated:g} m disagrees with the "
+            f"optics, which give {optics:.4g} m at {height:g} m, and the stated one at "
+            f"{height * stated / optics:.4g} m. Images have the stated pixel.",
+            stacklevel=2,
+        )
     return PushbroomCamera(frame) if pushbroom else frame
 
 
@@ -188,33 +194,3 @@ def mavic_3m() -> BandSet:
     since no curves are published.
     """
     return shipped_sensor("mavic_3m").bands
-
-
-def mavic_3m_paper_camera(position: ArrayLike = (5.0, 5.0, 50.0)) -> AbstractCamera:
-    """Mavic 3M camera as the fynbos scene paper models it: 4 mm, 2 µm, 640 x 480 pixels.
-
-    **Arguments:**
-
-    - `position`: (x, y, altitude) [m].
-
-    At 50 m: 2.5 cm pixels, 16 m x 12 m on the ground.
-    """
-    return _placed("mavic_3m_paper", position)
-
-
-def mavic_3m_camera(position: ArrayLike = (5.0, 5.0, 50.0)) -> AbstractCamera:
-    """Mavic 3M camera by its maker: 4.34 mm, 2 µm, 2592 x 1944 pixels.
-
-    **Arguments:**
-
-    - `position`: (x, y, altitude) [m].
-
-    At 50 m: 2.30 cm pixels, 59.7 m x 44.8 m on the ground. Source: DJI, Mavic 3M Image Processing
-    Guide v1.0 (2023).
-    """
-    return _placed("mavic_3m", position)
-
-
-def _placed(name: str, position: ArrayLike) -> AbstractCamera:
-    x, y, altitude = jnp.asarray(position)
-    return shipped_sensor(name).camera.over(x, y, altitude=altitude)

@@ -1,7 +1,7 @@
 """Radiation on an accelerator and on the CPU: `python -m tests.benchmarks.table_gpu [--quick]`.
 
-Shrubs in voxels of 10 cm, in float32: an image of 10 m, its value and gradient, a hectare in tiles,
-and 416 bands. A row each: wall time after compilation, largest memory of the device, and by how
+Shrubs in voxels of 10 cm, in float32: an image of 10 m, its value and gradient, and
+416 bands. A row each: wall time after compilation, largest memory of the device, and by how
 much the result differs from the CPU's, over its largest value (at most 1e-4 is asked for). Where
 there is no accelerator the table is that of the CPU, and says so. `--quick` takes small plots.
 """
@@ -23,9 +23,7 @@ from fynjax.radiation import (
     VoxelScene,
     nadir_rays,
     reflectance_factor,
-    render_tiles,
     solve_light,
-    tile_picture,
 )
 from tests.benchmarks._measure import options
 
@@ -88,15 +86,6 @@ def gradient(side: float) -> tuple[Callable[..., Any], VoxelScene]:
     return both, scene
 
 
-def tiled(side: float) -> tuple[Callable[..., Any], VoxelScene]:
-    scene, rays = shrubs(side), rays_over(side, 0.1, 500.0)
-    known = jax.eval_shape(lambda s: solve_light(s, ACCURACY), scene)
-    # Of the light only shapes and the sun's slope count for the tiles.
-    slope = solve_light(shrubs(1.0), ACCURACY).sun.slope
-    tiling = tile_picture(eqx.tree_at(lambda at: at.sun.slope, known, slope), rays)
-    return lambda s: render_tiles(solve_light(s, ACCURACY), rays, tiling).total, scene
-
-
 def on(device: Any, function: Callable[..., Any], scene: VoxelScene) -> tuple[float, np.ndarray]:
     """Wall time after compilation [s], and the result."""
     with jax.default_device(device):
@@ -115,11 +104,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
     given = parser.parse_args(arguments)
     device, cpu = jax.devices()[0], jax.devices("cpu")[0]
     print(f"on {device.device_kind}" + ("" if device != cpu else ": no accelerator was found"))
-    side, large, bands = (2.0, 4.0, 40) if given.quick or given.tiny else (10.0, 100.0, 416)
+    side, bands = (2.0, 40) if given.quick or given.tiny else (10.0, 416)
     rows = (
         (f"image, {side:g} m", lambda: image(side)),
         (f"value and gradient, {side:g} m", lambda: gradient(side)),
-        (f"{large:g} m in tiles", lambda: tiled(large)),
         (f"{bands} bands, {side:g} m", lambda: image(side, bands)),
     )
     print(f"{'':28s} {'s':>8s} {'GiB':>7s} {'CPU s':>8s} {'difference':>11s}")

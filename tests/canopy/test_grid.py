@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fynjax._core.errors import InputError
-from fynjax.canopy import TabulatedLeafAngle, VoxelGrid, deposit, instantiate, plant_model
+from fynjax.canopy import TabulatedLeafAngle, VoxelGrid, deposit, plant_model, unit_shapes
 from tests.helpers import assert_gradients
 
 EXTENT = (4.0, 6.0)
@@ -70,11 +70,14 @@ def test_area_is_conserved_at_every_resolution(
 ) -> None:
     """Plants of 15 cm, thinner than most of the voxels."""
     plant = plant_model("upright_ericoid", 60, seed=0)
-    sites = np.random.default_rng(1).uniform(0, 4.0, (200, 2)).astype(dtype)
-    turn = np.linspace(0, 700, 200).astype(dtype)
-    positions, area, organ = instantiate(
-        plant, sites, turn, np.ones(200, dtype), 0.15, 1.78, 0.03, 0.006, 0.002
-    )
+    sites = np.random.default_rng(1).uniform(0, 4.0, (200, 1, 2))
+    across, along = unit_shapes(np.asarray(plant.position), np.linspace(0, 700, 200), np.zeros(200))
+    places = 0.15 * across + 1.78 * along
+    places[..., :2] += sites
+    positions = places.reshape(-1, 3).astype(dtype)
+    organ = np.tile(plant.organ, 200)
+    of_plant = np.array([0.03, 0.006, 0.002])[np.asarray(plant.organ)]
+    area = np.tile(np.asarray(plant.area_fraction) * of_plant, 200).astype(dtype)
     grid = VoxelGrid.cover(EXTENT, 1.8, horizontal)
     density = deposit(positions, area, organ, grid, 3)
     assert density.dtype == dtype

@@ -8,7 +8,7 @@ from scipy.spatial import cKDTree
 from scipy.stats import qmc
 
 from fynjax._core.errors import InputError
-from fynjax.canopy import assign_sites, poisson_disk, site_weight, soft_weights
+from fynjax.canopy import assign_sites, poisson_disk, site_weight
 from tests.helpers import assert_gradients
 
 SIDE, RADIUS, SEEDS = 6.0, 0.2, 5
@@ -148,19 +148,6 @@ def test_the_map_sets_the_pattern_and_not_the_abundance() -> None:
     strong = np.mean((east < 5) & (north < 5))
     # 255 : 85 : 85 among equal areas: 3/5 of few plants; a little less as the best places go.
     assert 0.5 < strong < 0.64
-    (by_function,) = assign_sites(
-        POINTS, [600], seed=5, probability=lambda x, y: np.where(x < 5, 255.0 * (y < 5), 85.0)
-    )
-    np.testing.assert_array_equal(by_function, sites)
-
-
-def test_one_map_a_species() -> None:
-    south, north = np.array([[255], [0]]), np.array([[0], [255]])
-    sites = assign_sites(
-        POINTS, [300, 300, 300], seed=5, probability=[south, north, None], extent=(10, 10)
-    )
-    assert sites[0][:, 1].max() < 5 < sites[1][:, 1].min()
-    assert np.ptp(sites[2][:, 1]) > 9
 
 
 def test_a_target_out_of_reach_is_said_with_numbers() -> None:
@@ -194,7 +181,7 @@ COUNTS = np.concatenate([[0.0], np.geomspace(0.05, 10_000, 300), np.arange(1.0, 
 @pytest.mark.parametrize("softness", [0.0, 0.02, 0.25, 1.0, 2.0, 3.0])
 @pytest.mark.parametrize("width", [0.5, 1.0, 2.0, 5.0])
 def test_the_sum_of_weights_is_the_count_with_slope_one(width: float, softness: float) -> None:
-    weights = jax.jit(lambda n: soft_weights(n, 21_000, width=width, softness=softness))
+    weights = jax.jit(lambda n: site_weight(n, np.arange(21_000), width=width, softness=softness))
     total, slope = jax.lax.map(jax.value_and_grad(lambda n: weights(n).sum()), jnp.asarray(COUNTS))
     np.testing.assert_allclose(total, COUNTS, rtol=1e-9)
     np.testing.assert_allclose(slope, 1.0, atol=1e-9)
@@ -206,7 +193,7 @@ def test_the_sum_of_weights_is_the_count_with_slope_one(width: float, softness: 
 
 
 def test_the_sum_holds_in_single_precision() -> None:
-    weights = lambda n: soft_weights(n, 12_000, softness=0.25)  # noqa: E731
+    weights = lambda n: site_weight(n, np.arange(12_000), softness=0.25)  # noqa: E731
     counts = jnp.asarray(COUNTS[1:], jnp.float32)
     total, slope = jax.lax.map(jax.value_and_grad(lambda n: weights(n).sum()), counts)
     assert total.dtype == jnp.float32
@@ -221,13 +208,17 @@ def test_a_weight_is_the_mean_of_the_ramp_over_its_unit() -> None:
     places = (np.arange(200_000) + 0.5) / 10_000
     line = np.clip((count - places) / ramp + 0.5, 0.0, 1.0)
     expected = line.reshape(20, -1).mean(axis=1)
-    np.testing.assert_allclose(soft_weights(count, 20, softness=softness), expected, atol=1e-7)
+    np.testing.assert_allclose(
+        site_weight(count, np.arange(20), softness=softness), expected, atol=1e-7
+    )
 
 
 @pytest.mark.parametrize("width", [1.0, 2.0, 5.0])
 def test_slopes_of_single_weights_are_continuous(width: float) -> None:
     """No jump of a weight's slope by the count, whichever limit holds the ramp."""
-    slope = jax.vmap(jax.jacfwd(lambda n: soft_weights(n, 12, width=width, softness=0.25)))
+    slope = jax.vmap(
+        jax.jacfwd(lambda n: site_weight(n, np.arange(12), width=width, softness=0.25))
+    )
     counts = np.linspace(0.1, 8.0, 4001)
     change = np.abs(np.diff(slope(counts), axis=0)).max()
     twice = np.abs(np.diff(slope(counts[::2]), axis=0)).max()
@@ -237,11 +228,11 @@ def test_slopes_of_single_weights_are_continuous(width: float) -> None:
 @pytest.mark.parametrize("count", [0.0, 0.4, 3.0, 3.2, 7.99])
 def test_without_width_plants_are_whole(count: float) -> None:
     hard = np.arange(12) < np.ceil(count)
-    np.testing.assert_array_equal(soft_weights(count, 12, width=0.0), hard)
+    np.testing.assert_array_equal(site_weight(count, np.arange(12), width=0.0), hard)
 
 
 def test_without_a_ramp_the_last_plant_is_the_fraction() -> None:
-    np.testing.assert_allclose(soft_weights(2.3, 4), [1.0, 1.0, 0.3, 0.0], atol=1e-12)
+    np.testing.assert_allclose(site_weight(2.3, np.arange(4)), [1.0, 1.0, 0.3, 0.0], atol=1e-12)
 
 
 def test_no_plants_have_no_weight_and_a_finite_slope() -> None:
@@ -257,12 +248,12 @@ def test_no_plants_have_no_weight_and_a_finite_slope() -> None:
     for slopes in (jax.jacfwd, jax.jacrev):
         by_input = jax.jit(slopes(soft))((none, width, softness))
         assert all(np.all(np.isfinite(slope)) for slope in by_input)
-    assert float(jax.grad(lambda n: soft_weights(n, 5).sum())(0.0)) == 1.0
+    assert float(jax.grad(lambda n: site_weight(n, np.arange(5)).sum())(0.0)) == 1.0
 
 
 def test_weights_are_differentiable() -> None:
     assert_gradients(
-        jax.jit(lambda x: soft_weights(x[0], 30, width=x[1], softness=x[2])),
+        jax.jit(lambda x: site_weight(x[0], np.arange(30), width=x[1], softness=x[2])),
         jnp.array([11.3, 1.7, 0.21]),
     )
 
@@ -271,7 +262,7 @@ def test_weights_keep_single_precision_and_broadcast() -> None:
     count = jnp.asarray([3.5, 0.2], jnp.float32)
     weight = site_weight(count[:, None], np.arange(5), softness=0.1)
     assert weight.dtype == jnp.float32
-    np.testing.assert_array_equal(weight[0], soft_weights(count[0], 5, softness=0.1))
+    np.testing.assert_array_equal(weight[0], site_weight(count[0], np.arange(5), softness=0.1))
 
 
 @pytest.mark.study

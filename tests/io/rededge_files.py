@@ -6,7 +6,8 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from fynjax.sensors import CameraRadiometry, radiance_to_counts
+from fynjax.sensors import CameraRadiometry
+from tests.helpers import radiance_to_counts
 
 BANDS = (("Blue", 475, 20), ("Red", 668, 10), ("NIR", 840, 40))
 IRRADIANCE = np.array([1300.0, 1200.0, 900.0])

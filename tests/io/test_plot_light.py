@@ -71,7 +71,7 @@ def test_lidar_meets_ground_of_that_shape(plot):
     slant = jnp.asarray(slant / np.linalg.norm(slant))
 
     def path(voxels):
-        fields = canopy_fields(voxels, 1.0)
+        fields = canopy_fields(voxels)
         return trace_pencils(voxels, fields, origin, slant, jnp.zeros((1, 2)), 0.0, 1)
 
     paths = [path(one.voxels(parameters, bands)) for one in (scene, lambert)]

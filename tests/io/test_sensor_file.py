@@ -162,7 +162,7 @@ def test_geometries_and_tables(write: Callable) -> None:
     np.testing.assert_allclose(satellite.noise.standard_deviation([8.0, 3.0]), [0.15, 0.1])
     flown = load_sensor(write(('"frame"', '"pushbroom"'), ("rows = 8\n", "tilt_deg = 3\n")))
     assert isinstance(flown.camera, PushbroomCamera)
-    assert flown.over(0.0, 0.0, shape=(4, 12)).camera.shape == (4, 12)
+    assert flown.camera.line.shape == (1, 12)
 
 
 def test_units_named_twice_agree() -> None:

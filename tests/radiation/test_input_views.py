@@ -18,7 +18,6 @@ from fynjax.radiation import (
     perspective_rays,
     reflectance_factor,
     render,
-    tile_picture,
 )
 from tests.radiation.scenes import patchy
 from tests.radiation.test_input import centres, plain
@@ -211,19 +210,6 @@ def test_the_lowest_sight_line_decides_on_the_horizon():
 
 
 OVER = parallel_rays(X, X, 0.1, 10.0, 40.0)
-
-
-@pytest.mark.parametrize(
-    ("rays", "tile", "message"),
-    [(OVER, value, "`tile` must be a whole number of at least 1") for value in (0, -6, 2.5)]
-    + [
-        (frame(), 6, "`rays` must be those of `parallel_rays` or `nadir_rays`.*are a RayField"),
-        (nadir_rays(X, X[::-1], 0.1, (0.0, 0.0, 9.0)), 6, "increasing order.*northern one"),
-    ],
-)
-def test_tiles_refused(rays, tile, message):
-    with pytest.raises(InputError, match=message):
-        tile_picture(unlit(), rays, tile)
 
 
 @pytest.mark.parametrize("chunk", [0, -1, 1.5])

@@ -1,6 +1,7 @@
 """Sun and sight on a structure finer than the voxels of the classes."""
 
 import dataclasses
+import math
 
 import jax
 import jax.numpy as jnp
@@ -15,9 +16,7 @@ from fynjax.radiation import (
     parallel_rays,
     reflectance_factor,
     render,
-    render_tiles,
     solve_light,
-    tile_picture,
     voxel_scene,
 )
 from fynjax.radiation._resample import axis_weights, nearest_cells, sample, sample_near
@@ -145,13 +144,13 @@ def test_an_even_structure_changes_nothing(changes):
     np.testing.assert_allclose(structured, plain, rtol=4e-3)
 
 
-def test_tiles_cut_the_structure_where_they_cut_the_voxels():
+def test_rows_of_rays_follow_the_structure_as_all_of_them_do(monkeypatch):
     _, structured = scene_of(shrubs(16, 2), zenith=20.0)
     light, rays = jax.jit(lambda s: solve_light(s, FAST))(structured), fine_rays(structured)
-    tiling = tile_picture(light, rays, 16)
-    show = jax.jit(lambda at: (render_tiles(at, rays, tiling).total, render(at, rays).total))
-    tiles, whole = show(light)
-    np.testing.assert_allclose(tiles, whole, rtol=1e-9)
+    whole = jax.jit(lambda at: render(at, rays).total)(light)
+    monkeypatch.setattr("fynjax.radiation._image.MOST_RAYS", math.prod(rays.shape) // 3)
+    rows = jax.jit(lambda at: render(at, rays).total)(light)
+    np.testing.assert_allclose(rows, whole, rtol=1e-9)
 
 
 @pytest.mark.parametrize("boundary", ["periodic", "open"])

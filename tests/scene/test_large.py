@@ -1,6 +1,7 @@
 """Plots too large to be rendered in one piece."""
 
 import dataclasses
+import math
 
 import equinox as eqx
 import jax
@@ -11,9 +12,9 @@ import pytest
 from fynjax._core.checkpoint import Journal
 from fynjax.errors import InputError
 from fynjax.radiation import Accuracy, Tiling
-from fynjax.radiation._tiles import _Axis
+from fynjax.radiation._tiles import Axis
 from fynjax.scene import TiledPicture, hard_scene, is_large
-from fynjax.scene._large import _Windows
+from fynjax.scene._large import _Plants
 from tests.scene.plots import drone, reflectance, small_parameters, small_plot
 
 LIGHT = Accuracy(lattice=1, sublayers=1, levels=1, azimuths=4, refine=False)
@@ -97,8 +98,8 @@ def test_windows_make_the_picture_of_the_whole(monkeypatch, boundary):
     monkeypatch.setattr("fynjax.scene._large._HELD", 2**16)
     held = []
     monkeypatch.setattr(
-        "fynjax.scene._large._Windows._window",
-        lambda self, *at, make=_Windows._window: held.append(make(self, *at)) or held[-1],
+        "fynjax.scene._large._Plants.window",
+        lambda self, *at, make=_Plants.window: held.append(make(self, *at)) or held[-1],
     )
     image = TiledPicture(aimed, scene, parameters, tile=20).image()
     assert len(held) > 20
@@ -109,13 +110,35 @@ def test_windows_make_the_picture_of_the_whole(monkeypatch, boundary):
 def test_windows_of_bare_ground_have_nothing_to_place():
     scene, parameters = small_plot(extent=(3.2, 4.8), voxel=0.2), small_parameters()
     bare = eqx.tree_at(lambda p: p.species.cover, parameters, jnp.zeros(3))
-    aimed = drone(scene, LIGHT, pixel=0.2)
-    bands = aimed.sensor.bands
+    bands = drone(scene, LIGHT, pixel=0.2).sensor.bands
     whole = jax.eval_shape(lambda: scene.voxels(bare, bands))
-    windows = _Windows(aimed, scene, bare, whole, held=1)
-    tiling = Tiling(*(2 * (_Axis(4, (0, 4), 6, (-1, 3)),)), 0.0, 2)
-    room = windows.room(tiling)
+    plants = _Plants(scene, bare, 0.2)
+    tiling = Tiling(*(2 * (Axis(4, (0, 4), 6, (-1, 3)),)), 2)
+    room = plants.room(tiling)
     assert room == (0, 0)
-    window = windows._window(tiling, room, 1, 1)
+    window = plants.window(tiling, room, 1, 1)
     voxels = jax.eval_shape(lambda: scene.voxels(bare, bands, window))
     assert voxels.shape == (*whole.shape[:1], 12, 12)
+
+
+def test_windows_under_a_low_sun_stay_wider_than_their_rims(monkeypatch):
+    """However little is to be held: a tile of one cell would need almost the rim of the whole."""
+    scene, parameters = small_plot(extent=(3.2, 4.8), voxel=0.2), small_parameters()
+    low = eqx.tree_at(lambda p: p.light.sun_zenith, parameters, jnp.asarray(85.0))
+    monkeypatch.setattr("fynjax.scene._large._HELD", 1)
+    cut = []
+
+    def room(self, tiling):
+        cut.append(tiling)
+        raise InterruptedError
+
+    monkeypatch.setattr("fynjax.scene._large._Plants.room", room)
+    with pytest.raises(InterruptedError):
+        TiledPicture(drone(scene, LIGHT, pixel=0.2), scene, low)
+    (tiling,) = cut
+    assert math.prod(tiling.shape) < 10
+    voxels = scene.voxels(low, drone(scene, LIGHT).sensor.bands)
+    assert tiling.voxels(voxels) > voxels.area_density[0].size
+    monkeypatch.setattr("fynjax.radiation._check._memory", lambda: 4 * tiling.voxels(voxels))
+    with pytest.raises(InputError, match="GiB"):
+        TiledPicture(drone(scene, LIGHT, pixel=0.2), scene, low)

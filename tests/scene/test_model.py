@@ -7,11 +7,9 @@ import pandas as pd
 import pytest
 
 from fynjax._core.errors import InputError
-from fynjax.canopy import hard_count
 from fynjax.scene import (
     background_spectrum,
     band_wavelengths,
-    mixed_surroundings,
     named_values,
     with_values,
 )
@@ -34,7 +32,7 @@ def test_hard_scene_plants_whole_plants_of_equation_10():
     radius = np.asarray(species.diameter) / 2
     share = (1 - np.asarray(species.packing)) * np.asarray(species.fill)
     area = np.pi * radius**2 * share
-    count = hard_count(1.6**2 * np.asarray(species.cover), area)
+    count = np.ceil(1.6**2 * np.asarray(species.cover) / area).astype(int)
     planting = model.planting
     size = [
         np.asarray(planting.size)[np.asarray(planting.species) == i][: count[i]] for i in range(3)
@@ -147,16 +145,6 @@ def test_background_spectra_are_reflectances():
     for name in ("dry_soil", "wet_soil", "bark", "litter", "char"):
         values = background_spectrum(name, np.arange(400.0, 2501.0, 10.0))
         assert np.all((values > 0.005) & (values < 0.7))
-
-
-def test_surroundings_are_mixed_by_area():
-    grid = np.array([550.0, 670.0, 860.0, 2200.0])
-    bare, green, half = (mixed_surroundings(grid, share) for share in (0.0, 1.0, 0.5))
-    np.testing.assert_allclose(bare, background_spectrum("dry_soil", grid), rtol=1e-12)
-    np.testing.assert_allclose(half, 0.5 * (bare + green), rtol=1e-12)
-    assert green[1] < 0.05 < 0.35 < green[2]  # chlorophyll, and leaves beyond it
-    with pytest.raises(InputError, match="share in 0 to 1"):
-        mixed_surroundings(grid, 1.5)
 
 
 def test_diffuse_fraction_against_6s(shared_data):

@@ -164,7 +164,7 @@ def bare(soil, **changes):
 def test_even_panels_come_back_through_the_air(kind):
     """And their radiance is that of the spectrum itself, band by band; with the plot's own mean
     around it, and amid brighter land."""
-    camera = OrthographicCamera((-0.2, -0.2, 0.2, 0.2), 0.4)
+    camera = OrthographicCamera(0.4)
     sensor = Sensor("panel", PANELS, camera, psf=PointSpread("gaussian", 1.0))
     air = PlotAir(kind, water_vapour=2.0)
     land = None if kind == "table" else jnp.full(5, 0.3)
@@ -198,7 +198,7 @@ def test_bands_in_any_order_see_the_same():
     many = BandSet(PANELS.names, (450, 660, 860, 1040, 2200), PANELS.fwhm)
     land = jnp.array([0.05, 0.1, 0.3, 0.35, 0.2])
     scene, parameters = bare([0.1, 0.5])
-    camera = OrthographicCamera((-0.2, -0.2, 0.2, 0.2), 0.4)
+    camera = OrthographicCamera(0.4)
     wells = {"quiet": np.full(5, 1e14), "loud": np.array([1e7, 1e6, 1e5, 1e4, 1e3])}
     run = eqx.filter_jit(lambda a, s, p, x: a.observe(s, p, surroundings=x, key=jax.random.key(0)))
     seen = []
@@ -221,7 +221,7 @@ def test_bands_in_any_order_see_the_same():
 def test_panels_in_the_picture_calibrate_it():
     """They come back at their reflectance, and so does the ground beside them: without noise to a
     tenth of a per cent, with it within what is told."""
-    camera = OrthographicCamera((0.0, 0.0, 1.6, 1.6), 0.1)
+    camera = OrthographicCamera(0.1)
     sensors = [Sensor("panel", PANELS, camera, noise=CameraNoise(200.0, *n, 32)) for n in NOISE]
     dark, bright = (
         Panel(x_m=0.4, y_m=0.4, side_m=0.35, reflectance=0.05, reflectance_sd=0.02),
@@ -406,7 +406,7 @@ def test_what_cannot_be_simulated_is_refused(model, drone):
         over(model, drone).observe(model, small_parameters(), key=0)
     with pytest.raises(InputError, match="no noise model"):
         over(model, drone, air=PlotAir()).observe(model, small_parameters(), key=0)
-    view = Sensor("view", mavic_3m(), OrthographicCamera((0, 0, 1, 1), 0.1))
+    view = Sensor("view", mavic_3m(), OrthographicCamera(0.1))
     with pytest.raises(InputError, match="no tilt or heading"):
         over(model, view, Placement(tilt=10.0))
     low = eqx.tree_at(lambda p: p.light.sun_zenith, small_parameters(), jnp.asarray(88.0))

@@ -23,11 +23,10 @@ from fynjax.sensors.air._atmosphere import (
     is_transparent,
     surface_reflectance,
 )
-from fynjax.sensors.air._sixs_table import table_limits, tabulated_atmosphere
+from fynjax.sensors.air._sixs_table import tabulated_atmosphere
 from fynjax.sensors.air._sky import clear_sky_diffuse_fraction
 from fynjax.sensors.air._spectrl2 import clear_sky_atmosphere
 from fynjax.sensors.air._sun import sun_position
-from fynjax.sensors.air._surroundings import mean_surroundings
 from tests.helpers import assert_gradients
 from tests.pasadena import (
     band_sums,
@@ -290,44 +289,6 @@ def test_band_atmosphere_repeats_band_radiance():
         np.testing.assert_allclose(ours, exact, rtol=1e-3)
 
 
-# Surroundings by distance
-
-
-def test_surroundings_lie_as_far_as_6s_has_them():
-    """Light of a bright spot in pixels of 100 m, gathered within circles, against the printed
-    functions of 6S: half of 0.656, 0.845/km, 0.08/km and of 0.588, 1.02/km, 5.48/km at 2 km."""
-    size, pixel = 1024, 0.1
-    spot = jnp.zeros((size, size, 1)).at[0, 0].set(1.0)
-    spread = np.asarray(mean_surroundings(spot, 1000.0 * pixel, 2000.0, aerosol_share=0.5))[..., 0]
-    assert spread.sum() == pytest.approx(1.0, rel=1e-9)
-    along = pixel * np.minimum(np.arange(size), size - np.arange(size))
-    distance = np.hypot(along[:, None], along)
-    for r in (1.05, 2.05, 4.05):
-        air = 1.0 - 0.656 * math.exp(-0.845 * r) - 0.344 * math.exp(-0.08 * r)
-        aerosol = 1.0 - 0.588 * math.exp(-1.02 * r) - 0.412 * math.exp(-5.48 * r)
-        assert spread[distance < r].sum() == pytest.approx(0.5 * (air + aerosol), abs=0.01), r
-
-
-def test_surroundings_keep_means_and_slopes():
-    picture = jax.random.uniform(jax.random.key(1), (6, 5, 2))
-    even = jnp.full((6, 5, 2), 0.3)
-    np.testing.assert_allclose(mean_surroundings(even, 30.0, 800.0), 0.3, rtol=1e-12)
-    around = mean_surroundings(picture, 2000.0, SPACE, aerosol_share=jnp.array([0.2, 0.9]))
-    np.testing.assert_allclose(around.mean((0, 1)), picture.mean((0, 1)), rtol=1e-12)
-    assert np.all(np.ptp(around, axis=(0, 1)) < np.ptp(picture, axis=(0, 1)))
-    # A plot is small: all of it has the surroundings of its mean.
-    near = mean_surroundings(picture, 0.5, 2000.0)
-    np.testing.assert_allclose(near, picture.mean((0, 1), keepdims=True) + 0.0 * near, atol=2e-3)
-    assert_gradients(
-        jax.jit(lambda x: mean_surroundings(x[0], 700.0, 3000.0, aerosol_share=x[1])),
-        (picture[:3, :3], jnp.array([0.2, 0.9])),
-    )
-    with pytest.raises(InputError, match="rows, columns"):
-        mean_surroundings(picture[0], 30.0, 800.0)
-    with pytest.raises(InputError, match="`pixel` must be a positive"):
-        mean_surroundings(picture, 0.0, 800.0)
-
-
 # The table against 6SV itself
 
 
@@ -368,7 +329,7 @@ def compare(rows: pd.DataFrame) -> pd.DataFrame:
 def tabulated_solar() -> np.ndarray:
     from fynjax.sensors.air import _sixs_table
 
-    return _sixs_table._load(None).solar
+    return _sixs_table._load().solar
 
 
 @pytest.mark.parametrize("state", range(7))
@@ -593,19 +554,10 @@ def test_impossible_air(changes, message):
 
 
 def test_air_outside_the_table():
-    limits = table_limits()
-    assert limits["sun_zenith"][1] == pytest.approx(75.0)
-    for changes in ({"sun_zenith": 80.0}, {"water_vapour": 6.0}, {"aerosol_optical_depth": 0.7}):
+    tabulated_atmosphere(typical(sun_zenith=74.9))
+    for changes in ({"sun_zenith": 75.1}, {"water_vapour": 6.0}, {"aerosol_optical_depth": 0.7}):
         with pytest.raises(InputError, match="within the table"):
             tabulated_atmosphere(typical(**changes))
-
-
-def test_table_that_is_none(tmp_path):
-    with pytest.raises(InputError, match="no such file"):
-        tabulated_atmosphere(typical(), tmp_path / "none.nc")
-    (tmp_path / "bad.nc").write_text("no table")
-    with pytest.raises(InputError, match="cannot read"):
-        tabulated_atmosphere(typical(), tmp_path / "bad.nc")
 
 
 def test_atmosphere_with_curves_that_do_not_match():

@@ -183,15 +183,6 @@ def test_first_hits_of_discs_follow_the_expectation():
     assert np.all(np.abs(seen - share) < 4 * sd + 0.005)
 
 
-def test_straight_transmission_is_what_crossing_leaves_leaves():
-    """Independent: a Poisson draw of the leaves on the way; each takes light out and back."""
-    scene, lidar = slab(2.0, rho=0.3, tau=0.6), scanner(line_offsets=(0.0,), pulse_density=100.0)
-    beams = lidar.beams(EXTENT, top=scene.height)
-    ground = lidar_waveforms(scene, lidar, beams, straight=0.9).ground.sum(1).mean()
-    crossed = np.random.default_rng(1).poisson(1.0, 400_000)
-    assert float(ground) == pytest.approx(0.3 * np.mean(0.54 ** (2 * crossed)), rel=0.01)
-
-
 def test_draws_have_the_expected_waveform_as_mean():
     scene = patchy()
     lidar = scanner(line_offsets=(100.0,), pulse_density=3000.0, pencils=4)
@@ -250,7 +241,7 @@ def test_gradients_of_waveforms_and_expected_returns():
     assert_gradients(measure, at, step=1e-5, rtol=2e-5)
 
 
-def test_gradients_are_finite_without_leaves_and_transmitted_light_has_one():
+def test_gradients_are_finite_without_leaves():
     scene, lidar = slab(0.0), flash()
     beams = lidar.beams(EXTENT, top=scene.height)
 
@@ -258,7 +249,7 @@ def test_gradients_are_finite_without_leaves_and_transmitted_light_has_one():
         there = eqx.tree_at(
             lambda s: (s.area_density, s.classes.transmittance), scene, (density, tau)
         )
-        waveforms = lidar_waveforms(there, lidar, beams, straight=0.5, multiple=False)
+        waveforms = lidar_waveforms(there, lidar, beams, multiple=False)
         return waveforms.total.sum()
 
     density, tau = jax.grad(energy, argnums=(0, 1))(scene.area_density, jnp.array([[0.4]]))
@@ -324,7 +315,5 @@ def test_bad_input_is_refused():
     optics = lambda s: (s.classes.reflectance, s.classes.transmittance, s.ground)  # noqa: E731
     with pytest.raises(InputError, match="one band"):
         lidar_waveforms(eqx.tree_at(optics, scene, (two, two, two[0])), lidar, beams)
-    with pytest.raises(InputError, match=r"`straight`.*0 to 1"):
-        lidar_waveforms(scene, lidar, beams, straight=40.0)
     with pytest.raises(InputError, match=r"Lidar\.beams"):
         lidar_waveforms(scene, lidar, dataclasses.replace(beams, samples=0))

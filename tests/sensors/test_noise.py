@@ -13,9 +13,6 @@ from fynjax.sensors import (
     AbstractNoise,
     CameraNoise,
     RadiometricNoise,
-    Sensor,
-    mavic_3m,
-    mavic_3m_camera,
     radiometric_noise,
     shipped_sensor,
 )
@@ -42,10 +39,7 @@ def test_draws_have_the_stated_mean_and_covariance(noise: AbstractNoise) -> None
     std = np.asarray(noise.standard_deviation(RADIANCE))
     error = std / np.sqrt(len(sample))
     assert np.all(np.abs(sample.mean(axis=0) - RADIANCE) < 4.0 * error)
-    expected = np.asarray(noise.covariance(RADIANCE))
-    np.testing.assert_array_equal(expected, np.diag(std**2))
-    scale = np.outer(std, std)
-    np.testing.assert_allclose(np.cov(sample.T) / scale, expected / scale, atol=0.04)
+    np.testing.assert_allclose(np.cov(sample.T) / np.outer(std, std), np.eye(3), atol=0.04)
     # Pixels are independent of their neighbours.
     white = (sample - np.asarray(RADIANCE)) / std
     assert np.abs(np.mean(white[1:] * white[:-1], axis=0)).max() < 0.03
@@ -61,24 +55,24 @@ def test_spectrometer_noise_is_the_formula() -> None:
     np.testing.assert_allclose(noise.standard_deviation(RADIANCE), expected, rtol=1e-14)
     averaged = noise.standard_deviation(RADIANCE, averaged=25)
     np.testing.assert_allclose(averaged, expected / 5.0, rtol=1e-14)
-    many = noise.covariance(jnp.stack([RADIANCE, 2 * RADIANCE]), averaged=9)
-    assert many.shape == (2, 3, 3)
-    np.testing.assert_allclose(many[0], np.diag(expected**2 / 9.0), rtol=1e-13)
+
+
+def digitised(radiance: jax.Array) -> jax.Array:
+    """What `camera` reads of pixels: electrons drawn, read, rounded and cut off."""
+    gain = 9000.0 / jnp.array([250.0, 250.0, 300.0])
+    counting, reading = jax.random.split(jax.random.key(7))
+    electrons = jax.random.poisson(counting, gain * radiance)
+    read = electrons + 5.0 * jax.random.normal(reading, radiance.shape)
+    return jnp.clip(jnp.round(read / 9000.0 * 1023), 0, 1023) * (9000.0 / 1023) / gain
 
 
 def test_digital_numbers_vary_as_stated() -> None:
     """Poisson counts, reading and rounding, simulated one by one, against the closed form."""
     noise = camera()
-    sample = draws(noise.digitise)
+    sample = np.asarray(digitised(jnp.broadcast_to(RADIANCE, (20_000, 3))))
     std = np.asarray(noise.standard_deviation(RADIANCE))
     np.testing.assert_allclose(sample.std(axis=0), std, rtol=0.02)
     assert np.all(np.abs(sample.mean(axis=0) - RADIANCE) < 4.0 * std / np.sqrt(len(sample)))
-    step = np.array([250.0, 250.0, 300.0]) / 1023
-    numbers = sample / step
-    np.testing.assert_allclose(numbers, np.round(numbers), atol=1e-9)
-    # Beyond the full well a pixel stays full, below zero it stays empty.
-    assert float(noise.digitise(1, jnp.array([400.0, 400, 400])).max()) == pytest.approx(300.0)
-    assert float(noise.digitise(1, jnp.full(3, -50.0)).min()) >= 0.0
     # Shot noise alone: the signal to noise ratio is the root of the electrons.
     shot = CameraNoise(100.0, 10_000.0, 0.0, 24)
     ratio = 25.0 / float(shot.standard_deviation(jnp.array(25.0)))
@@ -90,9 +84,8 @@ def test_draws_are_seeded_and_smooth() -> None:
     once, again = noise.draw(3, RADIANCE), noise.draw(jax.random.key(3), RADIANCE)
     np.testing.assert_array_equal(once, again)
     assert not np.allclose(once, noise.draw(4, RADIANCE))
-    np.testing.assert_array_equal(camera().digitise(3, RADIANCE), camera().digitise(3, RADIANCE))
     for kind in (spectrometer(), camera()):
-        functions = (kind.standard_deviation, kind.covariance, lambda x, k=kind: k.draw(3, x))
+        functions = (kind.standard_deviation, lambda x, k=kind: k.draw(3, x))
         for function in functions:
             assert_gradients(jax.jit(lambda x, f=function: f(x)), RADIANCE)
 
@@ -142,16 +135,6 @@ def test_aviris_ng_on_a_measured_lawn(shared_data: Path) -> None:
     np.testing.assert_allclose(ratio, [144.0, 345.0, 326.0], rtol=0.03)
 
 
-def test_sensor_adds_noise_to_an_image() -> None:
-    four = CameraNoise(300.0, 9000.0, 5.0, 12)
-    sensor = Sensor("s", mavic_3m(), mavic_3m_camera(), noise=four)
-    grid = np.arange(400.0, 1001.0, 20.0)
-    spectra = jnp.broadcast_to(jnp.linspace(20.0, 90.0, grid.size)[:, None, None], (31, 60, 60))
-    clean, noisy = (sensor.observe(grid, spectra, key=k, max_loss=0.01) for k in (None, 5))
-    std = np.asarray(four.standard_deviation(clean[:, 0, 0]))
-    np.testing.assert_allclose(np.std(noisy - clean, axis=(1, 2)), std, rtol=0.05)
-
-
 @pytest.mark.parametrize(
     ("make", "message"),
     [
@@ -161,11 +144,6 @@ def test_sensor_adds_noise_to_an_image() -> None:
         ),
         (lambda: radiometric_noise([0.4, 0.5], [1, 1], [1, 1], [0, 0], centre=[450]), "µm"),
         (lambda: radiometric_noise([400, 500], [1, 1], [1, 1], [0, 0], centre=[650]), "650 nm"),
-        (lambda: RadiometricNoise([1.0], [1.0, 2.0], [0.0]), "one value for each band"),
-        (lambda: RadiometricNoise([1.0], [1.0], [0.0], 0), "integrations"),
-        (lambda: CameraNoise(0.0, 1e4, 5.0, 12), "saturation"),
-        (lambda: CameraNoise(100.0, 1e4, -5.0, 12), "read_noise"),
-        (lambda: CameraNoise(100.0, 1e4, 5.0, 0), "bits"),
     ],
 )
 def test_bad_noise(make: Callable, message: str) -> None:

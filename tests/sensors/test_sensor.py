@@ -13,18 +13,12 @@ from scipy.integrate import quad
 from scipy.ndimage import gaussian_filter
 
 from fynjax._core.errors import InputError
-from fynjax.radiation import RayField, RayLattice, perspective_rays
 from fynjax.sensors import (
     BandSet,
-    FrameCamera,
-    OrthographicCamera,
     PointSpread,
-    PushbroomCamera,
     Sensor,
     band_set_of_curves,
-    camera_rays,
     mavic_3m,
-    mavic_3m_camera,
     shipped_sensor,
     shipped_sensors,
 )
@@ -44,7 +38,7 @@ def test_every_shipped_sensor_returns_lines_and_constants(name: str) -> None:
     """A linear spectrum comes back at the response's mean wavelength, however narrow the band."""
     bands = sensor(name).bands
     grid = np.arange(350.0, 2560.0, 10.0)
-    weights = np.asarray(sensor(name).response(grid))
+    weights = np.asarray(bands.weights(grid))
     np.testing.assert_allclose(weights.sum(axis=1), 1.0, rtol=1e-12)
     np.testing.assert_allclose(weights @ (0.2 + grid / 5000), 0.2 + np.array(bands.centre) / 5000)
     assert min(bands.fwhm) > 0.0
@@ -135,22 +129,23 @@ def test_response_curves_of_another_source(shared_data: Path) -> None:
 
 
 def test_spectra_to_bands_is_differentiable_and_linear() -> None:
-    blurred = Sensor("s", mavic_3m(), mavic_3m_camera(), PointSpread("gaussian", 1.3))
+    bands, blur = mavic_3m(), PointSpread("gaussian", 1.3).blur
     grid = np.arange(400.0, 1001.0, 25.0)
-    spectra = jnp.asarray(np.random.default_rng(0).uniform(size=(grid.size, 3, 4)))
-    observe = jax.jit(lambda x: blurred.observe(grid, spectra.at[12].set(x), max_loss=0.01))
-    assert_gradients(observe, spectra[12])
-    one = blurred.observe(grid, spectra, max_loss=0.01)
+    spectra = jnp.asarray(np.random.default_rng(0).uniform(size=(3, 4, grid.size)))
+
+    def image(spectra):
+        return blur(jnp.moveaxis(bands.average(grid, spectra, max_loss=0.01), -1, -3))
+
+    assert_gradients(jax.jit(lambda x: image(spectra.at[..., 12].set(x))), spectra[..., 12])
+    one = image(spectra)
     assert one.shape == (4, 3, 4)
-    batch = jax.jit(lambda s: blurred.observe(grid, s, max_loss=0.01))(jnp.stack([spectra] * 2))
+    batch = jax.jit(image)(jnp.stack([spectra] * 2))
     np.testing.assert_allclose(batch, jnp.stack([one, one]), rtol=1e-12)
-    single = blurred.observe(grid, spectra.astype(jnp.float32), max_loss=0.01)
+    single = image(spectra.astype(jnp.float32))
     assert single.dtype == jnp.float32
     np.testing.assert_allclose(single, one, rtol=1e-5)
-    with pytest.raises(InputError, match="no noise model"):
-        blurred.observe(grid, spectra, key=1, max_loss=0.01)
     with pytest.raises(InputError, match="outside the spectrum"):
-        sensor("aviris_ng").observe(grid, spectra)
+        sensor("aviris_ng").bands.average(grid, spectra)
 
 
 def test_pixels_of_the_paper() -> None:
@@ -158,126 +153,18 @@ def test_pixels_of_the_paper() -> None:
     maker = sensor("mavic_3m")
     assert float(maker.ground_sample_distance()) == pytest.approx(0.0230415, abs=1e-7)
     assert float(maker.ground_sample_distance(100.0)) == pytest.approx(0.046083, abs=1e-6)
-    np.testing.assert_allclose(maker.swath(), [59.72, 44.79], atol=0.01)
     with pytest.warns(UserWarning, match=r"aviris_ng_paper: .* 3 m .* 1\.015 m"):
         spectrometer = shipped_sensor("aviris_ng_paper")
     assert float(spectrometer.ground_sample_distance()) == pytest.approx(1.01504, abs=1e-5)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        assert shipped_sensor("aviris_ng").camera.shape == (1, 640)
+        assert shipped_sensor("aviris_ng").camera.line.shape == (1, 640)
         shipped_sensor("mavic_3m_paper")
     # 266.667 pixels per mm.
     assert float(sensor("rededge_3").ground_sample_distance(120.0)) == pytest.approx(
         120.0 / 5.5 / 266.667, rel=1e-5
     )
     assert sensor("sentinel_2a").band_pixel == (60, 10, 10, 10, 20, 20, 20, 10, 20, 60, 60, 20, 20)
-
-
-def test_sensors_move_over_a_plot() -> None:
-    drone = sensor("mavic_3m").over(5.0, 4.0, altitude=20.0, shape=(6, 8))
-    x, y = drone.camera.ground_coordinates()
-    pitch = 20.0 / 2170.0
-    np.testing.assert_allclose(x[0], 5.0 + (np.arange(8) - 3.5) * pitch, rtol=1e-12)
-    np.testing.assert_allclose(y[:, 0], 4.0 + (np.arange(6) - 2.5) * pitch, rtol=1e-12)
-    satellite = sensor("emit").over(100.0, 40.0, shape=(2, 3))
-    x, y = satellite.camera.ground_coordinates()
-    np.testing.assert_allclose(x[0], [40.0, 100.0, 160.0])
-    np.testing.assert_allclose(y[:, 0], [10.0, 70.0])
-    with pytest.raises(InputError, match="no altitude"):
-        sensor("emit").over(0.0, 0.0, altitude=4e5)
-    strip = sensor("aviris_ng").over(10.0, 20.0, altitude=2000.0, shape=(3, 5))
-    x, y = strip.camera.ground_coordinates()
-    pitch = 2000.0 * 27e-3 / 26.6
-    np.testing.assert_allclose(x[1], 10.0 + (np.arange(5) - 2) * pitch)
-    np.testing.assert_allclose(y[:, 2], 20.0 + (np.arange(3) - 1) * pitch)
-
-
-def pushbroom(**changes: object) -> PushbroomCamera:
-    line = {
-        "position": (3.0, 2.0, 100.0),
-        "focal_length_mm": 10.0,
-        "pixel_pitch_um": 50.0,
-        "array": (7, 1),
-        **changes,
-    }
-    return PushbroomCamera(FrameCamera(**line), lines=4)  # type: ignore[arg-type]
-
-
-def test_pushbroom_is_a_line_in_flight() -> None:
-    """Each row is what a frame of one line sees from where the sensor then is."""
-    camera = pushbroom(heading=60.0, tilt=10.0)
-    ground, seen = camera.ground_coordinates(1.5), camera.view_directions()
-    ahead = np.array([np.sin(np.radians(60.0)), np.cos(np.radians(60.0))])
-    for row in range(4):
-        place = np.array([3.0, 2.0]) + (row - 1.5) * 0.5 * ahead
-        line = camera.line.over(*place)
-        np.testing.assert_allclose(ground[:, row], line.ground_coordinates(1.5)[:, 0], atol=1e-12)
-        np.testing.assert_allclose(seen[:, row], line.view_directions()[:, 0], atol=1e-12)
-    slow = PushbroomCamera(camera.line, lines=4, spacing=0.25)
-    step = slow.ground_coordinates()[:, 1] - slow.ground_coordinates()[:, 0]
-    np.testing.assert_allclose(step, np.broadcast_to(0.25 * ahead[:, None], (2, 7)), atol=1e-12)
-    with pytest.raises(InputError, match="one row"):
-        PushbroomCamera(camera.line.over(0.0, 0.0, shape=(2, 2)))
-    with pytest.raises(InputError, match="spacing"):
-        PushbroomCamera(camera.line, spacing=0.0)
-
-
-def test_rays_follow_the_lines_of_sight() -> None:
-    """Lattices and free rays alike pass where `ground_coordinates` puts the lines of sight."""
-    frame = FrameCamera((5.0, 4.0, 50.0), 4.0, 2.0, (8, 6))  # type: ignore[arg-type]
-    tilted = FrameCamera((5.0, 4.0, 50.0), 4.0, 2.0, (8, 6), 25.0, 40.0)  # type: ignore[arg-type]
-    oblique = OrthographicCamera((0.0, 0.0, 2.0, 1.0), 0.25, 30.0, 100.0)  # type: ignore[arg-type]
-    for camera, kind, altitude in (
-        (frame, RayLattice, 50.0),
-        (tilted, RayField, 50.0),
-        (oblique, RayLattice, np.inf),
-        (pushbroom(tilt=8.0), RayLattice, 100.0),
-        (pushbroom(heading=200.0), RayField, 100.0),
-    ):
-        rays = camera_rays(camera)
-        assert isinstance(rays, kind)
-        assert rays.shape == camera.shape
-        assert rays.sensor_height == altitude
-        for height in (0.0, 2.0):
-            expected = camera.ground_coordinates(height)
-            x, slope_x = rays.x, rays.slope_x
-            y, slope_y = rays.y, rays.slope_y
-            if kind is RayLattice:
-                y, slope_y = y[:, None], slope_y[:, None]
-            got = jnp.stack(jnp.broadcast_arrays(x + height * slope_x, y + height * slope_y))
-            np.testing.assert_allclose(got, expected, atol=1e-10)
-        up = camera.view_directions()
-        towards = jnp.broadcast_to(jnp.moveaxis(rays.towards, -1, 0), up.shape)
-        np.testing.assert_allclose(towards, up, atol=1e-7)
-
-
-def test_free_rays_are_those_of_a_camera_that_aims_at_a_point() -> None:
-    camera = FrameCamera((5.0, 4.0, 50.0), 4.0, 20.0, (9, 6), 25.0, 40.0)  # type: ignore[arg-type]
-    away = 50.0 * np.tan(np.radians(25.0))
-    aim = (5.0 + away * np.sin(np.radians(40.0)), 4.0 + away * np.cos(np.radians(40.0)), 0.0)
-    field = np.degrees(2.0 * np.arctan(0.5 * 9 * 20e-3 / 4.0))
-    other = perspective_rays(
-        (5.0, 4.0, 50.0), aim, rows=6, columns=9, field_of_view=field, dtype=jnp.float64
-    )
-    rays = camera_rays(camera)
-    assert isinstance(rays, RayField)
-    for what in ("x", "y", "slope_x", "slope_y", "width"):
-        np.testing.assert_allclose(getattr(rays, what), getattr(other, what), rtol=1e-9, atol=1e-9)
-
-
-def test_rays_have_gradients_in_the_camera() -> None:
-    def lines(p: dict) -> tuple:
-        rays = camera_rays(FrameCamera(**p, pixel_pitch_um=2.0, array=(3, 2)))
-        assert isinstance(rays, RayField)  # all fields are traced, so straight down too
-        return rays.x, rays.y, rays.slope_x, rays.width
-
-    at = {
-        "position": jnp.array([5.0, 4.0, 50.0]),
-        "focal_length_mm": jnp.array(4.0),
-        "tilt": jnp.array(20.0),
-        "heading": jnp.array(30.0),
-    }
-    assert_gradients(jax.jit(lines), at, rtol=1e-5)
 
 
 def test_gaussian_blur_is_gaussian() -> None:
@@ -365,4 +252,4 @@ def test_unknown_sensor_and_band_pixels() -> None:
     with pytest.raises(InputError, match="mavic_3m"):
         shipped_sensor("mavic")
     with pytest.raises(InputError, match="band_pixel"):
-        Sensor("s", mavic_3m(), mavic_3m_camera(), band_pixel=(1.0,))
+        Sensor("s", mavic_3m(), sensor("mavic_3m").camera, band_pixel=(1.0,))

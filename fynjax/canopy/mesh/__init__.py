@@ -1,6 +1,6 @@
 """Plant models from meshes: read, generated taxon by taxon, scanned, put together from branches."""
 
-from fynjax.canopy.mesh._branches import branch_rotation_spread, plant_from_branches
+from fynjax.canopy.mesh._branches import plant_from_branches
 from fynjax.canopy.mesh._generate import GeneratedPlant, generate_plant, leaf_sizes
 from fynjax.canopy.mesh._model import plant_model_from_mesh, read_plant_mesh
 from fynjax.canopy.mesh._organ_names import organ_of_name
@@ -13,7 +13,6 @@ __all__ = [
     "MeshPlant",
     "PlantMaterial",
     "PlantMesh",
-    "branch_rotation_spread",
     "default_up",
     "generate_plant",
     "leaf_sizes",

@@ -6,12 +6,9 @@ towards an asymptote. It prints neither the curve nor its numbers, so both are a
 then stands upright as a full-plant model does.
 """
 
-from typing import Any, TypeVar
+from typing import TypeVar
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
 
 from fynjax._core.errors import InputError
 from fynjax.canopy._instances import random_orientation
@@ -20,36 +17,13 @@ from fynjax.canopy.mesh._plant_mesh import MeshPlant, PlantMaterial, PlantMesh, 
 
 _Branch = TypeVar("_Branch", MeshPlant, PlantMesh)
 _MOST_PARTS = 5_000_000
+_MOST_SPREAD, _GROWTH = 35.0, 8.0
+"""Spread of very many branches [degrees], and how many it takes to come near it."""
 
 
-def branch_rotation_spread(
-    branches: Any, asymptote: Any = 35.0, growth: Any = 8.0
-) -> Float[Array, "*n"]:
-    """sigma_rot [degrees] of a plant made of copies of one branch.
-
-    `asymptote` (1 - exp(-(branches - 1) / `growth`)). Form and numbers are assumptions, see this
-    module.
-
-    **Arguments:**
-
-    - `branches`: number of copies, finite; 1 gives 0.
-    - `asymptote`: the spread of very many branches [degrees, 0 to 90].
-    - `growth`: how many branches it takes [branches, positive].
-
-    Differentiable in every argument.
-
-    **Raises:** `InputError` for an asymptote or a growth out of range, or `branches` that are not
-    finite (if they are known before tracing).
-    """
-    for name, value, words, right in (
-        ("branches", branches, "finite", np.isfinite),
-        ("asymptote", asymptote, "0 to 90 degrees", lambda x: (x >= 0.0) & (x <= 90.0)),
-        ("growth", growth, "a positive number of branches", lambda x: (x > 0.0) & np.isfinite(x)),
-    ):
-        if not isinstance(value, jax.core.Tracer) and not np.all(right(np.asarray(value, float))):
-            raise InputError(f"`{name}` must be {words}, but is {value}")
-    more = jnp.maximum(jnp.asarray(branches, float) - 1.0, 0.0)
-    return -jnp.asarray(asymptote) * jnp.expm1(-more / growth)
+def branch_rotation_spread(branches: int) -> float:
+    """sigma_rot of a plant made of so many copies of one branch [degrees]; 0 of a single one."""
+    return -_MOST_SPREAD * float(np.expm1(-(branches - 1.0) / _GROWTH))
 
 
 def plant_from_branches(
@@ -68,7 +42,7 @@ def plant_from_branches(
     - `branches`: number of copies, at least 1.
     - `seed`: fixes their azimuths (uniform) and tilts (sizes of normal numbers), which are those
       of `random_orientation`: elements and triangles of a branch make the same plant.
-    - `rotation_spread`: sigma_rot [degrees, 0 to 90]; `branch_rotation_spread(branches)` if left
+    - `rotation_spread`: sigma_rot [degrees, 0 to 90]; 35 (1 - exp(-(`branches` - 1) / 8)) if left
       out.
 
     **Returns:** the plant. All areas are `branches` times those of the branch. The bounding box is
@@ -82,7 +56,7 @@ def plant_from_branches(
     """
     if int(branches) != branches or branches < 1:
         raise InputError(f"`branches` must be a whole number of at least 1, but is {branches}")
-    spread = float(branch_rotation_spread(branches)) if rotation_spread is None else rotation_spread
+    spread = branch_rotation_spread(branches) if rotation_spread is None else rotation_spread
     if not 0.0 <= spread <= 90.0:
         raise InputError(f"`rotation_spread` must be 0 to 90 degrees, but is {spread}")
     is_mesh = isinstance(branch, PlantMesh)
@@ -102,23 +76,9 @@ def plant_from_branches(
 
 def _rotations(azimuth: np.ndarray, tilt: np.ndarray) -> np.ndarray:
     """Matrices [copy, 3, 3] that lean a plant towards north, then turn it clockwise."""
-    turn, lean = np.deg2rad(azimuth), np.deg2rad(tilt)
-    zero, unity = np.zeros_like(turn), np.ones_like(turn)
-    leans = np.array(
-        [
-            [unity, zero, zero],
-            [zero, np.cos(lean), np.sin(lean)],
-            [zero, -np.sin(lean), np.cos(lean)],
-        ]
-    )
-    turns = np.array(
-        [
-            [np.cos(turn), np.sin(turn), zero],
-            [-np.sin(turn), np.cos(turn), zero],
-            [zero, zero, unity],
-        ]
-    )
-    return np.einsum("ijn,jkn->nik", turns, leans)
+    from scipy.spatial.transform import Rotation  # late: the parametric forms do without
+
+    return Rotation.from_euler("xz", np.stack([-tilt, -azimuth], axis=-1), degrees=True).as_matrix()
 
 
 def _copy_mesh(branch: PlantMesh, turns: np.ndarray) -> PlantMesh:

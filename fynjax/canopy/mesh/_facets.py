@@ -1,10 +1,6 @@
 """Facets of meshes: their areas and normals, which of them close, and an even draw of them."""
 
-from typing import Any
-
 import numpy as np
-
-from fynjax._core.errors import InputError
 
 # Normals are sorted into this many rings and sectors of the hemisphere, all of equal area.
 _NORMAL_RINGS, _NORMAL_SECTORS = 8, 16
@@ -48,13 +44,6 @@ def closed_faces(triangles: np.ndarray) -> np.ndarray:
     return ~is_open[surface[: len(faces)]]
 
 
-def volume(triangles: np.ndarray) -> float:
-    """Volume that closed triangles bound [m3], negative where they are inside out."""
-    middle = triangles.mean(axis=(0, 1))  # near the origin, so that nothing cancels
-    a, b, c = np.moveaxis(triangles - middle, 1, 0)
-    return float(np.einsum("fi,fi->", a, np.cross(b, c))) / 6.0
-
-
 def draw_evenly(
     area: np.ndarray, normal: np.ndarray, place: np.ndarray, count: int, seed: list[int]
 ) -> np.ndarray:
@@ -91,36 +80,3 @@ def _along_curve(place: np.ndarray) -> np.ndarray:
         for axis in range(3):
             rank |= ((cell[:, axis] >> bit) & 1) << (3 * bit + axis)
     return rank
-
-
-def check_vertex_normals(geometry: Any, name: str, file: str | None) -> None:
-    """Raise `InputError` where stored vertex normals do not go with the faces.
-
-    `geometry` is a `trimesh.Trimesh`, which computes the normals that are missing.
-    """
-    vertices, faces = np.asarray(geometry.vertices, float), np.asarray(geometry.faces)
-    normal, area = facets(vertices[faces])
-    if not (np.isfinite(vertices).all() and area.sum() > 0.0):
-        return  # worse is wrong, and is reported as such
-    from_faces = np.zeros_like(vertices)
-    for corner in range(3):
-        np.add.at(from_faces, faces[:, corner], area[:, None] * normal)
-    stored = np.asarray(geometry.vertex_normals, float)
-    # Where the two sides of a leaf share vertices, the mean normal is zero and has no direction.
-    weight = np.bincount(faces.ravel(), weights=np.repeat(area, 3), minlength=len(vertices))
-    reliable = (np.linalg.norm(from_faces, axis=1) > 0.1 * weight) & (weight > 0.0)
-    where = f"of material {name!r} " if name else ""
-    zero = reliable & ~(np.linalg.norm(stored, axis=1) > 1e-6)
-    if zero.any():
-        raise InputError(
-            f"the vertex normals {where}must be unit vectors, but {zero.sum()} of {len(zero)} are "
-            "zero or not finite: export the mesh anew with normals, or without any",
-            file=file,
-        )
-    against = reliable & ((stored * from_faces).sum(axis=1) < 0.0)
-    if weight[against].sum() > 0.5 * weight[reliable].sum():
-        raise InputError(
-            f"the vertex normals {where}must point to the side from which the faces wind "
-            "counter-clockwise, but most are inverted: recalculate the normals",
-            file=file,
-        )

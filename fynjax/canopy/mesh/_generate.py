@@ -36,7 +36,7 @@ class GeneratedPlant(eqx.Module):
     """A generated plant and what it was made with."""
 
     mesh: PlantMesh
-    """Its triangles; materials "leaf", "wood" and "flower", those it has."""
+    """Triangles of the plant; materials "leaf", "wood" and "flower", those it has."""
     taxon: str = eqx.field(static=True)
     """Row of table 1, or the growth form again."""
     form: str = eqx.field(static=True)

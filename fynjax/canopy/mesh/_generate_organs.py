@@ -27,7 +27,8 @@ from fynjax.canopy.mesh._twigs import twigs
 _TUBES = {"culm": (10, 4), "thread": (32, 3), "stem": (12, 8)}
 """Points along a leaf that is no blade, and edges round it."""
 _FINE, _COARSE, _FINE_FROM = (12, 5), (5, 3), 20_000
-"""The same of a woody stem: from this number of triangles of the plant on, and below."""
+"""Points along a woody stem, and edges round it: from this number of triangles of the plant on, and
+below."""
 _TWIG_SIDES = 3
 _MOST_TWIGS, _TRIANGLES_PER_TWIG = 900, 200
 _ON_A_TWIG = 0.06
@@ -37,7 +38,7 @@ _FORKS = 3
 _CROOKED = 0.006
 """Size of one of the waves that bend a stem or culm, in crown diameters at the plant's top."""
 _HANGING = 32
-"""Of threads that lie on other plants, one in so many hangs to the ground."""
+"""One in so many threads that lie on other plants hangs to the ground."""
 _PETAL = LeafGeometry("blade", "petal", 0.004, 0.004)
 _FLOWER_AREA, _TRIANGLES_PER_FLOWER = _PETAL.length * _PETAL.width, 80
 _SIZE_SPREAD = 0.15
@@ -50,9 +51,9 @@ class Sheets:
     """Blades or petals."""
 
     shape: LeafGeometry
-    """Their usual size."""
+    """Usual size of the blades."""
     base: np.ndarray
-    """Where they sit on a twig [blade, 3] [m]."""
+    """Where blades sit on a twig [blade, 3] [m]."""
     normal: np.ndarray
     """Unit normals [blade, 3]."""
     axis: np.ndarray

@@ -16,7 +16,7 @@ import numpy as np
 from fynjax._core.errors import InputError
 from fynjax.canopy._elements import quasi_random, split_elements
 from fynjax.canopy._plant import Organ
-from fynjax.canopy.mesh._facets import closed_faces, draw_evenly, facets, volume
+from fynjax.canopy.mesh._facets import closed_faces, draw_evenly, facets
 from fynjax.canopy.mesh._organ_names import organ_named, organ_of_name
 from fynjax.canopy.mesh._plant_mesh import (
     MeshPlant,
@@ -41,8 +41,7 @@ def read_plant_mesh(mesh: Any, *, up: Literal["y", "z"] | None = None) -> PlantM
     **Returns:** a `PlantMesh`, z upwards. A geometry without a material has its own name as
     material, a single mesh "". An OBJ's names are read without its MTL.
 
-    **Raises:** `InputError` for a mesh that cannot be read, has no faces, or whose stored vertex
-    normals are zero or point against its faces.
+    **Raises:** `InputError` for a mesh that cannot be read, or has no faces.
     """
     up = default_up(mesh) if up is None else up
     if up not in ("y", "z"):
@@ -91,8 +90,8 @@ def plant_model_from_mesh(
     diameter (eq. 7), z by the depth. Not differentiable.
 
     **Raises:** `InputError` for a mesh without faces or with no area, flat, not finite, in other
-    units (or smaller than 5 mm), with zero or inverted normals, or with a material that has no
-    organ, or several of which none is recognised.
+    units (or smaller than 5 mm), or with a material that has no organ, or several of which none is
+    recognised.
 
     >>> import trimesh
     >>> from fynjax.canopy import plant_model_from_mesh
@@ -111,7 +110,7 @@ def plant_model_from_mesh(
     if not area.sum() > 0.0:
         raise InputError("a plant mesh must have area, but all its faces are degenerate", file=file)
     used = _materials(read, organ_of_material, file)
-    solid = _solid_faces(read, used, solid_materials, file)
+    solid = _solid_faces(read, used, solid_materials)
     whole = np.bincount(material, weights=area, minlength=len(used))
     of_solid = np.bincount(material, weights=area * solid, minlength=len(used))
     solid_share = of_solid / np.where(whole > 0.0, whole, 1.0)
@@ -170,7 +169,6 @@ def _solid_faces(
     mesh: PlantMesh,
     used: list[PlantMaterial],
     solid_materials: tuple[str, ...] | Literal["closed"],
-    file: str | None,
 ) -> np.ndarray:
     """Which triangles bound bodies [face]. Warns where wood is taken for a sheet."""
     solid = np.zeros(len(mesh.faces), bool)
@@ -183,15 +181,8 @@ def _solid_faces(
             given = name in solid_materials
         if given is False or not len(faces):
             continue
-        triangles = mesh.triangles[faces]
-        closed = closed_faces(triangles)
+        closed = closed_faces(mesh.triangles[faces])
         solid[faces] = closed if given is None else True
-        if closed.any() and volume(triangles[closed]) < 0.0:
-            raise InputError(
-                f"the closed surfaces of material {name!r} must have their normals outwards, but "
-                "they are inverted: flip the faces",
-                file=file,
-            )
         if given is None and material.organ == Organ.WOOD and not closed.all():
             open_wood.append(f"{np.mean(~closed):.0%} of the triangles of {name!r}")
     if open_wood:

@@ -83,7 +83,7 @@ class MeshPlant(eqx.Module):
     """A mesh (or a scan) as a plant model, with the sizes, areas and materials it had."""
 
     plant: PlantModel
-    """Its shape."""
+    """Shape of the plant."""
     width: float = eqx.field(static=True)
     """Extent along x [m]."""
     height: float = eqx.field(static=True)

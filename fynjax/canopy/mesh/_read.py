@@ -8,7 +8,6 @@ from typing import Any, Literal
 import numpy as np
 
 from fynjax._core.errors import InputError
-from fynjax.canopy.mesh._facets import check_vertex_normals
 from fynjax.canopy.mesh._plant_mesh import PlantMesh
 
 _USEMTL = re.compile(r"^[ \t]*usemtl[ \t]+(.*?)[ \t]*\r?$", re.MULTILINE)
@@ -62,7 +61,6 @@ def plant_mesh_of(mesh: Any) -> PlantMesh:
         name = names_of_file.get(name, name)
         corners = np.asarray(geometry.faces)
         _check_shape(np.asarray(geometry.vertices), corners, file)
-        check_vertex_normals(geometry, name, file)
         if name not in names:
             names.append(name)
         vertices.append(np.asarray(geometry.vertices, float) @ frame[:3, :3].T + frame[:3, 3])

@@ -10,11 +10,10 @@ from fynjax.sensors.air._atmosphere import (
     is_transparent,
     surface_reflectance,
 )
-from fynjax.sensors.air._sixs_table import check_within_table, table_limits, tabulated_atmosphere
+from fynjax.sensors.air._sixs_table import check_within_table, tabulated_atmosphere
 from fynjax.sensors.air._sky import clear_sky_diffuse_fraction
 from fynjax.sensors.air._spectrl2 import clear_sky_atmosphere
 from fynjax.sensors.air._sun import SunPosition, sun_position
-from fynjax.sensors.air._surroundings import mean_surroundings
 
 __all__ = [
     "SPACE",
@@ -28,9 +27,7 @@ __all__ = [
     "clear_sky_diffuse_fraction",
     "ground_irradiance",
     "is_transparent",
-    "mean_surroundings",
     "sun_position",
     "surface_reflectance",
-    "table_limits",
     "tabulated_atmosphere",
 ]

@@ -49,8 +49,8 @@ class Atmosphere(eqx.Module):
     """Share of a pixel's radiance that reaches the sensor unscattered [-]."""
     upward_diffuse: Float[Array, " wavelength"] = eqx.field(converter=real_array)
     """Radiance that a wide ground sends into the line of sight by way of the air's scattering, over
-    its own radiance [-]. It comes from the surroundings: within some hundred metres to kilometres,
-    see `mean_surroundings`."""
+    its own radiance [-]. It comes from the surroundings, within some hundred metres to
+    kilometres."""
     path_radiance: Float[Array, " wavelength"] = eqx.field(converter=real_array)
     """Radiance that the air itself sends to the sensor [W m-2 sr-1 um-1]."""
     spherical_albedo: Float[Array, " wavelength"] = eqx.field(converter=real_array)
@@ -162,9 +162,7 @@ def at_sensor_radiance(
       atmosphere's wavelengths, its last axis.
     - `surroundings`: rho_around, the reflectance of the wide surroundings, which light the pixel
       and the line of sight by way of the air (adjacency), on the same wavelengths. Left out, the
-      pixel's own: the ground is uniform. Of a picture, its mean, or `mean_surroundings` by
-      distance; of a single target in a country that is not known,
-      `fynjax.scene.mixed_surroundings`.
+      pixel's own: the ground is uniform. Of a picture, its mean.
 
     Differentiable, to any order, in all arguments.
 

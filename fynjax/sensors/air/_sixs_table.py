@@ -9,7 +9,6 @@ of the wavelength.
 
 from functools import lru_cache, partial
 from importlib import resources
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
@@ -38,7 +37,7 @@ class _Spline(NamedTuple):
 
     nodes: Constants
     coefficients: Constants
-    """[power, interval, node], highest power first."""
+    """Coefficients of the spline [power, interval, node], highest power first."""
 
     def weights(self, x: Float[Array, ""]) -> Float[Array, " node"]:
         """Weight of each node at x, which is moved to the nodes' range. Differentiable in x."""
@@ -91,33 +90,17 @@ class _Table(NamedTuple):
     """Spline in ln wavelength, from scattering wavelengths to all [wavelength, scattering]."""
 
 
-@lru_cache
-def _load(path: Path | None) -> _Table:
-    if path is None:
-        with resources.as_file(resources.files("fynjax.sensors") / "data") as folder:
-            return _read(folder / "sixs_continental.nc")
-    if not path.is_file():
-        raise InputError("expected a table of atmospheres, but there is no such file", file=path)
-    return _read(path)
+@lru_cache(maxsize=1)
+def _load() -> _Table:
+    import xarray as xr  # takes a quarter of a second
 
-
-def _read(path: Path) -> _Table:
-    try:
-        import xarray as xr  # takes a quarter of a second
-
-        with xr.open_dataset(path, engine="netcdf4") as data:
-            table = {str(k): np.asarray(v.values, np.float64) for k, v in data.variables.items()}
-    except (OSError, ValueError) as error:
-        raise InputError(
-            f"expected a NetCDF table, but cannot read it: {error}", file=path
-        ) from error
-    try:
-        return _prepare(table)
-    except KeyError as error:
-        raise InputError(
-            f"expected a table made by tools/make_sixs_table.py, but it has no variable {error}",
-            file=path,
-        ) from error
+    with (
+        resources.as_file(resources.files("fynjax.sensors") / "data") as folder,
+        xr.open_dataset(folder / "sixs_continental.nc", engine="netcdf4") as data,
+    ):
+        return _prepare(
+            {str(k): np.asarray(v.values, np.float64) for k, v in data.variables.items()}
+        )
 
 
 def _prepare(table: dict[str, Constants]) -> _Table:
@@ -166,16 +149,9 @@ def _prepare(table: dict[str, Constants]) -> _Table:
     )
 
 
-def table_limits(path: str | Path | None = None) -> dict[str, tuple[float, float]]:
-    """Range of each of `ClearAir`'s fields that a table covers, in the fields' units.
-
-    **Arguments:**
-
-    - `path`: of a table made by `tools/make_sixs_table.py`, the shipped one if left out.
-
-    **Returns:** lowest and highest value of each field, by its name.
-    """
-    table = _load(None if path is None else Path(path))
+def table_limits() -> dict[str, tuple[float, float]]:
+    """Lowest and highest value of each field of `ClearAir` that the table covers, by its name."""
+    table = _load()
     _, water, mass = table.gas_axes
     zenith = min(
         np.rad2deg(np.arccos(mass.nodes[-1] ** -2)), np.rad2deg(np.arccos(table.sun.nodes[0]))
@@ -188,17 +164,16 @@ def table_limits(path: str | Path | None = None) -> dict[str, tuple[float, float
     }
 
 
-def check_within_table(air: ClearAir, path: str | Path | None = None) -> None:
-    """Check that an atmosphere lies within a table.
+def check_within_table(air: ClearAir) -> None:
+    """Check that an atmosphere lies within the table.
 
     **Arguments:**
 
     - `air`: the atmosphere.
-    - `path`: of the table, the shipped one if left out.
 
     **Raises:** `InputError` for a field outside the table, where it is known before tracing.
     """
-    for name, (low, high) in table_limits(path).items():
+    for name, (low, high) in table_limits().items():
         value = getattr(air, name)
         known = not isinstance(value, jax.core.Tracer)
         if known and not low - 1e-4 <= float(value) <= high + 1e-4:
@@ -207,21 +182,20 @@ def check_within_table(air: ClearAir, path: str | Path | None = None) -> None:
             )
 
 
-def tabulated_atmosphere(air: ClearAir, path: str | Path | None = None) -> Atmosphere:
+def tabulated_atmosphere(air: ClearAir) -> Atmosphere:
     """Atmosphere interpolated in a table of 6SV, every 2.5 nm from 400 to 2500 nm.
 
-    All curves, for a nadir sensor at any height. Sunlight is that of the table's solar spectrum
-    (shipped: TSIS-1) times `air.solar_factor`. The upward transmittances are the sensor's gain per
-    light on the ground, whose absorption lines are dark already, and may exceed that of unfiltered
-    light. Their sum is 6SV's; direct is what the optical depths below the sensor leave (air as in
-    the standard atmosphere, aerosol with 6SV's scale height of 2 km), diffuse the rest, and gas
-    dims both alike, as in 6SV. Aerosol is one type (shipped: 6SV's continental). Pressure changes
-    scattering by air, and oxygen, carbon dioxide and methane in proportion.
+    All curves, for a nadir sensor at any height. Sunlight is that of TSIS-1 times
+    `air.solar_factor`. The upward transmittances are the sensor's gain per light on the ground,
+    whose absorption lines are dark already, and may exceed that of unfiltered light. Their sum is
+    6SV's; direct is what the optical depths below the sensor leave (air as in the standard
+    atmosphere, aerosol with 6SV's scale height of 2 km), diffuse the rest, and gas dims both alike,
+    as in 6SV. Aerosol is 6SV's continental. Pressure changes scattering by air, and oxygen, carbon
+    dioxide and methane in proportion.
 
     **Arguments:**
 
-    - `air`: the atmosphere, within `table_limits()`.
-    - `path`: of a table made by `tools/make_sixs_table.py`, the shipped one if left out.
+    - `air`: the atmosphere, within the table (`check_within_table`).
 
     **Raises:** `InputError` for a field outside the table, where it is known before tracing; a
     traced one is moved to the nearest end, with slope zero.
@@ -235,8 +209,8 @@ def tabulated_atmosphere(air: ClearAir, path: str | Path | None = None) -> Atmos
     >>> len(atmosphere.wavelength), atmosphere.wavelength[0], atmosphere.wavelength[-1]
     (841, 400.0, 2500.0)
     """
-    check_within_table(air, path)
-    table = _load(None if path is None else Path(path))
+    check_within_table(air)
+    table = _load()
     dtype = jnp.result_type(*vars(air).values())
 
     def constant(values: Constants) -> Array:

@@ -19,15 +19,15 @@ class FlashGeometry(eqx.Module):
     """
 
     altitude: float = eqx.field(static=True)
-    """Above the ground [m]."""
+    """Height of the platform above the ground [m]."""
     array: tuple[int, int] = eqx.field(static=True)
     """Pixels across (x) and along (y)."""
     pixel_pitch_um: float = eqx.field(static=True)
     """Distance of the pixels on the array [µm]."""
     focal_length_mm: float = eqx.field(static=True)
-    """[mm]"""
+    """Focal length of the camera [mm]."""
     half_divergence_rad: float = eqx.field(static=True)
-    """Of the Gaussian beam, from its axis to 1/e² of the irradiance [rad]."""
+    """Angle of the Gaussian beam from its axis to 1/e² of the irradiance [rad]."""
     frame_step: float = eqx.field(static=True)
     """Distance between frames [m]."""
     rate: float = eqx.field(static=True)
@@ -40,7 +40,7 @@ class ScanGeometry(eqx.Module):
     """A scanner on straight flight lines that sweeps across them."""
 
     altitude: float = eqx.field(static=True)
-    """Above the ground [m]."""
+    """Height of the platform above the ground [m]."""
     pulse_density: float = eqx.field(static=True)
     """Pulses per level ground of all flight lines together [m-2]."""
     divergence_mrad: float = eqx.field(static=True)
@@ -48,11 +48,11 @@ class ScanGeometry(eqx.Module):
     half_scan_angle: float = eqx.field(static=True)
     """Largest angle from straight down [degrees]."""
     line_offsets: tuple[float, ...] = eqx.field(static=True)
-    """Of each flight line from the plot's middle, to the right of the heading [m]."""
+    """Distance of each flight line from the plot's middle, to the right of the heading [m]."""
     heading: float = eqx.field(static=True)
-    """Of the flight, clockwise from north [degrees]."""
+    """Direction of the flight, clockwise from north [degrees]."""
     speed: float = eqx.field(static=True)
-    """Of the flight [m s-1]."""
+    """Speed of the flight [m s-1]."""
     rate: float = eqx.field(static=True)
     """Pulses in a second [Hz]."""
     pencils: int = eqx.field(static=True, default=3)
@@ -67,11 +67,11 @@ class LidarBeams(eqx.Module):
     direction: Float[np.ndarray, "beam 3"]
     """Unit vectors along which the light travels, downward."""
     irradiance: Float[np.ndarray, " beam"]
-    """Of the pulse there, relative to the middle of the beam [-]."""
+    """Irradiance of each pulse, relative to the middle of the beam [-]."""
     time: Float[np.ndarray, " beam"]
     """When the pulse left, from the start of the first line or frame [s]."""
     scan_angle: Float[np.ndarray, " beam"]
-    """From straight down, positive to the right of the flight [degrees]; 0 for a flash."""
+    """Angle from straight down, positive to the right of the flight [degrees]; 0 for a flash."""
     pencils: Float[np.ndarray, "pencil 2"]
     """Directions of the pencils of every beam, eastward and northward from its axis [rad]."""
     pencil_width: float = eqx.field(static=True)

@@ -55,11 +55,11 @@ class Delays(eqx.Module):
     """Distribution of the delay in range, by the height where light was scattered last."""
 
     heights: Float[Array, " node"]
-    """Above the bottom of the grid, rising [m]."""
+    """Heights above the bottom of the grid, rising [m]."""
     leaves: Float[Array, "node delay"]
     """Share of the light that leaves scatter last in each step of delay [-]."""
     ground: Float[Array, " delay"]
-    """The same of light that the ground scatters last."""
+    """Share of the light that the ground scatters last in each step of delay [-]."""
 
 
 @eqx.filter_jit

@@ -22,7 +22,7 @@ class PencilPaths(eqx.Module):
     source: Float[Array, "step pencil"]
     """What each step would send back without shade, as the reflectance of a plate [-]."""
     late: Float[Array, "step pencil"] | None
-    """The same out of light that was scattered before."""
+    """What each step would send back without shade out of light that was scattered before [-]."""
     top: Float[Array, " pencil"]
     """Range of the grid's top [m]."""
     step: Float[Array, " pencil"]
@@ -84,13 +84,12 @@ class PencilPaths(eqx.Module):
 
 
 @eqx.filter_jit
-def canopy_fields(scene: VoxelScene, straight: float) -> Float[Array, "field z y x"]:
-    """Area that stops light and area times reflectance, of each distribution of normals."""
-    rho, tau = scene.classes.reflectance[:, 0], scene.classes.transmittance[:, 0]
-    stopping = 1.0 - (straight * tau) ** 2
-    weights = jnp.stack([stopping, rho]).astype(scene.area_density.dtype)
-    weighted = weights[..., None, None, None] * scene.area_density
-    return jnp.concatenate([scene.classes.total_by_angle(part) for part in weighted])
+def canopy_fields(scene: VoxelScene) -> Float[Array, "field z y x"]:
+    """Area and area times reflectance, of each distribution of normals."""
+    density = scene.area_density
+    rho = scene.classes.reflectance[:, 0].astype(density.dtype)
+    both = density, rho[:, None, None, None] * density
+    return jnp.concatenate([scene.classes.total_by_angle(part) for part in both])
 
 
 @eqx.filter_jit

@@ -32,15 +32,15 @@ class LidarReturns:
     width: Float[np.ndarray, " point"]
     """Full width of the echo at half its height [ns]."""
     number: Int[np.ndarray, " point"]
-    """Of the return in its pulse, from 1."""
+    """Number of the return in its pulse, from 1."""
     of: Int[np.ndarray, " point"]
-    """Returns of the pulse."""
+    """Number of returns of the pulse."""
     classification: Int[np.ndarray, " point"]
     """`GROUND` or `VEGETATION`: which of them sent more light to the echo's highest sample."""
     time: Float[np.ndarray, " point"]
     """When the pulse left [s]."""
     scan_angle: Float[np.ndarray, " point"]
-    """Of the pulse [degrees]."""
+    """Scan angle of the pulse [degrees]."""
 
     def __len__(self) -> int:
         return len(self.beam)

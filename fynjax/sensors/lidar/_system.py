@@ -52,7 +52,7 @@ class Lidar(eqx.Module):
     name: str = eqx.field(static=True)
     """Short name, such as 'flash_lidar_paper'."""
     wavelength: float = eqx.field(static=True)
-    """Of the laser [nm]."""
+    """Wavelength of the laser [nm]."""
     line_width: float = eqx.field(static=True)
     """Full width at half maximum of its line [nm]."""
     pulse_length: float = eqx.field(static=True)
@@ -69,7 +69,7 @@ class Lidar(eqx.Module):
     """Nearest and farthest range that is recorded [m]; None: from the canopy's top to the ground
     of each pulse."""
     source: str = eqx.field(static=True, default="")
-    """Where the numbers come from."""
+    """Source of the numbers."""
 
     @property
     def pulse_sd(self) -> float:
@@ -97,11 +97,9 @@ class Lidar(eqx.Module):
         if gate is not None:
             gate = (max(gate[0] + rise, 0.0), gate[1] + rise)
         geometry = dataclasses.replace(self.geometry, altitude=float(altitude))
-        noise = self.noise
-        if noise is not None:
-            # `signal_electrons` is of a plate at the altitude: less of the same pulse comes back.
-            loss = (self.geometry.altitude / altitude) ** 2
-            noise = dataclasses.replace(noise, signal_electrons=loss * noise.signal_electrons)
+        # `signal_electrons` is of a plate at the altitude: less of the same pulse comes back.
+        signal = (self.geometry.altitude / altitude) ** 2 * self.noise.signal_electrons
+        noise = dataclasses.replace(self.noise, signal_electrons=signal)
         return dataclasses.replace(self, geometry=geometry, gate=gate, noise=noise)
 
     def beams(

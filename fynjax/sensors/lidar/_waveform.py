@@ -41,13 +41,13 @@ class Waveforms(eqx.Module):
     """
 
     canopy: Float[Array, "beam sample"]
-    """From leaves, wood and flowers [-]."""
+    """What leaves, wood and flowers send back [-]."""
     ground: Float[Array, "beam sample"]
-    """From the ground [-]."""
+    """What the ground sends back [-]."""
 
     @property
     def total(self) -> Float[Array, "beam sample"]:
-        """From both [-]."""
+        """What canopy and ground send back [-]."""
         return self.canopy + self.ground
 
 
@@ -57,7 +57,6 @@ def lidar_waveforms(
     beams: LidarBeams,
     *,
     key: Array | None = None,
-    straight: float = 0.0,
     sublayers: int = 2,
     batch: int = 1024,
     multiple: bool = True,
@@ -73,9 +72,6 @@ def lidar_waveforms(
       differentiable in everything of `scene`. With a key each pencil of a beam goes on until it
       hits one leaf, drawn from the gap probability, or the ground: the echo of single leaves (or
       shoots) about as wide as a pencil. The mean over keys is the result without one.
-    - `straight`: share of the transmitted light that goes on along the beam, 0 to 1. Leaves that
-      transmit diffusely (bi-Lambertian) have 0. A leaf that is crossed takes 1 - (straight tau)²
-      of the light, on its way in and out together.
     - `sublayers`: steps in a layer of voxels; more where beams are far from upright.
     - `batch`: beams at a time, which bounds the memory.
     - `multiple`: whether a flash system has its light that is scattered more than once, as if it
@@ -109,7 +105,7 @@ def lidar_waveforms(
     >>> len(beams) > 0, len(returns) > 0
     (True, True)
     """
-    _check(scene, beams, straight)
+    _check(scene, beams)
     if beams.samples < 1:
         raise InputError("`beams` must have samples: make them with `Lidar.beams`")
     dtype = scene.area_density.dtype
@@ -136,7 +132,7 @@ def lidar_waveforms(
         batch,
         beams,
         (jnp.asarray(beams.start, dtype), jnp.asarray(grid.first), hits),
-        (scene, canopy_fields(scene, straight), receiver),
+        (scene, canopy_fields(scene), receiver),
         sublayers,
         late,
     )
@@ -276,7 +272,7 @@ def expected_returns(
     Differentiable in the area density and the inclination of leaves, and in the height of the
     ground.
     """
-    _check(scene, beams, 0.0)
+    _check(scene, beams)
     heights = jnp.asarray(edges, scene.area_density.dtype)
     platform = jnp.asarray(beams.origin[:, 2], heights.dtype)
     canopy, ground = _map_beams(
@@ -284,7 +280,7 @@ def expected_returns(
         batch,
         beams,
         platform,
-        (scene, canopy_fields(scene, 0.0), heights),
+        (scene, canopy_fields(scene), heights),
         sublayers,
     )
     return canopy.sum(axis=0), ground.sum()
@@ -348,7 +344,7 @@ def _mapped(
     return jax.lax.map(jax.checkpoint(trace_beam), each, batch_size=batch)
 
 
-def _check(scene: VoxelScene, beams: LidarBeams, straight: float) -> None:
+def _check(scene: VoxelScene, beams: LidarBeams) -> None:
     bands = scene.classes.reflectance.shape[1]
     if bands != 1:
         raise InputError(
@@ -360,8 +356,6 @@ def _check(scene: VoxelScene, beams: LidarBeams, straight: float) -> None:
             f"the LiDAR must be above the grid, which is {scene.height:g} m high, but is at "
             f"{float(beams.origin[:, 2].min()):g} m: pulses begin above the canopy"
         )
-    if not 0.0 <= straight <= 1.0:
-        raise InputError(f"`straight` must be a share from 0 to 1, but is {straight}")
 
 
 class _FineGrid:
