@@ -90,7 +90,7 @@ def test_help_has_an_example(command):
 def test_commands_are_shown_by_what_they_are_about(capsys):
     shown = CliRunner().invoke(app, ["--help"]).output
     titles = re.findall(r"─ ([A-Z][a-z ]+) ─", shown)
-    panels = ["Plot", "Leaf", "Sensors", "Inversion", "Validation", "Many plots"]
+    panels = ["Plot", "Leaf", "This machine", "Sensors", "Inversion", "Validation", "Many plots"]
     assert titles == ["Options", *panels]
     assert shown.index("─ Inversion ─") < shown.index("posterior") < shown.index("─ Validation ─")
     group = CliRunner().invoke(app, ["bioscape", "--help"]).output
