@@ -70,6 +70,12 @@ def draw_community(pool: Plot, gradients: Gradients, random: np.random.Generator
 
     Covers of the species fall by a common factor from each to the next rarer one, the factor that
     gives the evenness.
+
+    **Arguments:**
+
+    - `pool`: a plot with the species, their sizes and leaves.
+    - `gradients`: within which the community lies.
+    - `random`: of its numbers.
     """
     count = int(random.integers(gradients.richness[0], gradients.richness[1] + 1))
     cover = random.uniform(*gradients.cover) * shares_of(random.uniform(*gradients.evenness), count)
