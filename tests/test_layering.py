@@ -34,7 +34,7 @@ LAYERS = ROAD + BESIDE
 PACKAGES = sorted(
     ".".join(path.parent.relative_to(ROOT).parts) for path in PACKAGE.rglob("__init__.py")
 )
-PLOTTING = {"matplotlib", "pyvista", "seaborn", "plotly"}
+PLOTTING = {"matplotlib", "seaborn", "plotly"}
 SOLVING = {"calibrate_plot", "fit", "sample_posterior", "laplace_posterior"}
 SOLVERS = {"optimistix", "jaxopt", "emcee", "blackjax", "lineax", "SALib"}
 

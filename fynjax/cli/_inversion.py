@@ -5,7 +5,6 @@ from typing import Annotated, Literal
 
 import typer
 
-from fynjax._core.errors import InputError
 from fynjax.cli._runtime import (
     BANDS,
     Checkpoint,
@@ -144,16 +143,6 @@ def sensitivity(
     """
 
 
-def _range(text: str) -> tuple[float, float]:
-    try:
-        low, high = map(float, text.split(","))
-    except ValueError:
-        raise InputError(
-            f"`--spectrum` must be two wavelengths, such as 450,900, but is {text}"
-        ) from None
-    return low, high
-
-
 @command("information", "fynjax.jobs:information")
 def information(
     plot: PlotPath,
@@ -165,7 +154,13 @@ def information(
     ] = "2,4,8",
     spectrum: Annotated[
         str,
-        typer.Option(metavar="LOW,HIGH", callback=_range, help="Range that the bands share [nm]."),
+        listed(
+            float,
+            "two wavelengths, such as 450,900",
+            "LOW,HIGH",
+            "Range that the bands share [nm].",
+            counts=(2,),
+        ),
     ] = "450,900",
     noise: Annotated[
         str, listed(float, _NUMBERS, "SHARE,...", "Noise of a pixel over its reflectance.")

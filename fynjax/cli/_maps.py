@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from fynjax._core.errors import InputError
-from fynjax.cli._runtime import Checkpoint, SchedulerAddress, Seed, WorkerCount, command
+from fynjax.cli._runtime import Checkpoint, SchedulerAddress, Seed, WorkerCount, command, listed
 
 
 def _angles(text: str) -> tuple[float, float]:
@@ -20,18 +20,6 @@ def _angles(text: str) -> tuple[float, float]:
             f"25-35, but is {text!r}"
         )
     return values[0], values[-1]
-
-
-def _places(texts: list[str] | None) -> list[tuple[int, int]]:
-    """Rows and columns of pixels, each as 12,40."""
-    try:
-        places = [tuple(map(int, text.split(","))) for text in texts or ()]
-        return [(row, column) for row, column in places]
-    except ValueError:
-        raise InputError(
-            "--pixel: expected a row and a column, such as 12,40, but got "
-            f"{' and '.join(map(repr, texts or ()))}"
-        ) from None
 
 
 @command("train", "fynjax.jobs:train", forget=True)
@@ -107,12 +95,14 @@ def map_command(
     ] = False,
     pixels: Annotated[
         list[str] | None,
-        typer.Option(
-            "--pixel",
-            metavar="ROW,COLUMN",
-            callback=_places,
-            help="Sample the full posterior of this pixel by emcee as well, counted from 1 at the "
+        listed(
+            int,
+            "a row and a column, such as 12,40",
+            "ROW,COLUMN",
+            "Sample the full posterior of this pixel by emcee as well, counted from 1 at the "
             "upper left of the cube; some 13 minutes of a core. May be given again.",
+            "--pixel",
+            counts=(2,),
         ),
     ] = None,
     pixel_steps: Annotated[

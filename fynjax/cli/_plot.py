@@ -113,7 +113,7 @@ def build(
     ] = 5_000_000,
     view: Annotated[
         Literal["points", "meshes"],
-        typer.Option(help="Oblique picture of points, or of meshes (the extra `view`)."),
+        typer.Option(help="Oblique picture of points, or of meshes in sun and sky."),
     ] = "points",
 ) -> None:
     """Plant a plot: whole plants, as many as its covers ask for.

@@ -127,20 +127,35 @@ def _messages(caught: Sequence[warnings.WarningMessage]) -> list[str]:
     return list(dict.fromkeys(" ".join(str(warning.message).split()) for warning in caught))
 
 
-def listed(kind: Callable[[str], Any], form: str, metavar: str, help: str, *flags: str) -> Any:
-    """An option of values with commas between.
+def listed(
+    kind: Callable[[str], Any],
+    form: str,
+    metavar: str,
+    help: str,
+    *flags: str,
+    counts: Sequence[int] = (),
+    **more: Any,
+) -> Any:
+    """An option of values with commas between; given several times, a list of such.
 
     **Arguments:** `kind`, what makes a value of its text; `form`, what is expected, in words;
-    `metavar`, `help` and `flags` as of any option.
+    `counts`, how many values there may be, any number if left out; `metavar`, `help`, `flags` and
+    `more` as of any option.
     """
 
-    def read(text: str | None, param: typer.CallbackParam) -> list[Any] | None:
+    def read(given: Any, param: typer.CallbackParam) -> Any:
+        if given is None or isinstance(given, list):
+            return given and [read(text, param) for text in given]
+        text = str(given)
         try:
-            return None if text is None else [kind(part.strip()) for part in text.split(",")]
+            found = tuple(kind(part.strip()) for part in text.split(","))
         except ValueError:
-            raise InputError(f"`{param.opts[0]}` must be {form}, but is {text!r}") from None
+            found = ()
+        if not found or (counts and len(found) not in counts):
+            raise InputError(f"`{param.opts[0]}` must be {form}, but is {text!r}")
+        return found
 
-    return typer.Option(*flags, metavar=metavar, help=help, callback=read)
+    return typer.Option(*flags, metavar=metavar, help=help, callback=read, **more)
 
 
 def command(

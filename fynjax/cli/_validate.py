@@ -1,7 +1,6 @@
 """`fynjax validate`."""
 
 import re
-from collections.abc import Callable
 from math import isfinite
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
@@ -17,19 +16,11 @@ _Bands = Annotated[
 _Ground = Literal["auto", "labels", "smrf", "cloth", "none"]
 
 
-def _metres(counts: tuple[int, ...], form: str) -> Callable[..., tuple[float, ...] | None]:
-    """What reads an option of so many numbers with commas between."""
-
-    def read(text: str | None, param: typer.CallbackParam) -> tuple[float, ...] | None:
-        try:
-            numbers = () if text is None else tuple(map(float, text.split(",")))
-        except ValueError:
-            numbers = ()
-        if text is not None and (len(numbers) not in counts or not all(map(isfinite, numbers))):
-            raise InputError(f"`{param.opts[0]}` must be {form} in metres, but is {text!r}")
-        return numbers or None
-
-    return read
+def _finite(text: str) -> float:
+    number = float(text)
+    if not isfinite(number):
+        raise ValueError
+    return number
 
 
 def _windows(texts: list[str] | None) -> list[tuple[float, float]]:
@@ -60,10 +51,14 @@ class CloudOption(NamedTuple):
     @property
     def annotation(self) -> Any:
         """The option as typer takes it."""
-        read = _metres(self.counts, str(self.metavar)) if self.counts else None
-        option = typer.Option(
-            metavar=self.metavar, callback=read, rich_help_panel="Point clouds", help=self.help
-        )
+        panel = "Point clouds"
+        option = typer.Option(metavar=self.metavar, help=self.help, rich_help_panel=panel)
+        if self.counts:
+            form = f"{self.metavar} in metres"
+            option = listed(
+                _finite, form, str(self.metavar), self.help,
+                counts=self.counts, rich_help_panel=panel,
+            )  # fmt: skip
         return Annotated[self.kind | None, option]
 
 

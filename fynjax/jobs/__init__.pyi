@@ -37,7 +37,6 @@ from ._run import dry_run as dry_run
 from ._run import peak_memory_mib as peak_memory_mib
 from ._sensitivity import SensitivityResult as SensitivityResult
 from ._sensitivity import sensitivity as sensitivity
-from ._simulate import PRODUCTS as PRODUCTS
 from ._simulate import SimulateResult as SimulateResult
 from ._simulate import simulate as simulate
 from ._simulate_lidar import SimulateLidarResult as SimulateLidarResult

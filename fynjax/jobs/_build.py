@@ -1,7 +1,6 @@
 """What `fynjax build` does: the plants of a plot, its cover, its voxels and its pictures."""
 
 from collections.abc import Sequence
-from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -24,8 +23,7 @@ from fynjax.jobs._result import JobResult, Rows
 from fynjax.jobs._run import Run, peak_memory_mib
 from fynjax.report.figures import (
     DrawnPlants,
-    check_view,
-    mesh_image,
+    lit_figure,
     oblique_view,
     plan_view,
     profile_view,
@@ -47,10 +45,7 @@ from fynjax.scene import (
     stand_area,
 )
 
-_VIEW_TRIANGLES = 20_000_000
 _COVER_HEADERS = {
-    "asked_percent": "asked",
-    "counted_percent": "counted",
     "crowns_percent": "crowns in full",
     "species_percent": "ground under the species",
     "visible_percent": "visible from above",
@@ -105,7 +100,7 @@ def build(
     - `cell`: side of the cells that cover is measured on [m].
     - `mesh`, `max_triangles`: write the scene as OBJ, of at most so many triangles.
     - `view`: what the oblique picture shows: clouds of area elements, or the generated meshes of
-      the taxa (needs PyVista, the extra `view`).
+      the taxa in sun and sky.
 
     **Returns:** `BuildResult`. Writes tables of the plants and of the cover of each species, the
     area density in voxels (`voxels.nc`), areas, leaf mass and gap of the stand (`stand.csv`),
@@ -113,12 +108,10 @@ def build(
     Warns of areas outside what shrublands have.
 
     **Raises:** `InputError` as `read_plot`, for maps that do not cover the plot, and for a mesh of
-    too many triangles; `MissingExtraError` for meshes in the picture without PyVista.
+    too many triangles.
 
     Example: `jobs.build("plot.toml", Path("results"), mesh=True)`.
     """
-    if view == "meshes":
-        check_view()
     read = as_plot(plot)
     read = read if size is None else resized(read, size)
     chosen = read.seed if seed is None else seed
@@ -130,13 +123,7 @@ def build(
         instances = hard_instances(scene, parameters)
         hard = hard_scene(scene, parameters)
         del scene  # its spare plants
-    meshes, triangles, paint = None, 0, None
-    if view == "meshes":
-        with run.stage("Grow the meshes", "meshes_of_the_view"):
-            shown, _ = scene_meshes(
-                instances, hard, parameters, max_triangles=_VIEW_TRIANGLES, seed=chosen
-            )
-            paint = partial(mesh_image, instances, shown, hard.forms, hard.terrain)
+    meshes, triangles = None, 0
     if mesh:  # early: it may be refused
         with run.stage("Grow the meshes", "meshes"):
             meshes, triangles = scene_meshes(
@@ -171,6 +158,12 @@ def build(
         edges = _layers(instances, hard)
         profile = height_profile(hard, parameters, edges)
         drawn = drawn_plants(read, hard, parameters, instances, chosen)
+        title = f"{read.name}: from the south-south-west"
+        oblique = (
+            lit_figure(instances, hard, title)
+            if view == "meshes" and len(instances)
+            else oblique_view(drawn, periodic=periodic, ground=hard.terrain, title=title)
+        )
         pictures = [
             Picture(
                 "plan.png",
@@ -183,10 +176,7 @@ def build(
             ),
             Picture(
                 "oblique.png",
-                oblique_view(
-                    drawn, periodic=periodic, ground=hard.terrain,
-                    title=f"{read.name}: from the south-south-west", paint=paint,
-                ),
+                oblique,
                 "the plants from obliquely above",
                 "The plants from the south-south-west.",
             ),
@@ -416,7 +406,6 @@ def _page(
         "Cover. Counted: crowns less packing and gaps, what eq. (10) steers to the cover asked "
         "for. Ground under the species: overlap counts once.",
         headers=_COVER_HEADERS,
-        units=dict.fromkeys(_COVER_HEADERS, "%"),
     )
     areas = Table(
         stand,

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import jax.numpy as jnp
 import numpy as np
@@ -21,10 +21,7 @@ from fynjax.assembly import (
 )
 from fynjax.inversion import (
     Calibration,
-    calibration,
-    join_data,
-    plot_search,
-    search_starts,
+    KnownPlants,
     stand_sentence,
     stand_values,
 )
@@ -45,7 +42,7 @@ from fynjax.jobs._calibration_tables import (
     statistic_table,
 )
 from fynjax.jobs._doubt import doubt_targets
-from fynjax.jobs._follow import follow
+from fynjax.jobs._follow import calibrated
 from fynjax.jobs._render import check_finite, write_image
 from fynjax.jobs._result import JobResult, Number, ParameterSummary, Record, StatisticSummary
 from fynjax.jobs._run import Run
@@ -164,29 +161,36 @@ def _calibrate_known(
     result, parameters, table, headline = known_plants(
         plot, paths[0], run, bands, (*plot.inputs, *paths), checkpoint
     )
-    fit, rows = result.fit, table.rename(columns={"real": "target"})
-    summary = StatisticSummary.model_fields.keys() & set(rows.columns)
+    target = TargetSummary(
+        kind="image",
+        file=paths[0].name,
+        description=f"{paths[0].name}: {result.degrees} means of blocks of pixels.",
+        target_valid_share=float(np.isfinite(result.measured[0]).mean()),
+    )
+    return _result(run, result, parameters, table, targets=[target], headline=headline)
+
+
+def _result(
+    run: Run,
+    result: Calibration | KnownPlants,
+    parameters: pd.DataFrame,
+    statistics: pd.DataFrame,
+    **fields: Any,
+) -> CalibrateResult:
+    """The result of a calibration with the tables of its parameters and of its statistics."""
+    fit, ends = result.fit, result.ends
+    rows = statistics.rename(columns={"real": "target"})
     return run.result(
         CalibrateResult,
-        headline=headline,
         converged=bool(fit.converged),
         status=status_of(fit),
-        targets=[
-            TargetSummary(
-                kind="image",
-                file=paths[0].name,
-                description=f"{paths[0].name}: {result.degrees} means of blocks of pixels.",
-                target_valid_share=float(np.isfinite(result.measured[0]).mean()),
-            )
-        ],
         parameters=parameters[list(ParameterSummary.model_fields)].to_dict("records"),
-        statistics=rows[sorted(summary)].to_dict("records"),
+        statistics=rows.filter(list(StatisticSummary.model_fields)).to_dict("records"),
         weakly_constrained_directions=fit.weakly_constrained_directions(),
         starts=StartSummary(
-            objective=result.ends.objective.tolist(),
-            apart_sd=result.ends.apart.tolist(),
-            minima=result.ends.minima,
+            objective=ends.objective.tolist(), apart_sd=ends.apart.tolist(), minima=ends.minima
         ),
+        **fields,
     )
 
 
@@ -236,16 +240,7 @@ def calibrate_to(
             known = plant_twin(ready, measured, seed=run.seed)
         measured = known.measured
     with run.stage("Calibrate", "calibrate", total=ready.settings.evaluations):
-        search = plot_search(
-            ready.scene,
-            ready.parameters,
-            join_data([sensor.data for sensor in measured]),
-            ready.space,
-            views,
-            ready.settings,
-            replant=ready.replant,
-        )
-        result = calibration(search, follow(search, search_starts(search), run, checkpoint))
+        result = calibrated(ready, measured, views, run, checkpoint)
     if result.image_after is not None:
         check_finite(result.image_after, plot)
     reference = ReferenceImage() if reference is None else reference
@@ -263,9 +258,11 @@ def calibrate_to(
     with run.stage("Write"):
         page = calibration_page(run, plot, result, measured, tables, reference, inputs, truth)
         _write(run, plot, result.scene, result, page, tables)
-    rows = statistics.rename(columns={"real": "target"})
-    return run.result(
-        CalibrateResult,
+    return _result(
+        run,
+        result,
+        parameters_of_fit,
+        statistics,
         command=command,
         headline=[
             *truth,
@@ -274,8 +271,6 @@ def calibrate_to(
             *parameter_sentences(result),
         ],
         warnings=_short_of_sites(result.scene, result.after),
-        converged=bool(result.fit.converged),
-        status=status_of(result.fit),
         targets=[
             TargetSummary(
                 kind=sensor.kind,
@@ -285,14 +280,6 @@ def calibrate_to(
             )
             for sensor in measured
         ],
-        parameters=parameters_of_fit[list(ParameterSummary.model_fields)].to_dict("records"),
-        statistics=rows[list(StatisticSummary.model_fields)].to_dict("records"),
-        weakly_constrained_directions=result.fit.weakly_constrained_directions(),
-        starts=StartSummary(
-            objective=result.ends.objective.tolist(),
-            apart_sd=result.ends.apart.tolist(),
-            minima=result.ends.minima,
-        ),
     )
 
 

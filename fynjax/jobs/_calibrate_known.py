@@ -142,7 +142,7 @@ def _block(plot: Plot, bands: int, shape: tuple[int, int], pixel: float) -> int:
 
 
 def _relative_rmse(result: KnownPlants) -> tuple[float, float]:
-    """Of all bands alike, before and after [%]."""
+    """Relative error of the image over all bands, before and after the calibration [%]."""
     mean = np.nanmean(result.measured, axis=(1, 2), keepdims=True)
     before, after = (
         100.0 * float(np.sqrt(np.nanmean(((image - result.measured) / mean) ** 2)))

@@ -8,9 +8,10 @@ import equinox as eqx
 import numpy as np
 import pandas as pd
 import xarray as xr
+from numpy.typing import ArrayLike
 
 from fynjax.assembly import Measured, parameter_columns
-from fynjax.inversion import Calibration, ImageView, KnownPlants
+from fynjax.inversion import Calibration, ImageView, KnownPlants, ParameterSpace
 from fynjax.io.raster import image_array
 from fynjax.jobs._render import plant_counts
 from fynjax.metrics import BANDS, image_statistics
@@ -20,18 +21,21 @@ from fynjax.scene import PARAMETERS, AimedSensor, Scene, named_values, parameter
 _statistics = eqx.filter_jit(image_statistics)
 
 
+def prior_columns(space: ParameterSpace) -> dict[str, ArrayLike]:
+    """Prior of the free parameters, its standard deviation and 90 % interval, by column."""
+    low, high = space.quantiles(0.05, 0.95)
+    prior = {"prior": space.prior, "prior_sd": space.prior_sd}
+    return {**prior, "prior_q05": low, "prior_q95": high}
+
+
 def parameter_table(calibration: Calibration | KnownPlants) -> pd.DataFrame:
     """Every free parameter: prior, estimate, and how far the data pinned it down."""
     fit = calibration.fit
     low, high = fit.quantiles(0.05, 0.95)
-    prior_low, prior_high = fit.space.quantiles(0.05, 0.95)
     table = parameter_columns(
         fit.names,
         {
-            "prior": fit.space.prior,
-            "prior_sd": fit.space.prior_sd,
-            "prior_q05": prior_low,
-            "prior_q95": prior_high,
+            **prior_columns(fit.space),
             "estimate": fit.estimate,
             "sd": fit.sd,
             "q05": low,
@@ -50,9 +54,9 @@ class ReferenceImage:
     real: Mapping[str, float] = field(default_factory=dict)
     """Statistics of the real image that were not fitted, or were, by name."""
     simulated: Mapping[str, float] = field(default_factory=dict)
-    """The other simulation's statistics."""
+    """Statistics of another simulation of the same plot, by name."""
     error_percent: Mapping[str, float] = field(default_factory=dict)
-    """Its relative errors where only those are known, without sign [%]."""
+    """Relative errors of that other simulation where only these are known, without sign [%]."""
     goals: Mapping[str, float] = field(default_factory=dict)
     """Errors that the calibration aims at, by what they are of [%]."""
 

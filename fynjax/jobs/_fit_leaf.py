@@ -39,6 +39,7 @@ from fynjax.leaf import (
     LeafArea,
     LeafChunks,
     LeafClip,
+    LeafFit,
     LeafShape,
     LeafStack,
     ProspectVersion,
@@ -53,7 +54,7 @@ from fynjax.leaf import (
     usual_measurement,
 )
 from fynjax.report.figures import leaf_fit_figure
-from fynjax.report.pages import Picture
+from fynjax.report.pages import Picture, Table
 
 MEASUREMENTS: dict[str, Callable[[], AbstractMeasurement]] = {
     "sphere": IntegratingSphere,
@@ -64,6 +65,8 @@ MEASUREMENTS: dict[str, Callable[[], AbstractMeasurement]] = {
 Sampling = Literal["none", "emcee", "nuts"]
 """How the posterior is sampled, if at all."""
 _GRID = np.arange(350.0, 2501.0)
+_SHOWN = 100
+"""Spectra of which a page shows the traits, at most."""
 _PART = 1024
 """Leaves that are fitted together, in memory of some 130 MB."""
 
@@ -179,7 +182,7 @@ class GroupRow(Strict):
     unique: ClassVar[str] = "name"
 
     name: str = Field(description="Name of the spectrum, as in traits.csv.", min_length=1)
-    species: str = Field(description="Its species.", min_length=1)
+    species: str = Field(description="Species of the leaf.", min_length=1)
 
 
 def _read_groups(path: str | Path, names: Sequence[str]) -> list[str]:
@@ -255,8 +258,8 @@ def fit_leaf(
     - `workers`: where chunks of 1024 leaves are fitted; in this process by default. Leaves that
       are fitted together (`groups`), and posteriors, stay there.
 
-    **Returns:** `FitLeafResult`. Writes `traits.csv`, `spectra.nc` and a figure into `output`, and
-    where asked for `species.csv` and `posterior.nc`.
+    **Returns:** `FitLeafResult`. Writes `traits.csv`, `spectra.nc`, a figure and a page into
+    `output`, and where asked for `species.csv` and `posterior.nc`.
 
     **Raises:** `InputError` if no file holds a usable spectrum, or the table of groups is wrong,
     or for an unknown measurement, or a checkpoint of another run; `MissingExtraError` for a sampler
@@ -285,32 +288,15 @@ def fit_leaf(
     species = None if groups is None else _read_groups(groups, names)
     size = f"{len(names)} spectra"
     begin_work(
-        {"traits.csv": f"{size}, {len(refused)} refused", "spectra.nc": size}
+        {"traits.csv": f"{size}, {len(refused)} refused", "spectra.nc": size, "report.html": ""}
         | ({} if species is None else {"species.csv": f"{len(set(species))} species"})
         | ({} if posterior == "none" else {"posterior.nc": size})
     )
     options: dict[str, Any] = {
         "version": version, "measurement": instrument, "leaf_shape": leaf_shape, "domain": domain
     }  # fmt: skip
-    together = None
-    if species is not None:
-        together = fit_leaf_groups(spectra, groups=species, **options)
-        fit = together.leaves
-    else:
-        journal = None
-        chunks = LeafChunks(spectra, size=_PART, **options)
-        if checkpoint is not None and len(names) > _PART:
-            journal = Journal(checkpoint, signature(chunks.parts, options))
-        with stage("Fit leaves", len(names)), at_work(workers) as pool:
-            done = dict(
-                pool.each(
-                    LeafChunks.fit, chunks.parts, chunks.setup,
-                    names=[f"leaves {rows.start + 1} to {rows.stop}" for rows in chunks.rows],
-                    sizes=[rows.stop - rows.start for rows in chunks.rows],
-                    journal=journal,
-                )
-            )  # fmt: skip
-        fit = chunks.join(done.pop(i) for i in range(len(chunks.rows)))
+    together = None if species is None else fit_leaf_groups(spectra, groups=species, **options)
+    fit = _fit_apart(spectra, options, checkpoint, workers) if together is None else together.leaves
     settings = {
         "prospect_version": version,
         "measurement": measurement,
@@ -328,7 +314,6 @@ def fit_leaf(
     what = "measured, fitted and predicted R and T on the fit's bins"
     dataset = fit.to_xarray(area).assign_attrs(settings)
     write_spectra_netcdf(dataset, run.path("spectra.nc", what))
-    run.picture(Picture("spectra.png", leaf_fit_figure(fit), "measured and fitted spectra"))
     if together is not None:
         what = "mean leaf and material variants of each species"
         run.table("species.csv", together.table(seed, area), what)
@@ -338,17 +323,15 @@ def fit_leaf(
         dataset = draws.to_xarray(area).assign_attrs(settings)
         write_spectra_netcdf(dataset, run.path("posterior.nc", what))
     good = fit.status.count("converged")
-    headline = [f"{good} of {len(names)} spectra fitted without doubt."]
-    if good < len(names):
-        headline.append("The others say why in the column status of traits.csv.")
-    if repaired := np.count_nonzero(spectra["repairs"].values != ""):
-        headline.append(f"{repaired} were repaired while reading, see the column repairs.")
-    if decided := np.count_nonzero(table["prior_decides"].fillna("") != ""):
-        headline.append(
-            f"Of {decided} the prior says more than the spectrum about a trait, see the column "
-            "prior_decides."
-        )
+    headline = _headline(spectra, table, good)
     doubtful = len(names) - good
+    picture = Picture("spectra.png", leaf_fit_figure(fit), "measured and fitted spectra")
+    shown = Table(
+        table.head(_SHOWN), f"Traits, of the first {_SHOWN} spectra at most.", folded=True
+    )
+    title = f"PROSPECT-{version} of {len(names)} spectra"
+    inputs = [*dict.fromkeys(file for file, _ in read), panel, groups]
+    run.pictures(title, headline, [picture, shown], inputs)
     return run.result(
         FitLeafResult,
         headline=headline,
@@ -363,3 +346,42 @@ def fit_leaf(
         refused=refused_spectra(refused),
         repairs=repairs(spectra),
     )
+
+
+def _fit_apart(
+    spectra: xr.Dataset,
+    options: dict[str, Any],
+    checkpoint: str | Path | None,
+    workers: Workers | None,
+) -> LeafFit:
+    """Each leaf fitted by itself, in parts that a checkpoint keeps."""
+    journal, count = None, spectra.sizes["spectrum"]
+    chunks = LeafChunks(spectra, size=_PART, **options)
+    if checkpoint is not None and count > _PART:
+        journal = Journal(checkpoint, signature(chunks.parts, options))
+    with stage("Fit leaves", count), at_work(workers) as pool:
+        done = dict(
+            pool.each(
+                LeafChunks.fit, chunks.parts, chunks.setup,
+                names=[f"leaves {rows.start + 1} to {rows.stop}" for rows in chunks.rows],
+                sizes=[rows.stop - rows.start for rows in chunks.rows],
+                journal=journal,
+            )
+        )  # fmt: skip
+    return chunks.join(done.pop(i) for i in range(len(chunks.rows)))
+
+
+def _headline(spectra: xr.Dataset, table: pd.DataFrame, good: int) -> list[str]:
+    """The fit in sentences: of how many spectra it is without doubt, and what else to mind."""
+    count = spectra.sizes["spectrum"]
+    lines = [f"{good} of {count} spectra fitted without doubt."]
+    if good < count:
+        lines.append("The others say why in the column status of traits.csv.")
+    if repaired := np.count_nonzero(spectra["repairs"].values != ""):
+        lines.append(f"{repaired} were repaired while reading, see the column repairs.")
+    if decided := np.count_nonzero(table["prior_decides"].fillna("") != ""):
+        lines.append(
+            f"Of {decided} the prior says more than the spectrum about a trait, see the column "
+            "prior_decides."
+        )
+    return lines

@@ -9,8 +9,45 @@ from typing import Any
 import numpy as np
 
 from fynjax._core.checkpoint import Journal, signature
-from fynjax.inversion import search_states
+from fynjax.assembly import Measured, Prepared
+from fynjax.inversion import (
+    Calibration,
+    calibration,
+    join_data,
+    plot_search,
+    search_starts,
+    search_states,
+)
 from fynjax.jobs._run import Run
+
+
+def calibrated(
+    ready: Prepared,
+    measured: Sequence[Measured],
+    views: Sequence[Any],
+    run: Run,
+    checkpoint: Path | None,
+) -> Calibration:
+    """Calibrate a plot to what sensors measured, from every start.
+
+    **Arguments:**
+
+    - `ready`: the plot.
+    - `measured`, `views`: what each sensor measured, and how it sees the plot.
+    - `run`, `checkpoint`: as of `follow`.
+
+    **Raises:** `InputError` as `follow`.
+    """
+    search = plot_search(
+        ready.scene,
+        ready.parameters,
+        join_data([sensor.data for sensor in measured]),
+        ready.space,
+        views,
+        ready.settings,
+        replant=ready.replant,
+    )
+    return calibration(search, follow(search, search_starts(search), run, checkpoint))
 
 
 def follow(

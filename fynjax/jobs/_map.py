@@ -41,7 +41,7 @@ _AT_ONCE = 8192
 _SHOWN = 800
 """Pixels of a picture's longer side."""
 _FEWEST_STEPS = 12
-"""Of a walker of a pixel's posterior."""
+"""Least steps of a walker of a pixel's posterior."""
 UNLIKENESS = "unlikeness"
 _KINDS = ("", "_sd", "_q05", "_q95")
 
@@ -61,7 +61,7 @@ class MapResult(JobResult):
     """Result of `map`."""
 
     command: Literal["map"] = "map"
-    pixels: int = Field(description="Of the cube, as all counts and figures are.")
+    pixels: int = Field(description="Number of pixels of the cube.")
     without_data: int
     masked: int = Field(description="Pixels with data that are unlike the simulations.")
     unlike_beyond: float = Field(description="Share of simulations that are less unlike [-].")
@@ -70,7 +70,9 @@ class MapResult(JobResult):
     )
     place: str = Field(description="How the maps lie on the earth.")
     maps: list[QuantityMap]
-    posteriors: list[PixelPosterior] = Field([], description="Of the pixels asked for.")
+    posteriors: list[PixelPosterior] = Field(
+        [], description="Full posteriors of the pixels asked for."
+    )
 
 
 @double_precision

@@ -57,7 +57,9 @@ class PixelPosterior(Record):
 
     row: int
     column: int
-    unlikeness: Number = Field(description="Of the spectrum; above 1 the map is masked.")
+    unlikeness: Number = Field(
+        description="Distance of the spectrum from the simulations; above 1 the map is masked."
+    )
     effective_size: Number = Field(description="Effective draws of the slowest quantity.")
     acceptance: Number
     converged: bool

@@ -29,7 +29,7 @@ class MapSummary(Record):
     """Where the map lies."""
 
     bounds_m: tuple[float, float, float, float]
-    """West, south, east, north."""
+    """West, south, east and north edge of the map [m]."""
     pixel_m: tuple[float, float]
     crs: str | None
     masked_pixels: int
@@ -110,7 +110,7 @@ def pattern(
     - `align`: whether to align the bands of separate files.
     - `seed`: seed of the clustering.
 
-    **Returns:** `PatternResult`. Writes `map.tif` and `pattern.png` into `output`.
+    **Returns:** `PatternResult`. Writes `map.tif`, a picture and a page into `output`.
 
     **Raises:** as `read_band_stack`, `choose_greenness` and `vegetation_pattern`.
 
@@ -135,7 +135,7 @@ def pattern(
     except InputError as error:
         raise InputError(str(error), file=paths[0]) from error
     rows, columns = stack.mask.shape
-    begin_work({"map.tif": f"{rows} rows and {columns} columns of pixels"})
+    begin_work({"map.tif": f"{rows} rows and {columns} columns of pixels", "report.html": ""})
     masked = int((~stack.mask).sum())
     with run.stage("Write"):
         write_geotiff(
@@ -154,9 +154,12 @@ def pattern(
                 "seed": seed,
             },
         )
+        headline = _headline(stack, pattern, green)
         what = "the image, the map and the clusters' spectra"
-        run.picture(Picture("pattern.png", pattern_figure(stack, pattern, green), what))
-    return _result(run, stack, pattern, green, greenness_weight)
+        picture = Picture("pattern.png", pattern_figure(stack, pattern, green), what)
+        title = f"Probability map of {Path(paths[0]).name}"
+        run.pictures(title, headline, [picture], paths)
+    return _result(run, headline, stack, pattern, green, greenness_weight)
 
 
 def _doubt(run: Run, stack: BandStack) -> None:
@@ -173,9 +176,7 @@ def _doubt(run: Run, stack: BandStack) -> None:
         doubt_spectrum(run, means, BandSet(tuple(known), centres, (_WIDTH,) * len(known)))
 
 
-def _result(
-    run: Run, stack: BandStack, pattern: VegetationPattern, green: Greenness, weight: float
-) -> PatternResult:
+def _headline(stack: BandStack, pattern: VegetationPattern, green: Greenness) -> list[str]:
     rows, columns = stack.mask.shape
     t = stack.transform
     masked = int((~stack.mask).sum())
@@ -194,17 +195,26 @@ def _result(
         headline.append(
             f"{masked} of {stack.mask.size} pixels have no data; a plot must not reach them."
         )
-    alignment = None
     if stack.alignment is not None:
         worst = max(band.residual for band in stack.alignment)
         headline.append(
             f"Bands aligned on the first; tiles still miss it by {worst:.1f} pixels at most, in "
             "the median of a band."
         )
-        alignment = [
-            AlignmentSummary(shift_px=band.shift, residual_px=band.residual, match=band.match)
-            for band in stack.alignment
-        ]
+    return headline
+
+
+def _result(
+    run: Run,
+    headline: list[str],
+    stack: BandStack,
+    pattern: VegetationPattern,
+    green: Greenness,
+    weight: float,
+) -> PatternResult:
+    rows, columns = stack.mask.shape
+    t = stack.transform
+    masked = int((~stack.mask).sum())
     return run.result(
         PatternResult,
         headline=headline,
@@ -231,5 +241,10 @@ def _result(
             for k, level in enumerate(pattern.levels)
         ],
         inertia=pattern.inertia,
-        alignment=alignment,
+        alignment=None
+        if stack.alignment is None
+        else [
+            AlignmentSummary(shift_px=band.shift, residual_px=band.residual, match=band.match)
+            for band in stack.alignment
+        ],
     )

@@ -1,6 +1,5 @@
 """From a mesh, a scan or a taxon to area elements: what `fynjax plant` does."""
 
-import csv
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -8,6 +7,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+import pandas as pd
 from pydantic import Field
 
 from fynjax._core.dry_run import begin_work
@@ -33,7 +33,7 @@ from fynjax.io.text import Strict, did_you_mean, existing_file, read_rows, write
 from fynjax.jobs._result import JobResult, Record
 from fynjax.jobs._run import Run
 from fynjax.report.figures import plant_figure
-from fynjax.report.pages import Picture
+from fynjax.report.pages import Picture, Table
 
 _MESHES = (".obj", ".ply", ".stl", ".glb", ".gltf")
 _SCANS = (".xyz", ".csv", ".txt")
@@ -94,7 +94,7 @@ class PlantResult(JobResult):
     up: str | None
     triangles: int | None
     area_m2: dict[str, float]
-    """One-sided, by organ."""
+    """One-sided area of all elements of an organ [m2]."""
     diameter_m: float
     height_m: float
     materials: list[MaterialSummary]
@@ -130,8 +130,8 @@ def plant(
     - `diameter`, `height`, `flowering`, `max_triangles`: as in `generate_plant`.
     - `seed`: seed of the random numbers.
 
-    **Returns:** `PlantResult`. Writes `elements.csv` and `plant.png` into `output`, and for a taxon
-    or a mesh made of branches also `plant.obj` and `plant.mtl`.
+    **Returns:** `PlantResult`. Writes `elements.csv`, a picture and a page into `output`, and for a
+    taxon or a mesh made of branches also `plant.obj` and `plant.mtl`.
 
     **Raises:** `InputError` for arguments that do not apply to the source, and as these functions.
 
@@ -196,16 +196,14 @@ def plant(
             model = plant_model_from_mesh(
                 mesh, n_elements, known, seed, solid_materials="closed", maximum_extent=limit
             )
-    begin_work({"elements.csv": f"{len(model.area)} area elements"})
+    begin_work({"elements.csv": f"{len(model.area)} area elements", "report.html": ""})
     with run.stage("Write"):
         if mesh is not None and (made is not None or branches > 1):
             obj, mtl = mesh.obj("plant.mtl")
             write_text(run.path("plant.obj", "its mesh, in metres"), obj)
             write_text(run.path("plant.mtl", "its materials"), mtl)
-        _write_elements(run.path("elements.csv", "the plant as area elements"), model)
-        what = "the elements from the side and from above"
-        run.picture(Picture("plant.png", plant_figure(model), what))
-    return _result(run, model, made, mesh, axis, materials is not None)
+        run.table("elements.csv", _elements(model), "the plant as area elements", "%.9g")
+    return _result(run, source, model, made, mesh, axis, materials)
 
 
 @contextmanager
@@ -271,31 +269,29 @@ def _read_materials(
     return known
 
 
-def _write_elements(path: Path, model: MeshPlant) -> None:
-    with path.open("w", newline="", encoding="utf-8") as table:
-        writer = csv.writer(table)
-        names = ["x_m", "y_m", "z_m", "nx", "ny", "nz", "area_m2", "organ", "optics"]
-        writer.writerow([*names, "crown_diameter_m", "plant_height_m"])
-        size = [f"{value:.9g}" for value in (model.modelled_diameter, model.depth)]
-        for place, normal, area, organ, material in zip(
-            model.position.tolist(),
-            model.plant.normal.tolist(),
-            model.area.tolist(),
-            model.plant.organ.tolist(),
-            model.material.tolist(),
-            strict=True,
-        ):
-            numbers = [f"{value:.9g}" for value in (*place, *normal, area)]
-            writer.writerow([*numbers, _ORGANS[organ], model.optics[material], *size])
+def _elements(model: MeshPlant) -> pd.DataFrame:
+    """A row for each area element."""
+    place, normal = np.asarray(model.position).T, np.asarray(model.plant.normal).T
+    return pd.DataFrame(
+        {
+            **dict(zip(("x_m", "y_m", "z_m", "nx", "ny", "nz"), (*place, *normal), strict=True)),
+            "area_m2": model.area,
+            "organ": np.array(_ORGANS)[np.asarray(model.plant.organ)],
+            "optics": np.array(model.optics)[np.asarray(model.material)],
+            "crown_diameter_m": model.modelled_diameter,
+            "plant_height_m": model.depth,
+        }
+    )
 
 
 def _result(
     run: Run,
+    source: str,
     model: MeshPlant,
     made: GeneratedPlant | None,
     mesh: PlantMesh | None,
     axis: str,
-    stated: bool,
+    stated: str | Path | None,
 ) -> PlantResult:
     areas = dict(zip(_ORGANS, model.organ_area.tolist(), strict=True))
     named = ", ".join(f"{name} {area:.4g} m2" for name, area in areas.items() if area > 0.0)
@@ -319,11 +315,16 @@ def _result(
     if mesh is not None:
         parts = [f"{m.name!r} is {m.organ}, {m.surface}" for m in materials]
         headline.append("Materials: " + "; ".join(parts))
-        if not stated and len(materials) == 1 and organ_of_name(materials[0].name) is None:
+        if stated is None and len(materials) == 1 and organ_of_name(materials[0].name) is None:
             warnings.append(
                 f"the mesh has one material, {materials[0].name!r}, whose name says no organ: "
                 "all of it counts as leaf"
             )
+    what = "the elements from the side and from above"
+    picture = Picture("plant.png", plant_figure(model), what)
+    rows = Table(pd.DataFrame([m.model_dump() for m in materials]), "Its materials.")
+    inputs = [source if made is None else None, stated]
+    run.pictures(f"Plant: {Path(source).name}", headline, [picture, rows], inputs)
     return run.result(
         PlantResult,
         headline=headline,

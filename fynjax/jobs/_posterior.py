@@ -26,11 +26,7 @@ from fynjax.inversion import (
     Posterior,
     PosteriorSampler,
     SamplingMethod,
-    calibration,
     fit_surrogate,
-    join_data,
-    plot_search,
-    search_starts,
     stand_sentence,
     stand_table,
     surrogate_renders,
@@ -38,8 +34,9 @@ from fynjax.inversion import (
 from fynjax.io.plot import NO_PRIOR, Plot, as_plot, with_prior
 from fynjax.io.text import atomic_path
 from fynjax.jobs._calibration_page import misfit_sentence
+from fynjax.jobs._calibration_tables import prior_columns
 from fynjax.jobs._doubt import doubt_targets
-from fynjax.jobs._follow import follow
+from fynjax.jobs._follow import calibrated as calibrated_plot
 from fynjax.jobs._result import JobResult, Number, ParameterSummary
 from fynjax.jobs._run import Run
 from fynjax.report.figures import (
@@ -61,9 +58,11 @@ class PosteriorParameter(ParameterSummary):
     ess_tail: Number = None
     r_hat: Number = None
     laplace_q05: Number = Field(
-        default=None, description="End of the 90 % interval of the Gaussian about the estimate."
+        default=None, description="5 % quantile of the Gaussian about the estimate."
     )
-    laplace_q95: Number = Field(default=None, description="Its other end.")
+    laplace_q95: Number = Field(
+        default=None, description="95 % quantile of the Gaussian about the estimate."
+    )
 
 
 class PosteriorResult(JobResult):
@@ -74,6 +73,8 @@ class PosteriorResult(JobResult):
     posterior_status: str
 
 
+_PAIRS = 7
+"""Parameters of which pairs are drawn."""
 _COMPARED = 16
 """Parameters that are drawn side by side, by each method."""
 _STANDS = 400
@@ -135,7 +136,6 @@ def posterior(
     run = Run(output, seed=read.seed if seed is None else seed)
     paths = [targets] if isinstance(targets, Path) else list(targets)
     measured = read_targets(read, paths, bands=bands, seed=run.seed)
-    data = join_data([m.data for m in measured])
     doubt_targets(run, read, measured)
     with run.stage("Build the plot"):
         ready = prepare(read, free, seed=run.seed)
@@ -145,17 +145,7 @@ def posterior(
     draws = f"{parameters}, {max_steps} steps of the sampler at most"
     begin_work({"posterior.nc": draws, "parameters.csv": parameters, "report.html": ""})
     with run.stage("Calibrate", total=ready.settings.evaluations):
-        search = plot_search(
-            ready.scene,
-            ready.parameters,
-            data,
-            ready.space,
-            views,
-            ready.settings,
-            replant=ready.replant,
-        )
-        ends = follow(search, search_starts(search), run, checkpoint / "calibration")
-        calibrated = calibration(search, ends)
+        calibrated = calibrated_plot(ready, measured, views, run, checkpoint / "calibration")
     found = signature(calibrated.fit.whitened, run.seed)
     renders = surrogate_renders(calibrated, seed=run.seed)
     rendered = Journal(checkpoint / "surrogate", found)(lambda: np.stack([*renders]))
@@ -218,14 +208,10 @@ def posterior_table(sampled: Posterior) -> pd.DataFrame:
     """Every parameter: prior, mean, sd, quantiles, how far it is constrained, how it mixed."""
     values = sampled.values.reshape(-1, len(sampled.names))
     low, middle, high = sampled.quantiles(0.05, 0.5, 0.95)
-    prior_low, prior_high = sampled.space.quantiles(0.05, 0.95)
     table = parameter_columns(
         sampled.names,
         {
-            "prior": sampled.space.prior,
-            "prior_sd": sampled.space.prior_sd,
-            "prior_q05": prior_low,
-            "prior_q95": prior_high,
+            **prior_columns(sampled.space),
             "estimate": values.mean(axis=0),
             "sd": values.std(axis=0),
             "q05": low,
@@ -271,6 +257,7 @@ def _page(
 ) -> Page:
     stand, table = tables
     order = np.argsort(-sampled.constrained)
+    best = order[:_PAIRS]
     units = [shown_unit(name) for name in sampled.names]
     factor = np.array([f for _, _, f in units])
     draws = sampled.values.reshape(-1, len(sampled.names)) * factor
@@ -292,9 +279,9 @@ def _page(
         Picture(
             "corner.png",
             corner_plot(
-                draws[:, order],
-                [f"{sampled.names[i]} [{units[i][1]}]" for i in order],
-                prior=(prior[0][:, order], prior[1][:, order]),
+                {sampled.method: draws[:, best]},
+                [f"{sampled.names[i]} [{units[i][1]}]" for i in best],
+                prior=(prior[0][:, best], prior[1][:, best]),
             ),
             "draws of the parameters that the data constrain most, and of their pairs",
         ),

@@ -42,6 +42,8 @@ from fynjax.report.figures import capture_figure, panel_figure
 from fynjax.report.pages import Picture
 from fynjax.sensors import EmpiricalLine, empirical_line, irradiance_line, one_panel_line
 
+_SHOWN = 12
+"""Captures that a page shows, at most; each has its picture as a file."""
 LIGHTS = ("panel", "sensor", "both")
 """Where the light comes from that reflectance is relative to."""
 
@@ -93,7 +95,7 @@ def reflectance(
     - `align`: whether to align the bands of a capture.
 
     **Returns:** `ReflectanceResult`. Writes for each capture its reflectance and the standard
-    deviation (GeoTIFF), `calibration.csv`, `provenance.json` and figures into `output`.
+    deviation (GeoTIFF), `calibration.csv`, `provenance.json`, figures and a page into `output`.
 
     **Raises:** `InputError` as the readers, and for panels, light and captures that do not fit.
 
@@ -118,6 +120,7 @@ def reflectance(
     line = _line(read, known, light, panel_sd) if read and light != "sensor" else None
     headline, warnings = panel_sentences(read, known, light), []
     converted: dict[str, CaptureSummary] = {}
+    shown: list[Picture] = []
     inputs = [path for panel in read for path in panel.capture.paths]
 
     def read_one(name: str) -> tuple[Capture, EmpiricalLine, NDArray[np.float64] | None]:
@@ -131,16 +134,20 @@ def reflectance(
         aligned = aligned_radiance(capture, align=align)
         side = _pixel(capture, height, pixel)
         cube, doubt = _cubes(capture, aligned, relit, side or 1.0)
-        _write_capture(run, name, cube, doubt, paths, light, in_pixels=side is None)
+        picture = _write_capture(run, name, cube, doubt, paths, light, in_pixels=side is None)
+        if len(shown) < _SHOWN:
+            shown.append(picture)
         summary = capture_summary(capture, aligned, relit, change, cube, side)
         converted[name] = summary
         headline.append(capture_sentence(name, summary))
         warnings += capture_warnings(name, summary, light)
     if read:
         what = "picture: the panels in every band, and the area that was read"
-        run.picture(Picture("panels.png", panel_figure(read, known), what))
+        shown.insert(0, Picture("panels.png", panel_figure(read, known), what))
     what = "gain, offset and their uncertainty, for each capture and band"
     write_text(run.path("calibration.csv", what), calibration_table(converted))
+    title = f"Reflectance of {len(converted)} captures"
+    run.pictures(title, headline, shown, list(dict.fromkeys(inputs)))
     path = run.path("provenance.json", "what was read, how, and what came of it")
     result = run.result(
         ReflectanceResult,
@@ -169,8 +176,8 @@ def _write_capture(
     light: str,
     *,
     in_pixels: bool,
-) -> None:
-    """Write a capture's reflectance, its standard deviation and a picture."""
+) -> Picture:
+    """Write a capture's reflectance, its standard deviation and a picture, which is returned."""
     tags = {
         **provenance(inputs=paths),
         "calibration": f"light: {light}",
@@ -182,7 +189,9 @@ def _write_capture(
     what = "its standard deviation, by panel and light"
     write_cube_geotiff(run.path(f"{name}_reflectance_sd.tif", what), doubt, tags)
     what = "picture: true and false colour, vegetation index"
-    run.picture(Picture(f"{name}.png", capture_figure(cube, name, pixels=in_pixels), what))
+    picture = Picture(f"{name}.png", capture_figure(cube, name, pixels=in_pixels), what)
+    run.picture(picture)
+    return picture
 
 
 def _check(

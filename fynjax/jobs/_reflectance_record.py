@@ -1,10 +1,9 @@
 """What is kept of a calibration to reflectance: records, sentences, warnings."""
 
-import csv
-import io
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 
 from fynjax.io.micasense import AlignedCapture, Capture, PanelView
@@ -27,7 +26,7 @@ class CapturedBand(Record):
     light_since_panel: float | None
     """Light over that at the time of the panel's picture [-]."""
     saturated: float
-    """Share of the pixels [-]."""
+    """Share of the pixels that are saturated [-]."""
     median_reflectance: Number
 
 
@@ -37,7 +36,7 @@ class CaptureSummary(Record):
     capture: str | None
     time: str | None
     size: list[int]
-    """Columns and rows."""
+    """Columns and rows of the converted image [pixels]."""
     pixel_m: float | None
     light_sensor_tilt_deg: float | None
     alignment_residual_px: float | None
@@ -185,11 +184,11 @@ def panel_summary(panel: PanelView, known: NDArray[np.float64]) -> PanelSummary:
 def calibration_table(captures: Mapping[str, CaptureSummary]) -> str:
     """The lines of every capture and band, as CSV."""
     columns = ("name", "wavelength_nm", "gain", "offset", "gain_sd", "offset_sd", "covariance")
-    text = io.StringIO()
-    text.write("# reflectance = gain x radiance [W m-2 sr-1 um-1] + offset\n")
-    table = csv.writer(text, lineterminator="\n")
-    table.writerow(["capture", "band", *columns[1:]])
-    for name, capture in captures.items():
-        for band in capture.bands:
-            table.writerow([name, *(getattr(band, c) for c in columns)])
-    return text.getvalue()
+    rows = [
+        {"capture": name} | band.model_dump(include=set(columns))
+        for name, capture in captures.items()
+        for band in capture.bands
+    ]
+    table = pd.DataFrame(rows)[["capture", *columns]].rename(columns={"name": "band"})
+    head = "# reflectance = gain x radiance [W m-2 sr-1 um-1] + offset\n"
+    return head + table.to_csv(index=False)

@@ -12,6 +12,7 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 from jaxtyping import Array, Float
+from numpy.typing import ArrayLike
 
 from fynjax._core.checkpoint import Journal, signature
 from fynjax._core.dry_run import begin_work, image_size
@@ -51,6 +52,12 @@ SHOWN_INDICES = ("NDVI", "GNDVI", "SR", "GCI", "ARI2", "OSAVI", "GSAVI", "NormR"
 
 _MAPPED = ("NDVI", "GNDVI", "OSAVI")
 """Those that a page shows as maps as well."""
+
+_LOOKS = {
+    "true_like.png": "nearly natural colours",
+    "false_colour.png": "near infrared as red",
+}
+"""What a quick look shows."""
 
 _FEW_BANDS = 8
 """Most bands whose means the headline lists."""
@@ -209,13 +216,12 @@ def _write_truth(
     ground = np.stack([truth.sunlit_ground, truth.shaded_ground])
     names = [f"{organ}: {taxon}" for organ in organs for taxon in truth.taxa]
     place = plot_place(plot)
-    west, south = (a + b for a, b in zip(place.origin_m, truth.origin, strict=True))
     write_geotiff(
         run.path("truth.tif", "share of each pixel that is each species, GeoTIFF"),
         np.concatenate([*organs.values(), ground]),
         [*names, "ground in the sun", "ground in shade"],
         pixel_m=truth.pixel,
-        origin_m=(west, south),
+        origin_m=place.corner(truth.origin),
         crs=place.crs,
         tags={k: str(v) for k, v in record.items()},
     )
@@ -269,7 +275,7 @@ def image_views(images: Mapping[str, np.ndarray], pixel_m: float) -> Views:
 
 
 def _other_pictures(plot: Plot, camera: AimedSensor, image: np.ndarray) -> list[Part]:
-    """Of a sensor without the drone's bands."""
+    """Pictures of the image of a sensor without the drone's bands."""
     bands = camera.sensor.bands
     cube = Cube(
         image,
@@ -282,13 +288,23 @@ def _other_pictures(plot: Plot, camera: AimedSensor, image: np.ndarray) -> list[
         "reflectance",
         None,
     )
+    return list(cube_pictures({"reflectance": cube}, plot.name))
+
+
+def cube_pictures(cubes: Mapping[str, Cube], title: str) -> list[Picture]:
+    """Quick looks of the first of some cubes, and the spectra of all."""
+    first = next(iter(cubes.values()))
+    looks = [
+        Picture(file, figure, "quick look", f"{first.quantity.capitalize()}, {_LOOKS[file]}.")
+        for file, figure in quick_looks(first, title).items()
+    ]
     spectrum = Picture(
         "spectrum.png",
-        spectrum_figure({"reflectance": cube}),
+        spectrum_figure(cubes),
         "mean and range of the pixels by wavelength",
+        "Mean over the pixels and their range; of few pixels, each.",
     )
-    looks = quick_looks(cube, plot.name).items()
-    return [*(Picture(file, figure, "quick look") for file, figure in looks), spectrum]
+    return [*looks, spectrum]
 
 
 def index_images(
@@ -307,13 +323,12 @@ def write_image(
 ) -> None:
     """Write an image of `camera` as GeoTIFF, where the plot lies."""
     place, bands = plot_place(plot), camera.sensor.bands
-    west, south = (a + b for a, b in zip(place.origin_m, camera.origin, strict=True))
     write_geotiff(
         path,
         image,
         list(bands.names),
         pixel_m=camera.pixel,
-        origin_m=(west, south),
+        origin_m=place.corner(camera.origin),
         crs=place.crs,
         wavelengths=list(bands.centre),
         tags={k: str(v) for k, v in record.items()},
@@ -332,12 +347,12 @@ def plant_counts(
     )
 
 
-def check_finite(image: Float[Array, "band y x"], plot: Plot) -> None:
-    """No NaN reaches a product: raises `InputError` for an image that holds one."""
+def check_finite(image: ArrayLike, plot: Plot, what: str = "rendered image") -> None:
+    """No NaN reaches a product: raises `InputError` for an image that holds one, of `what`."""
     bad = int(np.sum(~np.isfinite(np.asarray(image))))
     if bad:
         raise InputError(
-            f"{bad} values of the rendered image are not finite. Is the sun near the horizon, or a "
+            f"{bad} values of the {what} are not finite. Is the sun near the horizon, or a "
             "parameter at the end of its range?",
             file=plot.file,
         )

@@ -18,7 +18,7 @@ from fynjax._core.progress import stage
 from fynjax.io.raster import provenance, write_qgis_style
 from fynjax.io.text import write_text
 from fynjax.jobs._result import JobResult
-from fynjax.report.pages import Page, Picture, Table, write_page
+from fynjax.report.pages import Page, Part, Picture, Section, Table, write_page
 
 Result = TypeVar("Result", bound=JobResult)
 _log = logging.getLogger("fynjax")
@@ -91,6 +91,21 @@ class Run:
         """Write the page with its figures, doubts first."""
         page = dataclasses.replace(page, lead=" ".join([*self.doubts, page.lead]))
         self.files |= write_page(page, self.folder)
+
+    def pictures(
+        self,
+        title: str,
+        headline: Sequence[str],
+        pictures: Sequence[Part],
+        inputs: Sequence[str | Path | None] = (),
+    ) -> None:
+        """Write a page of pictures below what the terminal says.
+
+        **Arguments:** `title`; `headline` of the result; `pictures`, and what else stands there;
+        `inputs`, files that the results come from.
+        """
+        parts = [*headline[1:], *pictures]
+        self.page(Page(title, headline[0], [Section("", parts)], record=self.record(inputs)))
 
     def times(self, caption: str = "Wall time.", *, folded: bool = False) -> Table:
         """The stages' times, for the page."""

@@ -5,11 +5,14 @@
 
 import json
 import sys
+from functools import reduce
+from operator import or_
 from pathlib import Path
 from typing import Annotated, Any
 
 from pydantic import Field, TypeAdapter
 
+from fynjax import jobs
 from fynjax.io.instruments import BandRow, CurveRow, LidarFile, NoiseRow, SensorFile
 from fynjax.io.plot import (
     CrownRow,
@@ -22,48 +25,18 @@ from fynjax.io.plot import (
     StructureRow,
 )
 from fynjax.io.text import write_text
-from fynjax.jobs import (
-    BuildResult,
-    CalibrateResult,
-    ConvertResult,
-    FitLeafResult,
-    InformationResult,
-    MapResult,
-    PatternResult,
-    PlantResult,
-    PosteriorResult,
-    ReflectanceResult,
-    RenderResult,
-    SensitivityResult,
-    SimulateLidarResult,
-    SimulateResult,
-    TerrainResult,
-    TrainResult,
-    ValidateResult,
-)
 from fynjax.scene import LeafRow, SpeciesRow
 
-Summary = Annotated[
-    BuildResult
-    | CalibrateResult
-    | ConvertResult
-    | FitLeafResult
-    | InformationResult
-    | MapResult
-    | PatternResult
-    | PlantResult
-    | PosteriorResult
-    | ReflectanceResult
-    | RenderResult
-    | SensitivityResult
-    | SimulateResult
-    | SimulateLidarResult
-    | TerrainResult
-    | TrainResult
-    | ValidateResult,
-    Field(description="What `--json` prints and `summary.json` holds, by the command."),
+RESULTS = [
+    getattr(jobs, name)
+    for name in sorted(dir(jobs))
+    if name.endswith("Result") and name != "JobResult"
 ]
 """Results of the commands of `fynjax.jobs`; those of `fynjax.studies` add fields likewise."""
+Summary: Any = Annotated[
+    reduce(or_, RESULTS),
+    Field(description="What `--json` prints and `summary.json` holds, by the command."),
+]
 
 SCHEMAS: dict[str, Any] = {
     "plot": PlotFile,

@@ -228,7 +228,7 @@ def _plantings_sentence(slopes: ExpectedSensitivity) -> str:
 
 
 def _status(slopes: ExpectedSensitivity) -> str:
-    """Of which metrics the leading elasticities are not known well enough; nothing of none."""
+    """Sentence on the metrics whose leading elasticities are not known well enough, "" if none."""
     open_ones = [
         f"{metric} ({100 * error:.1f} %)"
         for metric, error in zip(slopes.metrics, slopes.leading_error, strict=True)

@@ -19,12 +19,12 @@ from fynjax.io.instruments import load_instrument
 from fynjax.io.plot import AtmosphereTable, Place, Plot, as_plot, plot_place
 from fynjax.io.raster import Cube, write_cube_envi, write_cube_geotiff, write_cubes_netcdf
 from fynjax.io.text import write_text
+from fynjax.jobs._render import check_finite, cube_pictures
 from fynjax.jobs._result import JobResult
 from fynjax.jobs._run import Run
 from fynjax.jobs._simulate_lidar import SimulateLidarResult, simulate_lidar
 from fynjax.jobs._simulate_record import run_record, short_record, warnings_of
-from fynjax.report.figures import quick_looks, spectrum_figure
-from fynjax.report.pages import Page, Picture, Section
+from fynjax.report.pages import Page, Section
 from fynjax.scene import AimedSensor, Observation, PlotParameters, Scene, hard_scene
 from fynjax.sensors import Lidar, Sensor
 
@@ -32,11 +32,6 @@ AIR_MODELS = ("table", "clear-sky", "none")
 """What an atmosphere may be named by, instead of a file."""
 PRODUCTS = ("reflectance", "radiance")
 """Image products that can be written."""
-_LOOKS = {
-    "true_like.png": "nearly natural colours",
-    "false_colour.png": "near infrared as red",
-}
-"""What a quick look shows."""
 
 
 class SimulateResult(JobResult):
@@ -45,7 +40,7 @@ class SimulateResult(JobResult):
     command: Literal["simulate"] = "simulate"
     bands: int
     pixels: tuple[int, int]
-    """Rows and columns."""
+    """Rows and columns of the image."""
     pixel_m: float
     noise: bool
 
@@ -122,7 +117,8 @@ def simulate(
         stand = hard_scene(scene, parameters)
         observation = _measure(aimed, stand, parameters, run.seed if noisy else None, run)
     cubes = _cubes(aimed, instrument, observation, products, plot_place(read))
-    _check_finite(cubes, read)
+    for name, cube in cubes.items():
+        check_finite(cube.values[cube.good], read, name)
     inputs = [*read.inputs, *files, air.file]
     record = run.record(inputs)
     made = run_record(read, instrument, aimed, air, noisy, observation, run.seconds)
@@ -205,7 +201,6 @@ def _cubes(
     place: Place,
 ) -> dict[str, Cube]:
     """Images of all of the sensor's bands; those that were left out are bad."""
-    west, south = (a + b for a, b in zip(place.origin_m, aimed.origin, strict=True))
     every, bands = instrument.bands, aimed.sensor.bands
     places = [every.names.index(name) for name in bands.names]
 
@@ -221,7 +216,7 @@ def _cubes(
             np.asarray(every.fwhm),
             flags,
             aimed.pixel,
-            (west, south),
+            place.corner(aimed.origin),
             name,
             place.crs,
         )
@@ -237,17 +232,6 @@ def _cubes(
     return cubes
 
 
-def _check_finite(cubes: dict[str, Cube], plot: Plot) -> None:
-    for name, cube in cubes.items():
-        bad = int((~np.isfinite(cube.values[cube.good])).sum())
-        if bad:
-            raise InputError(
-                f"{bad} values of the {name} are not finite. Is the sun near the horizon, or a "
-                "parameter at the end of its range?",
-                file=plot.file,
-            )
-
-
 def _write(
     run: Run, plot: Plot, instrument: Sensor, cubes: dict[str, Cube], record: dict[str, Any]
 ) -> None:
@@ -258,24 +242,9 @@ def _write(
         write_cube_envi(header, cube, record)
     path = run.path("product.nc", f"{' and '.join(cubes)}, NetCDF")
     write_cubes_netcdf(path, cubes, record)
-    first = next(iter(cubes.values()))
-    pictures = [
-        Picture(
-            file,
-            figure,
-            "quick look",
-            f"{first.quantity.capitalize()}, {_LOOKS[file]}.",
-        )
-        for file, figure in quick_looks(first, plot.name).items()
-    ]
-    spectrum = Picture(
-        "spectrum.png",
-        spectrum_figure(cubes),
-        "mean and range of the pixels by wavelength",
-        "Mean over the pixels and their range; of few pixels, each.",
-    )
     lead = f"What {instrument.name} measures of the plot."
-    run.page(Page(plot.name, lead, [Section("", [*pictures, spectrum])], record=record))
+    sections = [Section("", cube_pictures(cubes, plot.name))]
+    run.page(Page(plot.name, lead, sections, record=record))
 
 
 def _headline(

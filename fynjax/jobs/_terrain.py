@@ -51,7 +51,7 @@ class TerrainSummary(Record):
     """The terrain in numbers. `None` is what the file cannot say."""
 
     bounds_m: tuple[float, float, float, float]
-    """West, south, east, north."""
+    """West, south, east and north edge of the terrain [m]."""
     cell_m: float
     lowest_m: float
     relief_m: float
@@ -116,11 +116,10 @@ def terrain(
     - `largest_gap`: see `terrain_from_points` and `read_terrain`; 10 unless given.
     - `unit`, `height_unit`, `crs`: see `read_cloud`; `fill_gaps`, `band`: see `read_terrain`.
 
-
-    **Returns:** `TerrainResult`. Writes `terrain.tif` [m], `terrain.obj`, `terrain.png` and, from a
-    cloud, `canopy_height.tif` [m] into `output`. Warns where the ground is so rough that it may be
-    the inside of plants, where it lies off the points that the file labels as ground, and where
-    many points lie below it.
+    **Returns:** `TerrainResult`. Writes `terrain.tif` [m], `terrain.obj`, a picture, a page and,
+    from a cloud, `canopy_height.tif` [m] into `output`. Warns where the ground is so rough that it
+    may be the inside of plants, where it lies off the points that the file labels as ground, and
+    where many points lie below it.
 
     **Raises:** as these functions, and `InputError` for settings that the file or the method does
     not use.
@@ -178,11 +177,16 @@ def terrain(
             stacklevel=2,
         )
     rows, columns = terrain.heights.shape
-    begin_work({"terrain.tif": f"{rows} rows and {columns} columns of cells", "terrain.obj": ""})
+    begin_work(
+        {
+            "terrain.tif": f"{rows} rows and {columns} columns of cells",
+            "terrain.obj": "",
+            "report.html": "",
+        }
+    )
     with run.stage("Write"):
         write_terrain(run.path("terrain.tif", "height of the ground [m]"), terrain)
         write_mesh(run.path("terrain.obj", "the same as a mesh, in the plot's frame"), terrain)
-        run.picture(Picture("terrain.png", terrain_figure(terrain, canopy), "picture of it"))
         if canopy is not None:
             write_geotiff(
                 run.path("canopy_height.tif", "highest point above ground in each cell [m]"),
@@ -193,7 +197,11 @@ def terrain(
                 crs=terrain.crs,
                 tags={"quantity": "height of the canopy above ground", "unit": "m"},
             )
-    return _result(run, terrain, figures)
+    summary = _summary(terrain, figures)
+    headline = _headline(summary)
+    picture = Picture("terrain.png", terrain_figure(terrain, canopy), "picture of it")
+    run.pictures(f"Terrain of {path.name}", headline, [picture], [path])
+    return run.result(TerrainResult, headline=headline, terrain=summary)
 
 
 def _check_used(is_raster: bool, fill_gaps: bool, settings: dict[str, Any]) -> None:
@@ -248,7 +256,14 @@ def _from_cloud(
     labelled = labelled_ground(cloud)
     if "method" not in options:
         options["method"] = "smrf" if labelled is None or options else "labels"
-    begin_work({"terrain.tif": f"cells of {cell:g} m", "terrain.obj": "", "canopy_height.tif": ""})
+    begin_work(
+        {
+            "terrain.tif": f"cells of {cell:g} m",
+            "terrain.obj": "",
+            "canopy_height.tif": "",
+            "report.html": "",
+        }
+    )
     with run.stage("Find the ground"):
         ground = find_ground(cloud, **options)
     with run.stage("Fill the surface"):
@@ -305,22 +320,24 @@ def _from_cloud(
     return terrain, canopy, figures
 
 
-def _result(run: Run, terrain: Terrain, figures: dict[str, Any]) -> TerrainResult:
+def _summary(terrain: Terrain, figures: dict[str, Any]) -> TerrainSummary:
     gx, gy = terrain.gradient()
-    summary = TerrainSummary.model_validate(
-        {
-            "bounds_m": terrain.bounds,
-            "cell_m": terrain.cell,
-            "lowest_m": float(terrain.heights.min()),
-            "relief_m": terrain.relief,
-            "median_slope_deg": float(np.degrees(np.arctan(np.median(np.hypot(gx, gy))))),
-            **figures,
-        }
+    return TerrainSummary(
+        bounds_m=terrain.bounds,
+        cell_m=terrain.cell,
+        lowest_m=float(terrain.heights.min()),
+        relief_m=terrain.relief,
+        median_slope_deg=float(np.degrees(np.arctan(np.median(np.hypot(gx, gy))))),
+        **figures,
     )
-    west, south, east, north = terrain.bounds
+
+
+def _headline(summary: TerrainSummary) -> list[str]:
+    west, south, east, north = summary.bounds_m
     headline = [
-        f"{east - west:g} m x {north - south:g} m in cells of {terrain.cell:g} m; the ground spans "
-        f"{terrain.relief:.2f} m, slope {summary.median_slope_deg:.1f} degrees in the median."
+        f"{east - west:g} m x {north - south:g} m in cells of {summary.cell_m:g} m; the ground "
+        f"spans {summary.relief_m:.2f} m, slope {summary.median_slope_deg:.1f} degrees in the "
+        "median."
     ]
     if summary.cells_filled:
         headline.append(
@@ -331,7 +348,7 @@ def _result(run: Run, terrain: Terrain, figures: dict[str, Any]) -> TerrainResul
         headline.append(
             f"Ground by {by}: "
             f"{100 * summary.ground_share:.0f} % of the points, in "
-            f"{100 * figures['cells_with_ground']:.0f} % of the cells; they scatter by "
-            f"{100 * figures['ground_scatter_m']:.1f} cm about the surface."
+            f"{100 * (summary.cells_with_ground or 0.0):.0f} % of the cells; they scatter by "
+            f"{100 * (summary.ground_scatter_m or 0.0):.1f} cm about the surface."
         )
-    return run.result(TerrainResult, headline=headline, terrain=summary)
+    return headline

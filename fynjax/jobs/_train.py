@@ -39,6 +39,25 @@ _FEWEST = 200
 _GRID = np.arange(400.0, 2501.0)
 """Wavelengths of the responses [nm]."""
 _KIND = "fynjax training of maps"
+_CHANNEL = {
+    "lower": "lower end of the channel",
+    "upper": "upper end of the channel",
+    "centre": "mean of the centres of its bands",
+}
+"""What a training file says of a channel [nm]."""
+_PARTS = {
+    "middle": (("channel",), "mean logarithm of reflectance"),
+    "rows": (("feature", "channel"), "features of that"),
+    "within": (("direction", "channel"), "directions in which simulations spread"),
+    "points": (("point", "direction"), "simulations along these, errors are 1"),
+    "outside": (("rest", "channel"), "all other directions"),
+    "values": (("quantity", "score"), "quantities at normal scores -4 to 4"),
+    "distance": (
+        ("place", "probability"),
+        "quantiles of the distance of held-out spectra, within and outside",
+    ),
+}
+"""Arrays of a regression in a training file, with their dimensions; its layers come besides."""
 
 
 class QuantityScore(Record):
@@ -77,7 +96,7 @@ class Training:
     settings: StandSettings
     """How its stands were simulated."""
     bands: int
-    """Of the sensor that it was trained for."""
+    """Number of bands of the sensor that it was trained for."""
     record: dict[str, Any]
     """How it came to be."""
 
@@ -271,27 +290,9 @@ def write_training(path: Path, training: Training) -> None:
         return dims, np.asarray(values), {"long_name": name, "units": unit}
 
     variables = {
-        "lower": of(("channel",), channels.lower, "lower end of the channel", "nm"),
-        "upper": of(("channel",), channels.upper, "upper end of the channel", "nm"),
-        "centre": of(("channel",), channels.centre, "mean of the centres of its bands", "nm"),
-        "middle": of(("channel",), posterior.middle, "mean logarithm of reflectance"),
-        "rows": of(("feature", "channel"), posterior.rows, "features of that"),
-        "within": of(
-            ("direction", "channel"), posterior.within, "directions in which simulations spread"
-        ),
-        "points": of(
-            ("point", "direction"), posterior.points, "simulations along these, errors are 1"
-        ),
-        "outside": of(("rest", "channel"), posterior.outside, "all other directions"),
-        "values": of(
-            ("quantity", "score"), posterior.values, "quantities at normal scores -4 to 4"
-        ),
-        "distance": of(
-            ("place", "probability"),
-            posterior.distance,
-            "quantiles of the distance of held-out spectra, within and outside",
-        ),
-    }
+        name: of(("channel",), getattr(channels, name), what, "nm")
+        for name, what in _CHANNEL.items()
+    } | {name: of(dims, getattr(posterior, name), what) for name, (dims, what) in _PARTS.items()}
     response = np.zeros((len(channels.centre), len(_GRID)))
     for row, (at, values) in zip(response, training.responses.curves or (), strict=True):
         row[:] = np.interp(_GRID, at, values, left=0.0, right=0.0)
@@ -329,16 +330,10 @@ def read_training(path: str | Path) -> Training:
         single = lambda name: jnp.asarray(data[name].values, jnp.float32)  # noqa: E731
         count = sum(str(name).startswith("weight_") for name in data.variables)
         posterior = AmortisedPosterior(
-            middle=single("middle"),
-            rows=single("rows"),
-            within=single("within"),
-            points=single("points"),
-            outside=single("outside"),
             layers=tuple((single(f"weight_{i}"), single(f"offset_{i}")) for i in range(count)),
-            values=single("values"),
-            distance=single("distance"),
+            **{name: single(name) for name in _PARTS},
         )
-        channels = Channels(*(np.asarray(data[n].values) for n in ("lower", "upper", "centre")))
+        channels = Channels(**{name: np.asarray(data[name].values) for name in _CHANNEL})
         response = np.asarray(data["response"].values, float)
         ends = [np.flatnonzero(row)[[0, -1]] + (0, 1) for row in response]
         curves: Any = [(_GRID[a:b], row[a:b]) for row, (a, b) in zip(response, ends, strict=True)]

@@ -133,7 +133,9 @@ class StructureSummary(Record):
     grains: Rows = Field(description="Rows of structure_grains.csv.")
     matched_returns: int
     thinned: str
-    clouds: dict[str, dict[str, str | float | None]] = Field(description="Each of the two clouds.")
+    clouds: dict[str, dict[str, str | float | None]] = Field(
+        description="File, returns and ground of the real and the simulated cloud."
+    )
     metrics: Rows = Field(description="Rows of structure.csv.")
     notes: list[str]
 

@@ -160,7 +160,7 @@ def test_a_plot_beyond_the_memory_is_refused_at_once(plot: Path, tmp_path: Path)
         run(plot, "--output", tmp_path / "out")
 
 
+@pytest.mark.slow
 def test_meshes_in_the_picture(plot: Path, tmp_path: Path) -> None:
-    pytest.importorskip("pyvista")
     run(plot, "--output", tmp_path / "out", "--view", "meshes")
     assert (tmp_path / "out" / "oblique.png").stat().st_size > 20_000

@@ -90,7 +90,7 @@ def test_help_has_an_example(command):
 def test_commands_are_shown_by_what_they_are_about(capsys):
     shown = CliRunner().invoke(app, ["--help"]).output
     titles = re.findall(r"─ ([A-Z][a-z ]+) ─", shown)
-    panels = ["Plot", "Leaf", "Sensors", "Inversion", "Validation", "Many plots"]
+    panels = ["Plot", "Leaf", "This machine", "Sensors", "Inversion", "Validation", "Many plots"]
     assert titles == ["Options", *panels]
     assert shown.index("─ Inversion ─") < shown.index("posterior") < shown.index("─ Validation ─")
     group = CliRunner().invoke(app, ["bioscape", "--help"]).output
@@ -102,7 +102,7 @@ def test_values_with_commas_are_read_and_a_wrong_one_names_its_option(capsys, ca
     spectrum = tmp_path / "a.csv"
     line = ["fit-leaf", spectrum, "--output", tmp_path / "o", "--detector-changes"]
     assert call(capsys, *line, "1000, 1830")[0] == 0
-    assert calls[0][1]["detector_changes"] == [1000.0, 1830.0]
+    assert calls[0][1]["detector_changes"] == (1000.0, 1830.0)
     err = one_line(*call(capsys, *line, "1000;1830"))
     assert "`--detector-changes` must be wavelengths in nm" in err
     assert "1000;1830" in err

@@ -42,6 +42,7 @@ def test_an_image_becomes_a_map(image: Path, tmp_path: Path) -> None:
         "map.qml",
         "map.tif",
         "pattern.png",
+        "report.html",
         "summary.json",
     ]
     assert (out / "pattern.png").stat().st_size > 20_000

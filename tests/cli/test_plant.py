@@ -45,7 +45,9 @@ def test_a_taxon_becomes_a_mesh_and_elements(tmp_path: Path) -> None:
     assert summary["area_m2"]["leaf"] == pytest.approx(area * np.pi * 0.075**2, rel=1e-6)
     assert summary["height_m"] == pytest.approx(0.5, rel=1e-3)
     made = tmp_path / "made"
-    assert set(summary["files"]) == {"elements.csv", "plant.obj", "plant.mtl", "plant.png"}
+    assert set(summary["files"]) == {
+        *("elements.csv", "plant.obj", "plant.mtl", "plant.png", "report.html")
+    }
     assert {path.name for path in made.iterdir()} == {*summary["files"], "summary.json"}
     assert_valid_summary(summary)
     assert (made / "plant.png").stat().st_size > 20_000

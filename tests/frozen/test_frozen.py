@@ -1,4 +1,4 @@
-"""Every command writes the numbers that it wrote before."""
+"""Every command writes the numbers that it wrote before, and a page with all its pictures."""
 
 import json
 from pathlib import Path
@@ -21,6 +21,10 @@ MARKED = [
 def test_numbers_are_those_frozen(command: str, tmp_path: Path) -> None:
     frozen = json.loads((HERE / f"{command}.json").read_text("utf-8"))
     lines = differences(frozen, run(command, tmp_path), CASES[command].loose)
+    for folder in filter(Path.is_dir, (tmp_path / "out").iterdir()):
+        pictures = len(list(folder.glob("*.png")))
+        shown = (folder / "report.html").read_text("utf-8").count("<img ") if pictures else 0
+        assert shown == pictures, f"{folder.name}: {shown} of {pictures} pictures are on the page"
     more = f"\n... and {len(lines) - 20} more" if len(lines) > 20 else ""
     assert not lines, f"fynjax {command}:\n" + "\n".join(lines[:20]) + more
 

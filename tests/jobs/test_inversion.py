@@ -79,7 +79,8 @@ def test_figures_stand_what_data_bring():
     """A constant parameter, an infinite bound, an elasticity that is not there."""
     draws = np.random.default_rng(0).normal(size=(300, 3)) * np.array([1.0, 2.0, 0.0])
     names = ["species.A.cover [%]", "ground.brightness [-]", "species.A.leaf.water [cm]"]
-    assert len(corner_plot(draws, names, prior=(draws[:9], np.ones((9, 3)))).axes) == 9
+    figure = corner_plot({"emcee": draws}, names, prior=(draws[:9], np.ones((9, 3))))
+    assert len(figure.axes) == 9
     assert predictive_plot(draws, np.zeros(3), np.ones(3), ["a.mean", "b.mean", "c.std"]).axes
     table = pd.DataFrame(
         {"metric": ["red.mean"] * 2, "parameter": names[:2], "elasticity": [0.3, np.nan],

@@ -41,6 +41,7 @@ def test_command_writes_the_terrain_of_a_cloud(cloud_file, tmp_path, capfd):
     assert sorted(p.name for p in output.iterdir()) == [
         "canopy_height.qml",
         "canopy_height.tif",
+        "report.html",
         "summary.json",
         "terrain.obj",
         "terrain.png",
@@ -126,7 +127,13 @@ def test_raster_is_cut_out_and_resampled(tmp_path):
     )
     write_terrain(tmp_path / "dtm.tif", whole)
     summary = terrain(tmp_path / "dtm.tif", tmp_path, size=10.0, cell=0.25)
-    assert set(summary.files) == {"terrain.tif", "terrain.qml", "terrain.obj", "terrain.png"}
+    assert set(summary.files) == {
+        "terrain.tif",
+        "terrain.qml",
+        "terrain.obj",
+        "report.html",
+        "terrain.png",
+    }
     part = read_terrain(tmp_path / "terrain.tif")
     np.testing.assert_allclose(part.bounds, np.add([10, 10, 20, 20], [*CORNER, *CORNER]))
     x, y = part.centres

@@ -6,6 +6,7 @@ import pytest
 from matplotlib.colors import to_rgba
 
 import fynjax as fx
+from fynjax.report.figures import corner_plot
 
 
 @pytest.fixture(scope="module")
@@ -40,3 +41,14 @@ def test_one_posterior_needs_no_name(draws):
     figure = fx.corner(draws["emcee"])
     assert [t.get_text() for t in figure.legends[0].get_texts()] == ["posterior", "prior"]
     assert len(figure.axes) == 4
+
+
+def test_labels_of_many_words_lie_in_the_figure():
+    draws = np.random.default_rng(0).normal(size=(500, 2))
+    names = ["species.Erica irregularis.leaf.chlorophyll [ug cm-2]", "ground.brightness [-]"]
+    figure = corner_plot({"emcee": draws}, names, prior=(draws[:9], np.ones((9, 2))))
+    figure.canvas.draw()
+    for axes in figure.axes:
+        for label in (axes.xaxis.label, axes.yaxis.label):
+            box = label.get_window_extent()
+            assert not label.get_text() or min(box.x0, box.y0) >= 0.0

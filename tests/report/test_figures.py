@@ -159,7 +159,7 @@ def test_errors_are_absolute_cut_and_may_be_missing():
         "after": {"nir": 1.0, "NDVI": float("nan")},
         "DIRSIG (paper)": {"nir": 22.19},
     }
-    figure = error_bars(errors, goal_percent={"nir": 3.0})
+    figure = error_bars(errors)
     axes = figure.axes[0]
     widths = [bar.get_width() for container in axes.containers for bar in container]
     np.testing.assert_allclose(widths, [30, 100, 1, np.nan, 22.19, np.nan])

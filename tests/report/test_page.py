@@ -13,7 +13,6 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from fynjax.report.pages import Page, Picture, Section, Table, Views, format_number, write_page
-from fynjax.report.pages._page import _CSS
 
 
 class Checker(HTMLParser):
@@ -183,6 +182,22 @@ def test_table_has_units_headers_and_readable_numbers(page, tmp_path):
 
 
 @pytest.mark.parametrize(
+    ("column", "header"),
+    [
+        ("relief_m", ("relief", "m")),
+        ("leaf_mass_g_m2", ("leaf mass", "g m⁻²")),
+        ("returns_per_m2", ("returns", "m⁻²")),
+        ("real_mean", ("real mean", "")),
+        ("asked_percent", ("asked for", "%")),
+        ("cover_m", ("cover", "m of crown")),
+    ],
+)
+def test_headers_and_units_come_from_names_of_columns_unless_they_are_said(column, header):
+    said = {"headers": {"asked_percent": "asked for"}, "units": {"cover_m": "m of crown"}}
+    assert Table(pd.DataFrame({column: [1.0]}), **said).header(column) == header
+
+
+@pytest.mark.parametrize(
     ("value", "shown"),
     [
         (0.0, "0"),
@@ -201,7 +216,7 @@ def test_numbers(value, shown):
     assert format_number(value) == shown
 
 
-def test_headers_of_a_wide_table_may_break_so_that_its_columns_fit():
-    rule = re.search(r"\nth \{([^}]*)\}", _CSS)
+def test_headers_of_a_wide_table_may_break_so_that_its_columns_fit(page, tmp_path):
+    rule = re.search(r"\nth \{([^}]*)\}", html(page, tmp_path))
     assert rule is not None
     assert "white-space: normal" in rule[1]

@@ -7,7 +7,9 @@ import pandas as pd
 import pytest
 
 import fynjax as fx
-from fynjax.report.figures._scene_lit import _COLOURS, _direction, _reaching
+from fynjax.report.figures._scene_lit import _COLOURS, _columns, _direction, _lit, _reaching
+from fynjax.report.figures._scene_oblique import view_of
+from fynjax.scene import hard_instances, hard_scene
 
 SIDE, CELL = 2.0, 0.01
 UP = np.array([0.0, 0.0, 1.0])
@@ -48,6 +50,16 @@ def test_shadows_fall_away_from_the_sun():
         np.testing.assert_allclose(shift, 0.5 * np.array(away), atol=1.5 * CELL)
 
 
+def test_shadows_fall_on_ground_that_is_not_level():
+    """A leaf 0.5 m above ground of 0.3 m: the sun at 45 degrees in the east meets it 0.2 m west."""
+    place, east = np.array([[1.0, 1.0, 0.5]]), _direction(45.0, 90.0)
+    _, ground = _reaching((SIDE, SIDE), place, UP[None], np.array([1e-4]), east)
+    x = np.arange(0.005, SIDE, CELL)
+    hill = np.stack([x, np.full_like(x, 1.0), np.full_like(x, 0.3)], axis=-1)
+    shaded = ground[_columns((SIDE, SIDE), hill, east)] < 1.0
+    np.testing.assert_allclose(x[shaded], 0.8, atol=1.5 * CELL)
+
+
 TABLE = pd.DataFrame(
     {
         "taxon": ["Shrub"],
@@ -77,6 +89,21 @@ def test_bare_ground_has_the_colour_of_soil_and_plants_are_green(scene):
     np.testing.assert_allclose(
         (bright / bright[:, :1]).mean(axis=0)[1:], soil[1:] / soil[0], rtol=0.1
     )
+
+
+def test_plants_behind_a_hill_are_hidden(scene):
+    """A ridge along the middle, in one view with and without it."""
+    plants, hard = hard_instances(scene, scene.parameters), hard_scene(scene, scene.parameters)
+    y = np.linspace(0.0, 1.0, 40)
+    ridge = 0.6 * np.exp(-(((y - 0.5) / 0.08) ** 2))[:, None] * np.ones(40)
+    view = view_of(plants, ridge, (200, 200))
+    soil = np.asarray(hard.ground_map(scene.parameters, _COLOURS)).ravel()[:3]
+    seen = []
+    for ground in (np.zeros((40, 40)), ridge):
+        image = _lit(plants, dataclasses.replace(hard, terrain=ground), view, 20_000)
+        ratio = image / soil
+        seen.append((np.ptp(ratio, axis=2) > 0.3 * ratio.max(axis=2)).sum())  # not of bare ground
+    assert seen[1] < 0.5 * seen[0]
 
 
 def test_a_photo_is_the_image_with_one_stretch_for_all_colours(scene):

@@ -18,7 +18,7 @@ from fynjax.report.figures._scene import (
     sides,
     species_colours,
 )
-from fynjax.report.figures._scene_oblique import View, _relief, height_at
+from fynjax.report.figures._scene_oblique import View, height_at, relief
 from fynjax.scene import Instances, hard_instances, hard_scene, individual_seeds
 
 EXTENT = (4.0, 2.0)
@@ -70,8 +70,8 @@ def test_plants_are_drawn_where_they_stand():
 
 def test_the_ground_is_drawn_as_the_plane_that_it_is():
     plants, ground = on_a_slope()
-    place, tint, width = _relief(plants, View(EXTENT, 2.0), ground, periodic=False)
-    assert len(place) == len(tint) == len(width)
+    place, light, area = relief(plants.extent, View(EXTENT, 2.0), ground)
+    assert len(place) == len(light) == len(area)
     x, y, z = place.astype(float).T
     inner = (x > 0.06) & (x < 3.94) & (y > 0.06) & (y < 1.94)
     np.testing.assert_allclose(z[inner], plane(x[inner], y[inner]), atol=1e-5)

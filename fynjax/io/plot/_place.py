@@ -15,6 +15,10 @@ class Place:
     crs: str | None = None
     """Coordinate reference system as WKT; `None`: the plot's own frame."""
 
+    def corner(self, offset: tuple[float, float]) -> tuple[float, float]:
+        """South-west corner of an image that lies `offset` east and north of the plot's [m]."""
+        return self.origin_m[0] + offset[0], self.origin_m[1] + offset[1]
+
 
 def plot_place(plot: Plot) -> Place:
     """Where a plot lies on Earth, by the first of its maps that does.

@@ -26,6 +26,7 @@ from fynjax.report.figures._style import (
     REAL,
     SKY,
     VERMILION,
+    name_rows,
     style,
     words,
 )
@@ -55,15 +56,12 @@ _ROW = 0.185
 """Height of a row [inch]."""
 
 
-def _panels(
-    groups: Sequence[tuple[str, int]], columns: int, extra: float
-) -> tuple[Figure, list[Axes]]:
-    """A figure with one axes for each group, heights by the number of rows in it."""
-    sizes = [count for _, count in groups]
-    layout = _pack(sizes, columns)
+def _panels(sizes: Sequence[int], extra: float) -> tuple[Figure, list[Axes]]:
+    """A figure with one axes for each number of rows, heights by these."""
+    layout = _pack(sizes, 2)
     height = max(sum(sizes[p] + 3 for p in column) for column in layout) * _ROW + extra
     figure = Figure(figsize=(4.0 * len(layout) if len(layout) > 1 else 6.0, height))
-    axes: list[Axes | None] = [None] * len(groups)
+    axes: list[Axes | None] = [None] * len(sizes)
     tall = max(sum(sizes[p] + 3 for p in column) for column in layout)
     outer = figure.add_gridspec(1, len(layout))
     for k, column in enumerate(layout):
@@ -93,28 +91,19 @@ def _label(name: str, kind: str) -> str:
     return words(short)
 
 
-def _rows(axes: Axes, labels: Sequence[str]) -> NDArray[np.float64]:
-    y = np.arange(len(labels), dtype=float)
-    axes.set_yticks(y, labels, fontsize=7.5)
-    axes.set_ylim(len(labels) - 0.4, -0.6)
-    axes.tick_params(axis="y", length=0)
-    axes.grid(axis="x")
-    return y
-
-
-def parameter_plot(table: pd.DataFrame, *, columns: int = 2) -> Figure:
+def parameter_plot(table: pd.DataFrame) -> Figure:
     """Prior against estimate, with 90 % intervals, one panel for each kind.
 
     **Arguments:** `table` with the columns name, kind, unit, prior, prior_q05, prior_q95, estimate,
-    q05, q95, and truth where that is known; a row for each parameter; `columns`, panels in a row.
-    In all panels species come in one order, the one that moved farthest first.
+    q05, q95, and truth where that is known; a row for each parameter. In all panels species come in
+    one order, the one that moved farthest first.
     """
     known = "truth" in table
     groups = _groups(table)
     with style():
-        figure, panels = _panels([(k, len(p)) for k, p in groups], columns, 0.35)
+        figure, panels = _panels([len(part) for _, part in groups], 0.35)
         for axes, (kind, part) in zip(panels, groups, strict=True):
-            y = _rows(axes, [_label(str(name), kind) for name in part["name"]])
+            y = name_rows(axes, [_label(str(name), kind) for name in part["name"]])
             axes.hlines(y - 0.16, part["prior_q05"], part["prior_q95"], color=GREY, lw=1.0)
             axes.plot(part["prior"], y - 0.16, "o", ms=4, mfc="white", color=GREY)
             axes.hlines(y + 0.16, part["q05"], part["q95"], color=BLUE, lw=1.4)
@@ -153,7 +142,7 @@ def interval_plot(table: pd.DataFrame, methods: Mapping[str, tuple[str, str]]) -
         figure = Figure(figsize=(6.0, 1.0 + (2.0 + len(table)) * 1.6 * _ROW))
         axes = figure.add_subplot()
         names = [str(name).removeprefix("species.").replace(".", " ") for name in table["name"]]
-        y = _rows(axes, [words(name) for name in names])
+        y = name_rows(axes, [words(name) for name in names])
         for edge in (0.0, 1.0):
             axes.axvline(edge, color=GREY, lw=0.8, ls=":")
         for i, (method, ends) in enumerate(methods.items()):
@@ -165,18 +154,18 @@ def interval_plot(table: pd.DataFrame, methods: Mapping[str, tuple[str, str]]) -
     return figure
 
 
-def constraint_plot(table: pd.DataFrame, *, columns: int = 2) -> Figure:
+def constraint_plot(table: pd.DataFrame) -> Figure:
     """How far the data narrowed each parameter: 1 - (sd / prior sd)^2, in percent.
 
     **Arguments:** `table` with the columns of `parameter_plot`, in whose order rows come, and
-    constrained (0 to 1); `columns`, panels in a row.
+    constrained (0 to 1).
     """
     groups = _groups(table)
     with style():
-        figure, panels = _panels([(k, len(p)) for k, p in groups], columns, 0.45)
+        figure, panels = _panels([len(part) for _, part in groups], 0.45)
         for axes, (kind, part) in zip(panels, groups, strict=True):
             share = 100 * part["constrained"].to_numpy(dtype=float)
-            y = _rows(axes, [_label(str(name), kind) for name in part["name"]])
+            y = name_rows(axes, [_label(str(name), kind) for name in part["name"]])
             axes.barh(y, np.full(share.shape, 100.0), height=0.62, color="#EFEFEF")
             axes.barh(
                 y,
@@ -208,7 +197,6 @@ def convergence_plot(
     gradient_norm: ArrayLike | None = None,
     *,
     rounds: ArrayLike | None = None,
-    loss_label: str = "Loss [-]",
 ) -> Figure:
     """Loss, and the norm of its gradient if given, against the steps done.
 
@@ -217,7 +205,6 @@ def convergence_plot(
     - `loss`, `gradient_norm`: at the beginning of each round and after each of its steps.
     - `rounds`: number of the round of each, from 1; by default all are of one. A line ends with its
       round.
-    - `loss_label`: of the axis of the loss, with its unit.
     """
     losses = np.asarray(loss, dtype=float)
     turn = np.ones(losses.size, int) if rounds is None else np.asarray(rounds)
@@ -226,7 +213,7 @@ def convergence_plot(
         rows = 1 if gradient_norm is None else 2
         figure = Figure(figsize=(5.2, 1.1 + 1.9 * rows))
         grid = figure.subplots(rows, 1, squeeze=False, sharex=True)[:, 0]
-        series: list[tuple[NDArray[np.float64], str, str]] = [(losses, loss_label, BLUE)]
+        series: list[tuple[NDArray[np.float64], str, str]] = [(losses, "Loss [-]", BLUE)]
         if gradient_norm is not None:
             series.append((np.asarray(gradient_norm, dtype=float), "Gradient norm", GREEN))
         for axes, (values, label, colour) in zip(grid, series, strict=True):
@@ -259,17 +246,12 @@ _FULL_SCALE = 100.0
 """Longer bars are cut and show their value, so that the short ones stay readable [%]."""
 
 
-def error_bars(
-    errors: Mapping[str, Mapping[str, float]], *, goal_percent: Mapping[str, float] | None = None
-) -> Figure:
+def error_bars(errors: Mapping[str, Mapping[str, float]]) -> Figure:
     """Absolute relative error of each statistic, one bar for each simulation.
 
-    **Arguments:**
-
-    - `errors`: relative errors [%], sign ignored, by simulation and statistic, such as
-      `{"before": {"NIR": 12.0}, "after": {...}, "DIRSIG (paper)": {...}}`; a statistic that a
-      simulation lacks has no bar.
-    - `goal_percent`: the error aimed at, by statistic, drawn as a tick.
+    **Arguments:** `errors`, relative errors [%], sign ignored, by simulation and statistic, such as
+    `{"before": {"NIR": 12.0}, "after": {...}, "DIRSIG (paper)": {...}}`; a statistic that a
+    simulation lacks has no bar.
     """
     names = list(dict.fromkeys(name for values in errors.values() for name in values))
     colours = [BEFORE, AFTER, OTHER, PURPLE]
@@ -294,21 +276,10 @@ def error_bars(
                         textcoords="offset points", fontsize=6.5, va="center", zorder=4,
                         bbox={"boxstyle": "square,pad=0.05", "fc": "white", "ec": "none"},
                     )  # fmt: skip
-        for name, goal in (goal_percent or {}).items():
-            if name in names:
-                row = names.index(name)
-                axes.plot([goal, goal], [row - 0.45, row + 0.45], color=VERMILION, lw=1.2)
-        handles, labels = axes.get_legend_handles_labels()
-        if goal_percent:
-            handles.append(matplotlib.lines.Line2D([], [], color=VERMILION, lw=1.2))
-            labels.append("goal")
-        figure.legend(handles, labels, loc="outside upper left", ncols=len(labels))
-        axes.set_yticks(np.arange(len(names)), [words(name) for name in names])
-        axes.set_ylim(len(names) - 0.45, -0.55)
-        axes.tick_params(axis="y", length=0)
+        figure.legend(loc="outside upper left", ncols=count)
+        name_rows(axes, [words(name) for name in names])
         axes.set_xlim(0, min(highest, _FULL_SCALE) * 1.1 or 1)
         axes.set_xlabel("|simulated - real| / |real| [%]")
-        axes.grid(axis="x")
     return figure
 
 

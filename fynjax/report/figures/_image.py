@@ -5,7 +5,7 @@ Every function returns a matplotlib figure that belongs to no window; `save_figu
 
 import textwrap
 from collections.abc import Mapping, Sequence
-from typing import Literal
+from typing import Any, Literal
 
 import matplotlib
 import numpy as np
@@ -17,7 +17,7 @@ from matplotlib.patches import Patch
 from numpy.typing import ArrayLike, NDArray
 
 from fynjax.report.figures._scene import rgb, species_colours
-from fynjax.report.figures._style import AFTER, BEFORE, REAL, style, words
+from fynjax.report.figures._style import AFTER, BEFORE, REAL, note, panel_grid, style, words
 from fynjax.scene import Observation
 
 _COMPOSITES: dict[str, tuple[tuple[str, str, str], str]] = {
@@ -87,6 +87,17 @@ def _scale_bar(axes: Axes, width: float) -> None:
     axes.plot([x, x + length], [y * 0.62] * 2, color="black", lw=2, solid_capstyle="butt")
 
 
+def _map(axes: Axes, values: NDArray[np.float64], pixel_m: float, title: str, **how: Any) -> Any:
+    """Draw an image of the plot, north up, with a bar of its scale; what `imshow` returns."""
+    height, width = (count * pixel_m for count in values.shape[:2])
+    drawn = axes.imshow(
+        values, origin="lower", extent=(0, width, 0, height), interpolation="nearest", **how
+    )
+    axes.set(title=title, xticks=[], yticks=[])
+    _scale_bar(axes, width)
+    return drawn
+
+
 def composites(
     images: Mapping[str, ArrayLike],
     band_names: Sequence[str],
@@ -117,13 +128,9 @@ def composites(
         figure = Figure(figsize=(side * count, side + 0.55))
         grid = figure.subplots(1, count, squeeze=False)[0]
         for axes, (title, stack) in zip(grid, stacks.items(), strict=True):
-            rgb = _shown(stack, limits)
-            width, height = stack.shape[2] * pixel_m, stack.shape[1] * pixel_m
-            axes.imshow(rgb, origin="lower", extent=(0, width, 0, height), interpolation="nearest")
-            axes.set(title=title, xticks=[], yticks=[])
+            _map(axes, _shown(stack, limits), pixel_m, title)
             for spine in axes.spines.values():
                 spine.set_visible(False)
-            _scale_bar(axes, width)
         ranges = (
             f"0 to {limits[0][1]:.3f} in all three (99th percentile)"
             if shared
@@ -136,7 +143,7 @@ def composites(
         shown = f"Reflectance shown: {ranges}, square root. North up."
         wide = int(_LETTERS * side * count)
         lines = [textwrap.fill(line, wide) for line in (f"{what}.", shown)]
-        figure.supxlabel("\n".join(lines), fontsize=7.5, color="#333333")
+        note(figure, "\n".join(lines))
     return figure
 
 
@@ -178,14 +185,9 @@ def layer_map(layers: Mapping[str, ArrayLike], what: str, *, pixel_m: float) -> 
         figure = Figure(figsize=(side * len(values), side + 0.55))
         grid = figure.subplots(1, len(values), squeeze=False)[0]
         for axes, (title, layer) in zip(grid, values.items(), strict=True):
-            height, width = (n * pixel_m for n in layer.shape)
-            drawn = axes.imshow(
-                np.where(np.isfinite(layer), layer, np.nan), origin="lower",
-                extent=(0, width, 0, height), cmap="gray", vmin=low, vmax=max(high, low + 1e-6),
-                interpolation="nearest",
-            )  # fmt: skip
-            axes.set(title=title, xticks=[], yticks=[])
-            _scale_bar(axes, width)
+            known = np.where(np.isfinite(layer), layer, np.nan)
+            scale = {"cmap": "gray", "vmin": low, "vmax": max(high, low + 1e-6)}
+            drawn = _map(axes, known, pixel_m, title, **scale)
         bar = figure.colorbar(
             drawn, ax=list(grid), location="bottom", shrink=0.9 / len(values), extend="both"
         )
@@ -211,18 +213,10 @@ def species_map(
     image = 1.0 - share[..., None] * (1.0 - tint[place])
     by_pixels = np.bincount(place[place >= 0], minlength=len(taxa))
     shown = [i for i in np.argsort(-by_pixels) if by_pixels[i]][:_NAMED]
-    height, width = (n * pixel_m for n in place.shape)
     with style():
         figure = Figure(figsize=(_LARGEST + 2.6, _LARGEST + 0.4))
-        axes = figure.subplots()
-        axes.imshow(
-            np.clip(image, 0.0, 1.0),
-            origin="lower",
-            extent=(0, width, 0, height),
-            interpolation="nearest",
-        )
-        axes.set(title="Leading species of each pixel, paler the less of it", xticks=[], yticks=[])
-        _scale_bar(axes, width)
+        title = "Leading species of each pixel, paler the less of it"
+        _map(figure.subplots(), np.clip(image, 0.0, 1.0), pixel_m, title)
         handles = [
             Patch(facecolor=colours[i], label=f"{taxa[i]} ({by_pixels[i] / place.size:.0%})")
             for i in shown
@@ -246,14 +240,9 @@ def residual_maps(residual: ArrayLike, band_names: Sequence[str], *, pixel_m: fl
         grid = figure.subplots(1, len(residual), squeeze=False)[0]
         for axes, values, name in zip(grid, residual, band_names, strict=True):
             most = max(float(np.nanpercentile(np.abs(values), 99)), 1e-9)
-            height, width = (n * pixel_m for n in values.shape)
-            drawn = axes.imshow(
-                values, origin="lower", extent=(0, width, 0, height), cmap="RdBu_r",
-                vmin=-most, vmax=most, interpolation="nearest",
-            )  # fmt: skip
-            axes.set(title=words(name), xticks=[], yticks=[])
+            scale = {"cmap": "RdBu_r", "vmin": -most, "vmax": most}
+            drawn = _map(axes, values, pixel_m, words(name), **scale)
             figure.colorbar(drawn, ax=axes, location="bottom", shrink=0.9)
-            _scale_bar(axes, width)
     return figure
 
 
@@ -261,9 +250,6 @@ def index_histograms(
     before: Mapping[str, ArrayLike],
     after: Mapping[str, ArrayLike] | None = None,
     target: Mapping[str, tuple[float, float]] | None = None,
-    *,
-    columns: int = 4,
-    bins: int = 80,
 ) -> Figure:
     """Histogram of each index over the pixels, with the target's mean and spread marked.
 
@@ -273,18 +259,11 @@ def index_histograms(
       an image that was not calibrated, and is called so nowhere.
     - `target`: mean and standard deviation over the pixels of the real image, by index; a NaN
       standard deviation draws the mean alone.
-    - `columns`: panels in a row; `bins`: bins of a histogram.
     """
     target = target or {}
-    names = list(before)
-    columns = min(columns, len(names))
-    rows = -(-len(names) // columns)
     with style():
-        figure = Figure(figsize=(2.15 * columns, 1.75 * rows + 0.45))
-        grid = figure.subplots(rows, columns, squeeze=False)
-        for axes in grid.flat[len(names) :]:
-            axes.set_visible(False)
-        for axes, name in zip(grid.flat, names, strict=False):
+        figure, panels = panel_grid(len(before), 4, (2.15, 1.75), (0.0, 0.45))
+        for axes, name in zip(panels, before, strict=True):
             drawn = [(before[name], BEFORE, True)]
             if after is not None:
                 drawn.append((after[name], AFTER, False))
@@ -296,7 +275,7 @@ def index_histograms(
             if np.isfinite(mean):
                 reach = 1.3 * sd if np.isfinite(sd) else 0.0
                 low, high = min(low, mean - reach), max(high, mean + reach)
-            edges = np.linspace(low, high if high > low else low + 1e-6, bins + 1)
+            edges = np.linspace(low, high if high > low else low + 1e-6, 81)
             for v, (_, colour, filled) in zip(values, drawn, strict=True):
                 share = np.histogram(v, edges)[0] / max(v.size, 1) / np.diff(edges)
                 axes.stairs(

@@ -4,6 +4,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from fynjax.leaf import LeafFit
+from fynjax.report.figures._style import panel_grid, style
 
 _SHOWN = 12
 
@@ -18,22 +19,16 @@ def leaf_fit_figure(fit: LeafFit) -> Figure:
     status, names = fit.status, fit.labels
     count = len(status)
     shown = np.unique(np.linspace(0, count - 1, min(count, _SHOWN)).round().astype(int))
-    columns = min(3, shown.size)
-    rows = -(-shown.size // columns)
-    figure = Figure(figsize=(4.2 * columns, 2.9 * rows + 0.5), layout="constrained")
-    panels = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True).ravel()
-    for panel, i in zip(panels, shown.tolist()):
-        fit.plot(i, axes=panel)
-        short = names[i] if len(names[i]) <= 32 else "..." + names[i][-29:]
-        doubt = "" if status[i] == "converged" else f"\n{status[i].split(':')[0]}"
-        panel.set_title(short + doubt, fontsize=8)
-    for panel in panels[shown.size :]:
-        panel.set_axis_off()
-    figure.supxlabel("wavelength [nm]", fontsize=9)
-    figure.supylabel("share of the light [-]", fontsize=9)
-    handles, labels = panels[0].get_legend_handles_labels()
-    wide_enough = 5 if columns > 1 else 2  # entries of the legend in a row
-    figure.legend(
-        handles, labels, loc="outside upper center", ncols=wide_enough, fontsize=8, frameon=False
-    )
+    with style():
+        figure, panels = panel_grid(shown.size, 3, (4.2, 2.9), (0.0, 0.5), sharex=True, sharey=True)
+        for panel, i in zip(panels, shown.tolist(), strict=True):
+            fit.plot(i, axes=panel)
+            short = names[i] if len(names[i]) <= 32 else "..." + names[i][-29:]
+            doubt = "" if status[i] == "converged" else f"\n{status[i].split(':')[0]}"
+            panel.set_title(short + doubt, fontsize=8)
+        figure.supxlabel("wavelength [nm]", fontsize=9)
+        figure.supylabel("share of the light [-]", fontsize=9)
+        handles, labels = panels[0].get_legend_handles_labels()
+        in_a_row = 5 if shown.size > 1 else 2
+        figure.legend(handles, labels, loc="outside upper center", ncols=in_a_row)
     return figure

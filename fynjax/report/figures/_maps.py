@@ -8,9 +8,11 @@ import numpy as np
 from jaxtyping import Float
 from matplotlib.figure import Figure
 
-from fynjax.report.figures._style import style
+from fynjax.report.figures._style import panel_grid, style
 
 _MASKED = "#D9D9D4"
+_ACROSS = 4
+"""Panels of quantities in a row."""
 _Interval = tuple[float | None, float | None, float | None]
 """Low end, mean, high end."""
 
@@ -35,7 +37,7 @@ def maps_figure(
     high, wide = unlikeness.shape
     side = float(np.clip(high / wide, 0.25, 2.5))
     with style():
-        figure = Figure(figsize=(10.2, rows * (1.65 * side + 0.75)), layout="constrained")
+        figure = Figure(figsize=(10.2, rows * (1.65 * side + 0.75)))
         grid: Any = figure.subplots(rows, 2 * across, squeeze=False)
         cells = [(r, 2 * c) for r in range(rows) for c in range(across)]
         for (r, c), (mean, sd, words, unit) in zip(cells, maps.values()):
@@ -65,14 +67,10 @@ def pixels_figure(
     - `pixels`: of each the low end, mean and high end of each quantity, by both.
     - `quantities`: words and unit by name.
     """
-    across = 4
-    rows = -(-len(quantities) // across)
     with style():
-        figure = Figure(
-            figsize=(10.2, rows * (1.1 + 0.42 * len(pixels)) + 0.4), layout="constrained"
-        )
-        grid: Any = figure.subplots(rows, across, squeeze=False)
-        for axes, (name, (words, unit)) in zip(grid.flat, quantities.items()):
+        size = 2.55, 1.1 + 0.42 * len(pixels)
+        figure, panels = panel_grid(len(quantities), _ACROSS, size, (0.0, 0.4))
+        for axes, (name, (words, unit)) in zip(panels, quantities.items(), strict=True):
             for place, found in enumerate(pixels.values()):
                 for (low, mean, high), below, colour, label in zip(
                     found[name], (-0.15, 0.15), ("#8A8A85", "#1B6B4A"), ("map", "emcee")
@@ -84,12 +82,10 @@ def pixels_figure(
                     )
                     axes.plot(mean, y, "o", color=colour, ms=4)
             axes.set_title(words if unit == "1" else f"{words} [{unit}]", fontsize=8)
-            first = axes in grid[:, 0]
+            first = axes in panels[::_ACROSS]
             axes.set_yticks(range(len(pixels)), list(pixels) if first else [""] * len(pixels))
             axes.set_ylim(len(pixels) - 0.5, -0.5)
-        for axes in grid.flat[len(quantities) :]:
-            axes.set_axis_off()
-        handles, labels = grid[0, 0].get_legend_handles_labels()
+        handles, labels = panels[0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside lower center", ncols=2)
     return figure
 

@@ -13,7 +13,7 @@ from fynjax.compare import (
     feature_values,
     misfit_table,
 )
-from fynjax.report.figures._style import BLUE, GREY, ORANGE, REAL, SKY, VERMILION, style
+from fynjax.report.figures._style import BLUE, GREY, ORANGE, REAL, SKY, VERMILION, panel_grid, style
 
 _GAP_NM = 30.0
 """Bands further apart than this are not joined by a line."""
@@ -46,14 +46,12 @@ def spectra_plot(pair: PlotSpectraPair) -> Figure:
 
     **Arguments:** `pair`, the simulated and the measured spectra of the plots.
     """
-    count = len(pair.plots)
-    columns = min(4, count)
-    rows = -(-count // columns)
     with style():
-        figure = Figure(figsize=(2.5 * columns + 0.6, 1.75 * rows + 0.7))
-        grid = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
+        figure, panels = panel_grid(
+            len(pair.plots), 4, (2.5, 1.75), (0.6, 0.7), sharex=True, sharey=True
+        )
         for axes, name, simulated, flights in zip(
-            grid.ravel(), pair.plots, pair.simulated, pair.flights
+            panels, pair.plots, pair.simulated, pair.flights, strict=True
         ):
             if len(flights):
                 low, high = flights.min(axis=0), flights.max(axis=0)
@@ -63,9 +61,7 @@ def spectra_plot(pair: PlotSpectraPair) -> Figure:
             label = f"{len(flights)} flights" if len(flights) else "not measured"
             axes.set_title(f"{name} ({label})", fontsize=8)
             axes.grid(True)
-        for axes in grid.ravel()[count:]:
-            axes.set_axis_off()
-        grid[0, 0].set_ylim(bottom=0.0)
+        panels[0].set_ylim(bottom=0.0)
         handles = [
             Line2D([], [], color=REAL, label="measured, mean and range of flights"),
             Line2D([], [], color=VERMILION, label="simulated"),
@@ -155,12 +151,9 @@ def feature_plot(pair: PlotSpectraPair) -> Figure:
     **Arguments:** `pair`, the simulated and the measured spectra of the plots.
     """
     real, simulated = (feature_values(pair.wavelength, s) for s in (pair.measured, pair.simulated))
-    columns = 4
-    rows = -(-len(FEATURES) // columns)
     with style():
-        figure = Figure(figsize=(2.3 * columns, 2.35 * rows))
-        grid = figure.subplots(rows, columns, squeeze=False)
-        for axes, (name, (what, _)) in zip(grid.ravel(), FEATURES.items()):
+        figure, panels = panel_grid(len(FEATURES), 4, (2.3, 2.35))
+        for axes, (name, (what, _)) in zip(panels, FEATURES.items(), strict=True):
             x, y = real[name], simulated[name]
             ends = np.array([min(x.min(), y.min()), max(x.max(), y.max())])
             ends += 0.05 * (ends[1] - ends[0] + 1e-3) * np.array([-1.0, 1.0])
@@ -169,8 +162,6 @@ def feature_plot(pair: PlotSpectraPair) -> Figure:
             axes.set(xlim=ends, ylim=ends, aspect="equal")
             axes.set_title(what, fontsize=8)
             axes.grid(True)
-        for axes in grid.ravel()[len(FEATURES) :]:
-            axes.set_axis_off()
         figure.supxlabel("measured", fontsize=9)
         figure.supylabel("simulated", fontsize=9)
     return figure

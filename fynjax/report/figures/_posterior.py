@@ -7,7 +7,7 @@ import matplotlib
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from fynjax._core.extras import require
 from fynjax.inversion import Posterior
@@ -20,10 +20,14 @@ from fynjax.report.figures._style import (
     REAL,
     SKY,
     VERMILION,
+    name_rows,
+    panel_grid,
     style,
     words,
 )
 
+_MOST_SHOWN = 15
+"""Parameters of a panel of sensitivities, at most."""
 _SERIES = (BLUE, ORANGE, GREEN, VERMILION, PURPLE, SKY, GREY)
 
 
@@ -36,72 +40,39 @@ def short_name(name: str) -> str:
 
 
 def corner_plot(
-    draws: ArrayLike,
+    draws: Mapping[str, ArrayLike],
     names: Sequence[str],
     *,
-    prior: tuple[ArrayLike, ArrayLike] | None = None,
-    most: int = 7,
+    prior: tuple[ArrayLike, ArrayLike],
+    truth: ArrayLike | None = None,
 ) -> Figure:
-    """Each parameter's distribution on the diagonal, each pair's below it (50 and 90 % of draws).
-
-    **Arguments:** `draws` [draw, parameter]; `names`; `prior`, values [point, parameter] and its
-    density there, drawn as a grey curve. Of more than `most` parameters the first are shown.
-    """
-    values = np.asarray(draws, float)[:, :most]
-    size = values.shape[1]
-    low, high = np.quantile(values, [0.002, 0.998], axis=0)
-    room = np.where(high > low, 0.06 * (high - low), 1e-6)
-    low, high = low - room, high + room
-    with style():
-        figure = Figure(figsize=(1.45 * size + 1.2, 1.45 * size + 0.9))
-        grid: Any = figure.subplots(size, size, squeeze=False)
-        for row in range(size):
-            for column in range(size):
-                axes = grid[row, column]
-                if column > row:
-                    axes.set_axis_off()
-                    continue
-                axes.set_xlim(low[column], high[column])
-                axes.locator_params(nbins=3)
-                axes.tick_params(labelsize=6.5)
-                if row == column:
-                    _marginal(axes, values[:, row], prior, row)
-                else:
-                    axes.set_ylim(low[row], high[row])
-                    _pair(axes, values[:, column], values[:, row])
-                if row < size - 1:
-                    axes.set_xticklabels([])
-                else:
-                    axes.set_xlabel(_broken(names[column]), fontsize=7)
-                    axes.tick_params(axis="x", rotation=35)
-                if column == 0 and row > 0:
-                    axes.set_ylabel(_broken(names[row]), fontsize=7)
-                elif column > 0 or row == 0:
-                    axes.set_yticklabels([])
-    return figure
-
-
-def corner(draws: Posterior | Mapping[str, Posterior], truth: ArrayLike | None = None) -> Figure:
-    """Each parameter and each pair of posteriors of the same parameters, one over the other.
+    """Each parameter's distribution on the diagonal and each pair's below it, one over the other.
 
     Contours hold 50 and 90 % of the draws; the prior is the grey curve on the diagonal.
 
-    **Arguments:** `draws` from `fx.sample`, or several by the name of their method; `truth`, values
-    to mark [free].
+    **Arguments:**
+
+    - `draws`: [draw, parameter], by the name of their method.
+    - `names`: of the parameters, for their axes.
+    - `prior`: values [point, parameter] and its density there.
+    - `truth`: values to mark [parameter].
 
     **Raises:** `MissingExtraError` without the package corner (extra `posterior`).
     """
     package = require("corner", "posterior")
-    many = {"posterior": draws} if isinstance(draws, Posterior) else dict(draws)
-    space = next(iter(many.values())).space
-    count = len(space.names)
-    values = {name: one.values.reshape(-1, count) for name, one in many.items()}
+    count = len(names)
+    values = {name: np.asarray(one, float) for name, one in draws.items()}
     low, high = np.quantile(np.concatenate(list(values.values())), [0.002, 0.998], axis=0)
+    room = np.maximum(0.05 * (high - low), 1e-9 + 1e-6 * np.abs(high))
+    low, high = low - room, high + room
     if truth is not None:
-        room = 0.05 * (high - low)
-        low, high = (np.minimum(low, truth - room), np.maximum(high, truth + room))
+        low, high = np.minimum(low, truth - room), np.maximum(high, truth + room)
+    # On as many lines as words, so that they stay beside their panel.
+    labels = [short_name(name).replace(" ", "\n") for name in names]
+    beside = 0.65 + 0.17 * max(label.count("\n") + 1 for label in labels)
+    side = 1.9 * count + beside + 0.1  # [inches]
     options: dict[str, Any] = {
-        "labels": [_broken(name) for name in space.names],
+        "labels": labels,
         "truths": truth,
         "truth_color": "k",
         "range": list(zip(low, high)),
@@ -113,58 +84,35 @@ def corner(draws: Posterior | Mapping[str, Posterior], truth: ArrayLike | None =
     }
     # The package places its axes itself, whatever the layout that the user's settings ask for.
     with matplotlib.rc_context({"figure.constrained_layout.use": False}):
-        figure = Figure(figsize=(1.9 * count + 0.4, 1.9 * count + 0.4))
+        figure = Figure(figsize=(side, side))
     for one, colour in zip(values.values(), _SERIES, strict=False):
         shape = {"density": True, "color": colour}
         package.corner(one, fig=figure, color=colour, hist_kwargs=shape, **options)
-    x, density = (np.asarray(part) for part in space.density())
+    edge, end = beside / side, 1.0 - 0.1 / side
+    figure.subplots_adjust(left=edge, bottom=edge, right=end, top=end)
+    x, density = (np.asarray(part) for part in prior)
     for i in range(count):
         figure.axes[i * (count + 1)].plot(x[:, i], density[:, i], color=GREY)
     handles = [
         matplotlib.lines.Line2D([], [], color=colour, label=name)
-        for name, colour in zip([*many, "prior"], [*_SERIES[: len(many)], GREY], strict=True)
+        for name, colour in zip([*values, "prior"], [*_SERIES[: len(values)], GREY], strict=True)
     ]
     figure.legend(handles=handles, fontsize=11)
     return figure
 
 
-def _broken(name: str) -> str:
-    """A label on as many lines as it has words, so that it stays beside its panel."""
-    return short_name(name).replace(" ", "\n")
+def corner(draws: Posterior | Mapping[str, Posterior], truth: ArrayLike | None = None) -> Figure:
+    """Each parameter and each pair of posteriors of the same parameters, as `corner_plot` has them.
 
+    **Arguments:** `draws` from `fx.sample`, or several by the name of their method; `truth`, values
+    to mark [free].
 
-def _marginal(
-    axes: Any, values: NDArray[np.float64], prior: tuple[ArrayLike, ArrayLike] | None, at: int
-) -> None:
-    left, right = axes.get_xlim()
-    axes.hist(values, np.linspace(left, right, 41), density=True, color=SKY)
-    if prior is not None:
-        x, density = (np.asarray(part, float)[:, at] for part in prior)
-        axes.plot(x, density, color=GREY, lw=1.0)
-    for share in np.quantile(values, [0.05, 0.5, 0.95]):
-        axes.axvline(share, color=BLUE, lw=0.8, ls="--")
-    axes.set_yticks([])
-
-
-def _pair(axes: Any, x: NDArray[np.float64], y: NDArray[np.float64]) -> None:
-    limits = (axes.get_xlim(), axes.get_ylim())
-    count, east, north = np.histogram2d(x, y, bins=24, range=limits)
-    padded = np.pad(count, 1, mode="edge")
-    smooth = sum(
-        padded[1 + i : 25 + i, 1 + j : 25 + j] * (2 - abs(i)) * (2 - abs(j)) / 16.0
-        for i in (-1, 0, 1)
-        for j in (-1, 0, 1)
-    )
-    assert isinstance(smooth, np.ndarray)
-    order = np.sort(smooth.ravel())[::-1]
-    held = np.cumsum(order) / max(order.sum(), 1e-300)
-    levels = sorted({float(order[np.searchsorted(held, share)]) for share in (0.9, 0.5)})
-    levels = [*levels, float(order[0]) * 1.001]
-    if len(levels) > 2 and levels[0] > 0:
-        middle = (0.5 * (east[1:] + east[:-1]), 0.5 * (north[1:] + north[:-1]))
-        axes.contourf(*middle, smooth.T, levels=levels, colors=["#CFE6F5", SKY])
-    else:
-        axes.plot(x, y, ",", color=SKY)
+    **Raises:** `MissingExtraError` without the package corner (extra `posterior`).
+    """
+    many = {"posterior": draws} if isinstance(draws, Posterior) else dict(draws)
+    space = next(iter(many.values())).space
+    values = {name: one.values.reshape(-1, len(space.names)) for name, one in many.items()}
+    return corner_plot(values, space.names, prior=space.density(), truth=truth)
 
 
 def predictive_plot(
@@ -180,79 +128,64 @@ def predictive_plot(
     """
     error = np.asarray(sd, float)
     off = (np.asarray(predicted, float) - np.asarray(observed, float)) / error
-    y = np.arange(len(names))
     with style():
         figure = Figure(figsize=(6.0, 0.19 * len(names) + 1.1))
         axes = figure.subplots()
+        y = name_rows(axes, [words(name) for name in names])
         axes.axvspan(-1.0, 1.0, color="#EFEFEF", lw=0)
         axes.axvline(0.0, color=REAL, lw=0.8)
         low, middle, high = np.quantile(off, [0.05, 0.5, 0.95], axis=0)
         axes.errorbar(middle, y, xerr=[middle - low, high - middle], fmt="o", ms=3.5, color=BLUE,
                       lw=1.2, label="predicted, 90 % of the draws")  # fmt: skip
-        axes.set_yticks(y, [words(n) for n in names], fontsize=7.5)
-        axes.set_ylim(len(names) - 0.4, -0.6)
         axes.set_xlabel("Predicted less measured, in standard errors of the measured (grey: one)")
-        axes.grid(axis="x")
         figure.legend(loc="outside upper left")
     return figure
 
 
-def tornado_plot(table: pd.DataFrame, *, most: int = 15) -> Figure:
+def tornado_plot(table: pd.DataFrame) -> Figure:
     """Elasticities of each metric, largest first, a panel for each metric.
 
     Bars that are not distinguished from zero are grey and hollow.
 
     **Arguments:** `table` with the columns metric, parameter, elasticity [-], interval (half of
-    it) [-] and distinguished; `most`, how many parameters to show.
+    it) [-] and distinguished; the 15 parameters of the largest are shown.
     """
     metrics = list(dict.fromkeys(table["metric"]))
-    columns = min(2, len(metrics))
-    rows = -(-len(metrics) // columns)
-    shown = min(most, table["parameter"].nunique())
+    shown = min(_MOST_SHOWN, table["parameter"].nunique())
     with style():
-        figure = Figure(figsize=(4.6 * columns, (0.17 * shown + 0.55) * rows + 0.5))
-        grid: Any = figure.subplots(rows, columns, squeeze=False)
-        for axes, metric in zip(grid.ravel(), metrics):
+        figure, panels = panel_grid(len(metrics), 2, (4.6, 0.17 * shown + 0.55), (0.0, 0.5))
+        for axes, metric in zip(panels, metrics, strict=True):
             part = table[(table["metric"] == metric) & table["elasticity"].notna()]
-            order = part["elasticity"].abs().sort_values(ascending=False).index[:most]
+            order = part["elasticity"].abs().sort_values(ascending=False).index[:_MOST_SHOWN]
             part = part.loc[order]
             value = part["elasticity"].to_numpy(float)
-            y = np.arange(len(part))
+            y = name_rows(axes, [short_name(str(n)) for n in part["parameter"]], room=shown)
             clear = part["distinguished"].to_numpy(bool)
             colour = np.where(clear, np.where(value > 0, BLUE, VERMILION), GREY)
             axes.barh(y, value, height=0.7, color=np.where(clear, colour, "none"), edgecolor=colour,
                       xerr=part["interval"].to_numpy(float),
                       error_kw={"lw": 0.8, "ecolor": REAL})  # fmt: skip
             axes.axvline(0.0, color=REAL, lw=0.7)
-            axes.set_yticks(y, [short_name(str(n)) for n in part["parameter"]], fontsize=7)
-            axes.set_ylim(shown - 0.4, -0.6)
-            axes.tick_params(axis="y", length=0)
             axes.set_title(words(metric))
-            axes.grid(axis="x")
-        for axes in grid.ravel()[len(metrics) :]:
-            axes.set_axis_off()
         figure.supxlabel("Change of the metric [%] for 1 % more of the parameter", fontsize=8.5)
     return figure
 
 
-def indices_plot(table: pd.DataFrame, *, most: int = 15) -> Figure:
+def indices_plot(table: pd.DataFrame) -> Figure:
     """First and total Sobol indices with their 95 % intervals, and the derivative-based bound.
 
     **Arguments:** `table` with the columns metric, parameter, first, first_error, total,
-    total_error, bound (NaN where unknown); `most`, how many parameters to show.
+    total_error, bound (NaN where unknown); the 15 parameters of the largest are shown.
     """
     metrics = list(dict.fromkeys(table["metric"]))
-    columns = min(2, len(metrics))
-    rows = -(-len(metrics) // columns)
-    shown = min(most, table["parameter"].nunique())
+    shown = min(_MOST_SHOWN, table["parameter"].nunique())
     with style():
-        figure = Figure(figsize=(4.6 * columns, (0.24 * shown + 0.6) * rows + 0.7))
-        grid: Any = figure.subplots(rows, columns, squeeze=False)
-        for axes, metric in zip(grid.ravel(), metrics):
+        figure, panels = panel_grid(len(metrics), 2, (4.6, 0.24 * shown + 0.6), (0.0, 0.7))
+        for axes, metric in zip(panels, metrics, strict=True):
             part = table[table["metric"] == metric]
             key = part["total"].fillna(part["bound"])
-            part = part.loc[key.sort_values(ascending=False).index[:most]]
-            y = np.arange(len(part))
+            part = part.loc[key.sort_values(ascending=False).index[:_MOST_SHOWN]]
+            y = name_rows(axes, [short_name(str(n)) for n in part["parameter"]], room=shown)
             for kind, colour, shift in (("first", SKY, -0.18), ("total", BLUE, 0.18)):
                 if part[kind].notna().any():
                     error = part[f"{kind}_error"].to_numpy(float)
@@ -260,13 +193,8 @@ def indices_plot(table: pd.DataFrame, *, most: int = 15) -> Figure:
                               xerr=error, error_kw={"lw": 0.8, "ecolor": REAL})  # fmt: skip
             axes.plot(np.minimum(part["bound"].to_numpy(float), 1.0), y, "|", ms=9, mew=1.6,
                       color=VERMILION)  # fmt: skip
-            axes.set_yticks(y, [short_name(str(n)) for n in part["parameter"]], fontsize=7)
-            axes.set_ylim(shown - 0.4, -0.6)
             axes.set_xlim(0.0, 1.05)
             axes.set_title(words(metric))
-            axes.grid(axis="x")
-        for axes in grid.ravel()[len(metrics) :]:
-            axes.set_axis_off()
         handles = [
             matplotlib.patches.Patch(color=SKY, label="alone"),
             matplotlib.patches.Patch(color=BLUE, label="with interactions"),
@@ -282,26 +210,23 @@ _HIGHEST = 90.0
 """Bound over cover up to which numbers are shown [-]."""
 
 
-def bound_plot(
-    table: pd.DataFrame, species: Sequence[str], *, labels: Mapping[int, str] | None = None
-) -> Figure:
+def bound_plot(table: pd.DataFrame, species: Sequence[str]) -> Figure:
     """Bound on the cover of each species over the cover, against the pixel size and bands.
 
     **Arguments:** `table` with the columns parameter, gsd_m, bands, bound, value; `species`, the
-    parameters to show; `labels` of the numbers of bands. Triangles mark where there is no bound.
+    parameters to show. Triangles mark where there is no bound.
     """
-    columns = min(3, len(species))
-    rows = -(-len(species) // columns)
     with style():
-        figure = Figure(figsize=(2.7 * columns + 0.4, 1.9 * rows + 1.0))
-        grid: Any = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
-        for axes, name in zip(grid.ravel(), species):
+        figure, panels = panel_grid(
+            len(species), 3, (2.7, 1.9), (0.4, 1.0), sharex=True, sharey=True
+        )
+        for axes, name in zip(panels, species, strict=True):
             part = table[table["parameter"] == name]
             for k, (count, line) in enumerate(part.groupby("bands")):
                 line = line.sort_values("gsd_m")
                 ratio = (line["bound"] / line["value"]).replace(np.inf, np.nan)
                 number, colour = int(str(count)), _SERIES[k % len(_SERIES)]
-                label = (labels or {}).get(number, f"{number} band{'s' * (number != 1)}")
+                label = f"{number} band{'s' * (number != 1)}"
                 axes.loglog(line["gsd_m"], np.clip(ratio, 0, _HIGHEST), "-o", ms=3, lw=1.2,
                             color=colour, label=label)  # fmt: skip
                 none = line["gsd_m"][ratio.isna()]
@@ -311,10 +236,8 @@ def bound_plot(
             axes.axhspan(1.0, 100.0, color="#F3E3DC", lw=0)
             axes.set_title(short_name(name.removesuffix(".cover")), fontsize=8)
             axes.grid(which="major")
-        grid[0, 0].set_ylim(0.02, 100.0)
-        for axes in grid.ravel()[len(species) :]:
-            axes.set_axis_off()
-        handles, names = grid[0, 0].get_legend_handles_labels()
+        panels[0].set_ylim(0.02, 100.0)
+        handles, names = panels[0].get_legend_handles_labels()
         figure.legend(handles, names, loc="outside upper left", ncols=len(names))
         figure.supxlabel("Pixel on the ground [m]", fontsize=8.5)
         figure.supylabel("Bound over cover [-]; shaded: lost", fontsize=8.5)

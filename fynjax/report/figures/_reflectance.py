@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from fynjax.io.micasense import PanelView
 from fynjax.io.raster import Cube
-from fynjax.report.figures._style import VERMILION, style
+from fynjax.report.figures._style import VERMILION, note, style
 
 _THIN = 640
 """Pixels of a picture's longer side; larger ones are thinned for it."""
@@ -70,11 +70,10 @@ def capture_figure(cube: Cube, title: str, *, pixels: bool) -> Figure:
             axes.set_xlabel("x [pixel]" if pixels else "x [m]")
         grid[0].set_ylabel("y [pixel]" if pixels else "y [m]")
         if ranges:
-            figure.supxlabel(
+            note(
+                figure,
                 f"Reflectance shown: {'; '.join(ranges)} (99th percentiles), square root. "
                 "Saturated pixels white.",
-                fontsize=7.5,
-                color="#333333",
             )
     return figure
 
@@ -94,11 +93,10 @@ def panel_figure(panels: Sequence[PanelView], known: Sequence[NDArray[np.float64
         for row, panel, rho in zip(grid, panels, known, strict=True):
             for k, axes in enumerate(row[: len(panel.areas)]):
                 _draw_panel(axes, panel, k, float(rho[k]))
-        figure.supxlabel(
+        note(
+            figure,
             "Counts of each band's own picture, with the pixels that were read (outlined), their "
             "spread and the panel's reflectance.",
-            fontsize=7.5,
-            color="#333333",
         )
     return figure
 

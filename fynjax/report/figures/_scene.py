@@ -71,7 +71,7 @@ class DrawnPlants:
     models: Sequence[PlantModel | None]
     """Shape of the plants of each species, None for the individuals of its growth form."""
     seed: int
-    """Of the scene, and so of its individuals."""
+    """Seed of the scene, which the shapes of its plants are drawn with."""
 
 
 def plan_view(plants: DrawnPlants, *, periodic: bool, title: str = "") -> Figure:

@@ -8,13 +8,13 @@ green and blue. Light that is scattered more than once is left out.
 import warnings
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
+from matplotlib.figure import Figure
 
 from fynjax._core.errors import InputError
 from fynjax.canopy import plant_model_from_mesh, unit_shapes
 from fynjax.io.instruments import scene_meshes
-from fynjax.report.figures._scene import paint_points
-from fynjax.report.figures._scene_oblique import View
+from fynjax.report.figures._scene_oblique import View, oblique_figure, relief, view_of
 from fynjax.scene import Instances, Scene, hard_instances, hard_scene, leafy_species
 from fynjax.sensors import BandSet
 
@@ -23,6 +23,8 @@ _CELL = 0.01
 """Width of the columns in which what stands above takes light away [m]."""
 _SKY = [(0.0, 0.0), *((50.0, azimuth) for azimuth in (20.0, 110.0, 200.0, 290.0))]
 """Zenith angle and azimuth from which light of the sky comes [degrees]."""
+_FACE = 0.4
+"""Sunlight on the faces below the edges of ground that is not level, over that on level ground."""
 _TRIANGLES, _POINTS = 60_000, 4_000_000
 """Most triangles of a plant, and points of all plants."""
 
@@ -34,7 +36,7 @@ def lit_view(
 
     **Arguments:**
 
-    - `scene`: on level ground, with its parameters.
+    - `scene`, with its parameters.
     - `size`: most columns and rows of the picture, which ends where the plants do [pixels].
     - `points`: that all plants are drawn with.
 
@@ -42,52 +44,79 @@ def lit_view(
     the square root of reflectance over the 98th percentile of the picture; white beside the plot.
     Not differentiable.
 
-    **Raises:** `InputError` where no plants stand, and on ground that is not level.
+    **Raises:** `InputError` where no plants stand.
     """
-    if scene.terrain is not None:
-        raise InputError("expected level ground: `fynjax build` draws plants on other ground")
-    parameters = scene.parameters
-    plants, hard = hard_instances(scene, parameters), hard_scene(scene, parameters)
-    top = float((plants.z + plants.height).max(initial=0.3))
-    view = View(plants.extent, top, size)
-    place, normal, area, tint = _points(plants, hard, points)
+    plants = hard_instances(scene, scene.parameters)
+    view = view_of(plants, scene.terrain, size)
+    image = _lit(plants, hard_scene(scene, scene.parameters), view, points)
+    drawn = np.any(view.shown(np.isfinite(image)), axis=2)
+    rows, columns = (np.flatnonzero(np.any(drawn, axis=k)) for k in (1, 0))
+    cut = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
+    return view.shown(_stretched(image))[cut]
+
+
+def lit_figure(plants: Instances, scene: Scene, title: str = "") -> Figure:
+    """The plants as meshes in sun and sky, with the plot's edges measured.
+
+    **Arguments:** `plants`; `scene`, with these plants alone and its parameters; `title` of the
+    figure.
+
+    **Raises:** `InputError` where no plants stand.
+    """
+    image = _stretched(_lit(plants, scene, view_of(plants, scene.terrain), _POINTS))
+    return oblique_figure(image, plants, title, scene.terrain)
+
+
+def _stretched(image: np.ndarray) -> np.ndarray:
+    """Reflectance as a picture, white where there is none."""
+    part = image / np.nanpercentile(image, 98.0)
+    return np.sqrt(np.clip(np.nan_to_num(part, nan=1.0), 0.0, 1.0))
+
+
+def _lit(
+    plants: Instances, hard: Scene, view: View, points: int
+) -> Float[np.ndarray, "row column 3"]:
+    """Reflectance of plants and ground in a view, NaN beside the plot. Hills cast no shadow."""
+    parameters, extent = hard.parameters, plants.extent
+    place, normal, area, kind = _points(plants, hard, points)
     optics, diffuse = hard.optics(parameters, _COLOURS)
+    reflected, passed = (
+        np.asarray(values)[kind] for values in (optics.reflectance, optics.transmittance)
+    )
     sky = np.asarray(diffuse)
+    image = np.full((*view.size[::-1], 3), np.nan)
+    if hard.terrain is None:
+        inside, x, y = view.ground(extent)
+        ground, slope = np.stack([x, y, np.zeros_like(x)], axis=-1), np.ones(len(x))
+    else:
+        ground, slope, width = relief(extent, view, np.asarray(hard.terrain))
+    # What of the light each point of plants and of the ground gets, between the plants above it.
     zenith, azimuth = (float(getattr(parameters.light, f"sun_{k}")) for k in ("zenith", "azimuth"))
     sun = _direction(zenith, azimuth)
-    from_sun, on_ground = _reaching(plants.extent, place, normal, area, sun)
-    from_sky, ground_sky = np.zeros(len(place)), np.zeros_like(on_ground)
-    for way in _SKY:
-        above = _reaching(plants.extent, place, normal, area, _direction(*way))
-        from_sky += above[0] / len(_SKY)
-        ground_sky += above[1] / len(_SKY)
+    from_sun, columns = _reaching(extent, place, normal, area, sun)
+    ground_sun = columns[_columns(extent, ground, sun)]
+    from_sky, ground_sky = np.zeros(len(place)), np.zeros(len(ground))
+    for way in (_direction(*angles) for angles in _SKY):
+        share, columns = _reaching(extent, place, normal, area, way)
+        from_sky += share / len(_SKY)
+        ground_sky += columns[_columns(extent, ground, way)] / len(_SKY)
+    # The sun passes through a leaf whose other side the eye sees.
     eye = view.eye - place
     facing = normal @ sun
     same = (facing * np.einsum("ij,ij->i", normal, eye) > 0.0)[:, None]
-    reflected, passed = (
-        np.asarray(optics.reflectance)[tint],
-        np.asarray(optics.transmittance)[tint],
-    )
     direct = (np.abs(facing) / sun[2] * from_sun)[:, None] * np.where(same, reflected, passed)
     colour = (1 - sky) * direct + sky * from_sky[:, None] * 0.5 * (reflected + passed)
-    x, y = view.ground()
-    lx, ly = plants.extent
-    image = np.full((*x.shape, 3), np.nan)
-    inside = (x >= 0) & (x < lx) & (y >= 0) & (y < ly)
-    cell = tuple((v[inside] / _CELL).astype(int) for v in (y, x))
-    soil = np.asarray(hard.ground_map(parameters, _COLOURS))
-    soil = soil.reshape(3, -1).mean(axis=1)
-    light = (1 - sky) * on_ground[cell][:, None] + sky * ground_sky[cell][:, None]
-    image[inside] = soil * light
-    flat, depth = view.project(place)
-    towards = np.abs(np.einsum("ij,ij->i", normal, eye)) / np.linalg.norm(eye, axis=1)
-    paint_points(image, flat, depth, area * towards * (view.scale / depth) ** 2, colour)
-    image = image / np.nanpercentile(image, 98.0)
-    drawn = np.isfinite(image[..., 0])
-    image = np.sqrt(np.clip(np.nan_to_num(image, nan=1.0), 0.0, 1.0))
-    image = image.reshape(size[1], view.finer, size[0], view.finer, 3).mean(axis=(1, 3))
-    rows, columns = (np.flatnonzero(drawn.any(axis=k)) // view.finer for k in (1, 0))
-    return image[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+    soil = np.asarray(hard.ground_map(parameters, _COLOURS)).reshape(3, -1).mean(axis=1)
+    bright = np.nan_to_num(slope, nan=_FACE)
+    light = (1 - sky) * (bright * ground_sun)[:, None] + sky * ground_sky[:, None]
+    shown = area * np.abs(np.einsum("ij,ij->i", normal, eye)) / np.linalg.norm(eye, axis=1)
+    if hard.terrain is None:
+        image[inside] = soil * light
+    else:
+        place, shown = np.concatenate([place, ground]), np.concatenate([shown, width])
+        colour = np.concatenate([colour, soil * light])
+    view.paint(image, place, colour, shown)
+    return image
 
 
 def _direction(zenith: float, azimuth: float) -> Float[np.ndarray, "3"]:
@@ -146,9 +175,8 @@ def _reaching(
     """Share of the light from `towards` that reaches each point, and the ground in cells: what is
     above it in a column along that light takes as much as its area covers. The plot repeats
     itself."""
-    nx, ny = (round(side / _CELL) for side in extent)
-    flat = place[:, :2] - place[:, 2:] * towards[:2] / towards[2]
-    column, row = (np.floor(flat / _CELL).astype(np.int64) % [nx, ny]).T
+    row, column = _columns(extent, place, towards)
+    ny, nx = (round(side / _CELL) for side in extent[::-1])
     where = row * nx + column
     order = np.lexsort((-place[:, 2], where))
     covers = (area * np.abs(normal @ towards) / (towards[2] * _CELL**2))[order]
@@ -159,3 +187,13 @@ def _reaching(
     share[order] = np.exp(-depth)
     ground = np.bincount(where[order], covers, nx * ny).reshape(ny, nx)
     return share, np.exp(-ground)
+
+
+def _columns(
+    extent: tuple[float, float], place: np.ndarray, towards: Float[np.ndarray, "3"]
+) -> tuple[Int[np.ndarray, " point"], Int[np.ndarray, " point"]]:
+    """Row and column of the ground in which light from `towards` through each point would end."""
+    flat = place[:, :2] - place[:, 2:] * towards[:2] / towards[2]
+    count = [round(side / _CELL) for side in extent]
+    column, row = (np.floor(flat / _CELL).astype(np.int64) % count).T
+    return row, column

@@ -1,6 +1,6 @@
 """A scene from obliquely above, drawn point by point with numpy: nearer points hide others."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Float
@@ -27,9 +27,6 @@ _SOIL = "#B08F68"
 class View:
     """A camera in the south-south-west that looks down on the plot's middle."""
 
-    finer = _FINER
-    """Of its pixels along an edge of one that is shown."""
-
     def __init__(
         self,
         extent: tuple[float, float],
@@ -37,7 +34,7 @@ class View:
         pixels: tuple[int, int] = (_WIDTH, _HEIGHT),
     ) -> None:
         self.size = pixels[0] * _FINER, pixels[1] * _FINER
-        """Columns and rows [pixels]."""
+        """Columns and rows of the picture before it is thinned to what is shown [pixels]."""
         lx, ly = extent
         side = max(lx, ly)
         azimuth, elevation = np.deg2rad(205.0), np.deg2rad(42.0)
@@ -65,27 +62,44 @@ class View:
         flat = np.stack([away @ self.right, away @ self.up], axis=-1) / depth[:, None]
         return self.scale * flat + self.middle, depth
 
-    def ground(self) -> tuple[np.ndarray, np.ndarray]:
-        """x and y of the ground behind each pixel [m]."""
+    def ground(self, extent: tuple[float, float]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Which pixels show the plot's level ground, and x and y of it there [m]."""
         column, row = np.meshgrid(*(np.arange(n) + 0.5 for n in self.size))
         right = (column - self.middle[0]) / self.scale
         up = (row - self.middle[1]) / self.scale
         rays = self.ahead + right[..., None] * self.right + up[..., None] * self.up
         far = -self.eye[2] / np.minimum(rays[..., 2], -1e-9)
-        return self.eye[0] + far * rays[..., 0], self.eye[1] + far * rays[..., 1]
+        x, y = self.eye[0] + far * rays[..., 0], self.eye[1] + far * rays[..., 1]
+        inside = (x >= 0) & (x < extent[0]) & (y >= 0) & (y < extent[1])
+        return inside, x[inside], y[inside]
+
+    def paint(
+        self, image: np.ndarray, place: np.ndarray, tint: np.ndarray, area: np.ndarray
+    ) -> None:
+        """Paint points of an `area` [m2] and colours `tint` into `image`, the farthest first."""
+        flat, depth = self.project(place)
+        paint_points(image, flat, depth, area * (self.scale / depth) ** 2, tint)
+
+    def shown(self, image: np.ndarray) -> np.ndarray:
+        """An image of this view in the pixels that are shown, each the mean of its own."""
+        columns, rows = (n // _FINER for n in self.size)
+        return np.asarray(image.reshape(rows, _FINER, columns, _FINER, 3).mean(axis=(1, 3)))
 
 
-Painter = Callable[[View], Float[np.ndarray, "row column 4"]]
 Ground = Float[np.ndarray, "y x"] | None
 
 
+def view_of(
+    instances: Instances, ground: Ground, size: tuple[int, int] = (_WIDTH, _HEIGHT)
+) -> View:
+    """The view of a plot with its plants and ground, of `size` columns and rows."""
+    top = float((instances.z + instances.height).max(initial=0.3))
+    top = top if ground is None else max(top, float(ground.max()))
+    return View(instances.extent, top, size)
+
+
 def oblique_view(
-    plants: DrawnPlants,
-    *,
-    periodic: bool,
-    ground: Ground = None,
-    title: str = "",
-    paint: Painter | None = None,
+    plants: DrawnPlants, *, periodic: bool, ground: Ground = None, title: str = ""
 ) -> Figure:
     """The plants from the south-south-west, as clouds of their area elements.
 
@@ -95,31 +109,21 @@ def oblique_view(
     - `periodic`: whether the plot repeats itself beyond its edges.
     - `ground`: its height in the middles of even cells over the plot [m]; `None` if level.
     - `title` of the figure.
-    - `paint`: draws the plants, and ground that is not level, instead of the area elements: red,
-      green, blue and opacity of each pixel of a view, rows from the bottom.
     """
-    instances, colours = plants.instances, species_colours(plants.forms)
-    top = float((instances.z + instances.height).max(initial=0.3))
-    view = View(instances.extent, top if ground is None else max(top, float(ground.max())))
-    parts = []
+    instances = plants.instances
+    view = view_of(instances, ground)
+    image = np.ones((*view.size[::-1], 3))
+    metre = view.scale / float(np.linalg.norm(view.eye - view.target))
+    points = [element_points(plants, metre, -view.ahead)]
     if ground is None:
-        image = _ground_image(instances, view, periodic)
+        inside, x, y = view.ground(instances.extent)
+        image[inside] = _sand(instances, x, y, periodic)
     else:
-        image = np.ones((*view.size[::-1], 3))
-    if paint is not None:
-        painted = paint(view)
-        image += painted[..., 3:] * (painted[..., :3] - image)
-    else:
-        if ground is not None:
-            parts.append(_relief(instances, view, ground, periodic))
-        if len(instances):
-            metre = view.scale / float(np.linalg.norm(view.eye - view.target))
-            parts.append(element_points(plants, metre, -view.ahead))
-    if parts:
-        _draw(image, view, *(np.concatenate(part) for part in zip(*parts, strict=True)))
-    shape = (_HEIGHT, _FINER, _WIDTH, _FINER, 3)
-    image = image.reshape(shape).mean(axis=(1, 3))
-    return oblique_figure(image, view, instances, colours, title, ground)
+        place, light, area = relief(instances.extent, view, ground)
+        tint = _sand(instances, place[:, 0], place[:, 1], periodic) * light[:, None]
+        points.append((place, np.where(np.isnan(tint), rgb(_SOIL), tint), area))
+    view.paint(image, *(np.concatenate(part) for part in zip(*points, strict=True)))
+    return oblique_figure(image, instances, title, ground, plants.forms)
 
 
 def height_at(
@@ -135,14 +139,20 @@ def height_at(
 
 def oblique_figure(
     image: np.ndarray,
-    view: View,
     instances: Instances,
-    colours: Sequence[str],
     title: str,
-    ground: Ground = None,
+    ground: Ground,
+    forms: Sequence[str] | None = None,
 ) -> Figure:
-    """An image [row from the bottom, column, 3] with the plot's edges measured, and the legend."""
+    """An image of the view of a plot with the plot's edges measured.
+
+    **Arguments:** `image` [row from the bottom, column, 3]; `instances`, the plants; `title` of the
+    figure; `ground` as of `oblique_view`; `forms`, growth form of each species, for a legend of
+    their colours.
+    """
     lx, ly = instances.extent
+    view = view_of(instances, ground)
+    image = view.shown(image)
     with style():
         figure = Figure(figsize=(9.8, 6.0))
         axes = figure.subplots()
@@ -171,18 +181,9 @@ def oblique_figure(
             fontsize=9, fontweight="bold",
             arrowprops={"arrowstyle": "<|-", "lw": 1.3, "color": "black"},
         )  # fmt: skip
-        _legend(figure, instances, colours)
+        if forms is not None:
+            _legend(figure, instances, species_colours(forms))
     return figure
-
-
-def _ground_image(instances: Instances, view: View, periodic: bool) -> np.ndarray:
-    """Sand, darker beneath the crowns, white around."""
-    lx, ly = instances.extent
-    x, y = view.ground()
-    inside = (x >= 0) & (x < lx) & (y >= 0) & (y < ly)
-    image = np.ones((*x.shape, 3))
-    image[inside] = _sand(instances, x[inside], y[inside], periodic)
-    return image
 
 
 def _sand(instances: Instances, x: np.ndarray, y: np.ndarray, periodic: bool) -> np.ndarray:
@@ -198,41 +199,32 @@ def _sand(instances: Instances, x: np.ndarray, y: np.ndarray, periodic: bool) ->
     return np.asarray(rgb(GROUND) * light[j, i, None])
 
 
-def _relief(
-    instances: Instances, view: View, ground: np.ndarray, periodic: bool
+def relief(
+    extent: tuple[float, float], view: View, ground: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Points of ground that is not level and of the faces below its edges, as `_points` has them.
+    """Points of ground that is not level, and of the faces below its edges.
 
-    Slopes are as bright as they face the sun.
+    **Returns:** their places [m], how bright the sun makes them, 1 where it is level and NaN on the
+    faces, and the area that each is drawn with [m2].
     """
-    lx, ly = instances.extent
+    lx, ly = extent
     step = 1.5 * float(np.linalg.norm(view.eye - view.target)) / view.scale  # [m], 1.5 pixels
     east, north = (
         (np.arange(int(np.ceil(side / step))) + 0.5) * side / np.ceil(side / step)
         for side in (lx, ly)
     )
     x, y = (part.ravel() for part in np.meshgrid(east, north))
-    z = height_at(ground, (lx, ly), x, y)
+    z = height_at(ground, extent, x, y)
     to_north, to_east = np.gradient(z.reshape(len(north), len(east)), north, east)
     facing = SUN[2] - SUN[0] * to_east - SUN[1] * to_north
     facing /= np.sqrt(1.0 + to_east**2 + to_north**2) * np.linalg.norm(SUN)
-    light = 0.25 + 0.75 * np.clip(facing / SUN[2], 0.0, 1.3)
+    light = (0.25 + 0.75 * np.clip(facing / SUN[2], 0.0, 1.3)).ravel()
     places = [np.stack([x, y, z], axis=-1)]
-    tints = [_sand(instances, x, y, periodic) * light.reshape(-1, 1)]
     depth = np.arange(int(np.ceil(z.max() / step))) / max(np.ceil(z.max() / step), 1.0)
     for a, b in ((east, np.zeros_like(east)), (np.zeros_like(north), north)):
-        edge = np.outer(depth, height_at(ground, (lx, ly), a, b))
+        edge = np.outer(depth, height_at(ground, extent, a, b))
         face = np.stack([np.broadcast_to(a, edge.shape), np.broadcast_to(b, edge.shape), edge], -1)
         places.append(face.reshape(-1, 3))
-        tints.append(np.broadcast_to(rgb(_SOIL), places[-1].shape))
     place = np.concatenate(places).astype(np.float32)
-    tint = np.concatenate(tints).astype(np.float32)
-    return place, tint, np.full(len(place), (2.0 * step) ** 2, np.float32)
-
-
-def _draw(
-    image: np.ndarray, view: View, place: np.ndarray, tint: np.ndarray, area: np.ndarray
-) -> None:
-    """Paint points of an `area` [m2] into `image`, the farthest first."""
-    flat, depth = view.project(place)
-    paint_points(image, flat, depth, area * (view.scale / depth) ** 2, tint)
+    light = np.append(light, np.full(len(place) - len(light), np.nan)).astype(np.float32)
+    return place, light, np.full(len(place), (2.0 * step) ** 2, np.float32)

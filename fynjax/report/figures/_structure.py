@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from fynjax.compare.structure import StructureComparison
 from fynjax.metrics.structure import STRUCTURE_METRICS
-from fynjax.report.figures._style import AFTER, REAL, style, words
+from fynjax.report.figures._style import AFTER, REAL, note, style, words
 
 _SIDES = (("real", REAL, "o"), ("simulated", AFTER, "s"))
 
@@ -33,7 +33,7 @@ def structure_figure(comparison: StructureComparison) -> Figure:
         _profile(profile, comparison)
         handles, labels = histogram.get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside upper left", ncols=2)
-        figure.supxlabel(_caption(comparison), fontsize=7.5, color="#333333")
+        note(figure, _caption(comparison))
     return figure
 
 
@@ -65,11 +65,10 @@ def structure_maps(comparison: StructureComparison) -> Figure:
             bar.ax.locator_params(nbins=3)
         for axes, (name, _, _) in zip(grid[:, 0], _SIDES):
             axes.set_ylabel(f"{name}\nNorth [m]")
-        figure.supxlabel(
+        note(
+            figure,
             f"East [m]. Cells of {comparison.grain:g} m; grey is undefined. Of the thinned cloud, "
             "the median of thinnings.",
-            fontsize=7.5,
-            color="#333333",
         )
     return figure
 

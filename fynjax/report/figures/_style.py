@@ -3,17 +3,19 @@
 Colours are those of Okabe and Ito (2008).
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import matplotlib
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.category import StrCategoryFormatter
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
+from numpy.typing import NDArray
 
 from fynjax.io.text import atomic_path
 
@@ -106,6 +108,56 @@ def named_rows(figure: Figure) -> list[tuple[str, tuple[float, float, float, flo
             if axes.bbox.y0 <= at <= axes.bbox.y1
         ]
     return rows
+
+
+def panel_grid(
+    count: int,
+    columns: int,
+    panel: tuple[float, float],
+    beside: tuple[float, float] = (0.0, 0.0),
+    **shared: Any,
+) -> tuple[Figure, list[Any]]:
+    """A figure of equal panels, row by row.
+
+    **Arguments:**
+
+    - `count`: of the panels.
+    - `columns`: most panels in a row.
+    - `panel`: width and height of each, with its labels [inches].
+    - `beside`: width and height of what stands beside all panels [inches].
+    - `shared`: `sharex` and `sharey`, as of `Figure.subplots`.
+
+    **Returns:** the figure and its `count` axes.
+    """
+    columns = max(min(columns, count), 1)
+    rows = max(-(-count // columns), 1)
+    size = panel[0] * columns + beside[0], panel[1] * rows + beside[1]
+    figure = Figure(figsize=size)
+    axes = list(figure.subplots(rows, columns, squeeze=False, **shared).flat)
+    for unused in axes[count:]:
+        unused.set_axis_off()
+    return figure, axes[:count]
+
+
+def name_rows(axes: Axes, labels: Sequence[str], *, room: int = 0) -> NDArray[np.float64]:
+    """Name the rows of a figure from the top.
+
+    **Arguments:** `axes`; `labels`, one a row; `room`, rows to leave space for where there are
+    fewer.
+
+    **Returns:** the height of each row on the axis.
+    """
+    y = np.arange(len(labels), dtype=float)
+    axes.set_yticks(y, labels, fontsize=7.5)
+    axes.set_ylim(max(len(labels), room) - 0.4, -0.6)
+    axes.tick_params(axis="y", length=0)
+    axes.grid(axis="x")
+    return y
+
+
+def note(figure: Figure, text: str) -> None:
+    """Small print below a `figure`."""
+    figure.supxlabel(text, fontsize=7.5, color="#333333")
 
 
 def words(name: str) -> str:

@@ -8,7 +8,7 @@ from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from fynjax.report.figures._style import AFTER, GREY, REAL, style, words
+from fynjax.report.figures._style import AFTER, GREY, REAL, note, panel_grid, style, words
 
 SAMPLES = (("real", REAL), ("simulated", AFTER))
 """The two sides of a comparison, and their colours."""
@@ -64,10 +64,9 @@ def band_box_plot(bands: pd.DataFrame) -> Figure:
             right, [words(b) for b in bands["band"]], bands["difference_percent"], paper, paper
         )
         right.set_title("Means")
-        figure.supxlabel(
+        note(
+            figure,
             "Box: quartiles; line: median; diamond: mean; whiskers: 5th and 95th percentile.",
-            fontsize=7.5,
-            color="#333333",
         )
     return figure
 
@@ -137,23 +136,17 @@ def index_pair_histograms(
     indices: pd.DataFrame,
     edges: Float[np.ndarray, "index edge"],
     density: Float[np.ndarray, "sample index bin"],
-    *,
-    columns: int = 5,
 ) -> Figure:
     """Histogram of each index over the pixels of both images (figure 10).
 
     **Arguments:** `indices` with the columns `index`, `histogram_intersection`,
     `central_intersection`, `ks`, `real_mean`, `simulated_mean`; `edges` and `density` of the real
-    and the simulated image's histogram; `columns`, panels in a row.
+    and the simulated image's histogram.
     """
     names = list(indices["index"])
-    rows = -(-len(names) // columns)
     with style():
-        figure = Figure(figsize=(1.9 * columns, 1.62 * rows + 0.5))
-        grid = figure.subplots(rows, columns, squeeze=False)
-        for axes in grid.flat[len(names) :]:
-            axes.set_visible(False)
-        for k, (axes, name) in enumerate(zip(grid.flat, names, strict=False)):
+        figure, panels = panel_grid(len(names), 5, (1.9, 1.62), (0.0, 0.5))
+        for k, (axes, name) in enumerate(zip(panels, names, strict=True)):
             row = indices.iloc[k]
             axes.set(yticks=[])
             axes.spines["left"].set_visible(False)
@@ -175,10 +168,10 @@ def index_pair_histograms(
         handles: list[Artist] = [matplotlib.patches.Patch(color=REAL, alpha=0.35, label="real")]
         handles.append(matplotlib.lines.Line2D([], [], color=AFTER, label="simulated"))
         figure.legend(handles=handles, loc="outside upper left", ncols=2)
-        figure.supxlabel(
+        note(
+            figure,
             "Index value [-]; height is the density of pixels; dashed: means. HI: histogram "
             "intersection (central: without the outermost percent); KS: Kolmogorov-Smirnov "
             "distance.",
-            fontsize=7.5,
         )
     return figure

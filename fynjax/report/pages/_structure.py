@@ -1,9 +1,5 @@
 """The section of a validation that is about point clouds."""
 
-import re
-
-import pandas as pd
-
 from fynjax.compare.structure import StructureComparison, cut_off
 from fynjax.report.figures import structure_figure, structure_maps
 from fynjax.report.pages._page import Picture, Section, Table
@@ -14,20 +10,6 @@ _SHOWN = [
 ]  # fmt: skip
 """Columns of the metrics that fit on a page."""
 _EDGES = ("west_m", "south_m", "east_m", "north_m")
-
-
-def _grains(table: pd.DataFrame, caption: str, *, folded: bool = False) -> Table:
-    named = [str(c) for c in table.columns if str(c).endswith(("_percent", "_m", "_m2"))]
-    return Table(
-        table,
-        caption,
-        units={
-            c: "%" if c.endswith("_percent") else c.rsplit("_", 1)[1].replace("m2", "m²")
-            for c in named
-        },
-        headers={c: re.sub("_(percent|m2?)$", "", c).replace("_", " ") for c in named},
-        folded=folded,
-    )
 
 
 def structure_section(structure: StructureComparison) -> Section:
@@ -56,8 +38,6 @@ def structure_section(structure: StructureComparison) -> Section:
                 table[_SHOWN],
                 "Structure metrics: means over cells at one density of returns, with the bootstrap "
                 "interval over cells.",
-                units={"difference_percent": "%"},
-                headers={"difference_percent": "difference"},
             ),
             Table(
                 table,
@@ -70,13 +50,13 @@ def structure_section(structure: StructureComparison) -> Section:
             f"({west:.2f}, {south:.2f}) to ({east:.2f}, {north:.2f}) m, {(east - west):.4g} x "
             f"{(north - south):.4g} m = {(east - west) * (north - south):.4g} m²; "
             f"{100.0 * cut_off(structure.plot, structure.bounds):.1f} % of the plot is in no cell.",
-            _grains(
+            Table(
                 grains[tried],
                 "Grains that were tried, on the sparser cloud. 'median change' is how much the "
                 "metrics change to the next larger grain, in their median; the smallest grain is "
                 "taken that has returns enough and changes little.",
             ),
-            _grains(
+            Table(
                 grains,
                 "The same with their edges, and with what the paper has of its plot, for which it "
                 "took 2 m, with 6.1 % against 17.9 % at 1 m.",

@@ -1,9 +1,6 @@
 """The sections of a validation: figures and tables, with the paper's values beside them."""
 
-from collections.abc import Mapping
-
 import numpy as np
-import pandas as pd
 
 from fynjax.compare import (
     LEFT_OUT,
@@ -11,7 +8,6 @@ from fynjax.compare import (
     DroneImage,
     PublishedComparison,
     SpectralComparison,
-    unit_of,
 )
 from fynjax.metrics import BANDS
 from fynjax.report.figures import (
@@ -33,26 +29,6 @@ _PAPER = (
     "Columns called 'paper' hold what the fynbos scene paper prints for its plot burnt in 2006, "
     "real and as simulated with DIRSIG. They are another plot's numbers unless yours is that one."
 )
-
-
-def _units(table: pd.DataFrame) -> Mapping[str, str]:
-    short = {"percent": "%", "degree": "°"}
-    units = {str(c): unit_of(str(c)) for c in table.columns}
-    return {c: short.get(u, u) for c, u in units.items() if u != "1"}
-
-
-def _headers(table: pd.DataFrame) -> Mapping[str, str]:
-    """Names of columns without their units, which stand below them."""
-    ends = ("_percent", "_deg", "_nm", "_m")
-    headers = {}
-    for column in map(str, table.columns):
-        name = next((column.removesuffix(e) for e in ends if column.endswith(e)), column)
-        headers[column] = name.replace("_", " ")
-    return headers
-
-
-def _rows(table: pd.DataFrame, caption: str, *, folded: bool = False) -> Table:
-    return Table(table, caption, units=_units(table), headers=_headers(table), folded=folded)
 
 
 def drone_section(drone: DroneComparison) -> Section:
@@ -88,17 +64,17 @@ def drone_section(drone: DroneComparison) -> Section:
             "Reflectance of the pixels by band, and difference of the means, as figure 9. The "
             "paper prints its differences without sign, so grey marks are on both sides.",
         ),
-        _rows(
+        Table(
             bands[["band", *numbers]],
             "Bands. Histogram intersection in 256 bins on the pooled range (1 is equal); KS is the "
             "Kolmogorov-Smirnov distance (0 is equal).",
         ),
-        _rows(
+        Table(
             bands,
             f"Every number of the bands. {_PAPER} Its real band means are derived, not printed.",
             folded=True,
         ),
-        _rows(
+        Table(
             drone.indices[["index", "formula", *numbers]],
             "Vegetation indices, in the forms that reproduce the printed means of the fynbos scene "
             "paper (table 4).",
@@ -109,7 +85,7 @@ def drone_section(drone: DroneComparison) -> Section:
             "histograms of the twenty indices (fig. 10)",
             "Indices over the pixels, as figure 10.",
         ),
-        _rows(
+        Table(
             drone.indices.drop(columns=["departure", "literature_formula"]),
             "Every number of the indices. 'central intersection' is taken between the 0.5th and "
             "99.5th percentile of the pooled pixels, so that a few extreme ratios do not leave all "
@@ -118,7 +94,7 @@ def drone_section(drone: DroneComparison) -> Section:
             f"no. {_PAPER}",
             folded=True,
         ),
-        _rows(other[forms], "Where the paper's form is not the literature's: both."),
+        Table(other[forms], "Where the paper's form is not the literature's: both."),
         *(f"{row['index']}: {row['departure']}" for row in other.to_dict("records")),
     ]
     return Section("Drone images", parts)
@@ -129,7 +105,7 @@ def published_section(published: PublishedComparison) -> Section:
 
     **Arguments:** `published`, the comparison with those statistics.
     """
-    table = _rows(
+    table = Table(
         published.statistics,
         "Real and DIRSIG are the paper's; of DIRSIG's bands only absolute differences are printed. "
         "Rows whose printed number contradicts its own formula, or whose formula is not known, are "
@@ -151,7 +127,7 @@ def spectral_section(spectra: SpectralComparison) -> Section:
             "mean spectra (fig. 11)",
             "Mean spectra and their difference, as figure 11.",
         ),
-        _rows(
+        Table(
             spectra.regions,
             "Agreement by region, as table 5. The angle is blind to a common factor, the "
             "correlation to factor and offset. NRMSE is the RMSE over the range of the real "
@@ -163,7 +139,7 @@ def spectral_section(spectra: SpectralComparison) -> Section:
             "simulated against real by region",
             "Simulated against real, by region. Dashed: no error. Solid: the regression line.",
         ),
-        _rows(
+        Table(
             spectra.misfit,
             "What the error is made of. The squared error is level (what an offset can repair) "
             "plus contrast (what a gain about the mean then repairs) plus shape (what neither "
@@ -182,7 +158,7 @@ def spectral_section(spectra: SpectralComparison) -> Section:
                 "Indices of the mean spectra, as figure 12; whiskers: standard deviation over the "
                 f"spectra. {LEFT_OUT}",
             ),
-            _rows(
+            Table(
                 spectra.indices,
                 "Indices, as figure 12. The paper prints absolute differences or ranges of them; "
                 "a sign of 1 where it says that the simulated value is higher.",
