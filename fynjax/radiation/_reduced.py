@@ -311,7 +311,19 @@ def _mixture(
 def _orthonormal(
     rows: Float[Array, "row ..."],
 ) -> tuple[Float[Array, "row ..."], Float[Array, " row"]]:
-    """Orthonormal rows of the same span (Gram-Schmidt, each row twice), and which are missing.
+    """Orthonormal rows of the same span, and which are missing: `_gram_schmidt`, twice.
+
+    What is left of a row that nearly lies in the span of others is made of small differences of
+    large numbers. It has lost digits, and is orthonormal to the others only the second time; as it
+    comes out of the first, systems of few spectra were singular in float32.
+    """
+    return _gram_schmidt(_gram_schmidt(rows)[0])
+
+
+def _gram_schmidt(
+    rows: Float[Array, "row ..."],
+) -> tuple[Float[Array, "row ..."], Float[Array, " row"]]:
+    """Rows of the same span that are orthonormal but for rounding, and which are missing.
 
     A row that lies in the span of those before it is left out: it is zero in the result, and one
     in `missing`. The combination counts as constant. Its derivative could not matter: what is
