@@ -22,7 +22,7 @@ class BroydenState(eqx.Module):
     residual: Float[Array, " residual"]
     """Residual at the current point [-]."""
     jacobian: Float[Array, "residual free"]
-    """Its derivative there, as corrected so far."""
+    """Derivative of the residual at the current point, as corrected so far."""
     damping: Float[Array, ""]
     """Added to the diagonal of the Gauss-Newton Hessian [-]."""
     gain: Float[Array, ""]
@@ -64,7 +64,7 @@ class BroydenLM(optx.AbstractLeastSquaresSolver):
     atol: Any = 0.05
     """Least fall of half the squared residual that is worth another step [-]."""
     rtol: float = 0.0
-    """The same as a share of half the squared residual [-]."""
+    """Least fall as a share of half the squared residual that is worth another step [-]."""
     norm: Callable = eqx.field(static=True, default=optx.max_norm)
     """Not used; optimistix asks every solver for one."""
     renew: bool = eqx.field(static=True, default=False)

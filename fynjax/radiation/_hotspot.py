@@ -53,7 +53,7 @@ class Overlap(eqx.Module):
     gain: tuple[Array, ...]
     """What a piece's own leaves add up to there, per leaf area per volume [m]."""
     end_gain: tuple[Array, Array, Array]
-    """The same at its end, for each of the three numbers."""
+    """What a piece's own leaves add up to at its end, for each of the three numbers [m]."""
 
     def start(self, shape: tuple[int, ...]) -> tuple[Array, Array, Array]:
         zero = jnp.zeros(shape, self.amplitude.dtype)

@@ -246,11 +246,11 @@ class _Layers(NamedTuple):
     middles: Float[Array, " slab"]
     """Heights of the middles of the slabs [m]."""
     pieces: tuple[Any, ...]
-    """Of each piece of each slab: area per volume on the finest voxels, the sun's depth at its
-    bottom, the height of that, and on terrain the share of each voxel column that is covered and of
-    each sunbeam that is not stopped."""
+    """Pieces of each slab: area per volume on the finest voxels, the sun's depth at the bottom,
+    the height of that, and on terrain the share of each voxel column that is covered and of each
+    sunbeam that is not stopped."""
     top: Float[Array, "row column"]
-    """The sun's depth on top of them."""
+    """The sun's depth on top of the slabs."""
 
 
 def _layers(

@@ -27,9 +27,9 @@ class PanelsInPicture(eqx.Module):
     coverage: Float[np.ndarray, "panel y x"]
     """Share of each pixel under each panel [-]."""
     reflectance: Float[np.ndarray, "panel 1"]
-    """Reflectance factors [-]."""
+    """Reflectance factor of each panel [-]."""
     reflectance_sd: Float[np.ndarray, "panel 1"]
-    """Their standard deviations [-]."""
+    """Standard deviation of the reflectance factor of each panel [-]."""
 
     def laid_on(self, image: Float[Array, "band y x"]) -> Float[Array, "band y x"]:
         """A picture of reflectance with the panels in it."""
