@@ -121,8 +121,7 @@ for _ in range(15):
 
 # %%
 of_stand = jax.jit(lambda u: fx.inversion.stand_values(scene.with_values(free.named(u)).faded()))
-led = ["green_leaf_area", "dead_share", "canopy_chlorophyll", "crown_cover"]
-walk = pd.DataFrame([of_stand(u) for u in path])[led].astype(float)
+walk = pd.DataFrame(map(of_stand, path)).astype(float).filter(regex="green|share|phyll|crown")
 end = pd.Series(fx.inversion.stand_values(truth) if truth else {}, walk.columns, float)
 fig, (left, right) = plt.subplots(1, 2, figsize=(11, 4), layout="constrained")
 pd.Series(losses).plot(ax=left, logy=True, style="o-", xlabel="step", ylabel="loss")
@@ -155,7 +154,6 @@ wide = fx.fit(scene, data, wider, settings=settings, start=fit)
 known = wide.table().set_index("name")["constrained"]
 share = known.groupby([name.split(".")[-1] for name in known.index]).median()
 stand = wide.stand().set_index("name")["constrained"].rename("the stand's {}".format)
-stand = stand[~stand.index.str.contains("cover[.]")]  # without each growth form alone
 share = 100 * pd.concat([stand, share]).sort_values()
 share.plot.barh(
     figsize=(8, 4), title=f"{len(known)} parameters free", xlabel="variance removed [%]"

@@ -574,7 +574,8 @@ def sample(
     fit of a function without that function.
     """
     options |= {"method": method, "target": target, "max_steps": max_steps, "chains": chains}
-    known = [name for name in signature(PosteriorSampler).parameters if name != "start"]
+    own = {"predict", "data", "space", "start"}
+    known = [name for name in signature(PosteriorSampler).parameters if name not in own]
     for name in options:
         if name not in known:
             raise InputError(f"`sample` has no option {name!r}.{did_you_mean(name, known)}")

@@ -33,7 +33,9 @@ def diversity(
             "if left out.",
         ),
     ] = None,
-    communities: Annotated[int, typer.Option(min=4, metavar="N", help="How many are drawn.")] = 100,
+    communities: Annotated[
+        int, typer.Option(min=10, metavar="N", help="How many are drawn.")
+    ] = 100,
     size: Annotated[
         float, typer.Option(min=0.5, max=100.0, metavar="M", help="Side of a simulated plot [m].")
     ] = 10.0,
@@ -48,7 +50,7 @@ def diversity(
             "M,...",
             "Edges of a pixel [m] that divide the side, multiples of the smallest.",
         ),
-    ] = "0.05,0.1,0.25,0.5,1,2.5,5,10",
+    ] = "0.05,0.1,0.25,0.5,1,1.25,2.5,5",
     noise: Annotated[
         str, listed(float, _NUMBERS, "SHARE,...", "Noise of a pixel over its reflectance.")
     ] = "0.01",

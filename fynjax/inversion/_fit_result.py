@@ -100,7 +100,7 @@ class Data(eqx.Module):
             return
         bad = ~(np.isfinite(np.asarray(self.value)) & (np.asarray(self.sd) > 0))
         if bad.any():
-            name = self.names[int(np.argmax(bad))]
+            name = self.names[int(np.argmax(bad)) % len(self.names)]
             raise InputError(f"the target {name} must be finite and have a positive sd")
 
 

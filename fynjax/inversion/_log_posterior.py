@@ -56,7 +56,7 @@ class LogPosterior(eqx.Module):
 
         **Raises:** `InputError` where it predicts another number of statistics than there are data.
         """
-        found = self.predict(self.space.physical(u), *self.context)
+        found = jnp.asarray(self.predict(self.space.physical(u), *self.context))
         if jnp.shape(found) != self.data.value.shape:
             raise InputError(
                 f"expected the model to give one number for each of the {len(self.data.names)} "

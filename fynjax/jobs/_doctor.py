@@ -113,12 +113,16 @@ def _gradient() -> float:
 def _double() -> float:
     """Relative error of a small number that was added to one and is left when one is taken off."""
     with jax.enable_x64(True):
-        left = jax.jit(lambda x: (1.0 + x) - 1.0)(jnp.asarray(1e-9))
+        # Of arguments: constants the compiler would take out.
+        left = jax.jit(lambda x: (x[0] + x[1]) - x[0])(jnp.array([1.0, 1e-9]))
         return abs(float(left) / 1e-9 - 1.0)
 
 
 def _memory() -> Check:
-    free = free_memory()
+    try:
+        free = free_memory()
+    except Exception as wrong:  # of a system that does not say
+        return Check("memory", False, f"{type(wrong).__name__}: {wrong}", "look yourself")
     return Check(
         "memory", free >= _LEAST_MEMORY, f"{free / 2**30:.1f} GiB free",
         "close other programs, or render smaller plots and larger voxels",
@@ -126,8 +130,10 @@ def _memory() -> Check:
 
 
 def _kept() -> Check:
-    folder = os.environ.get("JAX_COMPILATION_CACHE_DIR") or str(cache_folder())
-    advice = "set XDG_CACHE_HOME to a folder that can be written: else each run compiles anew"
+    stated = os.environ.get("JAX_COMPILATION_CACHE_DIR")
+    folder = stated or str(cache_folder() / "jax")
+    name = "JAX_COMPILATION_CACHE_DIR" if stated else "XDG_CACHE_HOME"
+    advice = f"set {name} to a folder that can be written: else each run compiles anew"
     try:
         os.makedirs(folder, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):

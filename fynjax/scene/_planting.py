@@ -147,7 +147,10 @@ class Planting(eqx.Module):
 
     def padded(self) -> "Planting":
         """The same with plants that never stand and elements of theirs, up to sizes of which there
-        are few: plots of as many plants then share compiled programs."""
+        are few: plots of as many plants then share compiled programs. Plants whose elements are
+        too many to be listed stay as they are."""
+        if not self.listed:
+            return self
         most = max(len(self.plant), len(self.shape_class), 32 * (len(self.species) + 1))
         step = 1 << max(most.bit_length() - 2, 0)  # two sizes from a power of two to the next
         size = -(-most // step) * step

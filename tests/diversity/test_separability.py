@@ -146,7 +146,7 @@ def test_without_scikit_learn_the_install_line_is_named(monkeypatch) -> None:
         monkeypatch.delitem(sys.modules, module)
     monkeypatch.setattr(sys, "meta_path", [Absent(), *sys.meta_path])
     for call in (lambda: separability(spectra, species), lambda: classify(spectra, species, group)):
-        with pytest.raises(MissingExtraError, match=r'pip install "fynjax\[pattern\]"'):
+        with pytest.raises(MissingExtraError, match=r'pip install "fynjax\[analysis\]"'):
             call()
 
 

@@ -136,7 +136,7 @@ def test_descent_is_that_of_scikit_bio(tree: Path) -> None:
 
 def test_without_scikit_bio_the_install_line_is_named(tree: Path, monkeypatch) -> None:
     monkeypatch.setitem(sys.modules, "skbio", None)
-    with pytest.raises(MissingExtraError, match=r'pip install "fynjax\[phylogeny\]"'):
+    with pytest.raises(MissingExtraError, match=r'pip install "fynjax\[analysis\]"'):
         read_phylogeny(tree, TAXA)
 
 

@@ -219,7 +219,7 @@ def _plant(folder: Path) -> Runs:
 @_case("diversity", "study", loose={"": 1e-3})
 def _diversity(folder: Path) -> Runs:
     plot, _ = _small(folder)
-    line = ["diversity", plot, "--communities", 6, "--size", 1, "--pixels", "0.125,0.25,0.5"]
+    line = ["diversity", plot, "--communities", 10, "--size", 1, "--pixels", "0.125,0.25,0.5"]
     return {"diversity": [*line, "--bands", 6, "--richness", "1,2", "--samples", 5]}
 
 

@@ -208,7 +208,7 @@ def test_wrong_arguments_are_refused(options, text):
 
 def test_a_missing_extra_names_the_line_to_type(monkeypatch):
     monkeypatch.setitem(sys.modules, "blackjax", None)
-    with pytest.raises(MissingExtraError, match=r"fynjax\[nuts\]"):
+    with pytest.raises(MissingExtraError, match=r"fynjax\[posterior\]"):
         sample_posterior(predict, DATA, SPACE, method="nuts")
 
 

@@ -240,7 +240,7 @@ def test_wrong_arguments_and_values_are_refused(monkeypatch):
     import sys
 
     monkeypatch.setitem(sys.modules, "SALib", None)
-    with pytest.raises(MissingExtraError, match=r"fynjax\[sensitivity\]"):
+    with pytest.raises(MissingExtraError, match=r"fynjax\[analysis\]"):
         sobol_indices(ishigami, CUBE, METRICS)
 
 

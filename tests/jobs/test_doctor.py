@@ -1,5 +1,8 @@
 """The doctor finds what is wrong with a backend, and says the way out."""
 
+import dataclasses
+
+import jax
 import jax.numpy as jnp
 import pytest
 
@@ -37,13 +40,49 @@ def test_what_fails_has_not_passed(monkeypatch):
     assert not _doctor._memory().passed
 
 
-def test_products_that_are_cut_short_and_slopes_that_are_wrong_are_found(monkeypatch):
+def test_products_that_are_cut_short_are_found(monkeypatch):
     """As on a graphics card: factors of 10 bits."""
     assert _doctor._products() < 1e-5
     monkeypatch.setattr(
         _doctor.jnp, "matmul", lambda a, b: jnp.dot(*(x.astype(jnp.bfloat16) for x in (a, b)))
     )
     assert _doctor._products() > 1e-4
+
+
+def test_sums_slopes_images_and_bits_that_are_wrong_are_found(monkeypatch):
+    total = jnp.sum
+    with monkeypatch.context() as wrong:
+        wrong.setattr(_doctor.jnp, "sum", lambda a, axis: total(a, axis=axis).at[0].set(0.0))
+        assert _doctor._sums() > 1e-2
+    monkeypatch.setattr(
+        _doctor, "canopy_reflectance", lambda r, t, area, soil: soil * jax.lax.stop_gradient(area)
+    )
+    assert not _doctor._gradient() < 1e-2
+    first = _doctor.observe
+
+    def mixed_up(scene, camera, **options):
+        seen = first(scene, camera, **options)
+        return dataclasses.replace(seen, reflectance=seen.reflectance[::-1])
+
+    monkeypatch.setattr(_doctor, "observe", mixed_up)
+    assert _doctor._image() > 1e-2
+    bits = jax.enable_x64(False)
+    monkeypatch.setattr(_doctor.jax, "enable_x64", lambda _: bits)
+    assert _doctor._double() > 1e-3
+
+
+def test_a_folder_that_cannot_be_written_is_named(monkeypatch, tmp_path):
+    (tmp_path / "file").write_text("")
+    monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", str(tmp_path / "file"))
+    check = _doctor._kept()
+    assert not check.passed
+    assert check.advice.startswith("set JAX_COMPILATION_CACHE_DIR to a folder")
+    monkeypatch.delenv("JAX_COMPILATION_CACHE_DIR")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    assert _doctor._kept() == (
+        "kept programs", True, str(tmp_path / "fynjax" / "jax"), _doctor._kept().advice
+    )  # fmt: skip
+    assert "XDG_CACHE_HOME" in _doctor._kept().advice
 
 
 def test_this_machine_is_well():

@@ -108,6 +108,8 @@ def test_room_for_plants_that_never_stand_changes_nothing(scene, truth):
         more = fx.Scene.from_table(table, size=2.0, voxel=0.25, structure="even", seed=3)
         return [np.shape(leaf) for leaf in jax.tree.leaves(more.padded())]
 
+    plants = scene.planting.plants(np.arange(len(scene.planting.species)))
+    assert plants.padded() is plants  # its elements are not listed: too many for images at once
     assert shapes(40) == shapes(36) == [np.shape(leaf) for leaf in jax.tree.leaves(padded)]
 
 

@@ -1,16 +1,29 @@
 """Communities along gradients, and their scores: against known correlations and classes."""
 
 import numpy as np
+import pandas as pd
 import pytest
 
 import fynjax as fx
+from fynjax.assembly import build_plot
 from fynjax.diversity import pielou_evenness
 from fynjax.errors import InputError
+from fynjax.inversion import nadir_imager
 from fynjax.io.plot import example_folder, read_plot
+from fynjax.scene import truth_of_pixels
+from fynjax.sensors import PointSpread
 from fynjax.studies.communities import Gradients, diversity, draw_community
 from fynjax.studies.communities._draw import shares_of
-from fynjax.studies.communities._observe import Design, _coarser, _sample
+from fynjax.studies.communities._job import _few_bands, _headline
+from fynjax.studies.communities._observe import (
+    Design,
+    _coarser,
+    _diversities,
+    _sample,
+    observe_community,
+)
 from fynjax.studies.communities._scores import _lost_from, agreement, recognition
+from fynjax.studies.fynbos_2006 import table_after_fire
 
 POOL = read_plot(example_folder() / "plot.toml")
 CAMERA = fx.sensor("mavic_3m")
@@ -60,14 +73,36 @@ def test_gradients_that_are_none_are_refused(settings, message):
         Gradients(**settings)
 
 
+def test_species_and_heights_of_communities_are_those_of_the_pool_grown():
+    within = Gradients(richness=(3, 3), age=(3.0, 3.0))
+    random = np.random.default_rng(2)
+    plots = [draw_community(POOL, within, random) for _ in range(50)]
+    assert {t for p in plots for t, c in zip(p.taxa, p.cover, strict=True) if c} == {
+        row.taxon for row in POOL.species if row.growth_form != "deadwood"
+    }
+    then = table_after_fire(3.0).set_index("taxon")["height_max_m"]
+    for row in plots[0].species:
+        if row.cover:
+            assert row.height == pytest.approx(then[row.taxon])
+
+
 def test_coarser_pixels_are_means_and_blurred_ones_keep_them():
     image = np.random.default_rng(0).random((2, 8, 8))
-    plain = _coarser(image, None, 4.0)
+    plain = _coarser(image, 4, None, "open")
     np.testing.assert_allclose(plain[1, 0, 1], image[1, :4, 4:].mean())
-    psf = fx.sensor("mavic_3m").psf
-    blurred = _coarser(image, psf, 2.0)
-    np.testing.assert_allclose(blurred.mean(axis=(1, 2)), image.mean(axis=(1, 2)), rtol=1e-6)
-    assert blurred.std() < _coarser(image, None, 2.0).std()
+    psf = PointSpread("gaussian", 2.0)
+    point = np.zeros((1, 256, 256))
+    point[0, 128, 128] = 1.0
+    for times in (1, 4):  # as wide in pixels of any size
+        blurred = _coarser(point, times, psf, "periodic")[0]
+        assert blurred.sum() == pytest.approx(times**-2)
+        x = np.arange(256 // times) - 128 // times - (times > 1) * (0.5 / times - 0.5)
+        width = np.sqrt((blurred.sum(axis=0) * x**2).sum() * times**2)
+        assert width == pytest.approx(2.0 / 2.3548, rel=0.1)
+    west = np.zeros((1, 64, 64))
+    west[0, :, 0] = 1.0
+    assert _coarser(west, 2, psf, "periodic")[0, :, -1].max() > 0.05
+    assert _coarser(west, 2, psf, "open")[0, :, -1].max() < 1e-6
 
 
 def test_pixels_of_a_species_are_mostly_of_it():
@@ -81,6 +116,43 @@ def test_the_pixel_of_loss_is_where_the_signal_stays_below_the_threshold():
     pixels = np.array([0.1, 1.0, 10.0])
     r2 = np.array([[0.5, 0.3, 0.1], [0.1, 0.3, np.nan], [0.1, 0.1, 0.1], [0.0, 0.0, 0.9]])
     assert _lost_from(r2, pixels, 0.25).tolist() == [10.0, 10.0, 0.1, np.inf]
+    assert np.isnan(_lost_from(np.full((1, 3), np.nan), pixels, 0.25)).all()
+
+
+def test_a_community_is_seen_as_its_image_and_its_plants_are():
+    """Against metrics of what `observe` gives, and the truth of its pixels."""
+    pool = POOL.replace(voxel_m=0.25, structure_m="even", size_m=(1.0, 1.0))
+    design = Design((CAMERA,), (0.125, 0.25), (0.0, 0.2), samples=4, seed=5)
+    within = Gradients(richness=(2, 2), cover=(0.8, 0.9))
+    found, metrics, species, spectra = observe_community(3, pool, within, design)
+    random = np.random.default_rng([5, 71, 3])
+    plot = draw_community(pool, within, random)
+    scene, _ = build_plot(plot, seed=int(random.integers(2**31)), rounding="random")
+    image = np.asarray(fx.observe(scene, CAMERA, pixel=0.125, point_spread=False).reflectance)
+    wide = _coarser(image, 2, CAMERA.psf, "periodic").reshape(4, -1).T
+    expected = [fx.diversity.coefficient_of_variation(wide), fx.diversity.mean_spectral_angle(wide)]
+    expected += [fx.diversity.spectral_rao(wide), wide.var(axis=0, ddof=1).sum()]
+    np.testing.assert_allclose(metrics[0, 1, 0], np.array(expected, float), rtol=1e-4)
+    noisy = metrics[0, 1, 1, 0] ** 2 - metrics[0, 1, 0, 0] ** 2
+    assert 0.3 < noisy / 0.2**2 < 3.0  # of 16 pixels
+    above = nadir_imager(CAMERA.bands.select([0]), scene, scene.parameters)
+    cover = np.asarray(truth_of_pixels(above, scene, scene.parameters).species).mean(axis=(1, 2))
+    known = [(cover > 0).sum(), fx.diversity.shannon(cover), fx.diversity.simpson(cover)]
+    known += [pielou_evenness(cover), cover.sum()]
+    np.testing.assert_allclose(found, np.array(known, float), rtol=1e-4)
+    truth = fx.pixel_truth(scene, CAMERA, pixel=0.125, point_spread=False)
+    shares = _coarser(np.asarray(truth.species), 1, CAMERA.psf, "periodic")
+    fine = _coarser(image, 1, CAMERA.psf, "periodic").reshape(4, -1)
+    for kind, spectrum in zip(species[0, 0], spectra[0, 0], strict=True):
+        if kind >= 0:
+            place = np.argmin(((fine.T - spectrum) ** 2).sum(axis=1))
+            np.testing.assert_allclose(fine[:, place], spectrum, rtol=1e-4)
+            assert shares.reshape(len(shares), -1)[kind, place] >= 0.5
+
+
+def test_a_community_that_nobody_sees_has_no_diversity():
+    assert _diversities(np.zeros(3))[[0, 4]].tolist() == [0.0, 0.0]
+    assert np.isnan(_diversities(np.zeros(3))[1:4]).all()
 
 
 def _design(pixels=(0.1, 1.0)):
@@ -103,15 +175,38 @@ def test_squared_correlations_are_those_of_numpy_and_their_intervals_hold_them()
     assert np.isnan(rows.loc[(1.0, "cv", "richness")].r2)
     gone = lost.set_index(["metric", "diversity"])
     assert gone.loc[("cv", "richness")].lost_from_m == 1.0
-    assert gone.loc[("cv", "cover")].lost_from_m == 0.1  # of which nothing is known
     assert (gone.loc[("cv", "richness")][["q05", "q95"]] == 1.0).all()
+    assert gone.loc[("cv", "cover")].lost_from_m == 0.1  # of which nothing is known
+    # Of 200 communities that have nothing to do with each other, the greatest by chance.
+    assert 0.01 < gone.loc[("cv", "cover")].by_chance < 0.03
+    assert gone.loc[("any", "cover")].by_chance > gone.loc[("cv", "cover")].by_chance
+    # The best metric holds where that of the greatest peak is gone.
+    metrics[:, 0, 1, 0, 1] = truth[:, 0] + 0.9 * random.normal(size=200)
+    _, lost = agreement(truth, metrics, _design(), 0.25)
+    gone = lost.set_index(["metric", "diversity"])
+    assert gone.loc[("cv", "richness")].lost_from_m == 1.0
+    assert np.isinf(gone.loc[("any", "richness")].lost_from_m)
+    truth[:, 0] = 3.0  # all alike
+    _, lost = agreement(truth, metrics, _design(), 0.25)
+    alike = lost.set_index(["metric", "diversity"]).loc[("any", "richness")]
+    assert alike[["best_r2", "by_chance", "lost_from_m", "q05", "q95"]].isna().all()
+    known = pd.DataFrame(
+        {"sensor": [CAMERA.name], "noise": 0.0, "pixel_m": 0.1, "species": 0.0, "accuracy": np.nan,
+         "by_chance": np.nan}
+    )  # fmt: skip
+    lines = _headline(pd.concat([lost.assign(noise=0.1, best_r2=0.01), lost]), known, 0.25)
+    assert lines[1] == f"{CAMERA.name}: richness does not vary over the communities."
+    assert "every metric is below 25 % from 1 m on [1, 1]" in lines[0]
+    assert lines[3].endswith("no two species lead in enough pixels of 0.1 m.")
+    low = lost.assign(best_r2=0.2)
+    assert "every metric is below 25 % at every pixel" in _headline(low, known, 0.25)[0]
 
 
 def test_species_are_recognised_where_spectra_differ_and_by_chance_where_they_do_not():
     random = np.random.default_rng(0)
-    species = np.tile(np.repeat([0, 1, -1], 10), (12, 2, 1))
+    species = np.tile(np.repeat([0, 1, -1], 10), (12, 1, 2, 1))
     far = random.normal(size=(12, 2, 1, 30, 3))
-    far[:, 0] += 20.0 * species[:, 0, None, :, None]  # at the finer pixel alone
+    far[:, 0] += 20.0 * species[:, 0, 0, None, :, None]  # at the finer pixel alone
     found = recognition(species, [far], ("a", "b"), _design()).set_index("pixel_m")
     assert found.loc[0.1, "accuracy"] == 1.0
     assert found.loc[0.1, "jeffries_matusita"] == pytest.approx(2.0, abs=1e-3)
@@ -122,13 +217,32 @@ def test_species_are_recognised_where_spectra_differ_and_by_chance_where_they_do
     assert none["species"].tolist() == [0, 0]
 
 
+def test_what_is_true_of_one_community_alone_is_no_skill():
+    """Species that differ in each community in another way; and one that is too rare."""
+    random = np.random.default_rng(0)
+    species = np.tile(np.repeat([0, 1, -1], 10), (12, 1, 1, 1))
+    species[:4, 0, 0, -1] = 2
+    own = random.normal(size=(12, 1, 1, 30, 12))
+    for number in range(12):  # of each community another band
+        own[number, 0, 0, :, number] += 20.0 * (species[number, 0, 0] == 1)
+    found = recognition(species, [own], ("a", "b", "c"), _design((0.1,))).iloc[0]
+    assert found["species"] == 2.0
+    assert found["accuracy"] < 0.8
+
+
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
         ({"pixels": (0.1, 0.25)}, "a multiple of the smallest, but got 0.25 m"),
-        ({"pixels": (0.3,)}, "a whole part of the side of 1 m, but got 0.3 m"),
-        ({"communities": 2}, "at least 4 `communities`"),
+        ({"pixels": (0.3,)}, "a part of the side of 1 m, but got 0.3 m"),
+        ({"pixels": (0.5, 1.0)}, "at most half the side of 1 m, but got 0.5, 1"),
+        ({"pixels": (float("nan"),)}, "above 0 and at most half"),
+        ({"size": 1.05, "pixels": (0.05,)}, "whole voxels of 0.1 m, but got 1.05 m"),
+        ({"communities": 4}, "at least 10 `communities`"),
         ({"noise": ()}, "at least one `noise`"),
+        ({"noise": (float("nan"),)}, "each from 0 to 0.3"),
+        ({"noise": (0.1, 0.1)}, "each noise once"),
+        ({"sensors": "mavic_3"}, "Did you mean 'mavic_3m'"),
         ({"sensors": ("flash_lidar_paper",)}, "an imaging sensor"),
         ({"gradients": Gradients(richness=(2, 40))}, "12 species with leaves"),
     ],
@@ -142,7 +256,7 @@ def test_settings_that_do_not_fit_are_refused(settings, message, tmp_path):
 def test_the_experiment_is_resumed_without_loss(tmp_path):
     """Tiny, of two species: the same numbers from a run that was interrupted."""
     pool = POOL.replace(voxel_m=0.25, structure_m="even")
-    few = {"communities": 4, "size": 1.0, "pixels": (0.125, 0.25), "bands": 4}
+    few = {"communities": 10, "size": 1.0, "pixels": (0.125, 0.25), "bands": 4}
     few |= {"sensors": ("mavic_3m",), "gradients": Gradients(richness=(2, 3))}
     kept = tmp_path / "kept"
     first = diversity(tmp_path / "a", pool, checkpoint=kept, **few)
@@ -157,4 +271,17 @@ def test_the_experiment_is_resumed_without_loss(tmp_path):
     assert first.headline[0].startswith("mavic_3m: of shannon the ")
     assert (tmp_path / "a" / "report.html").is_file()
     with pytest.raises(InputError, match="another run"):
-        diversity(tmp_path / "c", pool, checkpoint=kept, **(few | {"communities": 4, "seed": 1}))
+        diversity(
+            tmp_path / "c",
+            pool,
+            checkpoint=kept,
+            **(few | {"gradients": Gradients(richness=(2, 2))}),
+        )
+
+
+def test_bands_are_chosen_evenly():
+    every = fx.sensor("aviris_ng")
+    few = _few_bands("aviris_ng", 5).bands.centre
+    np.testing.assert_allclose(np.diff(few), np.diff(few).mean(), rtol=0.02)
+    assert few[0] < 420.0 < 2400.0 < few[-1]
+    assert len(_few_bands(CAMERA, 9).bands) == 4 < len(every.bands)

@@ -40,7 +40,8 @@ class Gradients:
             given = getattr(self, name)
             if given is None:
                 continue
-            if len(given) != 2 or not least <= given[0] <= given[1] <= most:
+            whole = name != "richness" or all(number == int(number) for number in given)
+            if len(given) != 2 or not whole or not least <= given[0] <= given[1] <= most:
                 raise InputError(
                     f"expected `{name}` as two numbers in order, from {least:g} to {most:g}, but "
                     f"got {', '.join(f'{number:g}' for number in given)}"

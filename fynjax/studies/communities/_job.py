@@ -1,5 +1,6 @@
 """What a sensor can know of diversity: what `fynjax diversity` does."""
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal
@@ -9,7 +10,7 @@ import pandas as pd
 
 from fynjax._core.checkpoint import Journal, signature
 from fynjax._core.dry_run import begin_work
-from fynjax._core.errors import InputError
+from fynjax._core.errors import InputError, listed
 from fynjax._core.extras import require
 from fynjax._core.parts import Workers, at_work
 from fynjax._core.precision import double_precision
@@ -26,9 +27,12 @@ from fynjax.studies.communities._draw import Gradients, check_pool
 from fynjax.studies.communities._observe import DIVERSITIES, Design, observe_community
 from fynjax.studies.communities._scores import agreement, recognition
 
-PIXELS = (0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0)
+PIXELS = (0.05, 0.1, 0.25, 0.5, 1.0, 1.25, 2.5, 5.0)
 """Edges of a pixel [m] of a run that names none."""
 _ROUNDING = 1e-6
+_FEWEST = 10
+"""Communities at least: of fewer, some metric goes with some diversity by chance."""
+_MOST_NOISE = 0.3
 
 
 class DiversityResult(JobResult):
@@ -69,12 +73,13 @@ def diversity(
 
     - `output`: folder of the results, made if missing.
     - `plot`: whose species are drawn from, with their leaves; the shipped plot by default.
-    - `communities`: how many are drawn, at least 4.
+    - `communities`: how many are drawn, at least 10.
     - `size`: side of a simulated plot [m].
     - `gradients`: of richness, evenness, cover and years since fire.
     - `sensors`: imaging ones, by name, file or as objects.
-    - `pixels`: edges of a pixel on the ground [m], multiples of the smallest that divide the side.
-    - `noise`: standard deviations of the noise of a pixel, relative to its reflectance [-].
+    - `pixels`: edges of a pixel on the ground [m], multiples of the smallest that divide the side,
+      of which it is at least two.
+    - `noise`: standard deviations of the noise of a pixel, relative to its reflectance, 0 to 0.3.
     - `bands`: of a sensor, evenly chosen where it has more.
     - `samples`: pixels of each species that a community gives to the classification, at most.
     - `threshold`: squared correlation of a spectral metric with a diversity below which the
@@ -99,19 +104,23 @@ def diversity(
     read = as_plot(example_folder() / "plot.toml" if plot is None else plot)
     check_pool(read, gradients)
     pool = read.replace(size_m=(size, size))
-    fine = _checked_pixels(pixels, size)
-    if communities < 4 or samples < 1 or bands < 1 or not 0.0 < threshold < 1.0:
+    if communities < _FEWEST or samples < 1 or bands < 1 or not 0.0 < threshold < 1.0:
         raise InputError(
-            "expected at least 4 `communities`, 1 of `samples` and `bands`, and a `threshold` "
-            f"between 0 and 1, but got {communities}, {samples}, {bands} and {threshold:g}"
+            f"expected at least {_FEWEST} `communities`, 1 of `samples` and `bands`, and a "
+            f"`threshold` between 0 and 1, but got {communities}, {samples}, {bands} and "
+            f"{threshold:g}"
         )
-    if not noise or min(noise) < 0.0:
-        raise InputError("expected at least one `noise`, none below 0")
-    design = Design(
-        tuple(_few_bands(sensor, bands) for sensor in sensors), fine, tuple(noise), samples, seed
-    )
-    if not design.sensors:
+    if not noise or not all(0.0 <= one <= _MOST_NOISE for one in noise):
+        raise InputError(f"expected at least one `noise`, each from 0 to {_MOST_NOISE:g}")
+    given = [sensors] if isinstance(sensors, str | Path | Sensor) else sensors
+    chosen = tuple(_few_bands(sensor, bands) for sensor in given)
+    if not chosen:
         raise InputError("expected at least one of `sensors`")
+    fine = _checked_pixels(pixels, size, pool.voxel_m)
+    for what, every in (("noise", noise), ("sensor", [sensor.name for sensor in chosen])):
+        if len(set(every)) < len(every):
+            raise InputError(f"expected each {what} once, but got {listed(map(str, every))}")
+    design = Design(chosen, fine, tuple(noise), samples, seed)
     run = Run(output, seed=seed)
     rows = f"{communities} communities"
     files = dict.fromkeys(["communities.csv", "agreement.csv", "lost.csv", "recognition.csv"], rows)
@@ -143,15 +152,23 @@ def diversity(
     return run.result(DiversityResult, headline=headline, lost=lost, recognition=known)
 
 
-def _checked_pixels(pixels: Sequence[float], size: float) -> tuple[float, ...]:
-    ascending = tuple(sorted(map(float, pixels)))
-    if not ascending or not ascending[0] > 0.0:
-        raise InputError("expected at least one of `pixels`, all above 0 m")
+def _checked_pixels(pixels: Sequence[float], size: float, voxel: float) -> tuple[float, ...]:
+    """Pixels in ascending order, of which the plot's side holds at least two."""
+    ascending = tuple(sorted({float(pixel) for pixel in pixels}))
+    if not ascending or not (ascending[0] > 0.0 and ascending[-1] <= size / 2.0 < math.inf):
+        raise InputError(
+            f"expected `pixels` above 0 and at most half the side of {size:g} m, but got "
+            f"{listed(f'{pixel:g}' for pixel in ascending) or 'none'}"
+        )
+    wholes = [(size / voxel, f"expected a `size` of whole voxels of {voxel:g} m", size)]
     for pixel in ascending:
-        for whole, what in ((pixel / ascending[0], "a multiple of the smallest"),
-                            (size / pixel, f"a whole part of the side of {size:g} m")):  # fmt: skip
-            if abs(whole - round(whole)) > _ROUNDING * whole or round(whole) < 1:
-                raise InputError(f"expected each pixel as {what}, but got {pixel:g} m")
+        wholes += [
+            (pixel / ascending[0], "expected each pixel as a multiple of the smallest", pixel),
+            (size / pixel, f"expected each pixel as a part of the side of {size:g} m", pixel),
+        ]
+    for whole, message, number in wholes:
+        if abs(whole - round(whole)) > _ROUNDING * whole:
+            raise InputError(f"{message}, but got {number:g} m")
     return ascending
 
 
@@ -166,31 +183,37 @@ def _few_bands(sensor: str | Path | Sensor, most: int) -> Sensor:
 
 
 def _headline(lost: pd.DataFrame, known: pd.DataFrame, threshold: float) -> list[str]:
-    """For each sensor, at its least noise: its best metric of Shannon and richness, and where
-    species are recognised."""
+    """For each sensor, at its least noise: how well any metric tells Shannon, richness and
+    evenness, where that is lost, and how well species are recognised."""
     lines = []
     least = lost[lost["noise"] == lost["noise"].min()]
     for sensor, part in least.groupby("sensor", sort=False):
         for what in ("shannon", "richness", "evenness"):
-            rows = part[part["diversity"] == what]
-            best = rows.loc[rows["best_r2"].fillna(0.0).idxmax()]
+            rows = part[part["diversity"] == what].set_index("metric")
+            best = rows.loc["any"]
+            if not np.isfinite(best["best_r2"]):
+                lines.append(f"{sensor}: {what} does not vary over the communities.")
+                continue
+            metric = rows.drop(index="any")["best_r2"].idxmax()
             line = (
-                f"{sensor}: of {what} the {best['metric']} of spectra explains "
-                f"{100 * best['best_r2']:.0f} % at pixels of {best['best_pixel_m']:g} m"
+                f"{sensor}: of {what} the {metric} of spectra explains {100 * best['best_r2']:.0f} "
+                f"% at pixels of {best['best_pixel_m']:g} m (the best by chance up to "
+                f"{100 * best['by_chance']:.0f} %)"
             )
-            if not best["best_r2"] >= threshold:
-                line += f", less than {100 * threshold:.0f} % at every pixel"
+            below = f"below {100 * threshold:.0f} %"
+            if best["best_r2"] < threshold:
+                line += f"; every metric is {below} at every pixel"
             elif np.isfinite(best["lost_from_m"]):
-                line += f"; lost (below {100 * threshold:.0f} %) from {best['lost_from_m']:g} m on"
+                line += f"; every metric is {below} from {best['lost_from_m']:g} m on"
                 line += f" [{best['q05']:g}, {best['q95']:g}]"
             else:
-                line += "; not lost at any of these pixels"
+                line += f"; some metric is not {below} at the widest pixel"
             lines.append(f"{line}.")
         mine = known[(known["sensor"] == sensor) & (known["noise"] == known["noise"].min())]
         pixel, count, found, chance = mine[["pixel_m", "species", "accuracy", "by_chance"]].iloc[0]
         lines.append(
-            f"{sensor}: {count:.0f} species are recognised in {100 * found:.0f} % of pixels of "
-            f"{pixel:g} m ({100 * chance:.0f} % by chance)."
+            f"{sensor}: of pixels of {pixel:g} m that are mostly of one species, {100 * found:.0f} "
+            f"% are recognised ({count:.0f} species, {100 * chance:.0f} % by chance)."
             if count
             else f"{sensor}: no two species lead in enough pixels of {pixel:g} m."
         )

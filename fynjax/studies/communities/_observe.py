@@ -1,6 +1,8 @@
 """What sensors of coarser and coarser pixels measure of a community."""
 
 from dataclasses import dataclass
+from functools import partial
+from typing import Literal
 
 import jax.numpy as jnp
 import numpy as np
@@ -16,14 +18,15 @@ from fynjax.diversity import (
     simpson,
     spectral_rao,
 )
+from fynjax.inversion import nadir_imager
 from fynjax.io.plot import Plot
-from fynjax.scene import observe, pixel_truth
+from fynjax.scene import observe, pixel_truth, truth_of_pixels
 from fynjax.sensors import PointSpread, Sensor
 from fynjax.studies.communities._draw import Gradients, draw_community
 
 DIVERSITIES = ("richness", "shannon", "simpson", "evenness", "cover")
 """What is asked of a community: number of species, Shannon entropy, Simpson's index and evenness
-after Pielou of the covers as seen from above, and their sum."""
+after Pielou of the covers as seen from straight above, and their sum."""
 METRICS = ("cv", "angle", "rao", "variance")
 """What is computed of the spectra of all pixels: coefficient of variation, mean angle to the mean
 spectrum, Rao's Q, and variance summed over bands."""
@@ -56,9 +59,9 @@ def observe_community(
 ) -> tuple[np.ndarray, ...]:
     """Diversity of the plants of a community, and of its spectra.
 
-    **Returns:** `DIVERSITIES`; spectral `METRICS` [sensor, pixel, noise, metric], NaN of fewer than
-    two pixels; the species of sampled pixels [pixel, sample], -1 for none; and for each sensor
-    their spectra [pixel, noise, sample, band].
+    **Returns:** `DIVERSITIES`; spectral `METRICS` [sensor, pixel, noise, metric]; the species of
+    sampled pixels [sensor, pixel, sample], -1 for none; and for each sensor their spectra [pixel,
+    noise, sample, band].
     """
     random = np.random.default_rng([design.seed, 71, number])
     for left in reversed(range(_DRAWS)):
@@ -71,40 +74,44 @@ def observe_community(
                 raise
     scene = scene.padded()  # so that communities share compiled programs
     fine = design.pixels[0]
-    truth = pixel_truth(scene, design.sensors[0], pixel=fine, point_spread=False)
-    shares = np.asarray(truth.species)
-    metrics = np.full((len(design.sensors), len(design.pixels), len(design.noise), 4), np.nan)
-    chosen = [
-        _sample(_coarser(shares, design.sensors[0].psf, pixel / fine), design.samples, random)
-        for pixel in design.pixels
-    ]
-    species = np.stack([kinds for kinds, _ in chosen])
-    spectra = []
+    above = nadir_imager(design.sensors[0].bands.select([0]), scene, scene.parameters)
+    cover = np.asarray(truth_of_pixels(above, scene, scene.parameters).species).mean(axis=(1, 2))
+    shape = len(design.sensors), len(design.pixels), len(design.noise), len(METRICS)
+    metrics = np.zeros(shape)
+    species, spectra = [], []
     for s, sensor in enumerate(design.sensors):
-        image = np.asarray(
-            observe(scene, sensor, pixel=fine, point_spread=False).reflectance, np.float32
-        )
-        kept = np.zeros((*species.shape[:1], len(design.noise), species.shape[1], len(image)))
+        coarser = partial(_coarser, psf=sensor.psf, boundary=scene.boundary)
+        image = np.asarray(observe(scene, sensor, pixel=fine, point_spread=False).reflectance)
+        seen = pixel_truth(scene, sensor, pixel=fine, point_spread=False)
+        shares = np.asarray(seen.species)
+        kinds, kept = [], []
         for p, pixel in enumerate(design.pixels):
-            seen = _coarser(image, sensor.psf, pixel / fine).reshape(len(image), -1).T
+            times = round(pixel / fine)
+            of_pixel, places = _sample(coarser(shares, times), design.samples, random)
+            clear = coarser(image, times).reshape(len(image), -1).T
             for n, noise in enumerate(design.noise):
-                noisy = seen * (1.0 + noise * random.normal(size=seen.shape))
+                noisy = clear * (1.0 + noise * random.normal(size=clear.shape))
                 metrics[s, p, n] = _metrics(noisy, random)
-                kept[p, n] = noisy[chosen[p][1]]
-        spectra.append(kept.astype(np.float32))
-    return _diversities(shares.mean(axis=(1, 2))), metrics, species, *spectra
+                kept.append(noisy[places])
+            kinds.append(of_pixel)
+        species.append(np.stack(kinds))
+        spectra.append(np.reshape(kept, (*shape[1:3], -1, len(image))).astype(np.float32))
+    return _diversities(cover), metrics, np.stack(species), *spectra
 
 
 def _coarser(
-    image: Float[np.ndarray, "band y x"], psf: PointSpread | None, times: float
+    image: Float[np.ndarray, "band y x"],
+    times: int,
+    psf: PointSpread | None,
+    boundary: Literal["periodic", "open"],
 ) -> Float[np.ndarray, "band y x"]:
     """Pixels that are `times` as wide, blurred by the optics of a sensor of such pixels."""
-    size = round(times)
     if psf is not None:
-        image = np.asarray(psf.on_pixels(1.0 / size).blur(jnp.asarray(image), boundary="periodic"))
+        beyond: Literal["periodic", "edge"] = "periodic" if boundary == "periodic" else "edge"
+        image = np.asarray(psf.on_pixels(1.0 / times).blur(jnp.asarray(image), boundary=beyond))
     bands, rows, columns = image.shape
-    ny, nx = rows // size, columns // size
-    return image.reshape(bands, ny, size, nx, size).mean(axis=(2, 4))
+    ny, nx = rows // times, columns // times
+    return image.reshape(bands, ny, times, nx, times).mean(axis=(2, 4))
 
 
 def _sample(
@@ -124,6 +131,8 @@ def _sample(
 
 def _diversities(cover: Float[np.ndarray, " species"]) -> Float[np.ndarray, " diversity"]:
     number = int((cover > 0.0).sum())
+    if not number:
+        return np.array([0.0, np.nan, np.nan, np.nan, 0.0])
     even = float(pielou_evenness(cover)) if number > 1 else np.nan
     return np.array([number, float(shannon(cover)), float(simpson(cover)), even, cover.sum()])
 
@@ -131,8 +140,6 @@ def _diversities(cover: Float[np.ndarray, " species"]) -> Float[np.ndarray, " di
 def _metrics(
     spectra: Float[np.ndarray, "pixel band"], random: np.random.Generator
 ) -> Float[np.ndarray, " metric"]:
-    if len(spectra) < 2:
-        return np.full(len(METRICS), np.nan)
     some = random.permutation(len(spectra))[:_RAO_PIXELS]
     variance = spectra.var(axis=0, ddof=1).sum()
     found = coefficient_of_variation(spectra), mean_spectral_angle(spectra)

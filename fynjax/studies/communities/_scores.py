@@ -1,6 +1,9 @@
 """How well spectra tell of diversity, at which pixel that is lost, and how species separate."""
 
+import warnings
 from collections.abc import Sequence
+from itertools import product
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -27,68 +30,93 @@ def agreement(
 
     **Returns:** two tables. One has a row for each sensor, pixel, noise, metric and diversity: `r2`
     with its interval of 5 to 95 % over bootstrapped communities. The other has a row for each but
-    the pixel: the pixel of the greatest `r2`, and the pixel `lost_from_m` from which on `r2` stays
-    below `threshold`, with its interval over the same communities; infinite where it never does.
+    the pixel, and for "any", the greatest `r2` of all metrics at each pixel: the pixel of the
+    greatest `r2`, what that is at most in 95 % of cases by chance, with communities exchanged, and
+    the pixel `lost_from_m` from which on `r2` stays below `threshold`, with its interval over the
+    same communities; infinite where it never does. NaN of what does not vary.
     """
     count = len(diversity)
     random = np.random.default_rng([design.seed, 73])
     some = np.concatenate([np.arange(count)[None], random.integers(0, count, (_BOOTSTRAPS, count))])
+    exchanged = random.permuted(np.tile(np.arange(count), (_BOOTSTRAPS, 1)), axis=1)
     pixels = np.array(design.pixels)
     rows, lost = [], []
-    for s, sensor in enumerate(design.sensors):
-        for n, noise in enumerate(design.noise):
-            for m, metric in enumerate(METRICS):
-                for d, what in enumerate(DIVERSITIES):
-                    keys = {
-                        "sensor": sensor.name, "noise": noise, "metric": metric, "diversity": what
-                    }  # fmt: skip
-                    asked = diversity[:, d][some]
-                    r2 = np.stack(
-                        [
-                            _squared_correlation(metrics[:, s, p, n, m][some], asked)
-                            for p in range(len(pixels))
-                        ],
-                        axis=1,
-                    )
-                    low, high = np.nanquantile(np.nan_to_num(r2[1:]), _INTERVAL, axis=0)
-                    for p, pixel in enumerate(pixels):
-                        known = {"pixel_m": pixel, "r2": r2[0, p], "q05": low[p], "q95": high[p]}
-                        rows.append(keys | known)
-                    gone = _lost_from(r2, pixels, threshold)
-                    best = int(np.argmax(np.nan_to_num(r2[0])))
-                    ends = np.quantile(gone[1:], _INTERVAL, method="nearest")
-                    lost.append(
-                        keys
-                        | {"best_r2": r2[0, best], "best_pixel_m": pixels[best]}
-                        | {"lost_from_m": gone[0], "q05": ends[0], "q95": ends[1]}
-                    )
+    for (s, sensor), (n, noise), (d, what) in product(
+        enumerate(design.sensors), enumerate(design.noise), enumerate(DIVERSITIES)
+    ):
+        found, chance = (
+            np.stack([
+                np.stack([_squared_correlation(metrics[:, s, p, n, m][x], diversity[:, d][y])
+                          for p in range(len(pixels))], axis=1)
+                for m in range(len(METRICS))
+            ])
+            for x, y in ((some, some), (np.arange(count), exchanged))
+        )  # fmt: skip
+        for metric, r2, by_chance in zip(
+            (*METRICS, "any"), [*found, _greatest(found)], [*chance, _greatest(chance)], strict=True
+        ):
+            keys = {"sensor": sensor.name, "noise": noise, "metric": metric, "diversity": what}
+            low, high = _quantiles(r2[1:], _INTERVAL)
+            if metric != "any":
+                for p, pixel in enumerate(pixels):
+                    known = {"pixel_m": pixel, "r2": r2[0, p], "q05": low[p], "q95": high[p]}
+                    rows.append(keys | known)
+            gone = _lost_from(r2, pixels, threshold)
+            best = int(np.argmax(np.nan_to_num(r2[0])))
+            ends = _quantiles(gone[1:], _INTERVAL, method="nearest")
+            lost.append(
+                keys
+                | {"best_r2": r2[0, best], "best_pixel_m": pixels[best]}
+                | {"by_chance": float(_quantiles(_greatest(by_chance.T), [_INTERVAL[1]])[0])}
+                | {"lost_from_m": gone[0], "q05": ends[0], "q95": ends[1]}
+            )
     return pd.DataFrame(rows), pd.DataFrame(lost)
 
 
+def _greatest(values: Float[np.ndarray, "row ..."]) -> Float[np.ndarray, "..."]:
+    """The greatest of the rows; NaN where all are."""
+    known = np.where(np.isnan(values), -np.inf, values).max(axis=0)
+    return np.where(np.isinf(known), np.nan, known)
+
+
+def _quantiles(
+    values: Float[np.ndarray, "draw ..."], shares: Sequence[float], **how: Any
+) -> Float[np.ndarray, "share ..."]:
+    """Quantiles over draws, without those that are NaN; NaN where all are."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # all are NaN
+        return np.asarray(np.nanquantile(values, shares, axis=0, **how))
+
+
 def _squared_correlation(
-    x: Float[np.ndarray, "draw community"], y: Float[np.ndarray, "draw community"]
+    x: Float[np.ndarray, "*draw community"], y: Float[np.ndarray, "draw community"]
 ) -> Float[np.ndarray, " draw"]:
     """Of each draw, over the communities that have both values; NaN where one does not vary."""
     known = np.isfinite(x) & np.isfinite(y)
-    number = known.sum(axis=1, keepdims=True)
-    x, y = (np.where(known, v, 0.0) for v in (x, y))
-    with np.errstate(invalid="ignore", divide="ignore"):
-        x, y = (np.where(known, v - v.sum(axis=1, keepdims=True) / number, 0.0) for v in (x, y))
-        found = (x * y).sum(axis=1) ** 2 / ((x**2).sum(axis=1) * (y**2).sum(axis=1))
-    return np.where(number[:, 0] > 2, found, np.nan)
+    number = np.maximum(known.sum(axis=-1, keepdims=True), 1)
+
+    def away(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        values = np.where(known, values, 0.0)
+        rest = np.where(known, values - values.sum(axis=-1, keepdims=True) / number, 0.0)
+        square = (rest**2).sum(axis=-1)
+        return rest, np.where(square > 1e-20 * (values**2).sum(axis=-1), square, np.nan)
+
+    (x, of_x), (y, of_y) = away(x), away(y)
+    return np.where(number[..., 0] > 2, (x * y).sum(axis=-1) ** 2 / (of_x * of_y), np.nan)
 
 
 def _lost_from(
     r2: Float[np.ndarray, "draw pixel"], pixels: Float[np.ndarray, " pixel"], threshold: float
 ) -> Float[np.ndarray, " draw"]:
-    """The pixel from which on `r2` stays below the threshold; infinite where it does not."""
+    """The pixel from which on `r2` stays below the threshold; infinite where it does not; NaN where
+    none is known."""
     there = np.nan_to_num(r2) >= threshold
     after = np.where(there.any(axis=1), there.shape[1] - np.argmax(there[:, ::-1], axis=1), 0)
-    return np.append(pixels, np.inf)[after]
+    return np.where(np.isnan(r2).all(axis=1), np.nan, np.append(pixels, np.inf)[after])
 
 
 def recognition(
-    species: Int[np.ndarray, "community pixel sample"],
+    species: Int[np.ndarray, "community sensor pixel sample"],
     spectra: Sequence[Float[np.ndarray, "community pixel noise sample band"]],
     taxa: Sequence[str],
     design: Design,
@@ -99,15 +127,16 @@ def recognition(
     several partings.
 
     **Returns:** a row for each sensor, pixel and noise: `species` that have enough pixels that are
-    mostly theirs, `accuracy` with its interval of 5 to 95 % over partings, that `by_chance`, and
-    the mean `jeffries_matusita` distance of two species, at most 2. NaN of fewer than two.
+    mostly theirs, on the mean of the partings; `accuracy` with its interval of 5 to 95 % over
+    partings; that `by_chance`; and the mean `jeffries_matusita` distance of two species, at most 2.
+    NaN of fewer than two.
     """
     names, rows = np.array(taxa), []
     for s, sensor in enumerate(design.sensors):
         for p, pixel in enumerate(design.pixels):
-            there = species[:, p] >= 0
+            there = species[:, s, p] >= 0
             community, sample = np.nonzero(there)
-            kinds = species[:, p][there]
+            kinds = species[:, s, p][there]
             for n, noise in enumerate(design.noise):
                 seen = spectra[s][community, p, n, sample].astype(float)
                 found = _recognised(seen, names[kinds], community, design.seed)
@@ -120,7 +149,7 @@ def _recognised(
 ) -> dict[str, float]:
     random = np.random.default_rng([seed, 79])
     every = np.unique(community)
-    accuracies, most = [], 0
+    accuracies, parted = [], []
     for _ in range(_SPLITS):
         trains = np.isin(community, random.permutation(every)[: len(every) // 2])
         enough = [
@@ -133,14 +162,16 @@ def _recognised(
         used = np.isin(names, enough)
         found = classify(spectra[used], names[used].tolist(), trains[used].tolist())
         accuracies += list(found.by_group.values())
-        most = max(most, len(enough))
+        parted.append(enough)
     if not accuracies:
         none = dict.fromkeys(["accuracy", "q05", "q95", "by_chance", "jeffries_matusita"], np.nan)
-        return {"species": 0, **none}
-    kept = np.isin(names, [k for k in np.unique(names) if (names == k).sum() >= 2 * _LEAST])
+        return {"species": 0.0, **none}
+    kept = np.isin(names, [kind for enough in parted for kind in enough])
     distance = separability(spectra[kept], names[kept].tolist())["jeffries_matusita"].mean()
     low, high = np.quantile(accuracies, _INTERVAL)
+    counts = np.array([len(enough) for enough in parted])
     return {
-        "species": most, "accuracy": float(np.mean(accuracies)), "q05": float(low),
-        "q95": float(high), "by_chance": 1.0 / most, "jeffries_matusita": float(distance),
+        "species": float(counts.mean()), "accuracy": float(np.mean(accuracies)), "q05": float(low),
+        "q95": float(high), "by_chance": float(np.mean(1.0 / counts)),
+        "jeffries_matusita": float(distance),
     }  # fmt: skip
