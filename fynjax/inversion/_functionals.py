@@ -120,12 +120,14 @@ def stand_functionals(scene: Scene) -> dict[str, Functional]:
     return {**STAND_FUNCTIONALS, **covers}
 
 
+_TINY = 1e-12
+"""Distance from the ends of its range up to which a functional has a logarithm or logit."""
 _DRAWS = 400
 """Of the prior."""
 _NINETY = 1.6449
 """Half of a normal's central 90 % [standard deviations]."""
 _ROUNDING = 1e-12
-"""Variance of the logarithm up to which a functional is the same but for the rounding of light."""
+"""Variance up to which a functional is the same but for the rounding of light."""
 
 
 Functionals = tuple[Callable[[Scene, PlotParameters], Float[Array, ""]], ...]
@@ -188,7 +190,8 @@ def stand_table(
 ) -> pd.DataFrame:
     """What a fit says of the stand: each functional before and after the data.
 
-    The posterior is that of the functional's logarithm, linear about the estimate: draws of single
+    The posterior is normal in the functional's logarithm, of a share between 0 and 1 in its logit,
+    and of what may be zero or less in itself, linear about the estimate: draws of single
     parameters, each of which data leave wide, would bend a sum that they know.
 
     **Arguments:**
@@ -204,8 +207,8 @@ def stand_table(
 
     **Returns:** a row for each of `functionals`: name, unit, median and quantiles of 5 and
     95 % of the prior (`prior`, `prior_q05`, `prior_q95`) and of the posterior (`estimate`, `q05`,
-    `q95`), and `constrained`, the share of the prior variance of the logarithm that the data
-    removed [-]. What is zero, or the same whatever is free, has no interval.
+    `q95`), and `constrained`, the share of the prior variance, of the logarithm or logit where it
+    is that, that the data removed [-]. What is the same whatever is free has no interval.
     """
     functionals = stand_functionals(scene) if functionals is None else functionals
     values = tuple(one.value for one in functionals.values())
@@ -215,20 +218,23 @@ def stand_table(
     value, slopes = (
         np.asarray(x, float) for x in _slopes(scene, parameters, fit.space, fit.whitened, values)
     )
-    tiny = np.finfo(float).tiny
-    relative = slopes / np.maximum(value, tiny)[:, None]
+    shares = np.array([one.unit == "-" for one in functionals.values()])
+    low, high = (f(np.concatenate([prior, value[None]]), axis=0) for f in (np.min, np.max))
+    kind = np.where(shares & (low > 0.0) & (high < 1.0), "logit", np.where(low > 0.0, "log", ""))
+    relative = slopes * _slope_of_normal(value, kind)[:, None]
     variance = np.einsum("fi,ij,fj->f", relative, np.asarray(fit.covariance, float), relative)
-    before = np.log(np.maximum(prior, tiny)).var(axis=0)
-    known = (value > 0.0) & (before > _ROUNDING)
-    half = np.exp(_NINETY * np.sqrt(np.where(known, variance, 0.0)))
+    before = _normal(prior, kind).var(axis=0)
+    known = before > _ROUNDING
+    half = _NINETY * np.sqrt(np.where(known, variance, 0.0))
     removed = 1.0 - variance / np.where(known, before, 1.0)
-    shares = (0.05, 0.5, 0.95)
-    low, middle, high = np.quantile(prior, shares, axis=0)
-    after = value / half, value, value * half
+    quantiles = (0.05, 0.5, 0.95)
+    low, middle, high = np.quantile(prior, quantiles, axis=0)
+    centre = _normal(value, kind)
+    after = [_from_normal(place, kind) for place in (centre - half, centre, centre + half)]
     if draws is not None:
         found = np.asarray(_draws(scene, parameters, fit.space, jnp.asarray(draws), values), float)
-        after = tuple(np.quantile(found, shares, axis=0))
-        removed = 1.0 - np.log(np.maximum(found, tiny)).var(axis=0) / np.where(known, before, 1.0)
+        after = list(np.quantile(found, quantiles, axis=0))
+        removed = 1.0 - _normal(found, kind).var(axis=0) / np.where(known, before, 1.0)
     return pd.DataFrame(
         {
             "name": list(functionals),
@@ -242,6 +248,27 @@ def stand_table(
             "constrained": np.where(known, np.maximum(removed, 0.0), 0.0),
         }
     )
+
+
+def _normal(value: np.ndarray, kind: np.ndarray) -> np.ndarray:
+    """The coordinate in which the posterior of each functional is taken as normal."""
+    inside = np.clip(value, _TINY, None)
+    odds = inside / np.clip(1.0 - value, _TINY, None)
+    return np.select([kind == "logit", kind == "log"], [np.log(odds), np.log(inside)], value)
+
+
+def _slope_of_normal(value: np.ndarray, kind: np.ndarray) -> np.ndarray:
+    """Slope of that coordinate by the functional."""
+    inside = np.clip(value, _TINY, None)
+    of_share = 1.0 / (inside * np.clip(1.0 - value, _TINY, None))
+    return np.select([kind == "logit", kind == "log"], [of_share, 1.0 / inside], 1.0)
+
+
+def _from_normal(place: np.ndarray, kind: np.ndarray) -> np.ndarray:
+    """The functional at that coordinate."""
+    small = np.clip(place, -500.0, 500.0)
+    share = 1.0 / (1.0 + np.exp(-small))
+    return np.select([kind == "logit", kind == "log"], [share, np.exp(small)], place)
 
 
 def stand_sentence(table: pd.DataFrame, functionals: Mapping[str, Functional] | None = None) -> str:

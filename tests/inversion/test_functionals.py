@@ -122,6 +122,27 @@ def test_what_data_say_of_the_stand_is_more_than_of_any_parameter(plot):
     np.testing.assert_allclose(drawn["prior"], table["prior"])
 
 
+def test_intervals_stay_within_what_a_number_can_be(plot):
+    """Of a share below 1; of a difference, whose posterior is normal, on both sides of zero."""
+    scene, parameters = plot
+    space = free_space(scene, parameters, ["*.dead_fraction"], lambda _: 0.5)
+    count = len(space.names)
+    data = Data([f"d{i}" for i in range(count)], [0.95] * count, [0.3] * count)
+    found = fit(lambda values: values, data, space)
+    own = {
+        "share": Functional("dead share", "-", lambda s, p: p.species.dead_fraction.mean()),
+        "left": Functional("less than half", "m", lambda s, p: p.species.dead_fraction[0] - 0.5),
+    }
+    table = stand_table(scene, parameters, found, functionals=own).set_index("name")
+    assert 0.0 < table.q05["share"] < table.estimate["share"] < table.q95["share"] < 1.0
+    slope = np.asarray(jax.jacfwd(space.physical)(found.whitened)[0])
+    sd = float(np.sqrt(slope @ np.asarray(found.covariance) @ slope))
+    width = table.q95["left"] - table.q05["left"]
+    assert width == pytest.approx(2 * 1.645 * sd, rel=1e-3)
+    assert table.estimate["left"] == pytest.approx(float(found.estimate[0]) - 0.5)
+    assert table.q05["left"] < table.estimate["left"] < table.q95["left"]
+
+
 def test_a_fit_prints_what_it_found(plot):
     scene, parameters = plot
     space = free_space(scene, parameters, ["*.cover"], lambda _: 0.3)
