@@ -69,6 +69,15 @@ def diversity(
             help="Squared correlation with a spectral metric below which a diversity is lost.",
         ),
     ] = 0.25,
+    greenness: Annotated[
+        float | None,
+        typer.Option(
+            min=-1.0,
+            max=1.0,
+            metavar="NDVI",
+            help="NDVI that a pixel must have to count in the metrics; all count if left out.",
+        ),
+    ] = None,
     richness: Annotated[
         str, listed(int, _NUMBERS, "LOW,HIGH", "Fewest and most species.")
     ] = "2,12",

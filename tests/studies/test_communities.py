@@ -20,6 +20,7 @@ from fynjax.studies.communities._observe import (
     _coarser,
     _diversities,
     _sample,
+    green,
     observe_community,
 )
 from fynjax.studies.communities._scores import _lost_from, agreement, recognition
@@ -150,6 +151,16 @@ def test_a_community_is_seen_as_its_image_and_its_plants_are():
             assert shares.reshape(len(shares), -1)[kind, place] >= 0.5
 
 
+def test_pixels_that_are_not_green_do_not_count():
+    red, nir = CAMERA.bands.names.index("red"), CAMERA.bands.names.index("nir")
+    spectra = np.full((3, 4), 0.1)
+    spectra[:, red], spectra[:, nir] = 0.1, [0.1, 0.2, 0.3]
+    assert green(spectra, CAMERA, 0.4).tolist() == [False, False, True]
+    assert green(spectra, CAMERA, None).all()
+    with pytest.raises(InputError, match="no bands near 670 and 860 nm"):
+        green(spectra[:, :2], CAMERA.select([0, 1]), 0.4)
+
+
 def test_a_community_that_nobody_sees_has_no_diversity():
     assert _diversities(np.zeros(3))[[0, 4]].tolist() == [0.0, 0.0]
     assert np.isnan(_diversities(np.zeros(3))[1:4]).all()
@@ -239,6 +250,7 @@ def test_what_is_true_of_one_community_alone_is_no_skill():
         ({"pixels": (float("nan"),)}, "above 0 and at most half"),
         ({"size": 1.05, "pixels": (0.05,)}, "whole voxels of 0.1 m, but got 1.05 m"),
         ({"communities": 4}, "at least 10 `communities`"),
+        ({"greenness": 1.0}, "from -1 to below 1, but got 1"),
         ({"noise": ()}, "at least one `noise`"),
         ({"noise": (float("nan"),)}, "each from 0 to 0.3"),
         ({"noise": (0.1, 0.1)}, "each noise once"),

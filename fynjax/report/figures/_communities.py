@@ -77,7 +77,7 @@ def recognition_plot(table: pd.DataFrame) -> Figure:
                     )  # fmt: skip
         axes.set(ylim=(0.0, 1.02), xlabel="Pixel on the ground [m]")
         axes.set_ylabel("Pixels recognised [-]")
-        axes.legend(loc="lower left")
+        figure.legend(loc="outside upper left", ncols=2)
     return figure
 
 

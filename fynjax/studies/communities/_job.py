@@ -24,7 +24,7 @@ from fynjax.report.pages import Page, Picture, Section, Table
 from fynjax.scene import visible_sensor
 from fynjax.sensors import Sensor
 from fynjax.studies.communities._draw import Gradients, check_pool
-from fynjax.studies.communities._observe import DIVERSITIES, Design, observe_community
+from fynjax.studies.communities._observe import DIVERSITIES, Design, green, observe_community
 from fynjax.studies.communities._scores import agreement, recognition
 
 PIXELS = (0.05, 0.1, 0.25, 0.5, 1.0, 1.25, 2.5, 5.0)
@@ -59,6 +59,7 @@ def diversity(
     bands: int = 30,
     samples: int = 20,
     threshold: float = 0.25,
+    greenness: float | None = None,
     seed: int = 0,
     checkpoint: str | Path | None = None,
     workers: Workers | None = None,
@@ -84,6 +85,8 @@ def diversity(
     - `samples`: pixels of each species that a community gives to the classification, at most.
     - `threshold`: squared correlation of a spectral metric with a diversity below which the
       diversity is lost [-].
+    - `greenness`: NDVI that a pixel must have to count in the metrics, so that bare ground and its
+      contrast with plants do not; -1 to below 1 [-]. All pixels count by default.
     - `seed`: of every random number.
     - `checkpoint`: folder that keeps what communities gave, from which an interrupted run goes on.
     - `workers`: where communities are simulated; in this process by default.
@@ -120,7 +123,11 @@ def diversity(
     for what, every in (("noise", noise), ("sensor", [sensor.name for sensor in chosen])):
         if len(set(every)) < len(every):
             raise InputError(f"expected each {what} once, but got {listed(map(str, every))}")
-    design = Design(chosen, fine, tuple(noise), samples, seed)
+    if greenness is not None and not -1.0 <= greenness < 1.0:
+        raise InputError(f"expected a `greenness` from -1 to below 1, but got {greenness:g}")
+    for sensor in chosen:
+        green(np.zeros((0, len(sensor.bands))), sensor, greenness)  # whether it has the bands
+    design = Design(chosen, fine, tuple(noise), samples, seed, greenness)
     run = Run(output, seed=seed)
     rows = f"{communities} communities"
     files = dict.fromkeys(["communities.csv", "agreement.csv", "lost.csv", "recognition.csv"], rows)

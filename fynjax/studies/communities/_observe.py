@@ -6,7 +6,7 @@ from typing import Literal
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from fynjax._core.errors import InputError
 from fynjax.assembly import build_plot
@@ -34,6 +34,10 @@ _RAO_PIXELS = 1000
 """Pixels of which Rao's Q is taken, at most: it compares each with each."""
 _DRAWS = 10
 """Communities that are drawn anew, at most, where one finds no room on the plot."""
+_NDVI = (670.0, 860.0)
+"""Wavelengths of the bands of an NDVI [nm]."""
+_NEAR = 40.0
+"""Distance from these up to which a band will do [nm]."""
 LEADING = 0.5
 """Share of a pixel that its leading species must have for the pixel to count as of it [-]."""
 
@@ -52,6 +56,8 @@ class Design:
     """Pixels of each species that a community gives to the classification, at most."""
     seed: int
     """Seed of communities, plantings and noise."""
+    greenness: float | None = None
+    """NDVI that a pixel must have to count in the metrics [-]; None: all pixels do."""
 
 
 def observe_community(
@@ -91,7 +97,7 @@ def observe_community(
             clear = coarser(image, times).reshape(len(image), -1).T
             for n, noise in enumerate(design.noise):
                 noisy = clear * (1.0 + noise * random.normal(size=clear.shape))
-                metrics[s, p, n] = _metrics(noisy, random)
+                metrics[s, p, n] = _metrics(noisy[green(noisy, sensor, design.greenness)], random)
                 kept.append(noisy[places])
             kinds.append(of_pixel)
         species.append(np.stack(kinds))
@@ -137,9 +143,30 @@ def _diversities(cover: Float[np.ndarray, " species"]) -> Float[np.ndarray, " di
     return np.array([number, float(shannon(cover)), float(simpson(cover)), even, cover.sum()])
 
 
+def green(
+    spectra: Float[np.ndarray, "pixel band"], sensor: Sensor, least: float | None
+) -> Bool[np.ndarray, " pixel"]:
+    """Which pixels have an NDVI of at least `least`, of the bands nearest to 670 and 860 nm.
+
+    **Raises:** `InputError` for a sensor that has no band within 40 nm of these.
+    """
+    if least is None:
+        return np.ones(len(spectra), bool)
+    centres = np.array(sensor.bands.centre)
+    near = [int(np.argmin(np.abs(centres - nm))) for nm in _NDVI]
+    if np.abs(centres[near] - _NDVI).max() > _NEAR:
+        raise InputError(
+            f"{sensor.name} has no bands near {_NDVI[0]:g} and {_NDVI[1]:g} nm for an NDVI"
+        )
+    red, nir = spectra[:, near].T
+    return nir - red >= least * (nir + red)
+
+
 def _metrics(
     spectra: Float[np.ndarray, "pixel band"], random: np.random.Generator
 ) -> Float[np.ndarray, " metric"]:
+    if len(spectra) < 2:
+        return np.full(len(METRICS), np.nan)
     some = random.permutation(len(spectra))[:_RAO_PIXELS]
     variance = spectra.var(axis=0, ddof=1).sum()
     found = coefficient_of_variation(spectra), mean_spectral_angle(spectra)
