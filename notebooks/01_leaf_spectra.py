@@ -46,7 +46,8 @@ FAST = os.environ.get("FYNJAX_FAST") == "1"  # a shorter chain, for the check of
 # ## Read
 #
 # The six example leaves are simulated, with an instrument's noise and with errors of the model as
-# measured leaves have them; no measured collection states a licence to ship it. `read_spectra`
+# measured leaves have them; no measured collection was found whose licence
+# lets it be shipped. `read_spectra`
 # takes ASD, SVC, Spectral Evolution, ENVI libraries, CSV and text, and refuses with a reason what
 # is no reflectance.
 
@@ -105,11 +106,11 @@ if TRANSMITTANCE is not None:
     both = fx.fit_leaf(spectra.merge(through, join="outer"))
 share = {"R alone": fit.prior_share, "R and T": both.prior_share}
 share = pd.DataFrame({k: np.median(v, axis=0) for k, v in share.items()}, fit.names)
-share.plot.barh(figsize=(8, 3), xlabel="what the prior decides [-], median of the leaves")
+share.plot.barh(figsize=(8, 3), xlabel="prior variance left [-], median of the leaves")
 plt.gca().invert_yaxis()
 plt.show()
 most = share["R alone"].idxmax()
-print(f"The prior decides most of {most}: {share['R alone'][most]:.0%} from R alone.")
+print(f"Least decided by R alone: {most}; {share['R alone'][most]:.0%} of the prior is left.")
 
 # %% [markdown]
 # ## One leaf by emcee, beside Laplace
@@ -136,7 +137,8 @@ plt.show()
 #
 # Above, what was measured and what the model makes of it; below, what it leaves. The model's error
 # hangs together along the wavelength: two thousand bands are far fewer independent ones. Then each
-# trait with its 90 % interval against the laboratory's value.
+# trait with its 90 % interval against the laboratory's value: of the leaves that ship simulated
+# too, which tests the method, not PROSPECT.
 
 # %%
 fig, (top, low) = plt.subplots(2, 1, figsize=(8, 5), sharex=True)

@@ -112,8 +112,8 @@ solver, u, path, losses = optx.BFGS(rtol=1e-3, atol=1e-3), jnp.zeros(len(free.na
 state = solver.init(loss, u, None, {}, jax.ShapeDtypeStruct((), u.dtype), None, frozenset())
 step = jax.jit(lambda u, state: solver.step(loss, u, None, {}, state, frozenset())[:2])
 for _ in range(15):
-    path.append(u)
     u, state = step(u, state)
+    path.append(u)
     losses.append(float(state.f_info.f))
 
 # %% [markdown]
@@ -132,8 +132,9 @@ right.legend(loc=(0.45, 0.3), frameon=False)
 plt.show()
 
 # %% [markdown]
-# And the pictures. The calibrated plants are no copy of the measured ones, which stand elsewhere;
-# it is the stand that is to be alike.
+# The walk stops where chance in one planting and the prior hold it: short of the truth where they
+# are stronger than the image. In the pictures the calibrated plants are no copy of the measured
+# ones, which stand elsewhere; it is the stand that is to be alike.
 
 # %%
 images = {"table": fit.image_before, "measured": measured.values, "calibrated": fit.image_after}
@@ -145,7 +146,7 @@ fx.report.figures.composites(images, fx.metrics.BANDS, pixel_m=measured.pixel_m,
 # Now leaf area, dead tissue and height of every species are free as well. Each bar is the share of
 # its prior variance that the image removed: of the stand, of the ground, and of the species the
 # median of a kind. A number can have moved and yet have a bar of zero: it is as uncertain as
-# before.
+# before. With `common=0.95` a species' bar is mostly that of all species together.
 
 # %%
 more = () if FAST else ("species.*.leaf_area_index", "species.*.dead_fraction", "species.*.height")
@@ -153,7 +154,7 @@ wider = fx.free(scene, *what, *more, prior=far, common=0.95)
 wide = fx.fit(scene, data, wider, settings=settings, start=fit)
 known = wide.table().set_index("name")["constrained"]
 share = known.groupby([name.split(".")[-1] for name in known.index]).median()
-stand = wide.stand().set_index("name")["constrained"].rename("the stand's {}".format)
+stand = wide.stand().set_index("name")["constrained"].rename(lambda n: "stand: " + n)
 share = 100 * pd.concat([stand, share]).sort_values()
 share.plot.barh(
     figsize=(8, 4), title=f"{len(known)} parameters free", xlabel="variance removed [%]"

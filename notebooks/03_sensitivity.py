@@ -84,7 +84,7 @@ print(f"Largest difference from finite differences: {wrong:.2%} of the steepest 
 fig, (left, right) = plt.subplots(1, 2, figsize=(10, 4.5), layout="constrained")
 where = {"origin": "lower", "extent": (0, scene.grid.extent[0], 0, scene.grid.extent[1])}
 left.imshow(fx.photo(image), **where)
-left.set(title="the plot from above, true colour", xlabel="east [m]", ylabel="north [m]")
+left.set(title="the plot from above, nearly true colour", xlabel="east [m]", ylabel="north [m]")
 most = 0.1 * float(jnp.abs(slope).max())
 shown = right.imshow(0.1 * slope, cmap="PuOr", vmin=-most, vmax=most, **where)
 right.set(title=f"10 % more {SPECIES}", xlabel="east [m]")
@@ -146,10 +146,9 @@ sobol = fx.inversion.sobol_indices(quick, unit, ["NDVI"], samples=512)
 share = pd.DataFrame({"alone": sobol.first[0], "with interactions": sobol.total[0]}, kinds)
 spread = float(np.sqrt(sobol.variance[0]))
 ax = (100 * share.sort_values("with interactions")).plot.barh(figsize=(8, 5), width=0.8)
-ax.set(xlabel="share of the variance of the mean NDVI [%]")
-ax.set_title(
-    f"NDVI strays by {spread:.3f}; error of the polynomial {quick.error[0] / spread:.0%} of it"
-)
+ax.axvspan(0, 100 * (quick.error[0] / spread) ** 2, color="0.9", zorder=0)
+ax.set(xlabel="share of the variance of the mean NDVI [%]; grey, the polynomial's error")
+ax.set_title(f"NDVI strays by {spread:.3f}; the polynomial's error {quick.error[0] / spread:.0%}")
 plt.show()
 
 # %% [markdown]

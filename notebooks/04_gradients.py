@@ -46,9 +46,9 @@ SIDE, PLANTINGS, COVERS = (1.0, 4, 9) if SMALL else (3.0, 16, 25)
 # The number of plants that a cover asks for is a real number, but 3.4 plants cannot stand: it is
 # rounded, up or down by chance. Along the cover that is a staircase, with a slope of zero nearly
 # everywhere. Where plants stand is chance as well. So the share of ground between the plants of a
-# planting (its gap) goes in steps too; only the mean over many plantings is smooth. **Its** slope
-# is what JAX gets: the value is that of the whole plants of one planting, the derivative that of
-# the expected stand.
+# planting (its gap) goes in steps too, too fine to be seen here; only the mean over many
+# plantings is smooth. **Its** slope is what JAX gets: the value is that of the whole plants of
+# one planting, the derivative that of the expected stand.
 
 # %%
 scene = fx.read_scene(TABLE, size=SIDE, structure="even")  # leaves fill their voxels: quick
@@ -76,7 +76,7 @@ fig, (left, right) = plt.subplots(1, 2, figsize=(12, 4.5), layout="constrained")
 left.plot(factors, values[:3, :, 0].T, drawstyle="steps-mid")
 left.plot(factors, values[0, :, 1], "k--", lw=2, label="asked for (solid: three plantings)")
 left.set_title(f"Plants of {scene.taxa[rare]} on {SIDE:g} m x {SIDE:g} m")
-right.plot(factors, gap[:3].T, drawstyle="steps-mid")
+right.plot(factors, gap[:3].T)
 right.plot(factors, gap.mean(axis=0), "ko", label=f"mean of {PLANTINGS} plantings")
 middle = gap[:, COVERS // 2].mean(), slopes[:, COVERS // 2, 2].mean()  # gap and slope at 1
 right.axline((1, middle[0]), slope=middle[1], c="k", ls="--", lw=2, label="mean of gradients at 1")

@@ -54,7 +54,8 @@ scene
 # %% [markdown]
 # ## How many plants are that?
 #
-# The cover asks for a number of crowns, equation (10) of the article whose plot this is; chance
+# The cover asks for a number of crowns, equation (10) of the article whose plot this is, here with
+# half of each living crown lying over others (`packing_percent`, ours), which doubles it; chance
 # rounds it, up or down. Where plants stand, how they are turned and which are larger is drawn from
 # the seed: `fx.read_scene(TABLE, size=SIDE, seed=2)` is another planting of the same table.
 
@@ -69,7 +70,7 @@ plants = pd.DataFrame(
     },
     index=scene.taxa,
 )
-plants.round(1)
+plants.astype(float).round(1)
 
 # %%
 gap = float(scene.gap_fraction(parameters))
@@ -110,7 +111,7 @@ axes[1].set(
 )
 shown = axes[2].imshow(ndvi, origin="lower", extent=extent, cmap="RdYlGn", vmin=0, vmax=1)
 axes[2].set(title=f"NDVI, mean {ndvi.mean():.2f}", xlabel="east [m]")
-fig.colorbar(shown, ax=axes[2], shrink=0.8)
+fig.colorbar(shown, ax=axes[2], shrink=0.8, label="NDVI")
 plt.show()
 
 # %% [markdown]

@@ -43,9 +43,9 @@ METHODS = ["laplace", "emcee", *(["nuts"] if importlib.util.find_spec("blackjax"
 # %% [markdown]
 # ## A leaf, seen up to 1000 nm
 #
-# Four numbers of a leaf, measured with an error of 1 % of the light in every band by an instrument
-# that ends where water begins to absorb. Of each number the bounds, and median and standard
-# deviation of the prior: leaves at large.
+# Four numbers of a leaf, measured with an error of 0.01 of reflectance in every band by an
+# instrument that ends where water begins to absorb. Of each number the bounds, and median and
+# standard deviation of the prior: leaves at large.
 
 # %%
 nm = np.arange(450, 2401, 10)
@@ -99,8 +99,8 @@ fx.corner(leaf_draws, leaf_truth)
 # %% [markdown]
 # ## What the posterior foretells
 #
-# The draws say what the instrument would have seen beyond its end: the posterior predictive, beside
-# what the prior alone foretold.
+# The draws say what the leaf's spectrum is beyond the instrument's end, without noise: the
+# posterior predictive, beside what the prior alone foretold.
 
 # %%
 normal = jnp.asarray(np.random.default_rng(1).normal(size=(400, 4)))
@@ -160,8 +160,8 @@ fx.report.figures.predictive_plot(draws.predicted, data.value, data.sd, names)
 
 # %% [markdown]
 # Where contours of the three ways lie on one another, the error of the fit is all one needs. Where
-# a cloud is long and narrow, the image knows a combination better than either number alone, and
-# one measurement across it is worth more than another flight.
+# a cloud leans, the image knows a combination better than either number alone, and one measurement
+# on the ground of either of the two helps both.
 #
 # **For your own plot** set `PLOT`; `fynjax posterior plot.toml --target image.tif` does it for
 # every parameter and can be interrupted. Next: [which sensor notices what](07_three_sensors.ipynb).

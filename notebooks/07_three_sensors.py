@@ -79,10 +79,11 @@ plt.show()
 # %% [markdown]
 # ## From which pixel on a species is lost
 #
-# No method can know a cover better than the Cramér-Rao bound, which the slopes of an image's means,
-# spreads and quantiles give together with their errors: noise and calibration of 1 % each, and that
-# nobody knows where each plant stands. Where the bound is larger than the cover, the species may as
-# well be absent. An image can be made coarser afterwards, so a finer pixel never knows less.
+# No unbiased estimate from an image's means, spreads and quantiles can know a cover better than
+# the Cramér-Rao bound, which their slopes give together with their errors: noise and calibration
+# of 1 % each, and that nobody knows where each plant stands. Where the bound is larger than the
+# cover, the species may as well be absent. An image can be made coarser afterwards, so a finer
+# pixel never knows less.
 
 # %%
 free = fx.free(scene, "species.*.cover", prior={"*": 0.25})
@@ -95,9 +96,7 @@ ax.legend(loc="center left", bbox_to_anchor=(1, 0.5))
 ax.set(xlabel="pixel [m]", ylabel="bound / cover, the eight best known species")
 ax.set_xticks(PIXELS, PIXELS), ax.set_xticks([], minor=True)
 ax.yaxis.set(major_formatter="{x:g}", minor_formatter="{x:g}")
-ax.set_title(
-    f"{(bounds[PIXELS[0]] < 1).sum()} of {len(bounds)} can be known with the finest pixels"
-)
+ax.set_title(f"{(bounds[PIXELS[0]] < 1).sum()} of {len(bounds)} are known from these statistics")
 plt.show()
 
 # %% [markdown]

@@ -47,7 +47,9 @@ CHANNELS, CANOPIES = (30, 100) if SMALL else (140, 1000)
 # ## The equations
 #
 # How many plants does a cover ask for? The ground to be covered, equation (1), over the ground that
-# one plant counts for, equations (5) to (9), rounded up, equation (10). On the article's 100 m²:
+# one plant counts for, equations (5) to (9), rounded up, equation (10). On the article's 100 m²,
+# without the packing of half of each living crown that the scene below has besides, chosen in view
+# of the real plot's 6 % of gaps (it doubles these numbers):
 
 # %%
 scene = fx.read_scene(PLOT, size=SIDE, structure=STRUCTURE)
@@ -70,7 +72,7 @@ table["off [%]"] = 100 * (table.fynjax / table.real - 1)
 table.round(3)
 
 # %% [markdown]
-# ## A red edge that no plants of this plot have
+# ## A red edge that the assumed leaves cannot give
 #
 # Take canopies of leaves of any chlorophyll, structure and dry matter, of any area and over any
 # soil, and ask what share of the near infrared they reflect at 730 nm. The real drone image has the
@@ -93,7 +95,7 @@ fig, ax = plt.subplots(figsize=(10, 5), layout="constrained")
 dots = ax.scatter(chlorophyll, share, c=area, s=14, cmap="YlGn", edgecolor="0.4", lw=0.3)
 ax.axhspan(0.616, 0.830, color="tab:blue", alpha=0.15, label="95 fynbos plots, AVIRIS-NG")
 ax.axhline(printed, c="k", lw=2, label=f"the real drone image: {printed:.2f}")
-ax.axvline(scene.parameters.leaf.chlorophyll.max(), c="tab:red", ls="--", label="most in the table")
+ax.axvline(scene.parameters.leaf.chlorophyll.max(), c="tab:red", ls="--", label="most assumed")
 ax.set(xlabel="leaf chlorophyll [µg cm⁻²]", ylabel="red edge / near infrared")
 ax.set_title(f"As low only from {np.min(chlorophyll[share < printed], initial=120):.0f} µg cm⁻² on")
 ax.legend(), fig.colorbar(dots, label="leaf area index")
@@ -104,9 +106,10 @@ print(fx.check_vegetation(bands, "mavic_3m"))
 # ## A short-wave infrared below zero
 #
 # At 2100 to 2450 nm (SWIR2) the article's simulated spectrum has a mean of 0.008, the real one of
-# 0.063; the angle between them is 48.3°. An angle does not see a common factor, so no dimming makes
-# one: not water in leaves or air, not the lack of litter. Let the simulated spectrum be *offset +
-# gain x real*. The gain that gives the printed angle asks for an offset, both for a spectrum:
+# 0.063; the angle between them is 48.3°. An angle does not see a common factor, so no dimming that
+# is alike at all wavelengths makes one. (Water and litter change the shape too; of them only three
+# leaf waters are tried here.) Let the simulated spectrum be *offset + gain x real*. The left panel
+# shows which gain gives the printed angle, the right one the spectrum that follows:
 
 # %%
 gains = np.linspace(0, 3, 601)
@@ -129,9 +132,9 @@ left.legend(), right.legend()
 plt.show()
 
 # %% [markdown]
-# If the printed numbers are right, something was subtracted on the way from radiance to
-# reflectance: a dark panel brighter than believed, or path radiance taken off twice. Which of them,
-# four numbers cannot tell.
+# If the printed numbers are right and the relation is linear, something was subtracted on the way
+# from radiance to reflectance: a dark panel brighter than believed, or path radiance taken off
+# twice. Which of them, four numbers cannot tell.
 #
 # ## Every number on one line
 

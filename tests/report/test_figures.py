@@ -20,6 +20,7 @@ from fynjax.report.figures import (
     leaf_fit_figure,
     parameter_plot,
     plant_figure,
+    recognition_plot,
     save_figure,
     side_view,
 )
@@ -284,3 +285,10 @@ def test_numbers_below_a_slender_plant_do_not_overlap():
         boxes = [label.get_window_extent() for label in shown]
         assert len(boxes) > 1
         assert not any(a.overlaps(b) for a, b in itertools.pairwise(boxes))
+
+
+def test_a_notebook_shows_figures_by_themselves():
+    """Also the first one, before pyplot has told it how."""
+    line = {"sensor": "a", "noise": 0.0, "pixel_m": 1.0, "accuracy": 0.5, "q05": 0.4, "q95": 0.6}
+    table = pd.DataFrame([line | {"by_chance": 0.1, "species": 2.0}])
+    assert recognition_plot(table)._repr_png_().startswith(b"\x89PNG")

@@ -3,9 +3,18 @@
 from typing import Any
 
 import pandas as pd
-from matplotlib.figure import Figure
 
-from fynjax.report.figures._style import BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILION, style
+from fynjax.report.figures._style import (
+    BLUE,
+    GREEN,
+    GREY,
+    ORANGE,
+    PURPLE,
+    SKY,
+    VERMILION,
+    Figure,
+    style,
+)
 
 _COLOURS = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY)
 _LINES = ("-", "--", ":", "-.")

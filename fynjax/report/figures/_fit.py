@@ -10,7 +10,6 @@ import matplotlib
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from numpy.typing import ArrayLike, NDArray
 
 from fynjax.inversion import WELL_CONSTRAINED
@@ -26,6 +25,7 @@ from fynjax.report.figures._style import (
     REAL,
     SKY,
     VERMILION,
+    Figure,
     name_rows,
     style,
     words,

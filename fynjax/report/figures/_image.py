@@ -12,12 +12,11 @@ import numpy as np
 from jaxtyping import Float
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from numpy.typing import ArrayLike, NDArray
 
 from fynjax.report.figures._scene import rgb, species_colours
-from fynjax.report.figures._style import AFTER, BEFORE, REAL, note, panel_grid, style, words
+from fynjax.report.figures._style import AFTER, BEFORE, REAL, Figure, note, panel_grid, style, words
 from fynjax.scene import Observation
 
 _COMPOSITES: dict[str, tuple[tuple[str, str, str], str]] = {

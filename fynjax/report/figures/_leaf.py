@@ -1,10 +1,9 @@
 """Fitted leaves: measured and modelled reflectance and transmittance."""
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from fynjax.leaf import LeafFit
-from fynjax.report.figures._style import panel_grid, style
+from fynjax.report.figures._style import Figure, panel_grid, style
 
 _SHOWN = 12
 

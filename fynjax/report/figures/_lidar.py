@@ -2,10 +2,9 @@
 
 import numpy as np
 from jaxtyping import Float
-from matplotlib.figure import Figure
 
 from fynjax.compare import LEVELS, Heights
-from fynjax.report.figures._style import BLUE, GREEN, ORANGE, style
+from fynjax.report.figures._style import BLUE, GREEN, ORANGE, Figure, style
 from fynjax.sensors import LidarReturns
 from fynjax.sensors.lidar import GROUND
 

@@ -6,9 +6,8 @@ from typing import Any
 import matplotlib
 import numpy as np
 from jaxtyping import Float
-from matplotlib.figure import Figure
 
-from fynjax.report.figures._style import panel_grid, style
+from fynjax.report.figures._style import Figure, panel_grid, style
 
 _MASKED = "#D9D9D4"
 _ACROSS = 4

@@ -4,12 +4,11 @@ from typing import Any
 
 import matplotlib
 import numpy as np
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from fynjax.canopy import Greenness, VegetationPattern, band_roles
 from fynjax.io.raster import BandStack
-from fynjax.report.figures._style import REAL, style, words
+from fynjax.report.figures._style import REAL, Figure, style, words
 
 _MASKED = "#B7D3EA"
 _LARGEST = 1200

@@ -5,11 +5,10 @@ from typing import Any
 import matplotlib.collections
 import matplotlib.patches
 import numpy as np
-from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from fynjax.canopy import MeshPlant, Organ
-from fynjax.report.figures._style import style
+from fynjax.report.figures._style import Figure, style
 
 _COLOURS = {Organ.LEAF: "#3F7D2B", Organ.WOOD: "#6B4A2F", Organ.FLOWER: "#CC79A7"}
 _MOST_DRAWN = 20_000

@@ -2,7 +2,6 @@
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from fynjax.compare import (
@@ -13,7 +12,17 @@ from fynjax.compare import (
     feature_values,
     misfit_table,
 )
-from fynjax.report.figures._style import BLUE, GREY, ORANGE, REAL, SKY, VERMILION, panel_grid, style
+from fynjax.report.figures._style import (
+    BLUE,
+    GREY,
+    ORANGE,
+    REAL,
+    SKY,
+    VERMILION,
+    Figure,
+    panel_grid,
+    style,
+)
 
 _GAP_NM = 30.0
 """Bands further apart than this are not joined by a line."""

@@ -5,11 +5,10 @@ from collections.abc import Sequence
 import numpy as np
 import pandas as pd
 from jaxtyping import Float
-from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from fynjax.report.figures._plots import draw_band, draw_line
-from fynjax.report.figures._style import BLUE, GREEN, GREY, ORANGE, VERMILION, style
+from fynjax.report.figures._style import BLUE, GREEN, GREY, ORANGE, VERMILION, Figure, style
 
 _COLOURS = (BLUE, VERMILION, GREEN)
 """Of the priors, in the order in which a table names them."""

@@ -5,9 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 import pandas as pd
 from jaxtyping import Float
-from matplotlib.figure import Figure
 
-from fynjax.report.figures._style import BLUE, GREY, VERMILION, style
+from fynjax.report.figures._style import BLUE, GREY, VERMILION, Figure, style
 
 
 def population_plot(

@@ -6,7 +6,6 @@ from typing import Any
 import matplotlib
 import numpy as np
 import pandas as pd
-from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 
 from fynjax._core.extras import require
@@ -20,6 +19,7 @@ from fynjax.report.figures._style import (
     REAL,
     SKY,
     VERMILION,
+    Figure,
     name_rows,
     panel_grid,
     style,

@@ -5,11 +5,10 @@ from collections.abc import Mapping, Sequence
 
 import matplotlib
 import numpy as np
-from matplotlib.figure import Figure
 
 from fynjax.io.raster import QUANTITIES, Cube, colour_bands
 from fynjax.report.figures._image import composites
-from fynjax.report.figures._style import BLUE, GREY, SKY, style
+from fynjax.report.figures._style import BLUE, GREY, SKY, Figure, style
 
 _FEW = 25  # bands of which each is drawn
 _FEW_PIXELS = 64

@@ -4,13 +4,12 @@ from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
 from numpy.typing import NDArray
 
 from fynjax.io.micasense import PanelView
 from fynjax.io.raster import Cube
-from fynjax.report.figures._style import VERMILION, note, style
+from fynjax.report.figures._style import VERMILION, Figure, note, style
 
 _THIN = 640
 """Pixels of a picture's longer side; larger ones are thinned for it."""

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from fynjax.canopy import (
@@ -16,7 +15,7 @@ from fynjax.canopy import (
     plant_model,
     unit_shapes,
 )
-from fynjax.report.figures._style import style
+from fynjax.report.figures._style import Figure, style
 from fynjax.scene import Instances, individual_seeds, projected_cover
 
 _PALETTE = (

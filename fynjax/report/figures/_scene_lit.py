@@ -9,12 +9,12 @@ import warnings
 
 import numpy as np
 from jaxtyping import Float, Int
-from matplotlib.figure import Figure
 
 from fynjax._core.errors import InputError
 from fynjax.canopy import plant_model_from_mesh, unit_shapes
 from fynjax.io.instruments import scene_meshes
 from fynjax.report.figures._scene_oblique import View, oblique_figure, relief, view_of
+from fynjax.report.figures._style import Figure
 from fynjax.scene import Instances, Scene, hard_instances, hard_scene, leafy_species
 from fynjax.sensors import BandSet
 

@@ -4,7 +4,6 @@ from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Float
-from matplotlib.figure import Figure
 from scipy.ndimage import map_coordinates
 
 from fynjax.report.figures._scene import (
@@ -17,7 +16,7 @@ from fynjax.report.figures._scene import (
     rgb,
     species_colours,
 )
-from fynjax.report.figures._style import style
+from fynjax.report.figures._style import Figure, style
 from fynjax.scene import Instances, projected_cover
 
 _WIDTH, _HEIGHT, _FINER = 1120, 840, 2

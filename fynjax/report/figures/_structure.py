@@ -6,11 +6,10 @@ import matplotlib.colors
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from fynjax.compare.structure import StructureComparison
 from fynjax.metrics.structure import STRUCTURE_METRICS
-from fynjax.report.figures._style import AFTER, REAL, note, style, words
+from fynjax.report.figures._style import AFTER, REAL, Figure, note, style, words
 
 _SIDES = (("real", REAL, "o"), ("simulated", AFTER, "s"))
 

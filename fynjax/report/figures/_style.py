@@ -3,17 +3,18 @@
 Colours are those of Okabe and Ito (2008).
 """
 
+import io
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import matplotlib
+import matplotlib.figure
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.category import StrCategoryFormatter
-from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 from numpy.typing import NDArray
 
@@ -56,6 +57,15 @@ _STYLE: Any = {  # matplotlib's own type lists every key it knows
 }
 
 
+class Figure(matplotlib.figure.Figure):
+    """A figure that a notebook shows by itself, also where nothing was drawn by pyplot before."""
+
+    def _repr_png_(self) -> bytes:
+        buffer = io.BytesIO()
+        self.savefig(buffer, format="png")
+        return buffer.getvalue()
+
+
 @contextmanager
 def style() -> Iterator[None]:
     """The look of every figure, for the block."""
@@ -63,7 +73,9 @@ def style() -> Iterator[None]:
         yield
 
 
-def save_figure(figure: Figure, path: str | Path, *, dpi: int = FIGURE_DPI) -> None:
+def save_figure(
+    figure: matplotlib.figure.Figure, path: str | Path, *, dpi: int = FIGURE_DPI
+) -> None:
     """Write a figure as PNG, PDF or SVG, by the suffix of its file.
 
     **Arguments:** `figure`; `path` of the file, which is replaced at once when complete; `dpi`,
@@ -73,7 +85,9 @@ def save_figure(figure: Figure, path: str | Path, *, dpi: int = FIGURE_DPI) -> N
         figure.savefig(partial, dpi=dpi, facecolor="white")
 
 
-def named_rows(figure: Figure) -> list[tuple[str, tuple[float, float, float, float]]]:
+def named_rows(
+    figure: matplotlib.figure.Figure,
+) -> list[tuple[str, tuple[float, float, float, float]]]:
     """Rows of a figure that have names for ticks, such as a bar for each species.
 
     **Arguments:** `figure`, once written: its layout is made then.

@@ -4,10 +4,10 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float64
-from matplotlib.figure import Figure
 from matplotlib.ticker import ScalarFormatter
 from numpy.typing import NDArray
 
+from fynjax.report.figures._style import Figure
 from fynjax.terrain import Terrain
 
 

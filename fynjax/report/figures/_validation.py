@@ -6,9 +6,8 @@ import pandas as pd
 from jaxtyping import Float
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
-from fynjax.report.figures._style import AFTER, GREY, REAL, note, panel_grid, style, words
+from fynjax.report.figures._style import AFTER, GREY, REAL, Figure, note, panel_grid, style, words
 
 SAMPLES = (("real", REAL), ("simulated", AFTER))
 """The two sides of a comparison, and their colours."""

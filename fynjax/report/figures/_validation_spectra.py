@@ -5,10 +5,9 @@ from collections.abc import Sequence
 import matplotlib
 import numpy as np
 import pandas as pd
-from matplotlib.figure import Figure
 
 from fynjax.metrics import SPECTRAL_REGIONS
-from fynjax.report.figures._style import GREY, REAL, VERMILION, style
+from fynjax.report.figures._style import GREY, REAL, VERMILION, Figure, style
 from fynjax.report.figures._validation import SAMPLES, difference_bars
 
 _NAMES = {"full": "All", "vnir": "VNIR", "swir1": "SWIR1", "swir2": "SWIR2"}
