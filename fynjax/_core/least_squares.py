@@ -110,7 +110,7 @@ class BroydenLM(optx.AbstractLeastSquaresSolver):
         return y, _state(residual, jacobian, damping, state.steps + 1), None
 
     def move(self, state: BroydenState) -> Float[Array, " free"]:
-        """How far `step` goes from a state, should that lower the objective."""
+        """Change of the coordinates by the next step, should it lower the objective."""
         gradient, hessian = state.jacobian.T @ state.residual, state.jacobian.T @ state.jacobian
         damped = hessian + state.damping * jnp.eye(gradient.size, dtype=hessian.dtype)
         move = -jnp.linalg.solve(damped, gradient)

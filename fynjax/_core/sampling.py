@@ -69,7 +69,7 @@ class ChainState(eqx.Module):
     effective_size: Float[np.ndarray, ""]
     """Effective number of draws when the chain was last looked at; NaN before."""
     ahead: tuple[Array, ...]
-    """What the next step starts from: positions, log densities, random numbers or step sizes; empty
+    """Positions, log densities, random numbers or step sizes from which the next step starts; empty
     where there can be no step."""
 
 

@@ -48,7 +48,7 @@ class TextTable:
     data: bytes
     """Text of the file as UTF-8."""
     separator: str
-    """What separates cells; a blank stands for any number of blanks and tabs."""
+    """Mark between the cells of a row; a blank stands for any number of blanks and tabs."""
     names: tuple[str, ...] = ()
     """Names of the columns: the header, or what the reader calls those of a table without one."""
     headed: bool = True

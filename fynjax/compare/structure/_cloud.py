@@ -51,8 +51,8 @@ class CloudSettings:
     """Radius of the widest closed stand of plants without ground inside it [m], for the filters
     (`fynjax.terrain.find_ground`); their own unless given."""
     slope: float | None = None
-    """How much steeper than the cloud as a whole the ground may be [-], for the filters
-    (`fynjax.terrain.find_ground`); their own unless given."""
+    """Slope allowed to the ground beyond that of the cloud as a whole [-], for the ground filters
+    (`fynjax.terrain.find_ground`); the filter's own unless given."""
     tolerance: float = 0.1
     """Tolerance of the ground filters [m]. Their own of 0.3 m takes the lower parts of low plants
     for ground, which in sparse clouds lowers all heights by 5 to 10 cm; 0.1 m leaves less than 1 cm

@@ -218,8 +218,8 @@ def _agreements(
     whole: tuple[np.ndarray, float, float],
     settings: ComparisonSettings,
 ) -> pd.DataFrame:
-    """How the distributions of heights agree (`StructureComparison.heights`), from `_agreement` of
-    each thinning and of all returns."""
+    """Agreement of the distributions of heights (`StructureComparison.heights`), from `_agreement`
+    of each thinning and of all returns."""
     rows = {}
     for name, unit, values, full in (
         ("height_percentile_rmse", "m", [r[1] for r in rounds], whole[1]),

@@ -79,7 +79,7 @@ class StructureComparison:
     percents: tuple[float, ...]
     """Percentiles of height that were compared [%]."""
     heights: pd.DataFrame
-    """How the distributions of heights agree: rows "height_percentile_rmse" [m] and
+    """Agreement of the distributions of heights: rows "height_percentile_rmse" [m] and
     "height_intersection" [-], columns `unit`, `value` (median over thinnings), `full` (of all
     returns), `thinning_low` and `thinning_high`."""
     edges: Float[np.ndarray, " edge"]
