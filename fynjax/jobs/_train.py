@@ -27,7 +27,7 @@ from fynjax.inversion import (
 )
 from fynjax.io.instruments import load_sensor
 from fynjax.io.plot import DEFAULT_PRIOR, LearnedPrior, read_prior
-from fynjax.io.raster import file_hash, open_blocks, write_run
+from fynjax.io.raster import check_netcdf, file_hash, open_blocks, write_run
 from fynjax.io.text import existing_file
 from fynjax.jobs._result import JobResult, Number, Record
 from fynjax.jobs._run import Run
@@ -320,6 +320,7 @@ def read_training(path: str | Path) -> Training:
     this version of fynjax has.
     """
     path = existing_file(path, "a training (`fynjax train` writes training.nc)")
+    check_netcdf(path)
     try:
         with xr.open_dataset(path, engine="netcdf4") as data:
             data = data.load()

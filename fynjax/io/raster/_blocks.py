@@ -388,7 +388,7 @@ class MapWriter:
         """Write a block whose first row is `start`; `damaged` where the cube has no data there
         because it could not be read."""
         _, rows, columns = values.shape
-        with wherever(), rasterio.open(self._file, "r+") as file:
+        with wherever(), rasterio.open(self._file, "r+", driver="GTiff") as file:
             file.write(values.astype(np.float32), window=Window(0, start, columns, rows))
         self.done[block] = True
         if damaged:
@@ -403,7 +403,7 @@ class MapWriter:
         self._begin(self._on_map, self._table.shape, self._table.transform, self._table.crs)
         with (
             wherever(),
-            rasterio.open(self._file) as swath,
+            rasterio.open(self._file, driver="GTiff") as swath,
             rasterio.open(self._on_map, "r+") as onto,
         ):
             self._table.place(swath, onto)
@@ -459,7 +459,7 @@ class MapWriter:
 
     def read(self, step: int = 1) -> Float[np.ndarray, "band row column"]:
         """All bands, every `step`-th row and column; of a swath on the swath."""
-        with wherever(), rasterio.open(self._file) as file:
+        with wherever(), rasterio.open(self._file, driver="GTiff") as file:
             size = (math.ceil(file.height / step), math.ceil(file.width / step))
             return np.asarray(file.read(out_shape=(file.count, *size)))
 

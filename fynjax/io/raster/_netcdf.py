@@ -23,6 +23,7 @@ from numpy.typing import ArrayLike
 
 import fynjax
 from fynjax._core.errors import InputError
+from fynjax.io.raster._hdf5 import names_others
 from fynjax.io.text import atomic_path
 
 CONVENTIONS = "CF-1.11"
@@ -38,8 +39,8 @@ def _leave() -> None:
 
 
 def check_netcdf(path: Path) -> None:
-    """Refuse a damaged NetCDF file whose tables of contents lead in circles, in which HDF5 goes
-    round for ever.
+    """Refuse a NetCDF file that reads values of other files, and a damaged one whose tables of
+    contents lead in circles, in which HDF5 goes round for ever.
 
     **Arguments:**
 
@@ -50,10 +51,13 @@ def check_netcdf(path: Path) -> None:
     import netCDF4  # takes a fifth of a second
 
     opened = threading.Event()
+    outside = []
 
     def attempt() -> None:
         with suppress(Exception):  # whoever reads it says what is wrong
-            netCDF4.Dataset(path).close()
+            outside.append(names_others(path))
+            if not outside[0]:
+                netCDF4.Dataset(path).close()
         opened.set()
 
     start = time.process_time()
@@ -65,6 +69,13 @@ def check_netcdf(path: Path) -> None:
                 "cannot be read as NetCDF: its tables of contents do not end. Is it damaged?",
                 file=path,
             )
+    if any(outside):
+        raise InputError(
+            "expected a file that holds its own values, but it has links to other files, and those "
+            f"are not followed. If you trust it, make it whole: nccopy {path.name} "
+            f"{path.stem}_own.nc",
+            file=path,
+        )
 
 
 def file_hash(path: str | Path) -> str:
