@@ -155,3 +155,14 @@ def test_a_file_that_takes_values_from_others_is_refused(tmp_path):
     with h5py.File(path, "w") as file:
         file["a/x"], file["y"] = values, h5py.SoftLink("/a/x")
     check_netcdf(path)
+
+
+def test_a_file_that_states_more_than_it_can_hold_is_refused(tmp_path):
+    path = tmp_path / "large.nc"
+    with netCDF4.Dataset(path, "w") as file:
+        group = file.createGroup("a")
+        for name, size in {"y": 2**20, "x": 2**20}.items():
+            group.createDimension(name, size)
+        group.createVariable("reflectance", "f4", ("y", "x"), chunksizes=(8, 8))
+    with pytest.raises(InputError, match=r"states 4398046511104 bytes.* cannot hold them"):
+        check_netcdf(path)

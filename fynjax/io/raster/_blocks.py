@@ -23,11 +23,13 @@ from rasterio.windows import Window
 
 from fynjax._core.errors import InputError, listed
 from fynjax._core.extras import require
+from fynjax._core.memory import total_memory
 from fynjax.io.raster._crs import geotransform, parse_crs
 from fynjax.io.raster._lookup import lookup_table
 from fynjax.io.raster._netcdf import CONVENTIONS, check_netcdf, with_history
 from fynjax.io.raster._reader import RasterFile, open_raster, wherever
 from fynjax.io.raster._writer import LOCAL_FRAME
+from fynjax.io.raster._zarr import check_zarr
 from fynjax.io.spectra import in_nanometres
 from fynjax.io.text import atomic_path
 
@@ -86,7 +88,7 @@ class CubeBlocks:
                 return values[::-1] if t.is_identity or t.e < 0 else values
             part = self.source.isel({self.source.dims[0]: slice(start, start + rows)})
             values = np.asarray(part.values, np.float32)
-        except (RasterioError, OSError, RuntimeError, ValueError) as error:
+        except (RasterioError, *_UNREADABLE) as error:
             if isinstance(error, InputError):
                 raise
             raise InputError(
@@ -175,7 +177,10 @@ def _open_dataset(path: Path) -> Iterator[CubeBlocks]:
         yield cube
 
 
-_UNREADABLE = (OSError, ValueError, KeyError, RuntimeError, AttributeError, TypeError)
+_UNREADABLE = (
+    *(OSError, ValueError, LookupError, RuntimeError, AttributeError, TypeError),
+    *(ArithmeticError, AssertionError, MemoryError),
+)
 """What the libraries raise at damaged files."""
 
 
@@ -183,7 +188,10 @@ def _cube_of(path: Path, opened: ExitStack) -> CubeBlocks:
     zarr = path.suffix.lower() == ".zarr"
     if not zarr:
         check_netcdf(path)
-    kind: dict[str, Any] = {"engine": "zarr", "consolidated": False} if zarr else {}
+    kind: dict[str, Any] = {}
+    if zarr:
+        require("zarr", "map")
+        kind = {"engine": "zarr", "consolidated": False, "drop_variables": check_zarr(path)}
     data = opened.enter_context(xr.open_dataset(path, **kind))
     if "reflectance" not in data:
         raise InputError(
@@ -207,6 +215,13 @@ def _cube_of(path: Path, opened: ExitStack) -> CubeBlocks:
             bands = opened.enter_context(xr.open_dataset(path, group="sensor_band_parameters"))
     location = None if zarr else _location(path, data, opened)
     count = values.sizes[spectral]
+    row, memory = 4.0 * values.shape[1] * count, total_memory()
+    if 2.0 * row > memory:
+        raise InputError(
+            f"a row of {values.shape[1]} pixels in {count} bands needs {row / 2**30:.3g} GiB, but "
+            f"this machine has {memory / 2**30:.0f} GiB. Is it damaged?",
+            file=path,
+        )
 
     def column(*known: str) -> tuple[Float[np.ndarray, " band"] | None, str]:
         """The first of the variables that is there, one number a band, and its unit."""

@@ -3,6 +3,7 @@
 import atexit
 import hashlib
 import json
+import math
 import os
 import shlex
 import sys
@@ -24,7 +25,7 @@ from numpy.typing import ArrayLike
 import fynjax
 from fynjax._core.errors import InputError
 from fynjax.io.raster._hdf5 import names_others
-from fynjax.io.text import atomic_path
+from fynjax.io.text import atomic_path, check_stated_size
 
 CONVENTIONS = "CF-1.11"
 _OPENS_WITHIN = 4.0
@@ -39,8 +40,8 @@ def _leave() -> None:
 
 
 def check_netcdf(path: Path) -> None:
-    """Refuse a NetCDF file that reads values of other files, and a damaged one whose tables of
-    contents lead in circles, in which HDF5 goes round for ever.
+    """Refuse a NetCDF file that reads values of other files, and a damaged one: whose tables of
+    contents lead in circles, in which HDF5 goes round for ever, or state more than it can hold.
 
     **Arguments:**
 
@@ -51,13 +52,15 @@ def check_netcdf(path: Path) -> None:
     import netCDF4  # takes a fifth of a second
 
     opened = threading.Event()
-    outside = []
+    outside: list[bool] = []
+    stated: list[int] = []
 
     def attempt() -> None:
         with suppress(Exception):  # whoever reads it says what is wrong
             outside.append(names_others(path))
             if not outside[0]:
-                netCDF4.Dataset(path).close()
+                with netCDF4.Dataset(path) as data:
+                    stated.append(_stated_size(data))
         opened.set()
 
     start = time.process_time()
@@ -76,6 +79,14 @@ def check_netcdf(path: Path) -> None:
             f"{path.stem}_own.nc",
             file=path,
         )
+    if stated:
+        check_stated_size(path, stated[0], f"{stated[0]} bytes of values", packed=True)
+
+
+def _stated_size(group: Any) -> int:
+    """Bytes of all values by the tables of contents."""
+    own = (math.prod(v.shape) * getattr(v.dtype, "itemsize", 8) for v in group.variables.values())
+    return sum(own) + sum(map(_stated_size, group.groups.values()))
 
 
 def file_hash(path: str | Path) -> str:
