@@ -1,5 +1,6 @@
 """Cubes by blocks of rows, and maps written by blocks: neither is ever in memory as a whole."""
 
+import hashlib
 import json
 import math
 import os
@@ -16,6 +17,7 @@ import rasterio
 import rasterio.shutil
 import xarray as xr
 from jaxtyping import Bool, Float
+from numpy.typing import NDArray
 from rasterio import Affine
 from rasterio.crs import CRS
 from rasterio.errors import RasterioError
@@ -65,6 +67,14 @@ class CubeBlocks:
     location: xr.Dataset | None = None
     """Lookup table that places the pixels of a swath on a map, with the file's attributes; `None`
     for what is no swath."""
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """All files and folders that it is read from."""
+        if not isinstance(self.source, RasterFile):
+            return (self.path,)
+        names = map(Path, self.source.dataset.files)
+        return tuple(sorted({self.path.absolute(), self.source.header_path.absolute(), *names}))
 
     @property
     def rows_at_once(self) -> int:
@@ -313,6 +323,11 @@ def grid_coordinates(
     return dims, coordinates
 
 
+def _seal(values: NDArray[np.float32]) -> str:
+    """Hash of a block of maps."""
+    return hashlib.sha256(np.ascontiguousarray(values).tobytes()).hexdigest()
+
+
 class MapWriter:
     """Maps of one raster that are written block by block, in any order: a tiled GeoTIFF in the
     making, and which of its blocks are there. `finish` makes a cloud-optimised GeoTIFF of it.
@@ -342,26 +357,61 @@ class MapWriter:
             None if like.location is None else lookup_table(like.path, like.location, like.shape)
         )
         self.done = np.zeros(blocks, bool)
+        """Blocks that are there, as they were written."""
+        self._written: dict[int, tuple[int, int, str]] = {}  # first row, rows and hash of a block
         self.damaged: set[int] = set()
         """Blocks of the cube that could not be read, of an interrupted run too."""
         try:
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise InputError(f"cannot write here: {error.strerror}", file=folder) from error
+        self._signature = signature
+        kept = folder / "kept.tif"
         if mark.is_file():
-            kept = json.loads(mark.read_text("utf-8"))
-            if kept["signature"] != signature:
-                raise InputError(
-                    "this checkpoint is of another run: another cube, training or settings. Choose "
-                    "another output, or remove it to start again",
-                    file=folder,
-                )
-            if self._file.is_file():
-                self.done[kept["done"]] = True
-                self.damaged = set(kept["damaged"])
+            damaged = self._kept()
+            if self._file.is_file() and not kept.is_file():
+                os.replace(self._file, kept)
+            if kept.is_file():  # else that of a run that was interrupted here
+                self._begin(self._file, like.shape, like.transform, like.crs)
+                self._take(kept, damaged)
+                kept.unlink()
                 return
+            self._written = {}
         self._begin(self._file, like.shape, like.transform, like.crs)
-        self._keep(signature)
+        self._keep()
+
+    def _kept(self) -> list[int]:
+        """Take what the mark says was written; gives the blocks that could not be read."""
+        seal, _, text = self._mark.read_bytes().partition(b"\n")
+        if seal != hashlib.sha256(text).hexdigest().encode():
+            raise InputError(
+                "no checkpoint, or a damaged one; remove its folder to start again",
+                file=self._mark,
+            )
+        kept = json.loads(text)
+        if kept["signature"] != self._signature:
+            raise InputError(
+                "this checkpoint is of another run: another cube, training or settings. Choose "
+                "another output, or remove it to start again",
+                file=self._folder,
+            )
+        self._written = {int(block): tuple(how) for block, how in kept["done"].items()}
+        return list(kept["damaged"])
+
+    def _take(self, kept: Path, damaged: list[int]) -> None:
+        """Copy the blocks that are as they were written; the others are to be done again."""
+        with (
+            wherever(),
+            suppress(RasterioError),
+            rasterio.open(kept, driver="GTiff") as file,
+        ):
+            for block, (start, rows, seal) in list(self._written.items()):
+                with suppress(RasterioError, ValueError):
+                    part = file.read(window=Window(0, start, self._like.shape[1], rows))
+                    if _seal(part) == seal:
+                        self.write(block, start, part, damaged=block in damaged)
+        self._written = {block: how for block, how in self._written.items() if self.done[block]}
+        self._keep()
 
     def _begin(
         self, path: Path, shape: tuple[int, int], transform: Affine, crs: str | None
@@ -382,14 +432,15 @@ class MapWriter:
         with wherever(), rasterio.open(path, "w", **profile):
             pass
 
-    def _keep(self, signature: str) -> None:
+    def _keep(self) -> None:
         state = {
-            "signature": signature,
-            "done": np.flatnonzero(self.done).tolist(),
+            "signature": self._signature,
+            "done": self._written,
             "damaged": sorted(self.damaged),
         }
+        text = json.dumps(state).encode()
         work = self._mark.with_suffix(".work")
-        work.write_text(json.dumps(state), "utf-8")
+        work.write_bytes(hashlib.sha256(text).hexdigest().encode() + b"\n" + text)
         os.replace(work, self._mark)
 
     def write(
@@ -403,12 +454,14 @@ class MapWriter:
         """Write a block whose first row is `start`; `damaged` where the cube has no data there
         because it could not be read."""
         _, rows, columns = values.shape
+        values = values.astype(np.float32)
         with wherever(), rasterio.open(self._file, "r+", driver="GTiff") as file:
-            file.write(values.astype(np.float32), window=Window(0, start, columns, rows))
+            file.write(values, window=Window(0, start, columns, rows))
         self.done[block] = True
+        self._written[block] = (start, rows, _seal(values))
         if damaged:
             self.damaged.add(block)
-        self._keep(json.loads(self._mark.read_text("utf-8"))["signature"])
+        self._keep()
 
     @cached_property
     def _placed(self) -> Path:
@@ -480,7 +533,7 @@ class MapWriter:
 
     def forget(self) -> None:
         """Remove what was in the making."""
-        for path in (self._file, self._on_map):
+        for path in (self._file, self._on_map, self._folder / "kept.tif"):
             path.unlink(missing_ok=True)
             path.with_suffix(".tif.aux.xml").unlink(missing_ok=True)
         self._mark.unlink(missing_ok=True)
