@@ -25,6 +25,7 @@ from rasterio.windows import Window
 
 from fynjax._core.errors import InputError, listed
 from fynjax._core.extras import require
+from fynjax._core.files import check_name
 from fynjax._core.memory import total_memory
 from fynjax.io.raster._crs import geotransform, parse_crs
 from fynjax.io.raster._lookup import lookup_table
@@ -149,6 +150,7 @@ def open_blocks(path: str | Path) -> Iterator[CubeBlocks]:
     other than three dimensions.
     """
     path = Path(path)
+    check_name(path)
     if path.suffix.lower() in (".nc", ".nc4", ".zarr"):
         with _open_dataset(path) as cube:
             yield cube
