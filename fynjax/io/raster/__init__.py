@@ -15,6 +15,7 @@ from fynjax.io.raster._cubes import (
 from fynjax.io.raster._lazy import open_cube
 from fynjax.io.raster._netcdf import (
     check_netcdf,
+    content_hash,
     file_hash,
     image_array,
     provenance,
@@ -41,6 +42,7 @@ __all__ = [
     "check_metric",
     "check_netcdf",
     "colour_bands",
+    "content_hash",
     "file_hash",
     "image_array",
     "open_blocks",
