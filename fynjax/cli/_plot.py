@@ -27,7 +27,18 @@ _PAGE = "report.html"
 
 
 @command("demo", "fynjax.studies.fynbos_2006:demo")
-def demo(twin: Twin = False, seed: Seed = 0) -> None:
+def demo(
+    with_aviris: Annotated[
+        bool,
+        typer.Option(
+            "--with-aviris",
+            help="Fit the published numbers of the plot's AVIRIS-NG spectrum too, which tell gains "
+            "of the drone's camera from plants. Takes longer.",
+        ),
+    ] = False,
+    twin: Twin = False,
+    seed: Seed = 0,
+) -> None:
     """Calibrate the 2006 burn plot to its real drone image, from shipped input.
 
     Builds the 10 m x 10 m plot from the paper's species table, renders the drone image, calibrates
@@ -76,15 +87,7 @@ def init(
 
 
 @command("render", "fynjax.jobs:render", forget=True)
-def render(
-    plot: PlotPath,
-    checkpoint: Checkpoint = None,
-    seed: OwnSeed = None,
-    truth: Annotated[
-        bool,
-        typer.Option("--truth", help="Also write which species each pixel sees, and how much."),
-    ] = False,
-) -> None:
+def render(plot: PlotPath, checkpoint: Checkpoint = None, seed: OwnSeed = None) -> None:
     """Render what the drone sees of a plot.
 
     Writes the reflectance image (GeoTIFF), the run (NetCDF) and a report page. A large image is

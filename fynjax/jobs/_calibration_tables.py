@@ -137,19 +137,20 @@ def sensor_table(measured: Measured, statistics: pd.DataFrame) -> pd.DataFrame:
     else:
         metrics = [name.split(".", 1)[1] for name in rows["statistic"]]
         rows.insert(0, "metric", metrics)
-        rows.insert(1, "unit", [STRUCTURE_METRICS[name] for name in metrics])
+        rows.insert(1, "unit", [STRUCTURE_METRICS.get(name, "-") for name in metrics])
     return rows.drop(columns="statistic")
 
 
 def sensor_misfit(measured: Measured, table: pd.DataFrame) -> str:
     """How well a spectrum or a cloud is met before and after, in a sentence."""
     error = table[["before", "after"]].sub(table["real"], axis=0)
-    if measured.kind == "spectrum":
+    if measured.bands is not None:
         rmse = np.sqrt((error**2).mean())
         return f"RMSE of the spectrum {rmse['before']:.3f} before, {rmse['after']:.3f} after."
+    what = "a structure metric" if measured.kind == "structure" else "a number of the spectrum"
     largest = error.abs().div(table["target_sd"], axis=0).max()
     return (
-        f"Largest deviation of a structure metric {largest['before']:.1f} of its standard "
+        f"Largest deviation of {what} {largest['before']:.1f} of its standard "
         f"deviations before, {largest['after']:.1f} after."
     )
 
