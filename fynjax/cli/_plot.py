@@ -49,6 +49,38 @@ def demo(
     """
 
 
+@command("article", "fynjax.studies.fynbos_2006:article", forget=True)
+def article(
+    calibration: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR",
+            help="Results of `fynjax demo`, or of another calibration of the same plot; left out, "
+            "the demo is run first.",
+        ),
+    ] = None,
+    size: Annotated[
+        float, typer.Option(min=1.0, metavar="M", help="Edge of the plot that is looked at [m].")
+    ] = 10.0,
+    pixel: Annotated[
+        float, typer.Option(min=0.005, metavar="M", help="Pixel of the drone's image [m].")
+    ] = 0.025,
+    channels: Annotated[
+        int, typer.Option(min=10, metavar="N", help="About so many of AVIRIS-NG's 425 channels.")
+    ] = 425,
+    checkpoint: Checkpoint = None,
+    seed: Seed = 0,
+) -> None:
+    """Every number of the article beside those of its plot, before and after calibration.
+
+    Looks at the 2006 plot with the drone's camera, AVIRIS-NG and two LiDAR systems, and puts what
+    the article prints as real, what its DIRSIG made of it and fynjax's numbers side by side, each
+    with its definition. An interrupted run goes on when the same command is given again.
+
+    Example:  fynjax article --calibration output/demo
+    """
+
+
 def init(
     folder: Annotated[Path | None, typer.Argument(metavar="DIR", help="Folder to make.")] = None,
     output: Annotated[
@@ -87,7 +119,15 @@ def init(
 
 
 @command("render", "fynjax.jobs:render", forget=True)
-def render(plot: PlotPath, checkpoint: Checkpoint = None, seed: OwnSeed = None) -> None:
+def render(
+    plot: PlotPath,
+    checkpoint: Checkpoint = None,
+    seed: OwnSeed = None,
+    truth: Annotated[
+        bool,
+        typer.Option("--truth", help="Also write which species each pixel sees, and how much."),
+    ] = False,
+) -> None:
     """Render what the drone sees of a plot.
 
     Writes the reflectance image (GeoTIFF), the run (NetCDF) and a report page. A large image is

@@ -108,6 +108,35 @@ def statistic_table(calibration: Calibration, reference: ReferenceImage) -> pd.D
     return table
 
 
+def camera_table(calibration: Calibration, statistics: pd.DataFrame) -> pd.DataFrame | None:
+    """Gains of the drone's camera, and what they say of each band's error.
+
+    **Arguments:** `calibration`; `statistics`, of `statistic_table`.
+
+    **Returns:** a row for each band: its estimated gain, that is what a simulated band is to be
+    multiplied by to be as the camera has it, standard deviations after and before the data; what a
+    simulation without error would be off by from the camera's mean, and what those before and after
+    are, and another one's. None without a camera.
+    """
+    view = next((v for v in calibration.views if isinstance(v, ImageView)), None)
+    gain, gain_sd = calibration.gain, calibration.gain_sd
+    if view is None or gain is None or gain_sd is None:
+        return None
+    bands = view.camera.sensor.bands.names
+    table = pd.DataFrame(
+        {
+            "band": bands,
+            "gain": gain,
+            "sd": gain * gain_sd,
+            "prior_sd": view.gains.of_bands(len(bands)),
+            "exact_error_percent": 100.0 / gain - 100.0,
+        }
+    )
+    errors = statistics.set_index("statistic").filter(regex="_error_percent$")
+    means = errors.reindex([f"{band}.mean" for band in bands]).reset_index(drop=True)
+    return pd.concat([table, means], axis=1)
+
+
 def largest_errors(statistics: pd.DataFrame) -> pd.DataFrame:
     """Largest error of the fitted means of bands and of indices [%], before and after, and with
     the camera's gains.

@@ -25,7 +25,12 @@ reported beside, as a check."""
 
 @double_precision
 def demo(
-    output: Path, *, seed: int, with_aviris: bool = False, twin: bool = False
+    output: Path,
+    *,
+    seed: int,
+    with_aviris: bool = False,
+    twin: bool = False,
+    checkpoint: Path | None = None,
 ) -> CalibrateResult:
     """Calibrate the shipped 2006 plot to the published statistics of its real drone image.
 
@@ -36,6 +41,8 @@ def demo(
     - `with_aviris`: fit the published numbers of the plot's AVIRIS-NG spectrum too, by which the
       gains of the drone's camera are known better; water of the leaves is then free as well.
     - `twin`: calibrate a twin of the plot, whose truth is known, as `jobs.calibrate` does.
+    - `checkpoint`: folder that keeps every step, from which an interrupted run goes on; none by
+      default.
 
     **Returns:** `CalibrateResult`. Writes the files of `jobs.calibrate` into `output`.
     """
@@ -65,6 +72,7 @@ def demo(
             known, *paper_simulation(), goals={"mean of a band": 3.0, "mean of an index": 5.0}
         ),
         command="demo",
+        checkpoint=checkpoint,
         twin=twin,
     )
 
