@@ -354,7 +354,7 @@ class Species(eqx.Module):
     minimum_area: float = eqx.field(static=True, default=0.0)
     """Least ground area that a plant counts for [m2]."""
     leaf_angle: AbstractLeafAngle | None = None
-    """How the leaves are inclined; None: as the form has it."""
+    """Inclination of the leaves; None: as the form has it."""
 
     @classmethod
     def of(cls, row: SpeciesRow) -> "Species":
