@@ -66,7 +66,7 @@ class CubeBlocks:
     crs: str | None
     """Coordinate reference system as WKT."""
     source: Any
-    """What `read` takes values of."""
+    """File or array that `read` takes values of."""
     location: xr.Dataset | None = None
     """Lookup table that places the pixels of a swath on a map, with the file's attributes; `None`
     for what is no swath."""

@@ -70,7 +70,7 @@ class RasterFile:
 
     path: Path
     what: str
-    """What it is to be, for errors, such as "a probability map"."""
+    """Role of the file, for errors, such as "a probability map"."""
     dataset: Any
     """The open dataset of rasterio."""
     header: dict[str, Any]
@@ -87,7 +87,7 @@ class RasterFile:
     units: tuple[str, ...]
     """Unit of each band; empty where it has none."""
     tags: dict[str, str]
-    """What the file states of its image as a whole."""
+    """Statements of the file about its image as a whole."""
     crs: CRS | None
     """Coordinate reference system, if it states one."""
 
