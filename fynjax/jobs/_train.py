@@ -94,13 +94,13 @@ class Training:
     posterior: AmortisedPosterior
     channels: Channels
     responses: BandSet
-    """What the channels measure, as bands."""
+    """Bands that the channels measure."""
     settings: StandSettings
-    """How its stands were simulated."""
+    """Settings by which its stands were simulated."""
     bands: int
     """Number of bands of the sensor that it was trained for."""
     record: dict[str, Any]
-    """How it came to be."""
+    """Origin of the training."""
 
 
 @double_precision

@@ -239,6 +239,14 @@ def test_a_cube_that_is_no_vegetation_is_doubted(trained, known, tmp_path):
     assert result.warnings[0].startswith("These bands are not such as shrubland has")
 
 
+def test_a_cube_times_32768_is_not_taken_for_ten_thousandths(trained, known, tmp_path):
+    values = simulated()[::3].T.reshape(-1, 3, 4)
+    shrubs = cube_of(tmp_path, known, values=32768.0 * values)
+    training = trained[0] / "out" / "training.nc"
+    with pytest.raises(InputError, match="only if 32768 is a reflectance of 1"):
+        jobs.map_cube(shrubs, training, tmp_path / "out", checkpoint=tmp_path / "work")
+
+
 def test_maps_of_emit_lie_on_the_grid_of_its_file(trained, known, tmp_path, monkeypatch):
     """Each pixel is that of the maps of the same swath without a place, also of a run that goes
     on."""

@@ -31,6 +31,7 @@ from fynjax.io.raster._crs import geotransform, parse_crs
 from fynjax.io.raster._lookup import lookup_table
 from fynjax.io.raster._netcdf import CONVENTIONS, check_netcdf, with_history
 from fynjax.io.raster._reader import RasterFile, open_raster, wherever
+from fynjax.io.raster._scale import check_reflectance
 from fynjax.io.raster._writer import LOCAL_FRAME
 from fynjax.io.raster._zarr import check_zarr
 from fynjax.io.spectra import in_nanometres
@@ -40,6 +41,8 @@ _SIZE = 2**27
 """Bytes of a block, about."""
 _MOST_REFLECTANCE = 2.5
 """Beyond, values are no reflectance factors but counts, such as ten thousandths."""
+_LEAST_REFLECTANCE = 0.01
+"""Of the brightest values; below, they are reflectance in another scale."""
 _DARK = -0.01
 """Below, a value is a mark for missing data: spectrometers' noise about black is smaller."""
 _INNER = 512
@@ -64,7 +67,7 @@ class CubeBlocks:
     crs: str | None
     """Coordinate reference system as WKT."""
     source: Any
-    """What `read` takes values of."""
+    """File or array that `read` takes values of."""
     location: xr.Dataset | None = None
     """Lookup table that places the pixels of a swath on a map, with the file's attributes; `None`
     for what is no swath."""
@@ -127,6 +130,8 @@ class CubeBlocks:
         if not values.size:  # the sampled rows may lie in a border
             return 1.0
         high = float(np.quantile(values, 0.95))
+        if high < _LEAST_REFLECTANCE:
+            check_reflectance(high, self.path)
         if high <= _MOST_REFLECTANCE:
             return 1.0
         if 100.0 < high <= 1e4 * _MOST_REFLECTANCE:
