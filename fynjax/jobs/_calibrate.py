@@ -13,6 +13,7 @@ from fynjax._core.errors import InputError
 from fynjax._core.precision import double_precision
 from fynjax.assembly import (
     Measured,
+    imaged_plot,
     parameter_columns,
     plant_twin,
     prepare,
@@ -139,7 +140,7 @@ def calibrate(
         return _calibrate_known(read, paths, run, bands, checkpoint)
     measured = read_targets(read, paths, bands=bands, seed=run.seed)
     return calibrate_to(
-        read, measured or (twin_image(read),), run,
+        imaged_plot(read, measured), measured or (twin_image(read),), run,
         inputs=(*read.inputs, *paths), checkpoint=checkpoint, twin=twin,
     )  # fmt: skip
 
