@@ -41,9 +41,9 @@ class Parameter:
     usual: tuple[float, float]
     """Range that is common; values outside it are possible."""
     description: str
-    """What it means, with the reason of its bounds."""
+    """Meaning of the parameter, with the reason of its bounds."""
     source: str
-    """Where default, bounds and prior of the parameter are from; says what is assumed."""
+    """Source of default, bounds and prior of the parameter; says what is assumed."""
     default: float | None = None
     """Value where nothing is stated; None where there is none, or it is that of the growth form."""
     relative_sd: float | None = None

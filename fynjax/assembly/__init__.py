@@ -36,7 +36,7 @@ from fynjax.assembly._stands import (
     stand_forms,
     stand_numbers,
 )
-from fynjax.assembly._targets import Measured, drone_view, imaged_plot, read_targets
+from fynjax.assembly._targets import Measured, drone_view, read_targets
 from fynjax.assembly._twin import Twin, plant_twin, twin_image
 
 __all__ = [
@@ -62,7 +62,6 @@ __all__ = [
     "free",
     "ground_heights",
     "image_view",
-    "imaged_plot",
     "information",
     "make_stand",
     "parameter_columns",

@@ -66,11 +66,11 @@ _SPECTRA = (
 )
 _DRONE_BANDS = 10
 """A GeoTIFF of more bands than this is a spectrometer's."""
+_PIXEL_TOLERANCE = 0.01
+"""By how much an image's pixel may differ from the sensor's and count as the same, relative [-]."""
 _MOST_BANDS = 30
 _NARROWEST, _WIDEST = 5.0, 15.0  # nm; finer spectra are averaged to bands of the first
 _RANGE = (405.0, 2450.0)
-_OTHER_PIXEL = 0.02
-"""Share by which pixels of an image may differ from the plot file's without a warning [-]."""
 _CONFIDENCE = 0.95
 
 
@@ -91,8 +91,6 @@ class Measured:
     """Wavelengths [nm] and reflectance of the whole measured spectrum."""
     bands: BandSet | None = None
     """Bands in which a spectrum is compared; None of another measurement."""
-    pixel: float | None = None
-    """Edge of a pixel of an image on the ground [m]; None of another measurement."""
 
 
 def target_kind(path: Path) -> Kind:
@@ -213,36 +211,21 @@ def image_target(
     path: Path,
     bands: Sequence[str] | None = None,
 ) -> Measured:
-    """The statistics of a drone's image (GeoTIFF), with its `bands`, or of a table (CSV). Warns
-    where the image states other pixels than the plot file; its own count."""
-    stated = sensor_place(plot)[1]
-    data, extra, pixel = image_data(
-        path, target_rules(plot), pixel=stated, side=min(plot.size_m), bands=bands
+    """The statistics of a drone's image (GeoTIFF), with its `bands`, or of a table (CSV)."""
+    pixel = sensor_place(plot)[1]
+    data, extra, found = image_data(
+        path, target_rules(plot), pixel=pixel, side=min(plot.size_m), bands=bands
     )
-    assert pixel is not None
-    if plot.sensor.pixel_m is not None and abs(pixel / stated - 1.0) > _OTHER_PIXEL:
-        warnings.warn(
-            f"{path.name} has pixels of {pixel:g} m, which count, and not the {stated:g} m of the "
-            "plot file: spreads and percentiles depend on them.",
-            UserWarning,
-            stacklevel=2,
-        )
     description = f"{path.name}: {len(data.names)} statistics of a drone's image."
-    view = drone_view(_with_pixel(plot, pixel), data.names)
-    return Measured("image", path, data, view, description, extra, pixel=pixel)
-
-
-def imaged_plot(plot: Plot, measured: Sequence[Measured]) -> Plot:
-    """The plot whose sensor has the pixels of the image among what was measured, if there is one:
-    pictures of it are then like the measured one."""
-    pixel = next((one.pixel for one in measured if one.pixel is not None), None)
-    return plot if pixel is None else _with_pixel(plot, pixel)
-
-
-def _with_pixel(plot: Plot, pixel: float) -> Plot:
-    if abs(pixel / sensor_place(plot)[1] - 1.0) < 1e-6:
-        return plot
-    return plot.replace(sensor=plot.sensor.replace(pixel_m=pixel))
+    if found is not None and abs(found / pixel - 1.0) > _PIXEL_TOLERANCE:
+        # The spread between pixels depends on their size.
+        sensor = plot.sensor.model_copy(update={"pixel_m": found})
+        plot = plot.model_copy(update={"sensor": sensor})
+        description += (
+            f" Its pixels of {found:.4g} m are simulated, not those of {pixel:.4g} m of the plot's "
+            "sensor."
+        )
+    return Measured("image", path, data, drone_view(plot, data.names), description, extra)
 
 
 def image_data(

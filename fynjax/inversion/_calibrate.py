@@ -64,9 +64,9 @@ class Calibration(eqx.Module):
     after: PlotParameters
     """The plot's parameters at the estimate, those that are not free among them."""
     views: tuple[AbstractView, ...]
-    """How each sensor sees the full scene, in the order of the statistics."""
+    """Views of the full scene, one for each sensor, in the order of the statistics."""
     coarse_views: tuple[AbstractView, ...]
-    """How each sensor sees the `stands`, which are in the coarse form of the search."""
+    """Views of the `stands`, one for each sensor, which are in the coarse form of the search."""
     image_before: Float[Array, "band y x"] | None
     """The drone's image of the full scene where the search started; None without such a camera."""
     image_after: Float[Array, "band y x"] | None

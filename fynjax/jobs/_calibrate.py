@@ -13,7 +13,6 @@ from fynjax._core.errors import InputError
 from fynjax._core.precision import double_precision
 from fynjax.assembly import (
     Measured,
-    imaged_plot,
     parameter_columns,
     plant_twin,
     prepare,
@@ -39,6 +38,7 @@ from fynjax.jobs._calibration_page import (
 from fynjax.jobs._calibration_tables import (
     ReferenceImage,
     calibration_dataset,
+    camera_table,
     parameter_table,
     statistic_table,
 )
@@ -140,7 +140,7 @@ def calibrate(
         return _calibrate_known(read, paths, run, bands, checkpoint)
     measured = read_targets(read, paths, bands=bands, seed=run.seed)
     return calibrate_to(
-        imaged_plot(read, measured), measured or (twin_image(read),), run,
+        read, measured or (twin_image(read),), run,
         inputs=(*read.inputs, *paths), checkpoint=checkpoint, twin=twin,
     )  # fmt: skip
 
@@ -297,6 +297,11 @@ def _write(
     run.table("parameters.csv", parameters, "prior, estimate, sd of every parameter")
     each = "every statistic" if result.image_before is None else "every band and index"
     run.table("statistics.csv", statistics, f"{each}, real and simulated")
+    camera = camera_table(result, statistics)
+    if camera is not None:
+        run.table(
+            "camera.csv", camera, "gain of each band of the camera, and its share of the error"
+        )
     for when, what in (("before", "of the field table"), ("after", "after calibration")):
         image = getattr(result, f"image_{when}")
         if image is not None and result.camera is not None:

@@ -17,7 +17,6 @@ from fynjax._core.precision import double_precision
 from fynjax._core.sampling import ChainState
 from fynjax.assembly import (
     Prepared,
-    imaged_plot,
     parameter_columns,
     prepare,
     read_targets,
@@ -137,7 +136,6 @@ def posterior(
     run = Run(output, seed=read.seed if seed is None else seed)
     paths = [targets] if isinstance(targets, Path) else list(targets)
     measured = read_targets(read, paths, bands=bands, seed=run.seed)
-    read = imaged_plot(read, measured)
     doubt_targets(run, read, measured)
     with run.stage("Build the plot"):
         ready = prepare(read, free, seed=run.seed)

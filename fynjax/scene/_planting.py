@@ -51,7 +51,7 @@ class Planting(eqx.Module):
     """All plants that may stand on a plot and their area elements."""
 
     species: Int[Array, " plant"]
-    """Which species each plant belongs to."""
+    """Species of each plant."""
     place: Float[Array, " plant"]
     """Place of each plant in the order in which its species fills the sites, from 0."""
     foot: Float[Array, "plant 2"]
@@ -71,9 +71,9 @@ class Planting(eqx.Module):
     count: Int[Array, " plant"]
     """Elements of the shape of each plant."""
     plant: Int[Array, " element"]
-    """Which plant each element belongs to; empty where there are too many to be listed."""
+    """Plant of each element; empty where there are too many to be listed."""
     part: Int[Array, " element"]
-    """Which element of `shapes` it is."""
+    """Place of each element in `shapes`."""
     shapes: PlantModel
     """The elements of the individuals of each species that has plants, one after the other."""
     shape_class: Int[Array, " part"]
@@ -227,7 +227,7 @@ class Crowns:
     """Plants that are known, such as those of a crown map."""
 
     species: Int[np.ndarray, " plant"]
-    """Which species each belongs to."""
+    """Species of each crown."""
     foot: Float[np.ndarray, "plant 2"]
     """East and north of the plot's south-west corner [m]."""
     diameter: Float[np.ndarray, " plant"]
@@ -248,7 +248,7 @@ class Stand:
     """What the plants of a scene are, wherever they stand."""
 
     species: Sequence[Species]
-    """What is fixed about each."""
+    """Fixed properties of each species."""
     diameter: Float[np.ndarray, " species"]
     """Mean crown diameter of each [m]."""
     height: Float[np.ndarray, " species"]

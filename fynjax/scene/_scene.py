@@ -98,9 +98,9 @@ class PlantingRules:
     probability: Float[np.ndarray, "y x"] | None = None
     """Map of 0-255 over the plot of where plants are likely to stand, row 0 south; None: even."""
     rounding: Literal["random", "up"] = "random"
-    """How a real number of plants becomes a whole one. "random": up or down by a number drawn for
-    each species, so that the mean over plantings is the real number. "up": the ceiling of eq. (10),
-    which on average adds half a plant to every species."""
+    """Rule by which a real number of plants becomes a whole one. "random": up or down by a number
+    drawn for each species, so that the mean over plantings is the real number. "up": the ceiling of
+    eq. (10), which on average adds half a plant to every species."""
     softness: float = 0.25
     """Share of a species' plants over which one more of them is spread where a slope is taken [-];
     see `site_weight`. What is observed has whole plants whatever it is."""
@@ -141,13 +141,13 @@ class Window(eqx.Module):
     """A part of a scene, with the plants that reach into it."""
 
     planting: Planting
-    """With feet from the window's south-west corner."""
+    """Planting, its feet counted from the window's south-west corner."""
     crown: Float[Array, " plant"]
     """Ground area of each crown, as of `Scene.visible_crowns` [m2]."""
     first: Int[Array, " 2"]
     """First voxel column of `Scene.class_grid` in it, along y and x; may lie beyond the scene."""
     columns: tuple[int, int] = eqx.field(static=True)
-    """Such columns in it, along y and x."""
+    """Number of such columns in it, along y and x."""
 
     def grid(self, whole: VoxelGrid, times: int = 1) -> VoxelGrid:
         """Its voxels, of the kind of those of `whole`, `times` as many along a column's edge."""
@@ -175,8 +175,8 @@ class Scene(eqx.Module):
     species: tuple[Species, ...]
     boundary: Literal["periodic", "open"] = eqx.field(static=True)
     rounding: Float[Array, " species"]
-    """What the real number of plants of each species is lessened by before it is rounded up [-]: 0
-    as in eq. (10), or drawn evenly from 0 to 1, so that the mean number is the real one."""
+    """Number that the real number of plants of each species is lessened by before it is rounded up
+    [-]: 0 as in eq. (10), or drawn evenly from 0 to 1, so that the mean number is the real one."""
     softness: float = eqx.field(static=True)
     """Share of a species' plants over which one more of them is spread where a slope is taken [-];
     see `site_weight`."""
@@ -197,7 +197,7 @@ class Scene(eqx.Module):
     sky: Spectrum | None
     """Diffuse over global irradiance [-], instead of the clear-sky model."""
     sky_pattern: Float[np.ndarray, "zenith azimuth"] | None
-    """Where the sky is bright, as of `fynjax.radiation.Illumination`; None: alike everywhere."""
+    """Relative radiance of the sky, as in `fynjax.radiation.Illumination`; None: even."""
     dead_tissue: Spectrum | None
     """Reflectance of dead tissue in live shoots; None: that of bark."""
     hot_spot: bool = eqx.field(static=True)
@@ -214,7 +214,7 @@ class Scene(eqx.Module):
     seed: Int[np.ndarray | Array, ""] = eqx.field(default_factory=lambda: np.zeros((), int))
     """Seed of what was drawn; no part of what is observed."""
     probability: Float[np.ndarray, "y x"] | None = None
-    """Where plants were likely to stand, as of `PlantingRules`."""
+    """Map of where plants were likely to stand, as of `PlantingRules`."""
     shaped: bool = eqx.field(static=True, default=False)
     """Whether some plants have shapes that were given, and not that of their growth form."""
 

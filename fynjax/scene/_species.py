@@ -429,7 +429,7 @@ class Species(eqx.Module):
     minimum_area: float = eqx.field(static=True, default=0.0)
     """Least ground area that a plant counts for [m2]."""
     leaf_angle: AbstractLeafAngle | None = None
-    """How the leaves are inclined; None: as the form has it."""
+    """Inclination of the leaves; None: as the form has it."""
     leaf_ratios: Float[Array, "leaf trait"] | None = None
     """Traits of its leaves (`LEAF_FIELDS`), of which each plant has one, over their mean [-]; None:
     all plants have the same leaf."""

@@ -5,10 +5,12 @@ import pytest
 from rasterio import Affine
 
 from fynjax._core.errors import InputError
-from fynjax.assembly import build_plot, imaged_plot, read_targets
+from fynjax.assembly import _targets, read_targets
 from fynjax.assembly._targets import image_target
 from fynjax.inversion import weigh_targets
-from fynjax.io.plot import example_folder, read_plot
+from fynjax.io.plot import example_folder, read_plot, sensor_place
+from fynjax.io.raster import write_geotiff
+from fynjax.metrics import BANDS
 from tests.helpers import write_raster
 
 
@@ -36,7 +38,6 @@ def test_the_example_table_is_a_target_of_the_example_plot():
 
 def test_bands_of_an_image_are_stated(tmp_path):
     plot = read_plot(example_folder() / "plot.toml")
-    plot = plot.replace(sensor=plot.sensor.replace(pixel_m=0.1))
     level = np.linspace(0.9, 1.1, 900).reshape(30, 30)
     image = np.stack([share * level for share in (0.03, 0.04, 0.1, 0.3)])
     write_raster(tmp_path / "named.tif", image[::-1], transform=Affine(0.1, 0, 0, 0, -0.1, 0))
@@ -51,24 +52,17 @@ def test_bands_of_an_image_are_stated(tmp_path):
         read_targets(plot, [], bands=bands)
 
 
-def test_an_image_is_simulated_in_its_own_pixels(tmp_path):
-    """Spreads and percentiles of 10 cm are not those of the camera's 2.5 cm."""
-    (tmp_path / "plot.toml").write_text('[plot]\nsize_m = 3.0\nstructure_m = "even"\n')
-    (tmp_path / "species.csv").write_text(
-        "taxon,mean_diameter_cm,cover_percent,height_max_m\nErica irregularis,40,30,0.6\n"
+def test_an_image_of_other_pixels_than_the_sensors_is_simulated_in_its_own(tmp_path, monkeypatch):
+    plot = read_plot(example_folder() / "plot.toml")
+    own = sensor_place(plot)[1]
+    monkeypatch.setattr(_targets, "image_view", lambda plot, *_: sensor_place(plot)[1])
+    image = (
+        np.linspace(0.9, 1.1, 1600).reshape(40, 40)
+        * np.array([0.05, 0.04, 0.1, 0.3])[:, None, None]
     )
-    plot = read_plot(tmp_path / "plot.toml")
-    image = np.random.default_rng(0).uniform(0.1, 0.2, (4, 30, 30))
-    names = ["green", "red", "red_edge", "nir"]
-    write_raster(tmp_path / "own.tif", image, transform=Affine(0.1, 0, 0, 0, -0.1, 0))
-    scene, parameters = build_plot(plot)
-    (one,) = read_targets(plot, [tmp_path / "own.tif"], bands=names)
-    assert one.pixel == pytest.approx(0.1)
-    camera = one.view_of(scene, parameters).camera
-    assert (camera.pixel, camera.shape) == (pytest.approx(0.1), (30, 30))
-    assert imaged_plot(plot, [one]).sensor.pixel_m == pytest.approx(0.1)
-    assert imaged_plot(plot, []) is plot
-    stated = plot.replace(sensor=plot.sensor.replace(pixel_m=0.03))
-    with pytest.warns(UserWarning, match=r"pixels of 0\.1 m, which count, and not the 0\.03 m"):
-        (again,) = read_targets(stated, [tmp_path / "own.tif"], bands=names)
-    assert again.view_of(scene, parameters).camera.pixel == pytest.approx(0.1)
+    for pixel in (own, 2.0 * own, 0.5 * own):
+        path = tmp_path / f"{pixel}.tif"
+        write_geotiff(path, image, list(BANDS), pixel_m=pixel, crs="EPSG:32734")
+        target = image_target(plot, path)
+        assert target.view_of(None, None) == pytest.approx(pixel)
+        assert ("are simulated" in target.description) == (pixel != own)
