@@ -11,8 +11,10 @@ import pandas as pd
 import pytest
 
 import fynjax as fx
+from fynjax.assembly import build_plot
 from fynjax.canopy import table1_2006
 from fynjax.errors import InputError
+from fynjax.io.plot import read_plot
 from fynjax.leaf import fit_leaf_groups
 from fynjax.scene import (
     LEAF_FIELDS,
@@ -29,6 +31,7 @@ from fynjax.scene import (
     truth_of_pixels,
 )
 from fynjax.sensors import shipped_sensor
+from tests.small import write_plot
 
 from .plots import drone, render, small_parameters, small_plot
 
@@ -276,6 +279,15 @@ def test_the_spread_within_species_is_that_of_californian_shrubs(shared_data):
         table[broad].groupby("species_code")[["ewt", "lma"]].agg(lambda v: v.std() / v.mean())
     )
     assert measured.median().to_numpy() == pytest.approx([0.24, 0.24], abs=0.02)
+
+
+def test_a_plot_file_asks_for_leaves_that_stay_when_its_plants_are_drawn_anew(tmp_path):
+    plot = read_plot(write_plot(tmp_path, "leaf_variants = 3\n"))
+    one, other = (build_plot(plot, seed=seed)[0] for seed in (1, 2))
+    assert [own.leaves for own in one.species] == [3, 3]
+    np.testing.assert_array_equal(one.species[0].leaf_ratios, other.species[0].leaf_ratios)
+    assert not np.array_equal(one.planting.leaf[:50], other.planting.leaf[:50])
+    np.testing.assert_allclose(one.parameters.leaf.water, USUAL_LEAF.water)
 
 
 def test_fewer_than_one_leaf_is_refused():
