@@ -475,10 +475,11 @@ def species_parameters(
         return jnp.asarray([u if s is None else s for s, u in zip(stated, usual, strict=True)])
 
     names = [name for name in parameters_of(SpeciesParameters) if name != "leaf_spread"]
-    several = any(len(own) > 1 for own in leaves)
+    several, as_stated = any(len(own) > 1 for own in leaves), _RECORDS["leaf_spread"].default
+    assert as_stated is not None
     return SpeciesParameters(
         **{name: column(name) for name in names},
-        leaf_spread=jnp.full(len(rows), _RECORDS["leaf_spread"].default) if several else None,
+        leaf_spread=jnp.full(len(rows), as_stated) if several else None,
     )
 
 
