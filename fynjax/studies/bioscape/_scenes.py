@@ -42,7 +42,7 @@ class PlotSpectrum(eqx.Module):
     ground_seen: Float[Array, ""]
     """Share of the plot where the ground shows between leaves and stems [-]."""
     variety: Float[Array, " metric"]
-    """Of the pixels of a voxel's edge, as `spectral_variety` has them."""
+    """Spectral variety of the pixels, each of a voxel's edge, in the order of `VARIETY`."""
     residual: Float[Array, ""]
     """Largest share of the source of the diffuse light that its solution leaves over [-]."""
 
@@ -176,12 +176,10 @@ def _padded(scene: Scene, plants: int, elements: int, parts: int) -> Scene:
         )
 
     shapes = jax.tree.map(lambda a: longer(a, parts + 1), planting.shapes)
-    of_plants = ("species", "foot", "azimuth", "tilt", "size", "stature", "first", "count")
     return replace(
         scene,
         planting=replace(
-            planting,
-            **{name: longer(getattr(planting, name), plants) for name in of_plants},
+            planting.of_plants(lambda values: longer(values, plants)),
             place=longer(planting.place, plants, 1e9),
             plant=longer(planting.plant, elements),
             part=longer(planting.part, elements, parts),  # the last part has no area

@@ -99,10 +99,10 @@ class ValidatePlotsResult(JobResult):
     by_plot: Rows | None = None
     """Agreement of the model with each plot over all bands: rows of agreement.csv."""
     features: Rows | None = None
-    """How well the model distinguishes plots: the rows of features.csv."""
+    """Degree to which the model distinguishes plots: the rows of features.csv."""
     diversity: Rows | None = None
-    """How well spectra follow the diversity of the species: the rows of diversity.csv; of at least
-    five plots."""
+    """Correlations and skills of spectra with the diversity of the species: the rows of
+    diversity.csv; of at least five plots."""
 
 
 def write_report(
