@@ -121,7 +121,7 @@ class PlotData(Data):
     """
 
     sensors: tuple[View, ...] = eqx.field(static=True, default=())
-    """How each sensor sees a scene, in the order of the statistics."""
+    """Views of a scene, one for each sensor, in the order of the statistics."""
 
     @classmethod
     @double_precision

@@ -37,7 +37,7 @@ class SimulateLidarResult(JobResult):
     share_of_pulses_with_returns: float
     ground_returns: int
     percentile_rmse_m: dict[str, Number] | None
-    """How far percentiles of height of the returns are from those of the plants [m]."""
+    """RMS difference of percentiles of height of the returns from those of the plants [m]."""
 
 
 def simulate_lidar(

@@ -48,7 +48,7 @@ class LidarObservation(eqx.Module):
     waveforms: Waveforms
     """Apparent reflectance in each sample of each pulse, without noise [-]."""
     electrons: Float[Array, "beam sample"]
-    """What the receiver counts, its mean background taken off [-]."""
+    """Electrons that the receiver counts, its mean background taken off [-]."""
     returns: LidarReturns | None
     """Discrete returns; None inside a transformation, as they are found one by one."""
 

@@ -26,7 +26,7 @@ class CameraRadiometry(eqx.Module):
     exposure: Float[Array, ""] = eqx.field(converter=real_array)
     """Time of exposure t [s]."""
     black_level: Float[Array, ""] = eqx.field(converter=real_array)
-    """What covered pixels read [counts]."""
+    """Counts that covered pixels read [counts]."""
     gain: Float[Array, ""] = eqx.field(converter=real_array, default=1.0)
     """Gain of the amplifier g [-]; ISO speed / 100."""
     full_scale: float = eqx.field(static=True, converter=float, default=65536.0)

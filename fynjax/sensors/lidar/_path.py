@@ -20,9 +20,9 @@ class PencilPaths(eqx.Module):
     depth: Float[Array, "step pencil"]
     """Optical depth of each step [-]."""
     source: Float[Array, "step pencil"]
-    """What each step would send back without shade, as the reflectance of a plate [-]."""
+    """Signal of each step, without shade, as the reflectance of a plate [-]."""
     late: Float[Array, "step pencil"] | None
-    """What each step would send back without shade out of light that was scattered before [-]."""
+    """Signal of each step, without shade, out of light that was scattered before [-]."""
     top: Float[Array, " pencil"]
     """Range of the grid's top [m]."""
     step: Float[Array, " pencil"]
@@ -32,7 +32,7 @@ class PencilPaths(eqx.Module):
     ground: Float[Array, " pencil"]
     """Reflectance of the ground times the cosine of incidence [-]."""
     late_ground: Float[Array, " pencil"] | None
-    """What the ground would send out of light that was scattered before [-]."""
+    """Signal of the ground out of light that was scattered before [-]."""
 
     def _place(self, distance: Array) -> tuple[Array, Array]:
         """Step and share of it at ranges [point, pencil]."""

@@ -41,9 +41,9 @@ class Waveforms(eqx.Module):
     """
 
     canopy: Float[Array, "beam sample"]
-    """What leaves, wood and flowers send back [-]."""
+    """Light that leaves, wood and flowers send back [-]."""
     ground: Float[Array, "beam sample"]
-    """What the ground sends back [-]."""
+    """Light that the ground sends back [-]."""
 
     @property
     def total(self) -> Float[Array, "beam sample"]:

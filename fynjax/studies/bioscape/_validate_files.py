@@ -86,7 +86,7 @@ class ValidatePlotsResult(JobResult):
     by_plot: Rows | None = None
     """Agreement of the model with each plot over all bands: rows of agreement.csv."""
     features: Rows | None = None
-    """How well the model distinguishes plots: the rows of features.csv."""
+    """Degree to which the model distinguishes plots: the rows of features.csv."""
 
 
 def write_report(
