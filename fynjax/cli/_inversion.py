@@ -201,7 +201,7 @@ def design(
             str,
             "names",
             "NAME,...",
-            "What the bands are to tell: numbers of the stand (green_leaf_area, crown_cover, "
+            "What the bands are to inform of: numbers of the stand (green_leaf_area, crown_cover, "
             "shannon, ...), names or patterns of free parameters; or information, or separability.",
         ),
     ] = "green_leaf_area,dead_share,canopy_chlorophyll,crown_cover,shannon",
@@ -235,7 +235,7 @@ def design(
     starts: Annotated[int, typer.Option(min=1, metavar="N", help="Ascents.")] = 8,
     seed: OwnSeed = None,
 ) -> None:
-    """Find the bands of a sensor that tell most of a plot.
+    """Find the most informative bands of a sensor on a plot.
 
     Writes centres and widths, a sensor file with them, what they gain over other sensors in
     plantings left out of the design, figures and a report page.

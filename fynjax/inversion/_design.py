@@ -1,9 +1,9 @@
-"""Bands of a sensor, chosen by gradient for what they tell of a stand.
+"""Bands of a sensor, chosen by gradient for what they inform of in a stand.
 
 Whatever its bands, a sensor averages one spectrum. So the image of each planting and its slopes are
 computed once, on a grid of wavelengths. Means over the pixels are linear in a band's response, and
-covariances over the pixels quadratic: what any camera would tell follows in a millisecond, with its
-gradient by centres and widths.
+covariances over the pixels quadratic: the information of any camera follows in a millisecond, with
+its gradient by centres and widths.
 """
 
 import dataclasses
@@ -58,7 +58,7 @@ DESIGN_FREE = (
     *(f"species.*.leaf.{name}" for name in ("chlorophyll", "water", "dry_matter")),
     *("ground.brightness", "ground.moisture"),
 )
-"""Patterns of the parameters that are unknown where a design is not told."""
+"""Patterns of the parameters that are unknown in a design, by default."""
 DESIGN_TARGET = ("green_leaf_area", "dead_share", "canopy_chlorophyll", "crown_cover", "shannon")
 """Numbers of a stand that a design is for by default."""
 CAMERAS = ("mavic_3m", "rededge_3", "sentinel_2a")
@@ -197,8 +197,8 @@ def _measured(
 def _scores(
     spectra: _Spectra, seen: _Measured, among: Float[Array, " planting"]
 ) -> Float[Array, "planting quantity"]:
-    """What bands tell in each planting, of each quantity that is asked for. Never less with a band
-    more.
+    """The information of bands on each quantity that is asked for, in each planting. Never less
+    with a band more.
 
     The statistics are mean and standard deviation of each band over the pixels. Their covariance
     between the plantings `among` (1 or 0) is drawn half-way to that which pixels suggest: of means
@@ -234,8 +234,8 @@ def _scores(
     inner = jnp.eye(len(total)) + jnp.einsum("spk,tpk->pst", white, white)
     if spectra.target == "information":
         return 0.5 / np.log(2.0) * jnp.linalg.slogdet(inner)[1][:, None]
-    heard = jnp.einsum("spk,pqk->psq", white, spectra.asked)
-    removed = jnp.einsum("psq,psq->pq", heard, jnp.linalg.solve(inner, heard))
+    known = jnp.einsum("spk,pqk->psq", white, spectra.asked)
+    removed = jnp.einsum("psq,psq->pq", known, jnp.linalg.solve(inner, known))
     return removed / jnp.sum(spectra.asked**2, axis=2)
 
 
@@ -288,7 +288,7 @@ def _gaussian(spectra: _Spectra, limits: _Limits, x: Array | np.ndarray) -> _Mea
 
 
 def _value(spectra: _Spectra, limits: _Limits, x: Array, among: Array) -> Float[Array, ""]:
-    """Mean over the plantings `among`, and over quantities, of what bands tell."""
+    """Mean over the plantings `among`, and over quantities, of the information of bands."""
     scores = _scores(spectra, _gaussian(spectra, limits, x), among)
     return among @ scores.mean(axis=1) / among.sum()
 
@@ -318,8 +318,8 @@ def _values_of_channels(
 def best_channels(
     spectra: _Spectra, seen: _Measured, count: int, among: Float[Array, " planting"]
 ) -> list[int]:
-    """Channels of a sensor that tell most: each the best beside those before, then exchanged one by
-    one until no exchange tells more."""
+    """The most informative channels of a sensor: each the best beside those before, then exchanged
+    one by one until no exchange adds information."""
 
     def beside(rest: list[int]) -> tuple[float, list[int]]:
         sets = [[*rest, i] for i in range(len(seen.noise)) if i not in rest]
@@ -339,7 +339,7 @@ def best_channels(
 def _ascend(
     spectra: _Spectra, limits: _Limits, start: np.ndarray, among: Array
 ) -> tuple[float, np.ndarray]:
-    """The best bands near a start, and what they tell."""
+    """The target and the place of the best bands near a start."""
     found = minimize(
         lambda x: tuple(np.asarray(a, float) for a in _ascent(x, spectra, limits, among)),
         start, jac=True, method="L-BFGS-B", bounds=[(0.0, 1.0)] * len(start),
@@ -350,12 +350,12 @@ def _ascend(
 
 @dataclass(frozen=True)
 class BandDesign:
-    """Bands that tell most of a stand, beside those of other sensors."""
+    """The most informative bands on a stand, beside those of other sensors."""
 
     bands: BandSet
     """The designed bands, by rising centre."""
     target: str
-    """Words for what the bands are to tell, with its unit."""
+    """Words for what the bands were designed for, with its unit."""
     pixel: float
     """Edge of a pixel on the ground [m]."""
     table: "pd.DataFrame"
@@ -454,12 +454,12 @@ def design(
     seed: int = 0,
     checked: Callable[[], None] = lambda: None,
 ) -> BandDesign:
-    """Bands of a camera that tell most of a stand, by gradient through the renderer.
+    """The most informative bands of a camera on a stand, by gradient through the renderer.
 
-    A camera tells mean and standard deviation of each band over the pixels. With their slopes J by
-    whitened parameters and their covariance C (where plants stand, an independent relative error of
-    each, shot noise) the parameters' prior precision 1 grows by the Fisher information J' C^-1 J,
-    and the variance of any quantity falls from g' g to g' (1 + J' C^-1 J)^-1 g, with g its slopes.
+    A camera measures mean and standard deviation of each band over the pixels. With their slopes J
+    by whitened parameters and their covariance C (where plants stand, an independent relative error
+    of each, shot noise) the parameters' prior precision 1 grows by the Fisher information J'C^-1 J,
+    and the variance of any quantity falls from g'g to g'(1 + J'C^-1 J)^-1 g, with g its slopes.
     The target is a mean over plantings. Slopes are those of each planting, chance included: compare
     cameras by it, and take bounds from `sweep_sensors`.
 

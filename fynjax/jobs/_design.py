@@ -1,4 +1,4 @@
-"""Bands of a sensor that tell most of a plot: what `fynjax design` does."""
+"""The most informative bands of a sensor on a plot: what `fynjax design` does."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -21,7 +21,7 @@ from fynjax.report.pages import Page, Picture, Section, Table
 
 
 class DesignResult(JobResult):
-    """Result of `design`: the bands, and what they tell beside other sensors."""
+    """Result of `design`: the bands, and their information beside that of other sensors."""
 
     command: Literal["design"] = "design"
     bands: Rows
@@ -47,7 +47,7 @@ def design(
     starts: int = 8,
     seed: int | None = None,
 ) -> DesignResult:
-    """Bands of a camera that tell most of a plot, beside those of sensors that there are.
+    """The most informative bands of a camera on a plot, beside those of sensors that there are.
 
     **Arguments:**
 
@@ -83,7 +83,9 @@ def design(
     )
     with run.stage("Write"):
         run.table("design.csv", chosen, "centre and width of each band")
-        run.table("sensors.csv", found.table, "what each sensor tells, and what the design gains")
+        run.table(
+            "sensors.csv", found.table, "the target of each sensor, and what the design gains"
+        )
         write_text(run.path("designed.toml", "the bands as a sensor file"), _sensor_file(found))
         data = found.to_xarray()
         data.to_netcdf(run.path("spectra.nc", "responses, spectra and slopes over wavelength"))
@@ -114,14 +116,14 @@ def _sections(found: BandDesign, chosen: pd.DataFrame) -> list[Section]:
         "of each quantity (middle). Below the bands of all sensors.",
     )  # fmt: skip
     gain = Picture(
-        "gain.png", gain_plot(found), "what each sensor tells",
+        "gain.png", gain_plot(found), "the target of each sensor, and the gain of the design",
         f"{found.target.capitalize()}, in plantings left out of the design (points), and by how "
         "much the design has more, with the interval of 5 to 95 % over these plantings.",
     )  # fmt: skip
     ends = ", ".join(f"{value:.4g}" for value in found.starts)
     return [
         Section("Bands", [shown, Table(chosen, "The bands; designed.toml has them as a sensor.")]),
-        Section("Other sensors", [gain, Table(found.table, "What each sensor tells.")]),
+        Section("Other sensors", [gain, Table(found.table, "The target of each sensor.")]),
         Section(
             "Every quantity",
             [

@@ -66,7 +66,7 @@ def every(spectra):
     return jnp.ones(len(spectra.mean))
 
 
-def told(spectra, centre, width):
+def scores(spectra, centre, width):
     centre, width = (jnp.asarray(one, float) for one in (centre, width))
     seen = bands_of_design._seen(spectra, gaussian_weights(spectra.grid, centre, width), width)
     return np.asarray(bands_of_design._scores_of(spectra, seen, every(spectra)))
@@ -129,13 +129,13 @@ def test_a_band_is_where_the_substance_absorbs(asked, low, high):
 
 
 @TARGETS
-def test_a_band_more_never_tells_less(target):
+def test_a_band_more_is_never_less_information(target):
     spectra, random = spectra_of_leaves(target), np.random.default_rng(3)
     for _ in range(5):
         centre, width = random.uniform(600.0, 2300.0, 4), random.uniform(10.0, 100.0, 4)
-        values = [told(spectra, centre[:n], width[:n]) for n in (1, 2, 3, 4)]
+        values = [scores(spectra, centre[:n], width[:n]) for n in (1, 2, 3, 4)]
         assert (np.diff(values, axis=0) >= -1e-9).all()
-        twice = told(spectra, np.append(centre, centre[0]), np.append(width, width[0]))
+        twice = scores(spectra, np.append(centre, centre[0]), np.append(width, width[0]))
         assert (twice >= values[-1] - 1e-9).all()
 
 
@@ -166,10 +166,10 @@ def test_what_is_removed_is_that_of_the_fisher_information():
     known = fisher_information(("a", "b"), slopes, errors, np.ones(2))
     after = np.linalg.inv(np.eye(2) + known.fisher)
     direction = np.array(asked[0])
-    assert told(spectra, centre, width)[0, 0] == pytest.approx(
+    assert scores(spectra, centre, width)[0, 0] == pytest.approx(
         1.0 - direction @ after @ direction, rel=1e-8
     )
-    gained = told(dataclasses.replace(spectra, target="information"), centre, width)[0, 0]
+    gained = scores(dataclasses.replace(spectra, target="information"), centre, width)[0, 0]
     assert gained == pytest.approx(-0.5 * np.log2(np.linalg.det(after)), rel=1e-8)
 
 
@@ -191,11 +191,11 @@ def test_distances_are_those_of_the_pixels():
     rows = BandSet(("a", "b"), centre, width).weights(GRID) @ np.asarray(spectra.basis)
     pixels = [(rows @ one).T for one in weight]
     distance = jeffries_matusita_distance(bhattacharyya_distance(*pixels, shrinkage=0.0))
-    assert told(spectra, centre, width)[0, 0] == pytest.approx(float(distance), rel=1e-6)
+    assert scores(spectra, centre, width)[0, 0] == pytest.approx(float(distance), rel=1e-6)
 
 
 def test_shot_noise_falls_with_the_root_of_the_photons():
-    """A band twice as wide collects twice as many; where there is no light nothing is told."""
+    """A band twice as wide collects twice as many; where there is no light nothing is known."""
     spectra = spectra_of_leaves()
     flat = dataclasses.replace(spectra, mean=jnp.full_like(spectra.mean, 0.2))
     width = jnp.array([20.0, 40.0])
@@ -204,7 +204,7 @@ def test_shot_noise_falls_with_the_root_of_the_photons():
     assert noise[0] == pytest.approx(0.2**2 / (20.0 * 1e3 * 0.2))
     assert noise[0] / noise[1] == pytest.approx(2.0)
     dark = dataclasses.replace(spectra, photons=jnp.full(len(GRID), 1e-12))
-    assert told(dark, [560.0], [30.0]).max() < 1e-3 < told(spectra, [560.0], [30.0]).min()
+    assert scores(dark, [560.0], [30.0]).max() < 1e-3 < scores(spectra, [560.0], [30.0]).min()
 
 
 # -- of a scene --------------------------------------------------------------------------------

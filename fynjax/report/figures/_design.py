@@ -1,4 +1,4 @@
-"""Bands of a designed sensor over what they are to tell, and beside those of other sensors."""
+"""Bands of a designed sensor over spectra and their slopes, and beside those of other sensors."""
 
 from typing import Any
 
@@ -63,7 +63,7 @@ def design_plot(found: BandDesign) -> Figure:
 
 
 def gain_plot(found: BandDesign) -> Figure:
-    """What each sensor tells of plantings that the design was made without, and the gain of it.
+    """The target of each sensor in plantings left out of the design, and the design's gain.
 
     **Arguments:** `found`, with its table of sensors.
     """
