@@ -1,10 +1,13 @@
 """Compiled kernel that projects crowns on a raster. Apart, because importing numba takes time."""
 
+from typing import no_type_check
+
 import numba
 import numpy as np
 
 
 @numba.njit(cache=True)
+@no_type_check  # a check of types while tests run would wrap it, and numba compile the wrapper
 def project(
     x: np.ndarray,
     y: np.ndarray,
