@@ -234,7 +234,7 @@ def _planted(
             for name in ("wood_area_index", *BY_FORM)
         },
     )
-    leaf = leaf_parameters([USUAL_LEAF] * len(forms))
+    leaf = leaf_parameters([[USUAL_LEAF]] * len(forms))
     parameters = PlotParameters(species, leaf, GroundParameters(), LightParameters())
     scene = build_scene(
         [Species(name, name) for name in names],

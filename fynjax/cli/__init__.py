@@ -16,7 +16,7 @@ from fynjax.cli._diversity import diversity
 from fynjax.cli._inversion import calibrate, information, posterior, sensitivity
 from fynjax.cli._leaf import convert, fit_leaf
 from fynjax.cli._maps import map_command, train
-from fynjax.cli._plot import build, demo, init, pattern, plant, render, terrain, view
+from fynjax.cli._plot import article, build, demo, init, pattern, plant, render, terrain, view
 from fynjax.cli._sensors import doctor, reflectance, sensors, simulate
 from fynjax.cli._validate import validate
 
@@ -25,6 +25,7 @@ __all__ = ["app", "main"]
 _PANELS: dict[str, dict[str, Callable[..., None]]] = {
     "Plot": {
         **{"demo": demo, "init": init, "build": build, "render": render, "view": view},
+        "article": article,
         **{"plant": plant, "terrain": terrain, "pattern": pattern},
     },
     "Leaf": {"fit-leaf": fit_leaf, "convert": convert},

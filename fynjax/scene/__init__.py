@@ -38,7 +38,7 @@ from fynjax.scene._planting import (
     Planting,
     element_count,
     individual_seeds,
-    leafy_species,
+    leaf_classes,
 )
 from fynjax.scene._profile import height_profile
 from fynjax.scene._scene import (
@@ -57,6 +57,7 @@ from fynjax.scene._species import (
     SpeciesRow,
     check_species,
     check_taxa,
+    drawn_leaves,
     leaf_parameters,
     leaves_of,
     species_parameters,
@@ -112,6 +113,7 @@ __all__ = [
     "check_species",
     "check_taxa",
     "crown_centres",
+    "drawn_leaves",
     "element_count",
     "fitted_accuracy",
     "fitting_structure",
@@ -123,8 +125,8 @@ __all__ = [
     "height_profile",
     "individual_seeds",
     "is_large",
+    "leaf_classes",
     "leaf_parameters",
-    "leafy_species",
     "leaves_of",
     "named_values",
     "observe",

@@ -56,11 +56,12 @@ from fynjax.scene._planting import (
     Stand,
     draw_planting,
     known_planting,
-    leafy_species,
+    leaf_classes,
     no_plants,
 )
 from fynjax.scene._species import (
     Species,
+    drawn_leaves,
     leaf_parameters,
     leaf_rows,
     leaves_of,
@@ -229,7 +230,8 @@ class Scene(eqx.Module):
         seed: int = 0,
         boundary: Literal["periodic", "open"] = "periodic",
         rounding: Literal["random", "up"] = "random",
-        leaves: Mapping[str, Mapping[str, float]] | None = None,
+        leaves: Mapping[str, Mapping[str, float] | Sequence[Mapping[str, float]]] | None = None,
+        leaf_variants: int = 1,
         ground: GroundParameters | None = None,
         light: LightParameters | None = None,
         dead_tissue: Spectrum | None = None,
@@ -252,7 +254,10 @@ class Scene(eqx.Module):
         - `boundary`: "periodic" repeats the plot for ever, "open" does not.
         - `rounding`: of the numbers of plants, see `PlantingRules`; "up" as in a plot file.
         - `leaves`: PROSPECT-D parameters by taxon, in PROSPECT's units; "*" is any other. Left out,
-          the usual leaf; a structure that is left out follows from dry matter.
+          the usual leaf; a structure that is left out follows from dry matter. Of several leaves
+          of a taxon each plant has one.
+        - `leaf_variants`: different leaves of a taxon of which one leaf is stated, drawn about it
+          with the spread within species that Californian shrubs have; 1: all plants have that one.
         - `ground`, `light`: left out, their defaults; with `dead_tissue` a wood brightness of 1.
         - `dead_tissue`: reflectance of the dead tissue in live shoots, `Spectrum.of(wavelength,
           values, what)`; left out, that of bark.
@@ -287,15 +292,18 @@ class Scene(eqx.Module):
             ground = GroundParameters()
             if dead_tissue is not None:
                 ground = dataclasses.replace(ground, wood_brightness=jnp.asarray(1.0))
+        if leaf_variants < 1:
+            raise InputError(f"expected 1 leaf variant or more, but got {leaf_variants}")
+        own = drawn_leaves(leaves_of(rows, stated), leaf_variants, seed)
         parameters = PlotParameters(
-            species_parameters(rows),
-            leaf_parameters(leaves_of(rows, stated)),
+            species_parameters(rows, own),
+            leaf_parameters(own),
             ground,
             LightParameters() if light is None else light,
         )
         extent = size if isinstance(size, tuple) else (size, size)
         return build_scene(
-            [Species.of(row) for row in rows],
+            [Species.of(*pair) for pair in zip(rows, own, strict=True)],
             parameters,
             extent=extent,
             voxel=voxel,
@@ -573,6 +581,7 @@ class Scene(eqx.Module):
                 "a smaller plot or larger voxels"
             )
         organs = len(self.species) * len(Organ)
+        classes = sum(map(len, leaf_classes(self.species).values())) + 2
         count, fits = planting.plant.shape[0], self.finer and _holds(grid, self.tuft)
 
         def part(planting: Planting, weight: Array | float = 1.0) -> Array:
@@ -589,7 +598,7 @@ class Scene(eqx.Module):
                 area * weight,
                 kind,
                 grid,
-                {"class": len(leafy_species(self.forms)) + 2, "organ": organs, "all": 1}[by],
+                {"class": classes, "organ": organs, "all": 1}[by],
                 width=self.tuft if fits else None,
                 boundary=boundary,
             )
@@ -724,14 +733,16 @@ class Scene(eqx.Module):
     def voxels_by_organ(self, parameters: PlotParameters, bands: BandSet) -> VoxelScene:
         """`voxels` whose classes are leaves, wood and flowers of each species, species by species
         (`Organ`); sun and sight meet the same area. Differentiable in `parameters`."""
-        voxels, leaves = self.voxels(parameters, bands), leafy_species(self.forms)
-        # A species without leaves has no area of them, whatever its class.
+        voxels, leaves = self.voxels(parameters, bands), leaf_classes(self.species)
+        optics = voxels.classes
+        wood = len(optics.reflectance) - 2
+        # Leaves of a species differ in what lines of sight do not ask for; a species without leaves
+        # has no area of them, whatever its class.
         of_organ = [
             kind
             for species in range(len(self.species))
-            for kind in (leaves.get(species, len(leaves)), len(leaves), len(leaves) + 1)
+            for kind in (leaves[species].start if species in leaves else wood, wood, wood + 1)
         ]
-        optics = voxels.classes
         owner = np.array(of_organ)
         classes = dataclasses.replace(
             optics,

@@ -17,7 +17,7 @@ from fynjax.metrics.structure import (
     voxel_structure,
 )
 from fynjax.scene._parameters import PlotParameters
-from fynjax.scene._planting import leafy_species
+from fynjax.scene._planting import leaf_classes
 from fynjax.scene._scene import Scene, slope_of_fading
 
 _EVEN = 0.5
@@ -124,8 +124,8 @@ def _percent(name: str) -> float:
 def _projections(scene: Scene) -> Float[Array, " class"]:
     """Area seen from above over area, of each optical class: leaves, then wood, then flowers."""
     found = []
-    for i in leafy_species(scene.forms):
+    for i, classes in leaf_classes(scene.species).items():
         own = scene.species[i]
         angle = own.leaf_angle or leaf_angle(FORMS[own.form].leaf_angle)
-        found.append(angle.projection(jnp.ones(())))
+        found += [angle.projection(jnp.ones(()))] * len(classes)
     return jnp.stack([*found, *(jnp.asarray(_EVEN),) * 2])

@@ -108,6 +108,16 @@ def _demo(folder: Path) -> Runs:
     return {"demo": ["demo"]}
 
 
+@_case("article", loose={"others|structure|returns": 1e-3})
+def _article(folder: Path) -> Runs:
+    (folder / "parameters.csv").write_text(
+        "name,unit,estimate\nground.brightness,-,0.9\nspecies.Erica irregularis.cover,%,25\n"
+    )
+    (folder / "camera.csv").write_text("band,gain\ngreen,0.9\nred,0.9\nred_edge,0.7\nnir,1.1\n")
+    small = ["--size", 2, "--pixel", 0.2, "--channels", 20]
+    return {"small": ["article", "--calibration", folder, *small]}
+
+
 @_case("render")
 def _render(folder: Path) -> Runs:
     plot, _ = _small(folder)

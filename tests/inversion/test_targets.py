@@ -5,10 +5,12 @@ import pytest
 from rasterio import Affine
 
 from fynjax._core.errors import InputError
-from fynjax.assembly import read_targets
+from fynjax.assembly import _targets, read_targets
 from fynjax.assembly._targets import image_target
 from fynjax.inversion import weigh_targets
-from fynjax.io.plot import example_folder, read_plot
+from fynjax.io.plot import example_folder, read_plot, sensor_place
+from fynjax.io.raster import write_geotiff
+from fynjax.metrics import BANDS
 from tests.helpers import write_raster
 
 
@@ -48,3 +50,19 @@ def test_bands_of_an_image_are_stated(tmp_path):
         read_targets(plot, [example_folder() / "statistics.csv"], bands=bands)
     with pytest.raises(InputError, match="no target is one"):
         read_targets(plot, [], bands=bands)
+
+
+def test_an_image_of_other_pixels_than_the_sensors_is_simulated_in_its_own(tmp_path, monkeypatch):
+    plot = read_plot(example_folder() / "plot.toml")
+    own = sensor_place(plot)[1]
+    monkeypatch.setattr(_targets, "image_view", lambda plot, *_: sensor_place(plot)[1])
+    image = (
+        np.linspace(0.9, 1.1, 1600).reshape(40, 40)
+        * np.array([0.05, 0.04, 0.1, 0.3])[:, None, None]
+    )
+    for pixel in (own, 2.0 * own, 0.5 * own):
+        path = tmp_path / f"{pixel}.tif"
+        write_geotiff(path, image, list(BANDS), pixel_m=pixel, crs="EPSG:32734")
+        target = image_target(plot, path)
+        assert target.view_of(None, None) == pytest.approx(pixel)
+        assert ("are simulated" in target.description) == (pixel != own)

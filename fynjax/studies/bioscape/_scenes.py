@@ -172,12 +172,10 @@ def _padded(scene: Scene, plants: int, elements: int, parts: int) -> Scene:
         )
 
     shapes = jax.tree.map(lambda a: longer(a, parts + 1), planting.shapes)
-    of_plants = ("species", "foot", "azimuth", "tilt", "size", "stature", "first", "count")
     return replace(
         scene,
         planting=replace(
-            planting,
-            **{name: longer(getattr(planting, name), plants) for name in of_plants},
+            planting.of_plants(lambda values: longer(values, plants)),
             place=longer(planting.place, plants, 1e9),
             plant=longer(planting.plant, elements),
             part=longer(planting.part, elements, parts),  # the last part has no area
