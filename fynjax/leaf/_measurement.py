@@ -1,14 +1,12 @@
 """Signal that an instrument records of a leaf, from PROSPECT's R and T."""
 
-from __future__ import annotations  # so that `help` shows ArrayLike by its name
-
 import abc
 from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Bool, Float
+from jaxtyping import Array, Bool, Float
 
 from fynjax._core.errors import InputError
 from fynjax._core.parameters import Parameter
@@ -169,7 +167,7 @@ class LeafOverBackground(AbstractMeasurement):
     black does, but not N, whose prior decides, nor therefore T.
     """
 
-    background: Float[ArrayLike, "*band"] | None = 0.0
+    background: float | Float[Array | np.ndarray, "*band"] | None = 0.0
     """Reflectance of the background [-], a number or a value per bin of the fit; `None`: estimated,
     the same at all bands."""
     gap_fraction: float | None = 0.0
@@ -264,9 +262,9 @@ class LeafStack(AbstractMeasurement):
 
 
 def transmittance_from_two_readings(
-    over_black: Float[ArrayLike, "*#band"],
-    over_white: Float[ArrayLike, "*#band"],
-    white: Float[ArrayLike, "*#band"],
+    over_black: float | Float[Array | np.ndarray, "*#band"],
+    over_white: float | Float[Array | np.ndarray, "*#band"],
+    white: float | Float[Array | np.ndarray, "*#band"],
 ) -> Float[Array, "*band"]:
     """Leaf transmittance from a clip's readings over its black and its white face [-].
 
@@ -290,9 +288,9 @@ def transmittance_from_two_readings(
 
 
 def resolved_by_two_readings(
-    over_black: Float[ArrayLike, "*#band"],
-    through: Float[ArrayLike, "*#band"],
-    white: Float[ArrayLike, "*#band"],
+    over_black: float | Float[Array | np.ndarray, "*#band"],
+    through: float | Float[Array | np.ndarray, "*#band"],
+    white: float | Float[Array | np.ndarray, "*#band"],
 ) -> Bool[np.ndarray, "*band"]:
     """Where `transmittance_from_two_readings` is better known than to 0.03.
 

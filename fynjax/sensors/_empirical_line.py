@@ -71,7 +71,7 @@ class EmpiricalLine(eqx.Module):
 
 def empirical_line(
     signal: Float[ArrayLike, "panel band"],
-    reflectance: Float[ArrayLike, "panel #band"],
+    reflectance: Float[ArrayLike, " panel #band"],
     *,
     signal_sd: Float[ArrayLike, "#panel #band"] | float = 0.0,
     reflectance_sd: Float[ArrayLike, "#panel #band"] | float = 0.0,
@@ -342,7 +342,7 @@ def panel_reading(
 def place_panels(
     reflectance: Float[ArrayLike, "band y x"],
     coverage: Float[ArrayLike, "panel y x"],
-    panels: Float[ArrayLike, "panel #band"],
+    panels: Float[ArrayLike, " panel #band"],
 ) -> Float[Array, "band y x"]:
     """A map of ground reflectance with flat panels laid on it [-].
 
