@@ -308,6 +308,7 @@ class RayField(AbstractRays):
     ) -> Callable[[Array], Array]:
         right, up = (0.0, 0.0) if offset is None else offset
         spacing = jnp.full_like(self.width, lattice.spacing)
+        # A footprint is no wider than a cell here, and so lies in two of them along each axis.
         width = spacing if smooth else jnp.minimum(self.width, spacing)
         axes = [
             (self.y + height * self.slope_y + up, lattice.rows),

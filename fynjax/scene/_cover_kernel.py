@@ -35,6 +35,7 @@ def project(
         square = radius[plant] * radius[plant]
         first = int(np.ceil((y[plant] - radius[plant]) / cell - 0.5))
         last = int(np.floor((y[plant] + radius[plant]) / cell - 0.5))
+        # The rows whose centres the disc covers, and in each the columns from west to east.
         for row in range(first, last + 1):
             dy = (row + 0.5) * cell - y[plant]
             half = np.sqrt(max(square - dy * dy, 0.0))
@@ -52,6 +53,7 @@ def project(
                     i = column % nx
                 elif column < 0 or column >= nx:
                     continue
+                # Plants of a species follow each other: what it covers already bears its stamp.
                 if stamp[j, i] != one:
                     stamp[j, i] = one
                     union[one] += 1
