@@ -75,7 +75,7 @@ def shown(value: Any) -> str:
 _SLIPS = tuple(
     (re.compile(pattern, re.IGNORECASE), slip)
     for pattern, slip in (
-        (r"[r+]|[1-5][abm]", "A cover class? It is read in the column cover_percent only."),
+        (r"[r+]|[1-5][abm]", "A cover class? Write the middle of the class in percent."),
         (
             r"[+-]?\d{1,3}([.,' \xa0\u202f\u2019]\d{3})+([.,]\d+)?",
             "Marks between thousands? Leave them out.",
