@@ -53,7 +53,7 @@ class Greenness:
     name: str
     """Short name, for an axis or a table."""
     formula: str
-    """How it is computed, in the names of the bands used."""
+    """Formula of the index, in the names of the bands used."""
     function: Callable[[Float[np.ndarray, "*pixel band"]], Float[np.ndarray, "*pixel"]]
     """Greenness of spectra, the bands last; NaN where it is not defined."""
 

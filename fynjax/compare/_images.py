@@ -41,9 +41,9 @@ class DroneImage:
     mask: Bool[np.ndarray, "y x"]
     """True where a pixel is compared."""
     taken: tuple[str, ...]
-    """What the file calls each band."""
+    """Name of each band in the file."""
     chosen_by: str
-    """How the bands were identified: 'option', 'names', 'wavelengths' or 'order'."""
+    """Way in which the bands were identified: 'option', 'names', 'wavelengths' or 'order'."""
     shape: tuple[int, int]
     """Rows and columns of the file."""
     step: int

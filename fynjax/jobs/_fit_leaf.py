@@ -55,6 +55,7 @@ from fynjax.leaf import (
 )
 from fynjax.report.figures import leaf_fit_figure
 from fynjax.report.pages import Picture, Table
+from fynjax.scene import LEAF_FIELDS
 
 MEASUREMENTS: dict[str, Callable[[], AbstractMeasurement]] = {
     "sphere": IntegratingSphere,
@@ -252,7 +253,8 @@ def fit_leaf(
     - `transmittance`: files with the transmittance of the same leaves, by name or in the same
       order, where neither names nor files say it (`fynjax.read_spectra`).
     - `groups`: a CSV with the columns `name` (of a spectrum) and `species`: leaves of a species are
-      fitted together, and `species.csv` holds the mean leaf and five material variants of each.
+      fitted together, and `species.csv` holds the mean leaf and five material variants of each,
+      `leaves.csv` the variants of PROSPECT-D as a leaf table.
     - `posterior`: "none", or sample it by "emcee" or "nuts" into `posterior.nc`.
     - `seed`: seed of the posterior's random numbers; the fit itself draws none.
     - `checkpoint`: folder that keeps what each 1024 leaves of a larger table gave, from which an
@@ -320,6 +322,10 @@ def fit_leaf(
     if together is not None:
         what = "mean leaf and material variants of each species"
         run.table("species.csv", together.table(seed, area), what)
+        if version == "D":
+            drawn = together.table(seed).query("variant > 0").rename(columns={"species": "taxon"})
+            what = "these variants as the leaf table of a plot"
+            run.table("leaves.csv", drawn[["taxon", *LEAF_FIELDS]], what)
     if posterior != "none":
         draws = sample_leaf_posterior(spectra, sampler=posterior, seed=seed, **options)
         what = "draws of the parameters and of T from the posterior"

@@ -21,7 +21,7 @@ from fynjax.assembly import STAND_QUANTITIES
 from fynjax.compare import check_vegetation
 from fynjax.inversion import estimate_pixels
 from fynjax.io.plot import DEFAULT_PRIOR
-from fynjax.io.raster import CubeBlocks, MapWriter, file_hash, open_blocks
+from fynjax.io.raster import CubeBlocks, MapWriter, content_hash, file_hash, open_blocks
 from fynjax.jobs._doubt import doubt_spectrum
 from fynjax.jobs._map_pixels import (
     PixelPosterior,
@@ -162,8 +162,7 @@ def map_cube(
             for name, quantity in STAND_QUANTITIES.items()
             for kind in _KINDS
         ] + [(UNLIKENESS, "1")]
-        stated = source.path.stat()
-        of_cube = (str(source.path.resolve()), stated.st_size, stated.st_mtime_ns)
+        of_cube = [content_hash(path) for path in source.files]
         settings = (of_cube, likely, keep_unlike, rows)
         writer = MapWriter(
             Path(checkpoint), signature(settings, [file_hash(training)]), names, source, len(starts)

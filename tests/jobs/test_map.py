@@ -121,6 +121,27 @@ def test_a_training_is_read_back_as_it_was_written(trained, tmp_path):
     damaged.write_bytes(path.read_bytes()[:3000])
     with pytest.raises(InputError, match="training"):
         jobs.read_training(damaged)
+    # A flipped bit is found, or changes nothing.
+    whole, found = path.read_bytes(), 0
+    for place in np.random.default_rng(0).integers(len(whole), size=60):
+        flipped = bytearray(whole)
+        flipped[place] ^= 1 << place % 8
+        damaged.write_bytes(flipped)
+        try:
+            again = jobs.read_training(damaged)
+        except InputError:
+            found += 1
+            continue
+        left, right = ({k: v for k, v in t.record.items() if k != "history"} for t in (one, again))
+        assert left == right
+        for a, b in zip(jax.tree.leaves(one.posterior), jax.tree.leaves(again.posterior)):
+            assert np.array_equal(a, b)
+    assert found > 30
+    with xr.open_dataset(path) as data:
+        data.load()["weight_0"][0, 0] += 1e-6
+        data.to_netcdf(tmp_path / "wrong.nc")
+    with pytest.raises(InputError, match="content has changed"):
+        jobs.read_training(tmp_path / "wrong.nc")
 
 
 @functools.cache

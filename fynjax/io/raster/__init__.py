@@ -16,6 +16,7 @@ from fynjax.io.raster._image import open_image
 from fynjax.io.raster._lazy import open_cube
 from fynjax.io.raster._netcdf import (
     check_netcdf,
+    content_hash,
     file_hash,
     image_array,
     provenance,
@@ -45,6 +46,7 @@ __all__ = [
     "check_netcdf",
     "check_reflectance",
     "colour_bands",
+    "content_hash",
     "file_hash",
     "image_array",
     "open_blocks",

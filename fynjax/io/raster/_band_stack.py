@@ -37,7 +37,7 @@ class BandStack:
     crs: str | None
     """Coordinate reference system as WKT; `None` is the plot's local frame."""
     alignment: tuple[Alignment, ...] | None = None
-    """How single-band files were laid on the first; `None` where none had to be."""
+    """Movement of single-band files onto the first; `None` where none had to be."""
     raw: bool = False
     """Whether the values are counts of a camera's raw capture, of its own gain in each band."""
 

@@ -77,7 +77,7 @@ class RasterFile:
 
     path: Path
     what: str
-    """What it is to be, for errors, such as "a probability map"."""
+    """Role of the file, for errors, such as "a probability map"."""
     dataset: Any
     """The open dataset of rasterio."""
     header: dict[str, Any]
@@ -94,7 +94,7 @@ class RasterFile:
     units: tuple[str, ...]
     """Unit of each band; empty where it has none."""
     tags: dict[str, str]
-    """What the file states of its image as a whole."""
+    """Statements of the file about its image as a whole."""
     crs: CRS | None
     """Coordinate reference system, if it states one."""
 
@@ -382,9 +382,8 @@ class RasterFile:
         """Refuse a raster that memory cannot hold, or that its file cannot hold."""
         rows, columns = self.shape
         stored *= np.dtype(self.dataset.dtypes[0]).itemsize
-        if self.dataset.driver == "GTiff":
-            what = f"{columns} x {rows} pixels in {self.dataset.count} bands"
-            check_stated_size(self.path, stored, what, packed=True)
+        what = f"{columns} x {rows} pixels in {self.dataset.count} bands"
+        check_stated_size(self.path, stored, what, packed=True)
         memory = total_memory()
         needed = 2.0 * math.prod(shape) * itemsize
         if needed > memory:
@@ -434,6 +433,9 @@ def _open(path: Path) -> Any:
         dataset = rasterio.io.DatasetReader(path.absolute(), driver=list(_FORMATS))
     if any(key.upper() == "OVERVIEW_FILE" for key in dataset.tags(ns="OVERVIEWS")):
         raise _names_others(path, "its metadata")
+    # Files of ERDAS may keep values in another, wherever it is.
+    if any(Path(name).parent != path.absolute().parent for name in dataset.files):
+        raise _names_others(path, "it")
     return dataset
 
 
