@@ -144,7 +144,7 @@ def test_radiance_is_read_at_its_place():
         (2 + np.sin(steps[1]) + 0 * steps[0], 2 + np.sin(azimuth)),
         (2 + np.cos(steps[1]) + 0 * steps[0], 2 + np.cos(azimuth)),
     ):
-        light = Illumination(40.0, 0.0, 0 * one, jnp.asarray(one), jnp.asarray(pattern))
+        light = Illumination(*map(jnp.asarray, (40.0, 0.0, 0 * one, one, pattern)))
         got = np.asarray(sky_radiance(light, ordinates))[0]
         np.testing.assert_allclose(got / got.mean(), want / want.mean(), rtol=1e-3)
 
