@@ -149,7 +149,11 @@ def _pictures(table: pd.DataFrame) -> list[Picture]:
     for name, (chosen, caption) in parts.items():
         rows = table[chosen].set_index(table["quantity"][chosen].str.removesuffix(".mean"))
         off = {who: rows.get(f"{k}_off_percent") for k, who in _WHO.items()}
-        known = {w: v.to_dict() for w, v in off.items() if v is not None and v.notna().any()}
+        known = {
+            who: dict(zip(rows.index, values))
+            for who, values in off.items()
+            if values is not None and values.notna().any()
+        }
         pictures.append(Picture(f"{name}.png", error_bars(known), f"error of {name}", caption))
     return pictures
 
@@ -162,7 +166,7 @@ def _tables(table: pd.DataFrame) -> list[Section]:
     sections = []
     for name, rows in table.groupby("table", sort=False):
         unlike = rows["dirsig"].isna() & rows["dirsig_off_percent"].notna()
-        drop = [c for c in table if c.endswith("_off_percent")]
+        drop = [c for c in table.columns if c.endswith("_off_percent")]
         drop = [c for c in drop if c != "dirsig_off_percent" or not unlike.any()]
         rows = rows.drop(columns=["table", *drop])
         ours = rows["uncalibrated"].notna()
