@@ -89,11 +89,11 @@ class Strict(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     slips: ClassVar[dict[str, Slip]] = {}
-    """For a column, what a value outside its range was probably meant to be."""
+    """Meanings, by column, that a value outside its range was probably meant to be."""
     unique: ClassVar[str | None] = None
     """Field whose value, where there is one, no two rows of a table share."""
     if_twice: ClassVar[str] = ""
-    """What to do about two rows that share it."""
+    """Advice about two rows that share the key."""
     must_have: ClassVar[tuple[str, ...]] = ()
     """Columns that a table must have although their cells may be empty."""
 

@@ -329,7 +329,7 @@ def _alone(output: Path) -> Iterator[None]:
 
     from fynjax.io.text import remove_abandoned
 
-    name = hashlib.sha256(os.path.normcase(output.resolve()).encode()).hexdigest()[:16]
+    name = hashlib.sha256(os.fsencode(os.path.normcase(output.resolve()))).hexdigest()[:16]
     try:
         locks = cache_folder() / "locks"
         locks.mkdir(parents=True, exist_ok=True)
@@ -397,9 +397,11 @@ def run_job(
     """
     from rich.console import Console
 
+    from fynjax._core.files import check_name
     from fynjax._core.progress import progress
     from fynjax.io.text import remove_replaced, staged_folder, write_text
 
+    check_name(output)
     console = Console(stderr=True)
     bars = progress(console) if console.is_terminal and not quiet and not as_json else nullcontext()
     with (

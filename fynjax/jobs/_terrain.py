@@ -65,7 +65,7 @@ class TerrainSummary(Record):
     """Share of the cells with ground points [-]."""
     ground_scatter_m: float | None = None
     ground_by: GroundMethod | None = None
-    """How the ground of a cloud was found."""
+    """Way in which the ground of a cloud was found."""
     labels_apart_m: float | None = None
     """Median distance of the points that the file labels as ground from the terrain."""
     points_below: float | None = None

@@ -17,7 +17,7 @@ from fynjax.radiation import LightInWindows, RayLattice, Tiling, VoxelScene, vox
 from fynjax.scene._instances import standing_plants
 from fynjax.scene._observe import AimedSensor
 from fynjax.scene._parameters import PlotParameters
-from fynjax.scene._planting import OF_PLANTS, no_plants
+from fynjax.scene._planting import no_plants
 from fynjax.scene._scene import Scene, Window
 from fynjax.sensors import BandSet
 
@@ -146,8 +146,7 @@ class _Plants:
             field, [(0, to - len(field))] + [(0, 0)] * (field.ndim - 1), constant_values=fill
         )
         few = dataclasses.replace(
-            few,
-            **{name: longer(getattr(few, name), plants) for name in OF_PLANTS},
+            few.of_plants(lambda field: longer(field, plants)),
             plant=longer(few.plant, elements, plants - 1),
             part=longer(few.part, elements),
         )

@@ -181,6 +181,21 @@ def test_a_mirroring_frame_turns_the_faces_over(tmp_path: Path) -> None:
     assert float(model.organ_area[1]) == pytest.approx(0.5 * bush().area)
 
 
+def test_a_gltf_reads_no_file_outside_of_its_folder(tmp_path: Path) -> None:
+    (tmp_path / "here").mkdir()
+    box = trimesh.creation.box()
+    for name, data in trimesh.exchange.gltf.export_gltf(box).items():
+        (tmp_path / "here" / name).write_bytes(data)
+    path = tmp_path / "here" / "model.gltf"
+    assert len(read_plant_mesh(path).faces) == len(box.faces)
+    for name in ("gltf_buffer_0.bin", "gltf_buffer_1.bin"):
+        (path.parent / name).rename(tmp_path / name)
+        path.write_text(path.read_text("utf-8").replace(name, f"../{name}"), "utf-8")
+    with pytest.raises(InputError, match=r"outside of its folder.*GLB") as caught:
+        read_plant_mesh(path)
+    assert "allow_" not in str(caught.value)
+
+
 def test_gltf_has_y_upwards(tmp_path: Path) -> None:
     tall = trimesh.creation.box([0.2, 0.9, 0.3])
     tall.export(tmp_path / "plant.glb")

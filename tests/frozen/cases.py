@@ -197,6 +197,14 @@ def _information(folder: Path) -> Runs:
     return {"information": [*line, "--realisations", 2]}
 
 
+@_case("design", "slow", loose={"gain": np.inf, "": 2e-2})
+def _design(folder: Path) -> Runs:
+    line = ["design", _small(folder)[0], "--bands", 2, "--target", "crown_cover,dead_share"]
+    line += ["--free", "species.*.cover", "--free", "species.*.dead_fraction", "--spectrum"]
+    line += ["400,1000", "--compare", "mavic_3m", "--plantings", 3, "--starts", 1]
+    return {"design": line}
+
+
 def _leaves(folder: Path) -> Path:
     """Reflectance and transmittance of three leaves, as text."""
     leaves = LeafParameters.many(chlorophyll=np.array([20.0, 40.0, 60.0]), water=0.01)

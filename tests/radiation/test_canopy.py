@@ -54,7 +54,7 @@ def test_against_discrete_ordinates(shared_data):
 
 
 PEERS = pd.read_csv(Path(__file__).with_name("canopy_peers.csv"))
-GEOMETRY = jnp.asarray(PEERS.iloc[:, :3].to_numpy())
+GEOMETRY = jnp.asarray(PEERS.iloc[:, :3].to_numpy(float))
 FLAT = (PEERS.sun_zenith == PEERS.view_zenith) & (PEERS.relative_azimuth == 0)
 
 

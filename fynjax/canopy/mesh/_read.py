@@ -43,7 +43,9 @@ def plant_mesh_of(mesh: Any) -> PlantMesh:
                 with np.errstate(all="ignore"):  # of numbers that are checked below
                     mesh = trimesh.load(file, process=False)
         except Exception as error:  # trimesh's readers raise whatever they stumble over
-            raise InputError(f"the mesh cannot be read: {error}", file=file) from error
+            if "allow_" in (reason := str(error)):  # it would have said how to let it
+                reason = "it names files outside of its folder. Save it as one file (GLB)"
+            raise InputError(f"the mesh cannot be read: {reason}", file=file) from error
     pieces: list[tuple[str, Any, np.ndarray]] = []
     if isinstance(mesh, trimesh.Trimesh):
         pieces = [("", mesh, np.eye(4))]

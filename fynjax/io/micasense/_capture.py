@@ -28,7 +28,7 @@ class Capture:
     """All bands of one moment."""
 
     name: str
-    """What its files are called, such as 'IMG_0001'."""
+    """Name of the capture's files, such as 'IMG_0001'."""
     bands: tuple[RedEdgeBand, ...]
 
     @property
@@ -66,7 +66,7 @@ class AlignedCapture:
     full: Bool[np.ndarray, "band y x"]
     """True where a pixel is saturated, or next to one that is."""
     alignment: tuple[Alignment, ...] | None
-    """How each band was moved; `None` where the bands were left as they are."""
+    """Movement of each band; `None` where the bands were left as they are."""
 
 
 def find_captures(paths: Sequence[str | Path]) -> dict[str, list[Path]]:

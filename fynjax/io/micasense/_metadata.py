@@ -30,7 +30,7 @@ class RedEdgeBand:
     counts: NDArray[np.uint16]
     """Counts of each pixel [-], row 0 at the top of the picture."""
     camera: CameraRadiometry
-    """How the counts become radiance."""
+    """Numbers by which counts become radiance."""
     saturation: int
     """Counts of a full pixel."""
     name: str
