@@ -19,9 +19,11 @@
 # A folder of leaf spectra becomes a table of pigments, water and dry matter with their intervals,
 # and we see how far to trust them.
 #
-# **You learn** to read a folder of spectra, to fit PROSPECT to all of them at once, to tell what
-# the spectrum decided from what the prior did, and to hold the result against a laboratory.
-# **You need** fynjax alone, and for your own leaves their files. **It takes** about a minute.
+# - **You learn** to read a folder of spectra, to fit PROSPECT to all of them at once, to see what
+#   the spectrum decided and what the prior did (what was known of leaves before any measurement),
+#   and to hold the result against a laboratory.
+# - **You need** fynjax alone, and for your own leaves their files.
+# - **It takes** about a minute.
 
 # %%
 import fynjax as fx
@@ -115,8 +117,9 @@ print(f"Least decided by R alone: {most}; {share['R alone'][most]:.0%} of the pr
 # %% [markdown]
 # ## One leaf by emcee, beside Laplace
 #
-# `fit_leaf` takes the posterior for a Gaussian, in coordinates in which nothing becomes negative
-# (Laplace). emcee walks through the posterior itself, under the same error of the model and prior.
+# The posterior is what measurement and prior together leave possible. `fit_leaf` takes it for a
+# Gaussian, in coordinates in which nothing becomes negative (Laplace's approximation). emcee walks
+# through the posterior itself, under the same error of the model and prior.
 
 # %%
 one = str(spectra["spectrum"].values[-1])
@@ -161,5 +164,7 @@ if LABORATORY is not None:
 
 # %% [markdown]
 # **For your own leaves** set `FOLDER`. On the command line `fynjax fit-leaf leaves/` writes the
-# same table and a page. Next: [calibrate a plot](02_calibrate_by_gradient.ipynb), whose leaves are
-# these; [how sure?](06_how_sure.ipynb) goes on with posteriors.
+# same table and a page.
+#
+# **Where to go next**: [02_calibrate_by_gradient](02_calibrate_by_gradient.ipynb) fits a plot to an
+# image; [06_how_sure](06_how_sure.ipynb) goes on with posteriors.

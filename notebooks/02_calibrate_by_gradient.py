@@ -19,10 +19,11 @@
 # A species table was written in the field: covers guessed by eye, leaves taken from a library. Then
 # a drone flew over. Which of these numbers can its image correct?
 #
-# **You learn** to fit a plot to an image in three lines; to do the same by hand, with
-# `jax.value_and_grad` and a solver of optimistix; and to tell what the image knows from what it
-# leaves dark. **You need** fynjax; for a plot of your own its species table and an orthophoto of
-# reflectance. **It takes** two to three minutes the first time, most of it compilation.
+# - **You learn** to fit a plot to an image in three lines; to do the same by hand, with
+#   `jax.value_and_grad` and a solver of optimistix; and to see what the image decides and what it
+#   leaves open.
+# - **You need** fynjax; for a plot of your own its species table and an orthophoto of reflectance.
+# - **It takes** two to three minutes the first time, most of it compilation.
 
 # %%
 import fynjax as fx  # before jax, so that kept programs are read without a word
@@ -108,6 +109,7 @@ def loss(u, _):
     return value + slope @ (u - here), None  # what the solver takes: the value, and its slope
 
 
+# %%
 solver, u, path, losses = optx.BFGS(rtol=1e-3, atol=1e-3), jnp.zeros(len(free.names)), [], []
 state = solver.init(loss, u, None, {}, jax.ShapeDtypeStruct((), u.dtype), None, frozenset())
 step = jax.jit(lambda u, state: solver.step(loss, u, None, {}, state, frozenset())[:2])
@@ -167,4 +169,7 @@ plt.show()
 #
 # **For your own plot** set `IMAGE`, `PLOT` and `SIDE`; the image's bands are known by their names,
 # and pixels without data are left out. `fynjax calibrate plot.toml --target orthophoto.tif` does it
-# on the command line and writes a page. Next: [what moves NDVI](03_sensitivity.ipynb).
+# on the command line and writes a page.
+#
+# **Where to go next**: [03_sensitivity](03_sensitivity.ipynb) asks what moves NDVI,
+# [06_how_sure](06_how_sure.ipynb) draws the posterior of such a fit.

@@ -19,10 +19,11 @@
 # NDVI is read as greenness, or cover, or health. What does it respond to on this plot, in which
 # pixels, and how sure is the answer when nobody knows where each plant stands?
 #
-# **You learn** to take the derivative of a whole image, to check it against finite differences, to
-# see how far slopes depend on chance, and to share out the variance of NDVI among all that a
-# field table leaves open. **You need** `pip install fynjax[analysis]`. **It takes** two
-# minutes the first time, most of it compilation.
+# - **You learn** to take the derivative of a whole image, to check it against finite differences,
+#   to see how far slopes depend on chance, and to share out the variance of NDVI among all that a
+#   field table leaves open.
+# - **You need** `pip install fynjax[analysis]`.
+# - **It takes** two minutes the first time, most of it compilation.
 
 # %%
 import fynjax as fx  # before jax, so that kept programs are read without a word
@@ -107,6 +108,8 @@ bars = pd.DataFrame(
     {"mean": each.mean(0), "half": 2.1 * each.std(0, ddof=1) / plantings**0.5}, taxa
 )
 bars = bars.sort_values("mean")
+
+# %%
 sure = bars["mean"].abs() > bars["half"]
 plt.figure(figsize=(8, 4.5), layout="constrained")
 fill = np.where(sure, "tab:blue", "white")
@@ -139,10 +142,13 @@ def mean_ndvi(u):
     return fx.observe(plot, "mavic_3m", pixel=0.1).index("NDVI").mean()[None]
 
 
+# %%
 zero, terms = np.zeros(len(kinds)), (len(kinds) + 1) * (len(kinds) + 2) // 2
 quick = fx.emulate(mean_ndvi, zero - 2, zero + 2, points=2 * terms)
 unit = fx.ParameterSpace(kinds, zero - 9, zero + 9, zero, zero + 1, distribution="normal")
 sobol = fx.inversion.sobol_indices(quick, unit, ["NDVI"], samples=512)
+
+# %%
 share = pd.DataFrame({"alone": sobol.first[0], "with interactions": sobol.total[0]}, kinds)
 spread = float(np.sqrt(sobol.variance[0]))
 ax = (100 * share.sort_values("with interactions")).plot.barh(figsize=(8, 5), width=0.8)
@@ -157,5 +163,7 @@ plt.show()
 # alone cannot say which of them changed.
 #
 # **For your own plot** set `PLOT` and `SPECIES`; `fynjax sensitivity plot.toml --sobol 256` does it
-# for other indices and every parameter. Next: [gradients you can trust](04_gradients.ipynb), on how
-# a number of whole plants gets a slope.
+# for other indices and every parameter.
+#
+# **Where to go next**: [04_gradients](04_gradients.ipynb) shows how a number of whole plants gets a
+# slope, [07_three_sensors](07_three_sensors.ipynb) asks which sensor notices what.

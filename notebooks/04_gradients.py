@@ -90,6 +90,21 @@ for way, found in zip(("plants that stand:", "sum of the gradients:"), changes):
     print(f"gap at 1.5 less that at 0.5, {way:<22}{found.mean():+.3f} ± {error:.3f}")
 
 # %% [markdown]
+# ## Where other gradients stand
+#
+# Renderers that follow light by chance through a volume can be differentiated too. Their derivative
+# by density can be biased, and the developers of Mitsuba 3 say so of theirs (pull requests 678 and
+# 1939 of its repository). Measured with Mitsuba 3.9.1 (`prbvolpath`) on a scene of shrubs: the
+# derivative of the mean of an image by the logarithm of density, beside central differences of the
+# same images, with standard errors of the last digit in brackets.
+#
+# | | derivative | central differences | off by |
+# |---|---|---|---|
+# | green | −0.01287 (2) | −0.01339 (5) | 4 % |
+# | red | −0.02058 (3) | −0.02106 (3) | 2 % |
+# | near infrared | +0.0009 (3) | −0.0059 (4) | wrong sign |
+
+# %% [markdown]
 # ## Three functions, two ways to a slope
 #
 # Each has more of the package below it: a leaf's reflectance by its chlorophyll, a uniform canopy's
@@ -127,21 +142,6 @@ for dtype, smallest in (("float64", -8.0), ("float32", -5.0)):
             errors[f.__name__, dtype] = steps, np.abs(rise / slopes[f.__name__, "float64"] - 1)
 
 # %% [markdown]
-# ## Where other gradients stand
-#
-# Renderers that follow light by chance through a volume can be differentiated too. Their derivative
-# by density can be biased, and the developers of Mitsuba 3 say so of theirs (pull requests 678 and
-# 1939 of its repository). Measured with Mitsuba 3.9.1 (`prbvolpath`) on a scene of shrubs: the
-# derivative of the mean of an image by the logarithm of density, beside central differences of the
-# same images, with standard errors of the last digit in brackets.
-#
-# | | derivative | central differences | off by |
-# |---|---|---|---|
-# | green | −0.01287 (2) | −0.01339 (5) | 4 % |
-# | red | −0.02058 (3) | −0.02106 (3) | 2 % |
-# | near infrared | +0.0009 (3) | −0.0059 (4) | wrong sign |
-
-# %% [markdown]
 # ## Error against step
 #
 # A difference with a large step misses the curvature, with a small one it drowns in rounding. A
@@ -163,6 +163,8 @@ ax.legend(ncols=3, fontsize=8.5, loc="upper center", bbox_to_anchor=(0.5, -0.1))
 plt.show()
 
 # %% [markdown]
+# **For your own plot** set `TABLE`.
+#
 # **Where to go next**: [02_calibrate_by_gradient](02_calibrate_by_gradient.ipynb) descends such
 # gradients to a drone's image, [03_sensitivity](03_sensitivity.ipynb) ranks parameters by them. The
 # documentation tells under "What is modelled" what the slope of a number of plants was weighed

@@ -115,7 +115,8 @@ fig.colorbar(shown, ax=axes[2], shrink=0.8, label="NDVI")
 plt.show()
 
 # %% [markdown]
+# **For your own plot** set `TABLE`; `fynjax render plot.toml` makes the image as GeoTIFF, and
+# `fynjax build plot.toml` the plants, with tables and meshes.
+#
 # **Where to go next**: [03_sensitivity](03_sensitivity.ipynb) asks which species moves this NDVI,
-# [07_three_sensors](07_three_sensors.ipynb) looks at the plot with other sensors. `fynjax render`
-# makes the image from a plot file, as GeoTIFF, and `fynjax build` the plants, with tables and
-# meshes.
+# [07_three_sensors](07_three_sensors.ipynb) looks at the plot with other sensors.

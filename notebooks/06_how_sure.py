@@ -19,9 +19,10 @@
 # A fit gives the best leaf, or the best plot, and an error. The posterior gives all that could have
 # been. Is the error of the fit enough, or does one need the posterior?
 #
-# **You learn** to fit any function of a few numbers, to draw from its posterior in three ways, and
-# to see in one picture what the data added to the prior. **You need**
-# `pip install fynjax[posterior]`; without blackjax NUTS is left out. **It takes** a minute.
+# - **You learn** to fit any function of a few numbers, to draw from its posterior in three ways,
+#   and to see in one picture what the data added to the prior (what was known before).
+# - **You need** `pip install fynjax[posterior]`; without blackjax NUTS is left out.
+# - **It takes** a minute.
 
 # %%
 import fynjax as fx  # before jax, so that kept programs are read without a word
@@ -164,4 +165,7 @@ fx.report.figures.predictive_plot(draws.predicted, data.value, data.sd, names)
 # on the ground of either of the two helps both.
 #
 # **For your own plot** set `PLOT`; `fynjax posterior plot.toml --target image.tif` does it for
-# every parameter and can be interrupted. Next: [which sensor notices what](07_three_sensors.ipynb).
+# every parameter and can be interrupted.
+#
+# **Where to go next**: [07_three_sensors](07_three_sensors.ipynb) asks which sensor notices what,
+# [08_the_paper](08_the_paper.ipynb) holds such a plot against printed numbers.

@@ -18,7 +18,7 @@
 #
 # A drone's camera, an imaging spectrometer and a LiDAR pass over the same plants. Which of them
 # would notice that leaves dried, that plants were lower, that a species lost half of its ground?
-# And how large may pixels be until a species cannot be told from one that is not there?
+# And up to which pixel does an image know that a species is there at all?
 #
 # - **You learn** to put one question to several sensors, and to weigh an answer against chance.
 # - **You need** what notebook [05](05_plot_in_3d.ipynb) shows: a scene and an image of it.
@@ -66,6 +66,7 @@ def look(scene):
     return image, spectrum, heights, jnp.stack(numbers)
 
 
+# %%
 image, spectrum, heights, first = look(scene)
 fig, axes = plt.subplots(1, 3, figsize=(15, 4.6), layout="constrained")
 axes[0].imshow(fx.photo(image), origin="lower", extent=(0, SIDE, 0, SIDE))
@@ -83,12 +84,16 @@ plt.show()
 # the Cramér-Rao bound, which their slopes give together with their errors: noise and calibration
 # of 1 % each, and that nobody knows where each plant stands. Where the bound is larger than the
 # cover, the species may as well be absent. An image can be made coarser afterwards, so a finer
-# pixel never knows less.
+# pixel never knows less. The legend says up to which of these pixels a cover is larger than its
+# bound.
 
 # %%
 free = fx.free(scene, "species.*.cover", prior={"*": 0.25})
 bounds = fx.information(scene, free, "mavic_3m", gsd=PIXELS, plantings=PLANTINGS)
-bounds.index = [f"{taxon}, {100 * c:g} %" for taxon, c in zip(scene.taxa, free.prior)]
+last = [f"up to {p:g} m" if p else "lost" for p in (bounds < 1).mul([*PIXELS]).max(axis=1)]
+bounds.index = [f"{t}, {100 * c:g} %: {p}" for t, c, p in zip(scene.taxa, free.prior, last)]
+
+# %%
 fig, ax = plt.subplots(figsize=(11, 5), layout="constrained")
 bounds.sort_values(PIXELS[0]).head(8).T.plot(ax=ax, logx=True, logy=True, marker="o")
 ax.axhspan(1, max(ax.get_ylim()[1], 2), color="0.9", zorder=0, label="lost")
@@ -119,6 +124,8 @@ changes = {
 }
 chance = np.std([look(scene.replanted(k))[3] for k in range(PLANTINGS + 1)], axis=0, ddof=1)
 matrix = np.array([look(scene.scaled(by))[3] - first for by in changes.values()]) / chance
+
+# %%
 fig, ax = plt.subplots(figsize=(11, 5), layout="constrained")
 shown = ax.imshow(matrix, cmap="PuOr", vmin=-6, vmax=6, aspect="auto")
 for (row, column), value in np.ndenumerate(matrix):
@@ -137,6 +144,8 @@ plt.show()
 # chance shrinks and more is noticed; a bound is a limit, not a promise, and uncertain where few
 # plantings were looked at.
 #
+# **For your own plot** set `PLOT`; `fynjax information plot.toml` sweeps sensors, `fynjax simulate`
+# writes what each of them measures, as GeoTIFF, ENVI, NetCDF and LAZ.
+#
 # **Where to go next**: [02_calibrate_by_gradient](02_calibrate_by_gradient.ipynb) fits a plot to
-# what was measured. `fynjax information` sweeps sensors from a plot file, `fynjax simulate` writes
-# what each of them measures, as GeoTIFF, ENVI, NetCDF and LAZ.
+# what was measured.

@@ -246,6 +246,7 @@ def test_values_are_set_by_name(scene, image):
         (lambda s: fx.fit(s, fx.Data.from_table({"nir.mean": 0.3}), 3), "`fx.ParameterSpace`"),
         (lambda s: fx.sensor("mavic_3"), "got 'mavic_3'. Did you mean 'mavic_3m'"),
         (lambda s: fx.Data(("a", "b"), [1.0, 2.0], 0.1), "a `sd` for each of the 2 statistics"),
+        (lambda s: fx.Data("nir", [1.0], [0.1], jnp.eye(2)), "a `whitener` of 1 x 1 for as many"),
         (lambda s: fx.prospect(chl=40.0), "unknown trait 'chl'. Known are structure, chlorophyll"),
         (lambda s: fx.free(s), "expected patterns"),
         (lambda s: fx.free(s, "species.*.covr"), "fits none of the scene's parameters"),

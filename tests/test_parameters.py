@@ -42,7 +42,7 @@ COLUMNS = {
     "sun_azimuth": ("SunTable", "azimuth_deg"),
     "aerosol": ("SkyTable", "aerosol_optical_depth"),
 }
-WITHOUT_A_COLUMN = {"wood_brightness"}
+WITHOUT_A_COLUMN = {"wood_brightness", "leaf_spread"}
 LEFT_OUT = {
     *("packing", "fill", "anthocyanins", "brown_pigments"),
     *("litter_fraction", "char_fraction", "rock_fraction"),
@@ -161,7 +161,7 @@ def check_plots_and_tables(folder):
     kinds = {column: kind for kind, (_, column) in COLUMNS.items()}
     cells = [TAXON, *(str(shown[kinds[column]]) for column in row)]
     (folder / "species.csv").write_text(f"taxon,{','.join(row)}\n{','.join(cells)}\n")
-    (folder / "plot.toml").write_text("[plot]\nsize_m = 10.0\n")
+    (folder / "plot.toml").write_text("[plot]\nsize_m = 10.0\nleaf_variants = 2\n")
     plot = read_plot(folder / "plot.toml")
     parameters = plot_parameters(plot)
     values = named_values(parameters, plot.taxa)
@@ -170,7 +170,7 @@ def check_plots_and_tables(folder):
             values[full_name(kind)], np.mean(PARAMETERS[kind].usual), rtol=1e-6, err_msg=kind
         )
     stated = [k for k in PARAMETERS if PARAMETERS[k].default is not None and k not in LEAF_FIELDS]
-    assert len(stated) == 11
+    assert len(stated) == 12
     for kind in stated:
         np.testing.assert_allclose(
             values[full_name(kind)], PARAMETERS[kind].default, rtol=1e-6, err_msg=kind

@@ -2,6 +2,8 @@
 
 import contextlib
 import errno
+import hashlib
+import io
 import os
 import signal
 import subprocess
@@ -227,6 +229,14 @@ def test_a_full_disk_of_the_checkpoint_ends_in_one_line(tmp_path: Path, monkeypa
     ]
 
 
+def test_a_checkpoint_that_was_removed_meanwhile_is_not_said_to_stay(tmp_path: Path) -> None:
+    journal = Journal(tmp_path / "kept", "s")
+    journal.put(0, (np.arange(3),))
+    forget_journal(tmp_path / "kept")
+    with pytest.raises(InputError, match="removed meanwhile: the same command begins anew"):
+        journal.put(1, (np.arange(3),))
+
+
 def test_a_flipped_bit_of_a_checkpoint_is_refused(tmp_path: Path) -> None:
     Journal(tmp_path, "s").put(0, (np.arange(6.0), np.array(3)))
     kept = Journal(tmp_path, "s").kept(0)
@@ -244,6 +254,33 @@ def test_a_flipped_bit_of_a_checkpoint_is_refused(tmp_path: Path) -> None:
     path.write_bytes(whole[:-1])
     with pytest.raises(InputError, match="damaged one"):
         Journal(tmp_path, "s").kept(0)
+    mark = tmp_path / "calibration.mark"
+    for place in range(8):
+        mark.write_bytes(bytes([ord("s") ^ 1 << place]) + b"\n")
+        with pytest.raises(InputError, match="another run"):
+            Journal(tmp_path, "s")
+
+
+def test_a_checkpoint_from_somebody_else_runs_nothing_and_unfolds_to_nothing(tmp_path) -> None:
+    Journal(tmp_path, "s").put(0, ())
+    (path,) = tmp_path.glob("*.npz")
+    contents = [b"", b"none", b"PK\5\6" + bytes(18)]
+    for save, arrays in [
+        (np.savez, {"a0": np.array([print], object)}),
+        (np.savez_compressed, {"a0": np.zeros(1 << 22)}),
+    ]:
+        made = io.BytesIO()
+        save(made, **arrays)
+        contents.append(made.getvalue())
+    made = io.BytesIO()
+    np.save(made, np.arange(3))
+    for content in [*contents, made.getvalue()]:
+        path.write_bytes(hashlib.sha256(content).digest() + content)
+        if content[:4] == b"PK\5\6":  # an archive of nothing
+            assert Journal(tmp_path, "s").kept(0) == ()
+            continue
+        with pytest.raises(InputError, match="damaged one"):
+            Journal(tmp_path, "s").kept(0)
 
 
 def test_more_workers_than_the_machine_has_room_for(monkeypatch) -> None:

@@ -14,6 +14,7 @@ from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, TypeVar, get_origin, get_type_hints
+from zipfile import BadZipFile
 
 import jax
 import jax.numpy as jnp
@@ -38,7 +39,7 @@ class Journal:
         self._count = 0
         mark = self._folder / _MARK
         if mark.is_file():
-            if mark.read_text("utf-8").strip() != signature:
+            if mark.read_text("utf-8", "replace").strip() != signature:
                 raise InputError(
                     "this checkpoint is of another run: other files, data, parameters, settings "
                     "or seed. Choose another output, or remove it to start again",
@@ -115,10 +116,11 @@ class Journal:
                 self.put_state(name, last)
 
     def _cannot_keep(self, error: OSError) -> InputError:
+        after = "What was kept before stays, and the same command goes on from it"
+        if not (self._folder / _MARK).is_file():
+            after = "The checkpoint was removed meanwhile: the same command begins anew"
         return InputError(
-            f"cannot keep what was done: {error.strerror}. What was kept before stays, and the "
-            "same command goes on from it",
-            file=self._folder,
+            f"cannot keep what was done: {error.strerror}. {after}", file=self._folder
         )
 
     def put_failure(self, number: int, text: str) -> Path | None:
@@ -191,12 +193,26 @@ def _load(path: Path) -> dict[str, np.ndarray] | None:
     except OSError as error:
         raise InputError(f"it cannot be opened ({error.strerror})", file=path) from error
     size = hashlib.sha256().digest_size
+    damaged = InputError(
+        "no checkpoint, or a damaged one; remove its folder to start again", file=path
+    )
     if hashlib.sha256(raw[size:]).digest() != raw[:size]:
-        raise InputError(
-            "no checkpoint, or a damaged one; remove its folder to start again", file=path
-        )
-    with np.load(io.BytesIO(raw[size:])) as file:
-        return dict(file)
+        raise damaged
+    try:  # a hash keeps nobody from writing another file with its own
+        with np.load(io.BytesIO(raw[size:]), allow_pickle=False) as file:
+            if sum(part.file_size for part in file.zip.infolist()) > len(raw):
+                raise damaged
+            return dict(file)
+    except (
+        OSError,
+        ValueError,
+        EOFError,
+        MemoryError,
+        AttributeError,
+        TypeError,
+        BadZipFile,
+    ) as error:
+        raise damaged from error
 
 
 def _write(path: Path, data: bytes) -> None:

@@ -26,7 +26,7 @@ class BroydenState(eqx.Module):
     damping: Float[Array, ""]
     """Added to the diagonal of the Gauss-Newton Hessian [-]."""
     gain: Float[Array, ""]
-    """By how much a further undamped step would lower half the squared residual [-]."""
+    """Share by which a further undamped step would lower half the squared residual [-]."""
     steps: Int[Array, ""]
     """Steps taken, refused ones included."""
 
@@ -66,7 +66,7 @@ class BroydenLM(optx.AbstractLeastSquaresSolver):
     rtol: float = 0.0
     """Least fall as a share of half the squared residual that is worth another step [-]."""
     norm: Callable = eqx.field(static=True, default=optx.max_norm)
-    """Not used; optimistix asks every solver for one."""
+    """Norm that optimistix asks every solver for; this one does not use it."""
     renew: bool = eqx.field(static=True, default=False)
     """Whether every step takes the Jacobian anew instead of correcting it."""
     longest: float = eqx.field(static=True, default=float("inf"))

@@ -41,9 +41,9 @@ class Parameter:
     usual: tuple[float, float]
     """Range that is common; values outside it are possible."""
     description: str
-    """What it means, with the reason of its bounds."""
+    """Meaning of the parameter, with the reason of its bounds."""
     source: str
-    """Where default, bounds and prior of the parameter are from; says what is assumed."""
+    """Source of default, bounds and prior of the parameter; says what is assumed."""
     default: float | None = None
     """Value where nothing is stated; None where there is none, or it is that of the growth form."""
     relative_sd: float | None = None
@@ -109,15 +109,26 @@ class Parameter:
             )
 
 
-def parameter_field(*, required: bool = False, **record: Any) -> Any:
+def parameter_field(*, required: bool = False, optional: bool = False, **record: Any) -> Any:
     """A field of an `eqx.Module` that holds a real array, with what `Parameter` takes of it.
 
-    The parameter's default is that of the field too, unless it is `required`.
+    The parameter's default is that of the field too, unless it is `required`, or `optional`: then
+    the field may be None, and is by default.
     """
     parameter = Parameter(**record)
+    if optional:
+        return eqx.field(
+            converter=lambda value: None if value is None else real_array(value, parameter.name),
+            metadata={"parameter": parameter},
+            default=None,
+        )
     without = required or parameter.default is None
     default: dict[str, Any] = {} if without else {"default": parameter.default}
-    return eqx.field(converter=real_array, metadata={"parameter": parameter}, **default)
+    return eqx.field(
+        converter=lambda value: real_array(value, parameter.name),
+        metadata={"parameter": parameter},
+        **default,
+    )
 
 
 def parameters_of(module: Any) -> dict[str, Parameter]:

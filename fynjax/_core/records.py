@@ -89,13 +89,22 @@ class Strict(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     slips: ClassVar[dict[str, Slip]] = {}
-    """For a column, what a value outside its range was probably meant to be."""
+    """Meanings, by column, that a value outside its range was probably meant to be."""
     unique: ClassVar[str | None] = None
     """Field whose value, where there is one, no two rows of a table share."""
     if_twice: ClassVar[str] = ""
-    """What to do about two rows that share it."""
+    """Advice about two rows that share the key."""
     must_have: ClassVar[tuple[str, ...]] = ()
     """Columns that a table must have although their cells may be empty."""
+
+    @classmethod
+    def of_table(cls, cells: list[dict[str, Any]]) -> list[dict[str, Any]]:
+        """The rows of a table, where what a cell means depends on its column; as they are by
+        default.
+
+        **Arguments:** `cells`: of each row by column, without empty ones.
+        """
+        return cells
 
     def replace(self, **changes: Any) -> Self:
         """The same record with other values, as `dataclasses.replace`. Ranges are not checked.

@@ -37,6 +37,7 @@ from fynjax.scene import (
     SpeciesRow,
     Spectrum,
     build_scene,
+    drawn_leaves,
     leaf_parameters,
     leaves_of,
     room_needed,
@@ -82,7 +83,8 @@ def build_plot(
         None if row.plant is None else read_plant(row.plant, row.growth_form)
         for row in plot.species
     ]
-    parameters = plot_parameters(plot, fractions, plants)
+    leaves = plot_leaves(plot)
+    parameters = plot_parameters(plot, fractions, plants, leaves)
     # Places are held ready as for the tables, so that plants stay where a calibration had them.
     tables = parameters
     if plot.parameters is not None:
@@ -97,7 +99,7 @@ def build_plot(
     heights = ground_heights(plot)
     plant = partial(
         build_scene,
-        [Species.of(row) for row in plot.species],
+        [Species.of(*pair) for pair in zip(plot.species, leaves, strict=True)],
         tables,
         extent=plot.size_m,
         voxel=plot.voxel_m,
@@ -154,6 +156,7 @@ def plot_parameters(
     plot: Plot,
     fractions: tuple[float, ...] | None = None,
     plants: Sequence[MeshPlant | None] | None = None,
+    leaves: Sequence[Sequence[LeafRow]] | None = None,
 ) -> PlotParameters:
     """The parameters that a plot's files state, defaults of the growth forms filled in.
 
@@ -163,16 +166,17 @@ def plot_parameters(
     - `fractions`: of litter, char and rock [-]; those of the plot file if left out.
     - `plants`: models of the species that have one, which give the leaf and wood area that the
       tables leave out.
+    - `leaves`: of each species, as `plot_leaves` gives them; from the plot if left out.
 
     **Raises:** `InputError` for a leaf spectrum that cannot be used.
     """
     rows: Sequence[SpeciesRow] = plot.species
     if plants is not None:
         rows = [_with_areas(*pair) for pair in zip(rows, plants, strict=True)]
-    fitted = cache(_fitted)  # one leaf may be that of many species
+    leaves = plot_leaves(plot) if leaves is None else leaves
     return PlotParameters(
-        species_parameters(rows),
-        leaf_parameters([fitted(leaf) for leaf in leaves_of(rows, plot.leaves)]),
+        species_parameters(rows, leaves),
+        leaf_parameters(leaves),
         ground_parameters(plot, fractions),
         LightParameters(
             sun_zenith=jnp.asarray(plot.sun.zenith),
@@ -180,6 +184,20 @@ def plot_parameters(
             aerosol=jnp.asarray(plot.sky.aerosol_optical_depth),
         ),
     )
+
+
+def plot_leaves(plot: Plot) -> list[tuple[LeafRow, ...]]:
+    """The leaves of each species of a plot: PROSPECT fitted to those that are spectra, and as many
+    drawn as the plot file asks for where one is stated, by its seed: plants that are drawn anew
+    have the same leaves.
+
+    **Arguments:** `plot`, as `read_plot` gives it.
+
+    **Raises:** `InputError` for a leaf spectrum that cannot be used.
+    """
+    fitted = cache(_fitted)  # one leaf may be that of many species
+    stated = [[fitted(leaf) for leaf in own] for own in leaves_of(plot.species, plot.leaves)]
+    return drawn_leaves(stated, plot.leaf_variants, plot.seed)
 
 
 def _with_areas(row: SpeciesRow, plant: MeshPlant | None) -> SpeciesRow:

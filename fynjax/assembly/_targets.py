@@ -66,6 +66,8 @@ _SPECTRA = (
 )
 _DRONE_BANDS = 10
 """A GeoTIFF of more bands than this is a spectrometer's."""
+_PIXEL_TOLERANCE = 0.01
+"""By how much an image's pixel may differ from the sensor's and count as the same, relative [-]."""
 _MOST_BANDS = 30
 _NARROWEST, _WIDEST = 5.0, 15.0  # nm; finer spectra are averaged to bands of the first
 _RANGE = (405.0, 2450.0)
@@ -211,10 +213,19 @@ def image_target(
 ) -> Measured:
     """The statistics of a drone's image (GeoTIFF), with its `bands`, or of a table (CSV)."""
     pixel = sensor_place(plot)[1]
-    data, extra, _ = image_data(
+    data, extra, found = image_data(
         path, target_rules(plot), pixel=pixel, side=min(plot.size_m), bands=bands
     )
     description = f"{path.name}: {len(data.names)} statistics of a drone's image."
+    seen = plot.sensor.footprint_m or found
+    if seen is not None and abs(seen / pixel - 1.0) > _PIXEL_TOLERANCE:
+        # The spread between pixels depends on what each averages over.
+        sensor = plot.sensor.model_copy(update={"pixel_m": seen})
+        plot = plot.model_copy(update={"sensor": sensor})
+        what = "Its pixels of" if seen == found else "Pixels that average over"
+        description += (
+            f" {what} {seen:.4g} m are simulated, not those of {pixel:.4g} m of the plot's sensor."
+        )
     return Measured("image", path, data, drone_view(plot, data.names), description, extra)
 
 

@@ -20,7 +20,7 @@ from fynjax.canopy._counts import (
 )
 from fynjax.canopy._elements import Crown, Foliage, Shoots
 from fynjax.canopy._form import FormPrior, GrowthForm, LeafGeometry, Taxa
-from fynjax.canopy._greenness import Greenness, band_roles, choose_greenness
+from fynjax.canopy._greenness import Greenness, band_roles, band_word, choose_greenness
 from fynjax.canopy._grid import VoxelGrid, deposit
 from fynjax.canopy._instances import random_orientation, unit_shapes
 from fynjax.canopy._pattern import VegetationPattern, even_levels, vegetation_pattern
@@ -74,6 +74,7 @@ __all__ = [
     "VoxelGrid",
     "assign_sites",
     "band_roles",
+    "band_word",
     "choose_greenness",
     "deposit",
     "element_weight",

@@ -74,7 +74,7 @@ class GrowthForm:
     description: str
     """The shape, in words."""
     sources: str
-    """Where the numbers are from; what is assumed."""
+    """Sources of the numbers of the form; what is assumed."""
 
     leaf_area_index: float
     """One-sided area of leaves (or of green culms and threads) over the ground area of its crowns
@@ -98,7 +98,7 @@ class GrowthForm:
     and of the disc whose overlap with itself falls as fast when it is shifted a little, so that it
     makes the same hot spot. Culms and threads count as strips."""
     prior: FormPrior | None = None
-    """What is assumed of dead tissue, leaf area and clumping before they are learned; None of a
+    """Priors of dead tissue, leaf area and clumping before they are learned; None of a
     form without leaves."""
 
     diameter: float
@@ -106,7 +106,7 @@ class GrowthForm:
     height: float
     """Usual greatest height in a plot [m]."""
     size_source: str = "assumed by growth form"
-    """Where the usual size is from."""
+    """Source of the usual size."""
 
     crown: Crown | None = None
     """Envelope of the leaves; None of a form that is shoots or threads alone."""
@@ -114,15 +114,15 @@ class GrowthForm:
     """Stems or culms; None of a form without. A form with blades has them: in a mesh blades sit on
     stems and twigs."""
     foliage: Foliage
-    """How leaves stand together, and how uneven the plant is."""
+    """Arrangement of leaves, and how uneven the plant is."""
     leaf_elements: Elements = leaves_in_bunches
-    """Where the area elements of leaves lie, and so the leaves of a mesh."""
+    """Places of the area elements of leaves, and so of the leaves of a mesh."""
     wood_elements: Elements = wood_of_stems
-    """Where the area elements of wood lie; twigs that a mesh has besides join leaves to them."""
+    """Places of the area elements of wood; twigs that a mesh has besides join leaves to them."""
     flower_elements: Elements = flowers_on_top
-    """Where the area elements of flowers lie."""
+    """Places of the area elements of flowers."""
     leaf: LeafGeometry
-    """One leaf of a plant whose taxon has no row in `leaf_sizes`."""
+    """Size and shape of a leaf of a plant whose taxon has no row in `leaf_sizes`."""
 
     leaf_mass_per_area: float
     """Dry mass over projected area of a leaf in the stands that `fynjax train` draws, median

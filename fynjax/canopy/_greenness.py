@@ -20,11 +20,30 @@ _RANGES = {
 _WORDS = {
     "nearinfrared": "nir",
     "nearir": "nir",
+    "nir1": "nir",
     "r": "red",
     "g": "green",
+    "grn": "green",
     "b": "blue",
     "n": "nir",
+    "rededge": "red_edge",
+    "re": "red_edge",
+    "edge": "red_edge",
 }
+_EXTRA = re.compile(r"(?<!\d)\d{3,4}(\.\d+)?(?!\d)|nm\b|nanomet\w+|\b(band|reflectance)\b|[\W_]")
+"""What programs write around the name of a band: wavelength, unit, and these words."""
+
+
+def band_word(name: str) -> str:
+    """A band's name in one spelling: "red_edge" of "Red edge (717 nm)", "nir" of "NIR-842".
+
+    **Arguments:** `name`, as a file has it.
+
+    **Returns:** "blue", "green", "red", "red_edge" or "nir" where it means one of these; else the
+    name in small letters, without what stands for a wavelength.
+    """
+    plain = _EXTRA.sub("", re.sub(r"[_\-]", " ", name.lower()))
+    return _WORDS.get(plain, plain)
 
 
 @dataclass(frozen=True)
@@ -34,7 +53,7 @@ class Greenness:
     name: str
     """Short name, for an axis or a table."""
     formula: str
-    """How it is computed, in the names of the bands used."""
+    """Formula of the index, in the names of the bands used."""
     function: Callable[[Float[np.ndarray, "*pixel band"]], Float[np.ndarray, "*pixel"]]
     """Greenness of spectra, the bands last; NaN where it is not defined."""
 
@@ -61,8 +80,7 @@ def band_roles(
 
     **Raises:** `InputError` where names and wavelengths differ in number.
     """
-    plain = [re.sub(r"[^a-z]", "", name.lower()) for name in names]
-    plain = [_WORDS.get(name, name) for name in plain]
+    plain = [band_word(name) for name in names]
     waves = [None] * len(plain) if wavelengths is None else list(wavelengths)
     if len(waves) != len(plain):
         raise InputError(

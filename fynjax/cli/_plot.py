@@ -17,6 +17,7 @@ from fynjax.cli._runtime import (
     PriorFile,
     Quiet,
     Seed,
+    Truth,
     Twin,
     command,
     listed,
@@ -27,7 +28,18 @@ _PAGE = "report.html"
 
 
 @command("demo", "fynjax.studies.fynbos_2006:demo")
-def demo(twin: Twin = False, seed: Seed = 0) -> None:
+def demo(
+    with_aviris: Annotated[
+        bool,
+        typer.Option(
+            "--with-aviris",
+            help="Fit the published numbers of the plot's AVIRIS-NG spectrum too, which tell gains "
+            "of the drone's camera from plants. Takes longer.",
+        ),
+    ] = False,
+    twin: Twin = False,
+    seed: Seed = 0,
+) -> None:
     """Calibrate the 2006 burn plot to its real drone image, from shipped input.
 
     Builds the 10 m x 10 m plot from the paper's species table, renders the drone image, calibrates
@@ -35,6 +47,38 @@ def demo(twin: Twin = False, seed: Seed = 0) -> None:
     tables, figures and a report page.
 
     Example:  fynjax demo --output my_demo
+    """
+
+
+@command("article", "fynjax.studies.fynbos_2006:article", forget=True)
+def article(
+    calibration: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR",
+            help="Results of `fynjax demo`, or of another calibration of the same plot; left out, "
+            "the demo is run first.",
+        ),
+    ] = None,
+    size: Annotated[
+        float, typer.Option(min=1.0, metavar="M", help="Edge of the plot that is looked at [m].")
+    ] = 10.0,
+    pixel: Annotated[
+        float, typer.Option(min=0.005, metavar="M", help="Pixel of the drone's image [m].")
+    ] = 0.025,
+    channels: Annotated[
+        int, typer.Option(min=10, metavar="N", help="About so many of AVIRIS-NG's 425 channels.")
+    ] = 425,
+    checkpoint: Checkpoint = None,
+    seed: Seed = 0,
+) -> None:
+    """Every number of the article beside those of its plot, before and after calibration.
+
+    Looks at the 2006 plot with the drone's camera, AVIRIS-NG and two LiDAR systems, and puts what
+    the article prints as real, what its DIRSIG made of it and fynjax's numbers side by side, each
+    with its definition. An interrupted run goes on when the same command is given again.
+
+    Example:  fynjax article --calibration output/demo
     """
 
 
@@ -80,10 +124,7 @@ def render(
     plot: PlotPath,
     checkpoint: Checkpoint = None,
     seed: OwnSeed = None,
-    truth: Annotated[
-        bool,
-        typer.Option("--truth", help="Also write which species each pixel sees, and how much."),
-    ] = False,
+    truth: Truth = False,
 ) -> None:
     """Render what the drone sees of a plot.
 
@@ -146,7 +187,15 @@ def plant(
         typer.Option(
             metavar="z|y",
             help="Vertical axis of the file: y for .glb and .gltf if left out, as their standard "
-            "says, else z. GLB that trimesh made of a mesh with z up needs z.",
+            "says; y, with a warning, if a plant reaches below 0 in z and not in y; else z. GLB "
+            "that trimesh made of a mesh with z up needs z.",
+        ),
+    ] = None,
+    unit: Annotated[
+        str | None,
+        typer.Option(
+            metavar="UNIT",
+            help="Unit of the mesh or scan: metre (if left out), centimetre, millimetre, foot.",
         ),
     ] = None,
     maximum_extent: Annotated[

@@ -46,7 +46,7 @@ class CloudOption(NamedTuple):
     help: str
     metavar: str | None = None
     counts: tuple[int, ...] = ()
-    """How many numbers it takes."""
+    """Counts of numbers that the option may take."""
 
     @property
     def annotation(self) -> Any:

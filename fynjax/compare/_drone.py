@@ -53,7 +53,7 @@ class DroneComparison:
     shown: Float[np.ndarray, "sample index shown_bin"]
     """Density of the pixels in these."""
     notes: tuple[str, ...]
-    """What a reader must know to judge the numbers."""
+    """Sentences that a reader needs to judge the numbers."""
 
 
 def compare_drone_images(real: DroneImage, simulated: DroneImage) -> DroneComparison:

@@ -4,7 +4,6 @@ Two images are compared by the distributions of their pixels, not pixel by pixel
 size, place and coordinate system, and need none.
 """
 
-import re
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -15,19 +14,20 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from fynjax._core.errors import InputError
-from fynjax.io.raster import RasterFile, open_raster
+from fynjax.canopy import band_word
+from fynjax.io.raster import RAW_COUNTS, RasterFile, check_reflectance, open_image
 from fynjax.metrics import BANDS
 from fynjax.sensors import mavic_3m
 
 FEW_PIXELS = 30
 """Compared pixels below which distributions say nothing."""
 
-# Names of each band in the wild, and the range of wavelengths [nm] that are taken for it.
-_KNOWN: dict[str, tuple[frozenset[str], tuple[float, float]]] = {
-    "green": (frozenset({"green", "g", "grn"}), (530.0, 585.0)),
-    "red": (frozenset({"red", "r"}), (625.0, 690.0)),
-    "red_edge": (frozenset({"red_edge", "rededge", "re", "edge"}), (700.0, 750.0)),
-    "nir": (frozenset({"nir", "n", "near_infrared", "nearinfrared", "nir1"}), (780.0, 900.0)),
+# Wavelengths [nm] that are taken for each band.
+_KNOWN = {
+    "green": (530.0, 585.0),
+    "red": (625.0, 690.0),
+    "red_edge": (700.0, 750.0),
+    "nir": (780.0, 900.0),
 }
 
 
@@ -41,9 +41,9 @@ class DroneImage:
     mask: Bool[np.ndarray, "y x"]
     """True where a pixel is compared."""
     taken: tuple[str, ...]
-    """What the file calls each band."""
+    """Name of each band in the file."""
     chosen_by: str
-    """How the bands were identified: 'option', 'names', 'wavelengths' or 'order'."""
+    """Way in which the bands were identified: 'option', 'names', 'wavelengths' or 'order'."""
     shape: tuple[int, int]
     """Rows and columns of the file."""
     step: int
@@ -101,8 +101,9 @@ def read_drone_image(
       guessed.
     - `bands`: what each band of the file is, in its order, such as "blue", "green", "red", "nir",
       "red_edge"; any other name is a band that is not used. If not given, bands are known by
-      their names, else by their wavelengths, else, of exactly four bands without either, by the
-      order green, red, red edge, near infrared.
+      their names (of the files, where each band has its own: `open_image`), else by their
+      wavelengths, else, of exactly four bands without either, by the order green, red, red edge,
+      near infrared, if they grow brighter towards near infrared as vegetation does.
     - `saturation`: saturation threshold [-]: pixels that reach it in a band are left out. In files
       of integers the largest value of their type always is, unless it is their no-data value.
     - `most_pixels`: of a larger image every k-th row and column is read, with the smallest k that
@@ -111,10 +112,10 @@ def read_drone_image(
     **Returns:** a `DroneImage`: reflectance [-] of the pixels that are compared.
 
     **Raises:** `InputError` for a file that is missing or cut short, for a band that cannot be
-    identified, for values that are no fractions, or without a pixel to compare; and where bands are
-    taken by their order and near infrared is darker than red. Warns of bands taken by their order,
-    of near infrared that is darker than red, and where pixels pile up at a band's largest value, as
-    clipped ones do.
+    identified, for values that are no fractions, for coordinates in degrees, or without a pixel to
+    compare; and where bands without names are not as bright as vegetation in their order. Warns of
+    bands taken by their order, of near infrared that is darker than red, and where pixels pile up
+    at a band's largest value, as clipped ones do.
 
     >>> import pathlib, tempfile
     >>> import numpy as np
@@ -131,16 +132,15 @@ def read_drone_image(
     ('names', (4, 900))
     """
     path = Path(path)
-    with open_raster(path, "a drone image") as file:
+    with open_image(path, "a drone image") as file:
+        if file.is_raw_capture:
+            raise InputError(RAW_COUNTS, file=path)
         # Programs call the last of four bands alpha, also where it is near infrared.
         data = file.dataset.indexes if file.dataset.count == len(BANDS) else file.bands
         numbers, taken, how = _find_bands(file, data, bands)
         step = 1 if most_pixels is None else thinning(*file.shape, most_pixels)
         image = file.read(numbers, step=step, zero_is_data=False)
-        t = file.dataset.transform
-        pixel = None
-        if not t.is_identity and not (file.crs is not None and file.crs.is_geographic):
-            pixel = float(np.sqrt(abs(t.determinant)))  # also of cells that are not square
+        pixel = file.pixel_m
         crs = None if file.crs is None else file.crs.to_string()
         scaled = any(file.dataset.scales[n - 1] != 1.0 for n in numbers)
         kind = None if scaled else np.result_type(*(file.dataset.dtypes[n - 1] for n in numbers))
@@ -187,19 +187,22 @@ def _check_order(
     pixels: Float[np.ndarray, "band pixel"], how: str, taken: Sequence[str], path: Path
 ) -> None:
     """Say which bands were taken by their order, and refuse or doubt what no vegetation is."""
-    _, red, _, nir = np.median(pixels, axis=1)
+    medians = np.median(pixels, axis=1)
+    _, red, edge, nir = medians
     found = f"near infrared has a median of {nir:.3g} and red of {red:.3g}"
     say = f"Say what each band of the file is, {_OPTION}"
     if how == "order":
-        if nir < red:
+        if not max(medians[:2]) < edge < nir:
+            listed = ", ".join(f"{value:.3g}" for value in medians)
             raise InputError(
                 f"expected bands in the order {', '.join(BANDS)}, since the file names none, but "
-                f"then {found}: vegetation is brighter there. {say}",
+                f"their medians are {listed}: vegetation is brightest in near infrared, then in "
+                f"the red edge. {say}",
                 file=path,
             )
         warnings.warn(
             f"{path}: the file names no band: they are taken to be {', '.join(BANDS)}, in this "
-            f"order. {say}",
+            f"order; green and red cannot be known by their values. {say}",
             stacklevel=3,
         )
     elif nir < red:
@@ -229,28 +232,7 @@ def _check_scale(
             "Was a dark offset subtracted twice, or is this an index?",
             file=path,
         )
-    if brightest <= 1.5:
-        return
-    remedy = f"gdal_edit.py -scale {{:.9g}} {path.name}"
-    if kind is not None and kind.itemsize == 1:
-        hint = (
-            ", in 8 bits. Numbers of 0 to 255 are mostly a picture's brightness, which is no "
-            "reflectance: export reflectance from the program that made the mosaic. If 255 is a "
-            f"reflectance of 1, state it: gdal_edit.py -scale {1 / 255:.6g} {path.name}"
-        )
-    elif brightest <= 100.0:
-        hint = f". Is it in percent? Then state it: {remedy.format(0.01)}"
-    else:
-        hint = (
-            ". Is it in integers of 0 to 10000? Then state it: "
-            f"{remedy.format(0.0001)}. Times 32768, as Metashape and MicaSense write it? "
-            f"{remedy.format(1 / 32768)}"
-        )
-    raise InputError(
-        "expected reflectance as a fraction, but the median of the brightest band is "
-        f"{brightest:g}{hint}",
-        file=path,
-    )
+    check_reflectance(brightest, path, eight_bits=kind is not None and kind.itemsize == 1)
 
 
 def thinning(rows: int, columns: int, most: int) -> int:
@@ -267,16 +249,6 @@ _OPTION = (
 )
 
 
-def _plain(name: str) -> str:
-    text = re.sub(r"[\s\-]+", "_", name.strip().lower())
-    return re.sub(r"^(band_)?|(_band|_reflectance)$", "", text)
-
-
-def _role(name: str) -> str | None:
-    plain = _plain(name)
-    return next((role for role, (names, _) in _KNOWN.items() if plain in names), None)
-
-
 def _find_bands(
     file: RasterFile, data: Sequence[int], stated: Sequence[str] | None
 ) -> tuple[list[int], tuple[str, ...], str]:
@@ -290,7 +262,7 @@ def _find_bands(
                 f"expected names of {len(data)} bands, but got {len(stated)} ({', '.join(stated)})",
                 file=path,
             )
-        roles = [_role(name) for name in stated]
+        roles = [band_word(name) for name in stated]
         missing = [band for band in BANDS if roles.count(band) != 1]
         if missing:
             raise InputError(
@@ -299,7 +271,7 @@ def _find_bands(
                 file=path,
             )
         return [data[roles.index(b)] for b in BANDS], tuple(BANDS), "option"
-    roles = [_role(name) for name in described]
+    roles = [band_word(name) for name in described]
     if all(roles.count(band) == 1 for band in BANDS):
         at = [roles.index(band) for band in BANDS]
         return [data[k] for k in at], tuple(labels[k] for k in at), "names"
@@ -307,7 +279,7 @@ def _find_bands(
     near: dict[str, int] = {}
     drone = mavic_3m()
     centres = dict(zip(drone.names, drone.centre, strict=True))
-    for band, (_, (low, high)) in _KNOWN.items():
+    for band, (low, high) in _KNOWN.items():
         inside = [(abs(w - centres[band]), k) for k, w in enumerate(waves) if low <= w <= high]
         if inside:
             near[band] = min(inside)[1]

@@ -15,7 +15,7 @@ from fynjax._core.errors import InputError
 from fynjax._core.progress import stage
 from fynjax._core.spectral import check_wavelength
 from fynjax.compare._images import thinning
-from fynjax.io.raster import check_netcdf, open_raster
+from fynjax.io.raster import check_netcdf, check_reflectance, open_raster
 from fynjax.io.spectra import read_header, read_usable_spectra
 from fynjax.io.text import existing_file
 from fynjax.metrics import WATER_WINDOWS
@@ -175,20 +175,14 @@ def _check_fractions(grid: NDArray[np.float64], values: NDArray[np.float64], pat
     for low, high in WATER_WINDOWS:
         clear &= ~((grid >= low) & (grid <= high))
     shown = np.median(values[:, clear], axis=0) if clear.any() else np.zeros(1)
-    if shown.max() > 1.5:
-        scale = "percent" if shown.max() <= 100.0 else "integers of 0 to 10000"
-        raise InputError(
-            f"expected reflectance as a fraction, but the median of the brightest band is "
-            f"{shown.max():g}. Is it in {scale}, or radiance? Divide first, or state the scale in "
-            "the header (reflectance scale factor).",
-            file=path,
-        )
     if shown.min() < -0.2:
         raise InputError(
             f"expected reflectance of at least 0, but the median of a band is {shown.min():g}. "
             "Is it a no-data value? State it in the header (data ignore value).",
             file=path,
         )
+    if clear.any():
+        check_reflectance(float(shown.max()), path)
 
 
 # -- cubes ----------------------------------------------------------------------------------

@@ -64,9 +64,9 @@ class Calibration(eqx.Module):
     after: PlotParameters
     """The plot's parameters at the estimate, those that are not free among them."""
     views: tuple[AbstractView, ...]
-    """How each sensor sees the full scene, in the order of the statistics."""
+    """Views of the full scene, one for each sensor, in the order of the statistics."""
     coarse_views: tuple[AbstractView, ...]
-    """How each sensor sees the `stands`, which are in the coarse form of the search."""
+    """Views of the `stands`, one for each sensor, which are in the coarse form of the search."""
     image_before: Float[Array, "band y x"] | None
     """The drone's image of the full scene where the search started; None without such a camera."""
     image_after: Float[Array, "band y x"] | None
@@ -161,7 +161,7 @@ class Ends(eqx.Module):
 
 _OF_COUNTS = (".cover", ".packing", ".fill")
 """Parameters of a species that have no effect but on how many plants there are."""
-_OF_LEAVES = ("leaf_area_index", "shoot_clumping", "dead_fraction")
+_OF_LEAVES = ("leaf_area_index", "shoot_clumping", "dead_fraction", "leaf_spread")
 """Parameters of a species that have no effect without leaves."""
 
 
@@ -217,6 +217,8 @@ def _without_effect(name: str, scene: Scene, parameters: PlotParameters) -> bool
         if float(parameters.species.cover[i]) == 0.0:
             return True
         if scene.known_plants and name.endswith(_OF_COUNTS):
+            return True
+        if name.endswith(".leaf_spread") and scene.species[i].leaves == 1:
             return True
         leafless = float(parameters.species.leaf_area_index[i]) == 0.0
         of_leaves = (".leaf." in name, name.endswith(_OF_LEAVES))

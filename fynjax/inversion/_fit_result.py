@@ -31,14 +31,18 @@ def _array(values: Any) -> Any:
     return values if isinstance(values, jax.Array | np.ndarray) else in_double(values)
 
 
+def _names(names: str | Sequence[str]) -> tuple[str, ...]:
+    return (names,) if isinstance(names, str) else tuple(names)
+
+
 class Data(eqx.Module):
     """What was measured: statistics, each with a name, a value and an error.
 
-    **Raises:** `InputError` for another number of values or errors than of names, a value that is
-    not finite, and an error that is not positive.
+    **Raises:** `InputError` for another number of values or errors than of names, a whitener of
+    another shape, a value that is not finite, and an error that is not positive.
     """
 
-    names: tuple[str, ...] = eqx.field(static=True, converter=tuple)
+    names: tuple[str, ...] = eqx.field(static=True, converter=_names)
     """Name of each statistic, such as NDVI.mean."""
     value: Float[Array, " statistic"] = eqx.field(converter=_array)
     """Measured value of each statistic, in its own unit."""
@@ -96,6 +100,11 @@ class Data(eqx.Module):
                     f"expected a `{what}` for each of the {len(self.names)} statistics "
                     f"({listed(self.names)}), but got an array of shape {jnp.shape(given)}"
                 )
+        if self.whitener is not None and jnp.shape(self.whitener)[-2:] != (len(self.names),) * 2:
+            raise InputError(
+                f"expected a `whitener` of {len(self.names)} x {len(self.names)} for as many "
+                f"statistics, but got an array of shape {jnp.shape(self.whitener)}"
+            )
         if any(isinstance(a, jax.core.Tracer) for a in (self.value, self.sd)):
             return
         bad = ~(np.isfinite(np.asarray(self.value)) & (np.asarray(self.sd) > 0))

@@ -167,7 +167,7 @@ def _draws(
 
 
 @eqx.filter_jit
-def _slopes(
+def functional_slopes(
     scene: Scene,
     parameters: PlotParameters,
     space: Any,
@@ -216,7 +216,8 @@ def stand_table(
     drawn = _draws(scene, parameters, fit.space, jnp.asarray(normal.clip(-3.0, 3.0)), values)
     prior = np.asarray(drawn, float)
     value, slopes = (
-        np.asarray(x, float) for x in _slopes(scene, parameters, fit.space, fit.whitened, values)
+        np.asarray(x, float)
+        for x in functional_slopes(scene, parameters, fit.space, fit.whitened, values)
     )
     shares = np.array([one.unit == "-" for one in functionals.values()])
     low, high = (f(np.concatenate([prior, value[None]]), axis=0) for f in (np.min, np.max))
@@ -275,14 +276,15 @@ def stand_sentence(table: pd.DataFrame, functionals: Mapping[str, Functional] | 
     """The stand in one sentence.
 
     **Arguments:** `table`, from `stand_table`; the `functionals` to be named, by default the four
-    that lead `STAND_FUNCTIONALS`.
+    that lead `STAND_FUNCTIONALS`, or the first four of a table that has none of these.
     """
-    if functionals is None:
-        functionals = {name: STAND_FUNCTIONALS[name] for name in _LEADING}
-    rows = table.set_index("name")[["estimate", "q05", "q95"]].astype(float)
+    rows = table.set_index("name")
+    known = {name: STAND_FUNCTIONALS[name] for name in _LEADING if name in rows.index}
+    named = functionals or known or dict.fromkeys(rows.index[:4])
     parts = []
-    for name, functional in functionals.items():
-        middle, low, high = rows.loc[name]
-        unit = "" if functional.unit == "-" else f" {functional.unit}"
-        parts.append(f"{functional.words} {middle:.3g} [{low:.3g}, {high:.3g}]{unit}")
+    for name, functional in named.items():
+        row = rows.loc[name]
+        middle, low, high = (f"{row[column]:.3g}" for column in ("estimate", "q05", "q95"))
+        unit = "" if row["unit"] == "-" else f" {row['unit']}"
+        parts.append(f"{functional.words if functional else name} {middle} [{low}, {high}]{unit}")
     return f"The stand: {', '.join(parts)} (5 to 95 %)."

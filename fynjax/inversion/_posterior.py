@@ -89,7 +89,7 @@ class PosteriorSampler:
     """
 
     _draws: Draws
-    """Where nothing has to be sampled."""
+    """Draws where nothing has to be sampled."""
     _sampler: Ensemble | Hamiltonian | None
 
     @double_precision

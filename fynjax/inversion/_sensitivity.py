@@ -102,7 +102,7 @@ class ExpectedSensitivity(eqx.Module):
     at: Float[np.ndarray, " free"]
     """The parameters, in their own units."""
     plantings: int
-    """How many gave the means and their errors."""
+    """Number of plantings that gave the means and their errors."""
     value: Float[np.ndarray, " metric"]
     """Mean over the plantings."""
     value_sd: Float[np.ndarray, " metric"]

@@ -40,7 +40,7 @@ from fynjax.scene import (
     hard_instances,
     hard_scene,
     height_profile,
-    leafy_species,
+    leaf_classes,
     projected_cover,
     stand_area,
 )
@@ -319,13 +319,19 @@ def instance_table(instances: Instances) -> pd.DataFrame:
             "diameter_m": instances.diameter.round(4),
             "height_m": instances.height.round(4),
         }
+        | ({} if instances.leaf is None else {"leaf": instances.leaf})
     )
 
 
 def voxel_dataset(scene: Scene, density: Any) -> xr.Dataset:
     """Area density [class, z, y, x] with its coordinates, ready for `write_run`."""
     x, y, z = scene.grid.centres
-    names = [f"{scene.taxa[k]}, leaf" for k in leafy_species(scene.forms)] + ["wood", "flower"]
+    names = [
+        f"{scene.taxa[k]}, leaf" + f" {leaf}" * (len(own) > 1)
+        for k, own in leaf_classes(scene.species).items()
+        for leaf in range(len(own))
+    ]
+    names += ["wood", "flower"]
 
     def axis(letter: str, values: np.ndarray, what: str) -> tuple[str, np.ndarray, dict[str, str]]:
         standard = {

@@ -13,6 +13,7 @@ from fynjax.inversion import Calibration, FitResult, KnownPlants, stand_sentence
 from fynjax.io.plot import Plot, sensor_place
 from fynjax.jobs._calibration_tables import (
     ReferenceImage,
+    camera_table,
     largest_errors,
     sensor_misfit,
     sensor_table,
@@ -26,6 +27,7 @@ from fynjax.report.figures import (
     error_bars,
     index_histograms,
     parameter_plot,
+    words,
 )
 from fynjax.report.pages import Page, Part, Picture, Section, Table, sensor_section
 
@@ -171,6 +173,9 @@ def calibration_page(
             sections += _image_sections(plot, result, statistics, reference)
         else:
             sections.append(sensor_section(sensor, sensor_table(sensor, statistics)))
+    camera = camera_table(result, statistics)
+    if camera is not None:
+        sections.append(Section("The camera", [_camera_sentence(camera), Table(camera, _CAMERA)]))
     sections += [
         Section("", [Table(statistics, _STATISTICS, folded=True)]),
         parameter_section(result, stand, parameters),
@@ -230,6 +235,26 @@ _STATISTICS = (
     "Every statistic. Those that were fitted are expected over plantings, `after` and `with_gain` "
     "also over what is unknown of the parameters; others are those of the image."
 )
+
+
+_CAMERA = (
+    "Bands of the camera: a simulated band times its gain is what the camera has. A simulation "
+    "without error would be off by `exact error` from the real image; beside it what others are."
+)
+
+
+def _camera_sentence(camera: pd.DataFrame) -> str:
+    """How much of each band's error the camera has itself, and how sure that is."""
+    off = camera["exact_error_percent"]
+    unsure = (camera["gain"] - 1.0).abs() < 2.0 * camera["sd"]
+    of = [
+        f"{words(band)} {error:+.0f} %" + (" (within the error of the gain)" if open_ else "")
+        for band, error, open_ in zip(camera["band"], off, unsure, strict=True)
+    ]
+    return (
+        "By the estimated gains even an exact simulation of these plants would be off from the "
+        f"real image: {', '.join(of)}. What a simulation is off by beyond that is its own."
+    )
 
 
 def _one_planting(statistics: pd.DataFrame) -> str:

@@ -108,6 +108,35 @@ def statistic_table(calibration: Calibration, reference: ReferenceImage) -> pd.D
     return table
 
 
+def camera_table(calibration: Calibration, statistics: pd.DataFrame) -> pd.DataFrame | None:
+    """Gains of the drone's camera, and what they say of each band's error.
+
+    **Arguments:** `calibration`; `statistics`, of `statistic_table`.
+
+    **Returns:** a row for each band: its estimated gain, that is what a simulated band is to be
+    multiplied by to be as the camera has it, standard deviations after and before the data; what a
+    simulation without error would be off by from the camera's mean, and what those before and after
+    are, and another one's. None without a camera.
+    """
+    view = next((v for v in calibration.views if isinstance(v, ImageView)), None)
+    gain, gain_sd = calibration.gain, calibration.gain_sd
+    if view is None or gain is None or gain_sd is None:
+        return None
+    bands = view.camera.sensor.bands.names
+    table = pd.DataFrame(
+        {
+            "band": bands,
+            "gain": gain,
+            "sd": gain * gain_sd,
+            "prior_sd": view.gains.of_bands(len(bands)),
+            "exact_error_percent": 100.0 / gain - 100.0,
+        }
+    )
+    errors = statistics.set_index("statistic").filter(regex="_error_percent$")
+    means = errors.reindex([f"{band}.mean" for band in bands]).reset_index(drop=True)
+    return pd.concat([table, means], axis=1)
+
+
 def largest_errors(statistics: pd.DataFrame) -> pd.DataFrame:
     """Largest error of the fitted means of bands and of indices [%], before and after, and with
     the camera's gains.
@@ -137,19 +166,20 @@ def sensor_table(measured: Measured, statistics: pd.DataFrame) -> pd.DataFrame:
     else:
         metrics = [name.split(".", 1)[1] for name in rows["statistic"]]
         rows.insert(0, "metric", metrics)
-        rows.insert(1, "unit", [STRUCTURE_METRICS[name] for name in metrics])
+        rows.insert(1, "unit", [STRUCTURE_METRICS.get(name, "-") for name in metrics])
     return rows.drop(columns="statistic")
 
 
 def sensor_misfit(measured: Measured, table: pd.DataFrame) -> str:
     """How well a spectrum or a cloud is met before and after, in a sentence."""
     error = table[["before", "after"]].sub(table["real"], axis=0)
-    if measured.kind == "spectrum":
+    if measured.bands is not None:
         rmse = np.sqrt((error**2).mean())
         return f"RMSE of the spectrum {rmse['before']:.3f} before, {rmse['after']:.3f} after."
+    what = "a structure metric" if measured.kind == "structure" else "a number of the spectrum"
     largest = error.abs().div(table["target_sd"], axis=0).max()
     return (
-        f"Largest deviation of a structure metric {largest['before']:.1f} of its standard "
+        f"Largest deviation of {what} {largest['before']:.1f} of its standard "
         f"deviations before, {largest['after']:.1f} after."
     )
 

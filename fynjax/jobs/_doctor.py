@@ -29,7 +29,7 @@ class Check(NamedTuple):
     found: str
     """Measured error or size, in words."""
     advice: str
-    """What to do where it did not pass."""
+    """Advice where the check did not pass."""
 
 
 def doctor() -> list[Check]:

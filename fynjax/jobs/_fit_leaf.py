@@ -55,6 +55,7 @@ from fynjax.leaf import (
 )
 from fynjax.report.figures import leaf_fit_figure
 from fynjax.report.pages import Picture, Table
+from fynjax.scene import LEAF_FIELDS
 
 MEASUREMENTS: dict[str, Callable[[], AbstractMeasurement]] = {
     "sphere": IntegratingSphere,
@@ -213,6 +214,7 @@ def fit_leaf(
     domain: FitDomain = "full",
     panel: str | Path | None = None,
     detector_changes: Sequence[float] | None = None,
+    transmittance: Sequence[str | Path] = (),
     groups: str | Path | None = None,
     posterior: Sampling = "none",
     seed: int = 0,
@@ -248,8 +250,11 @@ def fit_leaf(
       files that hold it are absolute already.
     - `detector_changes`: wavelengths where detectors change [nm], at which jumps are taken out of
       all spectra, see `correct_detector_jumps`; `None` for those that an ASD file states.
+    - `transmittance`: files with the transmittance of the same leaves, by name or in the same
+      order, where neither names nor files say it (`fynjax.read_spectra`).
     - `groups`: a CSV with the columns `name` (of a spectrum) and `species`: leaves of a species are
-      fitted together, and `species.csv` holds the mean leaf and five material variants of each.
+      fitted together, and `species.csv` holds the mean leaf and five material variants of each,
+      `leaves.csv` the variants of PROSPECT-D as a leaf table.
     - `posterior`: "none", or sample it by "emcee" or "nuts" into `posterior.nc`.
     - `seed`: seed of the posterior's random numbers; the fit itself draws none.
     - `checkpoint`: folder that keeps what each 1024 leaves of a larger table gave, from which an
@@ -272,7 +277,7 @@ def fit_leaf(
         raise InputError("readings over a background need its reflectance, `background`")
     instrument = _measurement(measurement, leaf_shape, None if over_background else behind)
     area_factors(area, leaf_shape)  # refuses an unknown area before anything is read
-    read, refused = usable_spectra(paths, panel, detector_changes)
+    read, refused = usable_spectra(paths, panel, detector_changes, transmittance)
     spectra = measured_dataset(read, {})
     if over_background and behind is not None:
         second, bad = usable_spectra(over_background, panel, detector_changes)
@@ -317,6 +322,10 @@ def fit_leaf(
     if together is not None:
         what = "mean leaf and material variants of each species"
         run.table("species.csv", together.table(seed, area), what)
+        if version == "D":
+            drawn = together.table(seed).query("variant > 0").rename(columns={"species": "taxon"})
+            what = "these variants as the leaf table of a plot"
+            run.table("leaves.csv", drawn[["taxon", *LEAF_FIELDS]], what)
     if posterior != "none":
         draws = sample_leaf_posterior(spectra, sampler=posterior, seed=seed, **options)
         what = "draws of the parameters and of T from the posterior"

@@ -18,9 +18,10 @@ from fynjax._core.errors import InputError, listed
 from fynjax._core.parts import Workers, at_work
 from fynjax._core.precision import double_precision
 from fynjax.assembly import STAND_QUANTITIES
+from fynjax.compare import check_vegetation
 from fynjax.inversion import estimate_pixels
 from fynjax.io.plot import DEFAULT_PRIOR
-from fynjax.io.raster import CubeBlocks, MapWriter, file_hash, open_blocks
+from fynjax.io.raster import CubeBlocks, MapWriter, content_hash, file_hash, open_blocks
 from fynjax.jobs._doubt import doubt_spectrum
 from fynjax.jobs._map_pixels import (
     PixelPosterior,
@@ -35,6 +36,7 @@ from fynjax.jobs._run import Run
 from fynjax.jobs._train import Training, read_training
 from fynjax.report.figures import maps_figure
 from fynjax.report.pages import Page, Picture, Section, Table
+from fynjax.sensors import BandSet
 
 _AT_ONCE = 8192
 """Pixels that are estimated at once."""
@@ -137,6 +139,7 @@ def map_cube(
         seen = seen[np.isfinite(seen).all(axis=1)]
         if len(seen):
             mean = weights[:, used] @ seen.mean(axis=0) / scale
+            _check_divisor(source, scale, mean, trained.responses)
             doubt_spectrum(run, mean, trained.responses)
         pixels = list(dict.fromkeys(pixels))
         learned = prior_of(trained, prior) if pixels else None
@@ -159,8 +162,7 @@ def map_cube(
             for name, quantity in STAND_QUANTITIES.items()
             for kind in _KINDS
         ] + [(UNLIKENESS, "1")]
-        stated = source.path.stat()
-        of_cube = (str(source.path.resolve()), stated.st_size, stated.st_mtime_ns)
+        of_cube = [content_hash(path) for path in source.files]
         settings = (of_cube, likely, keep_unlike, rows)
         writer = MapWriter(
             Path(checkpoint), signature(settings, [file_hash(training)]), names, source, len(starts)
@@ -227,6 +229,23 @@ def _long_names() -> dict[str, str]:
         for kind, words in zip(_KINDS, _OF_KIND, strict=True)
     }
     return named | {UNLIKENESS: "distance from the simulations over that of most of them"}
+
+
+def _check_divisor(source: CubeBlocks, scale: float, mean: np.ndarray, bands: BandSet) -> None:
+    """Refuse integers that look like ten thousandths and are shrubland only if divided by more."""
+    if scale == 1.0:
+        return
+    try:
+        taken, other = (check_vegetation(mean * part, bands) for part in (1.0, scale / 32768.0))
+    except InputError:  # too few bands to judge
+        return
+    if taken.unlike and not other.unlike:
+        raise InputError(
+            "expected reflectance in ten thousandths, as its numbers look, but shrubland has such "
+            "bands only if 32768 is a reflectance of 1, as Metashape and MicaSense write it. Then "
+            f"state it: gdal_edit.py -scale {1 / 32768:.6g} {source.path.name}",
+            file=source.path,
+        )
 
 
 def _weights(source: CubeBlocks, trained: Training) -> Float[np.ndarray, "channel band"]:
@@ -302,6 +321,22 @@ def _maps(
     return np.ascontiguousarray(maps.T).reshape(-1, rows, columns)
 
 
+def _in_numbers(
+    name: str, mean: Float[np.ndarray, "row column"], sd: Float[np.ndarray, "row column"]
+) -> QuantityMap:
+    """Statistics of the map of a quantity and of its standard deviation, over pixels with data."""
+    ok = np.isfinite(mean)
+    q05, q95 = np.quantile(mean[ok], [0.05, 0.95]) if ok.any() else (np.nan, np.nan)
+    return QuantityMap(
+        quantity=name,
+        unit=STAND_QUANTITIES[name].unit,
+        mean=float(mean[ok].mean()) if ok.any() else np.nan,
+        q05=float(q05),
+        q95=float(q95),
+        typical_sd=float(np.median(sd[ok])) if ok.any() else np.nan,
+    )
+
+
 def _summary(
     run: Run,
     maps: Float[np.ndarray, "map row column"],
@@ -319,23 +354,11 @@ def _summary(
     masked = with_data & (unlike > 1.0)
     pixels = source.shape[0] * source.shape[1]
     share = pixels / unlike.size  # of a large cube a sample of the pixels is counted
-    found = []
-    shown = {}
-    for i, (name, quantity) in enumerate(STAND_QUANTITIES.items()):
-        mean, sd = maps[i * len(_KINDS)], maps[i * len(_KINDS) + 1]
-        shown[name] = mean, sd
-        ok = np.isfinite(mean)
-        q05, q95 = np.quantile(mean[ok], [0.05, 0.95]) if ok.any() else (np.nan, np.nan)
-        found.append(
-            QuantityMap(
-                quantity=name,
-                unit=quantity.unit,
-                mean=float(mean[ok].mean()) if ok.any() else np.nan,
-                q05=float(q05),
-                q95=float(q95),
-                typical_sd=float(np.median(sd[ok])) if ok.any() else np.nan,
-            )
-        )
+    shown = {
+        name: (maps[i * len(_KINDS)], maps[i * len(_KINDS) + 1])
+        for i, name in enumerate(STAND_QUANTITIES)
+    }
+    found = [_in_numbers(name, *of) for name, of in shown.items()]
     lacking, out = round(share * float((~with_data).sum())), round(share * float(masked.sum()))
     if damaged:
         warnings.warn(

@@ -1,6 +1,8 @@
 """From a learned prior to a regression for the spectra of a sensor: what `fynjax train` does."""
 
+import hashlib
 import json
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -27,7 +29,7 @@ from fynjax.inversion import (
 )
 from fynjax.io.instruments import load_sensor
 from fynjax.io.plot import DEFAULT_PRIOR, LearnedPrior, read_prior
-from fynjax.io.raster import file_hash, open_blocks, write_run
+from fynjax.io.raster import check_netcdf, file_hash, open_blocks, write_run
 from fynjax.io.text import existing_file
 from fynjax.jobs._result import JobResult, Number, Record
 from fynjax.jobs._run import Run
@@ -92,13 +94,13 @@ class Training:
     posterior: AmortisedPosterior
     channels: Channels
     responses: BandSet
-    """What the channels measure, as bands."""
+    """Bands that the channels measure."""
     settings: StandSettings
-    """How its stands were simulated."""
+    """Settings by which its stands were simulated."""
     bands: int
     """Number of bands of the sensor that it was trained for."""
     record: dict[str, Any]
-    """How it came to be."""
+    """Origin of the training."""
 
 
 @double_precision
@@ -305,7 +307,28 @@ def write_training(path: Path, training: Training) -> None:
     names = ("quantity", list(STAND_QUANTITIES), {"long_name": "quantity"})
     wavelength = ("wavelength", _GRID, {"long_name": "wavelength", "units": "nm"})
     data = xr.Dataset(variables, coords={"quantity": names, "wavelength": wavelength})
-    write_run(path, data, training.record)
+    record = training.record
+    write_run(path, data, {**record, _SEAL: _sealed(data, record)})
+
+
+_SEAL = "content_sha256"
+
+
+def _sealed(data: xr.Dataset, record: Mapping[str, Any]) -> str:
+    """Hash of all that a training holds: arrays by name, and the record without what is added to
+    every file."""
+    total = hashlib.sha256()
+    for name in sorted(map(str, data.variables)):
+        variable = data[name]
+        values = np.asarray(variable.values)
+        kept = values.tobytes() if values.dtype.kind == "f" else repr(values.tolist()).encode()
+        total.update(f"|{name}|{variable.dims}|{values.shape}|{variable.attrs}|".encode() + kept)
+    own = {str(k): str(v) for k, v in record.items() if k not in _ADDED}
+    total.update(repr(sorted(own.items())).encode())
+    return total.hexdigest()
+
+
+_ADDED = (_SEAL, "Conventions", "history")
 
 
 @double_precision
@@ -320,6 +343,7 @@ def read_training(path: str | Path) -> Training:
     this version of fynjax has.
     """
     path = existing_file(path, "a training (`fynjax train` writes training.nc)")
+    check_netcdf(path)
     try:
         with xr.open_dataset(path, engine="netcdf4") as data:
             data = data.load()
@@ -345,7 +369,7 @@ def read_training(path: str | Path) -> Training:
             voxel_m=float(record["voxel_m"]),
             structure_m=float(record["structure_m"]),
         )
-    except (OSError, KeyError, IndexError, TypeError, ValueError, RuntimeError) as error:
+    except (OSError, LookupError, TypeError, ValueError, RuntimeError, AttributeError) as error:
         raise InputError(
             "expected a training file as this version's `fynjax train` writes it, but this is "
             "none, one of another version, or damaged",
@@ -360,6 +384,12 @@ def read_training(path: str | Path) -> Training:
     arrays = [*jax.tree.leaves(posterior), response, *vars(channels).values()]
     if not all(np.isfinite(np.asarray(a)).all() for a in arrays):
         raise InputError("expected a training of finite numbers. Is it damaged?", file=path)
+    if record.get(_SEAL) != _sealed(data, record):
+        raise InputError(
+            "expected a training as `fynjax train` wrote it, but its content has changed since. "
+            "Is it damaged? Copy it again.",
+            file=path,
+        )
     labels = tuple(f"{value:.6g}nm" for value in channels.centre)
     width = tuple(channels.upper - channels.lower)
     responses = BandSet(labels, tuple(channels.centre), width, curves=curves)

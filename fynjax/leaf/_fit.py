@@ -266,11 +266,11 @@ class LeafChunks:
     """
 
     rows: list[slice]
-    """Which leaves each chunk holds."""
+    """Leaves that each chunk holds."""
     parts: list[Chunk]
     """Spectra, bins and priors of the leaves of each chunk, as `fit` takes them."""
     setup: Setup
-    """What all leaves share."""
+    """Settings that all leaves share."""
 
     @double_precision
     def __init__(

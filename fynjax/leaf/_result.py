@@ -106,7 +106,7 @@ class LeafFit(eqx.Module):
     """Variance of each parameter, as far as spectra explain it, over that in the population: near 0
     the spectrum decides, near 1 the prior [-]."""
     measurement: Float[np.ndarray, "leaf estimated"]
-    """What was estimated of the measurement, such as the gap fraction (see `estimated`); NaN where
+    """Estimates of the measurement, such as the gap fraction (see `estimated`); NaN where
     there is no transmittance, which alone shows it."""
     measurement_deviation: Float[np.ndarray, "leaf estimated"]
     """Standard deviation of `measurement`."""

@@ -21,7 +21,7 @@ class Source(NamedTuple):
     files: tuple[str, ...] = ()
     """File of each spectrum; empty where they are not from files."""
     repairs: tuple[str, ...] = ()
-    """What was repaired in each spectrum while it was read, in sentences; empty as `files`."""
+    """Repairs of each spectrum while it was read, in sentences; empty as `files`."""
 
 
 class Spectra(NamedTuple):

@@ -30,7 +30,7 @@ class WavelengthMatch:
     method: str
     """'same', 'nearest', 'linear' or 'response'."""
     statement: str
-    """What was done, as a sentence."""
+    """Sentence on how wavelengths were matched."""
 
 
 def match_wavelengths(

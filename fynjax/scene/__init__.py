@@ -8,7 +8,7 @@ from fynjax.scene._cover import ProjectedCover, crown_centres, projected_cover
 from fynjax.scene._ground import COVERS, Ground, ground_shares, random_patches
 from fynjax.scene._instances import Instances, hard_counts, hard_instances, hard_scene
 from fynjax.scene._large import TiledPicture, is_large
-from fynjax.scene._lidar import LidarObservation, observe_lidar
+from fynjax.scene._lidar import LidarObservation, ReturnTruth, observe_lidar
 from fynjax.scene._observe import (
     DRONE,
     AimedSensor,
@@ -38,7 +38,7 @@ from fynjax.scene._planting import (
     Planting,
     element_count,
     individual_seeds,
-    leafy_species,
+    leaf_classes,
 )
 from fynjax.scene._profile import height_profile
 from fynjax.scene._scene import (
@@ -57,6 +57,7 @@ from fynjax.scene._species import (
     SpeciesRow,
     check_species,
     check_taxa,
+    drawn_leaves,
     leaf_parameters,
     leaves_of,
     species_parameters,
@@ -70,7 +71,7 @@ from fynjax.scene._spectra import (
 )
 from fynjax.scene._stand import StandArea, stand_area
 from fynjax.scene._structure import fitting_structure, scene_structure
-from fynjax.scene._truth import PixelTruth, pixel_truth, truth_of_pixels
+from fynjax.scene._truth import PixelTruth, pixel_truth, truth_of_layers, truth_of_pixels
 
 keep_compiled()
 
@@ -98,6 +99,7 @@ __all__ = [
     "PlotAir",
     "PlotParameters",
     "ProjectedCover",
+    "ReturnTruth",
     "Scene",
     "Species",
     "SpeciesParameters",
@@ -112,6 +114,7 @@ __all__ = [
     "check_species",
     "check_taxa",
     "crown_centres",
+    "drawn_leaves",
     "element_count",
     "fitted_accuracy",
     "fitting_structure",
@@ -123,8 +126,8 @@ __all__ = [
     "height_profile",
     "individual_seeds",
     "is_large",
+    "leaf_classes",
     "leaf_parameters",
-    "leafy_species",
     "leaves_of",
     "named_values",
     "observe",
@@ -141,6 +144,7 @@ __all__ = [
     "species_rows",
     "stand_area",
     "stand_realisation",
+    "truth_of_layers",
     "truth_of_pixels",
     "visible_sensor",
     "with_values",

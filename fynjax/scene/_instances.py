@@ -36,6 +36,8 @@ class Instances:
     """Diameter of the crown [m]."""
     height: Float[np.ndarray, " plant"]
     """Length of the axis [m]."""
+    leaf: Int[np.ndarray, " plant"] | None = None
+    """Which of the leaves of its species each has, from 0; None: each species has one."""
 
     def __len__(self) -> int:
         return len(self.species)
@@ -92,6 +94,7 @@ def hard_instances(scene: Scene, parameters: PlotParameters) -> Instances:
         np.asarray(planting.tilt, float)[chosen],
         own["diameter"] * np.asarray(planting.size, float)[chosen],
         own["height"] * np.asarray(planting.stature, float)[chosen],
+        None if planting.leaf is None else np.asarray(planting.leaf)[chosen],
     )
 
 

@@ -292,7 +292,7 @@ class AimedSensor(eqx.Module):
     """None: reflectance alone, under the scene's own sky."""
     rays: AbstractRays
     accuracy: Accuracy = eqx.field(static=True)
-    """How finely the light is solved."""
+    """Accuracy to which the light is solved."""
     pixel: float = eqx.field(static=True)
     """Edge of a pixel on the ground [m]."""
     shape: tuple[int, int] = eqx.field(static=True)

@@ -2,10 +2,11 @@
 
 from collections.abc import Sequence
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from fynjax.canopy import (
     FORMS,
@@ -17,8 +18,8 @@ from fynjax.canopy import (
 )
 from fynjax.leaf import LeafParameters, prospect
 from fynjax.radiation import OpticalClasses
-from fynjax.scene._parameters import PlotParameters
-from fynjax.scene._planting import leafy_species
+from fynjax.scene._parameters import LEAF_FIELDS, PARAMETERS, PlotParameters
+from fynjax.scene._planting import leaf_classes
 from fynjax.scene._species import Species
 from fynjax.scene._spectra import background_spectrum
 
@@ -44,14 +45,14 @@ def optical_classes(
     part of live shoots, which is opaque; with `hot_spot` leaves have the diameters of their forms.
     Differentiable in `parameters`.
     """
-    dtype, forms = average.dtype, [one.form for one in species]
-    leafy = np.array(list(leafy_species(forms)), int)
-    leaves = jax.tree.map(lambda x: x[leafy], parameters.leaf)
+    dtype, classes = average.dtype, leaf_classes(species)
+    owner = np.repeat(np.array(list(classes), int), [len(own) for own in classes.values()])
+    leaves = _varied(species, parameters, owner)
     petal = jax.tree.map(lambda x: jnp.asarray(x, dtype), _PETAL)
     leaves = jax.tree.map(lambda a, b: jnp.concatenate([a, b]), leaves, petal)
     optics = jax.vmap(lambda leaf: prospect(leaf, wavelength))(leaves)
     clumping, dead = (
-        jnp.pad(values[leafy], (0, 1))[:, None]  # petals have neither
+        jnp.pad(values[owner], (0, 1))[:, None]  # petals have neither
         for values in (parameters.species.shoot_clumping, parameters.species.dead_fraction)
     )
     bark, tissue = (
@@ -74,7 +75,7 @@ def optical_classes(
     angles = class_angles(species)
     if not hot_spot:
         return OpticalClasses(reflectance, transmittance, *angles)
-    leaf = [FORMS[forms[i]].leaf_diameter for i in leafy.tolist()]
+    leaf = [FORMS[species[i].form].leaf_diameter for i in owner.tolist()]
     diameter, size_of_class = np.unique(
         [*leaf, _OTHER_DIAMETER, _OTHER_DIAMETER], return_inverse=True
     )
@@ -87,13 +88,41 @@ def optical_classes(
     )
 
 
+def _varied(
+    species: Sequence[Species], parameters: PlotParameters, owner: Int[np.ndarray, " leaf"]
+) -> LeafParameters:
+    """PROSPECT parameters of every leaf, of the species `owner`: each trait is that of its species,
+    the mean, times 1 + leaf_spread (ratio - 1), within its bounds."""
+    leaves = jax.tree.map(lambda x: x[owner], parameters.leaf)
+    spread = parameters.species.leaf_spread
+    if spread is None:
+        return leaves
+    alike = jnp.ones((1, len(LEAF_FIELDS)))
+    ratios = [
+        alike if (own := species[i].leaf_ratios) is None else own for i in dict.fromkeys(owner)
+    ]
+    ratio = jnp.concatenate([*ratios, alike[:0]]).astype(spread.dtype)
+    factor = 1.0 + spread[owner, None] * (ratio - 1.0)
+    return eqx.tree_at(
+        lambda leaf: [getattr(leaf, name) for name in LEAF_FIELDS],
+        leaves,
+        [
+            jnp.clip(
+                getattr(leaves, name) * factor[:, k], PARAMETERS[name].lower, PARAMETERS[name].upper
+            )
+            for k, name in enumerate(LEAF_FIELDS)
+        ],
+    )
+
+
 def class_angles(
     species: Sequence[Species],
 ) -> tuple[tuple[AbstractLeafAngle, ...], tuple[int, ...]]:
     """The distinct inclinations of a plot, and for each optical class the place of its own."""
     keys: list[int | str] = []
-    for i in leafy_species([one.form for one in species]):
-        keys.append(FORMS[species[i].form].leaf_angle if species[i].leaf_angle is None else i)
+    for i, classes in leaf_classes(species).items():
+        key = FORMS[species[i].form].leaf_angle if species[i].leaf_angle is None else i
+        keys += [key] * len(classes)
     keys += ["spherical", "spherical"]
     distinct = tuple(dict.fromkeys(keys))
     own = [species[k].leaf_angle if isinstance(k, int) else leaf_angle(k) for k in distinct]

@@ -190,6 +190,21 @@ class SpeciesParameters(eqx.Module):
         "shoot's clumping. The prior's standard deviation is absolute: fits to 18 plots ask for "
         "anything from 0 to 0.9 (sd 0.29).",
     )
+    leaf_spread: Float[Array, " species"] | None = parameter_field(
+        optional=True,
+        symbol="s_l",
+        name="Spread of leaves within a species",
+        unit="-",
+        lower=0.0,
+        upper=5.0,
+        usual=(0.0, 2.0),
+        default=1.0,
+        relative_sd=0.5,
+        source="Ours. Bounds and prior assumed.",
+        description="Factor on what the leaves of a species differ from their mean by: 0 gives all "
+        "plants the mean leaf, 1 the leaves as stated or drawn. Of a plot in which a species has "
+        "several leaves, of which each plant has one.",
+    )
 
 
 class GroundParameters(eqx.Module):
@@ -441,7 +456,8 @@ def named_values(parameters: PlotParameters, taxa: tuple[str, ...]) -> dict[str,
     """
     named: dict[str, Array] = {}
     for field in dataclasses.fields(SpeciesParameters):
-        values = getattr(parameters.species, field.name)
+        if (values := getattr(parameters.species, field.name)) is None:
+            continue
         named |= {f"species.{t}.{field.name}": v for t, v in zip(taxa, jnp.unstack(values))}
     for name in LEAF_FIELDS:
         values = getattr(parameters.leaf, name)
@@ -466,7 +482,7 @@ def with_values(
     Differentiable in `parameters` and `values`.
     """
 
-    def vector(prefix: str, field: str, before: Array) -> Array:
+    def vector(prefix: str, field: str, before: Any) -> Any:
         names = [f"species.{taxon}.{prefix}{field}" for taxon in taxa]
         if values.keys().isdisjoint(names):
             return before

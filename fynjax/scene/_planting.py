@@ -8,7 +8,7 @@ a larger plot the elements are listed window by window.
 """
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import equinox as eqx
@@ -51,7 +51,7 @@ class Planting(eqx.Module):
     """All plants that may stand on a plot and their area elements."""
 
     species: Int[Array, " plant"]
-    """Which species each plant belongs to."""
+    """Species of each plant."""
     place: Float[Array, " plant"]
     """Place of each plant in the order in which its species fills the sites, from 0."""
     foot: Float[Array, "plant 2"]
@@ -64,18 +64,20 @@ class Planting(eqx.Module):
     """Crown diameter relative to the species' mean; the mean of its square is 1 [-]."""
     stature: Float[Array, " plant"]
     """Height relative to the species' greatest [-]."""
+    leaf: Int[Array, " plant"] | None
+    """Which of the leaves of its species each plant has, from 0; None: every species has one."""
     first: Int[Array, " plant"]
     """First element of the shape of each plant in `shapes`."""
     count: Int[Array, " plant"]
     """Elements of the shape of each plant."""
     plant: Int[Array, " element"]
-    """Which plant each element belongs to; empty where there are too many to be listed."""
+    """Plant of each element; empty where there are too many to be listed."""
     part: Int[Array, " element"]
-    """Which element of `shapes` it is."""
+    """Place of each element in `shapes`."""
     shapes: PlantModel
     """The elements of the individuals of each species that has plants, one after the other."""
     shape_class: Int[Array, " part"]
-    """Optical class of the elements of `shapes`."""
+    """Optical class of the elements of `shapes`, on a plant with the first leaf of its species."""
     before: Float[Array, " part"]
     """Share of its organ's area on the plant that lies before each element of `shapes`, along their
     x [-]: where a cut leaves the plant standing in part."""
@@ -108,7 +110,10 @@ class Planting(eqx.Module):
     @property
     def optical_class(self) -> Int[Array, " element"]:
         """Optical class of each element."""
-        return self.shape_class[self.part]
+        kind = self.shape_class[self.part]  # with the first leaf of its species
+        if self.leaf is None:
+            return kind
+        return kind + jnp.where(self.organ == Organ.LEAF, self.leaf[self.plant], 0)
 
     def _unit_shapes(self) -> tuple[Float[Array, "element 3"], Float[Array, "element 3"]]:
         # A plant here is one element: it has the turn and lean of the plant it belongs to.
@@ -134,8 +139,12 @@ class Planting(eqx.Module):
     def plants(self, index: Int[np.ndarray, " plant"]) -> "Planting":
         """The plants of an index, without their elements."""
         none = jnp.zeros(0, jnp.int32)
-        chosen = {name: getattr(self, name)[index] for name in OF_PLANTS}
-        return dataclasses.replace(self, **chosen, plant=none, part=none)
+        return dataclasses.replace(self.of_plants(lambda v: v[index]), plant=none, part=none)
+
+    def of_plants(self, change: Callable[[Any], Any]) -> "Planting":
+        """The same with what it has of each plant changed, each array by itself."""
+        plants = {name: getattr(self, name) for name in OF_PLANTS}
+        return dataclasses.replace(self, **jax.tree.map(change, plants))
 
     def with_elements(self) -> "Planting":
         """The same with the elements of all plants listed."""
@@ -160,9 +169,9 @@ class Planting(eqx.Module):
             missing = jnp.full((count - len(values), *values.shape[1:]), fill, values.dtype)
             return jnp.concatenate([values, missing])
 
-        never = dict.fromkeys(OF_PLANTS, 0.0) | {"place": 1e9, "size": 1.0, "stature": 1.0}
+        never = {"place": 1e9, "size": 1.0, "stature": 1.0}
         return dataclasses.replace(
-            self,
+            self.of_plants(lambda values: more(values, plants, 0.0)),
             **{name: more(getattr(self, name), plants, fill) for name, fill in never.items()},
             plant=more(self.plant, size, plants - 1),
             part=more(self.part, size, 0),
@@ -185,6 +194,7 @@ class Planting(eqx.Module):
         count, begin = np.asarray(self.count), np.asarray(self.first)
         owner, classes = np.asarray(self.species), np.asarray(self.shape_class)
         whole = jax.tree.map(np.asarray, self.shapes)
+        # Plants that begin at the same element have one shape, which is thinned once.
         starts, one, which = np.unique(begin, return_index=True, return_inverse=True)
         shapes: list[PlantModel] = []
         of_class: list[np.ndarray] = []
@@ -207,7 +217,9 @@ class Planting(eqx.Module):
         return few.with_elements()
 
 
-OF_PLANTS = ("species", "place", "foot", "azimuth", "tilt", "size", "stature", "first", "count")
+OF_PLANTS = (
+    "species", "place", "foot", "azimuth", "tilt", "size", "stature", "leaf", "first", "count"
+)  # fmt: skip
 """What a `Planting` has of each plant."""
 
 
@@ -216,7 +228,7 @@ class Crowns:
     """Plants that are known, such as those of a crown map."""
 
     species: Int[np.ndarray, " plant"]
-    """Which species each belongs to."""
+    """Species of each crown."""
     foot: Float[np.ndarray, "plant 2"]
     """East and north of the plot's south-west corner [m]."""
     diameter: Float[np.ndarray, " plant"]
@@ -237,7 +249,7 @@ class Stand:
     """What the plants of a scene are, wherever they stand."""
 
     species: Sequence[Species]
-    """What is fixed about each."""
+    """Fixed properties of each species."""
     diameter: Float[np.ndarray, " species"]
     """Mean crown diameter of each [m]."""
     height: Float[np.ndarray, " species"]
@@ -265,6 +277,9 @@ def known_planting(stand: Stand, crowns: Crowns) -> Planting:
     for i, one in enumerate(stand.species):
         mine = np.repeat(np.flatnonzero(crowns.species == i), round(one.branches))
         drawn = _individuals(crowns.foot[mine], i, one.rotation_spread, 0.0, stand.seed)
+        # Branches of a plant have the same leaf.
+        plants, branch = np.unique(mine, return_inverse=True)
+        drawn["leaf"] = _drawn_leaves(len(plants), i, one.leaves, stand.seed)[branch]
         if len(mine):
             mean, greatest = crowns.sizes(i)
             drawn["size"] = crowns.diameter[mine] / mean
@@ -325,6 +340,7 @@ def draw_planting(
             before = individuals[i]
             where = np.concatenate([before["foot"], places]) if before else places
             drawn = _individuals(where, i, species[i].rotation_spread, size_variation, seed)
+            drawn["leaf"] = _drawn_leaves(len(where), i, species[i].leaves, seed)
             for name, values in before.items():  # who was there stays
                 drawn[name] = np.concatenate([values, drawn[name][len(values) :]])
             individuals[i] = drawn
@@ -346,6 +362,7 @@ def _of_individuals(stand: Stand, individuals: Sequence[dict[str, np.ndarray]]) 
         size = stand.diameter[i], stand.height[i], stand.resolved
         number = element_count(*size, structured=stand.structured)
         model = stand.models[i]
+        # A few individuals of the form, which the plants have in turn; or the one model given.
         if model is None:
             seeds = individual_seeds(seed, i)
             several = [plant_model(one.form, number, seed=s) for s in seeds[:n]]
@@ -356,7 +373,10 @@ def _of_individuals(stand: Stand, individuals: Sequence[dict[str, np.ndarray]]) 
             {
                 "species": np.full(n, i, np.int32),
                 "place": np.arange(n, dtype=dtype),
-                **{name: values.astype(dtype) for name, values in these.items()},
+                **{
+                    name: values if name == "leaf" else values.astype(dtype)
+                    for name, values in these.items()
+                },
                 "first": parts + k * (np.arange(n, dtype=np.int32) % len(several)),
                 "count": np.full(n, k, np.int32),
             }
@@ -366,13 +386,16 @@ def _of_individuals(stand: Stand, individuals: Sequence[dict[str, np.ndarray]]) 
         parts += k * len(several)
     if not plants:
         return no_plants(dtype)
+    # The elements of all shapes in one list, each in the optical class of its species and organ.
     whole, organs = _together(shapes, dtype)
-    of_organ = np.array(_classes([one.form for one in species]))
+    of_organ = np.array(_classes(species))
     classes = np.concatenate([of_organ[i][organ] for i, organ in zip(own, organs)])
     none = jnp.zeros(0, jnp.int32)
     joined: dict[str, Any] = {
         name: jnp.asarray(np.concatenate([part[name] for part in plants])) for name in plants[0]
     }
+    if all(one.leaves == 1 for one in species):
+        joined["leaf"] = None
     planting = Planting(
         **joined,
         plant=none,
@@ -417,10 +440,18 @@ def _individuals(
     }
 
 
-def _classes(forms: Sequence[str]) -> list[list[int]]:
-    """Optical class of leaf, wood and flower of each species."""
-    leafy = leafy_species(forms)
-    return [[leafy.get(i, 0), len(leafy), len(leafy) + 1] for i in range(len(forms))]
+def _drawn_leaves(plants: int, species: int, leaves: int, seed: int) -> Int[np.ndarray, " plant"]:
+    """Which of so many leaves each plant of a species has: every one is as likely, and a plant
+    keeps its own where there are more plants."""
+    drawn = np.random.default_rng([seed, 109, species]).random(plants)
+    return (leaves * drawn).astype(np.int32)
+
+
+def _classes(species: Sequence[Species]) -> list[list[int]]:
+    """Optical class of the first leaf, of wood and flower of each species."""
+    leaves = leaf_classes(species)
+    wood = sum(map(len, leaves.values()))
+    return [[leaves[i].start if i in leaves else 0, wood, wood + 1] for i in range(len(species))]
 
 
 def _together(shapes: list[PlantModel], dtype: str) -> tuple[PlantModel, list[np.ndarray]]:
@@ -460,10 +491,14 @@ def individual_seeds(seed: int, species: int) -> list[int]:
     return np.random.default_rng([seed, 103, species]).integers(2**31, size=INDIVIDUALS).tolist()
 
 
-def leafy_species(forms: Sequence[str]) -> dict[int, int]:
-    """Optical class of the leaves of each species that has leaves, of `forms` of the species."""
-    with_leaves = [i for i, form in enumerate(forms) if FORMS[form].leafy]
-    return {species: index for index, species in enumerate(with_leaves)}
+def leaf_classes(species: Sequence[Species]) -> dict[int, range]:
+    """Optical classes of the leaves of each species that has leaves, by its number among
+    `species`: one for each different leaf. Wood and flowers have the two classes after them."""
+    classes, first = {}, 0
+    for i, one in enumerate(species):
+        if FORMS[one.form].leafy:
+            classes[i] = range(first, first := first + one.leaves)
+    return classes
 
 
 def no_plants(dtype: str) -> Planting:
@@ -478,6 +513,7 @@ def no_plants(dtype: str) -> Planting:
         tilt=none,
         size=none,
         stature=none,
+        leaf=None,
         first=index,
         count=index,
         plant=index,

@@ -56,11 +56,12 @@ from fynjax.scene._planting import (
     Stand,
     draw_planting,
     known_planting,
-    leafy_species,
+    leaf_classes,
     no_plants,
 )
 from fynjax.scene._species import (
     Species,
+    drawn_leaves,
     leaf_parameters,
     leaf_rows,
     leaves_of,
@@ -97,9 +98,9 @@ class PlantingRules:
     probability: Float[np.ndarray, "y x"] | None = None
     """Map of 0-255 over the plot of where plants are likely to stand, row 0 south; None: even."""
     rounding: Literal["random", "up"] = "random"
-    """How a real number of plants becomes a whole one. "random": up or down by a number drawn for
-    each species, so that the mean over plantings is the real number. "up": the ceiling of eq. (10),
-    which on average adds half a plant to every species."""
+    """Rule by which a real number of plants becomes a whole one. "random": up or down by a number
+    drawn for each species, so that the mean over plantings is the real number. "up": the ceiling of
+    eq. (10), which on average adds half a plant to every species."""
     softness: float = 0.25
     """Share of a species' plants over which one more of them is spread where a slope is taken [-];
     see `site_weight`. What is observed has whole plants whatever it is."""
@@ -140,13 +141,13 @@ class Window(eqx.Module):
     """A part of a scene, with the plants that reach into it."""
 
     planting: Planting
-    """With feet from the window's south-west corner."""
+    """Planting, its feet counted from the window's south-west corner."""
     crown: Float[Array, " plant"]
     """Ground area of each crown, as of `Scene.visible_crowns` [m2]."""
     first: Int[Array, " 2"]
     """First voxel column of `Scene.class_grid` in it, along y and x; may lie beyond the scene."""
     columns: tuple[int, int] = eqx.field(static=True)
-    """Such columns in it, along y and x."""
+    """Number of such columns in it, along y and x."""
 
     def grid(self, whole: VoxelGrid, times: int = 1) -> VoxelGrid:
         """Its voxels, of the kind of those of `whole`, `times` as many along a column's edge."""
@@ -174,8 +175,8 @@ class Scene(eqx.Module):
     species: tuple[Species, ...]
     boundary: Literal["periodic", "open"] = eqx.field(static=True)
     rounding: Float[Array, " species"]
-    """What the real number of plants of each species is lessened by before it is rounded up [-]: 0
-    as in eq. (10), or drawn evenly from 0 to 1, so that the mean number is the real one."""
+    """Number that the real number of plants of each species is lessened by before it is rounded up
+    [-]: 0 as in eq. (10), or drawn evenly from 0 to 1, so that the mean number is the real one."""
     softness: float = eqx.field(static=True)
     """Share of a species' plants over which one more of them is spread where a slope is taken [-];
     see `site_weight`."""
@@ -196,7 +197,7 @@ class Scene(eqx.Module):
     sky: Spectrum | None
     """Diffuse over global irradiance [-], instead of the clear-sky model."""
     sky_pattern: Float[np.ndarray, "zenith azimuth"] | None
-    """Where the sky is bright, as of `fynjax.radiation.Illumination`; None: alike everywhere."""
+    """Relative radiance of the sky, as in `fynjax.radiation.Illumination`; None: even."""
     dead_tissue: Spectrum | None
     """Reflectance of dead tissue in live shoots; None: that of bark."""
     hot_spot: bool = eqx.field(static=True)
@@ -213,7 +214,7 @@ class Scene(eqx.Module):
     seed: Int[np.ndarray | Array, ""] = eqx.field(default_factory=lambda: np.zeros((), int))
     """Seed of what was drawn; no part of what is observed."""
     probability: Float[np.ndarray, "y x"] | None = None
-    """Where plants were likely to stand, as of `PlantingRules`."""
+    """Map of where plants were likely to stand, as of `PlantingRules`."""
     shaped: bool = eqx.field(static=True, default=False)
     """Whether some plants have shapes that were given, and not that of their growth form."""
 
@@ -229,7 +230,8 @@ class Scene(eqx.Module):
         seed: int = 0,
         boundary: Literal["periodic", "open"] = "periodic",
         rounding: Literal["random", "up"] = "random",
-        leaves: Mapping[str, Mapping[str, float]] | None = None,
+        leaves: Mapping[str, Mapping[str, float] | Sequence[Mapping[str, float]]] | None = None,
+        leaf_variants: int = 1,
         ground: GroundParameters | None = None,
         light: LightParameters | None = None,
         dead_tissue: Spectrum | None = None,
@@ -252,7 +254,10 @@ class Scene(eqx.Module):
         - `boundary`: "periodic" repeats the plot for ever, "open" does not.
         - `rounding`: of the numbers of plants, see `PlantingRules`; "up" as in a plot file.
         - `leaves`: PROSPECT-D parameters by taxon, in PROSPECT's units; "*" is any other. Left out,
-          the usual leaf; a structure that is left out follows from dry matter.
+          the usual leaf; a structure that is left out follows from dry matter. Of several leaves
+          of a taxon each plant has one.
+        - `leaf_variants`: different leaves of a taxon of which one leaf is stated, drawn about it
+          with the spread within species that Californian shrubs have; 1: all plants have that one.
         - `ground`, `light`: left out, their defaults; with `dead_tissue` a wood brightness of 1.
         - `dead_tissue`: reflectance of the dead tissue in live shoots, `Spectrum.of(wavelength,
           values, what)`; left out, that of bark.
@@ -287,15 +292,18 @@ class Scene(eqx.Module):
             ground = GroundParameters()
             if dead_tissue is not None:
                 ground = dataclasses.replace(ground, wood_brightness=jnp.asarray(1.0))
+        if leaf_variants < 1:
+            raise InputError(f"expected 1 leaf variant or more, but got {leaf_variants}")
+        own = drawn_leaves(leaves_of(rows, stated), leaf_variants, seed)
         parameters = PlotParameters(
-            species_parameters(rows),
-            leaf_parameters(leaves_of(rows, stated)),
+            species_parameters(rows, own),
+            leaf_parameters(own),
             ground,
             LightParameters() if light is None else light,
         )
         extent = size if isinstance(size, tuple) else (size, size)
         return build_scene(
-            [Species.of(row) for row in rows],
+            [Species.of(*pair) for pair in zip(rows, own, strict=True)],
             parameters,
             extent=extent,
             voxel=voxel,
@@ -573,6 +581,7 @@ class Scene(eqx.Module):
                 "a smaller plot or larger voxels"
             )
         organs = len(self.species) * len(Organ)
+        classes = sum(map(len, leaf_classes(self.species).values())) + 2
         count, fits = planting.plant.shape[0], self.finer and _holds(grid, self.tuft)
 
         def part(planting: Planting, weight: Array | float = 1.0) -> Array:
@@ -589,7 +598,7 @@ class Scene(eqx.Module):
                 area * weight,
                 kind,
                 grid,
-                {"class": len(leafy_species(self.forms)) + 2, "organ": organs, "all": 1}[by],
+                {"class": classes, "organ": organs, "all": 1}[by],
                 width=self.tuft if fits else None,
                 boundary=boundary,
             )
@@ -721,17 +730,21 @@ class Scene(eqx.Module):
             structure=structure,
         )
 
-    def voxels_by_organ(self, parameters: PlotParameters, bands: BandSet) -> VoxelScene:
+    def voxels_by_organ(
+        self, parameters: PlotParameters, bands: BandSet, window: Window | None = None
+    ) -> VoxelScene:
         """`voxels` whose classes are leaves, wood and flowers of each species, species by species
         (`Organ`); sun and sight meet the same area. Differentiable in `parameters`."""
-        voxels, leaves = self.voxels(parameters, bands), leafy_species(self.forms)
-        # A species without leaves has no area of them, whatever its class.
+        voxels, leaves = self.voxels(parameters, bands, window), leaf_classes(self.species)
+        optics = voxels.classes
+        wood = len(optics.reflectance) - 2
+        # Leaves of a species differ in what lines of sight do not ask for; a species without leaves
+        # has no area of them, whatever its class.
         of_organ = [
             kind
             for species in range(len(self.species))
-            for kind in (leaves.get(species, len(leaves)), len(leaves), len(leaves) + 1)
+            for kind in (leaves[species].start if species in leaves else wood, wood, wood + 1)
         ]
-        optics = voxels.classes
         owner = np.array(of_organ)
         classes = dataclasses.replace(
             optics,
@@ -741,7 +754,8 @@ class Scene(eqx.Module):
             size_of_class=tuple(optics.sizes[kind] for kind in of_organ),
         )
         parameters = jax.tree.map(lambda x: jnp.asarray(x, self.dtype), parameters)
-        density = self._deposit(parameters, self.class_grid, by="organ")
+        grid = self.class_grid if window is None else window.grid(self.class_grid)
+        density = self._deposit(parameters, grid, by="organ", window=window)
         return dataclasses.replace(voxels, area_density=density, classes=classes)
 
     @property

@@ -27,7 +27,7 @@ class Spectrum(eqx.Module):
     values: Float[np.ndarray, " wavelength"]
     """Values in steps of 1 nm from 400 to 2500 nm [-]."""
     what: str = eqx.field(static=True)
-    """What it is a spectrum of, for errors, such as "a soil spectrum"."""
+    """Name of the material, for errors, such as "a soil spectrum"."""
     known: tuple[float, float] = eqx.field(static=True)
     """Lowest and highest wavelength that was given [nm]."""
     file: Path | None = eqx.field(static=True, default=None)

@@ -17,7 +17,7 @@ from fynjax.metrics.structure import (
     voxel_structure,
 )
 from fynjax.scene._parameters import PlotParameters
-from fynjax.scene._planting import leafy_species
+from fynjax.scene._planting import leaf_classes
 from fynjax.scene._scene import Scene, slope_of_fading
 
 _EVEN = 0.5
@@ -84,6 +84,7 @@ def scene_structure(
         density = scene.area_density(parameters)
         projected = jnp.asarray(_projections(scene), density.dtype) / _EVEN
         terrain = None if scene.terrain is None else jnp.asarray(scene.terrain, density.dtype)
+        # The classes together, each with the area that blocks as much where leaves face evenly.
         density = jnp.tensordot(projected, density, axes=1)
         voxel = scene.grid.horizontal_size, scene.grid.vertical_size
         found: dict[str, Array] = {}
@@ -124,8 +125,8 @@ def _percent(name: str) -> float:
 def _projections(scene: Scene) -> Float[Array, " class"]:
     """Area seen from above over area, of each optical class: leaves, then wood, then flowers."""
     found = []
-    for i in leafy_species(scene.forms):
+    for i, classes in leaf_classes(scene.species).items():
         own = scene.species[i]
         angle = own.leaf_angle or leaf_angle(FORMS[own.form].leaf_angle)
-        found.append(angle.projection(jnp.ones(())))
+        found += [angle.projection(jnp.ones(()))] * len(classes)
     return jnp.stack([*found, *(jnp.asarray(_EVEN),) * 2])

@@ -85,7 +85,7 @@ class PushbroomCamera(AbstractCamera):
     after another. Raises `InputError` if `line` has more than one row."""
 
     line: FrameCamera
-    """One line: a frame of one row, placed where the sensor is at the middle of the image."""
+    """Camera of one line: a frame of one row, where the sensor is at the middle of the image."""
 
     def __check_init__(self) -> None:
         if self.line.shape[0] != 1:

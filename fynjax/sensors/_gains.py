@@ -26,7 +26,7 @@ class Gains:
     shared: float = 0.5
     """Share of the variance that all bands have in common, as by light and exposure [-]."""
     way: str = "assumed"
-    """How the bands were calibrated, such as 'panels' or 'light_sensor'."""
+    """Way in which the bands were calibrated, such as 'panels' or 'light_sensor'."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "sd", _one_or_many(self.sd))

@@ -113,6 +113,7 @@ def test_what_data_say_of_the_stand_is_more_than_of_any_parameter(plot):
     assert list(table.index) == [*STAND_FUNCTIONALS, *forms]
     alone = stand_table(scene, parameters, found, functionals=own)
     assert f"twice the leaf area {double.estimate:.3g} [" in stand_sentence(alone, own)
+    assert stand_sentence(alone).startswith(f"The stand: twice {double.estimate:.3g} [")
     ends = np.stack([np.asarray(found.whitened), np.zeros(len(space.names))])
     drawn = stand_table(scene, parameters, found, draws=np.repeat(ends, [90, 10], axis=0))
     of_draws = drawn.set_index("name").loc["green_leaf_area"]

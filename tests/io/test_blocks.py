@@ -1,6 +1,8 @@
 """Cubes read by blocks of rows, and maps written by blocks."""
 
+import os
 import re
+import shutil
 
 import numpy as np
 import pytest
@@ -12,6 +14,7 @@ from fynjax._core.errors import InputError
 from fynjax.io.raster import (
     Cube,
     MapWriter,
+    content_hash,
     open_blocks,
     open_cube,
     write_cube_envi,
@@ -21,6 +24,7 @@ from fynjax.io.raster import (
 from fynjax.io.raster import _blocks as blocks_module
 from fynjax.io.raster import _lazy as lazy_module
 from fynjax.io.raster import _lookup as lookup_module
+from fynjax.io.raster import _netcdf as netcdf_module
 from tests.helpers import read_cube
 from tests.io.emit_files import FILL, GEOTRANSFORM, NOWHERE, lookup, write_emit
 
@@ -461,3 +465,120 @@ def test_a_swath_without_a_lookup_table_has_rows_and_columns(tmp_path, cube, loc
     with xr.open_zarr(tmp_path / "maps.zarr", consolidated=False) as maps:
         np.testing.assert_array_equal(maps["one"], np.arange(54.0).reshape(9, 6))
         assert maps["x"].attrs == {"units": "1", "long_name": "x of the middles of pixels"}
+
+
+def begun(folder, cube):
+    """Maps of which two of three blocks are there."""
+    write_cube_geotiff(folder / "cube.tif", cube, {})
+    with open_blocks(folder / "cube.tif") as blocks:
+        writer = MapWriter(folder / "work", "s", [("one", "1")], blocks, 3)
+        for block in (0, 2):
+            writer.write(block, 3 * block, np.full((1, 3, 6), block + 1.0), damaged=block == 2)
+        return blocks
+
+
+def test_a_flipped_bit_of_unfinished_maps_is_found_or_harmless(tmp_path, cube):
+    blocks = begun(tmp_path, cube)
+    maps, mark = tmp_path / "work" / "maps.tif", tmp_path / "work" / "maps.json"
+    contents = {path: path.read_bytes() for path in (maps, mark)}
+    assert len(contents[maps]) < 4000
+    found, again = 0, 0
+    for path, whole in contents.items():
+        for place in range(0, len(whole), 1 if path == mark else 7):
+            for each, content in contents.items():
+                each.write_bytes(content)
+            flipped = bytearray(whole)
+            flipped[place] ^= 1 << place % 8
+            path.write_bytes(flipped)
+            try:
+                writer = MapWriter(tmp_path / "work", "s", [("one", "1")], blocks, 3)
+            except InputError:
+                assert path == mark
+                found += 1
+                continue
+            assert path == maps
+            assert not writer.done[1]
+            again += 2 - writer.done.sum()
+            values = writer.read()
+            for block in np.flatnonzero(writer.done):
+                assert (values[0, 3 * block : 3 * block + 3] == block + 1.0).all()
+            assert writer.damaged == ({2} if writer.done[2] else set())
+            with rasterio.open(maps) as file:
+                assert file.transform == blocks.transform
+    assert found == len(contents[mark])
+    assert again > 20
+
+
+def test_maps_that_are_taken_up_again_can_be_interrupted(tmp_path, cube, monkeypatch):
+    blocks = begun(tmp_path, cube)
+
+    def interrupted(*_, **__):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(MapWriter, "write", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            MapWriter(tmp_path / "work", "s", [("one", "1")], blocks, 3)
+    writer = MapWriter(tmp_path / "work", "s", [("one", "1")], blocks, 3)
+    assert writer.done.tolist() == [True, False, True]
+    writer.forget()
+    assert not (tmp_path / "work").exists()
+
+
+def test_a_cube_is_known_by_all_of_its_content(tmp_path, cube, monkeypatch):
+    pytest.importorskip("zarr")
+
+    def signed(path):
+        with open_blocks(path) as blocks:
+            return [content_hash(one) for one in blocks.files]
+
+    write_cube_envi(tmp_path / "cube.hdr", cube, {})
+    before = signed(tmp_path / "cube.hdr")
+    assert before == signed(tmp_path / "cube.dat")
+    header = (tmp_path / "cube.hdr").read_text("utf-8")
+    (tmp_path / "cube.hdr").write_text(header.replace("480 ", "481 "), "utf-8")
+    assert signed(tmp_path / "cube.hdr") != before
+    write_cubes_netcdf(tmp_path / "cube.nc", {"reflectance": cube}, {})
+    with xr.open_dataset(tmp_path / "cube.nc") as data:
+        data.drop_encoding().to_zarr(tmp_path / "cube.zarr", zarr_format=2, consolidated=False)
+    chunk = tmp_path / "cube.zarr" / "reflectance" / "0.0.0"
+    for large in (1 << 30, 1 << 10):  # also where a file is read in part
+        monkeypatch.setattr(netcdf_module, "_SIGNED_WHOLE", large)
+        before = signed(tmp_path / "cube.zarr")
+        assert before == signed(tmp_path / "cube.zarr")
+        whole = chunk.read_bytes()
+        chunk.write_bytes(whole[:-1] + bytes([whole[-1] ^ 1]))
+        assert signed(tmp_path / "cube.zarr") != before
+        chunk.write_bytes(whole)
+
+
+def test_a_large_file_is_known_by_its_size_and_by_samples(tmp_path, monkeypatch):
+    monkeypatch.setattr(netcdf_module, "_SIGNED_WHOLE", 1 << 18)
+    path = tmp_path / "large"
+    whole = bytearray(1 << 20)
+
+    def signed(content):
+        path.write_bytes(content)
+        os.utime(path, (1, 1))
+        return content_hash(path)
+
+    before = signed(whole)
+    assert signed(whole) == before
+    assert signed(whole + b"\0") != before
+    for place in (0, len(whole) // 15, len(whole) - 1):
+        changed = whole.copy()
+        changed[place] = 1
+        assert signed(changed) != before
+    path.write_bytes(whole)  # now, not then
+    assert content_hash(path) != before
+
+
+def test_maps_whose_folder_was_removed_meanwhile_end_in_one_line(tmp_path, cube):
+    write_cube_geotiff(tmp_path / "cube.tif", cube, {})
+    with open_blocks(tmp_path / "cube.tif") as blocks:
+        writer = MapWriter(tmp_path / "work", "s", [("one", "1")], blocks, 3)
+        shutil.rmtree(tmp_path / "work")
+        with pytest.raises(
+            InputError, match=r"removed meanwhile, and the same command begins anew"
+        ):
+            writer.write(0, 0, np.ones((1, 3, 6)))

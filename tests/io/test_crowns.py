@@ -89,7 +89,7 @@ def geopackage(path, shapes, crs=None, **columns):
 
 @pytest.mark.filterwarnings("ignore:'crs' was not provided:UserWarning")
 def test_a_geopackage_of_polygons_and_points(tmp_path):
-    pytest.importorskip("pyogrio")
+    pyogrio = pytest.importorskip("pyogrio")
     shapely = pytest.importorskip("shapely")
     square = shapely.box(500000.3, 6000000.3, 500000.7, 6000000.7)
     taxon, height = ["Erica irregularis"], [0.5]
@@ -112,6 +112,13 @@ def test_a_geopackage_of_polygons_and_points(tmp_path):
     with pytest.raises(InputError, match="GeoPackage") as caught:
         read_plot(write(tmp_path, None, "none.gpkg"))
     assert "DRIVER" not in str(caught.value)  # advice of the library, which has none for a user
+    (tmp_path / "none.gpkg").write_text(
+        f"<OGRVRTDataSource><OGRVRTLayer name='own'><SrcDataSource>{tmp_path / 'own.gpkg'}"
+        "</SrcDataSource></OGRVRTLayer></OGRVRTDataSource>"
+    )
+    assert len(pyogrio.list_layers(tmp_path / "none.gpkg")) == 1  # GDAL follows it
+    with pytest.raises(InputError, match="GeoPackage, but it is none"):
+        read_plot(write(tmp_path, None, "none.gpkg"))
 
 
 def test_a_geopackage_asks_for_the_packages_that_read_it(tmp_path, monkeypatch):

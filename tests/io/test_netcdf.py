@@ -12,7 +12,7 @@ import pytest
 import xarray as xr
 
 from fynjax._core.errors import InputError
-from fynjax.io.raster import image_array, provenance, write_run
+from fynjax.io.raster import check_netcdf, image_array, provenance, write_run
 from fynjax.io.text import staged_folder
 
 BANDS = ("green", "nir")
@@ -121,8 +121,48 @@ def test_a_full_disk_is_called_so(tmp_path, monkeypatch):
             run(error)
     monkeypatch.setattr(shutil, "disk_usage", lambda path: SimpleNamespace(free=1000))
     for error in errors:
-        with pytest.raises(InputError, match="out: the disk is full, so nothing was written"):
+        with pytest.raises(InputError, match="out: the disk is full, so no results were written"):
             run(error)
     with pytest.raises(InputError, match="expected a number"):
         run(InputError("expected a number"))
     assert not list(tmp_path.iterdir())
+
+
+def test_a_file_that_takes_values_from_others_is_refused(tmp_path):
+    h5py = pytest.importorskip("h5py")
+    values = np.arange(60, dtype=np.float32).reshape(3, 4, 5)
+    secret, raw = tmp_path / "secret.nc", tmp_path / "secret.bin"
+    raw.write_bytes(values.tobytes())
+    with h5py.File(secret, "w") as file:
+        file["x"] = values
+    layout = h5py.VirtualLayout(values.shape, "f4")
+    layout[:] = h5py.VirtualSource(secret, "x", values.shape)
+    makers = [
+        lambda group: group.__setitem__("reflectance", h5py.ExternalLink(secret, "/x")),
+        lambda group: group.create_virtual_dataset("reflectance", layout),
+        lambda group: group.create_dataset(
+            "reflectance", values.shape, "f4", external=[(raw, 0, values.nbytes)]
+        ),
+    ]
+    for make in makers:
+        path = tmp_path / "outside.nc"
+        with h5py.File(path, "w") as file:
+            make(file.create_group("a/b"))
+        with netCDF4.Dataset(path) as file:  # the library follows it
+            np.testing.assert_array_equal(file["a/b/reflectance"], values)
+        with pytest.raises(InputError, match=r"links to other files.*nccopy"):
+            check_netcdf(path)
+    with h5py.File(path, "w") as file:
+        file["a/x"], file["y"] = values, h5py.SoftLink("/a/x")
+    check_netcdf(path)
+
+
+def test_a_file_that_states_more_than_it_can_hold_is_refused(tmp_path):
+    path = tmp_path / "large.nc"
+    with netCDF4.Dataset(path, "w") as file:
+        group = file.createGroup("a")
+        for name, size in {"y": 2**20, "x": 2**20}.items():
+            group.createDimension(name, size)
+        group.createVariable("reflectance", "f4", ("y", "x"), chunksizes=(8, 8))
+    with pytest.raises(InputError, match=r"states 4398046511104 bytes.* cannot hold them"):
+        check_netcdf(path)

@@ -74,9 +74,10 @@ def test_example_statistics_are_table_4_of_the_paper(folder, shared_data):
 def test_leaf_rows_fall_back_to_the_star_row(folder):
     plot = read_plot(folder / "plot.toml")
     leaf = dict(zip(plot.taxa, leaves_of(plot.species, plot.leaves), strict=True))
-    assert leaf["Deadwood"] == USUAL_LEAF
-    assert leaf["Restio eleocharis"].dry_matter == 0.0398
-    assert (leaf["Clutia alaternoides"].taxon, leaf["Clutia alaternoides"].water) == ("*", 0.0171)
+    assert leaf["Deadwood"] == (USUAL_LEAF,)
+    assert [own.dry_matter for own in leaf["Restio eleocharis"]] == [0.0398]
+    (usual,) = leaf["Clutia alaternoides"]
+    assert (usual.taxon, usual.water) == ("*", 0.0171)
 
 
 def test_paths_start_from_the_file_not_from_the_working_folder(folder, monkeypatch, tmp_path):
@@ -85,7 +86,7 @@ def test_paths_start_from_the_file_not_from_the_working_folder(folder, monkeypat
     (folder / "spectra" / "leaf.csv").write_text("wavelength_nm,reflectance\n400,0.1\n")
     monkeypatch.chdir(tmp_path)
     plot = read_plot("plot/plot.toml")
-    leaf = leaves_of(plot.species, plot.leaves)[plot.taxa.index("Chironia baccifera")]
+    (leaf,) = leaves_of(plot.species, plot.leaves)[plot.taxa.index("Chironia baccifera")]
     assert leaf.spectrum == (folder / "spectra" / "leaf.csv").resolve()
     assert leaf.spectrum in plot.inputs
     assert leaf.chlorophyll is None
@@ -219,12 +220,20 @@ def test_unknown_taxon_in_the_leaf_table_names_the_nearest(folder):
     assert caught.value.column == "taxon"
 
 
-def test_two_rows_of_leaves_of_one_taxon_are_refused(folder):
+def test_a_taxon_has_as_many_leaves_as_rows_that_differ(folder):
     path = folder / "leaves.csv"
-    twice = next(line for line in path.read_text().splitlines() if line.startswith("Restio"))
-    path.write_text(f"{path.read_text()}{twice}\n")
-    with pytest.raises(InputError, match=r"'Restio eleocharis' is there twice, first in row \d+\."):
+    rows = path.read_text().splitlines()
+    one = next(line for line in rows if line.startswith("Restio"))
+    path.write_text("\n".join([*rows, one.replace("0.0398", "0.0298")]))
+    plot = read_plot(folder / "plot.toml")
+    leaves = leaves_of(plot.species, plot.leaves)[plot.taxa.index("Restio eleocharis")]
+    assert [leaf.dry_matter for leaf in leaves] == [0.0398, 0.0298]
+    path.write_text("\n".join([*rows, one]))
+    with pytest.raises(
+        InputError, match=r"this leaf of 'Restio eleocharis' is there twice"
+    ) as caught:
         read_plot(folder / "plot.toml")
+    assert caught.value.row == len(rows) + 1
 
 
 LEAF_SLIPS = [
@@ -408,7 +417,7 @@ def test_dead_tissue_hot_spot_and_structure_of_leaves(folder):
         None,
         False,
     )
-    heavy = leaves_of(plain.species, plain.leaves)[7]  # Restio, 398 g m-2
+    (heavy,) = leaves_of(plain.species, plain.leaves)[7]  # Restio, 398 g m-2
     assert heavy.structure == pytest.approx(398.0**0.275 * np.exp(-0.689))
     (folder / "dead.csv").write_text("wavelength_nm,reflectance\n400,0.1\n2500,0.4\n")
     lines = 'leaf_table = "leaves.csv"\ndead_tissue = "dead.csv"\nhot_spot = true'

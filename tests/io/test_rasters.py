@@ -288,10 +288,46 @@ def test_a_raster_of_other_files_is_refused_and_asks_no_network(tmp_path, image,
     service.write_text(f"<GDAL_WMS><Service name='TMS'><ServerUrl>http://127.0.0.1:{port}/"
                        "</ServerUrl></Service></GDAL_WMS>")  # fmt: skip
     without_word(service, network)
+    for other in [
+        VRT.format(0, secret).replace("<VRTDataset", "<VRTDataset xmlns='urn:a'"),
+        VRT.format(0, secret).replace("VRTDataset", "VrtDataset"),
+        VRT.format(0, tmp_path / "nested.vrt"),
+        f"<GDALTileIndexDataset><IndexDataset>{secret}</IndexDataset></GDALTileIndexDataset>",
+        f"<MRF_META><Raster><Size x='20' y='30'/><DataFile>{secret}</DataFile></Raster></MRF_META>",
+        f"<GDAL_WMTS><GetCapabilitiesUrl>http://127.0.0.1:{port}/</GetCapabilitiesUrl></GDAL_WMTS>",
+    ]:
+        for name in ("map.tif", "map.vrt", "map.gti", "map.mrf"):
+            (tmp_path / name).write_text(other)
+            without_word(tmp_path / name, network)
     with pytest.raises(InputError), open_raster(places[1], "a map"):
         pass
     with pytest.raises(BlockingIOError):
         network.accept()
+
+
+def test_an_erdas_file_keeps_its_values_beside_it_only(tmp_path, image):
+    path, outside = tmp_path / "here" / "image.img", tmp_path / "values"
+    path.parent.mkdir()
+    how = {"driver": "HFA", "dtype": "float32", "count": 1, "width": 20, "height": 30,
+           "transform": Affine(1, 0, 0, 0, -1, 30)}  # fmt: skip
+    with rasterio.open(path, "w", USE_SPILL="YES", **how) as file:
+        file.write(image[:1])
+    with open_raster(path, "a map") as raster:
+        np.testing.assert_array_equal(raster.read().values[:, ::-1], image[:1])
+    path.with_suffix(".ige").rename(outside)
+    path.write_bytes(path.read_bytes().replace(b"image.ige", b"../values"))
+    with rasterio.open(path) as file:  # GDAL follows it
+        np.testing.assert_array_equal(file.read(1), image[0])
+    with pytest.raises(InputError, match=REFUSED), open_raster(path, "a map"):
+        pass
+
+
+def test_a_raster_of_any_kind_holds_what_it_states(tmp_path):
+    path = tmp_path / "map.asc"
+    path.write_text("ncols 20000\nnrows 20000\nxllcorner 0\nyllcorner 0\ncellsize 1\n1 2 3\n")
+    refused = pytest.raises(InputError, match=r"20000 x 20000 pixels.*cannot hold them")
+    with refused, open_raster(path, "a map") as raster:
+        raster.read()
 
 
 def test_a_file_of_a_name_like_an_address_is_read_as_a_file(tmp_path, image, monkeypatch):

@@ -121,6 +121,27 @@ def test_a_training_is_read_back_as_it_was_written(trained, tmp_path):
     damaged.write_bytes(path.read_bytes()[:3000])
     with pytest.raises(InputError, match="training"):
         jobs.read_training(damaged)
+    # A flipped bit is found, or changes nothing.
+    whole, found = path.read_bytes(), 0
+    for place in np.random.default_rng(0).integers(len(whole), size=60):
+        flipped = bytearray(whole)
+        flipped[place] ^= 1 << place % 8
+        damaged.write_bytes(flipped)
+        try:
+            again = jobs.read_training(damaged)
+        except InputError:
+            found += 1
+            continue
+        left, right = ({k: v for k, v in t.record.items() if k != "history"} for t in (one, again))
+        assert left == right
+        for a, b in zip(jax.tree.leaves(one.posterior), jax.tree.leaves(again.posterior)):
+            assert np.array_equal(a, b)
+    assert found > 30
+    with xr.open_dataset(path) as data:
+        data.load()["weight_0"][0, 0] += 1e-6
+        data.to_netcdf(tmp_path / "wrong.nc")
+    with pytest.raises(InputError, match="content has changed"):
+        jobs.read_training(tmp_path / "wrong.nc")
 
 
 @functools.cache
@@ -216,6 +237,14 @@ def test_a_cube_that_is_no_vegetation_is_doubted(trained, known, tmp_path):
     training = trained[0] / "out" / "training.nc"
     result = jobs.map_cube(path, training, tmp_path / "out", checkpoint=tmp_path / "work")
     assert result.warnings[0].startswith("These bands are not such as shrubland has")
+
+
+def test_a_cube_times_32768_is_not_taken_for_ten_thousandths(trained, known, tmp_path):
+    values = simulated()[::3].T.reshape(-1, 3, 4)
+    shrubs = cube_of(tmp_path, known, values=32768.0 * values)
+    training = trained[0] / "out" / "training.nc"
+    with pytest.raises(InputError, match="only if 32768 is a reflectance of 1"):
+        jobs.map_cube(shrubs, training, tmp_path / "out", checkpoint=tmp_path / "work")
 
 
 def test_maps_of_emit_lie_on_the_grid_of_its_file(trained, known, tmp_path, monkeypatch):

@@ -53,7 +53,7 @@ def test_against_discrete_ordinates(shared_data):
 
 
 PEERS = pd.read_csv(Path(__file__).with_name("canopy_peers.csv"))
-GEOMETRY = jnp.asarray(PEERS.iloc[:, :3].to_numpy())
+GEOMETRY = jnp.asarray(PEERS.iloc[:, :3].to_numpy(float))
 FLAT = (PEERS.sun_zenith == PEERS.view_zenith) & (PEERS.relative_azimuth == 0)
 
 
@@ -244,3 +244,31 @@ def test_what_cannot_be_is_refused():
     ):  # fmt: skip
         with pytest.raises(InputError):
             canopy_reflectance(RHO, TAU, **wrong)
+
+
+@pytest.mark.parametrize(
+    ("how", "words"),
+    [
+        ({"layers": 0}, "`layers` must be a whole number of 1 or more, but is 0"),
+        ({"layers": -1}, "is -1"),
+        ({"layers": 2.5}, "is 2.5"),
+        ({"layers": "9"}, "is '9'"),
+        ({"layers": None}, "is None"),
+        ({"leaf_area_index": []}, r"`leaf_area_index` must be one number, but has shape \(0,\)"),
+        ({"leaf_area_index": [1.0, 2.0]}, "jax.vmap"),
+        ({"soil": [0.1, 0.1, 0.1]}, r"one for each of 2 bands, but has shape \(3,\)"),
+        ({"soil": 1500.0}, "ten thousandths"),
+        ({"soil": 15.0}, "in percent"),
+        ({"sky_share": 20.0}, "in percent"),
+    ],
+)
+def test_a_wrong_canopy_is_refused(how, words):
+    with pytest.raises(InputError, match=words):
+        canopy_reflectance(RHO, TAU, **how)
+
+
+def test_ten_thousandths_are_named():
+    with pytest.raises(InputError, match="ten thousandths"):
+        canopy_reflectance(1e4 * RHO, 1e4 * TAU)
+    with pytest.raises(InputError, match="in percent"):
+        canopy_albedo(100 * RHO, 100 * TAU)

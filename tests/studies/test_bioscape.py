@@ -322,7 +322,7 @@ def test_every_real_plot_loads_and_its_mean_leaf_is_the_published_one(
         written = read_plot(tmp_path / plot.name / "plot.toml")
         sources = sources_of(tmp_path / plot.name)
         mass = total = 0.0
-        leaves = leaves_of(written.species, written.leaves)
+        leaves = [own[0] for own in leaves_of(written.species, written.leaves)]
         for species, leaf in zip(written.species, leaves, strict=True):
             if species.taxon in (OTHER, DEAD):
                 continue

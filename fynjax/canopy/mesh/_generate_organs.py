@@ -53,7 +53,7 @@ class Sheets:
     shape: LeafGeometry
     """Usual size of the blades."""
     base: np.ndarray
-    """Where blades sit on a twig [blade, 3] [m]."""
+    """Points at which blades sit on a twig [blade, 3] [m]."""
     normal: np.ndarray
     """Unit normals [blade, 3]."""
     axis: np.ndarray

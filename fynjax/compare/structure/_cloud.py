@@ -99,7 +99,7 @@ class HeightCloud:
     height: Float[np.ndarray, " return"]
     """Height of each return above the ground [m], at least 0."""
     ground: str
-    """How the ground was found."""
+    """Way in which the ground was found."""
     ground_share: float | None
     """Share of returns that are ground [-]; none where heights were given."""
     below_ground: int

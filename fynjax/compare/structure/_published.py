@@ -14,7 +14,7 @@ class PublishedStructure:
     difference_percent: float | None = None
     """Simulated minus real over real, as printed or from the two [%]."""
     remark: str = ""
-    """What is not printed that decides the value."""
+    """Assumption that is not printed and decides the value."""
 
 
 _LAYER = "layer thickness, lowest height and what counts as leaf area are not printed"

@@ -25,7 +25,7 @@ class CloudSide:
     density: float
     """Returns for each square metre, before thinning [m-2]."""
     ground: str
-    """How the ground was found."""
+    """Way in which the ground was found."""
     ground_share: float | None
     """Share of returns that are ground [-]; none where heights were given."""
     below_ground: int
@@ -44,7 +44,7 @@ class CloudSide:
     `thinning_low` and `thinning_high`, the central part of the thinnings; `bootstrap_low` and
     `bootstrap_high`, the percentile interval of the mean over resampled cells."""
     cells: dict[str, Float[np.ndarray, "y x"]]
-    """Each metric in each cell, the median over thinnings; NaN where undefined."""
+    """Values of each metric in each cell, the median over thinnings; NaN where undefined."""
     profile: Float[np.ndarray, " layer"]
     """Leaf area density, mean over cells of all returns [m2 m-3]; NaN where undefined."""
     percentiles: Float[np.ndarray, " percent"]
@@ -87,7 +87,7 @@ class StructureComparison:
     histogram_edges: Float[np.ndarray, " edge"]
     """Edges of the bins of height [m]."""
     notes: tuple[str, ...]
-    """What a reader should know of how the two were brought together."""
+    """Sentences on how the two were brought together."""
 
     @property
     def sides(self) -> dict[str, CloudSide]:

@@ -17,7 +17,7 @@ class ComparisonSettings:
     """How clouds are compared; the paper's numbers unless given."""
 
     structure: StructureSettings = field(default_factory=StructureSettings)
-    """What the metrics are; see `STRUCTURE_PRESETS` for those of known tools."""
+    """Definitions of the metrics; see `STRUCTURE_PRESETS` for those of known tools."""
     grain: float | None = None
     """Side of a cell [m]; by the paper's rule unless given."""
     grains: tuple[float, ...] = (1.0, 2.0, 3.0, 4.0, 5.0)

@@ -36,7 +36,7 @@ class PanelView:
     areas: tuple[Float[np.ndarray, "corner 2"], ...]
     """Corners (x, y) of the panel in each band, on its own pixels [pixel], y down from the top."""
     found: str
-    """How its place is known: 'found in the picture', 'given', or 'stated by the camera'."""
+    """Origin of its place: 'found in the picture', 'given', or 'stated by the camera'."""
     mean: Float[np.ndarray, " band"]
     """Mean radiance of the panel in each band [W m-2 sr-1 um-1]."""
     spread: Float[np.ndarray, " band"]

@@ -144,6 +144,11 @@ def _read_geopackage(path: Path, plot: Plot) -> list[tuple[int, CrownRow]]:
     """Crowns of the only layer of a GeoPackage, each with the number of its feature."""
     pyogrio = require("pyogrio", "tables")
     shapely = require("shapely", "tables")
+    with path.open("rb") as file:
+        # Others name files or addresses, which GDAL would follow whatever the file is called.
+        if not file.read(16) == b"SQLite format 3\0":
+            raise InputError("expected a GeoPackage, but it is none. Save it as one.", file=path)
+    path = path.absolute()
     try:
         layers = pyogrio.list_layers(path)
         if len(layers) != 1:

@@ -46,6 +46,15 @@ def _read_leaves(
     rows = read_rows(path, LeafRow, "a leaf table", within=within)
     check_taxa(rows, [*(row.taxon for row in species), "*"], path)
     named = {row.taxon for _, row in rows}
+    for i, (number, row) in enumerate(rows):
+        if row in [earlier for _, earlier in rows[:i]]:
+            raise InputError(
+                f"this leaf of {row.taxon!r} is there twice. Of several leaves of a taxon each "
+                "plant has one: they must differ.",
+                file=path,
+                row=number,
+                column="taxon",
+            )
     for one in species:
         if not named & {one.taxon, "*"} and FORMS[one.growth_form].leafy:
             raise InputError(

@@ -86,6 +86,14 @@ class PlotTable(Strict):
         default=None,
         description="Leaf table; a path from this file's folder. Left out: usual leaves.",
     )
+    leaf_variants: int = Field(
+        default=1,
+        ge=1,
+        le=50,
+        description="Different leaves of a taxon of which one leaf is stated, of which each plant "
+        "has one: drawn about it with the spread within species that Californian shrubs have. "
+        "1: all plants of a taxon have the same leaf.",
+    )
     dead_tissue: Annotated[Path, NamedFile("a spectrum of dead tissue")] | None = Field(
         default=None,
         description="Spectrum of dead tissue in live shoots; a CSV file as for soil, a path from "
@@ -316,6 +324,14 @@ class SensorTable(Strict):
     )
     pixel_m: float | None = number(
         "Side of a pixel on the ground; left out, that of the sensor (mavic_3m: 0.025)",
+        "m",
+        default=None,
+        ge=0.001,
+        le=1e5,
+    )
+    footprint_m: float | None = number(
+        "Side of the square that a pixel of a measured image averages over, where resampling, "
+        "mosaicking or blur make it another than the pixel's own; left out, that",
         "m",
         default=None,
         ge=0.001,

@@ -12,9 +12,11 @@ from fynjax.io.raster._cubes import (
     write_cube_geotiff,
     write_cubes_netcdf,
 )
+from fynjax.io.raster._image import open_image
 from fynjax.io.raster._lazy import open_cube
 from fynjax.io.raster._netcdf import (
     check_netcdf,
+    content_hash,
     file_hash,
     image_array,
     provenance,
@@ -23,12 +25,14 @@ from fynjax.io.raster._netcdf import (
 from fynjax.io.raster._over_plot import read_over_plot
 from fynjax.io.raster._probability import read_probability_map
 from fynjax.io.raster._qgis import colour_bands, write_qgis_style
-from fynjax.io.raster._reader import METRES, Raster, RasterFile, open_raster
+from fynjax.io.raster._reader import METRES, RAW_COUNTS, Raster, RasterFile, open_raster
+from fynjax.io.raster._scale import check_reflectance
 from fynjax.io.raster._writer import write_geotiff
 
 __all__ = [
     "METRES",
     "QUANTITIES",
+    "RAW_COUNTS",
     "UNITS",
     "Alignment",
     "BandStack",
@@ -40,11 +44,14 @@ __all__ = [
     "align_bands",
     "check_metric",
     "check_netcdf",
+    "check_reflectance",
     "colour_bands",
+    "content_hash",
     "file_hash",
     "image_array",
     "open_blocks",
     "open_cube",
+    "open_image",
     "open_raster",
     "parse_crs",
     "provenance",

@@ -14,6 +14,7 @@ from rasterio.enums import ColorInterp
 
 from fynjax._core.errors import InputError
 from fynjax.io.raster._align import Alignment, align_bands
+from fynjax.io.raster._image import band_of_file, open_image
 from fynjax.io.raster._reader import open_raster
 from fynjax.io.raster._writer import north_up
 
@@ -36,7 +37,9 @@ class BandStack:
     crs: str | None
     """Coordinate reference system as WKT; `None` is the plot's local frame."""
     alignment: tuple[Alignment, ...] | None = None
-    """How single-band files were laid on the first; `None` where none had to be."""
+    """Movement of single-band files onto the first; `None` where none had to be."""
+    raw: bool = False
+    """Whether the values are counts of a camera's raw capture, of its own gain in each band."""
 
     @property
     def known_as(self) -> str:
@@ -70,9 +73,10 @@ def read_band_stack(
 
     **Arguments:**
 
-    - `paths`: one file of several bands; or files of one band each, in order, on the same pixels
-      or of one capture. Files of a capture have no place on Earth; they are aligned
-      (`align_bands`), unless `align` is false.
+    - `paths`: one file of several bands, or any of files that are named after their bands
+      (`open_image`); or files of one band each, in order, on the same pixels or of one capture.
+      Files of a capture have no place on Earth; they are aligned (`align_bands`), unless `align`
+      is false.
     - `bands`: names of the bands, or their wavelengths [nm], in the order of the files; they
       replace what the files say.
     - `pixel_m`: side of a pixel on the ground [m]. Needed for an image without a coordinate
@@ -88,7 +92,7 @@ def read_band_stack(
     files = [Path(path) for path in paths]
     if not files:
         raise InputError("expected an image, but got no file")
-    first, placed = _read(files[0])
+    first, placed = _read(files[0], beside=len(files) == 1)
     parts = [first]
     for path in files[1:]:
         part, same = _read(path)
@@ -179,9 +183,9 @@ def _in_own_frame(stack: BandStack, pixel_m: float | None, align: bool, path: Pa
     )
 
 
-def _read(path: Path) -> tuple[BandStack, bool]:
-    """The bands of one file, and whether it has a place."""
-    with open_raster(path, "an image") as file:
+def _read(path: Path, *, beside: bool = False) -> tuple[BandStack, bool]:
+    """The bands of one file, with those `beside` it (`open_image`), and whether it has a place."""
+    with (open_image if beside else open_raster)(path, "an image") as file:
         if file.crs is not None:
             file.check_place()
         colours = file.dataset.colorinterp
@@ -200,17 +204,20 @@ def _read(path: Path) -> tuple[BandStack, bool]:
         for number, wave in zip(numbers, file.wavelengths[np.array(numbers) - 1], strict=True):
             colour = _COLOURS.get(colours[number - 1]) if masks else None
             given = file.names[number - 1] or "".join(xmp.get("BandName", [])[:1]) or colour
+            if not given and len(numbers) == 1 and (named := band_of_file(path)):
+                given = named[0]
             names.append((given or f"band {number}").strip())
             stated = _numbers(xmp, "CentralWavelength") if np.isnan(wave) else [float(wave)]
             waves.append(stated[0] if stated else None)
         crs = file.crs.to_wkt() if file.crs is not None and file.on_earth else None
-        placed = file.has_place
+        placed, raw = file.has_place, file.is_raw_capture
     values = raster.values
     if dark := _numbers(xmp, "DarkRowValue"):  # what the camera's covered pixels read
         values = values - kind.type(np.mean(dark))
     with_data = np.isfinite(values).any(axis=(1, 2))
     mask = np.isfinite(values[with_data]).all(axis=0) & with_data.any()
-    return BandStack(values, mask, tuple(names), tuple(waves), raster.transform, crs), placed
+    stack = BandStack(values, mask, tuple(names), tuple(waves), raster.transform, crs, raw=raw)
+    return stack, placed
 
 
 def _is_mask(band: np.ndarray) -> bool:

@@ -1,5 +1,6 @@
 """Cubes by blocks of rows, and maps written by blocks: neither is ever in memory as a whole."""
 
+import hashlib
 import json
 import math
 import os
@@ -16,6 +17,7 @@ import rasterio
 import rasterio.shutil
 import xarray as xr
 from jaxtyping import Bool, Float
+from numpy.typing import NDArray
 from rasterio import Affine
 from rasterio.crs import CRS
 from rasterio.errors import RasterioError
@@ -23,11 +25,15 @@ from rasterio.windows import Window
 
 from fynjax._core.errors import InputError, listed
 from fynjax._core.extras import require
+from fynjax._core.files import check_name
+from fynjax._core.memory import total_memory
 from fynjax.io.raster._crs import geotransform, parse_crs
 from fynjax.io.raster._lookup import lookup_table
 from fynjax.io.raster._netcdf import CONVENTIONS, check_netcdf, with_history
 from fynjax.io.raster._reader import RasterFile, open_raster, wherever
+from fynjax.io.raster._scale import check_reflectance
 from fynjax.io.raster._writer import LOCAL_FRAME
+from fynjax.io.raster._zarr import check_zarr
 from fynjax.io.spectra import in_nanometres
 from fynjax.io.text import atomic_path
 
@@ -35,6 +41,8 @@ _SIZE = 2**27
 """Bytes of a block, about."""
 _MOST_REFLECTANCE = 2.5
 """Beyond, values are no reflectance factors but counts, such as ten thousandths."""
+_LEAST_REFLECTANCE = 0.01
+"""Of the brightest values; below, they are reflectance in another scale."""
 _DARK = -0.01
 """Below, a value is a mark for missing data: spectrometers' noise about black is smaller."""
 _INNER = 512
@@ -59,10 +67,18 @@ class CubeBlocks:
     crs: str | None
     """Coordinate reference system as WKT."""
     source: Any
-    """What `read` takes values of."""
+    """File or array that `read` takes values of."""
     location: xr.Dataset | None = None
     """Lookup table that places the pixels of a swath on a map, with the file's attributes; `None`
     for what is no swath."""
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """All files and folders that it is read from."""
+        if not isinstance(self.source, RasterFile):
+            return (self.path,)
+        names = map(Path, self.source.dataset.files)
+        return tuple(sorted({self.path.absolute(), self.source.header_path.absolute(), *names}))
 
     @property
     def rows_at_once(self) -> int:
@@ -86,7 +102,7 @@ class CubeBlocks:
                 return values[::-1] if t.is_identity or t.e < 0 else values
             part = self.source.isel({self.source.dims[0]: slice(start, start + rows)})
             values = np.asarray(part.values, np.float32)
-        except (RasterioError, OSError, RuntimeError, ValueError) as error:
+        except (RasterioError, *_UNREADABLE) as error:
             if isinstance(error, InputError):
                 raise
             raise InputError(
@@ -114,6 +130,8 @@ class CubeBlocks:
         if not values.size:  # the sampled rows may lie in a border
             return 1.0
         high = float(np.quantile(values, 0.95))
+        if high < _LEAST_REFLECTANCE:
+            check_reflectance(high, self.path)
         if high <= _MOST_REFLECTANCE:
             return 1.0
         if 100.0 < high <= 1e4 * _MOST_REFLECTANCE:
@@ -137,6 +155,7 @@ def open_blocks(path: str | Path) -> Iterator[CubeBlocks]:
     other than three dimensions.
     """
     path = Path(path)
+    check_name(path)
     if path.suffix.lower() in (".nc", ".nc4", ".zarr"):
         with _open_dataset(path) as cube:
             yield cube
@@ -175,7 +194,10 @@ def _open_dataset(path: Path) -> Iterator[CubeBlocks]:
         yield cube
 
 
-_UNREADABLE = (OSError, ValueError, KeyError, RuntimeError, AttributeError, TypeError)
+_UNREADABLE = (
+    *(OSError, ValueError, LookupError, RuntimeError, AttributeError, TypeError),
+    *(ArithmeticError, AssertionError, MemoryError),
+)
 """What the libraries raise at damaged files."""
 
 
@@ -183,7 +205,10 @@ def _cube_of(path: Path, opened: ExitStack) -> CubeBlocks:
     zarr = path.suffix.lower() == ".zarr"
     if not zarr:
         check_netcdf(path)
-    kind: dict[str, Any] = {"engine": "zarr", "consolidated": False} if zarr else {}
+    kind: dict[str, Any] = {}
+    if zarr:
+        require("zarr", "map")
+        kind = {"engine": "zarr", "consolidated": False, "drop_variables": check_zarr(path)}
     data = opened.enter_context(xr.open_dataset(path, **kind))
     if "reflectance" not in data:
         raise InputError(
@@ -207,6 +232,13 @@ def _cube_of(path: Path, opened: ExitStack) -> CubeBlocks:
             bands = opened.enter_context(xr.open_dataset(path, group="sensor_band_parameters"))
     location = None if zarr else _location(path, data, opened)
     count = values.sizes[spectral]
+    row, memory = 4.0 * values.shape[1] * count, total_memory()
+    if 2.0 * row > memory:
+        raise InputError(
+            f"a row of {values.shape[1]} pixels in {count} bands needs {row / 2**30:.3g} GiB, but "
+            f"this machine has {memory / 2**30:.0f} GiB. Is it damaged?",
+            file=path,
+        )
 
     def column(*known: str) -> tuple[Float[np.ndarray, " band"] | None, str]:
         """The first of the variables that is there, one number a band, and its unit."""
@@ -298,6 +330,11 @@ def grid_coordinates(
     return dims, coordinates
 
 
+def _seal(values: NDArray[np.float32]) -> str:
+    """Hash of a block of maps."""
+    return hashlib.sha256(np.ascontiguousarray(values).tobytes()).hexdigest()
+
+
 class MapWriter:
     """Maps of one raster that are written block by block, in any order: a tiled GeoTIFF in the
     making, and which of its blocks are there. `finish` makes a cloud-optimised GeoTIFF of it.
@@ -327,26 +364,61 @@ class MapWriter:
             None if like.location is None else lookup_table(like.path, like.location, like.shape)
         )
         self.done = np.zeros(blocks, bool)
+        """Blocks that are there, as they were written."""
+        self._written: dict[int, tuple[int, int, str]] = {}  # first row, rows and hash of a block
         self.damaged: set[int] = set()
         """Blocks of the cube that could not be read, of an interrupted run too."""
         try:
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise InputError(f"cannot write here: {error.strerror}", file=folder) from error
+        self._signature = signature
+        kept = folder / "kept.tif"
         if mark.is_file():
-            kept = json.loads(mark.read_text("utf-8"))
-            if kept["signature"] != signature:
-                raise InputError(
-                    "this checkpoint is of another run: another cube, training or settings. Choose "
-                    "another output, or remove it to start again",
-                    file=folder,
-                )
-            if self._file.is_file():
-                self.done[kept["done"]] = True
-                self.damaged = set(kept["damaged"])
+            damaged = self._kept()
+            if self._file.is_file() and not kept.is_file():
+                os.replace(self._file, kept)
+            if kept.is_file():  # else that of a run that was interrupted here
+                self._begin(self._file, like.shape, like.transform, like.crs)
+                self._take(kept, damaged)
+                kept.unlink()
                 return
+            self._written = {}
         self._begin(self._file, like.shape, like.transform, like.crs)
-        self._keep(signature)
+        self._keep()
+
+    def _kept(self) -> list[int]:
+        """Take what the mark says was written; gives the blocks that could not be read."""
+        seal, _, text = self._mark.read_bytes().partition(b"\n")
+        if seal != hashlib.sha256(text).hexdigest().encode():
+            raise InputError(
+                "no checkpoint, or a damaged one; remove its folder to start again",
+                file=self._mark,
+            )
+        kept = json.loads(text)
+        if kept["signature"] != self._signature:
+            raise InputError(
+                "this checkpoint is of another run: another cube, training or settings. Choose "
+                "another output, or remove it to start again",
+                file=self._folder,
+            )
+        self._written = {int(block): tuple(how) for block, how in kept["done"].items()}
+        return list(kept["damaged"])
+
+    def _take(self, kept: Path, damaged: list[int]) -> None:
+        """Copy the blocks that are as they were written; the others are to be done again."""
+        with (
+            wherever(),
+            suppress(RasterioError),
+            rasterio.open(kept, driver="GTiff") as file,
+        ):
+            for block, (start, rows, seal) in list(self._written.items()):
+                with suppress(RasterioError, ValueError):
+                    part = file.read(window=Window(0, start, self._like.shape[1], rows))
+                    if _seal(part) == seal:
+                        self.write(block, start, part, damaged=block in damaged)
+        self._written = {block: how for block, how in self._written.items() if self.done[block]}
+        self._keep()
 
     def _begin(
         self, path: Path, shape: tuple[int, int], transform: Affine, crs: str | None
@@ -367,14 +439,15 @@ class MapWriter:
         with wherever(), rasterio.open(path, "w", **profile):
             pass
 
-    def _keep(self, signature: str) -> None:
+    def _keep(self) -> None:
         state = {
-            "signature": signature,
-            "done": np.flatnonzero(self.done).tolist(),
+            "signature": self._signature,
+            "done": self._written,
             "damaged": sorted(self.damaged),
         }
+        text = json.dumps(state).encode()
         work = self._mark.with_suffix(".work")
-        work.write_text(json.dumps(state), "utf-8")
+        work.write_bytes(hashlib.sha256(text).hexdigest().encode() + b"\n" + text)
         os.replace(work, self._mark)
 
     def write(
@@ -388,12 +461,22 @@ class MapWriter:
         """Write a block whose first row is `start`; `damaged` where the cube has no data there
         because it could not be read."""
         _, rows, columns = values.shape
-        with wherever(), rasterio.open(self._file, "r+") as file:
-            file.write(values.astype(np.float32), window=Window(0, start, columns, rows))
-        self.done[block] = True
-        if damaged:
-            self.damaged.add(block)
-        self._keep(json.loads(self._mark.read_text("utf-8"))["signature"])
+        values = values.astype(np.float32)
+        try:
+            with wherever(), rasterio.open(self._file, "r+", driver="GTiff") as file:
+                file.write(values, window=Window(0, start, columns, rows))
+            self.done[block] = True
+            self._written[block] = (start, rows, _seal(values))
+            if damaged:
+                self.damaged.add(block)
+            self._keep()
+        except (RasterioError, OSError) as error:
+            after = "the same command goes on from what was kept before"
+            if not self._file.is_file():
+                after = "the checkpoint was removed meanwhile, and the same command begins anew"
+            raise InputError(
+                f"cannot keep what was done. Is the disk full? If not, {after}", file=self._folder
+            ) from error
 
     @cached_property
     def _placed(self) -> Path:
@@ -403,7 +486,7 @@ class MapWriter:
         self._begin(self._on_map, self._table.shape, self._table.transform, self._table.crs)
         with (
             wherever(),
-            rasterio.open(self._file) as swath,
+            rasterio.open(self._file, driver="GTiff") as swath,
             rasterio.open(self._on_map, "r+") as onto,
         ):
             self._table.place(swath, onto)
@@ -459,13 +542,13 @@ class MapWriter:
 
     def read(self, step: int = 1) -> Float[np.ndarray, "band row column"]:
         """All bands, every `step`-th row and column; of a swath on the swath."""
-        with wherever(), rasterio.open(self._file) as file:
+        with wherever(), rasterio.open(self._file, driver="GTiff") as file:
             size = (math.ceil(file.height / step), math.ceil(file.width / step))
             return np.asarray(file.read(out_shape=(file.count, *size)))
 
     def forget(self) -> None:
         """Remove what was in the making."""
-        for path in (self._file, self._on_map):
+        for path in (self._file, self._on_map, self._folder / "kept.tif"):
             path.unlink(missing_ok=True)
             path.with_suffix(".tif.aux.xml").unlink(missing_ok=True)
         self._mark.unlink(missing_ok=True)

@@ -117,6 +117,33 @@ def check_metric(
         )
 
 
+def utm_zone(longitude: float, latitude: float) -> str:
+    """The UTM zone of a place [degrees], such as "EPSG:32734"."""
+    number = int((longitude + 180.0) // 6.0) % 60 + 1
+    return f"EPSG:{(32600 if latitude >= 0.0 else 32700) + number}"
+
+
+def stretch(crs: CRS, x: float, y: float) -> tuple[float, str]:
+    """How many times as long as on the ground lengths are in a system of projected coordinates.
+
+    **Arguments:** `crs`; `x`, `y`: a place in it.
+
+    **Returns:** the factor, 1 below a difference of 1 %, and the UTM zone of the place.
+    """
+    if not crs.is_projected:
+        return 1.0, ""
+    try:
+        # Coordinates of a `Proj` are in the units of its system.
+        projection = pyproj.Proj(pyproj.CRS.from_wkt(crs.to_wkt()))
+        longitude, latitude = projection(x, y, inverse=True, errcheck=True)
+        areal = projection.get_factors(longitude, latitude, errcheck=True).areal_scale
+    except (pyproj.exceptions.ProjError, pyproj.exceptions.CRSError):
+        return 1.0, ""
+    factor = float(np.sqrt(areal))
+    zone = utm_zone(longitude, latitude)
+    return (factor if abs(factor - 1.0) > 0.01 else 1.0), zone
+
+
 def geotransform(numbers: Any, name: str, file: Path) -> Affine:
     """The affine transform of GDAL's six numbers, as text or an array; the identity of none.
 

@@ -54,7 +54,7 @@ class Cube:
     origin_m: tuple[float, float]
     """South-west corner (x, y) of the image [m]."""
     quantity: str = "reflectance"
-    """What the values are, a key of `QUANTITIES`."""
+    """Quantity of the values, a key of `QUANTITIES`."""
     crs: str | None = None
     """Coordinate reference system as WKT; `None` for the plot's own frame."""
 

@@ -3,6 +3,7 @@
 import atexit
 import hashlib
 import json
+import math
 import os
 import shlex
 import sys
@@ -23,7 +24,8 @@ from numpy.typing import ArrayLike
 
 import fynjax
 from fynjax._core.errors import InputError
-from fynjax.io.text import atomic_path
+from fynjax.io.raster._hdf5 import names_others
+from fynjax.io.text import atomic_path, check_stated_size
 
 CONVENTIONS = "CF-1.11"
 _OPENS_WITHIN = 4.0
@@ -38,8 +40,8 @@ def _leave() -> None:
 
 
 def check_netcdf(path: Path) -> None:
-    """Refuse a damaged NetCDF file whose tables of contents lead in circles, in which HDF5 goes
-    round for ever.
+    """Refuse a NetCDF file that reads values of other files, and a damaged one: whose tables of
+    contents lead in circles, in which HDF5 goes round for ever, or state more than it can hold.
 
     **Arguments:**
 
@@ -50,10 +52,15 @@ def check_netcdf(path: Path) -> None:
     import netCDF4  # takes a fifth of a second
 
     opened = threading.Event()
+    outside: list[bool] = []
+    stated: list[int] = []
 
     def attempt() -> None:
         with suppress(Exception):  # whoever reads it says what is wrong
-            netCDF4.Dataset(path).close()
+            outside.append(names_others(path))
+            if not outside[0]:
+                with netCDF4.Dataset(path) as data:
+                    stated.append(_stated_size(data))
         opened.set()
 
     start = time.process_time()
@@ -65,12 +72,61 @@ def check_netcdf(path: Path) -> None:
                 "cannot be read as NetCDF: its tables of contents do not end. Is it damaged?",
                 file=path,
             )
+    if any(outside):
+        raise InputError(
+            "expected a file that holds its own values, but it has links to other files, and those "
+            f"are not followed. If you trust it, make it whole: nccopy {path.name} "
+            f"{path.stem}_own.nc",
+            file=path,
+        )
+    if stated:
+        check_stated_size(path, stated[0], f"{stated[0]} bytes of values", packed=True)
+
+
+def _stated_size(group: Any) -> int:
+    """Bytes of all values by the tables of contents."""
+    own = (math.prod(v.shape) * getattr(v.dtype, "itemsize", 8) for v in group.variables.values())
+    return sum(own) + sum(map(_stated_size, group.groups.values()))
 
 
 def file_hash(path: str | Path) -> str:
     """SHA-256 of the file `path`, in hexadecimal."""
     with open(path, "rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+_SIGNED_WHOLE = 1 << 30
+"""Bytes of inputs that are read whole to sign them."""
+_SAMPLES = 16
+
+
+def content_hash(path: str | Path) -> str:
+    """A hash of a file, or of all files of a folder with their names; not of the place.
+
+    Beyond a gibibyte each file is read in part: 16 blocks from its beginning to its end. There its
+    size and time of change enter too.
+
+    **Arguments:** `path`, a file or a folder, such as a zarr group.
+
+    **Returns:** 64 hexadecimal digits.
+    """
+    path = Path(path)
+    files = sorted(p for p in path.rglob("*") if p.is_file()) if path.is_dir() else [path]
+    sizes = {one: one.stat().st_size for one in files}
+    whole = sum(sizes.values()) <= _SIGNED_WHOLE
+    block = max(_SIGNED_WHOLE // (_SAMPLES * max(len(files), 1)), 1 << 12)
+    total = hashlib.sha256()
+    for one, size in sizes.items():
+        total.update(f"|{one.relative_to(path).as_posix()}|{size}|".encode(errors="replace"))
+        if whole or size <= _SAMPLES * block:
+            total.update(bytes.fromhex(file_hash(one)))
+            continue
+        total.update(f"{one.stat().st_mtime_ns}|".encode())
+        with one.open("rb") as file:
+            for i in range(_SAMPLES):
+                file.seek(i * (size - block) // (_SAMPLES - 1))
+                total.update(file.read(block))
+    return total.hexdigest()
 
 
 def command_line() -> str:

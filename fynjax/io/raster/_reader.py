@@ -30,7 +30,7 @@ from rasterio.windows import Window
 from fynjax._core.errors import LARGEST, InputError
 from fynjax._core.memory import total_memory
 from fynjax._core.progress import track
-from fynjax.io.raster._crs import check_metric, is_local
+from fynjax.io.raster._crs import check_metric, is_local, stretch, utm_zone
 from fynjax.io.spectra import header_numbers, in_nanometres, open_envi
 from fynjax.io.text import check_stated_size, existing_file
 
@@ -38,6 +38,13 @@ METRES = ("", "m", "metre", "metres", "meter", "meters")
 """What a raster may call the unit of its heights."""
 ENVI_DATA = (".dat", ".img", ".bil", ".bsq", ".bip")
 _RDF = "{http://www.w3.org/1999/02/22-rdf-syntax-ns#}"
+_RAW = {"RadiometricCalibration", "DarkRowValue", "BlackLevel", "BlackCurrent", "SensorGain"}
+"""Metadata (XMP) that raw captures of MicaSense and DJI have."""
+RAW_COUNTS = (
+    "expected reflectance, or a mosaic, but this is a camera's raw capture, whose counts depend on "
+    "gain and exposure of each band. Make reflectance first: fynjax reflectance"
+)
+"""What is said of a raw capture where an image is asked for."""
 _MOST_BANDS = 4096
 _BLOCK = 1 << 24
 """Values read at once, where a raster is read by blocks of rows."""
@@ -70,7 +77,7 @@ class RasterFile:
 
     path: Path
     what: str
-    """What it is to be, for errors, such as "a probability map"."""
+    """Role of the file, for errors, such as "a probability map"."""
     dataset: Any
     """The open dataset of rasterio."""
     header: dict[str, Any]
@@ -87,7 +94,7 @@ class RasterFile:
     units: tuple[str, ...]
     """Unit of each band; empty where it has none."""
     tags: dict[str, str]
-    """What the file states of its image as a whole."""
+    """Statements of the file about its image as a whole."""
     crs: CRS | None
     """Coordinate reference system, if it states one."""
 
@@ -161,6 +168,11 @@ class RasterFile:
                 stated.setdefault(child.tag.rpartition("}")[2], [item.strip() for item in items])
         return stated
 
+    @property
+    def is_raw_capture(self) -> bool:
+        """Whether it is a camera's own picture of one band, in counts, and no product of it."""
+        return not self.has_place and len(self.bands) == 1 and not _RAW.isdisjoint(self.xmp)
+
     # -- place ------------------------------------------------------------------------------
 
     @property
@@ -194,6 +206,32 @@ class RasterFile:
             )
         return float(width)
 
+    @property
+    def pixel_m(self) -> float | None:
+        """Side of a square as large as a pixel, on the ground [m]; `None` without a place.
+
+        A system in feet, or in another unit of length, is converted, and so is one that stretches
+        lengths by more than 1 %, as maps for the web do. A rotated image is as good as one with
+        north up.
+
+        **Raises:** `InputError` for an image in degrees.
+        """
+        t = self.dataset.transform
+        if t.is_identity:
+            return None
+        scale = 1.0
+        if self.crs is not None:
+            middle = t @ (0.5 * self.shape[1], 0.5 * self.shape[0])
+            if self.crs.is_geographic:
+                raise InputError(
+                    f"expected {self.what} with pixels in metres, but its coordinates are in "
+                    "degrees, in which a pixel is not square. Warp it first: gdalwarp -t_srs "
+                    f"{utm_zone(*middle)} -r bilinear {self.path.name} metres.tif",
+                    file=self.path,
+                )
+            scale = float(self.crs.units_factor[1]) / stretch(self.crs, *middle)[0]
+        return math.sqrt(abs(t.determinant)) * scale
+
     def check_place(self, *, crs: CRS | None = None, height_stated: bool = True) -> CRS:
         """Its reference system, which is in metres; the raster has a place and is north up.
 
@@ -212,6 +250,15 @@ class RasterFile:
                 file=self.path,
             )
         check_metric(system, self.path, height_stated=height_stated)
+        rows, columns = self.shape
+        longer, zone = stretch(system, *self.dataset.transform @ (0.5 * columns, 0.5 * rows))
+        if longer != 1.0:
+            raise InputError(
+                f"expected coordinates in metres of the ground, but in its system lengths are "
+                f"{longer:.3g} times as long here, as in maps for the web. Warp it first: gdalwarp "
+                f"-t_srs {zone} {self.path.name} metres.tif",
+                file=self.path,
+            )
         self._check_upright()
         return system
 
@@ -335,9 +382,8 @@ class RasterFile:
         """Refuse a raster that memory cannot hold, or that its file cannot hold."""
         rows, columns = self.shape
         stored *= np.dtype(self.dataset.dtypes[0]).itemsize
-        if self.dataset.driver == "GTiff":
-            what = f"{columns} x {rows} pixels in {self.dataset.count} bands"
-            check_stated_size(self.path, stored, what, packed=True)
+        what = f"{columns} x {rows} pixels in {self.dataset.count} bands"
+        check_stated_size(self.path, stored, what, packed=True)
         memory = total_memory()
         needed = 2.0 * math.prod(shape) * itemsize
         if needed > memory:
@@ -387,6 +433,9 @@ def _open(path: Path) -> Any:
         dataset = rasterio.io.DatasetReader(path.absolute(), driver=list(_FORMATS))
     if any(key.upper() == "OVERVIEW_FILE" for key in dataset.tags(ns="OVERVIEWS")):
         raise _names_others(path, "its metadata")
+    # Files of ERDAS may keep values in another, wherever it is.
+    if any(Path(name).parent != path.absolute().parent for name in dataset.files):
+        raise _names_others(path, "it")
     return dataset
 
 

@@ -37,7 +37,7 @@ class MeasuredSpectrum:
     transmittance: np.ndarray | None = None
     """Transmittance [-], NaN where missing; `None` if not measured."""
     meta: dict[str, Any] = field(default_factory=dict)
-    """What else the file says; `format` and `repairs` (sentences) are always there."""
+    """Further statements of the file; `format` and `repairs` (sentences) are always there."""
 
 
 def note(meta: dict[str, Any], sentence: str) -> None:

@@ -11,11 +11,11 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from fynjax._core.errors import InputError
-from fynjax.canopy import plant_model_from_mesh, unit_shapes
+from fynjax.canopy import Organ, plant_model_from_mesh, unit_shapes
 from fynjax.io.instruments import scene_meshes
 from fynjax.report.figures._scene_oblique import View, oblique_figure, relief, view_of
 from fynjax.report.figures._style import Figure
-from fynjax.scene import Instances, Scene, hard_instances, hard_scene, leafy_species
+from fynjax.scene import Instances, Scene, hard_instances, hard_scene, leaf_classes
 from fynjax.sensors import BandSet
 
 _COLOURS = BandSet(("red", "green", "blue"), (650.0, 550.0, 460.0), (40.0, 40.0, 40.0))
@@ -139,7 +139,8 @@ def _points(
     index = share * np.asarray(scene.organ_index(scene.parameters))
     crowns = np.bincount(plants.species, np.pi / 4 * plants.diameter**2, len(plants.taxa))
     total = np.maximum(index.sum(axis=1) * crowns, 1e-9)
-    leafy = leafy_species(scene.forms)
+    leaves = leaf_classes(scene.species)
+    wood = sum(map(len, leaves.values()))
     parts = []
     for species, mesh in enumerate(meshes):
         if mesh is None:
@@ -155,9 +156,12 @@ def _points(
         turned = sum(unit_shapes(np.asarray(model.normal), plants.azimuth[mine], plants.tilt[mine]))
         disc = np.pi / 4 * plants.diameter[mine, None] ** 2
         area = disc * np.asarray(model.area_fraction) * index[species][organ]
-        leaf = leafy.get(species, 0)
-        kind = np.array([leaf, len(leafy), len(leafy) + 1])[organ]
-        kinds = np.broadcast_to(kind, area.shape).ravel()
+        first = leaves[species].start if species in leaves else 0
+        kind = np.array([first, wood, wood + 1])[organ]
+        kinds = np.broadcast_to(kind, area.shape)
+        if plants.leaf is not None:
+            kinds = kinds + np.outer(plants.leaf[mine], organ == Organ.LEAF)
+        kinds = kinds.ravel()
         parts.append((place.reshape(-1, 3), turned.reshape(-1, 3), area.ravel(), kinds))
     if not parts:
         raise InputError("expected plants to look at, but none stand on the plot")

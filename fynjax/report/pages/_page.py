@@ -64,7 +64,7 @@ class Picture:
     """Name of the file in the folder of results (PNG)."""
     figure: Figure
     what: str
-    """What the file is, for the list of files."""
+    """Description of the file, for the list of files."""
     caption: str = ""
     """Below the figure on the page; `what` as a sentence if left out."""
 
@@ -131,7 +131,7 @@ class Page:
     key_figures: Mapping[str, str] = field(default_factory=dict)
     """The numbers that matter most, shown large: value by what it is."""
     record: Mapping[str, Any] = field(default_factory=dict)
-    """How the page came to be, as `fynjax.io.raster.provenance` has it."""
+    """Record of how the page was made, as `fynjax.io.raster.provenance` has it."""
 
 
 def write_page(page: Page, folder: Path, file: str = "report.html") -> dict[str, str]:

@@ -22,12 +22,17 @@ def sensor_section(measured: Measured, table: pd.DataFrame) -> Section:
             "Above reflectance, below simulated less measured.",
         )
     else:
-        title = "The point cloud"
+        cloud = measured.kind == "structure"
+        title, what = (
+            ("The point cloud", "structure of the cloud")
+            if cloud
+            else ("The spectrum", "numbers of the spectrum")
+        )
         picture = Picture(
-            "structure.png",
+            f"{measured.kind}.png",
             metric_plot(table),
-            "structure of the cloud, before and after",
-            "Each metric of the real cloud with its error.",
+            f"{what}, before and after",
+            f"{what.capitalize()}, the real ones with their errors.",
         )
     rows = Table(table, f"{title}, real and simulated.", folded=True)
     return Section(title, [measured.description, picture, rows])

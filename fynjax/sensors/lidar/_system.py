@@ -62,7 +62,7 @@ class Lidar(eqx.Module):
     geometry: FlashGeometry | ScanGeometry
     noise: LidarNoise
     threshold: float = eqx.field(static=True)
-    """What a return must stand out by, in standard deviations of the noise [-]."""
+    """Least height of a return over the noise, in standard deviations of the noise [-]."""
     max_returns: int = eqx.field(static=True)
     """Most returns that are kept of one pulse."""
     gate: tuple[float, float] | None = eqx.field(static=True, default=None)

@@ -176,7 +176,7 @@ class PlotSpectrumForward(eqx.Module):
 
     view: SpectrumView
     dead: tuple[bool, ...] = eqx.field(static=True, converter=tuple)
-    """Which species are standing dead plants."""
+    """Mask of the species that are standing dead plants."""
 
     def __call__(
         self, values: Float[Array, " free"], scene: Scene, parameters: PlotParameters

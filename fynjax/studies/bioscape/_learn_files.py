@@ -58,7 +58,7 @@ class Lesson:
     predicted: dict[str, Float[np.ndarray, "plot statistic"]]
     """Logarithm of reflectance and ground seen, by population (`ASSUMED` and others)."""
     parameters: Float[np.ndarray, "plot parameter"]
-    """Each plot's own parameters, whitened."""
+    """Parameters of each plot, whitened."""
     resolution: Resolution
 
     def file(self) -> PriorFile:
@@ -153,7 +153,7 @@ class LearnResult(JobResult):
     size_m: float
     voxel_m: float
     parameters: Rows
-    """What the plots share: the rows of population.csv."""
+    """Parameters that the plots share: the rows of population.csv."""
     scores: Rows
     """Agreement with the measured spectra: the rows of scores.csv."""
 

@@ -69,7 +69,7 @@ class BioscapeSpecies:
     library_name: str | None
     """Name of the species in the trait library, `None` if it is not there."""
     note: SpeciesNote
-    """What the field tables say of it."""
+    """Note of the field tables on the species."""
     size_source: tuple[str, str] = (FORM_DEFAULT, FORM_DEFAULT)
     """Sources of the crown diameter and of the height."""
 
@@ -128,7 +128,7 @@ class BioscapePlot:
     view: ViewFromAbove | None = None
     """Line intercepts, where there are any."""
     remarks: tuple[Remark, ...] = ()
-    """What is odd about the plot's rows, and how it was read."""
+    """Oddities of the plot's rows, and how it was read."""
 
     @property
     def listed_cover(self) -> float:

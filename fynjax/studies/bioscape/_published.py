@@ -142,7 +142,7 @@ class Remark:
     """Line of the file; None where it is about all of it."""
     plot: str
     what: str
-    """What it is and how it was read."""
+    """Sentence on what is odd and how it was read."""
 
 
 @dataclass(frozen=True)
@@ -214,7 +214,7 @@ class FieldTables:
     place: dict[str, PlotCentre] = field(default_factory=dict)
     """Centres of the plots."""
     remarks: list[Remark] = field(default_factory=list)
-    """What is odd in the tables, and how it was read."""
+    """Oddities of the tables, and how it was read."""
 
     def remark(self, path: Path, row: int | None, plot: str, what: str) -> None:
         """Note that something is odd."""

@@ -33,7 +33,7 @@ class Sourced:
 
     value: float
     source: str
-    """Where the value came from: one of `SOURCES`."""
+    """Source of the value: one of `SOURCES`."""
 
 
 def split_name(name: str) -> tuple[str, str]:
