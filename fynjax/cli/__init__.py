@@ -15,7 +15,7 @@ import fynjax
 from fynjax._core.errors import InputError, MissingExtraError
 from fynjax.cli._bioscape import calibrate_plots, learn, plots_of_tables, validate_plots
 from fynjax.cli._diversity import diversity
-from fynjax.cli._inversion import calibrate, information, posterior, sensitivity
+from fynjax.cli._inversion import calibrate, design, information, posterior, sensitivity
 from fynjax.cli._leaf import convert, fit_leaf
 from fynjax.cli._maps import map_command, train
 from fynjax.cli._plot import article, build, demo, init, pattern, plant, render, terrain, view
@@ -36,6 +36,7 @@ _PANELS: dict[str, dict[str, Callable[..., None]]] = {
     "Inversion": {
         **{"calibrate": calibrate, "posterior": posterior},
         **{"sensitivity": sensitivity, "information": information},
+        "design": design,
     },
     "Validation": {"validate": validate},
     "Many plots": {"train": train, "map": map_command, "diversity": diversity},

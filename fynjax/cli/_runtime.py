@@ -70,6 +70,10 @@ OwnSeed = Annotated[
         min=0, max=2**31 - 1, help="Seed of everything random; the plot file's if left out."
     ),
 ]
+Truth = Annotated[
+    bool,
+    typer.Option("--truth", help="Also write which species each pixel sees, and how much."),
+]
 PlotPath = Annotated[
     Path, typer.Argument(metavar="PLOT.toml", help="Plot file; `fynjax init` writes one.")
 ]

@@ -39,9 +39,9 @@ _BLOCK = 100
 class LeafOptics(eqx.Module):
     """Leaf reflectance and transmittance, on the bands they were computed for."""
 
-    reflectance: Float[Array, " band"]
+    reflectance: Float[Array, "*leaf band"]
     """Directional-hemispherical reflectance [-]."""
-    transmittance: Float[Array, " band"]
+    transmittance: Float[Array, "*leaf band"]
     """Directional-hemispherical transmittance [-]."""
     wavelength: Float[Array, " band"]
     """Band centres [nm]."""
@@ -65,8 +65,8 @@ class LeafOptics(eqx.Module):
 
 
 def interface_transmissivity(
-    incidence_half_angle: float | Float[Array, ""], refractive_index: Float[Any, " band"]
-) -> Float[Any, " band"]:
+    incidence_half_angle: float | Float[Array, ""], refractive_index: float | Float[Any, "*band"]
+) -> Float[Any, "*band"]:
     """Transmissivity of a smooth surface, averaged over a cone of unpolarised light [-].
 
     Closed form of Stern 1964 (Applied Optics 3, 111) as used by Allen 1973 (Applied Optics 12,

@@ -1,12 +1,14 @@
 """A canopy without sides: the same everywhere, described by its leaf area index alone."""
 
+from __future__ import annotations  # so that `help` shows ArrayLike by its name
+
 import math
 from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, ArrayLike, Float
 
 from fynjax._core.errors import InputError
 from fynjax.canopy import AbstractLeafAngle
@@ -28,17 +30,17 @@ _DEPTH_WEIGHTS = 0.5 * _WEIGHTS * 3.0 * (0.5 * (_NODES + 1.0)) ** 2
 
 
 def canopy_reflectance(
-    leaf_reflectance: Float[Array, " band"],
-    leaf_transmittance: Float[Array, " band"],
-    leaf_area_index: Float[Array, ""] | float = 3.0,
+    leaf_reflectance: Float[ArrayLike, " band"],
+    leaf_transmittance: Float[ArrayLike, " band"],
+    leaf_area_index: Float[ArrayLike, ""] = 3.0,
     *,
-    soil: Float[Array, " band"] | float = 0.15,
+    soil: Float[ArrayLike, " band"] | float = 0.15,
     leaf_angles: str | AbstractLeafAngle = "spherical",
-    sun_zenith: Float[Array, ""] | float = 30.0,
-    view_zenith: Float[Array, ""] | float = 0.0,
-    relative_azimuth: Float[Array, ""] | float = 0.0,
-    sky_share: Float[Array, " band"] | float = 0.0,
-    hot_spot: Float[Array, ""] | float = 0.01,
+    sun_zenith: Float[ArrayLike, ""] = 30.0,
+    view_zenith: Float[ArrayLike, ""] = 0.0,
+    relative_azimuth: Float[ArrayLike, ""] = 0.0,
+    sky_share: Float[ArrayLike, " band"] | float = 0.0,
+    hot_spot: Float[ArrayLike, ""] = 0.01,
     layers: int = 20,
 ) -> Float[Array, " band"]:
     """Reflectance factor of a horizontally uniform canopy: PROSAIL's 4SAIL, its fluxes exact.
@@ -117,13 +119,13 @@ class CanopyAlbedo(NamedTuple):
 
 
 def canopy_albedo(
-    leaf_reflectance: Float[Array, " band"],
-    leaf_transmittance: Float[Array, " band"],
-    leaf_area_index: Float[Array, ""] | float = 3.0,
+    leaf_reflectance: Float[ArrayLike, " band"],
+    leaf_transmittance: Float[ArrayLike, " band"],
+    leaf_area_index: Float[ArrayLike, ""] = 3.0,
     *,
-    soil: Float[Array, " band"] | float = 0.15,
+    soil: Float[ArrayLike, " band"] | float = 0.15,
     leaf_angles: str | AbstractLeafAngle = "spherical",
-    sun_zenith: Float[Array, ""] | float = 30.0,
+    sun_zenith: Float[ArrayLike, ""] = 30.0,
     layers: int = 20,
 ) -> CanopyAlbedo:
     """Black-sky and white-sky albedo of a horizontally uniform canopy (DHR and BHR).

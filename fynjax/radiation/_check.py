@@ -117,7 +117,7 @@ def check_range(
     )
 
 
-def check_view(zenith: Float[Array, "*view"], azimuth: Float[Array, "*view"]) -> None:
+def check_view(zenith: Float[Array, "*#view"], azimuth: Float[Array, "*#view"]) -> None:
     """Raise `InputError` for views, where known, that do not look down on the scene."""
     slip = " degrees from the vertical: was an elevation or a signed angle passed?"
     check_range("view_zenith", zenith, 0.0, 90.0, slip, ends="[)")

@@ -274,7 +274,8 @@ def test_series_and_closed_form_are_stokes_in_extended_precision(structure):
     absorbed = np.logspace(-7, -1, 2001)
     first, t12, index = 0.95, 0.9, 1.4
     layers = jnp.asarray(structure)
-    reflectance, transmittance = _stack(jnp.asarray(absorbed), layers, first, t12, index)[0]
+    surface = map(jnp.asarray, (first, t12, index))
+    reflectance, transmittance = _stack(jnp.asarray(absorbed), layers, *surface)[0]
     theta = 1 - absorbed.astype(np.longdouble)
     t21 = np.longdouble(t12) / np.longdouble(index) ** 2
     bounce = 1 - ((1 - t21) * theta) ** 2
