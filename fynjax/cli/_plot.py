@@ -187,7 +187,15 @@ def plant(
         typer.Option(
             metavar="z|y",
             help="Vertical axis of the file: y for .glb and .gltf if left out, as their standard "
-            "says, else z. GLB that trimesh made of a mesh with z up needs z.",
+            "says; y, with a warning, if a plant reaches below 0 in z and not in y; else z. GLB "
+            "that trimesh made of a mesh with z up needs z.",
+        ),
+    ] = None,
+    unit: Annotated[
+        str | None,
+        typer.Option(
+            metavar="UNIT",
+            help="Unit of the mesh or scan: metre (if left out), centimetre, millimetre, foot.",
         ),
     ] = None,
     maximum_extent: Annotated[

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import xarray as xr
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Shaped
 from numpy.typing import ArrayLike
 
 from fynjax._core.errors import InputError
@@ -22,7 +22,7 @@ _RAO_PIXELS = 1000
 """Pixels of which `spectral_variety` takes Rao's Q, at most: it compares each with each."""
 
 
-def windows(image: ArrayLike, size: int) -> Float[Array, "row column pixel band"]:
+def windows(image: ArrayLike, size: int) -> Shaped[Array, "row column pixel band"]:
     """Cut an image into square windows, so that each is a set of pixels.
 
     Maps of covers, [species, y, x], too: `windows(cover, 10).mean(axis=2)` has the covers of each

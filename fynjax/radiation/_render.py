@@ -1,5 +1,7 @@
 """The public entry point of the radiation layer."""
 
+from __future__ import annotations  # so that `help` shows ArrayLike by its name
+
 import contextlib
 import dataclasses
 import math
@@ -10,7 +12,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, ArrayLike, Float
 
 from fynjax._core.errors import InputError
 from fynjax.radiation._check import (
@@ -100,7 +102,7 @@ class Light(eqx.Module):
     """The light in a scene: solved once, rendered for any number of sensors."""
 
     scene: VoxelScene
-    """With its empty layers on top, if the coarse grid needed any, and on terrain with what
+    """The scene, with empty layers on top if the coarse grid needed any, and on terrain with what
     ground sends to ground in its reflectance."""
     sun: SunField
     diffuse: DiffuseField | ReducedField
@@ -188,7 +190,7 @@ def follow_sun(scene: VoxelScene, accuracy: Accuracy, margin: int) -> SunField:
 
 
 def diffuse_light(
-    scene: VoxelScene, cells: Cells, fit: "Fit", accuracy: Accuracy
+    scene: VoxelScene, cells: Cells, fit: Fit, accuracy: Accuracy
 ) -> DiffuseField | ReducedField:
     """The diffuse light from the finest cells of `fit`. Of `scene` all but the voxels counts."""
     how = (fit.factor, accuracy.ordinates, accuracy.tolerance, accuracy.iterations)
@@ -525,7 +527,7 @@ def reflectance_factor(
 
 
 def directional_reflectance(
-    light: Light, view_zenith: Float[Array, " view"], view_azimuth: Float[Array, " view"]
+    light: Light, view_zenith: Float[ArrayLike, "*#view"], view_azimuth: Float[ArrayLike, "*#view"]
 ) -> Float[Array, "view band"]:
     """Mean reflectance factor of the whole scene for distant views [-].
 

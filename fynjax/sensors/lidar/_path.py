@@ -51,7 +51,7 @@ class PencilPaths(eqx.Module):
         return jnp.take_along_axis(above, index, axis=0) + share * in_step
 
     def returned(
-        self, distance: Float[Array, "point pencil"], source: Float[Array, "step pencil"]
+        self, distance: Float[Array, "point one"], source: Float[Array, "step pencil"]
     ) -> Float[Array, "point pencil"]:
         """What the canopy down to a range [m] sends back of a source [-]: each leaf through the gap
         that the light came by. Exact for even leaf area along a step."""
@@ -225,7 +225,7 @@ def _ground(
     under = jax.vmap(lambda z: z < surface(jnp.full_like(foot[:, 0], z))[0])(planes)
     low = jnp.max(jnp.where(under, planes[:, None], 0.0), axis=0)
 
-    def halve(_: int, ends: tuple[Array, Array]) -> tuple[Array, Array]:
+    def halve(_: Array, ends: tuple[Array, Array]) -> tuple[Array, Array]:
         low, high = ends
         middle = 0.5 * (low + high)
         below = middle < surface(middle)[0]
