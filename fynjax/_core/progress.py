@@ -11,7 +11,7 @@ from collections.abc import Iterable, Iterator, Sized
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from contextvars import ContextVar
 from importlib.util import find_spec
-from typing import Protocol, TypeVar
+from typing import Protocol, TypeVar, runtime_checkable
 
 from rich.console import Console
 from rich.progress import (
@@ -31,6 +31,7 @@ Item = TypeVar("Item")
 _log = logging.getLogger("fynjax")
 
 
+@runtime_checkable
 class Listener(Protocol):
     """Shows stages, which may nest, and the steps of the innermost open one."""
 

@@ -200,7 +200,7 @@ class Ensemble(_Sampler):
             np.concatenate([state.chain, sampler.get_chain()]),
             np.concatenate([state.log_density, sampler.get_log_prob()]),
             state.accepted + sampler.backend.accepted,
-            state.faulty + refused.count,
+            np.asarray(state.faulty + refused.count),
             state.effective_size,
             tuple(map(jnp.asarray, (now.coords, now.log_prob, *now.random_state[1:]))),
         )

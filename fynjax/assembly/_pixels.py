@@ -66,6 +66,7 @@ def sample_pixel(
         quantities = np.concatenate([stand.quantities for stand in made])
         return spectrum_likelihood(reflectance, spectra, error), quantities
 
+    # Walkers start where they would end, but for the few stands that there are to draw from.
     start = draws_like(np.concatenate(candidates), np.concatenate(likelihood), _WALKERS, seed)
     return sample_prior(simulate, start, chance=1, steps=steps, seed=seed)
 

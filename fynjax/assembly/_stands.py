@@ -6,6 +6,7 @@ sizes and leaves are drawn. One planted stand is lit with many sets of leaves, d
 all of them are bands of one scene, whose diffuse light is reduced to a few solves.
 """
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
@@ -18,7 +19,7 @@ import scipy.special
 from jaxtyping import Array, Float
 
 from fynjax._core.precision import double_precision, drawn_in_double
-from fynjax.canopy import FORMS
+from fynjax.canopy import FORMS, GrowthForm
 from fynjax.inversion import nadir_imager
 from fynjax.io.plot import BY_FORM, LearnedPrior, leaf_factors
 from fynjax.leaf import FLAT, ROUND, LeafParameters, structure_from_dry_matter
@@ -319,7 +320,7 @@ def _draw(
     """A stand of unit normal numbers, those that all its sets have in common and those of each."""
     names, count = stand_forms(prior), len(own)
     records = [FORMS[name] for name in names]
-    forms, leafy = len(names), len(names) - 1
+    forms = len(names)
     first, each = prior.numbers(_GEOMETRY)
     at = prior.drawn(common[:first], own[:, :each], _GEOMETRY)
     stand, of_set = _Numbers(common[first:]), _Numbers(own[:, each:])
@@ -328,29 +329,12 @@ def _draw(
         values = [at[f"{kind}.{form}"] for form in names[:-1]]
         return np.stack([*values, np.zeros(count)], axis=1)
 
-    def around(
-        median: float | Float[np.ndarray, " form"], sds: tuple[float, float]
-    ) -> Float[np.ndarray, "set form"]:
-        return median * np.exp(sds[0] * of_set.take(1) + sds[1] * of_set.take(forms))
-
-    usual = bool(_uniform(stand.take(1)[0]) >= _ELSEWHERE)
-    live, dead = (
-        float(_beta(stand.take(1)[0], *(of if usual else (1.0, 1.0)))) for of in (_COVERED, _DEAD)
-    )
-    standing = dead * float(_beta(stand.take(1)[0], *_STANDING))
-    # A Dirichlet distribution is that of the shares of gamma variates.
-    parts = scipy.special.gammaincinv(
-        [form.stand_share for form in records[:-1]], _uniform(stand.take(leafy))
-    )
-    shares = parts / parts.sum()
-    crowns = np.minimum(
-        -np.log1p(-np.append(live * np.ones(leafy), standing)), _MOST_CROWNS
-    ) * np.append(shares, 1.0)
+    crowns, dead, standing = _draw_crowns(records, stand)
     diameter, height = np.array([(form.diameter, form.height) for form in records]).T
     diameter = diameter * np.exp(np.clip(_SIZE_SD * stand.take(forms), -_SIZE_SD, None))
     height = height * np.exp(_SIZE_SD * stand.take(1))
     species = SpeciesParameters(
-        cover=crowns * (1.0 - _PACKING),
+        cover=jnp.asarray(crowns * (1.0 - _PACKING)),
         diameter=diameter,
         height=np.clip(height, 0.1, _TALLEST),
         packing=jnp.full(forms, _PACKING),
@@ -363,26 +347,7 @@ def _draw(
         sun_zenith=jnp.asarray(low + (high - low) * _uniform(stand.take(1)[0])),
         sun_azimuth=jnp.asarray(360.0 * _uniform(stand.take(1)[0])),
     )
-    mass, water = np.array([(f.leaf_mass_per_area, f.water_content) for f in records]).T
-    leaf_mass = around(mass, _LEAF_MASS_SD)
-    odds = around(water / (1.0 - water), _WATER_SD)
-    ratio = np.array([ROUND if form.round_leaves else FLAT for form in records])
-    dry = np.minimum(leaf_mass / ratio / 1e4, PARAMETERS["dry_matter"].upper)
-    pigment = around(1.0, _PIGMENT_SD)
-    average = prior.values()["chlorophyll"]  # which the usual leaf is already times
-    usual_leaf = USUAL_LEAF.model_dump()
-    leaf: dict[str, Any] = {
-        "structure": np.asarray(structure_from_dry_matter(dry)),
-        **{name: usual_leaf[name] / average * pigment for name in ("chlorophyll", "carotenoids")},
-        **{
-            name: np.full_like(dry, usual_leaf[name]) for name in ("anthocyanins", "brown_pigments")
-        },
-        "water": np.minimum(dry * odds, _MOST_WATER),
-        "dry_matter": dry,
-    }
-    for name, factor in leaf_factors(at).items():
-        record = PARAMETERS[name]
-        leaf[name] = np.clip(leaf[name] * factor[:, None], record.lower, record.upper)
+    leaves, leaf_mass, water = _draw_leaves(prior, records, leaf_factors(at), of_set)
     litter = (dead - standing) / (1.0 - standing)
     ground = GroundParameters(
         brightness=jnp.asarray(at["soil_brightness"]),
@@ -394,10 +359,65 @@ def _draw(
         rock_fraction=jnp.zeros(count),
         wood_brightness=jnp.asarray(at["wood_brightness"]),
     )
-    leaves = LeafParameters.many(**{name: value.ravel() for name, value in leaf.items()})
-    leaves = jax.tree.map(lambda a: a.reshape(count, forms), leaves)
     optics = _Optics(leaves, jnp.asarray(by_form("dead_fraction")), ground)
-    return _Drawn(species, light, optics, leaf_mass, odds / (1.0 + odds))
+    return _Drawn(species, light, optics, leaf_mass, water)
+
+
+def _draw_crowns(
+    records: Sequence[GrowthForm], stand: _Numbers
+) -> tuple[Float[np.ndarray, " form"], float, float]:
+    """Area of the crowns of each form over that of the stand, the last form standing dead plants;
+    and the shares of the stand under dead plants, lying or standing, and standing ones [-]."""
+    usual = bool(_uniform(stand.take(1)[0]) >= _ELSEWHERE)
+    live, dead = (
+        float(_beta(stand.take(1)[0], *(of if usual else (1.0, 1.0)))) for of in (_COVERED, _DEAD)
+    )
+    standing = dead * float(_beta(stand.take(1)[0], *_STANDING))
+    # A Dirichlet distribution is that of the shares of gamma variates.
+    parts = scipy.special.gammaincinv(
+        [form.stand_share for form in records[:-1]], _uniform(stand.take(len(records) - 1))
+    )
+    shares = np.append(parts / parts.sum(), 1.0)
+    # Crowns that lie at random, one on another, cover 1 - exp(-area).
+    covered = np.append(live * np.ones(len(parts)), standing)
+    return np.minimum(-np.log1p(-covered), _MOST_CROWNS) * shares, dead, standing
+
+
+def _draw_leaves(
+    prior: LearnedPrior,
+    records: Sequence[GrowthForm],
+    factors: Mapping[str, Float[np.ndarray, " set"]],
+    of_set: _Numbers,
+) -> tuple[LeafParameters, Float[np.ndarray, "set form"], Float[np.ndarray, "set form"]]:
+    """Leaves of each set and form, by `factors` more than the usual of each content; their mass per
+    area [g m-2], and the share of water in their fresh mass [-]."""
+
+    def around(
+        median: float | Float[np.ndarray, " form"], sds: tuple[float, float]
+    ) -> Float[np.ndarray, "set form"]:
+        return median * np.exp(sds[0] * of_set.take(1) + sds[1] * of_set.take(len(records)))
+
+    mass, water = np.array([(f.leaf_mass_per_area, f.water_content) for f in records]).T
+    leaf_mass = around(mass, _LEAF_MASS_SD)
+    odds = around(water / (1.0 - water), _WATER_SD)
+    # Crews measure per area that is seen, PROSPECT counts per half of the surface.
+    ratio = np.array([ROUND if form.round_leaves else FLAT for form in records])
+    dry = np.minimum(leaf_mass / ratio / 1e4, PARAMETERS["dry_matter"].upper)
+    pigment = around(1.0, _PIGMENT_SD)
+    average = prior.values()["chlorophyll"]  # which the usual leaf is already times
+    usual = USUAL_LEAF.model_dump()
+    leaf: dict[str, Any] = {
+        "structure": np.asarray(structure_from_dry_matter(dry)),
+        **{name: usual[name] / average * pigment for name in ("chlorophyll", "carotenoids")},
+        **{name: np.full_like(dry, usual[name]) for name in ("anthocyanins", "brown_pigments")},
+        "water": np.minimum(dry * odds, _MOST_WATER),
+        "dry_matter": dry,
+    }
+    for name, factor in factors.items():
+        record = PARAMETERS[name]
+        leaf[name] = np.clip(leaf[name] * factor[:, None], record.lower, record.upper)
+    leaves = LeafParameters.many(**{name: value.ravel() for name, value in leaf.items()})
+    return jax.tree.map(lambda a: a.reshape(dry.shape), leaves), leaf_mass, odds / (1.0 + odds)
 
 
 @eqx.filter_jit

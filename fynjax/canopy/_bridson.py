@@ -1,12 +1,13 @@
 """Compiled kernel of Bridson's Poisson-disk sampling. Apart, because importing numba takes time."""
 
-from typing import Any
+from typing import Any, no_type_check
 
 import numba
 import numpy as np
 
 
 @numba.njit(cache=True, fastmath=False)
+@no_type_check  # a check of types while tests run would wrap it, and numba compile the wrapper
 def fill(
     rng: Any, lx: float, ly: float, radius: float, attempts: int, periodic: bool
 ) -> np.ndarray:

@@ -6,7 +6,7 @@ from typing import Any, Literal
 
 import numpy as np
 import pandas as pd
-from jaxtyping import Float, Int
+from jaxtyping import Float, Int, Shaped
 from numpy.typing import ArrayLike, NDArray
 
 from fynjax._core.errors import InputError, listed
@@ -90,7 +90,7 @@ def _log_determinant(covariance: NDArray[np.float64]) -> float:
     )
 
 
-def jeffries_matusita_distance(bhattacharyya: ArrayLike) -> NDArray[np.float64]:
+def jeffries_matusita_distance(bhattacharyya: ArrayLike) -> np.float64 | NDArray[np.float64]:
     """Jeffries-Matusita distance, 2 (1 - exp(-B)) [-], from 0 to 2, where classes are apart.
 
     Tools differ: some have the root of this, up to 1.414.
@@ -110,7 +110,7 @@ def jeffries_matusita_distance(bhattacharyya: ArrayLike) -> NDArray[np.float64]:
 
 
 def separability(
-    spectra: ArrayLike, species: Sequence[str], *, shrinkage: float | None = None
+    spectra: ArrayLike, species: Sequence[str] | np.ndarray, *, shrinkage: float | None = None
 ) -> pd.DataFrame:
     """Distances of each two species by their spectra.
 
@@ -179,7 +179,7 @@ class Classification:
 
 def classify(
     spectra: ArrayLike,
-    species: Sequence[str],
+    species: Sequence[str] | np.ndarray,
     group: Sequence[Any],
     *,
     method: Method = "discriminant",
@@ -249,8 +249,8 @@ def _classifier(method: Method, kinds: int, seed: int) -> Any:
 
 
 def _pixels(
-    spectra: ArrayLike, species: Sequence[str]
-) -> tuple[NDArray[np.float64], NDArray[np.str_]]:
+    spectra: ArrayLike, species: Sequence[str] | np.ndarray
+) -> tuple[NDArray[np.float64], Shaped[np.ndarray, " pixel"]]:
     data, names = np.asarray(spectra, np.float64), np.array([str(name) for name in species])
     if data.ndim != 2 or data.shape[1] == 0 or len(data) != len(names):
         raise InputError(

@@ -325,10 +325,12 @@ def _optimised(
         which, own, common = jax.random.split(key, 3)
         place = jax.random.randint(which, (size,), 0, len(data[0]))
         reflectance, target = data[0][place], data[1][place]
+        # As a sensor might have it: wrong by the error model, and offset alike in all bands.
         apart = jax.random.normal(own, reflectance.shape, reflectance.dtype) @ root.T
         offset = OFFSET_SD * jax.random.normal(common, (size, 1), reflectance.dtype)
         spectrum = jnp.log(jnp.maximum(reflectance * jnp.exp(apart) + offset, DARKEST))
         mean, factor = eqx.tree_at(lambda p: p.layers, posterior, layers).scores(spectrum)
+        # Minus the logarithm of a Gaussian density whose covariance has the Cholesky factor.
         left = jax.scipy.linalg.solve_triangular(factor, (target - mean)[..., None], lower=True)
         diagonal = jnp.diagonal(factor, axis1=1, axis2=2)
         return jnp.mean(0.5 * jnp.sum(left**2, axis=(1, 2)) + jnp.sum(jnp.log(diagonal), axis=1))

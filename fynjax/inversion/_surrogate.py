@@ -78,6 +78,7 @@ def fit_surrogate(
     centre, draws, count = np.asarray(fit.whitened), _draws(fit, seed), len(calibration.stands)
     at_centre, slopes = calibration.stand_statistics, np.asarray(fit.jacobian)
     away = draws - centre
+    # What the slopes leave of the change from the same planting at the estimate.
     bent = np.stack(
         [
             value - at_centre[i % count] - slopes @ move
@@ -87,10 +88,12 @@ def fit_surrogate(
     bent = bent @ calibration.projector.T
     directions = jnp.asarray(np.asarray(fit.modes)[:_CURVED])
     terms = np.asarray(_terms(jnp.asarray(away) @ directions.T))
+    # Fitted to all draws but the first, which then show the error.
     fitted = slice(_LEFT_OUT, None)
     curvature = np.linalg.lstsq(terms[fitted], bent[fitted])[0]
     rest = (bent - terms @ curvature)[:_LEFT_OUT]
     along = np.asarray(directions) @ calibration.spread
+    # The mean of a product of two coordinates over the posterior is their covariance.
     over = along @ along.T
     level = over[np.triu_indices(len(directions))] @ curvature[len(directions) :]
     error = np.sqrt(np.mean(rest**2, axis=0)) / np.asarray(fit.data.sd)

@@ -102,7 +102,7 @@ def fit_leaf_groups(
     reflectance: Any = None,
     transmittance: Any = None,
     *,
-    groups: Sequence[str],
+    groups: Sequence[str] | np.ndarray,
     version: ProspectVersion = "D",
     measurement: AbstractMeasurement | None = None,
     leaf_shape: LeafShape = "broad",

@@ -132,10 +132,10 @@ class LeafClip(AbstractMeasurement):
 
 
 def recollided(
-    reflectance: Float[Array, " band"],
-    transmittance: Float[Array, " band"],
-    recollision: Float[Array, ""],
-) -> tuple[Float[Array, " band"], Float[Array, " band"]]:
+    reflectance: Float[Array, "*band"],
+    transmittance: Float[Array, "*band"],
+    recollision: float | Float[Array, "*#band"],
+) -> tuple[Float[Array, "*band"], Float[Array, "*band"]]:
     """R and T of needles side by side from those of one needle [-].
 
     With w = R + T a part p of scattered light meets a neighbour, which scatters w of it, as much up
@@ -167,7 +167,7 @@ class LeafOverBackground(AbstractMeasurement):
     black does, but not N, whose prior decides, nor therefore T.
     """
 
-    background: Float[Any, " band"] | None = 0.0
+    background: float | Float[Array | np.ndarray, "*band"] | None = 0.0
     """Reflectance of the background [-], a number or a value per bin of the fit; `None`: estimated,
     the same at all bands."""
     gap_fraction: float | None = 0.0
@@ -262,10 +262,10 @@ class LeafStack(AbstractMeasurement):
 
 
 def transmittance_from_two_readings(
-    over_black: Float[Any, " band"],
-    over_white: Float[Any, " band"],
-    white: Float[Any, " band"],
-) -> Float[Array, " band"]:
+    over_black: float | Float[Array | np.ndarray, "*#band"],
+    over_white: float | Float[Array | np.ndarray, "*#band"],
+    white: float | Float[Array | np.ndarray, "*#band"],
+) -> Float[Array, "*band"]:
     """Leaf transmittance from a clip's readings over its black and its white face [-].
 
     T^2 = (R_w - R)(1 / B - R), from R_w = R + T^2 B / (1 - R B) for a Lambertian leaf over a black
@@ -288,8 +288,10 @@ def transmittance_from_two_readings(
 
 
 def resolved_by_two_readings(
-    over_black: Float[Any, " band"], through: Float[Any, " band"], white: Float[Any, " band"]
-) -> Bool[np.ndarray, " band"]:
+    over_black: float | Float[Array | np.ndarray, "*#band"],
+    through: float | Float[Array | np.ndarray, "*#band"],
+    white: float | Float[Array | np.ndarray, "*#band"],
+) -> Bool[np.ndarray, "*band"]:
     """Where `transmittance_from_two_readings` is better known than to 0.03.
 
     Its error by two readings that repeat within 0.002 is 0.002 sqrt(2) (1 / B - R) / (2 T): a leaf

@@ -77,13 +77,13 @@ def _interpolate(name: str, k: Array) -> Array:
     return c0 + offset * (c1 + offset * (c2 + offset * c3))
 
 
-def _within(k: Array) -> Array:
+def _within(k: Array | float) -> Array:
     """A negative k counts as 0, infinity as a large number."""
     return jnp.clip(k, 0.0, 1e6)
 
 
 @jax.custom_jvp
-def exponential_integral(k: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
+def exponential_integral(k: float | Float[Array, "*shape"]) -> Float[Array, "*shape"]:
     """Exponential integral E1(k) [-] at a fixed cost, absolute error below 1e-12.
 
     Used in second derivatives of `layer_absorptance` only.
@@ -107,7 +107,7 @@ def _exponential_integral_jvp(primals: tuple, tangents: tuple) -> tuple[Array, A
 
 
 @jax.custom_jvp
-def _slope_numerator(k: Array) -> Array:
+def _slope_numerator(k: Array | float) -> Array:
     """(1 + k) d(1 - theta)/dk."""
     return _interpolate("slope", _within(k))
 
@@ -120,13 +120,13 @@ def _slope_numerator_jvp(primals: tuple, tangents: tuple) -> tuple[Array, Array]
     return numerator, slope * dk
 
 
-def absorptance_slope(k: Array) -> tuple[Array, Array]:
+def absorptance_slope(k: Array | float) -> tuple[Array, Array]:
     """d(1 - theta)/dk as numerator and denominator; 2 and 1 at k = 0."""
     return _slope_numerator(k), 1.0 + jnp.where(k < 0.0, 0.0, k)
 
 
 @jax.custom_jvp
-def layer_absorptance(k: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
+def layer_absorptance(k: float | Float[Array, "*shape"]) -> Float[Array, "*shape"]:
     """1 - theta(k): what an elementary layer of absorption coefficient k absorbs [-].
 
     **Arguments:**

@@ -6,18 +6,19 @@ gets the gradient zero; a NaN that is not masked makes the result NaN, so that i
 pass unnoticed. With no valid pixel at all the result is NaN.
 """
 
+from __future__ import annotations  # so that `help` shows ArrayLike by its name
+
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
-from numpy.typing import ArrayLike
+from jaxtyping import Array, ArrayLike, Bool, Float
 
 from fynjax._core.errors import InputError
 
-Sample = Float[Array, "*pixel"]
-Mask = Bool[Array, "*pixel"]
+Sample = Float[Array | np.ndarray, "*pixel"]
+Mask = Bool[Array | np.ndarray, "*pixel"]
 Scalar = Float[Array, ""]
 
 
@@ -66,7 +67,7 @@ QUANTILE_WINDOW = 0.05
 
 def quantiles(
     values: Sample,
-    probabilities: Float[Array, " q"],
+    probabilities: float | Float[ArrayLike, " q"],
     valid: Mask | None = None,
     *,
     window: float | None = None,

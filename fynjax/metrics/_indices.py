@@ -5,12 +5,14 @@ are those that reproduce the paper's printed means (`fynjax/compare/data/README.
 departure is recorded beside its formula.
 """
 
+from __future__ import annotations  # so that `help` shows ArrayLike by its name
+
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, ArrayLike, Bool, Float
 
 from fynjax._core.errors import InputError, did_you_mean
 
@@ -34,13 +36,13 @@ class VegetationIndex:
     formula: str
     """Formula of the index in the bands' letters G, R, RE, N."""
     departure: str = ""
-    """What the literature means by this name, where the paper's form differs; else empty."""
+    """Meaning of the name in the literature, where the paper's form differs; else empty."""
     literature: IndexFunction | None = None
     """The literature's form, where it differs and the four bands allow it."""
     literature_formula: str = ""
     """Formula of the literature's form in the bands' letters."""
     root_of: IndexFunction | None = None
-    """For an index that is a square root: what the root is taken of."""
+    """Quantity that the root is taken of, for an index that is a square root."""
 
 
 def _ndvi(r: Band, n: Band) -> Band:
@@ -138,7 +140,7 @@ VEGETATION_INDICES: dict[str, VegetationIndex] = {index.name: index for index in
 
 
 def vegetation_indices(
-    image: Float[Array, "band ..."], names: Sequence[str] | None = None
+    image: Float[ArrayLike, "band ..."], names: Sequence[str] | None = None
 ) -> Float[Array, "index ..."]:
     """Vegetation indices of a four-band reflectance image, in the paper's forms [-].
 
@@ -182,7 +184,7 @@ def vegetation_indices(
 
 
 def smooth_vegetation_indices(
-    image: Float[Array, "band ..."],
+    image: Float[ArrayLike, "band ..."],
     names: Sequence[str] | None = None,
     *,
     floor: float = 1e-4,
@@ -249,7 +251,7 @@ def _chosen(names: Sequence[str] | None) -> list[VegetationIndex]:
     return [VEGETATION_INDICES[name] for name in names]
 
 
-def _bands(image: Float[Array, "band ..."]) -> list[Band]:
+def _bands(image: Float[ArrayLike, "band ..."]) -> list[Band]:
     image = jnp.asarray(image)
     if image.ndim == 0 or image.shape[0] != len(BANDS):
         raise InputError(

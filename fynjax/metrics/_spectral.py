@@ -11,8 +11,8 @@ from numpy.typing import ArrayLike
 from fynjax._core.errors import InputError
 from fynjax._core.spectral import check_wavelength
 
-Spectrum = Float[Array, " wavelength"]
-Mask = Bool[Array, " wavelength"] | Bool[np.ndarray, " wavelength"]
+Spectrum = Float[Array | np.ndarray, " wavelength"]
+Mask = Bool[Array | np.ndarray, " wavelength"]
 Scalar = Float[Array, ""]
 
 WATER_WINDOWS: tuple[tuple[float, float], ...] = ((1340.0, 1460.0), (1790.0, 2100.0))

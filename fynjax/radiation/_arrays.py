@@ -1,12 +1,14 @@
 """A scene from plain arrays."""
 
+from __future__ import annotations  # so that `help` shows ArrayLike by its name
+
 import math
 from collections.abc import Iterable, Sequence
 from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, ArrayLike, Float
 
 from fynjax._core.errors import InputError
 from fynjax.canopy import AbstractLeafAngle, leaf_angle
@@ -16,21 +18,21 @@ from fynjax.radiation._scene import Illumination, OpticalClasses, VoxelScene
 
 
 def voxel_scene(
-    area_density: Float[Array, "class z y x"],
-    reflectance: Float[Array, "class band"],
-    transmittance: Float[Array, "class band"],
+    area_density: Float[ArrayLike, "class z y x"],
+    reflectance: Float[ArrayLike, "class band"],
+    transmittance: Float[ArrayLike, "class band"],
     *,
     voxel: tuple[float, float, float],
-    ground: Float[Array, " band *yx"],
-    sun_zenith: float,
-    sun_azimuth: float = 180.0,
-    sun: Float[Array, " band"] | float = 1.0,
-    sky: Float[Array, " band"] | float = 0.0,
-    sky_pattern: Float[Array, "*band zenith azimuth"] | None = None,
+    ground: Float[ArrayLike, " band *yx"],
+    sun_zenith: Float[ArrayLike, ""],
+    sun_azimuth: Float[ArrayLike, ""] = 180.0,
+    sun: Float[ArrayLike, " band"] | float = 1.0,
+    sky: Float[ArrayLike, " band"] | float = 0.0,
+    sky_pattern: Float[ArrayLike, "*band zenith azimuth"] | None = None,
     leaf_angles: str | AbstractLeafAngle | Sequence[str | AbstractLeafAngle] = "spherical",
     leaf_diameter: float | Sequence[float] | None = None,
     ground_shape: RahmanPintyVerstraete | None = None,
-    terrain: Float[Array, "y x"] | None = None,
+    terrain: Float[ArrayLike, "y x"] | None = None,
     boundary: str = "periodic",
 ) -> VoxelScene:
     """A scene from plain arrays, checked.

@@ -1,13 +1,16 @@
 """A canopy without sides: the same everywhere, described by its leaf area index alone."""
 
+from __future__ import annotations  # so that `help` shows ArrayLike by its name
+
 import math
 from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, ArrayLike, Float
 
+from fynjax._core.errors import InputError
 from fynjax.canopy import AbstractLeafAngle
 from fynjax.radiation._arrays import voxel_scene
 from fynjax.radiation._check import as_floats, check_range
@@ -27,17 +30,17 @@ _DEPTH_WEIGHTS = 0.5 * _WEIGHTS * 3.0 * (0.5 * (_NODES + 1.0)) ** 2
 
 
 def canopy_reflectance(
-    leaf_reflectance: Float[Array, " band"],
-    leaf_transmittance: Float[Array, " band"],
-    leaf_area_index: Float[Array, ""] | float = 3.0,
+    leaf_reflectance: Float[ArrayLike, " band"],
+    leaf_transmittance: Float[ArrayLike, " band"],
+    leaf_area_index: Float[ArrayLike, ""] = 3.0,
     *,
-    soil: Float[Array, " band"] | float = 0.15,
+    soil: Float[ArrayLike, " band"] | float = 0.15,
     leaf_angles: str | AbstractLeafAngle = "spherical",
-    sun_zenith: Float[Array, ""] | float = 30.0,
-    view_zenith: Float[Array, ""] | float = 0.0,
-    relative_azimuth: Float[Array, ""] | float = 0.0,
-    sky_share: Float[Array, " band"] | float = 0.0,
-    hot_spot: Float[Array, ""] | float = 0.01,
+    sun_zenith: Float[ArrayLike, ""] = 30.0,
+    view_zenith: Float[ArrayLike, ""] = 0.0,
+    relative_azimuth: Float[ArrayLike, ""] = 0.0,
+    sky_share: Float[ArrayLike, " band"] | float = 0.0,
+    hot_spot: Float[ArrayLike, ""] = 0.01,
     layers: int = 20,
 ) -> Float[Array, " band"]:
     """Reflectance factor of a horizontally uniform canopy: PROSAIL's 4SAIL, its fluxes exact.
@@ -116,13 +119,13 @@ class CanopyAlbedo(NamedTuple):
 
 
 def canopy_albedo(
-    leaf_reflectance: Float[Array, " band"],
-    leaf_transmittance: Float[Array, " band"],
-    leaf_area_index: Float[Array, ""] | float = 3.0,
+    leaf_reflectance: Float[ArrayLike, " band"],
+    leaf_transmittance: Float[ArrayLike, " band"],
+    leaf_area_index: Float[ArrayLike, ""] = 3.0,
     *,
-    soil: Float[Array, " band"] | float = 0.15,
+    soil: Float[ArrayLike, " band"] | float = 0.15,
     leaf_angles: str | AbstractLeafAngle = "spherical",
-    sun_zenith: Float[Array, ""] | float = 30.0,
+    sun_zenith: Float[ArrayLike, ""] = 30.0,
     layers: int = 20,
 ) -> CanopyAlbedo:
     """Black-sky and white-sky albedo of a horizontally uniform canopy (DHR and BHR).
@@ -183,10 +186,23 @@ def _uniform(
     light: tuple[Array, Array],
 ) -> tuple[VoxelScene, Float[Array, ""]]:
     """One column of voxels, a metre high, sides periodic, and its leaf area; `light`: sun, sky."""
+    if not isinstance(layers, int | np.integer) or layers < 1:
+        raise InputError(f"`layers` must be a whole number of 1 or more, but is {layers!r}")
     rho = as_floats("leaf_reflectance", leaf_reflectance)
     area = as_floats("leaf_area_index", leaf_area_index, rho.dtype)
     check_range("leaf_area_index", area, 0.0, 100.0)
+    if area.ndim:
+        raise InputError(
+            f"`leaf_area_index` must be one number, but has shape {area.shape}: for many canopies "
+            "take jax.vmap"
+        )
     rho = jnp.atleast_1d(rho)
+    below = as_floats("soil", soil, rho.dtype)
+    if below.shape not in ((), (1,), rho.shape):
+        raise InputError(
+            f"`soil` must be a number, or one for each of {rho.size} bands, but has shape "
+            f"{below.shape}"
+        )
     tau = jnp.atleast_1d(as_floats("leaf_transmittance", leaf_transmittance, rho.dtype))
     sun, sky = (jnp.broadcast_to(part, rho.shape).astype(rho.dtype) for part in light)
     scene = voxel_scene(
@@ -194,7 +210,7 @@ def _uniform(
         rho[None],
         tau[None],
         voxel=(1.0, 1.0, 1.0 / layers),
-        ground=jnp.broadcast_to(as_floats("soil", soil, rho.dtype), rho.shape),
+        ground=jnp.broadcast_to(below, rho.shape),
         sun_zenith=sun_zenith,
         sun_azimuth=0.0,
         sun=sun,

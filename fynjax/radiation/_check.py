@@ -102,6 +102,9 @@ def check_range(
     bad = ~(np.isfinite(array) & above & below)
     if not bad.any():
         return
+    if not slip and high == 1.0 and array[bad].max() > 1.0:
+        ten_thousandths = array[bad].max() > 100.0
+        slip = f": is it in {'ten thousandths' if ten_thousandths else 'percent'}? Divide first"
     wanted = f"`{name}` must be finite"
     if math.isfinite(low) or math.isfinite(high):
         wanted += f" and in {ends[0]}{low:g}, {high:g}{ends[1]}"
@@ -114,7 +117,7 @@ def check_range(
     )
 
 
-def check_view(zenith: Float[Array, "*view"], azimuth: Float[Array, "*view"]) -> None:
+def check_view(zenith: Float[Array, "*#view"], azimuth: Float[Array, "*#view"]) -> None:
     """Raise `InputError` for views, where known, that do not look down on the scene."""
     slip = " degrees from the vertical: was an elevation or a signed angle passed?"
     check_range("view_zenith", zenith, 0.0, 90.0, slip, ends="[)")

@@ -51,9 +51,9 @@ class Overlap(eqx.Module):
     decay: tuple[tuple[Array, Array, Array], ...]
     """exp(-b x), real and imaginary part of exp(-d x), at each point of a piece and at its end."""
     gain: tuple[Array, ...]
-    """What a piece's own leaves add up to there, per leaf area per volume [m]."""
+    """Sum over a piece's own leaves there, per leaf area per volume [m]."""
     end_gain: tuple[Array, Array, Array]
-    """What a piece's own leaves add up to at its end, for each of the three numbers [m]."""
+    """Sum over a piece's own leaves at its end, for each of the three numbers [m]."""
 
     def start(self, shape: tuple[int, ...]) -> tuple[Array, Array, Array]:
         zero = jnp.zeros(shape, self.amplitude.dtype)

@@ -556,9 +556,9 @@ class _GroundLight(NamedTuple):
     """Radiance of the bare ground, without canopy above it."""
 
     direct: Float[Array, "band y x"]
-    """In full sun, towards no direction in particular."""
+    """Radiance of ground in full sun, towards no direction in particular."""
     towards_sensor: Float[Array, "band row column"]
-    """What its angular shape makes of that."""
+    """Radiance of ground in full sun towards the sensor, by the angular shape of the ground."""
     diffuse: Float[Array, "band y x"]
 
 

@@ -41,16 +41,16 @@ ground, upward flux at the top."""
 class DiffuseField(eqx.Module):
     """Everything but the direct sun, on the coarse grid."""
 
-    intensity: Float[Array, "band ordinate z y x"]
+    intensity: Float[Array, "*band ordinate z y x"]
     """Mean radiance in each cell along each ordinate."""
-    falling: Float[Array, "band downward y x"]
+    falling: Float[Array, "*band downward y x"]
     """Radiance that falls on the ground along each downward ordinate."""
-    ground: Float[Array, "band y x"]
+    ground: Float[Array, "*band y x"]
     """Diffuse irradiance on the ground, per level area."""
-    top: Float[Array, " band"]
+    top: Float[Array, "*band"]
     """Mean upward flux at the top."""
-    residual: Float[Array, " band"]
-    """What the equation of the source leaves over, relative to the source [-]."""
+    residual: Float[Array, "*band"]
+    """Remainder of the equation of the source, relative to the source [-]."""
 
     def factor(self, scene: VoxelScene) -> tuple[int, int]:
         """Voxels in one of its cells, in height and in width."""
@@ -90,7 +90,7 @@ class Bands(eqx.Module):
     sky: Float[Array, "*band downward"]
     """Radiance of the sky along each downward ordinate."""
     shape: GroundShape | None
-    """How the ground departs from Lambert's law."""
+    """Departure of the ground from Lambert's law."""
 
     def __getitem__(self, index: Any) -> "Bands":
         """The bands of an index, a slice or an array of indices."""

@@ -98,18 +98,18 @@ def sky_radiance(light: Illumination, ordinates: Ordinates) -> Float[Array, "ban
 
 
 class GroundShape(eqx.Module):
-    """Angular shape of the ground's reflectance on the ordinates, for one band."""
+    """Angular shape of the ground's reflectance on the ordinates, for one band or each."""
 
-    diffuse: Float[Array, "downward upward"]
+    diffuse: Float[Array, "*band downward upward"]
     """Reflectance factor over its amplitude, from each downward to each upward ordinate [-]."""
-    sun: Float[Array, " upward"]
+    sun: Float[Array, "*band upward"]
     """Reflectance factor over its amplitude, from the sun to each upward ordinate [-]."""
 
 
 class Coarse(eqx.Module):
     """A grid as the sweeps need it; the same for all bands."""
 
-    attenuation: tuple[tuple[Float[Array, "way z level one y x"], ...], ...]
+    attenuation: tuple[tuple[Float[Array, "way z _ one y x"], ...], ...]
     """Per group of levels: exp(-x), its mean along a step and the mean emission, x the depth of a
     step; in the order in which light meets the layers on its way down, and on its way up."""
     ground_share: tuple[Float[Array, "z y x"], Float[Array, "z y x"]] | None

@@ -1,5 +1,7 @@
 """Rays of a sensor: parallel, of a frame camera, or any."""
 
+from __future__ import annotations  # so that `help` shows ArrayLike by its name
+
 import abc
 import dataclasses
 import math
@@ -10,7 +12,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, ArrayLike, Float
 
 from fynjax._core.errors import InputError
 from fynjax._core.geometry import direction
@@ -35,13 +37,13 @@ class Lattice(NamedTuple):
     """Cells of a layer: those of the voxels, or of the beams of the sun."""
 
     rows: int
-    """Along y."""
+    """Number of cells along y."""
     columns: int
-    """Along x."""
+    """Number of cells along x."""
     spacing: float
     """Side of a cell [m]."""
     boundary: str
-    """What stands beside the cells, as in `VoxelScene`."""
+    """Rule for what stands beside the cells, as in `VoxelScene`."""
 
 
 class AbstractRays(eqx.Module):
@@ -85,7 +87,7 @@ class AbstractRays(eqx.Module):
         """
 
     @abc.abstractmethod
-    def together(self, size: int) -> "AbstractRays":
+    def together(self, size: int) -> AbstractRays:
         """Rays along the middle of each block of `size` x `size` rays, as wide as the block."""
 
     @abc.abstractmethod
@@ -162,14 +164,14 @@ class RayLattice(AbstractRays):
             return values
         return jnp.einsum("rj,...ji,ci->...rc", weight_y, values, weight_x)
 
-    def rows(self, start: Array | int, size: int) -> "RayLattice":
+    def rows(self, start: Array | int, size: int) -> RayLattice:
         """The rays of `size` rows from `start` on, which may be a traced value: a part of the
         picture that these are."""
         cut = lambda axis: jax.lax.dynamic_slice_in_dim(axis, start, size)  # noqa: E731
         y, slope_y = cut(self.y), cut(self.slope_y)
         return dataclasses.replace(self, y=y, slope_y=slope_y, picture=self.ends)
 
-    def together(self, size: int) -> "RayLattice":
+    def together(self, size: int) -> RayLattice:
         mean = lambda axis: axis.reshape(-1, size).mean(axis=1)  # noqa: E731
         return RayLattice(
             mean(self.x),
@@ -262,7 +264,7 @@ class RayField(AbstractRays):
         vectors = jnp.stack([self.slope_x, self.slope_y, jnp.ones_like(self.slope_x)], axis=-1)
         return vectors * self.cosine[..., None]
 
-    def together(self, size: int) -> "RayField":
+    def together(self, size: int) -> RayField:
         rows, columns = self.shape
 
         def mean(field: Array) -> Array:
@@ -306,6 +308,7 @@ class RayField(AbstractRays):
     ) -> Callable[[Array], Array]:
         right, up = (0.0, 0.0) if offset is None else offset
         spacing = jnp.full_like(self.width, lattice.spacing)
+        # A footprint is no wider than a cell here, and so lies in two of them along each axis.
         width = spacing if smooth else jnp.minimum(self.width, spacing)
         axes = [
             (self.y + height * self.slope_y + up, lattice.rows),
@@ -360,11 +363,11 @@ def _range(values: Array) -> Float[Array, " 2"]:
 
 
 def parallel_rays(
-    x: Float[Array, " column"],
-    y: Float[Array, " row"],
+    x: Float[ArrayLike, " column"],
+    y: Float[ArrayLike, " row"],
     footprint: float,
-    view_zenith: Float[Array, ""],
-    view_azimuth: Float[Array, ""],
+    view_zenith: Float[ArrayLike, ""],
+    view_azimuth: Float[ArrayLike, ""],
 ) -> RayLattice:
     """Rays of a distant sensor, one direction for all pixels.
 
@@ -397,8 +400,8 @@ def parallel_rays(
 
 
 def nadir_rays(
-    x: Float[Array, " column"],
-    y: Float[Array, " row"],
+    x: Float[ArrayLike, " column"],
+    y: Float[ArrayLike, " row"],
     footprint: float,
     camera: tuple[float, float, float],
 ) -> RayLattice:

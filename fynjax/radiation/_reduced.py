@@ -189,6 +189,7 @@ def _assemble(
     flat = basis.reshape(*basis.shape[:2], -1)
     density, lit = (f.reshape(len(owner), -1) for f in (transport.density, transport.lit))
     shape = jax.tree.map(lambda a: a[0], bands.shape)
+    # Light is linear in the ground: that of any mixture follows from a black one and the maps.
     over = jnp.concatenate([jnp.zeros_like(grounds[:1]), grounds])
 
     def with_classes(per_angle: list[Array], area: Array) -> Float[Array, "class vector"]:
@@ -208,6 +209,7 @@ def _assemble(
 
         return jax.lax.map(jax.checkpoint(term), over)
 
+    # Source, light from the sky and share of the sun of each sweep: vectors, skies, then the sun.
     count, extra = len(basis), len(skies) + 1
     states = (
         jnp.concatenate([basis, jnp.zeros((extra, *transport.shape), dtype)]),
@@ -220,6 +222,7 @@ def _assemble(
             for kind in transport.sun_phase
         ]
     )
+    # A vector that is left out has the equation 1 x = 0.
     mass = jnp.einsum("voc,woc->vw", flat, flat) + jnp.diag(missing)
     return _System(mass, jax.lax.map(scattered, states), from_sun)
 
@@ -342,6 +345,7 @@ def _gram_schmidt(
         scale = 1.0 / jnp.where(length > 0, length, 1.0)
         made = jnp.zeros_like(combination[0]).at[index].set(scale)
         vector = vector * scale
+        # Twice: what rounding leaves of the first time is not small beside a short rest.
         for _ in range(2):
             share = basis @ vector
             vector, made = vector - share @ basis, made - share @ combination

@@ -1,5 +1,7 @@
 """The public entry point of the radiation layer."""
 
+from __future__ import annotations  # so that `help` shows ArrayLike by its name
+
 import contextlib
 import dataclasses
 import math
@@ -10,7 +12,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, ArrayLike, Float
 
 from fynjax._core.errors import InputError
 from fynjax.radiation._check import (
@@ -100,7 +102,7 @@ class Light(eqx.Module):
     """The light in a scene: solved once, rendered for any number of sensors."""
 
     scene: VoxelScene
-    """With its empty layers on top, if the coarse grid needed any, and on terrain with what
+    """The scene, with empty layers on top if the coarse grid needed any, and on terrain with what
     ground sends to ground in its reflectance."""
     sun: SunField
     diffuse: DiffuseField | ReducedField
@@ -188,7 +190,7 @@ def follow_sun(scene: VoxelScene, accuracy: Accuracy, margin: int) -> SunField:
 
 
 def diffuse_light(
-    scene: VoxelScene, cells: Cells, fit: "Fit", accuracy: Accuracy
+    scene: VoxelScene, cells: Cells, fit: Fit, accuracy: Accuracy
 ) -> DiffuseField | ReducedField:
     """The diffuse light from the finest cells of `fit`. Of `scene` all but the voxels counts."""
     how = (fit.factor, accuracy.ordinates, accuracy.tolerance, accuracy.iterations)
@@ -456,8 +458,20 @@ def look(
     check_scene(scene)
     _check_blocks(rays, together)
     most = _steepest(rays) if steepest is None else steepest
-    sublayers, lean = _pieces_along(scene, accuracy, rays, most)
     sun = follow_sun(scene, accuracy, sun_margin(scene, accuracy))
+    return look_up_to(scene, sun, accuracy, rays, most, together)
+
+
+def look_up_to(
+    scene: VoxelScene,
+    sun: SunField,
+    accuracy: Accuracy,
+    rays: AbstractRays,
+    steepest: Array | float,
+    together: int = 1,
+) -> Sight:
+    """`look` in a known sun, for rays whose zenith angle is `steepest` at most [degrees]."""
+    sublayers, lean = _pieces_along(scene, accuracy, rays, steepest)
     return sight_of_rays(scene, sun, rays, sublayers, lean, together)
 
 
@@ -513,7 +527,7 @@ def reflectance_factor(
 
 
 def directional_reflectance(
-    light: Light, view_zenith: Float[Array, " view"], view_azimuth: Float[Array, " view"]
+    light: Light, view_zenith: Float[ArrayLike, "*#view"], view_azimuth: Float[ArrayLike, "*#view"]
 ) -> Float[Array, "view band"]:
     """Mean reflectance factor of the whole scene for distant views [-].
 

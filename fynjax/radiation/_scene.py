@@ -24,12 +24,12 @@ class OpticalClasses(eqx.Module):
     angles: tuple[AbstractLeafAngle, ...]
     """The distinct distributions of normals."""
     angle_of_class: tuple[int, ...] = eqx.field(static=True)
-    """For each class, the place of its distribution in `angles`."""
+    """Place in `angles` of the distribution of each class."""
     leaf_diameter: Float[Array, " size"] | None = None
     """Diameters of leaves, taken for round [m]; of others four times area over perimeter. They make
     the hot spot. None: points, which have none."""
     size_of_class: tuple[int, ...] | None = eqx.field(static=True, default=None)
-    """For each class, the place of its diameter in `leaf_diameter`; by default all the first."""
+    """Place in `leaf_diameter` of the diameter of each class; by default all the first."""
 
     @property
     def sizes(self) -> tuple[int, ...]:

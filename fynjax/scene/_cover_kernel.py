@@ -1,10 +1,13 @@
 """Compiled kernel that projects crowns on a raster. Apart, because importing numba takes time."""
 
+from typing import no_type_check
+
 import numba
 import numpy as np
 
 
 @numba.njit(cache=True)
+@no_type_check  # a check of types while tests run would wrap it, and numba compile the wrapper
 def project(
     x: np.ndarray,
     y: np.ndarray,
@@ -32,6 +35,7 @@ def project(
         square = radius[plant] * radius[plant]
         first = int(np.ceil((y[plant] - radius[plant]) / cell - 0.5))
         last = int(np.floor((y[plant] + radius[plant]) / cell - 0.5))
+        # The rows whose centres the disc covers, and in each the columns from west to east.
         for row in range(first, last + 1):
             dy = (row + 0.5) * cell - y[plant]
             half = np.sqrt(max(square - dy * dy, 0.0))
@@ -49,6 +53,7 @@ def project(
                     i = column % nx
                 elif column < 0 or column >= nx:
                     continue
+                # Plants of a species follow each other: what it covers already bears its stamp.
                 if stamp[j, i] != one:
                     stamp[j, i] = one
                     union[one] += 1

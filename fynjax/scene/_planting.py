@@ -194,6 +194,7 @@ class Planting(eqx.Module):
         count, begin = np.asarray(self.count), np.asarray(self.first)
         owner, classes = np.asarray(self.species), np.asarray(self.shape_class)
         whole = jax.tree.map(np.asarray, self.shapes)
+        # Plants that begin at the same element have one shape, which is thinned once.
         starts, one, which = np.unique(begin, return_index=True, return_inverse=True)
         shapes: list[PlantModel] = []
         of_class: list[np.ndarray] = []
@@ -361,6 +362,7 @@ def _of_individuals(stand: Stand, individuals: Sequence[dict[str, np.ndarray]]) 
         size = stand.diameter[i], stand.height[i], stand.resolved
         number = element_count(*size, structured=stand.structured)
         model = stand.models[i]
+        # A few individuals of the form, which the plants have in turn; or the one model given.
         if model is None:
             seeds = individual_seeds(seed, i)
             several = [plant_model(one.form, number, seed=s) for s in seeds[:n]]
@@ -384,6 +386,7 @@ def _of_individuals(stand: Stand, individuals: Sequence[dict[str, np.ndarray]]) 
         parts += k * len(several)
     if not plants:
         return no_plants(dtype)
+    # The elements of all shapes in one list, each in the optical class of its species and organ.
     whole, organs = _together(shapes, dtype)
     of_organ = np.array(_classes(species))
     classes = np.concatenate([of_organ[i][organ] for i, organ in zip(own, organs)])

@@ -84,6 +84,7 @@ def scene_structure(
         density = scene.area_density(parameters)
         projected = jnp.asarray(_projections(scene), density.dtype) / _EVEN
         terrain = None if scene.terrain is None else jnp.asarray(scene.terrain, density.dtype)
+        # The classes together, each with the area that blocks as much where leaves face evenly.
         density = jnp.tensordot(projected, density, axes=1)
         voxel = scene.grid.horizontal_size, scene.grid.vertical_size
         found: dict[str, Array] = {}

@@ -4,11 +4,13 @@ The model is that which MicaSense publishes for its RedEdge and Altum cameras ("
 Radiometric Calibration Model"), and with other settings that of DJI's multispectral cameras.
 """
 
+from __future__ import annotations  # so that `help` shows ArrayLike by its name
+
 from typing import Literal
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, ArrayLike, Float
 
 from fynjax._core.math import real_array
 
@@ -31,9 +33,9 @@ class CameraRadiometry(eqx.Module):
     """Gain of the amplifier g [-]; ISO speed / 100."""
     full_scale: float = eqx.field(static=True, converter=float, default=65536.0)
     """2 to the number of bits [counts]."""
-    row_gradient: Float[Array, "2"] = eqx.field(converter=real_array, default=(0.0, 0.0))
+    row_gradient: Float[Array, " 2"] = eqx.field(converter=real_array, default=(0.0, 0.0))
     """Coefficients a2 [s per row] and a3 [per row]: rows are read one after the other."""
-    vignetting_centre: Float[Array, "2"] = eqx.field(converter=real_array, default=(0.0, 0.0))
+    vignetting_centre: Float[Array, " 2"] = eqx.field(converter=real_array, default=(0.0, 0.0))
     """Column and row from which distance r is counted [pixel]."""
     vignetting: Float[Array, " order"] = eqx.field(converter=real_array, default=(0.0,))
     """Coefficients k0, k1, ... of 1 + k0 r + k1 r^2 + ... [pixel^-1, pixel^-2, ...]."""
@@ -60,7 +62,7 @@ class CameraRadiometry(eqx.Module):
 
 
 def counts_to_radiance(
-    counts: Float[Array, "row column"], camera: CameraRadiometry
+    counts: Float[ArrayLike, "row column"], camera: CameraRadiometry
 ) -> Float[Array, "row column"]:
     """Radiance of a picture in counts [W m-2 sr-1 um-1].
 

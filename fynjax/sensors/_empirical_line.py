@@ -3,13 +3,15 @@
 Bands are on the last axis, as elsewhere in this package; images of panels are [band, y, x].
 """
 
+from __future__ import annotations  # so that `help` shows ArrayLike by its name
+
 from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, ArrayLike, Float
 
 from fynjax._core.errors import InputError
 from fynjax._core.math import real_array
@@ -33,14 +35,14 @@ class EmpiricalLine(eqx.Module):
     covariance: Float[Array, "band 2 2"] = eqx.field(converter=real_array)
     """Covariance of gain and offset, in this order."""
 
-    def reflectance(self, signal: Float[Array, "*batch band"]) -> Float[Array, "*batch band"]:
+    def reflectance(self, signal: Float[ArrayLike, "*batch band"]) -> Float[Array, "*batch band"]:
         """Reflectance factor [-] of pixels with this signal."""
         return self.gain * real_array(signal) + self.offset
 
     def standard_deviation(
         self,
-        signal: Float[Array, "*batch band"],
-        signal_sd: Float[Array, "*#batch #band"] | float = 0.0,
+        signal: Float[ArrayLike, "*batch band"],
+        signal_sd: Float[ArrayLike, "*#batch #band"] | float = 0.0,
     ) -> Float[Array, "*batch band"]:
         """Standard deviation of that reflectance [-].
 
@@ -55,8 +57,8 @@ class EmpiricalLine(eqx.Module):
         return jnp.where(known, jnp.sqrt(jnp.where(known, variance, 1.0)), 0.0)
 
     def relit(
-        self, ratio: Float[Array, " band"], ratio_sd: Float[Array, " band"] | float = 0.0
-    ) -> "EmpiricalLine":
+        self, ratio: Float[ArrayLike, " band"], ratio_sd: Float[ArrayLike, " band"] | float = 0.0
+    ) -> EmpiricalLine:
         """The line under `ratio` times the light under which it was measured [-]."""
         ratio, sd = real_array(ratio), real_array(ratio_sd)
         _positive(ratio, "`ratio` of the light")
@@ -68,11 +70,11 @@ class EmpiricalLine(eqx.Module):
 
 
 def empirical_line(
-    signal: Float[Array, "panel band"],
-    reflectance: Float[Array, "panel band"],
+    signal: Float[ArrayLike, "panel band"],
+    reflectance: Float[ArrayLike, " panel #band"],
     *,
-    signal_sd: Float[Array, "#panel #band"] | float = 0.0,
-    reflectance_sd: Float[Array, "#panel #band"] | float = 0.0,
+    signal_sd: Float[ArrayLike, "#panel #band"] | float = 0.0,
+    reflectance_sd: Float[ArrayLike, "#panel #band"] | float = 0.0,
 ) -> EmpiricalLine:
     """The line through panels of known reflectance, by weighted least squares.
 
@@ -136,12 +138,12 @@ def empirical_line(
 
 
 def one_panel_line(
-    signal: Float[Array, " band"],
-    reflectance: Float[Array, "#band"],
+    signal: Float[ArrayLike, " band"],
+    reflectance: Float[ArrayLike, "#band"],
     *,
-    signal_sd: Float[Array, "#band"] | float = 0.0,
-    reflectance_sd: Float[Array, "#band"] | float = 0.0,
-    offset_sd: Float[Array, "#band"] | float = 0.0,
+    signal_sd: Float[ArrayLike, "#band"] | float = 0.0,
+    reflectance_sd: Float[ArrayLike, "#band"] | float = 0.0,
+    offset_sd: Float[ArrayLike, "#band"] | float = 0.0,
 ) -> EmpiricalLine:
     """The line through one panel and zero: for a signal without dark level or haze.
 
@@ -175,7 +177,7 @@ def one_panel_line(
 
 
 def irradiance_line(
-    irradiance: Float[Array, " band"], *, irradiance_sd: Float[Array, "#band"] | float = 0.0
+    irradiance: Float[ArrayLike, " band"], *, irradiance_sd: Float[ArrayLike, "#band"] | float = 0.0
 ) -> EmpiricalLine:
     """Reflectance pi L / E from measured irradiance, as a line over radiance.
 
@@ -283,10 +285,10 @@ def panel_coverage(
 
 
 def panel_reading(
-    image: Float[Array, "band y x"],
-    coverage: Float[Array, "y x"],
+    image: Float[ArrayLike, "band y x"],
+    coverage: Float[ArrayLike, "y x"],
     *,
-    saturation: Float[Array, " band"] | float | None = None,
+    saturation: Float[ArrayLike, " band"] | float | None = None,
 ) -> PanelReading:
     """Mean and spread of the pixels that a panel covers wholly.
 
@@ -338,9 +340,9 @@ def panel_reading(
 
 
 def place_panels(
-    reflectance: Float[Array, "band y x"],
-    coverage: Float[Array, "panel y x"],
-    panels: Float[Array, "panel band"],
+    reflectance: Float[ArrayLike, "band y x"],
+    coverage: Float[ArrayLike, "panel y x"],
+    panels: Float[ArrayLike, " panel #band"],
 ) -> Float[Array, "band y x"]:
     """A map of ground reflectance with flat panels laid on it [-].
 

@@ -4,6 +4,7 @@ import re
 from pathlib import Path
 from types import SimpleNamespace
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -34,7 +35,8 @@ def test_pixels_of_an_image_are_chosen_by_their_leading_species(names: dict) -> 
     shares[:, :, 3:5] = 0.4  # none of these has half of the pixel
     none, ground = np.zeros((2, 4, 8)), np.full((4, 8), 0.1)
     taxa = ("Erica", "Restio")
-    truth = PixelTruth(shares, none, none, none, ground, ground, taxa, "camera", 1.0, (0.0, 0.0))
+    layers = map(jnp.asarray, (shares, none, none, none, ground, ground))
+    truth = PixelTruth(*layers, taxa, "camera", 1.0, (0.0, 0.0))
     bands = np.tensordot([[0.1, 0.4], [0.3, 0.2]], shares, axes=1)
     bands += np.random.default_rng(0).normal(0.0, 0.01, bands.shape)
     spectra, species = names["pixels_of_species"](SimpleNamespace(reflectance=bands), truth)

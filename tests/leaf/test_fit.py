@@ -99,7 +99,7 @@ def leaf():
     whose parameters are correlated; and a z beside it."""
     setup = make_setup("D", LeafOverBackground(None, None, None), None, None, "needle")
     draw = np.random.default_rng(4)
-    z = setup.prior_mean + 0.1 * draw.normal(size=setup.prior_mean.size)
+    z = jnp.asarray(setup.prior_mean + 0.1 * draw.normal(size=setup.prior_mean.size))
     data = np.asarray(observed(to_physical(z, setup.optics), setup.optics))[None]
     data = data + draw.normal(0.0, 0.01, data.shape)
     use = draw.random(data.shape) < 0.8
@@ -108,8 +108,8 @@ def leaf():
     problem = jax.tree.map(lambda a: jnp.asarray(a)[0], leaf_problems(
         setup, data, use, prior, np.full(1, 1.5)
     ))  # fmt: skip
-    roots = whitening(problem, setup.factors)
-    return setup, use[0], z, (problem, roots, jnp.asarray(setup.factors), setup.optics)
+    factors = jnp.asarray(setup.factors)
+    return setup, use[0], z, (problem, whitening(problem, factors), factors, setup.optics)
 
 
 def test_the_residual_is_that_of_the_dense_normal_density(leaf):
@@ -160,14 +160,15 @@ def test_no_leaf_near_the_estimate_is_more_probable():
     call = jax.jit(residual)
     for i, z in enumerate(found.z):
         problem = Problem(*(jnp.asarray(part[i]) for part in problems))
-        whole = problem, whitening(problem, setup.factors), setup.factors, setup.optics
+        common = jnp.asarray(setup.factors)
+        whole = problem, whitening(problem, common), common, setup.optics
         tight = dict.fromkeys(("xtol", "ftol", "gtol"), 1e-13)
         best = least_squares(lambda z, *leaf: np.asarray(call(z, leaf)), z, args=whole, **tight)
         offset = best.x - z
         assert np.sqrt(offset @ found.hessian[i] @ offset) < 0.01
         # The misfit is stated in units of the errors before they are grown.
         factors, noise = setup.factors[:, use[i]], (setup.noise**2 + setup.distrust**2)[use[i]]
-        read = np.asarray(observed(to_physical(z, setup.optics), setup.optics))
+        read = np.asarray(observed(to_physical(jnp.asarray(z), setup.optics), setup.optics))
         misfit = (read - data[i])[use[i]]
         square = misfit @ np.linalg.solve(factors.T @ factors + np.diag(noise), misfit)
         assert problems.inflation[i] > 1.1
@@ -201,7 +202,7 @@ def test_proteins_and_carbon_constituents_fit():
 
 def test_background_through_the_leaf_is_the_sum_of_reflections():
     leaf = prospect(LeafParameters())
-    r, t, b = np.asarray(leaf.reflectance), np.asarray(leaf.transmittance), 0.6
+    r, t, b = leaf.reflectance, leaf.transmittance, 0.6
     series = r + sum(t**2 * b * (r * b) ** i for i in range(60))
     recorded, _ = LeafOverBackground(jnp.full(r.shape, b)).observe(r, t)
     np.testing.assert_allclose(recorded, series, rtol=1e-12)

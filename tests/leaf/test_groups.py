@@ -1,16 +1,22 @@
 """The hierarchical fit against simulated species."""
 
-from types import SimpleNamespace
-
 import equinox as eqx
 import jax
 import numpy as np
 import pytest
 from scipy.linalg import block_diag
 
-from fynjax.leaf import LeafParameters, default_error_model, fit_leaf, fit_leaf_groups, prospect
+from fynjax.leaf import (
+    IntegratingSphere,
+    LeafParameters,
+    default_error_model,
+    fit_leaf,
+    fit_leaf_groups,
+    prospect,
+)
 from fynjax.leaf._error_model import bin_centres, to_bins
 from fynjax.leaf._groups import _species
+from fynjax.leaf._problem import make_setup
 
 GRID = np.arange(400.0, 2501.0)
 
@@ -70,7 +76,8 @@ def test_a_species_is_the_conditional_of_the_joint_gaussian():
 
     prior, within = covariance(1.0), covariance(0.3)
     errors = covariance(0.5, (count,))
-    setup = SimpleNamespace(prior_mean=draw.normal(size=size), prior_precision=np.linalg.inv(prior))
+    setup = make_setup("D", IntegratingSphere(), None, None, "broad")
+    setup = setup._replace(prior_mean=draw.normal(size=size), prior_precision=np.linalg.inv(prior))
     said = draw.normal(size=(count, size))
     precision = np.linalg.inv(errors)
     weighted = np.einsum("npq,nq->np", precision, said)

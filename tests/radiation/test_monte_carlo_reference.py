@@ -34,12 +34,13 @@ def assert_close(estimate, want, rtol=0.0, atol=0.0):
 
 def with_fields(scene, **fields):
     """The scene with other values of fields, those of its parts as `part__field`."""
+    own, parts = {}, {}
     for name, value in fields.items():
-        *parts, name = name.split("__")
-        for part in parts:
-            value, name = dataclasses.replace(getattr(scene, part), **{name: value}), part
-        scene = dataclasses.replace(scene, **{name: value})
-    return scene
+        part, _, name = name.rpartition("__")
+        (parts.setdefault(part, {}) if part else own)[name] = value
+    for part, values in parts.items():
+        own[part] = dataclasses.replace(getattr(scene, part), **values)
+    return dataclasses.replace(scene, **own)
 
 
 def bare(size=4, boundary="periodic", sun=(40.0, 90.0), sky=0.0, soil=0.3, **fields):

@@ -114,7 +114,7 @@ class CellStructure:
     returns: Int[np.ndarray, "y x"]
     """Returns in each cell."""
     metrics: dict[str, Float[np.ndarray, "y x"]]
-    """Each metric in each cell, by its name in `STRUCTURE_METRICS`."""
+    """Values of each metric in each cell, by its name in `STRUCTURE_METRICS`."""
     edges: Float[np.ndarray, " edge"]
     """Heights of the layers' edges [m], one more than layers."""
     leaf_area_density: Float[np.ndarray, "y x layer"]

@@ -54,10 +54,10 @@ class StructureSettings:
     """Returns below this are ground [m], which lies under all layers. At 0 the returns on the
     ground are just the lowest of all."""
     ground_weight: float = 1.0
-    """How many returns one on the ground stands for [-]: reflectance of leaves over that of the
+    """Returns that one on the ground stands for [-]: reflectance of leaves over that of the
     ground, in the law for waveforms (Ni-Meister et al. 2001)."""
     diversity_of: Literal["returns", "leaf_area"] = "returns"
-    """What is shared out among layers for the foliage height diversity."""
+    """Quantity that is shared out among layers for the foliage height diversity."""
     diversity_lowest: float = 0.25
     """Height at which the layers of the foliage height diversity begin [m]."""
     diversity_least_share: float = 0.0
@@ -86,7 +86,7 @@ class StructureSettings:
     degrees_lost: Literal[0, 1] = 1
     """1 divides squared deviations by n - 1, as R does; 0 by n, as NumPy does."""
     source: str = "fynjax"
-    """Where the conventions are from."""
+    """Source of the conventions."""
 
     def __post_init__(self) -> None:
         for name, kind in get_type_hints(type(self)).items():

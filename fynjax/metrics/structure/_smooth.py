@@ -21,9 +21,11 @@ class SmoothStructure(eqx.Module):
     """Structure in each cell, smooth; finite everywhere."""
 
     metrics: dict[str, Float[Array, " cell"]]
-    """Each metric in each cell, by its name in `STRUCTURE_METRICS`; some number where undefined."""
+    """Values of each metric in each cell, by its name in `STRUCTURE_METRICS`; any number where
+    undefined."""
     defined: dict[str, Float[Array, " cell"]]
-    """How far each metric is defined in each cell [-], 0 to 1: its weight in a mean over cells."""
+    """Degree to which each metric is defined in each cell [-], 0 to 1: its weight in a mean over
+    cells."""
 
     def means(self) -> dict[str, Float[Array, ""]]:
         """Mean of each metric over the cells where it is defined; 0 where it is so in none."""
@@ -114,7 +116,7 @@ def voxel_structure(
     dtype = density.dtype
     floor = jnp.zeros(density.shape[1:], dtype) if ground is None else ground
 
-    def gap_at(heights: Float[Array, " level"]) -> Float[Array, "level canopy pixel"]:
+    def gap_at(heights: Float[Array, " level"]) -> Float[Array, "cell pixel level"]:
         """Gap probability from the sky to heights above the ground, for canopy cells."""
         gaps = _gaps(density, thick, projection, floor, heights).reshape(*density.shape[1:], -1)
         gaps = gaps[: rows * wide, : columns * wide]

@@ -217,7 +217,7 @@ def _tones(
     return tone * (0.90 + 0.2 * rng.random((count, 1, 1)))
 
 
-def _disc(side: int) -> Float[np.ndarray, "pixel 2"]:
+def _disc(side: int) -> Int[np.ndarray, "pixel 2"]:
     """Rows and columns of the pixels of a disc that is `side` of them wide."""
     step = np.arange(side) - 0.5 * (side - 1)
     down, across = np.nonzero(np.hypot(step[:, None], step) <= 0.5 * side - 0.1 * (side > 2))

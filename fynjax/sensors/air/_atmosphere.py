@@ -1,5 +1,7 @@
 """The air between sun, ground and sensor, as five curves and a spherical albedo."""
 
+from __future__ import annotations  # so that `help` shows ArrayLike by its name
+
 import math
 from typing import Any
 
@@ -7,7 +9,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, ArrayLike, Bool, Float
 
 from fynjax._core.errors import InputError
 from fynjax._core.math import real_array
@@ -146,8 +148,8 @@ def ground_irradiance(
 
 def at_sensor_radiance(
     atmosphere: Atmosphere,
-    reflectance: Float[Array, "*batch wavelength"],
-    surroundings: Float[Array, "*batch wavelength"] | None = None,
+    reflectance: Float[ArrayLike, "*batch wavelength"],
+    surroundings: Float[ArrayLike, "*batch wavelength"] | None = None,
 ) -> Float[Array, "*batch wavelength"]:
     """Radiance at the sensor over a ground of given reflectance [W m-2 sr-1 um-1].
 
@@ -193,7 +195,7 @@ def at_sensor_radiance(
     return atmosphere.path_radiance + upward * ground_irradiance(atmosphere, around) / jnp.pi
 
 
-def is_transparent(atmosphere: Atmosphere, threshold: float = 0.01) -> Float[Array, " wavelength"]:
+def is_transparent(atmosphere: Atmosphere, threshold: float = 0.01) -> Bool[Array, " wavelength"]:
     """Where the air transmits enough light to observe the ground, as true and false [bool].
 
     True where a white ground would send the sensor at least `threshold` times the largest radiance
@@ -210,8 +212,8 @@ def is_transparent(atmosphere: Atmosphere, threshold: float = 0.01) -> Float[Arr
 
 def surface_reflectance(
     atmosphere: Atmosphere,
-    radiance: Float[Array, "*batch wavelength"],
-    surroundings: Float[Array, "*batch wavelength"] | None = None,
+    radiance: Float[ArrayLike, "*batch wavelength"],
+    surroundings: Float[ArrayLike, "*batch wavelength"] | None = None,
     *,
     threshold: float = 0.01,
     opaque: float = 0.0,

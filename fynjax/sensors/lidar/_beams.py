@@ -76,8 +76,8 @@ class LidarBeams(eqx.Module):
     """Directions of the pencils of every beam, eastward and northward from its axis [rad]."""
     pencil_width: float = eqx.field(static=True)
     """Side of a pencil's square [rad]."""
-    start: Float[np.ndarray, " beam"] = eqx.field(default_factory=lambda: np.zeros(0))
-    """Range at which the first sample begins [m]."""
+    start: Float[np.ndarray, " gate"] = eqx.field(default_factory=lambda: np.zeros(0))
+    """Range at which the first sample of each beam begins [m]; empty while none is recorded."""
     samples: int = eqx.field(static=True, default=0)
     """Samples that are recorded."""
 

@@ -11,9 +11,9 @@ delays is its Fourier transform.
 
 import dataclasses
 import math
-from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Complex, Float
@@ -42,10 +42,9 @@ class LateLight(eqx.Module):
 def late_light(scene: VoxelScene) -> LateLight:
     """The light that a flash leaves in a scene of one band; differentiable in all of it."""
     dtype = scene.area_density.dtype
-    # Known numbers, not traced: a sun overhead needs the fewest beams.
-    none: Any = np.zeros((), dtype)
-    one: Any = np.ones(1, dtype)
-    flash = Illumination(none, none, one, 0.0 * one)
+    with jax.ensure_compile_time_eval():  # numbers: of a sun known to be overhead a beam is enough
+        none, one = jnp.zeros((), dtype), jnp.ones(1, dtype)
+    flash = Illumination(none, none, one, jnp.zeros_like(one))
     light = solve_light(dataclasses.replace(scene, illumination=flash))
     leaves, ground = diffuse_sources(light, jnp.array([0.0, 0.0, 1.0], dtype))
     return LateLight(jnp.pi * leaves[0, : scene.shape[0]], jnp.pi * ground[0], light)
