@@ -322,12 +322,24 @@ def test_a_design_of_a_scene(scene):
         )  # fmt: skip
     camera = shipped_sensor("mavic_3m")
     seen: _Measured = bands_of_design._bands_of(rendered[0], camera.bands)
-    image = np.asarray(
-        fx.observe(
-            bands_of_design.coarser(scene, scene.parameters), camera, pixel=0.25,
-            point_spread=False, accuracy=bands_of_design.COARSE,
-        ).reflectance
-    )  # fmt: skip
+    coarse = bands_of_design.coarser(scene, scene.parameters)
+
+    def observed(u):
+        values = free.named(jnp.array([0.0, 0.0, u]))
+        return np.asarray(
+            fx.observe(
+                coarse, camera, pixel=0.25, point_spread=False, accuracy=bands_of_design.COARSE,
+                parameters=scene.with_values(values).parameters,
+            ).reflectance
+        )  # fmt: skip
+
+    image, darker, brighter = (observed(u) for u in (0.0, -0.1, 0.1))
+    bright = (brighter - darker) / 0.2
+    slope = np.mean(bright, axis=(1, 2))
+    np.testing.assert_allclose(seen.mean_slope[0][:, 2], slope, rtol=0.04)
+    off = image - image.mean(axis=(1, 2), keepdims=True)
+    change = 2.0 * np.mean(off * bright, axis=(1, 2))
+    np.testing.assert_allclose(seen.variance_slope[0][:, 2], change, rtol=0.08)
     np.testing.assert_allclose(seen.mean[0], image.mean(axis=(1, 2)), rtol=0.03)
     sd = np.sqrt(np.diagonal(seen.covariance[0]))
     np.testing.assert_allclose(sd, image.std(axis=(1, 2)), rtol=0.03)
