@@ -15,6 +15,7 @@ Start here: a plot, what a drone's camera sees of it, and how that changes with 
   what gradients and fits are by. `fx.pixel_truth`: which species each pixel sees.
 - `fx.lit_view`, `fx.photo`: the plants of a scene, and an image of them, in colours to look at.
 - `fx.information`: how well an image can tell parameters, for each size of pixel.
+- `fx.design`: the most informative bands of a camera on a stand.
 - `fx.free`, `fx.prior`, `fx.Data`, `fx.fit`, `fx.sample`: the arrow backwards, of a scene or of any
   function, by `fx.BroydenLM` or any solver of optimistix and jaxopt; `fx.whitened_residual` for a
   loop of one's own, `fx.emulate` for a polynomial in place of a costly function;

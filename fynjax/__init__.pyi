@@ -30,6 +30,7 @@ from .inversion import BroydenLM as BroydenLM
 from .inversion import FitResult as FitResult
 from .inversion import FitStatus as FitStatus
 from .inversion import ParameterSpace as ParameterSpace
+from .inversion import design as design
 from .inversion import fit_canopy as fit_canopy
 from .inversion import whitened_residual as whitened_residual
 from .io.spectra import read_spectra as read_spectra

@@ -145,9 +145,7 @@ plt.show()
 # %%
 fig, ax = plt.subplots(figsize=(9, 8), layout="constrained")
 ax.plot([1e-2, 3e3], [1e-2, 3e3], "k-", lw=1, label="as in reality, or as printed")
-ax.loglog(
-    table.real.abs(), table.dirsig.abs(), "o", mfc="none", c="0.5", label="the article's DIRSIG"
-)
+ax.loglog(table.real.abs(), table.dirsig.abs(), "o", mfc="none", c="0.5", label="DIRSIG")
 for name, rows in table.groupby("table", sort=False):
     ax.plot(rows.real.abs(), rows.uncalibrated.abs(), "o", ms=8, alpha=0.8, label=f"fynjax, {name}")
 for _, row in table[table.uncalibrated_off_percent.abs() > 200].iterrows():

@@ -2,7 +2,9 @@
 
 import gzip
 import io
+import os
 import stat
+import sys
 import zlib
 from dataclasses import dataclass
 from pathlib import Path
@@ -34,9 +36,11 @@ def existing_file(path: str | Path, what: str) -> Path:
     **Returns:** `path`.
 
     **Raises:** `InputError` for a folder, a pipe or a device, a link that leads nowhere or back to
-    itself, a name that is too long, and where there is no file, with the nearest name beside it.
+    itself, a name that is too long or no text (`check_name`), and where there is no file, with the
+    nearest name beside it.
     """
     path = Path(path)
+    check_name(path)
     try:
         mode = path.stat().st_mode
     except (OSError, RuntimeError, ValueError) as error:  # a null character is a ValueError
@@ -45,6 +49,23 @@ def existing_file(path: str | Path, what: str) -> Path:
         return path
     came = "this is a folder" if stat.S_ISDIR(mode) else "this is a pipe or a device, not a file"
     raise InputError(f"expected {what}, but {came}", file=path)
+
+
+def check_name(path: Path) -> None:
+    """Refuse a file or folder whose name, or that of a folder above it, has bytes that are no text
+    in this system's encoding, which libraries of files cannot open or write.
+
+    **Raises:** `InputError`.
+    """
+    try:
+        str(path.absolute()).encode()
+    except UnicodeEncodeError as error:
+        byte = os.fsencode(error.object[error.start])[:1].hex()
+        raise InputError(
+            f"expected names of files and folders in {sys.getfilesystemencoding()}, but the byte "
+            f"0x{byte} is none. Rename it, or the folder that it is in",
+            file=str(path).encode("utf-8", "backslashreplace").decode(),
+        ) from error
 
 
 def why_not(path: Path, error: Exception) -> str:

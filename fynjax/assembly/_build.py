@@ -83,7 +83,7 @@ def build_plot(
         None if row.plant is None else read_plant(row.plant, row.growth_form)
         for row in plot.species
     ]
-    leaves = plot_leaves(plot, seed)
+    leaves = plot_leaves(plot)
     parameters = plot_parameters(plot, fractions, plants, leaves)
     # Places are held ready as for the tables, so that plants stay where a calibration had them.
     tables = parameters
@@ -173,7 +173,7 @@ def plot_parameters(
     rows: Sequence[SpeciesRow] = plot.species
     if plants is not None:
         rows = [_with_areas(*pair) for pair in zip(rows, plants, strict=True)]
-    leaves = plot_leaves(plot, plot.seed) if leaves is None else leaves
+    leaves = plot_leaves(plot) if leaves is None else leaves
     return PlotParameters(
         species_parameters(rows, leaves),
         leaf_parameters(leaves),
@@ -186,17 +186,18 @@ def plot_parameters(
     )
 
 
-def plot_leaves(plot: Plot, seed: int) -> list[tuple[LeafRow, ...]]:
+def plot_leaves(plot: Plot) -> list[tuple[LeafRow, ...]]:
     """The leaves of each species of a plot: PROSPECT fitted to those that are spectra, and as many
-    drawn as the plot file asks for where one is stated.
+    drawn as the plot file asks for where one is stated, by its seed: plants that are drawn anew
+    have the same leaves.
 
-    **Arguments:** `plot`, as `read_plot` gives it; `seed`, of what is drawn.
+    **Arguments:** `plot`, as `read_plot` gives it.
 
     **Raises:** `InputError` for a leaf spectrum that cannot be used.
     """
     fitted = cache(_fitted)  # one leaf may be that of many species
     stated = [[fitted(leaf) for leaf in own] for own in leaves_of(plot.species, plot.leaves)]
-    return drawn_leaves(stated, plot.leaf_variants, seed)
+    return drawn_leaves(stated, plot.leaf_variants, plot.seed)
 
 
 def _with_areas(row: SpeciesRow, plant: MeshPlant | None) -> SpeciesRow:

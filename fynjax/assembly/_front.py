@@ -131,6 +131,7 @@ class PlotData(Data):
         camera: str | Path | Sensor | Lidar = "mavic_3m",
         *,
         pixel: float | None = None,
+        footprint: float | None = None,
         altitude: float | None = None,
         bands: Sequence[str] | None = None,
         statistics: Sequence[str] = ("*",),
@@ -145,6 +146,8 @@ class PlotData(Data):
         - `camera`: that took it; a name, a sensor file or an object, with bands green, red, red
           edge and near infrared.
         - `pixel`: edge of a pixel [m], where the image states none.
+        - `footprint`: side of the square that a pixel averages over [m], where resampling,
+          mosaicking or blur make it another than its edge.
         - `altitude`: of the camera above the ground [m]; as its file has it by default.
         - `bands`: names of the image's bands in their order, where the file does not name them.
         - `statistics`: patterns of those that count, such as "*.mean".
@@ -167,7 +170,7 @@ class PlotData(Data):
                 "expected the path of an image or what `observe` gives, but got "
                 f"{type(image).__name__}; statistics of an image go through `Data.from_table`"
             )
-        return cls._seen(data, _camera(camera), Placement(altitude, edge), gains)
+        return cls._seen(data, _camera(camera), Placement(altitude, footprint or edge), gains)
 
     @classmethod
     @double_precision

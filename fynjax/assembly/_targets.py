@@ -217,13 +217,14 @@ def image_target(
         path, target_rules(plot), pixel=pixel, side=min(plot.size_m), bands=bands
     )
     description = f"{path.name}: {len(data.names)} statistics of a drone's image."
-    if found is not None and abs(found / pixel - 1.0) > _PIXEL_TOLERANCE:
-        # The spread between pixels depends on their size.
-        sensor = plot.sensor.model_copy(update={"pixel_m": found})
+    seen = plot.sensor.footprint_m or found
+    if seen is not None and abs(seen / pixel - 1.0) > _PIXEL_TOLERANCE:
+        # The spread between pixels depends on what each averages over.
+        sensor = plot.sensor.model_copy(update={"pixel_m": seen})
         plot = plot.model_copy(update={"sensor": sensor})
+        what = "Its pixels of" if seen == found else "Pixels that average over"
         description += (
-            f" Its pixels of {found:.4g} m are simulated, not those of {pixel:.4g} m of the plot's "
-            "sensor."
+            f" {what} {seen:.4g} m are simulated, not those of {pixel:.4g} m of the plot's sensor."
         )
     return Measured("image", path, data, drone_view(plot, data.names), description, extra)
 

@@ -1,7 +1,9 @@
 """The `fynjax` command. Each subcommand is a module that parses and calls one job."""
 
+import io
 import logging
 import os
+import re
 import signal
 import sys
 from collections.abc import Callable, Sequence
@@ -13,7 +15,7 @@ import fynjax
 from fynjax._core.errors import InputError, MissingExtraError
 from fynjax.cli._bioscape import calibrate_plots, learn, plots_of_tables, validate_plots
 from fynjax.cli._diversity import diversity
-from fynjax.cli._inversion import calibrate, information, posterior, sensitivity
+from fynjax.cli._inversion import calibrate, design, information, posterior, sensitivity
 from fynjax.cli._leaf import convert, fit_leaf
 from fynjax.cli._maps import map_command, train
 from fynjax.cli._plot import article, build, demo, init, pattern, plant, render, terrain, view
@@ -34,6 +36,7 @@ _PANELS: dict[str, dict[str, Callable[..., None]]] = {
     "Inversion": {
         **{"calibrate": calibrate, "posterior": posterior},
         **{"sensitivity": sensitivity, "information": information},
+        "design": design,
     },
     "Validation": {"validate": validate},
     "Many plots": {"train": train, "map": map_command, "diversity": diversity},
@@ -91,19 +94,52 @@ def _fail(message: str, status: int) -> None:
     sys.exit(status)
 
 
+_NO_MEMORY = re.compile(
+    "RESOURCE_EXHAUSTED|out of memory|failed to map segment|cannot allocate memory|bad_alloc"
+    "|can't start new thread",
+    re.IGNORECASE,
+)
+"""What libraries say where there is no memory left."""
+
+
+def _of_this_machine(error: Exception) -> str:
+    """What is wrong where no input is: too little memory, no such device, or else the error."""
+    text = f"{type(error).__name__}: {error}"
+    if isinstance(error, MemoryError) or _NO_MEMORY.search(text):
+        return (
+            f"this machine, or the limit of the process, has too little memory ({text:.80}). "
+            "Close other programs, or ask for less at once: larger voxels or pixels, fewer bands, "
+            "fewer workers"
+        )
+    if named := os.environ.get("JAX_PLATFORMS"):
+        import jax
+
+        try:
+            jax.devices()
+        except Exception:
+            return (
+                f"JAX finds no device of JAX_PLATFORMS={named} on this machine. Unset it, or set "
+                "JAX_PLATFORMS=cpu"
+            )
+    return text
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line and exit.
 
     **Arguments:** `arguments` of the command, those of the process by default.
 
     Exit status 0, 2 for wrong arguments or input, 3 with `--strict` for a result to be doubted, 1
-    for anything else, 130 for Ctrl-C, 143 for `kill`; 1, 2 and 130 come with one line on stderr.
+    for anything else, 130 for Ctrl-C, 143 for `kill`; all but 0 and 3 come with a line on stderr.
     `FYNJAX_DEBUG=1` shows the traceback instead.
     """
     # An exit, unlike the signal itself, lets unfinished results be cleared away.
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(_TERMINATED))
+    signal.signal(signal.SIGTERM, lambda *_: _fail("ended; nothing was written", _TERMINATED))
     # GDAL reports through logging, and a logger without a handler prints to stderr.
     logging.getLogger("rasterio").addHandler(logging.NullHandler())
+    for stream in (sys.stdout, sys.stderr):  # a terminal may lack letters that names of files have
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
     status: object = 0
     try:
         status = app(args=None if arguments is None else list(arguments), standalone_mode=False)
@@ -120,7 +156,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         if isinstance(error, MissingExtraError):
             _fail(f"error: {error}", 1)
         if type(error).__name__ != "Abort":  # some versions of typer turn Ctrl-C into this
-            _fail(f"error: {type(error).__name__}: {error} (FYNJAX_DEBUG=1 shows where)", 1)
+            _fail(f"error: {_of_this_machine(error)} (FYNJAX_DEBUG=1 shows where)", 1)
         status = _INTERRUPTED
     if status == _INTERRUPTED:  # and others into a status
         _fail("interrupted; nothing was written", _INTERRUPTED)

@@ -41,6 +41,7 @@ Free = Annotated[
     ),
 ]
 _NUMBERS = "numbers with commas between"
+_TWO = "two wavelengths, such as 450,900"
 
 
 @command("calibrate", "fynjax.jobs:calibrate", forget=True)
@@ -156,7 +157,7 @@ def information(
         str,
         listed(
             float,
-            "two wavelengths, such as 450,900",
+            _TWO,
             "LOW,HIGH",
             "Range that the bands share [nm].",
             counts=(2,),
@@ -187,4 +188,57 @@ def information(
     lost, figures and a report page.
 
     Example:  fynjax information plot.toml --free 'species.*.cover' --gsd 0.1,0.5,1,5 --bands 2,4,8
+    """
+
+
+@command("design", "fynjax.jobs:design")
+def design(
+    plot: PlotPath,
+    bands: Annotated[int, typer.Option(min=1, metavar="N", help="Bands of the sensor.")] = 4,
+    target: Annotated[
+        str,
+        listed(
+            str,
+            "names",
+            "NAME,...",
+            "What the bands are to inform of: numbers of the stand (green_leaf_area, crown_cover, "
+            "shannon, ...), names or patterns of free parameters; or information, or separability.",
+        ),
+    ] = "green_leaf_area,dead_share,canopy_chlorophyll,crown_cover,shannon",
+    spectrum: Annotated[
+        str, listed(float, _TWO, "LOW,HIGH", "Range of the detector [nm].", counts=(2,))
+    ] = "400,2500",
+    widths: Annotated[
+        str, listed(float, _TWO, "LOW,HIGH", "Least and greatest width [nm].", counts=(2,))
+    ] = "10,100",
+    pixel: Annotated[float, typer.Option(metavar="M", help="Side of a pixel [m].")] = 0.1,
+    snr: Annotated[
+        float,
+        typer.Option(
+            help="Signal over shot noise of a pixel in 10 nm at 550 nm over a reflectance of 0.1."
+        ),
+    ] = 100.0,
+    compare: Annotated[
+        str, listed(str, "names", "NAME,...", "Other sensors, by name or file.")
+    ] = "mavic_3m,rededge_3,sentinel_2a",
+    free: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="PATTERN",
+            help="Unknown parameters, such as species.*.cover; may be repeated. If left out, "
+            "covers, diameters, dead tissue, chlorophyll, water, dry matter and the ground.",
+        ),
+    ] = None,
+    plantings: Annotated[
+        int, typer.Option(min=3, metavar="N", help="Plantings over which the target is a mean.")
+    ] = 4,
+    starts: Annotated[int, typer.Option(min=1, metavar="N", help="Ascents.")] = 8,
+    seed: OwnSeed = None,
+) -> None:
+    """Find the most informative bands of a sensor on a plot.
+
+    Writes centres and widths, a sensor file with them, what they gain over other sensors in
+    plantings left out of the design, figures and a report page.
+
+    Example:  fynjax design plot.toml --bands 4 --target dead_share,shannon --output designed
     """

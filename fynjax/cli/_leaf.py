@@ -83,6 +83,13 @@ def fit_leaf(
             "Where detectors change, such as 1000,1830; ASD files state it themselves.",
         ),
     ] = None,
+    transmittance: Annotated[
+        list[Path] | None,
+        typer.Option(
+            help="Transmittance of the same leaves (repeat for files), where no name or file says "
+            "it, as oak_R.asd and oak_T.asd do."
+        ),
+    ] = None,
     groups: Annotated[
         Path | None,
         typer.Option(help="CSV with columns name and species: fit leaves of a species together."),

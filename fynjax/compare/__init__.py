@@ -4,6 +4,7 @@ from fynjax.compare._dataset import unit_of, validation_dataset
 from fynjax.compare._drone import DroneComparison, compare_drone_images
 from fynjax.compare._images import DroneImage, read_drone_image
 from fynjax.compare._lidar_heights import LEVELS, Heights, compare_heights
+from fynjax.compare._plot_diversity import DISTANCE, REGRESSION, plot_diversity_table
 from fynjax.compare._plots import (
     FEATURES,
     FLIGHT,
@@ -39,6 +40,7 @@ from fynjax.compare._spectral import LEFT_OUT, SpectralComparison, compare_spect
 from fynjax.compare._vegetation import VegetationCheck, check_vegetation
 
 __all__ = [
+    "DISTANCE",
     "FEATURES",
     "FLIGHT",
     "LEFT_OUT",
@@ -47,6 +49,7 @@ __all__ = [
     "MODEL",
     "OTHERS",
     "PREDICTORS",
+    "REGRESSION",
     "BandReference",
     "DroneComparison",
     "DroneImage",
@@ -75,6 +78,7 @@ __all__ = [
     "leave_one_out",
     "mean_agreement",
     "misfit_table",
+    "plot_diversity_table",
     "read_drone_image",
     "read_spectra_sample",
     "table4_2006",

@@ -1,5 +1,11 @@
 """Diversity of what stands, of what an image shows, and how well species separate."""
 
+from fynjax.diversity._agreement import (
+    FEWEST_PLOTS,
+    mantel,
+    metric_agreement,
+    regression_agreement,
+)
 from fynjax.diversity._components import (
     PrincipalComponents,
     SpectralSpecies,
@@ -18,6 +24,7 @@ from fynjax.diversity._species import (
     DiversityParts,
     additive_partition,
     bray_curtis,
+    diversity_indices,
     hill_evenness,
     hill_number,
     hill_partition,
@@ -27,6 +34,7 @@ from fynjax.diversity._species import (
     simpson,
 )
 from fynjax.diversity._spectra import (
+    VARIETY,
     SpectralPartition,
     coefficient_of_variation,
     diversity_map,
@@ -35,6 +43,7 @@ from fynjax.diversity._spectra import (
     normalise_brightness,
     spectral_partition,
     spectral_rao,
+    spectral_variety,
     windows,
 )
 from fynjax.diversity._traits import (
@@ -48,6 +57,8 @@ from fynjax.diversity._traits import (
 )
 
 __all__ = [
+    "FEWEST_PLOTS",
+    "VARIETY",
     "Classification",
     "DiversityParts",
     "Phylogeny",
@@ -59,6 +70,7 @@ __all__ = [
     "bray_curtis",
     "classify",
     "coefficient_of_variation",
+    "diversity_indices",
     "diversity_map",
     "faith_diversity",
     "functional_dispersion",
@@ -69,13 +81,16 @@ __all__ = [
     "hull_volume",
     "jeffries_matusita_distance",
     "lit_pixels",
+    "mantel",
     "mean_pairwise_distance",
     "mean_spectral_angle",
+    "metric_agreement",
     "normalise_brightness",
     "pielou_evenness",
     "principal_components",
     "rao_entropy",
     "read_phylogeny",
+    "regression_agreement",
     "richness",
     "separability",
     "shannon",
@@ -83,5 +98,6 @@ __all__ = [
     "spectral_partition",
     "spectral_rao",
     "spectral_species",
+    "spectral_variety",
     "windows",
 ]

@@ -142,6 +142,40 @@ def pielou_evenness(cover: ArrayLike) -> PerPlot:
     return shannon(cover) / jnp.log(_several(cover))
 
 
+def diversity_indices(cover: ArrayLike) -> dict[str, NDArray[np.float64]]:
+    """What is usually asked of plots: richness [species], Shannon's entropy, Simpson's diversity,
+    Pielou's evenness [-], and the sum of the covers, in their unit.
+
+    **Arguments:** `cover`: [plot, species] covers, not negative; plots may be bare.
+
+    **Returns:** by name, [plot] each; NaN where an index has no value: of a bare plot all but
+    richness and cover, of one species evenness. Not differentiable.
+
+    **Raises:** `InputError` for covers of another shape, NaN, infinite or negative.
+
+    >>> from fynjax.diversity import diversity_indices
+    >>> found = diversity_indices([[0.2, 0.2], [0.3, 0.0]])
+    >>> found["richness"].tolist(), found["evenness"].tolist()
+    ([2.0, 1.0], [1.0, nan])
+    """
+    amount = np.asarray(cover, np.float64)
+    if amount.ndim != 2 or amount.size == 0:
+        raise InputError(f"`cover` must be [plot, species], but has shape {amount.shape}")
+    total = amount.sum(axis=1)
+    there = ~(total == 0.0)  # true for NaN, which must show
+    found: dict[str, NDArray[np.float64]] = {"richness": (amount > 0.0).sum(axis=1).astype(float)}
+    several = there & (found["richness"] > 1.0)
+    for name, index, has in (
+        ("shannon", shannon, there),
+        ("simpson", simpson, there),
+        ("evenness", pielou_evenness, several),
+    ):
+        found[name] = np.full(len(amount), np.nan)
+        if has.any():
+            found[name][has] = np.asarray(index(amount[has]))
+    return found | {"cover": total}
+
+
 def hill_evenness(cover: ArrayLike, order: float = 1.0) -> PerPlot:
     """Hill number less one over richness less one [-], from 0 (one rules) to 1 (all alike).
 

@@ -16,6 +16,10 @@ from fynjax.metrics import spectral_angle
 
 Spectra = Float[Array, "*window pixel band"]
 PerWindow = Float[Array, "*window"]
+VARIETY = ("cv", "angle", "rao", "variance")
+"""Names of what `spectral_variety` gives."""
+_RAO_PIXELS = 1000
+"""Pixels of which `spectral_variety` takes Rao's Q, at most: it compares each with each."""
 
 
 def windows(image: ArrayLike, size: int) -> Shaped[Array, "row column pixel band"]:
@@ -178,6 +182,31 @@ def spectral_rao(spectra: ArrayLike, valid: ArrayLike | None = None) -> PerWindo
         return jnp.sum(jnp.where(counts, jax.lax.map(from_one, x), 0.0)) / number**2
 
     return _each(one, data, keep, count)
+
+
+def spectral_variety(
+    spectra: ArrayLike, *, seed: int | np.random.Generator = 0
+) -> dict[str, float]:
+    """What is usually computed of the spectra of a plot: `cv`, the coefficient of variation [-];
+    `angle`, the mean angle to the mean spectrum [degree]; `rao`, Rao's Q, of at most a thousand
+    pixels; and `variance`, summed over bands.
+
+    **Arguments:** `spectra`: [pixel, band], finite; `seed`: of the choice of pixels for Rao's Q.
+
+    **Returns:** by name; NaN of fewer than two pixels. Not differentiable.
+
+    **Raises:** `InputError` as `coefficient_of_variation`.
+    """
+    data = np.asarray(spectra)
+    if len(data) < 2:
+        return dict.fromkeys(VARIETY, np.nan)
+    some = np.random.default_rng(seed).permutation(len(data))[:_RAO_PIXELS]
+    return {
+        "cv": float(coefficient_of_variation(data)),
+        "angle": float(mean_spectral_angle(data)),
+        "rao": float(spectral_rao(data[some])),
+        "variance": float(data.var(axis=0, ddof=1).sum()),
+    }
 
 
 class SpectralPartition(eqx.Module):

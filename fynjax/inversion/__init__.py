@@ -21,6 +21,13 @@ from fynjax.inversion._calibrate import (
     search_starts,
 )
 from fynjax.inversion._canopy import CanopyFit, fit_canopy
+from fynjax.inversion._design import (
+    CAMERAS,
+    DESIGN_FREE,
+    DESIGN_TARGET,
+    BandDesign,
+    design,
+)
 from fynjax.inversion._expected import Expected
 from fynjax.inversion._fit import (
     fit,
@@ -113,7 +120,10 @@ from fynjax.inversion._views import (
 )
 
 __all__ = [
+    "CAMERAS",
     "COARSE",
+    "DESIGN_FREE",
+    "DESIGN_TARGET",
     "GAIN",
     "IMAGE_STATISTICS",
     "INTERVALS",
@@ -124,6 +134,7 @@ __all__ = [
     "WELL_CONSTRAINED",
     "AbstractView",
     "AmortisedPosterior",
+    "BandDesign",
     "BroydenLM",
     "Calibration",
     "CalibrationSettings",
@@ -169,6 +180,7 @@ __all__ = [
     "check_samples",
     "coarser",
     "derivative_measures",
+    "design",
     "draws_like",
     "estimate_pixels",
     "even_bands",

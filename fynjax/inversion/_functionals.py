@@ -167,7 +167,7 @@ def _draws(
 
 
 @eqx.filter_jit
-def _slopes(
+def functional_slopes(
     scene: Scene,
     parameters: PlotParameters,
     space: Any,
@@ -216,7 +216,8 @@ def stand_table(
     drawn = _draws(scene, parameters, fit.space, jnp.asarray(normal.clip(-3.0, 3.0)), values)
     prior = np.asarray(drawn, float)
     value, slopes = (
-        np.asarray(x, float) for x in _slopes(scene, parameters, fit.space, fit.whitened, values)
+        np.asarray(x, float)
+        for x in functional_slopes(scene, parameters, fit.space, fit.whitened, values)
     )
     shares = np.array([one.unit == "-" for one in functionals.values()])
     low, high = (f(np.concatenate([prior, value[None]]), axis=0) for f in (np.min, np.max))

@@ -169,7 +169,7 @@ def sweep_sensors(
         camera = camera.sampled(1)  # one ray a pixel, or a voxel
         measured = []
         for planted in track(plantings, f"Render, sun at {sun:g} degrees"):
-            rendered = _image_and_slopes(camera, planted, lit, space.names, here)
+            rendered = image_and_slopes(camera, planted, lit, space.names, here)
             image, slopes = jax.device_get(rendered)
             measured.append(_measure(image, slopes, steps, bands, noise, draws, seed))
         together = {
@@ -216,7 +216,7 @@ def _check(
 
 
 @eqx.filter_jit
-def _image_and_slopes(
+def image_and_slopes(
     camera: AimedSensor,
     scene: Scene,
     parameters: PlotParameters,

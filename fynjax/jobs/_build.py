@@ -319,6 +319,7 @@ def instance_table(instances: Instances) -> pd.DataFrame:
             "diameter_m": instances.diameter.round(4),
             "height_m": instances.height.round(4),
         }
+        | ({} if instances.leaf is None else {"leaf": instances.leaf})
     )
 
 

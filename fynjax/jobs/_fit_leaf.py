@@ -214,6 +214,7 @@ def fit_leaf(
     domain: FitDomain = "full",
     panel: str | Path | None = None,
     detector_changes: Sequence[float] | None = None,
+    transmittance: Sequence[str | Path] = (),
     groups: str | Path | None = None,
     posterior: Sampling = "none",
     seed: int = 0,
@@ -249,6 +250,8 @@ def fit_leaf(
       files that hold it are absolute already.
     - `detector_changes`: wavelengths where detectors change [nm], at which jumps are taken out of
       all spectra, see `correct_detector_jumps`; `None` for those that an ASD file states.
+    - `transmittance`: files with the transmittance of the same leaves, by name or in the same
+      order, where neither names nor files say it (`fynjax.read_spectra`).
     - `groups`: a CSV with the columns `name` (of a spectrum) and `species`: leaves of a species are
       fitted together, and `species.csv` holds the mean leaf and five material variants of each,
       `leaves.csv` the variants of PROSPECT-D as a leaf table.
@@ -274,7 +277,7 @@ def fit_leaf(
         raise InputError("readings over a background need its reflectance, `background`")
     instrument = _measurement(measurement, leaf_shape, None if over_background else behind)
     area_factors(area, leaf_shape)  # refuses an unknown area before anything is read
-    read, refused = usable_spectra(paths, panel, detector_changes)
+    read, refused = usable_spectra(paths, panel, detector_changes, transmittance)
     spectra = measured_dataset(read, {})
     if over_background and behind is not None:
         second, bad = usable_spectra(over_background, panel, detector_changes)

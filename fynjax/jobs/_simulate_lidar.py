@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
+import pandas as pd
 
 from fynjax._core.dry_run import begin_work
 from fynjax._core.errors import InputError
@@ -19,7 +20,7 @@ from fynjax.jobs._run import Run
 from fynjax.radiation import VoxelScene
 from fynjax.report.figures import height_profiles, side_view
 from fynjax.report.pages import Page, Part, Picture, Section, Table
-from fynjax.scene import hard_scene, observe
+from fynjax.scene import ReturnTruth, hard_scene, observe
 from fynjax.sensors import FlashGeometry, Lidar, LidarBeams, LidarReturns
 from fynjax.sensors.lidar import GROUND
 
@@ -65,7 +66,10 @@ def simulate_lidar(
         scene = hard_scene(scene, parameters)
         extent, level = scene.grid.extent, scene.ground_level
         pulses = len(lidar.beams(extent[:2], top=extent[2], ground=level, seed=run.seed))
-    begin_work({"cloud.laz": "", "waveforms.nc": f"{pulses} pulses", "report.html": ""})
+    begin_work(
+        {"cloud.laz": "", "cloud_species.csv": f"{len(scene.taxa)} species", "truth.nc": "",
+         "waveforms.nc": f"{pulses} pulses", "report.html": ""}
+    )  # fmt: skip
     with run.stage("Send the pulses", "observe"):
         observation = observe(scene, lidar, parameters=parameters, noise=noise, seed=run.seed)
     voxels, beams, returns = observation.voxels, observation.beams, observation.returns
@@ -75,6 +79,8 @@ def simulate_lidar(
             f"{lidar.geometry.altitude:g} m below, and is the signal above the noise?",
             file=plot.file,
         )
+    with run.stage("Find the species of the returns", "truth"):
+        truth = observation.truth()
     with run.stage("Compare with what was planted", "profile"):
         heights = compare_heights(
             scene, parameters, voxels, beams, returns, sublayers=observation.sublayers
@@ -86,9 +92,20 @@ def simulate_lidar(
         place, ground = plot_place(plot), ground_heights(plot)
         lowest = 0.0 if ground is None or place.crs is None else float(ground.min())
         cloud, origin = run.path("cloud.laz", "point cloud, LAS 1.4"), (*place.origin_m, lowest)
-        write_cloud(cloud, returns, origin_m=origin, crs=place.crs, attributes=record)
+        write_cloud(
+            cloud,
+            returns,
+            origin_m=origin,
+            crs=place.crs,
+            attributes=record,
+            leading=truth.leading(),
+        )
         waveforms = run.path("waveforms.nc", "waveform of every pulse, NetCDF")
         write_run(waveforms, observation.to_xarray(), record)
+        what = "share of each species in each return, NetCDF"
+        write_run(run.path("truth.nc", what), truth.to_xarray(), record)
+        species = _species_table(truth)
+        run.table("cloud_species.csv", species, "number of each species in cloud.laz", None)
         what = "percentiles of height of returns and of planted area"
         run.table("heights.csv", heights.table(), what, None)
     counts = _counts(plot, beams, returns)
@@ -96,7 +113,8 @@ def simulate_lidar(
     warnings = _warnings(lidar, voxels, beams)
     with run.stage("Draw", "figures"):
         run.total()
-        sections = _sections(run, plot, lidar, returns, heights, [*headline[1:], *warnings])
+        remarks = [*headline[1:], *warnings]
+        sections = _sections(run, plot, lidar, returns, heights, species, remarks)
         keys = {
             "returns per m²": f"{counts['returns_per_m2']:.1f}",
             "pulses per m²": f"{counts['pulses_per_m2']:.1f}",
@@ -110,6 +128,14 @@ def simulate_lidar(
         percentile_rmse_m=heights.rmse,
         **counts,
     )
+
+
+def _species_table(truth: ReturnTruth) -> pd.DataFrame:
+    """Number of each species in the cloud, and of how many returns it is the leading one."""
+    leading, _ = truth.leading()
+    count = np.bincount(leading + 1, minlength=len(truth.taxa) + 1)
+    names = ("ground or none", *truth.taxa)
+    return pd.DataFrame({"species": range(len(names)), "taxon": names, "returns": count})
 
 
 def _light_of(lidar: Lidar) -> str:
@@ -175,7 +201,7 @@ def _headline(plot: Plot, lidar: Lidar, counts: dict[str, float], heights: Heigh
 
 
 def _sections(run: Run, plot: Plot, lidar: Lidar, returns: LidarReturns, heights: Heights,
-              remarks: list[str]) -> list[Section]:  # fmt: skip
+              species: pd.DataFrame, remarks: list[str]) -> list[Section]:  # fmt: skip
     title = f"{plot.name}, {lidar.name}"
     parts: list[Part] = [
         " ".join(remarks),
@@ -194,6 +220,7 @@ def _sections(run: Run, plot: Plot, lidar: Lidar, returns: LidarReturns, heights
             "above the third.",
         ),
         Table(heights.table(), "Percentiles of height above ground.", folded=True),
+        Table(species, "Species that most of a return's light comes from.", folded=True),
         f"{lidar.source} {_light_of(lidar)}",
         run.times(folded=True),
     ]

@@ -2,7 +2,7 @@
 
 from fynjax.leaf._area import FLAT, ROUND, LeafArea, LeafShape, area_factors
 from fynjax.leaf._coefficients import ProspectVersion
-from fynjax.leaf._detectors import LARGEST_JUMP, correct_detector_jumps
+from fynjax.leaf._detectors import DARKEST_JUMP, LARGEST_JUMP, correct_detector_jumps
 from fynjax.leaf._error_model import (
     ErrorModel,
     bin_centres,
@@ -42,6 +42,7 @@ from fynjax.leaf._result import LeafFit, LeafStatus
 from fynjax.leaf._transmissivity import exponential_integral, layer_absorptance
 
 __all__ = [
+    "DARKEST_JUMP",
     "FLAT",
     "LARGEST_JUMP",
     "LEAF_PARAMETERS",

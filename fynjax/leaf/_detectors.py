@@ -11,12 +11,15 @@ from fynjax._core.errors import InputError
 _REACH = 12.0
 LARGEST_JUMP = 0.15
 """Largest jump that counts as drift of a detector, relative [-]."""
+DARKEST_JUMP = 0.1
+"""Where a spectrum is darker at a change of detectors, an offset would look like a gain [-]."""
 
 
 def correct_detector_jumps(
     wavelength: Float[np.ndarray, " band"],
     spectra: Float[np.ndarray, "*leaf band"],
     changes: Sequence[float],
+    measured: Sequence[float] | None = None,
 ) -> tuple[Float[np.ndarray, "*leaf band"], Float[np.ndarray, "*leaf change"]]:
     """Scale the detectors of each spectrum so that it runs smoothly across their changes.
 
@@ -24,13 +27,17 @@ def correct_detector_jumps(
     the step; the ratio of the two is the jump. The detector with most bands is the reference (the
     first SWIR detector of an ASD, the one that does not drift while the instrument warms up) and
     the others are multiplied. A ratio further than 15 % from 1 is a fault other than drift and
-    is not corrected, nor is a change without three good bands on each side.
+    is not corrected, nor is a change without three good bands on each side, nor one where the
+    spectrum is below 0.1, as in the water band about 1905 nm: there a jump says more of an offset
+    than of a gain.
 
     **Arguments:**
 
     - `wavelength`: band centres [nm], ascending.
     - `spectra`: reflectance or transmittance [-], NaN where missing.
     - `changes`: last wavelength of each detector but the last [nm], such as 1000 and 1830.
+    - `measured`: the jump at each change [-], where both detectors saw the same bands; NaN for one
+      that is to be found by the lines.
 
     **Returns:** the corrected spectra, of the shape of `spectra`, and the jump at each change, the
     ratio right over left minus 1 [-], NaN where it could not be measured. NumPy; not
@@ -48,6 +55,7 @@ def correct_detector_jumps(
     members = np.bincount(place, minlength=len(changes) + 1)
     reference = int(np.argmax(members))
     jumps = np.full((len(rows), len(changes)), np.nan)
+    bright = np.zeros(jumps.shape, bool)
     for number in range(len(changes)):
         left, right = grid[place <= number], grid[place > number]
         if left.size == 0 or right.size == 0:
@@ -60,7 +68,11 @@ def correct_detector_jumps(
         with np.errstate(invalid="ignore", divide="ignore"):
             jump = ends[1] / ends[0] - 1.0
             jumps[:, number] = np.where((ends[0] > 0) & (ends[1] > 0), jump, np.nan)
-    usable = np.isfinite(jumps) & (np.abs(np.nan_to_num(jumps)) <= LARGEST_JUMP)
+            bright[:, number] = np.minimum(*ends) >= DARKEST_JUMP
+    if measured is not None:
+        known = np.asarray(measured, float)
+        jumps = np.where(np.isfinite(known), known, jumps)
+    usable = np.isfinite(jumps) & (np.abs(np.nan_to_num(jumps)) <= LARGEST_JUMP) & bright
     ratio = np.where(usable, 1.0 + np.nan_to_num(jumps), 1.0)
     gains = np.ones((len(rows), len(changes) + 1))
     for side in range(reference - 1, -1, -1):

@@ -8,7 +8,7 @@ from fynjax.scene._cover import ProjectedCover, crown_centres, projected_cover
 from fynjax.scene._ground import COVERS, Ground, ground_shares, random_patches
 from fynjax.scene._instances import Instances, hard_counts, hard_instances, hard_scene
 from fynjax.scene._large import TiledPicture, is_large
-from fynjax.scene._lidar import LidarObservation, observe_lidar
+from fynjax.scene._lidar import LidarObservation, ReturnTruth, observe_lidar
 from fynjax.scene._observe import (
     DRONE,
     AimedSensor,
@@ -71,7 +71,7 @@ from fynjax.scene._spectra import (
 )
 from fynjax.scene._stand import StandArea, stand_area
 from fynjax.scene._structure import fitting_structure, scene_structure
-from fynjax.scene._truth import PixelTruth, pixel_truth, truth_of_pixels
+from fynjax.scene._truth import PixelTruth, pixel_truth, truth_of_layers, truth_of_pixels
 
 keep_compiled()
 
@@ -99,6 +99,7 @@ __all__ = [
     "PlotAir",
     "PlotParameters",
     "ProjectedCover",
+    "ReturnTruth",
     "Scene",
     "Species",
     "SpeciesParameters",
@@ -143,6 +144,7 @@ __all__ = [
     "species_rows",
     "stand_area",
     "stand_realisation",
+    "truth_of_layers",
     "truth_of_pixels",
     "visible_sensor",
     "with_values",

@@ -6,10 +6,11 @@ from typing import TYPE_CHECKING, Any
 import equinox as eqx
 import jax
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from fynjax._core.errors import InputError
 from fynjax._core.html import as_html
+from fynjax.canopy import Organ
 from fynjax.metrics.structure import STRUCTURE_METRICS, StructureSettings
 from fynjax.radiation import VoxelScene
 from fynjax.scene._parameters import PlotParameters
@@ -25,11 +26,74 @@ from fynjax.sensors import (
     lidar_waveforms,
     received_electrons,
 )
-from fynjax.sensors.lidar import GROUND
+from fynjax.sensors.lidar import GROUND, shares_of_returns
 
 if TYPE_CHECKING:
     import pandas as pd
     import xarray as xr
+
+
+@dataclasses.dataclass(frozen=True)
+class ReturnTruth:
+    """What the light of each discrete return comes from: shares of the light scattered once that
+    reaches the receiver in a sample about the return's range. They sum to one, but for returns of
+    noise alone, where all are 0."""
+
+    species: Float[np.ndarray, "species return"]
+    """Share of any part of each species [-]."""
+    ground: Float[np.ndarray, " return"]
+    """Share of the ground [-]."""
+    taxa: tuple[str, ...]
+    """Name of each species."""
+    position: Float[np.ndarray, "return 3"]
+    """x, y, z of each return [m], as of `LidarReturns`."""
+
+    def leading(self) -> tuple[Int[np.ndarray, " return"], Float[np.ndarray, " return"]]:
+        """The species with the largest share of each return as its place in `taxa`, -1 where the
+        ground has a larger share or nothing has any; and the largest share of a species [-]."""
+        place, share = self.species.argmax(axis=0), self.species.max(axis=0)
+        return np.where(share > self.ground, place, -1), share
+
+    def to_xarray(self) -> "xr.Dataset":
+        """All shares, the leading species and its share as a dataset with names and units."""
+        import xarray as xr  # late: the command line need not wait for it
+
+        place, share = self.leading()
+        words = "share of the return's light that is from "
+        data: dict[str, Any] = {
+            "species_share": (
+                ("species", "return"),
+                self.species.astype(np.float32),
+                {"units": "1", "long_name": words + "any part of a species"},
+            ),
+            "ground_share": (
+                "return",
+                self.ground.astype(np.float32),
+                {"units": "1", "long_name": words + "the ground"},
+            ),
+            "leading_species": ("return", place.astype(np.int16), leading_flags(self.taxa)),
+            "leading_share": (
+                "return",
+                share.astype(np.float32),
+                {"units": "1", "long_name": words + "the species with the largest share"},
+            ),
+        }
+        coordinates: dict[str, Any] = {
+            "species": ("species", list(self.taxa), {"long_name": "taxon"})
+        }
+        for letter, values in zip("xyz", self.position.T, strict=True):
+            coordinates[letter] = "return", values, {"units": "m", "long_name": f"{letter} of it"}
+        return xr.Dataset(data, coordinates, {"title": "what a LiDAR's returns come from"})
+
+
+def leading_flags(taxa: tuple[str, ...]) -> dict[str, Any]:
+    """Attributes of a layer of leading species, -1 for none of `taxa`."""
+    return {
+        "long_name": "species with the largest share",
+        "units": "1",
+        "flag_values": np.arange(-1, len(taxa), dtype=np.int16),
+        "flag_meanings": " ".join(t.replace(" ", "_") for t in ("none", *taxa)),
+    }
 
 
 class LidarObservation(eqx.Module):
@@ -51,6 +115,26 @@ class LidarObservation(eqx.Module):
     """Electrons that the receiver counts, its mean background taken off [-]."""
     returns: LidarReturns | None
     """Discrete returns; None inside a transformation, as they are found one by one."""
+    leaves: Array
+    """JAX key by which the leaves that pulses hit were drawn."""
+
+    def truth(self) -> ReturnTruth:
+        """Which species the light of each return comes from, and how much of it from the ground:
+        of the very leaves that were drawn for the waveforms. Light that was scattered more than
+        once is left out. Not differentiable.
+
+        **Raises:** `InputError` inside a transformation.
+        """
+        returns, organs = self._returns(), len(Organ)
+        voxels = self.scene.voxels_by_organ(self.parameters, self.lidar.bands)
+        groups = tuple(
+            tuple(range(i * organs, (i + 1) * organs)) for i in range(len(self.scene.taxa))
+        )
+        species, ground = shares_of_returns(
+            voxels, self.lidar, self.beams, returns, groups,
+            key=self.leaves, sublayers=self.sublayers,
+        )  # fmt: skip
+        return ReturnTruth(species, ground, self.scene.taxa, returns.position)
 
     def metric(self, name: str, *, grain: float | None = None) -> Float[Array, ""]:
         """A number of the structure that first returns of so many pulses are expected to have, by
@@ -216,7 +300,7 @@ def observe_lidar(
     if not isinstance(electrons, jax.core.Tracer):
         returns = detect_returns(lidar, beams, np.asarray(electrons), waveforms)
     return LidarObservation(
-        scene, parameters, lidar, voxels, beams, sublayers, waveforms, electrons, returns
+        scene, parameters, lidar, voxels, beams, sublayers, waveforms, electrons, returns, leaves
     )
 
 

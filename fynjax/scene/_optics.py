@@ -120,9 +120,9 @@ def class_angles(
 ) -> tuple[tuple[AbstractLeafAngle, ...], tuple[int, ...]]:
     """The distinct inclinations of a plot, and for each optical class the place of its own."""
     keys: list[int | str] = []
-    for i, own in leaf_classes(species).items():
+    for i, classes in leaf_classes(species).items():
         key = FORMS[species[i].form].leaf_angle if species[i].leaf_angle is None else i
-        keys += [key] * len(own)
+        keys += [key] * len(classes)
     keys += ["spherical", "spherical"]
     distinct = tuple(dict.fromkeys(keys))
     own = [species[k].leaf_angle if isinstance(k, int) else leaf_angle(k) for k in distinct]

@@ -12,6 +12,7 @@ from jaxtyping import Array, Float
 from fynjax._core.html import as_html
 from fynjax.canopy import Organ
 from fynjax.radiation import look
+from fynjax.scene._lidar import leading_flags
 from fynjax.scene._observe import AimedSensor, aimed_at, map_attributes, map_coordinates
 from fynjax.scene._parameters import PlotParameters
 from fynjax.scene._scene import Scene, slope_of_fading
@@ -78,13 +79,7 @@ class PixelTruth(eqx.Module):
         for name in ("sunlit_ground", "shaded_ground"):
             data[name] = (("y", "x"), np.asarray(getattr(self, name)), _share(name))
         place, share = self.leading()
-        flags = {
-            "long_name": "species with the largest share of the pixel",
-            "units": "1",
-            "flag_values": np.arange(-1, len(self.taxa), dtype=np.int16),
-            "flag_meanings": " ".join(t.replace(" ", "_") for t in ("none", *self.taxa)),
-        }
-        data["leading_species"] = (("y", "x"), place.astype(np.int16), flags)
+        data["leading_species"] = (("y", "x"), place.astype(np.int16), leading_flags(self.taxa))
         data["leading_share"] = (("y", "x"), share, _share("the leading species"))
         title = f"what {self.sensor} sees of a simulated plot"
         return xr.Dataset(data, coordinates, map_attributes(title, self.pixel))
@@ -153,7 +148,17 @@ def truth_of_pixels(aimed: AimedSensor, scene: Scene, parameters: PlotParameters
     **Returns:** as `pixel_truth`.
     """
     parameters = jax.tree.map(lambda x: jnp.asarray(x, scene.dtype), parameters)
-    layers = _layers(scene, parameters, aimed)
+    return truth_of_layers(_layers(scene, parameters, aimed), aimed, scene, parameters)
+
+
+def truth_of_layers(
+    layers: Float[Array, "layer y x"],
+    aimed: AimedSensor,
+    scene: Scene,
+    parameters: PlotParameters,
+) -> PixelTruth:
+    """What pixels see, from shares of each organ of each species, of sunlit and of shaded ground,
+    such as `TiledPicture.sight` has of a large picture."""
     *canopy, lit, shade = layers
     leaf, wood, flowers = (jnp.stack(canopy[organ :: len(Organ)]) for organ in Organ)
     dead = parameters.species.dead_fraction[:, None, None]

@@ -61,6 +61,7 @@ DAMAGED = {
     "sensitivity": "species.csv",
     "information": "plot.toml",
     "diversity": "species.csv",
+    "design": "species.csv",
     "fit-leaf": "leaves.csv",
     "convert": "leaves.csv",
     "bioscape-learn": "tables/*VegCenters.csv",
@@ -78,6 +79,7 @@ WRONG = {
     "sensitivity": ["--sobol", "3"],
     "information": ["--bands", "3,8"],
     "diversity": ["--pixels", "0.125,0.3"],
+    "design": ["--widths", "50,20"],
     "bioscape-learn": ["--plot", "none_of_these"],
     "fit-leaf": ["--background", "0.5"],
 }

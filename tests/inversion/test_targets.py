@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from rasterio import Affine
+from scipy.ndimage import gaussian_filter, map_coordinates, uniform_filter
 
 from fynjax._core.errors import InputError
 from fynjax.assembly import _targets, read_targets
@@ -66,3 +67,31 @@ def test_an_image_of_other_pixels_than_the_sensors_is_simulated_in_its_own(tmp_p
         target = image_target(plot, path)
         assert target.view_of(None, None) == pytest.approx(pixel)
         assert ("are simulated" in target.description) == (pixel != own)
+
+
+def test_a_resampled_image_is_simulated_by_what_its_pixels_average_over(tmp_path, monkeypatch):
+    plot = read_plot(example_folder() / "plot.toml")
+    monkeypatch.setattr(_targets, "image_view", lambda plot, *_: sensor_place(plot)[1])
+    image = np.random.default_rng(0).uniform(0.1, 0.2, (4, 40, 40))
+    write_geotiff(tmp_path / "a.tif", image, list(BANDS), pixel_m=0.06, crs="EPSG:32734")
+    own = image_target(plot, tmp_path / "a.tif")
+    plot = plot.replace(sensor=plot.sensor.replace(footprint_m=0.043))
+    sharp = image_target(plot, tmp_path / "a.tif")
+    assert (own.view_of(None, None), sharp.view_of(None, None)) == (pytest.approx(0.06), 0.043)
+    np.testing.assert_array_equal(own.data.value, sharp.data.value)
+    assert "average over 0.043 m" in sharp.description
+
+
+def test_bilinear_interpolation_averages_over_root_three_of_the_pixel_before():
+    """What the page on `calibrate` says of images that are rotated to wider pixels."""
+    random = np.random.default_rng(2)
+    ground = gaussian_filter(random.normal(size=(2000, 2000)), 15.0, mode="wrap")
+    before = uniform_filter(ground, 20, mode="wrap")[::20, ::20]
+    line = np.arange(100) * 2.4 + 3.0
+    x, y = np.meshgrid(line, line)
+    turned = np.cos(0.4) * x - np.sin(0.4) * y, np.sin(0.4) * x + np.cos(0.4) * y
+    after = map_coordinates(before, turned, order=1, mode="grid-wrap").std()
+    spread = [uniform_filter(ground, width, mode="wrap").std() for width in (20, 35, 48)]
+    assert after == pytest.approx(spread[1], rel=0.02)
+    assert spread[2] < 0.9 * after
+    assert spread[0] > 1.1 * after

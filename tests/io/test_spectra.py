@@ -1,5 +1,6 @@
 """Readers of spectra: real files, each stated layout, and each kind of bad input."""
 
+import re
 import shutil
 import struct
 
@@ -9,13 +10,14 @@ import pandas as pd
 import pytest
 import xarray as xr
 
+import fynjax as fx
 from fynjax import leaf
 from fynjax._core.errors import InputError
 from fynjax.cli import main
 from fynjax.io.spectra import read_spectra_file
 from fynjax.jobs._convert import convert
 from fynjax.jobs._fit_leaf import fit_leaf
-from fynjax.leaf import LeafParameters, area_factors, prospect
+from fynjax.leaf import LeafParameters, area_factors, correct_detector_jumps, prospect
 from tests.helpers import assert_valid_summary
 
 WAVELENGTH = np.arange(400.0, 2501.0)
@@ -594,6 +596,12 @@ def test_spectral_evolution_gives_its_reflectance(tmp_path):
     (spectrum,) = read_spectra_file(tmp_path / "leaf.sed")
     np.testing.assert_allclose(spectrum.reflectance, [0.04, 0.05])
     (tmp_path / "leaf.sed").write_text(SED.replace("Reflect. %", "Rad. (Other)"))
+    (spectrum,) = read_spectra_file(tmp_path / "leaf.sed")
+    np.testing.assert_allclose(spectrum.reflectance, 0.3 / 7.5)
+    assert spectrum.meta["repairs"] == ["reflectance formed as target over white reference"]
+    (tmp_path / "leaf.sed").write_text(
+        SED.replace("Reflect. %", "Rad. (Other)").replace("DN (Ref.)", "DN (Sky)")
+    )
     with pytest.raises(InputError, match="no column of reflectance"):
         read_spectra_file(tmp_path / "leaf.sed")
     (tmp_path / "short.sig").write_text(SIG.replace("  43.00", ""))
@@ -622,3 +630,153 @@ def test_conversion_keeps_every_value_and_says_what_was_refused(tmp_path):
     for spectrum, reflectance in zip(again, nc.reflectance.values, strict=True):
         np.testing.assert_allclose(spectrum.reflectance, reflectance, rtol=1e-6)
     np.testing.assert_allclose(again[3].transmittance, nc.transmittance.values[3], rtol=1e-6)
+
+
+def test_reflectance_and_transmittance_in_two_files_are_one_leaf(shared_data, tmp_path):
+    folder = shared_data / "field" / "07_sphere-R-and-T-as-two-files"
+    with pytest.warns(UserWarning, match="white panel"):
+        spectra = fx.read_spectra([folder / "oak01_R.asd", folder / "oak01_T.asd"])
+    pair = pd.read_csv(folder / "pair.csv")
+    for quantity, mark in (("reflectance", "R"), ("transmittance", "T")):
+        np.testing.assert_allclose(spectra[quantity].values[0], pair[f"oak01_{mark}"], atol=1e-3)
+    assert spectra["spectrum"].values.tolist() == ["oak01"]
+    assert "transmittance from oak01_T.asd" in spectra["repairs"].item()
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "through"),
+    [
+        ("oak_R.csv", "oak_T.csv", True),
+        ("R_oak.csv", "T_oak.csv", True),
+        ("oak-refl-3.csv", "oak-trans-3.csv", True),
+        ("oak_R00004.csv", "oak_T00004.csv", True),
+        ("oak reflectance.csv", "OAK transmittance.csv", True),
+        ("reflectance/oak.csv", "transmittance/oak.csv", True),
+        ("oak.csv", "oak_tran.csv", True),
+        ("oak_R.csv", "elm_T.csv", False),
+        ("oak_R1.csv", "oak_T2.csv", False),
+    ],
+)
+def test_names_that_make_a_pair(first, second, through, tmp_path):
+    for name, level in ((first, 0.4), (second, 0.3)):
+        path = tmp_path / "leaves" / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(f"500,{level}\n600,{level}\n")
+    spectra = fx.read_spectra(tmp_path / "leaves")
+    assert spectra.sizes["spectrum"] == (1 if through else 2)
+    if through:
+        np.testing.assert_allclose(spectra["reflectance"], 0.4)
+        np.testing.assert_allclose(spectra["transmittance"], 0.3)
+
+
+def test_a_transmittance_without_its_reflectance_is_doubted(tmp_path):
+    (tmp_path / "elm_T.sed").write_text(SED)
+    with pytest.warns(UserWarning, match=r"elm_T\.sed: the name is that of a transmittance"):
+        assert "transmittance" not in fx.read_spectra(tmp_path)
+    (tmp_path / "elm_T.sed").rename(tmp_path / "elm_trans.sed")
+    assert "reflectance" not in fx.read_spectra(tmp_path)
+
+
+def test_transmittance_is_stated(tmp_path):
+    for name, level in (("a.csv", 0.4), ("b.csv", 0.5), ("x.csv", 0.3), ("y.csv", 0.2)):
+        (tmp_path / name).write_text(f"500,{level}\n600,{level}\n")
+    paths = [[tmp_path / f"{name}.csv" for name in pair] for pair in ("ab", "xy")]
+    spectra = fx.read_spectra(paths[0], transmittance=paths[1])
+    np.testing.assert_allclose(spectra["transmittance"].values[:, 0], [0.3, 0.2])
+    np.testing.assert_allclose(spectra["reflectance"].values[:, 0], [0.4, 0.5])
+    with pytest.raises(InputError, match="of 2 leaves there are 1"):
+        fx.read_spectra(paths[0], transmittance=paths[1][:1])
+
+
+def test_bands_of_a_saturated_detector_are_missing(shared_data, tmp_path):
+    path = shared_data / "field" / "06_saturated-scan" / "asd_swir1_saturated.asd"
+    (spectrum,) = read_spectra_file(path)
+    missing = spectrum.wavelength[np.isnan(spectrum.reflectance)]
+    assert (missing.min(), missing.max()) == (1001.0, 1800.0)
+    content = bytearray(path.read_bytes())
+    for flag, low, high in ((1, 350.0, 1000.0), (4, 1801.0, 2500.0), (5, 350.0, 2500.0), (0, 0, 0)):
+        content[422] = flag
+        (tmp_path / "a.asd").write_bytes(content)
+        (spectrum,) = read_spectra_file(tmp_path / "a.asd")
+        missing = spectrum.wavelength[np.isnan(spectrum.reflectance)]
+        assert not flag or (missing.min(), missing.max()) == (low, high)
+        assert bool(missing.size) == bool(flag)
+    content[422] = 16
+    (tmp_path / "a.asd").write_bytes(content)
+    (spectrum,) = read_spectra_file(tmp_path / "a.asd")
+    assert np.isfinite(spectrum.reflectance).all()
+    assert "cooling of the SWIR 2" in spectrum.meta["repairs"][-1]
+
+
+@pytest.mark.parametrize(("error", "said"), [("7, 0", False), ("6, 2", True), ("0,7", True)])
+def test_svc_errors_of_the_target_are_said(error, said, tmp_path):
+    (tmp_path / "leaf.sig").write_text(SIG.replace("units=", f"error= {error}\nunits="))
+    (spectrum,) = read_spectra_file(tmp_path / "leaf.sig")
+    assert any("error" in sentence for sentence in spectrum.meta["repairs"]) == said
+
+
+def test_the_overlap_of_detectors_tells_their_jump(shared_data):
+    folder = shared_data / "field" / "02_svc-overlap-vs-maker"
+    got = {}
+    for name in ("syn_clean", "syn_clean_nooverlap", "syn_swir2_offset_+0.003"):
+        spectra = fx.read_spectra(folder / f"{name}.sig")
+        got[name] = spectra["reflectance"].values[0], spectra["repairs"].item()
+        assert "taken out" not in got[name][1]
+    assert "since an offset would look like it" in got["syn_swir2_offset_+0.003"][1]
+
+
+def test_a_gain_of_the_overlap_is_taken_out(tmp_path):
+    """A leaf with a slope and a gain of 5 % of its second detector: the lines beside the cut would
+    give another one."""
+    first, second = np.arange(900.0, 1011.0, 1.5), np.arange(970.0, 1200.0, 4.0)
+    level = lambda w: 40.0 + 0.05 * (w - 990.0) + 4e-4 * (w - 990.0) ** 2  # noqa: E731
+    rows = [(w, level(w)) for w in first] + [(w, 1.05 * level(w)) for w in second]
+    lines = SIG.splitlines()[:5] + [f"{w:.1f}  100.0  100.0  {v:.4f}" for w, v in rows]
+    (tmp_path / "leaf.sig").write_text("\n".join(lines))
+    spectra = fx.read_spectra(tmp_path / "leaf.sig")
+    assert "+5.0 %, taken out" in spectra["repairs"].item()
+    grid, values = spectra["wavelength"].values, spectra["reflectance"].values[0]
+    gain = values / (level(grid) / 100.0)
+    assert np.ptp(gain) < 1e-3
+
+
+def test_a_text_export_is_treated_as_its_binary_is(shared_data, tmp_path):
+    names = ("enmap_ribb00005", "kai_v7sample__v7sample00004", "serbin_PM01_TIAM_B_LC_REFL00005")
+    for name in names:
+        path = shared_data / "leaf" / "asd" / f"{name}.asd"
+        (spectrum,) = read_spectra_file(path)
+        values = spectrum.reflectance
+        if name.startswith("serbin"):  # a jump of 8 % of the first detector
+            values = np.where(spectrum.wavelength <= 1000.0, 0.92 * values, values)
+        text = tmp_path / f"{name}.txt"
+        rows = (f"{w:g}\t{v:.8f}\n" for w, v in zip(spectrum.wavelength, values, strict=True))
+        text.write_text("Wavelength\tleaf\n" + "".join(rows))
+        out = fx.read_spectra(text)["reflectance"].values[0]
+        binary, _ = correct_detector_jumps(spectrum.wavelength, values, spectrum.meta["splices"])
+        good = np.isfinite(out) & np.isfinite(binary) & (spectrum.wavelength > 420.0)
+        np.testing.assert_allclose(out[good], binary[good], rtol=0.012, atol=1e-3)
+
+
+def test_a_smooth_leaf_on_the_bands_of_an_asd_has_no_jump(shared_data):
+    pair = shared_data / "field" / "07_sphere-R-and-T-as-two-files" / "pair.csv"
+    assert fx.read_spectra(pair)["repairs"].item() == ""
+
+
+def test_columns_that_are_no_leaves_are_left_out_with_a_word(tmp_path):
+    path = tmp_path / "leaves.csv"
+    waves = [500.0, 600.0, 700.0]
+    for name in (
+        "Standard Deviation", "mean", "leaf SD", "oak_std", "SE", "Std. Error", "median", "Max",
+        "n", "Mean ± SD", "CV", "variance", "q95",
+    ):  # fmt: skip
+        table(path, {"wavelength": waves, "oak": [0.1, 0.2, 0.3], name: [0.01, 0.01, 0.02]})
+        with pytest.warns(UserWarning, match=f"no leaves: '{re.escape(name)}'"):
+            spectra = fx.read_spectra(path)
+        assert spectra["spectrum"].values.tolist() == ["oak"]
+    for copy in (waves, [w / 1e3 for w in waves]):
+        table(path, {"wavelength": waves, "oak": [0.1, 0.2, 0.3], "lambda 2": copy})
+        with pytest.warns(UserWarning, match="no leaves: 'lambda 2'"):
+            fx.read_spectra(path)
+    for name in ("mean", "Seriphium", "Standardia", "max_height_oak", "Nsd1"):
+        table(path, {"wavelength": waves, name: [0.1, 0.2, 0.3]})
+        assert fx.read_spectra(path).sizes["spectrum"] == 1

@@ -2,6 +2,7 @@
 
 import laspy
 import numpy as np
+import pandas as pd
 import pytest
 import xarray as xr
 from rasterio import Affine
@@ -51,6 +52,25 @@ def test_files_are_there_and_agree(run):
         height = pulse.origin_z + distance * pulse.direction_z
         points_of_pulse = z[np.asarray(cloud.pulse) == first]
         assert np.abs(points_of_pulse - float(height)).min() < 0.15
+
+
+def test_the_cloud_has_the_species_of_its_returns(run):
+    summary, folder = run
+    cloud = laspy.read(folder / "out" / "cloud.laz")
+    names = pd.read_csv(folder / "out" / "cloud_species.csv")
+    assert names["taxon"].tolist() == ["ground or none", "Erica irregularis", "Restio eleocharis"]
+    place = np.asarray(cloud.species).astype(int)
+    np.testing.assert_array_equal(np.bincount(place, minlength=3), names["returns"])
+    assert names["returns"].min() > 0.02 * summary.returns
+    with xr.open_dataset(folder / "out" / "truth.nc") as truth:
+        np.testing.assert_allclose(truth.species_share.sum("species") + truth.ground_share, 1.0,
+                                   atol=1e-5)  # fmt: skip
+        np.testing.assert_array_equal(place, truth.leading_species + 1)
+        np.testing.assert_allclose(cloud.species_share, truth.leading_share, atol=1e-6)
+        assert truth.species.values.tolist() == names["taxon"].tolist()[1:]
+    # Light scattered more than once is left out, which hardly moves what a return is of.
+    ground = np.asarray(cloud.classification) == 2
+    assert np.mean(ground == (place == 0)) > 0.95
 
 
 def test_the_summary_says_what_was_measured(run):

@@ -11,8 +11,10 @@ import pandas as pd
 import pytest
 
 import fynjax as fx
+from fynjax.assembly import build_plot
 from fynjax.canopy import table1_2006
 from fynjax.errors import InputError
+from fynjax.io.plot import read_plot
 from fynjax.leaf import fit_leaf_groups
 from fynjax.scene import (
     LEAF_FIELDS,
@@ -29,6 +31,7 @@ from fynjax.scene import (
     truth_of_pixels,
 )
 from fynjax.sensors import shipped_sensor
+from tests.small import write_plot
 
 from .plots import drone, render, small_parameters, small_plot
 
@@ -176,11 +179,11 @@ def test_traits_of_leaves_are_those_stated_and_the_spread_scales_them():
         Scene.from_table(
             rows, size=1.0, voxel=0.5, structure="even", leaves={taxon: leaf}, dtype="float64"
         )
-        for leaf in leaves
+        for leaf in (*leaves, leaves[0] | {"chlorophyll": 0.0, "dry_matter": 0.0})
     ]
     optics = scene.optics(scene.parameters, BANDS)[0].reflectance
     own = [one.optics(one.parameters, BANDS)[0].reflectance[1] for one in alone]
-    np.testing.assert_allclose(optics[1:3], jnp.stack(own), rtol=1e-6)
+    np.testing.assert_allclose(optics[1:3], jnp.stack(own[:2]), rtol=1e-6)
     none = scene.with_values({f"species.{taxon}.leaf_spread": 0.0})
     mean = scene.with_values({f"species.{taxon}.leaf_spread": 2.0}).parameters
     alike = none.optics(none.parameters, BANDS)[0].reflectance
@@ -190,7 +193,7 @@ def test_traits_of_leaves_are_those_stated_and_the_spread_scales_them():
     assert jnp.all(jnp.abs(wide[1] - middle) > jnp.abs(optics[1] - middle))
     far = scene.with_values({f"species.{taxon}.leaf_spread": 5.0}).parameters
     beyond = scene.optics(far, BANDS)[0].reflectance  # no less chlorophyll than none
-    assert jnp.all((beyond > 0.0) & (beyond < 1.0))
+    np.testing.assert_allclose(beyond[1], own[2], rtol=1e-6)
 
 
 def test_a_plant_keeps_its_leaf_when_there_are_more_plants_or_others_stand():
@@ -278,9 +281,21 @@ def test_the_spread_within_species_is_that_of_californian_shrubs(shared_data):
     assert measured.median().to_numpy() == pytest.approx([0.24, 0.24], abs=0.02)
 
 
+def test_a_plot_file_asks_for_leaves_that_stay_when_its_plants_are_drawn_anew(tmp_path):
+    plot = read_plot(write_plot(tmp_path, "leaf_variants = 3\n"))
+    one, other = (build_plot(plot, seed=seed)[0] for seed in (1, 2))
+    assert [own.leaves for own in one.species] == [3, 3]
+    np.testing.assert_array_equal(one.species[0].leaf_ratios, other.species[0].leaf_ratios)
+    assert not np.array_equal(one.planting.leaf[:50], other.planting.leaf[:50])
+    np.testing.assert_allclose(one.parameters.leaf.water, USUAL_LEAF.water)
+
+
 def test_fewer_than_one_leaf_is_refused():
+    rows = table1_2006()[:1]
     with pytest.raises(InputError, match="1 leaf variant or more, but got 0"):
-        Scene.from_table(table1_2006()[:1], size=1.0, voxel=0.5, leaf_variants=0)
+        Scene.from_table(rows, size=1.0, voxel=0.5, leaf_variants=0)
+    with pytest.raises(InputError, match="expected a leaf of 'Metalasia muricata', or several"):
+        Scene.from_table(rows, size=1.0, voxel=0.5, leaves={"Metalasia muricata": []})
 
 
 def test_a_fit_frees_the_spread_of_species_that_have_one():

@@ -6,18 +6,22 @@ from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
+import pandas as pd
 import pytest
 import xarray as xr
 
 from fynjax.assembly._build import build_plot
 from fynjax.cli import main
+from fynjax.compare import PlotSpectraPair
+from fynjax.diversity import VARIETY, diversity_indices
 from fynjax.io.plot import read_plot
+from fynjax.jobs import Run
 from fynjax.sensors import BandSet
 from fynjax.studies.bioscape import read_bioscape, write_plot_files
 from fynjax.studies.bioscape._scenes import ACCURACY, Resolution, _build, build_scenes, slots_of
 from fynjax.studies.bioscape._spectra import Spectrometer
-from fynjax.studies.bioscape._validate import used_bands, validate_plots
-from fynjax.studies.bioscape._validate_files import ValidatePlotsResult
+from fynjax.studies.bioscape._validate import species_covers, used_bands, validate_plots
+from fynjax.studies.bioscape._validate_files import ValidatePlotsResult, write_report
 from tests.studies.test_bioscape import FILES
 
 CENTRES = (500.0, 670.0, 780.0, 860.0, 1240.0, 1400.0, 1650.0, 1700.0, 2150.0, 2200.0, 2300.0)
@@ -140,6 +144,43 @@ def test_without_measured_spectra_plots_are_simulated_and_it_is_said(
     assert summary["measured"] == []
     assert "nothing to compare" in (tmp_path / "out" / "report.html").read_text()
     assert "assumed" in (tmp_path / "out" / "plots.csv").read_text()
+
+
+def test_covers_of_species_add_up_by_plot(tmp_path: Path) -> None:
+    write_tables(tmp_path / "tables")
+    plots = read_bioscape(tmp_path / "tables")
+    cover = species_covers(plots)
+    taxa = sorted({s.taxon for plot in plots for s in plot.species})
+    assert cover.shape == (2, len(taxa))
+    for plot, row in zip(plots, cover):
+        assert row.sum() == pytest.approx(plot.listed_cover)
+        for species in plot.species:
+            assert row[taxa.index(species.taxon)] == pytest.approx(species.cover)
+
+
+def test_the_diversity_of_five_plots_and_more_is_reported(tmp_path: Path) -> None:
+    random = np.random.default_rng(0)
+    wave = np.array([500.0, 670.0, 780.0, 860.0, 1240.0, 1650.0, 2200.0])
+    names = tuple("ABCDEFG")
+    simulated = random.uniform(0.1, 0.5, (7, 7))
+    flights = tuple(random.uniform(0.1, 0.5, (3, 7)) for _ in names[:-1])
+    pair = PlotSpectraPair(names, wave, simulated, (*flights, np.zeros((0, 7))))  # one unmeasured
+    about = pd.DataFrame({"plot": names})
+    cover = random.uniform(size=(7, 4))
+    variety = {name: random.uniform(size=7) for name in VARIETY}
+    found = write_report(
+        Run(tmp_path), pair, about, COARSE, [], cover=cover, variety=variety, seed=0,
+        largest_residual=0.0, warnings=[],
+    )  # fmt: skip
+    table = pd.read_csv(tmp_path / "diversity.csv")
+    assert len(table) == len(found.diversity) == 2 * (5 * 12 + 1)
+    row = table.query("source == 'simulated' and diversity == 'shannon' and metric == 'rao'")
+    shannon = diversity_indices(cover[:6])["shannon"]
+    expected = np.corrcoef(variety["rao"][:6], shannon)[0, 1]
+    assert row["value"].item() == pytest.approx(expected, rel=1e-5)
+    page = (tmp_path / "report.html").read_text()
+    assert "follow the diversity of the species" in page
+    assert "coefficient of variation" in page
 
 
 def test_missing_tables_and_bad_options_end_with_one_line(

@@ -18,7 +18,6 @@ from fynjax.studies.communities._job import _few_bands, _headline
 from fynjax.studies.communities._observe import (
     Design,
     _coarser,
-    _diversities,
     _sample,
     green,
     observe_community,
@@ -159,11 +158,6 @@ def test_pixels_that_are_not_green_do_not_count():
     assert green(spectra, CAMERA, None).all()
     with pytest.raises(InputError, match="no bands near 670 and 860 nm"):
         green(spectra[:, :2], CAMERA.select([0, 1]), 0.4)
-
-
-def test_a_community_that_nobody_sees_has_no_diversity():
-    assert _diversities(np.zeros(3))[[0, 4]].tolist() == [0.0, 0.0]
-    assert np.isnan(_diversities(np.zeros(3))[1:4]).all()
 
 
 def _design(pixels=(0.1, 1.0)):

@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import ArrayLike
 from rasterio.crs import CRS
 from rasterio.errors import CRSError
 
@@ -25,12 +26,14 @@ def write_cloud(
     origin_m: tuple[float, float, float] = (0.0, 0.0, 0.0),
     crs: str | None = None,
     attributes: Mapping[str, str | int] | None = None,
+    leading: tuple[ArrayLike, ArrayLike] | None = None,
 ) -> None:
     """Write returns as LAS 1.4, point format 6, whole or not at all; a name in .laz compresses.
 
     `intensity` is apparent reflectance times 20 000; `classification` 2 is ground and 3 low
     vegetation; `gps_time` counts from the start of the flight. Extra bytes: `reflectance`,
-    `echo_width` [ns], `pulse` (its index). Steps of 0.5 mm.
+    `echo_width` [ns], `pulse` (its index); where known `species` (from 1 on, 0 for ground or
+    none) and `species_share` [-]. Steps of 0.5 mm.
 
     **Arguments:**
 
@@ -40,6 +43,9 @@ def write_cloud(
       map.
     - `crs`: reference system, such as "EPSG:32734"; written as WKT. `None`: not known.
     - `attributes`: such as those of `provenance`; `source` becomes the generating software.
+
+    - `leading`: species of each return as its place from 0 on, -1 for none, and its share [-], as
+      of `ReturnTruth.leading`.
 
     **Raises:** `InputError` for another suffix than .las and .laz, for no returns, for a `crs` that
     is not known, and where the file cannot be written; `MissingExtraError` without laspy (and lazrs
@@ -90,6 +96,13 @@ def write_cloud(
             laspy.ExtraBytesParams("pulse", "u4", "index of the pulse"),
         ]
     )
+    if leading is not None:
+        header.add_extra_dims(
+            [
+                laspy.ExtraBytesParams("species", "u2", "from 1 on; 0: ground or none"),
+                laspy.ExtraBytesParams("species_share", "f4", "share of its light [-]"),
+            ]
+        )
     if crs is not None:
         header.vlrs.append(laspy.vlrs.known.WktCoordinateSystemVlr(_wkt(crs)))
     header.global_encoding.wkt = True
@@ -105,6 +118,10 @@ def write_cloud(
     cloud.reflectance = returns.reflectance.astype(np.float32)
     cloud.echo_width = returns.width.astype(np.float32)
     cloud.pulse = returns.beam.astype(np.uint32)
+    if leading is not None:
+        place, share = map(np.asarray, leading)
+        cloud.species = (place + 1).astype(np.uint16)
+        cloud.species_share = share.astype(np.float32)
     with atomic_path(path) as partial:
         try:
             cloud.write(partial)

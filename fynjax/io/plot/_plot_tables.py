@@ -329,6 +329,14 @@ class SensorTable(Strict):
         ge=0.001,
         le=1e5,
     )
+    footprint_m: float | None = number(
+        "Side of the square that a pixel of a measured image averages over, where resampling, "
+        "mosaicking or blur make it another than the pixel's own; left out, that",
+        "m",
+        default=None,
+        ge=0.001,
+        le=1e5,
+    )
     tilt_deg: float | None = number(
         "Angle of the optical axis from straight down, towards the heading",
         "degree",

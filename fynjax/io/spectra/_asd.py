@@ -31,6 +31,10 @@ _FORMATS = {0: ("<f4", 4), 1: ("<i4", 4), 2: ("<f8", 8)}
 # Strings of the material report; bytes of an array's header, of a constituent's numbers.
 _REPORT_STRINGS, _ARRAY, _CONSTITUENT = 20, 10, 92
 _CALIBRATION, _ABSOLUTE = "<b20sihh", 0
+_FLAGS = 422
+"""Second of the four bytes of flags from 421 on: bits 1, 2 and 4 are saturation of the detectors in
+their order, 8 and 16 alarms of the coolers of the second and third."""
+_DETECTORS = ("VNIR", "SWIR 1", "SWIR 2")
 
 
 def is_asd(data: bytes) -> bool:
@@ -50,7 +54,8 @@ def read_asd(path: str | Path, data: bytes | None = None) -> MeasuredSpectrum:
     hold any number in the water bands. Reflectance is multiplied by that of the white panel if
     the file holds it (versions 7 and 8, calibration of type ABS). `meta` has the version, type,
     instrument, integration time [ms], gains, the wavelengths of the detector changes, `splices`
-    [nm], and `panel`, "applied" or "unknown".
+    [nm], and `panel`, "applied" or "unknown". Bands of a detector that the file calls saturated are
+    NaN, and `saturated` names it.
 
     **Raises:** `InputError` for a version below 6, a file cut short, radiance or irradiance (its
     reference block need not be a white panel), a missing white reference, or one that is zero.
@@ -129,9 +134,30 @@ def read_asd(path: str | Path, data: bytes | None = None) -> MeasuredSpectrum:
             "multiplied by the white panel's own reflectance in the file, "
             f"{panel.min():.3f} to {panel.max():.3f}",
         )
+    ratio = _without_saturated(wavelength, ratio, splices, data[_FLAGS], meta)
     return MeasuredSpectrum(
         path.stem, wavelength, None if through else ratio, ratio if through else None, meta
     )
+
+
+def _without_saturated(
+    wavelength: np.ndarray,
+    ratio: np.ndarray,
+    splices: list[float],
+    flags: int,
+    meta: dict[str, Any],
+) -> np.ndarray:
+    """The spectrum without the bands of detectors that were saturated, or not cooled."""
+    place = np.searchsorted(splices, wavelength, side="left")
+    flagged = [k for k in range(3) if flags >> k & 1 and (place == k).any()]
+    for k in flagged:
+        note(meta, f"{_DETECTORS[k]} detector saturated: its bands set to missing")
+    if flagged:
+        meta["saturated"] = [_DETECTORS[k] for k in flagged]
+    for k in (1, 2):
+        if flags >> (k + 2) & 1:
+            note(meta, f"alarm of the cooling of the {_DETECTORS[k]} detector: is it noisy?")
+    return np.where(np.isin(place, flagged), np.nan, ratio)
 
 
 def _panel(data: bytes, offset: int, count: int) -> np.ndarray | None:

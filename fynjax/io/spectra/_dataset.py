@@ -12,18 +12,22 @@ import pandas as pd
 import xarray as xr
 
 from fynjax._core.errors import InputError
+from fynjax.io.spectra._names import as_transmittance, join_pairs, join_stated
 from fynjax.io.spectra._panel import read_curve, with_panel
 from fynjax.io.spectra._read import read_usable_spectra
 from fynjax.io.spectra._record import MeasuredSpectrum, note
 from fynjax.io.text import atomic_path
-from fynjax.leaf import LARGEST_JUMP, correct_detector_jumps
+from fynjax.leaf import DARKEST_JUMP, LARGEST_JUMP, correct_detector_jumps
 
 _DIGITS = 3
 """Decimals of a wavelength [nm]: bands nearer to each other are the same."""
 _NOTED_JUMP = 0.005
 """Relative jump between detectors from which on a repair is noted [-]."""
+_ASD_BANDS = np.arange(350.0, 2501.0)
+_ASD_CHANGES = ((1000.0,), (1800.0, 1830.0))
+"""Last wavelengths of the first and of the second detector of an ASD [nm]."""
 _NAMED_REFUSALS = 5
-"""Refused spectra that the warnings name."""
+"""Refused spectra, and those in doubt, that the warnings name."""
 
 Read = list[tuple[str, MeasuredSpectrum]]
 """File and spectrum of each that can be used."""
@@ -36,6 +40,7 @@ def read_spectra(
     *,
     panel: str | Path | None = None,
     detector_changes: Sequence[float] | None = None,
+    transmittance: str | Path | Sequence[str | Path] = (),
 ) -> xr.Dataset:
     """Read every spectrum of files or folders, of any format that `fynjax fit-leaf` takes.
 
@@ -48,6 +53,9 @@ def read_spectra(
       files that hold it are absolute already.
     - `detector_changes`: wavelengths where detectors change [nm], at which jumps are taken out of
       all spectra (`correct_detector_jumps`); `None` for those that files state, `()` for none.
+    - `transmittance`: files or folders with the transmittance of the same leaves, one for each, by
+      name or in the same order. Not needed where the names say it (`oak_R.asd` and `oak_T.asd`) or
+      the files.
 
     **Returns:** reflectance and, where any was measured, transmittance [spectrum, wavelength] as
     fractions, NaN where a spectrum has no such band; wavelength [nm]; of each spectrum its name
@@ -68,7 +76,7 @@ def read_spectra(
     """
     from fynjax.io.raster import provenance  # late: it imports this package
 
-    read, refused = usable_spectra(paths, panel, detector_changes)
+    read, refused = usable_spectra(paths, panel, detector_changes, transmittance)
     for sentence in warnings_of_reading(read, refused):
         warnings.warn(sentence, stacklevel=2)
     inputs = dict.fromkeys([*(file for file, _ in read), *([] if panel is None else [panel])])
@@ -89,10 +97,11 @@ def usable_spectra(
     paths: str | Path | Sequence[str | Path],
     panel: str | Path | None = None,
     detector_changes: Sequence[float] | None = None,
+    transmittance: str | Path | Sequence[str | Path] = (),
 ) -> tuple[Read, Refused]:
     """The spectra of files and folders that can be used, and what could not be.
 
-    **Arguments:** `paths`, `panel` and `detector_changes` as of `read_spectra`.
+    **Arguments:** as of `read_spectra`.
 
     **Returns:** file and spectrum of each that can be used; file, name and error of the others,
     the name empty where the whole file cannot be read.
@@ -100,24 +109,38 @@ def usable_spectra(
     **Raises:** `InputError` where no spectrum can be used, with the first reason.
     """
     curve = None if panel is None else read_curve(panel, "the panel")
+    found, refused = _read_all(paths)
+    if transmittance:
+        through, bad = _read_all(transmittance)
+        found = join_stated(found, [(file, as_transmittance(s)) for file, s in through])
+        refused += bad
+    else:
+        found = join_pairs(found)
     read: Read = []
+    for name, spectrum in found:
+        try:
+            absolute = spectrum if curve is None else with_panel(spectrum, *curve)
+        except InputError as error:
+            refused.append((name, spectrum.name, error))
+            continue
+        read.append((name, _without_jumps(absolute, detector_changes)))
+    if not read:
+        raise refused[0][2] if refused else InputError("no file of spectra was given")
+    return read, refused
+
+
+def _read_all(paths: str | Path | Sequence[str | Path]) -> tuple[Read, Refused]:
+    """The spectra of files and folders as they stand there."""
+    found: Read = []
     refused: Refused = []
     for file in _files([paths] if isinstance(paths, str | Path) else paths):
         try:
             usable, bad = read_usable_spectra(file)
         except InputError as error:
             usable, bad = [], [("", error)]
-        for spectrum in usable:
-            try:
-                absolute = spectrum if curve is None else with_panel(spectrum, *curve)
-            except InputError as error:
-                bad.append((spectrum.name, error))
-                continue
-            read.append((str(file), _without_jumps(absolute, detector_changes)))
+        found += [(str(file), spectrum) for spectrum in usable]
         refused += [(str(file), name, error) for name, error in bad]
-    if not read:
-        raise refused[0][2] if refused else InputError("no file of spectra was given")
-    return read, refused
+    return found, refused
 
 
 def _files(paths: Sequence[str | Path]) -> list[Path]:
@@ -140,22 +163,52 @@ def _without_jumps(spectrum: MeasuredSpectrum, changes: Sequence[float] | None) 
     """The spectrum with the jumps of its detectors taken out at `changes` [nm], or, if None, where
     the file says that they change."""
     stated = changes is not None
+    measured = spectrum.meta.get("jumps") if changes is None else None
     changes = spectrum.meta.get("splices", []) if changes is None else changes
+    meta = {**spectrum.meta, "repairs": list(spectrum.meta["repairs"])}
+    if not changes and not stated and (changes := _asd_changes(spectrum)):
+        at = " and ".join(f"{c:g}" for c in changes)
+        note(meta, f"bands are those of an ASD, with a step of its detectors at {at} nm")
     if not changes:
         return spectrum
-    meta = {**spectrum.meta, "repairs": list(spectrum.meta["repairs"])}
     parts = []
     for values in (spectrum.reflectance, spectrum.transmittance):
         if values is not None:
-            values, jumps = correct_detector_jumps(spectrum.wavelength, values, changes)
+            before = values
+            values, jumps = correct_detector_jumps(spectrum.wavelength, values, changes, measured)
             for at, jump in zip(changes, jumps):
+                level = float(np.interp(at, spectrum.wavelength, before))
                 if np.isfinite(jump) and abs(jump) > _NOTED_JUMP:
-                    what = "taken out" if abs(jump) <= LARGEST_JUMP else "too large, left alone"
+                    what = "taken out"
+                    if abs(jump) > LARGEST_JUMP:
+                        what = "too large, left alone"
+                    elif level < DARKEST_JUMP:
+                        what = f"left alone, since an offset would look like it at {level:.2f}"
                     note(meta, f"detectors change at {at:g} nm: {100 * jump:+.1f} %, {what}")
                 if stated and not np.isfinite(jump):
                     note(meta, f"detectors change at {at:g} nm: too few bands beside it to tell")
         parts.append(values)
     return MeasuredSpectrum(spectrum.name, spectrum.wavelength, parts[0], parts[1], meta)
+
+
+def _asd_changes(spectrum: MeasuredSpectrum) -> list[float]:
+    """Where the detectors of an ASD change in a spectrum whose file does not say so, such as a text
+    export: the bands are 350 to 2500 nm by 1 nm, and the step stands out from those beside it."""
+    grid, values = spectrum.wavelength, spectrum.reflectance
+    if values is None or not np.array_equal(grid, _ASD_BANDS):
+        return []
+    found = []
+    for places in _ASD_CHANGES:
+        steps = {}
+        for at in places:
+            near = [at + shift for shift in (-36, -24, 24, 36)]
+            _, jumps = zip(*(correct_detector_jumps(grid, values, [c]) for c in (at, *near)))
+            step, usual = abs(float(jumps[0][0])), np.abs(np.ravel(jumps[1:]))
+            if _NOTED_JUMP < step <= LARGEST_JUMP and step > 3.0 * np.nanmax(usual):
+                steps[at] = step
+        if steps:
+            found.append(max(steps, key=lambda at: steps[at]))
+    return found
 
 
 def warnings_of_reading(read: Read, refused: Refused, table: str = "") -> list[str]:
@@ -169,6 +222,16 @@ def warnings_of_reading(read: Read, refused: Refused, table: str = "") -> list[s
     if len(refused) > _NAMED_REFUSALS:
         see = f", see {table}" if table else ""
         said.append(f"{len(refused) - _NAMED_REFUSALS} more were refused{see}.")
+    for key, what in (
+        ("left_out", "columns of {} were left out, since they are no leaves: {}."),
+        ("saturated", "{}: saturated detectors ({}), whose bands are left out."),
+        ("doubtful", "{}: {}."),
+    ):
+        told = [(Path(file).name, s.meta[key]) for file, s in read if key in s.meta]
+        for file, why in told[:_NAMED_REFUSALS]:
+            said.append(what.format(file, why if isinstance(why, str) else ", ".join(why)))
+        if len(told) > _NAMED_REFUSALS:
+            said.append(f"So it is of {len(told) - _NAMED_REFUSALS} more.")
     relative = sum(s.meta.get("panel") == "unknown" for _, s in read)
     if relative:
         said.append(

@@ -9,6 +9,7 @@ import numpy as np
 
 from fynjax._core.errors import InputError
 from fynjax._core.tables import TextTable, is_number, open_table, trimmed, without_header
+from fynjax.io.spectra._names import leaves_only, marked
 from fynjax.io.spectra._record import MeasuredSpectrum, in_nanometres, note
 
 _WAVELENGTH = re.compile(r"^(wave[ _]?length|wavelen|wvl?|wl|lambda|nm|[uµμ]m|x)\b", re.I)
@@ -21,8 +22,6 @@ _BAND_NAME = re.compile(r"^(?:[A-Za-z_. ]{0,12}?)(\d{3,4}(?:\.\d+)?|[0-2]\.\d+)\
 MISSING = {"", "na", "nan", "null", "none", "-", "#n/a", "-999", "-9999", "-9999.0", "-999.0"}
 """What stands for a missing value, in small letters."""
 _NAME_KEYS = ("name", "id", "sample", "sample_id", "spectrum", "spectra", "file name", "filename")
-_TRAN = re.compile(r"(^|[ _.\-(])(t|tran|trans|transm|transmittance|tau)(?=$|[ _.\-)%])", re.I)
-_REFL = re.compile(r"(^|[ _.\-(])(r|refl|reflectance|rho)(?=$|[ _.\-)%])", re.I)
 
 
 def _to_nm(wavelength: np.ndarray, label: str, meta: dict[str, Any], file: Path) -> np.ndarray:
@@ -74,12 +73,8 @@ def _paired(
             values = values / 100.0
             note(row_meta, "converted from percent as the header says")
         clean = re.sub(r"\(?%\)?|\[%\]|percent", "", label, flags=re.I).strip(" _")
-        # Where a name has several such marks, as 'leaf R 3_T', the last one tells.
-        marks = [*_REFL.finditer(clean), *_TRAN.finditer(clean)]
-        match = max(marks, key=lambda m: m.start(2), default=None)
-        through = match is not None and match.re is _TRAN
-        kind = "transmittance" if through else "reflectance"
-        base = (clean[: match.start()] + clean[match.end() :]).strip(" _.-()") if match else clean
+        quantity, base, _ = marked(clean)
+        kind = quantity or "reflectance"
         record = records.setdefault(base or stem, {"meta": row_meta})
         if kind in record:  # two columns whose names differ only in case or marks
             record = records.setdefault(label, {"meta": row_meta})
@@ -143,6 +138,8 @@ def _by_column(table: TextTable, above: list[list[str]]) -> list[MeasuredSpectru
     frame = table.columns(range(width), (), MISSING)
     meta: dict[str, Any] = {"format": "table, one column a spectrum"}
     wavelength = _to_nm(frame[0].to_numpy(), label_row[0] if label_row else "", meta, file)
+    if any(name.endswith(".asd") for name in names[1:]):
+        meta["panel"] = "unknown"  # as of the binary, whose export it is
     columns: dict[str, np.ndarray] = {}
     for i in range(1, width):
         name = names[i].removesuffix(".asd")
@@ -170,7 +167,7 @@ def read_text_spectra(data: bytes, file: Path) -> list[MeasuredSpectrum]:
         starts = is_number(header[0]) and is_number(below[1][0])
         if not starts or len(bands) == len(header):
             units = {m[2] for m in named.values() if m and m[2]} if not starts else set()
-            return _by_row(table, bands, " ".join(sorted(units)))
+            return leaves_only(_by_row(table, bands, " ".join(sorted(units))))
 
     start = None
     above: list[tuple[int, list[str]]] = []
@@ -195,4 +192,4 @@ def read_text_spectra(data: bytes, file: Path) -> list[MeasuredSpectrum]:
         for k, (row, cells) in enumerate(above):
             if len(cells) > table.width:
                 titles[k] = re.split(r"\t+ *| {2,}", table.line(row))
-    return _by_column(table, titles)
+    return leaves_only(_by_column(table, titles))

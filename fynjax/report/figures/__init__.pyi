@@ -1,5 +1,7 @@
 from ._communities import agreement_plot as agreement_plot
 from ._communities import recognition_plot as recognition_plot
+from ._design import design_plot as design_plot
+from ._design import gain_plot as gain_plot
 from ._fit import constraint_plot as constraint_plot
 from ._fit import convergence_plot as convergence_plot
 from ._fit import error_bars as error_bars

@@ -8,6 +8,7 @@ from fynjax.sensors.lidar._returns import (
     detect_returns,
     received_electrons,
 )
+from fynjax.sensors.lidar._shares import shares_of_returns
 from fynjax.sensors.lidar._system import (
     Lidar,
     LidarNoise,
@@ -34,6 +35,7 @@ __all__ = [
     "lidar_folder",
     "lidar_waveforms",
     "received_electrons",
+    "shares_of_returns",
     "shipped_lidar",
     "shipped_lidars",
 ]

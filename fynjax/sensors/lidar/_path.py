@@ -3,6 +3,7 @@
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from fynjax._core.math import mean_transmittance
@@ -19,8 +20,9 @@ class PencilPaths(eqx.Module):
 
     depth: Float[Array, "step pencil"]
     """Optical depth of each step [-]."""
-    source: Float[Array, "step pencil"]
-    """Signal of each step, without shade, as the reflectance of a plate [-]."""
+    source: Float[Array, "step *group pencil"]
+    """Signal of each step, without shade, as the reflectance of a plate [-]: of all classes, or of
+    each group of them."""
     late: Float[Array, "step pencil"] | None
     """Signal of each step, without shade, out of light that was scattered before [-]."""
     top: Float[Array, " pencil"]
@@ -66,7 +68,7 @@ class PencilPaths(eqx.Module):
 
     def hit_by(self, depth: Float[Array, " pencil"]) -> tuple[Array, Array, Array | None, Array]:
         """Where the optical depth reaches `depth`: range [m], what a hit there sends back of
-        `source` and of `late` [-], and whether that is above the ground."""
+        `source`, by its groups, and of `late` [-], and whether that is above the ground."""
         below = jnp.cumsum(self.depth, axis=0)
         index = jnp.minimum(jnp.sum(below <= depth, axis=0), self.depth.shape[0] - 1)[None]
         in_step = jnp.take_along_axis(self.depth, index, axis=0)[0]
@@ -76,7 +78,8 @@ class PencilPaths(eqx.Module):
         distance = self.top + self.step * (index[0] + share)
 
         def sent(source: Array) -> Array:
-            here = jnp.take_along_axis(source, index, axis=0)[0]
+            place = index.reshape(1, *(1,) * (source.ndim - 2), -1)
+            here = jnp.take_along_axis(source, place, axis=0)[0]
             return jnp.where(some, here / jnp.where(some, in_step, 1.0), 0.0)
 
         late = None if self.late is None else sent(self.late)
@@ -84,12 +87,18 @@ class PencilPaths(eqx.Module):
 
 
 @eqx.filter_jit
-def canopy_fields(scene: VoxelScene) -> Float[Array, "field z y x"]:
-    """Area and area times reflectance, of each distribution of normals."""
+def canopy_fields(
+    scene: VoxelScene, groups: tuple[tuple[int, ...], ...] | None = None
+) -> Float[Array, "field z y x"]:
+    """Area, and area times reflectance of all classes or of each group of them, of each
+    distribution of normals."""
     density = scene.area_density
-    rho = scene.classes.reflectance[:, 0].astype(density.dtype)
-    both = density, rho[:, None, None, None] * density
-    return jnp.concatenate([scene.classes.total_by_angle(part) for part in both])
+    bright = scene.classes.reflectance[:, 0].astype(density.dtype)[:, None, None, None] * density
+    parts = [density, bright]
+    if groups is not None:
+        mine = np.array([np.isin(np.arange(len(density)), group) for group in groups])
+        parts[1:] = [jnp.where(one[:, None, None, None], bright, 0.0) for one in mine]
+    return jnp.concatenate([scene.classes.total_by_angle(part) for part in parts])
 
 
 @eqx.filter_jit
@@ -116,7 +125,8 @@ def trace_pencils(
     sublayers: int,
     late: LateLight | None = None,
 ) -> PencilPaths:
-    """One beam through a scene. Differentiable in the scene, and in origin and direction."""
+    """One beam through a scene, whose `fields` are those of `canopy_fields`. Differentiable in the
+    scene, and in origin and direction."""
     nz, ny, nx = scene.shape
     dtype = scene.area_density.dtype
     towards = -_pencil_directions(direction, pencils)
@@ -134,6 +144,7 @@ def trace_pencils(
     projection = projections(angles, cosine).astype(dtype)
     back = jnp.stack([backscatter(a, cosine).astype(dtype) for a in angles])
     lattice = Lattice(ny, nx, scene.horizontal, scene.boundary)
+    groups = len(fields) // len(angles) - 1
     if late is not None:
         fields = jnp.concatenate([fields, late.leaves[None]])
     structure, (high, wide) = scene.structure, scene.structure_factor
@@ -154,8 +165,10 @@ def trace_pencils(
             fine = jax.lax.dynamic_index_in_dim(structure, layer, 0, keepdims=False)
             total = rays.sampler(height, finest)(fine)[0]
             met = met[:-1] * scene.relative_density(total, met[-1])
-        stop, send, more = jnp.split(met, [len(angles), 2 * len(angles)])
-        stop, send = jnp.sum(projection * stop, axis=0), jnp.sum(back * send, axis=0)
+        stop, send, more = jnp.split(met, [len(angles), (1 + groups) * len(angles)])
+        stop = jnp.sum(projection * stop, axis=0)
+        send = jnp.sum(back * send.reshape(groups, len(angles), -1), axis=1)
+        send = send[0] if groups == 1 else send
         return None, (stop, send, None if late is None else more[0])
 
     _, (stop, send, more) = jax.lax.scan(piece, None, jnp.arange(nz * per_layer))

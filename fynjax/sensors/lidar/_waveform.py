@@ -105,7 +105,7 @@ def lidar_waveforms(
     >>> len(beams) > 0, len(returns) > 0
     (True, True)
     """
-    _check(scene, beams)
+    check_scene(scene, beams)
     if beams.samples < 1:
         raise InputError("`beams` must have samples: make them with `Lidar.beams`")
     dtype = scene.area_density.dtype
@@ -127,7 +127,7 @@ def lidar_waveforms(
         beams.samples,
         lidar.pulse_sd,
     )
-    canopy, ground = _map_beams(
+    canopy, ground = map_beams(
         _one_waveform,
         batch,
         beams,
@@ -272,10 +272,10 @@ def expected_returns(
     Differentiable in the area density and the inclination of leaves, and in the height of the
     ground.
     """
-    _check(scene, beams)
+    check_scene(scene, beams)
     heights = jnp.asarray(edges, scene.area_density.dtype)
     platform = jnp.asarray(beams.origin[:, 2], heights.dtype)
-    canopy, ground = _map_beams(
+    canopy, ground = map_beams(
         _one_beam_of_hits,
         batch,
         beams,
@@ -296,7 +296,7 @@ def _one_beam_of_hits(
     return jnp.diff(gap), jnp.exp(-path.depth_at(path.ground_range[None])).mean()
 
 
-def _map_beams(
+def map_beams(
     function: Callable[..., tuple[Array, Array]],
     batch: int,
     beams: LidarBeams,
@@ -305,7 +305,7 @@ def _map_beams(
     sublayers: int,
     late: LateLight | None = None,
 ) -> tuple[Array, Array]:
-    """`function` of each beam's paths, so many beams at a time."""
+    """`function` of each beam's paths, so many beams at a time: two arrays by beam."""
     dtype = common[0].area_density.dtype
     batch = max(min(batch, len(beams)), 1)
     spare = -len(beams) % batch
@@ -344,7 +344,8 @@ def _mapped(
     return jax.lax.map(jax.checkpoint(trace_beam), each, batch_size=batch)
 
 
-def _check(scene: VoxelScene, beams: LidarBeams) -> None:
+def check_scene(scene: VoxelScene, beams: LidarBeams) -> None:
+    """`InputError` for a scene in several bands, and for a sensor inside the grid."""
     bands = scene.classes.reflectance.shape[1]
     if bands != 1:
         raise InputError(

@@ -12,11 +12,13 @@ from typing import Literal
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from fynjax._core.errors import InputError
 from fynjax.assembly import plot_parameters
 from fynjax.canopy import VoxelGrid
+from fynjax.diversity import spectral_variety
 from fynjax.io.plot import Plot
 from fynjax.radiation import Accuracy, render, solve_light
 from fynjax.scene import (
@@ -39,6 +41,8 @@ class PlotSpectrum(eqx.Module):
     """Mean reflectance factor of the plot in each band [-]."""
     ground_seen: Float[Array, ""]
     """Share of the plot where the ground shows between leaves and stems [-]."""
+    variety: Float[Array, " metric"]
+    """Spectral variety of the pixels, each of a voxel's edge, in the order of `VARIETY`."""
     residual: Float[Array, ""]
     """Largest share of the source of the diffuse light that its solution leaves over [-]."""
 
@@ -187,22 +191,22 @@ def _padded(scene: Scene, plants: int, elements: int, parts: int) -> Scene:
 
 
 @eqx.filter_jit
-def nadir_spectrum(imager: AimedSensor, scene: Scene, parameters: PlotParameters) -> PlotSpectrum:
-    """Mean spectrum of a plot from straight above, by `nadir_imager`."""
+def _nadir_image(
+    imager: AimedSensor, scene: Scene, parameters: PlotParameters
+) -> tuple[Float[Array, "band y x"], Float[Array, ""], Float[Array, ""]]:
+    """Reflectance factors of a plot from straight above, by `nadir_imager`; the share of ground in
+    sight; and the residual of the light."""
     voxels = scene.voxels(parameters, imager.sensor.bands)
     light = solve_light(voxels, imager.accuracy)
     image = render(light, imager.rays)
-    incident = voxels.illumination.incident
-    return PlotSpectrum(
-        jnp.pi * image.total.mean(axis=(1, 2)) / incident,
-        image.gap.mean(),
-        jnp.max(light.residual),
-    )
+    incident = voxels.illumination.incident[:, None, None]
+    return jnp.pi * image.total / incident, image.gap.mean(), jnp.max(light.residual)
 
 
 def simulate_plot(
     scene: tuple[Scene, PlotParameters], imager: AimedSensor
-) -> tuple[Array, Array, Array]:
+) -> tuple[Array, Array, np.ndarray, Array]:
     """The fields of a plot's `PlotSpectrum`."""
-    found = nadir_spectrum(imager, *scene)
-    return found.reflectance, found.ground_seen, found.residual
+    image, ground_seen, residual = _nadir_image(imager, *scene)
+    variety = spectral_variety(np.asarray(image).reshape(len(image), -1).T)
+    return image.mean(axis=(1, 2)), ground_seen, np.array(list(variety.values())), residual

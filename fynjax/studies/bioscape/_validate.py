@@ -12,6 +12,7 @@ from fynjax._core.errors import InputError
 from fynjax._core.parts import Workers, at_work
 from fynjax._core.precision import double_precision
 from fynjax.compare import PlotSpectraPair
+from fynjax.diversity import VARIETY
 from fynjax.inversion import nadir_imager
 from fynjax.io.plot import DEFAULT_PRIOR, LearnedPrior, Plot, read_prior
 from fynjax.io.raster import file_hash
@@ -121,6 +122,12 @@ def validate_plots(
             about,
             resolution,
             inputs,
+            cover=species_covers(read),
+            variety={
+                name: np.array([s.variety[i] for s in spectra], float)
+                for i, name in enumerate(VARIETY)
+            },
+            seed=seed,
             largest_residual=max(float(s.residual) for s in spectra),
             warnings=remarks,
         )
@@ -143,6 +150,16 @@ def prior_words(prior: LearnedPrior | None, plot: BioscapePlot) -> str:
 
 def _flights(spectra: PlotSpectra | None, keep: np.ndarray) -> np.ndarray:
     return np.zeros((0, keep.size)) if spectra is None else spectra.reflectance[:, keep]
+
+
+def species_covers(read: Sequence[BioscapePlot]) -> np.ndarray:
+    """Live cover of each species on each plot as noted [plot, species], a share of the plot."""
+    taxa = sorted({species.taxon for plot in read for species in plot.species})
+    cover = np.zeros((len(read), len(taxa)))
+    for row, plot in zip(cover, read, strict=True):
+        for species in plot.species:
+            row[taxa.index(species.taxon)] += species.cover
+    return cover
 
 
 def _check_finite(spectra: Sequence[PlotSpectrum], read: Sequence[BioscapePlot]) -> None:

@@ -7,20 +7,26 @@ from typing import Any, Literal
 import numpy as np
 import pandas as pd
 import xarray as xr
+from jaxtyping import Float
 
 from fynjax.compare import (
+    DISTANCE,
+    FEATURES,
     FLIGHT,
     MEASURES,
     MODEL,
     OTHERS,
     PREDICTORS,
+    REGRESSION,
     PlotSpectraPair,
     agreement_table,
     band_table,
     feature_table,
     mean_agreement,
     misfit_table,
+    plot_diversity_table,
 )
+from fynjax.diversity import FEWEST_PLOTS
 from fynjax.io.raster import write_run
 from fynjax.jobs import JobResult, Rows, Run
 from fynjax.report.figures import (
@@ -45,8 +51,15 @@ _HEADERS = {
     "sun_zenith_deg": "sun zenith", "sun_azimuth_deg": "sun azimuth",
     "intercept_bare_percent": "bare, line intercepts",
     "intercept_bare_se_percent": "its standard error",
+    "q05": "5 %", "q95": "95 %", "p_value": "p", "p_of_all": "p of the largest",
     "level_share": "level", "contrast_share": "contrast", "shape_share": "shape",
 }  # fmt: skip
+_METRICS = {name: what for name, (what, _) in FEATURES.items()} | {
+    "cv": "coefficient of variation", "angle": "mean angle to the mean spectrum",
+    "rao": "Rao's Q", "variance": "variance, sum over bands",
+    REGRESSION: "regression, skill", DISTANCE: "distance of spectra",
+}  # fmt: skip
+_UNLIKELY = 0.05
 _ASSUMED = (
     "Measured: cover of live and dead vegetation, soil and rock; cover of the species; leaf mass "
     "per area and water content of a species, or the mean of its genus, family or growth form; "
@@ -87,6 +100,9 @@ class ValidatePlotsResult(JobResult):
     """Agreement of the model with each plot over all bands: rows of agreement.csv."""
     features: Rows | None = None
     """Degree to which the model distinguishes plots: the rows of features.csv."""
+    diversity: Rows | None = None
+    """Correlations and skills of spectra with the diversity of the species: the rows of
+    diversity.csv; of at least five plots."""
 
 
 def write_report(
@@ -96,6 +112,9 @@ def write_report(
     resolution: Resolution,
     inputs: Sequence[str | Path | None],
     *,
+    cover: Float[np.ndarray, "plot species"],
+    variety: Mapping[str, Float[np.ndarray, " plot"]],
+    seed: int,
     largest_residual: float,
     warnings: list[str],
 ) -> ValidatePlotsResult:
@@ -126,6 +145,13 @@ def write_report(
         sections = _comparison(measured, mean, of_model, misfit, features)
         full = of_model[of_model["region"] == "full"]
         rows = {"agreement": mean, "by_plot": full[["plot", *MEASURES]], "features": features}
+        if count >= FEWEST_PLOTS:
+            there = np.array([name in measured.plots for name in pair.plots])
+            seen = {name: values[there] for name, values in variety.items()}
+            diversity = plot_diversity_table(measured, cover[there], seen, seed=seed)
+            run.table("diversity.csv", diversity, "how spectra follow diversity of species", None)
+            sections.append(_diversity(diversity))
+            rows["diversity"] = diversity
     else:
         sections = [
             Section(
@@ -166,6 +192,26 @@ def write_report(
         voxel_m=resolution.voxel_m,
         largest_residual=largest_residual,
         **rows,
+    )
+
+
+def _diversity(table: pd.DataFrame) -> Section:
+    """The section on what spectra tell of the diversity of species."""
+    table = table.drop(columns="metric").assign(metric=table["metric"].replace(_METRICS))
+    best = table[table["p_value"] <= _UNLIKELY]
+    return Section(
+        "Do spectra follow the diversity of the species?",
+        [
+            "Correlations across plots of features of the mean spectrum, and of how much spectra "
+            "within a plot differ: measured ones of each two flights, simulated ones of pixels of "
+            "a voxel's edge. Of the regression the value is its skill on plots left out, of the "
+            "distance Mantel's correlation with the Bray-Curtis dissimilarity of the covers. "
+            "Intervals are those of 5 to 95 % over bootstrapped plots; p is the probability that "
+            "plots exchanged have a value as large, and the last column that the largest of all "
+            "metrics then is.",
+            Table(best, f"Values with a p of at most {_UNLIKELY:g}", headers=_HEADERS, digits=3),
+            Table(table, "All of them", headers=_HEADERS, digits=3, folded=True),
+        ],
     )
 
 

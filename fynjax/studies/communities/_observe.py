@@ -10,14 +10,7 @@ from jaxtyping import Bool, Float
 
 from fynjax._core.errors import InputError
 from fynjax.assembly import build_plot
-from fynjax.diversity import (
-    coefficient_of_variation,
-    mean_spectral_angle,
-    pielou_evenness,
-    shannon,
-    simpson,
-    spectral_rao,
-)
+from fynjax.diversity import VARIETY, diversity_indices, spectral_variety
 from fynjax.inversion import nadir_imager
 from fynjax.io.plot import Plot
 from fynjax.scene import observe, pixel_truth, truth_of_pixels
@@ -27,11 +20,6 @@ from fynjax.studies.communities._draw import Gradients, draw_community
 DIVERSITIES = ("richness", "shannon", "simpson", "evenness", "cover")
 """What is asked of a community: number of species, Shannon entropy, Simpson's index and evenness
 after Pielou of the covers as seen from straight above, and their sum."""
-METRICS = ("cv", "angle", "rao", "variance")
-"""What is computed of the spectra of all pixels: coefficient of variation, mean angle to the mean
-spectrum, Rao's Q, and variance summed over bands."""
-_RAO_PIXELS = 1000
-"""Pixels of which Rao's Q is taken, at most: it compares each with each."""
 _DRAWS = 10
 """Communities that are drawn anew, at most, where one finds no room on the plot."""
 _NDVI = (670.0, 860.0)
@@ -65,7 +53,7 @@ def observe_community(
 ) -> tuple[np.ndarray, ...]:
     """Diversity of the plants of a community, and of its spectra.
 
-    **Returns:** `DIVERSITIES`; spectral `METRICS` [sensor, pixel, noise, metric]; the species of
+    **Returns:** `DIVERSITIES`; spectral `VARIETY` [sensor, pixel, noise, metric]; the species of
     sampled pixels [sensor, pixel, sample], -1 for none; and for each sensor their spectra [pixel,
     noise, sample, band].
     """
@@ -82,7 +70,7 @@ def observe_community(
     fine = design.pixels[0]
     above = nadir_imager(design.sensors[0].bands.select([0]), scene, scene.parameters)
     cover = np.asarray(truth_of_pixels(above, scene, scene.parameters).species).mean(axis=(1, 2))
-    shape = len(design.sensors), len(design.pixels), len(design.noise), len(METRICS)
+    shape = len(design.sensors), len(design.pixels), len(design.noise), len(VARIETY)
     metrics = np.zeros(shape)
     species, spectra = [], []
     for s, sensor in enumerate(design.sensors):
@@ -97,12 +85,16 @@ def observe_community(
             clear = coarser(image, times).reshape(len(image), -1).T
             for n, noise in enumerate(design.noise):
                 noisy = clear * (1.0 + noise * random.normal(size=clear.shape))
-                metrics[s, p, n] = _metrics(noisy[green(noisy, sensor, design.greenness)], random)
+                seen_green = noisy[green(noisy, sensor, design.greenness)]
+                found = spectral_variety(seen_green, seed=random)
+                metrics[s, p, n] = [found[name] for name in VARIETY]
                 kept.append(noisy[places])
             kinds.append(of_pixel)
         species.append(np.stack(kinds))
         spectra.append(np.reshape(kept, (*shape[1:3], -1, len(image))).astype(np.float32))
-    return _diversities(cover), metrics, np.stack(species), *spectra
+    asked = diversity_indices(cover[None])
+    stand = np.array([asked[name][0] for name in DIVERSITIES])
+    return stand, metrics, np.stack(species), *spectra
 
 
 def _coarser(
@@ -135,14 +127,6 @@ def _sample(
     return kinds, places
 
 
-def _diversities(cover: Float[np.ndarray, " species"]) -> Float[np.ndarray, " diversity"]:
-    number = int((cover > 0.0).sum())
-    if not number:
-        return np.array([0.0, np.nan, np.nan, np.nan, 0.0])
-    even = float(pielou_evenness(cover)) if number > 1 else np.nan
-    return np.array([number, float(shannon(cover)), float(simpson(cover)), even, cover.sum()])
-
-
 def green(
     spectra: Float[np.ndarray, "pixel band"], sensor: Sensor, least: float | None
 ) -> Bool[np.ndarray, " pixel"]:
@@ -160,14 +144,3 @@ def green(
         )
     red, nir = spectra[:, near].T
     return nir - red >= least * (nir + red)
-
-
-def _metrics(
-    spectra: Float[np.ndarray, "pixel band"], random: np.random.Generator
-) -> Float[np.ndarray, " metric"]:
-    if len(spectra) < 2:
-        return np.full(len(METRICS), np.nan)
-    some = random.permutation(len(spectra))[:_RAO_PIXELS]
-    variance = spectra.var(axis=0, ddof=1).sum()
-    found = coefficient_of_variation(spectra), mean_spectral_angle(spectra)
-    return np.array([*map(float, found), float(spectral_rao(spectra[some])), variance])

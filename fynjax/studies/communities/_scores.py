@@ -9,11 +9,10 @@ import numpy as np
 import pandas as pd
 from jaxtyping import Float, Int
 
-from fynjax.diversity import classify, separability
-from fynjax.studies.communities._observe import DIVERSITIES, METRICS, Design
+from fynjax._core.resampling import INTERVAL, correlation_over, plot_draws
+from fynjax.diversity import VARIETY, classify, separability
+from fynjax.studies.communities._observe import DIVERSITIES, Design
 
-_BOOTSTRAPS = 1000
-_INTERVAL = (0.05, 0.95)
 _SPLITS = 10
 """Times that communities are parted into those that train and those that judge."""
 _LEAST = 5
@@ -36,9 +35,7 @@ def agreement(
     same communities; infinite where it never does. NaN of what does not vary.
     """
     count = len(diversity)
-    random = np.random.default_rng([design.seed, 73])
-    some = np.concatenate([np.arange(count)[None], random.integers(0, count, (_BOOTSTRAPS, count))])
-    exchanged = random.permuted(np.tile(np.arange(count), (_BOOTSTRAPS, 1)), axis=1)
+    some, exchanged = plot_draws(count, [design.seed, 73])
     pixels = np.array(design.pixels)
     rows, lost = [], []
     for (s, sensor), (n, noise), (d, what) in product(
@@ -46,28 +43,28 @@ def agreement(
     ):
         found, chance = (
             np.stack([
-                np.stack([_squared_correlation(metrics[:, s, p, n, m][x], diversity[:, d][y])
+                np.stack([correlation_over(metrics[:, s, p, n, m][x], diversity[:, d][y]) ** 2
                           for p in range(len(pixels))], axis=1)
-                for m in range(len(METRICS))
+                for m in range(len(VARIETY))
             ])
             for x, y in ((some, some), (np.arange(count), exchanged))
         )  # fmt: skip
         for metric, r2, by_chance in zip(
-            (*METRICS, "any"), [*found, _greatest(found)], [*chance, _greatest(chance)], strict=True
+            (*VARIETY, "any"), [*found, _greatest(found)], [*chance, _greatest(chance)], strict=True
         ):
             keys = {"sensor": sensor.name, "noise": noise, "metric": metric, "diversity": what}
-            low, high = _quantiles(r2[1:], _INTERVAL)
+            low, high = _quantiles(r2[1:], INTERVAL)
             if metric != "any":
                 for p, pixel in enumerate(pixels):
                     known = {"pixel_m": pixel, "r2": r2[0, p], "q05": low[p], "q95": high[p]}
                     rows.append(keys | known)
             gone = _lost_from(r2, pixels, threshold)
             best = int(np.argmax(np.nan_to_num(r2[0])))
-            ends = _quantiles(gone[1:], _INTERVAL, method="nearest")
+            ends = _quantiles(gone[1:], INTERVAL, method="nearest")
             lost.append(
                 keys
                 | {"best_r2": r2[0, best], "best_pixel_m": pixels[best]}
-                | {"by_chance": float(_quantiles(_greatest(by_chance.T), [_INTERVAL[1]])[0])}
+                | {"by_chance": float(_quantiles(_greatest(by_chance.T), [INTERVAL[1]])[0])}
                 | {"lost_from_m": gone[0], "q05": ends[0], "q95": ends[1]}
             )
     return pd.DataFrame(rows), pd.DataFrame(lost)
@@ -86,23 +83,6 @@ def _quantiles(
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # all are NaN
         return np.asarray(np.nanquantile(values, shares, axis=0, **how))
-
-
-def _squared_correlation(
-    x: Float[np.ndarray, "*draw community"], y: Float[np.ndarray, "draw community"]
-) -> Float[np.ndarray, " draw"]:
-    """Of each draw, over the communities that have both values; NaN where one does not vary."""
-    known = np.isfinite(x) & np.isfinite(y)
-    number = np.maximum(known.sum(axis=-1, keepdims=True), 1)
-
-    def away(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        values = np.where(known, values, 0.0)
-        rest = np.where(known, values - values.sum(axis=-1, keepdims=True) / number, 0.0)
-        square = (rest**2).sum(axis=-1)
-        return rest, np.where(square > 1e-20 * (values**2).sum(axis=-1), square, np.nan)
-
-    (x, of_x), (y, of_y) = away(x), away(y)
-    return np.where(number[..., 0] > 2, (x * y).sum(axis=-1) ** 2 / (of_x * of_y), np.nan)
 
 
 def _lost_from(
@@ -168,7 +148,7 @@ def _recognised(
         return {"species": 0.0, **none}
     kept = np.isin(names, [kind for enough in parted for kind in enough])
     distance = separability(spectra[kept], names[kept].tolist())["jeffries_matusita"].mean()
-    low, high = np.quantile(accuracies, _INTERVAL)
+    low, high = np.quantile(accuracies, INTERVAL)
     counts = np.array([len(enough) for enough in parted])
     return {
         "species": float(counts.mean()), "accuracy": float(np.mean(accuracies)), "q05": float(low),

@@ -1,0 +1,193 @@
+"""What the names of spectra and of their files say: reflectance, transmittance, or no leaf."""
+
+import re
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from fynjax._core.errors import InputError
+from fynjax.io.spectra._record import MeasuredSpectrum, note
+
+_BEFORE, _AFTER = r"(^|[ _.\-(])", r"(?=$|[ _.\-)%]|\d{3,5}$)"
+_MARKS = {
+    "transmittance": re.compile(
+        _BEFORE + r"(t|tran|trans|transm|transmittance|tau)" + _AFTER, re.I
+    ),
+    "reflectance": re.compile(_BEFORE + r"(r|refl|reflectance|rho)" + _AFTER, re.I),
+}
+_FOLDERS = {
+    "transmittance": re.compile(r"t|tran.*|tau", re.I),
+    "reflectance": re.compile(r"r|refl.*|rho", re.I),
+}
+_NO_LEAF = re.compile(
+    r"(mean|average|avg|median|min(imum)?|max(imum)?|n|count|se|sem|cv|rsd|var(iance)?|diff(erence)?"
+    r"|(q|p)\d+|.*\b(percentile|quantile|confidence)\b.*|(lower|upper)( ?(ci|bound|limit))?"
+    r"|(.*[ (])?(sd|std|stdev|std ?dev|st dev|standard deviation|standard error|std error)( .*)?)",
+    re.I,
+)
+
+
+def marked(name: str) -> tuple[str, str, str]:
+    """Quantity that a name is marked with, and the name without the mark.
+
+    **Arguments:** `name`, such as "oak01_R" or "oak trans 3".
+
+    **Returns:** "reflectance", "transmittance" or "" of a name without a mark; the rest of the
+    name; and the mark. Where a name has several, as "leaf R 3_T", the last one counts.
+    """
+    found = [
+        (match.start(2), quantity, match)
+        for quantity, pattern in _MARKS.items()
+        for match in pattern.finditer(name)
+    ]
+    if not found:
+        return "", name, ""
+    _, quantity, match = max(found, key=lambda one: one[0])
+    rest = name[: match.start()] + name[match.end() :]
+    return quantity, rest.strip(" _.-()"), match[2]
+
+
+def is_no_leaf(name: str, wavelength: np.ndarray, values: np.ndarray | None) -> bool:
+    """Whether a column of a table is a statistic of the others, or a copy of the wavelengths."""
+    if _NO_LEAF.fullmatch(re.sub(r"[_.\-]+", " ", name).strip(" ()")):
+        return True
+    if values is None or not np.isfinite(values).all():
+        return False
+    return any(np.allclose(values * factor, wavelength, rtol=1e-3) for factor in (1.0, 1e3))
+
+
+def leaves_only(spectra: Sequence[MeasuredSpectrum]) -> list[MeasuredSpectrum]:
+    """Spectra of a table without its columns that are no leaves, which the first one notes.
+
+    A mean that stands alone is a spectrum like others.
+    """
+    left = [
+        s
+        for s in spectra
+        if is_no_leaf(
+            s.name, s.wavelength, s.transmittance if s.reflectance is None else s.reflectance
+        )
+    ]
+    kept = [s for s in spectra if not any(s is one for one in left)]
+    if not kept or not left:
+        return list(spectra)
+    names = ", ".join(repr(s.name) for s in left)
+    meta = {**kept[0].meta, "repairs": list(kept[0].meta.get("repairs", [])), "left_out": names}
+    note(meta, f"left out of the table, since they are no leaves: {names}")
+    return [replace(kept[0], meta=meta), *kept[1:]]
+
+
+def _quantity(file: str, spectrum: MeasuredSpectrum) -> tuple[str, tuple[str, ...], bool]:
+    """Quantity of a spectrum, what it has in common with the other one of its leaf, and whether its
+    name leaves no doubt of it."""
+    quantity, rest, mark = marked(spectrum.name)
+    key: tuple[str, ...] = (rest.lower(),)
+    folder = Path(file).parent.name
+    if not quantity:
+        quantity = next((q for q, known in _FOLDERS.items() if known.fullmatch(folder)), "")
+        mark = folder if quantity else ""
+    if spectrum.reflectance is None:
+        return "transmittance", key, True
+    return quantity or "reflectance", key, len(mark) > 1
+
+
+def as_transmittance(spectrum: MeasuredSpectrum) -> MeasuredSpectrum:
+    """A spectrum whose values, wherever they stand, are transmittance."""
+    if spectrum.reflectance is None:
+        return spectrum
+    meta = {k: v for k, v in spectrum.meta.items() if k != "panel"}
+    values = spectrum.reflectance
+    return replace(spectrum, reflectance=None, transmittance=values, meta=meta)
+
+
+def join_stated(
+    read: list[tuple[str, MeasuredSpectrum]], through: list[tuple[str, MeasuredSpectrum]]
+) -> list[tuple[str, MeasuredSpectrum]]:
+    """Reflectance joined with transmittance that the user says is such, by the names but for their
+    marks, or by the order where the names differ.
+
+    **Raises:** `InputError` where there are not as many of both, or of other bands.
+    """
+    if len(read) != len(through):
+        raise InputError(
+            f"each leaf needs its transmittance, but of {len(read)} leaves there are {len(through)}"
+        )
+    keys = [marked(s.name)[1].lower() for _, s in through]
+    own = [marked(s.name)[1].lower() for _, s in read]
+    if len(set(own)) == len(own) and set(keys) == set(own):
+        through = [through[keys.index(key)] for key in own]
+    joined = []
+    for (file, leaf), (other, spectrum) in zip(read, through, strict=True):
+        if leaf.transmittance is not None:
+            raise InputError(
+                f"the transmittance of {leaf.name!r} is in its file already", file=file
+            )
+        joined.append((file, _joined(leaf, other, spectrum, "as stated")))
+    return joined
+
+
+def _joined(
+    leaf: MeasuredSpectrum, file: str, through: MeasuredSpectrum, why: str
+) -> MeasuredSpectrum:
+    """A leaf's reflectance with its transmittance from a file."""
+    if not np.array_equal(leaf.wavelength, through.wavelength):
+        raise InputError(
+            f"expected the bands of the reflectance of {leaf.name!r}, but its transmittance has "
+            "others",
+            file=file,
+        )
+    meta = {**leaf.meta, "repairs": list(leaf.meta["repairs"])}
+    meta |= {k: v for k, v in through.meta.items() if k in ("saturated", "doubtful")}
+    note(meta, f"transmittance from {Path(file).name}, {why}")
+    for sentence in through.meta["repairs"]:
+        note(meta, f"transmittance: {sentence}")
+    name = marked(leaf.name)[1] or leaf.name
+    values = as_transmittance(through).transmittance
+    return replace(leaf, name=name, transmittance=values, meta=meta)
+
+
+def join_pairs(read: list[tuple[str, MeasuredSpectrum]]) -> list[tuple[str, MeasuredSpectrum]]:
+    """Reflectance and transmittance of a leaf that stand in two files, as one spectrum.
+
+    They belong together by their names but for a mark of the quantity (`_R` and `_T`, `refl` and
+    `trans`, also of the folders); transmittance is known by such a mark or by the file itself.
+
+    **Arguments:** `read`, file and spectrum of each, whose name is that in the file.
+
+    **Returns:** file and spectrum of each leaf, the pairs with a note.
+    """
+    single = [
+        i for i, (_, s) in enumerate(read) if (s.reflectance is None) != (s.transmittance is None)
+    ]
+    about = {i: _quantity(*read[i]) for i in single}
+    joined = list(read)
+    waiting: dict[tuple[str, ...], list[int]] = {}
+    for i in single:
+        if about[i][0] == "reflectance":
+            waiting.setdefault(about[i][1], []).append(i)
+    gone = set()
+    for i in single:
+        quantity, key, sure = about[i]
+        file, through = read[i]
+        if quantity != "transmittance":
+            continue
+        partners = [
+            k for k in waiting.get(key, ()) if read[k][0] != file or read[k][1].name != through.name
+        ]
+        grids = [k for k in partners if np.array_equal(read[k][1].wavelength, through.wavelength)]
+        if len(grids) == 1:
+            waiting[key].remove(grids[0])
+            other, leaf = joined[grids[0]]
+            joined[grids[0]] = (other, _joined(leaf, file, through, "by its name"))
+            gone.add(i)
+        elif through.reflectance is not None:
+            meta = {**through.meta, "repairs": list(through.meta["repairs"])}
+            alone = "the name is that of a transmittance, but no reflectance goes with it"
+            note(meta, f"{alone}: taken for {'transmittance' if sure else 'reflectance'}")
+            if not sure:
+                meta["doubtful"] = f"{alone}: taken for reflectance"
+            told = replace(through, meta=meta)
+            joined[i] = (file, as_transmittance(told) if sure else told)
+    return [one for i, one in enumerate(joined) if i not in gone]

@@ -1,0 +1,95 @@
+"""One clear line for names that are no text, too little memory, and a device that is not there."""
+
+import errno
+import io
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import jax
+import pytest
+
+import fynjax.cli as cli
+from fynjax._core.errors import InputError
+from fynjax._core.files import existing_file
+from fynjax.cli._runtime import run_job
+from fynjax.io.raster import open_blocks
+
+posix = pytest.mark.skipif(sys.platform in ("win32", "darwin"), reason="names are text there")
+
+
+@posix
+def test_a_name_that_is_no_text_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = tmp_path / os.fsdecode(b"n\xffame")
+    folder.mkdir()
+    (folder / "a.csv").write_text("a", "utf-8")
+    (tmp_path / "fynböš.csv").write_text("a", "utf-8")
+    assert existing_file(tmp_path / "fynböš.csv", "a table")
+    for attempt in (
+        lambda: existing_file(folder / "a.csv", "a table"),
+        lambda: open_blocks(folder / "a.zarr").__enter__(),
+        lambda: run_job("build", lambda _: None, folder / "out", as_json=False, quiet=True),
+    ):
+        with pytest.raises(
+            InputError, match=r"in utf-8, but the byte 0xff is none.*Rename"
+        ) as caught:
+            attempt()
+        str(caught.value).encode()  # can be printed
+    monkeypatch.chdir(folder)
+    with pytest.raises(InputError, match="folder that it is in"):
+        existing_file("a.csv", "a table")
+
+
+def test_a_terminal_without_letters_shows_their_numbers(monkeypatch, tmp_path) -> None:
+    ascii_only = io.TextIOWrapper(io.BytesIO(), encoding="ascii")
+    monkeypatch.setattr(sys, "stderr", ascii_only)
+    monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(io.BytesIO(), encoding="ascii"))
+    with pytest.raises(SystemExit):
+        cli.main(["build", str(tmp_path / "fynböš.toml")])
+    ascii_only.seek(0)
+    assert r"fynb\xf6\u0161.toml: expected a plot file" in ascii_only.read()
+
+
+@pytest.mark.parametrize(
+    "error",
+    [
+        MemoryError(),
+        OSError(errno.ENOMEM, "Cannot allocate memory"),
+        ImportError("libscipy.so: failed to map segment from shared object"),
+        RuntimeError("RESOURCE_EXHAUSTED: Out of memory allocating 9 bytes"),
+    ],
+)
+def test_too_little_memory_is_said(error: Exception) -> None:
+    assert "too little memory" in cli._of_this_machine(error)
+    assert "\n" not in cli._of_this_machine(error)
+
+
+def test_a_device_that_is_not_there_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    def none() -> None:
+        raise AssertionError
+
+    assert cli._of_this_machine(ValueError("other")) == "ValueError: other"
+    monkeypatch.setenv("JAX_PLATFORMS", "cuda")
+    assert cli._of_this_machine(ValueError("other")) == "ValueError: other"  # JAX works here
+    monkeypatch.setattr(jax, "devices", none)
+    said = cli._of_this_machine(AssertionError())
+    assert "no device of JAX_PLATFORMS=cuda" in said
+
+
+def test_a_home_that_is_missing_or_a_file_costs_nothing(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("", "utf-8")
+    code = (
+        "from fynjax._core.compiler import keep_compiled\n"
+        "from fynjax.cli._runtime import _alone\n"
+        "from pathlib import Path\nimport sys\n"
+        "keep_compiled()\nwith _alone(Path(sys.argv[1])): print('well')"
+    )
+    hidden = {"HOME", "XDG_CACHE_HOME", "JAX_COMPILATION_CACHE_DIR"}
+    kept = {key: value for key, value in os.environ.items() if key not in hidden}
+    home = {"HOME": str(tmp_path / "file")}
+    run = subprocess.run(
+        [sys.executable, "-c", code, str(tmp_path / "out")],
+        env=kept | home, capture_output=True, text=True,
+    )  # fmt: skip
+    assert run.stdout == "well\n", run.stderr

@@ -1,0 +1,339 @@
+"""Designed bands against exhaustive search, closed forms and difference quotients."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import fynjax as fx
+from fynjax._core.errors import InputError
+from fynjax.diversity import bhattacharyya_distance, jeffries_matusita_distance
+from fynjax.inversion import _design as bands_of_design
+from fynjax.inversion import fisher_information
+from fynjax.inversion._design import _Limits, _Measured, _Spectra, gaussian_weights
+from fynjax.leaf import LeafParameters, prospect
+from fynjax.sensors import BandSet, shipped_sensor
+from tests.scene.plots import small_parameters
+
+GRID = np.arange(405.0, 2496.0, 10.0)
+LIMITS = _Limits(405.0, 2495.0, 10.0, 100.0)
+PRIOR_SD = {"chlorophyll": 15.0, "water": 0.005}
+
+
+@pytest.fixture(autouse=True)
+def double():
+    with jax.enable_x64(True):
+        yield
+
+
+def spectra_of_leaves(target="quantities", asked=((1.0, 0.0),), plantings=3, **changes):
+    """Plots that are one leaf, whose chlorophyll and water are unknown; pixels differ by a few
+    smooth spectra."""
+    usual = {"chlorophyll": 40.0, "water": 0.015}
+
+    def leaf(values):
+        optics = prospect(LeafParameters.many(**dict(zip(usual, values))))
+        return jnp.ravel(optics.reflectance)[5:2100:10]  # from 400 nm on, a nanometre each
+
+    at = jnp.array([*usual.values()])
+    slope = np.asarray(jax.jacfwd(leaf)(at)) * np.array([*PRIOR_SD.values()])
+    random = np.random.default_rng(1)
+    mean = np.asarray(leaf(at)) * (1.0 + 0.02 * random.normal(size=(plantings, 1)))
+    basis = 0.02 * np.cos(np.pi * np.arange(4) * (GRID[:, None] - 400.0) / 2100.0)
+    root = random.normal(size=(plantings, 4, 4))
+    second = root @ root.swapaxes(1, 2)
+    second_slope = np.stack([second, 0.2 * second], axis=-1)
+    fields = {
+        "grid": GRID,
+        "mean": mean,
+        "mean_slope": np.broadcast_to(slope, (plantings, *slope.shape)),
+        "basis": basis,
+        "second": second,
+        "second_slope": second_slope,
+        "photons": 1e3 * np.ones(len(GRID)),
+        "asked": np.broadcast_to(np.array(asked), (plantings, len(asked), 2)),
+        "species": np.full((plantings, 2), 20.0),
+        "species_mean": np.stack([mean, 1.2 * mean], axis=1),
+        "species_second": np.stack([second, 0.5 * second], axis=1),
+        **changes,
+    }
+    return _Spectra(**{k: jnp.asarray(v) for k, v in fields.items()}, pixels=400, error=0.01,
+                    target=target)  # fmt: skip
+
+
+def every(spectra):
+    return jnp.ones(len(spectra.mean))
+
+
+def scores(spectra, centre, width):
+    centre, width = (jnp.asarray(one, float) for one in (centre, width))
+    seen = bands_of_design._seen(spectra, gaussian_weights(spectra.grid, centre, width), width)
+    return np.asarray(bands_of_design._scores_of(spectra, seen, every(spectra)))
+
+
+TARGETS = pytest.mark.parametrize("target", ["quantities", "information", "separability"])
+
+
+def test_weights_are_those_of_a_band_set():
+    bands = BandSet(("a", "b", "c"), (560.0, 1203.3, 2000.0), (10.0, 35.5, 100.0))
+    found = gaussian_weights(jnp.asarray(GRID), jnp.array(bands.centre), jnp.array(bands.fwhm))
+    np.testing.assert_allclose(found, bands.weights(GRID), atol=1e-12)
+
+
+@TARGETS
+def test_the_gradient_in_centre_and_width_is_the_difference_quotient(target):
+    spectra, x = spectra_of_leaves(target), np.array([0.2, 0.55, 0.3, 0.6])
+    value, slope = bands_of_design._ascent(x, spectra, LIMITS, every(spectra))
+    assert np.isfinite(value)
+    for i in range(len(x)):
+        step = 1e-5 * np.eye(len(x))[i]
+        ends = [
+            float(bands_of_design._ascent(x + s, spectra, LIMITS, every(spectra))[0])
+            for s in (step, -step)
+        ]
+        assert float(slope[i]) == pytest.approx((ends[0] - ends[1]) / 2e-5, rel=1e-4, abs=1e-7)
+
+
+def test_the_ascent_finds_what_an_exhaustive_search_finds():
+    """Two bands of 20 nm, every pair of centres 10 nm apart."""
+    spectra = spectra_of_leaves(asked=((1.0, 0.0), (0.0, 1.0)))
+    limits = _Limits(405.0, 2495.0, 20.0, 20.0)
+    ends = bands_of_design._search(spectra, limits, 2, 4, 0, every(spectra))
+    centre = np.arange(435.0, 2466.0, 10.0)
+    width = jnp.full(len(centre), 20.0)
+    weights = gaussian_weights(spectra.grid, jnp.asarray(centre), width)
+    seen = bands_of_design._seen(spectra, weights, width)
+    pairs = np.stack(np.triu_indices(len(centre), 1), axis=1)
+    values = bands_of_design._values_of_channels(spectra, seen, jnp.asarray(pairs), every(spectra))
+    best = float(np.max(values))
+    assert best * (1.0 - 1e-9) <= ends[0][0] <= best * 1.02
+    chosen = np.sort(np.asarray(limits.bands(ends[0][1])[0]))
+    np.testing.assert_allclose(chosen, centre[pairs[int(np.argmax(values))]], atol=10.0)
+    # Channels of a sensor, by exchange.
+    found = bands_of_design.best_channels(spectra, seen, 2, every(spectra))
+    of_found = bands_of_design._values_of_channels(
+        spectra, seen, jnp.array([found]), every(spectra)
+    )
+    assert float(of_found[0]) >= 0.999 * best
+
+
+@pytest.mark.parametrize(
+    ("asked", "low", "high"), [((0.0, 1.0), 1100.0, 2500.0), ((1.0, 0.0), 500.0, 760.0)]
+)
+def test_a_band_is_where_the_substance_absorbs(asked, low, high):
+    """Water in the shortwave infrared, chlorophyll in the visible and the red edge."""
+    spectra = spectra_of_leaves(asked=(asked,))
+    _, x = bands_of_design._search(spectra, LIMITS, 1, 2, 0, every(spectra))[0]
+    assert low < float(LIMITS.bands(x)[0][0]) < high
+
+
+@TARGETS
+def test_a_band_more_is_never_less_information(target):
+    spectra, random = spectra_of_leaves(target), np.random.default_rng(3)
+    for _ in range(5):
+        centre, width = random.uniform(600.0, 2300.0, 4), random.uniform(10.0, 100.0, 4)
+        values = [scores(spectra, centre[:n], width[:n]) for n in (1, 2, 3, 4)]
+        assert (np.diff(values, axis=0) >= -1e-9).all()
+        twice = scores(spectra, np.append(centre, centre[0]), np.append(width, width[0]))
+        assert (twice >= values[-1] - 1e-9).all()
+
+
+def test_what_is_removed_is_that_of_the_fisher_information():
+    """Plantings alike: the errors are the sensor's alone, and those by hand."""
+    asked = ((0.6, 0.8),)
+    spectra = spectra_of_leaves(asked=asked)
+    alike = jax.tree.map(lambda a: jnp.broadcast_to(a[:1], a.shape), spectra)
+    spectra = dataclasses.replace(
+        alike, grid=spectra.grid, basis=spectra.basis, photons=spectra.photons
+    )
+    centre, width = np.array([560.0, 1650.0]), np.array([30.0, 60.0])
+    weights = BandSet(("a", "b"), centre, width).weights(GRID)
+    mean = weights @ np.asarray(spectra.mean[0])
+    rows = weights @ np.asarray(spectra.basis)
+    variance = np.einsum("bi,ij,bj->b", rows, spectra.second[0], rows)
+    noise = mean**2 / (width * 1e3 * mean)
+    sd = np.sqrt(variance + noise)
+    slopes = np.concatenate(
+        [
+            weights @ np.asarray(spectra.mean_slope[0]),
+            np.einsum("bi,ijk,bj->bk", rows, spectra.second_slope[0], rows) / (2 * sd[:, None]),
+        ]
+    )
+    # Of the variance of n pixels of known values with noise: (4 v s^2 + 2 s^4) / n.
+    of_sd = (4.0 * variance * noise + 2.0 * noise**2) / (4.0 * sd**2)
+    errors = (0.01 * np.concatenate([mean, sd])) ** 2 + np.concatenate([noise, of_sd]) / 400
+    known = fisher_information(("a", "b"), slopes, errors, np.ones(2))
+    after = np.linalg.inv(np.eye(2) + known.fisher)
+    direction = np.array(asked[0])
+    assert scores(spectra, centre, width)[0, 0] == pytest.approx(
+        1.0 - direction @ after @ direction, rel=1e-8
+    )
+    gained = scores(dataclasses.replace(spectra, target="information"), centre, width)[0, 0]
+    assert gained == pytest.approx(-0.5 * np.log2(np.linalg.det(after)), rel=1e-8)
+
+
+def test_chance_is_half_that_of_plantings_and_half_that_of_pixels():
+    """The same numbers by NumPy's covariances, from the docstring's words; no slope is needed but
+    one of a parameter that moves a single statistic."""
+    spectra = spectra_of_leaves("information", plantings=5, photons=np.full(len(GRID), 1e12))
+    slope = np.zeros((5, len(GRID), 2))
+    slope[:, GRID < 1000.0, 0] = 0.01
+    spectra = dataclasses.replace(
+        spectra, mean_slope=jnp.asarray(slope), second_slope=jnp.zeros((5, 4, 4, 2))
+    )
+    bands = BandSet(("a", "b"), (560.0, 1650.0), (30.0, 60.0))
+    weights = bands.weights(GRID)
+    pixel = np.einsum("wi,pij,vj->pwv", spectra.basis, spectra.second, spectra.basis)
+    seen = np.einsum("bw,pwv,cv->pbc", weights, pixel, weights)
+    values = np.concatenate(
+        [spectra.mean @ weights.T, np.sqrt(np.diagonal(seen, axis1=1, axis2=2))], axis=1
+    )
+    mean, spread = seen.mean(axis=0), np.zeros((4, 4))
+    every = np.diagonal(pixel, axis1=1, axis2=2)
+    total = every.mean(axis=0).sum()
+    spread[:2, :2] = mean * np.var(spectra.mean, axis=0, ddof=1).sum() / total
+    sd = np.sqrt(np.diag(mean))
+    relative = np.var(np.sqrt(every), axis=0, ddof=1).sum() / total
+    spread[2:, 2:] = relative * np.outer(sd, sd) * (mean / np.outer(sd, sd)) ** 2
+    error = np.diag((0.01 * values.mean(axis=0)) ** 2)
+    known = np.linalg.inv(0.5 * np.cov(values.T) + 0.5 * spread + error)[0, 0] * 0.01**2
+    found = scores(spectra, bands.centre, bands.fwhm)[:, 0]
+    np.testing.assert_allclose(found, 0.5 * np.log2(1.0 + known), rtol=1e-4)
+
+
+def test_photons_are_those_of_the_sun_and_none_in_the_water_windows():
+    """As many as the signal-to-noise ratio asks for in the band that it is of."""
+    light = small_parameters()
+    bands = BandSet(tuple(map(str, GRID)), tuple(GRID), (10.0,) * len(GRID), response="box")
+    photons = bands_of_design._photons(light, bands, 200.0)
+    at = dict(zip(GRID, photons, strict=True))
+    assert 10.0 * 0.1 * 0.5 * (at[545.0] + at[555.0]) == pytest.approx(200.0**2, rel=0.05)
+    assert max(at[1375.0], at[1905.0]) < 1e-6 * at[555.0]
+    # Planck's law of 5800 K, per photon, to what air takes of green light.
+    planck = {nm: nm**-4.0 / np.expm1(1.4388e7 / (nm * 5800.0)) for nm in (555.0, 865.0, 1655.0)}
+    for nm in (865.0, 1655.0):
+        assert at[nm] / at[555.0] == pytest.approx(planck[nm] / planck[555.0], rel=0.4)
+
+
+def test_distances_are_those_of_the_pixels():
+    random = np.random.default_rng(5)
+    weight = random.normal(size=(2, 4, 50)) + np.array([0.0, 1.0])[:, None, None]
+    spectra = spectra_of_leaves(
+        "separability",
+        photons=np.full(len(GRID), 1e12),
+        species_second=np.stack([[np.cov(one) for one in weight]] * 3),
+    )
+    spectra = dataclasses.replace(
+        spectra, species_mean=jnp.asarray(weight.mean(axis=2)) @ spectra.basis.T + spectra.mean[:1]
+    )  # fmt: skip
+    spectra = dataclasses.replace(
+        spectra, species_mean=jnp.broadcast_to(spectra.species_mean, (3, 2, len(GRID)))
+    )
+    centre, width = np.array([700.0, 1700.0]), np.array([20.0, 50.0])
+    rows = BandSet(("a", "b"), centre, width).weights(GRID) @ np.asarray(spectra.basis)
+    pixels = [(rows @ one).T for one in weight]
+    distance = jeffries_matusita_distance(bhattacharyya_distance(*pixels, shrinkage=0.0))
+    assert scores(spectra, centre, width)[0, 0] == pytest.approx(float(distance), rel=1e-6)
+
+
+def test_shot_noise_falls_with_the_root_of_the_photons():
+    """A band twice as wide collects twice as many; where there is no light nothing is known."""
+    spectra = spectra_of_leaves()
+    flat = dataclasses.replace(spectra, mean=jnp.full_like(spectra.mean, 0.2))
+    width = jnp.array([20.0, 40.0])
+    weights = gaussian_weights(spectra.grid, jnp.array([1000.0, 1000.0]), width)
+    noise = np.asarray(bands_of_design._seen(flat, weights, width).noise)
+    assert noise[0] == pytest.approx(0.2**2 / (20.0 * 1e3 * 0.2))
+    assert noise[0] / noise[1] == pytest.approx(2.0)
+    dark = dataclasses.replace(spectra, photons=jnp.full(len(GRID), 1e-12))
+    assert scores(dark, [560.0], [30.0]).max() < 1e-3 < scores(spectra, [560.0], [30.0]).min()
+
+
+# -- of a scene --------------------------------------------------------------------------------
+
+COLUMNS = "taxon", "growth_form", "mean_diameter_cm", "cover_percent", "height_max_m"
+TABLE = [
+    dict(zip(COLUMNS, row, strict=True))
+    for row in (("Erica", "rounded_shrub", 40, 30, 0.6), ("Restio", "tussock", 30, 15, 0.5))
+]
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return fx.Scene.from_table(TABLE, size=2.0, voxel=0.25, structure="even", seed=1)
+
+
+@pytest.mark.parametrize(
+    ("changes", "text"),
+    [
+        ({"bands": 0}, "expected 1 to 210 `bands`"),
+        ({"bands": 211}, "expected 1 to 210 `bands`.*got 211"),
+        ({"target": "shanon"}, "got 'shanon'. Did you mean 'shannon'"),
+        ({"target": "canopy_height"}, "does not depend on any of the free"),
+        ({"spectrum": (300.0, 900.0)}, "from 400 to 2500 nm, but got 300, 900"),
+        ({"spectrum": (900.0, 500.0)}, "two wavelengths in order"),
+        ({"spectrum": (500.0, 600.0)}, "a band 100 nm wide does not fit"),
+        ({"widths": (2.0, 50.0)}, "`widths` as two numbers.*at least 10 nm"),
+        ({"plantings": 2}, "3 `plantings` or more"),
+        ({"snr": 0.0}, "`snr` must be a positive number"),
+        ({"compare": ["mavic"]}, "mavic"),
+        ({"compare": [shipped_sensor("sentinel_2a").select([12])], "spectrum": (400.0, 900.0)},
+         "no band from 405 to 895 nm"),
+    ],
+)  # fmt: skip
+def test_what_does_not_fit_is_refused_in_a_line(scene, changes, text):
+    free = fx.free(scene, "ground.brightness")
+    with pytest.raises(InputError, match=text) as caught:
+        fx.design(scene, **{"free": free, **changes})
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.slow
+def test_a_design_of_a_scene(scene):
+    """Means and spreads are those of the image in the camera's own bands, to what the spectrum
+    bends within 10 nm and the light within a band; the record holds what was found."""
+    free = fx.free(scene, "species.*.cover", "ground.brightness")
+    rendered = []
+    real = bands_of_design._render
+
+    def kept(*arguments):
+        rendered.append(real(*arguments))
+        return rendered[0]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(bands_of_design, "_render", kept)
+        found = fx.design(
+            scene, 2, ("shannon", "species.*.cover"), free=free, pixel=0.25, plantings=3, starts=2,
+            spectrum=(400.0, 1000.0), compare=("mavic_3m",),
+        )  # fmt: skip
+    camera = shipped_sensor("mavic_3m")
+    seen: _Measured = bands_of_design._bands_of(rendered[0], camera.bands)
+    image = np.asarray(
+        fx.observe(
+            bands_of_design.coarser(scene, scene.parameters), camera, pixel=0.25,
+            point_spread=False, accuracy=bands_of_design.COARSE,
+        ).reflectance
+    )  # fmt: skip
+    np.testing.assert_allclose(seen.mean[0], image.mean(axis=(1, 2)), rtol=0.03)
+    sd = np.sqrt(np.diagonal(seen.covariance[0]))
+    np.testing.assert_allclose(sd, image.std(axis=(1, 2)), rtol=0.03)
+    assert list(found.table["sensor"]) == ["designed", "mavic_3m", "best 2 of aviris_ng"]
+    assert list(found.quantities.columns) == [
+        "shannon", "species.Erica.cover", "species.Restio.cover"
+    ]  # fmt: skip
+    assert found.quantities.iloc[0].mean() == pytest.approx(found.table["value"][0], rel=1e-9)
+    assert found.starts[0] == pytest.approx(found.table["value"][0], rel=1e-6)
+    assert found.table["value"][0] >= 0.99 * found.table["value"][2]
+    assert (found.table["gain_q05"][1:] <= found.table["gain_q95"][1:]).all()
+    assert found.table["gain"][0] == 0.0
+    assert (np.diff(found.bands.centre) > 0).all()
+    assert str(found).count("\n") == 2
+    assert "the design has" in found._repr_html_()
+    data = found.to_xarray()
+    assert data["response"].dims == ("band", "wavelength")
+    assert data["slope"].shape == (3, len(found.wavelength))
+    assert len(found.plot()) == 2
+    again = fx.observe(scene, found.sensor, pixel=0.5)
+    assert again.bands == found.bands.names
