@@ -89,7 +89,8 @@ misfit = np.log(real / ours)
 #
 # A cause may move as far as its prior allows. What it explains alone is the share by which that
 # lowers the chi-square of no cause at all. Bars rest on slopes. The dots look again: the plot is
-# simulated with the best values of a cause, as far as there is light and leaf left to move.
+# simulated with the best values of a cause. (Where these cannot be, such as crowns of no width,
+# there is no dot.)
 
 # %%
 prior, image = views[0].gains.covariance(4), views[0].observe(scene, scene.parameters)[0]
@@ -120,7 +121,7 @@ for k, (name, rows) in enumerate(sensors.items()):
 again = [1 - look_again(cause) / zero for cause in causes]
 ax.plot(again, rank[1:] + 0.27, "ko", ms=4, label="both, looked at again")
 ax.set_yticks(rank, list(moves)), ax.invert_yaxis(), ax.legend(title="chi-square of 6, 5 and 11")
-ax.set(xlabel="share of the misfit that a cause explains alone", xlim=(min(0, *again), 1))
+ax.set(xlabel="share of the misfit that a cause explains alone", xlim=(min(0, np.nanmin(again)), 1))
 plt.show()
 
 # %% [markdown]
