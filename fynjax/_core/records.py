@@ -97,6 +97,15 @@ class Strict(BaseModel):
     must_have: ClassVar[tuple[str, ...]] = ()
     """Columns that a table must have although their cells may be empty."""
 
+    @classmethod
+    def of_table(cls, cells: list[dict[str, Any]]) -> list[dict[str, Any]]:
+        """The rows of a table, where what a cell means depends on its column; as they are by
+        default.
+
+        **Arguments:** `cells`: of each row by column, without empty ones.
+        """
+        return cells
+
     def replace(self, **changes: Any) -> Self:
         """The same record with other values, as `dataclasses.replace`. Ranges are not checked.
 

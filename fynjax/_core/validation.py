@@ -216,6 +216,10 @@ def checked_rows(
     first: dict[Any, int] = {}
     rules = model if issubclass(model, Strict) else Strict
     key = rules.unique
+    if rules.of_table.__func__ is not Strict.of_table.__func__:  # type: ignore[attr-defined]
+        numbered = list(given)
+        whole = rules.of_table([dict(cells) for _, cells in numbered])
+        given = zip((number for number, _ in numbered), whole, strict=True)
     for number, cells in given:
         row = checked_row(model, cells, file=file, row=number, within=within)
         value = None if key is None else getattr(row, key)

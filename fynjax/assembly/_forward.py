@@ -79,11 +79,28 @@ def prepare(plot: Plot, free: Sequence[str] | None, *, seed: int) -> Prepared:
     """
     scene, parameters = build_plot(plot, seed=seed, rounding="random")
     patterns = plot.calibration.free if free is None else tuple(free)
-    space = free_space(scene, parameters, patterns, plot.calibration.relative_sd)
+    space = free_space(scene, parameters, patterns, lambda name: _prior_sd(plot, name))
     counts = _likely_counts(scene, parameters, space)
     if room_needed(scene, parameters, counts).any():
         scene, _ = build_plot(plot, seed=seed, counts=counts, rounding="random")
     return Prepared(plot, scene, parameters, space, seed, counts)
+
+
+_WIDTH_OF_90 = 3.29
+"""Standard deviations of a normal that its middle 90 % are wide."""
+
+
+def _prior_sd(plot: Plot, name: str) -> float | None:
+    """Relative standard deviation of a parameter's prior. Of a cover that the table has as a range
+    it is the one whose middle 90 % are that range, unless `calibration.priors` has its full name.
+    """
+    for row in plot.species:
+        between = row.cover_range
+        if between is not None and name == f"species.{row.taxon}.cover":
+            low, high = between
+            if name not in plot.calibration.priors:
+                return (high - low) / _WIDTH_OF_90 / (0.5 * (low + high))
+    return plot.calibration.relative_sd(name)
 
 
 _DRAWS, _LIKELY = 500, 0.99

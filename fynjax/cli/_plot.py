@@ -17,6 +17,7 @@ from fynjax.cli._runtime import (
     PriorFile,
     Quiet,
     Seed,
+    Truth,
     Twin,
     command,
     listed,
@@ -123,10 +124,7 @@ def render(
     plot: PlotPath,
     checkpoint: Checkpoint = None,
     seed: OwnSeed = None,
-    truth: Annotated[
-        bool,
-        typer.Option("--truth", help="Also write which species each pixel sees, and how much."),
-    ] = False,
+    truth: Truth = False,
 ) -> None:
     """Render what the drone sees of a plot.
 
@@ -189,7 +187,15 @@ def plant(
         typer.Option(
             metavar="z|y",
             help="Vertical axis of the file: y for .glb and .gltf if left out, as their standard "
-            "says, else z. GLB that trimesh made of a mesh with z up needs z.",
+            "says; y, with a warning, if a plant reaches below 0 in z and not in y; else z. GLB "
+            "that trimesh made of a mesh with z up needs z.",
+        ),
+    ] = None,
+    unit: Annotated[
+        str | None,
+        typer.Option(
+            metavar="UNIT",
+            help="Unit of the mesh or scan: metre (if left out), centimetre, millimetre, foot.",
         ),
     ] = None,
     maximum_extent: Annotated[

@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float
 
 from fynjax._core.errors import InputError
 from fynjax.canopy import band_word
-from fynjax.io.raster import RasterFile, check_reflectance, open_image
+from fynjax.io.raster import RAW_COUNTS, RasterFile, check_reflectance, open_image
 from fynjax.metrics import BANDS
 from fynjax.sensors import mavic_3m
 
@@ -133,6 +133,8 @@ def read_drone_image(
     """
     path = Path(path)
     with open_image(path, "a drone image") as file:
+        if file.is_raw_capture:
+            raise InputError(RAW_COUNTS, file=path)
         # Programs call the last of four bands alpha, also where it is near infrared.
         data = file.dataset.indexes if file.dataset.count == len(BANDS) else file.bands
         numbers, taken, how = _find_bands(file, data, bands)

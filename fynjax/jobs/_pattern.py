@@ -13,7 +13,7 @@ from fynjax.canopy import (
     choose_greenness,
     vegetation_pattern,
 )
-from fynjax.io.raster import BandStack, read_band_stack, write_geotiff
+from fynjax.io.raster import RAW_COUNTS, BandStack, read_band_stack, write_geotiff
 from fynjax.jobs._doubt import doubt_spectrum
 from fynjax.jobs._result import JobResult, Record
 from fynjax.jobs._run import Run
@@ -112,13 +112,16 @@ def pattern(
 
     **Returns:** `PatternResult`. Writes `map.tif`, a picture and a page into `output`.
 
-    **Raises:** as `read_band_stack`, `choose_greenness` and `vegetation_pattern`.
+    **Raises:** `InputError` for raw captures of a camera, and as `read_band_stack`,
+    `choose_greenness` and `vegetation_pattern`.
 
     Example: `jobs.pattern(["drone.tif"], "results", clusters=4)`.
     """
     run = Run(output, seed=seed)
     with run.stage("Read the image"):
         stack = read_band_stack(paths, bands=bands, pixel_m=pixel, align=align)
+    if stack.raw:
+        raise InputError(RAW_COUNTS, file=paths[0])
     try:
         green = choose_greenness(stack.names, stack.wavelengths, index=greenness)
         _doubt(run, stack)

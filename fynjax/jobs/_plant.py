@@ -28,7 +28,8 @@ from fynjax.canopy import (
     read_scan,
     table1_2006,
 )
-from fynjax.canopy.mesh import default_up, organ_of_name
+from fynjax.canopy.mesh import default_up, find_up, organ_of_name
+from fynjax.io.raster import UNITS
 from fynjax.io.text import Strict, did_you_mean, existing_file, read_rows, write_text
 from fynjax.jobs._result import JobResult, Record
 from fynjax.jobs._run import Run
@@ -44,6 +45,7 @@ _LARGEST_LEAF_SCALE = 1.1
 _ONLY_FOR = {
     "materials": ("mesh", "taxon"),
     "up": ("mesh", "scan"),
+    "unit": ("mesh", "scan"),
     "maximum_extent": ("mesh", "scan"),
     "diameter": ("taxon",),
     "height": ("taxon",),
@@ -108,6 +110,7 @@ def plant(
     n_elements: int = 2000,
     materials: str | Path | None = None,
     up: Literal["y", "z"] | None = None,
+    unit: str | None = None,
     maximum_extent: float | None = None,
     branches: int = 1,
     rotation_spread: float | None = None,
@@ -126,6 +129,7 @@ def plant(
     - `materials`: table of materials (columns material, organ, optics, solid).
     - `up`, `n_elements`: as in `plant_model_from_mesh`; `maximum_extent` as there, 4 m if left
       out.
+    - `unit`: of the mesh or scan, one of `fynjax.io.raster.UNITS`; metres if left out.
     - `branches`, `rotation_spread`: as in `plant_from_branches`.
     - `diameter`, `height`, `flowering`, `max_triangles`: as in `generate_plant`.
     - `seed`: seed of the random numbers.
@@ -142,6 +146,7 @@ def plant(
     given = {
         "materials": materials,
         "up": up,
+        "unit": unit,
         "maximum_extent": maximum_extent,
         "diameter": diameter,
         "height": height,
@@ -157,6 +162,9 @@ def plant(
             )
     if rotation_spread is not None and branches == 1:
         raise InputError("`rotation_spread` is the tilt of branches: give `branches` too")
+    if unit is not None and unit not in UNITS:
+        raise InputError(f"`unit` must be one of {', '.join(UNITS)}, but is {unit!r}")
+    metres = UNITS[unit or "metre"]
     axis = up or default_up(source)
     limit = _MAXIMUM_EXTENT if maximum_extent is None else maximum_extent
     copies: dict[str, Any] = {"seed": seed, "rotation_spread": rotation_spread}
@@ -168,7 +176,7 @@ def plant(
         if kind == "scan":
             points, normals, organ = read_scan(source)
             model = plant_model_from_points(
-                points,
+                metres * points,
                 normals,
                 n_elements,
                 Organ.LEAF if organ is None else organ,
@@ -189,7 +197,14 @@ def plant(
                     flowering=flowering or 0.0,
                     **({} if max_triangles is None else {"max_triangles": max_triangles}),
                 )
-            mesh = read_plant_mesh(source, up=axis) if made is None else made.mesh
+            if made is not None:
+                mesh = made.mesh
+            else:
+                mesh = read_plant_mesh(source, up="z")
+                axis = up or find_up(source, mesh)
+                scaled = metres * mesh.vertices
+                mesh = PlantMesh(scaled, mesh.faces, mesh.material, mesh.materials)
+                mesh = read_plant_mesh(mesh, up=axis)
             known = None if materials is None else _read_materials(materials, mesh, made)
             if branches > 1:
                 mesh = plant_from_branches(mesh, branches, **copies)

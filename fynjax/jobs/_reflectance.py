@@ -23,6 +23,7 @@ from fynjax.io.micasense import (
     read_capture,
     read_panel,
     same_capture,
+    usable_captures,
 )
 from fynjax.io.raster import Cube, provenance, write_cube_geotiff
 from fynjax.io.text import write_text
@@ -78,7 +79,9 @@ def reflectance(
 
     **Arguments:**
 
-    - `images`: folders or files (`find_captures`); every capture that shows no panel is converted.
+    - `images`: folders or files (`find_captures`); every capture that shows no panel is
+      converted; one that cannot be read, or lacks a band that most have, is skipped, with a
+      warning.
     - `output`: folder of the results, made if missing.
     - `panels`: captures that show a panel, by name or by a file; the same capture again for a
       second panel in it. One panel makes a line through zero, more an empirical line. By default
@@ -105,20 +108,22 @@ def reflectance(
     _check(panels, reflectances, areas, light, panel_sd, light_sd, height, pixel)
     captures = find_captures(images)
     with run.stage("Read the panels"):
-        read = _panels(captures, panels, areas, light)
+        usable, skipped = usable_captures(captures)
+        read = _panels(captures if panels else usable, panels, areas, light)
         known = [
             panel_reflectance(_nth(reflectances, k), panel.capture) for k, panel in enumerate(read)
         ]
     light = light or ("panel" if read else "sensor")
     of_panels = {panel.capture.name for panel in read}
-    wanted = {name: paths for name, paths in captures.items() if name not in of_panels}
+    wanted = {name: paths for name, paths in usable.items() if name not in of_panels}
     if not wanted:
         raise InputError(
             "expected captures to convert, but there are only those of panels: "
             f"{', '.join(of_panels)}"
         )
     line = _line(read, known, light, panel_sd) if read and light != "sensor" else None
-    headline, warnings = panel_sentences(read, known, light), []
+    headline = panel_sentences(read, known, light)
+    warnings = [f"{name} is skipped: {error}" for name, error in skipped.items()]
     converted: dict[str, CaptureSummary] = {}
     shown: list[Picture] = []
     inputs = [path for panel in read for path in panel.capture.paths]

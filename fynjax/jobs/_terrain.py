@@ -27,6 +27,7 @@ from fynjax.terrain import (
     check_positive,
     find_ground,
     heights_above_ground,
+    is_normalised,
     labelled_ground,
     middle_of_raster,
     read_cloud,
@@ -41,6 +42,8 @@ _RASTERS = (".tif", ".tiff", ".img", ".asc", ".vrt")  # of the last, that it nam
 # Points all through a layer as thick as the tolerance scatter by 0.29 of it about their mean.
 _ROUGH = 0.27
 _LARGEST_GAP = 10.0
+_TOLD_RELIEF = 1.0
+"""Relief of the ground [m] from which a cloud of heights above the ground is doubted."""
 _BELOW = 0.01
 """Share of the points that may lie below the ground by more than the tolerance: noise."""
 _AROUND = 10.0
@@ -271,6 +274,13 @@ def _from_cloud(
             cloud, ground, cell=cell, bounds=bounds, largest_gap=largest_gap
         )
         canopy = canopy_height(cloud, terrain)
+    if terrain.relief > _TOLD_RELIEF and is_normalised(cloud):
+        warnings.warn(
+            f"heights of the cloud seem to be above its ground already (most begin at 0), so that "
+            f"a relief of {terrain.relief:.1f} m is that of plants. Take the cloud before it was "
+            "normalised",
+            stacklevel=3,
+        )
     points = cloud.select(ground).crop(terrain.bounds)
     rows, columns = terrain.heights.shape
     west, south, _, _ = terrain.bounds

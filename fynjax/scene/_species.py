@@ -15,7 +15,14 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
-from pydantic import ConfigDict, Field, ValidationInfo, field_validator, model_validator
+from pydantic import (
+    ConfigDict,
+    Field,
+    PrivateAttr,
+    ValidationInfo,
+    field_validator,
+    model_validator,
+)
 
 from fynjax._core.errors import InputError, did_you_mean
 from fynjax._core.files import NamedFile
@@ -24,6 +31,7 @@ from fynjax._core.records import Slip, Strict, quantity
 from fynjax._core.validation import check_header, checked_row, checked_rows
 from fynjax.canopy import FORMS, AbstractLeafAngle, table1_2006
 from fynjax.leaf import LeafParameters, structure_from_dry_matter
+from fynjax.scene._cover_words import cover_range, middle, name_classes
 from fynjax.scene._parameters import (
     FIXED_PARAMETERS,
     LEAF_FIELDS,
@@ -88,7 +96,12 @@ class SpeciesRow(Strict):
     taxon: str = Field(description="Scientific name, or 'Deadwood'.", min_length=1)
     diameter: float = quantity(PARAMETERS["diameter"], column="mean_diameter_cm")
     """Mean crown diameter [m]."""
-    cover: float = quantity(PARAMETERS["cover"], column="cover_percent")
+    cover: float = quantity(
+        PARAMETERS["cover"],
+        note="or a class of Braun-Blanquet, '<1', '>75', '5-10' or 'trace', whose middle counts "
+        "and whose range is the prior",
+        column="cover_percent",
+    )
     """Share of the ground under the crowns [-]."""
     height: float = quantity(PARAMETERS["height"], column="height_max_m")
     """Greatest height in the plot [m]."""
@@ -118,6 +131,35 @@ class SpeciesRow(Strict):
     )
     shoot_clumping: float | None = _of_the_form("shoot_clumping")
     dead_fraction: float | None = _of_the_form("dead_fraction")
+
+    _cover_range: tuple[float, float] | None = PrivateAttr(default=None)
+
+    @property
+    def cover_range(self) -> tuple[float, float] | None:
+        """Least and largest cover [-] of a class, a limit or a range; None of a plain number."""
+        return self._cover_range
+
+    @classmethod
+    def of_table(cls, cells: list[dict[str, Any]]) -> list[dict[str, Any]]:
+        """The rows of a table with classes of cover named as such (`name_classes`)."""
+        column = "cover_percent"
+        at = [row for row in cells if column in row]
+        named = name_classes([row[column] for row in at])
+        for row, cell in zip(at, named, strict=True):
+            row[column] = cell
+        return cells
+
+    @model_validator(mode="wrap")
+    @classmethod
+    def _cover_as_written(cls, given: Any, handler: Any) -> "SpeciesRow":
+        """A class, limit or range of cover counts as its middle, and is kept."""
+        word = given.get("cover_percent") if isinstance(given, Mapping) else None
+        between = cover_range(word) if isinstance(word, str) else None
+        if between is None:
+            return handler(given)
+        row = handler({**given, "cover_percent": middle(*between)})
+        row._cover_range = (between[0] / 100.0, between[1] / 100.0)
+        return row
 
     @field_validator("diameter", "cover", "packing", "fill")
     @classmethod
@@ -321,6 +363,8 @@ def leaf_rows(
     """
     rows = []
     for taxon, stated in leaves.items():
+        if not stated:
+            raise InputError(f"expected a leaf of {taxon!r}, or several, but got none")
         for leaf in [stated] if isinstance(stated, Mapping) else stated:
             try:
                 if "spectrum" in leaf:

@@ -6,7 +6,7 @@ terrain = terrain_from_points(cloud, ground, cell=0.25)
 write_terrain("terrain.tif", terrain)
 """
 
-from fynjax.terrain._cloud import GROUND_CLASSES, PointCloud, read_cloud
+from fynjax.terrain._cloud import GROUND_CLASSES, PointCloud, is_normalised, read_cloud
 from fynjax.terrain._files import (
     middle_of_raster,
     read_terrain,
@@ -38,6 +38,7 @@ __all__ = [
     "check_positive",
     "find_ground",
     "heights_above_ground",
+    "is_normalised",
     "labelled_ground",
     "middle_of_raster",
     "read_cloud",

@@ -3,6 +3,7 @@
 import logging
 import re
 import struct
+import warnings
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -27,6 +28,10 @@ from fynjax.terrain._units import (
 GROUND_CLASSES = (2, 8, 9)
 """ASPRS classes that are ground: ground, model key points, water (LAS 1.4 R15, table 17)."""
 
+_STRAY = 1000
+"""One of so many points may lie far from all others and be left out."""
+_NORMAL_CELL, _NORMAL_LEVEL = 5.0, 0.15
+"""Cells and level [m] by which heights above the ground are known."""
 _NOISE_CLASSES = (7, 18)
 
 
@@ -145,10 +150,44 @@ def read_cloud(
     labels = cloud.classification
     if labels is not None and (noise := np.isin(labels, _NOISE_CLASSES)).any():
         cloud = cloud.select(~noise)
+    cloud = _without_strays(cloud, path)
     check_coordinates(cloud.x, cloud.y, cloud.z, path, unit_stated=unit_stated)
     # Another unit than that of x and y would show in the relief.
     check_height_range(cloud.z, path, "Take these points out.", unit_known=True)
     return cloud
+
+
+def _without_strays(cloud: PointCloud, path: Path) -> PointCloud:
+    """The cloud without the few points that lie farther from all others than these reach."""
+    places = np.stack([cloud.x, cloud.y])
+    if len(cloud) < _STRAY or not np.isfinite(places).all():
+        return cloud
+    low, high = np.quantile(places, (1.0 / _STRAY, 1.0 - 1.0 / _STRAY), axis=1)
+    reach = max(float((high - low).max()), 1.0)
+    far = ((places < (low - reach)[:, None]) | (places > (high + reach)[:, None])).any(axis=0)
+    if not far.any() or far.mean() >= 1.0 / _STRAY:
+        return cloud
+    x, y = places[:, np.argmax(far)]
+    warnings.warn(
+        f"{path}: {int(far.sum())} of {len(cloud)} points lie far from all others, such as at "
+        f"({x:.1f}, {y:.1f}), and are left out",
+        stacklevel=3,
+    )
+    return cloud.select(~far)
+
+
+def is_normalised(cloud: PointCloud) -> bool:
+    """Whether heights seem to be above the ground and not above the sea: the lowest point of
+    three in ten cells of 5 m at least is within 0.15 m of 0, and next to none lies deeper.
+
+    **Arguments:** `cloud`, in metres.
+    """
+    i, j = (np.floor((v - v.min()) / _NORMAL_CELL).astype(np.int64) for v in (cloud.x, cloud.y))
+    _, which = np.unique(j * (i.max() + 1) + i, return_inverse=True)
+    lowest = np.full(which.max() + 1, np.inf)
+    np.minimum.at(lowest, which, cloud.z)
+    near = np.abs(lowest) <= _NORMAL_LEVEL
+    return bool(near.mean() > 0.3 and np.quantile(lowest, 0.01) > -2.0 * _NORMAL_LEVEL)
 
 
 def _read_las(path: Path, unit_stated: bool, height_stated: bool) -> tuple[PointCloud, CRS | None]:

@@ -22,6 +22,8 @@ _NEIGHBOURS = 12
 _SLACK_CELLS = 2.0
 # Share of cells outside the hull of what was measured from which a user should know.
 _MANY_OUTSIDE = 0.01
+_FEW_FAR = 0.001
+"""Share of a plot's cells that may be farther from ground than allowed, with a warning."""
 
 
 def terrain_from_points(
@@ -130,7 +132,7 @@ def fill(
     As `interpolate`; refuses centres farther than `largest_gap` from any point, and warns where
     many of all the plot's `cells` lie outside the hull of the points.
     """
-    _check_gaps(points, centres, corner, largest_gap)
+    _check_gaps(points, centres, corner, largest_gap, cells)
     outside = int((_beyond_hull(points[:, :2], centres) > _SLACK_CELLS * cell).sum())
     if outside > _MANY_OUTSIDE * cells:
         warnings.warn(
@@ -161,6 +163,7 @@ def _check_gaps(
     centres: NDArray[np.float64],
     corner: tuple[float, float],
     largest: float,
+    cells: int,
 ) -> None:
     from scipy.spatial import cKDTree
 
@@ -169,12 +172,18 @@ def _check_gaps(
     if distance[worst] <= largest:
         return
     x, y = centres[worst] + corner
-    far = float((distance > largest).mean())
+    far = int((distance > largest).sum())
+    if far <= _FEW_FAR * cells:
+        warnings.warn(
+            f"{far} of {cells} cells are farther than {largest:g} m from any ground, up to "
+            f"{distance[worst]:.1f} m at ({x:.1f}, {y:.1f}); their heights may be wrong",
+            stacklevel=4,
+        )
+        return
     raise InputError(
         f"expected ground within {largest:g} m of every cell, but the nearest point is "
-        f"{distance[worst]:.1f} m of ({x:.1f}, {y:.1f}); {100 * far:.1f} % of the cells to fill "
-        "are so far from it. Does the file cover the plot? Choose a smaller plot, or allow a "
-        "larger `largest_gap`."
+        f"{distance[worst]:.1f} m of ({x:.1f}, {y:.1f}); {far} of {cells} cells are so far from "
+        "it. Does the file cover the plot? Choose a smaller plot, or allow a larger `largest_gap`."
     )
 
 

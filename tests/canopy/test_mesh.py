@@ -1,5 +1,6 @@
 """Meshes to plant models: areas kept, frames and units right, errors that help."""
 
+import contextlib
 from pathlib import Path
 
 import numpy as np
@@ -238,3 +239,37 @@ def test_bad_meshes(tmp_path: Path) -> None:
         plant_model_from_mesh(path, 10)
     with pytest.raises(InputError, match="cannot be read"):
         plant_model_from_mesh(tmp_path / "none.obj", 10)
+
+
+def test_meshes_of_the_field_have_their_area(shared_data: Path) -> None:
+    """Corners counted back from the face, quads behind all vertices, and y upwards."""
+    folder = shared_data / "field" / "13_obj-negative-indices-quads-yup-mm"
+    height = {}
+    for name in ("batched_quads", "negative_interleaved", "y_up"):
+        said = pytest.warns(UserWarning, match=r"y_up\.obj: y is taken for the vertical axis")
+        with said if name == "y_up" else contextlib.nullcontext():
+            plant = plant_model_from_mesh(folder / f"{name}.obj", None)
+        assert float(plant.organ_area.sum()) == pytest.approx(0.03554, rel=1e-3)
+        height[name] = plant.depth
+    assert height["negative_interleaved"] == pytest.approx(height["batched_quads"], rel=1e-5)
+    assert height["y_up"] == pytest.approx(height["batched_quads"], rel=1e-3)
+
+
+def test_corners_that_count_back_with_normals_and_textures(tmp_path: Path) -> None:
+    path = tmp_path / "leaf.obj"
+    square = "v {0} 0 0\nv {0} 1 0\nv {0} 1 1\nv {0} 0 1\nvt 0 0\nvt 1 1\nvn 1 0 0\nvn 0 1 0\n"
+    faces = (
+        "f -4/-2/-2 -3/-1/-1 -2/-1/-1 -1/-1/-1\n",
+        "f -4//-1 -3//-1 -2//-1\n",
+        "f -1 -2 -4 # a-2\n",
+    )
+    for face, area in zip(faces, (1.0, 0.5, 0.5), strict=True):
+        path.write_text(square.format(0) + face + square.format(0.1) + face)
+        triangles = read_plant_mesh(path).triangles
+        sides = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+        assert 0.5 * np.linalg.norm(sides, axis=1).sum() == pytest.approx(2 * area)
+        assert set(np.round(triangles[..., 0].ravel(), 3)) == {0.0, 0.1}
+    for wrong in ("f -9 -2 -1", "f 1 -0 2"):
+        path.write_text(square.format(0) + wrong)
+        with pytest.raises(InputError, match=r"leaf\.obj, row 9: expected a corner among the 4"):
+            read_plant_mesh(path)

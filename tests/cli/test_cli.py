@@ -3,9 +3,11 @@
 The jobs themselves are stood in for: what is tested is the door, not the house.
 """
 
+import gc
 import json
 import os
 import re
+import signal
 import subprocess
 import sys
 import time
@@ -300,6 +302,45 @@ def test_ctrl_c_is_130_and_leaves_nothing(capsys, calls, monkeypatch, tmp_path):
     status, out, err = call(capsys, "demo", "--output", tmp_path / "o")
     assert (status, out) == (130, "")
     assert err == "fynjax: interrupted; nothing was written\n"
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals as Unix has them")
+@pytest.mark.parametrize("dropped", [False, True])
+@pytest.mark.parametrize(
+    ("number", "status", "word"),
+    [(signal.SIGINT, 130, "interrupted"), (signal.SIGTERM, 143, "ended")],
+)
+def test_a_signal_ends_a_run_also_where_a_library_drops_it(
+    capsys, calls, monkeypatch, tmp_path, dropped, number, status, word
+):
+    reached = []
+
+    def send(phase="", info=None):
+        if send in gc.callbacks:
+            gc.callbacks.remove(send)
+        os.kill(os.getpid(), number)
+        for _ in range(1000):  # the exception comes here, where Python drops it
+            pass
+
+    def demo(output, **_):
+        if dropped:
+            gc.callbacks.append(send)
+            gc.collect()
+        else:
+            send()
+        end = time.monotonic() + 10.0
+        while time.monotonic() < end:
+            pass
+        reached.append(True)
+
+    before = sys.unraisablehook
+    monkeypatch.setattr(fynbos_2006, "demo", demo)
+    came, out, err = call(capsys, "demo", "--output", tmp_path / "o")
+    assert (came, out) == (status, "")
+    assert err == f"fynjax: {word}; nothing was written\n"
+    assert reached == []
+    assert sys.unraisablehook is before
     assert list(tmp_path.iterdir()) == []
 
 

@@ -188,6 +188,30 @@ def test_units_that_are_not_metres(tmp_path: Path) -> None:
     assert run(str(path), "--maximum-extent", "7", *out)["height_m"] == pytest.approx(6, rel=0.02)
 
 
+def test_the_unit_of_a_mesh(shared_data: Path, tmp_path: Path) -> None:
+    folder = shared_data / "field" / "13_obj-negative-indices-quads-yup-mm"
+    path = tmp_path / "large.obj"
+    with path.open("w") as file:
+        for line in (folder / "batched_quads.obj").read_text().splitlines():
+            word, *numbers = line.split()
+            if word == "v":
+                line = " ".join([word, *(f"{100 * float(number):.6f}" for number in numbers)])
+            print(line, file=file)
+    out = ("--elements", "50", "--output", str(tmp_path / "out"))
+    with pytest.raises(InputError, match="state its unit") as raised:
+        run(str(path), *out)
+    assert "raise" not in str(raised.value)
+    made = run(str(path), "--unit", "centimetre", *out)
+    assert sum(made["area_m2"].values()) == pytest.approx(0.03554, rel=1e-3)
+    with pytest.raises(InputError, match="unit` must be one of metre, centimetre"):
+        run(str(path), "--unit", "cm", *out)
+    with pytest.raises(InputError, match="`--unit` is for a mesh or a scan"):
+        run("Deadwood", "--unit", "foot", *out)
+    scan = cloud(tmp_path / "scan.xyz", 200.0)
+    made = run(str(scan), "--unit", "millimetre", *out)
+    assert made["height_m"] == pytest.approx(0.6, rel=0.02)
+
+
 def test_bad_sources(tmp_path: Path) -> None:
     (tmp_path / "plant").write_text("solid")
     for source, word in (

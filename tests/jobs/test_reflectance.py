@@ -2,6 +2,7 @@
 
 import csv
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,10 @@ from typer.testing import CliRunner
 
 from fynjax._core.errors import InputError
 from fynjax.cli._sensors import reflectance
+from fynjax.compare import read_drone_image
+from fynjax.io.micasense import read_capture
+from fynjax.io.micasense._metadata import read_rededge_band
+from fynjax.jobs import pattern
 from tests.helpers import assert_valid_summary, read_cube
 from tests.io.rededge_files import BANDS, IRRADIANCE, lit, panel_scene, write_rededge
 
@@ -152,6 +157,53 @@ def test_what_is_refused(flight: Path, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="panels: IMG_0000"):
         run(*only, *PANEL, "--output", out)
     assert not out.exists()
+
+
+def test_a_capture_that_lacks_a_band_is_skipped_before_the_work(
+    flight: Path, tmp_path: Path
+) -> None:
+    folder = shutil.copytree(flight, tmp_path / "copy")
+    write_rededge(folder, "IMG_0007", lit(ground()))
+    write_rededge(folder, "IMG_0008", lit(ground()))
+    (folder / "IMG_0008_2.tif").unlink()
+    (folder / "IMG_0009_1.tif").write_bytes(b"no picture")
+    summary = run(folder, *PANEL, "--output", tmp_path / "out")
+    assert "IMG_0007" in summary["captures"]
+    assert not {"IMG_0008", "IMG_0009"} & set(summary["captures"])
+    said = " ".join(summary["warnings"])
+    assert "IMG_0008 is skipped" in said
+    assert "Red is missing" in said
+    assert "IMG_0009 is skipped" in said
+
+
+def test_the_thermal_band_of_an_altum_is_left_out(tmp_path: Path) -> None:
+    paths = write_rededge(tmp_path, "IMG_0000", lit(ground()))
+    (tmp_path / "t").mkdir()
+    thermal = write_rededge(
+        tmp_path / "t", "IMG_0000", lit(ground())[:, ::4, ::4],
+        change=lambda text: text.replace('CentralWavelength="840"', 'CentralWavelength="11000"'),
+    )[2]  # fmt: skip
+    added = thermal.rename(tmp_path / "IMG_0000_6.tif")
+    capture = read_capture("IMG_0000", [*paths, added])
+    assert capture.names == ("Blue", "Red", "NIR")
+    with pytest.raises(InputError, match="all are thermal"):
+        read_capture("IMG_0000", [added])
+
+
+@pytest.mark.parametrize(
+    ("folder", "message"),
+    [("12_rededge-p-altum-pt", "RedEdge-P or Altum-PT"), ("11_dji-m3m-raw-capture", "of a DJI")],
+)
+def test_raw_captures_of_other_cameras_say_what_to_do(
+    folder, message, shared_data, tmp_path
+) -> None:
+    path = next(iter(sorted((shared_data / "field" / folder).iterdir())))
+    with pytest.raises(InputError, match=message):
+        read_rededge_band(path)
+    with pytest.raises(InputError, match=r"raw capture, whose .*: fynjax reflectance"):
+        pattern([path], tmp_path / "out", pixel=0.05)
+    with pytest.raises(InputError, match=r"raw capture, whose .*: fynjax reflectance"):
+        read_drone_image(path)
 
 
 @pytest.mark.slow

@@ -1,6 +1,8 @@
 """`fynjax terrain`: from a file to the files of a terrain."""
 
 import json
+import warnings
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,7 +15,7 @@ from fynjax._core.errors import InputError
 from fynjax.cli._plot import terrain as command
 from fynjax.jobs import terrain
 from fynjax.report.figures._terrain import hillshade
-from fynjax.terrain import Terrain, read_terrain, write_terrain
+from fynjax.terrain import Terrain, read_cloud, read_terrain, write_terrain
 from tests.helpers import assert_valid_summary, write_raster
 from tests.terrain.synthetic import CORNER, ground_height, needs_cloth, shrubland
 from tests.terrain.test_cloud import write_las
@@ -284,3 +286,36 @@ def test_a_cloud_that_does_not_say_where_it_lies_keeps_its_coordinates(tmp_path)
     ground = read_terrain(tmp_path / "out" / "terrain.tif")
     assert ground.crs is None
     terrain(tmp_path / "a.laz", tmp_path / "known", size=10.0, cell=0.5, crs="EPSG:32734")
+
+
+def _cloud_of(folder: Path, ground: float, stray: bool = False) -> Path:
+    """Trees without ground beneath on ground of a slope [m m-1], as text."""
+    rng = np.random.default_rng(1)
+    x, y = rng.uniform(0.0, 40.0, (2, 30_000))
+    tree = np.hypot(x - 20.0, y - 20.0) < 9.0
+    z = np.where(tree, rng.uniform(3.0, 12.0, x.size), rng.normal(0.0, 0.02, x.size)) + ground * x
+    points = np.stack([x, y, z], axis=1)
+    if stray:
+        points = np.concatenate([points, [[9000.0, 20.0, 0.0]]])
+    path = folder / "cloud.xyz"
+    np.savetxt(path, points, fmt="%.3f")
+    return path
+
+
+def test_heights_above_the_ground_are_doubted(tmp_path: Path) -> None:
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        terrain(_cloud_of(tmp_path, 0.0), tmp_path / "out", cell=1.0, window=4.0)
+    assert any("above its ground already" in str(one.message) for one in said)
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        terrain(_cloud_of(tmp_path, 0.1), tmp_path / "out", cell=1.0, window=4.0)
+    assert not any("above its ground already" in str(one.message) for one in said)
+
+
+def test_a_point_far_from_all_others_is_left_out(tmp_path: Path) -> None:
+    path = _cloud_of(tmp_path, 0.1, stray=True)
+    with pytest.warns(UserWarning, match=r"1 of 30001 points lie far from all others.*9000\.0, 20"):
+        cloud = read_cloud(path)
+    assert len(cloud) == 30_000
+    assert cloud.bounds[2] <= 40.0

@@ -308,3 +308,15 @@ def test_bounds_follow_multiples_of_the_cell():
     shifted = PointCloud(cloud.x + 0.13, cloud.y - 7.06, cloud.z)
     terrain = terrain_from_points(shifted, np.ones(len(cloud), bool), cell=0.5)
     assert terrain.bounds == (0.5, -7.0, 20.0, 12.5)
+
+
+def test_a_few_cells_far_from_ground_do_not_refuse_a_cloud():
+    side = np.arange(0.0, 80.01, 0.25)
+    x, y = (axis.ravel() for axis in np.meshgrid(side, side))
+    hole = np.hypot(x - 30.0, y - 30.0) < 5.2
+    cloud = PointCloud(x, y, 0.1 * x)
+    with pytest.warns(UserWarning, match=r"4 of 6400 cells are farther than 4\.4 m .*may be wrong"):
+        terrain = terrain_from_points(cloud, ~hole, cell=1.0, largest_gap=4.4)
+    assert terrain.heights[30, 30] == pytest.approx(3.05, abs=0.05)
+    with pytest.raises(InputError, match=r"\d+ of 6400 cells are so far from it"):
+        terrain_from_points(cloud, ~hole, cell=1.0, largest_gap=3.5)

@@ -5,7 +5,7 @@ from fynjax.canopy.mesh._generate import GeneratedPlant, generate_plant, leaf_si
 from fynjax.canopy.mesh._model import plant_model_from_mesh, read_plant_mesh
 from fynjax.canopy.mesh._organ_names import organ_of_name
 from fynjax.canopy.mesh._plant_mesh import MeshPlant, PlantMaterial, PlantMesh, mesh_plant
-from fynjax.canopy.mesh._read import default_up
+from fynjax.canopy.mesh._read import default_up, find_up
 from fynjax.canopy.mesh._scan import plant_model_from_points, read_scan
 
 __all__ = [
@@ -14,6 +14,7 @@ __all__ = [
     "PlantMaterial",
     "PlantMesh",
     "default_up",
+    "find_up",
     "generate_plant",
     "leaf_sizes",
     "mesh_plant",

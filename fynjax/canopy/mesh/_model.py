@@ -25,7 +25,7 @@ from fynjax.canopy.mesh._plant_mesh import (
     check_extent,
     mesh_plant,
 )
-from fynjax.canopy.mesh._read import default_up, plant_mesh_of
+from fynjax.canopy.mesh._read import find_up, plant_mesh_of
 
 
 def read_plant_mesh(mesh: Any, *, up: Literal["y", "z"] | None = None) -> PlantMesh:
@@ -35,19 +35,20 @@ def read_plant_mesh(mesh: Any, *, up: Literal["y", "z"] | None = None) -> PlantM
 
     - `mesh`: a file trimesh reads (OBJ with MTL, PLY, STL, GLB), a `trimesh.Trimesh`, a
       `trimesh.Scene` or a `PlantMesh`; in metres.
-    - `up`: its vertical axis; if left out y in a GLB or glTF file, as that standard defines, else z
-      (trimesh exports a mesh to GLB as it is, z upwards if it was so).
+    - `up`: its vertical axis; if left out y in a GLB or glTF file, as that standard defines
+      (trimesh exports a mesh to GLB as it is, z upwards if it was so); of another file y, with a
+      warning, if the plant reaches below 0 in z and not in y; else z.
 
     **Returns:** a `PlantMesh`, z upwards. A geometry without a material has its own name as
     material, a single mesh "". An OBJ's names are read without its MTL.
 
     **Raises:** `InputError` for a mesh that cannot be read, or has no faces.
     """
-    up = default_up(mesh) if up is None else up
-    if up not in ("y", "z"):
+    if up not in ("y", "z", None):
         raise InputError(f"`up` must be 'y' or 'z', but is {up!r}")
-    if not isinstance(mesh, PlantMesh):
-        mesh = plant_mesh_of(mesh)
+    read = mesh if isinstance(mesh, PlantMesh) else plant_mesh_of(mesh)
+    up = find_up(mesh, read) if up is None else up
+    mesh = read
     if up == "z":
         return mesh
     # A quarter turn about x: (x, y, z) -> (x, -z, y).
@@ -152,7 +153,7 @@ def _sample(
             f"`n_elements` must be at least {len(present)}, one a material, but is {n_elements}"
         )
     chosen, weights = [], []
-    counts = split_elements(n_elements, present)  # type: ignore[arg-type]  # any key will do
+    counts = split_elements(n_elements, present)
     for index, count in counts.items():
         uniform = quasi_random(count, 2, [seed, index])
         faces = np.flatnonzero(material == index)

@@ -15,6 +15,8 @@ from fynjax.canopy.mesh._organ_names import organ_named, organ_of_name
 
 _COLOURS = {Organ.LEAF: (0.24, 0.42, 0.14), Organ.WOOD: (0.36, 0.27, 0.20)}
 _FLOWER_COLOUR = (0.85, 0.55, 0.65)
+_LARGEST_SHRUB = 12.0
+"""Beyond, a plant is more likely in another unit than so large [m]."""
 _SMALLEST_EXTENT = 0.005
 """No plant of a plot is smaller [m]."""
 
@@ -186,9 +188,11 @@ def check_extent(
     size = high - low
     box = f"{size[0]:.4g} x {size[1]:.4g} x {size[2]:.4g}"
     if size.max() > maximum_extent:
+        larger = ". Where it is so large, raise `maximum_extent`"
         raise InputError(
             f"{what} must be in metres and at most {maximum_extent:g} m large, but is {box}: is "
-            "it in centimetres or millimetres? Where it is so large, raise `maximum_extent`",
+            "it in centimetres or millimetres? Then scale it, or state its unit"
+            f"{larger if size.max() <= _LARGEST_SHRUB else ''}",
             file=file,
         )
     if 0.0 < size.max() < _SMALLEST_EXTENT:

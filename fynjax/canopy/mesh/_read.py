@@ -2,6 +2,7 @@
 
 import io
 import re
+import warnings
 from pathlib import Path
 from typing import Any, Literal
 
@@ -11,6 +12,9 @@ from fynjax._core.errors import InputError
 from fynjax.canopy.mesh._plant_mesh import PlantMesh
 
 _USEMTL = re.compile(r"^[ \t]*usemtl[ \t]+(.*?)[ \t]*\r?$", re.MULTILINE)
+_RELATIVE = re.compile(r"^[ \t]*[flp][ \t].*-\d", re.MULTILINE)
+_BELOW = 0.05
+"""Part of a plant's extent that reaches below the ground of its frame without being its height."""
 
 
 def default_up(mesh: Any) -> Literal["y", "z"]:
@@ -24,6 +28,31 @@ def default_up(mesh: Any) -> Literal["y", "z"]:
     """
     gltf = isinstance(mesh, str | Path) and Path(mesh).suffix.lower() in (".glb", ".gltf")
     return "y" if gltf else "z"
+
+
+def find_up(mesh: Any, read: PlantMesh) -> Literal["y", "z"]:
+    """The vertical axis of a mesh, found where no standard says it.
+
+    **Arguments:**
+
+    - `mesh`: a file, or any object.
+    - `read`: its triangles as they stand in the file.
+
+    **Returns:** `default_up`; but "y", with a warning, of a file whose plant reaches below 0 in z
+    and not in y.
+    """
+    up = default_up(mesh)
+    if up == "z" and isinstance(mesh, str | Path):
+        low, high = read.vertices.min(axis=0), read.vertices.max(axis=0)
+        below = -low / np.where(high > low, high - low, 1.0)
+        if below[2] > _BELOW >= below[1]:
+            warnings.warn(
+                f"{mesh}: y is taken for the vertical axis, since the plant reaches below 0 in z "
+                "and not in y. Is it z? Then say so (`up`)",
+                stacklevel=3,
+            )
+            up = "y"
+    return up
 
 
 def plant_mesh_of(mesh: Any) -> PlantMesh:
@@ -42,6 +71,8 @@ def plant_mesh_of(mesh: Any) -> PlantMesh:
             else:
                 with np.errstate(all="ignore"):  # of numbers that are checked below
                     mesh = trimesh.load(file, process=False)
+        except InputError:
+            raise
         except Exception as error:  # trimesh's readers raise whatever they stumble over
             if "allow_" in (reason := str(error)):  # it would have said how to let it
                 reason = "it names files outside of its folder. Save it as one file (GLB)"
@@ -108,7 +139,7 @@ def _load_obj(file: str) -> tuple[Any, dict[str, str]]:
     """
     import trimesh
 
-    text = Path(file).read_text(encoding="utf-8", errors="replace")
+    text = _counted_from_first(Path(file).read_text(encoding="utf-8", errors="replace"), file)
     names = list(dict.fromkeys(_USEMTL.findall(text)))
     short_name = {name: f"material{index}" for index, name in enumerate(names)}
     text = _USEMTL.sub(lambda match: f"usemtl {short_name[match[1]]}", text)
@@ -120,3 +151,38 @@ def _load_obj(file: str) -> tuple[Any, dict[str, str]]:
         process=False,
     )
     return loaded, {short: name for name, short in short_name.items()}
+
+
+def _counted_from_first(text: str, file: str) -> str:
+    """The text of an OBJ file with every corner counted from the first vertex.
+
+    A negative number counts back from the vertex before the face; trimesh counts from the last one
+    of the file.
+    """
+    if not _RELATIVE.search(text):
+        return text
+    counts = {"v": 0, "vt": 0, "vn": 0}
+    lines = text.splitlines()
+    for number, line in enumerate(lines):
+        kind, _, rest = line.strip().partition(" ")
+        if kind in counts:
+            counts[kind] += 1
+        elif kind in ("f", "l", "p") and "-" in rest:
+            corners = [corner.split("/") for corner in rest.partition("#")[0].split()]
+            lines[number] = f"{kind} " + " ".join(
+                "/".join(_absolute(*one, file, number + 1) for one in zip(corner, counts.values()))
+                for corner in corners
+            )
+    return "\n".join(lines) + "\n"
+
+
+def _absolute(index: str, count: int, file: str, row: int) -> str:
+    if not index.startswith("-"):
+        return index
+    if not index[1:].isdigit() or not 1 <= int(index[1:]) <= count:
+        raise InputError(
+            f"expected a corner among the {count} before this face, but got {index}",
+            file=file,
+            row=row,
+        )
+    return str(count + 1 + int(index))

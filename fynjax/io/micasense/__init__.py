@@ -7,6 +7,7 @@ from fynjax.io.micasense._capture import (
     find_captures,
     read_capture,
     same_capture,
+    usable_captures,
 )
 from fynjax.io.micasense._panel import PanelView, panel_reflectance, read_panel
 
@@ -20,4 +21,5 @@ __all__ = [
     "read_capture",
     "read_panel",
     "same_capture",
+    "usable_captures",
 ]

@@ -1,6 +1,7 @@
 """Captures of a MicaSense camera: the files of their bands, and their radiance."""
 
 import re
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,11 +13,13 @@ from jaxtyping import Bool, Float
 from fynjax._core.errors import InputError
 from fynjax._core.precision import double_precision
 from fynjax.io.micasense._metadata import RedEdgeBand, read_rededge_band
-from fynjax.io.raster import Alignment, align_bands
+from fynjax.io.raster import Alignment, align_bands, open_raster
 from fynjax.io.text import did_you_mean, existing_file
 from fynjax.sensors import counts_to_radiance
 
 _NAME = re.compile(r"(?P<capture>.+)_(?P<band>\d+)\.tiff?", re.IGNORECASE)
+_LONGEST_REFLECTED = 3000.0
+"""Wavelength [nm] beyond which a camera sees what the ground emits."""
 _CLOSE = 0.98
 """Share of the radiance of full pixels from which an aligned pixel counts as full: alignment mixes
 neighbours, and moves corners by some pixels more than the middle, by which full pixels there
@@ -143,6 +146,48 @@ def same_capture(path: str | Path, captures: dict[str, list[Path]]) -> tuple[str
     )
 
 
+def _is_thermal(path: Path) -> bool:
+    """Whether a picture is of emitted light, as the sixth of an Altum."""
+    with open_raster(path, "a raw picture of a multispectral camera") as file:
+        name = "".join(file.xmp.get("BandName", [])[:1])
+        stated = "".join(file.xmp.get("CentralWavelength", [])[:1])
+    try:
+        wavelength = float(stated)
+    except ValueError:
+        wavelength = 0.0
+    return name.strip().upper() == "LWIR" or wavelength > _LONGEST_REFLECTED
+
+
+def usable_captures(
+    captures: dict[str, list[Path]],
+) -> tuple[dict[str, list[Path]], dict[str, InputError]]:
+    """Captures that can be read and have the bands of most of them, and why not of the others.
+
+    **Arguments:** `captures`: files by the name of their capture, as of `find_captures`.
+
+    **Raises:** `InputError` of the first where none can be read.
+    """
+    bands: dict[str, tuple[str, ...]] = {}
+    skipped: dict[str, InputError] = {}
+    for name, paths in captures.items():
+        try:
+            bands[name] = read_capture(name, paths).names
+        except InputError as error:
+            skipped[name] = error
+    if not bands:
+        raise next(iter(skipped.values()))
+    counts = Counter(bands.values())
+    usual = max(counts, key=lambda names: (counts[names], len(names)))
+    for name, found in bands.items():
+        if missing := [band for band in usual if band not in found]:
+            skipped[name] = InputError(
+                f"expected the bands {', '.join(usual)} as of the other captures, but "
+                f"{', '.join(missing)} is missing",
+                file=captures[name][0],
+            )
+    return {n: paths for n, paths in captures.items() if n not in skipped}, skipped
+
+
 @double_precision
 def read_capture(name: str, paths: Sequence[Path]) -> Capture:
     """Read the files of one capture, each with its metadata (`read_rededge_band`).
@@ -152,11 +197,14 @@ def read_capture(name: str, paths: Sequence[Path]) -> Capture:
     - `name`: of the capture, for errors and reports.
     - `paths`: its files, one for each band.
 
-    **Returns:** a `Capture`, bands in the order of the files.
+    **Returns:** a `Capture`, bands in the order of the files, without a thermal one, whose picture
+    is smaller.
 
     **Raises:** `InputError` where they are not of one capture, of one size, or of different bands.
     """
-    bands = tuple(read_rededge_band(path) for path in paths)
+    bands = tuple(read_rededge_band(path) for path in paths if not _is_thermal(path))
+    if not bands:
+        raise InputError("expected bands of reflected light, but all are thermal", file=paths[0])
     first = bands[0]
     for band in bands[1:]:
         if band.capture != first.capture:

@@ -143,6 +143,20 @@ class _Stated:
 
     def text(self, key: str) -> str:
         if not self.xmp.get(key):
+            if {"SensorGain", "BandFreq"} & set(self.xmp):
+                raise InputError(
+                    "expected a raw picture of a MicaSense camera, but this one is of a DJI, whose "
+                    "raw captures are not read. Make reflectance maps of them in DJI Terra, Pix4D, "
+                    "Metashape or ODM first: all commands read these",
+                    file=self.path,
+                )
+            if key.startswith("Vignetting") and "VignettingPolynomial2D" in self.xmp:
+                raise InputError(
+                    "expected a vignetting polynomial in one dimension, but this camera, such as a "
+                    "RedEdge-P or Altum-PT, has one in two, which is not supported. Make "
+                    "reflectance maps in Pix4D, Metashape or with the maker's own library first",
+                    file=self.path,
+                )
             raise InputError(
                 f"expected metadata (XMP) with {key!r}, but "
                 + ("it has none of that name" if self.xmp else "there are none at all")

@@ -38,6 +38,8 @@ class BandStack:
     """Coordinate reference system as WKT; `None` is the plot's local frame."""
     alignment: tuple[Alignment, ...] | None = None
     """Movement of single-band files onto the first; `None` where none had to be."""
+    raw: bool = False
+    """Whether the values are counts of a camera's raw capture, of its own gain in each band."""
 
     @property
     def known_as(self) -> str:
@@ -208,13 +210,14 @@ def _read(path: Path, *, beside: bool = False) -> tuple[BandStack, bool]:
             stated = _numbers(xmp, "CentralWavelength") if np.isnan(wave) else [float(wave)]
             waves.append(stated[0] if stated else None)
         crs = file.crs.to_wkt() if file.crs is not None and file.on_earth else None
-        placed = file.has_place
+        placed, raw = file.has_place, file.is_raw_capture
     values = raster.values
     if dark := _numbers(xmp, "DarkRowValue"):  # what the camera's covered pixels read
         values = values - kind.type(np.mean(dark))
     with_data = np.isfinite(values).any(axis=(1, 2))
     mask = np.isfinite(values[with_data]).all(axis=0) & with_data.any()
-    return BandStack(values, mask, tuple(names), tuple(waves), raster.transform, crs), placed
+    stack = BandStack(values, mask, tuple(names), tuple(waves), raster.transform, crs, raw=raw)
+    return stack, placed
 
 
 def _is_mask(band: np.ndarray) -> bool:

@@ -64,7 +64,8 @@ def open_image(path: str | Path, what: str) -> Iterator[RasterFile]:
     """
     with ExitStack() as opened:
         first = opened.enter_context(open_raster(path, what))
-        files = _files_of_bands(first.path) if len(first.bands) == 1 else {}
+        alone = len(first.bands) != 1 or first.is_raw_capture
+        files = {} if alone else _files_of_bands(first.path)
         if not files:
             yield first
             return

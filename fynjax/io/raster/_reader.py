@@ -38,6 +38,13 @@ METRES = ("", "m", "metre", "metres", "meter", "meters")
 """What a raster may call the unit of its heights."""
 ENVI_DATA = (".dat", ".img", ".bil", ".bsq", ".bip")
 _RDF = "{http://www.w3.org/1999/02/22-rdf-syntax-ns#}"
+_RAW = {"RadiometricCalibration", "DarkRowValue", "BlackLevel", "BlackCurrent", "SensorGain"}
+"""Metadata (XMP) that raw captures of MicaSense and DJI have."""
+RAW_COUNTS = (
+    "expected reflectance, or a mosaic, but this is a camera's raw capture, whose counts depend on "
+    "gain and exposure of each band. Make reflectance first: fynjax reflectance"
+)
+"""What is said of a raw capture where an image is asked for."""
 _MOST_BANDS = 4096
 _BLOCK = 1 << 24
 """Values read at once, where a raster is read by blocks of rows."""
@@ -160,6 +167,11 @@ class RasterFile:
                 items = [item.text or "" for item in child.iter(f"{_RDF}li")] or [child.text or ""]
                 stated.setdefault(child.tag.rpartition("}")[2], [item.strip() for item in items])
         return stated
+
+    @property
+    def is_raw_capture(self) -> bool:
+        """Whether it is a camera's own picture of one band, in counts, and no product of it."""
+        return not self.has_place and len(self.bands) == 1 and not _RAW.isdisjoint(self.xmp)
 
     # -- place ------------------------------------------------------------------------------
 
