@@ -154,8 +154,8 @@ print("DIRSIG over the plot as both sensors see it:", (simulated * np.exp(gain))
 
 # %% [markdown]
 # The drone alone lets a gain of the near infrared explain what AVIRIS-NG then forbids: with both,
-# the near infrared is right and the red edge too dark by a third. So most of what differs between the
-# bands of DIRSIG is the camera: over the plot as both sensors see it they are alike within some
+# the near infrared is right and the red edge too dark by a third. So most of what differs between
+# the bands of DIRSIG is the camera: over the plot as both sensors see it they are alike within some
 # percent, and all are too dark by 15 to 30 %, which no camera explains. How bright AVIRIS-NG itself
 # is, is taken from its product (3 %); with 15 % the ratios of the gains stay and their level is
 # open. Even together, model and prior leave more than twice the chi-square that they should: the
