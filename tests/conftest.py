@@ -14,9 +14,15 @@ from pathlib import Path
 os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
 
 import jax
+import jaxtyping
 import psutil
 import pytest
 from jax._src.interpreters import mlir
+
+if os.environ.get("FYNJAX_TYPES"):  # before the package is imported, whose functions it wraps
+    import tests.checked  # noqa: F401
+
+    jaxtyping.install_import_hook("fynjax", "tests.checked.checked")
 
 from fynjax._core.compiler import known_flags
 
@@ -75,6 +81,15 @@ def close_figures() -> Iterator[None]:
     yield
     if pyplot := sys.modules.get("matplotlib.pyplot"):
         pyplot.close("all")
+
+
+@pytest.fixture(autouse=True)
+def check_types(request: pytest.FixtureRequest) -> Iterator[None]:
+    """Checks types and shapes if `FYNJAX_TYPES` is set, but not in slow tests or of wrong input."""
+    unchecked = any(map(request.node.get_closest_marker, ("slow", "study", "untyped")))
+    jaxtyping.config.update("jaxtyping_disable", unchecked)
+    yield
+    jaxtyping.config.update("jaxtyping_disable", True)
 
 
 @pytest.fixture(scope="module", autouse=True)

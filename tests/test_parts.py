@@ -229,6 +229,14 @@ def test_a_full_disk_of_the_checkpoint_ends_in_one_line(tmp_path: Path, monkeypa
     ]
 
 
+def test_a_checkpoint_that_was_removed_meanwhile_is_not_said_to_stay(tmp_path: Path) -> None:
+    journal = Journal(tmp_path / "kept", "s")
+    journal.put(0, (np.arange(3),))
+    forget_journal(tmp_path / "kept")
+    with pytest.raises(InputError, match="removed meanwhile: the same command begins anew"):
+        journal.put(1, (np.arange(3),))
+
+
 def test_a_flipped_bit_of_a_checkpoint_is_refused(tmp_path: Path) -> None:
     Journal(tmp_path, "s").put(0, (np.arange(6.0), np.array(3)))
     kept = Journal(tmp_path, "s").kept(0)

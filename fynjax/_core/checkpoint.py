@@ -116,10 +116,11 @@ class Journal:
                 self.put_state(name, last)
 
     def _cannot_keep(self, error: OSError) -> InputError:
+        after = "What was kept before stays, and the same command goes on from it"
+        if not (self._folder / _MARK).is_file():
+            after = "The checkpoint was removed meanwhile: the same command begins anew"
         return InputError(
-            f"cannot keep what was done: {error.strerror}. What was kept before stays, and the "
-            "same command goes on from it",
-            file=self._folder,
+            f"cannot keep what was done: {error.strerror}. {after}", file=self._folder
         )
 
     def put_failure(self, number: int, text: str) -> Path | None:

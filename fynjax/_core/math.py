@@ -5,13 +5,23 @@ from typing import Any
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from fynjax._core.errors import InputError
 
-def real_array(value: Any) -> Array:
+
+def real_array(value: Any, name: str = "") -> Array:
     """As a real array: floating arrays keep their precision, all else takes the default.
 
     A Python number stays weakly typed, so that it does not lift float32 arrays to float64.
+
+    **Raises:** `InputError`, naming the field `name` if it is given, for what is no number.
     """
-    array = jnp.asarray(value)
+    try:
+        array = jnp.asarray(value)
+    except (TypeError, ValueError) as error:
+        raise InputError(
+            f"expected {f'{name} as ' if name else ''}a number or an array of numbers, but got "
+            f"{value!r:.60}: is it text, or missing?"
+        ) from error
     return array if jnp.issubdtype(array.dtype, jnp.floating) else array * 1.0
 
 

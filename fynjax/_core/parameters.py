@@ -118,13 +118,17 @@ def parameter_field(*, required: bool = False, optional: bool = False, **record:
     parameter = Parameter(**record)
     if optional:
         return eqx.field(
-            converter=lambda value: None if value is None else real_array(value),
+            converter=lambda value: None if value is None else real_array(value, parameter.name),
             metadata={"parameter": parameter},
             default=None,
         )
     without = required or parameter.default is None
     default: dict[str, Any] = {} if without else {"default": parameter.default}
-    return eqx.field(converter=real_array, metadata={"parameter": parameter}, **default)
+    return eqx.field(
+        converter=lambda value: real_array(value, parameter.name),
+        metadata={"parameter": parameter},
+        **default,
+    )
 
 
 def parameters_of(module: Any) -> dict[str, Parameter]:

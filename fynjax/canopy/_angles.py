@@ -61,7 +61,7 @@ class AbstractLeafAngle(eqx.Module):
     def inclination_density(self, inclination: Float[Array, "*n"]) -> Float[Array, "*n"]:
         """Density g of the inclination [1/rad] at `inclination` [rad, 0 to pi/2]."""
 
-    def projection(self, cos_zenith: Float[Array, "*n"]) -> Float[Array, "*n"]:
+    def projection(self, cos_zenith: float | Float[Array | np.ndarray, "*n"]) -> Float[Array, "*n"]:
         """G: leaf area projected along a direction, per unit of leaf area [-].
 
         `cos_zenith` in [-1, 1]; a direction and its opposite give the same value.
@@ -122,7 +122,7 @@ class SphericalLeafAngle(AbstractLeafAngle):
         """g = sin(t) [1/rad] at the `inclination` t [rad, 0 to pi/2]."""
         return jnp.sin(inclination)
 
-    def projection(self, cos_zenith: Float[Array, "*n"]) -> Float[Array, "*n"]:
+    def projection(self, cos_zenith: float | Float[Array | np.ndarray, "*n"]) -> Float[Array, "*n"]:
         """1/2 [-] in every direction `cos_zenith`."""
         return jnp.full_like(jnp.asarray(cos_zenith), 0.5)
 
@@ -200,7 +200,7 @@ class VerhoefLeafAngle(AbstractLeafAngle):
         """
         a, b = (value.astype(inclination.dtype) for value in (self.first, self.second))
 
-        def halve(_: int, ends: tuple[Array, Array]) -> tuple[Array, Array]:
+        def halve(_: Array, ends: tuple[Array, Array]) -> tuple[Array, Array]:
             middle = 0.5 * (ends[0] + ends[1])
             above = middle - a * jnp.sin(middle) - 0.5 * b * jnp.sin(2 * middle) > 2 * inclination
             return jnp.where(above, ends[0], middle), jnp.where(above, middle, ends[1])
@@ -268,7 +268,10 @@ class TabulatedLeafAngle(AbstractLeafAngle):
 
     @classmethod
     def from_normals(
-        cls, normals: Float[Array, "n 3"], area: Float[Array, " n"], bins: int = 18
+        cls,
+        normals: Float[Array | np.ndarray, "n 3"],
+        area: Float[Array | np.ndarray, " n"],
+        bins: int = 18,
     ) -> "TabulatedLeafAngle":
         """Area-weighted histogram of the inclinations of a plant's normals.
 

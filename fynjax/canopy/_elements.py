@@ -6,9 +6,9 @@ that a few dozen elements already cover a crown. Lengths: x and y in crown diame
 heights.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import jax.numpy as jnp
 import numpy as np
@@ -19,6 +19,7 @@ from fynjax.canopy._plant import Organ
 if TYPE_CHECKING:
     from fynjax.canopy._form import GrowthForm
 
+Part = TypeVar("Part", bound=Hashable)
 QUANTILES = 512
 
 
@@ -142,7 +143,7 @@ _FLOWERING = 0.8
 """Flowers stand beyond this part of a bunch's half length."""
 
 
-def split_elements(n_elements: int, share: dict[Organ, float]) -> dict[Organ, int]:
+def split_elements(n_elements: int, share: dict[Part, float]) -> dict[Part, int]:
     """Whole numbers of elements, at least one each, in proportion to `share`."""
     total = sum(share.values())
     counts = {organ: max(1, round(n_elements * part / total)) for organ, part in share.items()}

@@ -103,9 +103,9 @@ class VoxelGrid(eqx.Module):
 
 
 def deposit(
-    positions: Float[Array, "n 3"],
-    area: Float[Array, " n"],
-    class_index: Int[Array, " n"],
+    positions: Float[Array | np.ndarray, "n 3"],
+    area: Float[Array | np.ndarray, " n"],
+    class_index: Int[Array | np.ndarray, " n"],
     grid: VoxelGrid,
     n_classes: int,
     *,

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float, Int, UInt8
+from jaxtyping import Bool, Float, Int, Real, UInt8
 
 from fynjax._core.errors import InputError
 from fynjax._core.extras import require
@@ -51,7 +51,7 @@ def even_levels(clusters: int) -> tuple[int, ...]:
 
 
 def vegetation_pattern(
-    image: Float[np.ndarray, "band y x"],
+    image: Real[np.ndarray, "band y x"],
     greenness: Greenness,
     *,
     mask: Bool[np.ndarray, "y x"] | None = None,

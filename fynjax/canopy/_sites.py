@@ -72,7 +72,7 @@ def poisson_disk(
 
 def assign_sites(
     points: Float[np.ndarray, "n 2"],
-    needed: Sequence[int],
+    needed: Sequence[int] | np.ndarray,
     *,
     probability: Real[np.ndarray, "y x"] | None = None,
     extent: tuple[float, float] | None = None,

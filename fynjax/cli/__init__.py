@@ -130,11 +130,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
     **Arguments:** `arguments` of the command, those of the process by default.
 
     Exit status 0, 2 for wrong arguments or input, 3 with `--strict` for a result to be doubted, 1
-    for anything else, 130 for Ctrl-C, 143 for `kill`; 1, 2 and 130 come with one line on stderr.
+    for anything else, 130 for Ctrl-C, 143 for `kill`; all but 0 and 3 come with a line on stderr.
     `FYNJAX_DEBUG=1` shows the traceback instead.
     """
     # An exit, unlike the signal itself, lets unfinished results be cleared away.
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(_TERMINATED))
+    signal.signal(signal.SIGTERM, lambda *_: _fail("ended; nothing was written", _TERMINATED))
     # GDAL reports through logging, and a logger without a handler prints to stderr.
     logging.getLogger("rasterio").addHandler(logging.NullHandler())
     for stream in (sys.stdout, sys.stderr):  # a terminal may lack letters that names of files have

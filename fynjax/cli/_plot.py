@@ -17,6 +17,7 @@ from fynjax.cli._runtime import (
     PriorFile,
     Quiet,
     Seed,
+    Truth,
     Twin,
     command,
     listed,
@@ -123,10 +124,7 @@ def render(
     plot: PlotPath,
     checkpoint: Checkpoint = None,
     seed: OwnSeed = None,
-    truth: Annotated[
-        bool,
-        typer.Option("--truth", help="Also write which species each pixel sees, and how much."),
-    ] = False,
+    truth: Truth = False,
 ) -> None:
     """Render what the drone sees of a plot.
 

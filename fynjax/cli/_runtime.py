@@ -1,5 +1,6 @@
 """What every command shares: options, JAX settings, the summary, and one line for an error."""
 
+import _thread
 import functools
 import hashlib
 import importlib
@@ -68,6 +69,10 @@ OwnSeed = Annotated[
     typer.Option(
         min=0, max=2**31 - 1, help="Seed of everything random; the plot file's if left out."
     ),
+]
+Truth = Annotated[
+    bool,
+    typer.Option("--truth", help="Also write which species each pixel sees, and how much."),
 ]
 PlotPath = Annotated[
     Path, typer.Argument(metavar="PLOT.toml", help="Plot file; `fynjax init` writes one.")
@@ -349,12 +354,16 @@ def _alone(output: Path) -> Iterator[None]:
         lock.release()
 
 
+_AGAIN_SECONDS = 0.05
+
+
 @contextmanager
 def _ended_by_kill() -> Iterator[Callable[[], None]]:
     """Let `kill` end a job as Ctrl-C does, so that what is unfinished is cleared away.
 
-    Python drops an exit that is raised inside the callback of a library, such as JAX's after a
-    garbage collection. So the block calls what it is given before results are moved.
+    Python drops what is raised inside the callback of a library, such as JAX's after a garbage
+    collection, and only says so: then the signal is sent again. The block calls what it is given
+    before results are moved, in case one was dropped at the very end.
     """
     if threading.current_thread() is not threading.main_thread():
         yield lambda: None
@@ -369,11 +378,21 @@ def _ended_by_kill() -> Iterator[Callable[[], None]]:
         if killed:
             sys.exit(_TERMINATED)
 
+    def dropped(what: "sys.UnraisableHookArgs") -> None:
+        again = signal.SIGTERM if killed else signal.SIGINT
+        if isinstance(what.exc_value, KeyboardInterrupt | SystemExit):
+            # Later: it would be dropped here, too.
+            threading.Timer(_AGAIN_SECONDS, _thread.interrupt_main, (again,)).start()
+        else:
+            say(what)
+
+    say, sys.unraisablehook = sys.unraisablehook, dropped
     before = signal.signal(signal.SIGTERM, end)
     try:
         yield check
     finally:
         signal.signal(signal.SIGTERM, before)
+        sys.unraisablehook = say
 
 
 def run_job(
@@ -418,15 +437,15 @@ def run_job(
             try:
                 with bars:
                     result = job(folder)
-            except KeyboardInterrupt:
-                if checkpoint is None or not checkpoint.is_dir():
+            except (KeyboardInterrupt, SystemExit) as end:
+                killed = isinstance(end, SystemExit)
+                if killed and getattr(end, "code", None) != _TERMINATED:
                     raise
-                print(
-                    f"fynjax: interrupted; {checkpoint} keeps what was done, and the same command "
-                    "goes on with it",
-                    file=sys.stderr,
-                )
-                sys.exit(130)
+                kept = "nothing was written"
+                if checkpoint is not None and checkpoint.is_dir():
+                    kept = f"{checkpoint} keeps what was done, and the same command goes on with it"
+                print(f"fynjax: {'ended' if killed else 'interrupted'}; {kept}", file=sys.stderr)
+                sys.exit(_TERMINATED if killed else 130)
             except DryRunEnd as end:
                 end.warnings = _messages(caught)
                 raise

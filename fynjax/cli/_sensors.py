@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from fynjax.cli._runtime import Align, OwnSeed, PlotPath, command
+from fynjax.cli._runtime import Align, OwnSeed, PlotPath, Truth, command
 
 
 def sensors(
@@ -104,6 +104,7 @@ def simulate(
         Literal["both", "reflectance", "radiance"],
         typer.Option("--product", callback=_products, help="Images to write."),
     ] = "both",
+    truth: Truth = False,
     seed: OwnSeed = None,
 ) -> None:
     """Simulate what any sensor measures over a plot.

@@ -38,7 +38,6 @@ from fynjax.jobs._calibration_page import (
 from fynjax.jobs._calibration_tables import (
     ReferenceImage,
     calibration_dataset,
-    camera_table,
     parameter_table,
     statistic_table,
 )
@@ -297,11 +296,6 @@ def _write(
     run.table("parameters.csv", parameters, "prior, estimate, sd of every parameter")
     each = "every statistic" if result.image_before is None else "every band and index"
     run.table("statistics.csv", statistics, f"{each}, real and simulated")
-    camera = camera_table(result, statistics)
-    if camera is not None:
-        run.table(
-            "camera.csv", camera, "gain of each band of the camera, and its share of the error"
-        )
     for when, what in (("before", "of the field table"), ("after", "after calibration")):
         image = getattr(result, f"image_{when}")
         if image is not None and result.camera is not None:

@@ -245,10 +245,11 @@ _CAMERA = (
 
 def _camera_sentence(camera: pd.DataFrame) -> str:
     """How much of each band's error the camera has itself, and how sure that is."""
+    off = camera["exact_error_percent"]
+    unsure = (camera["gain"] - 1.0).abs() < 2.0 * camera["sd"]
     of = [
-        f"{words(row.band)} {row.exact_error_percent:+.0f} %"
-        + (" (within the error of the gain)" if abs(row.gain - 1.0) < 2.0 * row.sd else "")
-        for row in camera.itertuples()
+        f"{words(band)} {error:+.0f} %" + (" (within the error of the gain)" if open_ else "")
+        for band, error, open_ in zip(camera["band"], off, unsure, strict=True)
     ]
     return (
         "By the estimated gains even an exact simulation of these plants would be off from the "

@@ -321,6 +321,22 @@ def _maps(
     return np.ascontiguousarray(maps.T).reshape(-1, rows, columns)
 
 
+def _in_numbers(
+    name: str, mean: Float[np.ndarray, "row column"], sd: Float[np.ndarray, "row column"]
+) -> QuantityMap:
+    """Statistics of the map of a quantity and of its standard deviation, over pixels with data."""
+    ok = np.isfinite(mean)
+    q05, q95 = np.quantile(mean[ok], [0.05, 0.95]) if ok.any() else (np.nan, np.nan)
+    return QuantityMap(
+        quantity=name,
+        unit=STAND_QUANTITIES[name].unit,
+        mean=float(mean[ok].mean()) if ok.any() else np.nan,
+        q05=float(q05),
+        q95=float(q95),
+        typical_sd=float(np.median(sd[ok])) if ok.any() else np.nan,
+    )
+
+
 def _summary(
     run: Run,
     maps: Float[np.ndarray, "map row column"],
@@ -338,23 +354,11 @@ def _summary(
     masked = with_data & (unlike > 1.0)
     pixels = source.shape[0] * source.shape[1]
     share = pixels / unlike.size  # of a large cube a sample of the pixels is counted
-    found = []
-    shown = {}
-    for i, (name, quantity) in enumerate(STAND_QUANTITIES.items()):
-        mean, sd = maps[i * len(_KINDS)], maps[i * len(_KINDS) + 1]
-        shown[name] = mean, sd
-        ok = np.isfinite(mean)
-        q05, q95 = np.quantile(mean[ok], [0.05, 0.95]) if ok.any() else (np.nan, np.nan)
-        found.append(
-            QuantityMap(
-                quantity=name,
-                unit=quantity.unit,
-                mean=float(mean[ok].mean()) if ok.any() else np.nan,
-                q05=float(q05),
-                q95=float(q95),
-                typical_sd=float(np.median(sd[ok])) if ok.any() else np.nan,
-            )
-        )
+    shown = {
+        name: (maps[i * len(_KINDS)], maps[i * len(_KINDS) + 1])
+        for i, name in enumerate(STAND_QUANTITIES)
+    }
+    found = [_in_numbers(name, *of) for name, of in shown.items()]
     lacking, out = round(share * float((~with_data).sum())), round(share * float(masked.sum()))
     if damaged:
         warnings.warn(

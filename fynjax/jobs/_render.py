@@ -44,6 +44,7 @@ from fynjax.scene import (
     hard_counts,
     hard_scene,
     is_large,
+    truth_of_layers,
     truth_of_pixels,
 )
 
@@ -95,8 +96,7 @@ def render(
     **Returns:** `RenderResult`. Writes `image.tif` and `run.nc` (reflectance factor [-]), figures
     and a page into `output`; with `truth` also `truth.tif` and `truth.nc` (`PixelTruth`).
 
-    **Raises:** `InputError` as `read_plot`, for the `truth` of an image that is rendered in tiles,
-    for an image that is not finite or does not fit in
+    **Raises:** `InputError` as `read_plot`, for an image that is not finite or does not fit in
     memory, and for a checkpoint of another run.
 
     Example: `jobs.render("plot.toml", Path("results")).headline`.
@@ -110,12 +110,6 @@ def render(
     size = image_size(camera.shape, len(camera.sensor.bands))
     layers = image_size(camera.shape, 4 * len(scene.taxa) + 2)
     shares = {"truth.tif": layers, "truth.nc": layers} if truth else {}
-    if truth and is_large(camera, scene):
-        raise InputError(
-            "this image is rendered in tiles, and of those no truth is written: take a smaller "
-            "plot or wider pixels",
-            file=read.file,
-        )
     begin_work({"image.tif": size, "run.nc": size, "report.html": "", **shares})
     with run.stage("Render", "render"):
         if is_large(camera, scene):
@@ -123,12 +117,16 @@ def render(
             if checkpoint is not None:
                 hashes = [file_hash(path) for path in read.inputs]
                 journal = Journal(checkpoint, signature(read, hashes, run.seed))
-            image = _in_tiles(TiledPicture(camera, scene, parameters), journal)
+            picture = TiledPicture(camera, scene, parameters)
+            image = _in_tiles(picture, journal)
+            seen = None
+            if truth:
+                seen = truth_of_layers(picture.sight(), camera, scene, parameters)
         else:
             # Plants that do not stand take time and memory only.
             stand = hard_scene(scene, parameters)
             image = jax.block_until_ready(_measure(camera, stand, parameters))
-        seen = truth_of_pixels(camera, scene, parameters) if truth else None
+            seen = truth_of_pixels(camera, scene, parameters) if truth else None
         counts = hard_counts(scene, parameters)
     check_finite(image, read)
     with run.stage("Write"):
@@ -190,7 +188,7 @@ def _write(
     pictures = _drone_pictures if set(BANDS) <= set(bands.names) else _other_pictures
     parts: list[Part] = [
         *pictures(plot, camera, image),
-        *([] if truth is None else [_write_truth(run, plot, scene, truth, record)]),
+        *([] if truth is None else [write_truth(run, plot, scene, truth, record)]),
         _plants(plot, scene, counts),
     ]
     means = itertools.islice(zip(bands.names, image.mean((1, 2)), strict=True), _FEW_BANDS)
@@ -205,7 +203,7 @@ def _write(
     )
 
 
-def _write_truth(
+def write_truth(
     run: Run, plot: Plot, scene: Scene, truth: PixelTruth, record: Mapping[str, str | int]
 ) -> Picture:
     """What stands in the pixels, as files and as a map of the leading species."""

@@ -19,13 +19,20 @@ from fynjax.io.instruments import load_instrument
 from fynjax.io.plot import AtmosphereTable, Place, Plot, as_plot, plot_place
 from fynjax.io.raster import Cube, write_cube_envi, write_cube_geotiff, write_cubes_netcdf
 from fynjax.io.text import write_text
-from fynjax.jobs._render import check_finite, cube_pictures
+from fynjax.jobs._render import check_finite, cube_pictures, write_truth
 from fynjax.jobs._result import JobResult
 from fynjax.jobs._run import Run
 from fynjax.jobs._simulate_lidar import SimulateLidarResult, simulate_lidar
 from fynjax.jobs._simulate_record import run_record, short_record, warnings_of
-from fynjax.report.pages import Page, Section
-from fynjax.scene import AimedSensor, Observation, PlotParameters, Scene, hard_scene
+from fynjax.report.pages import Page, Picture, Section
+from fynjax.scene import (
+    AimedSensor,
+    Observation,
+    PlotParameters,
+    Scene,
+    hard_scene,
+    truth_of_pixels,
+)
 from fynjax.sensors import Lidar, Sensor
 
 AIR_MODELS = ("table", "clear-sky", "none")
@@ -56,6 +63,7 @@ def simulate(
     atmosphere: str | Path | None = None,
     noise: bool | None = None,
     products: Sequence[str] = PRODUCTS,
+    truth: bool = False,
     seed: int | None = None,
 ) -> SimulateResult | SimulateLidarResult:
     """Simulate the measurement of a plot by a camera, a spectrometer or a LiDAR.
@@ -73,6 +81,8 @@ def simulate(
     - `noise`: whether to draw it; left out, as the plot file says, or else if the sensor has a
       model of it.
     - `products`: any of `PRODUCTS`.
+    - `truth`: whether to write also what each pixel sees of each species and of the ground, as
+      `truth.tif` and `truth.nc` (`PixelTruth`); of a LiDAR's returns it is written always.
     - `seed`: of plants and noise; the plot file's if left out.
 
     **Returns:** `SimulateResult` for an imaging sensor, with radiance and reflectance (GeoTIFF,
@@ -111,11 +121,15 @@ def simulate(
         )
     size = image_size(aimed.shape, len(instrument.bands))
     written = [name for name in products if name != "radiance" or air.source != "none"]
-    begin_work({f"{name}.tif": size for name in written} | {"product.nc": size, "report.html": ""})
+    layers = image_size(aimed.shape, 4 * len(scene.taxa) + 2)
+    shares = {"truth.tif": layers, "truth.nc": layers} if truth else {}
+    files_made = {f"{name}.tif": size for name in written} | {"product.nc": size}
+    begin_work(files_made | {"report.html": "", **shares})
     with run.stage("Measure"):
         # Plants that do not stand take time and memory only.
         stand = hard_scene(scene, parameters)
         observation = _measure(aimed, stand, parameters, run.seed if noisy else None, run)
+        seen = truth_of_pixels(aimed, stand, parameters) if truth else None
     cubes = _cubes(aimed, instrument, observation, products, plot_place(read))
     for name, cube in cubes.items():
         check_finite(cube.values[cube.good], read, name)
@@ -123,7 +137,8 @@ def simulate(
     record = run.record(inputs)
     made = run_record(read, instrument, aimed, air, noisy, observation, run.seconds)
     with run.stage("Write"):
-        _write(run, read, instrument, cubes, {**record, **short_record(made)})
+        picture = [] if seen is None else [write_truth(run, read, scene, seen, record)]
+        _write(run, read, instrument, cubes, picture, {**record, **short_record(made)})
         text = json.dumps({**record, **made}, indent=2, ensure_ascii=False, allow_nan=False)
         path = run.path("run.json", "versions, seed, sensor, atmosphere, accuracy, times")
         write_text(path, text + "\n")
@@ -233,9 +248,14 @@ def _cubes(
 
 
 def _write(
-    run: Run, plot: Plot, instrument: Sensor, cubes: dict[str, Cube], record: dict[str, Any]
+    run: Run,
+    plot: Plot,
+    instrument: Sensor,
+    cubes: dict[str, Cube],
+    more: list[Picture],
+    record: dict[str, Any],
 ) -> None:
-    """Write the products and the page."""
+    """Write the products and the page, with `more` pictures at its end."""
     for name, cube in cubes.items():
         write_cube_geotiff(run.path(f"{name}.tif", f"{name}, GeoTIFF"), cube, record)
         header = run.path(f"{name}.hdr", f"{name}, ENVI: header of {name}.dat")
@@ -243,7 +263,7 @@ def _write(
     path = run.path("product.nc", f"{' and '.join(cubes)}, NetCDF")
     write_cubes_netcdf(path, cubes, record)
     lead = f"What {instrument.name} measures of the plot."
-    sections = [Section("", cube_pictures(cubes, plot.name))]
+    sections = [Section("", [*cube_pictures(cubes, plot.name), *more])]
     run.page(Page(plot.name, lead, sections, record=record))
 
 

@@ -134,7 +134,7 @@ class LeafClip(AbstractMeasurement):
 def recollided(
     reflectance: Float[Array, "*band"],
     transmittance: Float[Array, "*band"],
-    recollision: float | Float[Array, "*band"],
+    recollision: float | Float[Array, "*#band"],
 ) -> tuple[Float[Array, "*band"], Float[Array, "*band"]]:
     """R and T of needles side by side from those of one needle [-].
 

@@ -18,6 +18,7 @@ from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Array, Float
 
 from fynjax._core.errors import InputError, did_you_mean
+from fynjax._core.math import real_array
 from fynjax._core.precision import double_precision
 from fynjax.leaf._area import LeafShape, check_shape
 from fynjax.leaf._coefficients import (
@@ -418,6 +419,11 @@ def prospect(
             )
         parameters = _leaves(traits)
     parameters = LeafParameters() if parameters is None else parameters
+    if not isinstance(parameters, LeafParameters):
+        raise InputError(
+            "expected `LeafParameters`, or traits by name such as prospect(chlorophyll=45), but "
+            f"got {type(parameters).__name__}"
+        )
     shape = jnp.shape(parameters.structure)
     if shape:
         flat = jax.tree.map(lambda field: jnp.reshape(field, -1), parameters)
@@ -457,6 +463,7 @@ def _leaves(traits: Mapping[str, Any]) -> LeafParameters:
             raise InputError(
                 f"unknown trait {name!r}.{did_you_mean(name, known)} Known are {', '.join(known)}"
             )
+    traits = {name: real_array(value, name) for name, value in traits.items()}
     try:
         shape = np.broadcast_shapes(*(np.shape(value) for value in traits.values()))
     except ValueError as error:
@@ -464,6 +471,8 @@ def _leaves(traits: Mapping[str, Any]) -> LeafParameters:
         raise InputError(f"expected traits of shapes that broadcast, but got {shapes}") from error
     if not shape:
         return LeafParameters(**traits)
-    every = {n: jnp.broadcast_to(jnp.asarray(v), shape).reshape(-1) for n, v in traits.items()}
+    if 0 in shape:
+        raise InputError(f"expected traits of one leaf or more, but got the shape {shape}")
+    every = {n: jnp.broadcast_to(v, shape).reshape(-1) for n, v in traits.items()}
     flat = LeafParameters.many(**every)
     return jax.tree.map(lambda field: jnp.reshape(field, shape), flat)

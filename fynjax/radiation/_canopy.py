@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
+from fynjax._core.errors import InputError
 from fynjax.canopy import AbstractLeafAngle
 from fynjax.radiation._arrays import voxel_scene
 from fynjax.radiation._check import as_floats, check_range
@@ -185,10 +186,23 @@ def _uniform(
     light: tuple[Array, Array],
 ) -> tuple[VoxelScene, Float[Array, ""]]:
     """One column of voxels, a metre high, sides periodic, and its leaf area; `light`: sun, sky."""
+    if not isinstance(layers, int | np.integer) or layers < 1:
+        raise InputError(f"`layers` must be a whole number of 1 or more, but is {layers!r}")
     rho = as_floats("leaf_reflectance", leaf_reflectance)
     area = as_floats("leaf_area_index", leaf_area_index, rho.dtype)
     check_range("leaf_area_index", area, 0.0, 100.0)
+    if area.ndim:
+        raise InputError(
+            f"`leaf_area_index` must be one number, but has shape {area.shape}: for many canopies "
+            "take jax.vmap"
+        )
     rho = jnp.atleast_1d(rho)
+    below = as_floats("soil", soil, rho.dtype)
+    if below.shape not in ((), (1,), rho.shape):
+        raise InputError(
+            f"`soil` must be a number, or one for each of {rho.size} bands, but has shape "
+            f"{below.shape}"
+        )
     tau = jnp.atleast_1d(as_floats("leaf_transmittance", leaf_transmittance, rho.dtype))
     sun, sky = (jnp.broadcast_to(part, rho.shape).astype(rho.dtype) for part in light)
     scene = voxel_scene(
@@ -196,7 +210,7 @@ def _uniform(
         rho[None],
         tau[None],
         voxel=(1.0, 1.0, 1.0 / layers),
-        ground=jnp.broadcast_to(as_floats("soil", soil, rho.dtype), rho.shape),
+        ground=jnp.broadcast_to(below, rho.shape),
         sun_zenith=sun_zenith,
         sun_azimuth=0.0,
         sun=sun,

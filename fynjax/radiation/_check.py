@@ -102,6 +102,9 @@ def check_range(
     bad = ~(np.isfinite(array) & above & below)
     if not bad.any():
         return
+    if not slip and high == 1.0 and array[bad].max() > 1.0:
+        ten_thousandths = array[bad].max() > 100.0
+        slip = f": is it in {'ten thousandths' if ten_thousandths else 'percent'}? Divide first"
     wanted = f"`{name}` must be finite"
     if math.isfinite(low) or math.isfinite(high):
         wanted += f" and in {ends[0]}{low:g}, {high:g}{ends[1]}"

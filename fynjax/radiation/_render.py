@@ -458,8 +458,20 @@ def look(
     check_scene(scene)
     _check_blocks(rays, together)
     most = _steepest(rays) if steepest is None else steepest
-    sublayers, lean = _pieces_along(scene, accuracy, rays, most)
     sun = follow_sun(scene, accuracy, sun_margin(scene, accuracy))
+    return look_up_to(scene, sun, accuracy, rays, most, together)
+
+
+def look_up_to(
+    scene: VoxelScene,
+    sun: SunField,
+    accuracy: Accuracy,
+    rays: AbstractRays,
+    steepest: Array | float,
+    together: int = 1,
+) -> Sight:
+    """`look` in a known sun, for rays whose zenith angle is `steepest` at most [degrees]."""
+    sublayers, lean = _pieces_along(scene, accuracy, rays, steepest)
     return sight_of_rays(scene, sun, rays, sublayers, lean, together)
 
 

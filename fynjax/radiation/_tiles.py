@@ -19,6 +19,7 @@ from jaxtyping import Array, Float
 
 from fynjax._core.geometry import direction
 from fynjax._core.progress import track
+from fynjax.radiation._image import Sight
 from fynjax.radiation._multiple import Cells, DiffuseField, cells_of
 from fynjax.radiation._rays import RayLattice
 from fynjax.radiation._reduced import ReducedField
@@ -30,6 +31,7 @@ from fynjax.radiation._render import (
     fit_grids,
     follow_sun,
     in_whole_cells,
+    look_up_to,
     render_up_to,
     sun_margin,
 )
@@ -131,7 +133,7 @@ class LightInWindows:
         self._sun_slope = float(np.abs(towards[:2] / towards[2]).max())
         self._wide = wide = fit_grids(scene, accuracy).finest[1]
         y, x = ((np.arange(n // wide) + 0.5) * wide * scene.horizontal for n in scene.shape[1:])
-        tiling = self._cut(y, x, max(len(y), len(x)), scene.height * self._sun_slope)
+        tiling = self._cut(y, x, max(len(y), len(x)), scene.height * self._sun_slope, held)
         voxels, fields = windows(tiling), None
         for place in track(np.ndindex(tiling.shape), "Light", math.prod(tiling.shape)):
             at = map(jnp.asarray, place)
@@ -160,10 +162,7 @@ class LightInWindows:
 
         **Raises:** `InputError` where the windows do not fit in memory.
         """
-        slopes = np.abs([*np.asarray(rays.slope_x), *np.asarray(rays.slope_y)]).max()
-        # What a ray crosses and what shades it.
-        reach = self._scene.height * (slopes + self._sun_slope) + rays.footprint
-        tiling = self._cut(np.asarray(rays.y), np.asarray(rays.x), tile, reach)
+        tiling = self._tiling(rays, tile, self._held)
         voxels = self._windows(tiling)
 
         def render(row: int, column: int) -> Float[Array, "band row column"]:
@@ -173,7 +172,36 @@ class LightInWindows:
 
         return tiling, render
 
-    def _cut(self, y: np.ndarray, x: np.ndarray, tile: int, reach: float) -> Tiling:
+    def sight(
+        self,
+        rays: RayLattice,
+        tile: int,
+        steepest: float,
+        held: int,
+        windows: Callable[[Tiling], Callable[[int, int], VoxelScene]],
+    ) -> tuple[Tiling, Callable[[int, int], Sight]]:
+        """Tiles of a picture, and what rays of the one in a row and column meet first: `look`.
+
+        **Arguments:** `rays`, `tile`, `steepest`, and errors, as for `picture`; `held` and
+        `windows` as the class has them, whose classes may be others.
+        """
+        tiling = self._tiling(rays, tile, held)
+        voxels = windows(tiling)
+
+        def met(row: int, column: int) -> Sight:
+            window, at = voxels(row, column), map(jnp.asarray, (row, column))
+            how = self._accuracy, rays, tiling, steepest
+            return _sight_of_tile(self._scene, window, *how, *at)
+
+        return tiling, met
+
+    def _tiling(self, rays: RayLattice, tile: int, held: int) -> Tiling:
+        slopes = np.abs([*np.asarray(rays.slope_x), *np.asarray(rays.slope_y)]).max()
+        # What a ray crosses and what shades it.
+        reach = self._scene.height * (slopes + self._sun_slope) + rays.footprint
+        return self._cut(np.asarray(rays.y), np.asarray(rays.x), tile, reach, held)
+
+    def _cut(self, y: np.ndarray, x: np.ndarray, tile: int, reach: float, held: int) -> Tiling:
         """Pixels at rising `y` and `x` [m] in tiles of `tile` at most, each with a rim of `reach`
         [m]: as wide as can be held; or as narrow as rims let it be worth while."""
         scene, most = self._scene, max(len(y), len(x))
@@ -185,7 +213,7 @@ class LightInWindows:
             tiling = Tiling(along_y, along_x, self._wide)
             each = tiling.voxels(scene)
             every = math.prod(tiling.shape) * each
-            if each <= self._held or every > _MOST_RIM * math.prod(scene.shape):
+            if each <= held or every > _MOST_RIM * math.prod(scene.shape):
                 break
         check_light(scene, self._accuracy, each)
         return tiling
@@ -250,6 +278,32 @@ def _reflectance_of_tile(
     diffuse = dataclasses.replace(
         diffuse, intensity=cut(diffuse.intensity), falling=cut(diffuse.falling)
     )
+    part = _rays_of_tile(rays, tiling, scene.horizontal, row, column)
+    radiance = render_up_to(Light(window, sun, diffuse, accuracy), part, steepest)
+    return jnp.pi * radiance.total / window.illumination.incident[:, None, None]
+
+
+@eqx.filter_jit
+def _sight_of_tile(
+    scene: VoxelScene,
+    window: VoxelScene,
+    accuracy: Accuracy,
+    rays: RayLattice,
+    tiling: Tiling,
+    steepest: float,
+    row: Array,
+    column: Array,
+) -> Sight:
+    """What rays of a tile meet first, in the voxels of its window."""
+    window, sun = _lit(scene, window, accuracy)
+    part = _rays_of_tile(rays, tiling, scene.horizontal, row, column)
+    return look_up_to(window, sun, accuracy, part, steepest)
+
+
+def _rays_of_tile(
+    rays: RayLattice, tiling: Tiling, horizontal: float, row: Array, column: Array
+) -> RayLattice:
+    """Rays of a tile, from the corner of its window."""
     of_tile = []
     for axis, at, *fields in (
         (tiling.y, row, rays.y, rays.slope_y),
@@ -258,9 +312,7 @@ def _reflectance_of_tile(
         start, first = jnp.asarray(axis.starts)[at], jnp.asarray(axis.first)[at]
         place, slope = (jax.lax.dynamic_slice_in_dim(f, start, axis.pixels) for f in fields)
         # Counted from the corner of the window.
-        corner = first * tiling.wide * scene.horizontal
+        corner = first * tiling.wide * horizontal
         of_tile.append((place - corner.astype(place.dtype), slope))
     (y, slope_y), (x, slope_x) = of_tile
-    part = dataclasses.replace(rays, x=x, y=y, slope_x=slope_x, slope_y=slope_y, picture=rays.ends)
-    radiance = render_up_to(Light(window, sun, diffuse, accuracy), part, steepest)
-    return jnp.pi * radiance.total / window.illumination.incident[:, None, None]
+    return dataclasses.replace(rays, x=x, y=y, slope_x=slope_x, slope_y=slope_y, picture=rays.ends)

@@ -71,7 +71,7 @@ from fynjax.scene._spectra import (
 )
 from fynjax.scene._stand import StandArea, stand_area
 from fynjax.scene._structure import fitting_structure, scene_structure
-from fynjax.scene._truth import PixelTruth, pixel_truth, truth_of_pixels
+from fynjax.scene._truth import PixelTruth, pixel_truth, truth_of_layers, truth_of_pixels
 
 keep_compiled()
 
@@ -144,6 +144,7 @@ __all__ = [
     "species_rows",
     "stand_area",
     "stand_realisation",
+    "truth_of_layers",
     "truth_of_pixels",
     "visible_sensor",
     "with_values",

@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float, Int
 
 from fynjax._core.progress import track
+from fynjax.canopy import Organ
 from fynjax.radiation import LightInWindows, RayLattice, Tiling, VoxelScene, voxel_values
 from fynjax.scene._instances import standing_plants
 from fynjax.scene._observe import AimedSensor
@@ -85,8 +86,16 @@ class TiledPicture:
             voxels = partial(_voxels, bare, parameters, bands)
             return lambda row, column: voxels(plants.window(tiling, room, row, column))
 
+        def windows_by_organ(tiling: Tiling) -> Callable[[int, int], VoxelScene]:
+            room = plants.room(tiling)
+            voxels = partial(_voxels_by_organ, bare, parameters, bands.select([0]))
+            return lambda row, column: voxels(plants.window(tiling, room, row, column))
+
         light = LightInWindows(whole, aimed.accuracy, held, windows)
         self._tiling, self._draw = light.picture(rays, tile, aimed.steepest)
+        organs = len(Organ) * len(scene.species)
+        by_organ = _HELD // (len(bands) + 4 * organs)
+        self._sight = partial(light.sight, rays, tile, aimed.steepest, by_organ, windows_by_organ)
         self._aimed, self._whole = aimed, whole
         self._factor = np.empty((len(bands), *rays.shape), scene.dtype)
         self.tiles = [*np.ndindex(*self._tiling.shape)]
@@ -105,6 +114,21 @@ class TiledPicture:
         for tile, part in zip(self.tiles, rendered, strict=True):
             self._factor[:, *self._tiling.pixels(*tile)] = part
         return self._aimed.averages(jnp.asarray(self._factor), self._whole)[0]
+
+    def sight(self) -> Float[Array, "layer y x"]:
+        """Shares of the pixels that are each organ of each species, species by species, ground in
+        the sun and in shade [-]: the layers of `pixel_truth`."""
+        tiling, met = self._sight()
+        layers = None
+        for tile in track([*np.ndindex(*tiling.shape)], "Tiles"):
+            seen = met(*tile)
+            part = np.concatenate([seen.canopy, seen.sunlit_ground[None], seen.shaded_ground[None]])
+            if layers is None:
+                layers = np.empty((len(part), *self._factor.shape[1:]), np.float32)
+            layers[:, *tiling.pixels(*tile)] = part
+        assert layers is not None
+        average = lambda layer: self._aimed.averages(jnp.asarray(layer)[None], self._whole)[0]  # noqa: E731
+        return jnp.concatenate([average(layer) for layer in layers])
 
 
 class _Plants:
@@ -189,3 +213,10 @@ def _without_voxels(bare: Scene, parameters: PlotParameters, bands: BandSet) -> 
 @eqx.filter_jit
 def _voxels(bare: Scene, parameters: PlotParameters, bands: BandSet, window: Window) -> VoxelScene:
     return bare.voxels(parameters, bands, window)
+
+
+@eqx.filter_jit
+def _voxels_by_organ(
+    bare: Scene, parameters: PlotParameters, bands: BandSet, window: Window
+) -> VoxelScene:
+    return bare.voxels_by_organ(parameters, bands, window)

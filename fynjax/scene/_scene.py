@@ -730,10 +730,12 @@ class Scene(eqx.Module):
             structure=structure,
         )
 
-    def voxels_by_organ(self, parameters: PlotParameters, bands: BandSet) -> VoxelScene:
+    def voxels_by_organ(
+        self, parameters: PlotParameters, bands: BandSet, window: Window | None = None
+    ) -> VoxelScene:
         """`voxels` whose classes are leaves, wood and flowers of each species, species by species
         (`Organ`); sun and sight meet the same area. Differentiable in `parameters`."""
-        voxels, leaves = self.voxels(parameters, bands), leaf_classes(self.species)
+        voxels, leaves = self.voxels(parameters, bands, window), leaf_classes(self.species)
         optics = voxels.classes
         wood = len(optics.reflectance) - 2
         # Leaves of a species differ in what lines of sight do not ask for; a species without leaves
@@ -752,7 +754,8 @@ class Scene(eqx.Module):
             size_of_class=tuple(optics.sizes[kind] for kind in of_organ),
         )
         parameters = jax.tree.map(lambda x: jnp.asarray(x, self.dtype), parameters)
-        density = self._deposit(parameters, self.class_grid, by="organ")
+        grid = self.class_grid if window is None else window.grid(self.class_grid)
+        density = self._deposit(parameters, grid, by="organ", window=window)
         return dataclasses.replace(voxels, area_density=density, classes=classes)
 
     @property

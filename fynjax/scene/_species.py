@@ -363,6 +363,8 @@ def leaf_rows(
     """
     rows = []
     for taxon, stated in leaves.items():
+        if not stated:
+            raise InputError(f"expected a leaf of {taxon!r}, or several, but got none")
         for leaf in [stated] if isinstance(stated, Mapping) else stated:
             try:
                 if "spectrum" in leaf:

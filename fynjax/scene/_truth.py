@@ -148,7 +148,17 @@ def truth_of_pixels(aimed: AimedSensor, scene: Scene, parameters: PlotParameters
     **Returns:** as `pixel_truth`.
     """
     parameters = jax.tree.map(lambda x: jnp.asarray(x, scene.dtype), parameters)
-    layers = _layers(scene, parameters, aimed)
+    return truth_of_layers(_layers(scene, parameters, aimed), aimed, scene, parameters)
+
+
+def truth_of_layers(
+    layers: Float[Array, "layer y x"],
+    aimed: AimedSensor,
+    scene: Scene,
+    parameters: PlotParameters,
+) -> PixelTruth:
+    """What pixels see, from shares of each organ of each species, of sunlit and of shaded ground,
+    such as `TiledPicture.sight` has of a large picture."""
     *canopy, lit, shade = layers
     leaf, wood, flowers = (jnp.stack(canopy[organ :: len(Organ)]) for organ in Organ)
     dead = parameters.species.dead_fraction[:, None, None]

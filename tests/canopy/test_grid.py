@@ -227,6 +227,7 @@ def test_grid_properties() -> None:
         (lambda: VoxelGrid.cover((10.0, 10.0), 0.0, 0.1), "top"),
     ],
 )
+@pytest.mark.untyped
 def test_bad_grids(make: object, word: str) -> None:
     with pytest.raises(InputError, match=word):
         make()  # type: ignore[operator]

@@ -3,9 +3,11 @@
 The jobs themselves are stood in for: what is tested is the door, not the house.
 """
 
+import gc
 import json
 import os
 import re
+import signal
 import subprocess
 import sys
 import time
@@ -139,7 +141,7 @@ def test_demo_writes_moves_and_prints(capsys, calls, tmp_path):
     output = tmp_path / "a" / "b"
     status, out, err = call(capsys, "demo", "--output", output, "--seed", 5)
     assert (status, err) == (0, "")
-    assert calls[0][1] == {"seed": 5, "twin": False}
+    assert calls[0][1] == {"seed": 5, "twin": False, "with_aviris": False}
     assert sorted(p.name for p in output.iterdir()) == ["image.tif", "summary.json"]
     assert [p.name for p in output.parent.iterdir()] == ["b"]
     assert "demo is done." in out
@@ -268,7 +270,7 @@ def test_a_bad_table_is_one_line_and_no_output(capsys, plot, tmp_path):
     ],
 )
 def test_a_failing_job_leaves_nothing(capsys, calls, monkeypatch, tmp_path, error, status, words):
-    def demo(output, *, seed, twin):
+    def demo(output, *, seed, twin, with_aviris):
         (output / "half.tif").write_text("half")
         warnings.warn("lost with the run", stacklevel=1)
         raise error
@@ -282,7 +284,7 @@ def test_a_failing_job_leaves_nothing(capsys, calls, monkeypatch, tmp_path, erro
 
 
 def test_debug_shows_the_traceback(calls, monkeypatch, tmp_path):
-    def demo(output, *, seed, twin):
+    def demo(output, *, seed, twin, with_aviris):
         raise InputError("bad")
 
     monkeypatch.setattr(fynbos_2006, "demo", demo)
@@ -292,7 +294,7 @@ def test_debug_shows_the_traceback(calls, monkeypatch, tmp_path):
 
 
 def test_ctrl_c_is_130_and_leaves_nothing(capsys, calls, monkeypatch, tmp_path):
-    def demo(output, *, seed, twin):
+    def demo(output, *, seed, twin, with_aviris):
         (output / "half.tif").write_text("half")
         raise KeyboardInterrupt
 
@@ -303,8 +305,47 @@ def test_ctrl_c_is_130_and_leaves_nothing(capsys, calls, monkeypatch, tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="signals as Unix has them")
+@pytest.mark.parametrize("dropped", [False, True])
+@pytest.mark.parametrize(
+    ("number", "status", "word"),
+    [(signal.SIGINT, 130, "interrupted"), (signal.SIGTERM, 143, "ended")],
+)
+def test_a_signal_ends_a_run_also_where_a_library_drops_it(
+    capsys, calls, monkeypatch, tmp_path, dropped, number, status, word
+):
+    reached = []
+
+    def send(phase="", info=None):
+        if send in gc.callbacks:
+            gc.callbacks.remove(send)
+        os.kill(os.getpid(), number)
+        for _ in range(1000):  # the exception comes here, where Python drops it
+            pass
+
+    def demo(output, **_):
+        if dropped:
+            gc.callbacks.append(send)
+            gc.collect()
+        else:
+            send()
+        end = time.monotonic() + 10.0
+        while time.monotonic() < end:
+            pass
+        reached.append(True)
+
+    before = sys.unraisablehook
+    monkeypatch.setattr(fynbos_2006, "demo", demo)
+    came, out, err = call(capsys, "demo", "--output", tmp_path / "o")
+    assert (came, out) == (status, "")
+    assert err == f"fynjax: {word}; nothing was written\n"
+    assert reached == []
+    assert sys.unraisablehook is before
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_warnings_of_a_run_are_printed_once_and_kept(capsys, calls, monkeypatch, tmp_path):
-    def demo(output, *, seed, twin):
+    def demo(output, *, seed, twin, with_aviris):
         for _ in range(2):
             warnings.warn("3 of 600 pixels are masked", stacklevel=1)
         warnings.warn("not for users", DeprecationWarning, stacklevel=1)

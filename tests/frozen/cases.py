@@ -113,7 +113,9 @@ def _article(folder: Path) -> Runs:
     (folder / "parameters.csv").write_text(
         "name,unit,estimate\nground.brightness,-,0.9\nspecies.Erica irregularis.cover,%,25\n"
     )
-    (folder / "camera.csv").write_text("band,gain\ngreen,0.9\nred,0.9\nred_edge,0.7\nnir,1.1\n")
+    rows = [f"{band}.mean,0.1,{0.1 * gain},0.1" for band, gain in zip(BANDS, (0.9, 0.9, 0.7, 1.1))]
+    text = "\n".join(["statistic,after,with_gain,image_after", *rows])
+    (folder / "statistics.csv").write_text(text)
     small = ["--size", 2, "--pixel", 0.2, "--channels", 20]
     return {"small": ["article", "--calibration", folder, *small]}
 

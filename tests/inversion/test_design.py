@@ -15,6 +15,7 @@ from fynjax.inversion import fisher_information
 from fynjax.inversion._design import _Limits, _Measured, _Spectra, gaussian_weights
 from fynjax.leaf import LeafParameters, prospect
 from fynjax.sensors import BandSet, shipped_sensor
+from tests.scene.plots import small_parameters
 
 GRID = np.arange(405.0, 2496.0, 10.0)
 LIMITS = _Limits(405.0, 2495.0, 10.0, 100.0)
@@ -79,6 +80,14 @@ def test_weights_are_those_of_a_band_set():
     bands = BandSet(("a", "b", "c"), (560.0, 1203.3, 2000.0), (10.0, 35.5, 100.0))
     found = gaussian_weights(jnp.asarray(GRID), jnp.array(bands.centre), jnp.array(bands.fwhm))
     np.testing.assert_allclose(found, bands.weights(GRID), atol=1e-12)
+
+
+def test_bands_lie_within_the_range():
+    """From the narrowest to the widest, their responses up to the ends of the range."""
+    centre, width = LIMITS.bands(np.array([0.0, 1.0, 0.5, 0.0, 1.0, 0.5]))
+    np.testing.assert_allclose(width, [10.0, 100.0, np.sqrt(1000.0)])
+    np.testing.assert_allclose(centre, [419.0, 2355.0, 1450.0])
+    BandSet(("a", "b", "c"), tuple(centre), tuple(width)).weights(GRID)  # no more than 1e-3 lost
 
 
 @TARGETS
@@ -171,6 +180,53 @@ def test_what_is_removed_is_that_of_the_fisher_information():
     )
     gained = scores(dataclasses.replace(spectra, target="information"), centre, width)[0, 0]
     assert gained == pytest.approx(-0.5 * np.log2(np.linalg.det(after)), rel=1e-8)
+
+
+def test_chance_is_half_that_of_plantings_and_half_that_of_pixels():
+    """The same numbers by NumPy's covariances, from the docstring's words. One parameter moves a
+    mean, the other both standard deviations."""
+    spectra = spectra_of_leaves("information", plantings=5, photons=np.full(len(GRID), 1e12))
+    slope = np.zeros((5, len(GRID), 2))
+    slope[:, GRID < 1000.0, 0] = 0.01
+    change = 0.1 * np.asarray(spectra.second)[..., None] * np.array([0.0, 1.0])
+    spectra = dataclasses.replace(
+        spectra, mean_slope=jnp.asarray(slope), second_slope=jnp.asarray(change)
+    )
+    bands = BandSet(("a", "b"), (560.0, 1650.0), (30.0, 60.0))
+    weights = bands.weights(GRID)
+    pixel = np.einsum("wi,pij,vj->pwv", spectra.basis, spectra.second, spectra.basis)
+    seen = np.einsum("bw,pwv,cv->pbc", weights, pixel, weights)
+    values = np.concatenate(
+        [spectra.mean @ weights.T, np.sqrt(np.diagonal(seen, axis1=1, axis2=2))], axis=1
+    )
+    mean, spread = seen.mean(axis=0), np.zeros((4, 4))
+    every = np.diagonal(pixel, axis1=1, axis2=2)
+    total = every.mean(axis=0).sum()
+    spread[:2, :2] = mean * np.var(spectra.mean, axis=0, ddof=1).sum() / total
+    sd = np.sqrt(np.diag(mean))
+    relative = np.var(np.sqrt(every), axis=0, ddof=1).sum() / total
+    spread[2:, 2:] = relative * np.outer(sd, sd) * (mean / np.outer(sd, sd)) ** 2
+    error = np.diag((0.01 * values.mean(axis=0)) ** 2)
+    known = np.linalg.inv(0.5 * np.cov(values.T) + 0.5 * spread + error)
+    found = scores(spectra, bands.centre, bands.fwhm)[:, 0]
+    for one, value in zip(found, values, strict=True):
+        moved = np.array([[0.01, 0.0, 0.0, 0.0], [0.0, 0.0, 0.05 * value[2], 0.05 * value[3]]])
+        gained = np.linalg.det(np.eye(2) + moved @ known @ moved.T)
+        assert one == pytest.approx(0.5 * np.log2(gained), rel=1e-4)
+
+
+def test_photons_are_those_of_the_sun_and_none_in_the_water_windows():
+    """As many as the signal-to-noise ratio asks for in the band that it is of."""
+    light = small_parameters()
+    bands = BandSet(tuple(map(str, GRID)), tuple(GRID), (10.0,) * len(GRID), response="box")
+    photons = bands_of_design._photons(light, bands, 200.0)
+    at = dict(zip(GRID, photons, strict=True))
+    assert 10.0 * 0.1 * 0.5 * (at[545.0] + at[555.0]) == pytest.approx(200.0**2, rel=0.05)
+    assert max(at[1375.0], at[1905.0]) < 1e-6 * at[555.0]
+    # Planck's law of 5800 K, per photon, to what air takes of green light.
+    planck = {nm: nm**-4.0 / np.expm1(1.4388e7 / (nm * 5800.0)) for nm in (555.0, 865.0, 1655.0)}
+    for nm in (865.0, 1655.0):
+        assert at[nm] / at[555.0] == pytest.approx(planck[nm] / planck[555.0], rel=0.4)
 
 
 def test_distances_are_those_of_the_pixels():
@@ -266,12 +322,24 @@ def test_a_design_of_a_scene(scene):
         )  # fmt: skip
     camera = shipped_sensor("mavic_3m")
     seen: _Measured = bands_of_design._bands_of(rendered[0], camera.bands)
-    image = np.asarray(
-        fx.observe(
-            bands_of_design.coarser(scene, scene.parameters), camera, pixel=0.25,
-            point_spread=False, accuracy=bands_of_design.COARSE,
-        ).reflectance
-    )  # fmt: skip
+    coarse = bands_of_design.coarser(scene, scene.parameters)
+
+    def observed(u):
+        values = free.named(jnp.array([0.0, 0.0, u]))
+        return np.asarray(
+            fx.observe(
+                coarse, camera, pixel=0.25, point_spread=False, accuracy=bands_of_design.COARSE,
+                parameters=scene.with_values(values).parameters,
+            ).reflectance
+        )  # fmt: skip
+
+    image, darker, brighter = (observed(u) for u in (0.0, -0.1, 0.1))
+    bright = (brighter - darker) / 0.2
+    slope = np.mean(bright, axis=(1, 2))
+    np.testing.assert_allclose(seen.mean_slope[0][:, 2], slope, rtol=0.04)
+    off = image - image.mean(axis=(1, 2), keepdims=True)
+    change = 2.0 * np.mean(off * bright, axis=(1, 2))
+    np.testing.assert_allclose(seen.variance_slope[0][:, 2], change, rtol=0.08)
     np.testing.assert_allclose(seen.mean[0], image.mean(axis=(1, 2)), rtol=0.03)
     sd = np.sqrt(np.diagonal(seen.covariance[0]))
     np.testing.assert_allclose(sd, image.std(axis=(1, 2)), rtol=0.03)

@@ -2,6 +2,7 @@
 
 import os
 import re
+import shutil
 
 import numpy as np
 import pytest
@@ -570,3 +571,14 @@ def test_a_large_file_is_known_by_its_size_and_by_samples(tmp_path, monkeypatch)
         assert signed(changed) != before
     path.write_bytes(whole)  # now, not then
     assert content_hash(path) != before
+
+
+def test_maps_whose_folder_was_removed_meanwhile_end_in_one_line(tmp_path, cube):
+    write_cube_geotiff(tmp_path / "cube.tif", cube, {})
+    with open_blocks(tmp_path / "cube.tif") as blocks:
+        writer = MapWriter(tmp_path / "work", "s", [("one", "1")], blocks, 3)
+        shutil.rmtree(tmp_path / "work")
+        with pytest.raises(
+            InputError, match=r"removed meanwhile, and the same command begins anew"
+        ):
+            writer.write(0, 0, np.ones((1, 3, 6)))

@@ -121,7 +121,7 @@ def test_a_full_disk_is_called_so(tmp_path, monkeypatch):
             run(error)
     monkeypatch.setattr(shutil, "disk_usage", lambda path: SimpleNamespace(free=1000))
     for error in errors:
-        with pytest.raises(InputError, match="out: the disk is full, so nothing was written"):
+        with pytest.raises(InputError, match="out: the disk is full, so no results were written"):
             run(error)
     with pytest.raises(InputError, match="expected a number"):
         run(InputError("expected a number"))

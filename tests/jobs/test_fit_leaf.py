@@ -10,8 +10,11 @@ import pytest
 from fynjax import jobs
 from fynjax._core import parts
 from fynjax.cli import main
+from fynjax.io.plot import read_plot
 from fynjax.jobs import _fit_leaf as job
 from fynjax.leaf import LeafChunks, LeafParameters, _result, prospect
+from fynjax.scene import leaves_of
+from tests.small import write_plot
 
 LEAVES, PART = 10, 4
 
@@ -144,3 +147,19 @@ def test_traits_of_real_leaves_are_those_of_the_laboratory(shared_data, tmp_path
         held = (truth > traits[f"{trait}_lower90"]) & (truth < traits[f"{trait}_upper90"])
         assert np.sqrt((error**2).mean()) < most, trait
         assert held.mean() > 0.78, trait
+
+
+def test_variants_of_species_are_a_leaf_table_of_a_plot(table, tmp_path):
+    plot = write_plot(tmp_path, 'leaf_table = "leaves.csv"\n')
+    taxa = ["Erica irregularis", "Restio eleocharis"]
+    names = [f"leaf {i + 1}" for i in range(LEAVES)]
+    groups = pd.DataFrame({"name": names, "species": [taxa[i % 2] for i in range(LEAVES)]})
+    groups.to_csv(tmp_path / "groups.csv", index=False)
+    jobs.fit_leaf([table], tmp_path / "out", groups=tmp_path / "groups.csv")
+    (tmp_path / "leaves.csv").write_bytes((tmp_path / "out" / "leaves.csv").read_bytes())
+    read = read_plot(plot)
+    leaves = leaves_of(read.species, read.leaves)
+    species = pd.read_csv(tmp_path / "out" / "species.csv")
+    for taxon, own in zip(taxa, leaves, strict=True):
+        drawn = species[(species["species"] == taxon) & (species["variant"] > 0)]
+        assert [leaf.water for leaf in own] == pytest.approx(drawn["water"].tolist())

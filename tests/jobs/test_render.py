@@ -81,7 +81,7 @@ def test_the_truth_of_the_pixels_is_written_beside_the_image(tmp_path, monkeypat
         organs = sum(seen[name] for name in ("live", "dead", "wood", "flowers")).sum("species")
         np.testing.assert_allclose(organs + seen.sunlit_ground + seen.shaded_ground, 1, atol=1e-5)
         first = str(seen.species[0].item())
-        expected = np.flipud(seen["live"][0])
+        expected, shade = np.flipud(seen["live"][0]), seen.shaded_ground.values
     with rasterio.open(tmp_path / "out" / "truth.tif") as file:
         assert file.descriptions[0] == f"live: {first}"
         assert file.descriptions[-2:] == ("ground in the sun", "ground in shade")
@@ -90,5 +90,11 @@ def test_the_truth_of_the_pixels_is_written_beside_the_image(tmp_path, monkeypat
         assert image.shape == file.shape
         assert image.transform == file.transform
     monkeypatch.setattr("fynjax.jobs._render.is_large", lambda *_: True)
-    with pytest.raises(InputError, match="no truth is written"):
-        render(plot, tmp_path / "again", truth=True)
+    render(plot, tmp_path / "again", truth=True)  # in tiles
+    with xr.open_dataset(tmp_path / "again" / "truth.nc") as tiles:
+        np.testing.assert_allclose(tiles["live"][0], np.flipud(expected), atol=1e-5)
+        np.testing.assert_allclose(tiles.shaded_ground, shade, atol=1e-5)
+    simulate(plot, tmp_path / "measured", truth=True)
+    with rasterio.open(tmp_path / "measured" / "truth.tif") as measured:
+        np.testing.assert_allclose(measured.read(1), expected, atol=1e-5)
+    assert (tmp_path / "measured" / "species.png").is_file()

@@ -160,14 +160,15 @@ def test_no_leaf_near_the_estimate_is_more_probable():
     call = jax.jit(residual)
     for i, z in enumerate(found.z):
         problem = Problem(*(jnp.asarray(part[i]) for part in problems))
-        whole = problem, whitening(problem, setup.factors), setup.factors, setup.optics
+        common = jnp.asarray(setup.factors)
+        whole = problem, whitening(problem, common), common, setup.optics
         tight = dict.fromkeys(("xtol", "ftol", "gtol"), 1e-13)
         best = least_squares(lambda z, *leaf: np.asarray(call(z, leaf)), z, args=whole, **tight)
         offset = best.x - z
         assert np.sqrt(offset @ found.hessian[i] @ offset) < 0.01
         # The misfit is stated in units of the errors before they are grown.
         factors, noise = setup.factors[:, use[i]], (setup.noise**2 + setup.distrust**2)[use[i]]
-        read = np.asarray(observed(to_physical(z, setup.optics), setup.optics))
+        read = np.asarray(observed(to_physical(jnp.asarray(z), setup.optics), setup.optics))
         misfit = (read - data[i])[use[i]]
         square = misfit @ np.linalg.solve(factors.T @ factors + np.diag(noise), misfit)
         assert problems.inflation[i] > 1.1

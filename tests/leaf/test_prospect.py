@@ -8,6 +8,8 @@ import pytest
 from scipy.integrate import quad
 from scipy.special import exp1
 
+import fynjax as fx
+from fynjax._core.errors import InputError
 from fynjax.leaf import (
     LeafParameters,
     cylinder_transmissivity,
@@ -437,3 +439,21 @@ def test_many_leaves_are_the_loop_over_one():
     for i, chlorophyll in enumerate((10.0, 50.0)):
         one = both(LeafParameters(chlorophyll=chlorophyll, water=0.02))
         np.testing.assert_allclose(stacked[i], one, rtol=0, atol=1e-14)
+
+
+@pytest.mark.parametrize("wrong", ["40", None, {}, object(), [1, "b"], [None], [1, [2]]])
+def test_a_trait_that_is_no_number_is_named(wrong):
+    with pytest.raises(InputError, match=r"Chlorophyll .*as a number.*missing") as caught:
+        fx.LeafParameters(chlorophyll=wrong)
+    assert "\n" not in str(caught.value)
+    with pytest.raises(InputError, match="number"):
+        fx.prospect(chlorophyll=wrong)
+
+
+def test_no_leaf_and_no_leaf_parameters_are_refused():
+    for empty in ([], np.zeros((3, 0))):
+        with pytest.raises(InputError, match="one leaf or more, but got the shape"):
+            fx.prospect(chlorophyll=empty)
+    for wrong in ({"chlorophyll": 40.0}, 40.0, "leaf"):
+        with pytest.raises(InputError, match=r"traits by name.*but got (dict|float|str)"):
+            fx.prospect(wrong)

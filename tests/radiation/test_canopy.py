@@ -23,10 +23,9 @@ from fynjax.radiation import (
     Accuracy,
     canopy_albedo,
     canopy_reflectance,
-    directional_reflectance,
-    solve_light,
     voxel_scene,
 )
+from tests.radiation.scenes import reflectance_of, solver
 
 RHO, TAU, SOIL = jnp.array([0.06, 0.48]), jnp.array([0.02, 0.45]), jnp.array([0.1, 0.2])
 
@@ -109,8 +108,8 @@ def test_hot_spot_of_discs():
         sun_azimuth=0.0,
         leaf_diameter=diameter,
     )
-    light = solve_light(scene, Accuracy(lattice=1, coarsening=(1, 1), levels=6, azimuths=8))
-    discs = np.asarray(directional_reflectance(light, views, 0.0))
+    light = solver(Accuracy(lattice=1, coarsening=(1, 1), levels=6, azimuths=8))(scene)
+    discs = np.asarray(reflectance_of(light, views, jnp.zeros(6)))
     geometry = jnp.stack([jnp.full(6, 30.0), views, jnp.zeros(6)], axis=1)
     ours = reflectances("spherical", 2.0 / 3.0 * diameter, geometry)
     np.testing.assert_allclose(ours[0], discs[0], rtol=5e-3)
@@ -209,33 +208,32 @@ def test_without_leaves_there_is_soil_and_black_leaves_hide_it():
     np.testing.assert_allclose(black, SOIL * np.exp(-path), rtol=1e-5)
 
 
+@jax.jit
+def figure(rho, tau, area, soil):
+    shown = canopy_reflectance(rho, tau, area, soil=soil, sky_share=0.2)
+    return jnp.array([1.0, -0.7]) @ shown
+
+
+@partial(jax.jit, static_argnums=0)
+def slopes(which, *at):
+    return jax.grad(figure, which)(*at)
+
+
+AT = RHO, TAU, jnp.asarray(1.7), SOIL
+
+
 @pytest.mark.parametrize("which", [(0,), (1,), (0, 1), (2,), (3,)])
 def test_slopes_by_some_of_the_arguments_are_those_by_all(which):
     """Where leaf optics alone change, the light on its way to them does not."""
-
-    @partial(jax.jit, static_argnums=0)
-    def slopes(which, *at):
-        return jax.grad(
-            lambda *at: canopy_reflectance(at[0], at[1], at[2], soil=at[3], sky_share=0.2)[1], which
-        )(*at)
-
-    at = RHO, TAU, 2.0, SOIL
-    every = slopes((0, 1, 2, 3), *at)
-    for place, got in zip(which, slopes(which, *at), strict=True):
+    every = slopes((0, 1, 2, 3), *AT)
+    for place, got in zip(which, slopes(which, *AT), strict=True):
         np.testing.assert_allclose(got, every[place], rtol=1e-5)
 
 
 def test_gradients_are_those_of_differences():
-    weight = jnp.array([1.0, -0.7])
-
-    def figure(rho, tau, area, soil):
-        return weight @ canopy_reflectance(rho, tau, area, soil=soil, sky_share=0.2)
-
-    at = (RHO, TAU, jnp.asarray(1.7), SOIL)
-    slopes = jax.grad(figure, argnums=(0, 1, 2, 3))(*at)
-    for k, slope in enumerate(slopes):
-        step = 1e-4 * jnp.ones_like(at[k])
-        ends = [figure(*at[:k], at[k] + s * step, *at[k + 1 :]) for s in (1, -1)]
+    for k, slope in enumerate(slopes((0, 1, 2, 3), *AT)):
+        step = 1e-4 * jnp.ones_like(AT[k])
+        ends = [figure(*AT[:k], AT[k] + s * step, *AT[k + 1 :]) for s in (1, -1)]
         assert float(slope.sum()) == pytest.approx(float(ends[0] - ends[1]) / 2e-4, rel=1e-4)
 
 
@@ -246,3 +244,31 @@ def test_what_cannot_be_is_refused():
     ):  # fmt: skip
         with pytest.raises(InputError):
             canopy_reflectance(RHO, TAU, **wrong)
+
+
+@pytest.mark.parametrize(
+    ("how", "words"),
+    [
+        ({"layers": 0}, "`layers` must be a whole number of 1 or more, but is 0"),
+        ({"layers": -1}, "is -1"),
+        ({"layers": 2.5}, "is 2.5"),
+        ({"layers": "9"}, "is '9'"),
+        ({"layers": None}, "is None"),
+        ({"leaf_area_index": []}, r"`leaf_area_index` must be one number, but has shape \(0,\)"),
+        ({"leaf_area_index": [1.0, 2.0]}, "jax.vmap"),
+        ({"soil": [0.1, 0.1, 0.1]}, r"one for each of 2 bands, but has shape \(3,\)"),
+        ({"soil": 1500.0}, "ten thousandths"),
+        ({"soil": 15.0}, "in percent"),
+        ({"sky_share": 20.0}, "in percent"),
+    ],
+)
+def test_a_wrong_canopy_is_refused(how, words):
+    with pytest.raises(InputError, match=words):
+        canopy_reflectance(RHO, TAU, **how)
+
+
+def test_ten_thousandths_are_named():
+    with pytest.raises(InputError, match="ten thousandths"):
+        canopy_reflectance(1e4 * RHO, 1e4 * TAU)
+    with pytest.raises(InputError, match="in percent"):
+        canopy_albedo(100 * RHO, 100 * TAU)

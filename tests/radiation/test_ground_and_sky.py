@@ -64,7 +64,7 @@ def test_bare_ground_is_the_formula(parameters):
     np.testing.assert_allclose(seen(scene)[:, 0], want, rtol=1e-9)
     x = jnp.linspace(-4.0, 4.0, 6)
     rays = nadir_rays(x, x, 0.1, (0.0, 0.0, 10.0))
-    got = np.asarray(reflectance_factor(solver(ACCURACY)(scene), rays))[0]
+    got = np.asarray(jax.jit(reflectance_factor)(solver(ACCURACY)(scene), rays))[0]
     east, north = np.meshgrid(x, x)
     zenith = np.rad2deg(np.arctan(np.hypot(east, north) / 10.0))
     azimuth = np.rad2deg(np.arctan2(-east, -north))
@@ -144,7 +144,7 @@ def test_radiance_is_read_at_its_place():
         (2 + np.sin(steps[1]) + 0 * steps[0], 2 + np.sin(azimuth)),
         (2 + np.cos(steps[1]) + 0 * steps[0], 2 + np.cos(azimuth)),
     ):
-        light = Illumination(40.0, 0.0, 0 * one, jnp.asarray(one), jnp.asarray(pattern))
+        light = Illumination(*map(jnp.asarray, (40.0, 0.0, 0 * one, one, pattern)))
         got = np.asarray(sky_radiance(light, ordinates))[0]
         np.testing.assert_allclose(got / got.mean(), want / want.mean(), rtol=1e-3)
 

@@ -26,6 +26,8 @@ from fynjax.radiation import (
 from fynjax.radiation._render import check_fit
 from tests.radiation.scenes import patchy, solver
 
+pytestmark = pytest.mark.untyped
+
 
 def change(select, value, boundary="periodic"):
     return eqx.tree_at(select, patchy(boundary), value)

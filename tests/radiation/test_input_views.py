@@ -22,6 +22,7 @@ from fynjax.radiation import (
 from tests.radiation.scenes import patchy
 from tests.radiation.test_input import centres, plain
 
+pytestmark = pytest.mark.untyped
 ACCURACIES = {
     **dict.fromkeys(
         ("lattice", "levels", "azimuths", "iterations", "solves", "sublayers"),

@@ -14,14 +14,14 @@ from fynjax.radiation import (
     nadir_rays,
     parallel_rays,
     render,
-    solve_light,
 )
 from tests import reference
-from tests.radiation.scenes import slab
+from tests.radiation.scenes import slab, solver
 from tests.radiation.test_monte_carlo import clumps
 
 FINE = Accuracy(lattice=1, sublayers=4)
 CENTRES = (np.arange(8) + 0.5) * 0.15
+see = jax.jit(look, static_argnames=("accuracy", "together"))
 
 
 @pytest.mark.parametrize("zenith", [0.0, 35.0])
@@ -30,7 +30,7 @@ def test_shares_are_those_of_rays_counted_one_by_one(zenith):
     rays = parallel_rays(CENTRES, CENTRES, 0.15, zenith, 120.0)
     middles = (np.arange(40) + 0.5) * 0.03  # 5 x 5 rays to a pixel
     many = parallel_rays(middles, middles, 0.03, zenith, 120.0)
-    sight = look(clumps("planophile", "spherical", parts=5), many, FINE, together=5)
+    sight = see(clumps("planophile", "spherical", parts=5), many, FINE, together=5)
     got = np.concatenate([sight.canopy, sight.sunlit_ground[None], sight.shaded_ground[None]])
     np.testing.assert_allclose(got.sum(axis=0), 1.0, atol=1e-6)
     counted = reference.first_met(scene, rays, samples=4000, seed=3)
@@ -55,7 +55,7 @@ def test_a_slab_of_two_kinds_is_met_by_beers_law_in_their_shares():
         ),
     )
     at = np.array([0.5, 1.5])
-    sight = look(scene, nadir_rays(at, at, 0.5, (1.0, 1.0, 50.0)), FINE)
+    sight = see(scene, nadir_rays(at, at, 0.5, (1.0, 1.0, 50.0)), FINE)
     hit = 1.0 - np.exp(-0.5 * 1.5)
     np.testing.assert_allclose(sight.canopy.mean(axis=(1, 2)), [hit * 2 / 3, hit / 3], rtol=1e-3)
     shaded = np.exp(-0.75) * (1.0 - np.exp(-0.75 / np.cos(np.deg2rad(30.0))))
@@ -65,10 +65,10 @@ def test_a_slab_of_two_kinds_is_met_by_beers_law_in_their_shares():
 def test_the_ground_in_sight_is_the_gap_of_the_image_and_blocks_are_means():
     scene = clumps("planophile", "spherical")
     rays = nadir_rays(CENTRES, CENTRES, 0.15, (0.6, 0.6, 30.0))
-    sight = look(scene, rays)
-    gap = render(solve_light(scene), rays).gap
+    sight = see(scene, rays)
+    gap = jax.jit(render)(solver(Accuracy())(scene), rays).gap
     np.testing.assert_allclose(sight.sunlit_ground + sight.shaded_ground, gap, atol=1e-6)
-    blocks = look(scene, rays, together=2)
+    blocks = see(scene, rays, together=2)
     means = np.asarray(sight.canopy).reshape(2, 4, 2, 4, 2).mean(axis=(2, 4))
     np.testing.assert_allclose(blocks.canopy, means, atol=1e-6)
     with pytest.raises(InputError, match="must divide"):
@@ -79,7 +79,7 @@ def test_over_terrain_shares_sum_to_one():
     level = clumps("planophile", "spherical")
     hill = 0.4 * np.exp(-((np.arange(4) - 1.5) ** 2)) * np.ones((4, 1))
     scene = dataclasses.replace(level, terrain=jnp.asarray(hill))
-    sight = look(scene, parallel_rays(CENTRES, CENTRES, 0.15, 20.0, 40.0))
+    sight = see(scene, parallel_rays(CENTRES, CENTRES, 0.15, 20.0, 40.0))
     total = sight.canopy.sum(axis=0) + sight.sunlit_ground + sight.shaded_ground
     np.testing.assert_allclose(total, 1.0, atol=1e-6)
     assert (np.asarray(sight.shaded_ground) >= -1e-6).all()

@@ -210,6 +210,7 @@ def test_a_structure_that_is_not_that_of_the_classes_is_refused():
         solve_light(denser, FAST)
 
 
+@pytest.mark.untyped
 def test_a_structure_that_does_not_divide_the_voxels_is_refused():
     even, _ = scene_of(shrubs())
     for shape in ((4, 6, 9), (4, 12, 6), (5, 6, 6), (4, 6)):

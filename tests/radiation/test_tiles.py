@@ -42,6 +42,6 @@ def test_rows_make_the_same_picture(monkeypatch):
 def test_rows_make_the_same_blocks(monkeypatch):
     light = jax.jit(lambda s: solve_light(s, ACCURACY))(patchy(**SCENE))
     show = lambda at: reflectance_factor(at, RAYS, together=4)  # noqa: E731
-    whole = show(light)
+    whole = jax.jit(show)(light)
     monkeypatch.setattr("fynjax.radiation._image.MOST_RAYS", 10 * 24 + 5)
-    np.testing.assert_allclose(show(light), whole, rtol=1e-9)
+    np.testing.assert_allclose(jax.jit(lambda at: show(at))(light), whole, rtol=1e-9)

@@ -13,7 +13,7 @@ from fynjax._core.checkpoint import Journal
 from fynjax.errors import InputError
 from fynjax.radiation import Accuracy, Tiling
 from fynjax.radiation._tiles import Axis
-from fynjax.scene import TiledPicture, hard_scene, is_large
+from fynjax.scene import TiledPicture, hard_scene, is_large, truth_of_layers, truth_of_pixels
 from fynjax.scene._large import _Plants
 from tests.scene.plots import drone, reflectance, small_parameters, small_plot
 
@@ -46,6 +46,22 @@ def test_an_interrupted_image_in_tiles_goes_on_and_is_that_of_the_whole(tmp_path
     np.testing.assert_allclose(image, whole, rtol=1e-9)
     with pytest.raises(ValueError, match="shorter"):
         picture.image([])
+
+
+def test_shares_in_tiles_are_those_of_the_whole(monkeypatch):
+    """Under a low sun, whose shade reaches beyond a tile."""
+    low = jnp.asarray(50.0)
+    parameters = eqx.tree_at(lambda p: p.light.sun_zenith, small_parameters(), low)
+    scene = small_plot()
+    aimed = drone(scene, LIGHT)
+    expected = truth_of_pixels(aimed, scene, parameters)
+    picture = TiledPicture(aimed, scene, parameters, tile=10)
+    found = truth_of_layers(picture.sight(), aimed, scene, parameters)
+    assert float(expected.sunlit_ground.max()) > 0.1
+    for name in ("live", "dead", "wood", "flowers", "sunlit_ground", "shaded_ground"):
+        np.testing.assert_allclose(getattr(found, name), getattr(expected, name), atol=2e-6)
+    total = found.species.sum(axis=0) + found.sunlit_ground + found.shaded_ground
+    np.testing.assert_allclose(total, 1.0, atol=1e-5)
 
 
 def test_a_light_that_does_not_fit_is_refused_before_plants_are_placed(monkeypatch):

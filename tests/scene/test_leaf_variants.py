@@ -291,8 +291,11 @@ def test_a_plot_file_asks_for_leaves_that_stay_when_its_plants_are_drawn_anew(tm
 
 
 def test_fewer_than_one_leaf_is_refused():
+    rows = table1_2006()[:1]
     with pytest.raises(InputError, match="1 leaf variant or more, but got 0"):
-        Scene.from_table(table1_2006()[:1], size=1.0, voxel=0.5, leaf_variants=0)
+        Scene.from_table(rows, size=1.0, voxel=0.5, leaf_variants=0)
+    with pytest.raises(InputError, match="expected a leaf of 'Metalasia muricata', or several"):
+        Scene.from_table(rows, size=1.0, voxel=0.5, leaves={"Metalasia muricata": []})
 
 
 def test_a_fit_frees_the_spread_of_species_that_have_one():

@@ -5,8 +5,10 @@ import pytest
 
 import fynjax as fx
 from fynjax.cli import main
+from fynjax.metrics import BANDS
 from fynjax.scene import with_values
 from fynjax.studies.fynbos_2006 import article_tables
+from fynjax.studies.fynbos_2006._article_page import _gains
 
 GAINS = (0.9, 0.9, 0.45, 1.1)
 
@@ -79,3 +81,13 @@ def test_a_folder_without_a_calibration_is_said(tmp_path, capsys):
         main(["article", "--calibration", str(tmp_path), "--output", str(tmp_path / "out")])
     assert ended.value.code == 2
     assert "parameters.csv" in capsys.readouterr().err
+
+
+def test_gains_follow_from_the_statistics_of_a_calibration(tmp_path):
+    """An expected mean of 0.10 and an image's of 0.08: a gain of 0.9 changes it by 0.008."""
+    rows = [f"{band}.mean,0.1,{0.1 + 0.08 * (gain - 1)},0.08" for band, gain in zip(BANDS, GAINS)]
+    header = "statistic,after,with_gain,image_after"
+    (tmp_path / "statistics.csv").write_text("\n".join([header, *rows]))
+    assert _gains(tmp_path) == pytest.approx(GAINS)
+    (tmp_path / "statistics.csv").write_text("\n".join([header, *rows[1:]]))
+    assert _gains(tmp_path) is None  # as of a calibration without such a camera

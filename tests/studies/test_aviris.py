@@ -2,11 +2,13 @@
 
 import dataclasses
 from pathlib import Path
+from types import SimpleNamespace
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pandas as pd
 import pytest
 
 from fynjax.compare import table5_2006
@@ -19,6 +21,8 @@ from fynjax.inversion import (
     spectrum_view,
     weigh_targets,
 )
+from fynjax.jobs._calibration_page import _camera_sentence
+from fynjax.jobs._calibration_tables import camera_table
 from fynjax.metrics import spectral_mask
 from fynjax.scene import Placement, aim, with_values
 from fynjax.sensors import BandSet, Gains, shipped_sensor
@@ -96,3 +100,22 @@ def test_the_numbers_tie_the_gains_of_the_camera(plot):
     )  # fmt: skip
     assert (np.abs(np.log(found.gain / planted)) < 2.0 * found.gain_sd).all()
     assert (found.gain_sd < 0.1).all()
+
+
+def test_gains_say_what_an_exact_simulation_is_off_by(plot):
+    """A camera that has 0.8 of the light makes what is true look 25 % too bright."""
+    camera = aim(*plot, shipped_sensor("mavic_3m"), Placement(50.0, 0.1))
+    found = SimpleNamespace(
+        views=(ImageView(("green.mean",), camera, Gains(0.3, 0.0)),),
+        gain=np.array([0.8, 1.25, 0.5, 1.1]),
+        gain_sd=np.full(4, 0.08),
+    )
+    statistics = pd.DataFrame({"statistic": ["nir.mean"], "after_error_percent": [12.0]})
+    table = camera_table(found, statistics)
+    np.testing.assert_allclose(table["exact_error_percent"], [25.0, -20.0, 100.0, -100.0 / 11.0])
+    np.testing.assert_allclose(table["sd"], [0.064, 0.1, 0.04, 0.088])
+    np.testing.assert_allclose(table["prior_sd"], 0.3)
+    np.testing.assert_array_equal(table["after_error_percent"], [np.nan, np.nan, np.nan, 12.0])
+    text = _camera_sentence(table)
+    assert "green +25 %, red −20 %" in text.replace("-", "−")
+    assert text.count("within the error of the gain") == 1

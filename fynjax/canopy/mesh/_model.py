@@ -153,7 +153,7 @@ def _sample(
             f"`n_elements` must be at least {len(present)}, one a material, but is {n_elements}"
         )
     chosen, weights = [], []
-    counts = split_elements(n_elements, present)  # type: ignore[arg-type]  # any key will do
+    counts = split_elements(n_elements, present)
     for index, count in counts.items():
         uniform = quasi_random(count, 2, [seed, index])
         faces = np.flatnonzero(material == index)

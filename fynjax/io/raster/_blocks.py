@@ -462,13 +462,21 @@ class MapWriter:
         because it could not be read."""
         _, rows, columns = values.shape
         values = values.astype(np.float32)
-        with wherever(), rasterio.open(self._file, "r+", driver="GTiff") as file:
-            file.write(values, window=Window(0, start, columns, rows))
-        self.done[block] = True
-        self._written[block] = (start, rows, _seal(values))
-        if damaged:
-            self.damaged.add(block)
-        self._keep()
+        try:
+            with wherever(), rasterio.open(self._file, "r+", driver="GTiff") as file:
+                file.write(values, window=Window(0, start, columns, rows))
+            self.done[block] = True
+            self._written[block] = (start, rows, _seal(values))
+            if damaged:
+                self.damaged.add(block)
+            self._keep()
+        except (RasterioError, OSError) as error:
+            after = "the same command goes on from what was kept before"
+            if not self._file.is_file():
+                after = "the checkpoint was removed meanwhile, and the same command begins anew"
+            raise InputError(
+                f"cannot keep what was done. Is the disk full? If not, {after}", file=self._folder
+            ) from error
 
     @cached_property
     def _placed(self) -> Path:

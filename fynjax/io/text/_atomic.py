@@ -131,7 +131,7 @@ def staged_folder(folder: str | Path) -> Iterator[Path]:
             of_input = isinstance(error, InputError) and "cannot write here" not in str(error)
             if of_input or shutil.disk_usage(partial).free > _FULL:
                 raise
-            raise InputError("the disk is full, so nothing was written", file=folder) from error
+            raise InputError("the disk is full, so no results were written", file=folder) from error
         target.mkdir(exist_ok=True)
         for source in sorted(p for p in partial.rglob("*") if p.is_file()):
             destination = target / source.relative_to(partial)

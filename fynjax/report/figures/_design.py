@@ -22,6 +22,8 @@ from fynjax.report.figures._style import (
 _COLOURS = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY, GREY)
 _MOST = 12
 """Curves of a panel, at most."""
+_SEEN = 0.006
+"""Share of the range that a band is drawn wide, at least."""
 
 
 def design_plot(found: BandDesign) -> Figure:
@@ -49,7 +51,7 @@ def design_plot(found: BandDesign) -> Figure:
         sensors = {"designed": found.bands} | {one.name: one.bands for one in found.cameras}
         rows = name_rows(panels[2], list(sensors))
         for row, bands in zip(rows, sensors.values(), strict=True):
-            wide = np.array(bands.fwhm)
+            wide = np.maximum(bands.fwhm, _SEEN * np.ptp(found.wavelength))
             panels[2].barh(
                 np.full(len(bands), row), wide, height=0.6,
                 left=np.array(bands.centre) - wide / 2,
@@ -57,7 +59,8 @@ def design_plot(found: BandDesign) -> Figure:
             )  # fmt: skip
         for axes in panels:
             for centre, width in zip(found.bands.centre, found.bands.fwhm, strict=True):
-                axes.axvspan(centre - width / 2, centre + width / 2, color="#F3E3DC", lw=0)
+                ends = centre - width / 2, centre + width / 2
+                axes.axvspan(*ends, color="#F3E3DC", lw=0, zorder=0)
         panels[2].set_xlabel("Wavelength [nm]")
     return figure
 

@@ -4,6 +4,7 @@ from ._article_page import ArticleResult as ArticleResult
 from ._article_page import article as article
 from ._demo import DEMO_TARGETS as DEMO_TARGETS
 from ._demo import demo as demo
+from ._demo import demo_targets as demo_targets
 from ._demo import paper_simulation as paper_simulation
 from ._init import InitResult as InitResult
 from ._init import init as init

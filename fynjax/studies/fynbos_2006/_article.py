@@ -27,8 +27,8 @@ from fynjax.sensors import shipped_lidar, shipped_sensor
 
 SWIR2_MEAN = {"real": 0.063, "dirsig": 0.008}
 """Mean reflectance at 2100 to 2450 nm, from the article's text on AVIRIS-NG [-]."""
-_RETURNS = {"real": 13.17, "dirsig": 693.39}
-"""Returns of the LiDAR [m-2], from section 4.4."""
+_RETURNS = 13.17, 693.39
+"""Returns of the LiDAR [m-2], real and DIRSIG's, from section 4.4."""
 _GRAINS = {1.0: (np.nan, 13.0, 17.9, 51.3), 2.0: (38.0, 52.0, 6.1, 10.6)}
 """Section 4.4, of the real cloud by the side of a cell [m]: returns in the emptiest and in the
 median cell; median and largest change of the metrics to cells 1 m wider [%]."""
@@ -81,13 +81,13 @@ def article_tables(
     histograms and spectra that are not published.
     """
     table, columns = _printed(), {}
-    states = {"uncalibrated": scene.parameters, "calibrated": calibrated}
-    states = {name: state for name, state in states.items() if state is not None}
+    states = {"uncalibrated": scene.parameters}
+    if calibrated is not None:
+        states["calibrated"] = calibrated
     with stage("Look at the plot", total=4 * len(states)):
         for name, state in states.items():
-            image = np.stack(
-                [observe(scene, "mavic_3m", pixel=pixel, parameters=state)[b] for b in BANDS]
-            )
+            seen = observe(scene, "mavic_3m", pixel=pixel, parameters=state)
+            image = np.asarray(seen.reflectance)
             advance()
             columns[name] = {
                 **_species(scene, state),
@@ -107,8 +107,8 @@ def article_tables(
     judged = table.pop("sound") & sizes[["dirsig", "uncalibrated"]].notna().all(axis=1)
     table["nearest"] = ""
     table.loc[judged, "nearest"] = sizes[judged].idxmin(axis=1)
-    for name, values in off.items():
-        table[f"{name}_off_percent"] = values
+    for name, percent in off.items():
+        table[f"{name}_off_percent"] = percent
     return table[[*(c for c in table if c != "definition"), "definition"]]
 
 
@@ -129,7 +129,7 @@ def _printed() -> pd.DataFrame:
     for quantity, (number, printed, what) in _OPTICS.items():
         add(f"table {number}", quantity, what, printed)
     for name, band in bands_2006().items():
-        what = "mean over the pixels; the real one follows from table 4, DIRSIG's sign is not told"
+        what = "mean over the pixels; the real one follows from table 4; of DIRSIG no sign"
         add("figure 9", f"{name}.mean", what, band.real_mean, off=100.0 * band.sim_abs_difference)
     for name, row in table4_2006().items():
         form = f"of {row.formula}, inferred from the printed numbers"
@@ -147,22 +147,24 @@ def _printed() -> pd.DataFrame:
             dirsig=row.histogram_intersection)  # fmt: skip
         add("table 4", f"{name}: KS", f"largest distance of the distribution {pixels}",
             dirsig=row.ks)  # fmt: skip
-    for region, row in table5_2006().items():
+    for region, found in table5_2006().items():
         spectrum = f"to the real spectrum, not published, {region}"
         add("table 5", f"spectral angle [deg], {region}", f"angle {spectrum}",
-            dirsig=row.spectral_angle)  # fmt: skip
-        add("table 5", f"RMSE, {region}", f"root mean square distance {spectrum}", dirsig=row.rmse)
+            dirsig=found.spectral_angle)  # fmt: skip
+        add(
+            "table 5", f"RMSE, {region}", f"root mean square distance {spectrum}", dirsig=found.rmse
+        )
         what = "that over the range of the real one"
-        add("table 5", f"NRMSE [%], {region}", what, dirsig=100.0 * row.nrmse)
-        add("table 5", f"correlation, {region}", f"Pearson's, {spectrum}", dirsig=row.correlation)
+        add("table 5", f"NRMSE [%], {region}", what, dirsig=100.0 * found.nrmse)
+        add("table 5", f"correlation, {region}", f"Pearson's, {spectrum}", dirsig=found.correlation)
         what = "largest less smallest of the mean spectrum; the real one is RMSE over NRMSE"
-        add("table 5", f"range of reflectance, {region}", what, row.rmse / row.nrmse)
+        add("table 5", f"range of reflectance, {region}", what, found.rmse / found.nrmse)
     what = "mean of the mean spectrum at 2100 to 2450 nm, from the text"
-    add("table 5", "mean reflectance, swir2", what, **SWIR2_MEAN)
+    add("table 5", "mean reflectance, swir2", what, SWIR2_MEAN["real"], SWIR2_MEAN["dirsig"])
     for name, index in figure12_2006().items():
         ends = f"{100.0 * index.lower:g} to {100.0 * index.upper:g} %"
         what = f"of the mean spectra; printed as {ends}, sign " + (
-            "higher" if index.simulated_higher else "not told"
+            "plus" if index.simulated_higher else "not printed"
         )
         middle = 50.0 * (index.lower + index.upper)
         add("figure 12", f"{name} by AVIRIS-NG", what, off=middle)
@@ -172,7 +174,7 @@ def _printed() -> pd.DataFrame:
         add("section 4.4", name, what, dirsig=structure.simulated)
     for kind, ending in _LIDARS.items():
         what = f"by the system {kind}; of the flight and not of the plot"
-        add("section 4.4", f"returns [m-2]{ending}", what, **_RETURNS, sound=False)
+        add("section 4.4", f"returns [m-2]{ending}", what, *_RETURNS, sound=False)
         for name in STRUCTURE_METRICS:
             structure = structure_2006()[name]
             what = "mean over cells of 2 m, returns thinned to the real number; "
@@ -235,16 +237,17 @@ _OPTICS = {
 
 def _sensors() -> dict[str, float]:
     """What the shipped sensors have, and what the printed optics give."""
-    plane, drone = shipped_sensor("aviris_ng"), shipped_sensor("mavic_3m")
+    plane: Any = shipped_sensor("aviris_ng")
+    drone: Any = shipped_sensor("mavic_3m")
     line, frame, bands = plane.camera.line, drone.camera, drone.bands
-    lidar = shipped_lidar("flash_lidar_paper")
+    lidar: Any = shipped_lidar("flash_lidar_paper")
     flash = lidar.geometry
     centres = plane.bands.centre
     values = [
         len(centres), centres[0], centres[-1], np.diff(centres).mean(),
         line.array[0], line.pixel_pitch_um, line.focal_length_mm, plane.altitude,
         27e-6 / 26.6e-3 * 1000.0,
-        *np.stack([bands.centre, np.divide(bands.fwhm, 2.0)], axis=1).ravel(),
+        *np.stack([bands.centre, np.divide(bands.fwhm, 2.0)], axis=1).ravel().tolist(),
         *frame.array, frame.pixel_pitch_um, frame.focal_length_mm, drone.altitude,
         2e-6 / 4e-3 * 50.0,
         flash.altitude, flash.half_divergence_rad, flash.array[0], flash.pixel_pitch_um,
@@ -292,10 +295,10 @@ def _structure(scene: Scene, parameters: PlotParameters) -> dict[str, float]:
     for kind, ending in _LIDARS.items():
         cloud = observe(scene, shipped_lidar(kind), parameters=parameters)
         advance()
-        place = np.asarray(cloud.returns.position)
+        place = cloud.to_dataframe()[["x", "y", "z"]].to_numpy(float)
         wide, deep = scene.grid.extent[:2]
         found[f"returns [m-2]{ending}"] = len(place) / (wide * deep)
-        kept = min(len(place), round(_RETURNS["real"] * wide * deep))
+        kept = min(len(place), round(_RETURNS[0] * wide * deep))
         random = np.random.default_rng(0)
         draws = [
             _cells(place[random.choice(len(place), kept, replace=False)], (0.0, 0.0, wide, deep))
@@ -311,7 +314,8 @@ def _cells(
 ) -> dict[str, float]:
     """Structure of returns over level ground, mean over cells of 2 m, and what cells hold."""
     x, y, z = place.T
-    settings, found = StructureSettings(), {}
+    settings = StructureSettings()
+    found: dict[str, float] = {}
 
     def of(grain: float, settings: StructureSettings = settings) -> tuple[Any, dict[str, float]]:
         cells = cell_structure(bin_returns(x, y, z, cell_grid(bounds, grain), settings))

@@ -12,6 +12,7 @@ from fynjax._core.precision import double_precision
 from fynjax.assembly import build_plot
 from fynjax.io.plot import Plot, example_folder, read_plot
 from fynjax.jobs import JobResult, Rows, Run
+from fynjax.metrics import BANDS
 from fynjax.report.figures import error_bars
 from fynjax.report.pages import Page, Picture, Section, Table
 from fynjax.studies.fynbos_2006._article import article_tables
@@ -82,8 +83,7 @@ def article(
             files = demo(calibration, seed=seed, checkpoint=checkpoint).files
         run.files |= {f"demo/{name}": what for name, what in files.items()}
         scene, after = build_plot(_calibrated(plot, calibration), seed=seed)
-    camera = calibration / "camera.csv"
-    gains = list(pd.read_csv(camera)["gain"]) if camera.is_file() else None
+    gains = _gains(calibration)
     with run.timed("observe"):
         scene = replace(scene, parameters=before)
         table = article_tables(scene, after, gains=gains, pixel=pixel, channels=channels)
@@ -97,7 +97,7 @@ def article(
     )
     lead = f"{' '.join(headline)} {_CALIBRATED}"
     counts = Table(nearest, "How many numbers each is nearest in.", headers=_WHO)
-    inputs = [*plot.inputs, calibration / "parameters.csv", camera if gains else None]
+    inputs = [*plot.inputs, calibration / "parameters.csv"]
     sections = [Section("", [counts, *_pictures(table)]), *_tables(table)]
     run.page(Page("The article's numbers", lead, sections, record=run.record(inputs)))
     return run.result(ArticleResult, headline=headline, nearest=nearest)
@@ -113,6 +113,20 @@ def _calibrated(plot: Plot, folder: Path) -> Plot:
             file=folder,
         )
     return plot.replace(parameters=path)
+
+
+def _gains(folder: Path) -> list[float] | None:
+    """Gains of the drone's bands that a calibration estimated, by its statistics: expected means
+    with and without them differ by the gain less 1 times the image's mean. None without these."""
+    path = folder / "statistics.csv"
+    if not path.is_file():
+        return None
+    means = [f"{band}.mean" for band in BANDS]
+    rows = pd.read_csv(path).set_index("statistic").reindex(means)
+    if not {"after", "with_gain", "image_after"} <= {*rows.columns}:
+        return None
+    gains = 1.0 + (rows["with_gain"] - rows["after"]) / rows["image_after"]
+    return None if gains.isna().any() else gains.tolist()
 
 
 def _headline(table: pd.DataFrame) -> list[str]:
@@ -149,7 +163,11 @@ def _pictures(table: pd.DataFrame) -> list[Picture]:
     for name, (chosen, caption) in parts.items():
         rows = table[chosen].set_index(table["quantity"][chosen].str.removesuffix(".mean"))
         off = {who: rows.get(f"{k}_off_percent") for k, who in _WHO.items()}
-        known = {w: v.to_dict() for w, v in off.items() if v is not None and v.notna().any()}
+        known = {
+            who: dict(zip(rows.index, values))
+            for who, values in off.items()
+            if values is not None and values.notna().any()
+        }
         pictures.append(Picture(f"{name}.png", error_bars(known), f"error of {name}", caption))
     return pictures
 
@@ -162,7 +180,7 @@ def _tables(table: pd.DataFrame) -> list[Section]:
     sections = []
     for name, rows in table.groupby("table", sort=False):
         unlike = rows["dirsig"].isna() & rows["dirsig_off_percent"].notna()
-        drop = [c for c in table if c.endswith("_off_percent")]
+        drop = [c for c in table.columns if c.endswith("_off_percent")]
         drop = [c for c in drop if c != "dirsig_off_percent" or not unlike.any()]
         rows = rows.drop(columns=["table", *drop])
         ours = rows["uncalibrated"].notna()

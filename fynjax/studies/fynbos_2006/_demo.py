@@ -8,7 +8,7 @@ from fynjax._core.precision import double_precision
 from fynjax.assembly import Measured, drone_view
 from fynjax.compare import bands_2006, consistent_targets, table4_2006
 from fynjax.inversion import weigh_targets
-from fynjax.io.plot import example_folder, read_plot
+from fynjax.io.plot import Plot, example_folder, read_plot
 from fynjax.jobs import CalibrateResult, ReferenceImage, Run, calibrate_to
 from fynjax.metrics import BANDS
 from fynjax.studies.fynbos_2006._aviris import aviris_target
@@ -47,23 +47,14 @@ def demo(
     **Returns:** `CalibrateResult`. Writes the files of `jobs.calibrate` into `output`.
     """
     plot = read_plot(example_folder() / "plot.toml")
-    known = {t.key: t.value for t in consistent_targets()}
-    targets = [t for t in consistent_targets() if t.key in DEMO_TARGETS]
-    names, share = tuple(t.key for t in targets), plot.calibration.target_sd
-    value = np.array([t.value for t in targets])
-    # The band means are known to three decimals.
-    sd = np.where([t.derived for t in targets], np.hypot(share * value, _LAST_DIGIT), np.nan)
-    data = weigh_targets(names, value, share, sd=sd)
-    measured = []
     if with_aviris:
         table = plot.calibration
         free = (*table.free, "species.*.leaf.water")
         plot = plot.replace(calibration=table.model_copy(update={"free": free}))
-        measured.append(aviris_target(plot.file))
-    description = f"{len(names)} published statistics of the real drone image."
+    known = {t.key: t.value for t in consistent_targets()}
     return calibrate_to(
         plot,
-        (Measured("image", plot.file, data, drone_view(plot, names), description), *measured),
+        demo_targets(plot, with_aviris=with_aviris),
         Run(output, seed=seed),
         inputs=plot.inputs,
         reference=None
@@ -75,6 +66,31 @@ def demo(
         checkpoint=checkpoint,
         twin=twin,
     )
+
+
+@double_precision
+def demo_targets(plot: Plot | None = None, *, with_aviris: bool = False) -> tuple[Measured, ...]:
+    """What `demo` fits: published statistics of the real drone image.
+
+    **Arguments:**
+
+    - `plot`: whose file says how the camera looks, and the model's error; the shipped one by
+      default.
+    - `with_aviris`: the published numbers of the plot's AVIRIS-NG spectrum too.
+
+    **Returns:** of each sensor the numbers with their errors (`data`), and how it sees a scene
+    (`view_of`).
+    """
+    plot = read_plot(example_folder() / "plot.toml") if plot is None else plot
+    targets = [t for t in consistent_targets() if t.key in DEMO_TARGETS]
+    names, share = tuple(t.key for t in targets), plot.calibration.target_sd
+    value = np.array([t.value for t in targets])
+    # The band means are known to three decimals.
+    sd = np.where([t.derived for t in targets], np.hypot(share * value, _LAST_DIGIT), np.nan)
+    data = weigh_targets(names, value, share, sd=sd)
+    description = f"{len(names)} published statistics of the real drone image."
+    image = Measured("image", plot.file, data, drone_view(plot, names), description)
+    return (image, aviris_target(plot.file)) if with_aviris else (image,)
 
 
 @double_precision
