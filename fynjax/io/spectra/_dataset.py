@@ -101,7 +101,7 @@ def usable_spectra(
 ) -> tuple[Read, Refused]:
     """The spectra of files and folders that can be used, and what could not be.
 
-    **Arguments:** as of `read_spectra`.
+    **Arguments:** `paths`, `panel`, `detector_changes` and `transmittance` as of `read_spectra`.
 
     **Returns:** file and spectrum of each that can be used; file, name and error of the others,
     the name empty where the whole file cannot be read.
