@@ -157,8 +157,16 @@ def truth_of_layers(
     scene: Scene,
     parameters: PlotParameters,
 ) -> PixelTruth:
-    """What pixels see, from shares of each organ of each species, of sunlit and of shaded ground,
-    such as `TiledPicture.sight` has of a large picture."""
+    """What pixels see, from the shares that they have of each organ.
+
+    **Arguments:**
+
+    - `layers`: shares of each organ of each species, species by species, of ground in the sun and
+      in shade [-], such as `TiledPicture.sight` has of a large picture.
+    - `aimed`, `scene`, `parameters`: as for `truth_of_pixels`.
+
+    **Returns:** as `pixel_truth`. Differentiable in `layers` and `parameters`.
+    """
     *canopy, lit, shade = layers
     leaf, wood, flowers = (jnp.stack(canopy[organ :: len(Organ)]) for organ in Organ)
     dead = parameters.species.dead_fraction[:, None, None]
