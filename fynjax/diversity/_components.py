@@ -201,7 +201,11 @@ def spectral_species(
 
 
 def _window_shares(
-    window: NDArray[np.int64], label: NDArray[np.int64], rows: int, clusters: int, least: float
+    window: Int[np.ndarray, " pixel"],
+    label: Int[np.ndarray, " pixel"],
+    rows: int,
+    clusters: int,
+    least: float,
 ) -> NDArray[np.float64]:
     """Share of each cluster among the pixels of a window, without those that are rare in it."""
     count = np.zeros((rows, clusters))

@@ -180,7 +180,7 @@ class Classification:
 def classify(
     spectra: ArrayLike,
     species: Sequence[str] | np.ndarray,
-    group: Sequence[Any],
+    group: Sequence[Any] | np.ndarray,
     *,
     method: Method = "discriminant",
     seed: int = 0,

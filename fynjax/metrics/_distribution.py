@@ -6,14 +6,13 @@ gets the gradient zero; a NaN that is not masked makes the result NaN, so that i
 pass unnoticed. With no valid pixel at all the result is NaN.
 """
 
-from __future__ import annotations  # so that `help` shows ArrayLike by its name
-
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Bool, Float
+from jaxtyping import Array, Bool, Float
+from numpy.typing import ArrayLike
 
 from fynjax._core.errors import InputError
 
@@ -67,7 +66,7 @@ QUANTILE_WINDOW = 0.05
 
 def quantiles(
     values: Sample,
-    probabilities: float | Float[ArrayLike, " q"],
+    probabilities: float | Float[Array | np.ndarray, " q"],
     valid: Mask | None = None,
     *,
     window: float | None = None,

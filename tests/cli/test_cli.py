@@ -141,7 +141,7 @@ def test_demo_writes_moves_and_prints(capsys, calls, tmp_path):
     output = tmp_path / "a" / "b"
     status, out, err = call(capsys, "demo", "--output", output, "--seed", 5)
     assert (status, err) == (0, "")
-    assert calls[0][1] == {"seed": 5, "twin": False}
+    assert calls[0][1] == {"seed": 5, "twin": False, "with_aviris": False}
     assert sorted(p.name for p in output.iterdir()) == ["image.tif", "summary.json"]
     assert [p.name for p in output.parent.iterdir()] == ["b"]
     assert "demo is done." in out
@@ -270,7 +270,7 @@ def test_a_bad_table_is_one_line_and_no_output(capsys, plot, tmp_path):
     ],
 )
 def test_a_failing_job_leaves_nothing(capsys, calls, monkeypatch, tmp_path, error, status, words):
-    def demo(output, *, seed, twin):
+    def demo(output, *, seed, twin, with_aviris):
         (output / "half.tif").write_text("half")
         warnings.warn("lost with the run", stacklevel=1)
         raise error
@@ -284,7 +284,7 @@ def test_a_failing_job_leaves_nothing(capsys, calls, monkeypatch, tmp_path, erro
 
 
 def test_debug_shows_the_traceback(calls, monkeypatch, tmp_path):
-    def demo(output, *, seed, twin):
+    def demo(output, *, seed, twin, with_aviris):
         raise InputError("bad")
 
     monkeypatch.setattr(fynbos_2006, "demo", demo)
@@ -294,7 +294,7 @@ def test_debug_shows_the_traceback(calls, monkeypatch, tmp_path):
 
 
 def test_ctrl_c_is_130_and_leaves_nothing(capsys, calls, monkeypatch, tmp_path):
-    def demo(output, *, seed, twin):
+    def demo(output, *, seed, twin, with_aviris):
         (output / "half.tif").write_text("half")
         raise KeyboardInterrupt
 
@@ -345,7 +345,7 @@ def test_a_signal_ends_a_run_also_where_a_library_drops_it(
 
 
 def test_warnings_of_a_run_are_printed_once_and_kept(capsys, calls, monkeypatch, tmp_path):
-    def demo(output, *, seed, twin):
+    def demo(output, *, seed, twin, with_aviris):
         for _ in range(2):
             warnings.warn("3 of 600 pixels are masked", stacklevel=1)
         warnings.warn("not for users", DeprecationWarning, stacklevel=1)

@@ -107,6 +107,10 @@ def test_mantel_is_that_of_scikit_bio():
     assert found["p_value"] == pytest.approx(p, abs=0.02)
     assert 0.005 < p < 0.5
     assert found["q05"] < value < found["q95"]
+    # A plot that is drawn twice is no pair of alike plots, which would tie any two distances.
+    other = random.normal(size=points.shape)
+    unrelated = mantel(a, np.linalg.norm(other[:, None] - other, axis=-1))
+    assert unrelated["q05"] < 0.0 < unrelated["q95"]
     with pytest.raises(InputError, match="two distances"):
         mantel(a, b[:4, :4])
 

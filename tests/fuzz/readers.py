@@ -7,7 +7,7 @@ import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import jax.numpy as jnp
 import laspy
@@ -20,6 +20,7 @@ from rasterio import Affine
 from rasterio.crs import CRS
 from rasterio.errors import NotGeoreferencedWarning
 
+from fynjax._core.checkpoint import Journal
 from fynjax._core.errors import InputError
 from fynjax.assembly import StandSettings, plot_parameters
 from fynjax.canopy import plant_model_from_mesh, plant_model_from_points, read_scan
@@ -36,6 +37,7 @@ from fynjax.io.plot import (
     with_parameter_table,
 )
 from fynjax.io.raster import (
+    CubeBlocks,
     MapWriter,
     open_blocks,
     read_band_stack,
@@ -352,6 +354,46 @@ def _placed(folder: Path) -> Any:
                 return list(maps.transform), maps.read()
 
 
+def _zarr(version: Literal[2, 3]) -> Callable[[Path], Any]:
+    def write(folder: Path) -> None:
+        cube = np.random.default_rng(0).uniform(0.02, 0.5, (4, 3, 4)).astype(np.float32)
+        data = xr.Dataset(
+            {"reflectance": (("y", "x", "band"), cube)},
+            {"wavelength": ("band", _cube().wavelength, {"units": "nm"})},
+        )
+        data.to_zarr(folder / "cube.zarr", zarr_format=version, consolidated=False)
+
+    return write
+
+
+def _kept(folder: Path) -> Any:
+    return Journal(folder / "work", "fuzz").kept(0)
+
+
+def _begun(folder: Path) -> MapWriter:
+    """Maps of which one of two blocks is written."""
+    like = CubeBlocks(
+        folder / "cube.tif", (6, 4), np.ones(1), np.ones(1), np.ones(1, bool), PLACE, None, None
+    )
+    return MapWriter(folder / "work", "fuzz", [("one", "1")], like, 2)
+
+
+def _taken_up(folder: Path) -> Any:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+        maps = _begun(folder)
+        rows = maps.read()[0, :3] if maps.done[0] else np.ones((3, 4))
+    assert not maps.done[1]
+    assert (rows == 1.0).all()
+    return rows
+
+
+def _image_with_metadata(folder: Path) -> None:
+    _image(folder)
+    text = "<PAMDataset><Metadata><MDI key='place'>a</MDI></Metadata></PAMDataset>"
+    (folder / "image.tif.aux.xml").write_text(text, "utf-8")
+
+
 def _training(folder: Path) -> None:
     """A regression of no use."""
     layer = jnp.ones((2, 44), jnp.float32), jnp.zeros(44, jnp.float32)
@@ -412,6 +454,17 @@ READERS: dict[str, Reader] = {
     "blocks-netcdf": Reader(
         lambda folder: write_cubes_netcdf(folder / "cube.nc", {"reflectance": _cube()}, {}),
         _blocks("cube.nc"), True,
+    ),
+    "blocks-zarr": Reader(_zarr(2), _blocks("cube.zarr"), True),
+    "blocks-zarr3": Reader(_zarr(3), _blocks("cube.zarr"), True),
+    "checkpoint": Reader(
+        lambda folder: Journal(folder / "work", "fuzz").put(0, (np.arange(6.0), np.ones(2))), _kept
+    ),
+    "unfinished-maps": Reader(
+        lambda folder: _begun(folder).write(0, 0, np.ones((1, 3, 4))), _taken_up
+    ),
+    "image-metadata": Reader(
+        _image_with_metadata, _one("image.tif", read_drone_image), True
     ),
     "maps-emit": Reader(_emit, _placed, True),
     "training": Reader(_training, _one("training.nc", read_training)),

@@ -82,6 +82,14 @@ def test_weights_are_those_of_a_band_set():
     np.testing.assert_allclose(found, bands.weights(GRID), atol=1e-12)
 
 
+def test_bands_lie_within_the_range():
+    """From the narrowest to the widest, their responses up to the ends of the range."""
+    centre, width = LIMITS.bands(np.array([0.0, 1.0, 0.5, 0.0, 1.0, 0.5]))
+    np.testing.assert_allclose(width, [10.0, 100.0, np.sqrt(1000.0)])
+    np.testing.assert_allclose(centre, [419.0, 2355.0, 1450.0])
+    BandSet(("a", "b", "c"), tuple(centre), tuple(width)).weights(GRID)  # no more than 1e-3 lost
+
+
 @TARGETS
 def test_the_gradient_in_centre_and_width_is_the_difference_quotient(target):
     spectra, x = spectra_of_leaves(target), np.array([0.2, 0.55, 0.3, 0.6])
@@ -175,13 +183,14 @@ def test_what_is_removed_is_that_of_the_fisher_information():
 
 
 def test_chance_is_half_that_of_plantings_and_half_that_of_pixels():
-    """The same numbers by NumPy's covariances, from the docstring's words; no slope is needed but
-    one of a parameter that moves a single statistic."""
+    """The same numbers by NumPy's covariances, from the docstring's words. One parameter moves a
+    mean, the other both standard deviations."""
     spectra = spectra_of_leaves("information", plantings=5, photons=np.full(len(GRID), 1e12))
     slope = np.zeros((5, len(GRID), 2))
     slope[:, GRID < 1000.0, 0] = 0.01
+    change = 0.1 * np.asarray(spectra.second)[..., None] * np.array([0.0, 1.0])
     spectra = dataclasses.replace(
-        spectra, mean_slope=jnp.asarray(slope), second_slope=jnp.zeros((5, 4, 4, 2))
+        spectra, mean_slope=jnp.asarray(slope), second_slope=jnp.asarray(change)
     )
     bands = BandSet(("a", "b"), (560.0, 1650.0), (30.0, 60.0))
     weights = bands.weights(GRID)
@@ -198,9 +207,12 @@ def test_chance_is_half_that_of_plantings_and_half_that_of_pixels():
     relative = np.var(np.sqrt(every), axis=0, ddof=1).sum() / total
     spread[2:, 2:] = relative * np.outer(sd, sd) * (mean / np.outer(sd, sd)) ** 2
     error = np.diag((0.01 * values.mean(axis=0)) ** 2)
-    known = np.linalg.inv(0.5 * np.cov(values.T) + 0.5 * spread + error)[0, 0] * 0.01**2
+    known = np.linalg.inv(0.5 * np.cov(values.T) + 0.5 * spread + error)
     found = scores(spectra, bands.centre, bands.fwhm)[:, 0]
-    np.testing.assert_allclose(found, 0.5 * np.log2(1.0 + known), rtol=1e-4)
+    for one, value in zip(found, values, strict=True):
+        moved = np.array([[0.01, 0.0, 0.0, 0.0], [0.0, 0.0, 0.05 * value[2], 0.05 * value[3]]])
+        gained = np.linalg.det(np.eye(2) + moved @ known @ moved.T)
+        assert one == pytest.approx(0.5 * np.log2(gained), rel=1e-4)
 
 
 def test_photons_are_those_of_the_sun_and_none_in_the_water_windows():
@@ -310,12 +322,24 @@ def test_a_design_of_a_scene(scene):
         )  # fmt: skip
     camera = shipped_sensor("mavic_3m")
     seen: _Measured = bands_of_design._bands_of(rendered[0], camera.bands)
-    image = np.asarray(
-        fx.observe(
-            bands_of_design.coarser(scene, scene.parameters), camera, pixel=0.25,
-            point_spread=False, accuracy=bands_of_design.COARSE,
-        ).reflectance
-    )  # fmt: skip
+    coarse = bands_of_design.coarser(scene, scene.parameters)
+
+    def observed(u):
+        values = free.named(jnp.array([0.0, 0.0, u]))
+        return np.asarray(
+            fx.observe(
+                coarse, camera, pixel=0.25, point_spread=False, accuracy=bands_of_design.COARSE,
+                parameters=scene.with_values(values).parameters,
+            ).reflectance
+        )  # fmt: skip
+
+    image, darker, brighter = (observed(u) for u in (0.0, -0.1, 0.1))
+    bright = (brighter - darker) / 0.2
+    slope = np.mean(bright, axis=(1, 2))
+    np.testing.assert_allclose(seen.mean_slope[0][:, 2], slope, rtol=0.04)
+    off = image - image.mean(axis=(1, 2), keepdims=True)
+    change = 2.0 * np.mean(off * bright, axis=(1, 2))
+    np.testing.assert_allclose(seen.variance_slope[0][:, 2], change, rtol=0.08)
     np.testing.assert_allclose(seen.mean[0], image.mean(axis=(1, 2)), rtol=0.03)
     sd = np.sqrt(np.diagonal(seen.covariance[0]))
     np.testing.assert_allclose(sd, image.std(axis=(1, 2)), rtol=0.03)

@@ -43,6 +43,9 @@ def write_bands(folder, names: dict[str, str], **changes):  # type: ignore[no-un
 )  # fmt: skip
 def test_single_band_maps_are_one_image(names, tmp_path):
     write_bands(tmp_path, names)
+    stranger = {"transform": Affine(2, 0, 0, 0, -2, 9)}
+    write_bands(tmp_path, {"red": "another_red.tif"}, red=stranger)
+    write_bands(tmp_path, {"nir": "0_nir.tif"}, nir=stranger)
     for name in names.values():
         image = read_drone_image(tmp_path / name)
         assert (image.chosen_by, image.pixel_m) == ("names", pytest.approx(0.05))

@@ -723,6 +723,16 @@ def test_the_overlap_of_detectors_tells_their_jump(shared_data):
         got[name] = spectra["reflectance"].values[0], spectra["repairs"].item()
         assert "taken out" not in got[name][1]
     assert "since an offset would look like it" in got["syn_swir2_offset_+0.003"][1]
+    # What was measured stays: only the third detector is above the clean leaf, by the offset.
+    above = got["syn_swir2_offset_+0.003"][0] - got["syn_clean"][0]
+    assert set(np.round(above[np.isfinite(above)], 4)) == {0.0, 0.003}
+
+
+def test_a_measured_jump_goes_before_that_of_the_lines():
+    grid = np.arange(900.0, 1201.0)
+    values, jumps = correct_detector_jumps(grid, np.full(grid.size, 0.4), [1000.0], [0.05])
+    assert jumps == pytest.approx([0.05])
+    np.testing.assert_allclose(values, np.where(grid <= 1000.0, 0.42, 0.4))
 
 
 def test_a_gain_of_the_overlap_is_taken_out(tmp_path):
