@@ -3,6 +3,7 @@
 import numpy as np
 import pandas as pd
 import pytest
+from scipy.spatial import ConvexHull
 
 import fynjax as fx
 from fynjax.assembly import build_plot
@@ -18,7 +19,9 @@ from fynjax.studies.communities._job import _few_bands, _headline
 from fynjax.studies.communities._observe import (
     Design,
     _coarser,
+    _hull,
     _sample,
+    functional_distance,
     green,
     observe_community,
 )
@@ -132,6 +135,8 @@ def test_a_community_is_seen_as_its_image_and_its_plants_are():
     wide = _coarser(image, 2, CAMERA.psf, "periodic").reshape(4, -1).T
     expected = [fx.diversity.coefficient_of_variation(wide), fx.diversity.mean_spectral_angle(wide)]
     expected += [fx.diversity.spectral_rao(wide), wide.var(axis=0, ddof=1).sum()]
+    turned = np.linalg.svd(wide - wide.mean(axis=0), full_matrices=False)[0:2]
+    expected.append(ConvexHull((turned[0] * turned[1])[:, :3]).volume)
     np.testing.assert_allclose(metrics[0, 1, 0], np.array(expected, float), rtol=1e-4)
     noisy = metrics[0, 1, 1, 0] ** 2 - metrics[0, 1, 0, 0] ** 2
     assert 0.3 < noisy / 0.2**2 < 3.0  # of 16 pixels
@@ -139,6 +144,9 @@ def test_a_community_is_seen_as_its_image_and_its_plants_are():
     cover = np.asarray(truth_of_pixels(above, scene, scene.parameters).species).mean(axis=(1, 2))
     known = [(cover > 0).sum(), fx.diversity.shannon(cover), fx.diversity.simpson(cover)]
     known += [pielou_evenness(cover), cover.sum()]
+    apart = functional_distance(pool, scene)
+    share = cover / cover.sum()
+    known.append(sum(share[i] * share[j] * apart[i, j] for i, j in np.ndindex(apart.shape)))
     np.testing.assert_allclose(found, np.array(known, float), rtol=1e-4)
     truth = fx.pixel_truth(scene, CAMERA, pixel=0.125, point_spread=False)
     shares = _coarser(np.asarray(truth.species), 1, CAMERA.psf, "periodic")
@@ -148,6 +156,25 @@ def test_a_community_is_seen_as_its_image_and_its_plants_are():
             place = np.argmin(((fine.T - spectrum) ** 2).sum(axis=1))
             np.testing.assert_allclose(fine[:, place], spectrum, rtol=1e-4)
             assert shares.reshape(len(shares), -1)[kind, place] >= 0.5
+
+
+def test_species_differ_in_function_by_form_height_and_leaves():
+    """By hand: the mean over six traits of the difference over the range of the pool."""
+    scene, _ = build_plot(POOL.replace(voxel_m=0.25, structure_m="even", size_m=(1.0, 1.0)))
+    apart = functional_distance(POOL, scene)
+    first, second = POOL.species[:2]
+    height = np.array([row.height for row in POOL.species], float)
+    expected = float(first.growth_form != second.growth_form)
+    expected += abs(height[0] - height[1]) / np.ptp(height)
+    for name in ("chlorophyll", "carotenoids", "water", "dry_matter"):
+        trait = np.asarray(getattr(scene.parameters.leaf, name), float)
+        expected += abs(trait[0] - trait[1]) / np.ptp(trait)
+    assert apart[0, 1] == pytest.approx(expected / 6)
+
+
+def test_the_hull_of_pixels_that_are_few_or_alike():
+    assert np.isnan(_hull(np.ones((4, 4))))
+    assert _hull(np.ones((5, 4))) == 0.0
 
 
 def test_pixels_that_are_not_green_do_not_count():
@@ -166,9 +193,9 @@ def _design(pixels=(0.1, 1.0)):
 
 def test_squared_correlations_are_those_of_numpy_and_their_intervals_hold_them():
     random = np.random.default_rng(3)
-    truth = random.normal(size=(200, 5))
-    metrics = np.full((200, 1, 2, 1, 4), np.nan)
-    metrics[:, 0, 0, 0] = truth[:, :4] + 0.5 * random.normal(size=(200, 4))
+    truth = random.normal(size=(200, 6))
+    metrics = np.full((200, 1, 2, 1, 5), np.nan)
+    metrics[:, 0, 0, 0] = truth[:, :5] + 0.5 * random.normal(size=(200, 5))
     metrics[7, 0, 0, 0, 0] = np.nan  # a community of which a metric is not known
     table, lost = agreement(truth, metrics, _design(), 0.25)
     rows = table.set_index(["pixel_m", "metric", "diversity"])
@@ -181,10 +208,11 @@ def test_squared_correlations_are_those_of_numpy_and_their_intervals_hold_them()
     gone = lost.set_index(["metric", "diversity"])
     assert gone.loc[("cv", "richness")].lost_from_m == 1.0
     assert (gone.loc[("cv", "richness")][["q05", "q95"]] == 1.0).all()
-    assert gone.loc[("cv", "cover")].lost_from_m == 0.1  # of which nothing is known
+    of = "functional"  # of which nothing is known
+    assert gone.loc[("cv", of)].lost_from_m == 0.1
     # Of 200 communities that have nothing to do with each other, the greatest by chance.
-    assert 0.01 < gone.loc[("cv", "cover")].by_chance < 0.03
-    assert gone.loc[("any", "cover")].by_chance > gone.loc[("cv", "cover")].by_chance
+    assert 0.01 < gone.loc[("cv", of)].by_chance < 0.03
+    assert gone.loc[("any", of)].by_chance > gone.loc[("cv", of)].by_chance
     # The best metric holds where that of the greatest peak is gone.
     metrics[:, 0, 1, 0, 1] = truth[:, 0] + 0.9 * random.normal(size=200)
     _, lost = agreement(truth, metrics, _design(), 0.25)

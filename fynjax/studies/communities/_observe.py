@@ -6,20 +6,35 @@ from typing import Literal
 
 import jax.numpy as jnp
 import numpy as np
+import pandas as pd
 from jaxtyping import Bool, Float
 
 from fynjax._core.errors import InputError
 from fynjax.assembly import build_plot
-from fynjax.diversity import VARIETY, diversity_indices, spectral_variety
+from fynjax.diversity import (
+    VARIETY,
+    diversity_indices,
+    gower_distance,
+    hull_volume,
+    principal_components,
+    rao_entropy,
+    spectral_variety,
+)
 from fynjax.inversion import nadir_imager
 from fynjax.io.plot import Plot
-from fynjax.scene import observe, pixel_truth, truth_of_pixels
+from fynjax.scene import Scene, observe, pixel_truth, truth_of_pixels
 from fynjax.sensors import PointSpread, Sensor
 from fynjax.studies.communities._draw import Gradients, draw_community
 
-DIVERSITIES = ("richness", "shannon", "simpson", "evenness", "cover")
+DIVERSITIES = ("richness", "shannon", "simpson", "evenness", "cover", "functional")
 """What is asked of a community: number of species, Shannon entropy, Simpson's index and evenness
-after Pielou of the covers as seen from straight above, and their sum."""
+after Pielou of the covers as seen from straight above, their sum, and Rao's quadratic entropy with
+the distance of species in growth form, height and leaf chemistry (`functional_distance`)."""
+METRICS = (*VARIETY, "hull")
+"""Spectral metrics of the pixels of an image: `VARIETY`, and the volume of their convex hull in the
+image's own first three principal components."""
+_TRAITS = ("chlorophyll", "carotenoids", "water", "dry_matter")
+"""Traits of leaves that tell species from one another."""
 _DRAWS = 10
 """Communities that are drawn anew, at most, where one finds no room on the plot."""
 _NDVI = (670.0, 860.0)
@@ -53,7 +68,7 @@ def observe_community(
 ) -> tuple[np.ndarray, ...]:
     """Diversity of the plants of a community, and of its spectra.
 
-    **Returns:** `DIVERSITIES`; spectral `VARIETY` [sensor, pixel, noise, metric]; the species of
+    **Returns:** `DIVERSITIES`; spectral `METRICS` [sensor, pixel, noise, metric]; the species of
     sampled pixels [sensor, pixel, sample], -1 for none; and for each sensor their spectra [pixel,
     noise, sample, band].
     """
@@ -70,7 +85,7 @@ def observe_community(
     fine = design.pixels[0]
     above = nadir_imager(design.sensors[0].bands.select([0]), scene, scene.parameters)
     cover = np.asarray(truth_of_pixels(above, scene, scene.parameters).species).mean(axis=(1, 2))
-    shape = len(design.sensors), len(design.pixels), len(design.noise), len(VARIETY)
+    shape = len(design.sensors), len(design.pixels), len(design.noise), len(METRICS)
     metrics = np.zeros(shape)
     species, spectra = [], []
     for s, sensor in enumerate(design.sensors):
@@ -87,14 +102,45 @@ def observe_community(
                 noisy = clear * (1.0 + noise * random.normal(size=clear.shape))
                 seen_green = noisy[green(noisy, sensor, design.greenness)]
                 found = spectral_variety(seen_green, seed=random)
-                metrics[s, p, n] = [found[name] for name in VARIETY]
+                metrics[s, p, n] = [*(found[name] for name in VARIETY), _hull(seen_green)]
                 kept.append(noisy[places])
             kinds.append(of_pixel)
         species.append(np.stack(kinds))
         spectra.append(np.reshape(kept, (*shape[1:3], -1, len(image))).astype(np.float32))
     asked = diversity_indices(cover[None])
+    asked["functional"] = np.asarray(rao_entropy(cover[None], functional_distance(pool, scene)))
     stand = np.array([asked[name][0] for name in DIVERSITIES])
     return stand, metrics, np.stack(species), *spectra
+
+
+def functional_distance(pool: Plot, scene: Scene) -> Float[np.ndarray, "species species"]:
+    """Gower's distance of each two species of a pool in growth form, height and the chlorophyll,
+    carotenoids, water and dry matter of their leaves [-]; traits that are the same in all species
+    do not count.
+
+    **Arguments:** `pool`, with the species; `scene`, of the same species, with their leaves.
+    """
+    leaf = scene.parameters.leaf
+    traits = pd.DataFrame({
+        "form": [row.growth_form for row in pool.species],
+        "height": [row.height for row in pool.species],
+        **{name: np.asarray(getattr(leaf, name), float) for name in _TRAITS},
+    })  # fmt: skip
+    varied = traits.loc[:, traits.nunique() > 1]
+    if varied.empty:
+        return np.zeros((len(traits),) * 2)
+    return gower_distance(varied)
+
+
+def _hull(spectra: Float[np.ndarray, "pixel band"]) -> float:
+    """Volume of the hull of spectra in their own principal components, three or as many as there
+    are bands; NaN of too few pixels, 0 of pixels that are all alike."""
+    count = min(3, spectra.shape[1])
+    if len(spectra) < count + 2:
+        return float("nan")
+    if np.ptp(spectra, axis=0).max() <= 0.0:
+        return 0.0
+    return hull_volume(principal_components(spectra, count).scores(spectra))
 
 
 def _coarser(

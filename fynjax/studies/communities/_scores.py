@@ -10,8 +10,8 @@ import pandas as pd
 from jaxtyping import Float, Int
 
 from fynjax._core.resampling import INTERVAL, correlation_over, plot_draws
-from fynjax.diversity import VARIETY, classify, separability
-from fynjax.studies.communities._observe import DIVERSITIES, Design
+from fynjax.diversity import classify, separability
+from fynjax.studies.communities._observe import DIVERSITIES, METRICS, Design
 
 _SPLITS = 10
 """Times that communities are parted into those that train and those that judge."""
@@ -45,12 +45,12 @@ def agreement(
             np.stack([
                 np.stack([correlation_over(metrics[:, s, p, n, m][x], diversity[:, d][y]) ** 2
                           for p in range(len(pixels))], axis=1)
-                for m in range(len(VARIETY))
+                for m in range(len(METRICS))
             ])
             for x, y in ((some, some), (np.arange(count), exchanged))
         )  # fmt: skip
         for metric, r2, by_chance in zip(
-            (*VARIETY, "any"), [*found, _greatest(found)], [*chance, _greatest(chance)], strict=True
+            (*METRICS, "any"), [*found, _greatest(found)], [*chance, _greatest(chance)], strict=True
         ):
             keys = {"sensor": sensor.name, "noise": noise, "metric": metric, "diversity": what}
             low, high = _quantiles(r2[1:], INTERVAL)
