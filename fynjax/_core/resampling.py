@@ -11,7 +11,7 @@ INTERVAL = (0.05, 0.95)
 
 def plot_draws(
     count: int, seed: int | list[int]
-) -> tuple[Int[np.ndarray, "draw plot"], Int[np.ndarray, "draw plot"]]:
+) -> tuple[Int[np.ndarray, "draw plot"], Int[np.ndarray, "exchange plot"]]:
     """Places of `count` plots: first all of them and then drawn with replacement (bootstrap); and
     exchanged, each once (permutation)."""
     random = np.random.default_rng(seed)
