@@ -327,7 +327,12 @@ def _cells(
     for grain, wider in pairwise(grains):
         cells, means = each[grain]
         change = [100.0 * abs(each[wider][1][k] / v - 1.0) for k, v in means.items() if v]
-        numbers = cells.returns.min(), np.median(cells.returns), np.nanmedian(change), max(change)
+        numbers = (
+            cells.returns.min(),
+            np.median(cells.returns),
+            np.nanmedian(change),
+            np.nanmax(change),
+        )
         found |= {
             f"{quantity}, {grain:g} m": float(number)
             for quantity, number in zip(_GRAIN_NAMES, numbers, strict=True)
