@@ -461,8 +461,9 @@ def design(
     by whitened parameters and their covariance C (where plants stand, an independent relative error
     of each, shot noise) the parameters' prior precision 1 grows by the Fisher information J'C^-1 J,
     and the variance of any quantity falls from g'g to g'(1 + J'C^-1 J)^-1 g, with g its slopes.
-    The target is a mean over plantings. Slopes are those of each planting, chance included: compare
-    cameras by it, and take bounds from `sweep_sensors`.
+    The target is a mean over plantings. Slopes are those of each planting, and their chance counts
+    as information, the more the more bands there are: compare cameras of as many bands by it, and
+    take bounds from `sweep_sensors`.
 
     Centres and widths climb (L-BFGS) from the best of a raster and from random places. For each
     planting the design is made anew without it, and so is the choice of channels of AVIRIS-NG;
@@ -474,7 +475,8 @@ def design(
       with the parameters of the first.
     - `bands`: their number.
     - `target`: names or patterns of numbers of the stand (`stand_functionals`, "shannon" of the
-      covers) and of free parameters, of which the mean share of the variance removed counts;
+      covers) and of free parameters, of which the mean share of the variance removed counts, but
+      for those that no free parameter changes;
       or "information", that on all free parameters [bit]; or "separability", the mean
       Jeffries-Matusita distance of two species' pixels.
     - `free`: the unknown parameters with their priors; `DESIGN_FREE` with the usual priors if left
