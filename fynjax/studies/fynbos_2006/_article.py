@@ -48,7 +48,7 @@ printed unit."""
 _LIDARS = {"flash_lidar_paper": "", "scanning_lidar": ", by an aircraft's scanner"}
 """LiDAR systems that look at the plot, and what is added to the names of their numbers."""
 _THINNINGS = 20
-"""Of a simulated cloud to the real number of returns."""
+"""How often a simulated cloud is thinned, at random, to the real number of returns."""
 
 
 def article_tables(
