@@ -14,6 +14,8 @@ FEWEST_PLOTS = 5
 """Plots that a score over plots needs, at least."""
 _PENALTIES = np.logspace(-5, 2, 15)
 """Penalties of a regression that are tried, over the spectra's mean square."""
+_LEAST_SIZE = 1e-200
+"""Mean square that penalties are taken over where all spectra are the same."""
 
 
 def metric_agreement(
@@ -33,7 +35,7 @@ def metric_agreement(
     (Westfall and Young 1993): the best of many metrics is large by accident. NaN of what does not
     vary.
 
-    **Raises:** `InputError` for fewer than five plots, and numbers that differ.
+    **Raises:** `InputError` for fewer than five plots, numbers that differ, and no metric.
 
     >>> import numpy as np
     >>> from fynjax.diversity import metric_agreement
@@ -42,6 +44,8 @@ def metric_agreement(
     >>> round(float(table["value"][0]), 3), bool(table["p_value"][0] < 0.01)
     (1.0, True)
     """
+    if not metrics:
+        raise InputError("expected one metric or more, but got none")
     count = _plot_count(metrics, diversity)
     drawn, exchanged = plot_draws(count, seed)
     rows = []
@@ -161,7 +165,7 @@ def _with_interval(of_draws: Float[np.ndarray, " draw"]) -> dict[str, float]:
 def _p(value: float, by_chance: Float[np.ndarray, " draw"]) -> float:
     if not np.isfinite(value):
         return np.nan
-    return float((1.0 + np.sum(by_chance >= value * (1.0 - 1e-12))) / (1.0 + DRAWS))
+    return float((1.0 + np.sum(by_chance >= value - 1e-12 * abs(value))) / (1.0 + DRAWS))
 
 
 def _left_out_by_ridge(
@@ -182,7 +186,7 @@ def _left_out_by_ridge(
         along = axes.T @ y
         weights = (spectra[plot] - centre) @ x.T @ axes
         least, best = np.full(values.shape[1], np.inf), np.zeros(values.shape[1])
-        for penalty in _PENALTIES * size.mean():
+        for penalty in _PENALTIES * max(size.mean(), _LEAST_SIZE):
             kept = size / (size + penalty)
             leverage = 1.0 / len(x) + axes**2 @ kept
             residual = y - axes @ (kept[:, None] * along)

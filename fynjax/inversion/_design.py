@@ -66,11 +66,12 @@ CAMERAS = ("mavic_3m", "rededge_3", "sentinel_2a")
 _CHANNELS = "aviris_ng"
 """Sensor of which as many channels as the design has bands are chosen, to compare."""
 _STEP = 10.0
-"""Of the grid of wavelengths [nm]."""
+"""Step of the grid of wavelengths [nm]."""
 _RANGE = (400.0, 2500.0)
-"""Of the spectra of plants and ground [nm]."""
+"""Range of the spectra of plants and ground [nm]."""
 _WITHIN = 1.4
-"""Widths from a band's centre to either end of the range, where its response has fallen to 4e-4."""
+"""Least distance of a band's centre from either end of the range, over its full width at half
+maximum [-]: beyond it lies 5e-4 of the response, which has fallen to 4e-3 of its peak."""
 _REFERENCE = 550.0, 10.0, 0.1
 """Centre and width [nm] of the band, and the reflectance, that `snr` is of."""
 _KEPT = 1e-9
@@ -85,7 +86,7 @@ _DRAWS = 20
 _SHRUNK = 0.5
 """Share of the covariance between plantings that is taken from that between pixels."""
 _AGAIN = 2
-"""Of the ends of ascents, best first, from which a design without a planting starts."""
+"""Number of ends of ascents, best first, from which a design without a planting starts."""
 _OPAQUE = 1e-8
 """Photons in the water windows, over the most at any wavelength."""
 _TINY = 1e-30
@@ -460,8 +461,9 @@ def design(
     by whitened parameters and their covariance C (where plants stand, an independent relative error
     of each, shot noise) the parameters' prior precision 1 grows by the Fisher information J'C^-1 J,
     and the variance of any quantity falls from g'g to g'(1 + J'C^-1 J)^-1 g, with g its slopes.
-    The target is a mean over plantings. Slopes are those of each planting, chance included: compare
-    cameras by it, and take bounds from `sweep_sensors`.
+    The target is a mean over plantings. Slopes are those of each planting, and their chance counts
+    as information, the more the more bands there are: compare cameras of as many bands by it, and
+    take bounds from `sweep_sensors`.
 
     Centres and widths climb (L-BFGS) from the best of a raster and from random places. For each
     planting the design is made anew without it, and so is the choice of channels of AVIRIS-NG;
@@ -473,7 +475,8 @@ def design(
       with the parameters of the first.
     - `bands`: their number.
     - `target`: names or patterns of numbers of the stand (`stand_functionals`, "shannon" of the
-      covers) and of free parameters, of which the mean share of the variance removed counts;
+      covers) and of free parameters, of which the mean share of the variance removed counts, but
+      for those that no free parameter changes;
       or "information", that on all free parameters [bit]; or "separability", the mean
       Jeffries-Matusita distance of two species' pixels.
     - `free`: the unknown parameters with their priors; `DESIGN_FREE` with the usual priors if left

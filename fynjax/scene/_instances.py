@@ -37,7 +37,8 @@ class Instances:
     height: Float[np.ndarray, " plant"]
     """Length of the axis [m]."""
     leaf: Int[np.ndarray, " plant"] | None = None
-    """Which of the leaves of its species each has, from 0; None: each species has one."""
+    """Place of each plant's leaf among the leaves of its species, from 0; None: every species has
+    one leaf."""
 
     def __len__(self) -> int:
         return len(self.species)

@@ -81,8 +81,10 @@ class ReturnTruth:
         coordinates: dict[str, Any] = {
             "species": ("species", list(self.taxa), {"long_name": "taxon"})
         }
-        for letter, values in zip("xyz", self.position.T, strict=True):
-            coordinates[letter] = "return", values, {"units": "m", "long_name": f"{letter} of it"}
+        ends = "the plot's west edge", "the plot's south edge", "the bottom of the scene's grid"
+        for letter, end, values in zip("xyz", ends, self.position.T, strict=True):
+            about = {"units": "m", "long_name": f"distance of the return from {end}"}
+            coordinates[letter] = "return", values, about
         return xr.Dataset(data, coordinates, {"title": "what a LiDAR's returns come from"})
 
 
@@ -121,7 +123,8 @@ class LidarObservation(eqx.Module):
     def truth(self) -> ReturnTruth:
         """Which species the light of each return comes from, and how much of it from the ground:
         of the very leaves that were drawn for the waveforms. Light that was scattered more than
-        once is left out. Not differentiable.
+        once is left out, and where plants of a species have different leaves all are as bright as
+        their mean. Not differentiable.
 
         **Raises:** `InputError` inside a transformation.
         """

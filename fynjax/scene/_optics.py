@@ -103,16 +103,13 @@ def _varied(
     ]
     ratio = jnp.concatenate([*ratios, alike[:0]]).astype(spread.dtype)
     factor = 1.0 + spread[owner, None] * (ratio - 1.0)
-    return eqx.tree_at(
-        lambda leaf: [getattr(leaf, name) for name in LEAF_FIELDS],
-        leaves,
-        [
-            jnp.clip(
-                getattr(leaves, name) * factor[:, k], PARAMETERS[name].lower, PARAMETERS[name].upper
-            )
-            for k, name in enumerate(LEAF_FIELDS)
-        ],
-    )
+    traits = []
+    for k, name in enumerate(LEAF_FIELDS):
+        trait, record = getattr(leaves, name) * factor[:, k], PARAMETERS[name]
+        # Not `clip`, which halves the slope of a trait at its bound, such as no brown pigments.
+        trait = jnp.where(trait < record.lower, record.lower, trait)
+        traits.append(jnp.where(trait > record.upper, record.upper, trait))
+    return eqx.tree_at(lambda leaf: [getattr(leaf, name) for name in LEAF_FIELDS], leaves, traits)
 
 
 def class_angles(

@@ -65,7 +65,8 @@ class Planting(eqx.Module):
     stature: Float[Array, " plant"]
     """Height relative to the species' greatest [-]."""
     leaf: Int[Array, " plant"] | None
-    """Which of the leaves of its species each plant has, from 0; None: every species has one."""
+    """Place of each plant's leaf among the leaves of its species, from 0; None: every species has
+    one leaf."""
     first: Int[Array, " plant"]
     """First element of the shape of each plant in `shapes`."""
     count: Int[Array, " plant"]

@@ -734,24 +734,28 @@ class Scene(eqx.Module):
         self, parameters: PlotParameters, bands: BandSet, window: Window | None = None
     ) -> VoxelScene:
         """`voxels` whose classes are leaves, wood and flowers of each species, species by species
-        (`Organ`); sun and sight meet the same area. Differentiable in `parameters`."""
+        (`Organ`); sun and sight meet the same area. Where plants of a species have different leaves
+        all have the mean of their optics. Differentiable in `parameters`."""
         voxels, leaves = self.voxels(parameters, bands, window), leaf_classes(self.species)
         optics = voxels.classes
         wood = len(optics.reflectance) - 2
-        # Leaves of a species differ in what lines of sight do not ask for; a species without leaves
-        # has no area of them, whatever its class.
+        woods, flowers = range(wood, wood + 1), range(wood + 1, wood + 2)
+        # A species without leaves has no area of them, whatever its class.
         of_organ = [
-            kind
+            kinds
             for species in range(len(self.species))
-            for kind in (leaves[species].start if species in leaves else wood, wood, wood + 1)
+            for kinds in (leaves.get(species, woods), woods, flowers)
         ]
-        owner = np.array(of_organ)
+
+        def mean(optics: Array) -> Array:
+            return jnp.stack([optics[own.start : own.stop].mean(axis=0) for own in of_organ])
+
         classes = dataclasses.replace(
             optics,
-            reflectance=optics.reflectance[owner],
-            transmittance=optics.transmittance[owner],
-            angle_of_class=tuple(optics.angle_of_class[kind] for kind in of_organ),
-            size_of_class=tuple(optics.sizes[kind] for kind in of_organ),
+            reflectance=mean(optics.reflectance),
+            transmittance=mean(optics.transmittance),
+            angle_of_class=tuple(optics.angle_of_class[own.start] for own in of_organ),
+            size_of_class=tuple(optics.sizes[own.start] for own in of_organ),
         )
         parameters = jax.tree.map(lambda x: jnp.asarray(x, self.dtype), parameters)
         grid = self.class_grid if window is None else window.grid(self.class_grid)

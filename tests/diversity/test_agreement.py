@@ -95,6 +95,20 @@ def test_regression_has_no_skill_in_noise_and_finds_what_is_there():
     assert (table["q05"] < table["q95"])[:2].all()
 
 
+def test_equal_spectra_have_no_skill_and_ties_below_zero_count():
+    found = regression_agreement(np.ones((8, 3)), {"shannon": np.arange(8.0)}).iloc[0]
+    assert found["value"] == 0.0
+    assert found["p_value"] == 1.0
+    # No exchange has a correlation below -1, and those of the plots that are alike have it too.
+    apart = 1.0 - np.eye(6)
+    apart[0, 1:] = apart[1:, 0] = 2.0
+    opposite = mantel(apart, -apart)
+    assert opposite["value"] == pytest.approx(-1.0)
+    assert opposite["p_value"] == 1.0
+    with pytest.raises(InputError, match="one metric or more"):
+        metric_agreement({}, {"shannon": np.arange(8.0)})
+
+
 def test_mantel_is_that_of_scikit_bio():
     skbio = pytest.importorskip("skbio.stats.distance")
     random = np.random.default_rng(9)

@@ -140,6 +140,33 @@ def test_slope_by_the_spread_of_leaves_is_a_difference():
     np.testing.assert_allclose(slope, difference, rtol=1e-3)
 
 
+def test_a_trait_at_its_bound_has_the_slope_of_one_leaf():
+    """The optics of leaves that differ in other traits, by brown pigments, of which there are none
+    as yet: those of one leaf where the spread is 0."""
+    scene, parameters = varied()
+    parameters = with_spread(parameters, 0.0)
+    parameters = eqx.tree_at(lambda p: p.leaf.brown_pigments, parameters, jnp.zeros(3))
+
+    def optics(scene, parameters):
+        def of(brown):
+            changed = eqx.tree_at(lambda p: p.leaf.brown_pigments, parameters, brown)
+            return scene.optics(changed, BANDS)[0].reflectance
+
+        return jax.jvp(of, (jnp.zeros(3),), (jnp.ones(3),))[1]
+
+    one = optics(small_plot(), small_parameters())
+    assert float(jnp.abs(one[0]).max()) > 1e-3
+    np.testing.assert_allclose(optics(scene, parameters)[2:], one, rtol=1e-6, atol=1e-9)
+
+
+def test_voxels_by_organ_have_the_mean_of_the_leaves_of_a_species():
+    scene, parameters = varied()
+    by_organ = scene.voxels_by_organ(parameters, BANDS).classes.reflectance
+    by_class = scene.voxels(parameters, BANDS).classes.reflectance
+    np.testing.assert_allclose(by_organ[0], by_class[:3].mean(axis=0), rtol=1e-12)
+    np.testing.assert_array_equal(by_organ[jnp.array([1, 2, 3])], by_class[jnp.array([-2, -1, 3])])
+
+
 def test_what_a_pixel_shows_of_a_species_does_not_depend_on_its_leaves():
     scene, parameters = varied()
     camera = drone(scene)

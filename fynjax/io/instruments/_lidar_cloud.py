@@ -43,7 +43,6 @@ def write_cloud(
       map.
     - `crs`: reference system, such as "EPSG:32734"; written as WKT. `None`: not known.
     - `attributes`: such as those of `provenance`; `source` becomes the generating software.
-
     - `leading`: species of each return as its place from 0 on, -1 for none, and its share [-], as
       of `ReturnTruth.leading`.
 

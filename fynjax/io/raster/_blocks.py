@@ -42,7 +42,7 @@ _SIZE = 2**27
 _MOST_REFLECTANCE = 2.5
 """Beyond, values are no reflectance factors but counts, such as ten thousandths."""
 _LEAST_REFLECTANCE = 0.01
-"""Of the brightest values; below, they are reflectance in another scale."""
+"""Least of the brightest values of a reflectance image [-]; below, its scale is another."""
 _DARK = -0.01
 """Below, a value is a mark for missing data: spectrometers' noise about black is smaller."""
 _INNER = 512

@@ -48,7 +48,7 @@ printed unit."""
 _LIDARS = {"flash_lidar_paper": "", "scanning_lidar": ", by an aircraft's scanner"}
 """LiDAR systems that look at the plot, and what is added to the names of their numbers."""
 _THINNINGS = 20
-"""Of a simulated cloud to the real number of returns."""
+"""How often a simulated cloud is thinned, at random, to the real number of returns."""
 
 
 def article_tables(
@@ -327,7 +327,12 @@ def _cells(
     for grain, wider in pairwise(grains):
         cells, means = each[grain]
         change = [100.0 * abs(each[wider][1][k] / v - 1.0) for k, v in means.items() if v]
-        numbers = cells.returns.min(), np.median(cells.returns), np.nanmedian(change), max(change)
+        numbers = (
+            cells.returns.min(),
+            np.median(cells.returns),
+            np.nanmedian(change),
+            np.nanmax(change),
+        )
         found |= {
             f"{quantity}, {grain:g} m": float(number)
             for quantity, number in zip(_GRAIN_NAMES, numbers, strict=True)
