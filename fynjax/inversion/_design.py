@@ -393,7 +393,7 @@ class BandDesign:
     def __str__(self) -> str:
         """The bands, and what they gain."""
         bands = ", ".join(
-            f"{c:.0f} nm ({w:.0f} wide)" for c, w in zip(self.bands.centre, self.bands.fwhm)
+            f"{c:.0f} nm ({w:.0f} nm wide)" for c, w in zip(self.bands.centre, self.bands.fwhm)
         )
         first, *others = self.table.to_dict("records")
         lines = [
@@ -515,6 +515,11 @@ def design(
             f"expected at most {len(channels.bands)} `bands`, as {_CHANNELS} has channels from "
             f"{spectrum[0]:g} to {spectrum[1]:g} nm, but got {bands}"
         )
+    if not np.asarray(scene.planting.place).any():
+        raise InputError(
+            "expected a plot whose plants are drawn, of which there are several plantings, but its "
+            "plants are known and stand where they do: leave the crown map out"
+        )
     if len(stands) == 1:
         stands = [scene, *(stand_realisation(scene, i) for i in range(1, plantings))]
     kind = target if isinstance(target, str) and target in _OTHER_TARGETS else "quantities"
@@ -593,6 +598,13 @@ def _check(
     for name, one in {"pixel": pixel, "snr": snr, "error": error, "starts": starts}.items():
         if not 0.0 < one < np.inf:
             raise InputError(f"`{name}` must be a positive number, but is {one:g}")
+    try:
+        spectral_mask(grid, _RANGE)
+    except InputError as error:
+        raise InputError(
+            f"no light comes through the air from {spectrum[0]:g} to {spectrum[1]:g} nm: take a "
+            "`spectrum` beyond the water windows"
+        ) from error
     return _Limits(float(grid[0]), float(grid[-1]), *map(float, widths)), grid
 
 

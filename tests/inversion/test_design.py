@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -293,6 +294,7 @@ def scene():
         ({"compare": ["mavic"]}, "mavic"),
         ({"compare": [shipped_sensor("sentinel_2a").select([12])], "spectrum": (400.0, 900.0)},
          "no band from 405 to 895 nm"),
+        ({"spectrum": (1350.0, 1450.0), "widths": (10.0, 20.0)}, "no light comes through the air"),
     ],
 )  # fmt: skip
 def test_what_does_not_fit_is_refused_in_a_line(scene, changes, text):
@@ -300,6 +302,12 @@ def test_what_does_not_fit_is_refused_in_a_line(scene, changes, text):
     with pytest.raises(InputError, match=text) as caught:
         fx.design(scene, **{"free": free, **changes})
     assert "\n" not in str(caught.value)
+
+
+def test_known_plants_have_no_other_planting(scene):
+    known = eqx.tree_at(lambda s: s.planting.place, scene, jnp.zeros_like(scene.planting.place))
+    with pytest.raises(InputError, match="its plants are known"):
+        fx.design(known, free=fx.free(scene, "ground.brightness"))
 
 
 @pytest.mark.slow
