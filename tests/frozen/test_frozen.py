@@ -26,7 +26,8 @@ def test_numbers_are_those_frozen(command: str, tmp_path: Path) -> None:
         shown = (folder / "report.html").read_text("utf-8").count("<img ") if pictures else 0
         assert shown == pictures, f"{folder.name}: {shown} of {pictures} pictures are on the page"
     more = f"\n... and {len(lines) - 20} more" if len(lines) > 20 else ""
-    assert not lines, f"fynjax {command}:\n" + "\n".join(lines[:20]) + more
+    meant = f"\nIf the change is meant: python -m tests.frozen.write {command}"
+    assert not lines, f"fynjax {command}:\n" + "\n".join(lines[:20]) + more + meant
 
 
 def test_every_command_has_a_case() -> None:
