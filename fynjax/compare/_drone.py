@@ -86,19 +86,18 @@ def compare_drone_images(real: DroneImage, simulated: DroneImage) -> DroneCompar
                         other = np.asarray(index.literature(*map(jnp.asarray, sample)))
                         other = other[np.isfinite(other)]
                         row[f"literature_{side}_mean"] = other.mean() if other.size else np.nan
-            paper = published[name]
-            row |= {
-                "paper_real_mean": paper.real_mean,
-                "paper_simulated_mean": paper.sim_mean,
-                "paper_real_std": paper.real_std,
-                "paper_real_std_consistent": {True: "yes", False: "no", None: "open"}[
-                    paper.std_consistent
-                ],
-                "paper_simulated_std": paper.sim_std,
-                "paper_histogram_intersection": paper.histogram_intersection,
-                "paper_ks": paper.ks,
-                "paper_formula_confidence": paper.formula_confidence,
-            }
+            if paper := published.get(name):  # of the indices of table 4
+                consistent = {True: "yes", False: "no", None: "open"}[paper.std_consistent]
+                row |= {
+                    "paper_real_mean": paper.real_mean,
+                    "paper_simulated_mean": paper.sim_mean,
+                    "paper_real_std": paper.real_std,
+                    "paper_real_std_consistent": consistent,
+                    "paper_simulated_std": paper.sim_std,
+                    "paper_histogram_intersection": paper.histogram_intersection,
+                    "paper_ks": paper.ks,
+                    "paper_formula_confidence": paper.formula_confidence,
+                }
             rows.append(row)
             full.append(_histograms(x, y, BINS, 0.0))
             shown.append(_histograms(x, y, _SHOWN_BINS, _CENTRAL[0]))

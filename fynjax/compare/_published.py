@@ -8,7 +8,7 @@ import pandas as pd
 
 from fynjax.compare._images import DroneImage
 from fynjax.compare._published_tables import bands_2006, table4_2006
-from fynjax.metrics import BANDS, VEGETATION_INDICES, vegetation_indices
+from fynjax.metrics import BANDS, vegetation_indices
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ def compare_with_published(image: DroneImage) -> PublishedComparison:
         sound = "printed" if paper.std_consistent else "contradicts its formula"
         sound = known if paper.std_consistent is None else sound
         rows.append(_row(f"{name}.std", sound, paper.real_std, paper.sim_std, float(std)))
-    assert len(rows) == len(BANDS) + 2 * len(VEGETATION_INDICES)
+    assert len(rows) == len(BANDS) + 2 * len(table4_2006())
     notes = [
         f"Simulated image: {image.description()}",
         "The real image itself is not published: only means and standard deviations can be "

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field
 
-from fynjax.metrics import BANDS, VEGETATION_INDICES
+from fynjax.metrics import BANDS
 
 Percent = Annotated[float, AfterValidator(lambda percent: percent / 100.0)]
 """A number that a table states in percent, as a fraction."""
@@ -140,8 +140,7 @@ def consistent_targets(*, independent: bool = False) -> tuple[Target, ...]:
     """
     bands, table = bands_2006(), table4_2006()
     targets = [Target(name, "mean", bands[name].real_mean, derived=True) for name in BANDS]
-    for name in VEGETATION_INDICES:
-        row = table[name]
+    for name, row in table.items():
         if row.formula_confidence == "open" or (independent and row.affine_of):
             continue
         targets.append(Target(name, "mean", row.real_mean, derived=False))
