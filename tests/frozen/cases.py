@@ -108,7 +108,7 @@ def _demo(folder: Path) -> Runs:
     return {"demo": ["demo"]}
 
 
-@_case("article", loose={"others|structure|returns": 1e-3})
+@_case("article", "study", loose={"others|structure|returns": 1e-3})
 def _article(folder: Path) -> Runs:
     (folder / "parameters.csv").write_text(
         "name,unit,estimate\nground.brightness,-,0.9\nspecies.Erica irregularis.cover,%,25\n"
@@ -199,7 +199,7 @@ def _information(folder: Path) -> Runs:
     return {"information": [*line, "--realisations", 2]}
 
 
-@_case("design", "slow", loose={"gain": np.inf, "": 2e-2})
+@_case("design", "study", loose={"gain": np.inf, "": 2e-2})
 def _design(folder: Path) -> Runs:
     line = ["design", _small(folder)[0], "--bands", 2, "--target", "crown_cover,dead_share"]
     line += ["--free", "species.*.cover", "--free", "species.*.dead_fraction", "--spectrum"]

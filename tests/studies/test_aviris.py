@@ -80,7 +80,7 @@ def test_slopes_are_those_of_the_numbers(plot):
         np.testing.assert_allclose(slopes[:, i], difference, rtol=0.03, atol=1e-3)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_the_numbers_tie_the_gains_of_the_camera(plot):
     """Gains that were planted come out, within their errors, which are those of a spectrum and no
     longer of the camera, 0.3."""
