@@ -3,6 +3,7 @@
 import re
 import shutil
 import struct
+from contextlib import nullcontext
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -770,6 +771,32 @@ def test_a_text_export_is_treated_as_its_binary_is(shared_data, tmp_path):
 def test_a_smooth_leaf_on_the_bands_of_an_asd_has_no_jump(shared_data):
     pair = shared_data / "field" / "07_sphere-R-and-T-as-two-files" / "pair.csv"
     assert fx.read_spectra(pair)["repairs"].item() == ""
+
+
+def test_plants_numbered_like_percentiles_are_leaves(tmp_path):
+    waves = [500.0, 600.0, 700.0]
+    leaf = [0.1, 0.2, 0.3]
+    path = tmp_path / "plants.csv"
+    for names, left_out in (
+        (("P1", "P2", "P3", "E1"), ()),
+        (("P1", "P2", "mean"), ("mean",)),
+        (("oak", "P5", "P50", "P95"), ("P5", "P50", "P95")),
+    ):
+        table(path, {"wavelength": waves} | dict.fromkeys(names, leaf))
+        with pytest.warns(UserWarning, match="no leaves") if left_out else nullcontext():
+            spectra = fx.read_spectra(path)
+        assert spectra["spectrum"].values.tolist() == [n for n in names if n not in left_out]
+
+
+@pytest.mark.parametrize("column", ["value", "oak"])
+def test_files_marked_for_columns_without_marks_make_a_pair(column, tmp_path):
+    waves = [500.0, 600.0, 700.0]
+    files = tmp_path / "oak01refl.csv", tmp_path / "oak01trans.csv"
+    table(files[0], {"wavelength": waves, column: [0.1, 0.2, 0.3]})
+    table(files[1], {"wavelength": waves, column: [0.2, 0.3, 0.4]})
+    spectra = fx.read_spectra(files)
+    np.testing.assert_allclose(spectra["transmittance"], [[0.2, 0.3, 0.4]])
+    np.testing.assert_allclose(spectra["reflectance"], [[0.1, 0.2, 0.3]])
 
 
 def test_columns_that_are_no_leaves_are_left_out_with_a_word(tmp_path):
