@@ -768,6 +768,29 @@ def test_a_text_export_is_treated_as_its_binary_is(shared_data, tmp_path):
         np.testing.assert_allclose(out[good], binary[good], rtol=0.012, atol=1e-3)
 
 
+@pytest.mark.parametrize(
+    ("steps", "found"),
+    [
+        ({1000.0: 1.04}, "at 1000 nm"),
+        ({1830.0: 1.04}, "at 1830 nm"),
+        ({1800.0: 1.04, 1830.0: 1.01}, "at 1800 nm"),
+        ({1000.0: 1.3}, ""),
+        ({1000.0: 1.02, 976.0: 1.03}, ""),
+        ({1000.0: 1.02, 964.0: 0.98}, ""),
+        ({1000.0: 1.04, 976.0: 1.02}, ""),
+    ],
+)
+def test_only_a_step_that_stands_out_is_one_of_detectors(steps, found, tmp_path):
+    grid = np.arange(350.0, 2501.0)
+    values = np.full(grid.size, 0.4) - 1e-5 * (grid - 350.0)
+    for last, factor in steps.items():
+        values[grid > last] *= factor
+    table(tmp_path / "leaf.csv", {"wavelength": grid, "leaf": values})
+    repairs = fx.read_spectra(tmp_path / "leaf.csv")["repairs"].item()
+    assert found in repairs
+    assert ("step of its detectors" in repairs) == bool(found)
+
+
 def test_a_smooth_leaf_on_the_bands_of_an_asd_has_no_jump(shared_data):
     pair = shared_data / "field" / "07_sphere-R-and-T-as-two-files" / "pair.csv"
     assert fx.read_spectra(pair)["repairs"].item() == ""

@@ -29,7 +29,8 @@ def test_each_word_is_its_range(tmp_path):
         ("2B", 12.5, 25),
         ("<1", 0, 1), ("< 0,5", 0, 0.5), ("≤2 %", 0, 2), (">75", 75, 100), ("5-10", 5, 10),
         ("5 – 10 %", 5, 10), ("2,5 to 5", 2.5, 5), ("trace", 0, 0.1), ("tr.", 0, 0.1),
-        ("class 4", 50, 75), ("x", 0, 0.1),
+        ("class 1", 1, 5), ("class 2", 5, 25), ("class 3", 25, 50), ("class 4", 50, 75),
+        ("class 5", 75, 100), ("x", 0, 0.1),
     ):  # fmt: skip
         (row,) = covers([cell], tmp_path)
         np.testing.assert_allclose(row.cover_range, (low / 100, high / 100))
