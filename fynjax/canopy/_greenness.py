@@ -30,8 +30,10 @@ _WORDS = {
     "re": "red_edge",
     "edge": "red_edge",
 }
-_EXTRA = re.compile(r"(?<!\d)\d{3,4}(\.\d+)?(?!\d)|nm\b|nanomet\w+|\b(band|reflectance)\b|[\W_]")
-"""What programs write around the name of a band: wavelength, unit, and these words."""
+_EXTRA = re.compile(
+    r"\bb(?:and)?\W*\d{1,2}\b(?=\W*[a-z]{3})|(?<!\d)\d{3,4}(\.\d+)?(?!\d)|nm\b|nanomet\w+|\b(band|reflectance)\b|[\W_]"
+)
+"""What programs write around the name of a band: its number, wavelength, unit, these words."""
 
 
 def band_word(name: str) -> str:

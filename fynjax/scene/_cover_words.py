@@ -1,6 +1,7 @@
 """Covers as field crews write them: classes of Braun-Blanquet, limits, ranges and traces."""
 
 import re
+import warnings
 from collections.abc import Sequence
 from typing import Any
 
@@ -25,6 +26,8 @@ _RANGE = re.compile(
     r"(\d+[.,]?\d*)\s*%?\s*(?:-|–|—|\.\.+|to|bis)\s*(\d+[.,]?\d*)\s*%?", re.IGNORECASE
 )
 _DIGITS = ("1", "2", "3", "4", "5")
+_FEW = 3
+"""Rows of a table from which on covers of 1 to 5 alone may be classes."""
 
 
 def cover_range(text: str) -> tuple[float, float] | None:
@@ -60,13 +63,32 @@ def middle(low: float, high: float) -> float:
 def name_classes(cells: Sequence[Any]) -> list[Any]:
     """The column of covers of a table with its classes of Braun-Blanquet named as such.
 
-    A plain 1 to 5 is a class where the column holds nothing but classes and one of them is no
-    number, such as "+" or "2a"; else it is percent.
+    A plain 1 to 5 is a class where another cell is a class that is no number, such as "+" or "2a",
+    and the rest are classes, traces, or 0; else it is percent, with a warning where it may be meant
+    as a class all the same. A trace alone makes no classes.
 
     **Arguments:** `cells`, as a table has them.
     """
-    words = [str(cell).strip().lower() for cell in cells]
-    classes = all(word in CLASSES or _TRACE.fullmatch(word) for word in words)
-    if not classes or all(word in _DIGITS for word in words):
-        return list(cells)
-    return [f"class {w}" if w in _DIGITS else cell for w, cell in zip(words, cells, strict=True)]
+    words = [_plain(cell) for cell in cells]
+    digits = [word in _DIGITS for word in words]
+    signs = [word for word in words if word in CLASSES and word not in _DIGITS]
+    others = [
+        word for word in words if word not in CLASSES and word != "0" and not _TRACE.fullmatch(word)
+    ]
+    if signs and not others:
+        return [f"class {w}" if w in _DIGITS else cell for w, cell in zip(words, cells)]
+    percent = any(re.fullmatch(r"\d+([.,]\d+)?", word) for word in others)
+    parts = not percent and any(word in ("2m", "2a", "2b") for word in signs)
+    if any(digits) and (parts or (len(words) >= _FEW and all(digits))):
+        warnings.warn(
+            f"covers of {', '.join(dict.fromkeys(w for w in words if w in _DIGITS))} are taken for "
+            "percent. Are they classes of Braun-Blanquet? Then write 'class 3' for 3",
+            stacklevel=2,
+        )
+    return list(cells)
+
+
+def _plain(cell: Any) -> str:
+    """A cell in small letters; a whole number without its decimals."""
+    word = str(cell).strip().lower()
+    return short if (short := word.removesuffix(".0")) in (*_DIGITS, "0") else word

@@ -56,6 +56,18 @@ def test_single_band_maps_are_one_image(names, tmp_path):
         np.testing.assert_allclose(values, picture(name)[::-1], rtol=1e-6)
 
 
+def test_single_band_maps_of_other_types_of_numbers(tmp_path):
+    write_bands(tmp_path, {b: f"map_{b}.tif" for b in BANDS})
+    scaled = np.round(picture("nir")[None] * 1e4).astype(np.uint16)
+    place = Affine(0.05, 0, 412300.0, 0, -0.05, 6191200.0)
+    write_raster(
+        tmp_path / "map_nir.tif", scaled, transform=place, crs="EPSG:32734", scale=1e-4, nodata=0
+    )
+    image = read_drone_image(tmp_path / "map_red.tif")
+    for band, values in zip(BANDS, image.values, strict=True):
+        np.testing.assert_allclose(values, picture(band)[::-1], atol=6e-5)
+
+
 def test_single_band_maps_keep_scale_and_missing_data(tmp_path):
     scale = {"scale": 1e-4, "nodata": -10000.0}
     names = {band: f"m_{band}.tif" for band in BANDS}
@@ -157,6 +169,7 @@ def test_reflectance_in_another_scale_is_refused(shared_data, tmp_path):
 
 def test_names_of_bands_in_the_spelling_of_programs():
     for name, word in (
+        ("Band 3 (Red)", "red"), ("b4: Red Edge", "red_edge"),
         ("Red edge (717 nm)", "red_edge"), ("NIR-842", "nir"), ("band_nir", "nir"),
         ("Rededge", "red_edge"), ("nir_reflectance", "nir"), ("Green 560.5nm", "green"),
         ("B4", "b4"), ("Band 1", "1"), ("R", "red"), ("Near-Infrared", "nir"), ("LWIR", "lwir"),

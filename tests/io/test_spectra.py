@@ -3,6 +3,7 @@
 import re
 import shutil
 import struct
+from contextlib import nullcontext
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -767,9 +768,58 @@ def test_a_text_export_is_treated_as_its_binary_is(shared_data, tmp_path):
         np.testing.assert_allclose(out[good], binary[good], rtol=0.012, atol=1e-3)
 
 
+@pytest.mark.parametrize(
+    ("steps", "found"),
+    [
+        ({1000.0: 1.04}, "at 1000 nm"),
+        ({1830.0: 1.04}, "at 1830 nm"),
+        ({1800.0: 1.04, 1830.0: 1.01}, "at 1800 nm"),
+        ({1000.0: 1.3}, ""),
+        ({1000.0: 1.02, 976.0: 1.03}, ""),
+        ({1000.0: 1.02, 964.0: 0.98}, ""),
+        ({1000.0: 1.04, 976.0: 1.02}, ""),
+    ],
+)
+def test_only_a_step_that_stands_out_is_one_of_detectors(steps, found, tmp_path):
+    grid = np.arange(350.0, 2501.0)
+    values = np.full(grid.size, 0.4) - 1e-5 * (grid - 350.0)
+    for last, factor in steps.items():
+        values[grid > last] *= factor
+    table(tmp_path / "leaf.csv", {"wavelength": grid, "leaf": values})
+    repairs = fx.read_spectra(tmp_path / "leaf.csv")["repairs"].item()
+    assert found in repairs
+    assert ("step of its detectors" in repairs) == bool(found)
+
+
 def test_a_smooth_leaf_on_the_bands_of_an_asd_has_no_jump(shared_data):
     pair = shared_data / "field" / "07_sphere-R-and-T-as-two-files" / "pair.csv"
     assert fx.read_spectra(pair)["repairs"].item() == ""
+
+
+def test_plants_numbered_like_percentiles_are_leaves(tmp_path):
+    waves = [500.0, 600.0, 700.0]
+    leaf = [0.1, 0.2, 0.3]
+    path = tmp_path / "plants.csv"
+    for names, left_out in (
+        (("P1", "P2", "P3", "E1"), ()),
+        (("P1", "P2", "mean"), ("mean",)),
+        (("oak", "P5", "P50", "P95"), ("P5", "P50", "P95")),
+    ):
+        table(path, {"wavelength": waves} | dict.fromkeys(names, leaf))
+        with pytest.warns(UserWarning, match="no leaves") if left_out else nullcontext():
+            spectra = fx.read_spectra(path)
+        assert spectra["spectrum"].values.tolist() == [n for n in names if n not in left_out]
+
+
+@pytest.mark.parametrize("column", ["value", "oak"])
+def test_files_marked_for_columns_without_marks_make_a_pair(column, tmp_path):
+    waves = [500.0, 600.0, 700.0]
+    files = tmp_path / "oak01refl.csv", tmp_path / "oak01trans.csv"
+    table(files[0], {"wavelength": waves, column: [0.1, 0.2, 0.3]})
+    table(files[1], {"wavelength": waves, column: [0.2, 0.3, 0.4]})
+    spectra = fx.read_spectra(files)
+    np.testing.assert_allclose(spectra["transmittance"], [[0.2, 0.3, 0.4]])
+    np.testing.assert_allclose(spectra["reflectance"], [[0.1, 0.2, 0.3]])
 
 
 def test_columns_that_are_no_leaves_are_left_out_with_a_word(tmp_path):

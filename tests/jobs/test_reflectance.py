@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 from fynjax._core.errors import InputError
 from fynjax.cli._sensors import reflectance
 from fynjax.compare import read_drone_image
-from fynjax.io.micasense import read_capture
+from fynjax.io.micasense import read_capture, usable_captures
 from fynjax.io.micasense._metadata import read_rededge_band
 from fynjax.jobs import pattern
 from tests.helpers import assert_valid_summary, read_cube
@@ -176,12 +176,29 @@ def test_a_capture_that_lacks_a_band_is_skipped_before_the_work(
     assert "IMG_0009 is skipped" in said
 
 
-def test_the_thermal_band_of_an_altum_is_left_out(tmp_path: Path) -> None:
+def test_the_bands_of_most_captures_are_the_usual_ones(tmp_path: Path) -> None:
+    captures = {}
+    for number, bands in enumerate((2, 2, 3)):
+        name = f"IMG_000{number}"
+        captures[name] = write_rededge(tmp_path, name, lit(ground()))[:bands]
+    usable, skipped = usable_captures(captures)
+    assert list(usable) == list(captures)
+    assert not skipped
+
+
+@pytest.mark.parametrize(
+    ("stated", "instead"),
+    [
+        ('CentralWavelength="840"', 'CentralWavelength="11000"'),
+        ('BandName="NIR" Camera:CentralWavelength="840"', 'BandName="LWIR"'),
+    ],
+)
+def test_the_thermal_band_of_an_altum_is_left_out(stated, instead, tmp_path: Path) -> None:
     paths = write_rededge(tmp_path, "IMG_0000", lit(ground()))
     (tmp_path / "t").mkdir()
     thermal = write_rededge(
         tmp_path / "t", "IMG_0000", lit(ground())[:, ::4, ::4],
-        change=lambda text: text.replace('CentralWavelength="840"', 'CentralWavelength="11000"'),
+        change=lambda text: text.replace(stated, instead),
     )[2]  # fmt: skip
     added = thermal.rename(tmp_path / "IMG_0000_6.tif")
     capture = read_capture("IMG_0000", [*paths, added])

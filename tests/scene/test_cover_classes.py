@@ -29,7 +29,8 @@ def test_each_word_is_its_range(tmp_path):
         ("2B", 12.5, 25),
         ("<1", 0, 1), ("< 0,5", 0, 0.5), ("≤2 %", 0, 2), (">75", 75, 100), ("5-10", 5, 10),
         ("5 – 10 %", 5, 10), ("2,5 to 5", 2.5, 5), ("trace", 0, 0.1), ("tr.", 0, 0.1),
-        ("class 4", 50, 75), ("x", 0, 0.1),
+        ("class 1", 1, 5), ("class 2", 5, 25), ("class 3", 25, 50), ("class 4", 50, 75),
+        ("class 5", 75, 100), ("x", 0, 0.1),
     ):  # fmt: skip
         (row,) = covers([cell], tmp_path)
         np.testing.assert_allclose(row.cover_range, (low / 100, high / 100))
@@ -43,12 +44,21 @@ def test_each_word_is_its_range(tmp_path):
 def test_plain_numbers_are_classes_beside_classes_only(tmp_path):
     rows = covers(["r", "+", "1", "2a", "3"], tmp_path)
     assert [row.cover_range[1] for row in rows] == pytest.approx([0.001, 0.01, 0.05, 0.125, 0.5])
-    rows = covers(["1", "3", "5"], tmp_path)
+    with pytest.warns(UserWarning, match="1, 3, 5 are taken for percent"):
+        rows = covers(["1", "3", "5"], tmp_path)
     assert [row.cover for row in rows] == pytest.approx([0.01, 0.03, 0.05])
     rows = covers(["2a", "15", "0,5"], tmp_path)
     assert [row.cover for row in rows] == pytest.approx([0.0875, 0.15, 0.005])
     rows = covers(["2a", "15", "3"], tmp_path)
     assert [row.cover for row in rows] == pytest.approx([0.0875, 0.15, 0.03])
+    with pytest.warns(UserWarning, match="3 are taken for percent"):
+        covers(["2a", "<1", "3"], tmp_path)
+    for cells, expected in (  # neither zeros nor decimals change the scale, nor do traces make it
+        (["+", "0", "1", "2"], [0.0055, 0.0, 0.03, 0.15]),
+        (["+", "1,0", "3"], [0.0055, 0.03, 0.375]),
+        (["tr", "1", "5"], [0.0005, 0.01, 0.05]),
+    ):
+        assert [row.cover for row in covers(cells, tmp_path)] == pytest.approx(expected)
     table = {"taxon": ["Erica a", "Erica b"], "mean_diameter_cm": [30, 30], "height_max_m": [1, 1],
              "cover_percent": ["2b", "3"], "growth_form": "rounded_shrub"}  # fmt: skip
     assert [row.cover for row in species_rows(pd.DataFrame(table))] == pytest.approx(

@@ -2,6 +2,7 @@
 
 import struct
 import sys
+from contextlib import nullcontext
 
 import laspy
 import numpy as np
@@ -363,3 +364,18 @@ def test_without_the_extra_the_command_is_named(tmp_path, monkeypatch, missing):
     monkeypatch.setitem(sys.modules, missing, None)
     with pytest.raises(MissingExtraError, match=r'pip install "fynjax\[terrain\]"'):
         read_cloud(path)
+
+
+@pytest.mark.parametrize(
+    ("far", "distance", "left"), [(2, 90.0, 3000), (60, 90.0, 3060), (2, 25.0, 3002)]
+)
+def test_only_a_few_points_far_away_are_strays(far, distance, left, tmp_path):
+    rng = np.random.default_rng(0)
+    near = rng.uniform(0.0, 20.0, (3000, 3)) * (1.0, 1.0, 0.1)
+    away = np.tile([distance, 5.0, 1.0], (far, 1)) + rng.uniform(0.0, 1.0, (far, 3))
+    path = tmp_path / "cloud.ply"
+    write_ply(path, ["double x", "double y", "double z"], np.concatenate([near, away]))
+    few = pytest.warns(UserWarning, match="2 of 3002 points lie far from all others")
+    with few if left == 3000 else nullcontext():
+        cloud = read_cloud(path)
+    assert len(cloud) == left

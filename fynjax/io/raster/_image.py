@@ -106,6 +106,8 @@ def _check_pixels(first: RasterFile, part: RasterFile) -> None:
 def _joined(parts: list[RasterFile]) -> str:
     """A virtual raster of the first bands of files, as text that GDAL opens."""
     data = parts[0].dataset
+    kinds = [np.dtype(part.dataset.dtypes[part.bands[0] - 1]) for part in parts]
+    kind = _TYPES.get(np.result_type(*kinds).name, "Float64")
     root = ElementTree.Element(
         "VRTDataset", rasterXSize=str(data.width), rasterYSize=str(data.height)
     )
@@ -116,10 +118,7 @@ def _joined(parts: list[RasterFile]) -> str:
         ElementTree.SubElement(root, "GeoTransform").text = numbers
     for number, part in enumerate(parts, 1):
         of, k = part.dataset, part.bands[0]
-        band = ElementTree.SubElement(
-            root, "VRTRasterBand", dataType=_TYPES.get(of.dtypes[k - 1], "Float64"),
-            band=str(number),
-        )  # fmt: skip
+        band = ElementTree.SubElement(root, "VRTRasterBand", dataType=kind, band=str(number))
         if of.nodatavals[k - 1] is not None:
             ElementTree.SubElement(band, "NoDataValue").text = repr(float(of.nodatavals[k - 1]))
         ElementTree.SubElement(band, "Scale").text = repr(float(of.scales[k - 1]))

@@ -10,7 +10,9 @@ import numpy as np
 from fynjax._core.errors import InputError
 from fynjax.io.spectra._record import MeasuredSpectrum, note
 
-_BEFORE, _AFTER = r"(^|[ _.\-(])", r"(?=$|[ _.\-)%]|\d{3,5}$)"
+_BEFORE = r"(^|[ _.\-(]|(?<=\d)(?=[a-z]{3}))"
+"""Before a mark; of several letters a number may stand there too, as in LEAF01refl."""
+_AFTER = r"(?=$|[ _.\-)%]|\d{3,5}$)"
 _MARKS = {
     "transmittance": re.compile(
         _BEFORE + r"(t|tran|trans|transm|transmittance|tau)" + _AFTER, re.I
@@ -27,6 +29,9 @@ _NO_LEAF = re.compile(
     r"|(.*[ (])?(sd|std|stdev|std ?dev|st dev|standard deviation|standard error|std error)( .*)?)",
     re.I,
 )
+_QUANTILE, _MEDIAN = re.compile(r"p(\d+)", re.I), 50
+_USUAL = {0, 1, 2, 3, 5, 10, 16, 20, 25, 50, 75, 80, 84, 90, 95, 97, 98, 99, 100}
+"""Percentiles that people take; of them one at least is the median or above."""
 
 
 def marked(name: str) -> tuple[str, str, str]:
@@ -70,6 +75,9 @@ def leaves_only(spectra: Sequence[MeasuredSpectrum]) -> list[MeasuredSpectrum]:
             s.name, s.wavelength, s.transmittance if s.reflectance is None else s.reflectance
         )
     ]
+    numbers = [int(m[1]) for s in left if (m := _QUANTILE.fullmatch(s.name))]
+    if not set(numbers) <= _USUAL or max(numbers, default=_MEDIAN) < _MEDIAN:  # plants P1, P2, ...
+        left = [s for s in left if not _QUANTILE.fullmatch(s.name)]
     kept = [s for s in spectra if not any(s is one for one in left)]
     if not kept or not left:
         return list(spectra)
@@ -85,12 +93,17 @@ def _quantity(file: str, spectrum: MeasuredSpectrum) -> tuple[str, tuple[str, ..
     quantity, rest, mark = marked(spectrum.name)
     key: tuple[str, ...] = (rest.lower(),)
     folder = Path(file).parent.name
+    of_file = False
+    if not quantity:  # a column without a mark in a file with one, as in oak_T.csv
+        quantity, rest, _ = marked(Path(file).stem)
+        of_file = bool(quantity)
+        key = tuple(dict.fromkeys((*key, rest.lower()))) if of_file else key
     if not quantity:
         quantity = next((q for q, known in _FOLDERS.items() if known.fullmatch(folder)), "")
         mark = folder if quantity else ""
     if spectrum.reflectance is None:
         return "transmittance", key, True
-    return quantity or "reflectance", key, len(mark) > 1
+    return quantity or "reflectance", key, len(mark) > 1 and not of_file
 
 
 def as_transmittance(spectrum: MeasuredSpectrum) -> MeasuredSpectrum:
@@ -152,7 +165,8 @@ def join_pairs(read: list[tuple[str, MeasuredSpectrum]]) -> list[tuple[str, Meas
     """Reflectance and transmittance of a leaf that stand in two files, as one spectrum.
 
     They belong together by their names but for a mark of the quantity (`_R` and `_T`, `refl` and
-    `trans`, also of the folders); transmittance is known by such a mark or by the file itself.
+    `trans`, also of files and folders); transmittance is known by such a mark or by the file
+    itself.
 
     **Arguments:** `read`, file and spectrum of each, whose name is that in the file.
 
