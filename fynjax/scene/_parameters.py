@@ -196,12 +196,12 @@ class SpeciesParameters(eqx.Module):
         name="Spread of leaves within a species",
         unit="-",
         lower=0.0,
-        upper=2.0,
+        upper=5.0,
         usual=(0.0, 2.0),
         default=1.0,
         relative_sd=0.5,
-        source="Ours. Bounds and prior assumed: beyond 2 leaves would lose all of a trait, and the "
-        "mean leaf change.",
+        source="Ours. Bounds and prior assumed: beyond 2 some leaves lose all of a trait, and the "
+        "mean leaf changes.",
         description="Factor on what the leaves of a species differ from their mean by: 0 gives all "
         "plants the mean leaf, 1 the leaves as stated or drawn. Of a plot in which a species has "
         "several leaves, of which each plant has one.",
