@@ -103,7 +103,7 @@ _NO_MEMORY = re.compile(
 
 
 def _of_this_machine(error: Exception) -> str:
-    """What is wrong where no input is: too little memory, no such device, or else the error."""
+    """The message of an error that no input caused: little memory, no such device, or another."""
     text = f"{type(error).__name__}: {error}"
     if isinstance(error, MemoryError) or _NO_MEMORY.search(text):
         return (

@@ -31,7 +31,7 @@ def plot_diversity_table(
     *,
     seed: int = 0,
 ) -> pd.DataFrame:
-    """How well measured and simulated spectra of plots follow the diversity of their species.
+    """Agreement of measured and simulated spectra of plots with the diversity of their species.
 
     **Arguments:**
 

@@ -143,8 +143,8 @@ def pielou_evenness(cover: ArrayLike) -> PerPlot:
 
 
 def diversity_indices(cover: ArrayLike) -> dict[str, NDArray[np.float64]]:
-    """What is usually asked of plots: richness [species], Shannon's entropy, Simpson's diversity,
-    Pielou's evenness [-], and the sum of the covers, in their unit.
+    """Usual indices of the diversity of plots: richness [species], Shannon's entropy, Simpson's
+    diversity, Pielou's evenness [-], and the sum of the covers, in their unit.
 
     **Arguments:** `cover`: [plot, species] covers, not negative; plots may be bare.
 

@@ -187,7 +187,7 @@ def spectral_rao(spectra: ArrayLike, valid: ArrayLike | None = None) -> PerWindo
 def spectral_variety(
     spectra: ArrayLike, *, seed: int | np.random.Generator = 0
 ) -> dict[str, float]:
-    """What is usually computed of the spectra of a plot: `cv`, the coefficient of variation [-];
+    """Usual metrics of the spectra of a plot: `cv`, the coefficient of variation [-];
     `angle`, the mean angle to the mean spectrum [degree]; `rao`, Rao's Q, of at most a thousand
     pixels; and `variance`, summed over bands.
 

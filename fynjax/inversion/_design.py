@@ -101,20 +101,20 @@ _OTHER_TARGETS = {
 
 
 class _Spectra(eqx.Module):
-    """What the images of all plantings hold, on a grid of wavelengths."""
+    """Spectra of the images of all plantings, and their slopes, on a grid of wavelengths."""
 
     grid: Float[Array, " wavelength"]
     """Wavelengths [nm]."""
     mean: Float[Array, "planting wavelength"]
     """Mean reflectance factor of the pixels [-]."""
     mean_slope: Float[Array, "planting wavelength free"]
-    """Its slopes by the whitened coordinates of the parameters."""
+    """Slopes of the mean reflectance factor by the parameters in units of their priors [-]."""
     basis: Float[Array, "wavelength component"]
     """Spectra of which those of all pixels, less their mean, are combinations."""
     second: Float[Array, "planting component component"]
-    """Covariance over the pixels of the weights of these."""
+    """Covariance over the pixels of the weights of the spectra in `basis` [-]."""
     second_slope: Float[Array, "planting component component free"]
-    """Its slopes by the whitened coordinates."""
+    """Slopes of that covariance by the parameters in units of their priors [-]."""
     photons: Float[Array, " wavelength"]
     """Photons that a pixel collects per nm from a white ground."""
     asked: Float[Array, "planting quantity free"]

@@ -227,11 +227,11 @@ def warnings_of_reading(read: Read, refused: Refused, table: str = "") -> list[s
         ("saturated", "{}: saturated detectors ({}), whose bands are left out."),
         ("doubtful", "{}: {}."),
     ):
-        told = [(Path(file).name, s.meta[key]) for file, s in read if key in s.meta]
-        for file, why in told[:_NAMED_REFUSALS]:
+        reasons = [(Path(file).name, s.meta[key]) for file, s in read if key in s.meta]
+        for file, why in reasons[:_NAMED_REFUSALS]:
             said.append(what.format(file, why if isinstance(why, str) else ", ".join(why)))
-        if len(told) > _NAMED_REFUSALS:
-            said.append(f"So it is of {len(told) - _NAMED_REFUSALS} more.")
+        if len(reasons) > _NAMED_REFUSALS:
+            said.append(f"So it is of {len(reasons) - _NAMED_REFUSALS} more.")
     relative = sum(s.meta.get("panel") == "unknown" for _, s in read)
     if relative:
         said.append(

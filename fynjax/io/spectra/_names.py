@@ -202,6 +202,6 @@ def join_pairs(read: list[tuple[str, MeasuredSpectrum]]) -> list[tuple[str, Meas
             note(meta, f"{alone}: taken for {'transmittance' if sure else 'reflectance'}")
             if not sure:
                 meta["doubtful"] = f"{alone}: taken for reflectance"
-            told = replace(through, meta=meta)
-            joined[i] = (file, as_transmittance(told) if sure else told)
+            named = replace(through, meta=meta)
+            joined[i] = (file, as_transmittance(named) if sure else named)
     return [one for i, one in enumerate(joined) if i not in gone]
