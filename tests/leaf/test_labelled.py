@@ -59,7 +59,7 @@ def test_numbers_are_those_of_arrays_by_every_road_and_labels_survive(tables, pl
     r, t = tables
     data = dataset_of(tables)
     pairs = {f"{n}_{mark}": table.loc[n] for mark, table in zip("RT", tables) for n in NAMES}
-    pd.DataFrame(pairs).rename_axis("wavelength_nm").to_csv(tmp_path / "leaves.csv")
+    pd.DataFrame(pairs).rename_axis("wavelength_nm").to_csv(tmp_path / "both.csv")
     files = fx.read_spectra(tmp_path)
     assert files["reflectance"].dtype == float
     for fit in (
@@ -74,7 +74,7 @@ def test_numbers_are_those_of_arrays_by_every_road_and_labels_survive(tables, pl
         assert fit.labels == tuple(NAMES)
         assert same(fit, plain)
     assert plain.labels == ("leaf_1", "leaf_2")
-    jobs.fit_leaf([tmp_path / "leaves.csv"], tmp_path / "out")
+    jobs.fit_leaf([tmp_path / "both.csv"], tmp_path / "out")
     written = pd.read_csv(tmp_path / "out" / "traits.csv", keep_default_na=False)
     fit.table().to_csv(tmp_path / "own.csv", index=False, float_format="%.6g")
     own = pd.read_csv(tmp_path / "own.csv", keep_default_na=False)
@@ -133,11 +133,11 @@ def test_folders_without_spectra_and_files_that_are_none(tmp_path):
     for name in "ab":
         folder = tmp_path / name
         folder.mkdir()
-        pd.DataFrame({"nm": GRID, "leaf": 0.3, name: 0.4}).to_csv(folder / "t.csv", index=False)
+        pd.DataFrame({"nm": GRID, "leaf": 0.3, name: 0.4}).to_csv(folder / "both.csv", index=False)
     with pytest.warns(UserWarning, match=r"^Refused: .*notes\.txt"):
         read = fx.read_spectra(tmp_path)
     assert read["spectrum"].values.tolist() == ["leaf", "a", "leaf_2", "b"]
-    one = fx.read_spectra(tmp_path / "b" / "t.csv")
+    one = fx.read_spectra(tmp_path / "b" / "both.csv")
     assert one["spectrum"].values.tolist() == ["leaf", "b"]
     assert "transmittance" not in one
 
@@ -161,7 +161,7 @@ def test_folders_without_spectra_and_files_that_are_none(tmp_path):
         (lambda r: xr.DataArray(r, dims=("spectrum", "band")), "a coordinate `wavelength`"),
         (lambda r: dataset_of([r]).expand_dims("day"), "over spectra and a coordinate"),
         (lambda r: dataset_of([r]).rename(reflectance="rho"), "but the dataset has rho"),
-        (lambda r: "leaves.csv", "got str. Files are read by `fx.read_spectra`"),
+        (lambda r: "both.csv", "got str. Files are read by `fx.read_spectra`"),
         (lambda r: {"a": 1}, "expected wavelengths"),
         (lambda r: None, "an ascending vector"),
     ],
