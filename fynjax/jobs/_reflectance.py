@@ -13,7 +13,7 @@ from fynjax._core.dry_run import begin_work
 from fynjax._core.errors import InputError
 from fynjax._core.precision import double_precision
 from fynjax._core.progress import track
-from fynjax.io.micasense import (
+from fynjax.io.captures import (
     AlignedCapture,
     Capture,
     PanelView,
@@ -25,9 +25,10 @@ from fynjax.io.micasense import (
     same_capture,
     usable_captures,
 )
-from fynjax.io.raster import Cube, provenance, write_cube_geotiff
+from fynjax.io.raster import RELATIVE_TAG, Cube, provenance, write_cube_geotiff
 from fynjax.io.text import write_text
 from fynjax.jobs._reflectance_record import (
+    RELATIVE_REFLECTANCE,
     CaptureSummary,
     PanelSummary,
     calibration_table,
@@ -41,7 +42,13 @@ from fynjax.jobs._result import JobResult
 from fynjax.jobs._run import Run
 from fynjax.report.figures import capture_figure, panel_figure
 from fynjax.report.pages import Picture
-from fynjax.sensors import EmpiricalLine, empirical_line, irradiance_line, one_panel_line
+from fynjax.sensors import (
+    EmpiricalLine,
+    empirical_line,
+    irradiance_line,
+    one_panel_line,
+    shipped_sensor,
+)
 
 _SHOWN = 12
 """Captures that a page shows, at most; each has its picture as a file."""
@@ -70,7 +77,7 @@ def reflectance(
     areas: Sequence[str] = (),
     light: str | None = None,
     panel_sd: float = 0.02,
-    light_sd: float = 0.05,
+    light_sd: float | None = None,
     height: float | None = None,
     pixel: float | None = None,
     align: bool = True,
@@ -79,9 +86,9 @@ def reflectance(
 
     **Arguments:**
 
-    - `images`: folders or files (`find_captures`); every capture that shows no panel is
-      converted; one that cannot be read, or lacks a band that most have, is skipped, with a
-      warning.
+    - `images`: folders or files (`find_captures`) of a MicaSense or DJI camera; every capture that
+      shows no panel is converted; one that cannot be read, lacks a band that most have or a light
+      sensor that is needed is skipped, with a warning.
     - `output`: folder of the results, made if missing.
     - `panels`: captures that show a panel, by name or by a file; the same capture again for a
       second panel in it. One panel makes a line through zero, more an empirical line. By default
@@ -91,8 +98,9 @@ def reflectance(
     - `light`: 'panel' (steady since the panel's picture), 'sensor' (pi L / E by the downwelling
       light sensor) or 'both' (the panel, and the sensor for changes since). 'panel' if left out,
       or 'sensor' where there is no panel.
-    - `panel_sd`, `light_sd`: standard deviation of the panel's reflectance and of the light,
-      relative [-].
+    - `panel_sd`: standard deviation of the panel's reflectance, relative [-].
+    - `light_sd`: that of light and camera together, relative [-]; if left out, that of the sensor
+      file for this way of calibration (light sensor alone, one panel, several panels).
     - `height` of flight above the ground [m], or `pixel` on the ground [m]; with neither,
       coordinates are in pixels.
     - `align`: whether to align the bands of a capture.
@@ -108,7 +116,7 @@ def reflectance(
     _check(panels, reflectances, areas, light, panel_sd, light_sd, height, pixel)
     captures = find_captures(images)
     with run.stage("Read the panels"):
-        usable, skipped = usable_captures(captures)
+        usable, skipped, dark = usable_captures(captures)
         read = _panels(captures if panels else usable, panels, areas, light)
         known = [
             panel_reflectance(_nth(reflectances, k), panel.capture) for k, panel in enumerate(read)
@@ -116,12 +124,20 @@ def reflectance(
     light = light or ("panel" if read else "sensor")
     of_panels = {panel.capture.name for panel in read}
     wanted = {name: paths for name, paths in usable.items() if name not in of_panels}
+    if light != "panel" and (unlit := {name: dark[name] for name in wanted if name in dark}):
+        if len(unlit) == len(wanted):
+            raise next(iter(unlit.values()))
+        skipped |= unlit
+        wanted = {name: paths for name, paths in wanted.items() if name not in unlit}
     if not wanted:
         raise InputError(
             "expected captures to convert, but there are only those of panels: "
             f"{', '.join(of_panels)}"
         )
     line = _line(read, known, light, panel_sd) if read and light != "sensor" else None
+    first = read_capture(*next(iter(wanted.items()))).bands[0]
+    way = "light_sensor" if line is None else "panels" if len(read) == 1 else "empirical_line"
+    sd = _usual_sd(first.sensor, way) if light_sd is None else light_sd
     headline = panel_sentences(read, known, light)
     warnings = [f"{name} is skipped: {error}" for name, error in skipped.items()]
     converted: dict[str, CaptureSummary] = {}
@@ -130,22 +146,37 @@ def reflectance(
 
     def read_one(name: str) -> tuple[Capture, EmpiricalLine, NDArray[np.float64] | None]:
         capture = read_capture(name, wanted[name])
-        return capture, *_line_of(capture, line, read, light, light_sd)
+        return capture, *_line_of(capture, line, read, light, sd)
 
     begin_work({f"{name}_reflectance.tif": "" for name in wanted}, map(read_one, wanted))
+    failed: InputError | None = None
     for name, paths in track([*wanted.items()], "Convert"):
         capture, relit, change = read_one(name)
+        try:
+            aligned = aligned_radiance(capture, align=align)
+        except InputError as problem:
+            failed = problem
+            warnings.append(f"{name} is skipped: {problem}")
+            continue
         inputs += paths
-        aligned = aligned_radiance(capture, align=align)
         side = _pixel(capture, height, pixel)
         cube, doubt = _cubes(capture, aligned, relit, side or 1.0)
-        picture = _write_capture(run, name, cube, doubt, paths, light, in_pixels=side is None)
+        relative = line is None and not capture.absolute
+        picture = _write_capture(
+            run, name, cube, doubt, paths, light, in_pixels=side is None, relative=relative
+        )
         if len(shown) < _SHOWN:
             shown.append(picture)
         summary = capture_summary(capture, aligned, relit, change, cube, side)
         converted[name] = summary
         headline.append(capture_sentence(name, summary))
         warnings += capture_warnings(name, summary, light)
+    if failed is not None and not converted:
+        raise failed
+    if line is None and not first.absolute:
+        warnings.append(RELATIVE_REFLECTANCE)
+    for what in sorted({what for c in converted.values() for what in c.missing_corrections}):
+        warnings.append(f"the metadata have no numbers for {what}, which is not corrected")
     if read:
         what = "picture: the panels in every band, and the area that was read"
         shown.insert(0, Picture("panels.png", panel_figure(read, known), what))
@@ -160,7 +191,7 @@ def reflectance(
         warnings=warnings,
         light=light,
         panel_sd=panel_sd,
-        light_sd=light_sd,
+        light_sd=sd,
         panels=[panel_summary(panel, rho) for panel, rho in zip(read, known, strict=True)],
         captures=converted,
     )
@@ -181,12 +212,14 @@ def _write_capture(
     light: str,
     *,
     in_pixels: bool,
+    relative: bool,
 ) -> Picture:
     """Write a capture's reflectance, its standard deviation and a picture, which is returned."""
     tags = {
         **provenance(inputs=paths),
         "calibration": f"light: {light}",
         "coordinates": "pixels: no height or size was given" if in_pixels else "metres",
+        **({RELATIVE_TAG: RELATIVE_REFLECTANCE} if relative else {}),
     }
     what = f"reflectance of {len(cube.names)} bands"
     write_cube_geotiff(run.path(f"{name}_reflectance.tif", what), cube, tags)
@@ -205,7 +238,7 @@ def _check(
     areas: Sequence[str],
     light: str | None,
     panel_sd: float,
-    light_sd: float,
+    light_sd: float | None,
     height: float | None,
     pixel: float | None,
 ) -> None:
@@ -219,7 +252,7 @@ def _check(
             f"{len(reflectances)}"
         )
     for what, value in (("panel_sd", panel_sd), ("light_sd", light_sd)):
-        if not 0.0 <= value < 1.0:
+        if value is not None and not 0.0 <= value < 1.0:
             raise InputError(f"`{what}` must be a fraction from 0 to below 1, but is {value:g}")
     if height is not None and pixel is not None:
         raise InputError("expected the height of flight or the size of a pixel, but got both")
@@ -260,7 +293,7 @@ def _panels(
             read_panel(shown[name], _corners(areas[k]) if areas else None)
             for k, (name, _) in enumerate(named)
         ]
-    every = [read_capture(name, paths) for name, paths in captures.items()]
+    every = (read_capture(name, paths) for name, paths in captures.items())
     marked = [c for c in every if all(band.panel_reflectance is not None for band in c.bands)]
     if not marked and light is not None:
         raise InputError(
@@ -302,20 +335,8 @@ def _check_bands(capture: Capture, first: Capture) -> None:
         )
 
 
-def _sensor_light(capture: Capture) -> NDArray[np.float64]:
-    """What the downwelling light sensor says [W m-2 um-1]."""
-    for band in capture.bands:
-        if band.irradiance is None:
-            raise InputError(
-                "expected irradiance of a downwelling light sensor in the metadata, but there is "
-                "none. Was it plugged in? Use a panel: --panel NAME --panel-reflectance ...",
-                file=band.path,
-            )
-    return np.array([band.irradiance for band in capture.bands], dtype=float)
-
-
 def _light_ratio(capture: Capture, first: Capture) -> NDArray[np.float64]:
-    return _sensor_light(capture) / _sensor_light(first)
+    return capture.irradiance / first.irradiance
 
 
 def _line_of(
@@ -327,7 +348,7 @@ def _line_of(
 ) -> tuple[EmpiricalLine, NDArray[np.float64] | None]:
     """The line under the light of a capture, and by what factor it changed since the panel."""
     if line is None:
-        level = jnp.asarray(_sensor_light(capture))
+        level = jnp.asarray(capture.irradiance)
         return irradiance_line(level, irradiance_sd=light_sd * level), None
     first = panels[0].capture
     _check_bands(capture, first)
@@ -335,6 +356,12 @@ def _line_of(
     change = _light_ratio(capture, first) if stated or light == "both" else None
     ratio = change if light == "both" and change is not None else np.ones(len(capture.bands))
     return line.relit(jnp.asarray(ratio), jnp.asarray(light_sd * ratio)), change
+
+
+def _usual_sd(sensor: str, way: str) -> float:
+    """Relative standard deviation of a sensor's calibration, by its file [-]."""
+    gains = {gains.way: gains for gains in shipped_sensor(sensor).calibrations}
+    return float(np.max(gains[way].sd))
 
 
 def _pixel(capture: Capture, height: float | None, pixel: float | None) -> float | None:

@@ -26,8 +26,8 @@ from fynjax.assembly import StandSettings, plot_parameters
 from fynjax.canopy import plant_model_from_mesh, plant_model_from_points, read_scan
 from fynjax.compare import read_drone_image, read_spectra_sample
 from fynjax.inversion import AmortisedPosterior
+from fynjax.io.captures import panel_reflectance, read_capture
 from fynjax.io.instruments import load_lidar, load_sensor, read_atmosphere
-from fynjax.io.micasense import panel_reflectance, read_capture
 from fynjax.io.plot import (
     example_folder,
     read_plot,

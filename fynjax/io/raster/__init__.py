@@ -26,13 +26,14 @@ from fynjax.io.raster._over_plot import read_over_plot
 from fynjax.io.raster._probability import read_probability_map
 from fynjax.io.raster._qgis import colour_bands, write_qgis_style
 from fynjax.io.raster._reader import METRES, RAW_COUNTS, Raster, RasterFile, open_raster
-from fynjax.io.raster._scale import check_reflectance
+from fynjax.io.raster._scale import RELATIVE_TAG, check_reflectance
 from fynjax.io.raster._writer import write_geotiff
 
 __all__ = [
     "METRES",
     "QUANTITIES",
     "RAW_COUNTS",
+    "RELATIVE_TAG",
     "UNITS",
     "Alignment",
     "BandStack",

@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Polygon
 from numpy.typing import NDArray
 
-from fynjax.io.micasense import PanelView
+from fynjax.io.captures import PanelView
 from fynjax.io.raster import Cube
 from fynjax.report.figures._style import VERMILION, Figure, note, style
 

@@ -1,6 +1,6 @@
-"""Captures of MicaSense cameras (RedEdge, Altum) and of their reference panels."""
+"""Raw captures of multispectral cameras (MicaSense, DJI) and of their reference panels."""
 
-from fynjax.io.micasense._capture import (
+from fynjax.io.captures._capture import (
     AlignedCapture,
     Capture,
     aligned_radiance,
@@ -9,7 +9,7 @@ from fynjax.io.micasense._capture import (
     same_capture,
     usable_captures,
 )
-from fynjax.io.micasense._panel import PanelView, panel_reflectance, read_panel
+from fynjax.io.captures._panel import PanelView, panel_reflectance, read_panel
 
 __all__ = [
     "AlignedCapture",
