@@ -74,8 +74,8 @@ REDEDGE_P = {
 def _with_two_dimensions(text: str) -> str:
     for key, value in REDEDGE_P.items():
         text = text.replace(
-            "   <Camera:IrradiancePitch>",
-            f"   <Camera:VignettingPolynomial2D{key}>{value}</Camera:VignettingPolynomial2D{key}>"
+            "<Camera:IrradiancePitch>",
+            f"<Camera:VignettingPolynomial2D{key}>{value}</Camera:VignettingPolynomial2D{key}>"
             "<Camera:IrradiancePitch>",
         )
     for key in ("VignettingCenter", "VignettingPolynomial>"):
