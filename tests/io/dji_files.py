@@ -52,7 +52,7 @@ PHANTOM = tuple(
     )
 )  # fmt: skip
 VIGNETTING = (2.1e-4, 1.2e-5, -2.8e-8, 5.2e-10, -4.2e-12, 1.4e-14)
-FOCAL, OFF_CENTRE, DISTORTION = (135.0, 134.0), (1.5, -2.0), (-0.11, 0.06, 4e-4, -3e-4, -0.02)
+FOCAL, OFF_CENTRE, DISTORTION = (135.0, 134.0), (1.5, -2.0), (-0.11, 0.06, 0.03, -0.02, -0.02)
 
 
 def brightening() -> np.ndarray:

@@ -137,6 +137,12 @@ def test_captures_of_a_flight_by_their_names(tmp_path: Path) -> None:
     write_dji(tmp_path, NAME, rho)
     (tmp_path / f"{NAME}_MS_NIR.TIF").rename(tmp_path / "DJI_20261122100001_0001_MS_NIR.TIF")
     write_dji(tmp_path, "DJI_20261122113000_0001", rho)
+    other_flight = tmp_path / "DJI_20261122140000_0002_MS_G.TIF"  # has one band of each flight
+    write_dji(tmp_path, "DJI_20261122100002_0002", rho[:1], MAVIC[1:2])
+    write_dji(tmp_path, "DJI_20261122140000_0002", rho[:1], MAVIC[:1])
+    assert len(find_captures([tmp_path])) == 4
+    other_flight.unlink()
+    (tmp_path / "DJI_20261122100002_0002_MS_R.TIF").unlink()
     for other in ("DJI_20261122100000_0001_D.JPG", "notes.MRK"):
         (tmp_path / other).write_bytes(b"x")
     found = find_captures([tmp_path])
