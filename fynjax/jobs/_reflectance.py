@@ -19,6 +19,7 @@ from fynjax.io.captures import (
     PanelView,
     aligned_radiance,
     find_captures,
+    on_earth,
     panel_reflectance,
     read_capture,
     read_panel,
@@ -101,8 +102,9 @@ def reflectance(
     - `panel_sd`: standard deviation of the panel's reflectance, relative [-].
     - `light_sd`: that of light and camera together, relative [-]; if left out, that of the sensor
       file for this way of calibration (light sensor alone, one panel, several panels).
-    - `height` of flight above the ground [m], or `pixel` on the ground [m]; with neither,
-      coordinates are in pixels.
+    - `height` of flight above the ground [m], or `pixel` on the ground [m]; with neither, the
+      height above the take-off that a DJI states, or else coordinates are in pixels. With either,
+      a capture whose files have position and heading is turned to the north and laid there.
     - `align`: whether to align the bands of a capture.
 
     **Returns:** `ReflectanceResult`. Writes for each capture its reflectance and the standard
@@ -159,15 +161,17 @@ def reflectance(
             warnings.append(f"{name} is skipped: {problem}")
             continue
         inputs += paths
-        side = _pixel(capture, height, pixel)
-        cube, doubt = _cubes(capture, aligned, relit, side or 1.0)
+        above = height or (_height(capture) if pixel is None else None)
+        side = _pixel(capture, above, pixel)
+        cube, doubt = _cubes(capture, aligned, relit, side)
+        spread = _spread(capture, above, side) if cube.crs is not None else None
         relative = line is None and not capture.absolute
         picture = _write_capture(
-            run, name, cube, doubt, paths, light, in_pixels=side is None, relative=relative
+            run, name, cube, doubt, paths, light, place=_place_text(side, spread), relative=relative
         )
         if len(shown) < _SHOWN:
             shown.append(picture)
-        summary = capture_summary(capture, aligned, relit, change, cube, side)
+        summary = capture_summary(capture, aligned, relit, change, cube, side, spread)
         converted[name] = summary
         headline.append(capture_sentence(name, summary))
         warnings += capture_warnings(name, summary, light)
@@ -211,14 +215,14 @@ def _write_capture(
     paths: Sequence[Path],
     light: str,
     *,
-    in_pixels: bool,
+    place: str,
     relative: bool,
 ) -> Picture:
     """Write a capture's reflectance, its standard deviation and a picture, which is returned."""
     tags = {
         **provenance(inputs=paths),
         "calibration": f"light: {light}",
-        "coordinates": "pixels: no height or size was given" if in_pixels else "metres",
+        "coordinates": place,
         **({RELATIVE_TAG: RELATIVE_REFLECTANCE} if relative else {}),
     }
     what = f"reflectance of {len(cube.names)} bands"
@@ -227,7 +231,8 @@ def _write_capture(
     what = "its standard deviation, by panel and light"
     write_cube_geotiff(run.path(f"{name}_reflectance_sd.tif", what), doubt, tags)
     what = "picture: true and false colour, vegetation index"
-    picture = Picture(f"{name}.png", capture_figure(cube, name, pixels=in_pixels), what)
+    figure = capture_figure(cube, name, pixels=place.startswith("pixels"))
+    picture = Picture(f"{name}.png", figure, what)
     run.picture(picture)
     return picture
 
@@ -364,6 +369,30 @@ def _usual_sd(sensor: str, way: str) -> float:
     return float(np.max(gains[way].sd))
 
 
+def _height(capture: Capture) -> float | None:
+    """Height of flight that the camera states, above the point of take-off [m]."""
+    place = capture.bands[0].place
+    return None if place is None else place.height
+
+
+def _spread(capture: Capture, height: float | None, side: float | None) -> float | None:
+    """Standard deviation of where a capture lies [m]; without a height by that of the optics."""
+    place, focal = capture.bands[0].place, capture.bands[0].focal_length
+    above = height or (side or 0.0) * (focal or 0.0)
+    return None if place is None else place.spread(above)
+
+
+def _place_text(side: float | None, spread: float | None) -> str:
+    if side is None:
+        return "pixels: no height or size was given"
+    if spread is None:
+        return "metres from the picture's corner"
+    return (
+        f"metres, by GPS, height and heading: the middle to some {spread:.1f} m (standard "
+        "deviation), the direction to some 5 degrees; ground taken as level"
+    )
+
+
 def _pixel(capture: Capture, height: float | None, pixel: float | None) -> float | None:
     if height is None:
         return pixel
@@ -378,21 +407,24 @@ def _pixel(capture: Capture, height: float | None, pixel: float | None) -> float
 
 
 def _cubes(
-    capture: Capture, aligned: AlignedCapture, line: EmpiricalLine, side: float
+    capture: Capture, aligned: AlignedCapture, line: EmpiricalLine, side: float | None
 ) -> tuple[Cube, Cube]:
+    """Reflectance and its standard deviation; on Earth where place and pixel are known."""
     signal = jnp.moveaxis(jnp.asarray(aligned.radiance), 0, -1)
     values = np.moveaxis(np.asarray(line.reflectance(signal)), -1, 0)
     doubt = np.moveaxis(np.asarray(line.standard_deviation(signal)), -1, 0)
 
     def cube(data: NDArray[Any]) -> Cube:
-        return Cube(
+        seen = Cube(
             np.where(aligned.full, np.nan, data),
             capture.names,
             np.array([band.wavelength for band in capture.bands]),
             np.array([band.fwhm for band in capture.bands]),
             np.ones(len(capture.bands), bool),
-            side,
+            side or 1.0,
             (0.0, 0.0),
         )
+        place = capture.bands[0].place
+        return seen if place is None or side is None else on_earth(seen, place, aligned.middle)
 
     return cube(values), cube(doubt)

@@ -50,6 +50,8 @@ class CaptureSummary(Record):
     size: list[int]
     """Columns and rows of the converted image [pixels]."""
     pixel_m: float | None
+    place_sd_m: float | None
+    """Standard deviation of where the middle lies on Earth [m]; `None` where it has no place."""
     light_sensor_tilt_deg: float | None
     alignment_residual_px: float | None
     bands: list[CapturedBand]
@@ -82,8 +84,10 @@ def capture_summary(
     change: NDArray[np.float64] | None,
     cube: Cube,
     side: float | None,
+    spread: float | None,
 ) -> CaptureSummary:
-    """What is recorded of a converted capture; `change` is that of the light since the panel."""
+    """What is recorded of a converted capture; `change` is that of the light since the panel,
+    `side` that of a pixel [m], `spread` the standard deviation of its place [m]."""
     middle = np.nanmedian(cube.values, axis=(1, 2))
     first = capture.bands[0]
     return CaptureSummary(
@@ -93,6 +97,7 @@ def capture_summary(
         missing_corrections=sorted({name for band in capture.bands for name in band.missing}),
         size=list(cube.values.shape[:0:-1]),
         pixel_m=side,
+        place_sd_m=spread,
         light_sensor_tilt_deg=first.irradiance_tilt,
         alignment_residual_px=(
             None if aligned.alignment is None else max(a.residual for a in aligned.alignment)
@@ -125,7 +130,8 @@ def capture_sentence(name: str, summary: CaptureSummary) -> str:
     side = f" of {summary.pixel_m:.3g} m" if summary.pixel_m else ""
     miss = summary.alignment_residual_px
     aligned = "" if miss is None else f"; bands aligned to {miss:.1f} pixels"
-    return f"{name}: {width} x {height} pixels{side}{aligned}. Median reflectance {bands}."
+    placed = f", placed to {summary.place_sd_m:.1f} m" if summary.place_sd_m else ""
+    return f"{name}: {width} x {height} pixels{side}{aligned}{placed}. Median reflectance {bands}."
 
 
 def capture_warnings(name: str, summary: CaptureSummary, light: str) -> list[str]:

@@ -1,8 +1,9 @@
 """Raw pictures of DJI's multispectral cameras, made from known reflectance by the forward formula
 of its Image Processing Guides, written here anew: numpy alone."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 from PIL import Image
@@ -99,10 +100,11 @@ def write_dji(
     black: int = 3200,
     change: Callable[[str], str] = str,
     black_in_tiff: bool = False,
+    more: Mapping[str, object] = MappingProxyType({}),
 ) -> list[Path]:
     """Files of a capture of `reflectance` [band][row, column] on each band's own pixels, in `light`
-    times the usual light. With `lens`, metadata of distortion and place are written. `change`
-    edits the metadata of every band."""
+    times the usual light. With `lens`, metadata of distortion and place are written. `more`
+    is stated too, and `change` edits the metadata of every band."""
     paths = []
     for rho, band in zip(reflectance, bands, strict=True):
         signal = rho * light * band.light / (SCALE * band.adjustment)
@@ -134,6 +136,7 @@ def write_dji(
                 stated["RelativeOpticalCenterX"], stated["RelativeOpticalCenterY"] = band.shift
             else:
                 stated["CalibratedHMatrix"] = ",".join(map(str, band.homography.ravel()))
+        stated |= more
         own = "\n".join(f'drone-dji:{key}="{value}"' for key, value in stated.items())
         # Other programs' names for the same are in other units, and come first.
         text = (

@@ -10,13 +10,16 @@ from fynjax.io.captures._capture import (
     usable_captures,
 )
 from fynjax.io.captures._panel import PanelView, panel_reflectance, read_panel
+from fynjax.io.captures._place import Place, on_earth
 
 __all__ = [
     "AlignedCapture",
     "Capture",
     "PanelView",
+    "Place",
     "aligned_radiance",
     "find_captures",
+    "on_earth",
     "panel_reflectance",
     "read_capture",
     "read_panel",

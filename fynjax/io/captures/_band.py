@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from fynjax._core.errors import LARGEST, InputError
 from fynjax.io.captures._lens import Lens
+from fynjax.io.captures._place import Place
 from fynjax.sensors import CameraRadiometry
 
 _LARGEST_EXIF = 1e7
@@ -51,6 +52,8 @@ class RawBand:
     """Place of the band's pixels in a frame that all bands share, by the maker."""
     missing: tuple[str, ...] = ()
     """Corrections of the maker's that the file has no numbers for, such as 'vignetting'."""
+    place: Place | None = None
+    """Where the camera was, and its heading; `None` where the file does not say."""
     panel_reflectance: float | None = None
     """Reflectance of a panel that the camera itself found by its code [-]; else `None`."""
     panel_area: NDArray[np.float64] | None = None

@@ -103,6 +103,8 @@ class AlignedCapture:
     """True where a pixel is saturated, or next to one that is."""
     alignment: tuple[Alignment, ...] | None
     """Movement of each band; `None` where the bands were left as they are."""
+    middle: tuple[float, float]
+    """Column, and row from below, of the middle of the camera's picture; the aligned one is cut."""
 
 
 def _named(path: Path) -> re.Match[str] | None:
@@ -316,22 +318,25 @@ def aligned_radiance(capture: Capture, *, align: bool = True) -> AlignedCapture:
     **Raises:** `InputError` as `align_bands`; `MissingExtraError` without scikit-image.
     """
     radiance, full = capture.radiance()[:, ::-1], capture.full_radiance()[:, ::-1]
+    rows, columns = radiance.shape[1:]
+    middle = (0.5 * (columns - 1), 0.5 * (rows - 1))
     if not align or len(capture.bands) == 1:
-        return AlignedCapture(radiance, radiance >= full * (1.0 - 1e-6), None)
+        return AlignedCapture(radiance, radiance >= full * (1.0 - 1e-6), None, middle)
     try:
-        (radiance, full), _ = _on_frame(capture, radiance, full)
+        (radiance, full), (low, left) = _on_frame(capture, radiance, full)
         values, cut, alignments = align_bands(radiance)
     except InputError as error:
         raise InputError(str(error), file=capture.bands[0].path) from error
     near = np.empty(values.shape, bool)
     for k, band in enumerate(alignments):
         # Where the first band's pixels lie in this one: the rest of the map moves it too little.
-        rows, columns = (
+        places = (
             np.clip(np.arange(s.start, s.stop) - round(shift), 0, size - 1)
             for s, shift, size in zip(cut, band.shift[::-1], full.shape[1:], strict=True)
         )
-        near[k] = values[k] >= _CLOSE * full[k][np.ix_(rows, columns)]
-    return AlignedCapture(values, _grown(near), tuple(alignments))
+        near[k] = values[k] >= _CLOSE * full[k][np.ix_(*places)]
+    middle = (middle[0] - left - cut[1].start, middle[1] - low - cut[0].start)
+    return AlignedCapture(values, _grown(near), tuple(alignments), middle)
 
 
 def _on_frame(

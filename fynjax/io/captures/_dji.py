@@ -13,6 +13,7 @@ undefined
   a lens dims light and not what a covered pixel reads.
 """
 
+import math
 import re
 from pathlib import Path
 from typing import Any
@@ -25,10 +26,13 @@ from PIL import Image
 from fynjax._core.errors import InputError
 from fynjax.io.captures._band import RawBand, Stated
 from fynjax.io.captures._lens import Lens
+from fynjax.io.captures._place import Place, is_fix
 from fynjax.sensors import CameraRadiometry
 
 _BLACK_LEVEL = 0xC61A
 """Tag of a TIFF with the black level, where a Phantom 4 Multispectral has it."""
+_TILT_SD = 1.0
+"""Assumed standard deviation of a gimbal's axis from the vertical [degrees]."""
 _FULL = 65520
 """Counts of a full pixel: those of a converter of 12 bits, times 16."""
 
@@ -87,6 +91,7 @@ def dji_band(path: Path, counts: NDArray[np.uint16], bits: int, stated: Stated) 
         absolute=False,
         lens=lens,
         missing=() if vignetting else ("vignetting",),
+        place=_place(stated),
     )
 
 
@@ -153,3 +158,22 @@ def _lens(stated: Stated) -> Lens | None:
         ) from None
     x, y = _centre(stated)
     return Lens(matrix, (fx, fy), (x + cx, y + cy), (k1, k2, p1, p2, k3))
+
+
+def _place(stated: Stated) -> Place | None:
+    latitude = _first(stated, "GpsLatitude")
+    longitude = _first(stated, "GpsLongitude", "GpsLongtitude")  # a Phantom's own spelling
+    heading = _first(stated, "FlightYawDegree")
+    if not (latitude and longitude and heading and is_fix(latitude[0], longitude[0])):
+        return None
+    height = _first(stated, "RelativeAltitude")
+    spread = [_first(stated, f"RtkStd{axis}") for axis in ("Lat", "Lon")]
+    known = [value[0] for value in spread if value and value[0] > 0.0]
+    return Place(
+        latitude[0],
+        longitude[0],
+        heading[0],
+        _TILT_SD,
+        height[0] if height and height[0] > 0.0 else None,
+        *([math.hypot(*known)] if len(known) == 2 else []),
+    )

@@ -1,5 +1,6 @@
 """What a MicaSense camera writes into a picture of one band."""
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -9,10 +10,14 @@ from numpy.typing import NDArray
 
 from fynjax._core.errors import InputError
 from fynjax.io.captures._band import RawBand, Stated
+from fynjax.io.captures._place import Place, is_fix
 from fynjax.sensors import CameraRadiometry
 
 _PER_MICROMETRE = 1e3
 """MicaSense states radiance and irradiance per nm."""
+_TILT_SD = 5.0
+"""Assumed standard deviation of the axis from the vertical, of a camera fixed to a drone
+[degrees]."""
 _CONVERTER_STEP = 16
 """Counts of 16 bits are those of a converter of 12 bits, times this."""
 
@@ -58,6 +63,7 @@ def micasense_band(path: Path, counts: NDArray[np.uint16], bits: int, stated: St
         irradiance=irradiance,
         irradiance_tilt=tilt,
         sensor="rededge_3",
+        place=_place(stated),
         panel_reflectance=None if albedo is None else float(albedo[0]),
         panel_area=_panel_area(stated),
     )
@@ -106,3 +112,19 @@ def _panel_area(stated: Stated) -> NDArray[Any] | None:
     if not numbers or len(numbers) < 6 or len(numbers) % 2:
         return None
     return np.asarray(numbers, dtype=np.float64).reshape(-1, 2)
+
+
+def _place(stated: Stated) -> Place | None:
+    """By GPS, and by the heading of the light sensor, which is taken for that of the camera."""
+    degrees: list[float] = []
+    for name, below in (("Latitude", "S"), ("Longitude", "W")):
+        parts = re.findall(r"[\d.]+", stated.tags.get(f"EXIF_GPS{name}", ""))
+        if len(parts) != 3:
+            return None
+        size = sum(float(part) / 60**k for k, part in enumerate(parts))
+        degrees.append(-size if stated.tags.get(f"EXIF_GPS{name}Ref") == below else size)
+    heading = stated.maybe("IrradianceYaw")
+    latitude, longitude = degrees
+    if not heading or not is_fix(latitude, longitude):
+        return None
+    return Place(latitude, longitude, heading[0], _TILT_SD)
