@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.ndimage import map_coordinates
 
 from fynjax._core.errors import InputError
 from fynjax.io.captures import aligned_radiance, find_captures, read_capture, usable_captures
@@ -87,6 +88,10 @@ def test_bands_lie_on_each_other_by_the_calibration_of_their_lenses(
     assert aligned.alignment is not None
     assert max(np.hypot(*band.shift) for band in aligned.alignment) < 0.3
     assert not aligned.full.any()
+    at = map_coordinates(aligned.radiance[0], np.array(aligned.middle[::-1])[:, None], order=1)[0]
+    at *= SCALE / bands[0].light
+    middle = [np.array([0.5 * (size - 1)]) for size in SHAPE[::-1]]
+    assert at == pytest.approx(scene(*middle)[0], abs=0.008)
 
 
 def test_a_calibration_that_shows_other_ground_is_refused(tmp_path: Path) -> None:
