@@ -171,7 +171,12 @@ def reflectance(
         ),
     ] = None,
     height: Annotated[
-        float | None, typer.Option(metavar="M", help="Height of flight above the ground [m].")
+        float | None,
+        typer.Option(
+            metavar="M",
+            help="Height of flight above the ground [m]; that above the take-off, as a DJI states "
+            "it, if left out.",
+        ),
     ] = None,
     pixel: Annotated[
         float | None, typer.Option(metavar="M", help="Or the side of a pixel on it [m].")

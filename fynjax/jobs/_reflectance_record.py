@@ -91,7 +91,7 @@ def capture_summary(
     middle = np.nanmedian(cube.values, axis=(1, 2))
     first = capture.bands[0]
     return CaptureSummary(
-        capture=first.capture,
+        capture=first.capture or None,
         time=first.time,
         radiance_unit="W m-2 sr-1 um-1" if capture.absolute else "the camera maker's own",
         missing_corrections=sorted({name for band in capture.bands for name in band.missing}),

@@ -125,6 +125,23 @@ def test_metadata_that_miss_something(
     assert caught.value.file == paths[0]
 
 
+def test_other_names_for_the_vignetting(tmp_path: Path) -> None:
+    """As Pix4D's part of the metadata has it, where DJI's own lacks it."""
+
+    def renamed(text: str) -> str:
+        text = text.replace('drone-dji:CalibratedOpticalCenterX="83.0"', "")
+        text = text.replace("drone-dji:VignettingData", "Camera:VignettingPolynomial")
+        return text.replace("Camera:Irr", 'Camera:VignettingCenter="83.0, 57.0" Camera:Irr')
+
+    one, other = tmp_path / "one", tmp_path / "other"
+    one.mkdir()
+    other.mkdir()
+    rho = [np.full(SHAPE, 0.3)] * 4
+    first = read_band(write_dji(one, NAME, rho)[0])
+    second = read_band(write_dji(other, NAME, rho, change=renamed)[0])
+    np.testing.assert_allclose(second.camera.response(SHAPE), first.camera.response(SHAPE))
+
+
 def test_what_a_camera_has_already_corrected_is_left(tmp_path: Path) -> None:
     paths = write_dji(
         tmp_path, NAME, [np.full(SHAPE, 0.3)] * 4, lens=True,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from pyproj import Geod, Transformer
 
-from fynjax.io.captures import Place, on_earth
+from fynjax.io.captures import CameraPlace, on_earth
 from fynjax.io.captures._band import Stated
 from fynjax.io.captures._micasense import _place
 from fynjax.io.raster import Cube
@@ -25,7 +25,7 @@ def test_pixels_lie_where_a_walk_from_below_the_camera_leads(latitude, longitude
     nm = np.array([560.0, 860.0])
     cube = Cube(values, ("a", "b"), nm, nm / 20, np.ones(2, bool), SIDE, (0.0, 0.0))
     middle = (190.0, 160.0)
-    laid = on_earth(cube, Place(latitude, longitude, heading, 1.0), middle)
+    laid = on_earth(cube, CameraPlace(latitude, longitude, heading, 1.0), middle)
     zone = int((longitude + 180.0) // 6.0) + 1
     assert laid.crs == f"EPSG:{(32600 if latitude > 0 else 32700) + zone}"
     to_zone = Transformer.from_crs(4326, laid.crs, always_xy=True)

@@ -1,5 +1,6 @@
 """Raw captures of multispectral cameras (MicaSense, DJI) and of their reference panels."""
 
+from fynjax.io.captures._camera_place import CameraPlace, on_earth
 from fynjax.io.captures._capture import (
     AlignedCapture,
     Capture,
@@ -10,13 +11,12 @@ from fynjax.io.captures._capture import (
     usable_captures,
 )
 from fynjax.io.captures._panel import PanelView, panel_reflectance, read_panel
-from fynjax.io.captures._place import Place, on_earth
 
 __all__ = [
     "AlignedCapture",
+    "CameraPlace",
     "Capture",
     "PanelView",
-    "Place",
     "aligned_radiance",
     "find_captures",
     "on_earth",

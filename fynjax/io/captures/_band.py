@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fynjax._core.errors import LARGEST, InputError
+from fynjax.io.captures._camera_place import CameraPlace
 from fynjax.io.captures._lens import Lens
-from fynjax.io.captures._place import Place
 from fynjax.sensors import CameraRadiometry
 
 _LARGEST_EXIF = 1e7
@@ -52,7 +52,7 @@ class RawBand:
     """Place of the band's pixels in a frame that all bands share, by the maker."""
     missing: tuple[str, ...] = ()
     """Corrections of the maker's that the file has no numbers for, such as 'vignetting'."""
-    place: Place | None = None
+    place: CameraPlace | None = None
     """Where the camera was, and its heading; `None` where the file does not say."""
     panel_reflectance: float | None = None
     """Reflectance of a panel that the camera itself found by its code [-]; else `None`."""

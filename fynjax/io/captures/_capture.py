@@ -120,10 +120,8 @@ def _joined(captures: dict[str, list[tuple[int, Path]]]) -> dict[str, list[tuple
         if file and file.re is _NAMES[0]:
             time = datetime.strptime(file["time"], "%Y%m%d%H%M%S")
             before, then = last.get(file["number"], ("", time))
-            bands = {band for band, _ in kept.get(before, group)}
-            if abs((time - then).total_seconds()) <= _APART and bands.isdisjoint(
-                b for b, _ in group
-            ):
+            near = abs((time - then).total_seconds()) <= _APART
+            if near and {b for b, _ in kept.get(before, group)}.isdisjoint(b for b, _ in group):
                 kept[before] += group
                 continue
             last[file["number"]] = name, time

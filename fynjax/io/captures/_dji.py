@@ -25,8 +25,8 @@ from PIL import Image
 
 from fynjax._core.errors import InputError
 from fynjax.io.captures._band import RawBand, Stated
+from fynjax.io.captures._camera_place import CameraPlace, is_fix
 from fynjax.io.captures._lens import Lens
-from fynjax.io.captures._place import Place, is_fix
 from fynjax.sensors import CameraRadiometry
 
 _BLACK_LEVEL = 0xC61A
@@ -125,11 +125,12 @@ def _vignetting(stated: Stated) -> dict[str, Any]:
     """Arguments of `CameraRadiometry`; none where nothing is stated, or all is done."""
     if _done(stated, "VignettingFlag"):
         return {"vignetting": jnp.zeros(1)}
-    if not stated.xmp.get("VignettingData"):
+    keys = [key for key in ("VignettingData", "VignettingPolynomial") if stated.xmp.get(key)]
+    if not keys:
         return {}
     return {
         "vignetting_centre": jnp.asarray(_centre(stated)),
-        "vignetting": jnp.asarray(stated.numbers("VignettingData", 6)),
+        "vignetting": jnp.asarray(stated.numbers(keys[0], 6)),
     }
 
 
@@ -160,7 +161,7 @@ def _lens(stated: Stated) -> Lens | None:
     return Lens(matrix, (fx, fy), (x + cx, y + cy), (k1, k2, p1, p2, k3))
 
 
-def _place(stated: Stated) -> Place | None:
+def _place(stated: Stated) -> CameraPlace | None:
     latitude = _first(stated, "GpsLatitude")
     longitude = _first(stated, "GpsLongitude", "GpsLongtitude")  # a Phantom's own spelling
     heading = _first(stated, "FlightYawDegree")
@@ -169,7 +170,7 @@ def _place(stated: Stated) -> Place | None:
     height = _first(stated, "RelativeAltitude")
     spread = [_first(stated, f"RtkStd{axis}") for axis in ("Lat", "Lon")]
     known = [value[0] for value in spread if value and value[0] > 0.0]
-    return Place(
+    return CameraPlace(
         latitude[0],
         longitude[0],
         heading[0],

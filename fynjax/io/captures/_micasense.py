@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from fynjax._core.errors import InputError
 from fynjax.io.captures._band import RawBand, Stated
-from fynjax.io.captures._place import Place, is_fix
+from fynjax.io.captures._camera_place import CameraPlace, is_fix
 from fynjax.sensors import CameraRadiometry
 
 _PER_MICROMETRE = 1e3
@@ -114,7 +114,7 @@ def _panel_area(stated: Stated) -> NDArray[Any] | None:
     return np.asarray(numbers, dtype=np.float64).reshape(-1, 2)
 
 
-def _place(stated: Stated) -> Place | None:
+def _place(stated: Stated) -> CameraPlace | None:
     """By GPS, and by the heading of the light sensor, which is taken for that of the camera."""
     degrees: list[float] = []
     for name, below in (("Latitude", "S"), ("Longitude", "W")):
@@ -127,4 +127,4 @@ def _place(stated: Stated) -> Place | None:
     latitude, longitude = degrees
     if not heading or not is_fix(latitude, longitude):
         return None
-    return Place(latitude, longitude, heading[0], _TILT_SD)
+    return CameraPlace(latitude, longitude, heading[0], _TILT_SD)

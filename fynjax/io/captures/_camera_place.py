@@ -9,7 +9,7 @@ from fynjax.io.raster import Cube, utm_zone
 
 
 @dataclass(frozen=True)
-class Place:
+class CameraPlace:
     """Position and heading of a camera that looks straight down."""
 
     latitude: float
@@ -36,7 +36,7 @@ def is_fix(latitude: float, longitude: float) -> bool:
     return abs(latitude) <= 84.0 and abs(longitude) <= 180.0 and (latitude, longitude) != (0.0, 0.0)
 
 
-def on_earth(cube: Cube, place: Place, middle: tuple[float, float]) -> Cube:
+def on_earth(cube: Cube, place: CameraPlace, middle: tuple[float, float]) -> Cube:
     """A picture turned to the north and laid where it was taken, in its UTM zone.
 
     **Arguments:**
