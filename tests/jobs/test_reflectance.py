@@ -217,6 +217,8 @@ def test_where_an_image_is_asked_for_raw_captures_are_refused(
     with pytest.raises(InputError, match=r"raw capture, whose .*: fynjax reflectance"):
         pattern([path], tmp_path / "out", pixel=0.05)
     with pytest.raises(InputError, match=r"raw capture, whose .*: fynjax reflectance"):
+        pattern([path], tmp_path / "out")
+    with pytest.raises(InputError, match=r"raw capture, whose .*: fynjax reflectance"):
         read_drone_image(path)
 
 
