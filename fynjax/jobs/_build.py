@@ -115,7 +115,7 @@ def build(
     read = as_plot(plot)
     read = read if size is None else resized(read, size)
     chosen = read.seed if seed is None else seed
-    run = Run(output, seed=chosen)
+    run = Run(output, seed=chosen, plot=read)
     check_memory(read, listed=True)
     with run.stage("Plant the plot", "plants"):
         scene, parameters = build_plot(read, seed=chosen)

@@ -102,7 +102,7 @@ def render(
     Example: `jobs.render("plot.toml", Path("results")).headline`.
     """
     read = as_plot(plot)
-    run = Run(output, seed=read.seed if seed is None else seed)
+    run = Run(output, seed=read.seed if seed is None else seed, plot=read)
     instrument = plot_instrument(read)
     with run.stage("Build the plot", "build"):
         scene, parameters = build_plot(read, seed=run.seed)

@@ -51,6 +51,9 @@ class Plot(PlotTable, SceneTable):
     crowns_note: str | None = None
     """A sentence on how far covers and sizes that follow from the crowns are from the species
     table's; `None` where the plants are not known."""
+    plant_sources: str | None = None
+    """A line on where the values of the plants are from, written before a learned population filled
+    in what the tables leave open; `None`: `plant_sources` says it of the tables as they are."""
 
     @property
     def taxa(self) -> tuple[str, ...]:
