@@ -175,7 +175,7 @@ def plot_parameters(
         rows = [_with_areas(*pair) for pair in zip(rows, plants, strict=True)]
     leaves = plot_leaves(plot) if leaves is None else leaves
     return PlotParameters(
-        species_parameters(rows, leaves),
+        species_parameters(rows, leaves, plot.shrubland),
         leaf_parameters(leaves),
         ground_parameters(plot, fractions),
         LightParameters(
@@ -196,7 +196,8 @@ def plot_leaves(plot: Plot) -> list[tuple[LeafRow, ...]]:
     **Raises:** `InputError` for a leaf spectrum that cannot be used.
     """
     fitted = cache(_fitted)  # one leaf may be that of many species
-    stated = [[fitted(leaf) for leaf in own] for own in leaves_of(plot.species, plot.leaves)]
+    own_leaves = leaves_of(plot.species, plot.leaves, plot.shrubland)
+    stated = [[fitted(leaf) for leaf in own] for own in own_leaves]
     return drawn_leaves(stated, plot.leaf_variants, plot.seed)
 
 

@@ -51,6 +51,8 @@ from fynjax.scene._scene import (
     stand_realisation,
 )
 from fynjax.scene._species import (
+    SHRUB_LEAF,
+    SHRUB_LEAF_SD,
     USUAL_LEAF,
     LeafRow,
     Species,
@@ -62,6 +64,7 @@ from fynjax.scene._species import (
     leaves_of,
     species_parameters,
     species_rows,
+    usual_leaf,
 )
 from fynjax.scene._spectra import (
     Spectrum,
@@ -82,6 +85,8 @@ __all__ = [
     "LEAF_FIELDS",
     "MOST_LISTED",
     "PARAMETERS",
+    "SHRUB_LEAF",
+    "SHRUB_LEAF_SD",
     "USUAL_LEAF",
     "AimedSensor",
     "Crowns",
@@ -146,6 +151,7 @@ __all__ = [
     "stand_realisation",
     "truth_of_layers",
     "truth_of_pixels",
+    "usual_leaf",
     "visible_sensor",
     "with_values",
 ]

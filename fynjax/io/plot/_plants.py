@@ -8,7 +8,7 @@ from typing import Any
 from fynjax.canopy import FORMS
 from fynjax.io.plot._plot import Plot
 from fynjax.io.plot._prior import BY_FORM, DEFAULT_PRIOR, LearnedPrior, read_prior
-from fynjax.scene import SpeciesRow
+from fynjax.scene import SHRUB_LEAF_SD, SpeciesRow
 
 _OPEN = {
     "leaf_area_index": "leaf area",
@@ -18,6 +18,7 @@ _OPEN = {
 }
 """What a species table may leave open, and its words."""
 ASSUMED = "assumed by growth form"
+AT_LARGE = "medians of published shrublands at large"
 
 
 def plant_sources(plot: Plot, prior: LearnedPrior | None = None) -> str:
@@ -27,15 +28,18 @@ def plant_sources(plot: Plot, prior: LearnedPrior | None = None) -> str:
     **Arguments:**
 
     - `plot`: as `read_plot` gives it; of one of `with_prior` the line that it was given there.
-    - `prior`: learned population that fills in what the tables leave open; left out, the shipped
-      one, of which the growth forms have their usual values.
+    - `prior`: learned population that fills in what the tables leave open; left out, the values are
+      those of `Plot.shrubland`.
     """
     if plot.plant_sources is not None:
         return plot.plant_sources
     shipped = read_prior(DEFAULT_PRIOR)
     assert shipped is not None
-    learned = f"learned from {shipped.file.plots} fynbos plots"
-    filled = learned if prior in (None, shipped) else f"learned by {prior.path.name}"
+    fynbos = f"learned from {shipped.file.plots} fynbos plots"
+    usual = fynbos if plot.shrubland == "fynbos" else AT_LARGE
+    filled = usual
+    if prior is not None:
+        filled = fynbos if prior == shipped else f"learned by {prior.path.name}"
     forms = (prior or shipped).forms
     table, found = plot.species_table.name, dict[str, list[str]]()
 
@@ -60,16 +64,56 @@ def plant_sources(plot: Plot, prior: LearnedPrior | None = None) -> str:
         add(what, Counter(source_of(row, kind) for row in rows))
     stated = {leaf.taxon for leaf in plot.leaves}
     leaves = "" if plot.leaf_table is None else plot.leaf_table.name
-    add(
-        "leaf traits",
-        Counter(leaves if stated & {row.taxon, "*"} else learned for row in leafy),
-    )
+
+    def leaf_source(row: SpeciesRow) -> str:
+        if stated & {row.taxon, "*"}:
+            return leaves
+        return usual if FORMS[row.growth_form].generic is not None else ASSUMED
+
+    add("leaf traits", Counter(map(leaf_source, leafy)))
     bark = filled if plot.ground.wood_brightness is None else plot.file.name
     add("bark", Counter([bark if plot.dead_tissue is None else plot.dead_tissue.name]))
     lines = [f"{', '.join(what)}: {source}." for source, what in found.items()]
+    if plot.plants is None and usual in found:
+        if plot.place_deg is None:
+            lines.append(
+                "No place is stated, so the plot is taken for fynbos: of another shrubland write "
+                'plants = "generic" under [plot].'
+            )
+        elif usual == AT_LARGE:
+            lines.append('The plot lies outside the Cape: of fynbos write plants = "fynbos".')
     if plot.parameters is not None:
         lines.append(f"Where {plot.parameters.name} has a value, it counts.")
     return " ".join(line[0].upper() + line[1:] for line in lines)
+
+
+def open_sd(plot: Plot, name: str) -> float | None:
+    """Relative standard deviation of a parameter that a plot's tables leave open and that has its
+    value of shrublands at large [-]; None of any other.
+
+    **Arguments:**
+
+    - `plot`: as `read_plot` gives it.
+    - `name`: of a parameter, such as "species.Calluna vulgaris.leaf_area_index".
+    """
+    if plot.shrubland == "fynbos" or not name.startswith("species."):
+        return None
+    for row in plot.species:
+        kind = name.removeprefix(f"species.{row.taxon}.")
+        record = FORMS[row.growth_form]
+        known = record.generic or record.prior
+        if kind in BY_FORM and known is not None and _is_open(row, kind):
+            median, sd = getattr(known, kind)
+            return float(sd / median)
+        if kind.startswith("leaf.") and not {row.taxon, "*"} & {leaf.taxon for leaf in plot.leaves}:
+            return SHRUB_LEAF_SD.get(kind.removeprefix("leaf."))
+    return None
+
+
+def _is_open(row: SpeciesRow, kind: str) -> bool:
+    """Whether neither a species' row nor the mesh that it names gives a value."""
+    from_mesh = row.plant is not None and kind.endswith("area_index")
+    return getattr(row, kind) is None and not from_mesh
 
 
 def with_prior(plot: Plot, name_or_path: str | Path) -> Plot:
@@ -99,14 +143,11 @@ def with_prior(plot: Plot, name_or_path: str | Path) -> Plot:
     values = prior.values(plot.name)
     species, spread = [], dict(plot.calibration.priors)
     for one in plot.species:
-        open_kinds = [
-            kind
+        found: dict[str, Any] = {
+            kind: values[f"{kind}.{one.growth_form}"]
             for kind in BY_FORM
-            if f"{kind}.{one.growth_form}" in values
-            and getattr(one, kind) is None
-            and (one.plant is None or kind != "leaf_area_index")
-        ]
-        found: dict[str, Any] = {kind: values[f"{kind}.{one.growth_form}"] for kind in open_kinds}
+            if f"{kind}.{one.growth_form}" in values and _is_open(one, kind)
+        }
         species.append(one.replace(**found))
         for kind, value in found.items():
             # Patterns of the plot file come first.

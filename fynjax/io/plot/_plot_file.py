@@ -127,6 +127,7 @@ def read_plot(path: str | Path, *, allow_outside: bool = False) -> Plot:
         species=species,
         leaves=leaves,
         sun=parsed.sun.position,
+        place_deg=parsed.sun.place,
         sky=parsed.sky,
         ground=parsed.ground,
         sensor=named_sensor(parsed.sensor),

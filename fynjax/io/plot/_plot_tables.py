@@ -14,6 +14,7 @@ from pydantic import (
     model_validator,
 )
 
+from fynjax.canopy import Shrubland
 from fynjax.io.instruments import WayOfCalibration
 from fynjax.io.plot._calibration import CalibrationTable
 from fynjax.io.text import (
@@ -74,6 +75,13 @@ class PlotTable(Strict):
         default="species.csv",
         validate_default=True,
         description="Species table; a path from this file's folder.",
+    )
+    plants: Shrubland | None = Field(
+        default=None,
+        description="Whose leaf area, dead tissue, clumping, bark and leaves plants have that the "
+        "tables leave open: 'fynbos', learned from 18 plots, or 'generic', of published "
+        "shrublands at large, with wider priors. Left out: 'generic' where latitude and longitude "
+        "of [sun] lie outside the Cape (31 to 35 S, 17.5 to 27 E), else 'fynbos'.",
     )
     crowns: Annotated[Path, NamedFile("a table of crowns")] | None = Field(
         default=None,
@@ -185,6 +193,12 @@ class SunTable(Strict):
                 "one out."
             )
         return self
+
+    @property
+    def place(self) -> tuple[float, float] | None:
+        """Latitude and longitude [degree]; None where the angles are given."""
+        north, east = self.latitude_deg, self.longitude_deg
+        return None if north is None or east is None else (north, east)
 
     @property
     def position(self) -> SunPosition:
