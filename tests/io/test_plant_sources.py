@@ -20,7 +20,7 @@ from fynjax.io.plot import (
     with_prior,
     write_prior,
 )
-from fynjax.scene import SHRUB_LEAF, SHRUB_LEAF_SD, GroundParameters
+from fynjax.scene import SHRUB_LEAF, SHRUB_LEAF_SD, USUAL_LEAF, GroundParameters, usual_leaf
 from tests.io.test_prior import prior_file
 from tests.small import SPECIES, write_plot
 
@@ -195,3 +195,16 @@ def test_a_heath_is_as_green_as_heaths_are() -> None:
         found[plants] = (nir - red) / (nir + red)
     assert 0.6 < found["generic"] < 0.8
     assert found["generic"] - found["fynbos"] > 0.1
+
+
+@pytest.mark.parametrize("plants", ["fynbos", "generic"])
+def test_a_form_that_no_plot_had_has_a_leaf_of_its_own(plants: str) -> None:
+    """Area, mass and water of what it states: a leaf of 2 mm of water is that thick, less its
+    roundness; moss is thin and pale."""
+    thick, thin = (usual_leaf(form, plants) for form in ("succulent", "moss_layer"))
+    assert 1e4 * thick.dry_matter * np.pi / 2 == pytest.approx(150.0)
+    assert thick.water / (thick.water + thick.dry_matter) == pytest.approx(0.91)
+    assert pytest.approx(2 * thick.water, rel=0.05) == 0.2
+    assert thin.dry_matter == pytest.approx(0.004)
+    assert thin.chlorophyll == 15.0
+    assert usual_leaf("tussock", plants) == (SHRUB_LEAF if plants == "generic" else USUAL_LEAF)
