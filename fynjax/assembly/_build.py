@@ -19,6 +19,7 @@ from fynjax.assembly._ground import (
     ground_parameters,
     plot_ground,
 )
+from fynjax.assembly._leaf_spectra import measured_leaves
 from fynjax.assembly._memory import check_memory
 from fynjax.assembly._plants import read_plant
 from fynjax.canopy import MeshPlant, Organ
@@ -196,7 +197,8 @@ def plot_leaves(plot: Plot) -> list[tuple[LeafRow, ...]]:
     **Raises:** `InputError` for a leaf spectrum that cannot be used.
     """
     fitted = cache(_fitted)  # one leaf may be that of many species
-    own_leaves = leaves_of(plot.species, plot.leaves, plot.shrubland)
+    rows = [*plot.leaves, *measured_leaves(plot.leaf_files)]
+    own_leaves = leaves_of(plot.species, rows, plot.shrubland)
     stated = [[fitted(leaf) for leaf in own] for own in own_leaves]
     return drawn_leaves(stated, plot.leaf_variants, plot.seed)
 

@@ -1,6 +1,7 @@
 """A plot as its files describe it: plot file, species and leaf tables, statistics."""
 
 from fynjax.io.plot._calibration import CalibrationTable
+from fynjax.io.plot._leaf_spectra import LeafFileRow
 from fynjax.io.plot._parameter_values import with_parameter_table
 from fynjax.io.plot._place import Place, plot_place
 from fynjax.io.plot._plants import open_sd, plant_sources, with_prior
@@ -52,6 +53,7 @@ __all__ = [
     "AtmosphereTable",
     "CalibrationTable",
     "CrownRow",
+    "LeafFileRow",
     "LearnedPrior",
     "LeftOutPlot",
     "ModelError",

@@ -66,6 +66,8 @@ def plant_sources(plot: Plot, prior: LearnedPrior | None = None) -> str:
     leaves = "" if plot.leaf_table is None else plot.leaf_table.name
 
     def leaf_source(row: SpeciesRow) -> str:
+        if row.taxon in plot.leaf_files and plot.leaf_spectra is not None:
+            return plot.leaf_spectra.name
         if stated & {row.taxon, "*"}:
             return leaves
         return usual if FORMS[row.growth_form].generic is not None else ASSUMED
@@ -105,7 +107,9 @@ def open_sd(plot: Plot, name: str) -> float | None:
         if kind in BY_FORM and known is not None and _is_open(row, kind):
             median, sd = getattr(known, kind)
             return float(sd / median)
-        if kind.startswith("leaf.") and not {row.taxon, "*"} & {leaf.taxon for leaf in plot.leaves}:
+        if kind.startswith("leaf.") and not {row.taxon, "*"} & (
+            {leaf.taxon for leaf in plot.leaves} | set(plot.leaf_files)
+        ):
             return SHRUB_LEAF_SD.get(kind.removeprefix("leaf."))
     return None
 

@@ -1,6 +1,8 @@
 """A plot and its species as its files describe them: lengths in m, shares as fractions."""
 
+from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,6 +51,8 @@ class Plot(PlotTable, SceneTable):
     calibration: CalibrationTable
     inputs: tuple[Path, ...]
     """Every file that was read or is named, for the provenance record."""
+    leaf_files: Mapping[str, tuple[Path, ...]] = MappingProxyType({})
+    """Files of leaf spectra of each taxon that `leaf_spectra` has some of."""
     known_crowns: InstanceOf[Crowns] | None = None
     """The plants, where they are known; `None`: as the species table has them, by chance."""
     crowns_note: str | None = None

@@ -94,6 +94,16 @@ class PlotTable(Strict):
         default=None,
         description="Leaf table; a path from this file's folder. Left out: usual leaves.",
     )
+    leaf_spectra: Annotated[Path, NamedFile("a folder of leaf spectra", folder=True)] | None = (
+        Field(
+            default=None,
+            description="Folder of measured leaf spectra (ASD, SVC, CSV ...), whose names or "
+            "folders begin with the taxon, as 'Calluna_vulgaris_001.asd', or a table of file and "
+            "taxon; a path from this file's folder. PROSPECT is fitted once, and kept in the cache "
+            "of programs. Each taxon has the mean of its leaves; others have those of the leaf "
+            "table.",
+        )
+    )
     leaf_variants: int = Field(
         default=1,
         ge=1,
