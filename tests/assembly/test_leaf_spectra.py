@@ -26,6 +26,7 @@ WAVE = np.arange(400.0, 2401.0, 5.0)
 
 
 def write_leaves(folder: Path, key: str = 'leaf_spectra = "spectra"\n') -> Path:
+    folder.mkdir(exist_ok=True)
     path = write_plot(folder, 'plants = "generic"\n' + key)
     (folder / "species.csv").write_text(SPECIES)
     for name, water in WATER.items():
@@ -78,11 +79,20 @@ def test_names_say_the_taxon_by_whole_words(tmp_path: Path) -> None:
     inside = tmp_path / "spectra" / "Calluna vulgaris, top"
     inside.mkdir()
     (inside / "leaf 2.csv").write_text("wavelength,a\n400,0.1\n")
-    with pytest.warns(UserWarning, match=r"1 files are left out.*'callunella.csv'"):
+    with pytest.warns(UserWarning, match=r"are left out \(1\), such as 'callunella.csv'"):
         files = read_plot(path).leaf_files
     assert {taxon: len(own) for taxon, own in files.items()} == {
         "Erica": 1, "Erica tetralix": 2, "Calluna vulgaris": 1,
     }  # fmt: skip
+
+
+def test_a_link_out_of_the_folder_is_refused(tmp_path: Path) -> None:
+    path = write_leaves(tmp_path / "plot")
+    write_leaf(tmp_path / "secret.csv", 0.01)
+    (tmp_path / "plot" / "spectra" / "Erica_9.csv").symlink_to(tmp_path / "secret.csv")
+    with pytest.raises(InputError, match=r"Erica_9\.csv: .*--allow-outside"):
+        read_plot(path)
+    assert len(read_plot(path, allow_outside=True).leaf_files["Erica"]) == 2
 
 
 def test_a_table_says_the_taxon_where_names_do_not(tmp_path: Path) -> None:

@@ -88,7 +88,7 @@ def test_place_says_of_what_shrubland_plants_are(
 ) -> None:
     plot = read_plot(write_plot(tmp_path, PLACE.format(north, east, hours)))
     assert plot.shrubland == plants
-    line, at_large = plant_sources(plot), "clumping, leaf traits, bark: medians of published shrub"
+    line, at_large = plant_sources(plot), "Leaf area, dead tissue, leaf traits: medians of shrubl"
     assert (at_large in line) == ("lies outside the Cape" in line) == (plants == "generic")
     assert "No place is stated" not in line
 
@@ -99,7 +99,11 @@ def test_the_users_word_comes_before_the_place(tmp_path: Path) -> None:
     assert plant_sources(read_plot(path)).endswith("Wood area: assumed by growth form.")
     plot = read_plot(write_plot(tmp_path, 'plants = "generic"\n'))
     assert plot.shrubland == "generic"
-    assert "plants =" not in plant_sources(plot)
+    assert plant_sources(plot) == SIZES + (
+        "Leaf area, dead tissue, leaf traits: medians of shrublands at large, published where "
+        "known. Clumping: assumed as in fynbos. Wood area: assumed by growth form. Bark: the "
+        "shipped spectrum."
+    )
     with pytest.raises(InputError, match="fynbos"):
         read_plot(write_plot(tmp_path, 'plants = "heath"\n'))
 

@@ -37,8 +37,9 @@ def spectra_by_taxon(
     - `taxa`: names in the species table.
     - `within`: folder in which the files must lie; None allows all.
 
-    **Raises:** `InputError` for a folder in which no name begins with a taxon, and a table with an
-    unknown taxon or a file that is missing. Warns of files that are of no taxon.
+    **Raises:** `InputError` for a folder in which no name begins with a taxon or that has links out
+    of `within`, and a table with an unknown taxon or a file that is missing. Warns of files that
+    are of no taxon.
     """
     found: dict[str, list[Path]] = {}
     if path.is_file():
@@ -54,6 +55,13 @@ def spectra_by_taxon(
         parts = file.relative_to(path).parts
         if any(part.startswith(".") for part in parts):
             continue
+        if within is not None and not file.resolve().is_relative_to(within.resolve()):
+            raise InputError(
+                "expected a leaf spectrum in the plot file's folder or below, but this link leads "
+                "out of it. Copy it there, or allow other places: --allow-outside "
+                "(`allow_outside`)",
+                file=file,
+            )
         names = [_letters(part) for part in reversed(parts)]
         taxon = next((t for n in names for w, t in wanted if f"{n} ".startswith(f"{w} ")), None)
         if taxon is None:
@@ -61,16 +69,17 @@ def spectra_by_taxon(
         else:
             found.setdefault(taxon, []).append(file)
     if not found:
+        example = next(iter(taxa), "Calluna vulgaris")
         raise InputError(
-            f"expected leaf spectra whose names begin with a taxon, such as {taxa[0]!r}, or in "
+            f"expected leaf spectra whose names begin with a taxon, such as {example!r}, or in "
             f"folders named so, but {'it is empty' if not others else f'has {others[0]!r}'}. A CSV "
             "table with the columns file and taxon does as well: name it in place of the folder.",
             file=path,
         )
     if others:
         warnings.warn(
-            f"{path}: {len(others)} files are left out, whose names begin with no taxon of the "
-            f"species table, such as {others[0]!r}",
+            f"{path}: files whose names begin with no taxon of the species table are left out "
+            f"({len(others)}), such as {others[0]!r}",
             stacklevel=3,
         )
     return {taxon: tuple(files) for taxon, files in found.items()}

@@ -18,7 +18,8 @@ _OPEN = {
 }
 """What a species table may leave open, and its words."""
 ASSUMED = "assumed by growth form"
-AT_LARGE = "medians of published shrublands at large"
+AT_LARGE = "medians of shrublands at large, published where known"
+AS_FYNBOS = "assumed as in fynbos"
 
 
 def plant_sources(plot: Plot, prior: LearnedPrior | None = None) -> str:
@@ -53,7 +54,9 @@ def plant_sources(plot: Plot, prior: LearnedPrior | None = None) -> str:
             return table
         if row.plant is not None and kind.endswith("area_index"):
             return row.plant.name
-        return filled if kind in BY_FORM and row.growth_form in forms else ASSUMED
+        if kind not in BY_FORM or row.growth_form not in forms:
+            return ASSUMED
+        return AS_FYNBOS if kind == "shoot_clumping" and filled == AT_LARGE else filled
 
     sizes = table if plot.crowns is None else plot.crowns.name
     add("species", Counter([table]))
@@ -73,10 +76,11 @@ def plant_sources(plot: Plot, prior: LearnedPrior | None = None) -> str:
         return usual if FORMS[row.growth_form].generic is not None else ASSUMED
 
     add("leaf traits", Counter(map(leaf_source, leafy)))
-    bark = filled if plot.ground.wood_brightness is None else plot.file.name
+    bark = "the shipped spectrum" if filled == AT_LARGE else filled
+    bark = bark if plot.ground.wood_brightness is None else plot.file.name
     add("bark", Counter([bark if plot.dead_tissue is None else plot.dead_tissue.name]))
     lines = [f"{', '.join(what)}: {source}." for source, what in found.items()]
-    if plot.plants is None and usual in found:
+    if plot.plants is None and prior is None and usual in found:
         if plot.place_deg is None:
             lines.append(
                 "No place is stated, so the plot is taken for fynbos: of another shrubland write "

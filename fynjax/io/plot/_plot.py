@@ -1,12 +1,10 @@
 """A plot and its species as its files describe them: lengths in m, shares as fractions."""
 
-from collections.abc import Mapping
 from pathlib import Path
-from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import ConfigDict, InstanceOf
+from pydantic import ConfigDict, Field, InstanceOf
 
 from fynjax.canopy import Shrubland
 from fynjax.io.plot._calibration import CalibrationTable
@@ -51,7 +49,7 @@ class Plot(PlotTable, SceneTable):
     calibration: CalibrationTable
     inputs: tuple[Path, ...]
     """Every file that was read or is named, for the provenance record."""
-    leaf_files: Mapping[str, tuple[Path, ...]] = MappingProxyType({})
+    leaf_files: dict[str, tuple[Path, ...]] = Field(default_factory=dict)
     """Files of leaf spectra of each taxon that `leaf_spectra` has some of."""
     known_crowns: InstanceOf[Crowns] | None = None
     """The plants, where they are known; `None`: as the species table has them, by chance."""
