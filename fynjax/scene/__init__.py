@@ -45,6 +45,7 @@ from fynjax.scene._scene import (
     PlantingRules,
     Scene,
     build_scene,
+    check_projected_scene,
     ground_at,
     room_needed,
     slope_of_fading,
@@ -52,6 +53,7 @@ from fynjax.scene._scene import (
 )
 from fynjax.scene._species import (
     USUAL_LEAF,
+    CoverDefinition,
     LeafRow,
     Species,
     SpeciesRow,
@@ -84,6 +86,7 @@ __all__ = [
     "PARAMETERS",
     "USUAL_LEAF",
     "AimedSensor",
+    "CoverDefinition",
     "Crowns",
     "Ground",
     "GroundParameters",
@@ -111,6 +114,7 @@ __all__ = [
     "background_spectrum",
     "band_wavelengths",
     "build_scene",
+    "check_projected_scene",
     "check_species",
     "check_taxa",
     "crown_centres",

@@ -29,7 +29,7 @@ from fynjax._core.files import NamedFile
 from fynjax._core.parameters import parameters_of
 from fynjax._core.records import Slip, Strict, quantity
 from fynjax._core.validation import check_header, checked_row, checked_rows
-from fynjax.canopy import FORMS, AbstractLeafAngle, table1_2006
+from fynjax.canopy import FORMS, AbstractLeafAngle, most_projected, table1_2006
 from fynjax.leaf import LeafParameters, structure_from_dry_matter
 from fynjax.scene._cover_words import cover_range, middle, name_classes
 from fynjax.scene._parameters import (
@@ -45,6 +45,9 @@ else:  # the names as a choice: in errors, and as an enumeration of the schema
     FormName = Literal[tuple(FORMS)]
 
 _RECORDS = PARAMETERS | FIXED_PARAMETERS
+CoverDefinition = Literal["projected", "article"]
+_OF_THE_ARTICLE = ("packing", "fill", "branches", "minimum_area")
+"""What eq. (10) counts plants by besides cover and diameter."""
 _MOST_COVER = 300.0
 """Sum of the covers of a plot, whose layers overlap, above which they are taken for counts [%]."""
 
@@ -259,16 +262,63 @@ USUAL_LEAF = LeafRow(
 that follows from dry matter. What is brown of its shoots is their dead tissue."""
 
 
-def check_species(rows: Sequence[tuple[int, SpeciesRow]], file: Path | None = None) -> None:
+def check_projected(
+    taxon: str,
+    cover: float,
+    terms: Mapping[str, float],
+    most: float | None = None,
+    **where: Any,
+) -> None:
+    """Raise `InputError` for what a species whose cover is projected cannot have: terms of the
+    article's eq. (10), and more cover than crowns at random reach.
+
+    **Arguments:**
+
+    - `taxon`: its name.
+    - `cover`: its cover [-].
+    - `terms`: its packing, fill, branches and minimum area, in the package's units.
+    - `most`: largest cover [-]; left out, `most_projected`.
+    - `where`: file and row, for errors.
+    """
+    for name, value in terms.items():
+        if value != _RECORDS[name].default:
+            column = SpeciesRow.model_fields[name].alias or name
+            raise InputError(
+                f"{taxon} has {column}, which the article counts plants by in eq. (10), but covers "
+                "here are projected: overlap is counted as it is planted. Leave the column out, or "
+                'set cover_definition = "article".',
+                column=column,
+                **where,
+            )
+    most = float(most_projected()) if most is None else most
+    if cover > most + 1e-6:
+        raise InputError(
+            f"{taxon} is to cover {100 * cover:.3g} % of the ground, but crowns that stand by "
+            f"chance overlap, and cover {100 * most:.3g} % at most here: state no more.",
+            column="cover_percent",
+            **where,
+        )
+
+
+def check_species(
+    rows: Sequence[tuple[int, SpeciesRow]],
+    file: Path | None = None,
+    cover_definition: CoverDefinition = "article",
+) -> None:
     """Raise `InputError` for covers that cannot be those of one plot.
 
     **Arguments:**
 
     - `rows`: of a species table, each with its number.
     - `file`: of the table, for errors.
+    - `cover_definition`: meaning of its covers; projected ones as `check_projected`.
 
     Warns where covers look like fractions.
     """
+    if cover_definition == "projected":
+        for number, row in rows:
+            terms = {name: getattr(row, name) for name in _OF_THE_ARTICLE}
+            check_projected(row.taxon, row.cover, terms, file=file, row=number)
     covers = [100.0 * row.cover for _, row in rows]
     total, largest = sum(covers), max(covers)
     if total > _MOST_COVER:
@@ -308,13 +358,16 @@ def check_taxa(
             )
 
 
-def species_rows(table: Any) -> tuple[SpeciesRow, ...]:
+def species_rows(
+    table: Any, cover_definition: CoverDefinition = "article"
+) -> tuple[SpeciesRow, ...]:
     """The species of a table in Python.
 
     **Arguments:**
 
     - `table`: a pandas frame or records with the columns of a species table; empty cells are left
       out, and rows are counted from 1. Or rows that were read.
+    - `cover_definition`: meaning of its covers.
 
     **Raises:** `InputError` with row and column for what is no table and for a row or a table that
     a file would not be taken with either. Warns as `check_species`.
@@ -322,7 +375,7 @@ def species_rows(table: Any) -> tuple[SpeciesRow, ...]:
     import pandas as pd  # late: the command line need not wait for it
 
     if isinstance(table, list | tuple) and table and isinstance(table[0], SpeciesRow):
-        check_species(list(enumerate(table, start=1)))
+        check_species(list(enumerate(table, start=1)), None, cover_definition)
         return tuple(table)
     try:
         frame = pd.DataFrame(table).astype(object)
@@ -344,7 +397,7 @@ def species_rows(table: Any) -> tuple[SpeciesRow, ...]:
         for record in records
     )
     rows = checked_rows(enumerate(given, start=1), SpeciesRow)
-    check_species(rows)
+    check_species(rows, None, cover_definition)
     return tuple(row for _, row in rows)
 
 

@@ -32,6 +32,7 @@ voxel_m = 0.1
 structure_m = "even"
 boundary = "periodic"
 species_table = "species.csv"
+cover_definition = "article"
 [sun]
 zenith_deg = 30.0
 [scene]
@@ -73,7 +74,7 @@ def test_the_files_of_a_build_agree(plot: Path, tmp_path: Path) -> None:
     for taxon in wanted:
         assert cover.crowns_percent[taxon] == pytest.approx(full[taxon], rel=0.02)
     assert cover.species_percent["all"] == pytest.approx(cover.visible_percent["all"], abs=1e-3)
-    assert cover.counted_percent["Euclea racemosa"] == pytest.approx(0.8 * full.iloc[1], rel=0.02)
+    assert cover.planted_percent["Euclea racemosa"] == pytest.approx(0.8 * full.iloc[1], rel=0.02)
 
     with xr.open_dataset(out / "voxels.nc") as voxels:
         density = voxels.area_density

@@ -15,7 +15,7 @@ from fynjax.io.plot._plot_tables import PlotFile
 from fynjax.io.plot._sensor import DRONE, named_sensor, sensor_place
 from fynjax.io.plot._sky import read_sky, read_sky_pattern
 from fynjax.io.text import existing_file, line_of, read_rows, read_toml
-from fynjax.scene import LeafRow, SpeciesRow, check_species, check_taxa
+from fynjax.scene import CoverDefinition, LeafRow, SpeciesRow, check_species, check_taxa
 
 
 def example_folder() -> Path:
@@ -24,10 +24,10 @@ def example_folder() -> Path:
 
 
 def _read_species(
-    path: Path, within: Path | None, size: tuple[float, float]
+    path: Path, within: Path | None, size: tuple[float, float], cover_definition: CoverDefinition
 ) -> tuple[SpeciesRow, ...]:
     rows = read_rows(path, SpeciesRow, "a species table", within=within)
-    check_species(rows, path)
+    check_species(rows, path, cover_definition)
     for number, row in rows:
         if row.diameter > min(size):
             raise InputError(
@@ -113,7 +113,7 @@ def read_plot(path: str | Path, *, allow_outside: bool = False) -> Plot:
             "expected rpv or a terrain, but got both: ground with a shape of its own must be level",
         )
     species_path, leaf_path = table.species_table, table.leaf_table
-    species = _read_species(species_path, within, size)
+    species = _read_species(species_path, within, size, table.cover_definition)
     leaves = () if leaf_path is None else _read_leaves(leaf_path, within, species)
     if parsed.sky.table is not None:
         read_sky(parsed.sky.table)

@@ -25,7 +25,7 @@ from fynjax.io.text import (
     optional_quantity,
     quantity,
 )
-from fynjax.scene import PARAMETERS, Placement
+from fynjax.scene import PARAMETERS, CoverDefinition, Placement
 from fynjax.sensors import Panel, SunPosition, shipped_sensors, sun_position
 
 
@@ -74,6 +74,13 @@ class PlotTable(Strict):
         default="species.csv",
         validate_default=True,
         description="Species table; a path from this file's folder.",
+    )
+    cover_definition: CoverDefinition = Field(
+        default="projected",
+        description="Meaning of cover_percent of the species table. 'projected': the share of the "
+        "ground below the crowns of a species, overlap among them counted once, as a relevé notes "
+        "it; plants are as many as have it on average. 'article': crowns are counted in full, less "
+        "packing and gaps, by equation (10) of the article on the example plot.",
     )
     crowns: Annotated[Path, NamedFile("a table of crowns")] | None = Field(
         default=None,
