@@ -68,6 +68,7 @@ from fynjax.scene._species import (
     CoverDefinition,
     Species,
     check_projected,
+    cover_definition_of,
     drawn_leaves,
     leaf_parameters,
     leaf_rows,
@@ -249,7 +250,7 @@ class Scene(eqx.Module):
         seed: int = 0,
         boundary: Literal["periodic", "open"] = "periodic",
         rounding: Literal["random", "up"] = "random",
-        cover_definition: CoverDefinition = "projected",
+        cover_definition: CoverDefinition | None = None,
         leaves: Mapping[str, Mapping[str, float] | Sequence[Mapping[str, float]]] | None = None,
         leaf_variants: int = 1,
         ground: GroundParameters | None = None,
@@ -274,7 +275,8 @@ class Scene(eqx.Module):
         - `boundary`: "periodic" repeats the plot for ever, "open" does not.
         - `rounding`: of the numbers of plants, see `PlantingRules`.
         - `cover_definition`: "projected", the share of the ground below the crowns of a species, or
-          "article", eq. (10), see `PlantingRules`.
+          "article", eq. (10), see `PlantingRules`; left out, "projected", but for a table with
+          packing, fill, branches or a least area, which only eq. (10) has.
         - `leaves`: PROSPECT-D parameters by taxon, in PROSPECT's units; "*" is any other. Left out,
           the usual leaf; a structure that is left out follows from dry matter. Of several leaves
           of a taxon each plant has one.
@@ -332,7 +334,9 @@ class Scene(eqx.Module):
             seed=seed,
             boundary=boundary,
             rules=PlantingRules(
-                structure=structure, rounding=rounding, cover_definition=cover_definition
+                structure=structure,
+                rounding=rounding,
+                cover_definition=cover_definition_of(rows, cover_definition),
             ),
             dead_tissue=dead_tissue,
             hot_spot=hot_spot,

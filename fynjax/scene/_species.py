@@ -262,6 +262,15 @@ USUAL_LEAF = LeafRow(
 that follows from dry matter. What is brown of its shoots is their dead tissue."""
 
 
+def cover_definition_of(
+    rows: Sequence[SpeciesRow], stated: CoverDefinition | None = None
+) -> CoverDefinition:
+    """Meaning of the covers of a species table: as `stated`, else the article's where a row has
+    packing, fill, branches or a least area, by which only eq. (10) counts, else projected."""
+    terms = any(getattr(row, n) != _RECORDS[n].default for row in rows for n in _OF_THE_ARTICLE)
+    return stated or ("article" if terms else "projected")
+
+
 def check_projected(
     taxon: str,
     cover: float,
@@ -303,7 +312,7 @@ def check_projected(
 def check_species(
     rows: Sequence[tuple[int, SpeciesRow]],
     file: Path | None = None,
-    cover_definition: CoverDefinition = "article",
+    cover_definition: CoverDefinition | None = None,
 ) -> None:
     """Raise `InputError` for covers that cannot be those of one plot.
 
@@ -311,11 +320,12 @@ def check_species(
 
     - `rows`: of a species table, each with its number.
     - `file`: of the table, for errors.
-    - `cover_definition`: meaning of its covers; projected ones as `check_projected`.
+    - `cover_definition`: meaning of its covers (`cover_definition_of`); of projected ones as
+      `check_projected`.
 
     Warns where covers look like fractions.
     """
-    if cover_definition == "projected":
+    if cover_definition_of([row for _, row in rows], cover_definition) == "projected":
         for number, row in rows:
             terms = {name: getattr(row, name) for name in _OF_THE_ARTICLE}
             check_projected(row.taxon, row.cover, terms, file=file, row=number)
@@ -359,7 +369,7 @@ def check_taxa(
 
 
 def species_rows(
-    table: Any, cover_definition: CoverDefinition = "article"
+    table: Any, cover_definition: CoverDefinition | None = None
 ) -> tuple[SpeciesRow, ...]:
     """The species of a table in Python.
 
@@ -367,7 +377,7 @@ def species_rows(
 
     - `table`: a pandas frame or records with the columns of a species table; empty cells are left
       out, and rows are counted from 1. Or rows that were read.
-    - `cover_definition`: meaning of its covers.
+    - `cover_definition`: meaning of its covers, as of `check_species`.
 
     **Raises:** `InputError` with row and column for what is no table and for a row or a table that
     a file would not be taken with either. Warns as `check_species`.

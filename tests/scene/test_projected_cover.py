@@ -184,9 +184,11 @@ ROWS = [
 def test_what_has_no_place_beside_projected_covers_is_refused(change, column, word) -> None:
     rows = [ROWS[0], ROWS[1] | change]
     with pytest.raises(InputError, match=word) as error:
-        Scene.from_table(rows, size=2.0)
+        Scene.from_table(rows, size=2.0, cover_definition="projected")
     assert (error.value.row, error.value.column) == (2, column)
-    Scene.from_table(rows, size=2.0, voxel=0.5, structure="even", cover_definition="article")
+    if column != "cover_percent":  # by itself the table then is the article's
+        scene = Scene.from_table(rows, size=2.0, voxel=0.5, structure="even")
+        assert scene.cover_definition == "article"
 
 
 def test_where_the_map_has_no_plants_they_cover_nothing() -> None:

@@ -99,8 +99,9 @@ def _with_sizes(plot: Plot, crowns: Crowns, path: Path) -> Plot:
     projected = np.zeros(len(plot.species))
     if plot.cover_definition == "projected":
         none = np.zeros(len(crowns.species))
+        x, y = crowns.foot.T
         plants = Instances(
-            plot.taxa, plot.size_m, crowns.species, *crowns.foot.T, none, none, none,
+            plot.taxa, plot.size_m, crowns.species, x, y, none, none, none,
             crowns.diameter, crowns.height,
         )  # fmt: skip
         cell, periodic = plot.voxel_m / 4.0, plot.boundary == "periodic"

@@ -15,7 +15,14 @@ from fynjax.io.plot._plot_tables import PlotFile
 from fynjax.io.plot._sensor import DRONE, named_sensor, sensor_place
 from fynjax.io.plot._sky import read_sky, read_sky_pattern
 from fynjax.io.text import existing_file, line_of, read_rows, read_toml
-from fynjax.scene import CoverDefinition, LeafRow, SpeciesRow, check_species, check_taxa
+from fynjax.scene import (
+    CoverDefinition,
+    LeafRow,
+    SpeciesRow,
+    check_species,
+    check_taxa,
+    cover_definition_of,
+)
 
 
 def example_folder() -> Path:
@@ -24,7 +31,10 @@ def example_folder() -> Path:
 
 
 def _read_species(
-    path: Path, within: Path | None, size: tuple[float, float], cover_definition: CoverDefinition
+    path: Path,
+    within: Path | None,
+    size: tuple[float, float],
+    cover_definition: CoverDefinition | None,
 ) -> tuple[SpeciesRow, ...]:
     rows = read_rows(path, SpeciesRow, "a species table", within=within)
     check_species(rows, path, cover_definition)
@@ -121,7 +131,7 @@ def read_plot(path: str | Path, *, allow_outside: bool = False) -> Plot:
         read_sky_pattern(parsed.sky.pattern)
     in_tables = [*(row.plant for row in species), *(row.spectrum for row in leaves)]
     plot = Plot.model_construct(  # of parts that are checked
-        **dict(table),
+        **dict(table) | {"cover_definition": cover_definition_of(species, table.cover_definition)},
         **dict(parsed.scene),
         file=path,
         species=species,

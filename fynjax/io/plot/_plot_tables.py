@@ -75,12 +75,14 @@ class PlotTable(Strict):
         validate_default=True,
         description="Species table; a path from this file's folder.",
     )
-    cover_definition: CoverDefinition = Field(
-        default="projected",
+    cover_definition: CoverDefinition | None = Field(
+        default=None,
         description="Meaning of cover_percent of the species table. 'projected': the share of the "
         "ground below the crowns of a species, overlap among them counted once, as a relevé notes "
         "it; plants are as many as have it on average. 'article': crowns are counted in full, less "
-        "packing and gaps, by equation (10) of the article on the example plot.",
+        "packing and gaps, by equation (10) of the article on the example plot. Left out: "
+        "projected, but for a table with packing, fill, branches or a least area, which only "
+        "equation (10) has.",
     )
     crowns: Annotated[Path, NamedFile("a table of crowns")] | None = Field(
         default=None,
