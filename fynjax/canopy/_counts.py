@@ -142,7 +142,7 @@ def projected_count(
 
     >>> from fynjax.canopy import projected_count, soft_count, target_area
     >>> round(float(projected_count(0.45, 0.2, 1e4)))
-    29892
+    29891
     >>> round(float(soft_count(target_area(1e4, 0.45), 0.2)))
     22500
     """
@@ -150,7 +150,7 @@ def projected_count(
     bare = 1.0 - jnp.minimum(jnp.asarray(cover), most_projected(part))
     area = -ground * jnp.log1p(-jnp.minimum(jnp.asarray(crown) / ground, 0.9))
     held = site_evenness(jnp.sqrt(crown / jnp.pi) / jnp.maximum(spacing, 1e-9)) * spacing**2 / SITES
-    held = jnp.maximum(held, 1e-6 * area)  # below that it makes no difference
+    held = jnp.maximum(held, 1e-4 * area)  # below that it makes no difference
     power = area / held
     fixed = jax.lax.stop_gradient((bare, power, held))
     count = -jnp.expm1(jnp.log(fixed[0]) / fixed[1]) * ground / fixed[2]
@@ -169,10 +169,9 @@ def projected_count(
 def _bare(count: Array, power: Array, held: Array, part: Array, ground: Any) -> tuple[Array, Array]:
     """Share of the ground without crowns, and what one plant more takes of it [-]."""
     each = held[..., None] * part / ground
-    left = 1.0 - jnp.minimum(count[..., None] * each, 0.99)
-    power = power[..., None]
-    free = jnp.exp(power * jnp.log(left))
-    taken = -free * jnp.expm1(power * jnp.log1p(-jnp.minimum(each / left, 0.99)))
+    full, power = jnp.minimum(count[..., None] * each, 0.99), power[..., None]
+    free = jnp.exp(power * jnp.log1p(-full))
+    taken = -free * jnp.expm1(power * jnp.log1p(-jnp.minimum(each / (1.0 - full), 0.99)))
     return free.mean(axis=-1), taken.mean(axis=-1)
 
 

@@ -46,6 +46,7 @@ else:  # the names as a choice: in errors, and as an enumeration of the schema
 
 _RECORDS = PARAMETERS | FIXED_PARAMETERS
 CoverDefinition = Literal["projected", "article"]
+"""Meaning of the cover of a species, see `PlantingRules`."""
 _OF_THE_ARTICLE = ("packing", "fill", "branches", "minimum_area")
 """What eq. (10) counts plants by besides cover and diameter."""
 _MOST_COVER = 300.0
@@ -266,7 +267,10 @@ def cover_definition_of(
     rows: Sequence[SpeciesRow], stated: CoverDefinition | None = None
 ) -> CoverDefinition:
     """Meaning of the covers of a species table: as `stated`, else the article's where a row has
-    packing, fill, branches or a least area, by which only eq. (10) counts, else projected."""
+    packing, fill, branches or a least area, by which only eq. (10) counts, else projected.
+
+    **Arguments:** `rows`, of the table; `stated`, what is said of them.
+    """
     terms = any(getattr(row, n) != _RECORDS[n].default for row in rows for n in _OF_THE_ARTICLE)
     return stated or ("article" if terms else "projected")
 
