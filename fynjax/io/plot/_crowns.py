@@ -104,8 +104,12 @@ def _with_sizes(plot: Plot, crowns: Crowns, path: Path) -> Plot:
             plot.taxa, plot.size_m, crowns.species, x, y, none, none, none,
             crowns.diameter, crowns.height,
         )  # fmt: skip
-        cell, periodic = plot.voxel_m / 4.0, plot.boundary == "periodic"
-        projected = projected_cover(plants, cell=cell, periodic=periodic).species
+        columns = np.prod(plot.size_m) / plot.voxel_m**2
+        # Cells of a centimetre, or larger ones of a large plot, whose crowns are many.
+        times = max(1, min(round(plot.voxel_m / 0.01), int(np.sqrt(3e7 / columns))))
+        projected = projected_cover(
+            plants, cell=plot.voxel_m / times, periodic=plot.boundary == "periodic"
+        ).species
     species, bare = list(plot.species), []
     differ = np.zeros(3)
     for i, stated in enumerate(plot.species):
