@@ -229,7 +229,7 @@ def write_truth(
 
 def _plants(plot: Plot, scene: Scene, counts: np.ndarray) -> Table:
     """How many plants of each species stand on the plot."""
-    caption = "Plants, as many as equation (10) says."
+    caption = "Plants, as many as their covers ask for."
     if plot.crowns_note is not None:
         caption = "Plants, which are known."
     return Table(pd.DataFrame({"taxon": scene.taxa, "plants": counts.astype(int)}), caption)
