@@ -19,7 +19,7 @@ import numpy as np
 from jax.scipy.special import ndtr
 from jaxtyping import Array, Float, Int
 from scipy.optimize import minimize
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 from fynjax._core.errors import InputError, did_you_mean, listed
 from fynjax._core.html import as_html
@@ -772,7 +772,7 @@ def _record(
     import pandas as pd  # late: the command line need not wait for it
 
     gain = left[:, :1] - left
-    half = student.ppf(0.95, len(left) - 1) * gain.std(axis=0, ddof=1) / np.sqrt(len(left))
+    half = stdtrit(len(left) - 1, 0.95) * gain.std(axis=0, ddof=1) / np.sqrt(len(left))
     labels = ["designed", *(one.name for one in cameras)]
     table = pd.DataFrame(
         {
