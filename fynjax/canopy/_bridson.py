@@ -24,9 +24,10 @@ def fill(
         cell_x = cell_y = cell
     # What can be too close to a candidate stands within three radii of its centre.
     far_x, far_y = math.ceil(3.0 * radius / cell_x), math.ceil(3.0 * radius / cell_y)
-    columns, rows = _around(nx, far_x, periodic), _around(ny, far_y, periodic)
+    # Cells beyond a border are those at the other; an open one has them too far away to matter.
+    columns, rows = np.arange(-far_x, nx + far_x) % nx, np.arange(-far_y, ny + far_y) % ny
 
-    grid = np.full((ny + 1, nx + 1), -1)
+    grid = np.full((ny, nx), -1)
     # No packing of discs of this radius is denser than the hexagonal one (plus its border).
     room = int(1.16 * (lx + radius) * (ly + radius) / radius**2) + 8
     points = np.empty((min(room, nx * ny + 8), 2))
@@ -78,10 +79,3 @@ def fill(
             if count == known or apart(one_x, one_y, points[known:count]):
                 add(one_x, one_y)
     return points[:count].copy()
-
-
-def _around(cells: int, reach: int, periodic: bool) -> np.ndarray:
-    """Numbers of the cells from `reach` before the first to `reach` after the last; beyond an open
-    border that of a further one, which stays empty."""
-    near = np.arange(-reach, cells + reach)
-    return near % cells if periodic else np.where((near < 0) | (near >= cells), cells, near)
