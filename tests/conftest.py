@@ -50,7 +50,10 @@ gc.set_threshold(50_000, 20, 20)
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """What one test has compiled, another worker or a notebook need not compile again."""
+    """What one test has compiled, another worker or a notebook need not compile again. Where
+    pytest-xdist is installed, its workers take files in the order they are given below."""
+    if hasattr(config.option, "loadscopereorder"):
+        config.option.loadscopereorder = False
     if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
         folder = tempfile.TemporaryDirectory(prefix="fynjax-compiled-")
         config.add_cleanup(folder.cleanup)
@@ -64,15 +67,13 @@ def pytest_configure(config: pytest.Config) -> None:
 
 @pytest.fixture(scope="session")
 def shared_data() -> Path:
-    """Folder of the reference data (`FYNJAX_SHARED_DATA`, default `../shared/data`)."""
-    default = Path(__file__).resolve().parents[2] / "shared" / "data"
-    folder = Path(os.environ.get("FYNJAX_SHARED_DATA", default))
-    if not folder.is_dir():
-        reason = f"reference data not found at {folder}; set FYNJAX_SHARED_DATA to its folder"
-        if os.environ.get("CI") == "true":
-            pytest.fail(reason)
-        pytest.skip(reason)
-    return folder
+    """Folder of the reference data, which `FYNJAX_SHARED_DATA` names."""
+    named = os.environ.get("FYNJAX_SHARED_DATA")
+    if named is None:
+        pytest.skip("needs reference data; FYNJAX_SHARED_DATA does not name their folder")
+    if not Path(named).is_dir():
+        pytest.fail(f"FYNJAX_SHARED_DATA: expected a folder of reference data, but got {named}")
+    return Path(named)
 
 
 @pytest.fixture(autouse=True)
