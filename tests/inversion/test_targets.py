@@ -1,5 +1,7 @@
 """Errors of the targets, and the jobs that read them."""
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from rasterio import Affine
@@ -8,10 +10,11 @@ from scipy.ndimage import gaussian_filter, map_coordinates, uniform_filter
 from fynjax._core.errors import InputError
 from fynjax.assembly import _targets, read_targets
 from fynjax.assembly._targets import image_target
+from fynjax.inversion import _targets as targets
 from fynjax.inversion import weigh_targets
 from fynjax.io.plot import example_folder, read_plot, sensor_place
 from fynjax.io.raster import write_geotiff
-from fynjax.metrics import BANDS
+from fynjax.metrics import BANDS, VEGETATION_INDICES
 from tests.helpers import write_raster
 
 
@@ -95,3 +98,18 @@ def test_bilinear_interpolation_averages_over_root_three_of_the_pixel_before():
     assert after == pytest.approx(spread[1], rel=0.02)
     assert spread[2] < 0.9 * after
     assert spread[0] > 1.1 * after
+
+
+@pytest.mark.parametrize(
+    ("group", "bands"), [("N/R", {1, 3}), ("N/G", {0, 3}), ("N, R, G", {0, 1, 3})]
+)
+def test_groups_hold_all_indices_of_the_ratios_of_their_bands(group, bands):
+    """By slopes: those of no other band, and none where all bands grow alike."""
+    at = np.array([0.06, 0.05, 0.15, 0.3])
+
+    def of_ratios(index):
+        slopes = np.array(jax.grad(lambda x: index.function(*jnp.exp(x)))(np.log(at)))
+        return set(np.flatnonzero(abs(slopes) > 1e-6)) == bands and abs(slopes.sum()) < 1e-6
+
+    found = {name for name, index in VEGETATION_INDICES.items() if of_ratios(index)}
+    assert found == targets._SAME_BANDS[group]

@@ -125,12 +125,18 @@ def test_byte_order_marks_are_no_slip(folder, encoding):
     assert read_plot(folder / "plot.toml").taxa[0] == "Metalasia muricata"
 
 
+def test_cells_may_have_the_unit_of_their_column(folder):
+    before = read_plot(folder / "plot.toml").species
+    edit(folder / "species.csv", E40 + "20,0.67", "Erica irregularis,40 cm,20 %,0.67m")
+    assert read_plot(folder / "plot.toml").species == before
+
+
 E40 = "Erica irregularis,40,"
 SPECIES_SLIPS = [
     (E40, "Erica irregularis,-40,", "mean_diameter_cm", ["-40", "1 to 1000"]),
     (E40, "Erica irregularis,0.40,", "mean_diameter_cm", ["0.4", "Metres", "40"]),
     (E40, "Erica irregularis,nan,", "mean_diameter_cm", ["nan", "number"]),
-    (E40, "Erica irregularis,40 cm,", "mean_diameter_cm", ["Leave out the unit"]),
+    (E40, "Erica irregularis,40 m,", "mean_diameter_cm", ["Leave out the unit"]),
     (E40, 'Erica irregularis,"40,5",', "mean_diameter_cm", ["decimal comma", "40.5"]),
     (E40, "Erica irregularis,,", "mean_diameter_cm", ["missing"]),
     (E40 + "20,", "Erica irregularis,40,120,", "cover_percent", ["120", "0 to 100"]),

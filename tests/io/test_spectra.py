@@ -166,6 +166,24 @@ def test_columns_pair_reflectance_with_transmittance(tmp_path, sep):
     assert pine.transmittance is None
 
 
+def test_a_last_letter_is_a_mark_where_its_counterpart_stands_beside_it(tmp_path):
+    columns = {"nm": WAVELENGTH, "3R": R, "3T": T, "4T": R / 2}
+    pair, alone = read_spectra_file(table(tmp_path / "a.csv", columns))
+    assert (pair.name, alone.name) == ("3", "4T")
+    np.testing.assert_allclose(pair.transmittance, T)
+    np.testing.assert_allclose(alone.reflectance, R / 2)
+
+
+def test_a_leaf_a_hundred_times_too_dark_is_refused(tmp_path):
+    path = table(tmp_path / "a.csv", {"nm": WAVELENGTH, "leaf (%)": R})
+    with pytest.raises(InputError, match=r"darker than any leaf.*header say '%'"):
+        read_spectra_file(path)
+    (leaf,) = read_spectra_file(table(tmp_path / "b.csv", {"nm": WAVELENGTH, "tar": 0.04 + 0 * R}))
+    assert leaf.name == "tar"
+    (thick,) = read_spectra_file(table(tmp_path / "c.csv", {"nm": WAVELENGTH, "T": R / 100}))
+    assert thick.reflectance is None
+
+
 def test_a_column_called_spectrum_says_nothing_of_micrometres(tmp_path):
     (leaf,) = read_spectra_file(table(tmp_path / "a.csv", {"Spectrum": WAVELENGTH, "leaf": R}))
     np.testing.assert_array_equal(leaf.wavelength, WAVELENGTH)
@@ -656,6 +674,10 @@ def test_reflectance_and_transmittance_in_two_files_are_one_leaf(shared_data, tm
         ("oak.csv", "oak_tran.csv", True),
         ("oak_R.csv", "elm_T.csv", False),
         ("oak_R1.csv", "oak_T2.csv", False),
+        ("LEAF01R.csv", "LEAF01T.csv", True),
+        ("leaf1r.csv", "leaf1t.csv", True),
+        ("leaf1R.csv", "leaf2T.csv", False),
+        ("oar.csv", "oat.csv", False),
     ],
 )
 def test_names_that_make_a_pair(first, second, through, tmp_path):

@@ -1,7 +1,7 @@
 """What the names of spectra and of their files say: reflectance, transmittance, or no leaf."""
 
 import re
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,6 +19,7 @@ _MARKS = {
     ),
     "reflectance": re.compile(_BEFORE + r"(r|refl|reflectance|rho)" + _AFTER, re.I),
 }
+_OTHER = str.maketrans("RTrt", "TRtr")
 _FOLDERS = {
     "transmittance": re.compile(r"t|tran.*|tau", re.I),
     "reflectance": re.compile(r"r|refl.*|rho", re.I),
@@ -34,10 +35,11 @@ _USUAL = {0, 1, 2, 3, 5, 10, 16, 20, 25, 50, 75, 80, 84, 90, 95, 97, 98, 99, 100
 """Percentiles that people take; of them one at least is the median or above."""
 
 
-def marked(name: str) -> tuple[str, str, str]:
+def marked(name: str, among: Collection[str] = ()) -> tuple[str, str, str]:
     """Quantity that a name is marked with, and the name without the mark.
 
-    **Arguments:** `name`, such as "oak01_R" or "oak trans 3".
+    **Arguments:** `name`, such as "oak01_R" or "oak trans 3"; `among`, all names: where "oak01T" is
+    one of them, the last letter of "oak01R" is a mark too.
 
     **Returns:** "reflectance", "transmittance" or "" of a name without a mark; the rest of the
     name; and the mark. Where a name has several, as "leaf R 3_T", the last one counts.
@@ -48,7 +50,11 @@ def marked(name: str) -> tuple[str, str, str]:
         for match in pattern.finditer(name)
     ]
     if not found:
-        return "", name, ""
+        other = name[:-1] + name[-1:].translate(_OTHER)
+        if other == name or other not in among or not name[-2:-1].isdigit():
+            return "", name, ""
+        quantity = "reflectance" if name[-1] in "rR" else "transmittance"
+        return quantity, name[:-1], name[-1]
     _, quantity, match = max(found, key=lambda one: one[0])
     rest = name[: match.start()] + name[match.end() :]
     return quantity, rest.strip(" _.-()"), match[2]
@@ -87,15 +93,17 @@ def leaves_only(spectra: Sequence[MeasuredSpectrum]) -> list[MeasuredSpectrum]:
     return [replace(kept[0], meta=meta), *kept[1:]]
 
 
-def _quantity(file: str, spectrum: MeasuredSpectrum) -> tuple[str, tuple[str, ...], bool]:
+def _quantity(
+    file: str, spectrum: MeasuredSpectrum, names: Collection[str]
+) -> tuple[str, tuple[str, ...], bool]:
     """Quantity of a spectrum, what it has in common with the other one of its leaf, and whether its
-    name leaves no doubt of it."""
-    quantity, rest, mark = marked(spectrum.name)
+    name, among those of all, leaves no doubt of it."""
+    quantity, rest, mark = marked(spectrum.name, names)
     key: tuple[str, ...] = (rest.lower(),)
     folder = Path(file).parent.name
     of_file = False
     if not quantity:  # a column without a mark in a file with one, as in oak_T.csv
-        quantity, rest, _ = marked(Path(file).stem)
+        quantity, rest, _ = marked(Path(file).stem, names)
         of_file = bool(quantity)
         key = tuple(dict.fromkeys((*key, rest.lower()))) if of_file else key
     if not quantity:
@@ -127,8 +135,9 @@ def join_stated(
         raise InputError(
             f"each leaf needs its transmittance, but of {len(read)} leaves there are {len(through)}"
         )
-    keys = [marked(s.name)[1].lower() for _, s in through]
-    own = [marked(s.name)[1].lower() for _, s in read]
+    names = {s.name for _, s in (*read, *through)}
+    keys = [marked(s.name, names)[1].lower() for _, s in through]
+    own = [marked(s.name, names)[1].lower() for _, s in read]
     if len(set(own)) == len(own) and set(keys) == set(own):
         through = [through[keys.index(key)] for key in own]
     joined = []
@@ -156,7 +165,7 @@ def _joined(
     note(meta, f"transmittance from {Path(file).name}, {why}")
     for sentence in through.meta["repairs"]:
         note(meta, f"transmittance: {sentence}")
-    name = marked(leaf.name)[1] or leaf.name
+    name = marked(leaf.name, (leaf.name, through.name))[1] or leaf.name
     values = as_transmittance(through).transmittance
     return replace(leaf, name=name, transmittance=values, meta=meta)
 
@@ -175,7 +184,8 @@ def join_pairs(read: list[tuple[str, MeasuredSpectrum]]) -> list[tuple[str, Meas
     single = [
         i for i, (_, s) in enumerate(read) if (s.reflectance is None) != (s.transmittance is None)
     ]
-    about = {i: _quantity(*read[i]) for i in single}
+    names = {name for file, spectrum in read for name in (spectrum.name, Path(file).stem)}
+    about = {i: _quantity(*read[i], names) for i in single}
     joined = list(read)
     waiting: dict[tuple[str, ...], list[int]] = {}
     for i in single:

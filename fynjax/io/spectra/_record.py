@@ -17,6 +17,10 @@ _LOWEST, _HIGHEST = -0.02, 1.05
 _OVERCORRECTED = -0.1
 # No ratio of two counts of 16 bits, be they noise, is larger.
 _LARGEST_RATIO = 65535.0
+_BRIGHT = (750.0, 1300.0)
+_DARKEST = 0.01
+"""Reflectance that leaves, soils and rocks exceed somewhere from 750 to 1300 nm; tar and water
+under no sun glint have .02 to .05 there."""
 _MICROMETRES = ("micro", "um", "\u00b5m", "\u03bcm")
 _NANOMETRES = ("nano", "nm")
 _UNSTATED = ("", "unknown", "index", "1", "dimensionless")
@@ -94,7 +98,13 @@ def in_windows(wavelength: np.ndarray, windows: tuple[tuple[float, float], ...])
 
 
 def _checked(
-    values: np.ndarray, looked_at: np.ndarray, what: str, name: str, meta: dict, file: Path
+    values: np.ndarray,
+    wavelength: np.ndarray,
+    looked_at: np.ndarray,
+    what: str,
+    name: str,
+    meta: dict,
+    file: Path,
 ) -> np.ndarray:
     finite = np.isfinite(values)
     if not finite.any():
@@ -105,6 +115,14 @@ def _checked(
             f"the {what} of spectrum {name!r} must be a fraction of 0 to 1, but its median is "
             f"{np.median(shown):.4g}; is it in percent, or digital numbers? Divide first, or write "
             "the unit '%' in the header",
+            file=file,
+        )
+    bright = shown[in_windows(wavelength[finite & looked_at], (_BRIGHT,))]
+    if what == "reflectance" and bright.size and np.max(bright) < _DARKEST:
+        raise InputError(
+            f"the reflectance of spectrum {name!r} is {np.max(bright):.3g} at most from "
+            f"{_BRIGHT[0]:g} to {_BRIGHT[1]:g} nm, darker than any leaf or ground; was it divided "
+            "by 100 twice, or does the header say '%' of fractions?",
             file=file,
         )
     known = ~np.isnan(values)
@@ -180,7 +198,9 @@ def check_spectrum(spectrum: MeasuredSpectrum, file: Path) -> MeasuredSpectrum:
                 f"values of {what}; is the file cut short?",
                 file=file,
             )
-        parts[what] = _checked(values[order], looked_at, what, spectrum.name, meta, file)
+        parts[what] = _checked(
+            values[order], wavelength, looked_at, what, spectrum.name, meta, file
+        )
     if parts["reflectance"] is None and parts["transmittance"] is None:
         raise InputError(f"spectrum {spectrum.name!r} has neither R nor T", file=file)
     return MeasuredSpectrum(

@@ -67,13 +67,13 @@ def _paired(
 ) -> list[MeasuredSpectrum]:
     """Spectra from named columns; a transmittance column joins the reflectance of its name."""
     records: dict[str, dict[str, Any]] = {}
+    names = {n: re.sub(r"\(?%\)?|\[%\]|percent", "", n, flags=re.I).strip(" _") for n in columns}
     for label, values in columns.items():
         row_meta = {**meta, "repairs": list(meta.get("repairs", []))}
         if _percent(label):
             values = values / 100.0
             note(row_meta, "converted from percent as the header says")
-        clean = re.sub(r"\(?%\)?|\[%\]|percent", "", label, flags=re.I).strip(" _")
-        quantity, base, _ = marked(clean)
+        quantity, base, _ = marked(names[label], names.values())
         kind = quantity or "reflectance"
         record = records.setdefault(base or stem, {"meta": row_meta})
         if kind in record:  # two columns whose names differ only in case or marks

@@ -7,6 +7,16 @@ from fynjax._core.files import read_bytes
 from fynjax._core.tables import as_utf8, open_table
 from fynjax._core.validation import Row, check_header, checked_rows, columns, is_of_numbers
 
+_SIGNS = {"percent": "%", "deg": "°"}
+"""Signs of units in cells by the last word of a column's name, where they are not that word."""
+
+
+def _without_unit(cell: str, column: str) -> str:
+    """A number without the unit of its column, which some write in every cell: '5 %' or '30 cm'."""
+    unit = column.rpartition("_")[2]
+    number = cell.removesuffix(_SIGNS.get(unit, unit)).rstrip()
+    return number if number and number[-1].isdigit() else cell
+
 
 def read_text(path: Path) -> str:
     """The text of a file in UTF-8, UTF-16 or Windows-1252, its lines ended by `\\n`.
@@ -50,7 +60,7 @@ def read_rows(
         (
             row,
             {
-                name: table.plain(cell, row, name) if name in numbers else cell
+                name: table.plain(_without_unit(cell, name), row, name) if name in numbers else cell
                 for name, cell in zip(table.names, found, strict=True)
                 if cell and name in known
             },
