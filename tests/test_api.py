@@ -24,7 +24,7 @@ def test_leaves_and_light_do_without_what_reads_and_draws():
     code = (
         "import sys\n"
         "for name in ('rasterio', 'rioxarray', 'matplotlib', 'xarray', 'netCDF4',"
-        " 'trimesh', 'pyproj', 'PIL', 'spectral', 'dask'):\n"
+        " 'trimesh', 'pyproj', 'PIL', 'dask'):\n"
         "    sys.modules[name] = None  # as if it were not installed\n"
         "import fynjax as fx, fynjax.leaf, fynjax.radiation, fynjax.canopy, fynjax.sensors\n"
         "leaf = fx.prospect(fx.Leaf(), [550.0, 860.0])\n"
