@@ -69,18 +69,8 @@ def projected_cover(
             f"a raster may have {_MOST_CELLS:.0e} cells, but {cell:g} m on {lx:g} m x {ly:g} m "
             f"asks for {nx * ny:.1e}; take a coarser `cell`"
         )
-    order = np.argsort(instances.species, kind="stable")
-    x, y = crown_centres(instances)
-    top, crowns, union = _project(
-        *(values[order] for values in (x, y, instances.diameter / 2.0, instances.height)),
-        instances.species[order],
-        len(instances.taxa),
-        (ny, nx),
-        float(cell),
-        periodic,
-    )
+    top, crowns, union = _project(instances, (ny, nx), float(cell), periodic)
     covered = top >= 0
-    top[covered] = order[top[covered]]
     visible = np.bincount(instances.species[top[covered]], minlength=len(instances.taxa))
     cells = nx * ny
     return ProjectedCover(
@@ -89,30 +79,25 @@ def projected_cover(
 
 
 def _project(
-    x: Float[np.ndarray, " plant"],
-    y: Float[np.ndarray, " plant"],
-    radius: Float[np.ndarray, " plant"],
-    height: Float[np.ndarray, " plant"],
-    species: Int[np.ndarray, " plant"],
-    n_species: int,
-    shape: tuple[int, int],
-    cell: float,
-    periodic: bool,
+    instances: Instances, shape: tuple[int, int], cell: float, periodic: bool
 ) -> tuple[Int[np.ndarray, "y x"], Int[np.ndarray, " species"], Int[np.ndarray, " species"]]:
     """Discs on a raster of cells whose centres count: (top, crowns, union).
 
     `top` is the tallest plant over each cell, the first of equals, -1 for none. `crowns` counts the
     cells of all discs, those beyond an open border too; `union` the cells that a species covers at
-    all. Plants of one species lie together.
+    all.
     """
     ny, nx = shape
+    n_species = len(instances.taxa)
+    x, y = crown_centres(instances)
+    radius, height = instances.diameter / 2.0, instances.height
     top = np.full(shape, -1, np.int32)
     level = np.full(shape, -np.inf)
     crowns, union = np.zeros(n_species, np.int64), np.zeros(n_species, np.int64)
     south, north = _centres(y, radius, cell)
     for one in range(n_species):
         covered = np.zeros(shape, bool)
-        for plant in np.flatnonzero(species == one):
+        for plant in np.flatnonzero(instances.species == one):
             rows = np.arange(south[plant], north[plant])
             dy = (rows + 0.5) * cell - y[plant]
             half = np.sqrt(np.maximum(radius[plant] ** 2 - dy * dy, 0.0))

@@ -64,11 +64,11 @@ def _layout(header: dict[str, Any]) -> Layout:
     kind, order = str(header["data type"]), int(header.get("byte order", 0))
     if kind not in _TYPES or order not in (0, 1):
         raise ValueError(f"no data type {kind:.20} or byte order {order}")
-    counts = [int(header[name]) for name in ("lines", "samples", "bands")]
+    lines, samples, bands = (int(header[name]) for name in ("lines", "samples", "bands"))
     offset = int(header.get("header offset", 0))
-    if min(*counts, offset) < 0:
+    if min(lines, samples, bands, offset) < 0:
         raise ValueError("a number of lines, samples, bands or bytes is negative")
-    return Layout(*counts, offset, np.dtype("<>"[order] + _TYPES[kind]))
+    return Layout(lines, samples, bands, offset, np.dtype("<>"[order] + _TYPES[kind]))
 
 
 def read_header(path: Path) -> dict[str, Any]:
