@@ -19,6 +19,7 @@ from fynjax.assembly._ground import (
     ground_parameters,
     plot_ground,
 )
+from fynjax.assembly._leaf_spectra import measured_leaves
 from fynjax.assembly._memory import check_memory
 from fynjax.assembly._plants import read_plant
 from fynjax.canopy import MeshPlant, Organ
@@ -179,7 +180,7 @@ def plot_parameters(
         rows = [_with_areas(*pair) for pair in zip(rows, plants, strict=True)]
     leaves = plot_leaves(plot) if leaves is None else leaves
     return PlotParameters(
-        species_parameters(rows, leaves),
+        species_parameters(rows, leaves, plot.shrubland),
         leaf_parameters(leaves),
         ground_parameters(plot, fractions),
         LightParameters(
@@ -200,7 +201,9 @@ def plot_leaves(plot: Plot) -> list[tuple[LeafRow, ...]]:
     **Raises:** `InputError` for a leaf spectrum that cannot be used.
     """
     fitted = cache(_fitted)  # one leaf may be that of many species
-    stated = [[fitted(leaf) for leaf in own] for own in leaves_of(plot.species, plot.leaves)]
+    rows = [*plot.leaves, *measured_leaves(plot.leaf_files)]
+    own_leaves = leaves_of(plot.species, rows, plot.shrubland)
+    stated = [[fitted(leaf) for leaf in own] for own in own_leaves]
     return drawn_leaves(stated, plot.leaf_variants, plot.seed)
 
 

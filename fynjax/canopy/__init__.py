@@ -21,7 +21,7 @@ from fynjax.canopy._counts import (
     target_area,
 )
 from fynjax.canopy._elements import Crown, Foliage, Shoots
-from fynjax.canopy._form import FormPrior, GrowthForm, LeafGeometry, Taxa
+from fynjax.canopy._form import FormPrior, GrowthForm, LeafGeometry, Shrubland, Taxa
 from fynjax.canopy._greenness import Greenness, band_roles, band_word, choose_greenness
 from fynjax.canopy._grid import VoxelGrid, deposit
 from fynjax.canopy._instances import random_orientation, unit_shapes
@@ -68,6 +68,7 @@ __all__ = [
     "PlantMesh",
     "PlantModel",
     "Shoots",
+    "Shrubland",
     "SphericalLeafAngle",
     "TabulatedLeafAngle",
     "Taxa",

@@ -52,6 +52,8 @@ from fynjax.scene._scene import (
     stand_realisation,
 )
 from fynjax.scene._species import (
+    SHRUB_LEAF,
+    SHRUB_LEAF_SD,
     USUAL_LEAF,
     CoverDefinition,
     LeafRow,
@@ -65,6 +67,7 @@ from fynjax.scene._species import (
     leaves_of,
     species_parameters,
     species_rows,
+    usual_leaf,
 )
 from fynjax.scene._spectra import (
     Spectrum,
@@ -85,6 +88,8 @@ __all__ = [
     "LEAF_FIELDS",
     "MOST_LISTED",
     "PARAMETERS",
+    "SHRUB_LEAF",
+    "SHRUB_LEAF_SD",
     "USUAL_LEAF",
     "AimedSensor",
     "CoverDefinition",
@@ -152,6 +157,7 @@ __all__ = [
     "stand_realisation",
     "truth_of_layers",
     "truth_of_pixels",
+    "usual_leaf",
     "visible_sensor",
     "with_values",
 ]

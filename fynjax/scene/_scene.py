@@ -28,6 +28,7 @@ from fynjax.canopy import (
     FORMS,
     Organ,
     PlantModel,
+    Shrubland,
     VoxelGrid,
     clumping,
     deposit,
@@ -253,6 +254,7 @@ class Scene(eqx.Module):
         cover_definition: CoverDefinition | None = None,
         leaves: Mapping[str, Mapping[str, float] | Sequence[Mapping[str, float]]] | None = None,
         leaf_variants: int = 1,
+        plants: Shrubland = "fynbos",
         ground: GroundParameters | None = None,
         light: LightParameters | None = None,
         dead_tissue: Spectrum | None = None,
@@ -282,7 +284,10 @@ class Scene(eqx.Module):
           of a taxon each plant has one.
         - `leaf_variants`: different leaves of a taxon of which one leaf is stated, drawn about it
           with the spread within species that Californian shrubs have; 1: all plants have that one.
-        - `ground`, `light`: left out, their defaults; with `dead_tissue` a wood brightness of 1.
+        - `plants`: whose values growth forms and leaves have that are left out: "fynbos", learned
+          from 18 plots, or "generic", of published shrublands at large.
+        - `ground`, `light`: left out, their defaults; with `dead_tissue`, or generic plants, a wood
+          brightness of 1.
         - `dead_tissue`: reflectance of the dead tissue in live shoots, `Spectrum.of(wavelength,
           values, what)`; left out, that of bark.
         - `hot_spot`: whether leaves have the size of their form, see `Scene`.
@@ -314,13 +319,13 @@ class Scene(eqx.Module):
             )
         if ground is None:
             ground = GroundParameters()
-            if dead_tissue is not None:
+            if dead_tissue is not None or plants == "generic":
                 ground = dataclasses.replace(ground, wood_brightness=jnp.asarray(1.0))
         if leaf_variants < 1:
             raise InputError(f"expected 1 leaf variant or more, but got {leaf_variants}")
-        own = drawn_leaves(leaves_of(rows, stated), leaf_variants, seed)
+        own = drawn_leaves(leaves_of(rows, stated, plants), leaf_variants, seed)
         parameters = PlotParameters(
-            species_parameters(rows, own),
+            species_parameters(rows, own, plants),
             leaf_parameters(own),
             ground,
             LightParameters() if light is None else light,

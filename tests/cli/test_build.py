@@ -1,5 +1,6 @@
 """`fynjax build`: its files against each other, its meshes, and its errors."""
 
+import html
 import json
 import re
 from pathlib import Path
@@ -100,6 +101,11 @@ def test_the_files_of_a_build_agree(plot: Path, tmp_path: Path) -> None:
     assert stand.leaf_mass_g_m2["all"] == pytest.approx(mass * area * seen / 4.0, rel=1e-3)
     gap = summary["gap_fraction"]
     assert f"{100 * gap:.1f} %" in " ".join(summary["headline"])
+    said = summary["headline"][-1]  # where values are from: on page and in products too
+    assert said.startswith("Species, covers, diameters, heights: species.csv. Leaf area, dead")
+    assert said in html.unescape((out / "report.html").read_text())
+    with xr.open_dataset(out / "voxels.nc") as voxels:
+        assert voxels.attrs["plants"] == said
     assert 1 - every < gap < 1.0
 
     scene = trimesh.load(out / "scene.obj", process=False)
