@@ -38,6 +38,7 @@ from fynjax.scene import (
     SpeciesRow,
     Spectrum,
     build_scene,
+    check_projected_scene,
     drawn_leaves,
     leaf_parameters,
     leaves_of,
@@ -54,7 +55,7 @@ def build_plot(
     *,
     seed: int | None = None,
     counts: Float[np.ndarray, "*draw species"] | None = None,
-    rounding: Literal["up", "random"] = "up",
+    rounding: Literal["up", "random"] | None = None,
     dtype: str = "float32",
 ) -> tuple[Scene, PlotParameters]:
     """The scene of a plot and its parameters as the files state them.
@@ -68,7 +69,8 @@ def build_plot(
     - `counts`: plants of each species that are to find sites; `PlantingRules.room` times those of
       the species table find them in any case, and those of a table of parameters.
     - `rounding`: of the number of plants: "up" as eq. (10) has it, or "random", whose mean over
-      plantings is the real number, as a fit to a measurement means it.
+      plantings is the real number, as a fit to a measurement means it; left out, "up" where covers
+      are the article's, and "random" where they are projected.
     - `dtype`: floating type that the scene is computed in, "float32" or "float64".
 
     **Raises:** `InputError` for a spectrum or map that cannot be used, and where the plants find no
@@ -92,7 +94,8 @@ def build_plot(
         parameters = with_parameter_table(parameters, plot.taxa, plot.parameters)
     rules = PlantingRules(
         probability=_probability(plot),
-        rounding=rounding,
+        rounding=rounding or ("up" if plot.cover_definition == "article" else "random"),
+        cover_definition=plot.cover_definition,
         softness=plot.softness,
         softness_plants=plot.softness_plants,
         structure=plot.structure_m,
@@ -119,6 +122,7 @@ def build_plot(
     scene = plant(rules=rules)
     if plot.parameters is not None:
         _check_grid(scene, tables, parameters, plot.parameters)
+        check_projected_scene(scene, parameters, plot.parameters)
     wanted = np.asarray(scene.counts(parameters))[None]
     if counts is not None:
         wanted = np.concatenate([wanted, np.reshape(counts, (-1, wanted.shape[1]))])

@@ -29,7 +29,7 @@ from fynjax._core.files import NamedFile
 from fynjax._core.parameters import parameters_of
 from fynjax._core.records import Slip, Strict, quantity
 from fynjax._core.validation import check_header, checked_row, checked_rows
-from fynjax.canopy import FORMS, AbstractLeafAngle, Shrubland, table1_2006
+from fynjax.canopy import FORMS, AbstractLeafAngle, Shrubland, most_projected, table1_2006
 from fynjax.leaf import FLAT, ROUND, LeafParameters, structure_from_dry_matter
 from fynjax.scene._cover_words import cover_range, middle, name_classes
 from fynjax.scene._parameters import (
@@ -45,6 +45,10 @@ else:  # the names as a choice: in errors, and as an enumeration of the schema
     FormName = Literal[tuple(FORMS)]
 
 _RECORDS = PARAMETERS | FIXED_PARAMETERS
+CoverDefinition = Literal["projected", "article"]
+"""Meaning of the cover of a species, see `PlantingRules`."""
+_OF_THE_ARTICLE = ("packing", "fill", "branches", "minimum_area")
+"""What eq. (10) counts plants by besides cover and diameter."""
 _MOST_COVER = 300.0
 """Sum of the covers of a plot, whose layers overlap, above which they are taken for counts [%]."""
 
@@ -295,16 +299,76 @@ def usual_leaf(form: str, plants: Shrubland = "fynbos") -> LeafRow:
     )
 
 
-def check_species(rows: Sequence[tuple[int, SpeciesRow]], file: Path | None = None) -> None:
+def cover_definition_of(
+    rows: Sequence[SpeciesRow], stated: CoverDefinition | None = None
+) -> CoverDefinition:
+    """Meaning of the covers of a species table: as `stated`, else the article's where a row has
+    packing, fill, branches or a least area, by which only eq. (10) counts, else projected.
+
+    **Arguments:** `rows`, of the table; `stated`, what is said of them.
+    """
+    terms = any(getattr(row, n) != _RECORDS[n].default for row in rows for n in _OF_THE_ARTICLE)
+    return stated or ("article" if terms else "projected")
+
+
+def check_projected(
+    taxon: str,
+    cover: float,
+    terms: Mapping[str, float],
+    most: float | None = None,
+    **where: Any,
+) -> None:
+    """Raise `InputError` for what a species whose cover is projected cannot have: terms of the
+    article's eq. (10), and more cover than crowns at random reach.
+
+    **Arguments:**
+
+    - `taxon`: its name.
+    - `cover`: its cover [-].
+    - `terms`: its packing, fill, branches and minimum area, in the package's units.
+    - `most`: largest cover [-]; left out, `most_projected`.
+    - `where`: file and row, for errors.
+    """
+    for name, value in terms.items():
+        if value != _RECORDS[name].default:
+            column = SpeciesRow.model_fields[name].alias or name
+            raise InputError(
+                f"{taxon} has {column}, which the article counts plants by in eq. (10), but covers "
+                "here are projected: overlap is counted as it is planted. Leave the column out, or "
+                'set cover_definition = "article".',
+                column=column,
+                **where,
+            )
+    most = float(most_projected()) if most is None else most
+    if cover > most + 1e-6:
+        raise InputError(
+            f"{taxon} is to cover {100 * cover:.3g} % of the ground, but crowns that stand by "
+            f"chance overlap, and cover {100 * most:.3g} % at most here: state no more.",
+            column="cover_percent",
+            **where,
+        )
+
+
+def check_species(
+    rows: Sequence[tuple[int, SpeciesRow]],
+    file: Path | None = None,
+    cover_definition: CoverDefinition | None = None,
+) -> None:
     """Raise `InputError` for covers that cannot be those of one plot.
 
     **Arguments:**
 
     - `rows`: of a species table, each with its number.
     - `file`: of the table, for errors.
+    - `cover_definition`: meaning of its covers (`cover_definition_of`); of projected ones as
+      `check_projected`.
 
     Warns where covers look like fractions.
     """
+    if cover_definition_of([row for _, row in rows], cover_definition) == "projected":
+        for number, row in rows:
+            terms = {name: getattr(row, name) for name in _OF_THE_ARTICLE}
+            check_projected(row.taxon, row.cover, terms, file=file, row=number)
     covers = [100.0 * row.cover for _, row in rows]
     total, largest = sum(covers), max(covers)
     if total > _MOST_COVER:
@@ -344,13 +408,16 @@ def check_taxa(
             )
 
 
-def species_rows(table: Any) -> tuple[SpeciesRow, ...]:
+def species_rows(
+    table: Any, cover_definition: CoverDefinition | None = None
+) -> tuple[SpeciesRow, ...]:
     """The species of a table in Python.
 
     **Arguments:**
 
     - `table`: a pandas frame or records with the columns of a species table; empty cells are left
       out, and rows are counted from 1. Or rows that were read.
+    - `cover_definition`: meaning of its covers, as of `check_species`.
 
     **Raises:** `InputError` with row and column for what is no table and for a row or a table that
     a file would not be taken with either. Warns as `check_species`.
@@ -358,7 +425,7 @@ def species_rows(table: Any) -> tuple[SpeciesRow, ...]:
     import pandas as pd  # late: the command line need not wait for it
 
     if isinstance(table, list | tuple) and table and isinstance(table[0], SpeciesRow):
-        check_species(list(enumerate(table, start=1)))
+        check_species(list(enumerate(table, start=1)), None, cover_definition)
         return tuple(table)
     try:
         frame = pd.DataFrame(table).astype(object)
@@ -380,7 +447,7 @@ def species_rows(table: Any) -> tuple[SpeciesRow, ...]:
         for record in records
     )
     rows = checked_rows(enumerate(given, start=1), SpeciesRow)
-    check_species(rows)
+    check_species(rows, None, cover_definition)
     return tuple(row for _, row in rows)
 
 

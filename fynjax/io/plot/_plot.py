@@ -16,7 +16,7 @@ from fynjax.io.plot._plot_tables import (
     SensorTable,
     SkyTable,
 )
-from fynjax.scene import Crowns, LeafRow, SpeciesRow
+from fynjax.scene import CoverDefinition, Crowns, LeafRow, SpeciesRow
 from fynjax.sensors import SunPosition
 
 Floats = NDArray[np.float64]
@@ -32,6 +32,8 @@ class Plot(PlotTable, SceneTable):
 
     file: Path
     """The plot file."""
+    cover_definition: CoverDefinition = "projected"
+    """Meaning of the covers, see `PlantingRules`."""
     species: tuple[SpeciesRow, ...]
     """Rows of the species table, in its order."""
     leaves: tuple[LeafRow, ...]

@@ -16,7 +16,14 @@ from fynjax.io.plot._plot_tables import PlotFile
 from fynjax.io.plot._sensor import DRONE, named_sensor, sensor_place
 from fynjax.io.plot._sky import read_sky, read_sky_pattern
 from fynjax.io.text import existing_file, line_of, read_rows, read_toml
-from fynjax.scene import LeafRow, SpeciesRow, check_species, check_taxa
+from fynjax.scene import (
+    CoverDefinition,
+    LeafRow,
+    SpeciesRow,
+    check_species,
+    check_taxa,
+    cover_definition_of,
+)
 
 
 def example_folder() -> Path:
@@ -25,10 +32,13 @@ def example_folder() -> Path:
 
 
 def _read_species(
-    path: Path, within: Path | None, size: tuple[float, float]
+    path: Path,
+    within: Path | None,
+    size: tuple[float, float],
+    cover_definition: CoverDefinition | None,
 ) -> tuple[SpeciesRow, ...]:
     rows = read_rows(path, SpeciesRow, "a species table", within=within)
-    check_species(rows, path)
+    check_species(rows, path, cover_definition)
     for number, row in rows:
         if row.diameter > min(size):
             raise InputError(
@@ -121,7 +131,7 @@ def read_plot(path: str | Path, *, allow_outside: bool = False) -> Plot:
             "expected rpv or a terrain, but got both: ground with a shape of its own must be level",
         )
     species_path, leaf_path = table.species_table, table.leaf_table
-    species = _read_species(species_path, within, size)
+    species = _read_species(species_path, within, size, table.cover_definition)
     spectra: dict[str, tuple[Path, ...]] = {}
     if table.leaf_spectra is not None:
         taxa = [row.taxon for row in species if FORMS[row.growth_form].leafy]
@@ -135,7 +145,7 @@ def read_plot(path: str | Path, *, allow_outside: bool = False) -> Plot:
     in_tables += [file for files in spectra.values() for file in files]
     named = (file for file in parsed.named_files if file.is_file())
     plot = Plot.model_construct(  # of parts that are checked
-        **dict(table),
+        **dict(table) | {"cover_definition": cover_definition_of(species, table.cover_definition)},
         **dict(parsed.scene),
         file=path,
         species=species,

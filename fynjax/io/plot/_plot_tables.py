@@ -26,7 +26,7 @@ from fynjax.io.text import (
     optional_quantity,
     quantity,
 )
-from fynjax.scene import PARAMETERS, Placement
+from fynjax.scene import PARAMETERS, CoverDefinition, Placement
 from fynjax.sensors import Panel, SunPosition, shipped_sensors, sun_position
 
 
@@ -82,6 +82,15 @@ class PlotTable(Strict):
         "tables leave open: 'fynbos', learned from 18 plots, or 'generic', of published "
         "shrublands at large, with wider priors. Left out: 'generic' where latitude and longitude "
         "of [sun] lie outside the Cape (31 to 35 S, 17.5 to 27 E), else 'fynbos'.",
+    )
+    cover_definition: CoverDefinition | None = Field(
+        default=None,
+        description="Meaning of cover_percent of the species table. 'projected': the share of the "
+        "ground below the crowns of a species, overlap among them counted once, as a relevé notes "
+        "it; plants are as many as have it on average. 'article': crowns are counted in full, less "
+        "packing and gaps, by equation (10) of the article on the example plot. Left out: "
+        "projected, but for a table with packing, fill, branches or a least area, which only "
+        "equation (10) has.",
     )
     crowns: Annotated[Path, NamedFile("a table of crowns")] | None = Field(
         default=None,
