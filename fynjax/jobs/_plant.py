@@ -33,7 +33,7 @@ from fynjax.io.raster import UNITS
 from fynjax.io.text import Strict, did_you_mean, existing_file, read_rows, write_text
 from fynjax.jobs._result import JobResult, Record
 from fynjax.jobs._run import Run
-from fynjax.report.figures import plant_figure
+from fynjax.report import figures
 from fynjax.report.pages import Picture, Table
 
 _MESHES = (".obj", ".ply", ".stl", ".glb", ".gltf")
@@ -319,6 +319,7 @@ def _result(
         leaves = f"{made.n_leaves} leaves, culms or threads of {made.leaf_scale:.3g} times the "
         leaves = f"{leaves}usual size; " if made.n_leaves else ""
         headline.append(f"{made.form.replace('_', ' ')}; {leaves}{len(made.mesh.faces)} triangles")
+        headline.append(f"Where its values are from: {FORMS[made.form].sources}")
         if made.leaf_scale > _LARGEST_LEAF_SCALE:
             warnings.append(
                 f"the leaves are {made.leaf_scale:.2f} times as large as usual, and fewer: "
@@ -336,7 +337,7 @@ def _result(
                 "all of it counts as leaf"
             )
     what = "the elements from the side and from above"
-    picture = Picture("plant.png", plant_figure(model), what)
+    picture = Picture("plant.png", figures.plant_figure(model), what)
     rows = Table(pd.DataFrame([m.model_dump() for m in materials]), "Its materials.")
     inputs = [source if made is None else None, stated]
     run.pictures(f"Plant: {Path(source).name}", headline, [picture, rows], inputs)

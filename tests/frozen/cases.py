@@ -156,7 +156,13 @@ def _sensors(folder: Path) -> Runs:
 def _build(folder: Path) -> Runs:
     (folder / "species.csv").write_text(test_build.SPECIES)
     (folder / "plot.toml").write_text(test_build.PLOT)
-    return {"build": ["build", folder / "plot.toml", "--mesh", "--triangles", 20_000]}
+    (folder / "own").mkdir()
+    own = write_plot(folder / "own")
+    own.write_text(own.read_text().replace('cover_definition = "article"\n', ""))
+    return {
+        "build": ["build", folder / "plot.toml", "--mesh", "--triangles", 20_000],
+        "projected": ["build", own],
+    }
 
 
 @_case("calibrate", "study", {"weakly_constrained": 1e-3, "": 1e-4})

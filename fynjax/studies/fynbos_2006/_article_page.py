@@ -13,7 +13,7 @@ from fynjax.assembly import build_plot
 from fynjax.io.plot import Plot, example_folder, read_plot
 from fynjax.jobs import JobResult, Rows, Run
 from fynjax.metrics import BANDS
-from fynjax.report.figures import error_bars
+from fynjax.report import figures
 from fynjax.report.pages import Page, Picture, Section, Table
 from fynjax.studies.fynbos_2006._article import article_tables
 from fynjax.studies.fynbos_2006._demo import demo
@@ -70,8 +70,8 @@ def article(
 
     **Raises:** `InputError` for a folder without a calibration of the plot.
     """
-    run = Run(output, seed=seed)
     plot = read_plot(example_folder() / "plot.toml").replace(size_m=(size, size))
+    run = Run(output, seed=seed, plot=plot)
     with run.stage("Build the plot", "build"):
         before = build_plot(plot, seed=seed)[1]
         if calibration is not None:
@@ -168,7 +168,9 @@ def _pictures(table: pd.DataFrame) -> list[Picture]:
             for who, values in off.items()
             if values is not None and values.notna().any()
         }
-        pictures.append(Picture(f"{name}.png", error_bars(known), f"error of {name}", caption))
+        pictures.append(
+            Picture(f"{name}.png", figures.error_bars(known), f"error of {name}", caption)
+        )
     return pictures
 
 
