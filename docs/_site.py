@@ -37,7 +37,7 @@ PACKAGES = (
     "fynjax.io.raster",
     "fynjax.io.spectra",
     "fynjax.io.instruments",
-    "fynjax.io.micasense",
+    "fynjax.io.captures",
     "fynjax.io.text",
     "fynjax.terrain",
     "fynjax.compare",

@@ -54,10 +54,11 @@ scene
 # %% [markdown]
 # ## How many plants are that?
 #
-# The cover asks for a number of crowns, equation (10) of the article whose plot this is, here with
-# half of each living crown lying over others (`packing_percent`, ours), which doubles it; chance
-# rounds it, up or down. Where plants stand, how they are turned and which are larger is drawn from
-# the seed: `fx.read_scene(TABLE, size=SIDE, seed=2)` is another planting of the same table.
+# The cover asks for a number of crowns: here by equation (10) of the article whose plot this is,
+# with half of each living crown lying over others (`packing_percent`, ours); of your own table as
+# many as lie over that share of the ground. Chance rounds it, up or down. Where plants stand, how
+# they are turned and which are larger is drawn from the seed: `fx.read_scene(TABLE, size=SIDE,
+# seed=2)` is another planting of the same table.
 
 # %%
 species, parameters = scene.parameters.species, scene.parameters

@@ -15,6 +15,7 @@ size_m = 2.0
 voxel_m = 0.1
 structure_m = "even"
 species_table = "species.csv"
+cover_definition = "article"
 """
 SPECIES = """taxon,mean_diameter_cm,cover_percent,height_max_m,growth_form
 Erica irregularis,40,30,0.6,rounded_shrub

@@ -113,7 +113,7 @@ def test_metrics_of_a_cloud_have_gradients(scene):
     slope = jax.grad(top)(scene.parameters)
     assert jax.tree.structure(slope) == jax.tree.structure(scene.parameters)
     assert (slope.species.height > 0).all()  # metres of the percentile for each of a plant
-    assert (slope.species.cover > 0).all()
+    assert slope.species.cover[0] > 0  # of the taller species
     higher, lower = (
         scene.with_values({"species.Erica.height": height}).parameters for height in (0.61, 0.59)
     )

@@ -115,7 +115,9 @@ def read_bytes(path: Path, largest: int = LARGEST_TEXT) -> bytes:
     return data
 
 
-def _file_beside(owner: Path, name: str, what: str, within: Path | None) -> Path:
+def _file_beside(
+    owner: Path, name: str, what: str, within: Path | None, folder: bool = False
+) -> Path:
     place = owner.parent / name
     try:
         path = place.resolve()
@@ -124,7 +126,8 @@ def _file_beside(owner: Path, name: str, what: str, within: Path | None) -> Path
                 f"expected {what} in this file's folder or below. Copy it there; for a plot file "
                 "that you trust, allow other places: --allow-outside (`allow_outside`)"
             )
-        existing_file(place, what)  # as it is named: of a link that leads nowhere it says so
+        if not (folder and place.is_dir()):
+            existing_file(place, what)  # as it is named: of a link that leads nowhere it says so
         return path
     except InputError as error:
         text = str(error).removeprefix(f"{error.file}: ")
@@ -149,6 +152,8 @@ class NamedFile:
     """Names the file in errors."""
     words: tuple[str, ...] = ()
     """Texts that stand for something else and are kept."""
+    folder: bool = False
+    """Whether it may be a folder."""
 
     def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> CoreSchema:
         return core_schema.with_info_wrap_validator_function(
@@ -165,7 +170,8 @@ class NamedFile:
             return name
         if info.context is None:
             return Path(name)
-        return _file_beside(info.context["owner"], name, self.what, info.context["within"])
+        owner, within = info.context["owner"], info.context["within"]
+        return _file_beside(owner, name, self.what, within, self.folder)
 
 
 def check_stated_size(path: Path, stated: int, what: str, *, packed: bool) -> None:

@@ -19,6 +19,7 @@ from fynjax.assembly._ground import (
     ground_parameters,
     plot_ground,
 )
+from fynjax.assembly._leaf_spectra import measured_leaves
 from fynjax.assembly._memory import check_memory
 from fynjax.assembly._plants import read_plant
 from fynjax.canopy import MeshPlant, Organ
@@ -37,6 +38,7 @@ from fynjax.scene import (
     SpeciesRow,
     Spectrum,
     build_scene,
+    check_projected_scene,
     drawn_leaves,
     leaf_parameters,
     leaves_of,
@@ -53,7 +55,7 @@ def build_plot(
     *,
     seed: int | None = None,
     counts: Float[np.ndarray, "*draw species"] | None = None,
-    rounding: Literal["up", "random"] = "up",
+    rounding: Literal["up", "random"] | None = None,
     dtype: str = "float32",
 ) -> tuple[Scene, PlotParameters]:
     """The scene of a plot and its parameters as the files state them.
@@ -67,7 +69,8 @@ def build_plot(
     - `counts`: plants of each species that are to find sites; `PlantingRules.room` times those of
       the species table find them in any case, and those of a table of parameters.
     - `rounding`: of the number of plants: "up" as eq. (10) has it, or "random", whose mean over
-      plantings is the real number, as a fit to a measurement means it.
+      plantings is the real number, as a fit to a measurement means it; left out, "up" where covers
+      are the article's, and "random" where they are projected.
     - `dtype`: floating type that the scene is computed in, "float32" or "float64".
 
     **Raises:** `InputError` for a spectrum or map that cannot be used, and where the plants find no
@@ -91,7 +94,8 @@ def build_plot(
         parameters = with_parameter_table(parameters, plot.taxa, plot.parameters)
     rules = PlantingRules(
         probability=_probability(plot),
-        rounding=rounding,
+        rounding=rounding or ("up" if plot.cover_definition == "article" else "random"),
+        cover_definition=plot.cover_definition,
         softness=plot.softness,
         softness_plants=plot.softness_plants,
         structure=plot.structure_m,
@@ -118,6 +122,7 @@ def build_plot(
     scene = plant(rules=rules)
     if plot.parameters is not None:
         _check_grid(scene, tables, parameters, plot.parameters)
+        check_projected_scene(scene, parameters, plot.parameters)
     wanted = np.asarray(scene.counts(parameters))[None]
     if counts is not None:
         wanted = np.concatenate([wanted, np.reshape(counts, (-1, wanted.shape[1]))])
@@ -175,7 +180,7 @@ def plot_parameters(
         rows = [_with_areas(*pair) for pair in zip(rows, plants, strict=True)]
     leaves = plot_leaves(plot) if leaves is None else leaves
     return PlotParameters(
-        species_parameters(rows, leaves),
+        species_parameters(rows, leaves, plot.shrubland),
         leaf_parameters(leaves),
         ground_parameters(plot, fractions),
         LightParameters(
@@ -196,7 +201,9 @@ def plot_leaves(plot: Plot) -> list[tuple[LeafRow, ...]]:
     **Raises:** `InputError` for a leaf spectrum that cannot be used.
     """
     fitted = cache(_fitted)  # one leaf may be that of many species
-    stated = [[fitted(leaf) for leaf in own] for own in leaves_of(plot.species, plot.leaves)]
+    rows = [*plot.leaves, *measured_leaves(plot.leaf_files)]
+    own_leaves = leaves_of(plot.species, rows, plot.shrubland)
+    stated = [[fitted(leaf) for leaf in own] for own in own_leaves]
     return drawn_leaves(stated, plot.leaf_variants, plot.seed)
 
 

@@ -1,6 +1,7 @@
 """What the jobs on a plot's parameters share: the plot, its free parameters, a forward model."""
 
 from collections.abc import Sequence
+from fnmatch import fnmatchcase
 from typing import Any, NamedTuple
 
 import jax
@@ -12,7 +13,7 @@ from fynjax._core.precision import double_precision
 from fynjax.assembly._build import build_plot
 from fynjax.assembly._sensing import aim_without_air
 from fynjax.inversion import CalibrationSettings, ImageView, ParameterSpace, free_space
-from fynjax.io.plot import Plot, drone_sensor
+from fynjax.io.plot import Plot, drone_sensor, open_sd
 from fynjax.scene import (
     PARAMETERS,
     PlotParameters,
@@ -92,7 +93,9 @@ _WIDTH_OF_90 = 3.29
 
 def _prior_sd(plot: Plot, name: str) -> float | None:
     """Relative standard deviation of a parameter's prior. Of a cover that the table has as a range
-    it is the one whose middle 90 % are that range, unless `calibration.priors` has its full name.
+    it is the one whose middle 90 % are that range, unless `calibration.priors` has its full name;
+    of what the tables leave open to shrublands at large it is that of these, unless
+    `calibration.priors` has a pattern for it.
     """
     for row in plot.species:
         between = row.cover_range
@@ -100,7 +103,9 @@ def _prior_sd(plot: Plot, name: str) -> float | None:
             low, high = between
             if name not in plot.calibration.priors:
                 return (high - low) / _WIDTH_OF_90 / (0.5 * (low + high))
-    return plot.calibration.relative_sd(name)
+    stated = any(fnmatchcase(name, pattern) for pattern in plot.calibration.priors)
+    at_large = None if stated else open_sd(plot, name)
+    return plot.calibration.relative_sd(name) if at_large is None else at_large
 
 
 _DRAWS, _LIKELY = 500, 0.99

@@ -40,8 +40,9 @@ def ground_parameters(plot: Plot, fractions: tuple[float, ...] | None = None) ->
     values = {name: getattr(plot.ground, name) for name in names}
     if values["moisture"] is None and plot.ground.soil == "wet":
         values["moisture"] = 1.0
-    # The default is learned with the shipped bark in place of dead tissue.
-    if values["wood_brightness"] is None and plot.dead_tissue is not None:
+    # The default is learned of fynbos with the shipped bark in place of dead tissue.
+    shipped = plot.dead_tissue is None and plot.shrubland == "fynbos"
+    if values["wood_brightness"] is None and not shipped:
         values["wood_brightness"] = 1.0
     if fractions is not None:
         values |= {f"{cover}_fraction": f for cover, f in zip(COVERS, fractions, strict=True)}

@@ -5,6 +5,7 @@ from jaxtyping import Float
 
 from fynjax._core.errors import InputError
 from fynjax._core.memory import total_memory
+from fynjax.canopy import projected_count
 from fynjax.io.plot import Plot
 from fynjax.scene import MOST_LISTED, PlantingRules, element_count
 
@@ -62,8 +63,12 @@ def _held_ready(
     area, plants, elements, standing = float(np.prod(plot.size_m)), 0.0, 0.0, 0.0
     resolved = PlantingRules(structure=plot.structure_m).resolved(plot.voxel_m)
     for s, held_ready in zip(plot.species, np.broadcast_to(room, len(plot.species))):
-        crown = np.pi / 4.0 * s.diameter**2 * (1.0 - s.packing) * s.fill
-        count = s.branches * area * s.cover / max(crown, s.minimum_area)
+        crown = np.pi / 4.0 * s.diameter**2
+        if plot.cover_definition == "projected":
+            count = float(projected_count(s.cover, crown, area))
+        else:
+            crown *= (1.0 - s.packing) * s.fill
+            count = s.branches * area * s.cover / max(crown, s.minimum_area)
         plants += held_ready * count
         own = count * element_count(s.diameter, s.height, resolved, structured=_structured(plot))
         standing, elements = standing + own, elements + held_ready * own

@@ -13,13 +13,15 @@ from fynjax.canopy._angles import (
 from fynjax.canopy._counts import (
     instance_area,
     modelled_diameter,
+    most_projected,
+    projected_count,
     rounded_count,
     share_from_above,
     soft_count,
     target_area,
 )
 from fynjax.canopy._elements import Crown, Foliage, Shoots
-from fynjax.canopy._form import FormPrior, GrowthForm, LeafGeometry, Taxa
+from fynjax.canopy._form import FormPrior, GrowthForm, LeafGeometry, Shrubland, Taxa
 from fynjax.canopy._greenness import Greenness, band_roles, band_word, choose_greenness
 from fynjax.canopy._grid import VoxelGrid, deposit
 from fynjax.canopy._instances import random_orientation, unit_shapes
@@ -28,6 +30,7 @@ from fynjax.canopy._plant import Organ, PlantModel, thin_plant
 from fynjax.canopy._plant_model import plant_model
 from fynjax.canopy._sites import (
     assign_sites,
+    clumping,
     element_weight,
     poisson_disk,
     site_weight,
@@ -65,6 +68,7 @@ __all__ = [
     "PlantMesh",
     "PlantModel",
     "Shoots",
+    "Shrubland",
     "SphericalLeafAngle",
     "TabulatedLeafAngle",
     "Taxa",
@@ -76,6 +80,7 @@ __all__ = [
     "band_roles",
     "band_word",
     "choose_greenness",
+    "clumping",
     "deposit",
     "element_weight",
     "even_levels",
@@ -84,11 +89,13 @@ __all__ = [
     "leaf_angle",
     "leaf_sizes",
     "modelled_diameter",
+    "most_projected",
     "plant_from_branches",
     "plant_model",
     "plant_model_from_mesh",
     "plant_model_from_points",
     "poisson_disk",
+    "projected_count",
     "projections",
     "random_orientation",
     "read_plant_mesh",

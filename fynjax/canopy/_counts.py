@@ -11,8 +11,11 @@ the two equations contradict each other; turn such a mesh (`up="y"` in
 
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
+
+from fynjax.canopy._sites import SITES, site_evenness
 
 _SINGLE_SLACK = 5e-7
 """A number that is whole but for this share of it is not lifted to the next plant [-]."""
@@ -97,6 +100,79 @@ def soft_count(
     50.93
     """
     return jnp.asarray(branches * target_area / projected_area)
+
+
+MOST_PROJECTED = 0.99
+"""Largest projected cover that is planted, of the ground where plants may stand [-]."""
+
+
+def most_projected(clumping: Any = 1.0) -> Any:
+    """Largest projected cover that `projected_count` counts plants for [-].
+
+    **Arguments:** `clumping` of each species as `fynjax.canopy.clumping` has it, [..., part].
+    """
+    return MOST_PROJECTED * jnp.mean(jnp.atleast_1d(jnp.asarray(clumping)) > 0.0, axis=-1)
+
+
+def projected_count(
+    cover: Any, crown: Any, ground: Any, *, spacing: Any = 0.0, clumping: Any = 1.0
+) -> Float[Array, "*species"]:
+    """Real number of plants whose crowns together lie over a share of the ground [-].
+
+    Crowns of area a at random over ground A leave free the share exp(-N a / A) (Boolean model,
+    Matheron 1975). The plants of a scene differ from that in three ways. Their number N is given:
+    a becomes -A ln(1 - a / A). They stand on some of the sites of `poisson_disk`, no two nearer
+    than `spacing`: each of n sites in a crown's disc is free of plants with probability 1 - N / P,
+    P of all sites, and with n of variance (1 - q) times its mean the free share is
+    (1 - N h / A)^(a / h), h = q A / P. A map makes them clump, w times as dense in equal parts of
+    the ground: the free share is the mean of (1 - N h w / A)^(a / h) over these.
+
+    **Arguments:**
+
+    - `cover`: share of the ground below the crowns of the species, overlap counted once [-]; above
+      `most_projected` it counts as that.
+    - `crown`: area of one crown within the plot [m2], positive.
+    - `ground`: area of the plot [m2].
+    - `spacing`: least distance of the sites [m]; 0: at random.
+    - `clumping`: w [-], [..., part] (`fynjax.canopy.clumping`); 1: alike everywhere.
+
+    Arrays, one value a species, broadcast. **Returns:** N such that the mean cover of whole plants,
+    the next lower number or the next higher one, is `cover`: between these the mean is a line.
+    Differentiable in cover and crown, slopes those of this line.
+
+    >>> from fynjax.canopy import projected_count, soft_count, target_area
+    >>> round(float(projected_count(0.45, 0.2, 1e4)))
+    29891
+    >>> round(float(soft_count(target_area(1e4, 0.45), 0.2)))
+    22500
+    """
+    part = jnp.atleast_1d(jnp.asarray(clumping, jnp.result_type(float)))
+    bare = 1.0 - jnp.minimum(jnp.asarray(cover), most_projected(part))
+    area = -ground * jnp.log1p(-jnp.minimum(jnp.asarray(crown) / ground, 0.9))
+    held = site_evenness(jnp.sqrt(crown / jnp.pi) / jnp.maximum(spacing, 1e-9)) * spacing**2 / SITES
+    held = jnp.maximum(held, 1e-4 * area)  # below that it makes no difference
+    power = area / held
+    fixed = jax.lax.stop_gradient((bare, power, held))
+    count = -jnp.expm1(jnp.log(fixed[0]) / fixed[1]) * ground / fixed[2]
+    if part.shape[-1] > 1:  # Newton's method from below, on the logarithm of what is bare
+
+        def step(_: int, count: Array) -> Array:
+            free, taken = _bare(count, *fixed[1:], part, ground)
+            return count + free * jnp.log(free / fixed[0]) / taken
+
+        count = jax.lax.fori_loop(0, 20, step, count)
+    lower = jnp.floor(count)
+    free, taken = _bare(lower, power, held, part, ground)
+    return lower + (free - bare) / taken
+
+
+def _bare(count: Array, power: Array, held: Array, part: Array, ground: Any) -> tuple[Array, Array]:
+    """Share of the ground without crowns, and what one plant more takes of it [-]."""
+    each = held[..., None] * part / ground
+    full, power = jnp.minimum(count[..., None] * each, 0.99), power[..., None]
+    free = jnp.exp(power * jnp.log1p(-full))
+    taken = -free * jnp.expm1(power * jnp.log1p(-jnp.minimum(each / (1.0 - full), 0.99)))
+    return free.mean(axis=-1), taken.mean(axis=-1)
 
 
 def rounded_count(count: Any, lessened: Any = 0.0) -> Float[Array, "*species"]:

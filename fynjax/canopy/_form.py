@@ -1,6 +1,7 @@
 """What a growth form is: one record, of which `fynjax.canopy.forms` has one file each."""
 
 from dataclasses import dataclass
+from typing import Literal
 
 from fynjax.canopy._elements import (
     Crown,
@@ -11,6 +12,9 @@ from fynjax.canopy._elements import (
     leaves_in_bunches,
     wood_of_stems,
 )
+
+Shrubland = Literal["fynbos", "generic"]
+"""Where plants have their usual values from: 18 fynbos plots, or published shrublands at large."""
 
 
 @dataclass(frozen=True)
@@ -35,15 +39,15 @@ class LeafGeometry:
 
 @dataclass(frozen=True)
 class FormPrior:
-    """What is assumed of a form's shoots before any spectrum: median and standard deviation.
+    """Median and standard deviation of a form's shoots in a population of plots.
 
-    The centre that `fynjax bioscape learn` starts from, and what a learned population that lacks
-    the form says of it. In the shipped forms leaf areas lie in the range of 0.5 to 4 that shrub
-    crowns commonly show, known to a half. Shares of dead tissue are near those with which the
-    spectra of 18 BioSCape plots agree best when each form has one value and these leaf areas, or
-    assumed,
-    known to one unit of the logit. Clumping is that of a pine shoot, 0.44, for small leaves along a
-    twig, and less for culms, threads and large leaves; nobody measured it on shoots of fynbos.
+    Those of `GrowthForm.prior` are assumed before any spectrum: `fynjax bioscape learn` starts
+    from them, and a learned population that lacks the form says them of it. There leaf areas
+    lie in the range of 0.5 to 4 that shrub crowns commonly show, known to a half. Shares of
+    dead tissue are near those with which the spectra of 18 BioSCape plots agree best when each
+    form has one value and these leaf areas, or assumed, known to one unit of the logit.
+    Clumping is that of a pine shoot, 0.44, for small leaves along a twig, and less for culms,
+    threads and large leaves; nobody measured it on shoots of fynbos.
     """
 
     dead_fraction: tuple[float, float]
@@ -100,6 +104,9 @@ class GrowthForm:
     prior: FormPrior | None = None
     """Priors of dead tissue, leaf area and clumping before they are learned; None of a
     form without leaves."""
+    generic: FormPrior | None = None
+    """Dead tissue, leaf area and clumping in shrublands at large, of a form whose own values were
+    learned from fynbos; None: its own values are of no shrubland in particular."""
 
     diameter: float
     """Usual crown diameter [m]."""
@@ -146,6 +153,12 @@ class GrowthForm:
     """Plants of this form with flat leaves, in tables that state no form."""
     round_leaved: Taxa = Taxa()
     """Plants of this form with rolled leaves, needles or culms, in tables that state no form."""
+
+    def value(self, name: str, plants: Shrubland) -> float:
+        """Usual value of a parameter of a species table, such as `leaf_area_index`, in fynbos or in
+        shrublands at large."""
+        pair = None if plants == "fynbos" else getattr(self.generic, name, None)
+        return getattr(self, name) if pair is None else pair[0]
 
     @property
     def leafy(self) -> bool:

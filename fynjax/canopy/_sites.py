@@ -70,6 +70,71 @@ def poisson_disk(
     return fill(np.random.default_rng(seed), lx, ly, float(radius), int(attempts), bool(periodic))
 
 
+SITES = 0.595
+"""Points of `poisson_disk` over the area, times the square of their least distance [-]."""
+_EVENNESS = (
+    (0.5, 0.7, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 16.0),
+    (0.467, 0.685, 0.743, 0.808, 0.833, 0.867, 0.883, 0.903, 0.914, 0.93),
+)
+"""Radius of a disc over the least distance, and `site_evenness` counted there."""
+
+
+def site_evenness(radius: Any) -> Any:
+    """Share by which the number of sites in a disc scatters less than at random [-].
+
+    One less its variance over its mean. In discs smaller than half the least distance there is one
+    site or none, so that it is their mean number; in larger ones it was counted.
+
+    **Arguments:** `radius`, of the disc over the least distance of `poisson_disk` [-].
+
+    Differentiable.
+    """
+    larger = jnp.interp(radius, *map(jnp.asarray, _EVENNESS))
+    return jnp.where(radius < 0.5, SITES * jnp.pi * radius**2, larger)
+
+
+def clumping(
+    probability: Real[np.ndarray, "y x"] | None,
+    extent: tuple[float, float],
+    diameter: float,
+    *,
+    periodic: bool,
+) -> Float[np.ndarray, " part"]:
+    """Relative density of plants within reach of a crown over equal parts of the ground [-].
+
+    **Arguments:**
+
+    - `probability`: map of 0-255 as of `assign_sites`; None: alike everywhere.
+    - `extent`: (lx, ly) [m] that it covers.
+    - `diameter`: of a crown [m], over whose disc the map is averaged.
+    - `periodic`: whether the map repeats itself; else no plant stands beyond it.
+
+    **Returns:** `PARTS` values from the sparsest to the densest, with a mean of 1: what
+    `projected_count` counts by.
+    """
+    radius = diameter / 2.0
+    if probability is None:
+        probability = np.ones([min(512, int(np.ceil(16.0 * l / diameter))) for l in extent[::-1]])
+    values = np.asarray(probability, float)
+    ny, nx = values.shape
+    across = []
+    for side, n in ((extent[0], nx), (extent[1], ny)):
+        beyond = 0 if periodic else int(np.ceil(radius * n / side))
+        across.append(np.fft.fftfreq(n + beyond, n / side / (n + beyond)))
+    disc = np.hypot(*np.meshgrid(*across)) <= radius
+    both = np.fft.fft2(values, disc.shape) * np.fft.fft2(disc / disc.sum())
+    near = np.fft.ifft2(both).real[:ny, :nx]
+    near = np.sort(np.where(near > 1e-9 * values.max(), near, 0.0), axis=None)
+    # Means of equal parts: what the sum grows by along each.
+    edges = np.linspace(0.0, near.size, PARTS + 1)
+    grown = np.interp(edges, np.arange(near.size + 1), np.append(0.0, near.cumsum()))
+    return np.diff(grown) * PARTS / grown[-1]
+
+
+PARTS = 32
+"""Parts of the ground by which `clumping` describes a map."""
+
+
 def assign_sites(
     points: Float[np.ndarray, "n 2"],
     needed: Sequence[int] | np.ndarray,

@@ -122,8 +122,8 @@ def reflectance(
         list[Path],
         typer.Argument(
             metavar="FOLDER_OR_FILES...",
-            help="Raw pictures of a MicaSense camera: a folder of captures, or NAME_1.tif, "
-            "NAME_2.tif, ...",
+            help="Raw pictures of a MicaSense camera (RedEdge, RedEdge-P, Altum), a Mavic 3 "
+            "Multispectral or a Phantom 4 Multispectral: a folder of captures, or files of bands.",
         ),
     ],
     panels: Annotated[
@@ -164,10 +164,19 @@ def reflectance(
         float, typer.Option(help="Relative standard deviation of the panel's reflectance.")
     ] = 0.02,
     light_sd: Annotated[
-        float, typer.Option(help="Relative standard deviation of the light.")
-    ] = 0.05,
+        float | None,
+        typer.Option(
+            help="Relative standard deviation of light and camera; if left out, 0.18 by the light "
+            "sensor alone, 0.10 by a panel, 0.04 by several panels."
+        ),
+    ] = None,
     height: Annotated[
-        float | None, typer.Option(metavar="M", help="Height of flight above the ground [m].")
+        float | None,
+        typer.Option(
+            metavar="M",
+            help="Height of flight above the ground [m]; that above the take-off, as a DJI states "
+            "it, if left out.",
+        ),
     ] = None,
     pixel: Annotated[
         float | None, typer.Option(metavar="M", help="Or the side of a pixel on it [m].")

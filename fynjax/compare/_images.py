@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float
 
 from fynjax._core.errors import InputError
 from fynjax.canopy import band_word
-from fynjax.io.raster import RAW_COUNTS, RasterFile, check_reflectance, open_image
+from fynjax.io.raster import RAW_COUNTS, RELATIVE_TAG, RasterFile, check_reflectance, open_image
 from fynjax.metrics import BANDS
 from fynjax.sensors import mavic_3m
 
@@ -135,6 +135,8 @@ def read_drone_image(
     with open_image(path, "a drone image") as file:
         if file.is_raw_capture:
             raise InputError(RAW_COUNTS, file=path)
+        if doubt := file.tags.get(RELATIVE_TAG):
+            warnings.warn(f"{path}: {doubt}", stacklevel=2)
         # Programs call the last of four bands alpha, also where it is near infrared.
         data = file.dataset.indexes if file.dataset.count == len(BANDS) else file.bands
         numbers, taken, how = _find_bands(file, data, bands)

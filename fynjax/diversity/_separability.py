@@ -13,6 +13,8 @@ from fynjax._core.errors import InputError, listed
 from fynjax._core.extras import require
 
 Method = Literal["discriminant", "forest"]
+_DRAWS = 10
+"""Draws of two classes that are alike."""
 
 
 def bhattacharyya_distance(
@@ -25,13 +27,19 @@ def bhattacharyya_distance(
 
     A covariance of few pixels in many bands is singular or nearly so. Each is therefore shrunk
     towards one with the same variance m (its mean) in all bands and none between them, (1 - s) S1 +
-    s m I, by default with the s that Ledoit and Wolf (2004) estimate from the pixels. It makes B
-    smaller; without (`shrinkage=0`) few pixels make it far too large.
+    s m I, by default with the s that Ledoit and Wolf (2004) estimate from the pixels. B would still
+    be too large, the more so the fewer pixels a band. So by default B is made smaller by the mean B
+    of 10 draws of classes that are alike: normal, with as many pixels and the covariance of all
+    pixels about the means of their classes. Pixels count as independent. Of 20 pixels of each of
+    two classes that are alike, in 4 to 50 bands, the Jeffries-Matusita distance is then 0.05 to
+    0.15 on average (0.2 to 1.1 without), and of classes at 0.79 in 50 bands without correlation
+    0.73.
 
     **Arguments:**
 
     - `first`, `second`: [pixel, band] spectra of the classes, in one unit.
-    - `shrinkage`: s, from 0 to 1; estimated for each class unless given.
+    - `shrinkage`: s, from 0 to 1, for B as the formula has it of the pixels; estimated for each
+      class, and B made smaller, unless given.
 
     **Returns:** the distance, at least 0 and without bound. Not differentiable.
 
@@ -59,6 +67,19 @@ def bhattacharyya_distance(
         )
     if not all(np.isfinite(x).all() for x in classes):
         raise InputError("expected finite spectra, but some have NaN or infinity: leave them out")
+    found = _distance(classes, shrinkage)
+    if shrinkage is not None:
+        return found
+    away = np.concatenate([x - x.mean(axis=0) for x in classes])
+    root = np.linalg.cholesky(_covariance(away, None))
+    random, alike = np.random.default_rng(0), []
+    for _ in range(_DRAWS):
+        pixels = random.normal(size=away.shape) @ root.T
+        alike.append(_distance(np.split(pixels, [len(classes[0])]), None))
+    return max(found - float(np.mean(alike)), 0.0)
+
+
+def _distance(classes: Sequence[NDArray[np.float64]], shrinkage: float | None) -> float:
     one, two = (_covariance(x, shrinkage) for x in classes)
     off = classes[0].mean(axis=0) - classes[1].mean(axis=0)
     both = 0.5 * (one + two)

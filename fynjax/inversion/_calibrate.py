@@ -161,6 +161,8 @@ class Ends(eqx.Module):
 
 _OF_COUNTS = (".cover", ".packing", ".fill")
 """Parameters of a species that have no effect but on how many plants there are."""
+_OF_THE_ARTICLE = (".packing", ".fill")
+"""Parameters of a species that have no effect where covers are projected."""
 _OF_LEAVES = ("leaf_area_index", "shoot_clumping", "dead_fraction", "leaf_spread")
 """Parameters of a species that have no effect without leaves."""
 
@@ -178,8 +180,9 @@ def free_space(
 
     Parameters without effect are left out (leaves of deadwood, the moisture of a soil and the
     aerosol of a sky that were given, covers, packing and fill of known plants, whose number they
-    would give), and covers of zero, of species, char or rock. A prior that does not lie between its
-    bounds is moved or narrowed, with a warning (`make_space`).
+    would give, packing and fill where covers are projected), and covers of zero, of species, char
+    or rock. A prior that does not lie between its bounds is moved or narrowed, with a warning
+    (`make_space`).
 
     **Arguments:**
 
@@ -217,6 +220,8 @@ def _without_effect(name: str, scene: Scene, parameters: PlotParameters) -> bool
         if float(parameters.species.cover[i]) == 0.0:
             return True
         if scene.known_plants and name.endswith(_OF_COUNTS):
+            return True
+        if scene.cover_definition == "projected" and name.endswith(_OF_THE_ARTICLE):
             return True
         if name.endswith(".leaf_spread") and scene.species[i].leaves == 1:
             return True

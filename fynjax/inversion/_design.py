@@ -82,11 +82,9 @@ needs, where species are to separate."""
 _RASTER = 80
 """Centres in the raster from which the first ascent starts."""
 _DRAWS = 20
-"""Random places of which the best is a start."""
+"""Random sets of bands of that raster of which the best is a start."""
 _SHRUNK = 0.5
 """Share of the covariance between plantings that is taken from that between pixels."""
-_AGAIN = 2
-"""Number of ends of ascents, best first, from which a design without a planting starts."""
 _OPAQUE = 1e-8
 """Photons in the water windows, over the most at any wavelength."""
 _TINY = 1e-30
@@ -94,7 +92,7 @@ _SHANNON = Functional(
     "Shannon entropy of the covers", "-", lambda scene, plot: shannon(plot.species.cover)
 )
 _OTHER_TARGETS = {
-    "information": "information on the parameters [bit]",
+    "information": "information on the parameters one by one [bit]",
     "separability": "mean Jeffries-Matusita distance of two species [0 to 2]",
 }
 """Targets that are no quantities, in words."""
@@ -118,8 +116,8 @@ class _Spectra(eqx.Module):
     photons: Float[Array, " wavelength"]
     """Photons that a pixel collects per nm from a white ground."""
     asked: Float[Array, "planting quantity free"]
-    """Slopes by the whitened coordinates of the quantities that are asked for; none where the
-    target is not one of quantities."""
+    """Slopes by the whitened coordinates of the quantities that are asked for: of these coordinates
+    themselves for "information", of none for "separability"."""
     species: Float[Array, "planting species"]
     """Pixels that are mostly of each species, 0 where they are fewer than ten."""
     species_mean: Float[Array, "planting species wavelength"]
@@ -198,46 +196,58 @@ def _measured(
 def _scores(
     spectra: _Spectra, seen: _Measured, among: Float[Array, " planting"]
 ) -> Float[Array, "planting quantity"]:
-    """The information of bands on each quantity that is asked for, in each planting. Never less
-    with a band more.
+    """What bands say of each quantity in each planting, by what others of those `among` (1 or 0)
+    show.
 
-    The statistics are mean and standard deviation of each band over the pixels. Their covariance
-    between the plantings `among` (1 or 0) is drawn half-way to that which pixels suggest: of means
-    as of the pixels, of standard deviations with the squared correlation of the pixels, as normal
-    samples have it, each as large as it is between plantings over all wavelengths.
+    The estimate of a quantity is linear in mean and standard deviation of each band over the
+    pixels, and is the best on average over the others. So slopes that are only where the others'
+    plants stand do not help in the planting itself: its share of the variance removed is below 0
+    where they lead astray.
+
+    Where plants stand changes the statistics with a covariance that is drawn half-way from that
+    between the others to that which pixels suggest: of means as of the pixels, of standard
+    deviations with the squared correlation of the pixels, as normal samples have it, each as large
+    as it is between plantings over all wavelengths.
     """
+    others = among * (1.0 - jnp.eye(len(among)))
+    others = others / others.sum(axis=1, keepdims=True)
     if spectra.target == "separability":
-        return _separated(spectra, seen)
+        return jax.vmap(lambda *of: _separated(spectra, seen, *of))(others, jnp.arange(len(among)))
     variance = jnp.diagonal(seen.covariance, axis1=1, axis2=2)
     pixel = variance + seen.noise
     sd = jnp.sqrt(pixel)
     values = jnp.concatenate([seen.mean, sd], axis=1)
     slopes = jnp.concatenate([seen.mean_slope, seen.variance_slope / (2.0 * sd[..., None])], axis=1)
-    # Chance: between the plantings, and as between pixels.
-    share = among / among.sum()
-    centre = share @ values
-    apart = jnp.sqrt(share)[:, None] * (values - centre)
-    between = apart.T @ apart * (among.sum() / (among.sum() - 1.0))
-    covariance = jnp.tensordot(share, seen.covariance, axes=1)
-    root = jnp.sqrt(jnp.diagonal(covariance) + _TINY)
-    of_means, of_spreads = _chance(spectra, share)
-    alike = covariance**2 / jnp.outer(root, root)
-    suggested = jax.scipy.linalg.block_diag(of_means * covariance, of_spreads * alike)
-    # Errors of the sensor: relative, and shot noise in a mean and a standard deviation.
-    of_sd = share @ ((2.0 * variance * seen.noise + seen.noise**2) / (2.0 * pixel))
-    noise = jnp.concatenate([seen.noise, of_sd]) / spectra.pixels
-    own = (spectra.error * centre) ** 2 + noise
-    total = (1.0 - _SHRUNK) * between + _SHRUNK * suggested + jnp.diag(own)
-    white = jax.scipy.linalg.solve_triangular(
-        jnp.linalg.cholesky(total), jnp.moveaxis(slopes, 1, 0).reshape(len(total), -1), lower=True
-    ).reshape(len(total), len(slopes), -1)
-    # Woodbury: as large as the statistics, not as the parameters.
-    inner = jnp.eye(len(total)) + jnp.einsum("spk,tpk->pst", white, white)
+    of_sd = (2.0 * variance * seen.noise + seen.noise**2) / (2.0 * pixel)
+
+    def left(share: Array, value: Array, slope: Array, asked: Array) -> Array:
+        """Variance of each quantity that is left, over that of its prior."""
+        count = jnp.sum(share > 0.0)
+        centre = share @ values
+        apart = jnp.sqrt(share)[:, None] * (values - centre)
+        between = apart.T @ apart * (count / (count - 1.0))
+        covariance = jnp.tensordot(share, seen.covariance, axes=1)
+        root = jnp.sqrt(jnp.diagonal(covariance) + _TINY)
+        of_means, of_spreads = _chance(spectra, share)
+        alike = covariance**2 / jnp.outer(root, root)
+        suggested = jax.scipy.linalg.block_diag(of_means * covariance, of_spreads * alike)
+        # Errors of the sensor: relative, and shot noise in a mean and a standard deviation.
+        noise = jnp.concatenate([seen.noise, share @ of_sd]) / spectra.pixels
+        own = jnp.diag((spectra.error * centre) ** 2 + noise)
+        total = (1.0 - _SHRUNK) * between + _SHRUNK * suggested + own
+        total += jnp.einsum("p,psk,ptk->st", share, slopes, slopes)
+        known = jnp.einsum("p,psk,pqk->sq", share, slopes, spectra.asked)
+        estimate = jnp.linalg.solve(total, known)
+        astray = jnp.sum((asked - estimate.T @ slope) ** 2, axis=1)
+        chance = (value - centre) @ estimate
+        noisy = jnp.sum(estimate * (own @ estimate), axis=0)
+        wrong = astray + count / (count + 1.0) * chance**2 + noisy
+        return wrong / jnp.sum(asked**2, axis=1)
+
+    rest = jax.vmap(left)(others, values, slopes, spectra.asked)
     if spectra.target == "information":
-        return 0.5 / np.log(2.0) * jnp.linalg.slogdet(inner)[1][:, None]
-    known = jnp.einsum("spk,pqk->psq", white, spectra.asked)
-    removed = jnp.einsum("psq,psq->pq", known, jnp.linalg.solve(inner, known))
-    return removed / jnp.sum(spectra.asked**2, axis=2)
+        return -0.5 * jnp.log2(rest).sum(axis=1, keepdims=True)
+    return 1.0 - rest
 
 
 def _chance(spectra: _Spectra, share: Float[Array, " planting"]) -> tuple[Array, Array]:
@@ -253,18 +263,31 @@ def _chance(spectra: _Spectra, share: Float[Array, " planting"]) -> tuple[Array,
     return of_means, between(jnp.sqrt(jnp.abs(pixel))) / jnp.sum(share @ pixel)
 
 
-def _separated(spectra: _Spectra, seen: _Measured) -> Float[Array, "planting 1"]:
-    """Mean Jeffries-Matusita distance of two species, as normal classes with the noise."""
+def _separated(
+    spectra: _Spectra, seen: _Measured, share: Float[Array, " planting"], at: Int[Array, ""]
+) -> Float[Array, " 1"]:
+    """Mean Jeffries-Matusita distance of two species in a planting, along the line that parts them
+    best in the others, as normal classes of the same covariance, with the noise."""
     first, second = np.triu_indices(spectra.species.shape[1], 1)
-    every = seen.species_covariance + jnp.diag(seen.noise)
-    one, two = every[:, first], every[:, second]
-    both = 0.5 * (one + two)
-    off = seen.species_mean[:, first] - seen.species_mean[:, second]
-    square = jnp.einsum("pcb,pcb->pc", off, jnp.linalg.solve(both, off[..., None])[..., 0])
-    log = [jnp.linalg.slogdet(matrix)[1] for matrix in (both, one, two)]
-    distance = 2.0 * -jnp.expm1(-(square / 8.0 + 0.5 * (log[0] - 0.5 * (log[1] + log[2]))))
-    known = (spectra.species[:, first] > 0) & (spectra.species[:, second] > 0)
-    return (jnp.sum(known * distance, axis=1) / jnp.sum(known, axis=1))[:, None]
+    number = share[:, None] * spectra.species
+    number = number / jnp.maximum(number.sum(axis=0), _TINY)
+
+    def apart(mean: Array, covariance: Array) -> tuple[Array, Array]:
+        both = 0.5 * (covariance[first] + covariance[second]) + jnp.diag(seen.noise)
+        return mean[first] - mean[second], both
+
+    off, both = apart(
+        jnp.einsum("ps,psb->sb", number, seen.species_mean),
+        jnp.einsum("ps,psbc->sbc", number, seen.species_covariance),
+    )
+    line = jnp.linalg.solve(both, off[..., None])[..., 0]
+    off, both = apart(seen.species_mean[at], seen.species_covariance[at])
+    along = jnp.maximum(jnp.sum(line * off, axis=1), 0.0)
+    square = along**2 / jnp.maximum(jnp.einsum("cb,cbd,cd->c", line, both, line), _TINY)
+    there = (spectra.species[at] > 0) & (number.sum(axis=0) > 0)
+    known = there[first] & there[second]
+    distance = -2.0 * jnp.expm1(-square / 8.0)
+    return jnp.atleast_1d(jnp.sum(known * distance) / jnp.maximum(jnp.sum(known), 1))
 
 
 class _Limits(NamedTuple):
@@ -288,32 +311,27 @@ def _gaussian(spectra: _Spectra, limits: _Limits, x: Array | np.ndarray) -> _Mea
     return _measured(spectra, gaussian_weights(spectra.grid, centre, width), width)
 
 
-def _value(spectra: _Spectra, limits: _Limits, x: Array, among: Array) -> Float[Array, ""]:
-    """Mean over the plantings `among`, and over quantities, of the information of bands."""
-    scores = _scores(spectra, _gaussian(spectra, limits, x), among)
-    return among @ scores.mean(axis=1) / among.sum()
+def _value(spectra: _Spectra, seen: _Measured, among: Array) -> Float[Array, ""]:
+    """Mean over the plantings `among`, and over quantities, of what bands say."""
+    return among @ _scores(spectra, seen, among).mean(axis=1) / among.sum()
 
 
 _seen, _seen_gaussian = eqx.filter_jit(_measured), eqx.filter_jit(_gaussian)
 _scores_of = eqx.filter_jit(_scores)
-_ascent = eqx.filter_jit(
-    lambda x, *of: jax.value_and_grad(lambda x: -_value(of[0], of[1], x, of[2]))(x)
-)
 
 
 @eqx.filter_jit
-def _values_of(spectra: _Spectra, limits: _Limits, places: Array, among: Array) -> Array:
-    return jax.lax.map(lambda x: _value(spectra, limits, x, among), places)
+def _ascent(x: Array, spectra: _Spectra, limits: _Limits, among: Array) -> tuple[Array, Array]:
+    """The negative of the target at bands, and its slopes."""
+    return jax.value_and_grad(lambda x: -_value(spectra, _gaussian(spectra, limits, x), among))(x)
 
 
 @eqx.filter_jit
-def _values_of_channels(
+def _values_of(
     spectra: _Spectra, seen: _Measured, sets: Int[Array, "set band"], among: Array
 ) -> Float[Array, " set"]:
-    def value(at: Array) -> Array:
-        return among @ _scores(spectra, seen.chosen(at), among).mean(axis=1) / among.sum()
-
-    return jax.lax.map(value, sets, batch_size=64)
+    """The target of sets of bands among those that are seen."""
+    return jax.lax.map(lambda at: _value(spectra, seen.chosen(at), among), sets, batch_size=64)
 
 
 def best_channels(
@@ -324,7 +342,7 @@ def best_channels(
 
     def beside(rest: list[int]) -> tuple[float, list[int]]:
         sets = [[*rest, i] for i in range(len(seen.noise)) if i not in rest]
-        found = np.asarray(_values_of_channels(spectra, seen, jnp.asarray(sets), among))
+        found = np.asarray(_values_of(spectra, seen, jnp.asarray(sets), among))
         return float(found.max()), sets[int(found.argmax())]
 
     value, chosen = beside([])
@@ -449,7 +467,7 @@ def design(
     widths: tuple[float, float] = (10.0, 100.0),
     snr: float = 100.0,
     error: float = 0.01,
-    plantings: int = 4,
+    plantings: int = 6,
     compare: Sequence[str | Sensor] = CAMERAS,
     starts: int = 8,
     seed: int = 0,
@@ -457,17 +475,19 @@ def design(
 ) -> BandDesign:
     """The most informative bands of a camera on a stand, by gradient through the renderer.
 
-    A camera measures mean and standard deviation of each band over the pixels. With their slopes J
-    by whitened parameters and their covariance C (where plants stand, an independent relative error
-    of each, shot noise) the parameters' prior precision 1 grows by the Fisher information J'C^-1 J,
-    and the variance of any quantity falls from g'g to g'(1 + J'C^-1 J)^-1 g, with g its slopes.
-    The target is a mean over plantings. Slopes are those of each planting, and their chance counts
-    as information, the more the more bands there are: compare cameras of as many bands by it, and
-    take bounds from `sweep_sensors`.
+    A camera measures mean and standard deviation of each band over the pixels. A quantity with
+    slopes g by whitened parameters u, of which the statistics have the slopes J, is estimated from
+    them as a'y with a = (C + mean J J')^-1 mean J g, the best linear estimate: C is the covariance
+    of the statistics (where plants stand, an independent relative error of each, shot noise), and
+    means are over plantings. In a planting that had no share in them the variance |g - J'a|^2 +
+    (a'y)^2 + noise is left of |g|^2, with y less its mean over the others: every planting is judged
+    by estimates that others made, so that slopes that are only where plants stand are no knowledge,
+    however many bands there are. The target is the mean over plantings and quantities.
 
-    Centres and widths climb (L-BFGS) from the best of a raster and from random places. For each
-    planting the design is made anew without it, and so is the choice of channels of AVIRIS-NG;
-    gains are those in the planting left out, and their interval is Student's.
+    Centres and widths climb (L-BFGS) from the best of a raster and of random places. For each
+    planting the design is made anew without it, and so is the choice of channels of AVIRIS-NG, and
+    judged in it. As these designs share plantings, the interval of the gain is Student's with the
+    variance of Nadeau and Bengio, 1 / P + 1 / (P - 1) of that of P plantings.
 
     **Arguments:**
 
@@ -475,10 +495,11 @@ def design(
       with the parameters of the first.
     - `bands`: their number.
     - `target`: names or patterns of numbers of the stand (`stand_functionals`, "shannon" of the
-      covers) and of free parameters, of which the mean share of the variance removed counts, but
-      for those that no free parameter changes;
-      or "information", that on all free parameters [bit]; or "separability", the mean
-      Jeffries-Matusita distance of two species' pixels.
+      covers) and of free parameters, of which the mean share of the variance removed counts;
+      patterns leave out those that no free parameter changes.
+      Or "information", the sum over all free parameters of -log2(share left) / 2 [bit], at most
+      what bands say of them together; or "separability", the mean Jeffries-Matusita distance of two
+      species' pixels along the line that parts them best in other plantings.
     - `free`: the unknown parameters with their priors; `DESIGN_FREE` with the usual priors if left
       out.
     - `pixel`: edge of a pixel on the ground [m].
@@ -488,7 +509,7 @@ def design(
       of 0.1, under the plot's own sun and a clear sky; in other bands by the photons they collect,
       the detector alike at all wavelengths. Other sensors count with the same optics.
     - `error`: independent error of every statistic, relative [-].
-    - `plantings`: how many are made of one scene, at least 3.
+    - `plantings`: how many are made of one scene, at least 4.
     - `compare`: other sensors, shipped names or objects.
     - `starts`: ascents, the first from a raster of bands.
     - `seed`: of the starts.
@@ -496,11 +517,11 @@ def design(
 
     **Returns:** `BandDesign`. Not differentiable; what it climbs is, in centres and widths.
 
-    **Raises:** `InputError` for settings that do not fit each other, an unknown target, and species
-    that lead in too few pixels to separate.
+    **Raises:** `InputError` for settings that do not fit each other, a target that is unknown or
+    that no free parameter changes, and species that lead in too few pixels to separate.
 
-    Source: Lindley (1956), Annals of Mathematical Statistics 27, 986; Chaloner and Verdinelli
-    (1995), Statistical Science 10, 273.
+    Source: Chaloner and Verdinelli (1995), Statistical Science 10, 273; Nadeau and Bengio (2003),
+    Machine Learning 52, 239.
     """
     stands = [scenes] if isinstance(scenes, Scene) else list(scenes)
     limits, grid = _check(stands, bands, pixel, spectrum, widths, snr, error, plantings, starts)
@@ -527,8 +548,8 @@ def design(
     if kind == "quantities" and not named:
         raise InputError("what is asked for does not depend on any of the free parameters")
     checked()
-    slopes = np.zeros((len(stands), 0, len(space.names)))
-    asked = np.stack([*named.values()], axis=1) if named else slopes
+    every_one = np.eye(len(space.names))[: None if kind == "information" else 0]
+    asked = np.stack([*named.values()] if named else [every_one] * len(stands), axis=bool(named))
     spectra = _render(stands, space, asked, grid, pixel, snr, error, kind)
     if kind == "separability" and (np.asarray(spectra.species > 0).sum(axis=1) < 2).any():
         raise InputError(
@@ -553,8 +574,9 @@ def design(
     left = []
     for out in track(range(len(stands)), "Leave out each planting"):
         among = every.at[out].set(0.0)
-        near = [_ascend(spectra, limits, x, among) for _, x in ends[:_AGAIN]]
-        again = _seen_gaussian(spectra, limits, max(near, key=lambda end: end[0])[1])
+        again = _seen_gaussian(
+            spectra, limits, _search(spectra, limits, bands, starts, seed, among)[0][1]
+        )
         those = again, *seen[1:], few(among)
         left.append([float(_scores_of(spectra, one, among)[out].mean()) for one in those])
     chosen = channels.select(best_channels(spectra, fine, bands, every))
@@ -571,8 +593,8 @@ def _check(
 ) -> tuple[_Limits, Float[np.ndarray, " wavelength"]]:  # fmt: skip
     """Limits of the bands, and the grid of wavelengths."""
     number = plantings if len(stands) == 1 else len(stands)
-    if not all(isinstance(one, Scene) for one in stands) or number < 3:
-        raise InputError(f"expected a scene and 3 `plantings` or more, or as many scenes: {number}")
+    if not all(isinstance(one, Scene) for one in stands) or number < 4:
+        raise InputError(f"expected a scene and 4 `plantings` or more, or as many scenes: {number}")
     if len({one.taxa for one in stands}) > 1:
         raise InputError("expected scenes of the same species, in the same order")
     if len(spectrum) != 2 or not _RANGE[0] <= spectrum[0] < spectrum[1] <= _RANGE[1]:
@@ -647,10 +669,21 @@ def _asked(
         ],
         axis=1,
     )
-    return {
+    known = {
         name: slopes
         for name, slopes in zip(names, found, strict=True)
-        if any(fnmatchcase(name, one) for one in wanted) and np.abs(slopes).max(axis=1).min() > 0.0
+        if np.abs(slopes).max(axis=1).min() > 0.0
+    }
+    fixed = [name for name in wanted if name in names and name not in known]
+    if fixed and tuple(wanted) != DESIGN_TARGET:
+        raise InputError(
+            f"no free parameter changes {listed(fixed)} in every planting: free one that does, or "
+            "leave it out of the `target`"
+        )
+    return {
+        name: slopes
+        for name, slopes in known.items()
+        if any(fnmatchcase(name, one) for one in wanted)
     }
 
 
@@ -751,11 +784,19 @@ def _search(
     seen = _seen_gaussian(spectra, limits, raster.T.ravel())
     begin = [raster[best_channels(spectra, seen, bands, among)].T.ravel()]
     random = np.random.default_rng([seed, 89])
-    for places in random.uniform(size=(starts - 1, _DRAWS, 2 * bands)):
-        values = np.asarray(_values_of(spectra, limits, jnp.asarray(places), among))
-        begin.append(places[int(values.argmax())])
+    for sets in random.integers(len(raster), size=(starts - 1, _DRAWS, bands)):
+        values = np.asarray(_values_of(spectra, seen, jnp.asarray(sets), among))
+        begin.append(raster[sets[int(values.argmax())]].T.ravel())
     ends = [_ascend(spectra, limits, start, among) for start in track(begin, "Ascend")]
     return sorted(ends, key=lambda end: -end[0])
+
+
+def half_interval(gain: Float[np.ndarray, "planting sensor"]) -> Float[np.ndarray, " sensor"]:
+    """Half of the interval of 90 % of a mean gain over plantings, each judged by the others:
+    Student's, with the variance of Nadeau and Bengio."""
+    count = len(gain)
+    wider = np.sqrt(1.0 / count + 1.0 / (count - 1.0))
+    return np.asarray(student.ppf(0.95, count - 1) * wider * gain.std(axis=0, ddof=1))
 
 
 def _record(
@@ -772,7 +813,7 @@ def _record(
     import pandas as pd  # late: the command line need not wait for it
 
     gain = left[:, :1] - left
-    half = student.ppf(0.95, len(left) - 1) * gain.std(axis=0, ddof=1) / np.sqrt(len(left))
+    half = half_interval(gain)
     labels = ["designed", *(one.name for one in cameras)]
     table = pd.DataFrame(
         {
@@ -786,8 +827,9 @@ def _record(
         }
     )
     words = _OTHER_TARGETS.get(spectra.target, "share of the variance removed")
-    sd = np.sqrt(np.sum(np.asarray(spectra.asked) ** 2, axis=2, keepdims=True))
-    slopes = np.einsum("pwk,pqk->pqw", spectra.mean_slope, np.asarray(spectra.asked) / sd)
+    of_named = np.asarray(spectra.asked)[:, : len(asked)]
+    sd = np.sqrt(np.sum(of_named**2, axis=2, keepdims=True))
+    slopes = np.einsum("pwk,pqk->pqw", spectra.mean_slope, of_named / sd)
     number = np.asarray(spectra.species)[..., None]
     with np.errstate(invalid="ignore"):
         species = (number * np.asarray(spectra.species_mean)).sum(axis=0) / number.sum(axis=0)

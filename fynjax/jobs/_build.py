@@ -45,10 +45,19 @@ from fynjax.scene import (
     stand_area,
 )
 
+_DEFINITIONS = {
+    "projected": "Cover of a species is the share of the ground below its crowns, overlap among "
+    "them counted once, as a relevé notes it (projected).",
+    "article": "Cover of a species is its crowns in full, less packing and gaps, over the ground, "
+    "as the article on the example plot counts it; overlap counts more than once.",
+}
+
 _COVER_HEADERS = {
+    "asked_percent": "asked",
+    "planted_percent": "planted",
     "crowns_percent": "crowns in full",
     "species_percent": "ground under the species",
-    "visible_percent": "visible from above",
+    "visible_percent": "seen from above",
 }
 
 _STAND_HEADERS = {
@@ -115,7 +124,7 @@ def build(
     read = as_plot(plot)
     read = read if size is None else resized(read, size)
     chosen = read.seed if seed is None else seed
-    run = Run(output, seed=chosen)
+    run = Run(output, seed=chosen, plot=read)
     check_memory(read, listed=True)
     with run.stage("Plant the plot", "plants"):
         scene, parameters = build_plot(read, seed=chosen)
@@ -264,14 +273,15 @@ def cover_table(
 ) -> pd.DataFrame:
     """Cover of each species and of all, asked and measured [%], with the numbers of plants.
 
-    `counted` is `crowns` less what eq. (8) and (9) take off for packing and gaps: what eq. (10)
-    steers to the cover asked for.
+    What is planted is of the kind that is asked for: the ground under the species, or `crowns` less
+    what eq. (8) and (9) take off for packing and gaps.
     """
-    species = parameters.species
-    share = (1.0 - np.asarray(species.packing)) * np.asarray(species.fill)
+    species, planted = parameters.species, cover.species
+    if plot.cover_definition == "article":
+        planted = cover.crowns * (1.0 - np.asarray(species.packing)) * np.asarray(species.fill)
     columns = {
         "asked_percent": plot.cover,
-        "counted_percent": cover.crowns * share,
+        "planted_percent": planted,
         "crowns_percent": cover.crowns,
         "species_percent": cover.species,
         "visible_percent": cover.visible,
@@ -279,7 +289,7 @@ def cover_table(
     table = pd.DataFrame(
         {
             "taxon": [*plot.taxa, "all"],
-            "equation_10_without_ceiling": [*real, real.sum()],
+            "plants_asked": [*real, real.sum()],
             "plants": [*instances.counts, len(instances)],
         }
     )
@@ -366,19 +376,20 @@ def voxel_dataset(scene: Scene, density: Any) -> xr.Dataset:
 
 def _headline(plot: Plot, instances: Instances, table: pd.DataFrame, area: StandArea) -> list[str]:
     species, whole = table.iloc[:-1], table.iloc[-1]
-    worst = (species.counted_percent - species.asked_percent).abs().max()
+    worst = (species.planted_percent - species.asked_percent).abs().max()
     lx, ly = plot.size_m
-    how = "as many as eq. (10) says." if plot.crowns_note is None else "which are known."
+    how = "as many as their covers ask for." if plot.crowns_note is None else "which are known."
     known = [] if plot.crowns_note is None else [plot.crowns_note]
     return [
         f"{plot.name}, {lx:g} m x {ly:g} m: {len(instances)} plants of {len(species)} species, "
         f"{how}",
         *known,
-        f"Covers asked for sum to {whole.asked_percent:.1f} %, crowns in full to "
-        f"{whole.crowns_percent:.1f} %. They overlap: {100 - whole.species_percent:.1f} % of the "
-        "ground has no crown over it.",
-        f"Cover counted as eq. (10) does is within {worst:.2f} % of the ground of what was asked, "
-        "for every species.",
+        f"{_DEFINITIONS[plot.cover_definition]} Summed over species: asked "
+        f"{whole.asked_percent:.1f} %, planted {whole.planted_percent:.1f} %, seen from above "
+        f"{whole.visible_percent:.1f} %, where the highest crown hides what is below; "
+        f"{100 - whole.species_percent:.1f} % of the ground has no crown over it.",
+        f"Of every species what is planted is within {worst:.2f} % of the ground of what was "
+        "asked: plants are whole, and stand by chance.",
         f"Over the ground of the plot: live leaf area {area.leaf.sum():.2f}, dead tissue of live "
         f"shoots {area.dead.sum():.2f}, wood {area.wood.sum():.2f} m2 m-2; leaves, live and dead, "
         f"of {area.leaf_mass.sum():.0f} g m-2. From straight above {100 * area.gap:.1f} % of the "
@@ -408,9 +419,10 @@ def _page(
         "its memory": f"{memory / 1024:.1f} GiB",
     }
     cover = Table(
-        table.drop(columns="equation_10_without_ceiling"),
-        "Cover. Counted: crowns less packing and gaps, what eq. (10) steers to the cover asked "
-        "for. Ground under the species: overlap counts once.",
+        table.drop(columns="plants_asked"),
+        f"Cover. {_DEFINITIONS[plot.cover_definition]} Crowns in full: all overlap counts. Ground "
+        "under the species: overlap among its crowns counts once. Seen from above: where a crown "
+        "of the species is the highest.",
         headers=_COVER_HEADERS,
     )
     areas = Table(

@@ -128,7 +128,7 @@ def calibrate(
     if not paths and not twin:
         raise InputError("expected what was measured (--target), or --twin")
     read = with_prior(as_plot(plot), prior)
-    run = Run(output, seed=read.seed if seed is None else seed)
+    run = Run(output, seed=read.seed if seed is None else seed, plot=read)
     if read.known_crowns is not None and any(p.suffix.lower() in (".tif", ".tiff") for p in paths):
         if twin:
             raise InputError(

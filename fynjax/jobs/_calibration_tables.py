@@ -251,7 +251,7 @@ def calibration_dataset(scene: Scene, result: Calibration) -> xr.Dataset:
             "plants": plant_counts(
                 scene,
                 np.asarray(scene.counts(result.after)),
-                "mean number of plants on the plot, eq. (10) without its ceiling",
+                "mean number of plants on the plot that the covers ask for",
             ),
         }
     )

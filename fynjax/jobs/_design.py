@@ -67,7 +67,7 @@ def design(
     Example: `jobs.design("plot.toml", Path("results"), bands=3, target=["dead_share"])`.
     """
     read = as_plot(plot)
-    run = Run(output, seed=read.seed if seed is None else seed)
+    run = Run(output, seed=read.seed if seed is None else seed, plot=read)
     with run.stage("Build the plot"):
         ready = prepare(read, DESIGN_FREE if free is None else free, seed=run.seed)
     files = dict.fromkeys(["design.csv", "designed.toml", "sensors.csv", "spectra.nc"], "")

@@ -70,7 +70,7 @@ def information(
     Example: `jobs.information("plot.toml", Path("results"), gsd=(0.5, 1.0), bands=(4,))`.
     """
     read = as_plot(plot)
-    run = Run(output, seed=read.seed if seed is None else seed)
+    run = Run(output, seed=read.seed if seed is None else seed, plot=read)
     with run.stage("Build the plot"):
         ready = prepare(read, free, seed=run.seed)
     altitude, _ = sensor_place(read)

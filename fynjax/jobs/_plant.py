@@ -319,6 +319,7 @@ def _result(
         leaves = f"{made.n_leaves} leaves, culms or threads of {made.leaf_scale:.3g} times the "
         leaves = f"{leaves}usual size; " if made.n_leaves else ""
         headline.append(f"{made.form.replace('_', ' ')}; {leaves}{len(made.mesh.faces)} triangles")
+        headline.append(f"Where its values are from: {FORMS[made.form].sources}")
         if made.leaf_scale > _LARGEST_LEAF_SCALE:
             warnings.append(
                 f"the leaves are {made.leaf_scale:.2f} times as large as usual, and fewer: "

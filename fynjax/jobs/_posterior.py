@@ -133,7 +133,7 @@ def posterior(
     if method == "nuts":
         require("blackjax", "posterior")
     read = with_prior(as_plot(plot), prior)
-    run = Run(output, seed=read.seed if seed is None else seed)
+    run = Run(output, seed=read.seed if seed is None else seed, plot=read)
     paths = [targets] if isinstance(targets, Path) else list(targets)
     measured = read_targets(read, paths, bands=bands, seed=run.seed)
     doubt_targets(run, read, measured)

@@ -13,21 +13,23 @@ from fynjax._core.dry_run import begin_work
 from fynjax._core.errors import InputError
 from fynjax._core.precision import double_precision
 from fynjax._core.progress import track
-from fynjax.io.micasense import (
+from fynjax.io.captures import (
     AlignedCapture,
     Capture,
     PanelView,
     aligned_radiance,
     find_captures,
+    on_earth,
     panel_reflectance,
     read_capture,
     read_panel,
     same_capture,
     usable_captures,
 )
-from fynjax.io.raster import Cube, provenance, write_cube_geotiff
+from fynjax.io.raster import RELATIVE_TAG, Cube, provenance, write_cube_geotiff
 from fynjax.io.text import write_text
 from fynjax.jobs._reflectance_record import (
+    RELATIVE_REFLECTANCE,
     CaptureSummary,
     PanelSummary,
     calibration_table,
@@ -41,7 +43,13 @@ from fynjax.jobs._result import JobResult
 from fynjax.jobs._run import Run
 from fynjax.report.figures import capture_figure, panel_figure
 from fynjax.report.pages import Picture
-from fynjax.sensors import EmpiricalLine, empirical_line, irradiance_line, one_panel_line
+from fynjax.sensors import (
+    EmpiricalLine,
+    empirical_line,
+    irradiance_line,
+    one_panel_line,
+    shipped_sensor,
+)
 
 _SHOWN = 12
 """Captures that a page shows, at most; each has its picture as a file."""
@@ -70,7 +78,7 @@ def reflectance(
     areas: Sequence[str] = (),
     light: str | None = None,
     panel_sd: float = 0.02,
-    light_sd: float = 0.05,
+    light_sd: float | None = None,
     height: float | None = None,
     pixel: float | None = None,
     align: bool = True,
@@ -79,9 +87,9 @@ def reflectance(
 
     **Arguments:**
 
-    - `images`: folders or files (`find_captures`); every capture that shows no panel is
-      converted; one that cannot be read, or lacks a band that most have, is skipped, with a
-      warning.
+    - `images`: folders or files (`find_captures`) of a MicaSense or DJI camera; every capture that
+      shows no panel is converted; one that cannot be read, lacks a band that most have or a light
+      sensor that is needed is skipped, with a warning.
     - `output`: folder of the results, made if missing.
     - `panels`: captures that show a panel, by name or by a file; the same capture again for a
       second panel in it. One panel makes a line through zero, more an empirical line. By default
@@ -91,10 +99,12 @@ def reflectance(
     - `light`: 'panel' (steady since the panel's picture), 'sensor' (pi L / E by the downwelling
       light sensor) or 'both' (the panel, and the sensor for changes since). 'panel' if left out,
       or 'sensor' where there is no panel.
-    - `panel_sd`, `light_sd`: standard deviation of the panel's reflectance and of the light,
-      relative [-].
-    - `height` of flight above the ground [m], or `pixel` on the ground [m]; with neither,
-      coordinates are in pixels.
+    - `panel_sd`: standard deviation of the panel's reflectance, relative [-].
+    - `light_sd`: that of light and camera together, relative [-]; if left out, that of the sensor
+      file for this way of calibration (light sensor alone, one panel, several panels).
+    - `height` of flight above the ground [m], or `pixel` on the ground [m]; with neither, the
+      height above the take-off that a DJI states, or else coordinates are in pixels. With either,
+      a capture whose files have position and heading is turned to the north and laid there.
     - `align`: whether to align the bands of a capture.
 
     **Returns:** `ReflectanceResult`. Writes for each capture its reflectance and the standard
@@ -108,7 +118,7 @@ def reflectance(
     _check(panels, reflectances, areas, light, panel_sd, light_sd, height, pixel)
     captures = find_captures(images)
     with run.stage("Read the panels"):
-        usable, skipped = usable_captures(captures)
+        usable, skipped, dark = usable_captures(captures)
         read = _panels(captures if panels else usable, panels, areas, light)
         known = [
             panel_reflectance(_nth(reflectances, k), panel.capture) for k, panel in enumerate(read)
@@ -116,12 +126,20 @@ def reflectance(
     light = light or ("panel" if read else "sensor")
     of_panels = {panel.capture.name for panel in read}
     wanted = {name: paths for name, paths in usable.items() if name not in of_panels}
+    if light != "panel" and (unlit := {name: dark[name] for name in wanted if name in dark}):
+        if len(unlit) == len(wanted):
+            raise next(iter(unlit.values()))
+        skipped |= unlit
+        wanted = {name: paths for name, paths in wanted.items() if name not in unlit}
     if not wanted:
         raise InputError(
             "expected captures to convert, but there are only those of panels: "
             f"{', '.join(of_panels)}"
         )
     line = _line(read, known, light, panel_sd) if read and light != "sensor" else None
+    first = read_capture(*next(iter(wanted.items()))).bands[0]
+    way = "light_sensor" if line is None else "panels" if len(read) == 1 else "empirical_line"
+    sd = _usual_sd(first.sensor, way) if light_sd is None else light_sd
     headline = panel_sentences(read, known, light)
     warnings = [f"{name} is skipped: {error}" for name, error in skipped.items()]
     converted: dict[str, CaptureSummary] = {}
@@ -130,22 +148,39 @@ def reflectance(
 
     def read_one(name: str) -> tuple[Capture, EmpiricalLine, NDArray[np.float64] | None]:
         capture = read_capture(name, wanted[name])
-        return capture, *_line_of(capture, line, read, light, light_sd)
+        return capture, *_line_of(capture, line, read, light, sd)
 
     begin_work({f"{name}_reflectance.tif": "" for name in wanted}, map(read_one, wanted))
+    failed: InputError | None = None
     for name, paths in track([*wanted.items()], "Convert"):
         capture, relit, change = read_one(name)
+        try:
+            aligned = aligned_radiance(capture, align=align)
+        except InputError as problem:
+            failed = problem
+            warnings.append(f"{name} is skipped: {problem}")
+            continue
         inputs += paths
-        aligned = aligned_radiance(capture, align=align)
-        side = _pixel(capture, height, pixel)
-        cube, doubt = _cubes(capture, aligned, relit, side or 1.0)
-        picture = _write_capture(run, name, cube, doubt, paths, light, in_pixels=side is None)
+        above = height or (_height(capture) if pixel is None else None)
+        side = _pixel(capture, above, pixel)
+        cube, doubt = _cubes(capture, aligned, relit, side)
+        spread = _spread(capture, above, side) if cube.crs is not None else None
+        relative = line is None and not capture.absolute
+        picture = _write_capture(
+            run, name, cube, doubt, paths, light, place=_place_text(side, spread), relative=relative
+        )
         if len(shown) < _SHOWN:
             shown.append(picture)
-        summary = capture_summary(capture, aligned, relit, change, cube, side)
+        summary = capture_summary(capture, aligned, relit, change, cube, side, spread)
         converted[name] = summary
         headline.append(capture_sentence(name, summary))
         warnings += capture_warnings(name, summary, light)
+    if failed is not None and not converted:
+        raise failed
+    if line is None and not first.absolute:
+        warnings.append(RELATIVE_REFLECTANCE)
+    for what in sorted({what for c in converted.values() for what in c.missing_corrections}):
+        warnings.append(f"the metadata have no numbers for {what}, which is not corrected")
     if read:
         what = "picture: the panels in every band, and the area that was read"
         shown.insert(0, Picture("panels.png", panel_figure(read, known), what))
@@ -160,7 +195,7 @@ def reflectance(
         warnings=warnings,
         light=light,
         panel_sd=panel_sd,
-        light_sd=light_sd,
+        light_sd=sd,
         panels=[panel_summary(panel, rho) for panel, rho in zip(read, known, strict=True)],
         captures=converted,
     )
@@ -180,13 +215,15 @@ def _write_capture(
     paths: Sequence[Path],
     light: str,
     *,
-    in_pixels: bool,
+    place: str,
+    relative: bool,
 ) -> Picture:
     """Write a capture's reflectance, its standard deviation and a picture, which is returned."""
     tags = {
         **provenance(inputs=paths),
         "calibration": f"light: {light}",
-        "coordinates": "pixels: no height or size was given" if in_pixels else "metres",
+        "coordinates": place,
+        **({RELATIVE_TAG: RELATIVE_REFLECTANCE} if relative else {}),
     }
     what = f"reflectance of {len(cube.names)} bands"
     write_cube_geotiff(run.path(f"{name}_reflectance.tif", what), cube, tags)
@@ -194,7 +231,8 @@ def _write_capture(
     what = "its standard deviation, by panel and light"
     write_cube_geotiff(run.path(f"{name}_reflectance_sd.tif", what), doubt, tags)
     what = "picture: true and false colour, vegetation index"
-    picture = Picture(f"{name}.png", capture_figure(cube, name, pixels=in_pixels), what)
+    figure = capture_figure(cube, name, pixels=place.startswith("pixels"))
+    picture = Picture(f"{name}.png", figure, what)
     run.picture(picture)
     return picture
 
@@ -205,7 +243,7 @@ def _check(
     areas: Sequence[str],
     light: str | None,
     panel_sd: float,
-    light_sd: float,
+    light_sd: float | None,
     height: float | None,
     pixel: float | None,
 ) -> None:
@@ -219,7 +257,7 @@ def _check(
             f"{len(reflectances)}"
         )
     for what, value in (("panel_sd", panel_sd), ("light_sd", light_sd)):
-        if not 0.0 <= value < 1.0:
+        if value is not None and not 0.0 <= value < 1.0:
             raise InputError(f"`{what}` must be a fraction from 0 to below 1, but is {value:g}")
     if height is not None and pixel is not None:
         raise InputError("expected the height of flight or the size of a pixel, but got both")
@@ -260,7 +298,7 @@ def _panels(
             read_panel(shown[name], _corners(areas[k]) if areas else None)
             for k, (name, _) in enumerate(named)
         ]
-    every = [read_capture(name, paths) for name, paths in captures.items()]
+    every = (read_capture(name, paths) for name, paths in captures.items())
     marked = [c for c in every if all(band.panel_reflectance is not None for band in c.bands)]
     if not marked and light is not None:
         raise InputError(
@@ -302,20 +340,8 @@ def _check_bands(capture: Capture, first: Capture) -> None:
         )
 
 
-def _sensor_light(capture: Capture) -> NDArray[np.float64]:
-    """What the downwelling light sensor says [W m-2 um-1]."""
-    for band in capture.bands:
-        if band.irradiance is None:
-            raise InputError(
-                "expected irradiance of a downwelling light sensor in the metadata, but there is "
-                "none. Was it plugged in? Use a panel: --panel NAME --panel-reflectance ...",
-                file=band.path,
-            )
-    return np.array([band.irradiance for band in capture.bands], dtype=float)
-
-
 def _light_ratio(capture: Capture, first: Capture) -> NDArray[np.float64]:
-    return _sensor_light(capture) / _sensor_light(first)
+    return capture.irradiance / first.irradiance
 
 
 def _line_of(
@@ -327,7 +353,7 @@ def _line_of(
 ) -> tuple[EmpiricalLine, NDArray[np.float64] | None]:
     """The line under the light of a capture, and by what factor it changed since the panel."""
     if line is None:
-        level = jnp.asarray(_sensor_light(capture))
+        level = jnp.asarray(capture.irradiance)
         return irradiance_line(level, irradiance_sd=light_sd * level), None
     first = panels[0].capture
     _check_bands(capture, first)
@@ -335,6 +361,36 @@ def _line_of(
     change = _light_ratio(capture, first) if stated or light == "both" else None
     ratio = change if light == "both" and change is not None else np.ones(len(capture.bands))
     return line.relit(jnp.asarray(ratio), jnp.asarray(light_sd * ratio)), change
+
+
+def _usual_sd(sensor: str, way: str) -> float:
+    """Relative standard deviation of a sensor's calibration, by its file [-]."""
+    gains = {gains.way: gains for gains in shipped_sensor(sensor).calibrations}
+    return float(np.max(gains[way].sd))
+
+
+def _height(capture: Capture) -> float | None:
+    """Height of flight that the camera states, above the point of take-off [m]."""
+    place = capture.bands[0].place
+    return None if place is None else place.height
+
+
+def _spread(capture: Capture, height: float | None, side: float | None) -> float | None:
+    """Standard deviation of where a capture lies [m]; without a height by that of the optics."""
+    place, focal = capture.bands[0].place, capture.bands[0].focal_length
+    above = height or (side or 0.0) * (focal or 0.0)
+    return None if place is None else place.spread(above)
+
+
+def _place_text(side: float | None, spread: float | None) -> str:
+    if side is None:
+        return "pixels: no height or size was given"
+    if spread is None:
+        return "metres from the picture's corner"
+    return (
+        f"metres, by GPS, height and heading: the middle to some {spread:.1f} m (standard "
+        "deviation), the direction to some 5 degrees; ground taken as level"
+    )
 
 
 def _pixel(capture: Capture, height: float | None, pixel: float | None) -> float | None:
@@ -351,21 +407,24 @@ def _pixel(capture: Capture, height: float | None, pixel: float | None) -> float
 
 
 def _cubes(
-    capture: Capture, aligned: AlignedCapture, line: EmpiricalLine, side: float
+    capture: Capture, aligned: AlignedCapture, line: EmpiricalLine, side: float | None
 ) -> tuple[Cube, Cube]:
+    """Reflectance and its standard deviation; on Earth where place and pixel are known."""
     signal = jnp.moveaxis(jnp.asarray(aligned.radiance), 0, -1)
     values = np.moveaxis(np.asarray(line.reflectance(signal)), -1, 0)
     doubt = np.moveaxis(np.asarray(line.standard_deviation(signal)), -1, 0)
 
     def cube(data: NDArray[Any]) -> Cube:
-        return Cube(
+        seen = Cube(
             np.where(aligned.full, np.nan, data),
             capture.names,
             np.array([band.wavelength for band in capture.bands]),
             np.array([band.fwhm for band in capture.bands]),
             np.ones(len(capture.bands), bool),
-            side,
+            side or 1.0,
             (0.0, 0.0),
         )
+        place = capture.bands[0].place
+        return seen if place is None or side is None else on_earth(seen, place, aligned.middle)
 
     return cube(values), cube(doubt)

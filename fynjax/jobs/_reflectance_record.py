@@ -6,10 +6,18 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from fynjax.io.micasense import AlignedCapture, Capture, PanelView
+from fynjax.io.captures import AlignedCapture, Capture, PanelView
 from fynjax.io.raster import Cube
 from fynjax.jobs._result import Number, Record
 from fynjax.sensors import EmpiricalLine
+
+RELATIVE_REFLECTANCE = (
+    "reflectance by this camera's light sensor alone is right up to one factor that all bands "
+    "share, since its maker leaves the sensor's unit undefined: NDVI and other ratios of bands are "
+    "right, reflectance itself is not. For it, photograph a panel: --panel NAME "
+    "--panel-reflectance R"
+)
+"""What is said of DJI's captures without a panel; the standard deviation leaves that factor out."""
 
 
 class CapturedBand(Record):
@@ -35,9 +43,15 @@ class CaptureSummary(Record):
 
     capture: str | None
     time: str | None
+    radiance_unit: str
+    """Unit of the radiance that the lines of its bands take."""
+    missing_corrections: list[str]
+    """Corrections of the camera's maker that the files have no numbers for."""
     size: list[int]
     """Columns and rows of the converted image [pixels]."""
     pixel_m: float | None
+    place_sd_m: float | None
+    """Standard deviation of where the middle lies on Earth [m]; `None` where it has no place."""
     light_sensor_tilt_deg: float | None
     alignment_residual_px: float | None
     bands: list[CapturedBand]
@@ -70,15 +84,20 @@ def capture_summary(
     change: NDArray[np.float64] | None,
     cube: Cube,
     side: float | None,
+    spread: float | None,
 ) -> CaptureSummary:
-    """What is recorded of a converted capture; `change` is that of the light since the panel."""
+    """What is recorded of a converted capture; `change` is that of the light since the panel,
+    `side` that of a pixel [m], `spread` the standard deviation of its place [m]."""
     middle = np.nanmedian(cube.values, axis=(1, 2))
     first = capture.bands[0]
     return CaptureSummary(
-        capture=first.capture,
+        capture=first.capture or None,
         time=first.time,
+        radiance_unit="W m-2 sr-1 um-1" if capture.absolute else "the camera maker's own",
+        missing_corrections=sorted({name for band in capture.bands for name in band.missing}),
         size=list(cube.values.shape[:0:-1]),
         pixel_m=side,
+        place_sd_m=spread,
         light_sensor_tilt_deg=first.irradiance_tilt,
         alignment_residual_px=(
             None if aligned.alignment is None else max(a.residual for a in aligned.alignment)
@@ -111,7 +130,8 @@ def capture_sentence(name: str, summary: CaptureSummary) -> str:
     side = f" of {summary.pixel_m:.3g} m" if summary.pixel_m else ""
     miss = summary.alignment_residual_px
     aligned = "" if miss is None else f"; bands aligned to {miss:.1f} pixels"
-    return f"{name}: {width} x {height} pixels{side}{aligned}. Median reflectance {bands}."
+    placed = f", placed to {summary.place_sd_m:.1f} m" if summary.place_sd_m else ""
+    return f"{name}: {width} x {height} pixels{side}{aligned}{placed}. Median reflectance {bands}."
 
 
 def capture_warnings(name: str, summary: CaptureSummary, light: str) -> list[str]:
@@ -172,7 +192,7 @@ def panel_summary(panel: PanelView, known: NDArray[np.float64]) -> PanelSummary:
                 area_px=panel.areas[k].round(1).tolist(),
                 reflectance_by_light_sensor=(
                     None
-                    if band.irradiance is None
+                    if band.irradiance is None or not band.absolute
                     else float(np.pi * panel.mean[k] / band.irradiance)
                 ),
             )
@@ -190,5 +210,6 @@ def calibration_table(captures: Mapping[str, CaptureSummary]) -> str:
         for band in capture.bands
     ]
     table = pd.DataFrame(rows)[["capture", *columns]].rename(columns={"name": "band"})
-    head = "# reflectance = gain x radiance [W m-2 sr-1 um-1] + offset\n"
+    units = dict.fromkeys(capture.radiance_unit for capture in captures.values())
+    head = f"# reflectance = gain x radiance [{' or '.join(units)}] + offset\n"
     return head + table.to_csv(index=False)

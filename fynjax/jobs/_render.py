@@ -102,7 +102,7 @@ def render(
     Example: `jobs.render("plot.toml", Path("results")).headline`.
     """
     read = as_plot(plot)
-    run = Run(output, seed=read.seed if seed is None else seed)
+    run = Run(output, seed=read.seed if seed is None else seed, plot=read)
     instrument = plot_instrument(read)
     with run.stage("Build the plot", "build"):
         scene, parameters = build_plot(read, seed=run.seed)
@@ -229,7 +229,7 @@ def write_truth(
 
 def _plants(plot: Plot, scene: Scene, counts: np.ndarray) -> Table:
     """How many plants of each species stand on the plot."""
-    caption = "Plants, as many as equation (10) says."
+    caption = "Plants, as many as their covers ask for."
     if plot.crowns_note is not None:
         caption = "Plants, which are known."
     return Table(pd.DataFrame({"taxon": scene.taxa, "plants": counts.astype(int)}), caption)

@@ -15,6 +15,7 @@ from fynjax._core.dry_run import dry_run as dry_run
 from fynjax._core.memory import peak_memory
 from fynjax._core.parts import Workers as Workers
 from fynjax._core.progress import stage
+from fynjax.io.plot import Plot, plant_sources
 from fynjax.io.raster import provenance, write_qgis_style
 from fynjax.io.text import write_text
 from fynjax.jobs._result import JobResult
@@ -32,7 +33,7 @@ def peak_memory_mib() -> float:
 class Run:
     """Where a job writes, what it has written, and how long its stages took."""
 
-    def __init__(self, folder: str | Path, *, seed: int = 0):
+    def __init__(self, folder: str | Path, *, seed: int = 0, plot: Plot | None = None):
         self.folder = Path(folder)
         self.seed = seed
         self.files: dict[str, str] = {}
@@ -41,6 +42,9 @@ class Run:
         """Wall time by stage [s]."""
         self.doubts: list[str] = []
         """Why the measurements are to be doubted."""
+        self.plants = "" if plot is None else plant_sources(plot)
+        """A line on where the values of the plants are from, for the result, its products and the
+        page; empty of a job that plants nothing."""
         self._began = time.perf_counter()
 
     def doubt(self, text: str) -> None:
@@ -71,7 +75,8 @@ class Run:
     def record(self, inputs: Sequence[str | Path | None]) -> dict[str, str | int]:
         """Versions, seed and the hashes of the input files, for products and the page."""
         known = dict.fromkeys(Path(path) for path in inputs if path is not None)
-        return provenance(seed=self.seed, inputs=known)
+        plants = {"plants": self.plants} if self.plants else {}
+        return provenance(seed=self.seed, inputs=known) | plants
 
     def path(self, name: str, what: str) -> Path:
         """Where to write the file `name`, which is listed as `what`."""
@@ -88,8 +93,9 @@ class Run:
         self.files[picture.file] = picture.what
 
     def page(self, page: Page) -> None:
-        """Write the page with its figures, doubts first."""
-        page = dataclasses.replace(page, lead=" ".join([*self.doubts, page.lead]))
+        """Write the page with its figures, doubts first, and where values of plants are from."""
+        lead = " ".join(filter(None, [*self.doubts, page.lead, self.plants]))
+        page = dataclasses.replace(page, lead=lead)
         self.files |= write_page(page, self.folder)
 
     def pictures(
@@ -114,6 +120,8 @@ class Run:
 
     def result(self, kind: type[Result], **fields: Any) -> Result:
         """The job's result: `fields`, and what the run knows itself. Rasters get their styles."""
+        if self.plants:
+            fields["headline"] = [*fields["headline"], self.plants]
         fields["warnings"] = [*self.doubts, *fields.get("warnings", [])]
         for name in [n for n in self.files if n.endswith(".tif")]:
             style = write_qgis_style(self.folder / name)

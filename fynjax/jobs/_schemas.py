@@ -16,6 +16,7 @@ from fynjax import jobs
 from fynjax.io.instruments import BandRow, CurveRow, LidarFile, NoiseRow, SensorFile
 from fynjax.io.plot import (
     CrownRow,
+    LeafFileRow,
     ParameterRow,
     PlotFile,
     PriorFile,
@@ -43,6 +44,7 @@ SCHEMAS: dict[str, Any] = {
     "species_table_row": SpeciesRow,
     "crowns_row": CrownRow,
     "leaf_table_row": LeafRow,
+    "leaf_spectra_row": LeafFileRow,
     "sky_table_row": SkyRow,
     "sky_pattern_row": SkyPatternRow,
     "statistics_row": StatisticRow,

@@ -109,7 +109,7 @@ def sensitivity(
     for samples in filter(None, (derivative_samples, sobol_samples)):
         check_samples(samples)
     read = as_plot(plot)
-    run = Run(output, seed=read.seed if seed is None else seed)
+    run = Run(output, seed=read.seed if seed is None else seed, plot=read)
     with run.stage("Build the plot"):
         ready = prepare(read, free, seed=run.seed)
     space = ready.space

@@ -62,10 +62,11 @@ class SpeciesParameters(eqx.Module):
         usual=(0.0, 0.6),
         relative_sd=0.25,
         distribution="logit-normal",
-        source="Article on the scene, species table and equation (10); bounds by "
-        "definition. Prior assumed.",
-        description="Share of the ground under the crowns, overlap with other species counted "
-        "twice. Field crews judge it by eye, to about a quarter.",
+        source="Article on the scene, species table and equation (10), or Boolean model "
+        "(Matheron 1975); bounds by definition. Prior assumed.",
+        description="Share of the ground under the crowns of a species, overlap with other species "
+        "counted twice. How overlap among its own crowns counts is the plot's cover_definition. "
+        "Field crews judge it by eye, to about a quarter.",
     )
     diameter: Float[Array, " species"] = parameter_field(
         symbol="D",

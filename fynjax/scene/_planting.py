@@ -324,11 +324,7 @@ def draw_planting(
     feet = np.empty((0, 2))
     for times in _rooms(np.broadcast_to(np.asarray(room, float), len(species))):
         needed = np.ceil(times * wanted).astype(int) + np.where(wanted > 0, SPARE_SITES, 0)
-        # A disk radius that leaves a tenth more points than plants; Bridson packs 0.6 / r2 of them.
-        crowd = max(1.1 * float(needed.sum()), 1.0)
-        if probability is not None:  # room to choose, lest the last species take what is left
-            crowd *= 2.0 * 255.0 / max(float(np.mean(probability)), 1.0)
-        radius = min(0.1, float(np.sqrt(0.55 * extent[0] * extent[1] / crowd)))
+        radius = _spacing(needed, extent, probability)
         points = poisson_disk(extent, radius, seed=seed, periodic=periodic)
         if len(feet):  # half the distance: room enough for all, and nobody on another
             tree = cKDTree(feet, boxsize=extent if periodic else None)
@@ -407,6 +403,27 @@ def _of_individuals(stand: Stand, individuals: Sequence[dict[str, np.ndarray]]) 
     )
     few = sum(int(part["count"].sum(dtype=np.int64)) for part in plants) <= MOST_LISTED
     return planting.with_elements() if few else planting
+
+
+def site_spacing(
+    wanted: Float[np.ndarray, " species"],
+    extent: tuple[float, float],
+    probability: Float[np.ndarray, "y x"] | None,
+) -> float:
+    """Least distance of the sites among which the plants of a scene stand [m], as `draw_planting`
+    draws them with a room of 2.5 or more."""
+    needed = np.ceil(_ROOM * wanted) + np.where(wanted > 0, SPARE_SITES, 0)
+    return _spacing(needed, extent, probability)
+
+
+def _spacing(
+    needed: np.ndarray, extent: tuple[float, float], probability: np.ndarray | None
+) -> float:
+    # A disk radius that leaves a tenth more points than plants; Bridson packs 0.6 / r2 of them.
+    crowd = max(1.1 * float(needed.sum()), 1.0)
+    if probability is not None:  # room to choose, lest the last species take what is left
+        crowd *= 2.0 * 255.0 / max(float(np.mean(probability)), 1.0)
+    return min(0.1, float(np.sqrt(0.55 * extent[0] * extent[1] / crowd)))
 
 
 _ROOM, _MORE_ROOM = 2.5, 1.6

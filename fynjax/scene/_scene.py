@@ -12,6 +12,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
+from pathlib import Path
 from typing import Any, Literal
 
 import equinox as eqx
@@ -27,10 +28,14 @@ from fynjax.canopy import (
     FORMS,
     Organ,
     PlantModel,
+    Shrubland,
     VoxelGrid,
+    clumping,
     deposit,
     element_weight,
     instance_area,
+    most_projected,
+    projected_count,
     rounded_count,
     share_from_above,
     site_weight,
@@ -58,9 +63,13 @@ from fynjax.scene._planting import (
     known_planting,
     leaf_classes,
     no_plants,
+    site_spacing,
 )
 from fynjax.scene._species import (
+    CoverDefinition,
     Species,
+    check_projected,
+    cover_definition_of,
     drawn_leaves,
     leaf_parameters,
     leaf_rows,
@@ -107,6 +116,11 @@ class PlantingRules:
     softness_plants: float = 1.0
     """Plants over which one more is spread besides the share `softness` of them, and one [-], see
     `site_weight`; 0 with `softness` 0: plants whose number has no slope."""
+    cover_definition: CoverDefinition = "article"
+    """Meaning of a species' cover, by which its plants are counted. "projected": the share of the
+    ground below its crowns, overlap among them counted once, as a relevé notes it, see
+    `fynjax.canopy.projected_count`. "article": the sum of its crowns' areas over the ground, less
+    packing and gaps, eq. (10)."""
     flowering: float = 0.0
     """Share of full bloom [-]."""
     tuft: float = 0.05
@@ -217,6 +231,13 @@ class Scene(eqx.Module):
     """Map of where plants were likely to stand, as of `PlantingRules`."""
     shaped: bool = eqx.field(static=True, default=False)
     """Whether some plants have shapes that were given, and not that of their growth form."""
+    cover_definition: CoverDefinition = eqx.field(static=True, default="article")
+    """Meaning of a species' cover, see `PlantingRules`."""
+    spacing: Float[Array, ""] = eqx.field(converter=jnp.asarray, default=0.0)
+    """Least distance of the sites for which projected covers count plants [m]."""
+    clumping: Float[Array, "species part"] | None = None
+    """Relative density of plants over equal parts of the ground, where a map clumps them or an edge
+    ends them, and covers are projected [-] (`fynjax.canopy.clumping`)."""
 
     @classmethod
     @drawn_in_double
@@ -230,8 +251,10 @@ class Scene(eqx.Module):
         seed: int = 0,
         boundary: Literal["periodic", "open"] = "periodic",
         rounding: Literal["random", "up"] = "random",
+        cover_definition: CoverDefinition | None = None,
         leaves: Mapping[str, Mapping[str, float] | Sequence[Mapping[str, float]]] | None = None,
         leaf_variants: int = 1,
+        plants: Shrubland = "fynbos",
         ground: GroundParameters | None = None,
         light: LightParameters | None = None,
         dead_tissue: Spectrum | None = None,
@@ -252,13 +275,19 @@ class Scene(eqx.Module):
           left out, a quarter of a voxel, see `PlantingRules`.
         - `seed`: of everything random.
         - `boundary`: "periodic" repeats the plot for ever, "open" does not.
-        - `rounding`: of the numbers of plants, see `PlantingRules`; "up" as in a plot file.
+        - `rounding`: of the numbers of plants, see `PlantingRules`.
+        - `cover_definition`: "projected", the share of the ground below the crowns of a species, or
+          "article", eq. (10), see `PlantingRules`; left out, "projected", but for a table with
+          packing, fill, branches or a least area, which only eq. (10) has.
         - `leaves`: PROSPECT-D parameters by taxon, in PROSPECT's units; "*" is any other. Left out,
           the usual leaf; a structure that is left out follows from dry matter. Of several leaves
           of a taxon each plant has one.
         - `leaf_variants`: different leaves of a taxon of which one leaf is stated, drawn about it
           with the spread within species that Californian shrubs have; 1: all plants have that one.
-        - `ground`, `light`: left out, their defaults; with `dead_tissue` a wood brightness of 1.
+        - `plants`: whose values growth forms and leaves have that are left out: "fynbos", learned
+          from 18 plots, or "generic", of published shrublands at large.
+        - `ground`, `light`: left out, their defaults; with `dead_tissue`, or generic plants, a wood
+          brightness of 1.
         - `dead_tissue`: reflectance of the dead tissue in live shoots, `Spectrum.of(wavelength,
           values, what)`; left out, that of bark.
         - `hot_spot`: whether leaves have the size of their form, see `Scene`.
@@ -280,7 +309,7 @@ class Scene(eqx.Module):
         >>> thin.parameters.species.cover[:2].tolist()
         [0.02, 0.02]
         """
-        rows = species_rows(table)
+        rows = species_rows(table, cover_definition)
         stated = leaf_rows({} if leaves is None else leaves, [row.taxon for row in rows])
         if any(row.plant is not None for row in rows):
             raise InputError(
@@ -290,13 +319,13 @@ class Scene(eqx.Module):
             )
         if ground is None:
             ground = GroundParameters()
-            if dead_tissue is not None:
+            if dead_tissue is not None or plants == "generic":
                 ground = dataclasses.replace(ground, wood_brightness=jnp.asarray(1.0))
         if leaf_variants < 1:
             raise InputError(f"expected 1 leaf variant or more, but got {leaf_variants}")
-        own = drawn_leaves(leaves_of(rows, stated), leaf_variants, seed)
+        own = drawn_leaves(leaves_of(rows, stated, plants), leaf_variants, seed)
         parameters = PlotParameters(
-            species_parameters(rows, own),
+            species_parameters(rows, own, plants),
             leaf_parameters(own),
             ground,
             LightParameters() if light is None else light,
@@ -309,7 +338,11 @@ class Scene(eqx.Module):
             voxel=voxel,
             seed=seed,
             boundary=boundary,
-            rules=PlantingRules(structure=structure, rounding=rounding),
+            rules=PlantingRules(
+                structure=structure,
+                rounding=rounding,
+                cover_definition=cover_definition_of(rows, cover_definition),
+            ),
             dead_tissue=dead_tissue,
             hot_spot=hot_spot,
             dtype=dtype,
@@ -412,7 +445,7 @@ class Scene(eqx.Module):
             return self
         if self.shaped:
             raise InputError("plants of given shapes cannot be drawn again")
-        seed, taxa = int(self.seed), len(self.taxa)
+        self, seed, taxa = self._counting(), int(self.seed), len(self.taxa)
         if number:
             seed = int(np.random.SeedSequence([seed, 83, number]).generate_state(1)[0] >> 1)
         stated = np.asarray(self.counts(self.parameters))
@@ -454,13 +487,19 @@ class Scene(eqx.Module):
         return 0.0 if self.terrain is None else float(np.mean(self.terrain))
 
     def counts(self, parameters: PlotParameters) -> Float[Array, " species"]:
-        """Real number of plants of each species, eq. (10) without its ceiling [-]; of known plants
-        their number."""
+        """Real number of plants of each species that its cover asks for, by `cover_definition` [-];
+        of known plants their number."""
         if self.number is not None:
             return self.number
         if self.known_plants:
             return jnp.bincount(self.planting.species, length=len(self.taxa)).astype(float)
         species = jax.tree.map(jnp.asarray, parameters.species)
+        if self.cover_definition == "projected":
+            ground, parts = self._ground_area, 1.0 if self.clumping is None else self.clumping
+            crown = self._within(species.diameter / 2.0)
+            return projected_count(
+                species.cover, crown, ground, spacing=self.spacing, clumping=parts
+            )
         each = instance_area(
             species.diameter,
             species.height,
@@ -471,6 +510,31 @@ class Scene(eqx.Module):
         )
         target = target_area(self._ground_area, species.cover)
         return soft_count(target, each, np.asarray(self.branches))
+
+    def _within(self, radius: Array) -> Array:
+        """Area of a crown within the plot, on average over the places where it may stand [m2]."""
+        disc = jnp.pi * radius**2
+        if self.boundary == "periodic":
+            return disc
+        x, y = self.grid.extent[:2]
+        return disc - 4.0 / 3.0 * radius**3 * (1.0 / x + 1.0 / y) + radius**4 / (2.0 * x * y)
+
+    def _counting(self) -> "Scene":
+        """The same scene that counts projected covers by the sites that its plants will have."""
+        if self.cover_definition == "article" or self.known_plants:
+            return self
+        scene, extent, chance = self, self.grid.extent[:2], self.probability
+        periodic = self.boundary == "periodic"
+        if chance is not None or not periodic:
+            parts = [
+                clumping(chance, extent, diameter, periodic=periodic)
+                for diameter in np.asarray(self.parameters.species.diameter)
+            ]
+            scene = dataclasses.replace(scene, clumping=jnp.asarray(np.stack(parts), self.dtype))
+        for _ in range(6):  # denser sites, a few more plants on them
+            spacing = site_spacing(np.asarray(scene.counts(self.parameters)), extent, chance)
+            scene = dataclasses.replace(scene, spacing=jnp.asarray(spacing, self.dtype))
+        return scene
 
     @property
     def _ground_area(self) -> float:
@@ -920,7 +984,9 @@ def build_scene(
         seed=np.asarray(seed),
         probability=rules.probability,
         shaped=any(model is not None for model in models),
-    )
+        cover_definition=rules.cover_definition,
+    )._counting()
+    check_projected_scene(scene, parameters)
     if finer:
         _check_structure(scene)
         scene = dataclasses.replace(scene, tuft=_fitting_tuft(scene))
@@ -945,6 +1011,28 @@ def build_scene(
         size_variation=rules.size_variation,
     )
     return eqx.tree_at(lambda s: s.planting, scene, planting)
+
+
+def check_projected_scene(
+    scene: Scene, parameters: PlotParameters, file: Path | None = None
+) -> None:
+    """Raise `InputError` for covers that plants at random cannot have (`check_projected`).
+
+    **Arguments:**
+
+    - `scene`: whose covers may have either definition.
+    - `parameters`: of the plot.
+    - `file`: that states them, for the error.
+    """
+    if scene.cover_definition == "article" or scene.known_plants:
+        return
+    most = most_projected(1.0 if scene.clumping is None else scene.clumping)
+    for i, one in enumerate(scene.species):
+        terms = {n: float(getattr(parameters.species, n)[i]) for n in ("packing", "fill")}
+        terms |= {n: getattr(one, n) for n in ("branches", "minimum_area")}
+        largest = float(np.broadcast_to(most, len(scene.species))[i])
+        cover = float(parameters.species.cover[i])
+        check_projected(one.taxon, cover, terms, largest, file=file)
 
 
 def _stand(scene: Scene, models: Sequence[PlantModel | None], resolved: float, seed: int) -> Stand:

@@ -29,8 +29,8 @@ from fynjax._core.files import NamedFile
 from fynjax._core.parameters import parameters_of
 from fynjax._core.records import Slip, Strict, quantity
 from fynjax._core.validation import check_header, checked_row, checked_rows
-from fynjax.canopy import FORMS, AbstractLeafAngle, table1_2006
-from fynjax.leaf import LeafParameters, structure_from_dry_matter
+from fynjax.canopy import FORMS, AbstractLeafAngle, Shrubland, most_projected, table1_2006
+from fynjax.leaf import FLAT, ROUND, LeafParameters, structure_from_dry_matter
 from fynjax.scene._cover_words import cover_range, middle, name_classes
 from fynjax.scene._parameters import (
     FIXED_PARAMETERS,
@@ -45,6 +45,10 @@ else:  # the names as a choice: in errors, and as an enumeration of the schema
     FormName = Literal[tuple(FORMS)]
 
 _RECORDS = PARAMETERS | FIXED_PARAMETERS
+CoverDefinition = Literal["projected", "article"]
+"""Meaning of the cover of a species, see `PlantingRules`."""
+_OF_THE_ARTICLE = ("packing", "fill", "branches", "minimum_area")
+"""What eq. (10) counts plants by besides cover and diameter."""
 _MOST_COVER = 300.0
 """Sum of the covers of a plot, whose layers overlap, above which they are taken for counts [%]."""
 
@@ -257,18 +261,114 @@ USUAL_LEAF = LeafRow(
 """Leaves of a species for which nothing is given: an evergreen, sclerophyllous leaf (200 g m-2,
 52 % water, 60 ug cm-2 of chlorophyll) times the factors of the shipped prior, with the structure
 that follows from dry matter. What is brown of its shoots is their dead tissue."""
+SHRUB_LEAF = USUAL_LEAF.replace(
+    chlorophyll=38.6,
+    carotenoids=9.5,
+    water=0.0109,
+    dry_matter=0.0090,
+    structure=float(structure_from_dry_matter(0.0090)),
+)
+"""Leaf of shrubs at large: medians over 22 species of shrubs, of pigments over 15, in ANGERS (Féret
+et al. 2008, Remote Sensing of Environment 112:3030), LOPEX (Hosgood et al. 1994, EUR 16095) and
+"Fresh Leaf Spectra to Estimate Leaf Traits for California Ecosystems" (EcoSIS)."""
+SHRUB_LEAF_SD = {"dry_matter": 0.6, "water": 0.6, "chlorophyll": 0.45, "carotenoids": 0.4}
+"""Standard deviation of the logarithm of these between the species [-]; of pigments without leaves
+below 15 ug cm-2, which are yellow."""
 
 
-def check_species(rows: Sequence[tuple[int, SpeciesRow]], file: Path | None = None) -> None:
+@functools.cache
+def usual_leaf(form: str, plants: Shrubland = "fynbos") -> LeafRow:
+    """Leaf of a growth form of which a table states none: the usual one of fynbos or of shrubs at
+    large, and of a form that neither of them has, such as a succulent, its own.
+
+    **Arguments:** `form`, a key of `fynjax.canopy.FORMS`; `plants`, which of the two.
+    """
+    record = FORMS[form]
+    if record.generic is not None or not record.leafy:
+        return USUAL_LEAF if plants == "fynbos" else SHRUB_LEAF
+    # Crews measure per area that is seen, PROSPECT counts per half of the surface.
+    dry = record.leaf_mass_per_area / 1e4 / (ROUND if record.round_leaves else FLAT)
+    water = dry * record.water_content / (1.0 - record.water_content)
+    return USUAL_LEAF.replace(
+        chlorophyll=record.chlorophyll,
+        carotenoids=record.carotenoids,
+        anthocyanins=record.anthocyanins,
+        water=min(water, PARAMETERS["water"].upper),
+        dry_matter=dry,
+        structure=float(structure_from_dry_matter(dry)),
+    )
+
+
+def cover_definition_of(
+    rows: Sequence[SpeciesRow], stated: CoverDefinition | None = None
+) -> CoverDefinition:
+    """Meaning of the covers of a species table: as `stated`, else the article's where a row has
+    packing, fill, branches or a least area, by which only eq. (10) counts, else projected.
+
+    **Arguments:** `rows`, of the table; `stated`, what is said of them.
+    """
+    terms = any(getattr(row, n) != _RECORDS[n].default for row in rows for n in _OF_THE_ARTICLE)
+    return stated or ("article" if terms else "projected")
+
+
+def check_projected(
+    taxon: str,
+    cover: float,
+    terms: Mapping[str, float],
+    most: float | None = None,
+    **where: Any,
+) -> None:
+    """Raise `InputError` for what a species whose cover is projected cannot have: terms of the
+    article's eq. (10), and more cover than crowns at random reach.
+
+    **Arguments:**
+
+    - `taxon`: its name.
+    - `cover`: its cover [-].
+    - `terms`: its packing, fill, branches and minimum area, in the package's units.
+    - `most`: largest cover [-]; left out, `most_projected`.
+    - `where`: file and row, for errors.
+    """
+    for name, value in terms.items():
+        if value != _RECORDS[name].default:
+            column = SpeciesRow.model_fields[name].alias or name
+            raise InputError(
+                f"{taxon} has {column}, which the article counts plants by in eq. (10), but covers "
+                "here are projected: overlap is counted as it is planted. Leave the column out, or "
+                'set cover_definition = "article".',
+                column=column,
+                **where,
+            )
+    most = float(most_projected()) if most is None else most
+    if cover > most + 1e-6:
+        raise InputError(
+            f"{taxon} is to cover {100 * cover:.3g} % of the ground, but crowns that stand by "
+            f"chance overlap, and cover {100 * most:.3g} % at most here: state no more.",
+            column="cover_percent",
+            **where,
+        )
+
+
+def check_species(
+    rows: Sequence[tuple[int, SpeciesRow]],
+    file: Path | None = None,
+    cover_definition: CoverDefinition | None = None,
+) -> None:
     """Raise `InputError` for covers that cannot be those of one plot.
 
     **Arguments:**
 
     - `rows`: of a species table, each with its number.
     - `file`: of the table, for errors.
+    - `cover_definition`: meaning of its covers (`cover_definition_of`); of projected ones as
+      `check_projected`.
 
     Warns where covers look like fractions.
     """
+    if cover_definition_of([row for _, row in rows], cover_definition) == "projected":
+        for number, row in rows:
+            terms = {name: getattr(row, name) for name in _OF_THE_ARTICLE}
+            check_projected(row.taxon, row.cover, terms, file=file, row=number)
     covers = [100.0 * row.cover for _, row in rows]
     total, largest = sum(covers), max(covers)
     if total > _MOST_COVER:
@@ -308,13 +408,16 @@ def check_taxa(
             )
 
 
-def species_rows(table: Any) -> tuple[SpeciesRow, ...]:
+def species_rows(
+    table: Any, cover_definition: CoverDefinition | None = None
+) -> tuple[SpeciesRow, ...]:
     """The species of a table in Python.
 
     **Arguments:**
 
     - `table`: a pandas frame or records with the columns of a species table; empty cells are left
       out, and rows are counted from 1. Or rows that were read.
+    - `cover_definition`: meaning of its covers, as of `check_species`.
 
     **Raises:** `InputError` with row and column for what is no table and for a row or a table that
     a file would not be taken with either. Warns as `check_species`.
@@ -322,7 +425,7 @@ def species_rows(table: Any) -> tuple[SpeciesRow, ...]:
     import pandas as pd  # late: the command line need not wait for it
 
     if isinstance(table, list | tuple) and table and isinstance(table[0], SpeciesRow):
-        check_species(list(enumerate(table, start=1)))
+        check_species(list(enumerate(table, start=1)), None, cover_definition)
         return tuple(table)
     try:
         frame = pd.DataFrame(table).astype(object)
@@ -344,7 +447,7 @@ def species_rows(table: Any) -> tuple[SpeciesRow, ...]:
         for record in records
     )
     rows = checked_rows(enumerate(given, start=1), SpeciesRow)
-    check_species(rows)
+    check_species(rows, None, cover_definition)
     return tuple(row for _, row in rows)
 
 
@@ -379,7 +482,7 @@ def leaf_rows(
 
 
 def leaves_of(
-    species: Sequence[SpeciesRow], leaves: Sequence[LeafRow]
+    species: Sequence[SpeciesRow], leaves: Sequence[LeafRow], plants: Shrubland = "fynbos"
 ) -> list[tuple[LeafRow, ...]]:
     """The leaves of each species: its own rows, else those of "*", else the usual leaf.
 
@@ -387,15 +490,17 @@ def leaves_of(
 
     - `species`: of a plot; those without leaves have the usual one.
     - `leaves`: rows of its leaf table, in any number.
+    - `plants`: whose usual leaf.
     """
     by_taxon: dict[str, tuple[LeafRow, ...]] = {}
     for row in leaves:
         by_taxon[row.taxon] = (*by_taxon.get(row.taxon, ()), row)
-    usual = (USUAL_LEAF,)
-    return [
-        by_taxon.get(one.taxon, by_taxon.get("*", usual)) if FORMS[one.growth_form].leafy else usual
-        for one in species
-    ]
+    found = []
+    for one in species:
+        usual = (usual_leaf(one.growth_form, plants),)
+        stated = by_taxon.get(one.taxon, by_taxon.get("*", usual))
+        found.append(stated if FORMS[one.growth_form].leafy else usual)
+    return found
 
 
 _WITHIN_SPECIES = {
@@ -503,7 +608,9 @@ class Species(eqx.Module):
 
 
 def species_parameters(
-    rows: Sequence[SpeciesRow], leaves: Sequence[Sequence[LeafRow]] = ()
+    rows: Sequence[SpeciesRow],
+    leaves: Sequence[Sequence[LeafRow]] = (),
+    plants: Shrubland = "fynbos",
 ) -> SpeciesParameters:
     """Parameters of species, with those of the growth form where a row states none.
 
@@ -511,12 +618,17 @@ def species_parameters(
 
     - `rows`: one a species.
     - `leaves`: of each species; where one has several, there is a spread of leaves.
+    - `plants`: whose values growth forms have.
     """
 
     def column(name: str) -> Any:
         stated = [getattr(row, name) for row in rows]
-        usual = [getattr(FORMS[row.growth_form], name, None) for row in rows]
-        return jnp.asarray([u if s is None else s for s, u in zip(stated, usual, strict=True)])
+        return jnp.asarray(
+            [
+                FORMS[row.growth_form].value(name, plants) if s is None else s
+                for s, row in zip(stated, rows, strict=True)
+            ]
+        )
 
     names = [name for name in parameters_of(SpeciesParameters) if name != "leaf_spread"]
     several, as_stated = any(len(own) > 1 for own in leaves), _RECORDS["leaf_spread"].default

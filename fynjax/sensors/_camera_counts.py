@@ -1,7 +1,9 @@
 """What a frame camera's counts mean as radiance: dark level, exposure, gain, fall-off to corners.
 
 The model is that which MicaSense publishes for its RedEdge and Altum cameras ("RedEdge Camera
-Radiometric Calibration Model"), and with other settings that of DJI's multispectral cameras.
+Radiometric Calibration Model"; a RedEdge-P and Altum-PT have the vignetting of its library,
+github.com/micasense/imageprocessing), and with other settings that of DJI's multispectral cameras
+(Mavic 3M Image Processing Guide, 2023).
 """
 
 from __future__ import annotations  # so that `help` shows ArrayLike by its name
@@ -42,23 +44,33 @@ class CameraRadiometry(eqx.Module):
     vignetting_is: Literal["response", "correction"] = eqx.field(static=True, default="response")
     """Whether that polynomial is the response of the pixels (MicaSense), or what their counts are
     to be multiplied with (DJI)."""
+    vignetting_powers: tuple[tuple[int, int], ...] | None = eqx.field(static=True, default=None)
+    """Powers (a, b) of terms (column / columns)^a (row / rows)^b, whose sum with the coefficients
+    `vignetting` is then that polynomial (RedEdge-P, Altum-PT); `None` for one of the distance."""
 
     def response(self, shape: tuple[int, ...]) -> Float[Array, "row column"]:
         """Response of each pixel over that of the centre's in row 0 [-]. Differentiable."""
         dtype = jnp.result_type(self.vignetting, self.sensitivity)
         row = jnp.arange(shape[0], dtype=dtype)[:, None]
         column = jnp.arange(shape[1], dtype=dtype)[None, :]
+        falloff = self._falloff(row, column, shape)
+        if self.vignetting_is == "correction":
+            falloff = 1.0 / falloff
+        a2, a3 = self.row_gradient
+        return falloff * (1.0 + a2 * row / self.exposure - a3 * row)
+
+    def _falloff(self, row: Array, column: Array, shape: tuple[int, ...]) -> Array:
+        if self.vignetting_powers is not None:
+            x, y = column / shape[1], row / shape[0]
+            terms = zip(self.vignetting, self.vignetting_powers, strict=True)
+            return sum((k * x**a * y**b for k, (a, b) in terms), jnp.zeros_like(x * y))
         square = (column - self.vignetting_centre[0]) ** 2 + (row - self.vignetting_centre[1]) ** 2
         away = square > 0.0  # the root has no slope at zero
         r = jnp.where(away, jnp.sqrt(jnp.where(away, square, 1.0)), 0.0)
         falloff = jnp.zeros_like(r)
         for k in self.vignetting[::-1]:
             falloff = (falloff + k) * r
-        falloff = 1.0 + falloff
-        if self.vignetting_is == "correction":
-            falloff = 1.0 / falloff
-        a2, a3 = self.row_gradient
-        return falloff * (1.0 + a2 * row / self.exposure - a3 * row)
+        return 1.0 + falloff
 
 
 def counts_to_radiance(

@@ -52,8 +52,11 @@ def test_a_seed_fixes_the_plant(form: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "form", ["upright_ericoid", "rounded_shrub", "broad_leaved", "climber", "cushion"]
-)
+    "form", [
+        "upright_ericoid", "rounded_shrub", "broad_leaved", "climber", "cushion", "mat",
+        "succulent", "moss_layer",
+    ],
+)  # fmt: skip
 def test_leaf_normals_project_as_their_distribution(form: str) -> None:
     """G of the elements, with every azimuth, against the Ross-Nilson integral."""
     _, normal = arrays(plant_model(form, 4000, seed=0), Organ.LEAF)
@@ -170,6 +173,41 @@ def test_forms_differ_as_described() -> None:
         x, y, z = leaf[form][0].T
         depth[form] = 1.0 - np.sqrt((2.0 * np.hypot(x, y)) ** 2 + z**2).mean()
     assert depth["cushion"] < depth["rounded_shrub"]
+
+
+@pytest.mark.parametrize("form", ["mat", "moss_layer"])
+def test_low_sheets_are_closed_and_level_up_to_the_rim(form: str) -> None:
+    """Cells of a twelfth of the diameter have leaves, and the leaves of the rim reach as high as
+    the others, where those of a dome are lower."""
+    grid = (np.arange(12) + 0.5) / 12 - 0.5
+    inside = np.hypot(*np.meshgrid(grid, grid)) < 0.42
+    rim: dict[str, list[float]] = {form: [], "cushion": []}
+    covered = []
+    for name in rim:
+        for seed in range(10):
+            x, y, z = arrays(plant_model(name, 2000, seed=seed), Organ.LEAF)[0].T
+            outer = np.hypot(x, y) > np.quantile(np.hypot(x, y), 0.9)
+            rim[name].append(np.quantile(z[outer], 0.9) / z.max())
+            if name == form:
+                cells = np.histogram2d(x, y, 12, [[-0.5, 0.5]] * 2)[0]
+                covered.append((cells[inside] > 0).mean())
+    assert np.mean(covered) > 0.97
+    assert np.mean(rim[form]) > 0.8 > 0.5 > np.mean(rim["cushion"])
+    assert FORMS[form].height < 0.34 * FORMS[form].diameter
+
+
+def test_leaves_of_a_rosette_rise_from_one_foot_the_inner_ones_steeper() -> None:
+    position, normal = arrays(plant_model("rosette", 4000, seed=0), Organ.LEAF)
+    distance, height = np.hypot(*position[:, :2].T), position[:, 2]
+    assert distance[height < 0.02].max() < 0.15
+    _, foot, tip, top = free_shoots(FORMS["rosette"].shoots, 0, 36)[0]
+    assert np.corrcoef(tip, top)[0, 1] < -0.9
+    assert foot.max() < 0.3 * tip.min()
+    # They taper: half of the area lies nearer to the foot than half of their length.
+    assert np.median(np.linalg.norm(position, axis=1)) < 0.35
+    # Normals of a round leaf stand across it: those of steep ones lie.
+    lies = np.abs(normal[:, 2])
+    assert lies[distance < 0.5 * height].mean() < lies[distance > height].mean() - 0.15
 
 
 def test_wood_stays_inside_and_flowers_stand_on_top() -> None:

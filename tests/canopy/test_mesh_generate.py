@@ -66,10 +66,11 @@ def test_a_plant_of_a_form_has_its_usual_size_and_areas(form: str) -> None:
     np.testing.assert_allclose(model.organ_area, wanted, rtol=1e-9)
 
 
-def test_stems_of_a_column_have_the_thickness_of_its_leaf() -> None:
-    """Fourteen stems of 38 mm make its area: an independent count of what its sources state."""
-    made = plant("column")
-    assert made.n_leaves == FORMS["column"].shoots.number
+@pytest.mark.parametrize("form", ["column", "rosette"])
+def test_stems_and_thick_leaves_have_the_thickness_of_their_leaf(form: str) -> None:
+    """Fourteen stems of 38 mm make a column's area: an independent count of what it states."""
+    made = plant(form)
+    assert made.n_leaves == FORMS[form].shoots.number
     assert made.leaf_scale == pytest.approx(1.0, abs=0.1)
 
 
@@ -92,7 +93,7 @@ def test_size_and_areas_are_those_of_the_tables(taxon: str) -> None:
     assert np.linalg.norm(cross, axis=1).min() > 0.0
 
 
-@pytest.mark.parametrize("taxon", [*TAXA, "cushion", "column"])
+@pytest.mark.parametrize("taxon", [*TAXA, "cushion", "column", "mat", "rosette"])
 def test_organs_stand_where_the_growth_form_has_them(taxon: str) -> None:
     """Mean height and reach of leaves (of wood without them) as in the parametric form.
 
@@ -143,6 +144,10 @@ def apart(one: tuple[np.ndarray, np.ndarray], other: tuple[np.ndarray, np.ndarra
         ("rounded_shrub", "flower", (0.17, 0.12, 0.02)),  # some hundred, each on a twig
         ("climber", "leaf", (0.08, 0.04, None)),  # see the next test
         ("column", "leaf", (0.04, 0.08, 0.20)),  # thick, with two ends each
+        ("mat", "leaf", (0.13, 0.04, 0.02)),  # as of the cushion
+        ("rosette", "leaf", (0.11, 0.08, 0.20)),
+        ("succulent", "leaf", (0.11, 0.04, 0.01)),
+        ("moss_layer", "leaf", (0.11, 0.04, 0.01)),
         ("deadwood", "wood", (0.18, 0.06, 0.28)),  # widened a fifth to its stated diameter
     ],
 )

@@ -1,5 +1,6 @@
 """`fynjax build`: its files against each other, its meshes, and its errors."""
 
+import html
 import json
 import re
 from pathlib import Path
@@ -32,6 +33,7 @@ voxel_m = 0.1
 structure_m = "even"
 boundary = "periodic"
 species_table = "species.csv"
+cover_definition = "article"
 [sun]
 zenith_deg = 30.0
 [scene]
@@ -73,7 +75,7 @@ def test_the_files_of_a_build_agree(plot: Path, tmp_path: Path) -> None:
     for taxon in wanted:
         assert cover.crowns_percent[taxon] == pytest.approx(full[taxon], rel=0.02)
     assert cover.species_percent["all"] == pytest.approx(cover.visible_percent["all"], abs=1e-3)
-    assert cover.counted_percent["Euclea racemosa"] == pytest.approx(0.8 * full.iloc[1], rel=0.02)
+    assert cover.planted_percent["Euclea racemosa"] == pytest.approx(0.8 * full.iloc[1], rel=0.02)
 
     with xr.open_dataset(out / "voxels.nc") as voxels:
         density = voxels.area_density
@@ -99,6 +101,11 @@ def test_the_files_of_a_build_agree(plot: Path, tmp_path: Path) -> None:
     assert stand.leaf_mass_g_m2["all"] == pytest.approx(mass * area * seen / 4.0, rel=1e-3)
     gap = summary["gap_fraction"]
     assert f"{100 * gap:.1f} %" in " ".join(summary["headline"])
+    said = summary["headline"][-1]  # where values are from: on page and in products too
+    assert said.startswith("Species, covers, diameters, heights: species.csv. Leaf area, dead")
+    assert said in html.unescape((out / "report.html").read_text())
+    with xr.open_dataset(out / "voxels.nc") as voxels:
+        assert voxels.attrs["plants"] == said
     assert 1 - every < gap < 1.0
 
     scene = trimesh.load(out / "scene.obj", process=False)
@@ -148,6 +155,37 @@ def test_cushions_and_columns_are_built_with_meshes_of_their_form(
             area = FORMS[name].leaf_area_index * (1 - FORMS[name].shoot_clumping)
             wanted = area * once * disc[plants.taxon == taxon].sum()
             assert float(leaf.sel({"class": f"{taxon}, leaf"})) == pytest.approx(wanted, rel=1e-3)
+
+
+def test_a_table_of_ones_own_says_what_is_asked_planted_and_seen_from_above(
+    plot: Path, tmp_path: Path
+) -> None:
+    """Projected covers, of plants that are counted once more: 45 % asked is no longer 36 %."""
+    table = SPECIES.replace("35,30,1.5,broad_leaved,20", "35,45,1.5,broad_leaved,0")
+    (tmp_path / "species.csv").write_text(table)
+    plot.write_text(PLOT.replace('cover_definition = "article"\n', ""), encoding="utf-8")
+    summary = run(plot, "--output", tmp_path / "out", "--size", 6)
+    cover = pd.read_csv(tmp_path / "out" / "cover.csv").set_index("taxon")
+    plants = pd.read_csv(tmp_path / "out" / "instances.csv")
+    centre = (np.arange(300) + 0.5) * 0.02
+    under = np.zeros((300, 300), bool)
+    for one in plants[plants.taxon == "Euclea racemosa"].itertuples():
+        x, y = (np.abs((centre - at + 3.0) % 6.0 - 3.0) for at in (one.x_m, one.y_m))
+        under |= y[:, None] ** 2 + x**2 < (one.diameter_m / 2) ** 2
+    planted = cover.planted_percent["Euclea racemosa"]
+    assert planted == pytest.approx(100.0 * under.mean(), abs=0.2)
+    assert planted == pytest.approx(45.0, abs=2.0)
+    assert cover.planted_percent["Deadwood"] > cover.visible_percent["Deadwood"]
+    said = " ".join(summary["headline"])
+    assert re.search(
+        r"relevé .* asked 49\.0 %, planted \d\d\.\d %, seen from above \d\d\.\d %", said
+    )
+    assert "eq. (10)" not in said
+    parameters = "name,unit,estimate\nspecies.Euclea racemosa.packing,%,20\n"
+    (tmp_path / "p.csv").write_text(parameters)
+    plot.write_text(plot.read_text(encoding="utf-8") + 'parameters = "p.csv"\n', encoding="utf-8")
+    with pytest.raises(InputError, match=r"p\.csv.*packing_percent.*covers here are projected"):
+        run(plot, "--output", tmp_path / "other")
 
 
 def test_a_plot_beyond_the_memory_is_refused_at_once(plot: Path, tmp_path: Path) -> None:

@@ -52,22 +52,55 @@ def test_bhattacharyya_of_correlated_bands() -> None:
     assert bhattacharyya_distance(first, first, shrinkage=0.3) == pytest.approx(0.0, abs=1e-12)
 
 
-def test_few_pixels_are_shrunk() -> None:
-    """Two draws of one class: without shrinkage few pixels part them wrongly, with it hardly.
+def distances(off: np.ndarray, spread: float = 1.0, count: int = 20) -> np.ndarray:
+    """Jeffries-Matusita distances of 20 draws of two classes of `count` normal pixels each."""
+    rng, bands = np.random.default_rng(1), len(off)
+    classes = rng.normal(size=(20, 2, count, bands))
+    classes[:, 1] = off + spread * classes[:, 1]
+    return jeffries_matusita_distance([bhattacharyya_distance(*two) for two in classes])
 
-    The shrunk matrix is that of scikit-learn's `ledoit_wolf` but for the factor n / (n - 1).
-    """
-    rng = np.random.default_rng(1)
-    first, second = rng.normal(size=(2, 25, 20))
-    without = bhattacharyya_distance(first, second, shrinkage=0.0)
-    shrunk = bhattacharyya_distance(first, second)
-    assert shrunk < 0.35 * without
-    one, two = (ledoit_wolf(x)[0] * 25.0 / 24.0 for x in (first, second))
-    both, off = 0.5 * (one + two), first.mean(axis=0) - second.mean(axis=0)
-    logs = [np.linalg.slogdet(c)[1] for c in (both, one, two)]
+
+@pytest.mark.parametrize(("bands", "without"), [(4, 0.1), (10, 0.15), (50, 0.9)])
+def test_classes_that_are_alike_have_hardly_any_distance(bands: int, without: float) -> None:
+    """Twenty pixels each; shrunk alone they had `without` and more."""
+    assert 0.0 <= distances(np.zeros(bands)).mean() < 0.18
+    one, two = np.random.default_rng(1).normal(size=(2, 20, bands))
+    logs = [np.linalg.slogdet(c)[1] for c in covariances(one, two)]
+    off = one.mean(axis=0) - two.mean(axis=0)
+    square = off @ np.linalg.solve(covariances(one, two)[0], off)
+    formula = square / 8.0 + 0.5 * (logs[0] - 0.5 * (logs[1] + logs[2]))
+    assert jeffries_matusita_distance(formula) > without
+
+
+def covariances(one: np.ndarray, two: np.ndarray) -> list[np.ndarray]:
+    """Mean of the shrunk matrices, and each: those of scikit-learn's `ledoit_wolf` but for the
+    factor n / (n - 1)."""
+    first, second = (ledoit_wolf(x)[0] * len(x) / (len(x) - 1.0) for x in (one, two))
+    return [0.5 * (first + second), first, second]
+
+
+@pytest.mark.parametrize("bands", [4, 10, 50])
+def test_distances_of_few_pixels_are_about_those_of_their_classes(bands: int) -> None:
+    """Means apart, of which B = 1/2; and a spread twice as large in variance."""
+    expected = 2.0 - 2.0 * np.exp(-0.5)
+    got = distances(np.sqrt(4.0 / bands) * np.ones(bands))
+    assert got.mean() == pytest.approx(expected, abs=0.15)
+    overlap = (1.5 / np.sqrt(2.0)) ** (-0.5 * bands)
+    assert distances(np.zeros(bands), np.sqrt(2.0)).mean() == pytest.approx(
+        2.0 * (1.0 - overlap), abs=0.15
+    )
+
+
+def test_distances_of_many_pixels_are_those_of_the_shrunk_covariances() -> None:
+    """But for a correction of 0.3 %."""
+    one, two = np.random.default_rng(2).normal(size=(2, 5000, 3))
+    two += 1.2
+    both, first, second = covariances(one, two)
+    off = one.mean(axis=0) - two.mean(axis=0)
+    logs = [np.linalg.slogdet(c)[1] for c in (both, first, second)]
     expected = off @ np.linalg.inv(both) @ off / 8.0 + 0.5 * (logs[0] - 0.5 * (logs[1] + logs[2]))
-    assert shrunk == pytest.approx(expected, rel=1e-10)
-    assert np.isfinite(bhattacharyya_distance(first[:5], second[:5]))  # fewer pixels than bands
+    assert bhattacharyya_distance(one, two) == pytest.approx(expected, rel=3e-3)
+    assert np.isfinite(bhattacharyya_distance(one[:3], two[:3]))  # fewer pixels than bands
 
 
 def test_jeffries_matusita_ends_at_two() -> None:

@@ -156,7 +156,13 @@ def _sensors(folder: Path) -> Runs:
 def _build(folder: Path) -> Runs:
     (folder / "species.csv").write_text(test_build.SPECIES)
     (folder / "plot.toml").write_text(test_build.PLOT)
-    return {"build": ["build", folder / "plot.toml", "--mesh", "--triangles", 20_000]}
+    (folder / "own").mkdir()
+    own = write_plot(folder / "own")
+    own.write_text(own.read_text().replace('cover_definition = "article"\n', ""))
+    return {
+        "build": ["build", folder / "plot.toml", "--mesh", "--triangles", 20_000],
+        "projected": ["build", own],
+    }
 
 
 @_case("calibrate", "study", {"weakly_constrained": 1e-3, "": 1e-4})
@@ -203,7 +209,7 @@ def _information(folder: Path) -> Runs:
 def _design(folder: Path) -> Runs:
     line = ["design", _small(folder)[0], "--bands", 2, "--target", "crown_cover,dead_share"]
     line += ["--free", "species.*.cover", "--free", "species.*.dead_fraction", "--spectrum"]
-    line += ["400,1000", "--compare", "mavic_3m", "--plantings", 3, "--starts", 1]
+    line += ["400,1000", "--compare", "mavic_3m", "--plantings", 4, "--starts", 1]
     return {"design": line}
 
 

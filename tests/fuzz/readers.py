@@ -26,8 +26,8 @@ from fynjax.assembly import StandSettings, plot_parameters
 from fynjax.canopy import plant_model_from_mesh, plant_model_from_points, read_scan
 from fynjax.compare import read_drone_image, read_spectra_sample
 from fynjax.inversion import AmortisedPosterior
+from fynjax.io.captures import panel_reflectance, read_capture
 from fynjax.io.instruments import load_lidar, load_sensor, read_atmosphere
-from fynjax.io.micasense import panel_reflectance, read_capture
 from fynjax.io.plot import (
     example_folder,
     read_plot,
@@ -53,6 +53,7 @@ from fynjax.sensors import BandSet, group_bands, lidar_folder
 from fynjax.terrain import read_cloud, read_terrain
 from tests.canopy.test_scan import ball
 from tests.helpers import read_cube, write_ply, write_raster
+from tests.io.dji_files import SHAPE, write_dji
 from tests.io.emit_files import write_emit
 from tests.io.rededge_files import lit, panel_scene, write_rededge
 from tests.io.test_crowns import write as write_crowns
@@ -200,6 +201,16 @@ def _capture(folder: Path) -> None:
 
 def _read_capture(folder: Path) -> Any:
     return read_capture("IMG", [folder / f"IMG_{k}.tif" for k in (1, 2, 3)])
+
+
+def _dji(folder: Path) -> None:
+    write_dji(folder, "DJI_20261122100000_0001", [np.full(SHAPE, 0.3)] * 4, lens=True)
+
+
+def _read_dji(folder: Path) -> Any:
+    capture = read_capture("DJI", sorted(folder.glob("DJI_*.TIF")))
+    lens = capture.bands[0].lens
+    return capture.radiance(), lens and lens.on_frame(capture.bands[0].counts)
 
 
 def _plot(folder: Path) -> None:
@@ -475,6 +486,7 @@ READERS: dict[str, Reader] = {
         _one("bands.tif", lambda path: read_band_stack([path])), True,
     ),
     "rededge": Reader(_capture, _read_capture),
+    "dji": Reader(_dji, _read_dji),
     "panel": Reader(
         lambda f: (_capture(f), _text("panel.csv", _PANEL)(f)),
         lambda f: panel_reflectance(str(f / "panel.csv"), _read_capture(f)),

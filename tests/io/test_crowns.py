@@ -36,6 +36,18 @@ def test_crowns_replace_covers_and_sizes_of_the_species_table(tmp_path):
     assert tmp_path / "crowns.csv" in plot.inputs
 
 
+def test_projected_covers_of_crowns_count_overlap_once(tmp_path):
+    """Two crowns of 40 cm with their middles 20 cm apart: a lens of 0.39 of a disc counts once."""
+    crowns = "\n".join(
+        [CROWNS.splitlines()[0], *(f"Erica irregularis,{x},0.5,40,0.6" for x in (0.5, 0.7))]
+    )
+    path = write(tmp_path, crowns + "\n")
+    path.write_text(path.read_text().replace('"article"', '"projected"'))
+    lens = 2 * 0.2**2 * np.arccos(0.5) - 0.1 * np.sqrt(4 * 0.2**2 - 0.2**2)
+    covered = (2 * np.pi * 0.2**2 - lens) / 4.0
+    assert read_plot(path).species[0].cover == pytest.approx(covered, rel=0.02)
+
+
 def test_map_coordinates_count_from_the_corner_that_the_plot_file_states(tmp_path):
     on_map = CROWNS.replace("x_m,y_m", "easting_m,northing_m")
     for x in ("0.5", "1.5", "1.0"):

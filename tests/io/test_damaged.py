@@ -21,8 +21,8 @@ from fynjax._core.errors import InputError
 from fynjax.canopy import read_plant_mesh
 from fynjax.cli import main
 from fynjax.compare import read_drone_image, read_spectra_sample
+from fynjax.io.captures import read_capture
 from fynjax.io.instruments import load_lidar, load_sensor, read_atmosphere
-from fynjax.io.micasense import read_capture
 from fynjax.io.plot import example_folder, read_plot, read_statistics, read_structure
 from fynjax.io.raster import (
     _netcdf,

@@ -2,15 +2,17 @@
 
 from pathlib import Path
 
+import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy import ndimage
 
 from fynjax._core.errors import InputError
-from fynjax.io.micasense._capture import aligned_radiance, find_captures, read_capture, same_capture
-from fynjax.io.micasense._metadata import read_rededge_band
-from fynjax.io.micasense._panel import find_panel, panel_reflectance, read_panel
-from tests.io.rededge_files import BANDS, IRRADIANCE, lit, panel_scene, write_rededge
+from fynjax.io.captures._capture import aligned_radiance, find_captures, read_capture, same_capture
+from fynjax.io.captures._metadata import read_band
+from fynjax.io.captures._panel import find_panel, panel_reflectance, read_panel
+from tests.io.rededge_files import BANDS, IRRADIANCE, camera, lit, panel_scene, write_rededge
 
 
 def test_radiance_and_metadata_come_back(tmp_path: Path) -> None:
@@ -32,13 +34,13 @@ def test_an_irradiance_that_is_level_is_preferred(tmp_path: Path) -> None:
     """It is in uW cm-2 nm-1 unless its scale is named."""
     more = "<Camera:HorizontalIrradiance>{}</Camera:HorizontalIrradiance>"
     radiance = lit(panel_scene()[0])
-    band = read_rededge_band(write_rededge(tmp_path, "A", radiance, more=more.format(140.0))[0])
+    band = read_band(write_rededge(tmp_path, "A", radiance, more=more.format(140.0))[0])
     assert (band.irradiance, band.irradiance_tilt) == (pytest.approx(1400.0), None)
     scale = "<Camera:IrradianceScaleToSIUnits>0.1</Camera:IrradianceScaleToSIUnits>"
     more = more.format(14.0) + scale
-    band = read_rededge_band(write_rededge(tmp_path, "B", radiance, more=more)[0])
+    band = read_band(write_rededge(tmp_path, "B", radiance, more=more)[0])
     assert band.irradiance == pytest.approx(1400.0)
-    band = read_rededge_band(write_rededge(tmp_path, "C", radiance, light=None)[0])
+    band = read_band(write_rededge(tmp_path, "C", radiance, light=None)[0])
     assert band.irradiance is None
 
 
@@ -56,8 +58,58 @@ def test_an_irradiance_that_is_level_is_preferred(tmp_path: Path) -> None:
 def test_metadata_that_miss_something(tmp_path: Path, options: dict, message: str) -> None:
     paths = write_rededge(tmp_path, "IMG_0001", lit(panel_scene()[0]), **options)
     with pytest.raises(InputError, match=message) as caught:
-        read_rededge_band(paths[0])
+        read_band(paths[0])
     assert caught.value.file == paths[0]
+
+
+REDEDGE_P = {
+    "Name": "0,0,0,1,0,2,0,3,0,4,0,5,1,0,1,1,1,2,1,3,1,4,2,0,2,1,2,2,2,3,3,0,3,1,3,2,4,0,4,1,5,0",
+    "": "0.467640,0.501446,-0.288309,-0.448964,0.306178,-0.083137,1.384667,0.284610,-0.472609,"
+    "0.215251,-0.015028,-0.951077,-0.142211,0.523393,-0.179298,-0.884722,-0.275812,-0.063004,"
+    "0.511571,0.124509,-0.058204",
+}
+"""Vignetting of a RedEdge-P (github.com/micasense/imageprocessing, issue 191)."""
+
+
+def _with_two_dimensions(text: str) -> str:
+    for key, value in REDEDGE_P.items():
+        text = text.replace(
+            "<Camera:IrradiancePitch>",
+            f"<Camera:VignettingPolynomial2D{key}>{value}</Camera:VignettingPolynomial2D{key}>"
+            "<Camera:IrradiancePitch>",
+        )
+    for key in ("VignettingCenter", "VignettingPolynomial>"):
+        text = text.replace(key, f"Other{key}")
+    return text
+
+
+def test_the_vignetting_of_a_rededge_p_has_two_dimensions(tmp_path: Path) -> None:
+    """Of shares of the picture's width and height: its real numbers are 1 in the middle alone."""
+    radiance = lit(panel_scene()[0])
+    rows, columns = radiance.shape[1:]
+    row, column = np.indices((rows, columns))
+    powers = np.array(REDEDGE_P["Name"].split(","), int).reshape(-1, 2)
+    falloff = sum(
+        float(k) * (column / columns) ** a * (row / rows) ** b
+        for k, (a, b) in zip(REDEDGE_P[""].split(","), powers, strict=True)
+    )
+    assert falloff[rows // 2, columns // 2] == pytest.approx(1.0, abs=1e-3)
+    assert falloff[[0, 0, -1, -1], [0, -1, 0, -1]] == pytest.approx(0.47, abs=0.015)
+    # The files' counts are those of a camera with a vignetting of the distance.
+    flat = eqx.tree_at(lambda lens: lens.vignetting, camera(), jnp.zeros(6))
+    radial = np.asarray(camera().response((rows, columns)) / flat.response((rows, columns)))
+    paths = write_rededge(
+        tmp_path, "IMG_0001", radiance * falloff / radial, change=_with_two_dimensions
+    )
+    np.testing.assert_allclose(
+        read_capture("IMG_0001", paths).radiance(), radiance, atol=0.06 / 0.45
+    )
+    paths = write_rededge(
+        tmp_path, "IMG_0002", radiance,
+        change=lambda text: _with_two_dimensions(text).replace("4,0,4,1,5,0", "4,0,4,1,5,-1"),
+    )  # fmt: skip
+    with pytest.raises(InputError, match="powers of column and row as 'VignettingPolynomial2DN"):
+        read_band(paths[0])
 
 
 def test_files_that_are_no_raw_picture(tmp_path: Path) -> None:
@@ -68,15 +120,15 @@ def test_files_that_are_no_raw_picture(tmp_path: Path) -> None:
     product = tmp_path / "A_1.tif"
     write_geotiff(product, np.ones((2, 4, 4)), ["a", "b"], pixel_m=1.0)
     with pytest.raises(InputError, match=r"2 of float32\. Is it a product"):
-        read_rededge_band(product)
+        read_band(product)
     preview = tmp_path / "B_1.tif"
     Image.fromarray(np.ones((4, 4), np.uint8)).save(preview)
     with pytest.raises(InputError, match="12 or 16 bits, but this has 8"):
-        read_rededge_band(preview)
+        read_band(preview)
     broken = tmp_path / "C_1.tif"
     broken.write_bytes(preview.read_bytes()[:20])
     with pytest.raises(InputError, match="cannot be read as a raw picture"):
-        read_rededge_band(broken)
+        read_band(broken)
 
 
 def test_captures_by_their_files(tmp_path: Path) -> None:

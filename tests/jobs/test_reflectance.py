@@ -9,15 +9,16 @@ import numpy as np
 import pytest
 import rasterio
 import typer
+from pyproj import Transformer
 from typer.testing import CliRunner
 
 from fynjax._core.errors import InputError
 from fynjax.cli._sensors import reflectance
 from fynjax.compare import read_drone_image
-from fynjax.io.micasense import read_capture, usable_captures
-from fynjax.io.micasense._metadata import read_rededge_band
+from fynjax.io.captures import read_capture, usable_captures
 from fynjax.jobs import pattern
 from tests.helpers import assert_valid_summary, read_cube
+from tests.io.dji_files import SCALE, write_dji
 from tests.io.rededge_files import BANDS, IRRADIANCE, lit, panel_scene, write_rededge
 
 app = typer.Typer()
@@ -85,7 +86,7 @@ def test_reflectance_by_a_panel(flight: Path, tmp_path: Path) -> None:
             f"IMG_0001_{k}.tif" for k in (1, 2, 3)
         }
     cube = read_cube(out / "IMG_0001_reflectance_sd.tif")
-    sd = np.hypot(0.02, 0.05) * ground()[::-1]  # of the panel and of the light
+    sd = np.hypot(0.02, 0.10) * ground()[::-1]  # of the panel, and of light and camera
     np.testing.assert_allclose(cube.values[0], sd, atol=1e-4, rtol=3e-3)
     record = json.loads((out / "provenance.json").read_text("utf-8"))
     assert len(json.loads(record["input_sha256"])) == 9
@@ -181,7 +182,7 @@ def test_the_bands_of_most_captures_are_the_usual_ones(tmp_path: Path) -> None:
     for number, bands in enumerate((2, 2, 3)):
         name = f"IMG_000{number}"
         captures[name] = write_rededge(tmp_path, name, lit(ground()))[:bands]
-    usable, skipped = usable_captures(captures)
+    usable, skipped, _ = usable_captures(captures)
     assert list(usable) == list(captures)
     assert not skipped
 
@@ -191,9 +192,10 @@ def test_the_bands_of_most_captures_are_the_usual_ones(tmp_path: Path) -> None:
     [
         ('CentralWavelength="840"', 'CentralWavelength="11000"'),
         ('BandName="NIR" Camera:CentralWavelength="840"', 'BandName="LWIR"'),
+        ('BandName="NIR" Camera:CentralWavelength="840"', 'BandName="Panchro"'),
     ],
 )
-def test_the_thermal_band_of_an_altum_is_left_out(stated, instead, tmp_path: Path) -> None:
+def test_thermal_and_panchromatic_bands_are_left_out(stated, instead, tmp_path: Path) -> None:
     paths = write_rededge(tmp_path, "IMG_0000", lit(ground()))
     (tmp_path / "t").mkdir()
     thermal = write_rededge(
@@ -203,24 +205,135 @@ def test_the_thermal_band_of_an_altum_is_left_out(stated, instead, tmp_path: Pat
     added = thermal.rename(tmp_path / "IMG_0000_6.tif")
     capture = read_capture("IMG_0000", [*paths, added])
     assert capture.names == ("Blue", "Red", "NIR")
-    with pytest.raises(InputError, match="all are thermal"):
+    with pytest.raises(InputError, match="all are thermal or panchromatic"):
         read_capture("IMG_0000", [added])
 
 
-@pytest.mark.parametrize(
-    ("folder", "message"),
-    [("12_rededge-p-altum-pt", "RedEdge-P or Altum-PT"), ("11_dji-m3m-raw-capture", "of a DJI")],
-)
-def test_raw_captures_of_other_cameras_say_what_to_do(
-    folder, message, shared_data, tmp_path
+@pytest.mark.parametrize("folder", ["12_rededge-p-altum-pt", "11_dji-m3m-raw-capture"])
+def test_where_an_image_is_asked_for_raw_captures_are_refused(
+    folder, shared_data, tmp_path
 ) -> None:
     path = next(iter(sorted((shared_data / "field" / folder).iterdir())))
-    with pytest.raises(InputError, match=message):
-        read_rededge_band(path)
     with pytest.raises(InputError, match=r"raw capture, whose .*: fynjax reflectance"):
         pattern([path], tmp_path / "out", pixel=0.05)
     with pytest.raises(InputError, match=r"raw capture, whose .*: fynjax reflectance"):
+        pattern([path], tmp_path / "out")
+    with pytest.raises(InputError, match=r"raw capture, whose .*: fynjax reflectance"):
         read_drone_image(path)
+
+
+MAVIC_PANEL = "DJI_20261122100000_0000"
+MAVIC_GROUND = "DJI_20261122100001_0001"
+
+
+@pytest.fixture
+def mavic(tmp_path: Path) -> Path:
+    """A panel of a half, and ground in 0.6 of its light, which the light sensor knows."""
+    folder = tmp_path / "mavic"
+    folder.mkdir()
+    write_dji(folder, MAVIC_PANEL, [panel_scene()[0]] * 4)
+    write_dji(folder, MAVIC_GROUND, [ground(k) for k in range(4)], light=0.6)
+    return folder
+
+
+def test_a_mavic_by_a_panel_and_its_light_sensor(mavic: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    panel = ("--panel", MAVIC_PANEL, "--panel-reflectance", "0.5", "--no-align")
+    summary = run(mavic, *panel, "--light", "both", "--height", "54", "--output", out)
+    for k, band in enumerate(product(out, MAVIC_GROUND)):
+        np.testing.assert_allclose(band, ground(k), atol=3e-4, rtol=2e-3)
+    assert summary["warnings"] == []
+    assert summary["captures"][MAVIC_GROUND]["pixel_m"] == pytest.approx(54.0 / 135.0)
+    assert summary["panels"][0]["bands"][0]["reflectance_by_light_sensor"] is None
+    cube = read_cube(out / f"{MAVIC_GROUND}_reflectance_sd.tif")
+    # By the file of the sensor a panel leaves 10 %; that of its own reflectance is on top.
+    sd = np.hypot(0.10, 0.02) * ground()[::-1]
+    np.testing.assert_allclose(cube.values[0], sd, atol=2e-4, rtol=5e-3)
+    assert cube.names == ("Green", "Red", "RedEdge", "NIR")
+
+
+def test_a_mavic_by_its_light_sensor_alone_is_right_up_to_a_factor(
+    mavic: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    for path in mavic.glob(f"{MAVIC_PANEL}*"):
+        path.unlink()
+    summary = run(mavic, "--no-align", "--output", out)
+    assert [warning[:45] for warning in summary["warnings"]] == [
+        "reflectance by this camera's light sensor alo"
+    ]
+    for k, band in enumerate(product(out, MAVIC_GROUND)):
+        np.testing.assert_allclose(band * SCALE / np.pi, ground(k), atol=3e-4, rtol=2e-3)
+    made = out / f"{MAVIC_GROUND}_reflectance.tif"
+    with rasterio.open(made) as file:
+        assert "right up to one factor" in file.tags()["reflectance_scale"]
+    with pytest.warns(UserWarning, match="right up to one factor that all bands share"):
+        read_drone_image(made)
+    sd = read_cube(out / f"{MAVIC_GROUND}_reflectance_sd.tif").values[2]
+    np.testing.assert_allclose(sd, 0.18 * product(out, MAVIC_GROUND)[2][::-1], rtol=1e-4)
+    head = (out / "calibration.csv").read_text().splitlines()[0]
+    assert "radiance [the camera maker's own]" in head
+
+
+FIX = {
+    "GpsLatitude": "-33.95", "GpsLongtitude": "+18.05", "FlightYawDegree": "+30.0",
+    "RelativeAltitude": "+40.5", "RtkStdLat": "0.3", "RtkStdLon": "0.4",
+}  # fmt: skip
+
+
+def test_a_capture_lies_where_it_was_taken(tmp_path: Path) -> None:
+    """By GPS, the height above the take-off and the heading, each pixel as it was."""
+    scene = [np.roll(ground(k), 5, axis=(0, 1)) for k in range(4)]
+    write_dji(tmp_path, MAVIC_GROUND, scene, more=FIX)
+    summary = run(tmp_path, "--no-align", "--output", tmp_path / "out")
+    record = summary["captures"][MAVIC_GROUND]
+    assert record["pixel_m"] == pytest.approx(40.5 / 135.0)
+    # RTK knows 0.5 m; a gimbal off by 1 degree moves the picture by 0.71 m.
+    assert record["place_sd_m"] == pytest.approx(np.hypot(0.5, 0.707), rel=1e-3)
+    made = tmp_path / "out" / f"{MAVIC_GROUND}_reflectance.tif"
+    with rasterio.open(made) as file:
+        assert file.crs.to_epsg() == 32734
+        assert "by GPS, height and heading: the middle to some 0.9 m" in file.tags()["coordinates"]
+        middle = Transformer.from_crs(4326, 32734, always_xy=True).transform(18.05, -33.95)
+        (at,) = file.sample([middle])
+        values = file.read(1, masked=True)
+    expected = [rho[59, 79] * np.pi / SCALE for rho in scene]  # in the middle of a patch
+    np.testing.assert_allclose(at, expected, rtol=5e-3)
+    assert values.count() == pytest.approx(120 * 160, rel=0.01)
+    flat = run(tmp_path, "--no-align", "--pixel", "0.1", "--output", tmp_path / "pixel")
+    assert flat["captures"][MAVIC_GROUND]["pixel_m"] == 0.1
+
+
+def test_the_raw_capture_of_the_field_has_its_ndvi(shared_data: Path, tmp_path: Path) -> None:
+    """Soil 0.26, plants 0.78; its metadata have no vignetting."""
+    pytest.importorskip("skimage", reason="needs the extra `analysis`")
+    summary = run(shared_data / "field" / "11_dji-m3m-raw-capture", "--output", tmp_path / "out")
+    (name,) = summary["captures"]
+    assert "no numbers for vignetting" in summary["warnings"][1]
+    _, red, _, nir = product(tmp_path / "out", name)
+    ndvi = (nir - red) / (nir + red)
+    plants = ndvi > 0.5
+    assert np.median(ndvi[plants]) == pytest.approx(0.78, abs=0.005)
+    assert np.median(ndvi[~plants]) == pytest.approx(0.26, abs=0.005)
+
+
+def test_captures_without_light_or_likeness_are_skipped(mavic: Path, tmp_path: Path) -> None:
+    """One whose light sensor says nothing before the work, one whose bands do not fit after."""
+    pytest.importorskip("skimage", reason="needs the extra `analysis`")
+    write_dji(
+        mavic, "DJI_20261122100002_0002", [ground()] * 4,
+        change=lambda text: text.replace('Irradiance="13096.1"', 'Irradiance="0"'),
+    )  # fmt: skip
+    rng = np.random.default_rng(1)
+    write_dji(mavic, "DJI_20261122100003_0003", rng.uniform(0.1, 0.5, (4, 120, 160)))
+    write_dji(mavic, "DJI_20261122100004_0004", [ground() * (1 + k) for k in range(4)])
+    summary = run(*(p for p in mavic.glob("*_MS_*") if p.name[17] in "234"), "--output",
+                  tmp_path / "out")  # fmt: skip
+    assert list(summary["captures"]) == ["DJI_20261122100004_0004"]
+    said = " ".join(summary["warnings"])
+    assert "DJI_20261122100002_0002 is skipped: " in said
+    assert "irradiance of a downwelling light sensor" in said
+    assert "DJI_20261122100003_0003 is skipped: " in said
 
 
 @pytest.mark.slow
@@ -244,11 +357,13 @@ def test_a_real_flight(shared_data: Path, tmp_path: Path) -> None:
     green, red, nir = cube.values
     ndvi = (nir - red) / (nir + red)
     known = np.isfinite(cube.values).all(axis=0)
-    assert known.mean() > 0.98
+    assert known.sum() > 0.96 * 1280 * 960
+    assert cube.crs is not None
+    assert "UTM zone 11N" in cube.crs
     leaves = known & (ndvi > 0.6) & (nir > 0.3)
     soil = known & (ndvi < 0.25)
-    assert leaves.mean() > 0.2
-    assert soil.mean() > 0.15
+    assert leaves.sum() > 0.2 * known.sum()
+    assert soil.sum() > 0.15 * known.sum()
     # Sunlit leaves absorb red, reflect half of the NIR, and are green; dry soil rises with the
     # wavelength (Jensen 2007, fig. 10-6 and 11-1).
     assert 0.02 < np.median(red[leaves]) < 0.08

@@ -37,7 +37,10 @@ def built():
 
 
 def test_a_table_gives_the_scene_and_the_image_of_its_plot_file(built, tmp_path):
-    plot = read_plot(write_plot(tmp_path, "[sensor]\npixel_m = 0.1\n"))
+    path = write_plot(tmp_path, "[sensor]\npixel_m = 0.1\n")
+    path.write_text(path.read_text().replace('cover_definition = "article"\n', ""))
+    plot = read_plot(path)
+    assert plot.cover_definition == "projected"
     from_files = build_plot(plot, seed=3, rounding="random")
     same = jax.tree.map(np.array_equal, from_files, built)
     assert all(jax.tree.leaves(same))

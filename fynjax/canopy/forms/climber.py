@@ -59,8 +59,9 @@ FORM = GrowthForm(
     "height, with holes, falling towards its rim: its height is that of the plants that it lies "
     "on. No wood and no visible flowers.",
     sources="Dead tissue, leaf area, clumping: means of the shipped prior (18 BioSCape plots), to "
-    "two digits. Leaf diameter: mean over its taxa in `leaf_sizes`. Leaf mass and water: as of "
-    "broad leaves. All else: assumed.",
+    "two digits. Shrublands at large: assumed, as before any spectrum with half as much "
+    "spread again; clumping with twice that of fynbos. Leaf diameter: mean over its taxa in"
+    " `leaf_sizes`. Leaf mass and water: as of broad leaves. All else: assumed.",
     leaf_area_index=2.4,
     wood_area_index=0.0,
     flower_fraction=0.0,
@@ -70,6 +71,9 @@ FORM = GrowthForm(
     leaf_diameter=0.0024,
     prior=FormPrior(
         dead_fraction=(0.30, 0.21), leaf_area_index=(1.5, 0.75), shoot_clumping=(0.2, 0.1)
+    ),
+    generic=FormPrior(
+        dead_fraction=(0.3, 0.21), leaf_area_index=(1.5, 1.1), shoot_clumping=(0.12, 0.1)
     ),
     diameter=0.5,
     height=0.5,

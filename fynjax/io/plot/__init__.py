@@ -1,8 +1,10 @@
 """A plot as its files describe it: plot file, species and leaf tables, statistics."""
 
 from fynjax.io.plot._calibration import CalibrationTable
+from fynjax.io.plot._leaf_spectra import LeafFileRow
 from fynjax.io.plot._parameter_values import with_parameter_table
 from fynjax.io.plot._place import Place, plot_place
+from fynjax.io.plot._plants import open_sd, plant_sources, with_prior
 from fynjax.io.plot._plot import Plot
 from fynjax.io.plot._plot_file import as_plot, example_folder, read_plot
 from fynjax.io.plot._plot_tables import AtmosphereTable, PlotFile
@@ -22,7 +24,6 @@ from fynjax.io.plot._prior import (
     assumed_by_form,
     leaf_factors,
     read_prior,
-    with_prior,
     write_prior,
 )
 from fynjax.io.plot._rows import (
@@ -52,6 +53,7 @@ __all__ = [
     "AtmosphereTable",
     "CalibrationTable",
     "CrownRow",
+    "LeafFileRow",
     "LearnedPrior",
     "LeftOutPlot",
     "ModelError",
@@ -70,6 +72,8 @@ __all__ = [
     "drone_sensor",
     "example_folder",
     "leaf_factors",
+    "open_sd",
+    "plant_sources",
     "plot_instrument",
     "plot_place",
     "read_plot",

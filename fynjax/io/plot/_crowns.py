@@ -15,7 +15,7 @@ from fynjax.io.plot._rows import CrownRow
 from fynjax.io.plot._sensor import sensor_place
 from fynjax.io.raster import check_metric, parse_crs
 from fynjax.io.text import existing_file, read_rows
-from fynjax.scene import Crowns, check_taxa
+from fynjax.scene import Crowns, Instances, check_taxa, projected_cover
 
 _WHAT = "a table of crowns"
 
@@ -96,6 +96,20 @@ def with_crowns(plot: Plot, path: Path) -> Plot:
 
 def _with_sizes(plot: Plot, crowns: Crowns, path: Path) -> Plot:
     """The plot with `crowns`, and the covers and sizes that follow from them."""
+    projected = np.zeros(len(plot.species))
+    if plot.cover_definition == "projected":
+        none = np.zeros(len(crowns.species))
+        x, y = crowns.foot.T
+        plants = Instances(
+            plot.taxa, plot.size_m, crowns.species, x, y, none, none, none,
+            crowns.diameter, crowns.height,
+        )  # fmt: skip
+        columns = np.prod(plot.size_m) / plot.voxel_m**2
+        # Cells of a centimetre, or larger ones of a large plot, whose crowns are many.
+        times = max(1, min(round(plot.voxel_m / 0.01), int(np.sqrt(3e7 / columns))))
+        projected = projected_cover(
+            plants, cell=plot.voxel_m / times, periodic=plot.boundary == "periodic"
+        ).species
     species, bare = list(plot.species), []
     differ = np.zeros(3)
     for i, stated in enumerate(plot.species):
@@ -105,8 +119,11 @@ def _with_sizes(plot: Plot, crowns: Crowns, path: Path) -> Plot:
             species[i] = stated.replace(cover=0.0)
             continue
         mean, greatest = crowns.sizes(i)
-        disc = np.pi / 4.0 * mean**2 * (1.0 - stated.packing) * stated.fill
-        share = min(1.0, float(mine.sum() * disc / np.prod(plot.size_m)))
+        if plot.cover_definition == "projected":
+            share = float(projected[i])
+        else:
+            disc = np.pi / 4.0 * mean**2 * (1.0 - stated.packing) * stated.fill
+            share = min(1.0, float(mine.sum() * disc / np.prod(plot.size_m)))
         species[i] = stated.replace(cover=share, diameter=mean, height=greatest)
         change = (
             abs(share - stated.cover),

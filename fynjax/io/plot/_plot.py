@@ -4,8 +4,9 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import ConfigDict, InstanceOf
+from pydantic import ConfigDict, Field, InstanceOf
 
+from fynjax.canopy import Shrubland
 from fynjax.io.plot._calibration import CalibrationTable
 from fynjax.io.plot._plot_tables import (
     AtmosphereTable,
@@ -15,7 +16,7 @@ from fynjax.io.plot._plot_tables import (
     SensorTable,
     SkyTable,
 )
-from fynjax.scene import Crowns, LeafRow, SpeciesRow
+from fynjax.scene import CoverDefinition, Crowns, LeafRow, SpeciesRow
 from fynjax.sensors import SunPosition
 
 Floats = NDArray[np.float64]
@@ -31,12 +32,16 @@ class Plot(PlotTable, SceneTable):
 
     file: Path
     """The plot file."""
+    cover_definition: CoverDefinition = "projected"
+    """Meaning of the covers, see `PlantingRules`."""
     species: tuple[SpeciesRow, ...]
     """Rows of the species table, in its order."""
     leaves: tuple[LeafRow, ...]
     """Rows of the leaf table; empty where the plot has none."""
     sun: SunPosition
     """Direction to the sun and sunlight of the day, from its angles or from place and time."""
+    place_deg: tuple[float, float] | None = None
+    """Latitude and longitude [degree]; `None` where the plot file states none."""
     sky: SkyTable
     ground: GroundTable
     sensor: SensorTable
@@ -46,11 +51,25 @@ class Plot(PlotTable, SceneTable):
     calibration: CalibrationTable
     inputs: tuple[Path, ...]
     """Every file that was read or is named, for the provenance record."""
+    leaf_files: dict[str, tuple[Path, ...]] = Field(default_factory=dict)
+    """Files of leaf spectra of each taxon that `leaf_spectra` has some of."""
     known_crowns: InstanceOf[Crowns] | None = None
     """The plants, where they are known; `None`: as the species table has them, by chance."""
     crowns_note: str | None = None
     """A sentence on how far covers and sizes that follow from the crowns are from the species
     table's; `None` where the plants are not known."""
+    plant_sources: str | None = None
+    """A line on where the values of the plants are from, written before a learned population filled
+    in what the tables leave open; `None`: `plant_sources` says it of the tables as they are."""
+
+    @property
+    def shrubland(self) -> Shrubland:
+        """Whose values its plants have where the tables leave them open: as the plot file says,
+        else by place."""
+        if self.plants is not None or self.place_deg is None:
+            return self.plants or "fynbos"
+        north, east = self.place_deg
+        return "fynbos" if -35.0 <= north <= -31.0 and 17.5 <= east <= 27.0 else "generic"
 
     @property
     def taxa(self) -> tuple[str, ...]:

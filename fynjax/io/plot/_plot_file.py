@@ -3,19 +3,27 @@
 `read_plot` is the only door: whatever it returns is complete, in SI units and within range.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from importlib.resources import files
 from pathlib import Path
 
 from fynjax._core.errors import InputError
 from fynjax.canopy import FORMS
 from fynjax.io.plot._crowns import with_crowns
+from fynjax.io.plot._leaf_spectra import spectra_by_taxon
 from fynjax.io.plot._plot import Plot
 from fynjax.io.plot._plot_tables import PlotFile
 from fynjax.io.plot._sensor import DRONE, named_sensor, sensor_place
 from fynjax.io.plot._sky import read_sky, read_sky_pattern
 from fynjax.io.text import existing_file, line_of, read_rows, read_toml
-from fynjax.scene import LeafRow, SpeciesRow, check_species, check_taxa
+from fynjax.scene import (
+    CoverDefinition,
+    LeafRow,
+    SpeciesRow,
+    check_species,
+    check_taxa,
+    cover_definition_of,
+)
 
 
 def example_folder() -> Path:
@@ -24,10 +32,13 @@ def example_folder() -> Path:
 
 
 def _read_species(
-    path: Path, within: Path | None, size: tuple[float, float]
+    path: Path,
+    within: Path | None,
+    size: tuple[float, float],
+    cover_definition: CoverDefinition | None,
 ) -> tuple[SpeciesRow, ...]:
     rows = read_rows(path, SpeciesRow, "a species table", within=within)
-    check_species(rows, path)
+    check_species(rows, path, cover_definition)
     for number, row in rows:
         if row.diameter > min(size):
             raise InputError(
@@ -41,12 +52,19 @@ def _read_species(
 
 
 def _read_leaves(
-    path: Path, within: Path | None, species: Sequence[SpeciesRow]
+    path: Path, within: Path | None, species: Sequence[SpeciesRow], measured: Iterable[str] = ()
 ) -> tuple[LeafRow, ...]:
     rows = read_rows(path, LeafRow, "a leaf table", within=within)
     check_taxa(rows, [*(row.taxon for row in species), "*"], path)
-    named = {row.taxon for _, row in rows}
+    named = {row.taxon for _, row in rows} | set(measured)
     for i, (number, row) in enumerate(rows):
+        if row.taxon in measured:
+            raise InputError(
+                f"the plot's leaf_spectra have leaves of {row.taxon!r} too: leave one out",
+                file=path,
+                row=number,
+                column="taxon",
+            )
         if row in [earlier for _, earlier in rows[:i]]:
             raise InputError(
                 f"this leaf of {row.taxon!r} is there twice. Of several leaves of a taxon each "
@@ -113,26 +131,34 @@ def read_plot(path: str | Path, *, allow_outside: bool = False) -> Plot:
             "expected rpv or a terrain, but got both: ground with a shape of its own must be level",
         )
     species_path, leaf_path = table.species_table, table.leaf_table
-    species = _read_species(species_path, within, size)
-    leaves = () if leaf_path is None else _read_leaves(leaf_path, within, species)
+    species = _read_species(species_path, within, size, table.cover_definition)
+    spectra: dict[str, tuple[Path, ...]] = {}
+    if table.leaf_spectra is not None:
+        taxa = [row.taxon for row in species if FORMS[row.growth_form].leafy]
+        spectra = spectra_by_taxon(table.leaf_spectra, taxa, within)
+    leaves = () if leaf_path is None else _read_leaves(leaf_path, within, species, spectra)
     if parsed.sky.table is not None:
         read_sky(parsed.sky.table)
     if parsed.sky.pattern is not None:
         read_sky_pattern(parsed.sky.pattern)
     in_tables = [*(row.plant for row in species), *(row.spectrum for row in leaves)]
+    in_tables += [file for files in spectra.values() for file in files]
+    named = (file for file in parsed.named_files if file.is_file())
     plot = Plot.model_construct(  # of parts that are checked
-        **dict(table),
+        **dict(table) | {"cover_definition": cover_definition_of(species, table.cover_definition)},
         **dict(parsed.scene),
         file=path,
         species=species,
         leaves=leaves,
         sun=parsed.sun.position,
+        place_deg=parsed.sun.place,
         sky=parsed.sky,
         ground=parsed.ground,
         sensor=named_sensor(parsed.sensor),
         air=parsed.atmosphere,
         calibration=parsed.calibration,
-        inputs=(path, *parsed.named_files, *(p for p in in_tables if p is not None)),
+        leaf_files=spectra,
+        inputs=(path, *named, *(p for p in in_tables if p is not None)),
     )
     altitude, pixel = sensor_place(plot)
     tallest = max(row.height for row in species)

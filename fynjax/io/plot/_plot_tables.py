@@ -14,6 +14,7 @@ from pydantic import (
     model_validator,
 )
 
+from fynjax.canopy import Shrubland
 from fynjax.io.instruments import WayOfCalibration
 from fynjax.io.plot._calibration import CalibrationTable
 from fynjax.io.text import (
@@ -25,7 +26,7 @@ from fynjax.io.text import (
     optional_quantity,
     quantity,
 )
-from fynjax.scene import PARAMETERS, Placement
+from fynjax.scene import PARAMETERS, CoverDefinition, Placement
 from fynjax.sensors import Panel, SunPosition, shipped_sensors, sun_position
 
 
@@ -75,6 +76,22 @@ class PlotTable(Strict):
         validate_default=True,
         description="Species table; a path from this file's folder.",
     )
+    plants: Shrubland | None = Field(
+        default=None,
+        description="Whose leaf area, dead tissue, clumping, bark and leaves plants have that the "
+        "tables leave open: 'fynbos', learned from 18 plots, or 'generic', of published "
+        "shrublands at large, with wider priors. Left out: 'generic' where latitude and longitude "
+        "of [sun] lie outside the Cape (31 to 35 S, 17.5 to 27 E), else 'fynbos'.",
+    )
+    cover_definition: CoverDefinition | None = Field(
+        default=None,
+        description="Meaning of cover_percent of the species table. 'projected': the share of the "
+        "ground below the crowns of a species, overlap among them counted once, as a relevé notes "
+        "it; plants are as many as have it on average. 'article': crowns are counted in full, less "
+        "packing and gaps, by equation (10) of the article on the example plot. Left out: "
+        "projected, but for a table with packing, fill, branches or a least area, which only "
+        "equation (10) has.",
+    )
     crowns: Annotated[Path, NamedFile("a table of crowns")] | None = Field(
         default=None,
         description="Crowns of the plants, where these are known: a CSV table, or a GeoPackage of "
@@ -85,6 +102,16 @@ class PlotTable(Strict):
     leaf_table: Annotated[Path, NamedFile("a leaf table")] | None = Field(
         default=None,
         description="Leaf table; a path from this file's folder. Left out: usual leaves.",
+    )
+    leaf_spectra: Annotated[Path, NamedFile("a folder of leaf spectra", folder=True)] | None = (
+        Field(
+            default=None,
+            description="Folder of measured leaf spectra (ASD, SVC, CSV ...), whose names or "
+            "folders begin with the taxon, as 'Calluna_vulgaris_001.asd', or a table of file and "
+            "taxon; a path from this file's folder. PROSPECT is fitted once, and kept in the cache "
+            "of programs. Each taxon has the mean of its leaves; others have those of the leaf "
+            "table.",
+        )
     )
     leaf_variants: int = Field(
         default=1,
@@ -185,6 +212,12 @@ class SunTable(Strict):
                 "one out."
             )
         return self
+
+    @property
+    def place(self) -> tuple[float, float] | None:
+        """Latitude and longitude [degree]; None where the angles are given."""
+        north, east = self.latitude_deg, self.longitude_deg
+        return None if north is None or east is None else (north, east)
 
     @property
     def position(self) -> SunPosition:

@@ -1,7 +1,6 @@
 """Prior files: what plots share, and how they vary, as `fynjax bioscape learn` finds it."""
 
 import math
-import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +11,6 @@ from jaxtyping import Float
 from pydantic import Field, model_validator
 
 from fynjax.canopy import FORMS
-from fynjax.io.plot._plot import Plot
 from fynjax.io.text import Strict, number, read_toml, shipped_or_own, write_text
 from fynjax.scene import PARAMETERS
 
@@ -332,58 +330,6 @@ def _root(covariance: Float[np.ndarray, "a a"]) -> Float[np.ndarray, "a a"]:
     """A square root, of a covariance that may have no full rank."""
     values, vectors = np.linalg.eigh(covariance)
     return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
-
-
-def with_prior(plot: Plot, name_or_path: str | Path) -> Plot:
-    """A plot with what a learned population says of what its files leave open.
-
-    Leaf area index, dead tissue and clumping of species that state none, with the population's
-    spread elsewhere (`LearnedPrior.sd`) as their priors unless the plot file states one; the
-    brightness of dead tissue where it is as shipped. Leaves, soil and plants of meshes stay as they
-    are stated.
-
-    **Arguments:**
-
-    - `plot`: a plot.
-    - `name_or_path`: as for `read_prior`.
-
-    **Returns:** `Plot`; `plot` itself with "none".
-
-    **Raises:** `InputError` as `read_prior`. Warns of growth forms that the population lacks, of
-    which the plot gets what they assume themselves.
-    """
-    prior = read_prior(name_or_path)
-    if prior is None:
-        return plot
-    for sentence in prior.unlearned(one.growth_form for one in plot.species):
-        warnings.warn(sentence, stacklevel=2)
-    values = prior.values(plot.name)
-    species, spread = [], dict(plot.calibration.priors)
-    for one in plot.species:
-        open_kinds = [
-            kind
-            for kind in BY_FORM
-            if f"{kind}.{one.growth_form}" in values
-            and getattr(one, kind) is None
-            and (one.plant is None or kind != "leaf_area_index")
-        ]
-        found: dict[str, Any] = {kind: values[f"{kind}.{one.growth_form}"] for kind in open_kinds}
-        species.append(one.replace(**found))
-        for kind, value in found.items():
-            # Patterns of the plot file come first.
-            spread.setdefault(
-                f"species.{one.taxon}.{kind}",
-                prior.sd(f"{kind}.{one.growth_form}", elsewhere=True) / value,
-            )
-    ground = plot.ground
-    if ground.wood_brightness is None and plot.dead_tissue is None:
-        ground = ground.replace(wood_brightness=values["wood_brightness"])
-    return plot.replace(
-        species=tuple(species),
-        ground=ground,
-        calibration=plot.calibration.replace(priors=spread),
-        inputs=(*plot.inputs, prior.path),
-    )
 
 
 def read_prior(name_or_path: str | Path) -> LearnedPrior | None:

@@ -15,7 +15,7 @@ from rasterio.enums import ColorInterp
 from fynjax._core.errors import InputError
 from fynjax.io.raster._align import Alignment, align_bands
 from fynjax.io.raster._image import band_of_file, open_image
-from fynjax.io.raster._reader import open_raster
+from fynjax.io.raster._reader import RAW_COUNTS, open_raster
 from fynjax.io.raster._writer import north_up
 
 _COLOURS = {ColorInterp.red: "red", ColorInterp.green: "green", ColorInterp.blue: "blue"}
@@ -157,7 +157,9 @@ def _in_own_frame(stack: BandStack, pixel_m: float | None, align: bool, path: Pa
     """A picture without a place in the plot's own frame, its bands laid on the first."""
     if pixel_m is None:
         raise InputError(
-            "expected an image with a coordinate reference system, but it has none. An "
+            RAW_COUNTS
+            if stack.raw
+            else "expected an image with a coordinate reference system, but it has none. An "
             "orthophoto has one; for a single picture say how large a pixel is on the ground: "
             "--pixel METRES. The map is then in a frame of the plot's own.",
             file=path,

@@ -118,7 +118,7 @@ def check_metric(
 
 
 def utm_zone(longitude: float, latitude: float) -> str:
-    """The UTM zone of a place [degrees], such as "EPSG:32734"."""
+    """The UTM zone at `longitude` and `latitude` [degrees], such as "EPSG:32734"."""
     number = int((longitude + 180.0) // 6.0) % 60 + 1
     return f"EPSG:{(32600 if latitude >= 0.0 else 32700) + number}"
 

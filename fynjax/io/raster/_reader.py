@@ -38,6 +38,7 @@ METRES = ("", "m", "metre", "metres", "meter", "meters")
 """What a raster may call the unit of its heights."""
 ENVI_DATA = (".dat", ".img", ".bil", ".bsq", ".bip")
 _RDF = "{http://www.w3.org/1999/02/22-rdf-syntax-ns#}"
+_DJI = "{http://www.dji.com/drone-dji/"
 _RAW = {"RadiometricCalibration", "DarkRowValue", "BlackLevel", "BlackCurrent", "SensorGain"}
 """Metadata (XMP) that raw captures of MicaSense and DJI have."""
 RAW_COUNTS = (
@@ -147,7 +148,8 @@ class RasterFile:
 
     @cached_property
     def xmp(self) -> dict[str, list[str]]:
-        """What a camera has written of its picture (XMP): texts by name without namespace."""
+        """What a camera has written of its picture (XMP): texts by name without namespace; of two
+        with one name DJI's own, or else the first."""
         text = self.dataset.tags(ns="xml:XMP").get("xml:XMP", "").strip().strip("\0")
         if not text:
             return {}
@@ -159,13 +161,16 @@ class RasterFile:
             raise InputError(
                 f"the metadata (XMP) cannot be read: {error}", file=self.path
             ) from error
-        stated: dict[str, list[str]] = {}
+        found: list[tuple[str, list[str]]] = []
         for description in root.iter(f"{_RDF}Description"):
-            for name, value in description.attrib.items():
-                stated.setdefault(name.rpartition("}")[2], [value.strip()])
+            found += [(name, [value.strip()]) for name, value in description.attrib.items()]
             for child in description:
                 items = [item.text or "" for item in child.iter(f"{_RDF}li")] or [child.text or ""]
-                stated.setdefault(child.tag.rpartition("}")[2], [item.strip() for item in items])
+                found.append((child.tag, [item.strip() for item in items]))
+        found.sort(key=lambda item: not item[0].startswith(_DJI))
+        stated: dict[str, list[str]] = {}
+        for name, texts in found:
+            stated.setdefault(name.rpartition("}")[2], texts)
         return stated
 
     @property

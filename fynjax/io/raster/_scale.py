@@ -4,6 +4,9 @@ from pathlib import Path
 
 from fynjax._core.errors import InputError
 
+RELATIVE_TAG = "reflectance_scale"
+"""Tag of an image whose reflectance is right only up to a factor that all bands share; its text
+says so."""
 LARGEST_REFLECTANCE = 1.5
 """Beyond, the brightest band's median is in another scale: percent, ten thousandths, counts."""
 _DARKEST = 0.01

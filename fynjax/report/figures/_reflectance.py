@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Polygon
 from numpy.typing import NDArray
 
-from fynjax.io.micasense import PanelView
+from fynjax.io.captures import PanelView
 from fynjax.io.raster import Cube
 from fynjax.report.figures._style import VERMILION, Figure, note, style
 
@@ -63,7 +63,7 @@ def capture_figure(cube: Cube, title: str, *, pixels: bool) -> Figure:
                 cmap="RdYlGn" if name == "NDVI" else "gray" if flat else None,
                 vmin=-1.0 if name == "NDVI" else None, vmax=1.0 if name == "NDVI" else None,
             )  # fmt: skip
-            axes.set(title=f"{title}: {name}" if axes is grid[0] else name)
+            axes.set(title=f"{title}\n{name}" if axes is grid[0] else name)
             if flat:
                 figure.colorbar(image, ax=axes, label=f"{name} [-]", shrink=0.85)
             axes.set_xlabel("x [pixel]" if pixels else "x [m]")

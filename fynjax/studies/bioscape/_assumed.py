@@ -112,6 +112,13 @@ PLOT_SIDE_M = 10.0
 """The plots are circles of 10 m (doi:10.3334/ORNLDAAC/2425, same protocol); here squares [m]."""
 
 
+COVERS_MEAN = (
+    'Covers are those of cover_definition = "article", with the packing at which all crowns of a '
+    "plot together, at random, cover what crews saw live or standing dead from above."
+)
+"""What the covers of these plots mean, for pages and summaries."""
+
+
 def random_packing(crowns: float, live: float) -> float:
     """Share of crowns over other crowns [-] with which random crowns cover the share `live`.
 

@@ -12,6 +12,7 @@ from jaxtyping import Float
 from fynjax.jobs import JobResult, Rows, Run
 from fynjax.report.figures import estimates_plot, residuals_plot, shifts_plot
 from fynjax.report.pages import Page, Part, Picture, Section, Table
+from fynjax.studies.bioscape._assumed import COVERS_MEAN
 from fynjax.studies.bioscape._inversion import MODEL_SD, WORDS, PlotEstimate
 from fynjax.studies.bioscape._inversion_compare import (
     BIAS_CORRECTED,
@@ -241,7 +242,7 @@ def _shift_section(findings: Findings, parameters: pd.DataFrame, shifts: pd.Data
 
 
 def _headline(findings: Findings, score: pd.DataFrame) -> list[str]:
-    lines = [f"{len(findings.plots)} plots, {findings.wavelength.size} bands."]
+    lines = [f"{len(findings.plots)} plots, {findings.wavelength.size} bands. {COVERS_MEAN}"]
     prior = _best_prior(findings)
     every = {
         (row["quantity"], row["predictor"]): row

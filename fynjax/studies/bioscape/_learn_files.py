@@ -25,6 +25,7 @@ from fynjax.jobs import JobResult, Rows, Run
 from fynjax.report.figures import population_plot
 from fynjax.report.pages import Page, Picture, Section, Table
 from fynjax.sensors import BandSet
+from fynjax.studies.bioscape._assumed import COVERS_MEAN
 from fynjax.studies.bioscape._population import (
     COVER_ERROR,
     MEANS,
@@ -179,7 +180,7 @@ def write_lesson(
     left = scores[scores["predictor"] == LEFT_OUT].iloc[0]
     before = scores[scores["predictor"] == ASSUMED].iloc[0]
     headline = [
-        f"Learned from {len(lesson.plots)} plots, {bands} bands.",
+        f"Learned from {len(lesson.plots)} plots, {bands} bands. {COVERS_MEAN}",
         f"Each plot left out: RMSE {left['rmse']:.4f}, SAM {left['spectral_angle']:.1f}°; as "
         f"assumed {before['rmse']:.4f}, {before['spectral_angle']:.1f}°.",
     ]

@@ -180,6 +180,8 @@ def _plot_toml(plot: BioscapePlot, population: Mapping[str, float], learned: boo
         f"size_m = {PLOT_SIDE_M}  # a square instead of the circle of this diameter",
         "voxel_m = 0.1  # assumed",
         'species_table = "species.csv"',
+        'cover_definition = "article"  # with packing_percent: all crowns together cover what is '
+        "live",
         'leaf_table = "leaves.csv"',
         *place,
         "",

@@ -36,6 +36,7 @@ from fynjax.report.figures import (
     spectra_plot,
 )
 from fynjax.report.pages import Page, Part, Picture, Section, Table, format_number
+from fynjax.studies.bioscape._assumed import COVERS_MEAN
 from fynjax.studies.bioscape._scenes import Resolution
 
 _UNITS = {
@@ -125,7 +126,9 @@ def write_report(
     measured = pair.those_measured()
     unmeasured = [name for name in pair.plots if name not in measured.plots]
     count = len(measured.plots)
-    headline = [f"{len(pair.plots)} plots simulated, {count} with a measured spectrum."]
+    headline = [
+        f"{len(pair.plots)} plots simulated, {count} with a measured spectrum. {COVERS_MEAN}"
+    ]
     keys: dict[str, str] = {}
     rows: dict[str, pd.DataFrame] = {}
     if count:

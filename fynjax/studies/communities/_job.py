@@ -128,7 +128,7 @@ def diversity(
     for sensor in chosen:
         green(np.zeros((0, len(sensor.bands))), sensor, greenness)  # whether it has the bands
     design = Design(chosen, fine, tuple(noise), samples, seed, greenness)
-    run = Run(output, seed=seed)
+    run = Run(output, seed=seed, plot=read)
     rows = f"{communities} communities"
     files = dict.fromkeys(["communities.csv", "agreement.csv", "lost.csv", "recognition.csv"], rows)
     begin_work(files | {"report.html": ""})

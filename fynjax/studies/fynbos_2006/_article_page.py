@@ -70,8 +70,8 @@ def article(
 
     **Raises:** `InputError` for a folder without a calibration of the plot.
     """
-    run = Run(output, seed=seed)
     plot = read_plot(example_folder() / "plot.toml").replace(size_m=(size, size))
+    run = Run(output, seed=seed, plot=plot)
     with run.stage("Build the plot", "build"):
         before = build_plot(plot, seed=seed)[1]
         if calibration is not None:

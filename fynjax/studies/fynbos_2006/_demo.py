@@ -55,7 +55,7 @@ def demo(
     return calibrate_to(
         plot,
         demo_targets(plot, with_aviris=with_aviris),
-        Run(output, seed=seed),
+        Run(output, seed=seed, plot=plot),
         inputs=plot.inputs,
         reference=None
         if twin

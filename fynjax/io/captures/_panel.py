@@ -15,7 +15,7 @@ from scipy.spatial import ConvexHull
 
 from fynjax._core.errors import InputError
 from fynjax._core.precision import double_precision
-from fynjax.io.micasense._capture import Capture
+from fynjax.io.captures._capture import Capture
 from fynjax.io.text import Strict, number, read_rows
 from fynjax.sensors import BandSet, PanelReading, panel_coverage, panel_reading
 

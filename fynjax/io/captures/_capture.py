@@ -1,9 +1,10 @@
-"""Captures of a MicaSense camera: the files of their bands, and their radiance."""
+"""Captures of a multispectral camera: the files of their bands, and their radiance."""
 
 import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
+from datetime import datetime
 from pathlib import Path
 
 import jax
@@ -12,12 +13,25 @@ from jaxtyping import Bool, Float
 
 from fynjax._core.errors import InputError
 from fynjax._core.precision import double_precision
-from fynjax.io.micasense._metadata import RedEdgeBand, read_rededge_band
+from fynjax.io.captures._band import RawBand
+from fynjax.io.captures._metadata import read_band
 from fynjax.io.raster import Alignment, align_bands, open_raster
 from fynjax.io.text import did_you_mean, existing_file
 from fynjax.sensors import counts_to_radiance
 
-_NAME = re.compile(r"(?P<capture>.+)_(?P<band>\d+)\.tiff?", re.IGNORECASE)
+_NAMES = tuple(
+    re.compile(pattern + r"\.tiff?", re.IGNORECASE)
+    for pattern in (
+        r"(?P<capture>DJI_(?P<time>\d{14})_(?P<number>\d+))_MS_(?P<band>G|R|RE|NIR)(_.*)?",
+        r"(?P<capture>DJI_\d+)(?P<band>[1-5])",
+        r"(?P<capture>.+)_(?P<band>\d+)",
+    )
+)
+"""Names of a band's file: of a Mavic 3 Multispectral, a Phantom 4 Multispectral, a MicaSense."""
+_ORDER = ("G", "R", "RE", "NIR")
+"""Bands of a Mavic 3 Multispectral, in the order of its `SensorIndex`."""
+_APART = 2.0
+"""Seconds by which the names of the files of one capture may differ."""
 _LONGEST_REFLECTED = 3000.0
 """Wavelength [nm] beyond which a camera sees what the ground emits."""
 _CLOSE = 0.98
@@ -32,7 +46,7 @@ class Capture:
 
     name: str
     """Name of the capture's files, such as 'IMG_0001'."""
-    bands: tuple[RedEdgeBand, ...]
+    bands: tuple[RawBand, ...]
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -42,9 +56,28 @@ class Capture:
     def paths(self) -> list[Path]:
         return [band.path for band in self.bands]
 
+    @property
+    def absolute(self) -> bool:
+        """Whether radiance and irradiance are in W m-2 (sr-1) um-1 (`RawBand.absolute`)."""
+        return all(band.absolute for band in self.bands)
+
+    @property
+    def irradiance(self) -> Float[np.ndarray, " band"]:
+        """Irradiance that the downwelling light sensor measured [W m-2 um-1], or in the maker's own
+        unit. `InputError` where a band has none."""
+        for band in self.bands:
+            if band.irradiance is None:
+                raise InputError(
+                    "expected irradiance of a downwelling light sensor in the metadata, but there "
+                    "is none. Was it plugged in? Use a panel: --panel NAME --panel-reflectance ...",
+                    file=band.path,
+                )
+        return np.array([band.irradiance for band in self.bands], dtype=float)
+
     @double_precision
     def radiance(self) -> Float[np.ndarray, "band row column"]:
-        """Radiance of each band on its own pixels [W m-2 sr-1 um-1], row 0 at the top; float32."""
+        """Radiance of each band on its own pixels [W m-2 sr-1 um-1], or in the maker's own unit,
+        row 0 at the top; float32."""
         read = jax.jit(counts_to_radiance)
         return np.stack(
             [np.asarray(read(b.counts.astype(float), b.camera), np.float32) for b in self.bands]
@@ -70,6 +103,30 @@ class AlignedCapture:
     """True where a pixel is saturated, or next to one that is."""
     alignment: tuple[Alignment, ...] | None
     """Movement of each band; `None` where the bands were left as they are."""
+    middle: tuple[float, float]
+    """Column, and row from below, of the middle of the camera's picture; the aligned one is cut."""
+
+
+def _named(path: Path) -> re.Match[str] | None:
+    return next((found for name in _NAMES if (found := name.fullmatch(path.name))), None)
+
+
+def _joined(captures: dict[str, list[tuple[int, Path]]]) -> dict[str, list[tuple[int, Path]]]:
+    """Captures of a Mavic 3 whose bands were written in two seconds under one number, as one."""
+    kept: dict[str, list[tuple[int, Path]]] = {}
+    last: dict[str, tuple[str, datetime]] = {}
+    for name, group in captures.items():
+        file = _named(group[0][1])
+        if file and file.re is _NAMES[0]:
+            time = datetime.strptime(file["time"], "%Y%m%d%H%M%S")
+            before, then = last.get(file["number"], ("", time))
+            near = abs((time - then).total_seconds()) <= _APART
+            if near and {b for b, _ in kept.get(before, group)}.isdisjoint(b for b, _ in group):
+                kept[before] += group
+                continue
+            last[file["number"]] = name, time
+        kept[name] = group
+    return kept
 
 
 def find_captures(paths: Sequence[str | Path]) -> dict[str, list[Path]]:
@@ -77,10 +134,12 @@ def find_captures(paths: Sequence[str | Path]) -> dict[str, list[Path]]:
 
     **Arguments:**
 
-    - `paths`: folders, of which all files called `NAME_1.tif`, `NAME_2.tif`, ... are taken; or
+    - `paths`: folders, of which all files are taken that are called as a camera calls them
+      (`NAME_1.tif`, `NAME_2.tif`, ... of a MicaSense; `DJI_TIME_NUMBER_MS_G.TIF`, `_MS_R`, ... of a
+      Mavic 3 Multispectral; `DJI_NNN1.TIF` to `DJI_NNN5.TIF` of a Phantom 4 Multispectral); or
       files, of which only those given are.
 
-    **Returns:** for each `NAME` its files.
+    **Returns:** the files of each capture, by what is common to their names.
 
     **Raises:** `InputError` for a path that does not exist, a file of another pattern of name, or a
     folder without such files.
@@ -88,28 +147,30 @@ def find_captures(paths: Sequence[str | Path]) -> dict[str, list[Path]]:
     captures: dict[str, list[tuple[int, Path]]] = {}
     for given in map(Path, paths):
         if given.is_dir():
-            files = [p for p in sorted(given.iterdir()) if _NAME.fullmatch(p.name)]
+            files = [p for p in sorted(given.iterdir()) if _named(p)]
             if not files:
                 raise InputError(
                     "expected pictures of a multispectral camera called NAME_1.tif, NAME_2.tif, "
-                    "..., but this folder has none",
+                    "..., or DJI_..._MS_G.TIF, ..., but this folder has none",
                     file=given,
                 )
         else:
             files = [given]
         for path in files:
-            name = _NAME.fullmatch(path.name)
+            name = _named(path)
             if name is None:
                 raise InputError(
-                    "expected a picture of one band, called NAME_1.tif, NAME_2.tif, ..., as the "
-                    "camera names them",
+                    "expected a picture of one band, called NAME_1.tif, NAME_2.tif, ..., or "
+                    "DJI_..._MS_G.TIF, ..., as the camera names them",
                     file=path,
                 )
             existing_file(path, "a picture of one band")
-            entry = (int(name["band"]), path)
+            band = name["band"]
+            entry = (int(band) if band.isdecimal() else _ORDER.index(band.upper()) + 1, path)
             group = captures.setdefault(name["capture"], [])
             if entry not in group:
                 group.append(entry)
+    captures = _joined(captures)
     for name_of, group in captures.items():
         numbers = [number for number, _ in group]
         if len(set(numbers)) != len(numbers):
@@ -136,18 +197,18 @@ def same_capture(path: str | Path, captures: dict[str, list[Path]]) -> tuple[str
     given = Path(path)
     if str(path) in captures:
         return str(path), captures[str(path)]
-    name = _NAME.fullmatch(given.name)
-    if given.is_file() and name is not None:
+    if given.is_file() and _named(given) is not None:
         beside = find_captures([given.parent])
-        return name["capture"], beside[name["capture"]]
+        return next((name, paths) for name, paths in beside.items() if given in paths)
     raise InputError(
         f"expected the name of a capture or one of its files, but got {str(path)!r}."
         f"{did_you_mean(str(path), list(captures))} There are: {', '.join(captures)}."
     )
 
 
-def _is_thermal(path: Path) -> bool:
-    """Whether a picture is of emitted light, as the sixth of an Altum."""
+def _is_left_out(path: Path) -> bool:
+    """Whether a picture is of emitted light, as the sixth of an Altum, or of all light (a
+    RedEdge-P's and Altum-PT's panchromatic one): of another size, and no band."""
     with open_raster(path, "a raw picture of a multispectral camera") as file:
         name = "".join(file.xmp.get("BandName", [])[:1])
         stated = "".join(file.xmp.get("CentralWavelength", [])[:1])
@@ -155,25 +216,36 @@ def _is_thermal(path: Path) -> bool:
         wavelength = float(stated)
     except ValueError:
         wavelength = 0.0
-    return name.strip().upper() == "LWIR" or wavelength > _LONGEST_REFLECTED
+    known = name.strip().upper()
+    return known == "LWIR" or known.startswith("PANCHRO") or wavelength > _LONGEST_REFLECTED
 
 
 def usable_captures(
     captures: dict[str, list[Path]],
-) -> tuple[dict[str, list[Path]], dict[str, InputError]]:
+) -> tuple[dict[str, list[Path]], dict[str, InputError], dict[str, InputError]]:
     """Captures that can be read and have the bands of most of them, and why not of the others.
 
     **Arguments:** `captures`: files by the name of their capture, as of `find_captures`.
+
+    **Returns:** the files of those; the errors of the others; the errors of those among the first
+    that have no irradiance of a light sensor (`Capture.irradiance`).
 
     **Raises:** `InputError` of the first where none can be read.
     """
     bands: dict[str, tuple[str, ...]] = {}
     skipped: dict[str, InputError] = {}
+    dark: dict[str, InputError] = {}
     for name, paths in captures.items():
         try:
-            bands[name] = read_capture(name, paths).names
+            capture = read_capture(name, paths)
+            bands[name] = capture.names
         except InputError as error:
             skipped[name] = error
+            continue
+        try:
+            _ = capture.irradiance
+        except InputError as error:
+            dark[name] = error
     if not bands:
         raise next(iter(skipped.values()))
     counts = Counter(bands.values())
@@ -185,26 +257,28 @@ def usable_captures(
                 f"{', '.join(missing)} is missing",
                 file=captures[name][0],
             )
-    return {n: paths for n, paths in captures.items() if n not in skipped}, skipped
+    return {n: paths for n, paths in captures.items() if n not in skipped}, skipped, dark
 
 
 @double_precision
 def read_capture(name: str, paths: Sequence[Path]) -> Capture:
-    """Read the files of one capture, each with its metadata (`read_rededge_band`).
+    """Read the files of one capture, each with its metadata (`read_band`).
 
     **Arguments:**
 
     - `name`: of the capture, for errors and reports.
     - `paths`: its files, one for each band.
 
-    **Returns:** a `Capture`, bands in the order of the files, without a thermal one, whose picture
-    is smaller.
+    **Returns:** a `Capture`, bands in the order of the files, without a thermal or panchromatic
+    one, whose picture is of another size.
 
     **Raises:** `InputError` where they are not of one capture, of one size, or of different bands.
     """
-    bands = tuple(read_rededge_band(path) for path in paths if not _is_thermal(path))
+    bands = tuple(read_band(path) for path in paths if not _is_left_out(path))
     if not bands:
-        raise InputError("expected bands of reflected light, but all are thermal", file=paths[0])
+        raise InputError(
+            "expected bands of reflected light, but all are thermal or panchromatic", file=paths[0]
+        )
     first = bands[0]
     for band in bands[1:]:
         if band.capture != first.capture:
@@ -217,7 +291,7 @@ def read_capture(name: str, paths: Sequence[Path]) -> Capture:
             raise InputError(
                 f"expected {first.counts.shape[1]} x {first.counts.shape[0]} pixels as in "
                 f"{first.path.name}, but this has {band.counts.shape[1]} x "
-                f"{band.counts.shape[0]}. Leave the thermal band out.",
+                f"{band.counts.shape[0]}",
                 file=band.path,
             )
     names = [band.name for band in bands]
@@ -228,7 +302,8 @@ def read_capture(name: str, paths: Sequence[Path]) -> Capture:
 
 @double_precision
 def aligned_radiance(capture: Capture, *, align: bool = True) -> AlignedCapture:
-    """Radiance of a capture, its bands laid on the first (`fynjax.io.raster.align_bands`).
+    """Radiance of a capture, its bands laid on the first: by the maker's own calibration of the
+    lenses, where the files have one, and then by the picture (`fynjax.io.raster.align_bands`).
 
     **Arguments:**
 
@@ -241,21 +316,56 @@ def aligned_radiance(capture: Capture, *, align: bool = True) -> AlignedCapture:
     **Raises:** `InputError` as `align_bands`; `MissingExtraError` without scikit-image.
     """
     radiance, full = capture.radiance()[:, ::-1], capture.full_radiance()[:, ::-1]
+    rows, columns = radiance.shape[1:]
+    middle = (0.5 * (columns - 1), 0.5 * (rows - 1))
     if not align or len(capture.bands) == 1:
-        return AlignedCapture(radiance, radiance >= full * (1.0 - 1e-6), None)
+        return AlignedCapture(radiance, radiance >= full * (1.0 - 1e-6), None, middle)
     try:
+        (radiance, full), (low, left) = _on_frame(capture, radiance, full)
         values, cut, alignments = align_bands(radiance)
     except InputError as error:
         raise InputError(str(error), file=capture.bands[0].path) from error
     near = np.empty(values.shape, bool)
     for k, band in enumerate(alignments):
         # Where the first band's pixels lie in this one: the rest of the map moves it too little.
-        rows, columns = (
+        places = (
             np.clip(np.arange(s.start, s.stop) - round(shift), 0, size - 1)
             for s, shift, size in zip(cut, band.shift[::-1], full.shape[1:], strict=True)
         )
-        near[k] = values[k] >= _CLOSE * full[k][np.ix_(rows, columns)]
-    return AlignedCapture(values, _grown(near), tuple(alignments))
+        near[k] = values[k] >= _CLOSE * full[k][np.ix_(*places)]
+    middle = (middle[0] - left - cut[1].start, middle[1] - low - cut[0].start)
+    return AlignedCapture(values, _grown(near), tuple(alignments), middle)
+
+
+def _on_frame(
+    capture: Capture, *pictures: Float[np.ndarray, "band y x"]
+) -> tuple[list[Float[np.ndarray, "band y x"]], tuple[int, int]]:
+    """Pictures on the frame that the lenses share, cut to what all bands cover, and the row and
+    column of that where the cut begins."""
+    lenses = [band.lens for band in capture.bands]
+    if all(lens is None for lens in lenses):
+        return list(pictures), (0, 0)
+    moved = [
+        np.stack(
+            [
+                band if lens is None else lens.on_frame(band[::-1])[::-1]
+                for band, lens in zip(picture, lenses, strict=True)
+            ]
+        )
+        for picture in pictures
+    ]
+    # The side with the most pixels that some band lacks goes first, until none are left.
+    covered = np.isfinite(moved[0]).all(axis=0)
+    low, left = 0, 0
+    high, right = covered.shape
+    while not (inside := covered[low:high, left:right]).all():
+        edges = (inside[0], inside[:, 0], inside[-1], inside[:, -1])
+        worst = int(np.argmin([edge.mean() for edge in edges]))
+        low, left = low + (worst == 0), left + (worst == 1)
+        high, right = high - (worst == 2), right - (worst == 3)
+    if 2 * inside.size < covered.size:
+        raise InputError("by the camera's own calibration its bands show different ground")
+    return [picture[:, low:high, left:right] for picture in moved], (low, left)
 
 
 def _grown(mask: Bool[np.ndarray, "band y x"]) -> Bool[np.ndarray, "band y x"]:

@@ -1,6 +1,7 @@
-"""Captures of MicaSense cameras (RedEdge, Altum) and of their reference panels."""
+"""Raw captures of multispectral cameras (MicaSense, DJI) and of their reference panels."""
 
-from fynjax.io.micasense._capture import (
+from fynjax.io.captures._camera_place import CameraPlace, on_earth
+from fynjax.io.captures._capture import (
     AlignedCapture,
     Capture,
     aligned_radiance,
@@ -9,14 +10,16 @@ from fynjax.io.micasense._capture import (
     same_capture,
     usable_captures,
 )
-from fynjax.io.micasense._panel import PanelView, panel_reflectance, read_panel
+from fynjax.io.captures._panel import PanelView, panel_reflectance, read_panel
 
 __all__ = [
     "AlignedCapture",
+    "CameraPlace",
     "Capture",
     "PanelView",
     "aligned_radiance",
     "find_captures",
+    "on_earth",
     "panel_reflectance",
     "read_capture",
     "read_panel",

@@ -1,0 +1,60 @@
+"""Leaves of a plot's taxa from folders of measured spectra: fitted once, and kept."""
+
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from pathlib import Path
+
+import pandas as pd
+
+from fynjax import __version__
+from fynjax._core.compiler import cache_folder
+from fynjax._core.errors import InputError
+from fynjax.io.raster import file_hash
+from fynjax.io.spectra import read_spectra
+from fynjax.io.text import write_text
+from fynjax.leaf import fit_leaf
+from fynjax.scene import LEAF_FIELDS, USUAL_LEAF, LeafRow
+
+
+def measured_leaves(files: Mapping[str, Sequence[Path]]) -> list[LeafRow]:
+    """The mean leaf of each taxon that has files of spectra, by PROSPECT fitted to all of them.
+
+    Fits are kept in the cache of compiled programs, by the content of the files.
+
+    **Arguments:** `files` of each taxon, as `Plot.leaf_files` has them.
+
+    **Raises:** `InputError` for a taxon of which no spectrum can be used. Warns of single ones.
+    """
+    if not files:
+        return []
+    content = [__version__, [(taxon, [*map(file_hash, own)]) for taxon, own in files.items()]]
+    name = hashlib.sha256(json.dumps(content).encode()).hexdigest()
+    kept = cache_folder() / "leaves" / f"{name}.json"
+    found = None
+    with suppress(OSError, ValueError):
+        found = json.loads(kept.read_text("utf-8"))
+    if found is None:
+        found = _fitted(files)
+        with suppress(OSError):  # a home that cannot be written costs the fit, nothing else
+            kept.parent.mkdir(parents=True, exist_ok=True)
+            write_text(kept, json.dumps(found))
+    return [USUAL_LEAF.replace(taxon=taxon, **found[taxon]) for taxon in files]
+
+
+def _fitted(files: Mapping[str, Sequence[Path]]) -> dict[str, dict[str, float]]:
+    """Means of the leaf traits of each taxon over its leaves; those of doubtful fits count only
+    where there are no others."""
+    taxon_of = {str(file): taxon for taxon, own in files.items() for file in own}
+    spectra = read_spectra(list(taxon_of))
+    fit = fit_leaf(spectra)
+    traits = pd.DataFrame({name: getattr(fit.parameters, name) for name in LEAF_FIELDS})
+    taxon = pd.Series([taxon_of[file] for file in spectra["file"].values])
+    for one, own in files.items():
+        if not (taxon == one).any():
+            raise InputError(f"no leaf spectrum of {one!r} can be used", file=own[0])
+    good = pd.Series([status == "converged" for status in fit.status])
+    counts = good | ~good.groupby(taxon).transform("any")
+    means = traits[counts].groupby(taxon[counts]).mean()
+    return {one: dict(zip(LEAF_FIELDS, means.loc[[one]].to_numpy()[0].tolist())) for one in files}

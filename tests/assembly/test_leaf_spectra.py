@@ -1,0 +1,129 @@
+"""Leaf optics of a plot's taxa from a folder of measured spectra, in one key."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import fynjax as fx
+from fynjax._core.errors import InputError
+from fynjax.assembly import _leaf_spectra, plot_parameters
+from fynjax.io.plot import plant_sources, read_plot
+from tests.small import write_plot
+
+SPECIES = """taxon,mean_diameter_cm,cover_percent,height_max_m,growth_form
+Erica,40,30,0.6,rounded_shrub
+Erica tetralix,30,15,0.5,upright_ericoid
+Calluna vulgaris,30,15,0.5,upright_ericoid
+"""
+WATER = {
+    "spectra/Erica_01.csv": 0.010,
+    "spectra/ERICA.TETRALIX-003.csv": 0.014,
+    "spectra/erica tetralix 4.csv": 0.022,
+    "spectra/.thumbs/Erica.csv": 0.030,
+}
+WAVE = np.arange(400.0, 2401.0, 5.0)
+
+
+def write_leaves(folder: Path, key: str = 'leaf_spectra = "spectra"\n') -> Path:
+    folder.mkdir(exist_ok=True)
+    path = write_plot(folder, 'plants = "generic"\n' + key)
+    (folder / "species.csv").write_text(SPECIES)
+    for name, water in WATER.items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        write_leaf(folder / name, water)
+    return path
+
+
+def write_leaf(path: Path, water: float) -> None:
+    r, _ = fx.prospect(water=[water], dry_matter=[0.008], chlorophyll=[40.0])
+    values = np.interp(WAVE, np.arange(400.0, 2501.0), np.asarray(r)[0])
+    rows = "".join(f"{w:g},{v:.6f}\n" for w, v in zip(WAVE, values))
+    path.write_text("wavelength,reflectance\n" + rows, encoding="utf-8")
+
+
+@pytest.fixture(autouse=True)
+def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    return tmp_path / "cache" / "fynjax" / "leaves"
+
+
+def test_each_taxon_has_the_mean_of_its_leaves_fitted_once(
+    tmp_path: Path, cache: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plot = read_plot(write_leaves(tmp_path))
+    leaf = plot_parameters(plot).leaf
+    np.testing.assert_allclose(leaf.water, [0.010, 0.018, 0.0109], rtol=0.1)
+    np.testing.assert_allclose(leaf.chlorophyll, [40.0, 40.0, 38.6], rtol=0.1)
+    assert plant_sources(plot).count("eaf traits (2 of 3 species): spectra.") == 1
+    assert len(list(cache.iterdir())) == 1
+    assert {path.name for path in plot.inputs} >= {"Erica_01.csv", "species.csv"}
+
+    def refit(spectra: object) -> None:
+        raise RuntimeError("fitted again")
+
+    monkeypatch.setattr(_leaf_spectra, "fit_leaf", refit)
+    np.testing.assert_array_equal(plot_parameters(plot).leaf.water, leaf.water)
+    write_leaf(tmp_path / "spectra" / "Erica_01.csv", 0.012)
+    with pytest.raises(RuntimeError, match="fitted again"):
+        plot_parameters(plot)
+    next(cache.iterdir()).write_text("damaged")
+    write_leaf(tmp_path / "spectra" / "Erica_01.csv", 0.010)
+    with pytest.raises(RuntimeError, match="fitted again"):
+        plot_parameters(plot)
+
+
+def test_names_say_the_taxon_by_whole_words(tmp_path: Path) -> None:
+    path = write_leaves(tmp_path)
+    (tmp_path / "spectra" / "callunella.csv").write_text("wavelength,a\n400,0.1\n")
+    inside = tmp_path / "spectra" / "Calluna vulgaris, top"
+    inside.mkdir()
+    (inside / "leaf 2.csv").write_text("wavelength,a\n400,0.1\n")
+    with pytest.warns(UserWarning, match=r"are left out \(1\), such as 'callunella.csv'"):
+        files = read_plot(path).leaf_files
+    assert {taxon: len(own) for taxon, own in files.items()} == {
+        "Erica": 1, "Erica tetralix": 2, "Calluna vulgaris": 1,
+    }  # fmt: skip
+
+
+def test_a_link_out_of_the_folder_is_refused(tmp_path: Path) -> None:
+    path = write_leaves(tmp_path / "plot")
+    write_leaf(tmp_path / "secret.csv", 0.01)
+    (tmp_path / "plot" / "spectra" / "Erica_9.csv").symlink_to(tmp_path / "secret.csv")
+    with pytest.raises(InputError, match=r"Erica_9\.csv: .*--allow-outside"):
+        read_plot(path)
+    assert len(read_plot(path, allow_outside=True).leaf_files["Erica"]) == 2
+
+
+def test_a_table_says_the_taxon_where_names_do_not(tmp_path: Path) -> None:
+    path = write_leaves(tmp_path, 'leaf_spectra = "taxa.csv"\n')
+    table = "file,taxon\nspectra/Erica_01.csv,Calluna vulgaris\n"
+    (tmp_path / "taxa.csv").write_text(table)
+    (own,) = read_plot(path).leaf_files["Calluna vulgaris"]
+    assert own.name == "Erica_01.csv"
+    (tmp_path / "taxa.csv").write_text(table.replace("Calluna vulgaris", "Calluna vulgare"))
+    with pytest.raises(InputError, match=r"unknown taxon 'Calluna vulgare'.*Calluna vulgaris"):
+        read_plot(path)
+    (tmp_path / "taxa.csv").write_text(table + "spectra/lost.csv,Erica\n")
+    with pytest.raises(InputError, match=r"row 3.*lost\.csv"):
+        read_plot(path)
+
+
+def test_folders_without_leaves_of_a_taxon_and_leaves_stated_twice_are_refused(
+    tmp_path: Path,
+) -> None:
+    path = write_leaves(tmp_path, 'leaf_spectra = "spectra"\nleaf_table = "leaves.csv"\n')
+    head = "taxon,chlorophyll,carotenoids,water,dry_matter\n"
+    (tmp_path / "leaves.csv").write_text(head + "Calluna vulgaris,40,8,0.01,0.01\n")
+    assert set(read_plot(path).leaf_files) == {"Erica", "Erica tetralix"}
+    (tmp_path / "leaves.csv").write_text(head + "*,40,8,0.01,0.01\nErica,40,8,0.01,0.01\n")
+    with pytest.raises(InputError, match=r"row 3.*leaf_spectra have leaves of 'Erica' too"):
+        read_plot(path)
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other" / "IMG_1.csv").write_text("wavelength,a\n400,0.1\n")
+    path.write_text(path.read_text().replace('"spectra"', '"other"'))
+    with pytest.raises(InputError, match=r"begin with a taxon, such as 'Erica'.*'IMG_1.csv'"):
+        read_plot(path)
+    path.write_text(path.read_text().replace('"other"', '"nowhere"'))
+    with pytest.raises(InputError, match=r"'nowhere': .*leaf spectra"):
+        read_plot(path)
