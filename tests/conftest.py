@@ -50,7 +50,10 @@ gc.set_threshold(50_000, 20, 20)
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """What one test has compiled, another worker or a notebook need not compile again."""
+    """What one test has compiled, another worker or a notebook need not compile again. Where
+    pytest-xdist is installed, its workers take files in the order they are given below."""
+    if hasattr(config.option, "loadscopereorder"):
+        config.option.loadscopereorder = False
     if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
         folder = tempfile.TemporaryDirectory(prefix="fynjax-compiled-")
         config.add_cleanup(folder.cleanup)
@@ -65,13 +68,12 @@ def pytest_configure(config: pytest.Config) -> None:
 @pytest.fixture(scope="session")
 def shared_data() -> Path:
     """Folder of the reference data (`FYNJAX_SHARED_DATA`, default `../shared/data`)."""
-    default = Path(__file__).resolve().parents[2] / "shared" / "data"
-    folder = Path(os.environ.get("FYNJAX_SHARED_DATA", default))
+    named = os.environ.get("FYNJAX_SHARED_DATA")
+    folder = Path(named or Path(__file__).resolve().parents[2] / "shared" / "data")
     if not folder.is_dir():
-        reason = f"reference data not found at {folder}; set FYNJAX_SHARED_DATA to its folder"
-        if os.environ.get("CI") == "true":
-            pytest.fail(reason)
-        pytest.skip(reason)
+        if named:
+            pytest.fail(f"FYNJAX_SHARED_DATA: expected a folder of reference data, but got {named}")
+        pytest.skip(f"needs reference data, which are not at {folder}; set FYNJAX_SHARED_DATA")
     return folder
 
 

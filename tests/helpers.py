@@ -1,6 +1,7 @@
 """Checks, and files to read, that several test files share."""
 
 import json
+import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -11,6 +12,7 @@ import jax.numpy as jnp
 import jsonschema
 import numpy as np
 import optimistix as optx
+import pytest
 import rasterio
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
@@ -18,6 +20,9 @@ from rasterio import Affine
 
 from fynjax._core.least_squares import NO_TAGS
 from fynjax.io.raster import Cube, open_raster
+
+unix = pytest.mark.skipif(sys.platform == "win32", reason="signals and links as Unix has them")
+"""Mark of a test that kills a process or makes a link."""
 
 
 def read_cube(path: Path) -> Cube:

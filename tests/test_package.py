@@ -14,6 +14,7 @@ import jax
 import numpy as np
 import pytest
 import yaml
+from jinja2 import Template
 
 import fynjax
 from fynjax._core import compiler
@@ -84,6 +85,24 @@ def test_one_version_everywhere() -> None:
     citation = yaml.safe_load((ROOT / "CITATION.cff").read_text("utf-8"))
     assert citation["version"] == PROJECT["version"] == fynjax.__version__
     assert citation["license"] == PROJECT["license"]
+
+
+def test_workflows_and_the_conda_recipe_can_be_read() -> None:
+    for path in (ROOT / ".github" / "workflows").glob("*.yml"):
+        workflow = yaml.safe_load(path.read_text("utf-8"))
+        assert workflow[True]  # `on`
+        for job in workflow["jobs"].values():
+            assert job["runs-on"]
+            for step in job["steps"]:
+                assert ("run" in step) != ("uses" in step)
+                command = step.get("run", "").split()[0:1]
+                assert all((ROOT / name).is_file() for name in command if name.startswith(".ci/"))
+    recipe = Template((ROOT / "recipe" / "meta.yaml").read_text("utf-8"))
+    loaded = {"load_file_data": lambda *_, **__: PYPROJECT, "PYTHON": "python"}
+    described = yaml.safe_load(recipe.render(loaded))
+    assert described["package"] == {"name": "fynjax", "version": PROJECT["version"]}
+    needed = {line.split()[0] for line in described["requirements"]["run"]}
+    assert needed == {"python"} | {r.partition(">=")[0].lower() for r in PROJECT["dependencies"]}
 
 
 def test_types_are_published() -> None:

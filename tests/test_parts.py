@@ -27,6 +27,7 @@ from fynjax._core.checkpoint import Journal, forget_journal
 from fynjax._core.errors import InputError
 from fynjax._core.parts import Pool, Workers, at_work
 from tests.heard import hearing
+from tests.helpers import unix
 
 pytestmark = pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 """dask leaves pipes and sockets of processes that died to the garbage collection."""
@@ -149,6 +150,7 @@ def test_nobody_without_the_certificate_reaches_the_workers(two) -> None:
     assert {address.ip for address in listens} == {"127.0.0.1"}
 
 
+@unix
 @pytest.mark.parametrize("fault", ["dies", "full"])
 def test_what_fails_once_costs_its_part_only(two, tmp_path: Path, fault: str) -> None:
     found = two.all(numbered, range(6), tmp_path, fault)
@@ -158,6 +160,7 @@ def test_what_fails_once_costs_its_part_only(two, tmp_path: Path, fault: str) ->
     assert sum(called(tmp_path, i) for i in range(6)) <= 7 + 4
 
 
+@unix
 def test_results_that_die_with_their_workers_are_computed_again(tmp_path: Path) -> None:
     """All parts are done, and none but the first fetched, when both workers are killed."""
     with pool_of(2) as pool:
@@ -194,6 +197,7 @@ def test_a_part_that_fails_is_named_and_the_others_are_kept(two, tmp_path, where
     assert not kept.exists()
 
 
+@unix
 def test_a_part_that_kills_every_worker_is_named(tmp_path: Path) -> None:
     failures = dask.config.set({"distributed.scheduler.allowed-failures": 1})
     with (
@@ -386,6 +390,7 @@ def test_a_killed_client_leaves_no_workers_and_goes_on(tmp_path: Path) -> None:
     assert calls <= 30 + 10
 
 
+@unix
 def test_ctrl_c_ends_the_workers_without_a_word_of_theirs(tmp_path: Path) -> None:
     """A terminal interrupts the workers, too."""
     one = client(tmp_path)

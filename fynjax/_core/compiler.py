@@ -3,6 +3,7 @@ kept."""
 
 import os
 import sys
+from contextlib import suppress
 from importlib.metadata import version
 from pathlib import Path
 
@@ -12,6 +13,8 @@ frame camera gets its first bands in place of the others, depending on processor
 without a word (github.com/jax-ml/jax/issues/39103)."""
 OWN_SUMS = "--xla_cpu_experimental_ynn_fusion_type=-reduce"
 """XLA then makes its own reductions, which are right."""
+WRONG_BY = 1e-5
+"""Relative error of sums from which on they are wrong."""
 QUICK = {
     "--xla_backend_extra_options=xla_cpu_disable_slp_vectorizer": (0, 13),
     "--xla_cpu_use_fusion_emitters=false": (0, 11, 1),
@@ -85,3 +88,43 @@ def keep_compiled() -> None:
     jax.config.update("jax_compilation_cache_dir", str(folder))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
+
+
+def error_of_sums() -> float:
+    """Relative error of a reduction that one version of jaxlib got wrong on processors, about every
+    second time: the largest of ten."""
+    import jax
+    import jax.numpy as jnp
+    import numpy as np
+
+    random = np.random.default_rng(0)
+    left, right = (
+        random.normal(size=size).astype(np.float32) for size in ((4, 120, 120), (4, 4, 120, 120))
+    )
+    total = jax.jit(lambda a, b: jnp.sum(a[:, None] * b, axis=0))
+    exact = np.einsum("ars,abrs->brs", left.astype(float), right.astype(float))
+    off = max(np.abs(total(left, right) - exact).max() for _ in range(10))
+    return float(off / np.abs(exact).max())
+
+
+def check_sums_once() -> None:
+    """Check sums with each version of jaxlib and kind of device once: that they were right is kept
+    in `cache_folder`.
+
+    **Raises:** `RuntimeError` with the way out, where they are wrong.
+    """
+    import jax
+
+    kept = cache_folder() / "right-sums" / f"jaxlib-{version('jaxlib')}-{jax.default_backend()}"
+    if kept.exists():
+        return
+    off = error_of_sums()
+    if not off <= WRONG_BY:
+        raise RuntimeError(
+            f"jaxlib {version('jaxlib')} computes wrong sums on this machine (relative error "
+            f"{off:.1g}), and so would every image be. `fynjax doctor` says what is wrong; a way "
+            f"out is the environment variable XLA_FLAGS={OWN_SUMS}, or another version of JAX"
+        )
+    with suppress(OSError):  # of a home that cannot be written: the next command checks again
+        kept.parent.mkdir(parents=True, exist_ok=True)
+        kept.touch()

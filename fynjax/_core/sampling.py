@@ -11,7 +11,6 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
-import emcee
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -181,6 +180,8 @@ class Ensemble(_Sampler):
         return self._begun(self._start, self._start[place], level[place], *random[1:])
 
     def _after(self, state: ChainState, steps: int) -> ChainState:
+        import emcee  # late: it takes half a second
+
         position, level, *random = map(np.asarray, state.ahead)
         refused = _Refused(self._density)
         # Differential evolution (ter Braak 2006) mixes well where parameters are correlated,
@@ -275,6 +276,8 @@ def effective_size(chain: np.ndarray) -> float:
 def _autocorrelation(chain: np.ndarray) -> float:
     """Of the slowest parameter; infinite where it cannot be estimated or a parameter never
     moved."""
+    import emcee  # late: it takes half a second
+
     with warnings.catch_warnings(), np.errstate(invalid="ignore", divide="ignore"):
         warnings.simplefilter("ignore")
         tau = np.asarray(emcee.autocorr.integrated_time(chain, tol=0, quiet=True))

@@ -234,6 +234,8 @@ class TextTable:
         if not len(values):
             raise InputError("expected rows of numbers, but there is only a header", file=self.path)
         table = pd.DataFrame(values, columns=list(numbers))
+        if not words:
+            return table
         return table.join(pd.DataFrame(texts, columns=list(words), index=table.index))
 
     def _clean_columns(self, numbers: Sequence[int], gaps: bool) -> "pd.DataFrame | None":

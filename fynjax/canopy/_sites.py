@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float, Real
 
 from fynjax._core.errors import InputError
+from fynjax.canopy._bridson import fill
 
 
 def poisson_disk(
@@ -65,8 +66,6 @@ def poisson_disk(
             f"a radius of {radius} m on {lx} m x {ly} m needs about "
             f"{0.60 * lx * ly / radius**2:.0f} points: are both in metres?"
         )
-    from fynjax.canopy._bridson import fill
-
     return fill(np.random.default_rng(seed), lx, ly, float(radius), int(attempts), bool(periodic))
 
 

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from fynjax._core.compiler import cache_folder, keep_compiled
+from fynjax._core.compiler import cache_folder, check_sums_once, keep_compiled
 from fynjax._core.dry_run import DryRunEnd, dry_run
 from fynjax._core.errors import InputError
 
@@ -245,6 +245,7 @@ def command(
             if dry_run:
                 _show_dry_run(start, output, as_json=json, quiet=quiet)
                 return
+            check_sums_once()
             result = start()
             if strict and result.status != "ok":
                 sys.exit(DOUBTFUL)

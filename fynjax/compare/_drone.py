@@ -7,7 +7,6 @@ import jax.numpy as jnp
 import numpy as np
 import pandas as pd
 from jaxtyping import Float
-from scipy.stats import ks_2samp
 
 from fynjax._core.progress import advance, stage
 from fynjax.compare._images import FEW_PIXELS, DroneImage
@@ -141,6 +140,8 @@ def _pair_row(x: _Values, y: _Values) -> dict[str, object]:
     names = ("difference_percent", "histogram_intersection", "ks", "central_intersection")
     row |= dict.fromkeys(names, np.nan)
     if a.size and b.size:
+        from scipy.stats import ks_2samp  # late: it takes half a second
+
         if start := a.mean():
             row["difference_percent"] = 100.0 * (b.mean() - start) / abs(start)
         row["histogram_intersection"] = histogram_intersection(a, b, bins=BINS)

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pandas as pd
 from jaxtyping import Bool, Float
-from scipy import stats
+from scipy.special import stdtrit
 
 from fynjax.metrics import SPECTRAL_REGIONS, misfit_decomposition, spectral_agreement, spectral_mask
 
@@ -271,7 +271,7 @@ def chance_correlation(plots: int) -> float:
     >>> round(chance_correlation(20), 3)
     0.444
     """
-    t = stats.t.ppf(0.975, plots - 2)
+    t = stdtrit(plots - 2, 0.975)
     return float(t / np.sqrt(plots - 2 + t**2))
 
 
@@ -319,6 +319,8 @@ def feature_table(pair: PlotSpectraPair) -> pd.DataFrame:
     **Returns:** a row for each feature: means and standard deviations over the plots [-],
     correlation and rank correlation (Spearman) of simulated with measured [-].
     """
+    from scipy.stats import spearmanr  # late: it takes half a second
+
     real, simulated = (feature_values(pair.wavelength, s) for s in (pair.measured, pair.simulated))
     rows = []
     for name, (what, _) in FEATURES.items():
@@ -332,7 +334,7 @@ def feature_table(pair: PlotSpectraPair) -> pd.DataFrame:
                 "measured_sd": x.std(ddof=1) if len(x) > 1 else np.nan,
                 "simulated_sd": y.std(ddof=1) if len(x) > 1 else np.nan,
                 "correlation": np.corrcoef(x, y)[0, 1] if several else np.nan,
-                "rank_correlation": stats.spearmanr(x, y).statistic if several else np.nan,
+                "rank_correlation": spearmanr(x, y).statistic if several else np.nan,
             }
         )
     return pd.DataFrame(rows)

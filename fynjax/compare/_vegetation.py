@@ -9,8 +9,7 @@ import numpy as np
 import pandas as pd
 from jaxtyping import Float
 from numpy.typing import ArrayLike
-from scipy.stats import f as f_distribution
-from scipy.stats import norm
+from scipy.special import fdtrc, ndtri
 
 from fynjax._core.errors import InputError
 from fynjax.sensors import ASSUMED, BandSet, Gains
@@ -128,7 +127,7 @@ def check_vegetation(
     few, rest_of_bands = parts[:DIRECTIONS], parts[DIRECTIONS:]
     tests = [few, rest_of_bands] if rest_of_bands.size else [few]
     # Of a new draw, where mean and covariance are estimates.
-    chances = [f_distribution.sf(t.mean() / (1.0 + 1.0 / PLOTS), t.size, PLOTS - 1) for t in tests]
+    chances = [fdtrc(t.size, PLOTS - 1, t.mean() / (1.0 + 1.0 / PLOTS)) for t in tests]
     chance = float(min(1.0, len(tests) * min(chances)))
     names = [bands.names[i] for i in judged]
     left = tuple(name for i, name in enumerate(bands.names) if i not in judged)
@@ -147,7 +146,7 @@ def _pairs(
     variance = np.diag(covariance)
     centre = mean[first] - mean[second]
     sd = np.sqrt(variance[first] + variance[second] - 2.0 * covariance[first, second])
-    ratio, wide = values[first] / values[second], norm.ppf(0.975) * sd
+    ratio, wide = values[first] / values[second], ndtri(0.975) * sd
     table = {
         "numerator": np.array(names)[first],
         "denominator": np.array(names)[second],

@@ -22,8 +22,8 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-import scipy.stats
 from jaxtyping import Array, Float
+from scipy.special import ndtr
 
 from fynjax._core.extras import require
 from fynjax._core.precision import double_precision
@@ -248,7 +248,7 @@ def train_posterior(
 
 def _tables(quantities: Float[np.ndarray, "stand quantity"]) -> Float[np.ndarray, "quantity score"]:
     """Quantities at even steps of their normal scores; strictly rising."""
-    share = scipy.stats.norm.cdf(_SCORES)
+    share = ndtr(_SCORES)
     tables = np.quantile(quantities, share, axis=0).T
     scale = np.ptp(tables, axis=1, keepdims=True)
     return tables + 1e-6 * scale * np.linspace(0.0, 1.0, len(_SCORES))

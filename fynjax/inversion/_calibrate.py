@@ -10,7 +10,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from fynjax._core.errors import InputError
 from fynjax._core.html import as_html
@@ -137,7 +137,7 @@ class Calibration(eqx.Module):
     def probability(self) -> float:
         """That the model and its prior would give data so far from its expectation [-], were it
         linear in the parameters: below some 0.01 it does not explain them."""
-        return float(chi2.sf(self.misfit, self.degrees))
+        return float(chdtrc(self.degrees, self.misfit))
 
     @property
     def camera(self) -> AimedSensor | None:

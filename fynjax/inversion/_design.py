@@ -19,7 +19,7 @@ import numpy as np
 from jax.scipy.special import ndtr
 from jaxtyping import Array, Float, Int
 from scipy.optimize import minimize
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 from fynjax._core.errors import InputError, did_you_mean, listed
 from fynjax._core.html import as_html
@@ -796,7 +796,7 @@ def half_interval(gain: Float[np.ndarray, "planting sensor"]) -> Float[np.ndarra
     Student's, with the variance of Nadeau and Bengio."""
     count = len(gain)
     wider = np.sqrt(1.0 / count + 1.0 / (count - 1.0))
-    return np.asarray(student.ppf(0.95, count - 1) * wider * gain.std(axis=0, ddof=1))
+    return np.asarray(stdtrit(count - 1, 0.95) * wider * gain.std(axis=0, ddof=1))
 
 
 def _record(

@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Bool, Float, Int
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from fynjax._core.errors import InputError
 from fynjax._core.least_squares import NO_TAGS, BroydenLM, BroydenState, figures_of
@@ -117,7 +117,7 @@ class KnownPlants(eqx.Module):
     @double_precision
     def probability(self) -> float:
         """That the model and its prior would give data so far from its expectation [-]."""
-        return float(chi2.sf(self.misfit, self.degrees))
+        return float(chdtrc(self.degrees, self.misfit))
 
     @property
     @double_precision

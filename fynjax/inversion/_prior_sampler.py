@@ -10,7 +10,6 @@ Chance is kept in two of three proposals, and drawn anew in the third.
 from collections.abc import Callable
 from typing import NamedTuple
 
-import emcee
 import numpy as np
 from jaxtyping import Float
 
@@ -61,6 +60,8 @@ def sample_prior(
 
     **Raises:** `InputError` where no start has a finite likelihood.
     """
+    import emcee  # late: it takes half a second
+
     walkers, numbers = start.shape
 
     def density(z: np.ndarray) -> np.ndarray:

@@ -9,8 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
-from scipy.special import ndtri
-from scipy.stats import qmc, t
+from scipy.special import ndtri, stdtrit
 
 from fynjax._core.errors import InputError
 from fynjax._core.extras import require
@@ -120,7 +119,7 @@ class ExpectedSensitivity(eqx.Module):
     @property
     def quantile(self) -> float:
         """Half of a 95 % interval, in standard errors: Student's t for the number of plantings."""
-        return float(t.ppf(0.975, self.plantings - 1))
+        return float(stdtrit(self.plantings - 1, 0.975))
 
     @property
     def distinguished(self) -> Bool[np.ndarray, "metric free"]:
@@ -381,6 +380,8 @@ def derivative_measures(
     **Raises:** `InputError` for `samples` that is no power of two, and where a metric or a slope is
     not finite.
     """
+    from scipy.stats import qmc  # late: it takes half a second
+
     _check(over, samples)
     model = _OverUnits(predict, space, context, over)
     shares = qmc.Sobol(len(space.names), rng=seed).random(samples)

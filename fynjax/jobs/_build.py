@@ -21,15 +21,7 @@ from fynjax.io.plot import Plot, as_plot
 from fynjax.io.raster import write_run
 from fynjax.jobs._result import JobResult, Rows
 from fynjax.jobs._run import Run, peak_memory_mib
-from fynjax.report.figures import (
-    DrawnPlants,
-    lit_figure,
-    oblique_view,
-    plan_view,
-    profile_view,
-    rgb,
-    species_colours,
-)
+from fynjax.report import figures
 from fynjax.report.pages import Page, Part, Picture, Section, Table
 from fynjax.scene import (
     Instances,
@@ -169,14 +161,14 @@ def build(
         drawn = drawn_plants(read, hard, parameters, instances, chosen)
         title = f"{read.name}: from the south-south-west"
         oblique = (
-            lit_figure(instances, hard, title)
+            figures.lit_figure(instances, hard, title)
             if view == "meshes" and len(instances)
-            else oblique_view(drawn, periodic=periodic, ground=hard.terrain, title=title)
+            else figures.oblique_view(drawn, periodic=periodic, ground=hard.terrain, title=title)
         )
         pictures = [
             Picture(
                 "plan.png",
-                plan_view(
+                figures.plan_view(
                     drawn, periodic=periodic,
                     title=f"{read.name}: {len(instances)} plants from above",
                 ),
@@ -191,14 +183,14 @@ def build(
             ),
             Picture(
                 "profile.png",
-                profile_view(profile, edges, instances, hard.forms),
+                figures.profile_view(profile, edges, instances, hard.forms),
                 "leaf and wood area density against height",
                 "Leaf area (seen from outside the shoots) and wood area against height.",
             ),
         ]  # fmt: skip
     if meshes is not None:
         with run.stage("Write the mesh", "write_mesh"):
-            colours = [tuple(rgb(c).tolist()) for c in species_colours(hard.forms)]
+            colours = [tuple(figures.rgb(c).tolist()) for c in figures.species_colours(hard.forms)]
             obj = run.path("scene.obj", f"the plants as {triangles} triangles, metres")
             write_scene_mesh(obj, instances, meshes, colours)
             run.path("scene.mtl", "their materials")
@@ -221,7 +213,7 @@ def build(
 
 def drawn_plants(
     plot: Plot, scene: Scene, parameters: PlotParameters, instances: Instances, seed: int
-) -> DrawnPlants:
+) -> figures.DrawnPlants:
     """The plants as they are drawn: with the area that they have in the hard `scene`, and shapes
     of their own where the species table names one."""
     first = np.asarray(scene.planting.first)
@@ -233,7 +225,7 @@ def drawn_plants(
             own = slice(first[plant], first[plant] + int(scene.planting.count[plant]))
             models[i] = jax.tree.map(lambda values, own=own: values[own], scene.planting.shapes)
     index = np.asarray(scene.organ_index(parameters), float) * float(scene.crown_share(parameters))
-    return DrawnPlants(
+    return figures.DrawnPlants(
         instances,
         scene.forms,
         index / np.asarray(scene.branches)[:, None],

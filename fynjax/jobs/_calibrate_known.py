@@ -26,7 +26,7 @@ from fynjax.jobs._follow import follow
 from fynjax.jobs._render import check_finite, write_image
 from fynjax.jobs._run import Run, peak_memory_mib
 from fynjax.metrics import BANDS
-from fynjax.report.figures import composites, residual_maps
+from fynjax.report import figures
 from fynjax.report.pages import Page, Picture, Section, Table
 
 
@@ -177,13 +177,13 @@ def _pictures(result: KnownPlants, pixel: float) -> list[Picture]:
     return [
         Picture(
             "false_colour.png",
-            composites(images, names, pixel_m=pixel),
+            figures.composites(images, names, pixel_m=pixel),
             "image measured, before and after, near infrared as red",
             "False colour.",
         ),
         Picture(
             "residual.png",
-            residual_maps(result.image_after - result.measured, names, pixel_m=pixel),
+            figures.residual_maps(result.image_after - result.measured, names, pixel_m=pixel),
             "simulated less measured",
             "Simulated after calibration, with the camera's gains, less measured.",
         ),

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from scipy.stats import norm
+from scipy.special import ndtri
 
 from fynjax.assembly import Measured, Twin
 from fynjax.inversion import Calibration, FitResult, KnownPlants, stand_sentence
@@ -21,14 +21,7 @@ from fynjax.jobs._calibration_tables import (
 from fynjax.jobs._render import SHOWN_INDICES, image_views, index_images
 from fynjax.jobs._run import Run, peak_memory_mib
 from fynjax.metrics import VEGETATION_INDICES
-from fynjax.report.figures import (
-    constraint_plot,
-    convergence_plot,
-    error_bars,
-    index_histograms,
-    parameter_plot,
-    words,
-)
+from fynjax.report import figures
 from fynjax.report.pages import Page, Part, Picture, Section, Table, sensor_section
 
 
@@ -109,7 +102,7 @@ def twin_sentence(
     if known.gain is None or result.gain is None or result.gain_sd is None:
         return f"{text}."
     apart = np.abs(np.log(known.gain / result.gain))
-    within = np.sum(apart <= norm.ppf(0.95) * result.gain_sd)
+    within = np.sum(apart <= ndtri(0.95) * result.gain_sd)
     gains = ", ".join(f"{gain:.3f}" for gain in known.gain)
     return f"{text}, and {within} of {len(apart)} gains of the camera, which were {gains}."
 
@@ -205,7 +198,7 @@ def _image_sections(
         if f"{name}.mean" in value
     }
     shown = tuple(name for name in SHOWN_INDICES if name in target) or SHOWN_INDICES
-    histograms = index_histograms(
+    histograms = figures.index_histograms(
         index_images(before, shown),
         index_images(after, shown),
         {name: target[name] for name in shown if name in target},
@@ -213,7 +206,7 @@ def _image_sections(
     against = [
         Picture(
             "errors.png",
-            error_bars(errors),
+            figures.error_bars(errors),
             "error of each mean",
             "Relative error of each mean, before and after. What was fitted is expected over "
             "plantings; other means are those of the image.",
@@ -248,7 +241,8 @@ def _camera_sentence(camera: pd.DataFrame) -> str:
     off = camera["exact_error_percent"]
     unsure = (camera["gain"] - 1.0).abs() < 2.0 * camera["sd"]
     of = [
-        f"{words(band)} {error:+.0f} %" + (" (within the error of the gain)" if open_ else "")
+        f"{figures.words(band)} {error:+.0f} %"
+        + (" (within the error of the gain)" if open_ else "")
         for band, error, open_ in zip(camera["band"], off, unsure, strict=True)
     ]
     return (
@@ -285,13 +279,13 @@ def parameter_section(
             " ".join(parameter_sentences(result)),
             Picture(
                 "parameters.png",
-                parameter_plot(parameters),
+                figures.parameter_plot(parameters),
                 "prior and estimate of every parameter",
                 "Prior and estimate, each with its 90 % interval.",
             ),
             Picture(
                 "constraint.png",
-                constraint_plot(parameters),
+                figures.constraint_plot(parameters),
                 "share of the prior variance that the data removed",
             ),
             f"Weakly constrained combinations of parameters (largest members): {directions}.",
@@ -303,7 +297,7 @@ def parameter_section(
 def search_section(run: Run, result: Calibration | KnownPlants, memory: float) -> Section:
     """How the search went; `memory` at its peak [MiB]."""
     fit = result.fit
-    convergence = convergence_plot(fit.loss, fit.gradient_norm, rounds=fit.rounds)
+    convergence = figures.convergence_plot(fit.loss, fit.gradient_norm, rounds=fit.rounds)
     parts: list[Part] = [
         Picture(
             "convergence.png",

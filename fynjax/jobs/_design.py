@@ -16,7 +16,7 @@ from fynjax.io.plot import Plot, as_plot
 from fynjax.io.text import write_text
 from fynjax.jobs._result import JobResult, Rows
 from fynjax.jobs._run import Run
-from fynjax.report.figures import design_plot, gain_plot
+from fynjax.report import figures
 from fynjax.report.pages import Page, Picture, Section, Table
 
 
@@ -110,13 +110,14 @@ def _sensor_file(found: BandDesign) -> str:
 
 def _sections(found: BandDesign, chosen: pd.DataFrame) -> list[Section]:
     shown = Picture(
-        "design.png", design_plot(found), "the bands over spectra and their slopes",
+        "design.png", figures.design_plot(found), "the bands over spectra and their slopes",
         "Designed bands (shaded) over spectra of pixels that are mostly of one species (above) and "
         "over the change of the plot's mean spectrum that goes with one prior standard deviation "
         "of each quantity (middle). Below the bands of all sensors.",
     )  # fmt: skip
     gain = Picture(
-        "gain.png", gain_plot(found), "the target of each sensor, and the gain of the design",
+        "gain.png", figures.gain_plot(found),
+        "the target of each sensor, and the gain of the design",
         f"{found.target.capitalize()}, in plantings left out of the design (points), and by how "
         "much the design has more, with the interval of 5 to 95 % over these plantings.",
     )  # fmt: skip

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from fynjax._core.compiler import OWN_SUMS, cache_folder
+from fynjax._core.compiler import OWN_SUMS, WRONG_BY, cache_folder, error_of_sums
 from fynjax._core.memory import free_memory
 from fynjax.assembly import read_scene
 from fynjax.radiation import canopy_reflectance
@@ -46,8 +46,8 @@ def doctor() -> list[Check]:
     []
     """
     return [
-        _checked("sums", _sums, 1e-5, f"set the environment variable XLA_FLAGS={OWN_SUMS}, or "
-                 "install another version of JAX"),
+        _checked("sums", error_of_sums, WRONG_BY, "set the environment variable "
+                 f"XLA_FLAGS={OWN_SUMS}, or install another version of JAX"),
         _checked("products", _products, 1e-5, "unset JAX_DEFAULT_MATMUL_PRECISION"),
         _checked("image", _image, 1e-4, "install another version of JAX: bands of an image are "
                  "mixed up"),
@@ -64,17 +64,6 @@ def _checked(name: str, error: Callable[[], float], most: float, advice: str) ->
     except Exception as wrong:  # whatever the backend says
         return Check(name, False, f"{type(wrong).__name__}: {wrong}".split("\n")[0], advice)
     return Check(name, bool(found <= most), f"error {found:.1g}, at most {most:g}", advice)
-
-
-def _sums() -> float:
-    """Relative error of a reduction that one version of jaxlib got wrong on processors."""
-    random = np.random.default_rng(0)
-    left, right = (
-        random.normal(size=size).astype(np.float32) for size in ((4, 120, 120), (4, 4, 120, 120))
-    )
-    total = jax.jit(lambda a, b: jnp.sum(a[:, None] * b, axis=0))(left, right)
-    exact = np.einsum("ars,abrs->brs", left.astype(float), right.astype(float))
-    return float(np.abs(total - exact).max() / np.abs(exact).max())
 
 
 def _products() -> float:

@@ -53,9 +53,8 @@ from fynjax.leaf import (
     transmittance_from_two_readings,
     usual_measurement,
 )
-from fynjax.report.figures import leaf_fit_figure
+from fynjax.report import figures
 from fynjax.report.pages import Picture, Table
-from fynjax.scene import LEAF_FIELDS
 
 MEASUREMENTS: dict[str, Callable[[], AbstractMeasurement]] = {
     "sphere": IntegratingSphere,
@@ -323,6 +322,8 @@ def fit_leaf(
         what = "mean leaf and material variants of each species"
         run.table("species.csv", together.table(seed, area), what)
         if version == "D":
+            from fynjax.scene import LEAF_FIELDS  # late: the only need of a scene
+
             drawn = together.table(seed).query("variant > 0").rename(columns={"species": "taxon"})
             what = "these variants as the leaf table of a plot"
             run.table("leaves.csv", drawn[["taxon", *LEAF_FIELDS]], what)
@@ -334,7 +335,7 @@ def fit_leaf(
     good = fit.status.count("converged")
     headline = _headline(spectra, table, good)
     doubtful = len(names) - good
-    picture = Picture("spectra.png", leaf_fit_figure(fit), "measured and fitted spectra")
+    picture = Picture("spectra.png", figures.leaf_fit_figure(fit), "measured and fitted spectra")
     shown = Table(
         table.head(_SHOWN), f"Traits, of the first {_SHOWN} spectra at most.", folded=True
     )

@@ -15,7 +15,7 @@ from fynjax.inversion import Information, SensorSetting, even_bands, sweep_senso
 from fynjax.io.plot import Plot, as_plot, plot_instrument, sensor_place
 from fynjax.jobs._result import JobResult, Rows
 from fynjax.jobs._run import Run
-from fynjax.report.figures import bound_plot, short_name
+from fynjax.report import figures
 from fynjax.report.pages import Page, Part, Picture, Section, Table
 from fynjax.sensors import Sensor
 
@@ -196,7 +196,7 @@ def _cover_section(table: pd.DataFrame, limits: pd.DataFrame, covers: Sequence[s
     ]
     picture = Picture(
         "cover_bounds.png",
-        bound_plot(first, covers),
+        figures.bound_plot(first, covers),
         "bound on each cover against the pixel",
         "Cramér-Rao bound on each species' cover over the cover itself, the other parameters as "
         "uncertain as their priors. In the shaded part the cover is indistinguishable from "
@@ -204,7 +204,7 @@ def _cover_section(table: pd.DataFrame, limits: pd.DataFrame, covers: Sequence[s
         "not explain. Smaller pixels and a multiple of the bands contain what larger and fewer "
         "tell, so they never know less.",
     )
-    rows = limits.assign(parameter=limits["parameter"].map(short_name))
+    rows = limits.assign(parameter=limits["parameter"].map(figures.short_name))
     return Section("Cover", [picture, Table(rows, "Where each cover is lost (–: at no pixel).")])
 
 
@@ -212,7 +212,7 @@ def _direction_section(
     sensor: str, weak: Sequence[dict[str, float]], table: pd.DataFrame
 ) -> Section:
     named = "; ".join(
-        ", ".join(f"{short_name(name)} {weight:+.2f}" for name, weight in direction.items())
+        ", ".join(f"{figures.short_name(name)} {weight:+.2f}" for name, weight in direction.items())
         for direction in weak[:8]
     )
     parts: list[Part] = [

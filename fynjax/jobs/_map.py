@@ -34,7 +34,7 @@ from fynjax.jobs._map_pixels import (
 from fynjax.jobs._result import JobResult, Number, Record
 from fynjax.jobs._run import Run
 from fynjax.jobs._train import Training, read_training
-from fynjax.report.figures import maps_figure
+from fynjax.report import figures
 from fynjax.report.pages import Page, Picture, Section, Table
 from fynjax.sensors import BandSet
 
@@ -391,7 +391,7 @@ def _summary(
     if short:
         status = "the posterior of a pixel did not converge"
         headline.insert(0, f"Not converged: the posterior of {listed(short)}.")
-    figure = maps_figure(
+    figure = figures.maps_figure(
         {n: (*shown[n], q.words, q.unit) for n, q in STAND_QUANTITIES.items()}, unlike, likely
     )
     run.page(

@@ -23,7 +23,7 @@ from fynjax.io.raster import CubeBlocks, file_hash, write_run
 from fynjax.jobs._result import Number, Record
 from fynjax.jobs._run import Run
 from fynjax.jobs._train import Training
-from fynjax.report.figures import pixels_figure
+from fynjax.report import figures
 from fynjax.report.pages import Picture, Section, Table
 from fynjax.sensors import BandSet
 
@@ -302,7 +302,9 @@ def _section(found: Sequence[PixelPosterior]) -> Section:
         }
         for one in found
     }
-    figure = pixels_figure(shown, {n: (q.words, q.unit) for n, q in STAND_QUANTITIES.items()})
+    figure = figures.pixels_figure(
+        shown, {n: (q.words, q.unit) for n, q in STAND_QUANTITIES.items()}
+    )
     what = "mean and 90 % interval of chosen pixels, by the map's regression and by emcee"
     sampled = "; ".join(
         f"row {one.row}, column {one.column}: {one.effective_size:.0f} effective draws, "

@@ -17,7 +17,7 @@ from fynjax.io.raster import RAW_COUNTS, BandStack, read_band_stack, write_geoti
 from fynjax.jobs._doubt import doubt_spectrum
 from fynjax.jobs._result import JobResult, Record
 from fynjax.jobs._run import Run
-from fynjax.report.figures import pattern_figure
+from fynjax.report import figures
 from fynjax.report.pages import Picture
 from fynjax.sensors import BandSet, mavic_3m
 
@@ -159,7 +159,7 @@ def pattern(
         )
         headline = _headline(stack, pattern, green)
         what = "the image, the map and the clusters' spectra"
-        picture = Picture("pattern.png", pattern_figure(stack, pattern, green), what)
+        picture = Picture("pattern.png", figures.pattern_figure(stack, pattern, green), what)
         title = f"Probability map of {Path(paths[0]).name}"
         run.pictures(title, headline, [picture], paths)
     return _result(run, headline, stack, pattern, green, greenness_weight)

@@ -33,7 +33,7 @@ from fynjax.io.raster import UNITS
 from fynjax.io.text import Strict, did_you_mean, existing_file, read_rows, write_text
 from fynjax.jobs._result import JobResult, Record
 from fynjax.jobs._run import Run
-from fynjax.report.figures import plant_figure
+from fynjax.report import figures
 from fynjax.report.pages import Picture, Table
 
 _MESHES = (".obj", ".ply", ".stl", ".glb", ".gltf")
@@ -337,7 +337,7 @@ def _result(
                 "all of it counts as leaf"
             )
     what = "the elements from the side and from above"
-    picture = Picture("plant.png", plant_figure(model), what)
+    picture = Picture("plant.png", figures.plant_figure(model), what)
     rows = Table(pd.DataFrame([m.model_dump() for m in materials]), "Its materials.")
     inputs = [source if made is None else None, stated]
     run.pictures(f"Plant: {Path(source).name}", headline, [picture, rows], inputs)

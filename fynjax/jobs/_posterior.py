@@ -39,14 +39,7 @@ from fynjax.jobs._doubt import doubt_targets
 from fynjax.jobs._follow import calibrated as calibrated_plot
 from fynjax.jobs._result import JobResult, Number, ParameterSummary
 from fynjax.jobs._run import Run
-from fynjax.report.figures import (
-    corner_plot,
-    interval_plot,
-    parameter_plot,
-    predictive_plot,
-    short_name,
-    words,
-)
+from fynjax.report import figures
 from fynjax.report.pages import Page, Part, Picture, Section, Table
 
 
@@ -230,7 +223,7 @@ def posterior_table(sampled: Posterior) -> pd.DataFrame:
 def _headline(ready: Prepared, sampled: Posterior, table: pd.DataFrame) -> list[str]:
     shown = table.iloc[np.argsort(-sampled.constrained)[:5]]
     named = "; ".join(
-        f"{short_name(row.name)} {row.median:.3g} ({row.q05:.3g} to {row.q95:.3g})"
+        f"{figures.short_name(row.name)} {row.median:.3g} ({row.q05:.3g} to {row.q95:.3g})"
         f"{'' if row.unit == '-' else f' {row.unit}'}, "
         f"{max(100.0 * (row.constrained or 0.0), 0.0):.0f} %"
         for row in map(PosteriorParameter.model_validate, shown.to_dict("records"))
@@ -241,7 +234,8 @@ def _headline(ready: Prepared, sampled: Posterior, table: pd.DataFrame) -> list[
     halved = len(sampled.well_constrained())
     return [
         f"{ready.plot.name}: {sampled.effective_size:.0f} effective draws by {sampled.method}.",
-        f"Largest misfit: {words(sampled.data.names[worst])}, {off:.1f} standard errors{trust}.",
+        f"Largest misfit: {figures.words(sampled.data.names[worst])}, {off:.1f} standard errors"
+        f"{trust}.",
         f"The data at least halve the error of {halved} of {len(sampled.names)} parameters.",
         f"Best known, with median, 90 % interval and share of the prior variance removed: {named}.",
     ]
@@ -270,15 +264,16 @@ def _page(
         "Chains ask a surrogate for the statistics, linear in all parameters and bent along those "
         "that the data know most: renders that it was not fitted to differ from it by "
         f"{np.median(surrogate_error):.2g} standard errors of the data (median over statistics), "
-        f"at worst {surrogate_error[worst]:.2g} ({words(data.names[worst])}). Its slopes are means "
-        "over a few draws: what of them is chance counts as knowledge in a chain, so that its "
-        "intervals may be narrower than those of the method 'laplace', which leaves that out. That "
-        "statistics bend is part of the errors as well as of the surrogate, which widens both."
+        f"at worst {surrogate_error[worst]:.2g} ({figures.words(data.names[worst])}). "
+        "Its slopes are means over a few draws: what of them is chance counts as knowledge in a "
+        "chain, so that its intervals may be narrower than those of the method 'laplace', which "
+        "leaves that out. That statistics bend is part of the errors as well as of the surrogate, "
+        "which widens both."
     )
     parts += [
         Picture(
             "corner.png",
-            corner_plot(
+            figures.corner_plot(
                 {sampled.method: draws[:, best]},
                 [f"{sampled.names[i]} [{units[i][1]}]" for i in best],
                 prior=(prior[0][:, best], prior[1][:, best]),
@@ -287,10 +282,14 @@ def _page(
         ),
         Picture(
             "predictive.png",
-            predictive_plot(sampled.predicted, data.value, data.sd, data.names),
+            figures.predictive_plot(sampled.predicted, data.value, data.sd, data.names),
             "statistics that the posterior predicts against the measured ones",
         ),
-        Picture("parameters.png", parameter_plot(table), "prior and posterior of every parameter"),
+        Picture(
+            "parameters.png",
+            figures.parameter_plot(table),
+            "prior and posterior of every parameter",
+        ),
         *_methods(sampled, table.iloc[order[:_COMPARED]]),
         Table(table, "Every parameter.", folded=True),
     ]
@@ -311,7 +310,7 @@ def _methods(sampled: Posterior, best: pd.DataFrame) -> list[Part]:
     return [
         Picture(
             "methods.png",
-            interval_plot(best, kinds),
+            figures.interval_plot(best, kinds),
             "90 % intervals of the parameters best known, by both methods",
         )
     ]

@@ -41,7 +41,7 @@ from fynjax.jobs._reflectance_record import (
 )
 from fynjax.jobs._result import JobResult
 from fynjax.jobs._run import Run
-from fynjax.report.figures import capture_figure, panel_figure
+from fynjax.report import figures
 from fynjax.report.pages import Picture
 from fynjax.sensors import (
     EmpiricalLine,
@@ -183,7 +183,7 @@ def reflectance(
         warnings.append(f"the metadata have no numbers for {what}, which is not corrected")
     if read:
         what = "picture: the panels in every band, and the area that was read"
-        shown.insert(0, Picture("panels.png", panel_figure(read, known), what))
+        shown.insert(0, Picture("panels.png", figures.panel_figure(read, known), what))
     what = "gain, offset and their uncertainty, for each capture and band"
     write_text(run.path("calibration.csv", what), calibration_table(converted))
     title = f"Reflectance of {len(converted)} captures"
@@ -231,7 +231,7 @@ def _write_capture(
     what = "its standard deviation, by panel and light"
     write_cube_geotiff(run.path(f"{name}_reflectance_sd.tif", what), doubt, tags)
     what = "picture: true and false colour, vegetation index"
-    figure = capture_figure(cube, name, pixels=place.startswith("pixels"))
+    figure = figures.capture_figure(cube, name, pixels=place.startswith("pixels"))
     picture = Picture(f"{name}.png", figure, what)
     run.picture(picture)
     return picture

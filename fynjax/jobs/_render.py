@@ -25,15 +25,7 @@ from fynjax.io.raster import Cube, file_hash, image_array, write_geotiff, write_
 from fynjax.jobs._result import JobResult, StatisticSummary
 from fynjax.jobs._run import Run
 from fynjax.metrics import BANDS, vegetation_indices
-from fynjax.report.figures import (
-    composites,
-    index_histograms,
-    layer_map,
-    quick_looks,
-    species_map,
-    spectrum_figure,
-    words,
-)
+from fynjax.report import figures
 from fynjax.report.pages import Page, Part, Picture, Section, Table, Views
 from fynjax.scene import (
     AimedSensor,
@@ -223,7 +215,7 @@ def write_truth(
         crs=place.crs,
         tags={k: str(v) for k, v in record.items()},
     )
-    figure = species_map(*truth.leading(), truth.taxa, scene.forms, pixel_m=truth.pixel)
+    figure = figures.species_map(*truth.leading(), truth.taxa, scene.forms, pixel_m=truth.pixel)
     return Picture("species.png", figure, "species that leads in each pixel")
 
 
@@ -239,7 +231,9 @@ def _drone_pictures(plot: Plot, camera: AimedSensor, image: np.ndarray) -> list[
     names = camera.sensor.bands.names
     image = image[[names.index(band) for band in BANDS]]
     histograms = Picture(
-        "indices.png", index_histograms(index_images(image)), "histograms of vegetation indices"
+        "indices.png",
+        figures.index_histograms(index_images(image)),
+        "histograms of vegetation indices",
     )
     return [image_views({plot.name: image}, camera.pixel), histograms]
 
@@ -249,25 +243,27 @@ def image_views(images: Mapping[str, np.ndarray], pixel_m: float) -> Views:
     views = {
         "Nearly natural": Picture(
             "true_like.png",
-            composites(images, BANDS, pixel_m=pixel_m, kind="true_like"),
+            figures.composites(images, BANDS, pixel_m=pixel_m, kind="true_like"),
             "image, nearly natural colours",
         ),
         "False colour": Picture(
             "false_colour.png",
-            composites(images, BANDS, pixel_m=pixel_m),
+            figures.composites(images, BANDS, pixel_m=pixel_m),
             "image, near infrared as red",
         ),
     }
     for k, band in enumerate(BANDS):
-        label = words(band)
+        label = figures.words(band)
         label = f"{label[0].upper()}{label[1:]}"
         layers = {title: image[k] for title, image in images.items()}
-        figure = layer_map(layers, f"{label}: reflectance [-]", pixel_m=pixel_m)
-        views[label] = Picture(f"band_{band}.png", figure, f"reflectance in the band {words(band)}")
+        figure = figures.layer_map(layers, f"{label}: reflectance [-]", pixel_m=pixel_m)
+        views[label] = Picture(
+            f"band_{band}.png", figure, f"reflectance in the band {figures.words(band)}"
+        )
     indices = {title: index_images(image, _MAPPED) for title, image in images.items()}
     for name in _MAPPED:
         layers = {title: of_image[name] for title, of_image in indices.items()}
-        figure = layer_map(layers, f"{name} [-]", pixel_m=pixel_m)
+        figure = figures.layer_map(layers, f"{name} [-]", pixel_m=pixel_m)
         views[name] = Picture(f"index_{name}.png", figure, f"map of the index {name}")
     return Views(views)
 
@@ -294,11 +290,11 @@ def cube_pictures(cubes: Mapping[str, Cube], title: str) -> list[Picture]:
     first = next(iter(cubes.values()))
     looks = [
         Picture(file, figure, "quick look", f"{first.quantity.capitalize()}, {_LOOKS[file]}.")
-        for file, figure in quick_looks(first, title).items()
+        for file, figure in figures.quick_looks(first, title).items()
     ]
     spectrum = Picture(
         "spectrum.png",
-        spectrum_figure(cubes),
+        figures.spectrum_figure(cubes),
         "mean and range of the pixels by wavelength",
         "Mean over the pixels and their range; of few pixels, each.",
     )

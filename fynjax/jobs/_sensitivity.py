@@ -33,7 +33,7 @@ from fynjax.io.raster import file_hash
 from fynjax.jobs._result import JobResult, Rows
 from fynjax.jobs._run import Run
 from fynjax.metrics import check_statistics
-from fynjax.report.figures import indices_plot, short_name, tornado_plot
+from fynjax.report import figures
 from fynjax.report.pages import Page, Picture, Section, Table
 from fynjax.scene import Scene, stand_realisation
 
@@ -209,7 +209,8 @@ def _headline(table: pd.DataFrame) -> list[str]:
         distinct = part[part["distinguished"] & (part["elasticity"].abs() > 0)]
         order = distinct["elasticity"].abs().sort_values(ascending=False).index
         named = ", ".join(
-            f"{short_name(str(r.parameter))} ({r.elasticity:+.2g} ± {r.elasticity_error:.2g} %)"
+            f"{figures.short_name(str(r.parameter))} ({r.elasticity:+.2g} "
+            f"± {r.elasticity_error:.2g} %)"
             for r in distinct.loc[order[:LEADING_ELASTICITIES]].itertuples()
         )
         lines.append(
@@ -269,7 +270,7 @@ def _spread_table(
 def _slope_section(table: pd.DataFrame, quantile: float) -> Section:
     picture = Picture(
         "elasticities.png",
-        tornado_plot(table.assign(interval=quantile * table["elasticity_error"])),
+        figures.tornado_plot(table.assign(interval=quantile * table["elasticity_error"])),
         "largest elasticities of each metric",
         "Change of each metric for 1 % more of a parameter, mean over plantings, with its 95 % "
         "interval. Grey and hollow: not distinguished from zero.",
@@ -283,7 +284,7 @@ def _slope_section(table: pd.DataFrame, quantile: float) -> Section:
 def _variance_section(spread: pd.DataFrame) -> Section:
     picture = Picture(
         "variance.png",
-        indices_plot(spread),
+        figures.indices_plot(spread),
         "shares of each metric's variance over the priors",
         "Shares of each metric's variance while all priors vary, with the plants of one planting.",
     )

@@ -18,7 +18,7 @@ from fynjax.io.raster import write_run
 from fynjax.jobs._result import JobResult, Number
 from fynjax.jobs._run import Run
 from fynjax.radiation import VoxelScene
-from fynjax.report.figures import height_profiles, side_view
+from fynjax.report import figures
 from fynjax.report.pages import Page, Part, Picture, Section, Table
 from fynjax.scene import ReturnTruth, hard_scene, observe
 from fynjax.sensors import FlashGeometry, Lidar, LidarBeams, LidarReturns
@@ -207,13 +207,13 @@ def _sections(run: Run, plot: Plot, lidar: Lidar, returns: LidarReturns, heights
         " ".join(remarks),
         Picture(
             "cloud.png",
-            side_view(returns, heights.height, plot.size_m, title=title),
+            figures.side_view(returns, heights.height, plot.size_m, title=title),
             "the cloud from the side and from above",
             "The cloud from the south, and from above.",
         ),
         Picture(
             "profile.png",
-            height_profiles(heights),
+            figures.height_profiles(heights),
             "returns and planted area against height",
             "Vegetation returns against height, beside where the light first meets plants (the "
             "gap law) and where their area is. Higher plants hide lower ones, so the second lies "

@@ -12,7 +12,7 @@ from fynjax._core.precision import double_precision
 from fynjax.io.raster import write_geotiff
 from fynjax.jobs._result import JobResult, Record
 from fynjax.jobs._run import Run
-from fynjax.report.figures import terrain_figure
+from fynjax.report import figures
 from fynjax.report.pages import Picture
 from fynjax.terrain import (
     TOLERANCE,
@@ -152,7 +152,7 @@ def terrain(
     try:
         if is_raster:
             with run.stage("Read the raster"):
-                terrain, figures = _from_raster(
+                terrain, numbers = _from_raster(
                     path, bounds, size, cell, crs=crs, height_unit=height_unit,
                     fill_gaps=fill_gaps, largest_gap=gap, band=band,
                 )  # fmt: skip
@@ -160,7 +160,7 @@ def terrain(
         else:
             with run.stage("Read the cloud"):
                 cloud = read_cloud(path, unit=unit, height_unit=height_unit, crs=crs)
-            terrain, canopy, figures = _from_cloud(
+            terrain, canopy, numbers = _from_cloud(
                 cloud,
                 bounds if size is None else _middle(cloud.bounds, size),
                 0.25 if cell is None else cell,
@@ -200,9 +200,9 @@ def terrain(
                 crs=terrain.crs,
                 tags={"quantity": "height of the canopy above ground", "unit": "m"},
             )
-    summary = _summary(terrain, figures)
+    summary = _summary(terrain, numbers)
     headline = _headline(summary)
-    picture = Picture("terrain.png", terrain_figure(terrain, canopy), "picture of it")
+    picture = Picture("terrain.png", figures.terrain_figure(terrain, canopy), "picture of it")
     run.pictures(f"Terrain of {path.name}", headline, [picture], [path])
     return run.result(TerrainResult, headline=headline, terrain=summary)
 
@@ -296,12 +296,12 @@ def _from_cloud(
             stacklevel=3,
         )
     tolerance = options.get("tolerance", TOLERANCE)
-    figures: dict[str, Any] = {}
+    numbers: dict[str, Any] = {}
     if labelled is not None:
         own = cloud.select(labelled).crop(terrain.bounds)
         if len(own):
             off = float(np.median(np.abs(heights_above_ground(own, terrain))))
-            figures["labels_apart_m"] = off
+            numbers["labels_apart_m"] = off
             if off > tolerance:
                 warnings.warn(
                     f"the file's own ground points lie {off:.2f} m from the ground that the method "
@@ -317,7 +317,7 @@ def _from_cloud(
             "look at terrain.png",
             stacklevel=3,
         )
-    figures |= {
+    numbers |= {
         "ground_by": options["method"],
         "points_below": below,
         "points": len(cloud),
@@ -327,10 +327,10 @@ def _from_cloud(
         "canopy_height_median_m": float(np.nanmedian(canopy)),
         "canopy_height_99_m": float(np.nanpercentile(canopy, 99)),
     }
-    return terrain, canopy, figures
+    return terrain, canopy, numbers
 
 
-def _summary(terrain: Terrain, figures: dict[str, Any]) -> TerrainSummary:
+def _summary(terrain: Terrain, numbers: dict[str, Any]) -> TerrainSummary:
     gx, gy = terrain.gradient()
     return TerrainSummary(
         bounds_m=terrain.bounds,
@@ -338,7 +338,7 @@ def _summary(terrain: Terrain, figures: dict[str, Any]) -> TerrainSummary:
         lowest_m=float(terrain.heights.min()),
         relief_m=terrain.relief,
         median_slope_deg=float(np.degrees(np.arctan(np.median(np.hypot(gx, gy))))),
-        **figures,
+        **numbers,
     )
 
 

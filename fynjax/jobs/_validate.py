@@ -36,7 +36,7 @@ from fynjax.jobs._doubt import doubt_spectrum
 from fynjax.jobs._result import JobResult, Record, Rows, rows_of
 from fynjax.jobs._run import Run
 from fynjax.metrics import BANDS, WATER_WINDOWS, MatchingMethod
-from fynjax.report.figures import words
+from fynjax.report import figures
 from fynjax.report.pages import (
     Page,
     Section,
@@ -301,7 +301,7 @@ def _drone_sentences(drone: Drone) -> list[str]:
             f"paper's DIRSIG in {nearer} of {count} numbers that are sound."
         ]
     bands = ", ".join(
-        f"{words(r['band'])} {r['difference_percent']:+.1f} %"
+        f"{figures.words(r['band'])} {r['difference_percent']:+.1f} %"
         for r in drone.bands.to_dict("records")
     )
     table = drone.indices

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from fynjax._core.precision import double_precision
 from fynjax.leaf._area import LeafShape
@@ -373,7 +373,7 @@ def assemble(
     rmse = np.sqrt(np.einsum("nqb,nqb->n", off, off) / np.maximum(use.sum((1, 2)), 1))
     del off
     at_bound = (got["x"] > bounds[:, 1] - 0.01 * width) & np.isin(names, free)
-    rare = got["rarity"] > chi2.ppf(_RARE, len(free))
+    rare = got["rarity"] > chdtri(len(free), 1.0 - _RARE)
     reason = np.select(
         [few, ~got["converged"], at_bound.any(1), got["inflation"] > _POOR_FIT, rare],
         [

@@ -1,7 +1,6 @@
 """How much ground the crowns of a scene cover, measured on a raster."""
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -70,27 +69,65 @@ def projected_cover(
             f"a raster may have {_MOST_CELLS:.0e} cells, but {cell:g} m on {lx:g} m x {ly:g} m "
             f"asks for {nx * ny:.1e}; take a coarser `cell`"
         )
-    from fynjax.scene._cover_kernel import project
-
-    order = np.argsort(instances.species, kind="stable")
-    x, y = crown_centres(instances)
-    kernel: Any = project  # numba's own type takes no arrays
-    top, crowns, union = kernel(
-        *(values[order] for values in (x, y, instances.diameter / 2.0, instances.height)),
-        instances.species[order],
-        len(instances.taxa),
-        nx,
-        ny,
-        float(cell),
-        periodic,
-    )
+    top, crowns, union = _project(instances, (ny, nx), float(cell), periodic)
     covered = top >= 0
-    top[covered] = order[top[covered]]
     visible = np.bincount(instances.species[top[covered]], minlength=len(instances.taxa))
     cells = nx * ny
     return ProjectedCover(
         crowns / cells, union / cells, visible / cells, float(covered.mean()), top, float(cell)
     )
+
+
+def _project(
+    instances: Instances, shape: tuple[int, int], cell: float, periodic: bool
+) -> tuple[Int[np.ndarray, "y x"], Int[np.ndarray, " species"], Int[np.ndarray, " species"]]:
+    """Discs on a raster of cells whose centres count: (top, crowns, union).
+
+    `top` is the tallest plant over each cell, the first of equals, -1 for none. `crowns` counts the
+    cells of all discs, those beyond an open border too; `union` the cells that a species covers at
+    all.
+    """
+    ny, nx = shape
+    n_species = len(instances.taxa)
+    x, y = crown_centres(instances)
+    radius, height = instances.diameter / 2.0, instances.height
+    top = np.full(shape, -1, np.int32)
+    level = np.full(shape, -np.inf)
+    crowns, union = np.zeros(n_species, np.int64), np.zeros(n_species, np.int64)
+    south, north = _centres(y, radius, cell)
+    for one in range(n_species):
+        covered = np.zeros(shape, bool)
+        for plant in np.flatnonzero(instances.species == one):
+            rows = np.arange(south[plant], north[plant])
+            dy = (rows + 0.5) * cell - y[plant]
+            half = np.sqrt(np.maximum(radius[plant] ** 2 - dy * dy, 0.0))
+            west, east = _centres(x[plant], half, cell)
+            crowns[one] += np.maximum(east - west, 0).sum()
+            if not rows.size:
+                continue
+            columns = np.arange(west.min(), east.max())
+            inside = (columns >= west[:, None]) & (columns < east[:, None])
+            if periodic:
+                rows, columns = rows % ny, columns % nx
+            else:
+                on = (rows >= 0) & (rows < ny), (columns >= 0) & (columns < nx)
+                inside, rows, columns = inside[np.ix_(*on)], rows[on[0]], columns[on[1]]
+            place = rows[:, None], columns
+            row, column = (part[inside] for part in np.broadcast_arrays(*place))
+            covered[row, column] = True
+            taller = height[plant] > level[row, column]
+            top[row[taller], column[taller]] = plant
+            level[row[taller], column[taller]] = height[plant]
+        union[one] = covered.sum()
+    return top, crowns, union
+
+
+def _centres(
+    middle: np.ndarray, half: np.ndarray, cell: float
+) -> tuple[Int[np.ndarray, "*n"], Int[np.ndarray, "*n"]]:
+    """First and one after the last cell whose centre is within `half` [m] of `middle` [m]."""
+    first = np.ceil((middle - half) / cell - 0.5).astype(int)
+    return first, np.floor((middle + half) / cell - 0.5).astype(int) + 1
 
 
 def crown_centres(

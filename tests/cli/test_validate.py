@@ -18,6 +18,7 @@ from fynjax.io.text._atomic import remove_replaced
 from fynjax.jobs import JobResult
 from tests.compare.test_spectra import WAVE, cube, write_csv
 from tests.compare.test_structure import plot, write_las
+from tests.helpers import unix
 
 app = typer.Typer()
 app.command()(validate)
@@ -148,6 +149,7 @@ def test_files_of_an_earlier_run_do_not_stay(tmp_path: Path, monkeypatch) -> Non
     assert "e.tif" in run_one("render", out, "f.tif")
 
 
+@unix
 def test_nothing_goes_but_listed_files_of_the_folder(tmp_path: Path) -> None:
     out = tmp_path / "out"
     (out / "folder").mkdir(parents=True)
@@ -165,6 +167,7 @@ def test_nothing_goes_but_listed_files_of_the_folder(tmp_path: Path) -> None:
     assert sorted(p.name for p in out.iterdir()) == names
 
 
+@unix
 def test_kill_leaves_nothing_beside_the_output(tmp_path: Path) -> None:
     """Even if a library swallows the exit, as JAX's callbacks do."""
     before = signal.getsignal(signal.SIGTERM)

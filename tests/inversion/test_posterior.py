@@ -28,6 +28,7 @@ from fynjax.inversion import (
 from fynjax.inversion._posterior import _flatness
 from fynjax.inversion._posterior_result import _arviz
 from tests.heard import hearing
+from tests.helpers import unix
 from tests.inversion.linear import DATA, SPACE, posterior, predict
 
 SAMPLERS = ["emcee", "nuts", "laplace"]
@@ -247,12 +248,13 @@ with listening(Slow()):
 """
 
 
+@unix
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("method", "end", "seconds"),
     [
-        ("emcee", signal.SIGKILL, 0),
-        pytest.param("nuts", signal.SIGINT, 1000, marks=pytest.mark.study),
+        ("emcee", "SIGKILL", 0),
+        pytest.param("nuts", "SIGINT", 1000, marks=pytest.mark.study),
     ],
 )
 def test_a_killed_run_goes_on_as_if_it_had_not_been(tmp_path, method, end, seconds):
@@ -266,7 +268,7 @@ def test_a_killed_run_goes_on_as_if_it_had_not_been(tmp_path, method, end, secon
         env=os.environ | {"JAX_ENABLE_X64": "1"},  # a model in 32 bits is another problem
     )  # fmt: skip
     assert run.stdout.readline().strip() == "far"
-    run.send_signal(end)
+    run.send_signal(getattr(signal, end))
     assert run.wait(timeout=120) != 0
     for pipe in (run.stdout, run.stderr):
         pipe.close()

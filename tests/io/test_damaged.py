@@ -35,7 +35,7 @@ from fynjax.io.spectra import read_spectra_file
 from fynjax.io.text import NamedFile, Strict, read_toml
 from fynjax.sensors import sensor_folder
 from fynjax.terrain import read_cloud, read_terrain
-from tests.helpers import read_cube
+from tests.helpers import read_cube, unix
 
 
 def drone_image(path: Path) -> Any:
@@ -155,6 +155,7 @@ def test_impossible_values_of_an_image_are_missing(tmp_path: Path) -> None:
     assert np.nanmax(cube.values) < 1.0
 
 
+@unix
 @pytest.mark.parametrize(
     ("make", "words"),
     [
@@ -178,6 +179,7 @@ class NamesTable(Strict):
     table: Annotated[Path, NamedFile("a table")]
 
 
+@unix
 @pytest.mark.parametrize(
     ("target", "words"),
     [("gone.csv", "a link to 'gone.csv', which is not there"), ("b.csv", "leads back to itself")],
@@ -229,6 +231,7 @@ def test_a_netcdf_file_in_which_hdf5_goes_round_for_ever(
     assert at_exit == [_netcdf._leave]  # or the process would end in a segmentation fault
 
 
+@unix
 def test_a_plot_file_may_not_choose_files_elsewhere(tmp_path: Path) -> None:
     folder = shutil.copytree(example_folder(), tmp_path / "plot")
     path = folder / "plot.toml"

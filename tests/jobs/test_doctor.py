@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import pytest
 
+from fynjax._core import compiler
 from fynjax.cli import main
 from fynjax.jobs import _doctor, doctor
 
@@ -13,13 +14,13 @@ from fynjax.jobs import _doctor, doctor
 @pytest.mark.parametrize(
     ("name", "change", "advice"),
     [
-        ("_sums", lambda: 1.0, "XLA_FLAGS=--xla_cpu"),
+        ("error_of_sums", lambda: 1.0, "XLA_FLAGS=--xla_cpu"),
         ("_double", lambda: 1.0, "JAX_PLATFORMS=cpu"),
         ("_gradient", lambda: float("nan"), "another version of JAX"),
     ],
 )
 def test_a_wrong_number_is_named_with_the_way_out(name, change, advice, monkeypatch, capsys):
-    for other in ("_sums", "_products", "_image", "_gradient", "_double"):
+    for other in ("error_of_sums", "_products", "_image", "_gradient", "_double"):
         monkeypatch.setattr(_doctor, other, lambda: 0.0)
     monkeypatch.setattr(_doctor, name, change)
     with pytest.raises(SystemExit) as ended:
@@ -52,8 +53,8 @@ def test_products_that_are_cut_short_are_found(monkeypatch):
 def test_sums_slopes_images_and_bits_that_are_wrong_are_found(monkeypatch):
     total = jnp.sum
     with monkeypatch.context() as wrong:
-        wrong.setattr(_doctor.jnp, "sum", lambda a, axis: total(a, axis=axis).at[0].set(0.0))
-        assert _doctor._sums() > 1e-2
+        wrong.setattr(jnp, "sum", lambda a, axis: total(a, axis=axis).at[0].set(0.0))
+        assert _doctor.error_of_sums() > 1e-2
     monkeypatch.setattr(
         _doctor, "canopy_reflectance", lambda r, t, area, soil: soil * jax.lax.stop_gradient(area)
     )
@@ -87,3 +88,29 @@ def test_a_folder_that_cannot_be_written_is_named(monkeypatch, tmp_path):
 
 def test_this_machine_is_well():
     assert [check for check in doctor() if not check.passed] == []
+
+
+def test_sums_are_checked_by_the_first_command_of_a_version_alone(monkeypatch, tmp_path, capsys):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    asked = []
+    monkeypatch.setattr(compiler, "error_of_sums", lambda: asked.append(1) or found)
+    plant = ["plant", "Metalasia muricata", "--elements", "50", "--quiet"]
+
+    def run(*options):
+        with pytest.raises(SystemExit) as ended:
+            main([*plant, "--output", str(tmp_path / "out"), *options])
+        return ended.value.code, len(asked), capsys.readouterr().err
+
+    found = float("nan")
+    assert run("--dry-run")[:2] == (0, 0)
+    for times in (1, 2):  # what is wrong is not forgotten
+        code, count, said = run()
+        assert (code, count) == (1, times)
+        assert "wrong sums" in said
+        assert "fynjax doctor" in said
+    assert not (tmp_path / "out").exists()
+    found = 1e-7
+    assert run()[:2] == (0, 3)
+    assert run()[:2] == (0, 3)
+    monkeypatch.setattr(compiler, "version", lambda name: "99.0")
+    assert run()[:2] == (0, 4)

@@ -34,6 +34,7 @@ from fynjax.radiation import render, solve_light
 from fynjax.sensors import group_bands, shipped_sensor
 from fynjax.studies.bioscape._spectra import read_plot_spectra, read_spectrometer
 from tests.benchmarks.map_plots import write_plots
+from tests.helpers import unix
 from tests.io.emit_files import GEOTRANSFORM, NOWHERE, lookup, write_emit
 
 pytest.importorskip("optax")
@@ -349,6 +350,7 @@ main(arguments)
 """
 
 
+@unix
 def test_a_killed_map_goes_on_and_is_that_of_one_run(trained, known, tmp_path, monkeypatch):
     """SIGKILL of the command in its second block of three."""
     path, log = cube_of(tmp_path, known), tmp_path / "log"

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from scipy.stats import bootstrap
 
 from fynjax._core.progress import advance, stage
 from fynjax.compare.structure._cloud import HeightCloud, common_plot, height_cloud, open_cloud
@@ -245,6 +244,8 @@ def bootstrap_interval(
     than two. Cells are taken as independent; neighbours that are alike make it too narrow."""
     if cells.size < 2:
         return np.nan, np.nan
+    from scipy.stats import bootstrap  # late: it takes half a second
+
     interval = bootstrap(
         (cells,),
         np.mean,

@@ -18,7 +18,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyproj
 import xarray as xr
 from numpy.typing import ArrayLike
 
@@ -232,6 +231,8 @@ def grid_mapping(crs: str) -> xr.DataArray:
     """The variable "crs" that says in which reference system coordinates are (CF-1.11, 5.6)."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # CF has no word for some parameters
+        import pyproj  # late: few runs know their place
+
         system = pyproj.CRS.from_user_input(crs).to_cf()
     # Systems that CF has no name for have their WKT alone. Programs on GDAL look for the older
     # name of that.

@@ -5,7 +5,6 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Bool, Float
 
-from fynjax.io.raster._reader import open_raster
 from fynjax.io.text import write_text
 
 _SHOWN_NM = {"blue": 475.0, "green": 560.0, "red": 660.0, "nir": 860.0}
@@ -46,6 +45,8 @@ def write_qgis_style(path: str | Path) -> Path:
 
     **Raises:** `InputError` as `open_raster`.
     """
+    from fynjax.io.raster._reader import open_raster  # late: a dry run reads no raster
+
     with open_raster(path, "a raster") as raster:
         data = raster.dataset
         near = colour_bands(raster.wavelengths, raster.good)

@@ -1,17 +1,74 @@
-"""ENVI headers and spectral libraries, as Spectral Python (SPy) reads them."""
+"""ENVI headers and spectral libraries."""
 
-import warnings
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fynjax._core.errors import LARGEST, InputError
+from fynjax._core.files import read_bytes
 from fynjax.io.spectra._record import MeasuredSpectrum, in_nanometres, note
 
 _INTERLEAVES = ("bsq", "bil", "bip")
 """Orders of the values in a data file: bands one by one, by line, by pixel."""
+_TYPES = {
+    **{"1": "u1", "2": "i2", "3": "i4", "4": "f4", "5": "f8", "6": "c8", "9": "c16"},
+    **{"12": "u2", "13": "u4", "14": "i8", "15": "u8"},
+}
+"""NumPy's types by the numbers that `data type` has for them."""
+_NO_HEADER = (
+    "cannot be read as an ENVI header, which starts with the word ENVI and has samples, lines, "
+    "bands and data type"
+)
+
+
+class Layout(NamedTuple):
+    """Where the values are in the data file of an ENVI header."""
+
+    nrows: int
+    """Number of lines."""
+    ncols: int
+    """Number of samples in a line."""
+    nbands: int
+    """Number of bands."""
+    offset: int
+    """Number of bytes before the first value."""
+    dtype: np.dtype
+    """Type of a value, with its order of bytes."""
+
+
+def _fields(text: str) -> dict[str, Any]:
+    """Fields of a header by their names; lines that start with a semicolon are remarks."""
+    fields: dict[str, Any] = {}
+    lines = iter([line for line in text.splitlines() if not line.startswith(";")])
+    for line in lines:
+        name, equals, value = (part.strip() for part in line.partition("="))
+        if not equals:
+            continue
+        name = name.lower()
+        fields[name] = value
+        if value.startswith("{"):
+            parts = [value]
+            while not parts[-1].endswith("}"):
+                if (more := next(lines, None)) is None:
+                    raise ValueError(f"the brace of {name:.20} is never closed")
+                parts.append(more.strip())
+            within = "\n".join(parts)[1:-1]
+            listed = [part.strip() for part in within.split(",")]
+            fields[name] = within.strip() if name == "description" else listed
+    return fields
+
+
+def _layout(header: dict[str, Any]) -> Layout:
+    kind, order = str(header["data type"]), int(header.get("byte order", 0))
+    if kind not in _TYPES or order not in (0, 1):
+        raise ValueError(f"no data type {kind:.20} or byte order {order}")
+    lines, samples, bands = (int(header[name]) for name in ("lines", "samples", "bands"))
+    offset = int(header.get("header offset", 0))
+    if min(lines, samples, bands, offset) < 0:
+        raise ValueError("a number of lines, samples, bands or bytes is negative")
+    return Layout(lines, samples, bands, offset, np.dtype("<>"[order] + _TYPES[kind]))
 
 
 def read_header(path: Path) -> dict[str, Any]:
@@ -21,25 +78,21 @@ def read_header(path: Path) -> dict[str, Any]:
 
     - `path`: the header file.
 
-    **Returns:** the fields, and `layout` with nrows, ncols, nbands, offset and dtype of the data
-    file, as SPy has them.
+    **Returns:** the fields, and `layout`, the `Layout` of the data file.
 
     **Raises:** `InputError` where it is no ENVI header, lacks a field without which the data cannot
     be read, or has its values in an order that there is not.
     """
-    from spectral.io import envi  # takes a quarter of a second
-
+    text = read_bytes(path).decode("utf-8", "replace")
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of names that are not in lower case
-            header = envi.read_envi_header(str(path))
-        layout = envi.gen_params({"byte order": "0", **header})
-    except (envi.SpyException, LookupError, TypeError, ValueError) as error:
-        raise InputError(
-            f"cannot be read as an ENVI header, which starts with the word ENVI and has samples, "
-            f"lines, bands and data type ({' '.join(str(error).split()).rstrip('.')})",
-            file=path,
-        ) from error
+        if not text.lstrip().startswith("ENVI"):
+            raise ValueError("it starts otherwise")
+        header = _fields(text)
+        layout = _layout(header)
+    except KeyError as error:
+        raise InputError(f"{_NO_HEADER} ({error} is missing)", file=path) from error
+    except ValueError as error:
+        raise InputError(f"{_NO_HEADER} ({error})", file=path) from error
     order = str(header.get("interleave", "bsq")).strip()
     if order.lower() not in _INTERLEAVES:
         raise InputError(

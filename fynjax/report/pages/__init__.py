@@ -1,31 +1,5 @@
-"""The HTML page of a run, from sections."""
+"""The HTML page of a run, from sections, imported when they are first used."""
 
-from fynjax.report.pages._page import (
-    Page,
-    Part,
-    Picture,
-    Section,
-    Table,
-    Views,
-    format_number,
-    write_page,
-)
-from fynjax.report.pages._sensors import sensor_section
-from fynjax.report.pages._structure import structure_section
-from fynjax.report.pages._validation import drone_section, published_section, spectral_section
+import lazy_loader
 
-__all__ = [
-    "Page",
-    "Part",
-    "Picture",
-    "Section",
-    "Table",
-    "Views",
-    "drone_section",
-    "format_number",
-    "published_section",
-    "sensor_section",
-    "spectral_section",
-    "structure_section",
-    "write_page",
-]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

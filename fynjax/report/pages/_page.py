@@ -11,16 +11,17 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
-from matplotlib.figure import Figure
-from PIL import Image
 
 from fynjax.io.text import write_text
-from fynjax.report.figures import FIGURE_DPI, named_rows, save_figure
+from fynjax.report import figures
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 _QUALITY = 88  # of WebP: figures' letters stay sharp
 _UNITS = {
@@ -62,7 +63,7 @@ class Picture:
 
     file: str
     """Name of the file in the folder of results (PNG)."""
-    figure: Figure
+    figure: "Figure"
     what: str
     """Description of the file, for the list of files."""
     caption: str = ""
@@ -70,7 +71,7 @@ class Picture:
 
     def write(self, folder: Path) -> None:
         """Write the file into `folder`, whole or not at all."""
-        save_figure(self.figure, folder / self.file)
+        figures.save_figure(self.figure, folder / self.file)
 
 
 @dataclass(frozen=True)
@@ -155,16 +156,18 @@ def write_page(page: Page, folder: Path, file: str = "report.html") -> dict[str,
 def _shown(picture: Picture, folder: Path) -> dict[str, Any]:
     """A picture as a page holds it: its address, its width [pixels] and its named rows. As WebP
     pictures of plots take a quarter of their PNG, which lies beside the page as a file."""
+    from PIL import Image  # late: a dry run shows no picture
+
     png = (folder / picture.file).read_bytes()
     webp = BytesIO()
     with Image.open(BytesIO(png)) as image:
         image.convert("RGB").save(webp, "WEBP", quality=_QUALITY, method=3)
-        inches = image.width / FIGURE_DPI
+        inches = image.width / figures.FIGURE_DPI
     kind, data = min(("png", png), ("webp", webp.getvalue()), key=lambda one: len(one[1]))
     return {
         "source": f"data:image/{kind};base64,{base64.b64encode(data).decode('ascii')}",
         "width": round(inches * 105),
-        "rows": named_rows(picture.figure),
+        "rows": figures.named_rows(picture.figure),
     }
 
 

@@ -5,7 +5,7 @@ import dataclasses
 import equinox as eqx
 import numpy as np
 from jaxtyping import Float
-from scipy.stats import norm
+from scipy.special import ndtri
 
 from fynjax._core.errors import InputError
 
@@ -171,7 +171,7 @@ def scan_beams(
     origin, direction, time, angle = (np.concatenate(part) for part in zip(*parts))
     # Equal shares of the Gaussian along each axis, their variance that of the whole.
     sigma = 1e-3 * geometry.divergence_mrad / 4.0
-    cell = norm.ppf((np.arange(geometry.pencils) + 0.5) / geometry.pencils)
+    cell = ndtri((np.arange(geometry.pencils) + 0.5) / geometry.pencils)
     if geometry.pencils > 1:
         cell = cell / np.sqrt(np.mean(cell**2))
     beams = LidarBeams(

@@ -6,7 +6,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
-from scipy.signal import find_peaks
 
 from fynjax._core.errors import InputError
 from fynjax.sensors.lidar._beams import LidarBeams
@@ -148,6 +147,8 @@ def _per_reflectance(lidar: Lidar, beams: LidarBeams) -> Float[np.ndarray, "beam
 
 def _peaks(lidar: Lidar, counts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Beam and sample of every echo, in order; none at the ends of a record."""
+    from scipy.signal import find_peaks  # late: it takes half a second
+
     variance = lidar.noise.floor**2
     empty = 2.0 * np.sqrt(variance)
     scaled = 2.0 * np.sqrt(np.maximum(counts + variance, 0.0))

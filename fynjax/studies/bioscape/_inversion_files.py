@@ -10,7 +10,7 @@ import pandas as pd
 from jaxtyping import Float
 
 from fynjax.jobs import JobResult, Rows, Run
-from fynjax.report.figures import estimates_plot, residuals_plot, shifts_plot
+from fynjax.report import figures
 from fynjax.report.pages import Page, Part, Picture, Section, Table
 from fynjax.studies.bioscape._assumed import COVERS_MEAN
 from fynjax.studies.bioscape._inversion import MODEL_SD, WORDS, PlotEstimate
@@ -136,7 +136,7 @@ def write_findings(
 def _field_section(table: pd.DataFrame, score: pd.DataFrame) -> Section:
     known = set(score["quantity"][score["count"] > 0])
     titles = {name: f"{words} [{unit}]" for name, (words, unit) in WORDS.items() if name in known}
-    figure = estimates_plot(
+    figure = figures.estimates_plot(
         table,
         titles,
         priors=(TABLES_PRIOR, OTHERS_PRIOR, BIAS_CORRECTED),
@@ -214,14 +214,14 @@ def _shift_section(findings: Findings, parameters: pd.DataFrame, shifts: pd.Data
     parts += [
         Picture(
             "shifts.png",
-            shifts_plot(parameters),
+            figures.shifts_plot(parameters),
             "shifts of the parameters from their priors",
             "Shift of each parameter from its prior, a point a plot, the bar their mean. A shift "
             "that all plots share is an error of the model.",
         ),
         Picture(
             "residuals.png",
-            residuals_plot(findings.wavelength, findings.residuals),
+            figures.residuals_plot(findings.wavelength, findings.residuals),
             "residuals between model and measurement",
             "Residuals between model and measurement, mean and standard deviation of the plots: "
             "what no free parameter can explain.",

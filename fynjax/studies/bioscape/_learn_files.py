@@ -22,7 +22,7 @@ from fynjax.io.plot import (
     write_prior,
 )
 from fynjax.jobs import JobResult, Rows, Run
-from fynjax.report.figures import population_plot
+from fynjax.report import figures
 from fynjax.report.pages import Page, Picture, Section, Table
 from fynjax.sensors import BandSet
 from fynjax.studies.bioscape._assumed import COVERS_MEAN
@@ -193,7 +193,7 @@ def write_lesson(
     )
     figure = Picture(
         "population.png",
-        population_plot(
+        figures.population_plot(
             parameters["name"].tolist(),
             lesson.population.mean[: len(PER_PLOT)],
             np.sqrt(np.diagonal(lesson.population.covariance)[: len(PER_PLOT)]),

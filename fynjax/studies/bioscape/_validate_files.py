@@ -29,12 +29,7 @@ from fynjax.compare import (
 from fynjax.diversity import FEWEST_PLOTS
 from fynjax.io.raster import write_run
 from fynjax.jobs import JobResult, Rows, Run
-from fynjax.report.figures import (
-    feature_plot,
-    misfit_of_plots,
-    residual_plot,
-    spectra_plot,
-)
+from fynjax.report import figures
 from fynjax.report.pages import Page, Part, Picture, Section, Table, format_number
 from fynjax.studies.bioscape._assumed import COVERS_MEAN
 from fynjax.studies.bioscape._scenes import Resolution
@@ -161,7 +156,9 @@ def write_report(
                 "Simulated spectra",
                 [
                     "The folder has no measured spectrum of these plots: nothing to compare.",
-                    Picture("spectra.png", spectra_plot(pair), "simulated spectrum of each plot"),
+                    Picture(
+                        "spectra.png", figures.spectra_plot(pair), "simulated spectrum of each plot"
+                    ),
                 ],
             )
         ]
@@ -222,19 +219,19 @@ def _agreement(mean: pd.DataFrame) -> tuple[str, dict[str, str]]:
     """The agreement over all bands in a sentence, and as key figures."""
     full = {row["predictor"]: row for row in mean.to_dict("records") if row["region"] == "full"}
     model = full[MODEL]
-    figures = {"RMSE of the model": format_number(model["rmse"], 3)}
+    numbers = {"RMSE of the model": format_number(model["rmse"], 3)}
     sentence = f"RMSE {model['rmse']:.4f}, SAM {model['spectral_angle']:.1f}°"
     if OTHERS in full:
         others = full[OTHERS]
-        figures["RMSE of the mean of the other plots"] = format_number(others["rmse"], 3)
-        figures["skill against that mean"] = format_number(model["skill"], 2)
+        numbers["RMSE of the mean of the other plots"] = format_number(others["rmse"], 3)
+        numbers["skill against that mean"] = format_number(model["skill"], 2)
         sentence += (
             f"; the mean of the other plots: {others['rmse']:.4f}, {others['spectral_angle']:.1f}°"
         )
-    figures["SAM of the model"] = f"{model['spectral_angle']:.1f}°"
+    numbers["SAM of the model"] = f"{model['spectral_angle']:.1f}°"
     if FLIGHT in full:
-        figures["RMSE of one flight to the others"] = format_number(full[FLIGHT]["rmse"], 3)
-    return f"{sentence}.", figures
+        numbers["RMSE of one flight to the others"] = format_number(full[FLIGHT]["rmse"], 3)
+    return f"{sentence}.", numbers
 
 
 def _comparison(
@@ -256,7 +253,7 @@ def _comparison(
     errors = [
         Picture(
             "residual.png",
-            residual_plot(pair),
+            figures.residual_plot(pair),
             "error of the model by band",
             "Error of the model by band. Above zero the simulation is too bright. In the middle "
             "its error beside that of a predictor that knows fynbos but not the plot, and beside "
@@ -265,7 +262,7 @@ def _comparison(
         ),
         Picture(
             "misfit.png",
-            misfit_of_plots(pair),
+            figures.misfit_of_plots(pair),
             "level, contrast and shape of each plot's error",
             "What the error of each plot is made of. Level and contrast are what one offset and "
             "one gain for the whole spectrum would repair; shape is what neither does.",
@@ -276,14 +273,18 @@ def _comparison(
         distinguished.append(
             Picture(
                 "features.png",
-                feature_plot(pair),
+                figures.feature_plot(pair),
                 "spectral features, simulated over measured",
                 "Simulated over measured, a point a plot; on the line is right.",
             )
         )
     distinguished.append(Table(features, "Correlations are across plots.", digits=3))
     each: list[Part] = [
-        Picture("spectra.png", spectra_plot(pair), "simulated and measured spectrum of each plot"),
+        Picture(
+            "spectra.png",
+            figures.spectra_plot(pair),
+            "simulated and measured spectrum of each plot",
+        ),
         Table(misfit, "Gain, offset and shares of the error", headers=_HEADERS, digits=3),
         Table(of_model, "Agreement of the model, by plot and region", folded=True, **columns),
     ]

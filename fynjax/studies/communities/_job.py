@@ -19,7 +19,7 @@ from fynjax.io.instruments import load_instrument
 from fynjax.io.plot import Plot, as_plot, example_folder
 from fynjax.io.raster import file_hash
 from fynjax.jobs import JobResult, Rows, Run
-from fynjax.report.figures import agreement_plot, recognition_plot
+from fynjax.report import figures
 from fynjax.report.pages import Page, Picture, Section, Table
 from fynjax.scene import visible_sensor
 from fynjax.sensors import Sensor
@@ -232,14 +232,14 @@ def _sections(
 ) -> list[Section]:
     curves = Picture(
         "agreement.png",
-        agreement_plot(table, threshold),
+        figures.agreement_plot(table, threshold),
         "squared correlation of spectral metrics with diversity against the pixel",
         "Squared correlation over communities, at the least noise; bands are 5 to 95 % over "
         "bootstrapped communities. Below the dashed line a diversity counts as lost.",
     )
     skill = Picture(
         "recognition.png",
-        recognition_plot(known),
+        figures.recognition_plot(known),
         "share of pixels whose species is recognised against the pixel",
         "Pixels that are at least half of one species, recognised by a linear discriminant that "
         "other communities trained; bands are 5 to 95 % over partings, dotted is chance. Numbers "

@@ -13,7 +13,7 @@ from fynjax.assembly import build_plot
 from fynjax.io.plot import Plot, example_folder, read_plot
 from fynjax.jobs import JobResult, Rows, Run
 from fynjax.metrics import BANDS
-from fynjax.report.figures import error_bars
+from fynjax.report import figures
 from fynjax.report.pages import Page, Picture, Section, Table
 from fynjax.studies.fynbos_2006._article import article_tables
 from fynjax.studies.fynbos_2006._demo import demo
@@ -168,7 +168,9 @@ def _pictures(table: pd.DataFrame) -> list[Picture]:
             for who, values in off.items()
             if values is not None and values.notna().any()
         }
-        pictures.append(Picture(f"{name}.png", error_bars(known), f"error of {name}", caption))
+        pictures.append(
+            Picture(f"{name}.png", figures.error_bars(known), f"error of {name}", caption)
+        )
     return pictures
 
 

@@ -1,0 +1,13 @@
+from ._page import Page as Page
+from ._page import Part as Part
+from ._page import Picture as Picture
+from ._page import Section as Section
+from ._page import Table as Table
+from ._page import Views as Views
+from ._page import format_number as format_number
+from ._page import write_page as write_page
+from ._sensors import sensor_section as sensor_section
+from ._structure import structure_section as structure_section
+from ._validation import drone_section as drone_section
+from ._validation import published_section as published_section
+from ._validation import spectral_section as spectral_section

@@ -1,0 +1,73 @@
+"""Headers of ENVI files, beside Spectral Python."""
+
+import numpy as np
+import pytest
+from spectral.io import envi
+
+from fynjax._core.errors import InputError
+from fynjax.io.spectra._envi import read_header
+
+WHOLE = """ENVI
+description = {A flight, over 2 = two plots
+ of fynbos}
+; bands = 7, a remark
+samples = 3
+Lines   = 2
+bands = 4
+header offset = 16
+data type = {kind}
+byte order = {order}
+interleave = bil
+wavelength = {{ 450.5,
+  550 , 650,
+; another remark
+  850.25 }}
+band names = {{blue, green (cut}}, red, nir}}
+reflectance scale factor = 10000
+map info = {{UTM, 1, 1, 200000, 6200000, 1, 1, 34, South, WGS-84, units=Meters}}
+"""
+
+
+def written(path, kind=4, order=0, text=WHOLE):
+    body = text.replace("{A flight", "{{A flight").replace("fynbos}", "fynbos}}")
+    path.write_text(body.format(kind=kind, order=order), "utf-8")
+    return path
+
+
+@pytest.mark.parametrize("order", [0, 1])
+@pytest.mark.parametrize("kind", sorted(map(int, envi.envi_to_dtype)))
+def test_fields_and_layout_are_those_of_spectral_python(tmp_path, kind, order):
+    path = written(tmp_path / "a.hdr", kind, order)
+    found = read_header(path)
+    with pytest.warns(UserWarning, match="lowercase"):
+        theirs = envi.read_envi_header(str(path))
+    layout = found.pop("layout")
+    assert found == theirs
+    assert found["description"].startswith("A flight, over 2")
+    assert found["wavelength"] == ["450.5", "550", "650", "850.25"]
+    expected = envi.gen_params(theirs)
+    for name in ("nrows", "ncols", "nbands", "offset"):
+        assert getattr(layout, name) == getattr(expected, name)
+    assert layout.dtype == np.dtype(expected.dtype)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("ENVI\n", "EVNI\n", "starts otherwise"),
+        ("samples = 3\n", "", "'samples' is missing"),
+        ("samples = 3\n", "samples = three\n", "three"),
+        ("samples = 3\n", "samples = -3\n", "negative"),
+        ("{kind}", "7", "data type 7"),
+        ("{order}", "2", "byte order 2"),
+        ("850.25 }}", "850.25", "brace of wavelength is never closed"),
+        ("interleave = bil", "interleave = bli", "expected the interleave"),
+    ],
+)
+def test_what_is_no_header_is_refused_with_the_reason(tmp_path, old, new, words):
+    assert old in WHOLE
+    text = WHOLE.replace(old, new)
+    if words.startswith("brace"):  # nothing after it may close it either
+        text = text[: text.index("band names")]
+    with pytest.raises(InputError, match=words):
+        read_header(written(tmp_path / "a.hdr", text=text))
