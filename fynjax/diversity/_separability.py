@@ -32,7 +32,7 @@ def bhattacharyya_distance(
     of 10 draws of classes that are alike: normal, with as many pixels and the covariance of all
     pixels about the means of their classes. Pixels count as independent. Of 20 pixels of each of
     two classes that are alike, in 4 to 50 bands without correlation, the Jeffries-Matusita distance
-    is then 0.01 to 0.14 on average (0.15 to 1.1 without), and of classes at 0.79 it is 0.67 to 0.84.
+    is then 0.01 to 0.14 on average (0.15 to 1.1 without), and of classes at 0.79 0.67 to 0.84.
 
     **Arguments:**
 
