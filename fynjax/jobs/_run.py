@@ -6,7 +6,7 @@ import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import pandas as pd
 
@@ -15,14 +15,22 @@ from fynjax._core.dry_run import dry_run as dry_run
 from fynjax._core.memory import peak_memory
 from fynjax._core.parts import Workers as Workers
 from fynjax._core.progress import stage
-from fynjax.io.plot import Plot, plant_sources
 from fynjax.io.raster import provenance, write_qgis_style
 from fynjax.io.text import write_text
 from fynjax.jobs._result import JobResult
 from fynjax.report.pages import Page, Part, Picture, Section, Table, write_page
 
+if TYPE_CHECKING:
+    from fynjax.io.plot import Plot
+
 Result = TypeVar("Result", bound=JobResult)
 _log = logging.getLogger("fynjax")
+
+
+def _plant_sources(plot: "Plot") -> str:
+    from fynjax.io.plot import plant_sources  # late: commands without a plot need no scene
+
+    return plant_sources(plot)
 
 
 def peak_memory_mib() -> float:
@@ -33,7 +41,7 @@ def peak_memory_mib() -> float:
 class Run:
     """Where a job writes, what it has written, and how long its stages took."""
 
-    def __init__(self, folder: str | Path, *, seed: int = 0, plot: Plot | None = None):
+    def __init__(self, folder: str | Path, *, seed: int = 0, plot: "Plot | None" = None):
         self.folder = Path(folder)
         self.seed = seed
         self.files: dict[str, str] = {}
@@ -42,7 +50,7 @@ class Run:
         """Wall time by stage [s]."""
         self.doubts: list[str] = []
         """Why the measurements are to be doubted."""
-        self.plants = "" if plot is None else plant_sources(plot)
+        self.plants = "" if plot is None else _plant_sources(plot)
         """A line on where the values of the plants are from, for the result, its products and the
         page; empty of a job that plants nothing."""
         self._began = time.perf_counter()
