@@ -171,6 +171,9 @@ def test_single_large_crowns_and_none() -> None:
     assert float(jax.grad(lambda c: projected_count(c, crown, 1.0))(0.0)) == pytest.approx(
         5.0, rel=1e-3
     )
+    dense = jnp.array([0.1, 0.1, 2.8])  # the mean of what the thirds leave free
+    count = projected_count(jnp.asarray(0.5), 1.0, 1e5, clumping=dense)
+    assert float(jnp.mean(jnp.exp(-count * dense / 1e5))) == pytest.approx(0.5, abs=1e-4)
     for most in (0.99, 1.0):
         count = projected_count(jnp.asarray(most), 1e-3, 1.0)
         assert float(count) == pytest.approx(np.log(0.01) / np.log(1 - 1e-3), rel=1e-3)
