@@ -80,8 +80,8 @@ def test_plants_without_a_site_are_a_warning():
 
 @pytest.fixture(scope="module")
 def twin(tmp_path_factory):
-    """(folder, calibration of a twin to an image, a spectrum and a cloud), interrupted and resumed,
-    with what counts then: every step was computed before."""
+    """(folder, calibration of a twin to an image, a spectrum and a cloud), whose results are in
+    `output`. The run was interrupted, and went on from its checkpoint without a new start."""
     folder = tmp_path_factory.mktemp("twin")
     free = MORE.replace('"ground.brightness"', '"species.*.height"')
     write_plot(folder, free.replace("gain_sd = 0.0", "gain_sd = 0.1"))
@@ -193,3 +193,12 @@ def test_a_twin_shows_its_truth(twin):
 def test_neither_a_target_nor_a_twin_is_said(tmp_path):
     with pytest.raises(InputError, match=r"expected what was measured \(--target\), or --twin"):
         calibrate(write_plot(tmp_path, MORE), [], tmp_path / "output")
+
+
+def test_a_twin_of_a_plot_without_targets_has_an_image(tmp_path, monkeypatch):
+    monkeypatch.setattr(
+        "fynjax.jobs._calibrate.calibrate_to", lambda plot, measured, *_, **__: measured
+    )
+    (one,) = calibrate(write_plot(tmp_path, MORE), [], tmp_path / "output", twin=True)
+    assert one.kind == "image"
+    assert {"red.mean", "NDVI.std"} <= set(one.data.names)
