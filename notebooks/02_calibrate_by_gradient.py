@@ -151,9 +151,9 @@ fx.report.figures.composites(images, fx.metrics.BANDS, pixel_m=measured.pixel_m,
 # before. With `common=0.95` a species' bar is mostly that of all species together.
 
 # %%
-more = () if FAST else ("species.*.leaf_area_index", "species.*.dead_fraction", "species.*.height")
+more = "species.*.leaf_area_index", "species.*.dead_fraction", "species.*.height"
 wider = fx.free(scene, *what, *more, prior=far, common=0.95)
-wide = fx.fit(scene, data, wider, settings=settings, start=fit)
+wide = fit if FAST else fx.fit(scene, data, wider, settings=settings, start=fit)
 known = wide.table().set_index("name")["constrained"]
 share = known.groupby([name.split(".")[-1] for name in known.index]).median()
 stand = wide.stand().set_index("name")["constrained"].rename(lambda n: "stand: " + n)

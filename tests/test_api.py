@@ -27,6 +27,7 @@ def test_leaves_and_light_do_without_what_reads_and_draws():
         " 'trimesh', 'pyproj', 'PIL', 'dask'):\n"
         "    sys.modules[name] = None  # as if it were not installed\n"
         "import fynjax as fx, fynjax.leaf, fynjax.radiation, fynjax.canopy, fynjax.sensors\n"
+        "fx.fit_leaf, fx.leaf.LeafFit\n"
         "leaf = fx.prospect(fx.Leaf(), [550.0, 860.0])\n"
         "canopy = fx.canopy_reflectance(*leaf, layers=2)\n"
         "print(float(canopy.max()) > 0.3)"

@@ -53,13 +53,16 @@ class Lines:
         return value
 
 
-def in_32_bits(lines: Callable[[Lines], None], folder: Path) -> dict[str, Any]:
-    """What `lines` find in a process of 32 bits, in which a warning is an error."""
+def in_32_bits(folder: Path, *names: str) -> dict[str, dict[str, Any]]:
+    """What the functions of these names find in a process of 32 bits, one after the other; a
+    warning is an error there."""
     code = (
         "import pickle, warnings; warnings.simplefilter('error', UserWarning)\n"
-        "from tests import test_precision as own; lines = own.Lines()\n"
-        f"own.{lines.__name__}(lines); assert not lines.bits\n"
-        "open('found.pickle', 'wb').write(pickle.dumps(lines.found))"
+        "from tests import test_precision as own; found = {}\n"
+        f"for name in {names}:\n"
+        "    lines = own.Lines(); getattr(own, name)(lines); assert not lines.bits\n"
+        "    found[name] = lines.found\n"
+        "open('found.pickle', 'wb').write(pickle.dumps(found))"
     )
     root = str(Path(__file__).resolve().parents[1])
     done = subprocess.run(
@@ -67,16 +70,22 @@ def in_32_bits(lines: Callable[[Lines], None], folder: Path) -> dict[str, Any]:
         env=os.environ | {"JAX_ENABLE_X64": "0", "PYTHONPATH": root},
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
-    found: dict[str, Any] = pickle.loads((folder / "found.pickle").read_bytes())
+    found: dict[str, dict[str, Any]] = pickle.loads((folder / "found.pickle").read_bytes())
     return found
 
 
-def in_both(lines: Callable[[Lines], None], folder: Path) -> tuple[dict[str, Any], dict[str, Any]]:
-    """What `lines` find in 32 bits, and here in 64."""
+@pytest.fixture(scope="module")
+def narrow_of(tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict[str, Any]]:
+    """What `imports`, `light` and `fits` find in one process of 32 bits: to start it costs most."""
+    return in_32_bits(tmp_path_factory.mktemp("narrow"), "imports", "light", "fits")
+
+
+def in_64_bits(lines: Callable[[Lines], None]) -> dict[str, Any]:
+    """What `lines` find here, in 64 bits."""
     here = Lines()
     assert here.bits
     lines(here)
-    return in_32_bits(lines, folder), here.found
+    return here.found
 
 
 def same(name: str, both: Sequence[dict[str, Any]], rtol: float, atol: float) -> None:
@@ -205,12 +214,12 @@ def plots(lines: Lines) -> None:
     lines("canopy", lambda: fx.fit_canopy(BANDS, seen, sun_zenith=30.0), "estimate", "interval")
 
 
-def test_no_import_sets_the_bits_of_the_process(tmp_path):
-    in_32_bits(imports, tmp_path)
+def test_no_import_sets_the_bits_of_the_process(narrow_of):
+    assert narrow_of["imports"] == {}  # nothing is computed, nor did the process end
 
 
-def test_light_is_computed_in_32_bits(tmp_path):
-    narrow, wide = both = in_both(light, tmp_path)
+def test_light_is_computed_in_32_bits(narrow_of):
+    narrow, wide = both = narrow_of["light"], in_64_bits(light)
     same("planting", [{"planting": found["planting"]["planting"]} for found in both], 0.0, 0.0)
     same("stand", both, rtol=0.0, atol=0.0)
     same("counts", both, rtol=0.0, atol=0.0)
@@ -220,9 +229,9 @@ def test_light_is_computed_in_32_bits(tmp_path):
     assert wide["prospect"][0].dtype == np.float64
 
 
-def test_fits_are_computed_in_64_bits(tmp_path, monkeypatch):
+def test_fits_are_computed_in_64_bits(narrow_of, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    narrow, wide = both = in_both(fits, tmp_path)
+    narrow, wide = both = narrow_of["fits"], in_64_bits(fits)
     for name in narrow.keys() - {"traits.csv"}:
         whole = name in ("leaf", "traits", "space", "job", "measures")
         same(name, both, rtol=1e-9 if whole else 2e-5, atol=1e-12 if whole else 1e-6)
@@ -233,7 +242,7 @@ def test_fits_are_computed_in_64_bits(tmp_path, monkeypatch):
 
 @pytest.mark.study
 def test_a_plot_and_a_canopy_are_fitted_in_32_bits(tmp_path):
-    both = in_both(plots, tmp_path)
+    both = in_32_bits(tmp_path, "plots")["plots"], in_64_bits(plots)
     for name in both[0]:
         same(name, both, rtol=1e-3, atol=1e-4)
 

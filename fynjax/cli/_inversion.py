@@ -230,8 +230,8 @@ def design(
         ),
     ] = None,
     plantings: Annotated[
-        int, typer.Option(min=3, metavar="N", help="Plantings over which the target is a mean.")
-    ] = 4,
+        int, typer.Option(min=4, metavar="N", help="Plantings over which the target is a mean.")
+    ] = 6,
     starts: Annotated[int, typer.Option(min=1, metavar="N", help="Ascents.")] = 8,
     seed: OwnSeed = None,
 ) -> None:

@@ -533,8 +533,7 @@ def design(
     channels = _within(_CHANNELS, grid)
     if bands > len(channels.bands):
         raise InputError(
-            f"expected at most {len(channels.bands)} `bands`, as {_CHANNELS} has channels from "
-            f"{spectrum[0]:g} to {spectrum[1]:g} nm, but got {bands}"
+            f"expected at most {len(channels.bands)} `bands`, as {_CHANNELS} has, but got {bands}"
         )
     if not np.asarray(scene.planting.place).any():
         raise InputError(
@@ -597,25 +596,21 @@ def _check(
         raise InputError(f"expected a scene and 4 `plantings` or more, or as many scenes: {number}")
     if len({one.taxa for one in stands}) > 1:
         raise InputError("expected scenes of the same species, in the same order")
-    if len(spectrum) != 2 or not _RANGE[0] <= spectrum[0] < spectrum[1] <= _RANGE[1]:
-        raise InputError(
-            f"expected `spectrum` as two wavelengths in order, from {_RANGE[0]:g} to "
-            f"{_RANGE[1]:g} nm, but got {listed(f'{one:g}' for one in spectrum)}"
-        )
+    for name, pair, least, most in (
+        ("spectrum", spectrum, *_RANGE), ("widths", widths, _STEP, np.inf)
+    ):  # fmt: skip
+        if len(pair) != 2 or not least <= pair[0] <= pair[1] <= most:
+            raise InputError(
+                f"expected `{name}` as two numbers in order, of {least:g} to {most:g} nm, but got "
+                f"{listed(f'{one:g}' for one in pair)}"
+            )
     grid = np.arange(spectrum[0] + _STEP / 2.0, spectrum[1] - _STEP / 2.0 + 1e-6, _STEP)
-    if len(widths) != 2 or not _STEP <= widths[0] <= widths[1]:
-        raise InputError(
-            f"expected `widths` as two numbers in order, of at least {_STEP:g} nm, but got "
-            f"{listed(f'{one:g}' for one in widths)}"
-        )
+    within = f"{spectrum[0]:g} to {spectrum[1]:g} nm"
     if len(grid) < 2 or 2.0 * _WITHIN * widths[1] > grid[-1] - grid[0]:
-        raise InputError(
-            f"a band {widths[1]:g} nm wide does not fit into {spectrum[0]:g} to {spectrum[1]:g} nm"
-        )
+        raise InputError(f"a band {widths[1]:g} nm wide does not fit into {within}")
     if not 1 <= bands <= len(grid):
         raise InputError(
-            f"expected 1 to {len(grid)} `bands`, as there are wavelengths from {spectrum[0]:g} to "
-            f"{spectrum[1]:g} nm, but got {bands}"
+            f"expected 1 to {len(grid)} `bands`, the wavelengths from {within}, but got {bands}"
         )
     for name, one in {"pixel": pixel, "snr": snr, "error": error, "starts": starts}.items():
         if not 0.0 < one < np.inf:
@@ -624,8 +619,8 @@ def _check(
         spectral_mask(grid, _RANGE)
     except InputError as error:
         raise InputError(
-            f"no light comes through the air from {spectrum[0]:g} to {spectrum[1]:g} nm: take a "
-            "`spectrum` beyond the water windows"
+            f"no light comes through the air from {within}: take a `spectrum` beyond the water "
+            "windows"
         ) from error
     return _Limits(float(grid[0]), float(grid[-1]), *map(float, widths)), grid
 
@@ -669,12 +664,12 @@ def _asked(
         ],
         axis=1,
     )
-    known = {
+    changed = {
         name: slopes
         for name, slopes in zip(names, found, strict=True)
         if np.abs(slopes).max(axis=1).min() > 0.0
     }
-    fixed = [name for name in wanted if name in names and name not in known]
+    fixed = [name for name in wanted if name in names and name not in changed]
     if fixed and tuple(wanted) != DESIGN_TARGET:
         raise InputError(
             f"no free parameter changes {listed(fixed)} in every planting: free one that does, or "
@@ -682,7 +677,7 @@ def _asked(
         )
     return {
         name: slopes
-        for name, slopes in known.items()
+        for name, slopes in changed.items()
         if any(fnmatchcase(name, one) for one in wanted)
     }
 

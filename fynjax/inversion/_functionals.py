@@ -28,10 +28,15 @@ class Functional(NamedTuple):
     expectation over the number of plants."""
 
 
+_crowns = eqx.filter_jit(Scene.visible_crowns)
+"""Traced once for all numbers of a stand, each of which asks for it."""
+
+
 def _shoots(scene: Scene, parameters: PlotParameters) -> Float[Array, " species"]:
     """Area index of the live shoots of each species over the ground of the plot [m2 m-2]."""
-    crowns = scene.visible_crowns(parameters)
-    of_species = jax.ops.segment_sum(crowns, scene.planting.species, len(scene.taxa))
+    of_species = jax.ops.segment_sum(
+        _crowns(scene, parameters), scene.planting.species, len(scene.taxa)
+    )
     ground = float(np.prod(scene.grid.extent[:2]))
     return of_species / ground * parameters.species.leaf_area_index
 
@@ -66,11 +71,11 @@ def _in_leaves(trait: str, factor: float) -> Callable[[Scene, PlotParameters], F
 
 def _cover(scene: Scene, parameters: PlotParameters) -> Float[Array, ""]:
     ground = float(np.prod(scene.grid.extent[:2]))
-    return jnp.sum(scene.visible_crowns(parameters)) / ground
+    return jnp.sum(_crowns(scene, parameters)) / ground
 
 
 def _height(scene: Scene, parameters: PlotParameters) -> Float[Array, ""]:
-    crowns = scene.visible_crowns(parameters)
+    crowns = _crowns(scene, parameters)
     tall = parameters.species.height[scene.planting.species] * scene.planting.stature
     return _ratio(jnp.sum(crowns * tall), jnp.sum(crowns))
 
@@ -103,7 +108,7 @@ _LEADING = "green_leaf_area", "dead_share", "canopy_chlorophyll", "crown_cover"
 def _cover_of(form: str) -> Functional:
     def value(scene: Scene, parameters: PlotParameters) -> Float[Array, ""]:
         mine = jnp.array([one == form for one in scene.forms])[scene.planting.species]
-        crowns = jnp.sum(jnp.where(mine, scene.visible_crowns(parameters), 0.0))
+        crowns = jnp.sum(jnp.where(mine, _crowns(scene, parameters), 0.0))
         return crowns / float(np.prod(scene.grid.extent[:2]))
 
     return Functional(f"ground under crowns of the form {form}", "-", value)

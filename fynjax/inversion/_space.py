@@ -269,6 +269,7 @@ def _quantile(u: Any, low: Any, high: Any, library: Any, special: Any) -> Any:
 
 
 @jax.custom_jvp
+@jax.jit  # many operations, traced once and not wherever a space is used
 def _cut_normal(u: Array, low: Array, high: Array) -> Array:
     return _quantile(u, low, high, jnp, jax.scipy.special)
 
@@ -286,6 +287,7 @@ def _whole_normal(t: Array, low: Array, high: Array) -> Array:
     return jnp.where(below < 0.5, ndtri(below), -ndtri(above))
 
 
+@jax.jit
 def _log_rate(u: Array, low: Array, high: Array) -> Array:
     """log d `_cut_normal` / d u."""
     whole = jnp.isinf(low) & jnp.isinf(high)

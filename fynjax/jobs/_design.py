@@ -42,7 +42,7 @@ def design(
     spectrum: tuple[float, float] = (400.0, 2500.0),
     widths: tuple[float, float] = (10.0, 100.0),
     snr: float = 100.0,
-    plantings: int = 4,
+    plantings: int = 6,
     compare: Sequence[str] = CAMERAS,
     starts: int = 8,
     seed: int | None = None,

@@ -161,10 +161,8 @@ def reflectance(
             warnings.append(f"{name} is skipped: {problem}")
             continue
         inputs += paths
-        above = height or (_height(capture) if pixel is None else None)
-        side = _pixel(capture, above, pixel)
+        side, spread = _ground(capture, height, pixel)
         cube, doubt = _cubes(capture, aligned, relit, side)
-        spread = _spread(capture, above, side) if cube.crs is not None else None
         relative = line is None and not capture.absolute
         picture = _write_capture(
             run, name, cube, doubt, paths, light, place=_place_text(side, spread), relative=relative
@@ -369,19 +367,6 @@ def _usual_sd(sensor: str, way: str) -> float:
     return float(np.max(gains[way].sd))
 
 
-def _height(capture: Capture) -> float | None:
-    """Height of flight that the camera states, above the point of take-off [m]."""
-    place = capture.bands[0].place
-    return None if place is None else place.height
-
-
-def _spread(capture: Capture, height: float | None, side: float | None) -> float | None:
-    """Standard deviation of where a capture lies [m]; without a height by that of the optics."""
-    place, focal = capture.bands[0].place, capture.bands[0].focal_length
-    above = height or (side or 0.0) * (focal or 0.0)
-    return None if place is None else place.spread(above)
-
-
 def _place_text(side: float | None, spread: float | None) -> str:
     if side is None:
         return "pixels: no height or size was given"
@@ -393,17 +378,25 @@ def _place_text(side: float | None, spread: float | None) -> str:
     )
 
 
-def _pixel(capture: Capture, height: float | None, pixel: float | None) -> float | None:
-    if height is None:
-        return pixel
-    focal = capture.bands[0].focal_length
-    if focal is None:
-        raise InputError(
-            "expected the focal length in the metadata (EXIF), but it has none. Give the size of a "
-            "pixel instead: --pixel METRES",
-            file=capture.bands[0].path,
-        )
-    return height / focal
+def _ground(
+    capture: Capture, height: float | None, pixel: float | None
+) -> tuple[float | None, float | None]:
+    """Side of a pixel on the ground, and the standard deviation of where the capture lies [m];
+    `None` where they are not known."""
+    place, focal = capture.bands[0].place, capture.bands[0].focal_length
+    if height is None and pixel is None and place is not None and focal is not None:
+        height = place.height
+    if height is not None:
+        if focal is None:
+            raise InputError(
+                "expected the focal length in the metadata (EXIF), but it has none. Give the size "
+                "of a pixel instead: --pixel METRES",
+                file=capture.bands[0].path,
+            )
+        pixel = height / focal
+    if pixel is None or place is None:
+        return pixel, None
+    return pixel, place.spread(pixel * (focal or 0.0))
 
 
 def _cubes(

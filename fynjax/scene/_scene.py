@@ -583,7 +583,8 @@ class Scene(eqx.Module):
     def visible_crowns(self, parameters: PlotParameters) -> Float[Array, " plant"]:
         """Ground area of the crown of every plant that carries leaves and wood as stated [m2]:
         area is stated of crowns as seen from above, and what overlaps does not carry it twice."""
-        return self.crown_areas(parameters) * self.crown_share(parameters)
+        crowns = self.crown_areas(parameters)
+        return crowns * share_from_above(crowns / self._ground_area)
 
     def organ_index(self, parameters: PlotParameters) -> Float[Array, "species organ"]:
         """One-sided area of leaves, wood and flowers over the ground area of a crown [m2 m-2], as

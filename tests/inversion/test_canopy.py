@@ -13,6 +13,7 @@ from fynjax.scene import background_spectrum
 
 WAVELENGTH = np.array([490.0, 560.0, 665.0, 705.0, 783.0, 865.0, 1610.0, 2190.0])
 LIGHT = {"sun_zenith": 35.0, "view_zenith": 5.0, "relative_azimuth": 60.0, "sky_share": 0.1}
+CANOPIES = 6
 TRUTH = jnp.array([45.0, 9.0, 0.012, 0.008, 1.6, 2.5, 55.0, 0.9])
 
 
@@ -54,15 +55,15 @@ def test_bands_of_a_sensor_without_noise_give_the_truth_as_far_as_it_shows():
 def test_nine_of_ten_intervals_hold_the_truth():
     rng, space, predict = np.random.default_rng(3), _space(), model()
     inside = np.zeros(len(space.names))
-    for _ in range(10):
+    for _ in range(CANOPIES):
         truth = np.asarray(space.physical(jnp.asarray(rng.standard_normal(len(space.names)))))
         found = fit_canopy(WAVELENGTH, noisy(np.asarray(predict(truth)), rng), **LIGHT)
         ends = np.array([found.interval[name] for name in found.names])
         inside += (ends[:, 0] < truth) & (truth < ends[:, 1])
-    # 80 intervals, of which those of a canopy hang together: 0.9 within two standard errors of
-    # ten canopies; and none of the eight far from it.
-    assert 0.79 < inside.sum() / (10 * len(space.names)) < 0.995
-    assert inside.min() >= 6
+    # Intervals of a canopy hang together: 0.9 within two standard errors of so many canopies; and
+    # none of the eight far from it.
+    assert 0.76 < inside.sum() / (CANOPIES * len(space.names)) < 0.995
+    assert inside.min() >= 3
     assert "carotenoids" in found.unconstrained
     assert f"Hardly known from these data: {', '.join(found.unconstrained)}." in repr(found)
 

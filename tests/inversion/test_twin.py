@@ -142,15 +142,16 @@ def test_the_objective_falls(twins):
 def test_the_leaf_area_of_the_stand_lies_in_its_interval(twins):
     """Not of each species: those take each other's place. The image narrows it all the same."""
     random = np.random.default_rng(0)
+    (_, _, any_of_them), *_ = twins
+    free = len(any_of_them.fit.names)
+
+    def interval(found, mean, covariance):
+        draws = random.multivariate_normal(mean, covariance, 60)
+        at = [with_values(found.before, TAXA, found.fit.space.named(draw)) for draw in draws]
+        return np.percentile([leaf_area(found.scene, one) for one in at], [1.0, 99.0])
+
+    before = interval(any_of_them, np.zeros(free), np.eye(free))  # all have one prior
     for _, truth, found in twins:
-        space, free = found.fit.space, len(found.fit.names)
-
-        def interval(mean, covariance, space=space, found=found):
-            draws = random.multivariate_normal(mean, covariance, 60)
-            at = [with_values(found.before, TAXA, space.named(draw)) for draw in draws]
-            return np.percentile([leaf_area(found.scene, one) for one in at], [1.0, 99.0])
-
-        low, high = interval(found.fit.whitened, found.fit.covariance)
-        before = interval(np.zeros(free), np.eye(free))
+        low, high = interval(found, found.fit.whitened, found.fit.covariance)
         assert low < truth < high
         assert high - low < 0.8 * np.ptp(before)

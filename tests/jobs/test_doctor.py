@@ -4,6 +4,7 @@ import dataclasses
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 import pytest
 
 from fynjax._core import compiler
@@ -55,6 +56,10 @@ def test_sums_slopes_images_and_bits_that_are_wrong_are_found(monkeypatch):
     with monkeypatch.context() as wrong:
         wrong.setattr(jnp, "sum", lambda a, axis: total(a, axis=axis).at[0].set(0.0))
         assert _doctor.error_of_sums() > 1e-2
+    with monkeypatch.context() as wrong:  # of ten times one
+        factors = iter([1.0] * 4 + [np.nan] + [1.0] * 5)
+        wrong.setattr(jax, "jit", lambda f: lambda *x: next(factors) * f(*x))
+        assert np.isnan(_doctor.error_of_sums())
     monkeypatch.setattr(
         _doctor, "canopy_reflectance", lambda r, t, area, soil: soil * jax.lax.stop_gradient(area)
     )

@@ -2,8 +2,6 @@
 
 import json
 import shutil
-import subprocess
-import sys
 
 import jax
 import numpy as np
@@ -250,15 +248,6 @@ def test_a_plot_shows_what_was_measured_fitted_and_left(tables, plain):
             fit.plot(wrong)
     with pytest.raises(InputError, match="Did you mean 'restio 2'"):
         fit.plot("restio2")
-
-
-def test_a_leaf_is_fitted_without_matplotlib():
-    code = (
-        "import sys, fynjax as fx; fx.fit_leaf; fx.leaf.LeafFit;"
-        "print(sorted({'matplotlib', 'xarray'} & set(sys.modules)))"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout == "[]\n"
 
 
 def test_bins_of_sparse_bands_are_nearer_by_lines_between_them(spectra):

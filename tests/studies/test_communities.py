@@ -9,8 +9,9 @@ import fynjax as fx
 from fynjax.assembly import build_plot
 from fynjax.diversity import pielou_evenness
 from fynjax.errors import InputError
-from fynjax.inversion import nadir_imager
+from fynjax.inversion import COARSE, nadir_imager
 from fynjax.io.plot import example_folder, read_plot
+from fynjax.radiation import Accuracy
 from fynjax.scene import truth_of_pixels
 from fynjax.sensors import PointSpread
 from fynjax.studies.communities import Gradients, diversity, draw_community
@@ -131,7 +132,14 @@ def test_a_community_is_seen_as_its_image_and_its_plants_are():
     random = np.random.default_rng([5, 71, 3])
     plot = draw_community(pool, within, random)
     scene, _ = build_plot(plot, seed=int(random.integers(2**31)), rounding="random")
-    image = np.asarray(fx.observe(scene, CAMERA, pixel=0.125, point_spread=False).reflectance)
+    image, exact = (
+        np.asarray(
+            fx.observe(scene, CAMERA, pixel=0.125, point_spread=False, accuracy=light).reflectance
+        )
+        for light in (COARSE, Accuracy())
+    )
+    np.testing.assert_allclose(image.mean(axis=(1, 2)), exact.mean(axis=(1, 2)), rtol=0.02)
+    np.testing.assert_allclose(image.std(axis=(1, 2)), exact.std(axis=(1, 2)), rtol=0.05)
     wide = _coarser(image, 2, CAMERA.psf, "periodic").reshape(4, -1).T
     expected = [fx.diversity.coefficient_of_variation(wide), fx.diversity.mean_spectral_angle(wide)]
     expected += [fx.diversity.spectral_rao(wide), wide.var(axis=0, ddof=1).sum()]

@@ -20,7 +20,7 @@ from fynjax.diversity import (
     rao_entropy,
     spectral_variety,
 )
-from fynjax.inversion import nadir_imager
+from fynjax.inversion import COARSE, nadir_imager
 from fynjax.io.plot import Plot
 from fynjax.scene import Scene, observe, pixel_truth, truth_of_pixels
 from fynjax.sensors import PointSpread, Sensor
@@ -90,7 +90,8 @@ def observe_community(
     species, spectra = [], []
     for s, sensor in enumerate(design.sensors):
         coarser = partial(_coarser, psf=sensor.psf, boundary=scene.boundary)
-        image = np.asarray(observe(scene, sensor, pixel=fine, point_spread=False).reflectance)
+        seen_fine = observe(scene, sensor, pixel=fine, point_spread=False, accuracy=COARSE)
+        image = np.asarray(seen_fine.reflectance)
         seen = pixel_truth(scene, sensor, pixel=fine, point_spread=False)
         shares = np.asarray(seen.species)
         kinds, kept = [], []
