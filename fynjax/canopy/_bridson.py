@@ -37,7 +37,9 @@ def fill(
     def place(x: float, y: float) -> tuple[int, int]:
         return min(int(y / cell_y), ny - 1), min(int(x / cell_x), nx - 1)
 
-    def apart(x: float | np.ndarray, y: float | np.ndarray, others: np.ndarray) -> np.ndarray:
+    def apart(
+        x: float | np.ndarray, y: float | np.ndarray, others: np.ndarray
+    ) -> np.ndarray | np.bool_:
         """Whether each place is far enough from all others, along the last axis."""
         ex, ey = np.abs(others[:, 0] - x), np.abs(others[:, 1] - y)
         if periodic:
