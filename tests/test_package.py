@@ -97,7 +97,7 @@ def test_workflows_and_the_conda_recipe_can_be_read() -> None:
                 assert ("run" in step) != ("uses" in step)
                 command = step.get("run", "").split()[0:1]
                 assert all((ROOT / name).is_file() for name in command if name.startswith(".ci/"))
-    recipe = Template((ROOT / "recipe" / "meta.yaml").read_text("utf-8"))
+    recipe = Template((ROOT / "tools" / "conda" / "meta.yaml").read_text("utf-8"))
     loaded = {"load_file_data": lambda *_, **__: PYPROJECT, "PYTHON": "python"}
     described = yaml.safe_load(recipe.render(loaded))
     assert described["package"] == {"name": "fynjax", "version": PROJECT["version"]}
