@@ -154,16 +154,25 @@ def projected_count(
     power = area / held
     fixed = jax.lax.stop_gradient((bare, power, held))
     count = -jnp.expm1(jnp.log(fixed[0]) / fixed[1]) * ground / fixed[2]
-    if part.shape[-1] > 1:  # Newton's method from below, on the logarithm of what is bare
-
-        def step(_: int, count: Array) -> Array:
-            free, taken = _bare(count, *fixed[1:], part, ground)
-            return count + free * jnp.log(free / fixed[0]) / taken
-
-        count = jax.lax.fori_loop(0, 20, step, count)
+    if part.shape[-1] > 1:
+        count = _clumped_count(count, *fixed, part, jnp.asarray(ground))
     lower = jnp.floor(count)
     free, taken = _bare(lower, power, held, part, ground)
     return lower + (free - bare) / taken
+
+
+@jax.jit
+def _clumped_count(
+    count: Array, bare: Array, power: Array, held: Array, part: Array, ground: Array
+) -> Array:
+    """The number that leaves the share `bare` free, by Newton's method on the logarithm of that
+    share, from `count` of plants that do not clump, which is below it."""
+
+    def step(_: int, count: Array) -> Array:
+        free, taken = _bare(count, power, held, part, ground)
+        return count + free * jnp.log(free / bare) / taken
+
+    return jax.lax.fori_loop(0, 20, step, count)
 
 
 def _bare(count: Array, power: Array, held: Array, part: Array, ground: Any) -> tuple[Array, Array]:
