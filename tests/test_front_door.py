@@ -5,6 +5,7 @@ import dataclasses
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import matplotlib
 import numpy as np
 import pandas as pd
 import pytest
@@ -52,6 +53,7 @@ def test_an_image_has_bands_indices_tables_and_a_picture(image, monkeypatch):
     assert frame.loc[(frame.x == 0.375) & (frame.y == 0.125), "nir"].item() == float(nir[0, 1])
     assert str(image).startswith("mavic_3m: 8 x 8 pixels of 0.25 m in 4 bands; mean reflectance")
     assert "mavic_3m" in image._repr_html_()
+    monkeypatch.setitem(matplotlib.rcParams, "figure.constrained_layout.use", True)
     grid = image.plot()
     assert grid.axs.size == 4
 
