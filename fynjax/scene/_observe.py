@@ -244,16 +244,12 @@ class Observation(eqx.Module):
         **Arguments:** `bands`, all that a camera has by default, six of a spectrometer; `options`
         of `xarray.plot.imshow`.
         """
-        import matplotlib  # late: the command line need not wait for it
-
         if bands is None:
             every = -(-len(self.bands) // 6) if len(self.bands) > 6 else 1
             bands = self.bands[::every]
         chosen = self.to_xarray()["reflectance"].sel(band=list(bands))
         draw: Any = chosen.plot.imshow
-        # It lays out its panels itself, whatever the layout that the user's settings ask for.
-        with matplotlib.rc_context({"figure.constrained_layout.use": False}):
-            return draw(**({"col": "band", "col_wrap": min(len(bands), 4)} | options))
+        return draw(**({"col": "band", "col_wrap": min(len(bands), 4)} | options))
 
     def __str__(self) -> str:
         """What it is, and the mean of each band, in a sentence."""
