@@ -196,8 +196,8 @@ def _measured(
 def _scores(
     spectra: _Spectra, seen: _Measured, among: Float[Array, " planting"]
 ) -> Float[Array, "planting quantity"]:
-    """What bands say of each quantity in each planting, by what others of those `among` (1 or 0)
-    show.
+    """Share of each quantity's variance that bands remove in each planting [-], by an estimate that
+    the other plantings of `among` (1 or 0) make.
 
     The estimate of a quantity is linear in mean and standard deviation of each band over the
     pixels, and is the best on average over the others. So slopes that are only where the others'

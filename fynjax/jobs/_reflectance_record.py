@@ -86,8 +86,8 @@ def capture_summary(
     side: float | None,
     spread: float | None,
 ) -> CaptureSummary:
-    """What is recorded of a converted capture; `change` is that of the light since the panel,
-    `side` that of a pixel [m], `spread` the standard deviation of its place [m]."""
+    """Record of a converted capture. `change` is the light over that at the panel [-], `side` the
+    side of a pixel [m], `spread` the standard deviation of the capture's place [m]."""
     middle = np.nanmedian(cube.values, axis=(1, 2))
     first = capture.bands[0]
     return CaptureSummary(

@@ -520,7 +520,8 @@ class Scene(eqx.Module):
         return disc - 4.0 / 3.0 * radius**3 * (1.0 / x + 1.0 / y) + radius**4 / (2.0 * x * y)
 
     def _counting(self) -> "Scene":
-        """The same scene that counts projected covers by the sites that its plants will have."""
+        """Scene that counts projected covers by the least distance of its sites [m] and by the
+        clumping of its map [-]; with the article's covers or known plants the scene as it is."""
         if self.cover_definition == "article" or self.known_plants:
             return self
         scene, extent, chance = self, self.grid.extent[:2], self.probability

@@ -148,8 +148,8 @@ class RasterFile:
 
     @cached_property
     def xmp(self) -> dict[str, list[str]]:
-        """What a camera has written of its picture (XMP): texts by name without namespace; of two
-        with one name DJI's own, or else the first."""
+        """Metadata (XMP) that a camera wrote into its picture: texts by name without namespace; of
+        two with one name DJI's own, or else the first."""
         text = self.dataset.tags(ns="xml:XMP").get("xml:XMP", "").strip().strip("\0")
         if not text:
             return {}
