@@ -9,9 +9,11 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
-# Before JAX is imported, here and in the children of a test: programs of its cache are read with
+# Before JAX is imported, here and in the children of a test. Programs of its cache are read with
 # long lines of false alarm, which fill the pipe of a child that nobody reads.
 os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
+# A program need not say where its operations were written: a tenth of its compilation.
+os.environ.setdefault("JAX_TRACEBACK_IN_LOCATIONS_LIMIT", "0")
 
 import jax
 import jaxtyping
