@@ -136,7 +136,7 @@ def image_view(
 
     **Raises:** `InputError` as `drone_sensor` and `aim_without_air`.
     """
-    sensor = drone_sensor(plot)
+    sensor = drone_sensor(plot, {name.split(".")[0] for name in statistics})
     camera = aim_without_air(plot, scene, parameters, sensor)
     return ImageView(tuple(statistics), camera, sensor.gains())
 

@@ -19,10 +19,10 @@ from fynjax.compare import read_drone_image, read_spectra_sample
 from fynjax.compare.structure import ComparisonSettings, cloud_structure
 from fynjax.inversion import (
     GAIN,
-    IMAGE_STATISTICS,
     OFFSET,
     AbstractView,
     Data,
+    compared_statistics,
     spectrum_names,
     spectrum_view,
     structure_view,
@@ -34,7 +34,6 @@ from fynjax.io.plot import Plot, drone_sensor, read_statistics, read_structure, 
 from fynjax.io.raster import open_raster
 from fynjax.io.text import existing_file, open_table
 from fynjax.metrics import (
-    BANDS,
     VEGETATION_INDICES,
     fitting_statistics,
     image_statistics,
@@ -212,11 +211,14 @@ def image_target(
     bands: Sequence[str] | None = None,
 ) -> Measured:
     """The statistics of a drone's image (GeoTIFF), with its `bands`, or of a table (CSV)."""
-    pixel = sensor_place(plot)[1]
+    pixel, camera = sensor_place(plot)[1], drone_sensor(plot).bands
     data, extra, found = image_data(
-        path, target_rules(plot), pixel=pixel, side=min(plot.size_m), bands=bands
+        path, target_rules(plot), camera, pixel=pixel, side=min(plot.size_m), bands=bands
     )
-    description = f"{path.name}: {len(data.names)} statistics of a drone's image."
+    layers = {name.split(".")[0] for name in data.names}
+    of = ", ".join(name for name in camera.names if name in layers)
+    description = f"{path.name}: {len(data.names)} statistics of a drone's image"
+    description += f" in {of} and indices." if of else " in indices."
     seen = plot.sensor.footprint_m or found
     if seen is not None and abs(seen / pixel - 1.0) > _PIXEL_TOLERANCE:
         # The spread between pixels depends on what each averages over.
@@ -232,6 +234,7 @@ def image_target(
 def image_data(
     path: Path,
     rules: TargetRules,
+    camera: BandSet,
     *,
     pixel: float | None = None,
     side: float = np.inf,
@@ -243,6 +246,7 @@ def image_data(
 
     - `path`: GeoTIFF, or CSV with statistic, value and sd.
     - `rules`: which statistics count.
+    - `camera`: bands of the camera. Those that the image has are used.
     - `pixel`: edge of a pixel on the ground where the image does not state it [m].
     - `side`: of the plot [m]: means over squares wider than it are left out.
     - `bands`: of the image, as `read_drone_image` has them.
@@ -253,16 +257,16 @@ def image_data(
     """
     extra: dict[str, Any] = {}
     if path.suffix.lower() in (".tif", ".tiff"):
-        image = read_drone_image(path, bands=bands, most_pixels=None)
+        image = read_drone_image(path, bands=bands, camera=camera, most_pixels=None)
         pixel = pixel if image.pixel_m is None else image.pixel_m
         if pixel is None:
             raise InputError("expected `pixel`: the image states none in metres", file=path)
         extra = {"target_valid_share": float(image.mask.mean())}
-        data = weighed_statistics(image.values, image.mask, pixel, rules, side=side)
+        data = weighed_statistics(image.values, image.bands, image.mask, pixel, rules, side=side)
     else:
         if bands is not None:
             raise InputError("expected `bands` with a drone image, but this is a table", file=path)
-        read = read_statistics(path, {*BANDS, *VEGETATION_INDICES})
+        read = read_statistics(path, {*camera.names, *VEGETATION_INDICES})
         keep = rules.used([row.statistic for row in read], "the target's rows")
         names = [read[i].statistic for i in keep]
         value = np.array([read[i].value for i in keep])
@@ -273,6 +277,7 @@ def image_data(
 
 def weighed_statistics(
     values: Float[np.ndarray, "band y x"],
+    bands: Sequence[str],
     mask: Bool[np.ndarray, "y x"],
     pixel: float,
     rules: TargetRules,
@@ -283,16 +288,17 @@ def weighed_statistics(
 
     **Arguments:**
 
-    - `values`: reflectance in green, red, red edge and near infrared [-].
+    - `values`: reflectance [-].
+    - `bands`: their names, green, red, red_edge and nir among them.
     - `mask`: pixels that count.
     - `pixel`: edge of a pixel on the ground [m].
     - `rules`, `side`: as for `image_data`.
     """
     side = min(side, pixel * min(mask.shape))
-    every = fitting_statistics(IMAGE_STATISTICS, side, pixel)
+    every = fitting_statistics(compared_statistics(bands), side, pixel)
     names = [every[i] for i in rules.used(every, "the statistics")]
     clean = jnp.asarray(np.where(mask, values, 0.0))
-    found = np.asarray(image_statistics(clean, names, jnp.asarray(mask), pixel=pixel))
+    found = np.asarray(image_statistics(clean, names, jnp.asarray(mask), pixel=pixel, bands=bands))
     return weigh_targets(names, found, rules.relative_sd)
 
 

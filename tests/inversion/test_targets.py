@@ -7,8 +7,9 @@ import pytest
 from rasterio import Affine
 from scipy.ndimage import gaussian_filter, map_coordinates, uniform_filter
 
+import fynjax as fx
 from fynjax._core.errors import InputError
-from fynjax.assembly import _targets, read_targets
+from fynjax.assembly import _targets, read_targets, twin_image
 from fynjax.assembly._targets import image_target
 from fynjax.inversion import _targets as targets
 from fynjax.inversion import weigh_targets
@@ -70,6 +71,30 @@ def test_an_image_of_other_pixels_than_the_sensors_is_simulated_in_its_own(tmp_p
         target = image_target(plot, path)
         assert target.view_of(None, None) == pytest.approx(pixel)
         assert ("are simulated" in target.description) == (pixel != own)
+
+
+def test_every_band_that_camera_and_image_have_is_a_target(tmp_path, monkeypatch):
+    """Of a twin without an image it is every band of the camera."""
+    plot = read_plot(example_folder() / "plot.toml")
+    five = plot.replace(sensor=plot.sensor.replace(name="rededge_3"))
+    names = ("blue", *BANDS)
+    image = np.sort(np.random.default_rng(1).uniform(0.1, 0.2, (5, 20, 20)), axis=0)
+    monkeypatch.setattr(_targets, "image_view", lambda plot, a, b, names: names)
+    for name, bands in (("five", names), ("four", BANDS)):
+        path = tmp_path / f"{name}.tif"
+        write_geotiff(path, image[-len(bands) :], list(bands), pixel_m=0.06, crs="EPSG:32734")
+        for camera in (plot, five):
+            target = image_target(camera, path)
+            has = name == "five" and camera is five
+            assert ("blue.q25" in target.view_of(None, None)) == has
+            assert ("blue" in target.description) == has
+            if has:
+                mean = dict(zip(target.data.names, target.data.value))["blue.mean"]
+                assert float(mean) == pytest.approx(image[0].mean(), rel=1e-6)
+    for camera in (plot, five):
+        assert ("blue.std" in twin_image(camera).data.names) == (camera is five)
+    data = fx.PlotData.from_image(tmp_path / "five.tif", "rededge_3", statistics=("*.mean",))
+    assert "blue.mean" in data.names
 
 
 def test_a_resampled_image_is_simulated_by_what_its_pixels_average_over(tmp_path, monkeypatch):
