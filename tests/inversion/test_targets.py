@@ -93,7 +93,7 @@ def test_every_band_that_camera_and_image_have_is_a_target(tmp_path, monkeypatch
                 assert float(mean) == pytest.approx(image[0].mean(), rel=1e-6)
     for camera in (plot, five):
         assert ("blue.std" in twin_image(camera).data.names) == (camera is five)
-    data = fx.PlotData.from_image(tmp_path / "five.tif", "rededge_3", statistics=("*.mean",))
+    data = fx.Data.from_image(tmp_path / "five.tif", "rededge_3", statistics=("*.mean",))
     assert "blue.mean" in data.names
 
 
