@@ -15,7 +15,12 @@ from jaxtyping import Bool, Float
 from fynjax._core.errors import InputError
 from fynjax._core.precision import double_precision
 from fynjax.assembly._forward import image_view
-from fynjax.compare import read_drone_image, read_spectra_sample
+from fynjax.compare import (
+    DroneImage,
+    pixel_footprint,
+    read_drone_image,
+    read_spectra_sample,
+)
 from fynjax.compare.structure import ComparisonSettings, cloud_structure
 from fynjax.inversion import (
     GAIN,
@@ -211,9 +216,15 @@ def image_target(
     bands: Sequence[str] | None = None,
 ) -> Measured:
     """The statistics of a drone's image (GeoTIFF), with its `bands`, or of a table (CSV)."""
-    pixel, camera = sensor_place(plot)[1], drone_sensor(plot).bands
+    (altitude, pixel), sensor = sensor_place(plot), drone_sensor(plot)
+    camera = sensor.bands
+    blur = None
+    if plot.sensor.footprint_m is None:
+        blur = 0.0
+        if sensor.psf is not None and sensor.psf.kind == "gaussian":
+            blur = float(np.mean(np.asarray(sensor.psf.width)) * sensor.pixel(altitude))
     data, extra, found = image_data(
-        path, target_rules(plot), camera, pixel=pixel, side=min(plot.size_m), bands=bands
+        path, target_rules(plot), camera, pixel=pixel, side=min(plot.size_m), bands=bands, blur=blur
     )
     layers = {name.split(".")[0] for name in data.names}
     of = ", ".join(name for name in camera.names if name in layers)
@@ -239,6 +250,7 @@ def image_data(
     pixel: float | None = None,
     side: float = np.inf,
     bands: Sequence[str] | None = None,
+    blur: float | None = None,
 ) -> tuple[Data, dict[str, Any], float | None]:
     """Statistics of a drone's image, or of a table of them, as targets.
 
@@ -250,6 +262,8 @@ def image_data(
     - `pixel`: edge of a pixel on the ground where the image does not state it [m].
     - `side`: of the plot [m]: means over squares wider than it are left out.
     - `bands`: of the image, as `read_drone_image` has them.
+    - `blur`: full width at half maximum of the camera's own blur on the ground [m]. Where it is
+      given, an image that is much more blurred gets a warning.
 
     **Returns:** the targets, what the summary says of them, and the edge of a pixel [m].
 
@@ -262,6 +276,8 @@ def image_data(
         if pixel is None:
             raise InputError("expected `pixel`: the image states none in metres", file=path)
         extra = {"target_valid_share": float(image.mask.mean())}
+        if blur is not None:
+            _doubt_focus(path, image, pixel, blur)
         data = weighed_statistics(image.values, image.bands, image.mask, pixel, rules, side=side)
     else:
         if bands is not None:
@@ -273,6 +289,24 @@ def image_data(
         sd = np.array([read[i].sd for i in keep], float)  # NaN where the table states none
         data = weigh_targets(names, value, rules.relative_sd, sd=sd)
     return data, extra, pixel
+
+
+_BLURRED = 2.5
+"""Width of the square that a pixel averages over from which an image is called blurred [pixels]."""
+
+
+def _doubt_focus(path: Path, image: DroneImage, pixel: float, blur: float) -> None:
+    """Warn of an image whose power spectrum says that its pixels average over more than they are
+    wide, beyond the camera's `blur` [m]."""
+    wide = pixel_footprint(image.values, image.mask, blur=blur / pixel)
+    if wide is not None and wide > _BLURRED:
+        warnings.warn(
+            f"{path}: its pixels of {pixel:.3g} m look blurred, as if each averaged over a square "
+            f"of some {wide * pixel:.2g} m. Resampled to finer pixels, blended or out of focus? "
+            f"`footprint_m = {wide * pixel:.2g}` under [sensor] of the plot file simulates it so; "
+            f"`footprint_m = {pixel:.3g}` says that it is sharp",
+            stacklevel=4,
+        )
 
 
 def weighed_statistics(

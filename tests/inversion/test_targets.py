@@ -16,6 +16,7 @@ from fynjax.inversion import weigh_targets
 from fynjax.io.plot import example_folder, read_plot, sensor_place
 from fynjax.io.raster import write_geotiff
 from fynjax.metrics import BANDS, VEGETATION_INDICES
+from fynjax.sensors import shipped_sensor
 from tests.helpers import write_raster
 
 
@@ -108,6 +109,26 @@ def test_a_resampled_image_is_simulated_by_what_its_pixels_average_over(tmp_path
     assert (own.view_of(None, None), sharp.view_of(None, None)) == (pytest.approx(0.06), 0.043)
     np.testing.assert_array_equal(own.data.value, sharp.data.value)
     assert "average over 0.043 m" in sharp.description
+
+
+def test_an_image_that_is_more_blurred_than_its_camera_is_doubted(tmp_path, monkeypatch):
+    """Once: what the plot file states counts."""
+    plot, asked = read_plot(example_folder() / "plot.toml"), []
+
+    def footprint(image, mask, *, blur):
+        asked.append(blur)
+        return 3.0
+
+    monkeypatch.setattr(_targets, "pixel_footprint", footprint)
+    image = np.sort(np.random.default_rng(0).uniform(0.1, 0.2, (4, 40, 40)), axis=0)
+    write_geotiff(tmp_path / "a.tif", image, list(BANDS), pixel_m=0.06, crs="EPSG:32734")
+    with pytest.warns(UserWarning, match=r"some 0\.18 m.*`footprint_m = 0\.18`"):
+        image_target(plot, tmp_path / "a.tif")
+    sensor = shipped_sensor("mavic_3m")
+    own = 0.7 * float(sensor.pixel(sensor_place(plot)[0])) / 0.06
+    assert asked == [pytest.approx(own)]
+    image_target(plot.replace(sensor=plot.sensor.replace(footprint_m=0.06)), tmp_path / "a.tif")
+    assert len(asked) == 1
 
 
 def test_bilinear_interpolation_averages_over_root_three_of_the_pixel_before():
