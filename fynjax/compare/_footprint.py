@@ -37,9 +37,9 @@ def pixel_footprint(
     lie together, and of an image of noise (15 pixels or more). Not differentiable.
 
     Images of discs of many sizes that a Gaussian of 2 and 3 pixels blurred (full width) give back
-    the 3.1 and 4.5 pixels of that within 10 %, those of fynjax
-    within 14 %, bands of a RedEdge's picture within 8 %. Without blur they give
-    1.0 to 2.0, as scenes are soft themselves: below 2.5 nothing is certain.
+    the 3.1 and 4.5 pixels of that within 10 %, those of fynjax within 14 %, bands of a RedEdge's
+    picture within 8 %. Without blur they give 0.8 to 2.0, as scenes are soft themselves: below 2.5
+    nothing is certain.
     """
     room = distance_transform_cdt(np.pad(mask, 1), metric="chessboard")[1:-1, 1:-1]
     half = int(room.max()) - 1
