@@ -55,10 +55,11 @@ class _Once(TyperCommand):
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         _, _, given = self.make_parser(ctx).parse_args(args=list(args))
         for option in given:
-            takes_one = option.param_type_name == "option" and not option.multiple
-            decides = not option.is_flag or option.secondary_opts
-            if takes_one and decides and given.count(option) > 1:
-                times = given.count(option)
+            if option.param_type_name != "option" or getattr(option, "multiple", False):
+                continue
+            agrees = getattr(option, "is_flag", False) and not option.secondary_opts
+            times = given.count(option)
+            if times > 1 and not agrees:
                 raise InputError(f"expected `{option.opts[0]}` once, but got it {times} times")
         return super().parse_args(ctx, args)
 

@@ -570,5 +570,6 @@ def test_a_second_value_of_an_option_is_refused_and_does_not_replace_the_first(
     status, _, err = call(capsys, *line.split())
     assert (status, err) == (2, f"fynjax: error: expected `{option}` once, but got it 2 times\n")
     # Several values, and a flag that says the same twice, are as before.
-    _, _, err = call(capsys, *"calibrate a.toml --target a --target b --quiet --quiet".split())
+    twice = ("--target", "a", "--target", "b", "--quiet", "--quiet")
+    _, _, err = call(capsys, "calibrate", "a.toml", *twice)
     assert "no such file" in err
