@@ -23,7 +23,7 @@ from fynjax.assembly._leaf_spectra import measured_leaves
 from fynjax.assembly._memory import check_memory
 from fynjax.assembly._plants import read_plant
 from fynjax.canopy import MeshPlant, Organ
-from fynjax.io.plot import Plot, read_sky, read_sky_pattern, with_parameter_table
+from fynjax.io.plot import Plot, plot_spreads, read_sky, read_sky_pattern, with_parameter_table
 from fynjax.io.raster import read_probability_map
 from fynjax.io.spectra import reflectances
 from fynjax.leaf import fit_leaf
@@ -131,7 +131,8 @@ def build_plot(
         room = np.maximum(needed, rules.room)
         check_memory(plot, room=room)
         scene = plant(rules=replace(rules, room=room))
-    return replace(scene, parameters=parameters), parameters
+    spreads = tuple(plot_spreads(plot).items())
+    return replace(scene, parameters=parameters, spreads=spreads), parameters
 
 
 def _check_grid(

@@ -59,6 +59,7 @@ from fynjax.scene import (
     aim,
     fitting_structure,
     named_values,
+    own_spread,
 )
 from fynjax.sensors import ASSUMED, Gains, Lidar, Sensor
 
@@ -386,8 +387,9 @@ def free(
     - `scene`: with its parameters. Those without effect are left out (`free_space`).
     - `patterns`: of names, such as "species.*.cover" or "species.Erica*.leaf.chlorophyll".
     - `prior`: relative standard deviations by pattern [-], the first that fits a name, or a learned
-      population (`fx.prior`), which says how leaf area, dead tissue and clumping vary; of all
-      others that of the parameter's record.
+      population (`fx.prior`), which says how leaf area, dead tissue and clumping vary; of others
+      as the scene's species table says (`Scene.spreads`: covers that are classes or ranges, which a
+      pattern with "*" does not replace, and generic plants), else that of the parameter's record.
     - `common`: how far what the table is off by is common to all species, as the correlation of
       their priors of one kind, 0 to below 1 [-]: near 1 where one eye guessed all covers. Left out,
       as the parameters' records have it: none of covers.
@@ -413,13 +415,13 @@ def free(
             )
 
     def relative_sd(name: str) -> float | None:
-        if isinstance(prior, LearnedPrior):
-            kind = name.rsplit(".", 1)[-1]
-            if kind not in BY_FORM:
-                return None
+        kind = name.rsplit(".", 1)[-1]
+        if isinstance(prior, LearnedPrior) and kind in BY_FORM:
             form = forms[name.split(".", 1)[1].rsplit(".", 1)[0]]
             return prior.sd(f"{kind}.{form}", elsewhere=True) / float(values[name])
-        return next((sd for pattern, sd in stated.items() if fnmatchcase(name, pattern)), None)
+        own = own_spread(name, dict(scene.spreads), stated)
+        stated_sd = (sd for pattern, sd in stated.items() if fnmatchcase(name, pattern))
+        return next(stated_sd, None) if own is None else own
 
     return free_space(scene, scene.parameters, patterns, relative_sd, common=common)
 
