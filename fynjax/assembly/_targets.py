@@ -35,7 +35,14 @@ from fynjax.inversion import (
     weigh_structure,
     weigh_targets,
 )
-from fynjax.io.plot import Plot, drone_sensor, read_statistics, read_structure, sensor_place
+from fynjax.io.plot import (
+    Plot,
+    drone_sensor,
+    placed_by,
+    read_statistics,
+    read_structure,
+    sensor_place,
+)
 from fynjax.io.raster import open_raster
 from fynjax.io.text import existing_file, open_table
 from fynjax.metrics import (
@@ -139,6 +146,15 @@ def _is_number(text: str) -> bool:
         return bool(np.isfinite(float(text)))
     except ValueError:
         return False
+
+
+def placed_by_image(plot: Plot, paths: Sequence[Path]) -> Plot:
+    """A plot, placed on Earth by the first image among the files that it is calibrated to, where
+    nothing else says where it lies (`placed_by`).
+
+    **Arguments:** `plot`, as `read_plot` gives it; `paths`, of the files.
+    """
+    return placed_by(plot, [p for p in map(Path, paths) if p.suffix.lower() in (".tif", ".tiff")])
 
 
 @double_precision

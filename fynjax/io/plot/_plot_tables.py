@@ -80,8 +80,19 @@ class PlotTable(Strict):
         default=None,
         description="Whose leaf area, dead tissue, clumping, bark and leaves plants have that the "
         "tables leave open: 'fynbos', learned from 18 plots, or 'generic', of published "
-        "shrublands at large, with wider priors. Left out: 'generic' where latitude and longitude "
-        "of [sun] lie outside the Cape (31 to 35 S, 17.5 to 27 E), else 'fynbos'.",
+        "shrublands at large, with wider priors. Left out: 'generic' where the plot lies outside "
+        "the Cape (31 to 35 S, 17.5 to 27 E) by latitude and longitude here or of [sun], by its "
+        "maps, or by the image that it is calibrated to, else 'fynbos'.",
+    )
+    latitude_deg: float | None = number(
+        "Latitude of the plot, north; left out, that of [sun] or of the plot's maps",
+        "degree",
+        default=None,
+        ge=-90,
+        le=90,
+    )
+    longitude_deg: float | None = number(
+        "Longitude of the plot, east; west is negative", "degree", default=None, ge=-180, le=180
     )
     cover_definition: CoverDefinition | None = Field(
         default=None,
@@ -145,6 +156,15 @@ class PlotTable(Strict):
         "out: that of a map as large as the plot.",
         json_schema_extra={"unit": "m"},
     )
+
+    @model_validator(mode="after")
+    def _latitude_and_longitude(self) -> "PlotTable":
+        if (self.latitude_deg is None) != (self.longitude_deg is None):
+            missing = "latitude_deg" if self.latitude_deg is None else "longitude_deg"
+            raise ValueError(
+                f"expected latitude_deg and longitude_deg together, but {missing} is missing"
+            )
+        return self
 
     @model_validator(mode="after")
     def _hills_do_not_repeat(self) -> "PlotTable":
