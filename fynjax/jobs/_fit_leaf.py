@@ -335,13 +335,20 @@ def fit_leaf(
     good = fit.status.count("converged")
     headline = _headline(spectra, table, good)
     doubtful = len(names) - good
-    picture = Picture("spectra.png", figures.leaf_fit_figure(fit), "measured and fitted spectra")
+    pictures = []
+    part = ""
+    if len(names) > figures.APART:
+        every = figures.all_leaves_figure(fit)
+        pictures.append(Picture("all_spectra.png", every, f"all {len(names)} spectra"))
+        part = f"{figures.APART} of {len(names)}, evenly drawn from all, which are above."
+    fitted = figures.leaf_fit_figure(fit)
+    pictures.append(Picture("spectra.png", fitted, "measured and fitted spectra", part))
     shown = Table(
         table.head(_SHOWN), f"Traits, of the first {_SHOWN} spectra at most.", folded=True
     )
     title = f"PROSPECT-{version} of {len(names)} spectra"
     inputs = [*dict.fromkeys(file for file, _ in read), panel, groups]
-    run.pictures(title, headline, [picture, shown], inputs)
+    run.pictures(title, headline, [*pictures, shown], inputs)
     return run.result(
         FitLeafResult,
         headline=headline,

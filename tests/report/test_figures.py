@@ -12,6 +12,7 @@ from matplotlib.legend import Legend
 from fynjax.canopy import Organ
 from fynjax.leaf import LeafOverBackground, fit_leaf, prospect
 from fynjax.report.figures import (
+    all_leaves_figure,
     composites,
     constraint_plot,
     convergence_plot,
@@ -260,6 +261,29 @@ def test_the_legend_of_leaves_is_whole(leaves, estimated):
     figure = leaf_fit_figure(fit)
     assert_titles_and_legends_lie_inside(figure)
     assert ("1 - T of model, with gaps" in shown_labels(figure)) == bool(estimated)
+
+
+def test_all_leaves_are_drawn_with_those_in_doubt_named():
+    """Two of 14 leaves are no leaves; of one transmittance alone was measured."""
+    r, t = (np.array(x) for x in prospect(chlorophyll=np.linspace(20.0, 60.0, 14)))
+    r[3], r[8] = 0.5, np.linspace(0.0, 0.9, r.shape[1])
+    r[5] = np.nan
+    fit = fit_leaf(range(400, 2501), r, t)
+    doubtful = [i for i, status in enumerate(fit.status) if status != "converged"]
+    assert {3, 8} <= set(doubtful)
+    figure = all_leaves_figure(fit)
+    seen = figure.axes[0]
+    drawn = [len(lines.get_segments()) for lines in seen.collections]
+    assert drawn == [14 - len(doubtful), len(doubtful)]
+    where = seen.collections[0].get_segments()[4]  # the sixth leaf, after one in doubt
+    at = np.argmin(abs(fit.wavelength - 800.0))
+    assert where[at, 1] == pytest.approx(1.0 - t[5, 400], abs=1e-3)
+    named = ", ".join(fit.labels[i] for i in doubtful)
+    assert shown_labels(figure) == [
+        f"{14 - len(doubtful)} fitted without doubt",
+        f"in doubt: {named}",
+    ]
+    assert_titles_and_legends_lie_inside(figure)
 
 
 def shown_labels(figure):
