@@ -1,6 +1,6 @@
 """What `fynjax fit-leaf` does: files of spectra in, traits and spectra out."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
@@ -33,15 +33,13 @@ from fynjax.jobs._spectra import (
     repairs,
 )
 from fynjax.leaf import (
+    MEASUREMENTS,
     AbstractMeasurement,
     FitDomain,
-    IntegratingSphere,
     LeafArea,
     LeafChunks,
-    LeafClip,
     LeafFit,
     LeafShape,
-    LeafStack,
     ProspectVersion,
     area_factors,
     bin_centres,
@@ -56,12 +54,6 @@ from fynjax.leaf import (
 from fynjax.report import figures
 from fynjax.report.pages import Picture, Table
 
-MEASUREMENTS: dict[str, Callable[[], AbstractMeasurement]] = {
-    "sphere": IntegratingSphere,
-    "leaf-clip": LeafClip,
-    "probe": LeafClip,
-    "stack": LeafStack,
-}
 Sampling = Literal["none", "emcee", "nuts"]
 """How the posterior is sampled, if at all."""
 _GRID = np.arange(350.0, 2501.0)

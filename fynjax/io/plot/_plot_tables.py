@@ -124,6 +124,21 @@ class PlotTable(Strict):
             "table.",
         )
     )
+    leaf_measurement: Literal["sphere", "leaf-clip", "probe", "stack"] = Field(
+        default="sphere",
+        description="How the spectra of leaf_spectra and of the leaf table were measured: "
+        "'sphere', reflectance of an integrating sphere, 'leaf-clip' or 'probe' (contact probe), "
+        "whose lamp shines on the leaf over black or over leaf_background, 'stack', an optically "
+        "thick pile.",
+    )
+    leaf_background: float | None = number(
+        "Reflectance of the face behind the leaf of a clip or probe, such as 0.9 of a white one; "
+        "left out, black",
+        "-",
+        default=None,
+        gt=0,
+        le=1,
+    )
     leaf_variants: int = Field(
         default=1,
         ge=1,
@@ -156,6 +171,15 @@ class PlotTable(Strict):
         "out: that of a map as large as the plot.",
         json_schema_extra={"unit": "m"},
     )
+
+    @model_validator(mode="after")
+    def _background_of_a_clip(self) -> "PlotTable":
+        if self.leaf_background is not None and self.leaf_measurement not in ("leaf-clip", "probe"):
+            raise ValueError(
+                "expected leaf_background with leaf_measurement = 'leaf-clip' or 'probe', but "
+                f"it is {self.leaf_measurement!r}"
+            )
+        return self
 
     @model_validator(mode="after")
     def _latitude_and_longitude(self) -> "PlotTable":
