@@ -249,8 +249,8 @@ def image_target(
     seen = plot.sensor.footprint_m or found
     if seen is not None and abs(seen / pixel - 1.0) > _PIXEL_TOLERANCE:
         # The spread between pixels depends on what each averages over.
-        sensor = plot.sensor.model_copy(update={"pixel_m": seen})
-        plot = plot.model_copy(update={"sensor": sensor})
+        own = plot.sensor.model_copy(update={"pixel_m": seen})
+        plot = plot.model_copy(update={"sensor": own})
         what = "Its pixels of" if seen == found else "Pixels that average over"
         description += (
             f" {what} {seen:.4g} m are simulated, not those of {pixel:.4g} m of the plot's sensor."

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pandas as pd
 import pytest
+import xarray as xr
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.legend import Legend
 
@@ -19,6 +20,7 @@ from fynjax.report.figures import (
     error_bars,
     index_histograms,
     leaf_fit_figure,
+    measured_figure,
     parameter_plot,
     plant_figure,
     recognition_plot,
@@ -283,6 +285,25 @@ def test_all_leaves_are_drawn_with_those_in_doubt_named():
         f"{14 - len(doubtful)} fitted without doubt",
         f"in doubt: {named}",
     ]
+    assert_titles_and_legends_lie_inside(figure)
+
+
+def test_a_spectrum_s_noise_in_the_bands_of_water_does_not_flatten_the_others():
+    """Of 30 spectra of R and T the first ones are named."""
+    r, t = (np.asarray(x) for x in prospect(chlorophyll=np.linspace(20.0, 60.0, 30)))
+    spectra = xr.Dataset(
+        {"reflectance": (("spectrum", "wavelength"), r.copy()),
+         "transmittance": (("spectrum", "wavelength"), t)},
+        {"spectrum": [f"leaf {k}" for k in range(30)], "wavelength": np.arange(400.0, 2501.0)},
+    )  # fmt: skip
+    spectra["reflectance"][4, 1450:1460] = 300.0
+    figure = measured_figure(spectra)
+    (axes,) = figure.axes
+    assert axes.get_ylim()[1] < 1.1
+    assert [len(lines.get_segments()) for lines in axes.collections] == [30, 30]
+    whole = axes.collections[1].get_segments()[7]
+    np.testing.assert_allclose(whole[:, 1], 1.0 - t[7])
+    assert len(shown_labels(figure)) == 11
     assert_titles_and_legends_lie_inside(figure)
 
 

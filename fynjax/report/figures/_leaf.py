@@ -1,11 +1,16 @@
 """Fitted leaves: measured and modelled reflectance and transmittance."""
 
+from typing import TYPE_CHECKING
+
 import matplotlib
 import numpy as np
 from matplotlib.collections import LineCollection
 
 from fynjax.leaf import LeafFit
 from fynjax.report.figures._style import GREY, VERMILION, Figure, panel_grid, style
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 APART = 12
 """Most leaves that have a panel of their own."""
@@ -35,6 +40,42 @@ def leaf_fit_figure(fit: LeafFit) -> Figure:
         handles, labels = panels[0].get_legend_handles_labels()
         in_a_row = 5 if shown.size > 1 else 2
         figure.legend(handles, labels, loc="outside upper center", ncols=in_a_row)
+    return figure
+
+
+def measured_figure(spectra: "xr.Dataset") -> Figure:
+    """Every measured spectrum: reflectance from below, 1 - T from above.
+
+    **Arguments:** `spectra`, as `fynjax.io.spectra.read_spectra` gives them.
+    """
+    names, grid = spectra["spectrum"].values.tolist(), spectra["wavelength"].values
+    with style():
+        figure = Figure(figsize=(9.2, 4.6))
+        axes = figure.subplots()
+        colours = matplotlib.colormaps["viridis"](np.linspace(0.0, 0.95, len(names)))
+        ends = [0.0]
+        for quantity, dashes in (("reflectance", "-"), ("transmittance", (0, (4, 2)))):
+            if quantity not in spectra:
+                continue
+            values = spectra[quantity].values
+            shown = values if quantity == "reflectance" else 1.0 - values
+            # In the bands of water and at the ends an instrument may have anything.
+            ends += np.nanpercentile(shown, [2.0, 98.0]).tolist()
+            lines = [np.column_stack([grid, row])[np.isfinite(row)] for row in shown]
+            axes.add_collection(LineCollection(lines, colors=colours, lw=0.9, linestyles=[dashes]))
+        low, high = min(ends), max(ends)
+        room = 0.05 * max(high - low, 0.1)
+        axes.set(xlim=(grid[0], grid[-1]), ylim=(low - room, high + room))
+        what = "R" if "transmittance" not in spectra else "R; dashed: 1 - T"
+        axes.set(xlabel="Wavelength [nm]", ylabel=f"{what} [-]")
+        handles = [
+            matplotlib.lines.Line2D([], [], color=colour, label=name)
+            for name, colour in zip(names[:_NAMED], colours)
+        ]
+        if len(names) > _NAMED:
+            more = f"... to {names[-1]}, in this order"
+            handles.append(matplotlib.lines.Line2D([], [], color=colours[-1], label=more))
+        figure.legend(handles=handles, loc="outside upper left", ncols=4, fontsize=7.5)
     return figure
 
 
