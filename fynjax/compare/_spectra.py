@@ -12,12 +12,12 @@ from jaxtyping import Float
 from numpy.typing import NDArray
 
 from fynjax._core.errors import InputError
+from fynjax._core.files import existing_file, how_to_import
 from fynjax._core.progress import stage
 from fynjax._core.spectral import check_wavelength
 from fynjax.compare._images import thinning
 from fynjax.io.raster import check_netcdf, check_reflectance, open_raster
 from fynjax.io.spectra import read_header, read_usable_spectra
-from fynjax.io.text import existing_file
 from fynjax.metrics import WATER_WINDOWS
 
 _RASTERS = (".img", ".bil", ".bip", ".bsq", ".dat", ".tif", ".tiff")
@@ -196,7 +196,7 @@ def _read_cube(path: Path, most: int) -> _Part:
             raise InputError(
                 f"expected a cube with a wavelength for each of {grid.size} bands, but {known} "
                 "are stated (ENVI: `wavelength` in the header; GeoTIFF: the tag `wavelength` of "
-                "each band)",
+                f"each band).{how_to_import(path)}",
                 file=path,
             )
         step = thinning(*file.shape, most)
@@ -283,7 +283,7 @@ def _spectra_in(
         listed = ", ".join(name for name, _ in candidates) or "none"
         raise InputError(
             f"expected a variable called reflectance over {dimension!r}, but those over it are: "
-            f"{listed}",
+            f"{listed}.{how_to_import(path)}",
             file=path,
         )
     variable = choice[0][1].transpose(..., dimension)

@@ -272,7 +272,7 @@ def _doubt(run: Run, drone: Drone) -> None:
     if isinstance(drone, PublishedComparison):
         real = {name: row.real_mean for name, row in bands_2006().items()}
     else:
-        real = dict(zip(BANDS, drone.real.pixels.mean(axis=1), strict=True))
+        real = dict(zip(BANDS, drone.real.pixels.mean(axis=1)))  # which come first
     doubt_spectrum(run, real, mavic_3m())
 
 

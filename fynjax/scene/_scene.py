@@ -76,6 +76,7 @@ from fynjax.scene._species import (
     leaves_of,
     species_parameters,
     species_rows,
+    table_spreads,
 )
 from fynjax.scene._spectra import Spectrum, background_spectrum, band_wavelengths
 from fynjax.sensors import BandSet
@@ -235,6 +236,9 @@ class Scene(eqx.Module):
     """Meaning of a species' cover, see `PlantingRules`."""
     spacing: Float[Array, ""] = eqx.field(converter=jnp.asarray, default=0.0)
     """Least distance of the sites for which projected covers count plants [m]."""
+    spreads: tuple[tuple[str, float], ...] = eqx.field(static=True, default=())
+    """Names of parameters of which the species table says itself how uncertain they are, with their
+    relative standard deviations [-] (`table_spreads`): the priors of `fynjax.free`."""
     clumping: Float[Array, "species part"] | None = None
     """Relative density of plants over equal parts of the ground, where a map clumps them or an edge
     ends them, and covers are projected [-] (`fynjax.canopy.clumping`)."""
@@ -331,7 +335,7 @@ class Scene(eqx.Module):
             LightParameters() if light is None else light,
         )
         extent = size if isinstance(size, tuple) else (size, size)
-        return build_scene(
+        scene = build_scene(
             [Species.of(*pair) for pair in zip(rows, own, strict=True)],
             parameters,
             extent=extent,
@@ -347,6 +351,8 @@ class Scene(eqx.Module):
             hot_spot=hot_spot,
             dtype=dtype,
         )
+        spreads = table_spreads(rows, plants, () if leaves is None else leaves)
+        return dataclasses.replace(scene, spreads=tuple(spreads.items()))
 
     def with_values(self, values: Mapping[str, float | Array]) -> "Scene":
         """The same plants with other parameters.

@@ -65,6 +65,20 @@ def written(name: str, image: np.ndarray) -> np.ndarray:
     return value[np.isfinite(value)]
 
 
+def test_a_band_that_both_images_have_is_compared(tmp_path: Path) -> None:
+    blue = drawn(3, 30, 30)[:1]
+    for name, image in (("a", drawn(1, 30, 30)), ("b", drawn(2, 30, 30))):
+        image = np.concatenate([blue, image])
+        write_geotiff(tmp_path / f"{name}.tif", image, ["Blue", *BANDS], pixel_m=0.05)
+    table = validate(
+        ValidationData(real_drone=tmp_path / "a.tif", simulated_drone=tmp_path / "b.tif"),
+        tmp_path / "out",
+    ).drone.bands
+    assert [row["band"] for row in table] == [*BANDS, "blue"]
+    assert table[-1]["real_mean"] == pytest.approx(blue.mean())
+    assert table[-1]["ks"] == 0.0
+
+
 def test_every_number_of_table_4_by_scipy_and_numpy(drone: DroneComparison) -> None:
     images = drawn(1, 40, 50), drawn(2, 30, 30, 0.2)
     table = drone.indices.set_index("index")

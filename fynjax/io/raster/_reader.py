@@ -28,11 +28,11 @@ from rasterio.errors import CRSError, NotGeoreferencedWarning, RasterioError
 from rasterio.windows import Window
 
 from fynjax._core.errors import LARGEST, InputError
+from fynjax._core.files import check_stated_size, existing_file, how_to_import
 from fynjax._core.memory import total_memory
 from fynjax._core.progress import track
 from fynjax.io.raster._crs import check_metric, is_local, stretch, utm_zone
 from fynjax.io.spectra import header_numbers, in_nanometres, open_envi
-from fynjax.io.text import check_stated_size, existing_file
 
 METRES = ("", "m", "metre", "metres", "meter", "meters")
 """What a raster may call the unit of its heights."""
@@ -536,6 +536,12 @@ def open_raster(path: str | Path, what: str) -> Iterator[RasterFile]:
             head = file.read(1 << 12).lower()
         if head.lstrip().startswith(b"<") or b"<vrtdataset" in head:
             raise _names_others(path, "it") from error
+        if head.startswith((b"\x89hdf", b"cdf")):
+            raise InputError(
+                f"expected {what} as GeoTIFF or ENVI, but this is HDF5 or NetCDF."
+                f"{how_to_import(path)}",
+                file=path,
+            ) from error
         reason = " ".join(str(error.__cause__ or error).split())
         raise InputError(
             f"cannot be read as {what} ({reason}). Is it cut short, or not a GeoTIFF? "

@@ -190,7 +190,7 @@ def _pictures(
             )
             for e, n in zip(extent, image.values.shape[1:], strict=True)
         )
-        pictures[title] = image.values[:, y[:, None], x[None, :]]
+        pictures[title] = image.values[: len(BANDS), y[:, None], x[None, :]]
     if any(min(p.shape[1:]) < _SMALLEST or np.isnan(p).all() for p in pictures.values()):
         return None
     return pictures, BANDS, pixel
