@@ -202,10 +202,6 @@ class BandDesign:
 
     _repr_html_ = as_html
 
-    def to_xarray(self) -> xr.Dataset:
-        """Responses of the designed bands, and the spectra, over wavelength."""
-        return self.spectra
-
 
 @double_precision
 def design(

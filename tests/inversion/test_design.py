@@ -490,7 +490,7 @@ def test_a_design_of_a_scene(scene):
     assert (np.diff(found.bands.centre) > 0).all()
     assert str(found).count("\n") == 2
     assert "the design has" in found._repr_html_()
-    data = found.to_xarray()
+    data = found.spectra
     assert data["response"].dims == ("band", "wavelength")
     assert data["slope"].shape == (3, data.sizes["wavelength"])
     again = fx.observe(scene, found.sensor, pixel=0.5)
