@@ -13,8 +13,6 @@
 #     name: python3
 # ---
 
-# %%
-
 # %% [markdown]
 # # What can a sensor know of diversity, and from which pixel on is it lost?
 #
@@ -39,9 +37,8 @@ import numpy as np
 import pandas as pd
 
 SMALL = os.environ.get("FYNJAX_FAST") == "1"  # fewer species, coarser voxels, for the check
-SIDE, VOXEL, PIXELS = (
-    (1.0, 0.25, (0.125, 0.25, 0.5)) if SMALL else (4.0, 0.1, (0.1, 0.2, 0.5, 1, 2))
-)
+SIDE, VOXEL = (1.0, 0.25) if SMALL else (4.0, 0.1)
+PIXELS = (0.125, 0.25, 0.5) if SMALL else (0.1, 0.2, 0.5, 1, 2)
 RANGES = {"richness": (1, 2) if SMALL else (2, 12), "cover": (0.3, 0.9)}
 
 # %% [markdown]

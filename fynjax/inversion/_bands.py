@@ -43,8 +43,8 @@ _OPAQUE = 1e-8
 _TINY = 1e-30
 
 
-class Spectra(eqx.Module):
-    """Spectra of the images of all plantings, and their slopes, on a grid of wavelengths.
+class PlantingSpectra(eqx.Module):
+    """PlantingSpectra of the images of all plantings, and their slopes, on a grid of wavelengths.
 
     Slopes are by the parameters in units of their priors; reflectance factors and slopes [-].
     """
@@ -56,7 +56,7 @@ class Spectra(eqx.Module):
     mean_slope: Float[Array, "planting wavelength free"]
     """Slopes of `mean`."""
     basis: Float[Array, "wavelength component"]
-    """Spectra of which those of all pixels, less their mean, are combinations."""
+    """PlantingSpectra of which those of all pixels, less their mean, are combinations."""
     second: Float[Array, "planting component component"]
     """Covariance over the pixels of the weights of the spectra in `basis`."""
     second_slope: Float[Array, "planting component component free"]
@@ -80,7 +80,7 @@ class Spectra(eqx.Module):
     """"information", "separability" or "quantities"."""
 
 
-class Measured(NamedTuple):
+class BandStatistics(NamedTuple):
     """What some bands measure of every planting."""
 
     mean: Float[Array, "planting band"]
@@ -91,9 +91,9 @@ class Measured(NamedTuple):
     species_mean: Float[Array, "planting species band"]
     species_covariance: Float[Array, "planting species band band"]
 
-    def chosen(self, at: Int[Array, " chosen"]) -> "Measured":
+    def chosen(self, at: Int[Array, " chosen"]) -> "BandStatistics":
         """What the bands at some places measure."""
-        return Measured(
+        return BandStatistics(
             self.mean[:, at],
             self.covariance[:, at[:, None], at],
             self.mean_slope[:, at],
@@ -119,8 +119,8 @@ def gaussian_weights(
 
 
 def measured(
-    spectra: Spectra, weights: Float[Array, "band wavelength"], width: Float[Array, " band"]
-) -> Measured:
+    spectra: PlantingSpectra, weights: Float[Array, "band wavelength"], width: Float[Array, " band"]
+) -> BandStatistics:
     """What bands of some weights and widths [nm] measure: means weighted by the light as well.
 
     A pixel collects N = width * sum(weights * photons * reflectance) photons, and its shot noise is
@@ -131,7 +131,7 @@ def measured(
     rows = weights @ spectra.basis
     mean = spectra.mean @ weights.T
     count = width * (lit @ spectra.mean.mean(axis=0))
-    return Measured(
+    return BandStatistics(
         mean,
         jnp.einsum("bi,pij,cj->pbc", rows, spectra.second, rows),
         jnp.einsum("bw,pwk->pbk", weights, spectra.mean_slope),
@@ -143,7 +143,7 @@ def measured(
 
 
 def scores(
-    spectra: Spectra, seen: Measured, among: Float[Array, " planting"]
+    spectra: PlantingSpectra, seen: BandStatistics, among: Float[Array, " planting"]
 ) -> Float[Array, "planting quantity"]:
     """Share of each quantity's variance that bands remove in each planting [-], by an estimate that
     the other plantings of `among` (1 or 0) make; `design` has the formulas.
@@ -194,7 +194,7 @@ def scores(
     return 1.0 - rest
 
 
-def _chance(spectra: Spectra, share: Float[Array, " planting"]) -> tuple[Array, Array]:
+def _chance(spectra: PlantingSpectra, share: Float[Array, " planting"]) -> tuple[Array, Array]:
     """Variance of means between plantings over that of pixels, and relative variance of standard
     deviations, over all wavelengths."""
     pixel = jnp.einsum("wi,pij,wj->pw", spectra.basis, spectra.second, spectra.basis)
@@ -208,7 +208,10 @@ def _chance(spectra: Spectra, share: Float[Array, " planting"]) -> tuple[Array, 
 
 
 def _separated(
-    spectra: Spectra, seen: Measured, share: Float[Array, " planting"], at: Int[Array, ""]
+    spectra: PlantingSpectra,
+    seen: BandStatistics,
+    share: Float[Array, " planting"],
+    at: Int[Array, ""],
 ) -> Float[Array, " 1"]:
     """Mean Jeffries-Matusita distance of two species in a planting, along the line that parts them
     best in the others, as normal classes of the same covariance, with the noise."""
@@ -244,7 +247,7 @@ def render(
     snr: float,
     error: float,
     target: str,
-) -> list[Spectra]:
+) -> list[PlantingSpectra]:
     """Images of all plantings with their slopes, in light of the accuracy `COARSE`: in pixels of
     `pixel` [m], and in those of `steps` such pixels on a side, means that collect as many photons.
     """
@@ -293,7 +296,7 @@ def render(
             "species_second": spread, "pixels": float(np.prod(side) // step**2),
         }  # fmt: skip
         arrays = {name: jnp.asarray(array) for name, array in arrays.items()}
-        found.append(Spectra(**arrays, error=error, target=target))
+        found.append(PlantingSpectra(**arrays, error=error, target=target))
     return found
 
 

@@ -26,8 +26,8 @@ from fynjax.inversion._bands import (
     FEWEST,
     RANGE,
     STEP,
-    Measured,
-    Spectra,
+    BandStatistics,
+    PlantingSpectra,
     gaussian_weights,
     measured,
     render,
@@ -85,12 +85,12 @@ class _Limits(NamedTuple):
         return self.lowest + _WITHIN * width + room * place, width
 
 
-def _gaussian(spectra: Spectra, limits: _Limits, x: Array | np.ndarray) -> Measured:
+def _gaussian(spectra: PlantingSpectra, limits: _Limits, x: Array | np.ndarray) -> BandStatistics:
     centre, width = limits.bands(x)
     return measured(spectra, gaussian_weights(spectra.grid, centre, width), width)
 
 
-def _value(spectra: Spectra, seen: Measured, among: Array) -> Float[Array, ""]:
+def _value(spectra: PlantingSpectra, seen: BandStatistics, among: Array) -> Float[Array, ""]:
     """Mean over the plantings `among`, and over quantities, of what bands say."""
     return among @ scores(spectra, seen, among).mean(axis=1) / among.sum()
 
@@ -100,21 +100,23 @@ _scores_of = eqx.filter_jit(scores)
 
 
 @eqx.filter_jit
-def _ascent(x: Array, spectra: Spectra, limits: _Limits, among: Array) -> tuple[Array, Array]:
+def _ascent(
+    x: Array, spectra: PlantingSpectra, limits: _Limits, among: Array
+) -> tuple[Array, Array]:
     """The negative of the target at bands, and its slopes."""
     return jax.value_and_grad(lambda x: -_value(spectra, _gaussian(spectra, limits, x), among))(x)
 
 
 @eqx.filter_jit
 def _values_of(
-    spectra: Spectra, seen: Measured, sets: Int[Array, "set band"], among: Array
+    spectra: PlantingSpectra, seen: BandStatistics, sets: Int[Array, "set band"], among: Array
 ) -> Float[Array, " set"]:
     """The target of sets of bands among those that are seen."""
     return jax.lax.map(lambda at: _value(spectra, seen.chosen(at), among), sets, batch_size=64)
 
 
 def best_channels(
-    spectra: Spectra, seen: Measured, count: int, among: Float[Array, " planting"]
+    spectra: PlantingSpectra, seen: BandStatistics, count: int, among: Float[Array, " planting"]
 ) -> list[int]:
     """The most informative channels of a sensor: each the best beside those before, then exchanged
     one by one until no exchange adds information."""
@@ -135,7 +137,7 @@ def best_channels(
 
 
 def _ascend(
-    spectra: Spectra, limits: _Limits, start: np.ndarray, among: Array
+    spectra: PlantingSpectra, limits: _Limits, start: np.ndarray, among: Array
 ) -> tuple[float, np.ndarray]:
     """The target and the place of the best bands near a start."""
     found = minimize(
@@ -461,13 +463,13 @@ def _asked(
     }
 
 
-def _bands_of(spectra: Spectra, bands: BandSet) -> Measured:
+def _bands_of(spectra: PlantingSpectra, bands: BandSet) -> BandStatistics:
     weights = bands.weights(np.asarray(spectra.grid), max_loss=1e-2)
     return _seen(spectra, jnp.asarray(weights), jnp.asarray(bands.fwhm))
 
 
 def _search(
-    spectra: Spectra, limits: _Limits, bands: int, starts: int, seed: int, among: Array
+    spectra: PlantingSpectra, limits: _Limits, bands: int, starts: int, seed: int, among: Array
 ) -> list[tuple[float, np.ndarray]]:
     """Ends of ascents, best first: the first from the best bands of a raster of centres and widths
     (`best_channels`), the others from the best of random places."""
@@ -513,7 +515,7 @@ def _gains(
 
 
 def _curves(
-    spectra: Spectra, designed: BandSet, asked: Sequence[str], taxa: Sequence[str]
+    spectra: PlantingSpectra, designed: BandSet, asked: Sequence[str], taxa: Sequence[str]
 ) -> xr.Dataset:
     """The spectra of a `BandDesign`."""
     grid = np.asarray(spectra.grid)

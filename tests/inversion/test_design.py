@@ -13,7 +13,7 @@ from fynjax._core.errors import InputError
 from fynjax.diversity import bhattacharyya_distance, jeffries_matusita_distance
 from fynjax.inversion import COARSE, coarser, fisher_information
 from fynjax.inversion import _design as bands_of_design
-from fynjax.inversion._bands import Measured, Spectra, _photons, gaussian_weights
+from fynjax.inversion._bands import BandStatistics, PlantingSpectra, _photons, gaussian_weights
 from fynjax.inversion._design import _Limits
 from fynjax.leaf import LeafParameters, prospect
 from fynjax.sensors import BandSet, shipped_sensor
@@ -62,7 +62,9 @@ def spectra_of_leaves(target="quantities", asked=((1.0, 0.0),), plantings=3, **c
         "pixels": 400.0,
         **changes,
     }
-    return Spectra(**{k: jnp.asarray(v) for k, v in fields.items()}, error=0.01, target=target)
+    return PlantingSpectra(
+        **{k: jnp.asarray(v) for k, v in fields.items()}, error=0.01, target=target
+    )
 
 
 def every(spectra):
@@ -439,7 +441,7 @@ def test_a_design_of_a_scene(scene):
             starts=2, spectrum=(400.0, 1000.0), compare=("mavic_3m",),
         )  # fmt: skip
     camera = shipped_sensor("mavic_3m")
-    seen: Measured = bands_of_design._bands_of(rendered[0][0], camera.bands)
+    seen: BandStatistics = bands_of_design._bands_of(rendered[0][0], camera.bands)
     coarse = coarser(scene, scene.parameters)
 
     def observed(u):
@@ -462,7 +464,7 @@ def test_a_design_of_a_scene(scene):
     sd = np.sqrt(np.diagonal(seen.covariance[0]))
     np.testing.assert_allclose(sd, image.std(axis=(1, 2)), rtol=0.03)
     # Pixels twice as wide are means of these, and collect four times the light.
-    wide: Measured = bands_of_design._bands_of(rendered[0][1], camera.bands)
+    wide: BandStatistics = bands_of_design._bands_of(rendered[0][1], camera.bands)
     of_image, of_off, of_slope = (
         one.reshape(4, 4, 2, 4, 2).mean(axis=(2, 4)) for one in (image, off, bright)
     )
