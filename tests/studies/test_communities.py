@@ -265,7 +265,8 @@ def test_spectral_species_are_those_of_all_communities_together():
     pixels = np.pad(pixels, ((0, 0),) * 3 + ((0, 2), (0, 0)), constant_values=np.nan)
     pixels += 0.01 * random.normal(size=pixels.shape)
     count = np.stack([np.bincount(one, minlength=6) for one in kinds])
-    entropy, table = composition(0.1 * count, [pixels], _design())
+    cover = count * random.uniform(0.05, 0.15, (10, 1))  # more plants of the same kinds
+    entropy, table = composition(cover, [pixels], _design())
     np.testing.assert_allclose(entropy[:, 0, 0, 0], fx.diversity.shannon(count), atol=1e-6)
     assert table["spectral_species"].tolist() == [6, 6]
     assert table["mantel"][0] == pytest.approx(1.0)
@@ -273,7 +274,7 @@ def test_spectral_species_are_those_of_all_communities_together():
     assert table["p_value"][0] < 0.01 < table["p_value"][1]
     # A community without pixels that count is left out; of too few pixels nothing is known.
     pixels[3, 0], pixels[:, 1, 0, 1:] = np.nan, np.nan
-    entropy, table = composition(0.1 * count, [pixels], _design())
+    entropy, table = composition(cover, [pixels], _design())
     assert np.isnan(entropy[:, 0, 0, 0]).tolist() == [i == 3 for i in range(10)]
     assert table["mantel"][0] > 0.8
     assert np.isnan(entropy[:, 0, 1]).all()
