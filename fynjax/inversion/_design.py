@@ -303,8 +303,8 @@ def design(
     asked = np.stack([*named.values()] if named else [every_one] * len(stands), axis=bool(named))
     steps = [round(one / pixels[0]) for one in pixels]
     tried = render(stands, space, asked, grid, steps, pixels[0], snr, error, kind)
-    for one, edge in zip(tried, pixels, strict=True):
-        if kind == "separability" and (np.asarray(one.species > 0).sum(axis=1) < 2).any():
+    for image, edge in zip(tried, pixels, strict=True):
+        if kind == "separability" and (np.asarray(image.species > 0).sum(axis=1) < 2).any():
             raise InputError(
                 f"expected two species that lead in {FEWEST} pixels of {edge:g} m or more in every "
                 "planting: take smaller pixels"
