@@ -51,6 +51,16 @@ def existing_file(path: str | Path, what: str) -> Path:
     raise InputError(f"expected {what}, but {came}", file=path)
 
 
+def is_elsewhere(path: Path, part: Path) -> bool:
+    """Whether a file that belongs to another, such as the data to a header, lies in no folder of
+    that one: neither where the user named it nor, of a link, where that leads.
+
+    **Arguments:** `path`, the file that the user named; `part`, what belongs to it.
+    """
+    folders = path.absolute().parent.resolve(), path.resolve().parent
+    return part.resolve().parent not in folders
+
+
 def check_name(path: Path) -> None:
     """Refuse a file or folder whose name, or that of a folder above it, has bytes that are no text
     in this system's encoding, which libraries of files cannot open or write.
