@@ -44,7 +44,7 @@ _TINY = 1e-30
 
 
 class PlantingSpectra(eqx.Module):
-    """PlantingSpectra of the images of all plantings, and their slopes, on a grid of wavelengths.
+    """Spectra of the images of all plantings, and their slopes, on a grid of wavelengths.
 
     Slopes are by the parameters in units of their priors; reflectance factors and slopes [-].
     """
