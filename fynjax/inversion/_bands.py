@@ -56,7 +56,7 @@ class PlantingSpectra(eqx.Module):
     mean_slope: Float[Array, "planting wavelength free"]
     """Slopes of `mean`."""
     basis: Float[Array, "wavelength component"]
-    """PlantingSpectra of which those of all pixels, less their mean, are combinations."""
+    """Spectra of which those of all pixels, less their mean, are combinations."""
     second: Float[Array, "planting component component"]
     """Covariance over the pixels of the weights of the spectra in `basis`."""
     second_slope: Float[Array, "planting component component free"]
