@@ -119,8 +119,8 @@ pd.DataFrame(result.composition).round(2)
 
 # %% [markdown]
 # Read the curves against the plants: where pixels outgrow them, each pixel is a mean of several
-# species, and the curves fall. What stays high in wide pixels is mostly cover, which any image
-# knows. If `best_r2` is not above `by_chance`, nothing was shown, however high it is.
+# species, and the curves fall. How far two communities differ is seen longer than how diverse one
+# of them is. If `best_r2` is not above `by_chance`, nothing was shown, however high it is.
 #
 # **For your own plot** set `PLOT`; `fynjax diversity plot.toml --communities 100 --workers 4`
 # makes the page with all tables. `fx.diversity` has every metric for images that were measured.
