@@ -35,9 +35,9 @@ def existing_file(path: str | Path, what: str) -> Path:
 
     **Returns:** `path`.
 
-    **Raises:** `InputError` for a folder, a pipe or a device, a link that leads nowhere or back to
-    itself, a name that is too long or no text (`check_name`), and where there is no file, with the
-    nearest name beside it.
+    **Raises:** `InputError` for a product of PRISMA, which nothing reads (.he5), for a folder, a
+    pipe or a device, a link that leads nowhere or back to itself, a name that is too long or no
+    text (`check_name`), and where there is no file, with the nearest name beside it.
     """
     path = Path(path)
     check_name(path)
@@ -46,9 +46,43 @@ def existing_file(path: str | Path, what: str) -> Path:
     except (OSError, RuntimeError, ValueError) as error:  # a null character is a ValueError
         raise InputError(f"expected {what}, but {why_not(path, error)}", file=path) from error
     if stat.S_ISREG(mode):
+        if path.suffix.lower() == ".he5":
+            raise InputError(
+                f"expected {what}, but this is HDF-EOS (.he5), as PRISMA's products are, which "
+                f"fynjax does not read.{how_to_import(path)}",
+                file=path,
+            )
         return path
     came = "this is a folder" if stat.S_ISDIR(mode) else "this is a pipe or a device, not a file"
     raise InputError(f"expected {what}, but {came}", file=path)
+
+
+_PRODUCTS = {"PRS_": "PRISMA L2D", "ENMAP": "EnMAP L2A", "DESIS": "DESIS L2A", "EMIT_": "EMIT L2A"}
+
+
+def how_to_import(path: Path) -> str:
+    """What to do with a file that is a product of an imaging spectrometer in space, by its name; a
+    sentence after a space, or nothing. These keep their wavelengths in a form of their own."""
+    upper = path.name.upper()
+    product = next((product for key, product in _PRODUCTS.items() if upper.startswith(key)), None)
+    if product is None and path.suffix.lower() != ".he5":
+        return ""
+    product = product or "PRISMA L2D"
+    as_is = " `fynjax map` reads it as it is; for other commands bring"
+    return (
+        f"{as_is if product.startswith('EMIT') else ' Bring'} it to a GeoTIFF that states "
+        f"wavelengths and a scale first: EnMAP-Box in QGIS, 'Import {product} product'."
+    )
+
+
+def is_elsewhere(path: Path, part: Path) -> bool:
+    """Whether a file that belongs to another, such as the data to a header, lies in no folder of
+    that one: neither where the user named it nor, of a link, where that leads.
+
+    **Arguments:** `path`, the file that the user named; `part`, what belongs to it.
+    """
+    folders = path.absolute().parent.resolve(), path.resolve().parent
+    return part.resolve().parent not in folders
 
 
 def check_name(path: Path) -> None:

@@ -36,7 +36,7 @@ from fynjax.assembly._stands import (
     stand_forms,
     stand_numbers,
 )
-from fynjax.assembly._targets import Measured, drone_view, read_targets
+from fynjax.assembly._targets import Measured, drone_view, placed_by_image, read_targets
 from fynjax.assembly._twin import Twin, plant_twin, twin_image
 
 __all__ = [
@@ -65,6 +65,7 @@ __all__ = [
     "information",
     "make_stand",
     "parameter_columns",
+    "placed_by_image",
     "plant_twin",
     "plot_parameters",
     "prepare",

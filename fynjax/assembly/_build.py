@@ -19,14 +19,14 @@ from fynjax.assembly._ground import (
     ground_parameters,
     plot_ground,
 )
-from fynjax.assembly._leaf_spectra import measured_leaves
+from fynjax.assembly._leaf_spectra import leaf_instrument, measured_leaves
 from fynjax.assembly._memory import check_memory
 from fynjax.assembly._plants import read_plant
 from fynjax.canopy import MeshPlant, Organ
-from fynjax.io.plot import Plot, read_sky, read_sky_pattern, with_parameter_table
+from fynjax.io.plot import Plot, plot_spreads, read_sky, read_sky_pattern, with_parameter_table
 from fynjax.io.raster import read_probability_map
 from fynjax.io.spectra import reflectances
-from fynjax.leaf import fit_leaf
+from fynjax.leaf import AbstractMeasurement, fit_leaf
 from fynjax.scene import (
     LEAF_FIELDS,
     LeafRow,
@@ -131,7 +131,8 @@ def build_plot(
         room = np.maximum(needed, rules.room)
         check_memory(plot, room=room)
         scene = plant(rules=replace(rules, room=room))
-    return replace(scene, parameters=parameters), parameters
+    spreads = tuple(plot_spreads(plot).items())
+    return replace(scene, parameters=parameters, spreads=spreads), parameters
 
 
 def _check_grid(
@@ -200,8 +201,9 @@ def plot_leaves(plot: Plot) -> list[tuple[LeafRow, ...]]:
 
     **Raises:** `InputError` for a leaf spectrum that cannot be used.
     """
-    fitted = cache(_fitted)  # one leaf may be that of many species
-    rows = [*plot.leaves, *measured_leaves(plot.leaf_files)]
+    # One leaf may be that of many species.
+    fitted = cache(partial(_fitted, instrument=leaf_instrument(plot)))
+    rows = [*plot.leaves, *measured_leaves(plot)]
     own_leaves = leaves_of(plot.species, rows, plot.shrubland)
     stated = [[fitted(leaf) for leaf in own] for own in own_leaves]
     return drawn_leaves(stated, plot.leaf_variants, plot.seed)
@@ -216,7 +218,7 @@ def _with_areas(row: SpeciesRow, plant: MeshPlant | None) -> SpeciesRow:
     return row.replace(**{n: v for n, v in own.items() if getattr(row, n) is None})
 
 
-def _fitted(leaf: LeafRow) -> LeafRow:
+def _fitted(leaf: LeafRow, instrument: AbstractMeasurement) -> LeafRow:
     """The leaf itself, or with the PROSPECT parameters that its spectrum asks for."""
     if leaf.spectrum is None:
         return leaf
@@ -230,7 +232,7 @@ def _fitted(leaf: LeafRow) -> LeafRow:
             "a leaf spectrum must have reflectance within 400-2500 nm, but has none",
             file=leaf.spectrum,
         )
-    fit = fit_leaf(grid, many)
+    fit = fit_leaf(grid, many, measurement=instrument)
     found = {name: float(np.mean(getattr(fit.parameters, name))) for name in LEAF_FIELDS}
     return leaf.replace(**found)
 

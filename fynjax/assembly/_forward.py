@@ -1,7 +1,6 @@
 """What the jobs on a plot's parameters share: the plot, its free parameters, a forward model."""
 
 from collections.abc import Sequence
-from fnmatch import fnmatchcase
 from typing import Any, NamedTuple
 
 import jax
@@ -12,12 +11,18 @@ from jaxtyping import Array, Float
 from fynjax._core.precision import double_precision
 from fynjax.assembly._build import build_plot
 from fynjax.assembly._sensing import aim_without_air
-from fynjax.inversion import CalibrationSettings, ImageView, ParameterSpace, free_space
-from fynjax.io.plot import Plot, drone_sensor, open_sd
+from fynjax.inversion import (
+    CalibrationSettings,
+    ImageView,
+    ParameterSpace,
+    free_space,
+)
+from fynjax.io.plot import Plot, drone_sensor, plot_spreads
 from fynjax.scene import (
     PARAMETERS,
     PlotParameters,
     Scene,
+    own_spread,
     parameter_kind,
     room_needed,
     with_values,
@@ -87,25 +92,11 @@ def prepare(plot: Plot, free: Sequence[str] | None, *, seed: int) -> Prepared:
     return Prepared(plot, scene, parameters, space, seed, counts)
 
 
-_WIDTH_OF_90 = 3.29
-"""Standard deviations of a normal that its middle 90 % are wide."""
-
-
 def _prior_sd(plot: Plot, name: str) -> float | None:
-    """Relative standard deviation of a parameter's prior. Of a cover that the table has as a range
-    it is the one whose middle 90 % are that range, unless `calibration.priors` has its full name;
-    of what the tables leave open to shrublands at large it is that of these, unless
-    `calibration.priors` has a pattern for it.
-    """
-    for row in plot.species:
-        between = row.cover_range
-        if between is not None and name == f"species.{row.taxon}.cover":
-            low, high = between
-            if name not in plot.calibration.priors:
-                return (high - low) / _WIDTH_OF_90 / (0.5 * (low + high))
-    stated = any(fnmatchcase(name, pattern) for pattern in plot.calibration.priors)
-    at_large = None if stated else open_sd(plot, name)
-    return plot.calibration.relative_sd(name) if at_large is None else at_large
+    """Relative standard deviation of a parameter's prior: that of the tables themselves, unless
+    `calibration.priors` has another (`own_spread`)."""
+    own = own_spread(name, plot_spreads(plot), plot.calibration.priors)
+    return plot.calibration.relative_sd(name) if own is None else own
 
 
 _DRAWS, _LIKELY = 500, 0.99
@@ -136,7 +127,7 @@ def image_view(
 
     **Raises:** `InputError` as `drone_sensor` and `aim_without_air`.
     """
-    sensor = drone_sensor(plot)
+    sensor = drone_sensor(plot, {name.split(".")[0] for name in statistics})
     camera = aim_without_air(plot, scene, parameters, sensor)
     return ImageView(tuple(statistics), camera, sensor.gains())
 

@@ -59,6 +59,7 @@ from fynjax.scene import (
     aim,
     fitting_structure,
     named_values,
+    own_spread,
 )
 from fynjax.sensors import ASSUMED, Gains, Lidar, Sensor
 
@@ -144,7 +145,7 @@ class PlotData(Data):
 
         - `image`: GeoTIFF of reflectance, or what `observe` gives of such a camera.
         - `camera`: that took it; a name, a sensor file or an object, with bands green, red, red
-          edge and near infrared.
+          edge and near infrared; others are used too where the image has them.
         - `pixel`: edge of a pixel [m], where the image states none.
         - `footprint`: side of the square that a pixel averages over [m], where resampling,
           mosaicking or blur make it another than its edge.
@@ -157,20 +158,21 @@ class PlotData(Data):
 
         **Raises:** `InputError` for an image or camera that cannot be used.
         """
-        rules = TargetRules(relative_sd, tuple(statistics))
+        rules, sensor = TargetRules(relative_sd, tuple(statistics)), _camera(camera)
         edge: float | None
         if isinstance(image, Observation):
-            values = np.stack([np.asarray(image[band]) for band in BANDS])
+            seen = [band for band in sensor.bands.names if band in image.bands or band in BANDS]
+            values, edge = np.stack([np.asarray(image[band]) for band in seen]), image.pixel
             every = np.ones(values.shape[1:], bool)
-            data, edge = weighed_statistics(values, every, image.pixel, rules), image.pixel
+            data = weighed_statistics(values, seen, every, edge, rules)
         elif isinstance(image, str | Path):
-            data, _, edge = image_data(Path(image), rules, pixel=pixel, bands=bands)
+            data, _, edge = image_data(Path(image), rules, sensor.bands, pixel=pixel, bands=bands)
         else:
             raise InputError(
                 "expected the path of an image or what `observe` gives, but got "
                 f"{type(image).__name__}; statistics of an image go through `Data.from_table`"
             )
-        return cls._seen(data, _camera(camera), Placement(altitude, footprint or edge), gains)
+        return cls._seen(data, sensor, Placement(altitude, footprint or edge), gains)
 
     @classmethod
     @double_precision
@@ -194,9 +196,10 @@ class PlotData(Data):
 
         **Raises:** `InputError` for a table or camera that cannot be used.
         """
+        sensor = _camera(camera)
         if isinstance(table, str | Path):
             rules = TargetRules(relative_sd)
-            data, _, _ = image_data(Path(table), rules)
+            data, _, _ = image_data(Path(table), rules, sensor.bands)
         else:
             if isinstance(table, Mapping) and "statistic" not in table:
                 table = {"statistic": list(table), "value": list(table.values())}
@@ -208,9 +211,9 @@ class PlotData(Data):
                 )
             sd = frame["sd"].to_numpy(float) if "sd" in frame else None
             names = [str(name) for name in frame["statistic"]]
-            check_statistics(names)
+            check_statistics(names, sensor.bands.names)
             data = weigh_targets(names, frame["value"].to_numpy(float), relative_sd, sd=sd)
-        return cls._seen(data, _camera(camera), Placement(altitude, pixel), gains)
+        return cls._seen(data, sensor, Placement(altitude, pixel), gains)
 
     @classmethod
     @double_precision
@@ -283,6 +286,9 @@ class PlotData(Data):
     def _seen(
         cls, data: Data, camera: Sensor, placement: Placement, gains: Gains | str | None
     ) -> "PlotData":
+        named = {name.split(".")[0] for name in data.names}
+        names = camera.bands.names
+        camera = camera.select([i for i, n in enumerate(names) if n in BANDS or n in named])
         found = gains if isinstance(gains, Gains) else camera.gains(gains)
 
         def view(scene: Scene, parameters: PlotParameters) -> AbstractView:
@@ -302,7 +308,7 @@ def _imager(camera: str | Path | Sensor | Lidar) -> Sensor:
 
 
 def _camera(camera: str | Path | Sensor | Lidar) -> Sensor:
-    """A camera's four bands."""
+    """A camera with green, red, red edge and near infrared first, then its other bands."""
     sensor = _imager(camera)
     names = sensor.bands.names
     if missing := [name for name in BANDS if name not in names]:
@@ -310,7 +316,8 @@ def _camera(camera: str | Path | Sensor | Lidar) -> Sensor:
             f"expected a camera with bands {', '.join(BANDS)}, but {sensor.name!r} has no "
             f"{missing[0]}"
         )
-    return sensor.select([names.index(name) for name in BANDS])
+    others = [name for name in names if name not in BANDS]
+    return sensor.select([names.index(name) for name in (*BANDS, *others)])
 
 
 def check_vegetation(
@@ -343,9 +350,9 @@ def check_vegetation(
     """
     camera = _imager(sensor)
     if isinstance(measured, str | Path):
-        measured = read_drone_image(measured)
+        measured = read_drone_image(measured, camera=camera.bands)
     if isinstance(measured, DroneImage):
-        measured = dict(zip(BANDS, measured.pixels.mean(axis=1), strict=True))
+        measured = dict(zip(measured.bands, measured.pixels.mean(axis=1), strict=True))
     elif not isinstance(measured, Mapping):
         values = np.asarray(measured, dtype=float)
         measured = np.nanmean(values, axis=(1, 2)) if values.ndim == 3 else values
@@ -380,8 +387,9 @@ def free(
     - `scene`: with its parameters. Those without effect are left out (`free_space`).
     - `patterns`: of names, such as "species.*.cover" or "species.Erica*.leaf.chlorophyll".
     - `prior`: relative standard deviations by pattern [-], the first that fits a name, or a learned
-      population (`fx.prior`), which says how leaf area, dead tissue and clumping vary; of all
-      others that of the parameter's record.
+      population (`fx.prior`), which says how leaf area, dead tissue and clumping vary; of others
+      as the scene's species table says (`Scene.spreads`: covers that are classes or ranges, which a
+      pattern with "*" does not replace, and generic plants), else that of the parameter's record.
     - `common`: how far what the table is off by is common to all species, as the correlation of
       their priors of one kind, 0 to below 1 [-]: near 1 where one eye guessed all covers. Left out,
       as the parameters' records have it: none of covers.
@@ -407,13 +415,13 @@ def free(
             )
 
     def relative_sd(name: str) -> float | None:
-        if isinstance(prior, LearnedPrior):
-            kind = name.rsplit(".", 1)[-1]
-            if kind not in BY_FORM:
-                return None
+        kind = name.rsplit(".", 1)[-1]
+        if isinstance(prior, LearnedPrior) and kind in BY_FORM:
             form = forms[name.split(".", 1)[1].rsplit(".", 1)[0]]
             return prior.sd(f"{kind}.{form}", elsewhere=True) / float(values[name])
-        return next((sd for pattern, sd in stated.items() if fnmatchcase(name, pattern)), None)
+        own = own_spread(name, dict(scene.spreads), stated)
+        stated_sd = (sd for pattern, sd in stated.items() if fnmatchcase(name, pattern))
+        return next(stated_sd, None) if own is None else own
 
     return free_space(scene, scene.parameters, patterns, relative_sd, common=common)
 

@@ -11,44 +11,57 @@ import pandas as pd
 from fynjax import __version__
 from fynjax._core.compiler import cache_folder
 from fynjax._core.errors import InputError
+from fynjax.io.plot import Plot
 from fynjax.io.raster import file_hash
 from fynjax.io.spectra import read_spectra
 from fynjax.io.text import write_text
-from fynjax.leaf import fit_leaf
+from fynjax.leaf import MEASUREMENTS, AbstractMeasurement, fit_leaf, usual_measurement
 from fynjax.scene import LEAF_FIELDS, USUAL_LEAF, LeafRow
 
 
-def measured_leaves(files: Mapping[str, Sequence[Path]]) -> list[LeafRow]:
+def leaf_instrument(plot: Plot) -> AbstractMeasurement:
+    """What records the leaf spectra of a plot, as its file says."""
+    single = MEASUREMENTS[plot.leaf_measurement]()
+    if plot.leaf_background is None:
+        return single
+    return usual_measurement("broad", plot.leaf_background, single.offset_deviation)
+
+
+def measured_leaves(plot: Plot) -> list[LeafRow]:
     """The mean leaf of each taxon that has files of spectra, by PROSPECT fitted to all of them.
 
     Fits are kept in the cache of compiled programs, by the content of the files.
 
-    **Arguments:** `files` of each taxon, as `Plot.leaf_files` has them.
+    **Arguments:** `plot`, as `read_plot` gives it.
 
     **Raises:** `InputError` for a taxon of which no spectrum can be used. Warns of single ones.
     """
+    files = plot.leaf_files
     if not files:
         return []
-    content = [__version__, [(taxon, [*map(file_hash, own)]) for taxon, own in files.items()]]
+    how = [plot.leaf_measurement, plot.leaf_background]
+    content = [__version__, how, [(taxon, [*map(file_hash, own)]) for taxon, own in files.items()]]
     name = hashlib.sha256(json.dumps(content).encode()).hexdigest()
     kept = cache_folder() / "leaves" / f"{name}.json"
     found = None
     with suppress(OSError, ValueError):
         found = json.loads(kept.read_text("utf-8"))
     if found is None:
-        found = _fitted(files)
+        found = _fitted(files, leaf_instrument(plot))
         with suppress(OSError):  # a home that cannot be written costs the fit, nothing else
             kept.parent.mkdir(parents=True, exist_ok=True)
             write_text(kept, json.dumps(found))
     return [USUAL_LEAF.replace(taxon=taxon, **found[taxon]) for taxon in files]
 
 
-def _fitted(files: Mapping[str, Sequence[Path]]) -> dict[str, dict[str, float]]:
+def _fitted(
+    files: Mapping[str, Sequence[Path]], instrument: AbstractMeasurement
+) -> dict[str, dict[str, float]]:
     """Means of the leaf traits of each taxon over its leaves; those of doubtful fits count only
     where there are no others."""
     taxon_of = {str(file): taxon for taxon, own in files.items() for file in own}
     spectra = read_spectra(list(taxon_of))
-    fit = fit_leaf(spectra)
+    fit = fit_leaf(spectra, measurement=instrument)
     traits = pd.DataFrame({name: getattr(fit.parameters, name) for name in LEAF_FIELDS})
     taxon = pd.Series([taxon_of[file] for file in spectra["file"].values])
     for one, own in files.items():

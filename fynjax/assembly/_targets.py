@@ -15,14 +15,19 @@ from jaxtyping import Bool, Float
 from fynjax._core.errors import InputError
 from fynjax._core.precision import double_precision
 from fynjax.assembly._forward import image_view
-from fynjax.compare import read_drone_image, read_spectra_sample
+from fynjax.compare import (
+    DroneImage,
+    pixel_footprint,
+    read_drone_image,
+    read_spectra_sample,
+)
 from fynjax.compare.structure import ComparisonSettings, cloud_structure
 from fynjax.inversion import (
     GAIN,
-    IMAGE_STATISTICS,
     OFFSET,
     AbstractView,
     Data,
+    compared_statistics,
     spectrum_names,
     spectrum_view,
     structure_view,
@@ -30,11 +35,17 @@ from fynjax.inversion import (
     weigh_structure,
     weigh_targets,
 )
-from fynjax.io.plot import Plot, drone_sensor, read_statistics, read_structure, sensor_place
+from fynjax.io.plot import (
+    Plot,
+    drone_sensor,
+    placed_by,
+    read_statistics,
+    read_structure,
+    sensor_place,
+)
 from fynjax.io.raster import open_raster
 from fynjax.io.text import existing_file, open_table
 from fynjax.metrics import (
-    BANDS,
     VEGETATION_INDICES,
     fitting_statistics,
     image_statistics,
@@ -137,6 +148,15 @@ def _is_number(text: str) -> bool:
         return False
 
 
+def placed_by_image(plot: Plot, paths: Sequence[Path]) -> Plot:
+    """A plot, placed on Earth by the first image among the files that it is calibrated to, where
+    nothing else says where it lies (`placed_by`).
+
+    **Arguments:** `plot`, as `read_plot` gives it; `paths`, of the files.
+    """
+    return placed_by(plot, [p for p in map(Path, paths) if p.suffix.lower() in (".tif", ".tiff")])
+
+
 @double_precision
 def read_targets(
     plot: Plot,
@@ -212,16 +232,25 @@ def image_target(
     bands: Sequence[str] | None = None,
 ) -> Measured:
     """The statistics of a drone's image (GeoTIFF), with its `bands`, or of a table (CSV)."""
-    pixel = sensor_place(plot)[1]
+    (altitude, pixel), sensor = sensor_place(plot), drone_sensor(plot)
+    camera = sensor.bands
+    blur = None
+    if plot.sensor.footprint_m is None:
+        blur = 0.0
+        if sensor.psf is not None and sensor.psf.kind == "gaussian":
+            blur = float(np.mean(np.asarray(sensor.psf.width)) * sensor.pixel(altitude))
     data, extra, found = image_data(
-        path, target_rules(plot), pixel=pixel, side=min(plot.size_m), bands=bands
+        path, target_rules(plot), camera, pixel=pixel, side=min(plot.size_m), bands=bands, blur=blur
     )
-    description = f"{path.name}: {len(data.names)} statistics of a drone's image."
+    layers = {name.split(".")[0] for name in data.names}
+    of = ", ".join(name for name in camera.names if name in layers)
+    description = f"{path.name}: {len(data.names)} statistics of a drone's image"
+    description += f" in {of} and indices." if of else " in indices."
     seen = plot.sensor.footprint_m or found
     if seen is not None and abs(seen / pixel - 1.0) > _PIXEL_TOLERANCE:
         # The spread between pixels depends on what each averages over.
-        sensor = plot.sensor.model_copy(update={"pixel_m": seen})
-        plot = plot.model_copy(update={"sensor": sensor})
+        own = plot.sensor.model_copy(update={"pixel_m": seen})
+        plot = plot.model_copy(update={"sensor": own})
         what = "Its pixels of" if seen == found else "Pixels that average over"
         description += (
             f" {what} {seen:.4g} m are simulated, not those of {pixel:.4g} m of the plot's sensor."
@@ -232,10 +261,12 @@ def image_target(
 def image_data(
     path: Path,
     rules: TargetRules,
+    camera: BandSet,
     *,
     pixel: float | None = None,
     side: float = np.inf,
     bands: Sequence[str] | None = None,
+    blur: float | None = None,
 ) -> tuple[Data, dict[str, Any], float | None]:
     """Statistics of a drone's image, or of a table of them, as targets.
 
@@ -243,9 +274,12 @@ def image_data(
 
     - `path`: GeoTIFF, or CSV with statistic, value and sd.
     - `rules`: which statistics count.
+    - `camera`: bands of the camera. Those that the image has are used.
     - `pixel`: edge of a pixel on the ground where the image does not state it [m].
     - `side`: of the plot [m]: means over squares wider than it are left out.
     - `bands`: of the image, as `read_drone_image` has them.
+    - `blur`: full width at half maximum of the camera's own blur on the ground [m]. Where it is
+      given, an image that is much more blurred gets a warning.
 
     **Returns:** the targets, what the summary says of them, and the edge of a pixel [m].
 
@@ -253,16 +287,18 @@ def image_data(
     """
     extra: dict[str, Any] = {}
     if path.suffix.lower() in (".tif", ".tiff"):
-        image = read_drone_image(path, bands=bands, most_pixels=None)
+        image = read_drone_image(path, bands=bands, camera=camera, most_pixels=None)
         pixel = pixel if image.pixel_m is None else image.pixel_m
         if pixel is None:
             raise InputError("expected `pixel`: the image states none in metres", file=path)
         extra = {"target_valid_share": float(image.mask.mean())}
-        data = weighed_statistics(image.values, image.mask, pixel, rules, side=side)
+        if blur is not None:
+            _doubt_focus(path, image, pixel, blur)
+        data = weighed_statistics(image.values, image.bands, image.mask, pixel, rules, side=side)
     else:
         if bands is not None:
             raise InputError("expected `bands` with a drone image, but this is a table", file=path)
-        read = read_statistics(path, {*BANDS, *VEGETATION_INDICES})
+        read = read_statistics(path, {*camera.names, *VEGETATION_INDICES})
         keep = rules.used([row.statistic for row in read], "the target's rows")
         names = [read[i].statistic for i in keep]
         value = np.array([read[i].value for i in keep])
@@ -271,8 +307,27 @@ def image_data(
     return data, extra, pixel
 
 
+_BLURRED = 2.5
+"""Width of the square that a pixel averages over from which an image is called blurred [pixels]."""
+
+
+def _doubt_focus(path: Path, image: DroneImage, pixel: float, blur: float) -> None:
+    """Warn of an image whose power spectrum says that its pixels average over more than they are
+    wide, beyond the camera's `blur` [m]."""
+    wide = pixel_footprint(image.values, image.mask, blur=blur / pixel)
+    if wide is not None and wide > _BLURRED:
+        warnings.warn(
+            f"{path}: its pixels of {pixel:.3g} m look blurred, as if each averaged over a square "
+            f"of some {wide * pixel:.2g} m. Resampled to finer pixels, blended or out of focus? "
+            f"`footprint_m = {wide * pixel:.2g}` under [sensor] of the plot file simulates it so; "
+            f"`footprint_m = {pixel:.3g}` says that it is sharp",
+            stacklevel=4,
+        )
+
+
 def weighed_statistics(
     values: Float[np.ndarray, "band y x"],
+    bands: Sequence[str],
     mask: Bool[np.ndarray, "y x"],
     pixel: float,
     rules: TargetRules,
@@ -283,16 +338,17 @@ def weighed_statistics(
 
     **Arguments:**
 
-    - `values`: reflectance in green, red, red edge and near infrared [-].
+    - `values`: reflectance [-].
+    - `bands`: their names, green, red, red_edge and nir among them.
     - `mask`: pixels that count.
     - `pixel`: edge of a pixel on the ground [m].
     - `rules`, `side`: as for `image_data`.
     """
     side = min(side, pixel * min(mask.shape))
-    every = fitting_statistics(IMAGE_STATISTICS, side, pixel)
+    every = fitting_statistics(compared_statistics(bands), side, pixel)
     names = [every[i] for i in rules.used(every, "the statistics")]
     clean = jnp.asarray(np.where(mask, values, 0.0))
-    found = np.asarray(image_statistics(clean, names, jnp.asarray(mask), pixel=pixel))
+    found = np.asarray(image_statistics(clean, names, jnp.asarray(mask), pixel=pixel, bands=bands))
     return weigh_targets(names, found, rules.relative_sd)
 
 

@@ -12,14 +12,14 @@ from fynjax._core.precision import double_precision
 from fynjax.assembly._forward import Prepared
 from fynjax.assembly._targets import Measured, drone_view, target_rules
 from fynjax.inversion import (
-    IMAGE_STATISTICS,
     AbstractView,
     Data,
     ImageView,
+    compared_statistics,
     look,
     weigh_targets,
 )
-from fynjax.io.plot import Plot, sensor_place
+from fynjax.io.plot import Plot, drone_sensor, sensor_place
 from fynjax.metrics import fitting_statistics, image_statistics
 from fynjax.scene import with_values
 
@@ -78,7 +78,9 @@ def measure_truth(
     gain = np.exp(random.multivariate_normal(np.zeros(bands), view.gains.covariance(bands)))
     noise = 1.0 + PIXEL_NOISE * random.normal(size=image[0].shape)
     seen = jnp.asarray(np.asarray(image[0], float) * gain[:, None, None] * noise)
-    return np.asarray(image_statistics(seen, view.names, pixel=view.camera.pixel)), gain
+    camera = view.camera
+    found = image_statistics(seen, view.names, pixel=camera.pixel, bands=camera.sensor.bands.names)
+    return np.asarray(found), gain
 
 
 @double_precision
@@ -121,9 +123,10 @@ def twin_image(plot: Plot) -> Measured:
     **Raises:** `InputError` as `drone_view`, and where the plot file's targets fit none of them.
     """
     pixel = sensor_place(plot)[1]
-    every = fitting_statistics(IMAGE_STATISTICS, min(plot.size_m), pixel)
+    bands = drone_sensor(plot).bands.names
+    every = fitting_statistics(compared_statistics(bands), min(plot.size_m), pixel)
     used = target_rules(plot).used(every, "the statistics")
     names = tuple(every[i] for i in used)
     data = Data(names, jnp.zeros(len(names)), jnp.ones(len(names)))
-    description = f"{len(names)} statistics of a drone's image."
+    description = f"{len(names)} statistics of a drone's image in {', '.join(bands)}."
     return Measured("image", plot.file, data, drone_view(plot, names), description)

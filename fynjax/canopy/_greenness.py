@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from fynjax._core.errors import InputError
+from fynjax._core.errors import InputError, listed
 
 _RANGES = {
     "blue": (430.0, 520.0, 475.0),
@@ -134,7 +134,7 @@ def choose_greenness(
     ('(nir - red) / (nir + red)', 0.8)
     """
     role = band_roles(names, wavelengths)
-    listed = ", ".join(names)
+    shown = listed(names)
     if index == "auto":
         if {"red", "nir"} <= set(role):
             index = "ndvi"
@@ -143,7 +143,7 @@ def choose_greenness(
         else:
             raise InputError(
                 "expected bands known as red and near infrared, or as red, green and blue, but "
-                f"the image has {listed}. Name the bands in order (--bands green,red,nir or their "
+                f"the image has {shown}. Name the bands in order (--bands green,red,nir or their "
                 "wavelengths in nm), or state which band is brighter where plants are (--greenness "
                 "NAME; -NAME if darker)."
             )
@@ -153,7 +153,7 @@ def choose_greenness(
     absent = [name for name in needed if name not in role]
     if absent:
         raise InputError(
-            f"{index} needs the bands {', '.join(needed)}, but no band of the image ({listed}) is "
+            f"{index} needs the bands {', '.join(needed)}, but no band of the image ({shown}) is "
             f"known as {absent[0]}. Name the bands in order, for example --bands green,red,nir."
         )
     used = [role[name] for name in needed]

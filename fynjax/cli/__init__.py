@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 from typing import Annotated, Any
 
 import typer
+from typer.core import TyperCommand
 
 import fynjax
 from fynjax._core.errors import InputError, MissingExtraError
@@ -45,6 +46,24 @@ _BIOSCAPE = {
     **{"plots": plots_of_tables, "learn": learn},
     **{"validate": validate_plots, "calibrate": calibrate_plots},
 }
+
+
+class _Once(TyperCommand):
+    """A command that refuses a second value of an option that takes one, which would replace the
+    first without a word."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        _, _, given = self.make_parser(ctx).parse_args(args=list(args))
+        for option in given:
+            if option.param_type_name != "option" or getattr(option, "multiple", False):
+                continue
+            agrees = getattr(option, "is_flag", False) and not option.secondary_opts
+            times = given.count(option)
+            if times > 1 and not agrees:
+                raise InputError(f"expected `{option.opts[0]}` once, but got it {times} times")
+        return super().parse_args(ctx, args)
+
+
 _SETTINGS: Any = {
     "no_args_is_help": True,
     "pretty_exceptions_enable": False,
@@ -54,14 +73,14 @@ _SETTINGS: Any = {
 app = typer.Typer(name="fynjax", **_SETTINGS)
 for _panel, _commands in _PANELS.items():
     for _name, _function in _commands.items():
-        app.command(_name, rich_help_panel=_panel)(_function)
+        app.command(_name, cls=_Once, rich_help_panel=_panel)(_function)
 _group = typer.Typer(
     help="Field tables and spectra of BioSCape: plot files, what plots share, simulated beside "
     "measured, and back.",
     **_SETTINGS,
 )
 for _name, _function in _BIOSCAPE.items():
-    _group.command(_name)(_function)
+    _group.command(_name, cls=_Once)(_function)
 app.add_typer(_group, name="bioscape", rich_help_panel="Many plots")
 
 

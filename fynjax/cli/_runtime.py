@@ -87,8 +87,8 @@ PriorFile = Annotated[
 ]
 SHIPPED = "fynbos_2023"
 BANDS = (
-    "where the file does not say: green, red, red_edge, nir, and any other name for bands that are "
-    "not used."
+    "where the file does not say: green, red, red_edge, nir, others as the sensor calls them, such "
+    "as blue, and any other name for bands that are not used."
 )
 Align = Annotated[
     bool, typer.Option("--align/--no-align", help="Align the bands of a capture's files.")

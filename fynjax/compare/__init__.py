@@ -2,6 +2,7 @@
 
 from fynjax.compare._dataset import unit_of, validation_dataset
 from fynjax.compare._drone import DroneComparison, compare_drone_images
+from fynjax.compare._footprint import pixel_footprint
 from fynjax.compare._images import DroneImage, read_drone_image
 from fynjax.compare._lidar_heights import LEVELS, Heights, compare_heights
 from fynjax.compare._plot_diversity import DISTANCE, REGRESSION, plot_diversity_table
@@ -78,6 +79,7 @@ __all__ = [
     "leave_one_out",
     "mean_agreement",
     "misfit_table",
+    "pixel_footprint",
     "plot_diversity_table",
     "read_drone_image",
     "read_spectra_sample",

@@ -1,6 +1,7 @@
 """Two drone images in numbers: figure 9, table 4 and figure 10 of the fynbos scene paper."""
 
 import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import jax.numpy as jnp
@@ -11,6 +12,7 @@ from jaxtyping import Float
 from fynjax._core.progress import advance, stage
 from fynjax.compare._images import FEW_PIXELS, DroneImage
 from fynjax.compare._published_tables import bands_2006, table4_2006
+from fynjax.diversity import VARIETY, spectral_variety
 from fynjax.metrics import (
     BANDS,
     VEGETATION_INDICES,
@@ -43,6 +45,10 @@ class DroneComparison:
     """A row for each band: means, spreads, percentiles, differences, and the paper's."""
     indices: pd.DataFrame
     """A row for each index of table 4."""
+    variety: pd.DataFrame
+    """A row for the `sample` real and one for simulated: how much the spectra of the pixels differ
+    (`fynjax.diversity.spectral_variety`), `cv` [-], `angle_deg`, `rao` and `variance` [-]; NaN for
+    an image of which a band is not above 0 on average."""
     edges: Float[np.ndarray, "index edge"]
     """Edges of each index's histogram."""
     shares: Float[np.ndarray, "sample index bin"]
@@ -63,25 +69,28 @@ def compare_drone_images(real: DroneImage, simulated: DroneImage) -> DroneCompar
 
     **Arguments:**
 
-    - `real`, `simulated`: reflectance [band, y, x] in four bands [-], as of `read_drone_image`;
-      they may differ in size and place.
+    - `real`, `simulated`: reflectance [band, y, x] [-], as of `read_drone_image`; they may
+      differ in size and place. Bands that both have are compared.
 
     **Returns:** a `DroneComparison`: means, standard deviations, histogram intersections and
     Kolmogorov-Smirnov distances beside those of the paper, and notes.
     """
-    samples = (real.pixels, simulated.pixels)
+    # The four that indices are made of come first.
+    names = [name for name in real.bands if name in simulated.bands]
+    samples = tuple(one.pixels[[one.bands.index(n) for n in names]] for one in (real, simulated))
+    four = [sample[: len(BANDS)] for sample in samples]
     published = table4_2006()
     rows, full, shown = [], [], []
     with stage("Compare the drone images", len(VEGETATION_INDICES)):
-        bands = _band_table(*samples)
+        bands = _band_table(names, *samples)
         for name, index in VEGETATION_INDICES.items():
-            x, y = (np.asarray(vegetation_indices(jnp.asarray(s), [name])[0]) for s in samples)
+            x, y = (np.asarray(vegetation_indices(jnp.asarray(s), [name])[0]) for s in four)
             row = {"index": name, "formula": index.formula, **_pair_row(x, y)}
             row["departure"] = index.departure
             row["literature_formula"] = index.literature_formula
             if index.literature is not None:
                 with np.errstate(all="ignore"):
-                    for side, sample in zip(("real", "simulated"), samples, strict=True):
+                    for side, sample in zip(("real", "simulated"), four, strict=True):
                         other = np.asarray(index.literature(*map(jnp.asarray, sample)))
                         other = other[np.isfinite(other)]
                         row[f"literature_{side}_mean"] = other.mean() if other.size else np.nan
@@ -106,6 +115,7 @@ def compare_drone_images(real: DroneImage, simulated: DroneImage) -> DroneCompar
         simulated=simulated,
         bands=bands,
         indices=pd.DataFrame(rows),
+        variety=_variety_table(*samples),
         edges=np.stack([edges for edges, _ in full]),
         shares=np.stack([shares for _, shares in full], axis=1),
         shown_edges=np.stack([edges for edges, _ in shown]),
@@ -114,18 +124,37 @@ def compare_drone_images(real: DroneImage, simulated: DroneImage) -> DroneCompar
     )
 
 
-def _band_table(
+def _variety_table(
     real: Float[np.ndarray, "band pixel"], simulated: Float[np.ndarray, "band pixel"]
+) -> pd.DataFrame:
+    rows = [
+        spectral_variety(one.T)
+        if (one.mean(axis=1) > 0.0).all()
+        else dict.fromkeys(VARIETY, np.nan)
+        for one in (real, simulated)
+    ]
+    table = pd.DataFrame(rows).rename(columns={"angle": "angle_deg"})
+    table.insert(0, "sample", ["real", "simulated"])
+    return table
+
+
+def _band_table(
+    names: Sequence[str],
+    real: Float[np.ndarray, "band pixel"],
+    simulated: Float[np.ndarray, "band pixel"],
 ) -> pd.DataFrame:
     published = bands_2006()
     rows = []
-    for k, band in enumerate(BANDS):
+    for k, band in enumerate(names):
         row = {"band": band, **_pair_row(real[k], simulated[k])}
         for side, values in (("real", real[k]), ("simulated", simulated[k])):
             levels = np.percentile(values, PERCENTILES)
             row |= {f"{side}_p{p}": v for p, v in zip(PERCENTILES, levels, strict=True)}
-        row["paper_real_mean_derived"] = published[band].real_mean
-        row["paper_abs_difference_percent"] = 100.0 * published[band].sim_abs_difference
+        paper = published.get(band)  # of four bands
+        row["paper_real_mean_derived"] = np.nan if paper is None else paper.real_mean
+        row["paper_abs_difference_percent"] = (
+            np.nan if paper is None else 100.0 * paper.sim_abs_difference
+        )
         rows.append(row)
     return pd.DataFrame(rows)
 

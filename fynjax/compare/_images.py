@@ -1,4 +1,4 @@
-"""Drone images as a comparison needs them: the four bands, by blocks, thinned where they are large.
+"""Drone images as a comparison needs them: their bands, by blocks, thinned where they are large.
 
 Two images are compared by the distributions of their pixels, not pixel by pixel. They may differ in
 size, place and coordinate system, and need none.
@@ -17,18 +17,22 @@ from fynjax._core.errors import InputError
 from fynjax.canopy import band_word
 from fynjax.io.raster import RAW_COUNTS, RELATIVE_TAG, RasterFile, check_reflectance, open_image
 from fynjax.metrics import BANDS
-from fynjax.sensors import mavic_3m
+from fynjax.sensors import BandSet, mavic_3m
 
 FEW_PIXELS = 30
 """Compared pixels below which distributions say nothing."""
 
 # Wavelengths [nm] that are taken for each band.
 _KNOWN = {
+    "blue": (440.0, 510.0),
     "green": (530.0, 585.0),
     "red": (625.0, 690.0),
     "red_edge": (700.0, 750.0),
     "nir": (780.0, 900.0),
 }
+
+
+_BLUE = BandSet(("blue",), (475.0,), (20.0,))
 
 
 @dataclass(frozen=True)
@@ -37,7 +41,9 @@ class DroneImage:
 
     file: Path
     values: Float[np.ndarray, "band y x"]
-    """Reflectance [-] in the order of `BANDS`, y to the north; NaN where masked."""
+    """Reflectance [-], y to the north; NaN where masked."""
+    bands: tuple[str, ...]
+    """Name of each band: `fynjax.metrics.BANDS`, and then the others."""
     mask: Bool[np.ndarray, "y x"]
     """True where a pixel is compared."""
     taken: tuple[str, ...]
@@ -90,10 +96,13 @@ def read_drone_image(
     path: str | Path,
     *,
     bands: Sequence[str] | None = None,
+    camera: BandSet | None = None,
     saturation: float | None = None,
     most_pixels: int | None = 1_000_000,
 ) -> DroneImage:
-    """Read green, red, red edge and near infrared of an image, in blocks of rows.
+    """Read the bands of a camera's image, in blocks of rows.
+
+    Green, red, red edge and near infrared must be there, because indices need them.
 
     **Arguments:**
 
@@ -104,6 +113,8 @@ def read_drone_image(
       their names (of the files, where each band has its own: `open_image`), else by their
       wavelengths, else, of exactly four bands without either, by the order green, red, red edge,
       near infrared, if they grow brighter towards near infrared as vegetation does.
+    - `camera`: bands of the camera. Each that the file has, by name or by a wavelength within its
+      width, is read beside the four. Without a camera it is blue.
     - `saturation`: saturation threshold [-]: pixels that reach it in a band are left out. In files
       of integers the largest value of their type always is, unless it is their no-data value.
     - `most_pixels`: of a larger image every k-th row and column is read, with the smallest k that
@@ -139,7 +150,8 @@ def read_drone_image(
             warnings.warn(f"{path}: {doubt}", stacklevel=2)
         # Programs call the last of four bands alpha, also where it is near infrared.
         data = file.dataset.indexes if file.dataset.count == len(BANDS) else file.bands
-        numbers, taken, how = _find_bands(file, data, bands)
+        others = _BLUE if camera is None else camera
+        names, numbers, taken, how = _find_bands(file, data, bands, others)
         step = 1 if most_pixels is None else thinning(*file.shape, most_pixels)
         image = file.read(numbers, step=step, zero_is_data=False)
         pixel = file.pixel_m
@@ -166,12 +178,13 @@ def read_drone_image(
             "means alone can be compared, if at all",
             stacklevel=2,
         )
-    _check_order(values[:, used], how, taken, path)
-    _warn_of_clipping(values[:, used], path)
+    _check_order(values[: len(BANDS), used], how, taken, path)
+    _warn_of_clipping(values[:, used], names, path)
     values[:, ~used] = np.nan
     return DroneImage(
         file=path,
         values=np.ascontiguousarray(values),
+        bands=names,
         mask=np.ascontiguousarray(used),
         taken=taken,
         chosen_by=how,
@@ -209,8 +222,8 @@ def _check_order(
         )
     elif nir < red:
         warnings.warn(
-            f"{path}: {found} ({', '.join(taken)}): vegetation is brighter there. Are the bands "
-            "named right?",
+            f"{path}: {found} ({', '.join(taken[: len(BANDS)])}): vegetation is brighter there. "
+            "Are the bands named right?",
             stacklevel=3,
         )
 
@@ -252,9 +265,35 @@ _OPTION = (
 
 
 def _find_bands(
+    file: RasterFile, data: Sequence[int], stated: Sequence[str] | None, camera: BandSet
+) -> tuple[tuple[str, ...], list[int], tuple[str, ...], str]:
+    """Names of the bands that are read, `BANDS` first, and of each its number in the file, what
+    the file calls it; and how the four were found."""
+    at, taken, how = _find_four(file, data, stated)
+    described = [file.names[n - 1] for n in data] if stated is None else stated
+    roles = [band_word(name) for name in described]
+    waves = file.wavelengths[np.array(data) - 1]
+    names, places, shown = list(BANDS), list(at), list(taken)
+    for name, centre, width in zip(camera.names, camera.centre, camera.fwhm, strict=True):
+        if name in BANDS:
+            continue
+        low, high = _KNOWN.get(name, (centre - 0.5 * width, centre + 0.5 * width))
+        free = [k for k in range(len(data)) if k not in places]
+        found = [k for k in free if roles[k] == band_word(name)]
+        if len(found) != 1 and stated is None:
+            inside = [k for k in free if low <= waves[k] <= high]
+            found = sorted(inside, key=lambda k: float(abs(waves[k] - centre)))[:1]
+        if len(found) == 1:
+            names.append(name)
+            places += found
+            shown.append(described[found[0]] or f"{waves[found[0]]:g} nm")
+    return tuple(names), [data[k] for k in places], tuple(shown), how
+
+
+def _find_four(
     file: RasterFile, data: Sequence[int], stated: Sequence[str] | None
 ) -> tuple[list[int], tuple[str, ...], str]:
-    """Number in the file of each of `BANDS`, what the file calls it, and how it was found."""
+    """Place in `data` of each of `BANDS`, what the file calls it, and how it was found."""
     path = file.path
     described = [file.names[n - 1] for n in data]
     labels = [d or f"band {n}" for d, n in zip(described, data, strict=True)]
@@ -272,24 +311,25 @@ def _find_bands(
                 f"{missing[0]} is there {roles.count(missing[0])} times in {', '.join(stated)}",
                 file=path,
             )
-        return [data[roles.index(b)] for b in BANDS], tuple(BANDS), "option"
+        return [roles.index(b) for b in BANDS], tuple(BANDS), "option"
     roles = [band_word(name) for name in described]
     if all(roles.count(band) == 1 for band in BANDS):
         at = [roles.index(band) for band in BANDS]
-        return [data[k] for k in at], tuple(labels[k] for k in at), "names"
+        return at, tuple(labels[k] for k in at), "names"
     waves = file.wavelengths[np.array(data) - 1]
     near: dict[str, int] = {}
     drone = mavic_3m()
     centres = dict(zip(drone.names, drone.centre, strict=True))
-    for band, (low, high) in _KNOWN.items():
+    for band in BANDS:
+        low, high = _KNOWN[band]
         inside = [(abs(w - centres[band]), k) for k, w in enumerate(waves) if low <= w <= high]
         if inside:
             near[band] = min(inside)[1]
     if set(near) == set(BANDS):
         at = [near[band] for band in BANDS]
-        return [data[k] for k in at], tuple(f"{waves[k]:g} nm" for k in at), "wavelengths"
+        return at, tuple(f"{waves[k]:g} nm" for k in at), "wavelengths"
     if len(data) == len(BANDS) and not any(roles) and np.isnan(waves).all():
-        return list(data), tuple(labels), "order"
+        return list(range(len(data))), tuple(labels), "order"
     unnamed = [b for b in BANDS if roles.count(b) != 1]
     absent = next((b for b in unnamed if b not in near), unnamed[0])
     shown = [
@@ -304,9 +344,11 @@ def _find_bands(
     )
 
 
-def _warn_of_clipping(pixels: Float[np.ndarray, "band pixel"], path: Path) -> None:
+def _warn_of_clipping(
+    pixels: Float[np.ndarray, "band pixel"], names: Sequence[str], path: Path
+) -> None:
     piled = []
-    for name, band in zip(BANDS, pixels, strict=True):
+    for name, band in zip(names, pixels, strict=True):
         top = band.max()
         share = float(np.mean(band == top))
         if share > 1e-3 and band.min() < top and band.size * share > 20:

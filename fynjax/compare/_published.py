@@ -36,14 +36,15 @@ def compare_with_published(image: DroneImage) -> PublishedComparison:
     """
     rows = []
     published = bands_2006()
-    for name, values in zip(BANDS, image.pixels, strict=True):
+    pixels = image.pixels[: len(BANDS)]
+    for name, values in zip(BANDS, pixels, strict=True):
         row = published[name]
         rows.append(
             _row(f"{name}.mean", "derived", row.real_mean, np.nan, float(values.mean()))
             | {"dirsig_abs_error_percent": 100.0 * row.sim_abs_difference}
         )
     for name, paper in table4_2006().items():
-        values = np.asarray(vegetation_indices(jnp.asarray(image.pixels), [name])[0])
+        values = np.asarray(vegetation_indices(jnp.asarray(pixels), [name])[0])
         values = values[np.isfinite(values)]
         mean, std = (values.mean(), values.std()) if values.size else (np.nan, np.nan)
         known = "printed" if paper.formula_confidence != "open" else "form not known"

@@ -12,12 +12,12 @@ from jaxtyping import Float
 from numpy.typing import NDArray
 
 from fynjax._core.errors import InputError
+from fynjax._core.files import existing_file, how_to_import
 from fynjax._core.progress import stage
 from fynjax._core.spectral import check_wavelength
 from fynjax.compare._images import thinning
 from fynjax.io.raster import check_netcdf, check_reflectance, open_raster
 from fynjax.io.spectra import read_header, read_usable_spectra
-from fynjax.io.text import existing_file
 from fynjax.metrics import WATER_WINDOWS
 
 _RASTERS = (".img", ".bil", ".bip", ".bsq", ".dat", ".tif", ".tiff")
@@ -196,7 +196,7 @@ def _read_cube(path: Path, most: int) -> _Part:
             raise InputError(
                 f"expected a cube with a wavelength for each of {grid.size} bands, but {known} "
                 "are stated (ENVI: `wavelength` in the header; GeoTIFF: the tag `wavelength` of "
-                "each band)",
+                f"each band).{how_to_import(path)}",
                 file=path,
             )
         step = thinning(*file.shape, most)
@@ -250,13 +250,14 @@ def _wavelengths_in(
                 width = width if width is not None else _nanometres(variable, 0.5)
     if centres is None:
         return None
-    fits = width is not None and width.shape == centres[1].shape
+    fits = width is not None and width.shape == centres[1].shape and np.isfinite(width).all()
     return centres[0], centres[1], width if fits else None
 
 
 def _nanometres(variable: Any, largest_micro: float = 100.0) -> NDArray[np.float64]:
     values = np.asarray(variable.values, float)
-    return values * 1000.0 if values.size and np.nanmax(values) < largest_micro else values
+    known = values[~np.isnan(values)]
+    return values * 1000.0 if known.size and known.max() < largest_micro else values
 
 
 def _spectra_in(
@@ -283,7 +284,7 @@ def _spectra_in(
         listed = ", ".join(name for name, _ in candidates) or "none"
         raise InputError(
             f"expected a variable called reflectance over {dimension!r}, but those over it are: "
-            f"{listed}",
+            f"{listed}.{how_to_import(path)}",
             file=path,
         )
     variable = choice[0][1].transpose(..., dimension)

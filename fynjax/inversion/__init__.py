@@ -99,8 +99,8 @@ from fynjax.inversion._surrogate import (
 )
 from fynjax.inversion._targets import (
     GAIN,
-    IMAGE_STATISTICS,
     OFFSET,
+    compared_statistics,
     join_data,
     weigh_spectrum,
     weigh_structure,
@@ -125,7 +125,6 @@ __all__ = [
     "DESIGN_FREE",
     "DESIGN_TARGET",
     "GAIN",
-    "IMAGE_STATISTICS",
     "INTERVALS",
     "LEADING_ELASTICITIES",
     "OFFSET",
@@ -179,6 +178,7 @@ __all__ = [
     "calibration",
     "check_samples",
     "coarser",
+    "compared_statistics",
     "derivative_measures",
     "design",
     "draws_like",

@@ -12,17 +12,25 @@ from fynjax._core.precision import double_precision
 from fynjax.inversion._fit_result import Data
 from fynjax.metrics import BANDS
 
-IMAGE_STATISTICS = tuple(
-    f"{layer}.{kind}"
-    for layer in (*BANDS, "NDVI", "GNDVI", "GSAVI", "NormR")
-    for kind in (
-        *("mean", "q05", "q25", "q50", "q75", "q95"),
-        *("std", "std20cm", "std40cm", "std80cm", "std160cm"),
+
+def compared_statistics(bands: Sequence[str] = BANDS) -> tuple[str, ...]:
+    """Names of what is compared with a whole image: the distributions of its bands and of some
+    indices, which between them hold that of the bands together, and how their spread falls from
+    small to large squares, which is by the width of crowns and gaps.
+
+    **Arguments:**
+
+    - `bands`: names of the image's bands, green, red, red_edge and nir among them.
+    """
+    return tuple(
+        f"{layer}.{kind}"
+        for layer in (*bands, "NDVI", "GNDVI", "GSAVI", "NormR")
+        for kind in (
+            *("mean", "q05", "q25", "q50", "q75", "q95"),
+            *("std", "std20cm", "std40cm", "std80cm", "std160cm"),
+        )
     )
-)
-"""What is compared with a whole image: the distributions of bands and some indices, which between
-them hold that of the bands together, and how their spread falls from small to large squares, which
-is by the width of crowns and gaps."""
+
 
 _SAME_BANDS = {
     "N/R": {"NDVI", "SR", "MSR", "WDRVI", "GDVI", "TVI", "RDVI", "IPVI"},

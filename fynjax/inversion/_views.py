@@ -105,7 +105,8 @@ class ImageView(AbstractView):
 
     names: tuple[str, ...] = eqx.field(static=True, converter=tuple)
     camera: AimedSensor
-    """The drone's camera over the scene, from `aim`; with the bands that the statistics name."""
+    """The drone's camera over the scene, from `aim`; of bands those that the statistics and the
+    indices need."""
     gains: Gains = eqx.field(static=True, default=Gains(0.0))
     """Errors of the gains of the camera's bands; by default none."""
     spacing: float | None = eqx.field(static=True, default=None)
@@ -123,7 +124,8 @@ class ImageView(AbstractView):
 
     def _statistics(self, image: Float[Array, "band y x"]) -> Float[Array, " statistic"]:
         pixel = self.camera.pixel if self.spacing is None else self.spacing
-        return image_statistics(image, self.names, pixel=pixel, window=self.window)
+        bands = self.camera.sensor.bands.names
+        return image_statistics(image, self.names, pixel=pixel, window=self.window, bands=bands)
 
     def for_search(self, scene: Scene, accuracy: Accuracy, stride: int | None) -> "ImageView":
         if stride is None:

@@ -14,6 +14,7 @@ from fynjax._core.precision import double_precision
 from fynjax.assembly import (
     Measured,
     parameter_columns,
+    placed_by_image,
     plant_twin,
     prepare,
     read_targets,
@@ -127,7 +128,7 @@ def calibrate(
     paths = [targets] if isinstance(targets, Path) else list(targets)
     if not paths and not twin:
         raise InputError("expected what was measured (--target), or --twin")
-    read = with_prior(as_plot(plot), prior)
+    read = with_prior(placed_by_image(as_plot(plot), paths), prior)
     run = Run(output, seed=read.seed if seed is None else seed, plot=read)
     if read.known_crowns is not None and any(p.suffix.lower() in (".tif", ".tiff") for p in paths):
         if twin:

@@ -25,7 +25,6 @@ from fynjax.jobs._doubt import doubt_spectrum
 from fynjax.jobs._follow import follow
 from fynjax.jobs._render import check_finite, write_image
 from fynjax.jobs._run import Run, peak_memory_mib
-from fynjax.metrics import BANDS
 from fynjax.report import figures
 from fynjax.report.pages import Page, Picture, Section, Table
 
@@ -55,9 +54,11 @@ def known_plants(
     """
     with run.stage("Build the plot", "build"):
         ready = prepare(plot, None, seed=run.seed)
-    image = read_drone_image(path, bands=bands, most_pixels=None)
+    drone = drone_sensor(plot)
+    image = read_drone_image(path, bands=bands, camera=drone.bands, most_pixels=None)
     pixel = sensor_place(plot)[1] if image.pixel_m is None else image.pixel_m
-    camera = aim_without_air(plot, ready.scene, ready.parameters, drone_sensor(plot), pixel=pixel)
+    drone = drone_sensor(plot, image.bands)
+    camera = aim_without_air(plot, ready.scene, ready.parameters, drone, pixel=pixel)
     if camera.shape != image.mask.shape:
         raise InputError(
             f"expected an image of the whole plot and nothing else, {camera.shape[0]} rows and "
@@ -65,7 +66,7 @@ def known_plants(
             f"{image.mask.shape[1]}. Cut it: gdal_translate -projwin",
             file=path,
         )
-    order = [BANDS.index(name) for name in camera.sensor.bands.names]
+    order = [image.bands.index(name) for name in camera.sensor.bands.names]
     mean = image.pixels.mean(axis=1)[order]
     doubt_spectrum(run, mean, camera.sensor.bands, camera.sensor)
     settings = plot.calibration

@@ -10,7 +10,7 @@ from scipy.special import ndtri
 
 from fynjax.assembly import Measured, Twin
 from fynjax.inversion import Calibration, FitResult, KnownPlants, stand_sentence
-from fynjax.io.plot import Plot, sensor_place
+from fynjax.io.plot import Plot
 from fynjax.jobs._calibration_tables import (
     ReferenceImage,
     camera_table,
@@ -183,7 +183,9 @@ def _image_sections(
     plot: Plot, result: Calibration, statistics: pd.DataFrame, reference: ReferenceImage
 ) -> list[Section]:
     before, after = np.asarray(result.image_before), np.asarray(result.image_after)
-    pair, pixel = {"Before": before, "After": after}, sensor_place(plot)[1]
+    assert result.camera is not None  # of which these images are
+    bands, pixel = result.camera.sensor.bands.names, result.camera.pixel
+    pair = {"Before": before, "After": after}
     means = statistics[statistics["statistic"].str.endswith(".mean")]
     named = means.set_index(means["statistic"].str.removesuffix(".mean"))
     errors: dict[str, Any] = {
@@ -199,8 +201,8 @@ def _image_sections(
     }
     shown = tuple(name for name in SHOWN_INDICES if name in target) or SHOWN_INDICES
     histograms = figures.index_histograms(
-        index_images(before, shown),
-        index_images(after, shown),
+        index_images(before, bands, shown),
+        index_images(after, bands, shown),
         {name: target[name] for name in shown if name in target},
     )
     against = [
@@ -219,7 +221,7 @@ def _image_sections(
         ),
     ]
     return [
-        Section("The image", [_one_planting(statistics), image_views(pair, pixel)]),
+        Section("The image", [_one_planting(statistics), image_views(pair, bands, pixel)]),
         Section("Against the real image", against),
     ]
 

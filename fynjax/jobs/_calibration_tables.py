@@ -14,7 +14,7 @@ from fynjax.assembly import Measured, parameter_columns
 from fynjax.inversion import Calibration, ImageView, KnownPlants, ParameterSpace
 from fynjax.io.raster import image_array
 from fynjax.jobs._render import plant_counts
-from fynjax.metrics import BANDS, image_statistics
+from fynjax.metrics import VEGETATION_INDICES, image_statistics
 from fynjax.metrics.structure import STRUCTURE_METRICS
 from fynjax.scene import PARAMETERS, AimedSensor, Scene, named_values, parameter_kind
 
@@ -88,14 +88,16 @@ def statistic_table(calibration: Calibration, reference: ReferenceImage) -> pd.D
         camera = calibration.camera
         if image is not None and camera is not None and extra:
             values[len(data.names) :] = np.asarray(
-                _statistics(image, extra, pixel=camera.pixel), float
+                _statistics(image, extra, pixel=camera.pixel, bands=camera.sensor.bands.names),
+                float,
             )
         table[column] = values
     image = calibration.image_after
     if image is not None and camera is not None:
         imaged = next(view.names for view in calibration.views if isinstance(view, ImageView))
         own = (*imaged, *extra)
-        found = np.asarray(_statistics(image, own, pixel=camera.pixel), float)
+        bands = camera.sensor.bands.names
+        found = np.asarray(_statistics(image, own, pixel=camera.pixel, bands=bands), float)
         table["image_after"] = table["statistic"].map(dict(zip(own, found, strict=True)))
     with_gain = np.full(len(names), np.nan)
     with_gain[: len(data.names)] = calibration.statistics_with_gain
@@ -144,7 +146,7 @@ def largest_errors(statistics: pd.DataFrame) -> pd.DataFrame:
     Rows are "a band mean" and "a fitted index mean"; one of which nothing was fitted is left out.
     """
     means = statistics[statistics["fitted"] & statistics["statistic"].str.endswith(".mean")]
-    is_band = means["statistic"].str.split(".").str[0].isin(BANDS)
+    is_band = ~means["statistic"].str.split(".").str[0].isin(VEGETATION_INDICES)
     parts = {"a band mean": means[is_band], "a fitted index mean": means[~is_band]}
     rows = {
         what: [part[f"{when}_error_percent"].abs().max() for when in _WHEN]

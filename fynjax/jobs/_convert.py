@@ -23,6 +23,8 @@ from fynjax.jobs._spectra import (
     refused_spectra,
     repairs,
 )
+from fynjax.report import figures
+from fynjax.report.pages import Picture, Table
 
 
 class ConvertResult(JobResult):
@@ -64,7 +66,7 @@ def convert(
     with run.stage("Read", "read"):
         spectra, refused = usable_spectra(paths, panel, detector_changes=())
     size = f"{len(spectra)} spectra"
-    begin_work({"spectra.csv": size, "spectra.nc": size, "sources.csv": ""})
+    begin_work({"spectra.csv": size, "spectra.nc": size, "sources.csv": "", "report.html": ""})
     dataset = measured_dataset(spectra, run.record([*(file for file, _ in spectra), panel]))
     what = "reflectance and transmittance over wavelength, one column a spectrum"
     with run.stage("Write", "write"):
@@ -88,9 +90,14 @@ def convert(
     run.table("sources.csv", pd.DataFrame(rows), "what was read, repaired and refused")
     bands = dataset.sizes["wavelength"]
     ends = f"{dataset['wavelength'].values[0]:g} to {dataset['wavelength'].values[-1]:g} nm"
+    headline = [f"{len(spectra)} spectra of {bands} bands, {ends}, as fractions."]
+    inputs = [*dict.fromkeys(file for file, _ in spectra), panel]
+    picture = Picture("spectra.png", figures.measured_figure(dataset), "every spectrum")
+    sources = Table(pd.DataFrame(rows), "What was read, repaired and refused.", folded=True)
+    run.pictures(f"{len(spectra)} measured spectra", headline, [picture, sources], inputs)
     return run.result(
         ConvertResult,
-        headline=[f"{len(spectra)} spectra of {bands} bands, {ends}, as fractions."],
+        headline=headline,
         warnings=warnings_of_reading(spectra, refused, "sources.csv"),
         status="ok" if not refused else f"{len(refused)} refused: see sources.csv",
         spectra=len(spectra),

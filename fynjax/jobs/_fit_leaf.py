@@ -1,6 +1,6 @@
 """What `fynjax fit-leaf` does: files of spectra in, traits and spectra out."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
@@ -33,15 +33,13 @@ from fynjax.jobs._spectra import (
     repairs,
 )
 from fynjax.leaf import (
+    MEASUREMENTS,
     AbstractMeasurement,
     FitDomain,
-    IntegratingSphere,
     LeafArea,
     LeafChunks,
-    LeafClip,
     LeafFit,
     LeafShape,
-    LeafStack,
     ProspectVersion,
     area_factors,
     bin_centres,
@@ -56,12 +54,6 @@ from fynjax.leaf import (
 from fynjax.report import figures
 from fynjax.report.pages import Picture, Table
 
-MEASUREMENTS: dict[str, Callable[[], AbstractMeasurement]] = {
-    "sphere": IntegratingSphere,
-    "leaf-clip": LeafClip,
-    "probe": LeafClip,
-    "stack": LeafStack,
-}
 Sampling = Literal["none", "emcee", "nuts"]
 """How the posterior is sampled, if at all."""
 _GRID = np.arange(350.0, 2501.0)
@@ -335,13 +327,20 @@ def fit_leaf(
     good = fit.status.count("converged")
     headline = _headline(spectra, table, good)
     doubtful = len(names) - good
-    picture = Picture("spectra.png", figures.leaf_fit_figure(fit), "measured and fitted spectra")
+    pictures = []
+    part = ""
+    if len(names) > figures.APART:
+        every = figures.all_leaves_figure(fit)
+        pictures.append(Picture("all_spectra.png", every, f"all {len(names)} spectra"))
+        part = f"{figures.APART} of {len(names)}, evenly drawn from all, which are above."
+    fitted = figures.leaf_fit_figure(fit)
+    pictures.append(Picture("spectra.png", fitted, "measured and fitted spectra", part))
     shown = Table(
         table.head(_SHOWN), f"Traits, of the first {_SHOWN} spectra at most.", folded=True
     )
     title = f"PROSPECT-{version} of {len(names)} spectra"
     inputs = [*dict.fromkeys(file for file, _ in read), panel, groups]
-    run.pictures(title, headline, [picture, shown], inputs)
+    run.pictures(title, headline, [*pictures, shown], inputs)
     return run.result(
         FitLeafResult,
         headline=headline,

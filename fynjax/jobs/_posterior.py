@@ -18,6 +18,7 @@ from fynjax._core.sampling import ChainState
 from fynjax.assembly import (
     Prepared,
     parameter_columns,
+    placed_by_image,
     prepare,
     read_targets,
     shown_unit,
@@ -125,9 +126,9 @@ def posterior(
     require("arviz", "posterior")
     if method == "nuts":
         require("blackjax", "posterior")
-    read = with_prior(as_plot(plot), prior)
-    run = Run(output, seed=read.seed if seed is None else seed, plot=read)
     paths = [targets] if isinstance(targets, Path) else list(targets)
+    read = with_prior(placed_by_image(as_plot(plot), paths), prior)
+    run = Run(output, seed=read.seed if seed is None else seed, plot=read)
     measured = read_targets(read, paths, bands=bands, seed=run.seed)
     doubt_targets(run, read, measured)
     with run.stage("Build the plot"):

@@ -1,7 +1,7 @@
 """What `fynjax render` does: the image that a plot file describes, of whatever sensor it names."""
 
 import itertools
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Literal
 
@@ -24,7 +24,7 @@ from fynjax.io.plot import Plot, as_plot, plot_instrument, plot_place
 from fynjax.io.raster import Cube, file_hash, image_array, write_geotiff, write_run
 from fynjax.jobs._result import JobResult, StatisticSummary
 from fynjax.jobs._run import Run
-from fynjax.metrics import BANDS, vegetation_indices
+from fynjax.metrics import BANDS, of_indices, vegetation_indices
 from fynjax.report import figures
 from fynjax.report.pages import Page, Part, Picture, Section, Table, Views
 from fynjax.scene import (
@@ -228,31 +228,30 @@ def _plants(plot: Plot, scene: Scene, counts: np.ndarray) -> Table:
 
 
 def _drone_pictures(plot: Plot, camera: AimedSensor, image: np.ndarray) -> list[Part]:
-    names = camera.sensor.bands.names
-    image = image[[names.index(band) for band in BANDS]]
+    bands = camera.sensor.bands.names
     histograms = Picture(
         "indices.png",
-        figures.index_histograms(index_images(image)),
+        figures.index_histograms(index_images(image, bands)),
         "histograms of vegetation indices",
     )
-    return [image_views({plot.name: image}, camera.pixel), histograms]
+    return [image_views({plot.name: image}, bands, camera.pixel), histograms]
 
 
-def image_views(images: Mapping[str, np.ndarray], pixel_m: float) -> Views:
-    """Images of a drone's bands side by side, to be chosen from: colours, bands, indices."""
+def image_views(images: Mapping[str, np.ndarray], bands: Sequence[str], pixel_m: float) -> Views:
+    """Images of a drone side by side, to be chosen from: colours, its `bands`, indices."""
     views = {
         "Nearly natural": Picture(
             "true_like.png",
-            figures.composites(images, BANDS, pixel_m=pixel_m, kind="true_like"),
+            figures.composites(images, bands, pixel_m=pixel_m, kind="true_like"),
             "image, nearly natural colours",
         ),
         "False colour": Picture(
             "false_colour.png",
-            figures.composites(images, BANDS, pixel_m=pixel_m),
+            figures.composites(images, bands, pixel_m=pixel_m),
             "image, near infrared as red",
         ),
     }
-    for k, band in enumerate(BANDS):
+    for k, band in enumerate(bands):
         label = figures.words(band)
         label = f"{label[0].upper()}{label[1:]}"
         layers = {title: image[k] for title, image in images.items()}
@@ -260,7 +259,7 @@ def image_views(images: Mapping[str, np.ndarray], pixel_m: float) -> Views:
         views[label] = Picture(
             f"band_{band}.png", figure, f"reflectance in the band {figures.words(band)}"
         )
-    indices = {title: index_images(image, _MAPPED) for title, image in images.items()}
+    indices = {title: index_images(image, bands, _MAPPED) for title, image in images.items()}
     for name in _MAPPED:
         layers = {title: of_image[name] for title, of_image in indices.items()}
         figure = figures.layer_map(layers, f"{name} [-]", pixel_m=pixel_m)
@@ -302,10 +301,11 @@ def cube_pictures(cubes: Mapping[str, Cube], title: str) -> list[Picture]:
 
 
 def index_images(
-    image: np.ndarray, names: tuple[str, ...] = SHOWN_INDICES
+    image: np.ndarray, bands: Sequence[str], names: tuple[str, ...] = SHOWN_INDICES
 ) -> dict[str, np.ndarray]:
-    """Vegetation indices of every pixel [y, x], by name."""
-    return dict(zip(names, np.asarray(vegetation_indices(jnp.asarray(image), names)), strict=True))
+    """Vegetation indices of every pixel [y, x] of an image in `bands`, by name."""
+    values = vegetation_indices(of_indices(image, bands), names)
+    return dict(zip(names, np.asarray(values), strict=True))
 
 
 def write_image(

@@ -28,7 +28,7 @@ from fynjax.inversion import (
     search_form,
     sobol_indices,
 )
-from fynjax.io.plot import Plot, as_plot
+from fynjax.io.plot import Plot, as_plot, drone_sensor
 from fynjax.io.raster import file_hash
 from fynjax.jobs._result import JobResult, Rows
 from fynjax.jobs._run import Run
@@ -103,12 +103,12 @@ def sensitivity(
     names = tuple(metrics)
     if not names:
         raise InputError("no metric is named; an example is NDVI.mean")
-    check_statistics(names)
+    read = as_plot(plot)
+    check_statistics(names, drone_sensor(read).bands.names)
     if sobol_samples:
         require("SALib", "analysis")
     for samples in filter(None, (derivative_samples, sobol_samples)):
         check_samples(samples)
-    read = as_plot(plot)
     run = Run(output, seed=read.seed if seed is None else seed, plot=read)
     with run.stage("Build the plot"):
         ready = prepare(read, free, seed=run.seed)

@@ -59,6 +59,8 @@ class TerrainSummary(Record):
     lowest_m: float
     relief_m: float
     median_slope_deg: float
+    interpolated_to_m: float | None = None
+    """Largest distance of interpolated ground from measured [m]."""
     cells_filled: float | None = None
     """Share of a raster's cells that had no height [-]."""
     points: int | None = None
@@ -119,8 +121,9 @@ def terrain(
     - `largest_gap`: see `terrain_from_points` and `read_terrain`; 10 unless given.
     - `unit`, `height_unit`, `crs`: see `read_cloud`; `fill_gaps`, `band`: see `read_terrain`.
 
-    **Returns:** `TerrainResult`. Writes `terrain.tif` [m], `terrain.obj`, a picture, a page and,
-    from a cloud, `canopy_height.tif` [m] into `output`. Warns where the ground is so rough that it
+    **Returns:** `TerrainResult`. Writes `terrain.tif` [m], `terrain.obj`, a picture, a page,
+    from a cloud `canopy_height.tif` [m], and where ground is interpolated `ground_distance.tif` [m]
+    into `output`. Warns where the ground is so rough that it
     may be the inside of plants, where it lies off the points that the file labels as ground, and
     where many points lie below it.
 
@@ -199,6 +202,16 @@ def terrain(
                 origin_m=terrain.origin,
                 crs=terrain.crs,
                 tags={"quantity": "height of the canopy above ground", "unit": "m"},
+            )
+        if terrain.gap is not None and terrain.gap.any():
+            write_geotiff(
+                run.path("ground_distance.tif", "how far cells are from measured ground [m]"),
+                terrain.gap[None],
+                ["ground_distance"],
+                pixel_m=terrain.cell,
+                origin_m=terrain.origin,
+                crs=terrain.crs,
+                tags={"quantity": "distance of interpolated ground from measured", "unit": "m"},
             )
     summary = _summary(terrain, numbers)
     headline = _headline(summary)
@@ -282,11 +295,7 @@ def _from_cloud(
             stacklevel=3,
         )
     points = cloud.select(ground).crop(terrain.bounds)
-    rows, columns = terrain.heights.shape
-    west, south, _, _ = terrain.bounds
-    i = np.minimum(((points.x - west) / cell).astype(int), columns - 1)
-    j = np.minimum(((points.y - south) / cell).astype(int), rows - 1)
-    covered = len(np.unique(j * columns + i)) / (rows * columns)
+    assert terrain.gap is not None  # of a cloud it is known
     scatter = float(np.sqrt(np.mean(heights_above_ground(points, terrain) ** 2)))
     if scatter > _ROUGH * options.get("tolerance", TOLERANCE):
         warnings.warn(
@@ -322,7 +331,7 @@ def _from_cloud(
         "points_below": below,
         "points": len(cloud),
         "ground_share": float(ground.mean()),
-        "cells_with_ground": covered,
+        "cells_with_ground": float((terrain.gap == 0.0).mean()),
         "ground_scatter_m": scatter,
         "canopy_height_median_m": float(np.nanmedian(canopy)),
         "canopy_height_99_m": float(np.nanpercentile(canopy, 99)),
@@ -337,6 +346,7 @@ def _summary(terrain: Terrain, numbers: dict[str, Any]) -> TerrainSummary:
         cell_m=terrain.cell,
         lowest_m=float(terrain.heights.min()),
         relief_m=terrain.relief,
+        interpolated_to_m=None if terrain.gap is None else float(terrain.gap.max()),
         median_slope_deg=float(np.degrees(np.arctan(np.median(np.hypot(gx, gy))))),
         **numbers,
     )
@@ -360,5 +370,10 @@ def _headline(summary: TerrainSummary) -> list[str]:
             f"{100 * summary.ground_share:.0f} % of the points, in "
             f"{100 * (summary.cells_with_ground or 0.0):.0f} % of the cells; they scatter by "
             f"{100 * (summary.ground_scatter_m or 0.0):.1f} cm about the surface."
+        )
+    if summary.interpolated_to_m:
+        headline.append(
+            f"Elsewhere the ground is interpolated, up to {summary.interpolated_to_m:.1f} m from "
+            "any that was measured: see ground_distance.tif."
         )
     return headline

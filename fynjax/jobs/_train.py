@@ -33,6 +33,7 @@ from fynjax.io.raster import check_netcdf, file_hash, open_blocks, write_run
 from fynjax.io.text import existing_file
 from fynjax.jobs._result import JobResult, Number, Record
 from fynjax.jobs._run import Run
+from fynjax.report.pages import Table
 from fynjax.sensors import BandSet, Channels, group_bands
 
 _PART = 4
@@ -60,6 +61,12 @@ _PARTS = {
     ),
 }
 """Arrays of a regression in a training file, with their dimensions; its layers come besides."""
+
+
+_SCORES = (
+    "Errors of each quantity on simulations that were held out, the share of their variance that "
+    "is explained, and the share of the truths inside the 50, 68 and 90 % intervals."
+)
 
 
 class QuantityScore(Record):
@@ -160,7 +167,11 @@ def train(
     inputs = [learned.path, *([like] if like is not None else [])]
     count = stands * settings.together
     begin_work(
-        {"training.nc": f"{count} spectra in {len(channels.centre)} channels", "scores.csv": ""}
+        {
+            "training.nc": f"{count} spectra in {len(channels.centre)} channels",
+            "scores.csv": "",
+            "report.html": "",
+        }
     )
     journal = Journal(
         checkpoint, signature((settings, joined, seed, stands), [file_hash(learned.path)])
@@ -211,18 +222,21 @@ def train(
         )
     worst = min(s.inside_90 or 0.0 for s in scores), max(s.inside_90 or 0.0 for s in scores)
     ranked = sorted(scores, key=lambda s: -(s.explained or 0.0))
+    headline = [
+        f"{count} spectra of {name} in {len(channels.centre)} channels, sun at {low:g} to "
+        f"{high:g} degrees.",
+        f"Growth forms of the stands, those of the prior: {', '.join(stand_forms(learned))}.",
+        f"On {held_out.count} held out the 90 % intervals hold {100 * worst[0]:.0f} to "
+        f"{100 * worst[1]:.0f} % of the truths.",
+        "Share of the variance explained: "
+        + ", ".join(f"{s.quantity} {s.explained or 0.0:.2f}" for s in ranked)
+        + ".",
+    ]
+    table = Table(pd.DataFrame([s.model_dump() for s in ranked]), _SCORES)
+    run.pictures(f"Training: {name}", headline, [table], inputs)
     return run.result(
         TrainResult,
-        headline=[
-            f"{count} spectra of {name} in {len(channels.centre)} channels, sun at {low:g} to "
-            f"{high:g} degrees.",
-            f"Growth forms of the stands, those of the prior: {', '.join(stand_forms(learned))}.",
-            f"On {held_out.count} held out the 90 % intervals hold {100 * worst[0]:.0f} to "
-            f"{100 * worst[1]:.0f} % of the truths.",
-            "Share of the variance explained: "
-            + ", ".join(f"{s.quantity} {s.explained or 0.0:.2f}" for s in ranked)
-            + ".",
-        ],
+        headline=headline,
         sensor=name,
         channels=len(channels.centre),
         simulations=count,

@@ -14,6 +14,7 @@ from fynjax.leaf._fit import LeafChunks, fit_leaf
 from fynjax.leaf._groups import LeafGroups, fit_leaf_groups
 from fynjax.leaf._measurement import (
     MEASUREMENT_PARAMETERS,
+    MEASUREMENTS,
     AbstractMeasurement,
     IntegratingSphere,
     LeafClip,
@@ -46,6 +47,7 @@ __all__ = [
     "FLAT",
     "LARGEST_JUMP",
     "LEAF_PARAMETERS",
+    "MEASUREMENTS",
     "MEASUREMENT_PARAMETERS",
     "ROUND",
     "AbstractMeasurement",

@@ -1,6 +1,7 @@
 """Signal that an instrument records of a leaf, from PROSPECT's R and T."""
 
 import abc
+from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
@@ -305,3 +306,12 @@ def resolved_by_two_readings(
     with np.errstate(divide="ignore", invalid="ignore"):
         error = _REPEATABILITY * (1.0 / b - r) / (np.sqrt(2.0) * t)
         return error < _TOLERATED
+
+
+MEASUREMENTS: dict[str, Callable[[], AbstractMeasurement]] = {
+    "sphere": IntegratingSphere,
+    "leaf-clip": LeafClip,
+    "probe": LeafClip,
+    "stack": LeafStack,
+}
+"""Ways of measuring a leaf by their names in files and on the command line."""

@@ -11,6 +11,7 @@ from fynjax.metrics._indices import (
     BANDS,
     VEGETATION_INDICES,
     VegetationIndex,
+    of_indices,
     smooth_vegetation_indices,
     vegetation_indices,
 )
@@ -60,6 +61,7 @@ __all__ = [
     "match_wavelengths",
     "mean",
     "misfit_decomposition",
+    "of_indices",
     "quantiles",
     "smooth_vegetation_indices",
     "spectral_agreement",

@@ -232,6 +232,19 @@ def smooth_vegetation_indices(
     return jnp.stack(values), jnp.stack(masks)
 
 
+def of_indices(
+    image: Float[ArrayLike, "band ..."], bands: Sequence[str]
+) -> Float[Array, "four ..."]:
+    """The four bands of an image that indices are made of, in their order.
+
+    **Arguments:**
+
+    - `image`: reflectance, its bands on the first axis.
+    - `bands`: their names; `BANDS` are among them.
+    """
+    return jnp.stack([jnp.asarray(image)[tuple(bands).index(name)] for name in BANDS])
+
+
 def _lift(x: Band, floor: float) -> Band:
     return 0.5 * (x + jnp.sqrt(x**2 + 4.0 * floor**2))
 

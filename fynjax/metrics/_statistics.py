@@ -8,30 +8,36 @@ from jaxtyping import Array, Bool, Float
 
 from fynjax._core.errors import InputError, did_you_mean
 from fynjax.metrics._distribution import mean, quantiles, standard_deviation
-from fynjax.metrics._indices import BANDS, VEGETATION_INDICES, smooth_vegetation_indices
+from fynjax.metrics._indices import (
+    BANDS,
+    VEGETATION_INDICES,
+    of_indices,
+    smooth_vegetation_indices,
+)
 
 _NAME = re.compile(
     r"^(?P<layer>[A-Za-z]\w*)\.(?P<kind>mean|std(?P<block>\d{1,4}cm)?|q(?P<percent>\d{1,2}))$"
 )
 
 
-def check_statistics(names: Sequence[str]) -> None:
+def check_statistics(names: Sequence[str], bands: Sequence[str] = BANDS) -> None:
     """Check the names of image statistics.
 
     **Arguments:**
 
     - `names`: such as "nir.mean" (see `image_statistics`).
+    - `bands`: of the image.
 
     **Raises:** `InputError` for a name that is no statistic of a band or an index.
     """
     for name in names:
         match = _NAME.match(name)
-        if match is None or match["layer"] not in (*BANDS, *VEGETATION_INDICES):
+        if match is None or match["layer"] not in (*bands, *VEGETATION_INDICES):
             layer, _, kind = name.partition(".")
-            alike = [f"{one}.{kind or 'mean'}" for one in (*BANDS, *VEGETATION_INDICES)]
+            alike = [f"{one}.{kind or 'mean'}" for one in (*bands, *VEGETATION_INDICES)]
             raise InputError(
                 "a statistic must be '<band or index>.<mean|std|stdNNcm|qNN>' with a band of "
-                f"{', '.join(BANDS)} or one of `fynjax.metrics.VEGETATION_INDICES`, but is "
+                f"{', '.join(bands)} or one of `fynjax.metrics.VEGETATION_INDICES`, but is "
                 f"{name!r}.{did_you_mean(name, alike) if layer else ''}"
             )
 
@@ -51,12 +57,13 @@ def image_statistics(
     *,
     pixel: float | None = None,
     window: float | None = None,
+    bands: Sequence[str] = BANDS,
 ) -> Float[Array, " statistic"]:
     """Statistics of bands and vegetation indices over the pixels of an image.
 
     **Arguments:**
 
-    - `image`: reflectance [-] of the bands green, red, red_edge, nir, in this order.
+    - `image`: reflectance [-] of `bands`.
     - `names`: "band or index", a dot, and "mean", "std", "qNN" (a percentile, 00 to 99) or
       "stdNNcm" (the standard deviation of means over squares of NN cm), such as "nir.mean",
       "NDVI.std", "GCI.q25", "nir.std40cm".
@@ -65,6 +72,8 @@ def image_statistics(
       pixels wide as come nearest; squares that the image's edge cuts are left out.
     - `window`: of percentiles, as `quantiles` has it [-]; left out, values are exact and
       derivatives those of means over a twentieth of the pixels.
+    - `bands`: names of the image's bands in their order; green, red, red_edge and nir, which
+      indices need, are among them.
 
     **Returns:** one value for each name, in the unit of its band or index.
 
@@ -89,16 +98,16 @@ def image_statistics(
     >>> image_statistics(image, ["nir.mean", "NDVI.q50"]).round(3)
     Array([0.35, 0.75], dtype=float32)
     """
-    check_statistics(names)
+    check_statistics(names, bands)
     indices = list(
         dict.fromkeys(
-            layer for layer in (name.split(".")[0] for name in names) if layer not in BANDS
+            layer for layer in (name.split(".")[0] for name in names) if layer not in bands
         )
     )
     every = jnp.ones(image.shape[1:], bool) if valid is None else valid
-    layers = {band: (image[i], every) for i, band in enumerate(BANDS)}
+    layers = {band: (image[i], every) for i, band in enumerate(bands)}
     if indices:
-        values, defined = smooth_vegetation_indices(image, indices)
+        values, defined = smooth_vegetation_indices(of_indices(image, bands), indices)
         for i, index in enumerate(indices):
             layers[index] = (values[i], defined[i] & every)
     statistics = []

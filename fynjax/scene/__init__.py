@@ -65,8 +65,10 @@ from fynjax.scene._species import (
     drawn_leaves,
     leaf_parameters,
     leaves_of,
+    own_spread,
     species_parameters,
     species_rows,
+    table_spreads,
     usual_leaf,
 )
 from fynjax.scene._spectra import (
@@ -143,6 +145,7 @@ __all__ = [
     "named_values",
     "observe",
     "observe_lidar",
+    "own_spread",
     "parameter_kind",
     "parameter_reference",
     "pixel_truth",
@@ -155,6 +158,7 @@ __all__ = [
     "species_rows",
     "stand_area",
     "stand_realisation",
+    "table_spreads",
     "truth_of_layers",
     "truth_of_pixels",
     "usual_leaf",

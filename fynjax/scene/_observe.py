@@ -26,7 +26,7 @@ from jaxtyping import Array, Bool, Float
 from fynjax._core.errors import InputError, did_you_mean, listed
 from fynjax._core.html import as_html
 from fynjax._core.math import real_array
-from fynjax.metrics import BANDS, spectrometer_indices, vegetation_indices
+from fynjax.metrics import BANDS, of_indices, spectrometer_indices, vegetation_indices
 from fynjax.radiation import (
     AbstractRays,
     Accuracy,
@@ -191,7 +191,7 @@ class Observation(eqx.Module):
         bands.
         """
         if all(band in self.bands for band in BANDS):
-            return vegetation_indices(jnp.stack([self[band] for band in BANDS]), [name])[0]
+            return vegetation_indices(of_indices(self.reflectance, self.bands), [name])[0]
         order = np.argsort(self.wavelength)
         spectra = jnp.moveaxis(self.reflectance, 0, -1)[..., order]
         found = spectrometer_indices(np.array(self.wavelength)[order], spectra)

@@ -7,7 +7,8 @@ files, pandas frames and records.
 
 import functools
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
@@ -143,6 +144,12 @@ class SpeciesRow(Strict):
         """Least and largest cover [-] of a class, a limit or a range; None of a plain number."""
         return self._cover_range
 
+    def leaves_open(self, kind: str) -> bool:
+        """Whether neither the row nor the mesh that it names gives a value of `kind`, such as
+        "leaf_area_index"."""
+        from_mesh = self.plant is not None and kind.endswith("area_index")
+        return getattr(self, kind) is None and not from_mesh
+
     @classmethod
     def of_table(cls, cells: list[dict[str, Any]]) -> list[dict[str, Any]]:
         """The rows of a table with classes of cover named as such (`name_classes`)."""
@@ -274,6 +281,60 @@ et al. 2008, Remote Sensing of Environment 112:3030), LOPEX (Hosgood et al. 1994
 SHRUB_LEAF_SD = {"dry_matter": 0.6, "water": 0.6, "chlorophyll": 0.45, "carotenoids": 0.4}
 """Standard deviation of the logarithm of these between the species [-]; of pigments without leaves
 below 15 ug cm-2, which are yellow."""
+
+
+_WIDTH_OF_90 = 3.29
+"""Standard deviations of a normal that its middle 90 % are wide."""
+
+
+def table_spreads(
+    rows: Sequence[SpeciesRow], plants: Shrubland, own_leaves: Collection[str]
+) -> dict[str, float]:
+    """How uncertain a species table is in itself: relative standard deviations by the names of
+    parameters [-].
+
+    A cover that is a class or a range has the one whose middle 90 % are that range. What the table
+    leaves open of generic plants has that of shrublands at large.
+
+    **Arguments:**
+
+    - `rows`: of the table.
+    - `plants`: whose values those have that it leaves out.
+    - `own_leaves`: taxa of which leaves are stated, "*" for any other.
+    """
+    spreads = {}
+    for row in rows:
+        if row.cover_range is not None:
+            low, high = row.cover_range
+            spreads[f"species.{row.taxon}.cover"] = (high - low) / _WIDTH_OF_90 / row.cover
+        if plants == "fynbos":
+            continue
+        record = FORMS[row.growth_form]
+        known = record.generic or record.prior
+        for kind in () if known is None else ("leaf_area_index", "dead_fraction", "shoot_clumping"):
+            if row.leaves_open(kind):
+                median, sd = getattr(known, kind)
+                spreads[f"species.{row.taxon}.{kind}"] = float(sd / median)
+        if not {row.taxon, "*"} & set(own_leaves):
+            leaf = f"species.{row.taxon}.leaf"
+            spreads |= {f"{leaf}.{kind}": sd for kind, sd in SHRUB_LEAF_SD.items()}
+    return spreads
+
+
+def own_spread(name: str, spreads: Mapping[str, float], stated: Iterable[str]) -> float | None:
+    """What a species table says itself of how uncertain a parameter is (`table_spreads`), unless
+    something else is stated: of its name, or, but for a cover, by a pattern.
+
+    **Arguments:**
+
+    - `name`: of the parameter.
+    - `spreads`: of `table_spreads`.
+    - `stated`: names and patterns of which a standard deviation is stated.
+
+    **Returns:** a relative standard deviation [-], or None.
+    """
+    patterns = [p for p in stated if not name.endswith(".cover") or "*" not in p]
+    return None if any(fnmatchcase(name, p) for p in patterns) else spreads.get(name)
 
 
 @functools.cache

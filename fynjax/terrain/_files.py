@@ -132,11 +132,13 @@ def read_terrain(
         )
     _check_missing(raw, values, cell, path, declared)
     _check_heights(values, cell, path, unit_known=unit is not None)
+    gap = np.zeros(valid.shape)
     if not valid.all():
-        values = _filled(values, valid, cell, corner, fill_gaps, largest_gap, path)
+        values, gap[~valid] = _filled(values, valid, cell, corner, fill_gaps, largest_gap, path)
     wkt = system.to_wkt()
     unplaced = any(name in wkt for name in ("fynjax plot frame", "unknown reference system"))
-    return Terrain(values, cell, corner, None if unplaced else wkt, filled=float((~valid).mean()))
+    crs = None if unplaced else wkt
+    return Terrain(values, cell, corner, crs, filled=float((~valid).mean()), gap=gap)
 
 
 def middle_of_raster(path: str | Path, size: float) -> Bounds:
@@ -280,8 +282,9 @@ def _filled(
     fill_gaps: bool,
     largest_gap: float,
     path: Path,
-) -> NDArray[np.float64]:
-    """`values` with its gaps interpolated, or an `InputError` that says where they are."""
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """`values` with its gaps interpolated, and how far each of these is from a height [m]; or an
+    `InputError` that says where they are."""
     missing = np.argwhere(~valid)
     if not fill_gaps:
         y, x = (missing[0] + 0.5) * cell + np.array(corner[::-1])
@@ -296,5 +299,5 @@ def _filled(
     filled = values.copy()
     places = np.asarray(missing[:, ::-1] * cell, np.float64)
     first = (corner[0] + 0.5 * cell, corner[1] + 0.5 * cell)
-    filled[~valid] = fill(points, places, first, cell, largest_gap, valid.size)
-    return filled
+    filled[~valid], distance = fill(points, places, first, cell, largest_gap, valid.size)
+    return filled, distance

@@ -25,6 +25,9 @@ class Terrain:
     """Coordinate reference system as WKT; `None` is a frame of the plot's own."""
     filled: float = 0.0
     """Share of the cells of its file that had no height and were interpolated [-]."""
+    gap: Float64[np.ndarray, "y x"] | None = None
+    """How far the centre of each cell is from the nearest ground that was measured, 0 in a cell
+    with some: where it is not 0 the height is interpolated [m]. None where that is not known."""
 
     def __post_init__(self) -> None:
         values = np.asarray(self.heights, np.float64)
@@ -112,7 +115,14 @@ class Terrain:
         )
         dense = self.height_at(x[None, :], y[:, None])
         heights = dense.reshape(rows, parts, columns, parts).mean(axis=(1, 3))
-        return replace(self, heights=heights, cell=float(cell), origin=place[:2])
+        gap = self.gap
+        if gap is not None:  # of the cell that holds the centre of the new one
+            at = (
+                np.clip(((v.reshape(-1, parts).mean(axis=1) - low) / self.cell).astype(int), 0, n)
+                for v, low, n in zip((y, x), self.origin[::-1], np.subtract(gap.shape, 1))
+            )
+            gap = gap[np.ix_(*at)]
+        return replace(self, heights=heights, cell=float(cell), origin=place[:2], gap=gap)
 
 
 def whole_cells(bounds: Bounds, cell: float) -> tuple[int, int]:

@@ -77,9 +77,12 @@ def terrain_from_points(
     x = (np.arange(columns) + 0.5) * cell
     y = (np.arange(rows) + 0.5) * cell
     centres = np.stack([a.ravel() for a in np.meshgrid(x, y)], axis=1)
-    heights = fill(points, centres, plot[:2], cell, largest_gap, len(centres))
-    heights = heights.reshape(rows, columns)
-    return Terrain(heights, float(cell), (plot[0], plot[1]), cloud.crs)
+    heights, gap = fill(points, centres, plot[:2], cell, largest_gap, len(centres))
+    heights, gap = heights.reshape(rows, columns), gap.reshape(rows, columns)
+    j, i = np.floor(points[:, 1::-1] / cell).astype(int).T
+    inside = (i >= 0) & (i < columns) & (j >= 0) & (j < rows)
+    gap[j[inside], i[inside]] = 0.0
+    return Terrain(heights, float(cell), (plot[0], plot[1]), cloud.crs, gap=gap)
 
 
 def _whole_cells_inside(bounds: Bounds, cell: float) -> Bounds:
@@ -126,13 +129,14 @@ def fill(
     cell: float,
     largest_gap: float,
     cells: int,
-) -> NDArray[np.float64]:
-    """Heights at the centres of cells [n, 2] from points [m, 3], counted from `corner` [m].
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Heights at the centres of cells [n, 2] from points [m, 3], counted from `corner` [m], and
+    how far each centre is from the nearest point [m].
 
     As `interpolate`; refuses centres farther than `largest_gap` from any point, and warns where
     many of all the plot's `cells` lie outside the hull of the points.
     """
-    _check_gaps(points, centres, corner, largest_gap, cells)
+    distance = _gaps(points, centres, corner, largest_gap, cells)
     outside = int((_beyond_hull(points[:, :2], centres) > _SLACK_CELLS * cell).sum())
     if outside > _MANY_OUTSIDE * cells:
         warnings.warn(
@@ -141,7 +145,7 @@ def fill(
             "Choose a smaller plot.",
             stacklevel=3,
         )
-    return interpolate(points, centres)
+    return interpolate(points, centres), distance
 
 
 def _beyond_hull(points: NDArray[np.float64], places: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -158,19 +162,20 @@ def _beyond_hull(points: NDArray[np.float64], places: NDArray[np.float64]) -> ND
     return beyond
 
 
-def _check_gaps(
+def _gaps(
     points: NDArray[np.float64],
     centres: NDArray[np.float64],
     corner: tuple[float, float],
     largest: float,
     cells: int,
-) -> None:
+) -> NDArray[np.float64]:
+    """How far each centre is from the nearest point [m], with a check that it is near enough."""
     from scipy.spatial import cKDTree
 
     distance, _ = cKDTree(points[:, :2]).query(centres)
     worst = int(np.argmax(distance))
     if distance[worst] <= largest:
-        return
+        return distance
     x, y = centres[worst] + corner
     far = int((distance > largest).sum())
     if far <= _FEW_FAR * cells:
@@ -179,7 +184,7 @@ def _check_gaps(
             f"{distance[worst]:.1f} m at ({x:.1f}, {y:.1f}); their heights may be wrong",
             stacklevel=4,
         )
-        return
+        return distance
     raise InputError(
         f"expected ground within {largest:g} m of every cell, but the nearest point is "
         f"{distance[worst]:.1f} m of ({x:.1f}, {y:.1f}); {far} of {cells} cells are so far from "

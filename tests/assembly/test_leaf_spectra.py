@@ -59,7 +59,7 @@ def test_each_taxon_has_the_mean_of_its_leaves_fitted_once(
     assert len(list(cache.iterdir())) == 1
     assert {path.name for path in plot.inputs} >= {"Erica_01.csv", "species.csv"}
 
-    def refit(spectra: object) -> None:
+    def refit(spectra: object, **_: object) -> None:
         raise RuntimeError("fitted again")
 
     monkeypatch.setattr(_leaf_spectra, "fit_leaf", refit)
@@ -71,6 +71,45 @@ def test_each_taxon_has_the_mean_of_its_leaves_fitted_once(
     write_leaf(tmp_path / "spectra" / "Erica_01.csv", 0.010)
     with pytest.raises(RuntimeError, match="fitted again"):
         plot_parameters(plot)
+
+
+@pytest.mark.parametrize(
+    ("keys", "background"),
+    [('leaf_measurement = "probe"\n', 0.0),
+     ('leaf_measurement = "leaf-clip"\nleaf_background = 0.9\n', 0.9)],
+)  # fmt: skip
+def test_spectra_of_a_clip_are_fitted_as_of_a_clip(
+    tmp_path: Path, cache: Path, keys: str, background: float
+) -> None:
+    """Shine of 0.05 over black, or light that a white face sends back through the leaf."""
+    wave = np.arange(400.0, 2501.0)
+    r, t = (
+        np.asarray(x)[0] for x in fx.prospect(water=[0.012], dry_matter=[0.008], chlorophyll=[40.0])
+    )
+    seen = r + t**2 * background / (1.0 - r * background) + (0.05 if not background else 0.0)
+    plain = write_leaves(tmp_path, 'leaf_spectra = "spectra"\n')
+    rows = "".join(f"{w:g},{v:.6f}\n" for w, v in zip(wave, seen))
+    for name in WATER:
+        (tmp_path / name).write_text("wavelength,reflectance\n" + rows)
+    error = {}
+    for what, more in (("sphere", ""), ("clip", keys)):
+        leaf = plot_parameters(read_plot(with_keys(plain, more))).leaf
+        true = np.array([0.012, 0.008, 40.0])
+        found = np.array([leaf.water[0], leaf.dry_matter[0], leaf.chlorophyll[0]])
+        error[what] = np.abs(found / true - 1.0)
+    assert error["clip"].max() < 0.1
+    assert error["clip"].max() != error["sphere"].max()  # over black shine alone differs
+    assert error["sphere"].max() > 0.3 or not background
+    assert len(list(cache.iterdir())) == 2
+    with pytest.raises(InputError, match="expected leaf_background with leaf_measurement"):
+        read_plot(with_keys(plain, "leaf_background = 0.9\n"))
+
+
+def with_keys(path: Path, more: str) -> Path:
+    """The plot file again, with other keys under [plot]."""
+    text = path.read_text(encoding="utf-8").split('leaf_spectra = "spectra"\n')[0]
+    path.write_text(text + 'leaf_spectra = "spectra"\n' + more, encoding="utf-8")
+    return path
 
 
 def test_names_say_the_taxon_by_whole_words(tmp_path: Path) -> None:

@@ -44,7 +44,6 @@ from fynjax.assembly import image_view, prepare
 from fynjax.assembly._targets import reflectance_noise, structure_settings
 from fynjax.assembly._twin import draw_truth, measure_truth
 from fynjax.inversion import (
-    IMAGE_STATISTICS,
     CalibrationSettings,
     Data,
     ImageView,
@@ -52,6 +51,7 @@ from fynjax.inversion import (
     PlotForward,
     StructureView,
     calibrate_plot,
+    compared_statistics,
     join_data,
     look,
     plot_search,
@@ -137,7 +137,7 @@ def view_of(sensor, ready, tiny):
     """Of the drone's camera, AVIRIS-NG in some thirty clear bands, or a LiDAR."""
     plot = ready.plot
     if sensor == "image":
-        statistics = [n for n in IMAGE_STATISTICS if "160cm" not in n or min(plot.size_m) >= 5]
+        statistics = [n for n in compared_statistics() if "160cm" not in n or min(plot.size_m) >= 5]
         return image_view(
             plot, ready.scene, ready.parameters, tuple(statistics[:: 9 if tiny else 1])
         )

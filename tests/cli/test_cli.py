@@ -555,3 +555,21 @@ def test_sensors_lists_all_with_their_kind(capsys):
     code, out, _ = call(capsys, "sensors")
     assert code == 0
     assert all(name in out for name in rows)
+
+
+@pytest.mark.parametrize(
+    ("line", "option"),
+    [("validate --real-drone a.tif --simulated-drone b.tif --real-drone c.tif", "--real-drone"),
+     ("render plot.toml --seed 1 --seed 2", "--seed"),
+     ("bioscape learn --seed=1 --seed=1", "--seed"),
+     ("reflectance a.tif --align --no-align", "--align")],
+)  # fmt: skip
+def test_a_second_value_of_an_option_is_refused_and_does_not_replace_the_first(
+    capsys, line, option
+):
+    status, _, err = call(capsys, *line.split())
+    assert (status, err) == (2, f"fynjax: error: expected `{option}` once, but got it 2 times\n")
+    # Several values, and a flag that says the same twice, are as before.
+    twice = ("--target", "a", "--target", "b", "--quiet", "--quiet")
+    _, _, err = call(capsys, "calibrate", "a.toml", *twice)
+    assert "no such file" in err

@@ -9,12 +9,14 @@ from pathlib import Path
 
 import jax
 import pytest
+from typer.testing import CliRunner
 
 import fynjax.cli as cli
 from fynjax._core.errors import InputError
-from fynjax._core.files import existing_file
+from fynjax._core.files import existing_file, how_to_import
+from fynjax.cli import app
 from fynjax.cli._runtime import run_job
-from fynjax.io.raster import open_blocks
+from fynjax.io.raster import open_blocks, open_raster
 
 posix = pytest.mark.skipif(sys.platform in ("win32", "darwin"), reason="names are text there")
 
@@ -93,3 +95,29 @@ def test_a_home_that_is_missing_or_a_file_costs_nothing(tmp_path: Path) -> None:
         env=kept | home, capture_output=True, text=True,
     )  # fmt: skip
     assert run.stdout == "well\n", run.stderr
+
+
+@pytest.mark.parametrize(
+    "line",
+    [["convert", "X"], ["fit-leaf", "X"], ["pattern", "X"], ["simulate", "X"], ["terrain", "X"],
+     ["validate", "--real-spectra", "X", "--simulated-spectra", "X"]],
+)  # fmt: skip
+def test_a_product_of_prisma_is_refused_with_what_to_do(line, tmp_path):
+    path = tmp_path / "PRS_L2D_STD_20260101.he5"
+    path.write_bytes(b"\x89HDF\r\n\x1a\n" + bytes(100))
+    arguments = [str(path) if part == "X" else part for part in line]
+    result = CliRunner().invoke(app, [*arguments, "--output", str(tmp_path / "out")])
+    assert isinstance(result.exception, InputError)
+    assert "EnMAP-Box in QGIS, 'Import PRISMA L2D product'" in str(result.exception)
+
+
+def test_other_products_are_known_by_their_names(tmp_path):
+    """Not a file of another name."""
+    for name, product in (("ENMAP01-____L2A.TIF", "EnMAP L2A"), ("EMIT_L2A_RFL_001.nc", "EMIT L2A"),
+                          ("DESIS-HSI-L2A.tif", "DESIS L2A"), ("orchard.nc", "")):  # fmt: skip
+        said = how_to_import(tmp_path / name)
+        assert said.endswith(f"'Import {product} product'.") == bool(product)
+    path = tmp_path / "EMIT_L2A_RFL_001.nc"
+    path.write_bytes(b"\x89HDF\r\n\x1a\n" + bytes(100))
+    with pytest.raises(InputError, match=r"HDF5 or NetCDF\. `fynjax map` reads it as it is"):
+        open_raster(path, "an image").__enter__()

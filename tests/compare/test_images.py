@@ -52,7 +52,10 @@ def test_bands_are_found_by_name_wavelength_option_and_order(tmp_path: Path) -> 
         with said if how == "order" else nullcontext():
             got = read(tmp_path / f"{name}.tif", **options)
         assert got.chosen_by == how
-        np.testing.assert_allclose(got.values, image[:, ::-1], rtol=1e-6)
+        np.testing.assert_allclose(got.values[:4], image[:, ::-1], rtol=1e-6)
+        others = ("blue",) if name in ("names", "waves") else ()
+        assert got.bands == (*BANDS, *others)
+        assert (got.values[4:] == np.float32(0.02)).all()
         assert got.mask.all()
         assert got.pixel_m == pytest.approx(0.05)
     for path, options, word in (
@@ -63,6 +66,22 @@ def test_bands_are_found_by_name_wavelength_option_and_order(tmp_path: Path) -> 
     ):
         with pytest.raises(InputError, match=word):
             read(tmp_path / path, **options)
+
+
+def test_every_band_of_the_camera_that_the_file_has_is_read(tmp_path: Path) -> None:
+    """By the camera's name of it or within its width, and no other."""
+    image = np.concatenate([values(), np.stack([np.full((30, 20), 0.01 * k) for k in range(1, 5)])])
+    names = [*BANDS, "Blue-475", "coastal", "band 7", "thermal"]
+    waves = [560, 668, 717, 840, 475, 444, 531, 11000]
+    write_geotiff(tmp_path / "a.tif", image, names, pixel_m=0.05, wavelengths=waves)
+    camera = BandSet(
+        ("green_2", "blue", "coastal", "red", "green", "nir", "red_edge", "yellow"),
+        (531.0, 475.0, 450.0, 668.0, 560.0, 842.0, 717.0, 600.0), (14.0,) * 8,
+    )  # fmt: skip
+    got = read(tmp_path / "a.tif", camera=camera)
+    assert got.bands == (*BANDS, "green_2", "blue", "coastal")
+    assert got.taken[4:] == ("band 7", "Blue-475", "coastal")
+    np.testing.assert_allclose(got.values[4:, 0, 0], [0.03, 0.01, 0.02])
 
 
 def test_near_infrared_darker_than_red_is_doubted(tmp_path: Path) -> None:

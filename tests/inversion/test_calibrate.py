@@ -8,11 +8,11 @@ import pytest
 
 from fynjax.canopy import FORMS
 from fynjax.inversion import (
-    IMAGE_STATISTICS,
     WELL_CONSTRAINED,
     CalibrationSettings,
     ImageView,
     calibrate_plot,
+    compared_statistics,
     free_space,
     weigh_targets,
 )
@@ -33,6 +33,7 @@ from fynjax.scene import (
 )
 from fynjax.sensors import shipped_sensor
 
+NAMES = compared_statistics()
 TAXA = ("Erica", "Restio", "Euclea")
 GROWN = ("rounded_shrub", "tussock", "broad_leaved")
 FREE = (
@@ -83,7 +84,7 @@ def twin():
     rules = PlantingRules(structure="even")
     scene = build_scene(species, real, extent=(6.0, 6.0), voxel=0.1, seed=11, rules=rules)
     camera = aim(scene, real, shipped_sensor("mavic_3m"), Placement(50.0, 0.05))
-    view = ImageView(IMAGE_STATISTICS, camera)
+    view = ImageView(NAMES, camera)
     image = np.asarray(eqx.filter_jit(view.observe)(scene, real)[0])
     draw = np.random.default_rng(4)
     noisy = image * (1 + 0.02 * draw.normal(size=image.shape)) + 0.001 * draw.normal(
@@ -95,9 +96,9 @@ def twin():
     off |= {f"species.{t}.cover": 0.7 * values[f"species.{t}.cover"] for t in TAXA}
     start = with_values(real, TAXA, {n: jnp.asarray(v) for n, v in off.items()})
     space = free_space(scene, start, FREE, lambda _: 0.3)
-    measured = np.asarray(image_statistics(jnp.asarray(noisy), IMAGE_STATISTICS, pixel=0.05))
+    measured = np.asarray(image_statistics(jnp.asarray(noisy), NAMES, pixel=0.05))
     # 3 %: what another planting of so small a plot would change.
-    data = weigh_targets(IMAGE_STATISTICS, measured, 0.03)
+    data = weigh_targets(NAMES, measured, 0.03)
     settings = CalibrationSettings(stride=3, max_steps=14)
     found = calibrate_plot(scene, start, data, space, [view], settings)
     return values, found

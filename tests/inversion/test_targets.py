@@ -7,14 +7,16 @@ import pytest
 from rasterio import Affine
 from scipy.ndimage import gaussian_filter, map_coordinates, uniform_filter
 
+import fynjax as fx
 from fynjax._core.errors import InputError
-from fynjax.assembly import _targets, read_targets
+from fynjax.assembly import _targets, read_targets, twin_image
 from fynjax.assembly._targets import image_target
 from fynjax.inversion import _targets as targets
 from fynjax.inversion import weigh_targets
 from fynjax.io.plot import example_folder, read_plot, sensor_place
 from fynjax.io.raster import write_geotiff
 from fynjax.metrics import BANDS, VEGETATION_INDICES
+from fynjax.sensors import shipped_sensor
 from tests.helpers import write_raster
 
 
@@ -72,6 +74,30 @@ def test_an_image_of_other_pixels_than_the_sensors_is_simulated_in_its_own(tmp_p
         assert ("are simulated" in target.description) == (pixel != own)
 
 
+def test_every_band_that_camera_and_image_have_is_a_target(tmp_path, monkeypatch):
+    """Of a twin without an image it is every band of the camera."""
+    plot = read_plot(example_folder() / "plot.toml")
+    five = plot.replace(sensor=plot.sensor.replace(name="rededge_3"))
+    names = ("blue", *BANDS)
+    image = np.sort(np.random.default_rng(1).uniform(0.1, 0.2, (5, 20, 20)), axis=0)
+    monkeypatch.setattr(_targets, "image_view", lambda plot, a, b, names: names)
+    for name, bands in (("five", names), ("four", BANDS)):
+        path = tmp_path / f"{name}.tif"
+        write_geotiff(path, image[-len(bands) :], list(bands), pixel_m=0.06, crs="EPSG:32734")
+        for camera in (plot, five):
+            target = image_target(camera, path)
+            has = name == "five" and camera is five
+            assert ("blue.q25" in target.view_of(None, None)) == has
+            assert ("blue" in target.description) == has
+            if has:
+                mean = dict(zip(target.data.names, target.data.value))["blue.mean"]
+                assert float(mean) == pytest.approx(image[0].mean(), rel=1e-6)
+    for camera in (plot, five):
+        assert ("blue.std" in twin_image(camera).data.names) == (camera is five)
+    data = fx.Data.from_image(tmp_path / "five.tif", "rededge_3", statistics=("*.mean",))
+    assert "blue.mean" in data.names
+
+
 def test_a_resampled_image_is_simulated_by_what_its_pixels_average_over(tmp_path, monkeypatch):
     plot = read_plot(example_folder() / "plot.toml")
     monkeypatch.setattr(_targets, "image_view", lambda plot, *_: sensor_place(plot)[1])
@@ -83,6 +109,26 @@ def test_a_resampled_image_is_simulated_by_what_its_pixels_average_over(tmp_path
     assert (own.view_of(None, None), sharp.view_of(None, None)) == (pytest.approx(0.06), 0.043)
     np.testing.assert_array_equal(own.data.value, sharp.data.value)
     assert "average over 0.043 m" in sharp.description
+
+
+def test_an_image_that_is_more_blurred_than_its_camera_is_doubted(tmp_path, monkeypatch):
+    """Once: what the plot file states counts."""
+    plot, asked = read_plot(example_folder() / "plot.toml"), []
+
+    def footprint(image, mask, *, blur):
+        asked.append(blur)
+        return 3.0
+
+    monkeypatch.setattr(_targets, "pixel_footprint", footprint)
+    image = np.sort(np.random.default_rng(0).uniform(0.1, 0.2, (4, 40, 40)), axis=0)
+    write_geotiff(tmp_path / "a.tif", image, list(BANDS), pixel_m=0.06, crs="EPSG:32734")
+    with pytest.warns(UserWarning, match=r"some 0\.18 m.*`footprint_m = 0\.18`"):
+        image_target(plot, tmp_path / "a.tif")
+    sensor = shipped_sensor("mavic_3m")
+    own = 0.7 * float(sensor.pixel(sensor_place(plot)[0])) / 0.06
+    assert asked == [pytest.approx(own)]
+    image_target(plot.replace(sensor=plot.sensor.replace(footprint_m=0.06)), tmp_path / "a.tif")
+    assert len(asked) == 1
 
 
 def test_bilinear_interpolation_averages_over_root_three_of_the_pixel_before():

@@ -6,10 +6,11 @@ import jax.numpy as jnp
 import numpy as np
 import pandas as pd
 import pytest
+from rasterio import Affine
 
 import fynjax as fx
 from fynjax._core.errors import InputError
-from fynjax.assembly import plot_parameters
+from fynjax.assembly import placed_by_image, plot_parameters
 from fynjax.assembly._forward import _prior_sd
 from fynjax.canopy import FORMS
 from fynjax.io.plot import (
@@ -21,6 +22,7 @@ from fynjax.io.plot import (
     write_prior,
 )
 from fynjax.scene import SHRUB_LEAF, SHRUB_LEAF_SD, USUAL_LEAF, GroundParameters, usual_leaf
+from tests.helpers import write_raster
 from tests.io.test_prior import prior_file
 from tests.small import SPECIES, write_plot
 
@@ -91,6 +93,34 @@ def test_place_says_of_what_shrubland_plants_are(
     line, at_large = plant_sources(plot), "Leaf area, dead tissue, leaf traits: medians of shrubl"
     assert (at_large in line) == ("lies outside the Cape" in line) == (plants == "generic")
     assert "No place is stated" not in line
+
+
+@pytest.mark.parametrize(
+    ("crs", "corner", "plants"),
+    [("EPSG:32632", (5.7e5, 5.87e6), "generic"), ("EPSG:32734", (3.5e5, 6.18e6), "fynbos"),
+     ("EPSG:4326", (10.0, 53.0), "generic"), (None, (0.0, 0.0), "fynbos")],
+)  # fmt: skip
+def test_maps_and_the_image_say_where_a_plot_is(tmp_path, crs, corner, plants):
+    side = 1e-6 if crs == "EPSG:4326" else 0.1
+    place = Affine(side, 0, corner[0], 0, -side, corner[1] + 20 * side)
+    image = np.ones((1, 20, 20), np.uint8)
+    write_raster(tmp_path / "map.tif", image, crs=crs, transform=place)
+    path = write_plot(tmp_path)
+    assert read_plot(path).place_deg is None
+    with_map = placed_by_image(read_plot(path), [tmp_path / "a.csv", tmp_path / "map.tif"])
+    assert with_map.shrubland == plants
+    map_key = f'probability_map = "map.tif"\nmap_origin_m = [{corner[0]}, {corner[1]}]\n'
+    assert read_plot(write_plot(tmp_path, map_key)).place_deg == with_map.place_deg
+    if crs == "EPSG:32632":  # (53.0, 10.0) by the formulas of UTM
+        assert with_map.place_deg == pytest.approx((52.98, 10.04), abs=0.01)
+    said = read_plot(write_plot(tmp_path, "latitude_deg = 53.0\nlongitude_deg = 10.0\n"))
+    assert (said.shrubland, said.place_deg) == ("generic", (53.0, 10.0))
+    assert placed_by_image(said, [tmp_path / "map.tif"]) is said
+    for keys, word in (("latitude_deg = 53.0\n", "longitude_deg is missing"),
+                       ("latitude_deg = 1.0\nlongitude_deg = 2.0\n" + PLACE.format(1, 2, 0),
+                        "but got both")):  # fmt: skip
+        with pytest.raises(InputError, match=word):
+            read_plot(write_plot(tmp_path, keys))
 
 
 def test_the_users_word_comes_before_the_place(tmp_path: Path) -> None:

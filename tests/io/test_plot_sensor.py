@@ -145,6 +145,16 @@ def test_the_drone_commands_need_the_drone_bands(tmp_path):
         drone_sensor(wide)
 
 
+def test_a_drone_s_further_bands_come_after_the_four(tmp_path):
+    """With the errors of their gains."""
+    five = '[sensor]\nname = "rededge_3"\n[calibration]\ngain_sd = {blue = 0.3}\n'
+    read = plot(tmp_path, five)
+    every = drone_sensor(read)
+    assert every.bands.names == (*BANDS, "blue")
+    assert every.gains().of_bands(5) == pytest.approx([0.1, 0.1, 0.1, 0.1, 0.3])
+    assert drone_sensor(read, {"red", "NDVI"}).bands.names == BANDS
+
+
 def test_errors_of_calibration_are_the_sensor_s_but_for_what_a_plot_file_states(tmp_path):
     def gains(tables):
         return drone_sensor(plot(tmp_path, tables)).gains()

@@ -15,7 +15,7 @@ from fynjax._core.errors import InputError
 from fynjax.cli._plot import terrain as command
 from fynjax.jobs import terrain
 from fynjax.report.figures._terrain import hillshade
-from fynjax.terrain import Terrain, read_cloud, read_terrain, write_terrain
+from fynjax.terrain import Terrain, read_cloud, read_terrain, terrain_from_points, write_terrain
 from tests.helpers import assert_valid_summary, write_raster
 from tests.terrain.synthetic import CORNER, ground_height, needs_cloth, shrubland
 from tests.terrain.test_cloud import write_las
@@ -43,6 +43,8 @@ def test_command_writes_the_terrain_of_a_cloud(cloud_file, tmp_path, capfd):
     assert sorted(p.name for p in output.iterdir()) == [
         "canopy_height.qml",
         "canopy_height.tif",
+        "ground_distance.qml",
+        "ground_distance.tif",
         "report.html",
         "summary.json",
         "terrain.obj",
@@ -172,6 +174,11 @@ def test_filled_cells_are_counted_and_not_far(tmp_path):
     summary = terrain(path, tmp_path / "out", fill_gaps=True)
     assert summary.terrain.cells_filled == pytest.approx(11 / 60)
     assert "18.3 % of the cells had no height" in summary.headline[1]
+    assert summary.terrain.interpolated_to_m == 6.0
+    with rasterio.open(tmp_path / "out" / "ground_distance.tif") as file:
+        far = np.array([*range(1, 7), *range(5, 0, -1)])
+        np.testing.assert_array_equal(file.read(1)[:, 30:41], np.tile(far, (20, 1)))
+        assert not file.read(1)[:, :30].any()
     with pytest.raises(InputError, match=r"a\.tif: .*within 5 m"):
         terrain(path, tmp_path / "out", fill_gaps=True, largest_gap=5.0)
     heights[:, 11:] = np.nan
@@ -180,6 +187,27 @@ def test_filled_cells_are_counted_and_not_far(tmp_path):
         terrain(path, tmp_path / "out", fill_gaps=True)
     with pytest.warns(UserWarning, match="78 %"):
         terrain(path, tmp_path / "out", fill_gaps=True, largest_gap=60.0)
+
+
+def test_ground_under_a_closed_stand_is_mapped_as_interpolated(tmp_path):
+    """No point of the file's own ground lies within 3 m of the middle of a plot of 20 m."""
+    x, y = np.meshgrid(np.arange(0.125, 20.0, 0.25), np.arange(0.125, 20.0, 0.25))
+    far = np.hypot(x - 10.0, y - 10.0)
+    high, ground = np.where(far < 3.0, 2.0, 0.0), far >= 3.0
+    path = written(
+        tmp_path, x.ravel(), y.ravel(), (100.0 + 0.02 * x + high).ravel(), ground.ravel()
+    )
+    result = terrain(path, tmp_path / "out", bounds=(0.0, 0.0, 20.0, 20.0), cell=0.25)
+    assert result.terrain.cells_with_ground == pytest.approx(ground.mean())
+    assert result.terrain.interpolated_to_m == pytest.approx(3.0, abs=0.2)
+    with rasterio.open(tmp_path / "out" / "ground_distance.tif") as file:
+        found = file.read(1)[::-1]
+    assert not found[ground].any()
+    np.testing.assert_allclose(found[~ground], 3.0 - far[~ground], atol=0.25)
+    coarser = read_cloud(path)
+    whole = terrain_from_points(coarser, ground.ravel(), bounds=(0.0, 0.0, 20.0, 20.0))
+    half = whole.resample(0.5, (2.0, 4.0, 18.0, 16.0)).gap
+    np.testing.assert_array_equal(half, whole.gap[17:65:2, 9:73:2])
 
 
 def test_rough_ground_is_warned_of(tmp_path):

@@ -65,6 +65,20 @@ def written(name: str, image: np.ndarray) -> np.ndarray:
     return value[np.isfinite(value)]
 
 
+def test_a_band_that_both_images_have_is_compared(tmp_path: Path) -> None:
+    blue = drawn(3, 30, 30)[:1]
+    for name, image in (("a", drawn(1, 30, 30)), ("b", drawn(2, 30, 30))):
+        image = np.concatenate([blue, image])
+        write_geotiff(tmp_path / f"{name}.tif", image, ["Blue", *BANDS], pixel_m=0.05)
+    table = validate(
+        ValidationData(real_drone=tmp_path / "a.tif", simulated_drone=tmp_path / "b.tif"),
+        tmp_path / "out",
+    ).drone.bands
+    assert [row["band"] for row in table] == [*BANDS, "blue"]
+    assert table[-1]["real_mean"] == pytest.approx(blue.mean())
+    assert table[-1]["ks"] == 0.0
+
+
 def test_every_number_of_table_4_by_scipy_and_numpy(drone: DroneComparison) -> None:
     images = drawn(1, 40, 50), drawn(2, 30, 30, 0.2)
     table = drone.indices.set_index("index")
@@ -223,6 +237,12 @@ def test_a_run_writes_every_number_once(folder: Path, tmp_path: Path) -> None:
         assert file["agreement_spectral_angle_deg"].attrs["units"] == "degree"
         assert "real.tif" in json.loads(file.attrs["input_sha256"])
     assert summary.drone.indices[9]["ks"] == pytest.approx(table["ks"][9])
+    for row, name in zip(summary.drone.diversity, ("real", "simulated"), strict=True):
+        pixels = read_drone_image(folder / f"{name}.tif").pixels
+        cv = np.mean(pixels.std(axis=1, ddof=1) / pixels.mean(axis=1))
+        assert row["sample"] == name
+        assert row["cv"] == pytest.approx(cv)
+        assert row["variance"] == pytest.approx(pixels.var(axis=1, ddof=1).sum())
     assert summary.spectra.matching == "same"
     html = (tmp_path / "report.html").read_text("utf-8")
     assert html.count("<img") == 6

@@ -65,6 +65,17 @@ def test_windowed_quantiles_are_means_about_the_quantile():
     assert float(slope.sum()) == pytest.approx(1.0)
 
 
+def test_bands_are_known_by_their_names_whatever_their_order():
+    image = jnp.asarray(np.random.default_rng(5).uniform(0.02, 0.3, (5, 8, 8)))
+    names = ("blue", "green", "red", "nir", "red_edge")
+    found = image_statistics(image, ["blue.mean", "NDVI.q50"], bands=names)
+    assert float(found[0]) == pytest.approx(float(image[0].mean()))
+    usual = image_statistics(image[jnp.array([1, 2, 4, 3])], ["NDVI.q50"])
+    assert float(found[1]) == float(usual[0])
+    with pytest.raises(InputError, match=r"'blue\.mean'"):
+        image_statistics(image[1:], ["blue.mean"])
+
+
 def test_squares_that_an_image_does_not_hold_are_refused_and_left_out():
     image = jnp.full((4, 9, 9), 0.2)
     with pytest.raises(InputError, match="`pixel` must be known"):

@@ -6,18 +6,21 @@ from types import SimpleNamespace
 import numpy as np
 import pandas as pd
 import pytest
+import xarray as xr
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.legend import Legend
 
 from fynjax.canopy import Organ
 from fynjax.leaf import LeafOverBackground, fit_leaf, prospect
 from fynjax.report.figures import (
+    all_leaves_figure,
     composites,
     constraint_plot,
     convergence_plot,
     error_bars,
     index_histograms,
     leaf_fit_figure,
+    measured_figure,
     parameter_plot,
     plant_figure,
     recognition_plot,
@@ -260,6 +263,48 @@ def test_the_legend_of_leaves_is_whole(leaves, estimated):
     figure = leaf_fit_figure(fit)
     assert_titles_and_legends_lie_inside(figure)
     assert ("1 - T of model, with gaps" in shown_labels(figure)) == bool(estimated)
+
+
+def test_all_leaves_are_drawn_with_those_in_doubt_named():
+    """Two of 14 leaves are no leaves; of one transmittance alone was measured."""
+    r, t = (np.array(x) for x in prospect(chlorophyll=np.linspace(20.0, 60.0, 14)))
+    r[3], r[8] = 0.5, np.linspace(0.0, 0.9, r.shape[1])
+    r[5] = np.nan
+    fit = fit_leaf(range(400, 2501), r, t)
+    doubtful = [i for i, status in enumerate(fit.status) if status != "converged"]
+    assert {3, 8} <= set(doubtful)
+    figure = all_leaves_figure(fit)
+    seen = figure.axes[0]
+    drawn = [len(lines.get_segments()) for lines in seen.collections]
+    assert drawn == [14 - len(doubtful), len(doubtful)]
+    where = seen.collections[0].get_segments()[4]  # the sixth leaf, after one in doubt
+    at = np.argmin(abs(fit.wavelength - 800.0))
+    assert where[at, 1] == pytest.approx(1.0 - t[5, 400], abs=1e-3)
+    named = ", ".join(fit.labels[i] for i in doubtful)
+    assert shown_labels(figure) == [
+        f"{14 - len(doubtful)} fitted without doubt",
+        f"in doubt: {named}",
+    ]
+    assert_titles_and_legends_lie_inside(figure)
+
+
+def test_a_spectrum_s_noise_in_the_bands_of_water_does_not_flatten_the_others():
+    """Of 30 spectra of R and T the first ones are named."""
+    r, t = (np.asarray(x) for x in prospect(chlorophyll=np.linspace(20.0, 60.0, 30)))
+    spectra = xr.Dataset(
+        {"reflectance": (("spectrum", "wavelength"), r.copy()),
+         "transmittance": (("spectrum", "wavelength"), t)},
+        {"spectrum": [f"leaf {k}" for k in range(30)], "wavelength": np.arange(400.0, 2501.0)},
+    )  # fmt: skip
+    spectra["reflectance"][4, 1450:1460] = 300.0
+    figure = measured_figure(spectra)
+    (axes,) = figure.axes
+    assert axes.get_ylim()[1] < 1.1
+    assert [len(lines.get_segments()) for lines in axes.collections] == [30, 30]
+    whole = axes.collections[1].get_segments()[7]
+    np.testing.assert_allclose(whole[:, 1], 1.0 - t[7])
+    assert len(shown_labels(figure)) == 11
+    assert_titles_and_legends_lie_inside(figure)
 
 
 def shown_labels(figure):

@@ -7,6 +7,7 @@ import openpyxl
 import pandas as pd
 import pytest
 
+import fynjax as fx
 from fynjax._core.errors import InputError
 from fynjax.assembly import _forward
 from fynjax.io.plot import read_plot
@@ -116,6 +117,41 @@ def test_a_range_is_the_prior_of_its_cover(shared_data, tmp_path):
     assert _forward._prior_sd(plot, other) == plot.calibration.relative_sd(other)
     stated = plot.calibration.model_copy(update={"priors": {name: 0.3}})
     assert _forward._prior_sd(plot.model_copy(update={"calibration": stated}), name) == 0.3
+
+
+def test_python_has_the_priors_of_the_command_line(tmp_path):
+    """Of classes and ranges of cover, and of what a table leaves open of generic plants."""
+    table = [
+        {"taxon": f"Erica {k}", "growth_form": "rounded_shrub", "mean_diameter_cm": 30.0,
+         "cover_percent": cover, "height_max_m": 0.8, "dead_fraction": dead}
+        for k, (cover, dead) in enumerate((("2a", None), ("5-10", 0.2), ("12", None)))
+    ]  # fmt: skip
+    pd.DataFrame(table).to_csv(tmp_path / "species.csv", index=False)
+    free = ("species.*.cover", "species.*.dead_fraction", "species.*.leaf.water")
+    for plants in ("fynbos", "generic"):
+        own = fx.Scene.from_table(table, size=1.0, voxel=0.5, plants=plants)
+        path = tmp_path / "plot.toml"
+        path.write_text(
+            "[plot]\nsize_m = 1.0\nvoxel_m = 0.5\n"
+            f'species_table = "species.csv"\nplants = "{plants}"\n'
+        )
+        line = _forward.prepare(read_plot(path), free, seed=0).space
+        for scene in (own, fx.read_scene(path)):
+            space = fx.free(scene, *free)
+            assert space.names == line.names
+            np.testing.assert_allclose(space.prior_sd, line.prior_sd, rtol=1e-6)
+    a, b, c = (f"species.Erica {k}" for k in range(3))
+    spread = dict(own.spreads)
+    assert spread[f"{a}.cover"] == pytest.approx(0.075 / 3.29 / 0.0875)
+    assert {f"{b}.cover", f"{a}.dead_fraction", f"{c}.leaf.water"} < set(spread)
+    assert {f"{c}.cover", f"{b}.dead_fraction"}.isdisjoint(spread)
+    # What is stated counts; a pattern of all covers does not replace what was noted of one.
+    at = np.asarray(own.parameters.species.cover)
+    for prior, wanted in (({"species.*.cover": 0.3}, [spread[f"{a}.cover"], 0.3]),
+                          ({f"{a}.cover": 0.1, "species.*.cover": 0.3}, [0.1, 0.3])):  # fmt: skip
+        space = fx.free(own, "species.*.cover", prior=prior)
+        found = np.asarray(space.prior_sd)[[0, 2]] / at[[0, 2]]
+        np.testing.assert_allclose(found, wanted, rtol=0.02)
 
 
 def test_names_in_the_letters_of_old_spreadsheets(tmp_path):

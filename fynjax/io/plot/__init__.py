@@ -3,8 +3,8 @@
 from fynjax.io.plot._calibration import CalibrationTable
 from fynjax.io.plot._leaf_spectra import LeafFileRow
 from fynjax.io.plot._parameter_values import with_parameter_table
-from fynjax.io.plot._place import Place, plot_place
-from fynjax.io.plot._plants import open_sd, plant_sources, with_prior
+from fynjax.io.plot._place import Place, placed_by, plot_place
+from fynjax.io.plot._plants import plant_sources, plot_spreads, with_prior
 from fynjax.io.plot._plot import Plot
 from fynjax.io.plot._plot_file import as_plot, example_folder, read_plot
 from fynjax.io.plot._plot_tables import AtmosphereTable, PlotFile
@@ -72,10 +72,11 @@ __all__ = [
     "drone_sensor",
     "example_folder",
     "leaf_factors",
-    "open_sd",
+    "placed_by",
     "plant_sources",
     "plot_instrument",
     "plot_place",
+    "plot_spreads",
     "read_plot",
     "read_prior",
     "read_sky",

@@ -8,7 +8,7 @@ from typing import Any
 from fynjax.canopy import FORMS
 from fynjax.io.plot._plot import Plot
 from fynjax.io.plot._prior import BY_FORM, DEFAULT_PRIOR, LearnedPrior, read_prior
-from fynjax.scene import SHRUB_LEAF_SD, SpeciesRow
+from fynjax.scene import SpeciesRow, table_spreads
 
 _OPEN = {
     "leaf_area_index": "leaf area",
@@ -93,35 +93,14 @@ def plant_sources(plot: Plot, prior: LearnedPrior | None = None) -> str:
     return " ".join(line[0].upper() + line[1:] for line in lines)
 
 
-def open_sd(plot: Plot, name: str) -> float | None:
-    """Relative standard deviation of a parameter that a plot's tables leave open and that has its
-    value of shrublands at large [-]; None of any other.
+def plot_spreads(plot: Plot) -> dict[str, float]:
+    """How uncertain a plot's tables are in themselves, by the names of parameters, as relative
+    standard deviations (`table_spreads`).
 
-    **Arguments:**
-
-    - `plot`: as `read_plot` gives it.
-    - `name`: of a parameter, such as "species.Calluna vulgaris.leaf_area_index".
+    **Arguments:** `plot`, as `read_plot` gives it.
     """
-    if plot.shrubland == "fynbos" or not name.startswith("species."):
-        return None
-    for row in plot.species:
-        kind = name.removeprefix(f"species.{row.taxon}.")
-        record = FORMS[row.growth_form]
-        known = record.generic or record.prior
-        if kind in BY_FORM and known is not None and _is_open(row, kind):
-            median, sd = getattr(known, kind)
-            return float(sd / median)
-        if kind.startswith("leaf.") and not {row.taxon, "*"} & (
-            {leaf.taxon for leaf in plot.leaves} | set(plot.leaf_files)
-        ):
-            return SHRUB_LEAF_SD.get(kind.removeprefix("leaf."))
-    return None
-
-
-def _is_open(row: SpeciesRow, kind: str) -> bool:
-    """Whether neither a species' row nor the mesh that it names gives a value."""
-    from_mesh = row.plant is not None and kind.endswith("area_index")
-    return getattr(row, kind) is None and not from_mesh
+    own_leaves = {leaf.taxon for leaf in plot.leaves} | set(plot.leaf_files)
+    return table_spreads(plot.species, plot.shrubland, own_leaves)
 
 
 def with_prior(plot: Plot, name_or_path: str | Path) -> Plot:
@@ -154,7 +133,7 @@ def with_prior(plot: Plot, name_or_path: str | Path) -> Plot:
         found: dict[str, Any] = {
             kind: values[f"{kind}.{one.growth_form}"]
             for kind in BY_FORM
-            if f"{kind}.{one.growth_form}" in values and _is_open(one, kind)
+            if f"{kind}.{one.growth_form}" in values and one.leaves_open(kind)
         }
         species.append(one.replace(**found))
         for kind, value in found.items():

@@ -41,7 +41,8 @@ class Plot(PlotTable, SceneTable):
     sun: SunPosition
     """Direction to the sun and sunlight of the day, from its angles or from place and time."""
     place_deg: tuple[float, float] | None = None
-    """Latitude and longitude [degree]; `None` where the plot file states none."""
+    """Latitude and longitude [degree], as the plot file states them or its maps, or an image of it,
+    lie; `None` where nothing says."""
     sky: SkyTable
     ground: GroundTable
     sensor: SensorTable
@@ -70,6 +71,16 @@ class Plot(PlotTable, SceneTable):
             return self.plants or "fynbos"
         north, east = self.place_deg
         return "fynbos" if -35.0 <= north <= -31.0 and 17.5 <= east <= 27.0 else "generic"
+
+    @property
+    def maps(self) -> dict[str, Path]:
+        """Its maps by what they are: ground heights, probability and ground covers."""
+        maps = {
+            "a raster of heights": self.terrain,
+            "a probability map": self.probability_map,
+            "a map of ground covers": self.ground.map,
+        }
+        return {what: path for what, path in maps.items() if path is not None}
 
     @property
     def taxa(self) -> tuple[str, ...]:

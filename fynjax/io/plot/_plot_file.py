@@ -11,6 +11,7 @@ from fynjax._core.errors import InputError
 from fynjax.canopy import FORMS
 from fynjax.io.plot._crowns import with_crowns
 from fynjax.io.plot._leaf_spectra import spectra_by_taxon
+from fynjax.io.plot._place import placed_by
 from fynjax.io.plot._plot import Plot
 from fynjax.io.plot._plot_tables import PlotFile
 from fynjax.io.plot._sensor import DRONE, named_sensor, sensor_place
@@ -130,6 +131,15 @@ def read_plot(path: str | Path, *, allow_outside: bool = False) -> Plot:
             "ground.rpv",
             "expected rpv or a terrain, but got both: ground with a shape of its own must be level",
         )
+    stated = parsed.sun.place
+    if table.latitude_deg is not None and table.longitude_deg is not None:
+        if stated is not None:
+            raise refused(
+                "plot.latitude_deg",
+                "expected the place under [plot] or, with a time, under [sun], but got both: leave "
+                "it out here",
+            )
+        stated = table.latitude_deg, table.longitude_deg
     species_path, leaf_path = table.species_table, table.leaf_table
     species = _read_species(species_path, within, size, table.cover_definition)
     spectra: dict[str, tuple[Path, ...]] = {}
@@ -151,7 +161,7 @@ def read_plot(path: str | Path, *, allow_outside: bool = False) -> Plot:
         species=species,
         leaves=leaves,
         sun=parsed.sun.position,
-        place_deg=parsed.sun.place,
+        place_deg=stated,
         sky=parsed.sky,
         ground=parsed.ground,
         sensor=named_sensor(parsed.sensor),
@@ -175,4 +185,6 @@ def read_plot(path: str | Path, *, allow_outside: bool = False) -> Plot:
             f"expected a pixel of at most the plot's side, {min(size):g} m, but got {pixel:g} m"
             f"{'' if plot.sensor.name == DRONE else slip}",
         )
+    if plot.place_deg is None:
+        plot = placed_by(plot, plot.maps.values())
     return plot if table.crowns is None else with_crowns(plot, table.crowns)

@@ -80,8 +80,19 @@ class PlotTable(Strict):
         default=None,
         description="Whose leaf area, dead tissue, clumping, bark and leaves plants have that the "
         "tables leave open: 'fynbos', learned from 18 plots, or 'generic', of published "
-        "shrublands at large, with wider priors. Left out: 'generic' where latitude and longitude "
-        "of [sun] lie outside the Cape (31 to 35 S, 17.5 to 27 E), else 'fynbos'.",
+        "shrublands at large, with wider priors. Left out: 'generic' where the plot lies outside "
+        "the Cape (31 to 35 S, 17.5 to 27 E) by latitude and longitude here or of [sun], by its "
+        "maps, or by the image that it is calibrated to, else 'fynbos'.",
+    )
+    latitude_deg: float | None = number(
+        "Latitude of the plot, north; left out, that of [sun] or of the plot's maps",
+        "degree",
+        default=None,
+        ge=-90,
+        le=90,
+    )
+    longitude_deg: float | None = number(
+        "Longitude of the plot, east; west is negative", "degree", default=None, ge=-180, le=180
     )
     cover_definition: CoverDefinition | None = Field(
         default=None,
@@ -112,6 +123,21 @@ class PlotTable(Strict):
             "of programs. Each taxon has the mean of its leaves; others have those of the leaf "
             "table.",
         )
+    )
+    leaf_measurement: Literal["sphere", "leaf-clip", "probe", "stack"] = Field(
+        default="sphere",
+        description="How the spectra of leaf_spectra and of the leaf table were measured: "
+        "'sphere', reflectance of an integrating sphere, 'leaf-clip' or 'probe' (contact probe), "
+        "whose lamp shines on the leaf over black or over leaf_background, 'stack', an optically "
+        "thick pile.",
+    )
+    leaf_background: float | None = number(
+        "Reflectance of the face behind the leaf of a clip or probe, such as 0.9 of a white one; "
+        "left out, black",
+        "-",
+        default=None,
+        gt=0,
+        le=1,
     )
     leaf_variants: int = Field(
         default=1,
@@ -145,6 +171,24 @@ class PlotTable(Strict):
         "out: that of a map as large as the plot.",
         json_schema_extra={"unit": "m"},
     )
+
+    @model_validator(mode="after")
+    def _background_of_a_clip(self) -> "PlotTable":
+        if self.leaf_background is not None and self.leaf_measurement not in ("leaf-clip", "probe"):
+            raise ValueError(
+                "expected leaf_background with leaf_measurement = 'leaf-clip' or 'probe', but "
+                f"it is {self.leaf_measurement!r}"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _latitude_and_longitude(self) -> "PlotTable":
+        if (self.latitude_deg is None) != (self.longitude_deg is None):
+            missing = "latitude_deg" if self.latitude_deg is None else "longitude_deg"
+            raise ValueError(
+                f"expected latitude_deg and longitude_deg together, but {missing} is missing"
+            )
+        return self
 
     @model_validator(mode="after")
     def _hills_do_not_repeat(self) -> "PlotTable":

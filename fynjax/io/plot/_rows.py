@@ -6,7 +6,7 @@ from typing import ClassVar, Literal
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from fynjax.io.text import Slip, Strict, number, quantity
-from fynjax.metrics import BANDS
+from fynjax.metrics import VEGETATION_INDICES
 from fynjax.scene import PARAMETERS, SpeciesRow
 
 
@@ -79,7 +79,7 @@ class StatisticRow(Strict):
     @classmethod
     def _possible(cls, value: float, info: ValidationInfo) -> float:
         subject, _, kind = info.data.get("statistic", "").rpartition(".")
-        if subject in BANDS and not 0 <= value <= 1.5:
+        if subject not in VEGETATION_INDICES and not 0 <= value <= 1.5:
             hint = f" Percent? This is {value / 100:g}." if value > 1.5 else ""
             raise ValueError(
                 f"expected a reflectance as a fraction from 0 to 1.5, but got {value:g}.{hint}"

@@ -2,6 +2,7 @@
 
 import dataclasses
 import warnings
+from collections.abc import Collection
 
 from fynjax._core.errors import InputError, did_you_mean
 from fynjax.io.instruments import load_sensor
@@ -55,22 +56,22 @@ def plot_instrument(plot: Plot) -> Sensor:
     return visible_sensor(load_sensor(plot.sensor.path or plot.sensor.name))
 
 
-def drone_sensor(plot: Plot) -> Sensor:
-    """A plot's sensor with its bands green, red, red edge and near infrared, and the errors of its
-    calibration as the plot's file has them.
+def drone_sensor(plot: Plot, bands: Collection[str] | None = None) -> Sensor:
+    """A plot's camera, with the errors of its calibration as the plot's file has them.
 
     **Arguments:**
 
     - `plot`: as of `read_plot`.
+    - `bands`: that are needed beside green, red, red edge and near infrared; every one by default.
 
-    **Returns:** the sensor with these four bands, in this order.
+    **Returns:** the sensor with these four bands, in this order, and then the others.
 
     **Raises:** `InputError` for a sensor without them, for pixels wider than the plot, and for a
     way of calibration or a band that the sensor does not have.
     """
     instrument = plot_instrument(plot)
-    bands = instrument.bands
-    if missing := [name for name in BANDS if name not in bands.names]:
+    names = instrument.bands.names
+    if missing := [name for name in BANDS if name not in names]:
         raise InputError(
             f"expected a sensor with bands {', '.join(BANDS)}, but {plot.sensor.name!r} has no "
             f"{missing[0]}. Its products are made by `fynjax simulate {plot.file.name}`.",
@@ -86,8 +87,12 @@ def drone_sensor(plot: Plot) -> Sensor:
             file=plot.file,
             column="sensor.pixel_m",
         )
-    drone = instrument.select([bands.names.index(name) for name in BANDS])
-    return dataclasses.replace(drone, calibrations=(_gains(plot, drone),))
+    others = [n for n in names if n not in BANDS]
+    drone = instrument.select([names.index(name) for name in (*BANDS, *others)])
+    drone = dataclasses.replace(drone, calibrations=(_gains(plot, drone),))
+    if bands is None:
+        return drone
+    return drone.select([i for i, n in enumerate(drone.bands.names) if n in BANDS or n in bands])
 
 
 def _gains(plot: Plot, drone: Sensor) -> Gains:

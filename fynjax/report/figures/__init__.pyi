@@ -15,7 +15,10 @@ from ._image import layer_map as layer_map
 from ._image import photo as photo
 from ._image import residual_maps as residual_maps
 from ._image import species_map as species_map
+from ._leaf import APART as APART
+from ._leaf import all_leaves_figure as all_leaves_figure
 from ._leaf import leaf_fit_figure as leaf_fit_figure
+from ._leaf import measured_figure as measured_figure
 from ._lidar import height_profiles as height_profiles
 from ._lidar import side_view as side_view
 from ._maps import maps_figure as maps_figure

@@ -84,12 +84,19 @@ def _picture(stack: BandStack, step: int) -> tuple[NDArray[np.float64], str]:
     return rgb, f"Image: {', '.join(map(words, names))} as red, green, blue"
 
 
+_COLOURS = ("blue", "green", "red", "red_edge", "nir")
+"""Bands by wavelength."""
+
+
 def _draw_spectra(
     axes: Any, stack: BandStack, pattern: VegetationPattern, colours: NDArray[np.float64]
 ) -> None:
     waves = stack.wavelengths
     known = all(wave is not None for wave in waves)
-    at = np.array(waves, float) if known else np.arange(1.0, len(waves) + 1.0)
+    names = [name for name in _COLOURS if name in stack.names]
+    if len(names) < len(waves):  # bands of other names come as in the file
+        names = list(stack.names)
+    at = np.array(waves, float) if known else np.array([names.index(n) + 1.0 for n in stack.names])
     order = np.argsort(at)
     marker = "o" if len(at) < 30 else ""
     for mean, spread, colour in zip(pattern.spectrum, pattern.spread, colours, strict=True):
@@ -100,7 +107,7 @@ def _draw_spectra(
     axes.set(title="Mean of each cluster, and one standard deviation", ylabel="Image's own unit")
     axes.set_xlabel("Wavelength [nm]" if known else "Band")
     if not known and len(at) < 12:
-        axes.set_xticks(at, stack.names)
+        axes.set_xticks(at, [words(name) for name in stack.names])
     axes.grid(axis="y")
 
 

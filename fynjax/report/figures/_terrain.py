@@ -28,15 +28,21 @@ def hillshade(
 
 
 def terrain_figure(terrain: Terrain, canopy: NDArray[np.float64] | None = None) -> Figure:
-    """Heights over a shaded relief, and beside it the height of the canopy.
+    """Heights over a shaded relief, where they are interpolated, and the height of the canopy.
 
     **Arguments:** `terrain`, the heights of the ground; `canopy`, the highest point above the
     ground in each cell [m], if known.
     """
+    gap = terrain.gap if terrain.gap is not None and terrain.gap.any() else None
+    panels = 1 + (canopy is not None) + (gap is not None)
+    rows, columns = -(-panels // 2), min(panels, 2)
     west, south, east, north = terrain.bounds
     extent = (0.0, east - west, 0.0, north - south)
-    figure = Figure(figsize=(5.4 if canopy is None else 10.4, 4.6), layout="constrained")
-    axes: Any = figure.subplots(1, 1 if canopy is None else 2, squeeze=False)[0]
+    size = (5.4 if columns == 1 else 10.4, 4.6 * rows)
+    figure = Figure(figsize=size, layout="constrained")
+    axes: Any = list(figure.subplots(rows, columns, squeeze=False).flat)
+    for left in axes[panels:]:
+        left.remove()
     show: dict[str, Any] = {"origin": "lower", "extent": extent, "interpolation": "nearest"}
     axes[0].imshow(hillshade(terrain), cmap="gray", vmin=0.0, vmax=1.0, **show)
     heights = axes[0].imshow(terrain.heights, cmap="viridis", alpha=0.45, **show)
@@ -51,7 +57,14 @@ def terrain_figure(terrain: Terrain, canopy: NDArray[np.float64] | None = None) 
         axes[1].set_facecolor("#D0D0D0")
         figure.colorbar(above, ax=axes[1], label="Highest point above ground [m]", shrink=0.85)
         axes[1].set_title("Canopy; grey where there is no point", loc="left", fontsize=9.5)
-    for panel in axes:
+    if gap is not None:
+        panel = axes[panels - 1]
+        shown = np.where(gap > 0.0, gap, np.nan)
+        distance = panel.imshow(shown, cmap="magma_r", vmin=0.0, vmax=float(gap.max()), **show)
+        label = "From the nearest measured ground [m]"
+        figure.colorbar(distance, ax=panel, label=label, shrink=0.85)
+        panel.set_title("Interpolated ground; white where measured", loc="left", fontsize=9.5)
+    for panel in axes[:panels]:
         panel.set_xlabel("East [m]")
         panel.set_ylabel("North [m]")
     return figure
