@@ -114,7 +114,7 @@ def light(lines: Lines) -> None:
         table1_2006(), size=3.0, voxel=0.5, structure="even"), "planting")  # fmt: skip
     lines("counts", lambda: hard_counts(every, every.parameters).astype(np.int32))
     lines("observe", lambda: fx.observe(plot, camera, pixel=0.25), "reflectance")
-    lines("grad", lambda: jax.grad(ndvi)(plot.parameters).species.cover)
+    lines("grad", lambda: jax.jit(jax.grad(ndvi))(plot.parameters).species.cover)
     thin = lines("thin", lambda: plot.with_values({"species.*.cover": 0.1}), "parameters")
     lines("replanted", lambda: plot.replanted(1), "planting")
     lines("observe thin", lambda: fx.observe(thin, camera, pixel=0.25), "reflectance")

@@ -41,7 +41,7 @@ def test_drawn_leaves_and_sizes_scatter_about_those_of_their_form(prior) -> None
     np.testing.assert_allclose(wide, [form.diameter for form in forms], rtol=0.2)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_a_stand_with_cushions_and_columns_is_lit(prior) -> None:
     bands = shipped_sensor("mavic_3m").bands
     made = simulate_stands((0,), bands, prior, StandSettings(together=2), 1)

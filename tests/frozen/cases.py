@@ -130,7 +130,7 @@ def _render(folder: Path) -> Runs:
 
 @_case(
     "simulate",
-    loose={RESIDUAL: 1e-3, "^lidar/(cloud|heights|waveforms)": 3e-3, "^lidar/summary": 2e-2},
+    loose={RESIDUAL: 1e-3, "^lidar/(cloud|heights|truth|waveforms)": 3e-3, "^lidar/summary": 2e-2},
 )
 def _simulate(folder: Path) -> Runs:
     plot, _ = _small(folder)

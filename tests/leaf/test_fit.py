@@ -188,7 +188,7 @@ def test_bad_bands_are_left_out_and_empty_spectra_say_so():
     assert np.all(fit.rmse[:2] < 0.01)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_proteins_and_carbon_constituents_fit():
     leaf = prospect(LeafParameters(), version="PRO")
     fit = fit_leaf(

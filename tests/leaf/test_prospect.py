@@ -186,7 +186,8 @@ def test_layer_absorptance_at_its_edges():
 
 
 @pytest.mark.parametrize(
-    "version", ["D", *(pytest.param(v, marks=pytest.mark.slow) for v in ("5", "PRO"))]
+    "version",
+    ["D", pytest.param("5", marks=pytest.mark.study), pytest.param("PRO", marks=pytest.mark.slow)],
 )
 def test_gradients_equal_differences(version):
     leaf = LeafParameters(

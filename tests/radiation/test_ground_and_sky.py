@@ -73,7 +73,7 @@ def test_bare_ground_is_the_formula(parameters):
 
 
 @pytest.mark.study
-@pytest.mark.parametrize("boundary", ["periodic", pytest.param("open", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("boundary", ["periodic", pytest.param("open", marks=pytest.mark.study)])
 @pytest.mark.parametrize("band", [0, 1])
 def test_under_a_canopy_against_photons(boundary, band):
     scene = shaped(with_fields(clumps("planophile", "spherical", 2), boundary=boundary))

@@ -184,7 +184,9 @@ def test_a_frame_camera_sees_its_own_hot_spot():
 
 @pytest.mark.study
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["planophile", "erectophile"])
+@pytest.mark.parametrize(
+    "name", ["planophile", pytest.param("erectophile", marks=pytest.mark.study)]
+)
 def test_clumps_of_discs(name):
     """Leaves of 6 cm in clumps of 30 cm, traced one by one. Layouts differ, so the noise is that
     of their mean; the turbid solver and its voxels leave 1 %, hot spot included."""
