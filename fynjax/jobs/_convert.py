@@ -24,7 +24,7 @@ from fynjax.jobs._spectra import (
     repairs,
 )
 from fynjax.report import figures
-from fynjax.report.pages import Picture, Table
+from fynjax.report.pages import Part, Picture, Table
 
 
 class ConvertResult(JobResult):
@@ -91,7 +91,7 @@ def convert(
     bands = dataset.sizes["wavelength"]
     ends = f"{dataset['wavelength'].values[0]:g} to {dataset['wavelength'].values[-1]:g} nm"
     headline = [f"{len(spectra)} spectra of {bands} bands, {ends}, as fractions."]
-    pictures = [
+    pictures: list[Part] = [
         Picture("spectra.png", figures.measured_figure(dataset), "every spectrum"),
         Table(pd.DataFrame(rows), "What was read, repaired and refused.", folded=True),
     ]
