@@ -9,9 +9,11 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
-# Before JAX is imported, here and in the children of a test: programs of its cache are read with
+# Before JAX is imported, here and in the children of a test. Programs of its cache are read with
 # long lines of false alarm, which fill the pipe of a child that nobody reads.
 os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
+# A program need not say where its operations were written: a tenth of its compilation.
+os.environ.setdefault("JAX_TRACEBACK_IN_LOCATIONS_LIMIT", "0")
 
 import jax
 import jaxtyping
@@ -27,12 +29,24 @@ if os.environ.get("FYNJAX_TYPES"):  # before the package is imported, whose func
 from fynjax._core.compiler import known_flags
 
 # Tests compile much and run little. So they compile in a quarter of the time; what comes out runs
-# a little slower. One piece of code a program: to split it for several cores costs more.
+# a little slower. One piece of code a program: to split it for several cores costs more. Passes
+# that look for what could move out of loops find nothing, and take a fifth of the compilation.
 # Read when JAX is first used; the children of a test inherit it.
+PASSES = (
+    "while-loop-invariant-code-motion",
+    "while-loop-trip-count-annotator",
+    "while-loop-constant-sinking",
+    "small-while-loop-hoisting",
+    "simplify-while-loops",
+    "simplify-conditional",
+    "simplify-sorts",
+    "tree_reduction_rewriter",
+    "reshape-mover",
+)
 if os.environ["XLA_FLAGS"] == " ".join(known_flags()):  # else a person tries others
     os.environ["XLA_FLAGS"] += (
         " --xla_backend_optimization_level=0 --xla_llvm_disable_expensive_passes=true"
-        " --xla_cpu_parallel_codegen_split_count=1"
+        " --xla_cpu_parallel_codegen_split_count=1 --xla_disable_hlo_passes=" + ",".join(PASSES)
     )
 jax.config.update("jax_enable_x64", True)  # in 32 bits: tests/test_precision.py
 

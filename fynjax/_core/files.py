@@ -75,6 +75,16 @@ def how_to_import(path: Path) -> str:
     )
 
 
+def is_elsewhere(path: Path, part: Path) -> bool:
+    """Whether a file that belongs to another, such as the data to a header, lies in no folder of
+    that one: neither where the user named it nor, of a link, where that leads.
+
+    **Arguments:** `path`, the file that the user named; `part`, what belongs to it.
+    """
+    folders = path.absolute().parent.resolve(), path.resolve().parent
+    return part.resolve().parent not in folders
+
+
 def check_name(path: Path) -> None:
     """Refuse a file or folder whose name, or that of a folder above it, has bytes that are no text
     in this system's encoding, which libraries of files cannot open or write.

@@ -30,6 +30,8 @@ Curve = tuple[ArrayLike, ArrayLike]
 
 FWHM_PER_SIGMA = 2.0 * np.sqrt(2.0 * np.log(2.0))
 """Full width at half maximum of a Gaussian, in standard deviations."""
+_LONGEST = 1e9
+"""Longest wavelength that a grid may have [nm]: 1 m."""
 
 
 def check_wavelength(
@@ -38,7 +40,7 @@ def check_wavelength(
     """Return a wavelength grid as float64 NumPy, or say why it cannot be one [nm].
 
     Raises `InputError` if the grid is not one-dimensional, has a value that is not finite or not
-    positive, is not strictly increasing, or lies below 100 nm and so looks like µm.
+    positive, is not strictly increasing, lies below 100 nm and so looks like µm, or beyond 1 m.
     """
     grid = np.asarray(wavelength, dtype=np.float64)
     if grid.ndim != 1 or grid.size == 0:
@@ -50,6 +52,8 @@ def check_wavelength(
             f"{what} must be in nm, but runs from {grid.min():g} to {grid.max():g}. "
             "These look like µm: multiply by 1000."
         )
+    if grid.max() > _LONGEST:
+        raise InputError(f"{what} must be in nm, but one is {grid.max():g}. Is it damaged?")
     steps = np.diff(grid)
     if np.any(steps <= 0.0):
         if np.all(steps < 0.0):

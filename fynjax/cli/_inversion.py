@@ -211,11 +211,20 @@ def design(
     widths: Annotated[
         str, listed(float, _TWO, "LOW,HIGH", "Least and greatest width [nm].", counts=(2,))
     ] = "10,100",
-    pixel: Annotated[float, typer.Option(metavar="M", help="Side of a pixel [m].")] = 0.1,
+    pixel: Annotated[
+        str,
+        listed(
+            float,
+            _NUMBERS,
+            "M,...",
+            "Side of a pixel [m]; of several, multiples of the smallest, the best is taken.",
+        ),
+    ] = "0.1",
     snr: Annotated[
         float,
         typer.Option(
-            help="Signal over shot noise of a pixel in 10 nm at 550 nm over a reflectance of 0.1."
+            help="Signal over shot noise of a pixel, the smallest, in 10 nm at 550 nm over a "
+            "reflectance of 0.1."
         ),
     ] = 100.0,
     compare: Annotated[

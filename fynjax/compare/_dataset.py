@@ -60,7 +60,7 @@ def validation_dataset(
     elif drone is not None:
         add(drone.bands, "band", "band", "band", "drone band")
         add(drone.indices, "index", "index", "index", "vegetation index of the drone image")
-        coords["sample"] = ("sample", ["real", "simulated"], {"long_name": "which image"})
+        add(drone.variety, "sample", "sample", "variety", "spectral diversity of the drone image")
         variables["histogram"] = (
             ("sample", "index", "bin"),
             drone.shares,

@@ -12,6 +12,7 @@ from jaxtyping import Float
 from fynjax._core.progress import advance, stage
 from fynjax.compare._images import FEW_PIXELS, DroneImage
 from fynjax.compare._published_tables import bands_2006, table4_2006
+from fynjax.diversity import VARIETY, spectral_variety
 from fynjax.metrics import (
     BANDS,
     VEGETATION_INDICES,
@@ -44,6 +45,10 @@ class DroneComparison:
     """A row for each band: means, spreads, percentiles, differences, and the paper's."""
     indices: pd.DataFrame
     """A row for each index of table 4."""
+    variety: pd.DataFrame
+    """A row for the `sample` real and one for simulated: how much the spectra of the pixels differ
+    (`fynjax.diversity.spectral_variety`), `cv` [-], `angle_deg`, `rao` and `variance` [-]; NaN for
+    an image of which a band is not above 0 on average."""
     edges: Float[np.ndarray, "index edge"]
     """Edges of each index's histogram."""
     shares: Float[np.ndarray, "sample index bin"]
@@ -110,12 +115,27 @@ def compare_drone_images(real: DroneImage, simulated: DroneImage) -> DroneCompar
         simulated=simulated,
         bands=bands,
         indices=pd.DataFrame(rows),
+        variety=_variety_table(*samples),
         edges=np.stack([edges for edges, _ in full]),
         shares=np.stack([shares for _, shares in full], axis=1),
         shown_edges=np.stack([edges for edges, _ in shown]),
         shown=np.stack([shares / np.diff(edges) for edges, shares in shown], axis=1),
         notes=tuple(_notes(real, simulated)),
     )
+
+
+def _variety_table(
+    real: Float[np.ndarray, "band pixel"], simulated: Float[np.ndarray, "band pixel"]
+) -> pd.DataFrame:
+    rows = [
+        spectral_variety(one.T)
+        if (one.mean(axis=1) > 0.0).all()
+        else dict.fromkeys(VARIETY, np.nan)
+        for one in (real, simulated)
+    ]
+    table = pd.DataFrame(rows).rename(columns={"angle": "angle_deg"})
+    table.insert(0, "sample", ["real", "simulated"])
+    return table
 
 
 def _band_table(

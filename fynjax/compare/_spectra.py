@@ -250,13 +250,14 @@ def _wavelengths_in(
                 width = width if width is not None else _nanometres(variable, 0.5)
     if centres is None:
         return None
-    fits = width is not None and width.shape == centres[1].shape
+    fits = width is not None and width.shape == centres[1].shape and np.isfinite(width).all()
     return centres[0], centres[1], width if fits else None
 
 
 def _nanometres(variable: Any, largest_micro: float = 100.0) -> NDArray[np.float64]:
     values = np.asarray(variable.values, float)
-    return values * 1000.0 if values.size and np.nanmax(values) < largest_micro else values
+    known = values[~np.isnan(values)]
+    return values * 1000.0 if known.size and known.max() < largest_micro else values
 
 
 def _spectra_in(

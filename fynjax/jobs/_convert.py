@@ -24,7 +24,7 @@ from fynjax.jobs._spectra import (
     repairs,
 )
 from fynjax.report import figures
-from fynjax.report.pages import Part, Picture, Table
+from fynjax.report.pages import Picture, Table
 
 
 class ConvertResult(JobResult):
@@ -91,12 +91,10 @@ def convert(
     bands = dataset.sizes["wavelength"]
     ends = f"{dataset['wavelength'].values[0]:g} to {dataset['wavelength'].values[-1]:g} nm"
     headline = [f"{len(spectra)} spectra of {bands} bands, {ends}, as fractions."]
-    pictures: list[Part] = [
-        Picture("spectra.png", figures.measured_figure(dataset), "every spectrum"),
-        Table(pd.DataFrame(rows), "What was read, repaired and refused.", folded=True),
-    ]
     inputs = [*dict.fromkeys(file for file, _ in spectra), panel]
-    run.pictures(f"{len(spectra)} measured spectra", headline, pictures, inputs)
+    picture = Picture("spectra.png", figures.measured_figure(dataset), "every spectrum")
+    sources = Table(pd.DataFrame(rows), "What was read, repaired and refused.", folded=True)
+    run.pictures(f"{len(spectra)} measured spectra", headline, [picture, sources], inputs)
     return run.result(
         ConvertResult,
         headline=headline,

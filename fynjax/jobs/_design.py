@@ -38,7 +38,7 @@ def design(
     bands: int = 4,
     target: Sequence[str] = DESIGN_TARGET,
     free: Sequence[str] | None = None,
-    pixel: float = 0.1,
+    pixel: float | Sequence[float] = 0.1,
     spectrum: tuple[float, float] = (400.0, 2500.0),
     widths: tuple[float, float] = (10.0, 100.0),
     snr: float = 100.0,
@@ -60,7 +60,7 @@ def design(
     - `seed`: of everything random; that of the plot file by default.
 
     **Returns:** `DesignResult`. Writes `design.csv`, `designed.toml` (a sensor file),
-    `sensors.csv`, `spectra.nc`, figures and a page into `output`.
+    `sensors.csv`, `pixels.csv`, `spectra.nc`, figures and a page into `output`.
 
     **Raises:** `InputError` as `read_plot` and `fynjax.inversion.design`.
 
@@ -70,13 +70,20 @@ def design(
     run = Run(output, seed=read.seed if seed is None else seed, plot=read)
     with run.stage("Build the plot"):
         ready = prepare(read, DESIGN_FREE if free is None else free, seed=run.seed)
-    files = dict.fromkeys(["design.csv", "designed.toml", "sensors.csv", "spectra.nc"], "")
+    names = [
+        "design.csv",
+        "designed.toml",
+        "sensors.csv",
+        "pixels.csv",
+        "spectra.nc",
+        "report.html",
+    ]
     wanted: str | Sequence[str] = target[0] if len(target) == 1 else target
     found = design_bands(
         ready.scene, bands, wanted, free=ready.space, pixel=pixel, spectrum=spectrum,
         widths=widths, snr=snr, plantings=plantings,
         compare=[load_instrument(one) for one in compare],  # type: ignore[misc]
-        starts=starts, seed=run.seed, checked=lambda: begin_work(files | {"report.html": ""}),
+        starts=starts, seed=run.seed, checked=lambda: begin_work(dict.fromkeys(names, "")),
     )  # fmt: skip
     chosen = pd.DataFrame(
         {"band": found.bands.names, "centre_nm": found.bands.centre, "fwhm_nm": found.bands.fwhm}
@@ -86,9 +93,11 @@ def design(
         run.table(
             "sensors.csv", found.table, "the target of each sensor, and what the design gains"
         )
+        run.table("pixels.csv", found.pixels, "the target in pixels of each size")
         write_text(run.path("designed.toml", "the bands as a sensor file"), _sensor_file(found))
-        data = found.to_xarray()
-        data.to_netcdf(run.path("spectra.nc", "responses, spectra and slopes over wavelength"))
+        found.spectra.to_netcdf(
+            run.path("spectra.nc", "responses, spectra and slopes over wavelength")
+        )
         record = run.record(read.inputs)
         lead = " ".join(str(found).splitlines())
         run.page(Page(f"Design: {read.name}", lead, _sections(found, chosen), record=record))
@@ -125,6 +134,9 @@ def _sections(found: BandDesign, chosen: pd.DataFrame) -> list[Section]:
     return [
         Section("Bands", [shown, Table(chosen, "The bands; designed.toml has them as a sensor.")]),
         Section("Other sensors", [gain, Table(found.table, "The target of each sensor.")]),
+        Section(
+            "Pixels", [Table(found.pixels, "The target of the best bands in pixels of each size.")]
+        ),
         Section(
             "Every quantity",
             [

@@ -108,6 +108,7 @@ class DroneSummary(Record):
 
     bands: Rows | None = Field(default=None, description="Rows of drone_bands.csv.")
     indices: Rows | None = Field(default=None, description="Rows of drone_indices.csv.")
+    diversity: Rows | None = Field(default=None, description="Rows of drone_diversity.csv.")
     published: Rows | None = Field(default=None, description="Rows of drone_published.csv.")
     notes: list[str]
 
@@ -283,13 +284,17 @@ def _write_drone(run: Run, drone: Drone) -> None:
         return
     run.table("drone_bands.csv", drone.bands, "bands, real and simulated", "%.9g")
     run.table("drone_indices.csv", drone.indices, "the twenty indices, with formulas", "%.9g")
+    run.table("drone_diversity.csv", drone.variety, "how much spectra of pixels differ", "%.9g")
 
 
 def _drone_summary(drone: Drone) -> DroneSummary:
     if isinstance(drone, PublishedComparison):
         return DroneSummary(published=rows_of(drone.statistics), notes=list(drone.notes))
     return DroneSummary(
-        bands=rows_of(drone.bands), indices=rows_of(drone.indices), notes=list(drone.notes)
+        bands=rows_of(drone.bands),
+        indices=rows_of(drone.indices),
+        diversity=rows_of(drone.variety),
+        notes=list(drone.notes),
     )
 
 

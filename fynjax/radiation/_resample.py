@@ -67,14 +67,10 @@ def sample_near(
     columns: tuple[Int[Array, "near column"], Float[Array, "near column"]],
 ) -> Float[Array, "*batch row column"]:
     """Sample the last two axes of `field` from the cells of `nearest_cells` along each."""
-    by_row = sum(
-        (share[:, None] * field[..., index, :] for index, share in zip(*rows)),
-        start=jnp.zeros((), field.dtype),
-    )
-    return sum(
-        (share * by_row[..., index] for index, share in zip(*columns)),
-        start=jnp.zeros((), field.dtype),
-    )
+    # All that is near at once: each reading is a loop of its own in the derivative.
+    (row, row_share), (column, column_share) = rows, columns
+    by_row = jnp.sum(row_share[..., None] * field[..., row, :], axis=-3)
+    return jnp.sum(column_share * by_row[..., column], axis=-2)
 
 
 def sample(

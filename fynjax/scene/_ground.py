@@ -88,6 +88,12 @@ def random_patches(
     return np.exp(CONTRAST * smooth)
 
 
+def kind_shares(fractions: Float[Array, " cover"]) -> Float[Array, " kind"]:
+    """Share of soil and of each cover in the whole ground [-], as `ground_shares` takes them."""
+    fractions = fractions / jnp.maximum(jnp.sum(fractions), 1.0)
+    return jnp.concatenate([1.0 - jnp.sum(fractions, keepdims=True), fractions])
+
+
 def ground_shares(
     fractions: Float[Array, " cover"], density: Float[Array, "kind y x"]
 ) -> Float[Array, "kind y x"]:
@@ -105,8 +111,7 @@ def ground_shares(
     those that give each kind its fraction of the ground (iterative proportional fitting, Deming
     and Stephan 1940). Differentiable in both arguments, at fractions of zero too.
     """
-    fractions = fractions / jnp.maximum(jnp.sum(fractions), 1.0)
-    wanted = jnp.concatenate([1.0 - jnp.sum(fractions, keepdims=True), fractions])
+    wanted = kind_shares(fractions)
     flat = density.reshape(len(wanted), -1)
 
     def share_of(factor: Array) -> Array:

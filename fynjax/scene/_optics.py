@@ -1,6 +1,7 @@
 """Optics of the classes of a plot: the leaves of each species, wood, flowers."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -47,14 +48,11 @@ def optical_classes(
     """
     dtype, classes = average.dtype, leaf_classes(species)
     owner = np.repeat(np.array(list(classes), int), [len(own) for own in classes.values()])
-    leaves = _varied(species, parameters, owner)
+    leaves, clumping, dead = _leaves(species, parameters, owner, dtype)
     petal = jax.tree.map(lambda x: jnp.asarray(x, dtype), _PETAL)
     leaves = jax.tree.map(lambda a, b: jnp.concatenate([a, b]), leaves, petal)
     optics = jax.vmap(lambda leaf: prospect(leaf, wavelength))(leaves)
-    clumping, dead = (
-        jnp.pad(values[owner], (0, 1))[:, None]  # petals have neither
-        for values in (parameters.species.shoot_clumping, parameters.species.dead_fraction)
-    )
+    clumping, dead = (jnp.pad(x, (0, 1))[:, None] for x in (clumping, dead))  # petals have neither
     bark, tissue = (
         jnp.clip(parameters.ground.wood_brightness * jnp.asarray(spectrum, dtype), 0.0, 1.0)
         for spectrum in (background_spectrum("bark", wavelength), dead_tissue)
@@ -88,28 +86,41 @@ def optical_classes(
     )
 
 
-def _varied(
-    species: Sequence[Species], parameters: PlotParameters, owner: Int[np.ndarray, " leaf"]
-) -> LeafParameters:
-    """PROSPECT parameters of every leaf, of the species `owner`: each trait is that of its species,
-    the mean, times 1 + leaf_spread (ratio - 1), within its bounds."""
-    leaves = jax.tree.map(lambda x: x[owner], parameters.leaf)
-    spread = parameters.species.leaf_spread
-    if spread is None:
-        return leaves
+def _leaves(
+    species: Sequence[Species],
+    parameters: PlotParameters,
+    owner: Int[np.ndarray, " leaf"],
+    dtype: Any,
+) -> tuple[LeafParameters, Float[Array, " leaf"], Float[Array, " leaf"]]:
+    """PROSPECT parameters of every leaf, of the species `owner`, and clumping and dead share of its
+    shoots [-]. Each trait is that of its species, the mean, times 1 + leaf_spread (ratio - 1),
+    within its bounds."""
+    of = parameters.species
+    spread = [] if of.leaf_spread is None else [of.leaf_spread]
+    traits, form = jax.tree.flatten(parameters.leaf)
+    # All of a species is read at once: each reading is a loop of its own in the derivative.
+    columns = [jnp.asarray(x, dtype) for x in (of.shoot_clumping, of.dead_fraction, *traits)]
+    clumping, dead, *traits = jnp.stack([*columns, *spread])[:, owner]
+    if not spread:
+        return jax.tree.unflatten(form, traits), clumping, dead
+    *traits, spread = traits
     alike = jnp.ones((1, len(LEAF_FIELDS)))
     ratios = [
         alike if (own := species[i].leaf_ratios) is None else own for i in dict.fromkeys(owner)
     ]
-    ratio = jnp.concatenate([*ratios, alike[:0]]).astype(spread.dtype)
-    factor = 1.0 + spread[owner, None] * (ratio - 1.0)
-    traits = []
-    for k, name in enumerate(LEAF_FIELDS):
-        trait, record = getattr(leaves, name) * factor[:, k], PARAMETERS[name]
-        # Not `clip`, which halves the slope of a trait at its bound, such as no brown pigments.
-        trait = jnp.where(trait < record.lower, record.lower, trait)
-        traits.append(jnp.where(trait > record.upper, record.upper, trait))
-    return eqx.tree_at(lambda leaf: [getattr(leaf, name) for name in LEAF_FIELDS], leaves, traits)
+    ratio = jnp.concatenate([*ratios, alike[:0]]).astype(dtype)
+    leaves = jax.tree.unflatten(form, traits)
+    varied = jnp.stack([getattr(leaves, name) for name in LEAF_FIELDS], axis=-1)
+    varied = varied * (1.0 + spread[:, None] * (ratio - 1.0))
+    lower, upper = (
+        jnp.asarray([getattr(PARAMETERS[name], end) for name in LEAF_FIELDS], dtype)
+        for end in ("lower", "upper")
+    )
+    # Not `clip`, which halves the slope of a trait at its bound, such as no brown pigments.
+    varied = jnp.where(varied < lower, lower, varied)
+    varied = jnp.where(varied > upper, upper, varied)
+    where = lambda leaf: [getattr(leaf, name) for name in LEAF_FIELDS]  # noqa: E731
+    return eqx.tree_at(where, leaves, list(varied.T)), clumping, dead
 
 
 def class_angles(

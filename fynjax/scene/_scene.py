@@ -43,7 +43,7 @@ from fynjax.canopy import (
     target_area,
 )
 from fynjax.radiation import Illumination, OpticalClasses, RahmanPintyVerstraete, VoxelScene
-from fynjax.scene._ground import COVERS, Ground, ground_shares
+from fynjax.scene._ground import Ground, ground_shares, kind_shares
 from fynjax.scene._optics import class_angles, inclination, optical_classes
 from fynjax.scene._parameters import (
     PARAMETERS,
@@ -559,13 +559,13 @@ class Scene(eqx.Module):
         is spread over the plants about its number (`site_weight`). Where plants are `fading`, that
         is the value too.
         """
-        planting = self.planting
-        owner = planting.species
-        count = self.counts(parameters).astype(self.dtype)
+        planting, count = self.planting, self.counts(parameters).astype(self.dtype)
+        number = rounded_count(jax.lax.stop_gradient(count), self.rounding)
+        count, number = jnp.stack([count, number])[:, planting.species]
         share = site_weight(
-            count[owner], planting.place, width=self.softness_plants, softness=self.softness
+            count, planting.place, width=self.softness_plants, softness=self.softness
         )
-        whole = (self.whole_counts(parameters)[owner] > planting.place).astype(share.dtype)
+        whole = (number > planting.place).astype(share.dtype)
         slope = share - jax.lax.stop_gradient(share)  # zero, with the derivative of `share`
         return jnp.where(self.fading, share, whole + slope)
 
@@ -576,10 +576,9 @@ class Scene(eqx.Module):
 
     def _whole_crowns(self, parameters: PlotParameters) -> Float[Array, " plant"]:
         """Ground area of the crown of every plant, if it stands [m2]."""
-        owner = self.planting.species
-        diameter = jnp.asarray(parameters.species.diameter, self.dtype)[owner] * self.planting.size
-        crown = jnp.pi / 4.0 * diameter**2
-        return crown / jnp.asarray(self.branches, self.dtype)[owner]
+        diameter = jnp.asarray(parameters.species.diameter, self.dtype)
+        whole = jnp.pi / 4.0 * diameter**2 / jnp.asarray(self.branches, self.dtype)
+        return whole[self.planting.species] * self.planting.size**2
 
     def crown_share(self, parameters: PlotParameters) -> Float[Array, ""]:
         """Share of the crowns that is seen from above, where all stand at random [-]: what the
@@ -604,7 +603,7 @@ class Scene(eqx.Module):
 
     def area_density(self, parameters: PlotParameters) -> Float[Array, "class z y x"]:
         """Area per volume of each optical class: the species' leaves, then wood, then flowers."""
-        return self._deposit(parameters, self.grid, by="class")
+        return self._deposit(parameters, [(self.grid, "class")])[0]
 
     def gap_fraction(self, parameters: PlotParameters) -> Float[Array, ""]:
         """Share of the ground that is seen from straight above, between leaves and stems [-].
@@ -619,7 +618,7 @@ class Scene(eqx.Module):
         down = down.astype(self.dtype)[jnp.asarray(angle_of_class)]
         finest = self._finest()
         columns = VoxelGrid((*finest.shape[:2], 1), finest.horizontal_size, finest.extent[2])
-        density = self._deposit(parameters, columns, by="all", share=down)
+        (density,) = self._deposit(parameters, [(columns, "all")], share=down)
         return jnp.mean(jnp.exp(-density * columns.vertical_size))
 
     def _finest(self) -> VoxelGrid:
@@ -630,19 +629,18 @@ class Scene(eqx.Module):
     def _deposit(
         self,
         parameters: PlotParameters,
-        grid: VoxelGrid,
+        wanted: Sequence[tuple[VoxelGrid, Literal["class", "organ", "all"]]],
         *,
-        by: Literal["class", "organ", "all"],
         share: Float[Array, " class"] | None = None,
         window: Window | None = None,
-    ) -> Float[Array, "class z y x"]:
-        """Area per volume on `grid` [m2 m-3], of each optical class, of each organ of each species
-        (`Organ`, species by species) or of all; of `share` of each class's area, if that is given.
-        Many elements are placed part by part, for the sake of memory."""
+    ) -> list[Float[Array, "class z y x"]]:
+        """Area per volume [m2 m-3] on each of the `wanted` grids: of each optical class, of each
+        organ of each species (`Organ`, species by species) or of all; of `share` of each class's
+        area, if that is given. Many elements are placed part by part, for the sake of memory."""
         if window is None:
             planting, boundary = self.planting, self.boundary
-            crown = self._whole_crowns(parameters) * self.crown_share(parameters)
-            standing = self.standing(parameters)
+            standing, crown = self.standing(parameters), self._whole_crowns(parameters)
+            crown = crown * share_from_above(standing * crown / self._ground_area)
         else:
             planting, boundary, crown = window.planting, "open", window.crown
             standing = jnp.ones_like(crown)
@@ -654,33 +652,37 @@ class Scene(eqx.Module):
             )
         organs = len(self.species) * len(Organ)
         classes = sum(map(len, leaf_classes(self.species).values())) + 2
-        count, fits = planting.plant.shape[0], self.finer and _holds(grid, self.tuft)
+        count = planting.plant.shape[0]
 
-        def part(planting: Planting, weight: Array | float = 1.0) -> Array:
+        def part(planting: Planting, weight: Array | float = 1.0) -> list[Array]:
             positions, area = self._elements(parameters, planting, crown, standing)
             if share is not None:
                 weight = weight * share[planting.optical_class]
-            kind = {
-                "class": planting.optical_class,
-                "organ": planting.species[planting.plant] * len(Organ) + planting.organ,
-                "all": jnp.zeros_like(planting.plant),
-            }[by]
-            return deposit(
-                positions,
-                area * weight,
-                kind,
-                grid,
-                {"class": classes, "organ": organs, "all": 1}[by],
-                width=self.tuft if fits else None,
-                boundary=boundary,
-            )
+            densities = []
+            for grid, by in wanted:
+                kind = {
+                    "class": planting.optical_class,
+                    "organ": planting.species[planting.plant] * len(Organ) + planting.organ,
+                    "all": jnp.zeros_like(planting.plant),
+                }[by]
+                density = deposit(
+                    positions,
+                    area * weight,
+                    kind,
+                    grid,
+                    {"class": classes, "organ": organs, "all": 1}[by],
+                    width=self.tuft if self.finer and _holds(grid, self.tuft) else None,
+                    boundary=boundary,
+                )
+                densities.append(density)
+            return densities
 
         if count <= _AT_ONCE:
             return part(planting)
         parts = -(-count // _AT_ONCE)
         size = -(-count // parts)
 
-        def add(total: Array, number: Array) -> tuple[Array, None]:
+        def add(total: list[Array], number: Array) -> tuple[list[Array], None]:
             # The last part begins within the one before, whose elements then count no more.
             start = jnp.minimum(number * size, count - size)
             elements = dataclasses.replace(
@@ -689,10 +691,10 @@ class Scene(eqx.Module):
                 part=jax.lax.dynamic_slice_in_dim(planting.part, start, size),
             )
             new = start + jnp.arange(size) >= number * size
-            return total + part(elements, new.astype(self.dtype)), None
+            return jax.tree.map(jnp.add, total, part(elements, new.astype(self.dtype))), None
 
         like = jax.eval_shape(part, planting)
-        start = jnp.zeros(like.shape, like.dtype)
+        start = [jnp.zeros(one.shape, one.dtype) for one in like]
         return jax.lax.scan(jax.checkpoint(add), start, jnp.arange(parts))[0]
 
     def _elements(
@@ -704,26 +706,33 @@ class Scene(eqx.Module):
     ) -> tuple[Float[Array, "element 3"], Float[Array, " element"]]:
         """Places [m] and areas [m2] of the area elements of plants with crowns of `crown` [m2] that
         are there in the shares `standing`."""
-        parameters = jax.tree.map(lambda x: jnp.asarray(x, self.dtype), parameters)
-        # Size of each plant, and the area of each of its organs.
-        species = parameters.species
-        owner = planting.species
-        diameter = species.diameter[owner] * planting.size
-        height = species.height[owner] * planting.stature
-        area = crown[:, None] * self.organ_index(parameters)[owner]
-        plant = planting.plant
-        foot = jnp.pad(ground_at(self, planting.foot)[:, None], ((0, 0), (2, 0)))
+        species = jax.tree.map(lambda x: jnp.asarray(x, self.dtype), parameters.species)
+        # All of a species is read at once, and all of a plant: each reading is a loop of its own in
+        # the derivative.
+        of_species = jnp.stack([species.diameter, species.height, *self.organ_index(parameters).T])
+        diameter, height, *index = of_species[:, planting.species]
+        of_plant = (
+            *planting.foot.T,
+            ground_at(self, planting.foot),
+            diameter * planting.size,
+            height * planting.stature,
+            standing,
+            *(crown * area for area in index),
+        )
+        *foot, diameter, height, share, leaf, wood, flower = jnp.stack(of_plant)[:, planting.plant]
         positions = (
-            planting.site
-            + foot[plant]
-            + diameter[plant][:, None] * planting.per_diameter
-            + height[plant][:, None] * planting.per_height
+            jnp.stack(foot, axis=-1)
+            + diameter[:, None] * planting.per_diameter
+            + height[:, None] * planting.per_height
+        )
+        area = jnp.select(
+            [planting.organ == Organ.LEAF, planting.organ == Organ.WOOD], [leaf, wood], flower
         )
         # The share of its organ's area that an element carries, of plants that stand in part.
-        share, fraction = standing[plant], planting.fraction
+        fraction = planting.fraction
         part = element_weight(share, planting.before[planting.part], fraction)
         share = jnp.where(self.fading, part, share)
-        return positions, area[plant, planting.organ] * fraction * share
+        return positions, area * fraction * share
 
     def optics(
         self, parameters: PlotParameters, bands: BandSet
@@ -786,11 +795,12 @@ class Scene(eqx.Module):
             times = finest.shape[0] // grid.shape[0]
             grid, finest, boundary = window.grid(grid), window.grid(finest, times), "open"
             ground = window.cut(ground) if ground.ndim == 3 else ground
-        structure = None
+        wanted: list[tuple[VoxelGrid, Literal["class", "organ", "all"]]] = [(grid, "class")]
         if self.finer:
-            structure = self._deposit(parameters, finest, by="all", window=window)[0]
+            wanted.append((finest, "all"))
+        density, *structure = self._deposit(parameters, wanted, window=window)
         return VoxelScene(
-            self._deposit(parameters, grid, by="class", window=window),
+            density,
             classes,
             ground,
             Illumination(light.sun_zenith, light.sun_azimuth, 1.0 - sky, sky, pattern),
@@ -799,7 +809,7 @@ class Scene(eqx.Module):
             boundary,
             ground_shape=shape,
             terrain=None if terrain is None else columns(terrain),
-            structure=structure,
+            structure=structure[0][0] if structure else None,
         )
 
     def voxels_by_organ(
@@ -831,7 +841,7 @@ class Scene(eqx.Module):
         )
         parameters = jax.tree.map(lambda x: jnp.asarray(x, self.dtype), parameters)
         grid = self.class_grid if window is None else window.grid(self.class_grid)
-        density = self._deposit(parameters, grid, by="organ", window=window)
+        (density,) = self._deposit(parameters, [(grid, "organ")], window=window)
         return dataclasses.replace(voxels, area_density=density, classes=classes)
 
     @property
@@ -864,12 +874,12 @@ class Scene(eqx.Module):
         ground, patches = parameters.ground, self.ground.patches
         fractions = jnp.stack([ground.litter_fraction, ground.char_fraction, ground.rock_fraction])
         fractions = fractions.astype(self.dtype)
-        density = np.ones((len(COVERS) + 1, 1, 1)) if patches is None else patches
-        shares = ground_shares(fractions, jnp.asarray(density, self.dtype))
-        spectra = self.ground_spectra(parameters, wavelength)
-        mixed = jnp.tensordot(average @ spectra.T, shares, axes=1)
-        mixed = jnp.clip(mixed, 0.0, 1.0)
-        return mixed[:, 0, 0] if patches is None else mixed
+        spectra = average @ self.ground_spectra(parameters, wavelength).T
+        if patches is None:
+            shares = kind_shares(fractions)
+        else:
+            shares = ground_shares(fractions, jnp.asarray(patches, self.dtype))
+        return jnp.clip(jnp.tensordot(spectra, shares, axes=1), 0.0, 1.0)
 
     def ground_spectra(
         self, parameters: PlotParameters, wavelength: Float[np.ndarray, " wavelength"]

@@ -209,7 +209,8 @@ def _information(folder: Path) -> Runs:
 def _design(folder: Path) -> Runs:
     line = ["design", _small(folder)[0], "--bands", 2, "--target", "crown_cover,dead_share"]
     line += ["--free", "species.*.cover", "--free", "species.*.dead_fraction", "--spectrum"]
-    line += ["400,1000", "--compare", "mavic_3m", "--plantings", 4, "--starts", 1]
+    line += ["400,1000", "--compare", "mavic_3m", "--plantings", 4, "--starts", 1, "--pixel"]
+    line += ["0.1,0.2"]
     return {"design": line}
 
 

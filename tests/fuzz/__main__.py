@@ -1,6 +1,7 @@
 """`python -m tests.fuzz --minutes 60 [--reader NAME] [--seed N]`."""
 
 import argparse
+import math
 import sys
 from pathlib import Path
 
@@ -12,11 +13,15 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m tests.fuzz", description=__doc__)
     parser.add_argument("--minutes", type=float, default=60.0)
     parser.add_argument("--reader", action="append", choices=list(READERS), help="all of them")
+    parser.add_argument("--each", type=int, help="tries of each reader, whatever time they take")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--save", type=Path, default=Path("fuzz"), help="inputs that broke")
     options = parser.parse_args()
     readers = options.reader or list(READERS)
-    counts, broken = fuzz(readers, options.seed, seconds=60 * options.minutes, save=options.save)
+    counts, broken = fuzz(
+        readers, options.seed, save=options.save, each=options.each,
+        seconds=60 * options.minutes if options.each is None else math.inf,
+    )  # fmt: skip
     for outcome in broken:
         print(f"{outcome.reader} {outcome.number}: {outcome.text}")
     kinds = ("refused", "accepted", "other")

@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 import psutil
 
+from tests.fuzz.extreme import make_extreme
 from tests.fuzz.mutate import damaged
 
 SECONDS = 10.0
@@ -43,14 +44,28 @@ class Outcome:
     """The error, or what was wrong with what was accepted."""
 
 
+_EXTREME = 0.3
+"""Share of inputs that are valid files with extreme values, of formats that have a writer."""
+
+
 def inputs(seeds: Path, reader: str, seed: int, number: int) -> dict[str, bytes]:
-    """Files by name, one of them damaged: the same for the same numbers."""
+    """Files by name, one of them damaged or with extreme values: the same for the same numbers."""
     folder = seeds / reader
-    paths = sorted(path for path in folder.rglob("*") if path.is_file())
-    files = {path.relative_to(folder).as_posix(): path.read_bytes() for path in paths}
     chance = random.Random(f"{reader} {seed} {number}")
+    if chance.random() < _EXTREME:
+        with tempfile.TemporaryDirectory() as name:
+            copy = Path(name) / "copy"
+            shutil.copytree(folder, copy)
+            if make_extreme(copy, chance):
+                return _contents(copy)
+    files = _contents(folder)
     name = chance.choice(list(files))
     return {**files, name: damaged(files[name], chance)}
+
+
+def _contents(folder: Path) -> dict[str, bytes]:
+    paths = sorted(path for path in folder.rglob("*") if path.is_file())
+    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in paths}
 
 
 def _strange(value: Any, missing: bool) -> str | None:

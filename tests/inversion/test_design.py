@@ -11,9 +11,10 @@ import pytest
 import fynjax as fx
 from fynjax._core.errors import InputError
 from fynjax.diversity import bhattacharyya_distance, jeffries_matusita_distance
+from fynjax.inversion import COARSE, coarser, fisher_information
 from fynjax.inversion import _design as bands_of_design
-from fynjax.inversion import fisher_information
-from fynjax.inversion._design import _Limits, _Measured, _Spectra, gaussian_weights
+from fynjax.inversion._bands import BandStatistics, PlantingSpectra, _photons, gaussian_weights
+from fynjax.inversion._design import _Limits
 from fynjax.leaf import LeafParameters, prospect
 from fynjax.sensors import BandSet, shipped_sensor
 from tests.scene.plots import small_parameters
@@ -58,10 +59,12 @@ def spectra_of_leaves(target="quantities", asked=((1.0, 0.0),), plantings=3, **c
         "species": np.full((plantings, 2), 20.0),
         "species_mean": np.stack([mean, 1.2 * mean], axis=1),
         "species_second": np.stack([second, 0.5 * second], axis=1),
+        "pixels": 400.0,
         **changes,
     }
-    return _Spectra(**{k: jnp.asarray(v) for k, v in fields.items()}, pixels=400, error=0.01,
-                    target=target)  # fmt: skip
+    return PlantingSpectra(
+        **{k: jnp.asarray(v) for k, v in fields.items()}, error=0.01, target=target
+    )
 
 
 def every(spectra):
@@ -216,7 +219,7 @@ def test_what_is_removed_is_that_of_the_fisher_information():
     """Plantings alike: the errors are the sensor's alone, and those by hand."""
     asked = ((0.6, 0.8),)
     spectra = spectra_of_leaves(asked=asked)
-    alike = jax.tree.map(lambda a: jnp.broadcast_to(a[:1], a.shape), spectra)
+    alike = jax.tree.map(lambda a: jnp.broadcast_to(a[:1] if a.ndim else a, a.shape), spectra)
     spectra = dataclasses.replace(
         alike, grid=spectra.grid, basis=spectra.basis, photons=spectra.photons
     )
@@ -289,7 +292,7 @@ def test_photons_are_those_of_the_sun_and_none_in_the_water_windows():
     """As many as the signal-to-noise ratio asks for in the band that it is of."""
     light = small_parameters()
     bands = BandSet(tuple(map(str, GRID)), tuple(GRID), (10.0,) * len(GRID), response="box")
-    photons = bands_of_design._photons(light, bands, 200.0)
+    photons = _photons(light, bands, 200.0)
     at = dict(zip(GRID, photons, strict=True))
     assert 10.0 * 0.1 * 0.5 * (at[545.0] + at[555.0]) == pytest.approx(200.0**2, rel=0.05)
     assert max(at[1375.0], at[1905.0]) < 1e-6 * at[555.0]
@@ -389,6 +392,8 @@ def scene():
         ({"widths": (2.0, 50.0)}, "`widths` as two numbers.*of 10 to inf nm"),
         ({"plantings": 3}, "4 `plantings` or more"),
         ({"snr": 0.0}, "`snr` must be a positive number"),
+        ({"pixel": 0.0}, "expected `pixel` as one or more positive numbers"),
+        ({"pixel": (0.2, 0.3)}, "multiple of the smallest, 0.2 m, .*but got 0.3 m"),
         ({"compare": ["mavic"]}, "mavic"),
         ({"compare": [shipped_sensor("sentinel_2a").select([12])], "spectrum": (400.0, 900.0)},
          "no band from 405 to 895 nm"),
@@ -423,27 +428,27 @@ def test_a_design_of_a_scene(scene):
     bends within 10 nm and the light within a band; the record holds what was found."""
     free = fx.free(scene, "species.*.cover", "ground.brightness")
     rendered = []
-    real = bands_of_design._render
+    real = bands_of_design.render
 
     def kept(*arguments):
         rendered.append(real(*arguments))
         return rendered[0]
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(bands_of_design, "_render", kept)
+        patch.setattr(bands_of_design, "render", kept)
         found = fx.design(
-            scene, 2, ("shannon", "species.*.cover"), free=free, pixel=0.25, plantings=4, starts=2,
-            spectrum=(400.0, 1000.0), compare=("mavic_3m",),
+            scene, 2, ("shannon", "species.*.cover"), free=free, pixel=(0.25, 0.5), plantings=4,
+            starts=2, spectrum=(400.0, 1000.0), compare=("mavic_3m",),
         )  # fmt: skip
     camera = shipped_sensor("mavic_3m")
-    seen: _Measured = bands_of_design._bands_of(rendered[0], camera.bands)
-    coarse = bands_of_design.coarser(scene, scene.parameters)
+    seen: BandStatistics = bands_of_design._bands_of(rendered[0][0], camera.bands)
+    coarse = coarser(scene, scene.parameters)
 
     def observed(u):
         values = free.named(jnp.array([0.0, 0.0, u]))
         return np.asarray(
             fx.observe(
-                coarse, camera, pixel=0.25, point_spread=False, accuracy=bands_of_design.COARSE,
+                coarse, camera, pixel=0.25, point_spread=False, accuracy=COARSE,
                 parameters=scene.with_values(values).parameters,
             ).reflectance
         )  # fmt: skip
@@ -458,6 +463,21 @@ def test_a_design_of_a_scene(scene):
     np.testing.assert_allclose(seen.mean[0], image.mean(axis=(1, 2)), rtol=0.03)
     sd = np.sqrt(np.diagonal(seen.covariance[0]))
     np.testing.assert_allclose(sd, image.std(axis=(1, 2)), rtol=0.03)
+    # Pixels twice as wide are means of these, and collect four times the light.
+    wide: BandStatistics = bands_of_design._bands_of(rendered[0][1], camera.bands)
+    of_image, of_off, of_slope = (
+        one.reshape(4, 4, 2, 4, 2).mean(axis=(2, 4)) for one in (image, off, bright)
+    )
+    sd = np.sqrt(np.diagonal(wide.covariance[0]))
+    np.testing.assert_allclose(sd, of_image.std(axis=(1, 2)), rtol=0.03)
+    change = 2.0 * np.mean(of_off * of_slope, axis=(1, 2))
+    np.testing.assert_allclose(wide.variance_slope[0][:, 2], change, rtol=0.1)
+    np.testing.assert_allclose(wide.mean, seen.mean, rtol=1e-6)
+    np.testing.assert_allclose(wide.noise, seen.noise / 4.0, rtol=1e-6)
+    assert (float(rendered[0][0].pixels), float(rendered[0][1].pixels)) == (64.0, 16.0)
+    assert found.pixels["pixel_m"].tolist() == [0.25, 0.5]
+    assert found.pixels["value"].max() == pytest.approx(found.table["value"][0], rel=1e-6)
+    assert found.pixel == found.pixels["pixel_m"][found.pixels["value"].idxmax()]
     assert list(found.table["sensor"]) == ["designed", "mavic_3m", "best 2 of aviris_ng"]
     assert list(found.quantities.columns) == [
         "shannon", "species.Erica.cover", "species.Restio.cover"
@@ -472,9 +492,8 @@ def test_a_design_of_a_scene(scene):
     assert (np.diff(found.bands.centre) > 0).all()
     assert str(found).count("\n") == 2
     assert "the design has" in found._repr_html_()
-    data = found.to_xarray()
+    data = found.spectra
     assert data["response"].dims == ("band", "wavelength")
-    assert data["slope"].shape == (3, len(found.wavelength))
-    assert len(found.plot()) == 2
+    assert data["slope"].shape == (3, data.sizes["wavelength"])
     again = fx.observe(scene, found.sensor, pixel=0.5)
     assert again.bands == found.bands.names

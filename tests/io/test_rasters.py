@@ -16,7 +16,7 @@ from rasterio import Affine
 from fynjax._core.errors import InputError
 from fynjax.compare import DroneImage, read_drone_image
 from fynjax.io.raster import open_raster, write_geotiff
-from tests.helpers import read_cube, write_raster
+from tests.helpers import read_cube, unix, write_raster
 
 BANDS = ("green", "red", "red_edge", "nir")
 CENTRES = (560.0, 650.0, 730.0, 860.0)
@@ -320,6 +320,36 @@ def test_an_erdas_file_keeps_its_values_beside_it_only(tmp_path, image):
         np.testing.assert_array_equal(file.read(1), image[0])
     with pytest.raises(InputError, match=REFUSED), open_raster(path, "a map"):
         pass
+
+
+@unix
+def test_links_beside_a_raster_lead_to_no_other_folder(tmp_path, image):
+    here, there = tmp_path / "here", tmp_path / "there"
+    for folder in (here, there):
+        folder.mkdir()
+        write(folder / "image.tif", image)
+        np.full((1, 30, 20), 0.2, np.float32).tofile(folder / "cube.dat")
+        (folder / "cube.hdr").write_text(
+            "ENVI\nsamples = 20\nlines = 30\nbands = 1\ndata type = 4\ninterleave = bsq\n"
+        )
+    shutil.copy(there / "image.tif", there / "image.tif.msk")
+    (there / "image.tif.aux.xml").write_text("<PAMDataset></PAMDataset>")
+    for name in ("image.tif.msk", "image.tif.ovr", "image.tif.aux.xml"):
+        (here / name).symlink_to(there / name.replace("ovr", "msk"))
+        with pytest.raises(InputError, match=REFUSED), open_raster(here / "image.tif", "a map"):
+            pass
+        (here / name).unlink()
+    (here / "cube.dat").unlink()
+    (here / "cube.dat").symlink_to(there / "cube.dat")
+    with pytest.raises(InputError, match="in one folder"), open_raster(here / "cube.hdr", "a map"):
+        pass
+    for name in ("mine.hdr", "mine.dat", "mine.tif"):  # that the user made of a whole raster
+        (here / name).symlink_to(
+            there / name.replace("mine", "cube" if name[-1] != "f" else "image")
+        )
+    for name in ("mine.hdr", "mine.tif"):
+        with open_raster(here / name, "a map") as file:
+            assert file.shape == (30, 20)
 
 
 def test_a_raster_of_any_kind_holds_what_it_states(tmp_path):

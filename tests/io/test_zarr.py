@@ -1,8 +1,11 @@
-"""Cubes in zarr from somebody else: nothing runs, and nothing unfolds beyond what is stated."""
+"""Cubes in zarr from somebody else: nothing runs, or unfolds beyond what is stated, and no link is
+followed."""
 
 import gzip
 import json
+import os
 import pickle
+import shutil
 import struct
 import zlib
 from collections.abc import Callable
@@ -15,6 +18,7 @@ import xarray as xr
 from fynjax._core.errors import InputError
 from fynjax.io.raster import _zarr as zarr_module
 from fynjax.io.raster import open_blocks
+from tests.helpers import unix
 
 pytest.importorskip("zarr")
 VALUES = np.random.default_rng(0).uniform(0.05, 0.5, (6, 5, 4)).astype(np.float32)
@@ -150,3 +154,23 @@ def test_a_bomb_is_refused(tmp_path: Path) -> None:
     chunk = next(p for p in (path / "reflectance").iterdir() if p.name != ".zarray")
     chunk.write_bytes(gzip.compress(bytes(1 << 24)))
     refused(path, "chunks of 240 bytes, but this one unfolds to more")
+
+
+@pytest.mark.filterwarnings("ignore::Warning")
+@unix
+def test_links_are_not_followed(tmp_path: Path) -> None:
+    outside = write(tmp_path / "outside.zarr")
+    path = tmp_path / "cube.zarr"
+    for name in ("reflectance", "reflectance/0.0.0", "reflectance/.zarray", ".zgroup"):
+        write(path)
+        linked = path / name
+        shutil.rmtree(linked) if linked.is_dir() else linked.unlink()
+        linked.symlink_to(outside / name)
+        refused(path, "holds its own values, but this is a link")
+        linked.unlink()
+    write(path)
+    os.mkfifo(path / "reflectance" / "0.0.1")
+    refused(path, "this is a pipe")
+    (tmp_path / "named.zarr").symlink_to(outside)  # by the user
+    with open_blocks(tmp_path / "named.zarr") as cube:
+        assert cube.shape == (6, 5)

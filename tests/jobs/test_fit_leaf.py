@@ -67,7 +67,9 @@ def test_files_of_two_workers_are_those_of_one_process(table, tmp_path, monkeypa
     there = jobs.fit_leaf([table], tmp_path / "there", workers=jobs.Workers(2))
     assert here.spectra == LEAVES
     assert without_times(here) == without_times(there)
-    assert set(contents(tmp_path / "here")) == {"traits.csv", "spectra.nc", "spectra.png"}
+    assert set(contents(tmp_path / "here")) == {
+        "traits.csv", "spectra.nc", "spectra.png", "report.html"
+    }  # fmt: skip
     assert contents(tmp_path / "here") == contents(tmp_path / "there")
 
 

@@ -19,12 +19,14 @@ import pytest
 import rasterio
 import xarray as xr
 from rasterio.errors import NotGeoreferencedWarning
+from typer.testing import CliRunner
 
 from fynjax import jobs
 from fynjax._core import parts
 from fynjax._core.errors import InputError
 from fynjax.assembly import STAND_QUANTITIES, StandSettings, _pixels, sample_pixel, simulate_stands
 from fynjax.assembly import _stands as stands
+from fynjax.cli import app
 from fynjax.inversion import PriorChain, estimate_pixels
 from fynjax.io.plot import read_prior
 from fynjax.io.raster import Cube, CubeBlocks, write_cube_envi
@@ -311,12 +313,12 @@ def test_a_damaged_lookup_table_is_refused_before_any_work(trained, known, tmp_p
     assert not (tmp_path / "work").exists()
 
 
-def test_a_map_of_two_workers_is_that_of_one_process(trained, known, tmp_path, monkeypatch):
+def test_a_map_of_a_worker_is_that_of_this_process(trained, known, tmp_path, monkeypatch):
     pytest.importorskip("distributed", reason="the extra `map` is not installed")
     monkeypatch.setattr(parts, "_machine", lambda: (2, 8 * 2**30))
     monkeypatch.setattr(CubeBlocks, "rows_at_once", 1)
     path, training = cube_of(tmp_path, known), trained[0] / "out" / "training.nc"
-    for name, workers in (("here", None), ("there", jobs.Workers(2))):
+    for name, workers in (("here", None), ("there", jobs.Workers(1))):
         jobs.map_cube(
             path, training, tmp_path / name, checkpoint=tmp_path / "work", workers=workers
         )
@@ -333,15 +335,13 @@ from pathlib import Path
 from fynjax.cli import main
 from fynjax.io.raster import CubeBlocks
 from fynjax.jobs import _map as job
-from fynjax.jobs import _map_pixels
 
-log, stuck, *arguments = sys.argv[1:]
+second, *arguments = sys.argv[1:]
 CubeBlocks.rows_at_once, real = 1, job._mapped
 
 def mapped(part, *shared):
-    with open(log, "a") as file:
-        print(part[0], file=file, flush=True)
-    if part[0] == int(stuck):
+    if part[0] == 1:
+        Path(second).touch()
         time.sleep(600)
     return real(part, *shared)
 
@@ -352,40 +352,38 @@ main(arguments)
 
 @unix
 def test_a_killed_map_goes_on_and_is_that_of_one_run(trained, known, tmp_path, monkeypatch):
-    """SIGKILL of the command in its second block of three."""
-    path, log = cube_of(tmp_path, known), tmp_path / "log"
+    """SIGKILL of the command in its second block of three; the same command goes on from there."""
+    path, second = cube_of(tmp_path, known), tmp_path / "second"
     script = tmp_path / "command.py"
     script.write_text(COMMAND)
-
     training, output = trained[0] / "out" / "training.nc", tmp_path / "out"
-
-    def command(stuck):
-        return subprocess.Popen(
-            [sys.executable, script, log, str(stuck), "map", path, "--training", training,
-             "--output", output, "--quiet"],
-            stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
-            env={**os.environ, "PYTHONPATH": str(Path(__file__).resolve().parents[2])},
-        )  # fmt: skip
-
-    def begun():
-        return log.read_text().split() if log.exists() else []
-
-    first = command(stuck=1)
+    line = [str(part) for part in ("map", path, "--training", training, "--output", output)]
+    run = subprocess.Popen(
+        [sys.executable, script, second, *line, "--quiet"],
+        stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
+        env={**os.environ, "PYTHONPATH": str(Path(__file__).resolve().parents[2])},
+    )  # fmt: skip
     end = time.monotonic() + 120
-    while begun() != ["0", "1"]:
-        assert first.poll() is None, first.communicate()[0]
+    while not second.exists():
+        assert run.poll() is None, run.communicate()[0]
         assert time.monotonic() < end
         time.sleep(0.05)
-    first.kill()
-    first.communicate()
-    assert first.returncode == -signal.SIGKILL
+    run.kill()
+    run.communicate()
+    assert run.returncode == -signal.SIGKILL
     assert not output.exists()
-    second = command(stuck=-1)
-    said, _ = second.communicate(timeout=120)
-    assert (second.returncode, said) == (0, "")
-    assert begun() == ["0", "1", "1", "2"]
-    assert not (tmp_path / "out.checkpoint").exists()
+    begun, real = [], job._mapped
+
+    def mapped(part, *shared):
+        begun.append(part[0])
+        return real(part, *shared)
+
+    monkeypatch.setattr(job, "_mapped", mapped)
     monkeypatch.setattr(CubeBlocks, "rows_at_once", 1)
+    again = CliRunner().invoke(app, [*line, "--quiet"])
+    assert (again.exit_code, again.output) == (0, "")
+    assert begun == [1, 2]
+    assert not (tmp_path / "out.checkpoint").exists()
     jobs.map_cube(path, training, tmp_path / "whole", checkpoint=tmp_path / "other")
     with (
         rasterio.open(output / "maps.tif") as one,

@@ -237,6 +237,12 @@ def test_a_run_writes_every_number_once(folder: Path, tmp_path: Path) -> None:
         assert file["agreement_spectral_angle_deg"].attrs["units"] == "degree"
         assert "real.tif" in json.loads(file.attrs["input_sha256"])
     assert summary.drone.indices[9]["ks"] == pytest.approx(table["ks"][9])
+    for row, name in zip(summary.drone.diversity, ("real", "simulated"), strict=True):
+        pixels = read_drone_image(folder / f"{name}.tif").pixels
+        cv = np.mean(pixels.std(axis=1, ddof=1) / pixels.mean(axis=1))
+        assert row["sample"] == name
+        assert row["cv"] == pytest.approx(cv)
+        assert row["variance"] == pytest.approx(pixels.var(axis=1, ddof=1).sum())
     assert summary.spectra.matching == "same"
     html = (tmp_path / "report.html").read_text("utf-8")
     assert html.count("<img") == 6

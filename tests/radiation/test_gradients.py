@@ -45,9 +45,16 @@ def outcome(scene):
     )
 
 
-value = jax.jit(outcome)
-slope = jax.jit(jax.grad(outcome))
+both = jax.jit(jax.value_and_grad(outcome))
 push = jax.jit(lambda at, along: jax.jvp(outcome, (at,), (along,))[1])
+
+
+def value(scene):
+    return both(scene)[0]
+
+
+def slope(scene):
+    return both(scene)[1]
 
 
 def with_options(boundary):

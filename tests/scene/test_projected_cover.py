@@ -90,8 +90,8 @@ def _with_cover(scene: Scene, covers) -> PlotParameters:
     ("options", "most"),
     [
         ({}, 0.95),
-        pytest.param({"boundary": "open"}, 0.95, marks=pytest.mark.slow),
-        pytest.param({"rules": {"probability": _patches()}}, 0.45, marks=pytest.mark.slow),
+        pytest.param({"boundary": "open"}, 0.95, marks=pytest.mark.study),
+        pytest.param({"rules": {"probability": _patches()}}, 0.45, marks=pytest.mark.study),
         ({"rules": {"probability": _patches()}, "boundary": "open"}, 0.45),
     ],
     ids=["periodic", "open", "clumped", "clumped and open"],

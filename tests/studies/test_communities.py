@@ -26,7 +26,13 @@ from fynjax.studies.communities._observe import (
     green,
     observe_community,
 )
-from fynjax.studies.communities._scores import _lost_from, agreement, recognition
+from fynjax.studies.communities._scores import (
+    METRICS,
+    _lost_from,
+    agreement,
+    composition,
+    recognition,
+)
 from fynjax.studies.fynbos_2006 import table_after_fire
 
 POOL = read_plot(example_folder() / "plot.toml")
@@ -128,7 +134,7 @@ def test_a_community_is_seen_as_its_image_and_its_plants_are():
     pool = POOL.replace(voxel_m=0.25, structure_m="even", size_m=(1.0, 1.0))
     design = Design((CAMERA,), (0.125, 0.25), (0.0, 0.2), samples=4, seed=5)
     within = Gradients(richness=(2, 2), cover=(0.8, 0.9))
-    found, metrics, species, spectra = observe_community(3, pool, within, design)
+    found, shown, metrics, species, spectra, drawn = observe_community(3, pool, within, design)
     random = np.random.default_rng([5, 71, 3])
     plot = draw_community(pool, within, random)
     scene, _ = build_plot(plot, seed=int(random.integers(2**31)), rounding="random")
@@ -156,6 +162,7 @@ def test_a_community_is_seen_as_its_image_and_its_plants_are():
     share = cover / cover.sum()
     known.append(sum(share[i] * share[j] * apart[i, j] for i, j in np.ndindex(apart.shape)))
     np.testing.assert_allclose(found, np.array(known, float), rtol=1e-4)
+    np.testing.assert_allclose(shown, cover, rtol=1e-6)
     truth = fx.pixel_truth(scene, CAMERA, pixel=0.125, point_spread=False)
     shares = _coarser(np.asarray(truth.species), 1, CAMERA.psf, "periodic")
     fine = _coarser(image, 1, CAMERA.psf, "periodic").reshape(4, -1)
@@ -164,6 +171,10 @@ def test_a_community_is_seen_as_its_image_and_its_plants_are():
             place = np.argmin(((fine.T - spectrum) ** 2).sum(axis=1))
             np.testing.assert_allclose(fine[:, place], spectrum, rtol=1e-4)
             assert shares.reshape(len(shares), -1)[kind, place] >= 0.5
+    assert np.isnan(drawn[:, :, 64:]).all()
+    np.testing.assert_allclose(
+        np.sort(drawn[0, 0, :64], axis=0), np.sort(fine.T, axis=0), rtol=1e-4
+    )
 
 
 def test_species_differ_in_function_by_form_height_and_leaves():
@@ -202,8 +213,8 @@ def _design(pixels=(0.1, 1.0)):
 def test_squared_correlations_are_those_of_numpy_and_their_intervals_hold_them():
     random = np.random.default_rng(3)
     truth = random.normal(size=(200, 6))
-    metrics = np.full((200, 1, 2, 1, 5), np.nan)
-    metrics[:, 0, 0, 0] = truth[:, :5] + 0.5 * random.normal(size=(200, 5))
+    metrics = np.full((200, 1, 2, 1, len(METRICS)), np.nan)
+    metrics[:, 0, 0, 0, :5] = truth[:, :5] + 0.5 * random.normal(size=(200, 5))
     metrics[7, 0, 0, 0, 0] = np.nan  # a community of which a metric is not known
     table, lost = agreement(truth, metrics, _design(), 0.25)
     rows = table.set_index(["pixel_m", "metric", "diversity"])
@@ -241,6 +252,33 @@ def test_squared_correlations_are_those_of_numpy_and_their_intervals_hold_them()
     assert lines[3].endswith("no two species lead in enough pixels of 0.1 m.")
     low = lost.assign(best_r2=0.2)
     assert "every metric is below 25 % at every pixel" in _headline(low, known, 0.25)[0]
+
+
+def test_spectral_species_are_those_of_all_communities_together():
+    """Ten communities of six pixels in six spots: six clusters, one of ten pixels. Plants are those
+    of the spots at the finer pixel, and have nothing to do with them at the coarser one."""
+    random = np.random.default_rng(4)
+    spots = 10.0 * random.normal(size=(6, 4))
+    kinds = np.stack([random.choice(6, 6, p=p) for p in random.dirichlet(np.full(6, 0.5), 10)])
+    other = random.permutation(kinds.ravel()).reshape(10, 6)
+    pixels = spots[np.stack([kinds, other], axis=1)[:, :, None]]
+    pixels = np.pad(pixels, ((0, 0),) * 3 + ((0, 2), (0, 0)), constant_values=np.nan)
+    pixels += 0.01 * random.normal(size=pixels.shape)
+    count = np.stack([np.bincount(one, minlength=6) for one in kinds])
+    cover = count * random.uniform(0.05, 0.15, (10, 1))  # more plants of the same kinds
+    entropy, table = composition(cover, [pixels], _design())
+    np.testing.assert_allclose(entropy[:, 0, 0, 0], fx.diversity.shannon(count), atol=1e-6)
+    assert table["spectral_species"].tolist() == [6, 6]
+    assert table["mantel"][0] == pytest.approx(1.0)
+    assert abs(table["mantel"][1]) < 0.5
+    assert table["p_value"][0] < 0.01 < table["p_value"][1]
+    # A community without pixels that count is left out; of too few pixels nothing is known.
+    pixels[3, 0], pixels[:, 1, 0, 1:] = np.nan, np.nan
+    entropy, table = composition(cover, [pixels], _design())
+    assert np.isnan(entropy[:, 0, 0, 0]).tolist() == [i == 3 for i in range(10)]
+    assert table["mantel"][0] > 0.8
+    assert np.isnan(entropy[:, 0, 1]).all()
+    assert np.isnan(table["mantel"][1])
 
 
 def test_species_are_recognised_where_spectra_differ_and_by_chance_where_they_do_not():
@@ -306,7 +344,7 @@ def test_the_experiment_is_resumed_without_loss(tmp_path):
     again = diversity(tmp_path / "b", pool, checkpoint=kept, **few)
     assert parts
     assert again.lost == first.lost
-    tables = ("communities", "agreement", "lost", "recognition")
+    tables = ("communities", "agreement", "lost", "recognition", "composition")
     for name in tables:
         one, two = ((tmp_path / folder / f"{name}.csv").read_bytes() for folder in "ab")
         assert one == two

@@ -193,7 +193,7 @@ def _factor(kind: str, unit: str | None, name: str, path: Path) -> float:
             file=path,
             column=name,
         )
-    plain = (unit or "").strip().lower().replace("µ", "u").replace("μ", "u")
+    plain = str(unit or "").strip().lower().replace("µ", "u").replace("μ", "u")
     if kind == "share":
         factor = _SHARES.get(plain)
     elif kind == "length":

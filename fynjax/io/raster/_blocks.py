@@ -5,6 +5,8 @@ import json
 import math
 import os
 import shutil
+import struct
+import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
@@ -101,7 +103,8 @@ class CubeBlocks:
                 t = self.transform
                 return values[::-1] if t.is_identity or t.e < 0 else values
             part = self.source.isel({self.source.dims[0]: slice(start, start + rows)})
-            values = np.asarray(part.values, np.float32)
+            with np.errstate(all="ignore"):  # a scale may lead beyond what a float holds
+                values = np.asarray(part.values, np.float32)
         except (RasterioError, *_UNREADABLE) as error:
             if isinstance(error, InputError):
                 raise
@@ -186,7 +189,9 @@ def _open_dataset(path: Path) -> Iterator[CubeBlocks]:
         raise InputError("expected an image, but there is no such file", file=path)
     with ExitStack() as opened:
         try:
-            cube = _cube_of(path, opened)
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", xr.SerializationWarning)  # of two marks of no data
+                cube = _cube_of(path, opened)
         except _UNREADABLE as error:
             if isinstance(error, InputError):
                 raise
@@ -196,7 +201,7 @@ def _open_dataset(path: Path) -> Iterator[CubeBlocks]:
 
 _UNREADABLE = (
     *(OSError, ValueError, LookupError, RuntimeError, AttributeError, TypeError),
-    *(ArithmeticError, AssertionError, MemoryError),
+    *(ArithmeticError, AssertionError, MemoryError, struct.error),
 )
 """What the libraries raise at damaged files."""
 

@@ -28,7 +28,7 @@ from rasterio.errors import CRSError, NotGeoreferencedWarning, RasterioError
 from rasterio.windows import Window
 
 from fynjax._core.errors import LARGEST, InputError
-from fynjax._core.files import check_stated_size, existing_file, how_to_import
+from fynjax._core.files import check_stated_size, existing_file, how_to_import, is_elsewhere
 from fynjax._core.memory import total_memory
 from fynjax._core.progress import track
 from fynjax.io.raster._crs import check_metric, is_local, stretch, utm_zone
@@ -424,6 +424,8 @@ def _check_beside(path: Path) -> None:
         beside = path.with_name(name)
         known = name.lower().startswith(own) and name.lower().endswith((".ovr", ".msk"))
         if known or name.lower() in [f"{one}{kind}" for one in own for kind in ("aux", "rrd")]:
+            if not beside.is_file() or is_elsewhere(path, beside):
+                raise _names_others(path, name)
             with beside.open("rb") as file:
                 if not file.read(16).startswith(_WHOLE):
                     raise _names_others(path, name)
@@ -438,9 +440,10 @@ def _open(path: Path) -> Any:
         dataset = rasterio.io.DatasetReader(path.absolute(), driver=list(_FORMATS))
     if any(key.upper() == "OVERVIEW_FILE" for key in dataset.tags(ns="OVERVIEWS")):
         raise _names_others(path, "its metadata")
-    # Files of ERDAS may keep values in another, wherever it is.
-    if any(Path(name).parent != path.absolute().parent for name in dataset.files):
-        raise _names_others(path, "it")
+    # Files of ERDAS may keep values in another, wherever it is; those beside may be links.
+    for name in dataset.files:
+        if Path(name).parent != path.absolute().parent or is_elsewhere(path, Path(name)):
+            raise _names_others(path, "it")
     return dataset
 
 

@@ -30,8 +30,8 @@ _LONGEST = 1 << 24
 
 
 def check_zarr(path: Path) -> list[str]:
-    """Refuse a zarr group with codecs that can run code, with sizes that memory cannot hold, or
-    whose chunks unfold to more than it states.
+    """Refuse a zarr group with links, whose values are elsewhere, with codecs that can run code,
+    with sizes that memory cannot hold, or whose chunks unfold to more than it states.
 
     **Arguments:** `path`, a folder.
 
@@ -41,6 +41,7 @@ def check_zarr(path: Path) -> list[str]:
     **Raises:** `InputError`.
     """
     others = []
+    _check_links(path)
     for folder in sorted(one for one in path.iterdir() if one.is_dir()):
         for name in (".zarray", "zarr.json"):
             if (folder / name).is_file():
@@ -57,6 +58,22 @@ def check_zarr(path: Path) -> list[str]:
                 if not numbers:
                     others.append(folder.name)
     return others
+
+
+def _check_links(folder: Path | str) -> None:
+    """Refuse links, devices and pipes: who made the group would choose what of this machine is
+    read."""
+    with os.scandir(folder) as entries:
+        for entry in entries:
+            if entry.is_dir(follow_symlinks=False):
+                _check_links(entry.path)
+            elif not entry.is_file(follow_symlinks=False):
+                what = "a link" if entry.is_symlink() else "a pipe or a device"
+                raise InputError(
+                    f"expected a zarr group that holds its own values, but this is {what}. If you "
+                    "trust it, copy the group with what it links to: cp -rL",
+                    file=entry.path,
+                )
 
 
 def _metadata(path: Path) -> dict[str, Any]:

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fynjax._core.errors import LARGEST, InputError
-from fynjax._core.files import read_bytes
+from fynjax._core.files import is_elsewhere, read_bytes
 from fynjax.io.spectra._record import MeasuredSpectrum, in_nanometres, note
 
 _INTERLEAVES = ("bsq", "bil", "bip")
@@ -116,8 +116,8 @@ def open_envi(
 
     **Returns:** fields of the header as of `read_header`, path of the header, path of the data.
 
-    **Raises:** `InputError` where one of them is missing, or the data are cut short; as
-    `read_header`.
+    **Raises:** `InputError` where one of them is missing, or a link to another folder, or the data
+    are cut short; as `read_header`.
     """
     path = Path(path)
     header_path, data = path, path
@@ -132,6 +132,13 @@ def open_envi(
         header_path = next((p for p in names if p.is_file()), path)
     if header_path == data:
         raise InputError(lost if path.is_file() else "no such file", file=path)
+    for part in (header_path, data):
+        if is_elsewhere(path, part):
+            raise InputError(
+                f"expected header and data in one folder, but {part.name} is a link to "
+                "another. If you trust it, copy what it leads to: cp -L",
+                file=path,
+            )
     header = read_header(header_path)
     layout = header["layout"]
     cells = layout.nbands * layout.nrows * layout.ncols

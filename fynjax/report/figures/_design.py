@@ -34,14 +34,19 @@ def design_plot(found: BandDesign) -> Figure:
     with style():
         figure = Figure(figsize=(7.6, 6.4))
         panels: Any = figure.subplots(3, 1, sharex=True, height_ratios=(3, 3, 2))
-        spectra = dict(zip(found.taxa, found.species, strict=True)) | {"whole plot": found.spectrum}
-        slopes = dict(zip(found.quantities.columns, found.slopes))  # none of another target
+        data = found.spectra
+        wavelength = data["wavelength"].to_numpy()
+        spectra, slopes = (
+            dict(zip(data[over].to_numpy(), data[name].to_numpy(), strict=True))
+            for over, name in (("species", "species_spectrum"), ("quantity", "slope"))
+        )
+        spectra["whole plot"] = data["spectrum"].to_numpy()
         for axes, curves in zip(panels, (spectra, slopes)):
             known = {name: curve for name, curve in curves.items() if np.isfinite(curve).all()}
             for k, (name, curve) in enumerate([*known.items()][-_MOST:]):
                 line, colour = "-" if k < len(_COLOURS) else "--", _COLOURS[k % len(_COLOURS)]
                 axes.plot(
-                    found.wavelength, curve, line, lw=1.1, color=colour,
+                    wavelength, curve, line, lw=1.1, color=colour,
                     label=words(name.removeprefix("species.")),
                 )  # fmt: skip
             if known:
@@ -51,7 +56,7 @@ def design_plot(found: BandDesign) -> Figure:
         sensors = {"designed": found.bands} | {one.name: one.bands for one in found.cameras}
         rows = name_rows(panels[2], list(sensors))
         for row, bands in zip(rows, sensors.values(), strict=True):
-            wide = np.maximum(bands.fwhm, _SEEN * np.ptp(found.wavelength))
+            wide = np.maximum(bands.fwhm, _SEEN * np.ptp(wavelength))
             panels[2].barh(
                 np.full(len(bands), row), wide, height=0.6,
                 left=np.array(bands.centre) - wide / 2,

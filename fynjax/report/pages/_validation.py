@@ -79,6 +79,11 @@ def drone_section(drone: DroneComparison) -> Section:
             "Vegetation indices, in the forms that reproduce the printed means of the fynbos scene "
             "paper (table 4).",
         ),
+        Table(
+            drone.variety,
+            "Spectral diversity: coefficient of variation, mean angle to the mean spectrum, Rao's "
+            "Q (of a thousand pixels) and variance of the pixels. Compare pixels of one size.",
+        ),
         Picture(
             "drone_indices.png",
             index_pair_histograms(drone.indices, drone.shown_edges, drone.shown),

@@ -25,7 +25,7 @@ from fynjax.scene import visible_sensor
 from fynjax.sensors import Sensor
 from fynjax.studies.communities._draw import Gradients, check_pool
 from fynjax.studies.communities._observe import DIVERSITIES, Design, green, observe_community
-from fynjax.studies.communities._scores import agreement, recognition
+from fynjax.studies.communities._scores import agreement, composition, recognition
 
 PIXELS = (0.05, 0.1, 0.25, 0.5, 1.0, 1.25, 2.5, 5.0)
 """Edges of a pixel [m] of a run that names none."""
@@ -43,6 +43,8 @@ class DiversityResult(JobResult):
     """Rows of lost.csv."""
     recognition: Rows
     """Rows of recognition.csv."""
+    composition: Rows
+    """Rows of composition.csv."""
 
 
 @double_precision
@@ -92,7 +94,7 @@ def diversity(
     - `workers`: where communities are simulated; in this process by default.
 
     **Returns:** `DiversityResult`. Writes `communities.csv`, `agreement.csv`, `lost.csv`,
-    `recognition.csv`, figures and a page into `output`.
+    `recognition.csv`, `composition.csv`, figures and a page into `output`.
 
     **Raises:** `InputError` for settings that do not fit each other, as `read_plot` and
     `build_plot`, and a checkpoint of another run; `MissingExtraError` without scikit-learn.
@@ -130,8 +132,8 @@ def diversity(
     design = Design(chosen, fine, tuple(noise), samples, seed, greenness)
     run = Run(output, seed=seed, plot=read)
     rows = f"{communities} communities"
-    files = dict.fromkeys(["communities.csv", "agreement.csv", "lost.csv", "recognition.csv"], rows)
-    begin_work(files | {"report.html": ""})
+    tables = ["communities", "agreement", "lost", "recognition", "composition"]
+    begin_work(dict.fromkeys([f"{name}.csv" for name in tables], rows) | {"report.html": ""})
     journal = None
     if checkpoint is not None:
         hashes = [file_hash(path) for path in read.inputs]
@@ -140,8 +142,11 @@ def diversity(
         done = pool_of_workers.all(
             observe_community, range(communities), pool, gradients, design, journal=journal
         )
-    truth, metrics, species, *spectra = (np.stack(parts) for parts in zip(*done, strict=True))
+    truth, cover, metrics, species, *kept = (np.stack(parts) for parts in zip(*done, strict=True))
+    spectra, drawn = kept[: len(chosen)], kept[len(chosen) :]
     with run.stage("Score"):
+        entropy, composed = composition(cover, drawn, design)
+        metrics = np.concatenate([metrics, entropy[..., None]], axis=-1)
         table, lost = agreement(truth, metrics, design, threshold)
         known = recognition(species, spectra, pool.taxa, design)
     headline = _headline(lost, known, threshold)
@@ -152,11 +157,14 @@ def diversity(
         run.table("agreement.csv", table, "squared correlation of metrics with diversity")
         run.table("lost.csv", lost, "pixel at which each diversity is lost to each metric")
         run.table("recognition.csv", known, "how well species are recognised")
-        sections = _sections(table, lost, known, threshold)
+        run.table("composition.csv", composed, "how composition follows that of the plants")
+        sections = _sections(table, lost, known, composed, threshold)
         record = run.record(read.inputs)
         title = f"Diversity as sensors see it: {communities} communities of {read.name}"
         run.page(Page(title, " ".join(headline), sections, record=record))
-    return run.result(DiversityResult, headline=headline, lost=lost, recognition=known)
+    return run.result(
+        DiversityResult, headline=headline, lost=lost, recognition=known, composition=composed
+    )
 
 
 def _checked_pixels(pixels: Sequence[float], size: float, voxel: float) -> tuple[float, ...]:
@@ -228,7 +236,11 @@ def _headline(lost: pd.DataFrame, known: pd.DataFrame, threshold: float) -> list
 
 
 def _sections(
-    table: pd.DataFrame, lost: pd.DataFrame, known: pd.DataFrame, threshold: float
+    table: pd.DataFrame,
+    lost: pd.DataFrame,
+    known: pd.DataFrame,
+    composed: pd.DataFrame,
+    threshold: float,
 ) -> list[Section]:
     curves = Picture(
         "agreement.png",
@@ -251,5 +263,16 @@ def _sections(
             "Diversity", [curves, Table(lost, "Where each diversity is lost (–: at no pixel).")]
         ),
         Section("Species", [skill, Table(known, "How well species are recognised.")]),
+        Section(
+            "Composition",
+            [
+                Table(
+                    composed,
+                    "Correlation over pairs of communities (Mantel) of the Bray-Curtis "
+                    "dissimilarity of their spectral species, which are clusters of the pixels of "
+                    "all communities, with that of their plant species.",
+                )
+            ],
+        ),
         Section("All numbers", [Table(table, "Squared correlations.", folded=True)]),
     ]

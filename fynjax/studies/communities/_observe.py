@@ -30,9 +30,11 @@ DIVERSITIES = ("richness", "shannon", "simpson", "evenness", "cover", "functiona
 """What is asked of a community: number of species, Shannon entropy, Simpson's index and evenness
 after Pielou of the covers as seen from straight above, their sum, and Rao's quadratic entropy with
 the distance of species in growth form, height and leaf chemistry (`functional_distance`)."""
-METRICS = (*VARIETY, "hull")
+OF_IMAGE = (*VARIETY, "hull")
 """Spectral metrics of the pixels of an image: `VARIETY`, and the volume of their convex hull in the
 image's own first three principal components."""
+CLUSTERED = 200
+"""Pixels that a community gives to the spectral species of all communities, at most."""
 _TRAITS = ("chlorophyll", "carotenoids", "water", "dry_matter")
 """Traits of leaves that tell species from one another."""
 _DRAWS = 10
@@ -68,9 +70,11 @@ def observe_community(
 ) -> tuple[np.ndarray, ...]:
     """Diversity of the plants of a community, and of its spectra.
 
-    **Returns:** `DIVERSITIES`; spectral `METRICS` [sensor, pixel, noise, metric]; the species of
-    sampled pixels [sensor, pixel, sample], -1 for none; and for each sensor their spectra [pixel,
-    noise, sample, band].
+    **Returns:** `DIVERSITIES`; the cover of each species as seen from straight above; the spectral
+    metrics `OF_IMAGE` [sensor, pixel, noise, metric]; the species of sampled pixels [sensor, pixel,
+    sample], -1 for none; for each sensor their spectra [pixel, noise, sample, band]; and for each
+    sensor spectra of other pixels, drawn from all that count [pixel, noise, drawn, band], NaN where
+    there are fewer.
     """
     random = np.random.default_rng([design.seed, 71, number])
     for left in reversed(range(_DRAWS)):
@@ -85,9 +89,9 @@ def observe_community(
     fine = design.pixels[0]
     above = nadir_imager(design.sensors[0].bands.select([0]), scene, scene.parameters)
     cover = np.asarray(truth_of_pixels(above, scene, scene.parameters).species).mean(axis=(1, 2))
-    shape = len(design.sensors), len(design.pixels), len(design.noise), len(METRICS)
+    shape = len(design.sensors), len(design.pixels), len(design.noise), len(OF_IMAGE)
     metrics = np.zeros(shape)
-    species, spectra = [], []
+    species, spectra, drawn = [], [], []
     for s, sensor in enumerate(design.sensors):
         coarser = partial(_coarser, psf=sensor.psf, boundary=scene.boundary)
         seen_fine = observe(scene, sensor, pixel=fine, point_spread=False, accuracy=COARSE)
@@ -95,6 +99,7 @@ def observe_community(
         seen = pixel_truth(scene, sensor, pixel=fine, point_spread=False)
         shares = np.asarray(seen.species)
         kinds, kept = [], []
+        some = np.full((*shape[1:3], CLUSTERED, len(image)), np.nan, np.float32)
         for p, pixel in enumerate(design.pixels):
             times = round(pixel / fine)
             of_pixel, places = _sample(coarser(shares, times), design.samples, random)
@@ -105,13 +110,16 @@ def observe_community(
                 found = spectral_variety(seen_green, seed=random)
                 metrics[s, p, n] = [*(found[name] for name in VARIETY), _hull(seen_green)]
                 kept.append(noisy[places])
+                few = random.permutation(seen_green)[:CLUSTERED]
+                some[p, n, : len(few)] = few
             kinds.append(of_pixel)
         species.append(np.stack(kinds))
         spectra.append(np.reshape(kept, (*shape[1:3], -1, len(image))).astype(np.float32))
+        drawn.append(some)
     asked = diversity_indices(cover[None])
     asked["functional"] = np.asarray(rao_entropy(cover[None], functional_distance(pool, scene)))
     stand = np.array([asked[name][0] for name in DIVERSITIES])
-    return stand, metrics, np.stack(species), *spectra
+    return stand, cover, metrics, np.stack(species), *spectra, *drawn
 
 
 def functional_distance(pool: Plot, scene: Scene) -> Float[np.ndarray, "species species"]:

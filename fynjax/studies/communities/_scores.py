@@ -10,13 +10,21 @@ import pandas as pd
 from jaxtyping import Float, Int
 
 from fynjax._core.resampling import INTERVAL, correlation_over, plot_draws
-from fynjax.diversity import classify, separability
-from fynjax.studies.communities._observe import DIVERSITIES, METRICS, Design
+from fynjax.diversity import bray_curtis, classify, mantel, separability, spectral_species
+from fynjax.studies.communities._observe import DIVERSITIES, OF_IMAGE, Design
+
+METRICS = (*OF_IMAGE, "spectral_species")
+"""Spectral metrics of a community: `OF_IMAGE`, and the Shannon entropy of its spectral species."""
 
 _SPLITS = 10
 """Times that communities are parted into those that train and those that judge."""
 _LEAST = 5
 """Pixels of a species in each part, at least, for it to take part."""
+_CLUSTERS, _PER_CLUSTER, _COMPONENTS = 50, 10, 3
+"""Spectral species at most, pixels that each needs on average, and principal components in which
+they are found."""
+_FEWEST = 5
+"""Communities at least of which dissimilarities are compared."""
 
 
 def agreement(
@@ -93,6 +101,51 @@ def _lost_from(
     there = np.nan_to_num(r2) >= threshold
     after = np.where(there.any(axis=1), there.shape[1] - np.argmax(there[:, ::-1], axis=1), 0)
     return np.where(np.isnan(r2).all(axis=1), np.nan, np.append(pixels, np.inf)[after])
+
+
+def composition(
+    cover: Float[np.ndarray, "community species"],
+    pixels: Sequence[Float[np.ndarray, "community pixel noise drawn band"]],
+    design: Design,
+) -> tuple[Float[np.ndarray, "community sensor pixel noise"], pd.DataFrame]:
+    """Spectral species of all communities together, and how their composition follows that of the
+    plants.
+
+    At each sensor, pixel size and noise the pixels of all communities are clustered once
+    (`spectral_species`): 50 clusters, or one for ten pixels where there are fewer than 500.
+
+    **Arguments:** `cover` of each species; `pixels`, for each sensor spectra drawn from a
+    community, NaN where there are fewer.
+
+    **Returns:** the Shannon entropy of each community's clusters, NaN where it has no pixel; and a
+    table with a row for each sensor, pixel and noise: the number of `spectral_species`; and
+    Mantel's correlation (`mantel`) of the Bray-Curtis dissimilarity of their shares in each two
+    communities with that of the shares of plant species in the cover, with its interval over
+    bootstrapped communities and its `p_value`.
+    """
+    shape = len(cover), len(design.sensors), len(design.pixels), len(design.noise)
+    entropy, rows = np.full(shape, np.nan), []
+    with np.errstate(invalid="ignore"):
+        share = cover / cover.sum(axis=1, keepdims=True)
+    for (s, sensor), (p, pixel), (n, noise) in product(
+        enumerate(design.sensors), enumerate(design.pixels), enumerate(design.noise)
+    ):
+        spectra = pixels[s][:, p, n].astype(float)
+        valid = np.isfinite(spectra).all(axis=-1)
+        known = np.flatnonzero(valid.any(axis=1) & np.isfinite(share).all(axis=1))
+        clusters = min(_CLUSTERS, int(valid[known].sum()) // _PER_CLUSTER)
+        tie = dict.fromkeys(("value", "q05", "q95", "p_value"), np.nan)
+        if clusters >= 2 and len(known) >= _FEWEST:
+            found = spectral_species(
+                spectra[known], valid[known], clusters=clusters, seed=design.seed,
+                components=min(_COMPONENTS, spectra.shape[-1]),
+            )  # fmt: skip
+            entropy[known, s, p, n] = found.shannon
+            tie = mantel(found.bray_curtis, bray_curtis(share[known]), seed=design.seed)
+        row = {"sensor": sensor.name, "pixel_m": pixel, "noise": noise}
+        row |= {"spectral_species": clusters, "mantel": tie.pop("value")}
+        rows.append(row | tie)
+    return entropy, pd.DataFrame(rows)
 
 
 def recognition(
