@@ -136,12 +136,24 @@ def _end(process: "subprocess.Popen[str]") -> Ended:
     return Ended(process.returncode, error)
 
 
+def _content(path: Path) -> bytes:
+    """Bytes of a file without the time at which it was made."""
+    if path.name in _TIMED:
+        return b""
+    if path.name != "posterior.nc":
+        return path.read_bytes()
+    import netCDF4
+
+    with netCDF4.Dataset(path) as data:  # arviz writes the time into each group
+        parts = [v for group in data.groups.values() for v in group.variables.values()]
+        return b"".join(f"{v.group().name}/{v.name}".encode() + v[...].tobytes() for v in parts)
+
+
 def _files(folder: Path) -> dict[str, bytes]:
-    return {
-        path.relative_to(folder).as_posix(): b"" if path.name in _TIMED else path.read_bytes()
-        for path in sorted(folder.rglob("*"))
-        if path.is_file()
-    }
+    """What a run leaves in its folder: results, and the names of files beside them."""
+    results = [path for path in sorted((folder / "out").rglob("*")) if path.is_file()]
+    beside = {p.name: b"" for p in folder.iterdir() if p.name.startswith((".out", "out."))}
+    return {path.relative_to(folder).as_posix(): _content(path) for path in results} | beside
 
 
 # -- the faults -----------------------------------------------------------------------------
@@ -156,7 +168,7 @@ def _signals(*numbers: int) -> Callable[["subprocess.Popen[str]", Path], None]:
     return send
 
 
-def _remove_output(process: "subprocess.Popen[str]", folder: Path) -> None:
+def _remove_output(process: "subprocess.Popen[str] | None", folder: Path) -> None:
     for path in [*folder.glob("out*"), *folder.glob(".out*")]:
         shutil.rmtree(path, ignore_errors=True)
 
@@ -224,11 +236,11 @@ class Study:
             if changed:
                 _change(place / own)
             for _ in range(2):  # the second finds its programs compiled
-                shutil.rmtree(place / "out", ignore_errors=True)
+                _remove_output(None, place)
                 began = time.monotonic()
                 ended = _end(_begin(line, place))
                 assert ended.status == 0, ended.error
-            self.whole[command, changed] = _files(place / "out"), time.monotonic() - began
+            self.whole[command, changed] = _files(place), time.monotonic() - began
             if command == "train":
                 shutil.copy(place / "out" / "training.nc", self.inputs)
             shutil.rmtree(place)
@@ -273,11 +285,10 @@ class Study:
                 if again.status != 0:
                     return "other", f"the run again: {again}"
             wanted = self.undisturbed(command, changed)[0]
-            found = _files(place / "out")
+            found = _files(place)
             wrong = {n for n in {*wanted, *found} if wanted.get(n) != found.get(n)}
-            left = [p.name for p in place.iterdir() if p.name.startswith((".out", "out."))]
-            if wrong or left:
-                return "other", f"differ: {sorted(wrong)}; left behind: {left}"
+            if wrong:
+                return "other", f"differ: {sorted(wrong)}, status {ended.status}, {moment:.1f} s"
             return "equal", f"after {moment:.1f} of {seconds:.1f} s, status {ended.status}"
         finally:
             with suppress(ProcessLookupError):
