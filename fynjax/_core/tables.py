@@ -34,6 +34,9 @@ _SHEET_ERROR = re.compile(r"#(N/A|DIV/0!|REF!|NAME\?|VALUE!|NUM!|NULL!)")
 _NO_TEXT = re.compile(rb"[\0-\x08\x0e-\x19\x1b-\x1f\x7f]")
 _SEPARATOR_LINE = re.compile(r"sep=(.)\s*", re.IGNORECASE)
 _SAMPLE_LINES, _SAMPLE_SIZE = 200, 1 << 20
+_LARGEST_WORKBOOK = 1 << 26
+"""Bytes that a workbook may unfold to: openpyxl needs 27 of memory for each, and half a minute of a
+core for so many."""
 _LARGEST_SHEET = 1 << 24
 """Cells that a sheet may reach over."""
 _LEAST = -900.0
@@ -552,7 +555,7 @@ def _workbook(data: bytes, path: Path, what: str) -> bytes:
         raise InputError("this Excel workbook is damaged or cut short", file=path) from error
     if not excel_file:
         raise InputError(f"expected {what}, but this is a zip file", file=path)
-    if size > LARGEST_TEXT:
+    if size > _LARGEST_WORKBOOK:
         raise InputError(f"the workbook unfolds to {size >> 20} MiB: save it as CSV", file=path)
     excel = require("openpyxl", "tables")
     sheets = {}

@@ -73,7 +73,7 @@ def misfit_decomposition(real: Spectrum, simulated: Spectrum, valid: Mask | None
 
     Differentiable in both spectra, but for the roots where the error left is exactly zero: there
     they are 0 with the gradient 0. A constant real spectrum has no slope: its gain is NaN, and all
-    that rests on it.
+    that rests on it, with the gradient 0.
 
     Source: Gauch, Hwang and Fick (2003), Agronomy Journal 95, 1442-1446, with the real spectrum as
     the independent variable.
@@ -93,20 +93,26 @@ def misfit_decomposition(real: Spectrum, simulated: Spectrum, valid: Mask | None
     )
     mean_x, mean_y = jnp.sum(x) / count, jnp.sum(y) / count
     dx, dy = jnp.where(keep, x - mean_x, 0.0), jnp.where(keep, y - mean_y, 0.0)
-    gain = jnp.sum(dx * dy) / jnp.sum(dx**2)
-    through_zero = jnp.sum(x * y) / jnp.sum(x**2)
+    varies, some = jnp.sum(dx**2), jnp.sum(x**2)
+    gain = jnp.sum(dx * dy) / jnp.where(varies != 0.0, varies, 1.0)
+    through_zero = jnp.sum(x * y) / jnp.where(some != 0.0, some, 1.0)
     shape = jnp.sum((dy - gain * dx) ** 2) / count
+
+    def sloped(value: Scalar) -> Scalar:
+        return jnp.where(varies != 0.0, value, jnp.nan)
+
+    without_gain = _root(jnp.sum((y - through_zero * x) ** 2) / count)
     return Misfit(
         mean_squared_error=jnp.sum((y - x) ** 2) / count,
-        gain=gain,
-        offset=mean_y - gain * mean_x,
+        gain=sloped(gain),
+        offset=sloped(mean_y - gain * mean_x),
         level=(mean_y - mean_x) ** 2,
-        contrast=(gain - 1.0) ** 2 * jnp.sum(dx**2) / count,
-        shape=shape,
-        mean_by_gain=(gain - 1.0) * mean_x,
+        contrast=sloped((gain - 1.0) ** 2 * varies / count),
+        shape=sloped(shape),
+        mean_by_gain=sloped((gain - 1.0) * mean_x),
         rmse_without_offset=_root(jnp.sum((dy - dx) ** 2) / count),
-        rmse_without_gain=_root(jnp.sum((y - through_zero * x) ** 2) / count),
-        rmse_without_both=_root(shape),
+        rmse_without_gain=jnp.where(some != 0.0, without_gain, jnp.nan),
+        rmse_without_both=sloped(_root(shape)),
     )
 
 

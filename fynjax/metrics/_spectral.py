@@ -35,11 +35,11 @@ class SpectralAgreement(eqx.Module):
     rmse: Scalar
     """Root mean square error, in the spectra's unit."""
     nrmse: Scalar
-    """`rmse` over the range of the real spectrum [-]; NaN or infinite of a constant one."""
+    """`rmse` over the range of the real spectrum [-]; NaN of a constant one."""
     correlation: Scalar
     """Pearson correlation [-]; blind to gain and offset. NaN where a spectrum is constant."""
     relative_mean_difference: Scalar
-    """(simulated - real) / real of the means [-]; NaN or infinite where the real mean is zero."""
+    """(simulated - real) / real of the means [-]; NaN where the real mean is zero."""
 
 
 def spectral_mask(
@@ -110,8 +110,13 @@ def spectral_angle(real: Spectrum, simulated: Spectrum, valid: Mask | None = Non
     45.0
     """
     x, y, _ = _pair(real, simulated, valid)
-    x, y = x / _norm(x), y / _norm(y)
-    return jnp.rad2deg(2.0 * jnp.arctan2(_norm(x - y), _norm(x + y)))
+    long_x, long_y = _norm(x), _norm(y)
+    some = (long_x != 0.0) & (long_y != 0.0)
+    x, y = (
+        jnp.where(some, v / jnp.where(some, of, 1.0), 1.0) for v, of in ((x, long_x), (y, long_y))
+    )
+    angle = jnp.rad2deg(2.0 * jnp.arctan2(_norm(x - y), _norm(x + y)))
+    return jnp.where(some, angle, jnp.nan)
 
 
 def spectral_agreement(
@@ -130,7 +135,8 @@ def spectral_agreement(
     **Raises:** `InputError` if the shapes differ.
 
     Differentiable in both spectra. Where they are equal RMSE and NRMSE are 0 with the gradient 0;
-    of the angle see `spectral_angle`.
+    of the angle see `spectral_angle`. What is NaN has the gradient 0, and leaves those of the
+    others as they are.
 
     >>> import jax.numpy as jnp
     >>> from fynjax.metrics import spectral_agreement
@@ -147,9 +153,9 @@ def spectral_agreement(
     return SpectralAgreement(
         spectral_angle=spectral_angle(real, simulated, valid),
         rmse=error,
-        nrmse=error / (highest - lowest),
-        correlation=jnp.sum(dx * dy) / (_norm(dx) * _norm(dy)),
-        relative_mean_difference=(jnp.sum(y) - jnp.sum(x)) / jnp.sum(x),
+        nrmse=_ratio(error, highest - lowest),
+        correlation=_ratio(jnp.sum(dx * dy), _norm(dx) * _norm(dy)),
+        relative_mean_difference=_ratio(jnp.sum(y) - jnp.sum(x), jnp.sum(x)),
     )
 
 
@@ -167,6 +173,12 @@ def _pair(
     dtype = jnp.result_type(x.dtype, y.dtype, jnp.float32)
     x, y = x.astype(dtype), y.astype(dtype)
     return jnp.where(keep, x, 0.0), jnp.where(keep, y, 0.0), jnp.sum(keep).astype(dtype)
+
+
+def _ratio(over: Scalar, under: Scalar) -> Scalar:
+    """A quotient; NaN with the gradient 0 where it divides by zero."""
+    some = under != 0.0
+    return jnp.where(some, over / jnp.where(some, under, 1.0), jnp.nan)
 
 
 def _norm(x: Spectrum) -> Scalar:

@@ -125,6 +125,9 @@ _ALL = (
     _index("IPVI", lambda r, n: n / (n + r), "N/(N+R)", "R N", "Crippen (1990)"),
 )
 
+_PLAIN = (0.05, 0.1, 0.4)
+"""Reflectance of bands of which every index is defined."""
+
 SPECTROMETER_INDICES: dict[str, SpectrometerIndex] = {index.name: index for index in _ALL}
 """Those indices of figure 12 that have a published formula, by name, in the paper's order."""
 
@@ -147,7 +150,7 @@ def spectrometer_indices(
 
     **Raises:** `InputError` for a grid that is none in nm.
 
-    Differentiable in `spectra` where defined.
+    Differentiable in `spectra` where defined; elsewhere the gradient is 0.
 
     >>> import numpy as np
     >>> from fynjax.metrics import spectrometer_indices
@@ -170,6 +173,7 @@ def spectrometer_indices(
     values_by_name = {}
     for index in _ALL:
         if set(index.bands) <= set(bands):
-            raw = index.function(bands)
-            values_by_name[index.name] = jnp.where(jnp.isfinite(raw), raw, jnp.nan)
+            defined = jnp.isfinite(index.function(bands))
+            safe = {k: jnp.where(defined, bands[k], plain) for k, plain in zip(index.bands, _PLAIN)}
+            values_by_name[index.name] = jnp.where(defined, index.function(safe), jnp.nan)
     return values_by_name

@@ -261,7 +261,8 @@ def _hot_spot(
 
     def added(depth: Array) -> Array:
         both = -jnp.sqrt(k * big_k) * area * reach * jnp.expm1(-depth / reach)
-        return jnp.exp(-(k + big_k) * area * depth) * jnp.expm1(both)
+        # exp(both) alone would overflow; its exponent here is at most 0.
+        return -jnp.exp(both - (k + big_k) * area * depth) * jnp.expm1(-both)
 
     depths, weights = (jnp.asarray(a, area.dtype) for a in (_DEPTHS, _DEPTH_WEIGHTS))
     reflected, transmitted = area_scattering(angle, -to_sun[None], to_view[None])

@@ -1,4 +1,4 @@
-"""`python -m tests.fuzz --minutes 60 [--reader NAME] [--seed N]`."""
+"""`python -m tests.fuzz [--minutes 60 | --each N | --bugs] [--reader NAME] [--seed N]`."""
 
 import argparse
 import math
@@ -7,6 +7,7 @@ from pathlib import Path
 
 
 def main() -> int:
+    from tests.fuzz.bugs import study
     from tests.fuzz.readers import READERS
     from tests.fuzz.run import fuzz
 
@@ -16,7 +17,12 @@ def main() -> int:
     parser.add_argument("--each", type=int, help="tries of each reader, whatever time they take")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--save", type=Path, default=Path("fuzz"), help="inputs that broke")
+    parser.add_argument(
+        "--bugs", action="store_true", help="are bugs found that are put in on purpose?"
+    )
     options = parser.parse_args()
+    if options.bugs:
+        return int(study(options.each or 200, options.seed) > 0)
     readers = options.reader or list(READERS)
     counts, broken = fuzz(
         readers, options.seed, save=options.save, each=options.each,

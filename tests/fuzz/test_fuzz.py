@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from fynjax._core.errors import InputError
+from tests.fuzz.bugs import BUGS, ROOT
 from tests.fuzz.mutate import damaged
 from tests.fuzz.readers import READERS, Reader
 from tests.fuzz.run import _tried, fuzz
@@ -27,6 +28,12 @@ def test_every_seed_is_a_valid_file(tmp_path: Path) -> None:
         (tmp_path / name).mkdir()
         reader.write(tmp_path / name)
         assert reader.read(tmp_path / name) is not None, name
+
+
+def test_every_bug_can_be_put_in_as_its_study_does() -> None:
+    for name, bug in BUGS.items():
+        assert (ROOT / "fynjax" / bug.file).read_text("utf-8").count(bug.old) == 1, name
+        assert set(bug.readers) <= set(READERS), name
 
 
 def test_the_same_numbers_damage_a_file_alike() -> None:

@@ -12,6 +12,7 @@ from scipy.stats import multivariate_normal, multivariate_t
 
 from fynjax import jobs
 from fynjax.leaf import (
+    LEAF_PARAMETERS,
     IntegratingSphere,
     LeafClip,
     LeafOverBackground,
@@ -634,3 +635,23 @@ def test_detector_jumps_are_taken_out():
         np.abs(f.transmittance - truth.transmittance)[:, 10:-10].mean() for f in (plain, mended)
     ]
     assert error[1] < 0.5 * error[0]
+
+
+@pytest.mark.study
+def test_fits_to_leaves_within_and_at_all_bounds_are_finite():
+    chance = np.random.default_rng(0)
+    names = [n for n in LEAF_PARAMETERS if n not in ("protein", "cellulose")]
+    share = chance.uniform(size=(1000, len(names)))
+    share = np.where(chance.uniform(size=share.shape) < 0.3, share.round(), share)
+    low, high = (
+        np.array([getattr(LEAF_PARAMETERS[n], end) for n in names]) for end in ("lower", "upper")
+    )
+    leaves = LeafParameters.many(**dict(zip(names, (low + share * (high - low)).T)))
+    optics = jax.vmap(prospect)(leaves)
+    fit = fit_leaf(
+        np.asarray(optics.wavelength)[0], np.asarray(optics.reflectance),
+        np.asarray(optics.transmittance),
+    )  # fmt: skip
+    parts = fit.parameters, fit.standard_deviation, fit.lower, fit.upper, fit.fitted
+    for found in jax.tree.leaves((*parts, fit.reflectance, fit.transmittance, fit.rmse, fit.chi2)):
+        assert np.isfinite(np.asarray(found)).all()

@@ -8,9 +8,11 @@ import pytest
 from fynjax._core.errors import InputError
 from fynjax.metrics import (
     WATER_WINDOWS,
+    misfit_decomposition,
     spectral_agreement,
     spectral_angle,
     spectral_mask,
+    spectrometer_indices,
 )
 
 GRID = np.linspace(377.2, 2500.9, 425)
@@ -127,3 +129,38 @@ def test_bad_input() -> None:
         spectral_angle(jnp.ones(4), jnp.ones(5))
     with pytest.raises(InputError, match="one grid"):
         spectral_agreement(jnp.ones(4), jnp.ones(4), np.ones(5, bool))
+
+
+@pytest.mark.parametrize("compare", [spectral_agreement, misfit_decomposition])
+def test_what_is_undefined_has_no_slope_and_spoils_no_other(compare) -> None:
+    """Of zero, constant and equal spectra all at once, as one Jacobian is of all measures."""
+    some = [np.zeros(6), np.full(6, 0.3), np.full(6, 0.5), np.linspace(0.1, 0.4, 6)]
+    real, simulated = (jnp.asarray(np.array(v)) for v in zip(*[(a, b) for a in some for b in some]))
+    values = lambda a, b: jnp.stack(jax.tree.leaves(compare(a, b)))  # noqa: E731
+    assert np.isfinite(np.asarray(jax.vmap(jax.jacobian(values, (0, 1)))(real, simulated))).all()
+    found = jax.vmap(compare)(real, simulated)
+    constant, zero = np.arange(16) < 12, np.arange(16) < 4
+    either = zero | (np.arange(16) % 4 == 0)
+    if compare is spectral_agreement:
+        np.testing.assert_array_equal(np.isnan(found.nrmse), constant)
+        np.testing.assert_array_equal(np.isnan(found.relative_mean_difference), zero)
+        np.testing.assert_array_equal(
+            np.isnan(found.spectral_angle), zero | (np.arange(16) % 4 == 0)
+        )
+        assert np.isfinite(found.rmse).all()
+    else:
+        for name in ("gain", "offset", "contrast", "shape", "mean_by_gain", "rmse_without_both"):
+            np.testing.assert_array_equal(np.isnan(getattr(found, name)), constant)
+        np.testing.assert_array_equal(np.isnan(found.rmse_without_gain), zero)
+        assert np.isfinite(found.level + found.rmse_without_offset).all()
+
+
+def test_indices_of_a_spectrometer_without_a_value_have_no_slope() -> None:
+    grid = np.arange(400.0, 2501.0, 50.0)
+    for level in (0.0, 0.4):
+        at = jnp.full(grid.size, level)
+        slopes = jax.jacrev(lambda s: spectrometer_indices(grid, s))(at)
+        found = spectrometer_indices(grid, at)
+        assert np.isnan(found["NDVI"]) == (level == 0.0)
+        assert all(np.isfinite(slope).all() for slope in slopes.values())
+        assert np.abs(slopes["SAVI"]).max() > 0.0

@@ -272,3 +272,28 @@ def test_ten_thousandths_are_named():
         canopy_reflectance(1e4 * RHO, 1e4 * TAU)
     with pytest.raises(InputError, match="in percent"):
         canopy_albedo(100 * RHO, 100 * TAU)
+
+
+def canopy_of(share):
+    """A sum of reflectance factors, of parameters as shares of their ranges."""
+    area, sun, view, turn, sky, size, soil, rho, tau = share * jnp.array(
+        [20.0, 89.4, 89.4, 360.0, 1.0, 5.0, 1.0, 1.0, 1.0]
+    )
+    most = jnp.maximum(rho + tau, 1.0)
+    return canopy_reflectance(
+        rho[None] / most, tau[None] / most, area, soil=soil, sun_zenith=sun, view_zenith=view,
+        relative_azimuth=turn, sky_share=sky, hot_spot=size,
+    ).sum()  # fmt: skip
+
+
+@pytest.mark.parametrize("count", [30, pytest.param(1000, marks=pytest.mark.study)])
+def test_values_and_slopes_are_finite_within_and_at_all_bounds(count):
+    chance = np.random.default_rng(count)
+    share = chance.uniform(size=(count, 9))
+    share = np.where(chance.uniform(size=share.shape) < 0.35, share.round(), share)
+    share[0] = [1.0, 0.86, 1.0, 0.18, 0.0, 1.0, 0.96, 0.03, 0.47]  # the hot spot overflowed
+    compiled = jax.jit(jax.value_and_grad(canopy_of))
+    for at in jnp.asarray(share, jnp.float32):
+        value, slope = compiled(at)
+        assert np.isfinite(slope).all(), at
+        assert 0.0 <= value < np.inf, at

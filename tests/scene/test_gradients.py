@@ -7,7 +7,16 @@ import numpy as np
 import pytest
 
 from fynjax.metrics import image_statistics
-from fynjax.scene import named_values, with_values
+from fynjax.scene import (
+    PARAMETERS,
+    Placement,
+    aim,
+    named_values,
+    observe_lidar,
+    parameter_kind,
+    with_values,
+)
+from fynjax.sensors import shipped_lidar
 from tests.scene.plots import TAXA, drone, small_parameters, small_plot
 
 STATISTICS = (
@@ -61,6 +70,57 @@ def test_zero_cover_gives_finite_derivatives(metric):
     gradient = slope(start.at[np.array(covers)].set(0.0))
     assert dict(zip(names, np.isfinite(gradient))) == dict.fromkeys(names, True)
     assert np.all(gradient[covers] != 0)
+
+
+def draws(names, start, count, seed=0):
+    """Values of parameters: near the start, anywhere in the bounds, or at one of them."""
+    chance = np.random.default_rng(seed)
+    kinds = [PARAMETERS[parameter_kind(name)] for name in names]
+    low, high = (np.array([getattr(kind, end) for kind in kinds]) for end in ("lower", "upper"))
+    for number in range(count):
+        share = chance.uniform(size=len(names))
+        if number % 2:
+            share = np.where(chance.uniform(size=len(names)) < 0.3, share.round(), share)
+        within = low + share * (high - low)
+        moved = chance.uniform(size=len(names)) < chance.uniform()
+        yield jnp.asarray(np.where(moved, within, np.clip(start, low, high)))
+
+
+def test_values_and_slopes_are_finite_wherever_the_parameters_are_in_their_bounds(metric):
+    value, slope, names, start = metric
+    for number, at in enumerate(draws(names, start, 12)):
+        assert np.isfinite(value(at)), number
+        assert dict(zip(names, np.isfinite(slope(at)))) == dict.fromkeys(names, True), number
+
+
+@pytest.mark.study
+@pytest.mark.parametrize("sensor", ["mavic_3m", "aviris_ng", "flash_lidar_paper"])
+def test_a_thousand_measurements_and_their_slopes_are_finite(sensor):
+    scene, parameters = small_plot(dtype="float32").faded(), small_parameters()
+    named = named_values(parameters, TAXA)
+    names, start = tuple(named), np.array(list(named.values()))
+    camera = None
+    if sensor == "mavic_3m":
+        camera = drone(scene)
+    elif sensor == "aviris_ng":
+        camera = aim(scene, parameters, sensor, Placement(3000.0, 1.6))
+    lidar = None if camera else shipped_lidar(sensor)
+
+    @eqx.filter_jit
+    @eqx.filter_value_and_grad
+    def measured(values, scene):
+        plot = with_values(parameters, TAXA, dict(zip(names, values)))
+        if camera is None:
+            return observe_lidar(scene, plot, lidar).waveforms.total.sum()
+        return (camera.observe(scene, plot).reflectance ** 2).sum()
+
+    wrong = {}
+    for number, at in enumerate(draws(names, start, 1000, seed=1)):
+        value, slope = measured(at.astype(jnp.float32), scene)
+        if not (np.isfinite(value) and np.isfinite(slope).all()):
+            lost = [n for n, finite in zip(names, np.isfinite(slope)) if not finite]
+            wrong[number] = (float(value), lost, dict(zip(names, at.tolist())))
+    assert not wrong
 
 
 def test_gradient_of_final_metrics_against_central_differences(metric):
