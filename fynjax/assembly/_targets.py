@@ -53,7 +53,7 @@ from fynjax.metrics import (
     spectral_mask,
 )
 from fynjax.metrics.structure import STRUCTURE_METRICS, StructureSettings
-from fynjax.scene import PlotParameters, Scene, fitting_structure
+from fynjax.scene import PlantingRules, PlotParameters, Scene, fitting_structure
 from fynjax.sensors import (
     BandSet,
     ClearAir,
@@ -235,13 +235,15 @@ def image_target(
     (altitude, pixel), sensor = sensor_place(plot), drone_sensor(plot)
     camera = sensor.bands
     blur = None
+    resolved = PlantingRules(structure=plot.structure_m).resolved(plot.voxel_m)
     if plot.sensor.footprint_m is None:
         blur = 0.0
         if sensor.psf is not None and sensor.psf.kind == "gaussian":
             blur = float(np.mean(np.asarray(sensor.psf.width)) * sensor.pixel(altitude))
     data, extra, found = image_data(
-        path, target_rules(plot), camera, pixel=pixel, side=min(plot.size_m), bands=bands, blur=blur
-    )
+        path, target_rules(plot), camera, pixel=pixel, side=min(plot.size_m), bands=bands,
+        blur=blur, resolved=resolved,
+    )  # fmt: skip
     layers = {name.split(".")[0] for name in data.names}
     of = ", ".join(name for name in camera.names if name in layers)
     description = f"{path.name}: {len(data.names)} statistics of a drone's image"
@@ -267,6 +269,7 @@ def image_data(
     side: float = np.inf,
     bands: Sequence[str] | None = None,
     blur: float | None = None,
+    resolved: float = 0.0,
 ) -> tuple[Data, dict[str, Any], float | None]:
     """Statistics of a drone's image, or of a table of them, as targets.
 
@@ -280,6 +283,8 @@ def image_data(
     - `bands`: of the image, as `read_drone_image` has them.
     - `blur`: full width at half maximum of the camera's own blur on the ground [m]. Where it is
       given, an image that is much more blurred gets a warning.
+    - `resolved`: edge of the smallest voxels of the plot, than which no simulated image is sharper
+      [m].
 
     **Returns:** the targets, what the summary says of them, and the edge of a pixel [m].
 
@@ -293,7 +298,7 @@ def image_data(
             raise InputError("expected `pixel`: the image states none in metres", file=path)
         extra = {"target_valid_share": float(image.mask.mean())}
         if blur is not None:
-            _doubt_focus(path, image, pixel, blur)
+            _doubt_focus(path, image, pixel, blur, resolved)
         data = weighed_statistics(image.values, image.bands, image.mask, pixel, rules, side=side)
     else:
         if bands is not None:
@@ -311,11 +316,11 @@ _BLURRED = 2.5
 """Width of the square that a pixel averages over from which an image is called blurred [pixels]."""
 
 
-def _doubt_focus(path: Path, image: DroneImage, pixel: float, blur: float) -> None:
+def _doubt_focus(path: Path, image: DroneImage, pixel: float, blur: float, resolved: float) -> None:
     """Warn of an image whose power spectrum says that its pixels average over more than they are
-    wide, beyond the camera's `blur` [m]."""
+    wide, beyond the camera's `blur` [m], and than the `resolved` voxels are [m]."""
     wide = pixel_footprint(image.values, image.mask, blur=blur / pixel)
-    if wide is not None and wide > _BLURRED:
+    if wide is not None and wide * pixel > _BLURRED * max(pixel, resolved):
         warnings.warn(
             f"{path}: its pixels of {pixel:.3g} m look blurred, as if each averaged over a square "
             f"of some {wide * pixel:.2g} m. Resampled to finer pixels, blended or out of focus? "

@@ -194,9 +194,9 @@ def test_ground_under_a_closed_stand_is_mapped_as_interpolated(tmp_path):
     x, y = np.meshgrid(np.arange(0.125, 20.0, 0.25), np.arange(0.125, 20.0, 0.25))
     far = np.hypot(x - 10.0, y - 10.0)
     high, ground = np.where(far < 3.0, 2.0, 0.0), far >= 3.0
-    path = written(
-        tmp_path, x.ravel(), y.ravel(), (100.0 + 0.02 * x + high).ravel(), ground.ravel()
-    )
+    heights = (100.0 + 0.02 * x + high).ravel()
+    off = 0.03  # of points from the middle of their cells
+    path = written(tmp_path, x.ravel() + off, y.ravel(), heights, ground.ravel())
     result = terrain(path, tmp_path / "out", bounds=(0.0, 0.0, 20.0, 20.0), cell=0.25)
     assert result.terrain.cells_with_ground == pytest.approx(ground.mean())
     assert result.terrain.interpolated_to_m == pytest.approx(3.0, abs=0.2)
