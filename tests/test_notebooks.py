@@ -14,9 +14,6 @@ NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.py"))
 LONGEST = 70
 """Lines of code that a notebook has at most."""
 by_name = pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
-LONG = {"03_sensitivity", "09_what_explains_the_drone_image"}
-"""Run with the studies and the documentation. What they call is called elsewhere in the check:
-`emulate`, `sobol_indices`, slopes of images, views of the article's numbers and their slopes."""
 
 
 def test_there_are_notebooks_and_nothing_beside_them() -> None:
@@ -77,10 +74,7 @@ def test_of_fynjax_a_notebook_imports_the_front_door_alone(path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "path",
-    [pytest.param(p, marks=[pytest.mark.study] * (p.stem in LONG), id=p.stem) for p in NOTEBOOKS],
-)
+@by_name
 def test_notebook_runs(
     path: Path,
     tmp_path: Path,
