@@ -146,7 +146,7 @@ def _content(path: Path) -> bytes:
 
     with netCDF4.Dataset(path) as data:  # arviz writes the time into each group
         parts = [v for group in data.groups.values() for v in group.variables.values()]
-        return b"".join(f"{v.group().name}/{v.name}".encode() + v[...].tobytes() for v in parts)
+        return "".join(f"{v.group().name}/{v.name}: {v[...].tolist()}" for v in parts).encode()
 
 
 def _files(folder: Path) -> dict[str, bytes]:
