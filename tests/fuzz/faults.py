@@ -67,8 +67,10 @@ def child(largest: int | None) -> None:
     change.setattr(checkpoint, "_KEEP_SECONDS", 0.0)
     change.setattr(parts, "_machine", lambda: (2, 8 * 2**30))
     inspect.unwrap(jobs.train).__kwdefaults__["steps"] = 30
-    sys.argv[0] = "fynjax"
-    main(sys.argv[1:])
+    line = sys.argv[1:]
+    at = line.index("--workers") if "--workers" in line else len(line)
+    sys.argv = ["fynjax", *line[:at], *line[at + 2 :]]  # which results record
+    main(line)
 
 
 def _commands(folder: Path) -> dict[str, tuple[list[str], str]]:
