@@ -152,9 +152,10 @@ def _content(path: Path) -> bytes:
 
 
 def _files(folder: Path) -> dict[str, bytes]:
-    """What a run leaves in its folder: results, and the names of files beside them."""
+    """What a run leaves in its folder: results, and the names of what stands beside them. A folder
+    `.out.*.partial` of a killed run is cleared away by one that begins later."""
     results = [path for path in sorted((folder / "out").rglob("*")) if path.is_file()]
-    beside = {p.name: b"" for p in folder.iterdir() if p.name.startswith((".out", "out."))}
+    beside = {p.name: b"" for p in folder.iterdir() if p.name.startswith("out.")}
     return {path.relative_to(folder).as_posix(): _content(path) for path in results} | beside
 
 
