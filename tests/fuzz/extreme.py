@@ -3,6 +3,8 @@
 Damaged bytes of a binary format are mostly refused before a value is read; these are not.
 """
 
+import io
+import json
 import random
 import warnings
 from collections.abc import Callable
@@ -86,6 +88,19 @@ def _netcdf(path: Path, chance: random.Random) -> None:
 def _zarr(path: Path, chance: random.Random) -> None:
     import zarr
 
+    if chance.random() < 0.4:
+        known = sorted(p for p in path.rglob("*") if p.name in (".zarray", "zarr.json"))
+        place = chance.choice(known)
+        meta = json.loads(place.read_text("utf-8"))
+        key = chance.choice(list(meta))
+        if chance.random() < 0.4:
+            del meta[key]
+        elif isinstance(meta.get("shape"), list):
+            sizes = meta[chance.choice([k for k in ("shape", "chunks") if k in meta])]
+            sizes[chance.randrange(len(sizes))] = chance.choice((0, -1, 1 << 20, 1 << 40, 1e9))
+        place.write_text(json.dumps(meta), "utf-8")
+        return
+
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         group = zarr.open_group(path, mode="a")
@@ -124,6 +139,17 @@ def _mesh(path: Path, chance: random.Random) -> None:
         shape.export(path)
 
 
+def _checkpoint(path: Path, chance: random.Random) -> None:
+    """Other arrays behind the hash of those before."""
+    seal, data = path.read_bytes()[:32], path.read_bytes()[32:]
+    with np.load(io.BytesIO(data)) as file:
+        arrays = dict(file)
+    name = chance.choice(list(arrays))
+    content = io.BytesIO()
+    np.savez(content, **arrays | {name: _placed(arrays[name], chance)})
+    path.write_bytes(seal + content.getvalue())
+
+
 def _workbook(path: Path, chance: random.Random) -> None:
     book = openpyxl.load_workbook(path)
     row = chance.choice(list(book.active.iter_rows()))
@@ -135,15 +161,16 @@ def _workbook(path: Path, chance: random.Random) -> None:
 _KINDS: dict[str, Callable[[Path, random.Random], None]] = {
     ".tif": _tif, ".nc": _netcdf, ".las": _las, ".laz": _las, ".ply": _mesh, ".obj": _mesh,
     ".stl": _mesh, ".glb": _mesh, ".xlsx": _workbook, ".zarr": _zarr,
+    ".npz": _checkpoint,
 }  # fmt: skip
 
 
 def make_extreme(folder: Path, chance: random.Random) -> bool:
-    """Give one file of a folder, or a zarr group in it, extreme values.
+    """Give one file of a folder or below, or a zarr group, extreme values.
 
     **Returns:** false where there is none of a format that is known, or its library refuses them.
     """
-    known = sorted(path for path in folder.iterdir() if path.suffix in _KINDS)
+    known = sorted(path for path in folder.rglob("*") if path.suffix in _KINDS)
     if not known:
         return False
     path = chance.choice(known)

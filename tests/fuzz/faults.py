@@ -67,8 +67,10 @@ def child(largest: int | None) -> None:
     change.setattr(checkpoint, "_KEEP_SECONDS", 0.0)
     change.setattr(parts, "_machine", lambda: (2, 8 * 2**30))
     inspect.unwrap(jobs.train).__kwdefaults__["steps"] = 30
-    sys.argv[0] = "fynjax"
-    main(sys.argv[1:])
+    line = sys.argv[1:]
+    at = line.index("--workers") if "--workers" in line else len(line)
+    sys.argv = ["fynjax", *line[:at], *line[at + 2 :]]  # which results record
+    main(line)
 
 
 def _commands(folder: Path) -> dict[str, tuple[list[str], str]]:
@@ -146,13 +148,14 @@ def _content(path: Path) -> bytes:
 
     with netCDF4.Dataset(path) as data:  # arviz writes the time into each group
         parts = [v for group in data.groups.values() for v in group.variables.values()]
-        return b"".join(f"{v.group().name}/{v.name}".encode() + v[...].tobytes() for v in parts)
+        return "".join(f"{v.group().name}/{v.name}: {v[...].tolist()}" for v in parts).encode()
 
 
 def _files(folder: Path) -> dict[str, bytes]:
-    """What a run leaves in its folder: results, and the names of files beside them."""
+    """What a run leaves in its folder: results, and the names of what stands beside them. A folder
+    `.out.*.partial` of a killed run is cleared away by one that begins later."""
     results = [path for path in sorted((folder / "out").rglob("*")) if path.is_file()]
-    beside = {p.name: b"" for p in folder.iterdir() if p.name.startswith((".out", "out."))}
+    beside = {p.name: b"" for p in folder.iterdir() if p.name.startswith("out.")}
     return {path.relative_to(folder).as_posix(): _content(path) for path in results} | beside
 
 

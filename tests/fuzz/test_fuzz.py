@@ -19,7 +19,7 @@ from tests.fuzz.run import _tried, fuzz
 def test_damaged_files_end_in_one_clear_error() -> None:
     counts, broken = fuzz(list(READERS), seed=0, each=16)
     assert [f"{o.reader} {o.number}: {o.text}" for o in broken] == []
-    assert all(count["refused"] > 3 for count in counts.values())
+    assert all(count["refused"] > 1 for count in counts.values())
     assert sum(count["accepted"] for count in counts.values()) > 100
 
 
