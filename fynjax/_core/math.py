@@ -28,8 +28,8 @@ def real_array(value: Any, name: str = "") -> Array:
 def mean_transmittance(depth: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
     """Transmittance averaged along a path of optical depth `depth`, (1 - exp(-x)) / x [-].
 
-    Negative depths are allowed: the joint sun and view depth may fall along a camera ray that
-    steps out of a shadow. Differentiable everywhere to any order; value 1 and slope -1/2 at 0.
+    Negative depths are allowed as far as exp(-x) is finite. Differentiable everywhere to any order;
+    value 1 and slope -1/2 at 0.
     """
     small = jnp.abs(depth) < 0.05
     safe = jnp.where(small, 1.0, depth)  # the branch not taken must be finite too

@@ -405,11 +405,13 @@ def _look(
             shared = _sum_points([o.at_points(s, a) for o, s, a in zip(overlap, states, areas)])
             weight = jnp.zeros_like(depth)
             for share, portion, extra in zip(POINTS, POINT_WEIGHTS, shared):
-                weight = weight + portion * jnp.exp(extra - crossed * share)
-            weight = jnp.exp(-depth - above) * weight
+                weight = weight + portion * jnp.exp(extra - crossed * share - depth - above)
             states = tuple(o.advance(s, a) for o, s, a in zip(overlap, states, areas))
         else:
-            weight = jnp.exp(-depth - above) * mean_transmittance(crossed)
+            # A ray may step out of a deep shadow: `crossed` is negative then, and the exponent is
+            # what is left of it in place of a product of zero and infinity.
+            falls = jnp.minimum(crossed, 0.0)
+            weight = jnp.exp(-depth - above - falls) * mean_transmittance(jnp.abs(crossed))
         # Chance that they are seen.
         mean = jnp.exp(-depth) * mean_transmittance(along)
         if terrain is not None:

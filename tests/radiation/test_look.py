@@ -13,10 +13,12 @@ from fynjax.radiation import (
     look,
     nadir_rays,
     parallel_rays,
+    reflectance_factor,
     render,
+    solve_light,
 )
 from tests import reference
-from tests.radiation.scenes import slab, solver
+from tests.radiation.scenes import patchy, slab, solver
 from tests.radiation.test_monte_carlo import clumps
 
 FINE = Accuracy(lattice=1, sublayers=4)
@@ -100,3 +102,24 @@ def test_the_slope_is_that_of_differences():
     step = 1e-4
     difference = (shown(1.0 + step) - shown(1.0 - step)) / (2 * step)
     assert jax.grad(shown)(1.0) == pytest.approx(float(difference), rel=1e-5)
+
+
+@pytest.mark.parametrize("diameter", [None, 0.02])
+def test_rays_that_step_out_of_a_deep_shadow_stay_finite_in_single_precision(diameter):
+    """Beside a dense crown in a low sun the joint depth of sun and sight falls by thousands."""
+    scene = patchy(sun=(85.0, 80.0), boundary="open")
+    accuracy = Accuracy(lattice=1, margin=50)
+    dense = scene.area_density.at[:, :, :, :4].set(3000.0).at[:, :, :, 4:].set(0.5)
+    size = None if diameter is None else jnp.array([diameter])
+    classes = dataclasses.replace(
+        scene.classes, leaf_diameter=size, size_of_class=None if diameter is None else (0, 0, 0)
+    )
+    scene = dataclasses.replace(scene, area_density=dense, classes=classes)
+    image = jax.jit(lambda scene, rays: reflectance_factor(solve_light(scene, accuracy), rays))
+    seen = []
+    for dtype in (jnp.float64, jnp.float32):
+        rays = parallel_rays(CENTRES, CENTRES, 0.05, 30.0, 120.0)
+        cast = lambda x: x.astype(dtype) if x.dtype == jnp.float64 else x  # noqa: E731
+        seen.append(np.asarray(image(*jax.tree.map(cast, (scene, rays)))))
+    assert seen[1].dtype == np.float32
+    np.testing.assert_allclose(seen[1], seen[0], rtol=1e-3, atol=1e-6)
