@@ -40,7 +40,6 @@ PASSES = (
     "simplify-while-loops",
     "simplify-conditional",
     "simplify-sorts",
-    "tree_reduction_rewriter",
     "reshape-mover",
 )
 if os.environ["XLA_FLAGS"] == " ".join(known_flags()):  # else a person tries others

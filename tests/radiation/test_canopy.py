@@ -281,8 +281,8 @@ def canopy_of(share):
     )
     most = jnp.maximum(rho + tau, 1.0)
     return canopy_reflectance(
-        rho[None] / most, tau[None] / most, area, soil=soil, sun_zenith=sun, view_zenith=view,
-        relative_azimuth=turn, sky_share=sky, hot_spot=size,
+        rho[None] / most, tau[None] / most, area, soil=soil[None], sun_zenith=sun, view_zenith=view,
+        relative_azimuth=turn, sky_share=sky[None], hot_spot=size,
     ).sum()  # fmt: skip
 
 

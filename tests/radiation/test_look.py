@@ -119,7 +119,7 @@ def test_rays_that_step_out_of_a_deep_shadow_stay_finite_in_single_precision(dia
     seen = []
     for dtype in (jnp.float64, jnp.float32):
         rays = parallel_rays(CENTRES, CENTRES, 0.05, 30.0, 120.0)
-        cast = lambda x: x.astype(dtype) if x.dtype == jnp.float64 else x  # noqa: E731
+        cast = lambda x, dtype=dtype: x.astype(dtype) if x.dtype == jnp.float64 else x  # noqa: E731
         seen.append(np.asarray(image(*jax.tree.map(cast, (scene, rays)))))
     assert seen[1].dtype == np.float32
     np.testing.assert_allclose(seen[1], seen[0], rtol=1e-3, atol=1e-6)

@@ -18,6 +18,7 @@ SPECIES = (
 )
 TOML = """
 [plot]
+plants = "fynbos"
 size_m = 3.0
 voxel_m = 0.1
 structure_m = "even"
