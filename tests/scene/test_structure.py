@@ -73,6 +73,24 @@ def test_derivatives_of_cover_and_diameter_are_those_of_differences():
         assert float(slope[i]) == pytest.approx(float(difference), rel=1e-4)
 
 
+def test_elements_lie_and_carry_area_as_their_plants_do():
+    scene, parameters = small_plot(structure=0.025), small_parameters()
+    crowns, standing = scene.visible_crowns(parameters), scene.standing(parameters)
+    planting, species = scene.planting, parameters.species
+    places, areas = scene._elements(parameters, planting, crowns, standing)
+    index = np.asarray(scene.organ_index(parameters))
+    for element in range(0, len(planting.plant), 97):
+        plant, organ = planting.plant[element], planting.organ[element]
+        kind = planting.species[plant]
+        width = species.diameter[kind] * planting.size[plant]
+        height = species.height[kind] * planting.stature[plant]
+        place = width * planting.per_diameter[element] + height * planting.per_height[element]
+        place += jnp.append(planting.foot[plant], 0.0)
+        np.testing.assert_allclose(places[element], place, rtol=1e-6, atol=1e-9)
+        area = crowns[plant] * index[kind, organ] * planting.fraction[element] * standing[plant]
+        np.testing.assert_allclose(areas[element], area, rtol=1e-6)
+
+
 def test_thinned_plants_carry_the_same_area():
     scene, parameters = small_plot(structure=0.025), small_parameters()
     most = [50 + 10 * i for i in range(len(scene.forms))]
