@@ -37,6 +37,20 @@ def mean_transmittance(depth: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
     return jnp.where(small, series, -jnp.expm1(-safe) / safe)
 
 
+def transmittance_beyond(
+    before: Float[Array, "*shape"], depth: Float[Array, "*shape"]
+) -> Float[Array, "*shape"]:
+    """Transmittance averaged along a path of optical depth `depth` that begins at the depth
+    `before`, exp(-b) (1 - exp(-x)) / x [-].
+
+    A path that leaves a shadow has a negative depth, down to -`before`: nothing overflows, however
+    deep that is. Differentiable everywhere to any order.
+    """
+    rises = depth < 0.0  # by `where`, whose slopes are right at 0: of empty voxels
+    deepest = before + jnp.where(rises, depth, 0.0)
+    return jnp.exp(-deepest) * mean_transmittance(jnp.where(rises, -depth, depth))
+
+
 def mean_emission(depth: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
     """Share of a path's uniform emission that stays in it, (x - 1 + exp(-x)) / x² [-].
 

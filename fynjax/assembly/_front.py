@@ -352,7 +352,8 @@ def check_vegetation(
     if isinstance(measured, str | Path):
         measured = read_drone_image(measured, camera=camera.bands)
     if isinstance(measured, DroneImage):
-        measured = dict(zip(measured.bands, measured.pixels.mean(axis=1), strict=True))
+        means = zip(measured.bands, measured.pixels.mean(axis=1), strict=True)
+        measured = {name: mean for name, mean in means if name in camera.bands.names}
     elif not isinstance(measured, Mapping):
         values = np.asarray(measured, dtype=float)
         measured = np.nanmean(values, axis=(1, 2)) if values.ndim == 3 else values

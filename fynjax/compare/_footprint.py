@@ -7,6 +7,8 @@ from scipy.ndimage import distance_transform_cdt
 
 from fynjax._core.spectral import FWHM_PER_SIGMA
 
+_MOST = 512
+"""Side of the largest piece of an image whose spectrum is taken [pixels]."""
 _SMALLEST = 64
 """Pixels of a side of the part of an image that is looked at."""
 _LONGEST, _HIGHEST, _RINGS = 0.03, 0.5, 19
@@ -43,7 +45,7 @@ def pixel_footprint(
     evenly images are as soft as means over two of them.
     """
     room = distance_transform_cdt(np.pad(mask, 1), metric="chessboard")[1:-1, 1:-1]
-    half = int(room.max()) - 1
+    half = min(int(room.max()) - 1, _MOST // 2)
     y, x = np.unravel_index(int(room.argmax()), room.shape)
     if 2 * half < _SMALLEST:
         return None

@@ -109,10 +109,11 @@ def read_drone_image(
     - `path`: any raster that GDAL reads. Its scale and offset tags are applied, no scale is
       guessed.
     - `bands`: what each band of the file is, in its order, such as "blue", "green", "red", "nir",
-      "red_edge"; any other name is a band that is not used. If not given, bands are known by
-      their names (of the files, where each band has its own: `open_image`), else by their
-      wavelengths, else, of exactly four bands without either, by the order green, red, red edge,
-      near infrared, if they grow brighter towards near infrared as vegetation does.
+      "red_edge", and others of the `camera`; any other name is a band that is not used. If not
+      given, bands are known by their names (of the files, where each band has its own:
+      `open_image`), else by their wavelengths, else, of exactly four bands without either, by the
+      order green, red, red edge, near infrared, if they grow brighter towards near infrared as
+      vegetation does.
     - `camera`: bands of the camera. Each that the file has, by name or by a wavelength within its
       width, is read beside the four. Without a camera it is blue.
     - `saturation`: saturation threshold [-]: pixels that reach it in a band are left out. In files

@@ -93,13 +93,16 @@ def misfit_decomposition(real: Spectrum, simulated: Spectrum, valid: Mask | None
     )
     mean_x, mean_y = jnp.sum(x) / count, jnp.sum(y) / count
     dx, dy = jnp.where(keep, x - mean_x, 0.0), jnp.where(keep, y - mean_y, 0.0)
-    varies, some = jnp.sum(dx**2), jnp.sum(x**2)
-    gain = jnp.sum(dx * dy) / jnp.where(varies != 0.0, varies, 1.0)
+    variety, some = jnp.sum(dx**2), jnp.sum(x**2)
+    # By the range: rounding leaves a constant spectrum some variance.
+    low, high = jnp.min(x, where=keep, initial=jnp.inf), jnp.max(x, where=keep, initial=-jnp.inf)
+    varies = high > low
+    gain = jnp.sum(dx * dy) / jnp.where(varies, variety, 1.0)
     through_zero = jnp.sum(x * y) / jnp.where(some != 0.0, some, 1.0)
     shape = jnp.sum((dy - gain * dx) ** 2) / count
 
     def sloped(value: Scalar) -> Scalar:
-        return jnp.where(varies != 0.0, value, jnp.nan)
+        return jnp.where(varies, value, jnp.nan)
 
     without_gain = _root(jnp.sum((y - through_zero * x) ** 2) / count)
     return Misfit(
@@ -107,7 +110,7 @@ def misfit_decomposition(real: Spectrum, simulated: Spectrum, valid: Mask | None
         gain=sloped(gain),
         offset=sloped(mean_y - gain * mean_x),
         level=(mean_y - mean_x) ** 2,
-        contrast=sloped((gain - 1.0) ** 2 * varies / count),
+        contrast=sloped((gain - 1.0) ** 2 * variety / count),
         shape=sloped(shape),
         mean_by_gain=sloped((gain - 1.0) * mean_x),
         rmse_without_offset=_root(jnp.sum((dy - dx) ** 2) / count),

@@ -147,14 +147,18 @@ def spectral_agreement(
     x, y, count = _pair(real, simulated, valid)
     keep = jnp.ones(x.shape, bool) if valid is None else jnp.asarray(valid)
     error = _norm(y - x) / jnp.sqrt(count)
-    highest = jnp.max(x, where=keep, initial=-jnp.inf)
-    lowest = jnp.min(x, where=keep, initial=jnp.inf)
+    ranges = [
+        jnp.max(v, where=keep, initial=-jnp.inf) - jnp.min(v, where=keep, initial=jnp.inf)
+        for v in (x, y)
+    ]
+    # By the range: rounding leaves a constant spectrum some variance.
+    both = (ranges[0] > 0.0) & (ranges[1] > 0.0)
     dx, dy = (jnp.where(keep, v - jnp.sum(v) / count, 0.0) for v in (x, y))
     return SpectralAgreement(
         spectral_angle=spectral_angle(real, simulated, valid),
         rmse=error,
-        nrmse=_ratio(error, highest - lowest),
-        correlation=_ratio(jnp.sum(dx * dy), _norm(dx) * _norm(dy)),
+        nrmse=_ratio(error, ranges[0]),
+        correlation=_ratio(jnp.sum(dx * dy), jnp.where(both, _norm(dx) * _norm(dy), 0.0)),
         relative_mean_difference=_ratio(jnp.sum(y) - jnp.sum(x), jnp.sum(x)),
     )
 

@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from fynjax._core.math import mean_transmittance
+from fynjax._core.math import mean_transmittance, transmittance_beyond
 from fynjax.canopy import projections
 from fynjax.radiation._blocks import upsample
 from fynjax.radiation._check import check_picture
@@ -408,10 +408,7 @@ def _look(
                 weight = weight + portion * jnp.exp(extra - crossed * share - depth - above)
             states = tuple(o.advance(s, a) for o, s, a in zip(overlap, states, areas))
         else:
-            # A ray may step out of a deep shadow: `crossed` is negative then, and the exponent is
-            # what is left of it in place of a product of zero and infinity.
-            falls = jnp.minimum(crossed, 0.0)
-            weight = jnp.exp(-depth - above - falls) * mean_transmittance(jnp.abs(crossed))
+            weight = transmittance_beyond(depth + above, crossed)
         # Chance that they are seen.
         mean = jnp.exp(-depth) * mean_transmittance(along)
         if terrain is not None:

@@ -290,8 +290,7 @@ _WIDTH_OF_90 = 3.29
 def table_spreads(
     rows: Sequence[SpeciesRow], plants: Shrubland, own_leaves: Collection[str]
 ) -> dict[str, float]:
-    """How uncertain a species table is in itself: relative standard deviations by the names of
-    parameters [-].
+    """Relative standard deviations [-] that a species table gives parameters, by their names.
 
     A cover that is a class or a range has the one whose middle 90 % are that range. What the table
     leaves open of generic plants has that of shrublands at large.
@@ -304,8 +303,8 @@ def table_spreads(
     """
     spreads = {}
     for row in rows:
-        if row.cover_range is not None:
-            low, high = row.cover_range
+        low, high = row.cover_range or (0.0, 0.0)
+        if row.cover > 0.0 and low <= row.cover <= high:  # else another cover took its place
             spreads[f"species.{row.taxon}.cover"] = (high - low) / _WIDTH_OF_90 / row.cover
         if plants == "fynbos":
             continue
@@ -322,8 +321,8 @@ def table_spreads(
 
 
 def own_spread(name: str, spreads: Mapping[str, float], stated: Iterable[str]) -> float | None:
-    """What a species table says itself of how uncertain a parameter is (`table_spreads`), unless
-    something else is stated: of its name, or, but for a cover, by a pattern.
+    """Relative standard deviation that a species table gives a parameter (`table_spreads`), or None
+    where something else is stated: of its name or, but for a cover, by a pattern.
 
     **Arguments:**
 

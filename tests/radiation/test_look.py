@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from fynjax._core.math import mean_transmittance, transmittance_beyond
 from fynjax.errors import InputError
 from fynjax.radiation import (
     Accuracy,
@@ -128,3 +129,14 @@ def test_rays_that_step_out_of_a_shadow_are_right_and_stay_finite_in_single_prec
         deep, single = (seen(3000.0, diameter, d) for d in (jnp.float64, jnp.float32))
         assert single.dtype == np.float32
         np.testing.assert_allclose(single, deep, rtol=1e-3, atol=1e-6)
+
+
+def test_light_beyond_a_depth_has_right_slopes_of_any_order():
+    before, depths = jnp.asarray(3.0), jnp.array([-2.5, -1e-3, 0.0, 0.02, 4.0])
+    orders = [lambda x: transmittance_beyond(before, x)]
+    plain = [lambda x: jnp.exp(-before) * mean_transmittance(x)]
+    for _ in range(2):
+        orders.append(jax.grad(orders[-1]))
+        plain.append(jax.grad(plain[-1]))
+    for stable, direct in zip(orders, plain):
+        np.testing.assert_allclose(jax.vmap(stable)(depths), jax.vmap(direct)(depths), rtol=1e-6)

@@ -13,6 +13,7 @@ from fynjax.assembly import _forward
 from fynjax.io.plot import read_plot
 from fynjax.io.text import read_rows
 from fynjax.scene import SpeciesRow, species_rows
+from fynjax.scene._species import table_spreads
 
 HEAD = "taxon;mean_diameter_cm;cover_percent;height_max_m;growth_form\n"
 
@@ -159,3 +160,11 @@ def test_names_in_the_letters_of_old_spreadsheets(tmp_path):
     path.write_bytes((HEAD + "Männertreu;30;12,5;0,8;rounded_shrub\n").encode("cp1252"))
     ((_, row),) = read_rows(path, SpeciesRow, "a species table")
     assert (row.taxon, row.cover) == ("Männertreu", pytest.approx(0.125))
+
+
+def test_a_class_says_nothing_of_a_cover_that_took_its_place(tmp_path):
+    (row,) = covers(["2b"], tmp_path)
+    name = f"species.{row.taxon}.cover"
+    assert table_spreads([row], "fynbos", ())[name] == pytest.approx(0.125 / 3.29 / 0.1875)
+    for cover in (0.0, 0.5):
+        assert name not in table_spreads([row.replace(cover=cover)], "fynbos", ())

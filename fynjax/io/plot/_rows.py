@@ -6,7 +6,6 @@ from typing import ClassVar, Literal
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from fynjax.io.text import Slip, Strict, number, quantity
-from fynjax.metrics import VEGETATION_INDICES
 from fynjax.scene import PARAMETERS, SpeciesRow
 
 
@@ -78,13 +77,7 @@ class StatisticRow(Strict):
     @field_validator("value")
     @classmethod
     def _possible(cls, value: float, info: ValidationInfo) -> float:
-        subject, _, kind = info.data.get("statistic", "").rpartition(".")
-        if subject not in VEGETATION_INDICES and not 0 <= value <= 1.5:
-            hint = f" Percent? This is {value / 100:g}." if value > 1.5 else ""
-            raise ValueError(
-                f"expected a reflectance as a fraction from 0 to 1.5, but got {value:g}.{hint}"
-            )
-        if kind == "std" and value < 0:
+        if info.data.get("statistic", "").endswith(".std") and value < 0:
             raise ValueError(f"expected a standard deviation of at least 0, but got {value:g}")
         return value
 

@@ -6,6 +6,7 @@ from pathlib import Path
 from fynjax._core.errors import InputError
 from fynjax.io.plot._rows import StatisticRow, StructureRow
 from fynjax.io.text import did_you_mean, read_rows
+from fynjax.metrics import VEGETATION_INDICES
 
 
 def read_statistics(path: str | Path, known: Collection[str] | None = None) -> list[StatisticRow]:
@@ -29,6 +30,14 @@ def read_statistics(path: str | Path, known: Collection[str] | None = None) -> l
                 file=path,
                 row=number,
                 column="statistic",
+            )
+        if row.subject not in VEGETATION_INDICES and not 0 <= row.value <= 1.5:
+            hint = f" Percent? This is {row.value / 100:g}." if row.value > 1.5 else ""
+            raise InputError(
+                f"expected a reflectance as a fraction from 0 to 1.5, but got {row.value:g}.{hint}",
+                file=path,
+                row=number,
+                column="value",
             )
     return [row for _, row in rows]
 

@@ -23,6 +23,8 @@ _LEAST = 5
 _CLUSTERS, _PER_CLUSTER, _COMPONENTS = 50, 10, 3
 """Spectral species at most, pixels that each needs on average, and principal components in which
 they are found."""
+_FEWEST_KNOWN = 10
+"""Communities at least that a correlation with a metric is taken over."""
 _FEWEST = 5
 """Communities at least of which dissimilarities are compared."""
 
@@ -40,9 +42,12 @@ def agreement(
     the pixel, and for "any", the greatest `r2` of all metrics at each pixel: the pixel of the
     greatest `r2`, what that is at most in 95 % of cases by chance, with communities exchanged, and
     the pixel `lost_from_m` from which on `r2` stays below `threshold`, with its interval over the
-    same communities; infinite where it never does. NaN of what does not vary.
+    same communities; infinite where it never does. NaN of what does not vary, or
+    is known of fewer than ten communities.
     """
     count = len(diversity)
+    few = np.isfinite(metrics).sum(axis=0) < min(_FEWEST_KNOWN, count)
+    metrics = np.where(few, np.nan, metrics)
     some, exchanged = plot_draws(count, [design.seed, 73])
     pixels = np.array(design.pixels)
     rows, lost = [], []
