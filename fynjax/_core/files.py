@@ -61,7 +61,7 @@ _PRODUCTS = {"PRS_": "PRISMA L2D", "ENMAP": "EnMAP L2A", "DESIS": "DESIS L2A", "
 
 
 def how_to_import(path: Path) -> str:
-    """What to do with a file that is a product of an imaging spectrometer in space, by its name; a
+    """Advice on a file whose name is that of a product of an imaging spectrometer in space: a
     sentence after a space, or nothing. These keep their wavelengths in a form of their own."""
     upper = path.name.upper()
     product = next((product for key, product in _PRODUCTS.items() if upper.startswith(key)), None)

@@ -20,7 +20,7 @@ from fynjax.scene import LEAF_FIELDS, USUAL_LEAF, LeafRow
 
 
 def leaf_instrument(plot: Plot) -> AbstractMeasurement:
-    """What records the leaf spectra of a plot, as its file says."""
+    """Kind of measurement of the leaf spectra of a plot, as its file says."""
     single = MEASUREMENTS[plot.leaf_measurement]()
     if plot.leaf_background is None:
         return single

@@ -1,4 +1,4 @@
-"""How much ground a pixel of an image averages over, from the image's power spectrum."""
+"""Side of the square that a pixel averages over, from the power spectrum of its image."""
 
 import numpy as np
 import scipy.optimize
@@ -16,7 +16,7 @@ _LONGEST, _HIGHEST, _RINGS = 0.03, 0.5, 19
 _WIDEST = 15.0
 """Side from which an image is taken for noise, of which the spectrum says nothing [pixels]."""
 _EXPONENT, _EXPONENT_SD = 2.2, 0.5
-"""Of the power of natural scenes, which falls with frequency (Field 1987: some 2)."""
+"""Exponent with which the power of natural scenes falls with frequency (Field 1987: some 2)."""
 
 
 def pixel_footprint(

@@ -1,4 +1,4 @@
-"""What bands of a camera say of a stand, with slopes by their centres and widths.
+"""Information that bands of a camera give of a stand, and its slopes by centres and widths.
 
 Whatever its bands, a sensor averages one spectrum. So the image of each planting and its slopes are
 computed once, on a grid of wavelengths. Means over the pixels are linear in a band's response, and
@@ -81,7 +81,7 @@ class PlantingSpectra(eqx.Module):
 
 
 class BandStatistics(NamedTuple):
-    """What some bands measure of every planting."""
+    """Statistics that some bands measure of every planting."""
 
     mean: Float[Array, "planting band"]
     covariance: Float[Array, "planting band band"]
@@ -92,7 +92,7 @@ class BandStatistics(NamedTuple):
     species_covariance: Float[Array, "planting species band band"]
 
     def chosen(self, at: Int[Array, " chosen"]) -> "BandStatistics":
-        """What the bands at some places measure."""
+        """Statistics of the bands at some places."""
         return BandStatistics(
             self.mean[:, at],
             self.covariance[:, at[:, None], at],
@@ -121,7 +121,7 @@ def gaussian_weights(
 def measured(
     spectra: PlantingSpectra, weights: Float[Array, "band wavelength"], width: Float[Array, " band"]
 ) -> BandStatistics:
-    """What bands of some weights and widths [nm] measure: means weighted by the light as well.
+    """Statistics that bands of some weights and widths [nm] measure, weighted by the light as well.
 
     A pixel collects N = width * sum(weights * photons * reflectance) photons, and its shot noise is
     reflectance / sqrt(N) (Janesick 2007, Photon transfer, chapter 3).

@@ -26,7 +26,7 @@ class Terrain:
     filled: float = 0.0
     """Share of the cells of its file that had no height and were interpolated [-]."""
     gap: Float64[np.ndarray, "y x"] | None = None
-    """How far the centre of each cell is from the nearest ground that was measured, 0 in a cell
+    """Distance of the centre of each cell from the nearest ground that was measured, 0 in a cell
     with some: where it is not 0 the height is interpolated [m]. None where that is not known."""
 
     def __post_init__(self) -> None:

@@ -169,7 +169,7 @@ def _gaps(
     largest: float,
     cells: int,
 ) -> NDArray[np.float64]:
-    """How far each centre is from the nearest point [m], with a check that it is near enough."""
+    """Distance of each centre from the nearest point [m], with a check that it is near enough."""
     from scipy.spatial import cKDTree
 
     distance, _ = cKDTree(points[:, :2]).query(centres)

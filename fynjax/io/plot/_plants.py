@@ -94,7 +94,7 @@ def plant_sources(plot: Plot, prior: LearnedPrior | None = None) -> str:
 
 
 def plot_spreads(plot: Plot) -> dict[str, float]:
-    """How uncertain a plot's tables are in themselves, by the names of parameters, as relative
+    """Uncertainty of a plot's tables in themselves, by the names of parameters, as relative
     standard deviations (`table_spreads`).
 
     **Arguments:** `plot`, as `read_plot` gives it.

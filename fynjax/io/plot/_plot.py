@@ -74,7 +74,7 @@ class Plot(PlotTable, SceneTable):
 
     @property
     def maps(self) -> dict[str, Path]:
-        """Its maps by what they are: ground heights, probability and ground covers."""
+        """Maps of the plot by kind: ground heights, probability and ground covers."""
         maps = {
             "a raster of heights": self.terrain,
             "a probability map": self.probability_map,
