@@ -18,6 +18,7 @@ from fynjax.io.plot import read_plot
 from fynjax.leaf import fit_leaf_groups
 from fynjax.scene import (
     LEAF_FIELDS,
+    PARAMETERS,
     USUAL_LEAF,
     Crowns,
     PlotParameters,
@@ -30,6 +31,7 @@ from fynjax.scene import (
     species_rows,
     truth_of_pixels,
 )
+from fynjax.scene._optics import _leaves
 from fynjax.sensors import shipped_sensor
 from tests.small import write_plot
 
@@ -81,6 +83,16 @@ def test_leaves_that_are_alike_make_the_image_of_one():
     scene, parameters = varied()
     np.testing.assert_allclose(render(scene, with_spread(parameters, 0.0)), one, rtol=1e-9)
     assert float(jnp.abs(render(scene, parameters) / one - 1.0).max()) > 0.01
+
+
+def test_traits_stay_within_their_bounds():
+    """A spread of leaves may ask for more than a leaf can have, and for less."""
+    for factor, end in ((1e3, "upper"), (-1e3, "lower")):
+        scene, parameters = varied(np.full_like(RATIOS, factor))
+        leaves, _, _ = _leaves(scene.species, parameters, np.array([0, 0, 0, 1, 2]), jnp.float64)
+        for name in LEAF_FIELDS:
+            bound = getattr(PARAMETERS[name], end)
+            np.testing.assert_allclose(getattr(leaves, name)[:3], bound, rtol=1e-6)
 
 
 def test_the_names_of_leaves_do_not_matter_but_whose_they_are_does():

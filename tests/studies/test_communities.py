@@ -233,6 +233,8 @@ def test_squared_correlations_are_those_of_numpy_and_their_intervals_hold_them()
     # Of 200 communities that have nothing to do with each other, the greatest by chance.
     assert 0.01 < gone.loc[("cv", of)].by_chance < 0.03
     assert gone.loc[("any", of)].by_chance > gone.loc[("cv", of)].by_chance
+    few = np.where(np.arange(200)[:, None, None, None, None] < 9, metrics, np.nan)
+    assert agreement(truth, few, _design(), 0.25)[0].r2.isna().all()  # of nine nothing is said
     # The best metric holds where that of the greatest peak is gone.
     metrics[:, 0, 1, 0, 1] = truth[:, 0] + 0.9 * random.normal(size=200)
     _, lost = agreement(truth, metrics, _design(), 0.25)
