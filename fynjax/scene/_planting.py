@@ -294,6 +294,13 @@ SPARE_SITES = 4
 """Sites that a species has beyond those of its plants times the room."""
 
 
+def sites_ready(
+    wanted: Float[np.ndarray, " species"], room: float | Float[np.ndarray, " species"]
+) -> Int[np.ndarray, " species"]:
+    """Sites held ready for a real number of plants of each species, with so many for each plant."""
+    return np.ceil(room * wanted).astype(int) + np.where(wanted > 0, SPARE_SITES, 0)
+
+
 def draw_planting(
     stand: Stand,
     wanted: Float[np.ndarray, " species"],
@@ -323,7 +330,7 @@ def draw_planting(
     taxa = [one.taxon for one in species]
     feet = np.empty((0, 2))
     for times in _rooms(np.broadcast_to(np.asarray(room, float), len(species))):
-        needed = np.ceil(times * wanted).astype(int) + np.where(wanted > 0, SPARE_SITES, 0)
+        needed = sites_ready(wanted, times)
         radius = _spacing(needed, extent, probability)
         points = poisson_disk(extent, radius, seed=seed, periodic=periodic)
         if len(feet):  # half the distance: room enough for all, and nobody on another
@@ -412,8 +419,7 @@ def site_spacing(
 ) -> float:
     """Least distance of the sites among which the plants of a scene stand [m], as `draw_planting`
     draws them with a room of 2.5 or more."""
-    needed = np.ceil(_ROOM * wanted) + np.where(wanted > 0, SPARE_SITES, 0)
-    return _spacing(needed, extent, probability)
+    return _spacing(sites_ready(wanted, _ROOM), extent, probability)
 
 
 def _spacing(

@@ -64,6 +64,7 @@ from fynjax.scene._planting import (
     leaf_classes,
     no_plants,
     site_spacing,
+    sites_ready,
 )
 from fynjax.scene._species import (
     CoverDefinition,
@@ -936,6 +937,7 @@ def build_scene(
     hot_spot: bool = False,
     plants: Sequence[PlantModel | None] | None = None,
     crowns: Crowns | None = None,
+    room: Callable[[Scene], float | Float[np.ndarray, " species"]] | None = None,
     dtype: str = "float32",
 ) -> Scene:
     """Draw what is random about a scene, once.
@@ -956,6 +958,8 @@ def build_scene(
       inclined as the shape's; None: that of the growth form.
     - `crowns`: plants that are known, in place of those that are drawn; `rules` on how many plants
       there are, where, and of which size then do not count.
+    - `room`: takes the scene before its plants are drawn and gives the `PlantingRules.room`, which
+      `rules` have where it is left out.
     - `dtype`: floating type that the scene is computed in.
 
     **Raises:** `InputError` where the plants do not fit, crowns are outside the plot, or voxels do
@@ -1008,6 +1012,7 @@ def build_scene(
         _check_structure(scene)
         scene = dataclasses.replace(scene, tuft=_fitting_tuft(scene))
     stand = _stand(scene, models, rules.resolved(voxel), seed)
+    ready = rules.room if room is None else room(scene)
     if crowns is not None:
         within = (crowns.foot >= 0.0) & (crowns.foot < np.asarray(extent))
         outside = np.asarray(~within.all(axis=1))
@@ -1024,7 +1029,7 @@ def build_scene(
         extent=extent,
         periodic=boundary == "periodic",
         probability=rules.probability,
-        room=rules.room,
+        room=ready,
         size_variation=rules.size_variation,
     )
     return eqx.tree_at(lambda s: s.planting, scene, planting)
@@ -1108,8 +1113,9 @@ def room_needed(
 
     **Arguments:**
 
-    - `scene`: with the sites held ready.
-    - `parameters`: by which these were drawn.
+    - `scene`: with the sites held ready; where its plants are not drawn yet, those that
+      `PlantingRules.room` will hold ready.
+    - `parameters`: by which these are drawn.
     - `counts`: plants of each species, as `Scene.counts` has them [-].
 
     **Returns:** 0 for a species that has the sites.
@@ -1119,7 +1125,10 @@ def room_needed(
     # One more plant is spread over some of the sites beyond their number.
     ramp = scene.softness * most + max(scene.softness_plants - 1.0, 0.0)
     most = np.maximum(np.ceil(most), most + 0.5 * ramp)
-    ready = np.bincount(np.asarray(scene.planting.species), minlength=len(stated))
+    planted = np.asarray(scene.planting.species)
+    ready = sites_ready(stated, PlantingRules.room)
+    if planted.size:
+        ready = np.bincount(planted, minlength=len(stated))
     short = (most > ready) & (stated > 0)
     return np.where(short, most / np.where(short, stated, 1.0), 0.0)
 
