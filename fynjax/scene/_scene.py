@@ -24,6 +24,7 @@ from jaxtyping import Array, Bool, Float, Int
 from fynjax._core.errors import InputError, did_you_mean
 from fynjax._core.html import as_html
 from fynjax._core.precision import drawn_in_double
+from fynjax._core.seeds import generator
 from fynjax.canopy import (
     FORMS,
     Organ,
@@ -1144,7 +1145,7 @@ def stand_realisation(scene: Scene, seed: int) -> Scene:
     """
     planting = scene.planting
     species, place = np.asarray(planting.species), np.array(planting.place)
-    rng = np.random.default_rng([seed, 211])
+    rng = generator(seed, 211)
     for one in np.unique(species):
         mine = species == one
         place[mine] = rng.permutation(place[mine])
