@@ -369,7 +369,6 @@ def _check(
     plantings: int,
 ) -> tuple[_Limits, Float[np.ndarray, " wavelength"]]:
     """Limits of the bands, and the grid of wavelengths."""
-    whole_number("bands", bands, 1)
     number = whole_number("plantings", plantings) if len(stands) == 1 else len(stands)
     if not all(isinstance(one, Scene) for one in stands) or number < 4:
         raise InputError(f"expected a scene and 4 `plantings` or more, or as many scenes: {number}")
@@ -387,10 +386,7 @@ def _check(
     within = f"{spectrum[0]:g} to {spectrum[1]:g} nm"
     if len(grid) < 2 or 2.0 * _WITHIN * widths[1] > grid[-1] - grid[0]:
         raise InputError(f"a band {widths[1]:g} nm wide does not fit into {within}")
-    if not 1 <= bands <= len(grid):
-        raise InputError(
-            f"expected 1 to {len(grid)} `bands`, the wavelengths from {within}, but got {bands}"
-        )
+    whole_number("bands", bands, 1, len(grid))
     try:
         spectral_mask(grid, RANGE)
     except InputError as error:

@@ -1131,7 +1131,7 @@ def _rounding(
     """`Scene.rounding` of so many species."""
     if not drawn:
         return jnp.zeros(species, dtype)
-    return jnp.asarray(np.random.default_rng([*seed, 107]).random(species), dtype)
+    return jnp.asarray(generator(*seed, 107).random(species), dtype)
 
 
 def stand_realisation(scene: Scene, seed: int) -> Scene:
