@@ -84,20 +84,20 @@ def agreement(
             low, high = _quantiles(r2[1:], INTERVAL)
             if metric != "any":
                 for p, pixel in enumerate(pixels):
-                    ends = {"q05": low[p], "q95": high[p]}
-                    rows.append(keys | {"pixel_m": pixel, "r2": r2[0, p]} | ends)
+                    at_pixel = {"pixel_m": pixel, "r2": r2[0, p], "q05": low[p], "q95": high[p]}
+                    rows.append(keys | at_pixel)
             gone = _lost_from(r2, pixels, threshold)
             known = np.isfinite(r2[0])
             best = int(np.argmax(np.where(known, r2[0], -1.0)))
             widest = pixels[known].max(initial=0.0)
             ends = _quantiles(gone[1:], INTERVAL, method="nearest")
-            lost.append(
-                keys
-                | {"best_r2": r2[0, best], "best_pixel_m": pixels[best] if known.any() else np.nan}
-                | {"by_chance": float(_quantiles(_greatest(by_chance.T), [INTERVAL[1]])[0])}
-                | {"lost_from_m": gone[0], "q05": ends[0], "q95": ends[1]}
-                | {"unknown_beyond_m": widest if 0.0 < widest < pixels[-1] else np.nan}
-            )
+            lost.append(keys | {
+                "best_r2": r2[0, best],
+                "best_pixel_m": pixels[best] if known.any() else np.nan,
+                "by_chance": float(_quantiles(_greatest(by_chance.T), [INTERVAL[1]])[0]),
+                "lost_from_m": gone[0], "q05": ends[0], "q95": ends[1],
+                "unknown_beyond_m": widest if 0.0 < widest < pixels[-1] else np.nan,
+            })  # fmt: skip
     return pd.DataFrame(rows), pd.DataFrame(lost)
 
 
