@@ -24,11 +24,11 @@ from fynjax.studies.communities._observe import (
     _sample,
     functional_distance,
     green,
+    hull,
     observe_community,
 )
 from fynjax.studies.communities._scores import (
     METRICS,
-    _hull,
     _lost_from,
     agreement,
     composition,
@@ -158,6 +158,8 @@ def test_a_community_is_seen_as_its_image_and_its_plants_are():
     wide = _coarser(image, 2, CAMERA.psf, "periodic").reshape(4, -1).T
     expected = [fx.diversity.coefficient_of_variation(wide), fx.diversity.mean_spectral_angle(wide)]
     expected += [fx.diversity.spectral_rao(wide), wide.var(axis=0, ddof=1).sum()]
+    turned = np.linalg.svd(wide - wide.mean(axis=0), full_matrices=False)[0:2]
+    expected.append(ConvexHull((turned[0] * turned[1])[:, :3]).volume)
     np.testing.assert_allclose(metrics[0, 1, 0], np.array(expected, float), rtol=1e-4)
     noisy = metrics[0, 1, 1, 0] ** 2 - metrics[0, 1, 0, 0] ** 2
     assert 0.3 < noisy / 0.2**2 < 3.0  # of 16 pixels
@@ -198,12 +200,9 @@ def test_species_differ_in_function_by_form_height_and_leaves():
     assert apart[0, 1] == pytest.approx(expected / 6)
 
 
-def test_the_hull_is_that_of_the_principal_components():
-    pixels = np.random.default_rng(0).random((30, 4))
-    turned = np.linalg.svd(pixels - pixels.mean(axis=0), full_matrices=False)[0:2]
-    assert _hull(pixels) == pytest.approx(ConvexHull((turned[0] * turned[1])[:, :3]).volume)
-    assert np.isnan(_hull(np.ones((4, 4))))
-    assert _hull(np.ones((5, 4))) == 0.0
+def test_the_hull_of_pixels_that_are_few_or_alike():
+    assert np.isnan(hull(np.ones((4, 4))))
+    assert hull(np.ones((5, 4))) == 0.0
 
 
 def test_pixels_that_are_not_green_do_not_count():
@@ -282,19 +281,20 @@ def test_spectral_species_are_those_of_all_communities_together():
     pixels += 0.01 * random.normal(size=pixels.shape)
     count = np.stack([np.bincount(one, minlength=6) for one in kinds])
     cover = count * random.uniform(0.05, 0.15, (10, 1))  # more plants of the same kinds
-    found, table = composition(cover, [pixels], _design())
-    np.testing.assert_allclose(found[:, 0, 0, 0, 1], fx.diversity.shannon(count), atol=1e-6)
-    np.testing.assert_allclose(found[3, 0, 0, 0, 0], _hull(pixels[3, 0, 0, :6]))
+    of_image = random.random((10, 1, 2, 1, 5))
+    found, table = composition(cover, of_image, [pixels], _design())
+    np.testing.assert_allclose(found[:, 0, 0, 0, -1], fx.diversity.shannon(count), atol=1e-6)
+    assert (found[..., :-1] == of_image).all()
     assert table["spectral_species"].tolist() == [6, 6]
     assert table["mantel"][0] == pytest.approx(1.0)
     assert abs(table["mantel"][1]) < 0.5
     assert table["p_value"][0] < 0.01 < table["p_value"][1]
     # A community without pixels that count is left out; of too few pixels nothing is known.
     pixels[3, 0], pixels[:, 1, 0, 1:] = np.nan, np.nan
-    found, table = composition(cover, [pixels], _design())
-    assert np.isnan(found[:, 0, 0, 0, 1]).tolist() == [i == 3 for i in range(10)]
+    found, table = composition(cover, of_image, [pixels], _design())
+    assert np.isnan(found[:, 0, 0, 0, -1]).tolist() == [i == 3 for i in range(10)]
     assert table["mantel"][0] > 0.8
-    assert np.isnan(found[:, 0, 1]).all()
+    assert np.isnan(found[:, 0, 1, 0, -1]).all()
     assert np.isnan(table["mantel"][1])
     assert table["pixels"].tolist() == [6, 1]
 
@@ -306,12 +306,15 @@ def test_communities_have_as_many_pixels_for_hull_and_clusters():
     number = np.arange(9, 60, 5)
     pixels = random.normal(size=(len(number), 1, 1, 60, 4))
     pixels[np.arange(60)[None] >= number[:, None, None, None]] = np.nan
-    found, table = composition(random.random((len(number), 3)) + 0.1, [pixels], _design((0.1,)))
+    design = Design((CAMERA,), (0.1,), (0.0,), samples=20, seed=0, greenness=0.4)
+    of_image = np.ones((len(number), 1, 1, 1, 5))
+    cover = random.random((len(number), 3)) + 0.1
+    found, table = composition(cover, of_image, [pixels], design)
     assert table["pixels"].tolist() == [14]
-    assert np.isnan(found[0]).all()
-    for metric in found[1:, 0, 0, 0].T:
+    assert np.isnan(found[0, 0, 0, 0, 4:]).all()
+    for metric in found[1:, 0, 0, 0, 4:].T:
         assert abs(np.corrcoef(metric, number[1:])[0, 1]) < 0.6
-    np.testing.assert_allclose(found[-1, 0, 0, 0, 0], _hull(pixels[-1, 0, 0, :14]))
+    np.testing.assert_allclose(found[-1, 0, 0, 0, 4], hull(pixels[-1, 0, 0, :14]))
 
 
 def test_what_does_not_vary_is_not_known_and_loses_no_other_row():
@@ -321,7 +324,8 @@ def test_what_does_not_vary_is_not_known_and_loses_no_other_row():
     pixels = random.random((10, 2, 1, 20, 4))
     pixels[:, 0, :, :, 1], pixels[:, 0, :, :10], pixels[:, 0, :, 10:] = 0.3, 0.3, 0.5
     pixels[:, 0, 0, :, 1] = 0.3
-    _, table = composition(random.random((10, 2)) + 0.1, [pixels], _design())
+    cover = random.random((10, 2)) + 0.1
+    _, table = composition(cover, np.ones((10, 1, 2, 1, 5)), [pixels], _design())
     assert np.isfinite(table["mantel"]).tolist() == [False, True]
     known = recognition(species, [pixels], ("a", "b"), _design())
     assert np.isfinite(known["accuracy"]).all()

@@ -147,8 +147,7 @@ def diversity(
     truth, cover, metrics, species, *kept = (np.stack(parts) for parts in zip(*done, strict=True))
     spectra, drawn = kept[: len(chosen)], kept[len(chosen) :]
     with run.stage("Score"):
-        pooled, composed = composition(cover, drawn, design)
-        metrics = np.concatenate([metrics, pooled], axis=-1)
+        metrics, composed = composition(cover, metrics, drawn, design)
         table, lost = agreement(truth, metrics, design, threshold)
         known = recognition(species, spectra, pool.taxa, design)
     headline = _headline(lost, known, threshold)

@@ -15,6 +15,8 @@ from fynjax.diversity import (
     VARIETY,
     diversity_indices,
     gower_distance,
+    hull_volume,
+    principal_components,
     rao_entropy,
     spectral_variety,
 )
@@ -28,9 +30,11 @@ DIVERSITIES = ("richness", "shannon", "simpson", "evenness", "cover", "functiona
 """What is asked of a community: number of species, Shannon entropy, Simpson's index and evenness
 after Pielou of the covers as seen from straight above, their sum, and Rao's quadratic entropy with
 the distance of species in growth form, height and leaf chemistry (`functional_distance`)."""
+OF_IMAGE = (*VARIETY, "hull")
+"""Spectral metrics of the pixels of an image: `VARIETY`, and the volume of their convex hull in
+their own first three principal components."""
 CLUSTERED = 200
-"""Pixels that a community gives to its hull and to the spectral species of all communities, at
-most."""
+"""Pixels that a community gives to the spectral species of all communities, at most."""
 _TRAITS = ("chlorophyll", "carotenoids", "water", "dry_matter")
 """Traits of leaves that tell species from one another."""
 _DRAWS = 10
@@ -67,7 +71,7 @@ def observe_community(
     """Diversity of the plants of a community, and of its spectra.
 
     **Returns:** `DIVERSITIES`; the cover of each species as seen from straight above; the spectral
-    metrics `VARIETY` [sensor, pixel, noise, metric]; the species of sampled pixels [sensor, pixel,
+    metrics `OF_IMAGE` [sensor, pixel, noise, metric]; the species of sampled pixels [sensor, pixel,
     sample], -1 for none; for each sensor their spectra [pixel, noise, sample, band]; and for each
     sensor spectra of other pixels, drawn from all that count [pixel, noise, drawn, band], NaN where
     there are fewer.
@@ -85,7 +89,7 @@ def observe_community(
     fine = design.pixels[0]
     above = nadir_imager(design.sensors[0].bands.select([0]), scene, scene.parameters)
     cover = np.asarray(truth_of_pixels(above, scene, scene.parameters).species).mean(axis=(1, 2))
-    shape = len(design.sensors), len(design.pixels), len(design.noise), len(VARIETY)
+    shape = len(design.sensors), len(design.pixels), len(design.noise), len(OF_IMAGE)
     metrics = np.zeros(shape)
     species, spectra, drawn = [], [], []
     for s, sensor in enumerate(design.sensors):
@@ -104,7 +108,7 @@ def observe_community(
                 noisy = clear * (1.0 + noise * random.normal(size=clear.shape))
                 seen_green = noisy[green(noisy, sensor, design.greenness)]
                 found = spectral_variety(seen_green, seed=random)
-                metrics[s, p, n] = [found[name] for name in VARIETY]
+                metrics[s, p, n] = [*(found[name] for name in VARIETY), hull(seen_green)]
                 kept.append(noisy[places])
                 few = random.permutation(seen_green)[:CLUSTERED]
                 some[p, n, : len(few)] = few
@@ -135,6 +139,17 @@ def functional_distance(pool: Plot, scene: Scene) -> Float[np.ndarray, "species 
     if varied.empty:
         return np.zeros((len(traits),) * 2)
     return gower_distance(varied)
+
+
+def hull(spectra: Float[np.ndarray, "pixel band"]) -> float:
+    """Volume of the hull of spectra in their own principal components, three or as many as there
+    are bands; NaN of too few pixels, 0 of pixels that are all alike."""
+    count = min(3, spectra.shape[1])
+    if len(spectra) < count + 2:
+        return float("nan")
+    if np.ptp(spectra, axis=0).max() <= 1e-10 * np.abs(spectra).max():
+        return 0.0
+    return hull_volume(principal_components(spectra, count).scores(spectra))
 
 
 def _coarser(

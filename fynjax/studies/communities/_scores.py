@@ -12,21 +12,11 @@ from jaxtyping import Float, Int
 
 from fynjax._core.errors import InputError
 from fynjax._core.resampling import INTERVAL, correlation_over, plot_draws
-from fynjax.diversity import (
-    VARIETY,
-    bray_curtis,
-    classify,
-    hull_volume,
-    mantel,
-    principal_components,
-    separability,
-    spectral_species,
-)
-from fynjax.studies.communities._observe import DIVERSITIES, Design
+from fynjax.diversity import bray_curtis, classify, mantel, separability, spectral_species
+from fynjax.studies.communities._observe import DIVERSITIES, OF_IMAGE, Design, hull
 
-METRICS = (*VARIETY, "hull", "spectral_species")
-"""Spectral metrics of a community: `VARIETY` of its pixels, the volume of their convex hull in
-their own first three principal components, and the Shannon entropy of their spectral species."""
+METRICS = (*OF_IMAGE, "spectral_species")
+"""Spectral metrics of a community: `OF_IMAGE`, and the Shannon entropy of its spectral species."""
 
 _SPLITS = 10
 """Times that communities are parted into those that train and those that judge."""
@@ -129,28 +119,29 @@ def _lost_from(
 
 def composition(
     cover: Float[np.ndarray, "community species"],
+    metrics: Float[np.ndarray, "community sensor pixel noise of_image"],
     pixels: Sequence[Float[np.ndarray, "community pixel noise drawn band"]],
     design: Design,
 ) -> tuple[Float[np.ndarray, "community sensor pixel noise metric"], pd.DataFrame]:
-    """Hull and spectral species of as many pixels of each community, and how the composition of
-    spectral species follows that of the plants.
+    """Spectral species of all communities together, and how their composition follows that of the
+    plants.
 
-    Hull and entropy grow with the number of pixels. At each sensor, pixel size and noise all
-    communities therefore have as many as the one with the fewest; one with fewer than ten, where
-    others have more, is left out. The pixels of all are clustered once (`spectral_species`): 50
-    clusters, or one for ten pixels where there are fewer than 500.
+    At each sensor, pixel size and noise all communities have as many pixels as the one with the
+    fewest, as entropy grows with their number; one with fewer than ten, where others have more, is
+    left out. They are clustered once (`spectral_species`): 50 clusters, or one for ten pixels where
+    there are fewer than 500. With a `greenness` the hull is that of these pixels too.
 
-    **Arguments:** `cover` of each species; `pixels`, for each sensor spectra drawn from a
-    community in random order, NaN where there are fewer.
+    **Arguments:** `cover` of each species; `metrics` of images (`OF_IMAGE`); `pixels`, for each
+    sensor spectra drawn from a community in random order, NaN where there are fewer.
 
-    **Returns:** the hull of each community and the Shannon entropy of its clusters, NaN where it is
-    left out; and a table with a row for each sensor, pixel and noise: the number of `pixels` of
+    **Returns:** `METRICS`, with the Shannon entropy of the clusters of each community, NaN where it
+    is left out; and a table with a row for each sensor, pixel and noise: the number of `pixels` of
     each community and of `spectral_species`; and Mantel's correlation (`mantel`) of the Bray-Curtis
     dissimilarity of their shares in each two communities with that of the shares of plant species
     in the cover, with its interval over bootstrapped communities and its `p_value`.
     """
-    shape = len(cover), len(design.sensors), len(design.pixels), len(design.noise), 2
-    metrics, rows = np.full(shape, np.nan), []
+    metrics = np.concatenate([metrics, np.full((*metrics.shape[:-1], 1), np.nan)], axis=-1)
+    rows = []
     with np.errstate(invalid="ignore"):
         share = cover / cover.sum(axis=1, keepdims=True)
     for (s, sensor), (p, pixel), (n, noise) in product(
@@ -163,7 +154,10 @@ def composition(
         known = np.flatnonzero(enough & np.isfinite(share).all(axis=1))
         least = int(number[known].min()) if len(known) else 0
         valid &= valid.cumsum(axis=1) <= least
-        metrics[known, s, p, n, 0] = [_hull(spectra[i][valid[i]]) for i in known]
+        if design.greenness is not None:
+            metrics[:, s, p, n, -2] = [
+                hull(spectra[i][valid[i]]) if i in known else np.nan for i in range(len(cover))
+            ]
         clusters = min(_CLUSTERS, int(valid[known].sum()) // _PER_CLUSTER)
         tie = dict.fromkeys(("value", "q05", "q95", "p_value"), np.nan)
         if clusters >= 2 and len(known) >= _FEWEST:
@@ -172,23 +166,12 @@ def composition(
                     spectra[known], valid[known], clusters=clusters, seed=design.seed,
                     components=min(_COMPONENTS, spectra.shape[-1]),
                 )  # fmt: skip
-                metrics[known, s, p, n, 1] = found.shannon
+                metrics[known, s, p, n, -1] = found.shannon
                 tie = mantel(found.bray_curtis, bray_curtis(share[known]), seed=design.seed)
         row = {"sensor": sensor.name, "pixel_m": pixel, "noise": noise}
         row |= {"pixels": least, "spectral_species": clusters, "mantel": tie.pop("value")}
         rows.append(row | tie)
     return metrics, pd.DataFrame(rows)
-
-
-def _hull(spectra: Float[np.ndarray, "pixel band"]) -> float:
-    """Volume of the hull of spectra in their own principal components, three or as many as there
-    are bands; NaN of too few pixels, 0 of pixels that are all alike."""
-    count = min(3, spectra.shape[1])
-    if len(spectra) < count + 2:
-        return float("nan")
-    if np.ptp(spectra, axis=0).max() <= 1e-10 * np.abs(spectra).max():
-        return 0.0
-    return hull_volume(principal_components(spectra, count).scores(spectra))
 
 
 def recognition(
