@@ -196,7 +196,7 @@ def green(
     if np.abs(centres[near] - _NDVI).max() > _NEAR:
         raise InputError(
             f"a `greenness` needs bands near {_NDVI[0]:g} and {_NDVI[1]:g} nm, but the "
-            f"{len(centres)} of {sensor.name} that are used (`bands`) lie farther off"
+            f"{len(centres)} of {sensor.name} that are used (`bands`) do not have both"
         )
     red, nir = spectra[:, near].T
     return nir - red >= least * (nir + red)
