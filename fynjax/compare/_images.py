@@ -32,9 +32,6 @@ _KNOWN = {
 }
 
 
-_BLUE = BandSet(("blue",), (475.0,), (20.0,))
-
-
 @dataclass(frozen=True)
 class DroneImage:
     """The pixels of an image that are compared, and what was left out."""
@@ -115,7 +112,8 @@ def read_drone_image(
       order green, red, red edge, near infrared, if they grow brighter towards near infrared as
       vegetation does.
     - `camera`: bands of the camera. Each that the file has, by name or by a wavelength within its
-      width, is read beside the four. Without a camera it is blue.
+      width, is read beside the four, and a pixel without data in any of them is left out. Without
+      a camera the four alone are read.
     - `saturation`: saturation threshold [-]: pixels that reach it in a band are left out. In files
       of integers the largest value of their type always is, unless it is their no-data value.
     - `most_pixels`: of a larger image every k-th row and column is read, with the smallest k that
@@ -151,8 +149,7 @@ def read_drone_image(
             warnings.warn(f"{path}: {doubt}", stacklevel=2)
         # Programs call the last of four bands alpha, also where it is near infrared.
         data = file.dataset.indexes if file.dataset.count == len(BANDS) else file.bands
-        others = _BLUE if camera is None else camera
-        names, numbers, taken, how = _find_bands(file, data, bands, others)
+        names, numbers, taken, how = _find_bands(file, data, bands, camera)
         step = 1 if most_pixels is None else thinning(*file.shape, most_pixels)
         image = file.read(numbers, step=step, zero_is_data=False)
         pixel = file.pixel_m
@@ -266,7 +263,7 @@ _OPTION = (
 
 
 def _find_bands(
-    file: RasterFile, data: Sequence[int], stated: Sequence[str] | None, camera: BandSet
+    file: RasterFile, data: Sequence[int], stated: Sequence[str] | None, camera: BandSet | None
 ) -> tuple[tuple[str, ...], list[int], tuple[str, ...], str]:
     """Names of the bands that are read, `BANDS` first, and of each its number in the file, what
     the file calls it; and how the four were found."""
@@ -275,7 +272,8 @@ def _find_bands(
     roles = [band_word(name) for name in described]
     waves = file.wavelengths[np.array(data) - 1]
     names, places, shown = list(BANDS), list(at), list(taken)
-    for name, centre, width in zip(camera.names, camera.centre, camera.fwhm, strict=True):
+    others = zip(camera.names, camera.centre, camera.fwhm, strict=True) if camera else ()
+    for name, centre, width in others:
         if name in BANDS:
             continue
         low, high = _KNOWN.get(name, (centre - 0.5 * width, centre + 0.5 * width))

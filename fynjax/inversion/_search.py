@@ -12,7 +12,7 @@ import optimistix as optx
 import scipy.linalg
 from jaxtyping import Array, Float, Int
 
-from fynjax._core.errors import InputError
+from fynjax._core.errors import InputError, whole_number
 from fynjax._core.least_squares import NO_TAGS, BroydenLM, BroydenState, figures_of
 from fynjax._core.precision import double_precision
 from fynjax._core.progress import advance
@@ -93,6 +93,7 @@ class CalibrationSettings:
         return self.starts * (2 + self.max_steps + (self.max_steps + 1) // 2)
 
     def __post_init__(self) -> None:
+        whole_number("seed", self.seed)
         for name in ("rounds", "starts", "max_steps", "full_renders"):
             if getattr(self, name) < 1:
                 raise InputError(f"`{name}` must be at least 1, but is {getattr(self, name)}")

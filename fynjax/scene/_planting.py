@@ -19,6 +19,7 @@ from jaxtyping import Array, Float, Int
 from scipy.spatial import cKDTree
 from scipy.special import ndtr, ndtri
 
+from fynjax._core.seeds import generator
 from fynjax.canopy import (
     FORMS,
     Organ,
@@ -448,7 +449,7 @@ def _individuals(
     places: Float[np.ndarray, "plant 2"], species: int, spread: float, variation: float, seed: int
 ) -> dict[str, np.ndarray]:
     """Place, turn and size of the plants of a species."""
-    n, rng = len(places), np.random.default_rng([seed, 101, species])
+    n, rng = len(places), generator(seed, 101, species)
     azimuth, tilt = random_orientation(n, seed=seed + 1000 * (species + 1), rotation_spread=spread)
     width = rng.standard_normal(n)
     size = np.exp(np.sqrt(np.log1p(variation**2)) * width)
@@ -467,7 +468,7 @@ def _individuals(
 def _drawn_leaves(plants: int, species: int, leaves: int, seed: int) -> Int[np.ndarray, " plant"]:
     """Which of so many leaves each plant of a species has: every one is as likely, and a plant
     keeps its own where there are more plants."""
-    drawn = np.random.default_rng([seed, 109, species]).random(plants)
+    drawn = generator(seed, 109, species).random(plants)
     return (leaves * drawn).astype(np.int32)
 
 
@@ -512,7 +513,7 @@ def individual_seeds(seed: int, species: int) -> list[int]:
 
     **Arguments:** `seed`, of the scene; `species`, its number among the species.
     """
-    return np.random.default_rng([seed, 103, species]).integers(2**31, size=INDIVIDUALS).tolist()
+    return generator(seed, 103, species).integers(2**31, size=INDIVIDUALS).tolist()
 
 
 def leaf_classes(species: Sequence[Species]) -> dict[int, range]:

@@ -24,6 +24,7 @@ from jaxtyping import Array, Bool, Float, Int
 from fynjax._core.errors import InputError, did_you_mean
 from fynjax._core.html import as_html
 from fynjax._core.precision import drawn_in_double
+from fynjax._core.seeds import generator
 from fynjax.canopy import (
     FORMS,
     Organ,
@@ -1139,7 +1140,7 @@ def _rounding(
     """`Scene.rounding` of so many species."""
     if not drawn:
         return jnp.zeros(species, dtype)
-    return jnp.asarray(np.random.default_rng([*seed, 107]).random(species), dtype)
+    return jnp.asarray(generator(*seed, 107).random(species), dtype)
 
 
 def stand_realisation(scene: Scene, seed: int) -> Scene:
@@ -1153,7 +1154,7 @@ def stand_realisation(scene: Scene, seed: int) -> Scene:
     """
     planting = scene.planting
     species, place = np.asarray(planting.species), np.array(planting.place)
-    rng = np.random.default_rng([seed, 211])
+    rng = generator(seed, 211)
     for one in np.unique(species):
         mine = species == one
         place[mine] = rng.permutation(place[mine])

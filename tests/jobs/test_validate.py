@@ -77,6 +77,14 @@ def test_a_band_that_both_images_have_is_compared(tmp_path: Path) -> None:
     assert [row["band"] for row in table] == [*BANDS, "blue"]
     assert table[-1]["real_mean"] == pytest.approx(blue.mean())
     assert table[-1]["ks"] == 0.0
+    # Blue of one image alone, black or clipped there, leaves out no pixel.
+    write_geotiff(tmp_path / "b.tif", image[1:], list(BANDS), pixel_m=0.05)
+    image[0, :10] = np.nan
+    write_geotiff(tmp_path / "a.tif", image, ["Blue", *BANDS], pixel_m=0.05)
+    files = {"real_drone": tmp_path / "a.tif", "simulated_drone": tmp_path / "b.tif"}
+    table = validate(ValidationData(**files), tmp_path / "out").drone.bands
+    assert [row["band"] for row in table] == list(BANDS)
+    assert [row["ks"] for row in table] == [0.0] * 4
 
 
 def test_every_number_of_table_4_by_scipy_and_numpy(drone: DroneComparison) -> None:
