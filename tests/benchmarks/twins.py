@@ -24,6 +24,7 @@ images left out: how much a diagnosis by these statistics may hope for.
 import tempfile
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import equinox as eqx
 import jax
@@ -59,13 +60,15 @@ from fynjax.inversion import (
     search_form,
     spectrum_names,
     spectrum_view,
+    stand_table,
+    stand_values,
     structure_view,
     weigh_spectrum,
     weigh_structure,
     weigh_targets,
 )
 from fynjax.metrics import spectral_mask
-from fynjax.scene import stand_realisation
+from fynjax.scene import stand_realisation, with_values
 from fynjax.sensors import BandSet, shipped_sensor
 from tests.benchmarks._measure import data_folder, example_plot, options
 
@@ -343,6 +346,29 @@ def report(chosen, ready, views, twins):
         f"{f'total live cover, rmse (prior {prior:.3f})':40s}"
         + "".join(f"{e:11.3f}" for e in errors)
     )
+    of_the_stand(ready, twins)
+
+
+def of_the_stand(ready, twins):
+    """Numbers of the whole stand: how many truths their 90 % intervals hold, and what the data
+    remove of their prior variance."""
+    tables = []
+    for one in twins:
+        fit = SimpleNamespace(
+            names=ready.space.names, space=ready.space, whitened=jnp.asarray(one["estimate"]),
+            covariance=one["covariance"],
+        )  # fmt: skip
+        table = stand_table(ready.scene, ready.parameters, fit)
+        there = with_values(
+            ready.parameters, ready.scene.taxa, ready.space.named(jnp.asarray(one["truth"]))
+        )
+        truth = np.array([float(v) for v in stand_values(ready.scene.faded(), there).values()])
+        table["inside"] = (table.q05 <= truth) & (truth <= table.q95)
+        tables.append(table.set_index("name")[["inside", "constrained"]].astype(float))
+    print(sum(tables).div(len(tables)).round(2).to_string())
+    inside = np.array([table.inside.mean() for table in tables])
+    spread = inside.std(ddof=1) / np.sqrt(len(inside))
+    print(f"numbers of the stand in their 90 % intervals {inside.mean():.3f} +- {spread:.3f}")
 
 
 def regressions(chosen, ready, view, twins):
