@@ -246,5 +246,5 @@ def with_error(data: Data, covariance: Float[np.ndarray, "statistic statistic"])
 
 
 Replant = Callable[[int, Float[np.ndarray, " species"] | None], Scene]
-"""Makes the scene with the plants of a number's chance, 0 being the scene's own, and sites for so
+"""Makes the scene with the plants of a numbered seed, 0 being the scene's own, and sites for so
 many plants of each species, or as many as the scene has."""

@@ -307,7 +307,7 @@ class PlotSearch:
         if self._replant is not None:
             try:
                 return [self._replant(i, counts) for i in numbers]
-            except InputError:  # another chance finds no room: the same sites in another order
+            except InputError:  # another seed finds no room: the same sites in another order
                 if counts is not None:
                     raise
                 self._replant = None

@@ -438,7 +438,7 @@ class Scene(eqx.Module):
     def replanted(
         self, number: int, counts: Float[np.ndarray, " species"] | None = None
     ) -> "Scene":
-        """The same plot with plants of another chance, in other places, as `calibrate_plot` asks
+        """The same plot with plants of another seed, in other places, as `calibrate_plot` asks
         for it. Known plants stay where they are.
 
         **Arguments:**

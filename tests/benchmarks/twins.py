@@ -2,7 +2,7 @@
 
     python -m tests.benchmarks.twins --seeds 20 --size 5
 
-Truths are drawn from the prior and planted by chance of their own; their images are full renders at
+Truths are drawn from the prior and planted with own seeds; their images are full renders at
 the camera's own pixels, with the camera's noise and gains. Printed: coverage of the intervals with
 its binomial error, the share of the prior variance that estimates explain, by kind of parameter,
 total live cover, time; and the same by ridge regression and a random forest trained on simulations
@@ -110,7 +110,7 @@ def plot_of(size, tiny):
 
 
 def measure(ready, views, u, number, random):
-    """What sensors measure of the plot at `u`, planted by its own chance: a camera with noise and
+    """What sensors measure of the plot at `u`, planted with its own seed: a camera with noise and
     gains, a spectrometer and a LiDAR with the errors that a calibration assumes of them."""
     share = ready.plot.calibration.target_sd
     found = []
@@ -154,7 +154,7 @@ def view_of(sensor, ready, tiny):
 
 
 def simulations(ready, view, count, random, first=0):
-    """Draws of the prior and the statistics of cheap renders of them, each planted anew."""
+    """Draws of the prior and the statistics of coarse renders of them, each planted anew."""
     quick, (cheap,) = search_form(ready.scene, ready.parameters, [view])
     stands = [quick]
     stands += [
@@ -247,7 +247,7 @@ def twin(number, size, wrong, sensors):
 
 
 def apart(count, ready, truths, view):
-    """How well images of the two plots can be distinguished by their statistics: cheap renders,
+    """How well images of the two plots can be distinguished by their statistics: coarse renders,
     with gains, without noise of pixels."""
     found = []
     slopes = np.asarray(view.gain_slopes(look((view,), ready.scene, ready.parameters)[1]))
@@ -380,7 +380,7 @@ def regressions(chosen, ready, view, twins):
     else:
         draws, simulated = simulations(ready, view, chosen.train, np.random.default_rng(23))
         np.savez(path, draws=draws, simulated=simulated)
-    # What a cheap render lacks against a full one, at the prior's centre.
+    # What a coarse render lacks against a full one, at the prior's centre.
     quick, (cheap,) = search_form(ready.scene, ready.parameters, [view])
     whole = np.asarray(look((view,), ready.scene, ready.parameters)[0])
     lack = whole / np.asarray(look((cheap,), quick, ready.parameters)[0])
