@@ -82,6 +82,14 @@ def test_one_family_of_errors():
     assert issubclass(fx.errors.InputError, ValueError)
 
 
+def test_the_largest_seed_plants_a_scene():
+    """Each species has seeds made of it, which are larger."""
+    pool = fx.canopy.table1_2006()[:2]
+    largest = np.int32(2**31 - 1)
+    scene = fx.Scene.from_table(pool, size=1.0, voxel=0.5, structure="even", seed=largest)
+    assert int(scene.seed) == 2**31 - 1
+
+
 @pytest.mark.parametrize("seed", [-1, 1.5])
 def test_a_seed_is_a_whole_number(seed, tmp_path):
     """Wherever one is stated: of draws, plants, scenes, metrics, searches and commands."""

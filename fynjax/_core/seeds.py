@@ -8,6 +8,6 @@ from fynjax._core.errors import whole_number
 def generator(seed: int, *parts: int) -> np.random.Generator:
     """Random numbers that `seed` gives, and `parts` that tell uses of one seed from each other.
 
-    **Raises:** `InputError` for a `seed` that is no whole number from 0 to 2147483647.
+    **Raises:** `InputError` for a `seed` that is no whole number of at least 0.
     """
-    return np.random.default_rng([whole_number("seed", seed, most=2**31 - 1), *parts])
+    return np.random.default_rng([whole_number("seed", seed), *parts])

@@ -179,8 +179,8 @@ def simulate_stands(
     for number in numbers:
         rng = generator(seed, number)
         of_stand, of_sets = rng.normal(size=common), rng.normal(size=(settings.together, own))
-        chance = int(rng.integers(2**31))
-        made.append(make_stand(of_stand, of_sets, chance, bands, prior, settings))
+        planting = int(rng.integers(2**31))
+        made.append(make_stand(of_stand, of_sets, planting, bands, prior, settings))
     return Stands(
         np.concatenate([one.quantities for one in made]),
         np.concatenate([one.reflectance for one in made]),
@@ -192,7 +192,7 @@ def simulate_stands(
 def make_stand(
     common: Float[np.ndarray, " number"],
     own: Float[np.ndarray, "set number"],
-    chance: int,
+    planting: int,
     bands: BandSet,
     prior: LearnedPrior,
     settings: StandSettings,
@@ -204,14 +204,14 @@ def make_stand(
 
     - `common`, `own`: numbers of the stand, and of each of its sets of leaves and ground; so many
       as `stand_numbers` has it.
-    - `chance`: number of the planting: where the plants stand.
+    - `planting`: its number: where the plants stand.
     - `bands`, `prior`, `settings`: as for `simulate_stands`.
 
     **Returns:** `Stands`, a row a set.
     """
     scene, planted, imager = _planted(stand_forms(prior), bands, settings)
     drawn = _draw(prior, settings, common, own)
-    stand = stand_realisation(scene, chance)
+    stand = stand_realisation(scene, planting)
     parameters = replace(planted, species=drawn.species, light=drawn.light)
     spectra, left = _spectra(imager, stand, parameters, drawn.optics)
     quantities = _quantities(stand, parameters, drawn)

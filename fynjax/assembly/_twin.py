@@ -30,7 +30,7 @@ the shipped cameras."""
 _FARTHEST = 2.2
 """Of a truth from the middle of the prior [standard deviations]."""
 _PLANTING = 1000
-"""Number of the chance that plants a twin; those of a search are small."""
+"""Number of the seed that plants a twin; those of a search are small."""
 
 
 class Twin(NamedTuple):
@@ -65,7 +65,7 @@ def measure_truth(
     - `view`: the sensor's; an image gets the camera's gains, drawn from what they may be off by,
       and noise (`PIXEL_NOISE`). Other sensors get no errors here.
     - `u`: whitened coordinates of the parameters.
-    - `number`: of the chance that plants it, unlike those of a search.
+    - `number`: of the seed that plants it, unlike those of a search.
     - `random`: draws gains and noise.
 
     **Returns:** the statistics, and the gains, None of a sensor that makes no image. Not

@@ -40,7 +40,8 @@ def fill(
         return min(int(y / cell_y), ny - 1), min(int(x / cell_x), nx - 1)
 
     def squared(dx: Any, dy: Any, least: Callable[[Any, Any], Any]) -> Any:
-        """Squared distance of places so far apart, to the nearest repetition."""
+        """Squared distance of places `dx` and `dy` apart, to the nearest repetition of a periodic
+        extent. `least` is the minimum of two: NumPy's, or Python's for single numbers."""
         if periodic:
             dx, dy = least(dx, lx - dx), least(dy, ly - dy)
         return dx * dx + dy * dy

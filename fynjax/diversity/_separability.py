@@ -264,7 +264,7 @@ def _classifier(method: Method, kinds: int, seed: int) -> Any:
         )
     if method == "forest":
         module = require("sklearn.ensemble", "analysis", "scikit-learn")
-        seed = whole_number("seed", seed)
+        seed = whole_number("seed", seed, most=2**32 - 1)
         return module.RandomForestClassifier(200, class_weight="balanced", random_state=seed)
     raise InputError(f"`method` must be 'discriminant' or 'forest', but is {method!r}")
 

@@ -84,7 +84,8 @@ class Calibration(eqx.Module):
     measured: Data
     """The targets with the errors of data, model and gains, but not of where plants stand."""
     lack: Float[np.ndarray, " statistic"]
-    """Statistics at the estimate, of full less those of coarse scenes of the same plants."""
+    """Statistics of full less those of coarse scenes of the same plants, at the estimate or, where
+    the last round hardly moved, where it began."""
     degrees: int = eqx.field(static=True)
     """Statistics, or directions of many, that the likelihood counts."""
     projector: Float[np.ndarray, "statistic statistic"]

@@ -32,7 +32,7 @@ def each(
     function: Callable[[Scene, Array], Array], stands: Sequence[Scene], places: Sequence[Array]
 ) -> list[Array]:
     """`function` of each of the `stands` at its place, of two at a time: programs of JAX run beside
-    each other where there are cores, and no more than two images are in memory."""
+    each other where there are cores, and memory holds those of two at most."""
     pairs = list(zip(stands, places, strict=True))
     if any(isinstance(place, jax.core.Tracer) for place in places):
         return [function(*pair) for pair in pairs]
@@ -43,8 +43,8 @@ def each(
 
 
 def of_thread(function: Callable[..., Any]) -> Callable[..., Any]:
-    """The `function` for another thread: in the precision of this one, and with its result there
-    when it returns."""
+    """The `function` for another thread: it computes in the precision of this one, and returns when
+    its result is computed. Other settings of JAX's contexts do not hold there."""
     wide = bool(jax.config.read("jax_enable_x64"))
 
     def call(*args: Any) -> Any:
@@ -55,8 +55,8 @@ def of_thread(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def is_new(function: Callable[..., Any], *args: Any) -> bool:
-    """Whether this was not asked before for arrays of these shapes: programs that are new are
-    compiled by one thread alone."""
+    """Whether the `function` meets arrays of these shapes for the first time. Then one thread alone
+    compiles its program."""
     key = function.__qualname__, *(np.shape(leaf) for leaf in jax.tree.leaves(args))
     new = key not in _ASKED
     _ASKED.add(key)
@@ -98,10 +98,10 @@ class Expected(eqx.Module):
     def _places(
         self, u: Array, spread: Array | np.ndarray, number: int | None = None
     ) -> tuple[list[Scene], list[Array]]:
-        """The planting and the place of the first `number` draws about `u`, or, fading, of those
-        that each step of a search is a mean over."""
-        pairs = [self.draw(i) for i in range(number or len(self.stands))]
-        stands = [stand if number else stand.faded() for stand, _ in pairs]
+        """The planting and the place of each of the first `number` draws about `u`. Without a
+        number those that each step of a search is a mean over, whose plants fade."""
+        pairs = [self.draw(i) for i in range(len(self.stands) if number is None else number)]
+        stands = [stand.faded() if number is None else stand for stand, _ in pairs]
         return stands, [u + jnp.asarray(spread @ normal) for _, normal in pairs]
 
     def at(self, stand: Scene, u: Array) -> Float[Array, " statistic"]:

@@ -140,7 +140,8 @@ class SearchPlace(eqx.Module):
     slopes: Float[Array, "member statistic free"]
     """Derivatives of the statistics by the coordinates, of each member of the search."""
     whole: Float[Array, "planting statistic"]
-    """Statistics of the full form of some plantings, at `u` itself."""
+    """Statistics of the full form of some plantings, at `u` itself; of a round that has settled,
+    where it began."""
     lack: Float[Array, "planting statistic"]
     """Statistics `whole` less those of the coarse form of the same plants."""
     images: tuple[Float[Array, "band y x"], ...]
@@ -285,20 +286,28 @@ class PlotSearch:
 
     # -- plantings --------------------------------------------------------------------------
 
-    def _stands(self, wanted: Array | np.ndarray) -> tuple[tuple[Scene, ...], tuple[Scene, ...]]:
-        """Plantings with sites for so many plants of each species, in full and in coarse form."""
+    def _stands(
+        self, wanted: Array | np.ndarray, *, ahead: bool = False
+    ) -> tuple[tuple[Scene, ...], tuple[Scene, ...]]:
+        """Plantings with sites for so many plants of each species, in full and in coarse form.
+        Where a search goes on from here (`ahead`), its programs are compiled meanwhile."""
         wanted = np.asarray(wanted)
         if self._planted is None or self._planted[0] != wanted.tobytes():
             counts = wanted if wanted.any() else None
             own = (
                 self._scene if counts is None or self._replant is None else self._replant(0, counts)
             )
-            coarse = self._form(own)[0]
-            with ThreadPoolExecutor(2) as pool:  # XLA compiles without Python's lock
-                for call in self._first_calls(own, coarse):
+            first = self._form(own)[0]
+            pool = ThreadPoolExecutor(2)  # XLA compiles without Python's lock
+            try:
+                for call in self._first_calls(own, first) if ahead else ():
                     pool.submit(*call)
                 others = self._other_stands(counts)
-            coarse = (coarse, *(self._form(stand)[0] for stand in others))
+            except BaseException:
+                pool.shutdown(wait=False, cancel_futures=True)
+                raise
+            pool.shutdown()
+            coarse = (first, *(self._form(stand)[0] for stand in others))
             self._planted = wanted.tobytes(), (own, *others), coarse
         return self._planted[1], self._planted[2]
 
@@ -367,7 +376,7 @@ class PlotSearch:
         more = np.where(short, np.maximum(_SPARE * counts[0], most), most)
         more = np.maximum(more, wanted)  # what has grown stays
         try:
-            self._stands(more)
+            self._stands(more, ahead=True)
         except InputError:  # no room on the plot, or in memory
             return wanted
         return more
@@ -500,9 +509,10 @@ class PlotSearch:
         draws = max(self.settings.scatter_draws, chance) if chance else 0
         sites = np.zeros(len(self._scene.taxa)) if after is None else np.asarray(after.wanted)
         wanted = self._short(u, sites, draws)
+        self._stands(wanted, ahead=True)
         expected = self._expected(wanted)
         flat = np.zeros((1, len(self.data.names), free))
-        few = 2 * chance if len(self.data.names) <= _MOST_ROWS else None
+        few = min(2 * chance, draws) if chance and len(self.data.names) <= _MOST_ROWS else None
         origin = self._observe(expected, wanted, u, none, flat, draws=few)
         finite = np.isfinite(np.asarray(origin.statistics))
         if not finite.all():
@@ -593,7 +603,8 @@ class PlotSearch:
         moved = np.asarray(u - before.u)
         # The last round moves little: its end keeps the slopes of its start, and where it has
         # settled the errors and the offset too.
-        if turn == turns and not grown and self._settled(state.descent, moved, status):
+        settled = turn == turns and not grown and self._settled(state, moved, status)
+        if settled:
             reached = expected.members(u, before.spread) + before.offset
             images = self._look(self._stands(wanted)[0][0], u)[1:]
             place = dataclasses.replace(before, u=u, statistics=reached, images=images)
@@ -610,7 +621,8 @@ class PlotSearch:
             if turns < settings.rounds + _FURTHER:
                 turns += 1
                 slopes = np.asarray(expected.slopes(u, spread))
-                place = self._observe(expected, wanted, u, spread, slopes, place)
+                rendered = None if settled else place
+                place = self._observe(expected, wanted, u, spread, slopes, rendered)
                 descent = self._descent(place, state.subspace)
             elif bool(status == FitStatus.successful):
                 status = FitStatus.max_rounds
@@ -624,11 +636,12 @@ class PlotSearch:
         )  # fmt: skip
         return recorded(ended) if goes_on else ended
 
-    def _settled(self, descent: BroydenState, moved: np.ndarray, status: Any) -> bool:
-        """Whether a round has converged and moved so little that expectations over plantings have
-        the errors of its start."""
-        if self._solver is not None or not self.settings.stand_realisations:
+    def _settled(self, state: SearchState, moved: np.ndarray, status: Any) -> bool:
+        """Whether a round after the first has converged and moved so little that expectations over
+        plantings have the errors of its start."""
+        if self._solver is not None or not self.settings.stand_realisations or state.turn == 0:
             return False
+        descent = state.descent
         left = unsettled(np.asarray(descent.residual), np.asarray(descent.jacobian), moved)
         return bool(status == FitStatus.successful) and left <= _SETTLED
 

@@ -298,7 +298,7 @@ SPARE_SITES = 4
 def sites_ready(
     wanted: Float[np.ndarray, " species"], room: float | Float[np.ndarray, " species"]
 ) -> Int[np.ndarray, " species"]:
-    """Sites held ready for a real number of plants of each species, with so many for each plant."""
+    """Sites held ready for each species: `room` for each of its `wanted` plants, and a few more."""
     return np.ceil(room * wanted).astype(int) + np.where(wanted > 0, SPARE_SITES, 0)
 
 

@@ -21,7 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from fynjax._core.errors import InputError, did_you_mean
+from fynjax._core.errors import InputError, did_you_mean, whole_number
 from fynjax._core.html import as_html
 from fynjax._core.precision import drawn_in_double
 from fynjax._core.seeds import generator
@@ -443,7 +443,7 @@ class Scene(eqx.Module):
 
         **Arguments:**
 
-        - `number`: of the chance; 0 for the scene's own plants.
+        - `number`: of the seed; 0 for the scene's own plants.
         - `counts`: plants of each species that are to find sites, besides those that do.
 
         **Raises:** `InputError` where there is no room for them, and for plants of given shapes,
@@ -969,6 +969,7 @@ def build_scene(
     Not differentiable: the parameters come in again where the scene is observed.
     """
     rules = PlantingRules() if rules is None else rules
+    seed = whole_number("seed", seed)
     top = 1.1 * float(np.max(np.asarray(parameters.species.height)))
     if terrain is not None:
         top += float(np.max(terrain))

@@ -43,6 +43,14 @@ class CrownCover(AbstractView):
         return self
 
 
+class CrownSquares(CrownCover):
+    """An image of one pixel with the squares of the crowns' areas, which plants that fade change."""
+
+    def observe(self, scene, parameters):
+        value = jnp.sum(scene.crown_areas(parameters) ** 2)
+        return value[None, None, None], value[None]
+
+
 @pytest.fixture(scope="module")
 def plot():
     return planted(2.5)
@@ -210,6 +218,52 @@ def test_a_round_follows_where_plants_got_more_sites(plot, monkeypatch):
     seen = len(asked)
     search.begin(u, state)  # another start has the same sites, without asking
     assert len(asked) == seen
+
+
+def search_of(plot, settings, times=1.0, sd=0.05):
+    """A search for `times` the squares of the crowns that the plot has."""
+    scene, parameters = plot
+    space = free_space(scene, parameters, ["*.cover", "*.diameter"], lambda _: 0.2)
+    value = times * np.asarray(CrownSquares().observe(scene, parameters)[1])
+    data = Data(("crown cover",), jnp.asarray(value), jnp.asarray(sd * value))
+    return plot_search(scene, parameters, data, space, [CrownSquares()], settings)
+
+
+def test_without_an_expectation_a_search_starts_at_the_scene_as_it_stands(plot):
+    search = search_of(plot, CalibrationSettings(stand_realisations=0))
+    state = search.begin(jnp.zeros(len(search.space.names)))
+    np.testing.assert_allclose(state.origin.statistics, state.origin.whole[0], rtol=1e-6)
+
+
+def test_a_last_round_that_has_settled_keeps_errors_and_renders_the_estimate(plot):
+    """The image is that of the estimate, statistics are the coarse form's there with the offset of
+    where the round began, and spread is the posterior's. Made anew all are about the same."""
+    settings = CalibrationSettings(stand_realisations=2, scatter_draws=6, tolerance=1e-4)
+    search = search_of(plot, settings, times=1.3)
+    state = search.begin(jnp.zeros(len(search.space.names)))
+    while not state.ended:
+        before, state = state.place, search.step(state)
+    found, expected = state.best, search.expected(state)
+    assert np.abs(np.asarray(found.u - before.u)).max() > 1e-6
+    np.testing.assert_array_equal(found.covariance, before.covariance)
+    image, _ = CrownSquares().observe(search.scene(state), search.plot(found.u))
+    np.testing.assert_allclose(found.images[0], image, rtol=1e-5)
+    reached = expected.members(found.u, np.asarray(found.spread)) + found.offset
+    np.testing.assert_allclose(found.statistics, reached, rtol=1e-9)
+    assert np.diagonal(found.spread).min() < 0.9
+    again = search._observe(
+        expected, np.asarray(state.wanted), found.u, np.asarray(found.spread),
+        np.asarray(found.slopes),
+    )  # fmt: skip
+    sd = np.sqrt(np.diagonal(found.covariance))
+    np.testing.assert_array_less(np.abs(again.statistics - found.statistics), 0.5 * sd)
+    np.testing.assert_allclose(np.sqrt(np.diagonal(again.covariance)), sd, rtol=0.3)
+    # A first round has expectations over the prior: its end has others.
+    first = search_of(plot, dataclasses.replace(settings, rounds=1), times=1.1)
+    state = first.begin(jnp.zeros(len(first.space.names)))
+    while not state.ended:
+        state = first.step(state)
+    assert np.diagonal(state.best.spread).min() < 0.9
 
 
 def test_sites_are_made_for_all_draws_of_the_prior_at_the_start(plot):

@@ -150,7 +150,7 @@ def composition(
         spectra = pixels[s][:, p, n].astype(float)
         valid = np.isfinite(spectra).all(axis=-1)
         number = valid.sum(axis=1)
-        enough = number >= np.clip(number.max(), 1, _ENOUGH)
+        enough = number >= (_ENOUGH if number.max() >= _ENOUGH else 1)
         known = np.flatnonzero(enough & np.isfinite(share).all(axis=1))
         least = int(number[known].min()) if len(known) else 0
         valid &= valid.cumsum(axis=1) <= least
@@ -160,6 +160,7 @@ def composition(
             ]
         clusters = min(_CLUSTERS, int(valid[known].sum()) // _PER_CLUSTER)
         tie = dict.fromkeys(("value", "q05", "q95", "p_value"), np.nan)
+        kinds = np.nan
         if clusters >= 2 and len(known) >= _FEWEST:
             with suppress(InputError):  # a band that does not vary: the other rows stand
                 found = spectral_species(
@@ -167,9 +168,10 @@ def composition(
                     components=min(_COMPONENTS, spectra.shape[-1]),
                 )  # fmt: skip
                 metrics[known, s, p, n, -1] = found.shannon
+                kinds = clusters
                 tie = mantel(found.bray_curtis, bray_curtis(share[known]), seed=design.seed)
         row = {"sensor": sensor.name, "pixel_m": pixel, "noise": noise}
-        row |= {"pixels": least, "spectral_species": clusters, "mantel": tie.pop("value")}
+        row |= {"pixels": least, "spectral_species": kinds, "mantel": tie.pop("value")}
         rows.append(row | tie)
     return metrics, pd.DataFrame(rows)
 
