@@ -63,7 +63,7 @@ mlir.make_ir_context = lambda: (
 
 # A program that is kept for other processes of the check is not worth compressing, which takes a
 # twentieth of all: whatever reads zlib reads this too.
-compilation_cache.zlib = SimpleNamespace(  # type: ignore[assignment]
+compilation_cache.zlib = SimpleNamespace(
     compress=functools.partial(zlib.compress, level=0), decompress=zlib.decompress
 )
 

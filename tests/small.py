@@ -24,7 +24,7 @@ Restio eleocharis,30,15,0.5,tussock
 
 
 def write_plot(folder: Path, more: str = "", voxel: float = 0.1) -> Path:
-    """The plot file, with `more` at its end, in `folder`; its voxels have an edge of `voxel` [m]."""
+    """The plot file, with `more` at its end, in `folder`, with voxels of `voxel` [m]."""
     path = folder / "plot.toml"
     path.write_text(PLOT.replace("voxel_m = 0.1", f"voxel_m = {voxel}") + more)
     (folder / "species.csv").write_text(SPECIES)

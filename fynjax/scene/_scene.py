@@ -158,7 +158,7 @@ _F = TypeVar("_F", bound=Callable[..., Any])
 def _as_one(function: _F) -> _F:
     """The function compiled as one program where it is called alone, and not each of its operations
     as its own: a sixth of the time. Within another program it changes nothing."""
-    return eqx.filter_jit(function, inline=True)  # type: ignore[return-value]
+    return eqx.filter_jit(function, inline=True)  # type: ignore[call-overload]
 
 
 class Window(eqx.Module):
