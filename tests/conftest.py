@@ -6,8 +6,10 @@ import gc
 import os
 import sys
 import tempfile
+import zlib
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 
 # Before JAX is imported, here and in the children of a test. Programs of its cache are read with
 # long lines of false alarm, which fill the pipe of a child that nobody reads.
@@ -19,6 +21,7 @@ import jax
 import jaxtyping
 import psutil
 import pytest
+from jax._src import compilation_cache
 from jax._src.interpreters import mlir
 
 if os.environ.get("FYNJAX_TYPES"):  # before the package is imported, whose functions it wraps
@@ -56,6 +59,12 @@ new_context = mlir.make_ir_context
 context_of_file = functools.cache(new_context)
 mlir.make_ir_context = lambda: (
     context_of_file() if mlir.ir.Context.current is None else new_context()
+)
+
+# A program that is kept for other processes of the check is not worth compressing, which takes a
+# twentieth of all: whatever reads zlib reads this too.
+compilation_cache.zlib = SimpleNamespace(
+    compress=functools.partial(zlib.compress, level=0), decompress=zlib.decompress
 )
 
 # Tracing makes many objects and few cycles: the collector's usual rhythm takes a tenth of the time.
@@ -125,6 +134,8 @@ def pytest_collection_finish() -> None:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Files with slow tests go first, so that no worker is left alone with one at the end."""
+    """Files with slow tests go first, so that no worker is left alone with one at the end; then
+    those of the whole package, which start processes."""
     slow = {item.path for item in items if item.get_closest_marker("slow")}
-    items.sort(key=lambda item: item.path not in slow)
+    here = Path(__file__).parent
+    items.sort(key=lambda item: (item.path not in slow, item.path.parent != here))

@@ -23,10 +23,10 @@ Restio eleocharis,30,15,0.5,tussock
 """
 
 
-def write_plot(folder: Path, more: str = "") -> Path:
-    """The plot file, with `more` at its end, in `folder`."""
+def write_plot(folder: Path, more: str = "", voxel: float = 0.1) -> Path:
+    """The plot file, with `more` at its end, in `folder`, with voxels of `voxel` [m]."""
     path = folder / "plot.toml"
-    path.write_text(PLOT + more)
+    path.write_text(PLOT.replace("voxel_m = 0.1", f"voxel_m = {voxel}") + more)
     (folder / "species.csv").write_text(SPECIES)
     return path
 

@@ -2,12 +2,15 @@
 
 import ast
 import io
+from functools import partial
 from pathlib import Path
 
 import jax
 import jupytext
 import matplotlib.pyplot as plt
 import pytest
+
+import fynjax as fx
 
 ROOT = Path(__file__).resolve().parents[1]
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.py"))
@@ -93,6 +96,7 @@ def test_notebook_runs(
         plt.close("all")
 
     monkeypatch.setenv("FYNJAX_FAST", "1")
+    monkeypatch.setattr(fx, "read_scene", partial(fx.read_scene, voxel=0.25))  # m: quicker
     monkeypatch.setattr(plt, "show", show)
     # Its own folder: a notebook that writes a file does not write it into the checkout.
     monkeypatch.chdir(tmp_path)

@@ -29,7 +29,7 @@ from fynjax.scene import (
 )
 from fynjax.sensors import shipped_sensor
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.study
 
 TAXA = ("Erica", "Restio")
 FREE = ("species.*.cover", "species.*.leaf_area_index", "*.leaf.chlorophyll", "ground.brightness")

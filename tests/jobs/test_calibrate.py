@@ -84,13 +84,13 @@ def twin(tmp_path_factory):
     `output`. The run was interrupted, and went on from its checkpoint without a new start."""
     folder = tmp_path_factory.mktemp("twin")
     free = MORE.replace('"ground.brightness"', '"species.*.height"')
-    write_plot(folder, free.replace("gain_sd = 0.0", "gain_sd = 0.1"))
+    write_plot(folder, free.replace("gain_sd = 0.0", "gain_sd = 0.1"), voxel=0.2)
     table, spectrum, cloud = (folder / f"{name}.csv" for name in ("table", "spectrum", "cloud"))
     table.write_text("statistic,value,sd\nnir.mean,0.26,\nred.mean,0.08,\ngreen.mean,0.06,1000\n")
     spectrum.write_text("wavelength_nm,mean\n550,0.06\n680,0.08\n860,0.26\n1650,0.22\n")
     cloud.write_text(
-        "metric,value,sd,grain_m,returns_m2\ngap_fraction,0.45,0.02,1,100\n"
-        "rugosity,0.25,0.01,1,100\n"
+        "metric,value,sd,grain_m,returns_m2\ngap_fraction,0.45,0.02,2,100\n"
+        "rugosity,0.25,0.01,2,100\n"
     )
     kept, first, second = (folder / name for name in ("kept", "first", "output"))
     for made in (first, second):

@@ -25,7 +25,7 @@ def runs(tmp_path_factory):
     """Results and tables of a chain of a few steps, and of the same that went on."""
     pytest.importorskip("arviz", reason="the extra `posterior` is not installed")
     folder = tmp_path_factory.mktemp("posterior")
-    path = write_plot(folder, MORE)
+    path = write_plot(folder, MORE, voxel=0.2)
     target = folder / "target.csv"
     target.write_text(TARGET)
     found = []
