@@ -44,7 +44,7 @@ class CrownCover(AbstractView):
 
 
 class CrownSquares(CrownCover):
-    """An image of one pixel with the squares of the crowns' areas, which plants that fade change."""
+    """An image of one pixel: the squares of the crowns' areas, which plants that fade change."""
 
     def observe(self, scene, parameters):
         value = jnp.sum(scene.crown_areas(parameters) ** 2)
