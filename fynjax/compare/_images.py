@@ -4,11 +4,12 @@ Two images are compared by the distributions of their pixels, not pixel by pixel
 size, place and coordinate system, and need none.
 """
 
+import re
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -32,7 +33,23 @@ _KNOWN = {
 }
 
 
-_BLUE = BandSet(("blue",), (475.0,), (20.0,))
+class OtherBands(NamedTuple):
+    """Bands to be read beside the four, as a `BandSet` has them; NaN where not known."""
+
+    names: tuple[str, ...]
+    centre: tuple[float, ...]
+    """Centre wavelength [nm]."""
+    fwhm: tuple[float, ...]
+    """Full width at half maximum [nm]."""
+
+
+_BLUE = OtherBands(("blue",), (475.0,), (20.0,))
+_COLOUR = re.compile(r"coastal|violet|blue|cyan|green(?!ness)|yellow|orange|red|nir|swir|pan")
+"""Beginning of a name of a band of reflected light, in one spelling."""
+_SAME_NM = 10.0
+"""Wavelengths of one band differ by no more [nm]."""
+_MOST_BANDS = 16
+"""Most bands that a camera has; with more it is a spectrometer, compared by its spectra."""
 
 
 @dataclass(frozen=True)
@@ -96,7 +113,7 @@ def read_drone_image(
     path: str | Path,
     *,
     bands: Sequence[str] | None = None,
-    camera: BandSet | None = None,
+    camera: BandSet | OtherBands | None = None,
     saturation: float | None = None,
     most_pixels: int | None = 1_000_000,
 ) -> DroneImage:
@@ -199,6 +216,43 @@ def read_drone_image(
     )
 
 
+def shared_bands(
+    *images: str | Path, bands: Sequence[Sequence[str] | None] = (None, None)
+) -> OtherBands:
+    """Bands of reflected light that two images have beside the four, as the first names them.
+
+    A band of the second is the same if its name is, or if their wavelengths are within 10 nm.
+
+    **Arguments:** two `images`; the names of their `bands` where they are stated.
+
+    **Returns:** `OtherBands`, for `read_drone_image`; blue is always among them, and alone where
+    more are shared than a camera has.
+
+    **Raises:** `InputError` for images that cannot be opened.
+    """
+    first, second = map(_colours, images, bands)
+    found = {"blue": 475.0}
+    for word, (name, centre) in first.items():
+        if word in second or any(abs(wave - centre) <= _SAME_NM for _, wave in second.values()):
+            found.setdefault(name, centre)
+    if len(found) > _MOST_BANDS:
+        return _BLUE
+    return OtherBands(tuple(found), tuple(found.values()), (2.0 * _SAME_NM,) * len(found))
+
+
+def _colours(path: str | Path, stated: Sequence[str] | None) -> dict[str, tuple[str, float]]:
+    """Name and centre [nm] of each band of reflected light, by the name in one spelling."""
+    with open_image(path, "a drone image") as file:
+        names, waves = file.names if stated is None else stated, file.wavelengths
+    found = {}
+    for name, wave in zip(names, waves, strict=False):
+        if _COLOUR.match(word := band_word(name or "")):
+            found.setdefault(word, (word if word in _KNOWN else name.lower(), float(wave)))
+        elif 350.0 < wave < 2600.0:
+            found[f"{wave:g} nm"] = f"{wave:g} nm", float(wave)
+    return found
+
+
 def _check_order(
     pixels: Float[np.ndarray, "band pixel"], how: str, taken: Sequence[str], path: Path
 ) -> None:
@@ -266,7 +320,10 @@ _OPTION = (
 
 
 def _find_bands(
-    file: RasterFile, data: Sequence[int], stated: Sequence[str] | None, camera: BandSet
+    file: RasterFile,
+    data: Sequence[int],
+    stated: Sequence[str] | None,
+    camera: BandSet | OtherBands,
 ) -> tuple[tuple[str, ...], list[int], tuple[str, ...], str]:
     """Names of the bands that are read, `BANDS` first, and of each its number in the file, what
     the file calls it; and how the four were found."""

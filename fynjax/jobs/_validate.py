@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -22,6 +23,7 @@ from fynjax.compare import (
     compare_with_published,
     read_drone_image,
     read_spectra_sample,
+    shared_bands,
     validation_dataset,
     wins,
 )
@@ -193,20 +195,16 @@ def validate(
     inputs = data.files()
     drone: Drone | None = None
     if data.simulated_drone:
-        simulated = read_drone_image(
-            data.simulated_drone,
-            bands=simulated_bands,
-            saturation=saturation,
-            most_pixels=most_pixels,
-        )
+        read = partial(read_drone_image, saturation=saturation, most_pixels=most_pixels)
         if str(data.real_drone) == PUBLISHED:
-            drone = compare_with_published(simulated)
+            drone = compare_with_published(read(data.simulated_drone, bands=simulated_bands))
         else:
-            real = read_drone_image(
-                data.real_drone or "",
-                bands=real_bands,
-                saturation=saturation,
-                most_pixels=most_pixels,
+            both = data.simulated_drone, data.real_drone or ""
+            stated = simulated_bands, real_bands
+            others = shared_bands(*both, bands=stated)
+            simulated, real = (
+                read(path, bands=bands, camera=others)
+                for path, bands in zip(both, stated, strict=True)
             )
             drone = compare_drone_images(real, simulated)
     if drone is not None:

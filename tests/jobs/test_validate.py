@@ -65,18 +65,27 @@ def written(name: str, image: np.ndarray) -> np.ndarray:
     return value[np.isfinite(value)]
 
 
-def test_a_band_that_both_images_have_is_compared(tmp_path: Path) -> None:
-    blue = drawn(3, 30, 30)[:1]
-    for name, image in (("a", drawn(1, 30, 30)), ("b", drawn(2, 30, 30))):
-        image = np.concatenate([blue, image])
-        write_geotiff(tmp_path / f"{name}.tif", image, ["Blue", *BANDS], pixel_m=0.05)
+def test_bands_that_both_images_have_are_compared(tmp_path: Path) -> None:
+    """By name or wavelength; not what is no reflected light, or only one of them has."""
+    other = [0.01 * drawn(3, 30, 30)[0], *(level * drawn(3, 30, 30)[0] for level in (1, 2, 3))]
+    thermal = np.full((30, 30), 300.0)
+    for name, seed, names, waves in (
+        ("a", 1, ["Coastal", "Blue", "Red edge 2", "Green 2"], [444, 475, 740, 531]),
+        ("b", 2, ["yellow", "475", "red_edge_2", "band 9"], [600, 478, 745, 535]),
+    ):
+        image = [*drawn(seed, 30, 30), *other, thermal]
+        write_geotiff(
+            tmp_path / f"{name}.tif", image, [*BANDS, *names, "LWIR"], pixel_m=0.05,
+            wavelengths=[560, 650, 717, 860, *waves, 11000],
+        )  # fmt: skip
     table = validate(
         ValidationData(real_drone=tmp_path / "a.tif", simulated_drone=tmp_path / "b.tif"),
         tmp_path / "out",
     ).drone.bands
-    assert [row["band"] for row in table] == [*BANDS, "blue"]
-    assert table[-1]["real_mean"] == pytest.approx(blue.mean())
-    assert table[-1]["ks"] == 0.0
+    assert [row["band"] for row in table] == [*BANDS, "blue", "red_edge_2", "535 nm"]
+    for row, values in zip(table[4:], other[1:], strict=True):
+        assert row["real_mean"] == pytest.approx(values.mean())
+        assert row["ks"] == 0.0
 
 
 def test_every_number_of_table_4_by_scipy_and_numpy(drone: DroneComparison) -> None:
