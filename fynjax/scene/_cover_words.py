@@ -80,7 +80,8 @@ def name_classes(cells: Sequence[Any]) -> list[Any]:
         return [f"class {w}" if w in _DIGITS else cell for w, cell in zip(words, cells)]
     digits = [bool(re.fullmatch(r"[1-5]([.,][1-5])?", word)) for word in words]
     numbers = sum(bool(re.fullmatch(r"\d+([.,]\d+)?", word)) for word in words)
-    parts = 2 * sum(digits) >= numbers and any(word in ("2m", "2a", "2b") for word in signs)
+    whole = sum(word in _DIGITS for word in words)
+    parts = 2 * whole >= numbers and any(word in ("2m", "2a", "2b") for word in signs)
     if any(digits) and (parts or (len(words) >= _FEW and all(digits))):
         warnings.warn(
             f"covers of {listed(dict.fromkeys(w for w, d in zip(words, digits) if d))} are taken "
