@@ -678,6 +678,10 @@ def test_reflectance_and_transmittance_in_two_files_are_one_leaf(shared_data, tm
         ("leaf1r.csv", "leaf1t.csv", True),
         ("leaf1R.csv", "leaf2T.csv", False),
         ("oar.csv", "oat.csv", False),
+        ("oakR.csv", "oakT.csv", True),
+        ("oak_R1.csv", "oak_T1.csv", True),
+        ("oak_rfl_1.csv", "oak_trn_1.csv", True),
+        ("oak_réflexion.csv", "oak_transmission.csv", True),
     ],
 )
 def test_names_that_make_a_pair(first, second, through, tmp_path):
@@ -698,6 +702,14 @@ def test_a_transmittance_without_its_reflectance_is_doubted(tmp_path):
         assert "transmittance" not in fx.read_spectra(tmp_path)
     (tmp_path / "elm_T.sed").rename(tmp_path / "elm_trans.sed")
     assert "reflectance" not in fx.read_spectra(tmp_path)
+
+
+def test_leaves_called_r1_and_t1_are_doubted(tmp_path):
+    (tmp_path / "leaves.csv").write_text("nm,R1,T1,T2\n500,0.4,0.3,0.2\n600,0.4,0.3,0.2\n")
+    with pytest.warns(
+        UserWarning, match=r"leaves\.csv: .*the transmittance of R1, end names in _T"
+    ):
+        assert fx.read_spectra(tmp_path).sizes["spectrum"] == 3
 
 
 def test_transmittance_is_stated(tmp_path):
@@ -849,7 +861,8 @@ def test_columns_that_are_no_leaves_are_left_out_with_a_word(tmp_path):
     waves = [500.0, 600.0, 700.0]
     for name in (
         "Standard Deviation", "mean", "leaf SD", "oak_std", "SE", "Std. Error", "median", "Max",
-        "n", "Mean ± SD", "CV", "variance", "q95",
+        "n", "Mean ± SD", "CV", "variance", "q95", "Standardabweichung", "écart-type", "σ", "SE(mean)",
+        "white reference", "uncertainty",
     ):  # fmt: skip
         table(path, {"wavelength": waves, "oak": [0.1, 0.2, 0.3], name: [0.01, 0.01, 0.02]})
         with pytest.warns(UserWarning, match=f"no leaves: '{re.escape(name)}'"):
