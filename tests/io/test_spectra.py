@@ -861,8 +861,8 @@ def test_columns_that_are_no_leaves_are_left_out_with_a_word(tmp_path):
     waves = [500.0, 600.0, 700.0]
     for name in (
         "Standard Deviation", "mean", "leaf SD", "oak_std", "SE", "Std. Error", "median", "Max",
-        "n", "Mean ± SD", "CV", "variance", "q95", "Standardabweichung", "écart-type", "σ", "SE(mean)",
-        "white reference", "uncertainty",
+        "n", "Mean ± SD", "CV", "variance", "q95", "Standardabweichung", "écart-type", "σ",
+        "SE(mean)", "white reference", "uncertainty",
     ):  # fmt: skip
         table(path, {"wavelength": waves, "oak": [0.1, 0.2, 0.3], name: [0.01, 0.01, 0.02]})
         with pytest.warns(UserWarning, match=f"no leaves: '{re.escape(name)}'"):

@@ -229,8 +229,6 @@ def join_pairs(read: list[tuple[str, MeasuredSpectrum]]) -> list[tuple[str, Meas
         file, leaf = joined[i]
         match = _FIRST.match(leaf.name)
         if match and leaf.transmittance is None and (other := _swapped(leaf.name, match)) in names:
-            doubt = (
-                f"taken for reflectance; if it is the transmittance of {other}, name both _R, _T"
-            )
+            doubt = f"taken for reflectance; if it is the transmittance of {other}, end names in _T"
             joined[i] = file, replace(leaf, meta={**leaf.meta, "doubtful": doubt})
     return [one for i, one in enumerate(joined) if i not in gone]
