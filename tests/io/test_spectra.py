@@ -856,6 +856,37 @@ def test_files_marked_for_columns_without_marks_make_a_pair(column, tmp_path):
     np.testing.assert_allclose(spectra["reflectance"], [[0.1, 0.2, 0.3]])
 
 
+def test_wave_numbers_and_angstrom_become_nanometres(tmp_path):
+    for name, waves in (("Wavenumber [cm-1]", [2e4, 1e4]), ("wavelength (Å)", [5e3, 1e4])):
+        table(tmp_path / "leaves.csv", {name: waves, "oak": [0.1, 0.2]})
+        spectra = fx.read_spectra(tmp_path)
+        np.testing.assert_allclose(spectra["wavelength"], [500.0, 1000.0])
+        np.testing.assert_allclose(spectra["reflectance"], [[0.1, 0.2]])
+
+
+def test_other_quantities_are_no_reflectance(tmp_path):
+    path, waves, leaf = tmp_path / "leaves.csv", [500.0, 600.0], [0.1, 0.2]
+    for name in ("Absorptance", "radiance", "oak log(1/R)"):
+        table(path, {"wavelength": waves, name: leaf})
+        with pytest.raises(InputError, match=rf"leaves\.csv.*{re.escape(repr(name))} is another"):
+            fx.read_spectra(path)
+    table(path, {"wavelength": waves, "oak R": leaf, "oak T": leaf, "oak A": [0.8, 0.6]})
+    with pytest.warns(UserWarning, match="no leaves: 'oak A'"):
+        assert fx.read_spectra(path)["spectrum"].values.tolist() == ["oak"]
+
+
+@pytest.mark.parametrize(("column", "words", "count"), [
+    ("quantity", ("Reflectance", "Transmittance"), 1), ("type", ("tree", "tussock"), 2),
+])  # fmt: skip
+def test_cells_say_whether_a_row_is_transmittance(column, words, count, tmp_path):
+    waves = [str(wave) for wave in range(500, 600, 10)]
+    rows = [["oak", words[0], *["0.1"] * 10], ["oak", words[1], *["0.2"] * 10]]
+    pd.DataFrame(rows, columns=["name", column, *waves]).to_csv(tmp_path / "a.csv", index=False)
+    spectra = fx.read_spectra(tmp_path)
+    assert spectra.sizes["spectrum"] == count
+    assert ("transmittance" in spectra) == (count == 1)
+
+
 def test_columns_that_are_no_leaves_are_left_out_with_a_word(tmp_path):
     path = tmp_path / "leaves.csv"
     waves = [500.0, 600.0, 700.0]

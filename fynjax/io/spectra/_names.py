@@ -36,6 +36,11 @@ _NO_LEAF = re.compile(
     r"|σ|sigma|standardabweichung|standardfehler|[ée]cart type|desviaci[oó]n|desvio)([ (].*)?)",
     re.I,
 )
+_OTHER_QUANTITY = re.compile(
+    r"(^|[ _.(])(absorptance|absorbance|absorption|abs|(ir)?radiance|log ?\(?1/r\)?|dn|raw)"
+    r"($|[ _.)])",
+    re.I,
+)
 _QUANTILE, _MEDIAN = re.compile(r"p(\d+)", re.I), 50
 _USUAL = {0, 1, 2, 3, 5, 10, 16, 20, 25, 50, 75, 80, 84, 90, 95, 97, 98, 99, 100}
 """Percentiles that people take; of them one at least is the median or above."""
@@ -80,15 +85,26 @@ def is_no_leaf(name: str, wavelength: np.ndarray, values: np.ndarray | None) -> 
     return any(np.allclose(values * factor, wavelength, rtol=1e-3) for factor in (1.0, 1e3))
 
 
-def leaves_only(spectra: Sequence[MeasuredSpectrum]) -> list[MeasuredSpectrum]:
+def leaves_only(spectra: Sequence[MeasuredSpectrum], file: Path) -> list[MeasuredSpectrum]:
     """Spectra of a table without its columns that are no leaves, which the first one notes.
 
     A mean that stands alone is a spectrum like others.
+
+    **Raises:** `InputError` where all are of another quantity, such as radiance.
     """
+    whole = [s for s in spectra if s.reflectance is not None and s.transmittance is not None]
+    absorbed = {f"{s.name}{mark}a".lower() for s in whole for mark in " _"}
+    other = [s for s in spectra if _OTHER_QUANTITY.search(s.name) or s.name.lower() in absorbed]
+    if other and len(other) == len(spectra):
+        raise InputError(
+            f"expected reflectance or transmittance, but {other[0].name!r} is another quantity",
+            file=file,
+        )
     left = [
         s
         for s in spectra
-        if is_no_leaf(
+        if any(s is one for one in other)
+        or is_no_leaf(
             s.name, s.wavelength, s.transmittance if s.reflectance is None else s.reflectance
         )
     ]
