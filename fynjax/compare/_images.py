@@ -258,8 +258,7 @@ def _check_order(
 ) -> None:
     """Say which bands were taken by their order, and refuse or doubt what no vegetation is."""
     medians = np.median(pixels, axis=1)
-    _, red, edge, nir = medians
-    found = f"near infrared has a median of {nir:.3g} and red of {red:.3g}"
+    *others, edge, nir = medians
     say = f"Say what each band of the file is, {_OPTION}"
     if how == "order":
         if not max(medians[:2]) < edge < nir:
@@ -275,9 +274,10 @@ def _check_order(
             f"order; green and red cannot be known by their values. {say}",
             stacklevel=3,
         )
-    elif nir < red:
+    elif nir < max(*others, edge):
+        what = ", ".join(f"{n} {m:.3g}" for n, m in zip(taken, medians, strict=False))
         warnings.warn(
-            f"{path}: {found} ({', '.join(taken[: len(BANDS)])}): vegetation is brighter there. "
+            f"{path}: the bands have medians of {what}: vegetation is brightest in near infrared. "
             "Are the bands named right?",
             stacklevel=3,
         )
