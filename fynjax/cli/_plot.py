@@ -195,7 +195,7 @@ def plant(
         str | None,
         typer.Option(
             metavar="UNIT",
-            help="Unit of the mesh or scan: metre (if left out), centimetre, millimetre, foot.",
+            help="Unit of the mesh or scan: metre (if left out), cm, mm, foot, inch.",
         ),
     ] = None,
     maximum_extent: Annotated[

@@ -102,6 +102,10 @@ class PlantResult(JobResult):
     materials: list[MaterialSummary]
 
 
+_SHORT = {"m": "metre", "cm": "centimetre", "mm": "millimetre", "ft": "foot", "in": "inch"}
+"""Other names of units."""
+
+
 @double_precision
 def plant(
     source: str,
@@ -162,6 +166,7 @@ def plant(
             )
     if rotation_spread is not None and branches == 1:
         raise InputError("`rotation_spread` is the tilt of branches: give `branches` too")
+    unit = _SHORT.get(unit or "", unit)
     if unit is not None and unit not in UNITS:
         raise InputError(f"`unit` must be one of {', '.join(UNITS)}, but is {unit!r}")
     metres = UNITS[unit or "metre"]

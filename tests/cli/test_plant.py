@@ -201,10 +201,10 @@ def test_the_unit_of_a_mesh(shared_data: Path, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="state its unit") as raised:
         run(str(path), *out)
     assert "raise" not in str(raised.value)
-    made = run(str(path), "--unit", "centimetre", *out)
+    made = run(str(path), "--unit", "cm", *out)
     assert sum(made["area_m2"].values()) == pytest.approx(0.03554, rel=1e-3)
     with pytest.raises(InputError, match="unit` must be one of metre, centimetre"):
-        run(str(path), "--unit", "cm", *out)
+        run(str(path), "--unit", "furlong", *out)
     with pytest.raises(InputError, match="`--unit` is for a mesh or a scan"):
         run("Deadwood", "--unit", "foot", *out)
     scan = cloud(tmp_path / "scan.xyz", 200.0)

@@ -19,6 +19,7 @@ UNITS: dict[str, float] = {
     "millimetre": 0.001,
     "foot": 0.3048,
     "us_survey_foot": 1200.0 / 3937.0,
+    "inch": 0.0254,
 }
 """Metres in each unit that coordinates may be stated in."""
 
