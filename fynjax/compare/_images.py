@@ -274,7 +274,7 @@ def _check_order(
             f"order; green and red cannot be known by their values. {say}",
             stacklevel=3,
         )
-    elif nir < max(*others, edge):
+    elif nir < 0.9 * max(*others, edge):
         what = ", ".join(f"{n} {m:.3g}" for n, m in zip(taken, medians, strict=False))
         warnings.warn(
             f"{path}: the bands have medians of {what}: vegetation is brightest in near infrared. "
