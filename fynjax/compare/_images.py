@@ -244,7 +244,7 @@ def _colours(path: str | Path, stated: Sequence[str] | None) -> dict[str, tuple[
     """Name and centre [nm] of each band of reflected light, by the name in one spelling."""
     with open_image(path, "a drone image") as file:
         names, waves = file.names if stated is None else stated, file.wavelengths
-    found = {}
+    found: dict[str, tuple[str, float]] = {}
     for name, wave in zip(names, waves, strict=False):
         if _COLOUR.match(word := band_word(name or "")):
             found.setdefault(word, (word if word in _KNOWN else name.lower(), float(wave)))
