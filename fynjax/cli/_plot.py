@@ -204,6 +204,10 @@ def plant(
             metavar="M", help="A larger mesh or scan [m] is taken to be in other units.  [4]"
         ),
     ] = None,
+    form: Annotated[
+        str | None,
+        typer.Option(help="Growth form of a taxon that is not in table 1, to generate it."),
+    ] = None,
     branches: Annotated[
         int, typer.Option(min=1, help="The source is one branch: make a plant of so many copies.")
     ] = 1,

@@ -79,6 +79,14 @@ def test_a_growth_form_becomes_a_plant_of_its_usual_size(tmp_path: Path) -> None
     assert summary["form"] == "column"
     assert summary["area_m2"]["leaf"] == pytest.approx(form.leaf_area_index * disc, rel=1e-6)
     assert summary["height_m"] == pytest.approx(form.height, rel=1e-3)
+    size = ("--diameter", "0.4", "--height", "0.3", "--elements", "50", "--output", str(tmp_path))
+    summary = run("Calluna vulgaris", "--form", "upright_ericoid", *size)
+    assert summary["form"] == "upright_ericoid"
+    assert summary["height_m"] == pytest.approx(0.3, rel=1e-3)
+    for wrong, word in ((("Calluna", "--form", "bush"), "`--form` must be one of"),
+                        (("Calluna",), "Another taxon needs its `--form`")):  # fmt: skip
+        with pytest.raises(InputError, match=word):
+            run(*wrong, *size)
 
 
 @pytest.mark.parametrize(
