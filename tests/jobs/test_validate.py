@@ -71,7 +71,7 @@ def test_bands_that_both_images_have_are_compared(tmp_path: Path) -> None:
     thermal = np.full((30, 30), 300.0)
     for name, seed, names, waves in (
         ("a", 1, ["Coastal", "Blue", "Red edge 2", "Green 2"], [444, 475, 740, 531]),
-        ("b", 2, ["yellow", "475", "red_edge_2", "band 9"], [600, 478, 745, 535]),
+        ("b", 2, ["yellow", "475", "red_edge_2", "band 9"], [600, 478, 760, 535]),
     ):
         image = [*drawn(seed, 30, 30), *other, thermal]
         write_geotiff(
