@@ -396,8 +396,13 @@ def _find_four(
     ]
     raise InputError(
         f"expected the bands {', '.join(BANDS)}, but no single band is known as {absent} among "
-        f"{', '.join(shown[:8])}{', ...' if len(shown) > 8 else ''}. Say what each band of the "
-        f"file is, {_OPTION}",
+        f"{', '.join(shown[:8])}{', ...' if len(shown) > 8 else ''}. "
+        + (
+            f"Say what each band of the file is, {_OPTION}"
+            if len(data) > 1
+            else "A band of several files? Name them after it, as result_Green.tif and "
+            "result_NIR.tif, or join them: gdal_merge.py -separate -o image.tif GREEN RED ..."
+        ),
         file=path,
     )
 

@@ -58,7 +58,9 @@ def test_bands_are_found_by_name_wavelength_option_and_order(tmp_path: Path) -> 
         assert (got.values[4:] == np.float32(0.02)).all()
         assert got.mask.all()
         assert got.pixel_m == pytest.approx(0.05)
+    write_raster(tmp_path / "one_band.tif", image[:1], transform=PLACE)
     for path, options, word in (
+        ("one_band.tif", {}, "several files.*gdal_merge"),
         ("plain.tif", {}, "known as green.*--real-bands"),
         ("plain.tif", {"bands": ["red"] * 5}, "green is there 0 times"),
         ("plain.tif", {"bands": ["red", "nir"]}, "names of 5 bands"),
