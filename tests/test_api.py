@@ -5,6 +5,7 @@ import re
 import subprocess
 import sys
 
+import numpy as np
 import pytest
 
 import fynjax as fx
@@ -79,6 +80,31 @@ def test_one_family_of_errors():
         with pytest.raises(fx.errors.InputError):
             wrong()
     assert issubclass(fx.errors.InputError, ValueError)
+
+
+@pytest.mark.parametrize("seed", [-1, 1.5])
+def test_a_seed_is_a_whole_number(seed, tmp_path):
+    """Wherever one is stated: of draws, plants, scenes, metrics, searches and commands."""
+    spectra, names = np.random.default_rng(0).random((12, 3)), ["a", "b"] * 6
+    pool = fx.canopy.table1_2006()[:2]
+    for stated in (
+        lambda: fx.Scene.from_table(pool, size=1.0, voxel=0.5, structure="even", seed=seed),
+        lambda: fx.canopy.plant_model("rounded_shrub", 50, seed=seed),
+        lambda: fx.canopy.mesh.generate_plant("rounded_shrub", seed),
+        lambda: fx.canopy.poisson_disk((1.0, 1.0), 0.2, seed=seed),
+        lambda: fx.diversity.mantel(np.eye(6), np.eye(6), seed=seed),
+        lambda: fx.diversity.spectral_species(spectra.reshape(2, 6, 3), clusters=2, seed=seed),
+        lambda: fx.diversity.spectral_variety(spectra, seed=seed),
+        lambda: fx.diversity.classify(
+            spectra, names, [0] * 6 + [1] * 6, method="forest", seed=seed
+        ),
+        lambda: fx.prior().draws(3, seed=seed),
+        lambda: fx.emulate(lambda x: x, [0.0], [1.0], seed=seed),
+        lambda: fx.inversion.CalibrationSettings(seed=seed),
+        lambda: fx.jobs.plant("Metalasia muricata", tmp_path, seed=seed),
+    ):
+        with pytest.raises(fx.errors.InputError, match="`seed` as a whole number"):
+            stated()
 
 
 def test_a_sensor_is_any_sensor():

@@ -1,9 +1,11 @@
 """Errors a user can act on: what was expected, what came, where, and the likely slip."""
 
 import difflib
+import operator
 import re
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 LARGEST = 1e15
 """No measurement is larger than this, in any unit that files may state."""
@@ -58,6 +60,21 @@ class InputError(ValueError):
             where.append(f"column {column!r}" if isinstance(column, str) else f"column {column}")
         super().__init__(f"{', '.join(where)}: {message}" if where else message)
         self.file, self.row, self.column = file, row, column
+
+
+def whole_number(name: str, value: Any, least: int = 0, most: int | None = None) -> int:
+    """The argument `name`, whose `value` must be a whole number from `least` to `most`.
+
+    **Raises:** `InputError` for any other, also 2.0.
+    """
+    try:
+        number = operator.index(value)
+    except TypeError:
+        number = least - 1
+    if number < least or (most is not None and number > most):
+        span = f"of at least {least}" if most is None else f"from {least} to {most}"
+        raise InputError(f"expected `{name}` as a whole number {span}, but got {value!r:.60}")
+    return number
 
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:

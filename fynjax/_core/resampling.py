@@ -3,6 +3,8 @@
 import numpy as np
 from jaxtyping import Float, Int
 
+from fynjax._core.seeds import generator
+
 DRAWS = 1000
 """How often plots are drawn anew, and exchanged."""
 INTERVAL = (0.05, 0.95)
@@ -10,11 +12,11 @@ INTERVAL = (0.05, 0.95)
 
 
 def plot_draws(
-    count: int, seed: int | list[int]
+    count: int, seed: int, *parts: int
 ) -> tuple[Int[np.ndarray, "draw plot"], Int[np.ndarray, "exchange plot"]]:
     """Places of `count` plots: first all of them and then drawn with replacement (bootstrap); and
     exchanged, each once (permutation)."""
-    random = np.random.default_rng(seed)
+    random = generator(seed, *parts)
     drawn = random.integers(0, count, (DRAWS, count))
     every = np.arange(count)
     exchanged = random.permuted(np.tile(every, (DRAWS, 1)), axis=1)

@@ -101,14 +101,28 @@ def build_plot(
         structure=plot.structure_m,
     )
     heights = ground_heights(plot)
-    plant = partial(
-        build_scene,
+
+    def room(scene: Scene) -> float | Float[np.ndarray, " species"]:
+        if plot.parameters is not None:
+            _check_grid(scene, tables, parameters, plot.parameters)
+            check_projected_scene(scene, parameters, plot.parameters)
+        wanted = np.asarray(scene.counts(parameters))[None]
+        if counts is not None:
+            wanted = np.concatenate([wanted, np.reshape(counts, (-1, wanted.shape[1]))])
+        needed = room_needed(scene, tables, wanted)
+        if not needed.any():
+            return rules.room
+        check_memory(plot, room=np.maximum(needed, rules.room))
+        return np.maximum(needed, rules.room)
+
+    scene = build_scene(
         [Species.of(*pair) for pair in zip(plot.species, leaves, strict=True)],
         tables,
         extent=plot.size_m,
         voxel=plot.voxel_m,
         seed=seed,
         boundary=plot.boundary,
+        rules=rules,
         ground=plot_ground(plot, patches),
         dead_tissue=dead_tissue(plot),
         hot_spot=plot.hot_spot,
@@ -117,20 +131,9 @@ def build_plot(
         sky_pattern=None if plot.sky.pattern is None else read_sky_pattern(plot.sky.pattern),
         plants=[None if plant is None else plant.plant for plant in plants],
         crowns=plot.known_crowns,
+        room=room,
         dtype=dtype,
     )
-    scene = plant(rules=rules)
-    if plot.parameters is not None:
-        _check_grid(scene, tables, parameters, plot.parameters)
-        check_projected_scene(scene, parameters, plot.parameters)
-    wanted = np.asarray(scene.counts(parameters))[None]
-    if counts is not None:
-        wanted = np.concatenate([wanted, np.reshape(counts, (-1, wanted.shape[1]))])
-    needed = room_needed(scene, tables, wanted)
-    if needed.any():
-        room = np.maximum(needed, rules.room)
-        check_memory(plot, room=room)
-        scene = plant(rules=replace(rules, room=room))
     spreads = tuple(plot_spreads(plot).items())
     return replace(scene, parameters=parameters, spreads=spreads), parameters
 

@@ -50,9 +50,9 @@ class Prepared(NamedTuple):
         )
 
     def replant(self, number: int, counts: Float[np.ndarray, " species"] | None = None) -> Scene:
-        """The scene with the plants of another chance, as `calibrate_plot` asks for it.
+        """The scene with the plants of another seed, as `calibrate_plot` asks for it.
 
-        **Arguments:** `number` of the chance, 0 for that of `scene`; `counts`, plants that are to
+        **Arguments:** `number` of the seed, 0 for that of `scene`; `counts`, plants that are to
         find sites, at least those of `self.counts`. Known plants are the same in every scene.
 
         **Raises:** `InputError` where there is no room for them.

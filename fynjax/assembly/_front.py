@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 from fynjax._core.errors import InputError, did_you_mean
 from fynjax._core.precision import double_precision
 from fynjax._core.progress import stage, track
+from fynjax._core.seeds import generator
 from fynjax.assembly._build import build_plot
 from fynjax.assembly._targets import (
     TargetRules,
@@ -671,7 +672,7 @@ def emulate(
     count = 3 * terms if points is None else points
     if count < 1.25 * terms + 2:
         raise InputError(f"expected at least {int(np.ceil(1.25 * terms)) + 2} points, got {count}")
-    sequence = qmc.Sobol(low.size, rng=np.random.default_rng(seed))
+    sequence = qmc.Sobol(low.size, rng=generator(seed))
     unit = 2.0 * sequence.random(1 << (count - 1).bit_length())[:count] - 1.0
     centre, scale = 0.5 * (low + high), 0.5 * (high - low)
     found = np.stack(

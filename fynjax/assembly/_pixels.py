@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from fynjax._core.precision import double_precision
+from fynjax._core.seeds import generator
 from fynjax.assembly._stands import StandSettings, make_stand, stand_numbers
 from fynjax.inversion import PriorChain, draws_like, sample_prior, spectrum_likelihood
 from fynjax.io.plot import LearnedPrior
@@ -46,7 +47,7 @@ def sample_pixel(
     """
     common, own = stand_numbers(prior)
     error = prior.error_covariance(np.asarray(bands.centre))
-    random = np.random.default_rng([seed, 0])
+    random = generator(seed, 0)
     candidates, likelihood = [], []
     for _ in range(_STANDS):
         of_stand, of_sets = random.normal(size=common), random.normal(size=(settings.together, own))

@@ -19,6 +19,7 @@ import scipy.special
 from jaxtyping import Array, Float
 
 from fynjax._core.precision import double_precision, drawn_in_double
+from fynjax._core.seeds import generator
 from fynjax.canopy import FORMS, GrowthForm
 from fynjax.inversion import nadir_imager
 from fynjax.io.plot import BY_FORM, LearnedPrior, leaf_factors
@@ -176,7 +177,7 @@ def simulate_stands(
     common, own = stand_numbers(prior)
     made = []
     for number in numbers:
-        rng = np.random.default_rng([seed, number])
+        rng = generator(seed, number)
         of_stand, of_sets = rng.normal(size=common), rng.normal(size=(settings.together, own))
         chance = int(rng.integers(2**31))
         made.append(make_stand(of_stand, of_sets, chance, bands, prior, settings))

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from fynjax._core.precision import double_precision
+from fynjax._core.seeds import generator
 from fynjax.assembly._forward import Prepared
 from fynjax.assembly._targets import Measured, drone_view, target_rules
 from fynjax.inversion import (
@@ -94,7 +95,7 @@ def plant_twin(ready: Prepared, measured: Sequence[Measured], *, seed: int) -> T
       image get the errors of `measure_truth`; others are drawn with the errors that they have here.
     - `seed`: of truth and errors.
     """
-    random = np.random.default_rng([seed, 101])
+    random = generator(seed, 101)
     truth = draw_truth(len(ready.space.names), random)
     found, gain = [], None
     for one in measured:

@@ -1,6 +1,8 @@
 """Bridson's Poisson-disk sampling."""
 
 import math
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -37,14 +39,11 @@ def fill(
     def place(x: float, y: float) -> tuple[int, int]:
         return min(int(y / cell_y), ny - 1), min(int(x / cell_x), nx - 1)
 
-    def apart(
-        x: float | np.ndarray, y: float | np.ndarray, others: np.ndarray
-    ) -> np.ndarray | np.bool_:
-        """Whether each place is far enough from all others, along the last axis."""
-        ex, ey = np.abs(others[:, 0] - x), np.abs(others[:, 1] - y)
+    def squared(dx: Any, dy: Any, least: Callable[[Any, Any], Any]) -> Any:
+        """Squared distance of places so far apart, to the nearest repetition."""
         if periodic:
-            ex, ey = np.minimum(ex, lx - ex), np.minimum(ey, ly - ey)
-        return np.all(ex * ex + ey * ey >= radius * radius, axis=-1)
+            dx, dy = least(dx, lx - dx), least(dy, ly - dy)
+        return dx * dx + dy * dy
 
     def add(x: float, y: float) -> None:
         nonlocal count
@@ -73,11 +72,15 @@ def fill(
             y[y >= ly] = 0.0
         j, i = place(centre_x, centre_y)
         near = grid[rows[j : j + 2 * far_y + 1, None], columns[i : i + 2 * far_x + 1]]
-        free = apart(x[:, None], y[:, None], points[near[near >= 0]])
+        others = points[near[near >= 0]]
+        apart = np.abs(others[:, 0] - x[:, None]), np.abs(others[:, 1] - y[:, None])
+        free = (squared(*apart, np.minimum) >= radius * radius).all(axis=1)
         if not periodic:
             free &= (x >= 0.0) & (y >= 0.0) & (x < lx) & (y < ly)
-        known = count  # candidates of one centre keep apart, too
+        new: list[tuple[float, float]] = []  # candidates of one centre keep apart, too
         for one_x, one_y in zip(x[free].tolist(), y[free].tolist()):
-            if count == known or apart(one_x, one_y, points[known:count]):
+            pairs = ((abs(one_x - x0), abs(one_y - y0)) for x0, y0 in new)
+            if all(squared(*pair, min) >= radius * radius for pair in pairs):
+                new.append((one_x, one_y))
                 add(one_x, one_y)
     return points[:count].copy()

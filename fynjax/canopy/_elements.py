@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, TypeVar
 import jax.numpy as jnp
 import numpy as np
 
+from fynjax._core.seeds import generator
 from fynjax.canopy._angles import leaf_angle
 from fynjax.canopy._plant import Organ
 
@@ -156,7 +157,7 @@ def quasi_random(count: int, dimensions: int, seed: int | list[int]) -> np.ndarr
     """Scrambled Halton points [count, dimensions] in [0, 1)."""
     from scipy.stats import qmc  # late: it takes half of the package's import time
 
-    return qmc.Halton(dimensions, scramble=True, rng=np.random.default_rng(seed)).random(count)
+    return qmc.Halton(dimensions, scramble=True, rng=generator(*np.ravel(seed))).random(count)
 
 
 @dataclass(frozen=True)
@@ -200,7 +201,7 @@ def _outline(variation: float, rng: np.random.Generator) -> np.ndarray:
 def individual_of(form: "GrowthForm", seed: int, most_bunches: int) -> Individual:
     """One plant of a growth form, with `most_bunches` at most."""
     foliage = form.foliage
-    rng = np.random.default_rng([seed, len(Organ) + 1])
+    rng = generator(seed, len(Organ) + 1)
     reach = _outline(foliage.outline, rng)
     number = max(1, min(round(foliage.bunches * rng.uniform(0.7, 1.4)), most_bunches))
     if form.crown is None:

@@ -5,6 +5,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from fynjax._core.seeds import generator
+
 
 def random_orientation(
     n: int, *, seed: int, rotation_spread: float = 0.0
@@ -21,8 +23,8 @@ def random_orientation(
     standard deviation `rotation_spread`, at most 90. NumPy arrays; the tilts are linear in
     `rotation_spread` up to that limit.
     """
-    azimuth = 360.0 * np.random.default_rng([seed, 0]).random(n)
-    tilt = rotation_spread * np.abs(np.random.default_rng([seed, 1]).standard_normal(n))
+    azimuth = 360.0 * generator(seed, 0).random(n)
+    tilt = rotation_spread * np.abs(generator(seed, 1).standard_normal(n))
     return azimuth, np.minimum(tilt, 90.0)
 
 

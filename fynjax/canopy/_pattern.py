@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float, Int, Real, UInt8
 
 from fynjax._core.errors import InputError
 from fynjax._core.extras import require
+from fynjax._core.seeds import generator
 from fynjax.canopy._greenness import Greenness
 
 _SAMPLE = 200_000
@@ -194,7 +195,7 @@ def _k_means(points: np.ndarray, clusters: int, seed: int) -> tuple[np.ndarray, 
     limits = require("threadpoolctl", "analysis").threadpool_limits
     start = points
     if len(points) > _SAMPLE:
-        start = points[np.random.default_rng(seed).choice(len(points), _SAMPLE, replace=False)]
+        start = points[generator(seed).choice(len(points), _SAMPLE, replace=False)]
     # On one thread: several add up in an order that differs from run to run.
     with limits(limits=1), warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")

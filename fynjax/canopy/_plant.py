@@ -7,6 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from fynjax._core.seeds import generator
+
 
 class Organ(enum.IntEnum):
     """What an area element belongs to."""
@@ -48,7 +50,7 @@ def thin_plant(plant: PlantModel, n_elements: int, *, seed: int) -> PlantModel:
     organ = np.asarray(plant.organ)
     if len(organ) <= n_elements:
         return plant
-    rng = np.random.default_rng([seed, 401])
+    rng = generator(seed, 401)
     chosen, fraction = [], []
     for kind in np.unique(organ):
         elements = np.flatnonzero(organ == kind)

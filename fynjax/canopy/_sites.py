@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float, Real
 
 from fynjax._core.errors import InputError
+from fynjax._core.seeds import generator
 from fynjax.canopy._bridson import fill
 
 
@@ -66,7 +67,7 @@ def poisson_disk(
             f"a radius of {radius} m on {lx} m x {ly} m needs about "
             f"{0.60 * lx * ly / radius**2:.0f} points: are both in metres?"
         )
-    return fill(np.random.default_rng(seed), lx, ly, float(radius), int(attempts), bool(periodic))
+    return fill(generator(seed), lx, ly, float(radius), int(attempts), bool(periodic))
 
 
 SITES = 0.595
@@ -186,7 +187,7 @@ def assign_sites(
         if number == 0:
             sites.append(np.empty((0, 2)))
             continue
-        rng = np.random.default_rng([seed, species])
+        rng = generator(seed, species)
         order = rng.permutation(len(points))
         passes = _rounds_until_accepted(chance[order], rng)
         usable = free[order] & np.isfinite(passes)

@@ -29,8 +29,8 @@ def diversity(
         Path | None,
         typer.Argument(
             metavar="[PLOT]",
-            help="Plot file whose species and leaves communities are drawn from; the shipped plot "
-            "if left out.",
+            help="Plot file whose species and leaves communities are drawn from; or a species "
+            "table (CSV), with usual leaves on the shipped plot; that plot if left out.",
         ),
     ] = None,
     communities: Annotated[
@@ -64,18 +64,16 @@ def diversity(
     threshold: Annotated[
         float,
         typer.Option(
-            min=0.0,
-            max=1.0,
-            help="Squared correlation with a spectral metric below which a diversity is lost.",
+            help="Squared correlation with a spectral metric, between 0 and 1, below which a "
+            "diversity is lost.",
         ),
     ] = 0.25,
     greenness: Annotated[
         float | None,
         typer.Option(
-            min=-1.0,
-            max=1.0,
             metavar="NDVI",
-            help="NDVI that a pixel must have to count in the metrics; all count if left out.",
+            help="NDVI, from -1 to below 1, that a pixel must have to count in the metrics; all "
+            "count if left out.",
         ),
     ] = None,
     richness: Annotated[

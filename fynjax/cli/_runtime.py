@@ -33,8 +33,8 @@ Twin = Annotated[
     bool,
     typer.Option(
         "--twin",
-        help="Calibrate a twin instead, whose truth is known: drawn from the prior, planted by a "
-        "chance of its own, measured with noise and gains. The report has the truth beside the "
+        help="Calibrate a twin instead, whose truth is known: drawn from the prior, planted with a "
+        "seed of its own, measured with noise and gains. The report has the truth beside the "
         "estimate.",
     ),
 ]

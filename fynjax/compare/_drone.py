@@ -70,7 +70,8 @@ def compare_drone_images(real: DroneImage, simulated: DroneImage) -> DroneCompar
     **Arguments:**
 
     - `real`, `simulated`: reflectance [band, y, x] [-], as of `read_drone_image`; they may
-      differ in size and place. Bands that both have are compared.
+      differ in size and place. Bands that both have are compared, of the pixels that have data in
+      every band of their own image (read both with the same `camera`).
 
     **Returns:** a `DroneComparison`: means, standard deviations, histogram intersections and
     Kolmogorov-Smirnov distances beside those of the paper, and notes.

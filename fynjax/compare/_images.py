@@ -43,7 +43,6 @@ class OtherBands(NamedTuple):
     """Full width at half maximum [nm]."""
 
 
-_BLUE = OtherBands(("blue",), (475.0,), (20.0,))
 _COLOUR = re.compile(r"coastal|violet|blue|cyan|green(?!ness)|yellow|orange|red|nir|swir|pan")
 """Beginning of a name of a band of reflected light, in one spelling."""
 _SAME_NM = 10.0
@@ -132,7 +131,8 @@ def read_drone_image(
       order green, red, red edge, near infrared, if they grow brighter towards near infrared as
       vegetation does.
     - `camera`: bands of the camera. Each that the file has, by name or by a wavelength within its
-      width, is read beside the four. Without a camera it is blue.
+      width, is read beside the four, and a pixel without data in any of them is left out. Without
+      a camera the four alone are read.
     - `saturation`: saturation threshold [-]: pixels that reach it in a band are left out. In files
       of integers the largest value of their type always is, unless it is their no-data value.
     - `most_pixels`: of a larger image every k-th row and column is read, with the smallest k that
@@ -168,8 +168,7 @@ def read_drone_image(
             warnings.warn(f"{path}: {doubt}", stacklevel=2)
         # Programs call the last of four bands alpha, also where it is near infrared.
         data = file.dataset.indexes if file.dataset.count == len(BANDS) else file.bands
-        others = _BLUE if camera is None else camera
-        names, numbers, taken, how = _find_bands(file, data, bands, others)
+        names, numbers, taken, how = _find_bands(file, data, bands, camera)
         step = 1 if most_pixels is None else thinning(*file.shape, most_pixels)
         image = file.read(numbers, step=step, zero_is_data=False)
         pixel = file.pixel_m
@@ -218,25 +217,25 @@ def read_drone_image(
 
 def shared_bands(
     *images: str | Path, bands: Sequence[Sequence[str] | None] = (None, None)
-) -> OtherBands:
+) -> OtherBands | None:
     """Bands of reflected light that two images have beside the four, as the first names them.
 
     A band of the second is the same if its name is, or if their wavelengths are within 10 nm.
 
     **Arguments:** two `images`; the names of their `bands` where they are stated.
 
-    **Returns:** `OtherBands`, for `read_drone_image`; blue is always among them, and alone where
-    more are shared than a camera has.
+    **Returns:** `OtherBands`, for `read_drone_image`; `None` without any, and where more are shared
+    than a camera has.
 
     **Raises:** `InputError` for images that cannot be opened.
     """
     first, second = map(_colours, images, bands)
-    found = {"blue": 475.0}
+    found = {}
     for word, (name, centre) in first.items():
         if word in second or any(abs(wave - centre) <= _SAME_NM for _, wave in second.values()):
-            found.setdefault(name, centre)
-    if len(found) > _MOST_BANDS:
-        return _BLUE
+            found[name] = centre
+    if not 0 < len(found) <= _MOST_BANDS:
+        return None
     return OtherBands(tuple(found), tuple(found.values()), (2.0 * _SAME_NM,) * len(found))
 
 
@@ -249,7 +248,8 @@ def _colours(path: str | Path, stated: Sequence[str] | None) -> dict[str, tuple[
         if _COLOUR.match(word := band_word(name or "")):
             found.setdefault(word, (word if word in _KNOWN else name.lower(), float(wave)))
         elif 350.0 < wave < 2600.0:
-            found[f"{wave:g} nm"] = f"{wave:g} nm", float(wave)
+            word = "blue" if abs(wave - 475.0) <= _SAME_NM else f"{wave:g} nm"
+            found.setdefault(word, (word, float(wave)))
     return found
 
 
@@ -323,7 +323,7 @@ def _find_bands(
     file: RasterFile,
     data: Sequence[int],
     stated: Sequence[str] | None,
-    camera: BandSet | OtherBands,
+    camera: BandSet | OtherBands | None,
 ) -> tuple[tuple[str, ...], list[int], tuple[str, ...], str]:
     """Names of the bands that are read, `BANDS` first, and of each its number in the file, what
     the file calls it; and how the four were found."""
@@ -332,7 +332,8 @@ def _find_bands(
     roles = [band_word(name) for name in described]
     waves = file.wavelengths[np.array(data) - 1]
     names, places, shown = list(BANDS), list(at), list(taken)
-    for name, centre, width in zip(camera.names, camera.centre, camera.fwhm, strict=True):
+    others = zip(camera.names, camera.centre, camera.fwhm, strict=True) if camera else ()
+    for name, centre, width in others:
         if name in BANDS:
             continue
         low, high = _KNOWN.get(name, (centre - 0.5 * width, centre + 0.5 * width))

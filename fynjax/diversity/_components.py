@@ -9,6 +9,7 @@ from scipy.spatial import ConvexHull
 
 from fynjax._core.errors import InputError
 from fynjax._core.extras import require
+from fynjax._core.seeds import generator
 from fynjax.diversity._species import bray_curtis, shannon
 
 
@@ -182,12 +183,12 @@ def spectral_species(
     points = axes.scores(pixels) / np.sqrt(axes.variance)
     rows = keep[..., 0].size
     window = np.repeat(np.arange(rows), keep.shape[-1]).reshape(keep.shape)[keep]
-    generator = np.random.default_rng(seed)
-    parts = np.array_split(generator.permutation(len(points)), repeats)
+    random = generator(seed)
+    parts = np.array_split(random.permutation(len(points)), repeats)
     labels, shares = [], []
     for part in parts:
         with limits(limits=1):  # several threads add up in an order that differs from run to run
-            model = k_means(clusters, n_init=10, random_state=int(generator.integers(2**31)))
+            model = k_means(clusters, n_init=10, random_state=int(random.integers(2**31)))
             labels.append(model.fit(points[part]).predict(points))
         shares.append(_window_shares(window, labels[-1], rows, clusters, least_share))
     label = np.full(keep.shape, -1)

@@ -9,7 +9,7 @@ import pandas as pd
 from jaxtyping import Float, Int, Shaped
 from numpy.typing import ArrayLike, NDArray
 
-from fynjax._core.errors import InputError, listed
+from fynjax._core.errors import InputError, listed, whole_number
 from fynjax._core.extras import require
 
 Method = Literal["discriminant", "forest"]
@@ -264,6 +264,7 @@ def _classifier(method: Method, kinds: int, seed: int) -> Any:
         )
     if method == "forest":
         module = require("sklearn.ensemble", "analysis", "scikit-learn")
+        seed = whole_number("seed", seed)
         return module.RandomForestClassifier(200, class_weight="balanced", random_state=seed)
     raise InputError(f"`method` must be 'discriminant' or 'forest', but is {method!r}")
 

@@ -11,6 +11,7 @@ from jaxtyping import Array, Bool, Float, Shaped
 from numpy.typing import ArrayLike
 
 from fynjax._core.errors import InputError
+from fynjax._core.seeds import generator
 from fynjax.diversity._components import hull_volume, principal_components
 from fynjax.metrics import spectral_angle
 
@@ -200,7 +201,8 @@ def spectral_variety(
     data = np.asarray(spectra)
     if len(data) < 2:
         return dict.fromkeys(VARIETY, np.nan)
-    some = np.random.default_rng(seed).permutation(len(data))[:_RAO_PIXELS]
+    random = seed if isinstance(seed, np.random.Generator) else generator(seed)
+    some = random.permutation(len(data))[:_RAO_PIXELS]
     return {
         "cv": float(coefficient_of_variation(data)),
         "angle": float(mean_spectral_angle(data)),

@@ -28,6 +28,7 @@ from scipy.special import ndtr
 from fynjax._core.extras import require
 from fynjax._core.precision import double_precision
 from fynjax._core.progress import track
+from fynjax._core.seeds import generator
 
 DARKEST = 0.005
 """Reflectance below which its logarithm says nothing [-]."""
@@ -207,7 +208,7 @@ def train_posterior(
     **Raises:** `MissingExtraError` without optax.
     """
     optax: Any = require("optax", "map")
-    rng = np.random.default_rng([seed, 7])
+    rng = generator(seed, 7)
     groups = len(reflectance) // together
     train = together * max(groups - max(round(held_out * groups), 1), 1)
     root = np.linalg.cholesky(error + OWN_SD**2 * np.eye(len(error)))

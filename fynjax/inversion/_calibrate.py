@@ -277,7 +277,7 @@ def calibrate_plot(
       one Jacobian a round. Others take one at each step, or as many gradients; of their rounds
       `fit.loss` has the beginnings alone.
     - `start`: whitened coordinates to start from; the prior's centre by default.
-    - `replant`: makes the same plot with the plants of another chance, by a number, 0 for those of
+    - `replant`: makes the same plot with the plants of another seed, by a number, 0 for those of
       `scene`; and with sites for so many plants of each species, asked for where the plants of a
       search need more than there are. Without it other plantings fill the same sites in another
       order, and plants get no more sites; where it raises `InputError` neither.

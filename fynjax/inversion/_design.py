@@ -16,7 +16,7 @@ from jaxtyping import Array, Float, Int
 from scipy.optimize import minimize
 from scipy.special import stdtrit
 
-from fynjax._core.errors import InputError, did_you_mean, listed
+from fynjax._core.errors import InputError, did_you_mean, listed, whole_number
 from fynjax._core.html import as_html
 from fynjax._core.precision import double_precision
 from fynjax._core.progress import track
@@ -91,8 +91,10 @@ def _gaussian(spectra: PlantingSpectra, limits: _Limits, x: Array | np.ndarray) 
 
 
 def _value(spectra: PlantingSpectra, seen: BandStatistics, among: Array) -> Float[Array, ""]:
-    """Mean over the plantings `among`, and over quantities, of what bands say."""
-    return among @ scores(spectra, seen, among).mean(axis=1) / among.sum()
+    """Mean over the plantings `among`, and over quantities, of what bands say; the least there can
+    be where that is no number, so that no choice falls on it."""
+    value = among @ scores(spectra, seen, among).mean(axis=1) / among.sum()
+    return jnp.where(jnp.isnan(value), -jnp.inf, value)
 
 
 _seen, _seen_gaussian = eqx.filter_jit(measured), eqx.filter_jit(_gaussian)
@@ -236,8 +238,10 @@ def design(
 
     Centres and widths climb (L-BFGS) from the best of a raster and of random places. For each
     planting the design is made anew without it, and so is the choice of channels of AVIRIS-NG, and
-    judged in it, in pixels of one size. As these designs share plantings, the interval of the gain
-    is Student's with the variance of Nadeau and Bengio, 1 / P + 1 / (P - 1) of that of P plantings.
+    judged in it. Of several pixel sizes the best is chosen with all plantings and not anew without
+    each: the interval of the gain leaves out that choice, which favours the design. As these
+    designs share plantings, the interval is Student's with the variance of Nadeau and Bengio, 1 / P
+    + 1 / (P - 1) of that of P plantings.
 
     **Arguments:**
 
@@ -278,7 +282,9 @@ def design(
     stands = [scenes] if isinstance(scenes, Scene) else list(scenes)
     limits, grid = _check(stands, bands, spectrum, widths, plantings)
     pixels = _pixels(stands[0], pixel)
-    for name, one in {"snr": snr, "error": error, "starts": starts}.items():
+    whole_number("starts", starts, 1)
+    whole_number("seed", seed)
+    for name, one in {"snr": snr, "error": error}.items():
         if not 0.0 < one < np.inf:
             raise InputError(f"`{name}` must be a positive number, but is {one:g}")
     scene = stands[0]
@@ -363,7 +369,7 @@ def _check(
     plantings: int,
 ) -> tuple[_Limits, Float[np.ndarray, " wavelength"]]:
     """Limits of the bands, and the grid of wavelengths."""
-    number = plantings if len(stands) == 1 else len(stands)
+    number = whole_number("plantings", plantings) if len(stands) == 1 else len(stands)
     if not all(isinstance(one, Scene) for one in stands) or number < 4:
         raise InputError(f"expected a scene and 4 `plantings` or more, or as many scenes: {number}")
     if len({one.taxa for one in stands}) > 1:
@@ -380,10 +386,7 @@ def _check(
     within = f"{spectrum[0]:g} to {spectrum[1]:g} nm"
     if len(grid) < 2 or 2.0 * _WITHIN * widths[1] > grid[-1] - grid[0]:
         raise InputError(f"a band {widths[1]:g} nm wide does not fit into {within}")
-    if not 1 <= bands <= len(grid):
-        raise InputError(
-            f"expected 1 to {len(grid)} `bands`, the wavelengths from {within}, but got {bands}"
-        )
+    whole_number("bands", bands, 1, len(grid))
     try:
         spectral_mask(grid, RANGE)
     except InputError as error:
@@ -399,8 +402,14 @@ def _pixels(scene: Scene, pixel: float | Sequence[float]) -> tuple[float, ...]:
     ascending = tuple(sorted({float(one) for one in np.atleast_1d(pixel)}))
     if not ascending or not 0.0 < ascending[0] <= ascending[-1] < np.inf:
         raise InputError(f"expected `pixel` as one or more positive numbers [m], but got {pixel}")
+    sides = scene.grid.extent[:2]
+    if ascending[-1] > max(sides) / 2.0:
+        raise InputError(
+            f"expected at least two pixels on a plot of {sides[0]:g} x {sides[1]:g} m, but got a "
+            f"`pixel` of {ascending[-1]:g} m"
+        )
     for one in ascending[1:]:
-        wholes = np.array([one / ascending[0], *(side / one for side in scene.grid.extent[:2])])
+        wholes = np.array([one / ascending[0], *(side / one for side in sides)])
         if (np.abs(wholes - np.round(wholes)) > 1e-6 * wholes).any():
             raise InputError(
                 f"expected each `pixel` as a multiple of the smallest, {ascending[0]:g} m, that "

@@ -2,6 +2,8 @@
 the parameters, their slopes and their covariance."""
 
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -24,6 +26,45 @@ def unit_draw(seed: int, number: int, size: int) -> Float[np.ndarray, " free"]:
     random = np.random.default_rng([seed, 83, number // 2])
     normal = random.normal(size=size).clip(-_FARTHEST, _FARTHEST)
     return normal if number % 2 == 0 else -normal
+
+
+def each(
+    function: Callable[[Scene, Array], Array], stands: Sequence[Scene], places: Sequence[Array]
+) -> list[Array]:
+    """`function` of each of the `stands` at its place, of two at a time: programs of JAX run beside
+    each other where there are cores, and no more than two images are in memory."""
+    pairs = list(zip(stands, places, strict=True))
+    if any(isinstance(place, jax.core.Tracer) for place in places):
+        return [function(*pair) for pair in pairs]
+    call = of_thread(function)
+    alone = [call(*pairs[0])] if is_new(function, *pairs[0]) else []
+    with ThreadPoolExecutor(2) as pool:
+        return [*alone, *pool.map(lambda pair: call(*pair), pairs[len(alone) :])]
+
+
+def of_thread(function: Callable[..., Any]) -> Callable[..., Any]:
+    """The `function` for another thread: in the precision of this one, and with its result there
+    when it returns."""
+    wide = bool(jax.config.read("jax_enable_x64"))
+
+    def call(*args: Any) -> Any:
+        with jax.enable_x64(wide):
+            return jax.block_until_ready(function(*args))
+
+    return call
+
+
+def is_new(function: Callable[..., Any], *args: Any) -> bool:
+    """Whether this was not asked before for arrays of these shapes: programs that are new are
+    compiled by one thread alone."""
+    key = function.__qualname__, *(np.shape(leaf) for leaf in jax.tree.leaves(args))
+    new = key not in _ASKED
+    _ASKED.add(key)
+    return new
+
+
+_ASKED: set[Any] = set()
+"""Functions that `is_new` was asked for, each with shapes."""
 
 
 class Expected(eqx.Module):
@@ -54,19 +95,30 @@ class Expected(eqx.Module):
             stand = stand_realisation(stand, number)  # no number of a planting
         return stand, unit_draw(self.seed, number, len(self.space.names))
 
+    def _places(
+        self, u: Array, spread: Array | np.ndarray, number: int | None = None
+    ) -> tuple[list[Scene], list[Array]]:
+        """The planting and the place of the first `number` draws about `u`, or, fading, of those
+        that each step of a search is a mean over."""
+        pairs = [self.draw(i) for i in range(number or len(self.stands))]
+        stands = [stand if number else stand.faded() for stand, _ in pairs]
+        return stands, [u + jnp.asarray(spread @ normal) for _, normal in pairs]
+
     def at(self, stand: Scene, u: Array) -> Float[Array, " statistic"]:
         """Statistics of one planting at whitened coordinates."""
         return predicted(self.predict, self.space, stand, jnp.asarray(u))
 
+    def slope_at(self, stand: Scene, u: Array) -> Float[Array, "statistic free"]:
+        """Derivatives of the statistics of one planting by the whitened coordinates."""
+        return predicted_slopes(self.along, self.space, stand, jnp.asarray(u))
+
     def plain(self, u: Array, stands: Sequence[Scene]) -> Float[np.ndarray, "stand statistic"]:
         """Statistics of each of the `stands` at `u` itself."""
-        return np.stack([np.asarray(self.at(stand, u)) for stand in stands])
+        return np.stack(each(self.at, stands, [jnp.asarray(u)] * len(stands)))
 
     def members(self, u: Array, spread: Array | np.ndarray) -> Float[Array, " statistic"]:
         """Mean over the plantings, which fade, each at its own place about `u`. Differentiable."""
-        pairs = [self.draw(i) for i in range(len(self.stands))]
-        every = [self.at(stand.faded(), u + jnp.asarray(spread @ n)) for stand, n in pairs]
-        return jnp.stack(every).mean(axis=0)
+        return jnp.stack(each(self.at, *self._places(u, spread))).mean(axis=0)
 
     def slopes(self, u: Array, spread: Array | np.ndarray) -> Float[Array, "member statistic free"]:
         """Derivatives of the statistics by the whitened coordinates, of each planting about `u`.
@@ -75,25 +127,25 @@ class Expected(eqx.Module):
         `u` (statistical linearisation): which plants come next at `u` is chance, and over what is
         unknown beforehand statistics bend.
         """
-        pairs = [self.draw(i) for i in range(len(self.stands))]
-        every = [
-            predicted_slopes(self.along, self.space, stand.faded(), u + jnp.asarray(spread @ n))
-            for stand, n in pairs
-        ]
-        return jnp.stack(every)
+        return jnp.stack(each(self.slope_at, *self._places(u, spread)))
 
     def residues(
-        self, u: Array, spread: np.ndarray, slopes: Float[np.ndarray, "statistic free"]
+        self,
+        u: Array,
+        spread: np.ndarray,
+        slopes: Float[np.ndarray, "statistic free"],
+        number: int | None = None,
     ) -> Float[np.ndarray, "draw statistic"]:
-        """Statistics of every draw about `u`, with whole plants, less what the mean `slopes`
-        explain of its place. Their mean is the expectation, and their covariance chance and how
-        statistics bend. A draw with a statistic that is not finite is left out, unless it is one
-        of those that each step of a search is a mean over."""
-        pairs = [self.draw(i) for i in range(self.number)]
-        drawn = np.stack(
-            [np.asarray(self.at(stand, u + jnp.asarray(spread @ n))) for stand, n in pairs]
-        )
-        moves = np.stack([spread @ n for _, n in pairs])
+        """Statistics of every draw about `u`, or of the first `number`, with whole plants, less
+        what the mean `slopes` explain of its place.
+
+        Their mean is the expectation, and their covariance chance and how statistics bend. A draw
+        with a statistic that is not finite is left out, unless it is one of those that each step of
+        a search is a mean over.
+        """
+        stands, places = self._places(u, spread, self.number if number is None else number)
+        drawn = np.stack(each(self.at, stands, places))
+        moves = np.stack(places) - np.asarray(u)
         rest = drawn - moves @ slopes.T if np.isfinite(slopes).all() else drawn
         finite, own = np.isfinite(rest).all(axis=1), len(self.stands)
         if finite.sum() >= own:
@@ -103,7 +155,8 @@ class Expected(eqx.Module):
     def prior_draws(self, number: int) -> Float[np.ndarray, "draw statistic"]:
         """Statistics at `number` draws of the prior, each with other plants."""
         pairs = [self.draw(1000 + i) for i in range(number)]
-        drawn = np.stack([np.asarray(self.at(stand, jnp.asarray(n))) for stand, n in pairs])
+        stands, places = zip(*pairs, strict=True)
+        drawn = np.stack(each(self.at, stands, [jnp.asarray(place) for place in places]))
         return drawn[np.isfinite(drawn).all(axis=1)]
 
 
@@ -193,5 +246,5 @@ def with_error(data: Data, covariance: Float[np.ndarray, "statistic statistic"])
 
 
 Replant = Callable[[int, Float[np.ndarray, " species"] | None], Scene]
-"""Makes the scene with the plants of a number's chance, 0 being the scene's own, and sites for so
+"""Makes the scene with the plants of a numbered seed, 0 being the scene's own, and sites for so
 many plants of each species, or as many as the scene has."""

@@ -16,6 +16,7 @@ from scipy.special import stdtrit
 from fynjax._core.errors import InputError, listed
 from fynjax._core.html import as_html
 from fynjax._core.precision import double_precision, in_double
+from fynjax._core.seeds import generator
 from fynjax.inversion._space import ParameterSpace
 from fynjax.scene import PARAMETERS, parameter_kind
 
@@ -263,7 +264,7 @@ class FitResult(eqx.Module):
 
         **Arguments:** `number` of draws, and the `seed` of these.
         """
-        random = np.random.default_rng([seed, 29])
+        random = generator(seed, 29)
         centre, covariance = np.asarray(self.whitened, float), np.asarray(self.covariance, float)
         u = random.multivariate_normal(centre, covariance, number, method="eigh")
         return np.asarray(jax.vmap(self.space.physical)(jnp.asarray(u)))

@@ -12,6 +12,7 @@ import pandas as pd
 from jaxtyping import Array, Float
 
 from fynjax._core.precision import double_precision
+from fynjax._core.seeds import generator
 from fynjax.inversion._fit_result import FitResult
 from fynjax.scene import PlotParameters, Scene, with_values
 
@@ -217,7 +218,7 @@ def stand_table(
     """
     functionals = stand_functionals(scene) if functionals is None else functionals
     values = tuple(one.value for one in functionals.values())
-    normal = np.random.default_rng([seed, 53]).normal(size=(_DRAWS, len(fit.names)))
+    normal = generator(seed, 53).normal(size=(_DRAWS, len(fit.names)))
     drawn = _draws(scene, parameters, fit.space, jnp.asarray(normal.clip(-3.0, 3.0)), values)
     prior = np.asarray(drawn, float)
     value, slopes = (

@@ -15,6 +15,7 @@ from fynjax._core.extras import require
 from fynjax._core.precision import double_precision
 from fynjax._core.progress import advance, stage
 from fynjax._core.sampling import ChainState, Draws, Ensemble, Hamiltonian
+from fynjax._core.seeds import generator
 from fynjax.inversion._fit import fit
 from fynjax.inversion._fit_result import Data, FitResult
 from fynjax.inversion._log_posterior import LogPosterior, Predict
@@ -123,12 +124,12 @@ class PosteriorSampler:
         if method == "nuts":
             require("blackjax", "posterior")
         shift = jnp.zeros_like(data.value) if offset is None else jnp.asarray(offset)
+        self._random, self._sampler = generator(seed), None
         self._density = density = LogPosterior(predict, space, data, shift, context, log_prior)
         if start is None:
             with stage("Fit"):
                 start = fit(predict, data, space, offset=shift, context=context)
         self._method, self._start, self._predictive = method, start, predictive
-        self._random, self._sampler = np.random.default_rng(seed), None
         self._steps = max_steps + (warmup if method == "nuts" else 0)
         centre, covariance = np.asarray(start.whitened, float), np.asarray(start.covariance, float)
         parts = (centre, covariance, start.predicted, start.jacobian)

@@ -2,6 +2,7 @@
 
 import dataclasses
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import equinox as eqx
@@ -11,7 +12,7 @@ import optimistix as optx
 import scipy.linalg
 from jaxtyping import Array, Float, Int
 
-from fynjax._core.errors import InputError
+from fynjax._core.errors import InputError, whole_number
 from fynjax._core.least_squares import NO_TAGS, BroydenLM, BroydenState, figures_of
 from fynjax._core.precision import double_precision
 from fynjax._core.progress import advance
@@ -19,7 +20,9 @@ from fynjax.inversion._expected import (
     Expected,
     Replant,
     chance_covariance,
+    is_new,
     mean_information,
+    of_thread,
     plants_wanted,
     unit_draw,
     with_error,
@@ -90,6 +93,7 @@ class CalibrationSettings:
         return self.starts * (2 + self.max_steps + (self.max_steps + 1) // 2)
 
     def __post_init__(self) -> None:
+        whole_number("seed", self.seed)
         for name in ("rounds", "starts", "max_steps", "full_renders"):
             if getattr(self, name) < 1:
                 raise InputError(f"`{name}` must be at least 1, but is {getattr(self, name)}")
@@ -112,7 +116,8 @@ _PRIOR_DRAWS = 60
 """Draws of the prior by which these are chosen."""
 _SETTLED = 0.6
 """Further rounds follow while a round moved farther than this along a principal direction, or a
-step still would [posterior standard deviations]."""
+step still would [posterior standard deviations]; one that moved less keeps the errors of its
+start."""
 _FURTHER = 3
 """Rounds beyond those of the settings, at most."""
 
@@ -285,24 +290,39 @@ class PlotSearch:
         wanted = np.asarray(wanted)
         if self._planted is None or self._planted[0] != wanted.tobytes():
             counts = wanted if wanted.any() else None
-            count = max(self.settings.stand_realisations, 1)
-            try:
-                if self._replant is None:
-                    others = [stand_realisation(self._scene, i) for i in range(1, count)]
-                else:
-                    others = [self._replant(i, counts) for i in range(1, count)]
-            except InputError:  # another chance finds no room: the same sites in another order
-                if counts is not None:
-                    raise
-                self._replant = None
-                others = [stand_realisation(self._scene, i) for i in range(1, count)]
             own = (
                 self._scene if counts is None or self._replant is None else self._replant(0, counts)
             )
-            full = (own, *others)
-            coarse = tuple(self._form(stand)[0] for stand in full)
-            self._planted = wanted.tobytes(), full, coarse
+            coarse = self._form(own)[0]
+            with ThreadPoolExecutor(2) as pool:  # XLA compiles without Python's lock
+                for call in self._first_calls(own, coarse):
+                    pool.submit(*call)
+                others = self._other_stands(counts)
+            coarse = (coarse, *(self._form(stand)[0] for stand in others))
+            self._planted = wanted.tobytes(), (own, *others), coarse
         return self._planted[1], self._planted[2]
+
+    def _other_stands(self, counts: np.ndarray | None) -> list[Scene]:
+        numbers = range(1, max(self.settings.stand_realisations, 1))
+        if self._replant is not None:
+            try:
+                return [self._replant(i, counts) for i in numbers]
+            except InputError:  # another seed finds no room: the same sites in another order
+                if counts is not None:
+                    raise
+                self._replant = None
+        return [stand_realisation(self._scene, i) for i in numbers]
+
+    def _first_calls(self, own: Scene, coarse: Scene) -> Iterator[tuple[Any, ...]]:
+        """Calls by which the programs of a search that are new are compiled."""
+        u = jnp.zeros(len(self.space.names))
+        one = Expected(self._predict, self._predict, self.space, (coarse,), 0, 1)
+        calls: list[tuple[Any, ...]] = [(self._look, own, u), (one.at, coarse, u)]
+        if len(self.data.names) <= _MOST_ROWS:
+            calls.append((one.slope_at, coarse.faded(), u))
+        for function, *args in calls:
+            if is_new(function, *args):
+                yield of_thread(function), *args
 
     @double_precision
     def scene(self, state: SearchState) -> Scene:
@@ -397,6 +417,10 @@ class PlotSearch:
         """The parameters at whitened coordinates."""
         return with_values(self._parameters, self._scene.taxa, self.space.named(u))
 
+    def _look(self, stand: Scene, u: Array) -> tuple[Array, ...]:
+        """Statistics and images of a stand in its full form."""
+        return look(self.views, stand, self.plot(u))
+
     def _observe(
         self,
         expected: Expected,
@@ -405,23 +429,25 @@ class PlotSearch:
         spread: np.ndarray,
         slopes: Float[np.ndarray, "member statistic free"],
         rendered: SearchPlace | None = None,
+        draws: int | None = None,
     ) -> SearchPlace:
         """The full scene about `u`: expectation over plantings and `spread`, and the errors there.
 
         What the mean `slopes` do not explain of draws is their error and how statistics bend. It
         counts with the plants' chance. Full renders at the same `u` are taken over from `rendered`.
+        `draws` are fewer than those of the settings.
         """
         u = jnp.asarray(u)
         if rendered is None:
             stands = self._stands(wanted)[0][: self.settings.full_renders]
-            every = [look(self.views, stand, self.plot(u)) for stand in stands]
+            every = [self._look(stand, u) for stand in stands]
             whole = np.stack([np.asarray(one[0]) for one in every])
             images = tuple(every[0][1:])
             lack = whole - expected.plain(u, expected.stands[: len(whole)])
         else:
             whole, lack = np.asarray(rendered.whole), np.asarray(rendered.lack)
             images = rendered.images
-        rest = expected.residues(u, spread, slopes.mean(axis=0))
+        rest = expected.residues(u, spread, slopes.mean(axis=0), draws)
         statistics = rest.mean(axis=0) + lack.mean(axis=0)
         covariance = radiometric_covariance(self.views, images)
         if self.settings.stand_realisations:
@@ -476,7 +502,8 @@ class PlotSearch:
         wanted = self._short(u, sites, draws)
         expected = self._expected(wanted)
         flat = np.zeros((1, len(self.data.names), free))
-        origin = self._observe(expected, wanted, u, none, flat)
+        few = 2 * chance if len(self.data.names) <= _MOST_ROWS else None
+        origin = self._observe(expected, wanted, u, none, flat, draws=few)
         finite = np.isfinite(np.asarray(origin.statistics))
         if not finite.all():
             raise InputError(
@@ -563,15 +590,21 @@ class PlotSearch:
             turns = min(max(turns, turn + 1), settings.rounds + 1)
         expected = self._expected(wanted, state.subspace)
         slopes = np.asarray(before.slopes)
-        # The last round moves little: its end keeps the slopes of its start.
-        if turn < turns or grown:
-            slopes = np.asarray(expected.slopes(u, spread))
-        place = self._observe(expected, wanted, u, spread, slopes)
+        moved = np.asarray(u - before.u)
+        # The last round moves little: its end keeps the slopes of its start, and where it has
+        # settled the errors and the offset too.
+        if turn == turns and not grown and self._settled(state.descent, moved, status):
+            reached = expected.members(u, before.spread) + before.offset
+            images = self._look(self._stands(wanted)[0][0], u)[1:]
+            place = dataclasses.replace(before, u=u, statistics=reached, images=images)
+        else:
+            if turn < turns or grown:
+                slopes = np.asarray(expected.slopes(u, spread))
+            place = self._observe(expected, wanted, u, spread, slopes)
         if not np.isfinite(np.asarray(place.statistics)).all():  # what was found before stays
             return dataclasses.replace(state, u=before.u, ended=state.ended + 1)
         descent = self._descent(place, state.subspace)
         # The round kept its slopes, and the expectation is now over another spread.
-        moved = np.asarray(u - before.u)
         left = unsettled(np.asarray(descent.residual), np.asarray(descent.jacobian), moved)
         if turn == turns and left > _SETTLED:
             if turns < settings.rounds + _FURTHER:
@@ -590,6 +623,14 @@ class PlotSearch:
             step=whole(0), ended=whole(not goes_on),
         )  # fmt: skip
         return recorded(ended) if goes_on else ended
+
+    def _settled(self, descent: BroydenState, moved: np.ndarray, status: Any) -> bool:
+        """Whether a round has converged and moved so little that expectations over plantings have
+        the errors of its start."""
+        if self._solver is not None or not self.settings.stand_realisations:
+            return False
+        left = unsettled(np.asarray(descent.residual), np.asarray(descent.jacobian), moved)
+        return bool(status == FitStatus.successful) and left <= _SETTLED
 
     def _better(
         self, state: SearchState, place: SearchPlace, status: Any, *, fresh: bool

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 from scipy.special import ndtri, stdtrit
 
-from fynjax._core.errors import InputError
+from fynjax._core.errors import InputError, whole_number
 from fynjax._core.extras import require
 from fynjax._core.parts import Do, in_order
 from fynjax._core.precision import double_precision
@@ -321,6 +321,7 @@ def sobol_indices(
     model = _OverUnits(predict, space, context, over)
     size = len(space.names)
     problem = {"num_vars": size, "names": list(space.names), "bounds": [[0.0, 1.0]] * size}
+    whole_number("seed", seed)
     shares = design.sample(problem, samples, calc_second_order=False, seed=seed)
     values = _run(model, model, shares, metrics, batch, do)
     found: dict[str, list[np.ndarray]] = {key: [] for key in ("S1", "S1_conf", "ST", "ST_conf")}
@@ -384,7 +385,7 @@ def derivative_measures(
 
     _check(over, samples)
     model = _OverUnits(predict, space, context, over)
-    shares = qmc.Sobol(len(space.names), rng=seed).random(samples)
+    shares = qmc.Sobol(len(space.names), rng=whole_number("seed", seed)).random(samples)
     both = _run(_Slopes(model), model, shares, metrics, batch, do)
     squared = both[..., 1:] ** 2
     variance = both[..., 0].var(axis=0)

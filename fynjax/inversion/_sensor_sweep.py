@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from fynjax._core.errors import InputError
+from fynjax._core.errors import InputError, whole_number
 from fynjax._core.precision import double_precision
 from fynjax._core.progress import track
 from fynjax.inversion._calibrate import COARSE, coarser
@@ -143,6 +143,7 @@ def sweep_sensors(
 
     **Raises:** `InputError` for settings that do not fit scene or sensor.
     """
+    whole_number("seed", seed)
     fine = min(gsd)
     steps = _check(scene, len(sensor.bands), gsd, bands, noise, stand_realisations)
     quick = coarser(scene, parameters)

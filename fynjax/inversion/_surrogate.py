@@ -10,6 +10,7 @@ from jaxtyping import Array, Float
 
 from fynjax._core.precision import double_precision
 from fynjax._core.progress import track
+from fynjax._core.seeds import generator
 from fynjax.inversion._calibrate import Calibration
 from fynjax.inversion._expected import predicted
 from fynjax.inversion._fit_result import FitResult
@@ -119,7 +120,7 @@ def surrogate_renders(
 
 
 def _draws(fit: FitResult, seed: int) -> Float[np.ndarray, "draw free"]:
-    random = np.random.default_rng([seed, 71])
+    random = generator(seed, 71)
     centre, covariance = np.asarray(fit.whitened), np.asarray(fit.covariance)
     return random.multivariate_normal(centre, _SPREAD**2 * covariance, _RENDERS, method="eigh")
 

@@ -95,7 +95,7 @@ def twin_sentence(
         return f"{within.sum()} of {len(table)}"
 
     text = (
-        "A twin, whose truth was drawn from the prior, planted by a chance of its own and measured "
+        "A twin, whose truth was drawn from the prior, planted with a seed of its own and measured "
         f"with errors: of the truth {inside(parameters)} parameters and {inside(stand)} numbers of "
         "the stand lie in their 90 % intervals"
     )

@@ -12,6 +12,7 @@ import pandas as pd
 
 from fynjax._core.dry_run import DryRunEnd as DryRunEnd
 from fynjax._core.dry_run import dry_run as dry_run
+from fynjax._core.errors import whole_number
 from fynjax._core.memory import peak_memory
 from fynjax._core.parts import Workers as Workers
 from fynjax._core.progress import stage
@@ -43,7 +44,7 @@ class Run:
 
     def __init__(self, folder: str | Path, *, seed: int = 0, plot: "Plot | None" = None):
         self.folder = Path(folder)
-        self.seed = seed
+        self.seed = whole_number("seed", seed, most=2**31 - 1)
         self.files: dict[str, str] = {}
         """What each file is, by its name."""
         self.seconds: dict[str, float] = {}

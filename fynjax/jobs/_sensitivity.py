@@ -170,10 +170,10 @@ def sensitivity(
 
 
 def _planting(ready: Prepared, number: int) -> tuple[Scene]:
-    """The plot with other plants, in the coarse form: sites of another chance, in another order."""
+    """The plot with other plants, in the coarse form: sites of another seed, in another order."""
     try:
         scene = ready.replant(number)
-    except InputError:  # another chance finds no room: the same sites in another order
+    except InputError:  # another seed finds no room: the same sites in another order
         scene = ready.scene
     return (stand_realisation(coarser(scene, ready.parameters), number),)
 

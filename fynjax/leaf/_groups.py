@@ -12,6 +12,7 @@ from jaxtyping import Float
 
 from fynjax._core.errors import InputError
 from fynjax._core.precision import double_precision
+from fynjax._core.seeds import generator
 from fynjax.leaf._area import LeafArea, LeafShape, area_factors
 from fynjax.leaf._coefficients import ProspectVersion
 from fynjax.leaf._error_model import ErrorModel, default_error_model
@@ -60,7 +61,7 @@ class LeafGroups(eqx.Module):
         The departures from the mean are the same for all species, and repeatable by `seed`.
         """
         root = np.linalg.cholesky(self.logit_covariance + 1e-12 * np.eye(len(self.names)))
-        steps = np.random.default_rng(seed).normal(size=(count, len(self.names))) @ root.T
+        steps = generator(seed).normal(size=(count, len(self.names))) @ root.T
         return _parameters(self.logit_mean[:, None] + steps, self.names)
 
     def table(self, seed: int = 0, area: LeafArea = "projected") -> pd.DataFrame:

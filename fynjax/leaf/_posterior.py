@@ -15,6 +15,7 @@ from fynjax._core.errors import InputError
 from fynjax._core.precision import double_precision
 from fynjax._core.progress import track
 from fynjax._core.sampling import Ensemble, Hamiltonian
+from fynjax._core.seeds import generator
 from fynjax.leaf._area import LeafArea, LeafShape, area_factors
 from fynjax.leaf._coefficients import ProspectVersion
 from fynjax.leaf._error_model import ErrorModel
@@ -151,7 +152,7 @@ def sample_leaf_posterior(
     given = as_spectra(wavelength, reflectance, transmittance)
     data = binned_data(given, detector_changes)
     use = usable_bins(data, domain, outdoor)
-    random = np.random.default_rng(seed)
+    random = generator(seed)
     setup = make_setup(version, measurement, free, error_model, leaf_shape)
     found, problems = solve_leaves(setup, data, use, leaf_priors(setup, data, use))
     moved = towards_reflectance(setup, data, use, found.z)

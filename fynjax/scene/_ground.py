@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from scipy.ndimage import gaussian_filter
 
+from fynjax._core.seeds import generator
 from fynjax.scene._spectra import Spectrum, background_spectrum
 
 COVERS = ("litter", "char", "rock")
@@ -80,7 +81,7 @@ def random_patches(
 
     **Returns:** soil, then `COVERS`, each above 0. Not differentiable.
     """
-    noise = np.random.default_rng([seed, 307]).standard_normal((len(COVERS) + 1, *shape))
+    noise = generator(seed, 307).standard_normal((len(COVERS) + 1, *shape))
     mode = "wrap" if periodic else "reflect"
     smooth = gaussian_filter(noise, (0.0, 0.5 * scale, 0.5 * scale), mode=mode)
     spread = smooth.std(axis=(1, 2), keepdims=True)

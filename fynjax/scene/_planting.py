@@ -19,6 +19,7 @@ from jaxtyping import Array, Float, Int
 from scipy.spatial import cKDTree
 from scipy.special import ndtr, ndtri
 
+from fynjax._core.seeds import generator
 from fynjax.canopy import (
     FORMS,
     Organ,
@@ -294,6 +295,13 @@ SPARE_SITES = 4
 """Sites that a species has beyond those of its plants times the room."""
 
 
+def sites_ready(
+    wanted: Float[np.ndarray, " species"], room: float | Float[np.ndarray, " species"]
+) -> Int[np.ndarray, " species"]:
+    """Sites held ready for a real number of plants of each species, with so many for each plant."""
+    return np.ceil(room * wanted).astype(int) + np.where(wanted > 0, SPARE_SITES, 0)
+
+
 def draw_planting(
     stand: Stand,
     wanted: Float[np.ndarray, " species"],
@@ -323,7 +331,7 @@ def draw_planting(
     taxa = [one.taxon for one in species]
     feet = np.empty((0, 2))
     for times in _rooms(np.broadcast_to(np.asarray(room, float), len(species))):
-        needed = np.ceil(times * wanted).astype(int) + np.where(wanted > 0, SPARE_SITES, 0)
+        needed = sites_ready(wanted, times)
         radius = _spacing(needed, extent, probability)
         points = poisson_disk(extent, radius, seed=seed, periodic=periodic)
         if len(feet):  # half the distance: room enough for all, and nobody on another
@@ -412,8 +420,7 @@ def site_spacing(
 ) -> float:
     """Least distance of the sites among which the plants of a scene stand [m], as `draw_planting`
     draws them with a room of 2.5 or more."""
-    needed = np.ceil(_ROOM * wanted) + np.where(wanted > 0, SPARE_SITES, 0)
-    return _spacing(needed, extent, probability)
+    return _spacing(sites_ready(wanted, _ROOM), extent, probability)
 
 
 def _spacing(
@@ -442,7 +449,7 @@ def _individuals(
     places: Float[np.ndarray, "plant 2"], species: int, spread: float, variation: float, seed: int
 ) -> dict[str, np.ndarray]:
     """Place, turn and size of the plants of a species."""
-    n, rng = len(places), np.random.default_rng([seed, 101, species])
+    n, rng = len(places), generator(seed, 101, species)
     azimuth, tilt = random_orientation(n, seed=seed + 1000 * (species + 1), rotation_spread=spread)
     width = rng.standard_normal(n)
     size = np.exp(np.sqrt(np.log1p(variation**2)) * width)
@@ -461,7 +468,7 @@ def _individuals(
 def _drawn_leaves(plants: int, species: int, leaves: int, seed: int) -> Int[np.ndarray, " plant"]:
     """Which of so many leaves each plant of a species has: every one is as likely, and a plant
     keeps its own where there are more plants."""
-    drawn = np.random.default_rng([seed, 109, species]).random(plants)
+    drawn = generator(seed, 109, species).random(plants)
     return (leaves * drawn).astype(np.int32)
 
 
@@ -506,7 +513,7 @@ def individual_seeds(seed: int, species: int) -> list[int]:
 
     **Arguments:** `seed`, of the scene; `species`, its number among the species.
     """
-    return np.random.default_rng([seed, 103, species]).integers(2**31, size=INDIVIDUALS).tolist()
+    return generator(seed, 103, species).integers(2**31, size=INDIVIDUALS).tolist()
 
 
 def leaf_classes(species: Sequence[Species]) -> dict[int, range]:

@@ -24,6 +24,7 @@ from jaxtyping import Array, Bool, Float, Int
 from fynjax._core.errors import InputError, did_you_mean
 from fynjax._core.html import as_html
 from fynjax._core.precision import drawn_in_double
+from fynjax._core.seeds import generator
 from fynjax.canopy import (
     FORMS,
     Organ,
@@ -64,6 +65,7 @@ from fynjax.scene._planting import (
     leaf_classes,
     no_plants,
     site_spacing,
+    sites_ready,
 )
 from fynjax.scene._species import (
     CoverDefinition,
@@ -436,7 +438,7 @@ class Scene(eqx.Module):
     def replanted(
         self, number: int, counts: Float[np.ndarray, " species"] | None = None
     ) -> "Scene":
-        """The same plot with plants of another chance, in other places, as `calibrate_plot` asks
+        """The same plot with plants of another seed, in other places, as `calibrate_plot` asks
         for it. Known plants stay where they are.
 
         **Arguments:**
@@ -936,6 +938,7 @@ def build_scene(
     hot_spot: bool = False,
     plants: Sequence[PlantModel | None] | None = None,
     crowns: Crowns | None = None,
+    room: Callable[[Scene], float | Float[np.ndarray, " species"]] | None = None,
     dtype: str = "float32",
 ) -> Scene:
     """Draw what is random about a scene, once.
@@ -956,6 +959,8 @@ def build_scene(
       inclined as the shape's; None: that of the growth form.
     - `crowns`: plants that are known, in place of those that are drawn; `rules` on how many plants
       there are, where, and of which size then do not count.
+    - `room`: takes the scene before its plants are drawn and gives the `PlantingRules.room`, which
+      `rules` have where it is left out.
     - `dtype`: floating type that the scene is computed in.
 
     **Raises:** `InputError` where the plants do not fit, crowns are outside the plot, or voxels do
@@ -1008,6 +1013,7 @@ def build_scene(
         _check_structure(scene)
         scene = dataclasses.replace(scene, tuft=_fitting_tuft(scene))
     stand = _stand(scene, models, rules.resolved(voxel), seed)
+    ready = rules.room if room is None else room(scene)
     if crowns is not None:
         within = (crowns.foot >= 0.0) & (crowns.foot < np.asarray(extent))
         outside = np.asarray(~within.all(axis=1))
@@ -1024,7 +1030,7 @@ def build_scene(
         extent=extent,
         periodic=boundary == "periodic",
         probability=rules.probability,
-        room=rules.room,
+        room=ready,
         size_variation=rules.size_variation,
     )
     return eqx.tree_at(lambda s: s.planting, scene, planting)
@@ -1108,8 +1114,9 @@ def room_needed(
 
     **Arguments:**
 
-    - `scene`: with the sites held ready.
-    - `parameters`: by which these were drawn.
+    - `scene`: with the sites held ready; where its plants are not drawn yet, those that
+      `PlantingRules.room` will hold ready.
+    - `parameters`: by which these are drawn.
     - `counts`: plants of each species, as `Scene.counts` has them [-].
 
     **Returns:** 0 for a species that has the sites.
@@ -1119,7 +1126,10 @@ def room_needed(
     # One more plant is spread over some of the sites beyond their number.
     ramp = scene.softness * most + max(scene.softness_plants - 1.0, 0.0)
     most = np.maximum(np.ceil(most), most + 0.5 * ramp)
-    ready = np.bincount(np.asarray(scene.planting.species), minlength=len(stated))
+    planted = np.asarray(scene.planting.species)
+    ready = sites_ready(stated, PlantingRules.room)
+    if planted.size:
+        ready = np.bincount(planted, minlength=len(stated))
     short = (most > ready) & (stated > 0)
     return np.where(short, most / np.where(short, stated, 1.0), 0.0)
 
@@ -1130,7 +1140,7 @@ def _rounding(
     """`Scene.rounding` of so many species."""
     if not drawn:
         return jnp.zeros(species, dtype)
-    return jnp.asarray(np.random.default_rng([*seed, 107]).random(species), dtype)
+    return jnp.asarray(generator(*seed, 107).random(species), dtype)
 
 
 def stand_realisation(scene: Scene, seed: int) -> Scene:
@@ -1144,7 +1154,7 @@ def stand_realisation(scene: Scene, seed: int) -> Scene:
     """
     planting = scene.planting
     species, place = np.asarray(planting.species), np.array(planting.place)
-    rng = np.random.default_rng([seed, 211])
+    rng = generator(seed, 211)
     for one in np.unique(species):
         mine = species == one
         place[mine] = rng.permutation(place[mine])

@@ -29,6 +29,7 @@ from fynjax._core.errors import InputError, did_you_mean
 from fynjax._core.files import NamedFile
 from fynjax._core.parameters import parameters_of
 from fynjax._core.records import Slip, Strict, quantity
+from fynjax._core.seeds import generator
 from fynjax._core.validation import check_header, checked_row, checked_rows
 from fynjax.canopy import FORMS, AbstractLeafAngle, Shrubland, most_projected, table1_2006
 from fynjax.leaf import FLAT, ROUND, LeafParameters, structure_from_dry_matter
@@ -610,7 +611,7 @@ def drawn_leaves(
         if len(own) > 1:
             drawn.append(tuple(own))
             continue
-        normal = np.random.default_rng([seed, 113, i]).normal(size=(variants, len(spread)))
+        normal = generator(seed, 113, i).normal(size=(variants, len(spread)))
         normal = (normal - normal.mean(axis=0)) * np.sqrt(variants / (variants - 1.0))
         ratio = np.exp(normal @ root.T)
         ratio /= ratio.mean(axis=0)

@@ -2,7 +2,7 @@
 
     python -m tests.benchmarks.twins --seeds 20 --size 5
 
-Truths are drawn from the prior and planted by chance of their own; their images are full renders at
+Truths are drawn from the prior and planted with own seeds; their images are full renders at
 the camera's own pixels, with the camera's noise and gains. Printed: coverage of the intervals with
 its binomial error, the share of the prior variance that estimates explain, by kind of parameter,
 total live cover, time; and the same by ridge regression and a random forest trained on simulations
@@ -24,6 +24,7 @@ images left out: how much a diagnosis by these statistics may hope for.
 import tempfile
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import equinox as eqx
 import jax
@@ -59,13 +60,15 @@ from fynjax.inversion import (
     search_form,
     spectrum_names,
     spectrum_view,
+    stand_table,
+    stand_values,
     structure_view,
     weigh_spectrum,
     weigh_structure,
     weigh_targets,
 )
 from fynjax.metrics import spectral_mask
-from fynjax.scene import stand_realisation
+from fynjax.scene import stand_realisation, with_values
 from fynjax.sensors import BandSet, shipped_sensor
 from tests.benchmarks._measure import data_folder, example_plot, options
 
@@ -107,7 +110,7 @@ def plot_of(size, tiny):
 
 
 def measure(ready, views, u, number, random):
-    """What sensors measure of the plot at `u`, planted by its own chance: a camera with noise and
+    """What sensors measure of the plot at `u`, planted with its own seed: a camera with noise and
     gains, a spectrometer and a LiDAR with the errors that a calibration assumes of them."""
     share = ready.plot.calibration.target_sd
     found = []
@@ -151,7 +154,7 @@ def view_of(sensor, ready, tiny):
 
 
 def simulations(ready, view, count, random, first=0):
-    """Draws of the prior and the statistics of cheap renders of them, each planted anew."""
+    """Draws of the prior and the statistics of coarse renders of them, each planted anew."""
     quick, (cheap,) = search_form(ready.scene, ready.parameters, [view])
     stands = [quick]
     stands += [
@@ -244,7 +247,7 @@ def twin(number, size, wrong, sensors):
 
 
 def apart(count, ready, truths, view):
-    """How well images of the two plots can be distinguished by their statistics: cheap renders,
+    """How well images of the two plots can be distinguished by their statistics: coarse renders,
     with gains, without noise of pixels."""
     found = []
     slopes = np.asarray(view.gain_slopes(look((view,), ready.scene, ready.parameters)[1]))
@@ -343,6 +346,29 @@ def report(chosen, ready, views, twins):
         f"{f'total live cover, rmse (prior {prior:.3f})':40s}"
         + "".join(f"{e:11.3f}" for e in errors)
     )
+    of_the_stand(ready, twins)
+
+
+def of_the_stand(ready, twins):
+    """Numbers of the whole stand: how many truths their 90 % intervals hold, and what the data
+    remove of their prior variance."""
+    tables = []
+    for one in twins:
+        fit = SimpleNamespace(
+            names=ready.space.names, space=ready.space, whitened=jnp.asarray(one["estimate"]),
+            covariance=one["covariance"],
+        )  # fmt: skip
+        table = stand_table(ready.scene, ready.parameters, fit)
+        there = with_values(
+            ready.parameters, ready.scene.taxa, ready.space.named(jnp.asarray(one["truth"]))
+        )
+        truth = np.array([float(v) for v in stand_values(ready.scene.faded(), there).values()])
+        table["inside"] = (table.q05 <= truth) & (truth <= table.q95)
+        tables.append(table.set_index("name")[["inside", "constrained"]].astype(float))
+    print(sum(tables).div(len(tables)).round(2).to_string())
+    inside = np.array([table.inside.mean() for table in tables])
+    spread = inside.std(ddof=1) / np.sqrt(len(inside))
+    print(f"numbers of the stand in their 90 % intervals {inside.mean():.3f} +- {spread:.3f}")
 
 
 def regressions(chosen, ready, view, twins):
@@ -354,7 +380,7 @@ def regressions(chosen, ready, view, twins):
     else:
         draws, simulated = simulations(ready, view, chosen.train, np.random.default_rng(23))
         np.savez(path, draws=draws, simulated=simulated)
-    # What a cheap render lacks against a full one, at the prior's centre.
+    # What a coarse render lacks against a full one, at the prior's centre.
     quick, (cheap,) = search_form(ready.scene, ready.parameters, [view])
     whole = np.asarray(look((view,), ready.scene, ready.parameters)[0])
     lack = whole / np.asarray(look((cheap,), quick, ready.parameters)[0])

@@ -16,6 +16,7 @@ from fynjax.metrics import BANDS
 from fynjax.sensors import BandSet
 from tests.helpers import write_raster
 
+BLUE = BandSet(("blue",), (475.0,), (20.0,))
 PLACE = Affine(0.05, 0, 100.0, 0, -0.05, 200.0)
 
 
@@ -50,7 +51,7 @@ def test_bands_are_found_by_name_wavelength_option_and_order(tmp_path: Path) -> 
     ):
         said = pytest.warns(UserWarning, match="they are taken to be green, red, red_edge, nir")
         with said if how == "order" else nullcontext():
-            got = read(tmp_path / f"{name}.tif", **options)
+            got = read(tmp_path / f"{name}.tif", camera=BLUE, **options)
         assert got.chosen_by == how
         np.testing.assert_allclose(got.values[:4], image[:, ::-1], rtol=1e-6)
         others = ("blue",) if name in ("names", "waves") else ()
@@ -83,6 +84,7 @@ def test_every_band_of_the_camera_that_the_file_has_is_read(tmp_path: Path) -> N
     got = read(tmp_path / "a.tif", camera=camera)
     assert got.bands == (*BANDS, "green_2", "blue", "coastal")
     assert got.taken[4:] == ("band 7", "Blue-475", "coastal")
+    assert read(tmp_path / "a.tif").bands == BANDS
     np.testing.assert_allclose(got.values[4:, 0, 0], [0.03, 0.01, 0.02])
 
 

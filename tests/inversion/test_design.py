@@ -108,6 +108,13 @@ def test_the_gradient_in_centre_and_width_is_the_difference_quotient(target):
         assert float(slope[i]) == pytest.approx((ends[0] - ends[1]) / 2e-5, rel=1e-4, abs=1e-7)
 
 
+def test_what_is_no_number_is_never_chosen():
+    """Of one pixel, whose values have no covariance."""
+    spectra = spectra_of_leaves(second=np.zeros((3, 4, 4)), second_slope=np.zeros((3, 4, 4, 2)))
+    x = np.array([0.2, 0.55, 0.3, 0.6])
+    assert float(bands_of_design._ascent(x, spectra, LIMITS, every(spectra))[0]) == np.inf
+
+
 def test_the_ascent_finds_what_an_exhaustive_search_finds():
     """Two bands of 20 nm, every pair of centres 10 nm apart."""
     spectra = spectra_of_leaves(asked=((1.0, 0.0), (0.0, 1.0)))
@@ -380,8 +387,8 @@ def scene():
 @pytest.mark.parametrize(
     ("changes", "text"),
     [
-        ({"bands": 0}, "expected 1 to 210 `bands`"),
-        ({"bands": 211}, "expected 1 to 210 `bands`.*got 211"),
+        ({"bands": 0}, "`bands` as a whole number from 1 to 210, but got 0"),
+        ({"bands": 211}, "from 1 to 210, but got 211"),
         ({"target": "shanon"}, "got 'shanon'. Did you mean 'shannon'"),
         ({"target": "canopy_height"}, "no free parameter changes canopy_height in every planting"),
         ({"target": ["ground.*", "shannon"]}, "no free parameter changes shannon in every"),
@@ -391,6 +398,11 @@ def scene():
         ({"spectrum": (500.0, 600.0)}, "a band 100 nm wide does not fit"),
         ({"widths": (2.0, 50.0)}, "`widths` as two numbers.*of 10 to inf nm"),
         ({"plantings": 3}, "4 `plantings` or more"),
+        ({"plantings": 4.5}, "`plantings` as a whole number"),
+        ({"bands": 2.5}, "`bands` as a whole number"),
+        ({"starts": 1.5}, "`starts` as a whole number of at least 1, but got 1.5"),
+        ({"seed": -1}, "`seed` as a whole number"),
+        ({"pixel": (0.5, 2.0)}, "at least two pixels on a plot of 2 x 2 m"),
         ({"snr": 0.0}, "`snr` must be a positive number"),
         ({"pixel": 0.0}, "expected `pixel` as one or more positive numbers"),
         ({"pixel": (0.2, 0.3)}, "multiple of the smallest, 0.2 m, .*but got 0.3 m"),

@@ -1,4 +1,4 @@
-"""Small plots from end to end: calibrated to images of plots that other chance planted."""
+"""Small plots from end to end: calibrated to images of plots that were planted with other seeds."""
 
 import equinox as eqx
 import jax.numpy as jnp

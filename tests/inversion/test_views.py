@@ -656,7 +656,7 @@ def test_data_count_as_one_draw_of_what_plantings_scatter(chance):
 
 @pytest.mark.study
 def test_estimates_over_truths_have_the_stated_spread(chance):
-    """Simulation-based calibration: truths of the prior, planted by their own chance."""
+    """Simulation-based calibration: truths of the prior, planted with seeds of their own."""
     parameters, space, _, replant = chance
     space = space(0.3)
     settings = CalibrationSettings(stand_realisations=24, scatter_draws=24, rounds=1)

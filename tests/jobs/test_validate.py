@@ -88,6 +88,17 @@ def test_bands_that_both_images_have_are_compared(tmp_path: Path) -> None:
         assert row["ks"] == 0.0
 
 
+def test_a_band_of_one_image_alone_leaves_out_no_pixel(tmp_path: Path) -> None:
+    image = np.concatenate([drawn(3, 30, 30)[:1], drawn(1, 30, 30)])
+    write_geotiff(tmp_path / "b.tif", image[1:], list(BANDS), pixel_m=0.05)
+    image[0, :10] = np.nan
+    write_geotiff(tmp_path / "a.tif", image, ["Blue", *BANDS], pixel_m=0.05)
+    files = {"real_drone": tmp_path / "a.tif", "simulated_drone": tmp_path / "b.tif"}
+    table = validate(ValidationData(**files), tmp_path / "out").drone.bands
+    assert [row["band"] for row in table] == list(BANDS)
+    assert [row["ks"] for row in table] == [0.0] * 4
+
+
 def test_every_number_of_table_4_by_scipy_and_numpy(drone: DroneComparison) -> None:
     images = drawn(1, 40, 50), drawn(2, 30, 30, 0.2)
     table = drone.indices.set_index("index")

@@ -6,6 +6,7 @@ import pytest
 from scipy.spatial import ConvexHull
 
 import fynjax as fx
+from fynjax import jobs
 from fynjax.assembly import build_plot
 from fynjax.diversity import pielou_evenness
 from fynjax.errors import InputError
@@ -16,14 +17,14 @@ from fynjax.scene import truth_of_pixels
 from fynjax.sensors import PointSpread
 from fynjax.studies.communities import Gradients, diversity, draw_community
 from fynjax.studies.communities._draw import shares_of
-from fynjax.studies.communities._job import _few_bands, _headline
+from fynjax.studies.communities._job import _few_bands, _headline, _pool
 from fynjax.studies.communities._observe import (
     Design,
     _coarser,
-    _hull,
     _sample,
     functional_distance,
     green,
+    hull,
     observe_community,
 )
 from fynjax.studies.communities._scores import (
@@ -73,7 +74,12 @@ def test_a_community_lies_within_its_gradients():
     ("settings", "message"),
     [
         ({"richness": (3, 2)}, "expected `richness` as two numbers in order"),
-        ({"evenness": (0.5, 1.5)}, "from 0.01 to 1, but got 0.5, 1.5"),
+        ({"richness": (2, np.inf)}, "`richness` as two numbers in order"),
+        ({"richness": (np.nan, 3)}, "`richness` as two numbers in order"),
+        ({"richness": 5}, "`richness` as two numbers in order, from 1 to inf, but got 5"),
+        ({"richness": (2.5, 3)}, "`richness` as two numbers in order"),
+        ({"evenness": (0.5, 1.5)}, r"from 0.01 to 1, but got \(0.5, 1.5\)"),
+        ({"evenness": "01"}, "`evenness` as two numbers in order"),
         ({"cover": (0.5,)}, "expected `cover` as two numbers"),
         ({"age": (0.0, 3.0)}, "from 1 to 40"),
     ],
@@ -124,8 +130,10 @@ def test_pixels_of_a_species_are_mostly_of_it():
 
 def test_the_pixel_of_loss_is_where_the_signal_stays_below_the_threshold():
     pixels = np.array([0.1, 1.0, 10.0])
-    r2 = np.array([[0.5, 0.3, 0.1], [0.1, 0.3, np.nan], [0.1, 0.1, 0.1], [0.0, 0.0, 0.9]])
-    assert _lost_from(r2, pixels, 0.25).tolist() == [10.0, 10.0, 0.1, np.inf]
+    r2 = np.array([[0.5, 0.3, 0.1], [0.1, 0.1, 0.1], [0.0, 0.0, 0.9]])
+    assert _lost_from(r2, pixels, 0.25).tolist() == [10.0, 0.1, np.inf]
+    unknown = np.array([[0.1, 0.3, np.nan], [0.5, np.nan, 0.1], [np.nan, 0.1, 0.1]])
+    assert _lost_from(unknown, pixels, 0.25).tolist() == [np.inf, 10.0, 1.0]
     assert np.isnan(_lost_from(np.full((1, 3), np.nan), pixels, 0.25)).all()
 
 
@@ -193,8 +201,8 @@ def test_species_differ_in_function_by_form_height_and_leaves():
 
 
 def test_the_hull_of_pixels_that_are_few_or_alike():
-    assert np.isnan(_hull(np.ones((4, 4))))
-    assert _hull(np.ones((5, 4))) == 0.0
+    assert np.isnan(hull(np.ones((4, 4))))
+    assert hull(np.ones((5, 4))) == 0.0
 
 
 def test_pixels_that_are_not_green_do_not_count():
@@ -203,7 +211,7 @@ def test_pixels_that_are_not_green_do_not_count():
     spectra[:, red], spectra[:, nir] = 0.1, [0.1, 0.2, 0.3]
     assert green(spectra, CAMERA, 0.4).tolist() == [False, False, True]
     assert green(spectra, CAMERA, None).all()
-    with pytest.raises(InputError, match="no bands near 670 and 860 nm"):
+    with pytest.raises(InputError, match=r"670 and 860 nm, but the 2 of mavic_3m .* \(`bands`\)"):
         green(spectra[:, :2], CAMERA.select([0, 1]), 0.4)
 
 
@@ -226,8 +234,8 @@ def test_squared_correlations_are_those_of_numpy_and_their_intervals_hold_them()
     assert row.q05 < 0.8 < row.q95  # 1 / (1 + 0.25), the correlation of the population
     assert np.isnan(rows.loc[(1.0, "cv", "richness")].r2)
     gone = lost.set_index(["metric", "diversity"])
-    assert gone.loc[("cv", "richness")].lost_from_m == 1.0
-    assert (gone.loc[("cv", "richness")][["q05", "q95"]] == 1.0).all()
+    assert (gone.loc[("cv", "richness")][["lost_from_m", "q05", "q95"]] == np.inf).all()
+    assert gone.loc[("cv", "richness")].unknown_beyond_m == 0.1
     of = "functional"  # of which nothing is known
     assert gone.loc[("cv", of)].lost_from_m == 0.1
     # Of 200 communities that have nothing to do with each other, the greatest by chance.
@@ -236,19 +244,23 @@ def test_squared_correlations_are_those_of_numpy_and_their_intervals_hold_them()
     few = np.where(np.arange(200)[:, None, None, None, None] < 9, metrics, np.nan)
     assert agreement(truth, few, _design(), 0.25)[0].r2.isna().all()  # of nine nothing is said
     # The best metric holds where that of the greatest peak is gone.
-    metrics[:, 0, 1, 0, 1] = truth[:, 0] + 0.9 * random.normal(size=200)
+    metrics[:, 0, 1, 0, :2] = random.normal(size=(200, 2))
+    metrics[:, 0, 1, 0, 1] = truth[:, 0] + 0.9 * metrics[:, 0, 1, 0, 1]
     _, lost = agreement(truth, metrics, _design(), 0.25)
     gone = lost.set_index(["metric", "diversity"])
     assert gone.loc[("cv", "richness")].lost_from_m == 1.0
     assert np.isinf(gone.loc[("any", "richness")].lost_from_m)
+    assert np.isnan(gone.loc[("any", "richness")].unknown_beyond_m)
     truth[:, 0] = 3.0  # all alike
     _, lost = agreement(truth, metrics, _design(), 0.25)
     alike = lost.set_index(["metric", "diversity"]).loc[("any", "richness")]
-    assert alike[["best_r2", "by_chance", "lost_from_m", "q05", "q95"]].isna().all()
+    assert alike.drop(["sensor", "noise"]).isna().all()
     known = pd.DataFrame(
         {"sensor": [CAMERA.name], "noise": 0.0, "pixel_m": 0.1, "species": 0.0, "accuracy": np.nan,
          "by_chance": np.nan}
     )  # fmt: skip
+    unknown = lost.assign(best_r2=0.9, best_pixel_m=0.1, lost_from_m=np.inf, unknown_beyond_m=0.1)
+    assert _headline(unknown, known, 0.25)[0].endswith("at the widest pixel that is known, 0.1 m.")
     lines = _headline(pd.concat([lost.assign(noise=0.1, best_r2=0.01), lost]), known, 0.25)
     assert lines[1] == f"{CAMERA.name}: richness does not vary over the communities."
     assert "every metric is below 25 % from 1 m on [1, 1]" in lines[0]
@@ -269,19 +281,55 @@ def test_spectral_species_are_those_of_all_communities_together():
     pixels += 0.01 * random.normal(size=pixels.shape)
     count = np.stack([np.bincount(one, minlength=6) for one in kinds])
     cover = count * random.uniform(0.05, 0.15, (10, 1))  # more plants of the same kinds
-    entropy, table = composition(cover, [pixels], _design())
-    np.testing.assert_allclose(entropy[:, 0, 0, 0], fx.diversity.shannon(count), atol=1e-6)
+    of_image = random.random((10, 1, 2, 1, 5))
+    found, table = composition(cover, of_image, [pixels], _design())
+    np.testing.assert_allclose(found[:, 0, 0, 0, -1], fx.diversity.shannon(count), atol=1e-6)
+    assert (found[..., :-1] == of_image).all()
     assert table["spectral_species"].tolist() == [6, 6]
     assert table["mantel"][0] == pytest.approx(1.0)
     assert abs(table["mantel"][1]) < 0.5
     assert table["p_value"][0] < 0.01 < table["p_value"][1]
     # A community without pixels that count is left out; of too few pixels nothing is known.
     pixels[3, 0], pixels[:, 1, 0, 1:] = np.nan, np.nan
-    entropy, table = composition(cover, [pixels], _design())
-    assert np.isnan(entropy[:, 0, 0, 0]).tolist() == [i == 3 for i in range(10)]
+    found, table = composition(cover, of_image, [pixels], _design())
+    assert np.isnan(found[:, 0, 0, 0, -1]).tolist() == [i == 3 for i in range(10)]
     assert table["mantel"][0] > 0.8
-    assert np.isnan(entropy[:, 0, 1]).all()
+    assert np.isnan(found[:, 0, 1, 0, -1]).all()
     assert np.isnan(table["mantel"][1])
+    assert table["pixels"].tolist() == [6, 1]
+
+
+def test_communities_have_as_many_pixels_for_hull_and_clusters():
+    """Spectra of one distribution, ten to sixty pixels: of all of them the metrics grow with the
+    number. A community of nine pixels is left out."""
+    random = np.random.default_rng(6)
+    number = np.arange(9, 60, 5)
+    pixels = random.normal(size=(len(number), 1, 1, 60, 4))
+    pixels[np.arange(60)[None] >= number[:, None, None, None]] = np.nan
+    design = Design((CAMERA,), (0.1,), (0.0,), samples=20, seed=0, greenness=0.4)
+    of_image = np.ones((len(number), 1, 1, 1, 5))
+    cover = random.random((len(number), 3)) + 0.1
+    found, table = composition(cover, of_image, [pixels], design)
+    assert table["pixels"].tolist() == [14]
+    assert np.isnan(found[0, 0, 0, 0, 4:]).all()
+    for metric in found[1:, 0, 0, 0, 4:].T:
+        assert abs(np.corrcoef(metric, number[1:])[0, 1]) < 0.6
+    np.testing.assert_allclose(found[-1, 0, 0, 0, 4], hull(pixels[-1, 0, 0, :14]))
+
+
+def test_what_does_not_vary_is_not_known_and_loses_no_other_row():
+    """A band that is the same in all pixels, and species whose pixels are all alike."""
+    random = np.random.default_rng(0)
+    species = np.tile(np.repeat([0, 1], 10), (10, 1, 2, 1))
+    pixels = random.random((10, 2, 1, 20, 4))
+    pixels[:, 0, :, :, 1], pixels[:, 0, :, :10], pixels[:, 0, :, 10:] = 0.3, 0.3, 0.5
+    pixels[:, 0, 0, :, 1] = 0.3
+    cover = random.random((10, 2)) + 0.1
+    _, table = composition(cover, np.ones((10, 1, 2, 1, 5)), [pixels], _design())
+    assert np.isfinite(table["mantel"]).tolist() == [False, True]
+    known = recognition(species, [pixels], ("a", "b"), _design())
+    assert np.isfinite(known["accuracy"]).all()
+    assert np.isfinite(known["jeffries_matusita"]).tolist() == [False, True]
 
 
 def test_species_are_recognised_where_spectra_differ_and_by_chance_where_they_do_not():
@@ -320,7 +368,11 @@ def test_what_is_true_of_one_community_alone_is_no_skill():
         ({"pixels": (0.5, 1.0)}, "at most half the side of 1 m, but got 0.5, 1"),
         ({"pixels": (float("nan"),)}, "above 0 and at most half"),
         ({"size": 1.05, "pixels": (0.05,)}, "whole voxels of 0.1 m, but got 1.05 m"),
-        ({"communities": 4}, "at least 10 `communities`"),
+        ({"communities": 4}, "`communities` as a whole number of at least 10, but got 4"),
+        ({"bands": 2.5}, "`bands` as a whole number"),
+        ({"threshold": 1.0}, "above 0 and below 1, but got 1"),
+        ({"seed": -1}, "`seed` as a whole number from 0 to 2147483647, but got -1"),
+        ({"sensors": "aviris_ng", "bands": 3, "greenness": 0.4}, "the 3 of aviris_ng"),
         ({"greenness": 1.0}, "from -1 to below 1, but got 1"),
         ({"noise": ()}, "at least one `noise`"),
         ({"noise": (float("nan"),)}, "each from 0 to 0.3"),
@@ -364,6 +416,20 @@ def test_the_experiment_is_resumed_without_loss(tmp_path):
             checkpoint=kept,
             **(few | {"gradients": Gradients(richness=(2, 2))}),
         )
+
+
+def test_a_species_table_alone_is_a_pool(tmp_path, shared_data):
+    """A field's table with semicolons and decimal commas, in the light of the shipped plot."""
+    table = shared_data / "field/16_species-tables/bom_semicolon_decimalcomma/species.csv"
+    pool = _pool(table)
+    assert pool.taxa == POOL.taxa
+    assert table.resolve() in pool.inputs  # whose hash the checkpoint holds
+    assert pool.leaves == ()
+    assert pool.sun == POOL.sun
+    with jobs.dry_run(), pytest.raises(jobs.DryRunEnd):
+        diversity(tmp_path, table, size=1.0, pixels=(0.5,))
+    with pytest.raises(InputError, match="no such file"):
+        diversity(tmp_path, tmp_path / "species.csv")
 
 
 def test_bands_are_chosen_evenly():

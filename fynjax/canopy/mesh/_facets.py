@@ -2,6 +2,8 @@
 
 import numpy as np
 
+from fynjax._core.seeds import generator
+
 # Normals are sorted into this many rings and sectors of the hemisphere, all of equal area.
 _NORMAL_RINGS, _NORMAL_SECTORS = 8, 16
 _POSITION_BITS = 10
@@ -55,7 +57,7 @@ def draw_evenly(
     """
     order = np.lexsort((_along_curve(place), _normal_cell(normal)))
     mass = np.cumsum(area[order])
-    start = np.random.default_rng(seed).random()
+    start = generator(*np.ravel(seed)).random()
     steps = (np.arange(count) + start) / count * mass[-1]
     return order[np.minimum(np.searchsorted(mass, steps), len(mass) - 1)]
 

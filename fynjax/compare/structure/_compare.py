@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 
 from fynjax._core.progress import advance, stage
+from fynjax._core.seeds import generator
 from fynjax.compare.structure._cloud import HeightCloud, common_plot, height_cloud, open_cloud
 from fynjax.compare.structure._grain import binned_returns, choose_cells
 from fynjax.compare.structure._notes import comparison_notes, nearly_highest
@@ -54,6 +55,7 @@ def compare_clouds(
     **Raises:** `InputError`, with the file where it is one's fault: no common plot, different
     reference systems, no ground, no grain that fits.
     """
+    rng = generator(seed)
     settings = ComparisonSettings() if settings is None else settings
     paths = Path(real_path), Path(simulated_path)
     clouds, bounds, notes = _on_one_plot(paths, settings)
@@ -72,7 +74,6 @@ def compare_clouds(
     denser = int(len(binned[1]) > len(binned[0]))
     thinned = "neither" if len(binned[0]) == len(binned[1]) else ("real", "simulated")[denser]
     full = [cell_structure(part) for part in binned]
-    rng = np.random.default_rng(seed)
     repeated: list[CellStructure] = []
     rounds: list[tuple[np.ndarray, float, float]] = []
     other = binned[1 - denser].height
@@ -140,6 +141,7 @@ def cloud_structure(
 
     **Raises:** `InputError` as `compare_clouds`.
     """
+    rng = generator(seed)
     settings = ComparisonSettings() if settings is None else settings
     path = Path(path)
     with stage("Read the cloud"):
@@ -153,7 +155,6 @@ def cloud_structure(
     binned = binned_returns(heights, grid, settings.structure)
     structure = cell_structure(binned)
     percentiles = np.percentile(binned.height, settings.percents)
-    rng = np.random.default_rng(seed)
     bins = _bins([binned], settings)
     side = _side(heights, binned, structure, [], percentiles, bins, settings, rng)
     return CloudStructure(side, grid.grain, grains, structure)

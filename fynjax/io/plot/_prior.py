@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float
 from pydantic import Field, model_validator
 
+from fynjax._core.seeds import generator
 from fynjax.canopy import FORMS
 from fynjax.io.text import Strict, number, read_toml, shipped_or_own, write_text
 from fynjax.scene import PARAMETERS
@@ -249,7 +250,7 @@ class LearnedPrior:
         """Parameters of `count` plots elsewhere (`sd`), each of a region of its own (`drawn`); of
         the growth forms of the file."""
         _, own = self.numbers()
-        return self.drawn(np.empty(0), np.random.default_rng(seed).normal(size=(count, own)))
+        return self.drawn(np.empty(0), generator(seed).normal(size=(count, own)))
 
     def numbers(self, shared: Sequence[str] = ()) -> tuple[int, int]:
         """How many unit normal numbers `drawn` takes for all plots and for each."""

@@ -8,6 +8,7 @@ from jaxtyping import Float
 from scipy.special import ndtri
 
 from fynjax._core.errors import InputError
+from fynjax._core.seeds import generator
 
 _TURN_S = 60.0  # between the flight lines
 
@@ -148,7 +149,7 @@ def scan_beams(
     step = float(np.sqrt(len(lines) / geometry.pulse_density))
     reach = 0.5 * float(np.hypot(*extent)) + step
     cells = (np.arange(int(np.ceil(2.0 * reach / step))) + 0.5) * step - reach
-    rng = np.random.default_rng([seed, 613])
+    rng = generator(seed, 613)
     turn = np.deg2rad(geometry.heading)
     right, ahead = np.array([np.cos(turn), -np.sin(turn)]), np.array([np.sin(turn), np.cos(turn)])
     middle = 0.5 * np.asarray(extent)

@@ -108,7 +108,7 @@ def learn(
     read, bands, measured, files, remarks = _read(folders, run, plots, traits)
     begin_work({"prior.toml": f"learned from {len(read)} plots", "report.html": ""})
     with run.stage("Plant the plots"):
-        # Each plot rounds its numbers of plants by a chance of its own.
+        # Each plot rounds its numbers of plants with a seed of its own.
         seeds = [seed + i for i in range(len(files))]
         fine = build_scenes(files, resolution, seeds)
         coarse = fine if wide == resolution else build_scenes(files, wide, seeds)

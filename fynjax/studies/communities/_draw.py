@@ -40,11 +40,15 @@ class Gradients:
             given = getattr(self, name)
             if given is None:
                 continue
-            whole = name != "richness" or all(number == int(number) for number in given)
-            if len(given) != 2 or not whole or not least <= given[0] <= given[1] <= most:
+            try:
+                low, high = (number + 0.0 for number in given)
+            except (TypeError, ValueError):
+                low = high = math.nan
+            whole = name != "richness" or low % 1 == high % 1 == 0.0  # infinity and NaN leave NaN
+            if not whole or not least <= low <= high <= most:
                 raise InputError(
                     f"expected `{name}` as two numbers in order, from {least:g} to {most:g}, but "
-                    f"got {', '.join(f'{number:g}' for number in given)}"
+                    f"got {given!r:.60}"
                 )
 
 

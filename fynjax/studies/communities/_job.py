@@ -10,7 +10,7 @@ import pandas as pd
 
 from fynjax._core.checkpoint import Journal, signature
 from fynjax._core.dry_run import begin_work
-from fynjax._core.errors import InputError, listed
+from fynjax._core.errors import InputError, listed, whole_number
 from fynjax._core.extras import require
 from fynjax._core.parts import Workers, at_work
 from fynjax._core.precision import double_precision
@@ -18,10 +18,11 @@ from fynjax._core.progress import stage
 from fynjax.io.instruments import load_instrument
 from fynjax.io.plot import Plot, as_plot, example_folder
 from fynjax.io.raster import file_hash
+from fynjax.io.text import existing_file, read_rows
 from fynjax.jobs import JobResult, Rows, Run
 from fynjax.report import figures
 from fynjax.report.pages import Page, Picture, Section, Table
-from fynjax.scene import visible_sensor
+from fynjax.scene import SpeciesRow, check_species, cover_definition_of, visible_sensor
 from fynjax.sensors import Sensor
 from fynjax.studies.communities._draw import Gradients, check_pool
 from fynjax.studies.communities._observe import DIVERSITIES, Design, green, observe_community
@@ -75,7 +76,9 @@ def diversity(
     **Arguments:**
 
     - `output`: folder of the results, made if missing.
-    - `plot`: whose species are drawn from, with their leaves; the shipped plot by default.
+    - `plot`: whose species are drawn from, with their leaves; the shipped plot by default. Or a
+      species table (CSV), whose species have usual leaves and stand on the shipped plot's ground
+      in its light.
     - `communities`: how many are drawn, at least 10.
     - `size`: side of a simulated plot [m].
     - `gradients`: of richness, evenness, cover and years since fire.
@@ -106,15 +109,14 @@ def diversity(
     """
     require("sklearn", "analysis", "scikit-learn")
     gradients = Gradients() if gradients is None else gradients
-    read = as_plot(example_folder() / "plot.toml" if plot is None else plot)
+    read = _pool(example_folder() / "plot.toml" if plot is None else plot)
     check_pool(read, gradients)
     pool = read.replace(size_m=(size, size))
-    if communities < _FEWEST or samples < 1 or bands < 1 or not 0.0 < threshold < 1.0:
-        raise InputError(
-            f"expected at least {_FEWEST} `communities`, 1 of `samples` and `bands`, and a "
-            f"`threshold` between 0 and 1, but got {communities}, {samples}, {bands} and "
-            f"{threshold:g}"
-        )
+    whole_number("communities", communities, _FEWEST)
+    whole_number("samples", samples, 1)
+    whole_number("bands", bands, 1)
+    if not 0.0 < threshold < 1.0:
+        raise InputError(f"expected a `threshold` above 0 and below 1, but got {threshold:g}")
     if not noise or not all(0.0 <= one <= _MOST_NOISE for one in noise):
         raise InputError(f"expected at least one `noise`, each from 0 to {_MOST_NOISE:g}")
     given = [sensors] if isinstance(sensors, str | Path | Sensor) else sensors
@@ -145,8 +147,7 @@ def diversity(
     truth, cover, metrics, species, *kept = (np.stack(parts) for parts in zip(*done, strict=True))
     spectra, drawn = kept[: len(chosen)], kept[len(chosen) :]
     with run.stage("Score"):
-        entropy, composed = composition(cover, drawn, design)
-        metrics = np.concatenate([metrics, entropy[..., None]], axis=-1)
+        metrics, composed = composition(cover, metrics, drawn, design)
         table, lost = agreement(truth, metrics, design, threshold)
         known = recognition(species, spectra, pool.taxa, design)
     headline = _headline(lost, known, threshold)
@@ -156,7 +157,8 @@ def diversity(
         )
         run.table("agreement.csv", table, "squared correlation of metrics with diversity")
         run.table("lost.csv", lost, "pixel at which each diversity is lost to each metric")
-        run.table("recognition.csv", known, "how well species are recognised")
+        what = "how well species are recognised; q05, q95 over 20 trainings, not over communities"
+        run.table("recognition.csv", known, what)
         run.table("composition.csv", composed, "how composition follows that of the plants")
         sections = _sections(table, lost, known, composed, threshold)
         record = run.record(read.inputs)
@@ -165,6 +167,22 @@ def diversity(
     return run.result(
         DiversityResult, headline=headline, lost=lost, recognition=known, composition=composed
     )
+
+
+def _pool(plot: Plot | str | Path) -> Plot:
+    """A plot, that of a plot file, or the shipped one with the species of a table."""
+    if isinstance(plot, Plot) or Path(plot).suffix.lower() != ".csv":
+        return as_plot(plot)
+    path = existing_file(plot, "a species table").resolve()
+    rows = read_rows(path, SpeciesRow, "a species table")
+    check_species(rows, path, None)
+    species = tuple(row for _, row in rows)
+    read = as_plot(example_folder() / "plot.toml")
+    return read.replace(
+        name=path.stem, species_table=path, species=species, leaf_table=None, leaves=(),
+        cover_definition=cover_definition_of(species, None),
+        inputs=(read.file, path, *(row.plant for row in species if row.plant is not None)),
+    )  # fmt: skip
 
 
 def _checked_pixels(pixels: Sequence[float], size: float, voxel: float) -> tuple[float, ...]:
@@ -223,6 +241,8 @@ def _headline(lost: pd.DataFrame, known: pd.DataFrame, threshold: float) -> list
                 line += f" [{best['q05']:g}, {best['q95']:g}]"
             else:
                 line += f"; some metric is not {below} at the widest pixel"
+                if np.isfinite(best["unknown_beyond_m"]):
+                    line += f" that is known, {best['unknown_beyond_m']:g} m"
             lines.append(f"{line}.")
         mine = known[(known["sensor"] == sensor) & (known["noise"] == known["noise"].min())]
         pixel, count, found, chance = mine[["pixel_m", "species", "accuracy", "by_chance"]].iloc[0]
@@ -254,15 +274,30 @@ def _sections(
         figures.recognition_plot(known),
         "share of pixels whose species is recognised against the pixel",
         "Pixels that are at least half of one species, recognised by a linear discriminant that "
-        "other communities trained; bands are 5 to 95 % over partings, dotted is chance. Numbers "
-        "are species that lead in enough pixels. Leaves of a species are all alike here: real "
-        "ones are not, and are recognised less often.",
+        "other communities trained; bands are 5 to 95 % over 20 trainings on halves of the same "
+        "communities, not over communities; dotted is chance. Numbers are species that lead in "
+        "enough pixels. Leaves of a species are all alike here: real ones are not, and are "
+        "recognised less often.",
     )
     return [
         Section(
-            "Diversity", [curves, Table(lost, "Where each diversity is lost (–: at no pixel).")]
+            "Diversity",
+            [
+                curves,
+                Table(
+                    lost,
+                    "Where each diversity is lost (–: at no pixel that is known). Of pixels wider "
+                    "than 'unknown beyond' the metric is not known.",
+                ),
+            ],
         ),
-        Section("Species", [skill, Table(known, "How well species are recognised.")]),
+        Section(
+            "Species",
+            [
+                skill,
+                Table(known, "How well species are recognised; q05 and q95 are over 20 trainings."),
+            ],
+        ),
         Section(
             "Composition",
             [

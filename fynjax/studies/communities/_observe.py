@@ -31,8 +31,8 @@ DIVERSITIES = ("richness", "shannon", "simpson", "evenness", "cover", "functiona
 after Pielou of the covers as seen from straight above, their sum, and Rao's quadratic entropy with
 the distance of species in growth form, height and leaf chemistry (`functional_distance`)."""
 OF_IMAGE = (*VARIETY, "hull")
-"""Spectral metrics of the pixels of an image: `VARIETY`, and the volume of their convex hull in the
-image's own first three principal components."""
+"""Spectral metrics of the pixels of an image: `VARIETY`, and the volume of their convex hull in
+their own first three principal components."""
 CLUSTERED = 200
 """Pixels that a community gives to the spectral species of all communities, at most."""
 _TRAITS = ("chlorophyll", "carotenoids", "water", "dry_matter")
@@ -108,7 +108,7 @@ def observe_community(
                 noisy = clear * (1.0 + noise * random.normal(size=clear.shape))
                 seen_green = noisy[green(noisy, sensor, design.greenness)]
                 found = spectral_variety(seen_green, seed=random)
-                metrics[s, p, n] = [*(found[name] for name in VARIETY), _hull(seen_green)]
+                metrics[s, p, n] = [*(found[name] for name in VARIETY), hull(seen_green)]
                 kept.append(noisy[places])
                 few = random.permutation(seen_green)[:CLUSTERED]
                 some[p, n, : len(few)] = few
@@ -141,13 +141,13 @@ def functional_distance(pool: Plot, scene: Scene) -> Float[np.ndarray, "species 
     return gower_distance(varied)
 
 
-def _hull(spectra: Float[np.ndarray, "pixel band"]) -> float:
+def hull(spectra: Float[np.ndarray, "pixel band"]) -> float:
     """Volume of the hull of spectra in their own principal components, three or as many as there
     are bands; NaN of too few pixels, 0 of pixels that are all alike."""
     count = min(3, spectra.shape[1])
     if len(spectra) < count + 2:
         return float("nan")
-    if np.ptp(spectra, axis=0).max() <= 0.0:
+    if np.ptp(spectra, axis=0).max() <= 1e-10 * np.abs(spectra).max():
         return 0.0
     return hull_volume(principal_components(spectra, count).scores(spectra))
 
@@ -195,7 +195,8 @@ def green(
     near = [int(np.argmin(np.abs(centres - nm))) for nm in _NDVI]
     if np.abs(centres[near] - _NDVI).max() > _NEAR:
         raise InputError(
-            f"{sensor.name} has no bands near {_NDVI[0]:g} and {_NDVI[1]:g} nm for an NDVI"
+            f"a `greenness` needs bands near {_NDVI[0]:g} and {_NDVI[1]:g} nm, but the "
+            f"{len(centres)} of {sensor.name} that are used (`bands`) do not have both"
         )
     red, nir = spectra[:, near].T
     return nir - red >= least * (nir + red)
