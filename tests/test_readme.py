@@ -32,7 +32,7 @@ def run(source: str, folder: Path) -> dict[str, Any]:
 
 def test_a_screen_is_enough() -> None:
     assert len(README.splitlines()) < 80
-    assert README.count("![") == 2  # the plot, and the notebooks
+    assert README.count("![") + README.count("<img ") == 3  # the plot twice, and the notebooks
     assert len(blocks("sh")) == 2
     assert len(blocks("python")) == 1
 

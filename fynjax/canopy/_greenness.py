@@ -29,6 +29,15 @@ _WORDS = {
     "rededge": "red_edge",
     "re": "red_edge",
     "edge": "red_edge",
+    "gre": "green",
+    "reg": "red_edge",
+    "msg": "green",
+    "msr": "red",
+    "msre": "red_edge",
+    "msnir": "nir",
+    "grün": "green",
+    "rot": "red",
+    "blau": "blue",
 }
 _EXTRA = re.compile(
     r"\bb(?:and)?\W*\d{1,2}\b(?=\W*[a-z]{3})|(?<!\d)\d{3,4}(\.\d+)?(?!\d)|nm\b|nanomet\w+|\b(band|reflectance)\b|[\W_]"

@@ -195,7 +195,7 @@ def plant(
         str | None,
         typer.Option(
             metavar="UNIT",
-            help="Unit of the mesh or scan: metre (if left out), centimetre, millimetre, foot.",
+            help="Unit of the mesh or scan: metre (if left out), cm, mm, foot, inch.",
         ),
     ] = None,
     maximum_extent: Annotated[
@@ -203,6 +203,10 @@ def plant(
         typer.Option(
             metavar="M", help="A larger mesh or scan [m] is taken to be in other units.  [4]"
         ),
+    ] = None,
+    form: Annotated[
+        str | None,
+        typer.Option(help="Growth form of a taxon that is not in table 1, to generate it."),
     ] = None,
     branches: Annotated[
         int, typer.Option(min=1, help="The source is one branch: make a plant of so many copies.")

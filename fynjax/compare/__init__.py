@@ -3,7 +3,7 @@
 from fynjax.compare._dataset import unit_of, validation_dataset
 from fynjax.compare._drone import DroneComparison, compare_drone_images
 from fynjax.compare._footprint import pixel_footprint
-from fynjax.compare._images import DroneImage, read_drone_image
+from fynjax.compare._images import DroneImage, OtherBands, read_drone_image, shared_bands
 from fynjax.compare._lidar_heights import LEVELS, Heights, compare_heights
 from fynjax.compare._plot_diversity import DISTANCE, REGRESSION, plot_diversity_table
 from fynjax.compare._plots import (
@@ -56,6 +56,7 @@ __all__ = [
     "DroneImage",
     "Figure12Row",
     "Heights",
+    "OtherBands",
     "PlotSpectraPair",
     "PublishedComparison",
     "SpectralComparison",
@@ -83,6 +84,7 @@ __all__ = [
     "plot_diversity_table",
     "read_drone_image",
     "read_spectra_sample",
+    "shared_bands",
     "table4_2006",
     "table5_2006",
     "unit_of",

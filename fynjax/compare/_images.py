@@ -4,11 +4,12 @@ Two images are compared by the distributions of their pixels, not pixel by pixel
 size, place and coordinate system, and need none.
 """
 
+import re
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -30,6 +31,24 @@ _KNOWN = {
     "red_edge": (700.0, 750.0),
     "nir": (780.0, 900.0),
 }
+
+
+class OtherBands(NamedTuple):
+    """Bands to be read beside the four, as a `BandSet` has them; NaN where not known."""
+
+    names: tuple[str, ...]
+    centre: tuple[float, ...]
+    """Centre wavelength [nm]."""
+    fwhm: tuple[float, ...]
+    """Full width at half maximum [nm]."""
+
+
+_COLOUR = re.compile(r"coastal|violet|blue|cyan|green(?!ness)|yellow|orange|red|nir|swir|pan")
+"""Beginning of a name of a band of reflected light, in one spelling."""
+_SAME_NM = 10.0
+"""Wavelengths of one band differ by no more [nm]."""
+_MOST_BANDS = 16
+"""Most bands that a camera has; with more it is a spectrometer, compared by its spectra."""
 
 
 @dataclass(frozen=True)
@@ -93,7 +112,7 @@ def read_drone_image(
     path: str | Path,
     *,
     bands: Sequence[str] | None = None,
-    camera: BandSet | None = None,
+    camera: BandSet | OtherBands | None = None,
     saturation: float | None = None,
     most_pixels: int | None = 1_000_000,
 ) -> DroneImage:
@@ -196,13 +215,50 @@ def read_drone_image(
     )
 
 
+def shared_bands(
+    *images: str | Path, bands: Sequence[Sequence[str] | None] = (None, None)
+) -> OtherBands | None:
+    """Bands of reflected light that two images have beside the four, as the first names them.
+
+    A band of the second is the same if its name is, or if their wavelengths are within 10 nm.
+
+    **Arguments:** two `images`; the names of their `bands` where they are stated.
+
+    **Returns:** `OtherBands`, for `read_drone_image`; `None` without any, and where more are shared
+    than a camera has.
+
+    **Raises:** `InputError` for images that cannot be opened.
+    """
+    first, second = map(_colours, images, bands)
+    found = {}
+    for word, (name, centre) in first.items():
+        if word in second or any(abs(wave - centre) <= _SAME_NM for _, wave in second.values()):
+            found[name] = centre
+    if not 0 < len(found) <= _MOST_BANDS:
+        return None
+    return OtherBands(tuple(found), tuple(found.values()), (2.0 * _SAME_NM,) * len(found))
+
+
+def _colours(path: str | Path, stated: Sequence[str] | None) -> dict[str, tuple[str, float]]:
+    """Name and centre [nm] of each band of reflected light, by the name in one spelling."""
+    with open_image(path, "a drone image") as file:
+        names, waves = file.names if stated is None else stated, file.wavelengths
+    found: dict[str, tuple[str, float]] = {}
+    for name, wave in zip(names, waves, strict=False):
+        if _COLOUR.match(word := band_word(name or "")):
+            found.setdefault(word, (word if word in _KNOWN else name.lower(), float(wave)))
+        elif 350.0 < wave < 2600.0:
+            word = "blue" if abs(wave - 475.0) <= _SAME_NM else f"{wave:g} nm"
+            found.setdefault(word, (word, float(wave)))
+    return found
+
+
 def _check_order(
     pixels: Float[np.ndarray, "band pixel"], how: str, taken: Sequence[str], path: Path
 ) -> None:
     """Say which bands were taken by their order, and refuse or doubt what no vegetation is."""
     medians = np.median(pixels, axis=1)
-    _, red, edge, nir = medians
-    found = f"near infrared has a median of {nir:.3g} and red of {red:.3g}"
+    *others, edge, nir = medians
     say = f"Say what each band of the file is, {_OPTION}"
     if how == "order":
         if not max(medians[:2]) < edge < nir:
@@ -218,9 +274,10 @@ def _check_order(
             f"order; green and red cannot be known by their values. {say}",
             stacklevel=3,
         )
-    elif nir < red:
+    elif nir < 0.9 * max(*others, edge):
+        what = ", ".join(f"{n} {m:.3g}" for n, m in zip(taken, medians, strict=False))
         warnings.warn(
-            f"{path}: {found} ({', '.join(taken[: len(BANDS)])}): vegetation is brighter there. "
+            f"{path}: the bands have medians of {what}: vegetation is brightest in near infrared. "
             "Are the bands named right?",
             stacklevel=3,
         )
@@ -263,7 +320,10 @@ _OPTION = (
 
 
 def _find_bands(
-    file: RasterFile, data: Sequence[int], stated: Sequence[str] | None, camera: BandSet | None
+    file: RasterFile,
+    data: Sequence[int],
+    stated: Sequence[str] | None,
+    camera: BandSet | OtherBands | None,
 ) -> tuple[tuple[str, ...], list[int], tuple[str, ...], str]:
     """Names of the bands that are read, `BANDS` first, and of each its number in the file, what
     the file calls it; and how the four were found."""
@@ -337,8 +397,13 @@ def _find_four(
     ]
     raise InputError(
         f"expected the bands {', '.join(BANDS)}, but no single band is known as {absent} among "
-        f"{', '.join(shown[:8])}{', ...' if len(shown) > 8 else ''}. Say what each band of the "
-        f"file is, {_OPTION}",
+        f"{', '.join(shown[:8])}{', ...' if len(shown) > 8 else ''}. "
+        + (
+            f"Say what each band of the file is, {_OPTION}"
+            if len(data) > 1
+            else "A band of several files? Name them after it, as result_Green.tif and "
+            "result_NIR.tif, or join them: gdal_merge.py -separate -o image.tif GREEN RED ..."
+        ),
         file=path,
     )
 

@@ -33,7 +33,7 @@ from fynjax.jobs._map_pixels import (
 )
 from fynjax.jobs._result import JobResult, Number, Record
 from fynjax.jobs._run import Run
-from fynjax.jobs._train import Training, read_training
+from fynjax.jobs._train import SCORES, Training, read_training
 from fynjax.report import figures
 from fynjax.report.pages import Page, Picture, Section, Table
 from fynjax.sensors import BandSet
@@ -191,7 +191,7 @@ def map_cube(
         record: dict[str, Any] = {
             **run.record([training]),
             "cube": source.path.name,
-            "training": json.dumps({k: str(v) for k, v in trained.record.items()}),
+            "training": json.dumps({k: str(v) for k, v in trained.record.items() if k != "scores"}),
             "masked_beyond": likely if not keep_unlike else "nothing",
             "place": _place(source),
         }
@@ -207,6 +207,9 @@ def map_cube(
                     run, pool, trained, learned, pixels, channels, **asked,
                     likely=likely, journal=journal, record=record,
                 )  # fmt: skip
+    if "scores" in trained.record:
+        scores = pd.DataFrame(json.loads(trained.record["scores"]))
+        chosen[1].append(Section("The training", [Table(scores, SCORES)]))
     result = _summary(run, picture, step, source, damaged, likely, keep_unlike, record, *chosen)
     forget_journal(kept)
     writer.forget()
@@ -347,7 +350,7 @@ def _summary(
     keep_unlike: bool,
     record: dict[str, Any],
     posteriors: list[PixelPosterior],
-    chosen: list[Section],
+    more: list[Section],
 ) -> MapResult:
     unlike = maps[-1]
     with_data = np.isfinite(unlike)
@@ -400,7 +403,7 @@ def _summary(
             lead=headline[0],
             sections=[
                 Section("Maps", [Picture("maps.png", figure, what)]),
-                *chosen,
+                *more,
                 Section(
                     "In numbers",
                     [

@@ -43,6 +43,7 @@ _MAXIMUM_EXTENT = 4.0
 _LARGEST_LEAF_SCALE = 1.1
 # Arguments that mean nothing for a source of another kind.
 _ONLY_FOR = {
+    "form": ("taxon",),
     "materials": ("mesh", "taxon"),
     "up": ("mesh", "scan"),
     "unit": ("mesh", "scan"),
@@ -102,6 +103,10 @@ class PlantResult(JobResult):
     materials: list[MaterialSummary]
 
 
+_SHORT = {"m": "metre", "cm": "centimetre", "mm": "millimetre", "ft": "foot", "in": "inch"}
+"""Other names of units."""
+
+
 @double_precision
 def plant(
     source: str,
@@ -112,6 +117,7 @@ def plant(
     up: Literal["y", "z"] | None = None,
     unit: str | None = None,
     maximum_extent: float | None = None,
+    form: str | None = None,
     branches: int = 1,
     rotation_spread: float | None = None,
     diameter: float | None = None,
@@ -130,6 +136,7 @@ def plant(
     - `up`, `n_elements`: as in `plant_model_from_mesh`; `maximum_extent` as there, 4 m if left
       out.
     - `unit`: of the mesh or scan, one of `fynjax.io.raster.UNITS`; metres if left out.
+    - `form`: growth form of a taxon, which need not be one of table 1 then.
     - `branches`, `rotation_spread`: as in `plant_from_branches`.
     - `diameter`, `height`, `flowering`, `max_triangles`: as in `generate_plant`.
     - `seed`: seed of the random numbers.
@@ -142,8 +149,11 @@ def plant(
     Example: `jobs.plant("shrub.obj", "results", n_elements=5000)`.
     """
     run = Run(output, seed=seed)
-    kind = _kind(source)
+    if form is not None and form not in FORMS:
+        raise InputError(f"`form` must be one of {', '.join(FORMS)}, but is {form!r}")
+    kind = _kind(source) if form is None or Path(source).exists() else "taxon"
     given = {
+        "form": form,
         "materials": materials,
         "up": up,
         "unit": unit,
@@ -162,6 +172,7 @@ def plant(
             )
     if rotation_spread is not None and branches == 1:
         raise InputError("`rotation_spread` is the tilt of branches: give `branches` too")
+    unit = _SHORT.get(unit or "", unit)
     if unit is not None and unit not in UNITS:
         raise InputError(f"`unit` must be one of {', '.join(UNITS)}, but is {unit!r}")
     metres = UNITS[unit or "metre"]
@@ -190,7 +201,7 @@ def plant(
             if kind == "taxon":
                 limit = np.inf  # `generate_plant` has limits of its own
                 made = generate_plant(
-                    source,
+                    form or source,
                     seed,
                     diameter=diameter,
                     height=height,
@@ -252,7 +263,7 @@ def _kind(source: str) -> str:
         )
     raise InputError(
         f"{source!r} is no file, no taxon of table 1 and no growth form."
-        f"{did_you_mean(source, taxa)} Known are {', '.join(taxa)}."
+        f"{did_you_mean(source, taxa)} Known are {', '.join(taxa)}. Another taxon needs its `form`."
     )
 
 

@@ -287,11 +287,13 @@ def _from_cloud(
             cloud, ground, cell=cell, bounds=bounds, largest_gap=largest_gap
         )
         canopy = canopy_height(cloud, terrain)
-    if terrain.relief > _TOLD_RELIEF and is_normalised(cloud):
+    if is_normalised(cloud):
+        lost = "the shape of the ground is lost"
+        if terrain.relief > _TOLD_RELIEF:
+            lost = f"a relief of {terrain.relief:.1f} m is that of plants"
         warnings.warn(
             f"heights of the cloud seem to be above its ground already (most begin at 0), so that "
-            f"a relief of {terrain.relief:.1f} m is that of plants. Take the cloud before it was "
-            "normalised",
+            f"{lost}. Take the cloud before it was normalised",
             stacklevel=3,
         )
     points = cloud.select(ground).crop(terrain.bounds)

@@ -63,10 +63,11 @@ _PARTS = {
 """Arrays of a regression in a training file, with their dimensions; its layers come besides."""
 
 
-_SCORES = (
+SCORES = (
     "Errors of each quantity on simulations that were held out, the share of their variance that "
     "is explained, and the share of the truths inside the 50, 68 and 90 % intervals."
 )
+"""Caption of the scores of a training."""
 
 
 class QuantityScore(Record):
@@ -193,6 +194,8 @@ def train(
             steps=steps,
             seed=seed,
         )
+    scores = _scores(held_out)
+    table = pd.DataFrame([s.model_dump() for s in scores])
     record = {
         **run.record(inputs),
         "title": "Regression from spectra to covers and leaves",
@@ -208,18 +211,15 @@ def train(
         "voxel_m": settings.voxel_m,
         "structure_m": settings.structure_m,
         "largest_residual": f"{residual:.2g}",
+        "scores": table.to_json(orient="records"),
     }
     with run.stage("Write"):
         write_training(
             run.path("training.nc", "the regression, for `fynjax map --training`"),
             Training(posterior, channels, joined, settings, len(bands), record),
         )
-        scores = _scores(held_out)
-        run.table(
-            "scores.csv",
-            pd.DataFrame([s.model_dump() for s in scores]),
-            "errors and coverage of intervals on simulations held out",
-        )
+        what = "errors and coverage of intervals on simulations held out"
+        run.table("scores.csv", table, what)
     worst = min(s.inside_90 or 0.0 for s in scores), max(s.inside_90 or 0.0 for s in scores)
     ranked = sorted(scores, key=lambda s: -(s.explained or 0.0))
     headline = [
@@ -232,8 +232,8 @@ def train(
         + ", ".join(f"{s.quantity} {s.explained or 0.0:.2f}" for s in ranked)
         + ".",
     ]
-    table = Table(pd.DataFrame([s.model_dump() for s in ranked]), _SCORES)
-    run.pictures(f"Training: {name}", headline, [table], inputs)
+    shown = table.sort_values("explained", ascending=False)
+    run.pictures(f"Training: {name}", headline, [Table(shown, SCORES)], inputs)
     return run.result(
         TrainResult,
         headline=headline,

@@ -23,6 +23,7 @@ from fynjax.compare import (
     compare_with_published,
     read_drone_image,
     read_spectra_sample,
+    shared_bands,
     validation_dataset,
     wins,
 )
@@ -46,11 +47,10 @@ from fynjax.report.pages import (
     spectral_section,
     structure_section,
 )
-from fynjax.sensors import BandSet, mavic_3m
+from fynjax.sensors import mavic_3m
 
 PUBLISHED = "published"
 """Stands for the paper's real drone image, of which only statistics are printed."""
-_BLUE = BandSet(("blue",), (475.0,), (20.0,))
 
 
 @dataclass(frozen=True)
@@ -195,14 +195,17 @@ def validate(
     inputs = data.files()
     drone: Drone | None = None
     if data.simulated_drone:
-        image = partial(read_drone_image, saturation=saturation, most_pixels=most_pixels)
+        read = partial(read_drone_image, saturation=saturation, most_pixels=most_pixels)
         if str(data.real_drone) == PUBLISHED:
-            drone = compare_with_published(image(data.simulated_drone, bands=simulated_bands))
+            drone = compare_with_published(read(data.simulated_drone, bands=simulated_bands))
         else:
-            pair = (data.simulated_drone, simulated_bands), (data.real_drone or "", real_bands)
-            simulated, real = (image(path, bands=names, camera=_BLUE) for path, names in pair)
-            if simulated.bands != real.bands:  # blue of one alone must leave out no pixels
-                simulated, real = (image(path, bands=names) for path, names in pair)
+            both = data.simulated_drone, data.real_drone or ""
+            stated = simulated_bands, real_bands
+            others = shared_bands(*both, bands=stated)
+            pair = list(zip(both, stated, strict=True))
+            simulated, real = (read(path, bands=bands, camera=others) for path, bands in pair)
+            if simulated.bands != real.bands:  # a band of one alone must leave out no pixels
+                simulated, real = (read(path, bands=bands) for path, bands in pair)
             drone = compare_drone_images(real, simulated)
     if drone is not None:
         _doubt(run, drone)

@@ -5,6 +5,8 @@ import warnings
 from collections.abc import Sequence
 from typing import Any
 
+from fynjax._core.errors import listed
+
 CLASSES: dict[str, tuple[float, float]] = {
     "r": (0.0, 0.1),
     "+": (0.1, 1.0),
@@ -37,7 +39,7 @@ def cover_range(text: str) -> tuple[float, float] | None:
     3"), "<1", ">75", "5-10", or "trace".
     """
     word = text.strip().lower()
-    known = CLASSES.get(word.removeprefix("class ").strip())
+    known = CLASSES.get("".join(word.removeprefix("class ").split()))
     if known is not None and word not in _DIGITS:
         return known
     if _TRACE.fullmatch(word):
@@ -70,19 +72,21 @@ def name_classes(cells: Sequence[Any]) -> list[Any]:
     **Arguments:** `cells`, as a table has them.
     """
     words = [_plain(cell) for cell in cells]
-    digits = [word in _DIGITS for word in words]
     signs = [word for word in words if word in CLASSES and word not in _DIGITS]
     others = [
         word for word in words if word not in CLASSES and word != "0" and not _TRACE.fullmatch(word)
     ]
     if signs and not others:
         return [f"class {w}" if w in _DIGITS else cell for w, cell in zip(words, cells)]
-    percent = any(re.fullmatch(r"\d+([.,]\d+)?", word) for word in others)
-    parts = not percent and any(word in ("2m", "2a", "2b") for word in signs)
+    digits = [bool(re.fullmatch(r"[1-5]([.,][1-5])?", word)) for word in words]
+    numbers = sum(bool(re.fullmatch(r"\d+([.,]\d+)?", word)) for word in words)
+    whole = sum(word in _DIGITS for word in words)
+    parts = 2 * whole >= numbers and any(word in ("2m", "2a", "2b") for word in signs)
     if any(digits) and (parts or (len(words) >= _FEW and all(digits))):
         warnings.warn(
-            f"covers of {', '.join(dict.fromkeys(w for w in words if w in _DIGITS))} are taken for "
-            "percent. Are they classes of Braun-Blanquet? Then write 'class 3' for 3",
+            f"covers of {listed(dict.fromkeys(w for w, d in zip(words, digits) if d))} are taken "
+            "for percent. Are they classes of Braun-Blanquet (2.3: 2, with a sociability)? Then "
+            "write 'class 3' for 3",
             stacklevel=2,
         )
     return list(cells)
@@ -90,5 +94,5 @@ def name_classes(cells: Sequence[Any]) -> list[Any]:
 
 def _plain(cell: Any) -> str:
     """A cell in small letters; a whole number without its decimals."""
-    word = str(cell).strip().lower()
+    word = "".join(str(cell).lower().split())
     return short if (short := word.removesuffix(".0")) in (*_DIGITS, "0") else word

@@ -273,3 +273,8 @@ def test_corners_that_count_back_with_normals_and_textures(tmp_path: Path) -> No
         path.write_text(square.format(0) + wrong)
         with pytest.raises(InputError, match=r"leaf\.obj, row 9: expected a corner among the 4"):
             read_plant_mesh(path)
+    path.write_text(square.format(0) + "f 1 2 3 # a leaf\nf 1/0 2 3")
+    assert read_plant_mesh(path).triangles.shape[0] == 2
+    path.write_text(square.format(0) + "f 1 2 3\nf 3 0 1")
+    with pytest.raises(InputError, match=r"leaf\.obj, row 10: expected corners counted from 1"):
+        read_plant_mesh(path)

@@ -79,6 +79,14 @@ def test_a_growth_form_becomes_a_plant_of_its_usual_size(tmp_path: Path) -> None
     assert summary["form"] == "column"
     assert summary["area_m2"]["leaf"] == pytest.approx(form.leaf_area_index * disc, rel=1e-6)
     assert summary["height_m"] == pytest.approx(form.height, rel=1e-3)
+    size = ("--diameter", "0.4", "--height", "0.3", "--elements", "50", "--output", str(tmp_path))
+    summary = run("Calluna vulgaris", "--form", "upright_ericoid", *size)
+    assert summary["form"] == "upright_ericoid"
+    assert summary["height_m"] == pytest.approx(0.3, rel=1e-3)
+    for wrong, word in ((("Calluna", "--form", "bush"), "`--form` must be one of"),
+                        (("Calluna",), "Another taxon needs its `--form`")):  # fmt: skip
+        with pytest.raises(InputError, match=word):
+            run(*wrong, *size)
 
 
 @pytest.mark.parametrize(
@@ -201,10 +209,10 @@ def test_the_unit_of_a_mesh(shared_data: Path, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="state its unit") as raised:
         run(str(path), *out)
     assert "raise" not in str(raised.value)
-    made = run(str(path), "--unit", "centimetre", *out)
+    made = run(str(path), "--unit", "cm", *out)
     assert sum(made["area_m2"].values()) == pytest.approx(0.03554, rel=1e-3)
     with pytest.raises(InputError, match="unit` must be one of metre, centimetre"):
-        run(str(path), "--unit", "cm", *out)
+        run(str(path), "--unit", "furlong", *out)
     with pytest.raises(InputError, match="`--unit` is for a mesh or a scan"):
         run("Deadwood", "--unit", "foot", *out)
     scan = cloud(tmp_path / "scan.xyz", 200.0)

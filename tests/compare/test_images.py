@@ -59,7 +59,9 @@ def test_bands_are_found_by_name_wavelength_option_and_order(tmp_path: Path) -> 
         assert (got.values[4:] == np.float32(0.02)).all()
         assert got.mask.all()
         assert got.pixel_m == pytest.approx(0.05)
+    write_raster(tmp_path / "one_band.tif", image[:1], transform=PLACE)
     for path, options, word in (
+        ("one_band.tif", {}, "several files.*gdal_merge"),
         ("plain.tif", {}, "known as green.*--real-bands"),
         ("plain.tif", {"bands": ["red"] * 5}, "green is there 0 times"),
         ("plain.tif", {"bands": ["red", "nir"]}, "names of 5 bands"),
@@ -86,6 +88,24 @@ def test_every_band_of_the_camera_that_the_file_has_is_read(tmp_path: Path) -> N
     np.testing.assert_allclose(got.values[4:, 0, 0], [0.03, 0.01, 0.02])
 
 
+@pytest.mark.parametrize("names", [
+    ["MS_G", "MS_R", "MS_RE", "MS_NIR"], ["GRE", "RED", "REG", "NIR"],
+    ["B560", "B650", "B730", "B860"], ["560 nm", "650 nm", "717.5 nm", "842 nm"],
+])  # fmt: skip
+def test_bands_are_known_by_names_of_other_programs(names, tmp_path: Path) -> None:
+    write_geotiff(tmp_path / "a.tif", values()[::-1], names[::-1], pixel_m=0.05)
+    got = read(tmp_path / "a.tif")
+    np.testing.assert_allclose(got.values, values(), rtol=1e-6)
+
+
+@pytest.mark.parametrize("crs", [None, "EPSG:32734"])
+def test_pixels_in_degrees_are_refused_whatever_the_system(crs, tmp_path: Path) -> None:
+    place = Affine(4.5e-7, 0, 19.4, 0, -4.5e-7, -34.4)
+    write_raster(tmp_path / "a.tif", values(), transform=place, crs=crs)
+    with pytest.raises(InputError, match="are they in degrees"):
+        read(tmp_path / "a.tif", bands=BANDS)
+
+
 def test_near_infrared_darker_than_red_is_doubted(tmp_path: Path) -> None:
     backward = values()[::-1]
     write_raster(tmp_path / "order.tif", backward, transform=PLACE)
@@ -93,9 +113,10 @@ def test_near_infrared_darker_than_red_is_doubted(tmp_path: Path) -> None:
         read(tmp_path / "order.tif")
     got = read(tmp_path / "order.tif", bands=["nir", "red_edge", "red", "green"])
     np.testing.assert_allclose(got.values, values()[:, ::-1], rtol=1e-6)
-    write_geotiff(tmp_path / "names.tif", backward, list(BANDS), pixel_m=0.05)
-    with pytest.warns(UserWarning, match="Are the bands named right"):
-        read(tmp_path / "names.tif")
+    for image in (backward, values()[[0, 1, 3, 2]], values()[[3, 1, 2, 0]]):
+        write_geotiff(tmp_path / "names.tif", image, list(BANDS), pixel_m=0.05)
+        with pytest.warns(UserWarning, match="Are the bands named right"):
+            read(tmp_path / "names.tif")
 
 
 def test_of_two_bands_the_one_nearer_to_the_drone_camera_is_taken(tmp_path, monkeypatch) -> None:

@@ -678,6 +678,10 @@ def test_reflectance_and_transmittance_in_two_files_are_one_leaf(shared_data, tm
         ("leaf1r.csv", "leaf1t.csv", True),
         ("leaf1R.csv", "leaf2T.csv", False),
         ("oar.csv", "oat.csv", False),
+        ("oakR.csv", "oakT.csv", True),
+        ("oak_R1.csv", "oak_T1.csv", True),
+        ("oak_rfl_1.csv", "oak_trn_1.csv", True),
+        ("oak_réflexion.csv", "oak_transmission.csv", True),
     ],
 )
 def test_names_that_make_a_pair(first, second, through, tmp_path):
@@ -698,6 +702,14 @@ def test_a_transmittance_without_its_reflectance_is_doubted(tmp_path):
         assert "transmittance" not in fx.read_spectra(tmp_path)
     (tmp_path / "elm_T.sed").rename(tmp_path / "elm_trans.sed")
     assert "reflectance" not in fx.read_spectra(tmp_path)
+
+
+def test_leaves_called_r1_and_t1_are_doubted(tmp_path):
+    (tmp_path / "leaves.csv").write_text("nm,R1,T1,T2\n500,0.4,0.3,0.2\n600,0.4,0.3,0.2\n")
+    with pytest.warns(
+        UserWarning, match=r"leaves\.csv: .*the transmittance of R1, end names in _T"
+    ):
+        assert fx.read_spectra(tmp_path).sizes["spectrum"] == 3
 
 
 def test_transmittance_is_stated(tmp_path):
@@ -844,12 +856,44 @@ def test_files_marked_for_columns_without_marks_make_a_pair(column, tmp_path):
     np.testing.assert_allclose(spectra["reflectance"], [[0.1, 0.2, 0.3]])
 
 
+def test_wave_numbers_and_angstrom_become_nanometres(tmp_path):
+    for name, waves in (("Wavenumber [cm-1]", [2e4, 1e4]), ("wavelength (Å)", [5e3, 1e4])):
+        table(tmp_path / "leaves.csv", {name: waves, "oak": [0.1, 0.2]})
+        spectra = fx.read_spectra(tmp_path)
+        np.testing.assert_allclose(spectra["wavelength"], [500.0, 1000.0])
+        np.testing.assert_allclose(spectra["reflectance"], [[0.1, 0.2]])
+
+
+def test_other_quantities_are_no_reflectance(tmp_path):
+    path, waves, leaf = tmp_path / "leaves.csv", [500.0, 600.0], [0.1, 0.2]
+    for name in ("Absorptance", "radiance", "oak log(1/R)"):
+        table(path, {"wavelength": waves, name: leaf})
+        with pytest.raises(InputError, match=rf"leaves\.csv.*{re.escape(repr(name))} is another"):
+            fx.read_spectra(path)
+    table(path, {"wavelength": waves, "oak R": leaf, "oak T": leaf, "oak A": [0.8, 0.6]})
+    with pytest.warns(UserWarning, match="no leaves: 'oak A'"):
+        assert fx.read_spectra(path)["spectrum"].values.tolist() == ["oak"]
+
+
+@pytest.mark.parametrize(("column", "words", "count"), [
+    ("quantity", ("Reflectance", "Transmittance"), 1), ("type", ("tree", "tussock"), 2),
+])  # fmt: skip
+def test_cells_say_whether_a_row_is_transmittance(column, words, count, tmp_path):
+    waves = [str(wave) for wave in range(500, 600, 10)]
+    rows = [["oak", words[0], *["0.1"] * 10], ["oak", words[1], *["0.2"] * 10]]
+    pd.DataFrame(rows, columns=["name", column, *waves]).to_csv(tmp_path / "a.csv", index=False)
+    spectra = fx.read_spectra(tmp_path)
+    assert spectra.sizes["spectrum"] == count
+    assert ("transmittance" in spectra) == (count == 1)
+
+
 def test_columns_that_are_no_leaves_are_left_out_with_a_word(tmp_path):
     path = tmp_path / "leaves.csv"
     waves = [500.0, 600.0, 700.0]
     for name in (
         "Standard Deviation", "mean", "leaf SD", "oak_std", "SE", "Std. Error", "median", "Max",
-        "n", "Mean ± SD", "CV", "variance", "q95",
+        "n", "Mean ± SD", "CV", "variance", "q95", "Standardabweichung", "écart-type", "σ",
+        "SE(mean)", "white reference", "uncertainty",
     ):  # fmt: skip
         table(path, {"wavelength": waves, "oak": [0.1, 0.2, 0.3], name: [0.01, 0.01, 0.02]})
         with pytest.warns(UserWarning, match=f"no leaves: '{re.escape(name)}'"):

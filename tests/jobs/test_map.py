@@ -33,6 +33,7 @@ from fynjax.io.raster import Cube, CubeBlocks, write_cube_envi
 from fynjax.jobs import _map as job
 from fynjax.jobs import _map_pixels
 from fynjax.radiation import render, solve_light
+from fynjax.report.pages import format_number
 from fynjax.sensors import group_bands, shipped_sensor
 from fynjax.studies.bioscape._spectra import read_plot_spectra, read_spectrometer
 from tests.benchmarks.map_plots import write_plots
@@ -182,6 +183,8 @@ def test_maps_lie_where_the_cube_lies_and_mask_what_is_unlike(trained, known, tm
     assert result.pixels == 12
     assert result.without_data == 1
     assert result.masked >= 1
+    page = (tmp_path / "out" / "report.html").read_text("utf-8")
+    assert all(f">{format_number(one.rmse)}<" in page for one in trained[1].scores)
     with rasterio.open(tmp_path / "out" / "maps.tif") as file:
         assert file.crs.to_epsg() == 32734
         assert file.transform.a == 10.0

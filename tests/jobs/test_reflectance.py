@@ -187,6 +187,13 @@ def test_the_bands_of_most_captures_are_the_usual_ones(tmp_path: Path) -> None:
     assert not skipped
 
 
+def test_a_flight_of_a_dji_without_one_of_its_bands_gets_a_warning(mavic: Path) -> None:
+    files = sorted(mavic.glob(f"{MAVIC_GROUND}_MS_*"))
+    assert usable_captures({MAVIC_GROUND: files})[0]
+    with pytest.warns(UserWarning, match=r"has 3 of its camera's 4 bands: Green, "):
+        usable_captures({MAVIC_GROUND: files[:3]})
+
+
 @pytest.mark.parametrize(
     ("stated", "instead"),
     [

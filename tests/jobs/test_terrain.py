@@ -347,3 +347,11 @@ def test_a_point_far_from_all_others_is_left_out(tmp_path: Path) -> None:
         cloud = read_cloud(path)
     assert len(cloud) == 30_000
     assert cloud.bounds[2] <= 40.0
+
+
+def test_a_cloud_that_was_normalised_gets_a_warning(tmp_path):
+    x, y, chance = np.random.default_rng(0).random((3, 20000))
+    points = np.stack([20 * x, 20 * y, np.where(chance < 0.5, 3 * chance, 0.0)], axis=1)
+    np.savetxt(tmp_path / "plot.xyz", points, "%.3f")
+    with pytest.warns(UserWarning, match="begin at 0.*shape of the ground is lost"):
+        terrain(tmp_path / "plot.xyz", tmp_path / "out", cell=0.5)

@@ -18,7 +18,7 @@ from fynjax.compare._spectral import SpectralComparison, compare_spectra
 from fynjax.io.raster import write_geotiff
 from fynjax.jobs._validate import ValidationData, validate
 from fynjax.metrics import BANDS, VEGETATION_INDICES, spectral_mask
-from fynjax.report.pages import Picture, Table, drone_section
+from fynjax.report.pages import Picture, Table, drone_section, spectral_section
 from tests.compare.test_spectra import WAVE, cube, write_csv, write_envi
 from tests.helpers import assert_valid_summary
 
@@ -65,19 +65,31 @@ def written(name: str, image: np.ndarray) -> np.ndarray:
     return value[np.isfinite(value)]
 
 
-def test_a_band_that_both_images_have_is_compared(tmp_path: Path) -> None:
-    blue = drawn(3, 30, 30)[:1]
-    for name, image in (("a", drawn(1, 30, 30)), ("b", drawn(2, 30, 30))):
-        image = np.concatenate([blue, image])
-        write_geotiff(tmp_path / f"{name}.tif", image, ["Blue", *BANDS], pixel_m=0.05)
+def test_bands_that_both_images_have_are_compared(tmp_path: Path) -> None:
+    """By name or wavelength; not what is no reflected light, or only one of them has."""
+    other = [0.01 * drawn(3, 30, 30)[0], *(level * drawn(3, 30, 30)[0] for level in (1, 2, 3))]
+    thermal = np.full((30, 30), 300.0)
+    for name, seed, names, waves in (
+        ("a", 1, ["Coastal", "Blue", "Red edge 2", "Green 2"], [444, 475, 740, 531]),
+        ("b", 2, ["yellow", "475", "red_edge_2", "band 9"], [600, 478, 760, 535]),
+    ):
+        image = [*drawn(seed, 30, 30), *other, thermal]
+        write_geotiff(
+            tmp_path / f"{name}.tif", image, [*BANDS, *names, "LWIR"], pixel_m=0.05,
+            wavelengths=[560, 650, 717, 860, *waves, 11000],
+        )  # fmt: skip
     table = validate(
         ValidationData(real_drone=tmp_path / "a.tif", simulated_drone=tmp_path / "b.tif"),
         tmp_path / "out",
     ).drone.bands
-    assert [row["band"] for row in table] == [*BANDS, "blue"]
-    assert table[-1]["real_mean"] == pytest.approx(blue.mean())
-    assert table[-1]["ks"] == 0.0
-    # Blue of one image alone, black or clipped there, leaves out no pixel.
+    assert [row["band"] for row in table] == [*BANDS, "blue", "red_edge_2", "535 nm"]
+    for row, values in zip(table[4:], other[1:], strict=True):
+        assert row["real_mean"] == pytest.approx(values.mean())
+        assert row["ks"] == 0.0
+
+
+def test_a_band_of_one_image_alone_leaves_out_no_pixel(tmp_path: Path) -> None:
+    image = np.concatenate([drawn(3, 30, 30)[:1], drawn(1, 30, 30)])
     write_geotiff(tmp_path / "b.tif", image[1:], list(BANDS), pixel_m=0.05)
     image[0, :10] = np.nan
     write_geotiff(tmp_path / "a.tif", image, ["Blue", *BANDS], pixel_m=0.05)
@@ -298,12 +310,15 @@ def test_pixels_of_other_scales_are_warned_of(folder: Path, tmp_path: Path) -> N
 
 def test_tables_that_are_open_quote_no_other_plot(drone: DroneComparison) -> None:
     """The paper's numbers are of its own plot: they are there for whoever opens the tables."""
-    tables = [part for part in drone_section(drone).parts if isinstance(part, Table)]
+    own = sample(cube().reshape(len(WAVE), -1).T)
+    parts = [*drone_section(drone).parts, *spectral_section(compare_spectra(own, own)).parts]
+    tables = [part for part in parts if isinstance(part, Table)]
     shown = [str(c) for table in tables if not table.folded for c in table.rows]
     folded = [str(c) for table in tables if table.folded for c in table.rows]
     assert not any(c.startswith("paper") for c in shown)
-    assert {"paper_real_mean_derived", "paper_real_mean", "real_p5"} <= set(folded)
-    assert max(len(table.rows.columns) for table in tables if not table.folded) <= 9
+    assert {"paper_real_mean_derived", "paper_real_mean", "real_p5", "paper_sign"} <= set(folded)
+    of_drone = [part for part in drone_section(drone).parts if isinstance(part, Table)]
+    assert max(len(table.rows.columns) for table in of_drone if not table.folded) <= 9
 
 
 def test_images_of_which_one_would_be_a_dot_are_not_shown_side_by_side(

@@ -18,9 +18,11 @@ from fynjax.scene._species import table_spreads
 HEAD = "taxon;mean_diameter_cm;cover_percent;height_max_m;growth_form\n"
 
 
-def covers(cells, tmp_path, encoding="utf-8"):
+def covers(cells, tmp_path, encoding="utf-8", mark=","):
     path = tmp_path / "species.csv"
-    lines = [f"Erica {'abcdefghij'[k]};30;{cell};0,8;rounded_shrub" for k, cell in enumerate(cells)]
+    lines = [
+        f"Erica {'abcdef'[k]};30;{cell};0{mark}8;rounded_shrub" for k, cell in enumerate(cells)
+    ]
     path.write_text(HEAD + "\n".join(lines) + "\n", encoding=encoding)
     return [row for _, row in read_rows(path, SpeciesRow, "a species table")]
 
@@ -28,7 +30,7 @@ def covers(cells, tmp_path, encoding="utf-8"):
 def test_each_word_is_its_range(tmp_path):
     for cell, low, high in (
         ("r", 0, 0.1), ("+", 0.1, 1), ("2m", 1, 5), ("2a", 5, 12.5), ("2b", 12.5, 25),
-        ("2B", 12.5, 25),
+        ("2B", 12.5, 25), ("2 a", 5, 12.5),
         ("<1", 0, 1), ("< 0,5", 0, 0.5), ("≤2 %", 0, 2), (">75", 75, 100), ("5-10", 5, 10),
         ("5 – 10 %", 5, 10), ("2,5 to 5", 2.5, 5), ("trace", 0, 0.1), ("tr.", 0, 0.1),
         ("class 1", 1, 5), ("class 2", 5, 25), ("class 3", 25, 50), ("class 4", 50, 75),
@@ -46,12 +48,14 @@ def test_each_word_is_its_range(tmp_path):
 def test_plain_numbers_are_classes_beside_classes_only(tmp_path):
     rows = covers(["r", "+", "1", "2a", "3"], tmp_path)
     assert [row.cover_range[1] for row in rows] == pytest.approx([0.001, 0.01, 0.05, 0.125, 0.5])
-    with pytest.warns(UserWarning, match="1, 3, 5 are taken for percent"):
-        rows = covers(["1", "3", "5"], tmp_path)
-    assert [row.cover for row in rows] == pytest.approx([0.01, 0.03, 0.05])
+    for cells, which in ((["1", "3", "5"], "1, 3, 5"), (["1.2", "2.3", "3.3"], "1.2, 2.3, 3.3")):
+        with pytest.warns(UserWarning, match=f"{which} are taken for percent"):
+            rows = covers(cells, tmp_path, mark=".")
+        assert [row.cover for row in rows] == pytest.approx([float(cell) / 100 for cell in cells])
     rows = covers(["2a", "15", "0,5"], tmp_path)
     assert [row.cover for row in rows] == pytest.approx([0.0875, 0.15, 0.005])
-    rows = covers(["2a", "15", "3"], tmp_path)
+    with pytest.warns(UserWarning, match="covers of 3 are taken for percent"):
+        rows = covers(["2a", "15", "3"], tmp_path)
     assert [row.cover for row in rows] == pytest.approx([0.0875, 0.15, 0.03])
     with pytest.warns(UserWarning, match="3 are taken for percent"):
         covers(["2a", "<1", "3"], tmp_path)

@@ -13,6 +13,8 @@ from fynjax.canopy.mesh._plant_mesh import PlantMesh
 
 _USEMTL = re.compile(r"^[ \t]*usemtl[ \t]+(.*?)[ \t]*\r?$", re.MULTILINE)
 _RELATIVE = re.compile(r"^[ \t]*[flp][ \t].*-\d", re.MULTILINE)
+_COMMENT = re.compile(r"^([ \t]*[vflp][nt]?[ \t][^#\n]*)#.*", re.MULTILINE)
+_ZERO = re.compile(r"^[ \t]*[flp][ \t](?:.*[ \t])?0(?:/|\s|$)", re.MULTILINE)
 _BELOW = 0.05
 """Part of a plant's extent that reaches below the ground of its frame without being its height."""
 
@@ -139,7 +141,11 @@ def _load_obj(file: str) -> tuple[Any, dict[str, str]]:
     """
     import trimesh
 
-    text = _counted_from_first(Path(file).read_text(encoding="utf-8", errors="replace"), file)
+    text = _COMMENT.sub(r"\1", Path(file).read_text(encoding="utf-8", errors="replace"))
+    if zero := _ZERO.search(text):
+        row = text.count("\n", 0, zero.end()) + 1
+        raise InputError("expected corners counted from 1, but got 0", file=file, row=row)
+    text = _counted_from_first(text, file)
     names = list(dict.fromkeys(_USEMTL.findall(text)))
     short_name = {name: f"material{index}" for index, name in enumerate(names)}
     text = _USEMTL.sub(lambda match: f"usemtl {short_name[match[1]]}", text)

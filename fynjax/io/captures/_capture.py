@@ -1,6 +1,7 @@
 """Captures of a multispectral camera: the files of their bands, and their radiance."""
 
 import re
+import warnings
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -230,7 +231,8 @@ def usable_captures(
     **Returns:** the files of those; the errors of the others; the errors of those among the first
     that have no irradiance of a light sensor (`Capture.irradiance`).
 
-    **Raises:** `InputError` of the first where none can be read.
+    **Raises:** `InputError` of the first where none can be read. Warns where most captures of a DJI
+    lack a band of their camera.
     """
     bands: dict[str, tuple[str, ...]] = {}
     skipped: dict[str, InputError] = {}
@@ -250,6 +252,14 @@ def usable_captures(
         raise next(iter(skipped.values()))
     counts = Counter(bands.values())
     usual = max(counts, key=lambda names: (counts[names], len(names)))
+    name = next(name for name, found in bands.items() if found == usual)
+    file = _named(captures[name][0])
+    whole = {_NAMES[0]: 4, _NAMES[1]: 5}.get(file.re, 0) if file else 0
+    if len(usual) < whole:
+        warnings.warn(
+            f"{name} has {len(usual)} of its camera's {whole} bands: {', '.join(usual)}",
+            stacklevel=2,
+        )
     for name, found in bands.items():
         if missing := [band for band in usual if band not in found]:
             skipped[name] = InputError(

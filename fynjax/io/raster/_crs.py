@@ -19,6 +19,7 @@ UNITS: dict[str, float] = {
     "millimetre": 0.001,
     "foot": 0.3048,
     "us_survey_foot": 1200.0 / 3937.0,
+    "inch": 0.0254,
 }
 """Metres in each unit that coordinates may be stated in."""
 
@@ -58,7 +59,7 @@ def _unit_name(factor: float) -> str:
 
 
 def check_metric(
-    crs: CRS, file: Path | None, *, unit_stated: bool = False, height_stated: bool = False
+    crs: CRS, file: Path | None, *, unit_stated: bool | None = None, height_stated: bool = False
 ) -> None:
     """Refuse a system whose coordinates are not metres to the east and north.
 
@@ -67,7 +68,7 @@ def check_metric(
     - `crs`: the system.
     - `file`: that states it, for errors; `None` without one.
     - `unit_stated`, `height_stated`: the user has stated the unit of coordinates or of heights, so
-      that the system need not be in metres.
+      that the system need not be in metres; `None` where the user cannot.
 
     **Raises:** `InputError` for degrees, feet and other units, and geocentric coordinates.
     """
@@ -89,7 +90,7 @@ def check_metric(
     if abs(factor - 1.0) > 1e-9 and not unit_stated:
         raise InputError(
             f"expected coordinates in metres, but the file's system is in {_unit_name(factor)}. "
-            f"Reproject to a metric system, or state the unit ({_unit_name(factor)}).",
+            + (remedy if unit_stated is None else f"{remedy[:-1]}, or state the unit."),
             file=file,
         )
     try:

@@ -6,6 +6,7 @@ fynjax. The flip happens here and nowhere else.
 
 import math
 import os
+import re
 import sys
 import warnings
 import xml.etree.ElementTree as ElementTree
@@ -47,6 +48,10 @@ RAW_COUNTS = (
 )
 """What is said of a raw capture where an image is asked for."""
 _MOST_BANDS = 4096
+_SMALLEST = 5e-4
+"""Side of the smallest pixel that a raster has [m]: 30 m of the ground are 2.8e-4 degrees."""
+_IN_NAME = re.compile(r"(?<!\d)([3-9]\d\d|10\d\d)(\.\d+)?(?!\d)")
+"""Wavelength [nm] in the name of a band of a camera."""
 _BLOCK = 1 << 24
 """Values read at once, where a raster is read by blocks of rows."""
 
@@ -124,6 +129,11 @@ class RasterFile:
                     for key in ("CENTRAL_WAVELENGTH_UM", "FWHM_UM")
                 )
                 unit = "um"
+            if np.isnan(stated).all():
+                found = [_IN_NAME.findall(name) for name in self.names]
+                if all(len(found[n - 1]) == 1 for n in self.bands):
+                    stated = np.array([float("".join(one[0])) if one else np.nan for one in found])
+                unit = "nm"
         if np.isnan(stated).all():
             return stated, np.full(count, np.nan)
         centre, factor = in_nanometres(stated, unit, self.header_path)
@@ -203,6 +213,7 @@ class RasterFile:
         if self.crs is not None and self.crs.is_geographic:
             return None
         width, height = abs(t.a), abs(t.e)
+        self._check_no_degrees(width)
         if abs(height - width) > 1e-3 * width:
             raise InputError(
                 f"expected square cells, but they are {width:g} by {height:g}. Warp with -tr "
@@ -235,7 +246,18 @@ class RasterFile:
                     file=self.path,
                 )
             scale = float(self.crs.units_factor[1]) / stretch(self.crs, *middle)[0]
-        return math.sqrt(abs(t.determinant)) * scale
+        side = math.sqrt(abs(t.determinant)) * scale
+        self._check_no_degrees(side)
+        return side
+
+    def _check_no_degrees(self, side: float) -> None:
+        if side < _SMALLEST:
+            raise InputError(
+                f"expected {self.what} with pixels in metres, but they are {side:.3g} wide: are "
+                "they in degrees? State it, and warp: gdalwarp -s_srs EPSG:4326 -t_srs EPSG:... "
+                f"-r bilinear {self.path.name} metres.tif",
+                file=self.path,
+            )
 
     def check_place(self, *, crs: CRS | None = None, height_stated: bool = True) -> CRS:
         """Its reference system, which is in metres; the raster has a place and is north up.
@@ -255,6 +277,7 @@ class RasterFile:
                 file=self.path,
             )
         check_metric(system, self.path, height_stated=height_stated)
+        self._check_no_degrees(abs(self.dataset.transform.a))
         rows, columns = self.shape
         longer, zone = stretch(system, *self.dataset.transform @ (0.5 * columns, 0.5 * rows))
         if longer != 1.0:

@@ -15,19 +15,30 @@ _BEFORE = r"(^|[ _.\-(]|(?<=\d)(?=[a-z]{3}))"
 _AFTER = r"(?=$|[ _.\-)%]|\d{3,5}$)"
 _MARKS = {
     "transmittance": re.compile(
-        _BEFORE + r"(t|tran|trans|transm|transmittance|tau)" + _AFTER, re.I
+        _BEFORE + r"(t|trans?|tr[nm]|trans?mi[a-z]*|transm|tau)" + _AFTER, re.I
     ),
-    "reflectance": re.compile(_BEFORE + r"(r|refl|reflectance|rho)" + _AFTER, re.I),
+    "reflectance": re.compile(_BEFORE + r"(r|ref|rfl|r[eé]fl[^\W\d_]*|rho)" + _AFTER, re.I),
 }
 _OTHER = str.maketrans("RTrt", "TRtr")
+_LETTER = re.compile(r"((?<=[ _.\-(\d])[RTrt]|(?<=[a-z])[RT])(?=\d*($|[ _.\-)]))")
+_FIRST = re.compile(r"[Tt](?=\d+$)")
 _FOLDERS = {
     "transmittance": re.compile(r"t|tran.*|tau", re.I),
     "reflectance": re.compile(r"r|refl.*|rho", re.I),
 }
 _NO_LEAF = re.compile(
-    r"(mean|average|avg|median|min(imum)?|max(imum)?|n|count|se|sem|cv|rsd|var(iance)?|diff(erence)?"
-    r"|(q|p)\d+|.*\b(percentile|quantile|confidence)\b.*|(lower|upper)( ?(ci|bound|limit))?"
-    r"|(.*[ (])?(sd|std|stdev|std ?dev|st dev|standard deviation|standard error|std error)( .*)?)",
+    r"(mean|average|avg|median|min(imum)?|max(imum)?|n|count|se( ?\(mean)?|sem|cv|rsd|var(iance)?"
+    r"|diff(erence)?|error|uncertainty|rmse|iqr|mittel(wert)?|mw|moyenne|m[ée]dia|promedio|gemiddelde"
+    r"|(q|p)\d+|.*\b(percentile|quantile|confidence)\b.*|(95 ?%? )?ci( \w+)?"
+    r"|(lower|upper)( ?(ci|bound|limit))?|wr|panel|spectralon"
+    r"|white (standard|panel)|(white )?ref(erence)?"
+    r"|(.*[ (])?(sd|std|stdev|std ?dev|st dev|standard deviation|standard error|std ?err(or)?|stabw"
+    r"|σ|sigma|standardabweichung|standardfehler|[ée]cart type|desviaci[oó]n|desvio)([ (].*)?)",
+    re.I,
+)
+_OTHER_QUANTITY = re.compile(
+    r"(^|[ _.(])(absorptance|absorbance|absorption|abs|(ir)?radiance|log ?\(?1/r\)?|dn|raw)"
+    r"($|[ _.)])",
     re.I,
 )
 _QUANTILE, _MEDIAN = re.compile(r"p(\d+)", re.I), 50
@@ -39,7 +50,7 @@ def marked(name: str, among: Collection[str] = ()) -> tuple[str, str, str]:
     """Quantity that a name is marked with, and the name without the mark.
 
     **Arguments:** `name`, such as "oak01_R" or "oak trans 3"; `among`, all names: where "oak01T" is
-    one of them, the last letter of "oak01R" is a mark too.
+    one of them, the last letter of "oak01R" is a mark too, and that of "oak_R2" beside "oak_T2".
 
     **Returns:** "reflectance", "transmittance" or "" of a name without a mark; the rest of the
     name; and the mark. Where a name has several, as "leaf R 3_T", the last one counts.
@@ -50,14 +61,19 @@ def marked(name: str, among: Collection[str] = ()) -> tuple[str, str, str]:
         for match in pattern.finditer(name)
     ]
     if not found:
-        other = name[:-1] + name[-1:].translate(_OTHER)
-        if other == name or other not in among or not name[-2:-1].isdigit():
-            return "", name, ""
-        quantity = "reflectance" if name[-1] in "rR" else "transmittance"
-        return quantity, name[:-1], name[-1]
+        for match in _LETTER.finditer(name):
+            if _swapped(name, match) in among:
+                quantity = "reflectance" if match[0] in "rR" else "transmittance"
+                return quantity, name[: match.start()] + name[match.end() :], match[0]
+        return "", name, ""
     _, quantity, match = max(found, key=lambda one: one[0])
     rest = name[: match.start()] + name[match.end() :]
     return quantity, rest.strip(" _.-()"), match[2]
+
+
+def _swapped(name: str, match: re.Match[str]) -> str:
+    """The name with the R for a T, or the T for an R."""
+    return name[: match.start()] + match[0].translate(_OTHER) + name[match.end() :]
 
 
 def is_no_leaf(name: str, wavelength: np.ndarray, values: np.ndarray | None) -> bool:
@@ -69,15 +85,26 @@ def is_no_leaf(name: str, wavelength: np.ndarray, values: np.ndarray | None) -> 
     return any(np.allclose(values * factor, wavelength, rtol=1e-3) for factor in (1.0, 1e3))
 
 
-def leaves_only(spectra: Sequence[MeasuredSpectrum]) -> list[MeasuredSpectrum]:
+def leaves_only(spectra: Sequence[MeasuredSpectrum], file: Path) -> list[MeasuredSpectrum]:
     """Spectra of a table without its columns that are no leaves, which the first one notes.
 
     A mean that stands alone is a spectrum like others.
+
+    **Raises:** `InputError` where all are of another quantity, such as radiance.
     """
+    whole = [s for s in spectra if s.reflectance is not None and s.transmittance is not None]
+    absorbed = {f"{s.name}{mark}a".lower() for s in whole for mark in " _"}
+    other = [s for s in spectra if _OTHER_QUANTITY.search(s.name) or s.name.lower() in absorbed]
+    if other and len(other) == len(spectra):
+        raise InputError(
+            f"expected reflectance or transmittance, but {other[0].name!r} is another quantity",
+            file=file,
+        )
     left = [
         s
         for s in spectra
-        if is_no_leaf(
+        if any(s is one for one in other)
+        or is_no_leaf(
             s.name, s.wavelength, s.transmittance if s.reflectance is None else s.reflectance
         )
     ]
@@ -214,4 +241,10 @@ def join_pairs(read: list[tuple[str, MeasuredSpectrum]]) -> list[tuple[str, Meas
                 meta["doubtful"] = f"{alone}: taken for reflectance"
             named = replace(through, meta=meta)
             joined[i] = (file, as_transmittance(named) if sure else named)
+    for i in single:
+        file, leaf = joined[i]
+        match = _FIRST.match(leaf.name)
+        if match and leaf.transmittance is None and (other := _swapped(leaf.name, match)) in names:
+            doubt = f"taken for reflectance; if it is the transmittance of {other}, end names in _T"
+            joined[i] = file, replace(leaf, meta={**leaf.meta, "doubtful": doubt})
     return [one for i, one in enumerate(joined) if i not in gone]

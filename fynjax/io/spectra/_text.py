@@ -18,6 +18,11 @@ _UNITS = {
     "nm": re.compile(r"\bnm\b|_nm|nano", re.I),
 }
 """How a header names the unit of wavelengths."""
+_OTHER_UNITS = (
+    (re.compile(r"cm ?\^?([-−]1|⁻¹)|wave[ _]?number|1/cm", re.I), "wave numbers", -1, 1e7),
+    (re.compile(r"[(\[](å|a)[)\]]|[åa]ngstr", re.I), "ångström", 1, 0.1),
+)
+"""How it names another one: the power of the numbers, and the factor, that give nm."""
 _BAND_NAME = re.compile(r"^(?:[A-Za-z_. ]{0,12}?)(\d{3,4}(?:\.\d+)?|[0-2]\.\d+)\s*_?(nm|[uµμ]m)?$")
 MISSING = {"", "na", "nan", "null", "none", "-", "#n/a", "-999", "-9999", "-9999.0", "-999.0"}
 """What stands for a missing value, in small letters."""
@@ -26,6 +31,10 @@ _NAME_KEYS = ("name", "id", "sample", "sample_id", "spectrum", "spectra", "file 
 
 def _to_nm(wavelength: np.ndarray, label: str, meta: dict[str, Any], file: Path) -> np.ndarray:
     """Wavelengths in nm by the unit in a header, or, where it has none, by their size."""
+    for sign, words, power, nm in _OTHER_UNITS:
+        if sign.search(label) and np.all(wavelength > 0.0):
+            note(meta, f"wavelengths converted from {words} to nm")
+            return nm * wavelength**power
     unit = next((unit for unit, sign in _UNITS.items() if sign.search(label)), "")
     wavelength, factor = in_nanometres(wavelength, unit, file)
     if factor != 1.0:
@@ -93,15 +102,19 @@ def _by_row(table: TextTable, bands: dict[int, float], unit: str) -> list[Measur
     others = [i for i in range(len(header)) if i not in bands]
     labels = [name.lower() for name in header]
     name_at = next((i for i in others if labels[i] in _NAME_KEYS), others[0] if others else None)
-    kind_at = next((i for i in others if labels[i] in ("measurement", "type", "kind")), None)
     frame = table.columns(list(bands), others, MISSING)
     texts = frame[others].to_dict("records")
+    quantities = {i: {marked(cell)[0] for cell in frame[i] if not marked(cell)[1]} for i in others}
+    kind_at = next((i for i in others if "transmittance" in quantities[i]), None)
     records: dict[str, MeasuredSpectrum] = {}
     for number, (values, cells) in enumerate(zip(frame[list(bands)].to_numpy(), texts), start=1):
         name = (cells[name_at] if name_at is not None else "") or f"{file.stem}_{number}"
         row_meta = {**meta, "repairs": list(meta.get("repairs", []))}
         row_meta["columns"] = {header[i]: cells[i] for i in others}
-        through = kind_at is not None and cells[kind_at].lower().startswith("t")
+        kind = "" if kind_at is None else marked(cells[kind_at])[0]
+        if kind_at is not None and not kind:
+            name = f"{name} {cells[kind_at]}"
+        through = kind == "transmittance"
         old = records.get(name)
         if old is not None and through and old.transmittance is None:
             records[name] = replace(old, transmittance=values)
@@ -167,7 +180,7 @@ def read_text_spectra(data: bytes, file: Path) -> list[MeasuredSpectrum]:
         starts = is_number(header[0]) and is_number(below[1][0])
         if not starts or len(bands) == len(header):
             units = {m[2] for m in named.values() if m and m[2]} if not starts else set()
-            return leaves_only(_by_row(table, bands, " ".join(sorted(units))))
+            return leaves_only(_by_row(table, bands, " ".join(sorted(units))), file)
 
     start = None
     above: list[tuple[int, list[str]]] = []
@@ -192,4 +205,4 @@ def read_text_spectra(data: bytes, file: Path) -> list[MeasuredSpectrum]:
         for k, (row, cells) in enumerate(above):
             if len(cells) > table.width:
                 titles[k] = re.split(r"\t+ *| {2,}", table.line(row))
-    return leaves_only(_by_column(table, titles))
+    return leaves_only(_by_column(table, titles), file)

@@ -7,7 +7,7 @@ from jaxtyping import Float
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 
-from fynjax.report.figures._style import AFTER, GREY, REAL, Figure, note, panel_grid, style, words
+from fynjax.report.figures._style import AFTER, REAL, Figure, note, panel_grid, style, words
 
 SAMPLES = (("real", REAL), ("simulated", AFTER))
 """The two sides of a comparison, and their colours."""
@@ -17,8 +17,7 @@ def band_box_plot(bands: pd.DataFrame) -> Figure:
     """Reflectance of each band as boxes, and the relative difference of the means (figure 9).
 
     **Arguments:** `bands`, the band table of a drone comparison: columns `band`,
-    `real_p5` ... `simulated_p95`, `real_mean`, `simulated_mean`, `difference_percent`,
-    `paper_abs_difference_percent`.
+    `real_p5` ... `simulated_p95`, `real_mean`, `simulated_mean`, `difference_percent`.
     """
     with style():
         figure = Figure(figsize=(8.6, 3.4))
@@ -58,10 +57,7 @@ def band_box_plot(bands: pd.DataFrame) -> Figure:
         left.set_ylim(bottom=min(0.0, left.get_ylim()[0]))
         left.grid(axis="y")
         left.legend(handles=handles, loc="upper left")
-        paper = bands["paper_abs_difference_percent"].to_numpy(float)
-        difference_bars(
-            right, [words(b) for b in bands["band"]], bands["difference_percent"], paper, paper
-        )
+        difference_bars(right, [words(b) for b in bands["band"]], bands["difference_percent"])
         right.set_title("Means")
         note(
             figure,
@@ -70,24 +66,11 @@ def band_box_plot(bands: pd.DataFrame) -> Figure:
     return figure
 
 
-def difference_bars(
-    axes: Axes,
-    labels: list[str],
-    percent: pd.Series,
-    lower: Float[np.ndarray, " row"],
-    upper: Float[np.ndarray, " row"],
-    sign: Float[np.ndarray, " row"] | None = None,
-) -> None:
-    """Bars of (simulated - real) / |real| [%], with the paper's own differences beside them.
-
-    The paper gives most without a sign: then the mark is drawn on both sides of zero.
-    """
+def difference_bars(axes: Axes, labels: list[str], percent: pd.Series) -> None:
+    """Bars of (simulated - real) / |real| [%]."""
     values = np.asarray(percent, float)
     place = np.arange(len(labels), dtype=float)
-    finite = np.abs(values[np.isfinite(values)])
-    known = upper[np.isfinite(upper)]
-    most = 1.2 * max(float(finite.max(initial=1.0)), float(known.max(initial=1.0)))
-    most = min(most, 150.0)
+    most = min(1.2 * float(np.abs(values[np.isfinite(values)]).max(initial=1.0)), 150.0)
     axes.bar(place, np.clip(values, -most, most), width=0.62, color=AFTER)
     for x, value in zip(place, values, strict=True):
         if not np.isfinite(value):
@@ -103,32 +86,10 @@ def difference_bars(
             va="bottom" if value >= 0 else "top",
             fontsize=7.5,
         )
-    signs = np.full(len(labels), np.nan) if sign is None else sign
-    drawn = False
-    for x, low, high, sign in zip(place, lower, upper, signs, strict=True):
-        if not np.isfinite(high):
-            continue
-        for side in (-1.0, 1.0) if np.isnan(sign) else (sign,):
-            faint = 0.95 if np.isfinite(sign) else 0.65
-            ends = sorted((side * low, side * high))
-            box = matplotlib.patches.Rectangle(
-                (x - 0.4, ends[0] - 0.009 * most),
-                0.8,
-                ends[1] - ends[0] + 0.018 * most,
-                color=GREY,
-                alpha=faint,
-                lw=0,
-                zorder=3,
-            )
-            axes.add_patch(box)
-            drawn = True
     axes.axhline(0.0, color="#444444", lw=0.7)
     axes.set_xticks(place, labels)
     axes.set(ylim=(-most, most), ylabel="(simulated − real) / real [%]")
     axes.grid(axis="y")
-    if drawn:
-        mark = matplotlib.patches.Patch(color=GREY, label="the paper's simulation")
-        axes.legend(handles=[mark], loc="lower right", bbox_to_anchor=(1.0, 1.0), fontsize=7.5)
 
 
 def index_pair_histograms(

@@ -101,8 +101,7 @@ def spectrometer_index_bars(indices: pd.DataFrame) -> Figure:
     """Indices of both mean spectra, and their differences (figure 12).
 
     **Arguments:** `indices` with the columns `index`, `real`, `simulated`, `real_std`,
-    `simulated_std`, `difference_percent`, `paper_lower_percent`, `paper_upper_percent`,
-    `paper_sign`.
+    `simulated_std`, `difference_percent`.
     """
     largest = indices[["real", "simulated"]].abs().max(axis=1)
     table = pd.concat([indices[~(largest > 1.3)], indices[largest > 1.3]])
@@ -133,14 +132,7 @@ def spectrometer_index_bars(indices: pd.DataFrame) -> Figure:
         grid["large"].set_visible(split < len(table))
         handles = [matplotlib.patches.Patch(color=c, label=s) for s, c in SAMPLES]
         grid["small"].legend(handles=handles, ncols=2, loc="best")
-        difference_bars(
-            grid["change"],
-            list(table["index"]),
-            table["difference_percent"],
-            table["paper_lower_percent"].to_numpy(float),
-            table["paper_upper_percent"].to_numpy(float),
-            table["paper_sign"].to_numpy(float),
-        )
+        difference_bars(grid["change"], list(table["index"]), table["difference_percent"])
         grid["change"].tick_params(axis="x", rotation=45)
         grid["change"].set_title("Difference")
     return figure
