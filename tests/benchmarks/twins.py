@@ -335,7 +335,7 @@ def report(chosen, ready, views, twins):
         values = [explained(truth[:, place], m[:, place]) for m in methods.values()]
         print(f"cover of {ready.scene.taxa[i]:31s}" + "".join(f"{v:11.2f}" for v in values))
     place = [names.index(f"species.{ready.scene.taxa[i]}.cover") for i in live]
-    physical = eqx.filter_jit(jax.vmap(space.physical))
+    physical = eqx.filter_jit(lambda u: jax.vmap(space.physical)(u))
 
     def total(u):
         return np.asarray(physical(jnp.asarray(u)))[:, place].sum(axis=1)
