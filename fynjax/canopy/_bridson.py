@@ -42,7 +42,8 @@ def fill(
     def squared(dx: Any, dy: Any, least: Callable[[Any, Any], Any]) -> Any:
         """Squared distance of places `dx` and `dy` apart, to the nearest repetition of a periodic
         extent. `least` is the minimum of two: NumPy's, or Python's for single numbers."""
-        if periodic:
+        if periodic and outer:
+            dx, dy = abs(dx), abs(dy)
             dx, dy = least(dx, lx - dx), least(dy, ly - dy)
         return dx * dx + dy * dy
 
@@ -53,20 +54,33 @@ def fill(
         active.append((x, y))
         count += 1
 
-    draw = rng.random
-    add(draw() * lx, draw() * ly)
+    add(rng.random() * lx, rng.random() * ly)
+    numbers, at = np.empty(0), 0
     while active:
-        pick = int(draw() * len(active))
+        if at + 2 * attempts >= len(numbers):  # enough for the next centre, in large pieces
+            numbers = np.concatenate([numbers[at:], rng.random(2**14 + 2 * attempts)])
+            uniform, at = numbers.tolist(), 0
+            reach = 2.0 * radius * np.sqrt(numbers)
+            east, north = np.cos(2.0 * np.pi * numbers), np.sin(2.0 * np.pi * numbers)
+        pick, at = int(uniform[at] * len(active)), at + 1
         centre_x, centre_y = active[pick]
         active[pick] = active[-1]
         active.pop()
+        # Candidates lie within two radii, and what is near them within three.
+        to_border = min(centre_x, lx - centre_x, centre_y, ly - centre_y)
+        outer = to_border <= 6.0 * radius
         # Uniform by area in the disc of 2 r; within r of the centre, a quarter of it, none fits.
-        shares = (draw() for _ in range(attempts))
-        draws = np.array([(share, draw()) for share in shares if share >= 0.25]).reshape(-1, 2)
-        distance, angle = 2.0 * radius * np.sqrt(draws[:, 0]), 2.0 * np.pi * draws[:, 1]
-        x = centre_x + distance * np.cos(angle)
-        y = centre_y + distance * np.sin(angle)
-        if periodic:
+        tried = []
+        for _ in range(attempts):
+            if uniform[at] < 0.25:
+                at += 1
+            else:  # the share of the disc's area, and the direction after it
+                tried.append(at)
+                at += 2
+        chosen = np.array(tried, int)
+        x = centre_x + reach[chosen] * east[chosen + 1]
+        y = centre_y + reach[chosen] * north[chosen + 1]
+        if periodic and outer:
             x -= lx * np.floor(x / lx)
             y -= ly * np.floor(y / ly)
             x[x >= lx] = 0.0  # rounding of a tiny negative number
@@ -74,14 +88,13 @@ def fill(
         j, i = place(centre_x, centre_y)
         near = grid[rows[j : j + 2 * far_y + 1, None], columns[i : i + 2 * far_x + 1]]
         others = points[near[near >= 0]]
-        apart = np.abs(others[:, 0] - x[:, None]), np.abs(others[:, 1] - y[:, None])
-        free = (squared(*apart, np.minimum) >= radius * radius).all(axis=1)
-        if not periodic:
+        apart = squared(others[:, 0] - x[:, None], others[:, 1] - y[:, None], np.minimum)
+        free = (apart >= radius * radius).all(axis=1)
+        if outer and not periodic:
             free &= (x >= 0.0) & (y >= 0.0) & (x < lx) & (y < ly)
         new: list[tuple[float, float]] = []  # candidates of one centre keep apart, too
         for one_x, one_y in zip(x[free].tolist(), y[free].tolist()):
-            pairs = ((abs(one_x - x0), abs(one_y - y0)) for x0, y0 in new)
-            if all(squared(*pair, min) >= radius * radius for pair in pairs):
+            if all(squared(one_x - x0, one_y - y0, min) >= radius * radius for x0, y0 in new):
                 new.append((one_x, one_y))
                 add(one_x, one_y)
     return points[:count].copy()
