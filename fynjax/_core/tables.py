@@ -269,6 +269,8 @@ class TextTable:
         # A short row ends in an empty cell.
         whole = len(values) and np.isfinite(values).all() and not (gaps and (values < _LEAST).any())
         whole = whole and (self.width - 1 in chosen or not (last.str.strip() == "").any())
+        # pandas takes a comment for a row where its cells are as many.
+        whole = whole and (0 in chosen or not frame[0].str.startswith("#").any())
         return frame if whole else None
 
     def line(self, row: int) -> str:

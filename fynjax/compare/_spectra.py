@@ -17,7 +17,7 @@ from fynjax._core.progress import stage
 from fynjax._core.spectral import check_wavelength
 from fynjax.compare._images import thinning
 from fynjax.io.raster import check_netcdf, check_reflectance, open_raster
-from fynjax.io.spectra import read_header, read_usable_spectra
+from fynjax.io.spectra import check_widths, read_header, read_usable_spectra
 from fynjax.metrics import WATER_WINDOWS
 
 _RASTERS = (".img", ".bil", ".bip", ".bsq", ".dat", ".tif", ".tiff")
@@ -213,7 +213,11 @@ def _read_cube(path: Path, most: int) -> _Part:
 def _read_netcdf(path: Path, most: int) -> _Part:
     check_netcdf(path)
     try:
-        with xr.open_datatree(path, engine="netcdf4") as tree:
+        with (
+            warnings.catch_warnings(action="ignore", category=xr.SerializationWarning),
+            np.errstate(all="ignore"),  # of two marks of no data, and of scales beyond floats
+            xr.open_datatree(path, engine="netcdf4") as tree,
+        ):
             nodes = [node.to_dataset(inherit=True) for node in tree.subtree]
             waves = _wavelengths_in(nodes)
             if waves is None:
@@ -223,6 +227,8 @@ def _read_netcdf(path: Path, most: int) -> _Part:
                     file=path,
                 )
             name, grid, widths = waves
+            if widths is not None:
+                check_widths(widths, path)
             return _spectra_in(nodes, name, grid, widths, most, path)
     except (OSError, RuntimeError, ValueError) as error:
         if isinstance(error, InputError):

@@ -1,5 +1,6 @@
 """Cubes read by blocks of rows, and maps written by blocks."""
 
+import dataclasses
 import os
 import re
 import shutil
@@ -11,6 +12,7 @@ import xarray as xr
 from affine import Affine
 
 from fynjax._core.errors import InputError
+from fynjax.compare import read_spectra_sample
 from fynjax.io.raster import (
     Cube,
     MapWriter,
@@ -507,6 +509,43 @@ def test_a_flipped_bit_of_unfinished_maps_is_found_or_harmless(tmp_path, cube):
                 assert file.transform == blocks.transform
     assert found == len(contents[mark])
     assert again > 20
+
+
+def test_unfinished_maps_of_another_type_or_with_damaged_text_are_made_again(tmp_path, cube):
+    blocks = begun(tmp_path, dataclasses.replace(cube, crs=None))
+    path = tmp_path / "work" / "maps.tif"
+    content, mark = path.read_bytes(), (tmp_path / "work" / "maps.json").read_bytes()
+    with rasterio.open(path) as file:
+        profile, values = file.profile, file.read()
+    with rasterio.open(path, "w", **profile | {"dtype": "uint32", "nodata": None}) as file:
+        file.write(values.view(np.uint32))  # the same bytes
+    assert not MapWriter(tmp_path / "work", "s", [("one", "1")], blocks, 3).done.any()
+    assert content.count(b"fynjax plot frame") == 1
+    path.write_bytes(content.replace(b"fynjax plot frame", b"fynjax\xffplot frame"))
+    (tmp_path / "work" / "maps.json").write_bytes(mark)
+    assert not MapWriter(tmp_path / "work", "s", [("one", "1")], blocks, 3).done.any()
+
+
+@pytest.mark.parametrize("kind", ["hdr", "tif", "nc"])
+def test_widths_that_no_band_has_are_refused(tmp_path, cube, kind):
+    path = tmp_path / f"cube.{kind}"
+    write = {"hdr": write_cube_envi, "tif": write_cube_geotiff}.get(kind)
+    wide = dataclasses.replace(cube, fwhm=np.array([20.0, 20.0, 1e7, 20.0]))
+    write(path, wide, {}) if write else write_cubes_netcdf(path, {"reflectance": wide}, {})
+    with pytest.raises(InputError, match=r"'fwhm': expected .* 0 to 1e\+06 nm, but one is 1e\+07"):
+        whole(path)
+    if kind == "nc":
+        with pytest.raises(InputError, match="'fwhm': expected full widths"):
+            read_spectra_sample([path])
+
+
+def test_a_scale_beyond_what_numbers_hold_leaves_no_data(tmp_path, cube):
+    path = tmp_path / "cube.tif"
+    write_cube_geotiff(path, cube, {})
+    with rasterio.open(path, "r+") as file:
+        file.scales = [1e300] * 4
+    with open_blocks(path) as blocks, pytest.warns(UserWarning, match="infinite or beyond"):
+        assert np.isnan(blocks.read(0, 2)).all()
 
 
 def test_maps_that_are_taken_up_again_can_be_interrupted(tmp_path, cube, monkeypatch):
