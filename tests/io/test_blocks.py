@@ -512,18 +512,21 @@ def test_a_flipped_bit_of_unfinished_maps_is_found_or_harmless(tmp_path, cube):
 
 
 def test_unfinished_maps_of_another_type_or_with_damaged_text_are_made_again(tmp_path, cube):
-    blocks = begun(tmp_path, dataclasses.replace(cube, crs=None))
+    blocks = begun(tmp_path, cube)
     path = tmp_path / "work" / "maps.tif"
-    content, mark = path.read_bytes(), (tmp_path / "work" / "maps.json").read_bytes()
     with rasterio.open(path) as file:
         profile, values = file.profile, file.read()
     with rasterio.open(path, "w", **profile | {"dtype": "uint32", "nodata": None}) as file:
         file.write(values.view(np.uint32))  # the same bytes
     assert not MapWriter(tmp_path / "work", "s", [("one", "1")], blocks, 3).done.any()
+    own = (tmp_path / "own", "s", [("one", "1")], dataclasses.replace(blocks, crs=None), 3)
+    MapWriter(*own).write(0, 0, np.ones((1, 3, 6)))
+    assert MapWriter(*own).done[0]
+    path = tmp_path / "own" / "maps.tif"
+    content = path.read_bytes()
     assert content.count(b"fynjax plot frame") == 1
     path.write_bytes(content.replace(b"fynjax plot frame", b"fynjax\xffplot frame"))
-    (tmp_path / "work" / "maps.json").write_bytes(mark)
-    assert not MapWriter(tmp_path / "work", "s", [("one", "1")], blocks, 3).done.any()
+    assert not MapWriter(*own).done.any()
 
 
 @pytest.mark.parametrize("kind", ["hdr", "tif", "nc"])

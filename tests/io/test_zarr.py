@@ -114,7 +114,7 @@ def test_sizes_are_bounded_before_anything_is_read(tmp_path: Path) -> None:
         (
             [6, 5 * 2**17, 4],
             [3, 5, 4],
-            "at most 16384 chunks in a row of pixels, but there are 131072",
+            "16384 chunks in a row .* there are 131072",
         ),
         ("abc", "abc", "whole numbers of 1 or more"),
         (None, None, "lack something or are damaged"),
