@@ -221,6 +221,13 @@ class TextTable:
         """
         import pandas as pd
 
+        if (needed := max((*numbers, *words)) + 1) > self.width:
+            raise InputError(
+                f"expected {needed} columns, but the first row has {self.width}. Is a separator "
+                "missing?",
+                file=self.path,
+                row=self.skip + 1,
+            )
         frame = self._clean_columns(numbers, bool(missing))
         if frame is not None:
             for place in words:

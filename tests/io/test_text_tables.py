@@ -308,6 +308,13 @@ def test_letters_that_look_like_those_of_another_encoding_are_said(tmp_path):
         assert read_rows(path, NamedRow, "a table")[0][1].taxon == "CafŽ"
 
 
+def test_a_library_of_one_column_is_refused(tmp_path):
+    path = tmp_path / "leaf.txt"
+    path.write_text("Name: leaf\nX Units: Wavelength (micrometers)\n\n0.4\t\n1.3\t40\n1.36\t40\n")
+    with pytest.raises(InputError, match="row 4: expected 2 columns, but the first row has 1"):
+        read_file(path)
+
+
 def test_a_row_that_is_commented_out_is_no_row(tmp_path):
     path = tmp_path / "table.csv"
     rows = [f"{name},{','.join(['0.1'] * 10)}\n" for name in ("a", "#b", "c")]

@@ -32,7 +32,7 @@ from fynjax._core.memory import total_memory
 from fynjax.io.raster._crs import geotransform, parse_crs
 from fynjax.io.raster._lookup import lookup_table
 from fynjax.io.raster._netcdf import CONVENTIONS, check_netcdf, with_history
-from fynjax.io.raster._reader import RasterFile, open_raster, wherever
+from fynjax.io.raster._reader import RasterFile, open_raster, wherever, without_words
 from fynjax.io.raster._scale import check_reflectance
 from fynjax.io.raster._writer import LOCAL_FRAME
 from fynjax.io.raster._zarr import check_zarr
@@ -427,6 +427,7 @@ class MapWriter:
         """Copy the blocks that are as they were written; the others are to be done again."""
         with (
             wherever(),
+            without_words(),
             suppress(RasterioError, ValueError),  # the second of text that is no UTF-8
             rasterio.open(kept, driver="GTiff") as file,
         ):

@@ -445,7 +445,7 @@ def _open(path: Path) -> Any:
     """A raster as rasterio has it, if it names no others."""
     # The environment registers GDAL's drivers; `rasterio.open` takes one name only. A whole path is
     # never taken for an address, or an option of a driver.
-    with _without_words(), rasterio.Env():
+    with without_words(), rasterio.Env():
         dataset = rasterio.io.DatasetReader(path.absolute(), driver=list(_FORMATS))
     if any(key.upper() == "OVERVIEW_FILE" for key in dataset.tags(ns="OVERVIEWS")):
         raise _names_others(path, "its metadata")
@@ -465,7 +465,7 @@ def wherever() -> Iterator[None]:
 
 
 @contextmanager
-def _without_words() -> Iterator[None]:
+def without_words() -> Iterator[None]:
     """Without the tracebacks that Python prints where rasterio fails to log words of GDAL that
     are no text, such as a damaged file's tags in them. Errors themselves are raised."""
     before = sys.unraisablehook
