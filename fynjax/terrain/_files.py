@@ -118,8 +118,7 @@ def read_terrain(
         scale, offset = file.dataset.scales[band - 1], file.dataset.offsets[band - 1]
         declared = file.dataset.nodatavals[band - 1] is not None
     values, valid, corner = part.values[0], part.mask, part.origin
-    with np.errstate(all="ignore"):  # heights that no ground can have are refused below
-        raw = np.round((values - offset) / scale, 6)
+    raw = np.round((values - offset) / scale, 6)
     values = values * unit_factor(unit or "metre")
     if min(valid.shape) < 2:
         raise InputError(
@@ -221,7 +220,7 @@ def _check_missing(
     used = raw[np.isfinite(heights)]
     steps = [np.abs(np.diff(heights, axis=axis)) for axis in (0, 1)]
     for value in (float(used.min()), float(used.max())):
-        if not value.is_integer():
+        if value != round(value):
             continue
         same = raw == value
         # How many of the two neighbours have the value: one at its edge, none elsewhere.

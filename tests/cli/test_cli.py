@@ -361,7 +361,12 @@ def test_another_ctrl_c_while_a_run_ends_changes_nothing(capsys, calls, monkeypa
     status, _, err = call(capsys, "demo", "--output", tmp_path / "o")
     assert (status, err) == (130, "fynjax: interrupted; nothing was written\n")
     assert list(tmp_path.iterdir()) == []
-    signal.raise_signal(signal.SIGINT)  # as when Python itself ends
+
+
+@pytest.mark.parametrize("arguments", [("sensors",), ("demo", "--seed", "x")])
+def test_a_ctrl_c_while_python_ends_shows_no_traceback(capsys, arguments):
+    call(capsys, *arguments)
+    signal.raise_signal(signal.SIGINT)
 
 
 def test_results_that_are_removed_while_others_are_written_end_in_a_line(
