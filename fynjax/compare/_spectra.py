@@ -11,7 +11,7 @@ import xarray as xr
 from jaxtyping import Float
 from numpy.typing import NDArray
 
-from fynjax._core.errors import InputError
+from fynjax._core.errors import LARGEST, InputError
 from fynjax._core.files import existing_file, how_to_import
 from fynjax._core.progress import stage
 from fynjax._core.spectral import check_wavelength
@@ -89,7 +89,13 @@ def read_spectra_sample(
     for path, (other, *_) in zip(files[1:], parts[1:], strict=True):
         _check_grid(grid, other, path, files[0].name)
     values = np.concatenate([rows for _, rows, _, _ in parts])
-    finite = np.isfinite(values)
+    finite = np.abs(values) <= LARGEST
+    if (wrong := ~finite & ~np.isnan(values)).any():
+        warnings.warn(
+            f"{files[0]}: {int(wrong.sum())} of {wrong.size} values are infinite or beyond "
+            f"{LARGEST:g}. They are taken for missing data.",
+            stacklevel=2,
+        )
     some = finite.any(axis=1)
     alive = finite[some].mean(axis=0) >= 0.5 if some.any() else np.zeros(grid.size, bool)
     if some.sum() > 1:
@@ -230,7 +236,7 @@ def _read_netcdf(path: Path, most: int) -> _Part:
             if widths is not None:
                 check_widths(widths, path)
             return _spectra_in(nodes, name, grid, widths, most, path)
-    except (OSError, RuntimeError, ValueError) as error:
+    except (OSError, RuntimeError, ValueError, AttributeError, TypeError, LookupError) as error:
         if isinstance(error, InputError):
             raise
         raise InputError(

@@ -5,6 +5,7 @@ import os
 import re
 import shutil
 
+import netCDF4
 import numpy as np
 import pytest
 import rasterio
@@ -540,6 +541,20 @@ def test_widths_that_no_band_has_are_refused(tmp_path, cube, kind):
     if kind == "nc":
         with pytest.raises(InputError, match="'fwhm': expected full widths"):
             read_spectra_sample([path])
+
+
+def test_impossible_spectra_and_attributes_of_a_netcdf_file_are_named(tmp_path, cube):
+    path = tmp_path / "cube.nc"
+    values = np.where(np.isnan(cube.values), 0.3, cube.values)
+    values[1, 0, 0] = 1e30
+    write_cubes_netcdf(path, {"reflectance": dataclasses.replace(cube, values=values)}, {})
+    with pytest.warns(UserWarning, match=r"cube.nc: 1 of 216 values are infinite or beyond 1e\+15"):
+        sample = read_spectra_sample([path])
+    assert (sample.left_out, sample.values.max() < 1.0) == (1, True)
+    with netCDF4.Dataset(path, "a") as data:
+        data["reflectance"].coordinates = 7.0
+    with pytest.raises(InputError, match="cannot be read as NetCDF"):
+        read_spectra_sample([path])
 
 
 def test_a_scale_beyond_what_numbers_hold_leaves_no_data(tmp_path, cube):

@@ -431,7 +431,8 @@ class MapWriter:
             suppress(RasterioError, ValueError),  # the second of text that is no UTF-8
             rasterio.open(kept, driver="GTiff") as file,
         ):
-            for block, (start, rows, seal) in list(self._written.items()):
+            whole = (file.count, *file.shape) == (len(self._bands), *self._like.shape)
+            for block, (start, rows, seal) in list(self._written.items()) if whole else ():
                 with suppress(RasterioError, ValueError):
                     part = file.read(window=Window(0, start, self._like.shape[1], rows))
                     if _seal(part) == seal:
