@@ -90,9 +90,14 @@ def in_nanometres(
 
 
 def check_widths(width: NDArray[np.float64], path: Path) -> None:
-    """Refuse full widths of bands [nm], shape (band,), that no spectrometer has; NaN is unknown.
+    """Refuse full widths of bands that no spectrometer has.
 
-    **Raises:** `InputError` naming the file `path`.
+    **Arguments:**
+
+    - `width`: full widths at half maximum [nm], shape (band,); NaN where unknown.
+    - `path`: of the file, for errors.
+
+    **Raises:** `InputError` for one below 0 or above 1e6 nm.
     """
     wrong = width[(width < 0.0) | (width > _LONGEST)]
     if wrong.size:
