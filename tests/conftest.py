@@ -4,8 +4,10 @@ import ctypes
 import functools
 import gc
 import os
+import signal
 import sys
 import tempfile
+import threading
 import zlib
 from collections.abc import Iterator
 from pathlib import Path
@@ -105,6 +107,16 @@ def close_figures() -> Iterator[None]:
     yield
     if pyplot := sys.modules.get("matplotlib.pyplot"):
         pyplot.close("all")
+
+
+@pytest.fixture(autouse=True)
+def listen_to_ctrl_c() -> Iterator[None]:
+    """Lets Ctrl-C end the tests still, after one has run a command: its process does not listen
+    when it ends."""
+    before = signal.getsignal(signal.SIGINT)
+    yield
+    if threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGINT, before)
 
 
 @pytest.fixture(autouse=True)

@@ -88,6 +88,10 @@ def length(part: np.ndarray, shared: np.ndarray) -> tuple[np.ndarray, ...]:
     return (np.array(part.size + shared.size),)
 
 
+def same(*arrays: jax.Array) -> tuple[jax.Array, ...]:
+    return arrays
+
+
 def place(number: int) -> tuple[np.ndarray, ...]:
     return (np.array(sorted(os.sched_getaffinity(0))),)
 
@@ -118,6 +122,17 @@ def test_none_one_and_two_processes_give_the_same_bits(two) -> None:
     for parts_of in zip(*found, strict=True):
         first, *others = ([(x.dtype, x.tobytes()) for x in arrays] for arrays in parts_of)
         assert all(other == first for other in others)
+
+
+def test_arrays_of_64_bits_come_whole_through_a_scheduler_of_32(two) -> None:
+    jax.config.update("jax_enable_x64", False)
+    try:
+        with jax.enable_x64(True):
+            third = jnp.arange(4.0) / 3.0
+            (found,) = two.all(same, [third], third)
+    finally:
+        jax.config.update("jax_enable_x64", True)
+    assert [array.tobytes() for array in found] == 2 * [np.asarray(third).tobytes()]
 
 
 def test_large_parts_are_sent_without_a_warning(two) -> None:
@@ -211,7 +226,7 @@ def test_a_part_that_kills_every_worker_is_named(tmp_path: Path) -> None:
 
 
 def test_a_part_that_cannot_be_sent_is_refused(two) -> None:
-    with pytest.raises(TypeError, match="serialize"):
+    with pytest.raises(TypeError, match="pickle"):
         two.all(scaled, [threading.Lock()], 1.0)
     assert len(two.all(scaled, range(2), 1.0)) == 2
 

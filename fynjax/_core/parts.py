@@ -199,11 +199,15 @@ class Pool:
     ) -> Generator[tuple[int, _Answer], None, None]:
         client = self._client
         number: dict[Any, int] = {}
+        # As bytes: the scheduler unpacks what it is sent, and where it computes in 32 bits, JAX
+        # cuts arrays of 64 down to them.
+        pack = require("distributed.protocol.pickle", "map").dumps
         try:
             # By a task, not by scatter: that of a worker that died is done again.
-            given = client.submit(tuple, shared, pure=False)
+            given = client.submit(bytes, pack(shared), pure=False)
             same = ([value] * len(parts) for value in (function, given, self._settings))
-            sent = client.map(_there, list(parts.values()), *same, pure=False, retries=_RETRIES)
+            packed = [pack(part) for part in parts.values()]
+            sent = client.map(_there, packed, *same, pure=False, retries=_RETRIES)
             number.update(zip(sent, parts, strict=True))
             completed = require("distributed", "map").as_completed(sent, loop=client.loop)
             del sent  # a worker keeps a result as long as somebody holds its future
@@ -372,14 +376,20 @@ def _versions() -> tuple[tuple[str, str], ...]:
     return ("Python", python), *((name, metadata.version(name)) for name in names)
 
 
-def _there(
-    part: Any, function: PartFunction, shared: tuple[Any, ...], settings: _Settings
-) -> _Answer:
+def _there(part: bytes, function: PartFunction, shared: bytes, settings: _Settings) -> _Answer:
     """A part on a worker, which may have been started after the others were prepared. What of its
     machine fails is raised: dask tries that again."""
     if why := _unfit(settings):
         return None, (f"the worker on {platform.node()} is not fit: {why}",), ""
-    return _done(part, function, shared)
+    return _done(_unpacked(part), function, _unpacked_once(shared))
+
+
+def _unpacked(data: bytes) -> Any:
+    """What was packed, in the precision that the worker now has."""
+    return require("distributed.protocol.pickle", "map").loads(data)
+
+
+_unpacked_once = lru_cache(maxsize=1)(_unpacked)
 
 
 def _done(part: Any, function: PartFunction, shared: tuple[Any, ...]) -> _Answer:

@@ -221,6 +221,13 @@ class TextTable:
         """
         import pandas as pd
 
+        if (needed := max((*numbers, *words)) + 1) > self.width:
+            raise InputError(
+                f"expected {needed} columns, but the first row has {self.width}. Is a separator "
+                "missing?",
+                file=self.path,
+                row=self.skip + 1,
+            )
         frame = self._clean_columns(numbers, bool(missing))
         if frame is not None:
             for place in words:
@@ -269,6 +276,8 @@ class TextTable:
         # A short row ends in an empty cell.
         whole = len(values) and np.isfinite(values).all() and not (gaps and (values < _LEAST).any())
         whole = whole and (self.width - 1 in chosen or not (last.str.strip() == "").any())
+        # pandas takes a comment for a row where its cells are as many.
+        whole = whole and (0 in chosen or not frame[0].str.startswith("#").any())
         return frame if whole else None
 
     def line(self, row: int) -> str:

@@ -20,6 +20,7 @@ from fynjax.cli._inversion import calibrate, design, information, posterior, sen
 from fynjax.cli._leaf import convert, fit_leaf
 from fynjax.cli._maps import map_command, train
 from fynjax.cli._plot import article, build, demo, init, pattern, plant, render, terrain, view
+from fynjax.cli._runtime import ignore_ctrl_c
 from fynjax.cli._sensors import doctor, reflectance, sensors, simulate
 from fynjax.cli._validate import validate
 
@@ -159,6 +160,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
     for stream in (sys.stdout, sys.stderr):  # a terminal may lack letters that names of files have
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
+    try:
+        _run(arguments)
+    finally:
+        ignore_ctrl_c()
+
+
+def _run(arguments: Sequence[str] | None) -> None:
     status: object = 0
     try:
         status = app(args=None if arguments is None else list(arguments), standalone_mode=False)

@@ -396,6 +396,23 @@ def _ended_by_kill() -> Iterator[Callable[[], None]]:
         sys.unraisablehook = say
 
 
+def ignore_ctrl_c() -> None:
+    """Let a process that ends do so: a Ctrl-C would show the traceback of what it interrupts."""
+    if threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def _check_written(result: "JobResult", folder: Path, output: Path) -> None:
+    """Refuse results that another process removed while the run wrote others."""
+    lost = [name for name in result.files if not (folder / name).exists()]
+    if lost:
+        raise InputError(
+            f"{len(lost)} of {len(result.files)} results, such as {lost[0]}, were removed while "
+            "the run wrote the others, so none was kept. Give the command again",
+            file=output,
+        )
+
+
 def run_job(
     command: str,
     job: Callable[[Path], "JobResult"],
@@ -439,6 +456,7 @@ def run_job(
                 with bars:
                     result = job(folder)
             except (KeyboardInterrupt, SystemExit) as end:
+                ignore_ctrl_c()
                 killed = isinstance(end, SystemExit)
                 if killed and getattr(end, "code", None) != _TERMINATED:
                     raise
@@ -450,6 +468,7 @@ def run_job(
             except DryRunEnd as end:
                 end.warnings = _messages(caught)
                 raise
+            _check_written(result, folder, output)
             messages = _messages(caught)
             result = result.model_copy(
                 update={"output": str(output), "warnings": [*result.warnings, *messages]}

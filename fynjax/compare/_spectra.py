@@ -11,13 +11,13 @@ import xarray as xr
 from jaxtyping import Float
 from numpy.typing import NDArray
 
-from fynjax._core.errors import InputError
+from fynjax._core.errors import LARGEST, InputError
 from fynjax._core.files import existing_file, how_to_import
 from fynjax._core.progress import stage
 from fynjax._core.spectral import check_wavelength
 from fynjax.compare._images import thinning
 from fynjax.io.raster import check_netcdf, check_reflectance, open_raster
-from fynjax.io.spectra import read_header, read_usable_spectra
+from fynjax.io.spectra import check_widths, read_header, read_usable_spectra
 from fynjax.metrics import WATER_WINDOWS
 
 _RASTERS = (".img", ".bil", ".bip", ".bsq", ".dat", ".tif", ".tiff")
@@ -89,7 +89,13 @@ def read_spectra_sample(
     for path, (other, *_) in zip(files[1:], parts[1:], strict=True):
         _check_grid(grid, other, path, files[0].name)
     values = np.concatenate([rows for _, rows, _, _ in parts])
-    finite = np.isfinite(values)
+    finite = np.abs(values) <= LARGEST
+    if (wrong := ~finite & ~np.isnan(values)).any():
+        warnings.warn(
+            f"{files[0]}: {int(wrong.sum())} of {wrong.size} values are infinite or beyond "
+            f"{LARGEST:g}. They are taken for missing data.",
+            stacklevel=2,
+        )
     some = finite.any(axis=1)
     alive = finite[some].mean(axis=0) >= 0.5 if some.any() else np.zeros(grid.size, bool)
     if some.sum() > 1:
@@ -213,7 +219,11 @@ def _read_cube(path: Path, most: int) -> _Part:
 def _read_netcdf(path: Path, most: int) -> _Part:
     check_netcdf(path)
     try:
-        with xr.open_datatree(path, engine="netcdf4") as tree:
+        with (
+            warnings.catch_warnings(action="ignore", category=xr.SerializationWarning),
+            np.errstate(all="ignore"),  # of two marks of no data, and of scales beyond floats
+            xr.open_datatree(path, engine="netcdf4") as tree,
+        ):
             nodes = [node.to_dataset(inherit=True) for node in tree.subtree]
             waves = _wavelengths_in(nodes)
             if waves is None:
@@ -223,8 +233,10 @@ def _read_netcdf(path: Path, most: int) -> _Part:
                     file=path,
                 )
             name, grid, widths = waves
+            if widths is not None:
+                check_widths(widths, path)
             return _spectra_in(nodes, name, grid, widths, most, path)
-    except (OSError, RuntimeError, ValueError) as error:
+    except (OSError, RuntimeError, ValueError, AttributeError, TypeError, LookupError) as error:
         if isinstance(error, InputError):
             raise
         raise InputError(

@@ -178,7 +178,7 @@ def posterior(
         *_headline(ready, sampled, table),
         misfit_sentence(calibrated),
     ]
-    if not sampled.converged and sampled.method != "laplace":
+    if not sampled.converged and sampled.method != "laplace" and checkpoint.is_dir():
         headline.append(f"The chain is kept in {checkpoint}: the same command goes on with it.")
     record = run.record(inputs)
     with run.stage("Write"):

@@ -383,7 +383,10 @@ def read_training(path: str | Path) -> Training:
             voxel_m=float(record["voxel_m"]),
             structure_m=float(record["structure_m"]),
         )
-    except (OSError, LookupError, TypeError, ValueError, RuntimeError, AttributeError) as error:
+    except (
+        *(OSError, LookupError, TypeError, ValueError, RuntimeError, AttributeError),
+        OverflowError,
+    ) as error:
         raise InputError(
             "expected a training file as this version's `fynjax train` writes it, but this is "
             "none, one of another version, or damaged",

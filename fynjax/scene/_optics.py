@@ -25,9 +25,12 @@ from fynjax.scene._species import Species
 from fynjax.scene._spectra import background_spectrum
 
 # Petals as leaves without chlorophyll: an assumption, for want of measured fynbos petals.
-_PETAL = LeafParameters.many(
-    structure=2.0, chlorophyll=0.0, carotenoids=0.5, anthocyanins=1.0, water=0.008, dry_matter=0.003
-)
+with jax.enable_x64(True):  # else programs differ by what the process has at the import
+    _PETAL = LeafParameters.many(
+        structure=2.0, chlorophyll=0.0, carotenoids=0.5, anthocyanins=1.0, water=0.008,
+        dry_matter=0.003,
+    )  # fmt: skip
+    _PETAL = jax.tree.map(np.asarray, _PETAL)
 _OTHER_DIAMETER = 0.005
 """Diameter of twigs and petals, for the hot spot: an assumption [m]."""
 

@@ -7,6 +7,7 @@ import gc
 import json
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -341,6 +342,46 @@ def test_a_signal_ends_a_run_also_where_a_library_drops_it(
     assert err == f"fynjax: {word}; nothing was written\n"
     assert reached == []
     assert sys.unraisablehook is before
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals as Unix has them")
+def test_another_ctrl_c_while_a_run_ends_changes_nothing(capsys, calls, monkeypatch, tmp_path):
+    def demo(output, **_):
+        (output / "half.tif").write_text("half")
+        signal.raise_signal(signal.SIGINT)
+
+    def remove(*arguments, **how):
+        signal.raise_signal(signal.SIGINT)
+        removed(*arguments, **how)
+
+    removed = shutil.rmtree
+    monkeypatch.setattr(fynbos_2006, "demo", demo)
+    monkeypatch.setattr(shutil, "rmtree", remove)
+    status, _, err = call(capsys, "demo", "--output", tmp_path / "o")
+    assert (status, err) == (130, "fynjax: interrupted; nothing was written\n")
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("arguments", [("sensors",), ("demo", "--seed", "x")])
+def test_a_ctrl_c_while_python_ends_shows_no_traceback(capsys, arguments):
+    call(capsys, *arguments)
+    signal.raise_signal(signal.SIGINT)
+
+
+def test_results_that_are_removed_while_others_are_written_end_in_a_line(
+    capsys, calls, monkeypatch, tmp_path
+):
+    def demo(output, **_):
+        (output / "two.csv").write_text("2")
+        files = {"one.csv": "removed", "two.csv": "there"}
+        return Fake(output="", seed=0, command="demo", status="ok", headline=[], array=[],
+                    files=files)  # fmt: skip
+
+    monkeypatch.setattr(fynbos_2006, "demo", demo)
+    status, _, err = call(capsys, "demo", "--output", tmp_path / "o")
+    assert status == 2
+    assert "1 of 2 results, such as one.csv, were removed while the run wrote" in err
     assert list(tmp_path.iterdir()) == []
 
 

@@ -30,6 +30,8 @@ _LONGEST_ECHO = 200
 """Most characters of a file in a row that an error may repeat."""
 _LARGEST = 1e15
 _BATCH = 50
+_OF_LATER_VERSIONS = DeprecationWarning | PendingDeprecationWarning | FutureWarning
+"""Warnings of libraries that say nothing of the file."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -132,7 +134,7 @@ def _tried(reader: str, folder: Path, files: dict[str, bytes]) -> tuple[str, str
             at = f"{frames[-1] if frames else ''} {Path(last.filename).name}:{last.lineno}"
             return "other", f"{type(error).__name__} at {at}: {str(error)[:200]!r}"
     for warning in caught:
-        if not issubclass(warning.category, UserWarning):
+        if not issubclass(warning.category, UserWarning | _OF_LATER_VERSIONS):
             at = f"{Path(warning.filename).name}:{warning.lineno}"
             return "other", f"{warning.category.__name__} at {at}: {str(warning.message)[:200]!r}"
     if wrong := _strange(result, READERS[reader].missing):

@@ -54,6 +54,10 @@ def _warns(folder: Path) -> None:
     warnings.warn("overflow", RuntimeWarning, stacklevel=1)
 
 
+def _deprecates(folder: Path) -> None:
+    warnings.warn("in a later version", DeprecationWarning, stacklevel=1)
+
+
 def _fails(folder: Path) -> None:
     raise IndexError("out of range")
 
@@ -65,6 +69,7 @@ def _fails(folder: Path) -> None:
         (_says("expected a number, but got " + "0, 1, 2, " * 60), "other", "repeats the content"),
         (Reader(Path.mkdir, _fails), "other", "IndexError at "),
         (Reader(Path.mkdir, _warns), "other", "RuntimeWarning at "),
+        (Reader(Path.mkdir, _deprecates), "accepted", ""),
         (Reader(Path.mkdir, lambda folder: {"a": [np.nan]}), "other", "accepted with NaN"),
         (Reader(Path.mkdir, lambda folder: {"a": [np.nan]}, missing=True), "accepted", ""),
         (Reader(Path.mkdir, lambda folder: (1.0, 1e266), missing=True), "other", "impossible"),

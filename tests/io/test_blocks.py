@@ -1,9 +1,11 @@
 """Cubes read by blocks of rows, and maps written by blocks."""
 
+import dataclasses
 import os
 import re
 import shutil
 
+import netCDF4
 import numpy as np
 import pytest
 import rasterio
@@ -11,6 +13,7 @@ import xarray as xr
 from affine import Affine
 
 from fynjax._core.errors import InputError
+from fynjax.compare import read_spectra_sample
 from fynjax.io.raster import (
     Cube,
     MapWriter,
@@ -507,6 +510,60 @@ def test_a_flipped_bit_of_unfinished_maps_is_found_or_harmless(tmp_path, cube):
                 assert file.transform == blocks.transform
     assert found == len(contents[mark])
     assert again > 20
+
+
+def test_unfinished_maps_of_another_type_or_with_damaged_text_are_made_again(tmp_path, cube):
+    blocks = begun(tmp_path, cube)
+    path = tmp_path / "work" / "maps.tif"
+    with rasterio.open(path) as file:
+        profile, values = file.profile, file.read()
+    with rasterio.open(path, "w", **profile | {"dtype": "uint32", "nodata": None}) as file:
+        file.write(values.view(np.uint32))  # the same bytes
+    assert not MapWriter(tmp_path / "work", "s", [("one", "1")], blocks, 3).done.any()
+    own = (tmp_path / "own", "s", [("one", "1")], dataclasses.replace(blocks, crs=None), 3)
+    MapWriter(*own).write(0, 0, np.ones((1, 3, 6)))
+    assert MapWriter(*own).done[0]
+    path = tmp_path / "own" / "maps.tif"
+    content = path.read_bytes()
+    assert content.count(b"fynjax plot frame") == 1
+    path.write_bytes(content.replace(b"fynjax plot frame", b"fynjax\xffplot frame"))
+    assert not MapWriter(*own).done.any()
+
+
+@pytest.mark.parametrize("kind", ["hdr", "tif", "nc"])
+def test_widths_that_no_band_has_are_refused(tmp_path, cube, kind):
+    path = tmp_path / f"cube.{kind}"
+    write = {"hdr": write_cube_envi, "tif": write_cube_geotiff}.get(kind)
+    wide = dataclasses.replace(cube, fwhm=np.array([20.0, 20.0, 1e7, 20.0]))
+    write(path, wide, {}) if write else write_cubes_netcdf(path, {"reflectance": wide}, {})
+    with pytest.raises(InputError, match=r"'fwhm': expected .* 0 to 1e\+06 nm, but one is 1e\+07"):
+        whole(path)
+    if kind == "nc":
+        with pytest.raises(InputError, match="'fwhm': expected full widths"):
+            read_spectra_sample([path])
+
+
+def test_impossible_spectra_and_attributes_of_a_netcdf_file_are_named(tmp_path, cube):
+    path = tmp_path / "cube.nc"
+    values = np.where(np.isnan(cube.values), 0.3, cube.values)
+    values[1, 0, 0] = 1e30
+    write_cubes_netcdf(path, {"reflectance": dataclasses.replace(cube, values=values)}, {})
+    with pytest.warns(UserWarning, match=r"cube.nc: 1 of 216 values are infinite or beyond 1e\+15"):
+        sample = read_spectra_sample([path])
+    assert (sample.left_out, sample.values.max() < 1.0) == (1, True)
+    with netCDF4.Dataset(path, "a") as data:
+        data["reflectance"].coordinates = 7.0
+    with pytest.raises(InputError, match="cannot be read as NetCDF"):
+        read_spectra_sample([path])
+
+
+def test_a_scale_beyond_what_numbers_hold_leaves_no_data(tmp_path, cube):
+    path = tmp_path / "cube.tif"
+    write_cube_geotiff(path, cube, {})
+    with rasterio.open(path, "r+") as file:
+        file.scales = [1e300] * 4
+    with open_blocks(path) as blocks, pytest.warns(UserWarning, match="infinite or beyond"):
+        assert np.isnan(blocks.read(0, 2)).all()
 
 
 def test_maps_that_are_taken_up_again_can_be_interrupted(tmp_path, cube, monkeypatch):

@@ -336,8 +336,12 @@ def test_links_beside_a_raster_lead_to_no_other_folder(tmp_path, image):
     (there / "image.tif.aux.xml").write_text("<PAMDataset></PAMDataset>")
     for name in ("image.tif.msk", "image.tif.ovr", "image.tif.aux.xml"):
         (here / name).symlink_to(there / name.replace("ovr", "msk"))
-        with pytest.raises(InputError, match=REFUSED), open_raster(here / "image.tif", "a map"):
+        with (
+            pytest.raises(InputError, match=REFUSED) as caught,
+            open_raster(here / "image.tif", "a map"),
+        ):
             pass
+        assert name.endswith(".xml") or name in str(caught.value)  # it was not opened
         (here / name).unlink()
     (here / "cube.dat").unlink()
     (here / "cube.dat").symlink_to(there / "cube.dat")

@@ -6,6 +6,7 @@ import io
 import itertools
 import sys
 import warnings
+import zipfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,7 @@ import pandas as pd
 import pytest
 from pydantic import Field
 
+from fynjax._core import tables
 from fynjax._core.errors import InputError, MissingExtraError
 from fynjax._core.tables import open_points, open_table
 from fynjax.io.plot import read_statistics
@@ -304,6 +306,35 @@ def test_letters_that_look_like_those_of_another_encoding_are_said(tmp_path):
     path.write_bytes("taxon,a_m\nCafé,1\n".encode("mac_roman"))
     with pytest.warns(UserWarning, match="read as Windows-1252, with 'Ž' in it"):
         assert read_rows(path, NamedRow, "a table")[0][1].taxon == "CafŽ"
+
+
+def test_a_library_of_one_column_is_refused(tmp_path):
+    path = tmp_path / "leaf.txt"
+    path.write_text("Name: leaf\nX Units: Wavelength (micrometers)\n\n0.4\t\n1.3\t40\n1.36\t40\n")
+    with pytest.raises(InputError, match="row 4: expected 2 columns, but the first row has 1"):
+        read_file(path)
+
+
+def test_a_row_that_is_commented_out_is_no_row(tmp_path):
+    path = tmp_path / "table.csv"
+    rows = [f"{name},{','.join(['0.1'] * 10)}\n" for name in ("a", "#b", "c")]
+    path.write_text("".join([f"name,{','.join(map(str, range(400, 500, 10)))}\n", *rows]))
+    assert [spectrum.name for spectrum in read_file(path)] == ["a", "c"]
+
+
+def test_a_workbook_that_unfolds_to_more_than_64_mib_is_refused_unread(tmp_path, monkeypatch):
+    path = tmp_path / "table.xlsx"
+    monkeypatch.setattr(tables, "require", lambda *_: pytest.fail("opened"))
+    size = 2**26 + 1
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as parts:
+        parts.writestr("xl/workbook.xml", "<a/>")
+        parts.writestr("xl/worksheets/sheet1.xml", bytes(size - len("<a/>")))
+    assert path.stat().st_size < 2**20
+    with pytest.raises(InputError, match="unfolds to 64 MiB: save it as CSV"):
+        open_table(path, "a table")
+    monkeypatch.setattr(tables, "_LARGEST_WORKBOOK", size)
+    with pytest.raises(pytest.fail.Exception, match="opened"):
+        open_table(path, "a table")
 
 
 def test_an_error_of_a_spreadsheet_is_no_comment(tmp_path):

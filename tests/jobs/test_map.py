@@ -111,7 +111,7 @@ def test_a_training_is_read_back_as_it_was_written(trained, tmp_path):
         data.drop_vars("within").to_netcdf(tmp_path / "earlier.nc")
     with pytest.raises(InputError, match="one of another version"):
         jobs.read_training(tmp_path / "earlier.nc")
-    for wrong in ({"sun_zenith_deg": "[30]"}, {"stand_size_m": "wide"}):
+    for wrong in ({"sun_zenith_deg": "[30]"}, {"stand_size_m": "wide"}, {"sensor_bands": np.inf}):
         with xr.open_dataset(path) as data:
             data.assign_attrs(wrong).to_netcdf(tmp_path / "wrong.nc")
         with pytest.raises(InputError, match="training"):

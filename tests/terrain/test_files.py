@@ -91,6 +91,14 @@ def test_scale_and_offset_of_a_band_are_applied(tmp_path):
     np.testing.assert_allclose(back.heights, terrain_of().heights + 5.0, atol=0.006)
 
 
+def test_a_scale_of_zero_is_refused(tmp_path):
+    path = raster(tmp_path / "a.tif", HEIGHTS)
+    with rasterio.open(path, "r+") as file:
+        file.scales = (0.0,)
+    with pytest.raises(InputError, match="a scale of its values that is not 0"):
+        read_terrain(path)
+
+
 def test_gaps_are_refused_or_filled(tmp_path):
     holes = HEIGHTS.copy()
     holes[1, 2], holes[3:5, 4:6], holes[0, 0] = np.nan, -9999.0, np.nan

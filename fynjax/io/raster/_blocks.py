@@ -32,15 +32,17 @@ from fynjax._core.memory import total_memory
 from fynjax.io.raster._crs import geotransform, parse_crs
 from fynjax.io.raster._lookup import lookup_table
 from fynjax.io.raster._netcdf import CONVENTIONS, check_netcdf, with_history
-from fynjax.io.raster._reader import RasterFile, open_raster, wherever
+from fynjax.io.raster._reader import RasterFile, open_raster, wherever, without_words
 from fynjax.io.raster._scale import check_reflectance
 from fynjax.io.raster._writer import LOCAL_FRAME
 from fynjax.io.raster._zarr import check_zarr
-from fynjax.io.spectra import in_nanometres
+from fynjax.io.spectra import check_widths, in_nanometres
 from fynjax.io.text import atomic_path
 
 _SIZE = 2**27
 """Bytes of a block, about."""
+_MOST_CHUNKS = 1 << 14
+"""Chunks that a row of pixels may lie in."""
 _MOST_REFLECTANCE = 2.5
 """Beyond, values are no reflectance factors but counts, such as ten thousandths."""
 _LEAST_REFLECTANCE = 0.01
@@ -189,7 +191,7 @@ def _open_dataset(path: Path) -> Iterator[CubeBlocks]:
         raise InputError("expected an image, but there is no such file", file=path)
     with ExitStack() as opened:
         try:
-            with warnings.catch_warnings():
+            with warnings.catch_warnings(), np.errstate(all="ignore"):  # of scales beyond floats
                 warnings.simplefilter("ignore", xr.SerializationWarning)  # of two marks of no data
                 cube = _cube_of(path, opened)
         except _UNREADABLE as error:
@@ -261,6 +263,17 @@ def _cube_of(path: Path, opened: ExitStack) -> CubeBlocks:
     if wavelength is not None and np.isfinite(wavelength).any():
         wavelength, factor = in_nanometres(wavelength, unit, path)
         width = None if width is None else width * factor
+    if width is not None:
+        check_widths(width, path)
+    # zarr decodes them one by one, those too that are not there.
+    long = values.encoding.get("preferred_chunks", {}) if zarr else {}
+    pieces = math.prod(-(-values.sizes[d] // long.get(d, 1)) for d in values.dims[1:] if long)
+    if pieces > _MOST_CHUNKS:
+        raise InputError(
+            f"expected at most {_MOST_CHUNKS} chunks in a row of pixels, but there are {pieces}. "
+            "Write larger chunks",
+            file=path,
+        )
     crs, transform = _place(path, data, values)
     # In memory y rises to the north; a block is as in a file, its first row northernmost. A swath
     # stays as it is: its lookup table counts rows as they are in the file.
@@ -336,8 +349,8 @@ def grid_coordinates(
 
 
 def _seal(values: NDArray[np.float32]) -> str:
-    """Hash of a block of maps."""
-    return hashlib.sha256(np.ascontiguousarray(values).tobytes()).hexdigest()
+    """Hash of a block of maps and of its type: the same bytes may stand for other numbers."""
+    return hashlib.sha256(values.dtype.str.encode() + values.tobytes()).hexdigest()
 
 
 class MapWriter:
@@ -414,10 +427,12 @@ class MapWriter:
         """Copy the blocks that are as they were written; the others are to be done again."""
         with (
             wherever(),
-            suppress(RasterioError),
+            without_words(),
+            suppress(RasterioError, ValueError),  # the second of text that is no UTF-8
             rasterio.open(kept, driver="GTiff") as file,
         ):
-            for block, (start, rows, seal) in list(self._written.items()):
+            whole = (file.count, *file.shape) == (len(self._bands), *self._like.shape)
+            for block, (start, rows, seal) in list(self._written.items()) if whole else ():
                 with suppress(RasterioError, ValueError):
                     part = file.read(window=Window(0, start, self._like.shape[1], rows))
                     if _seal(part) == seal:

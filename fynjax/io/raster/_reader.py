@@ -33,7 +33,7 @@ from fynjax._core.files import check_stated_size, existing_file, how_to_import, 
 from fynjax._core.memory import total_memory
 from fynjax._core.progress import track
 from fynjax.io.raster._crs import check_metric, is_local, stretch, utm_zone
-from fynjax.io.spectra import header_numbers, in_nanometres, open_envi
+from fynjax.io.spectra import check_widths, header_numbers, in_nanometres, open_envi
 
 METRES = ("", "m", "metre", "metres", "meter", "meters")
 """What a raster may call the unit of its heights."""
@@ -137,6 +137,7 @@ class RasterFile:
         if np.isnan(stated).all():
             return stated, np.full(count, np.nan)
         centre, factor = in_nanometres(stated, unit, self.header_path)
+        check_widths(width * factor, self.header_path)
         return centre, width * factor
 
     @property
@@ -322,8 +323,8 @@ class RasterFile:
           it; no ground reflects nothing. A pixel that is 0 in every band has then no data.
         - `dtype`: of the values.
 
-        **Raises:** `InputError` for values that are no real numbers, and for more of them than
-        this machine has memory for.
+        **Raises:** `InputError` for values that are no real numbers or have a scale of 0, and for
+        more of them than this machine has memory for.
         """
         file = self.dataset
         bands = list(file.indexes if bands is None else bands)
@@ -337,10 +338,18 @@ class RasterFile:
         kinds = [np.dtype(file.dtypes[n - 1]) for n in bands]
         if any(kind.kind not in "iuf" for kind in kinds):
             raise InputError(f"expected numbers, but it has {kinds[0]}", file=self.path)
-        scale, offset = (
-            np.array([of[n - 1] for n in bands], dtype)[:, None, None]
-            for of in (file.scales, file.offsets)
-        )
+        with np.errstate(over="ignore"):  # what becomes infinite is warned of below
+            scale, offset = (
+                np.array([of[n - 1] for n in bands], dtype)[:, None, None]
+                for of in (file.scales, file.offsets)
+            )
+        if (scale == 0.0).any():
+            raise InputError(
+                "expected a scale of its values that is not 0, but a band has 0: nothing would be "
+                "left of them. Is the file damaged? Else state it: gdal_edit.py -scale 1 "
+                f"{self.path.name}",
+                file=self.path,
+            )
         if not (scale != 1.0).any():  # GDAL applies that of a header in its newer versions
             scale = scale / np.asarray(self._divisor(), dtype)
         values = np.empty(shape, dtype)
@@ -459,7 +468,7 @@ def _open(path: Path) -> Any:
     """A raster as rasterio has it, if it names no others."""
     # The environment registers GDAL's drivers; `rasterio.open` takes one name only. A whole path is
     # never taken for an address, or an option of a driver.
-    with _without_words(), rasterio.Env():
+    with without_words(), rasterio.Env():
         dataset = rasterio.io.DatasetReader(path.absolute(), driver=list(_FORMATS))
     if any(key.upper() == "OVERVIEW_FILE" for key in dataset.tags(ns="OVERVIEWS")):
         raise _names_others(path, "its metadata")
@@ -479,7 +488,7 @@ def wherever() -> Iterator[None]:
 
 
 @contextmanager
-def _without_words() -> Iterator[None]:
+def without_words() -> Iterator[None]:
     """Without the tracebacks that Python prints where rasterio fails to log words of GDAL that
     are no text, such as a damaged file's tags in them. Errors themselves are raised."""
     before = sys.unraisablehook

@@ -14,11 +14,12 @@ from fynjax.io.spectra._dataset import (
 from fynjax.io.spectra._envi import header_numbers, open_envi, read_header
 from fynjax.io.spectra._panel import read_curve
 from fynjax.io.spectra._read import read_spectra_file, read_usable_spectra, reflectances
-from fynjax.io.spectra._record import MeasuredSpectrum, in_nanometres
+from fynjax.io.spectra._record import MeasuredSpectrum, check_widths, in_nanometres
 
 __all__ = [
     "MeasuredSpectrum",
     "Refused",
+    "check_widths",
     "example_folder",
     "header_numbers",
     "in_nanometres",

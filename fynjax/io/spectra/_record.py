@@ -89,6 +89,25 @@ def in_nanometres(
     return (wavelength * 1000.0, 1000.0) if highest < 100.0 else (wavelength, 1.0)
 
 
+def check_widths(width: NDArray[np.float64], path: Path) -> None:
+    """Refuse full widths of bands that no spectrometer has.
+
+    **Arguments:**
+
+    - `width`: full widths at half maximum [nm], shape (band,); NaN where unknown.
+    - `path`: of the file, for errors.
+
+    **Raises:** `InputError` for one below 0 or above 1e6 nm.
+    """
+    wrong = width[(width < 0.0) | (width > _LONGEST)]
+    if wrong.size:
+        raise InputError(
+            f"expected full widths of bands from 0 to {_LONGEST:g} nm, but one is {wrong[0]:g}",
+            file=path,
+            column="fwhm",
+        )
+
+
 def in_windows(wavelength: np.ndarray, windows: tuple[tuple[float, float], ...]) -> np.ndarray:
     """Which bands lie in one of the windows [nm], ends included."""
     inside = np.zeros(wavelength.shape, bool)
