@@ -179,7 +179,13 @@ def terrain(
     if could_say and terrain.crs is None and terrain.origin != (0.0, 0.0):
         warnings.warn(
             f"{path}: no coordinate reference system is known. The maps keep the coordinates and "
-            "call their system unknown; state it if you know it: --crs EPSG:... (`crs`).",
+            "call their system unknown; state it if you know it: --crs EPSG:... (`crs`)."
+            + (
+                ""
+                if unit
+                else " They are taken for metres; of feet all plants would be 3.3 times "
+                "as tall: --unit foot (`unit`)."
+            ),
             stacklevel=2,
         )
     rows, columns = terrain.heights.shape

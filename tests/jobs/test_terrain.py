@@ -2,6 +2,7 @@
 
 import json
 import warnings
+from contextlib import nullcontext
 from pathlib import Path
 
 import numpy as np
@@ -213,7 +214,7 @@ def test_ground_under_a_closed_stand_is_mapped_as_interpolated(tmp_path):
 def test_rough_ground_is_warned_of(tmp_path):
     """A layer of plants whose lowest points are no surface."""
     rng = np.random.default_rng(3)
-    points = rng.uniform([0.0, 0.0, 0.3], [12.0, 12.0, 1.5], (40_000, 3))
+    points = rng.uniform([0.0, 0.0, 0.35], [12.0, 12.0, 1.5], (40_000, 3))
     np.savetxt(tmp_path / "a.xyz", points)
     with pytest.warns(UserWarning, match="no points on the ground"):
         terrain(tmp_path / "a.xyz", tmp_path)
@@ -347,6 +348,18 @@ def test_a_point_far_from_all_others_is_left_out(tmp_path: Path) -> None:
         cloud = read_cloud(path)
     assert len(cloud) == 30_000
     assert cloud.bounds[2] <= 40.0
+
+
+def test_heights_cut_off_above_the_ground_are_doubted(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    x, y, z = rng.uniform([[0.0], [0.0], [0.0]], [[20.0], [20.0], [2.5]], (3, 20_000))
+    rough = rng.normal(0.0, 0.03, x.size)
+    for ground, said in ((z, "sharply at 0.5 m"), (1.1 + rough - rough.min(), ""), (0 * z + 1, "")):
+        kept = z > 0.5
+        heights = np.where(z > 1.5, z, ground)[kept]
+        np.savetxt(tmp_path / "plot.xyz", np.stack([x[kept], y[kept], heights], axis=1), "%.3f")
+        with pytest.warns(UserWarning, match=said) if said else nullcontext():
+            read_cloud(tmp_path / "plot.xyz")
 
 
 def test_a_cloud_that_was_normalised_gets_a_warning(tmp_path):

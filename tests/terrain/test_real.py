@@ -84,7 +84,7 @@ def test_a_patch_without_ground_is_said(shared_data, tmp_path):
     with pytest.raises(InputError, match=r"class 2 .*0 of 10683"):
         find_ground(cloud, "labels")
     with (
-        pytest.warns(UserWarning, match="no coordinate reference system is known"),
+        pytest.warns(UserWarning, match=r"no coordinate reference system is known.*--unit foot"),
         pytest.warns(UserWarning, match="no height above the sea"),
         pytest.warns(UserWarning, match="4 % of the plot's cells"),
         pytest.warns(UserWarning, match="may have no points on the ground"),

@@ -12,7 +12,7 @@ import pandas as pd
 import xarray as xr
 
 from fynjax._core.errors import InputError
-from fynjax.io.spectra._names import as_transmittance, join_pairs, join_stated
+from fynjax.io.spectra._names import as_transmittance, join_pairs, join_stated, with_doubts
 from fynjax.io.spectra._panel import read_curve, with_panel
 from fynjax.io.spectra._read import read_usable_spectra
 from fynjax.io.spectra._record import MeasuredSpectrum, note
@@ -117,7 +117,7 @@ def usable_spectra(
     else:
         found = join_pairs(found)
     read: Read = []
-    for name, spectrum in found:
+    for name, spectrum in with_doubts(found):
         try:
             absolute = spectrum if curve is None else with_panel(spectrum, *curve)
         except InputError as error:
