@@ -175,19 +175,19 @@ def terrain(
         if error.file is not None:
             raise
         raise InputError(str(error), file=path) from error
-    could_say = path.suffix.lower() in (".las", ".laz")  # text and PLY cannot
-    if could_say and terrain.crs is None and terrain.origin != (0.0, 0.0):
-        warnings.warn(
-            f"{path}: no coordinate reference system is known. The maps keep the coordinates and "
-            "call their system unknown; state it if you know it: --crs EPSG:... (`crs`)."
-            + (
-                ""
-                if unit
-                else " They are taken for metres; of feet all plants would be 3.3 times "
-                "as tall: --unit foot (`unit`)."
-            ),
-            stacklevel=2,
-        )
+    if not is_raster and terrain.crs is None and terrain.origin != (0.0, 0.0):
+        if path.suffix.lower() in (".las", ".laz"):  # text and PLY cannot state one
+            warnings.warn(
+                f"{path}: no coordinate reference system is known. The maps keep the coordinates "
+                "and call their system unknown; state it if you know it: --crs EPSG:... (`crs`).",
+                stacklevel=2,
+            )
+        if unit is None:
+            warnings.warn(
+                f"{path}: the file states no unit, so all is taken for metres; of feet, plants "
+                "would seem 3.3 times as tall. State which: --unit foot or metre (`unit`).",
+                stacklevel=2,
+            )
     rows, columns = terrain.heights.shape
     begin_work(
         {

@@ -85,7 +85,7 @@ def written(folder, x, y, z, ground):
 
 
 def test_the_files_own_ground_is_taken_and_said(labelled_file, tmp_path):
-    result = terrain(labelled_file, tmp_path, size=20.0, cell=0.5)
+    result = terrain(labelled_file, tmp_path, unit="metre", size=20.0, cell=0.5)
     assert result.terrain.ground_by == "labels"
     assert result.terrain.labels_apart_m < 0.1
     assert "the file's own labels" in " ".join(result.headline)
@@ -93,7 +93,7 @@ def test_the_files_own_ground_is_taken_and_said(labelled_file, tmp_path):
     x, y = ground.centres
     error = ground.heights - ground_height(x[None, :], y[:, None]) + 2.0
     assert np.sqrt((error**2).mean()) < 0.05
-    filtered = terrain(labelled_file, tmp_path, size=20.0, cell=0.5, tolerance=0.2)
+    filtered = terrain(labelled_file, tmp_path, unit="metre", size=20.0, cell=0.5, tolerance=0.2)
     assert filtered.terrain.ground_by == "smrf"
 
 
@@ -102,11 +102,11 @@ def test_ground_and_labels_that_contradict_each_other_are_said(tmp_path):
     crowns = cloud.z - ground_height(cloud.x, cloud.y) > 0.8
     path = written(tmp_path, cloud.x, cloud.y, cloud.z, crowns)
     with pytest.warns(UserWarning, match="the file's own ground points lie"):
-        result = terrain(path, tmp_path, size=20.0, cell=0.5, method="smrf")
+        result = terrain(path, tmp_path, unit="metre", size=20.0, cell=0.5, method="smrf")
     assert result.terrain.ground_by == "smrf"
     rough = pytest.warns(UserWarning, match="the ground scatters by")
     with rough, pytest.warns(UserWarning, match="points lie more than 0.3 m below the ground"):
-        terrain(path, tmp_path, size=20.0, cell=0.5)
+        terrain(path, tmp_path, unit="metre", size=20.0, cell=0.5)
 
 
 @needs_cloth
@@ -217,7 +217,7 @@ def test_rough_ground_is_warned_of(tmp_path):
     points = rng.uniform([0.0, 0.0, 0.35], [12.0, 12.0, 1.5], (40_000, 3))
     np.savetxt(tmp_path / "a.xyz", points)
     with pytest.warns(UserWarning, match="no points on the ground"):
-        terrain(tmp_path / "a.xyz", tmp_path)
+        terrain(tmp_path / "a.xyz", tmp_path, unit="metre")
 
 
 def test_what_does_not_go_together(cloud_file, tmp_path):
@@ -280,7 +280,7 @@ def test_ground_around_the_plot_is_used(tmp_path):
     )
     z = height(x, y) + np.where(hedge, 1.5, 0.0)
     np.savetxt(tmp_path / "a.xyz", np.stack([x, y, z], axis=1), "%.4f")
-    terrain(tmp_path / "a.xyz", tmp_path, size=10.0)
+    terrain(tmp_path / "a.xyz", tmp_path, size=10.0, unit="metre")
     ground = read_terrain(tmp_path / "terrain.tif")
     x, y = ground.centres
     error = ground.heights - height(x[None, :], y[:, None])
@@ -305,7 +305,8 @@ def test_a_cloud_that_does_not_say_where_it_lies_keeps_its_coordinates(tmp_path)
     points = np.stack([cloud.x, cloud.y, cloud.z], axis=1)
     las = write_las(tmp_path / "a.laz", points)[0]
     las.write(tmp_path / "a.laz")
-    with pytest.warns(UserWarning, match=r"a.laz: no coordinate reference system .* --crs"):
+    place = pytest.warns(UserWarning, match=r"a.laz: no coordinate reference system .* --crs")
+    with place, pytest.warns(UserWarning, match=r"a.laz: the file states no unit.* --unit foot"):
         terrain(tmp_path / "a.laz", tmp_path / "out", size=10.0, cell=0.5)
     west, south, _, _ = cloud.bounds
     for name in ("terrain.tif", "canopy_height.tif"):
@@ -367,4 +368,4 @@ def test_a_cloud_that_was_normalised_gets_a_warning(tmp_path):
     points = np.stack([20 * x, 20 * y, np.where(chance < 0.5, 3 * chance, 0.0)], axis=1)
     np.savetxt(tmp_path / "plot.xyz", points, "%.3f")
     with pytest.warns(UserWarning, match="begin at 0.*shape of the ground is lost"):
-        terrain(tmp_path / "plot.xyz", tmp_path / "out", cell=0.5)
+        terrain(tmp_path / "plot.xyz", tmp_path / "out", cell=0.5, unit="metre")

@@ -84,12 +84,12 @@ def test_a_patch_without_ground_is_said(shared_data, tmp_path):
     with pytest.raises(InputError, match=r"class 2 .*0 of 10683"):
         find_ground(cloud, "labels")
     with (
-        pytest.warns(UserWarning, match=r"no coordinate reference system is known.*--unit foot"),
+        pytest.warns(UserWarning, match="no coordinate reference system is known"),
         pytest.warns(UserWarning, match="no height above the sea"),
         pytest.warns(UserWarning, match="4 % of the plot's cells"),
         pytest.warns(UserWarning, match="may have no points on the ground"),
     ):
-        summary = terrain(path, tmp_path, cell=0.5)
+        summary = terrain(path, tmp_path, cell=0.5, unit="metre")
     # What the command wrote it reads, to fractions of a millimetre 81 km below the sea.
     with pytest.warns(UserWarning, match=r"terrain\.tif lies at -81459 m"):
         back = read_terrain(tmp_path / "terrain.tif")
