@@ -123,9 +123,9 @@ def terrain(
 
     **Returns:** `TerrainResult`. Writes `terrain.tif` [m], `terrain.obj`, a picture, a page,
     from a cloud `canopy_height.tif` [m], and where ground is interpolated `ground_distance.tif` [m]
-    into `output`. Warns where the ground is so rough that it
-    may be the inside of plants, where it lies off the points that the file labels as ground, and
-    where many points lie below it.
+    into `output`. Warns where the ground is so rough that it may be the inside of plants, where it
+    lies off the points that the file labels as ground, where many points lie below it, and where a
+    cloud on the map has neither a stated unit nor a reference system.
 
     **Raises:** as these functions, and `InputError` for settings that the file or the method does
     not use.

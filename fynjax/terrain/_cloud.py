@@ -114,7 +114,8 @@ def read_cloud(
     in degrees or in another unit than metres that was not stated. Units are known from the
     reference system, the header, and numbers that cannot be metres of a plot (a point in 25 m2,
     relief of twice the plot's width); feet without any of these look like metres.
-    Single heights below -500 or above 9000 m are refused; if all are, that is a warning.
+    Single heights below -500 or above 9000 m are refused; if all are, that is a warning, as are
+    heights that begin so sharply from 0.2 to 3 m that low returns seem to be cut away.
     `MissingExtraError` for LAS without the extra `terrain`.
     """
     path = existing_file(path, "a point cloud")

@@ -738,14 +738,14 @@ def test_columns_are_paired_or_doubted_by_their_names(names, count, said, tmp_pa
 
 
 def test_values_tell_transmittance_and_absorptance_that_no_name_tells(shared_data, tmp_path):
-    leaves = np.load(shared_data / "leaf" / "lopex_spectra.npz")
-    through, back = leaves["tran"][4, 0], leaves["refl"][4, 0]
+    with np.load(shared_data / "leaf" / "lopex_spectra.npz") as leaves:
+        waves, through, back = leaves["wl"], leaves["tran"][4, 0], leaves["refl"][4, 0]
     for name, values in (("00012", back), ("00013", through)):
-        table(tmp_path / f"{name}.csv", {"wavelength": leaves["wl"], name: values})
+        table(tmp_path / f"{name}.csv", {"wavelength": waves, name: values})
     with pytest.warns(UserWarning, match="of '00013' is 0.009 at 450 nm") as said:
         fx.read_spectra(tmp_path)
     assert len(said) == 1
-    path = table(tmp_path / "a.csv", {"nm": leaves["wl"], "oak_A": 1 - through - back})
+    path = table(tmp_path / "a.csv", {"nm": waves, "oak_A": 1 - through - back})
     with pytest.raises(InputError, match=r"'oak_A' is another quantity: .*as absorptance"):
         fx.read_spectra(path)
 

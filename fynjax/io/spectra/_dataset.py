@@ -63,7 +63,8 @@ def read_spectra(
     file says, as JSON. CF conventions, and the files' hashes. `fynjax.fit_leaf` takes it whole.
 
     **Raises:** `InputError` where no spectrum can be used, with the first reason. Warns of others
-    that cannot, and of a white panel that is unknown.
+    that cannot, of a white panel that is unknown, and of what may be no leaf of its own or a
+    transmittance by its name or by less than 0.02 at 450 nm.
 
     >>> import pathlib, tempfile
     >>> import fynjax as fx
