@@ -157,7 +157,9 @@ def quasi_random(count: int, dimensions: int, seed: int | list[int]) -> np.ndarr
     """Scrambled Halton points [count, dimensions] in [0, 1)."""
     from scipy.stats import qmc  # late: it takes half of the package's import time
 
-    return qmc.Halton(dimensions, scramble=True, rng=generator(*np.ravel(seed))).random(count)
+    return qmc.Halton(dimensions, scramble=True, rng=generator(*np.ravel(seed).tolist())).random(
+        count
+    )
 
 
 @dataclass(frozen=True)

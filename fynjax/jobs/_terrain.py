@@ -123,9 +123,9 @@ def terrain(
 
     **Returns:** `TerrainResult`. Writes `terrain.tif` [m], `terrain.obj`, a picture, a page,
     from a cloud `canopy_height.tif` [m], and where ground is interpolated `ground_distance.tif` [m]
-    into `output`. Warns where the ground is so rough that it
-    may be the inside of plants, where it lies off the points that the file labels as ground, and
-    where many points lie below it.
+    into `output`. Warns where the ground is so rough that it may be the inside of plants, where it
+    lies off the points that the file labels as ground, where many points lie below it, and where a
+    cloud on the map has neither a stated unit nor a reference system.
 
     **Raises:** as these functions, and `InputError` for settings that the file or the method does
     not use.
@@ -175,13 +175,19 @@ def terrain(
         if error.file is not None:
             raise
         raise InputError(str(error), file=path) from error
-    could_say = path.suffix.lower() in (".las", ".laz")  # text and PLY cannot
-    if could_say and terrain.crs is None and terrain.origin != (0.0, 0.0):
-        warnings.warn(
-            f"{path}: no coordinate reference system is known. The maps keep the coordinates and "
-            "call their system unknown; state it if you know it: --crs EPSG:... (`crs`).",
-            stacklevel=2,
-        )
+    if not is_raster and terrain.crs is None and terrain.origin != (0.0, 0.0):
+        if path.suffix.lower() in (".las", ".laz"):  # text and PLY cannot state one
+            warnings.warn(
+                f"{path}: no coordinate reference system is known. The maps keep the coordinates "
+                "and call their system unknown; state it if you know it: --crs EPSG:... (`crs`).",
+                stacklevel=2,
+            )
+        if unit is None:
+            warnings.warn(
+                f"{path}: the file states no unit, so all is taken for metres; of feet, plants "
+                "would seem 3.3 times as tall. State which: --unit foot or metre (`unit`).",
+                stacklevel=2,
+            )
     rows, columns = terrain.heights.shape
     begin_work(
         {

@@ -41,6 +41,8 @@ from fynjax.leaf._spectra import Spectra, check_fractions
 FitDomain = Literal["full", "optimal"]
 """Wavelengths that a fit uses: all of 450-2400 nm, or the published sub-domains."""
 
+_USED = (450.0, 2400.0)
+"""Ends of the wavelengths that a fit uses [nm]."""
 _WATER = ((1340.0, 1430.0), (1780.0, 1980.0), (2390.0, 2510.0))
 _LINE_BAND = 1130.0
 # N from R / (1 - R) (Spafford et al. 2021) and from (1 - T) / T at that band: slope, offset (fitted
@@ -174,9 +176,14 @@ def binned_data(
 ) -> Float[np.ndarray, "leaf 2 bin"]:
     """R and T on the fit's bins; infinite where a bin holds a value that no leaf can have.
 
-    Raises `InputError` for a spectrum in percent.
+    Raises `InputError` for a spectrum in percent, and where no band is one of the fit's.
     """
     grid, labels = spectra.wavelength, spectra.source.labels
+    if not ((grid >= _USED[0]) & (grid <= _USED[1])).any():
+        raise InputError(
+            f"a fit needs bands within {_USED[0]:g}-{_USED[1]:g} nm, but they run from "
+            f"{grid[0]:g} to {grid[-1]:g}; are they in another unit?"
+        )
     binned = np.array_equal(grid, bin_centres())
 
     def bins(values: np.ndarray) -> np.ndarray:

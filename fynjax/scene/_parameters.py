@@ -1,6 +1,7 @@
 """Everything of a plot that may be calibrated, in one pytree."""
 
 import dataclasses
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import equinox as eqx
@@ -471,7 +472,7 @@ def named_values(parameters: PlotParameters, taxa: tuple[str, ...]) -> dict[str,
 
 
 def with_values(
-    parameters: PlotParameters, taxa: tuple[str, ...], values: dict[str, Array]
+    parameters: PlotParameters, taxa: tuple[str, ...], values: Mapping[str, Array | float]
 ) -> PlotParameters:
     """`parameters` with the named `values` in place of its own.
 

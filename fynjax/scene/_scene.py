@@ -649,7 +649,7 @@ class Scene(eqx.Module):
         *,
         share: Float[Array, " class"] | None = None,
         window: Window | None = None,
-    ) -> list[Float[Array, "class z y x"]]:
+    ) -> list[Float[Array, "_class _z _y _x"]]:
         """Area per volume [m2 m-3] on each of the `wanted` grids: of each optical class, of each
         organ of each species (`Organ`, species by species) or of all; of `share` of each class's
         area, if that is given. Many elements are placed part by part, for the sake of memory."""

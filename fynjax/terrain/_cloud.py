@@ -32,6 +32,9 @@ _STRAY = 1000
 """One of so many points may lie far from all others and be left out."""
 _NORMAL_CELL, _NORMAL_LEVEL = 5.0, 0.15
 """Cells and level [m] by which heights above the ground are known."""
+_CUT, _CUT_EDGE = (0.2, 3.0), 0.05
+"""Heights [m] at which low returns are cut away, and the depth of the layers compared above it."""
+_FEWEST_AT_CUT = 20
 _NOISE_CLASSES = (7, 18)
 
 
@@ -111,7 +114,8 @@ def read_cloud(
     in degrees or in another unit than metres that was not stated. Units are known from the
     reference system, the header, and numbers that cannot be metres of a plot (a point in 25 m2,
     relief of twice the plot's width); feet without any of these look like metres.
-    Single heights below -500 or above 9000 m are refused; if all are, that is a warning.
+    Single heights below -500 or above 9000 m are refused; if all are, that is a warning, as are
+    heights that begin so sharply from 0.2 to 3 m that low returns seem to be cut away.
     `MissingExtraError` for LAS without the extra `terrain`.
     """
     path = existing_file(path, "a point cloud")
@@ -154,6 +158,13 @@ def read_cloud(
     check_coordinates(cloud.x, cloud.y, cloud.z, path, unit_stated=unit_stated)
     # Another unit than that of x and y would show in the relief.
     check_height_range(cloud.z, path, "Take these points out.", unit_known=True)
+    if (height := _cut_height(cloud)) is not None:
+        warnings.warn(
+            f"{path}: heights begin sharply at {height:.1f} m, as those above the ground do whose "
+            "low returns were cut away. What is found for ground is then plants: take the cloud "
+            "with its ground",
+            stacklevel=2,
+        )
     return cloud
 
 
@@ -182,12 +193,34 @@ def is_normalised(cloud: PointCloud) -> bool:
 
     **Arguments:** `cloud`, in metres.
     """
+    lowest = _lowest(cloud)
+    near = np.abs(lowest) <= _NORMAL_LEVEL
+    return bool(near.mean() > 0.3 and np.quantile(lowest, 0.01) > -2.0 * _NORMAL_LEVEL)
+
+
+def _lowest(cloud: PointCloud) -> NDArray[np.float64]:
+    """Height of the lowest point of each cell of 5 m that has any [m]."""
     i, j = (np.floor((v - v.min()) / _NORMAL_CELL).astype(np.int64) for v in (cloud.x, cloud.y))
     _, which = np.unique(j * (i.max() + 1) + i, return_inverse=True)
     lowest = np.full(which.max() + 1, np.inf)
     np.minimum.at(lowest, which, cloud.z)
-    near = np.abs(lowest) <= _NORMAL_LEVEL
-    return bool(near.mean() > 0.3 and np.quantile(lowest, 0.01) > -2.0 * _NORMAL_LEVEL)
+    return lowest
+
+
+def _cut_height(cloud: PointCloud) -> float | None:
+    """Height below which points seem to be cut away [m], or None: a tenth of a metre just below the
+    lowest point, which many cells of 5 m reach down to, with about as many points right above it as
+    further up. Ground has fewer there, as it scatters, or, where it is flat, nearly all."""
+    low = float(cloud.z.min())
+    tenth = np.floor(10.0 * low + 1e-6) / 10.0
+    if not (_CUT[0] <= low <= _CUT[1] and low - tenth < 0.01):
+        return None
+    edges = tenth + _CUT_EDGE * np.arange(3)
+    first, second = np.histogram(cloud.z, edges)[0]
+    even = min(first, second) > 0.5 * max(first, second) and min(first, second) >= _FEWEST_AT_CUT
+    if not even or (_lowest(cloud) <= tenth + _NORMAL_LEVEL).mean() <= 0.3:
+        return None
+    return float(tenth)
 
 
 def _read_las(path: Path, unit_stated: bool, height_stated: bool) -> tuple[PointCloud, CRS | None]:

@@ -9,7 +9,9 @@ import trimesh
 
 from fynjax._core.errors import InputError
 from fynjax.canopy import Organ, PlantMaterial, plant_model_from_mesh, read_plant_mesh
+from fynjax.canopy.mesh import find_up
 from fynjax.canopy.mesh._organ_names import organ_of_name
+from fynjax.canopy.mesh._plant_mesh import PlantMesh
 
 
 def bush() -> trimesh.Trimesh:
@@ -246,13 +248,32 @@ def test_meshes_of_the_field_have_their_area(shared_data: Path) -> None:
     folder = shared_data / "field" / "13_obj-negative-indices-quads-yup-mm"
     height = {}
     for name in ("batched_quads", "negative_interleaved", "y_up"):
-        said = pytest.warns(UserWarning, match=r"y_up\.obj: y is taken for the vertical axis")
-        with said if name == "y_up" else contextlib.nullcontext():
+        taken = "y is taken" if name == "y_up" else "z is taken .* stands on 0 in y too"
+        with pytest.warns(UserWarning, match=rf"{name}\.obj: {taken}"):
             plant = plant_model_from_mesh(folder / f"{name}.obj", None)
         assert float(plant.organ_area.sum()) == pytest.approx(0.03554, rel=1e-3)
         height[name] = plant.depth
     assert height["negative_interleaved"] == pytest.approx(height["batched_quads"], rel=1e-5)
     assert height["y_up"] == pytest.approx(height["batched_quads"], rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("turn", "shift", "up", "said"),
+    [
+        ((0, 1, 2), (0, 0, 0), "z", ""),
+        ((0, 1, 2), (3e5, 6e6, 100), "z", ""),
+        ((0, 2, 1), (0, 0, 0), "y", "y is taken .* below 0 in z and not in y"),
+        ((0, 2, 1), (0, 0, 0.5), "z", r"z is taken .* stands on 0 in y too\. Is it y\? .*--up"),
+        ((0, 1, 2), (0, 0, -1), "z", "z is taken .* hangs from 0 in z"),
+        ((2, 1, 0), (0, 0, 0), "z", "z is taken .* stands on 0 in x"),
+    ],
+)
+def test_the_axis_that_is_taken_to_be_vertical_is_named(turn, shift, up, said, tmp_path) -> None:
+    mesh = bush()
+    mesh.vertices = (mesh.vertices - [3.0, 4.0, 0.0])[:, turn] + shift
+    plant = PlantMesh(mesh.vertices, mesh.faces, np.zeros(len(mesh.faces), int), ("",))
+    with pytest.warns(UserWarning, match=said) if said else contextlib.nullcontext():
+        assert find_up(tmp_path / "bush.obj", plant) == up
 
 
 def test_corners_that_count_back_with_normals_and_textures(tmp_path: Path) -> None:
@@ -265,7 +286,7 @@ def test_corners_that_count_back_with_normals_and_textures(tmp_path: Path) -> No
     )
     for face, area in zip(faces, (1.0, 0.5, 0.5), strict=True):
         path.write_text(square.format(0) + face + square.format(0.1) + face)
-        triangles = read_plant_mesh(path).triangles
+        triangles = read_plant_mesh(path, up="z").triangles
         sides = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
         assert 0.5 * np.linalg.norm(sides, axis=1).sum() == pytest.approx(2 * area)
         assert set(np.round(triangles[..., 0].ravel(), 3)) == {0.0, 0.1}
@@ -274,7 +295,7 @@ def test_corners_that_count_back_with_normals_and_textures(tmp_path: Path) -> No
         with pytest.raises(InputError, match=r"leaf\.obj, row 9: expected a corner among the 4"):
             read_plant_mesh(path)
     path.write_text(square.format(0) + "f 1 2 3 # a leaf\nf 1/0 2 3")
-    assert read_plant_mesh(path).triangles.shape[0] == 2
+    assert read_plant_mesh(path, up="z").triangles.shape[0] == 2
     path.write_text(square.format(0) + "f 1 2 3\nf 3 0 1")
     with pytest.raises(InputError, match=r"leaf\.obj, row 10: expected corners counted from 1"):
         read_plant_mesh(path)

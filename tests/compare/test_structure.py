@@ -9,6 +9,7 @@ import rasterio
 from fynjax._core.errors import InputError
 from fynjax.compare.structure._cloud import CloudSettings, height_cloud
 from fynjax.compare.structure._compare import ComparisonSettings, cloud_structure, compare_clouds
+from fynjax.compare.structure._notes import comparison_notes
 from fynjax.metrics.structure import STRUCTURE_METRICS, StructureSettings
 from fynjax.report.figures._structure import structure_figure, structure_maps
 from fynjax.terrain import PointCloud
@@ -84,6 +85,13 @@ def test_compares_at_one_density_on_cells_of_2_m(found) -> None:
     assert "no coordinates in common" in said
     assert "6 returns" in said
     assert "two ways" in said
+
+
+def test_plants_three_times_as_tall_may_be_in_feet(found) -> None:
+    assert "feet" not in " ".join(found.notes)
+    tall = replace(found.real, nearly_highest=3.28 * found.simulated.nearly_highest)
+    said = " ".join(comparison_notes(replace(found, real=tall)))
+    assert "plants of the real cloud are 3.3 times as tall" in said
 
 
 def test_finds_what_differs(found) -> None:

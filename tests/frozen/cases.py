@@ -287,7 +287,7 @@ def _terrain(folder: Path) -> Runs:
     cloud, _ = shrubland(density=10.0)
     points = pd.DataFrame({"x": cloud.x, "y": cloud.y, "z": cloud.z}).round(4)
     points.to_csv(folder / "plot.csv", index=False)
-    line = ["terrain", folder / "plot.csv", "--size", 20, "--cell", 0.5]
+    line = ["terrain", folder / "plot.csv", "--size", 20, "--cell", 0.5, "--unit", "metre"]
     raster = ["terrain", folder / "out" / "cloud" / "terrain.tif", "--size", 10]
     return {"cloud": line, "raster": raster}
 

@@ -682,6 +682,11 @@ def test_reflectance_and_transmittance_in_two_files_are_one_leaf(shared_data, tm
         ("oak_R1.csv", "oak_T1.csv", True),
         ("oak_rfl_1.csv", "oak_trn_1.csv", True),
         ("oak_réflexion.csv", "oak_transmission.csv", True),
+        ("oak_Rs.csv", "oak_Ts.csv", True),
+        ("Rs_oak.csv", "Ts_oak.csv", True),
+        ("oak_R.csv", "oak_T2.csv", True),
+        ("oak_R2.csv", "oak_T.csv", True),
+        ("oak_Res.csv", "oak_Tes.csv", False),
     ],
 )
 def test_names_that_make_a_pair(first, second, through, tmp_path):
@@ -689,7 +694,9 @@ def test_names_that_make_a_pair(first, second, through, tmp_path):
         path = tmp_path / "leaves" / name
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(f"500,{level}\n600,{level}\n")
-    spectra = fx.read_spectra(tmp_path / "leaves")
+    doubted = second == "oak_T2.csv" and not through
+    with pytest.warns(UserWarning, match="beside 'oak_R1'") if doubted else nullcontext():
+        spectra = fx.read_spectra(tmp_path / "leaves")
     assert spectra.sizes["spectrum"] == (1 if through else 2)
     if through:
         np.testing.assert_allclose(spectra["reflectance"], 0.4)
@@ -710,6 +717,46 @@ def test_leaves_called_r1_and_t1_are_doubted(tmp_path):
         UserWarning, match=r"leaves\.csv: .*the transmittance of R1, end names in _T"
     ):
         assert fx.read_spectra(tmp_path).sizes["spectrum"] == 3
+
+
+@pytest.mark.parametrize(
+    ("names", "count", "said"),
+    [
+        (("oak_Rs", "oak_Ts"), 1, ""),
+        (("oak_R", "oak_T2"), 1, ""),
+        (("oak_R1", "oak_T2"), 2, "'oak_T2' beside 'oak_R1' may be a transmittance"),
+        (("oak_R", "oak_T2", "oak_T3"), 3, r"'oak_T\d' beside 'oak' may be a transmittance"),
+        (("oak_T1", "oak_T2"), 2, ""),
+        (("oak 1", "oak_2", "oak mean"), 3, "'oak mean' is a mean of 'oak 1', 'oak_2'"),
+        (("oakley 1", "oak mean"), 2, ""),
+    ],
+)
+def test_columns_are_paired_or_doubted_by_their_names(names, count, said, tmp_path):
+    table(tmp_path / "a.csv", {"nm": [500, 600], **{name: [0.4, 0.3] for name in names}})
+    with pytest.warns(UserWarning, match=said) if said else nullcontext():
+        assert fx.read_spectra(tmp_path).sizes["spectrum"] == count
+
+
+def test_values_tell_transmittance_and_absorptance_that_no_name_tells(shared_data, tmp_path):
+    with np.load(shared_data / "leaf" / "lopex_spectra.npz") as leaves:
+        waves, through, back = leaves["wl"], leaves["tran"][4, 0], leaves["refl"][4, 0]
+    for name, values in (("00012", back), ("00013", through)):
+        table(tmp_path / f"{name}.csv", {"wavelength": waves, name: values})
+    with pytest.warns(UserWarning, match="of '00013' is 0.009 at 450 nm") as said:
+        fx.read_spectra(tmp_path)
+    assert len(said) == 1
+    path = table(tmp_path / "a.csv", {"nm": waves, "oak_A": 1 - through - back})
+    with pytest.raises(InputError, match=r"'oak_A' is another quantity: .*as absorptance"):
+        fx.read_spectra(path)
+
+
+@pytest.mark.parametrize("waves", [np.arange(4000, 25001, 500), np.arange(3500, 25001, 500)])
+def test_wavelengths_in_no_unit_beyond_all_sensors_are_refused(waves, tmp_path):
+    path = table(tmp_path / "a.csv", {"wavelength": waves, "oak": np.full(len(waves), 0.3)})
+    with pytest.raises(InputError, match=r"a\.csv.*wave numbers or ångström\? Write 'cm-1'"):
+        fx.read_spectra(path)
+    with pytest.raises(InputError, match="a fit needs bands within 450-2400 nm"):
+        fx.fit_leaf(waves.astype(float), np.full(len(waves), 0.3))
 
 
 def test_transmittance_is_stated(tmp_path):

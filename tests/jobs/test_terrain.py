@@ -2,6 +2,7 @@
 
 import json
 import warnings
+from contextlib import nullcontext
 from pathlib import Path
 
 import numpy as np
@@ -84,7 +85,7 @@ def written(folder, x, y, z, ground):
 
 
 def test_the_files_own_ground_is_taken_and_said(labelled_file, tmp_path):
-    result = terrain(labelled_file, tmp_path, size=20.0, cell=0.5)
+    result = terrain(labelled_file, tmp_path, unit="metre", size=20.0, cell=0.5)
     assert result.terrain.ground_by == "labels"
     assert result.terrain.labels_apart_m < 0.1
     assert "the file's own labels" in " ".join(result.headline)
@@ -92,7 +93,7 @@ def test_the_files_own_ground_is_taken_and_said(labelled_file, tmp_path):
     x, y = ground.centres
     error = ground.heights - ground_height(x[None, :], y[:, None]) + 2.0
     assert np.sqrt((error**2).mean()) < 0.05
-    filtered = terrain(labelled_file, tmp_path, size=20.0, cell=0.5, tolerance=0.2)
+    filtered = terrain(labelled_file, tmp_path, unit="metre", size=20.0, cell=0.5, tolerance=0.2)
     assert filtered.terrain.ground_by == "smrf"
 
 
@@ -101,11 +102,11 @@ def test_ground_and_labels_that_contradict_each_other_are_said(tmp_path):
     crowns = cloud.z - ground_height(cloud.x, cloud.y) > 0.8
     path = written(tmp_path, cloud.x, cloud.y, cloud.z, crowns)
     with pytest.warns(UserWarning, match="the file's own ground points lie"):
-        result = terrain(path, tmp_path, size=20.0, cell=0.5, method="smrf")
+        result = terrain(path, tmp_path, unit="metre", size=20.0, cell=0.5, method="smrf")
     assert result.terrain.ground_by == "smrf"
     rough = pytest.warns(UserWarning, match="the ground scatters by")
     with rough, pytest.warns(UserWarning, match="points lie more than 0.3 m below the ground"):
-        terrain(path, tmp_path, size=20.0, cell=0.5)
+        terrain(path, tmp_path, unit="metre", size=20.0, cell=0.5)
 
 
 @needs_cloth
@@ -213,10 +214,10 @@ def test_ground_under_a_closed_stand_is_mapped_as_interpolated(tmp_path):
 def test_rough_ground_is_warned_of(tmp_path):
     """A layer of plants whose lowest points are no surface."""
     rng = np.random.default_rng(3)
-    points = rng.uniform([0.0, 0.0, 0.3], [12.0, 12.0, 1.5], (40_000, 3))
+    points = rng.uniform([0.0, 0.0, 0.35], [12.0, 12.0, 1.5], (40_000, 3))
     np.savetxt(tmp_path / "a.xyz", points)
     with pytest.warns(UserWarning, match="no points on the ground"):
-        terrain(tmp_path / "a.xyz", tmp_path)
+        terrain(tmp_path / "a.xyz", tmp_path, unit="metre")
 
 
 def test_what_does_not_go_together(cloud_file, tmp_path):
@@ -279,7 +280,7 @@ def test_ground_around_the_plot_is_used(tmp_path):
     )
     z = height(x, y) + np.where(hedge, 1.5, 0.0)
     np.savetxt(tmp_path / "a.xyz", np.stack([x, y, z], axis=1), "%.4f")
-    terrain(tmp_path / "a.xyz", tmp_path, size=10.0)
+    terrain(tmp_path / "a.xyz", tmp_path, size=10.0, unit="metre")
     ground = read_terrain(tmp_path / "terrain.tif")
     x, y = ground.centres
     error = ground.heights - height(x[None, :], y[:, None])
@@ -304,7 +305,8 @@ def test_a_cloud_that_does_not_say_where_it_lies_keeps_its_coordinates(tmp_path)
     points = np.stack([cloud.x, cloud.y, cloud.z], axis=1)
     las = write_las(tmp_path / "a.laz", points)[0]
     las.write(tmp_path / "a.laz")
-    with pytest.warns(UserWarning, match=r"a.laz: no coordinate reference system .* --crs"):
+    place = pytest.warns(UserWarning, match=r"a.laz: no coordinate reference system .* --crs")
+    with place, pytest.warns(UserWarning, match=r"a.laz: the file states no unit.* --unit foot"):
         terrain(tmp_path / "a.laz", tmp_path / "out", size=10.0, cell=0.5)
     west, south, _, _ = cloud.bounds
     for name in ("terrain.tif", "canopy_height.tif"):
@@ -349,9 +351,21 @@ def test_a_point_far_from_all_others_is_left_out(tmp_path: Path) -> None:
     assert cloud.bounds[2] <= 40.0
 
 
+def test_heights_cut_off_above_the_ground_are_doubted(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    x, y, z = rng.uniform([[0.0], [0.0], [0.0]], [[20.0], [20.0], [2.5]], (3, 20_000))
+    rough = rng.normal(0.0, 0.03, x.size)
+    for ground, said in ((z, "sharply at 0.5 m"), (1.1 + rough - rough.min(), ""), (0 * z + 1, "")):
+        kept = z > 0.5
+        heights = np.where(z > 1.5, z, ground)[kept]
+        np.savetxt(tmp_path / "plot.xyz", np.stack([x[kept], y[kept], heights], axis=1), "%.3f")
+        with pytest.warns(UserWarning, match=said) if said else nullcontext():
+            read_cloud(tmp_path / "plot.xyz")
+
+
 def test_a_cloud_that_was_normalised_gets_a_warning(tmp_path):
     x, y, chance = np.random.default_rng(0).random((3, 20000))
     points = np.stack([20 * x, 20 * y, np.where(chance < 0.5, 3 * chance, 0.0)], axis=1)
     np.savetxt(tmp_path / "plot.xyz", points, "%.3f")
     with pytest.warns(UserWarning, match="begin at 0.*shape of the ground is lost"):
-        terrain(tmp_path / "plot.xyz", tmp_path / "out", cell=0.5)
+        terrain(tmp_path / "plot.xyz", tmp_path / "out", cell=0.5, unit="metre")

@@ -89,7 +89,7 @@ def test_a_patch_without_ground_is_said(shared_data, tmp_path):
         pytest.warns(UserWarning, match="4 % of the plot's cells"),
         pytest.warns(UserWarning, match="may have no points on the ground"),
     ):
-        summary = terrain(path, tmp_path, cell=0.5)
+        summary = terrain(path, tmp_path, cell=0.5, unit="metre")
     # What the command wrote it reads, to fractions of a millimetre 81 km below the sea.
     with pytest.warns(UserWarning, match=r"terrain\.tif lies at -81459 m"):
         back = read_terrain(tmp_path / "terrain.tif")

@@ -37,7 +37,8 @@ def read_plant_mesh(mesh: Any, *, up: Literal["y", "z"] | None = None) -> PlantM
       `trimesh.Scene` or a `PlantMesh`; in metres.
     - `up`: its vertical axis; if left out y in a GLB or glTF file, as that standard defines
       (trimesh exports a mesh to GLB as it is, z upwards if it was so); of another file y, with a
-      warning, if the plant reaches below 0 in z and not in y; else z.
+      warning, if the plant reaches below 0 in z and not in y; else z, with a warning if the plant
+      seems to stand on another plane than z = 0, or on several.
 
     **Returns:** a `PlantMesh`, z upwards. A geometry without a material has its own name as
     material, a single mesh "". An OBJ's names are read without its MTL.

@@ -41,19 +41,36 @@ def find_up(mesh: Any, read: PlantMesh) -> Literal["y", "z"]:
     - `read`: its triangles as they stand in the file.
 
     **Returns:** `default_up`; but "y", with a warning, of a file whose plant reaches below 0 in z
-    and not in y.
+    and not in y. Warns too where the plant stands on 0 in y as in z, or on neither but hangs from 0
+    or stands on it in another axis.
     """
     up = default_up(mesh)
-    if up == "z" and isinstance(mesh, str | Path):
-        low, high = read.vertices.min(axis=0), read.vertices.max(axis=0)
-        below = -low / np.where(high > low, high - low, 1.0)
-        if below[2] > _BELOW >= below[1]:
-            warnings.warn(
-                f"{mesh}: y is taken for the vertical axis, since the plant reaches below 0 in z "
-                "and not in y. Is it z? Then say so (`up`)",
-                stacklevel=3,
-            )
-            up = "y"
+    if up == "y" or not isinstance(mesh, str | Path):
+        return up
+    low, high = read.vertices.min(axis=0), read.vertices.max(axis=0)
+    size = np.where(high > low, high - low, 1.0)
+    # A plant with its foot far from 0, as in map coordinates, says nothing.
+    stands = (low >= -_BELOW * size) & (low <= size)
+    hangs = (high <= _BELOW * size) & (high >= -size)
+    below = low[2] < -_BELOW * size[2]
+    if below and stands[1]:
+        up, why = "y", "the plant reaches below 0 in z and not in y. Is it z?"
+    elif stands[1] and stands[2]:
+        why = "no file of this kind says which it is, and the plant stands on 0 in y too. Is it y?"
+    elif below and (stands[0] or hangs.any()):
+        found = [f"stands on 0 in {axis}" for axis, is_so in zip("xyz", stands) if is_so]
+        found += [f"hangs from 0 in {axis}" for axis, is_so in zip("xyz", hangs) if is_so]
+        why = (
+            f"no file of this kind says which it is, but the plant {' and '.join(found)}. If "
+            "another axis points up, or z down, turn the mesh first. Is it z?"
+        )
+    else:
+        return up
+    warnings.warn(
+        f"{mesh}: {up} is taken for the vertical axis, upwards, since {why} Then say so (`up`, "
+        "--up)",
+        stacklevel=3,
+    )
     return up
 
 

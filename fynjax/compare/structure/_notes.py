@@ -10,6 +10,8 @@ from fynjax.compare.structure._result import CloudSide, StructureComparison
 
 _MOST_CUT_OFF = 0.05
 _FEW_CELLS = 10
+_FEET = (2.6, 4.1)
+"""Ratio of heights between which one cloud may be in feet."""
 _FAR_ABOVE = 3.0
 _FAR_ABOVE_M = 1.0
 
@@ -29,6 +31,13 @@ def comparison_notes(comparison: StructureComparison) -> tuple[str, ...]:
             f"{comparison.simulated.ground} in the simulated one), which may shift heights by "
             "centimetres against each other; `ground` (--real-ground, --simulated-ground) states "
             "one for each"
+        )
+    tall = [side.nearly_highest for side in comparison.sides.values()]
+    if _FEET[0] < max(tall) / max(min(tall), 1e-6) < _FEET[1]:
+        which = list(comparison.sides)[tall.index(max(tall))]
+        notes.append(
+            f"plants of the {which} cloud are {max(tall) / min(tall):.1f} times as tall as those "
+            "of the other. Is it in feet, 3.28 to a metre? Then convert it, or state its `unit`"
         )
     for side in comparison.sides.values():
         notes += _side_notes(side)

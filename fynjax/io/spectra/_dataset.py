@@ -12,7 +12,7 @@ import pandas as pd
 import xarray as xr
 
 from fynjax._core.errors import InputError
-from fynjax.io.spectra._names import as_transmittance, join_pairs, join_stated
+from fynjax.io.spectra._names import as_transmittance, join_pairs, join_stated, with_doubts
 from fynjax.io.spectra._panel import read_curve, with_panel
 from fynjax.io.spectra._read import read_usable_spectra
 from fynjax.io.spectra._record import MeasuredSpectrum, note
@@ -63,7 +63,8 @@ def read_spectra(
     file says, as JSON. CF conventions, and the files' hashes. `fynjax.fit_leaf` takes it whole.
 
     **Raises:** `InputError` where no spectrum can be used, with the first reason. Warns of others
-    that cannot, and of a white panel that is unknown.
+    that cannot, of a white panel that is unknown, and of what may be no leaf of its own or a
+    transmittance by its name or by less than 0.02 at 450 nm.
 
     >>> import pathlib, tempfile
     >>> import fynjax as fx
@@ -117,7 +118,7 @@ def usable_spectra(
     else:
         found = join_pairs(found)
     read: Read = []
-    for name, spectrum in found:
+    for name, spectrum in with_doubts(found):
         try:
             absolute = spectrum if curve is None else with_panel(spectrum, *curve)
         except InputError as error:

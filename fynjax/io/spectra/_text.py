@@ -26,6 +26,8 @@ _OTHER_UNITS = (
 _BAND_NAME = re.compile(r"^(?:[A-Za-z_. ]{0,12}?)(\d{3,4}(?:\.\d+)?|[0-2]\.\d+)\s*_?(nm|[uµμ]m)?$")
 MISSING = {"", "na", "nan", "null", "none", "-", "#n/a", "-999", "-9999", "-9999.0", "-999.0"}
 """What stands for a missing value, in small letters."""
+_REFLECTIVE = 2600.0
+"""Wavelength [nm] above which no spectrometer of reflected sunlight has a band."""
 _NAME_KEYS = ("name", "id", "sample", "sample_id", "spectrum", "spectra", "file name", "filename")
 
 
@@ -37,6 +39,13 @@ def _to_nm(wavelength: np.ndarray, label: str, meta: dict[str, Any], file: Path)
             return nm * wavelength**power
     unit = next((unit for unit, sign in _UNITS.items() if sign.search(label)), "")
     wavelength, factor = in_nanometres(wavelength, unit, file)
+    if not unit and factor == 1.0 and wavelength.min() > _REFLECTIVE:
+        raise InputError(
+            f"expected wavelengths in nm, but they run from {wavelength.min():g} to "
+            f"{wavelength.max():g} and the header has no unit; are they wave numbers or ångström? "
+            "Write 'cm-1', 'Å' or, if it is so, 'nm' behind the name of the column",
+            file=file,
+        )
     if factor != 1.0:
         note(
             meta, f"wavelengths converted from µm{'' if unit else ', as all are below 100,'} to nm"
