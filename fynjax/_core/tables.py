@@ -221,7 +221,7 @@ class TextTable:
         """
         import pandas as pd
 
-        if (needed := max((*numbers, *words)) + 1) > self.width:
+        if (needed := max((*numbers, *words), default=-1) + 1) > self.width:
             raise InputError(
                 f"expected {needed} columns, but the first row has {self.width}. Is a separator "
                 "missing?",

@@ -466,7 +466,7 @@ def test_stored_normals_and_surfaces_inside_out_change_nothing(tmp_path: Path) -
     path = tmp_path / "leaf.obj"
     for normal in ("0 0 1", "0 0 -1", "0 0 0"):
         path.write_text(obj_of(normal))
-        plant = plant_model_from_mesh(path, 10)
+        plant = plant_model_from_mesh(path, 10, up="z")
         assert float(plant.organ_area[0]) == pytest.approx(1.0099, abs=1e-4)
         assert float(plant.plant.normal[:, 2].min()) > 0.0
     ball = trimesh.creation.icosphere(subdivisions=2)
