@@ -6,7 +6,7 @@ import pytest
 from scipy.stats import multivariate_normal, norm
 
 from fynjax.inversion import Data, ParameterSpace, whitened_residual
-from fynjax.inversion._expected import chance_covariance, mean_information
+from fynjax.inversion._expected import chance_covariance, each, mean_information
 from fynjax.inversion._search import posterior_root, unsettled
 
 SD = np.array([1.0, 2.0, 0.5])
@@ -44,6 +44,14 @@ def test_one_planting_says_nothing_of_what_renders_differ_by():
     one = chance_covariance(draws, np.ones((1, 3)), 4)
     same = chance_covariance(draws, np.ones((2, 3)), 4)
     np.testing.assert_allclose(one, same)
+
+
+def test_draws_that_are_computed_two_at_a_time_come_back_in_their_order():
+    """The first time, when one goes ahead to compile, as later; in 64 bits as here."""
+    places = [jnp.asarray(float(i)) for i in range(5)]
+    for _ in range(2):
+        found = each(lambda stand, place: stand + place / 3.0, list(range(5)), places)
+        np.testing.assert_array_equal(found, np.arange(5) + np.arange(5) / 3.0)
 
 
 def test_slopes_of_opposite_draws_count_as_their_mean():
