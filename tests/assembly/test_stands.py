@@ -20,8 +20,12 @@ def prior(tmp_path):
 def test_a_stand_has_the_forms_of_its_prior_and_deadwood(prior) -> None:
     assert stand_forms(prior) == (*LEAFY_FORMS, "deadwood")
     assert stand_forms(read_prior("fynbos_2023")) == (
-        "upright_ericoid", "rounded_shrub", "tussock", "broad_leaved", "climber", "deadwood",
-    )  # fmt: skip
+        "broad_leaved",
+        "rounded_shrub",
+        "tussock",
+        "upright_ericoid",
+        "deadwood",
+    )
 
 
 def test_drawn_leaves_and_sizes_scatter_about_those_of_their_form(prior) -> None:

@@ -58,22 +58,22 @@ FORM = GrowthForm(
     description="Shallow mat of green threads (counted as leaf) that wander over the top of its "
     "height, with holes, falling towards its rim: its height is that of the plants that it lies "
     "on. No wood and no visible flowers.",
-    sources="Dead tissue, leaf area, clumping: means of the shipped prior (18 BioSCape plots), to "
-    "two digits. Shrublands at large: assumed, as before any spectrum with half as much "
-    "spread again; clumping with twice that of fynbos. Leaf diameter: mean over its taxa in"
-    " `leaf_sizes`. Leaf mass and water: as of broad leaves. All else: assumed.",
-    leaf_area_index=2.4,
+    sources="Dead tissue, leaf area, clumping: assumed, no plot of the shipped prior has climbers. "
+    "Shrublands at large: the same, with half as much spread again in leaf area and clumping. "
+    "Leaf diameter: mean over its taxa in `leaf_sizes`. Leaf mass and water: as of broad leaves. "
+    "All else: assumed.",
+    leaf_area_index=1.5,
     wood_area_index=0.0,
     flower_fraction=0.0,
-    shoot_clumping=0.12,
-    dead_fraction=0.49,
+    shoot_clumping=0.20,
+    dead_fraction=0.30,
     leaf_angle="planophile",
     leaf_diameter=0.0024,
     prior=FormPrior(
         dead_fraction=(0.30, 0.21), leaf_area_index=(1.5, 0.75), shoot_clumping=(0.2, 0.1)
     ),
     generic=FormPrior(
-        dead_fraction=(0.3, 0.21), leaf_area_index=(1.5, 1.1), shoot_clumping=(0.12, 0.1)
+        dead_fraction=(0.3, 0.21), leaf_area_index=(1.5, 1.1), shoot_clumping=(0.2, 0.15)
     ),
     diameter=0.5,
     height=0.5,

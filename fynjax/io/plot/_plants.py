@@ -124,7 +124,8 @@ def with_prior(plot: Plot, name_or_path: str | Path) -> Plot:
     prior = read_prior(name_or_path)
     if prior is None:
         return plot
-    for sentence in prior.unlearned(one.growth_form for one in plot.species):
+    filled = [one for one in plot.species if any(map(one.leaves_open, BY_FORM))]
+    for sentence in prior.unlearned(one.growth_form for one in filled):
         warnings.warn(sentence, stacklevel=2)
     sources = plant_sources(plot, prior)
     values = prior.values(plot.name)

@@ -166,6 +166,7 @@ def learn(
         licence=licence,
         sources=[*sources, *(f"{p.name}, SHA-256 {file_hash(p)[:16]}" for p in inputs)],
         plots=tuple(p.name for p in read),
+        forms=forms,
         bands=bands,
         measured=np.stack(measured),
         space=space,

@@ -1,6 +1,6 @@
 """What `fynjax bioscape learn` writes: a prior file, tables, figures, a page."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -46,6 +46,8 @@ class Lesson:
     licence: str
     sources: Sequence[str]
     plots: tuple[str, ...]
+    forms: Collection[str]
+    """Growth forms that stand in a plot."""
     bands: BandSet
     measured: Float[np.ndarray, "plot band"]
     """Measured reflectance, mean of the flights [-]."""
@@ -62,26 +64,32 @@ class Lesson:
     """Parameters of each plot, whitened."""
     resolution: Resolution
 
+    @property
+    def learned(self) -> list[int]:
+        """Places in `PER_PLOT` of what plots can teach: a growth form that none of them has would
+        only follow the others, by what is assumed of it."""
+        stand = ("", *self.forms)
+        return [i for i, name in enumerate(PER_PLOT) if name.partition(".")[2] in stand]
+
     def file(self) -> PriorFile:
-        """The prior file."""
-        found = self.population
-        own = slice(0, len(PER_PLOT))
-        slope = np.asarray(self.space.slope(jnp.asarray(found.mean[own])))
+        """The prior file, of the growth forms that stand in a plot."""
+        found, own = self.population, self.learned
+        slope = np.asarray(self.space.slope(jnp.asarray(found.mean[: len(PER_PLOT)])))[own]
         columns = {
             "mean": self._physical(found),
             "mean_sd": slope * np.sqrt(np.diagonal(found.covariance)[own]),
-            "plot_sd": slope * (effect_matrix() @ found.sd),
-            "assumed": np.asarray(self.space.prior),
-            "assumed_sd": np.asarray(self.space.slope(jnp.zeros(len(PER_PLOT)))),
+            "plot_sd": slope * (effect_matrix()[own] @ found.sd),
+            "assumed": np.asarray(self.space.prior)[own],
+            "assumed_sd": np.asarray(self.space.slope(jnp.zeros(len(PER_PLOT))))[own],
         }
         rows = [
-            PriorParameter(name=name, **{key: float(v[i]) for key, v in columns.items()})
-            for i, name in enumerate(PER_PLOT)
+            PriorParameter(name=PER_PLOT[place], **{key: float(v[i]) for key, v in columns.items()})
+            for i, place in enumerate(own)
         ]
         bands = len(self.bands)
         covariance = found.error[:bands, :bands]
         sd = np.sqrt(np.diagonal(covariance))
-        of_means = found.covariance[own, own]
+        of_means = found.covariance[np.ix_(own, own)]
         mean_sd = np.sqrt(np.diagonal(of_means))
         side, voxel = self.resolution.size_m, self.resolution.voxel_m
         return PriorFile(
@@ -107,20 +115,22 @@ class Lesson:
         )
 
     def _physical(self, population: Population) -> np.ndarray:
-        return np.asarray(self.space.physical(jnp.asarray(population.mean[: len(PER_PLOT)])))
+        mean = jnp.asarray(population.mean[: len(PER_PLOT)])
+        return np.asarray(self.space.physical(mean))[self.learned]
 
     def parameter_table(self) -> pd.DataFrame:
         """A row for each parameter of the population: assumed, learned, and by how much it moved
         in assumed standard deviations."""
         rows = pd.DataFrame([p.model_dump() for p in self.file().parameters])
-        rows["moved"] = self.population.mean[: len(PER_PLOT)]
+        rows["moved"] = self.population.mean[self.learned]
         rows["what"] = [PRIOR_PARAMETERS[name] for name in rows["name"]]
         return rows
 
     def plot_table(self) -> pd.DataFrame:
         """Parameters of each plot, its spectrum known, and the ground seen there."""
         values = [np.asarray(self.space.physical(jnp.asarray(u))) for u in self.parameters]
-        table = pd.DataFrame(np.stack(values), columns=list(PER_PLOT))
+        names = [PER_PLOT[i] for i in self.learned]
+        table = pd.DataFrame(np.stack(values)[:, self.learned], columns=names)
         table.insert(0, "plot", list(self.plots))
         table["ground_by_tables"] = self.ground
         for name, predicted in self.predicted.items():
@@ -195,9 +205,9 @@ def write_lesson(
         "population.png",
         figures.population_plot(
             parameters["name"].tolist(),
-            lesson.population.mean[: len(PER_PLOT)],
-            np.sqrt(np.diagonal(lesson.population.covariance)[: len(PER_PLOT)]),
-            lesson.parameters,
+            lesson.population.mean[lesson.learned],
+            np.sqrt(np.diagonal(lesson.population.covariance))[lesson.learned],
+            lesson.parameters[:, lesson.learned],
             error,
         ),
         "population and plots",
