@@ -276,7 +276,10 @@ def _reflectance_of_tile(
         return field
 
     diffuse = dataclasses.replace(
-        diffuse, intensity=cut(diffuse.intensity), falling=cut(diffuse.falling)
+        diffuse,
+        intensity=cut(diffuse.intensity),
+        falling=cut(diffuse.falling),
+        ground=cut(diffuse.ground),
     )
     part = _rays_of_tile(rays, tiling, scene.horizontal, row, column)
     radiance = render_up_to(Light(window, sun, diffuse, accuracy), part, steepest)

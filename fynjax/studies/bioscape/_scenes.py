@@ -169,7 +169,7 @@ def _padded(scene: Scene, plants: int, elements: int, parts: int) -> Scene:
     """The same plot with room for more: plants that do not stand, elements without area."""
     planting = scene.planting
 
-    def longer(values: Array, length: int, fill: float = 0.0) -> Array:
+    def longer(values: Array | np.ndarray, length: int, fill: float = 0.0) -> Array:
         missing = length - len(values)
         return jnp.pad(
             values, ((0, missing),) + ((0, 0),) * (values.ndim - 1), constant_values=fill
