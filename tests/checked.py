@@ -1,7 +1,7 @@
 """Types and shapes of every function of the package, checked by beartype while tests run.
 
-With `FYNJAX_TYPES=1` in the environment `conftest.py` has jaxtyping's import hook wrap functions
-and data classes with `checked`; `.ci/run` sets it for tests of the folders that it names.
+With `FYNJAX_TYPES=1` in the environment, as in `.ci/run`, `conftest.py` has jaxtyping's import hook
+wrap functions and data classes with `checked`.
 """
 
 import inspect
