@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from typing import Any, Literal, SupportsIndex, TypeVar
 
 import equinox as eqx
 import jax
@@ -263,7 +263,7 @@ class Scene(eqx.Module):
         size: float | tuple[float, float],
         voxel: float = 0.1,
         structure: float | Literal["even"] | None = None,
-        seed: int = 0,
+        seed: SupportsIndex = 0,
         boundary: Literal["periodic", "open"] = "periodic",
         rounding: Literal["random", "up"] = "random",
         cover_definition: CoverDefinition | None = None,
@@ -941,7 +941,7 @@ def build_scene(
     *,
     extent: tuple[float, float],
     voxel: float,
-    seed: int,
+    seed: SupportsIndex,
     boundary: Literal["periodic", "open"] = "periodic",
     rules: PlantingRules | None = None,
     ground: Ground | None = None,
