@@ -1,24 +1,29 @@
 """Types and shapes of every function of the package, checked by beartype while tests run.
 
-With `FYNJAX_TYPES=1` in the environment `conftest.py` has jaxtyping's import hook wrap functions
-and data classes with `checked`; `.ci/run` sets it for tests of the folders that it names.
+With `FYNJAX_TYPES=1` in the environment, as in `.ci/run`, `conftest.py` has jaxtyping's import hook
+wrap functions and data classes with `checked`.
 """
 
 import inspect
 from collections.abc import Callable, Sequence
-from typing import Any, get_args, get_origin
+from typing import Any, Self, get_args, get_origin
 
 from beartype import BeartypeConf, FrozenDict, beartype
-from beartype.roar import BeartypeDecorHintException
 from numpy.typing import ArrayLike
+from pydantic import ValidationInfo
+from typer import CallbackParam
 
 # At runtime the nested sequences of numpy's ArrayLike are no tuples: these have no `__reversed__`.
 nested = [hint for hint in get_args(ArrayLike) if "NestedSequence" in str(get_origin(hint))]
+# Of no class that can be checked: a protocol, a mark for typer, and what depends on the class.
+unchecked = (Self, ValidationInfo, CallbackParam)
 # An integer passes for a float, as for mypy.
 check = beartype(
     conf=BeartypeConf(
         is_pep484_tower=True,
-        hint_overrides=FrozenDict(dict.fromkeys(nested, Sequence)),
+        hint_overrides=FrozenDict(
+            dict.fromkeys(nested, Sequence) | dict.fromkeys(unchecked, object)
+        ),
     )
 )
 
@@ -27,12 +32,6 @@ def checked(stub: Callable[..., Any]) -> Callable[..., Any]:
     """Checks a stub that jaxtyping calls with a function's arguments, or also its result as `ret0`.
 
     Of the two stubs the first, called before the function, checks nothing. The second has the
-    arguments too: a function that refuses wrong input has done so in its own words by then. One
-    with an annotation that beartype cannot check, `Self` or a protocol of pydantic, is unchecked.
+    arguments too: a function that refuses wrong input has done so in its own words by then.
     """
-    if "ret0" not in inspect.signature(stub).parameters:
-        return stub
-    try:
-        return check(stub)
-    except BeartypeDecorHintException:
-        return stub
+    return check(stub) if "ret0" in inspect.signature(stub).parameters else stub

@@ -125,7 +125,7 @@ def check_types(request: pytest.FixtureRequest) -> Iterator[None]:
     unchecked = any(map(request.node.get_closest_marker, ("slow", "study", "untyped")))
     jaxtyping.config.update("jaxtyping_disable", unchecked)
     yield
-    jaxtyping.config.update("jaxtyping_disable", True)
+    jaxtyping.config.update("jaxtyping_disable", False)
 
 
 @pytest.fixture(scope="module", autouse=True)

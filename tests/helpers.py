@@ -25,6 +25,12 @@ unix = pytest.mark.skipif(sys.platform == "win32", reason="signals and links as 
 """Mark of a test that kills a process or makes a link."""
 
 
+def stand_in(kind: type, **fields: Any) -> Any:
+    """An object of a class that has no more than these fields."""
+    base: type = tuple if issubclass(kind, tuple) else object
+    return base.__new__(type(kind)(kind.__name__, (kind,), fields))
+
+
 def read_cube(path: Path) -> Cube:
     """An image with all that its file states of it."""
     with open_raster(path, "an image") as file:
@@ -32,7 +38,7 @@ def read_cube(path: Path) -> Cube:
         known = np.isfinite(raster.values).any(axis=(1, 2))
         return Cube(
             raster.values, file.names, file.wavelengths, file.fwhm,
-            file.good if file.header else known, file.cell_m, raster.origin,
+            file.good if file.header else known, file.cell_m or np.nan, raster.origin,
             file.tags.get("quantity", file.tags.get("fynjax quantity", "reflectance")),
             file.crs.to_wkt() if file.crs else None,
         )  # fmt: skip

@@ -90,7 +90,7 @@ def test_the_largest_seed_plants_a_scene():
     assert int(scene.seed) == 2**31 - 1
 
 
-@pytest.mark.parametrize("seed", [-1, 1.5])
+@pytest.mark.parametrize("seed", [-1, pytest.param(1.5, marks=pytest.mark.untyped)])
 def test_a_seed_is_a_whole_number(seed, tmp_path):
     """Wherever one is stated: of draws, plants, scenes, metrics, searches and commands."""
     spectra, names = np.random.default_rng(0).random((12, 3)), ["a", "b"] * 6

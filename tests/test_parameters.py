@@ -9,6 +9,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -126,7 +127,7 @@ def check_fits():
             assert f"{wrong:g}" in str(caught.value), kind
 
     setup = make_setup("PRO", None, None, None)
-    centres = np.asarray(to_physical(setup.prior_mean, setup.optics))
+    centres = np.asarray(to_physical(jnp.asarray(setup.prior_mean), setup.optics))
     for i, name in enumerate(setup.names):
         record = LEAF_PARAMETERS[name]
         limits = float(setup.optics.lower[i]), float(setup.optics.upper[i])

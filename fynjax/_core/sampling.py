@@ -371,7 +371,7 @@ class Hamiltonian(_Sampler):
             np.concatenate([state.chain, chain]),
             np.concatenate([state.log_density, level]),
             sum(() if tuning else accepted, start=state.accepted),
-            state.faulty + (0 if tuning else diverged.sum()),
+            np.asarray(state.faulty + (0 if tuning else diverged.sum())),
             state.effective_size,
             tuple(jax.tree.leaves(carry)),
         )

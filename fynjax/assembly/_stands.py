@@ -190,8 +190,8 @@ def simulate_stands(
 
 @drawn_in_double
 def make_stand(
-    common: Float[np.ndarray, " number"],
-    own: Float[np.ndarray, "set number"],
+    common: Float[np.ndarray, " common"],
+    own: Float[np.ndarray, "set own"],
     planting: int,
     bands: BandSet,
     prior: LearnedPrior,
@@ -315,8 +315,8 @@ def stand_numbers(prior: LearnedPrior) -> tuple[int, int]:
 def _draw(
     prior: LearnedPrior,
     settings: StandSettings,
-    common: Float[np.ndarray, " number"],
-    own: Float[np.ndarray, "set number"],
+    common: Float[np.ndarray, " common"],
+    own: Float[np.ndarray, "set own"],
 ) -> _Drawn:
     """A stand of unit normal numbers, those that all its sets have in common and those of each."""
     names, count = stand_forms(prior), len(own)

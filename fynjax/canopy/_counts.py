@@ -168,7 +168,7 @@ def _clumped_count(
     """The number that leaves the share `bare` free, by Newton's method on the logarithm of that
     share, from `count` of plants that do not clump, which is below it."""
 
-    def step(_: int, count: Array) -> Array:
+    def step(_: Array, count: Array) -> Array:
         free, taken = _bare(count, power, held, part, ground)
         return count + free * jnp.log(free / bare) / taken
 

@@ -69,7 +69,7 @@ class Greenness:
     """Greenness of spectra, the bands last; NaN where it is not defined."""
 
 
-def _divide(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+def _divide(a: np.ndarray | float, b: np.ndarray | float) -> np.ndarray:
     """a / b, NaN where b is not positive."""
     out = np.full(np.broadcast(a, b).shape, np.nan)
     return np.divide(a, b, out=out, where=np.asarray(b) > 0.0)

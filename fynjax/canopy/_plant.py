@@ -66,8 +66,8 @@ def thin_plant(plant: PlantModel, n_elements: int, *, seed: int) -> PlantModel:
         fraction.append(np.full(count, 1.0 / count if total > 0.0 else 0.0))
     index = np.concatenate(chosen)
     return PlantModel(
-        plant.position[index],
+        jnp.asarray(plant.position[index]),
         jnp.asarray(np.concatenate(fraction), plant.area_fraction.dtype),
-        plant.normal[index],
-        plant.organ[index],
+        jnp.asarray(plant.normal[index]),
+        jnp.asarray(plant.organ[index]),
     )

@@ -85,10 +85,11 @@ for _name, _function in _BIOSCAPE.items():
 app.add_typer(_group, name="bioscape", rich_help_panel="Many plots")
 
 
-def _version(wanted: bool) -> None:
+def _version(wanted: bool) -> bool:
     if wanted:
         print(f"fynjax {fynjax.__version__}")
         raise typer.Exit
+    return wanted
 
 
 @app.callback()

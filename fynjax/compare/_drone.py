@@ -32,7 +32,8 @@ _OTHER_SCALE = 2.5
 """Ratio of pixels' sides from which on spreads and histograms are of different things [-]."""
 
 _KNOWN = {True: "yes", False: "no", None: "open"}
-_Values = Float[np.ndarray, " pixel"]
+_Real = Float[np.ndarray, " real"]
+_Simulated = Float[np.ndarray, " simulated"]
 
 
 @dataclass(frozen=True)
@@ -126,7 +127,7 @@ def compare_drone_images(real: DroneImage, simulated: DroneImage) -> DroneCompar
 
 
 def _variety_table(
-    real: Float[np.ndarray, "band pixel"], simulated: Float[np.ndarray, "band pixel"]
+    real: Float[np.ndarray, "band real"], simulated: Float[np.ndarray, "band simulated"]
 ) -> pd.DataFrame:
     rows = [
         spectral_variety(one.T)
@@ -141,8 +142,8 @@ def _variety_table(
 
 def _band_table(
     names: Sequence[str],
-    real: Float[np.ndarray, "band pixel"],
-    simulated: Float[np.ndarray, "band pixel"],
+    real: Float[np.ndarray, "band real"],
+    simulated: Float[np.ndarray, "band simulated"],
 ) -> pd.DataFrame:
     published = bands_2006()
     rows = []
@@ -160,7 +161,7 @@ def _band_table(
     return pd.DataFrame(rows)
 
 
-def _pair_row(x: _Values, y: _Values) -> dict[str, object]:
+def _pair_row(x: _Real, y: _Simulated) -> dict[str, object]:
     """Means, spreads and distances of two samples; NaN is left out and counted."""
     a, b = x[np.isfinite(x)], y[np.isfinite(y)]
     row: dict[str, object] = {}
@@ -186,7 +187,7 @@ def _pair_row(x: _Values, y: _Values) -> dict[str, object]:
 
 
 def _histograms(
-    x: _Values, y: _Values, bins: int, tail: float
+    x: _Real, y: _Simulated, bins: int, tail: float
 ) -> tuple[Float[np.ndarray, " edge"], Float[np.ndarray, "2 bin"]]:
     """Edges, and shares of both samples, without `tail` percent at each end of either."""
     a, b = x[np.isfinite(x)], y[np.isfinite(y)]

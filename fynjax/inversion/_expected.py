@@ -3,7 +3,7 @@ the parameters, their slopes and their covariance."""
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any
+from typing import Any, TypeVar
 
 import equinox as eqx
 import jax
@@ -15,6 +15,8 @@ from fynjax.inversion._fit_result import Data, repeated_information, scatter_cov
 from fynjax.inversion._space import ParameterSpace
 from fynjax.inversion._views import PlotForward
 from fynjax.scene import PlotParameters, Scene, stand_realisation, with_values
+
+Stand = TypeVar("Stand")
 
 _FARTHEST = 2.2
 """Of a draw of a parameter from its mean [standard deviations]."""
@@ -29,7 +31,7 @@ def unit_draw(seed: int, number: int, size: int) -> Float[np.ndarray, " free"]:
 
 
 def each(
-    function: Callable[[Scene, Array], Array], stands: Sequence[Scene], places: Sequence[Array]
+    function: Callable[[Stand, Array], Array], stands: Sequence[Stand], places: Sequence[Array]
 ) -> list[Array]:
     """`function` of each of the `stands` at its place, of two at a time: programs of JAX run beside
     each other where there are cores, and memory holds those of two at most."""

@@ -218,7 +218,7 @@ class FitResult(eqx.Module):
         return self.space.names
 
     @property
-    def converged(self) -> Bool[Array, ""]:
+    def converged(self) -> Bool[Array, "*fit"]:
         """Whether the fit reached its tolerance."""
         good = (FitStatus.successful, FitStatus.at_bound, FitStatus.flat)
         return jnp.any(jnp.stack([self.status == status for status in good]), axis=0)

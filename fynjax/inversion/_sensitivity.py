@@ -428,7 +428,7 @@ def _run(
     if count != len(metrics):
         raise InputError(f"{len(metrics)} metrics are named, but `predict` gives {count}")
     if batch is None:  # a part too: one run has one, whatever memory is free when it goes on
-        ((found,),) = do(_memory, points[:1], function, names=["memory"], sizes=[0])
+        ((found,),) = do(_memory, [points[0]], function, names=["memory"], sizes=[0])
         batch = int(found)
     some = _BATCHES * batch
     cut = [points[first : first + some] for first in range(0, len(points), some)]

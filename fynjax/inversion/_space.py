@@ -133,8 +133,9 @@ class ParameterSpace(eqx.Module):
         self.distribution = kinds
         self.mixing = None if correlation is None else in_double(_root(correlation, count))
 
-    def together(self, u: Float[Array, " free"]) -> Float[Array, " free"]:
+    def together(self, u: Float[Array | np.ndarray, " free"]) -> Float[Array, " free"]:
         """The normal coordinate v of each parameter's own prior, from whitened coordinates."""
+        u = jnp.asarray(u)
         return u if self.mixing is None else jnp.asarray(self.mixing, float) @ u
 
     def own_variance(self, covariance: Float[Array, "free free"]) -> Float[Array, " free"]:
@@ -159,7 +160,7 @@ class ParameterSpace(eqx.Module):
             return now.location + now.width * v
         return now.location + now.width * _cut_normal(v, *now.cut)
 
-    def physical(self, u: Float[Array, " free"]) -> Float[Array, " free"]:
+    def physical(self, u: Float[Array | np.ndarray, " free"]) -> Float[Array, " free"]:
         """Parameters in their own units from whitened coordinates. Differentiable."""
         return self.alone(self.together(u))
 
@@ -182,11 +183,11 @@ class ParameterSpace(eqx.Module):
         v = t if logit.all() else _whole_normal(t, *now.cut)
         return v if now.mixing is None else jnp.linalg.solve(now.mixing, v)
 
-    def slope(self, u: Float[Array, " free"]) -> Float[Array, " free"]:
+    def slope(self, u: Float[Array | np.ndarray, " free"]) -> Float[Array, " free"]:
         """d physical / d v, where v is `together(u)`."""
         return jnp.exp(self.log_slope(u))
 
-    def log_slope(self, u: Float[Array, " free"]) -> Float[Array, " free"]:
+    def log_slope(self, u: Float[Array | np.ndarray, " free"]) -> Float[Array, " free"]:
         """log |d physical / d v|, finite far out; what a density over values gains over u, but for
         a constant where priors are correlated."""
         return self._log_slope(self.together(u))

@@ -106,7 +106,7 @@ def pick_pixels(
                 file=source.path,
             )
         found.append(channels)
-    return np.array(found)
+    return np.reshape(found, (len(pixels), len(weights)))
 
 
 def prior_of(trained: Training, name_or_path: str | Path) -> LearnedPrior:

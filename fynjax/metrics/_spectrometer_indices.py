@@ -133,7 +133,7 @@ SPECTROMETER_INDICES: dict[str, SpectrometerIndex] = {index.name: index for inde
 
 
 def spectrometer_indices(
-    wavelength: ArrayLike, spectra: Float[Array, "*spectrum wavelength"]
+    wavelength: ArrayLike, spectra: Float[Array | np.ndarray, "*spectrum wavelength"]
 ) -> dict[str, Float[Array, "*spectrum"]]:
     """Indices of figure 12 from reflectance spectra [-], by name.
 

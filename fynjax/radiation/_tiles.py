@@ -198,7 +198,7 @@ class LightInWindows:
     def _tiling(self, rays: RayLattice, tile: int, held: int) -> Tiling:
         slopes = np.abs([*np.asarray(rays.slope_x), *np.asarray(rays.slope_y)]).max()
         # What a ray crosses and what shades it.
-        reach = self._scene.height * (slopes + self._sun_slope) + rays.footprint
+        reach = float(self._scene.height * (slopes + self._sun_slope) + rays.footprint)
         return self._cut(np.asarray(rays.y), np.asarray(rays.x), tile, reach, held)
 
     def _cut(self, y: np.ndarray, x: np.ndarray, tile: int, reach: float, held: int) -> Tiling:
@@ -276,7 +276,10 @@ def _reflectance_of_tile(
         return field
 
     diffuse = dataclasses.replace(
-        diffuse, intensity=cut(diffuse.intensity), falling=cut(diffuse.falling)
+        diffuse,
+        intensity=cut(diffuse.intensity),
+        falling=cut(diffuse.falling),
+        ground=cut(diffuse.ground),
     )
     part = _rays_of_tile(rays, tiling, scene.horizontal, row, column)
     radiance = render_up_to(Light(window, sun, diffuse, accuracy), part, steepest)

@@ -123,8 +123,8 @@ def _project(
 
 
 def _centres(
-    middle: np.ndarray, half: np.ndarray, cell: float
-) -> tuple[Int[np.ndarray, "*n"], Int[np.ndarray, "*n"]]:
+    middle: Float[np.ndarray, " n"] | float, half: Float[np.ndarray, " n"], cell: float
+) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
     """First and one after the last cell whose centre is within `half` [m] of `middle` [m]."""
     first = np.ceil((middle - half) / cell - 0.5).astype(int)
     return first, np.floor((middle + half) / cell - 0.5).astype(int) + 1

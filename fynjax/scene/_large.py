@@ -206,8 +206,9 @@ _visible_crowns = eqx.filter_jit(Scene.visible_crowns)
 def _without_voxels(bare: Scene, parameters: PlotParameters, bands: BandSet) -> VoxelScene:
     """The scene as light meets it, with shapes in place of the voxels' area."""
     voxels = bare.voxels(parameters, bands)
-    area, structure = jax.eval_shape(lambda: (voxels.area_density, voxels.structure))
-    return dataclasses.replace(voxels, area_density=area, structure=structure)
+    of_voxels = lambda v: (v.area_density, v.structure)  # noqa: E731
+    shapes = jax.eval_shape(lambda: of_voxels(voxels))
+    return eqx.tree_at(of_voxels, voxels, shapes, is_leaf=lambda v: v is None)
 
 
 @eqx.filter_jit

@@ -15,7 +15,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float, Int, Real
 from scipy.spatial import cKDTree
 from scipy.special import ndtr, ndtri
 
@@ -51,36 +51,36 @@ MOST_LISTED = 2**26
 class Planting(eqx.Module):
     """All plants that may stand on a plot and their area elements."""
 
-    species: Int[Array, " plant"]
+    species: Int[Array | np.ndarray, " plant"]
     """Species of each plant."""
-    place: Float[Array, " plant"]
+    place: Float[Array | np.ndarray, " plant"]
     """Place of each plant in the order in which its species fills the sites, from 0."""
-    foot: Float[Array, "plant 2"]
+    foot: Float[Array | np.ndarray, "plant 2"]
     """x and y of the foot of each plant [m]."""
-    azimuth: Float[Array, " plant"]
+    azimuth: Float[Array | np.ndarray, " plant"]
     """Turn about the vertical, clockwise from above [degrees]."""
-    tilt: Float[Array, " plant"]
+    tilt: Float[Array | np.ndarray, " plant"]
     """Lean of its axis from the vertical towards its azimuth [degrees]."""
-    size: Float[Array, " plant"]
+    size: Float[Array | np.ndarray, " plant"]
     """Crown diameter relative to the species' mean; the mean of its square is 1 [-]."""
-    stature: Float[Array, " plant"]
+    stature: Float[Array | np.ndarray, " plant"]
     """Height relative to the species' greatest [-]."""
-    leaf: Int[Array, " plant"] | None
+    leaf: Int[Array | np.ndarray, " plant"] | None
     """Place of each plant's leaf among the leaves of its species, from 0; None: every species has
     one leaf."""
-    first: Int[Array, " plant"]
+    first: Int[Array | np.ndarray, " plant"]
     """First element of the shape of each plant in `shapes`."""
-    count: Int[Array, " plant"]
+    count: Int[Array | np.ndarray, " plant"]
     """Elements of the shape of each plant."""
-    plant: Int[Array, " element"]
+    plant: Int[Array | np.ndarray, " element"]
     """Plant of each element; empty where there are too many to be listed."""
-    part: Int[Array, " element"]
+    part: Int[Array | np.ndarray, " element"]
     """Place of each element in `shapes`."""
     shapes: PlantModel
     """The elements of the individuals of each species that has plants, one after the other."""
-    shape_class: Int[Array, " part"]
+    shape_class: Int[Array | np.ndarray, " part"]
     """Optical class of the elements of `shapes`, on a plant with the first leaf of its species."""
-    before: Float[Array, " part"]
+    before: Float[Array | np.ndarray, " part"]
     """Share of its organ's area on the plant that lies before each element of `shapes`, along their
     x [-]: where a cut leaves the plant standing in part."""
 
@@ -167,7 +167,7 @@ class Planting(eqx.Module):
         size = -(-most // step) * step
         plants = size // 32
 
-        def more(values: Array, count: int, fill: float) -> Array:
+        def more(values: Array | np.ndarray, count: int, fill: float) -> Array:
             missing = jnp.full((count - len(values), *values.shape[1:]), fill, values.dtype)
             return jnp.concatenate([values, missing])
 
@@ -206,7 +206,7 @@ class Planting(eqx.Module):
             shapes.append(thin_plant(shape, most[owner[example]], seed=int(start)))
             of_organ = np.zeros(len(Organ), classes.dtype)
             of_organ[shape.organ] = classes[old]
-            of_class.append(of_organ[shapes[-1].organ])
+            of_class.append(of_organ[np.asarray(shapes[-1].organ)])
         size = np.array([len(c) for c in of_class], np.int32)
         few = dataclasses.replace(
             self,
@@ -308,7 +308,7 @@ def draw_planting(
     *,
     extent: tuple[float, float],
     periodic: bool,
-    probability: Float[np.ndarray, "y x"] | None,
+    probability: Real[np.ndarray, "y x"] | None,
     room: float | Float[np.ndarray, " species"],
     size_variation: float,
 ) -> Planting:
@@ -416,7 +416,7 @@ def _of_individuals(stand: Stand, individuals: Sequence[dict[str, np.ndarray]]) 
 def site_spacing(
     wanted: Float[np.ndarray, " species"],
     extent: tuple[float, float],
-    probability: Float[np.ndarray, "y x"] | None,
+    probability: Real[np.ndarray, "y x"] | None,
 ) -> float:
     """Least distance of the sites among which the plants of a scene stand [m], as `draw_planting`
     draws them with a room of 2.5 or more."""

@@ -13,13 +13,13 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from typing import Any, Literal, SupportsIndex, TypeVar
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float, Int, Real
 
 from fynjax._core.errors import InputError, did_you_mean, whole_number
 from fynjax._core.html import as_html
@@ -107,7 +107,7 @@ class PlantingRules:
     size_variation: float = 0.2
     """Coefficient of variation of the crown diameters of a species [-]. An assumption, as it is
     that heights lie evenly between 0.6 and 1 times the greatest; they go with the diameters."""
-    probability: Float[np.ndarray, "y x"] | None = None
+    probability: Real[np.ndarray, "y x"] | None = None
     """Map of 0-255 over the plot of where plants are likely to stand, row 0 south; None: even."""
     rounding: Literal["random", "up"] = "random"
     """Rule by which a real number of plants becomes a whole one. "random": up or down by a number
@@ -239,7 +239,7 @@ class Scene(eqx.Module):
     have it, instead of whole plants: the stand whose slopes are taken (`slope_of_fading`)."""
     seed: Int[np.ndarray | Array, ""] = eqx.field(default_factory=lambda: np.zeros((), int))
     """Seed of what was drawn; no part of what is observed."""
-    probability: Float[np.ndarray, "y x"] | None = None
+    probability: Real[np.ndarray, "y x"] | None = None
     """Map of where plants were likely to stand, as of `PlantingRules`."""
     shaped: bool = eqx.field(static=True, default=False)
     """Whether some plants have shapes that were given, and not that of their growth form."""
@@ -263,7 +263,7 @@ class Scene(eqx.Module):
         size: float | tuple[float, float],
         voxel: float = 0.1,
         structure: float | Literal["even"] | None = None,
-        seed: int = 0,
+        seed: SupportsIndex = 0,
         boundary: Literal["periodic", "open"] = "periodic",
         rounding: Literal["random", "up"] = "random",
         cover_definition: CoverDefinition | None = None,
@@ -924,7 +924,7 @@ def _fitting(pattern: str, known: Mapping[str, Any]) -> list[str]:
     return names
 
 
-def ground_at(scene: Scene, foot: Float[Array, "plant 2"]) -> Float[Array, " plant"]:
+def ground_at(scene: Scene, foot: Float[Array | np.ndarray, "plant 2"]) -> Float[Array, " plant"]:
     """Height of the ground of `scene` under plants at `foot` [m], above its lowest."""
     if scene.terrain is None:
         return jnp.zeros(foot.shape[0], foot.dtype)
@@ -941,7 +941,7 @@ def build_scene(
     *,
     extent: tuple[float, float],
     voxel: float,
-    seed: int,
+    seed: SupportsIndex,
     boundary: Literal["periodic", "open"] = "periodic",
     rules: PlantingRules | None = None,
     ground: Ground | None = None,

@@ -10,7 +10,7 @@ import warnings
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, SupportsIndex
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -589,7 +589,7 @@ _WITHIN_CORRELATION = np.array(
 
 
 def drawn_leaves(
-    leaves: Sequence[Sequence[LeafRow]], variants: int, seed: int
+    leaves: Sequence[Sequence[LeafRow]], variants: int, seed: SupportsIndex
 ) -> list[tuple[LeafRow, ...]]:
     """The leaves of each species, where one is stated so many drawn about it.
 

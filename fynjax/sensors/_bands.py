@@ -115,7 +115,7 @@ class BandSet(eqx.Module):
     def average(
         self,
         wavelength: ArrayLike,
-        spectrum: Float[Array, "*batch wavelength"],
+        spectrum: Float[Array | np.ndarray, "*batch wavelength"],
         *,
         max_loss: float = 1e-3,
     ) -> Float[Array, "*batch band"]:

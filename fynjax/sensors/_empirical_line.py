@@ -42,7 +42,7 @@ class EmpiricalLine(eqx.Module):
     def standard_deviation(
         self,
         signal: Float[ArrayLike, "*batch band"],
-        signal_sd: Float[ArrayLike, "*#batch #band"] | float = 0.0,
+        signal_sd: Float[ArrayLike, "*#batch #band"] | Float[ArrayLike, ""] = 0.0,
     ) -> Float[Array, "*batch band"]:
         """Standard deviation of that reflectance [-].
 
@@ -73,8 +73,8 @@ def empirical_line(
     signal: Float[ArrayLike, "panel band"],
     reflectance: Float[ArrayLike, " panel #band"],
     *,
-    signal_sd: Float[ArrayLike, "#panel #band"] | float = 0.0,
-    reflectance_sd: Float[ArrayLike, "#panel #band"] | float = 0.0,
+    signal_sd: Float[ArrayLike, "#panel #band"] | Float[ArrayLike, ""] = 0.0,
+    reflectance_sd: Float[ArrayLike, "#panel #band"] | Float[ArrayLike, ""] = 0.0,
 ) -> EmpiricalLine:
     """The line through panels of known reflectance, by weighted least squares.
 
@@ -141,9 +141,9 @@ def one_panel_line(
     signal: Float[ArrayLike, " band"],
     reflectance: Float[ArrayLike, "#band"],
     *,
-    signal_sd: Float[ArrayLike, "#band"] | float = 0.0,
-    reflectance_sd: Float[ArrayLike, "#band"] | float = 0.0,
-    offset_sd: Float[ArrayLike, "#band"] | float = 0.0,
+    signal_sd: Float[ArrayLike, "#band"] | Float[ArrayLike, ""] = 0.0,
+    reflectance_sd: Float[ArrayLike, "#band"] | Float[ArrayLike, ""] = 0.0,
+    offset_sd: Float[ArrayLike, "#band"] | Float[ArrayLike, ""] = 0.0,
 ) -> EmpiricalLine:
     """The line through one panel and zero: for a signal without dark level or haze.
 
@@ -177,7 +177,9 @@ def one_panel_line(
 
 
 def irradiance_line(
-    irradiance: Float[ArrayLike, " band"], *, irradiance_sd: Float[ArrayLike, "#band"] | float = 0.0
+    irradiance: Float[ArrayLike, " band"],
+    *,
+    irradiance_sd: Float[ArrayLike, "#band"] | Float[ArrayLike, ""] = 0.0,
 ) -> EmpiricalLine:
     """Reflectance pi L / E from measured irradiance, as a line over radiance.
 

@@ -21,7 +21,7 @@ class Gains:
     Their logarithms are normal, with mean zero. Raises `InputError` for values out of range.
     """
 
-    sd: float | tuple[float, ...]
+    sd: float | Sequence[float]
     """Standard deviation of the logarithm of the gain of all bands, or of each in order [-]."""
     shared: float = 0.5
     """Share of the variance that all bands have in common, as by light and exposure [-]."""

@@ -48,7 +48,10 @@ class AbstractNoise(eqx.Module):
         """Standard deviation of one pixel [W m-2 sr-1 µm-1]."""
 
     def standard_deviation(
-        self, radiance: Float[Array, "*batch band"], *, averaged: float | Float[Array, ""] = 1.0
+        self,
+        radiance: Float[Array | np.ndarray, "*batch band"],
+        *,
+        averaged: float | Float[Array, ""] = 1.0,
     ) -> Float[Array, "*batch band"]:
         """Standard deviation of the mean of `averaged` pixels [W m-2 sr-1 µm-1]."""
         deviation = self.pixel_deviation(_floating(radiance))
@@ -57,7 +60,7 @@ class AbstractNoise(eqx.Module):
     def draw(
         self,
         key: Array | int,
-        radiance: Float[Array, "*batch band"],
+        radiance: Float[Array | np.ndarray, "*batch band"],
         *,
         averaged: float | Float[Array, ""] = 1.0,
     ) -> Float[Array, "*batch band"]:

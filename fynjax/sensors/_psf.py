@@ -7,7 +7,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, ArrayLike, Float
 
 from fynjax._core.errors import InputError
 from fynjax._core.spectral import FWHM_PER_SIGMA
@@ -72,7 +72,7 @@ class PointSpread(eqx.Module):
 
     def blur(
         self,
-        image: Float[Array, "*batch y x"],
+        image: Float[ArrayLike, "*batch y x"],
         *,
         boundary: Literal["edge", "periodic"] = "edge",
     ) -> Float[Array, "*batch y x"]:

@@ -4,7 +4,7 @@ import dataclasses
 import math
 
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, ArrayLike, Float
 
 from fynjax.radiation import RayField, RayLattice, nadir_rays, parallel_rays
 from fynjax.sensors._camera import (
@@ -21,8 +21,8 @@ for all of them."""
 
 def map_rays(
     camera: AbstractCamera,
-    x: Float[Array, " column"],
-    y: Float[Array, " row"],
+    x: Float[ArrayLike, " column"],
+    y: Float[ArrayLike, " row"],
     footprint: float,
 ) -> RayLattice | RayField:
     """Rays from a regular grid of the ground to a camera: those of an orthorectified image.
@@ -39,6 +39,7 @@ def map_rays(
 
     Differentiable in `x` and `y`; the camera's fields must be known.
     """
+    x, y = jnp.asarray(x), jnp.asarray(y)
     if isinstance(camera, OrthographicCamera):
         return parallel_rays(x, y, footprint, camera.view_zenith, camera.view_azimuth)
     if isinstance(camera, FrameCamera):

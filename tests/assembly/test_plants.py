@@ -1,6 +1,7 @@
 """Plants of a plot's species from meshes and elements."""
 
 import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -104,7 +105,8 @@ def test_fewer_elements_are_drawn_by_their_areas():
         [np.full(level, 0.5 / level), np.full(upright, 0.5 / upright), np.zeros(wood)]
     )
     organ = np.concatenate([np.full(level + upright, Organ.LEAF), np.full(wood, Organ.WOOD)])
-    thin = thin_plant(PlantModel(np.zeros((len(organ), 3)), fraction, normal, organ), 100, seed=3)
+    parts = map(jnp.asarray, (np.zeros((len(organ), 3)), fraction, normal, organ))
+    thin = thin_plant(PlantModel(*parts), 100, seed=3)
     leaf = np.asarray(thin.organ) == Organ.LEAF
     down = np.asarray(thin.area_fraction)[leaf] @ np.abs(thin.normal[leaf, 2])
     assert down == pytest.approx(0.5, abs=1.01 / leaf.sum())

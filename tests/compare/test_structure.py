@@ -1,6 +1,7 @@
 """Two clouds in, their structure compared: synthetic plots of known truth, and real clouds."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -272,9 +273,9 @@ def test_heights_above_a_ground_that_was_found(density) -> None:
     x, y, height, z, _ = plot(7, density, plants=3)
     cloud = PointCloud(x, y, z)
     bounds = (0.0, 0.0, 10.0, 10.0)
-    got = height_cloud(cloud, None, CloudSettings(), bounds)
+    got = height_cloud(cloud, Path("cloud.laz"), CloudSettings(), bounds)
     assert got.height.mean() == pytest.approx(height.mean(), abs=0.015)
-    coarse = height_cloud(cloud, None, CloudSettings(tolerance=0.3), bounds)
+    coarse = height_cloud(cloud, Path("cloud.laz"), CloudSettings(tolerance=0.3), bounds)
     assert coarse.height.mean() < got.height.mean() - 0.01
 
 

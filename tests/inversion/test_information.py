@@ -1,7 +1,6 @@
 """Bounds against closed forms, and sensors whose order is known beforehand."""
 
 import dataclasses
-from types import SimpleNamespace
 
 import jax.numpy as jnp
 import numpy as np
@@ -199,7 +198,10 @@ def test_smaller_pixels_and_more_bands_never_know_less(plantings, chance, seed):
         _measure(image, slopes, steps, bands, [0.01, 0.5], 4, seed)
         for image, slopes in images(random, plantings, chance)
     ]
-    space = SimpleNamespace(names=tuple("abcde"), prior_sd=np.array([1.0, 1.0, 0.1, 2.0, 5.0]))
+    space = ParameterSpace(
+        "abcde", [-np.inf] * 5, [np.inf] * 5, [0.0] * 5, [1.0, 1.0, 0.1, 2.0, 5.0],
+        distribution="normal",
+    )  # fmt: skip
     for noise in (0.01, 0.5):
         sweep = _Sweep.of([one[noise] for one in measured], space, 0.01)
         never_less({(s, n): sweep.bounds(s, n)[1] for s in steps for n in bands})

@@ -77,6 +77,8 @@ def test_bands_lie_on_each_other_by_the_calibration_of_their_lenses(
     relative = capture.radiance() / capture.irradiance[:, None, None] * SCALE
     raw_miss = np.abs(relative - relative[-1]).max(axis=(1, 2))[:-1]
     assert (raw_miss > 0.05).all()
+    counts, lens = capture.bands[0].counts, capture.bands[0].lens
+    np.testing.assert_allclose(lens.on_frame(counts), lens.on_frame(counts.astype(float)))
     (placed,), (low, left) = _on_frame(capture, relative[:, ::-1])
     rows, columns = placed.shape[1:]
     assert rows * columns > 0.7 * relative[0].size

@@ -133,7 +133,9 @@ def test_own_file(write: Callable) -> None:
     assert isinstance(sensor.noise, CameraNoise)
     electrons = 10500 * 0.5
     expected = 400 / 10500 * np.sqrt(electrons + 9 + (10500 / 4095) ** 2 / 12)
-    assert float(sensor.noise.standard_deviation([200.0, 1, 1])[0]) == pytest.approx(expected)
+    assert float(sensor.noise.standard_deviation(np.array([200.0, 1, 1]))[0]) == pytest.approx(
+        expected
+    )
     half = load_sensor(write(("fwhm_nm = [40, 40, 60]", "half_width_nm = [20, 20, 30]")))
     assert half.bands == sensor.bands
 
@@ -159,7 +161,9 @@ def test_geometries_and_tables(write: Callable) -> None:
     assert satellite.bands.fwhm == (10.0, 12.0)
     assert satellite.band_pixel == (10.0, 20.0)
     assert satellite.noise is not None
-    np.testing.assert_allclose(satellite.noise.standard_deviation([8.0, 3.0]), [0.15, 0.1])
+    np.testing.assert_allclose(
+        satellite.noise.standard_deviation(np.array([8.0, 3.0])), [0.15, 0.1]
+    )
     flown = load_sensor(write(('"frame"', '"pushbroom"'), ("rows = 8\n", "tilt_deg = 3\n")))
     assert isinstance(flown.camera, PushbroomCamera)
     assert flown.camera.line.shape == (1, 12)

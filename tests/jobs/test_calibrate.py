@@ -2,7 +2,6 @@
 
 import dataclasses
 import json
-from types import SimpleNamespace
 
 import jax.numpy as jnp
 import jsonschema
@@ -12,15 +11,16 @@ import pytest
 
 from fynjax._core.errors import InputError
 from fynjax.compare import read_drone_image
-from fynjax.inversion import PlotSearch
+from fynjax.inversion import FitResult, PlotSearch
 from fynjax.io.plot import example_folder, read_plot
-from fynjax.jobs import calibrate, render
+from fynjax.jobs import CalibrateResult, calibrate, render
 from fynjax.jobs._calibrate import _short_of_sites
 from fynjax.jobs._calibration_page import doubt_first, status_of
 from fynjax.jobs._render import check_finite
 from fynjax.jobs._schemas import json_schema
 from fynjax.metrics import image_statistics
 from tests.heard import hearing
+from tests.helpers import stand_in
 from tests.scene.plots import small_parameters, small_plot
 from tests.small import search_quickly, write_plot
 
@@ -151,12 +151,12 @@ def test_three_sensors_together_after_an_interruption(twin):
 
 
 def test_a_page_says_first_that_the_search_did_not_converge():
-    stopped = SimpleNamespace(converged=False, explanation="Stopped at the limit of steps.")
+    stopped = stand_in(FitResult, converged=False, explanation="Stopped at the limit of steps.")
     lead = doubt_first(stopped, "Plot: largest error 14 %.")
     assert lead.startswith("Not converged: Stopped at the limit of steps. Allow more steps")
     assert lead.endswith("Plot: largest error 14 %.")
     assert lead[0].lower() + lead[1:] == f"{status_of(stopped)} Plot: largest error 14 %."
-    ended = SimpleNamespace(converged=True, explanation="")
+    ended = stand_in(FitResult, converged=True, explanation="")
     assert (status_of(ended), doubt_first(ended, "Plot.")) == ("ok", "Plot.")
 
 
@@ -196,9 +196,14 @@ def test_neither_a_target_nor_a_twin_is_said(tmp_path):
 
 
 def test_a_twin_of_a_plot_without_targets_has_an_image(tmp_path, monkeypatch):
-    monkeypatch.setattr(
-        "fynjax.jobs._calibrate.calibrate_to", lambda plot, measured, *_, **__: measured
-    )
-    (one,) = calibrate(write_plot(tmp_path, MORE), [], tmp_path / "output", twin=True)
+    given = []
+
+    def calibrate_to(plot, measured, *_, **__):
+        given.extend(measured)
+        return CalibrateResult.model_construct()
+
+    monkeypatch.setattr("fynjax.jobs._calibrate.calibrate_to", calibrate_to)
+    calibrate(write_plot(tmp_path, MORE), [], tmp_path / "output", twin=True)
+    (one,) = given
     assert one.kind == "image"
     assert {"red.mean", "NDVI.std"} <= set(one.data.names)

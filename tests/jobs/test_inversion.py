@@ -9,8 +9,8 @@ import pytest
 import xarray as xr
 
 from fynjax._core.errors import InputError
-from fynjax.assembly import build_plot, image_view, prepare
-from fynjax.inversion import PlotForward, local_sensitivity, search_form
+from fynjax.assembly import Prepared, build_plot, image_view, prepare
+from fynjax.inversion import PlotForward, Posterior, local_sensitivity, search_form
 from fynjax.io.plot import read_plot
 from fynjax.jobs._information import _limit_sentences, information, limit_table
 from fynjax.jobs._posterior import _headline, posterior
@@ -24,6 +24,7 @@ from fynjax.report.figures._posterior import (
     tornado_plot,
 )
 from tests.heard import hearing
+from tests.helpers import stand_in
 from tests.small import write_plot
 
 MORE = """
@@ -236,12 +237,12 @@ def test_a_headline_of_a_posterior_writes_no_unit_where_there_is_none():
         {"name": f"species.A.{kind}", "kind": kind, "unit": unit, **numbers}
         for kind, unit in (("dead_fraction", "-"), ("cover", "%"))
     ]
-    sampled = SimpleNamespace(
-        constrained=np.array([0.6, 0.5]), misfit=np.array([0.1]), effective_size=400.0,
+    sampled = stand_in(
+        Posterior, constrained=np.array([0.6, 0.5]), misfit=np.array([0.1]), effective_size=400.0,
         method="laplace", names=("a", "b"), data=SimpleNamespace(names=("nir.mean",)),
         well_constrained=tuple,
     )  # fmt: skip
-    plot = SimpleNamespace(plot=SimpleNamespace(name="small"))
-    said = _headline(plot, sampled, pd.DataFrame(rows))[-1]
+    ready = stand_in(Prepared, plot=SimpleNamespace(name="small"))
+    said = _headline(ready, sampled, pd.DataFrame(rows))[-1]
     assert "A dead fraction 0.37 (0.2 to 0.5), 50 %" in said
     assert "A cover 0.37 (0.2 to 0.5) %, 50 %" in said

@@ -3,6 +3,7 @@
 import re
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 import rasterio
@@ -12,6 +13,7 @@ from fynjax._core.errors import InputError
 from fynjax.assembly import build_plot
 from fynjax.io.plot import read_plot
 from fynjax.jobs import render, simulate
+from fynjax.scene import TiledPicture
 from tests.helpers import compilations
 from tests.jobs import test_simulate
 
@@ -37,7 +39,7 @@ def test_an_interrupted_large_image_goes_on(tmp_path, monkeypatch):
     """Tiles that the checkpoint keeps are not made again; it is of one plot and seed."""
     plot, made = test_simulate.write_plot(tmp_path), []
 
-    class Picture:
+    class Picture(TiledPicture):
         tiles = ((0, 0), (0, 1))
 
         def __init__(self, camera, scene, parameters):
@@ -48,7 +50,7 @@ def test_an_interrupted_large_image_goes_on(tmp_path, monkeypatch):
             return self.half
 
         def image(self, rendered):
-            return sum(rendered)
+            return jnp.asarray(sum(rendered))
 
     monkeypatch.setattr("fynjax.jobs._render.is_large", lambda *_: True)
     monkeypatch.setattr("fynjax.jobs._render.TiledPicture", Picture)

@@ -1,8 +1,8 @@
 """Figures show what they are given: right way up, sorted, labelled, and never failing on gaps."""
 
 import itertools
-from types import SimpleNamespace
 
+import jax.numpy as jnp
 import numpy as np
 import pandas as pd
 import pytest
@@ -10,7 +10,8 @@ import xarray as xr
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.legend import Legend
 
-from fynjax.canopy import Organ
+from fynjax.canopy import Organ, PlantModel
+from fynjax.canopy.mesh import MeshPlant
 from fynjax.leaf import LeafOverBackground, fit_leaf, prospect
 from fynjax.report.figures import (
     all_leaves_figure,
@@ -27,6 +28,7 @@ from fynjax.report.figures import (
     save_figure,
     side_view,
 )
+from fynjax.sensors.lidar import LidarReturns
 
 BANDS = ("green", "red", "red_edge", "nir")
 
@@ -228,13 +230,20 @@ def assert_titles_and_legends_lie_inside(figure):
         assert box.x1 <= figure.bbox.x1 + 1, text.get_text()
 
 
+def returns(position):
+    """Returns at these places, some of them of the ground."""
+    number = np.arange(len(position))
+    kind = np.random.default_rng(2).integers(2, 4, len(position))
+    even = np.ones(len(position))
+    return LidarReturns(number, position, even, even, even, number, number, kind, even, even)
+
+
 @pytest.mark.parametrize(("extent", "count"), [((4.0, 4.0), 5000), ((30.0, 10.0), 40)])
 def test_a_cloud_fills_its_figure_and_its_title_is_whole(extent, count):
     rng = np.random.default_rng(2)
     position = rng.uniform(0.0, 1.0, (count, 3)) * (*extent, 1.5)
-    cloud = SimpleNamespace(position=position, classification=rng.integers(2, 4, count))
     figure = side_view(
-        cloud, position[:, 2], extent, title="Grootbos, burnt 2006, flash_lidar_paper"
+        returns(position), position[:, 2], extent, title="Grootbos, burnt 2006, flash_lidar_paper"
     )
     assert_titles_and_legends_lie_inside(figure)
     side, above = (axes.get_position() for axes in figure.axes[:2])
@@ -247,8 +256,7 @@ def test_one_false_return_high_above_does_not_leave_a_cloud_s_figure_empty():
     heights = []
     for false in (1.0, 9.0):
         position[0] = 0.5, 0.5, false  # far from the strip that is shown from the side
-        cloud = SimpleNamespace(position=position, classification=rng.integers(2, 4, 5000))
-        heights.append(side_view(cloud, position[:, 2], (10.0, 10.0)).get_figheight())
+        heights.append(side_view(returns(position), position[:, 2], (10.0, 10.0)).get_figheight())
     assert heights[1] == pytest.approx(heights[0])
 
 
@@ -314,14 +322,13 @@ def shown_labels(figure):
 
 def test_numbers_below_a_slender_plant_do_not_overlap():
     rng = np.random.default_rng(0)
-    position = rng.uniform(-1.0, 1.0, (200, 3)) * (0.075, 0.075, 0.89) + (0.0, 0.0, 0.89)
-    organ = np.zeros(200, int)
-    plant = SimpleNamespace(
-        area=np.full(200, 1e-6),
-        position=position,
-        plant=SimpleNamespace(normal=rng.normal(size=(200, 3)), organ=organ),
-        organ_area=dict.fromkeys(Organ, 1e-4),
-    )
+    position = rng.uniform((-0.5, -0.5, 0.0), (0.5, 0.5, 1.0), (200, 3))
+    whole = np.zeros(200, int)
+    shape = (position, np.full(200, 1 / 200), rng.normal(size=(200, 3)), whole)
+    plant = MeshPlant(
+        PlantModel(*map(jnp.asarray, shape)), 0.15, 0.15, 1.78, jnp.full(len(Organ), 1e-4),
+        jnp.asarray(whole), ("leaf",), ("leaf",), (0.0,),
+    )  # fmt: skip
     figure = plant_figure(plant)
     FigureCanvasAgg(figure).draw()
     for axes in figure.axes:

@@ -209,7 +209,7 @@ def test_ratios_within_a_pixel_have_the_slope_of_their_mean(power: float) -> Non
     """Of a pixel that is as likely still bright as already dark, whatever the way it fades by: the
     logarithm changes by that of the end over the beginning, in closed form."""
     bright, dark, steps = 0.15, 0.04, 20_000
-    way = (np.arange(steps) + 0.5) / steps
+    way = (jnp.arange(steps) + 0.5) / steps
     fades = bright + (dark - bright) * way**power
     slope = (dark - bright) * power * way ** (power - 1.0)
     found = [np.mean(_relative(jnp.asarray(w), fades, slope) / w) for w in (bright, dark)]

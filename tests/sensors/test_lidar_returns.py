@@ -190,6 +190,6 @@ def test_returns_of_a_slab_follow_the_gap_law():
 def test_electrons_that_are_not_numbers_are_refused():
     lidar = flash()
     beams = pixels(lidar, 1)
-    waveform = np.full((1, beams.samples), np.nan)
+    waveform = jnp.full((1, beams.samples), np.nan)
     with pytest.raises(InputError, match="finite"):
         detect_returns(lidar, beams, waveform, Waveforms(waveform, waveform))

@@ -75,7 +75,7 @@ def test_digital_numbers_vary_as_stated() -> None:
     assert np.all(np.abs(sample.mean(axis=0) - RADIANCE) < 4.0 * std / np.sqrt(len(sample)))
     # Shot noise alone: the signal to noise ratio is the root of the electrons.
     shot = CameraNoise(100.0, 10_000.0, 0.0, 24)
-    ratio = 25.0 / float(shot.standard_deviation(jnp.array(25.0)))
+    ratio = 25.0 / float(shot.standard_deviation(jnp.array([25.0]))[0])
     assert ratio == pytest.approx(np.sqrt(2500.0), rel=1e-6)
 
 

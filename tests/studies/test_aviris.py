@@ -2,7 +2,6 @@
 
 import dataclasses
 from pathlib import Path
-from types import SimpleNamespace
 
 import equinox as eqx
 import jax
@@ -13,6 +12,7 @@ import pytest
 
 from fynjax.compare import table5_2006
 from fynjax.inversion import (
+    Calibration,
     CalibrationSettings,
     ImageView,
     calibrate_plot,
@@ -27,6 +27,7 @@ from fynjax.metrics import spectral_mask
 from fynjax.scene import Placement, aim, with_values
 from fynjax.sensors import BandSet, Gains, shipped_sensor
 from fynjax.studies.fynbos_2006._aviris import NAMES, aviris_target, regions_view
+from tests.helpers import stand_in
 from tests.scene.plots import TAXA, small_parameters, small_plot
 
 FREE = ("species.*.leaf_area_index", "ground.brightness")
@@ -104,7 +105,8 @@ def test_the_numbers_tie_the_gains_of_the_camera(plot):
 def test_gains_say_what_an_exact_simulation_is_off_by(plot):
     """A camera that has 0.8 of the light makes what is true look 25 % too bright."""
     camera = aim(*plot, shipped_sensor("mavic_3m"), Placement(50.0, 0.1))
-    found = SimpleNamespace(
+    found = stand_in(
+        Calibration,
         views=(ImageView(("green.mean",), camera, Gains(0.3, 0.0)),),
         gain=np.array([0.8, 1.25, 0.5, 1.1]),
         gain_sd=np.full(4, 0.08),

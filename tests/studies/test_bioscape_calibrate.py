@@ -4,6 +4,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pandas as pd
@@ -49,6 +50,7 @@ from fynjax.studies.bioscape._inversion_compare import (
 )
 from fynjax.studies.bioscape._plot_files import beyond_prospect
 from fynjax.studies.bioscape._scenes import ACCURACY, Resolution, build_scenes, slots_of
+from tests.helpers import stand_in
 from tests.scene.plots import small_parameters
 from tests.studies.test_bioscape_validate import write_tables
 
@@ -97,7 +99,7 @@ def test_dead_tissue_is_at_most_all_of_a_shoot(plots):
     parameters = small_parameters()
     species = replace(parameters.species, dead_fraction=jnp.array([0.8, 0.3, 0.0]))
     factors = dict.fromkeys(FREE, 1.0) | {"dead_fraction": 2.0}
-    forward = PlotSpectrumForward(None, (False, False, True))
+    forward = PlotSpectrumForward(stand_in(SpectrumView), (False, False, True))
     moved = forward._plot(jnp.array(list(factors.values())), replace(parameters, species=species))
     np.testing.assert_allclose(moved.species.dead_fraction, [1.0, 0.6, 0.0])
 
@@ -106,7 +108,7 @@ def test_factors_on_leaves_multiply_what_the_tables_say():
     """Water follows dry matter and its own factor; other parameters stay."""
     parameters = small_parameters()
     factors = dict.fromkeys(FREE, 1.0) | {"leaf_mass_per_area": 2.0, "water_per_dry_matter": 1.5}
-    forward = PlotSpectrumForward(None, (False, False, True))
+    forward = PlotSpectrumForward(stand_in(SpectrumView), (False, False, True))
     moved = forward._plot(jnp.array(list(factors.values())), parameters).leaf
     for name, factor in (("dry_matter", 2.0), ("water", 3.0), ("chlorophyll", 1.0)):
         before, after = getattr(parameters.leaf, name), getattr(moved, name)
@@ -316,16 +318,17 @@ def test_a_plot_comes_back_from_its_own_spectrum(tmp_path: Path, plots):
         assert ours == pytest.approx(expected, rel=0.02, abs=2e-5), name
 
 
-class Straight(eqx.Module):
-    """In place of `PlotSpectrumForward`: a spectrum without light, nearly linear."""
-
-    view: SpectrumView
-    dead: tuple[bool, ...] = eqx.field(static=True, converter=tuple)
+class Straight(PlotSpectrumForward):
+    """A spectrum without light, nearly linear."""
 
     def __call__(self, values, scene, parameters):
         bands, free = len(self.view.names), values.size
         slopes = jnp.cos(jnp.arange(bands)[:, None] * (1.0 + jnp.arange(free)))
         return 0.2 + 0.05 * slopes @ jnp.tanh(values - 1.0)
+
+    def jacobian(self, values_at, u, scene, parameters):
+        at = lambda u: self(values_at(u), scene, parameters)  # noqa: E731
+        return at(u), jax.jacfwd(at)(u)
 
     def stand(self, values, scene, parameters):
         return values[:3]

@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 from fynjax._core.errors import InputError
+from fynjax.inversion import SpectrumView
 from fynjax.io.plot import NO_PRIOR, LearnedPrior, read_plot, read_prior
-from fynjax.scene import LEAF_FIELDS, PlotParameters
+from fynjax.scene import LEAF_FIELDS, PlotParameters, Scene
 from fynjax.studies.bioscape import _learn, learn, read_bioscape, run_bioscape, write_plot_files
 from fynjax.studies.bioscape._assumed import ASSUMED_POPULATION
 from fynjax.studies.bioscape._inversion import plot_data, prior_space
@@ -24,6 +25,7 @@ from fynjax.studies.bioscape._population import (
     population_space,
 )
 from fynjax.studies.bioscape._scenes import slots_of, slotted_parameters
+from tests.helpers import stand_in
 from tests.io.test_prior import prior_file
 from tests.studies.test_bioscape import TRAITS
 from tests.studies.test_bioscape_validate import CENTRES, write_tables
@@ -37,13 +39,11 @@ LEVEL = np.append(np.log(np.linspace(0.08, 0.25, len(BANDS))), 0.4)
 _ASSUMED = hyperprior(np.array(BANDS)).covariance[:-1, :-1]
 MU = np.append(0.7 * _RANDOM.multivariate_normal(np.zeros(len(PER_PLOT)), _ASSUMED), [0.1])
 EFFECT_SD, ERROR_SD = 0.4, 0.02
+NO_VIEW = stand_in(SpectrumView)
 
 
-class LinearForward(eqx.Module):
-    """Stands for `PopulationForward`: linear in the whitened parameters, without light."""
-
-    view: Any = eqx.field(static=True)
-    forms: Any = eqx.field(static=True)
+class LinearForward(PopulationForward):
+    """Linear in the whitened parameters, without light."""
 
     def __call__(self, values, scene, parameters):
         return LEVEL + SLOPE @ population_space().whitened(values)
@@ -81,8 +81,8 @@ def write_population(folder: Path) -> None:
 def linear(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     """The commands's steps without light; counts the simulations."""
     monkeypatch.setattr(_learn, "PopulationForward", LinearForward)
-    monkeypatch.setattr(_learn, "spectrum_view", lambda *a: None)
-    stand = (jnp.zeros(1), jnp.zeros(1))
+    monkeypatch.setattr(_learn, "spectrum_view", lambda *a: NO_VIEW)
+    stand = stand_in(Scene), stand_in(PlotParameters)
     monkeypatch.setattr(_learn, "build_scenes", lambda files, *a: [stand] * len(files))
     done: list[int] = []
     for name in ("simulate", "differentiate"):
@@ -163,7 +163,7 @@ def test_plots_that_cannot_teach_are_refused(tmp_path: Path) -> None:
 
 def test_the_population_assumed_leaves_a_plot_as_it_is(tmp_path: Path) -> None:
     parameters, slots, _ = tables_in_slots(tmp_path, None)
-    forward = PopulationForward(None, slots)
+    forward = PopulationForward(NO_VIEW, slots)
     assert len(MEANS) == len(PER_PLOT) + 1
     same = forward.plot(population_space().prior, parameters)
     assert_same_plants(same, parameters, slots, rtol=1e-5)
@@ -193,7 +193,7 @@ def test_plot_files_have_what_was_learned(tmp_path: Path) -> None:
     file = prior_file(parameters=rows, left_out=[])
     learned, _, _ = tables_in_slots(tmp_path, file)
     at = LearnedPrior(Path("p.toml"), file).values(plot.name)
-    expected = PopulationForward(None, slots).plot(
+    expected = PopulationForward(NO_VIEW, slots).plot(
         jnp.array([at[name] for name in PER_PLOT]), plain
     )
     assert_same_plants(learned, expected, slots, rtol=1e-3)

@@ -84,7 +84,7 @@ class StructureComparison:
     returns), `thinning_low` and `thinning_high`."""
     edges: Float[np.ndarray, " edge"]
     """Edges of the layers [m]."""
-    histogram_edges: Float[np.ndarray, " edge"]
+    histogram_edges: Float[np.ndarray, " bin_edge"]
     """Edges of the bins of height [m]."""
     notes: tuple[str, ...]
     """Sentences on how the two were brought together."""

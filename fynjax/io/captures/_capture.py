@@ -349,7 +349,7 @@ def aligned_radiance(capture: Capture, *, align: bool = True) -> AlignedCapture:
 
 def _on_frame(
     capture: Capture, *pictures: Float[np.ndarray, "band y x"]
-) -> tuple[list[Float[np.ndarray, "band y x"]], tuple[int, int]]:
+) -> tuple[list[Float[np.ndarray, "band row column"]], tuple[int, int]]:
     """Pictures on the frame that the lenses share, cut to what all bands cover, and the row and
     column of that where the cut begins."""
     lenses = [band.lens for band in capture.bands]

@@ -1,11 +1,9 @@
 """The maker's own calibration of a lens: where its pixels lie in a frame that all bands share."""
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from jaxtyping import Float
-from numpy.typing import NDArray
+from jaxtyping import Float, Real
 from scipy.ndimage import map_coordinates
 
 
@@ -25,7 +23,7 @@ class Lens:
     distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
     """Coefficients k1, k2, p1, p2, k3 [-]: radial, tangential and radial again."""
 
-    def on_frame(self, picture: NDArray[Any]) -> Float[np.ndarray, "row column"]:
+    def on_frame(self, picture: Real[np.ndarray, "row column"]) -> Float[np.ndarray, "row column"]:
         """The picture [row, column] on the pixels of the frame, interpolated once (bilinear); NaN
         where it does not reach. The lens model is that of Brown (1966), as OpenCV has it."""
         shape = picture.shape
@@ -48,4 +46,5 @@ class Lens:
                 (away_y, away_x), self.centre[::-1], self.focal_length[::-1], strict=True
             )
         ]
-        return map_coordinates(picture, place, order=1, cval=np.nan).reshape(shape)
+        real = np.result_type(picture, np.float32)  # whole numbers have no NaN
+        return map_coordinates(picture, place, real, order=1, cval=np.nan).reshape(shape)

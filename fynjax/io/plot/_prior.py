@@ -260,8 +260,8 @@ class LearnedPrior:
 
     def drawn(
         self,
-        common: Float[np.ndarray, " number"],
-        own: Float[np.ndarray, "draw number"],
+        common: Float[np.ndarray, " common"],
+        own: Float[np.ndarray, "draw own"],
         shared: Sequence[str] = (),
     ) -> dict[str, Float[np.ndarray, " draw"]]:
         """Parameters of plots elsewhere (`sd`), made of unit normal numbers.

@@ -33,7 +33,7 @@ class Alignment:
 
 def align_bands(
     image: Float[np.ndarray, "band y x"],
-) -> tuple[Float[np.ndarray, "band y x"], tuple[slice, slice], list[Alignment]]:
+) -> tuple[Float[np.ndarray, "band row column"], tuple[slice, slice], list[Alignment]]:
     """Lay every band on the first, whose frame is kept.
 
     The lenses of a camera sit side by side and are not quite parallel. Bands are compared by their

@@ -19,7 +19,6 @@ import rasterio
 import rasterio.shutil
 import xarray as xr
 from jaxtyping import Bool, Float
-from numpy.typing import NDArray
 from rasterio import Affine
 from rasterio.crs import CRS
 from rasterio.errors import RasterioError
@@ -348,7 +347,7 @@ def grid_coordinates(
     return dims, coordinates
 
 
-def _seal(values: NDArray[np.float32]) -> str:
+def _seal(values: np.ndarray) -> str:
     """Hash of a block of maps and of its type: the same bytes may stand for other numbers."""
     return hashlib.sha256(values.dtype.str.encode() + values.tobytes()).hexdigest()
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import rasterio
 import xarray as xr
-from numpy.typing import NDArray
+from jaxtyping import Bool, Float
 from rasterio.crs import CRS
 
 from fynjax.io.raster._netcdf import grid_mapping, image_array, write_run
@@ -39,15 +39,15 @@ QUANTITIES = {
 class Cube:
     """An image product: any number of bands with their wavelengths, and where it lies."""
 
-    values: NDArray[np.float64]
+    values: Float[np.ndarray, "band y x"]
     """Values [band, y, x], y increasing to the north; NaN where there are no data."""
     names: tuple[str, ...]
     """Names of the bands."""
-    wavelength: NDArray[np.float64]
+    wavelength: Float[np.ndarray, " band"]
     """Band centres [nm]."""
-    fwhm: NDArray[np.float64]
+    fwhm: Float[np.ndarray, " band"]
     """Full widths of the bands at half maximum [nm]."""
-    good: NDArray[np.bool_]
+    good: Bool[np.ndarray, " band"]
     """Bands that are to be used."""
     pixel_m: float
     """Side of a pixel [m]."""

@@ -34,7 +34,7 @@ def names_others(path: Path) -> bool:
     same = ctypes.c_int64(0)  # default properties
     found: list[bytes] = []
 
-    def look(group: int, name: bytes, link: ctypes.Array, _: None) -> int:
+    def look(group: int, name: bytes, link: ctypes._Pointer, _: None) -> int:
         if link[0] == _HARD:
             one = ctypes.c_int64(hdf5.H5Oopen(ctypes.c_int64(group), name, same))
             if hdf5.H5Iget_type(one) == _DATASET:

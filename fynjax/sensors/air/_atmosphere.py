@@ -149,7 +149,7 @@ def ground_irradiance(
 def at_sensor_radiance(
     atmosphere: Atmosphere,
     reflectance: Float[ArrayLike, "*batch wavelength"],
-    surroundings: Float[ArrayLike, "*batch wavelength"] | None = None,
+    surroundings: Float[ArrayLike, "*#batch wavelength"] | None = None,
 ) -> Float[Array, "*batch wavelength"]:
     """Radiance at the sensor over a ground of given reflectance [W m-2 sr-1 um-1].
 
@@ -213,7 +213,7 @@ def is_transparent(atmosphere: Atmosphere, threshold: float = 0.01) -> Bool[Arra
 def surface_reflectance(
     atmosphere: Atmosphere,
     radiance: Float[ArrayLike, "*batch wavelength"],
-    surroundings: Float[ArrayLike, "*batch wavelength"] | None = None,
+    surroundings: Float[ArrayLike, "*#batch wavelength"] | None = None,
     *,
     threshold: float = 0.01,
     opaque: float = 0.0,

@@ -80,7 +80,7 @@ def received_electrons(
 def detect_returns(
     lidar: Lidar,
     beams: LidarBeams,
-    electrons: Float[np.ndarray, "beam sample"],
+    electrons: Float[Array | np.ndarray, "beam sample"],
     truth: Waveforms,
 ) -> LidarReturns:
     """Discrete returns of recorded waveforms.

@@ -186,7 +186,7 @@ def parameter_table(
     """Every free parameter of every plot."""
     rows = []
     for plot, fit in zip(plots, estimates):
-        values = np.asarray(fit.space.physical(fit.whitened))  # type: ignore[arg-type]
+        values = np.asarray(fit.space.physical(fit.whitened))
         for i, name in enumerate(fit.space.names):
             rows.append(
                 {

@@ -37,13 +37,13 @@ ACCURACY = Accuracy(sublayers=2, coarsening=(2, 2), levels=2, refine=False, solv
 class PlotSpectrum(eqx.Module):
     """Simulated spectrum of a plot at nadir."""
 
-    reflectance: Float[Array, " band"]
+    reflectance: Float[np.ndarray, " band"]
     """Mean reflectance factor of the plot in each band [-]."""
-    ground_seen: Float[Array, ""]
+    ground_seen: Float[np.ndarray, ""]
     """Share of the plot where the ground shows between leaves and stems [-]."""
-    variety: Float[Array, " metric"]
+    variety: Float[np.ndarray, " metric"]
     """Spectral variety of the pixels, each of a voxel's edge, in the order of `VARIETY`."""
-    residual: Float[Array, ""]
+    residual: Float[np.ndarray, ""]
     """Largest share of the source of the diffuse light that its solution leaves over [-]."""
 
 
@@ -169,7 +169,7 @@ def _padded(scene: Scene, plants: int, elements: int, parts: int) -> Scene:
     """The same plot with room for more: plants that do not stand, elements without area."""
     planting = scene.planting
 
-    def longer(values: Array, length: int, fill: float = 0.0) -> Array:
+    def longer(values: Array | np.ndarray, length: int, fill: float = 0.0) -> Array:
         missing = length - len(values)
         return jnp.pad(
             values, ((0, missing),) + ((0, 0),) * (values.ndim - 1), constant_values=fill

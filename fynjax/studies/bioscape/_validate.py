@@ -99,7 +99,7 @@ def validate_plots(
     with run.stage("Simulate", total=len(read)), at_work(workers) as pool:
         names = [f"plot {p.name}" for p in read]
         found = pool.all(simulate_plot, scenes, imager, names=names, journal=journal)
-    spectra = [PlotSpectrum(*arrays) for arrays in found]  # type: ignore[arg-type]
+    spectra = [PlotSpectrum(*arrays) for arrays in found]
     _check_finite(spectra, read)
     pair = PlotSpectraPair(
         tuple(p.name for p in read),

@@ -157,7 +157,7 @@ def _coarser(
     times: int,
     psf: PointSpread | None,
     boundary: Literal["periodic", "open"],
-) -> Float[np.ndarray, "band y x"]:
+) -> Float[np.ndarray, "band row column"]:
     """Pixels that are `times` as wide, blurred by the optics of a sensor of such pixels."""
     if psf is not None:
         beyond: Literal["periodic", "edge"] = "periodic" if boundary == "periodic" else "edge"
