@@ -460,7 +460,7 @@ def test_a_killed_scheduler_ends_in_one_line_and_the_next_goes_on(tmp_path, monk
                 made.unlink()
             killer = threading.Thread(target=kill_scheduler)
             killer.start()
-            with pytest.raises(InputError, match="^the dask scheduler is gone.*again$"):
+            with pytest.raises(InputError, match=r"^the dask scheduler is gone.*again$"):
                 pool.all(slow, range(30), calls, journal=Journal(tmp_path / "kept", "s"))
             killer.join()
     finally:
