@@ -9,9 +9,10 @@ import sys
 import tempfile
 import threading
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 # Before JAX is imported, here and in the children of a test. Programs of its cache are read with
 # long lines of false alarm, which fill the pipe of a child that nobody reads.
@@ -21,10 +22,12 @@ os.environ.setdefault("JAX_TRACEBACK_IN_LOCATIONS_LIMIT", "0")
 
 import jax
 import jaxtyping
+import numpy as np
 import psutil
 import pytest
 from jax._src import compilation_cache
 from jax._src.interpreters import mlir
+from jax._src.lax import lax
 
 if os.environ.get("FYNJAX_TYPES"):  # before the package is imported, whose functions it wraps
     import tests.checked  # noqa: F401
@@ -62,6 +65,40 @@ context_of_file = functools.cache(new_context)
 mlir.make_ir_context = lambda: (
     context_of_file() if mlir.ir.Context.current is None else new_context()
 )
+
+
+# Outside `jit` JAX compiles a program for every shape of an array that comes from NumPy, that is
+# converted or filled. NumPy makes the same, in a hundredth of the time.
+def by_numpy(primitive: Any, make: Callable[..., np.ndarray]) -> None:
+    """Let `make` do, outside `jit`, what a primitive does to real numbers of one precision."""
+    compiled = primitive.impl
+
+    def done(operand: Any, *others: Any, **how: Any) -> Any:
+        kept = isinstance(operand, np.ndarray | jax.Array) and operand.dtype.kind in "biuf"
+        weak = getattr(operand, "weak_type", False) or how.get("weak_type", False)
+        if not kept or weak or others or how.get("sharding") is not None:
+            return compiled(operand, *others, **how)
+        made = make(np.asarray(operand), **how)
+        return compiled(operand, **how) if made is None else jax.device_put(made)
+
+    primitive.def_impl(done)
+
+
+def converted(values: np.ndarray, new_dtype: Any, **_: Any) -> np.ndarray | None:
+    """Numbers that become floats; others may not fit."""
+    with np.errstate(over="ignore"):
+        return values.astype(new_dtype) if np.dtype(new_dtype).kind == "f" else None
+
+
+def filled(values: np.ndarray, shape: Any, broadcast_dimensions: Any, **_: Any) -> np.ndarray:
+    sides = np.ones(len(shape), int)
+    sides[list(broadcast_dimensions)] = values.shape
+    return np.broadcast_to(values.reshape(sides), shape).copy()
+
+
+by_numpy(lax.stage_p, np.copy)
+by_numpy(lax.convert_element_type_p, converted)
+by_numpy(lax.broadcast_in_dim_p, filled)
 
 # A program that is kept for other processes of the check is not worth compressing, which takes a
 # twentieth of all: whatever reads zlib reads this too.

@@ -118,15 +118,10 @@ def test_structure_is_that_of_all_that_a_beam_can_hit(plot, views):
     assert np.all(share[-2:] == 0.5)
     effective = jnp.einsum("c,czyx->zyx", share, density)
     layers = int(np.ceil((model.grid.extent[2] - 0.25) / 0.25))
-    other = voxel_structure(
-        effective,
-        views[2].settings,
-        voxel=(0.1, 0.1),
-        grain=1.0,
-        pulses=100.0,
-        layers=layers,
-        projection=1.0,
-    ).means()
+    size = {"voxel": (0.1, 0.1), "grain": 1.0, "pulses": 100.0, "layers": layers}
+    other = jax.jit(
+        lambda area: voxel_structure(area, views[2].settings, projection=1.0, **size).means()
+    )(effective)
     np.testing.assert_allclose(found, [other[m] for m in STRUCTURE_METRICS], rtol=1e-9)
     gap = np.exp(-np.asarray(effective).sum(axis=0) * 0.1).mean()
     assert float(found[1]) >= gap  # below 10 cm as well

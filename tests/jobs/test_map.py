@@ -43,7 +43,8 @@ from tests.io.emit_files import GEOTRANSFORM, NOWHERE, lookup, write_emit
 pytest.importorskip("optax")
 
 SENSOR = "sentinel_2a"
-SETTINGS = StandSettings(sun_zenith=(25.0, 35.0))
+SMALL = functools.partial(StandSettings, size_m=1.5)
+SETTINGS = SMALL(sun_zenith=(25.0, 35.0))
 
 
 @pytest.fixture(scope="module")
@@ -55,10 +56,12 @@ def known():
 @pytest.fixture(scope="module")
 def trained(tmp_path_factory):
     folder = tmp_path_factory.mktemp("train")
-    result = jobs.train(
-        folder / "out", sensor=SENSOR, sun_zenith=(25.0, 35.0), simulations=200, steps=60,
-        checkpoint=folder / "checkpoint",
-    )  # fmt: skip
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("fynjax.jobs._train.StandSettings", SMALL)
+        result = jobs.train(
+            folder / "out", sensor=SENSOR, sun_zenith=(25.0, 35.0), simulations=200, steps=60,
+            checkpoint=folder / "checkpoint",
+        )  # fmt: skip
     return folder, result
 
 

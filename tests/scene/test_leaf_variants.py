@@ -97,12 +97,12 @@ def test_traits_stay_within_their_bounds():
 
 def test_the_names_of_leaves_do_not_matter_but_whose_they_are_does():
     scene, parameters = varied()
-    turn = np.array([2, 0, 1])
-    mine, leaf = scene.planting.species == 0, scene.planting.leaf
+    turn, leaf = np.array([2, 0, 1]), np.asarray(scene.planting.leaf)
+    renamed = np.where(scene.planting.species == 0, np.argsort(turn)[leaf], leaf)
     again = eqx.tree_at(
         lambda s: (s.species[0].leaf_ratios, s.planting.leaf),
         scene,
-        (jnp.asarray(RATIOS[turn]), jnp.where(mine, jnp.argsort(jnp.asarray(turn))[leaf], leaf)),
+        (jnp.asarray(RATIOS[turn]), jnp.asarray(renamed, jnp.int32)),
     )
     image = render(scene, parameters)
     np.testing.assert_allclose(render(again, parameters), image, rtol=1e-12)
@@ -127,7 +127,7 @@ def test_thin_plants_of_several_leaves_are_the_mixture_of_plants_of_each():
     assert float(share.min()) > 0.05
     mine = scene.planting.species == 0
     alone = [
-        image(eqx.tree_at(lambda s: s.planting.leaf, scene, jnp.where(mine, k, 0)))
+        image(eqx.tree_at(lambda s: s.planting.leaf, scene, jnp.where(mine, jnp.int32(k), 0)))
         for k in range(3)
     ]
     none = dataclasses.replace(thin, leaf_area_index=jnp.zeros(3))
