@@ -14,7 +14,7 @@ from pydantic import Field
 
 from fynjax._core.checkpoint import forget_journal, signature
 from fynjax._core.dry_run import begin_work, image_size
-from fynjax._core.errors import InputError, listed
+from fynjax._core.errors import InputError, in_file, listed
 from fynjax._core.parts import Workers, at_work
 from fynjax._core.precision import double_precision
 from fynjax.assembly import STAND_QUANTITIES
@@ -309,10 +309,8 @@ def _weights(source: CubeBlocks, trained: Training) -> Float[np.ndarray, "channe
             "Write them into its header",
             file=source.path,
         )
-    try:
+    with in_file(source.path):
         return trained.channels.weights(wavelength, source.good)
-    except InputError as error:
-        raise InputError(str(error), file=source.path) from error
 
 
 def _mapped(

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from fynjax._core.dry_run import begin_work
-from fynjax._core.errors import InputError
+from fynjax._core.errors import InputError, in_file
 from fynjax._core.precision import double_precision
 from fynjax.io.raster import write_geotiff
 from fynjax.jobs._result import JobResult, Record
@@ -43,6 +43,8 @@ _RASTERS = (".tif", ".tiff", ".img", ".asc", ".vrt")  # of the last, that it nam
 # Points all through a layer as thick as the tolerance scatter by 0.29 of it about their mean.
 _ROUGH = 0.27
 _LARGEST_GAP = 10.0
+_CELL = 0.25
+"""Side of the cells of a cloud's terrain [m], unless stated."""
 _TOLD_RELIEF = 1.0
 """Relief of the ground [m] from which a cloud of heights above the ground is doubted."""
 _BELOW = 0.01
@@ -136,24 +138,20 @@ def terrain(
     run = Run(output)
     path = Path(path)
     is_raster = path.suffix.lower() in _RASTERS
-    if bounds is not None:
-        if size is not None:
-            raise InputError("expected `bounds` or `size` of the plot, but got both")
-        check_bounds(bounds)
-    lengths = {"tolerance": tolerance, "slope": slope, "window": window}
-    for name, value in {**lengths, "cell": cell, "size": size, "largest_gap": largest_gap}.items():
-        if value is not None:
-            check_positive(name, value)
+    filtering = {"tolerance": tolerance, "slope": slope, "window": window}
+    _check_lengths(
+        bounds, size, {**filtering, "cell": cell, "size": size, "largest_gap": largest_gap}
+    )
     _check_used(
         is_raster,
         fill_gaps,
         {
-            **{"method": method, **lengths, "largest_gap": largest_gap, "unit": unit},
+            **{"method": method, **filtering, "largest_gap": largest_gap, "unit": unit},
             **{"fill_gaps": fill_gaps or None, "band": band},
         },
     )
-    gap = _LARGEST_GAP if largest_gap is None else largest_gap
-    try:
+    gap = largest_gap or _LARGEST_GAP
+    with in_file(path):
         if is_raster:
             with run.stage("Read the raster"):
                 terrain, numbers = _from_raster(
@@ -164,28 +162,14 @@ def terrain(
         else:
             with run.stage("Read the cloud"):
                 cloud = read_cloud(path, unit=unit, height_unit=height_unit, crs=crs)
-            terrain, canopy, numbers = _from_cloud(
-                cloud,
-                bounds if size is None else _middle(cloud.bounds, size),
-                0.25 if cell is None else cell,
-                gap,
-                run,
-                **{k: v for k, v in {"method": method, **lengths}.items() if v is not None},
-            )
-    except InputError as error:
-        if error.file is not None:
-            raise
-        raise InputError(str(error), file=path) from error
+            plot = bounds if size is None else _middle(cloud.bounds, size)
+            stated = {k: v for k, v in {"method": method, **filtering}.items() if v is not None}
+            terrain, canopy, numbers = _from_cloud(cloud, plot, cell or _CELL, gap, run, **stated)
     if not is_raster:
         _doubt_place(path, terrain, unit)
     rows, columns = terrain.heights.shape
-    begin_work(
-        {
-            "terrain.tif": f"{rows} rows and {columns} columns of cells",
-            "terrain.obj": "",
-            "report.html": "",
-        }
-    )
+    size_of_map = f"{rows} rows and {columns} columns of cells"
+    begin_work({"terrain.tif": size_of_map, "terrain.obj": "", "report.html": ""})
     with run.stage("Write"):
         _write(run, terrain, canopy)
     summary = _summary(terrain, numbers)
@@ -193,6 +177,19 @@ def terrain(
     picture = Picture("terrain.png", figures.terrain_figure(terrain, canopy), "picture of it")
     run.pictures(f"Terrain of {path.name}", headline, [picture], [path])
     return run.result(TerrainResult, headline=headline, terrain=summary)
+
+
+def _check_lengths(
+    bounds: Bounds | None, size: float | None, lengths: dict[str, float | None]
+) -> None:
+    """Refuse a plot that is stated twice, and lengths that are not positive."""
+    if bounds is not None:
+        if size is not None:
+            raise InputError("expected `bounds` or `size` of the plot, but got both")
+        check_bounds(bounds)
+    for name, value in lengths.items():
+        if value is not None:
+            check_positive(name, value)
 
 
 def _doubt_place(path: Path, terrain: Terrain, unit: str | None) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 from rasterio.crs import CRS
 
-from fynjax._core.errors import InputError
+from fynjax._core.errors import InputError, in_file
 from fynjax.compare.structure._pits import sunk, without_pits
 from fynjax.terrain import (
     Bounds,
@@ -124,12 +124,8 @@ def height_cloud(
     Raises `InputError`, with the file, for a plot that the cloud does not cover, a cloud without
     ground, or heights that are elevations above the sea.
     """
-    try:
+    with in_file(path):
         return _heights(cloud, path, settings, bounds, slack)
-    except InputError as error:
-        if error.file is not None:
-            raise
-        raise InputError(str(error), file=path) from error
 
 
 def _heights(
