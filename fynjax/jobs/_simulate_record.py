@@ -64,21 +64,7 @@ def run_record(
             "pixels_averaged_in_noise": float(aimed.averaged),
             "reflectance_by": "the known air" if aimed.panels is None else "panels",
         },
-        "atmosphere": {
-            "model": air.source,
-            "file": None if air.file is None else air.file.name,
-            **(
-                {}
-                if air.source in ("file", "none")
-                else {
-                    "water_vapour_cm": air.water_vapour_cm,
-                    "aerosol_optical_depth_550": air.aerosol_optical_depth,
-                    "aerosol_optical_depth_500_of_sky": plot.sky.aerosol_optical_depth,
-                    "ozone_cm_atm": air.ozone_cm_atm,
-                    "pressure_hpa": air.pressure_hpa,
-                }
-            ),
-        },
+        "atmosphere": _air_record(plot, air),
         "accuracy": {
             **{f.name: getattr(accuracy, f.name) for f in dataclasses.fields(accuracy)},
             "bands_reduced_to_few_solves": is_reduced(aimed),
@@ -86,6 +72,20 @@ def run_record(
             "precision": observation.reflectance.dtype.name,
         },
         "timings_s": dict(seconds),
+    }
+
+
+def _air_record(plot: Plot, air: AtmosphereTable) -> dict[str, Any]:
+    """The model of the air, or the file that it is read from, with what the model takes."""
+    record = {"model": air.source, "file": None if air.file is None else air.file.name}
+    if air.source in ("file", "none"):
+        return record
+    return record | {
+        "water_vapour_cm": air.water_vapour_cm,
+        "aerosol_optical_depth_550": air.aerosol_optical_depth,
+        "aerosol_optical_depth_500_of_sky": plot.sky.aerosol_optical_depth,
+        "ozone_cm_atm": air.ozone_cm_atm,
+        "pressure_hpa": air.pressure_hpa,
     }
 
 
