@@ -287,7 +287,7 @@ def _imported(name: str) -> Callable[..., Any]:
 
 
 def _flag(parameter: inspect.Parameter) -> str | None:
-    """How an option is typed, such as --largest-gap; None for an argument."""
+    """Spelling of an option, such as --largest-gap; None for an argument."""
     (described,) = parameter.annotation.__metadata__
     if isinstance(described, typer.models.ArgumentInfo):
         return None
@@ -305,7 +305,7 @@ def _naming_options(text: str, flags: Mapping[str, str]) -> str:
 def _show_dry_run(
     start: Callable[[], "JobResult"], output: Path, *, as_json: bool, quiet: bool
 ) -> None:
-    """What a command would write, on stdout, once its inputs are read and checked."""
+    """Print what a command would write, once its inputs are read and checked."""
     try:
         with dry_run():
             start()
@@ -337,7 +337,7 @@ def _listed_files(output: Path, command: str) -> list[str]:
 
 
 def _stated_files() -> list[Path]:
-    """What the command line may name as a file: input, which no run removes."""
+    """Files that the command line may name: input, which no run removes."""
     return [Path(text.split("=", 1)[-1]).absolute() for text in sys.argv[1:] if text]
 
 

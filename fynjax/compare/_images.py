@@ -86,7 +86,7 @@ class DroneImage:
         return self.values[:, self.mask]
 
     def description(self) -> str:
-        """What was read, in sentences."""
+        """Bands and pixels that were read, in sentences."""
         rows, columns = self.shape
         place = "" if self.pixel_m is None else f" of {self.pixel_m:g} m"
         text = f"{columns} x {rows} pixels{place}; bands by {self.chosen_by}"

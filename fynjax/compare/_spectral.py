@@ -36,7 +36,7 @@ _CONSTANT = 1e-6
 """Range over largest value below which a spectrum is constant, but for rounding."""
 
 LEFT_OUT = "MEVI and SARE are left out: no published formula of these names was found."
-"""What a table of spectrometer indices does not hold, as a sentence."""
+"""Indices that a table of a spectrometer's does not hold, in a sentence."""
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ import jax
 import numpy as np
 import pandas as pd
 import xarray as xr
+from jaxtyping import Array, Float
 from pydantic import Field
 
 from fynjax._core.dry_run import begin_work
@@ -346,7 +347,7 @@ def instance_table(instances: Instances) -> pd.DataFrame:
     )
 
 
-def voxel_dataset(scene: Scene, density: Any) -> xr.Dataset:
+def voxel_dataset(scene: Scene, density: Float[Array, "class z y x"]) -> xr.Dataset:
     """Area density [class, z, y, x] with its coordinates, ready for `write_run`."""
     x, y, z = scene.grid.centres
     names = [

@@ -173,7 +173,7 @@ def sensor_table(measured: Measured, statistics: pd.DataFrame) -> pd.DataFrame:
 
 
 def sensor_misfit(measured: Measured, table: pd.DataFrame) -> str:
-    """How well a spectrum or a cloud is met before and after, in a sentence."""
+    """Misfit of a spectrum or a cloud before and after, in a sentence."""
     error = table[["before", "after"]].sub(table["real"], axis=0)
     if measured.bands is not None:
         rmse = np.sqrt((error**2).mean())

@@ -91,7 +91,7 @@ def _measurement(
     background: Float[np.ndarray, " band"] | None,
     second_reading: bool,
 ) -> AbstractMeasurement:
-    """What the instrument records of leaves of a shape over a background on the file's grid.
+    """Model of what an instrument records of leaves over a background on the file's grid.
 
     Behind the gaps of round leaves lies the light trap of a sphere, or a face that need not be
     black; light goes to and fro between those side by side. A thick pile has no gaps and hides what
@@ -106,7 +106,7 @@ def _measurement(
     single = MEASUREMENTS[name]()
     if name == "stack" or (shape == "broad" and background is None):
         return single
-    behind: Any = 0.0 if name == "sphere" else None
+    behind: Float[np.ndarray, " bin"] | float | None = 0.0 if name == "sphere" else None
     if background is not None:
         binned = to_bins(_GRID, background)
         have = np.isfinite(binned)

@@ -301,7 +301,7 @@ def _check_divisor(source: CubeBlocks, scale: float, mean: np.ndarray, bands: Ba
 
 
 def _weights(source: CubeBlocks, trained: Training) -> Float[np.ndarray, "channel band"]:
-    """What makes channels of the cube's bands."""
+    """Weights that make channels of the cube's bands."""
     wavelength = source.wavelength
     if np.isnan(wavelength).all():
         raise InputError(

@@ -250,7 +250,7 @@ def _convert(
 def _camera_warnings(
     calibration: _Calibration, absolute: bool, captures: dict[str, CaptureSummary]
 ) -> list[str]:
-    """What a camera does not state: the unit of its light sensor, and corrections."""
+    """Warnings of what a camera does not state: the unit of its light sensor, corrections."""
     unit = [] if absolute or calibration.line is not None else [RELATIVE_REFLECTANCE]
     missing = sorted(
         {what for summary in captures.values() for what in summary.missing_corrections}
@@ -465,7 +465,7 @@ def _cubes(
     values = np.moveaxis(np.asarray(line.reflectance(signal)), -1, 0)
     doubt = np.moveaxis(np.asarray(line.standard_deviation(signal)), -1, 0)
 
-    def cube(data: NDArray[Any]) -> Cube:
+    def cube(data: NDArray[np.floating]) -> Cube:
         seen = Cube(
             np.where(aligned.full, np.nan, data),
             capture.names,

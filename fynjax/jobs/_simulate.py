@@ -9,7 +9,7 @@ from typing import Any, Literal
 import equinox as eqx
 import jax
 import numpy as np
-from jaxtyping import Array
+from jaxtyping import Array, Bool
 
 from fynjax._core.dry_run import begin_work, image_size
 from fynjax._core.errors import InputError
@@ -228,11 +228,11 @@ def _cubes(
     every, bands = instrument.bands, aimed.sensor.bands
     places = [every.names.index(name) for name in bands.names]
 
-    def cube(name: str, image: Any, good: Any) -> Cube:
+    def cube(name: str, image: Array, good: Bool[np.ndarray, " band"]) -> Cube:
         values = np.full((len(every), *aimed.shape), np.nan)
         flags = np.zeros(len(every), bool)
         flags[places] = good
-        values[places] = np.where(np.asarray(good)[:, None, None], image, np.nan)
+        values[places] = np.where(good[:, None, None], image, np.nan)
         return Cube(
             values,
             every.names,

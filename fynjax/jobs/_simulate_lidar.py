@@ -158,7 +158,7 @@ def _light_of(lidar: Lidar) -> str:
 
 
 def _warnings(lidar: Lidar, voxels: VoxelScene, beams: LidarBeams) -> list[str]:
-    """What the range gate cut off."""
+    """Warnings of pulses that the range gate may cut off."""
     if lidar.gate is None:
         return []
     low = 0.0 if voxels.terrain is None else float(np.min(np.asarray(voxels.terrain)))
@@ -189,7 +189,7 @@ def _seams(plot: Plot, lidar: Lidar) -> list[str]:
 
 
 def _counts(plot: Plot, beams: LidarBeams, returns: LidarReturns) -> dict[str, float]:
-    """How many returns there are, by their names in the result."""
+    """Numbers of returns and pulses, by their names in the result."""
     area = float(np.prod(plot.size_m))
     return {
         "returns": len(returns),

@@ -1,4 +1,4 @@
-"""What made an image product, and what a user should mind of it."""
+"""Record and warnings of a simulated image."""
 
 import dataclasses
 import json
@@ -26,7 +26,7 @@ def run_record(
     observation: Observation,
     seconds: dict[str, float],
 ) -> dict[str, Any]:
-    """What made the product, for `run.json`."""
+    """Versions, settings and times of a simulation, for `run.json`."""
     camera, accuracy = aimed.sensor.camera, aimed.accuracy
     frame, angles = frame_of(camera), {}
     optics = instrument.ground_sample_distance(aimed.sensor_height)
@@ -130,7 +130,7 @@ def _of_slant(aimed: AimedSensor) -> list[str]:
 
 
 def warnings_of(plot: Plot, aimed: AimedSensor, instrument: Sensor) -> list[str]:
-    """What a user should mind of a simulated image."""
+    """Warnings of a simulated image."""
     lost = []
     if plot.sensor.panels and aimed.panels is None:
         lost = [f"the plot file's panels are those of {plot.sensor.name}, and left out here"]

@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 import pandas as pd
 import xarray as xr
+from jax.typing import ArrayLike
 from pydantic import Field
 
 from fynjax._core.checkpoint import Journal, signature
@@ -48,7 +49,7 @@ _CHANNEL = {
     "upper": "upper end of the channel",
     "centre": "mean of the centres of its bands",
 }
-"""What a training file says of a channel [nm]."""
+"""Attributes of a channel in a training file [nm]."""
 _PARTS = {
     "middle": (("channel",), "mean logarithm of reflectance"),
     "rows": (("feature", "channel"), "features of that"),
@@ -346,8 +347,8 @@ def write_training(path: Path, training: Training) -> None:
     """
     posterior, channels = training.posterior, training.channels
 
-    def of(dims: tuple[str, ...], values: Any, name: str, unit: str = "1") -> Any:
-        return dims, np.asarray(values), {"long_name": name, "units": unit}
+    def of(dims: tuple[str, ...], values: ArrayLike, name: str, unit: str = "1") -> xr.Variable:
+        return xr.Variable(dims, np.asarray(values), {"long_name": name, "units": unit})
 
     variables = {
         name: of(("channel",), getattr(channels, name), what, "nm")
@@ -372,7 +373,7 @@ def write_training(path: Path, training: Training) -> None:
 _SEAL = "content_sha256"
 
 
-def _sealed(data: xr.Dataset, record: Mapping[str, Any]) -> str:
+def _sealed(data: xr.Dataset, record: Mapping[str, object]) -> str:
     """Hash of all that a training holds: arrays by name, and the record without what is added to
     every file."""
     total = hashlib.sha256()

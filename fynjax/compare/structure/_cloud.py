@@ -32,7 +32,7 @@ _ROUNDING = 1.5e-3
 MUCH_NOISE = 0.005
 """Share of returns far below the ground from which on the ground itself is to be doubted [-]."""
 _MOST_ROUNDS = 4
-"""Of looking for ground again without the noise below it."""
+"""Rounds of looking for ground again without the noise below it."""
 GroundSource = Literal["auto", "labels", "smrf", "cloth", "none"]
 """Where the ground of a cloud comes from."""
 _OPTIONS = ("tolerance", "deepest", "tallest")
@@ -41,7 +41,7 @@ _OPTIONS = ("tolerance", "deepest", "tallest")
 
 @dataclass(frozen=True)
 class CloudSettings:
-    """How a cloud is read and its ground found."""
+    """Settings by which a cloud is read and its ground found."""
 
     ground: GroundSource = "auto"
     """"labels" takes the file's ground classes, "smrf" and "cloth" filter (see

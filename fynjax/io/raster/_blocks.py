@@ -205,7 +205,7 @@ _UNREADABLE = (
     *(OSError, ValueError, LookupError, RuntimeError, AttributeError, TypeError),
     *(ArithmeticError, AssertionError, MemoryError, struct.error),
 )
-"""What the libraries raise at damaged files."""
+"""Errors that the libraries raise at damaged files."""
 
 
 def _reflectance(data: xr.Dataset, path: Path) -> xr.DataArray:
@@ -519,7 +519,7 @@ class MapWriter:
             self._table.place(swath, onto)
         return self._on_map
 
-    def finish(self, path: Path, tags: Mapping[str, Any]) -> None:
+    def finish(self, path: Path, tags: Mapping[str, str | int]) -> None:
         """Write all of it as a cloud-optimised GeoTIFF, whole or not at all. Raises `InputError`
         where the lookup table of a swath cannot be read."""
         placed = self._placed
@@ -534,7 +534,7 @@ class MapWriter:
                     blocksize=_INNER, overview_resampling="average", bigtiff="if_safer",
                 )  # fmt: skip
 
-    def finish_zarr(self, path: Path, tags: Mapping[str, Any], names: Mapping[str, str]) -> None:
+    def finish_zarr(self, path: Path, tags: Mapping[str, str | int], names: Mapping[str, str]) -> None:
         """Write all of it as a zarr group of one array a map, whole or not at all. `names` are the
         long names of the maps. Raises `MissingExtraError` without zarr, dask or rioxarray, and as
         `finish`."""

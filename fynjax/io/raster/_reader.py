@@ -46,7 +46,7 @@ RAW_COUNTS = (
     "expected reflectance, or a mosaic, but this is a camera's raw capture, whose counts depend on "
     "gain and exposure of each band. Make reflectance first: fynjax reflectance"
 )
-"""What is said of a raw capture where an image is asked for."""
+"""Error of a raw capture where an image is asked for."""
 _MOST_BANDS = 4096
 _SMALLEST = 5e-4
 """Side of the smallest pixel that a raster has [m]: 30 m of the ground are 2.8e-4 degrees."""
@@ -261,7 +261,7 @@ class RasterFile:
             )
 
     def check_place(self, *, crs: CRS | None = None, height_stated: bool = True) -> CRS:
-        """Its reference system, which is in metres; the raster has a place and is north up.
+        """Reference system of a raster that has a place, in metres, and is north up.
 
         **Arguments:** `crs`, that which the user states, if any; `height_stated`: the unit of
         heights is stated elsewhere, or there are none.
@@ -305,7 +305,7 @@ class RasterFile:
     # -- values -----------------------------------------------------------------------------
 
     def _scaling(self, bands: Sequence[int], dtype: np.dtype) -> tuple[np.ndarray, np.ndarray]:
-        """What values are multiplied by, and what is added then, by band."""
+        """Factor and offset that make values of the stored numbers, by band."""
         with np.errstate(over="ignore"):  # what becomes infinite is warned of in `read`
             scale, offset = (
                 np.array([of[n - 1] for n in bands], dtype)[:, None, None]
@@ -404,7 +404,7 @@ class RasterFile:
         return np.asarray(self.dataset.read(number))
 
     def _divisor(self) -> float:
-        """What the ENVI header says to divide by."""
+        """Divisor of the values that the ENVI header states; 1 without one."""
         try:
             divisor = float(self.header.get("reflectance scale factor", 1.0))
         except (TypeError, ValueError):
@@ -437,7 +437,7 @@ class RasterFile:
 _FORMATS = ("GTiff", "ENVI", "HFA", "AAIGrid", "SRTMHGT", "EHdr", "PNG", "JPEG")
 """Drivers of GDAL that read the file they are given, and open no other place that it names."""
 _WHOLE = (b"II*\0", b"II+\0", b"MM\0*", b"MM\0+", b"EHFA_HEADER_TAG\0")
-"""How files of TIFF and ERDAS begin, which hold their values themselves."""
+"""First bytes of files of TIFF and ERDAS, which hold their values themselves."""
 
 
 def _names_others(path: Path, name: str) -> InputError:

@@ -51,7 +51,7 @@ def write_geotiff(
     nodata: float | None = float("nan"),
     unit: str | None = None,
     offset: float = 0.0,
-    tags: Mapping[str, Any] | None = None,
+    tags: Mapping[str, object] | None = None,
 ) -> None:
     """Write an image as a compressed GeoTIFF, whole or not at all.
 

@@ -284,7 +284,7 @@ def _cases(
     learned: LearnedPrior | None,
     stands: Sequence[Sequence[Scene]],
 ) -> dict[str, list[PlotCase]]:
-    """What is inferred by each prior: every plot."""
+    """Every plot to infer, by the name of each prior."""
     cases: dict[str, list[PlotCase]] = {prior.name: [] for prior in priors}
     for prior in priors:
         for i, (spectrum, scenes) in enumerate(zip(data, stands, strict=True)):

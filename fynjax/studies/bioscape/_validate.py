@@ -149,7 +149,7 @@ def used_bands(spectrometer: Spectrometer) -> np.ndarray:
 
 
 def prior_words(prior: LearnedPrior | None, plot: BioscapePlot) -> str:
-    """What a plot's population was learned from."""
+    """Words for the data that a plot's population was learned from."""
     if prior is None:
         return "assumed"
     return "learned from the other plots" if prior.knows(plot.name) else "learned from other data"
@@ -189,7 +189,7 @@ def plot_table(
     spectra: Sequence[PlotSpectrum],
     measured: dict[str, PlotSpectra],
 ) -> pd.DataFrame:
-    """What was assumed and what was measured, a row for each plot."""
+    """Assumptions and measurements, a row for each plot."""
     rows = []
     for plot, file, spectrum in zip(read, files, spectra):
         flown = measured.get(plot.name)

@@ -48,7 +48,7 @@ printed unit."""
 _LIDARS = {"flash_lidar_paper": "", "scanning_lidar": ", by an aircraft's scanner"}
 """LiDAR systems that look at the plot, and what is added to the names of their numbers."""
 _THINNINGS = 20
-"""How often a simulated cloud is thinned, at random, to the real number of returns."""
+"""Times that a simulated cloud is thinned, at random, to the real number of returns."""
 
 
 def article_tables(
@@ -269,7 +269,7 @@ _OPTICS = {
 
 
 def _sensors() -> dict[str, float]:
-    """What the shipped sensors have, and what the printed optics give."""
+    """Numbers of the shipped sensors, and those that the printed optics give."""
     plane: Any = shipped_sensor("aviris_ng")
     drone: Any = shipped_sensor("mavic_3m")
     line, frame, bands = plane.camera.line, drone.camera, drone.bands
