@@ -127,12 +127,12 @@ def reflectance(
     of_panels = {panel.capture.name for panel in read}
     others = {name: paths for name, paths in usable.items() if name not in of_panels}
     unlit = {} if light == "panel" else {name: dark[name] for name in others if name in dark}
-    wanted = _lit(others, unlit, of_panels)
+    wanted = _to_convert(others, unlit, of_panels)
     first = read_capture(*next(iter(wanted.items()))).bands[0]
     calibration = _calibration(read, known, light, panel_sd, light_sd, first.sensor)
     begin_work(
         {f"{name}_reflectance.tif": "" for name in wanted},
-        (_with_line(*capture, calibration) for capture in wanted.items()),
+        (_line_of(read_capture(*capture), calibration) for capture in wanted.items()),
     )
     made = _convert(run, wanted, calibration, (height, pixel), align)
     headline = [*panel_sentences(read, known, light), *made.headline]
@@ -162,11 +162,12 @@ def reflectance(
 
 
 class _Calibration(NamedTuple):
-    """Panels, and the line through them; None where light is that of the light sensor alone."""
+    """Panels and the line through them, for light from one of `LIGHTS`."""
 
     light: str
     panels: Sequence[PanelView]
     line: EmpiricalLine | None
+    """None where light is that of the light sensor alone."""
     light_sd: float
     """Standard deviation of light and camera together, relative [-]."""
 
@@ -181,7 +182,7 @@ class _Converted(NamedTuple):
     warnings: list[str]
 
 
-def _lit(
+def _to_convert(
     captures: dict[str, list[Path]],
     unlit: Mapping[str, InputError],
     of_panels: Iterable[str],
@@ -198,14 +199,6 @@ def _lit(
     return wanted
 
 
-def _with_line(
-    name: str, paths: Sequence[Path], calibration: _Calibration
-) -> tuple[Capture, EmpiricalLine, NDArray[np.float64] | None]:
-    """A capture, and the line of `_line_of`."""
-    capture = read_capture(name, paths)
-    return capture, *_line_of(capture, calibration)
-
-
 def _convert(
     run: Run,
     captures: dict[str, list[Path]],
@@ -218,7 +211,8 @@ def _convert(
     made = _Converted({}, [], [], [], [])
     failed: InputError | None = None
     for name, paths in track([*captures.items()], "Convert"):
-        capture, line, change = _with_line(name, paths, calibration)
+        capture = read_capture(name, paths)
+        line, change = _line_of(capture, calibration)
         try:
             aligned = aligned_radiance(capture, align=align)
         except InputError as problem:

@@ -534,7 +534,9 @@ class MapWriter:
                     blocksize=_INNER, overview_resampling="average", bigtiff="if_safer",
                 )  # fmt: skip
 
-    def finish_zarr(self, path: Path, tags: Mapping[str, str | int], names: Mapping[str, str]) -> None:
+    def finish_zarr(
+        self, path: Path, tags: Mapping[str, str | int], names: Mapping[str, str]
+    ) -> None:
         """Write all of it as a zarr group of one array a map, whole or not at all. `names` are the
         long names of the maps. Raises `MissingExtraError` without zarr, dask or rioxarray, and as
         `finish`."""
