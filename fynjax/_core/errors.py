@@ -3,7 +3,8 @@
 import difflib
 import operator
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -60,6 +61,17 @@ class InputError(ValueError):
             where.append(f"column {column!r}" if isinstance(column, str) else f"column {column}")
         super().__init__(f"{', '.join(where)}: {message}" if where else message)
         self.file, self.row, self.column = file, row, column
+
+
+@contextmanager
+def in_file(file: str | Path | None) -> Iterator[None]:
+    """Have the `InputError`s of a block name `file`, unless they name one."""
+    try:
+        yield
+    except InputError as error:
+        if error.file is not None:
+            raise
+        raise InputError(str(error), file=file) from error
 
 
 def whole_number(name: str, value: Any, least: int = 0, most: int | None = None) -> int:

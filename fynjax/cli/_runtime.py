@@ -15,7 +15,7 @@ import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
 
@@ -163,6 +163,26 @@ def listed(
     return typer.Option(*flags, metavar=metavar, help=help, callback=read, **more)
 
 
+def _given(options: Mapping[str, Any], allow_outside: bool | None) -> dict[str, Any]:
+    """The options that are not left out; the plot is read where it may name files outside."""
+    given = {key: value for key, value in options.items() if value not in (None, [])}
+    if allow_outside is not None:
+        from fynjax.io.plot import read_plot
+
+        given["plot"] = read_plot(given["plot"], allow_outside=allow_outside)
+    return given
+
+
+def _packed(
+    given: dict[str, Any], records: Mapping[str, tuple[str, Sequence[str]]]
+) -> dict[str, Any]:
+    """The options, those that are fields of a record in it."""
+    for key, (kind, fields) in records.items():
+        parts = {field: given.pop(field) for field in fields if field in given}
+        given[key] = _imported(kind)(**parts)
+    return given
+
+
 def command(
     name: str,
     job: str,
@@ -198,12 +218,12 @@ def command(
 
     def decorate(function: Callable[..., None]) -> Callable[..., None]:
         signature = inspect.signature(function)
-        options_of_all, packed = dict(shared), dict(records or {})
+        options_of_all, records_of_all = dict(shared), dict(records or {})
         plot = signature.parameters.get("plot")
         if plot is not None and plot.annotation is PlotPath:
             options_of_all["allow_outside"] = (AllowOutside, False)
         if "scheduler" in signature.parameters:
-            packed["workers"] = "fynjax.jobs:Workers", ("count", "scheduler")
+            records_of_all["workers"] = "fynjax.jobs:Workers", ("count", "scheduler")
 
         @functools.wraps(function)
         def run(
@@ -222,16 +242,11 @@ def command(
                 checkpoint = options["checkpoint"] = options["checkpoint"] or beside
 
             def work(folder: Path) -> "JobResult":
-                given = {key: value for key, value in options.items() if value not in (None, [])}
-                if allow_outside is not None:
-                    from fynjax.io.plot import read_plot
-
-                    given["plot"] = read_plot(given["plot"], allow_outside=allow_outside)
+                given = _given(options, allow_outside)
                 try:
-                    for key, (kind, fields) in packed.items():
-                        parts = {field: given.pop(field) for field in fields if field in given}
-                        given[key] = _imported(kind)(**parts)
-                    result: JobResult = _imported(job)(output=folder, **given)
+                    result: JobResult = _imported(job)(
+                        output=folder, **_packed(given, records_of_all)
+                    )
                 except InputError as error:
                     error.args = (_naming_options(str(error), flags),)
                     raise
@@ -246,8 +261,7 @@ def command(
                 _show_dry_run(start, output, as_json=json, quiet=quiet)
                 return
             check_sums_once()
-            result = start()
-            if strict and result.status != "ok":
+            if start().status != "ok" and strict:
                 sys.exit(DOUBTFUL)
 
         keyword = inspect.Parameter.KEYWORD_ONLY
@@ -273,7 +287,7 @@ def _imported(name: str) -> Callable[..., Any]:
 
 
 def _flag(parameter: inspect.Parameter) -> str | None:
-    """How an option is typed, such as --largest-gap; None for an argument."""
+    """Spelling of an option, such as --largest-gap; None for an argument."""
     (described,) = parameter.annotation.__metadata__
     if isinstance(described, typer.models.ArgumentInfo):
         return None
@@ -291,7 +305,7 @@ def _naming_options(text: str, flags: Mapping[str, str]) -> str:
 def _show_dry_run(
     start: Callable[[], "JobResult"], output: Path, *, as_json: bool, quiet: bool
 ) -> None:
-    """What a command would write, on stdout, once its inputs are read and checked."""
+    """Print what a command would write, once its inputs are read and checked."""
     try:
         with dry_run():
             start()
@@ -323,7 +337,7 @@ def _listed_files(output: Path, command: str) -> list[str]:
 
 
 def _stated_files() -> list[Path]:
-    """What the command line may name as a file: input, which no run removes."""
+    """Files that the command line may name: input, which no run removes."""
     return [Path(text.split("=", 1)[-1]).absolute() for text in sys.argv[1:] if text]
 
 
@@ -413,6 +427,19 @@ def _check_written(result: "JobResult", folder: Path, output: Path) -> None:
         )
 
 
+def _end(end: KeyboardInterrupt | SystemExit, checkpoint: Path | None) -> NoReturn:
+    """End the process of a run that was interrupted or killed, and say what is kept of it."""
+    ignore_ctrl_c()
+    killed = isinstance(end, SystemExit)
+    if killed and getattr(end, "code", None) != _TERMINATED:
+        raise end
+    kept = "nothing was written"
+    if checkpoint is not None and checkpoint.is_dir():
+        kept = f"{checkpoint} keeps what was done, and the same command goes on with it"
+    print(f"fynjax: {'ended' if killed else 'interrupted'}; {kept}", file=sys.stderr)
+    sys.exit(_TERMINATED if killed else 130)
+
+
 def run_job(
     command: str,
     job: Callable[[Path], "JobResult"],
@@ -456,15 +483,7 @@ def run_job(
                 with bars:
                     result = job(folder)
             except (KeyboardInterrupt, SystemExit) as end:
-                ignore_ctrl_c()
-                killed = isinstance(end, SystemExit)
-                if killed and getattr(end, "code", None) != _TERMINATED:
-                    raise
-                kept = "nothing was written"
-                if checkpoint is not None and checkpoint.is_dir():
-                    kept = f"{checkpoint} keeps what was done, and the same command goes on with it"
-                print(f"fynjax: {'ended' if killed else 'interrupted'}; {kept}", file=sys.stderr)
-                sys.exit(_TERMINATED if killed else 130)
+                _end(end, checkpoint)
             except DryRunEnd as end:
                 end.warnings = _messages(caught)
                 raise

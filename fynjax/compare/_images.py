@@ -86,7 +86,7 @@ class DroneImage:
         return self.values[:, self.mask]
 
     def description(self) -> str:
-        """What was read, in sentences."""
+        """Bands and pixels that were read, in sentences."""
         rows, columns = self.shape
         place = "" if self.pixel_m is None else f" of {self.pixel_m:g} m"
         text = f"{columns} x {rows} pixels{place}; bands by {self.chosen_by}"
@@ -189,12 +189,7 @@ def read_drone_image(
             file=path,
         )
     _check_scale(values[:, used], kind, path)
-    if used.sum() < FEW_PIXELS:
-        warnings.warn(
-            f"{path}: {int(used.sum())} pixels are compared, which is too few for distributions; "
-            "means alone can be compared, if at all",
-            stacklevel=2,
-        )
+    _warn_of_few(int(used.sum()), path)
     _check_order(values[: len(BANDS), used], how, taken, path)
     _warn_of_clipping(values[:, used], names, path)
     values[:, ~used] = np.nan
@@ -303,6 +298,15 @@ def _check_scale(
             file=path,
         )
     check_reflectance(brightest, path, eight_bits=kind is not None and kind.itemsize == 1)
+
+
+def _warn_of_few(pixels: int, path: Path) -> None:
+    if pixels < FEW_PIXELS:
+        warnings.warn(
+            f"{path}: {pixels} pixels are compared, which is too few for distributions; means "
+            "alone can be compared, if at all",
+            stacklevel=3,
+        )
 
 
 def thinning(rows: int, columns: int, most: int) -> int:

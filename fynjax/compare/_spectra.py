@@ -4,7 +4,6 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -266,7 +265,7 @@ def _wavelengths_in(
     return centres[0], centres[1], width if fits else None
 
 
-def _nanometres(variable: Any, largest_micro: float = 100.0) -> NDArray[np.float64]:
+def _nanometres(variable: xr.Variable, largest_micro: float = 100.0) -> NDArray[np.float64]:
     values = np.asarray(variable.values, float)
     known = values[~np.isnan(values)]
     return values * 1000.0 if known.size and known.max() < largest_micro else values

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import jax.numpy as jnp
 import numpy as np
 import pandas as pd
+from jaxtyping import Float
 
 from fynjax._core.errors import InputError
 from fynjax.compare._published_tables import figure12_2006, table5_2006
@@ -35,7 +36,7 @@ _CONSTANT = 1e-6
 """Range over largest value below which a spectrum is constant, but for rounding."""
 
 LEFT_OUT = "MEVI and SARE are left out: no published formula of these names was found."
-"""What a table of spectrometer indices does not hold, as a sentence."""
+"""Indices that a table of a spectrometer's does not hold, in a sentence."""
 
 
 @dataclass(frozen=True)
@@ -115,6 +116,7 @@ def compare_spectra(
         }
     )
     regions, misfits, uncovered = [], [], []
+    constant = False
     for name in SPECTRAL_REGIONS:
         try:
             mask = spectral_mask(grid, name, windows)
@@ -123,33 +125,10 @@ def compare_spectra(
             continue
         regions.append(_region_row(name, means, mask, grid))
         row = _misfit_row(name, _misfit(means, mask))
-        misfits.append(_without_line(row) if is_constant(means[0][mask]) else row)
-    notes = [
-        f"Real: {real.description()}",
-        f"Simulated: {simulated.description()}",
-        match.statement,
-    ]
-    notes.append(
-        "Left out: below 400 and above 2450 nm"
-        + "".join(f", {low:g} to {high:g} nm" for low, high in windows)
-        + f"; {int(used.sum())} bands are compared."
-    )
-    full = SPECTRAL_REGIONS["full"]
-    if grid[0] > full[0] + 50.0 or grid[-1] < full[1] - 50.0:
-        notes.append(
-            f"Both cover {grid[0]:.0f} to {grid[-1]:.0f} nm only, so 'full' here is less than the "
-            "paper's 400 to 2450 nm."
-        )
-    if uncovered:
-        notes.append(f"Not covered: {', '.join(uncovered)}.")
+        flat = is_constant(means[0][mask])
+        misfits.append(_without_line(row) if flat else row)
+        constant |= flat
     indices = _index_table(grid, x, y)
-    if indices.empty:
-        notes.append("No index: the spectra do not reach its bands.")
-    if any(is_constant(means[0][spectral_mask(grid, str(r["region"]), windows)]) for r in regions):
-        notes.append(
-            "The real spectrum is constant in a region: its correlation, its NRMSE and the line "
-            "through it are undefined there."
-        )
     return SpectralComparison(
         real=real,
         simulated=simulated,
@@ -159,8 +138,43 @@ def compare_spectra(
         regions=pd.DataFrame(regions),
         misfit=pd.DataFrame(misfits),
         indices=indices,
-        notes=tuple(notes),
+        notes=(
+            f"Real: {real.description()}",
+            f"Simulated: {simulated.description()}",
+            match.statement,
+            *_range_notes(grid, int(used.sum()), windows, uncovered),
+            *(["No index: the spectra do not reach its bands."] if indices.empty else []),
+            *([_UNDEFINED] if constant else []),
+        ),
     )
+
+
+_UNDEFINED = (
+    "The real spectrum is constant in a region: its correlation, its NRMSE and the line through it "
+    "are undefined there."
+)
+
+
+def _range_notes(
+    grid: Float[np.ndarray, " band"],
+    used: int,
+    windows: Sequence[tuple[float, float]],
+    uncovered: Sequence[str],
+) -> list[str]:
+    """Bands and regions that are compared and left out, in sentences."""
+    left_out = "".join(f", {low:g} to {high:g} nm" for low, high in windows)
+    notes = [
+        f"Left out: below 400 and above 2450 nm{left_out}; {used} bands are compared.",
+    ]
+    full = SPECTRAL_REGIONS["full"]
+    if grid[0] > full[0] + 50.0 or grid[-1] < full[1] - 50.0:
+        notes.append(
+            f"Both cover {grid[0]:.0f} to {grid[-1]:.0f} nm only, so 'full' here is less than the "
+            "paper's 400 to 2450 nm."
+        )
+    if uncovered:
+        notes.append(f"Not covered: {', '.join(uncovered)}.")
+    return notes
 
 
 def is_constant(values: np.ndarray) -> bool:

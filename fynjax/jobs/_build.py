@@ -2,13 +2,14 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import equinox as eqx
 import jax
 import numpy as np
 import pandas as pd
 import xarray as xr
+from jaxtyping import Array, Float
 from pydantic import Field
 
 from fynjax._core.dry_run import begin_work
@@ -16,6 +17,7 @@ from fynjax._core.errors import InputError
 from fynjax._core.precision import double_precision
 from fynjax.assembly import build_plot, check_memory
 from fynjax.canopy import PlantModel
+from fynjax.canopy.mesh import PlantMesh
 from fynjax.io.instruments import scene_meshes, write_scene_mesh
 from fynjax.io.plot import Plot, as_plot
 from fynjax.io.raster import write_run
@@ -139,9 +141,8 @@ def build(
         jax.block_until_ready(density)
     memory = peak_memory_mib()
     run.seconds["build"] = run.seconds["plants"] + run.seconds["voxels"]
-    periodic = hard.boundary == "periodic"
     with run.stage("Measure the cover", "cover"):
-        cover = projected_cover(instances, cell=cell, periodic=periodic)
+        cover = projected_cover(instances, cell=cell, periodic=hard.boundary == "periodic")
         table = cover_table(read, parameters, instances, real, cover)
         area = stand_area(hard, parameters)
         stand = stand_table(hard.taxa, area)
@@ -156,59 +157,80 @@ def build(
         write_run(voxels, voxel_dataset(hard, density), record)
         del density
     with run.stage("Draw", "figures"):
-        edges = _layers(instances, hard)
-        profile = height_profile(hard, parameters, edges)
-        drawn = drawn_plants(read, hard, parameters, instances, chosen)
-        title = f"{read.name}: from the south-south-west"
-        oblique = (
-            figures.lit_figure(instances, hard, title)
-            if view == "meshes" and len(instances)
-            else figures.oblique_view(drawn, periodic=periodic, ground=hard.terrain, title=title)
-        )
-        pictures = [
-            Picture(
-                "plan.png",
-                figures.plan_view(
-                    drawn, periodic=periodic,
-                    title=f"{read.name}: {len(instances)} plants from above",
-                ),
-                "the plants from above",
-                "The crowns from above, the tallest on top.",
-            ),
-            Picture(
-                "oblique.png",
-                oblique,
-                "the plants from obliquely above",
-                "The plants from the south-south-west.",
-            ),
-            Picture(
-                "profile.png",
-                figures.profile_view(profile, edges, instances, hard.forms),
-                "leaf and wood area density against height",
-                "Leaf area (seen from outside the shoots) and wood area against height.",
-            ),
-        ]  # fmt: skip
+        pictures = _pictures(read, hard, parameters, instances, chosen, view)
     if meshes is not None:
         with run.stage("Write the mesh", "write_mesh"):
-            colours = [tuple(figures.rgb(c).tolist()) for c in figures.species_colours(hard.forms)]
-            obj = run.path("scene.obj", f"the plants as {triangles} triangles, metres")
-            write_scene_mesh(obj, instances, meshes, colours)
-            run.path("scene.mtl", "their materials")
-    headline = _headline(read, instances, table, area)
-    run.total()
-    run.page(_page(run, read, table, stand, area.gap, headline, pictures, memory, record))
-    return run.result(
-        BuildResult,
-        headline=headline,
-        size_m=read.size_m,
-        plants=dict(zip(instances.taxa, instances.counts.tolist())),
-        cover=table,
-        stand=stand,
-        gap_fraction=area.gap,
-        warnings=area.warnings(),
-        build_memory_mib=memory,
-        triangles=None if meshes is None else triangles,
+            _write_mesh(run, instances, meshes, triangles, hard.forms)
+    built = _Built(read, instances, table, stand, area)
+    return _result(run, built, pictures, memory, triangles if mesh else None, record)
+
+
+class _Built(NamedTuple):
+    """The plants of a plot, and what is measured of them."""
+
+    plot: Plot
+    instances: Instances
+    cover: pd.DataFrame
+    """Rows of `cover.csv`."""
+    stand: pd.DataFrame
+    """Rows of `stand.csv`."""
+    area: StandArea
+
+
+def _pictures(
+    plot: Plot,
+    scene: Scene,
+    parameters: PlotParameters,
+    instances: Instances,
+    seed: int,
+    view: Literal["points", "meshes"],
+) -> list[Picture]:
+    """The plants from above and from obliquely above, and their areas against height."""
+    periodic = scene.boundary == "periodic"
+    edges = _layers(instances, scene)
+    profile = height_profile(scene, parameters, edges)
+    drawn = drawn_plants(plot, scene, parameters, instances, seed)
+    above = f"{plot.name}: {len(instances)} plants from above"
+    title = f"{plot.name}: from the south-south-west"
+    oblique = (
+        figures.lit_figure(instances, scene, title)
+        if view == "meshes" and len(instances)
+        else figures.oblique_view(drawn, periodic=periodic, ground=scene.terrain, title=title)
     )
+    return [
+        Picture(
+            "plan.png",
+            figures.plan_view(drawn, periodic=periodic, title=above),
+            "the plants from above",
+            "The crowns from above, the tallest on top.",
+        ),
+        Picture(
+            "oblique.png",
+            oblique,
+            "the plants from obliquely above",
+            "The plants from the south-south-west.",
+        ),
+        Picture(
+            "profile.png",
+            figures.profile_view(profile, edges, instances, scene.forms),
+            "leaf and wood area density against height",
+            "Leaf area (seen from outside the shoots) and wood area against height.",
+        ),
+    ]
+
+
+def _write_mesh(
+    run: Run,
+    instances: Instances,
+    meshes: list[PlantMesh | None],
+    triangles: int,
+    forms: Sequence[str],
+) -> None:
+    """Write the plants as triangles, each species in its colour."""
+    colours = [tuple(figures.rgb(c).tolist()) for c in figures.species_colours(forms)]
+    obj = run.path("scene.obj", f"the plants as {triangles} triangles, metres")
+    write_scene_mesh(obj, instances, meshes, colours)
+    run.path("scene.mtl", "their materials")
 
 
 def drawn_plants(
@@ -325,7 +347,7 @@ def instance_table(instances: Instances) -> pd.DataFrame:
     )
 
 
-def voxel_dataset(scene: Scene, density: Any) -> xr.Dataset:
+def voxel_dataset(scene: Scene, density: Float[Array, "class z y x"]) -> xr.Dataset:
     """Area density [class, z, y, x] with its coordinates, ready for `write_run`."""
     x, y, z = scene.grid.centres
     names = [
@@ -366,7 +388,35 @@ def voxel_dataset(scene: Scene, density: Any) -> xr.Dataset:
     )
 
 
-def _headline(plot: Plot, instances: Instances, table: pd.DataFrame, area: StandArea) -> list[str]:
+def _result(
+    run: Run,
+    built: _Built,
+    pictures: Sequence[Picture],
+    memory: float,
+    triangles: int | None,
+    record: dict[str, str | int],
+) -> BuildResult:
+    """Write the page; `memory` is that of the build [MiB], `triangles` are those of the mesh."""
+    instances, area = built.instances, built.area
+    headline = _headline(built)
+    run.total()
+    run.page(_page(run, built, headline, pictures, memory, record))
+    return run.result(
+        BuildResult,
+        headline=headline,
+        size_m=built.plot.size_m,
+        plants=dict(zip(instances.taxa, instances.counts.tolist())),
+        cover=built.cover,
+        stand=built.stand,
+        gap_fraction=area.gap,
+        warnings=area.warnings(),
+        build_memory_mib=memory,
+        triangles=triangles,
+    )
+
+
+def _headline(built: _Built) -> list[str]:
+    plot, instances, table, _, area = built
     species, whole = table.iloc[:-1], table.iloc[-1]
     worst = (species.planted_percent - species.asked_percent).abs().max()
     lx, ly = plot.size_m
@@ -392,20 +442,18 @@ def _headline(plot: Plot, instances: Instances, table: pd.DataFrame, area: Stand
 
 def _page(
     run: Run,
-    plot: Plot,
-    table: pd.DataFrame,
-    stand: pd.DataFrame,
-    gap: float,
+    built: _Built,
     headline: list[str],
-    pictures: list[Picture],
+    pictures: Sequence[Picture],
     memory: float,
     record: dict[str, str | int],
 ) -> Page:
+    plot, _, table, stand, area = built
     whole = table.iloc[-1]
     keys = {
         "plants": str(whole.plants),
         "ground under crowns": f"{whole.species_percent:.1f} %",
-        "ground seen from above": f"{100.0 * gap:.1f} %",
+        "ground seen from above": f"{100.0 * area.gap:.1f} %",
         "crowns in full": f"{whole.crowns_percent:.1f} %",
         "time of the build": f"{run.seconds['build']:.1f} s",
         "its memory": f"{memory / 1024:.1f} GiB",

@@ -13,6 +13,7 @@ from fynjax._core.errors import InputError
 from fynjax._core.precision import double_precision
 from fynjax.assembly import (
     Measured,
+    Twin,
     parameter_columns,
     placed_by_image,
     plant_twin,
@@ -248,12 +249,7 @@ def calibrate_to(
     stand, parameters_of_fit = result.stand(), parameter_table(result)
     truth = []
     if known is not None:
-        space, scene = result.fit.space, result.scene
-        u = jnp.asarray(known.whitened)
-        there = with_values(result.before, scene.taxa, space.named(u))
-        stand["truth"] = [float(value) for value in stand_values(scene.faded(), there).values()]
-        truth_of = {"truth": space.physical(u)}
-        parameters_of_fit["truth"] = parameter_columns(result.fit.names, truth_of)["truth"]
+        _add_truth(result, known, stand, parameters_of_fit)
         truth = [twin_sentence(result, known, stand, parameters_of_fit)]
     tables = stand, parameters_of_fit, (statistics := statistic_table(result, reference))
     with run.stage("Write"):
@@ -272,15 +268,28 @@ def calibrate_to(
             *parameter_sentences(result),
         ],
         warnings=_short_of_sites(result.scene, result.after),
-        targets=[
-            TargetSummary(
-                kind=sensor.kind,
-                file=sensor.file.name,
-                description=sensor.description,
-                **sensor.extra,
-            )
-            for sensor in measured
-        ],
+        targets=[_target(sensor) for sensor in measured],
+    )
+
+
+def _add_truth(
+    result: Calibration, twin: Twin, stand: pd.DataFrame, parameters: pd.DataFrame
+) -> None:
+    """Add the known values of a twin to the tables."""
+    space, scene = result.fit.space, result.scene
+    u = jnp.asarray(twin.whitened)
+    there = with_values(result.before, scene.taxa, space.named(u))
+    stand["truth"] = [float(value) for value in stand_values(scene.faded(), there).values()]
+    truth = {"truth": space.physical(u)}
+    parameters["truth"] = parameter_columns(result.fit.names, truth)["truth"]
+
+
+def _target(measured: Measured) -> TargetSummary:
+    return TargetSummary(
+        kind=measured.kind,
+        file=measured.file.name,
+        description=measured.description,
+        **measured.extra,
     )
 
 

@@ -7,10 +7,11 @@ from pathlib import Path
 import jax.numpy as jnp
 import numpy as np
 import pandas as pd
+from jaxtyping import Float
 
 from fynjax._core.dry_run import begin_work
 from fynjax._core.errors import InputError
-from fynjax.assembly import aim_without_air, prepare
+from fynjax.assembly import Prepared, aim_without_air, prepare
 from fynjax.compare import read_drone_image
 from fynjax.inversion import KnownPlants, block_of, known_plants_search, stand_sentence
 from fynjax.io.plot import Plot, drone_sensor, sensor_place
@@ -27,6 +28,7 @@ from fynjax.jobs._render import check_finite, write_image
 from fynjax.jobs._run import Run, peak_memory_mib
 from fynjax.report import figures
 from fynjax.report.pages import Page, Picture, Section, Table
+from fynjax.scene import AimedSensor
 
 
 def known_plants(
@@ -54,23 +56,9 @@ def known_plants(
     """
     with run.stage("Build the plot", "build"):
         ready = prepare(plot, None, seed=run.seed)
-    drone = drone_sensor(plot)
-    image = read_drone_image(path, bands=bands, camera=drone.bands, most_pixels=None)
-    pixel = sensor_place(plot)[1] if image.pixel_m is None else image.pixel_m
-    drone = drone_sensor(plot, image.bands)
-    camera = aim_without_air(plot, ready.scene, ready.parameters, drone, pixel=pixel)
-    if camera.shape != image.mask.shape:
-        raise InputError(
-            f"expected an image of the whole plot and nothing else, {camera.shape[0]} rows and "
-            f"{camera.shape[1]} columns of {pixel:g} m, but it has {image.mask.shape[0]} and "
-            f"{image.mask.shape[1]}. Cut it: gdal_translate -projwin",
-            file=path,
-        )
-    order = [image.bands.index(name) for name in camera.sensor.bands.names]
-    mean = image.pixels.mean(axis=1)[order]
-    doubt_spectrum(run, mean, camera.sensor.bands, camera.sensor)
+    camera, image = _image_and_camera(run, ready, path, bands)
     settings = plot.calibration
-    block = _block(plot, len(order), camera.shape, pixel)
+    block = _block(plot, len(image), camera.shape, camera.pixel)
     begin_work(
         {"parameters.csv": f"{len(ready.space.names)} parameters", "statistics.csv": ""}
         | dict.fromkeys(["image_before.tif", "image_after.tif"], "")
@@ -80,7 +68,7 @@ def known_plants(
         search = known_plants_search(
             ready.scene,
             ready.parameters,
-            image.values[order],
+            image,
             ready.space,
             camera,
             block=block,
@@ -92,20 +80,13 @@ def known_plants(
     parameters, table = parameter_table(result), band_table(result)
     rmse = _relative_rmse(result)
     stand = result.stand()
-    headline = [
-        stand_sentence(stand),
-        f"{plot.name}: {result.degrees} means of {result.block} x {result.block} pixels compared; "
-        f"their relative error {rmse[0]:.2f} % before, {rmse[1]:.2f} % after.",
-        *([] if plot.crowns_note is None else [plot.crowns_note]),
-        "Covers follow from the crowns and are not free.",
-        *parameter_sentences(result),
-    ]
+    headline = _headline(plot, result, stand, rmse)
     with run.stage("Write"):
         record = run.record(inputs)
         run.table("stand.csv", stand, "prior and estimate of the whole stand")
         run.table("parameters.csv", parameters, "prior, estimate, sd of every parameter")
         run.table("statistics.csv", table, "every band, real and simulated")
-        blocks = dataclasses.replace(camera, pixel=pixel * result.block)
+        blocks = dataclasses.replace(camera, pixel=camera.pixel * result.block)
         for when, what in (("before", "of the plot file"), ("after", "after calibration")):
             to = run.path(f"image_{when}.tif", f"image {what}, GeoTIFF")
             write_image(to, getattr(result, f"image_{when}"), plot, blocks, record)
@@ -124,6 +105,42 @@ def known_plants(
             )
         )
     return result, parameters, table, headline
+
+
+def _image_and_camera(
+    run: Run, ready: Prepared, path: Path, bands: Sequence[str] | None
+) -> tuple[AimedSensor, Float[np.ndarray, "band y x"]]:
+    """The camera over the whole plot, and the image in its bands; doubts one of no shrubland."""
+    plot = ready.plot
+    drone = drone_sensor(plot)
+    image = read_drone_image(path, bands=bands, camera=drone.bands, most_pixels=None)
+    pixel = sensor_place(plot)[1] if image.pixel_m is None else image.pixel_m
+    drone = drone_sensor(plot, image.bands)
+    camera = aim_without_air(plot, ready.scene, ready.parameters, drone, pixel=pixel)
+    if camera.shape != image.mask.shape:
+        raise InputError(
+            f"expected an image of the whole plot and nothing else, {camera.shape[0]} rows and "
+            f"{camera.shape[1]} columns of {pixel:g} m, but it has {image.mask.shape[0]} and "
+            f"{image.mask.shape[1]}. Cut it: gdal_translate -projwin",
+            file=path,
+        )
+    order = [image.bands.index(name) for name in camera.sensor.bands.names]
+    mean = image.pixels.mean(axis=1)[order]
+    doubt_spectrum(run, mean, camera.sensor.bands, camera.sensor)
+    return camera, image.values[order]
+
+
+def _headline(
+    plot: Plot, result: KnownPlants, stand: pd.DataFrame, rmse: tuple[float, float]
+) -> list[str]:
+    return [
+        stand_sentence(stand),
+        f"{plot.name}: {result.degrees} means of {result.block} x {result.block} pixels compared; "
+        f"their relative error {rmse[0]:.2f} % before, {rmse[1]:.2f} % after.",
+        *([] if plot.crowns_note is None else [plot.crowns_note]),
+        "Covers follow from the crowns and are not free.",
+        *parameter_sentences(result),
+    ]
 
 
 def _block(plot: Plot, bands: int, shape: tuple[int, int], pixel: float) -> int:

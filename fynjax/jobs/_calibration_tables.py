@@ -16,7 +16,7 @@ from fynjax.io.raster import image_array
 from fynjax.jobs._render import plant_counts
 from fynjax.metrics import VEGETATION_INDICES, image_statistics
 from fynjax.metrics.structure import STRUCTURE_METRICS
-from fynjax.scene import PARAMETERS, AimedSensor, Scene, named_values, parameter_kind
+from fynjax.scene import PARAMETERS, Scene, named_values, parameter_kind
 
 _statistics = eqx.filter_jit(image_statistics)
 
@@ -173,7 +173,7 @@ def sensor_table(measured: Measured, statistics: pd.DataFrame) -> pd.DataFrame:
 
 
 def sensor_misfit(measured: Measured, table: pd.DataFrame) -> str:
-    """How well a spectrum or a cloud is met before and after, in a sentence."""
+    """Misfit of a spectrum or a cloud before and after, in a sentence."""
     error = table[["before", "after"]].sub(table["real"], axis=0)
     if measured.bands is not None:
         rmse = np.sqrt((error**2).mean())
@@ -186,19 +186,26 @@ def sensor_misfit(measured: Measured, table: pd.DataFrame) -> str:
     )
 
 
-def calibration_dataset(scene: Scene, result: Calibration) -> xr.Dataset:
-    """What the run file of a calibration holds."""
-
-    def image(values: Any, camera: AimedSensor, what: str) -> xr.DataArray:
-        bands = camera.sensor.bands
-        return image_array(
-            np.asarray(values),
+def _images(result: Calibration) -> dict[str, xr.DataArray]:
+    """Simulated images before and after, where an image was a target."""
+    camera = result.camera
+    if camera is None:
+        return {}
+    bands = camera.sensor.bands
+    return {
+        f"reflectance_{when}": image_array(
+            np.asarray(getattr(result, f"image_{when}")),
             list(bands.names),
             list(bands.centre),
             pixel_m=camera.pixel,
-            long_name=f"simulated reflectance factor {what} calibration",
+            long_name=f"simulated reflectance factor {when} calibration",
         )
+        for when in ("before", "after")
+    }
 
+
+def calibration_dataset(scene: Scene, result: Calibration) -> xr.Dataset:
+    """Images, ends of the searches, parameters, statistics and plants, for the run file."""
     fit = result.fit
     units = [PARAMETERS[parameter_kind(name)].unit for name in fit.names]
     free = {
@@ -216,17 +223,11 @@ def calibration_dataset(scene: Scene, result: Calibration) -> xr.Dataset:
         )
 
     every = named_values(result.after, scene.taxa)
-    images = {}
-    if result.camera is not None:
-        images = {
-            "reflectance_before": image(result.image_before, result.camera, "before"),
-            "reflectance_after": image(result.image_after, result.camera, "after"),
-        }
     number = np.arange(1, len(result.ends.objective) + 1)
     start = {"start": ("start", number, {"long_name": "number of the search", "units": "1"})}
     return xr.Dataset(
         {
-            **images,
+            **_images(result),
             "objective": over("start", start, result.ends.objective, "objective at its end"),
             "apart": over("start", start, result.ends.apart, "from the best end, posterior sd"),
             "prior": over("parameter", free, fit.space.prior, "prior, in parameter_unit"),

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -17,6 +17,8 @@ from fynjax._core.parts import Workers, at_work
 from fynjax._core.precision import double_precision
 from fynjax._core.progress import stage
 from fynjax.io.spectra import (
+    MeasuredSpectrum,
+    Refused,
     measured_dataset,
     read_curve,
     usable_spectra,
@@ -39,6 +41,7 @@ from fynjax.leaf import (
     LeafArea,
     LeafChunks,
     LeafFit,
+    LeafGroups,
     LeafShape,
     ProspectVersion,
     area_factors,
@@ -74,21 +77,36 @@ class FitLeafResult(JobResult):
     repairs: list[SpectrumRepair]
 
 
+class _Leaves(NamedTuple):
+    """Spectra as they are fitted, with all that was read and refused."""
+
+    spectra: xr.Dataset
+    read: list[tuple[str, MeasuredSpectrum]]
+    refused: Refused
+
+
 def _measurement(
-    name: str, shape: LeafShape, background: Float[np.ndarray, " band"] | None
+    name: str,
+    shape: LeafShape,
+    background: Float[np.ndarray, " band"] | None,
+    second_reading: bool,
 ) -> AbstractMeasurement:
-    """What the instrument records of leaves of a shape over a background on the file's grid.
+    """Model of what an instrument records of leaves over a background on the file's grid.
 
     Behind the gaps of round leaves lies the light trap of a sphere, or a face that need not be
     black; light goes to and fro between those side by side. A thick pile has no gaps and hides what
-    is behind.
+    is behind. Where a second reading is over the background, the first is over black.
     """
+    if second_reading:
+        if background is None:
+            raise InputError("readings over a background need its reflectance, `background`")
+        background = None
     if name not in MEASUREMENTS:
         raise InputError(f"`measurement` must be one of {', '.join(MEASUREMENTS)}, but is {name!r}")
     single = MEASUREMENTS[name]()
     if name == "stack" or (shape == "broad" and background is None):
         return single
-    behind: Any = 0.0 if name == "sphere" else None
+    behind: Float[np.ndarray, " bin"] | float | None = 0.0 if name == "sphere" else None
     if background is not None:
         binned = to_bins(_GRID, background)
         have = np.isfinite(binned)
@@ -264,21 +282,11 @@ def fit_leaf(
     Example: `jobs.fit_leaf(["leaves.csv"], "results", version="PRO")`.
     """
     behind = None if background is None else _background(background, measurement)
-    if over_background and behind is None:
-        raise InputError("readings over a background need its reflectance, `background`")
-    instrument = _measurement(measurement, leaf_shape, None if over_background else behind)
+    instrument = _measurement(measurement, leaf_shape, behind, bool(over_background))
     area_factors(area, leaf_shape)  # refuses an unknown area before anything is read
-    read, refused = usable_spectra(paths, panel, detector_changes, transmittance)
-    spectra = measured_dataset(read, {})
-    if over_background and behind is not None:
-        second, bad = usable_spectra(over_background, panel, detector_changes)
-        if bad:
-            raise bad[0][2]
-        others = _in_nanometres(measured_dataset(second, {}))
-        spectra = _with_transmittance(_in_nanometres(spectra), others, behind)
-    elif behind is not None:
-        spectra = _in_nanometres(spectra)
-        spectra["reflectance"] = spectra["reflectance"].where(np.isfinite(behind))
+    spectra, _, refused = leaves = _read_leaves(
+        paths, panel, detector_changes, transmittance, over_background, behind
+    )
     names = spectra["spectrum"].values.tolist()
     run = Run(output, seed=seed)
     species = None if groups is None else _read_groups(groups, names)
@@ -301,60 +309,43 @@ def fit_leaf(
         "domain": domain,
         "seed": str(seed),
     }
-    table = fit.table(area)
-    if refused:
-        rows = [{"file": f, "name": n, "status": f"refused: {e}"} for f, n, e in refused]
-        table = pd.concat([table, pd.DataFrame(rows)], ignore_index=True)
-    what = "parameters, deviations, 90 % intervals and status of each spectrum"
-    run.table("traits.csv", table, what)
+    table = _write_traits(run, fit, area, refused)
     what = "measured, fitted and predicted R and T on the fit's bins"
     dataset = fit.to_xarray(area).assign_attrs(settings)
     write_spectra_netcdf(dataset, run.path("spectra.nc", what))
     if together is not None:
-        what = "mean leaf and material variants of each species"
-        run.table("species.csv", together.table(seed, area), what)
-        if version == "D":
-            from fynjax.scene import LEAF_FIELDS  # late: the only need of a scene
-
-            drawn = together.table(seed).query("variant > 0").rename(columns={"species": "taxon"})
-            what = "these variants as the leaf table of a plot"
-            run.table("leaves.csv", drawn[["taxon", *LEAF_FIELDS]], what)
+        _write_species(run, together, version, area)
     if posterior != "none":
         draws = sample_leaf_posterior(spectra, sampler=posterior, seed=seed, **options)
         what = "draws of the parameters and of T from the posterior"
         dataset = draws.to_xarray(area).assign_attrs(settings)
         write_spectra_netcdf(dataset, run.path("posterior.nc", what))
-    good = fit.status.count("converged")
-    headline = _headline(spectra, table, good)
-    doubtful = len(names) - good
-    pictures = []
-    part = ""
-    if len(names) > figures.APART:
-        every = figures.all_leaves_figure(fit)
-        pictures.append(Picture("all_spectra.png", every, f"all {len(names)} spectra"))
-        part = f"{figures.APART} of {len(names)}, evenly drawn from all, which are above."
-    fitted = figures.leaf_fit_figure(fit)
-    pictures.append(Picture("spectra.png", fitted, "measured and fitted spectra", part))
-    shown = Table(
-        table.head(_SHOWN), f"Traits, of the first {_SHOWN} spectra at most.", folded=True
-    )
-    title = f"PROSPECT-{version} of {len(names)} spectra"
-    inputs = [*dict.fromkeys(file for file, _ in read), panel, groups]
-    run.pictures(title, headline, [*pictures, shown], inputs)
-    return run.result(
-        FitLeafResult,
-        headline=headline,
-        warnings=warnings_of_reading(read, refused, "traits.csv"),
-        converged=doubtful == 0,
-        status="ok"
-        if doubtful == 0 and not refused
-        else f"{doubtful} spectra in doubt, {len(refused)} refused: see traits.csv",
-        spectra=len(names),
-        converged_spectra=good,
-        doubtful_spectra=doubtful,
-        refused=refused_spectra(refused),
-        repairs=repairs(spectra),
-    )
+    return _result(run, leaves, fit, table, version, [panel, groups])
+
+
+def _read_leaves(
+    paths: Sequence[str | Path],
+    panel: str | Path | None,
+    detector_changes: Sequence[float] | None,
+    transmittance: Sequence[str | Path],
+    over_background: Sequence[str | Path],
+    background: Float[np.ndarray, " band"] | None,
+) -> _Leaves:
+    """The spectra of all files, those on a background where it is known."""
+    read, refused = usable_spectra(paths, panel, detector_changes, transmittance)
+    spectra = measured_dataset(read, {})
+    if background is None:
+        return _Leaves(spectra, read, refused)
+    if over_background:
+        second, bad = usable_spectra(over_background, panel, detector_changes)
+        if bad:
+            raise bad[0][2]
+        others = _in_nanometres(measured_dataset(second, {}))
+        spectra = _with_transmittance(_in_nanometres(spectra), others, background)
+    else:
+        spectra = _in_nanometres(spectra)
+        spectra["reflectance"] = spectra["reflectance"].where(np.isfinite(background))
+    return _Leaves(spectra, read, refused)
 
 
 def _fit_apart(
@@ -378,6 +369,73 @@ def _fit_apart(
             )
         )  # fmt: skip
     return chunks.join(done.pop(i) for i in range(len(chunks.rows)))
+
+
+def _write_traits(run: Run, fit: LeafFit, area: LeafArea, refused: Refused) -> pd.DataFrame:
+    """Write a row for each leaf, and below them one for each spectrum that was refused."""
+    table = fit.table(area)
+    if refused:
+        rows = [{"file": f, "name": n, "status": f"refused: {e}"} for f, n, e in refused]
+        table = pd.concat([table, pd.DataFrame(rows)], ignore_index=True)
+    what = "parameters, deviations, 90 % intervals and status of each spectrum"
+    run.table("traits.csv", table, what)
+    return table
+
+
+def _write_species(run: Run, species: LeafGroups, version: ProspectVersion, area: LeafArea) -> None:
+    """Write the mean leaf and the variants of each species, also as the leaf table of a plot."""
+    what = "mean leaf and material variants of each species"
+    run.table("species.csv", species.table(run.seed, area), what)
+    if version == "D":
+        from fynjax.scene import LEAF_FIELDS  # late: the only need of a scene
+
+        drawn = species.table(run.seed).query("variant > 0").rename(columns={"species": "taxon"})
+        what = "these variants as the leaf table of a plot"
+        run.table("leaves.csv", drawn[["taxon", *LEAF_FIELDS]], what)
+
+
+def _result(
+    run: Run,
+    leaves: _Leaves,
+    fit: LeafFit,
+    table: pd.DataFrame,
+    version: ProspectVersion,
+    tables: Sequence[str | Path | None],
+) -> FitLeafResult:
+    """Write the page, and count the leaves that are fitted without doubt."""
+    spectra, refused = leaves.spectra, leaves.refused
+    count = spectra.sizes["spectrum"]
+    good = fit.status.count("converged")
+    doubtful = count - good
+    headline = _headline(spectra, table, good)
+    pictures = []
+    part = ""
+    if count > figures.APART:
+        every = figures.all_leaves_figure(fit)
+        pictures.append(Picture("all_spectra.png", every, f"all {count} spectra"))
+        part = f"{figures.APART} of {count}, evenly drawn from all, which are above."
+    fitted = figures.leaf_fit_figure(fit)
+    pictures.append(Picture("spectra.png", fitted, "measured and fitted spectra", part))
+    shown = Table(
+        table.head(_SHOWN), f"Traits, of the first {_SHOWN} spectra at most.", folded=True
+    )
+    title = f"PROSPECT-{version} of {count} spectra"
+    inputs = [*dict.fromkeys(file for file, _ in leaves.read), *tables]
+    run.pictures(title, headline, [*pictures, shown], inputs)
+    return run.result(
+        FitLeafResult,
+        headline=headline,
+        warnings=warnings_of_reading(leaves.read, refused, "traits.csv"),
+        converged=doubtful == 0,
+        status="ok"
+        if doubtful == 0 and not refused
+        else f"{doubtful} spectra in doubt, {len(refused)} refused: see traits.csv",
+        spectra=count,
+        converged_spectra=good,
+        doubtful_spectra=doubtful,
+        refused=refused_spectra(refused),
+        repairs=repairs(spectra),
+    )
 
 
 def _headline(spectra: xr.Dataset, table: pd.DataFrame, good: int) -> list[str]:

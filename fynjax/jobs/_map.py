@@ -4,7 +4,7 @@ import json
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -14,7 +14,7 @@ from pydantic import Field
 
 from fynjax._core.checkpoint import forget_journal, signature
 from fynjax._core.dry_run import begin_work, image_size
-from fynjax._core.errors import InputError, listed
+from fynjax._core.errors import InputError, in_file, listed
 from fynjax._core.parts import Workers, at_work
 from fynjax._core.precision import double_precision
 from fynjax.assembly import STAND_QUANTITIES
@@ -24,6 +24,7 @@ from fynjax.io.plot import DEFAULT_PRIOR
 from fynjax.io.raster import CubeBlocks, MapWriter, content_hash, file_hash, open_blocks
 from fynjax.jobs._doubt import doubt_spectrum
 from fynjax.jobs._map_pixels import (
+    ChosenPixels,
     PixelPosterior,
     has_data,
     pick_pixels,
@@ -46,6 +47,13 @@ _FEWEST_STEPS = 12
 """Least steps of a walker of a pixel's posterior."""
 UNLIKENESS = "unlikeness"
 _KINDS = ("", "_sd", "_q05", "_q95")
+
+
+class _Mask(NamedTuple):
+    """Pixels less like the simulations than the share `likely` of these are masked, or kept."""
+
+    likely: float
+    keep_unlike: bool
 
 
 class QuantityMap(Record):
@@ -124,96 +132,137 @@ def map_cube(
     for a damaged lookup table.
     """
     run = Run(output, seed=seed)
+    _check(likely, pixel_steps)
+    trained = read_training(training)
+    with open_blocks(cube) as source:
+        weights = _weights(source, trained)  # errors before any work
+        scale = source.scale()
+        _judge_mean(run, source, weights, scale, trained.responses)
+        chosen = None
+        if pixels:
+            learned = prior_of(trained, prior)
+            places = list(dict.fromkeys(pixels))
+            channels = pick_pixels(source, weights, scale, places)
+            chosen = ChosenPixels(places, channels, learned, pixel_steps, seed)
+        size = image_size(source.shape, 4 * len(STAND_QUANTITIES) + 1)
+        begin_work(
+            {"maps.tif": size, "report.html": ""}
+            | ({"maps.zarr": size} if zarr else {})
+            | ({} if chosen is None else {"pixels.csv": f"{len(places)} pixels", "pixels.nc": ""})
+        )
+        kept = Path(checkpoint) / "pixels"
+        journal = None if chosen is None else pixel_journal(kept, trained, chosen)
+        mask = _Mask(likely, keep_unlike)
+        writer = _writer(Path(checkpoint), source, training, mask)
+        shared = str(source.path), trained, scale, mask, skip_damaged
+        damaged = _map_rows(run, source, writer, workers, shared)
+        step = max(1, -(-max(source.shape) // _SHOWN))
+        picture = writer.read(step)
+        record = {**run.record([training]), **_origin(source, trained, mask)}
+        _write(run, writer, record, zarr)
+        posteriors: list[PixelPosterior] = []
+        sections: list[Section] = []
+        if chosen is not None and journal is not None:
+            with at_work(workers) as pool:
+                posteriors, sections = pixel_posteriors(
+                    run, pool, trained, chosen, likely=likely, journal=journal, record=record
+                )
+    if "scores" in trained.record:
+        scores = pd.DataFrame(json.loads(trained.record["scores"]))
+        sections.append(Section("The training", [Table(scores, SCORES)]))
+    result = _summary(run, source, picture, damaged, mask, record, posteriors, sections)
+    forget_journal(kept)
+    writer.forget()
+    return result
+
+
+def _check(likely: float, pixel_steps: int) -> None:
     if not 0.5 <= likely < 0.9995:
         raise InputError(f"expected a share of the simulations from 0.5 to 0.999, but got {likely}")
     if pixel_steps < _FEWEST_STEPS:
         raise InputError(
             f"expected {_FEWEST_STEPS} steps or more of a pixel, but got {pixel_steps}"
         )
-    trained = read_training(training)
-    with open_blocks(cube) as source:
-        weights = _weights(source, trained)  # errors before any work
-        scale = source.scale()
-        used = weights.any(axis=0)
-        seen = source.sample()[:, used]
-        seen = seen[np.isfinite(seen).all(axis=1)]
-        if len(seen):
-            mean = weights[:, used] @ seen.mean(axis=0) / scale
-            _check_divisor(source, scale, mean, trained.responses)
-            doubt_spectrum(run, mean, trained.responses)
-        pixels = list(dict.fromkeys(pixels))
-        learned = prior_of(trained, prior) if pixels else None
-        channels = pick_pixels(source, weights, scale, pixels)
-        size = image_size(source.shape, 4 * len(STAND_QUANTITIES) + 1)
-        begin_work(
-            {"maps.tif": size, "report.html": ""}
-            | ({"maps.zarr": size} if zarr else {})
-            | ({"pixels.csv": f"{len(pixels)} pixels", "pixels.nc": ""} if pixels else {})
+
+
+def _map_rows(
+    run: Run,
+    source: CubeBlocks,
+    writer: MapWriter,
+    workers: Workers | None,
+    shared: tuple[str, Training, float, _Mask, bool],
+) -> list[tuple[int, int]]:
+    """Map the blocks of rows that are not there yet; `shared` are the arguments of `_mapped`.
+
+    Returns first and last row, counted from 1, of the blocks that could not be read.
+    """
+    rows, count = source.rows_at_once, source.shape[0]
+    left = [i for i, done in enumerate(writer.done) if not done]
+    parts = [(i * rows, min(rows, count - i * rows)) for i in left]
+    with run.stage("Map", "maps", total=len(parts)), at_work(workers) as pool:
+        done = pool.each(
+            _mapped, parts, *shared,
+            names=[f"rows {start + 1} to {start + n}" for start, n in parts],
+        )  # fmt: skip
+        for i, (maps, unreadable) in done:
+            writer.write(left[i], parts[i][0], np.asarray(maps), damaged=bool(unreadable))
+    return [(i * rows + 1, min((i + 1) * rows, count)) for i in sorted(writer.damaged)]
+
+
+def _writer(checkpoint: Path, source: CubeBlocks, training: str | Path, mask: _Mask) -> MapWriter:
+    """The maps that the folder `checkpoint` keeps, of this run alone."""
+    rows = source.rows_at_once
+    settings = ([content_hash(path) for path in source.files], *mask, rows)
+    signed = signature(settings, [file_hash(training)])
+    bands = [
+        (f"{name}{kind}", quantity.unit)
+        for name, quantity in STAND_QUANTITIES.items()
+        for kind in _KINDS
+    ]
+    blocks = len(range(0, source.shape[0], rows))
+    writer = MapWriter(checkpoint, signed, [*bands, (UNLIKENESS, "1")], source, blocks)
+    if source.location is None and source.transform.is_identity:
+        warnings.warn(
+            f"{source.path} says no place on the earth: its maps have rows and columns only",
+            stacklevel=3,
         )
-        kept = Path(checkpoint) / "pixels"
-        asked: dict[str, Any] = {"steps": pixel_steps, "seed": seed}
-        journal = None
-        if learned is not None:
-            journal = pixel_journal(kept, trained, learned, pixels, channels, **asked)
-        rows = source.rows_at_once
-        starts = range(0, source.shape[0], rows)
-        names = [
-            (f"{name}{kind}", quantity.unit)
-            for name, quantity in STAND_QUANTITIES.items()
-            for kind in _KINDS
-        ] + [(UNLIKENESS, "1")]
-        of_cube = [content_hash(path) for path in source.files]
-        settings = (of_cube, likely, keep_unlike, rows)
-        writer = MapWriter(
-            Path(checkpoint), signature(settings, [file_hash(training)]), names, source, len(starts)
-        )
-        if source.location is None and source.transform.is_identity:
-            warnings.warn(
-                f"{source.path} says no place on the earth: its maps have rows and columns only",
-                stacklevel=2,
-            )
-        left = [i for i in range(len(starts)) if not writer.done[i]]
-        parts = [(starts[i], min(rows, source.shape[0] - starts[i])) for i in left]
-        shared = str(source.path), trained, scale, likely, keep_unlike, skip_damaged
-        with run.stage("Map", "maps", total=len(parts)), at_work(workers) as pool:
-            done = pool.each(
-                _mapped, parts, *shared,
-                names=[f"rows {a + 1} to {a + n}" for a, n in parts],
-            )  # fmt: skip
-            for i, (maps, unreadable) in done:
-                start, _ = parts[i]
-                writer.write(left[i], start, np.asarray(maps), damaged=bool(unreadable))
-        damaged = [
-            (starts[i] + 1, min(starts[i] + rows, source.shape[0])) for i in sorted(writer.damaged)
-        ]
-        step = max(1, -(-max(source.shape) // _SHOWN))
-        picture = writer.read(step)
-        record: dict[str, Any] = {
-            **run.record([training]),
-            "cube": source.path.name,
-            "training": json.dumps({k: str(v) for k, v in trained.record.items() if k != "scores"}),
-            "masked_beyond": likely if not keep_unlike else "nothing",
-            "place": _place(source),
-        }
-        with run.stage("Write"):
-            writer.finish(run.path("maps.tif", "all maps, a band each, cloud-optimised"), record)
-            if zarr:
-                path = run.path("maps.zarr", "all maps, a variable each, for xarray")
-                writer.finish_zarr(path, record, _long_names())
-        chosen: tuple[list[PixelPosterior], list[Section]] = [], []
-        if learned is not None and journal is not None:
-            with at_work(workers) as pool:
-                chosen = pixel_posteriors(
-                    run, pool, trained, learned, pixels, channels, **asked,
-                    likely=likely, journal=journal, record=record,
-                )  # fmt: skip
-    if "scores" in trained.record:
-        scores = pd.DataFrame(json.loads(trained.record["scores"]))
-        chosen[1].append(Section("The training", [Table(scores, SCORES)]))
-    result = _summary(run, picture, step, source, damaged, likely, keep_unlike, record, *chosen)
-    forget_journal(kept)
-    writer.forget()
-    return result
+    return writer
+
+
+def _judge_mean(
+    run: Run,
+    source: CubeBlocks,
+    weights: Float[np.ndarray, "channel band"],
+    scale: float,
+    channels: BandSet,
+) -> None:
+    """Doubt a cube whose mean spectrum is none of shrubland."""
+    used = weights.any(axis=0)
+    seen = source.sample()[:, used]
+    seen = seen[np.isfinite(seen).all(axis=1)]
+    if len(seen):
+        mean = weights[:, used] @ seen.mean(axis=0) / scale
+        _check_divisor(source, scale, mean, channels)
+        doubt_spectrum(run, mean, channels)
+
+
+def _origin(source: CubeBlocks, trained: Training, mask: _Mask) -> dict[str, Any]:
+    """The cube, the training and the mask, for the files of maps."""
+    return {
+        "cube": source.path.name,
+        "training": json.dumps({k: str(v) for k, v in trained.record.items() if k != "scores"}),
+        "masked_beyond": "nothing" if mask.keep_unlike else mask.likely,
+        "place": _place(source),
+    }
+
+
+def _write(run: Run, writer: MapWriter, record: dict[str, Any], zarr: bool) -> None:
+    """Write the files of maps."""
+    with run.stage("Write"):
+        writer.finish(run.path("maps.tif", "all maps, a band each, cloud-optimised"), record)
+        if zarr:
+            path = run.path("maps.zarr", "all maps, a variable each, for xarray")
+            writer.finish_zarr(path, record, _long_names())
 
 
 def _place(source: CubeBlocks) -> str:
@@ -252,7 +301,7 @@ def _check_divisor(source: CubeBlocks, scale: float, mean: np.ndarray, bands: Ba
 
 
 def _weights(source: CubeBlocks, trained: Training) -> Float[np.ndarray, "channel band"]:
-    """What makes channels of the cube's bands."""
+    """Weights that make channels of the cube's bands."""
     wavelength = source.wavelength
     if np.isnan(wavelength).all():
         raise InputError(
@@ -260,10 +309,8 @@ def _weights(source: CubeBlocks, trained: Training) -> Float[np.ndarray, "channe
             "Write them into its header",
             file=source.path,
         )
-    try:
+    with in_file(source.path):
         return trained.channels.weights(wavelength, source.good)
-    except InputError as error:
-        raise InputError(str(error), file=source.path) from error
 
 
 def _mapped(
@@ -271,8 +318,7 @@ def _mapped(
     path: str,
     trained: Training,
     scale: float,
-    likely: float,
-    keep_unlike: bool,
+    mask: _Mask,
     skip_damaged: bool,
 ) -> tuple[np.ndarray, ...]:
     """Maps of a block of rows, and whether it could not be read."""
@@ -290,7 +336,7 @@ def _mapped(
             unreadable = True
             shape = (count, source.shape[1], len(source.wavelength))
             values = np.full(shape, np.nan, np.float32)
-    return _maps(trained, values, weights, scale, likely, keep_unlike), np.asarray(unreadable)
+    return _maps(trained, values, weights, scale, mask), np.asarray(unreadable)
 
 
 def _maps(
@@ -298,8 +344,7 @@ def _maps(
     values: Float[np.ndarray, "row column band"],
     weights: Float[np.ndarray, "channel band"],
     scale: float,
-    likely: float,
-    keep_unlike: bool,
+    mask: _Mask,
 ) -> Float[np.ndarray, "map row column"]:
     """Maps of a block."""
     rows, columns, bands = values.shape
@@ -313,11 +358,11 @@ def _maps(
         some = place[start : start + _AT_ONCE]
         padded = np.zeros((_AT_ONCE, channels.shape[1]), np.float32)
         padded[: len(some)] = channels[some]
-        found = estimate_pixels(trained.posterior, jnp.asarray(padded), likely)
+        found = estimate_pixels(trained.posterior, jnp.asarray(padded), mask.likely)
         parts = (found.mean, found.sd, found.lower, found.upper)
         each = np.stack([np.asarray(p)[: len(some)] for p in parts], axis=2)
         unlike = np.asarray(found.unlikeness)[: len(some)]
-        if not keep_unlike:
+        if not mask.keep_unlike:
             each[unlike > 1.0] = np.nan
         maps[some, :-1] = each.reshape(len(some), -1)
         maps[some, -1] = unlike
@@ -342,82 +387,49 @@ def _in_numbers(
 
 def _summary(
     run: Run,
-    maps: Float[np.ndarray, "map row column"],
-    step: int,
     source: CubeBlocks,
+    picture: Float[np.ndarray, "map row column"],
     damaged: list[tuple[int, int]],
-    likely: float,
-    keep_unlike: bool,
+    mask: _Mask,
     record: dict[str, Any],
     posteriors: list[PixelPosterior],
-    more: list[Section],
+    sections: list[Section],
 ) -> MapResult:
-    unlike = maps[-1]
+    """Count the pixels, on a `picture` of the maps, and write the page; `sections` stand on it."""
+    unlike = picture[-1]
     with_data = np.isfinite(unlike)
-    masked = with_data & (unlike > 1.0)
     pixels = source.shape[0] * source.shape[1]
     share = pixels / unlike.size  # of a large cube a sample of the pixels is counted
+    lacking = round(share * float((~with_data).sum()))
+    out = round(share * float((with_data & (unlike > 1.0)).sum()))
     shown = {
-        name: (maps[i * len(_KINDS)], maps[i * len(_KINDS) + 1])
+        name: (picture[i * len(_KINDS)], picture[i * len(_KINDS) + 1])
         for i, name in enumerate(STAND_QUANTITIES)
     }
-    found = [_in_numbers(name, *of) for name, of in shown.items()]
-    lacking, out = round(share * float((~with_data).sum())), round(share * float(masked.sum()))
+    found = [_in_numbers(name, *maps) for name, maps in shown.items()]
     if damaged:
         warnings.warn(
             f"{source.path}: rows {', '.join(f'{a} to {b}' for a, b in damaged)} could not be read "
             "and are without data",
             stacklevel=2,
         )
-    valid = max(pixels - lacking, 1)
-    headline = [
-        f"{pixels} pixels, {lacking} without data; {out} ({100 * out / valid:.0f} % of the others) "
-        f"are less like the simulations than {100 * likely:g} % of these, and "
-        + ("kept." if keep_unlike else "masked."),
-    ]
-    what = "maps, their standard deviations, and how unlike the simulations pixels are"
-    if source.location is not None:
-        headline.append(
-            "The files of maps lie on the cube's own grid on the earth, each pixel that of the "
-            "swath which its lookup table names. Pixels are counted, and pictures drawn, on the "
-            "swath."
-        )
-        what += "; rows and columns are the swath's, north is not up"
-    status = "ok"
-    if out > 0.5 * valid:
-        status = "most pixels are unlike the simulations"
-        headline.append(
-            "Most pixels are unlike what the training knows: other vegetation, another sun, other "
-            "units, or clouds. Do not read the rest as if it were this vegetation."
-        )
+    headline = _headline(source, pixels, lacking, out, mask)
+    mostly_unlike = out > 0.5 * max(pixels - lacking, 1)
+    status = "most pixels are unlike the simulations" if mostly_unlike else "ok"
     short = [f"row {one.row}, column {one.column}" for one in posteriors if not one.converged]
     if short:
         status = "the posterior of a pixel did not converge"
         headline.insert(0, f"Not converged: the posterior of {listed(short)}.")
-    figure = figures.maps_figure(
-        {n: (*shown[n], q.words, q.unit) for n, q in STAND_QUANTITIES.items()}, unlike, likely
+    numbers = Table(
+        pd.DataFrame([one.model_dump() for one in found]), "Over the pixels that are not masked."
     )
-    run.page(
-        Page(
-            title=f"Maps of {source.path.name}",
-            lead=headline[0],
-            sections=[
-                Section("Maps", [Picture("maps.png", figure, what)]),
-                *more,
-                Section(
-                    "In numbers",
-                    [
-                        Table(
-                            pd.DataFrame([m.model_dump() for m in found]),
-                            "Over the pixels that are not masked.",
-                        ),
-                        *(f"{q.words}: {q.description}" for q in STAND_QUANTITIES.values()),
-                    ],
-                ),
-            ],
-            record=record,
-        )
-    )
+    words = [f"{q.words}: {q.description}" for q in STAND_QUANTITIES.values()]
+    sections = [
+        _picture(source, shown, unlike, mask.likely),
+        *sections,
+        Section("In numbers", [numbers, *words]),
+    ]
+    run.page(Page(f"Maps of {source.path.name}", headline[0], sections, record=record))
     return run.result(
         MapResult,
         headline=headline,
@@ -426,9 +438,46 @@ def _summary(
         pixels=pixels,
         without_data=lacking,
         masked=out,
-        unlike_beyond=likely,
+        unlike_beyond=mask.likely,
         damaged_rows=damaged,
         place=record["place"],
         maps=found,
         posteriors=posteriors,
     )
+
+
+def _picture(
+    source: CubeBlocks,
+    maps: dict[str, tuple[np.ndarray, np.ndarray]],
+    unlike: Float[np.ndarray, "row column"],
+    likely: float,
+) -> Section:
+    """The maps and their standard deviations, by name of the quantity."""
+    what = "maps, their standard deviations, and how unlike the simulations pixels are"
+    if source.location is not None:
+        what += "; rows and columns are the swath's, north is not up"
+    drawn = {n: (*maps[n], q.words, q.unit) for n, q in STAND_QUANTITIES.items()}
+    picture = Picture("maps.png", figures.maps_figure(drawn, unlike, likely), what)
+    return Section("Maps", [picture])
+
+
+def _headline(source: CubeBlocks, pixels: int, lacking: int, out: int, mask: _Mask) -> list[str]:
+    """The maps in sentences: `lacking` of the pixels have no data, `out` are masked."""
+    valid = max(pixels - lacking, 1)
+    headline = [
+        f"{pixels} pixels, {lacking} without data; {out} ({100 * out / valid:.0f} % of the others) "
+        f"are less like the simulations than {100 * mask.likely:g} % of these, and "
+        + ("kept." if mask.keep_unlike else "masked."),
+    ]
+    if source.location is not None:
+        headline.append(
+            "The files of maps lie on the cube's own grid on the earth, each pixel that of the "
+            "swath which its lookup table names. Pixels are counted, and pictures drawn, on the "
+            "swath."
+        )
+    if out > 0.5 * valid:
+        headline.append(
+            "Most pixels are unlike what the training knows: other vegetation, another sun, other "
+            "units, or clouds. Do not read the rest as if it were this vegetation."
+        )
+    return headline

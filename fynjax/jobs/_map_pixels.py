@@ -2,6 +2,7 @@
 
 import warnings
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -123,16 +124,28 @@ def prior_of(trained: Training, name_or_path: str | Path) -> LearnedPrior:
     return prior
 
 
+@dataclass(frozen=True)
+class ChosenPixels:
+    """Pixels whose full posterior is sampled."""
+
+    places: Sequence[tuple[int, int]]
+    """Row and column of each, counted from 1 at the upper left."""
+    channels: Float[np.ndarray, "pixel channel"]
+    """Reflectance of each in the channels of the training."""
+    prior: LearnedPrior
+    """The prior that the training was made with."""
+    steps: int
+    """Steps of each walker."""
+    seed: int
+    """Seed of everything random; draws depend on row and column besides."""
+
+
 def pixel_posteriors(
     run: Run,
     pool: Pool,
     trained: Training,
-    prior: LearnedPrior,
-    pixels: Sequence[tuple[int, int]],
-    channels: Float[np.ndarray, "pixel channel"],
+    chosen: ChosenPixels,
     *,
-    steps: int,
-    seed: int,
     likely: float,
     journal: Journal,
     record: dict[str, Any],
@@ -143,21 +156,19 @@ def pixel_posteriors(
 
     - `run`: of the map; `pixels.csv` and `pixels.nc` are written into it.
     - `pool`: where the ensembles run.
-    - `trained`, `prior`: the training, and the prior that it was made with.
-    - `pixels`, `channels`: row and column of each, and its reflectance in the channels.
-    - `steps`: of each walker.
-    - `seed`: of everything random; a pixel's draws depend on its row and column besides.
+    - `trained`, `chosen`: the training and the pixels.
     - `likely`: as of the map.
     - `journal`: of these pixels (`pixel_journal`).
     - `record`: of the map, for `pixels.nc`.
 
     **Returns:** the posteriors, and what the page says of them.
     """
+    pixels, steps = chosen.places, chosen.steps
     parts = [(i, (*pixel, e)) for i, pixel in enumerate(pixels) for e in range(_ENSEMBLES)]
     names = [f"row {row}, column {column}, ensemble {e + 1}" for _, (row, column, e) in parts]
     with run.stage("Sample pixels by emcee", "pixels", total=len(parts)):
         made = pool.all(
-            _sampled, parts, channels, trained.responses, prior, trained.settings, steps, seed,
+            _sampled, parts, chosen, trained.responses, trained.settings,
             names=names, journal=journal,
         )  # fmt: skip
     first = round(_BURN_IN * steps)
@@ -166,41 +177,33 @@ def pixel_posteriors(
         own = made[_ENSEMBLES * i :][:_ENSEMBLES]
         chains.append(np.concatenate([quantities[first:] for quantities, _ in own], axis=1))
         accepted.append(float(np.mean([share for _, share in own])))
-    by_map = estimate_pixels(trained.posterior, jnp.asarray(channels, jnp.float32), likely)
+    by_map = estimate_pixels(trained.posterior, jnp.asarray(chosen.channels, jnp.float32), likely)
     found = [_posterior(pixel, chains[i], accepted[i], by_map, i) for i, pixel in enumerate(pixels)]
     _warn(found)
     _write(run, pixels, chains, found, record)
     return found, [_section(found)]
 
 
-def pixel_journal(
-    checkpoint: Path,
-    trained: Training,
-    prior: LearnedPrior,
-    pixels: Sequence[tuple[int, int]],
-    channels: Float[np.ndarray, "pixel channel"],
-    *,
-    steps: int,
-    seed: int,
-) -> Journal:
-    """The journal that keeps the ensembles of some pixels in the folder `checkpoint`; the other
-    arguments as of `pixel_posteriors`. Raises `InputError` for a folder of other pixels."""
-    signed = trained.settings, trained.responses, list(pixels), channels, steps, seed
-    return Journal(checkpoint, signature(signed, [file_hash(prior.path)]))
+def pixel_journal(checkpoint: Path, trained: Training, chosen: ChosenPixels) -> Journal:
+    """The journal that keeps the ensembles of some pixels in the folder `checkpoint`. Raises
+    `InputError` for a folder of other pixels."""
+    asked = list(chosen.places), chosen.channels, chosen.steps, chosen.seed
+    signed = trained.settings, trained.responses, *asked
+    return Journal(checkpoint, signature(signed, [file_hash(chosen.prior.path)]))
 
 
 def _sampled(
     part: tuple[int, tuple[int, int, int]],
-    channels: np.ndarray,
+    chosen: ChosenPixels,
     bands: BandSet,
-    prior: LearnedPrior,
     settings: StandSettings,
-    steps: int,
-    seed: int,
 ) -> tuple[np.ndarray, ...]:
+    """Draws of one ensemble of one pixel, and the share of its steps that was accepted."""
     pixel, place = part
-    own = int(np.random.default_rng([seed, *place]).integers(2**31))
-    chain = sample_pixel(channels[pixel], bands, prior, settings, steps=steps, seed=own)
+    own = int(np.random.default_rng([chosen.seed, *place]).integers(2**31))
+    chain = sample_pixel(
+        chosen.channels[pixel], bands, chosen.prior, settings, steps=chosen.steps, seed=own
+    )
     return chain.quantities, np.asarray(chain.acceptance)
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Literal
 
 from fynjax._core.dry_run import begin_work
-from fynjax._core.errors import InputError
+from fynjax._core.errors import InputError, in_file
 from fynjax._core.precision import double_precision
 from fynjax.canopy import (
     Greenness,
@@ -122,7 +122,7 @@ def pattern(
         stack = read_band_stack(paths, bands=bands, pixel_m=pixel, align=align)
     if stack.raw:
         raise InputError(RAW_COUNTS, file=paths[0])
-    try:
+    with in_file(paths[0]):
         green = choose_greenness(stack.names, stack.wavelengths, index=greenness)
         _doubt(run, stack)
         with run.stage("Cluster the pixels"):
@@ -135,8 +135,6 @@ def pattern(
                 greenness_weight=greenness_weight,
                 seed=seed,
             )
-    except InputError as error:
-        raise InputError(str(error), file=paths[0]) from error
     rows, columns = stack.mask.shape
     begin_work({"map.tif": f"{rows} rows and {columns} columns of pixels", "report.html": ""})
     masked = int((~stack.mask).sum())

@@ -3,10 +3,11 @@
 from collections import deque
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 import pandas as pd
+from jaxtyping import Float
 from pydantic import Field
 
 from fynjax._core.checkpoint import Journal, signature
@@ -24,6 +25,7 @@ from fynjax.assembly import (
     shown_unit,
 )
 from fynjax.inversion import (
+    Calibration,
     Posterior,
     PosteriorSampler,
     SamplingMethod,
@@ -140,39 +142,10 @@ def posterior(
     begin_work({"posterior.nc": draws, "parameters.csv": parameters, "report.html": ""})
     with run.stage("Calibrate", total=ready.settings.evaluations):
         calibrated = calibrated_plot(ready, measured, views, run, checkpoint / "calibration")
-    found = signature(calibrated.fit.whitened, run.seed)
-    renders = surrogate_renders(calibrated, seed=run.seed)
-    rendered = Journal(checkpoint / "surrogate", found)(lambda: np.stack([*renders]))
-    surrogate, surrogate_error = fit_surrogate(calibrated, seed=run.seed, rendered=rendered)
-    sampler = PosteriorSampler(
-        surrogate,
-        calibrated.data,
-        ready.space,
-        method=method,
-        start=calibrated.fit,
-        target=target_size,
-        max_steps=max_steps,
-        seed=run.seed,
+    sampled, surrogate_error = _sampled(
+        ready, calibrated, method, target_size, max_steps, checkpoint
     )
-    end = None
-    if method != "laplace":
-        journal = Journal(checkpoint / method, signature(sampler.signed))
-        (end,) = deque(journal.states("chain", ChainState, sampler.states), maxlen=1)
-    sampled = sampler.posterior(end)
-    if not sampled.whitened.size:
-        raise InputError(f"no posterior: {sampled.status}", file=read.file)
-    table = posterior_table(sampled)
-    others: dict[str, Any] = {}
-    if sampled.method != "laplace":
-        others["laplace_q05"], others["laplace_q95"] = calibrated.fit.quantiles(0.05, 0.95)
-    table = table.join(parameter_columns(sampled.names, others)[list(others)])
-    drawn = sampled.whitened.reshape(-1, len(sampled.names))
-    stand = stand_table(
-        calibrated.scene,
-        ready.parameters,
-        calibrated.fit,
-        draws=drawn[:: -(-len(drawn) // _STANDS)],
-    )
+    stand, table = tables = _tables(ready, calibrated, sampled)
     headline = [
         stand_sentence(stand),
         *_headline(ready, sampled, table),
@@ -187,7 +160,7 @@ def posterior(
         path = run.path("posterior.nc", "every draw, as arviz reads it (InferenceData)")
         with atomic_path(path) as work:
             sampled.inference_data({k: str(v) for k, v in record.items()}).to_netcdf(str(work))
-        run.page(_page(ready, sampled, (stand, table), headline, record, surrogate_error))
+        run.page(_page(ready, sampled, tables, headline, record, surrogate_error))
     return run.result(
         PosteriorResult,
         headline=headline,
@@ -196,6 +169,55 @@ def posterior(
         status="ok" if sampled.converged else sampled.status,
         posterior_status=sampled.status,
     )
+
+
+def _sampled(
+    ready: Prepared,
+    calibrated: Calibration,
+    method: SamplingMethod,
+    target_size: float,
+    max_steps: int,
+    checkpoint: Path,
+) -> tuple[Posterior, Float[np.ndarray, " statistic"]]:
+    """The draws by a surrogate, and the error of that; what the folder `checkpoint` keeps is not
+    computed again."""
+    found = signature(calibrated.fit.whitened, ready.seed)
+    renders = surrogate_renders(calibrated, seed=ready.seed)
+    rendered = Journal(checkpoint / "surrogate", found)(lambda: np.stack([*renders]))
+    surrogate, surrogate_error = fit_surrogate(calibrated, seed=ready.seed, rendered=rendered)
+    sampler = PosteriorSampler(
+        surrogate,
+        calibrated.data,
+        ready.space,
+        method=method,
+        start=calibrated.fit,
+        target=target_size,
+        max_steps=max_steps,
+        seed=ready.seed,
+    )
+    end = None
+    if method != "laplace":
+        journal = Journal(checkpoint / method, signature(sampler.signed))
+        (end,) = deque(journal.states("chain", ChainState, sampler.states), maxlen=1)
+    sampled = sampler.posterior(end)
+    if not sampled.whitened.size:
+        raise InputError(f"no posterior: {sampled.status}", file=ready.plot.file)
+    return sampled, surrogate_error
+
+
+def _tables(
+    ready: Prepared, calibrated: Calibration, sampled: Posterior
+) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """The whole stand, and every parameter beside the quantiles of the Gaussian."""
+    table = posterior_table(sampled)
+    if sampled.method != "laplace":
+        low, high = calibrated.fit.quantiles(0.05, 0.95)
+        others = {"laplace_q05": low, "laplace_q95": high}
+        table = table.join(parameter_columns(sampled.names, others)[list(others)])
+    drawn = sampled.whitened.reshape(-1, len(sampled.names))
+    draws = drawn[:: -(-len(drawn) // _STANDS)]
+    stand = stand_table(calibrated.scene, ready.parameters, calibrated.fit, draws=draws)
+    return stand, table
 
 
 def posterior_table(sampled: Posterior) -> pd.DataFrame:
@@ -248,7 +270,7 @@ def _page(
     tables: tuple[pd.DataFrame, pd.DataFrame],
     headline: list[str],
     record: dict[str, str | int],
-    surrogate_error: np.ndarray,
+    surrogate_error: Float[np.ndarray, " statistic"],
 ) -> Page:
     stand, table = tables
     order = np.argsort(-sampled.constrained)

@@ -1,9 +1,9 @@
 """From raw pictures of a multispectral camera to reflectance: what `fynjax reflectance` does."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -125,67 +125,27 @@ def reflectance(
         ]
     light = light or ("panel" if read else "sensor")
     of_panels = {panel.capture.name for panel in read}
-    wanted = {name: paths for name, paths in usable.items() if name not in of_panels}
-    if light != "panel" and (unlit := {name: dark[name] for name in wanted if name in dark}):
-        if len(unlit) == len(wanted):
-            raise next(iter(unlit.values()))
-        skipped |= unlit
-        wanted = {name: paths for name, paths in wanted.items() if name not in unlit}
-    if not wanted:
-        raise InputError(
-            "expected captures to convert, but there are only those of panels: "
-            f"{', '.join(of_panels)}"
-        )
-    line = _line(read, known, light, panel_sd) if read and light != "sensor" else None
+    others = {name: paths for name, paths in usable.items() if name not in of_panels}
+    unlit = {} if light == "panel" else {name: dark[name] for name in others if name in dark}
+    wanted = _to_convert(others, unlit, of_panels)
     first = read_capture(*next(iter(wanted.items()))).bands[0]
-    way = "light_sensor" if line is None else "panels" if len(read) == 1 else "empirical_line"
-    sd = _usual_sd(first.sensor, way) if light_sd is None else light_sd
-    headline = panel_sentences(read, known, light)
-    warnings = [f"{name} is skipped: {error}" for name, error in skipped.items()]
-    converted: dict[str, CaptureSummary] = {}
-    shown: list[Picture] = []
-    inputs = [path for panel in read for path in panel.capture.paths]
-
-    def read_one(name: str) -> tuple[Capture, EmpiricalLine, NDArray[np.float64] | None]:
-        capture = read_capture(name, wanted[name])
-        return capture, *_line_of(capture, line, read, light, sd)
-
-    begin_work({f"{name}_reflectance.tif": "" for name in wanted}, map(read_one, wanted))
-    failed: InputError | None = None
-    for name, paths in track([*wanted.items()], "Convert"):
-        capture, relit, change = read_one(name)
-        try:
-            aligned = aligned_radiance(capture, align=align)
-        except InputError as problem:
-            failed = problem
-            warnings.append(f"{name} is skipped: {problem}")
-            continue
-        inputs += paths
-        side, spread = _ground(capture, height, pixel)
-        cube, doubt = _cubes(capture, aligned, relit, side)
-        relative = line is None and not capture.absolute
-        picture = _write_capture(
-            run, name, cube, doubt, paths, light, place=_place_text(side, spread), relative=relative
-        )
-        if len(shown) < _SHOWN:
-            shown.append(picture)
-        summary = capture_summary(capture, aligned, relit, change, cube, side, spread)
-        converted[name] = summary
-        headline.append(capture_sentence(name, summary))
-        warnings += capture_warnings(name, summary, light)
-    if failed is not None and not converted:
-        raise failed
-    if line is None and not first.absolute:
-        warnings.append(RELATIVE_REFLECTANCE)
-    for what in sorted({what for c in converted.values() for what in c.missing_corrections}):
-        warnings.append(f"the metadata have no numbers for {what}, which is not corrected")
+    calibration = _calibration(read, known, light, panel_sd, light_sd, first.sensor)
+    begin_work(
+        {f"{name}_reflectance.tif": "" for name in wanted},
+        (_line_of(read_capture(*capture), calibration) for capture in wanted.items()),
+    )
+    made = _convert(run, wanted, calibration, (height, pixel), align)
+    headline = [*panel_sentences(read, known, light), *made.headline]
+    warnings = [f"{name} is skipped: {error}" for name, error in (skipped | unlit).items()]
+    warnings += [*made.warnings, *_camera_warnings(calibration, first.absolute, made.captures)]
+    shown = made.pictures
     if read:
         what = "picture: the panels in every band, and the area that was read"
-        shown.insert(0, Picture("panels.png", figures.panel_figure(read, known), what))
+        shown = [Picture("panels.png", figures.panel_figure(read, known), what), *shown]
     what = "gain, offset and their uncertainty, for each capture and band"
-    write_text(run.path("calibration.csv", what), calibration_table(converted))
-    title = f"Reflectance of {len(converted)} captures"
-    run.pictures(title, headline, shown, list(dict.fromkeys(inputs)))
+    write_text(run.path("calibration.csv", what), calibration_table(made.captures))
+    inputs = [path for panel in read for path in panel.capture.paths] + made.inputs
+    run.pictures(f"Reflectance of {len(made.captures)} captures", headline, shown, inputs)
     path = run.path("provenance.json", "what was read, how, and what came of it")
     result = run.result(
         ReflectanceResult,
@@ -193,43 +153,126 @@ def reflectance(
         warnings=warnings,
         light=light,
         panel_sd=panel_sd,
-        light_sd=sd,
+        light_sd=calibration.light_sd,
         panels=[panel_summary(panel, rho) for panel, rho in zip(read, known, strict=True)],
-        captures=converted,
+        captures=made.captures,
     )
+    _write_provenance(path, result, inputs)
+    return result
+
+
+class _Calibration(NamedTuple):
+    """Panels and the line through them, for light from one of `LIGHTS`."""
+
+    light: str
+    panels: Sequence[PanelView]
+    line: EmpiricalLine | None
+    """None where light is that of the light sensor alone."""
+    light_sd: float
+    """Standard deviation of light and camera together, relative [-]."""
+
+
+class _Converted(NamedTuple):
+    """Captures that were converted, and what is said of them and of those that failed."""
+
+    captures: dict[str, CaptureSummary]
+    pictures: list[Picture]
+    inputs: list[Path]
+    headline: list[str]
+    warnings: list[str]
+
+
+def _to_convert(
+    captures: dict[str, list[Path]],
+    unlit: Mapping[str, InputError],
+    of_panels: Iterable[str],
+) -> dict[str, list[Path]]:
+    """The captures that show no panel, without those whose light sensor is needed and fails."""
+    if unlit and len(unlit) == len(captures):
+        raise next(iter(unlit.values()))
+    wanted = {name: paths for name, paths in captures.items() if name not in unlit}
+    if not wanted:
+        raise InputError(
+            "expected captures to convert, but there are only those of panels: "
+            f"{', '.join(of_panels)}"
+        )
+    return wanted
+
+
+def _convert(
+    run: Run,
+    captures: dict[str, list[Path]],
+    calibration: _Calibration,
+    ground: tuple[float | None, float | None],
+    align: bool,
+) -> _Converted:
+    """Write the reflectance of every capture whose bands can be aligned; `ground` is the height of
+    flight and the size of a pixel [m], as far as they are stated."""
+    made = _Converted({}, [], [], [], [])
+    failed: InputError | None = None
+    for name, paths in track([*captures.items()], "Convert"):
+        capture = read_capture(name, paths)
+        line, change = _line_of(capture, calibration)
+        try:
+            aligned = aligned_radiance(capture, align=align)
+        except InputError as problem:
+            failed = problem
+            made.warnings.append(f"{name} is skipped: {problem}")
+            continue
+        side, spread = _ground(capture, *ground)
+        cube, doubt = _cubes(capture, aligned, line, side)
+        tags = {
+            **provenance(inputs=paths),
+            "calibration": f"light: {calibration.light}",
+            "coordinates": _place_text(side, spread),
+        }
+        if calibration.line is None and not capture.absolute:
+            tags[RELATIVE_TAG] = RELATIVE_REFLECTANCE
+        picture = _write_capture(run, name, cube, doubt, tags)
+        if len(made.pictures) < _SHOWN:
+            made.pictures.append(picture)
+        summary = capture_summary(capture, aligned, line, change, cube, side, spread)
+        made.captures[name] = summary
+        made.inputs.extend(paths)
+        made.headline.append(capture_sentence(name, summary))
+        made.warnings.extend(capture_warnings(name, summary, calibration.light))
+    if failed is not None and not made.captures:
+        raise failed
+    return made
+
+
+def _camera_warnings(
+    calibration: _Calibration, absolute: bool, captures: dict[str, CaptureSummary]
+) -> list[str]:
+    """Warnings of what a camera does not state: the unit of its light sensor, corrections."""
+    unit = [] if absolute or calibration.line is not None else [RELATIVE_REFLECTANCE]
+    missing = sorted(
+        {what for summary in captures.values() for what in summary.missing_corrections}
+    )
+    return unit + [
+        f"the metadata have no numbers for {what}, which is not corrected" for what in missing
+    ]
+
+
+def _write_provenance(path: Path, result: ReflectanceResult, inputs: Sequence[Path]) -> None:
+    """Write the calibration and what was read."""
     calibration = result.model_dump(
         mode="json", include={"light", "panel_sd", "light_sd", "panels", "captures"}
     )
     record = {**provenance(inputs=dict.fromkeys(inputs)), **calibration}
     write_text(path, json.dumps(record, indent=2) + "\n")
-    return result
 
 
-def _write_capture(
-    run: Run,
-    name: str,
-    cube: Cube,
-    doubt: Cube,
-    paths: Sequence[Path],
-    light: str,
-    *,
-    place: str,
-    relative: bool,
-) -> Picture:
+def _write_capture(run: Run, name: str, cube: Cube, doubt: Cube, tags: dict[str, Any]) -> Picture:
     """Write a capture's reflectance, its standard deviation and a picture, which is returned."""
-    tags = {
-        **provenance(inputs=paths),
-        "calibration": f"light: {light}",
-        "coordinates": place,
-        **({RELATIVE_TAG: RELATIVE_REFLECTANCE} if relative else {}),
-    }
     what = f"reflectance of {len(cube.names)} bands"
     write_cube_geotiff(run.path(f"{name}_reflectance.tif", what), cube, tags)
-    tags["quantity_of"] = "standard deviation by panel and light, noise of pixels left out"
+    of_doubt = "standard deviation by panel and light, noise of pixels left out"
     what = "its standard deviation, by panel and light"
-    write_cube_geotiff(run.path(f"{name}_reflectance_sd.tif", what), doubt, tags)
+    path = run.path(f"{name}_reflectance_sd.tif", what)
+    write_cube_geotiff(path, doubt, {**tags, "quantity_of": of_doubt})
     what = "picture: true and false colour, vegetation index"
-    figure = figures.capture_figure(cube, name, pixels=place.startswith("pixels"))
+    figure = figures.capture_figure(cube, name, pixels=tags["coordinates"].startswith("pixels"))
     picture = Picture(f"{name}.png", figure, what)
     run.picture(picture)
     return picture
@@ -306,10 +349,18 @@ def _panels(
     return [read_panel(capture) for capture in marked]
 
 
-def _line(
-    panels: Sequence[PanelView], known: Sequence[NDArray[np.float64]], light: str, panel_sd: float
-) -> EmpiricalLine:
-    """The line through the panels, under the light of the first one's picture."""
+def _calibration(
+    panels: Sequence[PanelView],
+    known: Sequence[NDArray[np.float64]],
+    light: str,
+    panel_sd: float,
+    light_sd: float | None,
+    sensor: str,
+) -> _Calibration:
+    """The line through panels of `known` reflectance, under the light of the first's picture."""
+    if not panels or light == "sensor":
+        sd = _usual_sd(sensor, "light_sensor") if light_sd is None else light_sd
+        return _Calibration(light, panels, None, sd)
     first = panels[0].capture
     for panel in panels[1:]:
         _check_bands(panel.capture, first)
@@ -322,11 +373,15 @@ def _line(
         [panel.spread / np.sqrt(panel.count) / by for panel, by in zip(panels, change, strict=True)]
     )
     rho = jnp.array(known)
+    way = "panels" if len(panels) == 1 else "empirical_line"
+    sd = _usual_sd(sensor, way) if light_sd is None else light_sd
     if len(panels) == 1:
-        return one_panel_line(
+        line = one_panel_line(
             signal[0], rho[0], signal_sd=error[0], reflectance_sd=panel_sd * rho[0]
         )
-    return empirical_line(signal, rho, signal_sd=error, reflectance_sd=panel_sd * rho)
+    else:
+        line = empirical_line(signal, rho, signal_sd=error, reflectance_sd=panel_sd * rho)
+    return _Calibration(light, panels, line, sd)
 
 
 def _check_bands(capture: Capture, first: Capture) -> None:
@@ -343,13 +398,10 @@ def _light_ratio(capture: Capture, first: Capture) -> NDArray[np.float64]:
 
 
 def _line_of(
-    capture: Capture,
-    line: EmpiricalLine | None,
-    panels: Sequence[PanelView],
-    light: str,
-    light_sd: float,
+    capture: Capture, calibration: _Calibration
 ) -> tuple[EmpiricalLine, NDArray[np.float64] | None]:
     """The line under the light of a capture, and by what factor it changed since the panel."""
+    light, panels, line, light_sd = calibration
     if line is None:
         level = jnp.asarray(capture.irradiance)
         return irradiance_line(level, irradiance_sd=light_sd * level), None
@@ -407,7 +459,7 @@ def _cubes(
     values = np.moveaxis(np.asarray(line.reflectance(signal)), -1, 0)
     doubt = np.moveaxis(np.asarray(line.standard_deviation(signal)), -1, 0)
 
-    def cube(data: NDArray[Any]) -> Cube:
+    def cube(data: NDArray[np.floating]) -> Cube:
         seen = Cube(
             np.where(aligned.full, np.nan, data),
             capture.names,

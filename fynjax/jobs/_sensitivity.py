@@ -19,6 +19,7 @@ from fynjax.inversion import (
     LEADING_ELASTICITIES,
     DerivativeMeasures,
     ExpectedSensitivity,
+    ParameterSpace,
     PlotForward,
     SobolIndices,
     check_samples,
@@ -101,14 +102,8 @@ def sensitivity(
     Example: `jobs.sensitivity("plot.toml", Path("results"), metrics=["NDVI.mean"])`.
     """
     names = tuple(metrics)
-    if not names:
-        raise InputError("no metric is named; an example is NDVI.mean")
     read = as_plot(plot)
-    check_statistics(names, drone_sensor(read).bands.names)
-    if sobol_samples:
-        require("SALib", "analysis")
-    for samples in filter(None, (derivative_samples, sobol_samples)):
-        check_samples(samples)
+    _check(read, names, derivative_samples, sobol_samples)
     run = Run(output, seed=read.seed if seed is None else seed, plot=read)
     with run.stage("Build the plot"):
         ready = prepare(read, free, seed=run.seed)
@@ -125,7 +120,6 @@ def sensitivity(
         hashes = [file_hash(path) for path in read.inputs]
         asked = (names, space.names, plantings, derivative_samples, sobol_samples, run.seed)
         journal = Journal(checkpoint, signature(read, hashes, asked))
-    measures = indices = None
     with at_work(workers) as pool:
         do = partial(pool.all, journal=journal)
         slopes = expected_sensitivity(
@@ -141,25 +135,12 @@ def sensitivity(
         over: dict[str, Any] = {
             "context": (stand,), "seed": run.seed, "batch": batch_for_device(), "do": do
         }  # fmt: skip
-        if derivative_samples:
-            measures = derivative_measures(
-                predict, space, names, samples=derivative_samples, **over
-            )
-        if sobol_samples:
-            indices = sobol_indices(predict, space, names, samples=sobol_samples, **over)
+        spread = _spread(predict, space, names, (derivative_samples, sobol_samples), over)
     table = _slope_table(slopes)
-    over_priors = measures is not None or indices is not None
-    spread = _spread_table(names, space.names, measures, indices) if over_priors else None
     status = _status(slopes)
     headline = [*_headline(table), status or _plantings_sentence(slopes)]
     with run.stage("Write"):
-        run.table("slopes.csv", table, "slope and elasticity of every metric by every parameter")
-        sections = [_slope_section(table, slopes.quantile)]
-        if spread is not None:
-            run.table("variance.csv", spread, "shares of the metrics' variance over the priors")
-            sections.append(_variance_section(spread))
-        record = run.record(read.inputs)
-        run.page(Page(f"Sensitivity: {read.name}", " ".join(headline), sections, record=record))
+        _write(run, read, table, spread, slopes.quantile, headline)
     return run.result(
         SensitivityResult,
         status=status or "ok",
@@ -167,6 +148,53 @@ def sensitivity(
         slopes=table,
         variance=[] if spread is None else spread,
     )
+
+
+def _check(plot: Plot, metrics: Sequence[str], derivative_samples: int, sobol_samples: int) -> None:
+    if not metrics:
+        raise InputError("no metric is named; an example is NDVI.mean")
+    check_statistics(metrics, drone_sensor(plot).bands.names)
+    if sobol_samples:
+        require("SALib", "analysis")
+    for samples in filter(None, (derivative_samples, sobol_samples)):
+        check_samples(samples)
+
+
+def _write(
+    run: Run,
+    plot: Plot,
+    slopes: pd.DataFrame,
+    spread: pd.DataFrame | None,
+    quantile: float,
+    headline: Sequence[str],
+) -> None:
+    run.table("slopes.csv", slopes, "slope and elasticity of every metric by every parameter")
+    sections = [_slope_section(slopes, quantile)]
+    if spread is not None:
+        run.table("variance.csv", spread, "shares of the metrics' variance over the priors")
+        sections.append(_variance_section(spread))
+    record = run.record(plot.inputs)
+    run.page(Page(f"Sensitivity: {plot.name}", " ".join(headline), sections, record=record))
+
+
+def _spread(
+    predict: PlotForward,
+    space: ParameterSpace,
+    names: tuple[str, ...],
+    samples: tuple[int, int],
+    options: dict[str, Any],
+) -> pd.DataFrame | None:
+    """Shares of variance over the priors, by derivatives and by Sobol's method where `samples` are
+    asked for."""
+    of_derivatives, of_sobol = samples
+    measures = indices = None
+    if of_derivatives:
+        measures = derivative_measures(predict, space, names, samples=of_derivatives, **options)
+    if of_sobol:
+        indices = sobol_indices(predict, space, names, samples=of_sobol, **options)
+    if measures is None and indices is None:
+        return None
+    return _spread_table(names, space.names, measures, indices)
 
 
 def _planting(ready: Prepared, number: int) -> tuple[Scene]:

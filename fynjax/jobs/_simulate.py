@@ -2,14 +2,14 @@
 
 import dataclasses
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
 import equinox as eqx
 import jax
 import numpy as np
-from jaxtyping import Array
+from jaxtyping import Array, Bool
 
 from fynjax._core.dry_run import begin_work, image_size
 from fynjax._core.errors import InputError
@@ -103,12 +103,7 @@ def simulate(
     files = [] if isinstance(name, (Sensor, Lidar)) or not Path(name).is_file() else [Path(name)]
     if isinstance(instrument, Lidar):
         given = {"altitude": altitude, "pixel": pixel, "atmosphere": atmosphere}
-        chosen_products = tuple(products) != PRODUCTS
-        if wrong := [k for k, v in given.items() if v is not None] + ["product"] * chosen_products:
-            raise InputError(
-                f"expected no {wrong[0]} with the LiDAR {instrument.name!r}: its file says all of "
-                "it"
-            )
+        _check_lidar(instrument, given, products)
         return simulate_lidar(run, read, instrument, noise=noise is not False, files=files)
     air = _chosen_air(read, atmosphere)
     asked = read.sensor.noise if noise is None and _is_own(read, instrument) else noise
@@ -133,15 +128,12 @@ def simulate(
     cubes = _cubes(aimed, instrument, observation, products, plot_place(read))
     for name, cube in cubes.items():
         check_finite(cube.values[cube.good], read, name)
-    inputs = [*read.inputs, *files, air.file]
-    record = run.record(inputs)
+    record = run.record([*read.inputs, *files, air.file])
     made = run_record(read, instrument, aimed, air, noisy, observation, run.seconds)
     with run.stage("Write"):
         picture = [] if seen is None else [write_truth(run, read, scene, seen, record)]
         _write(run, read, instrument, cubes, picture, {**record, **short_record(made)})
-        text = json.dumps({**record, **made}, indent=2, ensure_ascii=False, allow_nan=False)
-        path = run.path("run.json", "versions, seed, sensor, atmosphere, accuracy, times")
-        write_text(path, text + "\n")
+        _write_record(run, {**record, **made})
     return run.result(
         SimulateResult,
         headline=_headline(read, instrument, aimed, cubes, run.seconds),
@@ -151,6 +143,23 @@ def simulate(
         noise=bool(noisy),
         warnings=warnings_of(read, aimed, instrument),
     )
+
+
+def _check_lidar(lidar: Lidar, given: Mapping[str, object], products: Sequence[str]) -> None:
+    """Refuse options of cameras."""
+    wrong = [name for name, value in given.items() if value is not None]
+    if tuple(products) != PRODUCTS:
+        wrong.append("product")
+    if wrong:
+        raise InputError(
+            f"expected no {wrong[0]} with the LiDAR {lidar.name!r}: its file says all of it"
+        )
+
+
+def _write_record(run: Run, record: dict[str, Any]) -> None:
+    text = json.dumps(record, indent=2, ensure_ascii=False, allow_nan=False)
+    path = run.path("run.json", "versions, seed, sensor, atmosphere, accuracy, times")
+    write_text(path, text + "\n")
 
 
 def _is_own(plot: Plot, instrument: Sensor) -> bool:
@@ -219,11 +228,11 @@ def _cubes(
     every, bands = instrument.bands, aimed.sensor.bands
     places = [every.names.index(name) for name in bands.names]
 
-    def cube(name: str, image: Any, good: Any) -> Cube:
+    def cube(name: str, image: Array, good: Bool[np.ndarray, " band"]) -> Cube:
         values = np.full((len(every), *aimed.shape), np.nan)
         flags = np.zeros(len(every), bool)
         flags[places] = good
-        values[places] = np.where(np.asarray(good)[:, None, None], image, np.nan)
+        values[places] = np.where(good[:, None, None], image, np.nan)
         return Cube(
             values,
             every.names,

@@ -20,7 +20,7 @@ from fynjax.jobs._run import Run
 from fynjax.radiation import VoxelScene
 from fynjax.report import figures
 from fynjax.report.pages import Page, Part, Picture, Section, Table
-from fynjax.scene import ReturnTruth, hard_scene, observe
+from fynjax.scene import LidarObservation, ReturnTruth, hard_scene, observe
 from fynjax.sensors import FlashGeometry, Lidar, LidarBeams, LidarReturns
 from fynjax.sensors.lidar import GROUND
 
@@ -89,25 +89,7 @@ def simulate_lidar(
     record["lidar"] = lidar.name
     record["noise"] = "drawn" if noise else "none"
     with run.stage("Write", "write"):
-        place, ground = plot_place(plot), ground_heights(plot)
-        lowest = 0.0 if ground is None or place.crs is None else float(ground.min())
-        cloud, origin = run.path("cloud.laz", "point cloud, LAS 1.4"), (*place.origin_m, lowest)
-        write_cloud(
-            cloud,
-            returns,
-            origin_m=origin,
-            crs=place.crs,
-            attributes=record,
-            leading=truth.leading(),
-        )
-        waveforms = run.path("waveforms.nc", "waveform of every pulse, NetCDF")
-        write_run(waveforms, observation.to_xarray(), record)
-        what = "share of each species in each return, NetCDF"
-        write_run(run.path("truth.nc", what), truth.to_xarray(), record)
-        species = _species_table(truth)
-        run.table("cloud_species.csv", species, "number of each species in cloud.laz", None)
-        what = "percentiles of height of returns and of planted area"
-        run.table("heights.csv", heights.table(), what, None)
+        species = _write(run, plot, observation, truth, heights, record)
     counts = _counts(plot, beams, returns)
     headline = [*_headline(plot, lidar, counts, heights), *_seams(plot, lidar)]
     warnings = _warnings(lidar, voxels, beams)
@@ -130,6 +112,37 @@ def simulate_lidar(
     )
 
 
+def _write(
+    run: Run,
+    plot: Plot,
+    observation: LidarObservation,
+    truth: ReturnTruth,
+    heights: Heights,
+    record: dict[str, str | int],
+) -> pd.DataFrame:
+    """Write the cloud, the waveforms and their truth, and give the table of species."""
+    assert observation.returns is not None
+    place, ground = plot_place(plot), ground_heights(plot)
+    lowest = 0.0 if ground is None or place.crs is None else float(ground.min())
+    write_cloud(
+        run.path("cloud.laz", "point cloud, LAS 1.4"),
+        observation.returns,
+        origin_m=(*place.origin_m, lowest),
+        crs=place.crs,
+        attributes=record,
+        leading=truth.leading(),
+    )
+    waveforms = run.path("waveforms.nc", "waveform of every pulse, NetCDF")
+    write_run(waveforms, observation.to_xarray(), record)
+    what = "share of each species in each return, NetCDF"
+    write_run(run.path("truth.nc", what), truth.to_xarray(), record)
+    species = _species_table(truth)
+    run.table("cloud_species.csv", species, "number of each species in cloud.laz", None)
+    what = "percentiles of height of returns and of planted area"
+    run.table("heights.csv", heights.table(), what, None)
+    return species
+
+
 def _species_table(truth: ReturnTruth) -> pd.DataFrame:
     """Number of each species in the cloud, and of how many returns it is the leading one."""
     leading, _ = truth.leading()
@@ -145,7 +158,7 @@ def _light_of(lidar: Lidar) -> str:
 
 
 def _warnings(lidar: Lidar, voxels: VoxelScene, beams: LidarBeams) -> list[str]:
-    """What the range gate cut off."""
+    """Warnings of pulses that the range gate may cut off."""
     if lidar.gate is None:
         return []
     low = 0.0 if voxels.terrain is None else float(np.min(np.asarray(voxels.terrain)))
@@ -176,7 +189,7 @@ def _seams(plot: Plot, lidar: Lidar) -> list[str]:
 
 
 def _counts(plot: Plot, beams: LidarBeams, returns: LidarReturns) -> dict[str, float]:
-    """How many returns there are, by their names in the result."""
+    """Numbers of returns and pulses, by their names in the result."""
     area = float(np.prod(plot.size_m))
     return {
         "returns": len(returns),

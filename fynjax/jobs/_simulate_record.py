@@ -1,4 +1,4 @@
-"""What made an image product, and what a user should mind of it."""
+"""Record and warnings of a simulated image."""
 
 import dataclasses
 import json
@@ -26,7 +26,7 @@ def run_record(
     observation: Observation,
     seconds: dict[str, float],
 ) -> dict[str, Any]:
-    """What made the product, for `run.json`."""
+    """Versions, settings and times of a simulation, for `run.json`."""
     camera, accuracy = aimed.sensor.camera, aimed.accuracy
     frame, angles = frame_of(camera), {}
     optics = instrument.ground_sample_distance(aimed.sensor_height)
@@ -64,21 +64,7 @@ def run_record(
             "pixels_averaged_in_noise": float(aimed.averaged),
             "reflectance_by": "the known air" if aimed.panels is None else "panels",
         },
-        "atmosphere": {
-            "model": air.source,
-            "file": None if air.file is None else air.file.name,
-            **(
-                {}
-                if air.source in ("file", "none")
-                else {
-                    "water_vapour_cm": air.water_vapour_cm,
-                    "aerosol_optical_depth_550": air.aerosol_optical_depth,
-                    "aerosol_optical_depth_500_of_sky": plot.sky.aerosol_optical_depth,
-                    "ozone_cm_atm": air.ozone_cm_atm,
-                    "pressure_hpa": air.pressure_hpa,
-                }
-            ),
-        },
+        "atmosphere": _air_record(plot, air),
         "accuracy": {
             **{f.name: getattr(accuracy, f.name) for f in dataclasses.fields(accuracy)},
             "bands_reduced_to_few_solves": is_reduced(aimed),
@@ -86,6 +72,20 @@ def run_record(
             "precision": observation.reflectance.dtype.name,
         },
         "timings_s": dict(seconds),
+    }
+
+
+def _air_record(plot: Plot, air: AtmosphereTable) -> dict[str, Any]:
+    """The model of the air, or the file that it is read from, with what the model takes."""
+    record = {"model": air.source, "file": None if air.file is None else air.file.name}
+    if air.source in ("file", "none"):
+        return record
+    return record | {
+        "water_vapour_cm": air.water_vapour_cm,
+        "aerosol_optical_depth_550": air.aerosol_optical_depth,
+        "aerosol_optical_depth_500_of_sky": plot.sky.aerosol_optical_depth,
+        "ozone_cm_atm": air.ozone_cm_atm,
+        "pressure_hpa": air.pressure_hpa,
     }
 
 
@@ -130,7 +130,7 @@ def _of_slant(aimed: AimedSensor) -> list[str]:
 
 
 def warnings_of(plot: Plot, aimed: AimedSensor, instrument: Sensor) -> list[str]:
-    """What a user should mind of a simulated image."""
+    """Warnings of a simulated image."""
     lost = []
     if plot.sensor.panels and aimed.panels is None:
         lost = [f"the plot file's panels are those of {plot.sensor.name}, and left out here"]

@@ -5,9 +5,10 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+from jaxtyping import Bool, Float
 
 from fynjax._core.dry_run import begin_work
-from fynjax._core.errors import InputError
+from fynjax._core.errors import InputError, in_file
 from fynjax._core.precision import double_precision
 from fynjax.io.raster import write_geotiff
 from fynjax.jobs._result import JobResult, Record
@@ -42,6 +43,8 @@ _RASTERS = (".tif", ".tiff", ".img", ".asc", ".vrt")  # of the last, that it nam
 # Points all through a layer as thick as the tolerance scatter by 0.29 of it about their mean.
 _ROUGH = 0.27
 _LARGEST_GAP = 10.0
+_CELL = 0.25
+"""Side of the cells of a cloud's terrain [m], unless stated."""
 _TOLD_RELIEF = 1.0
 """Relief of the ground [m] from which a cloud of heights above the ground is doubted."""
 _BELOW = 0.01
@@ -135,24 +138,20 @@ def terrain(
     run = Run(output)
     path = Path(path)
     is_raster = path.suffix.lower() in _RASTERS
-    if bounds is not None:
-        if size is not None:
-            raise InputError("expected `bounds` or `size` of the plot, but got both")
-        check_bounds(bounds)
-    lengths = {"tolerance": tolerance, "slope": slope, "window": window}
-    for name, value in {**lengths, "cell": cell, "size": size, "largest_gap": largest_gap}.items():
-        if value is not None:
-            check_positive(name, value)
+    filtering = {"tolerance": tolerance, "slope": slope, "window": window}
+    _check_lengths(
+        bounds, size, {**filtering, "cell": cell, "size": size, "largest_gap": largest_gap}
+    )
     _check_used(
         is_raster,
         fill_gaps,
         {
-            **{"method": method, **lengths, "largest_gap": largest_gap, "unit": unit},
+            **{"method": method, **filtering, "largest_gap": largest_gap, "unit": unit},
             **{"fill_gaps": fill_gaps or None, "band": band},
         },
     )
-    gap = _LARGEST_GAP if largest_gap is None else largest_gap
-    try:
+    gap = largest_gap or _LARGEST_GAP
+    with in_file(path):
         if is_raster:
             with run.stage("Read the raster"):
                 terrain, numbers = _from_raster(
@@ -163,67 +162,77 @@ def terrain(
         else:
             with run.stage("Read the cloud"):
                 cloud = read_cloud(path, unit=unit, height_unit=height_unit, crs=crs)
-            terrain, canopy, numbers = _from_cloud(
-                cloud,
-                bounds if size is None else _middle(cloud.bounds, size),
-                0.25 if cell is None else cell,
-                gap,
-                run,
-                **{k: v for k, v in {"method": method, **lengths}.items() if v is not None},
-            )
-    except InputError as error:
-        if error.file is not None:
-            raise
-        raise InputError(str(error), file=path) from error
-    if not is_raster and terrain.crs is None and terrain.origin != (0.0, 0.0):
-        if path.suffix.lower() in (".las", ".laz"):  # text and PLY cannot state one
-            warnings.warn(
-                f"{path}: no coordinate reference system is known. The maps keep the coordinates "
-                "and call their system unknown; state it if you know it: --crs EPSG:... (`crs`).",
-                stacklevel=2,
-            )
-        if unit is None:
-            warnings.warn(
-                f"{path}: the file states no unit, so all is taken for metres; of feet, plants "
-                "would seem 3.3 times as tall. State which: --unit foot or metre (`unit`).",
-                stacklevel=2,
-            )
+            plot = bounds if size is None else _middle(cloud.bounds, size)
+            stated = {k: v for k, v in {"method": method, **filtering}.items() if v is not None}
+            terrain, canopy, numbers = _from_cloud(cloud, plot, cell or _CELL, gap, run, **stated)
+    if not is_raster:
+        _doubt_place(path, terrain, unit)
     rows, columns = terrain.heights.shape
-    begin_work(
-        {
-            "terrain.tif": f"{rows} rows and {columns} columns of cells",
-            "terrain.obj": "",
-            "report.html": "",
-        }
-    )
+    size_of_map = f"{rows} rows and {columns} columns of cells"
+    begin_work({"terrain.tif": size_of_map, "terrain.obj": "", "report.html": ""})
     with run.stage("Write"):
-        write_terrain(run.path("terrain.tif", "height of the ground [m]"), terrain)
-        write_mesh(run.path("terrain.obj", "the same as a mesh, in the plot's frame"), terrain)
-        if canopy is not None:
-            write_geotiff(
-                run.path("canopy_height.tif", "highest point above ground in each cell [m]"),
-                canopy[None],
-                ["canopy_height"],
-                pixel_m=terrain.cell,
-                origin_m=terrain.origin,
-                crs=terrain.crs,
-                tags={"quantity": "height of the canopy above ground", "unit": "m"},
-            )
-        if terrain.gap is not None and terrain.gap.any():
-            write_geotiff(
-                run.path("ground_distance.tif", "how far cells are from measured ground [m]"),
-                terrain.gap[None],
-                ["ground_distance"],
-                pixel_m=terrain.cell,
-                origin_m=terrain.origin,
-                crs=terrain.crs,
-                tags={"quantity": "distance of interpolated ground from measured", "unit": "m"},
-            )
+        _write(run, terrain, canopy)
     summary = _summary(terrain, numbers)
     headline = _headline(summary)
     picture = Picture("terrain.png", figures.terrain_figure(terrain, canopy), "picture of it")
     run.pictures(f"Terrain of {path.name}", headline, [picture], [path])
     return run.result(TerrainResult, headline=headline, terrain=summary)
+
+
+def _check_lengths(
+    bounds: Bounds | None, size: float | None, lengths: dict[str, float | None]
+) -> None:
+    """Refuse a plot that is stated twice, and lengths that are not positive."""
+    if bounds is not None:
+        if size is not None:
+            raise InputError("expected `bounds` or `size` of the plot, but got both")
+        check_bounds(bounds)
+    for name, value in lengths.items():
+        if value is not None:
+            check_positive(name, value)
+
+
+def _doubt_place(path: Path, terrain: Terrain, unit: str | None) -> None:
+    """Warn of a cloud on the map whose file states no reference system and no unit."""
+    if terrain.crs is not None or terrain.origin == (0.0, 0.0):
+        return
+    if path.suffix.lower() in (".las", ".laz"):  # text and PLY cannot state one
+        warnings.warn(
+            f"{path}: no coordinate reference system is known. The maps keep the coordinates "
+            "and call their system unknown; state it if you know it: --crs EPSG:... (`crs`).",
+            stacklevel=3,
+        )
+    if unit is None:
+        warnings.warn(
+            f"{path}: the file states no unit, so all is taken for metres; of feet, plants "
+            "would seem 3.3 times as tall. State which: --unit foot or metre (`unit`).",
+            stacklevel=3,
+        )
+
+
+def _write(run: Run, terrain: Terrain, canopy: Float[np.ndarray, "y x"] | None) -> None:
+    """Write the terrain, the height of the canopy and the distance from measured ground."""
+
+    def write_map(path: Path, name: str, values: Float[np.ndarray, "y x"], quantity: str) -> None:
+        write_geotiff(
+            path,
+            values[None],
+            [name],
+            pixel_m=terrain.cell,
+            origin_m=terrain.origin,
+            crs=terrain.crs,
+            tags={"quantity": quantity, "unit": "m"},
+        )
+
+    write_terrain(run.path("terrain.tif", "height of the ground [m]"), terrain)
+    write_mesh(run.path("terrain.obj", "the same as a mesh, in the plot's frame"), terrain)
+    if canopy is not None:
+        path = run.path("canopy_height.tif", "highest point above ground in each cell [m]")
+        write_map(path, "canopy_height", canopy, "height of the canopy above ground")
+    if terrain.gap is not None and terrain.gap.any():
+        path = run.path("ground_distance.tif", "how far cells are from measured ground [m]")
+        quantity = "distance of interpolated ground from measured"
+        write_map(path, "ground_distance", terrain.gap, quantity)
 
 
 def _check_used(is_raster: bool, fill_gaps: bool, settings: dict[str, Any]) -> None:
@@ -271,7 +280,7 @@ def _from_cloud(
     largest_gap: float,
     run: Run,
     **options: Any,
-) -> tuple[Terrain, Any, dict[str, Any]]:
+) -> tuple[Terrain, Float[np.ndarray, "y x"], dict[str, Any]]:
     if bounds is not None:
         check_covered(cloud.bounds, bounds, cell)
         cloud = cloud.crop(bounds, max(_AROUND, options.get("window", WINDOW), largest_gap))
@@ -302,49 +311,58 @@ def _from_cloud(
             f"{lost}. Take the cloud before it was normalised",
             stacklevel=3,
         )
-    points = cloud.select(ground).crop(terrain.bounds)
     assert terrain.gap is not None  # of a cloud it is known
+    numbers: dict[str, Any] = {
+        **_judged(cloud, ground, labelled, terrain, options),
+        "ground_by": options["method"],
+        "points": len(cloud),
+        "ground_share": float(ground.mean()),
+        "cells_with_ground": float((terrain.gap == 0.0).mean()),
+        "canopy_height_median_m": float(np.nanmedian(canopy)),
+        "canopy_height_99_m": float(np.nanpercentile(canopy, 99)),
+    }
+    return terrain, canopy, numbers
+
+
+def _judged(
+    cloud: PointCloud,
+    ground: Bool[np.ndarray, " point"],
+    labelled: Bool[np.ndarray, " point"] | None,
+    terrain: Terrain,
+    options: dict[str, Any],
+) -> dict[str, float]:
+    """Distances of points from the terrain, in numbers; warns where they speak against it."""
+    tolerance = options.get("tolerance", TOLERANCE)
+    points = cloud.select(ground).crop(terrain.bounds)
     scatter = float(np.sqrt(np.mean(heights_above_ground(points, terrain) ** 2)))
-    if scatter > _ROUGH * options.get("tolerance", TOLERANCE):
+    if scatter > _ROUGH * tolerance:
         warnings.warn(
             f"the ground scatters by {100 * scatter:.0f} cm about its surface, nearly as "
             "much as the tolerance allows: the cloud may have no points on the ground there. Look "
             "at terrain.png.",
-            stacklevel=3,
+            stacklevel=4,
         )
-    tolerance = options.get("tolerance", TOLERANCE)
-    numbers: dict[str, Any] = {}
-    if labelled is not None:
-        own = cloud.select(labelled).crop(terrain.bounds)
-        if len(own):
-            off = float(np.median(np.abs(heights_above_ground(own, terrain))))
-            numbers["labels_apart_m"] = off
-            if off > tolerance:
-                warnings.warn(
-                    f"the file's own ground points lie {off:.2f} m from the ground that the method "
-                    f"{options['method']!r} found, in the median: try the method 'labels', or look "
-                    "at terrain.png",
-                    stacklevel=3,
-                )
+    numbers = {"ground_scatter_m": scatter}
+    own = None if labelled is None else cloud.select(labelled).crop(terrain.bounds)
+    if own is not None and len(own):
+        off = float(np.median(np.abs(heights_above_ground(own, terrain))))
+        numbers["labels_apart_m"] = off
+        if off > tolerance:
+            warnings.warn(
+                f"the file's own ground points lie {off:.2f} m from the ground that the method "
+                f"{options['method']!r} found, in the median: try the method 'labels', or look "
+                "at terrain.png",
+                stacklevel=4,
+            )
     inside = cloud.crop(terrain.bounds)
     below = float(np.mean(heights_above_ground(inside, terrain) < -tolerance))
     if below > _BELOW:
         warnings.warn(
             f"{100 * below:.0f} % of the points lie more than {tolerance:g} m below the ground: "
             "look at terrain.png",
-            stacklevel=3,
+            stacklevel=4,
         )
-    numbers |= {
-        "ground_by": options["method"],
-        "points_below": below,
-        "points": len(cloud),
-        "ground_share": float(ground.mean()),
-        "cells_with_ground": float((terrain.gap == 0.0).mean()),
-        "ground_scatter_m": scatter,
-        "canopy_height_median_m": float(np.nanmedian(canopy)),
-        "canopy_height_99_m": float(np.nanpercentile(canopy, 99)),
-    }
-    return terrain, canopy, numbers
+    return numbers | {"points_below": below}
 
 
 def _summary(terrain: Terrain, numbers: dict[str, Any]) -> TerrainSummary:

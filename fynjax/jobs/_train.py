@@ -2,16 +2,18 @@
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pandas as pd
 import xarray as xr
+from jax.typing import ArrayLike
 from pydantic import Field
 
 from fynjax._core.checkpoint import Journal, signature
@@ -47,7 +49,7 @@ _CHANNEL = {
     "upper": "upper end of the channel",
     "centre": "mean of the centres of its bands",
 }
-"""What a training file says of a channel [nm]."""
+"""Attributes of a channel in a training file [nm]."""
 _PARTS = {
     "middle": (("channel",), "mean logarithm of reflectance"),
     "rows": (("feature", "channel"), "features of that"),
@@ -147,6 +149,76 @@ def train(
     """
     run = Run(output, seed=seed)
     require("optax", "map")
+    task = _task(sensor, like, sun_zenith, simulations, prior)
+    channels, settings, count = task.channels, task.settings, task.simulations
+    inputs = [task.prior.path, *([like] if like is not None else [])]
+    begin_work(
+        {
+            "training.nc": f"{count} spectra in {len(channels.centre)} channels",
+            "scores.csv": "",
+            "report.html": "",
+        }
+    )
+    quantities, spectra, residual = _simulate(run, task, checkpoint, workers)
+    with run.timed("training"):
+        posterior, held_out = train_posterior(
+            spectra,
+            quantities,
+            task.prior.error_covariance(channels.centre),
+            together=settings.together,
+            steps=steps,
+            seed=seed,
+        )
+    scores = _scores(held_out)
+    table = pd.DataFrame([s.model_dump() for s in scores])
+    record = {**run.record(inputs), **_record(task, residual, table)}
+    with run.stage("Write"):
+        write_training(
+            run.path("training.nc", "the regression, for `fynjax map --training`"),
+            Training(posterior, channels, task.responses, settings, task.bands, record),
+        )
+        what = "errors and coverage of intervals on simulations held out"
+        run.table("scores.csv", table, what)
+    headline = _headline(task, held_out, scores)
+    shown = table.sort_values("explained", ascending=False)
+    run.pictures(f"Training: {task.sensor}", headline, [Table(shown, SCORES)], inputs)
+    return run.result(
+        TrainResult,
+        headline=headline,
+        sensor=task.sensor,
+        channels=len(channels.centre),
+        simulations=count,
+        held_out=held_out.count,
+        sun_zenith_deg=settings.sun_zenith,
+        prior=task.prior.file.title,
+        scores=scores,
+    )
+
+
+class _Task(NamedTuple):
+    """The channels that a regression is trained for, and the stands that are simulated for it."""
+
+    sensor: str
+    bands: int
+    channels: Channels
+    responses: BandSet
+    settings: StandSettings
+    prior: LearnedPrior
+    stands: int
+
+    @property
+    def simulations(self) -> int:
+        """Number of spectra."""
+        return self.stands * self.settings.together
+
+
+def _task(
+    sensor: str | Path | None,
+    like: str | Path | None,
+    sun_zenith: tuple[float, float],
+    simulations: int,
+    prior: str | Path,
+) -> _Task:
     if (sensor is None) == (like is None):
         raise InputError("expected either a sensor or a cube whose bands to train for (--like)")
     low, high = sun_zenith
@@ -161,90 +233,63 @@ def train(
     if learned is None:
         raise InputError("expected a learned prior to draw stands from, but got none")
     name, bands, good = _bands(sensor, like)
-    channels, joined = group_bands(bands, good)
     settings = StandSettings(sun_zenith=(low, high))
     stands = -(-simulations // settings.together)
-    parts = [tuple(range(start, min(start + _PART, stands))) for start in range(0, stands, _PART)]
-    inputs = [learned.path, *([like] if like is not None else [])]
-    count = stands * settings.together
-    begin_work(
-        {
-            "training.nc": f"{count} spectra in {len(channels.centre)} channels",
-            "scores.csv": "",
-            "report.html": "",
-        }
-    )
-    journal = Journal(
-        checkpoint, signature((settings, joined, seed, stands), [file_hash(learned.path)])
-    )
+    return _Task(name, len(bands), *group_bands(bands, good), settings, learned, stands)
+
+
+def _simulate(
+    run: Run, task: _Task, checkpoint: str | Path, workers: Workers | None
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """Quantities of stands, their spectra, and the largest residual of light."""
+    ends = [*range(0, task.stands, _PART), task.stands]
+    parts = [tuple(range(start, end)) for start, end in pairwise(ends)]
+    signed = task.settings, task.responses, run.seed, task.stands
+    journal = Journal(checkpoint, signature(signed, [file_hash(task.prior.path)]))
     with run.stage("Simulate", "simulation", total=len(parts)), at_work(workers) as pool:
         made = pool.all(
-            _simulated, parts, joined, learned, settings, seed,
+            _simulated, parts, task.responses, task.prior, task.settings, run.seed,
             names=[f"stands {part[0]} to {part[-1]}" for part in parts],
             journal=journal,
         )  # fmt: skip
     quantities, spectra, left = zip(*made, strict=True)
-    residual = max(float(one) for one in left)
-    with run.timed("training"):
-        posterior, held_out = train_posterior(
-            np.concatenate(spectra),
-            np.concatenate(quantities),
-            learned.error_covariance(channels.centre),
-            together=settings.together,
-            steps=steps,
-            seed=seed,
-        )
-    scores = _scores(held_out)
-    table = pd.DataFrame([s.model_dump() for s in scores])
-    record = {
-        **run.record(inputs),
+    return np.concatenate(quantities), np.concatenate(spectra), max(float(one) for one in left)
+
+
+def _record(task: _Task, residual: float, scores: pd.DataFrame) -> dict[str, Any]:
+    """Attributes of a training file; `map` reads some of them."""
+    return {
         "title": "Regression from spectra to covers and leaves",
         "kind": _KIND,
-        "sensor": name,
-        "sensor_bands": len(bands),
-        "growth_forms": ", ".join(stand_forms(learned)),
-        "prior": learned.file.title,
-        "prior_sha256": file_hash(learned.path),
-        "simulations": count,
-        "sun_zenith_deg": json.dumps([low, high]),
-        "stand_size_m": settings.size_m,
-        "voxel_m": settings.voxel_m,
-        "structure_m": settings.structure_m,
+        "sensor": task.sensor,
+        "sensor_bands": task.bands,
+        "growth_forms": ", ".join(stand_forms(task.prior)),
+        "prior": task.prior.file.title,
+        "prior_sha256": file_hash(task.prior.path),
+        "simulations": task.simulations,
+        "sun_zenith_deg": json.dumps(task.settings.sun_zenith),
+        "stand_size_m": task.settings.size_m,
+        "voxel_m": task.settings.voxel_m,
+        "structure_m": task.settings.structure_m,
         "largest_residual": f"{residual:.2g}",
-        "scores": table.to_json(orient="records"),
+        "scores": scores.to_json(orient="records"),
     }
-    with run.stage("Write"):
-        write_training(
-            run.path("training.nc", "the regression, for `fynjax map --training`"),
-            Training(posterior, channels, joined, settings, len(bands), record),
-        )
-        what = "errors and coverage of intervals on simulations held out"
-        run.table("scores.csv", table, what)
-    worst = min(s.inside_90 or 0.0 for s in scores), max(s.inside_90 or 0.0 for s in scores)
+
+
+def _headline(task: _Task, held_out: HeldOut, scores: Sequence[QuantityScore]) -> list[str]:
+    low, high = task.settings.sun_zenith
+    inside = [s.inside_90 or 0.0 for s in scores]
     ranked = sorted(scores, key=lambda s: -(s.explained or 0.0))
-    headline = [
-        f"{count} spectra of {name} in {len(channels.centre)} channels, sun at {low:g} to "
-        f"{high:g} degrees.",
-        f"Growth forms of the stands, those of the prior: {', '.join(stand_forms(learned))}.",
-        f"On {held_out.count} held out the 90 % intervals hold {100 * worst[0]:.0f} to "
-        f"{100 * worst[1]:.0f} % of the truths.",
+    return [
+        f"{task.simulations} spectra of {task.sensor} in {len(task.channels.centre)} channels, sun "
+        f"at {low:g} to {high:g} degrees.",
+        f"Growth forms of the stands, those of the prior: {', '.join(stand_forms(task.prior))}.",
+        f"On {held_out.count} held out the 90 % intervals hold {100 * min(inside):.0f} to "
+        f"{100 * max(inside):.0f} % of the truths.",
         "Share of the variance explained: "
         + ", ".join(f"{s.quantity} {s.explained or 0.0:.2f}" for s in ranked)
         + ".",
     ]
-    shown = table.sort_values("explained", ascending=False)
-    run.pictures(f"Training: {name}", headline, [Table(shown, SCORES)], inputs)
-    return run.result(
-        TrainResult,
-        headline=headline,
-        sensor=name,
-        channels=len(channels.centre),
-        simulations=count,
-        held_out=held_out.count,
-        sun_zenith_deg=(low, high),
-        prior=learned.file.title,
-        scores=scores,
-    )
 
 
 def _simulated(
@@ -302,8 +347,8 @@ def write_training(path: Path, training: Training) -> None:
     """
     posterior, channels = training.posterior, training.channels
 
-    def of(dims: tuple[str, ...], values: Any, name: str, unit: str = "1") -> Any:
-        return dims, np.asarray(values), {"long_name": name, "units": unit}
+    def of(dims: tuple[str, ...], values: ArrayLike, name: str, unit: str = "1") -> xr.Variable:
+        return xr.Variable(dims, np.asarray(values), {"long_name": name, "units": unit})
 
     variables = {
         name: of(("channel",), getattr(channels, name), what, "nm")
@@ -328,7 +373,7 @@ def write_training(path: Path, training: Training) -> None:
 _SEAL = "content_sha256"
 
 
-def _sealed(data: xr.Dataset, record: Mapping[str, Any]) -> str:
+def _sealed(data: xr.Dataset, record: Mapping[str, object]) -> str:
     """Hash of all that a training holds: arrays by name, and the record without what is added to
     every file."""
     total = hashlib.sha256()

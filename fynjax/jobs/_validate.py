@@ -1,10 +1,10 @@
 """What `fynjax validate` does: real against simulated data of any of three sensors."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -15,6 +15,7 @@ from fynjax._core.errors import InputError
 from fynjax._core.precision import double_precision
 from fynjax.compare import (
     DroneComparison,
+    DroneImage,
     PublishedComparison,
     SpectralComparison,
     bands_2006,
@@ -196,18 +197,7 @@ def validate(
     drone: Drone | None = None
     if data.simulated_drone:
         read = partial(read_drone_image, saturation=saturation, most_pixels=most_pixels)
-        if str(data.real_drone) == PUBLISHED:
-            drone = compare_with_published(read(data.simulated_drone, bands=simulated_bands))
-        else:
-            both = data.simulated_drone, data.real_drone or ""
-            stated = simulated_bands, real_bands
-            others = shared_bands(*both, bands=stated)
-            pair = list(zip(both, stated, strict=True))
-            simulated, real = (read(path, bands=bands, camera=others) for path, bands in pair)
-            if simulated.bands != real.bands:  # a band of one alone must leave out no pixels
-                simulated, real = (read(path, bands=bands) for path, bands in pair)
-            drone = compare_drone_images(real, simulated)
-    if drone is not None:
+        drone = _compare_images(data, read, simulated_bands, real_bands)
         _doubt(run, drone)
     spectra: SpectralComparison | None = None
     if data.simulated_spectra:
@@ -229,34 +219,9 @@ def validate(
             checked=lambda: begin_work(files | {"structure.nc": ""}),
         )
     begin_work(files)
-    headline: list[str] = []
-    keys: dict[str, str] = {}
-    sections: list[Section] = []
     record = run.record(inputs)
     with run.stage("Write"):
-        if drone is not None:
-            _write_drone(run, drone)
-            headline += _drone_sentences(drone)
-            keys |= _drone_figures(drone)
-            sections.append(
-                published_section(drone)
-                if isinstance(drone, PublishedComparison)
-                else drone_section(drone)
-            )
-        if spectra is not None:
-            _write_spectra(run, spectra)
-            headline += _spectral_sentences(spectra)
-            keys |= _spectral_figures(spectra)
-            sections.append(spectral_section(spectra))
-        if drone is not None or spectra is not None:
-            path = run.path("validation.nc", "every number, NetCDF")
-            write_run(path, validation_dataset(drone, spectra), record)
-        if structure is not None:
-            _write_structure(run, structure, record)
-            headline.append(_structure_sentence(structure))
-            sections.append(structure_section(structure))
-        lead = "Simulated against real data, after section 4 of the scene paper."
-        run.page(Page("Validation", lead, sections, keys, record))
+        headline = _write(run, drone, spectra, structure, record)
     return run.result(
         ValidateResult,
         headline=headline,
@@ -264,6 +229,56 @@ def validate(
         spectra=None if spectra is None else _spectra_summary(spectra),
         structure=None if structure is None else _structure_summary(structure),
     )
+
+
+def _write(
+    run: Run,
+    drone: Drone | None,
+    spectra: SpectralComparison | None,
+    structure: StructureComparison | None,
+    record: dict[str, str | int],
+) -> list[str]:
+    """Write the files of all comparisons and the page, and give their sentences."""
+    parts: list[_Part] = []
+    if drone is not None:
+        parts.append(_write_drone(run, drone))
+    if spectra is not None:
+        parts.append(_write_spectra(run, spectra))
+    if drone is not None or spectra is not None:
+        path = run.path("validation.nc", "every number, NetCDF")
+        write_run(path, validation_dataset(drone, spectra), record)
+    if structure is not None:
+        parts.append(_write_structure(run, structure, record))
+    keys = {name: value for part in parts for name, value in part.keys.items()}
+    lead = "Simulated against real data, after section 4 of the scene paper."
+    run.page(Page("Validation", lead, [part.section for part in parts], keys, record))
+    return [sentence for part in parts for sentence in part.headline]
+
+
+class _Part(NamedTuple):
+    """A comparison in sentences, in its main numbers, and on the page."""
+
+    headline: list[str]
+    keys: dict[str, str]
+    section: Section
+
+
+def _compare_images(
+    data: ValidationData,
+    read: Callable[..., DroneImage],
+    simulated_bands: Sequence[str] | None,
+    real_bands: Sequence[str] | None,
+) -> Drone:
+    if str(data.real_drone) == PUBLISHED:
+        return compare_with_published(read(data.simulated_drone, bands=simulated_bands))
+    both = data.simulated_drone or "", data.real_drone or ""
+    stated = simulated_bands, real_bands
+    others = shared_bands(*both, bands=stated)
+    pair = list(zip(both, stated, strict=True))
+    simulated, real = (read(path, bands=bands, camera=others) for path, bands in pair)
+    if simulated.bands != real.bands:  # a band of one alone must leave out no pixels
+        simulated, real = (read(path, bands=bands) for path, bands in pair)
+    return compare_drone_images(real, simulated)
 
 
 def _doubt(run: Run, drone: Drone) -> None:
@@ -275,14 +290,39 @@ def _doubt(run: Run, drone: Drone) -> None:
     doubt_spectrum(run, real, mavic_3m())
 
 
-def _write_drone(run: Run, drone: Drone) -> None:
+def _write_drone(run: Run, drone: Drone) -> _Part:
     if isinstance(drone, PublishedComparison):
         what = "statistics beside the published ones"
         run.table("drone_published.csv", drone.statistics, what, "%.9g")
-        return
+        nearer, count = wins(drone.statistics)
+        said = (
+            "Against the published statistics of the 2006 plot's real image: nearer than the "
+            f"paper's DIRSIG in {nearer} of {count} numbers that are sound."
+        )
+        what = "numbers nearer to the real image than the paper's DIRSIG"
+        return _Part([said], {what: f"{nearer} of {count}"}, published_section(drone))
     run.table("drone_bands.csv", drone.bands, "bands, real and simulated", "%.9g")
     run.table("drone_indices.csv", drone.indices, "the twenty indices, with formulas", "%.9g")
     run.table("drone_diversity.csv", drone.variety, "how much spectra of pixels differ", "%.9g")
+    bands = ", ".join(
+        f"{figures.words(r['band'])} {r['difference_percent']:+.1f} %"
+        for r in drone.bands.to_dict("records")
+    )
+    table = drone.indices
+    worst = table.iloc[int(np.nanargmax(table["difference_percent"].abs()))]
+    overlap = table["histogram_intersection"].median()
+    headline = [
+        f"Drone, simulated against real means: {bands}.",
+        f"Twenty indices: median histogram intersection {overlap:.2f}, median KS "
+        f"{table['ks'].median():.2f}, largest difference of a mean {worst['index']} "
+        f"{worst['difference_percent']:+.0f} %.",
+    ]
+    largest = drone.bands["difference_percent"].abs().max()
+    keys = {
+        "largest difference of a band mean": f"{largest:.1f} %",
+        "median histogram intersection, 20 indices": f"{overlap:.2f}",
+    }
+    return _Part(headline, keys, drone_section(drone))
 
 
 def _drone_summary(drone: Drone) -> DroneSummary:
@@ -296,40 +336,7 @@ def _drone_summary(drone: Drone) -> DroneSummary:
     )
 
 
-def _drone_sentences(drone: Drone) -> list[str]:
-    if isinstance(drone, PublishedComparison):
-        nearer, count = wins(drone.statistics)
-        return [
-            "Against the published statistics of the 2006 plot's real image: nearer than the "
-            f"paper's DIRSIG in {nearer} of {count} numbers that are sound."
-        ]
-    bands = ", ".join(
-        f"{figures.words(r['band'])} {r['difference_percent']:+.1f} %"
-        for r in drone.bands.to_dict("records")
-    )
-    table = drone.indices
-    worst = table.iloc[int(np.nanargmax(table["difference_percent"].abs()))]
-    return [
-        f"Drone, simulated against real means: {bands}.",
-        f"Twenty indices: median histogram intersection "
-        f"{table['histogram_intersection'].median():.2f}, median KS {table['ks'].median():.2f}, "
-        f"largest difference of a mean {worst['index']} {worst['difference_percent']:+.0f} %.",
-    ]
-
-
-def _drone_figures(drone: Drone) -> dict[str, str]:
-    if isinstance(drone, PublishedComparison):
-        nearer, count = wins(drone.statistics)
-        return {"numbers nearer to the real image than the paper's DIRSIG": f"{nearer} of {count}"}
-    largest = drone.bands["difference_percent"].abs().max()
-    overlap = drone.indices["histogram_intersection"].median()
-    return {
-        "largest difference of a band mean": f"{largest:.1f} %",
-        "median histogram intersection, 20 indices": f"{overlap:.2f}",
-    }
-
-
-def _write_spectra(run: Run, spectra: SpectralComparison) -> None:
+def _write_spectra(run: Run, spectra: SpectralComparison) -> _Part:
     for name, table, what in (
         ("spectra.csv", spectra.spectra, "both mean spectra on common bands"),
         ("spectral_agreement.csv", spectra.regions, "agreement by region (table 5)"),
@@ -337,6 +344,8 @@ def _write_spectra(run: Run, spectra: SpectralComparison) -> None:
         ("spectral_indices.csv", spectra.indices, "indices of the spectra, with formulas"),
     ):
         run.table(name, table, what, "%.9g")
+    section = spectral_section(spectra)
+    return _Part(_spectral_sentences(spectra), _spectral_figures(spectra), section)
 
 
 def _spectra_summary(spectra: SpectralComparison) -> SpectraSummary:
@@ -377,7 +386,7 @@ def _spectral_figures(spectra: SpectralComparison) -> dict[str, str]:
 
 def _write_structure(
     run: Run, structure: StructureComparison, record: dict[str, str | int]
-) -> None:
+) -> _Part:
     table, settings = structure.table(), structure.settings_table()
     run.table("structure.csv", table, "structure metrics with their intervals", "%.9g")
     run.table("structure_settings.csv", settings, "every setting they depend on", None)
@@ -395,6 +404,7 @@ def _write_structure(
         run.table(f"structure_{name}.csv", rows, what, "%.9g")
     path = run.path("structure.nc", "every number of both clouds, with maps by cell, NetCDF")
     write_run(path, _named(structure.dataset()), record)
+    return _Part([_structure_sentence(structure)], {}, structure_section(structure))
 
 
 def _named(dataset: xr.Dataset) -> xr.Dataset:

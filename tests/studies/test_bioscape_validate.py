@@ -169,7 +169,7 @@ def test_the_diversity_of_five_plots_and_more_is_reported(tmp_path: Path) -> Non
     cover = random.uniform(size=(7, 4))
     variety = {name: random.uniform(size=7) for name in VARIETY}
     found = write_report(
-        Run(tmp_path), pair, about, COARSE, [], cover=cover, variety=variety, seed=0,
+        Run(tmp_path), pair, about, COARSE, [], cover=cover, variety=variety,
         largest_residual=0.0, warnings=[],
     )  # fmt: skip
     table = pd.read_csv(tmp_path / "diversity.csv")

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 from rasterio.crs import CRS
 
-from fynjax._core.errors import InputError
+from fynjax._core.errors import InputError, in_file
 from fynjax.compare.structure._pits import sunk, without_pits
 from fynjax.terrain import (
     Bounds,
@@ -32,7 +32,7 @@ _ROUNDING = 1.5e-3
 MUCH_NOISE = 0.005
 """Share of returns far below the ground from which on the ground itself is to be doubted [-]."""
 _MOST_ROUNDS = 4
-"""Of looking for ground again without the noise below it."""
+"""Rounds of looking for ground again without the noise below it."""
 GroundSource = Literal["auto", "labels", "smrf", "cloth", "none"]
 """Where the ground of a cloud comes from."""
 _OPTIONS = ("tolerance", "deepest", "tallest")
@@ -41,7 +41,7 @@ _OPTIONS = ("tolerance", "deepest", "tallest")
 
 @dataclass(frozen=True)
 class CloudSettings:
-    """How a cloud is read and its ground found."""
+    """Settings by which a cloud is read and its ground found."""
 
     ground: GroundSource = "auto"
     """"labels" takes the file's ground classes, "smrf" and "cloth" filter (see
@@ -124,12 +124,8 @@ def height_cloud(
     Raises `InputError`, with the file, for a plot that the cloud does not cover, a cloud without
     ground, or heights that are elevations above the sea.
     """
-    try:
+    with in_file(path):
         return _heights(cloud, path, settings, bounds, slack)
-    except InputError as error:
-        if error.file is not None:
-            raise
-        raise InputError(str(error), file=path) from error
 
 
 def _heights(

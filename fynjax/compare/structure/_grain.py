@@ -6,7 +6,7 @@ from itertools import pairwise
 import numpy as np
 import pandas as pd
 
-from fynjax._core.errors import InputError
+from fynjax._core.errors import InputError, in_file
 from fynjax.compare.structure._cloud import HeightCloud
 from fynjax.compare.structure._settings import ComparisonSettings
 from fynjax.metrics.structure import (
@@ -43,7 +43,7 @@ def choose_cells(
     grains = [g for g in sorted(settings.grains) if g <= side]
     if settings.grain is not None:
         grains = [settings.grain, *[g for g in grains if g > settings.grain][:1]]
-    try:
+    with in_file(cloud.file):
         if not grains:
             raise InputError(
                 f"expected a plot wider than the grains to choose from, {settings.grains} m, but "
@@ -56,8 +56,6 @@ def choose_cells(
             for g in grains
         ]
         return choose_grain(structures, settings, bounds)
-    except InputError as error:
-        raise InputError(str(error), file=cloud.file) from error
 
 
 def choose_grain(

@@ -222,7 +222,7 @@ def _middle(edges: np.ndarray) -> np.ndarray:
     return 0.5 * (edges[1:] + edges[:-1])
 
 
-def _plain(value: Any) -> str | float | int:
+def _plain(value: object) -> str | float | int:
     """A value that NetCDF takes as an attribute."""
     if isinstance(value, bool):
         return int(value)

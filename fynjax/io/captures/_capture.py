@@ -12,7 +12,7 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float
 
-from fynjax._core.errors import InputError
+from fynjax._core.errors import InputError, in_file
 from fynjax._core.precision import double_precision
 from fynjax.io.captures._band import RawBand
 from fynjax.io.captures._metadata import read_band
@@ -330,11 +330,9 @@ def aligned_radiance(capture: Capture, *, align: bool = True) -> AlignedCapture:
     middle = (0.5 * (columns - 1), 0.5 * (rows - 1))
     if not align or len(capture.bands) == 1:
         return AlignedCapture(radiance, radiance >= full * (1.0 - 1e-6), None, middle)
-    try:
+    with in_file(capture.bands[0].path):
         (radiance, full), (low, left) = _on_frame(capture, radiance, full)
         values, cut, alignments = align_bands(radiance)
-    except InputError as error:
-        raise InputError(str(error), file=capture.bands[0].path) from error
     near = np.empty(values.shape, bool)
     for k, band in enumerate(alignments):
         # Where the first band's pixels lie in this one: the rest of the map moves it too little.

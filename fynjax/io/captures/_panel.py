@@ -13,7 +13,7 @@ from pydantic import model_validator
 from scipy import ndimage
 from scipy.spatial import ConvexHull
 
-from fynjax._core.errors import InputError
+from fynjax._core.errors import InputError, in_file
 from fynjax._core.precision import double_precision
 from fynjax.io.captures._capture import Capture
 from fynjax.io.text import Strict, number, read_rows
@@ -121,10 +121,8 @@ def _of_file(path: Path, capture: Capture) -> Float[np.ndarray, " band"]:
         tuple(band.wavelength for band in capture.bands),
         tuple(band.fwhm for band in capture.bands),
     )
-    try:
+    with in_file(path):
         return bands.weights(waves, max_loss=0.02) @ values
-    except InputError as error:
-        raise InputError(str(error), file=path) from error
 
 
 @double_precision
@@ -181,7 +179,7 @@ def _read(
     picture: NDArray[np.float32], corners: NDArray[np.float64], capture: Capture, k: int
 ) -> PanelReading:
     band = capture.bands[k]
-    try:
+    with in_file(band.path):
         cover = panel_coverage(corners, picture.shape)
         if band.full[cover >= 1.0].any():
             share = float(band.full[cover >= 1.0].mean())
@@ -190,8 +188,6 @@ def _read(
                 "are full. Choose a picture of it with a shorter exposure."
             )
         reading = panel_reading(jnp.asarray(picture[None], float), jnp.asarray(cover))
-    except InputError as error:
-        raise InputError(str(error), file=band.path) from error
     mean, spread = float(reading.mean[0]), float(reading.spread[0])
     if not mean > 0.0 or spread > _EVEN * mean:
         raise InputError(

@@ -17,6 +17,16 @@ INTENSITY_SCALE = 20000.0
 """Intensity of an echo of apparent reflectance 1; the largest, 65535, is above 3."""
 _STEP = 0.0005
 _ANGLE_STEP = 0.006
+_DIMENSIONS = (
+    ("reflectance", "f4", "apparent reflectance [-]"),
+    ("echo_width", "f4", "full width at half height [ns]"),
+    ("pulse", "u4", "index of the pulse"),
+)
+"""Name, type and description of what a point has besides the fields of its format."""
+_OF_SPECIES = (
+    ("species", "u2", "from 1 on; 0: ground or none"),
+    ("species_share", "f4", "share of its light [-]"),
+)
 
 
 def write_cloud(
@@ -88,20 +98,8 @@ def write_cloud(
     header.generating_software = str((attributes or {}).get("source", "fynjax"))[:32]
     header.system_identifier = "SIMULATION"
     header.global_encoding.synthetic_return_numbers = False
-    header.add_extra_dims(
-        [
-            laspy.ExtraBytesParams("reflectance", "f4", "apparent reflectance [-]"),
-            laspy.ExtraBytesParams("echo_width", "f4", "full width at half height [ns]"),
-            laspy.ExtraBytesParams("pulse", "u4", "index of the pulse"),
-        ]
-    )
-    if leading is not None:
-        header.add_extra_dims(
-            [
-                laspy.ExtraBytesParams("species", "u2", "from 1 on; 0: ground or none"),
-                laspy.ExtraBytesParams("species_share", "f4", "share of its light [-]"),
-            ]
-        )
+    more = _DIMENSIONS if leading is None else _DIMENSIONS + _OF_SPECIES
+    header.add_extra_dims([laspy.ExtraBytesParams(*dimension) for dimension in more])
     if crs is not None:
         header.vlrs.append(laspy.vlrs.known.WktCoordinateSystemVlr(_wkt(crs)))
     header.global_encoding.wkt = True

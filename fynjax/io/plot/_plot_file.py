@@ -3,7 +3,7 @@
 `read_plot` is the only door: whatever it returns is complete, in SI units and within range.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from importlib.resources import files
 from pathlib import Path
 
@@ -90,6 +90,55 @@ def as_plot(plot: Plot | str | Path) -> Plot:
     return plot if isinstance(plot, Plot) else read_plot(plot)
 
 
+_Refused = Callable[[str, str], InputError]
+"""Makes the error of a key of the plot file, from the key and what is wrong."""
+
+
+def _check_table(parsed: PlotFile, refused: _Refused) -> None:
+    """Refuse sides that voxels do not divide, and what is stated twice."""
+    table = parsed.plot
+    for side in table.size_m:
+        count = round(side / table.voxel_m)
+        if count < 1 or abs(side / table.voxel_m - count) > 1e-6 * max(count, 1):
+            raise refused(
+                "plot.size_m",
+                f"expected a whole number of voxels of {table.voxel_m:g} m, but got {side:g} m. "
+                f"The nearest is {max(count, 1) * table.voxel_m:g} m.",
+            )
+    if parsed.ground.rpv is not None and table.terrain is not None:
+        raise refused(
+            "ground.rpv",
+            "expected rpv or a terrain, but got both: ground with a shape of its own must be level",
+        )
+    placed = table.latitude_deg is not None and table.longitude_deg is not None
+    if placed and parsed.sun.place is not None:
+        raise refused(
+            "plot.latitude_deg",
+            "expected the place under [plot] or, with a time, under [sun], but got both: leave "
+            "it out here",
+        )
+
+
+def _check_sensor(plot: Plot, refused: _Refused) -> None:
+    """Refuse a sensor among the plants, and a pixel that is wider than the plot."""
+    altitude, pixel = sensor_place(plot)
+    tallest = max(row.height for row in plot.species)
+    if altitude <= tallest:
+        raise refused(
+            "sensor.altitude_m",
+            f"expected a sensor above the plants ({tallest:g} m), but got {altitude:g} m",
+        )
+    # A drone's pixel as wide as the plot is a slip, a satellite's is not: the plot goes on.
+    slip = '. A plot with boundary = "periodic" goes on for ever, and fills any pixel.'
+    side, drone = min(plot.size_m), plot.sensor.name == DRONE
+    if pixel > side and (drone or plot.boundary == "open"):
+        raise refused(
+            "sensor.pixel_m",
+            f"expected a pixel of at most the plot's side, {side:g} m, but got {pixel:g} m"
+            f"{'' if drone else slip}",
+        )
+
+
 def read_plot(path: str | Path, *, allow_outside: bool = False) -> Plot:
     """Read and check a plot file and every table it names.
 
@@ -118,27 +167,9 @@ def read_plot(path: str | Path, *, allow_outside: bool = False) -> Plot:
     def refused(key: str, message: str) -> InputError:
         return InputError(message, file=path, row=line_of(text, tuple(key.split("."))), column=key)
 
-    for side in size:
-        count = round(side / table.voxel_m)
-        if count < 1 or abs(side / table.voxel_m - count) > 1e-6 * max(count, 1):
-            raise refused(
-                "plot.size_m",
-                f"expected a whole number of voxels of {table.voxel_m:g} m, but got {side:g} m. "
-                f"The nearest is {max(count, 1) * table.voxel_m:g} m.",
-            )
-    if parsed.ground.rpv is not None and table.terrain is not None:
-        raise refused(
-            "ground.rpv",
-            "expected rpv or a terrain, but got both: ground with a shape of its own must be level",
-        )
+    _check_table(parsed, refused)
     stated = parsed.sun.place
     if table.latitude_deg is not None and table.longitude_deg is not None:
-        if stated is not None:
-            raise refused(
-                "plot.latitude_deg",
-                "expected the place under [plot] or, with a time, under [sun], but got both: leave "
-                "it out here",
-            )
         stated = table.latitude_deg, table.longitude_deg
     species_path, leaf_path = table.species_table, table.leaf_table
     species = _read_species(species_path, within, size, table.cover_definition)
@@ -170,21 +201,7 @@ def read_plot(path: str | Path, *, allow_outside: bool = False) -> Plot:
         leaf_files=spectra,
         inputs=(path, *named, *(p for p in in_tables if p is not None)),
     )
-    altitude, pixel = sensor_place(plot)
-    tallest = max(row.height for row in species)
-    if altitude <= tallest:
-        raise refused(
-            "sensor.altitude_m",
-            f"expected a sensor above the plants ({tallest:g} m), but got {altitude:g} m",
-        )
-    # A drone's pixel as wide as the plot is a slip, a satellite's is not: the plot goes on.
-    slip = '. A plot with boundary = "periodic" goes on for ever, and fills any pixel.'
-    if pixel > min(size) and (plot.sensor.name == DRONE or table.boundary == "open"):
-        raise refused(
-            "sensor.pixel_m",
-            f"expected a pixel of at most the plot's side, {min(size):g} m, but got {pixel:g} m"
-            f"{'' if plot.sensor.name == DRONE else slip}",
-        )
+    _check_sensor(plot, refused)
     if plot.place_deg is None:
         plot = placed_by(plot, plot.maps.values())
     return plot if table.crowns is None else with_crowns(plot, table.crowns)

@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float
 from rasterio import Affine
 from rasterio.enums import ColorInterp
 
-from fynjax._core.errors import InputError
+from fynjax._core.errors import InputError, in_file
 from fynjax.io.raster._align import Alignment, align_bands
 from fynjax.io.raster._image import band_of_file, open_image
 from fynjax.io.raster._reader import RAW_COUNTS, open_raster
@@ -174,10 +174,8 @@ def _in_own_frame(stack: BandStack, pixel_m: float | None, align: bool, path: Pa
                 f"{mask.size} are not. Align them first, and leave it out here (--no-align).",
                 file=path,
             )
-        try:
+        with in_file(path):
             values, cut, alignments = align_bands(values)
-        except InputError as error:
-            raise InputError(str(error), file=path) from error
         mask, alignment = mask[cut], tuple(alignments)
     transform = north_up(pixel_m, (0.0, 0.0), mask.shape[0])
     return replace(

@@ -204,18 +204,11 @@ _UNREADABLE = (
     *(OSError, ValueError, LookupError, RuntimeError, AttributeError, TypeError),
     *(ArithmeticError, AssertionError, MemoryError, struct.error),
 )
-"""What the libraries raise at damaged files."""
+"""Errors that the libraries raise at damaged files."""
 
 
-def _cube_of(path: Path, opened: ExitStack) -> CubeBlocks:
-    zarr = path.suffix.lower() == ".zarr"
-    if not zarr:
-        check_netcdf(path)
-    kind: dict[str, Any] = {}
-    if zarr:
-        require("zarr", "map")
-        kind = {"engine": "zarr", "consolidated": False, "drop_variables": check_zarr(path)}
-    data = opened.enter_context(xr.open_dataset(path, **kind))
+def _reflectance(data: xr.Dataset, path: Path) -> xr.DataArray:
+    """The variable `reflectance`, its bands last."""
     if "reflectance" not in data:
         raise InputError(
             f"expected a variable 'reflectance', but it has {listed(map(str, data)) or 'none'}",
@@ -230,14 +223,39 @@ def _cube_of(path: Path, opened: ExitStack) -> CubeBlocks:
         )
     names = ("band", "bands", "wavelength", "wavelengths")
     spectral = next((d for d in values.dims if d in names), values.dims[0])
-    values = values.transpose(*(d for d in values.dims if d != spectral), spectral)
+    return values.transpose(*(d for d in values.dims if d != spectral), spectral)
+
+
+def _column(
+    names: Sequence[str], sources: Sequence[xr.Dataset], count: int
+) -> tuple[Float[np.ndarray, " band"] | None, str]:
+    """The first variable of these names that has one number a band, and its unit."""
+    for source in sources:
+        for name in names:
+            if name in source.variables and source[name].size == count:
+                found = source[name]
+                unit = str(found.attrs.get("units", ""))
+                return np.asarray(found.values, float).reshape(count), unit
+    return None, ""
+
+
+def _cube_of(path: Path, opened: ExitStack) -> CubeBlocks:
+    zarr = path.suffix.lower() == ".zarr"
+    if not zarr:
+        check_netcdf(path)
+    kind: dict[str, Any] = {}
+    if zarr:
+        require("zarr", "map")
+        kind = {"engine": "zarr", "consolidated": False, "drop_variables": check_zarr(path)}
+    data = opened.enter_context(xr.open_dataset(path, **kind))
+    values = _reflectance(data, path)
     bands = xr.Dataset()
     if not zarr:
         with suppress(*_UNREADABLE):
             # EMIT keeps its bands in a group of their own.
             bands = opened.enter_context(xr.open_dataset(path, group="sensor_band_parameters"))
     location = None if zarr else _location(path, data, opened)
-    count = values.sizes[spectral]
+    count = values.shape[2]
     row, memory = 4.0 * values.shape[1] * count, total_memory()
     if 2.0 * row > memory:
         raise InputError(
@@ -245,20 +263,9 @@ def _cube_of(path: Path, opened: ExitStack) -> CubeBlocks:
             f"this machine has {memory / 2**30:.0f} GiB. Is it damaged?",
             file=path,
         )
-
-    def column(*known: str) -> tuple[Float[np.ndarray, " band"] | None, str]:
-        """The first of the variables that is there, one number a band, and its unit."""
-        for source in (data, bands):
-            for name in known:
-                if name in source.variables and source[name].size == count:
-                    found = source[name]
-                    unit = str(found.attrs.get("units", ""))
-                    return np.asarray(found.values, float).reshape(count), unit
-        return None, ""
-
-    wavelength, unit = column("wavelength", "wavelengths")
-    width, _ = column("fwhm")
-    good, _ = column("good_wavelengths", "reflectance_good")
+    wavelength, unit = _column(("wavelength", "wavelengths"), (data, bands), count)
+    width, _ = _column(("fwhm",), (data, bands), count)
+    good, _ = _column(("good_wavelengths", "reflectance_good"), (data, bands), count)
     if wavelength is not None and np.isfinite(wavelength).any():
         wavelength, factor = in_nanometres(wavelength, unit, path)
         width = None if width is None else width * factor
@@ -511,7 +518,7 @@ class MapWriter:
             self._table.place(swath, onto)
         return self._on_map
 
-    def finish(self, path: Path, tags: Mapping[str, Any]) -> None:
+    def finish(self, path: Path, tags: Mapping[str, str | int]) -> None:
         """Write all of it as a cloud-optimised GeoTIFF, whole or not at all. Raises `InputError`
         where the lookup table of a swath cannot be read."""
         placed = self._placed
@@ -526,7 +533,9 @@ class MapWriter:
                     blocksize=_INNER, overview_resampling="average", bigtiff="if_safer",
                 )  # fmt: skip
 
-    def finish_zarr(self, path: Path, tags: Mapping[str, Any], names: Mapping[str, str]) -> None:
+    def finish_zarr(
+        self, path: Path, tags: Mapping[str, str | int], names: Mapping[str, str]
+    ) -> None:
         """Write all of it as a zarr group of one array a map, whole or not at all. `names` are the
         long names of the maps. Raises `MissingExtraError` without zarr, dask or rioxarray, and as
         `finish`."""

@@ -46,7 +46,7 @@ RAW_COUNTS = (
     "expected reflectance, or a mosaic, but this is a camera's raw capture, whose counts depend on "
     "gain and exposure of each band. Make reflectance first: fynjax reflectance"
 )
-"""What is said of a raw capture where an image is asked for."""
+"""Error of a raw capture where an image is asked for."""
 _MOST_BANDS = 4096
 _SMALLEST = 5e-4
 """Side of the smallest pixel that a raster has [m]: 30 m of the ground are 2.8e-4 degrees."""
@@ -261,7 +261,7 @@ class RasterFile:
             )
 
     def check_place(self, *, crs: CRS | None = None, height_stated: bool = True) -> CRS:
-        """Its reference system, which is in metres; the raster has a place and is north up.
+        """Reference system of a raster that has a place, in metres, and is north up.
 
         **Arguments:** `crs`, that which the user states, if any; `height_stated`: the unit of
         heights is stated elsewhere, or there are none.
@@ -304,6 +304,24 @@ class RasterFile:
 
     # -- values -----------------------------------------------------------------------------
 
+    def _scaling(self, bands: Sequence[int], dtype: np.dtype) -> tuple[np.ndarray, np.ndarray]:
+        """Factor and offset that make values of the stored numbers, by band."""
+        with np.errstate(over="ignore"):  # what becomes infinite is warned of in `read`
+            scale, offset = (
+                np.array([of[n - 1] for n in bands], dtype)[:, None, None]
+                for of in (self.dataset.scales, self.dataset.offsets)
+            )
+        if (scale == 0.0).any():
+            raise InputError(
+                "expected a scale of its values that is not 0, but a band has 0: nothing would be "
+                "left of them. Is the file damaged? Else state it: gdal_edit.py -scale 1 "
+                f"{self.path.name}",
+                file=self.path,
+            )
+        if not (scale != 1.0).any():  # GDAL applies that of a header in its newer versions
+            scale = scale / np.asarray(self._divisor(), dtype)
+        return scale, offset
+
     def read(
         self,
         bands: Sequence[int] | None = None,
@@ -328,30 +346,14 @@ class RasterFile:
         """
         file = self.dataset
         bands = list(file.indexes if bands is None else bands)
-        top, left, height, width = (
-            (0, 0, *self.shape)
-            if window is None
-            else (window.row_off, window.col_off, window.height, window.width)
-        )
+        window = Window(0, 0, *self.shape[::-1]) if window is None else window
+        left, top, width, height = window.flatten()
         shape = (len(bands), -(-height // step), -(-width // step))
         self._check_size(shape, np.dtype(dtype).itemsize, len(bands) * height * width)
         kinds = [np.dtype(file.dtypes[n - 1]) for n in bands]
         if any(kind.kind not in "iuf" for kind in kinds):
             raise InputError(f"expected numbers, but it has {kinds[0]}", file=self.path)
-        with np.errstate(over="ignore"):  # what becomes infinite is warned of below
-            scale, offset = (
-                np.array([of[n - 1] for n in bands], dtype)[:, None, None]
-                for of in (file.scales, file.offsets)
-            )
-        if (scale == 0.0).any():
-            raise InputError(
-                "expected a scale of its values that is not 0, but a band has 0: nothing would be "
-                "left of them. Is the file damaged? Else state it: gdal_edit.py -scale 1 "
-                f"{self.path.name}",
-                file=self.path,
-            )
-        if not (scale != 1.0).any():  # GDAL applies that of a header in its newer versions
-            scale = scale / np.asarray(self._divisor(), dtype)
+        scale, offset = self._scaling(bands, np.dtype(dtype))
         values = np.empty(shape, dtype)
         valid = np.empty(shape, bool)
         full = np.zeros(shape[1:], bool)
@@ -402,7 +404,7 @@ class RasterFile:
         return np.asarray(self.dataset.read(number))
 
     def _divisor(self) -> float:
-        """What the ENVI header says to divide by."""
+        """Divisor of the values that the ENVI header states; 1 without one."""
         try:
             divisor = float(self.header.get("reflectance scale factor", 1.0))
         except (TypeError, ValueError):
@@ -435,7 +437,7 @@ class RasterFile:
 _FORMATS = ("GTiff", "ENVI", "HFA", "AAIGrid", "SRTMHGT", "EHdr", "PNG", "JPEG")
 """Drivers of GDAL that read the file they are given, and open no other place that it names."""
 _WHOLE = (b"II*\0", b"II+\0", b"MM\0*", b"MM\0+", b"EHFA_HEADER_TAG\0")
-"""How files of TIFF and ERDAS begin, which hold their values themselves."""
+"""First bytes of files of TIFF and ERDAS, which hold their values themselves."""
 
 
 def _names_others(path: Path, name: str) -> InputError:
@@ -567,22 +569,25 @@ def open_raster(path: str | Path, what: str) -> Iterator[RasterFile]:
             file=path,
         ) from error
     except (RasterioError, CRSError, CPLE_BaseError) as error:
-        with path.open("rb") as file:
-            head = file.read(1 << 12).lower()
-        if head.lstrip().startswith(b"<") or b"<vrtdataset" in head:
-            raise _names_others(path, "it") from error
-        if head.startswith((b"\x89hdf", b"cdf")):
-            raise InputError(
-                f"expected {what} as GeoTIFF or ENVI, but this is HDF5 or NetCDF."
-                f"{how_to_import(path)}",
-                file=path,
-            ) from error
-        reason = " ".join(str(error.__cause__ or error).split())
-        raise InputError(
-            f"cannot be read as {what} ({reason}). Is it cut short, or not a GeoTIFF? "
-            "Copy it again.",
+        raise _unreadable(path, what, error) from error
+
+
+def _unreadable(path: Path, what: str, error: Exception) -> InputError:
+    """The error of a file that GDAL cannot read, with what it seems to be."""
+    with path.open("rb") as file:
+        head = file.read(1 << 12).lower()
+    if head.lstrip().startswith(b"<") or b"<vrtdataset" in head:
+        return _names_others(path, "it")
+    if head.startswith((b"\x89hdf", b"cdf")):
+        return InputError(
+            f"expected {what} as GeoTIFF or ENVI, but this is HDF5 or NetCDF.{how_to_import(path)}",
             file=path,
-        ) from error
+        )
+    reason = " ".join(str(error.__cause__ or error).split())
+    return InputError(
+        f"cannot be read as {what} ({reason}). Is it cut short, or not a GeoTIFF? Copy it again.",
+        file=path,
+    )
 
 
 def _positive(text: str | None) -> float:

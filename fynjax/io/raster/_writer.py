@@ -23,6 +23,20 @@ UNKNOWN_FRAME = 'LOCAL_CS["unknown reference system",UNIT["metre",1]]'
 """Coordinate system of coordinates whose file does not say what they are."""
 
 
+_PROFILE = {"driver": "GTiff", "compress": "deflate", "photometric": "minisblack", "alpha": "no"}
+
+
+def _check_bands(
+    values: np.ndarray, names: Sequence[str], wavelengths: Sequence[float] | None
+) -> None:
+    if values.ndim != 3 or values.shape[0] != len(names):
+        raise ValueError(
+            f"`image` must be [band, y, x] with {len(names)} bands, but has shape {values.shape}"
+        )
+    if wavelengths is not None and len(wavelengths) != len(names):
+        raise ValueError(f"`wavelengths` must have {len(names)} values, but has {len(wavelengths)}")
+
+
 def write_geotiff(
     path: str | Path,
     image: ArrayLike,
@@ -37,7 +51,7 @@ def write_geotiff(
     nodata: float | None = float("nan"),
     unit: str | None = None,
     offset: float = 0.0,
-    tags: Mapping[str, Any] | None = None,
+    tags: Mapping[str, object] | None = None,
 ) -> None:
     """Write an image as a compressed GeoTIFF, whole or not at all.
 
@@ -58,15 +72,7 @@ def write_geotiff(
     **Raises:** `ValueError` if shapes and names do not fit together.
     """
     values = np.asarray(image)
-    if values.ndim != 3 or values.shape[0] != len(band_names):
-        raise ValueError(
-            f"`image` must be [band, y, x] with {len(band_names)} bands, but has shape "
-            f"{values.shape}"
-        )
-    if wavelengths is not None and len(wavelengths) != len(band_names):
-        raise ValueError(
-            f"`wavelengths` must have {len(band_names)} values, but has {len(wavelengths)}"
-        )
+    _check_bands(values, band_names, wavelengths)
     if (transform is None) == (pixel_m is None):
         raise ValueError("either `pixel_m` or `transform` must be given")
     if values.dtype != np.uint8:
@@ -79,7 +85,7 @@ def write_geotiff(
     x, y = transform @ (0.0, float(rows))
     local = LOCAL_FRAME if max(abs(x), abs(y)) < 1e-6 else UNKNOWN_FRAME
     profile = {
-        "driver": "GTiff",
+        **_PROFILE,
         "dtype": values.dtype,
         "count": bands,
         "height": rows,
@@ -87,11 +93,8 @@ def write_geotiff(
         "crs": CRS.from_user_input(crs) if crs else CRS.from_wkt(local),
         "transform": transform,
         "nodata": nodata,
-        "compress": "deflate",
         "predictor": 1 if values.dtype == np.uint8 else 3,
         "tiled": min(rows, columns) >= 256,
-        "photometric": "minisblack",
-        "alpha": "no",
     }
     with atomic_path(path) as partial, rasterio.open(partial, "w", **profile) as file:
         file.write(np.ascontiguousarray(values[:, ::-1, :]))

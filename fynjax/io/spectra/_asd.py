@@ -42,6 +42,39 @@ def is_asd(data: bytes) -> bool:
     return data[:3] in (b"ASD", b"as2", b"as3", b"as4", b"as5", b"as6", b"as7", b"as8")
 
 
+def _header(data: bytes, path: Path) -> tuple[str, str, float, float, int]:
+    """Version, type, first wavelength, step [nm] and number of bands of what is reflectance."""
+    version = data[:3].decode("latin1")
+    if version not in ("as6", "as7", "as8"):
+        raise InputError(
+            f"expected an ASD file of version 6, 7 or 8, but this is {version!r}; "
+            "export it as text with the maker's software",
+            file=path,
+        )
+    if len(data) < _HEADER:
+        raise InputError(
+            f"the file is cut short: {len(data)} bytes, the header alone has {_HEADER}", file=path
+        )
+    start, step = struct.unpack_from("<ff", data, 191)
+    (count,) = struct.unpack_from("<H", data, 204)
+    kind = _TYPES.get(data[186], "unknown")
+    if data[199] not in _FORMATS or count < 2 or not step > 0 or not 0 < start < 30000:
+        raise InputError("the header is damaged: no valid band count or number format", file=path)
+    needed = _HEADER + _FORMATS[data[199]][1] * count
+    if len(data) < needed:
+        raise InputError(
+            f"the file is cut short: {count} bands need {needed} bytes, but it has {len(data)}",
+            file=path,
+        )
+    if kind in ("radiance", "irradiance", "absorbance", "quality index"):
+        raise InputError(
+            f"the file holds {kind}, not reflectance; convert it with its white reference in the "
+            "maker's software, or save as reflectance",
+            file=path,
+        )
+    return version, kind, start, step, count
+
+
 def read_asd(path: str | Path, data: bytes | None = None) -> MeasuredSpectrum:
     """Read one ASD binary file as reflectance (or transmittance, if its type says so).
 
@@ -62,35 +95,8 @@ def read_asd(path: str | Path, data: bytes | None = None) -> MeasuredSpectrum:
     """
     path = Path(path)
     data = path.read_bytes() if data is None else data
-    version = data[:3].decode("latin1")
-    if version not in ("as6", "as7", "as8"):
-        raise InputError(
-            f"expected an ASD file of version 6, 7 or 8, but this is {version!r}; "
-            "export it as text with the maker's software",
-            file=path,
-        )
-    if len(data) < _HEADER:
-        raise InputError(
-            f"the file is cut short: {len(data)} bytes, the header alone has {_HEADER}", file=path
-        )
-    start, step = struct.unpack_from("<ff", data, 191)
-    (count,) = struct.unpack_from("<H", data, 204)
-    kind = _TYPES.get(data[186], "unknown")
-    if data[199] not in _FORMATS or count < 2 or not step > 0 or not 0 < start < 30000:
-        raise InputError("the header is damaged: no valid band count or number format", file=path)
+    version, kind, start, step, count = _header(data, path)
     dtype, size = _FORMATS[data[199]]
-    if len(data) < _HEADER + size * count:
-        raise InputError(
-            f"the file is cut short: {count} bands need {_HEADER + size * count} bytes, "
-            f"but it has {len(data)}",
-            file=path,
-        )
-    if kind in ("radiance", "irradiance", "absorbance", "quality index"):
-        raise InputError(
-            f"the file holds {kind}, not reflectance; convert it with its white reference in the "
-            "maker's software, or save as reflectance",
-            file=path,
-        )
     target = np.frombuffer(data, dtype, count, _HEADER).astype(float)
     offset = _HEADER + size * count
     if len(data) < offset + 20:

@@ -104,8 +104,7 @@ def read_field_spectrum(data: bytes, file: Path) -> MeasuredSpectrum | None:
         key, _, value = line.partition("=" if svc else ":")
         if key.strip().lower() in _KEPT:
             meta[key.strip().lower()] = value.strip()
-    error = _error_of_target(lines[: marks[0]]) if svc else 0
-    if error:
+    if svc and (error := _error_of_target(lines[: marks[0]])):
         note(meta, f"the spectrometer states error {error} of the target: was it saturated?")
         meta["doubtful"] = f"error {error} of the target"
     if column >= 0 and (svc or "%" in (names[column] if len(names) > column else label)):

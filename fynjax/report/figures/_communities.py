@@ -1,5 +1,6 @@
 """Diversity and species as sensors of coarser and coarser pixels see them."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import pandas as pd
@@ -90,5 +91,5 @@ def recognition_plot(table: pd.DataFrame) -> Figure:
     return figure
 
 
-def _places(rows: list[Any], columns: list[Any]) -> list[tuple[int, int]]:
+def _places(rows: Sequence[object], columns: Sequence[object]) -> list[tuple[int, int]]:
     return [(r, c) for r in range(len(rows)) for c in range(len(columns))]

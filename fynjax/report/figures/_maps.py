@@ -6,6 +6,7 @@ from typing import Any
 import matplotlib
 import numpy as np
 from jaxtyping import Float
+from matplotlib.axes import Axes
 
 from fynjax.report.figures._style import Figure, panel_grid, style
 
@@ -89,7 +90,9 @@ def pixels_figure(
     return figure
 
 
-def _show(figure: Figure, axes: Any, values: Any, colours: str, title: str, share: bool) -> None:
+def _show(
+    figure: Figure, axes: Axes, values: np.ndarray, colours: str, title: str, share: bool
+) -> None:
     known = values[np.isfinite(values)]
     low, high = (0.0, 1.0) if share else (
         np.quantile(known, [0.02, 0.98]) if known.size else (0.0, 1.0)

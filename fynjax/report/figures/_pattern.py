@@ -4,6 +4,7 @@ from typing import Any
 
 import matplotlib
 import numpy as np
+from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
 from fynjax.canopy import Greenness, VegetationPattern, band_roles
@@ -89,7 +90,7 @@ _COLOURS = ("blue", "green", "red", "red_edge", "nir")
 
 
 def _draw_spectra(
-    axes: Any, stack: BandStack, pattern: VegetationPattern, colours: NDArray[np.float64]
+    axes: Axes, stack: BandStack, pattern: VegetationPattern, colours: NDArray[np.float64]
 ) -> None:
     waves = stack.wavelengths
     known = all(wave is not None for wave in waves)

@@ -45,7 +45,7 @@ def format_number(value: float, digits: int = 4) -> str:
     return text.replace("-", "−")
 
 
-def _cell(value: Any, digits: int) -> str:
+def _cell(value: object, digits: int) -> str:
     if value is None or value is pd.NA or (isinstance(value, float) and np.isnan(value)):
         return "–"
     if isinstance(value, (bool, np.bool_)):
@@ -89,7 +89,7 @@ class Table:
     folded: bool = False
     """Whether the table is hidden behind its caption."""
 
-    def header(self, column: Any) -> tuple[str, str]:
+    def header(self, column: object) -> tuple[str, str]:
         """Header and unit of a column, such as "relief" and "m" of relief_m; "" without a unit."""
         name = str(column)
         ending = next((end for end in _UNITS if name.endswith(end)), "")

@@ -48,16 +48,19 @@ def drone_section(drone: DroneComparison) -> Section:
                 "Both images, false colour, one stretch and one scale.",
             )
         )
+    return Section("Drone images", [*parts, *_of_bands(drone), *_of_indices(drone)])
+
+
+_NUMBERS = [
+    "real_mean", "simulated_mean", "difference_percent", "real_std", "simulated_std",
+    "histogram_intersection", "ks",
+]  # fmt: skip
+"""Columns that fit on a page; all numbers, the paper's among them, are in the folded tables."""
+
+
+def _of_bands(drone: DroneComparison) -> list[Part]:
     bands = drone.bands.drop(columns=[c for c in drone.bands if "_undefined_" in str(c)])
-    # What fits on a page; all numbers, the paper's among them, are in the folded tables.
-    numbers = [
-        "real_mean", "simulated_mean", "difference_percent", "real_std", "simulated_std",
-        "histogram_intersection", "ks",
-    ]  # fmt: skip
-    other = drone.indices[drone.indices["departure"] != ""]
-    forms = ["index", "formula", "real_mean", "simulated_mean", "literature_formula"]
-    forms += ["literature_real_mean", "literature_simulated_mean"]
-    parts += [
+    return [
         Picture(
             "drone_bands.png",
             band_box_plot(drone.bands),
@@ -65,7 +68,7 @@ def drone_section(drone: DroneComparison) -> Section:
             "Reflectance of the pixels by band, and difference of the means, as figure 9.",
         ),
         Table(
-            bands[["band", *numbers]],
+            bands[["band", *_NUMBERS]],
             "Bands. Histogram intersection in 256 bins on the pooled range (1 is equal); KS is the "
             "Kolmogorov-Smirnov distance (0 is equal).",
         ),
@@ -74,8 +77,16 @@ def drone_section(drone: DroneComparison) -> Section:
             f"Every number of the bands. {_PAPER} Its real band means are derived, not printed.",
             folded=True,
         ),
+    ]
+
+
+def _of_indices(drone: DroneComparison) -> list[Part]:
+    other = drone.indices[drone.indices["departure"] != ""]
+    forms = ["index", "formula", "real_mean", "simulated_mean", "literature_formula"]
+    forms += ["literature_real_mean", "literature_simulated_mean"]
+    return [
         Table(
-            drone.indices[["index", "formula", *numbers]],
+            drone.indices[["index", "formula", *_NUMBERS]],
             "Vegetation indices, in the forms that reproduce the printed means of the fynbos scene "
             "paper (table 4).",
         ),
@@ -102,7 +113,6 @@ def drone_section(drone: DroneComparison) -> Section:
         Table(other[forms], "Where the paper's form is not the literature's: both."),
         *(f"{row['index']}: {row['departure']}" for row in other.to_dict("records")),
     ]
-    return Section("Drone images", parts)
 
 
 def published_section(published: PublishedComparison) -> Section:

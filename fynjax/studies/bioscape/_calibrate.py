@@ -1,17 +1,20 @@
 """`fynjax bioscape calibrate`: field tables and spectra in, covers, stand and leaf traits out."""
 
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 from jaxtyping import Float
 
 from fynjax._core.checkpoint import Journal, signature
 from fynjax._core.dry_run import begin_work
 from fynjax._core.errors import InputError
-from fynjax._core.parts import Workers, at_work
+from fynjax._core.parts import Pool, Workers, at_work
 from fynjax._core.precision import double_precision
 from fynjax.inversion import Data, spectrum_view
 from fynjax.io.plot import DEFAULT_PRIOR, LearnedPrior, Plot, read_plot, read_prior
@@ -137,23 +140,9 @@ def calibrate_plots(
     field = field_values(read)
     slots = slots_of(files)
     with run.stage("Plant the plots"):
-        each = [(file, seed + k) for file in files for k in range(realisations)]
-        planted = build_scenes(
-            [f for f, _ in each], resolution, [s for _, s in each],
-            room=ROOM, softness=SOFTNESS,
-        )  # fmt: skip
-        # Plants that fade make the expectation a smooth function of the covers.
-        scenes = [(scene.faded(), parameters) for scene, parameters in planted]
-    stands = [
-        [scene for scene, _ in scenes[i * realisations : (i + 1) * realisations]]
-        for i in range(len(read))
-    ]
-    priors = [Prior(TABLES_PRIOR, read, [p for _, p in scenes[::realisations]], None)]
-    if len(read) >= _FEWEST_FOR_PRIOR:
-        priors.append(_elsewhere(read, files, slots, field, learned))
-    if len(read) >= _FEWEST_FOR_CORRECTION:
-        priors.append(replace(priors[-1], name=BIAS_CORRECTED))
-    view = spectrum_view(bands, *scenes[0], ACCURACY)
+        stands, parameters = _stands(files, resolution, realisations, seed)
+    priors = _priors(read, files, parameters, slots, field, learned)
+    view = spectrum_view(bands, stands[0][0], parameters[0], ACCURACY)
     repeatability = flight_covariance(flights)
     error = None if learned is None else learned.error_covariance(np.asarray(bands.centre))
     data = [plot_data(view.names, f, repeatability, error) for f in flights]
@@ -163,52 +152,22 @@ def calibrate_plots(
     inputs += [] if learned is None else [learned.path]
     settings = (resolution, realisations, seed, [p.name for p in read], FREE, len(bands))
     journal = Journal(checkpoint, signature(settings, [file_hash(p) for p in inputs]))
-    free = [prior for prior in priors if prior.name != BIAS_CORRECTED]
-    cases = [
-        _case(prior, i, data[i], learned, stands[i]) for prior in free for i in range(len(read))
-    ]
-    estimates: dict[str, list[PlotEstimate]] = {}
+    cases = _cases(priors, data, learned, stands)
     with run.stage("Infer", total=len(priors) * len(read)), at_work(workers) as pool:
-
-        def infer(cases: list[PlotCase], of: Sequence[Prior]) -> None:
-            names = [f"plot {plot.name}, {prior.name}" for prior in of for plot in prior.plots]
-            found = pool.all(infer_plot, cases, predict, names=names, journal=journal)
-            fits = [PlotEstimate.of(case.space, arrays) for case, arrays in zip(cases, found)]
-            for k, prior in enumerate(of):
-                estimates[prior.name] = fits[k * len(read) : (k + 1) * len(read)]
-                for fit, plot in zip(estimates[prior.name], prior.plots):
-                    _check(fit, plot, folder)
-
-        infer(cases, free)
+        infer = partial(_infer, pool, cases=cases, predict=predict, journal=journal)
+        estimates = infer([prior for prior in priors if prior.name != BIAS_CORRECTED])
+        _check(estimates, read, folder)
         if corrected := [prior for prior in priors if prior.name == BIAS_CORRECTED]:
-            rest = np.stack(
-                [np.asarray(d.value) - f.before for d, f in zip(data, estimates[TABLES_PRIOR])]
+            cases[BIAS_CORRECTED] = _bias_corrected(
+                cases[BIAS_CORRECTED], estimates[TABLES_PRIOR], view.names, flights
             )
-            cases = []
-            for i in range(len(read)):
-                spectrum, bias = bias_corrected_data(
-                    view.names, flights[i], np.delete(rest, i, axis=0)
-                )
-                case = _case(corrected[0], i, spectrum, learned, stands[i])
-                cases.append(case._replace(bias=bias))
-            infer(cases, corrected)
+            estimates |= infer(corrected)
+            _check(estimates, read, folder)
     with run.stage("Write"):
         findings = _findings(read, priors, estimates, field, bands, data)
-        regression = read_leaf_mass_model(folder)
-        if regression is not None:
-            spectra = np.stack([measured[p.name].reflectance.mean(axis=0) for p in read])
-            try:
-                lma = regression.predict(spectrometer.centre, spectra)
-            except ValueError as error:
-                raise InputError(str(error), file=folder) from error
-            findings.tables.append(
-                simple_table(findings.plots, REGRESSION, {"leaf_mass_per_area": lma}, field)
-            )
-        left = [p.name for p in everything if p not in read]
-        if left:
-            remarks.append(
-                f"{len(left)} plots have no measured spectrum and are left out: {', '.join(left)}"
-            )
+        of_plots = {plot.name: measured[plot.name] for plot in read}
+        findings.tables += _by_regression(folder, spectrometer, of_plots, field)
+        remarks += _left_out([plot.name for plot in everything if plot not in read])
         return write_findings(run, findings, resolution, realisations, inputs, warnings=remarks)
 
 
@@ -229,6 +188,67 @@ def chosen_bands(
     centre, fwhm = spectrometer.centre[keep], spectrometer.fwhm[keep]
     bands = BandSet(tuple(f"{c:.1f}nm" for c in centre), tuple(centre), tuple(fwhm))
     return bands, [s.reflectance[:, keep] for s in spectra]
+
+
+def _stands(
+    files: Sequence[Plot], resolution: Resolution, realisations: int, seed: int
+) -> tuple[list[list[Scene]], list[PlotParameters]]:
+    """Realisations of the stand of every plot, and the plot's parameters."""
+    each = [(file, seed + k) for file in files for k in range(realisations)]
+    planted = build_scenes(
+        [f for f, _ in each], resolution, [s for _, s in each], room=ROOM, softness=SOFTNESS
+    )
+    # Plants that fade make the expectation a smooth function of the covers.
+    scenes = [scene.faded() for scene, _ in planted]
+    stands = [scenes[i : i + realisations] for i in range(0, len(scenes), realisations)]
+    return stands, [parameters for _, parameters in planted[::realisations]]
+
+
+def _priors(
+    read: list[BioscapePlot],
+    files: Sequence[Plot],
+    parameters: list[PlotParameters],
+    slots: tuple[str, ...],
+    field: Field,
+    learned: LearnedPrior | None,
+) -> list[Prior]:
+    """The ways of knowing the plots that so many plots allow."""
+    priors = [Prior(TABLES_PRIOR, read, parameters, None)]
+    if len(read) >= _FEWEST_FOR_PRIOR:
+        priors.append(_elsewhere(read, files, slots, field, learned))
+    if len(read) >= _FEWEST_FOR_CORRECTION:
+        priors.append(replace(priors[-1], name=BIAS_CORRECTED))
+    return priors
+
+
+def _bias_corrected(
+    cases: Sequence[PlotCase],
+    fits: Sequence[PlotEstimate],
+    names: Sequence[str],
+    flights: Sequence[Float[np.ndarray, "flight band"]],
+) -> list[PlotCase]:
+    """The cases with each spectrum less the mean residual of the others' `fits`."""
+    rest = np.stack([np.asarray(case.data.value) - fit.before for case, fit in zip(cases, fits)])
+    corrected = []
+    for i, case in enumerate(cases):
+        data, bias = bias_corrected_data(names, flights[i], np.delete(rest, i, axis=0))
+        corrected.append(case._replace(data=data, bias=bias))
+    return corrected
+
+
+def _by_regression(
+    folder: Path, spectrometer: Spectrometer, spectra: Mapping[str, PlotSpectra], field: Field
+) -> list[pd.DataFrame]:
+    """Leaf mass per area by the regression in the folder, if one is there."""
+    regression = read_leaf_mass_model(folder)
+    if regression is None:
+        return []
+    means = np.stack([one.reflectance.mean(axis=0) for one in spectra.values()])
+    try:
+        mass = regression.predict(spectrometer.centre, means)
+    except ValueError as error:
+        raise InputError(str(error), file=folder) from error
+    return [simple_table(tuple(spectra), REGRESSION, {"leaf_mass_per_area": mass}, field)]
 
 
 def _elsewhere(
@@ -258,21 +278,56 @@ def _elsewhere(
     return Prior(OTHERS_PRIOR, plots, parameters, elsewhere)
 
 
-def _case(
-    prior: Prior, i: int, spectrum: Data, learned: LearnedPrior | None, stands: Sequence[Scene]
-) -> PlotCase:
-    """One plot to infer."""
-    known = None if prior.elsewhere is None else prior.elsewhere[i]
-    space = prior_space(prior.plots[i], known, learned)
-    return PlotCase(spectrum, space, prior.parameters[i], tuple(stands))
+def _cases(
+    priors: Sequence[Prior],
+    data: Sequence[Data],
+    learned: LearnedPrior | None,
+    stands: Sequence[Sequence[Scene]],
+) -> dict[str, list[PlotCase]]:
+    """Every plot to infer, by the name of each prior."""
+    cases: dict[str, list[PlotCase]] = {prior.name: [] for prior in priors}
+    for prior in priors:
+        for i, (spectrum, scenes) in enumerate(zip(data, stands, strict=True)):
+            known = None if prior.elsewhere is None else prior.elsewhere[i]
+            space = prior_space(prior.plots[i], known, learned)
+            case = PlotCase(spectrum, space, prior.parameters[i], tuple(scenes))
+            cases[prior.name].append(case)
+    return cases
 
 
-def _check(fit: PlotEstimate, plot: BioscapePlot, folder: Path) -> None:
-    if not (np.isfinite(fit.after).all() and np.isfinite(fit.covariance).all()):
-        raise InputError(
-            f"the fit of plot {plot.name!r} is not finite; is its spectrum a reflectance?",
-            file=folder,
-        )
+def _infer(
+    pool: Pool,
+    priors: Sequence[Prior],
+    *,
+    cases: Mapping[str, Sequence[PlotCase]],
+    predict: PlotSpectrumForward,
+    journal: Journal,
+) -> dict[str, list[PlotEstimate]]:
+    """Estimates of every plot by each of the priors."""
+    names = [f"plot {plot.name}, {prior.name}" for prior in priors for plot in prior.plots]
+    of_all = [case for prior in priors for case in cases[prior.name]]
+    found = pool.all(infer_plot, of_all, predict, names=names, journal=journal)
+    fits = (PlotEstimate.of(case.space, arrays) for case, arrays in zip(of_all, found))
+    return {prior.name: list(islice(fits, len(prior.plots))) for prior in priors}
+
+
+def _left_out(plots: Sequence[str]) -> list[str]:
+    """A remark on plots without a spectrum."""
+    if not plots:
+        return []
+    return [f"{len(plots)} plots have no measured spectrum and are left out: {', '.join(plots)}"]
+
+
+def _check(
+    estimates: dict[str, list[PlotEstimate]], read: Sequence[BioscapePlot], folder: Path
+) -> None:
+    for fits in estimates.values():
+        for fit, plot in zip(fits, read):
+            if not (np.isfinite(fit.after).all() and np.isfinite(fit.covariance).all()):
+                raise InputError(
+                    f"the fit of plot {plot.name!r} is not finite; is its spectrum a reflectance?",
+                    file=folder,
+                )
 
 
 def _findings(

@@ -125,7 +125,7 @@ def write_plot_files(
     write_text(folder / "sources.csv", _table([header, *_sources(plot, population, prior)]))
 
 
-def _table(rows: Iterable[Sequence[Any]]) -> str:
+def _table(rows: Iterable[Sequence[object]]) -> str:
     text = io.StringIO()
     csv.writer(text, lineterminator="\n").writerows(
         [f"{c:.6g}" if isinstance(c, float) else c for c in row] for row in rows
@@ -306,11 +306,11 @@ def _leaves_csv(plot: BioscapePlot, population: Mapping[str, float]) -> str:
 
 def _sources(
     plot: BioscapePlot, population: Mapping[str, float], prior: LearnedPrior | None
-) -> list[tuple[Any, ...]]:
+) -> list[tuple[object, ...]]:
     learned = "assumed" if prior is None else f"learned ({prior.path.name})"
     without = "without this plot" if prior is not None and prior.knows(plot.name) else ""
     own = () if prior is None else {p.name for p in prior.file.parameters}
-    rows: list[tuple[Any, ...]] = [
+    rows: list[tuple[object, ...]] = [
         ("*", name, value, "-", learned, without)
         if prior is None or name in own
         else ("*", name, value, "-", "assumed by growth form", f"not in {prior.path.name}")
@@ -362,7 +362,7 @@ def _sources(
 
 def _dead_sources(
     species: BioscapeSpecies, population: Mapping[str, float]
-) -> list[tuple[Any, ...]]:
+) -> list[tuple[object, ...]]:
     taxon, dead = species.taxon, species.note.dead_cover
     if dead is None:
         return []
@@ -373,13 +373,13 @@ def _dead_sources(
     ]  # fmt: skip
 
 
-def _size_sources(species: BioscapeSpecies, plot: BioscapePlot) -> list[tuple[Any, ...]]:
+def _size_sources(species: BioscapeSpecies, plot: BioscapePlot) -> list[tuple[object, ...]]:
     taxon, size, (of_diameter, of_height) = species.taxon, species.size, species.size_source
     noted = species.note.where if of_diameter == "measured" else size.source
     note = size.source
     if plot.height is not None:
         note = f"{note}; times {plot.height_factor:.4g}"
-    rows: list[tuple[Any, ...]] = [
+    rows: list[tuple[object, ...]] = [
         (taxon, "crown_diameter", size.crown_diameter_m, "m", of_diameter, noted),
         (taxon, "height", size.height_m, "m", of_height, note),
     ]

@@ -253,22 +253,7 @@ def read_bioscape(
     cover_path, species_path, cover = tables.summary, tables.species, tables.cover
     column = "plot" if published else "Plot"
     if plots is None:
-        if strange := [name for name in tables.listed if name not in tables.named]:
-            raise InputError(
-                f"expected a row for plot {strange[0]!r}, which {species_path.name} has, but there "
-                f"is none.{did_you_mean(strange[0], cover)}",
-                file=cover_path,
-                column=column,
-            )
-        plots = list(cover)
-        if published:  # a plot may not have been surveyed to its end
-            plots = [name for name in cover if name in tables.listed]
-            if lacking := sorted(tables.named - set(plots)):
-                warnings.warn(
-                    f"{cover_path}: plots without covers or species are left out: "
-                    f"{', '.join(lacking)}",
-                    stacklevel=2,
-                )
+        plots = _every_plot(tables, column, published)
     read = []
     for name in dict.fromkeys(plots):
         if name not in cover:
@@ -298,6 +283,26 @@ def read_bioscape(
                 column=column,
             )
     return read
+
+
+def _every_plot(tables: FieldTables, column: str, published: bool) -> list[str]:
+    """The plots that have covers and species; those of the published tables may lack either."""
+    if strange := [name for name in tables.listed if name not in tables.named]:
+        raise InputError(
+            f"expected a row for plot {strange[0]!r}, which {tables.species.name} has, but there "
+            f"is none.{did_you_mean(strange[0], tables.cover)}",
+            file=tables.summary,
+            column=column,
+        )
+    if not published:
+        return list(tables.cover)
+    plots = [name for name in tables.cover if name in tables.listed]
+    if lacking := sorted(tables.named - set(plots)):  # not surveyed to their end
+        warnings.warn(
+            f"{tables.summary}: plots without covers or species are left out: {', '.join(lacking)}",
+            stacklevel=3,
+        )
+    return plots
 
 
 def _read_extract(folder: Path) -> FieldTables:

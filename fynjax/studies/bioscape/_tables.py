@@ -10,7 +10,7 @@ from fynjax._core.errors import InputError
 from fynjax.io.text import Slip, Strict, did_you_mean, number
 
 
-def not_available(value: Any) -> Any:
+def not_available(value: object) -> object:
     """`None` for NA, which R writes into an empty cell, and its like."""
     return None if str(value).strip().lower() in ("na", "nan", "none", "") else value
 

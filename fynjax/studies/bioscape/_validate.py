@@ -1,10 +1,11 @@
 """`fynjax bioscape validate`: field tables in, simulated against measured spectra out."""
 
-from collections.abc import Sequence
+from collections.abc import Sequence, Set
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from jaxtyping import Float
 
 from fynjax._core.checkpoint import Journal, signature
 from fynjax._core.dry_run import begin_work
@@ -80,11 +81,8 @@ def validate_plots(
     read = read_bioscape(folder, plots, traits=traits)
     spectrometer, measured = read_spectrometer(folder), read_plot_spectra(folder)
     keep = used_bands(spectrometer)
-    bands = BandSet(
-        tuple(f"band_{i + 1}" for i in keep),
-        tuple(spectrometer.centre[keep]),
-        tuple(spectrometer.fwhm[keep]),
-    )
+    numbered = tuple(f"band_{i + 1}" for i in keep)
+    bands = BandSet(numbered, tuple(spectrometer.centre[keep]), tuple(spectrometer.fwhm[keep]))
     begin_work({"plots.csv": f"{len(read)} plots", "report.html": ""})
     files, remarks = planted_files(run, folder, read, learned)
     with run.stage("Plant the plots"):
@@ -107,12 +105,8 @@ def validate_plots(
         np.stack([np.asarray(s.reflectance, float) for s in spectra]),
         tuple(_flights(measured.get(p.name), keep) for p in read),
     )
-    unknown = sorted(set(measured) - set(pair.plots)) if plots is None else []
-    if unknown:
-        remarks.append(
-            f"{len(unknown)} plots have spectra but no row in the table of cover, and are left "
-            f"out: {', '.join(unknown)}"
-        )
+    if plots is None:
+        remarks += _left_out(set(measured) - set(pair.plots))
     with run.stage("Write"):
         about = plot_table(read, files, spectra, measured)
         about["prior"] = [prior_words(learned, plot) for plot in read]
@@ -123,14 +117,27 @@ def validate_plots(
             resolution,
             inputs,
             cover=species_covers(read),
-            variety={
-                name: np.array([s.variety[i] for s in spectra], float)
-                for i, name in enumerate(VARIETY)
-            },
-            seed=seed,
+            variety=_variety(spectra),
             largest_residual=max(float(s.residual) for s in spectra),
             warnings=remarks,
         )
+
+
+def _left_out(plots: Set[str]) -> list[str]:
+    """A remark on plots that have spectra only."""
+    if not plots:
+        return []
+    return [
+        f"{len(plots)} plots have spectra but no row in the table of cover, and are left out: "
+        f"{', '.join(sorted(plots))}"
+    ]
+
+
+def _variety(spectra: Sequence[PlotSpectrum]) -> dict[str, Float[np.ndarray, " plot"]]:
+    """Degree to which spectra within each plot differ, by measure."""
+    return {
+        name: np.array([s.variety[i] for s in spectra], float) for i, name in enumerate(VARIETY)
+    }
 
 
 def used_bands(spectrometer: Spectrometer) -> np.ndarray:
@@ -142,7 +149,7 @@ def used_bands(spectrometer: Spectrometer) -> np.ndarray:
 
 
 def prior_words(prior: LearnedPrior | None, plot: BioscapePlot) -> str:
-    """What a plot's population was learned from."""
+    """Words for the data that a plot's population was learned from."""
     if prior is None:
         return "assumed"
     return "learned from the other plots" if prior.knows(plot.name) else "learned from other data"
@@ -182,7 +189,7 @@ def plot_table(
     spectra: Sequence[PlotSpectrum],
     measured: dict[str, PlotSpectra],
 ) -> pd.DataFrame:
-    """What was assumed and what was measured, a row for each plot."""
+    """Assumptions and measurements, a row for each plot."""
     rows = []
     for plot, file, spectrum in zip(read, files, spectra):
         flown = measured.get(plot.name)

@@ -110,7 +110,6 @@ def write_report(
     *,
     cover: Float[np.ndarray, "plot species"],
     variety: Mapping[str, Float[np.ndarray, " plot"]],
-    seed: int,
     largest_residual: float,
     warnings: list[str],
 ) -> ValidatePlotsResult:
@@ -127,41 +126,13 @@ def write_report(
     keys: dict[str, str] = {}
     rows: dict[str, pd.DataFrame] = {}
     if count:
-        agreement, features = agreement_table(measured), feature_table(measured)
-        mean, misfit = mean_agreement(agreement), misfit_table(measured)
-        for name, table, what in (
-            ("agreement.csv", agreement, "agreement by plot, predictor and region"),
-            ("agreement_mean.csv", mean, "agreement, means over the plots"),
-            ("misfit.csv", misfit, "offset, gain and shape of each plot's misfit"),
-            ("bands.csv", band_table(measured), "residual, errors and correlation by band"),
-            ("features.csv", features, "how well the model distinguishes plots"),
-        ):
-            run.table(name, table, what, None)
-        sentence, keys = _agreement(mean)
+        sentence, keys, sections, rows = _compare(run, pair, measured, cover, variety)
         headline.append(sentence)
-        of_model = agreement[agreement["predictor"] == MODEL].drop(columns="predictor")
-        sections = _comparison(measured, mean, of_model, misfit, features)
-        full = of_model[of_model["region"] == "full"]
-        rows = {"agreement": mean, "by_plot": full[["plot", *MEASURES]], "features": features}
-        if count >= FEWEST_PLOTS:
-            there = np.array([name in measured.plots for name in pair.plots])
-            seen = {name: values[there] for name, values in variety.items()}
-            diversity = plot_diversity_table(measured, cover[there], seen, seed=seed)
-            run.table("diversity.csv", diversity, "how spectra follow diversity of species", None)
-            sections.append(_diversity(diversity))
-            rows["diversity"] = diversity
     else:
-        sections = [
-            Section(
-                "Simulated spectra",
-                [
-                    "The folder has no measured spectrum of these plots: nothing to compare.",
-                    Picture(
-                        "spectra.png", figures.spectra_plot(pair), "simulated spectrum of each plot"
-                    ),
-                ],
-            )
-        ]
+        text = "The folder has no measured spectrum of these plots: nothing to compare."
+        what = "simulated spectrum of each plot"
+        picture = Picture("spectra.png", figures.spectra_plot(pair), what)
+        sections = [Section("Simulated spectra", [text, picture])]
     square = (
         f"A plot is a square of {resolution.size_m:g} m that repeats itself, in voxels of "
         f"{100 * resolution.voxel_m:g} cm."
@@ -176,11 +147,8 @@ def write_report(
     )
     run.page(Page("Spectra of plots from their field tables", lead, sections, keys, record))
     if unmeasured:
-        names = ", ".join(unmeasured)
-        warnings = [
-            f"{len(unmeasured)} plots have no measured spectrum and were only simulated: {names}",
-            *warnings,
-        ]
+        text = f"{len(unmeasured)} plots have no measured spectrum and were only simulated"
+        warnings = [f"{text}: {', '.join(unmeasured)}", *warnings]
     return run.result(
         ValidatePlotsResult,
         headline=headline,
@@ -193,6 +161,41 @@ def write_report(
         largest_residual=largest_residual,
         **rows,
     )
+
+
+def _compare(
+    run: Run,
+    pair: PlotSpectraPair,
+    measured: PlotSpectraPair,
+    cover: Float[np.ndarray, "plot species"],
+    variety: Mapping[str, Float[np.ndarray, " plot"]],
+) -> tuple[str, dict[str, str], list[Section], dict[str, pd.DataFrame]]:
+    """Write the tables of the plots that were `measured`, of all in `pair`.
+
+    Returns the agreement in a sentence and as key figures, sections, and rows for the result.
+    """
+    agreement, features = agreement_table(measured), feature_table(measured)
+    mean, misfit = mean_agreement(agreement), misfit_table(measured)
+    for name, table, what in (
+        ("agreement.csv", agreement, "agreement by plot, predictor and region"),
+        ("agreement_mean.csv", mean, "agreement, means over the plots"),
+        ("misfit.csv", misfit, "offset, gain and shape of each plot's misfit"),
+        ("bands.csv", band_table(measured), "residual, errors and correlation by band"),
+        ("features.csv", features, "how well the model distinguishes plots"),
+    ):
+        run.table(name, table, what, None)
+    of_model = agreement[agreement["predictor"] == MODEL].drop(columns="predictor")
+    sections = _comparison(measured, mean, of_model, misfit, features)
+    full = of_model[of_model["region"] == "full"]
+    rows = {"agreement": mean, "by_plot": full[["plot", *MEASURES]], "features": features}
+    if len(measured.plots) >= FEWEST_PLOTS:
+        there = np.array([name in measured.plots for name in pair.plots])
+        seen = {name: values[there] for name, values in variety.items()}
+        diversity = plot_diversity_table(measured, cover[there], seen, seed=run.seed)
+        run.table("diversity.csv", diversity, "how spectra follow diversity of species", None)
+        sections.append(_diversity(diversity))
+        rows["diversity"] = diversity
+    return *_agreement(mean), sections, rows
 
 
 def _diversity(table: pd.DataFrame) -> Section:

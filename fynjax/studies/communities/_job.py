@@ -119,23 +119,12 @@ def diversity(
         raise InputError(f"expected a `threshold` above 0 and below 1, but got {threshold:g}")
     if not noise or not all(0.0 <= one <= _MOST_NOISE for one in noise):
         raise InputError(f"expected at least one `noise`, each from 0 to {_MOST_NOISE:g}")
-    given = [sensors] if isinstance(sensors, str | Path | Sensor) else sensors
-    chosen = tuple(_few_bands(sensor, bands) for sensor in given)
-    if not chosen:
-        raise InputError("expected at least one of `sensors`")
+    _check_different("noise", noise)
+    chosen = _sensors(sensors, bands, greenness)
     fine = _checked_pixels(pixels, size, pool.voxel_m)
-    for what, every in (("noise", noise), ("sensor", [sensor.name for sensor in chosen])):
-        if len(set(every)) < len(every):
-            raise InputError(f"expected each {what} once, but got {listed(map(str, every))}")
-    if greenness is not None and not -1.0 <= greenness < 1.0:
-        raise InputError(f"expected a `greenness` from -1 to below 1, but got {greenness:g}")
-    for sensor in chosen:
-        green(np.zeros((0, len(sensor.bands))), sensor, greenness)  # whether it has the bands
     design = Design(chosen, fine, tuple(noise), samples, seed, greenness)
     run = Run(output, seed=seed, plot=read)
-    rows = f"{communities} communities"
-    tables = ["communities", "agreement", "lost", "recognition", "composition"]
-    begin_work(dict.fromkeys([f"{name}.csv" for name in tables], rows) | {"report.html": ""})
+    begin_work(dict.fromkeys(_TABLES, f"{communities} communities") | {"report.html": ""})
     journal = None
     if checkpoint is not None:
         hashes = [file_hash(path) for path in read.inputs]
@@ -152,14 +141,7 @@ def diversity(
         known = recognition(species, spectra, pool.taxa, design)
     headline = _headline(lost, known, threshold)
     with run.stage("Write"):
-        run.table(
-            "communities.csv", pd.DataFrame(truth, columns=DIVERSITIES), "what stands in each"
-        )
-        run.table("agreement.csv", table, "squared correlation of metrics with diversity")
-        run.table("lost.csv", lost, "pixel at which each diversity is lost to each metric")
-        what = "how well species are recognised; q05, q95 over 20 trainings, not over communities"
-        run.table("recognition.csv", known, what)
-        run.table("composition.csv", composed, "how composition follows that of the plants")
+        _write_tables(run, (pd.DataFrame(truth, columns=DIVERSITIES), table, lost, known, composed))
         sections = _sections(table, lost, known, composed, threshold)
         record = run.record(read.inputs)
         title = f"Diversity as sensors see it: {communities} communities of {read.name}"
@@ -167,6 +149,42 @@ def diversity(
     return run.result(
         DiversityResult, headline=headline, lost=lost, recognition=known, composition=composed
     )
+
+
+_TABLES = {
+    "communities.csv": "what stands in each",
+    "agreement.csv": "squared correlation of metrics with diversity",
+    "lost.csv": "pixel at which each diversity is lost to each metric",
+    "recognition.csv": "how well species are recognised; q05, q95 over 20 trainings, not over "
+    "communities",
+    "composition.csv": "how composition follows that of the plants",
+}
+
+
+def _write_tables(run: Run, tables: Sequence[pd.DataFrame]) -> None:
+    for (name, what), table in zip(_TABLES.items(), tables, strict=True):
+        run.table(name, table, what)
+
+
+def _check_different(what: str, values: Sequence[object]) -> None:
+    if len(set(values)) < len(values):
+        raise InputError(f"expected each {what} once, but got {listed(map(str, values))}")
+
+
+def _sensors(
+    sensors: Sequence[str | Path | Sensor], bands: int, greenness: float | None
+) -> tuple[Sensor, ...]:
+    """The sensors with at most so many bands, among them those that the greenness needs."""
+    given = [sensors] if isinstance(sensors, str | Path | Sensor) else sensors
+    chosen = tuple(_few_bands(sensor, bands) for sensor in given)
+    if not chosen:
+        raise InputError("expected at least one of `sensors`")
+    _check_different("sensor", [sensor.name for sensor in chosen])
+    if greenness is not None and not -1.0 <= greenness < 1.0:
+        raise InputError(f"expected a `greenness` from -1 to below 1, but got {greenness:g}")
+    for sensor in chosen:
+        green(np.zeros((0, len(sensor.bands))), sensor, greenness)  # whether it has the bands
+    return chosen
 
 
 def _pool(plot: Plot | str | Path) -> Plot:

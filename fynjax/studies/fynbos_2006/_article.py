@@ -1,9 +1,9 @@
 """The numbers of the article beside those of a scene of its plot."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import pairwise
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -48,7 +48,7 @@ printed unit."""
 _LIDARS = {"flash_lidar_paper": "", "scanning_lidar": ", by an aircraft's scanner"}
 """LiDAR systems that look at the plot, and what is added to the names of their numbers."""
 _THINNINGS = 20
-"""How often a simulated cloud is thinned, at random, to the real number of returns."""
+"""Times that a simulated cloud is thinned, at random, to the real number of returns."""
 
 
 def article_tables(
@@ -114,84 +114,117 @@ def article_tables(
 
 def _printed() -> pd.DataFrame:
     """The article's numbers, and whether each can be true."""
-    nan, rows = np.nan, []
+    parts = _of_bands(), _of_indices(), _of_spectra(), _of_structure()
+    numbers = pd.DataFrame([number for part in parts for number in part])
+    values = dict.fromkeys(["real", "dirsig", "dirsig_off_percent"], float)
+    return numbers[[*numbers.columns.drop("definition"), "definition"]].astype(values)
 
-    def add(
-        table: str, quantity: str, definition: str, real: float | None = nan,
-        dirsig: float | None = nan, off: float | None = nan, sound: bool = True,
-    ) -> None:  # fmt: skip
-        rows.append((table, quantity, real, dirsig, off, sound, definition))
 
+class _Number(NamedTuple):
+    """A printed number of the real plot, of DIRSIG's, and what the latter is off by [%]."""
+
+    table: str
+    quantity: str
+    definition: str
+    real: float | None = np.nan
+    dirsig: float | None = np.nan
+    dirsig_off_percent: float | None = np.nan
+    sound: bool = True
+
+
+def _of_bands() -> Iterator[_Number]:
+    """Species, optics and bands: tables 1 to 3 and figure 9."""
     for _, species in table1_2006().iterrows():
         for quantity, (column, _, _) in _TABLE_1.items():
             what = "field survey; the input of a simulation, which a calibration may change"
-            add("table 1", f"{species.taxon}: {quantity}", what, float(species[column]))
+            yield _Number("table 1", f"{species.taxon}: {quantity}", what, float(species[column]))
     for quantity, (number, printed, what) in _OPTICS.items():
-        add(f"table {number}", quantity, what, printed)
+        yield _Number(f"table {number}", quantity, what, printed)
     for name, band in bands_2006().items():
         what = "mean over the pixels; the real one follows from table 4; of DIRSIG no sign"
-        add("figure 9", f"{name}.mean", what, band.real_mean, off=100.0 * band.sim_abs_difference)
+        yield _Number(
+            "figure 9",
+            f"{name}.mean",
+            what,
+            band.real_mean,
+            dirsig_off_percent=100.0 * band.sim_abs_difference,
+        )
+
+
+def _of_indices() -> Iterator[_Number]:
+    """Vegetation indices: table 4."""
     for name, row in table4_2006().items():
         form = f"of {row.formula}, inferred from the printed numbers"
         known = row.formula_confidence != "open"
         if not known:
             form = "of a form that is not printed and needs a blue band"
-        add("table 4", f"{name}.mean", f"mean over the pixels {form}",
+        yield _Number("table 4", f"{name}.mean", f"mean over the pixels {form}",
             row.real_mean, row.sim_mean, sound=known)  # fmt: skip
         doubt = "; the printed real one contradicts this form" if known else ""
         doubt = "" if row.std_consistent else doubt
-        add("table 4", f"{name}.std", f"standard deviation over the pixels {form}{doubt}",
+        yield _Number("table 4", f"{name}.std", f"standard deviation over the pixels {form}{doubt}",
             row.real_std, row.sim_std, sound=bool(row.std_consistent))  # fmt: skip
         pixels = "with the histogram of the real pixels, which are not published"
-        add("table 4", f"{name}: overlap", f"histogram intersection {pixels}",
+        yield _Number("table 4", f"{name}: overlap", f"histogram intersection {pixels}",
             dirsig=row.histogram_intersection)  # fmt: skip
-        add("table 4", f"{name}: KS", f"largest distance of the distribution {pixels}",
+        yield _Number("table 4", f"{name}: KS", f"largest distance of the distribution {pixels}",
             dirsig=row.ks)  # fmt: skip
+
+
+def _of_spectra() -> Iterator[_Number]:
+    """Spectra and their indices: table 5 and figure 12."""
     for region, found in table5_2006().items():
         spectrum = f"to the real spectrum, not published, {region}"
-        add("table 5", f"spectral angle [deg], {region}", f"angle {spectrum}",
+        yield _Number("table 5", f"spectral angle [deg], {region}", f"angle {spectrum}",
             dirsig=found.spectral_angle)  # fmt: skip
-        add(
+        yield _Number(
             "table 5", f"RMSE, {region}", f"root mean square distance {spectrum}", dirsig=found.rmse
         )
         what = "that over the range of the real one"
-        add("table 5", f"NRMSE [%], {region}", what, dirsig=100.0 * found.nrmse)
-        add("table 5", f"correlation, {region}", f"Pearson's, {spectrum}", dirsig=found.correlation)
+        yield _Number("table 5", f"NRMSE [%], {region}", what, dirsig=100.0 * found.nrmse)
+        yield _Number(
+            "table 5", f"correlation, {region}", f"Pearson's, {spectrum}", dirsig=found.correlation
+        )
         what = "largest less smallest of the mean spectrum; the real one is RMSE over NRMSE"
-        add("table 5", f"range of reflectance, {region}", what, found.rmse / found.nrmse)
+        yield _Number("table 5", f"range of reflectance, {region}", what, found.rmse / found.nrmse)
     what = "mean of the mean spectrum at 2100 to 2450 nm, from the text"
-    add("table 5", "mean reflectance, swir2", what, SWIR2_MEAN["real"], SWIR2_MEAN["dirsig"])
+    yield _Number(
+        "table 5", "mean reflectance, swir2", what, SWIR2_MEAN["real"], SWIR2_MEAN["dirsig"]
+    )
     for name, index in figure12_2006().items():
         ends = f"{100.0 * index.lower:g} to {100.0 * index.upper:g} %"
         what = f"of the mean spectra; printed as {ends}, sign " + (
             "plus" if index.simulated_higher else "not printed"
         )
         middle = 50.0 * (index.lower + index.upper)
-        add("figure 12", f"{name} by AVIRIS-NG", what, off=middle)
+        yield _Number("figure 12", f"{name} by AVIRIS-NG", what, dirsig_off_percent=middle)
+
+
+def _of_structure() -> Iterator[_Number]:
+    """Point clouds: section 4.4."""
     for name in ("height_percentile_rmse", "height_intersection"):
         structure = structure_2006()[name]
         what = f"against the real cloud, which is not published; {structure.remark}"
-        add("section 4.4", name, what, dirsig=structure.simulated)
+        yield _Number("section 4.4", name, what, dirsig=structure.simulated)
     for kind, ending in _LIDARS.items():
         what = f"by the system {kind}; of the flight and not of the plot"
-        add("section 4.4", f"returns [m-2]{ending}", what, *_RETURNS, sound=False)
+        yield _Number("section 4.4", f"returns [m-2]{ending}", what, *_RETURNS, sound=False)
         for name in STRUCTURE_METRICS:
             structure = structure_2006()[name]
             what = "mean over cells of 2 m, returns thinned to the real number; "
-            add("section 4.4", f"{name}{ending}", what + structure.remark, structure.real,
+            yield _Number("section 4.4", f"{name}{ending}", what + structure.remark, structure.real,
                 structure.simulated, structure.difference_percent,
                 sound=name != "foliage_height_diversity")  # fmt: skip
         gap = structure_2006()["gap_fraction"]
         what = "the same as the share of cells of 0.5 m without a return above 0.1 m"
-        add("section 4.4", f"gap_fraction, of cells{ending}", what, gap.real, gap.simulated)
+        yield _Number(
+            "section 4.4", f"gap_fraction, of cells{ending}", what, gap.real, gap.simulated
+        )
         for grain, values in _GRAINS.items():
             for quantity, real in zip(_GRAIN_NAMES, values, strict=True):
                 what = f"cells of {grain:g} m; the cloud thinned to the real number of returns"
                 if np.isfinite(real):
-                    add("section 4.4", f"{quantity}, {grain:g} m{ending}", what, real)
-    names = ["table", "quantity", "real", "dirsig", "dirsig_off_percent", "sound", "definition"]
-    numbers = dict.fromkeys(names[2:5], float)
-    return pd.DataFrame(rows, columns=names).astype(numbers)
+                    yield _Number("section 4.4", f"{quantity}, {grain:g} m{ending}", what, real)
 
 
 _SHIPPED, _PITCH = "what the shipped sensor has", "pitch of a pixel x height / focal length"
@@ -236,7 +269,7 @@ _OPTICS = {
 
 
 def _sensors() -> dict[str, float]:
-    """What the shipped sensors have, and what the printed optics give."""
+    """Numbers of the shipped sensors, and those that the printed optics give."""
     plane: Any = shipped_sensor("aviris_ng")
     drone: Any = shipped_sensor("mavic_3m")
     line, frame, bands = plane.camera.line, drone.camera, drone.bands
