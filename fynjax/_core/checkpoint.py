@@ -163,7 +163,8 @@ def _built(kind: Any, leaves: dict[str, np.ndarray], key: str) -> Any:
     if get_origin(kind) is tuple:
         count = sum(name.startswith(f"{key}.") for name in leaves)
         return tuple(jnp.asarray(leaves[f"{key}.{number}"]) for number in range(count))
-    return jnp.asarray(leaves[key])
+    of_numpy = getattr(kind, "array_type", None) is np.ndarray
+    return leaves[key] if of_numpy else jnp.asarray(leaves[key])
 
 
 def forget_journal(folder: str | Path) -> None:
