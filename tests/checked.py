@@ -1,7 +1,7 @@
 """Types and shapes of every function of the package, checked by beartype while tests run.
 
-With `FYNJAX_TYPES=1` in the environment, as in `.ci/run`, `conftest.py` has jaxtyping's import hook
-wrap functions and data classes with `checked`.
+With `FYNJAX_TYPES=1` in the environment, as in `.ci/run` and `.ci/study`, `conftest.py` has
+jaxtyping's import hook wrap functions and data classes with `checked`.
 """
 
 import inspect

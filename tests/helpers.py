@@ -38,7 +38,7 @@ def read_cube(path: Path) -> Cube:
         known = np.isfinite(raster.values).any(axis=(1, 2))
         return Cube(
             raster.values, file.names, file.wavelengths, file.fwhm,
-            file.good if file.header else known, file.cell_m or np.nan, raster.origin,
+            file.good if file.header else known, file.cell_m or 0.0, raster.origin,
             file.tags.get("quantity", file.tags.get("fynjax quantity", "reflectance")),
             file.crs.to_wkt() if file.crs else None,
         )  # fmt: skip

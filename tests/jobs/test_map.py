@@ -67,8 +67,8 @@ def trained(tmp_path_factory):
 
 def test_stands_are_those_of_their_number(known):
     _, bands, prior = known
-    both = simulate_stands((1, 2, 3), bands, prior, SETTINGS, 1)
-    one = simulate_stands((1, 2, 3), bands, prior, SETTINGS, 1)
+    both = simulate_stands((3, 4), bands, prior, SETTINGS, 1)
+    one = simulate_stands((4,), bands, prior, SETTINGS, 1)
     assert np.array_equal(both.reflectance[SETTINGS.together :], one.reflectance)
     assert np.array_equal(both.quantities[SETTINGS.together :], one.quantities)
     names = list(STAND_QUANTITIES)
@@ -521,7 +521,7 @@ def test_chains_of_a_pixel_are_of_possible_stands_and_of_their_seed(known, monke
     _, bands, prior = known
     monkeypatch.setattr(_pixels, "_WALKERS", 3)
     monkeypatch.setattr(_pixels, "_STANDS", 1)
-    measured = simulate_stands((1, 2, 3), bands, prior, SETTINGS, 3).reflectance[0]
+    measured = simulate_stands((11,), bands, prior, SETTINGS, 3).reflectance[0]
     one, again = (sample_pixel(measured, bands, prior, SETTINGS, steps=3, seed=8) for _ in range(2))
     np.testing.assert_array_equal(one.quantities, again.quantities)
     assert one.quantities.shape == (3, 3, len(STAND_QUANTITIES))
@@ -540,7 +540,7 @@ def test_the_regression_of_a_map_stands_for_the_full_posterior(known, tmp_path):
         checkpoint=tmp_path / "work",
     )  # fmt: skip
     training = jobs.read_training(tmp_path / "training.nc")
-    made = simulate_stands((1, 2, 3), bands, prior, SETTINGS, 5).reflectance
+    made = simulate_stands((900, 901, 902, 903), bands, prior, SETTINGS, 5).reflectance
     pixels = made[:: SETTINGS.together]
     by_map = estimate_pixels(training.posterior, jnp.asarray(pixels, jnp.float32))
     off, wide = [], []
