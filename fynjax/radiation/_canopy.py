@@ -39,7 +39,7 @@ def canopy_reflectance(
     sun_zenith: Float[ArrayLike, ""] = 30.0,
     view_zenith: Float[ArrayLike, ""] = 0.0,
     relative_azimuth: Float[ArrayLike, ""] = 0.0,
-    sky_share: Float[ArrayLike, " band"] | float = 0.0,
+    sky_share: Float[ArrayLike, " band"] | Float[ArrayLike, ""] = 0.0,
     hot_spot: Float[ArrayLike, ""] = 0.01,
     layers: int = 20,
 ) -> Float[Array, " band"]:
