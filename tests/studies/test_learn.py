@@ -135,6 +135,25 @@ def test_the_population_comes_back_and_a_stopped_run_goes_on(
         learn([tmp_path / "tables"], tmp_path / "again", seed=1, **settings)
 
 
+def test_errors_of_means_hang_together_as_those_of_the_same_names(
+    tmp_path: Path, linear: list[int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Growth forms that stand in no plot are left out of the file, with their correlations."""
+    lessons, write = [], _learn.write_lesson
+    monkeypatch.setattr(
+        _learn, "write_lesson", lambda *a, **k: (lessons.append(a[1]), write(*a, **k))[1]
+    )
+    write_population(tmp_path / "tables")
+    learn([tmp_path / "tables"], tmp_path / "out", checkpoint=tmp_path / "kept")
+    covariance = lessons[0].population.covariance
+    file = read_prior(tmp_path / "out" / "prior.toml").file
+    at = [PER_PLOT.index(p.name) for p in file.parameters]
+    for row, i in zip(file.mean_correlation, at, strict=True):
+        for found, j in zip(row, at, strict=True):
+            expected = covariance[i, j] / np.sqrt(covariance[i, i] * covariance[j, j])
+            assert found == pytest.approx(expected, abs=1e-4)
+
+
 def test_left_out_means_do_not_know_the_plot(tmp_path: Path, linear: list[int]) -> None:
     write_population(tmp_path / "tables")
     learn([tmp_path / "tables"], tmp_path / "one", checkpoint=tmp_path / "k1")
