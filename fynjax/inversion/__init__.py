@@ -14,10 +14,7 @@ from fynjax.inversion._calibrate import (
     Ends,
     calibrate_plot,
     calibration,
-    coarser,
     free_space,
-    plot_search,
-    search_form,
     search_starts,
 )
 from fynjax.inversion._canopy import CanopyFit, fit_canopy
@@ -31,8 +28,6 @@ from fynjax.inversion._design import (
 from fynjax.inversion._expected import Expected
 from fynjax.inversion._fit import (
     fit,
-    predicted_statistics,
-    statistics_and_jacobian,
     whitened_residual,
 )
 from fynjax.inversion._fit_result import WELL_CONSTRAINED, Data, FitResult, FitStatus
@@ -49,6 +44,7 @@ from fynjax.inversion._known_plants import (
     PIXEL_SD,
     KnownPlants,
     PixelSearch,
+    PixelSettings,
     PixelState,
     block_of,
     calibrate_known_plants,
@@ -75,6 +71,8 @@ from fynjax.inversion._search import (
     CalibrationSettings,
     PlotSearch,
     SearchState,
+    coarser,
+    search_form,
     search_states,
 )
 from fynjax.inversion._sensitivity import (
@@ -158,6 +156,7 @@ __all__ = [
     "ParameterSpace",
     "PixelEstimates",
     "PixelSearch",
+    "PixelSettings",
     "PixelState",
     "PlotForward",
     "PlotSearch",
@@ -199,8 +198,6 @@ __all__ = [
     "make_space",
     "match_names",
     "nadir_imager",
-    "plot_search",
-    "predicted_statistics",
     "sample_posterior",
     "sample_prior",
     "search_form",
@@ -214,7 +211,6 @@ __all__ = [
     "stand_sentence",
     "stand_table",
     "stand_values",
-    "statistics_and_jacobian",
     "structure_view",
     "surrogate_renders",
     "sweep_sensors",

@@ -17,7 +17,7 @@ from jaxtyping import Array, Float, Int
 
 from fynjax._core.progress import track
 from fynjax._core.spectral import FWHM_PER_SIGMA
-from fynjax.inversion._calibrate import COARSE, coarser
+from fynjax.inversion._search import COARSE, coarser
 from fynjax.inversion._sensor_sweep import image_and_slopes
 from fynjax.inversion._space import ParameterSpace
 from fynjax.metrics import spectral_mask

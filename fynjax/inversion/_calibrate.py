@@ -1,9 +1,7 @@
 """Calibrate a plot to what sensors measured of it."""
 
-import dataclasses
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import equinox as eqx
@@ -12,37 +10,16 @@ import numpy as np
 from jaxtyping import Array, Float
 from scipy.special import chdtrc
 
-from fynjax._core.errors import InputError
 from fynjax._core.html import as_html
 from fynjax._core.precision import double_precision
 from fynjax._core.progress import stage
-from fynjax.canopy import VoxelGrid
 from fynjax.inversion._expected import Replant, mean_information, with_error
-from fynjax.inversion._fit_result import Data, FitResult, fit_result, status_of
-from fynjax.inversion._functionals import (
-    Functional,
-    stand_sentence,
-    stand_table,
-)
-from fynjax.inversion._search import (
-    COARSE,
-    CalibrationSettings,
-    PlotSearch,
-    SearchState,
-    search_states,
-)
+from fynjax.inversion._fit_result import Data, Ended, FitResult, fit_result, status_of
+from fynjax.inversion._functionals import Functional, stand_sentence, stand_table
+from fynjax.inversion._search import CalibrationSettings, PlotSearch, SearchState, search_states
 from fynjax.inversion._space import ParameterSpace, make_space, match_names
 from fynjax.inversion._views import AbstractView, ImageView, radiometric_covariance
-from fynjax.radiation import Accuracy
-from fynjax.scene import (
-    AimedSensor,
-    PlotParameters,
-    Scene,
-    element_count,
-    fitted_accuracy,
-    named_values,
-    parameter_kind,
-)
+from fynjax.scene import AimedSensor, PlotParameters, Scene, named_values, parameter_kind
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -283,7 +260,7 @@ def calibrate_plot(
       search need more than there are. Without it other plantings fill the same sites in another
       order, and plants get no more sites; where it raises `InputError` neither.
 
-    To watch, keep or stop it go through `plot_search` step by step, as this function does.
+    To watch, keep or stop it go through a `PlotSearch` step by step, as this function does.
 
     **Returns:** `Calibration`. Its `fit` is that of the best start, `loss`, `gradient_norm` and
     `steps` those of all its rounds. Its `predicted` are expectations over plantings and the
@@ -293,7 +270,7 @@ def calibrate_plot(
     **Raises:** `InputError` for views that do not yield the data's statistics, and a start at
     which these are not finite.
     """
-    search = plot_search(
+    search = PlotSearch(
         scene, parameters, data, space, views, settings, solver=solver, replant=replant
     )
     ends: list[SearchState] = []
@@ -301,47 +278,6 @@ def calibrate_plot(
         for u in search_starts(search, start):
             ends += deque(search_states(search, search.begin(u, *ends[:1])), maxlen=1)
     return calibration(search, ends)
-
-
-@double_precision
-def plot_search(
-    scene: Scene,
-    parameters: PlotParameters,
-    data: Data,
-    space: ParameterSpace,
-    views: Sequence[AbstractView],
-    settings: CalibrationSettings | None = None,
-    *,
-    solver: Any = None,
-    replant: Replant | None = None,
-) -> PlotSearch:
-    """The search of `calibrate_plot`, to be gone through step by step.
-
-    **Arguments:**
-
-    - `scene`, `parameters`, `data`, `space`, `views`, `settings`, `solver`, `replant`: as of
-      `calibrate_plot`.
-
-    **Raises:** `InputError` for views that do not yield the data's statistics.
-    """
-    settings = CalibrationSettings() if settings is None else settings
-    if scene.known_plants:
-        settings = dataclasses.replace(settings, stand_realisations=0)
-    views = tuple(views)
-    yielded = tuple(name for view in views for name in view.names)
-    if yielded != data.names:
-        raise InputError(
-            f"`views` must yield the statistics of `data` in their order, {data.names[:3]}..., but "
-            f"yield {yielded[:3]}..."
-        )
-    form = partial(
-        search_form,
-        parameters=parameters,
-        views=views,
-        stride=settings.stride,
-        accuracy=settings.accuracy,
-    )
-    return PlotSearch(scene, parameters, data, space, views, form, replant, settings, solver)
 
 
 @double_precision
@@ -414,10 +350,11 @@ def _fit_of(search: PlotSearch, end: SearchState) -> FitResult:
     # The same likelihood for whoever goes on with these data: along the directions alone.
     counted = search.data_at(end.place).along(weights)
     slopes = np.asarray(place.slopes)
-    result = fit_result(
-        search.space, counted, place.u, place.statistics, jnp.asarray(place.slope),
-        status_of(end.status), end.steps, end.trace, end.rounds,
+    reached = Ended(
+        place.u, place.statistics, jnp.asarray(place.slope), status_of(end.status), end.steps,
+        end.trace, end.rounds,
     )  # fmt: skip
+    result = fit_result(search.space, counted, reached)
     if np.isfinite(slopes).all():
         result = result.with_information(jnp.asarray(mean_information(weights, slopes)))
     return result
@@ -471,52 +408,4 @@ def _ends(objective: Sequence[float], fits: Sequence[FitResult], best: FitResult
         whitened=places,
         apart=np.max(np.abs(places - np.asarray(best.whitened)) / sd, axis=1),
         minima=len(kept),
-    )
-
-
-@double_precision
-def search_form(
-    scene: Scene,
-    parameters: PlotParameters,
-    views: Sequence[AbstractView],
-    *,
-    stride: int | None = None,
-    accuracy: Accuracy = COARSE,
-) -> tuple[Scene, tuple[AbstractView, ...]]:
-    """What a fit searches with: the scene in thick layers, and coarse forms of its views.
-
-    **Arguments:**
-
-    - `scene`, `parameters`: the plot.
-    - `views`: what each sensor yields of `scene`.
-    - `stride`: every so many pixels of a drone's image are rendered along each axis; None: pixels
-      a voxel apart.
-    - `accuracy`: of the light.
-
-    **Returns:** the scene, and the views of it.
-    """
-    quick = coarser(scene, parameters)
-    fitted = fitted_accuracy(accuracy, quick, parameters)
-    return quick, tuple(view.for_search(scene, fitted, stride) for view in views)
-
-
-@double_precision
-def coarser(scene: Scene, parameters: PlotParameters) -> Scene:
-    """The `scene` in layers of twice the thickness, where their number is even, evenly filled.
-
-    Its plants have no more area elements than such voxels resolve, in `parameters` of the plot.
-    """
-    grid = scene.grid
-    nx, ny, nz = grid.shape
-    thick = 2 if nz % 2 == 0 else 1
-    sizes = zip(
-        np.asarray(parameters.species.diameter), np.asarray(parameters.species.height), strict=True
-    )
-    layer = thick * grid.vertical_size
-    most = [element_count(d, h, grid.horizontal_size, layer=layer) for d, h in sizes]
-    return dataclasses.replace(
-        scene,
-        planting=scene.planting.thinned(most) if scene.finer else scene.planting,
-        grid=VoxelGrid((nx, ny, nz // thick), grid.horizontal_size, layer),
-        finer=0,
     )

@@ -34,7 +34,7 @@ from fynjax.inversion._bands import (
     scores,
 )
 from fynjax.inversion._calibrate import free_space
-from fynjax.inversion._functionals import Functional, functional_slopes, stand_functionals
+from fynjax.inversion._functionals import Functional, StandNumbers, stand_functionals
 from fynjax.inversion._space import ParameterSpace
 from fynjax.metrics import spectral_mask
 from fynjax.scene import Scene, stand_realisation
@@ -449,7 +449,7 @@ def _asked(
         [
             np.concatenate(
                 [
-                    functional_slopes(stand, scene.parameters, space, none, values)[1],
+                    StandNumbers(stand, scene.parameters, space, values).linear(none)[1],
                     jax.jacfwd(space.physical)(none),
                 ]
             )

@@ -19,7 +19,7 @@ from jaxtyping import Array, Bool, Float, Int
 from fynjax._core.errors import InputError
 from fynjax._core.least_squares import NO_TAGS, BroydenLM, BroydenState, figures_of
 from fynjax._core.precision import compiled_in_single, double_precision
-from fynjax.inversion._fit_result import Data, FitResult, FitStatus, fit_result
+from fynjax.inversion._fit_result import Data, Ended, FitResult, FitStatus, fit_result
 from fynjax.inversion._log_posterior import LogPosterior, Predict
 from fynjax.inversion._solvers import confirmed, gain, run_solver, whitened
 from fynjax.inversion._space import ParameterSpace
@@ -110,11 +110,10 @@ def fit(
             f"a fit by {type(solver).__name__} inside `jax.jit` needs 64 bits: compile and call it "
             "inside `with jax.enable_x64(True):`, or take the default solver"
         )
-    found = run(density, solved, rest, u, max_steps, limit)
-    u, predicted, jacobian, status, steps, trace = found
-    status = confirmed(status, data, u, predicted, jacobian, limit)
-    u, predicted, jacobian = _solution(density, u, predicted, jacobian)
-    return fit_result(space, data, u, predicted, jacobian, status, steps, trace)
+    end = confirmed(run(density, solved, rest, u, max_steps, limit), data, limit)
+    u, predicted, jacobian = _solution(density, end.u, end.predicted, end.jacobian)
+    end = dataclasses.replace(end, u=u, predicted=predicted, jacobian=jacobian)
+    return fit_result(space, data, end)
 
 
 def whitened_residual(
@@ -157,26 +156,10 @@ def whitened_residual(
     return residual
 
 
-@eqx.filter_jit
-def predicted_statistics(
-    density: LogPosterior, u: Float[Array, " free"]
-) -> Float[Array, " statistic"]:
-    """What the model of `density` predicts at whitened coordinates `u`, compiled."""
-    return density.statistics(u)
-
-
-@eqx.filter_jit
-def statistics_and_jacobian(
-    density: LogPosterior, u: Float[Array, " free"]
-) -> tuple[Float[Array, " statistic"], Float[Array, "statistic free"]]:
-    """Statistics of `density` at whitened coordinates `u` and their slopes by `u`, compiled."""
-    return density.jacobian(u)
-
-
 def _run(
     density: LogPosterior, solver: Any, rest: Any, u: Array, max_steps: int, tolerance: Array
-) -> tuple[Array, Array, Array, FitStatus, Array, Array]:
-    """The end of a solver, and the objective and its gradient's norm at the start and there.
+) -> Ended:
+    """The end of a solver, with the objective and its gradient's norm at the start and there.
 
     A solver that ends by a rule of its own, while more than the tolerance is to gain, starts again
     from there as long as that lowers the objective.
@@ -204,7 +187,7 @@ def _run(
     trace = jnp.stack(
         [_figures(density, run.u, (run.predicted, run.jacobian)) for run in (start, end)]
     )
-    return end.u, end.predicted, end.jacobian, end.status, end.steps, trace
+    return Ended(end.u, end.predicted, end.jacobian, end.status, end.steps, trace)
 
 
 class _Run(eqx.Module):
@@ -219,9 +202,7 @@ class _Run(eqx.Module):
     """Whether the objective fell."""
 
 
-def _renewed(
-    density: LogPosterior, solver: BroydenLM, u: Array, max_steps: int
-) -> tuple[Array, Array, Array, FitStatus, Array, Array]:
+def _renewed(density: LogPosterior, solver: BroydenLM, u: Array, max_steps: int) -> Ended:
     """As `_run`, by a solver that takes the Jacobian at each step and ends by the rule of a fit.
 
     The start is evaluated as the steps are, in the loop: so the Jacobian, most of the program, is
@@ -260,7 +241,7 @@ def _renewed(
     status = FitStatus.where(done, FitStatus.no_gain, FitStatus.max_steps)
     good = done & (result == optx.RESULTS.successful)
     status = FitStatus.where(good, FitStatus.successful, status)
-    return u, value, slopes, status, state.steps, jnp.stack([start, figures_of(state)])
+    return Ended(u, value, slopes, status, state.steps, jnp.stack([start, figures_of(state)]))
 
 
 def _figures(density: LogPosterior, u: Array, end: tuple[Array, Array]) -> Float[Array, " 2"]:

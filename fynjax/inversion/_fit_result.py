@@ -391,13 +391,12 @@ _SLIGHT = 0.05
 
 
 def main_members(
-    names: tuple[str, ...], modes: Float[np.ndarray, "mode free"], most: int = 4
+    names: tuple[str, ...], modes: Float[np.ndarray, "mode free"]
 ) -> list[dict[str, float]]:
-    """The parameters that a direction is mostly made of, with their weights."""
-    largest = [np.argsort(-np.abs(mode))[:most] for mode in modes]
+    """The four parameters at most that each direction is mostly made of, with their weights."""
     return [
-        {names[i]: float(mode[i]) for i in some if abs(mode[i]) >= _SLIGHT}
-        for mode, some in zip(modes, largest)
+        {names[i]: float(mode[i]) for i in np.argsort(-np.abs(mode))[:4] if abs(mode[i]) >= _SLIGHT}
+        for mode in modes
     ]
 
 
@@ -449,18 +448,28 @@ def _flat(space: ParameterSpace, jacobian: Array) -> Bool[Array, " free"]:
     return jnp.max(jnp.abs(own), axis=0, initial=0.0) <= 1e-9 * jnp.max(size, initial=0.0)
 
 
-def fit_result(
-    space: ParameterSpace,
-    data: Data,
-    u: Float[Array, " free"],
-    predicted: Float[Array, " statistic"],
-    jacobian: Float[Array, "statistic free"],
-    status: Any,
-    steps: Any,
-    trace: Float[Array | np.ndarray, "evaluation 2"],
-    rounds: Int[Array | np.ndarray, " evaluation"] | None = None,
-) -> FitResult:
-    """The result of a fit that ended at `u`: uncertainty, and what there is to doubt."""
+class Ended(eqx.Module):
+    """Where a solver ended, and what the model says there."""
+
+    u: Float[Array, " free"]
+    """Whitened coordinates."""
+    predicted: Float[Array, " statistic"]
+    """Statistics there."""
+    jacobian: Float[Array, "statistic free"]
+    """Derivatives of the statistics by the whitened coordinates there."""
+    status: Any
+    """Why it ended, a `FitStatus`."""
+    steps: Int[Array, ""]
+    """Steps that it took."""
+    trace: Float[Array | np.ndarray, "evaluation 2"]
+    """Objective and norm of its gradient, as `FitResult` has them."""
+    rounds: Int[Array | np.ndarray, " evaluation"] | None = None
+    """Round of each evaluation of a calibration, from 1."""
+
+
+def fit_result(space: ParameterSpace, data: Data, end: Ended) -> FitResult:
+    """The result of a fit that ended: uncertainty, and what there is to doubt."""
+    u, predicted, jacobian, status = end.u, end.predicted, end.jacobian, end.status
     estimate = space.physical(u)
     for found, doubt in (
         (_flat(space, jacobian), FitStatus.flat),
@@ -479,11 +488,11 @@ def fit_result(
         estimate=estimate,
         predicted=predicted,
         jacobian=jacobian,
-        loss=trace[:, 0],
-        gradient_norm=trace[:, 1],
+        loss=end.trace[:, 0],
+        gradient_norm=end.trace[:, 1],
         status=status,
-        steps=jnp.asarray(steps),
-        rounds=rounds,
+        steps=end.steps,
+        rounds=end.rounds,
         **posterior(space, u, scaled.T @ scaled),
     )
 

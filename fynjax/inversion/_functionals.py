@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from functools import cache
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -14,6 +14,7 @@ from jaxtyping import Array, Float
 from fynjax._core.precision import double_precision
 from fynjax._core.seeds import generator
 from fynjax.inversion._fit_result import FitResult
+from fynjax.inversion._space import ParameterSpace
 from fynjax.scene import PlotParameters, Scene, with_values
 
 
@@ -136,9 +137,6 @@ _ROUNDING = 1e-12
 """Variance up to which a functional is the same but for the rounding of light."""
 
 
-Functionals = tuple[Callable[[Scene, PlotParameters], Float[Array, ""]], ...]
-
-
 def stand_values(
     scene: Scene, parameters: PlotParameters | None = None
 ) -> dict[str, Float[Array, ""]]:
@@ -150,38 +148,34 @@ def stand_values(
     return {name: one.value(scene, plot) for name, one in stand_functionals(scene).items()}
 
 
-def _at(
-    scene: Scene,
-    parameters: PlotParameters,
-    space: Any,
-    u: Float[Array, " free"],
-    values: Functionals,
-) -> Float[Array, " functional"]:
-    plot = with_values(parameters, scene.taxa, space.named(u))
-    return jnp.stack([jnp.asarray(value(scene.faded(), plot), float) for value in values])
+class StandNumbers(eqx.Module):
+    """Numbers of a stand as functions of whitened coordinates."""
 
+    scene: Scene
+    parameters: PlotParameters
+    """Of the plot; those that are not free count."""
+    space: ParameterSpace
+    """The free parameters."""
+    values: tuple[Callable[[Scene, PlotParameters], Float[Array, ""]], ...] = eqx.field(static=True)
+    """The functionals."""
 
-@eqx.filter_jit
-def _draws(
-    scene: Scene,
-    parameters: PlotParameters,
-    space: Any,
-    u: Float[Array, "draw free"],
-    values: Functionals,
-) -> Float[Array, "draw functional"]:
-    return jax.lax.map(lambda one: _at(scene, parameters, space, one, values), u)
+    def __call__(self, u: Float[Array, " free"]) -> Float[Array, " functional"]:
+        """Each functional at `u`, of plants that fade."""
+        plot = with_values(self.parameters, self.scene.taxa, self.space.named(u))
+        faded = self.scene.faded()
+        return jnp.stack([jnp.asarray(value(faded, plot), float) for value in self.values])
 
+    @eqx.filter_jit
+    def at(self, draws: Float[Array, "draw free"]) -> Float[Array, "draw functional"]:
+        """Each functional at each of the `draws`."""
+        return jax.lax.map(self, draws)
 
-@eqx.filter_jit
-def functional_slopes(
-    scene: Scene,
-    parameters: PlotParameters,
-    space: Any,
-    u: Float[Array, " free"],
-    values: Functionals,
-) -> tuple[Float[Array, " functional"], Float[Array, "functional free"]]:
-    function = lambda u: _at(scene, parameters, space, u, values)  # noqa: E731
-    return function(u), jax.jacrev(function)(u)
+    @eqx.filter_jit
+    def linear(
+        self, u: Float[Array, " free"]
+    ) -> tuple[Float[Array, " functional"], Float[Array, "functional free"]]:
+        """Each functional at `u`, and its slopes."""
+        return self(u), jax.jacrev(self)(u)
 
 
 @double_precision
@@ -218,13 +212,10 @@ def stand_table(
     """
     functionals = stand_functionals(scene) if functionals is None else functionals
     values = tuple(one.value for one in functionals.values())
+    numbers = StandNumbers(scene, parameters, fit.space, values)
     normal = generator(seed, 53).normal(size=(_DRAWS, len(fit.names)))
-    drawn = _draws(scene, parameters, fit.space, jnp.asarray(normal.clip(-3.0, 3.0)), values)
-    prior = np.asarray(drawn, float)
-    value, slopes = (
-        np.asarray(x, float)
-        for x in functional_slopes(scene, parameters, fit.space, fit.whitened, values)
-    )
+    prior = np.asarray(numbers.at(jnp.asarray(normal.clip(-3.0, 3.0))), float)
+    value, slopes = (np.asarray(x, float) for x in numbers.linear(fit.whitened))
     shares = np.array([one.unit == "-" for one in functionals.values()])
     low, high = (f(np.concatenate([prior, value[None]]), axis=0) for f in (np.min, np.max))
     kind = np.where(shares & (low > 0.0) & (high < 1.0), "logit", np.where(low > 0.0, "log", ""))
@@ -239,7 +230,7 @@ def stand_table(
     centre = _normal(value, kind)
     after = [_from_normal(place, kind) for place in (centre - half, centre, centre + half)]
     if draws is not None:
-        found = np.asarray(_draws(scene, parameters, fit.space, jnp.asarray(draws), values), float)
+        found = np.asarray(numbers.at(jnp.asarray(draws)), float)
         after = list(np.quantile(found, quantiles, axis=0))
         removed = 1.0 - _normal(found, kind).var(axis=0) / np.where(known, before, 1.0)
     return pd.DataFrame(

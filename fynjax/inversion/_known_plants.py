@@ -27,6 +27,7 @@ from fynjax._core.progress import stage
 from fynjax.inversion._calibrate import Ends
 from fynjax.inversion._fit_result import (
     Data,
+    Ended,
     FitResult,
     FitStatus,
     fit_result,
@@ -34,7 +35,7 @@ from fynjax.inversion._fit_result import (
     status_of,
 )
 from fynjax.inversion._functionals import Functional, stand_table
-from fynjax.inversion._search import recorded, search_states
+from fynjax.inversion._search import begun, recorded, search_states, stepped
 from fynjax.inversion._space import ParameterSpace
 from fynjax.radiation import VoxelScene
 from fynjax.scene import AimedSensor, PlotParameters, Scene, with_values
@@ -127,6 +128,36 @@ class KnownPlants(eqx.Module):
         return Ends(np.array([0.5 * self.misfit]), u, np.zeros(1), 1)
 
 
+@dataclasses.dataclass(frozen=True)
+class PixelSettings:
+    """How a calibration compares pixels, and how long it searches.
+
+    **Raises:** `InputError` for a `block` or `pixel_sd` that is not positive.
+    """
+
+    block: int | None = None
+    """Pixels along the edge of the blocks whose means are compared; None: `block_of`. Rows and
+    columns beyond the last whole block are not compared."""
+    pixel_sd: float = PIXEL_SD
+    """Error of a block's mean, of camera and model, as a share of it [-]. Errors of different
+    blocks and bands are independent: give errors that hang together over the plot to the gains, or
+    widen this."""
+    gains: Gains | None = None
+    """Errors of the calibration of the bands; None: those of the camera's sensor."""
+    max_steps: int = 30
+    """Most steps between two computations of the slopes."""
+    tolerance: float = 0.05
+    """The search ends where another step would lower the objective by less than this, half a
+    squared distance in posterior standard deviations."""
+
+    def __post_init__(self) -> None:
+        if (self.block is not None and self.block < 1) or not self.pixel_sd > 0.0:
+            raise InputError(
+                f"`block` and `pixel_sd` must be positive, but are {self.block} and "
+                f"{self.pixel_sd:g}"
+            )
+
+
 @double_precision
 def calibrate_known_plants(
     scene: Scene,
@@ -134,12 +165,7 @@ def calibrate_known_plants(
     image: Float[np.ndarray, "band row column"],
     space: ParameterSpace,
     camera: AimedSensor,
-    *,
-    block: int | None = None,
-    pixel_sd: float = PIXEL_SD,
-    gains: Gains | None = None,
-    max_steps: int = 30,
-    tolerance: float = 0.05,
+    settings: PixelSettings | None = None,
 ) -> KnownPlants:
     """Calibrate the free parameters of a plot whose plants are known to an image of it.
 
@@ -156,32 +182,19 @@ def calibrate_known_plants(
       NaN in any band is not compared.
     - `space`: the free parameters with their priors (`free_space`).
     - `camera`: from `aim`, without air.
-    - `block`: pixels along the edge of the blocks whose means are compared, at least 1; `block_of`
-      by default. Rows and columns beyond the last whole block are not compared.
-    - `pixel_sd`: error of a block's mean, of camera and model, as a share of it [-], positive.
-      Errors of different blocks and bands are independent: give errors that hang together over the
-      plot to the gains, or widen this.
-    - `gains`: what the calibration of the bands may be off by; that of the camera's sensor by
-      default.
-    - `max_steps`: most steps between two computations of the slopes.
-    - `tolerance`: the search ends where another step would lower the objective by less than this,
-      half a squared distance in posterior standard deviations.
+    - `settings`: which pixels are compared, with what errors, and how long the search is.
 
     To watch, keep or stop it go through `known_plants_search` step by step, as this function does.
 
     **Returns:** `KnownPlants`.
 
-    **Raises:** `InputError` for an image of another shape or without a whole block of pixels, a
-    `block` or error that is not positive, plants that are not known, and where JAX is limited to 32
-    bits.
+    **Raises:** `InputError` for an image of another shape or without a whole block of pixels,
+    plants that are not known, and where JAX is limited to 32 bits.
 
     Not differentiable.
     """
-    search = known_plants_search(
-        scene, parameters, image, space, camera, block=block, pixel_sd=pixel_sd, gains=gains,
-        max_steps=max_steps, tolerance=tolerance,
-    )  # fmt: skip
-    with stage("Calibrate", max_steps):
+    search = known_plants_search(scene, parameters, image, space, camera, settings)
+    with stage("Calibrate", search.settings.max_steps):
         (end,) = deque(search_states(search, search.begin()), maxlen=1)
     return search.result(end)
 
@@ -193,22 +206,16 @@ def known_plants_search(
     image: Float[np.ndarray, "band row column"],
     space: ParameterSpace,
     camera: AimedSensor,
-    *,
-    block: int | None = None,
-    pixel_sd: float = PIXEL_SD,
-    gains: Gains | None = None,
-    max_steps: int = 30,
-    tolerance: float = 0.05,
+    settings: PixelSettings | None = None,
 ) -> "PixelSearch":
     """The search of `calibrate_known_plants`, to be gone through step by step.
 
-    **Arguments:**
-
-    - `scene`, `parameters`, `image`, `space`, `camera`, `block`, `pixel_sd`, `gains`,
-      `max_steps`, `tolerance`: as of `calibrate_known_plants`.
+    **Arguments:** `scene`, `parameters`, `image`, `space`, `camera` and `settings`: as of
+    `calibrate_known_plants`.
 
     **Raises:** `InputError` as `calibrate_known_plants`.
     """
+    settings = PixelSettings() if settings is None else settings
     bands = len(camera.sensor.bands)
     if np.shape(image) != (bands, *camera.shape):
         raise InputError(
@@ -220,18 +227,13 @@ def known_plants_search(
             "expected a plot whose plants are known (`crowns`): where plants stand by "
             "chance no pixel says what stands in it"
         )
-    block = block_of(bands, camera.shape) if block is None else block
-    if block < 1 or not pixel_sd > 0.0:
-        raise InputError(
-            f"`block` and `pixel_sd` must be positive, but are {block} and {pixel_sd:g}"
-        )
+    block = block_of(bands, camera.shape) if settings.block is None else settings.block
     measured = np.asarray(_blocks(jnp.asarray(np.asarray(image, float)), block))
     compared = np.isfinite(measured).all(axis=0)
     if not compared.any():
         raise InputError(f"no block of {block} x {block} pixels of the image has all its values")
     model = PixelModel(scene, parameters, space.names, camera, block)
-    errors = (pixel_sd, camera.sensor.gains() if gains is None else gains)
-    return PixelSearch(model, space, measured, compared, errors, max_steps, tolerance)
+    return PixelSearch(model, space, measured, compared, settings)
 
 
 class PixelModel(eqx.Module):
@@ -381,8 +383,8 @@ class PixelSearch:
     """Search of a calibration of known plants, step by step, as `PlotSearch`: coordinates of the
     parameters, then of the gains.
 
-    **Arguments:** those of `calibrate_known_plants`; `measured` are means of blocks, of which those
-    that are `compared` count.
+    **Arguments:** `space` and `settings` of `calibrate_known_plants`; `model` of the blocks, whose
+    means are `measured`, of which those that are `compared` count.
     """
 
     state = PixelState
@@ -394,19 +396,20 @@ class PixelSearch:
         space: ParameterSpace,
         measured: Float[np.ndarray, "band y x"],
         compared: Bool[np.ndarray, "y x"],
-        errors: tuple[float, Gains],
-        max_steps: int,
-        tolerance: float,
+        settings: PixelSettings,
     ) -> None:
-        self.model, self.space, self._max_steps = model, space, max_steps
-        self._measured, self._compared, self._pixel_sd = measured, compared, errors[0]
+        if settings.gains is None:
+            settings = dataclasses.replace(settings, gains=model.camera.sensor.gains())
+        assert settings.gains is not None
+        self.model, self.space, self.settings = model, space, settings
+        self._measured, self._compared = measured, compared
         self._free = len(space.names)
         # A little more, as the covariance of bands that are off alike, or not at all, is singular.
-        covariance = errors[1].covariance(len(measured)) + 1e-12 * np.eye(len(measured))
+        covariance = settings.gains.covariance(len(measured)) + 1e-12 * np.eye(len(measured))
         self._gain_root = np.linalg.cholesky(covariance)
         self._target = measured[:, compared].ravel()
-        self._solver = BroydenLM(atol=tolerance)
-        self.signed = (model, space, measured, compared, errors, max_steps, tolerance)
+        self._solver = BroydenLM(atol=settings.tolerance)
+        self.signed = (model, space, measured, compared, settings)
         """All that its steps follow from, besides where it starts."""
 
     def _values(self, u: Array) -> Array:
@@ -446,11 +449,9 @@ class PixelSearch:
         """State of the solver with slopes of this very place, and errors: by default its own."""
         values, slopes = self.linear(u)
         if sd is None:
-            sd = self._pixel_sd * np.maximum(values, _DARKEST)
+            sd = self.settings.pixel_sd * np.maximum(values, _DARKEST)
         rows = np.concatenate([slopes / sd[:, None], np.eye(len(u))])
-        known = self._whitened(values, u, sd), jnp.asarray(rows)
-        options = {"jacobian": lambda *_: known}
-        return self._solver.init(None, u, None, options, None, None, NO_TAGS), jnp.asarray(sd)
+        return begun(self._solver, u, self._whitened(values, u, sd), rows), jnp.asarray(sd)
 
     @double_precision
     def begin(self, u: Float[Array, " free"] | None = None) -> PixelState:
@@ -475,7 +476,7 @@ class PixelSearch:
             # With slopes and errors of this very place no step is left: the end.
             status = number_of(FitStatus.successful if finite else FitStatus.not_finite)
             return dataclasses.replace(state, status=status, ended=state.ended + 1)
-        if done or state.step >= self._max_steps:
+        if done or state.step >= self.settings.max_steps:
             last = int(state.turn) + 1 == _ROUNDS
             descent, sd = self._descent(state.u, np.asarray(state.sd) if last else None)
             renewed = dataclasses.replace(
@@ -488,11 +489,7 @@ class PixelSearch:
         def whitened(u: Array, _: Any) -> tuple[Array, None]:
             return self._whitened(self.image(u)[:, self._compared].ravel(), u, errors), None
 
-        u, descent, _ = solver.step(whitened, state.u, None, None, state.descent, NO_TAGS)
-        reached = dataclasses.replace(
-            state, u=u, descent=descent, step=state.step + 1, steps=state.steps + 1
-        )
-        return recorded(reached)
+        return stepped(solver, state, whitened)
 
     @double_precision
     def result(self, state: PixelState) -> KnownPlants:
@@ -506,11 +503,11 @@ class PixelSearch:
         bands = model.camera.sensor.bands.names
         names = tuple(f"{band} {y},{x}" for band in bands for y, x in places)
         data = Data(names, jnp.asarray(self._target), jnp.asarray(sd))
-        result = fit_result(
-            self.space, data, jnp.asarray(u[:free]), jnp.asarray(values),
-            jnp.asarray(slopes[:, :free]), status_of(state.status), state.steps, state.trace,
-            state.rounds,
+        end = Ended(
+            jnp.asarray(u[:free]), jnp.asarray(values), jnp.asarray(slopes[:, :free]),
+            status_of(state.status), state.steps, state.trace, state.rounds,
         )  # fmt: skip
+        result = fit_result(self.space, data, end)
         covariance = np.linalg.inv(scaled.T @ scaled + np.eye(len(u)))
         # Of the parameters alone, the gains integrated over.
         information = np.linalg.inv(covariance[:free, :free]) - np.eye(free)

@@ -5,7 +5,6 @@ from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, Literal
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -134,7 +133,8 @@ class PosteriorSampler:
         centre, covariance = np.asarray(start.whitened, float), np.asarray(start.covariance, float)
         parts = (centre, covariance, start.predicted, start.jacobian)
         if not all(np.isfinite(np.asarray(part)).all() for part in parts):
-            self._draws = _none("the fit to start from is not finite", space)
+            none, why = np.empty((0, 1, centre.size)), "the fit to start from is not finite"
+            self._draws = Draws(none, none[..., 0], 0.0, np.inf, 0.0, f"failed: {why}")
             return
         self._batch = memory_batch(density, centre) if batch is None else batch
         if method == "laplace":
@@ -182,15 +182,10 @@ class PosteriorSampler:
         picked = flat[random.integers(0, len(flat), self._predictive)]
         predicted = []
         with stage("Predict", self._predictive):
-            model = eqx.Partial(_statistics, density)
-            for some in evaluate_batches(model, picked, batch=self._batch):
+            for some in evaluate_batches(density.statistics, picked, batch=self._batch):
                 predicted.append(some)
                 advance(len(some))
         return _result(density, self._method, start, found, np.concatenate(predicted))
-
-
-def _statistics(density: LogPosterior, u: Array) -> Array:
-    return density.statistics(u)
 
 
 def _chain_count(method: str, chains: int | None, free: int) -> int:
@@ -214,11 +209,6 @@ def _gaussian(
     level = -0.5 * np.einsum("di,di->d", off, np.linalg.solve(covariance, off.T).T)[:, None]
     status = "converged" if start.converged else f"not converged: {start.explanation}"
     return Draws(chain, level, float(count), 1.0, 1.0, status)
-
-
-def _none(why: str, space: ParameterSpace) -> Draws:
-    chain = np.empty((0, 1, len(space.names)))
-    return Draws(chain, np.empty((0, 1)), 0.0, np.inf, 0.0, f"failed: {why}")
 
 
 def _flatness(flat: Sequence[Mapping[str, float]], count: int) -> str:

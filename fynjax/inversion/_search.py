@@ -16,6 +16,7 @@ from fynjax._core.errors import InputError, whole_number
 from fynjax._core.least_squares import NO_TAGS, BroydenLM, BroydenState, figures_of
 from fynjax._core.precision import double_precision
 from fynjax._core.progress import advance
+from fynjax.canopy import VoxelGrid
 from fynjax.inversion._expected import (
     Expected,
     Replant,
@@ -40,7 +41,15 @@ from fynjax.inversion._views import (
     radiometric_covariance,
 )
 from fynjax.radiation import Accuracy
-from fynjax.scene import PlotParameters, Scene, room_needed, stand_realisation, with_values
+from fynjax.scene import (
+    PlotParameters,
+    Scene,
+    element_count,
+    fitted_accuracy,
+    room_needed,
+    stand_realisation,
+    with_values,
+)
 
 COARSE = Accuracy(
     lattice=1,
@@ -251,9 +260,10 @@ class PlotSearch:
     runs it. Who watches, keeps or stops a search does so between the steps (`search_states`). What
     is compiled is shared by all starts.
 
-    **Arguments:** those of `calibrate_plot`; `form` makes of a scene its coarse form and the views
-    of it (`search_form`). A `solver` of optimistix or jaxopt goes through a whole round at once;
-    the default, `BroydenLM`, takes a step at a time.
+    **Arguments:** those of `calibrate_plot`. A `solver` of optimistix or jaxopt goes through a
+    whole round at once; the default, `BroydenLM`, takes a step at a time.
+
+    **Raises:** `InputError` for views that do not yield the data's statistics.
     """
 
     state = SearchState
@@ -266,11 +276,20 @@ class PlotSearch:
         data: Data,
         space: ParameterSpace,
         views: Sequence[AbstractView],
-        form: Callable[[Scene], tuple[Scene, tuple[AbstractView, ...]]],
-        replant: Replant | None,
-        settings: CalibrationSettings,
+        settings: CalibrationSettings | None = None,
+        *,
         solver: Any = None,
+        replant: Replant | None = None,
     ) -> None:
+        settings = CalibrationSettings() if settings is None else settings
+        if scene.known_plants:
+            settings = dataclasses.replace(settings, stand_realisations=0)
+        yielded = tuple(name for view in views for name in view.names)
+        if yielded != data.names:
+            raise InputError(
+                f"`views` must yield the statistics of `data` in their order, {data.names[:3]}..., "
+                f"but yield {yielded[:3]}..."
+            )
         self.data, self.space, self.views, self.settings = data, space, tuple(views), settings
         self.signed = (
             scene, parameters, data, space, self.views, settings, replant is None, solver,
@@ -280,8 +299,11 @@ class PlotSearch:
         if isinstance(solver, BroydenLM) and not solver.renew:  # it needs no slopes at its steps
             least = min(float(solver.atol), settings.tolerance)
             self._own, self._solver = dataclasses.replace(solver, atol=least), None
-        self._scene, self._parameters, self._form, self._replant = scene, parameters, form, replant
-        self._predict = PlotForward(parameters, space.names, form(scene)[1])
+        self._scene, self._parameters, self._replant = scene, parameters, replant
+        form = search_form(
+            scene, parameters, self.views, stride=settings.stride, accuracy=settings.accuracy
+        )
+        self._predict = PlotForward(parameters, space.names, form[1])
         self._planted: tuple[bytes, tuple[Scene, ...], tuple[Scene, ...]] | None = None
 
     # -- plantings --------------------------------------------------------------------------
@@ -297,7 +319,7 @@ class PlotSearch:
             own = (
                 self._scene if counts is None or self._replant is None else self._replant(0, counts)
             )
-            first = self._form(own)[0]
+            first = coarser(own, self._parameters)
             pool = ThreadPoolExecutor(2)  # XLA compiles without Python's lock
             try:
                 for call in self._first_calls(own, first) if ahead else ():
@@ -307,7 +329,7 @@ class PlotSearch:
                 pool.shutdown(wait=False, cancel_futures=True)
                 raise
             pool.shutdown()
-            coarse = (first, *(self._form(stand)[0] for stand in others))
+            coarse = (first, *(coarser(stand, self._parameters) for stand in others))
             self._planted = wanted.tobytes(), (own, *others), coarse
         return self._planted[1], self._planted[2]
 
@@ -542,9 +564,7 @@ class PlotSearch:
         weights = self.weights(place, subspace)
         residual = self._whitened(weights, np.asarray(place.statistics), place.u)
         jacobian = np.concatenate([weights @ place.slope, np.eye(place.u.size)])
-        known = jnp.asarray(residual), jnp.asarray(jacobian)
-        options = {"jacobian": lambda *_: known}
-        return self._own.init(None, place.u, None, options, None, None, NO_TAGS)
+        return begun(self._own, place.u, residual, jacobian)
 
     @double_precision
     def step(self, state: SearchState) -> SearchState:
@@ -580,11 +600,7 @@ class PlotSearch:
             reached = expected.members(u, place.spread) + place.offset
             return jnp.asarray(self._whitened(weights, np.asarray(reached), u)), None
 
-        u, descent, _ = solver.step(whitened, state.u, None, None, state.descent, NO_TAGS)
-        reached = dataclasses.replace(
-            state, u=u, descent=descent, step=state.step + 1, steps=state.steps + 1
-        )
-        return recorded(reached)
+        return stepped(solver, state, whitened)
 
     def _next_round(self, state: SearchState, status: Any) -> SearchState:
         """The place that a round has come to, and whether another one follows."""
@@ -663,6 +679,22 @@ class PlotSearch:
         return state.best, reason if settled else state.status
 
 
+def begun(
+    solver: BroydenLM, u: Array, residual: Array | np.ndarray, jacobian: Array | np.ndarray
+) -> BroydenState:
+    """State of the solver at `u`, where residual and Jacobian are known."""
+    known = jnp.asarray(residual), jnp.asarray(jacobian)
+    return solver.init(None, u, None, {"jacobian": lambda *_: known}, None, None, NO_TAGS)
+
+
+def stepped(solver: BroydenLM, state: Any, residual: Callable[[Array, Any], Any]) -> Any:
+    """The state of a search after one step of the solver on a function of whitened coordinates."""
+    u, descent, _ = solver.step(residual, state.u, None, None, state.descent, NO_TAGS)
+    return recorded(
+        dataclasses.replace(state, u=u, descent=descent, step=state.step + 1, steps=state.steps + 1)
+    )
+
+
 def recorded(state: Any) -> Any:
     """The state of a search, with its objective in the trace."""
     return dataclasses.replace(
@@ -691,3 +723,51 @@ def unsettled(residual: np.ndarray, jacobian: np.ndarray, moved: np.ndarray) -> 
     values, vectors = np.linalg.eigh(hessian)
     moves = np.stack([moved, np.linalg.solve(hessian, jacobian.T @ residual)])
     return float(np.max(np.abs(moves @ vectors) * np.sqrt(values)))
+
+
+@double_precision
+def search_form(
+    scene: Scene,
+    parameters: PlotParameters,
+    views: Sequence[AbstractView],
+    *,
+    stride: int | None = None,
+    accuracy: Accuracy = COARSE,
+) -> tuple[Scene, tuple[AbstractView, ...]]:
+    """What a fit searches with: the scene in thick layers, and coarse forms of its views.
+
+    **Arguments:**
+
+    - `scene`, `parameters`: the plot.
+    - `views`: what each sensor yields of `scene`.
+    - `stride`: every so many pixels of a drone's image are rendered along each axis; None: pixels
+      a voxel apart.
+    - `accuracy`: of the light.
+
+    **Returns:** the scene, and the views of it.
+    """
+    quick = coarser(scene, parameters)
+    fitted = fitted_accuracy(accuracy, quick, parameters)
+    return quick, tuple(view.for_search(scene, fitted, stride) for view in views)
+
+
+@double_precision
+def coarser(scene: Scene, parameters: PlotParameters) -> Scene:
+    """The `scene` in layers of twice the thickness, where their number is even, evenly filled.
+
+    Its plants have no more area elements than such voxels resolve, in `parameters` of the plot.
+    """
+    grid = scene.grid
+    nx, ny, nz = grid.shape
+    thick = 2 if nz % 2 == 0 else 1
+    sizes = zip(
+        np.asarray(parameters.species.diameter), np.asarray(parameters.species.height), strict=True
+    )
+    layer = thick * grid.vertical_size
+    most = [element_count(d, h, grid.horizontal_size, layer=layer) for d, h in sizes]
+    return dataclasses.replace(
+        scene,
+        planting=scene.planting.thinned(most) if scene.finer else scene.planting,
+        grid=VoxelGrid((nx, ny, nz // thick), grid.horizontal_size, layer),
+        finer=0,
+    )

@@ -13,13 +13,13 @@ from jaxtyping import Array, Float
 from fynjax._core.errors import InputError, whole_number
 from fynjax._core.precision import double_precision
 from fynjax._core.progress import track
-from fynjax.inversion._calibrate import COARSE, coarser
 from fynjax.inversion._fit_result import scatter_covariance
 from fynjax.inversion._information import (
     Information,
     fisher_information,
     shared_slopes,
 )
+from fynjax.inversion._search import COARSE, coarser
 from fynjax.inversion._space import ParameterSpace
 from fynjax.inversion._vectorised import value_and_jacobian
 from fynjax.metrics import quantiles, standard_deviation

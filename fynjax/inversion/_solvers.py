@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 
 from fynjax._core.errors import InputError
 from fynjax._core.least_squares import BroydenLM
-from fynjax.inversion._fit_result import Data, FitStatus
+from fynjax.inversion._fit_result import Data, Ended, FitStatus
 
 _REACH = 4.0
 """Bounds in prior standard deviations: beyond, the transform to a bounded parameter is flat."""
@@ -128,18 +128,11 @@ def gain(
 
 
 @eqx.filter_jit
-def confirmed(
-    status: Any,
-    data: Data,
-    u: Float[Array, " free"],
-    statistics: Float[Array, " statistic"],
-    jacobian: Float[Array, "statistic free"],
-    tolerance: Float[Array, ""],
-) -> Any:
-    """The status of a fit that ended at `u`, converged only where the `gain` left is at most
-    `tolerance`, whatever rule of the solver's own ended it."""
-    fixed = jax.lax.stop_gradient((data, u, statistics, jacobian))
+def confirmed(end: Ended, data: Data, tolerance: Float[Array, ""]) -> Ended:
+    """The same end, converged only where the `gain` left is at most `tolerance`, whatever rule of
+    the solver's own ended it."""
+    fixed = jax.lax.stop_gradient((data, end.u, end.predicted, end.jacobian))
     settled = gain(*fixed) <= tolerance
-    ended = (status == FitStatus.successful) | (status == FitStatus.no_gain)
+    ended = (end.status == FitStatus.successful) | (end.status == FitStatus.no_gain)
     found = FitStatus.where(settled, FitStatus.successful, FitStatus.no_gain)
-    return FitStatus.where(ended, found, status)
+    return dataclasses.replace(end, status=FitStatus.where(ended, found, end.status))

@@ -177,9 +177,7 @@ def radiometric_covariance(
     return np.asarray(scipy.linalg.block_diag(*blocks))
 
 
-@eqx.filter_jit
-def _gain_slopes(view: ImageView, image: Array) -> Array:
-    return view.gain_slopes(image)
+_gain_slopes = eqx.filter_jit(ImageView.gain_slopes)
 
 
 class SpectrumView(AbstractView):

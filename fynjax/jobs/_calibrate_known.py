@@ -13,7 +13,13 @@ from fynjax._core.dry_run import begin_work
 from fynjax._core.errors import InputError
 from fynjax.assembly import Prepared, aim_without_air, prepare
 from fynjax.compare import read_drone_image
-from fynjax.inversion import KnownPlants, block_of, known_plants_search, stand_sentence
+from fynjax.inversion import (
+    KnownPlants,
+    PixelSettings,
+    block_of,
+    known_plants_search,
+    stand_sentence,
+)
 from fynjax.io.plot import Plot, drone_sensor, sensor_place
 from fynjax.jobs._calibration_page import (
     doubt_first,
@@ -71,9 +77,7 @@ def known_plants(
             image,
             ready.space,
             camera,
-            block=block,
-            pixel_sd=settings.pixel_sd,
-            max_steps=settings.max_iterations,
+            PixelSettings(block, settings.pixel_sd, max_steps=settings.max_iterations),
         )
         result = search.result(follow(search, [None], run, checkpoint)[0])
     check_finite(jnp.asarray(result.image_after), plot)

@@ -12,9 +12,9 @@ from fynjax._core.checkpoint import Journal, signature
 from fynjax.assembly import Measured, Prepared
 from fynjax.inversion import (
     Calibration,
+    PlotSearch,
     calibration,
     join_data,
-    plot_search,
     search_starts,
     search_states,
 )
@@ -38,7 +38,7 @@ def calibrated(
 
     **Raises:** `InputError` as `follow`.
     """
-    search = plot_search(
+    search = PlotSearch(
         ready.scene,
         ready.parameters,
         join_data([sensor.data for sensor in measured]),

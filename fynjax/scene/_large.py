@@ -81,21 +81,20 @@ class TiledPicture:
         held = _HELD // (voxel_values(whole) + 3 * whole.area_density.shape[0])
         plants = _Plants(scene, parameters, whole.horizontal)
 
-        def windows(tiling: Tiling) -> Callable[[int, int], VoxelScene]:
+        def windows(
+            voxels: Callable[..., VoxelScene], bands: BandSet, tiling: Tiling
+        ) -> Callable[[int, int], VoxelScene]:
             room = plants.room(tiling)
-            voxels = partial(_voxels, bare, parameters, bands)
-            return lambda row, column: voxels(plants.window(tiling, room, row, column))
+            return lambda row, column: voxels(
+                bare, parameters, bands, plants.window(tiling, room, row, column)
+            )
 
-        def windows_by_organ(tiling: Tiling) -> Callable[[int, int], VoxelScene]:
-            room = plants.room(tiling)
-            voxels = partial(_voxels_by_organ, bare, parameters, bands.select([0]))
-            return lambda row, column: voxels(plants.window(tiling, room, row, column))
-
-        light = LightInWindows(whole, aimed.accuracy, held, windows)
+        by_organ = partial(windows, _voxels_by_organ, bands.select([0]))
+        light = LightInWindows(whole, aimed.accuracy, held, partial(windows, _voxels, bands))
         self._tiling, self._draw = light.picture(rays, tile, aimed.steepest)
         organs = len(Organ) * len(scene.species)
-        by_organ = _HELD // (len(bands) + 4 * organs)
-        self._sight = partial(light.sight, rays, tile, aimed.steepest, by_organ, windows_by_organ)
+        held = _HELD // (len(bands) + 4 * organs)
+        self._sight = partial(light.sight, rays, tile, aimed.steepest, held, by_organ)
         self._aimed, self._whole = aimed, whole
         self._factor = np.empty((len(bands), *rays.shape), scene.dtype)
         self.tiles = [*np.ndindex(*self._tiling.shape)]
@@ -200,6 +199,7 @@ class _Plants:
 
 
 _visible_crowns = eqx.filter_jit(Scene.visible_crowns)
+_voxels, _voxels_by_organ = map(eqx.filter_jit, (Scene.voxels, Scene.voxels_by_organ))
 
 
 @eqx.filter_jit
@@ -209,15 +209,3 @@ def _without_voxels(bare: Scene, parameters: PlotParameters, bands: BandSet) -> 
     of_voxels = lambda v: (v.area_density, v.structure)  # noqa: E731
     shapes = jax.eval_shape(lambda: of_voxels(voxels))
     return eqx.tree_at(of_voxels, voxels, shapes, is_leaf=lambda v: v is None)
-
-
-@eqx.filter_jit
-def _voxels(bare: Scene, parameters: PlotParameters, bands: BandSet, window: Window) -> VoxelScene:
-    return bare.voxels(parameters, bands, window)
-
-
-@eqx.filter_jit
-def _voxels_by_organ(
-    bare: Scene, parameters: PlotParameters, bands: BandSet, window: Window
-) -> VoxelScene:
-    return bare.voxels_by_organ(parameters, bands, window)

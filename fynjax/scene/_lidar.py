@@ -17,7 +17,6 @@ from fynjax.scene._parameters import PlotParameters
 from fynjax.scene._scene import Scene
 from fynjax.scene._structure import fitting_structure, scene_structure
 from fynjax.sensors import (
-    BandSet,
     Lidar,
     LidarBeams,
     LidarReturns,
@@ -160,7 +159,9 @@ class LidarObservation(eqx.Module):
             grain = min(grains, key=lambda g: abs(g - 2.0)) if grain is None else grain
         else:
             settings, grain = StructureSettings(), side
-        return _metric(self.scene, self.parameters, name, settings, grain, self._density)
+        return _structure(
+            self.scene, self.parameters, [name], settings, grain=grain, pulses=self._density
+        )[0]
 
     @property
     def _density(self) -> float:
@@ -258,16 +259,8 @@ class LidarObservation(eqx.Module):
         return self.returns
 
 
-@eqx.filter_jit
-def _metric(
-    scene: Scene,
-    parameters: PlotParameters,
-    name: str,
-    settings: StructureSettings,
-    grain: float,
-    pulses: float,
-) -> Float[Array, ""]:
-    return scene_structure(scene, parameters, [name], settings, grain=grain, pulses=pulses)[0]
+_structure = eqx.filter_jit(scene_structure)
+_voxels = eqx.filter_jit(Scene.voxels)
 
 
 def observe_lidar(
@@ -288,7 +281,7 @@ def observe_lidar(
     Which light it has, see `lidar_waveforms`. Waveforms and `LidarObservation.metric` are
     differentiable; returns are not, as they are found one by one.
     """
-    voxels = observed_voxels(scene, parameters, lidar.bands)
+    voxels = _voxels(scene, parameters, lidar.bands)
     beams = lidar.beams(
         scene.grid.extent[:2], top=voxels.height, ground=scene.ground_level, seed=seed
     )
@@ -305,9 +298,3 @@ def observe_lidar(
     return LidarObservation(
         scene, parameters, lidar, voxels, beams, sublayers, waveforms, electrons, returns, leaves
     )
-
-
-@eqx.filter_jit
-def observed_voxels(scene: Scene, parameters: PlotParameters, bands: BandSet) -> VoxelScene:
-    """The scene's voxels in `bands`, compiled."""
-    return scene.voxels(parameters, bands)

@@ -684,13 +684,7 @@ def _seen(
 
 
 _atmosphere = eqx.filter_jit(PlotAir.atmosphere)
-
-
-@eqx.filter_jit
-def _measure(
-    aimed: AimedSensor, scene: Scene, parameters: PlotParameters, key: Array | None
-) -> Observation:
-    return aimed.observe(scene, parameters, key=key)
+_observe = eqx.filter_jit(AimedSensor.observe)
 
 
 @overload
@@ -775,7 +769,7 @@ def observe(
         return observe_lidar(scene, parameters, sensor, noise=noise, seed=seed)
     options |= {"pixel": pixel, "altitude": altitude, "placement": placement}
     aimed, parameters = aimed_at(scene, sensor, parameters, **options)
-    return _measure(aimed, scene, parameters, jax.random.key(seed) if noise else None)
+    return _observe(aimed, scene, parameters, key=jax.random.key(seed) if noise else None)
 
 
 def aimed_at(

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from fynjax.assembly import aim_without_air, build_plot, prepare
-from fynjax.inversion import calibrate_known_plants
+from fynjax.inversion import PixelSettings, calibrate_known_plants
 from fynjax.inversion._known_plants import PixelModel
 from fynjax.io.plot import drone_sensor
 from fynjax.scene import Crowns, hard_instances
@@ -82,7 +82,7 @@ def main(arguments=None):
             began = time.process_time()
             found = calibrate_known_plants(
                 scene, ready.parameters, measured, space, camera,
-                block=1, pixel_sd=max(noise, EXACT), gains=Gains(1e-5),
+                PixelSettings(1, max(noise, EXACT), Gains(1e-5)),
             )  # fmt: skip
             seconds = time.process_time() - began
             fit = found.fit

@@ -10,7 +10,7 @@ import pytest
 
 from fynjax._core.checkpoint import Journal, signature
 from fynjax.inversion import ParameterSpace
-from fynjax.inversion._known_plants import PixelModel, PixelSearch, PixelState
+from fynjax.inversion._known_plants import PixelModel, PixelSearch, PixelSettings, PixelState
 from fynjax.sensors import Gains, shipped_sensor
 from tests.scene.plots import TAXA, drone, small_parameters, small_plot
 
@@ -51,7 +51,8 @@ def searched(max_steps=30):
     measured = linear([0.35, 0.1]) * np.array([1.2, 0.9])[:, None, None]
     compared = np.ones((2, 3), bool)
     compared[1, 2] = False
-    search = PixelSearch(model, SPACE, measured, compared, (PIXEL_SD, GAINS), max_steps, 1e-4)
+    settings = PixelSettings(None, PIXEL_SD, GAINS, max_steps, tolerance=1e-4)
+    search = PixelSearch(model, SPACE, measured, compared, settings)
     states = [search.begin()]
     while not states[-1].ended:
         states.append(search.step(states[-1]))

@@ -13,11 +13,11 @@ from fynjax.inversion import (
     CalibrationSettings,
     Data,
     FitStatus,
+    PlotSearch,
     _search,
     calibrate_plot,
     coarser,
     free_space,
-    plot_search,
     search_starts,
 )
 from fynjax.inversion._views import AbstractView
@@ -198,7 +198,7 @@ def test_a_round_follows_where_plants_got_more_sites(plot, monkeypatch):
     data = Data(("crown cover",), jnp.asarray(4.0 * start), jnp.array([0.01]))
     settings, asked = CalibrationSettings(stand_realisations=0, rounds=1), []
     replant = grower(scene, parameters, asked)
-    search = plot_search(scene, parameters, data, space, [CrownCover()], settings, replant=replant)
+    search = PlotSearch(scene, parameters, data, space, [CrownCover()], settings, replant=replant)
     (u,) = search_starts(search)
     state = search.begin(u)
     assert not np.asarray(state.wanted).any()
@@ -226,7 +226,7 @@ def search_of(plot, settings, times=1.0, sd=0.05):
     space = free_space(scene, parameters, ["*.cover", "*.diameter"], lambda _: 0.2)
     value = times * np.asarray(CrownSquares().observe(scene, parameters)[1])
     data = Data(("crown cover",), jnp.asarray(value), jnp.asarray(sd * value))
-    return plot_search(scene, parameters, data, space, [CrownSquares()], settings)
+    return PlotSearch(scene, parameters, data, space, [CrownSquares()], settings)
 
 
 def test_without_an_expectation_a_search_starts_at_the_scene_as_it_stands(plot):
@@ -273,7 +273,7 @@ def test_sites_are_made_for_all_draws_of_the_prior_at_the_start(plot):
     data = Data(("crown cover",), jnp.asarray(start), jnp.array([0.01]))
     settings, asked = CalibrationSettings(stand_realisations=2, scatter_draws=6), []
     replant = grower(scene, parameters, asked)
-    search = plot_search(scene, parameters, data, space, [CrownCover()], settings, replant=replant)
+    search = PlotSearch(scene, parameters, data, space, [CrownCover()], settings, replant=replant)
     state = search.begin(jnp.zeros(len(space.names)))
     expected = search.expected(state)
     drawn = [scene.counts(search.plot(jnp.asarray(expected.draw(i)[1]))) for i in range(6)]

@@ -32,7 +32,6 @@ from fynjax.inversion import (
     fit_surrogate,
     free_space,
     join_data,
-    plot_search,
     predicted_statistics,
     search_form,
     search_starts,
@@ -45,7 +44,7 @@ from fynjax.inversion import (
     whitened_residual,
 )
 from fynjax.inversion._calibrate import _gains
-from fynjax.inversion._fit_result import fit_result, scatter_covariance, status_of
+from fynjax.inversion._fit_result import Ended, fit_result, scatter_covariance, status_of
 from fynjax.inversion._search import Expectation
 from fynjax.inversion._views import (
     Directions,
@@ -265,7 +264,7 @@ class Stop(Exception):
 def followed(sums, folder, **options):
     """The same calibration, its states kept in `folder`."""
     settings = {"stand_realisations": 2, "scatter_draws": 3, "max_steps": 6} | options
-    search = plot_search(*sums, (Sums(),), CalibrationSettings(**settings))
+    search = PlotSearch(*sums, (Sums(),), CalibrationSettings(**settings))
     return calibration(search, follow(search, search_starts(search), Run(folder), folder))
 
 
@@ -473,7 +472,7 @@ def test_what_a_broyden_solver_is_asked_for_counts_in_a_calibration(sums, monkey
 def test_a_checkpoint_knows_the_solver(sums):
     settings = CalibrationSettings(stand_realisations=0)
     signed = [
-        signature(plot_search(*sums, (Sums(),), settings, solver=solver).signed)
+        signature(PlotSearch(*sums, (Sums(),), settings, solver=solver).signed)
         for solver in (
             None,
             optx.Dogleg(1e-4, 1e-4),
@@ -545,7 +544,7 @@ def test_a_search_without_gain_ends_at_its_start(sums):
 
 def test_of_known_plants_the_best_place_is_kept(sums):
     """With the reason of the round that led there, or of one that ended there too."""
-    search = plot_search(*sums, (Sums(),), CalibrationSettings(stand_realisations=0))
+    search = PlotSearch(*sums, (Sums(),), CalibrationSettings(stand_realisations=0))
     (u,) = search_starts(search)
     state = search.begin(u)
     start = state.best
@@ -837,7 +836,8 @@ def test_the_gains_of_a_camera_are_estimated(views):
     space = ParameterSpace(("a",), [0.0], [1.0], [0.5], [0.1])
     predicted, flat = view._statistics(image), jnp.zeros((4, 1))
     status = FitStatus.successful
-    result = fit_result(space, data, jnp.zeros(1), predicted, flat, status, 1, np.empty((0, 2)))
+    end = Ended(jnp.zeros(1), predicted, flat, status, jnp.asarray(1), np.empty((0, 2)))
+    result = fit_result(space, data, end)
     found, sd, with_gain = _gains((view,), image, result, np.asarray(data.whitener))
     np.testing.assert_allclose(found, gain, rtol=0.005)
     assert sd.max() < 0.0018  # the means are known to a thousandth
@@ -914,7 +914,8 @@ def test_gains_are_estimated_beside_the_parameters():
     data = Data(names, jnp.asarray(value), jnp.full(3, 0.01))
     space = ParameterSpace(("p", "q"), *(jnp.full(2, v) for v in (0.0, 1.0, 0.5, 0.1)))
     arrays = (jnp.asarray(a) for a in (u, means, jacobian))
-    result = fit_result(space, data, *arrays, FitStatus.successful, 1, np.empty((0, 2)))
+    end = Ended(*arrays, FitStatus.successful, jnp.asarray(1), np.empty((0, 2)))
+    result = fit_result(space, data, end)
     total = data.with_covariance(radiometric_covariance((view,), (image,)))  # as a search has it
     found, sd, with_gain = _gains((view,), image, result, np.asarray(total.whitener))
     slopes = np.concatenate([jacobian, np.diag(means)], axis=1)

@@ -10,7 +10,7 @@ import pytest
 
 from fynjax._core.errors import InputError
 from fynjax.assembly import aim_without_air, prepare
-from fynjax.inversion import calibrate_known_plants
+from fynjax.inversion import PixelSettings, calibrate_known_plants
 from fynjax.inversion._known_plants import PixelModel, block_of
 from fynjax.io.plot import drone_sensor, read_plot
 from fynjax.io.raster import write_geotiff
@@ -115,7 +115,7 @@ def test_images_that_do_not_fit_are_refused(twin, tmp_path):
     with pytest.raises(InputError, match="plants are known"):
         calibrate_known_plants(small_plot(), model.parameters, full, *call)
     with pytest.raises(InputError, match="must be positive"):
-        calibrate_known_plants(model.scene, model.parameters, full, *call, pixel_sd=0.0)
+        PixelSettings(pixel_sd=0.0)
 
 
 def test_blocks_are_as_small_as_the_values_allow():
