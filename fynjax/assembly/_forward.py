@@ -25,6 +25,7 @@ from fynjax.scene import (
     own_spread,
     parameter_kind,
     room_needed,
+    seed_of_planting,
     with_values,
 )
 
@@ -59,11 +60,7 @@ class Prepared(NamedTuple):
         """
         if self.scene.known_plants:
             return self.scene
-        if number:
-            state = np.random.SeedSequence([self.seed, 83, number]).generate_state(1)
-            seed = int(state[0] >> 1)
-        else:
-            seed = self.seed
+        seed = seed_of_planting(self.seed, number)
         wanted = self.counts if counts is None else np.maximum(self.counts, counts)
         return build_plot(self.plot, seed=seed, counts=wanted, rounding="random")[0]
 

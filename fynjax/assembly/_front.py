@@ -455,9 +455,7 @@ def information(
 
     **Raises:** `InputError` as `sweep_sensors`, and for a LiDAR.
     """
-    camera = load_instrument(sensor) if isinstance(sensor, str | Path) else sensor
-    if not isinstance(camera, Sensor):
-        raise InputError(f"expected an imaging sensor, but got {camera.name!r}")
+    camera = _imager(sensor)
     found = sweep_sensors(
         scene, scene.parameters, free, camera,
         gsd=gsd, bands=(len(camera.bands),), stand_realisations=plantings, seed=seed,

@@ -43,11 +43,7 @@ def check_memory(
             f"the plants of {plot.size_m[0]:g} m x {plot.size_m[1]:g} m in voxels of "
             f"{plot.voxel_m:g} m need about {needed:.0f} GiB of memory, but this machine has "
             f"{there:.0f} GiB. Take a smaller plot or larger voxels"
-            + (
-                ', or leaves that fill them evenly (structure_m = "even").'
-                if _structured(plot)
-                else "."
-            ),
+            + (f", or {_EVEN}." if _structured(plot) else "."),
             file=plot.file,
         )
 

@@ -59,17 +59,8 @@ def aim_at_plot(
     place = plot.sensor.placement if own else Placement()
     altitude = place.altitude if altitude is None else altitude
     pixel = place.pixel if pixel is None else pixel
-    height = instrument.altitude if altitude is None else altitude
-    usual = float(instrument.pixel(height))
-    fixed = isinstance(instrument.camera, OrthographicCamera)
-    if not quiet and pixel is not None and not fixed and abs(pixel / usual - 1.0) > _DISAGREE:
-        warnings.warn(
-            f"{instrument.name}: the pixel of {pixel:g} m is used, but the sensor has one of "
-            f"{usual:.4g} m at {height:g} m above the ground; the pixel would need an altitude "
-            f"of {height * pixel / usual:.4g} m.",
-            UserWarning,
-            stacklevel=2,
-        )
+    if not quiet and pixel is not None:
+        _check_pixel(instrument, instrument.altitude if altitude is None else altitude, pixel)
     air = air or plot.air or AtmosphereTable()
     if air.source != "none" and scene.sky is not None and plot.air is not None:
         raise InputError(
@@ -129,6 +120,20 @@ def aim_without_air(
         air=AtmosphereTable(model="none"),
         quiet=True,
     )
+
+
+def _check_pixel(instrument: Sensor, height: float, pixel: float) -> None:
+    """Warn where the sensor's own pixel at a height above the ground [m] is another [m]."""
+    usual = float(instrument.pixel(height))
+    fixed = isinstance(instrument.camera, OrthographicCamera)
+    if not fixed and abs(pixel / usual - 1.0) > _DISAGREE:
+        warnings.warn(
+            f"{instrument.name}: the pixel of {pixel:g} m is used, but the sensor has one of "
+            f"{usual:.4g} m at {height:g} m above the ground; the pixel would need an altitude "
+            f"of {height * pixel / usual:.4g} m.",
+            UserWarning,
+            stacklevel=3,
+        )
 
 
 def _check_swath(plot: Plot, instrument: Sensor, pixel: float) -> None:

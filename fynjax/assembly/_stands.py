@@ -477,11 +477,8 @@ def _quantities(
     crowns = np.bincount(owner, area, forms)[:-1] / side**2 * float(shown)
     shoots = crowns * np.asarray(species.leaf_area_index, float)[:-1]
     dead = np.asarray(drawn.optics.dead_fraction, float)[:, :-1]
-    share = (
-        crowns / max(crowns.sum(), 1e-12)
-        if crowns.sum() > 0
-        else np.full(forms - 1, 1.0 / (forms - 1))
-    )
+    bare = np.full(forms - 1, 1.0 / (forms - 1))  # where nothing stands, forms count alike
+    share = crowns / max(crowns.sum(), 1e-12) if crowns.sum() > 0 else bare
     leafy = shoots / shoots.sum() if shoots.sum() > 0 else share
     chlorophyll = np.asarray(drawn.optics.leaf.chlorophyll, float)
     count = len(litter)

@@ -191,9 +191,9 @@ def read_targets(
         if kind == "image":
             found[kind] = image_target(plot, path, bands)
         elif kind == "spectrum":
-            found[kind] = spectrum_target(plot, path)
+            found[kind] = spectrum_data(path, target_rules(plot), plot.sun.zenith)
         else:
-            found[kind] = structure_target(plot, path, seed)
+            found[kind] = structure_data(path, target_rules(plot), *structure_settings(plot), seed)
     if bands is not None and "image" not in found:
         raise InputError("expected `bands` with a drone image, but no target is one")
     return tuple(found[kind] for kind in KINDS if kind in found)
@@ -376,11 +376,6 @@ def drone_view(
 # -- spectra ----------------------------------------------------------------------------------
 
 
-def spectrum_target(plot: Plot, path: Path) -> Measured:
-    """The mean of a file's spectra or pixels, in some thirty bands outside the water windows."""
-    return spectrum_data(path, target_rules(plot), plot.sun.zenith)
-
-
 def spectrum_data(path: Path, rules: TargetRules, sun_zenith: float) -> Measured:
     """The mean of a file's spectra or pixels, in some thirty bands outside the water windows.
 
@@ -396,24 +391,9 @@ def spectrum_data(path: Path, rules: TargetRules, sun_zenith: float) -> Measured
     grid = sample.wavelength
     count, mean = len(sample.values), sample.values.mean(axis=0)
     try:
-        clear = np.flatnonzero(spectral_mask(grid, _RANGE))
+        bands, weights = _bands_to_compare(grid, sample.fwhm)
     except InputError as error:
         raise InputError(str(error), file=path) from error
-    step = np.gradient(grid)
-    # A table states no widths: neighbours are as far apart, unless it lists some bands only.
-    width = np.clip(step, _NARROWEST, _WIDEST) if sample.fwhm is None else sample.fwhm
-    width = np.maximum(width, _NARROWEST)
-    every = -(-clear.size // _MOST_BANDS)
-    place = clear[every // 2 :: every]
-    match = match_wavelengths(grid[clear], grid[place], simulated_fwhm=width[place])
-    centre = match.wavelength
-    weights = np.zeros((centre.size, grid.size))
-    weights[:, clear] = match.real
-    bands = BandSet(
-        tuple(f"{c:.10g}nm" for c in centre), tuple(centre), tuple(np.interp(centre, grid, width))
-    )
-    bands = bands.select(bands.covered(np.arange(400.0, 2501.0)))
-    weights = weights[np.isin(centre, bands.centre)]
     keep = rules.used(spectrum_names(bands), "the bands of the spectrum")
     if len(keep) < len(bands):
         bands, weights = bands.select(keep), weights[keep]
@@ -444,6 +424,27 @@ def spectrum_data(path: Path, rules: TargetRules, sun_zenith: float) -> Measured
     return Measured("spectrum", path, data, view_of, description, extra, (grid, mean), bands)
 
 
+def _bands_to_compare(
+    grid: Float[np.ndarray, " wavelength"], fwhm: Float[np.ndarray, " wavelength"] | None
+) -> tuple[BandSet, Float[np.ndarray, "band wavelength"]]:
+    """Some thirty bands outside the water windows, and the weights that make them of a spectrum."""
+    clear = np.flatnonzero(spectral_mask(grid, _RANGE))
+    # A table states no widths: neighbours are as far apart, unless it lists some bands only.
+    width = np.clip(np.gradient(grid), _NARROWEST, _WIDEST) if fwhm is None else fwhm
+    width = np.maximum(width, _NARROWEST)
+    every = -(-clear.size // _MOST_BANDS)
+    place = clear[every // 2 :: every]
+    match = match_wavelengths(grid[clear], grid[place], simulated_fwhm=width[place])
+    centre = match.wavelength
+    weights = np.zeros((centre.size, grid.size))
+    weights[:, clear] = match.real
+    bands = BandSet(
+        tuple(f"{c:.10g}nm" for c in centre), tuple(centre), tuple(np.interp(centre, grid, width))
+    )
+    bands = bands.select(bands.covered(np.arange(400.0, 2501.0)))
+    return bands, weights[np.isin(centre, bands.centre)]
+
+
 def reflectance_noise(
     bands: BandSet, reflectance: np.ndarray, sun_zenith: float, *, averaged: int = 1
 ) -> np.ndarray:
@@ -469,12 +470,6 @@ def reflectance_noise(
 
 
 # -- clouds -----------------------------------------------------------------------------------
-
-
-def structure_target(plot: Plot, path: Path, seed: int) -> Measured:
-    """Structure metrics of a cloud, or of a table of them (CSV)."""
-    settings, grains = structure_settings(plot)
-    return structure_data(path, target_rules(plot), settings, grains, seed)
 
 
 def structure_data(
@@ -511,21 +506,17 @@ def structure_data(
         extra = {}
     else:
         how = "resampling of the cells"
-        found = cloud_structure(
-            path,
-            ComparisonSettings(structure=settings, grains=grains),
-            seed=seed,
-        )
+        compared = ComparisonSettings(structure=settings, grains=grains)
+        found = cloud_structure(path, compared, seed=seed)
         metrics = found.side.metrics.dropna(subset="value")
         # The interval holds 95 % of a normal.
         width = (metrics["bootstrap_high"] - metrics["bootstrap_low"]).fillna(0.0)
         values = dict(zip(metrics.index, zip(metrics["value"], width / (2.0 * 1.959964))))
         grain, pulses = found.grain, found.side.density
         extra = {"returns": found.side.returns, "ground": found.side.ground}
-    names = [name for name in STRUCTURE_METRICS if name in values]
-    view = structure_view(names, settings, grain=grain, pulses=pulses)
-    keep = rules.used(view.names, "the metrics of the cloud")
-    names = [names[i] for i in keep]
+    known = [name for name in STRUCTURE_METRICS if name in values]
+    keep = rules.used(structure_view(known).names, "the metrics of the cloud")
+    names = [known[i] for i in keep]
     view = structure_view(names, settings, grain=grain, pulses=pulses)
     value, sd = (np.array([values[name][k] for name in names]) for k in (0, 1))
     data = weigh_structure(view.names, value, rules.relative_sd, sd=np.nan_to_num(sd))

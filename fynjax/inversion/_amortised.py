@@ -173,6 +173,24 @@ INTERVALS = (0.5, 0.68, 0.9)
 """Central intervals whose coverage is held against the truth."""
 
 
+_HELD_OUT = 0.15
+"""Share of the simulations, the last, that is kept for the test [-]."""
+
+
+@dataclass(frozen=True)
+class NetworkSettings:
+    """Size of the network, and how long it is trained."""
+
+    features: int = 16
+    """Combinations of channels that the network sees, at most."""
+    width: int = 96
+    """Width of its two hidden layers."""
+    steps: int = 6000
+    """Steps of the optimisation; errors are drawn anew in each."""
+    batch: int = 1024
+    """Simulations in a step."""
+
+
 @double_precision
 def train_posterior(
     reflectance: Float[np.ndarray, "stand channel"],
@@ -180,11 +198,7 @@ def train_posterior(
     error: Float[np.ndarray, "channel channel"],
     *,
     together: int = 1,
-    held_out: float = 0.15,
-    features: int = 16,
-    width: int = 96,
-    steps: int = 6000,
-    batch: int = 1024,
+    training: NetworkSettings | None = None,
     seed: int = 0,
 ) -> tuple[AmortisedPosterior, HeldOut]:
     """Train a regression from spectra to what made them.
@@ -197,20 +211,18 @@ def train_posterior(
       simulated ones.
     - `together`: each so many simulations that follow each other share a stand, and are held out
       together.
-    - `held_out`: share of the simulations, the last, that is kept for the test.
-    - `features`: combinations of channels that the network sees, at most.
-    - `width`: of its two hidden layers.
-    - `steps`, `batch`: of the optimisation; errors are drawn anew in each step.
+    - `training`: size of the network and steps; as `NetworkSettings` has them by default.
     - `seed`: of the errors and the start.
 
-    **Returns:** the posterior, and how it does on the simulations held out.
+    **Returns:** the posterior, and how it does on the last 15 % of the simulations, held out.
 
     **Raises:** `MissingExtraError` without optax.
     """
     optax: Any = require("optax", "map")
+    training = NetworkSettings() if training is None else training
     rng = generator(seed, 7)
     groups = len(reflectance) // together
-    train = together * max(groups - max(round(held_out * groups), 1), 1)
+    train = together * max(groups - max(round(_HELD_OUT * groups), 1), 1)
     root = np.linalg.cholesky(error + OWN_SD**2 * np.eye(len(error)))
     values = _tables(quantities[:train])
     target = np.stack(
@@ -219,11 +231,11 @@ def train_posterior(
     logs = _with_errors(reflectance, root, rng)
     middle = logs[:train].mean(axis=0)
     clean = np.log(np.maximum(reflectance, DARKEST))
-    rows = _directions(clean[:train] - clean[:train].mean(axis=0), root)[1][:features]
+    rows = _directions(clean[:train] - clean[:train].mean(axis=0), root)[1][: training.features]
     rows = rows / np.std((logs[:train] - middle) @ rows.T, axis=0)[:, None]
     single = lambda a: jnp.asarray(a, jnp.float32)  # noqa: E731
     count = quantities.shape[1]
-    sizes = [len(rows), width, width, count + count * (count + 1) // 2]
+    sizes = [len(rows), training.width, training.width, count + count * (count + 1) // 2]
     layers = tuple(
         (single(rng.normal(size=(a, b)) / np.sqrt(a) * (0.1 if b == sizes[-1] else 1.0)),
          single(np.zeros(b)))
@@ -242,9 +254,8 @@ def train_posterior(
         single(values), single(np.quantile(apart, _PROBABILITY, axis=0).T),
     )  # fmt: skip
     data = single(reflectance[:train]), single(target[:train])
-    posterior = _optimised(optax, posterior, data, single(root), steps, batch, seed)
-    test = logs[train:]
-    return posterior, _held_out(posterior, np.exp(test), quantities[train:])
+    posterior = _optimised(optax, posterior, data, single(root), training, seed)
+    return posterior, _held_out(posterior, np.exp(logs[train:]), quantities[train:])
 
 
 def _tables(quantities: Float[np.ndarray, "stand quantity"]) -> Float[np.ndarray, "quantity score"]:
@@ -314,13 +325,12 @@ def _optimised(
     posterior: AmortisedPosterior,
     data: tuple[Array, Array],
     root: Array,
-    steps: int,
-    batch: int,
+    training: NetworkSettings,
     seed: int,
 ) -> AmortisedPosterior:
-    schedule = optax.cosine_decay_schedule(3e-3, steps)
+    schedule = optax.cosine_decay_schedule(3e-3, training.steps)
     optimiser = optax.chain(optax.clip_by_global_norm(1.0), optax.adamw(schedule))
-    size = min(batch, len(data[0]))
+    size = min(training.batch, len(data[0]))
 
     def loss(layers: Any, key: Array) -> Array:
         which, own, common = jax.random.split(key, 3)
@@ -346,17 +356,12 @@ def _optimised(
         return jax.lax.scan(one, state, keys)[0]
 
     state = posterior.layers, optimiser.init(posterior.layers)
-    parts = min(100, steps)
-    for keys in track(_parts(seed, steps, parts), "Train"):
-        state = some(state, keys)
+    # In parts of one length, between which progress is shown: one program serves them all.
+    parts = min(100, training.steps)
+    keys = jax.random.split(jax.random.key(seed), (parts, -(-training.steps // parts)))
+    for some_keys in track([*keys], "Train"):
+        state = some(state, some_keys)
     return eqx.tree_at(lambda p: p.layers, posterior, state[0])
-
-
-def _parts(seed: int, steps: int, parts: int) -> list[Array]:
-    """Keys of the steps, in parts of one length."""
-    each = -(-steps // parts)
-    keys = jax.random.split(jax.random.key(seed), each * parts)
-    return [keys[i * each : (i + 1) * each] for i in range(parts)]
 
 
 def _held_out(

@@ -242,16 +242,15 @@ def render(
     space: ParameterSpace,
     asked: Float[np.ndarray, "planting quantity free"],
     grid: Float[np.ndarray, " wavelength"],
-    steps: Sequence[int],
-    pixel: float,
+    pixels: Sequence[float],
     snr: float,
     error: float,
     target: str,
 ) -> list[PlantingSpectra]:
-    """Images of all plantings with their slopes, in light of the accuracy `COARSE`: in pixels of
-    `pixel` [m], and in those of `steps` such pixels on a side, means that collect as many photons.
-    """
-    scene, parameters = stands[0], stands[0].parameters
+    """Images of all plantings with their slopes, in light of the accuracy `COARSE`: for each edge
+    of `pixels` [m], multiples of the first, whose means collect as many more photons."""
+    scene, parameters, pixel = stands[0], stands[0].parameters, pixels[0]
+    steps = [round(one / pixel) for one in pixels]
     names = tuple(f"{one:g}" for one in grid)
     bands = BandSet(names, tuple(grid), (STEP,) * len(grid), response="box")
     sensor = Sensor("grid", bands, OrthographicCamera(pixel))

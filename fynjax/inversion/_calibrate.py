@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+import scipy.linalg
 from jaxtyping import Array, Float
 from scipy.special import chdtrc
 
@@ -336,7 +337,7 @@ def calibration(search: PlotSearch, ends: Sequence[SearchState]) -> Calibration:
         measured=with_error(search.data, radiometric_covariance(search.views, images)),
         lack=np.asarray(place.lack).mean(axis=0),
         degrees=len(weights),
-        projector=np.asarray(won.subspace.back @ won.subspace.rows),
+        projector=scipy.linalg.block_diag(*(own.back @ own.rows for own in won.subspace)),
         gain=gain,
         gain_sd=gain_sd,
         statistics_with_gain=with_gain,
@@ -370,18 +371,14 @@ def _gains(
 
     Of the linear model about the estimate, in which gains and parameters are normal beforehand.
     """
-    slopes = np.zeros((len(fit.data.names), 0))
-    first, prior = 0, np.zeros((0, 0))
-    for view in views:
-        if isinstance(view, ImageView) and image is not None:
-            own = np.asarray(view.gain_slopes(image), float)
-            slopes = np.zeros((len(fit.data.names), own.shape[1]))
-            slopes[first : first + len(view.names)] = own
-            prior = view.gains.covariance(own.shape[1])
-            break  # the image is that of the first
-        first += len(view.names)
-    if not slopes.size:
+    number = next((i for i, view in enumerate(views) if isinstance(view, ImageView)), None)
+    if number is None or image is None:
         return None, None, np.asarray(fit.predicted)
+    view: Any = views[number]  # the image is that of the first camera
+    prior = view.gains.covariance(len(image))
+    first = sum(len(before.names) for before in views[:number])
+    slopes = np.zeros((len(fit.data.names), len(image)))
+    slopes[first : first + len(view.names)] = view.gain_slopes(image)
     jacobian, by_gain = weights @ np.asarray(fit.jacobian), weights @ slopes
     total = np.eye(len(weights)) + jacobian @ jacobian.T
     rest = weights @ np.asarray(fit.data.value - fit.predicted)

@@ -307,8 +307,7 @@ def design(
     checked()
     every_one = np.eye(len(space.names))[: None if kind == "information" else 0]
     asked = np.stack([*named.values()] if named else [every_one] * len(stands), axis=bool(named))
-    steps = [round(one / pixels[0]) for one in pixels]
-    tried = render(stands, space, asked, grid, steps, pixels[0], snr, error, kind)
+    tried = render(stands, space, asked, grid, pixels, snr, error, kind)
     if kind == "separability":  # the same species in pixels of every size
         common = jnp.stack([image.species > 0 for image in tried]).all(axis=0)
         tried = [eqx.tree_at(lambda i: i.species, image, image.species * common) for image in tried]

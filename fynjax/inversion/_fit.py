@@ -21,7 +21,7 @@ from fynjax._core.least_squares import NO_TAGS, BroydenLM, BroydenState, figures
 from fynjax._core.precision import compiled_in_single, double_precision
 from fynjax.inversion._fit_result import Data, Ended, FitResult, FitStatus, fit_result
 from fynjax.inversion._log_posterior import LogPosterior, Predict
-from fynjax.inversion._solvers import confirmed, gain, run_solver, whitened
+from fynjax.inversion._solvers import confirmed, gain, residual, run_solver, whitened
 from fynjax.inversion._space import ParameterSpace
 
 
@@ -150,10 +150,7 @@ def whitened_residual(
     space, data = jax.tree.map(jnp.asarray, (space, data))
     density = LogPosterior(predict, space, data, shift, context)
 
-    def residual(u: Float[Array, " free"], args: Any = None) -> Float[Array, " residual"]:
-        return jnp.concatenate([data.whiten(density.statistics(u) - data.value), u])
-
-    return residual
+    return lambda u, args=None: residual(density, u)
 
 
 def _run(

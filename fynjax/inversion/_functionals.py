@@ -39,8 +39,7 @@ def _shoots(scene: Scene, parameters: PlotParameters) -> Float[Array, " species"
     of_species = jax.ops.segment_sum(
         _crowns(scene, parameters), scene.planting.species, len(scene.taxa)
     )
-    ground = float(np.prod(scene.grid.extent[:2]))
-    return of_species / ground * parameters.species.leaf_area_index
+    return of_species / scene.ground_area * parameters.species.leaf_area_index
 
 
 def _green(scene: Scene, parameters: PlotParameters) -> Float[Array, " species"]:
@@ -72,8 +71,7 @@ def _in_leaves(trait: str, factor: float) -> Callable[[Scene, PlotParameters], F
 
 
 def _cover(scene: Scene, parameters: PlotParameters) -> Float[Array, ""]:
-    ground = float(np.prod(scene.grid.extent[:2]))
-    return jnp.sum(_crowns(scene, parameters)) / ground
+    return jnp.sum(_crowns(scene, parameters)) / scene.ground_area
 
 
 def _height(scene: Scene, parameters: PlotParameters) -> Float[Array, ""]:
@@ -111,7 +109,7 @@ def _cover_of(form: str) -> Functional:
     def value(scene: Scene, parameters: PlotParameters) -> Float[Array, ""]:
         mine = jnp.array([one == form for one in scene.forms])[scene.planting.species]
         crowns = jnp.sum(jnp.where(mine, _crowns(scene, parameters), 0.0))
-        return crowns / float(np.prod(scene.grid.extent[:2]))
+        return crowns / scene.ground_area
 
     return Functional(f"ground under crowns of the form {form}", "-", value)
 

@@ -176,8 +176,8 @@ class SearchState(eqx.Module):
     best: SearchPlace
     """The place that is kept: the end of the last round, or without expectation over plantings the
     best of start and rounds."""
-    subspace: Directions
-    """Informative subspace of the statistics."""
+    subspace: tuple[Directions, ...]
+    """Informative subspace of the statistics of each view."""
     wanted: Float[Array, " species"]
     """Plants for which sites were made; zeros: those of the scene suffice."""
     trace: Float[Array, "evaluation 2"]
@@ -376,12 +376,23 @@ class PlotSearch:
         """Statistics over the plantings of a state."""
         return self._expected(state.wanted, state.subspace)
 
-    def _expected(self, wanted: Array | np.ndarray, subspace: Directions | None = None) -> Expected:
+    def _expected(
+        self, wanted: Array | np.ndarray, subspace: Sequence[Directions] = ()
+    ) -> Expected:
+        """Statistics over plantings, whose slopes are taken along a `subspace`, if one is known."""
         _, coarse = self._stands(wanted)
         settings = self.settings
         count = settings.stand_realisations
         number = max(settings.scatter_draws, count) if count else 1
-        along = self._predict if subspace is None else self._along(subspace)
+        along = self._predict
+        if subspace:
+            views = [
+                dataclasses.replace(view, directions=own)
+                if len(own.rows) < len(view.names)
+                else view
+                for view, own in zip(along.views, subspace, strict=True)
+            ]
+            along = dataclasses.replace(along, views=views)
         return Expected(self._predict, along, self.space, coarse, settings.seed, number)
 
     def _short(self, u: Array, wanted: np.ndarray, draws: int) -> np.ndarray:
@@ -405,41 +416,21 @@ class PlotSearch:
 
     # -- the informative subspace -----------------------------------------------------------
 
-    def _subspace(self, expected: Expected, data: Data) -> Directions:
-        """The directions along which slopes of many statistics are taken, by the errors of `data`
-        and draws of the prior; the statistics themselves where they are few."""
-        rows, back = [], []
-        draws = covariance = None
-        start = 0
-        for view in self._predict.views:
-            part = slice(start, start + len(view.names))
-            start = part.stop
-            own = back_own = np.eye(len(view.names))
-            if isinstance(view, ImageView) and len(view.names) > _MOST_ROWS:
-                if draws is None or covariance is None:
-                    draws = expected.prior_draws(_PRIOR_DRAWS)
-                    covariance = np.asarray(data.covariance)
-                chosen = informative_directions(draws[:, part], covariance[part, part], _MOST_ROWS)
-                own, back_own = np.asarray(chosen.rows), np.asarray(chosen.back)
-            rows.append(own)
-            back.append(back_own)
-        block = scipy.linalg.block_diag
-        return Directions(jnp.asarray(block(*rows)), jnp.asarray(block(*back)))
-
-    def _along(self, subspace: Directions) -> PlotForward:
-        """The forward model with slopes along the directions that were chosen of each view."""
-        views: list[AbstractView] = []
-        start = first = 0
-        for view in self._predict.views:
-            count = chosen = len(view.names)
-            if isinstance(view, ImageView) and count > _MOST_ROWS:
-                chosen = _MOST_ROWS
-                across, along = slice(start, start + count), slice(first, first + chosen)
-                own = Directions(subspace.rows[along, across], subspace.back[across, along])
-                view = dataclasses.replace(view, directions=own)
-            views.append(view)
-            start, first = start + count, first + chosen
-        return dataclasses.replace(self._predict, views=tuple(views))
+    def _subspace(self, expected: Expected, data: Data) -> tuple[Directions, ...]:
+        """The directions along which slopes of the many statistics of an image are taken, by the
+        errors of `data` and draws of the prior; else the statistics themselves."""
+        many = [isinstance(v, ImageView) and len(v.names) > _MOST_ROWS for v in self._predict.views]
+        draws = expected.prior_draws(_PRIOR_DRAWS) if any(many) else np.empty(0)
+        covariance, subspace, start = np.asarray(data.covariance), [], 0
+        for view, reduced in zip(self._predict.views, many, strict=True):
+            part = slice(start, start := start + len(view.names))
+            every = jnp.eye(len(view.names))
+            subspace.append(
+                informative_directions(draws[:, part], covariance[part, part], _MOST_ROWS)
+                if reduced
+                else Directions(every, every)
+            )
+        return tuple(subspace)
 
     # -- what a place says ------------------------------------------------------------------
 
@@ -497,10 +488,10 @@ class PlotSearch:
 
     @double_precision
     def weights(
-        self, place: SearchPlace, subspace: Directions
+        self, place: SearchPlace, subspace: Sequence[Directions]
     ) -> Float[np.ndarray, "direction statistic"]:
         """Makes of misfits independent ones of unit size, along the directions of the subspace."""
-        rows = np.asarray(subspace.rows)
+        rows = scipy.linalg.block_diag(*(np.asarray(own.rows) for own in subspace))
         covariance = rows @ np.asarray(self.data_at(place).covariance) @ rows.T
         return np.asarray(np.linalg.solve(np.linalg.cholesky(covariance), rows))
 
@@ -559,7 +550,7 @@ class PlotSearch:
             turns=whole(self.settings.rounds), step=whole(0), ended=whole(0),
         )  # fmt: skip
 
-    def _descent(self, place: SearchPlace, subspace: Directions) -> BroydenState:
+    def _descent(self, place: SearchPlace, subspace: Sequence[Directions]) -> BroydenState:
         """State of the solver at the start of a round, with the slopes and errors there."""
         weights = self.weights(place, subspace)
         residual = self._whitened(weights, np.asarray(place.statistics), place.u)

@@ -148,7 +148,6 @@ def expected_sensitivity(
     *,
     accuracy: float = 0.1,
     most: int = 64,
-    mode: str = "auto",
     do: Do = in_order,
 ) -> ExpectedSensitivity:
     """Slopes and elasticities of the expectation of `predict` over plantings, with their errors.
@@ -160,7 +159,7 @@ def expected_sensitivity(
 
     **Arguments:**
 
-    - `predict`, `names`, `metrics`, `at`, `mode`: as `local_sensitivity` has them.
+    - `predict`, `names`, `metrics`, `at`: as `local_sensitivity` has them.
     - `planting`: makes the context of `predict`, such as a scene, from the number of a planting.
       Plantings must be independent of each other.
     - `accuracy`: standard error of a leading elasticity, as a share of it, at which the run ends.
@@ -180,7 +179,7 @@ def expected_sensitivity(
         name = f"Slopes of plantings {next_ones[0] + 1} to {next_ones[-1] + 1}"
         with stage(name, len(next_ones)):
             done += do(
-                _slopes_of_planting, next_ones, planting, predict, names, metrics, at, mode,
+                _slopes_of_planting, next_ones, planting, predict, names, metrics, at,
                 names=[f"planting {i + 1}" for i in next_ones],
             )  # fmt: skip
         values, slopes = (np.stack(part) for part in zip(*done, strict=True))
@@ -196,9 +195,8 @@ def _slopes_of_planting(
     names: Sequence[str],
     metrics: Sequence[str],
     at: np.ndarray,
-    mode: str,
 ) -> tuple[np.ndarray, np.ndarray]:
-    local = local_sensitivity(predict, names, metrics, at, context=planting(number), mode=mode)
+    local = local_sensitivity(predict, names, metrics, at, context=planting(number))
     if not (np.isfinite(local.value).all() and np.isfinite(local.jacobian).all()):
         raise InputError("a metric or its slope is not finite at these parameters")
     return local.value, local.jacobian

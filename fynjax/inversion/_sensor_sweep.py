@@ -2,7 +2,7 @@
 
 import dataclasses
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -232,18 +232,15 @@ def image_and_slopes(
     return value_and_jacobian(image, at, mode="forward")
 
 
-def _degrade(image: np.ndarray, slopes: np.ndarray, step: int, count: int) -> Any:
-    """Image and slopes in pixels of `step` finer ones, in `count` bands."""
-
-    def average(values: np.ndarray) -> np.ndarray:
-        bands, ny, nx = values.shape[:3]
-        ny, nx = ny // step, nx // step
-        cut = values[:, : ny * step, : nx * step]
-        rest = values.shape[3:]
-        blocks = cut.reshape(count, bands // count, ny, step, nx, step, *rest)
-        return blocks.mean(axis=(1, 3, 5))
-
-    return average(image), average(slopes)
+def _degrade(
+    values: Float[np.ndarray, "band y x *free"], step: int, count: int
+) -> Float[np.ndarray, "_band _y _x *free"]:
+    """An image, or its slopes, in pixels of `step` finer ones, in `count` bands."""
+    bands, ny, nx = values.shape[:3]
+    ny, nx = ny // step, nx // step
+    cut = values[:, : ny * step, : nx * step]
+    blocks = cut.reshape(count, bands // count, ny, step, nx, step, *values.shape[3:])
+    return blocks.mean(axis=(1, 3, 5))
 
 
 @jax.jit
@@ -265,16 +262,24 @@ def _spread(image: Array, slopes: Array, noisy: Array) -> tuple[Array, Array, Ar
     return values.mean(axis=0), columns.T, values.var(axis=0, ddof=1)
 
 
-class _Measured(NamedTuple):
-    """What all sensors of one noise measure of one planting, coarse pixels and few bands first."""
+class _Block(NamedTuple):
+    """Statistics of one kind of pixel and number of bands."""
 
-    keys: list[tuple[int, int]]
-    """Step of the pixels of each block of statistics, 0 for means, and its number of bands."""
-    values: list[np.ndarray]
-    slopes: list[np.ndarray]
-    variances: list[np.ndarray]
-    """Variances of the statistics of each block by noise; zeros for means, whose variance depends
-    on the pixel (`mean_noise`)."""
+    step: int
+    """Finest pixels on the side of one of these pixels; 0 for means over the plot."""
+    bands: int
+    values: Float[np.ndarray, " statistic"]
+    slopes: Float[np.ndarray, "statistic free"]
+    variance: Float[np.ndarray, " statistic"]
+    """Variance by the noise of pixels; zeros for means, whose variance depends on the pixel
+    (`_Measured.mean_noise`)."""
+
+
+class _Measured(NamedTuple):
+    """What all sensors of one noise measure of one planting."""
+
+    blocks: list[_Block]
+    """Statistics, coarse pixels and few bands first."""
     mean_noise: dict[tuple[int, int], np.ndarray]
     """Variance of the mean of each band by noise, for each step and number of bands."""
     pixels: dict[int, int]
@@ -290,7 +295,7 @@ def _measure(
     draws: int,
     seed: int,
 ) -> dict[float, _Measured]:
-    measured = {level: _Measured([], [], [], [], {}, {}) for level in noise}
+    measured = {level: _Measured([], {}, {}) for level in noise}
     counts = sorted(set(bands))
     image, slopes = np.asarray(image, float), np.asarray(slopes, float)
     for count in counts:
@@ -298,10 +303,10 @@ def _measure(
         of_bands = image.mean(axis=(1, 2)).reshape(shape).mean(axis=1)
         change = slopes.mean(axis=(1, 2)).reshape(*shape, slopes.shape[3]).mean(axis=1)
         for one in measured.values():
-            _add(one, (0, count), of_bands, change, np.zeros(count))
+            one.blocks.append(_Block(0, count, of_bands, change, np.zeros(count)))
     for step in sorted(set(steps), reverse=True):
         for count in counts:
-            coarse, change = _degrade(image, slopes, step, count)
+            coarse, change = (_degrade(values, step, count) for values in (image, slopes))
             pixels = coarse[0].size
             random = np.random.default_rng(seed)
             noisy = random.normal(size=(draws, *coarse.shape))
@@ -310,21 +315,8 @@ def _measure(
                 one.mean_noise[step, count] = level**2 * (coarse**2).mean(axis=(1, 2)) / pixels
                 if pixels >= _SPREAD_FROM:
                     found = jax.device_get(_spread(coarse, change, 1.0 + level * noisy))
-                    _add(one, (step, count), *found)
+                    one.blocks.append(_Block(step, count, *found))
     return measured
-
-
-def _add(
-    to: _Measured,
-    key: tuple[int, int],
-    values: np.ndarray,
-    slopes: np.ndarray,
-    variances: np.ndarray,
-) -> None:
-    to.keys.append(key)
-    to.values.append(values)
-    to.slopes.append(slopes)
-    to.variances.append(variances)
 
 
 class _Sweep(NamedTuple):
@@ -332,7 +324,9 @@ class _Sweep(NamedTuple):
 
     space: ParameterSpace
     keys: list[tuple[int, int]]
-    blocks: list[np.ndarray]
+    """Step of the pixels of each block of statistics, 0 for means, and its number of bands."""
+    rows: list[np.ndarray]
+    """Places of the statistics of each block."""
     covariance: np.ndarray
     slopes: np.ndarray
     """Slopes of the statistics by the parameters in their own units."""
@@ -343,25 +337,30 @@ class _Sweep(NamedTuple):
     def of(cls, plantings: Sequence[_Measured], space: ParameterSpace, error: float) -> "_Sweep":
         """From what each planting shows."""
         first = plantings[0]
-        sizes = [len(part) for part in first.values]
-        blocks = np.split(np.arange(sum(sizes)), np.cumsum(sizes)[:-1])
-        values = np.stack([np.concatenate(one.values) for one in plantings])
-        slopes = np.stack([np.concatenate(one.slopes) for one in plantings])
-        noise = np.mean([np.concatenate(one.variances) for one in plantings], axis=0)
-        alike = _alike(first.keys, sizes)
+        keys = [(block.step, block.bands) for block in first.blocks]
+        sizes = [len(block.values) for block in first.blocks]
+        rows = np.split(np.arange(sum(sizes)), np.cumsum(sizes)[:-1])
+        values, slopes, variance = (
+            np.stack([np.concatenate([getattr(b, name) for b in one.blocks]) for one in plantings])
+            for name in ("values", "slopes", "variance")
+        )
+        noise = variance.mean(axis=0)
+        alike = _alike(keys, sizes)
         sd = np.sqrt((error * values.mean(axis=0)) ** 2 + noise)
         covariance = scatter_covariance(values, alike) + alike * sd * sd[:, None]
         scale = np.asarray(space.prior_sd, float)
-        shared = shared_slopes(slopes * scale, covariance, blocks) / scale
-        keys = [one.mean_noise for one in plantings]
-        mean_noise = {key: np.mean([one[key] for one in keys], axis=0) for key in keys[0]}
-        return cls(space, first.keys, blocks, covariance, shared, mean_noise, first.pixels)
+        shared = shared_slopes(slopes * scale, covariance, rows) / scale
+        mean_noise = {
+            key: np.mean([one.mean_noise[key] for one in plantings], axis=0)
+            for key in first.mean_noise
+        }
+        return cls(space, keys, rows, covariance, shared, mean_noise, first.pixels)
 
     def bounds(self, step: int, count: int) -> tuple[int, Information]:
         """Pixels, and bounds of the sensor with such pixels and so many bands."""
         own = [
             (key, rows)
-            for key, rows in zip(self.keys, self.blocks)
+            for key, rows in zip(self.keys, self.rows)
             if count % key[1] == 0 and (key[0] == 0 or key[0] >= step)
         ]
         rows = np.concatenate([rows for _, rows in own])

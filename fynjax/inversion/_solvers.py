@@ -31,11 +31,7 @@ def run_solver(solver: Any, density: Density, u: Float[Array, " free"], max_step
     """
     if isinstance(solver, BroydenLM):
         options = {"jacobian": lambda u, _: whitened(density.data, u, *density.jacobian(u))}
-        data = density.data
-
-        def plain(u: Array, _: Any) -> Array:
-            return jnp.concatenate([data.whiten(density.statistics(u) - data.value), u])
-
+        plain = lambda u, _: residual(density, u)  # noqa: E731
         return _optimistix(optx.least_squares, plain, solver, u, max_steps, options)
     if isinstance(solver, optx.AbstractLeastSquaresSolver):
         return _optimistix(
@@ -55,6 +51,12 @@ def run_solver(solver: Any, density: Density, u: Float[Array, " free"], max_step
     )
 
 
+def residual(density: Density, u: Float[Array, " free"]) -> Float[Array, " residual"]:
+    """Misfits of the statistics in units of their errors, then distances from the prior."""
+    data = density.data
+    return jnp.concatenate([data.whiten(density.statistics(u) - data.value), u])
+
+
 def whitened(data: Data, u: Array, value: Array, slopes: Array) -> tuple[Array, Array]:
     """Residuals of statistics `value` at `u` in units of their errors, then distances from the
     prior, and the Jacobian of both."""
@@ -66,12 +68,12 @@ def _with_jacobian(density: Density) -> Callable[[Array, Any], Array]:
     """The residuals with their Jacobian attached, by the model's own way to it: whatever a solver
     differentiates is then a product with it."""
 
-    def residual(u: Array, _: Any) -> Array:
+    def linear(u: Array, _: Any) -> Array:
         here = jax.lax.stop_gradient(u)
         rest, rows = whitened(density.data, here, *density.jacobian(here))
         return rest + rows @ (u - here)
 
-    return residual
+    return linear
 
 
 def _optimistix(

@@ -113,7 +113,7 @@ class ImageView(AbstractView):
     """Distance of neighbouring pixels [m]; None: their edge."""
     window: float | None = eqx.field(static=True, default=None)
     """Share of the pixels that a quantile is the mean of, as `image_statistics` has it [-]."""
-    directions: "Directions | None" = None
+    directions: Directions | None = None
     """Combinations of the statistics along which slopes are taken; None: every statistic."""
 
     def observe(

@@ -27,6 +27,7 @@ from fynjax.inversion import (
     INTERVALS,
     AmortisedPosterior,
     HeldOut,
+    NetworkSettings,
     train_posterior,
 )
 from fynjax.io.instruments import load_sensor
@@ -166,7 +167,7 @@ def train(
             quantities,
             task.prior.error_covariance(channels.centre),
             together=settings.together,
-            steps=steps,
+            training=NetworkSettings(steps=steps),
             seed=seed,
         )
     scores = _scores(held_out)

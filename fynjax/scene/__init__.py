@@ -39,6 +39,7 @@ from fynjax.scene._planting import (
     element_count,
     individual_seeds,
     leaf_classes,
+    seed_of_planting,
 )
 from fynjax.scene._profile import height_profile
 from fynjax.scene._scene import (
@@ -153,6 +154,7 @@ __all__ = [
     "random_patches",
     "room_needed",
     "scene_structure",
+    "seed_of_planting",
     "slope_of_fading",
     "species_parameters",
     "species_rows",

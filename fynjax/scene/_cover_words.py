@@ -57,11 +57,6 @@ def _number(text: str) -> float:
     return float(text.replace(",", "."))
 
 
-def middle(low: float, high: float) -> float:
-    """The cover taken for a range, its middle [%]."""
-    return 0.5 * (low + high)
-
-
 def name_classes(cells: Sequence[Any]) -> list[Any]:
     """The column of covers of a table with its classes of Braun-Blanquet named as such.
 

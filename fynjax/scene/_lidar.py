@@ -166,7 +166,7 @@ class LidarObservation(eqx.Module):
     @property
     def _density(self) -> float:
         """Pulses for each square metre [m-2]."""
-        return len(self.beams) / float(np.prod(self.scene.grid.extent[:2]))
+        return len(self.beams) / self.scene.ground_area
 
     def to_dataframe(self) -> "pd.DataFrame":
         """A row for each return, in the order of the pulses and then of range: x, y, z [m], and the

@@ -484,23 +484,15 @@ class AimedSensor(eqx.Module):
             slice(self.margin, self.margin + n if self.fine is None else None, step)
             for n in self.shape
         )
-        if isinstance(self.rays, RayLattice):
-            x, y, slope_x, slope_y = (
-                getattr(self.rays, name)[part]
-                for name, part in (
-                    ("x", columns), ("y", rows), ("slope_x", columns), ("slope_y", rows),
-                )
+        rays: AbstractRays = self.rays
+        if isinstance(rays, RayLattice):  # a number for each column, or each row
+            rays = dataclasses.replace(
+                rays, x=rays.x[columns], slope_x=rays.slope_x[columns],
+                y=rays.y[rows], slope_y=rays.slope_y[rows],
             )  # fmt: skip
-            rays: AbstractRays = dataclasses.replace(
-                self.rays, x=x, y=y, slope_x=slope_x, slope_y=slope_y
-            )
         else:
-            rays = jax.tree.map(lambda v: v[rows, columns], self.rays)
-        shape, fine = self.shape, self.fine
-        if fine is None:
-            shape = rays.shape
-        else:
-            fine = rays.shape
+            rays = jax.tree.map(lambda v: v[rows, columns], rays)
+        shape, fine = (rays.shape, None) if self.fine is None else (self.shape, rays.shape)
         return dataclasses.replace(
             self,
             sensor=dataclasses.replace(self.sensor, psf=None),

@@ -73,20 +73,15 @@ def optical_classes(
     transmittance = jnp.concatenate(
         [transmittance[:-1], jnp.zeros_like(bark)[None], transmittance[-1:]]
     )
-    angles = class_angles(species)
-    if not hot_spot:
-        return OpticalClasses(reflectance, transmittance, *angles)
-    leaf = [FORMS[species[i].form].leaf_diameter for i in owner.tolist()]
-    diameter, size_of_class = np.unique(
-        [*leaf, _OTHER_DIAMETER, _OTHER_DIAMETER], return_inverse=True
-    )
-    return OpticalClasses(
-        reflectance,
-        transmittance,
-        *angles,
-        leaf_diameter=jnp.asarray(diameter, dtype),
-        size_of_class=tuple(size_of_class.tolist()),
-    )
+    sizes: dict[str, Any] = {}
+    if hot_spot:
+        leaf = [FORMS[species[i].form].leaf_diameter for i in owner.tolist()]
+        every = [*leaf, _OTHER_DIAMETER, _OTHER_DIAMETER]
+        diameter, of_class = np.unique(every, return_inverse=True)
+        sizes = {
+            "leaf_diameter": jnp.asarray(diameter, dtype), "size_of_class": tuple(of_class.tolist())
+        }  # fmt: skip
+    return OpticalClasses(reflectance, transmittance, *class_angles(species), **sizes)
 
 
 def _leaves(
@@ -130,17 +125,24 @@ def class_angles(
     species: Sequence[Species],
 ) -> tuple[tuple[AbstractLeafAngle, ...], tuple[int, ...]]:
     """The distinct inclinations of a plot, and for each optical class the place of its own."""
+    # Species without angles of their own share those of a name; wood and petals face all ways.
+    angles: dict[int | str, AbstractLeafAngle] = {}
     keys: list[int | str] = []
     for i, classes in leaf_classes(species).items():
-        key = FORMS[species[i].form].leaf_angle if species[i].leaf_angle is None else i
+        given, named = species[i].leaf_angle, FORMS[species[i].form].leaf_angle
+        key = named if given is None else i
+        angles[key] = leaf_angle(named) if given is None else given
         keys += [key] * len(classes)
-    keys += ["spherical", "spherical"]
-    distinct = tuple(dict.fromkeys(keys))
-    own = [species[k].leaf_angle if isinstance(k, int) else leaf_angle(k) for k in distinct]
-    return (
-        tuple(angle for angle in own if angle is not None),
-        tuple(distinct.index(key) for key in keys),
-    )
+    angles["spherical"] = leaf_angle("spherical")
+    places = {key: number for number, key in enumerate(angles)}
+    return tuple(angles.values()), tuple(places[key] for key in (*keys, *["spherical"] * 2))
+
+
+def seen_from_above(species: Sequence[Species]) -> Float[Array, " class"]:
+    """Area seen from straight above over one-sided area, of each optical class [-]."""
+    angles, of_class = class_angles(species)
+    projected = jnp.stack([angle.projection(jnp.ones(())) for angle in angles])
+    return projected[jnp.asarray(of_class)]
 
 
 def inclination(plant: PlantModel) -> AbstractLeafAngle | None:

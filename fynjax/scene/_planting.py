@@ -85,21 +85,6 @@ class Planting(eqx.Module):
     x [-]: where a cut leaves the plant standing in part."""
 
     @property
-    def site(self) -> Float[Array, "element 3"]:
-        """Foot of the plant of each element [m]."""
-        return jnp.pad(self.foot, ((0, 0), (0, 1)))[self.plant]
-
-    @property
-    def per_diameter(self) -> Float[Array, "element 3"]:
-        """Shift of the element per crown diameter [-]."""
-        return self._unit_shapes()[0]
-
-    @property
-    def per_height(self) -> Float[Array, "element 3"]:
-        """Shift of the element per plant height [-]."""
-        return self._unit_shapes()[1]
-
-    @property
     def fraction(self) -> Float[Array, " element"]:
         """Share of its organ's area on the plant [-]."""
         return self.shapes.area_fraction[self.part]
@@ -117,7 +102,8 @@ class Planting(eqx.Module):
             return kind
         return kind + jnp.where(self.organ == Organ.LEAF, self.leaf[self.plant], 0)
 
-    def _unit_shapes(self) -> tuple[Float[Array, "element 3"], Float[Array, "element 3"]]:
+    def unit_shapes(self) -> tuple[Float[Array, "element 3"], Float[Array, "element 3"]]:
+        """Shifts of the elements from their plants' feet, per crown diameter and per height [-]."""
         # A plant here is one element: it has the turn and lean of the plant it belongs to.
         position = self.shapes.position[self.part][:, None]
         azimuth, tilt = self.azimuth[self.plant], self.tilt[self.plant]
@@ -392,9 +378,19 @@ def _of_individuals(stand: Stand, individuals: Sequence[dict[str, np.ndarray]]) 
     if not plants:
         return no_plants(dtype)
     # The elements of all shapes in one list, each in the optical class of its species and organ.
-    whole, organs = _together(shapes, dtype)
-    of_organ = np.array(_classes(species))
-    classes = np.concatenate([of_organ[i][organ] for i, organ in zip(own, organs)])
+    whole = jax.tree.map(
+        lambda *parts: jnp.asarray(
+            np.concatenate(parts),
+            dtype if np.issubdtype(parts[0].dtype, np.floating) else jnp.int32,
+        ),
+        *shapes,
+    )
+    leaves = leaf_classes(species)
+    wood = sum(map(len, leaves.values()))
+    of_organ = np.array(
+        [[leaves[i].start if i in leaves else 0, wood, wood + 1] for i in range(len(species))]
+    )
+    classes = np.concatenate([of_organ[i][shape.organ] for i, shape in zip(own, shapes)])
     none = jnp.zeros(0, jnp.int32)
     joined: dict[str, Any] = {
         name: jnp.asarray(np.concatenate([part[name] for part in plants])) for name in plants[0]
@@ -472,28 +468,6 @@ def _drawn_leaves(plants: int, species: int, leaves: int, seed: int) -> Int[np.n
     return (leaves * drawn).astype(np.int32)
 
 
-def _classes(species: Sequence[Species]) -> list[list[int]]:
-    """Optical class of the first leaf, of wood and flower of each species."""
-    leaves = leaf_classes(species)
-    wood = sum(map(len, leaves.values()))
-    return [[leaves[i].start if i in leaves else 0, wood, wood + 1] for i in range(len(species))]
-
-
-def _together(shapes: list[PlantModel], dtype: str) -> tuple[PlantModel, list[np.ndarray]]:
-    """The shapes of several species as one, and the organs of each."""
-
-    def all_of(name: str, kind: Any) -> Array:
-        return jnp.asarray(np.concatenate([getattr(shape, name) for shape in shapes]), kind)
-
-    whole = PlantModel(
-        all_of("position", dtype),
-        all_of("area_fraction", dtype),
-        all_of("normal", dtype),
-        all_of("organ", jnp.int32),
-    )
-    return whole, [np.asarray(shape.organ) for shape in shapes]
-
-
 def _area_before(shapes: Sequence[PlantModel], dtype: Any) -> Float[Array, " part"]:
     """`Planting.before` of several shapes, one after the other."""
     every = []
@@ -506,6 +480,16 @@ def _area_before(shapes: Sequence[PlantModel], dtype: Any) -> Float[Array, " par
             before[along] = np.cumsum(fraction[along]) - fraction[along]
         every.append(before)
     return jnp.asarray(np.concatenate(every), dtype)
+
+
+def seed_of_planting(seed: int, number: int) -> int:
+    """Seed of the plants of another planting of a scene.
+
+    **Arguments:** `seed`, of the scene; `number`, of the planting, 0 for the scene's own.
+    """
+    if number == 0:
+        return seed
+    return int(np.random.SeedSequence([seed, 83, number]).generate_state(1)[0] >> 1)
 
 
 def individual_seeds(seed: int, species: int) -> list[int]:

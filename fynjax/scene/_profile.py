@@ -36,7 +36,7 @@ def height_profile(
     cell = species[plant] * (len(edges) - 1) + layer
     crown = np.asarray(hard.crown_areas(parameters), float) * float(hard.crown_share(parameters))
     over = np.asarray(hard.organ_index(parameters), float)
-    volume = float(np.prod(hard.grid.extent[:2])) * np.diff(edges)
+    volume = hard.ground_area * np.diff(edges)
     profiles = []
     fraction = np.asarray(planting.shapes.area_fraction)[part]
     for organ in (Organ.LEAF, Organ.WOOD):

@@ -45,7 +45,7 @@ from fynjax.canopy import (
 )
 from fynjax.radiation import Illumination, OpticalClasses, RahmanPintyVerstraete, VoxelScene
 from fynjax.scene._ground import Ground, ground_shares, kind_shares
-from fynjax.scene._optics import class_angles, inclination, optical_classes
+from fynjax.scene._optics import inclination, optical_classes, seen_from_above
 from fynjax.scene._parameters import (
     PARAMETERS,
     GroundParameters,
@@ -64,6 +64,7 @@ from fynjax.scene._planting import (
     known_planting,
     leaf_classes,
     no_plants,
+    seed_of_planting,
     site_spacing,
     sites_ready,
 )
@@ -462,9 +463,8 @@ class Scene(eqx.Module):
             return self
         if self.shaped:
             raise InputError("plants of given shapes cannot be drawn again")
-        self, seed, taxa = self._counting(), int(self.seed), len(self.taxa)
-        if number:
-            seed = int(np.random.SeedSequence([seed, 83, number]).generate_state(1)[0] >> 1)
+        self, taxa = self._counting(), len(self.taxa)
+        seed = seed_of_planting(int(self.seed), number)
         stated = np.asarray(self.counts(self.parameters))
         ready = np.bincount(np.asarray(self.planting.species), minlength=taxa) - SPARE_SITES
         # As many sites as there are, whose number was rounded up.
@@ -513,7 +513,7 @@ class Scene(eqx.Module):
             return jnp.bincount(self.planting.species, length=len(self.taxa)).astype(float)
         species = jax.tree.map(jnp.asarray, parameters.species)
         if self.cover_definition == "projected":
-            ground, parts = self._ground_area, 1.0 if self.clumping is None else self.clumping
+            ground, parts = self.ground_area, 1.0 if self.clumping is None else self.clumping
             crown = self._within(species.diameter / 2.0)
             return projected_count(
                 species.cover, crown, ground, spacing=self.spacing, clumping=parts
@@ -526,7 +526,7 @@ class Scene(eqx.Module):
             species.fill,
             jnp.asarray([one.minimum_area for one in self.species]),
         )
-        target = target_area(self._ground_area, species.cover)
+        target = target_area(self.ground_area, species.cover)
         return soft_count(target, each, np.asarray(self.branches))
 
     def _within(self, radius: Array) -> Array:
@@ -556,7 +556,8 @@ class Scene(eqx.Module):
         return scene
 
     @property
-    def _ground_area(self) -> float:
+    def ground_area(self) -> float:
+        """Area of the plot [m2]."""
         return float(np.prod(self.grid.extent[:2]))
 
     def whole_counts(self, parameters: PlotParameters) -> Float[Array, " species"]:
@@ -597,14 +598,14 @@ class Scene(eqx.Module):
         """Share of the crowns that is seen from above, where all stand at random [-]: what the
         areas of leaves and wood over crowns, as stated, count. Differentiable; see
         `fynjax.canopy.share_from_above`."""
-        return share_from_above(self.crown_areas(parameters) / self._ground_area)
+        return share_from_above(self.crown_areas(parameters) / self.ground_area)
 
     @_as_one
     def visible_crowns(self, parameters: PlotParameters) -> Float[Array, " plant"]:
         """Ground area of the crown of every plant that carries leaves and wood as stated [m2]:
         area is stated of crowns as seen from above, and what overlaps does not carry it twice."""
         crowns = self.crown_areas(parameters)
-        return crowns * share_from_above(crowns / self._ground_area)
+        return crowns * share_from_above(crowns / self.ground_area)
 
     def organ_index(self, parameters: PlotParameters) -> Float[Array, "species organ"]:
         """One-sided area of leaves, wood and flowers over the ground area of a crown [m2 m-2], as
@@ -628,9 +629,7 @@ class Scene(eqx.Module):
         return slope_of_fading(Scene._gap, apart=True)(self, parameters)
 
     def _gap(self, parameters: PlotParameters) -> Float[Array, ""]:
-        angles, angle_of_class = class_angles(self.species)
-        down = jnp.stack([angle.projection(jnp.asarray(1.0)) for angle in angles])
-        down = down.astype(self.dtype)[jnp.asarray(angle_of_class)]
+        down = seen_from_above(self.species).astype(self.dtype)
         finest = self._finest()
         columns = VoxelGrid((*finest.shape[:2], 1), finest.horizontal_size, finest.extent[2])
         (density,) = self._deposit(parameters, [(columns, "all")], share=down)
@@ -656,7 +655,7 @@ class Scene(eqx.Module):
         if window is None:
             planting, boundary = self.planting, self.boundary
             standing, crown = self.standing(parameters), self._whole_crowns(parameters)
-            crown = crown * share_from_above(standing * crown / self._ground_area)
+            crown = crown * share_from_above(standing * crown / self.ground_area)
         else:
             planting, boundary, crown = window.planting, "open", window.crown
             standing = jnp.ones_like(crown)
@@ -666,52 +665,31 @@ class Scene(eqx.Module):
                 "at once: render the plot in tiles (`TiledPicture`, `fynjax render`), or take "
                 "a smaller plot or larger voxels"
             )
-        organs = len(self.species) * len(Organ)
-        classes = sum(map(len, leaf_classes(self.species).values())) + 2
-        count = planting.plant.shape[0]
+        kinds = {
+            "class": sum(map(len, leaf_classes(self.species).values())) + 2,
+            "organ": len(self.species) * len(Organ),
+            "all": 1,
+        }
 
-        def part(planting: Planting, weight: Array | float = 1.0) -> list[Array]:
+        def densities(planting: Planting, weight: Array | float = 1.0) -> list[Array]:
             positions, area = self._elements(parameters, planting, crown, standing)
             if share is not None:
                 weight = weight * share[planting.optical_class]
-            densities = []
-            for grid, by in wanted:
-                kind = {
-                    "class": planting.optical_class,
-                    "organ": planting.species[planting.plant] * len(Organ) + planting.organ,
-                    "all": jnp.zeros_like(planting.plant),
-                }[by]
-                density = deposit(
-                    positions,
-                    area * weight,
-                    kind,
-                    grid,
-                    {"class": classes, "organ": organs, "all": 1}[by],
+            kind = {
+                "class": planting.optical_class,
+                "organ": planting.species[planting.plant] * len(Organ) + planting.organ,
+                "all": jnp.zeros_like(planting.plant),
+            }
+            return [
+                deposit(
+                    positions, area * weight, kind[by], grid, kinds[by],
                     width=self.tuft if self.finer and _holds(grid, self.tuft) else None,
                     boundary=boundary,
                 )
-                densities.append(density)
-            return densities
+                for grid, by in wanted
+            ]  # fmt: skip
 
-        if count <= _AT_ONCE:
-            return part(planting)
-        parts = -(-count // _AT_ONCE)
-        size = -(-count // parts)
-
-        def add(total: list[Array], number: Array) -> tuple[list[Array], None]:
-            # The last part begins within the one before, whose elements then count no more.
-            start = jnp.minimum(number * size, count - size)
-            elements = dataclasses.replace(
-                planting,
-                plant=jax.lax.dynamic_slice_in_dim(planting.plant, start, size),
-                part=jax.lax.dynamic_slice_in_dim(planting.part, start, size),
-            )
-            new = start + jnp.arange(size) >= number * size
-            return jax.tree.map(jnp.add, total, part(elements, new.astype(self.dtype))), None
-
-        like = jax.eval_shape(part, planting)
-        start = [jnp.zeros(one.shape, one.dtype) for one in like]
-        return jax.lax.scan(jax.checkpoint(add), start, jnp.arange(parts))[0]
+        return _summed(densities, planting)
 
     def _elements(
         self,
@@ -736,11 +714,8 @@ class Scene(eqx.Module):
             *(crown * area for area in index),
         )
         *foot, diameter, height, share, leaf, wood, flower = jnp.stack(of_plant)[:, planting.plant]
-        positions = (
-            jnp.stack(foot, axis=-1)
-            + diameter[:, None] * planting.per_diameter
-            + height[:, None] * planting.per_height
-        )
+        across, along = planting.unit_shapes()
+        positions = jnp.stack(foot, axis=-1) + diameter[:, None] * across + height[:, None] * along
         area = jnp.select(
             [planting.organ == Organ.LEAF, planting.organ == Organ.WOOD], [leaf, wood], flower
         )
@@ -912,6 +887,34 @@ class Scene(eqx.Module):
         ground = parameters.ground
         mixed = ground.brightness * ((1 - ground.moisture) * dry + ground.moisture * wet)
         return jnp.concatenate([mixed[None], covers])
+
+
+def _summed(
+    function: Callable[[Planting, Array | float], list[Array]], planting: Planting
+) -> list[Array]:
+    """A function of area elements and their weights, summed over parts of those of `planting`."""
+    count = planting.plant.shape[0]
+    if count <= _AT_ONCE:
+        return function(planting, 1.0)
+    parts = -(-count // _AT_ONCE)
+    size = -(-count // parts)
+
+    def add(total: list[Array], number: Array) -> tuple[list[Array], None]:
+        # The last part begins within the one before, whose elements then count no more.
+        start = jnp.minimum(number * size, count - size)
+        elements = dataclasses.replace(
+            planting,
+            plant=jax.lax.dynamic_slice_in_dim(planting.plant, start, size),
+            part=jax.lax.dynamic_slice_in_dim(planting.part, start, size),
+        )
+        new = start + jnp.arange(size) >= number * size
+        more = function(elements, new.astype(planting.foot.dtype))
+        return jax.tree.map(jnp.add, total, more), None
+
+    like = jax.eval_shape(lambda: function(planting, 1.0))
+    start = [jnp.zeros(one.shape, one.dtype) for one in like]
+    # Each part is computed again for its derivative, lest memory hold the elements of all.
+    return jax.lax.scan(jax.checkpoint(add), start, jnp.arange(parts))[0]
 
 
 def _fitting(pattern: str, known: Mapping[str, Any]) -> list[str]:
@@ -1090,25 +1093,18 @@ def _stand(scene: Scene, models: Sequence[PlantModel | None], resolved: float, s
 def _fitting_tuft(scene: Scene) -> float:
     """Edge of tufts that go with the voxels of a scene: no wider than one, or as wide as a whole
     number of them. Of the finest, and of those of its classes; the nearest to what is asked for."""
-    tuft, edge, widest = (
-        scene.tuft,
-        scene.grid.horizontal_size / scene.finer,
-        scene.class_grid.horizontal_size,
-    )
+    tuft, edge = scene.tuft, scene.grid.horizontal_size / scene.finer
     if tuft <= edge:
         return tuft
+    widest = scene.class_grid.horizontal_size
     unit = edge if tuft <= widest else widest
     return unit * round(tuft / unit)
 
 
-def _fits(edge: float, tuft: float) -> bool:
-    times = tuft / edge
-    return times <= 1 + 1e-6 or abs(times - round(times)) < 1e-6 * times
-
-
 def _holds(grid: VoxelGrid, tuft: float) -> bool:
     """Whether a tuft is no wider than a voxel, or as wide as a whole number of them."""
-    return all(_fits(edge, tuft) for edge in (grid.horizontal_size, grid.vertical_size))
+    times = tuft / np.array([grid.horizontal_size, grid.vertical_size])
+    return bool(np.all((times <= 1 + 1e-6) | (np.abs(times - np.round(times)) < 1e-6 * times)))
 
 
 def _check_structure(scene: Scene) -> None:
@@ -1224,27 +1220,12 @@ def slope_of_fading(
 
     @of_whole_plants.def_jvp
     def derivative(primals: Any, tangents: Any) -> tuple[Any, Any]:
-        scene, parameters, *rest = primals
-        faded = (scene.faded(), parameters, *rest)
         value = of_whole_plants(*primals)  # not `function`: a derivative of it is this one too
-        if not apart:
-            fades, slope = eqx.filter_jvp(function, faded, tangents)
-            return value, jax.tree.map(_relative, value, fades, slope) if relative else slope
-        number, by_number = eqx.filter_jvp(Scene.counts, (scene, parameters), tangents[:2])
-
-        def of_number(number: Array) -> Any:
-            numbered = dataclasses.replace(scene.faded(), number=number)
-            return function(numbered, parameters, *rest)
-
-        def of_others(scene: Scene, *rest: Any) -> Any:
-            return function(dataclasses.replace(scene, number=number), *rest)
-
-        slope = eqx.filter_jvp(of_others, tuple(primals), tuple(tangents))[1]
-        if by_number is not None:
-            more = jax.jvp(of_number, (number,), (by_number,))[1]
-            add = lambda a, b: b if a is None else a + b  # noqa: E731
-            slope = jax.tree.map(add, slope, more, is_leaf=lambda leaf: leaf is None)
-        return value, slope
+        if apart:
+            return value, _slope_apart(function, primals, tangents)
+        scene, *rest = primals
+        fades, slope = eqx.filter_jvp(function, (scene.faded(), *rest), tangents)
+        return value, jax.tree.map(_relative, value, fades, slope) if relative else slope
 
     @functools.wraps(function)
     def value(scene: Scene, *rest: Any) -> Any:
@@ -1252,3 +1233,23 @@ def slope_of_fading(
         return of_whole_plants(scene, *rest) if counted else function(scene, *rest)
 
     return value
+
+
+def _slope_apart(function: Callable[..., Any], primals: Any, tangents: Any) -> Any:
+    """The slope by the number of plants where they fade, and by all else where they are whole."""
+    scene, parameters, *rest = primals
+    number, by_number = eqx.filter_jvp(Scene.counts, (scene, parameters), tangents[:2])
+
+    def of_number(number: Array) -> Any:
+        return function(dataclasses.replace(scene.faded(), number=number), parameters, *rest)
+
+    def of_others(scene: Scene, *rest: Any) -> Any:
+        return function(dataclasses.replace(scene, number=number), *rest)
+
+    slope = eqx.filter_jvp(of_others, tuple(primals), tuple(tangents))[1]
+    if by_number is None:
+        return slope
+    more = jax.jvp(of_number, (number,), (by_number,))[1]
+    # None where nothing else than the number has a slope.
+    add = lambda a, b: b if a is None else a + b  # noqa: E731
+    return jax.tree.map(add, slope, more, is_leaf=lambda leaf: leaf is None)

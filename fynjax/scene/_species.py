@@ -33,7 +33,7 @@ from fynjax._core.seeds import generator
 from fynjax._core.validation import check_header, checked_row, checked_rows
 from fynjax.canopy import FORMS, AbstractLeafAngle, Shrubland, most_projected, table1_2006
 from fynjax.leaf import FLAT, ROUND, LeafParameters, structure_from_dry_matter
-from fynjax.scene._cover_words import cover_range, middle, name_classes
+from fynjax.scene._cover_words import cover_range, name_classes
 from fynjax.scene._parameters import (
     FIXED_PARAMETERS,
     LEAF_FIELDS,
@@ -169,7 +169,7 @@ class SpeciesRow(Strict):
         between = cover_range(word) if isinstance(word, str) else None
         if between is None:
             return handler(given)
-        row = handler({**given, "cover_percent": middle(*between)})
+        row = handler({**given, "cover_percent": 0.5 * sum(between)})
         row._cover_range = (between[0] / 100.0, between[1] / 100.0)
         return row
 

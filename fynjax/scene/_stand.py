@@ -66,7 +66,7 @@ def stand_area(scene: Scene, parameters: PlotParameters) -> StandArea:
     Not differentiable; `Scene.area_density` and `Scene.gap_fraction` are.
     """
     species, planting = parameters.species, scene.planting
-    plot = float(np.prod(scene.grid.extent[:2]))
+    plot = scene.ground_area
     crowns = np.asarray(scene.crown_areas(parameters), float) * float(scene.crown_share(parameters))
     # Only organs that a plant's shape has carry area.
     plant, organ = np.asarray(planting.plant), np.asarray(planting.organ)

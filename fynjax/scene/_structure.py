@@ -9,15 +9,15 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from fynjax._core.errors import InputError, did_you_mean
-from fynjax.canopy import FORMS, VoxelGrid, leaf_angle
+from fynjax.canopy import VoxelGrid
 from fynjax.metrics.structure import (
     STRUCTURE_METRICS,
     StructureSettings,
     voxel_height_percentiles,
     voxel_structure,
 )
+from fynjax.scene._optics import seen_from_above
 from fynjax.scene._parameters import PlotParameters
-from fynjax.scene._planting import leaf_classes
 from fynjax.scene._scene import Scene, slope_of_fading
 
 _EVEN = 0.5
@@ -82,7 +82,7 @@ def scene_structure(
         if grid is not None:
             scene = dataclasses.replace(scene, grid=grid)
         density = scene.area_density(parameters)
-        projected = jnp.asarray(_projections(scene), density.dtype) / _EVEN
+        projected = seen_from_above(scene.species).astype(density.dtype) / _EVEN
         terrain = None if scene.terrain is None else jnp.asarray(scene.terrain, density.dtype)
         # The classes together, each with the area that blocks as much where leaves face evenly.
         density = jnp.tensordot(projected, density, axes=1)
@@ -120,13 +120,3 @@ def _percent(name: str) -> float:
             f"height such as 'height_p95', but got {name!r}.{did_you_mean(name, known)}"
         )
     return float(match[1])
-
-
-def _projections(scene: Scene) -> Float[Array, " class"]:
-    """Area seen from above over area, of each optical class: leaves, then wood, then flowers."""
-    found = []
-    for i, classes in leaf_classes(scene.species).items():
-        own = scene.species[i]
-        angle = own.leaf_angle or leaf_angle(FORMS[own.form].leaf_angle)
-        found += [angle.projection(jnp.ones(()))] * len(classes)
-    return jnp.stack([*found, *(jnp.asarray(_EVEN),) * 2])

@@ -69,15 +69,15 @@ class PixelTruth(eqx.Module):
             "species": ("species", list(self.taxa), {"long_name": "taxon"}),
             **map_coordinates(self.sunlit_ground.shape, self.pixel, self.origin),
         }
-        of_species = {
-            "live": "live leaf", "dead": "dead tissue", "wood": "wood", "flowers": "flowers"
+        layers = {
+            "live": "live leaf of a species", "dead": "dead tissue of a species",
+            "wood": "wood of a species", "flowers": "flowers of a species",
+            "sunlit_ground": "sunlit ground", "shaded_ground": "shaded ground",
         }  # fmt: skip
-        data: dict[str, Any] = {
-            name: (("species", "y", "x"), np.asarray(getattr(self, name)), _share(f"{what} of"))
-            for name, what in of_species.items()
-        }
-        for name in ("sunlit_ground", "shaded_ground"):
-            data[name] = (("y", "x"), np.asarray(getattr(self, name)), _share(name))
+        data: dict[str, Any] = {}
+        for name, what in layers.items():
+            values = np.asarray(getattr(self, name))
+            data[name] = (("species", "y", "x")[-values.ndim :], values, _share(what))
         place, share = self.leading()
         data["leading_species"] = (("y", "x"), place.astype(np.int16), leading_flags(self.taxa))
         data["leading_share"] = (("y", "x"), share, _share("the leading species"))
@@ -101,7 +101,6 @@ class PixelTruth(eqx.Module):
 
 
 def _share(what: str) -> dict[str, str]:
-    what = what.replace("_", " ").removesuffix(" of") + (" of a species" * what.endswith(" of"))
     return {"units": "1", "long_name": f"share of the pixel that is {what}"}
 
 

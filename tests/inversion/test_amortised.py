@@ -4,12 +4,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from fynjax.inversion import INTERVALS, estimate_pixels, train_posterior
+from fynjax.inversion import INTERVALS, NetworkSettings, estimate_pixels, train_posterior
 
 pytest.importorskip("optax")
 
 SLOPE = np.array([[0.5, 0.1], [0.3, -0.4], [-0.1, 0.3], [0.2, 0.2]])
 ERROR = 0.15**2 * (0.5 + 0.5 * np.eye(4))
+QUICK = NetworkSettings(width=8, steps=2, batch=64)
 BRIGHT = -0.7  # so bright that an error of 0.003 in reflectance is little
 
 
@@ -21,7 +22,7 @@ def simulated(count, seed):
 
 @pytest.fixture(scope="module")
 def trained():
-    return train_posterior(*simulated(6000, 1), ERROR, features=4, width=32, steps=1200, batch=512)
+    return train_posterior(*simulated(6000, 1), ERROR, training=NetworkSettings(4, 32, 1200, 512))
 
 
 def closed_form(logs):
@@ -78,9 +79,7 @@ def unlike(quantities, logs):
     """How unlike `logs` are, trained on stands of which each quantity is along one of `WAVES`."""
     sizes = quantities @ WAVES[: quantities.shape[1]]
     error = SMALL**2 * np.eye(CHANNELS)
-    posterior, _ = train_posterior(
-        np.exp(BRIGHT + sizes), quantities, error, width=8, steps=2, batch=64
-    )
+    posterior, _ = train_posterior(np.exp(BRIGHT + sizes), quantities, error, training=QUICK)
     return np.asarray(posterior.unlikeness(jnp.asarray(BRIGHT + logs, jnp.float32)))
 
 
@@ -99,7 +98,7 @@ def test_limits_of_few_stands_with_long_tails_are_those_of_others_of_their_kind(
         quantities = stands(100, 12, np.random.default_rng(seed))
         posterior, _ = train_posterior(
             np.exp(BRIGHT + 0.3 * quantities @ WAVES[:2]), quantities,
-            SMALL**2 * np.eye(CHANNELS), together=12, width=8, steps=2, batch=64, seed=seed,
+            SMALL**2 * np.eye(CHANNELS), together=12, training=QUICK, seed=seed,
         )  # fmt: skip
         shares.append(np.mean(np.asarray(posterior.unlikeness(others)) > 1.0))
     assert np.mean(shares) == pytest.approx(0.01, abs=0.006)
@@ -132,7 +131,7 @@ def test_a_residual_is_not_hidden_by_the_tail_of_what_varies():
 def test_estimates_never_leave_what_was_simulated():
     clean, quantities = simulated(1500, 6)
     share = 1.0 / (1.0 + np.exp(-quantities))
-    posterior, _ = train_posterior(clean, share, ERROR, width=16, steps=100, batch=256)
+    posterior, _ = train_posterior(clean, share, ERROR, training=NetworkSettings(16, 16, 100, 256))
     extreme = jnp.asarray(np.exp(np.random.default_rng(7).normal(-1.0, 2.0, (500, 4))), jnp.float32)
     found = estimate_pixels(posterior, extreme)
     for values in (found.mean, found.lower, found.upper):

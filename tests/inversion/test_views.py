@@ -56,7 +56,7 @@ from fynjax.jobs._run import Run
 from fynjax.metrics.structure import STRUCTURE_METRICS, voxel_structure
 from fynjax.radiation import parallel_rays, reflectance_factor, solve_light
 from fynjax.scene import stand_realisation, with_values
-from fynjax.scene._structure import _projections
+from fynjax.scene._optics import seen_from_above
 from fynjax.sensors import BandSet, Gains
 from tests.heard import hearing
 from tests.scene.plots import TAXA, densities, drone, small_parameters, small_plot
@@ -112,7 +112,7 @@ def test_structure_is_that_of_all_that_a_beam_can_hit(plot, views):
     model, parameters, _ = plot
     found = eqx.filter_jit(views[2].predict)(model, parameters)
     density = densities(model, parameters)
-    share = np.asarray(_projections(model))
+    share = np.asarray(seen_from_above(model.species))
     assert share.shape == (density.shape[0],)
     assert np.all(share[-2:] == 0.5)
     effective = jnp.einsum("c,czyx->zyx", share, density)

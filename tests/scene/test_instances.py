@@ -118,6 +118,7 @@ def test_instances_are_the_plants_of_the_planting() -> None:
     """Places, turns and sizes against the elements that the scene deposits."""
     parameters, model = small_parameters(), small_plot(rotation_spread=[8.0, 5.0, 20.0])
     instances, planting = hard_instances(model, parameters), model.planting
+    across, along = planting.unit_shapes()
     plants = [
         np.flatnonzero(np.asarray(planting.species) == one)[:count]
         for one, count in enumerate(instances.counts)
@@ -127,9 +128,9 @@ def test_instances_are_the_plants_of_the_planting() -> None:
         if number % 7:
             continue
         element = (
-            np.asarray(planting.site)
-            + instances.diameter[number] * np.asarray(planting.per_diameter)
-            + instances.height[number] * np.asarray(planting.per_height)
+            np.pad(planting.foot, ((0, 0), (0, 1)))[np.asarray(planting.plant)]
+            + instances.diameter[number] * np.asarray(across)
+            + instances.height[number] * np.asarray(along)
         )[mine]
         own = np.asarray(planting.shapes.position)[np.asarray(planting.part)[mine]]
         turn, lean = np.deg2rad(instances.azimuth[number]), np.deg2rad(instances.tilt[number])

@@ -125,8 +125,8 @@ def test_names_and_values_are_inverse():
 
 def test_the_same_seed_draws_the_same_plot():
     first, second, other = small_plot(), small_plot(), small_plot(seed=4)
-    assert np.array_equal(first.planting.site, second.planting.site)
-    assert not np.array_equal(first.planting.site[:50], other.planting.site[:50])
+    assert np.array_equal(first.planting.foot, second.planting.foot)
+    assert not np.array_equal(first.planting.foot[:50], other.planting.foot[:50])
 
 
 def test_a_stride_samples_the_same_image():
