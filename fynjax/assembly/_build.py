@@ -106,6 +106,7 @@ def build_plot(
         if plot.parameters is not None:
             _check_grid(scene, tables, parameters, plot.parameters)
             check_projected_scene(scene, parameters, plot.parameters)
+        # By the parameters in force, and as was asked for besides.
         wanted = np.asarray(scene.counts(parameters))[None]
         if counts is not None:
             wanted = np.concatenate([wanted, np.reshape(counts, (-1, wanted.shape[1]))])
@@ -216,6 +217,7 @@ def _with_areas(row: SpeciesRow, plant: MeshPlant | None) -> SpeciesRow:
     """The species with the area indices of its plant where its table states none."""
     if plant is None:
         return row
+    # Areas over that of the crown, as the tables state them.
     crown = np.pi / 4.0 * plant.modelled_diameter**2
     own = {name: float(plant.organ_area[organ]) / crown for name, organ in AREA_INDICES.items()}
     return row.replace(**{n: v for n, v in own.items() if getattr(row, n) is None})

@@ -107,6 +107,7 @@ def _likely_counts(
     def counts(u: Float[Array, " free"]) -> Float[Array, " species"]:
         return scene.counts(with_values(parameters, scene.taxa, space.named(u)))
 
+    # A seed of its own: how many sites there are must not depend on who draws plants.
     normal = np.random.default_rng(0).normal(size=(_DRAWS, len(space.names)))
     return np.quantile(np.asarray(jax.jit(jax.vmap(counts))(normal)), _LIKELY, axis=0)
 

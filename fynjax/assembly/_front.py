@@ -421,6 +421,7 @@ def free(
         if isinstance(prior, LearnedPrior) and kind in BY_FORM:
             form = forms[name.split(".", 1)[1].rsplit(".", 1)[0]]
             return prior.sd(f"{kind}.{form}", elsewhere=True) / float(values[name])
+        # What is stated goes before what the table says of itself, but a cover must be named.
         own = own_spread(name, dict(scene.spreads), stated)
         stated_sd = (sd for pattern, sd in stated.items() if fnmatchcase(name, pattern))
         return next(stated_sd, None) if own is None else own
@@ -538,6 +539,7 @@ def _place(start: Any, space: ParameterSpace) -> Float[Array, " free"] | None:
         return found
     if bool(eqx.tree_equal(found.space, space)):
         return found.whitened
+    # Of an earlier fit of other parameters those that are free here again.
     known = dict(zip(found.names, found.estimate))
     values = [known.get(name, prior) for name, prior in zip(space.names, space.prior)]
     return jnp.clip(space.whitened(jnp.stack(values)), -_FARTHEST, _FARTHEST)
@@ -670,6 +672,7 @@ def emulate(
     count = 3 * terms if points is None else points
     if count < 1.25 * terms + 2:
         raise InputError(f"expected at least {int(np.ceil(1.25 * terms)) + 2} points, got {count}")
+    # Whole powers of two keep a Sobol sequence even; the first of them are taken.
     sequence = qmc.Sobol(low.size, rng=generator(seed))
     unit = 2.0 * sequence.random(1 << (count - 1).bit_length())[:count] - 1.0
     centre, scale = 0.5 * (low + high), 0.5 * (high - low)
@@ -680,6 +683,7 @@ def emulate(
         at = centre + scale * unit[int(np.argmin(np.isfinite(found).all(axis=1)))]
         raise InputError(f"the function is not finite at {at.tolist()}")
     rows = np.asarray(_terms(jnp.asarray(unit)))
+    # Each fifth point is left out, for the error; the polynomial that is used has them all.
     kept = np.arange(count) % 5 != 0
     partial = np.linalg.lstsq(rows[kept], found[kept])[0]
     error = np.sqrt(np.mean((rows[~kept] @ partial - found[~kept]) ** 2, axis=0))

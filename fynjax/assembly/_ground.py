@@ -130,6 +130,7 @@ def _one_spectrum(path: Path, what: str) -> Spectrum:
             file=path,
         )
     wave, values = spectra[0]
+    # Gaps, such as the water bands of a field spectrum, are bridged by a line.
     known = np.isfinite(values)
     if not known.any():
         raise InputError(f"a {what} spectrum must have reflectance, but has none", file=path)

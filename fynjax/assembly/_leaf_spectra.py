@@ -40,6 +40,7 @@ def measured_leaves(plot: Plot) -> list[LeafRow]:
     if not files:
         return []
     how = [plot.leaf_measurement, plot.leaf_background]
+    # By content, not by name: a file that was changed is fitted anew.
     content = [__version__, how, [(taxon, [*map(file_hash, own)]) for taxon, own in files.items()]]
     name = hashlib.sha256(json.dumps(content).encode()).hexdigest()
     kept = cache_folder() / "leaves" / f"{name}.json"
@@ -68,6 +69,7 @@ def _fitted(
         if not (taxon == one).any():
             raise InputError(f"no leaf spectrum of {one!r} can be used", file=own[0])
     good = pd.Series([status == "converged" for status in fit.status])
+    # Doubtful fits count only where a taxon has no others.
     counts = good | ~good.groupby(taxon).transform("any")
     means = traits[counts].groupby(taxon[counts]).mean()
     return {one: dict(zip(LEAF_FIELDS, means.loc[[one]].to_numpy()[0].tolist())) for one in files}

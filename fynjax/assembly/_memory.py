@@ -63,6 +63,7 @@ def _held_ready(
         if plot.cover_definition == "projected":
             count = float(projected_count(s.cover, crown, area))
         else:
+            # Ground area of a plant and number of plants by the article's equations (8) to (10).
             crown *= (1.0 - s.packing) * s.fill
             count = s.branches * area * s.cover / max(crown, s.minimum_area)
         plants += held_ready * count

@@ -50,6 +50,7 @@ def sample_pixel(
     random = generator(seed, 0)
     candidates, likelihood = [], []
     for _ in range(_STANDS):
+        # One planted stand with many sets of leaves gives many candidates for one render.
         of_stand, of_sets = random.normal(size=common), random.normal(size=(settings.together, own))
         chance = random.normal()
         made = make_stand(of_stand, of_sets, _planting(chance), bands, prior, settings)

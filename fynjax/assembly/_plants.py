@@ -87,6 +87,7 @@ def _from_elements(path: Path) -> MeshPlant:
             file=path,
         )
     radius, height = 0.5 * rows[0].crown_diameter_m, rows[0].plant_height_m
+    # In crown radii and heights, so that one limit serves plants of any size.
     reach = np.abs(point) / np.array([radius, radius, height])
     if reach.max() > _BEYOND:
         element, axis = np.unravel_index(int(reach.argmax()), reach.shape)

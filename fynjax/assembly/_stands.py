@@ -178,6 +178,7 @@ def simulate_stands(
     made = []
     for number in numbers:
         rng = generator(seed, number)
+        # A generator for each stand: it is the same whichever others are asked for.
         of_stand, of_sets = rng.normal(size=common), rng.normal(size=(settings.together, own))
         planting = int(rng.integers(2**31))
         made.append(make_stand(of_stand, of_sets, planting, bands, prior, settings))
@@ -226,6 +227,7 @@ def _planted(
     forms = [FORMS[name] for name in names]
     diameter = np.array([form.diameter for form in forms])
     species = SpeciesParameters(
+        # As many and as small plants as any stand has, so that all find their sites.
         cover=jnp.full(len(forms), _MOST_CROWNS * (1.0 - _PACKING)),
         diameter=diameter * np.exp(-_SIZE_SD),
         height=jnp.full(len(forms), _TALLEST),
@@ -332,6 +334,7 @@ def _draw(
 
     crowns, dead, standing = _draw_crowns(records, stand)
     diameter, height = np.array([(form.diameter, form.height) for form in records]).T
+    # Not below the size for which sites are held ready: smaller crowns would need more.
     diameter = diameter * np.exp(np.clip(_SIZE_SD * stand.take(forms), -_SIZE_SD, None))
     height = height * np.exp(_SIZE_SD * stand.take(1))
     species = SpeciesParameters(
@@ -349,6 +352,7 @@ def _draw(
         sun_azimuth=jnp.asarray(360.0 * _uniform(stand.take(1)[0])),
     )
     leaves, leaf_mass, water = _draw_leaves(prior, records, leaf_factors(at), of_set)
+    # Of the ground that standing dead plants leave free.
     litter = (dead - standing) / (1.0 - standing)
     ground = GroundParameters(
         brightness=jnp.asarray(at["soil_brightness"]),
@@ -400,6 +404,7 @@ def _draw_leaves(
 
     mass, water = np.array([(f.leaf_mass_per_area, f.water_content) for f in records]).T
     leaf_mass = around(mass, _LEAF_MASS_SD)
+    # Water over dry mass, whose logarithm is the logit of water over fresh mass.
     odds = around(water / (1.0 - water), _WATER_SD)
     # Crews measure per area that is seen, PROSPECT counts per half of the surface.
     ratio = np.array([ROUND if form.round_leaves else FLAT for form in records])
@@ -441,13 +446,16 @@ def _spectra(
         v.illumination.sun,
         v.illumination.sky,
     )
+    # Area is common to all sets: only what has bands gets an axis of sets.
     rho, tau, *rest = jax.vmap(lambda one: varying(of(one)))(optics)
     sets = rho.shape[0]
+    # Class first, then the bands of all sets one after the other.
     joined = [jnp.moveaxis(a, 0, 1).reshape(a.shape[1], -1) for a in (rho, tau)]
     joined += [a.reshape(-1) for a in rest]
     voxels = eqx.tree_at(varying, of(jax.tree.map(lambda a: a[0], optics)), tuple(joined))
     light = solve_light(voxels, imager.accuracy)
     image = render(light, imager.rays, chunk=len(bands))
+    # Radiance of the plot over that of a white ground: a reflectance factor.
     mean = jnp.pi * image.total.mean(axis=(1, 2)) / voxels.illumination.incident
     return mean.reshape(sets, -1), jnp.max(light.diffuse.bands(0, len(bands)).residual)
 
@@ -460,11 +468,13 @@ def _quantities(
     area = np.asarray(scene.crown_areas(parameters), float)
     owner = np.asarray(planting.species)
     size = np.asarray(species.diameter)[owner] * np.asarray(planting.size)
+    # Plants that do not stand have crowns of zero area.
     stands = area > 1e-3 * size**2
     weight = area[stands] / (0.25 * np.pi * size[stands] ** 2)
     side = scene.grid.extent[0]
     middle = (np.arange(round(side / _CELL)) + 0.5) * _CELL
     away = np.abs(np.asarray(planting.foot)[stands][:, None, :] - middle[None, :, None])
+    # The nearest copy of the plant, as the stand repeats itself.
     squared = np.minimum(away, side - away) ** 2
     under = squared[:, :, None, 0] + squared[:, None, :, 1] <= 0.25 * size[stands, None, None] ** 2
     free = 1.0 - weight[:, None, None] * under  # share of a cell that each crown leaves free
@@ -479,6 +489,7 @@ def _quantities(
     dead = np.asarray(drawn.optics.dead_fraction, float)[:, :-1]
     bare = np.full(forms - 1, 1.0 / (forms - 1))  # where nothing stands, forms count alike
     share = crowns / max(crowns.sum(), 1e-12) if crowns.sum() > 0 else bare
+    # Dead tissue is a share of shoots, other traits means over crowns.
     leafy = shoots / shoots.sum() if shoots.sum() > 0 else share
     chlorophyll = np.asarray(drawn.optics.leaf.chlorophyll, float)
     count = len(litter)

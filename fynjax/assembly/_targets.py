@@ -349,9 +349,11 @@ def weighed_statistics(
     - `pixel`: edge of a pixel on the ground [m].
     - `rules`, `side`: as for `image_data`.
     """
+    # No square of several pixels may be wider than image or plot.
     side = min(side, pixel * min(mask.shape))
     every = fitting_statistics(compared_statistics(bands), side, pixel)
     names = [every[i] for i in rules.used(every, "the statistics")]
+    # Numbers in place of NaN, which a mask does not keep out of slopes and sums.
     clean = jnp.asarray(np.where(mask, values, 0.0))
     found = np.asarray(image_statistics(clean, names, jnp.asarray(mask), pixel=pixel, bands=bands))
     return weigh_targets(names, found, rules.relative_sd)
@@ -401,6 +403,7 @@ def spectrum_data(path: Path, rules: TargetRules, sun_zenith: float) -> Measured
     value = weights @ mean
     sampling = None
     if count > 1:
+        # Covariance of the mean of so many pixels.
         sampling = np.atleast_2d(np.cov(sample.values @ weights.T, rowvar=False)) / count
     noise = reflectance_noise(bands, value, sun_zenith, averaged=count)
     share = rules.relative_sd
@@ -433,6 +436,7 @@ def _bands_to_compare(
     width = np.clip(np.gradient(grid), _NARROWEST, _WIDEST) if fwhm is None else fwhm
     width = np.maximum(width, _NARROWEST)
     every = -(-clear.size // _MOST_BANDS)
+    # Every so many bands, from the middle of the first group on.
     place = clear[every // 2 :: every]
     match = match_wavelengths(grid[clear], grid[place], simulated_fwhm=width[place])
     centre = match.wavelength
@@ -464,6 +468,7 @@ def reflectance_noise(
     noise = RadiometricNoise(a, b, c, integrations=sensor.noise.integrations)
     air = band_atmosphere(clear_sky_atmosphere(ClearAir(jnp.asarray(min(sun_zenith, 85.0)))), bands)
     at = jnp.asarray(reflectance)
+    # Radiance by reflectance, band by band: the noise of radiance over it is that of reflectance.
     slope = jax.grad(lambda r: jnp.sum(at_sensor_radiance(air, r, at)))(at)
     deviation = noise.standard_deviation(at_sensor_radiance(air, at), averaged=averaged)
     return np.asarray(deviation / slope)

@@ -77,6 +77,7 @@ def measure_truth(
         return np.asarray(value, float), None
     bands = image[0].shape[0]
     gain = np.exp(random.multivariate_normal(np.zeros(bands), view.gains.covariance(bands)))
+    # Gains are common to all pixels of a band; noise is of each pixel.
     noise = 1.0 + PIXEL_NOISE * random.normal(size=image[0].shape)
     seen = jnp.asarray(np.asarray(image[0], float) * gain[:, None, None] * noise)
     camera = view.camera
@@ -103,6 +104,7 @@ def plant_twin(ready: Prepared, measured: Sequence[Measured], *, seed: int) -> T
         value, own = measure_truth(ready, view, truth, 0, random)
         if own is None:
             covariance = np.asarray(one.data.covariance)
+            # Other sensors err as the real ones are taken to, correlations included.
             value = random.multivariate_normal(value, covariance, method="eigh")
             data = dataclasses.replace(one.data, value=jnp.asarray(value))
         else:

@@ -79,6 +79,7 @@ class AmortisedPosterior(eqx.Module):
         count = self.values.shape[0]
         mean, lower = out[:, :count], out[:, count:]
         factor = jnp.zeros((len(out), count, count), out.dtype)
+        # The network gives a Cholesky factor: its diagonal positive, below it anything.
         factor = factor.at[:, *np.tril_indices(count, -1)].set(lower[:, count:])
         diagonal = jax.nn.softplus(lower[:, :count]) + _STEADY
         return mean, factor + diagonal[:, :, None] * jnp.eye(count, dtype=out.dtype)
@@ -89,6 +90,7 @@ class AmortisedPosterior(eqx.Module):
         """The larger of both distances, each over its limit [-]: above 1 a spectrum is unlike
         nearly all simulations. Limits are such that the share `probability` of simulations is below
         1, each left out with its fold of the stands, if both distances are independent."""
+        # Two independent distances are both within their limits with the product of probabilities.
         share = jnp.sqrt(jnp.asarray(probability, self.distance.dtype))
         limits = jax.vmap(lambda row: jnp.interp(share, jnp.asarray(_PROBABILITY, float), row))(
             self.distance
@@ -134,6 +136,7 @@ def estimate_pixels(
     mean, factor = posterior.scores(spectrum)
     sd = jnp.sqrt(jnp.sum(factor**2, axis=2))
     reach = jax.scipy.stats.norm.ppf(0.5 + 0.5 * jnp.asarray(interval, mean.dtype))
+    # Mean and deviation in the quantity's own unit by Gauss-Hermite quadrature of its scores.
     at = [mean + sd * float(node) for node in _NODES] + [mean - reach * sd, mean + reach * sd]
     *nodes, lower, upper = (_value(posterior.values, z) for z in at)
     weights = _WEIGHTS / _WEIGHTS.sum()
@@ -151,6 +154,7 @@ def _value(
     """Quantities at normal scores."""
     step = float(_SCORES[1] - _SCORES[0])
     place = jnp.clip((z - _SCORES[0]) / step, 0.0, len(_SCORES) - 1.0)
+    # NaN stays NaN through `place`; its index must be a number all the same.
     below = jnp.clip(jnp.nan_to_num(jnp.floor(place)).astype(jnp.int32), 0, len(_SCORES) - 2)
     which = jnp.arange(values.shape[0])
     low, high = values[which, below], values[which, below + 1]
@@ -232,6 +236,7 @@ def train_posterior(
     middle = logs[:train].mean(axis=0)
     clean = np.log(np.maximum(reflectance, DARKEST))
     rows = _directions(clean[:train] - clean[:train].mean(axis=0), root)[1][: training.features]
+    # Features of unit scale, as the network is started for.
     rows = rows / np.std((logs[:train] - middle) @ rows.T, axis=0)[:, None]
     single = lambda a: jnp.asarray(a, jnp.float32)  # noqa: E731
     count = quantities.shape[1]
@@ -263,6 +268,7 @@ def _tables(quantities: Float[np.ndarray, "stand quantity"]) -> Float[np.ndarray
     share = ndtr(_SCORES)
     tables = np.quantile(quantities, share, axis=0).T
     scale = np.ptp(tables, axis=1, keepdims=True)
+    # Where many simulations have one value, a table would be flat and have no inverse.
     return tables + 1e-6 * scale * np.linspace(0.0, 1.0, len(_SCORES))
 
 
@@ -279,6 +285,7 @@ def _directions(
 ) -> tuple[Float[np.ndarray, " direction"], Float[np.ndarray, "direction channel"]]:
     """Combinations of channels with errors of unit covariance, and the variance of simulations in
     each, the largest first."""
+    # Principal components in units of the errors: a variance above one stands out from them.
     whitened = np.linalg.solve(root, apart.T)
     vectors, spread, _ = np.linalg.svd(whitened @ whitened.T / len(apart))
     return spread, np.linalg.solve(root.T, vectors).T
@@ -294,12 +301,14 @@ def _known(
     few = int(np.clip(np.sum(spread > 1.0), 1, len(spread) - 1))
     within, outside = directions[:few], directions[few:]
     left = np.atleast_2d(np.cov(logs @ outside.T, rowvar=False))
+    # To unit covariance of simulations, errors included.
     outside = np.linalg.solve(np.linalg.cholesky(left), outside)
     return within, _spread_out(clean @ within.T), outside
 
 
 def _distances(apart: Any, within: Any, points: Any, outside: Any) -> Float[Array, "pixel 2"]:
     at = apart @ within.T
+    # |a - p|^2 = |p|^2 - 2 a p + |a|^2, without an array over pixels, points and directions.
     squares = jnp.sum(points**2, axis=1) - 2.0 * at @ points.T
     nearest = jnp.min(squares, axis=1) + jnp.sum(at**2, axis=1)
     left = jnp.sum((apart @ outside.T) ** 2, axis=1)

@@ -113,6 +113,8 @@ def gaussian_weights(
     z = (grid - centre[:, None]) / sigma
     zeroth = jnp.diff(ndtr(z), axis=1)
     first = jnp.diff(-sigma * jnp.exp(-0.5 * z**2) / np.sqrt(2.0 * np.pi), axis=1)
+    # Zeroth and first moment of the response in each step of the grid share it out between the
+    # two ends of the step, as a spectrum that is linear between them asks for.
     above = (z[:, 1:] * sigma * zeroth - first) / jnp.diff(grid)
     weights = jnp.pad(above, ((0, 0), (0, 1))) + jnp.pad(zeroth - above, ((0, 0), (1, 0)))
     return weights / weights.sum(axis=1, keepdims=True)
@@ -128,6 +130,7 @@ def measured(
     """
     lit = weights * spectra.photons
     weights = lit / lit.sum(axis=1, keepdims=True)
+    # A band is a weighted mean of the spectrum: covariances follow from those of the components.
     rows = weights @ spectra.basis
     mean = spectra.mean @ weights.T
     count = width * (lit @ spectra.mean.mean(axis=0))
@@ -162,17 +165,21 @@ def scores(
     sd = jnp.sqrt(pixel)
     values = jnp.concatenate([seen.mean, sd], axis=1)
     slopes = jnp.concatenate([seen.mean_slope, seen.variance_slope / (2.0 * sd[..., None])], axis=1)
+    # Variance by shot noise of a standard deviation, to first order in a large sample.
     of_sd = (2.0 * variance * seen.noise + seen.noise**2) / (2.0 * pixel)
 
     def left(share: Array, value: Array, slope: Array, asked: Array) -> Array:
         """Variance of each quantity that is left, over that of its prior."""
         count = jnp.sum(share > 0.0)
         centre = share @ values
+        # Scatter of the other plantings about their mean, unbiased.
         apart = jnp.sqrt(share)[:, None] * (values - centre)
         between = apart.T @ apart * (count / (count - 1.0))
         covariance = jnp.tensordot(share, seen.covariance, axes=1)
         root = jnp.sqrt(jnp.diagonal(covariance) + _TINY)
         of_means, of_spreads = _chance(spectra, share)
+        # Standard deviations of normal samples scatter together by the squared covariance of the
+        # values over both deviations; how far they do follows from plantings (`of_spreads`).
         alike = covariance**2 / jnp.outer(root, root)
         suggested = jax.scipy.linalg.block_diag(of_means * covariance, of_spreads * alike)
         # Errors of the sensor: relative, and shot noise in a mean and a standard deviation.
@@ -181,6 +188,8 @@ def scores(
         total = (1.0 - _SHRUNK) * between + _SHRUNK * suggested + own
         total += jnp.einsum("p,psk,ptk->st", share, slopes, slopes)
         known = jnp.einsum("p,psk,pqk->sq", share, slopes, spectra.asked)
+        # The best linear estimate by the other plantings, and what it leaves in this one: slopes
+        # that it misses, where plants stand, and noise.
         estimate = jnp.linalg.solve(total, known)
         astray = jnp.sum((asked - estimate.T @ slope) ** 2, axis=1)
         chance = (value - centre) @ estimate
@@ -228,11 +237,14 @@ def _separated(
         jnp.einsum("ps,psbc->sbc", number, seen.species_covariance),
     )
     line = jnp.linalg.solve(both, off[..., None])[..., 0]
+    # Fisher's line is that of the others; how far it parts the species is asked of this planting.
     off, both = apart(seen.species_mean[at], seen.species_covariance[at])
     along = jnp.maximum(jnp.sum(line * off, axis=1), 0.0)
     square = along**2 / jnp.maximum(jnp.einsum("cb,cbd,cd->c", line, both, line), _TINY)
     there = (spectra.species[at] > 0) & (number.sum(axis=0) > 0)
     known = there[first] & there[second]
+    # Jeffries-Matusita: 2 (1 - exp(-B)), of equal covariances with B an eighth of the squared
+    # Mahalanobis distance.
     distance = -2.0 * jnp.expm1(-square / 8.0)
     return jnp.atleast_1d(jnp.sum(known * distance) / jnp.maximum(jnp.sum(known), 1))
 
@@ -275,14 +287,18 @@ def render(
         if not into.any():
             scale = mean[:, None]
             every = (off, *(one.astype(float) for one in np.moveaxis(off_slope, 2, 0)))
+            # Principal components of image and slopes of the first planting, relative to the mean
+            # spectrum; all plantings are kept in these few.
             square = sum(one @ one.T for one in every) / (scale * scale.T)
             values, vectors = np.linalg.eigh(square)
             into = vectors[:, np.cumsum(values) > _KEPT * values.sum()].T / scale.T
         change = np.tensordot(into.astype(np.float32), off_slope, 1)
+        # Species by what is in sight, which no band shows.
         share = np.asarray(truth_of_pixels(aimed, quick, parameters).species)
         fine = into @ off, change, share.reshape(len(share), -1)
         for of_pixel, step in zip(kept, steps, strict=True):
             of_pixel.append((mean, mean_slope, *_of_pixels(*fine, side, step)))
+    # Orthonormal in spectra over the mean, so that the way back scales by its square.
     basis = (into * (scale * scale).T).T
     photons = _photons(parameters, bands, snr)
     found = []
@@ -315,6 +331,7 @@ def _of_pixels(
         return parts.mean(axis=(2, 4)).reshape(len(values), rows * columns, *values.shape[2:])
 
     weight, change, share = wider(weight), wider(change), wider(share)
+    # d(w w') = dw w' + w dw'.
     half = np.einsum("ixk,jx->ijk", change, weight) / weight.shape[1]
     size = len(weight)
     none = np.zeros(()), np.zeros(size), np.zeros((size, size))
@@ -336,6 +353,7 @@ def _photons(
     grid = np.array(air.wavelength)
     light = np.asarray(air.upward_transmittance * (air.direct + air.diffuse)) * grid
     nm, width, reflectance = _REFERENCE
+    # Shot noise: the square of signal over noise is the number of photons.
     per = snr**2 / (float(np.interp(nm, grid, light)) * width * reflectance)
     clear = spectral_mask(np.array(bands.centre), RANGE)
     return per * np.where(clear, bands.weights(grid) @ light, _OPAQUE * light.max())

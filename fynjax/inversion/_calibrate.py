@@ -380,9 +380,12 @@ def _gains(
     slopes = np.zeros((len(fit.data.names), len(image)))
     slopes[first : first + len(view.names)] = view.gain_slopes(image)
     jacobian, by_gain = weights @ np.asarray(fit.jacobian), weights @ slopes
+    # Errors of the gains are in the weights already: whitened data have the covariance 1 + JJ'.
     total = np.eye(len(weights)) + jacobian @ jacobian.T
+    # Data less what the linear model predicts at the centre of the prior.
     rest = weights @ np.asarray(fit.data.value - fit.predicted)
     rest = rest + jacobian @ np.asarray(fit.whitened)
+    # The gain of a Kalman filter, and what it leaves of the prior covariance.
     share = np.linalg.solve(total, by_gain @ prior).T
     left = prior - share @ by_gain @ prior
     off = share @ rest
@@ -397,6 +400,7 @@ def _ends(objective: Sequence[float], fits: Sequence[FitResult], best: FitResult
     sd = np.sqrt(np.diagonal(np.asarray(best.covariance)))
     places = np.stack([np.asarray(fit.whitened) for fit in fits])
     kept: list[np.ndarray] = []
+    # From the best on: what lies near none that is kept is a minimum of its own.
     for i in np.argsort(objective, kind="stable"):
         if all(np.max(np.abs(places[i] - other) / sd) > 1.0 for other in kept):
             kept.append(places[i])

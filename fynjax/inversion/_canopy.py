@@ -175,6 +175,7 @@ leaves at large (`LEAF_PARAMETERS`) |
         data = Data(names, jnp.asarray(value), jnp.asarray(error))
     else:
         alone = jnp.asarray(np.hypot(_ABSOLUTE, _RELATIVE * value))
+        # As much again that all bands share: an offset and a factor.
         together = _ABSOLUTE**2 + _RELATIVE**2 * np.outer(value, value)
         data = Data(names, jnp.asarray(value), alone).with_covariance(together)
     light = jnp.asarray([sun_zenith, view_zenith, relative_azimuth, sky_share, hot_spot], float)
@@ -206,6 +207,7 @@ def _given(centre: np.ndarray, **given: Any) -> list[np.ndarray]:
 def _bins(wavelength: np.ndarray) -> Float[np.ndarray, "bin wavelength"]:
     """Weights that average a fine spectrum; of a coarse one each value is kept."""
     step = _STEP if np.median(np.diff(wavelength)) < _STEP else 1e-6
+    # A step that is finer than any spectrum keeps every value by itself.
     member = np.unique(np.floor(wavelength / step), return_inverse=True)[1]
     mean = np.equal.outer(np.arange(member.max() + 1), member).astype(float)
     return mean / mean.sum(axis=1, keepdims=True)
@@ -240,6 +242,7 @@ def _parts(bands: BandSet) -> tuple[np.ndarray, np.ndarray]:
     grid = np.arange(400.0, 2501.0)
     places, weights = [], np.zeros((len(bands), len(bands), _PARTS))
     for band, row in enumerate(bands.weights(grid)):
+        # Each wavelength goes to the part in which the middle of its share of the response lies.
         share = (np.cumsum(row) - 0.5 * row)[:, None] * _PARTS - np.arange(_PARTS)
         part = row[:, None] * ((share >= 0) & (share < 1))
         weights[band, band] = part.sum(axis=0)

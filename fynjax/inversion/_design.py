@@ -93,6 +93,7 @@ def _gaussian(spectra: PlantingSpectra, limits: _Limits, x: Array | np.ndarray) 
 def _value(spectra: PlantingSpectra, seen: BandStatistics, among: Array) -> Float[Array, ""]:
     """Mean over the plantings `among`, and over quantities, of what bands say; the least there can
     be where that is no number, so that no choice falls on it."""
+    # A planting that is left out has no say, neither as judge nor as judged.
     value = among @ scores(spectra, seen, among).mean(axis=1) / among.sum()
     return jnp.where(jnp.isnan(value), -jnp.inf, value)
 
@@ -132,6 +133,7 @@ def best_channels(
     while len(chosen) < count:
         value, chosen = beside(chosen)
     while True:
+        # Exchange: leave one out, and take whatever is best beside the rest.
         found = max(beside(chosen[:k] + chosen[k + 1 :]) for k in range(count))
         if found[0] <= value + 1e-9 * abs(value):
             return sorted(chosen)
@@ -305,6 +307,7 @@ def design(
     if kind == "quantities" and not named:
         raise InputError("what is asked for does not depend on any of the free parameters")
     checked()
+    # Slopes of the parameters themselves are unit vectors.
     every_one = np.eye(len(space.names))[: None if kind == "information" else 0]
     asked = np.stack([*named.values()] if named else [every_one] * len(stands), axis=bool(named))
     tried = render(stands, space, asked, grid, pixels, snr, error, kind)
@@ -459,6 +462,7 @@ def _asked(
     changed = {
         name: slopes
         for name, slopes in zip(names, found, strict=True)
+        # In every planting: a quantity that some planting lacks has no share of variance there.
         if np.abs(slopes).max(axis=1).min() > 0.0
     }
     fixed = [name for name in wanted if name in names and name not in changed]
@@ -484,6 +488,7 @@ def _search(
 ) -> list[tuple[float, np.ndarray]]:
     """Ends of ascents, best first: the first from the best bands of a raster of centres and widths
     (`best_channels`), the others from the best of random places."""
+    # Coordinates between 0 and 1 of centres and widths (`_Limits.bands`), as the ascent has them.
     raster = np.stack(np.meshgrid(np.linspace(0.0, 1.0, _RASTER), (0.0, 0.5, 1.0)), -1)
     raster = raster.reshape(-1, 2)
     seen = _seen_gaussian(spectra, limits, raster.T.ravel())
@@ -500,6 +505,7 @@ def half_interval(gain: Float[np.ndarray, "planting sensor"]) -> Float[np.ndarra
     """Half of the interval of 90 % of a mean gain over plantings, each judged by the others:
     Student's, with the variance of Nadeau and Bengio."""
     count = len(gain)
+    # Designs share all plantings but one, so that their gains are not independent.
     wider = np.sqrt(1.0 / count + 1.0 / (count - 1.0))
     return np.asarray(stdtrit(count - 1, 0.95) * wider * gain.std(axis=0, ddof=1))
 
@@ -533,6 +539,7 @@ def _curves(
     sigma = np.array(designed.fwhm)[:, None] / FWHM_PER_SIGMA
     off = (grid - np.array(designed.centre)[:, None]) / sigma
     of_named = np.asarray(spectra.asked)[:, : len(asked)]
+    # Along the gradient of a quantity, of unit length: a prior's standard deviation of it.
     sd = np.sqrt(np.sum(of_named**2, axis=2, keepdims=True))
     slopes = np.einsum("pwk,pqk->pqw", spectra.mean_slope, of_named / sd)
     number = np.asarray(spectra.species)[..., None]

@@ -39,6 +39,7 @@ def each(
     if any(isinstance(place, jax.core.Tracer) for place in places):
         return [function(*pair) for pair in pairs]
     call = of_thread(function)
+    # The first call compiles; two threads at once would compile the same program twice.
     alone = [call(*pairs[0])] if is_new(function, *pairs[0]) else []
     with ThreadPoolExecutor(2) as pool:
         return [*alone, *pool.map(lambda pair: call(*pair), pairs[len(alone) :])]
@@ -103,6 +104,7 @@ class Expected(eqx.Module):
         """The planting and the place of each of the first `number` draws about `u`. Without a
         number those that each step of a search is a mean over, whose plants fade."""
         pairs = [self.draw(i) for i in range(len(self.stands) if number is None else number)]
+        # Only the draws of a step must be smooth in u; the others show whole plants.
         stands = [stand.faded() if number is None else stand for stand, _ in pairs]
         return stands, [u + jnp.asarray(spread @ normal) for _, normal in pairs]
 
@@ -148,6 +150,7 @@ class Expected(eqx.Module):
         stands, places = self._places(u, spread, self.number if number is None else number)
         drawn = np.stack(each(self.at, stands, places))
         moves = np.stack(places) - np.asarray(u)
+        # What a line explains of a draw is knowledge of its place, and no chance.
         rest = drawn - moves @ slopes.T if np.isfinite(slopes).all() else drawn
         finite, own = np.isfinite(rest).all(axis=1), len(self.stands)
         if finite.sum() >= own:
@@ -202,6 +205,7 @@ def chance_covariance(
     NumPy in and out; not differentiable.
     """
     chance = scatter_covariance(draws)
+    # The error of the expectation: of a mean over sets of sites, and of few renders of the lack.
     share = 1.0 / stands
     if len(lack) > 1:
         variance = np.diagonal(chance)
@@ -221,6 +225,7 @@ def mean_information(
     draw. Two in a row are antithetic, so that slopes that change with the parameters hang together:
     only the means of such pairs are independent.
     """
+    # Means of antithetic pairs, in which what is odd in the parameters cancels.
     pairs = len(slopes) // 2
     if pairs >= 2:
         slopes = slopes[: 2 * pairs].reshape(pairs, 2, *slopes.shape[1:]).mean(axis=1)

@@ -221,6 +221,7 @@ def _renewed(density: LogPosterior, solver: BroydenLM, u: Array, max_steps: int)
     def step(run: tuple) -> tuple:
         u, state, value, slopes, start = run
         first = state.steps < 0
+        # The place of the next step, known beforehand: value and Jacobian are asked for once.
         at = u + jnp.where(first, 0.0, solver.move(state))
         there = density.jacobian(at)
         options = {"jacobian": lambda *_: whitened(density.data, at, *there)}
@@ -277,10 +278,13 @@ def _solution_jvp(primals: Any, tangents: Any) -> Any:
     def gradient(density: LogPosterior, u: Array) -> Array:
         return jax.grad(lambda u: -density(u))(u)
 
+    # How the gradient moves with the problem where the estimate stays.
     _, moved = eqx.filter_jvp(lambda density: gradient(density, u), (density,), (change,))
+    # The whole Hessian, not that of Gauss and Newton: residuals at the minimum need not be small.
     hessian = lx.MatrixLinearOperator(jax.hessian(lambda u: -density(u))(u), lx.symmetric_tag)
     solver = lx.AutoLinearSolver(well_posed=True)
     du = -lx.linear_solve(hessian, moved, solver, throw=False).value
+    # Statistics and slopes move with the problem and with the estimate.
     _, (value, slopes) = eqx.filter_jvp(
         lambda density, u: density.jacobian(u), (density, u), (change, du)
     )

@@ -69,6 +69,7 @@ class Data(eqx.Module):
     ) -> "Data":
         """The data with an error added that moves the statistics together, of this covariance."""
         total = self.covariance + jnp.asarray(covariance)
+        # Of errors with this covariance the inverse Cholesky factor makes independent unit ones.
         whitener = jnp.linalg.inv(jnp.linalg.cholesky(total))
         return Data(self.names, self.value, jnp.sqrt(jnp.diagonal(total)), whitener)
 
@@ -138,6 +139,7 @@ def scatter_covariance(
         root = np.linalg.inv(np.linalg.cholesky(target))
         apart = root @ correlation @ root.T
     square, total = np.sum(apart**2), np.trace(apart)
+    # The fewer draws and the nearer to the target, the more is taken from it.
     above = (1.0 - 2.0 / size) * square + total**2
     below = (count - 2.0 / size) * (square - total**2 / size)
     share = 1.0 if below <= 0 else min(1.0, above / below)
@@ -419,10 +421,12 @@ def repeated_information(
     """
     total, count = draws.sum(axis=0), draws.shape[0]
     same = jnp.einsum("dsi,dsj->ij", draws, draws)
+    # Products of all pairs less those of a draw with itself.
     shared = (total.T @ total - same) / (count * (count - 1))
     size = jnp.sqrt(jnp.diagonal(same) / count)
     unit = jnp.where(size > 0, 1.0 / jnp.where(size > 0, size, 1.0), 0.0)
     values, vectors = jnp.linalg.eigh(shared * unit * unit[:, None])
+    # The nearest matrix that can be an information: no negative eigenvalues.
     kept = (vectors * jnp.maximum(values, 0.0)) @ vectors.T
     first, second = jnp.triu_indices(count, 1)
     pairs = jnp.sum(draws[first] * draws[second], axis=1)  # [pair, free]
@@ -433,6 +437,7 @@ def repeated_information(
     else:
         error = jnp.std(pairs, axis=0, ddof=1) / np.sqrt(len(pairs))
         own = jnp.maximum(jnp.diagonal(shared) - stdtrit(count - 1, confidence) * error, 0.0)
+    # Without them the diagonal has grown: each parameter goes back to its own mean.
     raised = jnp.diagonal(kept)
     scale = jnp.sqrt(own / jnp.where(raised > 0, raised, 1.0)) * (raised > 0)
     return kept * scale * scale[:, None]
@@ -502,6 +507,7 @@ def posterior(space: ParameterSpace, u: Array, information: Array) -> dict[str, 
     """Laplace approximation, from the data's information in whitened coordinates."""
     values, vectors = jnp.linalg.eigh(information)
     values, vectors = jnp.maximum(values[::-1], 0.0), vectors[:, ::-1]
+    # The prior has the information one in every direction.
     covariance = (vectors / (1.0 + values)) @ vectors.T
     variance = space.own_variance(covariance)
     return {

@@ -215,11 +215,14 @@ def stand_table(
     prior = np.asarray(numbers.at(jnp.asarray(normal.clip(-3.0, 3.0))), float)
     value, slopes = (np.asarray(x, float) for x in numbers.linear(fit.whitened))
     shares = np.array([one.unit == "-" for one in functionals.values()])
+    # A scale on which a normal stays within range, if all draws have one.
     low, high = (f(np.concatenate([prior, value[None]]), axis=0) for f in (np.min, np.max))
     kind = np.where(shares & (low > 0.0) & (high < 1.0), "logit", np.where(low > 0.0, "log", ""))
+    # The delta method, on that scale.
     relative = slopes * _slope_of_normal(value, kind)[:, None]
     variance = np.einsum("fi,ij,fj->f", relative, np.asarray(fit.covariance, float), relative)
     before = _normal(prior, kind).var(axis=0)
+    # What no free parameter changes differs by rounding alone, and has no interval.
     known = before > _ROUNDING
     half = _NINETY * np.sqrt(np.where(known, variance, 0.0))
     removed = 1.0 - variance / np.where(known, before, 1.0)

@@ -104,12 +104,15 @@ def bounds_of(
     values, vectors = np.linalg.eigh(np.asarray(matrix, float))
     values = np.maximum(values[::-1], 0.0)
     modes = vectors[:, ::-1].T
+    # Directions of which the data say nothing make the bound of whatever takes part infinite.
     hidden = values <= max(_NOTHING, _ROUNDING * values[0])
+    # Share of each parameter in each mode: marginal variances are sums over the modes.
     share = modes**2
     variance = share[~hidden].T @ (1.0 / values[~hidden])
     touched = share[hidden].sum(axis=0) > 1e-9
     known = share.T @ (1.0 / (1.0 + values))  # posterior over prior variance
     with np.errstate(divide="ignore"):
+        # Precision beyond the prior's own, which is one.
         added = np.maximum(1.0 / known - 1.0, 0.0)
         added[added < _NOTHING] = 0.0
         diagonal = np.diagonal(matrix)
@@ -152,6 +155,7 @@ def shared_slopes(
     """
     order = np.concatenate(blocks)
     root = np.linalg.cholesky(covariance[np.ix_(order, order)])
+    # A triangular factor leaves of each block what those before it do not say.
     white = np.linalg.solve(root, slopes[:, order])
     mean = white.mean(axis=0)
     chance = (white - mean) / np.sqrt(len(slopes) * (len(slopes) - 1.0))
@@ -162,6 +166,7 @@ def shared_slopes(
         shrunk[part] = _less_chance(mean[part], chance[:, part])
         start += len(block)
     shared = np.empty_like(mean)
+    # Back to the statistics, in their own order.
     shared[order] = root @ shrunk
     return shared
 
@@ -176,6 +181,7 @@ def _less_chance(
     chance = chance / unit
     rows = np.einsum("dsi,dti->st", chance, chance)
     columns = np.einsum("dsi,dsj->ij", chance, chance)
+    # Chevet: the largest singular value of chance is at most the sum of these two norms.
     edge = sum(np.sqrt(max(np.linalg.eigvalsh(m)[-1], 0.0)) for m in (rows, columns))
     left, size, right = np.linalg.svd(mean / unit, full_matrices=False)
     kept = np.where(size > edge, size - edge**2 / np.where(size > 0, size, 1.0), 0.0)

@@ -269,6 +269,7 @@ class PixelModel(eqx.Module):
         if len(moved):
             image, rows = self._along_optics(values, jnp.asarray(np.eye(len(optics))[moved]))
             for place, row in zip(moved, np.asarray(rows)):
+                # Bands do not mix: an optic's effect on a band times its slope in that band.
                 slopes[shared] += optics[place].T[shared][:, :, None, None] * row
         if not shared.all():
             own = jnp.asarray(np.eye(len(self.free))[~shared])
@@ -321,6 +322,7 @@ class PixelModel(eqx.Module):
         classes = voxels.classes
 
         def blocks(moved: Array) -> Array:
+            # Added, not multiplied: what reflects nothing has a slope too.
             reflectance, transmittance = jnp.split(moved[:-1, None], 2)
             return self._blocks_of(
                 eqx.tree_at(
@@ -434,6 +436,7 @@ class PixelSearch:
         image = (image * gain[:, None, None])[:, self._compared]
         by_value = (by_value * gain[:, None, None])[:, :, self._compared]
         to_values = np.asarray(jax.jacfwd(self.space.physical)(jnp.asarray(u[: self._free])))
+        # By whitened coordinates, whose priors may be correlated: a full matrix.
         own = by_value.reshape(self._free, -1).T @ to_values
         # The logarithm of a gain scales its band.
         by_gain = np.eye(bands)[:, None, :] * image[:, :, None]
@@ -449,6 +452,7 @@ class PixelSearch:
         """State of the solver with slopes of this very place, and errors: by default its own."""
         values, slopes = self.linear(u)
         if sd is None:
+            # A share of what is simulated: of the measured, noise that darkens would weigh more.
             sd = self.settings.pixel_sd * np.maximum(values, _DARKEST)
         rows = np.concatenate([slopes / sd[:, None], np.eye(len(u))])
         return begun(self._solver, u, self._whitened(values, u, sd), rows), jnp.asarray(sd)
@@ -478,6 +482,7 @@ class PixelSearch:
             return dataclasses.replace(state, status=status, ended=state.ended + 1)
         if done or state.step >= self.settings.max_steps:
             last = int(state.turn) + 1 == _ROUNDS
+            # The last slopes are for the result alone, with the errors it was found by.
             descent, sd = self._descent(state.u, np.asarray(state.sd) if last else None)
             renewed = dataclasses.replace(
                 state, descent=descent, sd=sd, turn=state.turn + 1,
@@ -498,6 +503,7 @@ class PixelSearch:
         # At the end residuals and slopes are those of this very place.
         rest, rows = np.asarray(state.descent.residual), np.asarray(state.descent.jacobian)
         scaled = rows[: len(sd)]
+        # Back from whitened residuals and rows to values and their slopes.
         values, slopes = self._target + sd * rest[: len(sd)], sd[:, None] * scaled
         places = np.argwhere(self._compared)
         bands = model.camera.sensor.bands.names
@@ -508,6 +514,7 @@ class PixelSearch:
             status_of(state.status), state.steps, state.trace, state.rounds,
         )  # fmt: skip
         result = fit_result(self.space, data, end)
+        # Of parameters and gains together; the prior of both is one.
         covariance = np.linalg.inv(scaled.T @ scaled + np.eye(len(u)))
         # Of the parameters alone, the gains integrated over.
         information = np.linalg.inv(covariance[:free, :free]) - np.eye(free)

@@ -119,6 +119,7 @@ def fit_population(
         if not gained or len(history) > most:
             return Population(e.mean, e.covariance, sd, error, e.effects, np.array(history))
         weights = (prior.sd_weight, prior.error_weight)
+        # The mode: expected squares of all plots and of as many more as the prior is worth.
         sd = np.sqrt((weights[0] * prior.sd**2 + e.squares) / (weights[0] + count))
         total = (weights[1] * prior.error + e.errors) / (weights[1] + count)
         error = prior.error.copy()
@@ -141,19 +142,25 @@ def _expect(
     """Posterior of means and effects at the variances, and sums of squares over plots."""
     x, w = plots.slope @ plots.design, plots.slope @ plots.effects
     variance = np.diag(sd**2)
+    # Covariance S of a plot's data about the population: random effects and error.
     marginal = w @ variance @ w.swapaxes(1, 2) + error
+    # S^-1 of means, residuals and effects in one solution, plot by plot.
     both = np.linalg.solve(marginal, np.concatenate([x, plots.residual[..., None], w], axis=2))
     k = x.shape[2]
     sx, sr, sw = both[..., :k], both[..., k], both[..., k + 1 :]
     known = np.linalg.inv(prior.covariance)
+    # Generalised least squares of the means, with their prior.
     covariance = np.linalg.inv(known + np.einsum("pmi,pmj->ij", x, sx))
     covariance = 0.5 * (covariance + covariance.T)
     mean = covariance @ (known @ prior.mean + np.einsum("pmi,pm->i", x, sr))
     rest = sr - sx @ mean  # S^-1 (r - X mu)
+    # Best linear prediction: D W' S^-1 (r - X mu).
     effects = np.einsum("pmr,pm->pr", w, rest) * sd**2
     gain = variance @ w.swapaxes(1, 2)
+    # Posterior covariance of the effects, and what the unknown means add to it.
     spread = variance - gain @ sw @ variance + _square(gain @ sx, covariance)
     squares = (effects**2).sum(axis=0) + np.einsum("prr->r", spread)
+    # The error left in each plot, E S^-1 (r - X mu), and its posterior covariance.
     left = rest @ error
     inverse = np.linalg.inv(marginal)
     errors = left.T @ left + np.sum(
@@ -177,6 +184,8 @@ def _log_marginal(
     marginal = w @ (sd[:, None] ** 2 * w.swapaxes(1, 2)) + error
     apart = residual - x @ centre
     solved = jnp.linalg.solve(marginal, jnp.concatenate([x, apart[..., None]], axis=2))
+    # Means integrated out: by Woodbury's identity for the quadratic form, and by the lemma of
+    # matrix determinants for |S + X C X'| = |S| |C| |C^-1 + X' S^-1 X|.
     precision = jnp.linalg.inv(spread) + jnp.einsum("pmi,pmj->ij", x, solved[..., :-1])
     score = jnp.einsum("pmi,pm->i", x, solved[..., -1])
     misfit = jnp.sum(apart * solved[..., -1]) - score @ jnp.linalg.solve(precision, score)
@@ -185,6 +194,7 @@ def _log_marginal(
         return jnp.linalg.slogdet(a)[1].sum()
 
     likelihood = misfit + log_det(marginal) + log_det(spread) + log_det(precision)
+    # Inverse-gamma and inverse-Wishart densities that favour the expected variances.
     of_sd = jnp.sum(2.0 * jnp.log(sd) + (expected / sd) ** 2)
     free = expected_error.shape[0]
     inner = error[:free, :free]

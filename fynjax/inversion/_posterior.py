@@ -142,6 +142,7 @@ class PosteriorSampler:
             self._draws = _gaussian(centre, covariance, count, self._random, start)
             return
         size = _chain_count(method, chains, centre.size)
+        # Walkers start scattered as the posterior is: a chain from one place takes long to spread.
         begin = self._random.multivariate_normal(centre, covariance, size, method="eigh")
         self.signed = density, begin, method, seed, warmup
         limits: dict[str, Any] = {"target": target, "steps": max_steps, "seed": seed}
@@ -206,6 +207,7 @@ def _gaussian(
 ) -> Draws:
     chain = random.multivariate_normal(centre, covariance, count, method="eigh")[:, None]
     off = chain[:, 0] - centre
+    # Log density of the normal that was drawn from, up to a constant.
     level = -0.5 * np.einsum("di,di->d", off, np.linalg.solve(covariance, off.T).T)[:, None]
     status = "converged" if start.converged else f"not converged: {start.explanation}"
     return Draws(chain, level, float(count), 1.0, 1.0, status)

@@ -295,6 +295,7 @@ class PlotSearch:
             scene, parameters, data, space, self.views, settings, replant is None, solver,
         )  # fmt: skip
         """All that its steps follow from, besides where it starts."""
+        # A Broyden solver goes step by step; any other (`_solver`) through a round at once.
         self._own, self._solver = BroydenLM(atol=settings.tolerance), solver
         if isinstance(solver, BroydenLM) and not solver.renew:  # it needs no slopes at its steps
             least = min(float(solver.atol), settings.tolerance)
@@ -399,6 +400,7 @@ class PlotSearch:
         """Plants for which sites must be made at `u` and at draws of the prior about it; `wanted`
         where there are enough, or where no more can be made."""
         normals = [unit_draw(self.settings.seed, i, len(self.space.names)) for i in range(draws)]
+        # The place itself first, then where the search may come to.
         places = jnp.stack([u, *(u + jnp.asarray(normal) for normal in normals)])
         counts = np.asarray(plants_wanted(self._scene, self._parameters, self.space, places))
         scene = self._stands(wanted)[0][0] if wanted.any() else self._scene
@@ -406,6 +408,7 @@ class PlotSearch:
         if self._replant is None or not short.any():
             return wanted
         most = counts.max(axis=0)
+        # Some to spare, lest the next steps ask for new sites again.
         more = np.where(short, np.maximum(_SPARE * counts[0], most), most)
         more = np.maximum(more, wanted)  # what has grown stays
         try:
@@ -463,6 +466,7 @@ class PlotSearch:
         if rendered is None:
             stands = self._stands(wanted)[0][: self.settings.full_renders]
             every = [self._look(stand, u) for stand in stands]
+            # What coarse renders lack, of the same plants: chance cancels in the difference.
             whole = np.stack([np.asarray(one[0]) for one in every])
             images = tuple(every[0][1:])
             lack = whole - expected.plain(u, expected.stands[: len(whole)])
@@ -474,6 +478,7 @@ class PlotSearch:
         covariance = radiometric_covariance(self.views, images)
         if self.settings.stand_realisations:
             covariance = covariance + chance_covariance(rest, lack, len(expected.stands))
+        # The steps of a round see plants that fade, of few draws; the offset makes up for both.
         offset = statistics - np.asarray(expected.members(u, spread))
         array = jnp.asarray
         return SearchPlace(
@@ -492,6 +497,7 @@ class PlotSearch:
     ) -> Float[np.ndarray, "direction statistic"]:
         """Makes of misfits independent ones of unit size, along the directions of the subspace."""
         rows = scipy.linalg.block_diag(*(np.asarray(own.rows) for own in subspace))
+        # Errors of the combinations that count; their inverse Cholesky factor whitens them.
         covariance = rows @ np.asarray(self.data_at(place).covariance) @ rows.T
         return np.asarray(np.linalg.solve(np.linalg.cholesky(covariance), rows))
 
@@ -524,6 +530,8 @@ class PlotSearch:
         wanted = self._short(u, sites, draws)
         self._stands(wanted, ahead=True)
         expected = self._expected(wanted)
+        # First with parameters as they are, and without slopes: its errors choose the subspace,
+        # which needs fewer draws where all statistics are kept.
         flat = np.zeros((1, len(self.data.names), free))
         few = min(2 * chance, draws) if chance and len(self.data.names) <= _MOST_ROWS else None
         origin = self._observe(expected, wanted, u, none, flat, draws=few)
@@ -538,6 +546,7 @@ class PlotSearch:
         else:
             subspace = after.subspace
         expected = self._expected(wanted, subspace)
+        # Then over the prior, whose covariance is one in whitened coordinates.
         spread = np.eye(free) if chance else none
         slopes = np.asarray(expected.slopes(u, spread))
         place = self._observe(expected, wanted, u, spread, slopes, origin)
@@ -567,7 +576,9 @@ class PlotSearch:
         solver = self._own
         done, result = solver.terminate(None, state.u, None, None, state.descent, NO_TAGS)
         most = self.settings.max_steps
+        # Rounds after the first only correct.
         most = most if state.turn == 0 else (most + 1) // 2
+        # A number is not finite: the place before this step is the last of use.
         if result != optx.RESULTS.successful:
             failed = number_of(FitStatus.not_finite)
             return dataclasses.replace(state, status=failed, ended=state.ended + 1)
@@ -599,6 +610,7 @@ class PlotSearch:
         u, turn, turns = state.u, int(state.turn) + 1, int(state.turns)
         spread = np.zeros_like(before.spread)
         if settings.stand_realisations:
+            # Over the posterior that the slopes of this round say, about the new place.
             weights = self.weights(before, state.subspace)
             spread = posterior_root(weights, np.asarray(before.slopes))
         wanted = self._short(u, np.asarray(state.wanted), 0)
@@ -701,6 +713,7 @@ def posterior_root(
 ) -> Float[np.ndarray, "free free"]:
     """Root of the covariance of the posterior in whitened coordinates, by what the mean of the
     slopes of several draws says. `weights` make of misfits independent ones of unit size."""
+    # Data and prior add their information, the prior one in every direction.
     values, vectors = np.linalg.eigh(mean_information(weights, slopes))
     return np.asarray((vectors / np.sqrt(1.0 + np.maximum(values, 0.0))) @ vectors.T)
 
@@ -712,6 +725,7 @@ def unsettled(residual: np.ndarray, jacobian: np.ndarray, moved: np.ndarray) -> 
     if not np.isfinite(hessian).all():
         return np.inf
     values, vectors = np.linalg.eigh(hessian)
+    # Along an eigenvector a posterior standard deviation is 1 / sqrt(eigenvalue).
     moves = np.stack([moved, np.linalg.solve(hessian, jacobian.T @ residual)])
     return float(np.max(np.abs(moves @ vectors) * np.sqrt(values)))
 

@@ -175,6 +175,7 @@ def expected_sensitivity(
         raise InputError(f"an error needs at least 2 plantings, but {most} are allowed")
     done: list[tuple[np.ndarray, ...]] = []
     while True:
+        # Always the same plantings in the same order: a run with more goes on from one with fewer.
         next_ones = range(len(done), min(len(done) + _PLANTINGS, most))
         name = f"Slopes of plantings {next_ones[0] + 1} to {next_ones[-1] + 1}"
         with stage(name, len(next_ones)):
@@ -388,6 +389,7 @@ def derivative_measures(
     squared = both[..., 1:] ** 2
     variance = both[..., 0].var(axis=0)
     measure = squared.mean(axis=0)
+    # Poincaré constants of a unit normal, and of an even distribution of unit length.
     constant = 1.0 if over == "prior" else 1.0 / np.pi**2
     safe = np.where(variance > 0, variance, 1.0)[:, None]
     return DerivativeMeasures(
@@ -428,6 +430,7 @@ def _run(
     if batch is None:  # a part too: one run has one, whatever memory is free when it goes on
         ((found,),) = do(_memory, [points[0]], function, names=["memory"], sizes=[0])
         batch = int(found)
+    # A part is several batches, so that what is sent to a worker is worth the way.
     some = _BATCHES * batch
     cut = [points[first : first + some] for first in range(0, len(points), some)]
     names = [f"runs {i * some + 1} to {i * some + len(p)}" for i, p in enumerate(cut)]

@@ -300,6 +300,7 @@ def _measure(
     image, slopes = np.asarray(image, float), np.asarray(slopes, float)
     for count in counts:
         shape = (count, -1)
+        # The mean of a band is the same whatever the pixel, and is kept once.
         of_bands = image.mean(axis=(1, 2)).reshape(shape).mean(axis=1)
         change = slopes.mean(axis=(1, 2)).reshape(*shape, slopes.shape[3]).mean(axis=1)
         for one in measured.values():
@@ -347,8 +348,10 @@ class _Sweep(NamedTuple):
         noise = variance.mean(axis=0)
         alike = _alike(keys, sizes)
         sd = np.sqrt((error * values.mean(axis=0)) ** 2 + noise)
+        # Where plants stand, then calibration and noise, which statistics of the same bands share.
         covariance = scatter_covariance(values, alike) + alike * sd * sd[:, None]
         scale = np.asarray(space.prior_sd, float)
+        # By parameters in units of their priors, so that a threshold means the same for all.
         shared = shared_slopes(slopes * scale, covariance, rows) / scale
         mean_noise = {
             key: np.mean([one.mean_noise[key] for one in plantings], axis=0)
@@ -358,6 +361,7 @@ class _Sweep(NamedTuple):
 
     def bounds(self, step: int, count: int) -> tuple[int, Information]:
         """Pixels, and bounds of the sensor with such pixels and so many bands."""
+        # What this sensor's image gives: its own pixels and bands, and wider ones made of them.
         own = [
             (key, rows)
             for key, rows in zip(self.keys, self.rows)
@@ -387,6 +391,7 @@ def _alike(keys: Sequence[tuple[int, int]], sizes: Sequence[int]) -> np.ndarray:
     kinds, weights = [], []
     for (step, count), size in zip(keys, sizes):
         of_band = np.kron(np.eye(count), np.full(most // count, count / most))
+        # Each band as a mean of the narrowest bands of which all are made.
         weights.append(np.repeat(of_band, size // count, axis=0))
         kinds += [(step, i % (size // count)) for i in range(size)]
     weight = np.concatenate(weights)

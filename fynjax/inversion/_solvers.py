@@ -69,6 +69,7 @@ def _with_jacobian(density: Density) -> Callable[[Array, Any], Array]:
     differentiates is then a product with it."""
 
     def linear(u: Array, _: Any) -> Array:
+        # Value and slope are those of this very point; only the line through it has a derivative.
         here = jax.lax.stop_gradient(u)
         rest, rows = whitened(density.data, here, *density.jacobian(here))
         return rest + rows @ (u - here)
@@ -84,6 +85,7 @@ def _optimistix(
     max_steps: int,
     options: dict[str, Any],
 ) -> Solved:
+    # No error is thrown: under vmap some fits may fail, and each says so in its status.
     found = run(function, solver, u, options=options, max_steps=max_steps, throw=False)
     good = found.result == optx.RESULTS.successful
     limit = found.result == optx.RESULTS.nonlinear_max_steps_reached
@@ -100,6 +102,7 @@ def _jaxopt(solver: Any, density: Density, u: Array, max_steps: int) -> Solved:
     else:
         options |= {"fun": lambda u: -density(u), "value_and_grad": False, "has_aux": False}
     projection = getattr(solver, "projection", None)
+    # Bounds are a further argument of solvers in a box; of other projections that is None.
     boxed = getattr(projection, "__name__", "") == "projection_box"
     reach = jnp.full_like(u, _REACH)
     bounds: tuple[Any, ...] = (None,) * (projection is not None)

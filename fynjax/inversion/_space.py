@@ -170,12 +170,14 @@ class ParameterSpace(eqx.Module):
         z, log, logit = self._coordinate(v), self._is("lognormal"), self._is("logit-normal")
         lower, upper = self._now().lower, self._now().upper
         share = jnp.where(logit, lower, 0.0), jnp.where(logit, upper - lower, 1.0)
+        # No exponential of what is not its logarithm: it would overflow, and its slope be NaN.
         value = jnp.where(log, jnp.exp(jnp.where(log, z, 0.0)), z)
         return jnp.where(logit, share[0] + share[1] * jax.nn.sigmoid(z), value)
 
     def whitened(self, values: Float[Array, " free"]) -> Float[Array, " free"]:
         """Inverse of `physical`, for values strictly inside the bounds."""
         log, logit, now = self._is("lognormal"), self._is("logit-normal"), self._now()
+        # Of a lognormal parameter log(below / 1), of a normal one the value itself.
         below = jnp.where(logit, values - now.lower, jnp.where(log, values, 1.0))
         above = jnp.where(logit, now.upper - values, 1.0)
         z = jnp.where(log | logit, jnp.log(below) - jnp.log(above), values)
@@ -196,6 +198,7 @@ class ParameterSpace(eqx.Module):
         z, log, logit = self._coordinate(v), self._is("lognormal"), self._is("logit-normal")
         now = self._now()
         extent = jnp.where(logit, now.upper - now.lower, 1.0)
+        # A logistic function s has the slope s(z) s(-z).
         both = jnp.log(extent) + jax.nn.log_sigmoid(z) + jax.nn.log_sigmoid(-z)
         rate = jnp.where(logit, both, jnp.where(log, z, 0.0)) + jnp.log(now.width)
         return rate if logit.all() else rate + _log_rate(v, *now.cut)
@@ -227,6 +230,7 @@ class ParameterSpace(eqx.Module):
         about those of `u` with `sd`. Differentiable."""
         v = self.together(u)
         nodes, weight = (jnp.asarray(a, float) for a in (_NODES, _NODE_WEIGHT))
+        # Gauss-Hermite quadrature of the value less that in the middle.
         values = jax.vmap(self.alone)(v + nodes[:, None] * sd) - self.alone(v)
         mean = weight @ values
         return jnp.sqrt(weight @ (values - mean) ** 2)
@@ -248,6 +252,7 @@ def _root(correlation: ArrayLike, count: int) -> np.ndarray:
         raise InputError(
             f"`correlation` must be symmetric with ones on its diagonal, for {count} parameters"
         )
+    # The symmetric root, in which no parameter comes before another, as in a Cholesky factor.
     values, vectors = np.linalg.eigh(matrix)
     if values[:1].min(initial=1.0) <= 1e-9:
         raise InputError("`correlation` must be positive definite: no parameter follows another")
@@ -261,7 +266,9 @@ def _quantile(u: Any, low: Any, high: Any, library: Any, special: Any) -> Any:
     """
     given, u = u, library.clip(u, -_FAR, _FAR)
     held = special.ndtr(-low) - special.ndtr(-high)
+    # Probability beyond the quantile on its own side: below it for u < 0, above it otherwise.
     below = held * special.ndtr(-library.abs(u)) + special.ndtr(library.where(u < 0, low, -high))
+    # The upper tail is the lower one mirrored.
     cut = library.where(u < 0, 1.0, -1.0) * special.ndtri(below)
     # Where no bound is near, lest a fit ends in the rounding of two quantiles.
     whole = library.isinf(low) & library.isinf(high)
@@ -284,6 +291,7 @@ def _cut_normal_derivative(primals: Any, tangents: Any) -> tuple[Array, Array]:
 def _whole_normal(t: Array, low: Array, high: Array) -> Array:
     """Inverse of `_cut_normal`."""
     held = ndtr(-low) - ndtr(-high)
+    # By the smaller tail, which keeps its digits.
     below, above = (ndtr(t) - ndtr(low)) / held, (ndtr(-t) - ndtr(-high)) / held
     return jnp.where(below < 0.5, ndtri(below), -ndtri(above))
 
@@ -294,6 +302,7 @@ def _log_rate(u: Array, low: Array, high: Array) -> Array:
     whole = jnp.isinf(low) & jnp.isinf(high)
     near = jnp.clip(u, -_FAR, _FAR)
     t = _cut_normal(near, low, high)
+    # Equal probabilities lie next to u and t: held * density(u) du = density(t) dt.
     rate = jnp.log(ndtr(-low) - ndtr(-high)) + norm.logpdf(near) - norm.logpdf(t)
     return jnp.where(whole, 0.0, rate)
 
@@ -349,6 +358,7 @@ class _Prior:
 
         location, reach = middle, width
         if rest(middle) != 0.0:
+            # Cuts move the median off the location: find where the stated one comes out.
             while rest(middle - reach) * rest(middle + reach) > 0.0 and reach < 64.0 * width:
                 reach *= 2.0
             if rest(middle - reach) * rest(middle + reach) > 0.0:
@@ -367,6 +377,7 @@ class _Prior:
             z = self.lower + (self.upper - self.lower) * special.expit(z)
         elif self.distribution == "lognormal":
             z = np.exp(z)
+        # From the median, lest a narrow prior lose digits in a difference of squares.
         from_median = z - self.median
         return float(np.sqrt(_WEIGHT @ from_median**2 - (_WEIGHT @ from_median) ** 2))
 
@@ -379,6 +390,7 @@ class _Prior:
             below, above = self.median - self.lower, self.upper - self.median
             about = sd * (below + above) / (below * above)
         high = about
+        # Bounds squeeze a wide prior: beyond some width its deviation grows no more.
         while self.sd(high) < sd:
             high *= 2.0
             if high > _MOST_WIDTHS * about:

@@ -41,6 +41,7 @@ class Surrogate(eqx.Module):
 
     def __call__(self, values: Float[Array, " free"]) -> Float[Array, " statistic"]:
         fit = self.fit
+        # Around the estimate, in whitened coordinates, where the posterior is nearly normal.
         away = fit.space.whitened(values) - fit.whitened
         bent = _terms(self.directions @ away) @ self.curvature
         return fit.predicted - self.level + fit.jacobian @ away + bent
@@ -86,6 +87,7 @@ def fit_surrogate(
             for i, (value, move) in enumerate(zip(rendered, away, strict=True))
         ]
     )
+    # Slopes were taken along the directions that count: beyond, all change would seem a bend.
     bent = bent @ calibration.projector.T
     directions = jnp.asarray(np.asarray(fit.modes)[:_CURVED])
     terms = np.asarray(_terms(jnp.asarray(away) @ directions.T))

@@ -81,6 +81,7 @@ def weigh_targets(
     for i, key in enumerate(keys):
         if np.isnan(error[i]):
             share = relative_sd * (_SPREAD if key[1] else 1.0)
+            # Repeats of one measurement: n of them with sqrt(n) the error count as one.
             error[i] = max(share * abs(value[i]), 1e-4) * np.sqrt(keys.count(key))
     return Data(tuple(names), jnp.asarray(value), jnp.asarray(error))
 
@@ -123,6 +124,7 @@ def weigh_spectrum(
     _check_share(relative_sd)
     own = (relative_sd * value) ** 2 + (0.0 if noise is None else noise**2)
     covariance = np.diag(np.maximum(own, 1e-10))
+    # A common factor moves every band by a share of its value, a common offset all alike.
     covariance += gain**2 * np.outer(value, value) + offset**2
     if sampling is not None:
         covariance = covariance + sampling

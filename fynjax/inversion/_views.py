@@ -92,10 +92,12 @@ def informative_directions(
     - `covariance`: of the errors.
     - `most`: directions.
     """
+    # Whitened by the errors, so that the leading singular vectors tell most against noise.
     root = np.linalg.cholesky(covariance)
     whitened = np.linalg.solve(root, (draws - draws.mean(axis=0)).T)
     vectors, _, _ = np.linalg.svd(whitened, full_matrices=False)
     chosen = vectors[:, :most]
+    # rows @ covariance @ rows.T and rows @ back are identities.
     rows = np.linalg.solve(root.T, chosen).T
     return Directions(jnp.asarray(rows), jnp.asarray(root @ chosen))
 
@@ -131,6 +133,7 @@ class ImageView(AbstractView):
         if stride is None:
             stride = max(round(scene.grid.horizontal_size / self.camera.pixel), 1)
         camera = dataclasses.replace(self.camera.sampled(stride), accuracy=accuracy)
+        # The distance of the pixels that are left, by which squares of several are made.
         every = camera.pixel * (stride if camera.fine is None else 1)
         return dataclasses.replace(self, camera=camera, spacing=every, window=_WINDOW)
 
@@ -140,6 +143,7 @@ class ImageView(AbstractView):
         def render(u: Array) -> Array:
             return self.camera.observe(scene, plot_at(u)).reflectance
 
+        # By the chain rule: statistics by pixels, which is cheap, then pixels by parameters.
         image, to_parameters = jax.vjp(render, u)
         value, to_image = jax.vjp(self._statistics, image)
         chosen = self.directions
@@ -171,6 +175,7 @@ def radiometric_covariance(
     for view in views:
         block = np.zeros((len(view.names),) * 2)
         if isinstance(view, ImageView):
+            # To first order in the logarithms of the gains.
             slopes = np.asarray(_gain_slopes(view, next(remaining)), float)
             block = slopes @ view.gains.covariance(slopes.shape[1]) @ slopes.T
         blocks.append(block)
@@ -205,11 +210,13 @@ class SpectrumView(AbstractView):
     ) -> tuple[Float[Array, " statistic"], Float[Array, "statistic free"]]:
         bands = self.imager.sensor.bands
         faded = scene.faded()
+        # Voxels by the parameters once, for all bands; then band by band the light by the voxels.
         voxels, backward = eqx.filter_vjp(lambda u: faded.voxels(plot_at(u), bands), u)
 
         def row(band: Array) -> Array:
             return backward(eqx.filter_grad(lambda v: self._mean(v, band))(voxels))[0]
 
+        # Of whole plants, where the slopes are those of plants that fade.
         value = _mean_spectrum(scene, plot_at(u), self).astype(u.dtype)
         return value, jax.lax.map(row, self._bands)
 

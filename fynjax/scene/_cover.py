@@ -100,6 +100,7 @@ def _project(
         for plant in np.flatnonzero(instances.species == one):
             rows = np.arange(south[plant], north[plant])
             dy = (rows + 0.5) * cell - y[plant]
+            # Half a chord in each row of cells: the disc as a run of columns in each row.
             half = np.sqrt(np.maximum(radius[plant] ** 2 - dy * dy, 0.0))
             west, east = _centres(x[plant], half, cell)
             crowns[one] += np.maximum(east - west, 0).sum()

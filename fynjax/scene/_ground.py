@@ -84,6 +84,7 @@ def random_patches(
     noise = generator(seed, 307).standard_normal((len(COVERS) + 1, *shape))
     mode = "wrap" if periodic else "reflect"
     smooth = gaussian_filter(noise, (0.0, 0.5 * scale, 0.5 * scale), mode=mode)
+    # Smoothing takes variance: back to unit spread, whatever the width of a patch.
     spread = smooth.std(axis=(1, 2), keepdims=True)
     smooth = (smooth - smooth.mean(axis=(1, 2), keepdims=True)) / np.where(spread > 0, spread, 1.0)
     return np.exp(CONTRAST * smooth)
@@ -91,6 +92,7 @@ def random_patches(
 
 def kind_shares(fractions: Float[Array, " cover"]) -> Float[Array, " kind"]:
     """Share of soil and of each cover in the whole ground [-], as `ground_shares` takes them."""
+    # More than the whole ground is shared out alike.
     fractions = fractions / jnp.maximum(jnp.sum(fractions), 1.0)
     return jnp.concatenate([1.0 - jnp.sum(fractions, keepdims=True), fractions])
 
@@ -124,5 +126,6 @@ def ground_shares(
         each = share_of(factor).mean(axis=1)
         return wanted / jnp.where(each > 0, each, 1.0), None
 
+    # A fixed number of rounds, so that it can be differentiated; each is computed again there.
     factor, _ = jax.lax.scan(jax.checkpoint(fit), wanted, None, length=_ROUNDS)
     return (factor[:, None] * share_of(factor)).reshape(density.shape)

@@ -77,6 +77,7 @@ def hard_instances(scene: Scene, parameters: PlotParameters) -> Instances:
     planting = scene.planting
     chosen = np.flatnonzero(standing_plants(scene, parameters))
     species, place = np.asarray(planting.species)[chosen], np.asarray(planting.place)[chosen]
+    # By species, then by the order in which the species fills its sites.
     order = np.lexsort((place, species))
     species, chosen = species[order], chosen[order]
     foot = np.asarray(planting.foot, float)[chosen]

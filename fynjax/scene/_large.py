@@ -155,6 +155,7 @@ class _Plants:
 
     def room(self, tiling: Tiling) -> tuple[int, int]:
         """Most plants, and most elements, of a window."""
+        # One size for all windows, so that they share a program.
         found = [self._within(tiling, *place)[0] for place in np.ndindex(tiling.shape)]
         elements = [int(self._planting.count[index].sum(dtype=np.int64)) for index in found]
         return max(map(len, found)), max(elements)
@@ -187,11 +188,13 @@ class _Plants:
         if self._periodic:
             wide = self._reach.max(initial=0.0)
             low, high = ((first - wide) / self._sides - 1, (first + columns + wide) / self._sides)
+            # Whole sides to shift by, for every copy of the plot that reaches into the window.
             repeats = [range(math.ceil(a), math.floor(b) + 1) for a, b in zip(low, high)]
         index, feet = [], []
         for by in itertools.product(*repeats):
             foot, reach = self._planting.foot, self._reach[:, None]
             foot = foot + (by * self._sides - first).astype(foot.dtype)
+            # Feet count from the window's corner: within its sides, or near enough to reach in.
             inside = np.flatnonzero(((foot > -reach) & (foot < columns + reach)).all(axis=1))
             index.append(inside)
             feet.append(foot[inside])

@@ -289,6 +289,7 @@ def observe_lidar(
     slant = np.abs(beams.direction[:, 2]).min()
     run = float(np.sqrt(1.0 - slant**2) / slant)
     sublayers = max(int(np.ceil(2.0 * run * voxels.vertical / voxels.horizontal)), 1)
+    # One key for leaves, which are always drawn, one for the noise: with it the same leaves.
     leaves, counting = jax.random.split(jax.random.key(seed))
     waveforms = lidar_waveforms(voxels, lidar, beams, key=leaves, sublayers=sublayers)
     electrons = received_electrons(lidar, beams, waveforms.total, key=counting if noise else None)

@@ -353,6 +353,7 @@ class AimedSensor(eqx.Module):
                 f"`surroundings` must have one value for each of the {order.size} bands, but has "
                 f"shape {jnp.shape(surroundings)}."
             )
+        # Opaque bands have no light to share: no 0 / 0 there.
         total = by_band.direct + by_band.diffuse
         sky = (by_band.diffuse / jnp.maximum(total, jnp.finfo(total.dtype).tiny))[back]
         image, mean, residual = _seen(scene, parameters, self, sky)
@@ -439,6 +440,7 @@ class AimedSensor(eqx.Module):
         Without air, panels and noise; in whatever bands `voxels` has. Differentiable in `voxels`.
         """
         light = solve_light(voxels, self.accuracy)
+        # As many bands at once as voxels leave memory for.
         chunk = min(max(_VOXELS // int(np.prod(voxels.shape)), 8), 32)
         factor = reflectance_factor(
             light, self.rays, chunk=chunk, steepest=self.steepest, together=self.together
@@ -461,6 +463,7 @@ class AimedSensor(eqx.Module):
         for axis, count, start, cells, length in zip(
             ("y", "x"), self.shape, self.origin[::-1], within.shape[1:], sides, strict=True
         ):
+            # How much of each row, or column, of rays lies in each pixel, blur included.
             centres = start + (np.arange(count) + 0.5) * self.pixel
             kernel = None if psf is None else psf.kernel(axis, factor.dtype)  # type: ignore[arg-type]
             share = footprint_shares(
@@ -472,6 +475,7 @@ class AimedSensor(eqx.Module):
                 kernel=kernel,
             )
             shares.append(share.astype(factor.dtype))
+        # Shares of a pixel along both axes multiply, since pixels lie along them.
         image = jnp.einsum("pr,brc,qc->bpq", shares[0], factor, shares[1], optimize="optimal")
         return image, mean
 
@@ -533,6 +537,7 @@ def fitted_accuracy(accuracy: Accuracy, scene: Scene, parameters: PlotParameters
     margin = accuracy.margin
     if scene.boundary == "open" and margin is None:
         _check_known("the sun over an open scene", parameters.light.sun_zenith)
+        # The sun may move after aiming; the margin, which is static, does not.
         lowest = min(float(parameters.light.sun_zenith) + 5.0, 85.0)
         columns = grid.extent[2] / grid.horizontal_size
         margin = int(np.ceil(columns * np.tan(np.deg2rad(lowest))))
@@ -608,14 +613,17 @@ def aim(
     (columns, west), (rows, south) = (axis_pixels(s, pixel, periodic=periodic) for s in (lx, ly))
     psf = sensor.psf if point_spread else None
     if psf is not None:  # its reach must be known inside transformations
+        # The optics blur as much on the ground whatever pixels the image is resampled to.
         psf = psf.on_pixels(pixel / own)
         psf = dataclasses.replace(psf, radius=psf.reach())
     # Rays: one a pixel, or where pixels are wider than voxels several a voxel, for their means.
+    # In many bands light is followed along the middle of blocks of rays, which share it.
     few = accuracy.solves is None or len(sensor.bands) <= accuracy.solves
     samples = max(scene.finer, SAMPLES)
     together = 1 if few or samples % SAMPLES else samples // SAMPLES
     resolved = scene.grid.horizontal_size / max(scene.finer, 1)
     wide = pixel > max(resolved, 1e-9) * (1.0 + 1e-6)
+    # Blur needs neighbours beyond the edge: of a periodic scene those of its other side.
     margin = psf.reach() if psf is not None and periodic and not wide else 0
     if wide:
         ny, nx = (samples * n for n in scene.grid.shape[1::-1])
@@ -830,6 +838,7 @@ def _aimed(
         return camera
     tilt = float(frame.tilt) if placement.tilt is None else placement.tilt
     heading = float(frame.heading) if placement.heading is None else placement.heading
+    # A tilted sensor looks ahead: it stands behind the place that its axis meets.
     back = height * np.tan(np.deg2rad(tilt))
     ahead = np.deg2rad(heading)
     x, y = middle[0] - back * np.sin(ahead), middle[1] - back * np.cos(ahead)

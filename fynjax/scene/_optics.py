@@ -54,6 +54,7 @@ def optical_classes(
     leaves, clumping, dead = _leaves(species, parameters, owner, dtype)
     petal = jax.tree.map(lambda x: jnp.asarray(x, dtype), _PETAL)
     leaves = jax.tree.map(lambda a, b: jnp.concatenate([a, b]), leaves, petal)
+    # PROSPECT for all leaves of all species at once, petals last.
     optics = jax.vmap(lambda leaf: prospect(leaf, wavelength))(leaves)
     clumping, dead = (jnp.pad(x, (0, 1))[:, None] for x in (clumping, dead))  # petals have neither
     bark, tissue = (
@@ -106,6 +107,7 @@ def _leaves(
     ratios = [
         alike if (own := species[i].leaf_ratios) is None else own for i in dict.fromkeys(owner)
     ]
+    # The empty one is there for a plot without leaves.
     ratio = jnp.concatenate([*ratios, alike[:0]]).astype(dtype)
     leaves = jax.tree.unflatten(form, traits)
     varied = jnp.stack([getattr(leaves, name) for name in LEAF_FIELDS], axis=-1)

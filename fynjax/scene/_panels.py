@@ -58,11 +58,13 @@ class PanelsInPicture(eqx.Module):
         count = jnp.sum(inside, axis=(1, 2))[:, None]
         mean = jnp.einsum("pyx,byx->pb", inside, radiance) / count
         apart = radiance - mean[:, :, None, None]
+        # Scatter of the pixels of a panel, or what noise alone makes, if few pixels scatter less.
         scatter = jnp.einsum("pyx,pbyx->pb", inside, apart**2) / jnp.maximum(count - 1.0, 1.0)
         noise = jnp.broadcast_to(jnp.asarray(noise_sd, radiance.dtype) ** 2, radiance.shape)
         expected = jnp.einsum("pyx,byx->pb", inside, noise) / count
         mean_sd = jnp.sqrt(jnp.maximum(scatter, expected) / count + _TINY)
         known, doubt = jnp.asarray(self.reflectance), jnp.asarray(self.reflectance_sd)
+        # In opaque bands panels would look alike; numbers in their place keep slopes finite.
         signal = jnp.where(transparent, mean, known)
         sd = jnp.where(transparent, mean_sd, 0.0)
         if len(signal) == 1:

@@ -53,6 +53,7 @@ def footprint_shares(
         inside = np.clip((x[:, None] - turns * length) - edge, 0.0, length / cells)
         return turns * (length / cells) + inside
 
+    # Overlap of pixels and cells as a difference of two cumulated lengths.
     box = jnp.asarray((below(taps + 0.5 * width) - below(taps - 0.5 * width)) / width)
     if kernel is None:
         return box

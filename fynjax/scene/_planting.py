@@ -139,6 +139,7 @@ class Planting(eqx.Module):
         first, count = np.asarray(self.first), np.asarray(self.count)
         plant = np.repeat(np.arange(len(count), dtype=np.int32), count)
         before = np.cumsum(count, dtype=np.int32) - count
+        # Running number within the plant, from where its shape begins.
         part = np.arange(len(plant), dtype=np.int32) + (first - before)[plant]
         return dataclasses.replace(self, plant=jnp.asarray(plant), part=jnp.asarray(part))
 
@@ -157,6 +158,7 @@ class Planting(eqx.Module):
             missing = jnp.full((count - len(values), *values.shape[1:]), fill, values.dtype)
             return jnp.concatenate([values, missing])
 
+        # A place beyond every number of plants; sizes of one, lest a zero divide.
         never = {"place": 1e9, "size": 1.0, "stature": 1.0}
         return dataclasses.replace(
             self.of_plants(lambda values: more(values, plants, 0.0)),
@@ -190,6 +192,7 @@ class Planting(eqx.Module):
             old = slice(start, start + count[example])
             shape = jax.tree.map(lambda values, old=old: values[old], whole)
             shapes.append(thin_plant(shape, most[owner[example]], seed=int(start)))
+            # Thinning keeps organs apart: each of them has one class in a shape.
             of_organ = np.zeros(len(Organ), classes.dtype)
             of_organ[shape.organ] = classes[old]
             of_class.append(of_organ[np.asarray(shapes[-1].organ)])
@@ -270,6 +273,7 @@ def known_planting(stand: Stand, crowns: Crowns) -> Planting:
         drawn["leaf"] = _drawn_leaves(len(plants), i, one.leaves, stand.seed)[branch]
         if len(mine):
             mean, greatest = crowns.sizes(i)
+            # Relative to the species, so that its diameter and height scale known plants too.
             drawn["size"] = crowns.diameter[mine] / mean
             drawn["stature"] = crowns.height[mine] / greatest
         individuals.append(drawn)
@@ -316,6 +320,7 @@ def draw_planting(
     individuals: list[dict[str, np.ndarray]] = [{} for _ in species]
     taxa = [one.taxon for one in species]
     feet = np.empty((0, 2))
+    # Step by step, so that a scene of more room has the plants of one of less where they are.
     for times in _rooms(np.broadcast_to(np.asarray(room, float), len(species))):
         needed = sites_ready(wanted, times)
         radius = _spacing(needed, extent, probability)
@@ -448,6 +453,7 @@ def _individuals(
     n, rng = len(places), generator(seed, 101, species)
     azimuth, tilt = random_orientation(n, seed=seed + 1000 * (species + 1), rotation_spread=spread)
     width = rng.standard_normal(n)
+    # Log-normal with this coefficient of variation.
     size = np.exp(np.sqrt(np.log1p(variation**2)) * width)
     # A normal number that goes with that of the crown, as its quantile among heights.
     own = np.sqrt(1.0 - HEIGHT_WITH_WIDTH**2) * ndtri(rng.random(n))
@@ -456,6 +462,7 @@ def _individuals(
         "foot": places,
         "azimuth": azimuth,
         "tilt": tilt,
+        # Mean area of the crowns, not mean diameter, is what covers count plants by.
         "size": size / np.sqrt(np.mean(size**2)) if n else size,
         "stature": stature,
     }
@@ -477,6 +484,7 @@ def _area_before(shapes: Sequence[PlantModel], dtype: Any) -> Float[Array, " par
         for kind in np.unique(organ):
             mine = np.flatnonzero(organ == kind)
             along = mine[np.argsort(x[mine], kind="stable")]
+            # Of each organ by itself, in the order of x: leaves and wood are cut at the same share.
             before[along] = np.cumsum(fraction[along]) - fraction[along]
         every.append(before)
     return jnp.asarray(np.concatenate(every), dtype)
@@ -554,5 +562,6 @@ def element_count(
     stand on a plot; 16 to 3000, with a structure to 20 000.
     """
     layer = resolved if layer is None else layer
+    # A crown lies anywhere on the boxes, and touches more of them than it fills.
     touched = (diameter / resolved + 0.5) ** 2 * (height / layer + 0.5)
     return int(np.clip(np.ceil(touched / 2), 16, 20_000 if structured else 3000))

@@ -28,6 +28,7 @@ def height_profile(
     diameter = np.asarray(own.diameter, float)[species] * size
     height = np.asarray(own.height, float)[species] * stature
     lean = np.deg2rad(np.asarray(planting.tilt, float))
+    # Height of an element: along the leaning axis, and what a lean lowers of its front.
     across, along = -diameter * np.sin(lean), height * np.cos(lean)
     position = np.asarray(planting.shapes.position, float)
     plant, part = np.asarray(planting.plant), np.asarray(planting.part)

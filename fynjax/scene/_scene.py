@@ -381,6 +381,7 @@ class Scene(eqx.Module):
         its parameter's bounds.
         """
         known, changed = named_values(self.parameters, self.taxa), {}
+        # Later patterns win over earlier ones.
         for pattern, value in values.items():
             for name in _fitting(pattern, known):
                 if not isinstance(value, jax.core.Tracer):
@@ -535,6 +536,7 @@ class Scene(eqx.Module):
         if self.boundary == "periodic":
             return disc
         x, y = self.grid.extent[:2]
+        # Mean area of a disc in a rectangle about a point drawn evenly in it.
         return disc - 4.0 / 3.0 * radius**3 * (1.0 / x + 1.0 / y) + radius**4 / (2.0 * x * y)
 
     def _counting(self) -> "Scene":
@@ -550,6 +552,7 @@ class Scene(eqx.Module):
                 for diameter in np.asarray(self.parameters.species.diameter)
             ]
             scene = dataclasses.replace(scene, clumping=jnp.asarray(np.stack(parts), self.dtype))
+        # A spacing depends on the number of plants, and that on the spacing: a fixed point.
         for _ in range(6):  # denser sites, a few more plants on them
             spacing = site_spacing(np.asarray(scene.counts(self.parameters)), extent, chance)
             scene = dataclasses.replace(scene, spacing=jnp.asarray(spacing, self.dtype))
@@ -562,6 +565,7 @@ class Scene(eqx.Module):
 
     def whole_counts(self, parameters: PlotParameters) -> Float[Array, " species"]:
         """Whole number of plants of each species that stand, by `rounding` [-]. Its slope is 0."""
+        # A whole number has no slope; `standing` has that of the expected stand.
         count = jax.lax.stop_gradient(self.counts(parameters)).astype(self.dtype)
         return rounded_count(count, self.rounding)
 
@@ -575,6 +579,7 @@ class Scene(eqx.Module):
         """
         planting, count = self.planting, self.counts(parameters).astype(self.dtype)
         number = rounded_count(jax.lax.stop_gradient(count), self.rounding)
+        # Real and whole number of each plant's species, read at once.
         count, number = jnp.stack([count, number])[:, planting.species]
         share = site_weight(
             count, planting.place, width=self.softness_plants, softness=self.softness
@@ -631,6 +636,7 @@ class Scene(eqx.Module):
     def _gap(self, parameters: PlotParameters) -> Float[Array, ""]:
         down = seen_from_above(self.species).astype(self.dtype)
         finest = self._finest()
+        # One layer as high as the grid: straight down nothing else than its area counts.
         columns = VoxelGrid((*finest.shape[:2], 1), finest.horizontal_size, finest.extent[2])
         (density,) = self._deposit(parameters, [(columns, "all")], share=down)
         return jnp.mean(jnp.exp(-density * columns.vertical_size))
@@ -655,8 +661,10 @@ class Scene(eqx.Module):
         if window is None:
             planting, boundary = self.planting, self.boundary
             standing, crown = self.standing(parameters), self._whole_crowns(parameters)
+            # Area is stated of crowns as seen from above: where crowns overlap it counts once.
             crown = crown * share_from_above(standing * crown / self.ground_area)
         else:
+            # A window has the plants that stand, with crowns as the whole scene has them.
             planting, boundary, crown = window.planting, "open", window.crown
             standing = jnp.ones_like(crown)
         if not planting.listed:
@@ -705,6 +713,7 @@ class Scene(eqx.Module):
         # the derivative.
         of_species = jnp.stack([species.diameter, species.height, *self.organ_index(parameters).T])
         diameter, height, *index = of_species[:, planting.species]
+        # Foot, ground, size and areas: all that its elements need of a plant.
         of_plant = (
             *planting.foot.T,
             ground_at(self, planting.foot),
@@ -721,6 +730,7 @@ class Scene(eqx.Module):
         )
         # The share of its organ's area that an element carries, of plants that stand in part.
         fraction = planting.fraction
+        # A plant that stands in part is cut along its x: elements before the cut are there.
         part = element_weight(share, planting.before[planting.part], fraction)
         share = jnp.where(self.fading, part, share)
         return positions, area * fraction * share
@@ -776,6 +786,7 @@ class Scene(eqx.Module):
         pattern = None if self.sky_pattern is None else jnp.asarray(self.sky_pattern, self.dtype)
         ground, shape = columns(self.ground_map(parameters, bands)), None
         if self.ground.shape is not None:
+            # The same shape of the reflectance in all bands.
             alike = (jnp.full(len(sky), value, self.dtype) for value in self.ground.shape)
             shape = RahmanPintyVerstraete(*alike)
             # Spectra of ground are measured from above, lit from 45 degrees: there they stay.
@@ -783,9 +794,11 @@ class Scene(eqx.Module):
             ground = ground / shape.shape(*measured).reshape(-1, *(1,) * (ground.ndim - 1))
         finest, boundary = self._finest(), self.boundary
         if window is not None:
+            # Voxels of the window, coarse and fine, of the kinds that the whole scene has.
             times = finest.shape[0] // grid.shape[0]
             grid, finest, boundary = window.grid(grid), window.grid(finest, times), "open"
             ground = window.cut(ground) if ground.ndim == 3 else ground
+        # Optics by class on coarse voxels; on the finest all that blocks sun and sight.
         wanted: list[tuple[VoxelGrid, Literal["class", "organ", "all"]]] = [(grid, "class")]
         if self.finer:
             wanted.append((finest, "all"))
@@ -863,6 +876,7 @@ class Scene(eqx.Module):
         wavelength = band_wavelengths(bands)
         average = jnp.asarray(bands.weights(wavelength), self.dtype)
         ground, patches = parameters.ground, self.ground.patches
+        # In the order of `COVERS`; soil is what they leave.
         fractions = jnp.stack([ground.litter_fraction, ground.char_fraction, ground.rock_fraction])
         fractions = fractions.astype(self.dtype)
         spectra = average @ self.ground_spectra(parameters, wavelength).T
@@ -885,6 +899,7 @@ class Scene(eqx.Module):
         dry, wet = (jnp.asarray(spectrum, self.dtype) for spectrum in soil)
         covers = jnp.asarray(self.ground.cover_spectra(wavelength), self.dtype)
         ground = parameters.ground
+        # Soil is a mixture of dry and wet, made brighter or darker as a whole.
         mixed = ground.brightness * ((1 - ground.moisture) * dry + ground.moisture * wet)
         return jnp.concatenate([mixed[None], covers])
 
@@ -1168,6 +1183,7 @@ def stand_realisation(scene: Scene, seed: int) -> Scene:
     rng = generator(seed, 211)
     for one in np.unique(species):
         mine = species == one
+        # The first places stand: another order lets other plants of the species stand.
         place[mine] = rng.permutation(place[mine])
     drawn = bool(np.asarray(scene.rounding).any())
     rounding = _rounding(len(scene.taxa), [seed, 211], scene.dtype, drawn)
@@ -1179,6 +1195,7 @@ def _relative(whole: Array, fades: Array, slope: Array | None) -> Array | None:
     if slope is None:
         return None
     total = whole + fades
+    # The slope over the mean of both numbers, times the whole one.
     some = total > 0.0
     return slope * jnp.where(some, 2.0 * whole / jnp.where(some, total, 1.0), 1.0)
 

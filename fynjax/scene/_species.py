@@ -612,8 +612,10 @@ def drawn_leaves(
             drawn.append(tuple(own))
             continue
         normal = generator(seed, 113, i).normal(size=(variants, len(spread)))
+        # Few draws about their own mean: unbiased as a variance is, whatever their number.
         normal = (normal - normal.mean(axis=0)) * np.sqrt(variants / (variants - 1.0))
         ratio = np.exp(normal @ root.T)
+        # The mean of a log-normal is not its median: back to the stated leaf.
         ratio /= ratio.mean(axis=0)
         stated = np.array([getattr(own[0], name) for name in _WITHIN_SPECIES])
         drawn.append(

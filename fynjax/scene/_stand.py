@@ -77,6 +77,7 @@ def stand_area(scene: Scene, parameters: PlotParameters) -> StandArea:
     ).reshape(-1, len(Organ))
     shoots = bears[:, Organ.LEAF] * np.asarray(species.leaf_area_index, float)
     dead = shoots * np.asarray(species.dead_fraction, float)
+    # Contents are per half the surface [g cm-2]; areas are one-sided too.
     mass = shoots * np.asarray(parameters.leaf.dry_matter, float) * 1e4
     wood = bears[:, Organ.WOOD] * np.asarray(species.wood_area_index, float)
     return StandArea(shoots - dead, dead, wood, mass, float(_gap_fraction(scene, parameters)))

@@ -37,6 +37,7 @@ def fitting_structure(voxel: float, side: float) -> tuple[StructureSettings, tup
     cell = max(1, round(_CANOPY_CELL / voxel)) * voxel
     grains = []
     for grain in _GRAINS:
+        # Voxels along the canopy cells into which a grain is divided: they must be whole.
         across = grain / max(1, round(grain / cell)) / voxel
         if abs(across - round(across)) < 1e-6 <= across and grain <= side + 1e-9:
             grains.append(grain)

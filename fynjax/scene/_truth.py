@@ -168,6 +168,7 @@ def truth_of_layers(
     """
     *canopy, lit, shade = layers
     leaf, wood, flowers = (jnp.stack(canopy[organ :: len(Organ)]) for organ in Organ)
+    # Dead tissue lies among the live leaves at random: it is met by its share of their area.
     dead = parameters.species.dead_fraction[:, None, None]
     return PixelTruth(
         (1.0 - dead) * leaf,
