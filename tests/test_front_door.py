@@ -246,6 +246,15 @@ def test_values_are_set_by_name(scene, image):
         (lambda s: fx.fit(jnp.sin, 2, 3), "expected `data` as `fx.Data`, but got 2"),
         (lambda s: fx.fit(jnp.sin, fx.Data(("a",), jnp.ones(1), jnp.ones(1)), 3), "got 3"),
         (lambda s: fx.fit(s, fx.Data.from_table({"nir.mean": 0.3}), 3), "`fx.ParameterSpace`"),
+        (
+            lambda s: fx.fit(
+                jnp.sin,
+                fx.Data("a", [1.0], [1.0]),
+                fx.ParameterSpace("a", [0.0], [2.0], [1.0], [0.3]),
+                start=[0.0, 0.0],
+            ),
+            "an earlier fit or 1 whitened coordinates",
+        ),
         (lambda s: fx.sensor("mavic_3"), "got 'mavic_3'. Did you mean 'mavic_3m'"),
         (lambda s: fx.Data(("a", "b"), [1.0, 2.0], 0.1), "a `sd` for each of the 2 statistics"),
         (lambda s: fx.Data("nir", [1.0], [0.1], jnp.eye(2)), "a `whitener` of 1 x 1 for as many"),

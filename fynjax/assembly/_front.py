@@ -536,6 +536,11 @@ def _place(start: Any, space: ParameterSpace) -> Float[Array, " free"] | None:
     """Whitened coordinates of an earlier fit's estimate, or as they were given."""
     found = start.fit if isinstance(start, Calibration) else start
     if not isinstance(found, FitResult):
+        if found is not None and np.shape(found) != (len(space.names),):
+            raise InputError(
+                f"expected `start` as an earlier fit or {len(space.names)} whitened coordinates, "
+                f"one for each free parameter, but got {found!r:.60}"
+            )
         return found
     if bool(eqx.tree_equal(found.space, space)):
         return found.whitened

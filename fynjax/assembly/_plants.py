@@ -6,7 +6,7 @@ from typing import Literal
 import numpy as np
 from pydantic import Field
 
-from fynjax._core.errors import InputError
+from fynjax._core.errors import InputError, in_file
 from fynjax.canopy import FORMS, MeshPlant, Organ, PlantMaterial, plant_model_from_mesh
 from fynjax.canopy.mesh import mesh_plant
 from fynjax.io.text import Strict, number, read_rows
@@ -45,17 +45,13 @@ def read_plant(path: Path, form: str) -> MeshPlant:
     **Raises:** `InputError` for a file that is neither, and a plant with leaves where the growth
     `form` has none or the other way round.
     """
-    try:
+    with in_file(path):
         if path.suffix.lower() == ".csv":
             plant = _from_elements(path)
         else:
             plant = plant_model_from_mesh(
                 path, _ELEMENTS, solid_materials="closed", maximum_extent=_LARGEST
             )
-    except InputError as error:
-        if error.file is not None:
-            raise
-        raise InputError(str(error), file=path) from error
     leafy = FORMS[form].leafy
     if leafy != (float(plant.organ_area[Organ.LEAF]) > 0):
         raise InputError(

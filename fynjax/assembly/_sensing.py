@@ -3,7 +3,7 @@
 import dataclasses
 import warnings
 
-from fynjax._core.errors import InputError
+from fynjax._core.errors import InputError, in_file
 from fynjax.io.instruments import read_atmosphere
 from fynjax.io.plot import (
     AtmosphereTable,
@@ -69,7 +69,7 @@ def aim_at_plot(
             file=plot.file,
             column="sky.table",
         )
-    try:
+    with in_file(plot.file):
         aimed = aim(
             scene,
             parameters,
@@ -80,10 +80,6 @@ def aim_at_plot(
             panels=plot.sensor.panels if own and air.source != "none" else (),
         )
         aimed.check(parameters)
-    except InputError as error:
-        if error.file is not None:
-            raise
-        raise InputError(str(error), file=plot.file) from error
     if not quiet:
         _check_swath(plot, instrument, aimed.pixel)
     return aimed

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
-from fynjax._core.errors import InputError
+from fynjax._core.errors import InputError, in_file
 from fynjax._core.precision import double_precision
 from fynjax.assembly._forward import image_view
 from fynjax.compare import (
@@ -392,10 +392,8 @@ def spectrum_data(path: Path, rules: TargetRules, sun_zenith: float) -> Measured
     sample = read_spectra_sample([path])
     grid = sample.wavelength
     count, mean = len(sample.values), sample.values.mean(axis=0)
-    try:
+    with in_file(path):
         bands, weights = _bands_to_compare(grid, sample.fwhm)
-    except InputError as error:
-        raise InputError(str(error), file=path) from error
     keep = rules.used(spectrum_names(bands), "the bands of the spectrum")
     if len(keep) < len(bands):
         bands, weights = bands.select(keep), weights[keep]
@@ -407,10 +405,8 @@ def spectrum_data(path: Path, rules: TargetRules, sun_zenith: float) -> Measured
         sampling = np.atleast_2d(np.cov(sample.values @ weights.T, rowvar=False)) / count
     noise = reflectance_noise(bands, value, sun_zenith, averaged=count)
     share = rules.relative_sd
-    try:
+    with in_file(path):
         data = weigh_spectrum(names, value, share, noise=noise, sampling=sampling)
-    except InputError as error:
-        raise InputError(str(error), file=path) from error
     description = (
         f"{path.name}: {sample.description()} Their mean is compared in {len(bands)} bands, "
         f"{bands.centre[0]:.0f} to {bands.centre[-1]:.0f} nm outside the water windows, at the "
@@ -537,7 +533,5 @@ def structure_data(
 
 def structure_settings(plot: Plot) -> tuple[StructureSettings, tuple[float, ...]]:
     """Settings and grains [m] of structure that fit a plot's voxels."""
-    try:
+    with in_file(plot.file):
         return fitting_structure(plot.voxel_m, min(plot.size_m))
-    except InputError as error:
-        raise InputError(str(error), file=plot.file) from error

@@ -22,7 +22,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 from scipy.special import ndtr
 
 from fynjax._core.extras import require
@@ -229,9 +229,7 @@ def train_posterior(
     train = together * max(groups - max(round(_HELD_OUT * groups), 1), 1)
     root = np.linalg.cholesky(error + OWN_SD**2 * np.eye(len(error)))
     values = _tables(quantities[:train])
-    target = np.stack(
-        [np.interp(q, table, _SCORES) for q, table in zip(quantities.T, values)], axis=1
-    )
+    target = np.stack([np.interp(q, t, _SCORES) for q, t in zip(quantities.T, values)], axis=1)
     logs = _with_errors(reflectance, root, rng)
     middle = logs[:train].mean(axis=0)
     clean = np.log(np.maximum(reflectance, DARKEST))
@@ -248,14 +246,10 @@ def train_posterior(
     )  # fmt: skip
     # Limits are set by the few farthest stands: of those held out alone they would be chance.
     fold = np.arange(len(logs)) // together * _FOLDS // groups
-    apart = np.empty((len(logs), 2))
-    for one in np.unique(fold):
-        others = fold != one
-        space = _known(root, clean[others] - middle, logs[others] - middle)
-        apart[~others] = _distances(logs[~others] - middle, *space)
-    within, points, outside = _known(root, clean[:train] - middle, logs[:train] - middle)
+    apart = _left_out(root, clean - middle, logs - middle, fold)
+    known = _known(root, clean[:train] - middle, logs[:train] - middle)
     posterior = AmortisedPosterior(
-        single(middle), single(rows), single(within), single(points), single(outside), layers,
+        single(middle), single(rows), *map(single, known), layers,
         single(values), single(np.quantile(apart, _PROBABILITY, axis=0).T),
     )  # fmt: skip
     data = single(reflectance[:train]), single(target[:train])
@@ -304,6 +298,20 @@ def _known(
     # To unit covariance of simulations, errors included.
     outside = np.linalg.solve(np.linalg.cholesky(left), outside)
     return within, _spread_out(clean @ within.T), outside
+
+
+def _left_out(
+    root: np.ndarray,
+    clean: Float[np.ndarray, "stand channel"],
+    logs: Float[np.ndarray, "stand channel"],
+    fold: Int[np.ndarray, " stand"],
+) -> Float[np.ndarray, "stand 2"]:
+    """Both distances of each simulation from those of the other folds."""
+    apart = np.empty((len(logs), 2))
+    for one in np.unique(fold):
+        others = fold != one
+        apart[~others] = _distances(logs[~others], *_known(root, clean[others], logs[others]))
+    return apart
 
 
 def _distances(apart: Any, within: Any, points: Any, outside: Any) -> Float[Array, "pixel 2"]:

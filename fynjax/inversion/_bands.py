@@ -6,7 +6,7 @@ covariances over the pixels quadratic: what any camera says follows in a millise
 """
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -286,12 +286,7 @@ def render(
         off_slope -= mean_slope[:, None].astype(np.float32)
         if not into.any():
             scale = mean[:, None]
-            every = (off, *(one.astype(float) for one in np.moveaxis(off_slope, 2, 0)))
-            # Principal components of image and slopes of the first planting, relative to the mean
-            # spectrum; all plantings are kept in these few.
-            square = sum(one @ one.T for one in every) / (scale * scale.T)
-            values, vectors = np.linalg.eigh(square)
-            into = vectors[:, np.cumsum(values) > _KEPT * values.sum()].T / scale.T
+            into = _components(off, off_slope, scale)
         change = np.tensordot(into.astype(np.float32), off_slope, 1)
         # Species by what is in sight, which no band shows.
         share = np.asarray(truth_of_pixels(aimed, quick, parameters).species)
@@ -304,15 +299,27 @@ def render(
     found = []
     for step, of_pixel in zip(steps, kept, strict=True):
         means, slope, second, second_slope, number, centre, spread = map(np.stack, zip(*of_pixel))
-        arrays: dict[str, Any] = {
+        arrays = {
             "grid": grid, "mean": means, "mean_slope": slope, "basis": basis, "second": second,
             "second_slope": second_slope, "photons": photons * step**2, "asked": asked,
             "species": number, "species_mean": means[:, None] + centre @ basis.T,
             "species_second": spread, "pixels": float(np.prod(side) // step**2),
         }  # fmt: skip
-        arrays = {name: jnp.asarray(array) for name, array in arrays.items()}
+        arrays = jax.tree.map(jnp.asarray, arrays)
         found.append(PlantingSpectra(**arrays, error=error, target=target))
     return found
+
+
+def _components(
+    off: Float[np.ndarray, "wavelength pixel"],
+    slopes: Float[np.ndarray, "wavelength pixel free"],
+    scale: Float[np.ndarray, "wavelength 1"],
+) -> Float[np.ndarray, "component wavelength"]:
+    """Makes of spectra their weights in the few of which nearly all image and slopes are made."""
+    # Principal components relative to the mean spectrum, the dark wavelengths as much as others.
+    every = (off, *(one.astype(float) for one in np.moveaxis(slopes, 2, 0)))
+    values, vectors = np.linalg.eigh(sum(one @ one.T for one in every) / (scale * scale.T))
+    return vectors[:, np.cumsum(values) > _KEPT * values.sum()].T / scale.T
 
 
 def _of_pixels(

@@ -307,9 +307,11 @@ def design(
     if kind == "quantities" and not named:
         raise InputError("what is asked for does not depend on any of the free parameters")
     checked()
-    # Slopes of the parameters themselves are unit vectors.
-    every_one = np.eye(len(space.names))[: None if kind == "information" else 0]
-    asked = np.stack([*named.values()] if named else [every_one] * len(stands), axis=bool(named))
+    if named:
+        asked = np.stack([*named.values()], axis=1)
+    else:  # of the parameters one by one, whose slopes are unit vectors; or of none
+        own = np.eye(len(space.names))[: None if kind == "information" else 0]
+        asked = np.stack([own] * len(stands))
     tried = render(stands, space, asked, grid, pixels, snr, error, kind)
     if kind == "separability":  # the same species in pixels of every size
         common = jnp.stack([image.species > 0 for image in tried]).all(axis=0)
@@ -447,18 +449,9 @@ def _asked(
                 f"{pattern!r}.{did_you_mean(pattern, [*known, *space.names])}"
             )
     values = tuple(one.value for one in functionals.values())
-    found = np.stack(
-        [
-            np.concatenate(
-                [
-                    StandNumbers(stand, scene.parameters, space, values).linear(none)[1],
-                    jax.jacfwd(space.physical)(none),
-                ]
-            )
-            for stand in stands
-        ],
-        axis=1,
-    )
+    own = jax.jacfwd(space.physical)(none)
+    numbers = [StandNumbers(stand, scene.parameters, space, values) for stand in stands]
+    found = np.stack([np.concatenate([one.linear(none)[1], own]) for one in numbers], axis=1)
     changed = {
         name: slopes
         for name, slopes in zip(names, found, strict=True)

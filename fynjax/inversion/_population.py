@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from fynjax._core.errors import InputError
 from fynjax._core.precision import double_precision
 
 
@@ -60,7 +61,7 @@ class Hyperprior:
     def __post_init__(self) -> None:
         free = len(self.error) - self.known
         if np.any(self.error[:free, free:]) or np.any(self.error[free:, :free]):
-            raise ValueError(
+            raise InputError(
                 f"expected an error whose last {self.known} statistics, of known variance, are "
                 "uncorrelated with the others, but some covariances are not 0"
             )

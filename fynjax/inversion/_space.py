@@ -21,6 +21,7 @@ import math
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from fnmatch import fnmatchcase
 from typing import Any, get_args
 
 import equinox as eqx
@@ -236,12 +237,14 @@ class ParameterSpace(eqx.Module):
         return jnp.sqrt(weight @ (values - mean) ** 2)
 
     def at_bound(self, values: Float[Array, " free"]) -> Bool[Array, " free"]:
-        """Whether values lie at a bound: nearer than a thousandth of the range, and than a
-        twentieth of the prior's median is."""
+        """Whether values lie at a bound: nearer than a thousandth of the range, of one without end
+        of the prior median's distance from the bound, and than a twentieth of that distance."""
         now = self._now()
         near = jnp.minimum(values - now.lower, now.upper - values)
         usual = jnp.minimum(now.prior - now.lower, now.upper - now.prior)
-        return near < jnp.minimum(_AT_BOUND * (now.upper - now.lower), _NEARER * usual)
+        extent = now.upper - now.lower
+        extent = jnp.where(jnp.isfinite(extent), extent, usual)
+        return near < jnp.minimum(_AT_BOUND * extent, _NEARER * usual)
 
 
 def _root(correlation: ArrayLike, count: int) -> np.ndarray:
@@ -525,8 +528,6 @@ def match_names(names: Sequence[str], patterns: Sequence[str]) -> list[str]:
 
     **Raises:** `InputError` for a pattern that fits none.
     """
-    from fnmatch import fnmatchcase
-
     for pattern in patterns:
         if not any(fnmatchcase(name, pattern) for name in names):
             raise InputError(

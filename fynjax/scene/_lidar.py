@@ -149,7 +149,7 @@ class LidarObservation(eqx.Module):
         - `name`: of `fynjax.metrics.structure.STRUCTURE_METRICS`, or "height_p95" and the like, a
           percentile of the heights above the ground [m].
         - `grain`: side of the cells whose mean a metric is [m]; by default the nearest to 2 m that
-          fits the voxels.
+          fits the voxels. Percentiles are those of the whole plot.
 
         **Raises:** `InputError` for another name, and where cells do not fit the voxels.
         """

@@ -357,11 +357,10 @@ def _of_individuals(stand: Stand, individuals: Sequence[dict[str, np.ndarray]]) 
             continue
         size = stand.diameter[i], stand.height[i], stand.resolved
         number = element_count(*size, structured=stand.structured)
-        model = stand.models[i]
         # A few individuals of the form, which the plants have in turn; or the one model given.
-        if model is None:
-            seeds = individual_seeds(seed, i)
-            several = [plant_model(one.form, number, seed=s) for s in seeds[:n]]
+        if (model := stand.models[i]) is None:
+            seeds = individual_seeds(seed, i)[:n]
+            several = [plant_model(one.form, number, seed=s) for s in seeds]
         else:
             several = [thin_plant(model, number, seed=seed + i)]
         k = len(several[0].organ)
@@ -383,19 +382,12 @@ def _of_individuals(stand: Stand, individuals: Sequence[dict[str, np.ndarray]]) 
     if not plants:
         return no_plants(dtype)
     # The elements of all shapes in one list, each in the optical class of its species and organ.
+    types = {"f": dtype, "i": "int32"}
     whole = jax.tree.map(
-        lambda *parts: jnp.asarray(
-            np.concatenate(parts),
-            dtype if np.issubdtype(parts[0].dtype, np.floating) else jnp.int32,
-        ),
-        *shapes,
+        lambda *parts: jnp.asarray(np.concatenate(parts), types[parts[0].dtype.kind]), *shapes
     )
-    leaves = leaf_classes(species)
-    wood = sum(map(len, leaves.values()))
-    of_organ = np.array(
-        [[leaves[i].start if i in leaves else 0, wood, wood + 1] for i in range(len(species))]
-    )
-    classes = np.concatenate([of_organ[i][shape.organ] for i, shape in zip(own, shapes)])
+    of_organ = np.array(_classes(species))
+    classes = np.concatenate([of_organ[i][np.asarray(s.organ)] for i, s in zip(own, shapes)])
     none = jnp.zeros(0, jnp.int32)
     joined: dict[str, Any] = {
         name: jnp.asarray(np.concatenate([part[name] for part in plants])) for name in plants[0]
@@ -473,6 +465,13 @@ def _drawn_leaves(plants: int, species: int, leaves: int, seed: int) -> Int[np.n
     keeps its own where there are more plants."""
     drawn = generator(seed, 109, species).random(plants)
     return (leaves * drawn).astype(np.int32)
+
+
+def _classes(species: Sequence[Species]) -> list[list[int]]:
+    """Optical class of the first leaf, of wood and flower of each species."""
+    leaves = leaf_classes(species)
+    wood = sum(map(len, leaves.values()))
+    return [[leaves[i].start if i in leaves else 0, wood, wood + 1] for i in range(len(species))]
 
 
 def _area_before(shapes: Sequence[PlantModel], dtype: Any) -> Float[Array, " part"]:

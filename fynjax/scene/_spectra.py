@@ -41,7 +41,20 @@ class Spectrum(eqx.Module):
         what: str = "a spectrum",
         file: Path | None = None,
     ) -> "Spectrum":
-        """From values [-] at rising `wavelength` [nm], linear between them."""
+        """From values [-] at rising `wavelength` [nm], linear between them.
+
+        **Raises:** `InputError` for wavelengths that do not rise, other numbers of values, and what
+        is not finite.
+        """
+        if np.shape(values) != np.shape(wavelength) or not np.all(np.diff(wavelength) > 0.0):
+            raise InputError(
+                f"expected {what} as one value for each of some rising wavelengths [nm], but got "
+                f"{np.size(values)} values for {np.size(wavelength)} wavelengths"
+                f"{'' if np.shape(values) != np.shape(wavelength) else ' that do not rise'}",
+                file=file,
+            )
+        if not np.isfinite(values).all():
+            raise InputError(f"expected {what} of finite numbers: leave gaps out", file=file)
         grid = np.arange(LOWEST, HIGHEST + 1.0)
         known = float(wavelength[0]), float(wavelength[-1])
         return cls(np.interp(grid, wavelength, values), what, known, file)

@@ -127,3 +127,14 @@ def test_a_search_goes_on_from_any_state_that_was_kept(tmp_path):
         again = search.step(kept.kept_state("start_1", PixelState))
         for one, other in zip(jax.tree.leaves(again), jax.tree.leaves(after), strict=True):
             np.testing.assert_array_equal(one, other)
+
+
+def test_values_that_change_nothing_have_slopes_of_zero():
+    """Of leaves of a species that has none; the image is there all the same."""
+    scene, mavic = small_plot(), shipped_sensor("mavic_3m")
+    red = dataclasses.replace(mavic, bands=mavic.bands.select([1]), psf=None, noise=None)
+    name = f"species.{TAXA[2]}.leaf.chlorophyll"
+    model = PixelModel(scene, small_parameters(), (name,), drone(scene, sensor=red), 8)
+    image, slopes = model.slopes(jnp.array([30.0]))
+    assert image.min() > 0.0
+    np.testing.assert_array_equal(slopes, np.zeros((1, *image.shape)))

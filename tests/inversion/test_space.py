@@ -153,6 +153,9 @@ def test_at_a_bound_is_what_lies_nearer_than_the_prior_does():
     space = one("logit-normal", 0.0, 1.0, 0.001, 0.0005)
     assert not space.at_bound(jnp.array([0.0005]))[0]
     assert space.at_bound(jnp.array([0.00004]))[0]
+    endless = one("lognormal", 0.0, np.inf, 100.0, 80.0)
+    assert not endless.at_bound(jnp.array([3.0]))[0]
+    assert endless.at_bound(jnp.array([0.05]))[0]
 
 
 def modes(space, stretch=1.0):

@@ -105,6 +105,19 @@ def test_a_spectrum_of_the_user_must_cover_the_bands():
     np.testing.assert_allclose(given[1], 0.27 * 0.8 / (1 - 0.2 * 0.27), rtol=1e-9)
 
 
+@pytest.mark.parametrize(
+    ("wavelength", "values", "text"),
+    [
+        ([2500.0, 400.0], [0.1, 0.3], "wavelengths that do not rise"),
+        ([400.0, 2500.0], [0.1, 0.2, 0.3], "3 values for 2 wavelengths"),
+        ([400.0, 2500.0], [0.1, np.nan], "finite numbers"),
+    ],
+)
+def test_a_spectrum_is_one_number_at_each_rising_wavelength(wavelength, values, text):
+    with pytest.raises(InputError, match=text):
+        Spectrum.of(np.array(wavelength), np.array(values), "dead tissue")
+
+
 def test_leaves_have_the_size_of_their_form_where_a_hot_spot_is_asked_for():
     plain, sized = (
         small_plot(hot_spot=asked).voxels(small_parameters(), mavic_3m()).classes
