@@ -248,8 +248,9 @@ def train_posterior(
     fold = np.arange(len(logs)) // together * _FOLDS // groups
     apart = _left_out(root, clean - middle, logs - middle, fold)
     known = _known(root, clean[:train] - middle, logs[:train] - middle)
+    within, points, outside = map(single, known)
     posterior = AmortisedPosterior(
-        single(middle), single(rows), *map(single, known), layers,
+        single(middle), single(rows), within, points, outside, layers,
         single(values), single(np.quantile(apart, _PROBABILITY, axis=0).T),
     )  # fmt: skip
     data = single(reflectance[:train]), single(target[:train])

@@ -150,7 +150,10 @@ def whitened_residual(
     space, data = jax.tree.map(jnp.asarray, (space, data))
     density = LogPosterior(predict, space, data, shift, context)
 
-    return lambda u, args=None: residual(density, u)
+    def of_density(u: Float[Array, " free"], args: Any = None) -> Float[Array, " residual"]:
+        return residual(density, u)
+
+    return of_density
 
 
 def _run(

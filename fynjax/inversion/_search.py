@@ -387,12 +387,12 @@ class PlotSearch:
         number = max(settings.scatter_draws, count) if count else 1
         along = self._predict
         if subspace:
-            views = [
+            views = tuple(
                 dataclasses.replace(view, directions=own)
-                if len(own.rows) < len(view.names)
+                if isinstance(view, ImageView) and len(own.rows) < len(view.names)
                 else view
                 for view, own in zip(along.views, subspace, strict=True)
-            ]
+            )
             along = dataclasses.replace(along, views=views)
         return Expected(self._predict, along, self.space, coarse, settings.seed, number)
 
