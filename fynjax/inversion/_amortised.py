@@ -1,7 +1,7 @@
 """Amortised posteriors: a regression from spectra to what made them, with uncertainty.
 
 Trained once on simulations, applied to any number of pixels. Quantities are regressed as normal
-scores of the prior, so that no interval leaves what the prior deems possible; a small network gives
+scores of the prior, so that no interval leaves the range of the prior; a small network gives
 their mean and covariance (a density network, Bishop 1994; as posterior estimation from simulations,
 Papamakarios and Murray 2016, arXiv:1605.06376).
 

@@ -193,16 +193,10 @@ def chance_covariance(
 
     **Arguments:**
 
-    - `draws`: statistics of the coarse renders of draws of plants and parameters; their mean is the
-      expectation.
+    - `draws`: statistics of coarse renders; their mean is the expectation.
     - `lack`: full less coarse render of some plantings; its mean is added to the expectation.
     - `stands`: sets of sites that the draws fill. Draws on the same sites are alike, so a set of
       sites counts as one draw.
-
-    **Returns:** the covariance of `scatter_covariance`, grown by 1 / `stands` and by the mean
-    variance of `lack` over that of the draws, divided by the number of plantings.
-
-    NumPy in and out; not differentiable.
     """
     chance = scatter_covariance(draws)
     # The error of the expectation: of a mean over sets of sites, and of few renders of the lack.
@@ -222,8 +216,8 @@ def mean_information(
     """Fisher information of the mean of the slopes of several draws.
 
     **Arguments:** `weights`, which make of misfits independent ones of unit size; `slopes` of each
-    draw. Two in a row are antithetic, so that slopes that change with the parameters hang together:
-    only the means of such pairs are independent.
+    draw. Two in a row are antithetic, and their slopes correlated where they change with the
+    parameters: only the means of such pairs are independent.
     """
     # Means of antithetic pairs, in which what is odd in the parameters cancels.
     pairs = len(slopes) // 2

@@ -1,4 +1,4 @@
-"""Fit parameters to statistics with a prior, and say how far the data pinned them down.
+"""Fit parameters to statistics with a prior, and say how far the data determine them.
 
 The objective is half the squared whitened misfit of the statistics plus half the squared
 distance from the prior, also whitened: the negative log posterior, but for a constant.

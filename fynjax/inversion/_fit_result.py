@@ -50,7 +50,7 @@ class Data(eqx.Module):
     sd: Float[Array, " statistic"] = eqx.field(converter=_array)
     """Standard deviation, model error included, of each statistic."""
     whitener: Float[Array, "statistic statistic"] | None = None
-    """Makes errors that hang together independent, of unit size; without it they are."""
+    """Makes correlated errors independent, of unit size; None: they are independent."""
 
     @double_precision
     def with_scatter(self, deviations: Float[Array, "draw statistic"]) -> "Data":
@@ -359,15 +359,8 @@ _SHOWN = 10
 def known_lines(
     names: Sequence[str], known: Sequence[str], interval: Float[np.ndarray, "3 free"]
 ) -> str:
-    """Which parameters are known, or all of a few, in lines: middle and 90 % interval in the unit
-    of field crews.
-
-    **Arguments:**
-
-    - `names`: of the free parameters.
-    - `known`: those of them that are known twice as well as before.
-    - `interval`: middle, 5 and 95 % quantile of each free parameter in its own unit.
-    """
+    """Which of the parameters are `known` twice as well as before, or all of a few, in lines: the
+    `interval` of middle, 5 and 95 % quantile, here in the unit of field crews."""
     free = len(names)
     if not known:
         line = f"Of {free} free parameters none is known twice as well as before"

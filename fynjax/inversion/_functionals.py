@@ -183,7 +183,6 @@ def stand_table(
     fit: FitResult,
     *,
     functionals: Mapping[str, Functional] | None = None,
-    seed: int = 0,
     draws: Float[np.ndarray, "draw free"] | None = None,
 ) -> pd.DataFrame:
     """What a fit says of the stand: each functional before and after the data.
@@ -199,7 +198,6 @@ def stand_table(
     - `fit`: the estimate with its covariance.
     - `functionals`: by name, in place of `stand_functionals`; `Functional`s of one's own may be
       among them.
-    - `seed`: of the draws of the prior.
     - `draws`: of a posterior in whitened coordinates, whose medians and quantiles are to be given;
       those of the fit's covariance by default.
 
@@ -211,7 +209,7 @@ def stand_table(
     functionals = stand_functionals(scene) if functionals is None else functionals
     values = tuple(one.value for one in functionals.values())
     numbers = StandNumbers(scene, parameters, fit.space, values)
-    normal = generator(seed, 53).normal(size=(_DRAWS, len(fit.names)))
+    normal = generator(0, 53).normal(size=(_DRAWS, len(fit.names)))
     prior = np.asarray(numbers.at(jnp.asarray(normal.clip(-3.0, 3.0))), float)
     value, slopes = (np.asarray(x, float) for x in numbers.linear(fit.whitened))
     shares = np.array([one.unit == "-" for one in functionals.values()])

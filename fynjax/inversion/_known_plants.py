@@ -140,8 +140,8 @@ class PixelSettings:
     columns beyond the last whole block are not compared."""
     pixel_sd: float = PIXEL_SD
     """Error of a block's mean, of camera and model, as a share of it [-]. Errors of different
-    blocks and bands are independent: give errors that hang together over the plot to the gains, or
-    widen this."""
+    blocks and bands are independent: give errors that the whole plot shares to the gains, or widen
+    this."""
     gains: Gains | None = None
     """Errors of the calibration of the bands; None: those of the camera's sensor."""
     max_steps: int = 30

@@ -86,11 +86,8 @@ def informative_directions(
     Where statistics are linear in the parameters these are the directions of most expected
     information; what the others hold is left out, which costs information and no truth.
 
-    **Arguments:**
-
-    - `draws`: statistics of draws of the prior.
-    - `covariance`: of the errors.
-    - `most`: directions.
+    **Arguments:** `draws`, statistics of draws of the prior; `covariance` of the errors; `most`
+    directions.
     """
     # Whitened by the errors, so that the leading singular vectors tell most against noise.
     root = np.linalg.cholesky(covariance)
@@ -143,7 +140,7 @@ class ImageView(AbstractView):
         def render(u: Array) -> Array:
             return self.camera.observe(scene, plot_at(u)).reflectance
 
-        # By the chain rule: statistics by pixels, which is cheap, then pixels by parameters.
+        # By the chain rule: statistics by pixels, which costs little, then pixels by parameters.
         image, to_parameters = jax.vjp(render, u)
         value, to_image = jax.vjp(self._statistics, image)
         chosen = self.directions

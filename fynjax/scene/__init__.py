@@ -4,7 +4,7 @@ Its light is computed in float32.
 """
 
 from fynjax._core.compiler import keep_compiled
-from fynjax.scene._cover import ProjectedCover, crown_centres, projected_cover
+from fynjax.scene._cover import ProjectedCover, projected_cover
 from fynjax.scene._ground import COVERS, Ground, ground_shares, random_patches
 from fynjax.scene._instances import Instances, hard_counts, hard_instances, hard_scene
 from fynjax.scene._large import TiledPicture, is_large
@@ -127,7 +127,6 @@ __all__ = [
     "check_species",
     "check_taxa",
     "cover_definition_of",
-    "crown_centres",
     "drawn_leaves",
     "element_count",
     "fitted_accuracy",
