@@ -29,6 +29,8 @@ from fynjax.inversion._design import (
 from fynjax.inversion._expected import Expected
 from fynjax.inversion._fit import (
     fit,
+    predicted_statistics,
+    statistics_and_jacobian,
     whitened_residual,
 )
 from fynjax.inversion._fit_result import WELL_CONSTRAINED, Data, FitResult, FitStatus
@@ -200,6 +202,7 @@ __all__ = [
     "make_space",
     "match_names",
     "nadir_imager",
+    "predicted_statistics",
     "sample_posterior",
     "sample_prior",
     "search_form",
@@ -213,6 +216,7 @@ __all__ = [
     "stand_sentence",
     "stand_table",
     "stand_values",
+    "statistics_and_jacobian",
     "structure_view",
     "surrogate_renders",
     "sweep_sensors",

@@ -156,6 +156,12 @@ def whitened_residual(
     return of_density
 
 
+predicted_statistics = eqx.filter_jit(LogPosterior.statistics)
+"""What the model of a density predicts at whitened coordinates, compiled."""
+statistics_and_jacobian = eqx.filter_jit(LogPosterior.jacobian)
+"""Statistics of a density at whitened coordinates and their slopes by these, compiled."""
+
+
 def _run(
     density: LogPosterior, solver: Any, rest: Any, u: Array, max_steps: int, tolerance: Array
 ) -> Ended:

@@ -50,12 +50,12 @@ from fynjax.inversion import (
     ImageView,
     LogPosterior,
     PlotForward,
+    PlotSearch,
     StructureView,
     calibrate_plot,
     compared_statistics,
     join_data,
     look,
-    plot_search,
     predicted_statistics,
     search_form,
     spectrum_names,
@@ -180,7 +180,7 @@ def line(chosen, ready, truths, view):
     settings = CalibrationSettings(stand_realisations=realisations, scatter_draws=scatter)
     centre = np.asarray(look((view,), ready.scene, ready.parameters)[0])
     data = weigh_targets(view.names, centre, ready.plot.calibration.target_sd)
-    search = plot_search(
+    search = PlotSearch(
         ready.scene, ready.parameters, data, space, (view,), settings, replant=ready.replant
     )
     state = search.begin(jnp.zeros(free))

@@ -77,6 +77,7 @@ def test_elements_lie_and_carry_area_as_their_plants_do():
     scene, parameters = small_plot(structure=0.025), small_parameters()
     crowns, standing = scene.visible_crowns(parameters), scene.standing(parameters)
     planting, species = scene.planting, parameters.species
+    across, along = planting.unit_shapes()
     places, areas = scene._elements(parameters, planting, crowns, standing)
     index = np.asarray(scene.organ_index(parameters))
     for element in range(0, len(planting.plant), 97):
@@ -84,7 +85,7 @@ def test_elements_lie_and_carry_area_as_their_plants_do():
         kind = planting.species[plant]
         width = species.diameter[kind] * planting.size[plant]
         height = species.height[kind] * planting.stature[plant]
-        place = width * planting.per_diameter[element] + height * planting.per_height[element]
+        place = width * across[element] + height * along[element]
         place += jnp.append(planting.foot[plant], 0.0)
         np.testing.assert_allclose(places[element], place, rtol=1e-6, atol=1e-9)
         area = crowns[plant] * index[kind, organ] * planting.fraction[element] * standing[plant]

@@ -22,6 +22,8 @@ from fynjax.inversion import (
     ParameterSpace,
     SpectrumView,
     fit,
+    predicted_statistics,
+    statistics_and_jacobian,
     weigh_spectrum,
 )
 from fynjax.io.plot import BY_FORM, FACTORS, LearnedPrior
@@ -429,10 +431,6 @@ class PlotCase(NamedTuple):
     too (`bias_corrected_data`)."""
 
 
-_statistics = eqx.filter_jit(LogPosterior.statistics)
-_linearised = eqx.filter_jit(LogPosterior.jacobian)
-
-
 def infer_plot(case: PlotCase, predict: PlotSpectrumForward) -> tuple[Array, ...]:
     """Fit one plot: the arrays of a `PlotEstimate`."""
     data, space, parameters, scenes, bias = case
@@ -440,7 +438,7 @@ def infer_plot(case: PlotCase, predict: PlotSpectrumForward) -> tuple[Array, ...
     offset = none if bias is None else jnp.asarray(bias)
     densities = [LogPosterior(predict, space, data, none, (scene, parameters)) for scene in scenes]
     start = jnp.zeros(len(space.names))
-    prior_spectra = jnp.stack([_statistics(density, start) for density in densities])
+    prior_spectra = jnp.stack([predicted_statistics(density, start) for density in densities])
     grown = data.with_scatter(prior_spectra[1:] - prior_spectra[0]) if bias is None else data
     result: FitResult = fit(
         predict,
@@ -451,7 +449,7 @@ def infer_plot(case: PlotCase, predict: PlotSpectrumForward) -> tuple[Array, ...
         context=densities[0].context,
         offset=offset,
     )
-    others = [_linearised(density, result.whitened) for density in densities[1:]]
+    others = [statistics_and_jacobian(density, result.whitened) for density in densities[1:]]
     deviations = jnp.stack([value for value, _ in others]) + offset - result.predicted
     if bias is not None:
         deviations = jnp.zeros_like(deviations)
