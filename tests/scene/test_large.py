@@ -89,6 +89,8 @@ def test_elements_placed_part_by_part_make_the_same_voxels(monkeypatch):
     assert 0.2 < few.planting.plant.size / scene.planting.plant.size < 0.7
     np.testing.assert_allclose(few.area_density(parameters), whole, rtol=1e-9, atol=1e-12)
     monkeypatch.setattr("fynjax.scene._scene._AT_ONCE", scene.planting.plant.size // 3)
+    # Another static field, lest the program that was traced before the limit serve again.
+    scene = dataclasses.replace(scene, spreads=(("none", 0.0),))
     parts = jax.jit(jax.value_and_grad(square, has_aux=True))
     np.testing.assert_allclose(parts(0.0, scene)[0][1], whole, rtol=1e-9, atol=1e-12)
     (_, _), slope = parts(0.0, scene.faded())
