@@ -337,7 +337,7 @@ def calibration(search: PlotSearch, ends: Sequence[SearchState]) -> Calibration:
         measured=with_error(search.data, radiometric_covariance(search.views, images)),
         lack=np.asarray(place.lack).mean(axis=0),
         degrees=len(weights),
-        projector=scipy.linalg.block_diag(*(own.back @ own.rows for own in won.subspace)),
+        projector=scipy.linalg.block_diag(*(own.back @ own.rows for own in won.subspace.parts)),
         gain=gain,
         gain_sd=gain_sd,
         statistics_with_gain=with_gain,

@@ -222,16 +222,15 @@ def stand_table(
     before = _normal(prior, kind).var(axis=0)
     # What no free parameter changes differs by rounding alone, and has no interval.
     known = before > _ROUNDING
-    half = _NINETY * np.sqrt(np.where(known, variance, 0.0))
-    removed = 1.0 - variance / np.where(known, before, 1.0)
     quantiles = (0.05, 0.5, 0.95)
     low, middle, high = np.quantile(prior, quantiles, axis=0)
-    centre = _normal(value, kind)
-    after = [_from_normal(place, kind) for place in (centre - half, centre, centre + half)]
-    if draws is not None:
+    if draws is None:
+        centre, half = _normal(value, kind), _NINETY * np.sqrt(np.where(known, variance, 0.0))
+        after = [_from_normal(place, kind) for place in (centre - half, centre, centre + half)]
+    else:
         found = np.asarray(numbers.at(jnp.asarray(draws)), float)
-        after = list(np.quantile(found, quantiles, axis=0))
-        removed = 1.0 - _normal(found, kind).var(axis=0) / np.where(known, before, 1.0)
+        after, variance = [*np.quantile(found, quantiles, axis=0)], _normal(found, kind).var(axis=0)
+    removed = 1.0 - variance / np.where(known, before, 1.0)
     return pd.DataFrame(
         {
             "name": list(functionals),

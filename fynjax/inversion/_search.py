@@ -162,6 +162,18 @@ class SearchPlace(eqx.Module):
         return np.asarray(self.slopes).mean(axis=0)
 
 
+class Subspace(eqx.Module):
+    """Directions along which slopes are taken, of the statistics of each view (`Directions`)."""
+
+    rows: tuple[Float[Array, "_direction _statistic"], ...]
+    back: tuple[Float[Array, "_statistic _direction"], ...]
+
+    @property
+    def parts(self) -> list[Directions]:
+        """The directions of each view."""
+        return [*map(Directions, self.rows, self.back)]
+
+
 class SearchState(eqx.Module):
     """Where a search stands: all that another process needs to go on from here."""
 
@@ -176,8 +188,8 @@ class SearchState(eqx.Module):
     best: SearchPlace
     """The place that is kept: the end of the last round, or without expectation over plantings the
     best of start and rounds."""
-    subspace: tuple[Directions, ...]
-    """Informative subspace of the statistics of each view."""
+    subspace: Subspace
+    """Informative subspace of the statistics."""
     wanted: Float[Array, " species"]
     """Plants for which sites were made; zeros: those of the scene suffice."""
     trace: Float[Array, "evaluation 2"]
@@ -377,21 +389,19 @@ class PlotSearch:
         """Statistics over the plantings of a state."""
         return self._expected(state.wanted, state.subspace)
 
-    def _expected(
-        self, wanted: Array | np.ndarray, subspace: Sequence[Directions] = ()
-    ) -> Expected:
+    def _expected(self, wanted: Array | np.ndarray, subspace: Subspace | None = None) -> Expected:
         """Statistics over plantings, whose slopes are taken along a `subspace`, if one is known."""
         _, coarse = self._stands(wanted)
         settings = self.settings
         count = settings.stand_realisations
         number = max(settings.scatter_draws, count) if count else 1
         along = self._predict
-        if subspace:
+        if subspace is not None:
             views = tuple(
                 dataclasses.replace(view, directions=own)
                 if isinstance(view, ImageView) and len(own.rows) < len(view.names)
                 else view
-                for view, own in zip(along.views, subspace, strict=True)
+                for view, own in zip(along.views, subspace.parts, strict=True)
             )
             along = dataclasses.replace(along, views=views)
         return Expected(self._predict, along, self.space, coarse, settings.seed, number)
@@ -419,21 +429,21 @@ class PlotSearch:
 
     # -- the informative subspace -----------------------------------------------------------
 
-    def _subspace(self, expected: Expected, data: Data) -> tuple[Directions, ...]:
+    def _subspace(self, expected: Expected, data: Data) -> Subspace:
         """The directions along which slopes of the many statistics of an image are taken, by the
         errors of `data` and draws of the prior; else the statistics themselves."""
         many = [isinstance(v, ImageView) and len(v.names) > _MOST_ROWS for v in self._predict.views]
         draws = expected.prior_draws(_PRIOR_DRAWS) if any(many) else np.empty(0)
-        covariance, subspace, start = np.asarray(data.covariance), [], 0
+        covariance, parts, start = np.asarray(data.covariance), [], 0
         for view, reduced in zip(self._predict.views, many, strict=True):
             part = slice(start, start := start + len(view.names))
             every = jnp.eye(len(view.names))
-            subspace.append(
+            parts.append(
                 informative_directions(draws[:, part], covariance[part, part], _MOST_ROWS)
                 if reduced
                 else Directions(every, every)
             )
-        return tuple(subspace)
+        return Subspace(tuple(own.rows for own in parts), tuple(own.back for own in parts))
 
     # -- what a place says ------------------------------------------------------------------
 
@@ -493,10 +503,10 @@ class PlotSearch:
 
     @double_precision
     def weights(
-        self, place: SearchPlace, subspace: Sequence[Directions]
+        self, place: SearchPlace, subspace: Subspace
     ) -> Float[np.ndarray, "direction statistic"]:
         """Makes of misfits independent ones of unit size, along the directions of the subspace."""
-        rows = scipy.linalg.block_diag(*(np.asarray(own.rows) for own in subspace))
+        rows = scipy.linalg.block_diag(*map(np.asarray, subspace.rows))
         # Errors of the combinations that count; their inverse Cholesky factor whitens them.
         covariance = rows @ np.asarray(self.data_at(place).covariance) @ rows.T
         return np.asarray(np.linalg.solve(np.linalg.cholesky(covariance), rows))
@@ -559,7 +569,7 @@ class PlotSearch:
             turns=whole(self.settings.rounds), step=whole(0), ended=whole(0),
         )  # fmt: skip
 
-    def _descent(self, place: SearchPlace, subspace: Sequence[Directions]) -> BroydenState:
+    def _descent(self, place: SearchPlace, subspace: Subspace) -> BroydenState:
         """State of the solver at the start of a round, with the slopes and errors there."""
         weights = self.weights(place, subspace)
         residual = self._whitened(weights, np.asarray(place.statistics), place.u)
