@@ -156,10 +156,20 @@ def whitened_residual(
     return of_density
 
 
-predicted_statistics = eqx.filter_jit(LogPosterior.statistics)
-"""What the model of a density predicts at whitened coordinates, compiled."""
-statistics_and_jacobian = eqx.filter_jit(LogPosterior.jacobian)
-"""Statistics of a density at whitened coordinates and their slopes by these, compiled."""
+@eqx.filter_jit
+def predicted_statistics(
+    density: LogPosterior, u: Float[Array, " free"]
+) -> Float[Array, " statistic"]:
+    """What the model of `density` predicts at whitened coordinates `u`, compiled."""
+    return density.statistics(u)
+
+
+@eqx.filter_jit
+def statistics_and_jacobian(
+    density: LogPosterior, u: Float[Array, " free"]
+) -> tuple[Float[Array, " statistic"], Float[Array, "statistic free"]]:
+    """Statistics of `density` at whitened coordinates `u` and their slopes by `u`, compiled."""
+    return density.jacobian(u)
 
 
 def _run(
