@@ -417,7 +417,7 @@ def test_data_of_several_sensors_add(scene, drone):
         both + table
     with pytest.raises(InputError, match="value is missing"):
         fx.Data.from_table(pd.DataFrame({"statistic": ["nir.std"]}))
-    with pytest.raises(InputError, match="expected a camera, but got the LiDAR"):
+    with pytest.raises(InputError, match="expected an imaging sensor, but got the LiDAR"):
         fx.Data.from_image(drone, shipped_lidars()[0])
 
 

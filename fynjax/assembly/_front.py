@@ -304,7 +304,7 @@ def _imager(camera: str | Path | Sensor | Lidar) -> Sensor:
     sensor = load_instrument(camera) if isinstance(camera, str | Path) else camera
     if not isinstance(sensor, Sensor):
         what = f"the LiDAR {sensor.name!r}" if isinstance(sensor, Lidar) else repr(sensor)
-        raise InputError(f"expected a camera, but got {what}")
+        raise InputError(f"expected an imaging sensor, but got {what}")
     return sensor
 
 
