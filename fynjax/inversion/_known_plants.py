@@ -17,7 +17,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float
 from scipy.special import chdtrc
 
 from fynjax._core.errors import InputError
@@ -35,7 +35,7 @@ from fynjax.inversion._fit_result import (
     status_of,
 )
 from fynjax.inversion._functionals import Functional, stand_table
-from fynjax.inversion._search import begun, recorded, search_states, stepped
+from fynjax.inversion._search import Progress, begun, recorded, search_states, stepped
 from fynjax.inversion._space import ParameterSpace
 from fynjax.radiation import VoxelScene
 from fynjax.scene import AimedSensor, PlotParameters, Scene, with_values
@@ -355,31 +355,14 @@ class PixelModel(eqx.Module):
         return len(self.camera.sensor.bands), rows // self.block, columns // self.block
 
 
-class PixelState(eqx.Module):
-    """Where the search of known plants stands: all that another process needs to go on."""
+class PixelState(Progress):
+    """Where the search of known plants stands: all that another process needs to go on. Coordinates
+    are those of the parameters, then of the gains."""
 
-    u: Float[Array, " coordinate"]
-    """Whitened coordinates: of the parameters, then of the gains."""
-    descent: BroydenState
-    """State of the solver at `u`, with the errors of this round."""
     sd: Float[Array, " value"]
     """Errors of the compared values in this round [-]."""
     before: Float[Array, "band y x"]
     """The blocks at the prior's centre, as the camera measures them."""
-    trace: Float[Array, "evaluation 2"]
-    """Objective and norm of its gradient where each round began and after each of its steps."""
-    rounds: Int[Array, " evaluation"]
-    """The round of each, from 1."""
-    steps: Int[Array, ""]
-    """Steps of all rounds."""
-    turn: Int[Array, ""]
-    """Rounds that have ended."""
-    step: Int[Array, ""]
-    """Steps of this round."""
-    status: Int[Array, ""]
-    """Number of the `FitStatus`."""
-    ended: Int[Array, ""]
-    """1 where the search has ended."""
 
 
 class PixelSearch:
@@ -466,9 +449,9 @@ class PixelSearch:
         descent, sd = self._descent(place)
         whole = lambda number: jnp.asarray(number, int)  # noqa: E731
         return PixelState(
-            place, descent, sd, jnp.asarray(self.image(place)),
-            figures_of(descent)[None], whole([1]), whole(0), whole(0), whole(0),
-            number_of(FitStatus.max_steps), whole(0),
+            u=place, descent=descent, trace=figures_of(descent)[None], rounds=whole([1]),
+            steps=whole(0), status=number_of(FitStatus.max_steps), turn=whole(0), step=whole(0),
+            ended=whole(0), sd=sd, before=jnp.asarray(self.image(place)),
         )  # fmt: skip
 
     @double_precision

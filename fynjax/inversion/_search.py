@@ -174,24 +174,13 @@ class Subspace(eqx.Module):
         return [*map(Directions, self.rows, self.back)]
 
 
-class SearchState(eqx.Module):
-    """Where a search stands: all that another process needs to go on from here."""
+class Progress(eqx.Module):
+    """How far a search has come in its present round, and what its rounds were."""
 
-    place: SearchPlace
-    """The place where the round began, whose errors and offset hold all through the round."""
-    u: Float[Array, " free"]
+    u: Float[Array, " coordinate"]
     """Whitened coordinates that the round has come to."""
     descent: BroydenState
     """State of the solver at `u`, with the errors of this round."""
-    origin: SearchPlace
-    """The place of the start itself, with nothing unknown of the parameters."""
-    best: SearchPlace
-    """The place that is kept: the end of the last round, or without expectation over plantings the
-    best of start and rounds."""
-    subspace: Subspace
-    """Informative subspace of the statistics."""
-    wanted: Float[Array, " species"]
-    """Plants for which sites were made; zeros: those of the scene suffice."""
     trace: Float[Array, "evaluation 2"]
     """Objective and norm of its gradient where each round began and after each of its steps."""
     rounds: Int[Array, " evaluation"]
@@ -199,15 +188,31 @@ class SearchState(eqx.Module):
     steps: Int[Array, ""]
     """Steps of all rounds."""
     status: Int[Array, ""]
-    """Number of the `FitStatus` of `best`."""
+    """Number of the `FitStatus`."""
     turn: Int[Array, ""]
     """Rounds that have ended."""
-    turns: Int[Array, ""]
-    """Rounds that are to be done."""
     step: Int[Array, ""]
     """Steps of this round."""
     ended: Int[Array, ""]
     """1 where the search has ended."""
+
+
+class SearchState(Progress):
+    """Where a search stands: all that another process needs to go on from here."""
+
+    place: SearchPlace
+    """The place where the round began, whose errors and offset hold all through the round."""
+    origin: SearchPlace
+    """The place of the start itself, with nothing unknown of the parameters."""
+    best: SearchPlace
+    """The place that is kept, of which `status` is: the end of the last round, or without
+    expectation over plantings the best of start and rounds."""
+    subspace: Subspace
+    """Informative subspace of the statistics."""
+    wanted: Float[Array, " species"]
+    """Plants for which sites were made; zeros: those of the scene suffice."""
+    turns: Int[Array, ""]
+    """Rounds that are to be done."""
 
 
 class Expectation(eqx.Module):
