@@ -8,8 +8,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from fynjax.canopy import FORMS, leaf_angle
 from fynjax.errors import InputError
 from fynjax.radiation import Accuracy, nadir_rays, render, solve_light
+from fynjax.scene import Species
+from fynjax.scene._optics import seen_from_above
 from fynjax.sensors import shipped_sensor
 from tests.scene.plots import small_parameters, small_plot
 
@@ -152,3 +155,14 @@ def test_other_voxels_hold_the_same_area(voxel, structure, finer, tuft):
 def test_a_structure_needs_an_edge():
     with pytest.raises(InputError, match="positive lengths"):
         small_plot(structure=-0.1)
+
+
+def test_leaves_show_the_area_of_their_inclination_and_all_else_half_of_it():
+    """Whether a species has the inclination of its form or its own."""
+    forms = ("tussock", "rounded_shrub")
+    species = [Species(form, form) for form in forms]
+    species.append(Species("own", "tussock", leaf_angle=leaf_angle("planophile")))
+    names = (*(FORMS[form].leaf_angle for form in forms), "planophile")
+    expected = [leaf_angle(name).projection(jnp.ones(())) for name in names]
+    assert expected[0] != expected[1]
+    np.testing.assert_allclose(seen_from_above(species), [*expected, 0.5, 0.5], rtol=1e-6)
