@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, ClassVar, Literal, NamedTuple
+from typing import ClassVar, Literal, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -42,6 +42,7 @@ from fynjax.leaf import (
     LeafChunks,
     LeafFit,
     LeafGroups,
+    LeafSettings,
     LeafShape,
     ProspectVersion,
     area_factors,
@@ -296,12 +297,14 @@ def fit_leaf(
         | ({} if species is None else {"species.csv": f"{len(set(species))} species"})
         | ({} if posterior == "none" else {"posterior.nc": size})
     )
-    options: dict[str, Any] = {
-        "version": version, "measurement": instrument, "leaf_shape": leaf_shape, "domain": domain
-    }  # fmt: skip
-    together = None if species is None else fit_leaf_groups(spectra, groups=species, **options)
-    fit = _fit_apart(spectra, options, checkpoint, workers) if together is None else together.leaves
-    settings = {
+    settings = LeafSettings(version, instrument, leaf_shape, domain)
+    together = (
+        None if species is None else fit_leaf_groups(spectra, groups=species, settings=settings)
+    )
+    fit = (
+        _fit_apart(spectra, settings, checkpoint, workers) if together is None else together.leaves
+    )
+    attributes = {
         "prospect_version": version,
         "measurement": measurement,
         "leaf_shape": leaf_shape,
@@ -311,14 +314,14 @@ def fit_leaf(
     }
     table = _write_traits(run, fit, area, refused)
     what = "measured, fitted and predicted R and T on the fit's bins"
-    dataset = fit.to_xarray(area).assign_attrs(settings)
+    dataset = fit.to_xarray(area).assign_attrs(attributes)
     write_spectra_netcdf(dataset, run.path("spectra.nc", what))
     if together is not None:
         _write_species(run, together, version, area)
     if posterior != "none":
-        draws = sample_leaf_posterior(spectra, sampler=posterior, seed=seed, **options)
+        draws = sample_leaf_posterior(spectra, sampler=posterior, settings=settings, seed=seed)
         what = "draws of the parameters and of T from the posterior"
-        dataset = draws.to_xarray(area).assign_attrs(settings)
+        dataset = draws.to_xarray(area).assign_attrs(attributes)
         write_spectra_netcdf(dataset, run.path("posterior.nc", what))
     return _result(run, leaves, fit, table, version, [panel, groups])
 
@@ -350,15 +353,15 @@ def _read_leaves(
 
 def _fit_apart(
     spectra: xr.Dataset,
-    options: dict[str, Any],
+    settings: LeafSettings,
     checkpoint: str | Path | None,
     workers: Workers | None,
 ) -> LeafFit:
     """Each leaf fitted by itself, in parts that a checkpoint keeps."""
     journal, count = None, spectra.sizes["spectrum"]
-    chunks = LeafChunks(spectra, size=_PART, **options)
+    chunks = LeafChunks(spectra, settings=settings, size=_PART)
     if checkpoint is not None and count > _PART:
-        journal = Journal(checkpoint, signature(chunks.parts, options))
+        journal = Journal(checkpoint, signature(chunks.parts, settings))
     with stage("Fit leaves", count), at_work(workers) as pool:
         done = dict(
             pool.each(

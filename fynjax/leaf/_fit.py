@@ -18,14 +18,15 @@ from fynjax.leaf._error_model import ErrorModel, bin_centres
 from fynjax.leaf._measurement import AbstractMeasurement
 from fynjax.leaf._parameters import LEAF_PARAMETERS, LeafParameters
 from fynjax.leaf._problem import (
+    USUAL_SETTINGS,
     FitDomain,
+    LeafSettings,
+    Prior,
     Setup,
-    binned_data,
     leaf_bounds,
     leaf_priors,
     leaf_problems,
-    make_setup,
-    usable_bins,
+    prepare,
 )
 from fynjax.leaf._residual import (
     Optics,
@@ -41,7 +42,7 @@ from fynjax.leaf._residual import (
     to_physical,
 )
 from fynjax.leaf._result import NINETY_PERCENT, LeafFit, LeafStatus
-from fynjax.leaf._spectra import Source, as_spectra
+from fynjax.leaf._spectra import Source
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -103,10 +104,7 @@ def _describe_many(tree: tuple, factors: Any, noise: Any, optics: Optics) -> dic
 
 
 def solve_leaves(
-    setup: Setup,
-    data: np.ndarray,
-    use: np.ndarray,
-    prior: tuple[np.ndarray, np.ndarray],
+    setup: Setup, data: np.ndarray, use: np.ndarray, prior: Prior
 ) -> tuple[Solution, Problem]:
     """Most probable z of each leaf, and its problem.
 
@@ -147,12 +145,6 @@ def towards_reflectance(
         way = np.where(alone.converged, alone.z[:, at] - z[both, at], 0.0)
         change[both, at] = setup.reflectance_share * way
     return change
-
-
-def rarity(setup: Setup, z: np.ndarray) -> Float[np.ndarray, " leaf"]:
-    """Squared distance of leaves from the usual leaf, in units of the population's covariance."""
-    offset = z - setup.prior_mean
-    return np.einsum("np,pq,nq->n", offset, setup.prior_precision, offset)
 
 
 def describe(
@@ -235,15 +227,14 @@ def fit_leaf(
     >>> fit.table()["water"].round(3).tolist()
     [0.008, 0.015]
     """
-    chunks = LeafChunks(
-        wavelength, reflectance, transmittance, version=version,
-        measurement=measurement, leaf_shape=leaf_shape, domain=domain, free=free, outdoor=outdoor,
-        detector_changes=detector_changes, error_model=error_model,
-    )  # fmt: skip
+    settings = LeafSettings(
+        version, measurement, leaf_shape, domain, free, outdoor, detector_changes, error_model
+    )
+    chunks = LeafChunks(wavelength, reflectance, transmittance, settings=settings)
     return chunks.join(chunks.fit(part, chunks.setup) for part in chunks.parts)
 
 
-Chunk = tuple[np.ndarray, np.ndarray, tuple[np.ndarray, np.ndarray]]
+Chunk = tuple[np.ndarray, np.ndarray, Prior]
 """Data of some leaves, which of them to use, and their priors."""
 
 
@@ -279,22 +270,13 @@ class LeafChunks:
         reflectance: Any = None,
         transmittance: Any = None,
         *,
+        settings: LeafSettings = USUAL_SETTINGS,
         size: int = 1024,
-        version: ProspectVersion = "D",
-        measurement: AbstractMeasurement | None = None,
-        leaf_shape: LeafShape = "broad",
-        domain: FitDomain = "full",
-        free: Sequence[str] | None = None,
-        outdoor: bool | None = None,
-        detector_changes: Sequence[float] = (),
-        error_model: ErrorModel | None = None,
     ) -> None:
-        """Chunks of `size` leaves; other arguments and errors as `fit_leaf`."""
-        spectra = as_spectra(wavelength, reflectance, transmittance)
-        self._source, self._data = spectra.source, binned_data(spectra, detector_changes)
-        self._use = usable_bins(self._data, domain, outdoor)
-        self.setup = make_setup(version, measurement, free, error_model, leaf_shape)
-        mean, precision = leaf_priors(self.setup, self._data, self._use)
+        """Chunks of `size` leaves; spectra and errors as of `fit_leaf`."""
+        self.setup, self._data, self._use, (mean, precision), self._source = prepare(
+            wavelength, reflectance, transmittance, settings
+        )
         count = len(mean)
         self.rows = [slice(at, min(at + size, count)) for at in range(0, count, size)]
         self.parts = [(self._data[r], self._use[r], (mean[r], precision[r])) for r in self.rows]
@@ -335,11 +317,13 @@ def describe_chunk(
     population = np.diag(np.linalg.inv(setup.prior_precision))
     share = np.einsum("npp->np", covariance) / population
     extra = trait_variance(setup, inflation, z)
+    off = found.z - setup.prior_mean
+    rarity = np.einsum("np,pq,nq->n", off, setup.prior_precision, off)
     covariance = covariance + np.eye(len(setup.names)) * extra[:, None]
     misfit = found.misfit / np.maximum(use.sum((1, 2)), 1)
     return description | {
         "z": z, "covariance": covariance, "chi2": misfit, "inflation": inflation,
-        "converged": found.converged, "share": share, "rarity": rarity(setup, found.z),
+        "converged": found.converged, "share": share, "rarity": rarity,
     }  # fmt: skip
 
 

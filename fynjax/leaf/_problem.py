@@ -1,7 +1,8 @@
 """What a leaf fit is made of: bins that count, priors, and the problem of each leaf."""
 
 from collections.abc import Sequence
-from typing import Literal, NamedTuple
+from dataclasses import dataclass
+from typing import Any, Literal, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -36,7 +37,7 @@ from fynjax.leaf._measurement import (
 from fynjax.leaf._parameters import LEAF_PARAMETERS
 from fynjax.leaf._prospect import interface_transmissivity, surface_transmissivity
 from fynjax.leaf._residual import Optics, Problem, to_unconstrained
-from fynjax.leaf._spectra import Spectra, check_fractions
+from fynjax.leaf._spectra import Source, Spectra, as_spectra, check_fractions
 
 FitDomain = Literal["full", "optimal"]
 """Wavelengths that a fit uses: all of 450-2400 nm, or the published sub-domains."""
@@ -89,6 +90,31 @@ def _model_rows(names: Sequence[str]) -> list[int]:
     return [POPULATION_TRAITS.index(n) if n in POPULATION_TRAITS else -1 for n in known]
 
 
+@dataclass(frozen=True)
+class LeafSettings:
+    """Settings of a fit of leaves, as the arguments of `fit_leaf` of these names have them."""
+
+    version: ProspectVersion = "D"
+    """Version of PROSPECT: "5", "D" or "PRO"."""
+    measurement: AbstractMeasurement | None = None
+    """Instrument's reading of a leaf; None: the usual one for the shape (`usual_measurement`)."""
+    leaf_shape: LeafShape = "broad"
+    """Shape of the leaves."""
+    domain: FitDomain = "full"
+    """Wavelengths that are used."""
+    free: Sequence[str] | None = None
+    """Parameters to fit; None: all of the version but `brown_pigments`."""
+    outdoor: bool | None = None
+    """Whether the bands of water vapour are left out; None: of spectra that are spoilt there."""
+    detector_changes: Sequence[float] = ()
+    """Wavelengths where detectors change [nm], at which jumps are taken out."""
+    error_model: ErrorModel | None = None
+    """Covariance of PROSPECT's error; None: `default_error_model()`."""
+
+
+USUAL_SETTINGS = LeafSettings()
+
+
 class Setup(NamedTuple):
     """What all leaves of a fit share."""
 
@@ -110,19 +136,30 @@ class Setup(NamedTuple):
     matter is not fitted."""
 
 
-def make_setup(
-    version: ProspectVersion,
-    measurement: AbstractMeasurement | None,
-    free: Sequence[str] | None,
-    model: ErrorModel | None,
-    shape: LeafShape = "broad",
-) -> Setup:
+Prior = tuple[Float[np.ndarray, "leaf parameter"], Float[np.ndarray, "leaf parameter parameter"]]
+"""Mean and precision of each leaf's prior, in unconstrained coordinates."""
+
+
+def prepare(
+    wavelength: Any, reflectance: Any, transmittance: Any, settings: LeafSettings
+) -> tuple[Setup, Float[np.ndarray, "leaf 2 bin"], Bool[np.ndarray, "leaf 2 bin"], Prior, Source]:
+    """Constants of a fit, binned spectra, which bins to use, priors, and where leaves are from."""
+    spectra = as_spectra(wavelength, reflectance, transmittance)
+    data = binned_data(spectra, settings.detector_changes)
+    use = usable_bins(data, settings.domain, settings.outdoor)
+    setup = make_setup(settings)
+    return setup, data, use, leaf_priors(setup, data, use), spectra.source
+
+
+def make_setup(settings: LeafSettings) -> Setup:
     """Constants of a fit. Must run with 64-bit numbers on."""
+    version, measurement, shape = settings.version, settings.measurement, settings.leaf_shape
     check_version(version)
     measurement = usual_measurement(shape) if measurement is None else measurement
-    model = default_error_model() if model is None else model
+    model = default_error_model() if settings.error_model is None else settings.error_model
     leaf = ("structure", *CONSTITUENTS[version])
-    free = tuple(n for n in leaf if n != "brown_pigments") if free is None else tuple(free)
+    usual = tuple(n for n in leaf if n != "brown_pigments")
+    free = usual if settings.free is None else tuple(settings.free)
     for name in free:
         if name not in leaf:
             raise InputError(f"`free` names {name!r}, which PROSPECT-{version} does not have")
@@ -226,9 +263,7 @@ def usable_bins(
     return use
 
 
-def leaf_priors(
-    setup: Setup, data: np.ndarray, use: np.ndarray
-) -> tuple[Float[np.ndarray, "leaf parameter"], Float[np.ndarray, "leaf parameter parameter"]]:
+def leaf_priors(setup: Setup, data: np.ndarray, use: np.ndarray) -> Prior:
     """Prior mean and precision of each leaf.
 
     With R or T missing, N and the absorbers trade off against each other, and the plateau in the
@@ -268,11 +303,7 @@ def leaf_priors(
 
 
 def leaf_problems(
-    setup: Setup,
-    data: np.ndarray,
-    use: np.ndarray,
-    prior: tuple[np.ndarray, np.ndarray],
-    inflation: np.ndarray,
+    setup: Setup, data: np.ndarray, use: np.ndarray, prior: Prior, inflation: np.ndarray
 ) -> Problem:
     """The problems of leaves as NumPy arrays with the leaf as first axis."""
     precision = np.where(use, 1.0 / (setup.noise**2 + setup.distrust**2), 0.0)

@@ -227,14 +227,10 @@ def cut(tree: Any, count: int) -> Any:
 
 
 def batches(tree: Any, rows: np.ndarray) -> Iterator[tuple[np.ndarray, Any]]:
-    """Rows in batches of the largest size, and every array of the tree at them, see `padded`."""
+    """Rows in batches, and every array of the tree at them: the first row is repeated up to the
+    next of the fixed batch sizes."""
     for at in range(0, rows.size, _SIZES[-1]):
         part = rows[at : at + _SIZES[-1]]
-        yield part, padded(tree, part)
-
-
-def padded(tree: Any, rows: np.ndarray) -> Any:
-    """Rows of every array, repeated up to the next of the fixed batch sizes."""
-    size = next(s for s in _SIZES if s >= rows.size)
-    index = np.concatenate([rows, np.repeat(rows[:1], size - rows.size)])
-    return jax.tree.map(lambda a: jnp.asarray(np.asarray(a)[index]), tree)
+        size = next(s for s in _SIZES if s >= part.size)
+        index = np.concatenate([part, np.repeat(part[:1], size - part.size)])
+        yield part, jax.tree.map(lambda a, at=index: jnp.asarray(np.asarray(a)[at]), tree)

@@ -33,6 +33,7 @@ from fynjax.leaf._fit import solve_leaves
 from fynjax.leaf._problem import (
     _REFLECTANCE_LINE,
     _TRANSMITTANCE_LINE,
+    LeafSettings,
     leaf_bounds,
     leaf_priors,
     leaf_problems,
@@ -98,7 +99,7 @@ def test_intervals_cover_leaves_drawn_from_the_error_model():
 def leaf():
     """Needles before an unknown background, with bands left out, errors grown by half, and a prior
     whose parameters are correlated; and a z beside it."""
-    setup = make_setup("D", LeafOverBackground(None, None, None), None, None, "needle")
+    setup = make_setup(LeafSettings("D", LeafOverBackground(None, None, None), "needle"))
     draw = np.random.default_rng(4)
     z = jnp.asarray(setup.prior_mean + 0.1 * draw.normal(size=setup.prior_mean.size))
     data = np.asarray(observed(to_physical(z, setup.optics), setup.optics))[None]
@@ -155,7 +156,7 @@ def test_no_leaf_near_the_estimate_is_more_probable():
     data = np.stack([to_bins(GRID, r), to_bins(GRID, t)], axis=1)
     data *= 1.0 + 0.05 * draw.normal(size=data.shape)
     use = np.broadcast_to((bin_centres() > 460.0) & (bin_centres() < 2390.0), data.shape)
-    setup = make_setup("D", None, None, None)
+    setup = make_setup(LeafSettings())
     found, problems = solve_leaves(setup, data, use, leaf_priors(setup, data, use))
     assert found.converged.all()
     call = jax.jit(residual)
@@ -347,7 +348,7 @@ def test_neighbours_that_are_known_say_that_a_plateau_is_not_that_of_one_leaf():
     data[:, 0] = to_bins(GRID, r)
     extra = []
     for p in (0.0, 0.3):
-        setup = make_setup("D", LeafOverBackground(recollision=p), None, None)
+        setup = make_setup(LeafSettings("D", LeafOverBackground(recollision=p)))
         _, precision = leaf_priors(setup, data, np.isfinite(data))
         extra.append(precision[0, 0, 0] - setup.prior_precision[0, 0])
     assert extra[0] > 1.0
@@ -366,9 +367,13 @@ def test_the_shape_reaches_species_and_posteriors():
     r, t = np.asarray(optics.reflectance), np.asarray(optics.transmittance)
     misfit, draws = {}, {}
     for shape in ("broad", "needle"):
-        options = {"leaf_shape": shape, "measurement": IntegratingSphere()}
-        misfit[shape] = fit_leaf_groups(GRID, r, t, groups=["a", "a"], **options).leaves.rmse
-        draws[shape] = sample_leaf_posterior(GRID, r[:1], t[:1], target=50.0, **options).samples
+        settings = LeafSettings(leaf_shape=shape, measurement=IntegratingSphere())
+        misfit[shape] = fit_leaf_groups(
+            GRID, r, t, groups=["a", "a"], settings=settings
+        ).leaves.rmse
+        draws[shape] = sample_leaf_posterior(
+            GRID, r[:1], t[:1], target=50.0, settings=settings
+        ).samples
     assert np.all(misfit["needle"] < 0.7 * misfit["broad"])
     mean = {shape: samples.mean((0, 1)) for shape, samples in draws.items()}
     assert not np.allclose(mean["needle"], mean["broad"], rtol=0.01)
@@ -496,7 +501,9 @@ def test_draws_of_dry_matter_are_moved_as_the_fit_is():
     for share in (0.0, 0.6):
         of = eqx.tree_at(lambda m: m.reflectance_share, model, share)
         fitted.append(np.asarray(fit_leaf(GRID, r, t, error_model=of).parameters.dry_matter))
-        posterior = sample_leaf_posterior(GRID, r, t, target=50.0, error_model=of)
+        posterior = sample_leaf_posterior(
+            GRID, r, t, target=50.0, settings=LeafSettings(error_model=of)
+        )
         drawn.append(posterior.samples[0, :, posterior.names.index("dry_matter")])
     moves = [np.diff(np.log(np.array(m) - low) - np.log(high - np.array(m)), axis=0)
              for m in (fitted, drawn)]  # fmt: skip
@@ -570,7 +577,7 @@ def test_a_bad_fit_is_weighted_as_under_a_student_likelihood(bands):
     usable = np.flatnonzero((bin_centres() > 460.0) & (bin_centres() < 2390.0))
     use = np.zeros(data.shape, bool)
     use[:, :, usable[np.linspace(0, usable.size - 1, bands // 2).astype(int)]] = True
-    setup = make_setup("D", None, None, None)
+    setup = make_setup(LeafSettings())
     prior = leaf_priors(setup, data, use)
     plain = leaf_problems(setup, data, use, prior, np.ones(3))
     misfit = solve(prior[0], plain, setup.factors, setup.optics).misfit
