@@ -1,8 +1,10 @@
-"""Facets of meshes: their areas and normals, which of them close, and an even draw of them."""
+"""Facets of meshes: their areas and normals, which of them close, and even draws of them."""
 
 import numpy as np
 
+from fynjax._core.errors import InputError
 from fynjax._core.seeds import generator
+from fynjax.canopy._elements import split_elements
 
 # Normals are sorted into this many rings and sectors of the hemisphere, all of equal area.
 _NORMAL_RINGS, _NORMAL_SECTORS = 8, 16
@@ -44,6 +46,33 @@ def closed_faces(triangles: np.ndarray) -> np.ndarray:
     is_open = np.zeros(number, bool)
     is_open[surface[len(faces) :][count % 2 == 1]] = True
     return ~is_open[surface[: len(faces)]]
+
+
+def draw_groups(
+    group: np.ndarray,
+    area: np.ndarray,
+    normal: np.ndarray,
+    place: np.ndarray,
+    count: int,
+    seed: int,
+) -> list[np.ndarray]:
+    """Indices of `count` facets, drawn evenly within each of the groups that have area.
+
+    Groups, such as materials, get facets by their area, at least one. Raises `InputError` for a
+    `count` below the number of groups.
+    """
+    share = np.bincount(group, weights=area)
+    present = {int(index): float(share[index]) for index in np.flatnonzero(share > 0.0)}
+    if count < len(present):
+        raise InputError(
+            f"`n_elements` must be at least {len(present)}, one for each material or organ, but is "
+            f"{count}"
+        )
+    drawn = []
+    for index, number in split_elements(count, present).items():
+        own = np.flatnonzero(group == index)
+        drawn.append(own[draw_evenly(area[own], normal[own], place[own], number, [seed, index])])
+    return drawn
 
 
 def draw_evenly(

@@ -16,9 +16,8 @@ from jaxtyping import Float, Int
 
 from fynjax._core.errors import InputError
 from fynjax._core.tables import TextTable, name_and_unit, open_points, places_of
-from fynjax.canopy._elements import split_elements
 from fynjax.canopy._plant import Organ
-from fynjax.canopy.mesh._facets import draw_evenly
+from fynjax.canopy.mesh._facets import draw_groups
 from fynjax.canopy.mesh._organ_names import organ_named, organ_of_name
 from fynjax.canopy.mesh._plant_mesh import MeshPlant, PlantMaterial, check_extent, mesh_plant
 
@@ -116,7 +115,7 @@ def plant_model_from_points(
     if up == "y":
         points = np.stack([points[:, 0], -points[:, 2], points[:, 1]], axis=-1)
         normals = np.stack([normals[:, 0], -normals[:, 2], normals[:, 1]], axis=-1)
-    low, high = check_extent(points, maximum_extent, None, "a scanned plant")
+    box = check_extent(points, maximum_extent, None, "a scanned plant")
     _check_normals(normals)
     of_point = _organs(organ, len(points))
 
@@ -138,7 +137,12 @@ def plant_model_from_points(
                 )
         if kind in known:
             area[members] *= known[kind] / area[members].sum()
-    chosen, portion = _thin(points, normals, of_point, area, n_elements, seed)
+    chosen, portion = np.arange(len(points)), area
+    if n_elements is not None and n_elements < len(points):
+        drawn = draw_groups(of_point, area, normals, points, n_elements, seed)
+        chosen = np.concatenate(drawn)
+        total = np.bincount(of_point, weights=area)
+        portion = np.repeat([total[of_point[p[0]]] / len(p) for p in drawn], list(map(len, drawn)))
     present = [kind for kind in Organ if (of_point == kind).any()]
     index = np.array([present.index(kind) if kind in present else -1 for kind in Organ])
     return mesh_plant(
@@ -146,10 +150,8 @@ def plant_model_from_points(
         normals[chosen],
         portion,
         index[of_point[chosen]],
-        tuple(kind.name.lower() for kind in present),
-        [PlantMaterial(kind) for kind in present],
-        low,
-        high,
+        {kind.name.lower(): PlantMaterial(kind) for kind in present},
+        box,
         (0.0,) * len(present),
     )
 
@@ -167,32 +169,6 @@ def _point_areas(points: np.ndarray, normals: np.ndarray, neighbours: int) -> np
     level = np.maximum((reach**2).sum(axis=1) - along**2, 0.25 * (reach**2).sum(axis=1))
     # The mean of pi r^2 / k is the area per point where points lie at random.
     return np.pi * level / count
-
-
-def _thin(
-    points: np.ndarray,
-    normals: np.ndarray,
-    organ: np.ndarray,
-    area: np.ndarray,
-    n_elements: int | None,
-    seed: int,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Points drawn in proportion to area within each organ, and the area of each."""
-    if n_elements is None or n_elements >= len(organ):
-        return np.arange(len(organ)), area
-    total = np.bincount(organ, weights=area, minlength=len(Organ))
-    present = {kind: float(total[kind]) for kind in Organ if total[kind] > 0.0}
-    if n_elements < len(present):
-        raise InputError(f"`n_elements` must be at least {len(present)}, but is {n_elements}")
-    chosen, portion = [], []
-    for kind, count in split_elements(n_elements, present).items():
-        members = np.flatnonzero(organ == kind)
-        drawn = draw_evenly(
-            area[members], normals[members], points[members], count, [seed, int(kind)]
-        )
-        chosen.append(members[drawn])
-        portion.append(np.full(count, present[kind] / count))
-    return np.concatenate(chosen), np.concatenate(portion)
 
 
 def _check_normals(normals: np.ndarray) -> None:

@@ -9,6 +9,7 @@ from scipy.special import ndtri
 
 from fynjax._core.errors import InputError
 from fynjax._core.seeds import generator
+from fynjax.sensors._bands import floats
 
 _TURN_S = 60.0  # between the flight lines
 
@@ -19,19 +20,19 @@ class FlashGeometry(eqx.Module):
     Frames stand in a square pattern, as many as cover the plot, about its middle.
     """
 
-    altitude: float = eqx.field(static=True)
+    altitude: float = eqx.field(static=True, converter=float)
     """Height of the platform above the ground [m]."""
-    array: tuple[int, int] = eqx.field(static=True)
+    array: tuple[int, int] = eqx.field(static=True, converter=tuple)
     """Pixels across (x) and along (y)."""
-    pixel_pitch_um: float = eqx.field(static=True)
+    pixel_pitch_um: float = eqx.field(static=True, converter=float)
     """Distance of the pixels on the array [µm]."""
-    focal_length_mm: float = eqx.field(static=True)
+    focal_length_mm: float = eqx.field(static=True, converter=float)
     """Focal length of the camera [mm]."""
-    half_divergence_rad: float = eqx.field(static=True)
+    half_divergence_rad: float = eqx.field(static=True, converter=float)
     """Angle of the Gaussian beam from its axis to 1/e² of the irradiance [rad]."""
-    frame_step: float = eqx.field(static=True)
+    frame_step: float = eqx.field(static=True, converter=float)
     """Distance between frames [m]."""
-    rate: float = eqx.field(static=True)
+    rate: float = eqx.field(static=True, converter=float)
     """Pulses, and so frames, in a second [Hz]."""
     pencils: int = eqx.field(static=True, default=3)
     """Pencils along each side of a pixel."""
@@ -40,21 +41,21 @@ class FlashGeometry(eqx.Module):
 class ScanGeometry(eqx.Module):
     """A scanner on straight flight lines that sweeps across them."""
 
-    altitude: float = eqx.field(static=True)
+    altitude: float = eqx.field(static=True, converter=float)
     """Height of the platform above the ground [m]."""
-    pulse_density: float = eqx.field(static=True)
+    pulse_density: float = eqx.field(static=True, converter=float)
     """Pulses per level ground of all flight lines together [m-2]."""
-    divergence_mrad: float = eqx.field(static=True)
+    divergence_mrad: float = eqx.field(static=True, converter=float)
     """Full angle of the Gaussian beam at 1/e² of the irradiance [mrad]."""
-    half_scan_angle: float = eqx.field(static=True)
+    half_scan_angle: float = eqx.field(static=True, converter=float)
     """Largest angle from straight down [degrees]."""
-    line_offsets: tuple[float, ...] = eqx.field(static=True)
+    line_offsets: tuple[float, ...] = eqx.field(static=True, converter=floats)
     """Distance of each flight line from the plot's middle, to the right of the heading [m]."""
-    heading: float = eqx.field(static=True)
+    heading: float = eqx.field(static=True, converter=float)
     """Direction of the flight, clockwise from north [degrees]."""
-    speed: float = eqx.field(static=True)
+    speed: float = eqx.field(static=True, converter=float)
     """Speed of the flight [m s-1]."""
-    rate: float = eqx.field(static=True)
+    rate: float = eqx.field(static=True, converter=float)
     """Pulses in a second [Hz]."""
     pencils: int = eqx.field(static=True, default=3)
     """Pencils along each side of the footprint."""
