@@ -76,20 +76,10 @@ def plant_model(
         position, normal = elements[organ](made, uniform, seed, plant)
         positions.append(position)
         normals.append(normal)
-    return build_plant(
-        np.concatenate(positions),
-        np.concatenate(normals),
-        np.repeat([int(organ) for organ in counts], list(counts.values())),
-    )
-
-
-def build_plant(position: np.ndarray, normal: np.ndarray, organ: np.ndarray) -> PlantModel:
-    """Plant model of elements that share their organ's area equally."""
-    per_organ = np.bincount(organ, minlength=len(Organ))
-    normal = np.where(normal[:, 2:] < 0.0, -normal, normal)
+    upward = np.concatenate(normals)
     return PlantModel(
-        jnp.asarray(position),
-        jnp.asarray(1.0 / per_organ[organ]),
-        jnp.asarray(normal),
-        jnp.asarray(organ, jnp.int32),
+        jnp.asarray(np.concatenate(positions)),
+        jnp.asarray(np.concatenate([np.full(n, 1.0 / n) for n in counts.values()])),
+        jnp.asarray(np.where(upward[:, 2:] < 0.0, -upward, upward)),
+        jnp.asarray(np.repeat([int(o) for o in counts], list(counts.values())), jnp.int32),
     )

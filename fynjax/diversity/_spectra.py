@@ -11,6 +11,7 @@ from jaxtyping import Array, Bool, Float, Shaped
 from numpy.typing import ArrayLike
 
 from fynjax._core.errors import InputError
+from fynjax._core.math import square_root
 from fynjax._core.seeds import generator
 from fynjax.diversity._components import hull_volume, principal_components
 from fynjax.metrics import spectral_angle
@@ -129,7 +130,7 @@ def coefficient_of_variation(
         raise InputError("a coefficient of variation needs bands whose mean is positive")
     off = jnp.where(keep[..., None], data - mean[..., None, :], 0.0)
     variance = jnp.sum(off**2, axis=-2) / (count[..., None] - freedom)
-    return jnp.mean(_root(variance) / mean, axis=-1)
+    return jnp.mean(square_root(variance) / mean, axis=-1)
 
 
 def mean_spectral_angle(spectra: ArrayLike, valid: ArrayLike | None = None) -> PerWindow:
@@ -178,7 +179,7 @@ def spectral_rao(spectra: ArrayLike, valid: ArrayLike | None = None) -> PerWindo
     def one(x: Array, counts: Array, number: Array) -> Array:
         @jax.checkpoint  # else a gradient holds every difference of two pixels in memory
         def from_one(pixel: Array) -> Array:
-            return jnp.sum(jnp.where(counts, _root(jnp.sum((x - pixel) ** 2, axis=-1)), 0.0))
+            return jnp.sum(jnp.where(counts, square_root(jnp.sum((x - pixel) ** 2, axis=-1)), 0.0))
 
         return jnp.sum(jnp.where(counts, jax.lax.map(from_one, x), 0.0)) / number**2
 
@@ -407,9 +408,3 @@ def _each(function: Callable[..., Array], data: Spectra, keep: Array, count: Arr
     """A function of one window for each, one after the other to save memory."""
     flat = (data.reshape(-1, *data.shape[-2:]), keep.reshape(-1, keep.shape[-1]), count.ravel())
     return jax.lax.map(lambda window: function(*window), flat).reshape(count.shape)
-
-
-def _root(square: Array) -> Array:
-    """Square root, with the slope 0 at 0."""
-    some = ~(square == 0.0)  # true for NaN, which must show
-    return jnp.where(some, jnp.sqrt(jnp.where(some, square, 1.0)), 0.0)

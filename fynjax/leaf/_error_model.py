@@ -30,12 +30,6 @@ def bin_centres() -> np.ndarray:
     return np.concatenate([np.arange(400.0, 781.0, 5.0), np.arange(790.0, 2501.0, 10.0)])
 
 
-def _bin_edges() -> np.ndarray:
-    centres = bin_centres()
-    between = (centres[1:] + centres[:-1]) / 2
-    return np.concatenate([[centres[0] - 2.5], between, [centres[-1] + 5.0]])
-
-
 POPULATION_TRAITS = ("structure", "chlorophyll", "carotenoids", "water", "dry_matter")
 """Traits whose correlation and discrepancy an error model holds."""
 
@@ -160,7 +154,9 @@ def to_bins(wavelength: np.ndarray, spectra: np.ndarray) -> np.ndarray:
     centres = bin_centres()
     spectra = np.asarray(spectra, float)
     lead = spectra.reshape(-1, spectra.shape[-1])
-    place = np.digitize(wavelength, _bin_edges()) - 1
+    between = (centres[1:] + centres[:-1]) / 2
+    edges = np.concatenate([[centres[0] - 2.5], between, [centres[-1] + 5.0]])
+    place = np.digitize(wavelength, edges) - 1
     inside = np.flatnonzero((place >= 0) & (place < centres.size))
     finite = np.isfinite(lead)
 

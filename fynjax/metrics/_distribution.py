@@ -15,6 +15,7 @@ from jaxtyping import Array, Bool, Float
 from numpy.typing import ArrayLike
 
 from fynjax._core.errors import InputError
+from fynjax._core.math import square_root
 
 Sample = Float[Array | np.ndarray, "*pixel"]
 Mask = Bool[Array | np.ndarray, "*pixel"]
@@ -55,9 +56,7 @@ def standard_deviation(values: Sample, valid: Mask | None = None) -> Scalar:
     origin = jax.lax.stop_gradient(jnp.max(jnp.where(weight > 0, x, -jnp.inf)))
     shifted = jnp.where(weight > 0, x - origin, 0.0)
     deviation = jnp.where(weight > 0, shifted - jnp.sum(shifted) / count, 0.0)
-    variance = jnp.sum(deviation**2) / count
-    spread = ~(variance == 0.0)  # true for NaN, which must show
-    return jnp.where(spread, jnp.sqrt(jnp.where(spread, variance, 1.0)), 0.0)
+    return square_root(jnp.sum(deviation**2) / count)
 
 
 QUANTILE_WINDOW = 0.05

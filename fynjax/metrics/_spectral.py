@@ -9,6 +9,7 @@ from jaxtyping import Array, Bool, Float
 from numpy.typing import ArrayLike
 
 from fynjax._core.errors import InputError
+from fynjax._core.math import square_root
 from fynjax._core.spectral import check_wavelength
 
 Spectrum = Float[Array | np.ndarray, " wavelength"]
@@ -186,6 +187,4 @@ def _ratio(over: Scalar, under: Scalar) -> Scalar:
 
 
 def _norm(x: Spectrum) -> Scalar:
-    square = jnp.sum(x**2)
-    nonzero = ~(square == 0.0)  # true for NaN, which must show
-    return jnp.where(nonzero, jnp.sqrt(jnp.where(nonzero, square, 1.0)), 0.0)
+    return square_root(jnp.sum(x**2))

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
 from fynjax._core.errors import InputError
-from fynjax._core.math import real_array
+from fynjax._core.math import real_array, square_root
 from fynjax._core.records import Slip, Strict, number
 
 _ROUNDS = 4
@@ -52,9 +52,8 @@ class EmpiricalLine(eqx.Module):
         signal, noise = real_array(signal), real_array(signal_sd)
         c = self.covariance
         variance = signal**2 * c[:, 0, 0] + 2.0 * signal * c[:, 0, 1] + c[:, 1, 1]
-        variance = variance + (self.gain * noise) ** 2
-        known = variance > 0.0  # the root has no slope at zero
-        return jnp.where(known, jnp.sqrt(jnp.where(known, variance, 1.0)), 0.0)
+        # Rounding may leave a line without uncertainty a negative variance.
+        return square_root(jnp.maximum(variance + (self.gain * noise) ** 2, 0.0))
 
     def relit(
         self, ratio: Float[ArrayLike, " band"], ratio_sd: Float[ArrayLike, " band"] | float = 0.0
@@ -132,8 +131,7 @@ def empirical_line(
     for _ in range(_ROUNDS):
         gain, xc, yc, spread, total = weighted(sy**2 + (gain * sx) ** 2)
     slope = 1.0 / spread
-    rows = [[slope, -xc * slope], [-xc * slope, 1.0 / total + xc**2 * slope]]
-    covariance = jnp.stack([jnp.stack(row, axis=-1) for row in rows], axis=-2)
+    covariance = _covariance(slope, -xc * slope, 1.0 / total + xc**2 * slope)
     return EmpiricalLine(gain, yc - gain * xc, covariance)
 
 
@@ -170,9 +168,7 @@ def one_panel_line(
         jnp.broadcast_to(real_array(sd), x.shape) for sd in (signal_sd, reflectance_sd, offset_sd)
     )
     gain = y / x
-    shared = 0.0 - so**2 / x
-    rows = [[(sy**2 + (gain * sx) ** 2 + so**2) / x**2, shared], [shared, so**2]]
-    covariance = jnp.stack([jnp.stack(row, axis=-1) for row in rows], axis=-2)
+    covariance = _covariance((sy**2 + (gain * sx) ** 2 + so**2) / x**2, 0.0 - so**2 / x, so**2)
     return EmpiricalLine(gain, jnp.zeros_like(gain), covariance)
 
 
@@ -360,6 +356,13 @@ def place_panels(
     under = jnp.sum(cover, axis=0)
     panel = jnp.broadcast_to(panel, (cover.shape[0], ground.shape[0]))
     return ground * (1.0 - under) + jnp.einsum("pyx,pb->byx", cover, panel)
+
+
+def _covariance(gain: Array, both: Array, offset: Array) -> Float[Array, "band 2 2"]:
+    """Covariance of gain and offset from their variances and what they share."""
+    return jnp.stack(
+        [jnp.stack([gain, both], axis=-1), jnp.stack([both, offset], axis=-1)], axis=-2
+    )
 
 
 def _positive(values: Array, what: str) -> None:

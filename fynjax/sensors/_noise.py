@@ -17,6 +17,7 @@ from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
 from fynjax._core.errors import InputError
+from fynjax._core.math import square_root
 from fynjax._core.spectral import check_wavelength
 
 RADIANCE_UNITS = {
@@ -94,9 +95,7 @@ class RadiometricNoise(AbstractNoise):
 
     def pixel_deviation(self, radiance: Float[Array, "*batch band"]) -> Float[Array, "*batch band"]:
         a, b, c = (jnp.asarray(v, radiance.dtype) for v in (self.a, self.b, self.c))
-        total = b + radiance
-        light = total > 0.0
-        root = jnp.where(light, jnp.sqrt(jnp.where(light, total, 1.0)), 0.0)
+        root = square_root(jnp.maximum(b + radiance, 0.0))
         return jnp.abs(a * root + c) / math.sqrt(self.integrations)
 
 

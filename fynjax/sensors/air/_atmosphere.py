@@ -50,8 +50,8 @@ class Atmosphere(eqx.Module):
         for field in dataclasses.fields(self)[1:]:
             if (shape := jnp.shape(getattr(self, field.name))) != grid.shape:
                 raise InputError(
-                    f"`{field.name}` must have one value for each of the {grid.size} wavelengths, but "
-                    f"has shape {shape}. For many atmospheres use `jax.vmap`."
+                    f"`{field.name}` must have one value for each of the {grid.size} wavelengths, "
+                    f"but has shape {shape}. For many atmospheres use `jax.vmap`."
                 )
 
     @property

@@ -216,3 +216,26 @@ def light_kept_upward(
     """
     forward = 0.5 * (1.0 + _ASYMMETRY)
     return jnp.exp(-0.5 * rayleigh - (1.0 - albedo * forward) * aerosol)
+
+
+def clear_sky_diffuse_fraction(
+    wavelength: Float[Array, " wavelength"],
+    sun_zenith: Float[Array, ""],
+    aerosol_optical_depth: Float[Array, ""],
+) -> Float[Array, " wavelength"]:
+    """Diffuse over global irradiance on a horizontal plane under a clear sky [-].
+
+    **Arguments:**
+
+    - `wavelength`: [nm], 400 to 2500.
+    - `sun_zenith`: zenith angle of the sun [degrees], below 85.
+    - `aerosol_optical_depth`: at 500 nm [-], 0 to about 0.5.
+
+    The scattering part of SPCTRL2 (Bird and Riordan 1984) at sea level over a black ground. Gases
+    absorb direct and diffuse light alike there, and so leave the share as it is.
+
+    Differentiable in all arguments.
+    """
+    aerosol = aerosol_depth(wavelength, aerosol_optical_depth, 500.0)
+    light = scattered_light(wavelength, sun_zenith, rayleigh_depth(wavelength), aerosol)
+    return light.diffuse / (light.direct + light.diffuse)

@@ -10,6 +10,7 @@ and is left out: by Monte Carlo at 1064 nm on 4 m of the plot of 2006 it is 1 % 
 footprint of 0.1 m, 2 % in one of 0.25 m and 6 % in one of 1 m.
 """
 
+import dataclasses
 import math
 from collections.abc import Callable
 from typing import Any
@@ -19,7 +20,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.scipy.special import erf
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 from scipy.special import ndtr
 
 from fynjax._core.errors import InputError
@@ -112,26 +113,17 @@ def lidar_waveforms(
     hits = None
     if key is not None:
         hits = jax.random.exponential(key, (len(beams), len(beams.pencils)), dtype)
-    grid = _FineGrid(scene, lidar, beams)
-    late, spread = None, None
+    receiver, first = _Receiver.create(scene, lidar, beams)
+    late = None
     if multiple and isinstance(lidar.geometry, FlashGeometry):
         late = late_light(scene)
-        spread = _Late.create(delays(late, grid.step, lidar.pulse_sd, 2 * grid.bins), grid, dtype)
-    receiver = _Receiver(
-        jnp.asarray(grid.to_samples, dtype),
-        spread,
-        grid.step,
-        grid.count,
-        grid.tail,
-        lidar.sample,
-        beams.samples,
-        lidar.pulse_sd,
-    )
+        found = delays(late, receiver.step, lidar.pulse_sd, 2 * len(receiver.to_samples))
+        receiver = dataclasses.replace(receiver, late=_Late.create(found, receiver.to_samples))
     canopy, ground = map_beams(
         _one_waveform,
         batch,
         beams,
-        (jnp.asarray(beams.start, dtype), jnp.asarray(grid.first), hits),
+        (jnp.asarray(beams.start, dtype), jnp.asarray(first), hits),
         (scene, canopy_fields(scene), receiver),
         sublayers,
         late,
@@ -147,16 +139,15 @@ class _Late(eqx.Module):
     ground: Float[Array, "bin sample"]
 
     @classmethod
-    def create(cls, delays: Delays, grid: "_FineGrid", dtype: Any) -> "_Late":
-        place = np.arange(grid.bins)
+    def create(cls, delays: Delays, to_samples: Float[Array, "bin sample"]) -> "_Late":
+        place = np.arange(len(to_samples))
         later = (place - place[:, None]) % delays.ground.shape[0]
-        to_samples = jnp.asarray(grid.to_samples, dtype)
 
         def delayed(distribution: Array) -> Array:
-            return distribution.astype(dtype)[later] @ to_samples
+            return distribution.astype(to_samples.dtype)[later] @ to_samples
 
         leaves = jax.lax.map(delayed, delays.leaves)
-        return cls(delays.heights.astype(dtype), leaves, delayed(delays.ground))
+        return cls(delays.heights.astype(to_samples.dtype), leaves, delayed(delays.ground))
 
     def samples(self, energy: Float[Array, " bin"], height: Float[Array, " bin"]) -> Array:
         """What leaves of such heights sent last, in samples."""
@@ -169,7 +160,11 @@ class _Late(eqx.Module):
 
 
 class _Receiver(eqx.Module):
-    """What happens to the light that a beam sends back."""
+    """Bins of range, finer than samples, in which a canopy's return is gathered, and how pulse and
+    samples blur it.
+
+    Bins are counted from the first sample of each beam; they span the canopy of that beam.
+    """
 
     to_samples: Float[Array, "bin sample"]
     late: _Late | None
@@ -180,11 +175,51 @@ class _Receiver(eqx.Module):
     samples: int = eqx.field(static=True)
     pulse_sd: float = eqx.field(static=True)
 
+    @classmethod
+    def create(
+        cls, scene: VoxelScene, lidar: Lidar, beams: LidarBeams
+    ) -> tuple["_Receiver", Int[np.ndarray, " beam"]]:
+        """The receiver, and the first bin of each beam that the canopy reaches."""
+        sigma = lidar.pulse_sd
+        per_sample = max(int(np.ceil(_FINE * lidar.sample / sigma)), 1)
+        step = lidar.sample / per_sample
+        tail = int(np.ceil(_TAIL * sigma / step))
+        slant = -beams.direction[:, 2]
+        tilt = np.sqrt(np.maximum(1.0 - slant**2, 0.0)) / slant
+        off = np.abs(beams.pencils).max()
+        # A pencil's slant range beyond that of the axis, to second order.
+        slack = beams.origin[:, 2] / slant * (2.0 * tilt * off + 4.0 * off**2)
+        near = (beams.origin[:, 2] - scene.height) / slant - slack
+        far = beams.origin[:, 2] / slant + slack
+        count = int(np.ceil(np.max(far - near) / step)) + 1
+        bins = (np.arange(beams.samples * per_sample + 2 * tail + 1) - tail) * step
+        edges = np.arange(beams.samples + 1) * lidar.sample
+
+        def ramp(x: np.ndarray) -> np.ndarray:
+            """Integral of the distribution function of the pulse."""
+            density = np.exp(-0.5 * (x / sigma) ** 2) / np.sqrt(2.0 * np.pi)
+            return x * ndtr(x / sigma) + sigma * density
+
+        # What is even in a bin, blurred by the pulse and integrated over a sample: the second
+        # difference of the ramp, over the edges of both.
+        blurred = ramp(edges[None, :] - bins[:, None])
+        to_samples = np.diff(-np.diff(blurred, axis=0), axis=1) / step
+        receiver = cls(
+            jnp.asarray(to_samples, scene.area_density.dtype),
+            None,
+            step,
+            count,
+            tail,
+            lidar.sample,
+            beams.samples,
+            sigma,
+        )
+        return receiver, np.floor((near - beams.start) / step).astype(int)
+
     def points(self, distance: Array, start: Array) -> Float[Array, "sample pencil"]:
         """Share of the return of points that each sample holds."""
         edges = start + jnp.arange(self.samples + 1, dtype=start.dtype) * self.sample
-        scaled = (edges[:, None] - distance) / (math.sqrt(2.0) * self.pulse_sd)
-        return 0.5 * jnp.diff(erf(scaled), axis=0)
+        return pulse_between(edges, distance, self.pulse_sd)
 
     def spread(
         self, path: PencilPaths, source: Array, start: Array, first: Array
@@ -215,6 +250,13 @@ class _Receiver(eqx.Module):
         distance = start + (bins - self.tail + 0.5) * self.step
         fall = path.depth.shape[0] * path.step  # from the grid's top to its bottom
         return top * (1.0 - jnp.mean((distance[:, None] - path.top) / fall, axis=1))
+
+
+def pulse_between(edges: Array, distance: Array, pulse_sd: float) -> Array:
+    """Share of the Gaussian return of points [pencil] that falls between each two of the `edges`
+    [..., edge] of range: [..., edge - 1, pencil]."""
+    scaled = (edges[..., None] - distance) / (math.sqrt(2.0) * pulse_sd)
+    return 0.5 * jnp.diff(erf(scaled), axis=-2)
 
 
 def _one_waveform(
@@ -357,37 +399,3 @@ def check_scene(scene: VoxelScene, beams: LidarBeams) -> None:
             f"the LiDAR must be above the grid, which is {scene.height:g} m high, but is at "
             f"{float(beams.origin[:, 2].min()):g} m: pulses begin above the canopy"
         )
-
-
-class _FineGrid:
-    """Bins of range in which a canopy's return is gathered before pulse and samples blur it.
-
-    Counted from the first sample of each beam; they span the canopy of that beam.
-    """
-
-    def __init__(self, scene: VoxelScene, lidar: Lidar, beams: LidarBeams) -> None:
-        sigma = lidar.pulse_sd
-        per_sample = max(int(np.ceil(_FINE * lidar.sample / sigma)), 1)
-        self.step = lidar.sample / per_sample
-        self.tail = int(np.ceil(_TAIL * sigma / self.step))
-        slant = -beams.direction[:, 2]
-        tilt = np.sqrt(np.maximum(1.0 - slant**2, 0.0)) / slant
-        off = np.abs(beams.pencils).max()
-        # A pencil's slant range beyond that of the axis, to second order.
-        slack = beams.origin[:, 2] / slant * (2.0 * tilt * off + 4.0 * off**2)
-        near = (beams.origin[:, 2] - scene.height) / slant - slack
-        far = beams.origin[:, 2] / slant + slack
-        self.first = np.floor((near - beams.start) / self.step).astype(int)
-        self.count = int(np.ceil(np.max(far - near) / self.step)) + 1
-        count = beams.samples * per_sample + 2 * self.tail
-        bins = (np.arange(count + 1) - self.tail) * self.step
-        edges = np.arange(beams.samples + 1) * lidar.sample
-
-        def ramp(x: np.ndarray) -> np.ndarray:
-            """Integral of the distribution function of the pulse."""
-            density = np.exp(-0.5 * (x / sigma) ** 2) / np.sqrt(2.0 * np.pi)
-            return x * ndtr(x / sigma) + sigma * density
-
-        blurred = ramp(edges[None, :] - bins[:, None])
-        self.bins = count
-        self.to_samples = np.diff(-np.diff(blurred, axis=0), axis=1) / self.step
