@@ -7,7 +7,7 @@ heights.
 """
 
 from collections.abc import Callable, Hashable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, TypeVar
 
 import jax.numpy as jnp
@@ -49,24 +49,21 @@ class Crown:
         distance = np.where(height < self.widest, below**self.taper_below, above**self.taper_above)
         return 0.5 * np.sqrt(1.0 - distance)
 
-    def points(self, uniform: np.ndarray, lowest: float = 0.0) -> np.ndarray:
-        """Points for uniform numbers [n, 3], drawn from the foliage density above `lowest`."""
-        height = np.linspace(max(self.base, lowest), 1.0, QUANTILES)
+    def points(self, uniform: np.ndarray) -> np.ndarray:
+        """Points for uniform numbers [n, 3], drawn from the foliage density."""
+        height = np.linspace(self.base, 1.0, QUANTILES)
         # Foliage at a height: its density times the area of the crown's cross-section.
         weight = self.radius(height) ** 2 * np.maximum(height, 1e-9) ** self.height_power
         z = quantile(uniform[:, 0], height, weight)
         even = _around(self.radius(z) * np.sqrt(uniform[:, 1]), uniform[:, 2], z)
-        return self._outwards(even, max(self.base, lowest))
-
-    def _outwards(self, point: np.ndarray, lowest: float) -> np.ndarray:
-        """Points of an even crown, moved away from its middle as `shell_power` asks."""
-        middle = np.array([0.0, 0.0, max(self.widest, lowest)])
-        away = point - middle
-        inner, outer = np.ones(len(point)), np.full(len(point), 1e3)
+        # From an even crown away from its middle, as `shell_power` asks.
+        middle = np.array([0.0, 0.0, self.widest])
+        away = even - middle
+        inner, outer = np.ones(len(even)), np.full(len(even), 1e3)
         for _ in range(40):  # how far the envelope is, in distances of the point
             half = np.sqrt(inner * outer)
             x, y, z = (middle + half[:, None] * away).T
-            inside = (z >= lowest) & (z <= 1.0)
+            inside = (z >= self.base) & (z <= 1.0)
             inside &= np.hypot(x, y) <= self.radius(np.clip(z, self.base, 1.0))
             inner, outer = np.where(inside, half, inner), np.where(inside, outer, half)
         share = 1.0 / inner
@@ -226,7 +223,7 @@ def individual_of(form: "GrowthForm", seed: int, most_bunches: int) -> Individua
     bare[highest] = False
     leafy[bare] = 0.0
     plant = Individual(reach, centre, along, leafy / leafy.sum())
-    return Individual(reach, plant.widened(centre), along, plant.leafy)
+    return replace(plant, centre=plant.widened(centre))
 
 
 Elements = Callable[["GrowthForm", np.ndarray, int, Individual], tuple[np.ndarray, np.ndarray]]
@@ -339,7 +336,7 @@ def free_shoots(shoots: Shoots, seed: int, number: int) -> tuple[ShootsDrawn, np
 
 def _on_shoots(
     shoots: Shoots,
-    drawn: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray],
+    drawn: "ShootsDrawn",
     uniform: np.ndarray,
     part: tuple[float, float],
     arch: np.ndarray,
@@ -374,8 +371,7 @@ def normals(uniform: np.ndarray, name: str) -> np.ndarray:
     inclination = np.linspace(0.0, 0.5 * np.pi, QUANTILES)
     density = np.asarray(leaf_angle(name).inclination_density(jnp.asarray(inclination)), float)
     tilt = quantile(uniform[:, 0], inclination, np.maximum(density, 0.0))
-    normal = _around(np.sin(tilt), uniform[:, 1], np.cos(tilt))
-    return normal
+    return _around(np.sin(tilt), uniform[:, 1], np.cos(tilt))
 
 
 def quantile(uniform: np.ndarray, nodes: np.ndarray, density: np.ndarray) -> np.ndarray:

@@ -96,7 +96,12 @@ def group_bands(
     for place in order.tolist():
         last = groups[-1] if groups else []
         wide = _WIDTH[int(centre[place] > _TURN)]
-        if last and centre[place] - centre[last[0]] < wide and not _apart(bands, last[-1], place):
+        # Neighbours that leave more than their widths between them stay apart.
+        if (
+            last
+            and centre[place] - centre[last[0]] < wide
+            and centre[place] - centre[last[-1]] <= width[last[-1]] + width[place]
+        ):
             last.append(place)
         else:
             groups.append([place])
@@ -115,12 +120,6 @@ def group_bands(
     curves: Any = [_response(bands.select(group)) for group in groups]
     joined = BandSet(names, tuple(middle), tuple(upper - lower), curves=curves)
     return Channels(lower, upper, middle), joined
-
-
-def _apart(bands: BandSet, one: int, other: int) -> bool:
-    """Whether two neighbouring bands leave more than their widths between them."""
-    gap = bands.centre[other] - bands.centre[one]
-    return gap > bands.fwhm[one] + bands.fwhm[other]
 
 
 def _response(bands: BandSet) -> tuple[Float[np.ndarray, " w"], Float[np.ndarray, " w"]]:

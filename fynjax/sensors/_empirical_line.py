@@ -17,6 +17,7 @@ from fynjax._core.errors import InputError
 from fynjax._core.math import real_array, square_root
 from fynjax._core.records import Slip, Strict, number
 
+_SAMPLES = 16  # points along each edge of a pixel that a panel covers in part
 _ROUNDS = 4
 """Times the weights are computed again with the slope: the last changes it by less than 1e-6 of its
 standard deviation where panels are known to 10 %."""
@@ -233,9 +234,8 @@ def panel_coverage(
     *,
     pixel_m: float = 1.0,
     origin_m: tuple[float, float] = (0.0, 0.0),
-    samples: int = 16,
 ) -> Float[np.ndarray, "y x"]:
-    """Share of each pixel that a polygon covers [-], to 1 / `samples` in each direction.
+    """Share of each pixel that a polygon covers [-], to 1/16 in each direction.
 
     **Arguments:**
 
@@ -245,7 +245,6 @@ def panel_coverage(
     - `shape`: (y, x) of the image. y grows with its row.
     - `pixel_m`: edge of a pixel [m].
     - `origin_m`: (x, y) of the outer corner of the first pixel [m].
-    - `samples`: points along each edge of a pixel, at least 1.
 
     **Raises:** `InputError` for a polygon of fewer corners, without area, or outside the image.
 
@@ -268,11 +267,11 @@ def panel_coverage(
     if (size > 0).all():
         fine = rasterize(
             [({"type": "Polygon", "coordinates": [[*points.tolist(), points[0].tolist()]]}, 1)],
-            out_shape=(int(size[1]) * samples, int(size[0]) * samples),
-            transform=Affine(1.0 / samples, 0, low[0], 0, 1.0 / samples, low[1]),
+            out_shape=(int(size[1]) * _SAMPLES, int(size[0]) * _SAMPLES),
+            transform=Affine(1.0 / _SAMPLES, 0, low[0], 0, 1.0 / _SAMPLES, low[1]),
             dtype="uint8",
         )
-        coarse = fine.reshape(size[1], samples, size[0], samples).mean(axis=(1, 3))
+        coarse = fine.reshape(size[1], _SAMPLES, size[0], _SAMPLES).mean(axis=(1, 3))
         covered[low[1] : high[1], low[0] : high[0]] = coarse
     if not covered.any():
         raise InputError(

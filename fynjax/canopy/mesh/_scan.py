@@ -119,24 +119,7 @@ def plant_model_from_points(
     _check_normals(normals)
     of_point = _organs(organ, len(points))
 
-    area = np.zeros(len(points))
-    known = {organ_named(key): float(value) for key, value in (organ_area or {}).items()}
-    for kind in Organ:
-        members = of_point == kind
-        if kind in known and not (np.isfinite(known[kind]) and known[kind] > 0.0 and members.any()):
-            raise InputError(
-                f"`organ_area` of {kind.name.lower()} must be positive [m2] and the organ have "
-                f"points, but is {known[kind]:g} with {members.sum()} points"
-            )
-        if members.any():
-            area[members] = _point_areas(points[members], normals[members], neighbours)
-            if not area[members].sum() > 0.0:
-                raise InputError(
-                    f"the points of the {kind.name.lower()} must spread over an area, but all "
-                    f"{members.sum()} lie at one place: duplicate points?"
-                )
-        if kind in known:
-            area[members] *= known[kind] / area[members].sum()
+    area = _areas(points, normals, of_point, organ_area or {}, neighbours)
     chosen, portion = np.arange(len(points)), area
     if n_elements is not None and n_elements < len(points):
         drawn = draw_groups(of_point, area, normals, points, n_elements, seed)
@@ -154,6 +137,36 @@ def plant_model_from_points(
         box,
         (0.0,) * len(present),
     )
+
+
+def _areas(
+    points: np.ndarray,
+    normals: np.ndarray,
+    organ: np.ndarray,
+    organ_area: dict[Organ | str, float],
+    neighbours: int,
+) -> np.ndarray:
+    """Area of each point [m2]: from the spacing of its organ's points, scaled where that of the
+    organ is known."""
+    area = np.zeros(len(points))
+    known = {organ_named(key): float(value) for key, value in organ_area.items()}
+    for kind in Organ:
+        members = organ == kind
+        if kind in known and not (np.isfinite(known[kind]) and known[kind] > 0.0 and members.any()):
+            raise InputError(
+                f"`organ_area` of {kind.name.lower()} must be positive [m2] and the organ have "
+                f"points, but is {known[kind]:g} with {members.sum()} points"
+            )
+        if members.any():
+            area[members] = _point_areas(points[members], normals[members], neighbours)
+            if not area[members].sum() > 0.0:
+                raise InputError(
+                    f"the points of the {kind.name.lower()} must spread over an area, but all "
+                    f"{members.sum()} lie at one place: duplicate points?"
+                )
+        if kind in known:
+            area[members] *= known[kind] / area[members].sum()
+    return area
 
 
 def _point_areas(points: np.ndarray, normals: np.ndarray, neighbours: int) -> np.ndarray:

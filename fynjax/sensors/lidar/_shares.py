@@ -22,7 +22,6 @@ def shares_of_returns(
     *,
     key: Array,
     sublayers: int = 2,
-    batch: int = 1024,
 ) -> tuple[Float[np.ndarray, "group point"], Float[np.ndarray, " point"]]:
     """Shares that groups of classes and the ground have in the light of each return.
 
@@ -31,7 +30,7 @@ def shares_of_returns(
 
     **Arguments:**
 
-    - `scene`, `lidar`, `beams`, `key`, `sublayers`, `batch`: as `lidar_waveforms` had them for
+    - `scene`, `lidar`, `beams`, `key`, `sublayers`: as `lidar_waveforms` had them for
       these returns; classes may be parted further, as long as their area is the same.
     - `returns`: of `detect_returns`.
     - `groups`: places of the classes of each group.
@@ -49,7 +48,6 @@ def shares_of_returns(
     distance[returns.beam, returns.number - 1] = returns.distance
     canopy, ground = map_beams(
         _one_share,
-        batch,
         beams,
         (jnp.asarray(distance, dtype), hits),
         (scene, canopy_fields(scene, groups), (lidar.sample, lidar.pulse_sd)),

@@ -121,12 +121,12 @@ def lidar_waveforms(
         receiver = dataclasses.replace(receiver, late=_Late.create(found, receiver.to_samples))
     canopy, ground = map_beams(
         _one_waveform,
-        batch,
         beams,
         (jnp.asarray(beams.start, dtype), jnp.asarray(first), hits),
         (scene, canopy_fields(scene), receiver),
         sublayers,
         late,
+        batch,
     )
     return Waveforms(canopy, ground)
 
@@ -294,7 +294,6 @@ def expected_returns(
     edges: Float[np.ndarray, " edge"],
     *,
     sublayers: int = 2,
-    batch: int = 1024,
 ) -> tuple[Float[Array, " layer"], Float[Array, ""]]:
     """Expected number of beams whose light first meets the canopy in each layer, and the ground.
 
@@ -304,7 +303,7 @@ def expected_returns(
     **Arguments:**
 
     - `edges`: borders of the layers above the bottom of the grid, rising [m].
-    - `scene`, `beams`, `sublayers`, `batch`: as for `lidar_waveforms`.
+    - `scene`, `beams`, `sublayers`: as for `lidar_waveforms`.
 
     **Returns:** hits of the canopy in each layer and hits of the ground [-]; with edges from 0 to
     the top they sum to the number of beams.
@@ -319,7 +318,6 @@ def expected_returns(
     platform = jnp.asarray(beams.origin[:, 2], heights.dtype)
     canopy, ground = map_beams(
         _one_beam_of_hits,
-        batch,
         beams,
         platform,
         (scene, canopy_fields(scene), heights),
@@ -340,12 +338,12 @@ def _one_beam_of_hits(
 
 def map_beams(
     function: Callable[..., tuple[Array, Array]],
-    batch: int,
     beams: LidarBeams,
     per_beam: Any,
     common: tuple[VoxelScene, Array, Any],
     sublayers: int,
     late: LateLight | None = None,
+    batch: int = 1024,
 ) -> tuple[Array, Array]:
     """`function` of each beam's paths, so many beams at a time: two arrays by beam."""
     dtype = common[0].area_density.dtype
