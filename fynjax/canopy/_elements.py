@@ -66,6 +66,8 @@ class Crown:
             inside = (z >= self.base) & (z <= 1.0)
             inside &= np.hypot(x, y) <= self.radius(np.clip(z, self.base, 1.0))
             inner, outer = np.where(inside, half, inner), np.where(inside, outer, half)
+        # Of even points the share s of the way out is below x with probability x^3; with foliage as
+        # s^p it is so for s^(3 / (3 + p)).
         share = 1.0 / inner
         further = share ** (3.0 / (3.0 + self.shell_power)) / share
         return middle + further[:, None] * away
@@ -101,6 +103,7 @@ class Shoots:
         Fixed by the seed alone, so that wood, culms and spikelets sit on the same shoots.
         """
         uniform = quasi_random(number, 3, [seed, len(Organ)])
+        # Even over a disc, of which the outermost shoot stands on the edge.
         outward = np.sqrt(uniform[:, 1] / uniform[:, 1].max())
         low, high = self.tip_radius
         tip = low + (high - low) * outward
@@ -190,6 +193,8 @@ def _outline(variation: float, rng: np.random.Generator) -> np.ndarray:
     """
     turn = 2.0 * np.pi * np.arange(QUANTILES) / QUANTILES
     waves = np.arange(1, _LOBES + 1)
+    # Amplitudes of a Gaussian outline: their variances fall as 1 / wave, and add up to that of
+    # the square of the distance.
     size = variation * rng.rayleigh(1.0, _LOBES) / np.sqrt(waves * np.sum(1.0 / waves))
     phase = rng.uniform(0.0, 2.0 * np.pi, _LOBES)
     square = 1.0 + np.sum(size * np.cos(np.outer(turn, waves) + phase), axis=1)
@@ -215,6 +220,7 @@ def individual_of(form: "GrowthForm", seed: int, most_bunches: int) -> Individua
     direction[:, 2] = np.maximum(centre[:, 2], 0.5)
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     along = 0.5 * foliage.length * direction
+    # Bunches reach beyond their middles, which stand back from the edge, the top and the ground.
     centre[:, :2] *= 1.0 - 1.6 * foliage.radius
     rise = along[:, 2]
     centre[:, 2] = np.clip(centre[:, 2], rise, 1.0 - rise) * lower
@@ -295,6 +301,7 @@ def in_bunches(
 ) -> np.ndarray:
     """Points in bunches that have the `share` of them, for uniform numbers [n, 6]; above `lowest`
     of their half lengths."""
+    # The first number chooses the bunch, the sixth the place along it, two the place across it.
     bunch = np.searchsorted(np.cumsum(share), uniform[:, 0] * share.sum(), side="right")
     bunch = np.minimum(bunch, len(share) - 1)
     # Even in an ellipsoid: its cross-section falls as 1 - part^2 to both ends.
@@ -323,6 +330,7 @@ def free_shoots(shoots: Shoots, seed: int, number: int) -> tuple[ShootsDrawn, np
     """Culms or bare stems, at most `number`, and how each of them is arched: some bend over more
     than others."""
     rng = np.random.default_rng([seed, len(Organ) + 5])
+    # Drawn for the most there can be: where there are fewer, they are the first of these.
     bend = rng.uniform(0.6, 1.6, number)
     if shoots.fewest is not None:
         number = int(rng.integers(min(shoots.fewest, number), number + 1))
@@ -361,6 +369,7 @@ def _on_shoots(
     tangent = radial * slope[:, None]
     tangent[:, 2] = top[shoot]
     tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
+    # Normals stand square on the shoot, at an even angle about it.
     side = _around(np.ones(len(turn)), turn + 0.25, np.zeros(len(turn)))
     roll = 2.0 * np.pi * uniform[:, 5:6]
     return position, np.cos(roll) * side + np.sin(roll) * np.cross(tangent, side)

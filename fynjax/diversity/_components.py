@@ -72,6 +72,7 @@ def principal_components(
     _, singular, axes = np.linalg.svd((data - mean) / scale, full_matrices=False)
     variance = singular**2 / (len(data) - 1)
     axes = axes[:count]
+    # A component has no sign of its own: that of its largest entry is positive.
     largest = np.take_along_axis(axes, np.abs(axes).argmax(axis=1)[:, None], axis=1)
     axes = axes * np.sign(largest)
     share = variance / variance.sum()
@@ -105,6 +106,7 @@ def hull_volume(points: ArrayLike) -> float:
         )
     if data.shape[1] == 1:
         return float(np.ptp(data))
+    # Qhull refuses points that lie in a plane.
     if np.linalg.matrix_rank(data - data.mean(axis=0)) < data.shape[1]:
         return 0.0
     return float(ConvexHull(data).volume)
@@ -183,6 +185,7 @@ def spectral_species(
             f"`clusters` must be from 2 to the {len(pixels) // repeats} pixels of a repeat, but is "
             f"{clusters}"
         )
+    # Components of all pixels, each at variance 1, so that each counts alike for the clusters.
     axes = principal_components(pixels, components, standardise=True)
     points = axes.scores(pixels) / np.sqrt(axes.variance)
     rows = keep[..., 0].size
@@ -215,6 +218,7 @@ def _window_shares(
     """Share of each cluster among the pixels of a window, without those that are rare in it."""
     count = np.zeros((rows, clusters))
     np.add.at(count, (window, label), 1.0)
+    # Rare clusters are dropped window by window, and the rest shared out anew.
     count = np.where(count >= least * count.sum(axis=1, keepdims=True), count, 0.0)
     total = count.sum(axis=1, keepdims=True)
     if not total.all():

@@ -68,6 +68,7 @@ def bhattacharyya_distance(
     found = _distance(classes, shrinkage)
     if shrinkage is not None:
         return found
+    # How large B comes out of so few pixels where classes are alike is taken off.
     away = np.concatenate([x - x.mean(axis=0) for x in classes])
     root = np.linalg.cholesky(_covariance(away, None))
     random, alike = np.random.default_rng(0), []
@@ -80,6 +81,7 @@ def bhattacharyya_distance(
 def _distance(classes: Sequence[NDArray[np.float64]], shrinkage: float | None) -> float:
     one, two = (_covariance(x, shrinkage) for x in classes)
     off = classes[0].mean(axis=0) - classes[1].mean(axis=0)
+    # By logarithms of the determinants, which leave the range of numbers in many bands.
     both = 0.5 * (one + two)
     log = [_log_determinant(c) for c in (both, one, two)]
     distance = off @ np.linalg.solve(both, off) / 8.0 + 0.5 * (log[0] - 0.5 * (log[1] + log[2]))
@@ -246,6 +248,7 @@ def classify(
         model = _classifier(method, len(kinds), seed)
         model.fit(data[groups == name], number[groups == name])
         judged = model.predict(data[groups != name])
+        # Trained on one group, judged on all others.
         true = number[groups != name]
         np.add.at(confusion, (true, judged), 1)
         by_group[name] = float(np.mean(true == judged))

@@ -148,6 +148,7 @@ def mean_spectral_angle(spectra: ArrayLike, valid: ArrayLike | None = None) -> P
     data, keep, count = _checked(spectra, valid)
 
     def one(x: Array, counts: Array, number: Array) -> Array:
+        # Pixels that do not count take the mean, whose angle is 0, lest theirs be undefined.
         mean = jnp.sum(x, axis=0) / number
         angle = jax.vmap(spectral_angle, (0, None))(jnp.where(counts[:, None], x, mean), mean)
         return jnp.sum(jnp.where(counts, angle, 0.0)) / number
@@ -265,6 +266,7 @@ def spectral_partition(spectra: ArrayLike, valid: ArrayLike | None = None) -> Sp
     data, keep, count = _checked(spectra, valid)
     if count.size < 2:
         raise InputError(f"expected spectra of two sites or more, but got shape {data.shape}")
+    # Sums of squares: within sites, of their means about that of all, of all pixels about it.
     sites = tuple(range(count.ndim))
     mean = jnp.sum(data, axis=-2) / count[..., None]
     all_pixels = jnp.sum(count)
@@ -325,6 +327,7 @@ def diversity_map(
         raise InputError(f"`valid` must have the image's shape {shape}, but has {mask.shape}")
     keep = np.asarray(windows(mask[None], size))[..., 0]
     count = keep.sum(axis=-1)
+    # A hull needs a pixel more than components.
     used = count >= max(least_share * keep.shape[-1], components + 1)
     if not used.any():
         raise InputError(
@@ -335,6 +338,7 @@ def diversity_map(
     some = principal_components(spectra[keep], components)
     hulls = [hull_volume(some.scores(x[k])) for x, k in zip(spectra, keep, strict=True)]
     data, counts, number = _checked(spectra, keep)
+    # Alpha diversity of `spectral_partition`, which one window has too.
     mean = jnp.sum(data, axis=-2, keepdims=True) / number[:, None, None]
     square = jnp.sum(jnp.where(counts[..., None], data - mean, 0.0) ** 2, axis=(-2, -1))
     found = {

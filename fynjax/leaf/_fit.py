@@ -81,6 +81,7 @@ def _describe_many(tree: tuple, factors: Any, noise: Any, optics: Optics) -> dic
 
         (model, recorded), push = jax.linearize(read, z)
         slopes, by_recorded = jax.vmap(push)(jnp.eye(size))
+        # The misfit and its slopes are weighted alike, and go through the factors together.
         misfit = jnp.concatenate([(problem.data - recorded)[None], by_recorded])
         rows = (misfit * problem.precision).reshape(size + 1, -1)
         root = inverse_triangular(factor_system(factors, problem.precision))
@@ -92,6 +93,7 @@ def _describe_many(tree: tuple, factors: Any, noise: Any, optics: Optics) -> dic
     answers = jnp.einsum("nrj,njk->nrk", loads, inverse)
     # The last factor is the instrument's offset, which is no property of the leaf.
     shown = answers[:, 0, :-1] @ flat[:-1]
+    # Slopes of T, less what the factors take up of them.
     effective = slopes - (answers[:, 1:].reshape(-1, number) @ through).reshape(slopes.shape)
     pairs = (through[:, None] * through[None]).reshape(number * number, -1)
     remaining = inverse.reshape(leaves, -1) @ pairs + noise[1] ** 2
@@ -165,6 +167,7 @@ def trait_variance(
     # Beyond tenfold the spectrum is not that of a leaf: the status says so, and the interval is
     # the range of the prior.
     grown = np.minimum(np.asarray(inflation), 10.0)
+    # The discrepancy is stated at the usual dry matter, and changes with its logarithm.
     log, slope = setup.discrepancy.T
     mass = "dry_matter" if "dry_matter" in setup.names else "carbon_constituents"
     lower, upper = leaf_bounds([mass])[0]
@@ -315,6 +318,7 @@ def describe_chunk(
     description |= {"x": bounds[:, 0] + width * unit, "scale": width * unit * (1.0 - unit)}
     inflation = np.asarray(problems.inflation)
     population = np.diag(np.linalg.inv(setup.prior_precision))
+    # Before the discrepancy is added: what the spectrum leaves of the variance among leaves.
     share = np.einsum("npp->np", covariance) / population
     extra = trait_variance(setup, inflation, z)
     off = found.z - setup.prior_mean
@@ -350,6 +354,7 @@ def assemble(
         for sign in (-1, 1)
     ]
     scale = got["scale"]
+    # From logits to units, to first order; intervals are carried over exactly.
     covariance = scale[:, :, None] * got["covariance"] * scale[:, None, :]
     few = use.sum((1, 2)) < _FEWEST
     measured = np.where(use, data, np.nan)

@@ -49,6 +49,7 @@ class LeafGroups(eqx.Module):
 
         The departures from the mean are the same for all species, and repeatable by `seed`.
         """
+        # A ridge against rounding: parameters that are not free vary next to nothing.
         root = np.linalg.cholesky(self.logit_covariance + 1e-12 * np.eye(len(self.names)))
         steps = generator(seed).normal(size=(count, len(self.names))) @ root.T
         return _parameters(self.logit_mean[:, None] + steps, self.names)
@@ -160,6 +161,7 @@ def fit_leaf_groups(
         species = [_species(said[at], weighted[at], within, shared, setup) for at in rows]
         scatter = sum((s.scatter.sum(0) for s in species if len(s.scatter) > 1), 0.0 * guess)
         count = sum(len(s.scatter) for s in species if len(s.scatter) > 1)
+        # The covariance that maximises the expected likelihood, with the guess as so many leaves.
         within = (_GUESS_COUNTS * guess + scatter) / (_GUESS_COUNTS + count)
         means = np.stack([s.mean for s in species])
         inverse = np.linalg.inv(within)
@@ -206,6 +208,7 @@ def _species(
     inverse = np.linalg.inv(within)
     spread = np.linalg.inv(own + inverse)
     # Precision and weighted mean of mean + s from each leaf, the leaf itself integrated over.
+    # own - own (own + within^-1)^-1 own is the precision of the mean with the leaf unknown.
     about = own - own @ spread @ own
     right = (np.einsum("npq,nq->np", np.eye(size) - own @ spread, pulled)).sum(0)
     total = about.sum(0)

@@ -153,6 +153,7 @@ def sample_leaf_posterior(
             continue
         density = leaf_density(setup, Problem(*(part[i] for part in problems)))
         covariance = np.linalg.inv(found.hessian[i])[np.ix_(columns, columns)]
+        # Walkers start as draws from the Gaussian of the fit.
         count = max(_WALKERS, 4 * columns.size) if sampler == "emcee" else _CHAINS
         start = random.multivariate_normal(found.z[i, columns], covariance, count)
         limits: dict[str, Any] = {"target": target, "steps": max_steps, "seed": seed + i}

@@ -165,6 +165,7 @@ def make_setup(settings: LeafSettings) -> Setup:
             raise InputError(f"`free` names {name!r}, which PROSPECT-{version} does not have")
     names, free = leaf + measurement.estimated, free + measurement.estimated
     index, absorption = coefficients_at(version, native_wavelength())
+    # Means over the bins, as spectra are fitted: `bin_centres` says what that costs.
     binned = to_bins(native_wavelength(), np.vstack([index, absorption]))
     bounds = leaf_bounds(names)
     known = {name: _population(name) for name in names}
@@ -177,13 +178,16 @@ def make_setup(settings: LeafSettings) -> Setup:
         jnp.asarray(bounds[:, 1]),
         measurement,
     )
+    # An instrument adds its offset to R alone.
     offset = np.zeros((1, 2, bin_centres().size))
     offset[0, 0] = measurement.offset_deviation
     shared = np.stack([model.reflectance_factors, model.transmittance_factors], axis=1)
     loose = np.isin(names, free)
+    # What is not free is held next to nothing: a narrow prior keeps all problems of one shape.
     middle = np.where(loose, [known[n][0] for n in names], 1e-4 * bounds[:, 1])
     spread = np.where(loose, [known[n][1] for n in names], 1e-3)
     rows = np.array(_model_rows(names))
+    # Correlation of traits among leaves, for those that the error model knows.
     both = (rows >= 0) & loose
     correlation = np.eye(len(names))
     correlation[np.ix_(both, both)] = model.trait_correlation[np.ix_(rows[both], rows[both])]
@@ -269,6 +273,7 @@ def leaf_priors(setup: Setup, data: np.ndarray, use: np.ndarray) -> Prior:
     With R or T missing, N and the absorbers trade off against each other, and the plateau in the
     near infrared constrains N; not of a pile of leaves, nor of one over a bright background.
     """
+    # In precisions and pulls (precision times mean), which of prior and line add up.
     count, size = len(data), len(setup.names)
     band = int(np.argmin(np.abs(bin_centres() - _LINE_BAND)))
     back, through = data[:, 0, band], data[:, 1, band]
@@ -283,6 +288,7 @@ def leaf_priors(setup: Setup, data: np.ndarray, use: np.ndarray) -> Prior:
     low, high = leaf_bounds(["structure"])[0]
     # What the line says beyond the bounds counts as at their edge, where its weight is small.
     unit = np.clip((slope * ratio + offset - low) / (high - low), 0.02, 0.98)
+    # A deviation of N, carried to the logit of its place between the bounds.
     deviation = _LINE_DEVIATION / ((high - low) * unit * (1.0 - unit))
     known = "structure" in setup.free and setup.optics.measurement.leaf_alone
     weight = np.where((by_r | by_t) & known, deviation**-2.0, 0.0)

@@ -87,6 +87,7 @@ def _split(x: Array, optics: Optics) -> tuple[Array, Array, Array]:
 def spectra(x: Array, optics: Optics) -> Array:
     """R and T [2, bin] at physical parameters."""
     structure, contents, _ = _split(x, optics)
+    # Absorption of one of N elementary layers.
     k = (contents @ optics.absorption) / structure
     return jnp.stack(pile(k, structure, optics.first, optics.diffuse, optics.index))
 
@@ -205,6 +206,7 @@ def solve(start: np.ndarray, problems: Problem, factors: Any, optics: Optics) ->
 
 
 def _solve_block(start: np.ndarray, problems: Problem, factors: Any, optics: Optics) -> Solution:
+    # All leaves begin; those that have not converged are packed anew before each round.
     begun = [
         cut(_begin(leaves, factors, optics), rows.size)
         for rows, leaves in batches((start, problems), np.arange(len(start)))
@@ -216,6 +218,7 @@ def _solve_block(start: np.ndarray, problems: Problem, factors: Any, optics: Opt
             moved = cut(_advance(leaves, factors, optics), rows.size)
             for whole, part in zip(jax.tree.leaves((z, state, converged)), jax.tree.leaves(moved)):
                 whole[rows] = part
+    # Residuals are whitened: J^T J is the precision of data and prior together.
     hessian = state.jacobian.swapaxes(1, 2) @ state.jacobian
     misfit = (state.residual[:, : -z.shape[1]] ** 2).sum(1) * problems.inflation
     return Solution(z, hessian, misfit, converged)

@@ -98,6 +98,7 @@ def misfit_decomposition(real: Spectrum, simulated: Spectrum, valid: Mask | None
     # By the range: rounding leaves a constant spectrum some variance.
     low, high = jnp.min(x, where=keep, initial=jnp.inf), jnp.max(x, where=keep, initial=-jnp.inf)
     varies = high > low
+    # The regression of simulated on real, about the means.
     gain = jnp.sum(dx * dy) / jnp.where(varies, variety, 1.0)
     through_zero = jnp.sum(x * y) / jnp.where(some != 0.0, some, 1.0)
     shape = jnp.sum((dy - gain * dx) ** 2) / count

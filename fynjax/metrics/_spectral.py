@@ -116,6 +116,7 @@ def spectral_angle(real: Spectrum, simulated: Spectrum, valid: Mask | None = Non
     x, y = (
         jnp.where(some, v / jnp.where(some, of, 1.0), 1.0) for v, of in ((x, long_x), (y, long_y))
     )
+    # tan(angle / 2) = |u - v| / |u + v| of unit vectors u and v.
     angle = jnp.rad2deg(2.0 * jnp.arctan2(_norm(x - y), _norm(x + y)))
     return jnp.where(some, angle, jnp.nan)
 

@@ -163,6 +163,7 @@ def band_set_of_curves(curves: Mapping[str, Curve]) -> BandSet:
 
 
 def _width_at_half_maximum(u: np.ndarray, r: np.ndarray) -> float:
+    # From the first to the last point at half the maximum, linear between points.
     half = 0.5 * r.max()
     inside = np.flatnonzero(r >= half)
     first, last = int(inside[0]), int(inside[-1])

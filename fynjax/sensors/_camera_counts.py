@@ -66,6 +66,7 @@ class CameraRadiometry(eqx.Module):
             return sum((k * x**a * y**b for k, (a, b) in terms), jnp.zeros_like(x * y))
         square = (column - self.vignetting_centre[0]) ** 2 + (row - self.vignetting_centre[1]) ** 2
         r = square_root(square)
+        # k0 r + k1 r^2 + ..., by Horner's scheme.
         falloff = jnp.zeros_like(r)
         for k in self.vignetting[::-1]:
             falloff = (falloff + k) * r

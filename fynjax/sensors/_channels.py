@@ -110,6 +110,7 @@ def group_bands(
             f"expected bands for three channels or more from {_LOWEST:g} to {_HIGHEST:g} nm "
             f"outside the water windows, but got {len(groups)}"
         )
+    # A channel ends half a band's width beyond the middles of its outermost bands.
     half = [max(0.5 * float(width[group].mean()), 1.0) for group in groups]
     lower = np.array([centre[g[0]] - h for g, h in zip(groups, half)])
     upper = np.array([centre[g[-1]] + h for g, h in zip(groups, half)])
@@ -128,6 +129,7 @@ def _response(bands: BandSet) -> tuple[Float[np.ndarray, " w"], Float[np.ndarray
         low = min(points[0] for points, _ in bands.curves)
         high = max(points[-1] for points, _ in bands.curves)
     else:
+        # A Gaussian has next to nothing beyond 2.2 of its widths.
         reach = 2.2 * np.asarray(bands.fwhm)
         low, high = float((bands.centre - reach).min()), float((bands.centre + reach).max())
     grid = np.arange(max(np.floor(low), 400.0), min(np.ceil(high), 2500.0) + 0.5)

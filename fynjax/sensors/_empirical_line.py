@@ -123,6 +123,7 @@ def empirical_line(
 
     def weighted(variance: Array) -> tuple[Array, ...]:
         weight = 1.0 / (variance + least)
+        # A regression line about the weighted middle of the panels.
         total = jnp.sum(weight, axis=0)
         xc, yc = (jnp.sum(weight * v, axis=0) / total for v in (x, y))
         spread = jnp.sum(weight * (x - xc) ** 2, axis=0)

@@ -132,6 +132,7 @@ def radiometric_noise(
         )
     grid = check_wavelength(wavelength, "the wavelengths of the noise table")
     centres = np.atleast_1d(np.asarray(centre, dtype=np.float64))
+    # A band may lie beyond the table by its nearest step: there the outermost value holds.
     steps = np.diff(grid) if grid.size > 1 else np.zeros(1)
     low, high = grid[0] - steps[0], grid[-1] + steps[-1]
     outside = (centres < low) | (centres > high)

@@ -138,6 +138,7 @@ def generate_plant(
         np.repeat(np.arange(len(counts)), counts),
         tuple(organ.name.lower() for organ in surfaces),
     )
+    # Blades have a size over the usual, tubes a factor of relative radii [m].
     number, scale, radius = 0, 1.0, 0.0
     if Organ.LEAF in made:
         leaves, scale = organs[Organ.LEAF], made[Organ.LEAF][1]

@@ -193,6 +193,7 @@ def _radii(paths: np.ndarray, weight: np.ndarray) -> np.ndarray:
     length = np.linalg.norm(np.diff(paths, axis=1), axis=2)
     part = weight[:, None] / np.maximum(length, 1e-3 * length.mean())
     part *= length.sum() / (part * length).sum()
+    # A point has the mean radius of the parts before and after it.
     radii = 0.5 * (np.pad(part, ((0, 0), (1, 0)), "edge") + np.pad(part, ((0, 0), (0, 1)), "edge"))
     radii[:, -1] *= 0.5
     return radii
@@ -240,6 +241,7 @@ def _tubes(
     if leaf.kind == "stem" and form.shoots is not None:
         number = form.shoots.number
     else:
+        # As many as make the area at the usual thickness, half the surface of a tube each.
         length = np.linalg.norm(np.diff(drawn(_TRIAL)[1], axis=1), axis=2).sum() / _TRIAL
         each = 0.5 * leaf.width * sides * np.sin(np.pi / sides) * length
         most = 0.8 * max_triangles / (2 * sides * points)
@@ -257,6 +259,7 @@ def _sheets(
     wood = np.concatenate([_finer(paths) for paths, _ in stems.lines])
     base = wood[KDTree(wood).query(position)[1]]
     away = position - base + 1e-6 * np.array([1.0, 0.6, 0.2])  # a tip lies at its element
+    # Towards the element, as far as the blade can without leaving the normal.
     axis = unit(away - (away * normal).sum(axis=1, keepdims=True) * normal)
     return Sheets(shape, base, normal, axis, size)
 

@@ -178,6 +178,8 @@ def _point_areas(points: np.ndarray, normals: np.ndarray, neighbours: int) -> np
         raise InputError("an organ of a scanned plant must have at least two points, but has one")
     _, near = cKDTree(points).query(points, k=count + 1)
     reach = points[near[:, -1]] - points
+    # Squared distance to the farthest of them across the normal; at an edge, where it lies along
+    # the normal, a quarter of the whole counts at least.
     along = np.einsum("ni,ni->n", reach, normals)
     level = np.maximum((reach**2).sum(axis=1) - along**2, 0.25 * (reach**2).sum(axis=1))
     # The mean of pi r^2 / k is the area per point where points lie at random.

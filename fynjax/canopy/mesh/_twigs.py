@@ -27,14 +27,17 @@ def twigs(stems: np.ndarray, tips: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     near = np.array([np.linalg.norm(points[:first] - tip, axis=1).min() for tip in tips])
     part = np.linspace(0.0, 1.0, _POINTS)[:, None]
     bearer = np.empty(len(tips), int)
+    # Tips near the stems first: their twigs bear those farther out.
     for index, tip in enumerate(tips[np.argsort(near, kind="stable")]):
         used = first + index * _POINTS
         reach = tip - points[:used]
+        # A joint that lies too high for the rise counts as farther away by twice as much.
         low = np.maximum(_RISE * np.hypot(reach[:, 0], reach[:, 1]) - reach[:, 2], 0.0)
         joint = bearer[index] = np.argmin(np.linalg.norm(reach, axis=1) + 2.0 * low)
         start = points[joint]
         span = np.linalg.norm(tip - start)
         bend = start + 0.4 * span * unit(ahead[joint] + 0.8 * unit(tip - start))
+        # A Bezier curve that leaves its bearer partly along it.
         path = (1 - part) ** 2 * start + 2 * part * (1 - part) * bend + part**2 * tip
         points[used : used + _POINTS] = path
         ahead[used : used + _POINTS] = tangents(path[None])[0]

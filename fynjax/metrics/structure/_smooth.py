@@ -271,6 +271,7 @@ def _height_moments(
     With 1 - `gap` as the probability to be higher than `level`. By the trapezoidal rule.
     """
     start = jnp.asarray(lowest, level.dtype)
+    # E[h] = h0 P(h > h0) + integral of P(h > z) from h0 up, and E[h^2] likewise with 2 z.
     at = jnp.maximum(level, start)
     higher = 1.0 - gap
     low = jax.vmap(lambda g: jnp.interp(start, level, g))(higher.reshape(-1, len(level)))

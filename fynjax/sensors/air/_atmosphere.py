@@ -178,6 +178,7 @@ def at_sensor_radiance(
     reflectance = _on_grid(atmosphere, reflectance, "reflectance")
     around = surroundings if surroundings is not None else reflectance
     around = _on_grid(atmosphere, around, "surroundings")
+    # The pixel itself shines straight up, its surroundings by way of the air.
     upward = atmosphere.upward_direct * reflectance + atmosphere.upward_diffuse * around
     return atmosphere.path_radiance + upward * ground_irradiance(atmosphere, around) / jnp.pi
 

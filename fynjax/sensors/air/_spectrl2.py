@@ -90,6 +90,7 @@ def scattered_light(
     forward = 1.0 - 0.5 * jnp.exp((a + b * cosine) * cosine)
     mean = 1.0 / _DIFFUSE_AIR_MASS
     forward_mean = 1.0 - 0.5 * float(np.exp((a + b * mean) * mean))
+    # Transmittances along the beam: of air, of what aerosol absorbs, of what it scatters.
     air = jnp.exp(-rayleigh * mass)
     absorbed = jnp.exp(-(1.0 - albedo) * aerosol * mass)
     scattered = jnp.exp(-albedo * aerosol * mass)
@@ -97,6 +98,7 @@ def scattered_light(
     from_aerosol = air**1.5 * (1.0 - scattered) * forward  # eq. 3-6
     # Eq. 3-17: the single scattering of above is too little in the blue.
     blue = jnp.where(wavelength <= 450.0, ((wavelength + 550.0) / 1000.0) ** 1.8, 1.0)
+    # Light from the ground is scattered back as if it rose at the mean air mass of diffuse light.
     air_mean = jnp.exp(-rayleigh * _DIFFUSE_AIR_MASS)
     scattered_mean = jnp.exp(-albedo * aerosol * _DIFFUSE_AIR_MASS)
     back = 0.5 * (1.0 - air_mean) + (1.0 - forward_mean) * air_mean * (1.0 - scattered_mean)
@@ -161,6 +163,7 @@ def clear_sky_atmosphere(air: ClearAir) -> Atmosphere:
     ozone_mass = air.ozone * (1.0 + height) / jnp.sqrt(cosine**2 + 2.0 * height)
     down = (air.water_vapour * mass, ozone_mass, relative_pressure * mass)
     light = scattered_light(wavelength, air.sun_zenith, rayleigh, aerosol)
+    # Gases dim direct and diffuse light on the ground alike.
     on_top = solar * air.solar_factor
     on_ground = on_top * jnp.exp(-gases(*down))
     mean = _DIFFUSE_AIR_MASS
@@ -172,9 +175,10 @@ def clear_sky_atmosphere(air: ClearAir) -> Atmosphere:
         -jnp.expm1(-air.sensor_height / scale)
         for scale in (_AIR_SCALE_HEIGHT, _AEROSOL_SCALE_HEIGHT, _WATER_SCALE_HEIGHT)
     ]
-    # Ozone lies above aeroplanes and below satellites.
+    # Ozone lies above aeroplanes and below satellites: a logistic curve about 22 km.
     ozone_below = (1.0 + math.exp(5.5)) / (1.0 + jnp.exp(5.5 - air.sensor_height / 4000.0))
     over_ozone = (ozone_below - 1.0) / math.exp(5.5)
+    # Masses down and up again: those below the sensor are passed twice.
     both = (
         down[0] + air.water_vapour * below[2],
         ozone_mass + air.ozone * over_ozone,
@@ -182,6 +186,7 @@ def clear_sky_atmosphere(air: ClearAir) -> Atmosphere:
     )
     albedo = aerosol_albedo(wavelength)
     air_up, aerosol_up = rayleigh * below[0], aerosol * below[1]
+    # What goes up unscattered, and what scattering sends on upward.
     unscattered = jnp.exp(-air_up - aerosol_up)
     forward = light_kept_upward(air_up, aerosol_up, albedo) - unscattered
     # Phase functions at the angle between sunbeam and upward path: Rayleigh, Henyey-Greenstein.

@@ -124,6 +124,7 @@ def flash_beams(
     tan_x = (np.arange(columns) + 0.5 - columns / 2.0) * pixel
     tan_y = (np.arange(rows) + 0.5 - rows / 2.0) * pixel
     ty, tx = (a.ravel() for a in np.meshgrid(tan_y, tan_x, indexing="ij"))
+    # Frames follow each other; within one, pixels run along x first.
     down = np.stack([tx, ty, -np.ones_like(tx)], axis=-1)
     angle = np.arctan(np.hypot(tx, ty))
     lit = np.exp(-2.0 * (angle / geometry.half_divergence_rad) ** 2)
@@ -163,6 +164,7 @@ def scan_beams(
         angle = np.rad2deg(np.arctan2(across, geometry.altitude))
         in_scan = np.abs(angle) <= geometry.half_scan_angle
         u, v, across, angle = u[in_scan], v[in_scan], across[in_scan], angle[in_scan]
+        # The platform is on its line; the pulse goes across the flight.
         foot = middle + offset * right + v[:, None] * ahead
         down = np.column_stack([across[:, None] * right, np.full(len(u), -geometry.altitude)])
         # The sweep takes the time that its pulses take, whatever the flight does.

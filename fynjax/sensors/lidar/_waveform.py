@@ -141,6 +141,7 @@ class _Late(eqx.Module):
     @classmethod
     def create(cls, delays: Delays, to_samples: Float[Array, "bin sample"]) -> "_Late":
         place = np.arange(len(to_samples))
+        # [bin of the last scattering, bin of arrival]: delays repeat themselves.
         later = (place - place[:, None]) % delays.ground.shape[0]
 
         def delayed(distribution: Array) -> Array:
@@ -269,11 +270,13 @@ def _one_waveform(
     late = receiver.late
     later = None
     if drawn is None:
+        # Mean over canopies: each leaf and the ground through the gap above it.
         through = jnp.exp(-path.depth_at(path.ground_range[None])[0])
         canopy = receiver.spread(path, path.source, start, first) @ receiver.to_samples
         if path.late is not None:
             later = receiver.spread(path, path.late, start, first)
     else:
+        # One canopy: a pencil ends where its optical depth reaches the number drawn.
         distance, sent, sent_late, leaf = path.hit_by(drawn)
         through = jnp.where(leaf, 0.0, 1.0)
         canopy = receiver.points(distance, start) @ jnp.where(leaf, sent, 0.0)
