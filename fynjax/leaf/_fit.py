@@ -362,18 +362,15 @@ def assemble(
     rmse = np.sqrt(np.einsum("nqb,nqb->n", off, off) / np.maximum(use.sum((1, 2)), 1))
     del off
     at_bound = (got["x"] > bounds[:, 1] - 0.01 * width) & np.isin(names, free)
-    rare = got["rarity"] > chdtri(len(free), 1.0 - _RARE)
-    reason = np.select(
-        [few, ~got["converged"], at_bound.any(1), got["inflation"] > _POOR_FIT, rare],
-        [
-            LeafStatus.failed,
-            LeafStatus.max_steps,
-            LeafStatus.at_bound,
-            LeafStatus.poor_fit,
-            LeafStatus.unusual,
-        ],
-        LeafStatus.converged,
-    )
+    doubts = {
+        LeafStatus.failed: few,
+        LeafStatus.max_steps: ~got["converged"],
+        LeafStatus.at_bound: at_bound.any(1),
+        LeafStatus.poor_fit: got["inflation"] > _POOR_FIT,
+        LeafStatus.unusual: got["rarity"] > chdtri(len(free), 1.0 - _RARE),
+    }
+    # The first that holds.
+    reason = np.select(list(doubts.values()), list(doubts), LeafStatus.converged)
     for key in ("x", "recorded", "corrected", "variance"):
         got[key][few] = np.nan
     corrected = np.clip(got["corrected"], 0.0, 1.0, out=got["corrected"])

@@ -195,7 +195,9 @@ def irradiance_line(
     """
     light = real_array(irradiance)
     _positive(light, "`irradiance`")
-    return one_panel_line(light / jnp.pi, jnp.ones_like(light), signal_sd=irradiance_sd / jnp.pi)
+    return one_panel_line(
+        light / jnp.pi, jnp.ones_like(light), signal_sd=real_array(irradiance_sd) / jnp.pi
+    )
 
 
 class Panel(Strict):

@@ -113,23 +113,12 @@ def generate_plant(
         Organ.WOOD: wood_index * disc if form.wood_area_index > 0.0 else 0.0,
         Organ.FLOWER: leaf_area * form.flower_fraction * flowering,
     }
-    # Laid out once, so that fitting the plant to its size only moves its organs.
     size = np.array([crown, crown, tall])
     organs = lay_out(form, leaf, size, area, max_triangles, seed)
-    stretch = np.ones(3)
-    for _ in range(_FIT_STEPS):
-        made = {organ: laid.surface(stretch, area[organ]) for organ, laid in organs.items()}
-        surfaces = {organ: surface for organ, (surface, _) in made.items()}
-        vertices = np.concatenate([surface.vertices for surface in surfaces.values()])
-        low, high = vertices.min(axis=0), vertices.max(axis=0)
-        wide = modelled_diameter(high[0] - low[0], high[1] - low[1])
-        extent = np.array([wide, wide, high[2] - low[2]])
-        if np.abs(size / extent - 1.0).max() < 1e-4:
-            break
-        stretch = stretch * (size / extent)
+    made, middle, extent = _fitted(organs, area, size)
+    surfaces = {organ: surface for organ, (surface, _) in made.items()}
     scale = made[Organ.LEAF][1] if isinstance(organs.get(Organ.LEAF), Sheets) else 1.0
     _check_size(taxon, surfaces, extent, size, usual, scale)
-    middle = np.array([0.5 * (low[0] + high[0]), 0.5 * (low[1] + high[1]), low[2]])
     whole = join(list(surfaces.values()))
     counts = [len(surface.faces) for surface in surfaces.values()]
     mesh = PlantMesh(
@@ -149,7 +138,30 @@ def generate_plant(
     wood = organs.get(Organ.WOOD)
     if isinstance(wood, Tubes):
         radius = made[Organ.WOOD][1] * min(float(radii.min()) for _, radii in wood.lines)
-    return GeneratedPlant(mesh, taxon, name, float(wide), float(extent[2]), number, scale, radius)
+    return GeneratedPlant(
+        mesh, taxon, name, float(extent[0]), float(extent[2]), number, scale, radius
+    )
+
+
+def _fitted(
+    organs: dict[Organ, Sheets | Tubes], area: dict[Organ, float], size: np.ndarray
+) -> tuple[dict[Organ, tuple[Surface, float]], np.ndarray, np.ndarray]:
+    """Surfaces of organs, stretched until the plant has its `size`: across twice, and up [m]. Then
+    the middle of its foot, and the size that it got.
+
+    Organs were laid out once, so that this only moves them.
+    """
+    stretch = np.ones(3)
+    for _ in range(_FIT_STEPS):
+        made = {organ: laid.surface(stretch, area[organ]) for organ, laid in organs.items()}
+        vertices = np.concatenate([surface.vertices for surface, _ in made.values()])
+        low, high = vertices.min(axis=0), vertices.max(axis=0)
+        wide = modelled_diameter(high[0] - low[0], high[1] - low[1])
+        extent = np.array([wide, wide, high[2] - low[2]])
+        if np.abs(size / extent - 1.0).max() < 1e-4:
+            break
+        stretch = stretch * (size / extent)
+    return made, np.array([0.5 * (low[0] + high[0]), 0.5 * (low[1] + high[1]), low[2]]), extent
 
 
 def _usual(taxon: str) -> tuple[str, tuple[float, float], LeafGeometry]:

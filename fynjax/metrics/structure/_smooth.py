@@ -155,21 +155,29 @@ def voxel_structure(
     # All pulses on a canopy cell pass a height with the power of what one does, and that is the
     # distribution of the highest return.
     metrics["rugosity"] = _rugosity(column**hit, fine, settings.degrees_lost)
-    # Variation of height: moments of single returns above the threshold, over their share.
-    mass = number * jnp.ones(rows * columns, dtype)
+    above = jnp.ones(rows * columns, dtype)
     if settings.cv_lowest > 0.0:
-        mass = number * (1.0 - gap_of_cell(settings.cv_lowest))
-    above = ratio(jnp, mass, jnp.asarray(number, dtype))
-    moments = _height_moments(column.mean(axis=1), fine, settings.cv_lowest)
-    mean, square = (ratio(jnp, moment, above) for moment in moments)
-    spread = root(jnp, square - mean**2)
-    metrics["height_cv"] = (ratio(jnp, spread, mean), _present(mass - 1.0))
+        above = 1.0 - gap_of_cell(settings.cv_lowest)
+    metrics["height_cv"] = _height_cv(
+        column.mean(axis=1), fine, number * above, number, settings.cv_lowest
+    )
     # By leaf area the gap fraction is among the metrics of layers already.
     metrics.setdefault("gap_fraction", (share, jnp.ones_like(share)))
     return SmoothStructure(
         {name: metrics[name][0] for name in STRUCTURE_METRICS},
         {name: metrics[name][1].astype(dtype) for name in STRUCTURE_METRICS},
     )
+
+
+def _height_cv(
+    gap: Float[Array, "cell level"], level: Array, mass: Array, number: float, lowest: float
+) -> Pair:
+    """Coefficient of variation of single returns above `lowest`, of which `mass` of `number` are
+    expected: from moments, over their share."""
+    above = ratio(jnp, mass, jnp.asarray(number, level.dtype))
+    moments = _height_moments(gap, level, lowest)
+    mean, square = (ratio(jnp, moment, above) for moment in moments)
+    return ratio(jnp, root(jnp, square - mean**2), mean), _present(mass - 1.0)
 
 
 def _rugosity(gap: Float[Array, "cell pixel level"], level: Array, lost: int) -> Pair:

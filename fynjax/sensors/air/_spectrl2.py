@@ -7,7 +7,8 @@ eq. 2-5, the mixed gases for the ozone in eq. 3-8.
 """
 
 import math
-from functools import cache
+from collections.abc import Sequence
+from functools import cache, partial
 from importlib import resources
 from typing import NamedTuple
 
@@ -114,6 +115,22 @@ def aerosol_albedo(wavelength: Float[Array, " wavelength"]) -> Float[Array, " wa
     return _AEROSOL_ALBEDO * jnp.exp(-_ALBEDO_VARIATION * jnp.log(wavelength / 400.0) ** 2)
 
 
+def gas_depth(
+    absorption: Sequence[Float[Array, " wavelength"]], water: Array, ozone: Array, mixed: Array
+) -> Float[Array, " wavelength"]:
+    """-ln of the transmittance of water vapour, ozone and mixed gases (eq. 2-8, 2-9, 2-11) [-].
+
+    **Arguments:** `absorption` coefficients of the three; the others are their air masses times
+    their columns. Differentiable.
+    """
+    vapour, other = absorption[0] * water, absorption[2] * mixed
+    return (
+        0.2385 * vapour / (1.0 + 20.07 * vapour) ** 0.45
+        + absorption[1] * ozone
+        + 1.41 * other / (1.0 + 118.3 * other) ** 0.45
+    )
+
+
 def clear_sky_atmosphere(air: ClearAir) -> Atmosphere:
     """Atmosphere by SPCTRL2 at its 122 wavelengths, 300 to 4000 nm.
 
@@ -137,25 +154,12 @@ def clear_sky_atmosphere(air: ClearAir) -> Atmosphere:
     (122, True)
     """
     dtype = jnp.result_type(*vars(air).values())
-    wavelength, solar, water, ozone, mixed = (
-        jnp.asarray(column, dtype) for column in _table().values()
-    )
+    wavelength, solar, *absorption = (jnp.asarray(c, dtype) for c in _table().values())
+    gases = partial(gas_depth, absorption)
     mass = relative_air_mass(air.sun_zenith)
     relative_pressure = air.pressure / _REFERENCE_PRESSURE
     rayleigh = rayleigh_depth(wavelength) * relative_pressure
     aerosol = aerosol_depth(wavelength, air.aerosol_optical_depth, 550.0)
-
-    def gases(
-        water_mass: Array, ozone_mass: Array, mixed_mass: Array
-    ) -> Float[Array, " wavelength"]:
-        """-ln of the transmittance of gases, masses times columns given (eq. 2-8, 2-9, 2-11)."""
-        vapour = water * water_mass
-        other = mixed * mixed_mass
-        return (
-            0.2385 * vapour / (1.0 + 20.07 * vapour) ** 0.45
-            + ozone * ozone_mass
-            + 1.41 * other / (1.0 + 118.3 * other) ** 0.45
-        )
 
     # Ozone lies about 22 km high, where the earth's curvature shortens the path (eq. 2-10).
     height = 22.0 / 6370.0
