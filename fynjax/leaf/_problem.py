@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, get_args
 
 import jax.numpy as jnp
 import numpy as np
@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float
 
 from fynjax._core.errors import InputError
 from fynjax._core.parameters import Parameter
-from fynjax.leaf._area import LeafShape
+from fynjax.leaf._area import LeafShape, check_shape
 from fynjax.leaf._coefficients import (
     CONSTITUENTS,
     ProspectVersion,
@@ -92,7 +92,10 @@ def _model_rows(names: Sequence[str]) -> list[int]:
 
 @dataclass(frozen=True)
 class LeafSettings:
-    """Settings of a fit of leaves, as the arguments of `fit_leaf` of these names have them."""
+    """Settings of a fit of leaves, as the arguments of `fit_leaf` of these names have them.
+
+    Raises `InputError` for an unknown version, shape or domain.
+    """
 
     version: ProspectVersion = "D"
     """Version of PROSPECT: "5", "D" or "PRO"."""
@@ -110,6 +113,12 @@ class LeafSettings:
     """Wavelengths where detectors change [nm], at which jumps are taken out."""
     error_model: ErrorModel | None = None
     """Covariance of PROSPECT's error; None: `default_error_model()`."""
+
+    def __post_init__(self) -> None:
+        check_version(self.version)
+        check_shape(self.leaf_shape)
+        if self.domain not in get_args(FitDomain):
+            raise InputError(f'`domain` must be "full" or "optimal", but is {self.domain!r}')
 
 
 USUAL_SETTINGS = LeafSettings()
@@ -154,7 +163,6 @@ def prepare(
 def make_setup(settings: LeafSettings) -> Setup:
     """Constants of a fit. Must run with 64-bit numbers on."""
     version, measurement, shape = settings.version, settings.measurement, settings.leaf_shape
-    check_version(version)
     measurement = usual_measurement(shape) if measurement is None else measurement
     model = default_error_model() if settings.error_model is None else settings.error_model
     leaf = ("structure", *CONSTITUENTS[version])
@@ -252,8 +260,6 @@ def usable_bins(
 
     With `outdoor` `None` the water bands of a spectrum are left out if they hold impossible values.
     """
-    if domain not in ("full", "optimal"):
-        raise InputError(f'`domain` must be "full" or "optimal", but is {domain!r}')
     centres = bin_centres()
     with np.errstate(invalid="ignore"):
         possible = np.isfinite(data) & (data > -0.02) & (data < 1.05)
