@@ -111,13 +111,20 @@ def clumping(
 
     **Returns:** `PARTS` values from the sparsest to the densest, with a mean of 1: what
     `projected_count` counts by.
+
+    **Raises:** `InputError` for a map that is nowhere above 0.
     """
     radius = diameter / 2.0
     if probability is None:
         probability = np.ones([min(512, int(np.ceil(16.0 * l / diameter))) for l in extent[::-1]])
     values = np.asarray(probability, float)
+    if not values.max() > 0.0:
+        raise InputError(
+            "a probability map must be above 0 somewhere, or no plant can stand, but its largest "
+            f"value is {values.max():g}"
+        )
     ny, nx = values.shape
-    across = []
+    across = []  # places of the pixels, forward and back from the first [m]
     for side, n in ((extent[0], nx), (extent[1], ny)):
         beyond = 0 if periodic else int(np.ceil(radius * n / side))
         across.append(np.fft.fftfreq(n + beyond, n / side / (n + beyond)))
