@@ -9,8 +9,8 @@ import trimesh
 
 from fynjax._core.errors import InputError
 from fynjax.canopy import Organ, PlantMaterial, plant_model_from_mesh, read_plant_mesh
+from fynjax.canopy._plant import organ_of_name
 from fynjax.canopy.mesh import find_up
-from fynjax.canopy.mesh._organ_names import organ_of_name
 from fynjax.canopy.mesh._plant_mesh import PlantMesh
 
 

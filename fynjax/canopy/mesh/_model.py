@@ -16,9 +16,8 @@ import numpy as np
 
 from fynjax._core.errors import InputError
 from fynjax.canopy._elements import quasi_random
-from fynjax.canopy._plant import Organ
+from fynjax.canopy._plant import Organ, organ_named, organ_of_name
 from fynjax.canopy.mesh._facets import closed_faces, draw_groups, facets
-from fynjax.canopy.mesh._organ_names import organ_named, organ_of_name
 from fynjax.canopy.mesh._plant_mesh import (
     MeshPlant,
     PlantMaterial,

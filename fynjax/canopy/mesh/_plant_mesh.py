@@ -10,9 +10,8 @@ from jaxtyping import Array, Float, Int
 
 from fynjax._core.errors import InputError
 from fynjax.canopy._counts import modelled_diameter
-from fynjax.canopy._plant import Organ, PlantModel
+from fynjax.canopy._plant import Organ, PlantModel, organ_named, organ_of_name
 from fynjax.canopy.mesh._facets import closed_faces, facets
-from fynjax.canopy.mesh._organ_names import organ_named, organ_of_name
 
 _COLOURS = {Organ.LEAF: (0.24, 0.42, 0.14), Organ.WOOD: (0.36, 0.27, 0.20)}
 _FLOWER_COLOUR = (0.85, 0.55, 0.65)

@@ -16,9 +16,8 @@ from jaxtyping import Float, Int
 
 from fynjax._core.errors import InputError
 from fynjax._core.tables import TextTable, name_and_unit, open_points, places_of
-from fynjax.canopy._plant import Organ
+from fynjax.canopy._plant import Organ, organ_named, organ_of_name
 from fynjax.canopy.mesh._facets import draw_groups
-from fynjax.canopy.mesh._organ_names import organ_named, organ_of_name
 from fynjax.canopy.mesh._plant_mesh import MeshPlant, PlantMaterial, check_extent, mesh_plant
 
 _LARGEST_LENGTH_MISS = 0.01
