@@ -94,23 +94,20 @@ def distrust() -> Float[np.ndarray, " bin"]:
 @cache
 def default_error_model() -> ErrorModel:
     """The error model of the package, from ANGERS, LOPEX and NASA FFT (see `data/README.md`)."""
-    path = resources.files("fynjax.leaf") / "data" / "error_model.csv.gz"
-    with resources.as_file(path) as file:
-        table = pd.read_csv(file)
+    with resources.as_file(resources.files("fynjax.leaf") / "data") as folder:
+        table = pd.read_csv(folder / "error_model.csv.gz")
+        traits = pd.read_csv(folder / "trait_model.csv", index_col="trait")
     if not np.array_equal(table["wavelength_nm"], bin_centres()):
         raise InputError("the error model's table does not stand on the fit's bins")
     names = [c for c in table.columns if c.startswith("r_factor")]
     r = table[names].to_numpy(float).T
     t = table[[n.replace("r_", "t_", 1) for n in names]].to_numpy(float).T
     noise = [table[key].to_numpy(float) for key in ("r_noise", "t_noise")]
-    path = resources.files("fynjax.leaf") / "data" / "trait_model.csv"
-    with resources.as_file(path) as file:
-        traits = pd.read_csv(file, index_col="trait").loc[list(POPULATION_TRAITS)]
+    traits = traits.loc[list(POPULATION_TRAITS)]
     correlation = traits[list(POPULATION_TRAITS)].to_numpy(float)
     discrepancy = traits[["log_discrepancy", "dry_matter_slope"]].to_numpy(float)
     share = traits["species_share"].to_numpy(float)
-    shares = traits["reflectance_share"].to_numpy(float)
-    alone = float(shares[POPULATION_TRAITS.index("dry_matter")])
+    alone = float(traits["reflectance_share"]["dry_matter"])
     return ErrorModel(
         r, t, noise[0], noise[1], distrust(), correlation, discrepancy, share, alone
     )  # fmt: skip

@@ -313,9 +313,7 @@ def describe_chunk(
     """Everything `assemble` needs of leaves at z with that covariance, as the spectra give it, and
     of traits that `change` moves in z; spectra stay those before."""
     description: dict[str, Any] = describe(setup, problems, found.z, covariance)
-    z, bounds = found.z + change, leaf_bounds(setup.names)
-    width, unit = bounds[:, 1] - bounds[:, 0], 1.0 / (1.0 + np.exp(-z))
-    description |= {"x": bounds[:, 0] + width * unit, "scale": width * unit * (1.0 - unit)}
+    z = found.z + change
     inflation = np.asarray(problems.inflation)
     population = np.diag(np.linalg.inv(setup.prior_precision))
     # Before the discrepancy is added: what the spectrum leaves of the variance among leaves.
@@ -349,11 +347,13 @@ def assemble(
     width = bounds[:, 1] - bounds[:, 0]
     deviation = np.sqrt(np.einsum("npp->np", got["covariance"]))
     z = got["z"]
+    unit = 1.0 / (1.0 + np.exp(-z))
+    x = bounds[:, 0] + width * unit
     ends = [
         bounds[:, 0] + width / (1.0 + np.exp(-(z + sign * NINETY_PERCENT * deviation)))
         for sign in (-1, 1)
     ]
-    scale = got["scale"]
+    scale = width * unit * (1.0 - unit)
     # From logits to units, to first order; intervals are carried over exactly.
     covariance = scale[:, :, None] * got["covariance"] * scale[:, None, :]
     few = use.sum((1, 2)) < _FEWEST
@@ -361,7 +361,7 @@ def assemble(
     off = np.nan_to_num(measured - got["recorded"], copy=False)
     rmse = np.sqrt(np.einsum("nqb,nqb->n", off, off) / np.maximum(use.sum((1, 2)), 1))
     del off
-    at_bound = (got["x"] > bounds[:, 1] - 0.01 * width) & np.isin(names, free)
+    at_bound = (x > bounds[:, 1] - 0.01 * width) & np.isin(names, free)
     doubts = {
         LeafStatus.failed: few,
         LeafStatus.max_steps: ~got["converged"],
@@ -371,19 +371,18 @@ def assemble(
     }
     # The first that holds.
     reason = np.select(list(doubts.values()), list(doubts), LeafStatus.converged)
-    for key in ("x", "recorded", "corrected", "variance"):
-        got[key][few] = np.nan
+    for values in (x, got["recorded"], got["corrected"], got["variance"]):
+        values[few] = np.nan
     corrected = np.clip(got["corrected"], 0.0, 1.0, out=got["corrected"])
     spread = np.sqrt(np.einsum("npp->np", covariance))
-    values = dict(zip(names, got["x"].T))
-    leaf = {name: values.get(name, 0.0) for name in LEAF_PARAMETERS}
+    known = dict(zip(names, x.T))
     fitted = tuple(name for name in free if name in LEAF_PARAMETERS)
     chosen = [names.index(name) for name in fitted]
     estimated = setup.optics.measurement.estimated
     shown = ~few & use[:, 1].any(1)  # without transmittance nothing is estimated, see leaf_priors
     own = [names.index(name) for name in estimated]
     return LeafFit(
-        parameters=LeafParameters.many(**leaf),
+        parameters=LeafParameters.many(**{n: known.get(n, 0.0) for n in LEAF_PARAMETERS}),
         names=fitted,
         standard_deviation=np.where(few[:, None], np.nan, spread)[:, chosen],
         covariance=covariance[:, chosen][:, :, chosen],
@@ -402,7 +401,7 @@ def assemble(
         reason=reason,
         at_bound=at_bound[:, chosen],
         prior_share=np.where(few[:, None], np.nan, got["share"])[:, chosen],
-        measurement=np.where(shown[:, None], got["x"][:, own], np.nan),
+        measurement=np.where(shown[:, None], x[:, own], np.nan),
         measurement_deviation=np.where(shown[:, None], spread[:, own], np.nan),
         estimated=estimated,
         version=setup.version,

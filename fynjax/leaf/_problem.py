@@ -80,16 +80,6 @@ def _population(name: str) -> tuple[float, float]:
     return centre, relative * centre * (record.upper - record.lower) / (below * above)
 
 
-def _model_rows(names: Sequence[str]) -> list[int]:
-    """Where the error model holds what it knows of each parameter, or -1.
-
-    Carbon-based constituents are most of the dry matter, and are taken to vary as it does.
-    """
-    same = {"carbon_constituents": "dry_matter"}
-    known = [same.get(name, name) for name in names]
-    return [POPULATION_TRAITS.index(n) if n in POPULATION_TRAITS else -1 for n in known]
-
-
 @dataclass(frozen=True)
 class LeafSettings:
     """Settings of a fit of leaves, as the arguments of `fit_leaf` of these names have them.
@@ -194,7 +184,9 @@ def make_setup(settings: LeafSettings) -> Setup:
     # What is not free is held next to nothing: a narrow prior keeps all problems of one shape.
     middle = np.where(loose, [known[n][0] for n in names], 1e-4 * bounds[:, 1])
     spread = np.where(loose, [known[n][1] for n in names], 1e-3)
-    rows = np.array(_model_rows(names))
+    # Carbon-based constituents are most of the dry matter, and are taken to vary as it does.
+    alike = ["dry_matter" if n == "carbon_constituents" else n for n in names]
+    rows = np.array([POPULATION_TRAITS.index(n) if n in POPULATION_TRAITS else -1 for n in alike])
     # Correlation of traits among leaves, for those that the error model knows.
     both = (rows >= 0) & loose
     correlation = np.eye(len(names))
