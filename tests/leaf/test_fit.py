@@ -38,6 +38,7 @@ from fynjax.leaf._problem import (
     leaf_priors,
     leaf_problems,
     make_setup,
+    prepare,
 )
 from fynjax.leaf._residual import Problem, observed, residual, solve, to_physical, whitening
 from tools.estimate_error_model import estimate, independent_error_model
@@ -398,6 +399,21 @@ def test_a_black_backed_clip_with_offset_does_not_move_the_water():
     sphere = fit_leaf(GRID, r, measurement=IntegratingSphere())
     change = np.asarray(plain.parameters.water) / np.asarray(sphere.parameters.water)
     assert np.all(np.abs(change - 1) < 0.25)
+
+
+def test_domain_and_light_say_which_bins_are_used():
+    _, r, t = leaves(1)
+    grid = bin_centres()
+    full, optimal, outdoor = (
+        prepare(GRID, r, t, LeafSettings(**options))[2][0, 0]
+        for options in ({}, {"domain": "optimal"}, {"outdoor": True})
+    )
+    assert full[(grid > 450) & (grid < 2400)].all()
+    assert optimal.sum() < 0.6 * full.sum()
+    assert not optimal[(grid > 600) & (grid < 690)].any()
+    lost = full & ~outdoor
+    assert lost.any()
+    assert np.all(((grid > 1335) & (grid < 1435)) | (grid > 1775) | ~lost)
 
 
 def test_bad_calls_are_refused():
