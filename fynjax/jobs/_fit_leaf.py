@@ -297,14 +297,10 @@ def fit_leaf(
         | ({} if species is None else {"species.csv": f"{len(set(species))} species"})
         | ({} if posterior == "none" else {"posterior.nc": size})
     )
-    settings = LeafSettings(version, instrument, leaf_shape, domain)
-    together = (
-        None if species is None else fit_leaf_groups(spectra, groups=species, settings=settings)
-    )
-    fit = (
-        _fit_apart(spectra, settings, checkpoint, workers) if together is None else together.leaves
-    )
-    attributes = {
+    how = LeafSettings(version, instrument, leaf_shape, domain)
+    together = None if species is None else fit_leaf_groups(spectra, groups=species, settings=how)
+    fit = _fit_apart(spectra, how, checkpoint, workers) if together is None else together.leaves
+    settings = {
         "prospect_version": version,
         "measurement": measurement,
         "leaf_shape": leaf_shape,
@@ -314,14 +310,14 @@ def fit_leaf(
     }
     table = _write_traits(run, fit, area, refused)
     what = "measured, fitted and predicted R and T on the fit's bins"
-    dataset = fit.to_xarray(area).assign_attrs(attributes)
+    dataset = fit.to_xarray(area).assign_attrs(settings)
     write_spectra_netcdf(dataset, run.path("spectra.nc", what))
     if together is not None:
         _write_species(run, together, version, area)
     if posterior != "none":
-        draws = sample_leaf_posterior(spectra, sampler=posterior, settings=settings, seed=seed)
+        draws = sample_leaf_posterior(spectra, sampler=posterior, settings=how, seed=seed)
         what = "draws of the parameters and of T from the posterior"
-        dataset = draws.to_xarray(area).assign_attrs(attributes)
+        dataset = draws.to_xarray(area).assign_attrs(settings)
         write_spectra_netcdf(dataset, run.path("posterior.nc", what))
     return _result(run, leaves, fit, table, version, [panel, groups])
 
