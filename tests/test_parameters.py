@@ -92,7 +92,7 @@ def check_fits():
     from fynjax.inversion import make_space
     from fynjax.io.plot import CalibrationTable
     from fynjax.leaf import LEAF_PARAMETERS, LeafParameters
-    from fynjax.leaf._problem import make_setup
+    from fynjax.leaf._problem import LeafSettings, make_setup
     from fynjax.leaf._residual import to_physical
     from fynjax.scene import PARAMETERS
     from fynjax.studies.bioscape._inversion import FREE
@@ -126,7 +126,7 @@ def check_fits():
             assert f"{bound:g}" in str(caught.value), kind
             assert f"{wrong:g}" in str(caught.value), kind
 
-    setup = make_setup("PRO", None, None, None)
+    setup = make_setup(LeafSettings("PRO"))
     centres = np.asarray(to_physical(jnp.asarray(setup.prior_mean), setup.optics))
     for i, name in enumerate(setup.names):
         record = LEAF_PARAMETERS[name]

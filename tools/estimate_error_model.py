@@ -57,7 +57,7 @@ from fynjax.leaf._error_model import (
 )
 from fynjax.leaf._fit import NINETY_PERCENT, fit_leaf, thickness
 from fynjax.leaf._measurement import AbstractMeasurement, usual_measurement
-from fynjax.leaf._problem import leaf_bounds, leaf_problems, make_setup
+from fynjax.leaf._problem import LeafSettings, leaf_bounds, leaf_problems, make_setup
 from fynjax.leaf._residual import Problem, observed, solve, to_physical, to_unconstrained
 
 DATA = Path(__file__).resolve().parents[1] / "fynjax" / "leaf" / "data"
@@ -136,7 +136,9 @@ def at_measured_chemistry(leaves: LeafSet) -> tuple[np.ndarray, np.ndarray]:
     trait], of which N is fitted and NaN without transmittance."""
     names = ("structure", *CONSTITUENTS["D"])
     model = independent_error_model(0.015)
-    setup = make_setup("D", leaves.measurement(), names, model, leaves.shape)
+    setup = make_setup(
+        LeafSettings("D", leaves.measurement(), leaves.shape, free=names, error_model=model)
+    )
     count = len(leaves.spectra)
     extra = len(setup.names) - len(names)
     known = np.tile([1.5, 40.0, 8.0, 1.0, 1e-3, 0.01, 0.009, *[0.05] * extra], (count, 1))

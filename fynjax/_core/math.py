@@ -25,6 +25,12 @@ def real_array(value: Any, name: str = "") -> Array:
     return array if jnp.issubdtype(array.dtype, jnp.floating) else array * 1.0
 
 
+def square_root(square: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
+    """Square root with the slope 0 at 0, where that of the plain one is infinite; NaN of NaN."""
+    some = ~(square == 0.0)  # true for NaN, which must show
+    return jnp.where(some, jnp.sqrt(jnp.where(some, square, 1.0)), 0.0)
+
+
 def mean_transmittance(depth: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
     """Transmittance averaged along a path of optical depth `depth`, (1 - exp(-x)) / x [-].
 

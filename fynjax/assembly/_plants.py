@@ -99,9 +99,7 @@ def _from_elements(path: Path) -> MeshPlant:
         normal / length[:, None],
         np.array([r.area_m2 for r in rows]),
         np.array([Organ[r.organ.upper()] for r in rows], int),
-        tuple(one.name.lower() for one in organs),
-        [PlantMaterial(one) for one in organs],
-        np.array([-radius, -radius, 0.0]),
-        np.array([radius, radius, height]),
+        {one.name.lower(): PlantMaterial(one) for one in organs},
+        (np.array([-radius, -radius, 0.0]), np.array([radius, radius, height])),
         (0.0,) * len(organs),
     )

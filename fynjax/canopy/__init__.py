@@ -35,7 +35,7 @@ from fynjax.canopy._sites import (
     poisson_disk,
     site_weight,
 )
-from fynjax.canopy._table import table1_2006
+from fynjax.canopy._table import leaf_sizes, table1_2006
 from fynjax.canopy.forms import FORMS
 from fynjax.canopy.mesh import (
     GeneratedPlant,
@@ -43,7 +43,6 @@ from fynjax.canopy.mesh import (
     PlantMaterial,
     PlantMesh,
     generate_plant,
-    leaf_sizes,
     plant_from_branches,
     plant_model_from_mesh,
     plant_model_from_points,

@@ -92,6 +92,7 @@ def projections(
     **Arguments:** `angles`, the distributions; `cos_zenith`, as there.
     """
     cos_zenith = jnp.asarray(cos_zenith)
+    # Of spherical leaves G is known; those of all others are one product with their weights.
     spherical = [isinstance(angle, SphericalLeafAngle) for angle in angles]
     weights = [angle._weights() for angle, even in zip(angles, spherical) if not even]
     each = iter(_projection(jnp.stack(weights), cos_zenith) if weights else ())
@@ -102,6 +103,8 @@ def projections(
 def _projection(
     weights: Float[Array, " angle node"], cos_zenith: Float[Array, "*n"]
 ) -> Float[Array, " angle *n"]:
+    # The mean of |cosine| between ray and normal over the azimuths of normals that lean by `leaf`
+    # (Nilson 1971): up to a lean of 90 degrees less the zenith angle the ray meets one side of all.
     mu = jnp.abs(cos_zenith)[..., None]
     leaf = jnp.asarray(_INCLINATION, mu.dtype)
     straight = mu * jnp.cos(leaf)
@@ -205,6 +208,7 @@ class VerhoefLeafAngle(AbstractLeafAngle):
             above = middle - a * jnp.sin(middle) - 0.5 * b * jnp.sin(2 * middle) > 2 * inclination
             return jnp.where(above, ends[0], middle), jnp.where(above, middle, ends[1])
 
+        # The left-hand side rises with x where |a| + |b| <= 1, so that halving finds its one root.
         ends = jnp.zeros_like(inclination), jnp.full_like(inclination, jnp.pi)
         x = jax.lax.stop_gradient(jax.lax.fori_loop(0, 50, halve, ends)[0])
         # A step of Newton's, of which the derivative is that of the root.
@@ -254,6 +258,7 @@ class EllipsoidalLeafAngle(AbstractLeafAngle):
         chi = self.ratio.astype(inclination.dtype)
         shape = jnp.cos(inclination) ** 2 + chi**2 * jnp.sin(inclination) ** 2
         density = chi**3 * jnp.sin(inclination) / shape**2
+        # Normalised by the quadrature that makes G: the closed constant has a branch at chi = 1.
         nodes = jnp.asarray(_INCLINATION, inclination.dtype)
         weight = jnp.asarray(_INCLINATION_WEIGHT, inclination.dtype)
         at_nodes = jnp.cos(nodes) ** 2 + chi**2 * jnp.sin(nodes) ** 2
@@ -284,6 +289,7 @@ class TabulatedLeafAngle(AbstractLeafAngle):
         Not differentiable.
         """
         inclination = np.arccos(np.clip(np.abs(np.asarray(normals)[:, 2]), 0.0, 1.0))
+        # A normal and its opposite are one leaf: only the size of the vertical part counts.
         counts, _ = np.histogram(
             inclination, bins=bins, range=(0.0, 0.5 * np.pi), weights=np.asarray(area)
         )

@@ -63,6 +63,7 @@ def instance_area(
     Differentiable in every argument; where the minimum area takes over, the slope in the others is
     zero.
     """
+    # Eq. (5)-(8): the crown reaches as far as its radius and, leaning, as its height carries it.
     disc = jnp.pi * (diameter / 2.0 + height * jnp.sin(jnp.deg2rad(rotation_spread))) ** 2
     return jnp.maximum(disc * (1.0 - packing) * fill, minimum_area)
 
@@ -148,10 +149,13 @@ def projected_count(
     """
     part = jnp.atleast_1d(jnp.asarray(clumping, jnp.result_type(float)))
     bare = 1.0 - jnp.minimum(jnp.asarray(cover), most_projected(part))
+    # With the number of plants given, each leaves free the share 1 - a / A: a as a rate.
     area = -ground * jnp.log1p(-jnp.minimum(jnp.asarray(crown) / ground, 0.9))
+    # h = q A / P, of P = SITES / spacing^2 sites on each square metre.
     held = site_evenness(jnp.sqrt(crown / jnp.pi) / jnp.maximum(spacing, 1e-9)) * spacing**2 / SITES
     held = jnp.maximum(held, 1e-4 * area)  # below that it makes no difference
     power = area / held
+    # Which whole number lies below has no derivative; the way from it to the next has.
     fixed = jax.lax.stop_gradient((bare, power, held))
     count = -jnp.expm1(jnp.log(fixed[0]) / fixed[1]) * ground / fixed[2]
     if part.shape[-1] > 1:
@@ -178,8 +182,10 @@ def _clumped_count(
 def _bare(count: Array, power: Array, held: Array, part: Array, ground: Any) -> tuple[Array, Array]:
     """Share of the ground without crowns, and what one plant more takes of it [-]."""
     each = held[..., None] * part / ground
+    # Share of the sites that are taken; the limit keeps the logarithm finite.
     full, power = jnp.minimum(count[..., None] * each, 0.99), power[..., None]
     free = jnp.exp(power * jnp.log1p(-full))
+    # exp(power log(1 - full - each)) less `free`, without the difference of both.
     taken = -free * jnp.expm1(power * jnp.log1p(-jnp.minimum(each / (1.0 - full), 0.99)))
     return free.mean(axis=-1), taken.mean(axis=-1)
 
@@ -201,6 +207,7 @@ def rounded_count(count: Any, lessened: Any = 0.0) -> Float[Array, "*species"]:
     (3.0, 3.0, 2.0)
     """
     count = jnp.asarray(count)
+    # Rounding in single precision must not plant one more, however large the number.
     slack = jnp.minimum(_SINGLE_SLACK * count, 1e-3)
     return jnp.maximum(jnp.ceil(count - slack - lessened), 0.0)
 

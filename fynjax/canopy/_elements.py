@@ -7,7 +7,7 @@ heights.
 """
 
 from collections.abc import Callable, Hashable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, TypeVar
 
 import jax.numpy as jnp
@@ -49,26 +49,25 @@ class Crown:
         distance = np.where(height < self.widest, below**self.taper_below, above**self.taper_above)
         return 0.5 * np.sqrt(1.0 - distance)
 
-    def points(self, uniform: np.ndarray, lowest: float = 0.0) -> np.ndarray:
-        """Points for uniform numbers [n, 3], drawn from the foliage density above `lowest`."""
-        height = np.linspace(max(self.base, lowest), 1.0, QUANTILES)
+    def points(self, uniform: np.ndarray) -> np.ndarray:
+        """Points for uniform numbers [n, 3], drawn from the foliage density."""
+        height = np.linspace(self.base, 1.0, QUANTILES)
         # Foliage at a height: its density times the area of the crown's cross-section.
         weight = self.radius(height) ** 2 * np.maximum(height, 1e-9) ** self.height_power
         z = quantile(uniform[:, 0], height, weight)
         even = _around(self.radius(z) * np.sqrt(uniform[:, 1]), uniform[:, 2], z)
-        return self._outwards(even, max(self.base, lowest))
-
-    def _outwards(self, point: np.ndarray, lowest: float) -> np.ndarray:
-        """Points of an even crown, moved away from its middle as `shell_power` asks."""
-        middle = np.array([0.0, 0.0, max(self.widest, lowest)])
-        away = point - middle
-        inner, outer = np.ones(len(point)), np.full(len(point), 1e3)
+        # From an even crown away from its middle, as `shell_power` asks.
+        middle = np.array([0.0, 0.0, self.widest])
+        away = even - middle
+        inner, outer = np.ones(len(even)), np.full(len(even), 1e3)
         for _ in range(40):  # how far the envelope is, in distances of the point
             half = np.sqrt(inner * outer)
             x, y, z = (middle + half[:, None] * away).T
-            inside = (z >= lowest) & (z <= 1.0)
+            inside = (z >= self.base) & (z <= 1.0)
             inside &= np.hypot(x, y) <= self.radius(np.clip(z, self.base, 1.0))
             inner, outer = np.where(inside, half, inner), np.where(inside, outer, half)
+        # Of even points the share s of the way out is below x with probability x^3; with foliage as
+        # s^p it is so for s^(3 / (3 + p)).
         share = 1.0 / inner
         further = share ** (3.0 / (3.0 + self.shell_power)) / share
         return middle + further[:, None] * away
@@ -104,6 +103,7 @@ class Shoots:
         Fixed by the seed alone, so that wood, culms and spikelets sit on the same shoots.
         """
         uniform = quasi_random(number, 3, [seed, len(Organ)])
+        # Even over a disc, of which the outermost shoot stands on the edge.
         outward = np.sqrt(uniform[:, 1] / uniform[:, 1].max())
         low, high = self.tip_radius
         tip = low + (high - low) * outward
@@ -193,6 +193,8 @@ def _outline(variation: float, rng: np.random.Generator) -> np.ndarray:
     """
     turn = 2.0 * np.pi * np.arange(QUANTILES) / QUANTILES
     waves = np.arange(1, _LOBES + 1)
+    # Amplitudes of a Gaussian outline: their variances fall as 1 / wave, and add up to that of
+    # the square of the distance.
     size = variation * rng.rayleigh(1.0, _LOBES) / np.sqrt(waves * np.sum(1.0 / waves))
     phase = rng.uniform(0.0, 2.0 * np.pi, _LOBES)
     square = 1.0 + np.sum(size * np.cos(np.outer(turn, waves) + phase), axis=1)
@@ -218,6 +220,7 @@ def individual_of(form: "GrowthForm", seed: int, most_bunches: int) -> Individua
     direction[:, 2] = np.maximum(centre[:, 2], 0.5)
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     along = 0.5 * foliage.length * direction
+    # Bunches reach beyond their middles, which stand back from the edge, the top and the ground.
     centre[:, :2] *= 1.0 - 1.6 * foliage.radius
     rise = along[:, 2]
     centre[:, 2] = np.clip(centre[:, 2], rise, 1.0 - rise) * lower
@@ -226,7 +229,7 @@ def individual_of(form: "GrowthForm", seed: int, most_bunches: int) -> Individua
     bare[highest] = False
     leafy[bare] = 0.0
     plant = Individual(reach, centre, along, leafy / leafy.sum())
-    return Individual(reach, plant.widened(centre), along, plant.leafy)
+    return replace(plant, centre=plant.widened(centre))
 
 
 Elements = Callable[["GrowthForm", np.ndarray, int, Individual], tuple[np.ndarray, np.ndarray]]
@@ -298,6 +301,7 @@ def in_bunches(
 ) -> np.ndarray:
     """Points in bunches that have the `share` of them, for uniform numbers [n, 6]; above `lowest`
     of their half lengths."""
+    # The first number chooses the bunch, the sixth the place along it, two the place across it.
     bunch = np.searchsorted(np.cumsum(share), uniform[:, 0] * share.sum(), side="right")
     bunch = np.minimum(bunch, len(share) - 1)
     # Even in an ellipsoid: its cross-section falls as 1 - part^2 to both ends.
@@ -326,6 +330,7 @@ def free_shoots(shoots: Shoots, seed: int, number: int) -> tuple[ShootsDrawn, np
     """Culms or bare stems, at most `number`, and how each of them is arched: some bend over more
     than others."""
     rng = np.random.default_rng([seed, len(Organ) + 5])
+    # Drawn for the most there can be: where there are fewer, they are the first of these.
     bend = rng.uniform(0.6, 1.6, number)
     if shoots.fewest is not None:
         number = int(rng.integers(min(shoots.fewest, number), number + 1))
@@ -339,7 +344,7 @@ def free_shoots(shoots: Shoots, seed: int, number: int) -> tuple[ShootsDrawn, np
 
 def _on_shoots(
     shoots: Shoots,
-    drawn: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray],
+    drawn: "ShootsDrawn",
     uniform: np.ndarray,
     part: tuple[float, float],
     arch: np.ndarray,
@@ -364,6 +369,7 @@ def _on_shoots(
     tangent = radial * slope[:, None]
     tangent[:, 2] = top[shoot]
     tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
+    # Normals stand square on the shoot, at an even angle about it.
     side = _around(np.ones(len(turn)), turn + 0.25, np.zeros(len(turn)))
     roll = 2.0 * np.pi * uniform[:, 5:6]
     return position, np.cos(roll) * side + np.sin(roll) * np.cross(tangent, side)
@@ -374,8 +380,7 @@ def normals(uniform: np.ndarray, name: str) -> np.ndarray:
     inclination = np.linspace(0.0, 0.5 * np.pi, QUANTILES)
     density = np.asarray(leaf_angle(name).inclination_density(jnp.asarray(inclination)), float)
     tilt = quantile(uniform[:, 0], inclination, np.maximum(density, 0.0))
-    normal = _around(np.sin(tilt), uniform[:, 1], np.cos(tilt))
-    return normal
+    return _around(np.sin(tilt), uniform[:, 1], np.cos(tilt))
 
 
 def quantile(uniform: np.ndarray, nodes: np.ndarray, density: np.ndarray) -> np.ndarray:

@@ -183,6 +183,7 @@ def deposit(
     indices, shares = [], []
     for axis, (edge, boxes) in enumerate(zip(sizes, times, strict=True)):
         part = 1.0 if width is None else min(width / edge, 1.0)
+        # Lower face of the box in voxels, and the share of the box beyond the next plane.
         start = (positions[:, axis] - grid.origin[axis]) / edge - 0.5 * part * boxes
         floor = jnp.floor(start)
         over = jnp.clip((start - floor - (1.0 - part)) / part, 0.0, 1.0).astype(dtype)
@@ -197,6 +198,7 @@ def deposit(
     nx, ny, nz = counts
     index, part_of_area = [], []
     amount = area.astype(dtype) / jnp.asarray(grid.voxel_volume, dtype)
+    # Flat places on [class, z, y, x]: two layers, rows and columns for each element.
     layer_of_class = jnp.asarray(class_index, jnp.int32) * nz
     for z, z_part in zip(indices[2], shares[2], strict=True):
         for y, y_part in zip(indices[1], shares[1], strict=True):

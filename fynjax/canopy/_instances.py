@@ -52,5 +52,6 @@ def unit_shapes(position: Any, azimuth: Any, tilt: Any, numpy: Any = np) -> tupl
         parts = (right * north + ahead * east, ahead * north - right * east, up)
         return numpy.stack([numpy.broadcast_to(part, shape) for part in parts], axis=-1)
 
+    # Lean about the east-west axis towards north, then turn clockwise.
     per_diameter = stand(x, y * numpy.cos(lean), -y * numpy.sin(lean))
     return per_diameter, stand(0.0 * x, z * numpy.sin(lean), z * numpy.cos(lean))

@@ -191,6 +191,7 @@ def _standardised(spectra: np.ndarray) -> np.ndarray:
 
 def _k_means(points: np.ndarray, clusters: int, seed: int) -> tuple[np.ndarray, float]:
     """Cluster of each point, and the mean squared distance to the centres."""
+    # A large image is clustered by a sample first, whose centres start the run over all pixels.
     k_means = require("sklearn.cluster", "analysis", "scikit-learn").KMeans
     limits = require("threadpoolctl", "analysis").threadpool_limits
     start = points

@@ -57,39 +57,26 @@ def plant_model(
     if n_elements < 3:
         raise InputError(f"`n_elements` must be at least 3, one an organ, but is {n_elements}")
     made = FORMS[form]
-    bears = {
-        Organ.LEAF: made.leafy,
-        Organ.WOOD: made.wood_area_index > 0.0,
-        Organ.FLOWER: made.flower_fraction > 0.0,
-    }
     elements = {
-        Organ.LEAF: made.leaf_elements,
-        Organ.WOOD: made.wood_elements,
-        Organ.FLOWER: made.flower_elements,
+        organ: places
+        for organ, area, places in (
+            (Organ.LEAF, made.leaf_area_index, made.leaf_elements),
+            (Organ.WOOD, made.wood_area_index, made.wood_elements),
+            (Organ.FLOWER, made.flower_fraction, made.flower_elements),
+        )
+        if area > 0.0
     }
-    counts = split_elements(n_elements, {organ: share[organ] for organ in Organ if bears[organ]})
+    counts = split_elements(n_elements, {organ: share[organ] for organ in elements})
     plant = individual_of(made, seed, max(counts.get(Organ.LEAF, 1), 1))
-    positions, normals = [], []
-    for organ, count in counts.items():
-        # Own stream for each organ: the leaves stay where they are if the stems change.
-        uniform = quasi_random(count, 6, [seed, int(organ)])
-        position, normal = elements[organ](made, uniform, seed, plant)
-        positions.append(position)
-        normals.append(normal)
-    return build_plant(
-        np.concatenate(positions),
-        np.concatenate(normals),
-        np.repeat([int(organ) for organ in counts], list(counts.values())),
-    )
-
-
-def build_plant(position: np.ndarray, normal: np.ndarray, organ: np.ndarray) -> PlantModel:
-    """Plant model of elements that share their organ's area equally."""
-    per_organ = np.bincount(organ, minlength=len(Organ))
-    normal = np.where(normal[:, 2:] < 0.0, -normal, normal)
+    # Own stream for each organ: the leaves stay where they are if the stems change.
+    drawn = [
+        elements[organ](made, quasi_random(count, 6, [seed, int(organ)]), seed, plant)
+        for organ, count in counts.items()
+    ]
+    position, normal = (np.concatenate(parts) for parts in zip(*drawn))
     return PlantModel(
         jnp.asarray(position),
-        jnp.asarray(1.0 / per_organ[organ]),
-        jnp.asarray(normal),
-        jnp.asarray(organ, jnp.int32),
+        jnp.asarray(np.concatenate([np.full(n, 1.0 / n) for n in counts.values()])),
+        jnp.asarray(np.where(normal[:, 2:] < 0.0, -normal, normal)),
+        jnp.asarray(np.repeat([int(o) for o in counts], list(counts.values())), jnp.int32),
     )

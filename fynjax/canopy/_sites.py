@@ -111,16 +111,25 @@ def clumping(
 
     **Returns:** `PARTS` values from the sparsest to the densest, with a mean of 1: what
     `projected_count` counts by.
+
+    **Raises:** `InputError` for a map that is nowhere above 0.
     """
     radius = diameter / 2.0
     if probability is None:
         probability = np.ones([min(512, int(np.ceil(16.0 * l / diameter))) for l in extent[::-1]])
     values = np.asarray(probability, float)
+    if not values.max() > 0.0:
+        raise InputError(
+            "a probability map must be above 0 somewhere, or no plant can stand, but its largest "
+            f"value is {values.max():g}"
+        )
     ny, nx = values.shape
-    across = []
+    across = []  # places of the pixels, forward and back from the first [m]
     for side, n in ((extent[0], nx), (extent[1], ny)):
         beyond = 0 if periodic else int(np.ceil(radius * n / side))
         across.append(np.fft.fftfreq(n + beyond, n / side / (n + beyond)))
+    # Mean of the map over a crown about each pixel, by Fourier transforms; beyond an open border
+    # there are as many zeros as a crown reaches, lest it reach round to the other side.
     disc = np.hypot(*np.meshgrid(*across)) <= radius
     both = np.fft.fft2(values, disc.shape) * np.fft.fft2(disc / disc.sum())
     near = np.fft.ifft2(both).real[:ny, :nx]
@@ -187,6 +196,7 @@ def assign_sites(
         if number == 0:
             sites.append(np.empty((0, 2)))
             continue
+        # Numbers of its own: the order of one species does not depend on what others need.
         rng = generator(seed, species)
         order = rng.permutation(len(points))
         passes = _rounds_until_accepted(chance[order], rng)
@@ -200,6 +210,7 @@ def assign_sites(
                 f"zero and {np.count_nonzero(free)} were still free. Use a smaller radius, a "
                 "lower cover, or a probability map with a wider area above zero"
             )
+        # In the order of rounds, and within a round of the random order (the sort is stable).
         taken = order[np.argsort(passes, kind="stable")[:number]]
         free[taken] = False
         sites.append(points[taken])
@@ -293,6 +304,7 @@ def _site_weight(count: Any, index: Any, width: Any, softness: Any) -> Float[Arr
     dtype = count.dtype if jnp.issubdtype(count.dtype, jnp.floating) else jnp.result_type(float)
     count = count.astype(dtype)
     index, width, softness = (jnp.asarray(value, dtype) for value in (index, width, softness))
+    # A ramp of share N + extra plants, of at most 2 N.
     share = jnp.minimum(softness, 2.0)
     extra, most = jnp.maximum(width - 1.0, 0.0), (2.0 - share) * count
     # The smaller of both, rounded off: half their harmonic mean.

@@ -102,6 +102,7 @@ def regression_agreement(
             rows.append({"diversity": asked} | none)
             continue
         drawn, exchanged = plot_draws(len(known), seed)
+        # The values themselves first, then all exchanges of plots, as columns of one regression.
         every = y[known][np.concatenate([np.arange(len(known))[None], exchanged])].T
         error = (_left_out_by_ridge(data[known], every) - every) ** 2
         base = ((every.sum(axis=0) - every) / (len(known) - 1) - every) ** 2
@@ -181,6 +182,7 @@ def _left_out_by_ridge(
         others = np.arange(len(spectra)) != plot
         mean, centre = values[others].mean(axis=0), spectra[others].mean(axis=0)
         x, y = spectra[others] - centre, values[others] - mean
+        # Plots are fewer than bands: the dual form, of one matrix for all penalties.
         size, axes = np.linalg.eigh(x @ x.T)
         size = np.maximum(size, 0.0)
         along = axes.T @ y
@@ -188,6 +190,7 @@ def _left_out_by_ridge(
         least, best = np.full(values.shape[1], np.inf), np.zeros(values.shape[1])
         for penalty in _PENALTIES * max(size.mean(), _LEAST_SIZE):
             kept = size / (size + penalty)
+            # That of the mean, and that of the regression.
             leverage = 1.0 / len(x) + axes**2 @ kept
             residual = y - axes @ (kept[:, None] * along)
             error = ((residual / (1.0 - leverage)[:, None]) ** 2).sum(axis=0)

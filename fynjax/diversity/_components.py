@@ -33,6 +33,14 @@ class PrincipalComponents:
         return ((np.asarray(spectra, np.float64) - self.mean) / self.scale) @ self.axes.T
 
 
+def finite_pixels(values: ArrayLike, what: str = "spectra") -> NDArray[np.float64]:
+    """Spectra, or points made of them, as numbers; `InputError` where some are not finite."""
+    data = np.asarray(values, np.float64)
+    if not np.isfinite(data).all():
+        raise InputError(f"expected finite {what}, but some have NaN or infinity: leave them out")
+    return data
+
+
 def principal_components(
     spectra: ArrayLike, count: int = 3, *, standardise: bool = False
 ) -> PrincipalComponents:
@@ -50,14 +58,12 @@ def principal_components(
     **Raises:** `InputError` for NaN or infinity, for more components than there can be, and where
     all pixels (or, to be standardised, those of one band) are equal.
     """
-    data = np.asarray(spectra, np.float64)
+    data = finite_pixels(spectra)
     if data.ndim != 2 or not 1 <= count <= min(data.shape[1], data.shape[0] - 1):
         raise InputError(
             f"`count` must be from 1 to the number of bands, and less than that of pixels, but is "
             f"{count} for spectra [pixel, band] of shape {data.shape}"
         )
-    if not np.isfinite(data).all():
-        raise InputError("expected finite spectra, but some have NaN or infinity: leave them out")
     mean, spread = data.mean(axis=0), data.std(axis=0, ddof=1)
     flat = spread <= 1e-12 * np.abs(data).max()
     if flat.all() or (standardise and flat.any()):
@@ -66,6 +72,7 @@ def principal_components(
     _, singular, axes = np.linalg.svd((data - mean) / scale, full_matrices=False)
     variance = singular**2 / (len(data) - 1)
     axes = axes[:count]
+    # A component has no sign of its own: that of its largest entry is positive.
     largest = np.take_along_axis(axes, np.abs(axes).argmax(axis=1)[:, None], axis=1)
     axes = axes * np.sign(largest)
     share = variance / variance.sum()
@@ -91,16 +98,15 @@ def hull_volume(points: ArrayLike) -> float:
     >>> round(hull_volume([[0, 0], [2, 0], [0, 2], [0.5, 0.5]]), 6)
     2.0
     """
-    data = np.asarray(points, np.float64)
+    data = finite_pixels(points, "points")
     if data.ndim != 2 or data.shape[1] == 0 or len(data) <= data.shape[1]:
         raise InputError(
             f"a hull needs points [pixel, component], more than components, but they have shape "
             f"{data.shape}"
         )
-    if not np.isfinite(data).all():
-        raise InputError("a hull needs finite points, but some are NaN or infinite")
     if data.shape[1] == 1:
         return float(np.ptp(data))
+    # Qhull refuses points that lie in a plane.
     if np.linalg.matrix_rank(data - data.mean(axis=0)) < data.shape[1]:
         return 0.0
     return float(ConvexHull(data).volume)
@@ -179,6 +185,7 @@ def spectral_species(
             f"`clusters` must be from 2 to the {len(pixels) // repeats} pixels of a repeat, but is "
             f"{clusters}"
         )
+    # Components of all pixels, each at variance 1, so that each counts alike for the clusters.
     axes = principal_components(pixels, components, standardise=True)
     points = axes.scores(pixels) / np.sqrt(axes.variance)
     rows = keep[..., 0].size
@@ -211,6 +218,7 @@ def _window_shares(
     """Share of each cluster among the pixels of a window, without those that are rare in it."""
     count = np.zeros((rows, clusters))
     np.add.at(count, (window, label), 1.0)
+    # Rare clusters are dropped window by window, and the rest shared out anew.
     count = np.where(count >= least * count.sum(axis=1, keepdims=True), count, 0.0)
     total = count.sum(axis=1, keepdims=True)
     if not total.all():

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fynjax._core.errors import InputError, listed, whole_number
 from fynjax._core.extras import require
+from fynjax.diversity._components import finite_pixels
 
 Method = Literal["discriminant", "forest"]
 _DRAWS = 10
@@ -57,18 +58,17 @@ def bhattacharyya_distance(
     """
     if shrinkage is not None and not 0.0 <= shrinkage <= 1.0:
         raise InputError(f"`shrinkage` must be from 0 to 1, but is {shrinkage:g}")
-    classes = [np.asarray(x, np.float64) for x in (first, second)]
+    classes = [finite_pixels(x) for x in (first, second)]
     shapes = [x.shape for x in classes]
     if any(len(s) != 2 or s[0] < 2 or s[1] < 1 for s in shapes) or shapes[0][1] != shapes[1][1]:
         raise InputError(
             "expected spectra [pixel, band] of two pixels or more in the same bands, but they have "
             f"the shapes {shapes[0]} and {shapes[1]}"
         )
-    if not all(np.isfinite(x).all() for x in classes):
-        raise InputError("expected finite spectra, but some have NaN or infinity: leave them out")
     found = _distance(classes, shrinkage)
     if shrinkage is not None:
         return found
+    # How large B comes out of so few pixels where classes are alike is taken off.
     away = np.concatenate([x - x.mean(axis=0) for x in classes])
     root = np.linalg.cholesky(_covariance(away, None))
     random, alike = np.random.default_rng(0), []
@@ -81,6 +81,7 @@ def bhattacharyya_distance(
 def _distance(classes: Sequence[NDArray[np.float64]], shrinkage: float | None) -> float:
     one, two = (_covariance(x, shrinkage) for x in classes)
     off = classes[0].mean(axis=0) - classes[1].mean(axis=0)
+    # By logarithms of the determinants, which leave the range of numbers in many bands.
     both = 0.5 * (one + two)
     log = [_log_determinant(c) for c in (both, one, two)]
     distance = off @ np.linalg.solve(both, off) / 8.0 + 0.5 * (log[0] - 0.5 * (log[1] + log[2]))
@@ -129,16 +130,13 @@ def jeffries_matusita_distance(bhattacharyya: ArrayLike) -> np.float64 | NDArray
     return -2.0 * np.expm1(-distance)
 
 
-def separability(
-    spectra: ArrayLike, species: Sequence[str] | np.ndarray, *, shrinkage: float | None = None
-) -> pd.DataFrame:
+def separability(spectra: ArrayLike, species: Sequence[str] | np.ndarray) -> pd.DataFrame:
     """Distances of each two species by their spectra.
 
     **Arguments:**
 
     - `spectra`: [pixel, band].
     - `species`: name of the species of each pixel.
-    - `shrinkage`: as for `bhattacharyya_distance`.
 
     **Returns:** a row for each pair, in alphabetical order: `first`, `second`, `bhattacharyya` and
     `jeffries_matusita`. Not differentiable.
@@ -152,7 +150,7 @@ def separability(
     for i, first in enumerate(kinds):
         for second in kinds[i + 1 :]:
             classes = data[names == first], data[names == second]
-            rows.append((first, second, bhattacharyya_distance(*classes, shrinkage=shrinkage)))
+            rows.append((first, second, bhattacharyya_distance(*classes)))
     table = pd.DataFrame(rows, columns=["first", "second", "bhattacharyya"])
     table["jeffries_matusita"] = jeffries_matusita_distance(table["bhattacharyya"])
     return table
@@ -250,6 +248,7 @@ def classify(
         model = _classifier(method, len(kinds), seed)
         model.fit(data[groups == name], number[groups == name])
         judged = model.predict(data[groups != name])
+        # Trained on one group, judged on all others.
         true = number[groups != name]
         np.add.at(confusion, (true, judged), 1)
         by_group[name] = float(np.mean(true == judged))
@@ -272,14 +271,12 @@ def _classifier(method: Method, kinds: int, seed: int) -> Any:
 def _pixels(
     spectra: ArrayLike, species: Sequence[str] | np.ndarray
 ) -> tuple[NDArray[np.float64], Shaped[np.ndarray, " pixel"]]:
-    data, names = np.asarray(spectra, np.float64), np.array([str(name) for name in species])
+    data, names = finite_pixels(spectra), np.array([str(name) for name in species])
     if data.ndim != 2 or data.shape[1] == 0 or len(data) != len(names):
         raise InputError(
             f"expected spectra [pixel, band] and a species for each pixel, but got shape "
             f"{data.shape} and {len(names)} names"
         )
-    if not np.isfinite(data).all():
-        raise InputError("expected finite spectra, but some have NaN or infinity: leave them out")
     if len(set(names)) < 2:
         raise InputError("expected two species or more to tell apart, but there is one or none")
     return data, names

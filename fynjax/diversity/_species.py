@@ -86,6 +86,8 @@ def _mean_rarity(share: Cover, weight: Cover, order: float) -> PerPlot:
     power = order - 1.0
     if power == 0.0:
         return -jnp.sum(weight * log, axis=-1)
+    # Near q = 1 the sum is 1 and a little, of which expm1 keeps the digits; elsewhere logsumexp
+    # keeps it within the range of numbers.
     if abs(power) < 0.5:
         return -jnp.log1p(jnp.sum(weight * jnp.expm1(power * log), axis=-1)) / power
     return -logsumexp(power * log, axis=-1, b=jnp.where(there, weight, 0.0)) / power
@@ -246,6 +248,7 @@ def hill_partition(cover: ArrayLike, order: float = 1.0) -> DiversityParts:
     if order == 0.0:
         alpha = jnp.mean(richness(share))
     else:
+        # All plots as one list, each species weighted by its share and 1 / N.
         alpha = jnp.exp(_mean_rarity(share.ravel(), share.ravel() / len(share), order))
     gamma = hill_number(jnp.mean(share, axis=0), order)
     return DiversityParts(alpha=alpha, beta=gamma / alpha, gamma=gamma)
@@ -297,6 +300,7 @@ def bray_curtis(cover: ArrayLike) -> NDArray[np.float64]:
 
     Source: Bray and Curtis (1957), Ecological Monographs 27, 325.
     """
+    # The checks alone: covers are compared as they are, not as shares.
     _plots(cover)
     amount = np.asarray(cover, np.float64)
     return squareform(pdist(amount.reshape(-1, amount.shape[-1]), "braycurtis"))

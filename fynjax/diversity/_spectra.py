@@ -11,6 +11,7 @@ from jaxtyping import Array, Bool, Float, Shaped
 from numpy.typing import ArrayLike
 
 from fynjax._core.errors import InputError
+from fynjax._core.math import square_root
 from fynjax._core.seeds import generator
 from fynjax.diversity._components import hull_volume, principal_components
 from fynjax.metrics import spectral_angle
@@ -129,7 +130,7 @@ def coefficient_of_variation(
         raise InputError("a coefficient of variation needs bands whose mean is positive")
     off = jnp.where(keep[..., None], data - mean[..., None, :], 0.0)
     variance = jnp.sum(off**2, axis=-2) / (count[..., None] - freedom)
-    return jnp.mean(_root(variance) / mean, axis=-1)
+    return jnp.mean(square_root(variance) / mean, axis=-1)
 
 
 def mean_spectral_angle(spectra: ArrayLike, valid: ArrayLike | None = None) -> PerWindow:
@@ -147,6 +148,7 @@ def mean_spectral_angle(spectra: ArrayLike, valid: ArrayLike | None = None) -> P
     data, keep, count = _checked(spectra, valid)
 
     def one(x: Array, counts: Array, number: Array) -> Array:
+        # Pixels that do not count take the mean, whose angle is 0, lest theirs be undefined.
         mean = jnp.sum(x, axis=0) / number
         angle = jax.vmap(spectral_angle, (0, None))(jnp.where(counts[:, None], x, mean), mean)
         return jnp.sum(jnp.where(counts, angle, 0.0)) / number
@@ -178,7 +180,7 @@ def spectral_rao(spectra: ArrayLike, valid: ArrayLike | None = None) -> PerWindo
     def one(x: Array, counts: Array, number: Array) -> Array:
         @jax.checkpoint  # else a gradient holds every difference of two pixels in memory
         def from_one(pixel: Array) -> Array:
-            return jnp.sum(jnp.where(counts, _root(jnp.sum((x - pixel) ** 2, axis=-1)), 0.0))
+            return jnp.sum(jnp.where(counts, square_root(jnp.sum((x - pixel) ** 2, axis=-1)), 0.0))
 
         return jnp.sum(jnp.where(counts, jax.lax.map(from_one, x), 0.0)) / number**2
 
@@ -264,6 +266,7 @@ def spectral_partition(spectra: ArrayLike, valid: ArrayLike | None = None) -> Sp
     data, keep, count = _checked(spectra, valid)
     if count.size < 2:
         raise InputError(f"expected spectra of two sites or more, but got shape {data.shape}")
+    # Sums of squares: within sites, of their means about that of all, of all pixels about it.
     sites = tuple(range(count.ndim))
     mean = jnp.sum(data, axis=-2) / count[..., None]
     all_pixels = jnp.sum(count)
@@ -324,6 +327,7 @@ def diversity_map(
         raise InputError(f"`valid` must have the image's shape {shape}, but has {mask.shape}")
     keep = np.asarray(windows(mask[None], size))[..., 0]
     count = keep.sum(axis=-1)
+    # A hull needs a pixel more than components.
     used = count >= max(least_share * keep.shape[-1], components + 1)
     if not used.any():
         raise InputError(
@@ -334,6 +338,7 @@ def diversity_map(
     some = principal_components(spectra[keep], components)
     hulls = [hull_volume(some.scores(x[k])) for x, k in zip(spectra, keep, strict=True)]
     data, counts, number = _checked(spectra, keep)
+    # Alpha diversity of `spectral_partition`, which one window has too.
     mean = jnp.sum(data, axis=-2, keepdims=True) / number[:, None, None]
     square = jnp.sum(jnp.where(counts[..., None], data - mean, 0.0) ** 2, axis=(-2, -1))
     found = {
@@ -407,9 +412,3 @@ def _each(function: Callable[..., Array], data: Spectra, keep: Array, count: Arr
     """A function of one window for each, one after the other to save memory."""
     flat = (data.reshape(-1, *data.shape[-2:]), keep.reshape(-1, keep.shape[-1]), count.ravel())
     return jax.lax.map(lambda window: function(*window), flat).reshape(count.shape)
-
-
-def _root(square: Array) -> Array:
-    """Square root, with the slope 0 at 0."""
-    some = ~(square == 0.0)  # true for NaN, which must show
-    return jnp.where(some, jnp.sqrt(jnp.where(some, square, 1.0)), 0.0)

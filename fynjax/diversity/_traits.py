@@ -57,6 +57,7 @@ def gower_distance(traits: pd.DataFrame | ArrayLike) -> NDArray[np.float64]:
         else:
             value = column.to_numpy(object)
             step = (value[:, None] != value).astype(float)
+        # A trait that either species lacks is left out of the mean of their pair.
         apart += np.where(both, step, 0.0)
         known += both
     if (known == 0.0).any():
@@ -118,6 +119,7 @@ def functional_dispersion(cover: ArrayLike, distance: ArrayLike) -> PerPlot:
     """
     share = species_shares(cover)
     squared = _checked_distance(distance, share) ** 2
+    # Squared distance to the centroid by that to all species (Gower 1966), without coordinates.
     to_others = share @ squared
     spread = jnp.sum(share * to_others, axis=-1, keepdims=True)
     square = to_others - 0.5 * spread
@@ -158,6 +160,7 @@ class Phylogeny:
     def distance(self) -> Float[np.ndarray, "taxon taxon"]:
         """Length of the path between each two taxa, in the tree's unit."""
         on = self.carries.astype(np.float64)
+        # The path between two taxa is what leads to each, less twice what leads to both.
         shared = on.T @ (self.length[:, None] * on)
         own = np.diag(shared)
         return own[:, None] + own - 2.0 * shared
@@ -197,6 +200,7 @@ def read_phylogeny(tree: Path | str, taxa: Sequence[str]) -> Phylogeny:
     column = {name: k for k, name in enumerate(wanted)}
     length, carries = [], []
     below: dict[int, NDArray[np.bool_]] = {}
+    # From the tips up: a branch carries what those below it carry.
     for node in root.postorder(include_self=False):
         on = np.zeros(len(wanted), bool)
         if node.is_tip():

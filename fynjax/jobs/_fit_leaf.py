@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, ClassVar, Literal, NamedTuple
+from typing import ClassVar, Literal, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -42,6 +42,7 @@ from fynjax.leaf import (
     LeafChunks,
     LeafFit,
     LeafGroups,
+    LeafSettings,
     LeafShape,
     ProspectVersion,
     area_factors,
@@ -296,11 +297,9 @@ def fit_leaf(
         | ({} if species is None else {"species.csv": f"{len(set(species))} species"})
         | ({} if posterior == "none" else {"posterior.nc": size})
     )
-    options: dict[str, Any] = {
-        "version": version, "measurement": instrument, "leaf_shape": leaf_shape, "domain": domain
-    }  # fmt: skip
-    together = None if species is None else fit_leaf_groups(spectra, groups=species, **options)
-    fit = _fit_apart(spectra, options, checkpoint, workers) if together is None else together.leaves
+    how = LeafSettings(version, instrument, leaf_shape, domain)
+    together = None if species is None else fit_leaf_groups(spectra, groups=species, settings=how)
+    fit = _fit_apart(spectra, how, checkpoint, workers) if together is None else together.leaves
     settings = {
         "prospect_version": version,
         "measurement": measurement,
@@ -316,7 +315,7 @@ def fit_leaf(
     if together is not None:
         _write_species(run, together, version, area)
     if posterior != "none":
-        draws = sample_leaf_posterior(spectra, sampler=posterior, seed=seed, **options)
+        draws = sample_leaf_posterior(spectra, sampler=posterior, settings=how, seed=seed)
         what = "draws of the parameters and of T from the posterior"
         dataset = draws.to_xarray(area).assign_attrs(settings)
         write_spectra_netcdf(dataset, run.path("posterior.nc", what))
@@ -350,15 +349,15 @@ def _read_leaves(
 
 def _fit_apart(
     spectra: xr.Dataset,
-    options: dict[str, Any],
+    settings: LeafSettings,
     checkpoint: str | Path | None,
     workers: Workers | None,
 ) -> LeafFit:
     """Each leaf fitted by itself, in parts that a checkpoint keeps."""
     journal, count = None, spectra.sizes["spectrum"]
-    chunks = LeafChunks(spectra, size=_PART, **options)
+    chunks = LeafChunks(spectra, settings=settings, size=_PART)
     if checkpoint is not None and count > _PART:
-        journal = Journal(checkpoint, signature(chunks.parts, options))
+        journal = Journal(checkpoint, signature(chunks.parts, settings))
     with stage("Fit leaves", count), at_work(workers) as pool:
         done = dict(
             pool.each(

@@ -32,7 +32,7 @@ from fynjax.leaf._parameters import (
     structure_from_dry_matter,
 )
 from fynjax.leaf._posterior import LeafPosterior, sample_leaf_posterior
-from fynjax.leaf._problem import FitDomain
+from fynjax.leaf._problem import FitDomain, LeafSettings
 from fynjax.leaf._prospect import (
     LeafOptics,
     cylinder_transmissivity,
@@ -64,6 +64,7 @@ __all__ = [
     "LeafOverBackground",
     "LeafParameters",
     "LeafPosterior",
+    "LeafSettings",
     "LeafShape",
     "LeafStack",
     "LeafStatus",

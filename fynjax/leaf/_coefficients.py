@@ -15,31 +15,21 @@ ProspectVersion = Literal["5", "D", "PRO"]
 FIRST_WAVELENGTH, LAST_WAVELENGTH = 400.0, 2500.0
 
 # Field of `LeafParameters` to column of the table, in the order of the kernel's vector.
-CONSTITUENTS: dict[str, dict[str, str]] = {
-    "5": {
-        "chlorophyll": "cab",
-        "carotenoids": "car",
-        "brown_pigments": "brown",
-        "water": "ewt",
-        "dry_matter": "lma",
-    },
-    "D": {
-        "chlorophyll": "cab",
-        "carotenoids": "car",
-        "anthocyanins": "ant",
-        "brown_pigments": "brown",
-        "water": "ewt",
-        "dry_matter": "lma",
-    },
-    "PRO": {
-        "chlorophyll": "cab",
-        "carotenoids": "car",
-        "anthocyanins": "ant",
-        "brown_pigments": "brown",
-        "water": "ewt",
-        "proteins": "prot",
-        "carbon_constituents": "cbc",
-    },
+_COLUMNS = {
+    "chlorophyll": "cab",
+    "carotenoids": "car",
+    "anthocyanins": "ant",
+    "brown_pigments": "brown",
+    "water": "ewt",
+    "dry_matter": "lma",
+    "proteins": "prot",
+    "carbon_constituents": "cbc",
+}
+_SPLIT = ("proteins", "carbon_constituents")  # what PROSPECT-PRO has in place of dry matter
+_LACKS = {"5": ("anthocyanins", *_SPLIT), "D": _SPLIT, "PRO": ("dry_matter",)}
+CONSTITUENTS = {
+    version: {name: column for name, column in _COLUMNS.items() if name not in lacks}
+    for version, lacks in _LACKS.items()
 }
 
 

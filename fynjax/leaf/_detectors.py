@@ -75,6 +75,7 @@ def correct_detector_jumps(
     usable = np.isfinite(jumps) & (np.abs(np.nan_to_num(jumps)) <= LARGEST_JUMP) & bright
     ratio = np.where(usable, 1.0 + np.nan_to_num(jumps), 1.0)
     gains = np.ones((len(rows), len(changes) + 1))
+    # Outwards from the reference: each detector takes the gain of its neighbour and the jump.
     for side in range(reference - 1, -1, -1):
         gains[:, side] = gains[:, side + 1] * ratio[:, side]
     for side in range(reference + 1, len(changes) + 1):
@@ -91,6 +92,7 @@ def _extrapolated(
     good = np.isfinite(y)
     count = good.sum(1)
     y = np.where(good, y, 0.0)
+    # Sums of a regression line, of all leaves at once, over the bands that each has.
     sx, sy = (good * x).sum(1), y.sum(1)
     sxx, sxy = (good * x**2).sum(1), (y * x).sum(1)
     spread = count * sxx - sx**2

@@ -30,12 +30,6 @@ def bin_centres() -> np.ndarray:
     return np.concatenate([np.arange(400.0, 781.0, 5.0), np.arange(790.0, 2501.0, 10.0)])
 
 
-def _bin_edges() -> np.ndarray:
-    centres = bin_centres()
-    between = (centres[1:] + centres[:-1]) / 2
-    return np.concatenate([[centres[0] - 2.5], between, [centres[-1] + 5.0]])
-
-
 POPULATION_TRAITS = ("structure", "chlorophyll", "carotenoids", "water", "dry_matter")
 """Traits whose correlation and discrepancy an error model holds."""
 
@@ -100,23 +94,20 @@ def distrust() -> Float[np.ndarray, " bin"]:
 @cache
 def default_error_model() -> ErrorModel:
     """The error model of the package, from ANGERS, LOPEX and NASA FFT (see `data/README.md`)."""
-    path = resources.files("fynjax.leaf") / "data" / "error_model.csv.gz"
-    with resources.as_file(path) as file:
-        table = pd.read_csv(file)
+    with resources.as_file(resources.files("fynjax.leaf") / "data") as folder:
+        table = pd.read_csv(folder / "error_model.csv.gz")
+        traits = pd.read_csv(folder / "trait_model.csv", index_col="trait")
     if not np.array_equal(table["wavelength_nm"], bin_centres()):
         raise InputError("the error model's table does not stand on the fit's bins")
     names = [c for c in table.columns if c.startswith("r_factor")]
     r = table[names].to_numpy(float).T
     t = table[[n.replace("r_", "t_", 1) for n in names]].to_numpy(float).T
     noise = [table[key].to_numpy(float) for key in ("r_noise", "t_noise")]
-    path = resources.files("fynjax.leaf") / "data" / "trait_model.csv"
-    with resources.as_file(path) as file:
-        traits = pd.read_csv(file, index_col="trait").loc[list(POPULATION_TRAITS)]
+    traits = traits.loc[list(POPULATION_TRAITS)]
     correlation = traits[list(POPULATION_TRAITS)].to_numpy(float)
     discrepancy = traits[["log_discrepancy", "dry_matter_slope"]].to_numpy(float)
     share = traits["species_share"].to_numpy(float)
-    shares = traits["reflectance_share"].to_numpy(float)
-    alone = float(shares[POPULATION_TRAITS.index("dry_matter")])
+    alone = float(traits["reflectance_share"]["dry_matter"])
     return ErrorModel(
         r, t, noise[0], noise[1], distrust(), correlation, discrepancy, share, alone
     )  # fmt: skip
@@ -160,7 +151,9 @@ def to_bins(wavelength: np.ndarray, spectra: np.ndarray) -> np.ndarray:
     centres = bin_centres()
     spectra = np.asarray(spectra, float)
     lead = spectra.reshape(-1, spectra.shape[-1])
-    place = np.digitize(wavelength, _bin_edges()) - 1
+    between = (centres[1:] + centres[:-1]) / 2
+    edges = np.concatenate([[centres[0] - 2.5], between, [centres[-1] + 5.0]])
+    place = np.digitize(wavelength, edges) - 1
     inside = np.flatnonzero((place >= 0) & (place < centres.size))
     finite = np.isfinite(lead)
 

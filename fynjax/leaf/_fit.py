@@ -18,14 +18,15 @@ from fynjax.leaf._error_model import ErrorModel, bin_centres
 from fynjax.leaf._measurement import AbstractMeasurement
 from fynjax.leaf._parameters import LEAF_PARAMETERS, LeafParameters
 from fynjax.leaf._problem import (
+    USUAL_SETTINGS,
     FitDomain,
+    LeafSettings,
+    Prior,
     Setup,
-    binned_data,
     leaf_bounds,
     leaf_priors,
     leaf_problems,
-    make_setup,
-    usable_bins,
+    prepare,
 )
 from fynjax.leaf._residual import (
     Optics,
@@ -41,7 +42,7 @@ from fynjax.leaf._residual import (
     to_physical,
 )
 from fynjax.leaf._result import NINETY_PERCENT, LeafFit, LeafStatus
-from fynjax.leaf._spectra import Source, as_spectra
+from fynjax.leaf._spectra import Source
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -80,6 +81,7 @@ def _describe_many(tree: tuple, factors: Any, noise: Any, optics: Optics) -> dic
 
         (model, recorded), push = jax.linearize(read, z)
         slopes, by_recorded = jax.vmap(push)(jnp.eye(size))
+        # The misfit and its slopes are weighted alike, and go through the factors together.
         misfit = jnp.concatenate([(problem.data - recorded)[None], by_recorded])
         rows = (misfit * problem.precision).reshape(size + 1, -1)
         root = inverse_triangular(factor_system(factors, problem.precision))
@@ -91,6 +93,7 @@ def _describe_many(tree: tuple, factors: Any, noise: Any, optics: Optics) -> dic
     answers = jnp.einsum("nrj,njk->nrk", loads, inverse)
     # The last factor is the instrument's offset, which is no property of the leaf.
     shown = answers[:, 0, :-1] @ flat[:-1]
+    # Slopes of T, less what the factors take up of them.
     effective = slopes - (answers[:, 1:].reshape(-1, number) @ through).reshape(slopes.shape)
     pairs = (through[:, None] * through[None]).reshape(number * number, -1)
     remaining = inverse.reshape(leaves, -1) @ pairs + noise[1] ** 2
@@ -103,10 +106,7 @@ def _describe_many(tree: tuple, factors: Any, noise: Any, optics: Optics) -> dic
 
 
 def solve_leaves(
-    setup: Setup,
-    data: np.ndarray,
-    use: np.ndarray,
-    prior: tuple[np.ndarray, np.ndarray],
+    setup: Setup, data: np.ndarray, use: np.ndarray, prior: Prior
 ) -> tuple[Solution, Problem]:
     """Most probable z of each leaf, and its problem.
 
@@ -149,12 +149,6 @@ def towards_reflectance(
     return change
 
 
-def rarity(setup: Setup, z: np.ndarray) -> Float[np.ndarray, " leaf"]:
-    """Squared distance of leaves from the usual leaf, in units of the population's covariance."""
-    offset = z - setup.prior_mean
-    return np.einsum("np,pq,nq->n", offset, setup.prior_precision, offset)
-
-
 def describe(
     setup: Setup, problems: Problem, z: np.ndarray, covariance: np.ndarray
 ) -> dict[str, np.ndarray]:
@@ -173,6 +167,7 @@ def trait_variance(
     # Beyond tenfold the spectrum is not that of a leaf: the status says so, and the interval is
     # the range of the prior.
     grown = np.minimum(np.asarray(inflation), 10.0)
+    # The discrepancy is stated at the usual dry matter, and changes with its logarithm.
     log, slope = setup.discrepancy.T
     mass = "dry_matter" if "dry_matter" in setup.names else "carbon_constituents"
     lower, upper = leaf_bounds([mass])[0]
@@ -235,15 +230,14 @@ def fit_leaf(
     >>> fit.table()["water"].round(3).tolist()
     [0.008, 0.015]
     """
-    chunks = LeafChunks(
-        wavelength, reflectance, transmittance, version=version,
-        measurement=measurement, leaf_shape=leaf_shape, domain=domain, free=free, outdoor=outdoor,
-        detector_changes=detector_changes, error_model=error_model,
-    )  # fmt: skip
+    settings = LeafSettings(
+        version, measurement, leaf_shape, domain, free, outdoor, detector_changes, error_model
+    )
+    chunks = LeafChunks(wavelength, reflectance, transmittance, settings=settings)
     return chunks.join(chunks.fit(part, chunks.setup) for part in chunks.parts)
 
 
-Chunk = tuple[np.ndarray, np.ndarray, tuple[np.ndarray, np.ndarray]]
+Chunk = tuple[np.ndarray, np.ndarray, Prior]
 """Data of some leaves, which of them to use, and their priors."""
 
 
@@ -279,22 +273,13 @@ class LeafChunks:
         reflectance: Any = None,
         transmittance: Any = None,
         *,
+        settings: LeafSettings = USUAL_SETTINGS,
         size: int = 1024,
-        version: ProspectVersion = "D",
-        measurement: AbstractMeasurement | None = None,
-        leaf_shape: LeafShape = "broad",
-        domain: FitDomain = "full",
-        free: Sequence[str] | None = None,
-        outdoor: bool | None = None,
-        detector_changes: Sequence[float] = (),
-        error_model: ErrorModel | None = None,
     ) -> None:
-        """Chunks of `size` leaves; other arguments and errors as `fit_leaf`."""
-        spectra = as_spectra(wavelength, reflectance, transmittance)
-        self._source, self._data = spectra.source, binned_data(spectra, detector_changes)
-        self._use = usable_bins(self._data, domain, outdoor)
-        self.setup = make_setup(version, measurement, free, error_model, leaf_shape)
-        mean, precision = leaf_priors(self.setup, self._data, self._use)
+        """Chunks of `size` leaves; spectra and errors as of `fit_leaf`."""
+        self.setup, self._data, self._use, (mean, precision), self._source = prepare(
+            wavelength, reflectance, transmittance, settings
+        )
         count = len(mean)
         self.rows = [slice(at, min(at + size, count)) for at in range(0, count, size)]
         self.parts = [(self._data[r], self._use[r], (mean[r], precision[r])) for r in self.rows]
@@ -328,18 +313,19 @@ def describe_chunk(
     """Everything `assemble` needs of leaves at z with that covariance, as the spectra give it, and
     of traits that `change` moves in z; spectra stay those before."""
     description: dict[str, Any] = describe(setup, problems, found.z, covariance)
-    z, bounds = found.z + change, leaf_bounds(setup.names)
-    width, unit = bounds[:, 1] - bounds[:, 0], 1.0 / (1.0 + np.exp(-z))
-    description |= {"x": bounds[:, 0] + width * unit, "scale": width * unit * (1.0 - unit)}
+    z = found.z + change
     inflation = np.asarray(problems.inflation)
     population = np.diag(np.linalg.inv(setup.prior_precision))
+    # Before the discrepancy is added: what the spectrum leaves of the variance among leaves.
     share = np.einsum("npp->np", covariance) / population
     extra = trait_variance(setup, inflation, z)
+    off = found.z - setup.prior_mean
+    rarity = np.einsum("np,pq,nq->n", off, setup.prior_precision, off)
     covariance = covariance + np.eye(len(setup.names)) * extra[:, None]
     misfit = found.misfit / np.maximum(use.sum((1, 2)), 1)
     return description | {
         "z": z, "covariance": covariance, "chi2": misfit, "inflation": inflation,
-        "converged": found.converged, "share": share, "rarity": rarity(setup, found.z),
+        "converged": found.converged, "share": share, "rarity": rarity,
     }  # fmt: skip
 
 
@@ -361,43 +347,42 @@ def assemble(
     width = bounds[:, 1] - bounds[:, 0]
     deviation = np.sqrt(np.einsum("npp->np", got["covariance"]))
     z = got["z"]
+    unit = 1.0 / (1.0 + np.exp(-z))
+    x = bounds[:, 0] + width * unit
     ends = [
         bounds[:, 0] + width / (1.0 + np.exp(-(z + sign * NINETY_PERCENT * deviation)))
         for sign in (-1, 1)
     ]
-    scale = got["scale"]
+    scale = width * unit * (1.0 - unit)
+    # From logits to units, to first order; intervals are carried over exactly.
     covariance = scale[:, :, None] * got["covariance"] * scale[:, None, :]
     few = use.sum((1, 2)) < _FEWEST
     measured = np.where(use, data, np.nan)
     off = np.nan_to_num(measured - got["recorded"], copy=False)
     rmse = np.sqrt(np.einsum("nqb,nqb->n", off, off) / np.maximum(use.sum((1, 2)), 1))
     del off
-    at_bound = (got["x"] > bounds[:, 1] - 0.01 * width) & np.isin(names, free)
-    rare = got["rarity"] > chdtri(len(free), 1.0 - _RARE)
-    reason = np.select(
-        [few, ~got["converged"], at_bound.any(1), got["inflation"] > _POOR_FIT, rare],
-        [
-            LeafStatus.failed,
-            LeafStatus.max_steps,
-            LeafStatus.at_bound,
-            LeafStatus.poor_fit,
-            LeafStatus.unusual,
-        ],
-        LeafStatus.converged,
-    )
-    for key in ("x", "recorded", "corrected", "variance"):
-        got[key][few] = np.nan
+    at_bound = (x > bounds[:, 1] - 0.01 * width) & np.isin(names, free)
+    doubts = {
+        LeafStatus.failed: few,
+        LeafStatus.max_steps: ~got["converged"],
+        LeafStatus.at_bound: at_bound.any(1),
+        LeafStatus.poor_fit: got["inflation"] > _POOR_FIT,
+        LeafStatus.unusual: got["rarity"] > chdtri(len(free), 1.0 - _RARE),
+    }
+    # The first that holds.
+    reason = np.select(list(doubts.values()), list(doubts), LeafStatus.converged)
+    for values in (x, got["recorded"], got["corrected"], got["variance"]):
+        values[few] = np.nan
     corrected = np.clip(got["corrected"], 0.0, 1.0, out=got["corrected"])
     spread = np.sqrt(np.einsum("npp->np", covariance))
-    values = dict(zip(names, got["x"].T))
-    leaf = {name: values.get(name, 0.0) for name in LEAF_PARAMETERS}
+    known = dict(zip(names, x.T))
     fitted = tuple(name for name in free if name in LEAF_PARAMETERS)
     chosen = [names.index(name) for name in fitted]
     estimated = setup.optics.measurement.estimated
     shown = ~few & use[:, 1].any(1)  # without transmittance nothing is estimated, see leaf_priors
     own = [names.index(name) for name in estimated]
     return LeafFit(
-        parameters=LeafParameters.many(**leaf),
+        parameters=LeafParameters.many(**{n: known.get(n, 0.0) for n in LEAF_PARAMETERS}),
         names=fitted,
         standard_deviation=np.where(few[:, None], np.nan, spread)[:, chosen],
         covariance=covariance[:, chosen][:, :, chosen],
@@ -416,7 +401,7 @@ def assemble(
         reason=reason,
         at_bound=at_bound[:, chosen],
         prior_share=np.where(few[:, None], np.nan, got["share"])[:, chosen],
-        measurement=np.where(shown[:, None], got["x"][:, own], np.nan),
+        measurement=np.where(shown[:, None], x[:, own], np.nan),
         measurement_deviation=np.where(shown[:, None], spread[:, own], np.nan),
         estimated=estimated,
         version=setup.version,

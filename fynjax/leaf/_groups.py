@@ -13,23 +13,12 @@ from jaxtyping import Float
 from fynjax._core.errors import InputError
 from fynjax._core.precision import double_precision
 from fynjax._core.seeds import generator
-from fynjax.leaf._area import LeafArea, LeafShape, area_factors
-from fynjax.leaf._coefficients import ProspectVersion
-from fynjax.leaf._error_model import ErrorModel, default_error_model
+from fynjax.leaf._area import LeafArea, area_factors
+from fynjax.leaf._error_model import default_error_model
 from fynjax.leaf._fit import assemble, describe_chunk, solve_leaves
-from fynjax.leaf._measurement import AbstractMeasurement
 from fynjax.leaf._parameters import LEAF_PARAMETERS, LeafParameters
-from fynjax.leaf._problem import (
-    FitDomain,
-    Setup,
-    binned_data,
-    leaf_bounds,
-    leaf_priors,
-    make_setup,
-    usable_bins,
-)
+from fynjax.leaf._problem import USUAL_SETTINGS, LeafSettings, Setup, leaf_bounds, prepare
 from fynjax.leaf._result import LeafFit
-from fynjax.leaf._spectra import as_spectra
 
 # Prior standard deviation of leaves within a species in the logit of each parameter (about the
 # relative one), and the number of leaves that this prior counts as.
@@ -60,6 +49,7 @@ class LeafGroups(eqx.Module):
 
         The departures from the mean are the same for all species, and repeatable by `seed`.
         """
+        # A ridge against rounding: parameters that are not free vary next to nothing.
         root = np.linalg.cholesky(self.logit_covariance + 1e-12 * np.eye(len(self.names)))
         steps = generator(seed).normal(size=(count, len(self.names))) @ root.T
         return _parameters(self.logit_mean[:, None] + steps, self.names)
@@ -104,14 +94,7 @@ def fit_leaf_groups(
     transmittance: Any = None,
     *,
     groups: Sequence[str] | np.ndarray,
-    version: ProspectVersion = "D",
-    measurement: AbstractMeasurement | None = None,
-    leaf_shape: LeafShape = "broad",
-    domain: FitDomain = "full",
-    free: Sequence[str] | None = None,
-    outdoor: bool | None = None,
-    detector_changes: Sequence[float] = (),
-    error_model: ErrorModel | None = None,
+    settings: LeafSettings = USUAL_SETTINGS,
 ) -> LeafGroups:
     """Fit leaves of several species, each leaf informed by the others of its species.
 
@@ -128,8 +111,7 @@ def fit_leaf_groups(
 
     - `wavelength`, `reflectance`, `transmittance`: the measured spectra, as for `fit_leaf`.
     - `groups`: name of the species of each leaf, in the order of the spectra.
-    - `version`, `measurement`, `leaf_shape`, `domain`, `free`, `outdoor`, `detector_changes`,
-      `error_model`: as for `fit_leaf`.
+    - `settings`: what `fit_leaf` takes one by one.
 
     **Returns:** `LeafGroups`: the mean of each species, the covariance within species, and a
     `LeafFit` of all leaves. Leaves with fewer than ten usable bins do not count for the means.
@@ -155,17 +137,13 @@ def fit_leaf_groups(
     >>> bool(species.mean.chlorophyll[0] < 45.0 < species.mean.chlorophyll[1])
     True
     """
-    spectra = as_spectra(wavelength, reflectance, transmittance)
-    data = binned_data(spectra, detector_changes)
+    setup, data, use, prior, source = prepare(wavelength, reflectance, transmittance, settings)
     if len(groups) != len(data):
         raise InputError(f"`groups` must name {len(data)} leaves, but has {len(groups)} names")
     labels = tuple(dict.fromkeys(str(g) for g in groups))
     member = np.array([labels.index(str(g)) for g in groups])
-    use = usable_bins(data, domain, outdoor)
-    setup = make_setup(version, measurement, free, error_model, leaf_shape)
-    model = default_error_model() if error_model is None else error_model
+    model = default_error_model() if settings.error_model is None else settings.error_model
     shared = float(np.nanmean(model.species_share))
-    prior = leaf_priors(setup, data, use)
     # N estimated from the near-infrared plateau is evidence about the leaf, not its species.
     line = prior[1] - setup.prior_precision
     pull = np.einsum("npq,nq->np", *prior[::-1]) - setup.prior_precision @ setup.prior_mean
@@ -183,6 +161,7 @@ def fit_leaf_groups(
         species = [_species(said[at], weighted[at], within, shared, setup) for at in rows]
         scatter = sum((s.scatter.sum(0) for s in species if len(s.scatter) > 1), 0.0 * guess)
         count = sum(len(s.scatter) for s in species if len(s.scatter) > 1)
+        # The covariance that maximises the expected likelihood, with the guess as so many leaves.
         within = (_GUESS_COUNTS * guess + scatter) / (_GUESS_COUNTS + count)
         means = np.stack([s.mean for s in species])
         inverse = np.linalg.inv(within)
@@ -194,7 +173,7 @@ def fit_leaf_groups(
         z[at], covariance[at] = group.leaves, group.covariance
     found = found._replace(z=z)
     parts = [describe_chunk(setup, found, problems, covariance, use)]
-    leaves = assemble(setup, parts, data, use, spectra.source)
+    leaves = assemble(setup, parts, data, use, source)
     return LeafGroups(labels, _parameters(means, setup.names), means, within, setup.names, leaves)
 
 
@@ -229,6 +208,7 @@ def _species(
     inverse = np.linalg.inv(within)
     spread = np.linalg.inv(own + inverse)
     # Precision and weighted mean of mean + s from each leaf, the leaf itself integrated over.
+    # own - own (own + within^-1)^-1 own is the precision of the mean with the leaf unknown.
     about = own - own @ spread @ own
     right = (np.einsum("npq,nq->np", np.eye(size) - own @ spread, pulled)).sum(0)
     total = about.sum(0)

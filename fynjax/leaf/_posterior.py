@@ -1,6 +1,6 @@
 """The posterior of a leaf by sampling, where the Gaussian about the best fit is in doubt."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import partial
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -17,15 +17,12 @@ from fynjax._core.progress import track
 from fynjax._core.sampling import Ensemble, Hamiltonian
 from fynjax._core.seeds import generator
 from fynjax.leaf._area import LeafArea, LeafShape, area_factors
-from fynjax.leaf._coefficients import ProspectVersion
-from fynjax.leaf._error_model import ErrorModel
 from fynjax.leaf._fit import describe, solve_leaves, towards_reflectance, trait_variance
-from fynjax.leaf._measurement import AbstractMeasurement
 from fynjax.leaf._parameters import LEAF_PARAMETERS
-from fynjax.leaf._problem import FitDomain, Setup, binned_data, leaf_priors, make_setup, usable_bins
+from fynjax.leaf._problem import USUAL_SETTINGS, LeafSettings, Setup, prepare
 from fynjax.leaf._residual import Given, Problem, residual, to_physical, whitening
 from fynjax.leaf._result import cf_unit, leaf_dataset
-from fynjax.leaf._spectra import Source, as_spectra
+from fynjax.leaf._spectra import Source
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -108,14 +105,7 @@ def sample_leaf_posterior(
     reflectance: Any = None,
     transmittance: Any = None,
     *,
-    version: ProspectVersion = "D",
-    measurement: AbstractMeasurement | None = None,
-    leaf_shape: LeafShape = "broad",
-    domain: FitDomain = "full",
-    free: Sequence[str] | None = None,
-    outdoor: bool | None = None,
-    detector_changes: Sequence[float] = (),
-    error_model: ErrorModel | None = None,
+    settings: LeafSettings = USUAL_SETTINGS,
     sampler: Literal["emcee", "nuts"] = "emcee",
     draws: int = 400,
     target: float = 400.0,
@@ -132,8 +122,8 @@ def sample_leaf_posterior(
 
     **Arguments:**
 
-    - `wavelength`, `reflectance`, `transmittance`, `version`, `measurement`, `leaf_shape`,
-      `domain`, `free`, `outdoor`, `detector_changes`, `error_model`: as for `fit_leaf`.
+    - `wavelength`, `reflectance`, `transmittance`: the measured spectra, as for `fit_leaf`.
+    - `settings`: what `fit_leaf` takes one by one.
     - `sampler`: "emcee" (Foreman-Mackey et al. 2013), or "nuts" (Hoffman & Gelman 2014), which
       needs the extra `posterior`.
     - `draws`: how many draws to return for each leaf.
@@ -149,12 +139,9 @@ def sample_leaf_posterior(
     """
     if sampler not in ("emcee", "nuts"):
         raise InputError(f'`sampler` must be "emcee" or "nuts", but is {sampler!r}')
-    given = as_spectra(wavelength, reflectance, transmittance)
-    data = binned_data(given, detector_changes)
-    use = usable_bins(data, domain, outdoor)
+    setup, data, use, prior, source = prepare(wavelength, reflectance, transmittance, settings)
     random = generator(seed)
-    setup = make_setup(version, measurement, free, error_model, leaf_shape)
-    found, problems = solve_leaves(setup, data, use, leaf_priors(setup, data, use))
+    found, problems = solve_leaves(setup, data, use, prior)
     moved = towards_reflectance(setup, data, use, found.z)
     columns = free_columns(setup)
     samples = np.full((len(data), draws, columns.size), np.nan)
@@ -166,6 +153,7 @@ def sample_leaf_posterior(
             continue
         density = leaf_density(setup, Problem(*(part[i] for part in problems)))
         covariance = np.linalg.inv(found.hessian[i])[np.ix_(columns, columns)]
+        # Walkers start as draws from the Gaussian of the fit.
         count = max(_WALKERS, 4 * columns.size) if sampler == "emcee" else _CHAINS
         start = random.multivariate_normal(found.z[i, columns], covariance, count)
         limits: dict[str, Any] = {"target": target, "steps": max_steps, "seed": seed + i}
@@ -184,7 +172,7 @@ def sample_leaf_posterior(
     leaf = [i for i, name in enumerate(setup.free) if name in LEAF_PARAMETERS]
     names = tuple(setup.free[i] for i in leaf)
     return LeafPosterior(
-        names, samples[:, :, leaf], spectra, sizes, np.array(status), leaf_shape, given.source
+        names, samples[:, :, leaf], spectra, sizes, np.array(status), setup.shape, source
     )
 
 

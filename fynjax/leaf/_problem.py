@@ -1,7 +1,8 @@
 """What a leaf fit is made of: bins that count, priors, and the problem of each leaf."""
 
 from collections.abc import Sequence
-from typing import Literal, NamedTuple
+from dataclasses import dataclass
+from typing import Any, Literal, NamedTuple, get_args
 
 import jax.numpy as jnp
 import numpy as np
@@ -9,7 +10,7 @@ from jaxtyping import Bool, Float
 
 from fynjax._core.errors import InputError
 from fynjax._core.parameters import Parameter
-from fynjax.leaf._area import LeafShape
+from fynjax.leaf._area import LeafShape, check_shape
 from fynjax.leaf._coefficients import (
     CONSTITUENTS,
     ProspectVersion,
@@ -36,7 +37,7 @@ from fynjax.leaf._measurement import (
 from fynjax.leaf._parameters import LEAF_PARAMETERS
 from fynjax.leaf._prospect import interface_transmissivity, surface_transmissivity
 from fynjax.leaf._residual import Optics, Problem, to_unconstrained
-from fynjax.leaf._spectra import Spectra, check_fractions
+from fynjax.leaf._spectra import Source, Spectra, as_spectra, check_fractions
 
 FitDomain = Literal["full", "optimal"]
 """Wavelengths that a fit uses: all of 450-2400 nm, or the published sub-domains."""
@@ -79,14 +80,38 @@ def _population(name: str) -> tuple[float, float]:
     return centre, relative * centre * (record.upper - record.lower) / (below * above)
 
 
-def _model_rows(names: Sequence[str]) -> list[int]:
-    """Where the error model holds what it knows of each parameter, or -1.
+@dataclass(frozen=True)
+class LeafSettings:
+    """Settings of a fit of leaves, as the arguments of `fit_leaf` of these names have them.
 
-    Carbon-based constituents are most of the dry matter, and are taken to vary as it does.
+    Raises `InputError` for an unknown version, shape or domain.
     """
-    same = {"carbon_constituents": "dry_matter"}
-    known = [same.get(name, name) for name in names]
-    return [POPULATION_TRAITS.index(n) if n in POPULATION_TRAITS else -1 for n in known]
+
+    version: ProspectVersion = "D"
+    """Version of PROSPECT: "5", "D" or "PRO"."""
+    measurement: AbstractMeasurement | None = None
+    """Instrument's reading of a leaf; None: the usual one for the shape (`usual_measurement`)."""
+    leaf_shape: LeafShape = "broad"
+    """Shape of the leaves."""
+    domain: FitDomain = "full"
+    """Wavelengths that are used."""
+    free: Sequence[str] | None = None
+    """Parameters to fit; None: all of the version but `brown_pigments`."""
+    outdoor: bool | None = None
+    """Whether the bands of water vapour are left out; None: of spectra that are spoilt there."""
+    detector_changes: Sequence[float] = ()
+    """Wavelengths where detectors change [nm], at which jumps are taken out."""
+    error_model: ErrorModel | None = None
+    """Covariance of PROSPECT's error; None: `default_error_model()`."""
+
+    def __post_init__(self) -> None:
+        check_version(self.version)
+        check_shape(self.leaf_shape)
+        if self.domain not in get_args(FitDomain):
+            raise InputError(f'`domain` must be "full" or "optimal", but is {self.domain!r}')
+
+
+USUAL_SETTINGS = LeafSettings()
 
 
 class Setup(NamedTuple):
@@ -110,24 +135,35 @@ class Setup(NamedTuple):
     matter is not fitted."""
 
 
-def make_setup(
-    version: ProspectVersion,
-    measurement: AbstractMeasurement | None,
-    free: Sequence[str] | None,
-    model: ErrorModel | None,
-    shape: LeafShape = "broad",
-) -> Setup:
+Prior = tuple[Float[np.ndarray, "leaf parameter"], Float[np.ndarray, "leaf parameter parameter"]]
+"""Mean and precision of each leaf's prior, in unconstrained coordinates."""
+
+
+def prepare(
+    wavelength: Any, reflectance: Any, transmittance: Any, settings: LeafSettings
+) -> tuple[Setup, Float[np.ndarray, "leaf 2 bin"], Bool[np.ndarray, "leaf 2 bin"], Prior, Source]:
+    """Constants of a fit, binned spectra, which bins to use, priors, and where leaves are from."""
+    spectra = as_spectra(wavelength, reflectance, transmittance)
+    data = binned_data(spectra, settings.detector_changes)
+    use = usable_bins(data, settings.domain, settings.outdoor)
+    setup = make_setup(settings)
+    return setup, data, use, leaf_priors(setup, data, use), spectra.source
+
+
+def make_setup(settings: LeafSettings) -> Setup:
     """Constants of a fit. Must run with 64-bit numbers on."""
-    check_version(version)
+    version, measurement, shape = settings.version, settings.measurement, settings.leaf_shape
     measurement = usual_measurement(shape) if measurement is None else measurement
-    model = default_error_model() if model is None else model
+    model = default_error_model() if settings.error_model is None else settings.error_model
     leaf = ("structure", *CONSTITUENTS[version])
-    free = tuple(n for n in leaf if n != "brown_pigments") if free is None else tuple(free)
+    usual = tuple(n for n in leaf if n != "brown_pigments")
+    free = usual if settings.free is None else tuple(settings.free)
     for name in free:
         if name not in leaf:
             raise InputError(f"`free` names {name!r}, which PROSPECT-{version} does not have")
     names, free = leaf + measurement.estimated, free + measurement.estimated
     index, absorption = coefficients_at(version, native_wavelength())
+    # Means over the bins, as spectra are fitted: `bin_centres` says what that costs.
     binned = to_bins(native_wavelength(), np.vstack([index, absorption]))
     bounds = leaf_bounds(names)
     known = {name: _population(name) for name in names}
@@ -140,13 +176,18 @@ def make_setup(
         jnp.asarray(bounds[:, 1]),
         measurement,
     )
+    # An instrument adds its offset to R alone.
     offset = np.zeros((1, 2, bin_centres().size))
     offset[0, 0] = measurement.offset_deviation
     shared = np.stack([model.reflectance_factors, model.transmittance_factors], axis=1)
     loose = np.isin(names, free)
+    # What is not free is held next to nothing: a narrow prior keeps all problems of one shape.
     middle = np.where(loose, [known[n][0] for n in names], 1e-4 * bounds[:, 1])
     spread = np.where(loose, [known[n][1] for n in names], 1e-3)
-    rows = np.array(_model_rows(names))
+    # Carbon-based constituents are most of the dry matter, and are taken to vary as it does.
+    alike = ["dry_matter" if n == "carbon_constituents" else n for n in names]
+    rows = np.array([POPULATION_TRAITS.index(n) if n in POPULATION_TRAITS else -1 for n in alike])
+    # Correlation of traits among leaves, for those that the error model knows.
     both = (rows >= 0) & loose
     correlation = np.eye(len(names))
     correlation[np.ix_(both, both)] = model.trait_correlation[np.ix_(rows[both], rows[both])]
@@ -211,8 +252,6 @@ def usable_bins(
 
     With `outdoor` `None` the water bands of a spectrum are left out if they hold impossible values.
     """
-    if domain not in ("full", "optimal"):
-        raise InputError(f'`domain` must be "full" or "optimal", but is {domain!r}')
     centres = bin_centres()
     with np.errstate(invalid="ignore"):
         possible = np.isfinite(data) & (data > -0.02) & (data < 1.05)
@@ -226,14 +265,13 @@ def usable_bins(
     return use
 
 
-def leaf_priors(
-    setup: Setup, data: np.ndarray, use: np.ndarray
-) -> tuple[Float[np.ndarray, "leaf parameter"], Float[np.ndarray, "leaf parameter parameter"]]:
+def leaf_priors(setup: Setup, data: np.ndarray, use: np.ndarray) -> Prior:
     """Prior mean and precision of each leaf.
 
     With R or T missing, N and the absorbers trade off against each other, and the plateau in the
     near infrared constrains N; not of a pile of leaves, nor of one over a bright background.
     """
+    # In precisions and pulls (precision times mean), which of prior and line add up.
     count, size = len(data), len(setup.names)
     band = int(np.argmin(np.abs(bin_centres() - _LINE_BAND)))
     back, through = data[:, 0, band], data[:, 1, band]
@@ -248,6 +286,7 @@ def leaf_priors(
     low, high = leaf_bounds(["structure"])[0]
     # What the line says beyond the bounds counts as at their edge, where its weight is small.
     unit = np.clip((slope * ratio + offset - low) / (high - low), 0.02, 0.98)
+    # A deviation of N, carried to the logit of its place between the bounds.
     deviation = _LINE_DEVIATION / ((high - low) * unit * (1.0 - unit))
     known = "structure" in setup.free and setup.optics.measurement.leaf_alone
     weight = np.where((by_r | by_t) & known, deviation**-2.0, 0.0)
@@ -268,11 +307,7 @@ def leaf_priors(
 
 
 def leaf_problems(
-    setup: Setup,
-    data: np.ndarray,
-    use: np.ndarray,
-    prior: tuple[np.ndarray, np.ndarray],
-    inflation: np.ndarray,
+    setup: Setup, data: np.ndarray, use: np.ndarray, prior: Prior, inflation: np.ndarray
 ) -> Problem:
     """The problems of leaves as NumPy arrays with the leaf as first axis."""
     precision = np.where(use, 1.0 / (setup.noise**2 + setup.distrust**2), 0.0)

@@ -89,10 +89,12 @@ def interface_transmissivity(
     sin2, cos = xp.sin(angle) ** 2, xp.cos(angle)
     n2 = n * n
     plus, minus = n2 + 1.0, n2 - 1.0
+    # The two limits of the integral over the cone, at normal incidence (a) and at its edge (b).
     a = (n + 1.0) ** 2 / 2.0
     b = cos * xp.sqrt(n2 - sin2) + plus / 2.0 - sin2
     k = -(minus**2) / 4.0
     a_star, b_star = 2.0 * plus * a - minus**2, 2.0 * plus * b - minus**2
+    # Light polarised perpendicular and parallel to the plane of incidence.
     perpendicular = (k**2 / (6.0 * b**3) + k / b - b / 2.0) - (
         k**2 / (6.0 * a**3) + k / a - a / 2.0
     )
@@ -129,6 +131,7 @@ def cylinder_transmissivity(
             (cos - inside) / (cos + inside),
             (n**2 * cos - inside) / (n**2 * cos + inside),
         )
+        # The weight cos is that of the width; R is the mean of both polarisations.
         total += weight * cos * (1.0 - (across**2 + along**2) / 2.0)
     return total
 
@@ -319,6 +322,7 @@ def _pile_jvp(primals: tuple, tangents: tuple) -> tuple[Pair, Pair]:
     for (by_r, by_t), tangent in zip((by_k, by_structure), tangents):
         if not isinstance(tangent, SymbolicZero):
             r, t = r + by_r * tangent, t + by_t * tangent
+    # Surfaces of leaves are rarely varied: automatic there, and only where they are.
     k, structure, *surface = primals
     if not all(isinstance(tangent, SymbolicZero) for tangent in tangents[2:]):
         given = [
@@ -437,6 +441,7 @@ def prospect(
     check_version(version)
     grid = native_wavelength() if wavelength is None else np.asarray(wavelength, np.float64)
     check_wavelength(grid)
+    # Everything that does not depend on the leaf is a constant, made once for a grid and version.
     fields = [getattr(parameters, name) for name in CONSTITUENTS[version]]
     dtype = jnp.result_type(parameters.structure, *fields)
     key = None if wavelength is None else grid.tobytes()

@@ -87,6 +87,7 @@ def _split(x: Array, optics: Optics) -> tuple[Array, Array, Array]:
 def spectra(x: Array, optics: Optics) -> Array:
     """R and T [2, bin] at physical parameters."""
     structure, contents, _ = _split(x, optics)
+    # Absorption of one of N elementary layers.
     k = (contents @ optics.absorption) / structure
     return jnp.stack(pile(k, structure, optics.first, optics.diffuse, optics.index))
 
@@ -205,6 +206,7 @@ def solve(start: np.ndarray, problems: Problem, factors: Any, optics: Optics) ->
 
 
 def _solve_block(start: np.ndarray, problems: Problem, factors: Any, optics: Optics) -> Solution:
+    # All leaves begin; those that have not converged are packed anew before each round.
     begun = [
         cut(_begin(leaves, factors, optics), rows.size)
         for rows, leaves in batches((start, problems), np.arange(len(start)))
@@ -216,6 +218,7 @@ def _solve_block(start: np.ndarray, problems: Problem, factors: Any, optics: Opt
             moved = cut(_advance(leaves, factors, optics), rows.size)
             for whole, part in zip(jax.tree.leaves((z, state, converged)), jax.tree.leaves(moved)):
                 whole[rows] = part
+    # Residuals are whitened: J^T J is the precision of data and prior together.
     hessian = state.jacobian.swapaxes(1, 2) @ state.jacobian
     misfit = (state.residual[:, : -z.shape[1]] ** 2).sum(1) * problems.inflation
     return Solution(z, hessian, misfit, converged)
@@ -227,14 +230,10 @@ def cut(tree: Any, count: int) -> Any:
 
 
 def batches(tree: Any, rows: np.ndarray) -> Iterator[tuple[np.ndarray, Any]]:
-    """Rows in batches of the largest size, and every array of the tree at them, see `padded`."""
+    """Rows in batches, and every array of the tree at them: the first row is repeated up to the
+    next of the fixed batch sizes."""
     for at in range(0, rows.size, _SIZES[-1]):
         part = rows[at : at + _SIZES[-1]]
-        yield part, padded(tree, part)
-
-
-def padded(tree: Any, rows: np.ndarray) -> Any:
-    """Rows of every array, repeated up to the next of the fixed batch sizes."""
-    size = next(s for s in _SIZES if s >= rows.size)
-    index = np.concatenate([rows, np.repeat(rows[:1], size - rows.size)])
-    return jax.tree.map(lambda a: jnp.asarray(np.asarray(a)[index]), tree)
+        size = next(s for s in _SIZES if s >= part.size)
+        index = np.concatenate([part, np.repeat(part[:1], size - part.size)])
+        yield part, jax.tree.map(lambda a, at=index: jnp.asarray(np.asarray(a)[at]), tree)

@@ -15,6 +15,7 @@ from jaxtyping import Array, Bool, Float
 from numpy.typing import ArrayLike
 
 from fynjax._core.errors import InputError
+from fynjax._core.math import square_root
 
 Sample = Float[Array | np.ndarray, "*pixel"]
 Mask = Bool[Array | np.ndarray, "*pixel"]
@@ -55,9 +56,7 @@ def standard_deviation(values: Sample, valid: Mask | None = None) -> Scalar:
     origin = jax.lax.stop_gradient(jnp.max(jnp.where(weight > 0, x, -jnp.inf)))
     shifted = jnp.where(weight > 0, x - origin, 0.0)
     deviation = jnp.where(weight > 0, shifted - jnp.sum(shifted) / count, 0.0)
-    variance = jnp.sum(deviation**2) / count
-    spread = ~(variance == 0.0)  # true for NaN, which must show
-    return jnp.where(spread, jnp.sqrt(jnp.where(spread, variance, 1.0)), 0.0)
+    return square_root(jnp.sum(deviation**2) / count)
 
 
 QUANTILE_WINDOW = 0.05
@@ -104,6 +103,7 @@ def quantiles(
 def _quantiles(x: Array, weight: Array, at: Float[Array, " q"]) -> Float[Array, " q"]:
     count = jnp.sum(weight > 0)
     ordered = jnp.sort(jnp.where(weight > 0, x, jnp.inf))
+    # NumPy's default, linear between the ranks on either side.
     place = at * (count - 1)
     below = jnp.clip(jnp.floor(place).astype(int), 0, jnp.maximum(count - 1, 0))
     above = jnp.minimum(below + 1, jnp.maximum(count - 1, 0))
@@ -119,6 +119,7 @@ def _rank_means(
     count = jnp.sum(weight > 0)
     ordered = jnp.sort(jnp.where(weight > 0, x, jnp.inf))
     low, high = jnp.maximum(low, 0.0)[:, None], jnp.minimum(high, count)[:, None]
+    # Rank i fills [i, i + 1]: its share of the interval from `low` to `high`.
     rank = jnp.arange(x.size, dtype=x.dtype)
     share = jnp.clip(jnp.minimum(rank + 1.0, high) - jnp.maximum(rank, low), 0.0, 1.0)
     finite = jnp.where(jnp.arange(x.size) < count, ordered, 0.0)
@@ -138,6 +139,7 @@ def _smooth_quantiles_jvp(primals: Any, tangents: Any) -> tuple[Array, Array]:
     x, weight, at = primals
     value, by_share = jax.jvp(lambda at: _quantiles(x, weight, at), (at,), tangents[2:])
     count = jnp.sum(weight > 0)
+    # By the pixels the slope is that of the means, by the probabilities that of the value.
     middle = at * (count - 1) + 0.5
     half = jnp.maximum(0.5 * QUANTILE_WINDOW * count, 0.5)
     _, by_value = jax.jvp(

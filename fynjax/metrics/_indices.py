@@ -169,6 +169,7 @@ def vegetation_indices(
     chosen, bands = _chosen(names), _bands(image)
     values = []
     for index in chosen:
+        # Evaluated twice: where it is undefined at ordinary bands, so that its slope is 0, not NaN.
         raw = index.function(*(jax.lax.stop_gradient(band) for band in bands))
         valid = jnp.isfinite(raw)
         # A root at zero has a value but no slope: it is defined, with no gradient.
@@ -225,6 +226,7 @@ def smooth_vegetation_indices(
             values.append(index.function(*safe))
             masks.append(known)
         else:
+            # Lifted before the root, whose slope at 0 is infinite.
             square = index.root_of(*safe)
             positive = known & (square >= 0.0)
             values.append(jnp.sqrt(_lift(jnp.where(positive, square, 0.5), 1e-3)))

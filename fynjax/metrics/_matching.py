@@ -78,6 +78,7 @@ def match_wavelengths(
     if x.size == y.size and np.abs(x - y).max() <= _SAME:
         same = np.eye(x.size)
         return WavelengthMatch(x, same, same, "same", "Both spectra have the same bands.")
+    # A gap, as over water vapour, does not count for the step of a grid.
     step_x, step_y = float(np.median(np.diff(x))), float(np.median(np.diff(y)))
     onto_real = step_x >= 0.8 * step_y
     coarse, fine = (x, y) if onto_real else (y, x)
@@ -135,6 +136,7 @@ def _covered(
     step = float(np.median(np.diff(source)))
     edge = 1e-6 * step
     inside = (target - reach >= source[0] - edge) & (target + reach <= source[-1] + edge)
+    # Distance to the nearer of the two neighbours.
     after = np.clip(np.searchsorted(source, target), 1, source.size - 1)
     nearest = np.minimum(np.abs(target - source[after - 1]), np.abs(source[after] - target))
     return inside & (nearest <= step + edge)

@@ -4,6 +4,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from fynjax._core.math import square_root
 from fynjax.metrics._spectral import Mask, Scalar, Spectrum, _pair
 
 
@@ -97,6 +98,7 @@ def misfit_decomposition(real: Spectrum, simulated: Spectrum, valid: Mask | None
     # By the range: rounding leaves a constant spectrum some variance.
     low, high = jnp.min(x, where=keep, initial=jnp.inf), jnp.max(x, where=keep, initial=-jnp.inf)
     varies = high > low
+    # The regression of simulated on real, about the means.
     gain = jnp.sum(dx * dy) / jnp.where(varies, variety, 1.0)
     through_zero = jnp.sum(x * y) / jnp.where(some != 0.0, some, 1.0)
     shape = jnp.sum((dy - gain * dx) ** 2) / count
@@ -104,7 +106,7 @@ def misfit_decomposition(real: Spectrum, simulated: Spectrum, valid: Mask | None
     def sloped(value: Scalar) -> Scalar:
         return jnp.where(varies, value, jnp.nan)
 
-    without_gain = _root(jnp.sum((y - through_zero * x) ** 2) / count)
+    without_gain = square_root(jnp.sum((y - through_zero * x) ** 2) / count)
     return Misfit(
         mean_squared_error=jnp.sum((y - x) ** 2) / count,
         gain=sloped(gain),
@@ -113,12 +115,7 @@ def misfit_decomposition(real: Spectrum, simulated: Spectrum, valid: Mask | None
         contrast=sloped((gain - 1.0) ** 2 * variety / count),
         shape=sloped(shape),
         mean_by_gain=sloped((gain - 1.0) * mean_x),
-        rmse_without_offset=_root(jnp.sum((dy - dx) ** 2) / count),
+        rmse_without_offset=square_root(jnp.sum((dy - dx) ** 2) / count),
         rmse_without_gain=jnp.where(some != 0.0, without_gain, jnp.nan),
-        rmse_without_both=sloped(_root(shape)),
+        rmse_without_both=sloped(square_root(shape)),
     )
-
-
-def _root(square: Scalar) -> Scalar:
-    some = ~(square == 0.0)  # true for NaN, which must show
-    return jnp.where(some, jnp.sqrt(jnp.where(some, square, 1.0)), 0.0)

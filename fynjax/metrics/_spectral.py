@@ -9,6 +9,7 @@ from jaxtyping import Array, Bool, Float
 from numpy.typing import ArrayLike
 
 from fynjax._core.errors import InputError
+from fynjax._core.math import square_root
 from fynjax._core.spectral import check_wavelength
 
 Spectrum = Float[Array | np.ndarray, " wavelength"]
@@ -115,6 +116,7 @@ def spectral_angle(real: Spectrum, simulated: Spectrum, valid: Mask | None = Non
     x, y = (
         jnp.where(some, v / jnp.where(some, of, 1.0), 1.0) for v, of in ((x, long_x), (y, long_y))
     )
+    # tan(angle / 2) = |u - v| / |u + v| of unit vectors u and v.
     angle = jnp.rad2deg(2.0 * jnp.arctan2(_norm(x - y), _norm(x + y)))
     return jnp.where(some, angle, jnp.nan)
 
@@ -186,6 +188,4 @@ def _ratio(over: Scalar, under: Scalar) -> Scalar:
 
 
 def _norm(x: Spectrum) -> Scalar:
-    square = jnp.sum(x**2)
-    nonzero = ~(square == 0.0)  # true for NaN, which must show
-    return jnp.where(nonzero, jnp.sqrt(jnp.where(nonzero, square, 1.0)), 0.0)
+    return square_root(jnp.sum(x**2))

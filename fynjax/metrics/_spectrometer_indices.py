@@ -173,6 +173,7 @@ def spectrometer_indices(
     values_by_name = {}
     for index in _ALL:
         if set(index.bands) <= set(bands):
+            # Ordinary bands stand in where an index is undefined, so that its slope there is 0.
             defined = jnp.isfinite(index.function(bands))
             safe = {k: jnp.where(defined, bands[k], plain) for k, plain in zip(index.bands, _PLAIN)}
             values_by_name[index.name] = jnp.where(defined, index.function(safe), jnp.nan)

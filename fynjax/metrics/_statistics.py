@@ -147,6 +147,7 @@ def _square_means(
     """Means over squares of `side` pixels, and whether at least half of their pixels count: the
     mean of fewer scatters more."""
     rows, columns = (n // side for n in layer.shape)
+    # Squares that the edge cuts are left out.
     cut = (slice(rows * side), slice(columns * side))
     shape = (rows, side, columns, side)
     weight = valid[cut].reshape(shape)

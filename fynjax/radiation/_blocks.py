@@ -41,6 +41,7 @@ def _upsample_axis(field: Array, axis: int, factor: int, boundary: str) -> Array
     wide[axis] = (1, 1)
     padded = jnp.pad(field, wide, mode="wrap" if boundary == "periodic" else "edge")
     part = lambda start: jax.lax.slice_in_dim(padded, start, start + count, axis=axis)  # noqa: E731
+    # Centres of the voxels from that of their cell, in cells: a neighbour has that share.
     offsets = (np.arange(factor) + 0.5) / factor - 0.5
     pieces = [(1 - abs(o)) * field + abs(o) * part(0 if o < 0 else 2) for o in map(float, offsets)]
     shape = list(field.shape)

@@ -159,6 +159,7 @@ def _irradiance_on_leaves(
     ordinates, angles = light.accuracy.ordinates, scene.classes.angles
     cosines = jnp.asarray(np.abs(ordinates.vectors[:, 2]), dtype)
     weights = jnp.asarray(ordinates.weights, dtype)
+    # Irradiance across the beam, times the projected over the whole leaf area.
     beam = scene.illumination.sun / light.sun.cosine
     to_sun = projections(angles, light.sun.cosine).astype(dtype)
     projection = projections(angles, cosines).astype(dtype)

@@ -129,6 +129,7 @@ def overlaps(
     if classes.leaf_diameter is None:
         return ()
     dtype = sun.dtype
+    # The rays part by this sine of their angle, and the lens of both discs shrinks as they do.
     sine = rays.sine_to(sun)
     scales = rays.angular(
         lambda views: jnp.stack([overlap_scales(angle, sun, views) for angle in classes.angles])

@@ -185,6 +185,7 @@ def _in_chunks(
     # The last chunk ends with the last one and repeats some of the chunk before.
     starts = np.minimum(np.arange(0, count, size), count - size)
     parts = jax.lax.map(jax.checkpoint(function), jnp.asarray(starts))
+    # Which chunk holds each row or band, and where in it: the first that does.
     place = np.arange(count // together)
     chunk = place // (size // together)
     within = place - starts[chunk] // together
@@ -227,6 +228,7 @@ def _cut(scene: VoxelScene, factor: tuple[int, int], sublayers: int, lean: float
     if scene.structure is None:
         return _Cut(sublayers, 1, in_cell)
     layer = high * sublayers
+    # `lean` counts the finest voxels, `wide` of which lie along one of the grid.
     most = 0.5 * wide * sublayers / lean if lean > 0 else layer
     pieces = max(n for n in range(1, layer + 1) if layer % n == 0 and n <= max(most, 1.0))
     return _Cut(sublayers, pieces, in_cell // pieces)
@@ -263,6 +265,8 @@ def _layers(
     heights = (jnp.arange(count) * step).astype(dtype)
     structure = terrain = None
     if scene.terrain is not None:
+        # By the bottom of a piece the ground has covered so much of a column; by its top it has
+        # stopped so much of a beam.
         covering = covered(scene, heights).at[0].set(1.0)  # nothing falls out of the grid
         terrain = by_slab(covering), by_slab(unshaded_beams(scene, sun, heights + step))
     if scene.structure is not None:
@@ -372,6 +376,7 @@ def _look(
     wide = scene.structure_factor[1]
     step = scene.height / (len(layers.middles) * cut.pieces)
     path = step / cosine
+    # The unit vector towards the sun, from its slope.
     towards_sun = jnp.concatenate([sun.slope, jnp.ones(1, dtype)]) * sun.cosine
     overlap = overlaps(classes, rays, towards_sun, step)
     members = [_members(classes, kind) for kind in kinds(classes)]
@@ -592,6 +597,7 @@ def ground_towards(
         received = jnp.einsum("o,boyx->byx", fluxes, diffuse.falling)
     else:
         down = jnp.asarray(ordinates.vectors[: len(fluxes)], dtype)
+        # An angular shape weighs each downward direction by its own reflectance factor.
         kernel = shape.shape(down, towards[None])[:, :, 0] * fluxes
         received = jnp.einsum("bo,boyx->byx", kernel, diffuse.falling)
     factor = diffuse.factor(scene)
@@ -605,6 +611,7 @@ def _planes(
     """Depth on the planes between pieces, linear between the layers' interfaces."""
     if sublayers == 1:
         return depth
+    # Planes from each interface on up to the next, and the last one.
     shares = (jnp.arange(sublayers, dtype=depth.dtype) / sublayers)[:, None, None]
     between = depth[:-1, None] * (1 - shares) + depth[1:, None] * shares
     return jnp.concatenate([between.reshape(-1, *depth.shape[1:]), depth[-1:]])
@@ -630,6 +637,7 @@ def scattered_towards(
     times = slabs, diffuse.factor(scene)[1]
     shares = jnp.stack(area_scattering_of(classes.angles, vectors, towards[None]))[..., 0] * weights
     projection = projections(classes.angles, towards[2]).astype(dtype)
+    # By reciprocity they sum to the projection towards the sensor, which scales the quadrature.
     shares = shares * (projection / shares.sum(axis=-1))[..., None]  # [kind, angle, ordinate]
     optics = jnp.stack([classes.reflectance, classes.transmittance])
     mine = np.asarray(classes.angle_of_class) == np.arange(len(classes.angles))[:, None]

@@ -73,6 +73,7 @@ def scattering_matrices(
     vectors = jnp.asarray(ordinates.vectors, incoming.dtype)
     weights = jnp.asarray(ordinates.weights, incoming.dtype)
     projection = projections(classes.angles, incoming[:, 2]).astype(incoming.dtype)
+    # [reflection or transmission, angle, incoming, ordinate]
     scaled = jnp.stack(area_scattering_of(classes.angles, incoming, vectors)) / jnp.pi
     reflected, transmitted = scaled * (projection / (scaled @ weights))[..., None]
     return reflected, transmitted
@@ -206,6 +207,7 @@ class Transport(eqx.Module):
     ) -> tuple[Float[Array, "ordinate z y x"], Any]:
         fixed, constant = jax.lax.stop_gradient((self, band))
         right = fixed.from_sun(constant)
+        # Any light may be the largest: that on leaves, of the sky, or of the sun on the ground.
         unit = jnp.maximum(_largest(right), jnp.maximum(_largest(constant.sky), constant.sun))
         send = fixed.sender(constant, right)
         return _solve(send, right, unit, tolerance, iterations, known=False, light=light)
@@ -263,6 +265,7 @@ class Transport(eqx.Module):
         """The light of one band, `lit`, that a source makes together with sun and sky."""
         intensity, falling, top = lit
         flux = jnp.asarray(self.coarse.ordinates.fluxes.ravel(), falling.dtype)
+        # What leaves send of this light should be the source that made it.
         received = jax.lax.stop_gradient(self.sent(band, intensity))
         residual = relative_size(received - jax.lax.stop_gradient(source), received)
         ground = jnp.tensordot(flux, falling, axes=1)
@@ -305,6 +308,7 @@ class Cells(NamedTuple):
 
 def cells_of(scene: VoxelScene, sun: SunField, factor: tuple[int, int]) -> Cells:
     """The voxels of a scene in cells of `factor` = (layers, columns) of them."""
+    # Light on leaves goes with the path through a layer, which the cosine lengthens.
     lit = scene.area_density * (sun.voxel_transmittance / sun.cosine)
     return Cells(scene.area_density, lit, sun.on_ground, scene.ground_map).coarser(factor)
 
@@ -319,6 +323,7 @@ def prepare_transport(
     travel = -direction(light.sun_zenith, light.sun_azimuth).astype(dtype)
     vectors = jnp.asarray(ordinates.vectors, dtype)
     weights = jnp.asarray(ordinates.weights, dtype)
+    # The sun is one incoming direction more, the last.
     incoming = jnp.concatenate([vectors, travel[None]])
     every = jnp.stack(scattering_matrices(classes, ordinates, incoming))
     phase = every[:, :, :-1] * weights[:, None]
@@ -416,6 +421,7 @@ def _derivative_of_solution(
         emitted, light = right
 
         def send(x: Array, whole: Array) -> tuple[Array, None]:
+            # The transposed equation: what meets the source is what scattering and light send back.
             intensity, *others = jax.tree.map(lambda a: whole * a, light)
             (sent,) = back((intensity + scatter_back(x)[0], *others))
             return sent + whole * emitted, None

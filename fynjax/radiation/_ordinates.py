@@ -36,6 +36,7 @@ class Ordinates(eqx.Module):
     def create(cls, levels: int, azimuths: int) -> "Ordinates":
         """`levels` zenith angles per hemisphere and `azimuths` directions at each."""
         node, weight = np.polynomial.legendre.leggauss(levels)
+        # Gauss-Legendre nodes of [-1, 1], moved to cosines of [0, 1].
         solid = np.pi * weight / azimuths  # the weights of [0, 1] are half as large
         return cls(tuple(float(0.5 * (n + 1)) for n in node), tuple(map(float, solid)), azimuths)
 
@@ -80,6 +81,7 @@ def sky_radiance(light: Illumination, ordinates: Ordinates) -> Float[Array, "ban
     x, y, z = -ordinates.vectors[:downward].T
     down = np.degrees(np.arccos(z)) / 90.0 * (zeniths - 1)
     around = np.degrees(np.arctan2(x, y)) % 360.0 / 360.0 * azimuths
+    # Bilinear on the hemisphere: rows from the zenith to the horizon, columns right round.
     row, column = np.minimum(down.astype(int), zeniths - 2), around.astype(int) % azimuths
     share, turn = down - row, around - np.floor(around)
     corners = (
@@ -92,6 +94,7 @@ def sky_radiance(light: Illumination, ordinates: Ordinates) -> Float[Array, "ban
         (jnp.asarray(w, pattern.dtype) * pattern[:, r, c] for r, c, w in corners),
         start=jnp.zeros((), pattern.dtype),
     )
+    # The pattern is relative: on the ordinates it makes the irradiance of the sky exactly.
     total = radiance @ jnp.asarray(ordinates.fluxes.ravel(), pattern.dtype)
     lit = total > 0
     return jnp.where(lit, light.sky / jnp.where(lit, total, 1.0), 0.0)[:, None] * radiance
@@ -166,6 +169,7 @@ def coarse_grid(
         cosine = jnp.asarray(ordinates.cosine[levels], density.dtype)
         projection = projections(scene.classes.angles, cosine)
         along = projection.astype(density.dtype) * (dz / (steps * cosine))
+        # [layer, level, azimuth (one for all), y, x]; on the way down from the top layer on.
         depth = jnp.einsum("al,azyx->zlyx", along, by_angle)[:, :, None]
         depth = jnp.stack([depth[::-1], depth])
         attenuation.append((jnp.exp(-depth), mean_transmittance(depth), mean_emission(depth)))
@@ -190,6 +194,7 @@ def coarse_grid(
     _, falls, _ = sweep(bare, dark, jnp.ones(count, density.dtype), none, none)
     lit = exposure(scene, ordinates.vectors[:count])
     lit = lit.reshape(count, area[0], factor[1], area[1], factor[1]).mean(axis=(2, 4))
+    # Of directions of which hardly any light falls the ratio would be noise.
     scale = jnp.where(falls > 0.05, lit / jnp.maximum(falls, 0.05), 0.0)
     scale = jnp.clip(scale, 0.0, 4.0)
     # Directions in which the cells let nothing fall where some does are made up for by the others.
@@ -300,6 +305,7 @@ def sweep(
             exitance = jnp.broadcast_to(exitance, falling.shape)
         else:
             weighted = (received * flux[:, :, None, None]).reshape(-1, *area)
+            # Into each upward direction its own share of what came from each downward one.
             exitance = jnp.tensordot(shape.diffuse.T, weighted, axes=1)
             exitance = (exitance + shape.sun[:, None, None] * sunlit) * ground / jnp.pi
             exitance = exitance.reshape(falling.shape)
@@ -312,6 +318,8 @@ def sweep(
     if coarse.ground_share is not None:
         bottom, side = coarse.ground_share
         none = jnp.zeros_like(bottom)
+        # Of each cell: the share of its light that the ground makes at its bottom (up), that ends
+        # there (down), that ends on ground to the side, and whether that ground shines back (up).
         shares = both((none, bottom, side, none), (bottom, none, side, none + 1.0))
     hemispheres = (
         jnp.stack([above, jnp.zeros_like(above)]),
@@ -351,6 +359,7 @@ def _shift(
         padded = jax.lax.optimization_barrier(
             jnp.concatenate([ends[0], radiance, ends[1]], axis=axis)
         )
+        # A move of +0.3 cells: 0.3 of the neighbour before, 0.7 of the cell itself.
         radiance = (
             part(padded, 0) * np.maximum(share, 0)
             + part(padded, 1) * (1 - np.abs(share))

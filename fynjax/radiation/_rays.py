@@ -106,6 +106,7 @@ class AbstractRays(eqx.Module):
     def sine_to(self, vector: Float[Array, " 3"]) -> Float[Array, "row column"]:
         """Sine of the angle between a unit vector and the ray [-]."""
         cross = jnp.cross(self.towards, vector)
+        # The root of 1 in place of 0, times 0: no slope without bound where they are parallel.
         square = jnp.sum(cross**2, axis=-1)
         return jnp.sqrt(jnp.where(square > 0, square, 1.0)) * (square > 0)
 
@@ -287,6 +288,7 @@ class RayField(AbstractRays):
 
     def angular(self, function: Callable[[Array], Array]) -> Float[Array, "*value row column"]:
         east, north = self.towards[..., 0], self.towards[..., 1]
+        # Over east and north of the unit vector, which stay within a square for any tilt.
         node_x, weight_x = _chebyshev(east.ravel(), self.nodes, _range(east))
         node_y, weight_y = _chebyshev(north.ravel(), self.nodes, _range(north))
         sx, sy = (a.ravel() for a in jnp.meshgrid(node_x, node_y, indexing="xy"))
@@ -347,6 +349,7 @@ def _two_cells(
     centre: Array, width: Array, count: int, lattice: Lattice
 ) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
     """The two cells that an interval of at most a cell's width touches, and its share in each."""
+    # Lower end of the interval in cells; what is left of that cell above it, over the width.
     low = (centre - 0.5 * width) / lattice.spacing
     first = jnp.floor(jax.lax.stop_gradient(low))
     inside = jnp.clip((first + 1.0 - low) * lattice.spacing / width, 0.0, 1.0)
@@ -474,6 +477,7 @@ def perspective_rays(
     check_whole("columns", columns)
     place, forward = check_attitude(camera, target, field_of_view)
     forward = forward / np.linalg.norm(forward)
+    # Where the axis points straight down the vertical has no direction in the picture.
     straight_down = abs(forward[2]) > 1 - 1e-9
     up = np.array([0.0, 1.0, 0.0] if straight_down else [0.0, 0.0, 1.0])
     right = np.cross(forward, up)
@@ -488,6 +492,7 @@ def perspective_rays(
             "every pixel must look at the ground, but some look at or above the horizon: aim "
             "`target` lower, or take a smaller `field_of_view`"
         )
+    # From the camera down the ray to height 0, and the slope back up to it: they are the same.
     slope = sight[..., :2] / sight[..., 2:]
     ground = place[:2] - place[2] * slope
     # The width across the line of sight; along it the pixel's footprint is longer.
@@ -511,6 +516,7 @@ def _chebyshev(
     half = 0.5 * jnp.abs(ends[1] - ends[0])
     if count == 1:
         return middle[None], jnp.ones((slopes.shape[0], 1), slopes.dtype)
+    # Lagrange weights: the product of (x - others) over (own - others).
     unit = np.cos(np.pi * (np.arange(count) + 0.5) / count)
     position = (slopes - middle) / jnp.where(half > 0, half, 1.0)
     others = np.stack([np.delete(unit, node) for node in range(count)])

@@ -167,8 +167,10 @@ class _System(eqx.Module):
         lights: Float[Array, " light"],
     ) -> Float[Array, " vector"]:
         optics = jnp.stack([reflectance, transmittance])
+        # Light is affine in the ground: so much of that over a black one, so much over each map.
         terms = jnp.concatenate([1.0 - soil.sum(keepdims=True), soil])
         sent = jnp.einsum("smkcv,m,kc->sv", self.scattered, terms, optics)
+        # States of the basis make the matrix, those of sky and sun the right-hand side.
         count = self.mass.shape[0]
         right = lights @ sent[count:]
         right = right + lights[-1] * jnp.einsum("kcv,kc->v", self.from_sun, optics)
@@ -188,6 +190,7 @@ def _assemble(
     owner = np.asarray(transport.classes.angle_of_class)
     flat = basis.reshape(*basis.shape[:2], -1)
     density, lit = (f.reshape(len(owner), -1) for f in (transport.density, transport.lit))
+    # The same in all bands (`check_reducible`).
     shape = jax.tree.map(lambda a: a[0], bands.shape)
     # Light is linear in the ground: that of any mixture follows from a black one and the maps.
     over = jnp.concatenate([jnp.zeros_like(grounds[:1]), grounds])
@@ -263,6 +266,7 @@ def _choose(
     area = transport.density.mean(axis=(1, 2, 3))
     share = area / jnp.maximum(area.sum(), jnp.finfo(area.dtype).tiny)
     optics = jnp.concatenate([bands.reflectance, bands.transmittance], axis=1)
+    # Share of light that leaves scatter and that meets a leaf again.
     again = _RECOLLISION * (bands.reflectance + bands.transmittance) @ share
     optics = optics * jnp.sqrt(jnp.tile(share, 2))
     once = jnp.concatenate(
@@ -286,6 +290,7 @@ def _pivots(rows: Float[Array, "row column"], count: int) -> Int[Array, " count"
 
     def pick(rest: tuple[Array, Array], _: None) -> tuple[tuple[Array, Array], Array]:
         rows, free = rest
+        # A row that was picked is never picked again, whatever rounding leaves of it.
         index = jnp.argmax(jnp.where(free, jnp.sum(rows**2, axis=1), -1.0))
         unit = _unit(rows[index])
         return (rows - jnp.outer(rows @ unit, unit), free.at[index].set(False)), index
@@ -347,6 +352,7 @@ def _gram_schmidt(
         vector = vector * scale
         # Twice: what rounding leaves of the first time is not small beside a short rest.
         for _ in range(2):
+            # The combination goes along, so that the result is linear in the rows.
             share = basis @ vector
             vector, made = vector - share @ basis, made - share @ combination
         left = jnp.sqrt(vector @ vector)

@@ -47,6 +47,7 @@ def nearest_cells(
 ) -> tuple[Int[Array, "near point"], Float[Array, "near point"]]:
     """The same as the cells that the interval of `width` around each centre may touch, and its
     share in each: for wide grids."""
+    # An interval may begin within a cell: it touches one more than it is long.
     near = math.ceil(width / spacing - 1e-6) + 1
     low = (centres - 0.5 * width) / spacing
     first = jnp.floor(jax.lax.stop_gradient(low))

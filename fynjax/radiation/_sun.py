@@ -79,6 +79,7 @@ def trace_sun(scene: VoxelScene, per_voxel: int, sublayers: int, margin: int) ->
     # The path through a layer is split in sub-layers, each sampled where the beam is at its
     # middle: a slant beam changes voxel within a layer.
     step = thickness / sublayers
+    # Middles of the pieces, the lowest first.
     heights = ((jnp.arange(layers * sublayers) + 0.5) * step).astype(dtype)
     unshaded = None
     if scene.terrain is not None:
@@ -88,6 +89,7 @@ def trace_sun(scene: VoxelScene, per_voxel: int, sublayers: int, margin: int) ->
 
     def layer(above: Array, at: tuple[Any, ...]) -> tuple[Array, tuple[Array, Array]]:
         field, heights, unshaded = at
+        # The layer on the lattice of beams; beside an open scene it is empty.
         field = jnp.pad(jnp.repeat(jnp.repeat(field, fine, axis=0), fine, axis=1), pad)
         voxels = jnp.zeros_like(field)
         # From the top of the layer down: what each beam crosses, and what of the light is left.
@@ -145,6 +147,7 @@ def _move(
     its ends where they are open. With minus the shift it is the transpose."""
     for axis, by in ((1, shift[0]), (0, shift[1])):
         size = field.shape[axis]
+        # Whole cells by a slice of a field that goes on beyond its ends, the rest linearly.
         whole = jnp.floor(jax.lax.stop_gradient(by))
         share = by - whole
         if boundary == "periodic":
@@ -201,6 +204,7 @@ def _unshaded(
         below_ground, height = at
         wx = axis_weights(columns + height * slope[0], width, nx, scene.horizontal, scene.boundary)
         wy = axis_weights(rows + height * slope[1], width, ny, scene.horizontal, scene.boundary)
+        # Terrain that has stopped a share of a beam keeps it stopped on the way down.
         now = jnp.minimum(open_above, 1.0 - sample(below_ground, wy, wx))
         return now, now
 
@@ -217,6 +221,7 @@ def _canopy_above_ground(sun: SunField, scene: VoxelScene) -> Float[Array, "y x"
     x = ((jnp.arange(nx) + 0.5) * scene.horizontal).astype(dtype)
     y = ((jnp.arange(ny) + 0.5) * scene.horizontal).astype(dtype)
     below = covered(scene, heights)
+    # Share of each column whose ground lies between a plane and the next above it.
     ends_here = jnp.concatenate([1.0 - below[1:2], below[1:-1] - below[2:], below[-1:]])
 
     width = scene.horizontal / sun.per_voxel

@@ -50,6 +50,7 @@ def covered(scene: VoxelScene, heights: Float[Array, " plane"]) -> Float[Array, 
     """
     assert scene.terrain is not None
     east, north = terrain_gradient(scene)
+    # Height that the ground spans within a voxel column.
     spread = jnp.maximum(scene.horizontal * (jnp.abs(east) + jnp.abs(north)), scene.vertical)
     above = scene.terrain[None] - heights[:, None, None]
     return jnp.clip(0.5 + above / spread, 0.0, 1.0)
@@ -67,6 +68,7 @@ def ground_in_cells(
     below = covered(scene, heights).at[0].set(1.0)  # nothing falls out of the grid
     below = below.reshape(-1, ny // fh, fh, nx // fh, fh).mean(axis=(2, 4))
     free = 1.0 - below[1:]
+    # Of what is still free at the top of the cell, what is no longer so at its bottom.
     share = jnp.where(free > 1e-6, (below[:-1] - below[1:]) / jnp.maximum(free, 1e-6), 1.0)
     # A column that is mostly under ground at the top of a cell is a wall to its neighbours.
     return share, jnp.clip(2.0 * below[1:] - 1.0, 0.0, 1.0)

@@ -64,6 +64,7 @@ class Axis(NamedTuple):
         cell = wide * scene.horizontal
         pixels = min(tile, len(places))
         starts = tuple(min(i, len(places) - pixels) for i in range(0, len(places), pixels))
+        # Whole cells that hold a tile and its rim, and one more for linear interpolation.
         lowest = [math.floor((places[i] - reach) / cell) - 1 for i in starts]
         highest = [math.ceil((places[i + pixels - 1] + reach) / cell) + 1 for i in starts]
         cells = max(high - low for low, high in zip(lowest, highest, strict=True))
@@ -205,6 +206,7 @@ class LightInWindows:
         """Pixels at rising `y` and `x` [m] in tiles of `tile` at most, each with a rim of `reach`
         [m]: as wide as can be held; or as narrow as rims let it be worth while."""
         scene, most = self._scene, max(len(y), len(x))
+        # More and smaller tiles until a window can be held, or rims outweigh what they save.
         for parts in range(-(-most // tile), most + 1):
             along_y, along_x = (
                 Axis.cut(scene, count, places, -(-most // parts), reach, self._wide)

@@ -19,12 +19,13 @@ from fynjax._core.spectral import (
 )
 
 
-def _floats(values: Any) -> tuple[float, ...]:
+def floats(values: Any) -> tuple[float, ...]:
+    """A number, or several, as static numbers of a field."""
     return tuple(float(v) for v in np.atleast_1d(np.asarray(values, dtype=np.float64)))
 
 
 def _curves(curves: Any) -> tuple[tuple[tuple[float, ...], tuple[float, ...]], ...] | None:
-    return None if curves is None else tuple((_floats(u), _floats(r)) for u, r in curves)
+    return None if curves is None else tuple((floats(u), floats(r)) for u, r in curves)
 
 
 class BandSet(eqx.Module):
@@ -44,9 +45,9 @@ class BandSet(eqx.Module):
 
     names: tuple[str, ...] = eqx.field(static=True, converter=tuple)
     """Name of each band, in the order of the image's band axis."""
-    centre: tuple[float, ...] = eqx.field(static=True, converter=_floats)
+    centre: tuple[float, ...] = eqx.field(static=True, converter=floats)
     """Centre wavelength [nm]."""
-    fwhm: tuple[float, ...] = eqx.field(static=True, converter=_floats)
+    fwhm: tuple[float, ...] = eqx.field(static=True, converter=floats)
     """Full width at half maximum [nm]; twice the half width that some makers state."""
     response: Literal["gaussian", "box"] = eqx.field(static=True, default="gaussian")
     """Form of the response where no curves are given."""
@@ -162,6 +163,7 @@ def band_set_of_curves(curves: Mapping[str, Curve]) -> BandSet:
 
 
 def _width_at_half_maximum(u: np.ndarray, r: np.ndarray) -> float:
+    # From the first to the last point at half the maximum, linear between points.
     half = 0.5 * r.max()
     inside = np.flatnonzero(r >= half)
     first, last = int(inside[0]), int(inside[-1])

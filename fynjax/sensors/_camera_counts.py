@@ -14,7 +14,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
-from fynjax._core.math import real_array
+from fynjax._core.math import real_array, square_root
 
 
 class CameraRadiometry(eqx.Module):
@@ -65,8 +65,8 @@ class CameraRadiometry(eqx.Module):
             terms = zip(self.vignetting, self.vignetting_powers, strict=True)
             return sum((k * x**a * y**b for k, (a, b) in terms), jnp.zeros_like(x * y))
         square = (column - self.vignetting_centre[0]) ** 2 + (row - self.vignetting_centre[1]) ** 2
-        away = square > 0.0  # the root has no slope at zero
-        r = jnp.where(away, jnp.sqrt(jnp.where(away, square, 1.0)), 0.0)
+        r = square_root(square)
+        # k0 r + k1 r^2 + ..., by Horner's scheme.
         falloff = jnp.zeros_like(r)
         for k in self.vignetting[::-1]:
             falloff = (falloff + k) * r

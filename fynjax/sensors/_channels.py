@@ -96,7 +96,12 @@ def group_bands(
     for place in order.tolist():
         last = groups[-1] if groups else []
         wide = _WIDTH[int(centre[place] > _TURN)]
-        if last and centre[place] - centre[last[0]] < wide and not _apart(bands, last[-1], place):
+        # Neighbours that leave more than their widths between them stay apart.
+        if (
+            last
+            and centre[place] - centre[last[0]] < wide
+            and centre[place] - centre[last[-1]] <= width[last[-1]] + width[place]
+        ):
             last.append(place)
         else:
             groups.append([place])
@@ -105,6 +110,7 @@ def group_bands(
             f"expected bands for three channels or more from {_LOWEST:g} to {_HIGHEST:g} nm "
             f"outside the water windows, but got {len(groups)}"
         )
+    # A channel ends half a band's width beyond the middles of its outermost bands.
     half = [max(0.5 * float(width[group].mean()), 1.0) for group in groups]
     lower = np.array([centre[g[0]] - h for g, h in zip(groups, half)])
     upper = np.array([centre[g[-1]] + h for g, h in zip(groups, half)])
@@ -117,18 +123,13 @@ def group_bands(
     return Channels(lower, upper, middle), joined
 
 
-def _apart(bands: BandSet, one: int, other: int) -> bool:
-    """Whether two neighbouring bands leave more than their widths between them."""
-    gap = bands.centre[other] - bands.centre[one]
-    return gap > bands.fwhm[one] + bands.fwhm[other]
-
-
 def _response(bands: BandSet) -> tuple[Float[np.ndarray, " w"], Float[np.ndarray, " w"]]:
     """Mean response of some bands."""
     if bands.curves is not None:
         low = min(points[0] for points, _ in bands.curves)
         high = max(points[-1] for points, _ in bands.curves)
     else:
+        # A Gaussian has next to nothing beyond 2.2 of its widths.
         reach = 2.2 * np.asarray(bands.fwhm)
         low, high = float((bands.centre - reach).min()), float((bands.centre + reach).max())
     grid = np.arange(max(np.floor(low), 400.0), min(np.ceil(high), 2500.0) + 0.5)

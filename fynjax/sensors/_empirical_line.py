@@ -14,9 +14,10 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
 from fynjax._core.errors import InputError
-from fynjax._core.math import real_array
+from fynjax._core.math import real_array, square_root
 from fynjax._core.records import Slip, Strict, number
 
+_SAMPLES = 16  # points along each edge of a pixel that a panel covers in part
 _ROUNDS = 4
 """Times the weights are computed again with the slope: the last changes it by less than 1e-6 of its
 standard deviation where panels are known to 10 %."""
@@ -52,9 +53,8 @@ class EmpiricalLine(eqx.Module):
         signal, noise = real_array(signal), real_array(signal_sd)
         c = self.covariance
         variance = signal**2 * c[:, 0, 0] + 2.0 * signal * c[:, 0, 1] + c[:, 1, 1]
-        variance = variance + (self.gain * noise) ** 2
-        known = variance > 0.0  # the root has no slope at zero
-        return jnp.where(known, jnp.sqrt(jnp.where(known, variance, 1.0)), 0.0)
+        # Rounding may leave a line without uncertainty a negative variance.
+        return square_root(jnp.maximum(variance + (self.gain * noise) ** 2, 0.0))
 
     def relit(
         self, ratio: Float[ArrayLike, " band"], ratio_sd: Float[ArrayLike, " band"] | float = 0.0
@@ -123,6 +123,7 @@ def empirical_line(
 
     def weighted(variance: Array) -> tuple[Array, ...]:
         weight = 1.0 / (variance + least)
+        # A regression line about the weighted middle of the panels.
         total = jnp.sum(weight, axis=0)
         xc, yc = (jnp.sum(weight * v, axis=0) / total for v in (x, y))
         spread = jnp.sum(weight * (x - xc) ** 2, axis=0)
@@ -132,8 +133,7 @@ def empirical_line(
     for _ in range(_ROUNDS):
         gain, xc, yc, spread, total = weighted(sy**2 + (gain * sx) ** 2)
     slope = 1.0 / spread
-    rows = [[slope, -xc * slope], [-xc * slope, 1.0 / total + xc**2 * slope]]
-    covariance = jnp.stack([jnp.stack(row, axis=-1) for row in rows], axis=-2)
+    covariance = _covariance(slope, -xc * slope, 1.0 / total + xc**2 * slope)
     return EmpiricalLine(gain, yc - gain * xc, covariance)
 
 
@@ -170,9 +170,7 @@ def one_panel_line(
         jnp.broadcast_to(real_array(sd), x.shape) for sd in (signal_sd, reflectance_sd, offset_sd)
     )
     gain = y / x
-    shared = 0.0 - so**2 / x
-    rows = [[(sy**2 + (gain * sx) ** 2 + so**2) / x**2, shared], [shared, so**2]]
-    covariance = jnp.stack([jnp.stack(row, axis=-1) for row in rows], axis=-2)
+    covariance = _covariance((sy**2 + (gain * sx) ** 2 + so**2) / x**2, 0.0 - so**2 / x, so**2)
     return EmpiricalLine(gain, jnp.zeros_like(gain), covariance)
 
 
@@ -197,7 +195,9 @@ def irradiance_line(
     """
     light = real_array(irradiance)
     _positive(light, "`irradiance`")
-    return one_panel_line(light / jnp.pi, jnp.ones_like(light), signal_sd=irradiance_sd / jnp.pi)
+    return one_panel_line(
+        light / jnp.pi, jnp.ones_like(light), signal_sd=real_array(irradiance_sd) / jnp.pi
+    )
 
 
 class Panel(Strict):
@@ -237,9 +237,8 @@ def panel_coverage(
     *,
     pixel_m: float = 1.0,
     origin_m: tuple[float, float] = (0.0, 0.0),
-    samples: int = 16,
 ) -> Float[np.ndarray, "y x"]:
-    """Share of each pixel that a polygon covers [-], to 1 / `samples` in each direction.
+    """Share of each pixel that a polygon covers [-], to 1/16 in each direction.
 
     **Arguments:**
 
@@ -249,7 +248,6 @@ def panel_coverage(
     - `shape`: (y, x) of the image. y grows with its row.
     - `pixel_m`: edge of a pixel [m].
     - `origin_m`: (x, y) of the outer corner of the first pixel [m].
-    - `samples`: points along each edge of a pixel, at least 1.
 
     **Raises:** `InputError` for a polygon of fewer corners, without area, or outside the image.
 
@@ -272,11 +270,11 @@ def panel_coverage(
     if (size > 0).all():
         fine = rasterize(
             [({"type": "Polygon", "coordinates": [[*points.tolist(), points[0].tolist()]]}, 1)],
-            out_shape=(int(size[1]) * samples, int(size[0]) * samples),
-            transform=Affine(1.0 / samples, 0, low[0], 0, 1.0 / samples, low[1]),
+            out_shape=(int(size[1]) * _SAMPLES, int(size[0]) * _SAMPLES),
+            transform=Affine(1.0 / _SAMPLES, 0, low[0], 0, 1.0 / _SAMPLES, low[1]),
             dtype="uint8",
         )
-        coarse = fine.reshape(size[1], samples, size[0], samples).mean(axis=(1, 3))
+        coarse = fine.reshape(size[1], _SAMPLES, size[0], _SAMPLES).mean(axis=(1, 3))
         covered[low[1] : high[1], low[0] : high[0]] = coarse
     if not covered.any():
         raise InputError(
@@ -360,6 +358,13 @@ def place_panels(
     under = jnp.sum(cover, axis=0)
     panel = jnp.broadcast_to(panel, (cover.shape[0], ground.shape[0]))
     return ground * (1.0 - under) + jnp.einsum("pyx,pb->byx", cover, panel)
+
+
+def _covariance(gain: Array, both: Array, offset: Array) -> Float[Array, "band 2 2"]:
+    """Covariance of gain and offset from their variances and what they share."""
+    return jnp.stack(
+        [jnp.stack([gain, both], axis=-1), jnp.stack([both, offset], axis=-1)], axis=-2
+    )
 
 
 def _positive(values: Array, what: str) -> None:

@@ -17,6 +17,7 @@ from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
 from fynjax._core.errors import InputError
+from fynjax._core.math import square_root
 from fynjax._core.spectral import check_wavelength
 
 RADIANCE_UNITS = {
@@ -71,12 +72,9 @@ class AbstractNoise(eqx.Module):
         smooth function of it. A dark pixel may come out negative.
         """
         radiance = _floating(radiance)
-        normal = jax.random.normal(_key(key), radiance.shape, radiance.dtype)
+        key = jax.random.key(key) if isinstance(key, int | np.integer) else key
+        normal = jax.random.normal(key, radiance.shape, radiance.dtype)
         return radiance + self.standard_deviation(radiance, averaged=averaged) * normal
-
-
-def _key(key: Array | int) -> Array:
-    return jax.random.key(key) if isinstance(key, int | np.integer) else key
 
 
 class RadiometricNoise(AbstractNoise):
@@ -97,9 +95,7 @@ class RadiometricNoise(AbstractNoise):
 
     def pixel_deviation(self, radiance: Float[Array, "*batch band"]) -> Float[Array, "*batch band"]:
         a, b, c = (jnp.asarray(v, radiance.dtype) for v in (self.a, self.b, self.c))
-        total = b + radiance
-        light = total > 0.0
-        root = jnp.where(light, jnp.sqrt(jnp.where(light, total, 1.0)), 0.0)
+        root = square_root(jnp.maximum(b + radiance, 0.0))
         return jnp.abs(a * root + c) / math.sqrt(self.integrations)
 
 
@@ -136,6 +132,7 @@ def radiometric_noise(
         )
     grid = check_wavelength(wavelength, "the wavelengths of the noise table")
     centres = np.atleast_1d(np.asarray(centre, dtype=np.float64))
+    # A band may lie beyond the table by its nearest step: there the outermost value holds.
     steps = np.diff(grid) if grid.size > 1 else np.zeros(1)
     low, high = grid[0] - steps[0], grid[-1] + steps[-1]
     outside = (centres < low) | (centres > high)
@@ -163,14 +160,10 @@ class CameraNoise(AbstractNoise):
     bits: int = eqx.field(static=True)
     """Bits of the digital number, which spans the full well."""
 
-    def _scales(self, dtype: Any) -> tuple[Array, Array, Array]:
-        """Electrons per radiance, electrons per digital number, read noise."""
-        well = jnp.asarray(self.full_well, dtype)
-        gain = well / jnp.asarray(self.saturation, dtype)
-        return gain, well / float(2**self.bits - 1), jnp.asarray(self.read_noise, dtype)
-
     def pixel_deviation(self, radiance: Float[Array, "*batch band"]) -> Float[Array, "*batch band"]:
+        well, read = (jnp.asarray(v, radiance.dtype) for v in (self.full_well, self.read_noise))
+        gain = well / jnp.asarray(self.saturation, radiance.dtype)  # electrons per radiance
+        step = well / float(2**self.bits - 1)  # electrons per digital number
         # A Poisson count varies by its mean; rounding to steps q by q²/12.
-        gain, step, read = self._scales(radiance.dtype)
         electrons = jnp.maximum(gain * radiance, 0.0)
         return jnp.sqrt(electrons + read**2 + step**2 / 12.0) / gain

@@ -59,6 +59,7 @@ def map_rays(
         across = ((x - east) * right[0] + (y - north) * right[1]) / altitude
         return [-fore * ahead[k] - across * right[k] for k in (0, 1)]
 
+    # Flown along an axis, slopes along it are the same everywhere: the rays are a lattice.
     if 0.0 in ahead:
         zero = jnp.zeros((), x.dtype)
         slope_x = slopes(x, zero + north)[0] if right[0] else jnp.full_like(x, -fore * ahead[0])

@@ -13,8 +13,9 @@ from jaxtyping import Float64, UInt8
 from numpy.typing import NDArray
 from rasterio.crs import CRS
 
-from fynjax._core.errors import InputError
+from fynjax._core.errors import InputError, listed
 from fynjax._core.extras import require
+from fynjax._core.tables import name_and_unit, open_points, places_of
 from fynjax.io.raster import check_metric, parse_crs
 from fynjax.io.text import check_stated_size, existing_file
 from fynjax.terrain._units import (
@@ -128,9 +129,7 @@ def read_cloud(
     elif suffix == ".ply":
         cloud = _read_ply(path)
     elif suffix in (".xyz", ".txt", ".csv"):
-        from fynjax.terrain._text import read_text_cloud  # late: it imports this module
-
-        cloud = read_text_cloud(path, unit_stated=unit_stated)
+        cloud = _read_text(path, unit_stated)
     else:
         raise InputError(
             f"expected a point cloud (.las, .laz, .ply, .xyz, .txt or .csv), but this is a "
@@ -398,3 +397,56 @@ def _check_precision(points: NDArray[np.float64], path: Path) -> None:
             f"{step:.2g} m. Export again in double precision, or with a local origin.",
             file=path,
         )
+
+
+_NAMES = {
+    "x": ("x", "easting", "east", "e"),
+    "y": ("y", "northing", "north", "n"),
+    "z": ("z", "height", "elevation", "elev", "altitude", "alt", "h"),
+    "classification": ("classification", "class", "scalar_classification", "label"),
+}
+_DEGREES = ("lon", "longitude", "lat", "latitude", "long")
+
+
+def _text_columns(
+    names: tuple[str, ...], path: Path, row: int, unit_stated: bool
+) -> dict[str, int]:
+    """Where x, y, z (and the class) stand, by the header's names."""
+    plain = [name_and_unit(name) for name in names]
+    places = places_of(names, _NAMES, file=path, row=row)
+    missing = [axis for axis in "xyz" if axis not in places]
+    if missing:
+        degrees = any(name in _DEGREES for name, _ in plain)
+        hint = (
+            " Longitude and latitude? Reproject to a metric system first."
+            if degrees
+            else " Name the columns x, y, z."
+        )
+        raise InputError(
+            f"expected columns x, y and z, but the header has {listed(names)}.{hint}",
+            file=path,
+            row=row,
+        )
+    for axis in "xyz":
+        unit = plain[places[axis]][1]
+        degrees = unit.startswith("deg")
+        if ((unit and not unit.startswith("m")) or unit == "mm") and (degrees or not unit_stated):
+            hint = "Reproject to a metric system first" if degrees else "State the unit"
+            raise InputError(
+                f"expected metres, but the header says {'degrees' if degrees else repr(unit)}. "
+                f"{hint}.",
+                file=path,
+                row=row,
+                column=names[places[axis]],
+            )
+    return places
+
+
+def _read_text(path: Path, unit_stated: bool) -> PointCloud:
+    """Points of a cloud written as text, as `open_points` takes it, in its unit."""
+    table = open_points(path, "a point cloud", "xyz")
+    if not table.headed:
+        table.names = (*"xyz", *table.names[3:])
+    places = _text_columns(table.names, path, table.row, unit_stated)
+    x, y, z, *classes = table.columns(list(places.values())).to_numpy().T
+    return PointCloud(x, y, z, classes[0].astype(np.uint8) if classes else None)

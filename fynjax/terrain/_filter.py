@@ -75,7 +75,8 @@ def find_ground(
         check_positive(name, value)
     if method == "labels":
         return _labelled(cloud)
-    size = _default_cell(cloud) if cell is None else float(cell)
+    spacing = np.sqrt((east - west) * (north - south) / len(cloud))
+    size = float(np.clip(2.0 * spacing, 0.5, 2.0) if cell is None else cell)
     check_positive("cell", size)
     if window > 1.01 * widest:  # points never reach the very corners of their plot
         raise InputError(
@@ -129,12 +130,6 @@ def _labelled(cloud: PointCloud) -> NDArray[np.bool_]:
             f"have it; the cloud has {present}. Let a filter find the ground: method 'smrf'."
         )
     return ground
-
-
-def _default_cell(cloud: PointCloud) -> float:
-    west, south, east, north = cloud.bounds
-    spacing = np.sqrt((east - west) * (north - south) / len(cloud))
-    return float(np.clip(2.0 * spacing, 0.5, 2.0))
 
 
 def _morphological(

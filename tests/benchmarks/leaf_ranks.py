@@ -20,7 +20,7 @@ from fynjax._core.progress import progress, track
 from fynjax._core.sampling import Ensemble, Hamiltonian
 from fynjax.leaf._error_model import bin_centres
 from fynjax.leaf._posterior import free_columns, leaf_density, of_many
-from fynjax.leaf._problem import Setup, leaf_problems, make_setup
+from fynjax.leaf._problem import LeafSettings, Setup, leaf_problems, make_setup
 from fynjax.leaf._residual import Problem, observed, solve, to_physical
 from tests.benchmarks._measure import options
 
@@ -127,7 +127,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--save", type=Path)
     given = parser.parse_args(arguments)
     given.leaves = 1 if given.tiny else given.leaves
-    setup = make_setup("D", None, None, None)
+    setup = make_setup(LeafSettings())
     truth, problems = simulate(setup, given.leaves, given.seed, given.reflectance_only)
     with progress():
         found, short = ranks(setup, truth, problems, given.sampler, given.seed)

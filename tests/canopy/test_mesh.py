@@ -9,8 +9,8 @@ import trimesh
 
 from fynjax._core.errors import InputError
 from fynjax.canopy import Organ, PlantMaterial, plant_model_from_mesh, read_plant_mesh
+from fynjax.canopy._plant import organ_of_name
 from fynjax.canopy.mesh import find_up
-from fynjax.canopy.mesh._organ_names import organ_of_name
 from fynjax.canopy.mesh._plant_mesh import PlantMesh
 
 
@@ -83,6 +83,8 @@ def test_materials_become_organs(tmp_path: Path) -> None:
     organs = {"leaves": "leaf", "bark": Organ.WOOD, "petals": "flower"}
     direct = plant_model_from_mesh(scene, 100, organs, solid_materials=("bark",))
     np.testing.assert_allclose(direct.organ_area, [6 * 0.16, 0.5 * 6 * 0.01, 6 * 0.0025])
+    # Elements are shared out by these areas, though each part has twelve triangles.
+    assert np.bincount(direct.plant.organ).tolist() == [96, 3, 1]
     z = np.asarray(direct.plant.position)[:, 2] * direct.depth + 0.25
     assert z[np.asarray(direct.plant.organ) == Organ.FLOWER].min() > 1.17
     assert z[np.asarray(direct.plant.organ) == Organ.WOOD].max() < 0.36

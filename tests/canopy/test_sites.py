@@ -8,7 +8,7 @@ from scipy.spatial import cKDTree
 from scipy.stats import qmc
 
 from fynjax._core.errors import InputError
-from fynjax.canopy import assign_sites, poisson_disk, site_weight
+from fynjax.canopy import assign_sites, clumping, poisson_disk, site_weight
 from tests.helpers import assert_gradients
 
 SIDE, RADIUS, SEEDS = 6.0, 0.2, 5
@@ -172,6 +172,12 @@ def test_a_target_out_of_reach_is_said_with_numbers() -> None:
 def test_bad_maps(grey: np.ndarray, extent: tuple[float, float] | None, word: str) -> None:
     with pytest.raises(InputError, match=word):
         assign_sites(POINTS, [5], seed=0, probability=grey, extent=extent)
+
+
+def test_no_plant_stands_where_a_map_is_zero_all_over() -> None:
+    for empty in (0.0, np.nan):
+        with pytest.raises(InputError, match="above 0 somewhere"):
+            clumping(np.full((4, 4), empty), (2.0, 2.0), 0.4, periodic=True)
 
 
 COUNTS = np.concatenate([[0.0], np.geomspace(0.05, 10_000, 300), np.arange(1.0, 30.0)])

@@ -17,6 +17,12 @@ FLASH = (lidar_folder() / "flash_lidar_paper.toml").read_text("utf-8")
 SCAN = (lidar_folder() / "scanning_lidar.toml").read_text("utf-8")
 
 
+def test_an_array_has_its_columns_first(tmp_path):
+    own = tmp_path / "own.toml"
+    own.write_text(FLASH.replace("columns = 128", "columns = 64"))
+    assert load_lidar(own).geometry.array == (64, 128)
+
+
 @pytest.mark.parametrize("name", shipped_lidars())
 def test_shipped_files_are_valid_and_the_same_by_both_roads(name, tmp_path):
     text = (lidar_folder() / f"{name}.toml").read_text("utf-8")

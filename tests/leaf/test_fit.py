@@ -33,10 +33,12 @@ from fynjax.leaf._fit import solve_leaves
 from fynjax.leaf._problem import (
     _REFLECTANCE_LINE,
     _TRANSMITTANCE_LINE,
+    LeafSettings,
     leaf_bounds,
     leaf_priors,
     leaf_problems,
     make_setup,
+    prepare,
 )
 from fynjax.leaf._residual import Problem, observed, residual, solve, to_physical, whitening
 from tools.estimate_error_model import estimate, independent_error_model
@@ -98,7 +100,7 @@ def test_intervals_cover_leaves_drawn_from_the_error_model():
 def leaf():
     """Needles before an unknown background, with bands left out, errors grown by half, and a prior
     whose parameters are correlated; and a z beside it."""
-    setup = make_setup("D", LeafOverBackground(None, None, None), None, None, "needle")
+    setup = make_setup(LeafSettings("D", LeafOverBackground(None, None, None), "needle"))
     draw = np.random.default_rng(4)
     z = jnp.asarray(setup.prior_mean + 0.1 * draw.normal(size=setup.prior_mean.size))
     data = np.asarray(observed(to_physical(z, setup.optics), setup.optics))[None]
@@ -155,7 +157,7 @@ def test_no_leaf_near_the_estimate_is_more_probable():
     data = np.stack([to_bins(GRID, r), to_bins(GRID, t)], axis=1)
     data *= 1.0 + 0.05 * draw.normal(size=data.shape)
     use = np.broadcast_to((bin_centres() > 460.0) & (bin_centres() < 2390.0), data.shape)
-    setup = make_setup("D", None, None, None)
+    setup = make_setup(LeafSettings())
     found, problems = solve_leaves(setup, data, use, leaf_priors(setup, data, use))
     assert found.converged.all()
     call = jax.jit(residual)
@@ -347,7 +349,7 @@ def test_neighbours_that_are_known_say_that_a_plateau_is_not_that_of_one_leaf():
     data[:, 0] = to_bins(GRID, r)
     extra = []
     for p in (0.0, 0.3):
-        setup = make_setup("D", LeafOverBackground(recollision=p), None, None)
+        setup = make_setup(LeafSettings("D", LeafOverBackground(recollision=p)))
         _, precision = leaf_priors(setup, data, np.isfinite(data))
         extra.append(precision[0, 0, 0] - setup.prior_precision[0, 0])
     assert extra[0] > 1.0
@@ -366,9 +368,13 @@ def test_the_shape_reaches_species_and_posteriors():
     r, t = np.asarray(optics.reflectance), np.asarray(optics.transmittance)
     misfit, draws = {}, {}
     for shape in ("broad", "needle"):
-        options = {"leaf_shape": shape, "measurement": IntegratingSphere()}
-        misfit[shape] = fit_leaf_groups(GRID, r, t, groups=["a", "a"], **options).leaves.rmse
-        draws[shape] = sample_leaf_posterior(GRID, r[:1], t[:1], target=50.0, **options).samples
+        settings = LeafSettings(leaf_shape=shape, measurement=IntegratingSphere())
+        misfit[shape] = fit_leaf_groups(
+            GRID, r, t, groups=["a", "a"], settings=settings
+        ).leaves.rmse
+        draws[shape] = sample_leaf_posterior(
+            GRID, r[:1], t[:1], target=50.0, settings=settings
+        ).samples
     assert np.all(misfit["needle"] < 0.7 * misfit["broad"])
     mean = {shape: samples.mean((0, 1)) for shape, samples in draws.items()}
     assert not np.allclose(mean["needle"], mean["broad"], rtol=0.01)
@@ -393,6 +399,21 @@ def test_a_black_backed_clip_with_offset_does_not_move_the_water():
     sphere = fit_leaf(GRID, r, measurement=IntegratingSphere())
     change = np.asarray(plain.parameters.water) / np.asarray(sphere.parameters.water)
     assert np.all(np.abs(change - 1) < 0.25)
+
+
+def test_domain_and_light_say_which_bins_are_used():
+    _, r, t = leaves(1)
+    grid = bin_centres()
+    full, optimal, outdoor = (
+        prepare(GRID, r, t, LeafSettings(**options))[2][0, 0]
+        for options in ({}, {"domain": "optimal"}, {"outdoor": True})
+    )
+    assert full[(grid > 450) & (grid < 2400)].all()
+    assert optimal.sum() < 0.6 * full.sum()
+    assert not optimal[(grid > 600) & (grid < 690)].any()
+    lost = full & ~outdoor
+    assert lost.any()
+    assert np.all(((grid > 1335) & (grid < 1435)) | (grid > 1775) | ~lost)
 
 
 def test_bad_calls_are_refused():
@@ -496,7 +517,9 @@ def test_draws_of_dry_matter_are_moved_as_the_fit_is():
     for share in (0.0, 0.6):
         of = eqx.tree_at(lambda m: m.reflectance_share, model, share)
         fitted.append(np.asarray(fit_leaf(GRID, r, t, error_model=of).parameters.dry_matter))
-        posterior = sample_leaf_posterior(GRID, r, t, target=50.0, error_model=of)
+        posterior = sample_leaf_posterior(
+            GRID, r, t, target=50.0, settings=LeafSettings(error_model=of)
+        )
         drawn.append(posterior.samples[0, :, posterior.names.index("dry_matter")])
     moves = [np.diff(np.log(np.array(m) - low) - np.log(high - np.array(m)), axis=0)
              for m in (fitted, drawn)]  # fmt: skip
@@ -570,7 +593,7 @@ def test_a_bad_fit_is_weighted_as_under_a_student_likelihood(bands):
     usable = np.flatnonzero((bin_centres() > 460.0) & (bin_centres() < 2390.0))
     use = np.zeros(data.shape, bool)
     use[:, :, usable[np.linspace(0, usable.size - 1, bands // 2).astype(int)]] = True
-    setup = make_setup("D", None, None, None)
+    setup = make_setup(LeafSettings())
     prior = leaf_priors(setup, data, use)
     plain = leaf_problems(setup, data, use, prior, np.ones(3))
     misfit = solve(prior[0], plain, setup.factors, setup.optics).misfit

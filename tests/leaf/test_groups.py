@@ -16,7 +16,7 @@ from fynjax.leaf import (
 )
 from fynjax.leaf._error_model import bin_centres, to_bins
 from fynjax.leaf._groups import _species
-from fynjax.leaf._problem import make_setup
+from fynjax.leaf._problem import LeafSettings, make_setup
 
 GRID = np.arange(400.0, 2501.0)
 
@@ -76,7 +76,7 @@ def test_a_species_is_the_conditional_of_the_joint_gaussian():
 
     prior, within = covariance(1.0), covariance(0.3)
     errors = covariance(0.5, (count,))
-    setup = make_setup("D", IntegratingSphere(), None, None, "broad")
+    setup = make_setup(LeafSettings("D", IntegratingSphere(), "broad"))
     setup = setup._replace(prior_mean=draw.normal(size=size), prior_precision=np.linalg.inv(prior))
     said = draw.normal(size=(count, size))
     precision = np.linalg.inv(errors)
@@ -119,7 +119,9 @@ def test_a_common_error_of_a_species_is_in_its_intervals():
         stated = eqx.tree_at(
             lambda m: (m.species_share, m.trait_discrepancy), model, (np.full(5, share), spectral)
         )
-        fit = fit_leaf_groups(bin_centres(), r, groups=names, error_model=stated).leaves
+        fit = fit_leaf_groups(
+            bin_centres(), r, groups=names, settings=LeafSettings(error_model=stated)
+        ).leaves
         i = fit.names.index("dry_matter")
         width[share] = np.median(fit.upper[:, i] - fit.lower[:, i])
     assert width[0.9] > 1.2 * width[0.05]

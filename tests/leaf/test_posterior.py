@@ -9,7 +9,7 @@ import pytest
 
 from fynjax._core.errors import MissingExtraError
 from fynjax.leaf import LeafParameters, fit_leaf, prospect, sample_leaf_posterior
-from fynjax.leaf._problem import make_setup
+from fynjax.leaf._problem import LeafSettings, make_setup
 from tests.benchmarks.leaf_ranks import DRAWS, ranks, simulate
 
 GRID = np.arange(400.0, 2501.0)
@@ -60,7 +60,7 @@ def test_the_two_samplers_agree():
 @pytest.fixture
 def simulated():
     """Leaves from prior and error model: the truth, and the problems that they pose."""
-    setup = make_setup("D", None, None, None)
+    setup = make_setup(LeafSettings())
     return setup, *simulate(setup, 24, 0, reflectance_only=False)
 
 

@@ -15,7 +15,7 @@ from fynjax.scene import (
 )
 from fynjax.scene._optics import _shoot_optics
 from fynjax.sensors import mavic_3m
-from fynjax.sensors.air._sky import clear_sky_diffuse_fraction
+from fynjax.sensors.air import clear_sky_diffuse_fraction
 from tests.scene.plots import TAXA, densities, render, small_parameters, small_plot
 
 

@@ -13,6 +13,7 @@ import pytest
 from fynjax._core.errors import InputError
 from fynjax.io.instruments._atmosphere_file import read_atmosphere
 from fynjax.sensors import BandSet
+from fynjax.sensors.air import clear_sky_diffuse_fraction
 from fynjax.sensors.air._atmosphere import (
     SPACE,
     Atmosphere,
@@ -24,7 +25,6 @@ from fynjax.sensors.air._atmosphere import (
     surface_reflectance,
 )
 from fynjax.sensors.air._sixs_table import tabulated_atmosphere
-from fynjax.sensors.air._sky import clear_sky_diffuse_fraction
 from fynjax.sensors.air._spectrl2 import clear_sky_atmosphere
 from fynjax.sensors.air._sun import sun_position
 from tests.helpers import assert_gradients

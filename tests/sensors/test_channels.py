@@ -38,6 +38,13 @@ def test_bands_of_a_camera_stay_as_they_are():
             assert found == pytest.approx(known, rel=2e-3)
 
 
+def test_bands_with_more_than_their_widths_between_them_stay_apart():
+    near, far = (
+        BandSet(tuple("abcd"), (500.0, 500.0 + gap, 700.0, 900.0), (12.0,) * 4) for gap in (20, 30)
+    )
+    assert [len(group_bands(bands)[1]) for bands in (near, far)] == [3, 4]
+
+
 def test_bad_bands_are_left_out_and_their_channel_is_missed():
     sensor = shipped_sensor("emit").bands
     channels, _ = group_bands(sensor)

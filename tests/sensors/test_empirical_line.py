@@ -152,6 +152,8 @@ def test_single_precision():
     assert {leaf.dtype for leaf in jax.tree.leaves(line)} == {jnp.dtype("float32")}
     np.testing.assert_allclose(line.reflectance(x), known * np.ones(3), rtol=1e-5)
     assert np.all(np.isfinite(line.standard_deviation(x)))
+    missing = line.standard_deviation(jnp.full(x.shape[-1], jnp.nan))
+    assert np.all(np.isnan(missing)), "the error of a signal that is missing is not 0"
 
 
 @pytest.mark.parametrize(

@@ -98,6 +98,8 @@ def test_dark_and_negative_radiance_give_finite_noise() -> None:
         slope = jax.jacrev(noise.standard_deviation)(dark)
         assert np.all(np.isfinite(slope))
         assert np.all(np.asarray(noise.standard_deviation(dark)) > 0.0)
+        missing = noise.standard_deviation(jnp.full(3, jnp.nan))
+        assert np.all(np.isnan(missing)), "the noise of a radiance that is missing is not known"
     single = spectrometer().draw(0, RADIANCE.astype(jnp.float32))
     assert single.dtype == jnp.float32
     assert camera().standard_deviation(RADIANCE.astype(jnp.float32)).dtype == jnp.float32

@@ -99,19 +99,17 @@ def _copy_elements(branch: MeshPlant, turns: np.ndarray) -> MeshPlant:
     point = np.einsum("nij,ej->nei", turns, position).reshape(-1, 3)
     normal = np.einsum("nij,ej->nei", turns, np.asarray(branch.plant.normal)).reshape(-1, 3)
     organ = np.asarray(branch.plant.organ)
-    materials = []
-    for index, optics in enumerate(branch.optics):
+    materials = {}
+    for index, (name, optics) in enumerate(zip(branch.materials, branch.optics, strict=True)):
         owned = organ[np.asarray(branch.material) == index]
-        materials.append(PlantMaterial(Organ(int(owned[0])) if len(owned) else Organ.LEAF, optics))
+        materials[name] = PlantMaterial(Organ(int(owned[0])) if len(owned) else Organ.LEAF, optics)
     foot = np.array([np.inf, np.inf, 0.0])
     return mesh_plant(
         point,
         normal,
         np.tile(np.asarray(branch.area), len(turns)),
         np.tile(np.asarray(branch.material), len(turns)),
-        branch.materials,
         materials,
-        np.minimum(point.min(axis=0), foot),
-        point.max(axis=0),
+        (np.minimum(point.min(axis=0), foot), point.max(axis=0)),
         branch.solid_share,
     )

@@ -1,8 +1,10 @@
-"""Facets of meshes: their areas and normals, which of them close, and an even draw of them."""
+"""Facets of meshes: their areas and normals, which of them close, and even draws of them."""
 
 import numpy as np
 
+from fynjax._core.errors import InputError
 from fynjax._core.seeds import generator
+from fynjax.canopy._elements import split_elements
 
 # Normals are sorted into this many rings and sectors of the hemisphere, all of equal area.
 _NORMAL_RINGS, _NORMAL_SECTORS = 8, 16
@@ -11,6 +13,7 @@ _POSITION_BITS = 10
 
 def facets(triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Unit normals [face, 3] and areas [face] of triangles [face, 3, 3]."""
+    # Half the cross product of two sides is the area, along the normal.
     cross = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     double = np.linalg.norm(cross, axis=1)
     return cross / np.where(double > 0.0, double, 1.0)[:, None], 0.5 * double
@@ -46,6 +49,33 @@ def closed_faces(triangles: np.ndarray) -> np.ndarray:
     return ~is_open[surface[: len(faces)]]
 
 
+def draw_groups(
+    group: np.ndarray,
+    area: np.ndarray,
+    normal: np.ndarray,
+    place: np.ndarray,
+    count: int,
+    seed: int,
+) -> list[np.ndarray]:
+    """Indices of `count` facets, drawn evenly within each of the groups that have area.
+
+    Groups, such as materials, get facets by their area, at least one. Raises `InputError` for a
+    `count` below the number of groups.
+    """
+    share = np.bincount(group, weights=area)
+    present = {int(index): float(share[index]) for index in np.flatnonzero(share > 0.0)}
+    if count < len(present):
+        raise InputError(
+            f"`n_elements` must be at least {len(present)}, one for each material or organ, but is "
+            f"{count}"
+        )
+    drawn = []
+    for index, number in split_elements(count, present).items():
+        own = np.flatnonzero(group == index)
+        drawn.append(own[draw_evenly(area[own], normal[own], place[own], number, [seed, index])])
+    return drawn
+
+
 def draw_evenly(
     area: np.ndarray, normal: np.ndarray, place: np.ndarray, count: int, seed: list[int]
 ) -> np.ndarray:
@@ -58,6 +88,7 @@ def draw_evenly(
     order = np.lexsort((_along_curve(place), _normal_cell(normal)))
     mass = np.cumsum(area[order])
     start = generator(*np.ravel(seed)).random()
+    # One random start for all: steps of equal area from there.
     steps = (np.arange(count) + start) / count * mass[-1]
     return order[np.minimum(np.searchsorted(mass, steps), len(mass) - 1)]
 
@@ -65,9 +96,11 @@ def draw_evenly(
 def _normal_cell(normal: np.ndarray) -> np.ndarray:
     """Cell of equal area on the hemisphere of unoriented normals, neighbours one after another."""
     up = np.where(normal[:, 2:] < 0.0, -normal, normal)
+    # Rings of equal height have equal area on a sphere.
     ring = np.minimum((up[:, 2] * _NORMAL_RINGS).astype(int), _NORMAL_RINGS - 1)
     turn = np.arctan2(up[:, 1], up[:, 0]) / (2.0 * np.pi) % 1.0
     sector = np.minimum((turn * _NORMAL_SECTORS).astype(int), _NORMAL_SECTORS - 1)
+    # Every second ring runs back, so that the last cell of one is beside the first of the next.
     sector = np.where(ring % 2 == 1, _NORMAL_SECTORS - 1 - sector, sector)
     return ring * _NORMAL_SECTORS + sector
 
@@ -78,6 +111,7 @@ def _along_curve(place: np.ndarray) -> np.ndarray:
     side = max(float(np.ptp(place, axis=0).max()), 1e-30)
     cell = ((place - low) / side * (2**_POSITION_BITS - 1)).astype(np.int64)
     rank = np.zeros(len(place), np.int64)
+    # Bits of x, y and z in turn.
     for bit in range(_POSITION_BITS):
         for axis in range(3):
             rank |= ((cell[:, axis] >> bit) & 1) << (3 * bit + axis)

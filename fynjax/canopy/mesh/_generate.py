@@ -8,8 +8,7 @@ stated diameter, lobes included. So the same plant can stand in a mesh renderer 
 this one.
 """
 
-from importlib import resources
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import equinox as eqx
 import numpy as np
@@ -18,14 +17,11 @@ from fynjax._core.errors import InputError
 from fynjax.canopy._counts import modelled_diameter
 from fynjax.canopy._form import LeafGeometry
 from fynjax.canopy._plant import Organ
-from fynjax.canopy._table import table1_2006
+from fynjax.canopy._table import leaf_sizes, table1_2006
 from fynjax.canopy.forms import FORMS
 from fynjax.canopy.mesh._generate_organs import Sheets, Tubes, lay_out
 from fynjax.canopy.mesh._generate_parts import Surface, join
 from fynjax.canopy.mesh._plant_mesh import PlantMesh
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 _FIT_STEPS = 24
 _LARGEST_MISS = 1e-3
@@ -53,19 +49,6 @@ class GeneratedPlant(eqx.Module):
     plants so small, or area indices so low, that the least number of leaves is reached."""
     twig_radius: float = eqx.field(static=True)
     """Radius of the thinnest stems [m]; 0 without wood."""
-
-
-def leaf_sizes() -> "pd.DataFrame":
-    """Leaf size of each taxon of table 1, with its source.
-
-    **Returns:** a pandas frame with the columns taxon, organ_form (blade, culm, thread or none),
-    outline, length_mm, width_mm (the diameter of culms and threads) [mm], basis (species, genus or
-    assumed) and source.
-    """
-    import pandas as pd  # late: the command line need not wait for it
-
-    with (resources.files("fynjax.canopy") / "data" / "leaf_sizes.csv").open() as table:
-        return pd.read_csv(table, keep_default_na=False)
 
 
 def generate_plant(
@@ -130,23 +113,12 @@ def generate_plant(
         Organ.WOOD: wood_index * disc if form.wood_area_index > 0.0 else 0.0,
         Organ.FLOWER: leaf_area * form.flower_fraction * flowering,
     }
-    # Laid out once, so that fitting the plant to its size only moves its organs.
     size = np.array([crown, crown, tall])
     organs = lay_out(form, leaf, size, area, max_triangles, seed)
-    stretch = np.ones(3)
-    for _ in range(_FIT_STEPS):
-        made = {organ: laid.surface(stretch, area[organ]) for organ, laid in organs.items()}
-        surfaces = {organ: surface for organ, (surface, _) in made.items()}
-        vertices = np.concatenate([surface.vertices for surface in surfaces.values()])
-        low, high = vertices.min(axis=0), vertices.max(axis=0)
-        wide = modelled_diameter(high[0] - low[0], high[1] - low[1])
-        miss = np.array([crown / wide, crown / wide, tall / (high[2] - low[2])])
-        if np.abs(miss - 1.0).max() < 1e-4:
-            break
-        stretch = stretch * miss
+    made, middle, extent = _fitted(organs, area, size)
+    surfaces = {organ: surface for organ, (surface, _) in made.items()}
     scale = made[Organ.LEAF][1] if isinstance(organs.get(Organ.LEAF), Sheets) else 1.0
-    _check_size(taxon, surfaces, wide, float(high[2] - low[2]), crown, tall, usual, scale)
-    middle = np.array([0.5 * (low[0] + high[0]), 0.5 * (low[1] + high[1]), low[2]])
+    _check_size(taxon, surfaces, extent, size, usual, scale)
     whole = join(list(surfaces.values()))
     counts = [len(surface.faces) for surface in surfaces.values()]
     mesh = PlantMesh(
@@ -155,6 +127,7 @@ def generate_plant(
         np.repeat(np.arange(len(counts)), counts),
         tuple(organ.name.lower() for organ in surfaces),
     )
+    # Blades have a size over the usual, tubes a factor of relative radii [m].
     number, scale, radius = 0, 1.0, 0.0
     if Organ.LEAF in made:
         leaves, scale = organs[Organ.LEAF], made[Organ.LEAF][1]
@@ -165,8 +138,30 @@ def generate_plant(
     wood = organs.get(Organ.WOOD)
     if isinstance(wood, Tubes):
         radius = made[Organ.WOOD][1] * min(float(radii.min()) for _, radii in wood.lines)
-    tallness = float(high[2] - low[2])
-    return GeneratedPlant(mesh, taxon, name, float(wide), tallness, number, scale, radius)
+    return GeneratedPlant(
+        mesh, taxon, name, float(extent[0]), float(extent[2]), number, scale, radius
+    )
+
+
+def _fitted(
+    organs: dict[Organ, Sheets | Tubes], area: dict[Organ, float], size: np.ndarray
+) -> tuple[dict[Organ, tuple[Surface, float]], np.ndarray, np.ndarray]:
+    """Surfaces of organs, stretched until the plant has its `size`: across twice, and up [m]. Then
+    the middle of its foot, and the size that it got.
+
+    Organs were laid out once, so that this only moves them.
+    """
+    stretch = np.ones(3)
+    for _ in range(_FIT_STEPS):
+        made = {organ: laid.surface(stretch, area[organ]) for organ, laid in organs.items()}
+        vertices = np.concatenate([surface.vertices for surface, _ in made.values()])
+        low, high = vertices.min(axis=0), vertices.max(axis=0)
+        wide = modelled_diameter(high[0] - low[0], high[1] - low[1])
+        extent = np.array([wide, wide, high[2] - low[2]])
+        if np.abs(size / extent - 1.0).max() < 1e-4:
+            break
+        stretch = stretch * (size / extent)
+    return made, np.array([0.5 * (low[0] + high[0]), 0.5 * (low[1] + high[1]), low[2]]), extent
 
 
 def _usual(taxon: str) -> tuple[str, tuple[float, float], LeafGeometry]:
@@ -195,18 +190,17 @@ def _usual(taxon: str) -> tuple[str, tuple[float, float], LeafGeometry]:
 def _check(
     diameter: float, height: float, leaf: float, wood: float, flowering: float, triangles: int
 ) -> None:
-    for name, value, highest in (("diameter", diameter, 10.0), ("height", height, 10.0)):
-        if not 0.01 <= value <= highest:
-            raise InputError(
-                f"`{name}` must be 0.01 to {highest:g} m, but is {value:g}: is it in centimetres?"
-            )
-    for name, value in (("leaf_area_index", leaf), ("wood_area_index", wood)):
-        if not 0.0 <= value <= 20.0:
-            raise InputError(f"`{name}` must be 0 to 20 [m2 m-2], but is {value:g}")
+    for name, value, low, high, unit in (
+        ("diameter", diameter, 0.01, 10.0, "m (is it in centimetres?)"),
+        ("height", height, 0.01, 10.0, "m (is it in centimetres?)"),
+        ("leaf_area_index", leaf, 0.0, 20.0, "m2 m-2"),
+        ("wood_area_index", wood, 0.0, 20.0, "m2 m-2"),
+        ("flowering", flowering, 0.0, 1.0, "of full bloom"),
+    ):
+        if not low <= value <= high:
+            raise InputError(f"`{name}` must be {low:g} to {high:g} {unit}, but is {value:g}")
     if leaf == 0.0 and wood == 0.0:
         raise InputError("a plant must have leaves or wood, but both area indices are 0")
-    if not 0.0 <= flowering <= 1.0:
-        raise InputError(f"`flowering` must be 0 to 1, a part of full bloom, but is {flowering:g}")
     if triangles < 2000:
         raise InputError(f"`max_triangles` must be at least 2000, but is {triangles}")
 
@@ -214,20 +208,19 @@ def _check(
 def _check_size(
     taxon: str,
     surfaces: dict[Organ, Surface],
-    wide: float,
-    high: float,
-    diameter: float,
-    height: float,
+    made: np.ndarray,
+    wanted: np.ndarray,
     usual: tuple[float, float],
     leaf_scale: float,
 ) -> None:
-    """Raise `InputError` where the plant came out larger or smaller than it should."""
-    if max(abs(wide / diameter - 1.0), abs(high / height - 1.0)) <= _LARGEST_MISS:
+    """Raise `InputError` where the plant came out larger or smaller than it should: extents across
+    (twice, their mean) and up [m] as made and as wanted."""
+    if np.abs(made / wanted - 1.0).max() <= _LARGEST_MISS:
         return
     reach = {}
     for organ, surface in surfaces.items():
-        size = np.ptp(surface.vertices, axis=0)
-        reach[organ] = max((size[0] + size[1]) / 2.0 / diameter, size[2] / height)
+        x, y, z = np.ptp(surface.vertices, axis=0)
+        reach[organ] = max(0.5 * (x + y) / wanted[0], z / wanted[2])
     organ_too_large = max(reach, key=lambda organ: reach[organ]).name.lower()
     remedy = "Take"
     if leaf_scale > _ENLARGED:
@@ -236,8 +229,8 @@ def _check_size(
             "`max_triangles`, or take"
         )
     raise InputError(
-        f"a {taxon} {diameter:g} m wide and {height:g} m tall has no room for its "
-        f"{organ_too_large} area: with it the plant is {wide:.3g} m wide and {high:.3g} m tall. "
-        f"{remedy} a lower `leaf_area_index` or `wood_area_index`, or a `diameter` and `height` "
-        f"nearer the usual ({usual[0]:g} m and {usual[1]:g} m)"
+        f"a {taxon} {wanted[0]:g} m wide and {wanted[2]:g} m tall has no room for its "
+        f"{organ_too_large} area: with it the plant is {made[0]:.3g} m wide and {made[2]:.3g} m "
+        f"tall. {remedy} a lower `leaf_area_index` or `wood_area_index`, or a `diameter` and "
+        f"`height` nearer the usual ({usual[0]:g} m and {usual[1]:g} m)"
     )

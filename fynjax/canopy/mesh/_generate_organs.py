@@ -19,10 +19,10 @@ from fynjax.canopy.mesh._generate_parts import (
     blades,
     outline_area,
     outline_triangles,
+    tangents,
     tubes_of_area,
     unit,
 )
-from fynjax.canopy.mesh._twigs import twigs
 
 _TUBES = {"culm": (10, 4), "thread": (32, 3), "stem": (12, 8)}
 """Points along a leaf that is no blade, and edges round it."""
@@ -41,6 +41,12 @@ _HANGING = 32
 """One in so many threads that lie on other plants hangs to the ground."""
 _PETAL = LeafGeometry("blade", "petal", 0.004, 0.004)
 _FLOWER_AREA, _TRIANGLES_PER_FLOWER = _PETAL.length * _PETAL.width, 80
+_TWIG_POINTS = 6
+_RISE = 0.7
+"""Least slope at which a twig leaves its bearer: height gained over sideways reach."""
+_FLOW_POWER = 1.0 / 2.2
+"""A twig's radius grows with the number of tips that it carries to this power (1/3 in Murray's law,
+1/2 in the pipe model)."""
 _SIZE_SPREAD = 0.15
 _TRIAL = 100
 _LINES, _SIZES, _BENDS = 21, 22, 23  # streams of random numbers
@@ -137,7 +143,7 @@ def lay_out(
         position, normal = drawn(form.leaf_elements, Organ.LEAF, number)
         most_twigs = min(_MOST_TWIGS, max_triangles // _TRIANGLES_PER_TWIG)
         tips = position[: int(np.clip(number * leaf.width / _ON_A_TWIG, 10, most_twigs))]
-        wood.lines.append(twigs(wood.lines[0][0], tips))
+        wood.lines.append(_twigs(wood.lines[0][0], tips))
         wood.sides.append(_TWIG_SIDES)
         spread = np.random.default_rng([seed, _SIZES]).normal(0.0, _SIZE_SPREAD, number)
         made[Organ.LEAF] = _sheets(leaf, position, normal, np.exp(spread), wood)
@@ -193,6 +199,7 @@ def _radii(paths: np.ndarray, weight: np.ndarray) -> np.ndarray:
     length = np.linalg.norm(np.diff(paths, axis=1), axis=2)
     part = weight[:, None] / np.maximum(length, 1e-3 * length.mean())
     part *= length.sum() / (part * length).sum()
+    # A point has the mean radius of the parts before and after it.
     radii = 0.5 * (np.pad(part, ((0, 0), (1, 0)), "edge") + np.pad(part, ((0, 0), (0, 1)), "edge"))
     radii[:, -1] *= 0.5
     return radii
@@ -240,12 +247,53 @@ def _tubes(
     if leaf.kind == "stem" and form.shoots is not None:
         number = form.shoots.number
     else:
+        # As many as make the area at the usual thickness, half the surface of a tube each.
         length = np.linalg.norm(np.diff(drawn(_TRIAL)[1], axis=1), axis=2).sum() / _TRIAL
         each = 0.5 * leaf.width * sides * np.sin(np.pi / sides) * length
         most = 0.8 * max_triangles / (2 * sides * points)
         number = int(np.clip(round(area / each), 8, max(8.0, most)))
     made, paths = drawn(number)
     return made, Tubes([(paths, _radii(paths, np.ones(number)))], [sides])
+
+
+def _twigs(stems: np.ndarray, tips: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Twigs to all `tips` [tip, 3], each from the nearest place on `stems` [stem, point, 3] or on
+    an earlier twig.
+
+    A twig begins `_RISE` times its sideways reach below its tip, or lower, where it can (greedy
+    trees after Cuntz et al. 2010). Returns paths [tip, point, 3] and radii [tip, point], those of
+    a stem being 1.
+    """
+    first = stems.shape[0] * stems.shape[1]
+    points = np.empty((first + len(tips) * _TWIG_POINTS, 3))
+    ahead = np.empty_like(points)
+    points[:first], ahead[:first] = stems.reshape(-1, 3), tangents(stems).reshape(-1, 3)
+    near = np.array([np.linalg.norm(points[:first] - tip, axis=1).min() for tip in tips])
+    part = np.linspace(0.0, 1.0, _TWIG_POINTS)[:, None]
+    bearer = np.empty(len(tips), int)
+    # Tips near the stems first: their twigs bear those farther out.
+    for index, tip in enumerate(tips[np.argsort(near, kind="stable")]):
+        used = first + index * _TWIG_POINTS
+        reach = tip - points[:used]
+        # A joint that lies too high for the rise counts as farther away by twice as much.
+        low = np.maximum(_RISE * np.hypot(reach[:, 0], reach[:, 1]) - reach[:, 2], 0.0)
+        joint = bearer[index] = np.argmin(np.linalg.norm(reach, axis=1) + 2.0 * low)
+        start = points[joint]
+        span = np.linalg.norm(tip - start)
+        bend = start + 0.4 * span * unit(ahead[joint] + 0.8 * unit(tip - start))
+        # A Bezier curve that leaves its bearer partly along it.
+        path = (1 - part) ** 2 * start + 2 * part * (1 - part) * bend + part**2 * tip
+        points[used : used + _TWIG_POINTS] = path
+        ahead[used : used + _TWIG_POINTS] = tangents(path[None])[0]
+
+    # Tips carried beyond each point of a twig, summed from the last twig to the first.
+    carried = np.zeros(len(points))
+    for index in range(len(tips) - 1, -1, -1):
+        twig = slice(first + index * _TWIG_POINTS, first + (index + 1) * _TWIG_POINTS)
+        carried[twig] = 1.0 + np.cumsum(carried[twig][::-1])[::-1]
+        carried[bearer[index]] += carried[twig][0]
+    radii = (carried[first:].reshape(-1, _TWIG_POINTS) * len(stems) / len(tips)) ** _FLOW_POWER
+    return points[first:].reshape(-1, _TWIG_POINTS, 3), np.minimum(radii, 1.0)
 
 
 def _sheets(
@@ -257,6 +305,7 @@ def _sheets(
     wood = np.concatenate([_finer(paths) for paths, _ in stems.lines])
     base = wood[KDTree(wood).query(position)[1]]
     away = position - base + 1e-6 * np.array([1.0, 0.6, 0.2])  # a tip lies at its element
+    # Towards the element, as far as the blade can without leaving the normal.
     axis = unit(away - (away * normal).sum(axis=1, keepdims=True) * normal)
     return Sheets(shape, base, normal, axis, size)
 

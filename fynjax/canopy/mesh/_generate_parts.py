@@ -86,6 +86,7 @@ def _frames(paths: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     for point in range(1, paths.shape[1]):
         ahead = along[:, point]
         before = side[:, point - 1]
+        # The side of the point before, less its part along the path: it does not turn about it.
         side[:, point] = unit(before - (before * ahead).sum(-1, keepdims=True) * ahead)
     return side, np.cross(along, side)
 
@@ -128,6 +129,7 @@ def _rings(
     ring = np.arange(points - 1)[:, None] * sides
     here, beside = np.arange(sides)[None, :], ((np.arange(sides) + 1) % sides)[None, :]
     a, b, c, d = ring + here, ring + beside, ring + sides + beside, ring + sides + here
+    # Two triangles for each edge between rings, and a fan that closes either end.
     wall = np.concatenate([np.stack([a, b, c], -1), np.stack([a, c, d], -1)]).reshape(-1, 3)
     corner = np.arange(1, sides - 1)
     start = np.stack([np.zeros_like(corner), corner + 1, corner], -1)

@@ -8,16 +8,16 @@ Cauchy's mean silhouette times two; Chen and Black 1992). Both are the areas of 
 
 import warnings
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 
 from fynjax._core.errors import InputError
-from fynjax.canopy._elements import quasi_random, split_elements
-from fynjax.canopy._plant import Organ
-from fynjax.canopy.mesh._facets import closed_faces, draw_evenly, facets
-from fynjax.canopy.mesh._organ_names import organ_named, organ_of_name
+from fynjax.canopy._elements import quasi_random
+from fynjax.canopy._plant import Organ, organ_named, organ_of_name
+from fynjax.canopy.mesh._facets import closed_faces, draw_groups, facets
 from fynjax.canopy.mesh._plant_mesh import (
     MeshPlant,
     PlantMaterial,
@@ -107,7 +107,7 @@ def plant_model_from_mesh(
     file = str(mesh) if isinstance(mesh, str | Path) else None
     read = read_plant_mesh(mesh, up=up)
     triangles, material = read.triangles, read.material
-    low, high = check_extent(triangles.reshape(-1, 3), maximum_extent, file)
+    box = check_extent(triangles.reshape(-1, 3), maximum_extent, file)
     normal, area = facets(triangles)
     if not area.sum() > 0.0:
         raise InputError("a plant mesh must have area, but all its faces are degenerate", file=file)
@@ -122,7 +122,15 @@ def plant_model_from_mesh(
         chosen = np.flatnonzero(area > 0.0)
         point, portion = triangles[chosen].mean(axis=1), area[chosen]
     else:
-        chosen, point = _sample(triangles, normal, material, area, share, n_elements, seed)
+        drawn = draw_groups(material, area, normal, triangles.mean(axis=1), n_elements, seed)
+        chosen = np.concatenate(drawn)
+        uniform = np.concatenate(
+            [quasi_random(len(part), 2, [seed, int(material[part[0]])]) for part in drawn]
+        )
+        # Barycentric coordinates that are uniform in a triangle: the root makes room at its base.
+        root, second = np.sqrt(uniform[:, :1]), uniform[:, 1:]
+        corners = np.concatenate([1 - root, root * (1 - second), root * second], axis=1)
+        point = np.einsum("nc,ncd->nd", corners, triangles[chosen])
         per_material = np.bincount(material[chosen], minlength=len(used))
         portion = (share / np.maximum(per_material, 1))[material[chosen]]
     return mesh_plant(
@@ -130,53 +138,21 @@ def plant_model_from_mesh(
         normal[chosen],
         portion,
         material[chosen],
-        tuple(read.materials),
         used,
-        low,
-        high,
+        box,
         tuple(solid_share.tolist()),
     )
 
 
-def _sample(
-    triangles: np.ndarray,
-    normal: np.ndarray,
-    material: np.ndarray,
-    area: np.ndarray,
-    share: np.ndarray,
-    n_elements: int,
-    seed: int,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Facets drawn in proportion to area, and a point on each."""
-    present = {int(index): float(share[index]) for index in np.flatnonzero(share > 0.0)}
-    if n_elements < len(present):
-        raise InputError(
-            f"`n_elements` must be at least {len(present)}, one a material, but is {n_elements}"
-        )
-    chosen, weights = [], []
-    counts = split_elements(n_elements, present)
-    for index, count in counts.items():
-        uniform = quasi_random(count, 2, [seed, index])
-        faces = np.flatnonzero(material == index)
-        centre = triangles[faces].mean(axis=1)
-        chosen.append(faces[draw_evenly(area[faces], normal[faces], centre, count, [seed, index])])
-        root = np.sqrt(uniform[:, :1])  # uniform in a triangle
-        second = uniform[:, 1:]
-        weights.append(np.concatenate([1 - root, root * (1 - second), root * second], axis=1))
-    facet = np.concatenate(chosen)
-    return facet, np.einsum("nc,ncd->nd", np.concatenate(weights), triangles[facet])
-
-
 def _solid_faces(
     mesh: PlantMesh,
-    used: list[PlantMaterial],
+    used: dict[str, PlantMaterial],
     solid_materials: tuple[str, ...] | Literal["closed"],
 ) -> np.ndarray:
     """Which triangles bound bodies [face]. Warns where wood is taken for a sheet."""
     solid = np.zeros(len(mesh.faces), bool)
     open_wood = []
-    for index, material in enumerate(used):
-        name = mesh.materials[index]
+    for index, (name, material) in enumerate(used.items()):
         faces = np.flatnonzero(mesh.material == index)
         given = material.solid
         if given is None and solid_materials != "closed":
@@ -200,8 +176,8 @@ def _materials(
     mesh: PlantMesh,
     organ_of_material: Mapping[str, Organ | str | PlantMaterial] | None,
     file: str | None,
-) -> list[PlantMaterial]:
-    """What each material of the mesh stands for."""
+) -> dict[str, PlantMaterial]:
+    """What each material of the mesh stands for, by its name."""
     if organ_of_material is None:
         by_name = {name: organ_of_name(name) for name in mesh.materials}
         if not any(organ is not None for organ in by_name.values()):
@@ -211,9 +187,9 @@ def _materials(
                     "state which are leaf, wood or flower in `organ_of_material`",
                     file=file,
                 )
-            return [PlantMaterial(Organ.LEAF)]
+            return {name: PlantMaterial(Organ.LEAF) for name in mesh.materials}
         organ_of_material = {k: organ for k, organ in by_name.items() if organ is not None}
-    used = []
+    used = {}
     for name in mesh.materials:
         if name not in organ_of_material:
             known = ", ".join(repr(key) for key in organ_of_material)
@@ -223,7 +199,5 @@ def _materials(
             )
         given = organ_of_material[name]
         material = given if isinstance(given, PlantMaterial) else PlantMaterial(given)
-        used.append(
-            PlantMaterial(organ_named(material.organ, name), material.optics, material.solid)
-        )
+        used[name] = replace(material, organ=organ_named(material.organ, name))
     return used

@@ -1,5 +1,6 @@
 """A plant's mesh, what its materials stand for, and the plant model that is made of it."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import equinox as eqx
@@ -9,9 +10,8 @@ from jaxtyping import Array, Float, Int
 
 from fynjax._core.errors import InputError
 from fynjax.canopy._counts import modelled_diameter
-from fynjax.canopy._plant import Organ, PlantModel
+from fynjax.canopy._plant import Organ, PlantModel, organ_named, organ_of_name
 from fynjax.canopy.mesh._facets import closed_faces, facets
-from fynjax.canopy.mesh._organ_names import organ_named, organ_of_name
 
 _COLOURS = {Organ.LEAF: (0.24, 0.42, 0.14), Organ.WOOD: (0.36, 0.27, 0.20)}
 _FLOWER_COLOUR = (0.85, 0.55, 0.65)
@@ -125,10 +125,8 @@ def mesh_plant(
     normal: np.ndarray,
     area: np.ndarray,
     material: np.ndarray,
-    names: tuple[str, ...],
-    materials: list[PlantMaterial],
-    low: np.ndarray,
-    high: np.ndarray,
+    materials: Mapping[str, PlantMaterial],
+    box: tuple[np.ndarray, np.ndarray],
     solid_share: tuple[float, ...],
 ) -> MeshPlant:
     """Plant model of elements given in metres, with the sizes and areas it had.
@@ -138,15 +136,14 @@ def mesh_plant(
     - `point`: [element, 3] places of the elements [m].
     - `normal`: [element, 3] unit normals; their sign does not matter.
     - `area`: [element] one-sided areas [m2].
-    - `material`: [element] index into `names` and `materials`.
-    - `names`: of the materials.
-    - `materials`: what each stands for.
-    - `low`, `high`: opposite corners of the box that the plant fills [m].
+    - `material`: [element] index into `materials`.
+    - `materials`: what each material stands for, by its name.
+    - `box`: opposite corners of the box that the plant fills, lowest and highest [m].
     - `solid_share`: part of each material's area that bounds bodies [-].
 
     **Raises:** `InputError` where the elements of an organ have no area.
     """
-    organs = [int(organ_named(kind.organ, name)) for kind, name in zip(materials, names)]
+    organs = [int(organ_named(kind.organ, name)) for name, kind in materials.items()]
     organ = np.array(organs)[material]
     organ_area = np.bincount(organ, weights=area, minlength=len(Organ))
     for kind in np.unique(organ):
@@ -155,6 +152,7 @@ def mesh_plant(
                 f"the {Organ(kind).name.lower()} of a plant must have area, but all of it is "
                 f"{organ_area[kind]:g} m2: duplicate points?"
             )
+    low, high = box
     width, height, depth = (float(side) for side in high - low)
     diameter = modelled_diameter(width, height)
     axis = np.array([0.5 * (low[0] + high[0]), 0.5 * (low[1] + high[1]), low[2]])
@@ -164,7 +162,7 @@ def mesh_plant(
         jnp.asarray(np.where(normal[:, 2:] < 0.0, -normal, normal)),
         jnp.asarray(organ, jnp.int32),
     )
-    optics = tuple(kind.optics or name for kind, name in zip(materials, names))
+    optics = tuple(kind.optics or name for name, kind in materials.items())
     return MeshPlant(
         plant,
         width,
@@ -172,7 +170,7 @@ def mesh_plant(
         depth,
         jnp.asarray(organ_area),
         jnp.asarray(material, jnp.int32),
-        names,
+        tuple(materials),
         optics,
         solid_share,
     )

@@ -16,10 +16,8 @@ from jaxtyping import Float, Int
 
 from fynjax._core.errors import InputError
 from fynjax._core.tables import TextTable, name_and_unit, open_points, places_of
-from fynjax.canopy._elements import split_elements
-from fynjax.canopy._plant import Organ
-from fynjax.canopy.mesh._facets import draw_evenly
-from fynjax.canopy.mesh._organ_names import organ_named, organ_of_name
+from fynjax.canopy._plant import Organ, organ_named, organ_of_name
+from fynjax.canopy.mesh._facets import draw_groups
 from fynjax.canopy.mesh._plant_mesh import MeshPlant, PlantMaterial, check_extent, mesh_plant
 
 _LARGEST_LENGTH_MISS = 0.01
@@ -116,14 +114,43 @@ def plant_model_from_points(
     if up == "y":
         points = np.stack([points[:, 0], -points[:, 2], points[:, 1]], axis=-1)
         normals = np.stack([normals[:, 0], -normals[:, 2], normals[:, 1]], axis=-1)
-    low, high = check_extent(points, maximum_extent, None, "a scanned plant")
+    box = check_extent(points, maximum_extent, None, "a scanned plant")
     _check_normals(normals)
     of_point = _organs(organ, len(points))
 
+    area = _areas(points, normals, of_point, organ_area or {}, neighbours)
+    chosen, portion = np.arange(len(points)), area
+    if n_elements is not None and n_elements < len(points):
+        drawn = draw_groups(of_point, area, normals, points, n_elements, seed)
+        chosen = np.concatenate(drawn)
+        total = np.bincount(of_point, weights=area)
+        portion = np.repeat([total[of_point[p[0]]] / len(p) for p in drawn], list(map(len, drawn)))
+    present = [kind for kind in Organ if (of_point == kind).any()]
+    index = np.array([present.index(kind) if kind in present else -1 for kind in Organ])
+    return mesh_plant(
+        points[chosen],
+        normals[chosen],
+        portion,
+        index[of_point[chosen]],
+        {kind.name.lower(): PlantMaterial(kind) for kind in present},
+        box,
+        (0.0,) * len(present),
+    )
+
+
+def _areas(
+    points: np.ndarray,
+    normals: np.ndarray,
+    organ: np.ndarray,
+    organ_area: dict[Organ | str, float],
+    neighbours: int,
+) -> np.ndarray:
+    """Area of each point [m2]: from the spacing of its organ's points, scaled where that of the
+    organ is known."""
     area = np.zeros(len(points))
-    known = {organ_named(key): float(value) for key, value in (organ_area or {}).items()}
+    known = {organ_named(key): float(value) for key, value in organ_area.items()}
     for kind in Organ:
-        members = of_point == kind
+        members = organ == kind
         if kind in known and not (np.isfinite(known[kind]) and known[kind] > 0.0 and members.any()):
             raise InputError(
                 f"`organ_area` of {kind.name.lower()} must be positive [m2] and the organ have "
@@ -138,20 +165,7 @@ def plant_model_from_points(
                 )
         if kind in known:
             area[members] *= known[kind] / area[members].sum()
-    chosen, portion = _thin(points, normals, of_point, area, n_elements, seed)
-    present = [kind for kind in Organ if (of_point == kind).any()]
-    index = np.array([present.index(kind) if kind in present else -1 for kind in Organ])
-    return mesh_plant(
-        points[chosen],
-        normals[chosen],
-        portion,
-        index[of_point[chosen]],
-        tuple(kind.name.lower() for kind in present),
-        [PlantMaterial(kind) for kind in present],
-        low,
-        high,
-        (0.0,) * len(present),
-    )
+    return area
 
 
 def _point_areas(points: np.ndarray, normals: np.ndarray, neighbours: int) -> np.ndarray:
@@ -163,36 +177,12 @@ def _point_areas(points: np.ndarray, normals: np.ndarray, neighbours: int) -> np
         raise InputError("an organ of a scanned plant must have at least two points, but has one")
     _, near = cKDTree(points).query(points, k=count + 1)
     reach = points[near[:, -1]] - points
+    # Squared distance to the farthest of them across the normal; at an edge, where it lies along
+    # the normal, a quarter of the whole counts at least.
     along = np.einsum("ni,ni->n", reach, normals)
     level = np.maximum((reach**2).sum(axis=1) - along**2, 0.25 * (reach**2).sum(axis=1))
     # The mean of pi r^2 / k is the area per point where points lie at random.
     return np.pi * level / count
-
-
-def _thin(
-    points: np.ndarray,
-    normals: np.ndarray,
-    organ: np.ndarray,
-    area: np.ndarray,
-    n_elements: int | None,
-    seed: int,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Points drawn in proportion to area within each organ, and the area of each."""
-    if n_elements is None or n_elements >= len(organ):
-        return np.arange(len(organ)), area
-    total = np.bincount(organ, weights=area, minlength=len(Organ))
-    present = {kind: float(total[kind]) for kind in Organ if total[kind] > 0.0}
-    if n_elements < len(present):
-        raise InputError(f"`n_elements` must be at least {len(present)}, but is {n_elements}")
-    chosen, portion = [], []
-    for kind, count in split_elements(n_elements, present).items():
-        members = np.flatnonzero(organ == kind)
-        drawn = draw_evenly(
-            area[members], normals[members], points[members], count, [seed, int(kind)]
-        )
-        chosen.append(members[drawn])
-        portion.append(np.full(count, present[kind] / count))
-    return np.concatenate(chosen), np.concatenate(portion)
 
 
 def _check_normals(normals: np.ndarray) -> None:

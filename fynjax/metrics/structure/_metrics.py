@@ -197,6 +197,7 @@ def bin_returns(
     side = max(1, round(grid.grain / settings.canopy_cell))
     i = ((east - grid.origin[0]) / grid.grain - column) * side
     j = ((north - grid.origin[1]) / grid.grain - row) * side
+    # Rounding may put a return at the edge of its cell beside it.
     part = [np.clip(v.astype(np.int64), 0, side - 1) for v in (j, i)]
     canopy = (cell * side + part[0]) * side + part[1]
     return BinnedReturns(grid, settings, layers, side, up, cell, layer, canopy)
@@ -236,11 +237,13 @@ def cell_structure(returns: BinnedReturns) -> CellStructure:
     cells, layers = grid.rows * grid.columns, returns.layers
     ground = returns.height < settings.ground_height
     weight = np.where(ground, settings.ground_weight, 1.0)
+    # [cell, layer], what lies below all layers first.
     bins = np.bincount(
         returns.cell * (layers + 1) + returns.layer, weight, cells * (layers + 1)
     ).reshape(cells, layers + 1)
     under, counts = bins[:, 0], bins[:, 1:]
     occupied = np.bincount(returns.cell, minlength=cells)
+    # Layers count up to the highest return; light passed those that returns lie below.
     reached = np.cumsum(counts[:, ::-1] > 0.0, axis=1)[:, ::-1] > 0
     if settings.top == "plot":
         reached = np.broadcast_to(reached.any(axis=0), reached.shape) & (occupied > 0)[:, None]

@@ -88,12 +88,14 @@ def profile_metrics(
     is ln(N_in / N_out) / (k dz). A layer that no light passed is only known to be dense: it is
     left out, which makes the mean of dense canopies too small.
     """
+    # Returns of a layer or below are of light that entered it from above.
     entered = under[:, None] + xp.cumsum(counts, axis=1)
     left = entered - counts
     fall = ratio(xp, entered, xp.where(left > 0.0, left, 1.0))
     thickness = settings.extinction * settings.layer
     density = xp.where((left > 0.0) & (fall > 0.0), log(xp, fall), 0.0) / thickness
     first = settings.first_layer(settings.lowest)
+    # Smooth forms have weights between 0 and 1 here, exact ones 0 or 1.
     use = present[:, first:] * passed[:, first:]
     inside = density[:, first:]
     number = xp.sum(use, axis=1)

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from fynjax._core.errors import InputError
-from fynjax.metrics.structure._profile import leaf_area_gap, profile_metrics, ratio, root
+from fynjax.metrics.structure._profile import Pair, leaf_area_gap, profile_metrics, ratio, root
 from fynjax.metrics.structure._settings import STRUCTURE_METRICS, StructureSettings
 
 # Added to shares before their logarithm is taken: the slope of -p ln p is infinite at 0.
@@ -106,7 +106,8 @@ def voxel_structure(
             f"canopy cells of {grain / canopy_cells:g} m must be whole numbers of voxels of "
             f"{side:g} m. Take another `canopy_cell` or `grain`."
         )
-    wide = round(across) * canopy_cells
+    pixels = round(across)
+    wide = pixels * canopy_cells
     rows, columns = (n // wide for n in density.shape[1:])
     if min(rows, columns) < 1:
         raise InputError(
@@ -115,13 +116,13 @@ def voxel_structure(
         )
     dtype = density.dtype
     floor = jnp.zeros(density.shape[1:], dtype) if ground is None else ground
+    number, hit = pulses * grain**2, pulses * (grain / canopy_cells) ** 2
 
     def gap_at(heights: Float[Array, " level"]) -> Float[Array, "cell pixel level"]:
         """Gap probability from the sky to heights above the ground, for canopy cells."""
         gaps = _gaps(density, thick, projection, floor, heights).reshape(*density.shape[1:], -1)
         gaps = gaps[: rows * wide, : columns * wide]
-        pixel = round(across)
-        shape = (rows, canopy_cells, pixel, columns, canopy_cells, pixel, -1)
+        shape = (rows, canopy_cells, pixels, columns, canopy_cells, pixels, -1)
         mean = gaps.reshape(shape).mean(axis=(2, 5))  # row, pixel row, column, pixel column, level
         return mean.transpose(0, 2, 1, 3, 4).reshape(rows * columns, canopy_cells**2, -1)
 
@@ -130,60 +131,64 @@ def voxel_structure(
 
     # Returns expected from each layer: the fall of the gap probability through it. From the ground
     # up: what returns from below the ground's threshold lies under all layers.
-    number = pulses * grain**2
     low = max(settings.base, settings.ground_height)
     steps = settings.base + settings.layer * jnp.arange(layers + 1, dtype=dtype)
     gaps = gap_at(jnp.maximum(steps, low)).mean(axis=1).at[:, -1].set(1.0)
     if low <= 0.0:
         gaps = gaps.at[:, 0].set(0.0)  # returns from the ground are in the lowest layer
-    counts = number * jnp.diff(gaps, axis=1)
-    soil = gap_of_cell(settings.ground_height) if settings.ground_height > 0.0 else 0.0
-    weighted = (settings.ground_weight - 1.0) * soil
-    under = number * (gaps[:, 0] + weighted)
-    # Gap fraction: the share of returns below the threshold, those of the ground weighted.
-    gap = gap_of_cell(settings.gap_height)
-    least = min(settings.ground_height, settings.gap_height)
-    weighted_low = (settings.ground_weight - 1.0) * (
-        gap_of_cell(least) if settings.ground_height > 0.0 else 0.0
-    )
-    share = (gap + weighted_low) / (1.0 + weighted)
-    # Rugosity: all pulses on a canopy cell pass a height with the power of what one does, and that
-    # is the distribution of the highest return.
-    fine = jnp.arange(density.shape[0] * _SUBDIVISIONS + 1, dtype=dtype) * (thick / _SUBDIVISIONS)
-    column = gap_at(fine)
-    hit = pulses * (grain / canopy_cells) ** 2
-    top_mean, top_square = _height_moments(column**hit, fine, 0.0)
-    many = canopy_cells**2
-    between = jnp.sum((top_mean - top_mean.mean(axis=1, keepdims=True)) ** 2, axis=1)
-    within = jnp.mean(jnp.maximum(top_square - top_mean**2, 0.0), axis=1)
-    # The sample variance expected of independent values with unequal means.
-    lost = settings.degrees_lost
-    variance = between / max(many - lost, 1) + within * (1.0 if lost else (many - 1) / many)
+
+    def weight_of_ground(below: float) -> Array | float:
+        """Returns by which the weight of the ground's adds to those from below a height."""
+        has = settings.ground_height > 0.0
+        return (settings.ground_weight - 1.0) * (gap_of_cell(below) if has else 0.0)
+
+    weighted = weight_of_ground(settings.ground_height)
+    metrics = _layered(number * jnp.diff(gaps, axis=1), number * (gaps[:, 0] + weighted), settings)
     if settings.gap_of == "canopy":
         share = jnp.mean(gap_at(jnp.asarray([settings.gap_height], dtype))[..., 0] ** hit, axis=1)
-    # Variation of height: moments of single returns above the threshold.
-    mean, square = _height_moments(column.mean(axis=1), fine, settings.cv_lowest)
-    mass = number * (
-        1.0 - gap_of_cell(settings.cv_lowest)
-        if settings.cv_lowest > 0.0
-        else jnp.ones(rows * columns, dtype)
+    else:  # the share of returns below the threshold, those of the ground weighted
+        share = gap_of_cell(settings.gap_height)
+        share = share + weight_of_ground(min(settings.ground_height, settings.gap_height))
+        share = share / (1.0 + weighted)
+    fine = jnp.arange(density.shape[0] * _SUBDIVISIONS + 1, dtype=dtype) * (thick / _SUBDIVISIONS)
+    column = gap_at(fine)
+    # All pulses on a canopy cell pass a height with the power of what one does, and that is the
+    # distribution of the highest return.
+    metrics["rugosity"] = _rugosity(column**hit, fine, settings.degrees_lost)
+    above = jnp.ones(rows * columns, dtype)
+    if settings.cv_lowest > 0.0:
+        above = 1.0 - gap_of_cell(settings.cv_lowest)
+    metrics["height_cv"] = _height_cv(
+        column.mean(axis=1), fine, number * above, number, settings.cv_lowest
     )
-    share_above = ratio(jnp, mass, jnp.asarray(number, dtype))
-    mean, square = ratio(jnp, mean, share_above), ratio(jnp, square, share_above)
-    spread = root(jnp, square - mean**2)
-    return _assemble(
-        counts,
-        under,
-        settings,
-        {
-            "gap_fraction": (share, jnp.ones_like(share)),
-            "height_cv": (ratio(jnp, spread, mean), _present(mass - 1.0)),
-            "rugosity": (
-                root(jnp, variance) * (many > 1),
-                jnp.full_like(variance, float(many > 1)),
-            ),
-        },
+    # By leaf area the gap fraction is among the metrics of layers already.
+    metrics.setdefault("gap_fraction", (share, jnp.ones_like(share)))
+    return SmoothStructure(
+        {name: metrics[name][0] for name in STRUCTURE_METRICS},
+        {name: metrics[name][1].astype(dtype) for name in STRUCTURE_METRICS},
     )
+
+
+def _height_cv(
+    gap: Float[Array, "cell level"], level: Array, mass: Array, number: float, lowest: float
+) -> Pair:
+    """Coefficient of variation of single returns above `lowest`, of which `mass` of `number` are
+    expected: from moments, over their share."""
+    above = ratio(jnp, mass, jnp.asarray(number, level.dtype))
+    moments = _height_moments(gap, level, lowest)
+    mean, square = (ratio(jnp, moment, above) for moment in moments)
+    return ratio(jnp, root(jnp, square - mean**2), mean), _present(mass - 1.0)
+
+
+def _rugosity(gap: Float[Array, "cell pixel level"], level: Array, lost: int) -> Pair:
+    """Standard deviation of the canopy's height, whose distribution function in each pixel is
+    `gap`: the sample variance expected of independent values with unequal means."""
+    mean, square = _height_moments(gap, level, 0.0)
+    many = mean.shape[1]
+    between = jnp.sum((mean - mean.mean(axis=1, keepdims=True)) ** 2, axis=1)
+    within = jnp.mean(jnp.maximum(square - mean**2, 0.0), axis=1)
+    variance = between / max(many - lost, 1) + within * (1.0 if lost else (many - 1) / many)
+    return root(jnp, variance) * (many > 1), jnp.full_like(variance, float(many > 1))
 
 
 def voxel_height_percentiles(
@@ -238,47 +243,32 @@ def _gaps(
     return jnp.exp(-projection * area_above(ground.ravel(), above.reshape(len(levels), -1)))
 
 
-def _assemble(
-    counts: Float[Array, "cell layer"],
-    under: Float[Array, " cell"],
-    settings: StructureSettings,
-    metrics: dict[str, tuple[Any, Any]],
-) -> SmoothStructure:
-    """The metrics of layers beside those found already."""
+def _layered(
+    counts: Float[Array, "cell layer"], under: Float[Array, " cell"], settings: StructureSettings
+) -> dict[str, Pair]:
+    """Metrics of layers from expected returns in them and under them, and their weights."""
     reached = jnp.cumsum(counts[:, ::-1], axis=1)[:, ::-1]
+    total = under + reached[:, 0]
+    present = _present(reached)
     if settings.top == "plot":
-        present = _present(jnp.sum(reached, axis=0))
-        present = present * _present(under + reached[:, 0])[:, None]
-    else:
-        present = _present(reached)
+        present = _present(jnp.sum(reached, axis=0)) * _present(total)[:, None]
     left = under[:, None] + jnp.cumsum(counts, axis=1) - counts
-    layered, density, defined = profile_metrics(
+    found, density, defined = profile_metrics(
         jnp, counts, under, present, _present(left), settings, _FLOOR
     )
-    total = under + reached[:, 0]
+    number = jnp.sum(defined[:, settings.first_layer(settings.lowest) :], axis=1)
+    start = settings.first_layer(settings.diversity_lowest)
+    some = jnp.where(found["foliage_height_diversity"][1], 1.0, 0.0)
+    weights = {
+        "leaf_area_density_mean": _present(number),
+        "leaf_area_density_std": _present(number - settings.degrees_lost),
+        "foliage_height_diversity": _present(reached[:, start]) * some,
+    }
+    metrics = {name: (found[name][0], weight) for name, weight in weights.items()}
     if settings.gap_of == "leaf_area":
         gap, _ = leaf_area_gap(jnp, density, defined, settings, total)
         metrics["gap_fraction"] = (gap, _present(total))
-    first = settings.first_layer(settings.lowest)
-    number = jnp.sum(defined[:, first:], axis=1)
-    start = settings.first_layer(settings.diversity_lowest)
-    metrics["leaf_area_density_mean"] = (
-        layered["leaf_area_density_mean"][0],
-        _present(number),
-    )
-    metrics["leaf_area_density_std"] = (
-        layered["leaf_area_density_std"][0],
-        _present(number - settings.degrees_lost),
-    )
-    value, good = layered["foliage_height_diversity"]
-    metrics["foliage_height_diversity"] = (
-        value,
-        _present(reached[:, start]) * jnp.where(good, 1.0, 0.0),
-    )
-    return SmoothStructure(
-        {name: metrics[name][0] for name in STRUCTURE_METRICS},
-        {name: metrics[name][1].astype(counts.dtype) for name in STRUCTURE_METRICS},
-    )
+    return metrics
 
 
 def _height_moments(
@@ -289,6 +279,7 @@ def _height_moments(
     With 1 - `gap` as the probability to be higher than `level`. By the trapezoidal rule.
     """
     start = jnp.asarray(lowest, level.dtype)
+    # E[h] = h0 P(h > h0) + integral of P(h > z) from h0 up, and E[h^2] likewise with 2 z.
     at = jnp.maximum(level, start)
     higher = 1.0 - gap
     low = jax.vmap(lambda g: jnp.interp(start, level, g))(higher.reshape(-1, len(level)))

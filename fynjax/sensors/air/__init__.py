@@ -11,8 +11,7 @@ from fynjax.sensors.air._atmosphere import (
     surface_reflectance,
 )
 from fynjax.sensors.air._sixs_table import check_within_table, tabulated_atmosphere
-from fynjax.sensors.air._sky import clear_sky_diffuse_fraction
-from fynjax.sensors.air._spectrl2 import clear_sky_atmosphere
+from fynjax.sensors.air._spectrl2 import clear_sky_atmosphere, clear_sky_diffuse_fraction
 from fynjax.sensors.air._sun import SunPosition, sun_position
 
 __all__ = [

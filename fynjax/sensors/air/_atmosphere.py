@@ -2,35 +2,22 @@
 
 from __future__ import annotations  # so that `help` shows ArrayLike by its name
 
+import dataclasses
 import math
 from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float
 
 from fynjax._core.errors import InputError
 from fynjax._core.math import real_array
 from fynjax._core.spectral import check_wavelength
-from fynjax.sensors._bands import BandSet
+from fynjax.sensors._bands import BandSet, floats
 
 SPACE = 100_000.0
 """Height of a sensor above all air [m]."""
-
-_CURVES = (
-    "direct",
-    "diffuse",
-    "upward_direct",
-    "upward_diffuse",
-    "path_radiance",
-    "spherical_albedo",
-)
-
-
-def _wavelengths(values: Any) -> tuple[float, ...]:
-    return tuple(float(v) for v in np.atleast_1d(np.asarray(values, dtype=np.float64)))
 
 
 class Atmosphere(eqx.Module):
@@ -41,7 +28,7 @@ class Atmosphere(eqx.Module):
     not match, or when the wavelengths are not in nm.
     """
 
-    wavelength: tuple[float, ...] = eqx.field(static=True, converter=_wavelengths)
+    wavelength: tuple[float, ...] = eqx.field(static=True, converter=floats)
     """Wavelengths of the curves [nm], increasing; at bands, the band centres."""
     direct: Float[Array, " wavelength"] = eqx.field(converter=real_array)
     """Irradiance of a horizontal plane on the ground by the sun [W m-2 um-1]."""
@@ -60,11 +47,11 @@ class Atmosphere(eqx.Module):
 
     def __check_init__(self) -> None:
         grid = check_wavelength(self.wavelength, "the wavelengths of an atmosphere")
-        for name in _CURVES:
-            if (shape := jnp.shape(getattr(self, name))) != grid.shape:
+        for field in dataclasses.fields(self)[1:]:
+            if (shape := jnp.shape(getattr(self, field.name))) != grid.shape:
                 raise InputError(
-                    f"`{name}` must have one value for each of the {grid.size} wavelengths, but "
-                    f"has shape {shape}. For many atmospheres use `jax.vmap`."
+                    f"`{field.name}` must have one value for each of the {grid.size} wavelengths, "
+                    f"but has shape {shape}. For many atmospheres use `jax.vmap`."
                 )
 
     @property
@@ -191,6 +178,7 @@ def at_sensor_radiance(
     reflectance = _on_grid(atmosphere, reflectance, "reflectance")
     around = surroundings if surroundings is not None else reflectance
     around = _on_grid(atmosphere, around, "surroundings")
+    # The pixel itself shines straight up, its surroundings by way of the air.
     upward = atmosphere.upward_direct * reflectance + atmosphere.upward_diffuse * around
     return atmosphere.path_radiance + upward * ground_irradiance(atmosphere, around) / jnp.pi
 

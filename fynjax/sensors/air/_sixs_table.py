@@ -112,6 +112,7 @@ def _prepare(table: dict[str, Constants]) -> _Table:
     depth = rayleigh[0] + table["aerosol"][:, None] * extinction
 
     def curves(suffix: str, depth: Constants) -> dict[str, Constants]:
+        # [aerosol, sun, wavelength]: what of the sunbeam neither air nor aerosol scatters.
         beam = np.exp(-depth[..., None, :] / cosine[:, None])
         return {
             # Light that scattering sends to the ground, for one through its top.
@@ -218,10 +219,12 @@ def tabulated_atmosphere(air: ClearAir) -> Atmosphere:
 
     cosine = jnp.cos(jnp.deg2rad(air.sun_zenith)).astype(dtype)
     height = (air.sensor_height / 1000.0).astype(dtype)
+    # Gas depths down, and down and up with all, half and none of the water.
     down, both, half, dry = _gas(table, air, cosine, height, dtype)
 
     # Scattering, at the few wavelengths of the table.
     sea, high = (float(p) for p in table.pressure)
+    # Way from the pressure at sea to the second of the table, beyond either too.
     thinner = (air.pressure - sea) / (high - sea)
     share = -jnp.expm1(-height / _AIR_SCALE_HEIGHT)
     sun = table.sun.weights(cosine)[::-1]
@@ -255,6 +258,7 @@ def tabulated_atmosphere(air: ClearAir) -> Atmosphere:
     haze_below = -jnp.expm1(-height / _AEROSOL_SCALE_HEIGHT)
     extinction = fine(constant(table.extinction)) * air.aerosol_optical_depth
     depth_below = air_below * fine(lower + thinner * (upper - lower)) + haze_below * extinction
+    # Lines that are dark on the way down cannot take light away again on the way up.
     upward_direct = jnp.exp(-depth_below - (both - down))
     scattered = depth_below - share * fine(curve("up", layer)[0])
     path_all, path_air = (fine(v) / cosine * share for v in curve("path", layer, sun))
@@ -280,6 +284,7 @@ def _gas(
     below, root_water, root_mass = table.gas_axes
     mass = root_mass.weights(cosine**-0.5)
     level = below.weights(-jnp.expm1(-height / _GAS_SCALE_HEIGHT))
+    # The first height of the table is the ground.
     ground = jnp.zeros_like(level).at[0].set(1.0)
     gas = jnp.tensordot(jnp.asarray(table.gas, dtype), mass, axes=(2, 0))
     gas = jnp.stack([ground, level]) @ gas.transpose(1, 0, 2)  # [water, path, wavelength]

@@ -7,7 +7,8 @@ eq. 2-5, the mixed gases for the ozone in eq. 3-8.
 """
 
 import math
-from functools import cache
+from collections.abc import Sequence
+from functools import cache, partial
 from importlib import resources
 from typing import NamedTuple
 
@@ -90,6 +91,7 @@ def scattered_light(
     forward = 1.0 - 0.5 * jnp.exp((a + b * cosine) * cosine)
     mean = 1.0 / _DIFFUSE_AIR_MASS
     forward_mean = 1.0 - 0.5 * float(np.exp((a + b * mean) * mean))
+    # Transmittances along the beam: of air, of what aerosol absorbs, of what it scatters.
     air = jnp.exp(-rayleigh * mass)
     absorbed = jnp.exp(-(1.0 - albedo) * aerosol * mass)
     scattered = jnp.exp(-albedo * aerosol * mass)
@@ -97,6 +99,7 @@ def scattered_light(
     from_aerosol = air**1.5 * (1.0 - scattered) * forward  # eq. 3-6
     # Eq. 3-17: the single scattering of above is too little in the blue.
     blue = jnp.where(wavelength <= 450.0, ((wavelength + 550.0) / 1000.0) ** 1.8, 1.0)
+    # Light from the ground is scattered back as if it rose at the mean air mass of diffuse light.
     air_mean = jnp.exp(-rayleigh * _DIFFUSE_AIR_MASS)
     scattered_mean = jnp.exp(-albedo * aerosol * _DIFFUSE_AIR_MASS)
     back = 0.5 * (1.0 - air_mean) + (1.0 - forward_mean) * air_mean * (1.0 - scattered_mean)
@@ -110,6 +113,22 @@ def scattered_light(
 def aerosol_albedo(wavelength: Float[Array, " wavelength"]) -> Float[Array, " wavelength"]:
     """Single-scattering albedo of rural aerosol (eq. 3-16) [-]. `wavelength` in nm."""
     return _AEROSOL_ALBEDO * jnp.exp(-_ALBEDO_VARIATION * jnp.log(wavelength / 400.0) ** 2)
+
+
+def gas_depth(
+    absorption: Sequence[Float[Array, " wavelength"]], water: Array, ozone: Array, mixed: Array
+) -> Float[Array, " wavelength"]:
+    """-ln of the transmittance of water vapour, ozone and mixed gases (eq. 2-8, 2-9, 2-11) [-].
+
+    **Arguments:** `absorption` coefficients of the three; the others are their air masses times
+    their columns. Differentiable.
+    """
+    vapour, other = absorption[0] * water, absorption[2] * mixed
+    return (
+        0.2385 * vapour / (1.0 + 20.07 * vapour) ** 0.45
+        + absorption[1] * ozone
+        + 1.41 * other / (1.0 + 118.3 * other) ** 0.45
+    )
 
 
 def clear_sky_atmosphere(air: ClearAir) -> Atmosphere:
@@ -135,25 +154,12 @@ def clear_sky_atmosphere(air: ClearAir) -> Atmosphere:
     (122, True)
     """
     dtype = jnp.result_type(*vars(air).values())
-    wavelength, solar, water, ozone, mixed = (
-        jnp.asarray(column, dtype) for column in _table().values()
-    )
+    wavelength, solar, *absorption = (jnp.asarray(c, dtype) for c in _table().values())
+    gases = partial(gas_depth, absorption)
     mass = relative_air_mass(air.sun_zenith)
     relative_pressure = air.pressure / _REFERENCE_PRESSURE
     rayleigh = rayleigh_depth(wavelength) * relative_pressure
     aerosol = aerosol_depth(wavelength, air.aerosol_optical_depth, 550.0)
-
-    def gases(
-        water_mass: Array, ozone_mass: Array, mixed_mass: Array
-    ) -> Float[Array, " wavelength"]:
-        """-ln of the transmittance of gases, masses times columns given (eq. 2-8, 2-9, 2-11)."""
-        vapour = water * water_mass
-        other = mixed * mixed_mass
-        return (
-            0.2385 * vapour / (1.0 + 20.07 * vapour) ** 0.45
-            + ozone * ozone_mass
-            + 1.41 * other / (1.0 + 118.3 * other) ** 0.45
-        )
 
     # Ozone lies about 22 km high, where the earth's curvature shortens the path (eq. 2-10).
     height = 22.0 / 6370.0
@@ -161,6 +167,7 @@ def clear_sky_atmosphere(air: ClearAir) -> Atmosphere:
     ozone_mass = air.ozone * (1.0 + height) / jnp.sqrt(cosine**2 + 2.0 * height)
     down = (air.water_vapour * mass, ozone_mass, relative_pressure * mass)
     light = scattered_light(wavelength, air.sun_zenith, rayleigh, aerosol)
+    # Gases dim direct and diffuse light on the ground alike.
     on_top = solar * air.solar_factor
     on_ground = on_top * jnp.exp(-gases(*down))
     mean = _DIFFUSE_AIR_MASS
@@ -172,9 +179,10 @@ def clear_sky_atmosphere(air: ClearAir) -> Atmosphere:
         -jnp.expm1(-air.sensor_height / scale)
         for scale in (_AIR_SCALE_HEIGHT, _AEROSOL_SCALE_HEIGHT, _WATER_SCALE_HEIGHT)
     ]
-    # Ozone lies above aeroplanes and below satellites.
+    # Ozone lies above aeroplanes and below satellites: a logistic curve about 22 km.
     ozone_below = (1.0 + math.exp(5.5)) / (1.0 + jnp.exp(5.5 - air.sensor_height / 4000.0))
     over_ozone = (ozone_below - 1.0) / math.exp(5.5)
+    # Masses down and up again: those below the sensor are passed twice.
     both = (
         down[0] + air.water_vapour * below[2],
         ozone_mass + air.ozone * over_ozone,
@@ -182,6 +190,7 @@ def clear_sky_atmosphere(air: ClearAir) -> Atmosphere:
     )
     albedo = aerosol_albedo(wavelength)
     air_up, aerosol_up = rayleigh * below[0], aerosol * below[1]
+    # What goes up unscattered, and what scattering sends on upward.
     unscattered = jnp.exp(-air_up - aerosol_up)
     forward = light_kept_upward(air_up, aerosol_up, albedo) - unscattered
     # Phase functions at the angle between sunbeam and upward path: Rayleigh, Henyey-Greenstein.
@@ -216,3 +225,26 @@ def light_kept_upward(
     """
     forward = 0.5 * (1.0 + _ASYMMETRY)
     return jnp.exp(-0.5 * rayleigh - (1.0 - albedo * forward) * aerosol)
+
+
+def clear_sky_diffuse_fraction(
+    wavelength: Float[Array, " wavelength"],
+    sun_zenith: Float[Array, ""],
+    aerosol_optical_depth: Float[Array, ""],
+) -> Float[Array, " wavelength"]:
+    """Diffuse over global irradiance on a horizontal plane under a clear sky [-].
+
+    **Arguments:**
+
+    - `wavelength`: [nm], 400 to 2500.
+    - `sun_zenith`: zenith angle of the sun [degrees], below 85.
+    - `aerosol_optical_depth`: at 500 nm [-], 0 to about 0.5.
+
+    The scattering part of SPCTRL2 (Bird and Riordan 1984) at sea level over a black ground. Gases
+    absorb direct and diffuse light alike there, and so leave the share as it is.
+
+    Differentiable in all arguments.
+    """
+    aerosol = aerosol_depth(wavelength, aerosol_optical_depth, 500.0)
+    light = scattered_light(wavelength, sun_zenith, rayleigh_depth(wavelength), aerosol)
+    return light.diffuse / (light.direct + light.diffuse)

@@ -9,6 +9,7 @@ from scipy.special import ndtri
 
 from fynjax._core.errors import InputError
 from fynjax._core.seeds import generator
+from fynjax.sensors._bands import floats
 
 _TURN_S = 60.0  # between the flight lines
 
@@ -19,19 +20,19 @@ class FlashGeometry(eqx.Module):
     Frames stand in a square pattern, as many as cover the plot, about its middle.
     """
 
-    altitude: float = eqx.field(static=True)
+    altitude: float = eqx.field(static=True, converter=float)
     """Height of the platform above the ground [m]."""
-    array: tuple[int, int] = eqx.field(static=True)
+    array: tuple[int, int] = eqx.field(static=True, converter=tuple)
     """Pixels across (x) and along (y)."""
-    pixel_pitch_um: float = eqx.field(static=True)
+    pixel_pitch_um: float = eqx.field(static=True, converter=float)
     """Distance of the pixels on the array [µm]."""
-    focal_length_mm: float = eqx.field(static=True)
+    focal_length_mm: float = eqx.field(static=True, converter=float)
     """Focal length of the camera [mm]."""
-    half_divergence_rad: float = eqx.field(static=True)
+    half_divergence_rad: float = eqx.field(static=True, converter=float)
     """Angle of the Gaussian beam from its axis to 1/e² of the irradiance [rad]."""
-    frame_step: float = eqx.field(static=True)
+    frame_step: float = eqx.field(static=True, converter=float)
     """Distance between frames [m]."""
-    rate: float = eqx.field(static=True)
+    rate: float = eqx.field(static=True, converter=float)
     """Pulses, and so frames, in a second [Hz]."""
     pencils: int = eqx.field(static=True, default=3)
     """Pencils along each side of a pixel."""
@@ -40,21 +41,21 @@ class FlashGeometry(eqx.Module):
 class ScanGeometry(eqx.Module):
     """A scanner on straight flight lines that sweeps across them."""
 
-    altitude: float = eqx.field(static=True)
+    altitude: float = eqx.field(static=True, converter=float)
     """Height of the platform above the ground [m]."""
-    pulse_density: float = eqx.field(static=True)
+    pulse_density: float = eqx.field(static=True, converter=float)
     """Pulses per level ground of all flight lines together [m-2]."""
-    divergence_mrad: float = eqx.field(static=True)
+    divergence_mrad: float = eqx.field(static=True, converter=float)
     """Full angle of the Gaussian beam at 1/e² of the irradiance [mrad]."""
-    half_scan_angle: float = eqx.field(static=True)
+    half_scan_angle: float = eqx.field(static=True, converter=float)
     """Largest angle from straight down [degrees]."""
-    line_offsets: tuple[float, ...] = eqx.field(static=True)
+    line_offsets: tuple[float, ...] = eqx.field(static=True, converter=floats)
     """Distance of each flight line from the plot's middle, to the right of the heading [m]."""
-    heading: float = eqx.field(static=True)
+    heading: float = eqx.field(static=True, converter=float)
     """Direction of the flight, clockwise from north [degrees]."""
-    speed: float = eqx.field(static=True)
+    speed: float = eqx.field(static=True, converter=float)
     """Speed of the flight [m s-1]."""
-    rate: float = eqx.field(static=True)
+    rate: float = eqx.field(static=True, converter=float)
     """Pulses in a second [Hz]."""
     pencils: int = eqx.field(static=True, default=3)
     """Pencils along each side of the footprint."""
@@ -123,6 +124,7 @@ def flash_beams(
     tan_x = (np.arange(columns) + 0.5 - columns / 2.0) * pixel
     tan_y = (np.arange(rows) + 0.5 - rows / 2.0) * pixel
     ty, tx = (a.ravel() for a in np.meshgrid(tan_y, tan_x, indexing="ij"))
+    # Frames follow each other; within one, pixels run along x first.
     down = np.stack([tx, ty, -np.ones_like(tx)], axis=-1)
     angle = np.arctan(np.hypot(tx, ty))
     lit = np.exp(-2.0 * (angle / geometry.half_divergence_rad) ** 2)
@@ -162,6 +164,7 @@ def scan_beams(
         angle = np.rad2deg(np.arctan2(across, geometry.altitude))
         in_scan = np.abs(angle) <= geometry.half_scan_angle
         u, v, across, angle = u[in_scan], v[in_scan], across[in_scan], angle[in_scan]
+        # The platform is on its line; the pulse goes across the flight.
         foot = middle + offset * right + v[:, None] * ahead
         down = np.column_stack([across[:, None] * right, np.full(len(u), -geometry.altitude)])
         # The sweep takes the time that its pulses take, whatever the flight does.

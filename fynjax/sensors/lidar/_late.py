@@ -98,6 +98,7 @@ def _spectra(
     clumping = jnp.where(depth > 1e-6, -jnp.log(gap) / jnp.where(depth > 1e-6, depth, 1.0), 1.0)
     extinction = jnp.minimum(clumping, 1.0) * extinction
 
+    # The Fourier transform of a delay is a phase: a complex extinction along the path.
     way = thick / cosine[:, None]  # [direction, 1]
     turn = 0.5j * jnp.asarray(wavenumber, dtype)  # delay in range is half the excess of the path
     x = way * (extinction + turn[:, None, None])  # [k, direction, layer]
@@ -107,6 +108,7 @@ def _spectra(
     # Straight down, to the first collision.
     above = below[:, -1, -1:] - below[:, -1]
     depth_here = thick * extinction[-1]
+    # Light that meets each layer first, and the ground last.
     first = jnp.concatenate(
         [jnp.exp(-above[:, 1:]) * depth_here * leaving[:, -1], jnp.exp(-above[:, :1])], axis=-1
     )
@@ -122,9 +124,11 @@ def _spectra(
 
     def arriving(received: Array) -> Array:
         """What is received per length of way, [k, to, from]; the ground comes last."""
+        # From an even layer (f) through those between into another (t), in each direction (d).
         far = jnp.einsum(
             "d,kdf,kdft,dt,kdt->ktf", 0.5 * weights, leaving, through, received, leaving
         )
+        # What a layer receives from itself.
         near = jnp.einsum("d,dt,kdt->kt", weights, received, _staying(x))
         layers = far + near[..., None] * jnp.eye(_LAYERS)
         risen = jnp.einsum("d,kdt,dt,kdt->kt", 2.0 * share, to_ground, received, leaving)
@@ -136,6 +140,7 @@ def _spectra(
 
     met = arriving(way * extinction[:-1]) * albedo
     light_of = arriving(way * jnp.ones_like(extinction[:-1])) * albedo
+    # All orders: (1 - met) scattered = first.
     scattered = jnp.linalg.solve(jnp.eye(_LAYERS + 1) - met, first[..., None])
     found = (light_of @ scattered)[..., 0]
     # Relative to light that comes straight.

@@ -59,6 +59,7 @@ class PencilPaths(eqx.Module):
         below = jnp.cumsum(self.depth, axis=0)
         above = below - self.depth
         gap = jnp.exp(-above)
+        # A leaf in a step is lit, and seen, through the gap above it and its share of the step.
         whole = source * gap * mean_transmittance(self.depth)
         before = jnp.cumsum(whole, axis=0) - whole
         # One read for all: what lies side by side is fetched together.
@@ -70,6 +71,7 @@ class PencilPaths(eqx.Module):
         """Where the optical depth reaches `depth`: range [m], what a hit there sends back of
         `source`, by its groups, and of `late` [-], and whether that is above the ground."""
         below = jnp.cumsum(self.depth, axis=0)
+        # The step in which the depth is reached; a depth beyond all is in the last.
         index = jnp.minimum(jnp.sum(below <= depth, axis=0), self.depth.shape[0] - 1)[None]
         in_step = jnp.take_along_axis(self.depth, index, axis=0)[0]
         above = jnp.take_along_axis(below, index, axis=0)[0] - in_step
@@ -132,6 +134,7 @@ def trace_pencils(
     towards = -_pencil_directions(direction, pencils)
     cosine, platform = towards[:, 2], origin[2]
     slopes = towards[:, :2] / cosine[:, None]
+    # Rays are those from the ground to the sensor, which meet the bottom of the grid at `foot`.
     foot = origin[:2] - platform * slopes
     rays = RayField(
         foot[None, :, 0],
@@ -155,6 +158,7 @@ def trace_pencils(
     length = scene.vertical / per_layer / cosine
 
     def piece(_: None, number: Array) -> tuple[None, tuple[Array, Array, Array | None]]:
+        # Steps are counted from the top: the middle of this one, and the layer that it is in.
         height = ((nz - (number + 0.5) / per_layer) * scene.vertical).astype(dtype)
         layer = nz - 1 - number // per_layer
         here = jax.lax.dynamic_index_in_dim(fields, layer, 1, keepdims=False)
@@ -165,6 +169,7 @@ def trace_pencils(
             fine = jax.lax.dynamic_index_in_dim(structure, layer, 0, keepdims=False)
             total = rays.sampler(height, finest)(fine)[0]
             met = met[:-1] * scene.relative_density(total, met[-1])
+        # [angle], [group, angle], and the late light: areas that stop light, and send it back.
         stop, send, more = jnp.split(met, [len(angles), (1 + groups) * len(angles)])
         stop = jnp.sum(projection * stop, axis=0)
         send = jnp.sum(back * send.reshape(groups, len(angles), -1), axis=1)
@@ -192,6 +197,7 @@ def trace_pencils(
 def _pencil_directions(direction: Array, pencils: Array) -> Float[Array, "pencil 3"]:
     """Unit vectors of the pencils about the beam's axis."""
     east = jnp.array([1.0, 0.0, 0.0], direction.dtype)
+    # East and north as far as they are square to the axis.
     east = east - direction[0] * direction
     east = east / jnp.linalg.norm(east)
     north = jnp.cross(east, direction)

@@ -115,6 +115,8 @@ def detect_returns(
     before, at, after = (
         np.log(np.maximum(counts[beam, sample + shift], floor)) for shift in (-1, 0, 1)
     )
+    # The parabola through the logarithms of three samples is the logarithm of a Gaussian: its
+    # vertex is the range, its second difference minus (sample / standard deviation)^2.
     bend = np.minimum(before - 2.0 * at + after, -1e-6)
     shift = np.clip(0.5 * (before - after) / bend, -0.5, 0.5)
     distance = beams.start[beam] + (sample + 0.5 + shift) * lidar.sample
@@ -149,6 +151,7 @@ def _peaks(lidar: Lidar, counts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Beam and sample of every echo, in order; none at the ends of a record."""
     from scipy.signal import find_peaks  # late: it takes half a second
 
+    # In v = 2 sqrt(electrons + variance) noise has the standard deviation 1 at all levels.
     variance = lidar.noise.floor**2
     empty = 2.0 * np.sqrt(variance)
     scaled = 2.0 * np.sqrt(np.maximum(counts + variance, 0.0))
@@ -170,6 +173,7 @@ def _strongest(
     beam: np.ndarray, sample: np.ndarray, strength: np.ndarray, most: int
 ) -> tuple[np.ndarray, ...]:
     """The `most` strongest echoes of each pulse, with number and count."""
+    # By pulse, and within it by strength.
     order = np.lexsort((-strength, beam))
     rank = _within(beam[order])
     keep = np.sort(order[rank < most])

@@ -1,11 +1,8 @@
 """What the light of a return comes from."""
 
-import math
-
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.scipy.special import erf
 from jaxtyping import Array, Float
 
 from fynjax.radiation import VoxelScene
@@ -13,7 +10,7 @@ from fynjax.sensors.lidar._beams import LidarBeams
 from fynjax.sensors.lidar._path import PencilPaths, canopy_fields
 from fynjax.sensors.lidar._returns import LidarReturns
 from fynjax.sensors.lidar._system import Lidar
-from fynjax.sensors.lidar._waveform import check_scene, map_beams
+from fynjax.sensors.lidar._waveform import check_scene, map_beams, pulse_between
 
 
 def shares_of_returns(
@@ -25,7 +22,6 @@ def shares_of_returns(
     *,
     key: Array,
     sublayers: int = 2,
-    batch: int = 1024,
 ) -> tuple[Float[np.ndarray, "group point"], Float[np.ndarray, " point"]]:
     """Shares that groups of classes and the ground have in the light of each return.
 
@@ -34,7 +30,7 @@ def shares_of_returns(
 
     **Arguments:**
 
-    - `scene`, `lidar`, `beams`, `key`, `sublayers`, `batch`: as `lidar_waveforms` had them for
+    - `scene`, `lidar`, `beams`, `key`, `sublayers`: as `lidar_waveforms` had them for
       these returns; classes may be parted further, as long as their area is the same.
     - `returns`: of `detect_returns`.
     - `groups`: places of the classes of each group.
@@ -52,7 +48,6 @@ def shares_of_returns(
     distance[returns.beam, returns.number - 1] = returns.distance
     canopy, ground = map_beams(
         _one_share,
-        batch,
         beams,
         (jnp.asarray(distance, dtype), hits),
         (scene, canopy_fields(scene, groups), (lidar.sample, lidar.pulse_sd)),
@@ -77,8 +72,7 @@ def _one_share(
 
     def of(points: Float[Array, " pencil"]) -> Float[Array, "return pencil"]:
         edges = distance[:, None] + jnp.array([-0.5, 0.5], distance.dtype) * sample
-        scaled = (edges[..., None] - points) / (math.sqrt(2.0) * pulse_sd)
-        return 0.5 * jnp.diff(erf(scaled), axis=1)[:, 0]
+        return pulse_between(edges, points, pulse_sd)[:, 0]
 
     canopy = of(hit) @ jnp.where(leaf, sent, 0.0).T
     return canopy, of(path.ground_range) @ jnp.where(leaf, 0.0, path.ground)

@@ -22,6 +22,17 @@ from fynjax.sensors.lidar._beams import (
 
 SPEED_OF_LIGHT = 0.299792458
 """Speed of light in vacuum [m ns-1]; air slows it by 0.03 %."""
+_FIELDS = {
+    "altitude_m": "altitude",
+    "frame_step_m": "frame_step",
+    "pulse_rate_hz": "rate",
+    "pulse_density_m2": "pulse_density",
+    "half_scan_angle_deg": "half_scan_angle",
+    "line_offsets_m": "line_offsets",
+    "heading_deg": "heading",
+    "speed_m_s": "speed",
+}
+"""Fields of the geometries by their keys in a file, where these state the unit."""
 _TAIL = 4.0
 FWHM = float(2.0 * np.sqrt(2.0 * np.log(2.0)))
 
@@ -29,12 +40,12 @@ FWHM = float(2.0 * np.sqrt(2.0 * np.log(2.0)))
 class LidarNoise(eqx.Module):
     """Counting noise of the receiver: what each sample holds beside the return."""
 
-    signal_electrons: float = eqx.field(static=True)
+    signal_electrons: float = eqx.field(static=True, converter=float)
     """Electrons, over all samples, of a white plate that fills the middle beam and faces it at the
     usual altitude [-]."""
-    background_electrons: float = eqx.field(static=True)
+    background_electrons: float = eqx.field(static=True, converter=float)
     """Electrons of daylight and dark current in a sample [-]."""
-    read_noise_electrons: float = eqx.field(static=True)
+    read_noise_electrons: float = eqx.field(static=True, converter=float)
     """Standard deviation of the reading of a sample [electrons]."""
 
     @property
@@ -184,38 +195,17 @@ def build_lidar(description: Mapping[str, Any]) -> Lidar:
     - `description`: tables and keys of the file (`data_schemas/lidar.schema.json`), valid.
     """
     laser, receiver = description["laser"], description["receiver"]
-    where = dict(description["geometry"])
+    where = {_FIELDS.get(key, key): value for key, value in description["geometry"].items()}
     kind = where.pop("kind")
-    pencils = int(where.pop("pencils", 3))
-    geometry: FlashGeometry | ScanGeometry
     if kind == "flash":
-        geometry = FlashGeometry(
-            altitude=float(where["altitude_m"]),
-            array=(int(where["columns"]), int(where["rows"])),
-            pixel_pitch_um=float(where["pixel_pitch_um"]),
-            focal_length_mm=float(where["focal_length_mm"]),
-            half_divergence_rad=float(where["half_divergence_rad"]),
-            frame_step=float(where["frame_step_m"]),
-            rate=float(where["pulse_rate_hz"]),
-            pencils=pencils,
-        )
+        where["array"] = (where.pop("columns"), where.pop("rows"))
+        geometry: FlashGeometry | ScanGeometry = FlashGeometry(**where)
     else:
-        geometry = ScanGeometry(
-            altitude=float(where["altitude_m"]),
-            pulse_density=float(where["pulse_density_m2"]),
-            divergence_mrad=float(where["divergence_mrad"]),
-            half_scan_angle=float(where["half_scan_angle_deg"]),
-            line_offsets=tuple(float(v) for v in where.get("line_offsets_m", [0.0])),
-            heading=float(where.get("heading_deg", 0.0)),
-            speed=float(where["speed_m_s"]),
-            rate=float(where["pulse_rate_hz"]),
-            pencils=pencils,
-        )
+        geometry = ScanGeometry(**{"line_offsets": 0.0, "heading": 0.0, **where})
     gate = receiver.get("range_gate_m")
     if gate is not None:
         margin = float(receiver.get("gate_margin_m", 0.0))
         gate = (float(gate[0]), float(gate[1]) + margin)
-    noise = description["noise"]
     return Lidar(
         name=description["name"],
         wavelength=float(laser["wavelength_nm"]),
@@ -223,11 +213,7 @@ def build_lidar(description: Mapping[str, Any]) -> Lidar:
         pulse_length=float(laser["pulse_fwhm_ns"]),
         sample=float(receiver["sample_m"]),
         geometry=geometry,
-        noise=LidarNoise(
-            float(noise["signal_electrons"]),
-            float(noise["background_electrons"]),
-            float(noise["read_noise_electrons"]),
-        ),
+        noise=LidarNoise(**description["noise"]),
         threshold=float(receiver.get("threshold", 5.0)),
         max_returns=int(receiver.get("max_returns", 5)),
         gate=gate,

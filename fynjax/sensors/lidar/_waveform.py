@@ -10,6 +10,7 @@ and is left out: by Monte Carlo at 1064 nm on 4 m of the plot of 2006 it is 1 % 
 footprint of 0.1 m, 2 % in one of 0.25 m and 6 % in one of 1 m.
 """
 
+import dataclasses
 import math
 from collections.abc import Callable
 from typing import Any
@@ -19,7 +20,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.scipy.special import erf
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 from scipy.special import ndtr
 
 from fynjax._core.errors import InputError
@@ -112,29 +113,20 @@ def lidar_waveforms(
     hits = None
     if key is not None:
         hits = jax.random.exponential(key, (len(beams), len(beams.pencils)), dtype)
-    grid = _FineGrid(scene, lidar, beams)
-    late, spread = None, None
+    receiver, first = _Receiver.create(scene, lidar, beams)
+    late = None
     if multiple and isinstance(lidar.geometry, FlashGeometry):
         late = late_light(scene)
-        spread = _Late.create(delays(late, grid.step, lidar.pulse_sd, 2 * grid.bins), grid, dtype)
-    receiver = _Receiver(
-        jnp.asarray(grid.to_samples, dtype),
-        spread,
-        grid.step,
-        grid.count,
-        grid.tail,
-        lidar.sample,
-        beams.samples,
-        lidar.pulse_sd,
-    )
+        found = delays(late, receiver.step, lidar.pulse_sd, 2 * len(receiver.to_samples))
+        receiver = dataclasses.replace(receiver, late=_Late.create(found, receiver.to_samples))
     canopy, ground = map_beams(
         _one_waveform,
-        batch,
         beams,
-        (jnp.asarray(beams.start, dtype), jnp.asarray(grid.first), hits),
+        (jnp.asarray(beams.start, dtype), jnp.asarray(first), hits),
         (scene, canopy_fields(scene), receiver),
         sublayers,
         late,
+        batch,
     )
     return Waveforms(canopy, ground)
 
@@ -147,16 +139,16 @@ class _Late(eqx.Module):
     ground: Float[Array, "bin sample"]
 
     @classmethod
-    def create(cls, delays: Delays, grid: "_FineGrid", dtype: Any) -> "_Late":
-        place = np.arange(grid.bins)
+    def create(cls, delays: Delays, to_samples: Float[Array, "bin sample"]) -> "_Late":
+        place = np.arange(len(to_samples))
+        # [bin of the last scattering, bin of arrival]: delays repeat themselves.
         later = (place - place[:, None]) % delays.ground.shape[0]
-        to_samples = jnp.asarray(grid.to_samples, dtype)
 
         def delayed(distribution: Array) -> Array:
-            return distribution.astype(dtype)[later] @ to_samples
+            return distribution.astype(to_samples.dtype)[later] @ to_samples
 
         leaves = jax.lax.map(delayed, delays.leaves)
-        return cls(delays.heights.astype(dtype), leaves, delayed(delays.ground))
+        return cls(delays.heights.astype(to_samples.dtype), leaves, delayed(delays.ground))
 
     def samples(self, energy: Float[Array, " bin"], height: Float[Array, " bin"]) -> Array:
         """What leaves of such heights sent last, in samples."""
@@ -169,7 +161,11 @@ class _Late(eqx.Module):
 
 
 class _Receiver(eqx.Module):
-    """What happens to the light that a beam sends back."""
+    """Bins of range, finer than samples, in which a canopy's return is gathered, and how pulse and
+    samples blur it.
+
+    Bins are counted from the first sample of each beam; they span the canopy of that beam.
+    """
 
     to_samples: Float[Array, "bin sample"]
     late: _Late | None
@@ -180,11 +176,51 @@ class _Receiver(eqx.Module):
     samples: int = eqx.field(static=True)
     pulse_sd: float = eqx.field(static=True)
 
+    @classmethod
+    def create(
+        cls, scene: VoxelScene, lidar: Lidar, beams: LidarBeams
+    ) -> tuple["_Receiver", Int[np.ndarray, " beam"]]:
+        """The receiver, and the first bin of each beam that the canopy reaches."""
+        sigma = lidar.pulse_sd
+        per_sample = max(int(np.ceil(_FINE * lidar.sample / sigma)), 1)
+        step = lidar.sample / per_sample
+        tail = int(np.ceil(_TAIL * sigma / step))
+        slant = -beams.direction[:, 2]
+        tilt = np.sqrt(np.maximum(1.0 - slant**2, 0.0)) / slant
+        off = np.abs(beams.pencils).max()
+        # A pencil's slant range beyond that of the axis, to second order.
+        slack = beams.origin[:, 2] / slant * (2.0 * tilt * off + 4.0 * off**2)
+        near = (beams.origin[:, 2] - scene.height) / slant - slack
+        far = beams.origin[:, 2] / slant + slack
+        count = int(np.ceil(np.max(far - near) / step)) + 1
+        bins = (np.arange(beams.samples * per_sample + 2 * tail + 1) - tail) * step
+        edges = np.arange(beams.samples + 1) * lidar.sample
+
+        def ramp(x: np.ndarray) -> np.ndarray:
+            """Integral of the distribution function of the pulse."""
+            density = np.exp(-0.5 * (x / sigma) ** 2) / np.sqrt(2.0 * np.pi)
+            return x * ndtr(x / sigma) + sigma * density
+
+        # What is even in a bin, blurred by the pulse and integrated over a sample: the second
+        # difference of the ramp, over the edges of both.
+        blurred = ramp(edges[None, :] - bins[:, None])
+        to_samples = np.diff(-np.diff(blurred, axis=0), axis=1) / step
+        receiver = cls(
+            jnp.asarray(to_samples, scene.area_density.dtype),
+            None,
+            step,
+            count,
+            tail,
+            lidar.sample,
+            beams.samples,
+            sigma,
+        )
+        return receiver, np.floor((near - beams.start) / step).astype(int)
+
     def points(self, distance: Array, start: Array) -> Float[Array, "sample pencil"]:
         """Share of the return of points that each sample holds."""
         edges = start + jnp.arange(self.samples + 1, dtype=start.dtype) * self.sample
-        scaled = (edges[:, None] - distance) / (math.sqrt(2.0) * self.pulse_sd)
-        return 0.5 * jnp.diff(erf(scaled), axis=0)
+        return pulse_between(edges, distance, self.pulse_sd)
 
     def spread(
         self, path: PencilPaths, source: Array, start: Array, first: Array
@@ -217,6 +253,13 @@ class _Receiver(eqx.Module):
         return top * (1.0 - jnp.mean((distance[:, None] - path.top) / fall, axis=1))
 
 
+def pulse_between(edges: Array, distance: Array, pulse_sd: float) -> Array:
+    """Share of the Gaussian return of points [pencil] that falls between each two of the `edges`
+    [..., edge] of range: [..., edge - 1, pencil]."""
+    scaled = (edges[..., None] - distance) / (math.sqrt(2.0) * pulse_sd)
+    return 0.5 * jnp.diff(erf(scaled), axis=-2)
+
+
 def _one_waveform(
     path: PencilPaths,
     beam: tuple[Array, Array, Array | None],
@@ -227,11 +270,13 @@ def _one_waveform(
     late = receiver.late
     later = None
     if drawn is None:
+        # Mean over canopies: each leaf and the ground through the gap above it.
         through = jnp.exp(-path.depth_at(path.ground_range[None])[0])
         canopy = receiver.spread(path, path.source, start, first) @ receiver.to_samples
         if path.late is not None:
             later = receiver.spread(path, path.late, start, first)
     else:
+        # One canopy: a pencil ends where its optical depth reaches the number drawn.
         distance, sent, sent_late, leaf = path.hit_by(drawn)
         through = jnp.where(leaf, 0.0, 1.0)
         canopy = receiver.points(distance, start) @ jnp.where(leaf, sent, 0.0)
@@ -252,7 +297,6 @@ def expected_returns(
     edges: Float[np.ndarray, " edge"],
     *,
     sublayers: int = 2,
-    batch: int = 1024,
 ) -> tuple[Float[Array, " layer"], Float[Array, ""]]:
     """Expected number of beams whose light first meets the canopy in each layer, and the ground.
 
@@ -262,7 +306,7 @@ def expected_returns(
     **Arguments:**
 
     - `edges`: borders of the layers above the bottom of the grid, rising [m].
-    - `scene`, `beams`, `sublayers`, `batch`: as for `lidar_waveforms`.
+    - `scene`, `beams`, `sublayers`: as for `lidar_waveforms`.
 
     **Returns:** hits of the canopy in each layer and hits of the ground [-]; with edges from 0 to
     the top they sum to the number of beams.
@@ -277,7 +321,6 @@ def expected_returns(
     platform = jnp.asarray(beams.origin[:, 2], heights.dtype)
     canopy, ground = map_beams(
         _one_beam_of_hits,
-        batch,
         beams,
         platform,
         (scene, canopy_fields(scene), heights),
@@ -298,12 +341,12 @@ def _one_beam_of_hits(
 
 def map_beams(
     function: Callable[..., tuple[Array, Array]],
-    batch: int,
     beams: LidarBeams,
     per_beam: Any,
     common: tuple[VoxelScene, Array, Any],
     sublayers: int,
     late: LateLight | None = None,
+    batch: int = 1024,
 ) -> tuple[Array, Array]:
     """`function` of each beam's paths, so many beams at a time: two arrays by beam."""
     dtype = common[0].area_density.dtype
@@ -357,37 +400,3 @@ def check_scene(scene: VoxelScene, beams: LidarBeams) -> None:
             f"the LiDAR must be above the grid, which is {scene.height:g} m high, but is at "
             f"{float(beams.origin[:, 2].min()):g} m: pulses begin above the canopy"
         )
-
-
-class _FineGrid:
-    """Bins of range in which a canopy's return is gathered before pulse and samples blur it.
-
-    Counted from the first sample of each beam; they span the canopy of that beam.
-    """
-
-    def __init__(self, scene: VoxelScene, lidar: Lidar, beams: LidarBeams) -> None:
-        sigma = lidar.pulse_sd
-        per_sample = max(int(np.ceil(_FINE * lidar.sample / sigma)), 1)
-        self.step = lidar.sample / per_sample
-        self.tail = int(np.ceil(_TAIL * sigma / self.step))
-        slant = -beams.direction[:, 2]
-        tilt = np.sqrt(np.maximum(1.0 - slant**2, 0.0)) / slant
-        off = np.abs(beams.pencils).max()
-        # A pencil's slant range beyond that of the axis, to second order.
-        slack = beams.origin[:, 2] / slant * (2.0 * tilt * off + 4.0 * off**2)
-        near = (beams.origin[:, 2] - scene.height) / slant - slack
-        far = beams.origin[:, 2] / slant + slack
-        self.first = np.floor((near - beams.start) / self.step).astype(int)
-        self.count = int(np.ceil(np.max(far - near) / self.step)) + 1
-        count = beams.samples * per_sample + 2 * self.tail
-        bins = (np.arange(count + 1) - self.tail) * self.step
-        edges = np.arange(beams.samples + 1) * lidar.sample
-
-        def ramp(x: np.ndarray) -> np.ndarray:
-            """Integral of the distribution function of the pulse."""
-            density = np.exp(-0.5 * (x / sigma) ** 2) / np.sqrt(2.0 * np.pi)
-            return x * ndtr(x / sigma) + sigma * density
-
-        blurred = ramp(edges[None, :] - bins[:, None])
-        self.bins = count
-        self.to_samples = np.diff(-np.diff(blurred, axis=0), axis=1) / self.step
