@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from fynjax._core.errors import in_file
 from fynjax._core.progress import advance, stage
 from fynjax._core.seeds import generator
 from fynjax.compare.structure._cloud import HeightCloud, common_plot, height_cloud, open_cloud
@@ -168,9 +169,10 @@ def _on_one_plot(
         real = open_cloud(paths[0], settings.real)
         simulated = open_cloud(paths[1], settings.simulated)
     stated = settings.simulated_shift
-    bounds, shift, notes = common_plot(
-        real, simulated, settings.bounds, None if stated is None else stated[:2], paths[1]
-    )
+    with in_file(paths[1]):
+        bounds, shift, notes = common_plot(
+            real, simulated, settings.bounds, None if stated is None else stated[:2]
+        )
     up = stated[2] if stated is not None and len(stated) == 3 else 0.0
     x, y, z = simulated.x + shift[0], simulated.y + shift[1], simulated.z + up
     return (real, replace(simulated, x=x, y=y, z=z)), bounds, notes

@@ -69,7 +69,6 @@ class RawBand:
 class Stated:
     """Metadata of a file by name, and errors for what is missing."""
 
-    path: Path
     xmp: dict[str, list[str]]
     tags: dict[str, str]
 
@@ -79,8 +78,7 @@ class Stated:
                 f"expected metadata (XMP) with {key!r}, but "
                 + ("it has none of that name" if self.xmp else "there are none at all")
                 + ". The camera writes them (a RedEdge or Altum from firmware 2.1 on) and other "
-                "programs drop them: use the camera's own files.",
-                file=self.path,
+                "programs drop them: use the camera's own files."
             )
         return self.xmp[key][0]
 
@@ -90,8 +88,7 @@ class Stated:
         if values is None or (count is not None and len(values) != count):
             raise InputError(
                 f"expected {count or 'some'} numbers as {key!r} in the metadata, but got "
-                f"{', '.join(self.xmp[key])}",
-                file=self.path,
+                f"{', '.join(self.xmp[key])}"
             )
         return values
 
@@ -117,7 +114,6 @@ class Stated:
         if value is None:
             raise InputError(
                 f"expected EXIF metadata with {key!r}, but there is none. Use the camera's own "
-                "files.",
-                file=self.path,
+                "files."
             )
         return value

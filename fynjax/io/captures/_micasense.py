@@ -34,8 +34,7 @@ def micasense_band(path: Path, counts: NDArray[np.uint16], bits: int, stated: St
     exposure, iso = stated.exif("ExposureTime"), stated.exif("ISOSpeed")
     if not (exposure > 0.0 and iso > 0.0):
         raise InputError(
-            f"expected a positive exposure and ISO speed, but got {exposure:g} s and {iso:g}",
-            file=path,
+            f"expected a positive exposure and ISO speed, but got {exposure:g} s and {iso:g}"
         )
     pitch, length = stated.maybe_exif("FocalPlaneXResolution"), stated.maybe_exif("FocalLength")
     irradiance, tilt = _irradiance(stated)
@@ -80,8 +79,7 @@ def _vignetting(stated: Stated) -> dict[str, Any]:
     if not all(power in range(100) for power in powers):
         raise InputError(
             "expected powers of column and row as 'VignettingPolynomial2DName', but got "
-            f"{', '.join(f'{p:g}' for p in powers)}",
-            file=stated.path,
+            f"{', '.join(f'{p:g}' for p in powers)}"
         )
     pairs = tuple(zip(map(int, powers[::2]), map(int, powers[1::2])))
     numbers = stated.numbers("VignettingPolynomial2D", len(powers) // 2)

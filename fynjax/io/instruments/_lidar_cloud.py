@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 from rasterio.crs import CRS
 from rasterio.errors import CRSError
 
-from fynjax._core.errors import InputError
+from fynjax._core.errors import InputError, names_file, refusing
 from fynjax._core.extras import require
 from fynjax.io.text import atomic_path
 from fynjax.sensors import LidarReturns
@@ -29,6 +29,7 @@ _OF_SPECIES = (
 )
 
 
+@names_file
 def write_cloud(
     path: str | Path,
     returns: LidarReturns,
@@ -81,15 +82,14 @@ def write_cloud(
     path = Path(path)
     kind = path.suffix.lower()
     if kind not in (".las", ".laz"):
-        raise InputError(f"expected a name in .las or .laz, but got {path.name!r}", file=path)
+        raise InputError(f"expected a name in .las or .laz, but got {path.name!r}")
     laspy = require("laspy", "terrain")
     if kind == ".laz":
         require("lazrs", "terrain")
     if len(returns) == 0:
         raise InputError(
             "no pulse has a return to write: does the range gate hold the ground, and is the "
-            "signal above the noise?",
-            file=path,
+            "signal above the noise?"
         )
     place = returns.position + np.asarray(origin_m)
     header = laspy.LasHeader(point_format=6, version="1.4")
@@ -119,11 +119,8 @@ def write_cloud(
         place, share = map(np.asarray, leading)
         cloud.species = (place + 1).astype(np.uint16)
         cloud.species_share = share.astype(np.float32)
-    with atomic_path(path) as partial:
-        try:
-            cloud.write(partial)
-        except OSError as error:
-            raise InputError(f"cannot write here: {error}", file=path) from error
+    with atomic_path(path) as partial, refusing(OSError, words="cannot write here: {error}"):
+        cloud.write(partial)
 
 
 def _wkt(crs: str) -> str:

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Sequence
 from importlib.resources import files
 from pathlib import Path
 
-from fynjax._core.errors import InputError
+from fynjax._core.errors import InputError, names_file
 from fynjax.canopy import FORMS
 from fynjax.io.plot._crowns import with_crowns
 from fynjax.io.plot._leaf_spectra import spectra_by_taxon
@@ -32,6 +32,7 @@ def example_folder() -> Path:
     return Path(str(files("fynjax.io.plot") / "data" / "plot_2006"))
 
 
+@names_file
 def _read_species(
     path: Path,
     within: Path | None,
@@ -45,13 +46,13 @@ def _read_species(
             raise InputError(
                 f"expected a crown smaller than the plot ({min(size):g} m), but got "
                 f"{100 * row.diameter:g} cm",
-                file=path,
                 row=number,
                 column="mean_diameter_cm",
             )
     return tuple(row for _, row in rows)
 
 
+@names_file
 def _read_leaves(
     path: Path, within: Path | None, species: Sequence[SpeciesRow], measured: Iterable[str] = ()
 ) -> tuple[LeafRow, ...]:
@@ -62,7 +63,6 @@ def _read_leaves(
         if row.taxon in measured:
             raise InputError(
                 f"the plot's leaf_spectra have leaves of {row.taxon!r} too: leave one out",
-                file=path,
                 row=number,
                 column="taxon",
             )
@@ -70,7 +70,6 @@ def _read_leaves(
             raise InputError(
                 f"this leaf of {row.taxon!r} is there twice. Of several leaves of a taxon each "
                 "plant has one: they must differ.",
-                file=path,
                 row=number,
                 column="taxon",
             )
@@ -79,7 +78,6 @@ def _read_leaves(
             raise InputError(
                 f"expected leaf optics for {one.taxon!r}, but it has no row. Add one, or a row "
                 "'*' for all that have none.",
-                file=path,
                 column="taxon",
             )
     return tuple(row for _, row in rows)

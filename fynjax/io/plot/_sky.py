@@ -4,18 +4,17 @@ from pathlib import Path
 
 import numpy as np
 
-from fynjax._core.errors import InputError
+from fynjax._core.errors import InputError, names_file
 from fynjax.io.plot._plot import Floats
 from fynjax.io.plot._rows import SkyPatternRow, SkyRow
 from fynjax.io.text import read_rows
 
 
+@names_file
 def read_sky(path: Path) -> tuple[Floats, Floats]:
     """Read how much of the light is diffuse.
 
-    **Arguments:**
-
-    - `path`: a CSV file with the columns of `SkyRow`.
+    **Arguments:** `path`, a CSV file with the columns of `SkyRow`.
 
     **Returns:** wavelengths [nm], rising, and diffuse over global irradiance at each [-].
 
@@ -27,19 +26,17 @@ def read_sky(path: Path) -> tuple[Floats, Floats]:
         raise InputError(
             f"expected rising wavelengths, but {wavelength[falls[0] + 1]:g} follows "
             f"{wavelength[falls[0]]:g}",
-            file=path,
             row=rows[falls[0] + 1][0],
             column="wavelength_nm",
         )
     return wavelength, np.array([row.diffuse_fraction for _, row in rows])
 
 
+@names_file
 def read_sky_pattern(path: Path) -> Floats:
     """Read where the sky is bright.
 
-    **Arguments:**
-
-    - `path`: a CSV file with the columns of `SkyPatternRow`.
+    **Arguments:** `path`, a CSV file with the columns of `SkyPatternRow`.
 
     **Returns:** relative radiance [zenith, azimuth] at even steps from 0 to 90 degrees and from
     north round clockwise.
@@ -56,10 +53,9 @@ def read_sky_pattern(path: Path) -> Floats:
         raise InputError(
             "expected every pair of even zenith angles from 0 to 90 degrees and even azimuths from "
             f"0 on once, 360 left out, but got {len(rows)} rows with {len(zenith)} zenith angles "
-            f"and {len(azimuth)} azimuths",
-            file=path,
+            f"and {len(azimuth)} azimuths"
         )
     if not any(row.radiance > 0 for row in rows):
-        raise InputError("expected some light, but every radiance is 0", file=path)
+        raise InputError("expected some light, but every radiance is 0")
     ordered = sorted(rows, key=lambda row: (row.zenith_deg, row.azimuth_deg))
     return np.array([row.radiance for row in ordered]).reshape(len(zenith), len(azimuth))

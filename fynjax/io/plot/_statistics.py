@@ -3,12 +3,13 @@
 from collections.abc import Collection
 from pathlib import Path
 
-from fynjax._core.errors import InputError
+from fynjax._core.errors import InputError, names_file
 from fynjax.io.plot._rows import StatisticRow, StructureRow
 from fynjax.io.text import did_you_mean, read_rows
 from fynjax.metrics import VEGETATION_INDICES
 
 
+@names_file
 def read_statistics(path: str | Path, known: Collection[str] | None = None) -> list[StatisticRow]:
     """Read a table of statistics with the columns statistic, value, sd.
 
@@ -27,7 +28,6 @@ def read_statistics(path: str | Path, known: Collection[str] | None = None) -> l
         if known is not None and row.subject not in known:
             raise InputError(
                 f"unknown band or index {row.subject!r}.{did_you_mean(row.subject, known)}",
-                file=path,
                 row=number,
                 column="statistic",
             )
@@ -35,20 +35,18 @@ def read_statistics(path: str | Path, known: Collection[str] | None = None) -> l
             hint = f" Percent? This is {row.value / 100:g}." if row.value > 1.5 else ""
             raise InputError(
                 f"expected a reflectance as a fraction from 0 to 1.5, but got {row.value:g}.{hint}",
-                file=path,
                 row=number,
                 column="value",
             )
     return [row for _, row in rows]
 
 
+@names_file
 def read_structure(path: str | Path) -> list[StructureRow]:
     """Read a table of structure metrics of a point cloud.
 
-    **Arguments:**
-
-    - `path`: a CSV file with the columns metric and value, and, if need be, sd, grain_m [m] and
-      returns_m2 [m-2].
+    **Arguments:** `path`, a CSV file with the columns metric and value, and, if need be, sd,
+    grain_m [m] and returns_m2 [m-2].
 
     **Returns:** the rows, in the order of the file; at least one, all of one grain and of as many
     returns.
@@ -64,7 +62,6 @@ def read_structure(path: str | Path) -> list[StructureRow]:
             if value != known:
                 raise InputError(
                     f"expected the same in all rows, {known:g}, but got {value:g}",
-                    file=path,
                     row=number,
                     column=column,
                 )

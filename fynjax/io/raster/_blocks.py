@@ -24,7 +24,7 @@ from rasterio.crs import CRS
 from rasterio.errors import RasterioError
 from rasterio.windows import Window
 
-from fynjax._core.errors import InputError, listed
+from fynjax._core.errors import InputError, in_file, listed, refusing
 from fynjax._core.extras import require
 from fynjax._core.files import check_name
 from fynjax._core.memory import total_memory
@@ -95,7 +95,9 @@ class CubeBlocks:
         **Raises:** `InputError` naming the rows where they cannot be read.
         """
         window = Window(0, start, self.shape[1], rows)
-        try:
+        place = f"rows {start + 1} to {start + rows}"
+        words = f"{place} cannot be read ({{error}}). Is the file damaged there?"
+        with refusing(RasterioError, *_UNREADABLE, words=words, file=self.path):
             if isinstance(self.source, RasterFile):
                 raster = self.source.read(
                     self.source.bands, window=window, zero_is_data=False, dtype=np.float32
@@ -106,14 +108,6 @@ class CubeBlocks:
             part = self.source.isel({self.source.dims[0]: slice(start, start + rows)})
             with np.errstate(all="ignore"):  # a scale may lead beyond what a float holds
                 values = np.asarray(part.values, np.float32)
-        except (RasterioError, *_UNREADABLE) as error:
-            if isinstance(error, InputError):
-                raise
-            raise InputError(
-                f"rows {start + 1} to {start + rows} cannot be read ({error}). Is the file damaged "
-                "there?",
-                file=self.path,
-            ) from error
         values = np.where(np.abs(values) > 1e6, np.nan, values)
         return np.where((values == 0).all(axis=2, keepdims=True), np.nan, values)
 
@@ -161,43 +155,26 @@ def open_blocks(path: str | Path) -> Iterator[CubeBlocks]:
     path = Path(path)
     check_name(path)
     if path.suffix.lower() in (".nc", ".nc4", ".zarr"):
-        with _open_dataset(path) as cube:
+        with in_file(path), ExitStack() as opened:
+            # The file may have two marks of no data.
+            with warnings.catch_warnings(action="ignore", category=xr.SerializationWarning):
+                cube = _cube_of(path, opened)
             yield cube
         return
     with open_raster(path, "an image") as file:
         places = np.array(file.bands) - 1
+        # GeoTIFF's own tags may call bands bad.
+        marks = [file.dataset.tags(n).get("bbl", "1").strip() for n in file.bands]
         yield CubeBlocks(
             path=file.path,
             shape=file.shape,
-            wavelength=np.asarray(file.wavelengths)[places],
-            fwhm=np.asarray(file.fwhm)[places],
-            good=np.asarray(file.good)[places] & _not_bad(file)[places],
+            wavelength=file.wavelengths[places],
+            fwhm=file.fwhm[places],
+            good=file.good[places] & ~np.isin(marks, ("0", "0.0", "false")),
             transform=file.dataset.transform,
             crs=file.crs.to_wkt() if file.crs else None,
             source=file,
         )
-
-
-def _not_bad(file: RasterFile) -> Bool[np.ndarray, " band"]:
-    """Bands that a GeoTIFF's own tags do not call bad."""
-    marks = [file.dataset.tags(n).get("bbl", "1") for n in range(1, file.dataset.count + 1)]
-    return np.array([mark.strip() not in ("0", "0.0", "false") for mark in marks])
-
-
-@contextmanager
-def _open_dataset(path: Path) -> Iterator[CubeBlocks]:
-    if not path.exists():
-        raise InputError("expected an image, but there is no such file", file=path)
-    with ExitStack() as opened:
-        try:
-            with warnings.catch_warnings(), np.errstate(all="ignore"):  # of scales beyond floats
-                warnings.simplefilter("ignore", xr.SerializationWarning)  # of two marks of no data
-                cube = _cube_of(path, opened)
-        except _UNREADABLE as error:
-            if isinstance(error, InputError):
-                raise
-            raise InputError(f"cannot be read as an image ({error})", file=path) from error
-        yield cube
 
 
 _UNREADABLE = (
@@ -207,19 +184,17 @@ _UNREADABLE = (
 """Errors that the libraries raise at damaged files."""
 
 
-def _reflectance(data: xr.Dataset, path: Path) -> xr.DataArray:
+def _reflectance(data: xr.Dataset) -> xr.DataArray:
     """The variable `reflectance`, its bands last."""
     if "reflectance" not in data:
         raise InputError(
-            f"expected a variable 'reflectance', but it has {listed(map(str, data)) or 'none'}",
-            file=path,
+            f"expected a variable 'reflectance', but it has {listed(map(str, data)) or 'none'}"
         )
     values = data["reflectance"]
     if values.ndim != 3 or values.dtype.kind not in "fiu" or not values.size:
         raise InputError(
             "expected reflectance as numbers of three dimensions, but it has "
-            f"{dict(values.sizes)} of {values.dtype}",
-            file=path,
+            f"{dict(values.sizes)} of {values.dtype}"
         )
     names = ("band", "bands", "wavelength", "wavelengths")
     spectral = next((d for d in values.dims if d in names), values.dims[0])
@@ -239,7 +214,11 @@ def _column(
     return None, ""
 
 
+@refusing(*_UNREADABLE, words="cannot be read as an image ({error})")
+@np.errstate(all="ignore")  # a scale may lead beyond what a float holds
 def _cube_of(path: Path, opened: ExitStack) -> CubeBlocks:
+    if not path.exists():
+        raise InputError("expected an image, but there is no such file")
     zarr = path.suffix.lower() == ".zarr"
     if not zarr:
         check_netcdf(path)
@@ -248,7 +227,7 @@ def _cube_of(path: Path, opened: ExitStack) -> CubeBlocks:
         require("zarr", "map")
         kind = {"engine": "zarr", "consolidated": False, "drop_variables": check_zarr(path)}
     data = opened.enter_context(xr.open_dataset(path, **kind))
-    values = _reflectance(data, path)
+    values = _reflectance(data)
     bands = xr.Dataset()
     if not zarr:
         with suppress(*_UNREADABLE):
@@ -260,27 +239,25 @@ def _cube_of(path: Path, opened: ExitStack) -> CubeBlocks:
     if 2.0 * row > memory:
         raise InputError(
             f"a row of {values.shape[1]} pixels in {count} bands needs {row / 2**30:.3g} GiB, but "
-            f"this machine has {memory / 2**30:.0f} GiB. Is it damaged?",
-            file=path,
+            f"this machine has {memory / 2**30:.0f} GiB. Is it damaged?"
         )
     wavelength, unit = _column(("wavelength", "wavelengths"), (data, bands), count)
     width, _ = _column(("fwhm",), (data, bands), count)
     good, _ = _column(("good_wavelengths", "reflectance_good"), (data, bands), count)
     if wavelength is not None and np.isfinite(wavelength).any():
-        wavelength, factor = in_nanometres(wavelength, unit, path)
+        wavelength, factor = in_nanometres(wavelength, unit)
         width = None if width is None else width * factor
     if width is not None:
-        check_widths(width, path)
+        check_widths(width)
     # zarr decodes them one by one, those too that are not there.
     long = values.encoding.get("preferred_chunks", {}) if zarr else {}
     pieces = math.prod(-(-values.sizes[d] // long.get(d, 1)) for d in values.dims[1:] if long)
     if pieces > _MOST_CHUNKS:
         raise InputError(
             f"expected at most {_MOST_CHUNKS} chunks in a row of pixels, but there are {pieces}. "
-            "Write larger chunks",
-            file=path,
+            "Write larger chunks"
         )
-    crs, transform = _place(path, data, values)
+    crs, transform = _place(data, values)
     # In memory y rises to the north; a block is as in a file, its first row northernmost. A swath
     # stays as it is: its lookup table counts rows as they are in the file.
     y = values.dims[0]
@@ -309,16 +286,16 @@ def _location(path: Path, data: xr.Dataset, opened: ExitStack) -> xr.Dataset | N
     return None
 
 
-def _place(path: Path, data: xr.Dataset, values: xr.DataArray) -> tuple[str | None, Affine]:
+def _place(data: xr.Dataset, values: xr.DataArray) -> tuple[str | None, Affine]:
     mapping = values.attrs.get("grid_mapping", "crs")
     wkt = data[mapping].attrs.get("crs_wkt") if mapping in data.variables else None
     if wkt is not None:
-        wkt = parse_crs(str(wkt), path).to_wkt()
+        wkt = parse_crs(str(wkt)).to_wkt()
     y, x = values.dims[:2]
     if wkt is None:
         return wkt, Affine.identity()
     if x not in values.coords or y not in values.coords:
-        return wkt, geotransform(data[mapping].attrs.get("GeoTransform"), "GeoTransform", path)
+        return wkt, geotransform(data[mapping].attrs.get("GeoTransform"), "GeoTransform")
     xs, ys = np.asarray(values[x], float), np.asarray(values[y], float)
     pixel = float(values.attrs.get("pixel_m", abs(xs[1] - xs[0]) if len(xs) > 1 else 1.0))
     return wkt, Affine(pixel, 0.0, xs.min() - pixel / 2, 0.0, -pixel, ys.max() + pixel / 2)
@@ -384,9 +361,9 @@ class MapWriter:
         self._file, mark = folder / "maps.tif", folder / "maps.json"
         self._on_map = folder / "placed.tif"
         self._mark = mark
-        self._table = (
-            None if like.location is None else lookup_table(like.path, like.location, like.shape)
-        )
+        at = like.location
+        with in_file(like.path):
+            self._table = None if at is None else lookup_table(at, like.shape)
         self.done = np.zeros(blocks, bool)
         """Blocks that are there, as they were written."""
         self._written: dict[int, tuple[int, int, str]] = {}  # first row, rows and hash of a block

@@ -5,12 +5,13 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float64
 
-from fynjax._core.errors import InputError
+from fynjax._core.errors import InputError, names_file
 from fynjax.io.raster._over_plot import read_over_plot
 from fynjax.io.text import did_you_mean
 from fynjax.scene import COVERS
 
 
+@names_file
 def read_cover_map(
     path: Path,
     size_m: tuple[float, float],
@@ -43,16 +44,14 @@ def read_cover_map(
             raise InputError(
                 f"expected bands named {', '.join(COVERS)} (any of them, once), but band {number} "
                 f"is {part.names[number - 1] or 'unnamed'!r}.{did_you_mean(cover, COVERS)} The "
-                "names are the bands' descriptions.",
-                file=path,
+                "names are the bands' descriptions."
             )
     total = part.values.sum(axis=0)
     if part.values.min() < 0.0 or total.max() > 1.0 + 1e-3:
         wrong = part.values.min() if part.values.min() < 0.0 else total.max()
         raise InputError(
             "expected shares of 0 to 1 that sum to at most 1, but "
-            f"{'one is' if wrong < 0 else 'they sum to'} {wrong:g}. Percent? Divide by 100.",
-            file=path,
+            f"{'one is' if wrong < 0 else 'they sum to'} {wrong:g}. Percent? Divide by 100."
         )
     shares = np.zeros((len(COVERS) + 1, *shape))
     for name, values in zip(covers, part.in_cells(shape), strict=True):

@@ -22,7 +22,7 @@ import xarray as xr
 from numpy.typing import ArrayLike
 
 import fynjax
-from fynjax._core.errors import InputError
+from fynjax._core.errors import InputError, names_file, refusing
 from fynjax.io.raster._hdf5 import names_others
 from fynjax.io.text import atomic_path, check_stated_size
 
@@ -38,13 +38,12 @@ def _leave() -> None:
     os._exit(2)
 
 
+@names_file
 def check_netcdf(path: Path) -> None:
     """Refuse a NetCDF file that reads values of other files, and a damaged one: whose tables of
     contents lead in circles, in which HDF5 goes round for ever, or state more than it can hold.
 
-    **Arguments:**
-
-    - `path`: a file that exists.
+    **Arguments:** `path`, a file that exists.
 
     **Raises:** `InputError`.
     """
@@ -68,15 +67,13 @@ def check_netcdf(path: Path) -> None:
         if time.process_time() - start > _OPENS_WITHIN:
             atexit.register(_leave)
             raise InputError(
-                "cannot be read as NetCDF: its tables of contents do not end. Is it damaged?",
-                file=path,
+                "cannot be read as NetCDF: its tables of contents do not end. Is it damaged?"
             )
     if any(outside):
         raise InputError(
             "expected a file that holds its own values, but it has links to other files, and those "
             f"are not followed. If you trust it, make it whole: nccopy {path.name} "
-            f"{path.stem}_own.nc",
-            file=path,
+            f"{path.stem}_own.nc"
         )
     if stated:
         check_stated_size(path, stated[0], f"{stated[0]} bytes of values", packed=True)
@@ -247,6 +244,7 @@ def with_history(record: Mapping[str, str | int]) -> dict[str, str | int]:
     return {**record, **({"history": history} if history else {})}
 
 
+@names_file
 def write_run(
     path: str | Path, dataset: xr.Dataset, attributes: Mapping[str, str | int] | None = None
 ) -> None:
@@ -281,8 +279,5 @@ def write_run(
     }
     for name in dataset.coords:  # a coordinate must not have missing values
         encoding[name] = {"_FillValue": None}
-    with atomic_path(path) as partial:
-        try:
-            dataset.to_netcdf(partial, engine="netcdf4", format="NETCDF4", encoding=encoding)
-        except OSError as error:
-            raise InputError(f"cannot write here: {error}", file=path) from error
+    with atomic_path(path) as partial, refusing(OSError, words="cannot write here: {error}"):
+        dataset.to_netcdf(partial, engine="netcdf4", format="NETCDF4", encoding=encoding)

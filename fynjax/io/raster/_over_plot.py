@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from rasterio.windows import Window
 from scipy.interpolate import make_interp_spline
 
-from fynjax._core.errors import InputError
+from fynjax._core.errors import InputError, names_file
 from fynjax.io.raster._reader import RasterFile, open_raster
 
 _TINY = 1e-4
@@ -65,6 +65,7 @@ class OverPlot:
         return np.ascontiguousarray(values[:, ::-1])
 
 
+@names_file
 def read_over_plot(
     path: Path,
     what: str,
@@ -105,8 +106,7 @@ def read_over_plot(
             f"expected a value in every cell of the plot, but {int((~valid).sum())} of "
             f"{valid.size} have none (no data or NaN), the first at "
             f"({x:.2f}, {y:.2f}). Fill them first, with 0 where that is meant: "
-            f"gdal_fillnodata.py {path.name} filled.tif",
-            file=path,
+            f"gdal_fillnodata.py {path.name} filled.tif"
         )
     (r0, r1), (c0, c1) = rows, columns
     edges = (r0 - first[0], r1 - first[0]), (c0 - first[1], c1 - first[1])
@@ -135,8 +135,7 @@ def _corner(
             f"expected a raster as large as the plot, {size[0]:g} m x {size[1]:g} m, but it covers "
             f"{wide:g} m x {deep:g} m. Say where in it the plot lies: `{option}` is the plot's "
             f"south-west corner (x, y) in its coordinates, within ({west:.2f}, {south:.2f}) "
-            f"to ({east:.2f}, {north:.2f}).",
-            file=file.path,
+            f"to ({east:.2f}, {north:.2f})."
         )
     return west, south
 
@@ -164,8 +163,7 @@ def _edges(
             f"expected a raster that covers the plot, ({corner[0]:.2f}, {corner[1]:.2f}) to "
             f"({corner[0] + size[0]:.2f}, {corner[1] + size[1]:.2f}), but it covers "
             f"({west:.2f}, {south:.2f}) to ({east:.2f}, {north:.2f}). The plot's south-west "
-            f"corner in its coordinates is set by `{option}`.",
-            file=file.path,
+            f"corner in its coordinates is set by `{option}`."
         )
     columns = max(columns[0], 0.0), min(columns[1], float(width))
     rows = max(rows[0], 0.0), min(rows[1], float(height))

@@ -7,10 +7,11 @@ import numpy as np
 from jaxtyping import Float64
 from numpy.typing import NDArray
 
-from fynjax._core.errors import InputError
+from fynjax._core.errors import InputError, names_file
 from fynjax.io.raster._over_plot import read_over_plot
 
 
+@names_file
 def read_probability_map(
     path: str | Path,
     size_m: tuple[float, float],
@@ -58,7 +59,7 @@ def read_probability_map(
         warnings.warn(
             f"{path}: the probability map is {values.flat[0]:g} all over the plot, so it sets no "
             "pattern",
-            stacklevel=2,
+            stacklevel=3,
         )
     return values
 
@@ -70,19 +71,16 @@ def _check_values(values: NDArray[np.float64], path: Path) -> None:
         raise InputError(
             f"expected values of 0 to 255, but they range from {low:g} to {high:g} over the plot. "
             "A no-data value that the file does not declare (gdal_edit.py -a_nodata), or another "
-            f"scale (gdal_translate -ot Byte -scale {low:g} {high:g} 0 255)?",
-            file=path,
+            f"scale (gdal_translate -ot Byte -scale {low:g} {high:g} 0 255)?"
         )
     if high == 0.0:
         raise InputError(
             "expected values above 0 where plants may stand, but the map is 0 all over the plot: "
-            "no plant could be placed",
-            file=path,
+            "no plant could be placed"
         )
     if high <= 1.0:
         raise InputError(
             f"expected values of 0 to 255, but the largest over the plot is {high:g}. Chances of 0 "
             f"to 1, or a mask? Multiply by 255: gdal_translate -ot Byte -scale 0 1 0 255 "
-            f"{path.name} map.tif",
-            file=path,
+            f"{path.name} map.tif"
         )

@@ -1,22 +1,20 @@
 """Reflectance relative to a white panel made absolute by the panel's own reflectance."""
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from fynjax._core.errors import InputError
+from fynjax._core.errors import InputError, names_file
 from fynjax.io.spectra._read import reflectances
-from fynjax.io.spectra._record import MeasuredSpectrum, note
+from fynjax.io.spectra._record import MeasuredSpectrum
 
 
+@names_file
 def read_curve(path: str | Path, what: str) -> tuple[np.ndarray, np.ndarray]:
     """The one reflectance spectrum of a file, such as of a panel.
 
-    **Arguments:**
-
-    - `path`: the file, of any format that `read_spectra_file` takes.
-    - `what`: what it is of, for the error.
+    **Arguments:** `path`, the file, of any format that `read_spectra_file` takes; `what` it is of,
+    for the error.
 
     **Returns:** wavelength [nm] and reflectance [-], both of shape (band,), without missing bands.
 
@@ -24,7 +22,7 @@ def read_curve(path: str | Path, what: str) -> tuple[np.ndarray, np.ndarray]:
     """
     curves = reflectances(Path(path))
     if len(curves) > 1:
-        raise InputError(f"expected one spectrum of {what}, but found {len(curves)}", file=path)
+        raise InputError(f"expected one spectrum of {what}, but found {len(curves)}")
     wavelength, values = curves[0]
     have = np.isfinite(values)
     return wavelength[have], values[have]
@@ -54,9 +52,8 @@ def with_panel(
             f"the panel's reflectance, {wavelength[0]:g} to {wavelength[-1]:g} nm, has none of the "
             f"bands of spectrum {spectrum.name!r}"
         )
-    meta = {**spectrum.meta, "panel": "applied", "repairs": list(spectrum.meta["repairs"])}
-    note(meta, f"multiplied by the panel's reflectance, {np.nanmin(at):.3f} to {np.nanmax(at):.3f}")
-    beyond = int((np.isnan(at) & np.isfinite(spectrum.reflectance)).sum())
-    if beyond:
-        note(meta, f"{beyond} bands beyond the panel's table set to missing")
-    return replace(spectrum, reflectance=spectrum.reflectance * at, meta=meta)
+    notes = [f"multiplied by the panel's reflectance, {np.nanmin(at):.3f} to {np.nanmax(at):.3f}"]
+    if beyond := int((np.isnan(at) & np.isfinite(spectrum.reflectance)).sum()):
+        notes.append(f"{beyond} bands beyond the panel's table set to missing")
+    values = spectrum.reflectance * at
+    return spectrum.noted(*notes, meta={"panel": "applied"}, reflectance=values)

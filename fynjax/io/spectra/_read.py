@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fynjax._core.errors import InputError
+from fynjax._core.errors import InputError, in_file, names_file
 from fynjax.io.spectra._asd import is_asd, read_asd
 from fynjax.io.spectra._envi import read_envi_library
 from fynjax.io.spectra._field import read_field_spectrum
@@ -24,9 +24,7 @@ def read_spectra_file(path: str | Path) -> list[MeasuredSpectrum]:
     SPECCHIO);
     ENVI spectral libraries (give the `.sli` or its `.hdr`). A `.gz` ending is unpacked.
 
-    **Arguments:**
-
-    - `path`: the file.
+    **Arguments:** `path`, the file.
 
     **Returns:** a list of `MeasuredSpectrum`, wavelengths in nm and ascending, fractions 0 to 1.
     What was repaired on the way (unit conversion, sorting, single impossible values set to NaN) is
@@ -51,6 +49,7 @@ def read_spectra_file(path: str | Path) -> list[MeasuredSpectrum]:
     return spectra
 
 
+@names_file
 def read_usable_spectra(
     path: str | Path,
 ) -> tuple[list[MeasuredSpectrum], list[tuple[str, InputError]]]:
@@ -58,9 +57,7 @@ def read_usable_spectra(
 
     As `read_spectra_file`, but one bad spectrum among many does not stop the others.
 
-    **Arguments:**
-
-    - `path`: the file.
+    **Arguments:** `path`, the file.
 
     **Returns:** usable spectra; name and error of each other.
 
@@ -71,15 +68,14 @@ def read_usable_spectra(
     suffixes = [suffix.lower() for suffix in path.suffixes]
     suffixes = suffixes[:-1] if suffixes[-1:] == [".gz"] else suffixes
     if not data.strip():
-        raise InputError("the file is empty", file=path)
+        raise InputError("the file is empty")
     if is_asd(data):
         spectra = [read_asd(path, data)]
     elif suffixes[-1:] == [".asd"]:
         kind = "text" if _is_text(data) else "no ASD file"
         raise InputError(
             f"expected an ASD binary of version 6, 7 or 8, but the content is {kind}; "
-            "an ASCII export must end in .txt or .csv",
-            file=path,
+            "an ASCII export must end in .txt or .csv"
         )
     elif suffixes[-1:] in ([".hdr"], [".sli"], [".slb"]):
         spectra = read_envi_library(path)
@@ -88,13 +84,13 @@ def read_usable_spectra(
         spectra = read_text_spectra(data, path) if field is None else [field]
     else:
         raise InputError(
-            "unknown format: neither ASD binary (as6, as7, as8), ENVI spectral library, nor text",
-            file=path,
+            "unknown format: neither ASD binary (as6, as7, as8), ENVI spectral library, nor text"
         )
     usable, refused = [], []
     for spectrum in spectra:
         try:
-            usable.append(check_spectrum(spectrum, path))
+            with in_file(path):
+                usable.append(check_spectrum(spectrum))
         except InputError as error:
             refused.append((spectrum.name, error))
     return usable, refused
@@ -107,12 +103,11 @@ def _is_text(data: bytes) -> bool:
     return not bool(np.any((sample < 9) | ((sample > 13) & (sample < 32))))
 
 
+@names_file
 def reflectances(path: Path) -> list[tuple[np.ndarray, np.ndarray]]:
     """Reflectance spectra of a file.
 
-    **Arguments:**
-
-    - `path`: the file, as `read_spectra_file` reads it.
+    **Arguments:** `path`, the file, as `read_spectra_file` reads it.
 
     **Returns:** for each spectrum wavelengths [nm] and reflectance [-], both of shape (band,).
 
@@ -122,5 +117,5 @@ def reflectances(path: Path) -> list[tuple[np.ndarray, np.ndarray]]:
         (s.wavelength, s.reflectance) for s in read_spectra_file(path) if s.reflectance is not None
     ]
     if not spectra:
-        raise InputError("a reflectance spectrum was expected, but the file has none", file=path)
+        raise InputError("a reflectance spectrum was expected, but the file has none")
     return spectra
