@@ -9,6 +9,7 @@ from jaxtyping import Float
 from fynjax.report.figures._style import BLUE, GREY, VERMILION, Figure, style
 
 
+@style()
 def population_plot(
     names: Sequence[str],
     mean: Float[np.ndarray, " parameter"],
@@ -22,21 +23,20 @@ def population_plot(
     `plots`, in standard deviations of what was assumed; `error`, a row for each wavelength.
     """
     rows = np.arange(len(names))[::-1]
-    with style():
-        figure = Figure(figsize=(7.4, 2.6 + 0.3 * len(names)))
-        heights = (0.3 * len(names), 2.0)
-        above, below = figure.subplots(2, 1, gridspec_kw={"height_ratios": heights})
-        above.axvspan(-1.0, 1.0, color=GREY, alpha=0.2, lw=0)
-        above.axvline(0.0, color=GREY, lw=0.8)
-        for values in plots:
-            above.plot(values, rows, "o", ms=3, alpha=0.5, color=BLUE, mew=0)
-        above.errorbar(mean, rows, xerr=sd, fmt="|", ms=11, mew=2, lw=1.5, color=VERMILION)
-        above.set_yticks(rows, names)
-        above.set_xlabel("from what was assumed [assumed standard deviations]")
-        below.plot(error["wavelength_nm"], error["sd"], ".", color=VERMILION, label="estimated")
-        below.plot(error["wavelength_nm"], error["assumed_sd"], color=GREY, lw=0.8, label="assumed")
-        below.set_ylim(bottom=0.0)
-        below.set_xlabel("wavelength [nm]")
-        below.set_ylabel("sd of log reflectance [-]")
-        below.legend()
+    figure = Figure(figsize=(7.4, 2.6 + 0.3 * len(names)))
+    heights = (0.3 * len(names), 2.0)
+    above, below = figure.subplots(2, 1, gridspec_kw={"height_ratios": heights})
+    above.axvspan(-1.0, 1.0, color=GREY, alpha=0.2, lw=0)
+    above.axvline(0.0, color=GREY, lw=0.8)
+    for values in plots:
+        above.plot(values, rows, "o", ms=3, alpha=0.5, color=BLUE, mew=0)
+    above.errorbar(mean, rows, xerr=sd, fmt="|", ms=11, mew=2, lw=1.5, color=VERMILION)
+    above.set_yticks(rows, names)
+    above.set_xlabel("from what was assumed [assumed standard deviations]")
+    below.plot(error["wavelength_nm"], error["sd"], ".", color=VERMILION, label="estimated")
+    below.plot(error["wavelength_nm"], error["assumed_sd"], color=GREY, lw=0.8, label="assumed")
+    below.set_ylim(bottom=0.0)
+    below.set_xlabel("wavelength [nm]")
+    below.set_ylabel("sd of log reflectance [-]")
+    below.legend()
     return figure

@@ -73,6 +73,7 @@ class DrawnPlants:
     """Seed of the scene, which the shapes of its plants are drawn with."""
 
 
+@style()
 def plan_view(plants: DrawnPlants, *, periodic: bool, title: str = "") -> Figure:
     """The plants from straight above as clouds of their area elements, each species in its colour.
 
@@ -88,18 +89,17 @@ def plan_view(plants: DrawnPlants, *, periodic: bool, title: str = "") -> Figure
     cell = _cell(instances.extent, _PIXELS)
     cover = projected_cover(instances, cell=cell, periodic=periodic)
     colours = species_colours(plants.forms)
-    with style():
-        figure = Figure(figsize=(9.8, 6.6 * min(max(ly / lx, 0.4), 1.6) + 0.3))
-        axes = figure.subplots()
-        axes.imshow(
-            from_above(plants, cell, periodic=periodic),
-            origin="lower",
-            extent=(0, lx, 0, ly),
-            interpolation="antialiased",
-        )
-        axes.set(xlabel="East [m]", ylabel="North [m]", title=title, aspect="equal")
-        _north(axes)
-        _legend(figure, instances, colours, cover.visible, cover.total)
+    figure = Figure(figsize=(9.8, 6.6 * min(max(ly / lx, 0.4), 1.6) + 0.3))
+    axes = figure.subplots()
+    axes.imshow(
+        from_above(plants, cell, periodic=periodic),
+        origin="lower",
+        extent=(0, lx, 0, ly),
+        interpolation="antialiased",
+    )
+    axes.set(xlabel="East [m]", ylabel="North [m]", title=title, aspect="equal")
+    _north(axes)
+    _legend(figure, instances, colours, cover.visible, cover.total)
     return figure
 
 
@@ -294,6 +294,7 @@ def _legend(
     )  # fmt: skip
 
 
+@style()
 def profile_view(
     profile: Float[np.ndarray, "organ species layer"],
     edges: Float[np.ndarray, " edge"],
@@ -306,25 +307,24 @@ def profile_view(
     `forms`, growth form of each species.
     """
     colours = species_colours(forms)
-    with style():
-        figure = Figure(figsize=(9.4, 4.8))
-        panels = figure.subplots(1, 2, sharey=True, width_ratios=(3, 2))
-        for axes, part, name in zip(panels, profile, ("Leaf", "Wood"), strict=True):
-            start = np.zeros(part.shape[1])
-            for species, values in enumerate(part):
-                # Steps: within a layer the density is its mean.
-                axes.stairs(
-                    start + values, edges, baseline=start, orientation="horizontal", fill=True,
-                    color=colours[species], lw=0,
-                )  # fmt: skip
-                start = start + values
-            axes.stairs(start, edges, orientation="horizontal", color="#333333", lw=0.8)
-            index = float((part * np.diff(edges)).sum())
-            axes.set_title(f"{name}: {index:.2f} m² per m² of ground")
-            axes.set_xlabel(f"{name} area density [m² m⁻³]")
-            axes.set_xlim(0, None)
-            axes.grid(axis="x")
-        panels[0].set_ylabel("Height above ground [m]")
-        panels[0].set_ylim(0, edges[-1])
-        _legend(figure, instances, colours)
+    figure = Figure(figsize=(9.4, 4.8))
+    panels = figure.subplots(1, 2, sharey=True, width_ratios=(3, 2))
+    for axes, part, name in zip(panels, profile, ("Leaf", "Wood"), strict=True):
+        start = np.zeros(part.shape[1])
+        for species, values in enumerate(part):
+            # Steps: within a layer the density is its mean.
+            axes.stairs(
+                start + values, edges, baseline=start, orientation="horizontal", fill=True,
+                color=colours[species], lw=0,
+            )  # fmt: skip
+            start = start + values
+        axes.stairs(start, edges, orientation="horizontal", color="#333333", lw=0.8)
+        index = float((part * np.diff(edges)).sum())
+        axes.set_title(f"{name}: {index:.2f} m² per m² of ground")
+        axes.set_xlabel(f"{name} area density [m² m⁻³]")
+        axes.set_xlim(0, None)
+        axes.grid(axis="x")
+    panels[0].set_ylabel("Height above ground [m]")
+    panels[0].set_ylim(0, edges[-1])
+    _legend(figure, instances, colours)
     return figure
