@@ -10,6 +10,7 @@ import io
 import os
 import time
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
@@ -74,21 +75,14 @@ class Journal:
 
     def put(self, number: int, arrays: Sequence[Array | np.ndarray]) -> None:
         """Keep what a step returned, and forget how it failed before."""
-        kept = {f"a{i}": np.asarray(value) for i, value in enumerate(arrays)}
-        try:
-            _save(self._folder / _STEP.format(number), kept)
+        self._save(_STEP.format(number), {f"a{i}": value for i, value in enumerate(arrays)})
+        with suppress(OSError):
             (self._folder / _FAILED.format(number)).unlink(missing_ok=True)
-        except OSError as error:
-            raise self._cannot_keep(error) from error
 
     def put_state(self, name: str, state: Any) -> None:
         """Keep a state, a dataclass of arrays, of tuples of these and of such dataclasses, in place
         of the last of this name."""
-        kept = {key: np.asarray(value) for key, value in _leaves(state, "")}
-        try:
-            _save(self._folder / _STATE.format(name), kept)
-        except OSError as error:
-            raise self._cannot_keep(error) from error
+        self._save(_STATE.format(name), dict(_leaves(state, "")))
 
     def kept_state(self, name: str, kind: type[State]) -> State | None:
         """The last state of a name, of the dataclass `kind`; None if none was kept."""
@@ -115,13 +109,19 @@ class Journal:
             if last is not None:
                 self.put_state(name, last)
 
-    def _cannot_keep(self, error: OSError) -> InputError:
-        after = "What was kept before stays, and the same command goes on from it"
-        if not (self._folder / _MARK).is_file():
-            after = "The checkpoint was removed meanwhile: the same command begins anew"
-        return InputError(
-            f"cannot keep what was done: {error.strerror}. {after}", file=self._folder
-        )
+    def _save(self, name: str, arrays: dict[str, Any]) -> None:
+        """Write arrays by name, behind the hash of what follows it."""
+        content = io.BytesIO()
+        try:
+            np.savez(content, **{key: np.asarray(value) for key, value in arrays.items()})
+            data = content.getvalue()
+            _write(self._folder / name, hashlib.sha256(data).digest() + data)
+        except OSError as error:
+            after = "What was kept before stays, and the same command goes on from it"
+            if not (self._folder / _MARK).is_file():
+                after = "The checkpoint was removed meanwhile: the same command begins anew"
+            words = f"cannot keep what was done: {error.strerror}. {after}"
+            raise InputError(words, file=self._folder) from error
 
     def put_failure(self, number: int, text: str) -> Path | None:
         """Keep how a step failed; gives the file, or None where nothing can be written."""
@@ -177,16 +177,9 @@ def forget_journal(folder: str | Path) -> None:
         folder.rmdir()
 
 
-def _save(path: Path, arrays: dict[str, np.ndarray]) -> None:
-    """Write arrays by name, behind the hash of what follows it."""
-    content = io.BytesIO()
-    np.savez(content, **arrays)  # type: ignore[arg-type]
-    data = content.getvalue()
-    _write(path, hashlib.sha256(data).digest() + data)
-
-
 def _load(path: Path) -> dict[str, np.ndarray] | None:
-    """The arrays of `_save`; None where there is no file. `InputError` for any other content."""
+    """The arrays that `Journal` wrote; None where there is no file. `InputError` for any other
+    content."""
     try:
         raw = path.read_bytes()
     except FileNotFoundError:
@@ -204,16 +197,8 @@ def _load(path: Path) -> dict[str, np.ndarray] | None:
             if sum(part.file_size for part in file.zip.infolist()) > len(raw):
                 raise damaged
             return dict(file)
-    except (
-        OSError,
-        ValueError,
-        EOFError,
-        MemoryError,
-        AttributeError,
-        TypeError,
-        BadZipFile,
-    ) as error:
-        raise damaged from error
+    except (OSError, ValueError, EOFError, MemoryError, AttributeError, TypeError, BadZipFile):
+        raise damaged from None
 
 
 def _write(path: Path, data: bytes) -> None:

@@ -1,7 +1,5 @@
 """Cubes by blocks of rows, and maps written by blocks: neither is ever in memory as a whole."""
 
-import hashlib
-import json
 import math
 import os
 import shutil
@@ -24,6 +22,7 @@ from rasterio.crs import CRS
 from rasterio.errors import RasterioError
 from rasterio.windows import Window
 
+from fynjax._core.checkpoint import Journal, forget_journal
 from fynjax._core.errors import InputError, in_file, listed, refusing
 from fynjax._core.extras import require
 from fynjax._core.files import check_name
@@ -31,7 +30,7 @@ from fynjax._core.memory import total_memory
 from fynjax.io.raster._crs import geotransform, parse_crs
 from fynjax.io.raster._lookup import lookup_table
 from fynjax.io.raster._netcdf import CONVENTIONS, check_netcdf, with_history
-from fynjax.io.raster._reader import RasterFile, open_raster, wherever, without_words
+from fynjax.io.raster._reader import RasterFile, open_raster, wherever
 from fynjax.io.raster._scale import check_reflectance
 from fynjax.io.raster._writer import LOCAL_FRAME
 from fynjax.io.raster._zarr import check_zarr
@@ -331,14 +330,9 @@ def grid_coordinates(
     return dims, coordinates
 
 
-def _seal(values: np.ndarray) -> str:
-    """Hash of a block of maps and of its type: the same bytes may stand for other numbers."""
-    return hashlib.sha256(values.dtype.str.encode() + values.tobytes()).hexdigest()
-
-
 class MapWriter:
-    """Maps of one raster that are written block by block, in any order: a tiled GeoTIFF in the
-    making, and which of its blocks are there. `finish` makes a cloud-optimised GeoTIFF of it.
+    """Maps of one raster that are written block by block, in any order, and kept as they come.
+    `finish` makes a cloud-optimised GeoTIFF of them.
 
     Maps of a swath are on the swath while they are made. `finish` and `finish_zarr` place them: on
     the grid of the file's lookup table each pixel is that of the swath which the table names.
@@ -358,70 +352,37 @@ class MapWriter:
         lookup table of a swath that places nothing.
         """
         self._folder, self._bands, self._like = folder, tuple(bands), like
-        self._file, mark = folder / "maps.tif", folder / "maps.json"
         self._on_map = folder / "placed.tif"
-        self._mark = mark
         at = like.location
         with in_file(like.path):
             self._table = None if at is None else lookup_table(at, like.shape)
-        self.done = np.zeros(blocks, bool)
-        """Blocks that are there, as they were written."""
-        self._written: dict[int, tuple[int, int, str]] = {}  # first row, rows and hash of a block
+        self._journal = Journal(folder, signature)
         self.damaged: set[int] = set()
         """Blocks of the cube that could not be read, of an interrupted run too."""
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise InputError(f"cannot write here: {error.strerror}", file=folder) from error
-        self._signature = signature
-        kept = folder / "kept.tif"
-        if mark.is_file():
-            damaged = self._kept()
-            if self._file.is_file() and not kept.is_file():
-                os.replace(self._file, kept)
-            if kept.is_file():  # else that of a run that was interrupted here
-                self._begin(self._file, like.shape, like.transform, like.crs)
-                self._take(kept, damaged)
-                kept.unlink()
-                return
-            self._written = {}
-        self._begin(self._file, like.shape, like.transform, like.crs)
-        self._keep()
+        self.done = np.zeros(blocks, bool)
+        """Blocks that are there, as they were written."""
+        for block in range(blocks):
+            with suppress(InputError):  # one that is damaged is to be done again
+                if (kept := self._journal.kept(block)) is not None:
+                    self._note(block, bool(kept[1]))
 
-    def _kept(self) -> list[int]:
-        """Take what the mark says was written; gives the blocks that could not be read."""
-        seal, _, text = self._mark.read_bytes().partition(b"\n")
-        if seal != hashlib.sha256(text).hexdigest().encode():
-            raise InputError(
-                "no checkpoint, or a damaged one; remove its folder to start again",
-                file=self._mark,
-            )
-        kept = json.loads(text)
-        if kept["signature"] != self._signature:
-            raise InputError(
-                "this checkpoint is of another run: another cube, training or settings. Choose "
-                "another output, or remove it to start again",
-                file=self._folder,
-            )
-        self._written = {int(block): tuple(how) for block, how in kept["done"].items()}
-        return list(kept["damaged"])
+    def _note(self, block: int, damaged: bool) -> None:
+        self.done[block] = True
+        self.damaged |= {block} if damaged else set()
 
-    def _take(self, kept: Path, damaged: list[int]) -> None:
-        """Copy the blocks that are as they were written; the others are to be done again."""
-        with (
-            wherever(),
-            without_words(),
-            suppress(RasterioError, ValueError),  # the second of text that is no UTF-8
-            rasterio.open(kept, driver="GTiff") as file,
-        ):
-            whole = (file.count, *file.shape) == (len(self._bands), *self._like.shape)
-            for block, (start, rows, seal) in list(self._written.items()) if whole else ():
-                with suppress(RasterioError, ValueError):
-                    part = file.read(window=Window(0, start, self._like.shape[1], rows))
-                    if _seal(part) == seal:
-                        self.write(block, start, part, damaged=block in damaged)
-        self._written = {block: how for block, how in self._written.items() if self.done[block]}
-        self._keep()
+    def write(
+        self,
+        block: int,
+        start: int,
+        values: Float[np.ndarray, "band row column"],
+        *,
+        damaged: bool = False,
+    ) -> None:
+        """Write a block whose first row is `start`; `damaged` where the cube has no data there
+        because it could not be read."""
+        numbers = np.asarray(start), np.asarray(damaged)
+        self._journal.put(block, [*numbers, values.astype(np.float32)])
+        self._note(block, damaged)
 
     def _begin(
         self, path: Path, shape: tuple[int, int], transform: Affine, crs: str | None
@@ -442,44 +403,22 @@ class MapWriter:
         with wherever(), rasterio.open(path, "w", **profile):
             pass
 
-    def _keep(self) -> None:
-        state = {
-            "signature": self._signature,
-            "done": self._written,
-            "damaged": sorted(self.damaged),
-        }
-        text = json.dumps(state).encode()
-        work = self._mark.with_suffix(".work")
-        work.write_bytes(hashlib.sha256(text).hexdigest().encode() + b"\n" + text)
-        os.replace(work, self._mark)
-
-    def write(
-        self,
-        block: int,
-        start: int,
-        values: Float[np.ndarray, "band row column"],
-        *,
-        damaged: bool = False,
-    ) -> None:
-        """Write a block whose first row is `start`; `damaged` where the cube has no data there
-        because it could not be read."""
-        _, rows, columns = values.shape
-        values = values.astype(np.float32)
-        try:
-            with wherever(), rasterio.open(self._file, "r+", driver="GTiff") as file:
-                file.write(values, window=Window(0, start, columns, rows))
-            self.done[block] = True
-            self._written[block] = (start, rows, _seal(values))
-            if damaged:
-                self.damaged.add(block)
-            self._keep()
-        except (RasterioError, OSError) as error:
-            after = "the same command goes on from what was kept before"
-            if not self._file.is_file():
-                after = "the checkpoint was removed meanwhile, and the same command begins anew"
-            raise InputError(
-                f"cannot keep what was done. Is the disk full? If not, {after}", file=self._folder
-            ) from error
+    @cached_property
+    def _file(self) -> Path:
+        """All blocks that are there as one GeoTIFF; of a swath on the swath."""
+        path, like = self._folder / "maps.tif", self._like
+        self._begin(path, like.shape, like.transform, like.crs)
+        with wherever(), rasterio.open(path, "r+") as file:
+            for block in np.flatnonzero(self.done):
+                kept = self._journal.kept(int(block))
+                if kept is None:
+                    raise InputError(
+                        "the checkpoint was removed meanwhile: the same command begins anew",
+                        file=self._folder,
+                    )
+                start, _, values = kept
+                file.write(values, window=Window(0, int(start), *values.shape[:0:-1]))
+        return path
 
     @cached_property
     def _placed(self) -> Path:
@@ -553,9 +492,7 @@ class MapWriter:
 
     def forget(self) -> None:
         """Remove what was in the making."""
-        for path in (self._file, self._on_map, self._folder / "kept.tif"):
+        for path in (self._folder / "maps.tif", self._on_map):
             path.unlink(missing_ok=True)
             path.with_suffix(".tif.aux.xml").unlink(missing_ok=True)
-        self._mark.unlink(missing_ok=True)
-        if self._folder.is_dir() and not any(self._folder.iterdir()):
-            self._folder.rmdir()
+        forget_journal(self._folder)
