@@ -15,16 +15,7 @@ from fynjax._core.parameters import Parameter
 Slip = Callable[[float], str | None]
 
 
-def number(
-    description: str,
-    unit: str,
-    *,
-    default: Any = ...,
-    gt: float | None = None,
-    ge: float | None = None,
-    lt: float | None = None,
-    le: float | None = None,
-) -> Any:
+def number(description: str, unit: str, *, default: Any = ..., **bounds: float) -> Any:
     """A field of a record: a finite number with a range and a unit, which errors and schemas state.
 
     **Arguments:**
@@ -32,20 +23,18 @@ def number(
     - `description`: what the number is, for schemas and help.
     - `unit`: such as "nm"; "-" of a number without one.
     - `default`: value where none is given; the number is required if this is left out.
-    - `gt`, `ge`, `lt`, `le`: bounds, without or with their end, in `unit`.
+    - `bounds`: `gt` and `lt`, or with their end `ge` and `le`, in `unit`.
 
     **Returns:** a pydantic field.
     """
-    return Field(
-        default,
-        description=f"{description} [{unit}].",
-        gt=gt,
-        ge=ge,
-        lt=lt,
-        le=le,
-        allow_inf_nan=False,
-        json_schema_extra={"unit": unit},
-    )
+    return numbers(description, unit, default=default, allow_inf_nan=False, **bounds)
+
+
+def numbers(description: str, unit: str, *, default: Any = None, **limits: Any) -> Any:
+    """As `number`, of a field that may hold several numbers: its type states their range. It may be
+    left out unless `default` is `...`; `limits` are those of pydantic, such as `min_length`."""
+    extra: Any = {"unit": unit}
+    return Field(default, description=f"{description} [{unit}].", json_schema_extra=extra, **limits)
 
 
 def quantity(

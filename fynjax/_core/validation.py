@@ -42,11 +42,8 @@ def _bounds(field: FieldInfo) -> str:
 
 def expected(field: FieldInfo) -> str:
     """What a field takes, in words: kind, range, unit or choices."""
-    kinds = [field.annotation]
-    if isinstance(field.annotation, types.UnionType) or typing.get_origin(field.annotation) in (
-        typing.Union,
-        types.UnionType,
-    ):
+    kinds: Any = [field.annotation]
+    if typing.get_origin(field.annotation) in (typing.Union, types.UnionType):
         kinds = [k for k in typing.get_args(field.annotation) if k is not type(None)]
     if typing.get_origin(kinds[0]) is typing.Literal:
         return "one of " + ", ".join(repr(v) for v in typing.get_args(kinds[0]))

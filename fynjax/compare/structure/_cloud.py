@@ -9,8 +9,9 @@ import numpy as np
 from jaxtyping import Float
 from rasterio.crs import CRS
 
-from fynjax._core.errors import InputError, in_file
+from fynjax._core.errors import InputError, names_file
 from fynjax.compare.structure._pits import sunk, without_pits
+from fynjax.metrics.structure import BinnedReturns, CellGrid, StructureSettings, bin_returns
 from fynjax.terrain import (
     Bounds,
     PointCloud,
@@ -110,12 +111,17 @@ class HeightCloud:
     def __len__(self) -> int:
         return len(self.height)
 
+    def binned(self, grid: CellGrid, settings: StructureSettings) -> BinnedReturns:
+        """The returns in the cells of a plot."""
+        return bin_returns(self.x, self.y, self.height, grid, settings)
+
 
 def open_cloud(path: str | Path, settings: CloudSettings) -> PointCloud:
     """Read a cloud as the settings say."""
     return read_cloud(path, unit=settings.unit, height_unit=settings.height_unit, crs=settings.crs)
 
 
+@names_file
 def height_cloud(
     cloud: PointCloud, path: Path, settings: CloudSettings, bounds: Bounds, slack: float = 0.0
 ) -> HeightCloud:
@@ -124,13 +130,6 @@ def height_cloud(
     Raises `InputError`, with the file, for a plot that the cloud does not cover, a cloud without
     ground, or heights that are elevations above the sea.
     """
-    with in_file(path):
-        return _heights(cloud, path, settings, bounds, slack)
-
-
-def _heights(
-    cloud: PointCloud, path: Path, settings: CloudSettings, bounds: Bounds, slack: float
-) -> HeightCloud:
     if settings.ground == "none":
         inside = cloud.crop(bounds, slack)
         height, share, how = inside.z, None, "heights as given"

@@ -6,7 +6,7 @@ from typing import Annotated, ClassVar, Literal
 from pydantic import Field, model_validator
 
 from fynjax.io.instruments._sensor_tables import _nanometre_slip
-from fynjax.io.text import Slip, Strict, number, read_toml, shipped_or_own
+from fynjax.io.text import Slip, Strict, number, numbers, read_toml, shipped_or_own
 from fynjax.sensors import Lidar, build_lidar, lidar_folder, shipped_lidars
 
 _Finite = Annotated[float, Field(allow_inf_nan=False)]
@@ -32,10 +32,6 @@ class LaserTable(Strict):
     )
 
 
-def _divergence_slip(value: float) -> str | None:
-    return f"Milliradians? In rad this is {value / 1000:g}." if 1.5 <= value < 1500 else None
-
-
 class LidarGeometryTable(Strict):
     """What the lines of sight of a flash and of a scanner have in common."""
 
@@ -55,7 +51,9 @@ class FlashGeometryTable(LidarGeometryTable):
     """Lines of sight of a flash LiDAR: a camera of which each pixel times its own return."""
 
     slips: ClassVar[dict[str, Slip]] = {
-        "half_divergence_rad": _divergence_slip,
+        "half_divergence_rad": lambda v: (
+            f"Milliradians? In rad this is {v / 1000:g}." if 1.5 <= v < 1500 else None
+        ),
         "focal_length_mm": lambda v: (
             f"Metres? In mm this is {v * 1000:g}." if 0 < v < 0.5 else None
         ),
@@ -91,12 +89,11 @@ class ScanGeometryTable(LidarGeometryTable):
         "Full angle of the beam at 1/e2 of the irradiance", "mrad", ge=0.01, le=100
     )
     half_scan_angle_deg: float = number("Largest angle from straight down", "degree", gt=0, le=60)
-    line_offsets_m: list[_Finite] | None = Field(
-        default=None,
-        description="Of each flight line from the plot's middle, to the right of the heading; "
-        "left out, one line over the middle [m].",
+    line_offsets_m: list[_Finite] | None = numbers(
+        "Of each flight line from the plot's middle, to the right of the heading; left out, one "
+        "line over the middle",
+        "m",
         min_length=1,
-        json_schema_extra={"unit": "m"},
     )
     heading_deg: float = number(
         "Direction of the flight, clockwise from north", "degree", default=0.0, ge=-360, le=360
@@ -112,11 +109,10 @@ class ReceiverTable(Strict):
     }
 
     sample_m: float = number("Length of a sample in range", "m", ge=0.001, le=5)
-    range_gate_m: tuple[_Range, _Range] | None = Field(
-        default=None,
-        description="Nearest and farthest range that is recorded; left out, from above the canopy "
-        "to below the ground of each pulse [m].",
-        json_schema_extra={"unit": "m"},
+    range_gate_m: tuple[_Range, _Range] | None = numbers(
+        "Nearest and farthest range that is recorded; left out, from above the canopy to below "
+        "the ground of each pulse",
+        "m",
     )
     gate_margin_m: float = number(
         "How far beyond the gate's end the record goes on", "m", default=0.0, ge=0, le=1000

@@ -5,7 +5,7 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field, model_validator
 
-from fynjax.io.text import NamedFile, Slip, Strict, number
+from fynjax.io.text import NamedFile, Slip, Strict, number, numbers
 
 RadianceUnit = Literal[
     "W m-2 sr-1 um-1", "mW m-2 sr-1 nm-1", "uW cm-2 sr-1 nm-1", "W m-2 sr-1 nm-1"
@@ -81,10 +81,6 @@ class NoiseRow(Strict):
     c: float = number("Constant part", "radiance")
 
 
-def _tilt_slip(value: float) -> str | None:
-    return "A gimbal pitch? Straight down is 0 here." if value == -90 else None
-
-
 class CameraGeometryTable(Strict):
     """What the lines of sight of a pinhole camera and of a pushbroom have in common."""
 
@@ -95,7 +91,7 @@ class CameraGeometryTable(Strict):
         "pixel_pitch_um": lambda v: (
             f"Millimetres? In µm this is {v * 1000:g}." if 0 < v < 0.1 else None
         ),
-        "tilt_deg": _tilt_slip,
+        "tilt_deg": lambda v: "A gimbal pitch? Straight down is 0 here." if v == -90 else None,
     }
 
     kind: Literal["frame", "pushbroom"]
@@ -180,26 +176,17 @@ class BandsTable(Strict):
         description="Whether the bands may stand in another order than that of wavelength.",
     )
     name: list[str] | None = Field(default=None, description="Names of the bands.", min_length=1)
-    centre_nm: list[Centre] | None = Field(
-        default=None,
-        description="Centre wavelength of each band, from 200 to 15000 [nm].",
-        min_length=1,
-        json_schema_extra={"unit": "nm"},
+    centre_nm: list[Centre] | None = numbers(
+        "Centre wavelength of each band, from 200 to 15000", "nm", min_length=1
     )
-    fwhm_nm: list[Width] | None = Field(
-        default=None,
-        description="Full width at half maximum of each band, or width of a box [nm].",
-        json_schema_extra={"unit": "nm"},
+    fwhm_nm: list[Width] | None = numbers(
+        "Full width at half maximum of each band, or width of a box", "nm"
     )
-    half_width_nm: list[Width] | None = Field(
-        default=None,
-        description="Half width at half maximum of each band, in place of fwhm_nm [nm].",
-        json_schema_extra={"unit": "nm"},
+    half_width_nm: list[Width] | None = numbers(
+        "Half width at half maximum of each band, in place of fwhm_nm", "nm"
     )
-    ground_sample_distance_m: list[Positive] | None = Field(
-        default=None,
-        description="Pixel of each band on the ground, where they differ [m].",
-        json_schema_extra={"unit": "m"},
+    ground_sample_distance_m: list[Positive] | None = numbers(
+        "Pixel of each band on the ground, where they differ", "m"
     )
     table: Annotated[Path, NamedFile("a table of bands")] | None = Field(
         default=None, description="Table of bands (CSV); a path from this file's folder."
@@ -263,17 +250,14 @@ class CameraNoiseTable(Strict):
     """Noise of a camera: shot noise, read noise and quantisation."""
 
     kind: Literal["camera"] = Field(description="From the numbers of a data sheet.")
-    saturation_radiance: Positive | list[Positive] = Field(
-        description="Radiance that fills a pixel, of all bands or each [W m-2 sr-1 um-1].",
-        json_schema_extra={"unit": "W m-2 sr-1 um-1"},
+    saturation_radiance: Positive | list[Positive] = numbers(
+        "Radiance that fills a pixel, of all bands or each", "W m-2 sr-1 um-1", default=...
     )
-    full_well_electrons: Positive | list[Positive] = Field(
-        description="Electrons of a full pixel, of all bands or each [-].",
-        json_schema_extra={"unit": "-"},
+    full_well_electrons: Positive | list[Positive] = numbers(
+        "Electrons of a full pixel, of all bands or each", "-", default=...
     )
-    read_noise_electrons: NonNegative | list[NonNegative] = Field(
-        description="Standard deviation of the reading, of all bands or each [electrons].",
-        json_schema_extra={"unit": "electrons"},
+    read_noise_electrons: NonNegative | list[NonNegative] = numbers(
+        "Standard deviation of the reading, of all bands or each", "electrons", default=...
     )
     bits: int = Field(description="Bits of a number [-].", ge=1, le=32)
 
@@ -284,10 +268,11 @@ Share = Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]
 class GainsTable(Strict):
     """What the gains of the bands may be off by after one way of calibration."""
 
-    gain_sd: Share | list[Share] = Field(
-        description="Standard deviation of the factor by which the reflectance of a band may be "
-        "off: one of all bands, or one a band [-].",
-        json_schema_extra={"unit": "-"},
+    gain_sd: Share | list[Share] = numbers(
+        "Standard deviation of the factor by which the reflectance of a band may be off: one of "
+        "all bands, or one a band",
+        "-",
+        default=...,
     )
     gain_shared: float = number(
         "Share of its variance that all bands have in common, as by light and exposure",
@@ -305,8 +290,7 @@ class CalibrationErrorsTable(Strict):
 
     usual: WayOfCalibration = Field(description="The way where a user states none.")
     panels: GainsTable | None = Field(
-        default=None,
-        description=f"{_ERRORS}, with a panel seen before or after.",
+        default=None, description=f"{_ERRORS}, with a panel seen before or after."
     )
     light_sensor: GainsTable | None = Field(
         default=None, description=f"{_ERRORS}, with the sensor of downwelling light alone."
@@ -315,8 +299,7 @@ class CalibrationErrorsTable(Strict):
         default=None, description=f"{_ERRORS}, with several targets in the image."
     )
     product: GainsTable | None = Field(
-        default=None,
-        description=f"{_ERRORS}, of reflectance as the provider computes it.",
+        default=None, description=f"{_ERRORS}, of reflectance as the provider computes it."
     )
 
     @model_validator(mode="after")

@@ -5,7 +5,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from fynjax.io.text import Strict, number
+from fynjax.io.text import Strict, number, numbers
 from fynjax.scene import LEAF_FIELDS, PARAMETERS, parameter_kind
 
 DEFAULT_FREE = (
@@ -40,18 +40,16 @@ class CalibrationTable(Strict):
         gt=0,
         le=1,
     )
-    gain_sd: Share | dict[str, Share] | None = Field(
-        default=None,
-        description="Standard deviation of the factor by which a band of the drone's camera may be "
-        "off, 0 to 1: one of all bands or a table by band, such as {red_edge = 0.1}; of other "
-        "bands, or left out, that of the sensor by `sensor.calibrated_by` [-].",
-        json_schema_extra={"unit": "-"},
+    gain_sd: Share | dict[str, Share] | None = numbers(
+        "Standard deviation of the factor by which a band of the drone's camera may be off, 0 to "
+        "1: one of all bands or a table by band, such as {red_edge = 0.1}; of other bands, or left "
+        "out, that of the sensor by `sensor.calibrated_by`",
+        "-",
     )
-    gain_shared: Share | None = Field(
-        default=None,
-        description="Share of its variance that all bands have in common, as by light and "
-        "exposure; left out, that of the sensor [-].",
-        json_schema_extra={"unit": "-"},
+    gain_shared: Share | None = numbers(
+        "Share of its variance that all bands have in common, as by light and exposure; left out, "
+        "that of the sensor",
+        "-",
     )
     pixel_sd: float = number(
         "Where the plants are known: relative error of a block of pixels, of camera and model, "

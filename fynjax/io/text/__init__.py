@@ -2,7 +2,7 @@
 
 from fynjax._core.errors import did_you_mean
 from fynjax._core.files import NamedFile, check_stated_size, existing_file, read_bytes
-from fynjax._core.records import Slip, Strict, number, optional_quantity, quantity
+from fynjax._core.records import Slip, Strict, number, numbers, optional_quantity, quantity
 from fynjax._core.tables import TextTable, open_table
 from fynjax._core.validation import first_error, sentence
 from fynjax.io.text._atomic import (
@@ -28,6 +28,7 @@ __all__ = [
     "first_error",
     "line_of",
     "number",
+    "numbers",
     "open_table",
     "optional_quantity",
     "quantity",
