@@ -6,10 +6,10 @@ Every function returns a matplotlib figure that belongs to no window; `save_figu
 import re
 from collections.abc import Mapping, Sequence
 
-import matplotlib
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
+from matplotlib.lines import Line2D
 from numpy.typing import ArrayLike, NDArray
 
 from fynjax.inversion import WELL_CONSTRAINED
@@ -27,6 +27,7 @@ from fynjax.report.figures._style import (
     VERMILION,
     Figure,
     name_rows,
+    panel_grid,
     style,
     words,
 )
@@ -41,37 +42,29 @@ def _unit(unit: str) -> str:
     return f" [{re.sub(r'^u(?=g)', 'µ', text)}]"
 
 
-def _pack(sizes: Sequence[int], columns: int) -> list[list[int]]:
-    """Panels into columns of about equal height, in order of size (largest first)."""
-    filled: list[list[int]] = [[] for _ in range(min(columns, len(sizes)))]
-    heights = [0] * len(filled)
-    for panel in sorted(range(len(sizes)), key=lambda k: -sizes[k]):
-        shortest = heights.index(min(heights))
-        filled[shortest].append(panel)
-        heights[shortest] += sizes[panel] + 3  # title and axis take the height of three rows
-    return [sorted(column) for column in filled]
-
-
 _ROW = 0.185
 """Height of a row [inch]."""
 
 
 def _panels(sizes: Sequence[int], extra: float) -> tuple[Figure, list[Axes]]:
-    """A figure with one axes for each number of rows, heights by these."""
-    layout = _pack(sizes, 2)
-    height = max(sum(sizes[p] + 3 for p in column) for column in layout) * _ROW + extra
-    figure = Figure(figsize=(4.0 * len(layout) if len(layout) > 1 else 6.0, height))
-    axes: list[Axes | None] = [None] * len(sizes)
-    tall = max(sum(sizes[p] + 3 for p in column) for column in layout)
-    outer = figure.add_gridspec(1, len(layout))
-    for k, column in enumerate(layout):
-        used = [sizes[p] + 3 for p in column]
+    """A figure with one axes for each number of rows, heights by these, in two columns of about
+    equal height."""
+    rows = [size + 3 for size in sizes]  # title and axis take the height of three
+    columns: list[list[int]] = [[] for _ in sizes[:2]]
+    for panel in sorted(range(len(sizes)), key=lambda k: -sizes[k]):
+        min(columns, key=lambda column: sum(rows[p] for p in column)).append(panel)
+    tall = max(sum(rows[p] for p in column) for column in columns)
+    wide = 8.0 if len(columns) > 1 else 6.0
+    figure = Figure(figsize=(wide, tall * _ROW + extra))
+    outer = figure.add_gridspec(1, len(columns))
+    axes = {}
+    for k, column in enumerate(map(sorted, columns)):
+        used = [rows[p] for p in column]
         spare = tall - sum(used)
         ratios = [*used, spare] if spare > 0 else used
         inner = outer[k].subgridspec(len(ratios), 1, height_ratios=ratios)
-        for row, panel in enumerate(column):
-            axes[panel] = figure.add_subplot(inner[row])
-    return figure, [a for a in axes if a is not None]
+        axes |= {panel: figure.add_subplot(inner[row]) for row, panel in enumerate(column)}
+    return figure, [axes[panel] for panel in range(len(sizes))]
 
 
 def _groups(table: pd.DataFrame) -> list[tuple[str, pd.DataFrame]]:
@@ -114,13 +107,11 @@ def parameter_plot(table: pd.DataFrame) -> Figure:
         axes.set_title(words(kind).capitalize() + (_unit(units[0]) if len(units) == 1 else ""))
         axes.locator_params(axis="x", nbins=6)
     handles = [
-        matplotlib.lines.Line2D([], [], marker="o", mfc="white", color=GREY, label="prior, 90 %"),
-        matplotlib.lines.Line2D([], [], marker="o", color=BLUE, label="estimate, 90 %"),
+        Line2D([], [], marker="o", mfc="white", color=GREY, label="prior, 90 %"),
+        Line2D([], [], marker="o", color=BLUE, label="estimate, 90 %"),
     ]
     if known:
-        handles.append(
-            matplotlib.lines.Line2D([], [], marker="x", ls="", color=VERMILION, label="truth")
-        )
+        handles.append(Line2D([], [], marker="x", ls="", color=VERMILION, label="truth"))
     figure.legend(handles=handles, loc="outside upper left", ncols=3)
     return figure
 
@@ -208,12 +199,10 @@ def convergence_plot(
     losses = np.asarray(loss, dtype=float)
     turn = np.ones(losses.size, int) if rounds is None else np.asarray(rounds)
     steps = np.arange(losses.size) - (turn - 1)
-    rows = 1 if gradient_norm is None else 2
-    figure = Figure(figsize=(5.2, 1.1 + 1.9 * rows))
-    grid = figure.subplots(rows, 1, squeeze=False, sharex=True)[:, 0]
     series: list[tuple[NDArray[np.float64], str, str]] = [(losses, "Loss [-]", BLUE)]
     if gradient_norm is not None:
         series.append((np.asarray(gradient_norm, dtype=float), "Gradient norm", GREEN))
+    figure, grid = panel_grid(len(series), 1, (5.2, 1.9), (0.0, 1.1), sharex=True)
     for axes, (values, label, colour) in zip(grid, series, strict=True):
         for number in np.unique(turn):
             here = turn == number

@@ -7,11 +7,11 @@ import textwrap
 from collections.abc import Mapping, Sequence
 from typing import Any, Literal
 
-import matplotlib
 import numpy as np
 from jaxtyping import Float
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
+from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from numpy.typing import ArrayLike, NDArray
 
@@ -37,9 +37,10 @@ _LETTERS = 18.5
 """Letters of a caption to an inch."""
 
 
-def _side(count: int) -> float:
-    """Width of each of `count` pictures side by side [inches]."""
-    return min(_LARGEST, _TOGETHER / count)
+def _row(count: int) -> tuple[Figure, list[Axes], float]:
+    """A figure of `count` pictures side by side, their axes, and its width [inches]."""
+    side = min(_LARGEST, _TOGETHER / count)
+    return *panel_grid(count, count, (side, side), (0.0, 0.55)), side * count
 
 
 def _channels(
@@ -122,10 +123,7 @@ def composites(
     stacks = {title: _channels(image, band_names, channels) for title, image in images.items()}
     shared = kind == "true_like"
     limits = _limits(list(stacks.values()), shared)
-    count = len(stacks)
-    side = _side(count)
-    figure = Figure(figsize=(side * count, side + 0.55))
-    grid = figure.subplots(1, count, squeeze=False)[0]
+    figure, grid, wide = _row(len(stacks))
     for axes, (title, stack) in zip(grid, stacks.items(), strict=True):
         _map(axes, _shown(stack, limits), pixel_m, title)
         for spine in axes.spines.values():
@@ -140,8 +138,7 @@ def composites(
         + " (1st to 99th percentile)"
     )
     shown = f"Reflectance shown: {ranges}, square root. North up."
-    wide = int(_LETTERS * side * count)
-    lines = [textwrap.fill(line, wide) for line in (f"{what}.", shown)]
+    lines = [textwrap.fill(line, int(_LETTERS * wide)) for line in (f"{what}.", shown)]
     note(figure, "\n".join(lines))
     return figure
 
@@ -180,15 +177,13 @@ def layer_map(layers: Mapping[str, ArrayLike], what: str, *, pixel_m: float) -> 
     values = {title: np.asarray(layer, float) for title, layer in layers.items()}
     known = np.concatenate([layer[np.isfinite(layer)] for layer in values.values()])
     low, high = np.percentile(known, [1, 99]) if known.size else (0.0, 1.0)
-    side = _side(len(values))
-    figure = Figure(figsize=(side * len(values), side + 0.55))
-    grid = figure.subplots(1, len(values), squeeze=False)[0]
+    figure, grid, _ = _row(len(values))
     for axes, (title, layer) in zip(grid, values.items(), strict=True):
         known = np.where(np.isfinite(layer), layer, np.nan)
         scale = {"cmap": "gray", "vmin": low, "vmax": max(high, low + 1e-6)}
         drawn = _map(axes, known, pixel_m, title, **scale)
     bar = figure.colorbar(
-        drawn, ax=list(grid), location="bottom", shrink=0.9 / len(values), extend="both"
+        drawn, ax=grid, location="bottom", shrink=0.9 / len(values), extend="both"
     )
     bar.set_label(f"{what}, 1st to 99th percentile. North up.", fontsize=7.5)
     return figure
@@ -235,8 +230,7 @@ def residual_maps(residual: ArrayLike, band_names: Sequence[str], *, pixel_m: fl
     - `pixel_m`: side of a pixel [m].
     """
     residual = np.asarray(residual, float)
-    figure = Figure(figsize=(2.6 * len(residual), 3.2))
-    grid = figure.subplots(1, len(residual), squeeze=False)[0]
+    figure, grid = panel_grid(len(residual), len(residual), (2.6, 3.2))
     for axes, values, name in zip(grid, residual, band_names, strict=True):
         most = max(float(np.nanpercentile(np.abs(values), 99)), 1e-9)
         scale = {"cmap": "RdBu_r", "vmin": -most, "vmax": most}
@@ -288,14 +282,12 @@ def index_histograms(
         axes.locator_params(axis="x", nbins=4)
         axes.spines["left"].set_visible(False)
     name = "simulated" if after is None else "before"
-    handles: list[Artist] = [matplotlib.patches.Patch(color=BEFORE, alpha=0.55, label=name)]
+    handles: list[Artist] = [Patch(color=BEFORE, alpha=0.55, label=name)]
     if after is not None:
-        handles.append(matplotlib.lines.Line2D([], [], color=AFTER, label="after"))
+        handles.append(Line2D([], [], color=AFTER, label="after"))
     if target:
         handles.append(
-            matplotlib.lines.Line2D(
-                [], [], color=REAL, ls=(0, (4, 2)), label="real image: mean (grey: ±1 sd)"
-            )
+            Line2D([], [], color=REAL, ls=(0, (4, 2)), label="real image: mean (grey: ±1 sd)")
         )
     if len(handles) > 1:
         figure.legend(handles=handles, loc="outside upper left", ncols=len(handles))

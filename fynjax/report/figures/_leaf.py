@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 import matplotlib
 import numpy as np
 from matplotlib.collections import LineCollection
+from matplotlib.lines import Line2D
 
 from fynjax.leaf import LeafFit
 from fynjax.report.figures._style import GREY, VERMILION, Figure, panel_grid, style
@@ -69,12 +70,11 @@ def measured_figure(spectra: "xr.Dataset") -> Figure:
     what = "R" if "transmittance" not in spectra else "R; dashed: 1 - T"
     axes.set(xlabel="Wavelength [nm]", ylabel=f"{what} [-]")
     handles = [
-        matplotlib.lines.Line2D([], [], color=colour, label=name)
-        for name, colour in zip(names[:_NAMED], colours)
+        Line2D([], [], color=colour, label=name) for name, colour in zip(names[:_NAMED], colours)
     ]
     if len(names) > _NAMED:
         more = f"... to {names[-1]}, in this order"
-        handles.append(matplotlib.lines.Line2D([], [], color=colours[-1], label=more))
+        handles.append(Line2D([], [], color=colours[-1], label=more))
     figure.legend(handles=handles, loc="outside upper left", ncols=4, fontsize=7.5)
     return figure
 
@@ -108,6 +108,6 @@ def all_leaves_figure(fit: LeafFit) -> Figure:
     kinds = [(GREY, f"{int((~doubtful).sum())} fitted without doubt")]
     if named:
         kinds.append((VERMILION, f"in doubt: {', '.join(named[:_NAMED])}{more}"))
-    handles = [matplotlib.lines.Line2D([], [], color=c, label=label) for c, label in kinds]
+    handles = [Line2D([], [], color=c, label=label) for c, label in kinds]
     figure.legend(handles=handles, loc="outside upper left", fontsize=7.5)
     return figure

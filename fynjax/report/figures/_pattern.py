@@ -5,6 +5,7 @@ from typing import Any
 import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
 from fynjax.canopy import Greenness, VegetationPattern, band_roles
@@ -54,8 +55,7 @@ def pattern_figure(stack: BandStack, pattern: VegetationPattern, green: Greennes
         for level, share in zip(pattern.levels, pattern.share, strict=True)
     ]
     handles = [
-        matplotlib.patches.Patch(color=colour, label=label)
-        for colour, label in zip(colours, labels, strict=True)
+        Patch(color=colour, label=label) for colour, label in zip(colours, labels, strict=True)
     ]
     figure.legend(handles=handles, loc="outside lower center", ncols=min(count, 4))
     return figure

@@ -3,8 +3,8 @@
 from typing import Any
 
 import matplotlib.collections
-import matplotlib.patches
 import numpy as np
+from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
 from fynjax.canopy import MeshPlant, Organ
@@ -65,9 +65,7 @@ def plant_figure(model: MeshPlant) -> Figure:
             MaxNLocator(2 if high[1] - low[1] > 2.0 * (high[0] - low[0]) else 6)
         )
     handles = [
-        matplotlib.patches.Patch(
-            color=_COLOURS[kind], label=f"{kind.name.lower()} {model.organ_area[kind]:.3g} m2"
-        )
+        Patch(color=_COLOURS[kind], label=f"{kind.name.lower()} {model.organ_area[kind]:.3g} m2")
         for kind in Organ
         if model.organ_area[kind] > 0.0
     ]

@@ -6,6 +6,8 @@ from typing import Any
 import matplotlib
 import numpy as np
 import pandas as pd
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
 from numpy.typing import ArrayLike
 
 from fynjax._core.extras import require
@@ -94,7 +96,7 @@ def corner_plot(
     for i in range(count):
         figure.axes[i * (count + 1)].plot(x[:, i], density[:, i], color=GREY)
     handles = [
-        matplotlib.lines.Line2D([], [], color=colour, label=name)
+        Line2D([], [], color=colour, label=name)
         for name, colour in zip([*values, "prior"], [*_SERIES[: len(values)], GREY], strict=True)
     ]
     figure.legend(handles=handles, fontsize=11)
@@ -196,9 +198,9 @@ def indices_plot(table: pd.DataFrame) -> Figure:
         axes.set_xlim(0.0, 1.05)
         axes.set_title(words(metric))
     handles = [
-        matplotlib.patches.Patch(color=SKY, label="alone"),
-        matplotlib.patches.Patch(color=BLUE, label="with interactions"),
-        matplotlib.lines.Line2D([], [], marker="|", ls="", ms=9, mew=1.6, color=VERMILION,
+        Patch(color=SKY, label="alone"),
+        Patch(color=BLUE, label="with interactions"),
+        Line2D([], [], marker="|", ls="", ms=9, mew=1.6, color=VERMILION,
                                 label="bound by slopes (cut at 1)"),
     ]  # fmt: skip
     figure.legend(handles=handles, loc="outside upper left", ncols=3)

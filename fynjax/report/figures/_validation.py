@@ -1,11 +1,12 @@
 """Figures of a comparison of two drone images, after figures 9 and 10 of the fynbos scene paper."""
 
-import matplotlib
 import numpy as np
 import pandas as pd
 from jaxtyping import Float
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
 
 from fynjax.report.figures._style import AFTER, REAL, Figure, note, panel_grid, style, words
 
@@ -51,7 +52,7 @@ def band_box_plot(bands: pd.DataFrame) -> Figure:
             meanprops={"marker": "D", "ms": 4, "mfc": "white", "mec": colour},
             manage_ticks=False,
         )
-        handles.append(matplotlib.patches.Patch(color=colour, alpha=0.5, label=side))
+        handles.append(Patch(color=colour, alpha=0.5, label=side))
     left.set_xticks(place, [words(band) for band in bands["band"]])
     left.set(title="Pixels of each band", ylabel="Reflectance [-]")
     left.set_ylim(bottom=min(0.0, left.get_ylim()[0]))
@@ -122,8 +123,8 @@ def index_pair_histograms(
         for side, colour in SAMPLES:
             axes.axvline(row[f"{side}_mean"], color=colour, lw=1.0, ls=(0, (4, 2)))
         axes.locator_params(axis="x", nbins=4)
-    handles: list[Artist] = [matplotlib.patches.Patch(color=REAL, alpha=0.35, label="real")]
-    handles.append(matplotlib.lines.Line2D([], [], color=AFTER, label="simulated"))
+    handles: list[Artist] = [Patch(color=REAL, alpha=0.35, label="real")]
+    handles.append(Line2D([], [], color=AFTER, label="simulated"))
     figure.legend(handles=handles, loc="outside upper left", ncols=2)
     note(
         figure,

@@ -2,9 +2,9 @@
 
 from collections.abc import Sequence
 
-import matplotlib
 import numpy as np
 import pandas as pd
+from matplotlib.patches import Patch
 
 from fynjax.metrics import SPECTRAL_REGIONS
 from fynjax.report.figures._style import GREY, REAL, VERMILION, Figure, style
@@ -126,7 +126,7 @@ def spectrometer_index_bars(indices: pd.DataFrame) -> Figure:
     grid["small"].set(ylabel="Index [-]", title="Indices of the mean spectra")
     grid["large"].set_title("other scale", fontsize=8)
     grid["large"].set_visible(split < len(table))
-    handles = [matplotlib.patches.Patch(color=c, label=s) for s, c in SAMPLES]
+    handles = [Patch(color=c, label=s) for s, c in SAMPLES]
     grid["small"].legend(handles=handles, ncols=2, loc="best")
     difference_bars(grid["change"], list(table["index"]), table["difference_percent"])
     grid["change"].tick_params(axis="x", rotation=45)
