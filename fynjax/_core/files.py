@@ -28,10 +28,7 @@ _FREELY = 1 << 28
 def existing_file(path: str | Path, what: str) -> Path:
     """The path of a file that must exist.
 
-    **Arguments:**
-
-    - `path`: the file.
-    - `what`: names the file in errors, such as "a species table".
+    **Arguments:** `path`: the file; `what`: names the file in errors, such as "a species table".
 
     **Returns:** `path`.
 
@@ -120,10 +117,7 @@ def why_not(path: Path, error: Exception) -> str:
 def read_bytes(path: Path, largest: int = LARGEST_TEXT) -> bytes:
     """Content of a text file, unfolded if it is compressed (gzip).
 
-    **Arguments:**
-
-    - `path`: a file that exists.
-    - `largest`: most bytes that it may hold, or unfold to.
+    **Arguments:** `path`: a file that exists; `largest`: most bytes that it may hold, or unfold to.
 
     **Raises:** `InputError` for a file that is larger or unfolds to more, cannot be opened, or is
     cut short or damaged.

@@ -59,9 +59,7 @@ class PlotSpectraPair:
 def leave_one_out(spectra: Float[np.ndarray, "plot band"]) -> Float[np.ndarray, "plot band"]:
     """Mean of all other spectra, for each spectrum.
 
-    **Arguments:**
-
-    - `spectra`: in any unit, NaN where missing.
+    **Arguments:** `spectra`: in any unit, NaN where missing.
 
     **Returns:** the same shape and unit; NaN where there is no other value.
 
@@ -94,9 +92,7 @@ def agreement_table(pair: PlotSpectraPair) -> pd.DataFrame:
     The measures are those of `fynjax.metrics.spectral_agreement`. Of the flights the values are
     means over a plot's flights.
 
-    **Arguments:**
-
-    - `pair`: plots that were all measured (`PlotSpectraPair.those_measured`).
+    **Arguments:** `pair`: plots that were all measured (`PlotSpectraPair.those_measured`).
 
     **Returns:** a row for each plot, predictor and region: spectral angle [degree], rmse [-], nrmse
     [-], correlation [-], relative difference of the means [-].
@@ -153,9 +149,7 @@ def mean_agreement(table: pd.DataFrame) -> pd.DataFrame:
     perfect, 0 no better than that mean, below 0 worse (Murphy 1988, Monthly Weather Review
     116:2417). Flights have none.
 
-    **Arguments:**
-
-    - `table`: as of `agreement_table`.
+    **Arguments:** `table`: as of `agreement_table`.
 
     **Returns:** a row for each predictor and region, in the units of `table`.
     """
@@ -175,9 +169,7 @@ def mean_agreement(table: pd.DataFrame) -> pd.DataFrame:
 def misfit_table(pair: PlotSpectraPair) -> pd.DataFrame:
     """Level, contrast and shape of each plot's misfit, over all regions (`misfit_decomposition`).
 
-    **Arguments:**
-
-    - `pair`: plots that were all measured.
+    **Arguments:** `pair`: plots that were all measured.
 
     **Returns:** a row for each plot: rmse [-], gain [-], offset [-], and shares of the mean squared
     error [-].
@@ -202,9 +194,7 @@ def misfit_table(pair: PlotSpectraPair) -> pd.DataFrame:
 def band_table(pair: PlotSpectraPair) -> pd.DataFrame:
     """Means, errors and the correlation across plots, by band.
 
-    **Arguments:**
-
-    - `pair`: plots that were all measured.
+    **Arguments:** `pair`: plots that were all measured.
 
     **Returns:** a row for each band: `wavelength_nm`; `measured`, `simulated`, means over the plots
     [-]; `residual`, its mean, and `residual_sd` [-]; `rmse_model`, `rmse_others`, errors of the
@@ -248,9 +238,7 @@ def chance_correlation(plots: int) -> float:
 
     From Student's t with `plots` - 2 degrees of freedom, two-sided.
 
-    **Arguments:**
-
-    - `plots`: number of plots, above 2.
+    **Arguments:** `plots`: number of plots, above 2.
 
     >>> from fynjax.compare import chance_correlation
     >>> round(chance_correlation(20), 3)
@@ -297,9 +285,7 @@ def feature_values(
 def feature_table(pair: PlotSpectraPair) -> pd.DataFrame:
     """How well the model distinguishes plots: correlations of `FEATURES` across plots.
 
-    **Arguments:**
-
-    - `pair`: plots that were all measured.
+    **Arguments:** `pair`: plots that were all measured.
 
     **Returns:** a row for each feature: means and standard deviations over the plots [-],
     correlation and rank correlation (Spearman) of simulated with measured [-].

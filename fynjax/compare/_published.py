@@ -28,9 +28,7 @@ def compare_with_published(image: DroneImage) -> PublishedComparison:
     absolute difference is printed. A printed standard deviation that contradicts the formulas is
     marked, and EVI, whose form is not known.
 
-    **Arguments:**
-
-    - `image`: simulated reflectance in four bands [-], as of `read_drone_image`.
+    **Arguments:** `image`: simulated reflectance in four bands [-], as of `read_drone_image`.
 
     **Returns:** a `PublishedComparison`.
     """
@@ -79,9 +77,7 @@ def _row(
 def wins(statistics: pd.DataFrame) -> tuple[int, int]:
     """In how many statistics the simulated image is nearer to the real one than DIRSIG's.
 
-    **Arguments:**
-
-    - `statistics`: the table of a `PublishedComparison`.
+    **Arguments:** `statistics`: the table of a `PublishedComparison`.
 
     **Returns:** that number, and the number of statistics that are consistent and have both errors.
     """

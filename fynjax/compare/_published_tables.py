@@ -131,10 +131,8 @@ def consistent_targets(*, independent: bool = False) -> tuple[Target, ...]:
     The four derived band means, the means of the nineteen indices whose formula is known, and
     those of their standard deviations that do not contradict the formulas.
 
-    **Arguments:**
-
-    - `independent`: leave out rows that are exact affine functions of another one (IPVI, NDWI,
-      NormNIR, RVI), which would count the same measurement twice.
+    **Arguments:** `independent`: leave out rows that are exact affine functions of another one
+    (IPVI, NDWI, NormNIR, RVI), which would count the same measurement twice.
 
     **Returns:** a `Target` for each number, reflectance and indices [-].
     """

@@ -72,10 +72,8 @@ def read_spectra_sample(
     value of zero or less, with which products fill bands that the air hides; or that the header's
     bad-band list (`bbl`) names. Then a spectrum is left out that still misses a value.
 
-    **Arguments:**
-
-    - `paths`: the files.
-    - `most_spectra`: of a cube with more pixels every k-th row and column is read.
+    **Arguments:** `paths`: the files; `most_spectra`: of a cube with more pixels every k-th row and
+    column is read.
 
     **Returns:** a `SpectraSample`: wavelengths [nm] and reflectance [spectrum, wavelength] [-].
 

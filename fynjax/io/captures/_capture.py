@@ -274,10 +274,8 @@ def usable_captures(
 def read_capture(name: str, paths: Sequence[Path]) -> Capture:
     """Read the files of one capture, each with its metadata (`read_band`).
 
-    **Arguments:**
-
-    - `name`: of the capture, for errors and reports.
-    - `paths`: its files, one for each band.
+    **Arguments:** `name`: of the capture, for errors and reports; `paths`: its files, one for each
+    band.
 
     **Returns:** a `Capture`, bands in the order of the files, without a thermal or panchromatic
     one, whose picture is of another size.
@@ -315,10 +313,8 @@ def aligned_radiance(capture: Capture, *, align: bool = True) -> AlignedCapture:
     """Radiance of a capture, its bands laid on the first: by the maker's own calibration of the
     lenses, where the files have one, and then by the picture (`fynjax.io.raster.align_bands`).
 
-    **Arguments:**
-
-    - `capture`: all bands of one moment.
-    - `align`: false leaves every band on its own pixels.
+    **Arguments:** `capture`: all bands of one moment; `align`: false leaves every band on its own
+    pixels.
 
     **Returns:** an `AlignedCapture`: radiance [W m-2 sr-1 um-1], full pixels, and how bands were
     moved.

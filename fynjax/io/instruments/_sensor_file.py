@@ -39,10 +39,8 @@ _FEW = 20  # bands of a camera; with more, neighbours of a spectrometer are a wi
 def load_instrument(name_or_path: str | Path) -> Sensor | Lidar:
     """An imaging sensor or a LiDAR, by its shipped name or from a file.
 
-    **Arguments:**
-
-    - `name_or_path`: a shipped name, or the path of a sensor or LiDAR file. A file with a table
-      [laser] is that of a LiDAR.
+    **Arguments:** `name_or_path`: a shipped name, or the path of a sensor or LiDAR file. A file
+    with a table [laser] is that of a LiDAR.
 
     **Returns:** a `fynjax.sensors.Sensor` or a `fynjax.sensors.Lidar`.
 

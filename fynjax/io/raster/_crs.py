@@ -27,10 +27,7 @@ UNITS: dict[str, float] = {
 def parse_crs(text: str | int, file: Path | None = None) -> CRS:
     """A coordinate reference system from text.
 
-    **Arguments:**
-
-    - `text`: WKT, "EPSG:32734" or an EPSG number.
-    - `file`: that states it, for errors.
+    **Arguments:** `text`: WKT, "EPSG:32734" or an EPSG number; `file`: that states it, for errors.
 
     **Raises:** `InputError` for a system that is not known.
     """

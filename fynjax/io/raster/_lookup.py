@@ -78,10 +78,8 @@ class LookupTable:
         """Copy the bands of a raster on the swath to one on the map, each pixel from that which the
         table names: nothing is interpolated. NaN where it names none.
 
-        **Arguments:**
-
-        - `swath`: open rasterio dataset, to be read.
-        - `onto`: another of `shape` and the same bands, to be written.
+        **Arguments:** `swath`: open rasterio dataset, to be read; `onto`: another of `shape` and
+        the same bands, to be written.
 
         **Raises:** `InputError` as `blocks`.
         """
@@ -99,11 +97,8 @@ class LookupTable:
 def lookup_table(location: xr.Dataset, swath: tuple[int, int]) -> LookupTable:
     """The lookup table of a swath, checked.
 
-    **Arguments:**
-
-    - `location`: has `glt_x` and `glt_y` and the attributes `geotransform` (as GDAL has it) and
-      `spatial_ref` (WKT).
-    - `swath`: its rows and columns.
+    **Arguments:** `location`: has `glt_x` and `glt_y` and the attributes `geotransform` (as GDAL
+    has it) and `spatial_ref` (WKT); `swath`: its rows and columns.
 
     **Raises:** `InputError` for a table that lacks a part, is no table, lies nowhere or names
     pixels that the swath does not have, or none at all.

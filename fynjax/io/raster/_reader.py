@@ -494,10 +494,7 @@ def open_raster(path: str | Path, what: str) -> Iterator[RasterFile]:
     virtual raster (VRT) and other formats that name files or addresses are refused, also as such a
     file beside.
 
-    **Arguments:**
-
-    - `path`: the file.
-    - `what`: names the file in errors, such as "a probability map".
+    **Arguments:** `path`: the file; `what`: names the file in errors, such as "a probability map".
 
     **Returns:** a context manager that gives a `RasterFile`.
 

@@ -76,10 +76,7 @@ def _header(data: bytes) -> tuple[str, str, float, float, int]:
 def read_asd(path: str | Path, data: bytes | None = None) -> MeasuredSpectrum:
     """Read one ASD binary file as reflectance (or transmittance, if its type says so).
 
-    **Arguments:**
-
-    - `path`: the file.
-    - `data`: its content, if it was read already.
+    **Arguments:** `path`: the file; `data`: its content, if it was read already.
 
     **Returns:** a `MeasuredSpectrum` with target over white reference, unchecked: outdoor spectra
     hold any number in the water bands. Reflectance is multiplied by that of the white panel if

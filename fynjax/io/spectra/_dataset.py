@@ -246,10 +246,8 @@ def warnings_of_reading(read: Read, refused: Refused, table: str = "") -> list[s
 def measured_dataset(spectra: Read, attributes: Mapping[str, str | int]) -> xr.Dataset:
     """Spectra of files over all their wavelengths, NaN where one has no such band.
 
-    **Arguments:**
-
-    - `spectra`: file and spectrum of each.
-    - `attributes`: of the dataset, such as where it comes from.
+    **Arguments:** `spectra`: file and spectrum of each; `attributes`: of the dataset, such as where
+    it comes from.
 
     **Returns:** as `read_spectra`.
     """

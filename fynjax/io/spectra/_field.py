@@ -49,10 +49,7 @@ def read_field_spectrum(data: bytes, file: Path) -> MeasuredSpectrum | None:
     they differ by in it is `meta["jumps"]`. A file without reflectance has that of its target over
     its reference.
 
-    **Arguments:**
-
-    - `data`: content of the file.
-    - `file`: for errors, and the name of the spectrum.
+    **Arguments:** `data`: content of the file; `file`: for errors, and the name of the spectrum.
 
     **Raises:** `InputError` for a file without reflectance, and as `open_table`.
     """

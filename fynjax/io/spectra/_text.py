@@ -165,10 +165,7 @@ def _by_column(table: TextTable, above: list[list[str]]) -> list[MeasuredSpectru
 def read_text_spectra(data: bytes, file: Path) -> list[MeasuredSpectrum]:
     """Read spectra from a table of any layout that `read_spectra` lists.
 
-    **Arguments:**
-
-    - `data`: content of the file.
-    - `file`: it names a spectrum without a name.
+    **Arguments:** `data`: content of the file; `file`: it names a spectrum without a name.
 
     **Raises:** `InputError` as `open_table`, for a table without wavelengths, and with row and
     column of what cannot be read.

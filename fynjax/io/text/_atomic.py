@@ -27,9 +27,7 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
     If the block raises, the temporary file is removed and `path` is left as it was. Missing
     parent folders are made.
 
-    **Arguments:**
-
-    - `path`: the file to write.
+    **Arguments:** `path`: the file to write.
 
     **Returns:** a context manager that gives the temporary path, in the same folder.
 
@@ -106,9 +104,7 @@ def staged_folder(folder: str | Path) -> Iterator[Path]:
     If the block raises or is interrupted nothing reaches `folder`, and `folder` is not made.
     Files of an earlier run that have the same name are replaced, others are left alone.
 
-    **Arguments:**
-
-    - `folder`: where the files shall be.
+    **Arguments:** `folder`: where the files shall be.
 
     **Returns:** a context manager that gives the empty folder.
 
