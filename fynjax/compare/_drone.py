@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from fynjax._core.progress import advance, stage
 from fynjax.compare._images import FEW_PIXELS, DroneImage
-from fynjax.compare._published_tables import bands_2006, table4_2006
+from fynjax.compare._published import bands_2006, table4_2006
 from fynjax.diversity import VARIETY, spectral_variety
 from fynjax.metrics import (
     BANDS,

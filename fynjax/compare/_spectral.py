@@ -9,7 +9,7 @@ import pandas as pd
 from jaxtyping import Float
 
 from fynjax._core.errors import InputError
-from fynjax.compare._published_tables import figure12_2006, table5_2006
+from fynjax.compare._published import figure12_2006, table5_2006
 from fynjax.compare._spectra import SpectraSample
 from fynjax.metrics import (
     SPECTRAL_REGIONS,

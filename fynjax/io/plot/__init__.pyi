@@ -35,10 +35,10 @@ from ._rows import SkyPatternRow as SkyPatternRow
 from ._rows import SkyRow as SkyRow
 from ._rows import StatisticRow as StatisticRow
 from ._rows import StructureRow as StructureRow
+from ._rows import read_sky as read_sky
+from ._rows import read_sky_pattern as read_sky_pattern
+from ._rows import read_statistics as read_statistics
+from ._rows import read_structure as read_structure
 from ._sensor import drone_sensor as drone_sensor
 from ._sensor import plot_instrument as plot_instrument
 from ._sensor import sensor_place as sensor_place
-from ._sky import read_sky as read_sky
-from ._sky import read_sky_pattern as read_sky_pattern
-from ._statistics import read_statistics as read_statistics
-from ._statistics import read_structure as read_structure

@@ -14,8 +14,8 @@ from fynjax.io.plot._leaf_spectra import spectra_by_taxon
 from fynjax.io.plot._place import placed_by
 from fynjax.io.plot._plot import Plot
 from fynjax.io.plot._plot_tables import PlotFile
+from fynjax.io.plot._rows import read_sky, read_sky_pattern
 from fynjax.io.plot._sensor import DRONE, named_sensor, sensor_place
-from fynjax.io.plot._sky import read_sky, read_sky_pattern
 from fynjax.io.text import existing_file, line_of, read_rows, read_toml
 from fynjax.scene import (
     CoverDefinition,

@@ -1,11 +1,17 @@
-"""Rows of the tables a user writes, as pydantic models: crowns, statistics, sky; `fynjax.scene` has
-those of species and leaves."""
+"""Tables that a user writes, with their rows as pydantic models: crowns, statistics, sky;
+`fynjax.scene` has those of species and leaves."""
 
+from collections.abc import Collection
+from pathlib import Path
 from typing import ClassVar, Literal
 
+import numpy as np
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
-from fynjax.io.text import Slip, Strict, number, quantity
+from fynjax._core.errors import InputError, names_file
+from fynjax.io.plot._plot import Floats
+from fynjax.io.text import Slip, Strict, did_you_mean, number, quantity, read_rows
+from fynjax.metrics import VEGETATION_INDICES
 from fynjax.scene import PARAMETERS, SpeciesRow
 
 
@@ -160,3 +166,113 @@ class SkyRow(Strict):
     diffuse_fraction: float = number(
         "Diffuse over global irradiance on the ground", "-", ge=0, le=1
     )
+
+
+@names_file
+def read_sky(path: Path) -> tuple[Floats, Floats]:
+    """Read how much of the light is diffuse.
+
+    **Arguments:** `path`, a CSV file with the columns of `SkyRow`.
+
+    **Returns:** wavelengths [nm], rising, and diffuse over global irradiance at each [-].
+
+    **Raises:** `InputError` for wavelengths that do not rise, and as `fynjax.io.text.read_rows`.
+    """
+    rows = read_rows(path, SkyRow, "a sky table")
+    wavelength = np.array([row.wavelength_nm for _, row in rows])
+    if (falls := np.flatnonzero(np.diff(wavelength) <= 0)).size:
+        raise InputError(
+            f"expected rising wavelengths, but {wavelength[falls[0] + 1]:g} follows "
+            f"{wavelength[falls[0]]:g}",
+            row=rows[falls[0] + 1][0],
+            column="wavelength_nm",
+        )
+    return wavelength, np.array([row.diffuse_fraction for _, row in rows])
+
+
+@names_file
+def read_sky_pattern(path: Path) -> Floats:
+    """Read where the sky is bright.
+
+    **Arguments:** `path`, a CSV file with the columns of `SkyPatternRow`.
+
+    **Returns:** relative radiance [zenith, azimuth] at even steps from 0 to 90 degrees and from
+    north round clockwise.
+
+    **Raises:** `InputError` for places that are no even grid, and a sky without light.
+    """
+    rows = [row for _, row in read_rows(path, SkyPatternRow, "a pattern of the sky")]
+    zenith = np.unique([row.zenith_deg for row in rows])
+    azimuth = np.unique([row.azimuth_deg for row in rows])
+    even = len(zenith) > 1 and np.allclose(zenith, np.linspace(0.0, 90.0, len(zenith)), atol=1e-3)
+    around = np.allclose(azimuth, np.arange(len(azimuth)) * 360.0 / len(azimuth), atol=1e-3)
+    places = {(row.zenith_deg, row.azimuth_deg) for row in rows}
+    if not (even and around and len(places) == len(rows) == len(zenith) * len(azimuth)):
+        raise InputError(
+            "expected every pair of even zenith angles from 0 to 90 degrees and even azimuths from "
+            f"0 on once, 360 left out, but got {len(rows)} rows with {len(zenith)} zenith angles "
+            f"and {len(azimuth)} azimuths"
+        )
+    if not any(row.radiance > 0 for row in rows):
+        raise InputError("expected some light, but every radiance is 0")
+    ordered = sorted(rows, key=lambda row: (row.zenith_deg, row.azimuth_deg))
+    return np.array([row.radiance for row in ordered]).reshape(len(zenith), len(azimuth))
+
+
+@names_file
+def read_statistics(path: str | Path, known: Collection[str] | None = None) -> list[StatisticRow]:
+    """Read a table of statistics with the columns statistic, value, sd.
+
+    **Arguments:**
+
+    - `path`: a CSV file.
+    - `known`: names of bands and indices that can be computed; `None` takes any.
+
+    **Returns:** the rows, in the order of the file.
+
+    **Raises:** `InputError` for an unknown name, a statistic given twice, a standard deviation
+    that is not above 0, or a band's reflectance above 1.5 (percent, not a fraction).
+    """
+    rows = read_rows(path, StatisticRow, "a table of statistics")
+    for line, row in rows:
+        if known is not None and row.subject not in known:
+            raise InputError(
+                f"unknown band or index {row.subject!r}.{did_you_mean(row.subject, known)}",
+                row=line,
+                column="statistic",
+            )
+        if row.subject not in VEGETATION_INDICES and not 0 <= row.value <= 1.5:
+            hint = f" Percent? This is {row.value / 100:g}." if row.value > 1.5 else ""
+            raise InputError(
+                f"expected a reflectance as a fraction from 0 to 1.5, but got {row.value:g}.{hint}",
+                row=line,
+                column="value",
+            )
+    return [row for _, row in rows]
+
+
+@names_file
+def read_structure(path: str | Path) -> list[StructureRow]:
+    """Read a table of structure metrics of a point cloud.
+
+    **Arguments:** `path`, a CSV file with the columns metric and value, and, if need be, sd,
+    grain_m [m] and returns_m2 [m-2].
+
+    **Returns:** the rows, in the order of the file; at least one, all of one grain and of as many
+    returns.
+
+    **Raises:** `InputError` for an unknown metric, one given twice, or rows that differ in grain or
+    returns.
+    """
+    rows = read_rows(path, StructureRow, "a table of structure metrics")
+    first = rows[0][1]
+    for line, row in rows:
+        for column in ("grain_m", "returns_m2"):
+            value, known = getattr(row, column), getattr(first, column)
+            if value != known:
+                raise InputError(
+                    f"expected the same in all rows, {known:g}, but got {value:g}",
+                    row=line,
+                    column=column,
+                )
+    return [row for _, row in rows]

@@ -10,7 +10,7 @@ from ._dataset import write_spectra_netcdf as write_spectra_netcdf
 from ._envi import header_numbers as header_numbers
 from ._envi import open_envi as open_envi
 from ._envi import read_header as read_header
-from ._panel import read_curve as read_curve
+from ._read import read_curve as read_curve
 from ._read import read_spectra_file as read_spectra_file
 from ._read import read_usable_spectra as read_usable_spectra
 from ._read import reflectances as reflectances

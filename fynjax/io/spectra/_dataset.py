@@ -13,8 +13,7 @@ import xarray as xr
 
 from fynjax._core.errors import InputError
 from fynjax.io.spectra._names import as_transmittance, join_pairs, join_stated, with_doubts
-from fynjax.io.spectra._panel import read_curve, with_panel
-from fynjax.io.spectra._read import read_usable_spectra
+from fynjax.io.spectra._read import read_curve, read_usable_spectra, with_panel
 from fynjax.io.spectra._record import MeasuredSpectrum
 from fynjax.io.text import atomic_path
 from fynjax.leaf import DARKEST_JUMP, LARGEST_JUMP, correct_detector_jumps

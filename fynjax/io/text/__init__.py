@@ -12,9 +12,8 @@ from fynjax.io.text._atomic import (
     staged_folder,
     write_text,
 )
-from fynjax.io.text._named import shipped_or_own
 from fynjax.io.text._tables import read_rows, read_text
-from fynjax.io.text._toml import line_of, read_toml
+from fynjax.io.text._toml import line_of, read_toml, shipped_or_own
 
 __all__ = [
     "NamedFile",
