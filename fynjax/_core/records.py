@@ -15,26 +15,33 @@ from fynjax._core.parameters import Parameter
 Slip = Callable[[float], str | None]
 
 
-def number(description: str, unit: str, *, default: Any = ..., **bounds: float) -> Any:
+def in_unit(unit: str, *, default: Any = ..., **bounds: float) -> Any:
     """A field of a record: a finite number with a range and a unit, which errors and schemas state.
+    What it is says its docstring, which ends with the unit, as "[nm].".
 
     **Arguments:**
 
-    - `description`: what the number is, for schemas and help.
     - `unit`: such as "nm"; "-" of a number without one.
     - `default`: value where none is given; the number is required if this is left out.
     - `bounds`: `gt` and `lt`, or with their end `ge` and `le`, in `unit`.
 
     **Returns:** a pydantic field.
     """
-    return numbers(description, unit, default=default, allow_inf_nan=False, **bounds)
+    return numbers_in(unit, default=default, allow_inf_nan=False, **bounds)
 
 
-def numbers(description: str, unit: str, *, default: Any = None, **limits: Any) -> Any:
-    """As `number`, of a field that may hold several numbers: its type states their range. It may be
-    left out unless `default` is `...`; `limits` are those of pydantic, such as `min_length`."""
+def numbers_in(unit: str, *, default: Any = None, **limits: Any) -> Any:
+    """As `in_unit`, of a field that may hold several numbers: its type states their range. It may
+    be left out unless `default` is `...`; `limits` are those of pydantic, such as `min_length`."""
     extra: Any = {"unit": unit}
-    return Field(default, description=f"{description} [{unit}].", json_schema_extra=extra, **limits)
+    return Field(default, json_schema_extra=extra, **limits)
+
+
+def number(description: str, unit: str, *, default: Any = ..., **bounds: float) -> Any:
+    """As `in_unit`, of a field without a docstring: `description`, to which the unit is added,
+    stands for it."""
+    what: Any = {"allow_inf_nan": False, "description": f"{description} [{unit}]."}
+    return numbers_in(unit, default=default, **what, **bounds)
 
 
 def quantity(
@@ -72,10 +79,22 @@ def optional_quantity(parameter: Parameter) -> Any:
     return quantity(parameter, default=None, note=f"{default:g} if left out")
 
 
-class Strict(BaseModel):
-    """A record that takes no unknown names and cannot be changed."""
+def _descriptions_on_one_line(schema: dict[str, Any]) -> None:
+    for part in schema.get("properties", {}).values():
+        if "description" in part:
+            part["description"] = " ".join(part["description"].split())
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+
+class Strict(BaseModel):
+    """A record that takes no unknown names and cannot be changed; docstrings of its fields are
+    their descriptions in schemas and errors."""
+
+    model_config = ConfigDict(
+        extra="forbid",
+        frozen=True,
+        use_attribute_docstrings=True,
+        json_schema_extra=_descriptions_on_one_line,
+    )
 
     slips: ClassVar[dict[str, Slip]] = {}
     """Meanings, by column, that a value outside its range was probably meant to be."""

@@ -52,7 +52,7 @@ def expected(field: FieldInfo) -> str:
     if kinds[0] in (int, float) and len(kinds) == 1:
         kind = "a whole number" if kinds[0] is int else "a number"
         return kind + _bounds(field) + ("" if unit == "-" else f" {unit}")
-    text = (field.description or "a value").rstrip(".")
+    text = " ".join((field.description or "a value").split()).rstrip(".")
     return text[0].lower() + text[1:]
 
 

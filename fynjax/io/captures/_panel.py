@@ -16,7 +16,7 @@ from scipy.spatial import ConvexHull
 from fynjax._core.errors import InputError, in_file, names_file
 from fynjax._core.precision import double_precision
 from fynjax.io.captures._capture import Capture
-from fynjax.io.text import Strict, number, read_rows
+from fynjax.io.text import Strict, in_unit, read_rows
 from fynjax.sensors import BandSet, PanelReading, panel_coverage, panel_reading
 
 _EVEN = 0.08
@@ -49,8 +49,10 @@ class _PanelRow(Strict):
     """One row of a panel's file."""
 
     band: str | None = None
-    wavelength_nm: float | None = number("Wavelength", "nm", default=None, ge=300, le=15000)
-    reflectance: float = number("Reflectance factor", "-", gt=0, le=1.2)
+    wavelength_nm: float | None = in_unit("nm", default=None, ge=300, le=15000)
+    """Wavelength [nm]."""
+    reflectance: float = in_unit("-", gt=0, le=1.2)
+    """Reflectance factor [-]."""
 
     @model_validator(mode="after")
     def _of_what(self) -> "_PanelRow":

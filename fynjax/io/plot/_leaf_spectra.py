@@ -18,10 +18,10 @@ class LeafFileRow(Strict):
 
     unique = "file"
 
-    file: Annotated[Path, NamedFile("a leaf spectrum")] = Field(
-        description="File of leaf spectra, all of one taxon; a path from the table's folder."
-    )
-    taxon: str = Field(description="Name as in the species table.", min_length=1)
+    file: Annotated[Path, NamedFile("a leaf spectrum")]
+    """File of leaf spectra, all of one taxon; a path from the table's folder."""
+    taxon: str = Field(min_length=1)
+    """Name as in the species table."""
 
 
 @names_file

@@ -2,7 +2,15 @@
 
 from fynjax._core.errors import did_you_mean
 from fynjax._core.files import NamedFile, check_stated_size, existing_file, read_bytes
-from fynjax._core.records import Slip, Strict, number, numbers, optional_quantity, quantity
+from fynjax._core.records import (
+    Slip,
+    Strict,
+    in_unit,
+    number,
+    numbers_in,
+    optional_quantity,
+    quantity,
+)
 from fynjax._core.tables import TextTable, open_table
 from fynjax._core.validation import first_error, sentence
 from fynjax.io.text._atomic import (
@@ -25,9 +33,10 @@ __all__ = [
     "did_you_mean",
     "existing_file",
     "first_error",
+    "in_unit",
     "line_of",
     "number",
-    "numbers",
+    "numbers_in",
     "open_table",
     "optional_quantity",
     "quantity",
