@@ -32,7 +32,7 @@ from fynjax.io.raster._lookup import lookup_table
 from fynjax.io.raster._netcdf import CONVENTIONS, check_netcdf, with_history
 from fynjax.io.raster._reader import RasterFile, open_raster, wherever
 from fynjax.io.raster._scale import check_reflectance
-from fynjax.io.raster._writer import LOCAL_FRAME
+from fynjax.io.raster._writer import LOCAL_FRAME, grid_profile
 from fynjax.io.raster._zarr import check_zarr
 from fynjax.io.spectra import check_widths, in_nanometres
 from fynjax.io.text import atomic_path
@@ -388,18 +388,8 @@ class MapWriter:
         self, path: Path, shape: tuple[int, int], transform: Affine, crs: str | None
     ) -> None:
         """A GeoTIFF of all maps, yet without data."""
-        profile: dict[str, Any] = {
-            "driver": "GTiff",
-            "dtype": "float32",
-            "count": len(self._bands),
-            "height": shape[0],
-            "width": shape[1],
-            "crs": CRS.from_user_input(crs) if crs else CRS.from_wkt(LOCAL_FRAME),
-            "transform": transform,
-            "nodata": float("nan"),
-            "interleave": "band",
-            "bigtiff": "if_safer",
-        }
+        profile = grid_profile(len(self._bands), shape, transform, crs, float("nan"))
+        profile |= {"driver": "GTiff", "interleave": "band", "bigtiff": "if_safer"}
         with wherever(), rasterio.open(path, "w", **profile):
             pass
 

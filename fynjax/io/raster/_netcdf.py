@@ -188,40 +188,25 @@ def image_array(
         attributes["grid_mapping"] = "crs"
     if standard_name:
         attributes["standard_name"] = standard_name
-
-    def axis(count: int, letter: str, name: str) -> tuple[str, Any, dict[str, str]]:
-        return (
-            letter,
-            origin_m["xy".index(letter)] + (np.arange(count) + 0.5) * pixel_m,
-            {
-                "units": "m",
-                "axis": letter.upper(),
-                "standard_name": f"projection_{letter}_coordinate",
-                "long_name": f"distance {name} of the plot's south-west corner"
-                if crs is None
-                else f"{letter} of the reference system, to the {name}",
-            },
-        )
-
-    return xr.DataArray(
-        values,
-        dims=("band", "y", "x"),
-        coords={
-            "band": ("band", list(band_names), {"long_name": "band name"}),
-            "wavelength": (
-                "band",
-                np.asarray(wavelengths, dtype=float),
-                {
-                    "units": "nm",
-                    "standard_name": "sensor_band_central_radiation_wavelength",
-                    "long_name": "band centre",
-                },
-            ),
-            "y": axis(values.shape[1], "y", "north"),
-            "x": axis(values.shape[2], "x", "east"),
-        },
-        attrs=attributes,
-    )
+    centre = {
+        "units": "nm",
+        "standard_name": "sensor_band_central_radiation_wavelength",
+        "long_name": "band centre",
+    }
+    coords: dict[str, Any] = {
+        "band": ("band", list(band_names), {"long_name": "band name"}),
+        "wavelength": ("band", np.asarray(wavelengths, dtype=float), centre),
+    }
+    for axis, start, count, way in zip(
+        "yx", origin_m[::-1], values.shape[1:], ("north", "east"), strict=True
+    ):
+        about = {"units": "m", "axis": axis.upper()}
+        about["standard_name"] = f"projection_{axis}_coordinate"
+        about["long_name"] = f"{axis} of the reference system, to the {way}"
+        if crs is None:
+            about["long_name"] = f"distance {way} of the plot's south-west corner"
+        coords[axis] = (axis, start + (np.arange(count) + 0.5) * pixel_m, about)
+    return xr.DataArray(values, coords, ("band", "y", "x"), attrs=attributes)
 
 
 def grid_mapping(crs: str) -> xr.DataArray:

@@ -162,13 +162,7 @@ def element_points(
             there = index[organ] > 0.0
             position, organ = position[there], organ[there]
             normal = np.asarray(shape.normal)[there]
-            per_diameter, per_height = unit_shapes(
-                position, instances.azimuth[mine], instances.tilt[mine]
-            )
-            diameter, height = instances.diameter[mine], instances.height[mine]
-            place = diameter[:, None, None] * per_diameter + height[:, None, None] * per_height
-            foot = np.stack([instances.x[mine], instances.y[mine], instances.z[mine]], axis=-1)
-            turned = sum(unit_shapes(normal, instances.azimuth[mine], instances.tilt[mine]))
+            place, turned = standing_points(instances, mine, position, normal)
             share_of_organ = np.asarray(shape.area_fraction)[there] * index[organ]
             area = disc[mine, None] * share_of_organ * np.abs(turned @ towards)
             area = np.where(organ == Organ.WOOD, np.maximum(area, _FAINTEST / metre**2), area)
@@ -178,12 +172,23 @@ def element_points(
                 0.72 + 0.4 * np.abs(turned @ SUN)
             )
             tone = _tones(plants, species, organ, len(mine), rng)
-            places.append((place + foot[:, None]).reshape(-1, 3).astype(np.float32))
+            places.append(place.reshape(-1, 3).astype(np.float32))
             tints.append((light[..., None] * tone).reshape(-1, 3).astype(np.float32))
             areas.append(area.ravel().astype(np.float32))
     if not places:
         return np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0)
     return np.concatenate(places), np.concatenate(tints), np.concatenate(areas)
+
+
+def standing_points(
+    plants: Instances, mine: np.ndarray, position: np.ndarray, normal: np.ndarray
+) -> tuple[Float[np.ndarray, "plant point 3"], Float[np.ndarray, "plant point 3"]]:
+    """Places [m] and normals of the points of a plant of unit size, on each plant of `mine`."""
+    angles = plants.azimuth[mine], plants.tilt[mine]
+    across, up = unit_shapes(position, *angles)
+    wide, high = plants.diameter[mine, None, None], plants.height[mine, None, None]
+    foot = np.stack([plants.x[mine], plants.y[mine], plants.z[mine]], axis=-1)
+    return wide * across + high * up + foot[:, None], np.add(*unit_shapes(normal, *angles))
 
 
 def _points(plants: DrawnPlants, species: int, metre: float) -> Float[np.ndarray, " organ"]:
