@@ -138,16 +138,16 @@ class Pool:
         names = [f"{i + 1}" for i in range(len(parts))] if names is None else names
         sizes = [1] * len(parts) if sizes is None else sizes
         first = 0 if journal is None else journal.reserve(len(parts))
-        missing = []
-        for i in range(len(parts)):
+        missing = {}
+        for i, part in enumerate(parts):
             kept = None if journal is None else journal.kept(first + i)
             if kept is None:
-                missing.append(i)
+                missing[i] = part
                 continue
             advance(sizes[i], part=names[i])
             yield i, kept
         failed, report = [], None
-        answers = self._answers(function, {i: parts[i] for i in missing}, shared)
+        answers = self._answers(function, missing, shared)
         with contextlib.closing(answers):
             for i, (arrays, words, where) in answers:
                 if arrays is None:

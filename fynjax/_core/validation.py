@@ -250,11 +250,8 @@ def check_header(header: Sequence[str], model: type[BaseModel], **where: Any) ->
     if missing:
         near = did_you_mean(missing[0], strange)
         near = near.replace("Did you mean", "Is it").replace("?", " in this table?")
-        raise InputError(
-            f"expected a column {missing[0]!r}, but the header has {listed(header)}.{near}",
-            **where,
-            column=missing[0],
-        )
+        words = f"expected a column {missing[0]!r}, but the header has {listed(header)}.{near}"
+        raise InputError(words, None=where, column=missing[0])
     if strange and model.model_config.get("extra") != "ignore":
         what = repr(strange[0]) if strange[0] else "a column without a name"
         raise InputError(

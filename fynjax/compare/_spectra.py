@@ -101,10 +101,8 @@ def read_spectra_sample(
         alive &= ~((first <= 0.0) & (values[some] == first).all(axis=0))
     whole = finite[:, alive].all(axis=1) & some
     if alive.sum() < 2 or not whole.any():
-        raise InputError(
-            f"expected reflectance spectra, but none of {len(values)} has values in most bands",
-            file=files[0],
-        )
+        words = f"expected reflectance spectra, but none of {len(values)} has values in most bands"
+        raise InputError(words, file=files[0])
     values = values[whole][:, alive]
     _check_fractions(grid[alive], values, files[0])
     return SpectraSample(

@@ -105,10 +105,8 @@ def read_atmosphere(path: str | Path) -> Atmosphere:
             _TOTAL: f" Or give its parts, {_APART[0]!r} and {_APART[1]!r}.",
         }
         hint = hints.get(missing[0], "")
-        raise InputError(
-            f"expected a curve {missing[0]!r}, but the file has {listed(columns)}.{near}{hint}",
-            column=missing[0],
-        )
+        words = f"expected a curve {missing[0]!r}, but the file has {listed(columns)}.{near}{hint}"
+        raise InputError(words, column=missing[0])
     curves = {name: _converted(name, *columns[name], rows) for name in wanted}
     try:
         check_wavelength(curves["wavelength"])
@@ -180,19 +178,15 @@ def _factor(kind: str, unit: str | None, name: str) -> float:
     """What one of the file's units is in the record's."""
     example = _EXAMPLES[kind]
     if unit is None and kind != "share":
-        raise InputError(
-            f"expected a unit, such as '{name} [{example}]', but there is none",
-            column=name,
-        )
+        words = f"expected a unit, such as '{name} [{example}]', but there is none"
+        raise InputError(words, column=name)
     plain = str(unit or "").strip().lower().replace("µ", "u").replace("μ", "u")
     if kind == "share":
         factor = _SHARES.get(plain)
     elif kind == "length":
         if plain in ("um", "micron", "microns", "micrometer", "micrometre"):
-            raise InputError(
-                "expected wavelengths in nm, but the unit is µm: multiply by 1000",
-                column=name,
-            )
+            words = "expected wavelengths in nm, but the unit is µm: multiply by 1000"
+            raise InputError(words, column=name)
         factor = 1.0 if plain in ("nm", "nanometer", "nanometre", "nanometers") else None
     else:
         factor = _spectral_factor(plain, kind)

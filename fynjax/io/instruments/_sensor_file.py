@@ -160,11 +160,8 @@ def _check_band_rows(path: Path, rows: list, any_order: bool) -> None:
     for field in ("name", "fwhm_nm", "half_width_nm", "ground_sample_distance_m"):
         for number, row in rows:
             if (getattr(row, field) is None) != (getattr(first, field) is None):
-                raise InputError(
-                    "expected this column in all rows or in none, but some cells are empty",
-                    row=number,
-                    column=field,
-                )
+                words = "expected this column in all rows or in none, but some cells are empty"
+                raise InputError(words, row=number, column=field)
     centres = [row.centre_nm for _, row in rows]
     widths = [row.fwhm_nm or 2.0 * row.half_width_nm for _, row in rows]
     slip = _order_slip(centres, widths, any_order)
@@ -180,11 +177,8 @@ def _check_curve_rows(path: Path, rows: list) -> None:
         if row.band != before.band:
             done.add(before.band)
             if row.band in done:
-                raise InputError(
-                    f"expected all rows of band {row.band!r} together, but they start again",
-                    row=number,
-                    column="band",
-                )
+                words = f"expected all rows of band {row.band!r} together, but they start again"
+                raise InputError(words, row=number, column="band")
         elif row.wavelength_nm <= before.wavelength_nm:
             slip = "Sort the rows."
             if row.wavelength_nm == before.wavelength_nm:

@@ -61,11 +61,8 @@ def with_parameter_table(
             )
         unit = record.unit if row.unit is None else row.unit
         if unit not in accepted:
-            raise InputError(
-                f"expected {kind} in {' or '.join(accepted)}, but got {unit!r}",
-                row=number,
-                column="unit",
-            )
+            words = f"expected {kind} in {' or '.join(accepted)}, but got {unit!r}"
+            raise InputError(words, row=number, column="unit")
         factor = accepted[unit]
         record.check(row.estimate, kind, (unit, factor), row=number, column="estimate")
         values[row.name] = jnp.asarray(row.estimate / factor)

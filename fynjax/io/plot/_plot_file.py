@@ -61,11 +61,8 @@ def _read_leaves(
     named = {row.taxon for _, row in rows} | set(measured)
     for i, (number, row) in enumerate(rows):
         if row.taxon in measured:
-            raise InputError(
-                f"the plot's leaf_spectra have leaves of {row.taxon!r} too: leave one out",
-                row=number,
-                column="taxon",
-            )
+            words = f"the plot's leaf_spectra have leaves of {row.taxon!r} too: leave one out"
+            raise InputError(words, row=number, column="taxon")
         if row in [earlier for _, earlier in rows[:i]]:
             raise InputError(
                 f"this leaf of {row.taxon!r} is there twice. Of several leaves of a taxon each "

@@ -240,11 +240,8 @@ def read_statistics(path: str | Path, known: Collection[str] | None = None) -> l
     rows = read_rows(path, StatisticRow, "a table of statistics")
     for line, row in rows:
         if known is not None and row.subject not in known:
-            raise InputError(
-                f"unknown band or index {row.subject!r}.{did_you_mean(row.subject, known)}",
-                row=line,
-                column="statistic",
-            )
+            words = f"unknown band or index {row.subject!r}.{did_you_mean(row.subject, known)}"
+            raise InputError(words, row=line, column="statistic")
         if row.subject not in VEGETATION_INDICES and not 0 <= row.value <= 1.5:
             hint = f" Percent? This is {row.value / 100:g}." if row.value > 1.5 else ""
             raise InputError(
@@ -274,9 +271,6 @@ def read_structure(path: str | Path) -> list[StructureRow]:
         for column in ("grain_m", "returns_m2"):
             value, known = getattr(row, column), getattr(first, column)
             if value != known:
-                raise InputError(
-                    f"expected the same in all rows, {known:g}, but got {value:g}",
-                    row=line,
-                    column=column,
-                )
+                words = f"expected the same in all rows, {known:g}, but got {value:g}"
+                raise InputError(words, row=line, column=column)
     return [row for _, row in rows]

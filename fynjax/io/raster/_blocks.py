@@ -402,10 +402,8 @@ class MapWriter:
             for block in np.flatnonzero(self.done):
                 kept = self._journal.kept(int(block))
                 if kept is None:
-                    raise InputError(
-                        "the checkpoint was removed meanwhile: the same command begins anew",
-                        file=self._folder,
-                    )
+                    words = "the checkpoint was removed meanwhile: the same command begins anew"
+                    raise InputError(words, file=self._folder)
                 start, _, values = kept
                 file.write(values, window=Window(0, int(start), *values.shape[:0:-1]))
         return path

@@ -40,10 +40,8 @@ class OverPlot:
         """Refuse a raster of several bands; `expected` is what one band is to be."""
         if len(self.names) != 1:
             listed = ", ".join(name or f"band {k}" for k, name in enumerate(self.names, 1))
-            raise InputError(
-                f"expected {expected}, but it has {len(self.names)} ({listed}). {remedy}",
-                file=self.file,
-            )
+            words = f"expected {expected}, but it has {len(self.names)} ({listed}). {remedy}"
+            raise InputError(words, file=self.file)
 
     def in_own_cells(self) -> NDArray[np.float64]:
         """[band, y, x], y to the north: the cells as they are where the plot's edges meet those of

@@ -173,10 +173,8 @@ def header_numbers(
     if (np.abs(values) > LARGEST).any():
         raise InputError(f"expected numbers within {LARGEST:g}", column=key)
     if values.size != count:
-        raise InputError(
-            f"expected {count} values, one for each band, but got {values.size}",
-            column=key,
-        )
+        words = f"expected {count} values, one for each band, but got {values.size}"
+        raise InputError(words, column=key)
     return values
 
 

@@ -77,16 +77,12 @@ def in_nanometres(wavelength: NDArray[np.float64], unit: str) -> tuple[NDArray[n
     unit = unit.strip().lower()
     highest = float(np.nanmax(wavelength))
     if highest > _LONGEST:
-        raise InputError(
-            f"expected wavelengths in Nanometers or Micrometers, but one is {highest:g}",
-            column="wavelength",
-        )
+        words = f"expected wavelengths in Nanometers or Micrometers, but one is {highest:g}"
+        raise InputError(words, column="wavelength")
     micrometres = unit.startswith(_MICROMETRES)
     if not micrometres and not unit.startswith(_NANOMETRES) and unit not in _UNSTATED:
-        raise InputError(
-            f"expected wavelengths in Nanometers or Micrometers, but the unit is {unit!r}",
-            column="wavelength units",
-        )
+        words = f"expected wavelengths in Nanometers or Micrometers, but the unit is {unit!r}"
+        raise InputError(words, column="wavelength units")
     if unit not in _UNSTATED and micrometres != (highest < 100.0):
         raise InputError(
             f"wavelengths are stated in {unit!r}, but run to {highest:g}; are they "
@@ -104,10 +100,8 @@ def check_widths(width: NDArray[np.float64]) -> None:
     """
     wrong = width[(width < 0.0) | (width > _LONGEST)]
     if wrong.size:
-        raise InputError(
-            f"expected full widths of bands from 0 to {_LONGEST:g} nm, but one is {wrong[0]:g}",
-            column="fwhm",
-        )
+        words = f"expected full widths of bands from 0 to {_LONGEST:g} nm, but one is {wrong[0]:g}"
+        raise InputError(words, column="fwhm")
 
 
 def in_windows(wavelength: np.ndarray, windows: tuple[tuple[float, float], ...]) -> np.ndarray:
