@@ -251,7 +251,7 @@ def check_header(header: Sequence[str], model: type[BaseModel], **where: Any) ->
         near = did_you_mean(missing[0], strange)
         near = near.replace("Did you mean", "Is it").replace("?", " in this table?")
         words = f"expected a column {missing[0]!r}, but the header has {listed(header)}.{near}"
-        raise InputError(words, None=where, column=missing[0])
+        raise InputError(words, **where, column=missing[0])
     if strange and model.model_config.get("extra") != "ignore":
         what = repr(strange[0]) if strange[0] else "a column without a name"
         raise InputError(
