@@ -47,7 +47,7 @@ BUGS = {
         ("image", "ground-map", "terrain"),
     ),
     "gzip that ends too early": Bug(
-        "_core/files.py", "except EOFError as error:", "except ZeroDivisionError as error:",
+        "_core/files.py", "refusing(EOFError, words=", "refusing(ZeroDivisionError, words=",
         ("spectra-gzip",),
     ),
     "units of an atmosphere that are numbers": Bug(
