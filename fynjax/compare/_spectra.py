@@ -142,12 +142,13 @@ def _read(path: Path, most: int) -> _Part:
             f"are left out, such as {name!r}: {reason}",
             stacklevel=3,
         )
-    rows = [(s.wavelength, s.reflectance) for s in spectra if s.reflectance is not None]
-    if not rows:
+    spectra = [s for s in spectra if s.reflectance is not None]
+    if not spectra:
         raise InputError("expected reflectance, but the file has only transmittance")
-    for (wave, _), spectrum in zip(rows, spectra, strict=False):
-        _check_grid(rows[0][0], wave, f"spectrum {spectra[0].name!r}", spectrum.name)
-    return rows[0][0], np.stack([values for _, values in rows]), None, 1
+    grid, first = spectra[0].wavelength, f"spectrum {spectra[0].name!r}"
+    for spectrum in spectra:
+        _check_grid(grid, spectrum.wavelength, first, spectrum.name)
+    return grid, np.stack([np.asarray(s.reflectance) for s in spectra]), None, 1
 
 
 def _header_of(path: Path) -> Path | None:

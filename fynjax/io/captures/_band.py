@@ -101,6 +101,13 @@ class Stated:
             return None
         return values if values and np.all(np.abs(values) < LARGEST) else None
 
+    def tilt(self, *keys: str) -> float | None:
+        """Angle from the horizontal by pitch and roll under these keys [degrees]; `None` without
+        both."""
+        angles = [self.maybe(key) for key in keys]
+        cosine = np.prod([np.cos(np.radians(angle[0])) for angle in angles if angle])
+        return float(np.degrees(np.arccos(cosine))) if all(angles) else None
+
     def maybe_exif(self, key: str) -> float | None:
         number = re.search(r"[-+\d.eE]+", self.tags.get(f"EXIF_{key}", ""))
         try:

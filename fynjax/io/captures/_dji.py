@@ -58,8 +58,6 @@ def dji_band(path: Path, counts: NDArray[np.uint16], bits: int, stated: Stated) 
             raise InputError(f"expected a positive {name}, below the counts, but got {value:g}")
     wavelength, fwhm = _band(stated)
     light = stated.maybe("Irradiance")
-    attitude = [stated.maybe(f"Flight{angle}Degree") for angle in ("Pitch", "Roll")]
-    cosine = np.prod([np.cos(np.radians(a[0])) for a in attitude if a])
     vignetting = _vignetting(stated)
     lens = _lens(stated)
     focal = _first(stated, "CalibratedFocalLength")
@@ -84,7 +82,7 @@ def dji_band(path: Path, counts: NDArray[np.uint16], bits: int, stated: Stated) 
         or stated.tags.get("EXIF_DateTimeOriginal", ""),
         focal_length=focal[0] if focal else lens.focal_length[0] if lens else None,
         irradiance=light[0] if light and light[0] > 0.0 else None,
-        irradiance_tilt=float(np.degrees(np.arccos(cosine))) if all(attitude) else None,
+        irradiance_tilt=stated.tilt("FlightPitchDegree", "FlightRollDegree"),
         sensor="mavic_3m",
         absolute=False,
         lens=lens,

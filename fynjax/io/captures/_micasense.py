@@ -97,11 +97,7 @@ def _irradiance(stated: Stated) -> tuple[float | None, float | None]:
     # Light sensors that correct for tilt state uW cm-2 nm-1 where they do not name their scale.
     assumed = 0.01 if "HorizontalIrradiance" in stated.xmp else 1.0
     scale = (stated.maybe("IrradianceScaleToSIUnits") or [assumed])[0]
-    tilt = None
-    angles = [stated.maybe(f"Irradiance{name}") for name in ("Pitch", "Roll")]
-    if not flat and all(angles):
-        cosines = [np.cos(np.radians(angle[0])) for angle in angles if angle]
-        tilt = float(np.degrees(np.arccos(np.prod(cosines))))
+    tilt = None if flat else stated.tilt("IrradiancePitch", "IrradianceRoll")
     return level[0] * scale * _PER_MICROMETRE, tilt
 
 

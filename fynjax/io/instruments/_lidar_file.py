@@ -5,7 +5,7 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field, model_validator
 
-from fynjax.io.instruments._sensor_tables import _nanometre_slip
+from fynjax.io.instruments._sensor_tables import InstrumentFile, _nanometre_slip
 from fynjax.io.text import Slip, Strict, in_unit, numbers_in, read_toml, shipped_or_own
 from fynjax.sensors import Lidar, build_lidar, lidar_folder, shipped_lidars
 
@@ -142,17 +142,9 @@ class LidarNoiseTable(Strict):
     """Standard deviation of the reading of a sample [electrons]."""
 
 
-class LidarFile(Strict):
+class LidarFile(InstrumentFile):
     """A LiDAR file: laser, lines of sight, receiver and noise."""
 
-    name: str = Field(min_length=1)
-    """Short name."""
-    description: str = ""
-    """What it is, in a sentence."""
-    source: str = Field(min_length=1)
-    """Where the numbers come from."""
-    licence: str = ""
-    """Terms of the numbers, where there are any."""
     laser: LaserTable
     geometry: FlashGeometryTable | ScanGeometryTable = Field(discriminator="kind")
     """A table of lines of sight."""

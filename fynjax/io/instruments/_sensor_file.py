@@ -63,7 +63,7 @@ def load_instrument(name_or_path: str | Path) -> Sensor | Lidar:
 def _has_laser(path: Path) -> bool:
     try:
         return "laser" in tomllib.loads(path.read_text("utf-8"))
-    except (OSError, ValueError):  # the reader of sensor files says what is wrong
+    except (OSError, RecursionError, ValueError):  # the reader of sensor files says what is wrong
         return False
 
 

@@ -285,8 +285,8 @@ class CalibrationErrorsTable(Strict):
         return self
 
 
-class SensorFile(Strict):
-    """A sensor file: one sensor, its bands, lines of sight, blur and noise."""
+class InstrumentFile(Strict):
+    """What the file of any instrument says of it."""
 
     name: str = Field(min_length=1)
     """Short name."""
@@ -296,6 +296,11 @@ class SensorFile(Strict):
     """Where the numbers come from."""
     licence: str = ""
     """Terms of the numbers, where there are any."""
+
+
+class SensorFile(InstrumentFile):
+    """A sensor file: one sensor, its bands, lines of sight, blur and noise."""
+
     geometry: FrameGeometryTable | PushbroomGeometryTable | OrthographicGeometryTable = Field(
         discriminator="kind"
     )

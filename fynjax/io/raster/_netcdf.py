@@ -10,6 +10,7 @@ import sys
 import threading
 import time
 import warnings
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from datetime import UTC, datetime
@@ -138,17 +139,21 @@ def provenance(
     **Arguments:**
 
     - `seed`: seed of the run.
-    - `inputs`: files that were read; each enters as `name: sha256`.
+    - `inputs`: files that were read; each enters as `name: sha256`, with its folder where others
+      have its name.
 
     **Returns:** file attributes by name.
     """
+    paths = dict.fromkeys(map(Path, inputs))
+    names = Counter(path.name for path in paths)
+    hashes = {p.name if names[p.name] == 1 else p.as_posix(): file_hash(p) for p in paths}
     record: dict[str, str | int] = {
         "source": f"fynjax {fynjax.__version__}",
         "fynjax_version": fynjax.__version__,
         "jax_version": version("jax"),
         "command": command_line(),
         "date_created": datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"),
-        "input_sha256": json.dumps({Path(p).name: file_hash(p) for p in inputs}),
+        "input_sha256": json.dumps(hashes),
     }
     if seed is not None:
         record["seed"] = seed

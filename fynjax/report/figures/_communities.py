@@ -1,23 +1,13 @@
 """Diversity and species as sensors of coarser and coarser pixels see them."""
 
-from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
 import pandas as pd
 
-from fynjax.report.figures._style import (
-    BLUE,
-    GREEN,
-    GREY,
-    ORANGE,
-    PURPLE,
-    SKY,
-    VERMILION,
-    Figure,
-    style,
-)
+from fynjax.report.figures._style import GREY, SERIES, Figure, style
 
-_COLOURS = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY)
+_COLOURS = SERIES[:6]
 _LINES = ("-", "--", ":", "-.")
 
 
@@ -35,7 +25,7 @@ def agreement_plot(table: pd.DataFrame, threshold: float) -> Figure:
     grid: Any = figure.subplots(
         len(sensors), len(diversities), squeeze=False, sharex=True, sharey=True
     )
-    for (s, d), axes in ((place, grid[place]) for place in _places(sensors, diversities)):
+    for (s, d), axes in np.ndenumerate(grid):
         part = least[(least["sensor"] == sensors[s]) & (least["diversity"] == diversities[d])]
         for k, (metric, line) in enumerate(part.groupby("metric", sort=False)):
             colour = _COLOURS[k % len(_COLOURS)]
@@ -89,7 +79,3 @@ def recognition_plot(table: pd.DataFrame) -> Figure:
     axes.set_ylabel("Pixels recognised [-]")
     figure.legend(loc="outside upper left", ncols=2)
     return figure
-
-
-def _places(rows: Sequence[object], columns: Sequence[object]) -> list[tuple[int, int]]:
-    return [(r, c) for r in range(len(rows)) for c in range(len(columns))]

@@ -7,11 +7,8 @@ import numpy as np
 from fynjax.inversion import BandDesign
 from fynjax.report.figures._style import (
     BLUE,
-    GREEN,
     GREY,
-    ORANGE,
-    PURPLE,
-    SKY,
+    SERIES,
     VERMILION,
     Figure,
     name_rows,
@@ -19,7 +16,6 @@ from fynjax.report.figures._style import (
     words,
 )
 
-_COLOURS = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY, GREY)
 _MOST = 12
 """Curves of a panel, at most."""
 _SEEN = 0.006
@@ -44,7 +40,7 @@ def design_plot(found: BandDesign) -> Figure:
     for axes, curves in zip(panels, (spectra, slopes)):
         known = {name: curve for name, curve in curves.items() if np.isfinite(curve).all()}
         for k, (name, curve) in enumerate([*known.items()][-_MOST:]):
-            line, colour = "-" if k < len(_COLOURS) else "--", _COLOURS[k % len(_COLOURS)]
+            line, colour = "-" if k < len(SERIES) else "--", SERIES[k % len(SERIES)]
             axes.plot(
                 wavelength, curve, line, lw=1.1, color=colour,
                 label=words(name.removeprefix("species.")),

@@ -8,9 +8,9 @@ from jaxtyping import Float
 from matplotlib.lines import Line2D
 
 from fynjax.report.figures._plots import draw_band, draw_line
-from fynjax.report.figures._style import BLUE, GREEN, GREY, ORANGE, VERMILION, Figure, style
+from fynjax.report.figures._style import BLUE, GREY, ORANGE, SERIES, VERMILION, Figure, style
 
-_COLOURS = (BLUE, VERMILION, GREEN)
+_COLOURS = SERIES[:3]
 """Of the priors, in the order in which a table names them."""
 
 

@@ -29,6 +29,8 @@ ORANGE, SKY, GREEN, BLUE, VERMILION, PURPLE = (
     "#CC79A7",
 )
 GREY = "#7F7F7F"
+SERIES = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY, GREY)
+"""Colours of lines that are of one kind, in their order."""
 BEFORE, AFTER, REAL, OTHER = ORANGE, BLUE, "#222222", GREY
 """Before calibration, after it, the real data, another simulation: the same in every figure."""
 
