@@ -113,7 +113,8 @@ class Journal:
         """Write arrays by name, behind the hash of what follows it."""
         content = io.BytesIO()
         try:
-            np.savez(content, **{key: np.asarray(value) for key, value in arrays.items()})
+            named: dict[str, Any] = {key: np.asarray(value) for key, value in arrays.items()}
+            np.savez(content, **named)
             data = content.getvalue()
             _write(self._folder / name, hashlib.sha256(data).digest() + data)
         except OSError as error:

@@ -76,8 +76,9 @@ def in_file(file: str | Path) -> Iterator[None]:
     except InputError as error:
         if error.file is not None:
             raise
-        where = {"file": Path(file), "row": error.row, "column": error.column}
-        raise InputError(error.message, **where) from error
+        raise InputError(
+            error.message, file=Path(file), row=error.row, column=error.column
+        ) from error
 
 
 def names_file(reader: Callable[P, R]) -> Callable[P, R]:

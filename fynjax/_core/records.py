@@ -37,7 +37,7 @@ def numbers_in(unit: str, *, default: Any = None, **limits: Any) -> Any:
     return Field(default, json_schema_extra=extra, **limits)
 
 
-def number(description: str, unit: str, *, default: Any = ..., **bounds: float) -> Any:
+def number(description: str, unit: str, *, default: Any = ..., **bounds: float | None) -> Any:
     """As `in_unit`, of a field without a docstring: `description`, to which the unit is added,
     stands for it."""
     what: Any = {"allow_inf_nan": False, "description": f"{description} [{unit}]."}

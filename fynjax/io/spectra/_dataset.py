@@ -6,6 +6,7 @@ import warnings
 from collections.abc import Mapping, Sequence
 from importlib.resources import files
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -165,7 +166,8 @@ def _without_jumps(spectrum: MeasuredSpectrum, changes: Sequence[float] | None) 
     stated = changes is not None
     measured = spectrum.meta.get("jumps") if changes is None else None
     changes = spectrum.meta.get("splices", []) if changes is None else changes
-    notes, parts = [], {}
+    notes: list[str] = []
+    parts: dict[str, Any] = {}
     if not changes and not stated and (changes := _asd_changes(spectrum)):
         at = " and ".join(f"{c:g}" for c in changes)
         notes.append(f"bands are those of an ASD, with a step of its detectors at {at} nm")

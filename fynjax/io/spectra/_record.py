@@ -52,8 +52,8 @@ def measured(
     name: str, wavelength: np.ndarray, values: np.ndarray, meta: dict[str, Any], through: bool
 ) -> MeasuredSpectrum:
     """A spectrum of transmittance alone (`through`), or of reflectance alone."""
-    parts = (None, values) if through else (values, None)
-    return MeasuredSpectrum(name, wavelength, *parts, meta)
+    reflected, passed = (None, values) if through else (values, None)
+    return MeasuredSpectrum(name, wavelength, reflected, passed, meta)
 
 
 def note(meta: dict[str, Any], sentence: str) -> None:

@@ -57,7 +57,7 @@ def _panels(sizes: Sequence[int], extra: float) -> tuple[Figure, list[Axes]]:
     wide = 8.0 if len(columns) > 1 else 6.0
     figure = Figure(figsize=(wide, tall * _ROW + extra))
     outer = figure.add_gridspec(1, len(columns))
-    axes = {}
+    axes: dict[int, Axes] = {}
     for k, column in enumerate(map(sorted, columns)):
         used = [rows[p] for p in column]
         spare = tall - sum(used)
