@@ -22,7 +22,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from fynjax._core.errors import InputError
+from fynjax._core.errors import InputError, refusing
 
 State = TypeVar("State")
 
@@ -47,11 +47,10 @@ class Journal:
                     file=self._folder,
                 )
             return
-        try:
+        words = "cannot write here: {error.strerror}"
+        with refusing(OSError, words=words, file=self._folder):
             self._folder.mkdir(parents=True, exist_ok=True)
             _write(mark, f"{signature}\n".encode())
-        except OSError as error:
-            raise InputError(f"cannot write here: {error.strerror}", file=self._folder) from error
 
     def __call__(self, step: Callable[..., Array | np.ndarray], *of: Any) -> np.ndarray:
         """Do a step and keep the array that it returns; or, if an earlier run did it, give that
@@ -181,12 +180,11 @@ def forget_journal(folder: str | Path) -> None:
 def _load(path: Path) -> dict[str, np.ndarray] | None:
     """The arrays that `Journal` wrote; None where there is no file. `InputError` for any other
     content."""
-    try:
-        raw = path.read_bytes()
-    except FileNotFoundError:
-        return None
-    except OSError as error:
-        raise InputError(f"it cannot be opened ({error.strerror})", file=path) from error
+    with refusing(OSError, words="it cannot be opened ({error.strerror})", file=path):
+        try:
+            raw = path.read_bytes()
+        except FileNotFoundError:
+            return None
     size = hashlib.sha256().digest_size
     damaged = InputError(
         "no checkpoint, or a damaged one; remove its folder to start again", file=path

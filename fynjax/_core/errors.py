@@ -100,15 +100,18 @@ def refusing(
 ) -> Iterator[None]:
     """Make an `InputError` of any of these errors of a block; one that is an `InputError` stays.
 
-    **Arguments:** `words`, its message, in which `{error}` stands for what the error says; `file`
-    and `column`, as of `InputError`.
+    **Arguments:** `words`, its message, in which `{error}` stands for what the error says, and
+    `{error.strerror}` for what the system says; `file` and `column`, as of `InputError`.
     """
     try:
         yield
     except InputError:
         raise
     except errors as error:
-        raise InputError(words.format(error=error), file=file, column=column) from error
+        # No `format`: a user's text among the words may have braces.
+        words = words.replace("{error.strerror}", str(getattr(error, "strerror", error)))
+        words = words.replace("{error}", str(error))
+        raise InputError(words, file=file, column=column) from error
 
 
 def whole_number(name: str, value: Any, least: int = 0, most: int | None = None) -> int:

@@ -353,11 +353,8 @@ def open_points(path: str | Path, what: str, needed: Collection[str]) -> TextTab
 def without_header(table: TextTable, names: Sequence[str], needed: int) -> None:
     """Name the columns of a table that has no header.
 
-    **Arguments:**
-
-    - `table`: whose `skip` is set.
-    - `names`: of its columns.
-    - `needed`: how many of them are needed.
+    **Arguments:** `table`: whose `skip` is set; `names`: of its columns; `needed`: how many of them
+    are needed.
 
     **Raises:** `InputError` where commas separate more columns, and stand between digits only:
     "1,5" may be two numbers, or one.

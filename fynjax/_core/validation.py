@@ -171,12 +171,9 @@ def checked_row(
 ) -> Row:
     """A record of what a row of a table states.
 
-    **Arguments:**
-
-    - `model`: class of the record.
-    - `given`: values by column, without those of empty cells.
-    - `file`, `row`: that hold it.
-    - `within`: folder in which files must lie that a `NamedFile` of the record names.
+    **Arguments:** `model`: class of the record; `given`: values by column, without those of empty
+    cells; `file`, `row`: that hold it; `within`: folder in which files must lie that a `NamedFile`
+    of the record names.
 
     **Raises:** `InputError` with the column, what was expected, what came and the likely slip.
     """
@@ -200,12 +197,8 @@ def checked_rows(
 ) -> list[tuple[int, Row]]:
     """Records of the rows of a table, each with its number.
 
-    **Arguments:**
-
-    - `given`: number of each row, and its values as `checked_row` takes them.
-    - `model`: class of the record.
-    - `file`: that holds the table.
-    - `within`: as of `checked_row`.
+    **Arguments:** `given`: number of each row, and its values as `checked_row` takes them; `model`:
+    class of the record; `file`: that holds the table; `within`: as of `checked_row`.
 
     **Raises:** `InputError` as `checked_row`, and for rows that share what must be `unique`.
     """
@@ -236,11 +229,8 @@ def check_header(header: Sequence[str], model: type[BaseModel], **where: Any) ->
 
     A record that ignores what it does not name takes tables with further columns.
 
-    **Arguments:**
-
-    - `header`: names of a table's columns.
-    - `model`: the record of a row.
-    - `where`: file and row, as `InputError` takes them.
+    **Arguments:** `header`: names of a table's columns; `model`: the record of a row; `where`: file
+    and row, as `InputError` takes them.
     """
     known = columns(model)
     rules = model if issubclass(model, Strict) else Strict

@@ -189,7 +189,12 @@ def read_drone_image(
             f"and {int(saturated.sum())} saturated: none is left"
         )
     _check_scale(values[:, used], kind, path)
-    _warn_of_few(int(used.sum()), path)
+    if (pixels := int(used.sum())) < FEW_PIXELS:
+        warnings.warn(
+            f"{path}: {pixels} pixels are compared, which is too few for distributions; means "
+            "alone can be compared, if at all",
+            stacklevel=3,
+        )
     _check_order(values[: len(BANDS), used], how, taken, path)
     _warn_of_clipping(values[:, used], names, path)
     values[:, ~used] = np.nan
@@ -295,15 +300,6 @@ def _check_scale(
             "Was a dark offset subtracted twice, or is this an index?"
         )
     check_reflectance(brightest, path, eight_bits=kind is not None and kind.itemsize == 1)
-
-
-def _warn_of_few(pixels: int, path: Path) -> None:
-    if pixels < FEW_PIXELS:
-        warnings.warn(
-            f"{path}: {pixels} pixels are compared, which is too few for distributions; means "
-            "alone can be compared, if at all",
-            stacklevel=4,
-        )
 
 
 def thinning(rows: int, columns: int, most: int) -> int:

@@ -59,11 +59,8 @@ def choose_grain(
     Least change alone takes any grain of several, by chance: large ones hold so few cells that a
     change can be small, and cut off more of the plot.
 
-    **Arguments:**
-
-    - `structures`: of one cloud, with grains that grow.
-    - `settings`: of the rule.
-    - `plot`: west, south, east and north edge of the plot [m].
+    **Arguments:** `structures`: of one cloud, with grains that grow; `settings`: of the rule;
+    `plot`: west, south, east and north edge of the plot [m].
 
     **Returns:** cells of the grain chosen, and a table with a row for each grain: its cells, area
     and edges, the share of the plot that is in no cell, returns in cells, how much the metrics

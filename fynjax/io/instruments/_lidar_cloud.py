@@ -101,7 +101,11 @@ def write_cloud(
     more = _DIMENSIONS if leading is None else _DIMENSIONS + _OF_SPECIES
     header.add_extra_dims([laspy.ExtraBytesParams(*dimension) for dimension in more])
     if crs is not None:
-        header.vlrs.append(laspy.vlrs.known.WktCoordinateSystemVlr(_wkt(crs)))
+        words = f"`crs` must be a reference system such as 'EPSG:32734', but is {crs!r}"
+        with refusing(CRSError, words=words):
+            # WKT 1, which the LAS specification asks for.
+            wkt = CRS.from_user_input(crs).to_wkt(version="WKT1_GDAL")
+        header.vlrs.append(laspy.vlrs.known.WktCoordinateSystemVlr(wkt))
     header.global_encoding.wkt = True
     cloud = laspy.LasData(header)
     cloud.x, cloud.y, cloud.z = place.T
@@ -121,13 +125,3 @@ def write_cloud(
         cloud.species_share = share.astype(np.float32)
     with atomic_path(path) as partial, refusing(OSError, words="cannot write here: {error}"):
         cloud.write(partial)
-
-
-def _wkt(crs: str) -> str:
-    """WKT 1, which the LAS specification asks for."""
-    try:
-        return CRS.from_user_input(crs).to_wkt(version="WKT1_GDAL")
-    except CRSError as error:
-        raise InputError(
-            f"`crs` must be a reference system such as 'EPSG:32734', but is {crs!r}"
-        ) from error

@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from datetime import datetime
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import (
     AfterValidator,
@@ -31,10 +31,6 @@ from fynjax.scene import PARAMETERS, CoverDefinition, Placement
 from fynjax.sensors import Panel, SunPosition, shipped_sensors, sun_position
 
 
-def _two_sides(value: Any) -> Any:
-    return value if isinstance(value, list | tuple) else (value, value)
-
-
 def _sides_fit(value: tuple[float, float]) -> tuple[float, float]:
     for side in value:
         if not 0.5 <= side <= 1000:
@@ -45,7 +41,10 @@ def _sides_fit(value: tuple[float, float]) -> tuple[float, float]:
 Size = Annotated[
     tuple[float, float],
     AfterValidator(_sides_fit),
-    BeforeValidator(_two_sides, json_schema_input_type=float | tuple[float, float]),
+    BeforeValidator(
+        lambda side: side if isinstance(side, list | tuple) else (side, side),
+        json_schema_input_type=float | tuple[float, float],
+    ),
 ]
 Raster = Annotated[Path, NamedFile("a GeoTIFF")]
 

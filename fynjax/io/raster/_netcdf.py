@@ -126,11 +126,6 @@ def content_hash(path: str | Path) -> str:
     return total.hexdigest()
 
 
-def command_line() -> str:
-    """The command that runs now, as one would type it."""
-    return shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]])
-
-
 def provenance(
     *, seed: int | None = None, inputs: Iterable[str | Path] = ()
 ) -> dict[str, str | int]:
@@ -151,7 +146,7 @@ def provenance(
         "source": f"fynjax {fynjax.__version__}",
         "fynjax_version": fynjax.__version__,
         "jax_version": version("jax"),
-        "command": command_line(),
+        "command": shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]),
         "date_created": datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"),
         "input_sha256": json.dumps(hashes),
     }

@@ -99,21 +99,16 @@ def write_geotiff(
             file.offsets = (offset,) * bands
         file.descriptions = tuple(band_names)
         for number, centre in enumerate(() if wavelengths is None else wavelengths, start=1):
-            width = None if widths is None else widths[number - 1]
-            _tag_band(file, number, float(centre), width)
+            # Also as GDAL's drivers do.
+            file.update_tags(number, wavelength=f"{centre:g}", wavelength_units="Nanometers")
+            imagery = {"CENTRAL_WAVELENGTH_UM": f"{centre / 1e3:.7g}"}
+            if widths is not None:
+                file.update_tags(number, fwhm=f"{widths[number - 1]:g}")
+                imagery["FWHM_UM"] = f"{widths[number - 1] / 1e3:.7g}"
+            file.update_tags(number, ns="IMAGERY", **imagery)
         file.update_tags(
             **{k: v if isinstance(v, str) else json.dumps(v) for k, v in (tags or {}).items()}
         )
-
-
-def _tag_band(file: Any, number: int, centre: float, width: float | None) -> None:
-    """State centre and full width at half maximum of a band [nm], also as GDAL's drivers do."""
-    file.update_tags(number, wavelength=f"{centre:g}", wavelength_units="Nanometers")
-    imagery = {"CENTRAL_WAVELENGTH_UM": f"{centre / 1e3:.7g}"}
-    if width is not None:
-        file.update_tags(number, fwhm=f"{width:g}")
-        imagery["FWHM_UM"] = f"{width / 1e3:.7g}"
-    file.update_tags(number, ns="IMAGERY", **imagery)
 
 
 def north_up(pixel_m: float, origin_m: tuple[float, float], rows: int) -> Affine:

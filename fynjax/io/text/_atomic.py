@@ -9,15 +9,10 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from fynjax._core.errors import InputError
+from fynjax._core.errors import InputError, refusing
 
 _FULL = 1 << 20
 """Bytes left on a disk that is full: less than any result takes."""
-
-
-def _beside(path: Path) -> Path:
-    # The suffix stays last: GDAL and matplotlib choose the format by it.
-    return path.with_name(f".{path.stem}.{secrets.token_hex(4)}.partial{path.suffix}")
 
 
 @contextmanager
@@ -35,7 +30,8 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
     """
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
-    partial = _beside(path)
+    # The suffix stays last: GDAL and matplotlib choose the format by it.
+    partial = path.with_name(f".{path.stem}.{secrets.token_hex(4)}.partial{path.suffix}")
     try:
         yield partial
         os.replace(partial, path)
@@ -65,21 +61,20 @@ def remove_replaced(
     **Returns:** the names of the files that were removed.
     """
     root = Path(folder).resolve()
-    stay = set()
-    for each in kept:
-        stay |= {os.path.normcase(p).casefold() for p in (root / each, (root / each).resolve())}
+
+    def ways(path: Path) -> set[str]:
+        return {os.path.normcase(p).casefold() for p in (path, path.resolve())}
+
+    stay = set().union(*(ways(root / each) for each in kept))
     removed = []
     for name in names:
         path = root / name
         inside = path.parent.resolve().is_relative_to(root) and ".." not in Path(name).parts
-        ends = {os.path.normcase(p).casefold() for p in (path, path.resolve())}
-        if not inside or ends & stay or path.is_symlink() or not path.is_file():
+        if not inside or ways(path) & stay or path.is_symlink() or not path.is_file():
             continue
-        try:
+        with suppress(OSError):
             path.unlink()
-        except OSError:
-            continue
-        removed.append(name)
+            removed.append(name)
     return removed
 
 
@@ -116,10 +111,8 @@ def staged_folder(folder: str | Path) -> Iterator[Path]:
     target = folder.resolve()  # `--output .` has no name to put a folder beside
     partial = target.with_name(f".{target.name}.{secrets.token_hex(4)}.partial")
     missing = [parent for parent in target.parents if not parent.exists()]
-    try:
+    with refusing(OSError, words="cannot write here: {error.strerror}", file=folder):
         partial.mkdir(parents=True)
-    except OSError as error:
-        raise InputError(f"cannot write here: {error.strerror}", file=folder) from error
     try:
         try:
             yield partial

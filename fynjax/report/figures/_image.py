@@ -72,14 +72,9 @@ def _shown(
     return np.sqrt(np.clip(np.nan_to_num(part, nan=1.0), 0.0, 1.0))
 
 
-def _nice_length(width: float) -> float:
-    """A round length near a fifth of `width`."""
-    step = 10.0 ** np.floor(np.log10(width / 5))
-    return float(max(s * step for s in (1, 2, 5) if s * step <= width / 4))
-
-
 def _scale_bar(axes: Axes, width: float) -> None:
-    length = _nice_length(width)
+    step = 10.0 ** np.floor(np.log10(width / 5))
+    length = float(max(s * step for s in (1, 2, 5) if s * step <= width / 4))
     x, y = 0.04 * width, 0.045 * width
     box = {"boxstyle": "square,pad=0.25", "fc": "white", "ec": "none", "alpha": 0.85}
     axes.text(x, y, f"{length:g} m", fontsize=8, va="bottom", bbox=box, zorder=3)

@@ -135,13 +135,9 @@ def panel_grid(
 ) -> tuple[Figure, list[Any]]:
     """A figure of equal panels, row by row.
 
-    **Arguments:**
-
-    - `count`: of the panels.
-    - `columns`: most panels in a row.
-    - `panel`: width and height of each, with its labels [inches].
-    - `beside`: width and height of what stands beside all panels [inches].
-    - `shared`: `sharex` and `sharey`, as of `Figure.subplots`.
+    **Arguments:** `count`: of the panels; `columns`: most panels in a row; `panel`: width and
+    height of each, with its labels [inches]; `beside`: width and height of what stands beside all
+    panels [inches]; `shared`: `sharex` and `sharey`, as of `Figure.subplots`.
 
     **Returns:** the figure and its `count` axes.
     """
