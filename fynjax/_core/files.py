@@ -101,7 +101,7 @@ def check_name(path: Path) -> None:
 
 
 def why_not(path: Path, error: Exception) -> str:
-    """Why a path is none of a file."""
+    """Why a path leads to no file that can be read: the end of a message."""
     try:
         if path.is_symlink() and isinstance(error, FileNotFoundError):
             return f"this is a link to {str(path.readlink())[:100]!r}, which is not there"

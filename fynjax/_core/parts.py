@@ -346,7 +346,7 @@ def _machine() -> tuple[int, int]:
 
 
 def _settings(*, this_machine: bool) -> _Settings:
-    """Those of this process."""
+    """Settings of this process that a worker's must match."""
     config = {name: getattr(jax.config, name) for name in _NUMBERS}
     if this_machine:
         config |= {name: getattr(jax.config, name) for name in _CACHE}
@@ -438,7 +438,7 @@ def _words(error: BaseException) -> str:
 
 
 def _given_up(error: BaseException) -> _Answer:
-    """Of a part that dask tries no more."""
+    """Answer for a part that dask tries no more."""
     why = _words(error)
     if type(error).__name__ == "KilledWorker":
         why = (

@@ -31,15 +31,21 @@ def in_unit(unit: str, *, default: Any = ..., **bounds: float) -> Any:
 
 
 def numbers_in(unit: str, *, default: Any = None, **limits: Any) -> Any:
-    """As `in_unit`, of a field that may hold several numbers: its type states their range. It may
-    be left out unless `default` is `...`; `limits` are those of pydantic, such as `min_length`."""
+    """A field of a record with a unit that may hold several numbers: its type states their range.
+
+    **Arguments:** `unit`, `default` as for `in_unit`, but the field may be left out unless
+    `default` is `...`; `limits` are those of pydantic, such as `min_length`.
+    """
     extra: Any = {"unit": unit}
     return Field(default, json_schema_extra=extra, **limits)
 
 
 def number(description: str, unit: str, *, default: Any = ..., **bounds: float | None) -> Any:
-    """As `in_unit`, of a field without a docstring: `description`, to which the unit is added,
-    stands for it."""
+    """A field as of `in_unit`, but without a docstring.
+
+    **Arguments:** `description` stands for the docstring, `unit` is added to it; `default` and
+    `bounds` as for `in_unit`.
+    """
     what: Any = {"allow_inf_nan": False, "description": f"{description} [{unit}]."}
     return numbers_in(unit, default=default, **what, **bounds)
 

@@ -239,7 +239,7 @@ class _Refused:
 
 
 def _split_r_hat(chain: np.ndarray) -> float:
-    """Of the worst parameter, chains cut in halves (Gelman et al. 2013, section 11.4)."""
+    """R-hat of the worst parameter, chains cut in halves (Gelman et al. 2013, section 11.4)."""
     half = len(chain) // 2
     parts = np.concatenate([chain[:half], chain[half : 2 * half]], axis=1)
     within = parts.var(axis=0, ddof=1).mean(axis=0)
@@ -263,8 +263,8 @@ def effective_size(chain: np.ndarray) -> float:
 
 
 def _autocorrelation(chain: np.ndarray) -> float:
-    """Of the slowest parameter; infinite where it cannot be estimated or a parameter never
-    moved."""
+    """Autocorrelation time [steps] of the slowest parameter; infinite where it cannot be
+    estimated or a parameter never moved."""
     import emcee  # late: it takes half a second
 
     with warnings.catch_warnings(), np.errstate(invalid="ignore", divide="ignore"):

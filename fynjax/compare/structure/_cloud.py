@@ -1,4 +1,4 @@
-"""From a file to heights of returns above the ground of a plot."""
+"""Read a file's cloud into heights of returns above the ground of a plot."""
 
 import warnings
 from dataclasses import dataclass

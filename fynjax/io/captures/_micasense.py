@@ -109,7 +109,7 @@ def _panel_area(stated: Stated) -> NDArray[Any] | None:
 
 
 def _place(stated: Stated) -> CameraPlace | None:
-    """By GPS, and by the heading of the light sensor, which is taken for that of the camera."""
+    """The camera's place by GPS; its heading is taken to be that of the light sensor."""
     degrees: list[float] = []
     for name, below in (("Latitude", "S"), ("Longitude", "W")):
         parts = re.findall(r"[\d.]+", stated.tags.get(f"EXIF_GPS{name}", ""))

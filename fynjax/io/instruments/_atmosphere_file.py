@@ -159,15 +159,14 @@ def _converted(name: str, unit: str | None, values: np.ndarray, rows: list[int])
     """Values in the record's unit, checked."""
     kind = _KINDS[name]
     values = values * _factor(kind, unit, name)
-    largest = _LARGEST.get(kind, np.inf)
+    largest = _LARGEST[kind]
     wrong = ~np.isfinite(values) | (values < 0.0) | (values > largest)
     if wrong.any():
         at = int(np.argmax(wrong))
         hint = " Is the unit right?" if values[at] > largest else ""
-        wanted = "0 or more" if np.isinf(largest) else f"0 to {largest:g}"
         raise InputError(
-            f"expected {wanted} {_EXAMPLES[kind]}, but found {values[at]:g} {_EXAMPLES[kind]}."
-            f"{hint}",
+            f"expected 0 to {largest:g} {_EXAMPLES[kind]}, but found {values[at]:g} "
+            f"{_EXAMPLES[kind]}.{hint}",
             row=rows[at] if rows else None,
             column=name,
         )

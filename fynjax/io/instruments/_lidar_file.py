@@ -90,8 +90,8 @@ class ScanGeometryTable(LidarGeometryTable):
     half_scan_angle_deg: float = in_unit("degree", gt=0, le=60)
     """Largest angle from straight down [degree]."""
     line_offsets_m: list[_Finite] | None = numbers_in("m", min_length=1)
-    """Of each flight line from the plot's middle, to the right of the heading; left out, one line
-    over the middle [m]."""
+    """Distance of each flight line from the plot's middle, to the right of the heading; left out,
+    one line over the middle [m]."""
     heading_deg: float = in_unit("degree", default=0.0, ge=-360, le=360)
     """Direction of the flight, clockwise from north [degree]."""
     speed_m_s: float = in_unit("m s-1", gt=0, le=1000)

@@ -52,10 +52,6 @@ class CalibrationTable(Strict):
     starts: int = Field(default=1, ge=1, le=1000)
     """Searches: from the prior's centre, the others from draws of the prior [-]."""
 
-    def uses_target(self, statistic: str) -> bool:
-        """Whether the target's statistic is to be used."""
-        return any(fnmatchcase(statistic, pattern) for pattern in self.targets)
-
     def relative_sd(self, name: str) -> float | None:
         """Relative prior standard deviation of parameter `name` [-]; None where it has no prior, or
         that of its record is absolute."""

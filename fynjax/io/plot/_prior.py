@@ -161,7 +161,7 @@ def _check_correlation(rows: list[list[float]], count: int, of: str) -> None:
 
 
 def _bounds(name: str) -> tuple[float, float]:
-    """Between which a parameter lies; factors on what leaves hold are positive."""
+    """Limits between which a parameter lies; factors on what leaves hold are positive."""
     kind = name.split(".")[0]
     if name in FACTORS and kind not in ("soil_brightness", "wood_brightness"):
         return 0.0, math.inf

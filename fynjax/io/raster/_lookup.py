@@ -40,8 +40,8 @@ class LookupTable:
     def blocks(
         self,
     ) -> Iterator[tuple[int, Int[np.ndarray, "row column"], Int[np.ndarray, "row column"]]]:
-        """Of each block of rows of the map its first row, and row and column in the swath of its
-        pixels, from 0 and -1 where there is none.
+        """The table by blocks of rows of the map: the block's first row, and the row and column in
+        the swath of each of its pixels, from 0, -1 where there is none.
 
         **Raises:** `InputError` for pixels that the swath does not have, and where the table cannot
         be read.

@@ -193,7 +193,7 @@ def _panel(data: bytes, offset: int, count: int) -> np.ndarray | None:
 
 
 def _after_strings(data: bytes, offset: int, count: int) -> int:
-    """Where `count` strings with their length in front end."""
+    """Offset behind `count` strings, each with its length in front of it."""
     for _ in range(count):
         offset += 2 + int(struct.unpack_from("<H", data, offset)[0])
     return offset

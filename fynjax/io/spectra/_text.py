@@ -22,7 +22,7 @@ _OTHER_UNITS = (
     (re.compile(r"cm ?\^?([-−]1|⁻¹)|wave[ _]?number|1/cm", re.I), "wave numbers", -1, 1e7),
     (re.compile(r"[(\[](å|a)[)\]]|[åa]ngstr", re.I), "ångström", 1, 0.1),
 )
-"""How it names another one: the power of the numbers, and the factor, that give nm."""
+"""How a header names another unit: the power of the numbers, and the factor, that give nm."""
 _BAND_NAME = re.compile(r"^(?:[A-Za-z_. ]{0,12}?)(\d{3,4}(?:\.\d+)?|[0-2]\.\d+)\s*_?(nm|[uµμ]m)?$")
 MISSING = {"", "na", "nan", "null", "none", "-", "#n/a", "-999", "-9999", "-9999.0", "-999.0"}
 """What stands for a missing value, in small letters."""

@@ -12,7 +12,6 @@ from fynjax._core.records import (
     quantity,
 )
 from fynjax._core.tables import TextTable, open_table
-from fynjax._core.validation import first_error, sentence
 from fynjax.io.text._atomic import (
     atomic_path,
     remove_abandoned,
@@ -20,7 +19,7 @@ from fynjax.io.text._atomic import (
     staged_folder,
     write_text,
 )
-from fynjax.io.text._tables import read_rows, read_text
+from fynjax.io.text._tables import read_rows
 from fynjax.io.text._toml import line_of, read_toml, shipped_or_own
 
 __all__ = [
@@ -32,7 +31,6 @@ __all__ = [
     "check_stated_size",
     "did_you_mean",
     "existing_file",
-    "first_error",
     "in_unit",
     "line_of",
     "number",
@@ -42,11 +40,9 @@ __all__ = [
     "quantity",
     "read_bytes",
     "read_rows",
-    "read_text",
     "read_toml",
     "remove_abandoned",
     "remove_replaced",
-    "sentence",
     "shipped_or_own",
     "staged_folder",
     "write_text",

@@ -11,7 +11,7 @@ from fynjax.sensors.lidar import GROUND
 _STRIP = 1.0
 _GROUND_COLOUR = "#8C6D46"
 _WIDE = 6.0
-"""Of the panels [inches]."""
+"""Width of the panels [inches]."""
 
 
 @style()

@@ -44,7 +44,7 @@ def draw_band(
     gap: float = _GAP_NM,
     **how: object,
 ) -> None:
-    """What lies between two such curves."""
+    """Shade what lies between two curves, with a gap where `draw_line` leaves one."""
     for part in np.split(np.arange(x.size), np.flatnonzero(np.diff(x) > gap) + 1):
         axes.fill_between(x[part], low[part], high[part], **how)  # type: ignore[arg-type]
         how.pop("label", None)

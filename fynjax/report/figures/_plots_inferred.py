@@ -11,7 +11,7 @@ from fynjax.report.figures._plots import draw_band, draw_line
 from fynjax.report.figures._style import BLUE, GREY, ORANGE, SERIES, VERMILION, Figure, style
 
 _COLOURS = SERIES[:3]
-"""Of the priors, in the order in which a table names them."""
+"""Colours of the priors, in the order in which a table names them."""
 
 
 @style()

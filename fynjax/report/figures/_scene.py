@@ -28,12 +28,12 @@ BARK = "#5B4636"
 SUN = np.array([-0.45, 0.35, 0.82])
 _STRAW = "#B59A6A"
 _FADED = 0.5
-"""Of dead tissue: how far its colour is from the species' to that of straw."""
+"""How far the colour of dead tissue is from the species' to that of straw."""
 _PIXELS = 1300
 _MOST_POINTS = 4_000_000
 _MOST_OF_A_PLANT, _FEWEST_POINTS = 9000, 8
 _FAINTEST = 0.25
-"""Of a pixel that a point of wood shows at least: stems much thinner than a pixel stay visible."""
+"""Least share of a pixel that a point of wood fills, for stems thinner than a pixel to show."""
 _LEAST_PIXELS = 1.5
 """Side of the smallest point of foliage [pixels]."""
 
