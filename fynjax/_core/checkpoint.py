@@ -10,6 +10,7 @@ import io
 import os
 import time
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
@@ -21,7 +22,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from fynjax._core.errors import InputError
+from fynjax._core.errors import InputError, refusing
 
 State = TypeVar("State")
 
@@ -46,11 +47,10 @@ class Journal:
                     file=self._folder,
                 )
             return
-        try:
+        words = "cannot write here: {error.strerror}"
+        with refusing(OSError, words=words, file=self._folder):
             self._folder.mkdir(parents=True, exist_ok=True)
             _write(mark, f"{signature}\n".encode())
-        except OSError as error:
-            raise InputError(f"cannot write here: {error.strerror}", file=self._folder) from error
 
     def __call__(self, step: Callable[..., Array | np.ndarray], *of: Any) -> np.ndarray:
         """Do a step and keep the array that it returns; or, if an earlier run did it, give that
@@ -74,21 +74,14 @@ class Journal:
 
     def put(self, number: int, arrays: Sequence[Array | np.ndarray]) -> None:
         """Keep what a step returned, and forget how it failed before."""
-        kept = {f"a{i}": np.asarray(value) for i, value in enumerate(arrays)}
-        try:
-            _save(self._folder / _STEP.format(number), kept)
+        self._save(_STEP.format(number), {f"a{i}": value for i, value in enumerate(arrays)})
+        with suppress(OSError):
             (self._folder / _FAILED.format(number)).unlink(missing_ok=True)
-        except OSError as error:
-            raise self._cannot_keep(error) from error
 
     def put_state(self, name: str, state: Any) -> None:
         """Keep a state, a dataclass of arrays, of tuples of these and of such dataclasses, in place
         of the last of this name."""
-        kept = {key: np.asarray(value) for key, value in _leaves(state, "")}
-        try:
-            _save(self._folder / _STATE.format(name), kept)
-        except OSError as error:
-            raise self._cannot_keep(error) from error
+        self._save(_STATE.format(name), dict(_leaves(state, "")))
 
     def kept_state(self, name: str, kind: type[State]) -> State | None:
         """The last state of a name, of the dataclass `kind`; None if none was kept."""
@@ -115,13 +108,20 @@ class Journal:
             if last is not None:
                 self.put_state(name, last)
 
-    def _cannot_keep(self, error: OSError) -> InputError:
-        after = "What was kept before stays, and the same command goes on from it"
-        if not (self._folder / _MARK).is_file():
-            after = "The checkpoint was removed meanwhile: the same command begins anew"
-        return InputError(
-            f"cannot keep what was done: {error.strerror}. {after}", file=self._folder
-        )
+    def _save(self, name: str, arrays: dict[str, Any]) -> None:
+        """Write arrays by name, behind the hash of what follows it."""
+        content = io.BytesIO()
+        try:
+            named: dict[str, Any] = {key: np.asarray(value) for key, value in arrays.items()}
+            np.savez(content, **named)
+            data = content.getvalue()
+            _write(self._folder / name, hashlib.sha256(data).digest() + data)
+        except OSError as error:
+            after = "What was kept before stays, and the same command goes on from it"
+            if not (self._folder / _MARK).is_file():
+                after = "The checkpoint was removed meanwhile: the same command begins anew"
+            words = f"cannot keep what was done: {error.strerror}. {after}"
+            raise InputError(words, file=self._folder) from error
 
     def put_failure(self, number: int, text: str) -> Path | None:
         """Keep how a step failed; gives the file, or None where nothing can be written."""
@@ -177,22 +177,14 @@ def forget_journal(folder: str | Path) -> None:
         folder.rmdir()
 
 
-def _save(path: Path, arrays: dict[str, np.ndarray]) -> None:
-    """Write arrays by name, behind the hash of what follows it."""
-    content = io.BytesIO()
-    np.savez(content, **arrays)  # type: ignore[arg-type]
-    data = content.getvalue()
-    _write(path, hashlib.sha256(data).digest() + data)
-
-
 def _load(path: Path) -> dict[str, np.ndarray] | None:
-    """The arrays of `_save`; None where there is no file. `InputError` for any other content."""
-    try:
-        raw = path.read_bytes()
-    except FileNotFoundError:
-        return None
-    except OSError as error:
-        raise InputError(f"it cannot be opened ({error.strerror})", file=path) from error
+    """The arrays that `Journal` wrote; None where there is no file. `InputError` for any other
+    content."""
+    with refusing(OSError, words="it cannot be opened ({error.strerror})", file=path):
+        try:
+            raw = path.read_bytes()
+        except FileNotFoundError:
+            return None
     size = hashlib.sha256().digest_size
     damaged = InputError(
         "no checkpoint, or a damaged one; remove its folder to start again", file=path
@@ -204,16 +196,8 @@ def _load(path: Path) -> dict[str, np.ndarray] | None:
             if sum(part.file_size for part in file.zip.infolist()) > len(raw):
                 raise damaged
             return dict(file)
-    except (
-        OSError,
-        ValueError,
-        EOFError,
-        MemoryError,
-        AttributeError,
-        TypeError,
-        BadZipFile,
-    ) as error:
-        raise damaged from error
+    except (OSError, ValueError, EOFError, MemoryError, AttributeError, TypeError, BadZipFile):
+        raise damaged from None
 
 
 def _write(path: Path, data: bytes) -> None:

@@ -1,12 +1,17 @@
 """Errors a user can act on: what was expected, what came, where, and the likely slip."""
 
 import difflib
+import functools
+import inspect
 import operator
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, ParamSpec, TypeVar
+
+P = ParamSpec("P")
+R = TypeVar("R")
 
 LARGEST = 1e15
 """No measurement is larger than this, in any unit that files may state."""
@@ -60,18 +65,53 @@ class InputError(ValueError):
         if column is not None:
             where.append(f"column {column!r}" if isinstance(column, str) else f"column {column}")
         super().__init__(f"{', '.join(where)}: {message}" if where else message)
-        self.file, self.row, self.column = file, row, column
+        self.message, self.file, self.row, self.column = message, file, row, column
 
 
 @contextmanager
-def in_file(file: str | Path | None) -> Iterator[None]:
+def in_file(file: str | Path) -> Iterator[None]:
     """Have the `InputError`s of a block name `file`, unless they name one."""
     try:
         yield
     except InputError as error:
         if error.file is not None:
             raise
-        raise InputError(str(error), file=file) from error
+        raise InputError(
+            error.message, file=Path(file), row=error.row, column=error.column
+        ) from error
+
+
+def names_file(reader: Callable[P, R]) -> Callable[P, R]:
+    """Have the `InputError`s of a function name the file that is its argument `path`, unless they
+    name one."""
+    signature = inspect.signature(reader)
+
+    @functools.wraps(reader)
+    def named(*args: P.args, **kwargs: P.kwargs) -> R:
+        with in_file(signature.bind(*args, **kwargs).arguments["path"]):
+            return reader(*args, **kwargs)
+
+    return named
+
+
+@contextmanager
+def refusing(
+    *errors: type[Exception], words: str, file: str | Path | None = None, column: str | None = None
+) -> Iterator[None]:
+    """Make an `InputError` of any of these errors of a block; one that is an `InputError` stays.
+
+    **Arguments:** `words`, its message, in which `{error}` stands for what the error says, and
+    `{error.strerror}` for what the system says; `file` and `column`, as of `InputError`.
+    """
+    try:
+        yield
+    except InputError:
+        raise
+    except errors as error:
+        # No `format`: a user's text among the words may have braces.
+        words = words.replace("{error.strerror}", str(getattr(error, "strerror", error)))
+        words = words.replace("{error}", str(error))
+        raise InputError(words, file=file, column=column) from error
 
 
 def whole_number(name: str, value: Any, least: int = 0, most: int | None = None) -> int:

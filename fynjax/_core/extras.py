@@ -10,11 +10,8 @@ from fynjax._core.errors import MissingExtraError
 def require(module: str, extra: str, package: str | None = None) -> ModuleType:
     """Import `module`, or say which extra of fynjax brings it.
 
-    **Arguments:**
-
-    - `module`: name as imported.
-    - `extra`: the extra in `pip install "fynjax[extra]"`.
-    - `package`: name as installed, if it is another.
+    **Arguments:** `module`: name as imported; `extra`: the extra in `pip install "fynjax[extra]"`;
+    `package`: name as installed, if it is another.
 
     **Raises:** `MissingExtraError` if the package is not installed. A package that is there and
     fails in an import of its own raises what it raises.

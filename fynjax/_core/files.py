@@ -12,7 +12,7 @@ from typing import Any
 
 from pydantic_core import CoreSchema, core_schema
 
-from fynjax._core.errors import InputError, did_you_mean
+from fynjax._core.errors import InputError, did_you_mean, refusing
 
 LARGEST_TEXT = 1 << 29
 """Bytes of a text file, or of what a compressed one unfolds to: spectra of a thousand plots are a
@@ -28,10 +28,7 @@ _FREELY = 1 << 28
 def existing_file(path: str | Path, what: str) -> Path:
     """The path of a file that must exist.
 
-    **Arguments:**
-
-    - `path`: the file.
-    - `what`: names the file in errors, such as "a species table".
+    **Arguments:** `path`: the file; `what`: names the file in errors, such as "a species table".
 
     **Returns:** `path`.
 
@@ -67,11 +64,12 @@ def how_to_import(path: Path) -> str:
     product = next((product for key, product in _PRODUCTS.items() if upper.startswith(key)), None)
     if product is None and path.suffix.lower() != ".he5":
         return ""
-    product = product or "PRISMA L2D"
-    as_is = " `fynjax map` reads it as it is; for other commands bring"
+    product, bring = product or "PRISMA L2D", " Bring"
+    if product.startswith("EMIT"):
+        bring = " `fynjax map` reads it as it is; for other commands bring"
     return (
-        f"{as_is if product.startswith('EMIT') else ' Bring'} it to a GeoTIFF that states "
-        f"wavelengths and a scale first: EnMAP-Box in QGIS, 'Import {product} product'."
+        f"{bring} it to a GeoTIFF that states wavelengths and a scale first: EnMAP-Box in QGIS, "
+        f"'Import {product} product'."
     )
 
 
@@ -103,7 +101,7 @@ def check_name(path: Path) -> None:
 
 
 def why_not(path: Path, error: Exception) -> str:
-    """Why a path is none of a file."""
+    """Why a path leads to no file that can be read: the end of a message."""
     try:
         if path.is_symlink() and isinstance(error, FileNotFoundError):
             return f"this is a link to {str(path.readlink())[:100]!r}, which is not there"
@@ -120,28 +118,22 @@ def why_not(path: Path, error: Exception) -> str:
 def read_bytes(path: Path, largest: int = LARGEST_TEXT) -> bytes:
     """Content of a text file, unfolded if it is compressed (gzip).
 
-    **Arguments:**
-
-    - `path`: a file that exists.
-    - `largest`: most bytes that it may hold, or unfold to.
+    **Arguments:** `path`: a file that exists; `largest`: most bytes that it may hold, or unfold to.
 
     **Raises:** `InputError` for a file that is larger or unfolds to more, cannot be opened, or is
     cut short or damaged.
     """
-    try:
-        with path.open("rb") as file:
-            data = file.read(largest + 1)
-    except OSError as error:
-        raise InputError(f"it cannot be opened ({error.strerror})", file=path) from error
+    words = "it cannot be opened ({error.strerror})"
+    with refusing(OSError, words=words, file=path), path.open("rb") as file:
+        data = file.read(largest + 1)
     what = "it has"
     if data[:2] == b"\x1f\x8b":
         what = "it unfolds to"
-        try:
+        with (
+            refusing(EOFError, words="the compressed file is cut short", file=path),
+            refusing(OSError, zlib.error, words="the compressed file is damaged", file=path),
+        ):
             data = gzip.GzipFile(fileobj=io.BytesIO(data)).read(largest + 1)
-        except EOFError as error:
-            raise InputError("the compressed file is cut short", file=path) from error
-        except (OSError, zlib.error) as error:
-            raise InputError("the compressed file is damaged", file=path) from error
     if len(data) > largest:
         raise InputError(
             f"expected text of at most {largest >> 20} MiB, but {what} more", file=path

@@ -6,17 +6,17 @@ import psutil
 
 
 def total_memory() -> int:
-    """Of this machine."""
+    """Memory of this machine [bytes]."""
     return int(psutil.virtual_memory().total)
 
 
 def free_memory() -> int:
-    """That a process can still take without others being moved out."""
+    """Memory that a process can still take without others being moved out [bytes]."""
     return int(psutil.virtual_memory().available)
 
 
 def peak_memory() -> int:
-    """Most that this process has held so far."""
+    """Most memory that this process has held so far [bytes]."""
     peak = getattr(psutil.Process().memory_info(), "peak_wset", None)  # Windows alone keeps it
     if peak is None:
         import resource  # Unix alone has it

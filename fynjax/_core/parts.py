@@ -138,16 +138,16 @@ class Pool:
         names = [f"{i + 1}" for i in range(len(parts))] if names is None else names
         sizes = [1] * len(parts) if sizes is None else sizes
         first = 0 if journal is None else journal.reserve(len(parts))
-        missing = []
-        for i in range(len(parts)):
+        missing = {}
+        for i, part in enumerate(parts):
             kept = None if journal is None else journal.kept(first + i)
             if kept is None:
-                missing.append(i)
+                missing[i] = part
                 continue
             advance(sizes[i], part=names[i])
             yield i, kept
         failed, report = [], None
-        answers = self._answers(function, {i: parts[i] for i in missing}, shared)
+        answers = self._answers(function, missing, shared)
         with contextlib.closing(answers):
             for i, (arrays, words, where) in answers:
                 if arrays is None:
@@ -346,7 +346,7 @@ def _machine() -> tuple[int, int]:
 
 
 def _settings(*, this_machine: bool) -> _Settings:
-    """Those of this process."""
+    """Settings of this process that a worker's must match."""
     config = {name: getattr(jax.config, name) for name in _NUMBERS}
     if this_machine:
         config |= {name: getattr(jax.config, name) for name in _CACHE}
@@ -438,7 +438,7 @@ def _words(error: BaseException) -> str:
 
 
 def _given_up(error: BaseException) -> _Answer:
-    """Of a part that dask tries no more."""
+    """Answer for a part that dask tries no more."""
     why = _words(error)
     if type(error).__name__ == "KilledWorker":
         why = (

@@ -15,37 +15,39 @@ from fynjax._core.parameters import Parameter
 Slip = Callable[[float], str | None]
 
 
-def number(
-    description: str,
-    unit: str,
-    *,
-    default: Any = ...,
-    gt: float | None = None,
-    ge: float | None = None,
-    lt: float | None = None,
-    le: float | None = None,
-) -> Any:
+def in_unit(unit: str, *, default: Any = ..., **bounds: float) -> Any:
     """A field of a record: a finite number with a range and a unit, which errors and schemas state.
+    What it is says its docstring, which ends with the unit, as "[nm].".
 
     **Arguments:**
 
-    - `description`: what the number is, for schemas and help.
     - `unit`: such as "nm"; "-" of a number without one.
     - `default`: value where none is given; the number is required if this is left out.
-    - `gt`, `ge`, `lt`, `le`: bounds, without or with their end, in `unit`.
+    - `bounds`: `gt` and `lt`, or with their end `ge` and `le`, in `unit`.
 
     **Returns:** a pydantic field.
     """
-    return Field(
-        default,
-        description=f"{description} [{unit}].",
-        gt=gt,
-        ge=ge,
-        lt=lt,
-        le=le,
-        allow_inf_nan=False,
-        json_schema_extra={"unit": unit},
-    )
+    return numbers_in(unit, default=default, allow_inf_nan=False, **bounds)
+
+
+def numbers_in(unit: str, *, default: Any = None, **limits: Any) -> Any:
+    """A field of a record with a unit that may hold several numbers: its type states their range.
+
+    **Arguments:** `unit`, `default` as for `in_unit`, but the field may be left out unless
+    `default` is `...`; `limits` are those of pydantic, such as `min_length`.
+    """
+    extra: Any = {"unit": unit}
+    return Field(default, json_schema_extra=extra, **limits)
+
+
+def number(description: str, unit: str, *, default: Any = ..., **bounds: float | None) -> Any:
+    """A field as of `in_unit`, but without a docstring.
+
+    **Arguments:** `description` stands for the docstring, `unit` is added to it; `default` and
+    `bounds` as for `in_unit`.
+    """
+    what: Any = {"allow_inf_nan": False, "description": f"{description} [{unit}]."}
+    return numbers_in(unit, default=default, **what, **bounds)
 
 
 def quantity(
@@ -83,10 +85,22 @@ def optional_quantity(parameter: Parameter) -> Any:
     return quantity(parameter, default=None, note=f"{default:g} if left out")
 
 
-class Strict(BaseModel):
-    """A record that takes no unknown names and cannot be changed."""
+def _descriptions_on_one_line(schema: dict[str, Any]) -> None:
+    for part in schema.get("properties", {}).values():
+        if "description" in part:
+            part["description"] = " ".join(part["description"].split())
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+
+class Strict(BaseModel):
+    """A record that takes no unknown names and cannot be changed; docstrings of its fields are
+    their descriptions in schemas and errors."""
+
+    model_config = ConfigDict(
+        extra="forbid",
+        frozen=True,
+        use_attribute_docstrings=True,
+        json_schema_extra=_descriptions_on_one_line,
+    )
 
     slips: ClassVar[dict[str, Slip]] = {}
     """Meanings, by column, that a value outside its range was probably meant to be."""

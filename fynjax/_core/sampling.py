@@ -116,14 +116,19 @@ class _Sampler:
             status = "not converged: no steps" if state.ahead else failed
             return Draws(chain, chain[..., 0], 0.0, np.inf, 0.0, status)
         kept = self._settled(chain)
-        return self._doubted(
-            _judge(kept, self._target)._replace(
-                log_density=np.asarray(state.log_density)[-len(kept) :],
-                acceptance=float(np.mean(state.accepted) / len(chain)),
-            ),
-            int(state.faulty),
-            chain.shape[0] * chain.shape[1],
-        )
+        tau = _autocorrelation(kept)
+        size = kept.shape[0] * kept.shape[1] / tau
+        status = "converged"
+        if not len(kept) > _TIMES_TAU * tau:
+            status = "not converged: chain shorter than 50 autocorrelation times"
+        elif size < self._target:
+            status = f"not converged: {size:.0f} effective draws of {self._target:.0f}"
+        elif (apart := _split_r_hat(kept)) > _R_HAT:
+            status = f"not converged: chains disagree, R-hat {apart:.2f}"
+        status = self._doubted(status, int(state.faulty), chain.shape[0] * chain.shape[1])
+        level = np.asarray(state.log_density)[-len(kept) :]
+        accepted = float(np.mean(state.accepted) / len(chain))
+        return Draws(kept, level, size, tau, accepted, status)
 
     def _begun(self, start: np.ndarray, *ahead: Any) -> ChainState:
         """The state at the start; without what is ahead no step can follow."""
@@ -140,7 +145,7 @@ class _Sampler:
     def _settled(self, chain: np.ndarray) -> np.ndarray:
         return chain
 
-    def _doubted(self, draws: Draws, faulty: int, proposals: int) -> Draws:
+    def _doubted(self, status: str, faulty: int, proposals: int) -> str:
         raise NotImplementedError
 
 
@@ -214,11 +219,9 @@ class Ensemble(_Sampler):
             return chain[int(5 * tau) :]
         return kept
 
-    def _doubted(self, draws: Draws, faulty: int, proposals: int) -> Draws:
-        if not faulty:
-            return draws
-        why = f"{faulty} proposals had a log density that is not a number"
-        return draws._replace(status=f"{draws.status}; {why}")
+    def _doubted(self, status: str, faulty: int, proposals: int) -> str:
+        why = f"; {faulty} proposals had a log density that is not a number"
+        return status + why if faulty else status
 
 
 class _Refused:
@@ -235,22 +238,8 @@ class _Refused:
         return value
 
 
-def _judge(chain: np.ndarray, target: float) -> Draws:
-    """Measures the autocorrelation time, and says whether the chain is long enough."""
-    tau = _autocorrelation(chain)
-    size = chain.shape[0] * chain.shape[1] / tau
-    status = "converged"
-    if not len(chain) > _TIMES_TAU * tau:
-        status = "not converged: chain shorter than 50 autocorrelation times"
-    elif size < target:
-        status = f"not converged: {size:.0f} effective draws of {target:.0f}"
-    elif (apart := _split_r_hat(chain)) > _R_HAT:
-        status = f"not converged: chains disagree, R-hat {apart:.2f}"
-    return Draws(chain, np.empty(chain.shape[:2]), size, tau, np.nan, status)
-
-
 def _split_r_hat(chain: np.ndarray) -> float:
-    """Of the worst parameter, chains cut in halves (Gelman et al. 2013, section 11.4)."""
+    """R-hat of the worst parameter, chains cut in halves (Gelman et al. 2013, section 11.4)."""
     half = len(chain) // 2
     parts = np.concatenate([chain[:half], chain[half : 2 * half]], axis=1)
     within = parts.var(axis=0, ddof=1).mean(axis=0)
@@ -274,8 +263,8 @@ def effective_size(chain: np.ndarray) -> float:
 
 
 def _autocorrelation(chain: np.ndarray) -> float:
-    """Of the slowest parameter; infinite where it cannot be estimated or a parameter never
-    moved."""
+    """Autocorrelation time [steps] of the slowest parameter; infinite where it cannot be
+    estimated or a parameter never moved."""
     import emcee  # late: it takes half a second
 
     with warnings.catch_warnings(), np.errstate(invalid="ignore", divide="ignore"):
@@ -361,9 +350,8 @@ class Hamiltonian(_Sampler):
         tuning = first < self._warmup
         for number in range(first, first + steps):
             key = jax.random.fold_in(self._key, number)
-            carry, figures = _transitions(
-                self._density, self._mass, key, carry, jnp.asarray(tuning)
-            )
+            given = self._density, self._mass, key, carry, jnp.asarray(tuning)
+            carry, figures = _transitions(*given)
             now = carry[0].position, carry[0].logdensity, *figures
             rows.append([np.asarray(one) for one in now])
         chain, level, accepted, diverged = (np.stack(one) for one in zip(*rows, strict=True))
@@ -376,10 +364,9 @@ class Hamiltonian(_Sampler):
             tuple(jax.tree.leaves(carry)),
         )
 
-    def _doubted(self, draws: Draws, faulty: int, proposals: int) -> Draws:
+    def _doubted(self, status: str, faulty: int, proposals: int) -> str:
         share = faulty / proposals
         if not share > _DIVERGENT:
-            return draws
+            return status
         why = "the density has a kink, an edge, or a scale that the covariance lacks"
-        text = f"not converged: {100 * share:.0f} % of the trajectories diverged; {why}"
-        return draws._replace(status=text)
+        return f"not converged: {100 * share:.0f} % of the trajectories diverged; {why}"

@@ -84,9 +84,8 @@ class TextTable:
 
         **Raises:** `InputError` for quotes that do not end, and cells of over 131 072 characters.
         """
-        return (
-            (start, cells) for start, _, cells in self._rows(self.skip if skip is None else skip)
-        )
+        skip = self.skip if skip is None else skip
+        return ((start, cells) for start, _, cells in self._rows(skip))
 
     def _rows(self, skip: int) -> Iterator[tuple[int, int, list[str]]]:
         """First and last line of each row, and its cells."""
@@ -108,11 +107,8 @@ class TextTable:
                     text = text.strip().replace("\t", " ") + "\n"
                 yield text
             if not between:
-                raise InputError(
-                    "a quotation mark opens a cell in this row, and none closes it",
-                    file=self.path,
-                    row=start,
-                )
+                words = "a quotation mark opens a cell in this row, and none closes it"
+                raise InputError(words, file=self.path, row=start)
 
         reader = csv.reader(lines(), delimiter=self.separator, skipinitialspace=True)
         try:
@@ -196,12 +192,8 @@ class TextTable:
         plain = self.plain(cell, row, column)
         if _NUMBER.fullmatch(plain) and isfinite(value := float(plain)):
             return value
-        raise InputError(
-            f"expected a number, but got {cell!r}.{number_slip(cell)}",
-            file=self.path,
-            row=row,
-            column=column,
-        )
+        words = f"expected a number, but got {cell!r}.{number_slip(cell)}"
+        raise InputError(words, file=self.path, row=row, column=column)
 
     def columns(
         self, numbers: Sequence[int], words: Sequence[int] = (), missing: Collection[str] = ()
@@ -352,11 +344,8 @@ def open_points(path: str | Path, what: str, needed: Collection[str]) -> TextTab
                 return table
     if len(cells) < len(needed):
         *most, last = needed
-        raise InputError(
-            f"expected {', '.join(most)} and {last} in each row, but got {first.strip()[:40]!r}",
-            file=path,
-            row=start + 1,
-        )
+        words = f"expected {', '.join(most)} and {last} in each row, but got {first.strip()[:40]!r}"
+        raise InputError(words, file=path, row=start + 1)
     without_header(table, [f"{k + 1}" for k in range(len(cells))], len(needed))
     return table
 
@@ -364,11 +353,8 @@ def open_points(path: str | Path, what: str, needed: Collection[str]) -> TextTab
 def without_header(table: TextTable, names: Sequence[str], needed: int) -> None:
     """Name the columns of a table that has no header.
 
-    **Arguments:**
-
-    - `table`: whose `skip` is set.
-    - `names`: of its columns.
-    - `needed`: how many of them are needed.
+    **Arguments:** `table`: whose `skip` is set; `names`: of its columns; `needed`: how many of them
+    are needed.
 
     **Raises:** `InputError` where commas separate more columns, and stand between digits only:
     "1,5" may be two numbers, or one.

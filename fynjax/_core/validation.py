@@ -42,11 +42,8 @@ def _bounds(field: FieldInfo) -> str:
 
 def expected(field: FieldInfo) -> str:
     """What a field takes, in words: kind, range, unit or choices."""
-    kinds = [field.annotation]
-    if isinstance(field.annotation, types.UnionType) or typing.get_origin(field.annotation) in (
-        typing.Union,
-        types.UnionType,
-    ):
+    kinds: Any = [field.annotation]
+    if typing.get_origin(field.annotation) in (typing.Union, types.UnionType):
         kinds = [k for k in typing.get_args(field.annotation) if k is not type(None)]
     if typing.get_origin(kinds[0]) is typing.Literal:
         return "one of " + ", ".join(repr(v) for v in typing.get_args(kinds[0]))
@@ -55,7 +52,7 @@ def expected(field: FieldInfo) -> str:
     if kinds[0] in (int, float) and len(kinds) == 1:
         kind = "a whole number" if kinds[0] is int else "a number"
         return kind + _bounds(field) + ("" if unit == "-" else f" {unit}")
-    text = (field.description or "a value").rstrip(".")
+    text = " ".join((field.description or "a value").split()).rstrip(".")
     return text[0].lower() + text[1:]
 
 
@@ -174,12 +171,9 @@ def checked_row(
 ) -> Row:
     """A record of what a row of a table states.
 
-    **Arguments:**
-
-    - `model`: class of the record.
-    - `given`: values by column, without those of empty cells.
-    - `file`, `row`: that hold it.
-    - `within`: folder in which files must lie that a `NamedFile` of the record names.
+    **Arguments:** `model`: class of the record; `given`: values by column, without those of empty
+    cells; `file`, `row`: that hold it; `within`: folder in which files must lie that a `NamedFile`
+    of the record names.
 
     **Raises:** `InputError` with the column, what was expected, what came and the likely slip.
     """
@@ -203,12 +197,8 @@ def checked_rows(
 ) -> list[tuple[int, Row]]:
     """Records of the rows of a table, each with its number.
 
-    **Arguments:**
-
-    - `given`: number of each row, and its values as `checked_row` takes them.
-    - `model`: class of the record.
-    - `file`: that holds the table.
-    - `within`: as of `checked_row`.
+    **Arguments:** `given`: number of each row, and its values as `checked_row` takes them; `model`:
+    class of the record; `file`: that holds the table; `within`: as of `checked_row`.
 
     **Raises:** `InputError` as `checked_row`, and for rows that share what must be `unique`.
     """
@@ -239,11 +229,8 @@ def check_header(header: Sequence[str], model: type[BaseModel], **where: Any) ->
 
     A record that ignores what it does not name takes tables with further columns.
 
-    **Arguments:**
-
-    - `header`: names of a table's columns.
-    - `model`: the record of a row.
-    - `where`: file and row, as `InputError` takes them.
+    **Arguments:** `header`: names of a table's columns; `model`: the record of a row; `where`: file
+    and row, as `InputError` takes them.
     """
     known = columns(model)
     rules = model if issubclass(model, Strict) else Strict
@@ -253,11 +240,8 @@ def check_header(header: Sequence[str], model: type[BaseModel], **where: Any) ->
     if missing:
         near = did_you_mean(missing[0], strange)
         near = near.replace("Did you mean", "Is it").replace("?", " in this table?")
-        raise InputError(
-            f"expected a column {missing[0]!r}, but the header has {listed(header)}.{near}",
-            **where,
-            column=missing[0],
-        )
+        words = f"expected a column {missing[0]!r}, but the header has {listed(header)}.{near}"
+        raise InputError(words, **where, column=missing[0])
     if strange and model.model_config.get("extra") != "ignore":
         what = repr(strange[0]) if strange[0] else "a column without a name"
         raise InputError(

@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from fynjax._core.progress import advance, stage
 from fynjax.compare._images import FEW_PIXELS, DroneImage
-from fynjax.compare._published_tables import bands_2006, table4_2006
+from fynjax.compare._published import bands_2006, table4_2006
 from fynjax.diversity import VARIETY, spectral_variety
 from fynjax.metrics import (
     BANDS,
@@ -32,6 +32,7 @@ _OTHER_SCALE = 2.5
 """Ratio of pixels' sides from which on spreads and histograms are of different things [-]."""
 
 _KNOWN = {True: "yes", False: "no", None: "open"}
+"""Words of what a published table marks as so, as not so, or as known to nobody."""
 _Real = Float[np.ndarray, " real"]
 _Simulated = Float[np.ndarray, " simulated"]
 
@@ -97,12 +98,11 @@ def compare_drone_images(real: DroneImage, simulated: DroneImage) -> DroneCompar
                         other = other[np.isfinite(other)]
                         row[f"literature_{side}_mean"] = other.mean() if other.size else np.nan
             if paper := published.get(name):  # of the indices of table 4
-                consistent = {True: "yes", False: "no", None: "open"}[paper.std_consistent]
                 row |= {
                     "paper_real_mean": paper.real_mean,
                     "paper_simulated_mean": paper.sim_mean,
                     "paper_real_std": paper.real_std,
-                    "paper_real_std_consistent": consistent,
+                    "paper_real_std_consistent": _KNOWN[paper.std_consistent],
                     "paper_simulated_std": paper.sim_std,
                     "paper_histogram_intersection": paper.histogram_intersection,
                     "paper_ks": paper.ks,
@@ -129,12 +129,9 @@ def compare_drone_images(real: DroneImage, simulated: DroneImage) -> DroneCompar
 def _variety_table(
     real: Float[np.ndarray, "band real"], simulated: Float[np.ndarray, "band simulated"]
 ) -> pd.DataFrame:
-    rows = [
-        spectral_variety(one.T)
-        if (one.mean(axis=1) > 0.0).all()
-        else dict.fromkeys(VARIETY, np.nan)
-        for one in (real, simulated)
-    ]
+    unknown = dict.fromkeys(VARIETY, np.nan)
+    lit = [(one.mean(axis=1) > 0.0).all() for one in (real, simulated)]
+    rows = [spectral_variety(one.T) if ok else unknown for one, ok in zip((real, simulated), lit)]
     table = pd.DataFrame(rows).rename(columns={"angle": "angle_deg"})
     table.insert(0, "sample", ["real", "simulated"])
     return table
@@ -153,10 +150,8 @@ def _band_table(
             levels = np.percentile(values, PERCENTILES)
             row |= {f"{side}_p{p}": v for p, v in zip(PERCENTILES, levels, strict=True)}
         paper = published.get(band)  # of four bands
-        row["paper_real_mean_derived"] = np.nan if paper is None else paper.real_mean
-        row["paper_abs_difference_percent"] = (
-            np.nan if paper is None else 100.0 * paper.sim_abs_difference
-        )
+        row["paper_real_mean_derived"] = paper.real_mean if paper else np.nan
+        row["paper_abs_difference_percent"] = 100.0 * paper.sim_abs_difference if paper else np.nan
         rows.append(row)
     return pd.DataFrame(rows)
 

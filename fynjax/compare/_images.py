@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from fynjax._core.errors import InputError
+from fynjax._core.errors import InputError, names_file
 from fynjax.canopy import band_word
 from fynjax.io.raster import RAW_COUNTS, RELATIVE_TAG, RasterFile, check_reflectance, open_image
 from fynjax.metrics import BANDS
@@ -108,6 +108,7 @@ class DroneImage:
         return text + "."
 
 
+@names_file
 def read_drone_image(
     path: str | Path,
     *,
@@ -163,9 +164,9 @@ def read_drone_image(
     path = Path(path)
     with open_image(path, "a drone image") as file:
         if file.is_raw_capture:
-            raise InputError(RAW_COUNTS, file=path)
+            raise InputError(RAW_COUNTS)
         if doubt := file.tags.get(RELATIVE_TAG):
-            warnings.warn(f"{path}: {doubt}", stacklevel=2)
+            warnings.warn(f"{path}: {doubt}", stacklevel=3)
         # Programs call the last of four bands alpha, also where it is near infrared.
         data = file.dataset.indexes if file.dataset.count == len(BANDS) else file.bands
         names, numbers, taken, how = _find_bands(file, data, bands, camera)
@@ -185,11 +186,15 @@ def read_drone_image(
     if not used.any():
         raise InputError(
             f"expected an image, but of {valid.size} pixels {int((~valid).sum())} are without data "
-            f"and {int(saturated.sum())} saturated: none is left",
-            file=path,
+            f"and {int(saturated.sum())} saturated: none is left"
         )
     _check_scale(values[:, used], kind, path)
-    _warn_of_few(int(used.sum()), path)
+    if (pixels := int(used.sum())) < FEW_PIXELS:
+        warnings.warn(
+            f"{path}: {pixels} pixels are compared, which is too few for distributions; means "
+            "alone can be compared, if at all",
+            stacklevel=3,
+        )
     _check_order(values[: len(BANDS), used], how, taken, path)
     _warn_of_clipping(values[:, used], names, path)
     values[:, ~used] = np.nan
@@ -261,20 +266,19 @@ def _check_order(
             raise InputError(
                 f"expected bands in the order {', '.join(BANDS)}, since the file names none, but "
                 f"their medians are {listed}: vegetation is brightest in near infrared, then in "
-                f"the red edge. {say}",
-                file=path,
+                f"the red edge. {say}"
             )
         warnings.warn(
             f"{path}: the file names no band: they are taken to be {', '.join(BANDS)}, in this "
             f"order; green and red cannot be known by their values. {say}",
-            stacklevel=3,
+            stacklevel=4,
         )
     elif nir < 0.9 * max(*others, edge):
         what = ", ".join(f"{n} {m:.3g}" for n, m in zip(taken, medians, strict=False))
         warnings.warn(
             f"{path}: the bands have medians of {what}: vegetation is brightest in near infrared. "
             "Are the bands named right?",
-            stacklevel=3,
+            stacklevel=4,
         )
 
 
@@ -288,25 +292,14 @@ def _check_scale(
         raise InputError(
             f"expected reflectance as a fraction, but got {lowest:g} (in "
             f"{int((pixels < -0.5).any(axis=0).sum())} pixels). A no-data value that the file "
-            f"does not declare? Set it with: gdal_edit.py -a_nodata {lowest:g} {path.name}",
-            file=path,
+            f"does not declare? Set it with: gdal_edit.py -a_nodata {lowest:g} {path.name}"
         )
     if darkest < 0.0:
         raise InputError(
             f"expected reflectance of at least 0, but the median of a band is {darkest:g}. "
-            "Was a dark offset subtracted twice, or is this an index?",
-            file=path,
+            "Was a dark offset subtracted twice, or is this an index?"
         )
     check_reflectance(brightest, path, eight_bits=kind is not None and kind.itemsize == 1)
-
-
-def _warn_of_few(pixels: int, path: Path) -> None:
-    if pixels < FEW_PIXELS:
-        warnings.warn(
-            f"{path}: {pixels} pixels are compared, which is too few for distributions; means "
-            "alone can be compared, if at all",
-            stacklevel=3,
-        )
 
 
 def thinning(rows: int, columns: int, most: int) -> int:
@@ -357,22 +350,19 @@ def _find_four(
     file: RasterFile, data: Sequence[int], stated: Sequence[str] | None
 ) -> tuple[list[int], tuple[str, ...], str]:
     """Place in `data` of each of `BANDS`, what the file calls it, and how it was found."""
-    path = file.path
     described = [file.names[n - 1] for n in data]
     labels = [d or f"band {n}" for d, n in zip(described, data, strict=True)]
     if stated is not None:
         if len(stated) != len(data):
             raise InputError(
-                f"expected names of {len(data)} bands, but got {len(stated)} ({', '.join(stated)})",
-                file=path,
+                f"expected names of {len(data)} bands, but got {len(stated)} ({', '.join(stated)})"
             )
         roles = [band_word(name) for name in stated]
         missing = [band for band in BANDS if roles.count(band) != 1]
         if missing:
             raise InputError(
                 f"expected each of {', '.join(BANDS)} once among the stated bands, but "
-                f"{missing[0]} is there {roles.count(missing[0])} times in {', '.join(stated)}",
-                file=path,
+                f"{missing[0]} is there {roles.count(missing[0])} times in {', '.join(stated)}"
             )
         return [roles.index(b) for b in BANDS], tuple(BANDS), "option"
     roles = [band_word(name) for name in described]
@@ -407,8 +397,7 @@ def _find_four(
             if len(data) > 1
             else "A band of several files? Name them after it, as result_Green.tif and "
             "result_NIR.tif, or join them: gdal_merge.py -separate -o image.tif GREEN RED ..."
-        ),
-        file=path,
+        )
     )
 
 
@@ -425,5 +414,5 @@ def _warn_of_clipping(
         warnings.warn(
             f"{path}: many pixels have a band's largest value ({', '.join(piled)}). Are they "
             "clipped? --saturation leaves those out that reach a reflectance",
-            stacklevel=3,
+            stacklevel=4,
         )

@@ -12,9 +12,7 @@ from scipy.special import stdtrit
 
 from fynjax.metrics import SPECTRAL_REGIONS, misfit_decomposition, spectral_agreement, spectral_mask
 
-MODEL, OTHERS, FLAT, FLIGHT = (
-    "model", "mean of other plots", "flat spectrum", "another flight",
-)  # fmt: skip
+MODEL, OTHERS, FLAT, FLIGHT = "model", "mean of other plots", "flat spectrum", "another flight"
 """Names of predictors of a plot's spectrum."""
 PREDICTORS = {
     MODEL: "simulated from the plot's tables alone",
@@ -25,9 +23,7 @@ PREDICTORS = {
 }
 """What is compared with a plot's measured spectrum."""
 
-MEASURES = (
-    "spectral_angle", "rmse", "nrmse", "correlation", "relative_mean_difference",
-)  # fmt: skip
+MEASURES = ("spectral_angle", "rmse", "nrmse", "correlation", "relative_mean_difference")
 """How well two spectra agree."""
 
 
@@ -46,10 +42,8 @@ class PlotSpectraPair:
     @property
     def measured(self) -> Float[np.ndarray, "plot band"]:
         """Mean of each plot's flights; NaN where a flight has no value, or there is none."""
-        return np.stack(
-            [f.mean(axis=0) if len(f) else np.full(self.wavelength.size, np.nan)
-             for f in self.flights]
-        )  # fmt: skip
+        none = np.full(self.wavelength.size, np.nan)
+        return np.stack([f.mean(axis=0) if len(f) else none for f in self.flights])
 
     def those_measured(self) -> "PlotSpectraPair":
         """The plots that have a measured spectrum."""
@@ -65,9 +59,7 @@ class PlotSpectraPair:
 def leave_one_out(spectra: Float[np.ndarray, "plot band"]) -> Float[np.ndarray, "plot band"]:
     """Mean of all other spectra, for each spectrum.
 
-    **Arguments:**
-
-    - `spectra`: in any unit, NaN where missing.
+    **Arguments:** `spectra`: in any unit, NaN where missing.
 
     **Returns:** the same shape and unit; NaN where there is no other value.
 
@@ -100,9 +92,7 @@ def agreement_table(pair: PlotSpectraPair) -> pd.DataFrame:
     The measures are those of `fynjax.metrics.spectral_agreement`. Of the flights the values are
     means over a plot's flights.
 
-    **Arguments:**
-
-    - `pair`: plots that were all measured (`PlotSpectraPair.those_measured`).
+    **Arguments:** `pair`: plots that were all measured (`PlotSpectraPair.those_measured`).
 
     **Returns:** a row for each plot, predictor and region: spectral angle [degree], rmse [-], nrmse
     [-], correlation [-], relative difference of the means [-].
@@ -119,11 +109,13 @@ def agreement_table(pair: PlotSpectraPair) -> pd.DataFrame:
     0.01
     """
     real, grid = pair.measured, pair.wavelength
-    regions = {name: spectral_mask(grid, name) for name in SPECTRAL_REGIONS if _fits(grid, name)}
-    rows = []
-    for predictor, expected in predictions(pair).items():
-        for region, mask in regions.items():
-            rows.append(_agreement(pair.plots, predictor, region, real, expected, mask))
+    within = {n: (grid >= low) & (grid <= high) for n, (low, high) in SPECTRAL_REGIONS.items()}
+    regions = {name: spectral_mask(grid, name) for name, of in within.items() if of.sum() > 2}
+    rows = [
+        _agreement(pair.plots, predictor, region, real, expected, mask)
+        for predictor, expected in predictions(pair).items()
+        for region, mask in regions.items()
+    ]
     repeated = [(n, f) for n, f in zip(pair.plots, pair.flights) if len(f) > 1]
     for region, mask in regions.items() if repeated else ():
         names = [name for name, flights in repeated for _ in flights]
@@ -132,11 +124,6 @@ def agreement_table(pair: PlotSpectraPair) -> pd.DataFrame:
         each = _agreement(names, FLIGHT, region, rest, single, mask)
         rows.append(each.groupby(["plot", "predictor", "region"], as_index=False).mean())
     return pd.concat(rows, ignore_index=True)
-
-
-def _fits(grid: Float[np.ndarray, " band"], region: str) -> bool:
-    low, high = SPECTRAL_REGIONS[region]
-    return int(np.sum((grid >= low) & (grid <= high))) > 2
 
 
 def _agreement(
@@ -162,9 +149,7 @@ def mean_agreement(table: pd.DataFrame) -> pd.DataFrame:
     perfect, 0 no better than that mean, below 0 worse (Murphy 1988, Monthly Weather Review
     116:2417). Flights have none.
 
-    **Arguments:**
-
-    - `table`: as of `agreement_table`.
+    **Arguments:** `table`: as of `agreement_table`.
 
     **Returns:** a row for each predictor and region, in the units of `table`.
     """
@@ -184,9 +169,7 @@ def mean_agreement(table: pd.DataFrame) -> pd.DataFrame:
 def misfit_table(pair: PlotSpectraPair) -> pd.DataFrame:
     """Level, contrast and shape of each plot's misfit, over all regions (`misfit_decomposition`).
 
-    **Arguments:**
-
-    - `pair`: plots that were all measured.
+    **Arguments:** `pair`: plots that were all measured.
 
     **Returns:** a row for each plot: rmse [-], gain [-], offset [-], and shares of the mean squared
     error [-].
@@ -211,9 +194,7 @@ def misfit_table(pair: PlotSpectraPair) -> pd.DataFrame:
 def band_table(pair: PlotSpectraPair) -> pd.DataFrame:
     """Means, errors and the correlation across plots, by band.
 
-    **Arguments:**
-
-    - `pair`: plots that were all measured.
+    **Arguments:** `pair`: plots that were all measured.
 
     **Returns:** a row for each band: `wavelength_nm`; `measured`, `simulated`, means over the plots
     [-]; `residual`, its mean, and `residual_sd` [-]; `rmse_model`, `rmse_others`, errors of the
@@ -223,8 +204,7 @@ def band_table(pair: PlotSpectraPair) -> pd.DataFrame:
     """
     real, simulated = pair.measured, pair.simulated
     residual = simulated - real
-    repeated = [f for f in pair.flights if len(f) > 1]
-    noise = [f.var(axis=0, ddof=1) for f in repeated]
+    noise = [f.var(axis=0, ddof=1) for f in pair.flights if len(f) > 1]
     blank = np.full(pair.wavelength.size, np.nan)
     several = len(pair.plots) > 1
     return pd.DataFrame(
@@ -247,13 +227,8 @@ def band_table(pair: PlotSpectraPair) -> pd.DataFrame:
 def _across(
     simulated: Float[np.ndarray, "plot band"], real: Float[np.ndarray, "plot band"]
 ) -> Float[np.ndarray, " band"]:
-    there = np.isfinite(real)
-
-    def centred(values: np.ndarray) -> np.ndarray:
-        values = np.where(there, values, np.nan)
-        return np.nan_to_num(values - np.nanmean(values, axis=0))
-
-    a, b = centred(simulated), centred(real)
+    known = [np.where(np.isfinite(real), values, np.nan) for values in (simulated, real)]
+    a, b = (np.nan_to_num(values - np.nanmean(values, axis=0)) for values in known)
     size = np.sqrt((a**2).sum(axis=0) * (b**2).sum(axis=0))
     return np.where(size > 0, (a * b).sum(axis=0) / np.where(size > 0, size, 1.0), np.nan)
 
@@ -263,9 +238,7 @@ def chance_correlation(plots: int) -> float:
 
     From Student's t with `plots` - 2 degrees of freedom, two-sided.
 
-    **Arguments:**
-
-    - `plots`: number of plots, above 2.
+    **Arguments:** `plots`: number of plots, above 2.
 
     >>> from fynjax.compare import chance_correlation
     >>> round(chance_correlation(20), 3)
@@ -312,9 +285,7 @@ def feature_values(
 def feature_table(pair: PlotSpectraPair) -> pd.DataFrame:
     """How well the model distinguishes plots: correlations of `FEATURES` across plots.
 
-    **Arguments:**
-
-    - `pair`: plots that were all measured.
+    **Arguments:** `pair`: plots that were all measured.
 
     **Returns:** a row for each feature: means and standard deviations over the plots [-],
     correlation and rank correlation (Spearman) of simulated with measured [-].

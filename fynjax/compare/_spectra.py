@@ -10,7 +10,7 @@ import xarray as xr
 from jaxtyping import Float
 from numpy.typing import NDArray
 
-from fynjax._core.errors import LARGEST, InputError
+from fynjax._core.errors import LARGEST, InputError, in_file, names_file, refusing
 from fynjax._core.files import existing_file, how_to_import
 from fynjax._core.progress import stage
 from fynjax._core.spectral import check_wavelength
@@ -72,10 +72,8 @@ def read_spectra_sample(
     value of zero or less, with which products fill bands that the air hides; or that the header's
     bad-band list (`bbl`) names. Then a spectrum is left out that still misses a value.
 
-    **Arguments:**
-
-    - `paths`: the files.
-    - `most_spectra`: of a cube with more pixels every k-th row and column is read.
+    **Arguments:** `paths`: the files; `most_spectra`: of a cube with more pixels every k-th row and
+    column is read.
 
     **Returns:** a `SpectraSample`: wavelengths [nm] and reflectance [spectrum, wavelength] [-].
 
@@ -86,7 +84,8 @@ def read_spectra_sample(
     parts = [_read(path, most_spectra) for path in files]
     grid, _, fwhm, step = parts[0]
     for path, (other, *_) in zip(files[1:], parts[1:], strict=True):
-        _check_grid(grid, other, path, files[0].name)
+        with in_file(path):
+            _check_grid(grid, other, files[0].name)
     values = np.concatenate([rows for _, rows, _, _ in parts])
     finite = np.abs(values) <= LARGEST
     if (wrong := ~finite & ~np.isnan(values)).any():
@@ -102,10 +101,8 @@ def read_spectra_sample(
         alive &= ~((first <= 0.0) & (values[some] == first).all(axis=0))
     whole = finite[:, alive].all(axis=1) & some
     if alive.sum() < 2 or not whole.any():
-        raise InputError(
-            f"expected reflectance spectra, but none of {len(values)} has values in most bands",
-            file=files[0],
-        )
+        words = f"expected reflectance spectra, but none of {len(values)} has values in most bands"
+        raise InputError(words, file=files[0])
     values = values[whole][:, alive]
     _check_fractions(grid[alive], values, files[0])
     return SpectraSample(
@@ -123,6 +120,7 @@ _Part = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64] | No
 """Wavelengths, spectra, widths, and the step of rows and columns."""
 
 
+@names_file
 def _read(path: Path, most: int) -> _Part:
     existing_file(path, "spectra")
     suffix = path.suffix.lower()
@@ -142,14 +140,15 @@ def _read(path: Path, most: int) -> _Part:
         warnings.warn(
             f"{path}: {len(refused)} of {len(refused) + len(spectra)} spectra cannot be used and "
             f"are left out, such as {name!r}: {reason}",
-            stacklevel=2,
+            stacklevel=3,
         )
-    rows = [(s.wavelength, s.reflectance) for s in spectra if s.reflectance is not None]
-    if not rows:
-        raise InputError("expected reflectance, but the file has only transmittance", file=path)
-    for (wave, _), spectrum in zip(rows, spectra, strict=False):
-        _check_grid(rows[0][0], wave, path, f"spectrum {spectra[0].name!r}", spectrum.name)
-    return rows[0][0], np.stack([values for _, values in rows]), None, 1
+    spectra = [s for s in spectra if s.reflectance is not None]
+    if not spectra:
+        raise InputError("expected reflectance, but the file has only transmittance")
+    grid, first = spectra[0].wavelength, f"spectrum {spectra[0].name!r}"
+    for spectrum in spectra:
+        _check_grid(grid, spectrum.wavelength, first, spectrum.name)
+    return grid, np.stack([np.asarray(s.reflectance) for s in spectra]), None, 1
 
 
 def _header_of(path: Path) -> Path | None:
@@ -163,14 +162,13 @@ def _header_of(path: Path) -> Path | None:
 
 
 def _check_grid(
-    grid: NDArray[np.float64], other: NDArray[np.float64], path: Path, first: str, name: str = ""
+    grid: NDArray[np.float64], other: NDArray[np.float64], first: str, name: str = ""
 ) -> None:
     if grid.shape != other.shape or np.abs(grid - other).max() > 0.1:
         raise InputError(
             f"expected the wavelengths of {first} ({grid.size} bands, {grid[0]:g} to "
             f"{grid[-1]:g} nm), but {name or 'this file'} has {other.size}, {other[0]:g} to "
-            f"{other[-1]:g} nm. Compare spectra of one instrument at a time.",
-            file=path,
+            f"{other[-1]:g} nm. Compare spectra of one instrument at a time."
         )
 
 
@@ -201,8 +199,7 @@ def _read_cube(path: Path, most: int) -> _Part:
             raise InputError(
                 f"expected a cube with a wavelength for each of {grid.size} bands, but {known} "
                 "are stated (ENVI: `wavelength` in the header; GeoTIFF: the tag `wavelength` of "
-                f"each band).{how_to_import(path)}",
-                file=path,
+                f"each band).{how_to_import(path)}"
             )
         step = thinning(*file.shape, most)
         cube = file.read(step=step, zero_is_data=False)
@@ -217,30 +214,24 @@ def _read_cube(path: Path, most: int) -> _Part:
 
 def _read_netcdf(path: Path, most: int) -> _Part:
     check_netcdf(path)
-    try:
-        with (
-            warnings.catch_warnings(action="ignore", category=xr.SerializationWarning),
-            np.errstate(all="ignore"),  # of two marks of no data, and of scales beyond floats
-            xr.open_datatree(path, engine="netcdf4") as tree,
-        ):
-            nodes = [node.to_dataset(inherit=True) for node in tree.subtree]
-            waves = _wavelengths_in(nodes)
-            if waves is None:
-                raise InputError(
-                    "expected NetCDF with a variable `wavelength` in nm (or µm), but none has that "
-                    "name or standard name",
-                    file=path,
-                )
-            name, grid, widths = waves
-            if widths is not None:
-                check_widths(widths, path)
-            return _spectra_in(nodes, name, grid, widths, most, path)
-    except (OSError, RuntimeError, ValueError, AttributeError, TypeError, LookupError) as error:
-        if isinstance(error, InputError):
-            raise
-        raise InputError(
-            f"cannot be read as NetCDF ({error}). Is it cut short?", file=path
-        ) from error
+    broken = (OSError, RuntimeError, ValueError, AttributeError, TypeError, LookupError)
+    with (
+        refusing(*broken, words="cannot be read as NetCDF ({error}). Is it cut short?"),
+        warnings.catch_warnings(action="ignore", category=xr.SerializationWarning),
+        np.errstate(all="ignore"),  # of two marks of no data, and of scales beyond floats
+        xr.open_datatree(path, engine="netcdf4") as tree,
+    ):
+        nodes = [node.to_dataset(inherit=True) for node in tree.subtree]
+        waves = _wavelengths_in(nodes)
+        if waves is None:
+            raise InputError(
+                "expected NetCDF with a variable `wavelength` in nm (or µm), but none has that "
+                "name or standard name"
+            )
+        name, grid, widths = waves
+        if widths is not None:
+            check_widths(widths)
+        return _spectra_in(nodes, name, grid, widths, most, path)
 
 
 def _wavelengths_in(
@@ -295,8 +286,7 @@ def _spectra_in(
         listed = ", ".join(name for name, _ in candidates) or "none"
         raise InputError(
             f"expected a variable called reflectance over {dimension!r}, but those over it are: "
-            f"{listed}.{how_to_import(path)}",
-            file=path,
+            f"{listed}.{how_to_import(path)}"
         )
     variable = choice[0][1].transpose(..., dimension)
     step = 1

@@ -9,14 +9,13 @@ import pandas as pd
 from jaxtyping import Float
 
 from fynjax._core.errors import InputError
-from fynjax.compare._published_tables import figure12_2006, table5_2006
+from fynjax.compare._published import figure12_2006, table5_2006
 from fynjax.compare._spectra import SpectraSample
 from fynjax.metrics import (
     SPECTRAL_REGIONS,
     SPECTROMETER_INDICES,
     WATER_WINDOWS,
     MatchingMethod,
-    Misfit,
     WavelengthMatch,
     match_wavelengths,
     misfit_decomposition,
@@ -124,9 +123,8 @@ def compare_spectra(
             uncovered.append(name)
             continue
         regions.append(_region_row(name, means, mask, grid))
-        row = _misfit_row(name, _misfit(means, mask))
         flat = is_constant(means[0][mask])
-        misfits.append(_without_line(row) if flat else row)
+        misfits.append(_misfit_row(name, means, mask, flat))
         constant |= flat
     indices = _index_table(grid, x, y)
     return SpectralComparison(
@@ -163,9 +161,7 @@ def _range_notes(
 ) -> list[str]:
     """Bands and regions that are compared and left out, in sentences."""
     left_out = "".join(f", {low:g} to {high:g} nm" for low, high in windows)
-    notes = [
-        f"Left out: below 400 and above 2450 nm{left_out}; {used} bands are compared.",
-    ]
+    notes = [f"Left out: below 400 and above 2450 nm{left_out}; {used} bands are compared."]
     full = SPECTRAL_REGIONS["full"]
     if grid[0] > full[0] + 50.0 or grid[-1] < full[1] - 50.0:
         notes.append(
@@ -221,19 +217,15 @@ def _region_row(
     }
 
 
-def _misfit(means: tuple[np.ndarray, np.ndarray], mask: np.ndarray) -> Misfit:
-    return misfit_decomposition(jnp.asarray(means[0]), jnp.asarray(means[1]), mask)
-
-
-def _misfit_row(name: str, misfit: Misfit) -> dict[str, object]:
-    level, contrast, shape = (100.0 * float(v) for v in misfit.shares)
-    rmse = float(misfit.mean_squared_error) ** 0.5
+def _misfit_row(
+    name: str, means: tuple[np.ndarray, np.ndarray], mask: np.ndarray, flat: bool
+) -> dict[str, object]:
+    """The misfit in a region; through a constant (`flat`) real spectrum there is no line."""
+    misfit = misfit_decomposition(jnp.asarray(means[0]), jnp.asarray(means[1]), mask)
+    shares = zip(("level", "contrast", "shape"), misfit.shares, strict=True)
     row = {
-        "region": name,
-        "rmse": rmse,
-        "level_percent": level,
-        "contrast_percent": contrast,
-        "shape_percent": shape,
+        "rmse": float(misfit.mean_squared_error) ** 0.5,
+        **{f"{part}_percent": 100.0 * float(share) for part, share in shares},
         "gain": float(misfit.gain),
         "offset": float(misfit.offset),
         "mean_by_offset": float(misfit.offset),
@@ -242,22 +234,16 @@ def _misfit_row(name: str, misfit: Misfit) -> dict[str, object]:
         "rmse_without_gain": float(misfit.rmse_without_gain),
         "rmse_without_both": float(misfit.rmse_without_both),
     }
-    return {**row, "reading": _reading(row)}
+    if flat:
+        kept = ("rmse", "rmse_without_offset")
+        row = {name: value if name in kept else np.nan for name, value in row.items()}
+    return {"region": name, **row, "reading": _reading(row)}
 
 
-def _without_line(row: dict[str, object]) -> dict[str, object]:
-    """The row of a constant real spectrum, through which there is no line."""
-    kept = ("region", "rmse", "rmse_without_offset")
-    row = {name: value if name in kept else np.nan for name, value in row.items()}
-    return {**row, "reading": _reading(row)}
-
-
-def _reading(row: dict[str, object]) -> str:
+def _reading(row: dict[str, float]) -> str:
     """In words: which single correction explains the error, if one does."""
-    rmse, offset, gain, both = (
-        float(row[k])  # type: ignore[arg-type]
-        for k in ("rmse", "rmse_without_offset", "rmse_without_gain", "rmse_without_both")
-    )
+    corrections = ("offset", "gain", "both")
+    rmse, (offset, gain, both) = row["rmse"], (row[f"rmse_without_{c}"] for c in corrections)
     if not np.isfinite([rmse, offset, gain, both]).all():
         return "not defined: the real spectrum is constant"
     if rmse < 1e-6:

@@ -13,7 +13,7 @@ from jaxtyping import Float64, UInt8
 from numpy.typing import NDArray
 from rasterio.crs import CRS
 
-from fynjax._core.errors import InputError, listed
+from fynjax._core.errors import InputError, in_file, listed
 from fynjax._core.extras import require
 from fynjax._core.tables import name_and_unit, open_points, places_of
 from fynjax.io.raster import check_metric, parse_crs
@@ -138,7 +138,8 @@ def read_cloud(
         )
     system = system if crs is None else parse_crs(crs, path)
     if system is not None:
-        check_metric(system, path, unit_stated=unit_stated, height_stated=height_stated)
+        with in_file(path):
+            check_metric(system, unit_stated=unit_stated, height_stated=height_stated)
     factor = unit_factor(unit or "metre")
     height_factor = unit_factor(height_unit or unit or "metre")
     if factor != 1.0:

@@ -14,8 +14,7 @@ from fynjax.assembly._targets import (
 )
 from fynjax.inversion import SpectrumView, StructureView
 from fynjax.io.plot import read_plot
-from fynjax.io.plot._rows import StructureRow
-from fynjax.io.plot._statistics import read_structure
+from fynjax.io.plot._rows import StructureRow, read_structure
 from fynjax.io.raster import Cube, write_cube_geotiff
 from fynjax.metrics.structure import STRUCTURE_METRICS
 from fynjax.sensors import BandSet, RadiometricNoise, at_sensor_radiance, shipped_sensor

@@ -120,7 +120,7 @@ def test_clouds_that_cannot_be_written(tmp_path, monkeypatch):
     with pytest.raises(InputError, match=r"\.las or \.laz"):
         write_cloud(tmp_path / "cloud.ply", some_returns())
     with pytest.raises(InputError, match="EPSG"):
-        write_cloud(tmp_path / "cloud.laz", some_returns(), crs="nowhere")
+        write_cloud(tmp_path / "cloud.laz", some_returns(), crs="{nowhere}")
 
     def absent(name):
         raise ModuleNotFoundError(name=name)

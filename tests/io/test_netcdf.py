@@ -63,6 +63,17 @@ def test_xarray_reads_it_with_names_units_and_record(tmp_path, dataset, monkeypa
         assert "_FillValue" not in file["x"].ncattrs()  # CF forbids it on coordinates
 
 
+def test_inputs_of_one_name_are_both_recorded(tmp_path):
+    paths = [tmp_path / folder / "plot.csv" for folder in "ab"]
+    for path in paths:
+        path.parent.mkdir()
+        path.write_text(path.parent.name)
+    (tmp_path / "c.csv").write_text("c")
+    hashes = json.loads(str(provenance(inputs=[*paths, tmp_path / "c.csv"])["input_sha256"]))
+    assert list(hashes) == [*(path.as_posix() for path in paths), "c.csv"]
+    assert hashes[paths[1].as_posix()] == hashlib.sha256(b"b").hexdigest()
+
+
 def test_variables_without_units_or_names_are_refused(tmp_path, dataset):
     del dataset["cover"].attrs["units"]
     with pytest.raises(ValueError, match="'cover' must have `units`"):

@@ -1,7 +1,5 @@
 """Pictures laid on Earth by position, height and heading of the camera."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from pyproj import Geod, Transformer
@@ -48,13 +46,13 @@ def test_the_place_of_a_micasense() -> None:
         "EXIF_GPSLatitude": "(36) (34) (33.8934)", "EXIF_GPSLatitudeRef": "N",
         "EXIF_GPSLongitude": "(119) (26) (6.93744)", "EXIF_GPSLongitudeRef": "W",
     }  # fmt: skip
-    place = _place(Stated(Path("a"), {"IrradianceYaw": ["-21.1"]}, tags))
+    place = _place(Stated({"IrradianceYaw": ["-21.1"]}, tags))
     assert place is not None
     assert place.latitude == pytest.approx(36.576081, abs=1e-6)
     assert place.longitude == pytest.approx(-119.435260, abs=1e-6)
     assert place.heading == -21.1
     # From 70 m an axis that is off by 5 degrees looks 6.1 m past what is below.
     assert place.spread(70.0) == pytest.approx(np.hypot(3.0, 6.124), rel=1e-3)
-    assert _place(Stated(Path("a"), {}, tags)) is None
+    assert _place(Stated({}, tags)) is None
     tags["EXIF_GPSLatitude"] = tags["EXIF_GPSLongitude"] = "(0) (0) (0)"
-    assert _place(Stated(Path("a"), {"IrradianceYaw": ["-21.1"]}, tags)) is None
+    assert _place(Stated({"IrradianceYaw": ["-21.1"]}, tags)) is None

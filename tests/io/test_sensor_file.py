@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from fynjax._core.errors import InputError
-from fynjax.io.instruments import load_sensor
+from fynjax.io.instruments import load_instrument, load_sensor
 from fynjax.io.instruments._sensor_tables import RadianceUnit
 from fynjax.jobs._schemas import json_schema
 from fynjax.sensors import (
@@ -299,6 +299,13 @@ def test_names_that_are_not_there(tmp_path: Path) -> None:
         load_sensor(tmp_path / "none.toml")
     with pytest.raises(InputError, match="folder"):
         load_sensor(tmp_path)
+
+
+def test_lists_without_end_in_a_file_of_any_instrument_end_in_one_line(tmp_path: Path) -> None:
+    path = tmp_path / "sensor.toml"
+    path.write_text("a = " + "[" * 5000)
+    with pytest.raises(InputError, match="expected TOML"):
+        load_instrument(path)
 
 
 def test_errors_of_each_way_of_calibration(write: Callable) -> None:

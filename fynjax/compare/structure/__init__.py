@@ -1,18 +1,5 @@
 """Two point clouds compared: heights above ground, cells, structure metrics with intervals."""
 
-from fynjax.compare.structure._compare import cloud_structure, compare_clouds
-from fynjax.compare.structure._grain import cut_off
-from fynjax.compare.structure._published import PublishedStructure, structure_2006
-from fynjax.compare.structure._result import StructureComparison
-from fynjax.compare.structure._settings import ComparisonSettings, cloud_settings
+import lazy_loader
 
-__all__ = [
-    "ComparisonSettings",
-    "PublishedStructure",
-    "StructureComparison",
-    "cloud_settings",
-    "cloud_structure",
-    "compare_clouds",
-    "cut_off",
-    "structure_2006",
-]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,4 +1,4 @@
-"""From a file to heights of returns above the ground of a plot."""
+"""Read a file's cloud into heights of returns above the ground of a plot."""
 
 import warnings
 from dataclasses import dataclass
@@ -9,8 +9,9 @@ import numpy as np
 from jaxtyping import Float
 from rasterio.crs import CRS
 
-from fynjax._core.errors import InputError, in_file
+from fynjax._core.errors import InputError, names_file
 from fynjax.compare.structure._pits import sunk, without_pits
+from fynjax.metrics.structure import BinnedReturns, CellGrid, StructureSettings, bin_returns
 from fynjax.terrain import (
     Bounds,
     PointCloud,
@@ -110,12 +111,17 @@ class HeightCloud:
     def __len__(self) -> int:
         return len(self.height)
 
+    def binned(self, grid: CellGrid, settings: StructureSettings) -> BinnedReturns:
+        """The returns in the cells of a plot."""
+        return bin_returns(self.x, self.y, self.height, grid, settings)
+
 
 def open_cloud(path: str | Path, settings: CloudSettings) -> PointCloud:
     """Read a cloud as the settings say."""
     return read_cloud(path, unit=settings.unit, height_unit=settings.height_unit, crs=settings.crs)
 
 
+@names_file
 def height_cloud(
     cloud: PointCloud, path: Path, settings: CloudSettings, bounds: Bounds, slack: float = 0.0
 ) -> HeightCloud:
@@ -124,13 +130,6 @@ def height_cloud(
     Raises `InputError`, with the file, for a plot that the cloud does not cover, a cloud without
     ground, or heights that are elevations above the sea.
     """
-    with in_file(path):
-        return _heights(cloud, path, settings, bounds, slack)
-
-
-def _heights(
-    cloud: PointCloud, path: Path, settings: CloudSettings, bounds: Bounds, slack: float
-) -> HeightCloud:
     if settings.ground == "none":
         inside = cloud.crop(bounds, slack)
         height, share, how = inside.z, None, "heights as given"
@@ -245,7 +244,6 @@ def common_plot(
     simulated: PointCloud,
     bounds: Bounds | None,
     shift: tuple[float, float] | None,
-    simulated_file: Path,
 ) -> tuple[Bounds, tuple[float, float], list[str]]:
     """The plot in the real cloud's coordinates, what to add to the simulated ones, and remarks.
 
@@ -253,15 +251,14 @@ def common_plot(
     """
     notes: list[str] = []
     if shift is None:
-        _check_same_system(real, simulated, simulated_file)
+        _check_same_system(real, simulated)
         shift = (0.0, 0.0)
         if _overlap(real.bounds, simulated.bounds) is None:
             if real.crs is not None and simulated.crs is not None:
                 raise InputError(
                     f"expected both clouds over the same plot, but the simulated one covers "
                     f"{_words(simulated.bounds)} and the real one {_words(real.bounds)}. State "
-                    "what to add to its coordinates (`simulated_shift`; --shift).",
-                    file=simulated_file,
+                    "what to add to its coordinates (`simulated_shift`; --shift)."
                 )
             r, s = real.bounds if bounds is None else bounds, simulated.bounds
             shift = (0.5 * (r[0] + r[2] - s[0] - s[2]), 0.5 * (r[1] + r[3] - s[1] - s[3]))
@@ -278,8 +275,7 @@ def common_plot(
     if common is None:
         raise InputError(
             f"expected both clouds over the same plot, but with the shift the simulated one covers "
-            f"{_words(moved)} and the real one {_words(real.bounds)}",
-            file=simulated_file,
+            f"{_words(moved)} and the real one {_words(real.bounds)}"
         )
     return common, shift, notes
 
@@ -294,7 +290,7 @@ def _words(bounds: Bounds) -> str:
     return "({:.1f}, {:.1f}) to ({:.1f}, {:.1f})".format(*bounds)
 
 
-def _check_same_system(real: PointCloud, simulated: PointCloud, file: Path) -> None:
+def _check_same_system(real: PointCloud, simulated: PointCloud) -> None:
     if real.crs is None or simulated.crs is None:
         return
     real_crs, simulated_crs = CRS.from_wkt(real.crs), CRS.from_wkt(simulated.crs)
@@ -308,6 +304,5 @@ def _check_same_system(real: PointCloud, simulated: PointCloud, file: Path) -> N
         raise InputError(
             f"expected both clouds in the same coordinate reference system, but the real one is "
             f"in {names[0]} and this one in {names[1]}. Reproject one of them, or state what to "
-            "add to its coordinates (`simulated_shift`; --shift).",
-            file=file,
+            "add to its coordinates (`simulated_shift`; --shift)."
         )

@@ -8,10 +8,11 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from fynjax._core.errors import in_file
 from fynjax._core.progress import advance, stage
 from fynjax._core.seeds import generator
 from fynjax.compare.structure._cloud import HeightCloud, common_plot, height_cloud, open_cloud
-from fynjax.compare.structure._grain import binned_returns, choose_cells
+from fynjax.compare.structure._grain import choose_cells
 from fynjax.compare.structure._notes import comparison_notes, nearly_highest
 from fynjax.compare.structure._result import CloudSide, CloudStructure, StructureComparison
 from fynjax.compare.structure._settings import ComparisonSettings
@@ -68,7 +69,7 @@ def compare_clouds(
     sparser = int(len(heights[1]) < len(heights[0]))
     with stage("Choose the grain"):
         grid, grains = choose_cells(heights[sparser], bounds, slack, settings)
-        binned = [binned_returns(part, grid, settings.structure) for part in heights]
+        binned = [part.binned(grid, settings.structure) for part in heights]
     checked()
     target = min(len(part) for part in binned)
     denser = int(len(binned[1]) > len(binned[0]))
@@ -98,9 +99,13 @@ def compare_clouds(
             for i in (0, 1)
         ]
     whole = _agreement(binned[denser].height, percentiles, shares, bins, settings)
-    layers = max(len(part.edges) for part in full)
+    # A profile ends at the other cloud's highest layer; nothing is known above its own.
     edges = max((part.edges for part in full), key=len)
-    sides = [replace(s, profile=_padded(s.profile, layers - 1)) for s in sides]
+    missing = (len(edges) - 1 - len(s.profile) for s in sides)
+    sides = [
+        replace(s, profile=np.append(s.profile, np.full(n, np.nan)))
+        for s, n in zip(sides, missing, strict=True)
+    ]
     result = StructureComparison(
         settings=settings.structure,
         options=settings.options(),
@@ -152,7 +157,7 @@ def cloud_structure(
         heights = height_cloud(cloud, path, settings.real, bounds, slack)
     with stage("Choose the grain"):
         grid, grains = choose_cells(heights, bounds, slack, settings)
-    binned = binned_returns(heights, grid, settings.structure)
+    binned = heights.binned(grid, settings.structure)
     structure = cell_structure(binned)
     percentiles = np.percentile(binned.height, settings.percents)
     bins = _bins([binned], settings)
@@ -168,9 +173,10 @@ def _on_one_plot(
         real = open_cloud(paths[0], settings.real)
         simulated = open_cloud(paths[1], settings.simulated)
     stated = settings.simulated_shift
-    bounds, shift, notes = common_plot(
-        real, simulated, settings.bounds, None if stated is None else stated[:2], paths[1]
-    )
+    with in_file(paths[1]):
+        bounds, shift, notes = common_plot(
+            real, simulated, settings.bounds, None if stated is None else stated[:2]
+        )
     up = stated[2] if stated is not None and len(stated) == 3 else 0.0
     x, y, z = simulated.x + shift[0], simulated.y + shift[1], simulated.z + up
     return (real, replace(simulated, x=x, y=y, z=z)), bounds, notes
@@ -318,8 +324,3 @@ def _side(
         percentiles=percentiles,
         histogram=height_shares(binned.height, settings.histogram_bin, bins),
     )
-
-
-def _padded(profile: np.ndarray, layers: int) -> np.ndarray:
-    """A profile up to the other cloud's highest layer; nothing is known above its own."""
-    return np.pad(profile, (0, layers - len(profile)), constant_values=np.nan)

@@ -10,11 +10,8 @@ from fynjax._core.errors import InputError, in_file
 from fynjax.compare.structure._cloud import HeightCloud
 from fynjax.compare.structure._settings import ComparisonSettings
 from fynjax.metrics.structure import (
-    BinnedReturns,
     CellGrid,
     CellStructure,
-    StructureSettings,
-    bin_returns,
     cell_grid,
     cell_structure,
 )
@@ -23,13 +20,6 @@ from fynjax.terrain import Bounds
 PAPER_GRAINS = {1.0: (17.9, 51.3), 2.0: (6.1, 10.6)}
 """Change of the paper's metrics to the next larger grain [%], by grain [m]: median over metrics,
 and largest. It took 2 m."""
-
-
-def binned_returns(
-    cloud: HeightCloud, grid: CellGrid, settings: StructureSettings
-) -> BinnedReturns:
-    """A cloud's returns in the cells of a plot."""
-    return bin_returns(cloud.x, cloud.y, cloud.height, grid, settings)
 
 
 def choose_cells(
@@ -49,12 +39,8 @@ def choose_cells(
                 f"expected a plot wider than the grains to choose from, {settings.grains} m, but "
                 f"it is {side:.2f} m. State a smaller one (`grain`; --grain)."
             )
-        structures = [
-            cell_structure(
-                binned_returns(cloud, cell_grid(bounds, g, slack=slack), settings.structure)
-            )
-            for g in grains
-        ]
+        grids = [cell_grid(bounds, grain, slack=slack) for grain in grains]
+        structures = [cell_structure(cloud.binned(grid, settings.structure)) for grid in grids]
         return choose_grain(structures, settings, bounds)
 
 
@@ -73,11 +59,8 @@ def choose_grain(
     Least change alone takes any grain of several, by chance: large ones hold so few cells that a
     change can be small, and cut off more of the plot.
 
-    **Arguments:**
-
-    - `structures`: of one cloud, with grains that grow.
-    - `settings`: of the rule.
-    - `plot`: west, south, east and north edge of the plot [m].
+    **Arguments:** `structures`: of one cloud, with grains that grow; `settings`: of the rule;
+    `plot`: west, south, east and north edge of the plot [m].
 
     **Returns:** cells of the grain chosen, and a table with a row for each grain: its cells, area
     and edges, the share of the plot that is in no cell, returns in cells, how much the metrics

@@ -69,7 +69,6 @@ class RawBand:
 class Stated:
     """Metadata of a file by name, and errors for what is missing."""
 
-    path: Path
     xmp: dict[str, list[str]]
     tags: dict[str, str]
 
@@ -79,8 +78,7 @@ class Stated:
                 f"expected metadata (XMP) with {key!r}, but "
                 + ("it has none of that name" if self.xmp else "there are none at all")
                 + ". The camera writes them (a RedEdge or Altum from firmware 2.1 on) and other "
-                "programs drop them: use the camera's own files.",
-                file=self.path,
+                "programs drop them: use the camera's own files."
             )
         return self.xmp[key][0]
 
@@ -90,8 +88,7 @@ class Stated:
         if values is None or (count is not None and len(values) != count):
             raise InputError(
                 f"expected {count or 'some'} numbers as {key!r} in the metadata, but got "
-                f"{', '.join(self.xmp[key])}",
-                file=self.path,
+                f"{', '.join(self.xmp[key])}"
             )
         return values
 
@@ -103,6 +100,13 @@ class Stated:
         except ValueError:
             return None
         return values if values and np.all(np.abs(values) < LARGEST) else None
+
+    def tilt(self, *keys: str) -> float | None:
+        """Angle from the horizontal by pitch and roll under these keys [degrees]; `None` without
+        both."""
+        angles = [self.maybe(key) for key in keys]
+        cosine = np.prod([np.cos(np.radians(angle[0])) for angle in angles if angle])
+        return float(np.degrees(np.arccos(cosine))) if all(angles) else None
 
     def maybe_exif(self, key: str) -> float | None:
         number = re.search(r"[-+\d.eE]+", self.tags.get(f"EXIF_{key}", ""))
@@ -117,7 +121,6 @@ class Stated:
         if value is None:
             raise InputError(
                 f"expected EXIF metadata with {key!r}, but there is none. Use the camera's own "
-                "files.",
-                file=self.path,
+                "files."
             )
         return value

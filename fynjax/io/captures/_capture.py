@@ -7,14 +7,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
+from typing import Any
 
 import jax
 import numpy as np
 from jaxtyping import Bool, Float
+from numpy.typing import NDArray
 
 from fynjax._core.errors import InputError, in_file
 from fynjax._core.precision import double_precision
-from fynjax.io.captures._band import RawBand
+from fynjax.io.captures._band import RawBand, Stated
+from fynjax.io.captures._lens import Lens
 from fynjax.io.captures._metadata import read_band
 from fynjax.io.raster import Alignment, align_bands, open_raster
 from fynjax.io.text import did_you_mean, existing_file
@@ -79,19 +82,17 @@ class Capture:
     def radiance(self) -> Float[np.ndarray, "band row column"]:
         """Radiance of each band on its own pixels [W m-2 sr-1 um-1], or in the maker's own unit,
         row 0 at the top; float32."""
-        read = jax.jit(counts_to_radiance)
-        return np.stack(
-            [np.asarray(read(b.counts.astype(float), b.camera), np.float32) for b in self.bands]
-        )
+        return self._radiance([band.counts.astype(float) for band in self.bands])
 
     @double_precision
     def full_radiance(self) -> Float[np.ndarray, "band row column"]:
         """Radiance [W m-2 sr-1 um-1] from which pixels are full."""
+        return self._radiance([np.full(b.counts.shape, float(b.saturation)) for b in self.bands])
+
+    def _radiance(self, counts: Sequence[NDArray[np.float64]]) -> NDArray[np.float32]:
         read = jax.jit(counts_to_radiance)
-        full = [np.full(b.counts.shape, float(b.saturation)) for b in self.bands]
-        return np.stack(
-            [np.asarray(read(f, b.camera), np.float32) for f, b in zip(full, self.bands)]
-        )
+        pictures = (read(c, b.camera) for c, b in zip(counts, self.bands, strict=True))
+        return np.stack([np.asarray(picture, np.float32) for picture in pictures])
 
 
 @dataclass(frozen=True)
@@ -211,14 +212,10 @@ def _is_left_out(path: Path) -> bool:
     """Whether a picture is of emitted light, as the sixth of an Altum, or of all light (a
     RedEdge-P's and Altum-PT's panchromatic one): of another size, and no band."""
     with open_raster(path, "a raw picture of a multispectral camera") as file:
-        name = "".join(file.xmp.get("BandName", [])[:1])
-        stated = "".join(file.xmp.get("CentralWavelength", [])[:1])
-    try:
-        wavelength = float(stated)
-    except ValueError:
-        wavelength = 0.0
-    known = name.strip().upper()
-    return known == "LWIR" or known.startswith("PANCHRO") or wavelength > _LONGEST_REFLECTED
+        stated = Stated(file.xmp, {})
+    name = "".join(stated.xmp.get("BandName", [])[:1]).strip().upper()
+    wavelength = (stated.maybe("CentralWavelength") or [0.0])[0]
+    return name == "LWIR" or name.startswith("PANCHRO") or wavelength > _LONGEST_REFLECTED
 
 
 def usable_captures(
@@ -274,10 +271,8 @@ def usable_captures(
 def read_capture(name: str, paths: Sequence[Path]) -> Capture:
     """Read the files of one capture, each with its metadata (`read_band`).
 
-    **Arguments:**
-
-    - `name`: of the capture, for errors and reports.
-    - `paths`: its files, one for each band.
+    **Arguments:** `name`: of the capture, for errors and reports; `paths`: its files, one for each
+    band.
 
     **Returns:** a `Capture`, bands in the order of the files, without a thermal or panchromatic
     one, whose picture is of another size.
@@ -315,10 +310,8 @@ def aligned_radiance(capture: Capture, *, align: bool = True) -> AlignedCapture:
     """Radiance of a capture, its bands laid on the first: by the maker's own calibration of the
     lenses, where the files have one, and then by the picture (`fynjax.io.raster.align_bands`).
 
-    **Arguments:**
-
-    - `capture`: all bands of one moment.
-    - `align`: false leaves every band on its own pixels.
+    **Arguments:** `capture`: all bands of one moment; `align`: false leaves every band on its own
+    pixels.
 
     **Returns:** an `AlignedCapture`: radiance [W m-2 sr-1 um-1], full pixels, and how bands were
     moved.
@@ -353,15 +346,11 @@ def _on_frame(
     lenses = [band.lens for band in capture.bands]
     if all(lens is None for lens in lenses):
         return list(pictures), (0, 0)
-    moved = [
-        np.stack(
-            [
-                band if lens is None else lens.on_frame(band[::-1])[::-1]
-                for band, lens in zip(picture, lenses, strict=True)
-            ]
-        )
-        for picture in pictures
-    ]
+
+    def moved_by(lens: Lens | None, band: NDArray[np.float32]) -> NDArray[Any]:
+        return band if lens is None else lens.on_frame(band[::-1])[::-1]
+
+    moved = [np.stack(list(map(moved_by, lenses, picture))) for picture in pictures]
     # The side with the most pixels that some band lacks goes first, until none are left.
     covered = np.isfinite(moved[0]).all(axis=0)
     low, left = 0, 0

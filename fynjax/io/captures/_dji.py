@@ -55,13 +55,9 @@ def dji_band(path: Path, counts: NDArray[np.uint16], bits: int, stated: Stated) 
     }
     for name, value in known.items():
         if not value > 0.0 or (name == "black level" and value >= counts.max()):
-            raise InputError(
-                f"expected a positive {name}, below the counts, but got {value:g}", file=path
-            )
+            raise InputError(f"expected a positive {name}, below the counts, but got {value:g}")
     wavelength, fwhm = _band(stated)
     light = stated.maybe("Irradiance")
-    attitude = [stated.maybe(f"Flight{angle}Degree") for angle in ("Pitch", "Roll")]
-    cosine = np.prod([np.cos(np.radians(a[0])) for a in attitude if a])
     vignetting = _vignetting(stated)
     lens = _lens(stated)
     focal = _first(stated, "CalibratedFocalLength")
@@ -86,7 +82,7 @@ def dji_band(path: Path, counts: NDArray[np.uint16], bits: int, stated: Stated) 
         or stated.tags.get("EXIF_DateTimeOriginal", ""),
         focal_length=focal[0] if focal else lens.focal_length[0] if lens else None,
         irradiance=light[0] if light and light[0] > 0.0 else None,
-        irradiance_tilt=float(np.degrees(np.arccos(cosine))) if all(attitude) else None,
+        irradiance_tilt=stated.tilt("FlightPitchDegree", "FlightRollDegree"),
         sensor="mavic_3m",
         absolute=False,
         lens=lens,
@@ -144,8 +140,7 @@ def _lens(stated: Stated) -> Lens | None:
         matrix[:2, 2] = [-s[0] if s else 0.0 for s in shift]
     if not abs(np.linalg.det(matrix)) > 1e-9:
         raise InputError(
-            f"expected an invertible matrix as 'CalibratedHMatrix', but got {matrix.tolist()}",
-            file=stated.path,
+            f"expected an invertible matrix as 'CalibratedHMatrix', but got {matrix.tolist()}"
         )
     text = stated.xmp.get("DewarpData")
     if not text or _done(stated, "DewarpFlag"):
@@ -154,8 +149,7 @@ def _lens(stated: Stated) -> Lens | None:
         fx, fy, cx, cy, k1, k2, p1, p2, k3 = map(float, text[0].rpartition(";")[2].split(","))
     except ValueError:
         raise InputError(
-            f"expected a date and nine numbers as 'DewarpData', but got {text[0]}",
-            file=stated.path,
+            f"expected a date and nine numbers as 'DewarpData', but got {text[0]}"
         ) from None
     x, y = _centre(stated)
     return Lens(matrix, (fx, fy), (x + cx, y + cy), (k1, k2, p1, p2, k3))

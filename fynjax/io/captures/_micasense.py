@@ -34,8 +34,7 @@ def micasense_band(path: Path, counts: NDArray[np.uint16], bits: int, stated: St
     exposure, iso = stated.exif("ExposureTime"), stated.exif("ISOSpeed")
     if not (exposure > 0.0 and iso > 0.0):
         raise InputError(
-            f"expected a positive exposure and ISO speed, but got {exposure:g} s and {iso:g}",
-            file=path,
+            f"expected a positive exposure and ISO speed, but got {exposure:g} s and {iso:g}"
         )
     pitch, length = stated.maybe_exif("FocalPlaneXResolution"), stated.maybe_exif("FocalLength")
     irradiance, tilt = _irradiance(stated)
@@ -80,8 +79,7 @@ def _vignetting(stated: Stated) -> dict[str, Any]:
     if not all(power in range(100) for power in powers):
         raise InputError(
             "expected powers of column and row as 'VignettingPolynomial2DName', but got "
-            f"{', '.join(f'{p:g}' for p in powers)}",
-            file=stated.path,
+            f"{', '.join(f'{p:g}' for p in powers)}"
         )
     pairs = tuple(zip(map(int, powers[::2]), map(int, powers[1::2])))
     numbers = stated.numbers("VignettingPolynomial2D", len(powers) // 2)
@@ -99,11 +97,7 @@ def _irradiance(stated: Stated) -> tuple[float | None, float | None]:
     # Light sensors that correct for tilt state uW cm-2 nm-1 where they do not name their scale.
     assumed = 0.01 if "HorizontalIrradiance" in stated.xmp else 1.0
     scale = (stated.maybe("IrradianceScaleToSIUnits") or [assumed])[0]
-    tilt = None
-    angles = [stated.maybe(f"Irradiance{name}") for name in ("Pitch", "Roll")]
-    if not flat and all(angles):
-        cosines = [np.cos(np.radians(angle[0])) for angle in angles if angle]
-        tilt = float(np.degrees(np.arccos(np.prod(cosines))))
+    tilt = None if flat else stated.tilt("IrradiancePitch", "IrradianceRoll")
     return level[0] * scale * _PER_MICROMETRE, tilt
 
 
@@ -115,7 +109,7 @@ def _panel_area(stated: Stated) -> NDArray[Any] | None:
 
 
 def _place(stated: Stated) -> CameraPlace | None:
-    """By GPS, and by the heading of the light sensor, which is taken for that of the camera."""
+    """The camera's place by GPS; its heading is taken to be that of the light sensor."""
     degrees: list[float] = []
     for name, below in (("Latitude", "S"), ("Longitude", "W")):
         parts = re.findall(r"[\d.]+", stated.tags.get(f"EXIF_GPS{name}", ""))

@@ -13,10 +13,10 @@ from pydantic import model_validator
 from scipy import ndimage
 from scipy.spatial import ConvexHull
 
-from fynjax._core.errors import InputError, in_file
+from fynjax._core.errors import InputError, in_file, names_file
 from fynjax._core.precision import double_precision
 from fynjax.io.captures._capture import Capture
-from fynjax.io.text import Strict, number, read_rows
+from fynjax.io.text import Strict, in_unit, read_rows
 from fynjax.sensors import BandSet, PanelReading, panel_coverage, panel_reading
 
 _EVEN = 0.08
@@ -49,8 +49,10 @@ class _PanelRow(Strict):
     """One row of a panel's file."""
 
     band: str | None = None
-    wavelength_nm: float | None = number("Wavelength", "nm", default=None, ge=300, le=15000)
-    reflectance: float = number("Reflectance factor", "-", gt=0, le=1.2)
+    wavelength_nm: float | None = in_unit("nm", default=None, ge=300, le=15000)
+    """Wavelength [nm]."""
+    reflectance: float = in_unit("-", gt=0, le=1.2)
+    """Reflectance factor [-]."""
 
     @model_validator(mode="after")
     def _of_what(self) -> "_PanelRow":
@@ -102,6 +104,7 @@ def panel_reflectance(given: str | None, capture: Capture) -> Float[np.ndarray, 
     return np.broadcast_to(values, len(bands)).copy()
 
 
+@names_file
 def _of_file(path: Path, capture: Capture) -> Float[np.ndarray, " band"]:
     rows = [row for _, row in read_rows(path, _PanelRow, "a panel's reflectance")]
     known = {row.band.lower(): row.reflectance for row in rows if row.band is not None}
@@ -110,8 +113,7 @@ def _of_file(path: Path, capture: Capture) -> Float[np.ndarray, " band"]:
         if missing:
             raise InputError(
                 f"expected the reflectance in band {missing[0]!r}, but there is only "
-                f"{', '.join(known)}",
-                file=path,
+                f"{', '.join(known)}"
             )
         return np.array([known[name.lower()] for name in capture.names])
     spectrum = sorted((row.wavelength_nm or 0.0, row.reflectance) for row in rows)
@@ -121,8 +123,7 @@ def _of_file(path: Path, capture: Capture) -> Float[np.ndarray, " band"]:
         tuple(band.wavelength for band in capture.bands),
         tuple(band.fwhm for band in capture.bands),
     )
-    with in_file(path):
-        return bands.weights(waves, max_loss=0.02) @ values
+    return bands.weights(waves, max_loss=0.02) @ values
 
 
 @double_precision

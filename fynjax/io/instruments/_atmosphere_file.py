@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 
-from fynjax._core.errors import InputError, listed
+from fynjax._core.errors import InputError, listed, names_file, refusing
 from fynjax._core.spectral import check_wavelength
 from fynjax.io.raster import check_netcdf
 from fynjax.io.text import did_you_mean, existing_file, open_table
@@ -40,6 +40,7 @@ _BELOW = re.compile(r"(nm|um|micron|sr|cm|m)-?(\d?)")
 _HEADER = re.compile(r"^\s*([A-Za-z_ ]+?)\s*(?:[\[(](.*)[\])])?\s*$")
 
 
+@names_file
 def read_atmosphere(path: str | Path) -> Atmosphere:
     r"""Read the curves of an atmosphere from CSV, or from NetCDF (`.nc`).
 
@@ -59,9 +60,7 @@ def read_atmosphere(path: str | Path) -> Atmosphere:
     Irradiance and radiance may be in W, mW or µW, m-2 or cm-2, nm-1 or µm-1, written with exponents
     or with `/`; shares as fractions or in %. Lines that start with `#` are skipped.
 
-    **Arguments:**
-
-    - `path`: the file.
+    **Arguments:** `path`, the file.
 
     **Returns:** a `fynjax.sensors.air.Atmosphere` on the wavelengths of the file, in the units
     above.
@@ -94,7 +93,6 @@ def read_atmosphere(path: str | Path) -> Atmosphere:
         raise InputError(
             f"expected {_TOTAL!r} or its parts {_APART[0]!r} and {_APART[1]!r}, but the file has "
             "both: leave one out",
-            file=path,
             column=_TOTAL,
         )
     left_out = (_TOTAL,) if parts else _APART
@@ -107,16 +105,13 @@ def read_atmosphere(path: str | Path) -> Atmosphere:
             _TOTAL: f" Or give its parts, {_APART[0]!r} and {_APART[1]!r}.",
         }
         hint = hints.get(missing[0], "")
-        raise InputError(
-            f"expected a curve {missing[0]!r}, but the file has {listed(columns)}.{near}{hint}",
-            file=path,
-            column=missing[0],
-        )
-    curves = {name: _converted(name, *columns[name], rows, path) for name in wanted}
+        words = f"expected a curve {missing[0]!r}, but the file has {listed(columns)}.{near}{hint}"
+        raise InputError(words, column=missing[0])
+    curves = {name: _converted(name, *columns[name], rows) for name in wanted}
     try:
         check_wavelength(curves["wavelength"])
     except InputError as error:
-        raise InputError(str(error), file=path, column="wavelength") from error
+        raise InputError(str(error), column="wavelength") from error
     wavelength = curves.pop("wavelength")
     if _TOTAL in curves:
         curves["upward_direct"] = curves.pop(_TOTAL)
@@ -133,76 +128,64 @@ def _from_table(path: Path) -> tuple[dict[str, tuple[str | None, np.ndarray]], l
         name, unit = (match[1], match[2]) if match else (label, None)
         name = name.lower().replace(" ", "_")
         if name in columns:
-            raise InputError("this column is there twice", file=path, row=table.row, column=label)
+            raise InputError("this column is there twice", row=table.row, column=label)
         columns[name] = (unit, values[:, index])
     return columns, [row for row, _ in table.rows()]
 
 
 def _from_netcdf(path: Path) -> tuple[dict[str, tuple[str | None, np.ndarray]], list[int]]:
     check_netcdf(path)
-    try:
-        with xr.open_dataset(path, engine="netcdf4") as data:
-            columns = {
-                str(name): (variable.attrs.get("units"), np.asarray(variable.values, np.float64))
-                for name, variable in data.variables.items()
-                if str(name) in _KINDS or variable.ndim == 1
-            }
-    except (OSError, RuntimeError, TypeError, ValueError) as error:
-        raise InputError(
-            f"expected a NetCDF file, but cannot read it: {error}", file=path
-        ) from error
+    words = "expected a NetCDF file, but cannot read it: {error}"
+    with (
+        refusing(OSError, RuntimeError, TypeError, ValueError, words=words),
+        xr.open_dataset(path, engine="netcdf4") as data,
+    ):
+        columns = {
+            str(name): (variable.attrs.get("units"), np.asarray(variable.values, np.float64))
+            for name, variable in data.variables.items()
+            if str(name) in _KINDS or variable.ndim == 1
+        }
     for name, (_, values) in columns.items():
         if name in _KINDS and values.ndim != 1:
             raise InputError(
                 f"expected one value for each wavelength, but it has shape {values.shape}: choose "
                 "one sun and sensor first",
-                file=path,
                 column=name,
             )
     return columns, []
 
 
-def _converted(
-    name: str, unit: str | None, values: np.ndarray, rows: list[int], path: Path
-) -> np.ndarray:
+def _converted(name: str, unit: str | None, values: np.ndarray, rows: list[int]) -> np.ndarray:
     """Values in the record's unit, checked."""
     kind = _KINDS[name]
-    values = values * _factor(kind, unit, name, path)
-    largest = _LARGEST.get(kind, np.inf)
+    values = values * _factor(kind, unit, name)
+    largest = _LARGEST[kind]
     wrong = ~np.isfinite(values) | (values < 0.0) | (values > largest)
     if wrong.any():
         at = int(np.argmax(wrong))
         hint = " Is the unit right?" if values[at] > largest else ""
-        wanted = "0 or more" if np.isinf(largest) else f"0 to {largest:g}"
         raise InputError(
-            f"expected {wanted} {_EXAMPLES[kind]}, but found {values[at]:g} {_EXAMPLES[kind]}."
-            f"{hint}",
-            file=path,
+            f"expected 0 to {largest:g} {_EXAMPLES[kind]}, but found {values[at]:g} "
+            f"{_EXAMPLES[kind]}.{hint}",
             row=rows[at] if rows else None,
             column=name,
         )
     return values
 
 
-def _factor(kind: str, unit: str | None, name: str, path: Path) -> float:
+def _factor(kind: str, unit: str | None, name: str) -> float:
     """What one of the file's units is in the record's."""
     example = _EXAMPLES[kind]
     if unit is None and kind != "share":
-        raise InputError(
-            f"expected a unit, such as '{name} [{example}]', but there is none",
-            file=path,
-            column=name,
-        )
+        words = f"expected a unit, such as '{name} [{example}]', but there is none"
+        raise InputError(words, column=name)
     plain = str(unit or "").strip().lower().replace("µ", "u").replace("μ", "u")
     if kind == "share":
         factor = _SHARES.get(plain)
     elif kind == "length":
         if plain in ("um", "micron", "microns", "micrometer", "micrometre"):
-            raise InputError(
-                "expected wavelengths in nm, but the unit is µm: multiply by 1000",
-                file=path,
-                column=name,
-            )
+            words = "expected wavelengths in nm, but the unit is µm: multiply by 1000"
+            raise InputError(words, column=name)
         factor = 1.0 if plain in ("nm", "nanometer", "nanometre", "nanometers") else None
     else:
         factor = _spectral_factor(plain, kind)
@@ -210,7 +193,6 @@ def _factor(kind: str, unit: str | None, name: str, path: Path) -> float:
         raise InputError(
             f"unknown unit {unit!r} of {kind if kind != 'share' else 'a share'}: write it like "
             f"'{example}'",
-            file=path,
             column=name,
         )
     return factor

@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 from rasterio.crs import CRS
 from rasterio.errors import CRSError
 
-from fynjax._core.errors import InputError
+from fynjax._core.errors import InputError, names_file, refusing
 from fynjax._core.extras import require
 from fynjax.io.text import atomic_path
 from fynjax.sensors import LidarReturns
@@ -29,6 +29,7 @@ _OF_SPECIES = (
 )
 
 
+@names_file
 def write_cloud(
     path: str | Path,
     returns: LidarReturns,
@@ -81,15 +82,14 @@ def write_cloud(
     path = Path(path)
     kind = path.suffix.lower()
     if kind not in (".las", ".laz"):
-        raise InputError(f"expected a name in .las or .laz, but got {path.name!r}", file=path)
+        raise InputError(f"expected a name in .las or .laz, but got {path.name!r}")
     laspy = require("laspy", "terrain")
     if kind == ".laz":
         require("lazrs", "terrain")
     if len(returns) == 0:
         raise InputError(
             "no pulse has a return to write: does the range gate hold the ground, and is the "
-            "signal above the noise?",
-            file=path,
+            "signal above the noise?"
         )
     place = returns.position + np.asarray(origin_m)
     header = laspy.LasHeader(point_format=6, version="1.4")
@@ -101,7 +101,11 @@ def write_cloud(
     more = _DIMENSIONS if leading is None else _DIMENSIONS + _OF_SPECIES
     header.add_extra_dims([laspy.ExtraBytesParams(*dimension) for dimension in more])
     if crs is not None:
-        header.vlrs.append(laspy.vlrs.known.WktCoordinateSystemVlr(_wkt(crs)))
+        words = f"`crs` must be a reference system such as 'EPSG:32734', but is {crs!r}"
+        with refusing(CRSError, words=words):
+            # WKT 1, which the LAS specification asks for.
+            wkt = CRS.from_user_input(crs).to_wkt(version="WKT1_GDAL")
+        header.vlrs.append(laspy.vlrs.known.WktCoordinateSystemVlr(wkt))
     header.global_encoding.wkt = True
     cloud = laspy.LasData(header)
     cloud.x, cloud.y, cloud.z = place.T
@@ -119,18 +123,5 @@ def write_cloud(
         place, share = map(np.asarray, leading)
         cloud.species = (place + 1).astype(np.uint16)
         cloud.species_share = share.astype(np.float32)
-    with atomic_path(path) as partial:
-        try:
-            cloud.write(partial)
-        except OSError as error:
-            raise InputError(f"cannot write here: {error}", file=path) from error
-
-
-def _wkt(crs: str) -> str:
-    """WKT 1, which the LAS specification asks for."""
-    try:
-        return CRS.from_user_input(crs).to_wkt(version="WKT1_GDAL")
-    except CRSError as error:
-        raise InputError(
-            f"`crs` must be a reference system such as 'EPSG:32734', but is {crs!r}"
-        ) from error
+    with atomic_path(path) as partial, refusing(OSError, words="cannot write here: {error}"):
+        cloud.write(partial)

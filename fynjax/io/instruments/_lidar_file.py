@@ -5,8 +5,8 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field, model_validator
 
-from fynjax.io.instruments._sensor_tables import _nanometre_slip
-from fynjax.io.text import Slip, Strict, number, read_toml, shipped_or_own
+from fynjax.io.instruments._sensor_tables import InstrumentFile, _nanometre_slip
+from fynjax.io.text import Slip, Strict, in_unit, numbers_in, read_toml, shipped_or_own
 from fynjax.sensors import Lidar, build_lidar, lidar_folder, shipped_lidars
 
 _Finite = Annotated[float, Field(allow_inf_nan=False)]
@@ -23,55 +23,53 @@ class LaserTable(Strict):
         ),
     }
 
-    wavelength_nm: float = number("Wavelength", "nm", ge=400, le=2500)
-    line_width_nm: float = number(
-        "Full width of the line at half maximum", "nm", default=1.0, gt=0, le=100
-    )
-    pulse_fwhm_ns: float = number(
-        "Full width of the Gaussian pulse at half maximum", "ns", ge=0.1, le=100
-    )
-
-
-def _divergence_slip(value: float) -> str | None:
-    return f"Milliradians? In rad this is {value / 1000:g}." if 1.5 <= value < 1500 else None
+    wavelength_nm: float = in_unit("nm", ge=400, le=2500)
+    """Wavelength [nm]."""
+    line_width_nm: float = in_unit("nm", default=1.0, gt=0, le=100)
+    """Full width of the line at half maximum [nm]."""
+    pulse_fwhm_ns: float = in_unit("ns", ge=0.1, le=100)
+    """Full width of the Gaussian pulse at half maximum [ns]."""
 
 
 class LidarGeometryTable(Strict):
     """What the lines of sight of a flash and of a scanner have in common."""
 
     kind: Literal["flash", "scan"]
-    altitude_m: float = number("Usual height above the ground", "m", gt=0, le=1e6)
-    pulse_rate_hz: float = number("Pulses (of a flash: frames) in a second", "Hz", gt=0, le=1e8)
-    pencils: int = Field(
-        default=3,
-        description="Pencils of light along each side of a pixel or footprint; where single "
-        "leaves are drawn, each pencil hits one [-].",
-        ge=1,
-        le=32,
-    )
+    altitude_m: float = in_unit("m", gt=0, le=1e6)
+    """Usual height above the ground [m]."""
+    pulse_rate_hz: float = in_unit("Hz", gt=0, le=1e8)
+    """Pulses (of a flash: frames) in a second [Hz]."""
+    pencils: int = Field(default=3, ge=1, le=32)
+    """Pencils of light along each side of a pixel or footprint; where single leaves are drawn, each
+    pencil hits one [-]."""
 
 
 class FlashGeometryTable(LidarGeometryTable):
     """Lines of sight of a flash LiDAR: a camera of which each pixel times its own return."""
 
     slips: ClassVar[dict[str, Slip]] = {
-        "half_divergence_rad": _divergence_slip,
+        "half_divergence_rad": lambda v: (
+            f"Milliradians? In rad this is {v / 1000:g}." if 1.5 <= v < 1500 else None
+        ),
         "focal_length_mm": lambda v: (
             f"Metres? In mm this is {v * 1000:g}." if 0 < v < 0.5 else None
         ),
     }
 
-    kind: Literal["flash"] = Field(description="A camera whose pixels time their own returns.")
-    columns: int = Field(description="Pixels across [-].", ge=1, le=4096)
-    rows: int = Field(description="Pixels along [-].", ge=1, le=4096)
-    pixel_pitch_um: float = number("Distance between pixels on the array", "um", ge=0.1, le=1000)
-    focal_length_mm: float = number("Focal length", "mm", ge=0.5, le=1e4)
-    half_divergence_rad: float = number(
-        "From the beam's axis to 1/e2 of the irradiance", "rad", gt=0, lt=1.5
-    )
-    frame_step_m: float = number(
-        "Distance between frames, as many as cover the plot", "m", gt=0, le=1e5
-    )
+    kind: Literal["flash"]
+    """A camera whose pixels time their own returns."""
+    columns: int = Field(ge=1, le=4096)
+    """Pixels across [-]."""
+    rows: int = Field(ge=1, le=4096)
+    """Pixels along [-]."""
+    pixel_pitch_um: float = in_unit("um", ge=0.1, le=1000)
+    """Distance between pixels on the array [um]."""
+    focal_length_mm: float = in_unit("mm", ge=0.5, le=1e4)
+    """Focal length [mm]."""
+    half_divergence_rad: float = in_unit("rad", gt=0, lt=1.5)
+    """From the beam's axis to 1/e2 of the irradiance [rad]."""
+    frame_step_m: float = in_unit("m", gt=0, le=1e5)
+    """Distance between frames, as many as cover the plot [m]."""
 
 
 class ScanGeometryTable(LidarGeometryTable):
@@ -83,25 +81,21 @@ class ScanGeometryTable(LidarGeometryTable):
         ),
     }
 
-    kind: Literal["scan"] = Field(description="Single pulses on straight flight lines.")
-    pulse_density_m2: float = number(
-        "Pulses of all flight lines together on level ground", "m-2", gt=0, le=1e5
-    )
-    divergence_mrad: float = number(
-        "Full angle of the beam at 1/e2 of the irradiance", "mrad", ge=0.01, le=100
-    )
-    half_scan_angle_deg: float = number("Largest angle from straight down", "degree", gt=0, le=60)
-    line_offsets_m: list[_Finite] | None = Field(
-        default=None,
-        description="Of each flight line from the plot's middle, to the right of the heading; "
-        "left out, one line over the middle [m].",
-        min_length=1,
-        json_schema_extra={"unit": "m"},
-    )
-    heading_deg: float = number(
-        "Direction of the flight, clockwise from north", "degree", default=0.0, ge=-360, le=360
-    )
-    speed_m_s: float = number("Speed of the flight", "m s-1", gt=0, le=1000)
+    kind: Literal["scan"]
+    """Single pulses on straight flight lines."""
+    pulse_density_m2: float = in_unit("m-2", gt=0, le=1e5)
+    """Pulses of all flight lines together on level ground [m-2]."""
+    divergence_mrad: float = in_unit("mrad", ge=0.01, le=100)
+    """Full angle of the beam at 1/e2 of the irradiance [mrad]."""
+    half_scan_angle_deg: float = in_unit("degree", gt=0, le=60)
+    """Largest angle from straight down [degree]."""
+    line_offsets_m: list[_Finite] | None = numbers_in("m", min_length=1)
+    """Distance of each flight line from the plot's middle, to the right of the heading; left out,
+    one line over the middle [m]."""
+    heading_deg: float = in_unit("degree", default=0.0, ge=-360, le=360)
+    """Direction of the flight, clockwise from north [degree]."""
+    speed_m_s: float = in_unit("m s-1", gt=0, le=1000)
+    """Speed of the flight [m s-1]."""
 
 
 class ReceiverTable(Strict):
@@ -111,26 +105,17 @@ class ReceiverTable(Strict):
         "sample_m": lambda v: f"Centimetres? In m this is {v / 100:g}." if 5 < v <= 500 else None,
     }
 
-    sample_m: float = number("Length of a sample in range", "m", ge=0.001, le=5)
-    range_gate_m: tuple[_Range, _Range] | None = Field(
-        default=None,
-        description="Nearest and farthest range that is recorded; left out, from above the canopy "
-        "to below the ground of each pulse [m].",
-        json_schema_extra={"unit": "m"},
-    )
-    gate_margin_m: float = number(
-        "How far beyond the gate's end the record goes on", "m", default=0.0, ge=0, le=1000
-    )
-    threshold: float = number(
-        "What a return must stand out by, in standard deviations of the noise",
-        "-",
-        default=5.0,
-        gt=0,
-        le=1000,
-    )
-    max_returns: int = Field(
-        default=5, description="Most returns that are kept of one pulse [-].", ge=1, le=15
-    )
+    sample_m: float = in_unit("m", ge=0.001, le=5)
+    """Length of a sample in range [m]."""
+    range_gate_m: tuple[_Range, _Range] | None = numbers_in("m")
+    """Nearest and farthest range that is recorded; left out, from above the canopy to below the
+    ground of each pulse [m]."""
+    gate_margin_m: float = in_unit("m", default=0.0, ge=0, le=1000)
+    """How far beyond the gate's end the record goes on [m]."""
+    threshold: float = in_unit("-", default=5.0, gt=0, le=1000)
+    """What a return must stand out by, in standard deviations of the noise [-]."""
+    max_returns: int = Field(default=5, ge=1, le=15)
+    """Most returns that are kept of one pulse [-]."""
 
     @model_validator(mode="after")
     def _gate_rises(self) -> "ReceiverTable":
@@ -148,32 +133,21 @@ class ReceiverTable(Strict):
 class LidarNoiseTable(Strict):
     """Noise of the receiver."""
 
-    signal_electrons: float = number(
-        "Electrons, over all samples, of a white plate that fills the middle beam and faces it at "
-        "the usual altitude",
-        "-",
-        gt=0,
-        le=1e12,
-    )
-    background_electrons: float = number(
-        "Electrons of daylight and dark current in a sample", "-", default=0.0, ge=0, le=1e9
-    )
-    read_noise_electrons: float = number(
-        "Standard deviation of the reading of a sample", "electrons", gt=0, le=1e6
-    )
+    signal_electrons: float = in_unit("-", gt=0, le=1e12)
+    """Electrons, over all samples, of a white plate that fills the middle beam and faces it at the
+    usual altitude [-]."""
+    background_electrons: float = in_unit("-", default=0.0, ge=0, le=1e9)
+    """Electrons of daylight and dark current in a sample [-]."""
+    read_noise_electrons: float = in_unit("electrons", gt=0, le=1e6)
+    """Standard deviation of the reading of a sample [electrons]."""
 
 
-class LidarFile(Strict):
+class LidarFile(InstrumentFile):
     """A LiDAR file: laser, lines of sight, receiver and noise."""
 
-    name: str = Field(description="Short name.", min_length=1)
-    description: str = Field(default="", description="What it is, in a sentence.")
-    source: str = Field(description="Where the numbers come from.", min_length=1)
-    licence: str = Field(default="", description="Terms of the numbers, where there are any.")
     laser: LaserTable
-    geometry: FlashGeometryTable | ScanGeometryTable = Field(
-        discriminator="kind", description="A table of lines of sight."
-    )
+    geometry: FlashGeometryTable | ScanGeometryTable = Field(discriminator="kind")
+    """A table of lines of sight."""
     receiver: ReceiverTable
     noise: LidarNoiseTable
 

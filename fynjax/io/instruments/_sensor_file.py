@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from fynjax._core.errors import InputError
+from fynjax._core.errors import InputError, names_file
 from fynjax.io.instruments._lidar_file import load_lidar
 from fynjax.io.instruments._sensor_tables import (
     BandRow,
@@ -39,10 +39,8 @@ _FEW = 20  # bands of a camera; with more, neighbours of a spectrometer are a wi
 def load_instrument(name_or_path: str | Path) -> Sensor | Lidar:
     """An imaging sensor or a LiDAR, by its shipped name or from a file.
 
-    **Arguments:**
-
-    - `name_or_path`: a shipped name, or the path of a sensor or LiDAR file. A file with a table
-      [laser] is that of a LiDAR.
+    **Arguments:** `name_or_path`: a shipped name, or the path of a sensor or LiDAR file. A file
+    with a table [laser] is that of a LiDAR.
 
     **Returns:** a `fynjax.sensors.Sensor` or a `fynjax.sensors.Lidar`.
 
@@ -65,7 +63,7 @@ def load_instrument(name_or_path: str | Path) -> Sensor | Lidar:
 def _has_laser(path: Path) -> bool:
     try:
         return "laser" in tomllib.loads(path.read_text("utf-8"))
-    except (OSError, ValueError):  # the reader of sensor files says what is wrong
+    except (OSError, RecursionError, ValueError):  # the reader of sensor files says what is wrong
         return False
 
 
@@ -89,7 +87,11 @@ def load_sensor(name_or_path: str | Path) -> Sensor:
     >>> load_sensor("mavic_3m").bands.names
     ('green', 'red', 'red_edge', 'nir')
     """
-    path = shipped_or_own(name_or_path, "sensor", shipped_sensors(), sensor_folder())
+    return _read_sensor(shipped_or_own(name_or_path, "sensor", shipped_sensors(), sensor_folder()))
+
+
+@names_file
+def _read_sensor(path: Path) -> Sensor:
     description, text = read_toml(path, SensorFile, within=path.parent)
     tables: dict[Path, list[tuple[int, Any]]] = {}
     bands, noise = description.bands, description.noise
@@ -102,7 +104,6 @@ def load_sensor(name_or_path: str | Path) -> Sensor:
         if slip is not None:
             raise InputError(
                 slip[1],
-                file=path,
                 row=line_of(text, ("bands", "centre_nm")),
                 column="bands.centre_nm",
             )
@@ -118,12 +119,11 @@ def load_sensor(name_or_path: str | Path) -> Sensor:
         fields = [f for f in type(given[0][1]).model_fields if getattr(given[0][1], f) is not None]
         return {field: [getattr(row, field) for _, row in given] for field in fields}
 
-    try:
-        sensor = build_sensor(description.model_dump(exclude_unset=True), columns)
-        if not bands.any_order:
-            _check_sorted(sensor)
-    except InputError as error:
-        raise InputError(str(error), file=path) from error
+    sensor = build_sensor(description.model_dump(exclude_unset=True), columns)
+    if not bands.any_order:
+        slip = _order_slip(list(sensor.bands.centre), list(sensor.bands.fwhm), any_order=False)
+        if slip is not None:
+            raise InputError(slip[1])
     return sensor
 
 
@@ -154,37 +154,31 @@ def _order_slip(
     )
 
 
+@names_file
 def _check_band_rows(path: Path, rows: list, any_order: bool) -> None:
     first = rows[0][1]
     for field in ("name", "fwhm_nm", "half_width_nm", "ground_sample_distance_m"):
         for number, row in rows:
             if (getattr(row, field) is None) != (getattr(first, field) is None):
-                raise InputError(
-                    "expected this column in all rows or in none, but some cells are empty",
-                    file=path,
-                    row=number,
-                    column=field,
-                )
+                words = "expected this column in all rows or in none, but some cells are empty"
+                raise InputError(words, row=number, column=field)
     centres = [row.centre_nm for _, row in rows]
     widths = [row.fwhm_nm or 2.0 * row.half_width_nm for _, row in rows]
     slip = _order_slip(centres, widths, any_order)
     if slip is not None:
-        raise InputError(slip[1], file=path, row=rows[slip[0]][0], column="centre_nm")
+        raise InputError(slip[1], row=rows[slip[0]][0], column="centre_nm")
     _warn_of_half_widths(path, centres, widths)
 
 
+@names_file
 def _check_curve_rows(path: Path, rows: list) -> None:
     done: set[str] = set()
     for (_, before), (number, row) in itertools.pairwise(rows):
         if row.band != before.band:
             done.add(before.band)
             if row.band in done:
-                raise InputError(
-                    f"expected all rows of band {row.band!r} together, but they start again",
-                    file=path,
-                    row=number,
-                    column="band",
-                )
+                words = f"expected all rows of band {row.band!r} together, but they start again"
+                raise InputError(words, row=number, column="band")
         elif row.wavelength_nm <= before.wavelength_nm:
             slip = "Sort the rows."
             if row.wavelength_nm == before.wavelength_nm:
@@ -192,16 +186,9 @@ def _check_curve_rows(path: Path, rows: list) -> None:
             raise InputError(
                 f"expected rising wavelengths within band {row.band!r}, but "
                 f"{row.wavelength_nm:g} nm follows {before.wavelength_nm:g} nm. {slip}",
-                file=path,
                 row=number,
                 column="wavelength_nm",
             )
-
-
-def _check_sorted(sensor: Sensor) -> None:
-    slip = _order_slip(list(sensor.bands.centre), list(sensor.bands.fwhm), any_order=False)
-    if slip is not None:
-        raise InputError(slip[1])
 
 
 def _warn_of_half_widths(path: Path, centres: list[float], widths: list[float]) -> None:
@@ -214,5 +201,5 @@ def _warn_of_half_widths(path: Path, centres: list[float], widths: list[float]) 
             f"{path}: the full widths of the bands are {share:.2g} of the distance between them. "
             "Channels of a spectrometer overlap: are these half widths (half_width_nm)?",
             UserWarning,
-            stacklevel=3,
+            stacklevel=4,
         )

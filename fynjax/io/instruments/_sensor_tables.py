@@ -5,7 +5,7 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field, model_validator
 
-from fynjax.io.text import NamedFile, Slip, Strict, number
+from fynjax.io.text import NamedFile, Slip, Strict, in_unit, numbers_in
 
 RadianceUnit = Literal[
     "W m-2 sr-1 um-1", "mW m-2 sr-1 nm-1", "uW cm-2 sr-1 nm-1", "W m-2 sr-1 nm-1"
@@ -41,17 +41,16 @@ class BandRow(Strict):
     slips: ClassVar[dict[str, Slip]] = _SPECTRAL_SLIPS
     unique = "name"
 
-    name: str | None = Field(default=None, description="Name; left out: band_1, band_2, ...")
-    centre_nm: float = number("Centre wavelength", "nm", ge=200, le=15000)
-    fwhm_nm: float | None = number(
-        "Full width at half maximum", "nm", default=None, ge=0.2, le=2000
-    )
-    half_width_nm: float | None = number(
-        "From the centre to half maximum; in place of fwhm_nm", "nm", default=None, ge=0.1, le=1000
-    )
-    ground_sample_distance_m: float | None = number(
-        "Pixel of this band on the ground", "m", default=None, gt=0, le=100000
-    )
+    name: str | None = None
+    """Name; left out: band_1, band_2, ..."""
+    centre_nm: float = in_unit("nm", ge=200, le=15000)
+    """Centre wavelength [nm]."""
+    fwhm_nm: float | None = in_unit("nm", default=None, ge=0.2, le=2000)
+    """Full width at half maximum [nm]."""
+    half_width_nm: float | None = in_unit("nm", default=None, ge=0.1, le=1000)
+    """From the centre to half maximum; in place of fwhm_nm [nm]."""
+    ground_sample_distance_m: float | None = in_unit("m", default=None, gt=0, le=100000)
+    """Pixel of this band on the ground [m]."""
 
     @model_validator(mode="after")
     def _one_width(self) -> "BandRow":
@@ -65,9 +64,12 @@ class CurveRow(Strict):
 
     slips: ClassVar[dict[str, Slip]] = _SPECTRAL_SLIPS
 
-    band: str = Field(description="Name of the band.", min_length=1)
-    wavelength_nm: float = number("Wavelength", "nm", ge=200, le=15000)
-    response: float = number("Relative response, of any scale", "-", ge=0)
+    band: str = Field(min_length=1)
+    """Name of the band."""
+    wavelength_nm: float = in_unit("nm", ge=200, le=15000)
+    """Wavelength [nm]."""
+    response: float = in_unit("-", ge=0)
+    """Relative response, of any scale [-]."""
 
 
 class NoiseRow(Strict):
@@ -75,14 +77,14 @@ class NoiseRow(Strict):
 
     slips: ClassVar[dict[str, Slip]] = _SPECTRAL_SLIPS
 
-    wavelength_nm: float = number("Wavelength", "nm", ge=200, le=15000)
-    a: float = number("Photon noise", "square root of radiance")
-    b: float = number("Dark signal as radiance", "radiance")
-    c: float = number("Constant part", "radiance")
-
-
-def _tilt_slip(value: float) -> str | None:
-    return "A gimbal pitch? Straight down is 0 here." if value == -90 else None
+    wavelength_nm: float = in_unit("nm", ge=200, le=15000)
+    """Wavelength [nm]."""
+    a: float = in_unit("square root of radiance")
+    """Photon noise [square root of radiance]."""
+    b: float = in_unit("radiance")
+    """Dark signal as radiance [radiance]."""
+    c: float = in_unit("radiance")
+    """Constant part [radiance]."""
 
 
 class CameraGeometryTable(Strict):
@@ -95,70 +97,54 @@ class CameraGeometryTable(Strict):
         "pixel_pitch_um": lambda v: (
             f"Millimetres? In µm this is {v * 1000:g}." if 0 < v < 0.1 else None
         ),
-        "tilt_deg": _tilt_slip,
+        "tilt_deg": lambda v: "A gimbal pitch? Straight down is 0 here." if v == -90 else None,
     }
 
     kind: Literal["frame", "pushbroom"]
-    altitude_m: float = number("Usual height above the ground", "m", gt=0, le=1e6)
-    focal_length_mm: float = number("Focal length", "mm", ge=0.1, le=1e4)
-    pixel_pitch_um: float = number("Distance between pixels on the array", "um", ge=0.1, le=1000)
-    columns: int = Field(description="Pixels across [-].", ge=1, le=100000)
-    tilt_deg: float = number(
-        "Angle of the optical axis from straight down, towards the heading",
-        "degree",
-        default=0.0,
-        gt=-90,
-        lt=90,
-    )
-    heading_deg: float = number(
-        "Direction of the image's upper edge, clockwise from north",
-        "degree",
-        default=0.0,
-        ge=-360,
-        le=360,
-    )
-    ground_sample_distance_m: float | None = number(
-        "Pixel on the ground that the source states, from altitude_m: that of images; left out, "
-        "from the optics, whose lines of sight it has in any case",
-        "m",
-        default=None,
-        gt=0,
-        le=100000,
-    )
+    altitude_m: float = in_unit("m", gt=0, le=1e6)
+    """Usual height above the ground [m]."""
+    focal_length_mm: float = in_unit("mm", ge=0.1, le=1e4)
+    """Focal length [mm]."""
+    pixel_pitch_um: float = in_unit("um", ge=0.1, le=1000)
+    """Distance between pixels on the array [um]."""
+    columns: int = Field(ge=1, le=100000)
+    """Pixels across [-]."""
+    tilt_deg: float = in_unit("degree", default=0.0, gt=-90, lt=90)
+    """Angle of the optical axis from straight down, towards the heading [degree]."""
+    heading_deg: float = in_unit("degree", default=0.0, ge=-360, le=360)
+    """Direction of the image's upper edge, clockwise from north [degree]."""
+    ground_sample_distance_m: float | None = in_unit("m", default=None, gt=0, le=100000)
+    """Pixel on the ground that the source states, from altitude_m: that of images; left out, from
+    the optics, whose lines of sight it has in any case [m]."""
 
 
 class FrameGeometryTable(CameraGeometryTable):
     """Lines of sight of a pinhole camera."""
 
-    kind: Literal["frame"] = Field(description="A pinhole camera.")
-    rows: int = Field(description="Pixels along [-].", ge=1, le=100000)
+    kind: Literal["frame"]
+    """A pinhole camera."""
+    rows: int = Field(ge=1, le=100000)
+    """Pixels along [-]."""
 
 
 class PushbroomGeometryTable(CameraGeometryTable):
     """Lines of sight of a pushbroom: one line of pixels that a flight sweeps on."""
 
-    kind: Literal["pushbroom"] = Field(description="One line that a flight sweeps on.")
+    kind: Literal["pushbroom"]
+    """One line that a flight sweeps on."""
 
 
 class OrthographicGeometryTable(Strict):
     """Parallel lines of sight and equal pixels, such as of a satellite product."""
 
-    kind: Literal["orthographic"] = Field(description="Parallel lines of sight.")
-    pixel_m: float = number("Pixel on the ground", "m", gt=0, le=100000)
-    view_zenith_deg: float = number(
-        "Angle between the vertical and the direction to the sensor",
-        "degree",
-        default=0.0,
-        ge=0,
-        lt=90,
-    )
-    view_azimuth_deg: float = number(
-        "Direction from the ground to the sensor, clockwise from north",
-        "degree",
-        default=0.0,
-        ge=-360,
-        le=360,
-    )
+    kind: Literal["orthographic"]
+    """Parallel lines of sight."""
+    pixel_m: float = in_unit("m", gt=0, le=100000)
+    """Pixel on the ground [m]."""
+    view_zenith_deg: float = in_unit("degree", default=0.0, ge=0, lt=90)
+    """Angle between the vertical and the direction to the sensor [degree]."""
+    view_azimuth_deg: float = in_unit("degree", default=0.0, ge=-360, le=360)
+    """Direction from the ground to the sensor, clockwise from north [degree]."""
 
 
 Centre = Annotated[float, Field(ge=200, le=15000, allow_inf_nan=False)]
@@ -172,41 +158,24 @@ class BandsTable(Strict):
 
     slips: ClassVar[dict[str, Slip]] = _SPECTRAL_SLIPS
 
-    response: Literal["gaussian", "box", "tabulated"] = Field(
-        default="gaussian", description="Form of the response; 'tabulated' needs curves."
-    )
-    any_order: bool = Field(
-        default=False,
-        description="Whether the bands may stand in another order than that of wavelength.",
-    )
-    name: list[str] | None = Field(default=None, description="Names of the bands.", min_length=1)
-    centre_nm: list[Centre] | None = Field(
-        default=None,
-        description="Centre wavelength of each band, from 200 to 15000 [nm].",
-        min_length=1,
-        json_schema_extra={"unit": "nm"},
-    )
-    fwhm_nm: list[Width] | None = Field(
-        default=None,
-        description="Full width at half maximum of each band, or width of a box [nm].",
-        json_schema_extra={"unit": "nm"},
-    )
-    half_width_nm: list[Width] | None = Field(
-        default=None,
-        description="Half width at half maximum of each band, in place of fwhm_nm [nm].",
-        json_schema_extra={"unit": "nm"},
-    )
-    ground_sample_distance_m: list[Positive] | None = Field(
-        default=None,
-        description="Pixel of each band on the ground, where they differ [m].",
-        json_schema_extra={"unit": "m"},
-    )
-    table: Annotated[Path, NamedFile("a table of bands")] | None = Field(
-        default=None, description="Table of bands (CSV); a path from this file's folder."
-    )
-    curves: Annotated[Path, NamedFile("a table of response curves")] | None = Field(
-        default=None, description="Table of curves (CSV); a path from this file's folder."
-    )
+    response: Literal["gaussian", "box", "tabulated"] = "gaussian"
+    """Form of the response; 'tabulated' needs curves."""
+    any_order: bool = False
+    """Whether the bands may stand in another order than that of wavelength."""
+    name: list[str] | None = Field(default=None, min_length=1)
+    """Names of the bands."""
+    centre_nm: list[Centre] | None = numbers_in("nm", min_length=1)
+    """Centre wavelength of each band, from 200 to 15000 [nm]."""
+    fwhm_nm: list[Width] | None = numbers_in("nm")
+    """Full width at half maximum of each band, or width of a box [nm]."""
+    half_width_nm: list[Width] | None = numbers_in("nm")
+    """Half width at half maximum of each band, in place of fwhm_nm [nm]."""
+    ground_sample_distance_m: list[Positive] | None = numbers_in("m")
+    """Pixel of each band on the ground, where they differ [m]."""
+    table: Annotated[Path, NamedFile("a table of bands")] | None = None
+    """Table of bands (CSV); a path from this file's folder."""
+    curves: Annotated[Path, NamedFile("a table of response curves")] | None = None
+    """Table of curves (CSV); a path from this file's folder."""
 
     @model_validator(mode="after")
     def _one_description(self) -> "BandsTable":
@@ -239,43 +208,40 @@ class BandsTable(Strict):
 class PointSpreadTable(Strict):
     """Blur of the optics."""
 
-    kind: Literal["gaussian", "box"] = Field(description="Form of the blur.")
-    width_pixels: NonNegative | tuple[NonNegative, NonNegative] = Field(
-        description="Width of the blur, or [across, along]: full width at half maximum of a "
-        "Gaussian that comes on top of the pixel's own footprint; whole width of a box [pixels of "
-        "the sensor, however wide those of an image are].",
-        json_schema_extra={"unit": "pixels"},
-    )
+    kind: Literal["gaussian", "box"]
+    """Form of the blur."""
+    width_pixels: NonNegative | tuple[NonNegative, NonNegative] = numbers_in("pixels", default=...)
+    """Width of the blur, or [across, along]: full width at half maximum of a Gaussian that comes on
+    top of the pixel's own footprint; whole width of a box [pixels of the sensor, however wide those
+    of an image are]."""
 
 
 class RadiometricNoiseTable(Strict):
     """Noise of the radiance L as a spectrometer's maker states it: |a sqrt(b + L) + c|."""
 
-    kind: Literal["radiometric"] = Field(description="From a table of coefficients.")
-    table: Annotated[Path, NamedFile("a table of noise coefficients")] = Field(
-        description="CSV with wavelength_nm, a, b, c; a path from this file's folder."
-    )
-    radiance_unit: RadianceUnit = Field(description="Unit of the radiance in the table.")
-    integrations: float = number("Frames that one pixel averages", "-", default=1, gt=0, le=1e6)
+    kind: Literal["radiometric"]
+    """From a table of coefficients."""
+    table: Annotated[Path, NamedFile("a table of noise coefficients")]
+    """CSV with wavelength_nm, a, b, c; a path from this file's folder."""
+    radiance_unit: RadianceUnit
+    """Unit of the radiance in the table."""
+    integrations: float = in_unit("-", default=1, gt=0, le=1e6)
+    """Frames that one pixel averages [-]."""
 
 
 class CameraNoiseTable(Strict):
     """Noise of a camera: shot noise, read noise and quantisation."""
 
-    kind: Literal["camera"] = Field(description="From the numbers of a data sheet.")
-    saturation_radiance: Positive | list[Positive] = Field(
-        description="Radiance that fills a pixel, of all bands or each [W m-2 sr-1 um-1].",
-        json_schema_extra={"unit": "W m-2 sr-1 um-1"},
-    )
-    full_well_electrons: Positive | list[Positive] = Field(
-        description="Electrons of a full pixel, of all bands or each [-].",
-        json_schema_extra={"unit": "-"},
-    )
-    read_noise_electrons: NonNegative | list[NonNegative] = Field(
-        description="Standard deviation of the reading, of all bands or each [electrons].",
-        json_schema_extra={"unit": "electrons"},
-    )
-    bits: int = Field(description="Bits of a number [-].", ge=1, le=32)
+    kind: Literal["camera"]
+    """From the numbers of a data sheet."""
+    saturation_radiance: Positive | list[Positive] = numbers_in("W m-2 sr-1 um-1", default=...)
+    """Radiance that fills a pixel, of all bands or each [W m-2 sr-1 um-1]."""
+    full_well_electrons: Positive | list[Positive] = numbers_in("-", default=...)
+    """Electrons of a full pixel, of all bands or each [-]."""
+    read_noise_electrons: NonNegative | list[NonNegative] = numbers_in("electrons", default=...)
+    """Standard deviation of the reading, of all bands or each [electrons]."""
+    bits: int = Field(ge=1, le=32)
+    """Bits of a number [-]."""
 
 
 Share = Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]
@@ -284,17 +250,11 @@ Share = Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]
 class GainsTable(Strict):
     """What the gains of the bands may be off by after one way of calibration."""
 
-    gain_sd: Share | list[Share] = Field(
-        description="Standard deviation of the factor by which the reflectance of a band may be "
-        "off: one of all bands, or one a band [-].",
-        json_schema_extra={"unit": "-"},
-    )
-    gain_shared: float = number(
-        "Share of its variance that all bands have in common, as by light and exposure",
-        "-",
-        ge=0,
-        le=1,
-    )
+    gain_sd: Share | list[Share] = numbers_in("-", default=...)
+    """Standard deviation of the factor by which the reflectance of a band may be off: one of all
+    bands, or one a band [-]."""
+    gain_shared: float = in_unit("-", ge=0, le=1)
+    """Share of its variance that all bands have in common, as by light and exposure [-]."""
 
 
 _ERRORS = "Errors gain_sd and gain_shared, each of 0 to 1"
@@ -303,10 +263,10 @@ _ERRORS = "Errors gain_sd and gain_shared, each of 0 to 1"
 class CalibrationErrorsTable(Strict):
     """Errors of reflectance for each way in which images of the sensor are calibrated."""
 
-    usual: WayOfCalibration = Field(description="The way where a user states none.")
+    usual: WayOfCalibration
+    """The way where a user states none."""
     panels: GainsTable | None = Field(
-        default=None,
-        description=f"{_ERRORS}, with a panel seen before or after.",
+        default=None, description=f"{_ERRORS}, with a panel seen before or after."
     )
     light_sensor: GainsTable | None = Field(
         default=None, description=f"{_ERRORS}, with the sensor of downwelling light alone."
@@ -315,8 +275,7 @@ class CalibrationErrorsTable(Strict):
         default=None, description=f"{_ERRORS}, with several targets in the image."
     )
     product: GainsTable | None = Field(
-        default=None,
-        description=f"{_ERRORS}, of reflectance as the provider computes it.",
+        default=None, description=f"{_ERRORS}, of reflectance as the provider computes it."
     )
 
     @model_validator(mode="after")
@@ -326,19 +285,30 @@ class CalibrationErrorsTable(Strict):
         return self
 
 
-class SensorFile(Strict):
+class InstrumentFile(Strict):
+    """What the file of any instrument says of it."""
+
+    name: str = Field(min_length=1)
+    """Short name."""
+    description: str = ""
+    """What it is, in a sentence."""
+    source: str = Field(min_length=1)
+    """Where the numbers come from."""
+    licence: str = ""
+    """Terms of the numbers, where there are any."""
+
+
+class SensorFile(InstrumentFile):
     """A sensor file: one sensor, its bands, lines of sight, blur and noise."""
 
-    name: str = Field(description="Short name.", min_length=1)
-    description: str = Field(default="", description="What it is, in a sentence.")
-    source: str = Field(description="Where the numbers come from.", min_length=1)
-    licence: str = Field(default="", description="Terms of the numbers, where there are any.")
     geometry: FrameGeometryTable | PushbroomGeometryTable | OrthographicGeometryTable = Field(
-        discriminator="kind", description="A table of lines of sight."
+        discriminator="kind"
     )
+    """A table of lines of sight."""
     bands: BandsTable
     calibration: CalibrationErrorsTable | None = None
     psf: PointSpreadTable | None = None
     noise: RadiometricNoiseTable | CameraNoiseTable | None = Field(
-        default=None, discriminator="kind", description="A table of noise."
+        default=None, discriminator="kind"
     )
+    """A table of noise."""

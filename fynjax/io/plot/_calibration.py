@@ -5,7 +5,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from fynjax.io.text import Strict, number
+from fynjax.io.text import Strict, in_unit, numbers_in
 from fynjax.scene import LEAF_FIELDS, PARAMETERS, parameter_kind
 
 DEFAULT_FREE = (
@@ -23,76 +23,34 @@ Share = Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]
 class CalibrationTable(Strict):
     """What a calibration may move, and how far it trusts the field table."""
 
-    free: list[str] = Field(
-        default_factory=lambda: list(DEFAULT_FREE),
-        description="Patterns of the parameters to calibrate, such as 'species.*.cover'.",
-        min_length=1,
-    )
-    targets: list[str] = Field(
-        default_factory=lambda: ["*"],
-        description="Patterns of the target's statistics to use, such as '*.mean'.",
-        min_length=1,
-    )
-    target_sd: float = number(
-        "Relative standard deviation of a mean or quantile that states none",
-        "-",
-        default=0.01,
-        gt=0,
-        le=1,
-    )
-    gain_sd: Share | dict[str, Share] | None = Field(
-        default=None,
-        description="Standard deviation of the factor by which a band of the drone's camera may be "
-        "off, 0 to 1: one of all bands or a table by band, such as {red_edge = 0.1}; of other "
-        "bands, or left out, that of the sensor by `sensor.calibrated_by` [-].",
-        json_schema_extra={"unit": "-"},
-    )
-    gain_shared: Share | None = Field(
-        default=None,
-        description="Share of its variance that all bands have in common, as by light and "
-        "exposure; left out, that of the sensor [-].",
-        json_schema_extra={"unit": "-"},
-    )
-    pixel_sd: float = number(
-        "Where the plants are known: relative error of a block of pixels, of camera and model, "
-        "independent of other blocks. Of the light 1 to 2 % against a path tracer; where single "
-        "leaves are resolved, and for crowns that are not quite as stated, more",
-        "-",
-        default=0.05,
-        gt=0,
-        le=1,
-    )
-    block_m: float | None = number(
-        "Where the plants are known: side of the blocks of pixels whose means are compared, a "
-        "whole number of pixels; left out, the smallest of which an image has at most 40 000 "
-        "values",
-        "m",
-        default=None,
-        gt=0,
-        le=1000,
-    )
-    priors: dict[str, Annotated[float, Field(gt=0, le=10)]] = Field(
-        default_factory=dict,
-        description="Relative standard deviation of the prior, by pattern [-]. Left out: that of "
-        "the parameter, which for dead tissue in shoots is 0.25, whatever its value.",
-    )
-    max_iterations: int = Field(
-        default=30,
-        description="Most steps of the optimiser in the first round; where plants are not known "
-        "those after have half as many [-].",
-        ge=1,
-        le=10000,
-    )
-    starts: int = Field(
-        default=1,
-        description="Searches: from the prior's centre, the others from draws of the prior [-].",
-        ge=1,
-        le=1000,
-    )
-
-    def uses_target(self, statistic: str) -> bool:
-        """Whether the target's statistic is to be used."""
-        return any(fnmatchcase(statistic, pattern) for pattern in self.targets)
+    free: list[str] = Field(default_factory=lambda: list(DEFAULT_FREE), min_length=1)
+    """Patterns of the parameters to calibrate, such as 'species.*.cover'."""
+    targets: list[str] = Field(default_factory=lambda: ["*"], min_length=1)
+    """Patterns of the target's statistics to use, such as '*.mean'."""
+    target_sd: float = in_unit("-", default=0.01, gt=0, le=1)
+    """Relative standard deviation of a mean or quantile that states none [-]."""
+    gain_sd: Share | dict[str, Share] | None = numbers_in("-")
+    """Standard deviation of the factor by which a band of the drone's camera may be off, 0 to 1:
+    one of all bands or a table by band, such as {red_edge = 0.1}; of other bands, or left out, that
+    of the sensor by `sensor.calibrated_by` [-]."""
+    gain_shared: Share | None = numbers_in("-")
+    """Share of its variance that all bands have in common, as by light and exposure; left out, that
+    of the sensor [-]."""
+    pixel_sd: float = in_unit("-", default=0.05, gt=0, le=1)
+    """Where the plants are known: relative error of a block of pixels, of camera and model,
+    independent of other blocks. Of the light 1 to 2 % against a path tracer; where single leaves
+    are resolved, and for crowns that are not quite as stated, more [-]."""
+    block_m: float | None = in_unit("m", default=None, gt=0, le=1000)
+    """Where the plants are known: side of the blocks of pixels whose means are compared, a whole
+    number of pixels; left out, the smallest of which an image has at most 40 000 values [m]."""
+    priors: dict[str, Annotated[float, Field(gt=0, le=10)]] = Field(default_factory=dict)
+    """Relative standard deviation of the prior, by pattern [-]. Left out: that of the parameter,
+    which for dead tissue in shoots is 0.25, whatever its value."""
+    max_iterations: int = Field(default=30, ge=1, le=10000)
+    """Most steps of the optimiser in the first round; where plants are not known those after have
+    half as many [-]."""
+    starts: int = Field(default=1, ge=1, le=1000)
+    """Searches: from the prior's centre, the others from draws of the prior [-]."""
 
     def relative_sd(self, name: str) -> float | None:
         """Relative prior standard deviation of parameter `name` [-]; None where it has no prior, or

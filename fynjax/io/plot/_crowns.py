@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from fynjax._core.errors import InputError
+from fynjax._core.errors import InputError, names_file
 from fynjax._core.extras import require
 from fynjax._core.validation import checked_row
 from fynjax.io.plot._place import plot_place
@@ -20,6 +20,7 @@ from fynjax.scene import Crowns, Instances, check_taxa, projected_cover
 _WHAT = "a table of crowns"
 
 
+@names_file
 def with_crowns(plot: Plot, path: Path) -> Plot:
     """A plot whose plants are those of a file of crowns.
 
@@ -48,7 +49,7 @@ def with_crowns(plot: Plot, path: Path) -> Plot:
     places: dict[tuple[str, float, float], int] = {}
     for number, row in rows:
         if row.x_m is None or row.y_m is None:
-            corner = _corner(plot, path) if corner is None else corner
+            corner = _corner(plot) if corner is None else corner
             assert row.easting_m is not None  # the record has one of the two places
             assert row.northing_m is not None
             place = (row.easting_m - corner[0], row.northing_m - corner[1])
@@ -61,7 +62,6 @@ def with_crowns(plot: Plot, path: Path) -> Plot:
                     f"expected a foot in the plot, 0 to below {side:g} m from its south-west "
                     f"corner, but this is at {at:g} m"
                     + (". Map coordinates? Call them easting_m and northing_m." * (at > 1e4)),
-                    file=path,
                     row=number,
                     column=None if geopackage else column,
                 )
@@ -69,22 +69,18 @@ def with_crowns(plot: Plot, path: Path) -> Plot:
             raise InputError(
                 f"expected a crown smaller than the plot ({min(plot.size_m):g} m), but got "
                 f"{row.diameter_cm:g} cm",
-                file=path,
                 row=number,
                 column="diameter_cm",
             )
         if row.height_m >= altitude:
             raise InputError(
                 f"expected a plant below the sensor at {altitude:g} m, but got {row.height_m:g} m",
-                file=path,
                 row=number,
                 column="height_m",
             )
         first = places.setdefault((row.taxon, *place), number)
         if first != number:
-            raise InputError(
-                f"{row.taxon!r} stands here in row {first} already", file=path, row=number
-            )
+            raise InputError(f"{row.taxon!r} stands here in row {first} already", row=number)
     crowns = Crowns(
         species=np.array([plot.taxa.index(row.taxon) for _, row in rows]),
         foot=np.array([(x, y) for _, x, y in places]),
@@ -142,7 +138,7 @@ def _with_sizes(plot: Plot, crowns: Crowns, path: Path) -> Plot:
     return plot.replace(species=tuple(species), known_crowns=crowns, crowns_note=note)
 
 
-def _corner(plot: Plot, path: Path) -> tuple[float, float]:
+def _corner(plot: Plot) -> tuple[float, float]:
     """The plot's south-west corner in the coordinates of its maps [m]."""
     if plot.map_origin_m is not None:
         return plot.map_origin_m
@@ -151,8 +147,7 @@ def _corner(plot: Plot, path: Path) -> tuple[float, float]:
         raise InputError(
             "expected x_m and y_m from the plot's south-west corner, but got map coordinates, and "
             "none of the plot's maps says where it lies. Say so: map_origin_m of the plot file is "
-            "that corner in these coordinates.",
-            file=path,
+            "that corner in these coordinates."
         )
     return place.origin_m
 
@@ -164,29 +159,27 @@ def _read_geopackage(path: Path, plot: Plot) -> list[tuple[int, CrownRow]]:
     with path.open("rb") as file:
         # Others name files or addresses, which GDAL would follow whatever the file is called.
         if not file.read(16) == b"SQLite format 3\0":
-            raise InputError("expected a GeoPackage, but it is none. Save it as one.", file=path)
+            raise InputError("expected a GeoPackage, but it is none. Save it as one.")
     path = path.absolute()
     try:
         layers = pyogrio.list_layers(path)
         if len(layers) != 1:
-            raise InputError(f"expected one layer of crowns, but it has {len(layers)}", file=path)
+            raise InputError(f"expected one layer of crowns, but it has {len(layers)}")
         with warnings.catch_warnings():  # of what other programs wrote into it
             warnings.simplefilter("ignore")
             meta, numbers, shapes, columns = pyogrio.raw.read(path, return_fids=True)
     except (pyogrio.errors.DataSourceError, pyogrio.errors.DataLayerError) as error:
         why = str(error).split(";")[0].rstrip(".")  # what follows are drivers to try
-        raise InputError(
-            f"expected a GeoPackage, but it cannot be read: {why}", file=path
-        ) from error
+        raise InputError(f"expected a GeoPackage, but it cannot be read: {why}") from error
     if shapes is None or not len(shapes):
-        raise InputError("expected a layer of points or polygons, but it has none", file=path)
-    on_map = _on_map(meta["crs"], plot, path)
+        raise InputError("expected a layer of points or polygons, but it has none")
+    on_map = _on_map(meta["crs"], plot)
     known = ("taxon", "diameter_cm", "height_m")
     fields = {name: values for name, values in zip(meta["fields"], columns) if name in known}
     rows: list[tuple[int, CrownRow]] = []
     for i, (number, shape) in enumerate(zip(numbers, shapely.from_wkb(shapes), strict=True)):
         if shape is None or shape.is_empty:
-            raise InputError("expected a point or polygon, but it has none", file=path, row=number)
+            raise InputError("expected a point or polygon, but it has none", row=number)
         given: dict[str, Any] = {name: values[i] for name, values in fields.items()}
         given = {name: value for name, value in given.items() if value is not None}
         if shape.area > 0.0:
@@ -194,21 +187,20 @@ def _read_geopackage(path: Path, plot: Plot) -> list[tuple[int, CrownRow]]:
         middle = shape.centroid
         names = ("easting_m", "northing_m") if on_map else ("x_m", "y_m")
         given |= dict(zip(names, (middle.x, middle.y)))
-        rows.append((int(number), checked_row(CrownRow, given, file=path, row=int(number))))
+        rows.append((int(number), checked_row(CrownRow, given, row=int(number))))
     return rows
 
 
-def _on_map(stated: str | None, plot: Plot, path: Path) -> bool:
+def _on_map(stated: str | None, plot: Plot) -> bool:
     """Whether coordinates with this reference system are those of the plot's maps."""
-    crs = None if stated is None else parse_crs(stated, path)
+    crs = None if stated is None else parse_crs(stated)
     if crs is None or not (crs.is_projected or crs.is_geographic):
         return False
-    check_metric(crs, path)
+    check_metric(crs)
     place = plot_place(plot)
-    if place.crs is not None and parse_crs(place.crs, None) != crs:
+    if place.crs is not None and parse_crs(place.crs) != crs:
         raise InputError(
             "expected the reference system of the plot's maps, but it has another "
-            f"({crs.to_string():.60}). Reproject the layer.",
-            file=path,
+            f"({crs.to_string():.60}). Reproject the layer."
         )
     return True

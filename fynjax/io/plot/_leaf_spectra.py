@@ -8,7 +8,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from fynjax._core.errors import InputError
+from fynjax._core.errors import InputError, names_file
 from fynjax.io.text import NamedFile, Strict, read_rows
 from fynjax.scene import check_taxa
 
@@ -18,12 +18,13 @@ class LeafFileRow(Strict):
 
     unique = "file"
 
-    file: Annotated[Path, NamedFile("a leaf spectrum")] = Field(
-        description="File of leaf spectra, all of one taxon; a path from the table's folder."
-    )
-    taxon: str = Field(description="Name as in the species table.", min_length=1)
+    file: Annotated[Path, NamedFile("a leaf spectrum")]
+    """File of leaf spectra, all of one taxon; a path from the table's folder."""
+    taxon: str = Field(min_length=1)
+    """Name as in the species table."""
 
 
+@names_file
 def spectra_by_taxon(
     path: Path, taxa: Sequence[str], within: Path | None = None
 ) -> dict[str, tuple[Path, ...]]:
@@ -73,14 +74,13 @@ def spectra_by_taxon(
         raise InputError(
             f"expected leaf spectra whose names begin with a taxon, such as {example!r}, or in "
             f"folders named so, but {'it is empty' if not others else f'has {others[0]!r}'}. A CSV "
-            "table with the columns file and taxon does as well: name it in place of the folder.",
-            file=path,
+            "table with the columns file and taxon does as well: name it in place of the folder."
         )
     if others:
         warnings.warn(
             f"{path}: files whose names begin with no taxon of the species table are left out "
             f"({len(others)}), such as {others[0]!r}",
-            stacklevel=3,
+            stacklevel=4,
         )
     return {taxon: tuple(files) for taxon, files in found.items()}
 

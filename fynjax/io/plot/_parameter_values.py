@@ -5,7 +5,7 @@ from pathlib import Path
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from fynjax._core.errors import InputError
+from fynjax._core.errors import InputError, names_file
 from fynjax._core.parameters import CENTIMETRES, PERCENT, Parameter
 from fynjax.io.plot._rows import ParameterRow
 from fynjax.io.text import did_you_mean, read_rows
@@ -21,6 +21,7 @@ def _accepted(record: Parameter) -> dict[str, float]:
     return {record.unit: 1.0, **field, record.shown_unit: record.shown_factor}
 
 
+@names_file
 def with_parameter_table(
     parameters: PlotParameters, taxa: tuple[str, ...], path: Path
 ) -> PlotParameters:
@@ -45,7 +46,6 @@ def with_parameter_table(
             raise InputError(
                 f"the plot has no parameter {row.name!r}.{did_you_mean(row.name, list(known))} Is "
                 "the table of another plot?",
-                file=path,
                 row=number,
                 column="name",
             )
@@ -56,20 +56,15 @@ def with_parameter_table(
             raise InputError(
                 f"expected the unit of {kind}, {' or '.join(accepted)}: calibrations write "
                 f"{record.shown_unit}",
-                file=path,
                 row=number,
                 column="unit",
             )
         unit = record.unit if row.unit is None else row.unit
         if unit not in accepted:
-            raise InputError(
-                f"expected {kind} in {' or '.join(accepted)}, but got {unit!r}",
-                file=path,
-                row=number,
-                column="unit",
-            )
+            words = f"expected {kind} in {' or '.join(accepted)}, but got {unit!r}"
+            raise InputError(words, row=number, column="unit")
         factor = accepted[unit]
-        record.check(row.estimate, kind, (unit, factor), file=path, row=number, column="estimate")
+        record.check(row.estimate, kind, (unit, factor), row=number, column="estimate")
         values[row.name] = jnp.asarray(row.estimate / factor)
     changed = with_values(parameters, taxa, values)
     ground = changed.ground
@@ -78,7 +73,6 @@ def with_parameter_table(
         raise InputError(
             f"expected litter, char and rock to cover at most the whole ground, but they sum to "
             f"{covered:g}",
-            file=path,
             column="estimate",
         )
     return changed

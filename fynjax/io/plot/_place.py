@@ -31,9 +31,7 @@ def plot_place(plot: Plot) -> Place:
 
     The maps are ground heights, probability and ground covers, in this order.
 
-    **Arguments:**
-
-    - `plot`: as of `read_plot`.
+    **Arguments:** `plot`: as of `read_plot`.
 
     **Returns:** corner [m] and reference system; the plot's own frame where no map lies on Earth.
 

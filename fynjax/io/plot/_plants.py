@@ -111,10 +111,7 @@ def with_prior(plot: Plot, name_or_path: str | Path) -> Plot:
     brightness of dead tissue where it is as shipped. Leaves, soil and plants of meshes stay as they
     are stated.
 
-    **Arguments:**
-
-    - `plot`: a plot.
-    - `name_or_path`: as for `read_prior`.
+    **Arguments:** `plot`: a plot; `name_or_path`: as for `read_prior`.
 
     **Returns:** `Plot`; `plot` itself with "none".
 

@@ -7,15 +7,15 @@ from collections.abc import Callable, Iterable, Sequence
 from importlib.resources import files
 from pathlib import Path
 
-from fynjax._core.errors import InputError
+from fynjax._core.errors import InputError, names_file
 from fynjax.canopy import FORMS
 from fynjax.io.plot._crowns import with_crowns
 from fynjax.io.plot._leaf_spectra import spectra_by_taxon
 from fynjax.io.plot._place import placed_by
 from fynjax.io.plot._plot import Plot
 from fynjax.io.plot._plot_tables import PlotFile
+from fynjax.io.plot._rows import read_sky, read_sky_pattern
 from fynjax.io.plot._sensor import DRONE, named_sensor, sensor_place
-from fynjax.io.plot._sky import read_sky, read_sky_pattern
 from fynjax.io.text import existing_file, line_of, read_rows, read_toml
 from fynjax.scene import (
     CoverDefinition,
@@ -32,6 +32,7 @@ def example_folder() -> Path:
     return Path(str(files("fynjax.io.plot") / "data" / "plot_2006"))
 
 
+@names_file
 def _read_species(
     path: Path,
     within: Path | None,
@@ -45,13 +46,13 @@ def _read_species(
             raise InputError(
                 f"expected a crown smaller than the plot ({min(size):g} m), but got "
                 f"{100 * row.diameter:g} cm",
-                file=path,
                 row=number,
                 column="mean_diameter_cm",
             )
     return tuple(row for _, row in rows)
 
 
+@names_file
 def _read_leaves(
     path: Path, within: Path | None, species: Sequence[SpeciesRow], measured: Iterable[str] = ()
 ) -> tuple[LeafRow, ...]:
@@ -60,17 +61,12 @@ def _read_leaves(
     named = {row.taxon for _, row in rows} | set(measured)
     for i, (number, row) in enumerate(rows):
         if row.taxon in measured:
-            raise InputError(
-                f"the plot's leaf_spectra have leaves of {row.taxon!r} too: leave one out",
-                file=path,
-                row=number,
-                column="taxon",
-            )
+            words = f"the plot's leaf_spectra have leaves of {row.taxon!r} too: leave one out"
+            raise InputError(words, row=number, column="taxon")
         if row in [earlier for _, earlier in rows[:i]]:
             raise InputError(
                 f"this leaf of {row.taxon!r} is there twice. Of several leaves of a taxon each "
                 "plant has one: they must differ.",
-                file=path,
                 row=number,
                 column="taxon",
             )
@@ -79,7 +75,6 @@ def _read_leaves(
             raise InputError(
                 f"expected leaf optics for {one.taxon!r}, but it has no row. Add one, or a row "
                 "'*' for all that have none.",
-                file=path,
                 column="taxon",
             )
     return tuple(row for _, row in rows)

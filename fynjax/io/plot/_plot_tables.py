@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from datetime import datetime
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import (
     AfterValidator,
@@ -22,16 +22,13 @@ from fynjax.io.text import (
     Slip,
     Strict,
     did_you_mean,
-    number,
+    in_unit,
+    numbers_in,
     optional_quantity,
     quantity,
 )
 from fynjax.scene import PARAMETERS, CoverDefinition, Placement
 from fynjax.sensors import Panel, SunPosition, shipped_sensors, sun_position
-
-
-def _two_sides(value: Any) -> Any:
-    return value if isinstance(value, list | tuple) else (value, value)
 
 
 def _sides_fit(value: tuple[float, float]) -> tuple[float, float]:
@@ -44,7 +41,10 @@ def _sides_fit(value: tuple[float, float]) -> tuple[float, float]:
 Size = Annotated[
     tuple[float, float],
     AfterValidator(_sides_fit),
-    BeforeValidator(_two_sides, json_schema_input_type=float | tuple[float, float]),
+    BeforeValidator(
+        lambda side: side if isinstance(side, list | tuple) else (side, side),
+        json_schema_input_type=float | tuple[float, float],
+    ),
 ]
 Raster = Annotated[Path, NamedFile("a GeoTIFF")]
 
@@ -52,125 +52,75 @@ Raster = Annotated[Path, NamedFile("a GeoTIFF")]
 class PlotTable(Strict):
     """The plot and the files that describe it."""
 
-    name: str = Field(
-        default="plot", description="Name in titles and file attributes.", min_length=1
-    )
-    size_m: Size = Field(
-        description="Side of the square plot, or [east-west, north-south] [m]; 0.5 to 1000.",
-        json_schema_extra={"unit": "m"},
-    )
-    voxel_m: float = number("Side of a voxel", "m", default=0.1, ge=0.01, le=2)
-    structure_m: Annotated[float, Field(ge=0.005, le=2)] | Literal["even"] | None = Field(
-        default=None,
-        description="Largest side of the voxels on which sun and sight follow the plants [m]; left "
-        "out: a quarter of voxel_m, but not below 0.025; 'even': leaves fill the voxels of voxel_m "
-        "evenly, which hides gaps.",
-        json_schema_extra={"unit": "m"},
-    )
-    boundary: Literal["periodic", "open"] = Field(
-        default="periodic",
-        description="'periodic' repeats the plot for ever; 'open' stands alone on bare ground.",
-    )
+    name: str = Field(default="plot", min_length=1)
+    """Name in titles and file attributes."""
+    size_m: Size = numbers_in("m", default=...)
+    """Side of the square plot, or [east-west, north-south] [m]; 0.5 to 1000."""
+    voxel_m: float = in_unit("m", default=0.1, ge=0.01, le=2)
+    """Side of a voxel [m]."""
+    structure_m: Annotated[float, Field(ge=0.005, le=2)] | Literal["even"] | None = numbers_in("m")
+    """Largest side of the voxels on which sun and sight follow the plants [m]; left out: a quarter
+    of voxel_m, but not below 0.025; 'even': leaves fill the voxels of voxel_m evenly, which hides
+    gaps."""
+    boundary: Literal["periodic", "open"] = "periodic"
+    """'periodic' repeats the plot for ever; 'open' stands alone on bare ground."""
     species_table: Annotated[Path, NamedFile("a species table")] = Field(
-        default="species.csv",
-        validate_default=True,
-        description="Species table; a path from this file's folder.",
+        default="species.csv", validate_default=True
     )
-    plants: Shrubland | None = Field(
-        default=None,
-        description="Whose leaf area, dead tissue, clumping, bark and leaves plants have that the "
-        "tables leave open: 'fynbos', learned from 18 plots, or 'generic', of published "
-        "shrublands at large, with wider priors. Left out: 'generic' where the plot lies outside "
-        "the Cape (31 to 35 S, 17.5 to 27 E) by latitude and longitude here or of [sun], by its "
-        "maps, or by the image that it is calibrated to, else 'fynbos'.",
-    )
-    latitude_deg: float | None = number(
-        "Latitude of the plot, north; left out, that of [sun] or of the plot's maps",
-        "degree",
-        default=None,
-        ge=-90,
-        le=90,
-    )
-    longitude_deg: float | None = number(
-        "Longitude of the plot, east; west is negative", "degree", default=None, ge=-180, le=180
-    )
-    cover_definition: CoverDefinition | None = Field(
-        default=None,
-        description="Meaning of cover_percent of the species table. 'projected': the share of the "
-        "ground below the crowns of a species, overlap among them counted once, as a relevé notes "
-        "it; plants are as many as have it on average. 'article': crowns are counted in full, less "
-        "packing and gaps, by equation (10) of the article on the example plot. Left out: "
-        "projected, but for a table with packing, fill, branches or a least area, which only "
-        "equation (10) has.",
-    )
-    crowns: Annotated[Path, NamedFile("a table of crowns")] | None = Field(
-        default=None,
-        description="Crowns of the plants, where these are known: a CSV table, or a GeoPackage of "
-        "points or polygons; a path from this file's folder. They replace what is drawn, and give "
-        "cover, diameter and height of each species in place of the species table. Left out: the "
-        "plants stand by chance.",
-    )
-    leaf_table: Annotated[Path, NamedFile("a leaf table")] | None = Field(
-        default=None,
-        description="Leaf table; a path from this file's folder. Left out: usual leaves.",
-    )
-    leaf_spectra: Annotated[Path, NamedFile("a folder of leaf spectra", folder=True)] | None = (
-        Field(
-            default=None,
-            description="Folder of measured leaf spectra (ASD, SVC, CSV ...), whose names or "
-            "folders begin with the taxon, as 'Calluna_vulgaris_001.asd', or a table of file and "
-            "taxon; a path from this file's folder. PROSPECT is fitted once, and kept in the cache "
-            "of programs. Each taxon has the mean of its leaves; others have those of the leaf "
-            "table.",
-        )
-    )
-    leaf_measurement: Literal["sphere", "leaf-clip", "probe", "stack"] = Field(
-        default="sphere",
-        description="How the spectra of leaf_spectra and of the leaf table were measured: "
-        "'sphere', reflectance of an integrating sphere, 'leaf-clip' or 'probe' (contact probe), "
-        "whose lamp shines on the leaf over black or over leaf_background, 'stack', an optically "
-        "thick pile.",
-    )
-    leaf_background: float | None = number(
-        "Reflectance of the face behind the leaf of a clip or probe, such as 0.9 of a white one; "
-        "left out, black",
-        "-",
-        default=None,
-        gt=0,
-        le=1,
-    )
-    leaf_variants: int = Field(
-        default=1,
-        ge=1,
-        le=50,
-        description="Different leaves of a taxon of which one leaf is stated, of which each plant "
-        "has one: drawn about it with the spread within species that Californian shrubs have. "
-        "1: all plants of a taxon have the same leaf.",
-    )
-    dead_tissue: Annotated[Path, NamedFile("a spectrum of dead tissue")] | None = Field(
-        default=None,
-        description="Spectrum of dead tissue in live shoots; a CSV file as for soil, a path from "
-        "this file's folder. Left out: bark.",
-    )
-    hot_spot: bool = Field(
-        default=False,
-        description="Whether leaves have the size of their growth form, which brightens the plot "
-        "where sensor and sun are in the same direction; takes longer.",
-    )
-    probability_map: Raster | None = Field(
-        default=None, description="GeoTIFF, 0 to 255: where plants are likely to stand."
-    )
-    terrain: Raster | None = Field(
-        default=None,
-        description="GeoTIFF of the height of the ground [m], such as `fynjax terrain` makes; for "
-        "a plot with an open boundary.",
-    )
-    map_origin_m: tuple[float, float] | None = Field(
-        default=None,
-        description="South-west corner of the plot (x, y) in the coordinates of its maps [m]. Left "
-        "out: that of a map as large as the plot.",
-        json_schema_extra={"unit": "m"},
-    )
+    """Species table; a path from this file's folder."""
+    plants: Shrubland | None = None
+    """Whose leaf area, dead tissue, clumping, bark and leaves plants have that the tables leave
+    open: 'fynbos', learned from 18 plots, or 'generic', of published shrublands at large, with
+    wider priors. Left out: 'generic' where the plot lies outside the Cape (31 to 35 S, 17.5 to 27
+    E) by latitude and longitude here or of [sun], by its maps, or by the image that it is
+    calibrated to, else 'fynbos'."""
+    latitude_deg: float | None = in_unit("degree", default=None, ge=-90, le=90)
+    """Latitude of the plot, north; left out, that of [sun] or of the plot's maps [degree]."""
+    longitude_deg: float | None = in_unit("degree", default=None, ge=-180, le=180)
+    """Longitude of the plot, east; west is negative [degree]."""
+    cover_definition: CoverDefinition | None = None
+    """Meaning of cover_percent of the species table. 'projected': the share of the ground below the
+    crowns of a species, overlap among them counted once, as a relevé notes it; plants are as many
+    as have it on average. 'article': crowns are counted in full, less packing and gaps, by equation
+    (10) of the article on the example plot. Left out: projected, but for a table with packing,
+    fill, branches or a least area, which only equation (10) has."""
+    crowns: Annotated[Path, NamedFile("a table of crowns")] | None = None
+    """Crowns of the plants, where these are known: a CSV table, or a GeoPackage of points or
+    polygons; a path from this file's folder. They replace what is drawn, and give cover, diameter
+    and height of each species in place of the species table. Left out: the plants stand by
+    chance."""
+    leaf_table: Annotated[Path, NamedFile("a leaf table")] | None = None
+    """Leaf table; a path from this file's folder. Left out: usual leaves."""
+    leaf_spectra: Annotated[Path, NamedFile("a folder of leaf spectra", folder=True)] | None = None
+    """Folder of measured leaf spectra (ASD, SVC, CSV ...), whose names or folders begin with the
+    taxon, as 'Calluna_vulgaris_001.asd', or a table of file and taxon; a path from this file's
+    folder. PROSPECT is fitted once, and kept in the cache of programs. Each taxon has the mean of
+    its leaves; others have those of the leaf table."""
+    leaf_measurement: Literal["sphere", "leaf-clip", "probe", "stack"] = "sphere"
+    """How the spectra of leaf_spectra and of the leaf table were measured: 'sphere', reflectance of
+    an integrating sphere, 'leaf-clip' or 'probe' (contact probe), whose lamp shines on the leaf
+    over black or over leaf_background, 'stack', an optically thick pile."""
+    leaf_background: float | None = in_unit("-", default=None, gt=0, le=1)
+    """Reflectance of the face behind the leaf of a clip or probe, such as 0.9 of a white one; left
+    out, black [-]."""
+    leaf_variants: int = Field(default=1, ge=1, le=50)
+    """Different leaves of a taxon of which one leaf is stated, of which each plant has one: drawn
+    about it with the spread within species that Californian shrubs have. 1: all plants of a taxon
+    have the same leaf."""
+    dead_tissue: Annotated[Path, NamedFile("a spectrum of dead tissue")] | None = None
+    """Spectrum of dead tissue in live shoots; a CSV file as for soil, a path from this file's
+    folder. Left out: bark."""
+    hot_spot: bool = False
+    """Whether leaves have the size of their growth form, which brightens the plot where sensor and
+    sun are in the same direction; takes longer."""
+    probability_map: Raster | None = None
+    """GeoTIFF, 0 to 255: where plants are likely to stand."""
+    terrain: Raster | None = None
+    """GeoTIFF of the height of the ground [m], such as `fynjax terrain` makes; for a plot with an
+    open boundary."""
+    map_origin_m: tuple[float, float] | None = numbers_in("m")
+    """South-west corner of the plot (x, y) in the coordinates of its maps [m]. Left out: that of a
+    map as large as the plot."""
 
     @model_validator(mode="after")
     def _background_of_a_clip(self) -> "PlotTable":
@@ -213,20 +163,12 @@ class SunTable(Strict):
     azimuth_deg: float = quantity(
         PARAMETERS["sun_azimuth"], default=PARAMETERS["sun_azimuth"].default
     )
-    latitude_deg: float | None = number(
-        "Latitude of the plot, north; with longitude_deg and time instead of the angles",
-        "degree",
-        default=None,
-        ge=-90,
-        le=90,
-    )
-    longitude_deg: float | None = number(
-        "Longitude of the plot, east; west is negative", "degree", default=None, ge=-180, le=180
-    )
-    time: datetime | None = Field(
-        default=None,
-        description="Date and time with its zone, such as 2024-10-30T11:00:00+02:00.",
-    )
+    latitude_deg: float | None = in_unit("degree", default=None, ge=-90, le=90)
+    """Latitude of the plot, north; with longitude_deg and time instead of the angles [degree]."""
+    longitude_deg: float | None = in_unit("degree", default=None, ge=-180, le=180)
+    """Longitude of the plot, east; west is negative [degree]."""
+    time: datetime | None = None
+    """Date and time with its zone, such as 2024-10-30T11:00:00+02:00."""
 
     @field_validator("time")
     @classmethod
@@ -278,14 +220,11 @@ class SkyTable(Strict):
     aerosol_optical_depth: float = quantity(
         PARAMETERS["aerosol"], default=PARAMETERS["aerosol"].default
     )
-    table: Annotated[Path, NamedFile("a sky table")] | None = Field(
-        default=None, description="CSV with wavelength_nm, diffuse_fraction; replaces the model."
-    )
-    pattern: Annotated[Path, NamedFile("a pattern of the sky")] | None = Field(
-        default=None,
-        description="CSV with zenith_deg, azimuth_deg, radiance: where the sky is bright, in any "
-        "unit, on an even grid. Left out: the same from everywhere.",
-    )
+    table: Annotated[Path, NamedFile("a sky table")] | None = None
+    """CSV with wavelength_nm, diffuse_fraction; replaces the model."""
+    pattern: Annotated[Path, NamedFile("a pattern of the sky")] | None = None
+    """CSV with zenith_deg, azimuth_deg, radiance: where the sky is bright, in any unit, on an even
+    grid. Left out: the same from everywhere."""
 
 
 COVER_FRACTIONS = ("litter_fraction", "char_fraction", "rock_fraction")
@@ -309,10 +248,8 @@ class GroundTable(Strict):
 
     soil: Annotated[
         Path | str, NamedFile("'dry', 'wet' or a soil spectrum", words=("dry", "wet"))
-    ] = Field(
-        default="dry",
-        description="'dry', 'wet', or the path of a spectrum (wavelength_nm, reflectance).",
-    )
+    ] = "dry"
+    """'dry', 'wet', or the path of a spectrum (wavelength_nm, reflectance)."""
     brightness: float = quantity(PARAMETERS["brightness"], default=PARAMETERS["brightness"].default)
     wood_brightness: float | None = optional_quantity(PARAMETERS["wood_brightness"])
     moisture: float | None = quantity(
@@ -323,34 +260,22 @@ class GroundTable(Strict):
     litter_fraction: float | None = optional_quantity(PARAMETERS["litter_fraction"])
     char_fraction: float | None = optional_quantity(PARAMETERS["char_fraction"])
     rock_fraction: float | None = optional_quantity(PARAMETERS["rock_fraction"])
-    litter: Annotated[Path, NamedFile("a spectrum of litter")] | None = Field(
-        default=None, description="Spectrum of the litter (wavelength_nm, reflectance)."
-    )
-    char: Annotated[Path, NamedFile("a spectrum of char")] | None = Field(
-        default=None, description="Spectrum of ash and charcoal."
-    )
-    rock: Annotated[Path, NamedFile("a spectrum of rock")] | None = Field(
-        default=None, description="Spectrum of the rock. Left out: as the dry soil."
-    )
-    patch_m: float = number(
-        "Width of the patches in which soil and covers lie; 0 mixes them alike everywhere",
-        "m",
-        default=0.0,
-        ge=0,
-        le=100,
-    )
-    map: Raster | None = Field(
-        default=None,
-        description="GeoTIFF with bands litter, char, rock (any of them): shares of 0 to 1 in "
-        "their places, instead of fractions and patches.",
-    )
+    litter: Annotated[Path, NamedFile("a spectrum of litter")] | None = None
+    """Spectrum of the litter (wavelength_nm, reflectance)."""
+    char: Annotated[Path, NamedFile("a spectrum of char")] | None = None
+    """Spectrum of ash and charcoal."""
+    rock: Annotated[Path, NamedFile("a spectrum of rock")] | None = None
+    """Spectrum of the rock. Left out: as the dry soil."""
+    patch_m: float = in_unit("m", default=0.0, ge=0, le=100)
+    """Width of the patches in which soil and covers lie; 0 mixes them alike everywhere [m]."""
+    map: Raster | None = None
+    """GeoTIFF with bands litter, char, rock (any of them): shares of 0 to 1 in their places,
+    instead of fractions and patches."""
 
-    rpv: Shape | None = Field(
-        default=None,
-        description="k, theta and rho_c of Rahman, Pinty and Verstraete (1993): how the ground "
-        "reflects more in some directions. The spectra are what is measured from above under light "
-        "from 45 degrees. Not with a terrain. Left out: alike in all directions.",
-    )
+    rpv: Shape | None = None
+    """k, theta and rho_c of Rahman, Pinty and Verstraete (1993): how the ground reflects more in
+    some directions. The spectra are what is measured from above under light from 45 degrees. Not
+    with a terrain. Left out: alike in all directions."""
 
     @model_validator(mode="after")
     def _covers_fit(self) -> "GroundTable":
@@ -385,64 +310,30 @@ class SensorTable(Strict):
         "tilt_deg": lambda v: "A gimbal pitch? Straight down is 0 here." if v == -90 else None
     }
 
-    name: str = Field(
-        default="mavic_3m", description="A shipped sensor, such as 'mavic_3m' or 'aviris_ng'."
-    )
-    path: Annotated[Path, NamedFile("a sensor file")] | None = Field(
-        default=None,
-        description="Sensor file of your own, instead of a name; a path from this file's folder.",
-    )
-    altitude_m: float | None = number(
-        "Height above the ground; left out, that of the sensor (mavic_3m: 50)",
-        "m",
-        default=None,
-        ge=1,
-        le=1e6,
-    )
-    pixel_m: float | None = number(
-        "Side of a pixel on the ground; left out, that of the sensor (mavic_3m: 0.025)",
-        "m",
-        default=None,
-        ge=0.001,
-        le=1e5,
-    )
-    footprint_m: float | None = number(
-        "Side of the square that a pixel of a measured image averages over, where resampling, "
-        "mosaicking or blur make it another than the pixel's own; left out, that",
-        "m",
-        default=None,
-        ge=0.001,
-        le=1e5,
-    )
-    tilt_deg: float | None = number(
-        "Angle of the optical axis from straight down, towards the heading",
-        "degree",
-        default=None,
-        gt=-90,
-        lt=90,
-    )
-    heading_deg: float | None = number(
-        "Direction of flight or of the image's upper edge, clockwise from north",
-        "degree",
-        default=None,
-        ge=-360,
-        le=360,
-    )
-    calibrated_by: WayOfCalibration | None = Field(
-        default=None,
-        description="How its images became reflectance, which says how far the gains of bands may "
-        "be off; left out, the usual way of the sensor.",
-    )
-    noise: bool | None = Field(
-        default=None, description="Whether to draw noise; left out, if the sensor has a model."
-    )
-    point_spread: bool = Field(
-        default=True, description="Whether the optics blur, if the sensor says how."
-    )
-    panels: list[Panel] = Field(
-        default=[],
-        description="Reference panels in the picture; `simulate` then calibrates by them.",
-    )
+    name: str = "mavic_3m"
+    """A shipped sensor, such as 'mavic_3m' or 'aviris_ng'."""
+    path: Annotated[Path, NamedFile("a sensor file")] | None = None
+    """Sensor file of your own, instead of a name; a path from this file's folder."""
+    altitude_m: float | None = in_unit("m", default=None, ge=1, le=1e6)
+    """Height above the ground; left out, that of the sensor (mavic_3m: 50) [m]."""
+    pixel_m: float | None = in_unit("m", default=None, ge=0.001, le=1e5)
+    """Side of a pixel on the ground; left out, that of the sensor (mavic_3m: 0.025) [m]."""
+    footprint_m: float | None = in_unit("m", default=None, ge=0.001, le=1e5)
+    """Side of the square that a pixel of a measured image averages over, where resampling,
+    mosaicking or blur make it another than the pixel's own; left out, that [m]."""
+    tilt_deg: float | None = in_unit("degree", default=None, gt=-90, lt=90)
+    """Angle of the optical axis from straight down, towards the heading [degree]."""
+    heading_deg: float | None = in_unit("degree", default=None, ge=-360, le=360)
+    """Direction of flight or of the image's upper edge, clockwise from north [degree]."""
+    calibrated_by: WayOfCalibration | None = None
+    """How its images became reflectance, which says how far the gains of bands may be off; left
+    out, the usual way of the sensor."""
+    noise: bool | None = None
+    """Whether to draw noise; left out, if the sensor has a model."""
+    point_spread: bool = True
+    """Whether the optics blur, if the sensor says how."""
+    panels: list[Panel] = Field(default=[])
+    """Reference panels in the picture; `simulate` then calibrates by them."""
 
     @field_validator("name")
     @classmethod
@@ -475,32 +366,22 @@ class AtmosphereTable(Strict):
         "pressure_hpa": lambda v: "In Pa? Divide by 100." if v > 1100 else None,
     }
 
-    model: Literal["table", "clear-sky", "none"] = Field(
-        default="table",
-        description="'table', computed with 6S; 'clear-sky', the simple model SPCTRL2; 'none', "
-        "reflectance without air.",
+    model: Literal["table", "clear-sky", "none"] = "table"
+    """'table', computed with 6S; 'clear-sky', the simple model SPCTRL2; 'none', reflectance without
+    air."""
+    file: Annotated[Path, NamedFile("curves of the air")] | None = None
+    """Curves of your own (CSV or NetCDF, such as of MODTRAN), instead of a model; a path from this
+    file's folder."""
+    water_vapour_cm: float = in_unit("cm", default=1.5, ge=0, le=12)
+    """Column of water vapour [cm]."""
+    aerosol_optical_depth: float | None = in_unit(
+        "-", default=None, ge=PARAMETERS["aerosol"].lower, le=PARAMETERS["aerosol"].upper
     )
-    file: Annotated[Path, NamedFile("curves of the air")] | None = Field(
-        default=None,
-        description="Curves of your own (CSV or NetCDF, such as of MODTRAN), instead of a model; a "
-        "path from this file's folder.",
-    )
-    water_vapour_cm: float = number("Column of water vapour", "cm", default=1.5, ge=0, le=12)
-    aerosol_optical_depth: float | None = number(
-        "Optical depth of aerosols at 550 nm; left out, that of [sky]",
-        "-",
-        default=None,
-        ge=PARAMETERS["aerosol"].lower,
-        le=PARAMETERS["aerosol"].upper,
-    )
-    ozone_cm_atm: float = number("Column of ozone", "cm-atm", default=0.3, ge=0, le=1)
-    pressure_hpa: float = number(
-        "Air pressure at the ground, not reduced to sea level",
-        "hPa",
-        default=1013.25,
-        ge=300,
-        le=1100,
-    )
+    """Optical depth of aerosols at 550 nm; left out, that of [sky] [-]."""
+    ozone_cm_atm: float = in_unit("cm-atm", default=0.3, ge=0, le=1)
+    """Column of ozone [cm-atm]."""
+    pressure_hpa: float = in_unit("hPa", default=1013.25, ge=300, le=1100)
+    """Air pressure at the ground, not reduced to sea level [hPa]."""
 
     @model_validator(mode="after")
     def _a_model_or_a_file(self) -> "AtmosphereTable":
@@ -519,27 +400,16 @@ class AtmosphereTable(Strict):
 class SceneTable(Strict):
     """How the random part of the scene is drawn."""
 
-    seed: int = Field(default=0, description="Seed of everything random [-].", ge=0, lt=2**31)
-    softness: float = number(
-        "Share of a species' plants over which one more is spread where a slope is taken",
-        "-",
-        default=0.25,
-        ge=0,
-        le=1,
-    )
-    softness_plants: float = number(
-        "Plants, less one, over which one more is spread besides; with `softness` 0 too, their "
-        "number has no slope",
-        "plants",
-        default=1.0,
-        ge=0,
-        le=10,
-    )
-    parameters: Annotated[Path, NamedFile("a table of parameters")] | None = Field(
-        default=None,
-        description="Table of values that replace those of the other files, such as the "
-        "parameters.csv of `fynjax calibrate`; a path from this file's folder.",
-    )
+    seed: int = Field(default=0, ge=0, lt=2**31)
+    """Seed of everything random [-]."""
+    softness: float = in_unit("-", default=0.25, ge=0, le=1)
+    """Share of a species' plants over which one more is spread where a slope is taken [-]."""
+    softness_plants: float = in_unit("plants", default=1.0, ge=0, le=10)
+    """Plants, less one, over which one more is spread besides; with `softness` 0 too, their number
+    has no slope [plants]."""
+    parameters: Annotated[Path, NamedFile("a table of parameters")] | None = None
+    """Table of values that replace those of the other files, such as the parameters.csv of `fynjax
+    calibrate`; a path from this file's folder."""
 
 
 class PlotFile(Strict):
@@ -550,9 +420,8 @@ class PlotFile(Strict):
     sky: SkyTable = SkyTable()
     ground: GroundTable = GroundTable()
     sensor: SensorTable = SensorTable()
-    atmosphere: AtmosphereTable | None = Field(
-        default=None, description="The air; left out, a clear one computed with 6S."
-    )
+    atmosphere: AtmosphereTable | None = None
+    """The air; left out, a clear one computed with 6S."""
     scene: SceneTable = SceneTable()
     calibration: CalibrationTable = CalibrationTable()
 

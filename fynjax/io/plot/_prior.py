@@ -12,7 +12,7 @@ from pydantic import Field, model_validator
 
 from fynjax._core.seeds import generator
 from fynjax.canopy import FORMS
-from fynjax.io.text import Strict, number, read_toml, shipped_or_own, write_text
+from fynjax.io.text import Strict, in_unit, read_toml, shipped_or_own, write_text
 from fynjax.scene import PARAMETERS
 
 DATA = Path(__file__).parent / "data"
@@ -48,14 +48,18 @@ PRIOR_PARAMETERS = {
 class PriorParameter(Strict):
     """A parameter of the population."""
 
-    name: str = Field(
-        description="Name of the parameter, such as 'dead_fraction.tussock' or 'structure'."
-    )
-    mean: float = number("Value of the mean plot", "-")
-    mean_sd: float = number("Standard error of `mean`", "-", ge=0)
-    plot_sd: float = number("Standard deviation between plots; 0 of what they share", "-", ge=0)
-    assumed: float = number("What was assumed before any spectrum", "-")
-    assumed_sd: float = number("Standard deviation of that", "-", gt=0)
+    name: str
+    """Name of the parameter, such as 'dead_fraction.tussock' or 'structure'."""
+    mean: float = in_unit("-")
+    """Value of the mean plot [-]."""
+    mean_sd: float = in_unit("-", ge=0)
+    """Standard error of `mean` [-]."""
+    plot_sd: float = in_unit("-", ge=0)
+    """Standard deviation between plots; 0 of what they share [-]."""
+    assumed: float = in_unit("-")
+    """What was assumed before any spectrum [-]."""
+    assumed_sd: float = in_unit("-", gt=0)
+    """Standard deviation of that [-]."""
 
     @model_validator(mode="after")
     def _varies(self) -> "PriorParameter":
@@ -70,42 +74,44 @@ class PriorParameter(Strict):
 class LeftOutPlot(Strict):
     """The population that all plots but one make."""
 
-    plot: str = Field(description="Name of the plot that is left out.", min_length=1)
-    means: list[float] = Field(description="Means, in the order of `parameters`.")
+    plot: str = Field(min_length=1)
+    """Name of the plot that is left out."""
+    means: list[float]
+    """Means, in the order of `parameters`."""
 
 
 class ModelError(Strict):
     """What no parameter explains of the logarithm of a spectrum."""
 
-    wavelength_nm: list[Annotated[float, Field(gt=300, lt=3000)]] = Field(
-        description="Wavelengths of the error, rising [nm].", min_length=2
-    )
-    sd: list[Annotated[float, Field(gt=0)]] = Field(
-        description="Standard deviation of the logarithm of reflectance [-]."
-    )
-    correlation: list[list[float]] = Field(
-        description="Correlation of the error between wavelengths, rows of a matrix [-]."
-    )
+    wavelength_nm: list[Annotated[float, Field(gt=300, lt=3000)]] = Field(min_length=2)
+    """Wavelengths of the error, rising [nm]."""
+    sd: list[Annotated[float, Field(gt=0)]]
+    """Standard deviation of the logarithm of reflectance [-]."""
+    correlation: list[list[float]]
+    """Correlation of the error between wavelengths, rows of a matrix [-]."""
 
 
 class PriorFile(Strict):
     """A population of plots: means, variation between plots and the model's remaining error."""
 
-    title: str = Field(description="What the plots are.", min_length=1)
-    licence: str = Field(description="Licence of these numbers.")
-    sources: list[str] = Field(description="Data that they were learned from.")
-    made_with: str = Field(description="Program and version, size and voxels of the plots.")
-    plots: int = Field(description="Number of plots learned from.", ge=1)
-    error: ModelError = Field(description="The model's remaining error.")
-    parameters: list[PriorParameter] = Field(
-        description="Parameters of the population.", min_length=1
-    )
-    mean_correlation: list[list[float]] = Field(
-        description="Correlation of the errors of means, rows of a matrix over `parameters` [-]."
-    )
-    left_out: list[LeftOutPlot] = Field(
-        default_factory=list, description="Populations without one of the plots each."
-    )
+    title: str = Field(min_length=1)
+    """What the plots are."""
+    licence: str
+    """Licence of these numbers."""
+    sources: list[str]
+    """Data that they were learned from."""
+    made_with: str
+    """Program and version, size and voxels of the plots."""
+    plots: int = Field(ge=1)
+    """Number of plots learned from."""
+    error: ModelError
+    """The model's remaining error."""
+    parameters: list[PriorParameter] = Field(min_length=1)
+    """Parameters of the population."""
+    mean_correlation: list[list[float]]
+    """Correlation of the errors of means, rows of a matrix over `parameters` [-]."""
+    left_out: list[LeftOutPlot] = Field(default_factory=list)
+    """Populations without one of the plots each."""
 
     @model_validator(mode="after")
     def _belongs_together(self) -> "PriorFile":
@@ -155,7 +161,7 @@ def _check_correlation(rows: list[list[float]], count: int, of: str) -> None:
 
 
 def _bounds(name: str) -> tuple[float, float]:
-    """Between which a parameter lies; factors on what leaves hold are positive."""
+    """Limits between which a parameter lies; factors on what leaves hold are positive."""
     kind = name.split(".")[0]
     if name in FACTORS and kind not in ("soil_brightness", "wood_brightness"):
         return 0.0, math.inf

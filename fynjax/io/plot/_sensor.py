@@ -26,9 +26,7 @@ def sensor_place(plot: Plot) -> tuple[float, float]:
     """Height above the ground, and side of a pixel on it [m], of a plot's sensor: what its file
     leaves out, as the sensor's file has it, or as the paper flew the drone that is the default.
 
-    **Arguments:**
-
-    - `plot`: as of `read_plot`.
+    **Arguments:** `plot`: as of `read_plot`.
 
     **Raises:** `InputError` for a sensor file that cannot be read.
     """

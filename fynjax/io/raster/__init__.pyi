@@ -5,7 +5,6 @@ from ._band_stack import read_band_stack as read_band_stack
 from ._blocks import CubeBlocks as CubeBlocks
 from ._blocks import MapWriter as MapWriter
 from ._blocks import open_blocks as open_blocks
-from ._cover_map import read_cover_map as read_cover_map
 from ._crs import UNITS as UNITS
 from ._crs import check_metric as check_metric
 from ._crs import parse_crs as parse_crs
@@ -23,8 +22,9 @@ from ._netcdf import file_hash as file_hash
 from ._netcdf import image_array as image_array
 from ._netcdf import provenance as provenance
 from ._netcdf import write_run as write_run
+from ._over_plot import read_cover_map as read_cover_map
 from ._over_plot import read_over_plot as read_over_plot
-from ._probability import read_probability_map as read_probability_map
+from ._over_plot import read_probability_map as read_probability_map
 from ._qgis import colour_bands as colour_bands
 from ._qgis import write_qgis_style as write_qgis_style
 from ._reader import METRES as METRES

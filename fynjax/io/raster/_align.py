@@ -43,10 +43,8 @@ def align_bands(
     serves ground that is flat beside the height of flight; a wall or a tall tree keeps its
     parallax.
 
-    **Arguments:**
-
-    - `image`: [band, y, x] in any unit, finite, at least 80 x 80 pixels; row 0 at the southern
-      edge.
+    **Arguments:** `image`: [band, y, x] in any unit, finite, at least 80 x 80 pixels; row 0 at the
+    southern edge.
 
     **Returns:** the aligned bands, cut to the part that all of them cover; that cut as slices (y,
     x) of the first band; an `Alignment` for each band.

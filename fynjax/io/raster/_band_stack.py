@@ -92,41 +92,39 @@ def read_band_stack(
     files = [Path(path) for path in paths]
     if not files:
         raise InputError("expected an image, but got no file")
-    first, placed = _read(files[0], beside=len(files) == 1)
-    parts = [first]
-    for path in files[1:]:
-        part, same = _read(path)
-        _check_together(first, part, placed == same, files[0], path)
-        parts.append(part)
-    names = [name for part in parts for name in part.names]
-    waves = [wave for part in parts for wave in part.wavelengths]
-    if len(parts) > 1:  # of single-band files nobody wrote which is which
-        names = [
-            f"band {k}" if re.fullmatch(r"band \d+", name) else name
-            for k, name in enumerate(names, 1)
-        ]
-    if bands is not None:
-        names, waves = _stated(bands, len(names), files[0])
-    stack = replace(
-        first,
-        values=np.concatenate([part.values for part in parts]),
-        mask=np.all([part.mask for part in parts], axis=0),
-        names=tuple(names),
-        wavelengths=tuple(waves),
-    )
-    stack = _with_data(stack, files[0])
-    if not placed:
-        return _in_own_frame(stack, pixel_m, align and len(parts) > 1, files[0])
-    if pixel_m is not None:
-        raise InputError(
-            f"`pixel_m` is for an image without a coordinate reference system, but this one has "
-            f"pixels of {stack.transform.a:g} m. Leave it out.",
-            file=files[0],
-        )
-    return stack
+    with in_file(files[0]):
+        first, placed = _read(files[0], beside=len(files) == 1)
+        parts = [first]
+        for path in files[1:]:
+            part, same = _read(path)
+            with in_file(path):
+                _check_together(first, part, placed == same, files[0].name)
+            parts.append(part)
+        names = [name for part in parts for name in part.names]
+        waves = [wave for part in parts for wave in part.wavelengths]
+        if len(parts) > 1:  # of single-band files nobody wrote which is which
+            names = [
+                f"band {k}" if re.fullmatch(r"band \d+", name) else name
+                for k, name in enumerate(names, 1)
+            ]
+        if bands is not None:
+            names, waves = _stated(bands, len(names))
+        values = np.concatenate([part.values for part in parts])
+        mask = np.all([part.mask for part in parts], axis=0)
+        stack = _with_data(replace(first, values=values, mask=mask), names, waves, files[0])
+        if not placed:
+            return _in_own_frame(stack, pixel_m, align and len(parts) > 1)
+        if pixel_m is not None:
+            raise InputError(
+                f"`pixel_m` is for an image without a coordinate reference system, but this one "
+                f"has pixels of {stack.transform.a:g} m. Leave it out."
+            )
+        return stack
 
 
-def _with_data(stack: BandStack, path: Path) -> BandStack:
+def _with_data(
+    stack: BandStack, names: Sequence[str], waves: Sequence[float | None], path: Path
+) -> BandStack:
     """The bands that have data, and the pixels that all of these know."""
     alive = np.isfinite(stack.values).any(axis=(1, 2))
     values = stack.values[alive] if not alive.all() else stack.values
@@ -134,11 +132,10 @@ def _with_data(stack: BandStack, path: Path) -> BandStack:
     if not alive.any() or not mask.any():
         raise InputError(
             f"expected an image, but all {mask.size} pixels are without data (no data, NaN, or "
-            "zero in every band)",
-            file=path,
+            "zero in every band)"
         )
     if not alive.all():
-        dead = [name for name, lives in zip(stack.names, alive, strict=True) if not lives]
+        dead = list(itertools.compress(names, ~alive))
         warnings.warn(
             f"{path}: {len(dead)} of {len(alive)} bands have no data and are left out: "
             f"{_listed(dead)}",
@@ -148,12 +145,12 @@ def _with_data(stack: BandStack, path: Path) -> BandStack:
         stack,
         values=values,
         mask=mask,
-        names=tuple(itertools.compress(stack.names, alive)),
-        wavelengths=tuple(itertools.compress(stack.wavelengths, alive)),
+        names=tuple(itertools.compress(names, alive)),
+        wavelengths=tuple(itertools.compress(waves, alive)),
     )
 
 
-def _in_own_frame(stack: BandStack, pixel_m: float | None, align: bool, path: Path) -> BandStack:
+def _in_own_frame(stack: BandStack, pixel_m: float | None, align: bool) -> BandStack:
     """A picture without a place in the plot's own frame, its bands laid on the first."""
     if pixel_m is None:
         raise InputError(
@@ -161,8 +158,7 @@ def _in_own_frame(stack: BandStack, pixel_m: float | None, align: bool, path: Pa
             if stack.raw
             else "expected an image with a coordinate reference system, but it has none. An "
             "orthophoto has one; for a single picture say how large a pixel is on the ground: "
-            "--pixel METRES. The map is then in a frame of the plot's own.",
-            file=path,
+            "--pixel METRES. The map is then in a frame of the plot's own."
         )
     if not (np.isfinite(pixel_m) and pixel_m > 0.0):
         raise InputError(f"`pixel_m` must be positive [m], but is {pixel_m}")
@@ -171,11 +167,9 @@ def _in_own_frame(stack: BandStack, pixel_m: float | None, align: bool, path: Pa
         if not mask.all():
             raise InputError(
                 f"bands can be aligned where all pixels are data, but {int((~mask).sum())} of "
-                f"{mask.size} are not. Align them first, and leave it out here (--no-align).",
-                file=path,
+                f"{mask.size} are not. Align them first, and leave it out here (--no-align)."
             )
-        with in_file(path):
-            values, cut, alignments = align_bands(values)
+        values, cut, alignments = align_bands(values)
         mask, alignment = mask[cut], tuple(alignments)
     transform = north_up(pixel_m, (0.0, 0.0), mask.shape[0])
     return replace(
@@ -239,38 +233,32 @@ def _numbers(xmp: dict[str, list[str]], key: str) -> list[float]:
     return [value for value in values if np.isfinite(value) and value > 0.0]
 
 
-def _check_together(
-    a: BandStack, b: BandStack, alike_placed: bool, first: Path, path: Path
-) -> None:
+def _check_together(a: BandStack, b: BandStack, alike_placed: bool, first: str) -> None:
     if len(a.values) != 1 or len(b.values) != 1:
         raise InputError(
             "expected one image of several bands, or files of one band each, but "
-            f"{first.name} has {len(a.values)} and this one {len(b.values)}. Stack the bands of "
-            "one image: gdal_merge.py -separate",
-            file=path,
+            f"{first} has {len(a.values)} and this one {len(b.values)}. Stack the bands of "
+            "one image: gdal_merge.py -separate"
         )
     if a.values.shape != b.values.shape:
         raise InputError(
-            f"expected {a.values.shape[2]} x {a.values.shape[1]} pixels as in {first.name}, but "
-            f"this file has {b.values.shape[2]} x {b.values.shape[1]}. Are both of one capture?",
-            file=path,
+            f"expected {a.values.shape[2]} x {a.values.shape[1]} pixels as in {first}, but "
+            f"this file has {b.values.shape[2]} x {b.values.shape[1]}. Are both of one capture?"
         )
     if not alike_placed or a.crs != b.crs or not a.transform.almost_equals(b.transform, 1e-3):
         raise InputError(
-            f"expected the same place and coordinate reference system as {first.name}, but this "
-            "file has others. Warp both onto the same pixels: gdalwarp -t_srs ... -te ... -tr ...",
-            file=path,
+            f"expected the same place and coordinate reference system as {first}, but this "
+            "file has others. Warp both onto the same pixels: gdalwarp -t_srs ... -te ... -tr ..."
         )
 
 
-def _stated(bands: Sequence[str], count: int, path: Path) -> tuple[list[str], list[float | None]]:
+def _stated(bands: Sequence[str], count: int) -> tuple[list[str], list[float | None]]:
     """Names and wavelengths, from a list of either."""
     given = [band.strip() for band in bands]
     if len(given) != count or not all(given):
         raise InputError(
             f"expected names or wavelengths of {count} bands, but got {len(given)} "
-            f"({', '.join(given)})",
-            file=path,
+            f"({', '.join(given)})"
         )
     waves: list[float | None] = []
     for band in given:
@@ -278,8 +266,7 @@ def _stated(bands: Sequence[str], count: int, path: Path) -> tuple[list[str], li
         if wave is not None and not 300.0 <= wave <= 15000.0:
             raise InputError(
                 f"a wavelength must be in nm, 300 to 15000, but is {band}. Is it a band's number? "
-                "Give names, such as red, or wavelengths.",
-                file=path,
+                "Give names, such as red, or wavelengths."
             )
         waves.append(wave)
     return [b if w is None else f"{w:g} nm" for b, w in zip(given, waves, strict=True)], waves

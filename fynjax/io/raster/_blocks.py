@@ -1,7 +1,5 @@
 """Cubes by blocks of rows, and maps written by blocks: neither is ever in memory as a whole."""
 
-import hashlib
-import json
 import math
 import os
 import shutil
@@ -24,16 +22,17 @@ from rasterio.crs import CRS
 from rasterio.errors import RasterioError
 from rasterio.windows import Window
 
-from fynjax._core.errors import InputError, listed
+from fynjax._core.checkpoint import Journal, forget_journal
+from fynjax._core.errors import InputError, in_file, listed, refusing
 from fynjax._core.extras import require
 from fynjax._core.files import check_name
 from fynjax._core.memory import total_memory
 from fynjax.io.raster._crs import geotransform, parse_crs
 from fynjax.io.raster._lookup import lookup_table
 from fynjax.io.raster._netcdf import CONVENTIONS, check_netcdf, with_history
-from fynjax.io.raster._reader import RasterFile, open_raster, wherever, without_words
+from fynjax.io.raster._reader import RasterFile, open_raster, wherever
 from fynjax.io.raster._scale import check_reflectance
-from fynjax.io.raster._writer import LOCAL_FRAME
+from fynjax.io.raster._writer import LOCAL_FRAME, grid_profile
 from fynjax.io.raster._zarr import check_zarr
 from fynjax.io.spectra import check_widths, in_nanometres
 from fynjax.io.text import atomic_path
@@ -95,7 +94,9 @@ class CubeBlocks:
         **Raises:** `InputError` naming the rows where they cannot be read.
         """
         window = Window(0, start, self.shape[1], rows)
-        try:
+        place = f"rows {start + 1} to {start + rows}"
+        words = f"{place} cannot be read ({{error}}). Is the file damaged there?"
+        with refusing(RasterioError, *_UNREADABLE, words=words, file=self.path):
             if isinstance(self.source, RasterFile):
                 raster = self.source.read(
                     self.source.bands, window=window, zero_is_data=False, dtype=np.float32
@@ -106,14 +107,6 @@ class CubeBlocks:
             part = self.source.isel({self.source.dims[0]: slice(start, start + rows)})
             with np.errstate(all="ignore"):  # a scale may lead beyond what a float holds
                 values = np.asarray(part.values, np.float32)
-        except (RasterioError, *_UNREADABLE) as error:
-            if isinstance(error, InputError):
-                raise
-            raise InputError(
-                f"rows {start + 1} to {start + rows} cannot be read ({error}). Is the file damaged "
-                "there?",
-                file=self.path,
-            ) from error
         values = np.where(np.abs(values) > 1e6, np.nan, values)
         return np.where((values == 0).all(axis=2, keepdims=True), np.nan, values)
 
@@ -161,43 +154,26 @@ def open_blocks(path: str | Path) -> Iterator[CubeBlocks]:
     path = Path(path)
     check_name(path)
     if path.suffix.lower() in (".nc", ".nc4", ".zarr"):
-        with _open_dataset(path) as cube:
+        with in_file(path), ExitStack() as opened:
+            # The file may have two marks of no data.
+            with warnings.catch_warnings(action="ignore", category=xr.SerializationWarning):
+                cube = _cube_of(path, opened)
             yield cube
         return
     with open_raster(path, "an image") as file:
         places = np.array(file.bands) - 1
+        # GeoTIFF's own tags may call bands bad.
+        marks = [file.dataset.tags(n).get("bbl", "1").strip() for n in file.bands]
         yield CubeBlocks(
             path=file.path,
             shape=file.shape,
-            wavelength=np.asarray(file.wavelengths)[places],
-            fwhm=np.asarray(file.fwhm)[places],
-            good=np.asarray(file.good)[places] & _not_bad(file)[places],
+            wavelength=file.wavelengths[places],
+            fwhm=file.fwhm[places],
+            good=file.good[places] & ~np.isin(marks, ("0", "0.0", "false")),
             transform=file.dataset.transform,
             crs=file.crs.to_wkt() if file.crs else None,
             source=file,
         )
-
-
-def _not_bad(file: RasterFile) -> Bool[np.ndarray, " band"]:
-    """Bands that a GeoTIFF's own tags do not call bad."""
-    marks = [file.dataset.tags(n).get("bbl", "1") for n in range(1, file.dataset.count + 1)]
-    return np.array([mark.strip() not in ("0", "0.0", "false") for mark in marks])
-
-
-@contextmanager
-def _open_dataset(path: Path) -> Iterator[CubeBlocks]:
-    if not path.exists():
-        raise InputError("expected an image, but there is no such file", file=path)
-    with ExitStack() as opened:
-        try:
-            with warnings.catch_warnings(), np.errstate(all="ignore"):  # of scales beyond floats
-                warnings.simplefilter("ignore", xr.SerializationWarning)  # of two marks of no data
-                cube = _cube_of(path, opened)
-        except _UNREADABLE as error:
-            if isinstance(error, InputError):
-                raise
-            raise InputError(f"cannot be read as an image ({error})", file=path) from error
-        yield cube
 
 
 _UNREADABLE = (
@@ -207,19 +183,17 @@ _UNREADABLE = (
 """Errors that the libraries raise at damaged files."""
 
 
-def _reflectance(data: xr.Dataset, path: Path) -> xr.DataArray:
+def _reflectance(data: xr.Dataset) -> xr.DataArray:
     """The variable `reflectance`, its bands last."""
     if "reflectance" not in data:
         raise InputError(
-            f"expected a variable 'reflectance', but it has {listed(map(str, data)) or 'none'}",
-            file=path,
+            f"expected a variable 'reflectance', but it has {listed(map(str, data)) or 'none'}"
         )
     values = data["reflectance"]
     if values.ndim != 3 or values.dtype.kind not in "fiu" or not values.size:
         raise InputError(
             "expected reflectance as numbers of three dimensions, but it has "
-            f"{dict(values.sizes)} of {values.dtype}",
-            file=path,
+            f"{dict(values.sizes)} of {values.dtype}"
         )
     names = ("band", "bands", "wavelength", "wavelengths")
     spectral = next((d for d in values.dims if d in names), values.dims[0])
@@ -239,7 +213,11 @@ def _column(
     return None, ""
 
 
+@refusing(*_UNREADABLE, words="cannot be read as an image ({error})")
+@np.errstate(all="ignore")  # a scale may lead beyond what a float holds
 def _cube_of(path: Path, opened: ExitStack) -> CubeBlocks:
+    if not path.exists():
+        raise InputError("expected an image, but there is no such file")
     zarr = path.suffix.lower() == ".zarr"
     if not zarr:
         check_netcdf(path)
@@ -248,7 +226,7 @@ def _cube_of(path: Path, opened: ExitStack) -> CubeBlocks:
         require("zarr", "map")
         kind = {"engine": "zarr", "consolidated": False, "drop_variables": check_zarr(path)}
     data = opened.enter_context(xr.open_dataset(path, **kind))
-    values = _reflectance(data, path)
+    values = _reflectance(data)
     bands = xr.Dataset()
     if not zarr:
         with suppress(*_UNREADABLE):
@@ -260,27 +238,25 @@ def _cube_of(path: Path, opened: ExitStack) -> CubeBlocks:
     if 2.0 * row > memory:
         raise InputError(
             f"a row of {values.shape[1]} pixels in {count} bands needs {row / 2**30:.3g} GiB, but "
-            f"this machine has {memory / 2**30:.0f} GiB. Is it damaged?",
-            file=path,
+            f"this machine has {memory / 2**30:.0f} GiB. Is it damaged?"
         )
     wavelength, unit = _column(("wavelength", "wavelengths"), (data, bands), count)
     width, _ = _column(("fwhm",), (data, bands), count)
     good, _ = _column(("good_wavelengths", "reflectance_good"), (data, bands), count)
     if wavelength is not None and np.isfinite(wavelength).any():
-        wavelength, factor = in_nanometres(wavelength, unit, path)
+        wavelength, factor = in_nanometres(wavelength, unit)
         width = None if width is None else width * factor
     if width is not None:
-        check_widths(width, path)
+        check_widths(width)
     # zarr decodes them one by one, those too that are not there.
     long = values.encoding.get("preferred_chunks", {}) if zarr else {}
     pieces = math.prod(-(-values.sizes[d] // long.get(d, 1)) for d in values.dims[1:] if long)
     if pieces > _MOST_CHUNKS:
         raise InputError(
             f"expected at most {_MOST_CHUNKS} chunks in a row of pixels, but there are {pieces}. "
-            "Write larger chunks",
-            file=path,
+            "Write larger chunks"
         )
-    crs, transform = _place(path, data, values)
+    crs, transform = _place(data, values)
     # In memory y rises to the north; a block is as in a file, its first row northernmost. A swath
     # stays as it is: its lookup table counts rows as they are in the file.
     y = values.dims[0]
@@ -309,16 +285,16 @@ def _location(path: Path, data: xr.Dataset, opened: ExitStack) -> xr.Dataset | N
     return None
 
 
-def _place(path: Path, data: xr.Dataset, values: xr.DataArray) -> tuple[str | None, Affine]:
+def _place(data: xr.Dataset, values: xr.DataArray) -> tuple[str | None, Affine]:
     mapping = values.attrs.get("grid_mapping", "crs")
     wkt = data[mapping].attrs.get("crs_wkt") if mapping in data.variables else None
     if wkt is not None:
-        wkt = parse_crs(str(wkt), path).to_wkt()
+        wkt = parse_crs(str(wkt)).to_wkt()
     y, x = values.dims[:2]
     if wkt is None:
         return wkt, Affine.identity()
     if x not in values.coords or y not in values.coords:
-        return wkt, geotransform(data[mapping].attrs.get("GeoTransform"), "GeoTransform", path)
+        return wkt, geotransform(data[mapping].attrs.get("GeoTransform"), "GeoTransform")
     xs, ys = np.asarray(values[x], float), np.asarray(values[y], float)
     pixel = float(values.attrs.get("pixel_m", abs(xs[1] - xs[0]) if len(xs) > 1 else 1.0))
     return wkt, Affine(pixel, 0.0, xs.min() - pixel / 2, 0.0, -pixel, ys.max() + pixel / 2)
@@ -354,14 +330,9 @@ def grid_coordinates(
     return dims, coordinates
 
 
-def _seal(values: np.ndarray) -> str:
-    """Hash of a block of maps and of its type: the same bytes may stand for other numbers."""
-    return hashlib.sha256(values.dtype.str.encode() + values.tobytes()).hexdigest()
-
-
 class MapWriter:
-    """Maps of one raster that are written block by block, in any order: a tiled GeoTIFF in the
-    making, and which of its blocks are there. `finish` makes a cloud-optimised GeoTIFF of it.
+    """Maps of one raster that are written block by block, in any order, and kept as they come.
+    `finish` makes a cloud-optimised GeoTIFF of them.
 
     Maps of a swath are on the swath while they are made. `finish` and `finish_zarr` place them: on
     the grid of the file's lookup table each pixel is that of the swath which the table names.
@@ -381,100 +352,23 @@ class MapWriter:
         lookup table of a swath that places nothing.
         """
         self._folder, self._bands, self._like = folder, tuple(bands), like
-        self._file, mark = folder / "maps.tif", folder / "maps.json"
         self._on_map = folder / "placed.tif"
-        self._mark = mark
-        self._table = (
-            None if like.location is None else lookup_table(like.path, like.location, like.shape)
-        )
-        self.done = np.zeros(blocks, bool)
-        """Blocks that are there, as they were written."""
-        self._written: dict[int, tuple[int, int, str]] = {}  # first row, rows and hash of a block
+        at = like.location
+        with in_file(like.path):
+            self._table = None if at is None else lookup_table(at, like.shape)
+        self._journal = Journal(folder, signature)
         self.damaged: set[int] = set()
         """Blocks of the cube that could not be read, of an interrupted run too."""
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise InputError(f"cannot write here: {error.strerror}", file=folder) from error
-        self._signature = signature
-        kept = folder / "kept.tif"
-        if mark.is_file():
-            damaged = self._kept()
-            if self._file.is_file() and not kept.is_file():
-                os.replace(self._file, kept)
-            if kept.is_file():  # else that of a run that was interrupted here
-                self._begin(self._file, like.shape, like.transform, like.crs)
-                self._take(kept, damaged)
-                kept.unlink()
-                return
-            self._written = {}
-        self._begin(self._file, like.shape, like.transform, like.crs)
-        self._keep()
+        self.done = np.zeros(blocks, bool)
+        """Blocks that are there, as they were written."""
+        for block in range(blocks):
+            with suppress(InputError):  # one that is damaged is to be done again
+                if (kept := self._journal.kept(block)) is not None:
+                    self._note(block, bool(kept[1]))
 
-    def _kept(self) -> list[int]:
-        """Take what the mark says was written; gives the blocks that could not be read."""
-        seal, _, text = self._mark.read_bytes().partition(b"\n")
-        if seal != hashlib.sha256(text).hexdigest().encode():
-            raise InputError(
-                "no checkpoint, or a damaged one; remove its folder to start again",
-                file=self._mark,
-            )
-        kept = json.loads(text)
-        if kept["signature"] != self._signature:
-            raise InputError(
-                "this checkpoint is of another run: another cube, training or settings. Choose "
-                "another output, or remove it to start again",
-                file=self._folder,
-            )
-        self._written = {int(block): tuple(how) for block, how in kept["done"].items()}
-        return list(kept["damaged"])
-
-    def _take(self, kept: Path, damaged: list[int]) -> None:
-        """Copy the blocks that are as they were written; the others are to be done again."""
-        with (
-            wherever(),
-            without_words(),
-            suppress(RasterioError, ValueError),  # the second of text that is no UTF-8
-            rasterio.open(kept, driver="GTiff") as file,
-        ):
-            whole = (file.count, *file.shape) == (len(self._bands), *self._like.shape)
-            for block, (start, rows, seal) in list(self._written.items()) if whole else ():
-                with suppress(RasterioError, ValueError):
-                    part = file.read(window=Window(0, start, self._like.shape[1], rows))
-                    if _seal(part) == seal:
-                        self.write(block, start, part, damaged=block in damaged)
-        self._written = {block: how for block, how in self._written.items() if self.done[block]}
-        self._keep()
-
-    def _begin(
-        self, path: Path, shape: tuple[int, int], transform: Affine, crs: str | None
-    ) -> None:
-        """A GeoTIFF of all maps, yet without data."""
-        profile: dict[str, Any] = {
-            "driver": "GTiff",
-            "dtype": "float32",
-            "count": len(self._bands),
-            "height": shape[0],
-            "width": shape[1],
-            "crs": CRS.from_user_input(crs) if crs else CRS.from_wkt(LOCAL_FRAME),
-            "transform": transform,
-            "nodata": float("nan"),
-            "interleave": "band",
-            "bigtiff": "if_safer",
-        }
-        with wherever(), rasterio.open(path, "w", **profile):
-            pass
-
-    def _keep(self) -> None:
-        state = {
-            "signature": self._signature,
-            "done": self._written,
-            "damaged": sorted(self.damaged),
-        }
-        text = json.dumps(state).encode()
-        work = self._mark.with_suffix(".work")
-        work.write_bytes(hashlib.sha256(text).hexdigest().encode() + b"\n" + text)
-        os.replace(work, self._mark)
+    def _note(self, block: int, damaged: bool) -> None:
+        self.done[block] = True
+        self.damaged |= {block} if damaged else set()
 
     def write(
         self,
@@ -486,23 +380,33 @@ class MapWriter:
     ) -> None:
         """Write a block whose first row is `start`; `damaged` where the cube has no data there
         because it could not be read."""
-        _, rows, columns = values.shape
-        values = values.astype(np.float32)
-        try:
-            with wherever(), rasterio.open(self._file, "r+", driver="GTiff") as file:
-                file.write(values, window=Window(0, start, columns, rows))
-            self.done[block] = True
-            self._written[block] = (start, rows, _seal(values))
-            if damaged:
-                self.damaged.add(block)
-            self._keep()
-        except (RasterioError, OSError) as error:
-            after = "the same command goes on from what was kept before"
-            if not self._file.is_file():
-                after = "the checkpoint was removed meanwhile, and the same command begins anew"
-            raise InputError(
-                f"cannot keep what was done. Is the disk full? If not, {after}", file=self._folder
-            ) from error
+        numbers = np.asarray(start), np.asarray(damaged)
+        self._journal.put(block, [*numbers, values.astype(np.float32)])
+        self._note(block, damaged)
+
+    def _begin(
+        self, path: Path, shape: tuple[int, int], transform: Affine, crs: str | None
+    ) -> None:
+        """A GeoTIFF of all maps, yet without data."""
+        profile = grid_profile(len(self._bands), shape, transform, crs, float("nan"))
+        profile |= {"driver": "GTiff", "interleave": "band", "bigtiff": "if_safer"}
+        with wherever(), rasterio.open(path, "w", **profile):
+            pass
+
+    @cached_property
+    def _file(self) -> Path:
+        """All blocks that are there as one GeoTIFF; of a swath on the swath."""
+        path, like = self._folder / "maps.tif", self._like
+        self._begin(path, like.shape, like.transform, like.crs)
+        with wherever(), rasterio.open(path, "r+") as file:
+            for block in np.flatnonzero(self.done):
+                kept = self._journal.kept(int(block))
+                if kept is None:
+                    words = "the checkpoint was removed meanwhile: the same command begins anew"
+                    raise InputError(words, file=self._folder)
+                start, _, values = kept
+                file.write(values, window=Window(0, int(start), *values.shape[:0:-1]))
+        return path
 
     @cached_property
     def _placed(self) -> Path:
@@ -576,9 +480,7 @@ class MapWriter:
 
     def forget(self) -> None:
         """Remove what was in the making."""
-        for path in (self._file, self._on_map, self._folder / "kept.tif"):
+        for path in (self._folder / "maps.tif", self._on_map):
             path.unlink(missing_ok=True)
             path.with_suffix(".tif.aux.xml").unlink(missing_ok=True)
-        self._mark.unlink(missing_ok=True)
-        if self._folder.is_dir() and not any(self._folder.iterdir()):
-            self._folder.rmdir()
+        forget_journal(self._folder)

@@ -24,13 +24,10 @@ UNITS: dict[str, float] = {
 """Metres in each unit that coordinates may be stated in."""
 
 
-def parse_crs(text: str | int, file: Path | None) -> CRS:
+def parse_crs(text: str | int, file: Path | None = None) -> CRS:
     """A coordinate reference system from text.
 
-    **Arguments:**
-
-    - `text`: WKT, "EPSG:32734" or an EPSG number.
-    - `file`: that states it, for errors; `None` without one.
+    **Arguments:** `text`: WKT, "EPSG:32734" or an EPSG number; `file`: that states it, for errors.
 
     **Raises:** `InputError` for a system that is not known.
     """
@@ -58,15 +55,12 @@ def _unit_name(factor: float) -> str:
     return near if abs(UNITS[near] / factor - 1.0) < 1e-7 else f"units of {factor:g} m"
 
 
-def check_metric(
-    crs: CRS, file: Path | None, *, unit_stated: bool | None = None, height_stated: bool = False
-) -> None:
+def check_metric(crs: CRS, *, unit_stated: bool | None = None, height_stated: bool = False) -> None:
     """Refuse a system whose coordinates are not metres to the east and north.
 
     **Arguments:**
 
     - `crs`: the system.
-    - `file`: that states it, for errors; `None` without one.
     - `unit_stated`, `height_stated`: the user has stated the unit of coordinates or of heights, so
       that the system need not be in metres; `None` where the user cannot.
 
@@ -77,35 +71,30 @@ def check_metric(
     if crs.is_geographic:
         raise InputError(
             "expected coordinates in metres, but they are in degrees (longitude, latitude). "
-            + remedy,
-            file=file,
+            + remedy
         )
     if wkt.startswith(("GEOCCS", "GEODCRS")):
         raise InputError(
             "expected x east, y north and z up, but the file's coordinates are geocentric (from "
-            f"the middle of the Earth). {remedy}",
-            file=file,
+            f"the middle of the Earth). {remedy}"
         )
     factor = crs.units_factor[1]
     if abs(factor - 1.0) > 1e-9 and not unit_stated:
         raise InputError(
             f"expected coordinates in metres, but the file's system is in {_unit_name(factor)}. "
-            + (remedy if unit_stated is None else f"{remedy[:-1]}, or state the unit."),
-            file=file,
+            + (remedy if unit_stated is None else f"{remedy[:-1]}, or state the unit.")
         )
     try:
         axes = [axis.direction for axis in pyproj.CRS.from_wkt(wkt).axis_info]
     except pyproj.exceptions.CRSError as error:
         raise InputError(
             f"its coordinate reference system is damaged ({' '.join(str(error).split())}). State "
-            "it anew: gdal_edit.py -a_srs EPSG:...",
-            file=file,
+            "it anew: gdal_edit.py -a_srs EPSG:..."
         ) from error
     if not is_local(crs) and {"west", "south"} & set(axes):
         raise InputError(
             "expected a system whose coordinates grow to the east and north, but those of this "
-            f"one grow to the {' and '.join(axes)}. {remedy}",
-            file=file,
+            f"one grow to the {' and '.join(axes)}. {remedy}"
         )
     # Where a compound system states the unit of heights.
     vertical = re.search(r'VERT(?:_?CS|CRS)\[.*?UNIT\["[^"]*",\s*([0-9.eE+-]+)', wkt, re.DOTALL)
@@ -113,8 +102,7 @@ def check_metric(
     if abs(factor - 1.0) > 1e-9 and not height_stated:
         raise InputError(
             f"expected heights in metres, but the file's system has them in "
-            f"{_unit_name(factor)}. State the height unit ({_unit_name(factor)}).",
-            file=file,
+            f"{_unit_name(factor)}. State the height unit ({_unit_name(factor)})."
         )
 
 
@@ -145,7 +133,7 @@ def stretch(crs: CRS, x: float, y: float) -> tuple[float, str]:
     return (factor if abs(factor - 1.0) > 0.01 else 1.0), zone
 
 
-def geotransform(numbers: Any, name: str, file: Path) -> Affine:
+def geotransform(numbers: Any, name: str) -> Affine:
     """The affine transform of GDAL's six numbers, as text or an array; the identity of none.
 
     **Raises:** `InputError` for other than six finite numbers, and a grid that has no area; `name`
@@ -162,7 +150,6 @@ def geotransform(numbers: Any, name: str, file: Path) -> Affine:
     if not sound:
         raise InputError(
             f"expected as {name} six numbers that place a grid, but got "
-            f"{listed(str(number) for number in text)}",
-            file=file,
+            f"{listed(str(number) for number in text)}"
         )
     return transform

@@ -11,10 +11,9 @@ import numpy as np
 import rasterio
 import xarray as xr
 from jaxtyping import Bool, Float
-from rasterio.crs import CRS
 
 from fynjax.io.raster._netcdf import grid_mapping, image_array, write_run
-from fynjax.io.raster._writer import north_up, write_geotiff
+from fynjax.io.raster._writer import grid_profile, north_up, write_geotiff
 
 NODATA = -9999.0
 """Value of pixels without data in written products, as imaging spectrometers' products have it."""
@@ -111,21 +110,15 @@ def write_cube_envi(path: str | Path, cube: Cube, record: Mapping[str, Any]) -> 
         "fynjax_quantity": cube.quantity,
         **{f"fynjax_{key}": _plain(value) for key, value in record.items()},
     }
-    profile = {
-        "dtype": "float32",
-        "count": bands,
-        "height": rows,
-        "width": columns,
-        "crs": None if cube.crs is None else CRS.from_user_input(cube.crs),
-        "transform": north_up(cube.pixel_m, cube.origin_m, rows),
-        "nodata": NODATA,
-        "interleave": "bil",
-    }
+    transform = north_up(cube.pixel_m, cube.origin_m, rows)
+    profile = grid_profile(bands, (rows, columns), transform, cube.crs, NODATA)
+    if cube.crs is None:
+        del profile["crs"]
     values = np.where(np.isfinite(cube.values), cube.values, NODATA).astype(np.float32)
     path.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=path.parent, prefix=".envi_") as folder:
         data = (Path(folder) / path.name).with_suffix(".dat")
-        with rasterio.open(data, "w", driver="ENVI", **profile) as file:
+        with rasterio.open(data, "w", driver="ENVI", interleave="bil", **profile) as file:
             file.write(np.ascontiguousarray(values[:, ::-1]))
             file.descriptions = cube.names
             file.update_tags(ns="ENVI", **header)
@@ -162,26 +155,15 @@ def write_cubes_netcdf(
             standard_name=standard,
             units=unit,
         )
-        array = array.assign_coords(
-            fwhm=(
-                "band",
-                cube.fwhm,
-                {"units": "nm", "long_name": "full width of the band at half maximum"},
-            ),
-        )
+        about = {"units": "nm", "long_name": "full width of the band at half maximum"}
+        array = array.assign_coords(fwhm=("band", cube.fwhm, about))
         array.attrs["pixel_m"] = cube.pixel_m  # one pixel alone does not show its side
         array.encoding["_FillValue"] = np.float32(NODATA)
         variables[name] = array
-        variables[f"{name}_good"] = xr.DataArray(
-            cube.good.astype(np.int8),
-            dims="band",
-            attrs={
-                "long_name": f"bands of the {long} that are to be used",
-                "units": "1",
-                "flag_values": np.array([0, 1], np.int8),
-                "flag_meanings": "bad good",
-            },
-        )
+        flags = {"flag_values": np.array([0, 1], np.int8), "flag_meanings": "bad good"}
+        flags |= {"long_name": f"bands of the {long} that are to be used", "units": "1"}
+        good = xr.DataArray(cube.good.astype(np.int8), dims="band", attrs=flags)
+        variables[f"{name}_good"] = good
         if cube.crs is not None:
             variables["crs"] = grid_mapping(cube.crs)
     write_run(path, xr.Dataset(variables), record)

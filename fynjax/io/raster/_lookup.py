@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,7 +10,7 @@ from jaxtyping import Int
 from rasterio import Affine
 from rasterio.windows import Window
 
-from fynjax._core.errors import LARGEST, InputError, listed
+from fynjax._core.errors import LARGEST, InputError, listed, refusing
 from fynjax.io.raster._crs import geotransform, parse_crs
 
 _AT_ONCE = 2**20
@@ -25,7 +24,6 @@ _NAMES = ("glt_x", "glt_y")
 class LookupTable:
     """Which pixel of a swath lies at each pixel of a map."""
 
-    path: Path
     shape: tuple[int, int]
     """Rows and columns of the map."""
     transform: Affine
@@ -42,8 +40,8 @@ class LookupTable:
     def blocks(
         self,
     ) -> Iterator[tuple[int, Int[np.ndarray, "row column"], Int[np.ndarray, "row column"]]]:
-        """Of each block of rows of the map its first row, and row and column in the swath of its
-        pixels, from 0 and -1 where there is none.
+        """The table by blocks of rows of the map: the block's first row, and the row and column in
+        the swath of each of its pixels, from 0, -1 where there is none.
 
         **Raises:** `InputError` for pixels that the swath does not have, and where the table cannot
         be read.
@@ -63,21 +61,16 @@ class LookupTable:
     def _read(
         self, name: str, part: xr.DataArray, start: int, count: int
     ) -> Int[np.ndarray, "row column"]:
-        try:
+        words = f"{name} of its lookup table cannot be read ({{error}}). Is the file damaged?"
+        with refusing(OSError, RuntimeError, ValueError, words=words):
             number = np.nan_to_num(np.asarray(part.values, float))
-        except (OSError, RuntimeError, ValueError) as error:
-            raise InputError(
-                f"{name} of its lookup table cannot be read ({error}). Is the file damaged?",
-                file=self.path,
-            ) from error
         wrong = (number < 0) | (number > count) | (number != np.floor(number))
         if wrong.any():
             row, column = np.argwhere(wrong)[0]
             raise InputError(
                 f"expected {name} from 1 to {count}, as the swath has them, or 0 for none, but it "
                 f"is {number[row, column]:g} in row {start + row + 1}, column {column + 1} of the "
-                "map. Is the file damaged?",
-                file=self.path,
+                "map. Is the file damaged?"
             )
         return number.astype(int) - 1
 
@@ -85,10 +78,8 @@ class LookupTable:
         """Copy the bands of a raster on the swath to one on the map, each pixel from that which the
         table names: nothing is interpolated. NaN where it names none.
 
-        **Arguments:**
-
-        - `swath`: open rasterio dataset, to be read.
-        - `onto`: another of `shape` and the same bands, to be written.
+        **Arguments:** `swath`: open rasterio dataset, to be read; `onto`: another of `shape` and
+        the same bands, to be written.
 
         **Raises:** `InputError` as `blocks`.
         """
@@ -103,15 +94,11 @@ class LookupTable:
                 onto.write(values, band, window=Window(0, start, *row.shape[::-1]))
 
 
-def lookup_table(path: Path, location: xr.Dataset, swath: tuple[int, int]) -> LookupTable:
+def lookup_table(location: xr.Dataset, swath: tuple[int, int]) -> LookupTable:
     """The lookup table of a swath, checked.
 
-    **Arguments:**
-
-    - `path`: the file, for errors.
-    - `location`: has `glt_x` and `glt_y` and the attributes `geotransform` (as GDAL has it) and
-      `spatial_ref` (WKT).
-    - `swath`: its rows and columns.
+    **Arguments:** `location`: has `glt_x` and `glt_y` and the attributes `geotransform` (as GDAL
+    has it) and `spatial_ref` (WKT); `swath`: its rows and columns.
 
     **Raises:** `InputError` for a table that lacks a part, is no table, lies nowhere or names
     pixels that the swath does not have, or none at all.
@@ -122,8 +109,7 @@ def lookup_table(path: Path, location: xr.Dataset, swath: tuple[int, int]) -> Lo
         raise InputError(
             "expected glt_x, glt_y, geotransform and spatial_ref of its lookup table, but it has "
             f"no {listed(lacking)}. Without glt_x and glt_y the maps would have rows and columns "
-            "only",
-            file=path,
+            "only"
         )
     columns, rows = (location[name] for name in _NAMES)
     if columns.ndim != 2 or columns.shape != rows.shape or not 0 < columns.size <= _MOST * (
@@ -132,23 +118,19 @@ def lookup_table(path: Path, location: xr.Dataset, swath: tuple[int, int]) -> Lo
         raise InputError(
             "expected glt_x and glt_y of its lookup table as numbers, alike in two dimensions and "
             f"about as many as the swath's {swath[0]} x {swath[1]}, but they are "
-            f"{columns.shape} of {columns.dtype} and {rows.shape} of {rows.dtype}",
-            file=path,
+            f"{columns.shape} of {columns.dtype} and {rows.shape} of {rows.dtype}"
         )
-    system = parse_crs(str(location.attrs["spatial_ref"]), path)
-    transform = geotransform(
-        location.attrs["geotransform"], "geotransform of its lookup table", path
-    )
+    system = parse_crs(str(location.attrs["spatial_ref"]))
+    transform = geotransform(location.attrs["geotransform"], "geotransform of its lookup table")
     x, y = zip(transform @ (0, 0), transform @ columns.shape[::-1], strict=True)
     most = (360.0, 90.0) if system.is_geographic else (LARGEST, LARGEST)
     if max(map(abs, x)) > most[0] or max(map(abs, y)) > most[1]:
         raise InputError(
             f"its lookup table lies nowhere: by its geotransform from {x[0]:g} to {x[1]:g} and "
-            f"from {y[0]:g} to {y[1]:g}. Is the file damaged?",
-            file=path,
+            f"from {y[0]:g} to {y[1]:g}. Is the file damaged?"
         )
     shape = (columns.shape[0], columns.shape[1])
-    table = LookupTable(path, shape, transform, system.to_wkt(), swath, columns, rows)
+    table = LookupTable(shape, transform, system.to_wkt(), swath, columns, rows)
     if not sum(int((row >= 0).sum()) for _, row, _ in table.blocks()):
-        raise InputError("its lookup table names no pixel of the swath", file=path)
+        raise InputError("its lookup table names no pixel of the swath")
     return table

@@ -10,6 +10,7 @@ import sys
 import threading
 import time
 import warnings
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from datetime import UTC, datetime
@@ -22,7 +23,7 @@ import xarray as xr
 from numpy.typing import ArrayLike
 
 import fynjax
-from fynjax._core.errors import InputError
+from fynjax._core.errors import InputError, names_file, refusing
 from fynjax.io.raster._hdf5 import names_others
 from fynjax.io.text import atomic_path, check_stated_size
 
@@ -38,13 +39,12 @@ def _leave() -> None:
     os._exit(2)
 
 
+@names_file
 def check_netcdf(path: Path) -> None:
     """Refuse a NetCDF file that reads values of other files, and a damaged one: whose tables of
     contents lead in circles, in which HDF5 goes round for ever, or state more than it can hold.
 
-    **Arguments:**
-
-    - `path`: a file that exists.
+    **Arguments:** `path`, a file that exists.
 
     **Raises:** `InputError`.
     """
@@ -68,15 +68,13 @@ def check_netcdf(path: Path) -> None:
         if time.process_time() - start > _OPENS_WITHIN:
             atexit.register(_leave)
             raise InputError(
-                "cannot be read as NetCDF: its tables of contents do not end. Is it damaged?",
-                file=path,
+                "cannot be read as NetCDF: its tables of contents do not end. Is it damaged?"
             )
     if any(outside):
         raise InputError(
             "expected a file that holds its own values, but it has links to other files, and those "
             f"are not followed. If you trust it, make it whole: nccopy {path.name} "
-            f"{path.stem}_own.nc",
-            file=path,
+            f"{path.stem}_own.nc"
         )
     if stated:
         check_stated_size(path, stated[0], f"{stated[0]} bytes of values", packed=True)
@@ -128,11 +126,6 @@ def content_hash(path: str | Path) -> str:
     return total.hexdigest()
 
 
-def command_line() -> str:
-    """The command that runs now, as one would type it."""
-    return shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]])
-
-
 def provenance(
     *, seed: int | None = None, inputs: Iterable[str | Path] = ()
 ) -> dict[str, str | int]:
@@ -141,17 +134,21 @@ def provenance(
     **Arguments:**
 
     - `seed`: seed of the run.
-    - `inputs`: files that were read; each enters as `name: sha256`.
+    - `inputs`: files that were read; each enters as `name: sha256`, with its folder where others
+      have its name.
 
     **Returns:** file attributes by name.
     """
+    paths = dict.fromkeys(map(Path, inputs))
+    names = Counter(path.name for path in paths)
+    hashes = {p.name if names[p.name] == 1 else p.as_posix(): file_hash(p) for p in paths}
     record: dict[str, str | int] = {
         "source": f"fynjax {fynjax.__version__}",
         "fynjax_version": fynjax.__version__,
         "jax_version": version("jax"),
-        "command": command_line(),
+        "command": shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]),
         "date_created": datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"),
-        "input_sha256": json.dumps({Path(p).name: file_hash(p) for p in inputs}),
+        "input_sha256": json.dumps(hashes),
     }
     if seed is not None:
         record["seed"] = seed
@@ -191,40 +188,25 @@ def image_array(
         attributes["grid_mapping"] = "crs"
     if standard_name:
         attributes["standard_name"] = standard_name
-
-    def axis(count: int, letter: str, name: str) -> tuple[str, Any, dict[str, str]]:
-        return (
-            letter,
-            origin_m["xy".index(letter)] + (np.arange(count) + 0.5) * pixel_m,
-            {
-                "units": "m",
-                "axis": letter.upper(),
-                "standard_name": f"projection_{letter}_coordinate",
-                "long_name": f"distance {name} of the plot's south-west corner"
-                if crs is None
-                else f"{letter} of the reference system, to the {name}",
-            },
-        )
-
-    return xr.DataArray(
-        values,
-        dims=("band", "y", "x"),
-        coords={
-            "band": ("band", list(band_names), {"long_name": "band name"}),
-            "wavelength": (
-                "band",
-                np.asarray(wavelengths, dtype=float),
-                {
-                    "units": "nm",
-                    "standard_name": "sensor_band_central_radiation_wavelength",
-                    "long_name": "band centre",
-                },
-            ),
-            "y": axis(values.shape[1], "y", "north"),
-            "x": axis(values.shape[2], "x", "east"),
-        },
-        attrs=attributes,
-    )
+    centre = {
+        "units": "nm",
+        "standard_name": "sensor_band_central_radiation_wavelength",
+        "long_name": "band centre",
+    }
+    coords: dict[str, Any] = {
+        "band": ("band", list(band_names), {"long_name": "band name"}),
+        "wavelength": ("band", np.asarray(wavelengths, dtype=float), centre),
+    }
+    for axis, start, count, way in zip(
+        "yx", origin_m[::-1], values.shape[1:], ("north", "east"), strict=True
+    ):
+        about = {"units": "m", "axis": axis.upper()}
+        about["standard_name"] = f"projection_{axis}_coordinate"
+        about["long_name"] = f"{axis} of the reference system, to the {way}"
+        if crs is None:
+            about["long_name"] = f"distance {way} of the plot's south-west corner"
+        coords[axis] = (axis, start + (np.arange(count) + 0.5) * pixel_m, about)
+    return xr.DataArray(values, coords, ("band", "y", "x"), attrs=attributes)
 
 
 def grid_mapping(crs: str) -> xr.DataArray:
@@ -247,6 +229,7 @@ def with_history(record: Mapping[str, str | int]) -> dict[str, str | int]:
     return {**record, **({"history": history} if history else {})}
 
 
+@names_file
 def write_run(
     path: str | Path, dataset: xr.Dataset, attributes: Mapping[str, str | int] | None = None
 ) -> None:
@@ -281,8 +264,5 @@ def write_run(
     }
     for name in dataset.coords:  # a coordinate must not have missing values
         encoding[name] = {"_FillValue": None}
-    with atomic_path(path) as partial:
-        try:
-            dataset.to_netcdf(partial, engine="netcdf4", format="NETCDF4", encoding=encoding)
-        except OSError as error:
-            raise InputError(f"cannot write here: {error}", file=path) from error
+    with atomic_path(path) as partial, refusing(OSError, words="cannot write here: {error}"):
+        dataset.to_netcdf(partial, engine="netcdf4", format="NETCDF4", encoding=encoding)

@@ -28,7 +28,7 @@ from rasterio.enums import ColorInterp
 from rasterio.errors import CRSError, NotGeoreferencedWarning, RasterioError
 from rasterio.windows import Window
 
-from fynjax._core.errors import LARGEST, InputError
+from fynjax._core.errors import LARGEST, InputError, in_file, refusing
 from fynjax._core.files import check_stated_size, existing_file, how_to_import, is_elsewhere
 from fynjax._core.memory import total_memory
 from fynjax._core.progress import track
@@ -109,11 +109,10 @@ class RasterFile:
         """Centre and full width at half maximum of each band [nm]; NaN where not stated."""
         count = self.dataset.count
         if self.header:
-            stated = header_numbers(self.header, "wavelength", count, self.header_path)
-            width = header_numbers(self.header, "fwhm", count, self.header_path)
+            with in_file(self.header_path):
+                stated = header_numbers(self.header, "wavelength", count)
+                width = header_numbers(self.header, "fwhm", count)
             unit = str(self.header.get("wavelength units", ""))
-            stated = np.full(count, np.nan) if stated is None else stated
-            width = np.full(count, np.nan) if width is None else width
         else:
             tags = [
                 {k.lower(): v for k, v in self.dataset.tags(n).items()} for n in range(1, count + 1)
@@ -136,8 +135,9 @@ class RasterFile:
                 unit = "nm"
         if np.isnan(stated).all():
             return stated, np.full(count, np.nan)
-        centre, factor = in_nanometres(stated, unit, self.header_path)
-        check_widths(width * factor, self.header_path)
+        with in_file(self.header_path):
+            centre, factor = in_nanometres(stated, unit)
+            check_widths(width * factor)
         return centre, width * factor
 
     @property
@@ -153,9 +153,8 @@ class RasterFile:
     @cached_property
     def good(self) -> Bool[np.ndarray, " band"]:
         """Bands that are to be used by the header's list of bad bands."""
-        count = self.dataset.count
-        listed = header_numbers(self.header, "bbl", count, self.header_path)
-        return np.ones(count, bool) if listed is None else listed != 0.0
+        with in_file(self.header_path):
+            return header_numbers(self.header, "bbl", self.dataset.count, 1.0) != 0.0
 
     @cached_property
     def xmp(self) -> dict[str, list[str]]:
@@ -165,13 +164,9 @@ class RasterFile:
         if not text:
             return {}
         if "<!DOCTYPE" in text or "<!ENTITY" in text:
-            raise InputError("the metadata (XMP) must not define entities, but do", file=self.path)
-        try:
+            raise InputError("the metadata (XMP) must not define entities, but do")
+        with refusing(ElementTree.ParseError, words="the metadata (XMP) cannot be read: {error}"):
             root = ElementTree.fromstring(text)
-        except ElementTree.ParseError as error:
-            raise InputError(
-                f"the metadata (XMP) cannot be read: {error}", file=self.path
-            ) from error
         found: list[tuple[str, list[str]]] = []
         for description in root.iter(f"{_RDF}Description"):
             found += [(name, [value.strip()]) for name, value in description.attrib.items()]
@@ -217,9 +212,7 @@ class RasterFile:
         self._check_no_degrees(width)
         if abs(height - width) > 1e-3 * width:
             raise InputError(
-                f"expected square cells, but they are {width:g} by {height:g}. Warp with -tr "
-                "first.",
-                file=self.path,
+                f"expected square cells, but they are {width:g} by {height:g}. Warp with -tr first."
             )
         return float(width)
 
@@ -243,8 +236,7 @@ class RasterFile:
                 raise InputError(
                     f"expected {self.what} with pixels in metres, but its coordinates are in "
                     "degrees, in which a pixel is not square. Warp it first: gdalwarp -t_srs "
-                    f"{utm_zone(*middle)} -r bilinear {self.path.name} metres.tif",
-                    file=self.path,
+                    f"{utm_zone(*middle)} -r bilinear {self.path.name} metres.tif"
                 )
             scale = float(self.crs.units_factor[1]) / stretch(self.crs, *middle)[0]
         side = math.sqrt(abs(t.determinant)) * scale
@@ -256,8 +248,7 @@ class RasterFile:
             raise InputError(
                 f"expected {self.what} with pixels in metres, but they are {side:.3g} wide: are "
                 "they in degrees? State it, and warp: gdalwarp -s_srs EPSG:4326 -t_srs EPSG:... "
-                f"-r bilinear {self.path.name} metres.tif",
-                file=self.path,
+                f"-r bilinear {self.path.name} metres.tif"
             )
 
     def check_place(self, *, crs: CRS | None = None, height_stated: bool = True) -> CRS:
@@ -274,10 +265,9 @@ class RasterFile:
             raise InputError(
                 "expected a raster with a coordinate reference system and a place, but it has "
                 f"{'no system' if system is None else 'no place'}. Give it one: "
-                f"gdal_edit.py -a_srs EPSG:... -a_ullr WEST NORTH EAST SOUTH {self.path.name}",
-                file=self.path,
+                f"gdal_edit.py -a_srs EPSG:... -a_ullr WEST NORTH EAST SOUTH {self.path.name}"
             )
-        check_metric(system, self.path, height_stated=height_stated)
+        check_metric(system, height_stated=height_stated)
         self._check_no_degrees(abs(self.dataset.transform.a))
         rows, columns = self.shape
         longer, zone = stretch(system, *self.dataset.transform @ (0.5 * columns, 0.5 * rows))
@@ -285,8 +275,7 @@ class RasterFile:
             raise InputError(
                 f"expected coordinates in metres of the ground, but in its system lengths are "
                 f"{longer:.3g} times as long here, as in maps for the web. Warp it first: gdalwarp "
-                f"-t_srs {zone} {self.path.name} metres.tif",
-                file=self.path,
+                f"-t_srs {zone} {self.path.name} metres.tif"
             )
         self._check_upright()
         return system
@@ -298,8 +287,7 @@ class RasterFile:
             raise InputError(
                 f"expected {self.what} with north up, but this one is "
                 f"{'rotated' if rotated else 'upside down'}. Warp it first: "
-                f"gdalwarp {self.path.name} north_up.tif",
-                file=self.path,
+                f"gdalwarp {self.path.name} north_up.tif"
             )
 
     # -- values -----------------------------------------------------------------------------
@@ -315,8 +303,7 @@ class RasterFile:
             raise InputError(
                 "expected a scale of its values that is not 0, but a band has 0: nothing would be "
                 "left of them. Is the file damaged? Else state it: gdal_edit.py -scale 1 "
-                f"{self.path.name}",
-                file=self.path,
+                f"{self.path.name}"
             )
         if not (scale != 1.0).any():  # GDAL applies that of a header in its newer versions
             scale = scale / np.asarray(self._divisor(), dtype)
@@ -352,7 +339,7 @@ class RasterFile:
         self._check_size(shape, np.dtype(dtype).itemsize, len(bands) * height * width)
         kinds = [np.dtype(file.dtypes[n - 1]) for n in bands]
         if any(kind.kind not in "iuf" for kind in kinds):
-            raise InputError(f"expected numbers, but it has {kinds[0]}", file=self.path)
+            raise InputError(f"expected numbers, but it has {kinds[0]}")
         scale, offset = self._scaling(bands, np.dtype(dtype))
         values = np.empty(shape, dtype)
         valid = np.empty(shape, bool)
@@ -429,8 +416,7 @@ class RasterFile:
             raise InputError(
                 f"{columns} x {rows} pixels in {shape[0]} bands need {needed / 2**30:.0f} GiB, "
                 f"but this machine has {memory / 2**30:.0f} GiB. Cut a part: gdalwarp -te WEST "
-                f"SOUTH EAST NORTH {self.path.name} part.tif",
-                file=self.path,
+                f"SOUTH EAST NORTH {self.path.name} part.tif"
             )
 
 
@@ -444,8 +430,7 @@ def _names_others(path: Path, name: str) -> InputError:
     return InputError(
         f"expected a raster that holds its own values, but {name} names other files, as a virtual "
         "raster (VRT) does, and those are not followed. If you trust it, make it a "
-        f"GeoTIFF: gdal_translate {path.name} {path.stem}_own.tif",
-        file=path,
+        f"GeoTIFF: gdal_translate {path.name} {path.stem}_own.tif"
     )
 
 
@@ -509,10 +494,7 @@ def open_raster(path: str | Path, what: str) -> Iterator[RasterFile]:
     virtual raster (VRT) and other formats that name files or addresses are refused, also as such a
     file beside.
 
-    **Arguments:**
-
-    - `path`: the file.
-    - `what`: names the file in errors, such as "a probability map".
+    **Arguments:** `path`: the file; `what`: names the file in errors, such as "a probability map".
 
     **Returns:** a context manager that gives a `RasterFile`.
 
@@ -526,6 +508,29 @@ def open_raster(path: str | Path, what: str) -> Iterator[RasterFile]:
     header: dict[str, Any] = {}
     if path.suffix.lower() == ".hdr" or (not tiff and any(p.is_file() for p in beside)):
         header, header_path, path = open_envi(path, ENVI_DATA, "image")
+    with in_file(path), _dataset(path, what) as dataset:
+        listed = header.get("band names", ())
+        names = listed if len(listed) == dataset.count else dataset.descriptions
+        kinds = enumerate(dataset.colorinterp, 1)
+        yield RasterFile(
+            path=path,
+            what=what,
+            dataset=dataset,
+            header=header,
+            header_path=header_path,
+            shape=(dataset.height, dataset.width),
+            bands=tuple(n for n, kind in kinds if kind != ColorInterp.alpha),
+            names=tuple((name or "").strip() for name in names),
+            units=tuple((unit or "").strip() for unit in dataset.units),
+            tags={str(k): str(v) for k, v in (header or dataset.tags()).items()},
+            crs=dataset.crs,
+        )
+
+
+@contextmanager
+def _dataset(path: Path, what: str) -> Iterator[Any]:
+    """An open dataset of rasterio; what GDAL says of its file, then or in the block, as an
+    `InputError`."""
     try:
         with wherever():
             warnings.simplefilter("ignore", RuntimeWarning)  # no-data values beyond the data's type
@@ -533,40 +538,22 @@ def open_raster(path: str | Path, what: str) -> Iterator[RasterFile]:
             dataset = _open(path)
         with dataset:
             if not dataset.count:
-                raise InputError(f"expected {what}, but GDAL sees no bands in it", file=path)
+                raise InputError(f"expected {what}, but GDAL sees no bands in it")
             if dataset.count > _MOST_BANDS:
                 raise InputError(
-                    f"cannot be read as {what}: it states {dataset.count} bands. Is it damaged?",
-                    file=path,
+                    f"cannot be read as {what}: it states {dataset.count} bands. Is it damaged?"
                 )
             if not all(abs(number) < LARGEST for number in dataset.transform):
                 raise InputError(
                     f"cannot be read as {what}: its place is no place ({dataset.transform.c:g}, "
-                    f"{dataset.transform.f:g}). Is it damaged?",
-                    file=path,
+                    f"{dataset.transform.f:g}). Is it damaged?"
                 )
-            listed = header.get("band names", ())
-            names = listed if len(listed) == dataset.count else dataset.descriptions
-            kinds = enumerate(dataset.colorinterp, 1)
-            yield RasterFile(
-                path=path,
-                what=what,
-                dataset=dataset,
-                header=header,
-                header_path=header_path,
-                shape=(dataset.height, dataset.width),
-                bands=tuple(n for n, kind in kinds if kind != ColorInterp.alpha),
-                names=tuple((name or "").strip() for name in names),
-                units=tuple((unit or "").strip() for unit in dataset.units),
-                tags={str(k): str(v) for k, v in (header or dataset.tags()).items()},
-                crs=dataset.crs,
-            )
+            yield dataset
     except UnicodeDecodeError as error:
         raise InputError(
             f"expected {what} whose names and tags are UTF-8 text, but byte "
             f"0x{error.object[error.start]:02x} in one of them is none. Is it damaged, or named "
-            "in another encoding? Copy it again, or name its bands in plain letters.",
-            file=path,
+            "in another encoding? Copy it again, or name its bands in plain letters."
         ) from error
     except (RasterioError, CRSError, CPLE_BaseError) as error:
         raise _unreadable(path, what, error) from error
@@ -580,13 +567,11 @@ def _unreadable(path: Path, what: str, error: Exception) -> InputError:
         return _names_others(path, "it")
     if head.startswith((b"\x89hdf", b"cdf")):
         return InputError(
-            f"expected {what} as GeoTIFF or ENVI, but this is HDF5 or NetCDF.{how_to_import(path)}",
-            file=path,
+            f"expected {what} as GeoTIFF or ENVI, but this is HDF5 or NetCDF.{how_to_import(path)}"
         )
     reason = " ".join(str(error.__cause__ or error).split())
     return InputError(
-        f"cannot be read as {what} ({reason}). Is it cut short, or not a GeoTIFF? Copy it again.",
-        file=path,
+        f"cannot be read as {what} ({reason}). Is it cut short, or not a GeoTIFF? Copy it again."
     )
 
 

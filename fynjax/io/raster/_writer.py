@@ -26,15 +26,14 @@ UNKNOWN_FRAME = 'LOCAL_CS["unknown reference system",UNIT["metre",1]]'
 _PROFILE = {"driver": "GTiff", "compress": "deflate", "photometric": "minisblack", "alpha": "no"}
 
 
-def _check_bands(
-    values: np.ndarray, names: Sequence[str], wavelengths: Sequence[float] | None
-) -> None:
-    if values.ndim != 3 or values.shape[0] != len(names):
-        raise ValueError(
-            f"`image` must be [band, y, x] with {len(names)} bands, but has shape {values.shape}"
-        )
-    if wavelengths is not None and len(wavelengths) != len(names):
-        raise ValueError(f"`wavelengths` must have {len(names)} values, but has {len(wavelengths)}")
+def grid_profile(
+    bands: int, shape: tuple[int, ...], transform: Affine, crs: str | None, nodata: float | None
+) -> dict[str, Any]:
+    """What rasterio is to know of a raster of `bands` before it is written; without a `crs` it is
+    in the plot's own frame."""
+    system = CRS.from_user_input(crs) if crs else CRS.from_wkt(LOCAL_FRAME)
+    size = {"count": bands, "height": shape[0], "width": shape[1]}
+    return {**size, "dtype": "float32", "transform": transform, "crs": system, "nodata": nodata}
 
 
 def write_geotiff(
@@ -71,8 +70,13 @@ def write_geotiff(
 
     **Raises:** `ValueError` if shapes and names do not fit together.
     """
-    values = np.asarray(image)
-    _check_bands(values, band_names, wavelengths)
+    values, count = np.asarray(image), len(band_names)
+    if values.ndim != 3 or values.shape[0] != count:
+        raise ValueError(
+            f"`image` must be [band, y, x] with {count} bands, but has shape {values.shape}"
+        )
+    if wavelengths is not None and len(wavelengths) != count:
+        raise ValueError(f"`wavelengths` must have {count} values, but has {len(wavelengths)}")
     if (transform is None) == (pixel_m is None):
         raise ValueError("either `pixel_m` or `transform` must be given")
     if values.dtype != np.uint8:
@@ -82,20 +86,11 @@ def write_geotiff(
     if pixel_m is not None:
         transform = north_up(pixel_m, origin_m, rows)
     assert transform is not None
-    x, y = transform @ (0.0, float(rows))
-    local = LOCAL_FRAME if max(abs(x), abs(y)) < 1e-6 else UNKNOWN_FRAME
-    profile = {
-        **_PROFILE,
-        "dtype": values.dtype,
-        "count": bands,
-        "height": rows,
-        "width": columns,
-        "crs": CRS.from_user_input(crs) if crs else CRS.from_wkt(local),
-        "transform": transform,
-        "nodata": nodata,
-        "predictor": 1 if values.dtype == np.uint8 else 3,
-        "tiled": min(rows, columns) >= 256,
-    }
+    if crs is None and max(map(abs, transform @ (0.0, float(rows)))) >= 1e-6:
+        crs = UNKNOWN_FRAME
+    profile = _PROFILE | grid_profile(bands, (rows, columns), transform, crs, nodata)
+    profile |= {"dtype": values.dtype, "tiled": min(rows, columns) >= 256}
+    profile["predictor"] = 1 if values.dtype == np.uint8 else 3
     with atomic_path(path) as partial, rasterio.open(partial, "w", **profile) as file:
         file.write(np.ascontiguousarray(values[:, ::-1, :]))
         if unit is not None:
@@ -104,21 +99,16 @@ def write_geotiff(
             file.offsets = (offset,) * bands
         file.descriptions = tuple(band_names)
         for number, centre in enumerate(() if wavelengths is None else wavelengths, start=1):
-            width = None if widths is None else widths[number - 1]
-            _tag_band(file, number, float(centre), width)
+            # Also as GDAL's drivers do.
+            file.update_tags(number, wavelength=f"{centre:g}", wavelength_units="Nanometers")
+            imagery = {"CENTRAL_WAVELENGTH_UM": f"{centre / 1e3:.7g}"}
+            if widths is not None:
+                file.update_tags(number, fwhm=f"{widths[number - 1]:g}")
+                imagery["FWHM_UM"] = f"{widths[number - 1] / 1e3:.7g}"
+            file.update_tags(number, ns="IMAGERY", **imagery)
         file.update_tags(
             **{k: v if isinstance(v, str) else json.dumps(v) for k, v in (tags or {}).items()}
         )
-
-
-def _tag_band(file: Any, number: int, centre: float, width: float | None) -> None:
-    """State centre and full width at half maximum of a band [nm], also as GDAL's drivers do."""
-    file.update_tags(number, wavelength=f"{centre:g}", wavelength_units="Nanometers")
-    imagery = {"CENTRAL_WAVELENGTH_UM": f"{centre / 1e3:.7g}"}
-    if width is not None:
-        file.update_tags(number, fwhm=f"{width:g}")
-        imagery["FWHM_UM"] = f"{width / 1e3:.7g}"
-    file.update_tags(number, ns="IMAGERY", **imagery)
 
 
 def north_up(pixel_m: float, origin_m: tuple[float, float], rows: int) -> Affine:

@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from fynjax._core.errors import InputError
-from fynjax.io.spectra._record import MeasuredSpectrum, note
+from fynjax._core.errors import InputError, names_file
+from fynjax.io.spectra._record import MeasuredSpectrum, measured, note
 
 _HEADER = 484
 _TYPES = {
@@ -42,46 +42,41 @@ def is_asd(data: bytes) -> bool:
     return data[:3] in (b"ASD", b"as2", b"as3", b"as4", b"as5", b"as6", b"as7", b"as8")
 
 
-def _header(data: bytes, path: Path) -> tuple[str, str, float, float, int]:
+def _header(data: bytes) -> tuple[str, str, float, float, int]:
     """Version, type, first wavelength, step [nm] and number of bands of what is reflectance."""
     version = data[:3].decode("latin1")
     if version not in ("as6", "as7", "as8"):
         raise InputError(
             f"expected an ASD file of version 6, 7 or 8, but this is {version!r}; "
-            "export it as text with the maker's software",
-            file=path,
+            "export it as text with the maker's software"
         )
     if len(data) < _HEADER:
         raise InputError(
-            f"the file is cut short: {len(data)} bytes, the header alone has {_HEADER}", file=path
+            f"the file is cut short: {len(data)} bytes, the header alone has {_HEADER}"
         )
     start, step = struct.unpack_from("<ff", data, 191)
     (count,) = struct.unpack_from("<H", data, 204)
     kind = _TYPES.get(data[186], "unknown")
     if data[199] not in _FORMATS or count < 2 or not step > 0 or not 0 < start < 30000:
-        raise InputError("the header is damaged: no valid band count or number format", file=path)
+        raise InputError("the header is damaged: no valid band count or number format")
     needed = _HEADER + _FORMATS[data[199]][1] * count
     if len(data) < needed:
         raise InputError(
-            f"the file is cut short: {count} bands need {needed} bytes, but it has {len(data)}",
-            file=path,
+            f"the file is cut short: {count} bands need {needed} bytes, but it has {len(data)}"
         )
     if kind in ("radiance", "irradiance", "absorbance", "quality index"):
         raise InputError(
             f"the file holds {kind}, not reflectance; convert it with its white reference in the "
-            "maker's software, or save as reflectance",
-            file=path,
+            "maker's software, or save as reflectance"
         )
     return version, kind, start, step, count
 
 
+@names_file
 def read_asd(path: str | Path, data: bytes | None = None) -> MeasuredSpectrum:
     """Read one ASD binary file as reflectance (or transmittance, if its type says so).
 
-    **Arguments:**
-
-    - `path`: the file.
-    - `data`: its content, if it was read already.
+    **Arguments:** `path`: the file; `data`: its content, if it was read already.
 
     **Returns:** a `MeasuredSpectrum` with target over white reference, unchecked: outdoor spectra
     hold any number in the water bands. Reflectance is multiplied by that of the white panel if
@@ -95,22 +90,21 @@ def read_asd(path: str | Path, data: bytes | None = None) -> MeasuredSpectrum:
     """
     path = Path(path)
     data = path.read_bytes() if data is None else data
-    version, kind, start, step, count = _header(data, path)
+    version, kind, start, step, count = _header(data)
     dtype, size = _FORMATS[data[199]]
     target = np.frombuffer(data, dtype, count, _HEADER).astype(float)
     offset = _HEADER + size * count
     if len(data) < offset + 20:
-        raise InputError("the file has no white reference, so no reflectance", file=path)
+        raise InputError("the file has no white reference, so no reflectance")
     (length,) = struct.unpack_from("<H", data, offset + 18)
     if len(data) < offset + 20 + length + size * count:
-        raise InputError("the file is cut short inside its white reference", file=path)
+        raise InputError("the file is cut short inside its white reference")
     white = np.frombuffer(data, dtype, count, offset + 20 + length).astype(float)
     dead = ~(np.abs(white) > 0)
     if dead.mean() > 0.5:
         raise InputError(
             "the white reference is zero, so there is no reflectance; was the spectrum saved "
-            "before a white reference was taken?",
-            file=path,
+            "before a white reference was taken?"
         )
     splices = [float(s) for s in struct.unpack_from("<ff", data, 444)]
     last = start + step * (count - 1)
@@ -141,9 +135,7 @@ def read_asd(path: str | Path, data: bytes | None = None) -> MeasuredSpectrum:
             f"{panel.min():.3f} to {panel.max():.3f}",
         )
     ratio = _without_saturated(wavelength, ratio, splices, data[_FLAGS], meta)
-    return MeasuredSpectrum(
-        path.stem, wavelength, None if through else ratio, ratio if through else None, meta
-    )
+    return measured(path.stem, wavelength, ratio, meta, through)
 
 
 def _without_saturated(
@@ -201,7 +193,7 @@ def _panel(data: bytes, offset: int, count: int) -> np.ndarray | None:
 
 
 def _after_strings(data: bytes, offset: int, count: int) -> int:
-    """Where `count` strings with their length in front end."""
+    """Offset behind `count` strings, each with its length in front of it."""
     for _ in range(count):
         offset += 2 + int(struct.unpack_from("<H", data, offset)[0])
     return offset

@@ -6,6 +6,7 @@ import warnings
 from collections.abc import Mapping, Sequence
 from importlib.resources import files
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -13,9 +14,8 @@ import xarray as xr
 
 from fynjax._core.errors import InputError
 from fynjax.io.spectra._names import as_transmittance, join_pairs, join_stated, with_doubts
-from fynjax.io.spectra._panel import read_curve, with_panel
-from fynjax.io.spectra._read import read_usable_spectra
-from fynjax.io.spectra._record import MeasuredSpectrum, note
+from fynjax.io.spectra._read import read_curve, read_usable_spectra, with_panel
+from fynjax.io.spectra._record import MeasuredSpectrum
 from fynjax.io.text import atomic_path
 from fynjax.leaf import DARKEST_JUMP, LARGEST_JUMP, correct_detector_jumps
 
@@ -166,17 +166,19 @@ def _without_jumps(spectrum: MeasuredSpectrum, changes: Sequence[float] | None) 
     stated = changes is not None
     measured = spectrum.meta.get("jumps") if changes is None else None
     changes = spectrum.meta.get("splices", []) if changes is None else changes
-    meta = {**spectrum.meta, "repairs": list(spectrum.meta["repairs"])}
+    notes: list[str] = []
+    parts: dict[str, Any] = {}
     if not changes and not stated and (changes := _asd_changes(spectrum)):
         at = " and ".join(f"{c:g}" for c in changes)
-        note(meta, f"bands are those of an ASD, with a step of its detectors at {at} nm")
+        notes.append(f"bands are those of an ASD, with a step of its detectors at {at} nm")
     if not changes:
         return spectrum
-    parts = []
-    for values in (spectrum.reflectance, spectrum.transmittance):
-        if values is not None:
-            before = values
-            values, jumps = correct_detector_jumps(spectrum.wavelength, values, changes, measured)
+    for quantity in ("reflectance", "transmittance"):
+        before = getattr(spectrum, quantity)
+        if before is not None:
+            parts[quantity], jumps = correct_detector_jumps(
+                spectrum.wavelength, before, changes, measured
+            )
             for at, jump in zip(changes, jumps):
                 level = float(np.interp(at, spectrum.wavelength, before))
                 if np.isfinite(jump) and abs(jump) > _NOTED_JUMP:
@@ -185,11 +187,10 @@ def _without_jumps(spectrum: MeasuredSpectrum, changes: Sequence[float] | None) 
                         what = "too large, left alone"
                     elif level < DARKEST_JUMP:
                         what = f"left alone, since an offset would look like it at {level:.2f}"
-                    note(meta, f"detectors change at {at:g} nm: {100 * jump:+.1f} %, {what}")
+                    notes.append(f"detectors change at {at:g} nm: {100 * jump:+.1f} %, {what}")
                 if stated and not np.isfinite(jump):
-                    note(meta, f"detectors change at {at:g} nm: too few bands beside it to tell")
-        parts.append(values)
-    return MeasuredSpectrum(spectrum.name, spectrum.wavelength, parts[0], parts[1], meta)
+                    notes.append(f"detectors change at {at:g} nm: too few bands beside it to tell")
+    return spectrum.noted(*notes, **parts)
 
 
 def _asd_changes(spectrum: MeasuredSpectrum) -> list[float]:
@@ -246,10 +247,8 @@ def warnings_of_reading(read: Read, refused: Refused, table: str = "") -> list[s
 def measured_dataset(spectra: Read, attributes: Mapping[str, str | int]) -> xr.Dataset:
     """Spectra of files over all their wavelengths, NaN where one has no such band.
 
-    **Arguments:**
-
-    - `spectra`: file and spectrum of each.
-    - `attributes`: of the dataset, such as where it comes from.
+    **Arguments:** `spectra`: file and spectrum of each; `attributes`: of the dataset, such as where
+    it comes from.
 
     **Returns:** as `read_spectra`.
     """

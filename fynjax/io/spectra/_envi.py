@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fynjax._core.errors import LARGEST, InputError
+from fynjax._core.errors import LARGEST, InputError, in_file, names_file, refusing
 from fynjax._core.files import is_elsewhere, read_bytes
 from fynjax.io.spectra._record import MeasuredSpectrum, in_nanometres, note
 
@@ -71,12 +71,11 @@ def _layout(header: dict[str, Any]) -> Layout:
     return Layout(lines, samples, bands, offset, np.dtype("<>"[order] + _TYPES[kind]))
 
 
+@names_file
 def read_header(path: Path) -> dict[str, Any]:
     """Fields of an ENVI header, names in lower case; what stands in braces is a list of texts.
 
-    **Arguments:**
-
-    - `path`: the header file.
+    **Arguments:** `path`, the header file.
 
     **Returns:** the fields, and `layout`, the `Layout` of the data file.
 
@@ -90,19 +89,19 @@ def read_header(path: Path) -> dict[str, Any]:
         header = _fields(text)
         layout = _layout(header)
     except KeyError as error:
-        raise InputError(f"{_NO_HEADER} ({error} is missing)", file=path) from error
+        raise InputError(f"{_NO_HEADER} ({error} is missing)") from error
     except ValueError as error:
-        raise InputError(f"{_NO_HEADER} ({error})", file=path) from error
+        raise InputError(f"{_NO_HEADER} ({error})") from error
     order = str(header.get("interleave", "bsq")).strip()
     if order.lower() not in _INTERLEAVES:
         raise InputError(
             f"expected the interleave {' or '.join(_INTERLEAVES)}, but got {order[:20]!r}: how the "
-            "values are ordered would be a guess",
-            file=path,
+            "values are ordered would be a guess"
         )
     return {**header, "layout": layout}
 
 
+@names_file
 def open_envi(
     path: str | Path, suffixes: tuple[str, ...], what: str
 ) -> tuple[dict[str, Any], Path, Path]:
@@ -131,13 +130,12 @@ def open_envi(
         lost = f"the ENVI header (.hdr) is missing beside this {what}"
         header_path = next((p for p in names if p.is_file()), path)
     if header_path == data:
-        raise InputError(lost if path.is_file() else "no such file", file=path)
+        raise InputError(lost if path.is_file() else "no such file")
     for part in (header_path, data):
         if is_elsewhere(path, part):
             raise InputError(
                 f"expected header and data in one folder, but {part.name} is a link to "
-                "another. If you trust it, copy what it leads to: cp -L",
-                file=path,
+                "another. If you trust it, copy what it leads to: cp -L"
             )
     header = read_header(header_path)
     layout = header["layout"]
@@ -153,8 +151,8 @@ def open_envi(
 
 
 def header_numbers(
-    header: dict[str, Any], key: str, count: int, path: Path
-) -> NDArray[np.float64] | None:
+    header: dict[str, Any], key: str, count: int, default: float = np.nan
+) -> NDArray[np.float64]:
     """A number for each band from a field of an ENVI header.
 
     **Arguments:**
@@ -162,28 +160,21 @@ def header_numbers(
     - `header`: fields, as of `read_header`.
     - `key`: name of the field.
     - `count`: number of bands.
-    - `path`: of the header, for errors.
+    - `default`: of each band where the header has no such field.
 
-    **Returns:** shape (`count`,); `None` where the header has no such field.
+    **Returns:** shape (`count`,).
 
     **Raises:** `InputError` for what is no number, and for another count.
     """
     if key not in header:
-        return None
-    try:
+        return np.full(count, default)
+    with refusing(ValueError, words="expected lists of numbers, but {error}", column=key):
         values = np.array(header[key], dtype=float).reshape(-1)
-    except ValueError as error:
-        raise InputError(
-            f"expected lists of numbers, but {error}", file=path, column=key
-        ) from error
     if (np.abs(values) > LARGEST).any():
-        raise InputError(f"expected numbers within {LARGEST:g}", file=path, column=key)
+        raise InputError(f"expected numbers within {LARGEST:g}", column=key)
     if values.size != count:
-        raise InputError(
-            f"expected {count} values, one for each band, but got {values.size}",
-            file=path,
-            column=key,
-        )
+        words = f"expected {count} values, one for each band, but got {values.size}"
+        raise InputError(words, column=key)
     return values
 
 
@@ -196,21 +187,20 @@ def read_envi_library(path: str | Path) -> list[MeasuredSpectrum]:
     header, header_path, data_path = open_envi(path, (".sli", ".slb"), "library")
     kind = header.get("file type", "ENVI Spectral Library")
     if "librar" not in str(kind).lower():
-        raise InputError(f"expected an ENVI spectral library, but this is {kind!r}", file=path)
+        raise InputError(f"expected an ENVI spectral library, but this is {kind!r}")
     layout = header["layout"]
-    stated = header_numbers(header, "wavelength", layout.ncols, header_path)
-    if stated is None:
-        raise InputError("the header needs wavelength", file=header_path)
-    wavelength, factor = in_nanometres(stated, header.get("wavelength units", ""), header_path)
+    with in_file(header_path):
+        if "wavelength" not in header:
+            raise InputError("the header needs wavelength")
+        stated = header_numbers(header, "wavelength", layout.ncols)
+        wavelength, factor = in_nanometres(stated, header.get("wavelength units", ""))
+        with refusing(TypeError, ValueError, words="expected a number, but {error}"):
+            scale = float(header.get("reflectance scale factor", 1.0))
+            ignore = float(header.get("data ignore value", "nan"))
     lines, bands = layout.nrows, layout.ncols
     values = np.fromfile(data_path, layout.dtype, lines * bands, offset=layout.offset)
     values = values.reshape(lines, bands).astype(float)
     meta: dict[str, Any] = {"format": "ENVI spectral library"}
-    try:
-        scale = float(header.get("reflectance scale factor", 1.0))
-        ignore = float(header.get("data ignore value", "nan"))
-    except (TypeError, ValueError) as error:
-        raise InputError(f"expected a number, but {error}", file=header_path) from error
     values = np.where(values == ignore, np.nan, values / scale)
     if scale != 1.0:
         note(meta, f"divided by the header's reflectance scale factor {scale:g}")
@@ -219,9 +209,5 @@ def read_envi_library(path: str | Path) -> list[MeasuredSpectrum]:
     names = header.get("spectra names", [])
     if len(names) != lines:
         names = [f"{data_path.stem}_{i + 1}" for i in range(lines)]
-    return [
-        MeasuredSpectrum(
-            name, wavelength, row, None, {**meta, "repairs": list(meta.get("repairs", []))}
-        )
-        for name, row in zip(names, values)
-    ]
+    rows = zip(names, values)
+    return [MeasuredSpectrum(name, wavelength, row, None, meta).noted() for name, row in rows]

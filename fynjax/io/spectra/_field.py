@@ -49,10 +49,7 @@ def read_field_spectrum(data: bytes, file: Path) -> MeasuredSpectrum | None:
     they differ by in it is `meta["jumps"]`. A file without reflectance has that of its target over
     its reference.
 
-    **Arguments:**
-
-    - `data`: content of the file.
-    - `file`: for errors, and the name of the spectrum.
+    **Arguments:** `data`: content of the file; `file`: for errors, and the name of the spectrum.
 
     **Raises:** `InputError` for a file without reflectance, and as `open_table`.
     """
@@ -71,14 +68,12 @@ def read_field_spectrum(data: bytes, file: Path) -> MeasuredSpectrum | None:
     column = 3 if svc else next((i for i, n in enumerate(names) if "refl" in n.lower()), -1)
     parts = [1, 2] if svc else _target_and_reference(names)
     if column < 0 and not parts:
-        raise InputError(
-            "the file has no column of reflectance, nor those of target and reference", file=file
-        )
+        raise InputError("the file has no column of reflectance, nor those of target and reference")
     table = open_table(file, "a spectrum", data=data)
     table.separator, table.skip, table.headed = " ", start, False
     row, cells = next(table.rows(), (0, []))
     if not cells:
-        raise InputError("the file has a header but no values; is it cut short?", file=file)
+        raise InputError("the file has a header but no values; is it cut short?")
     if parts and not 0 <= column < len(cells):
         column = -1
     needed = max([column, *(parts if column < 0 else [])]) + 1
@@ -86,7 +81,6 @@ def read_field_spectrum(data: bytes, file: Path) -> MeasuredSpectrum | None:
         raise InputError(
             f"expected {needed} columns, but found {len(cells)}; is the file cut short, or "
             "saved without reflectance?",
-            file=file,
             row=row,
         )
     table.names = tuple(str(i + 1) for i in range(len(cells)))
@@ -97,7 +91,7 @@ def read_field_spectrum(data: bytes, file: Path) -> MeasuredSpectrum | None:
             values = np.where(np.abs(white) > 0, target / white, np.nan)
         note(meta, "reflectance formed as target over white reference")
         if not np.isfinite(values).any():
-            raise InputError("the white reference is zero, so there is no reflectance", file=file)
+            raise InputError("the white reference is zero, so there is no reflectance")
     else:
         wavelength, values = table.columns([0, column], (), MISSING).to_numpy().T
     for line in lines[: marks[0]]:

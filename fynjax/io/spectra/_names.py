@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from fynjax._core.errors import InputError
-from fynjax.io.spectra._record import MeasuredSpectrum, in_windows, note
+from fynjax.io.spectra._record import MeasuredSpectrum, in_windows
 
 _BEFORE = r"(^|[ _.\-(]|(?<=\d)(?=[a-z]{3}))"
 """Before a mark; of several letters a number may stand there too, as in LEAF01refl."""
@@ -135,7 +135,7 @@ def _absorbs(spectrum: MeasuredSpectrum) -> bool:
     return red > 0.5 and _level(spectrum, _BRIGHT) < 0.5 * red
 
 
-def leaves_only(spectra: Sequence[MeasuredSpectrum], file: Path) -> list[MeasuredSpectrum]:
+def leaves_only(spectra: Sequence[MeasuredSpectrum]) -> list[MeasuredSpectrum]:
     """Spectra of a table without its columns that are no leaves, which the first one notes.
 
     A mean that stands alone is a spectrum like others.
@@ -153,8 +153,7 @@ def leaves_only(spectra: Sequence[MeasuredSpectrum], file: Path) -> list[Measure
         why = ": it is more in red than in the near infrared, as absorptance"
         raise InputError(
             f"expected reflectance or transmittance, but {other[0].name!r} is another quantity"
-            f"{why if _absorbs(other[0]) else ''}",
-            file=file,
+            f"{why if _absorbs(other[0]) else ''}"
         )
     left = [
         s
@@ -171,9 +170,8 @@ def leaves_only(spectra: Sequence[MeasuredSpectrum], file: Path) -> list[Measure
     if not kept or not left:
         return list(spectra)
     names = ", ".join(repr(s.name) for s in left)
-    meta = {**kept[0].meta, "repairs": list(kept[0].meta.get("repairs", [])), "left_out": names}
-    note(meta, f"left out of the table, since they are no leaves: {names}")
-    return [replace(kept[0], meta=meta), *kept[1:]]
+    why = f"left out of the table, since they are no leaves: {names}"
+    return [kept[0].noted(why, meta={"left_out": names}), *kept[1:]]
 
 
 def _quantity(
@@ -243,14 +241,15 @@ def _joined(
             "others",
             file=file,
         )
-    meta = {**leaf.meta, "repairs": list(leaf.meta["repairs"])}
-    meta |= {k: v for k, v in through.meta.items() if k in ("saturated", "doubtful")}
-    note(meta, f"transmittance from {Path(file).name}, {why}")
-    for sentence in through.meta["repairs"]:
-        note(meta, f"transmittance: {sentence}")
     name = marked(leaf.name, (leaf.name, through.name))[1] or leaf.name
     values = as_transmittance(through).transmittance
-    return replace(leaf, name=name, transmittance=values, meta=meta)
+    return leaf.noted(
+        f"transmittance from {Path(file).name}, {why}",
+        *(f"transmittance: {sentence}" for sentence in through.meta["repairs"]),
+        meta={k: v for k, v in through.meta.items() if k in ("saturated", "doubtful")},
+        name=name,
+        transmittance=values,
+    )
 
 
 def join_pairs(read: list[tuple[str, MeasuredSpectrum]]) -> list[tuple[str, MeasuredSpectrum]]:
@@ -290,19 +289,16 @@ def join_pairs(read: list[tuple[str, MeasuredSpectrum]]) -> list[tuple[str, Meas
             joined[grids[0]] = (other, _joined(leaf, file, through, "by its name"))
             gone.add(i)
         elif through.reflectance is not None:
-            meta = {**through.meta, "repairs": list(through.meta["repairs"])}
             alone = "the name is that of a transmittance, but no reflectance goes with it"
-            note(meta, f"{alone}: taken for {'transmittance' if sure else 'reflectance'}")
-            if not sure:
-                meta["doubtful"] = f"{alone}: taken for reflectance"
-            named = replace(through, meta=meta)
+            alone += f": taken for {'transmittance' if sure else 'reflectance'}"
+            named = through.noted(alone, meta={} if sure else {"doubtful": alone})
             joined[i] = (file, as_transmittance(named) if sure else named)
     for i in single:
         file, leaf = joined[i]
         match = _FIRST.match(leaf.name)
         if match and leaf.transmittance is None and (other := _swapped(leaf.name, match)) in names:
             doubt = f"taken for reflectance; if it is the transmittance of {other}, end names in _T"
-            joined[i] = file, replace(leaf, meta={**leaf.meta, "doubtful": doubt})
+            joined[i] = file, leaf.noted(meta={"doubtful": doubt})
     return [one for i, one in enumerate(joined) if i not in gone]
 
 
@@ -314,7 +310,7 @@ def with_doubts(read: list[tuple[str, MeasuredSpectrum]]) -> list[tuple[str, Mea
     for file, spectrum in read:
         doubt = _doubt(file, spectrum, names)
         if doubt and "doubtful" not in spectrum.meta:
-            spectrum = replace(spectrum, meta={**spectrum.meta, "doubtful": doubt})
+            spectrum = spectrum.noted(meta={"doubtful": doubt})
         doubted.append((file, spectrum))
     return doubted
 

@@ -1,11 +1,12 @@
-"""Spectra from a file: `read_spectra_file` recognises the format by the content."""
+"""Spectra from a file: `read_spectra_file` recognises the format by the content; and those that are
+relative to a white panel made absolute."""
 
 import codecs
 from pathlib import Path
 
 import numpy as np
 
-from fynjax._core.errors import InputError
+from fynjax._core.errors import InputError, in_file, names_file
 from fynjax.io.spectra._asd import is_asd, read_asd
 from fynjax.io.spectra._envi import read_envi_library
 from fynjax.io.spectra._field import read_field_spectrum
@@ -24,9 +25,7 @@ def read_spectra_file(path: str | Path) -> list[MeasuredSpectrum]:
     SPECCHIO);
     ENVI spectral libraries (give the `.sli` or its `.hdr`). A `.gz` ending is unpacked.
 
-    **Arguments:**
-
-    - `path`: the file.
+    **Arguments:** `path`, the file.
 
     **Returns:** a list of `MeasuredSpectrum`, wavelengths in nm and ascending, fractions 0 to 1.
     What was repaired on the way (unit conversion, sorting, single impossible values set to NaN) is
@@ -51,6 +50,7 @@ def read_spectra_file(path: str | Path) -> list[MeasuredSpectrum]:
     return spectra
 
 
+@names_file
 def read_usable_spectra(
     path: str | Path,
 ) -> tuple[list[MeasuredSpectrum], list[tuple[str, InputError]]]:
@@ -58,9 +58,7 @@ def read_usable_spectra(
 
     As `read_spectra_file`, but one bad spectrum among many does not stop the others.
 
-    **Arguments:**
-
-    - `path`: the file.
+    **Arguments:** `path`, the file.
 
     **Returns:** usable spectra; name and error of each other.
 
@@ -71,15 +69,14 @@ def read_usable_spectra(
     suffixes = [suffix.lower() for suffix in path.suffixes]
     suffixes = suffixes[:-1] if suffixes[-1:] == [".gz"] else suffixes
     if not data.strip():
-        raise InputError("the file is empty", file=path)
+        raise InputError("the file is empty")
     if is_asd(data):
         spectra = [read_asd(path, data)]
     elif suffixes[-1:] == [".asd"]:
         kind = "text" if _is_text(data) else "no ASD file"
         raise InputError(
             f"expected an ASD binary of version 6, 7 or 8, but the content is {kind}; "
-            "an ASCII export must end in .txt or .csv",
-            file=path,
+            "an ASCII export must end in .txt or .csv"
         )
     elif suffixes[-1:] in ([".hdr"], [".sli"], [".slb"]):
         spectra = read_envi_library(path)
@@ -88,13 +85,13 @@ def read_usable_spectra(
         spectra = read_text_spectra(data, path) if field is None else [field]
     else:
         raise InputError(
-            "unknown format: neither ASD binary (as6, as7, as8), ENVI spectral library, nor text",
-            file=path,
+            "unknown format: neither ASD binary (as6, as7, as8), ENVI spectral library, nor text"
         )
     usable, refused = [], []
     for spectrum in spectra:
         try:
-            usable.append(check_spectrum(spectrum, path))
+            with in_file(path):
+                usable.append(check_spectrum(spectrum))
         except InputError as error:
             refused.append((spectrum.name, error))
     return usable, refused
@@ -107,12 +104,11 @@ def _is_text(data: bytes) -> bool:
     return not bool(np.any((sample < 9) | ((sample > 13) & (sample < 32))))
 
 
+@names_file
 def reflectances(path: Path) -> list[tuple[np.ndarray, np.ndarray]]:
     """Reflectance spectra of a file.
 
-    **Arguments:**
-
-    - `path`: the file, as `read_spectra_file` reads it.
+    **Arguments:** `path`, the file, as `read_spectra_file` reads it.
 
     **Returns:** for each spectrum wavelengths [nm] and reflectance [-], both of shape (band,).
 
@@ -122,5 +118,55 @@ def reflectances(path: Path) -> list[tuple[np.ndarray, np.ndarray]]:
         (s.wavelength, s.reflectance) for s in read_spectra_file(path) if s.reflectance is not None
     ]
     if not spectra:
-        raise InputError("a reflectance spectrum was expected, but the file has none", file=path)
+        raise InputError("a reflectance spectrum was expected, but the file has none")
     return spectra
+
+
+@names_file
+def read_curve(path: str | Path, what: str) -> tuple[np.ndarray, np.ndarray]:
+    """The one reflectance spectrum of a file, such as of a panel.
+
+    **Arguments:** `path`, the file, of any format that `read_spectra_file` takes; `what` it is of,
+    for the error.
+
+    **Returns:** wavelength [nm] and reflectance [-], both of shape (band,), without missing bands.
+
+    **Raises:** `InputError` as `read_spectra_file`, and if the file has none or several.
+    """
+    curves = reflectances(Path(path))
+    if len(curves) > 1:
+        raise InputError(f"expected one spectrum of {what}, but found {len(curves)}")
+    wavelength, values = curves[0]
+    have = np.isfinite(values)
+    return wavelength[have], values[have]
+
+
+def with_panel(
+    spectrum: MeasuredSpectrum, wavelength: np.ndarray, panel: np.ndarray
+) -> MeasuredSpectrum:
+    """The spectrum with its reflectance multiplied by that of the white panel.
+
+    **Arguments:**
+
+    - `spectrum`: reflectance relative to a panel; one whose file held the panel's calibration is
+      left as it is, and so is transmittance.
+    - `wavelength` [nm], `panel` [-]: reflectance of the panel, of shape (band,), ascending.
+
+    **Returns:** the spectrum, with a note; bands beyond the panel's are missing. NumPy; not
+    differentiable.
+
+    **Raises:** `InputError` where the panel has none of the spectrum's bands.
+    """
+    if spectrum.reflectance is None or spectrum.meta.get("panel") == "applied":
+        return spectrum
+    at = np.interp(spectrum.wavelength, wavelength, panel, left=np.nan, right=np.nan)
+    if not np.isfinite(at).any():
+        raise InputError(
+            f"the panel's reflectance, {wavelength[0]:g} to {wavelength[-1]:g} nm, has none of the "
+            f"bands of spectrum {spectrum.name!r}"
+        )
+    notes = [f"multiplied by the panel's reflectance, {np.nanmin(at):.3f} to {np.nanmax(at):.3f}"]
+    if beyond := int((np.isnan(at) & np.isfinite(spectrum.reflectance)).sum()):
+        notes.append(f"{beyond} bands beyond the panel's table set to missing")
+    values = spectrum.reflectance * at
+    return spectrum.noted(*notes, meta={"panel": "applied"}, reflectance=values)

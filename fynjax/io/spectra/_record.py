@@ -1,8 +1,7 @@
 """A spectrum as a file holds it, and the checks every reader shares."""
 
-from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Any
+from dataclasses import dataclass, field, replace
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,22 +42,32 @@ class MeasuredSpectrum:
     meta: dict[str, Any] = field(default_factory=dict)
     """Further statements of the file; `format` and `repairs` (sentences) are always there."""
 
+    def noted(self, *sentences: str, meta: dict[str, Any] | None = None, **fields: Any) -> Self:
+        """A copy with `sentences` among its repairs, the statements `meta`, and other `fields`."""
+        repairs = [*self.meta.get("repairs", []), *sentences]
+        return replace(self, meta={**self.meta, **(meta or {}), "repairs": repairs}, **fields)
+
+
+def measured(
+    name: str, wavelength: np.ndarray, values: np.ndarray, meta: dict[str, Any], through: bool
+) -> MeasuredSpectrum:
+    """A spectrum of transmittance alone (`through`), or of reflectance alone."""
+    reflected, passed = (None, values) if through else (values, None)
+    return MeasuredSpectrum(name, wavelength, reflected, passed, meta)
+
 
 def note(meta: dict[str, Any], sentence: str) -> None:
     """Add `sentence` to the repairs in `meta`, which belongs to a spectrum under construction."""
     meta.setdefault("repairs", []).append(sentence)
 
 
-def in_nanometres(
-    wavelength: NDArray[np.float64], unit: str, path: Path
-) -> tuple[NDArray[np.float64], float]:
+def in_nanometres(wavelength: NDArray[np.float64], unit: str) -> tuple[NDArray[np.float64], float]:
     """Band centres in nanometres.
 
     **Arguments:**
 
     - `wavelength`: band centres in `unit`, shape (band,).
     - `unit`: as a file states it; empty where it states none.
-    - `path`: of the file, for errors.
 
     **Returns:** band centres [nm], and the factor from `unit` to nm.
 
@@ -68,44 +77,31 @@ def in_nanometres(
     unit = unit.strip().lower()
     highest = float(np.nanmax(wavelength))
     if highest > _LONGEST:
-        raise InputError(
-            f"expected wavelengths in Nanometers or Micrometers, but one is {highest:g}",
-            file=path,
-            column="wavelength",
-        )
+        words = f"expected wavelengths in Nanometers or Micrometers, but one is {highest:g}"
+        raise InputError(words, column="wavelength")
     micrometres = unit.startswith(_MICROMETRES)
     if not micrometres and not unit.startswith(_NANOMETRES) and unit not in _UNSTATED:
-        raise InputError(
-            f"expected wavelengths in Nanometers or Micrometers, but the unit is {unit!r}",
-            file=path,
-            column="wavelength units",
-        )
+        words = f"expected wavelengths in Nanometers or Micrometers, but the unit is {unit!r}"
+        raise InputError(words, column="wavelength units")
     if unit not in _UNSTATED and micrometres != (highest < 100.0):
         raise InputError(
             f"wavelengths are stated in {unit!r}, but run to {highest:g}; are they "
-            f"{'nm' if micrometres else 'µm'}?",
-            file=path,
+            f"{'nm' if micrometres else 'µm'}?"
         )
     return (wavelength * 1000.0, 1000.0) if highest < 100.0 else (wavelength, 1.0)
 
 
-def check_widths(width: NDArray[np.float64], path: Path) -> None:
+def check_widths(width: NDArray[np.float64]) -> None:
     """Refuse full widths of bands that no spectrometer has.
 
-    **Arguments:**
-
-    - `width`: full widths at half maximum [nm], shape (band,); NaN where unknown.
-    - `path`: of the file, for errors.
+    **Arguments:** `width`, full widths at half maximum [nm], shape (band,); NaN where unknown.
 
     **Raises:** `InputError` for one below 0 or above 1e6 nm.
     """
     wrong = width[(width < 0.0) | (width > _LONGEST)]
     if wrong.size:
-        raise InputError(
-            f"expected full widths of bands from 0 to {_LONGEST:g} nm, but one is {wrong[0]:g}",
-            file=path,
-            column="fwhm",
-        )
+        words = f"expected full widths of bands from 0 to {_LONGEST:g} nm, but one is {wrong[0]:g}"
+        raise InputError(words, column="fwhm")
 
 
 def in_windows(wavelength: np.ndarray, windows: tuple[tuple[float, float], ...]) -> np.ndarray:
@@ -123,26 +119,23 @@ def _checked(
     what: str,
     name: str,
     meta: dict,
-    file: Path,
 ) -> np.ndarray:
     finite = np.isfinite(values)
     if not finite.any():
-        raise InputError(f"the {what} of spectrum {name!r} has no value, only NaN", file=file)
+        raise InputError(f"the {what} of spectrum {name!r} has no value, only NaN")
     shown = values[finite & looked_at]
     if shown.size and np.median(shown) > 1.5:
         raise InputError(
             f"the {what} of spectrum {name!r} must be a fraction of 0 to 1, but its median is "
             f"{np.median(shown):.4g}; is it in percent, or digital numbers? Divide first, or write "
-            "the unit '%' in the header",
-            file=file,
+            "the unit '%' in the header"
         )
     bright = shown[in_windows(wavelength[finite & looked_at], (_BRIGHT,))]
     if what == "reflectance" and bright.size and np.max(bright) < _DARKEST:
         raise InputError(
             f"the reflectance of spectrum {name!r} is {np.max(bright):.3g} at most from "
             f"{_BRIGHT[0]:g} to {_BRIGHT[1]:g} nm, darker than any leaf or ground; was it divided "
-            "by 100 twice, or does the header say '%' of fractions?",
-            file=file,
+            "by 100 twice, or does the header say '%' of fractions?"
         )
     known = ~np.isnan(values)
     if what == "transmittance":
@@ -156,15 +149,14 @@ def _checked(
             )
             values, known = np.where(slight, np.nan, values), known & ~slight
             if not known.any():
-                raise InputError(f"the transmittance of {name!r} is negative throughout", file=file)
+                raise InputError(f"the transmittance of {name!r} is negative throughout")
     wrong = known & looked_at & ~((values >= _LOWEST) & (values <= _HIGHEST))
     if wrong.sum() > 0.05 * shown.size:
         low, high = float(shown.min()), float(shown.max())
         hint = "negative" if low < _LOWEST else "above one"
         raise InputError(
             f"the {what} of spectrum {name!r} must lie within 0 to 1, but runs from {low:.4g} to "
-            f"{high:.4g} and is {hint} in {wrong.sum()} bands; was the white reference right?",
-            file=file,
+            f"{high:.4g} and is {hint} in {wrong.sum()} bands; was the white reference right?"
         )
     wrong |= known & ~(np.abs(values) <= _LARGEST_RATIO)
     if wrong.any():
@@ -173,22 +165,21 @@ def _checked(
     return values
 
 
-def check_spectrum(spectrum: MeasuredSpectrum, file: Path) -> MeasuredSpectrum:
+def check_spectrum(spectrum: MeasuredSpectrum) -> MeasuredSpectrum:
     """Sort the bands and refuse what cannot be a reflectance or transmittance."""
-    meta = {**spectrum.meta, "repairs": list(spectrum.meta.get("repairs", []))}
+    spectrum = spectrum.noted()
+    meta = spectrum.meta
     wavelength = np.asarray(spectrum.wavelength, float)
     if not np.all(np.isfinite(wavelength)):
-        raise InputError(f"spectrum {spectrum.name!r} has a band without wavelength", file=file)
+        raise InputError(f"spectrum {spectrum.name!r} has a band without wavelength")
     if wavelength.size < 2:
         raise InputError(
-            f"spectrum {spectrum.name!r} has {wavelength.size} band; a spectrum needs two or more",
-            file=file,
+            f"spectrum {spectrum.name!r} has {wavelength.size} band; a spectrum needs two or more"
         )
     if wavelength.min() < 100.0 or wavelength.max() > 50000.0:
         raise InputError(
             f"wavelengths of spectrum {spectrum.name!r} must be in nm, 100 to 50000, but run from "
-            f"{wavelength.min():g} to {wavelength.max():g}; are they in µm or wave numbers?",
-            file=file,
+            f"{wavelength.min():g} to {wavelength.max():g}; are they in µm or wave numbers?"
         )
     order = np.argsort(wavelength, kind="stable")
     if not np.all(np.diff(wavelength) > 0):
@@ -196,32 +187,24 @@ def check_spectrum(spectrum: MeasuredSpectrum, file: Path) -> MeasuredSpectrum:
             twice = wavelength[order][:-1][np.diff(wavelength[order]) == 0][0]
             raise InputError(
                 f"the wavelength {twice:g} nm occurs twice in spectrum {spectrum.name!r}; "
-                "average or remove the overlap of the detectors first",
-                file=file,
+                "average or remove the overlap of the detectors first"
             )
         note(meta, "bands sorted by wavelength")
     wavelength = wavelength[order]
     looked_at = (
         ~in_windows(wavelength, WATER_WINDOWS) & (wavelength >= 400.0) & (wavelength <= 2600.0)
     )
-    parts: dict[str, np.ndarray | None] = {}
+    parts: dict[str, Any] = {}
     for what in ("reflectance", "transmittance"):
-        values = getattr(spectrum, what)
-        if values is None:
-            parts[what] = None
+        if getattr(spectrum, what) is None:
             continue
-        values = np.asarray(values, float)
+        values = np.asarray(getattr(spectrum, what), float)
         if values.shape != wavelength.shape:
             raise InputError(
                 f"spectrum {spectrum.name!r} has {wavelength.size} wavelengths but {values.size} "
-                f"values of {what}; is the file cut short?",
-                file=file,
+                f"values of {what}; is the file cut short?"
             )
-        parts[what] = _checked(
-            values[order], wavelength, looked_at, what, spectrum.name, meta, file
-        )
-    if parts["reflectance"] is None and parts["transmittance"] is None:
-        raise InputError(f"spectrum {spectrum.name!r} has neither R nor T", file=file)
-    return MeasuredSpectrum(
-        spectrum.name, wavelength, parts["reflectance"], parts["transmittance"], meta
-    )
+        parts[what] = _checked(values[order], wavelength, looked_at, what, spectrum.name, meta)
+    if not parts:
+        raise InputError(f"spectrum {spectrum.name!r} has neither R nor T")
+    return replace(spectrum, wavelength=wavelength, **parts)

@@ -10,7 +10,7 @@ import numpy as np
 from fynjax._core.errors import InputError
 from fynjax._core.tables import TextTable, is_number, open_table, trimmed, without_header
 from fynjax.io.spectra._names import leaves_only, marked
-from fynjax.io.spectra._record import MeasuredSpectrum, in_nanometres, note
+from fynjax.io.spectra._record import MeasuredSpectrum, in_nanometres, measured, note
 
 _WAVELENGTH = re.compile(r"^(wave[ _]?length|wavelen|wvl?|wl|lambda|nm|[uµμ]m|x)\b", re.I)
 _UNITS = {
@@ -22,7 +22,7 @@ _OTHER_UNITS = (
     (re.compile(r"cm ?\^?([-−]1|⁻¹)|wave[ _]?number|1/cm", re.I), "wave numbers", -1, 1e7),
     (re.compile(r"[(\[](å|a)[)\]]|[åa]ngstr", re.I), "ångström", 1, 0.1),
 )
-"""How it names another one: the power of the numbers, and the factor, that give nm."""
+"""How a header names another unit: the power of the numbers, and the factor, that give nm."""
 _BAND_NAME = re.compile(r"^(?:[A-Za-z_. ]{0,12}?)(\d{3,4}(?:\.\d+)?|[0-2]\.\d+)\s*_?(nm|[uµμ]m)?$")
 MISSING = {"", "na", "nan", "null", "none", "-", "#n/a", "-999", "-9999", "-9999.0", "-999.0"}
 """What stands for a missing value, in small letters."""
@@ -31,20 +31,19 @@ _REFLECTIVE = 2600.0
 _NAME_KEYS = ("name", "id", "sample", "sample_id", "spectrum", "spectra", "file name", "filename")
 
 
-def _to_nm(wavelength: np.ndarray, label: str, meta: dict[str, Any], file: Path) -> np.ndarray:
+def _to_nm(wavelength: np.ndarray, label: str, meta: dict[str, Any]) -> np.ndarray:
     """Wavelengths in nm by the unit in a header, or, where it has none, by their size."""
     for sign, words, power, nm in _OTHER_UNITS:
         if sign.search(label) and np.all(wavelength > 0.0):
             note(meta, f"wavelengths converted from {words} to nm")
             return nm * wavelength**power
     unit = next((unit for unit, sign in _UNITS.items() if sign.search(label)), "")
-    wavelength, factor = in_nanometres(wavelength, unit, file)
+    wavelength, factor = in_nanometres(wavelength, unit)
     if not unit and factor == 1.0 and wavelength.min() > _REFLECTIVE:
         raise InputError(
             f"expected wavelengths in nm, but they run from {wavelength.min():g} to "
             f"{wavelength.max():g} and the header has no unit; are they wave numbers or ångström? "
-            "Write 'cm-1', 'Å' or, if it is so, 'nm' behind the name of the column",
-            file=file,
+            "Write 'cm-1', 'Å' or, if it is so, 'nm' behind the name of the column"
         )
     if factor != 1.0:
         note(
@@ -59,25 +58,21 @@ def _percent(label: str) -> bool:
 
 def _library(table: TextTable, keys: dict[str, str]) -> MeasuredSpectrum:
     """The spectrum of a file of the ECOSTRESS library, below its header of `keys`."""
-    file, meta = table.path, {"format": "ECOSTRESS", "header": keys}
+    meta = {"format": "ECOSTRESS", "header": keys}
     wavelength, values = table.columns([0, 1]).to_numpy().T
     stated = re.match(r"\d+", keys.get("number of x values", ""))
     if stated and stated[0].lstrip("0") != str(len(values)):
         raise InputError(
             f"expected {stated[0][:20]} values as the header says, but found {len(values)}; "
-            "is the file cut short?",
-            file=file,
+            "is the file cut short?"
         )
-    wavelength = _to_nm(wavelength, keys.get("x units", keys.get("first column", "")), meta, file)
+    wavelength = _to_nm(wavelength, keys.get("x units", keys.get("first column", "")), meta)
     label = keys.get("y units", keys.get("second column", ""))
     if _percent(label):
         values = values / 100.0
         note(meta, "reflectance converted from percent")
     through = "transm" in (label + keys.get("measurement", "")).lower()
-    name = keys.get("name", file.stem) or file.stem
-    return MeasuredSpectrum(
-        name, wavelength, None if through else values, values if through else None, meta
-    )
+    return measured(keys.get("name") or table.path.stem, wavelength, values, meta, through)
 
 
 def _paired(
@@ -107,7 +102,7 @@ def _by_row(table: TextTable, bands: dict[int, float], unit: str) -> list[Measur
     """Wide layout: one row a spectrum, wavelengths as column names."""
     header, file = table.names, table.path
     meta: dict[str, Any] = {"format": "table, one row a spectrum"}
-    wavelength = _to_nm(np.array(list(bands.values())), unit, meta, file)
+    wavelength = _to_nm(np.array(list(bands.values())), unit, meta)
     others = [i for i in range(len(header)) if i not in bands]
     labels = [name.lower() for name in header]
     name_at = next((i for i in others if labels[i] in _NAME_KEYS), others[0] if others else None)
@@ -132,9 +127,7 @@ def _by_row(table: TextTable, bands: dict[int, float], unit: str) -> list[Measur
             records[name] = replace(old, reflectance=values)
             continue
         unique = name if old is None else f"{name}_row{table.row_of(number - 1)}"
-        records[unique] = MeasuredSpectrum(
-            unique, wavelength, None if through else values, values if through else None, row_meta
-        )
+        records[unique] = measured(unique, wavelength, values, row_meta, through)
     return list(records.values())
 
 
@@ -159,7 +152,7 @@ def _by_column(table: TextTable, above: list[list[str]]) -> list[MeasuredSpectru
     table.names = ("wavelength", *names[1:])
     frame = table.columns(range(width), (), MISSING)
     meta: dict[str, Any] = {"format": "table, one column a spectrum"}
-    wavelength = _to_nm(frame[0].to_numpy(), label_row[0] if label_row else "", meta, file)
+    wavelength = _to_nm(frame[0].to_numpy(), label_row[0] if label_row else "", meta)
     if any(name.endswith(".asd") for name in names[1:]):
         meta["panel"] = "unknown"  # as of the binary, whose export it is
     columns: dict[str, np.ndarray] = {}
@@ -172,10 +165,7 @@ def _by_column(table: TextTable, above: list[list[str]]) -> list[MeasuredSpectru
 def read_text_spectra(data: bytes, file: Path) -> list[MeasuredSpectrum]:
     """Read spectra from a table of any layout that `read_spectra` lists.
 
-    **Arguments:**
-
-    - `data`: content of the file.
-    - `file`: for errors, and the name of a spectrum without one.
+    **Arguments:** `data`: content of the file; `file`: it names a spectrum without a name.
 
     **Raises:** `InputError` as `open_table`, for a table without wavelengths, and with row and
     column of what cannot be read.
@@ -189,7 +179,7 @@ def read_text_spectra(data: bytes, file: Path) -> list[MeasuredSpectrum]:
         starts = is_number(header[0]) and is_number(below[1][0])
         if not starts or len(bands) == len(header):
             units = {m[2] for m in named.values() if m and m[2]} if not starts else set()
-            return leaves_only(_by_row(table, bands, " ".join(sorted(units))), file)
+            return leaves_only(_by_row(table, bands, " ".join(sorted(units))))
 
     start = None
     above: list[tuple[int, list[str]]] = []
@@ -201,8 +191,7 @@ def read_text_spectra(data: bytes, file: Path) -> list[MeasuredSpectrum]:
         above.append((row, cells))
     if start is None:
         raise InputError(
-            "unknown format: neither a column of wavelengths nor wavelengths as column names",
-            file=file,
+            "unknown format: neither a column of wavelengths nor wavelengths as column names"
         )
     table.skip, table.headed = start - 1, False
     lines = (table.line(row).partition(":") for row, _ in above[:60])
@@ -214,4 +203,4 @@ def read_text_spectra(data: bytes, file: Path) -> list[MeasuredSpectrum]:
         for k, (row, cells) in enumerate(above):
             if len(cells) > table.width:
                 titles[k] = re.split(r"\t+ *| {2,}", table.line(row))
-    return leaves_only(_by_column(table, titles), file)
+    return leaves_only(_by_column(table, titles))

@@ -2,9 +2,16 @@
 
 from fynjax._core.errors import did_you_mean
 from fynjax._core.files import NamedFile, check_stated_size, existing_file, read_bytes
-from fynjax._core.records import Slip, Strict, number, optional_quantity, quantity
+from fynjax._core.records import (
+    Slip,
+    Strict,
+    in_unit,
+    number,
+    numbers_in,
+    optional_quantity,
+    quantity,
+)
 from fynjax._core.tables import TextTable, open_table
-from fynjax._core.validation import first_error, sentence
 from fynjax.io.text._atomic import (
     atomic_path,
     remove_abandoned,
@@ -12,9 +19,8 @@ from fynjax.io.text._atomic import (
     staged_folder,
     write_text,
 )
-from fynjax.io.text._named import shipped_or_own
-from fynjax.io.text._tables import read_rows, read_text
-from fynjax.io.text._toml import line_of, read_toml
+from fynjax.io.text._tables import read_rows
+from fynjax.io.text._toml import line_of, read_toml, shipped_or_own
 
 __all__ = [
     "NamedFile",
@@ -25,19 +31,18 @@ __all__ = [
     "check_stated_size",
     "did_you_mean",
     "existing_file",
-    "first_error",
+    "in_unit",
     "line_of",
     "number",
+    "numbers_in",
     "open_table",
     "optional_quantity",
     "quantity",
     "read_bytes",
     "read_rows",
-    "read_text",
     "read_toml",
     "remove_abandoned",
     "remove_replaced",
-    "sentence",
     "shipped_or_own",
     "staged_folder",
     "write_text",

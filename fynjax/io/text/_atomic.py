@@ -9,15 +9,10 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from fynjax._core.errors import InputError
+from fynjax._core.errors import InputError, refusing
 
 _FULL = 1 << 20
 """Bytes left on a disk that is full: less than any result takes."""
-
-
-def _beside(path: Path) -> Path:
-    # The suffix stays last: GDAL and matplotlib choose the format by it.
-    return path.with_name(f".{path.stem}.{secrets.token_hex(4)}.partial{path.suffix}")
 
 
 @contextmanager
@@ -27,9 +22,7 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
     If the block raises, the temporary file is removed and `path` is left as it was. Missing
     parent folders are made.
 
-    **Arguments:**
-
-    - `path`: the file to write.
+    **Arguments:** `path`: the file to write.
 
     **Returns:** a context manager that gives the temporary path, in the same folder.
 
@@ -37,7 +30,8 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
     """
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
-    partial = _beside(path)
+    # The suffix stays last: GDAL and matplotlib choose the format by it.
+    partial = path.with_name(f".{path.stem}.{secrets.token_hex(4)}.partial{path.suffix}")
     try:
         yield partial
         os.replace(partial, path)
@@ -67,21 +61,20 @@ def remove_replaced(
     **Returns:** the names of the files that were removed.
     """
     root = Path(folder).resolve()
-    stay = set()
-    for each in kept:
-        stay |= {os.path.normcase(p).casefold() for p in (root / each, (root / each).resolve())}
+
+    def ways(path: Path) -> set[str]:
+        return {os.path.normcase(p).casefold() for p in (path, path.resolve())}
+
+    stay = set().union(*(ways(root / each) for each in kept))
     removed = []
     for name in names:
         path = root / name
         inside = path.parent.resolve().is_relative_to(root) and ".." not in Path(name).parts
-        ends = {os.path.normcase(p).casefold() for p in (path, path.resolve())}
-        if not inside or ends & stay or path.is_symlink() or not path.is_file():
+        if not inside or ways(path) & stay or path.is_symlink() or not path.is_file():
             continue
-        try:
+        with suppress(OSError):
             path.unlink()
-        except OSError:
-            continue
-        removed.append(name)
+            removed.append(name)
     return removed
 
 
@@ -106,9 +99,7 @@ def staged_folder(folder: str | Path) -> Iterator[Path]:
     If the block raises or is interrupted nothing reaches `folder`, and `folder` is not made.
     Files of an earlier run that have the same name are replaced, others are left alone.
 
-    **Arguments:**
-
-    - `folder`: where the files shall be.
+    **Arguments:** `folder`: where the files shall be.
 
     **Returns:** a context manager that gives the empty folder.
 
@@ -120,10 +111,8 @@ def staged_folder(folder: str | Path) -> Iterator[Path]:
     target = folder.resolve()  # `--output .` has no name to put a folder beside
     partial = target.with_name(f".{target.name}.{secrets.token_hex(4)}.partial")
     missing = [parent for parent in target.parents if not parent.exists()]
-    try:
+    with refusing(OSError, words="cannot write here: {error.strerror}", file=folder):
         partial.mkdir(parents=True)
-    except OSError as error:
-        raise InputError(f"cannot write here: {error.strerror}", file=folder) from error
     try:
         try:
             yield partial

@@ -21,9 +21,7 @@ def _without_unit(cell: str, column: str) -> str:
 def read_text(path: Path) -> str:
     """The text of a file in UTF-8, UTF-16 or Windows-1252, its lines ended by `\\n`.
 
-    **Arguments:**
-
-    - `path`: a file that exists.
+    **Arguments:** `path`: a file that exists.
 
     **Raises:** `InputError` for other encodings and binary files.
     """

@@ -1,8 +1,9 @@
-"""TOML files of a user, with errors that point at the key."""
+"""TOML files of a user or shipped under a name, with errors that point at the key."""
 
 import re
 import tomllib
 import typing
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -10,7 +11,8 @@ from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
-from fynjax._core.errors import InputError
+from fynjax._core.errors import InputError, did_you_mean
+from fynjax._core.files import existing_file
 from fynjax._core.validation import first_error, sentence
 from fynjax.io.text._tables import read_text
 
@@ -118,3 +120,30 @@ def _records(field: FieldInfo) -> list[type[BaseModel]]:
     """The records that may stand under a key, alone or in a list."""
     kinds = [field.annotation, *typing.get_args(field.annotation)]
     return [k for k in kinds if isinstance(k, type) and issubclass(k, BaseModel)]
+
+
+def shipped_or_own(
+    name_or_path: str | Path, what: str, shipped: Sequence[str], folder: Path
+) -> Path:
+    """The path of a shipped file by its name, or the path given.
+
+    **Arguments:**
+
+    - `name_or_path`: a name in `shipped`, or the path of a file.
+    - `what`: names the thing in errors, such as "sensor".
+    - `shipped`: names of the shipped files, without suffix.
+    - `folder`: where the shipped files lie.
+
+    **Returns:** the path of the file.
+
+    **Raises:** `InputError` for a name that is not in `shipped`, and for a path without a file.
+    """
+    text = str(name_or_path)
+    if Path(text).suffix or len(Path(text).parts) != 1:
+        return existing_file(text, f"a {what} file")
+    if text not in shipped:
+        raise InputError(
+            f"expected a shipped {what} or the path of a {what} file, but got {text!r}."
+            f"{did_you_mean(text, shipped)} Shipped: {', '.join(shipped)}."
+        )
+    return folder / f"{text}.toml"

@@ -30,9 +30,9 @@ from ._plots import misfit_of_plots as misfit_of_plots
 from ._plots import residual_plot as residual_plot
 from ._plots import spectra_plot as spectra_plot
 from ._plots_inferred import estimates_plot as estimates_plot
+from ._plots_inferred import population_plot as population_plot
 from ._plots_inferred import residuals_plot as residuals_plot
 from ._plots_inferred import shifts_plot as shifts_plot
-from ._population import population_plot as population_plot
 from ._posterior import bound_plot as bound_plot
 from ._posterior import corner as corner
 from ._posterior import corner_plot as corner_plot

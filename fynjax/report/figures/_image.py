@@ -7,11 +7,11 @@ import textwrap
 from collections.abc import Mapping, Sequence
 from typing import Any, Literal
 
-import matplotlib
 import numpy as np
 from jaxtyping import Float
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
+from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from numpy.typing import ArrayLike, NDArray
 
@@ -37,9 +37,10 @@ _LETTERS = 18.5
 """Letters of a caption to an inch."""
 
 
-def _side(count: int) -> float:
-    """Width of each of `count` pictures side by side [inches]."""
-    return min(_LARGEST, _TOGETHER / count)
+def _row(count: int) -> tuple[Figure, list[Axes], float]:
+    """A figure of `count` pictures side by side, their axes, and its width [inches]."""
+    side = min(_LARGEST, _TOGETHER / count)
+    return *panel_grid(count, count, (side, side), (0.0, 0.55)), side * count
 
 
 def _channels(
@@ -71,14 +72,9 @@ def _shown(
     return np.sqrt(np.clip(np.nan_to_num(part, nan=1.0), 0.0, 1.0))
 
 
-def _nice_length(width: float) -> float:
-    """A round length near a fifth of `width`."""
-    step = 10.0 ** np.floor(np.log10(width / 5))
-    return float(max(s * step for s in (1, 2, 5) if s * step <= width / 4))
-
-
 def _scale_bar(axes: Axes, width: float) -> None:
-    length = _nice_length(width)
+    step = 10.0 ** np.floor(np.log10(width / 5))
+    length = float(max(s * step for s in (1, 2, 5) if s * step <= width / 4))
     x, y = 0.04 * width, 0.045 * width
     box = {"boxstyle": "square,pad=0.25", "fc": "white", "ec": "none", "alpha": 0.85}
     axes.text(x, y, f"{length:g} m", fontsize=8, va="bottom", bbox=box, zorder=3)
@@ -97,6 +93,7 @@ def _map(axes: Axes, values: NDArray[np.float64], pixel_m: float, title: str, **
     return drawn
 
 
+@style()
 def composites(
     images: Mapping[str, ArrayLike],
     band_names: Sequence[str],
@@ -121,28 +118,23 @@ def composites(
     stacks = {title: _channels(image, band_names, channels) for title, image in images.items()}
     shared = kind == "true_like"
     limits = _limits(list(stacks.values()), shared)
-    with style():
-        count = len(stacks)
-        side = _side(count)
-        figure = Figure(figsize=(side * count, side + 0.55))
-        grid = figure.subplots(1, count, squeeze=False)[0]
-        for axes, (title, stack) in zip(grid, stacks.items(), strict=True):
-            _map(axes, _shown(stack, limits), pixel_m, title)
-            for spine in axes.spines.values():
-                spine.set_visible(False)
-        ranges = (
-            f"0 to {limits[0][1]:.3f} in all three (99th percentile)"
-            if shared
-            else "; ".join(
-                f"{words(name)} {low:.3f} to {high:.3f}"
-                for name, (low, high) in zip(channels, limits, strict=True)
-            )
-            + " (1st to 99th percentile)"
+    figure, grid, wide = _row(len(stacks))
+    for axes, (title, stack) in zip(grid, stacks.items(), strict=True):
+        _map(axes, _shown(stack, limits), pixel_m, title)
+        for spine in axes.spines.values():
+            spine.set_visible(False)
+    ranges = (
+        f"0 to {limits[0][1]:.3f} in all three (99th percentile)"
+        if shared
+        else "; ".join(
+            f"{words(name)} {low:.3f} to {high:.3f}"
+            for name, (low, high) in zip(channels, limits, strict=True)
         )
-        shown = f"Reflectance shown: {ranges}, square root. North up."
-        wide = int(_LETTERS * side * count)
-        lines = [textwrap.fill(line, wide) for line in (f"{what}.", shown)]
-        note(figure, "\n".join(lines))
+        + " (1st to 99th percentile)"
+    )
+    shown = f"Reflectance shown: {ranges}, square root. North up."
+    lines = [textwrap.fill(line, int(_LETTERS * wide)) for line in (f"{what}.", shown)]
+    note(figure, "\n".join(lines))
     return figure
 
 
@@ -167,6 +159,7 @@ def photo(
     return _shown(stack, _limits([stack], kind == "true_like"))
 
 
+@style()
 def layer_map(layers: Mapping[str, ArrayLike], what: str, *, pixel_m: float) -> Figure:
     """One band or index of images side by side, in grey, all with one scale.
 
@@ -179,21 +172,19 @@ def layer_map(layers: Mapping[str, ArrayLike], what: str, *, pixel_m: float) -> 
     values = {title: np.asarray(layer, float) for title, layer in layers.items()}
     known = np.concatenate([layer[np.isfinite(layer)] for layer in values.values()])
     low, high = np.percentile(known, [1, 99]) if known.size else (0.0, 1.0)
-    with style():
-        side = _side(len(values))
-        figure = Figure(figsize=(side * len(values), side + 0.55))
-        grid = figure.subplots(1, len(values), squeeze=False)[0]
-        for axes, (title, layer) in zip(grid, values.items(), strict=True):
-            known = np.where(np.isfinite(layer), layer, np.nan)
-            scale = {"cmap": "gray", "vmin": low, "vmax": max(high, low + 1e-6)}
-            drawn = _map(axes, known, pixel_m, title, **scale)
-        bar = figure.colorbar(
-            drawn, ax=list(grid), location="bottom", shrink=0.9 / len(values), extend="both"
-        )
-        bar.set_label(f"{what}, 1st to 99th percentile. North up.", fontsize=7.5)
+    figure, grid, _ = _row(len(values))
+    for axes, (title, layer) in zip(grid, values.items(), strict=True):
+        known = np.where(np.isfinite(layer), layer, np.nan)
+        scale = {"cmap": "gray", "vmin": low, "vmax": max(high, low + 1e-6)}
+        drawn = _map(axes, known, pixel_m, title, **scale)
+    bar = figure.colorbar(
+        drawn, ax=grid, location="bottom", shrink=0.9 / len(values), extend="both"
+    )
+    bar.set_label(f"{what}, 1st to 99th percentile. North up.", fontsize=7.5)
     return figure
 
 
+@style()
 def species_map(
     place: ArrayLike, share: ArrayLike, taxa: Sequence[str], forms: Sequence[str], *, pixel_m: float
 ) -> Figure:
@@ -212,18 +203,18 @@ def species_map(
     image = 1.0 - share[..., None] * (1.0 - tint[place])
     by_pixels = np.bincount(place[place >= 0], minlength=len(taxa))
     shown = [i for i in np.argsort(-by_pixels) if by_pixels[i]][:_NAMED]
-    with style():
-        figure = Figure(figsize=(_LARGEST + 2.6, _LARGEST + 0.4))
-        title = "Leading species of each pixel, paler the less of it"
-        _map(figure.subplots(), np.clip(image, 0.0, 1.0), pixel_m, title)
-        handles = [
-            Patch(facecolor=colours[i], label=f"{taxa[i]} ({by_pixels[i] / place.size:.0%})")
-            for i in shown
-        ]
-        figure.legend(handles=handles, loc="outside right upper", title="leads in pixels")
+    figure = Figure(figsize=(_LARGEST + 2.6, _LARGEST + 0.4))
+    title = "Leading species of each pixel, paler the less of it"
+    _map(figure.subplots(), np.clip(image, 0.0, 1.0), pixel_m, title)
+    handles = [
+        Patch(facecolor=colours[i], label=f"{taxa[i]} ({by_pixels[i] / place.size:.0%})")
+        for i in shown
+    ]
+    figure.legend(handles=handles, loc="outside right upper", title="leads in pixels")
     return figure
 
 
+@style()
 def residual_maps(residual: ArrayLike, band_names: Sequence[str], *, pixel_m: float) -> Figure:
     """How far an image is off, band by band, each with the scale of its own largest error.
 
@@ -234,17 +225,16 @@ def residual_maps(residual: ArrayLike, band_names: Sequence[str], *, pixel_m: fl
     - `pixel_m`: side of a pixel [m].
     """
     residual = np.asarray(residual, float)
-    with style():
-        figure = Figure(figsize=(2.6 * len(residual), 3.2))
-        grid = figure.subplots(1, len(residual), squeeze=False)[0]
-        for axes, values, name in zip(grid, residual, band_names, strict=True):
-            most = max(float(np.nanpercentile(np.abs(values), 99)), 1e-9)
-            scale = {"cmap": "RdBu_r", "vmin": -most, "vmax": most}
-            drawn = _map(axes, values, pixel_m, words(name), **scale)
-            figure.colorbar(drawn, ax=axes, location="bottom", shrink=0.9)
+    figure, grid = panel_grid(len(residual), len(residual), (2.6, 3.2))
+    for axes, values, name in zip(grid, residual, band_names, strict=True):
+        most = max(float(np.nanpercentile(np.abs(values), 99)), 1e-9)
+        scale = {"cmap": "RdBu_r", "vmin": -most, "vmax": most}
+        drawn = _map(axes, values, pixel_m, words(name), **scale)
+        figure.colorbar(drawn, ax=axes, location="bottom", shrink=0.9)
     return figure
 
 
+@style()
 def index_histograms(
     before: Mapping[str, ArrayLike],
     after: Mapping[str, ArrayLike] | None = None,
@@ -260,44 +250,41 @@ def index_histograms(
       standard deviation draws the mean alone.
     """
     target = target or {}
-    with style():
-        figure, panels = panel_grid(len(before), 4, (2.15, 1.75), (0.0, 0.45))
-        for axes, name in zip(panels, before, strict=True):
-            drawn = [(before[name], BEFORE, True)]
-            if after is not None:
-                drawn.append((after[name], AFTER, False))
-            values = [np.asarray(v, dtype=float).ravel() for v, _, _ in drawn]
-            values = [v[np.isfinite(v)] for v in values]
-            pooled = np.concatenate(values)
-            low, high = np.percentile(pooled, [0.5, 99.5]) if pooled.size else (0.0, 1.0)
-            mean, sd = target.get(name, (np.nan, np.nan))
-            if np.isfinite(mean):
-                reach = 1.3 * sd if np.isfinite(sd) else 0.0
-                low, high = min(low, mean - reach), max(high, mean + reach)
-            edges = np.linspace(low, high if high > low else low + 1e-6, 81)
-            for v, (_, colour, filled) in zip(values, drawn, strict=True):
-                share = np.histogram(v, edges)[0] / max(v.size, 1) / np.diff(edges)
-                axes.stairs(
-                    share, edges, color=colour, fill=filled, alpha=0.55 if filled else 1, lw=1.3
-                )
-            if np.isfinite(mean):
-                if np.isfinite(sd):
-                    axes.axvspan(mean - sd, mean + sd, color=REAL, alpha=0.1, lw=0)
-                axes.axvline(mean, color=REAL, lw=1.2, ls=(0, (4, 2)))
-            axes.set(title=name, yticks=[], xlim=(edges[0], edges[-1]))
-            axes.locator_params(axis="x", nbins=4)
-            axes.spines["left"].set_visible(False)
-        name = "simulated" if after is None else "before"
-        handles: list[Artist] = [matplotlib.patches.Patch(color=BEFORE, alpha=0.55, label=name)]
+    figure, panels = panel_grid(len(before), 4, (2.15, 1.75), (0.0, 0.45))
+    for axes, name in zip(panels, before, strict=True):
+        drawn = [(before[name], BEFORE, True)]
         if after is not None:
-            handles.append(matplotlib.lines.Line2D([], [], color=AFTER, label="after"))
-        if target:
-            handles.append(
-                matplotlib.lines.Line2D(
-                    [], [], color=REAL, ls=(0, (4, 2)), label="real image: mean (grey: ±1 sd)"
-                )
+            drawn.append((after[name], AFTER, False))
+        values = [np.asarray(v, dtype=float).ravel() for v, _, _ in drawn]
+        values = [v[np.isfinite(v)] for v in values]
+        pooled = np.concatenate(values)
+        low, high = np.percentile(pooled, [0.5, 99.5]) if pooled.size else (0.0, 1.0)
+        mean, sd = target.get(name, (np.nan, np.nan))
+        if np.isfinite(mean):
+            reach = 1.3 * sd if np.isfinite(sd) else 0.0
+            low, high = min(low, mean - reach), max(high, mean + reach)
+        edges = np.linspace(low, high if high > low else low + 1e-6, 81)
+        for v, (_, colour, filled) in zip(values, drawn, strict=True):
+            share = np.histogram(v, edges)[0] / max(v.size, 1) / np.diff(edges)
+            axes.stairs(
+                share, edges, color=colour, fill=filled, alpha=0.55 if filled else 1, lw=1.3
             )
-        if len(handles) > 1:
-            figure.legend(handles=handles, loc="outside upper left", ncols=len(handles))
-        figure.supxlabel("Index value [-]; height is the density of pixels", fontsize=8.5)
+        if np.isfinite(mean):
+            if np.isfinite(sd):
+                axes.axvspan(mean - sd, mean + sd, color=REAL, alpha=0.1, lw=0)
+            axes.axvline(mean, color=REAL, lw=1.2, ls=(0, (4, 2)))
+        axes.set(title=name, yticks=[], xlim=(edges[0], edges[-1]))
+        axes.locator_params(axis="x", nbins=4)
+        axes.spines["left"].set_visible(False)
+    name = "simulated" if after is None else "before"
+    handles: list[Artist] = [Patch(color=BEFORE, alpha=0.55, label=name)]
+    if after is not None:
+        handles.append(Line2D([], [], color=AFTER, label="after"))
+    if target:
+        handles.append(
+            Line2D([], [], color=REAL, ls=(0, (4, 2)), label="real image: mean (grey: ±1 sd)")
+        )
+    if len(handles) > 1:
+        figure.legend(handles=handles, loc="outside upper left", ncols=len(handles))
+    figure.supxlabel("Index value [-]; height is the density of pixels", fontsize=8.5)
     return figure

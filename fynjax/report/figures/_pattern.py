@@ -5,6 +5,7 @@ from typing import Any
 import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
 from fynjax.canopy import Greenness, VegetationPattern, band_roles
@@ -16,6 +17,7 @@ _LARGEST = 1200
 """Pixels of a picture's longer side; larger images are thinned for it."""
 
 
+@style()
 def pattern_figure(stack: BandStack, pattern: VegetationPattern, green: Greenness) -> Figure:
     """The image beside the map, and below them each cluster's spectrum and greenness.
 
@@ -31,33 +33,31 @@ def pattern_figure(stack: BandStack, pattern: VegetationPattern, green: Greennes
     # Brown to green, without the pale middle.
     brown = np.linspace(0.1, 0.32, count - count // 2)
     colours = matplotlib.colormaps["BrBG"](np.append(brown, np.linspace(0.72, 0.95, count // 2)))
-    with style():
-        figure = Figure(figsize=(9.0, 4.2 + 3.4 * min(1.6, max(0.4, extent[3] / extent[1]))))
-        grid: Any = figure.subplots(2, 2, height_ratios=(max(1.0, 1.6 * extent[3] / extent[1]), 1))
-        picture, title = _picture(stack, step)
-        grid[0, 0].imshow(picture, **show)
-        grid[0, 0].set_title(title)
-        grey = np.ma.masked_array(pattern.grey, ~stack.mask)[::step, ::step]
-        shown = grid[0, 1].imshow(grey, cmap="gray", vmin=0, vmax=255, **show)
-        grid[0, 1].set_facecolor(_MASKED)
-        masked = "" if stack.mask.all() else " (blue: no data)"
-        grid[0, 1].set_title(f"Probability map{masked}")
-        figure.colorbar(
-            shown, ax=grid[0, 1], ticks=sorted({0, *pattern.levels, 255}), label="Grey, 255 is 1"
-        )
-        for axes in grid[0]:
-            axes.set(xlabel="East [m]", ylabel="North [m]")
-        _draw_spectra(grid[1, 0], stack, pattern, colours)
-        _draw_greenness(grid[1, 1], stack, pattern, green, colours)
-        labels = [
-            f"{level}: {100 * share:.0f} % of the pixels"
-            for level, share in zip(pattern.levels, pattern.share, strict=True)
-        ]
-        handles = [
-            matplotlib.patches.Patch(color=colour, label=label)
-            for colour, label in zip(colours, labels, strict=True)
-        ]
-        figure.legend(handles=handles, loc="outside lower center", ncols=min(count, 4))
+    figure = Figure(figsize=(9.0, 4.2 + 3.4 * min(1.6, max(0.4, extent[3] / extent[1]))))
+    grid: Any = figure.subplots(2, 2, height_ratios=(max(1.0, 1.6 * extent[3] / extent[1]), 1))
+    picture, title = _picture(stack, step)
+    grid[0, 0].imshow(picture, **show)
+    grid[0, 0].set_title(title)
+    grey = np.ma.masked_array(pattern.grey, ~stack.mask)[::step, ::step]
+    shown = grid[0, 1].imshow(grey, cmap="gray", vmin=0, vmax=255, **show)
+    grid[0, 1].set_facecolor(_MASKED)
+    masked = "" if stack.mask.all() else " (blue: no data)"
+    grid[0, 1].set_title(f"Probability map{masked}")
+    figure.colorbar(
+        shown, ax=grid[0, 1], ticks=sorted({0, *pattern.levels, 255}), label="Grey, 255 is 1"
+    )
+    for axes in grid[0]:
+        axes.set(xlabel="East [m]", ylabel="North [m]")
+    _draw_spectra(grid[1, 0], stack, pattern, colours)
+    _draw_greenness(grid[1, 1], stack, pattern, green, colours)
+    labels = [
+        f"{level}: {100 * share:.0f} % of the pixels"
+        for level, share in zip(pattern.levels, pattern.share, strict=True)
+    ]
+    handles = [
+        Patch(color=colour, label=label) for colour, label in zip(colours, labels, strict=True)
+    ]
+    figure.legend(handles=handles, loc="outside lower center", ncols=min(count, 4))
     return figure
 
 

@@ -6,6 +6,8 @@ from typing import Any
 import matplotlib
 import numpy as np
 import pandas as pd
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
 from numpy.typing import ArrayLike
 
 from fynjax._core.extras import require
@@ -94,7 +96,7 @@ def corner_plot(
     for i in range(count):
         figure.axes[i * (count + 1)].plot(x[:, i], density[:, i], color=GREY)
     handles = [
-        matplotlib.lines.Line2D([], [], color=colour, label=name)
+        Line2D([], [], color=colour, label=name)
         for name, colour in zip([*values, "prior"], [*_SERIES[: len(values)], GREY], strict=True)
     ]
     figure.legend(handles=handles, fontsize=11)
@@ -115,6 +117,7 @@ def corner(draws: Posterior | Mapping[str, Posterior], truth: ArrayLike | None =
     return corner_plot(values, space.names, prior=space.density(), truth=truth)
 
 
+@style()
 def predictive_plot(
     predicted: ArrayLike,
     observed: ArrayLike,
@@ -128,20 +131,20 @@ def predictive_plot(
     """
     error = np.asarray(sd, float)
     off = (np.asarray(predicted, float) - np.asarray(observed, float)) / error
-    with style():
-        figure = Figure(figsize=(6.0, 0.19 * len(names) + 1.1))
-        axes = figure.subplots()
-        y = name_rows(axes, [words(name) for name in names])
-        axes.axvspan(-1.0, 1.0, color="#EFEFEF", lw=0)
-        axes.axvline(0.0, color=REAL, lw=0.8)
-        low, middle, high = np.quantile(off, [0.05, 0.5, 0.95], axis=0)
-        axes.errorbar(middle, y, xerr=[middle - low, high - middle], fmt="o", ms=3.5, color=BLUE,
-                      lw=1.2, label="predicted, 90 % of the draws")  # fmt: skip
-        axes.set_xlabel("Predicted less measured, in standard errors of the measured (grey: one)")
-        figure.legend(loc="outside upper left")
+    figure = Figure(figsize=(6.0, 0.19 * len(names) + 1.1))
+    axes = figure.subplots()
+    y = name_rows(axes, [words(name) for name in names])
+    axes.axvspan(-1.0, 1.0, color="#EFEFEF", lw=0)
+    axes.axvline(0.0, color=REAL, lw=0.8)
+    low, middle, high = np.quantile(off, [0.05, 0.5, 0.95], axis=0)
+    axes.errorbar(middle, y, xerr=[middle - low, high - middle], fmt="o", ms=3.5, color=BLUE,
+                  lw=1.2, label="predicted, 90 % of the draws")  # fmt: skip
+    axes.set_xlabel("Predicted less measured, in standard errors of the measured (grey: one)")
+    figure.legend(loc="outside upper left")
     return figure
 
 
+@style()
 def tornado_plot(table: pd.DataFrame) -> Figure:
     """Elasticities of each metric, largest first, a panel for each metric.
 
@@ -152,25 +155,25 @@ def tornado_plot(table: pd.DataFrame) -> Figure:
     """
     metrics = list(dict.fromkeys(table["metric"]))
     shown = min(_MOST_SHOWN, table["parameter"].nunique())
-    with style():
-        figure, panels = panel_grid(len(metrics), 2, (4.6, 0.17 * shown + 0.55), (0.0, 0.5))
-        for axes, metric in zip(panels, metrics, strict=True):
-            part = table[(table["metric"] == metric) & table["elasticity"].notna()]
-            order = part["elasticity"].abs().sort_values(ascending=False).index[:_MOST_SHOWN]
-            part = part.loc[order]
-            value = part["elasticity"].to_numpy(float)
-            y = name_rows(axes, [short_name(str(n)) for n in part["parameter"]], room=shown)
-            clear = part["distinguished"].to_numpy(bool)
-            colour = np.where(clear, np.where(value > 0, BLUE, VERMILION), GREY)
-            axes.barh(y, value, height=0.7, color=np.where(clear, colour, "none"), edgecolor=colour,
-                      xerr=part["interval"].to_numpy(float),
-                      error_kw={"lw": 0.8, "ecolor": REAL})  # fmt: skip
-            axes.axvline(0.0, color=REAL, lw=0.7)
-            axes.set_title(words(metric))
-        figure.supxlabel("Change of the metric [%] for 1 % more of the parameter", fontsize=8.5)
+    figure, panels = panel_grid(len(metrics), 2, (4.6, 0.17 * shown + 0.55), (0.0, 0.5))
+    for axes, metric in zip(panels, metrics, strict=True):
+        part = table[(table["metric"] == metric) & table["elasticity"].notna()]
+        order = part["elasticity"].abs().sort_values(ascending=False).index[:_MOST_SHOWN]
+        part = part.loc[order]
+        value = part["elasticity"].to_numpy(float)
+        y = name_rows(axes, [short_name(str(n)) for n in part["parameter"]], room=shown)
+        clear = part["distinguished"].to_numpy(bool)
+        colour = np.where(clear, np.where(value > 0, BLUE, VERMILION), GREY)
+        axes.barh(y, value, height=0.7, color=np.where(clear, colour, "none"), edgecolor=colour,
+                  xerr=part["interval"].to_numpy(float),
+                  error_kw={"lw": 0.8, "ecolor": REAL})  # fmt: skip
+        axes.axvline(0.0, color=REAL, lw=0.7)
+        axes.set_title(words(metric))
+    figure.supxlabel("Change of the metric [%] for 1 % more of the parameter", fontsize=8.5)
     return figure
 
 
+@style()
 def indices_plot(table: pd.DataFrame) -> Figure:
     """First and total Sobol indices with their 95 % intervals, and the derivative-based bound.
 
@@ -179,30 +182,29 @@ def indices_plot(table: pd.DataFrame) -> Figure:
     """
     metrics = list(dict.fromkeys(table["metric"]))
     shown = min(_MOST_SHOWN, table["parameter"].nunique())
-    with style():
-        figure, panels = panel_grid(len(metrics), 2, (4.6, 0.24 * shown + 0.6), (0.0, 0.7))
-        for axes, metric in zip(panels, metrics, strict=True):
-            part = table[table["metric"] == metric]
-            key = part["total"].fillna(part["bound"])
-            part = part.loc[key.sort_values(ascending=False).index[:_MOST_SHOWN]]
-            y = name_rows(axes, [short_name(str(n)) for n in part["parameter"]], room=shown)
-            for kind, colour, shift in (("first", SKY, -0.18), ("total", BLUE, 0.18)):
-                if part[kind].notna().any():
-                    error = part[f"{kind}_error"].to_numpy(float)
-                    axes.barh(y + shift, part[kind].clip(lower=0.0), 0.34, color=colour,
-                              xerr=error, error_kw={"lw": 0.8, "ecolor": REAL})  # fmt: skip
-            axes.plot(np.minimum(part["bound"].to_numpy(float), 1.0), y, "|", ms=9, mew=1.6,
-                      color=VERMILION)  # fmt: skip
-            axes.set_xlim(0.0, 1.05)
-            axes.set_title(words(metric))
-        handles = [
-            matplotlib.patches.Patch(color=SKY, label="alone"),
-            matplotlib.patches.Patch(color=BLUE, label="with interactions"),
-            matplotlib.lines.Line2D([], [], marker="|", ls="", ms=9, mew=1.6, color=VERMILION,
-                                    label="bound by slopes (cut at 1)"),
-        ]  # fmt: skip
-        figure.legend(handles=handles, loc="outside upper left", ncols=3)
-        figure.supxlabel("Share of the metric's variance [-]", fontsize=8.5)
+    figure, panels = panel_grid(len(metrics), 2, (4.6, 0.24 * shown + 0.6), (0.0, 0.7))
+    for axes, metric in zip(panels, metrics, strict=True):
+        part = table[table["metric"] == metric]
+        key = part["total"].fillna(part["bound"])
+        part = part.loc[key.sort_values(ascending=False).index[:_MOST_SHOWN]]
+        y = name_rows(axes, [short_name(str(n)) for n in part["parameter"]], room=shown)
+        for kind, colour, shift in (("first", SKY, -0.18), ("total", BLUE, 0.18)):
+            if part[kind].notna().any():
+                error = part[f"{kind}_error"].to_numpy(float)
+                axes.barh(y + shift, part[kind].clip(lower=0.0), 0.34, color=colour,
+                          xerr=error, error_kw={"lw": 0.8, "ecolor": REAL})  # fmt: skip
+        axes.plot(np.minimum(part["bound"].to_numpy(float), 1.0), y, "|", ms=9, mew=1.6,
+                  color=VERMILION)  # fmt: skip
+        axes.set_xlim(0.0, 1.05)
+        axes.set_title(words(metric))
+    handles = [
+        Patch(color=SKY, label="alone"),
+        Patch(color=BLUE, label="with interactions"),
+        Line2D([], [], marker="|", ls="", ms=9, mew=1.6, color=VERMILION,
+                                label="bound by slopes (cut at 1)"),
+    ]  # fmt: skip
+    figure.legend(handles=handles, loc="outside upper left", ncols=3)
+    figure.supxlabel("Share of the metric's variance [-]", fontsize=8.5)
     return figure
 
 
@@ -210,35 +212,33 @@ _HIGHEST = 90.0
 """Bound over cover up to which numbers are shown [-]."""
 
 
+@style()
 def bound_plot(table: pd.DataFrame, species: Sequence[str]) -> Figure:
     """Bound on the cover of each species over the cover, against the pixel size and bands.
 
     **Arguments:** `table` with the columns parameter, gsd_m, bands, bound, value; `species`, the
     parameters to show. Triangles mark where there is no bound.
     """
-    with style():
-        figure, panels = panel_grid(
-            len(species), 3, (2.7, 1.9), (0.4, 1.0), sharex=True, sharey=True
-        )
-        for axes, name in zip(panels, species, strict=True):
-            part = table[table["parameter"] == name]
-            for k, (count, line) in enumerate(part.groupby("bands")):
-                line = line.sort_values("gsd_m")
-                ratio = (line["bound"] / line["value"]).replace(np.inf, np.nan)
-                number, colour = int(str(count)), _SERIES[k % len(_SERIES)]
-                label = f"{number} band{'s' * (number != 1)}"
-                axes.loglog(line["gsd_m"], np.clip(ratio, 0, _HIGHEST), "-o", ms=3, lw=1.2,
-                            color=colour, label=label)  # fmt: skip
-                none = line["gsd_m"][ratio.isna()]
-                # Side by side, so that each number of bands is seen.
-                axes.plot(none * 1.08**k, np.full(len(none), _HIGHEST / 2), "^", ms=4, mfc="none",
-                          color=colour)  # fmt: skip
-            axes.axhspan(1.0, 100.0, color="#F3E3DC", lw=0)
-            axes.set_title(short_name(name.removesuffix(".cover")), fontsize=8)
-            axes.grid(which="major")
-        panels[0].set_ylim(0.02, 100.0)
-        handles, names = panels[0].get_legend_handles_labels()
-        figure.legend(handles, names, loc="outside upper left", ncols=len(names))
-        figure.supxlabel("Pixel on the ground [m]", fontsize=8.5)
-        figure.supylabel("Bound over cover [-]; shaded: lost", fontsize=8.5)
+    figure, panels = panel_grid(len(species), 3, (2.7, 1.9), (0.4, 1.0), sharex=True, sharey=True)
+    for axes, name in zip(panels, species, strict=True):
+        part = table[table["parameter"] == name]
+        for k, (count, line) in enumerate(part.groupby("bands")):
+            line = line.sort_values("gsd_m")
+            ratio = (line["bound"] / line["value"]).replace(np.inf, np.nan)
+            number, colour = int(str(count)), _SERIES[k % len(_SERIES)]
+            label = f"{number} band{'s' * (number != 1)}"
+            axes.loglog(line["gsd_m"], np.clip(ratio, 0, _HIGHEST), "-o", ms=3, lw=1.2,
+                        color=colour, label=label)  # fmt: skip
+            none = line["gsd_m"][ratio.isna()]
+            # Side by side, so that each number of bands is seen.
+            axes.plot(none * 1.08**k, np.full(len(none), _HIGHEST / 2), "^", ms=4, mfc="none",
+                      color=colour)  # fmt: skip
+        axes.axhspan(1.0, 100.0, color="#F3E3DC", lw=0)
+        axes.set_title(short_name(name.removesuffix(".cover")), fontsize=8)
+        axes.grid(which="major")
+    panels[0].set_ylim(0.02, 100.0)
+    handles, names = panels[0].get_legend_handles_labels()
+    figure.legend(handles, names, loc="outside upper left", ncols=len(names))
+    figure.supxlabel("Pixel on the ground [m]", fontsize=8.5)
+    figure.supylabel("Bound over cover [-]; shaded: lost", fontsize=8.5)
     return figure

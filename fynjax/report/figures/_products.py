@@ -35,27 +35,27 @@ def quick_looks(cube: Cube, title: str) -> dict[str, Figure]:
     }
 
 
+@style()
 def spectrum_figure(cubes: Mapping[str, Cube]) -> Figure:
     """Mean and range over the pixels of each cube against wavelength; gaps where bands are bad. Of
     few pixels each has a line.
 
     **Arguments:** `cubes`, by the name of the quantity.
     """
-    with style():
-        figure = Figure(figsize=(8.6, 1.0 + 2.6 * len(cubes)))
-        grid = figure.subplots(len(cubes), 1, squeeze=False, sharex=True)[:, 0]
-        for axes, (name, cube) in zip(grid, cubes.items(), strict=True):
-            _draw(axes, cube)
-            unit = QUANTITIES[cube.quantity][0]
-            axes.set_ylabel(f"{name} [{'-' if unit == '1' else _typeset(unit)}]")
-            axes.set_ylim(bottom=min(0.0, axes.get_ylim()[0]))
-            axes.grid(True)
-        rows, columns = next(iter(cubes.values())).values.shape[1:]
-        spread = ", and the range of 5 to 95 % of them"
-        if rows * columns <= _FEW_PIXELS:
-            spread = ", and each of them (light)" if rows * columns > 1 else ""
-        grid[0].set_title(f"Mean of {columns} x {rows} pixels{spread}")
-        grid[-1].set_xlabel("wavelength [nm]")
+    figure = Figure(figsize=(8.6, 1.0 + 2.6 * len(cubes)))
+    grid = figure.subplots(len(cubes), 1, squeeze=False, sharex=True)[:, 0]
+    for axes, (name, cube) in zip(grid, cubes.items(), strict=True):
+        _draw(axes, cube)
+        unit = QUANTITIES[cube.quantity][0]
+        axes.set_ylabel(f"{name} [{'-' if unit == '1' else _typeset(unit)}]")
+        axes.set_ylim(bottom=min(0.0, axes.get_ylim()[0]))
+        axes.grid(True)
+    rows, columns = next(iter(cubes.values())).values.shape[1:]
+    spread = ", and the range of 5 to 95 % of them"
+    if rows * columns <= _FEW_PIXELS:
+        spread = ", and each of them (light)" if rows * columns > 1 else ""
+    grid[0].set_title(f"Mean of {columns} x {rows} pixels{spread}")
+    grid[-1].set_xlabel("wavelength [nm]")
     return figure
 
 

@@ -26,6 +26,7 @@ def _band(cube: Cube, wavelength: float) -> NDArray[np.float64] | None:
     return cube.values[int(away.argmin())] if away.min() <= _FAR else None
 
 
+@style()
 def capture_figure(cube: Cube, title: str, *, pixels: bool) -> Figure:
     """Reflectance of a capture: composites and NDVI, as far as its bands reach.
 
@@ -53,30 +54,30 @@ def capture_figure(cube: Cube, title: str, *, pixels: bool) -> Figure:
     step = max(1, max(rows, columns) // _THIN)
     side = cube.pixel_m
     extent = (0.0, columns * side, 0.0, rows * side)
-    with style():
-        figure = Figure(figsize=(3.9 * len(pictures) + 0.5, 3.9 * rows / columns + 0.9))
-        grid = figure.subplots(1, len(pictures), squeeze=False)[0]
-        for axes, (name, picture) in zip(grid, pictures.items(), strict=True):
-            flat = picture.ndim == 2
-            image = axes.imshow(
-                picture[::step, ::step], origin="lower", extent=extent, interpolation="nearest",
-                cmap="RdYlGn" if name == "NDVI" else "gray" if flat else None,
-                vmin=-1.0 if name == "NDVI" else None, vmax=1.0 if name == "NDVI" else None,
-            )  # fmt: skip
-            axes.set(title=f"{title}\n{name}" if axes is grid[0] else name)
-            if flat:
-                figure.colorbar(image, ax=axes, label=f"{name} [-]", shrink=0.85)
-            axes.set_xlabel("x [pixel]" if pixels else "x [m]")
-        grid[0].set_ylabel("y [pixel]" if pixels else "y [m]")
-        if ranges:
-            note(
-                figure,
-                f"Reflectance shown: {'; '.join(ranges)} (99th percentiles), square root. "
-                "Saturated pixels white.",
-            )
+    figure = Figure(figsize=(3.9 * len(pictures) + 0.5, 3.9 * rows / columns + 0.9))
+    grid = figure.subplots(1, len(pictures), squeeze=False)[0]
+    for axes, (name, picture) in zip(grid, pictures.items(), strict=True):
+        flat = picture.ndim == 2
+        image = axes.imshow(
+            picture[::step, ::step], origin="lower", extent=extent, interpolation="nearest",
+            cmap="RdYlGn" if name == "NDVI" else "gray" if flat else None,
+            vmin=-1.0 if name == "NDVI" else None, vmax=1.0 if name == "NDVI" else None,
+        )  # fmt: skip
+        axes.set(title=f"{title}\n{name}" if axes is grid[0] else name)
+        if flat:
+            figure.colorbar(image, ax=axes, label=f"{name} [-]", shrink=0.85)
+        axes.set_xlabel("x [pixel]" if pixels else "x [m]")
+    grid[0].set_ylabel("y [pixel]" if pixels else "y [m]")
+    if ranges:
+        note(
+            figure,
+            f"Reflectance shown: {'; '.join(ranges)} (99th percentiles), square root. "
+            "Saturated pixels white.",
+        )
     return figure
 
 
+@style()
 def panel_figure(panels: Sequence[PanelView], known: Sequence[NDArray[np.float64]]) -> Figure:
     """Every panel in every band, with the outline of the pixels that were read.
 
@@ -84,19 +85,18 @@ def panel_figure(panels: Sequence[PanelView], known: Sequence[NDArray[np.float64
     reflectance by band [-].
     """
     columns = max(len(panel.areas) for panel in panels)
-    with style():
-        figure = Figure(figsize=(2.3 * columns + 0.3, 2.15 * len(panels) + 0.25))
-        grid = figure.subplots(len(panels), columns, squeeze=False)
-        for axes in grid.flat:
-            axes.set_axis_off()
-        for row, panel, rho in zip(grid, panels, known, strict=True):
-            for k, axes in enumerate(row[: len(panel.areas)]):
-                _draw_panel(axes, panel, k, float(rho[k]))
-        note(
-            figure,
-            "Counts of each band's own picture, with the pixels that were read (outlined), their "
-            "spread and the panel's reflectance.",
-        )
+    figure = Figure(figsize=(2.3 * columns + 0.3, 2.15 * len(panels) + 0.25))
+    grid = figure.subplots(len(panels), columns, squeeze=False)
+    for axes in grid.flat:
+        axes.set_axis_off()
+    for row, panel, rho in zip(grid, panels, known, strict=True):
+        for k, axes in enumerate(row[: len(panel.areas)]):
+            _draw_panel(axes, panel, k, float(rho[k]))
+    note(
+        figure,
+        "Counts of each band's own picture, with the pixels that were read (outlined), their "
+        "spread and the panel's reflectance.",
+    )
     return figure
 
 

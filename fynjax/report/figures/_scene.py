@@ -28,12 +28,12 @@ BARK = "#5B4636"
 SUN = np.array([-0.45, 0.35, 0.82])
 _STRAW = "#B59A6A"
 _FADED = 0.5
-"""Of dead tissue: how far its colour is from the species' to that of straw."""
+"""How far the colour of dead tissue is from the species' to that of straw."""
 _PIXELS = 1300
 _MOST_POINTS = 4_000_000
 _MOST_OF_A_PLANT, _FEWEST_POINTS = 9000, 8
 _FAINTEST = 0.25
-"""Of a pixel that a point of wood shows at least: stems much thinner than a pixel stay visible."""
+"""Least share of a pixel that a point of wood fills, for stems thinner than a pixel to show."""
 _LEAST_PIXELS = 1.5
 """Side of the smallest point of foliage [pixels]."""
 
@@ -73,6 +73,7 @@ class DrawnPlants:
     """Seed of the scene, which the shapes of its plants are drawn with."""
 
 
+@style()
 def plan_view(plants: DrawnPlants, *, periodic: bool, title: str = "") -> Figure:
     """The plants from straight above as clouds of their area elements, each species in its colour.
 
@@ -88,18 +89,17 @@ def plan_view(plants: DrawnPlants, *, periodic: bool, title: str = "") -> Figure
     cell = _cell(instances.extent, _PIXELS)
     cover = projected_cover(instances, cell=cell, periodic=periodic)
     colours = species_colours(plants.forms)
-    with style():
-        figure = Figure(figsize=(9.8, 6.6 * min(max(ly / lx, 0.4), 1.6) + 0.3))
-        axes = figure.subplots()
-        axes.imshow(
-            from_above(plants, cell, periodic=periodic),
-            origin="lower",
-            extent=(0, lx, 0, ly),
-            interpolation="antialiased",
-        )
-        axes.set(xlabel="East [m]", ylabel="North [m]", title=title, aspect="equal")
-        _north(axes)
-        _legend(figure, instances, colours, cover.visible, cover.total)
+    figure = Figure(figsize=(9.8, 6.6 * min(max(ly / lx, 0.4), 1.6) + 0.3))
+    axes = figure.subplots()
+    axes.imshow(
+        from_above(plants, cell, periodic=periodic),
+        origin="lower",
+        extent=(0, lx, 0, ly),
+        interpolation="antialiased",
+    )
+    axes.set(xlabel="East [m]", ylabel="North [m]", title=title, aspect="equal")
+    _north(axes)
+    _legend(figure, instances, colours, cover.visible, cover.total)
     return figure
 
 
@@ -162,13 +162,7 @@ def element_points(
             there = index[organ] > 0.0
             position, organ = position[there], organ[there]
             normal = np.asarray(shape.normal)[there]
-            per_diameter, per_height = unit_shapes(
-                position, instances.azimuth[mine], instances.tilt[mine]
-            )
-            diameter, height = instances.diameter[mine], instances.height[mine]
-            place = diameter[:, None, None] * per_diameter + height[:, None, None] * per_height
-            foot = np.stack([instances.x[mine], instances.y[mine], instances.z[mine]], axis=-1)
-            turned = sum(unit_shapes(normal, instances.azimuth[mine], instances.tilt[mine]))
+            place, turned = standing_points(instances, mine, position, normal)
             share_of_organ = np.asarray(shape.area_fraction)[there] * index[organ]
             area = disc[mine, None] * share_of_organ * np.abs(turned @ towards)
             area = np.where(organ == Organ.WOOD, np.maximum(area, _FAINTEST / metre**2), area)
@@ -178,12 +172,23 @@ def element_points(
                 0.72 + 0.4 * np.abs(turned @ SUN)
             )
             tone = _tones(plants, species, organ, len(mine), rng)
-            places.append((place + foot[:, None]).reshape(-1, 3).astype(np.float32))
+            places.append(place.reshape(-1, 3).astype(np.float32))
             tints.append((light[..., None] * tone).reshape(-1, 3).astype(np.float32))
             areas.append(area.ravel().astype(np.float32))
     if not places:
         return np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0)
     return np.concatenate(places), np.concatenate(tints), np.concatenate(areas)
+
+
+def standing_points(
+    plants: Instances, mine: np.ndarray, position: np.ndarray, normal: np.ndarray
+) -> tuple[Float[np.ndarray, "plant point 3"], Float[np.ndarray, "plant point 3"]]:
+    """Places [m] and normals of the points of a plant of unit size, on each plant of `mine`."""
+    angles = plants.azimuth[mine], plants.tilt[mine]
+    across, up = unit_shapes(position, *angles)
+    wide, high = plants.diameter[mine, None, None], plants.height[mine, None, None]
+    foot = np.stack([plants.x[mine], plants.y[mine], plants.z[mine]], axis=-1)
+    return wide * across + high * up + foot[:, None], np.add(*unit_shapes(normal, *angles))
 
 
 def _points(plants: DrawnPlants, species: int, metre: float) -> Float[np.ndarray, " organ"]:
@@ -294,6 +299,7 @@ def _legend(
     )  # fmt: skip
 
 
+@style()
 def profile_view(
     profile: Float[np.ndarray, "organ species layer"],
     edges: Float[np.ndarray, " edge"],
@@ -306,25 +312,24 @@ def profile_view(
     `forms`, growth form of each species.
     """
     colours = species_colours(forms)
-    with style():
-        figure = Figure(figsize=(9.4, 4.8))
-        panels = figure.subplots(1, 2, sharey=True, width_ratios=(3, 2))
-        for axes, part, name in zip(panels, profile, ("Leaf", "Wood"), strict=True):
-            start = np.zeros(part.shape[1])
-            for species, values in enumerate(part):
-                # Steps: within a layer the density is its mean.
-                axes.stairs(
-                    start + values, edges, baseline=start, orientation="horizontal", fill=True,
-                    color=colours[species], lw=0,
-                )  # fmt: skip
-                start = start + values
-            axes.stairs(start, edges, orientation="horizontal", color="#333333", lw=0.8)
-            index = float((part * np.diff(edges)).sum())
-            axes.set_title(f"{name}: {index:.2f} m² per m² of ground")
-            axes.set_xlabel(f"{name} area density [m² m⁻³]")
-            axes.set_xlim(0, None)
-            axes.grid(axis="x")
-        panels[0].set_ylabel("Height above ground [m]")
-        panels[0].set_ylim(0, edges[-1])
-        _legend(figure, instances, colours)
+    figure = Figure(figsize=(9.4, 4.8))
+    panels = figure.subplots(1, 2, sharey=True, width_ratios=(3, 2))
+    for axes, part, name in zip(panels, profile, ("Leaf", "Wood"), strict=True):
+        start = np.zeros(part.shape[1])
+        for species, values in enumerate(part):
+            # Steps: within a layer the density is its mean.
+            axes.stairs(
+                start + values, edges, baseline=start, orientation="horizontal", fill=True,
+                color=colours[species], lw=0,
+            )  # fmt: skip
+            start = start + values
+        axes.stairs(start, edges, orientation="horizontal", color="#333333", lw=0.8)
+        index = float((part * np.diff(edges)).sum())
+        axes.set_title(f"{name}: {index:.2f} m² per m² of ground")
+        axes.set_xlabel(f"{name} area density [m² m⁻³]")
+        axes.set_xlim(0, None)
+        axes.grid(axis="x")
+    panels[0].set_ylabel("Height above ground [m]")
+    panels[0].set_ylim(0, edges[-1])
+    _legend(figure, instances, colours)
     return figure

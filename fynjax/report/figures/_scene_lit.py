@@ -11,8 +11,9 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from fynjax._core.errors import InputError
-from fynjax.canopy import Organ, plant_model_from_mesh, unit_shapes
+from fynjax.canopy import Organ, plant_model_from_mesh
 from fynjax.io.instruments import scene_meshes
+from fynjax.report.figures._scene import standing_points
 from fynjax.report.figures._scene_oblique import View, oblique_figure, relief, view_of
 from fynjax.report.figures._style import Figure
 from fynjax.scene import Instances, Scene, hard_instances, hard_scene, leaf_classes
@@ -149,11 +150,7 @@ def _points(
         number = int(np.clip(most * total[species] / total.sum() / counts[species], 200, 400_000))
         model = plant_model_from_mesh(mesh, number, solid_materials="closed").plant
         organ, position = np.asarray(model.organ), np.asarray(model.position, np.float32)
-        across, tall = unit_shapes(position, plants.azimuth[mine], plants.tilt[mine])
-        wide, high = plants.diameter[mine, None, None], plants.height[mine, None, None]
-        foot = np.stack([plants.x[mine], plants.y[mine], plants.z[mine]], axis=-1)
-        place = (wide * across + high * tall + foot[:, None]).astype(np.float32)
-        turned = sum(unit_shapes(np.asarray(model.normal), plants.azimuth[mine], plants.tilt[mine]))
+        place, turned = standing_points(plants, mine, position, np.asarray(model.normal))
         disc = np.pi / 4 * plants.diameter[mine, None] ** 2
         area = disc * np.asarray(model.area_fraction) * index[species][organ]
         first = leaves[species].start if species in leaves else 0
@@ -162,7 +159,9 @@ def _points(
         if plants.leaf is not None:
             kinds = kinds + np.outer(plants.leaf[mine], organ == Organ.LEAF)
         kinds = kinds.ravel()
-        parts.append((place.reshape(-1, 3), turned.reshape(-1, 3), area.ravel(), kinds))
+        parts.append(
+            (place.astype(np.float32).reshape(-1, 3), turned.reshape(-1, 3), area.ravel(), kinds)
+        )
     if not parts:
         raise InputError("expected plants to look at, but none stand on the plot")
     place, normal, area, kinds = (np.concatenate(part) for part in zip(*parts, strict=True))

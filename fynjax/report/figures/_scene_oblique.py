@@ -136,6 +136,7 @@ def height_at(
     return np.asarray(map_coordinates(ground, at, order=1, mode="nearest"), float)
 
 
+@style()
 def oblique_figure(
     image: np.ndarray,
     instances: Instances,
@@ -152,36 +153,31 @@ def oblique_figure(
     lx, ly = instances.extent
     view = view_of(instances, ground)
     image = view.shown(image)
-    with style():
-        figure = Figure(figsize=(9.8, 6.0))
-        axes = figure.subplots()
-        axes.imshow(np.clip(image, 0, 1), origin="lower", interpolation="antialiased")
-        axes.set(title=title, xticks=[], yticks=[], xlim=(0, _WIDTH), ylim=(0, _HEIGHT))
-        for spine in axes.spines.values():
-            spine.set_visible(False)
+    figure = Figure(figsize=(9.8, 6.0))
+    axes = figure.subplots()
+    axes.imshow(np.clip(image, 0, 1), origin="lower", interpolation="antialiased")
+    axes.set(title=title, xticks=[], yticks=[], xlim=(0, _WIDTH), ylim=(0, _HEIGHT))
+    for spine in axes.spines.values():
+        spine.set_visible(False)
 
-        def at(x: float, y: float) -> tuple[float, float]:
-            z = height_at(ground, (lx, ly), np.array([x]), np.array([y]))[0]
-            flat, _ = view.project(np.array([[x, y, z]]))
-            return float(flat[0, 0]) / _FINER, float(flat[0, 1]) / _FINER
+    def at(x: float, y: float) -> tuple[float, float]:
+        z = height_at(ground, (lx, ly), np.array([x]), np.array([y]))[0]
+        flat, _ = view.project(np.array([[x, y, z]]))
+        return float(flat[0, 0]) / _FINER, float(flat[0, 1]) / _FINER
 
-        out = 0.035 * max(lx, ly)
-        for part in np.linspace(0.0, 1.0, 6):
-            axes.text(
-                *at(part * lx, -out), f"{part * lx:g}", fontsize=7.5, ha="center", va="center"
-            )
-            axes.text(
-                *at(-out, part * ly), f"{part * ly:g}", fontsize=7.5, ha="center", va="center"
-            )
-        axes.text(*at(lx / 2, -3 * out), "East [m]", fontsize=8.5, ha="center", va="center")
-        axes.text(*at(-3.7 * out, 0.45 * ly), "North [m]", fontsize=8.5, ha="center", va="center")
-        axes.annotate(
-            "N", at(-3.2 * out, 0.63 * ly), at(-3.2 * out, 0.86 * ly), ha="center", va="center",
-            fontsize=9, fontweight="bold",
-            arrowprops={"arrowstyle": "<|-", "lw": 1.3, "color": "black"},
-        )  # fmt: skip
-        if forms is not None:
-            _legend(figure, instances, species_colours(forms))
+    out = 0.035 * max(lx, ly)
+    for part in np.linspace(0.0, 1.0, 6):
+        axes.text(*at(part * lx, -out), f"{part * lx:g}", fontsize=7.5, ha="center", va="center")
+        axes.text(*at(-out, part * ly), f"{part * ly:g}", fontsize=7.5, ha="center", va="center")
+    axes.text(*at(lx / 2, -3 * out), "East [m]", fontsize=8.5, ha="center", va="center")
+    axes.text(*at(-3.7 * out, 0.45 * ly), "North [m]", fontsize=8.5, ha="center", va="center")
+    axes.annotate(
+        "N", at(-3.2 * out, 0.63 * ly), at(-3.2 * out, 0.86 * ly), ha="center", va="center",
+        fontsize=9, fontweight="bold",
+        arrowprops={"arrowstyle": "<|-", "lw": 1.3, "color": "black"},
+    )  # fmt: skip
+    if forms is not None:
+        _legend(figure, instances, species_colours(forms))
     return figure
 
 

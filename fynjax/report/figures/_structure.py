@@ -14,28 +14,29 @@ from fynjax.report.figures._style import AFTER, REAL, Figure, note, style, words
 _SIDES = (("real", REAL, "o"), ("simulated", AFTER, "s"))
 
 
+@style()
 def structure_figure(comparison: StructureComparison) -> Figure:
     """Metrics with their intervals, and heights, percentiles and profiles of both clouds.
 
     **Arguments:** `comparison` of the real and the simulated cloud.
     """
-    with style():
-        figure = Figure(figsize=(11.4, 7.4))
-        parts: Any = figure.subfigures(2, 1, height_ratios=(1.0, 1.15))
-        upper, lower = parts
-        panels = upper.subplots(1, len(STRUCTURE_METRICS))
-        for axes, metric in zip(panels, STRUCTURE_METRICS):
-            _metric(axes, comparison, metric)
-        histogram, percentiles, profile = lower.subplots(1, 3)
-        _histogram(histogram, comparison)
-        _percentiles(percentiles, comparison)
-        _profile(profile, comparison)
-        handles, labels = histogram.get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside upper left", ncols=2)
-        note(figure, _caption(comparison))
+    figure = Figure(figsize=(11.4, 7.4))
+    parts: Any = figure.subfigures(2, 1, height_ratios=(1.0, 1.15))
+    upper, lower = parts
+    panels = upper.subplots(1, len(STRUCTURE_METRICS))
+    for axes, metric in zip(panels, STRUCTURE_METRICS):
+        _metric(axes, comparison, metric)
+    histogram, percentiles, profile = lower.subplots(1, 3)
+    _histogram(histogram, comparison)
+    _percentiles(percentiles, comparison)
+    _profile(profile, comparison)
+    handles, labels = histogram.get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper left", ncols=2)
+    note(figure, _caption(comparison))
     return figure
 
 
+@style()
 def structure_maps(comparison: StructureComparison) -> Figure:
     """Every metric in each cell, the real cloud above and the simulated below, on the same scale.
 
@@ -43,32 +44,29 @@ def structure_maps(comparison: StructureComparison) -> Figure:
     """
     west, south, east, north = comparison.bounds
     extent = (0.0, east - west, 0.0, north - south)
-    with style():
-        count = len(STRUCTURE_METRICS)
-        figure = Figure(figsize=(2.05 * count, 4.9))
-        grid = figure.subplots(2, count, sharex=True, sharey=True)
-        for column, metric in zip(grid.T, STRUCTURE_METRICS):
-            maps = [side.cells[metric] for side in comparison.sides.values()]
-            pooled = np.concatenate([m[np.isfinite(m)] for m in maps])
-            low, high = (pooled.min(), pooled.max()) if pooled.size else (0.0, 1.0)
-            scale = matplotlib.colors.Normalize(low, high if high > low else low + 1e-6)
-            for axes, values in zip(column, maps):
-                axes.set_facecolor("#D9D9D9")  # undefined
-                image = axes.imshow(
-                    values, origin="lower", extent=extent, norm=scale, cmap="viridis"
-                )
-                axes.tick_params(length=2)
-            column[0].set_title(_title(metric), fontsize=8.5)
-            bar = figure.colorbar(image, ax=list(column), location="bottom", aspect=12, pad=0.02)
-            bar.ax.tick_params(labelsize=7)
-            bar.ax.locator_params(nbins=3)
-        for axes, (name, _, _) in zip(grid[:, 0], _SIDES):
-            axes.set_ylabel(f"{name}\nNorth [m]")
-        note(
-            figure,
-            f"East [m]. Cells of {comparison.grain:g} m; grey is undefined. Of the thinned cloud, "
-            "the median of thinnings.",
-        )
+    count = len(STRUCTURE_METRICS)
+    figure = Figure(figsize=(2.05 * count, 4.9))
+    grid = figure.subplots(2, count, sharex=True, sharey=True)
+    for column, metric in zip(grid.T, STRUCTURE_METRICS):
+        maps = [side.cells[metric] for side in comparison.sides.values()]
+        pooled = np.concatenate([m[np.isfinite(m)] for m in maps])
+        low, high = (pooled.min(), pooled.max()) if pooled.size else (0.0, 1.0)
+        scale = matplotlib.colors.Normalize(low, high if high > low else low + 1e-6)
+        for axes, values in zip(column, maps):
+            axes.set_facecolor("#D9D9D9")  # undefined
+            image = axes.imshow(values, origin="lower", extent=extent, norm=scale, cmap="viridis")
+            axes.tick_params(length=2)
+        column[0].set_title(_title(metric), fontsize=8.5)
+        bar = figure.colorbar(image, ax=list(column), location="bottom", aspect=12, pad=0.02)
+        bar.ax.tick_params(labelsize=7)
+        bar.ax.locator_params(nbins=3)
+    for axes, (name, _, _) in zip(grid[:, 0], _SIDES):
+        axes.set_ylabel(f"{name}\nNorth [m]")
+    note(
+        figure,
+        f"East [m]. Cells of {comparison.grain:g} m; grey is undefined. Of the thinned cloud, "
+        "the median of thinnings.",
+    )
     return figure
 
 

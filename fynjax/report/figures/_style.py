@@ -29,6 +29,8 @@ ORANGE, SKY, GREEN, BLUE, VERMILION, PURPLE = (
     "#CC79A7",
 )
 GREY = "#7F7F7F"
+SERIES = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY, GREY)
+"""Colours of lines that are of one kind, in their order."""
 BEFORE, AFTER, REAL, OTHER = ORANGE, BLUE, "#222222", GREY
 """Before calibration, after it, the real data, another simulation: the same in every figure."""
 
@@ -133,13 +135,9 @@ def panel_grid(
 ) -> tuple[Figure, list[Any]]:
     """A figure of equal panels, row by row.
 
-    **Arguments:**
-
-    - `count`: of the panels.
-    - `columns`: most panels in a row.
-    - `panel`: width and height of each, with its labels [inches].
-    - `beside`: width and height of what stands beside all panels [inches].
-    - `shared`: `sharex` and `sharey`, as of `Figure.subplots`.
+    **Arguments:** `count`: of the panels; `columns`: most panels in a row; `panel`: width and
+    height of each, with its labels [inches]; `beside`: width and height of what stands beside all
+    panels [inches]; `shared`: `sharex` and `sharey`, as of `Figure.subplots`.
 
     **Returns:** the figure and its `count` axes.
     """

@@ -135,10 +135,8 @@ class Page:
     """Record of how the page was made, as `fynjax.io.raster.provenance` has it."""
 
 
-def write_page(page: Page, folder: Path, file: str = "report.html") -> dict[str, str]:
-    """Write a page and its pictures into a folder.
-
-    **Arguments:** `page`; `folder`, made if missing; `file`, name of the page.
+def write_page(page: Page, folder: Path) -> dict[str, str]:
+    """Write `page`, as report.html, and its pictures into `folder`, which is made if missing.
 
     **Returns:** a description of each file, by its name.
     """
@@ -149,8 +147,8 @@ def write_page(page: Page, folder: Path, file: str = "report.html") -> dict[str,
         picture.write(folder)
     shown = {picture.file: _shown(picture, folder) for picture in pictures}
     template = _ENVIRONMENT.get_template("page.html")
-    write_text(folder / file, template.render(page=page, shown=shown) + "\n")
-    return {file: "all of it on one page"} | {p.file: p.what for p in pictures}
+    write_text(folder / "report.html", template.render(page=page, shown=shown) + "\n")
+    return {"report.html": "all of it on one page"} | {p.file: p.what for p in pictures}
 
 
 def _shown(picture: Picture, folder: Path) -> dict[str, Any]:

@@ -1,0 +1,12 @@
+from ._camera_place import CameraPlace as CameraPlace
+from ._camera_place import on_earth as on_earth
+from ._capture import AlignedCapture as AlignedCapture
+from ._capture import Capture as Capture
+from ._capture import aligned_radiance as aligned_radiance
+from ._capture import find_captures as find_captures
+from ._capture import read_capture as read_capture
+from ._capture import same_capture as same_capture
+from ._capture import usable_captures as usable_captures
+from ._panel import PanelView as PanelView
+from ._panel import panel_reflectance as panel_reflectance
+from ._panel import read_panel as read_panel
