@@ -82,7 +82,7 @@ class BuildResult(JobResult):
 @double_precision
 def build(
     plot: Plot | str | Path,
-    output: Path,
+    output: str | Path,
     *,
     seed: int | None = None,
     size: float | None = None,

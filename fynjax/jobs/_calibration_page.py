@@ -1,7 +1,6 @@
 """The page of a calibration: which figures and tables it shows, and its headline."""
 
-from collections.abc import Sequence
-from pathlib import Path
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -18,11 +17,12 @@ from fynjax.jobs._calibration_tables import (
     sensor_misfit,
     sensor_table,
 )
-from fynjax.jobs._render import SHOWN_INDICES, image_views, index_images
+from fynjax.jobs._render import SHOWN_INDICES, image_views, index_images, write_image
 from fynjax.jobs._run import Run, peak_memory_mib
 from fynjax.metrics import VEGETATION_INDICES
 from fynjax.report import figures
 from fynjax.report.pages import Page, Part, Picture, Section, Table, sensor_section
+from fynjax.scene import AimedSensor
 
 
 def agreement_sentences(
@@ -144,11 +144,11 @@ def calibration_page(
     measured: Sequence[Measured],
     tables: tuple[pd.DataFrame, pd.DataFrame, pd.DataFrame],
     reference: ReferenceImage,
-    inputs: Sequence[Path | None],
-    truth: Sequence[str] = (),
+    lead: Sequence[str],
+    record: Mapping[str, str | int],
 ) -> Page:
-    """The page. `tables` are those of the stand, of the parameters and of the statistics; `truth`
-    says of a twin how far it was found."""
+    """The page. `tables` are those of the stand, of the parameters and of the statistics; `lead`
+    are the first sentences."""
     stand, parameters, statistics = tables
     memory = peak_memory_mib()
     keys = {
@@ -174,9 +174,30 @@ def calibration_page(
         parameter_section(result, stand, parameters),
         search_section(run, result, memory),
     ]
-    agreement = agreement_sentences(plot, measured, statistics, reference)
-    lead = doubt_first(result.fit, " ".join([*truth, stand_sentence(stand), *agreement]))
-    return Page(f"Calibration: {plot.name}", lead, sections, keys, run.record(inputs))
+    first = doubt_first(result.fit, " ".join(lead))
+    return Page(f"Calibration: {plot.name}", first, sections, keys, record)
+
+
+def write_results(
+    run: Run,
+    plot: Plot,
+    result: Calibration | KnownPlants,
+    tables: tuple[pd.DataFrame, pd.DataFrame, pd.DataFrame],
+    camera: AimedSensor | None,
+    record: Mapping[str, str | int],
+    words: tuple[str, str],
+) -> None:
+    """Write the tables of `calibration_page`, and where there is a `camera` its images before and
+    after; `words` are for what the statistics are of, and for where the plot before is from."""
+    stand, parameters, statistics = tables
+    each, source = words
+    run.table("stand.csv", stand, "prior and estimate of the whole stand")
+    run.table("parameters.csv", parameters, "prior, estimate, sd of every parameter")
+    run.table("statistics.csv", statistics, f"{each}, real and simulated")
+    for when, what in (("before", f"of the {source}"), ("after", "after calibration")):
+        if camera is not None:
+            path = run.path(f"image_{when}.tif", f"image {what}, GeoTIFF")
+            write_image(path, np.asarray(getattr(result, f"image_{when}")), plot, camera, record)
 
 
 def _image_sections(

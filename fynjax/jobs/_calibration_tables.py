@@ -81,27 +81,21 @@ def statistic_table(calibration: Calibration, reference: ReferenceImage) -> pd.D
             "target_sd": np.concatenate([np.asarray(data.sd), np.full(len(extra), np.nan)]),
         }
     )
-    for column in ("before", "after"):
-        image = getattr(calibration, f"image_{column}")
-        values = np.full(len(names), np.nan)
-        values[: len(data.names)] = getattr(calibration, f"statistics_{column}")
-        camera = calibration.camera
-        if image is not None and camera is not None and extra:
-            values[len(data.names) :] = np.asarray(
-                _statistics(image, extra, pixel=camera.pixel, bands=camera.sensor.bands.names),
-                float,
-            )
-        table[column] = values
-    image = calibration.image_after
-    if image is not None and camera is not None:
-        imaged = next(view.names for view in calibration.views if isinstance(view, ImageView))
-        own = (*imaged, *extra)
-        bands = camera.sensor.bands.names
-        found = np.asarray(_statistics(image, own, pixel=camera.pixel, bands=bands), float)
-        table["image_after"] = table["statistic"].map(dict(zip(own, found, strict=True)))
-    with_gain = np.full(len(names), np.nan)
-    with_gain[: len(data.names)] = calibration.statistics_with_gain
-    table["with_gain"] = with_gain
+    view = next((view for view in calibration.views if isinstance(view, ImageView)), None)
+    of_image: dict[str, Any] = {}
+    for when in ("before", "after"):
+        if view is not None:
+            own, camera = (*view.names, *extra), view.camera
+            image, bands = getattr(calibration, f"image_{when}"), camera.sensor.bands.names
+            found = np.asarray(_statistics(image, own, pixel=camera.pixel, bands=bands), float)
+            of_image = dict(zip(own, found, strict=True))
+        fitted = np.asarray(getattr(calibration, f"statistics_{when}"), float)
+        expected = of_image | dict(zip(data.names, fitted, strict=True))
+        table[when] = [expected.get(name, np.nan) for name in names]
+    if view is not None:
+        table["image_after"] = table["statistic"].map(of_image)
+    with_gain = np.asarray(calibration.statistics_with_gain, float)
+    table["with_gain"] = [*with_gain, *np.full(len(extra), np.nan)]
     table["reference"] = [reference.simulated.get(n, np.nan) for n in names]
     for column in ("before", "after", "with_gain", "reference"):
         table[f"{column}_error_percent"] = 100.0 * (table[column] - real) / np.abs(real)

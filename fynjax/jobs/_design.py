@@ -33,7 +33,7 @@ class DesignResult(JobResult):
 @double_precision
 def design(
     plot: Plot | str | Path,
-    output: Path,
+    output: str | Path,
     *,
     bands: int = 4,
     target: Sequence[str] = DESIGN_TARGET,
@@ -67,7 +67,7 @@ def design(
     Example: `jobs.design("plot.toml", Path("results"), bands=3, target=["dead_share"])`.
     """
     read = as_plot(plot)
-    run = Run(output, seed=read.seed if seed is None else seed, plot=read)
+    run = Run(output, seed=seed, plot=read)
     with run.stage("Build the plot"):
         ready = prepare(read, DESIGN_FREE if free is None else free, seed=run.seed)
     names = [

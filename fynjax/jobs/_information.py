@@ -33,7 +33,7 @@ class InformationResult(JobResult):
 @double_precision
 def information(
     plot: Plot | str | Path,
-    output: Path,
+    output: str | Path,
     *,
     free: Sequence[str] | None = None,
     gsd: Sequence[float] = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0),
@@ -70,7 +70,7 @@ def information(
     Example: `jobs.information("plot.toml", Path("results"), gsd=(0.5, 1.0), bands=(4,))`.
     """
     read = as_plot(plot)
-    run = Run(output, seed=read.seed if seed is None else seed, plot=read)
+    run = Run(output, seed=seed, plot=read)
     with run.stage("Build the plot"):
         ready = prepare(read, free, seed=run.seed)
     altitude, _ = sensor_place(read)
@@ -174,13 +174,17 @@ def _bands(count: int) -> str:
 
 
 def _limit_sentences(table: pd.DataFrame, limits: pd.DataFrame) -> list[str]:
-    """For each number of bands, how many covers are lost at which pixels."""
+    """For each number of bands, and noise and sun where there are several, how many covers are
+    lost at which pixels."""
     finest, coarsest = table["gsd_m"].min(), table["gsd_m"].max()
+    words = {"bands": _bands, "noise": "noise {:g}".format, "sun_zenith": "sun at {:g}°".format}
+    keys = [key for key in words if key == "bands" or limits[key].nunique() > 1]
     lines = []
-    for count, part in limits.groupby("bands"):
+    for of, part in limits.groupby(keys):
         number = part["detected"].value_counts()
+        sensor = ", ".join(words[key](value) for key, value in zip(keys, of, strict=True))
         lines.append(
-            f"{_bands(int(str(count)))}: of {len(part)} covers {number.get('at every pixel', 0)} "
+            f"{sensor}: of {len(part)} covers {number.get('at every pixel', 0)} "
             f"exceed their bound at every pixel up to {coarsest:g} m, "
             f"{number.get('at fine pixels', 0)} only at fine ones, "
             f"{number.get('at no pixel', 0)} not even at {finest:g} m."

@@ -41,7 +41,7 @@ from fynjax.jobs._calibration_tables import prior_columns
 from fynjax.jobs._doubt import doubt_targets
 from fynjax.jobs._follow import calibrated as calibrated_plot
 from fynjax.jobs._result import JobResult, Number, ParameterSummary
-from fynjax.jobs._run import Run
+from fynjax.jobs._run import Run, paths_of
 from fynjax.report import figures
 from fynjax.report.pages import Page, Part, Picture, Section, Table
 
@@ -80,15 +80,15 @@ _STANDS = 400
 @double_precision
 def posterior(
     plot: Plot | str | Path,
-    targets: Path | Sequence[Path],
-    output: Path,
+    targets: str | Path | Sequence[str | Path],
+    output: str | Path,
     *,
     method: SamplingMethod = "emcee",
     free: Sequence[str] | None = None,
     target_size: float = 400.0,
     max_steps: int = 5000,
     prior: str | Path = NO_PRIOR,
-    checkpoint: Path,
+    checkpoint: str | Path,
     bands: Sequence[str] | None = None,
     seed: int | None = None,
 ) -> PosteriorResult:
@@ -128,9 +128,9 @@ def posterior(
     require("arviz", "posterior")
     if method == "nuts":
         require("blackjax", "posterior")
-    paths = [targets] if isinstance(targets, Path) else list(targets)
+    checkpoint, paths = Path(checkpoint), paths_of(targets)
     read = with_prior(placed_by_image(as_plot(plot), paths), prior)
-    run = Run(output, seed=read.seed if seed is None else seed, plot=read)
+    run = Run(output, seed=seed, plot=read)
     measured = read_targets(read, paths, bands=bands, seed=run.seed)
     doubt_targets(run, read, measured)
     with run.stage("Build the plot"):

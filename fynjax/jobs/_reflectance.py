@@ -40,7 +40,7 @@ from fynjax.jobs._reflectance_record import (
     panel_summary,
 )
 from fynjax.jobs._result import JobResult
-from fynjax.jobs._run import Run
+from fynjax.jobs._run import Run, paths_of
 from fynjax.report import figures
 from fynjax.report.pages import Picture
 from fynjax.sensors import (
@@ -70,7 +70,7 @@ class ReflectanceResult(JobResult):
 
 @double_precision
 def reflectance(
-    images: Sequence[str | Path],
+    images: str | Path | Sequence[str | Path],
     output: str | Path,
     *,
     panels: Sequence[str | Path] = (),
@@ -116,7 +116,7 @@ def reflectance(
     """
     run = Run(output)
     _check(panels, reflectances, areas, light, panel_sd, light_sd, height, pixel)
-    captures = find_captures(images)
+    captures = find_captures(paths_of(images))
     with run.stage("Read the panels"):
         usable, skipped, dark = usable_captures(captures)
         read = _panels(captures if panels else usable, panels, areas, light)

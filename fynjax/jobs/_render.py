@@ -66,7 +66,7 @@ class RenderResult(JobResult):
 @double_precision
 def render(
     plot: Plot | str | Path,
-    output: Path,
+    output: str | Path,
     *,
     seed: int | None = None,
     checkpoint: Path | None = None,
@@ -94,7 +94,7 @@ def render(
     Example: `jobs.render("plot.toml", Path("results")).headline`.
     """
     read = as_plot(plot)
-    run = Run(output, seed=read.seed if seed is None else seed, plot=read)
+    run = Run(output, seed=seed, plot=read)
     instrument = plot_instrument(read)
     with run.stage("Build the plot", "build"):
         scene, parameters = build_plot(read, seed=run.seed)

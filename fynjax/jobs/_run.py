@@ -29,6 +29,11 @@ Result = TypeVar("Result", bound=JobResult)
 _log = logging.getLogger("fynjax")
 
 
+def paths_of(given: str | Path | Sequence[str | Path]) -> list[Path]:
+    """One path, or several, as a list."""
+    return [Path(p) for p in ([given] if isinstance(given, str | Path) else given)]
+
+
 def peak_memory_mib() -> float:
     """Largest resident memory of the process so far [MiB]."""
     return peak_memory() / 2**20

@@ -59,7 +59,7 @@ class SensitivityResult(JobResult):
 @double_precision
 def sensitivity(
     plot: Plot | str | Path,
-    output: Path,
+    output: str | Path,
     *,
     metrics: Sequence[str] = METRICS,
     free: Sequence[str] | None = None,
@@ -104,7 +104,7 @@ def sensitivity(
     names = tuple(metrics)
     read = as_plot(plot)
     _check(read, names, derivative_samples, sobol_samples)
-    run = Run(output, seed=read.seed if seed is None else seed, plot=read)
+    run = Run(output, seed=seed, plot=read)
     with run.stage("Build the plot"):
         ready = prepare(read, free, seed=run.seed)
     space = ready.space

@@ -55,7 +55,7 @@ class SimulateResult(JobResult):
 @double_precision
 def simulate(
     plot: Plot | str | Path,
-    output: Path,
+    output: str | Path,
     *,
     sensor: str | Path | Sensor | Lidar | None = None,
     altitude: float | None = None,
@@ -97,7 +97,7 @@ def simulate(
     Example: `jobs.simulate("plot.toml", Path("results"), sensor="mavic_3m")`.
     """
     read = as_plot(plot)
-    run = Run(output, seed=read.seed if seed is None else seed, plot=read)
+    run = Run(output, seed=seed, plot=read)
     name = sensor or read.sensor.path or read.sensor.name
     instrument = name if isinstance(name, (Sensor, Lidar)) else load_instrument(name)
     files = [] if isinstance(name, (Sensor, Lidar)) or not Path(name).is_file() else [Path(name)]

@@ -42,7 +42,7 @@ class ArticleResult(JobResult):
 
 @double_precision
 def article(
-    output: Path,
+    output: str | Path,
     *,
     calibration: Path | None = None,
     size: float = 10.0,

@@ -25,7 +25,7 @@ reported beside, as a check."""
 
 @double_precision
 def demo(
-    output: Path,
+    output: str | Path,
     *,
     seed: int,
     with_aviris: bool = False,
