@@ -23,7 +23,7 @@ from fynjax.io.raster import write_run
 from fynjax.jobs._result import JobResult, Rows
 from fynjax.jobs._run import Run, peak_memory_mib
 from fynjax.report import figures
-from fynjax.report.pages import Page, Picture, Section, Table
+from fynjax.report.pages import Page, Part, Picture, Section, Table
 from fynjax.scene import (
     Instances,
     PlotParameters,
@@ -165,7 +165,7 @@ def build(
             run.path("scene.mtl", "their materials")
     headline = _headline(read, table, area)
     run.total()
-    parts = [" ".join(headline[1:]), *pictures, *_tables(read, table, stand)]
+    parts: list[Part] = [" ".join(headline[1:]), *pictures, *_tables(read, table, stand)]
     times = run.times(f"Wall time; peak memory of the build {memory:.0f} MiB.", folded=True)
     whole = table.iloc[-1]
     keys = {

@@ -70,20 +70,14 @@ def design(
     run = Run(output, seed=seed, plot=read)
     with run.stage("Build the plot"):
         ready = prepare(read, DESIGN_FREE if free is None else free, seed=run.seed)
-    names = [
-        "design.csv",
-        "designed.toml",
-        "sensors.csv",
-        "pixels.csv",
-        "spectra.nc",
-        "report.html",
-    ]
+    names = ("design.csv", "designed.toml", "sensors.csv", "pixels.csv", "spectra.nc")
+    files = dict.fromkeys((*names, "report.html"), "")
     wanted: str | Sequence[str] = target[0] if len(target) == 1 else target
     found = design_bands(
         ready.scene, bands, wanted, free=ready.space, pixel=pixel, spectrum=spectrum,
         widths=widths, snr=snr, plantings=plantings,
         compare=[load_instrument(one) for one in compare],  # type: ignore[misc]
-        starts=starts, seed=run.seed, checked=lambda: begin_work(dict.fromkeys(names, "")),
+        starts=starts, seed=run.seed, checked=lambda: begin_work(files),
     )  # fmt: skip
     chosen = pd.DataFrame(
         {"band": found.bands.names, "centre_nm": found.bands.centre, "fwhm_nm": found.bands.fwhm}
@@ -99,9 +93,9 @@ def design(
             run.path("spectra.nc", "responses, spectra and slopes over wavelength")
         )
         record = run.record(read.inputs)
-        lead = " ".join(str(found).splitlines())
-        run.page(Page(f"Design: {read.name}", lead, _sections(found, chosen), record=record))
-    headline = str(found).splitlines()
+        headline = str(found).splitlines()
+        title, sections = f"Design: {read.name}", _sections(found, chosen)
+        run.page(Page(title, " ".join(headline), sections, record=record))
     return run.result(DesignResult, headline=headline, bands=chosen, sensors=found.table)
 
 

@@ -3,7 +3,7 @@
 import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import pandas as pd
@@ -177,7 +177,11 @@ def _limit_sentences(table: pd.DataFrame, limits: pd.DataFrame) -> list[str]:
     """For each number of bands, and noise and sun where there are several, how many covers are
     lost at which pixels."""
     finest, coarsest = table["gsd_m"].min(), table["gsd_m"].max()
-    words = {"bands": _bands, "noise": "noise {:g}".format, "sun_zenith": "sun at {:g}°".format}
+    words: dict[str, Any] = {
+        "bands": _bands,
+        "noise": lambda share: f"noise {100 * share:g} %",
+        "sun_zenith": lambda angle: f"sun at {angle:g} degrees",
+    }
     keys = [key for key in words if key == "bands" or limits[key].nunique() > 1]
     lines = []
     for of, part in limits.groupby(keys):

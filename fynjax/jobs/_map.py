@@ -165,7 +165,7 @@ def map_cube(
         step = max(1, -(-max(source.shape) // _SHOWN))
         picture = writer.read(step)
         of_training = {k: str(v) for k, v in trained.record.items() if k != "scores"}
-        record = {
+        record: dict[str, Any] = {
             **run.record([training]),
             "cube": source.path.name,
             "training": json.dumps(of_training),

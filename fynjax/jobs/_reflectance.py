@@ -120,7 +120,7 @@ def reflectance(
     with run.stage("Read the panels"):
         usable, skipped, dark = usable_captures(captures)
         read = _panels(captures if panels else usable, panels, areas, light)
-        stated = reflectances or [None]
+        stated: Sequence[str | None] = reflectances or [None]
         known = [
             panel_reflectance(stated[k] if len(stated) > 1 else stated[0], panel.capture)
             for k, panel in enumerate(read)

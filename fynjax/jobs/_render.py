@@ -14,14 +14,13 @@ import xarray as xr
 from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
-from fynjax._core.checkpoint import Journal, signature
 from fynjax._core.dry_run import begin_work, image_size
 from fynjax._core.errors import InputError
 from fynjax._core.precision import double_precision
 from fynjax._core.progress import track
 from fynjax.assembly import aim_without_air, build_plot
 from fynjax.io.plot import Plot, as_plot, plot_instrument, plot_place
-from fynjax.io.raster import Cube, file_hash, image_array, write_geotiff, write_run
+from fynjax.io.raster import Cube, image_array, write_geotiff, write_run
 from fynjax.jobs._result import JobResult, StatisticSummary
 from fynjax.jobs._run import Run
 from fynjax.metrics import BANDS, of_indices, vegetation_indices
@@ -105,12 +104,13 @@ def render(
     begin_work({"image.tif": size, "run.nc": size, "report.html": "", **shares})
     with run.stage("Render", "render"):
         if is_large(camera, scene):
-            journal = None
-            if checkpoint is not None:
-                hashes = [file_hash(path) for path in read.inputs]
-                journal = Journal(checkpoint, signature(read, hashes, run.seed))
+            journal = run.journal(checkpoint, read, files=read.inputs)
             picture = TiledPicture(camera, scene, parameters)
-            image = _in_tiles(picture, journal)
+            if journal is None:
+                image = picture.image()
+            else:
+                tiles = track(picture.tiles, "Tiles")
+                image = picture.image(journal(picture.render, tile) for tile in tiles)
             seen = None
             if truth:
                 seen = truth_of_layers(picture.sight(), camera, scene, parameters)
@@ -136,13 +136,6 @@ def render(
             for band, value in means.items()
         ],
     )
-
-
-def _in_tiles(picture: TiledPicture, journal: Journal | None) -> Array:
-    """The picture, of tiles that a journal keeps."""
-    if journal is None:
-        return picture.image()
-    return picture.image(journal(picture.render, tile) for tile in track(picture.tiles, "Tiles"))
 
 
 @eqx.filter_jit
@@ -178,10 +171,14 @@ def _write(
         record,
     )
     pictures = _drone_pictures if set(BANDS) <= set(bands.names) else _other_pictures
+    caption = "Plants, as many as their covers ask for."
+    if plot.crowns_note is not None:
+        caption = "Plants, which are known."
+    plants = pd.DataFrame({"taxon": scene.taxa, "plants": counts.astype(int)})
     parts: list[Part] = [
         *pictures(plot, camera, image),
         *([] if truth is None else [write_truth(run, plot, scene, truth, record)]),
-        _plants(plot, scene, counts),
+        Table(plants, caption),
     ]
     means = itertools.islice(zip(bands.names, image.mean((1, 2)), strict=True), _FEW_BANDS)
     run.page(
@@ -217,14 +214,6 @@ def write_truth(
     )
     figure = figures.species_map(*truth.leading(), truth.taxa, scene.forms, pixel_m=truth.pixel)
     return Picture("species.png", figure, "species that leads in each pixel")
-
-
-def _plants(plot: Plot, scene: Scene, counts: np.ndarray) -> Table:
-    """How many plants of each species stand on the plot."""
-    caption = "Plants, as many as their covers ask for."
-    if plot.crowns_note is not None:
-        caption = "Plants, which are known."
-    return Table(pd.DataFrame({"taxon": scene.taxa, "plants": counts.astype(int)}), caption)
 
 
 def _drone_pictures(plot: Plot, camera: AimedSensor, image: np.ndarray) -> list[Part]:

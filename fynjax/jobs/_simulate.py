@@ -2,7 +2,7 @@
 
 import dataclasses
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -23,7 +23,7 @@ from fynjax.jobs._render import check_finite, cube_pictures, write_truth
 from fynjax.jobs._result import JobResult
 from fynjax.jobs._run import Run
 from fynjax.jobs._simulate_lidar import SimulateLidarResult, simulate_lidar
-from fynjax.jobs._simulate_record import run_record, short_record, warnings_of
+from fynjax.jobs._simulate_record import run_record, warnings_of
 from fynjax.report.pages import Page, Picture, Section
 from fynjax.scene import (
     AimedSensor,
@@ -103,7 +103,14 @@ def simulate(
     files = [] if isinstance(name, (Sensor, Lidar)) or not Path(name).is_file() else [Path(name)]
     if isinstance(instrument, Lidar):
         given = {"altitude": altitude, "pixel": pixel, "atmosphere": atmosphere}
-        _check_lidar(instrument, given, products)
+        wrong = [option for option, value in given.items() if value is not None]
+        if tuple(products) != PRODUCTS:
+            wrong.append("product")
+        if wrong:
+            raise InputError(
+                f"expected no {wrong[0]} with the LiDAR {instrument.name!r}: its file says all of "
+                "it"
+            )
         return simulate_lidar(run, read, instrument, noise=noise is not False, files=files)
     air = _chosen_air(read, atmosphere)
     asked = read.sensor.noise if noise is None and _is_own(read, instrument) else noise
@@ -132,8 +139,11 @@ def simulate(
     made = run_record(read, instrument, aimed, air, noisy, observation, run.seconds)
     with run.stage("Write"):
         picture = [] if seen is None else [write_truth(run, read, scene, seen, record)]
-        _write(run, read, instrument, cubes, picture, {**record, **short_record(made)})
-        _write_record(run, {**record, **made})
+        as_text = {k: json.dumps(made[k]) for k in ("plot", "sensor", "atmosphere", "accuracy")}
+        _write(run, read, instrument, cubes, picture, {**record, **as_text})
+        text = json.dumps({**record, **made}, indent=2, ensure_ascii=False, allow_nan=False)
+        path = run.path("run.json", "versions, seed, sensor, atmosphere, accuracy, times")
+        write_text(path, text + "\n")
     return run.result(
         SimulateResult,
         headline=_headline(read, instrument, aimed, cubes, run.seconds),
@@ -143,23 +153,6 @@ def simulate(
         noise=bool(noisy),
         warnings=warnings_of(read, aimed, instrument),
     )
-
-
-def _check_lidar(lidar: Lidar, given: Mapping[str, object], products: Sequence[str]) -> None:
-    """Refuse options of cameras."""
-    wrong = [name for name, value in given.items() if value is not None]
-    if tuple(products) != PRODUCTS:
-        wrong.append("product")
-    if wrong:
-        raise InputError(
-            f"expected no {wrong[0]} with the LiDAR {lidar.name!r}: its file says all of it"
-        )
-
-
-def _write_record(run: Run, record: dict[str, Any]) -> None:
-    text = json.dumps(record, indent=2, ensure_ascii=False, allow_nan=False)
-    path = run.path("run.json", "versions, seed, sensor, atmosphere, accuracy, times")
-    write_text(path, text + "\n")
 
 
 def _is_own(plot: Plot, instrument: Sensor) -> bool:
