@@ -309,7 +309,12 @@ def fit_leaf(
         "domain": domain,
         "seed": str(seed),
     }
-    table = _write_traits(run, fit, area, refused)
+    table = fit.table(area)
+    if refused:
+        rows = [{"file": f, "name": n, "status": f"refused: {e}"} for f, n, e in refused]
+        table = pd.concat([table, pd.DataFrame(rows)], ignore_index=True)
+    what = "parameters, deviations, 90 % intervals and status of each spectrum"
+    run.table("traits.csv", table, what)
     what = "measured, fitted and predicted R and T on the fit's bins"
     dataset = fit.to_xarray(area).assign_attrs(settings)
     write_spectra_netcdf(dataset, run.path("spectra.nc", what))
@@ -369,17 +374,6 @@ def _fit_apart(
             )
         )  # fmt: skip
     return chunks.join(done.pop(i) for i in range(len(chunks.rows)))
-
-
-def _write_traits(run: Run, fit: LeafFit, area: LeafArea, refused: Refused) -> pd.DataFrame:
-    """Write a row for each leaf, and below them one for each spectrum that was refused."""
-    table = fit.table(area)
-    if refused:
-        rows = [{"file": f, "name": n, "status": f"refused: {e}"} for f, n, e in refused]
-        table = pd.concat([table, pd.DataFrame(rows)], ignore_index=True)
-    what = "parameters, deviations, 90 % intervals and status of each spectrum"
-    run.table("traits.csv", table, what)
-    return table
 
 
 def _write_species(run: Run, species: LeafGroups, version: ProspectVersion, area: LeafArea) -> None:

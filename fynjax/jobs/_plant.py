@@ -158,7 +158,7 @@ def plant(
         "flowering": flowering,
         "max_triangles": max_triangles,
     }
-    given = {"form": form, "materials": materials, "up": up, "unit": unit}
+    given: dict[str, object] = {"form": form, "materials": materials, "up": up, "unit": unit}
     given |= {"maximum_extent": maximum_extent, **sizes}
     for name, kinds in _ONLY_FOR.items():
         if given[name] is not None and kind not in kinds:
@@ -169,7 +169,7 @@ def plant(
             )
     if rotation_spread is not None and branches == 1:
         raise InputError("`rotation_spread` is the tilt of branches: give `branches` too")
-    unit = _SHORT.get(unit or "m", unit or "metre")
+    unit = "metre" if unit is None else _SHORT.get(unit, unit)
     if unit not in UNITS:
         raise InputError(f"`unit` must be one of {', '.join(UNITS)}, but is {unit!r}")
     metres = UNITS[unit]
@@ -181,9 +181,8 @@ def plant(
     with run.stage(doing), _named(source, kind):
         if kind == "scan":
             points, normals, organ = read_scan(source)
-            kinds_of_points = Organ.LEAF if organ is None else organ
             model = plant_model_from_points(
-                metres * points, normals, n_elements, kinds_of_points,
+                metres * points, normals, n_elements, Organ.LEAF if organ is None else organ,
                 up=axis, maximum_extent=limit, seed=seed,
             )  # fmt: skip
             if branches > 1:

@@ -293,6 +293,12 @@ def _page(
         "leaves that out. That statistics bend is part of the errors as well as of the surrogate, "
         "which widens both."
     )
+    shown = table.iloc[order[:_COMPARED]]
+    methods: list[Part] = []
+    if "laplace_q05" in table:  # by the Gaussian and by a chain side by side
+        kinds = {"laplace": ("laplace_q05", "laplace_q95"), sampled.method: ("q05", "q95")}
+        what = "90 % intervals of the parameters best known, by both methods"
+        methods = [Picture("methods.png", figures.interval_plot(shown, kinds), what)]
     parts += [
         Picture(
             "corner.png",
@@ -313,7 +319,7 @@ def _page(
             figures.parameter_plot(table),
             "prior and posterior of every parameter",
         ),
-        *_methods(sampled, table.iloc[order[:_COMPARED]]),
+        *methods,
         Table(table, "Every parameter.", folded=True),
     ]
     keys = {
@@ -323,17 +329,3 @@ def _page(
     }
     title = f"Posterior: {ready.plot.name}"
     return Page(title, " ".join(headline), [Section("", parts)], keys, record)
-
-
-def _methods(sampled: Posterior, best: pd.DataFrame) -> list[Part]:
-    """The parameters best known, by the Gaussian and by a chain side by side."""
-    if "laplace_q05" not in best:
-        return []
-    kinds = {"laplace": ("laplace_q05", "laplace_q95"), sampled.method: ("q05", "q95")}
-    return [
-        Picture(
-            "methods.png",
-            figures.interval_plot(best, kinds),
-            "90 % intervals of the parameters best known, by both methods",
-        )
-    ]
