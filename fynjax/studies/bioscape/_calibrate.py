@@ -11,14 +11,13 @@ import numpy as np
 import pandas as pd
 from jaxtyping import Float
 
-from fynjax._core.checkpoint import Journal, signature
+from fynjax._core.checkpoint import Journal
 from fynjax._core.dry_run import begin_work
 from fynjax._core.errors import InputError
 from fynjax._core.parts import Pool, Workers, at_work
 from fynjax._core.precision import double_precision
-from fynjax.inversion import Data, spectrum_view
+from fynjax.inversion import spectrum_view
 from fynjax.io.plot import DEFAULT_PRIOR, LearnedPrior, Plot, read_plot, read_prior
-from fynjax.io.raster import file_hash
 from fynjax.jobs import Run
 from fynjax.scene import PlotParameters, Scene
 from fynjax.sensors import BandSet
@@ -83,7 +82,7 @@ class Prior:
     plots: list[BioscapePlot]
     """The plots, with the traits that their scenes are built with."""
     parameters: list[PlotParameters]
-    elsewhere: list[dict[str, tuple[float, float]]] | None
+    elsewhere: Sequence[dict[str, tuple[float, float]] | None]
     """Mean and standard deviation of quantities over the other plots, for each plot; None where the
     plot's own tables are the prior."""
 
@@ -136,23 +135,34 @@ def calibrate_plots(
         raise InputError("none of the plots has a measured spectrum to learn from", file=folder)
     bands, flights = chosen_bands(spectrometer, [measured[p.name] for p in read], folder)
     begin_work({"estimates.csv": f"{len(read)} plots", "report.html": ""})
-    files, remarks = planted_files(run, folder, read, learned)
+    files, remarks = planted_files(run, read, learned)
     field = field_values(read)
     slots = slots_of(files)
     with run.stage("Plant the plots"):
         stands, parameters = _stands(files, resolution, realisations, seed)
-    priors = _priors(read, files, parameters, slots, field, learned)
+    priors = [Prior(TABLES_PRIOR, read, parameters, [None] * len(read))]
+    if len(read) >= _FEWEST_FOR_PRIOR:
+        priors.append(_elsewhere(read, slots, field, learned))
+    if len(read) >= _FEWEST_FOR_CORRECTION:
+        priors.append(replace(priors[-1], name=BIAS_CORRECTED))
     view = spectrum_view(bands, stands[0][0], parameters[0], ACCURACY)
     repeatability = flight_covariance(flights)
     error = None if learned is None else learned.error_covariance(np.asarray(bands.centre))
     data = [plot_data(view.names, f, repeatability, error) for f in flights]
     predict = PlotSpectrumForward(view, tuple(form == "deadwood" for form in slots))
-    inputs = sorted([*folder.glob("*.csv"), *folder.glob("*.json")])
-    inputs += [] if traits is None else [Path(traits)]
+    inputs = [*sorted([*folder.glob("*.csv"), *folder.glob("*.json")]), traits]
     inputs += [] if learned is None else [learned.path]
-    settings = (resolution, realisations, seed, [p.name for p in read], FREE, len(bands))
-    journal = Journal(checkpoint, signature(settings, [file_hash(p) for p in inputs]))
-    cases = _cases(priors, data, learned, stands)
+    settings = (resolution, realisations, [p.name for p in read], FREE, len(bands))
+    journal = run.journal(checkpoint, settings, files=inputs)
+    cases = {
+        prior.name: [
+            PlotCase(spectrum, prior_space(plot, known, learned), parameters, tuple(scenes))
+            for spectrum, plot, known, parameters, scenes in zip(
+                data, prior.plots, prior.elsewhere, prior.parameters, stands, strict=True
+            )
+        ]
+        for prior in priors
+    }
     with run.stage("Infer", total=len(priors) * len(read)), at_work(workers) as pool:
         infer = partial(_infer, pool, cases=cases, predict=predict, journal=journal)
         estimates = infer([prior for prior in priors if prior.name != BIAS_CORRECTED])
@@ -164,10 +174,17 @@ def calibrate_plots(
             estimates |= infer(corrected)
             _check(estimates, read, folder)
     with run.stage("Write"):
-        findings = _findings(read, priors, estimates, field, bands, data)
+        spectra = np.stack([np.asarray(one.value) for one in data])
+        tables = _tables(read, priors, estimates, field)
         of_plots = {plot.name: measured[plot.name] for plot in read}
-        findings.tables += _by_regression(folder, spectrometer, of_plots, field)
-        remarks += _left_out([plot.name for plot in everything if plot not in read])
+        tables += _by_regression(folder, spectrometer, of_plots, field)
+        table = pd.concat(tables, ignore_index=True)
+        centres = np.asarray(bands.centre)
+        findings = Findings(tuple(of_plots), centres, spectra, estimates, table)
+        if lost := [plot.name for plot in everything if plot not in read]:
+            remarks.append(
+                f"{len(lost)} plots have no measured spectrum and are left out: {', '.join(lost)}"
+            )
         return write_findings(run, findings, resolution, realisations, inputs, warnings=remarks)
 
 
@@ -204,23 +221,6 @@ def _stands(
     return stands, [parameters for _, parameters in planted[::realisations]]
 
 
-def _priors(
-    read: list[BioscapePlot],
-    files: Sequence[Plot],
-    parameters: list[PlotParameters],
-    slots: tuple[str, ...],
-    field: Field,
-    learned: LearnedPrior | None,
-) -> list[Prior]:
-    """The ways of knowing the plots that so many plots allow."""
-    priors = [Prior(TABLES_PRIOR, read, parameters, None)]
-    if len(read) >= _FEWEST_FOR_PRIOR:
-        priors.append(_elsewhere(read, files, slots, field, learned))
-    if len(read) >= _FEWEST_FOR_CORRECTION:
-        priors.append(replace(priors[-1], name=BIAS_CORRECTED))
-    return priors
-
-
 def _bias_corrected(
     cases: Sequence[PlotCase],
     fits: Sequence[PlotEstimate],
@@ -253,7 +253,6 @@ def _by_regression(
 
 def _elsewhere(
     read: Sequence[BioscapePlot],
-    files: Sequence[Plot],
     slots: tuple[str, ...],
     field: Field,
     learned: LearnedPrior | None,
@@ -278,30 +277,13 @@ def _elsewhere(
     return Prior(OTHERS_PRIOR, plots, parameters, elsewhere)
 
 
-def _cases(
-    priors: Sequence[Prior],
-    data: Sequence[Data],
-    learned: LearnedPrior | None,
-    stands: Sequence[Sequence[Scene]],
-) -> dict[str, list[PlotCase]]:
-    """Every plot to infer, by the name of each prior."""
-    cases: dict[str, list[PlotCase]] = {prior.name: [] for prior in priors}
-    for prior in priors:
-        for i, (spectrum, scenes) in enumerate(zip(data, stands, strict=True)):
-            known = None if prior.elsewhere is None else prior.elsewhere[i]
-            space = prior_space(prior.plots[i], known, learned)
-            case = PlotCase(spectrum, space, prior.parameters[i], tuple(scenes))
-            cases[prior.name].append(case)
-    return cases
-
-
 def _infer(
     pool: Pool,
     priors: Sequence[Prior],
     *,
     cases: Mapping[str, Sequence[PlotCase]],
     predict: PlotSpectrumForward,
-    journal: Journal,
+    journal: Journal | None,
 ) -> dict[str, list[PlotEstimate]]:
     """Estimates of every plot by each of the priors."""
     names = [f"plot {plot.name}, {prior.name}" for prior in priors for plot in prior.plots]
@@ -309,13 +291,6 @@ def _infer(
     found = pool.all(infer_plot, of_all, predict, names=names, journal=journal)
     fits = (PlotEstimate.of(case.space, arrays) for case, arrays in zip(of_all, found))
     return {prior.name: list(islice(fits, len(prior.plots))) for prior in priors}
-
-
-def _left_out(plots: Sequence[str]) -> list[str]:
-    """A remark on plots without a spectrum."""
-    if not plots:
-        return []
-    return [f"{len(plots)} plots have no measured spectrum and are left out: {', '.join(plots)}"]
 
 
 def _check(
@@ -330,29 +305,26 @@ def _check(
                 )
 
 
-def _findings(
+def _tables(
     read: Sequence[BioscapePlot],
     priors: Sequence[Prior],
     estimates: dict[str, list[PlotEstimate]],
     field: Field,
-    bands: BandSet,
-    data: Sequence[Data],
-) -> Findings:
-    names = tuple(p.name for p in read)
-    findings = Findings(
-        names, np.asarray(bands.centre), np.stack([np.asarray(d.value) for d in data]), estimates
-    )
-    for prior in priors:
-        references = [ReferencePlot(p) for p in prior.plots]
-        findings.tables.append(
-            estimate_table(read, prior.name, references, estimates[prior.name], field)
+) -> list[pd.DataFrame]:
+    """Every quantity of every plot by each prior, by the tables and by the other plots' mean."""
+    tables = [
+        estimate_table(
+            read, prior.name, [ReferencePlot(p) for p in prior.plots], estimates[prior.name], field
         )
+        for prior in priors
+    ]
+    names = tuple(p.name for p in read)
     of_tables = {
         name: np.array([p.weighted_mean(name) for p in read], float)
         for name in ("leaf_mass_per_area", "water_content")
     }
-    findings.tables.append(simple_table(names, TABLE, of_tables, field))
+    tables.append(simple_table(names, TABLE, of_tables, field))
     if len(read) > 1:
         mean = {name: others(value)[0] for name, value in field.value.items()}
-        findings.tables.append(simple_table(names, MEAN, mean, field))
-    return findings
+        tables.append(simple_table(names, MEAN, mean, field))
+    return tables

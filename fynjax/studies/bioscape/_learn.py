@@ -13,7 +13,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from fynjax._core.checkpoint import Journal, signature
 from fynjax._core.dry_run import begin_work
 from fynjax._core.errors import InputError
 from fynjax._core.parts import Workers, at_work
@@ -25,7 +24,6 @@ from fynjax.inversion import (
     fit_population,
     spectrum_view,
 )
-from fynjax.io.plot import Plot
 from fynjax.io.raster import file_hash
 from fynjax.jobs import Run
 from fynjax.scene import PlotParameters, Scene
@@ -105,8 +103,10 @@ def learn(
     run = Run(output, seed=seed)
     resolution = Resolution() if resolution is None else resolution
     wide = Resolution(resolution.size_m, max(slope_voxel_m, resolution.voxel_m))
-    read, bands, measured, files, remarks = _read(folders, run, plots, traits)
+    read, bands, measured, remarks = _read(folders, plots, traits)
     begin_work({"prior.toml": f"learned from {len(read)} plots", "report.html": ""})
+    files, said = planted_files(run, read, None)
+    remarks += said
     with run.stage("Plant the plots"):
         # Each plot rounds its numbers of plants with a seed of its own.
         seeds = [seed + i for i in range(len(files))]
@@ -115,8 +115,8 @@ def learn(
     inputs = sorted(p for folder in folders for p in Path(folder).glob("*.csv"))
     inputs += [] if traits is None else [Path(traits)]
     space, prior = population_space(), hyperprior(np.asarray(bands.centre))
-    settings = (resolution, wide, seed, [p.name for p in read], space, prior, len(bands), PASSES)
-    journal = Journal(checkpoint, signature(settings, [file_hash(p) for p in inputs]))
+    settings = (resolution, wide, [p.name for p in read], space, prior, len(bands), PASSES)
+    journal = run.journal(checkpoint, settings, files=inputs)
     forms = slots_of(files)
     models = [
         PopulationForward(spectrum_view(bands, *scenes[0], ACCURACY), forms)
@@ -209,16 +209,12 @@ def plot_parameters_of(
 
 
 def _read(
-    folders: Sequence[str | Path],
-    run: Run,
-    plots: Sequence[str] | None,
-    traits: str | Path | None,
-) -> tuple[list[BioscapePlot], BandSet, list[np.ndarray], list[Plot], list[str]]:
-    """Plots with a measured spectrum, its bands and values, plot files, remarks."""
+    folders: Sequence[str | Path], plots: Sequence[str] | None, traits: str | Path | None
+) -> tuple[list[BioscapePlot], BandSet, list[np.ndarray], list[str]]:
+    """Plots with a measured spectrum, its bands and values, remarks."""
     read: list[BioscapePlot] = []
     spectra: list[PlotSpectra] = []
     spectrometers: list[Spectrometer] = []
-    files: list[Plot] = []
     remarks: list[str] = []
     for folder in map(Path, folders):
         everything = read_bioscape(folder, plots, traits=traits)
@@ -238,9 +234,6 @@ def _read(
             raise InputError("expected the bands of the first folder, but got others", file=folder)
         read += known
         spectra += [flown[p.name] for p in known]
-        planted, said = planted_files(run, folder, known, None)
-        files += planted
-        remarks += said
     if len(read) < _FEWEST:
         raise InputError(
             f"expected {_FEWEST} plots with a measured spectrum or more to learn what plots share, "
@@ -248,7 +241,7 @@ def _read(
             file=Path(folders[0]),
         )
     bands, flights = chosen_bands(spectrometers[0], spectra, Path(folders[0]))
-    return read, bands, [f.mean(axis=0) for f in flights], files, remarks
+    return read, bands, [f.mean(axis=0) for f in flights], remarks
 
 
 PlantedPlot = tuple[Scene, PlotParameters]

@@ -2,6 +2,7 @@
 
 import csv
 import io
+import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from datetime import UTC, datetime
@@ -42,7 +43,6 @@ from fynjax.studies.bioscape._plots import (
     Visit,
     read_bioscape,
 )
-from fynjax.studies.bioscape._published import is_published
 from fynjax.studies.bioscape._traits import SOURCES
 
 OTHER = "Other species"
@@ -176,7 +176,7 @@ def _plot_toml(plot: BioscapePlot, population: Mapping[str, float], learned: boo
         *_field_notes(plot),
         "",
         "[plot]",
-        f'name = "{_escaped(plot.name)}"',
+        f"name = {json.dumps(plot.name, ensure_ascii=False)}",
         f"size_m = {PLOT_SIDE_M}  # a square instead of the circle of this diameter",
         "voxel_m = 0.1  # assumed",
         'species_table = "species.csv"',
@@ -217,10 +217,6 @@ def _field_notes(plot: BioscapePlot) -> list[str]:
         )
         notes.append(f"# Line intercepts, % of {plot.view.points} points from above: {shares}")
     return notes
-
-
-def _escaped(text: str) -> str:
-    return text.replace("\\", "\\\\").replace('"', '\\"')
 
 
 def _species_csv(plot: BioscapePlot, population: Mapping[str, float]) -> str:
@@ -525,14 +521,14 @@ def run_bioscape(
         read = read_bioscape(folder, plots, traits=traits)
     begin_work({"plots.csv": f"{len(read)} plots"} | {f"{p.name}/plot.toml": "" for p in read})
     with run.stage("Write the plots"):
-        return write_plots(run, folder, read, learned)
+        return write_plots(run, read, learned)
 
 
 def planted_files(
-    run: Run, folder: Path, read: Sequence[BioscapePlot], learned: LearnedPrior | None
+    run: Run, read: Sequence[BioscapePlot], learned: LearnedPrior | None
 ) -> tuple[list[Plot], list[str]]:
     """Write plots into the folder `plots` of a run and read their files; what there is to say."""
-    written = write_plots(Run(run.folder / "plots"), folder, read, learned)
+    written = write_plots(Run(run.folder / "plots"), read, learned)
     files = [read_plot(run.folder / "plots" / plot.name / "plot.toml") for plot in read]
     return files, list(written.warnings)
 
@@ -555,14 +551,14 @@ def _cut_or_assumed(read: Sequence[BioscapePlot], learned: LearnedPrior | None) 
 
 
 def write_plots(
-    run: Run, folder: str | Path, read: Sequence[BioscapePlot], learned: LearnedPrior | None
+    run: Run, read: Sequence[BioscapePlot], learned: LearnedPrior | None
 ) -> BioscapeResult:
     """Write what `run_bioscape` does of plots that are read."""
     index = pd.DataFrame([_index_row(plot) for plot in read])
     run.table("plots.csv", index, "all plots, one a row")
     counts = _counts(read)
     remarks = [r for plot in read for r in plot.remarks]
-    if is_published(Path(folder)):
+    if any(plot.published for plot in read):
         odd = pd.DataFrame(remarks, columns=["file", "row", "plot", "what"])
         odd = odd[["plot", "file", "row", "what"]].astype({"row": "Int64"})
         run.table("counts.csv", counts, "plants counted and from cover")

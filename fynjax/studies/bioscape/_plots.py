@@ -22,6 +22,7 @@ from fynjax.studies.bioscape._published import (
     Remark,
     SpeciesNote,
     ViewFromAbove,
+    Visit,
     is_published,
     read_published,
 )
@@ -91,20 +92,6 @@ class BioscapeSpecies:
 
 
 @dataclass(frozen=True)
-class Visit:
-    """Where a plot is and when the spectrometer flew over it."""
-
-    longitude: float
-    """Longitude of the plot, WGS84 [degree]."""
-    latitude: float
-    """Latitude of the plot, WGS84 [degree]."""
-    times: tuple[str, ...]
-    """Start of each flight line, ISO 8601, in order."""
-    remark: str
-    """Remark of the crew, or ''."""
-
-
-@dataclass(frozen=True)
 class BioscapePlot:
     """One plot as its tables describe it. Covers are shares of the plot [-]."""
 
@@ -129,6 +116,8 @@ class BioscapePlot:
     """Line intercepts, where there are any."""
     remarks: tuple[Remark, ...] = ()
     """Oddities of the plot's rows, and how it was read."""
+    published: bool = False
+    """Whether it is from the published tables, which have counts and line intercepts."""
 
     @property
     def listed_cover(self) -> float:
@@ -246,9 +235,7 @@ def read_bioscape(
     )
     library = TraitLibrary(read_rows(trait_path, TraitRow, TRAITS[1]), trait_path)
     visit_path = find_table(folder, VISITS)
-    visits = {} if visit_path is None else _visits(visit_path)
-    for name, place in tables.place.items():
-        visits.setdefault(name, Visit(place.longitude, place.latitude, (), place.remark))
+    visits = tables.place | ({} if visit_path is None else _visits(visit_path))
 
     cover_path, species_path, cover = tables.summary, tables.species, tables.cover
     column = "plot" if published else "Plot"
@@ -271,7 +258,8 @@ def read_bioscape(
                 row=cover[name][0],
                 column=column,
             )
-        read.append(_plot(name, tables, library, visits.get(name)))
+        plot = _plot(name, tables, library, visits.get(name))
+        read.append(replace(plot, published=published))
     if not read:
         raise InputError("expected a plot with covers and species, but there is none", file=folder)
     for plot in read:

@@ -185,12 +185,17 @@ class ViewFromAbove:
 
 
 @dataclass(frozen=True)
-class PlotCentre:
-    """Centre of a plot."""
+class Visit:
+    """Where a plot is and when the spectrometer flew over it."""
 
     longitude: float
+    """Longitude of the plot, WGS84 [degree]."""
     latitude: float
+    """Latitude of the plot, WGS84 [degree]."""
+    times: tuple[str, ...]
+    """Start of each flight line, ISO 8601, in order."""
     remark: str
+    """Remark of the crew, or ''."""
 
 
 @dataclass
@@ -211,8 +216,8 @@ class FieldTables:
     """Years since fire, mean of the quadrants that state a number."""
     view: dict[str, ViewFromAbove] = field(default_factory=dict)
     """Line intercepts of each plot."""
-    place: dict[str, PlotCentre] = field(default_factory=dict)
-    """Centres of the plots."""
+    place: dict[str, Visit] = field(default_factory=dict)
+    """Centres of the plots, without flights."""
     remarks: list[Remark] = field(default_factory=list)
     """Oddities of the tables, and how it was read."""
 
@@ -411,7 +416,7 @@ def _read_intercepts(tables: FieldTables, path: Path) -> None:
 _PLACE_COLUMNS = ("bioscape_plot_id", "townsend_long", "townsend_lat", "quality_flag")
 
 
-def _read_places(path: Path) -> dict[str, PlotCentre]:
+def _read_places(path: Path) -> dict[str, Visit]:
     """Centres of the plots from the layer `plot_centers` of a GeoPackage, which is SQLite."""
     try:
         with closing(sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True)) as base:
@@ -426,7 +431,7 @@ def _read_places(path: Path) -> dict[str, PlotCentre]:
     except sqlite3.DatabaseError as error:
         raise InputError(f"expected a GeoPackage (SQLite), but: {error}", file=path) from error
     return {
-        str(plot): PlotCentre(float(x), float(y), "" if not_available(flag) is None else str(flag))
+        str(plot): Visit(float(x), float(y), (), "" if not_available(flag) is None else str(flag))
         for plot, x, y, flag in rows
         if _on_earth((x, 180.0), (y, 90.0))
     }

@@ -78,7 +78,7 @@ def article(
             scene, after = build_plot(_calibrated(plot, calibration), seed=seed)
     begin_work({"article.csv": "a row for each number", "report.html": ""})
     if calibration is None:
-        calibration = output / "demo"
+        calibration = run.folder / "demo"
         with run.timed("calibrate"):
             files = demo(calibration, seed=seed, checkpoint=checkpoint).files
         run.files |= {f"demo/{name}": what for name, what in files.items()}
