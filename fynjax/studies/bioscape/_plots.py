@@ -216,7 +216,7 @@ def read_bioscape(
     - `traits`: trait library, if it is not in the folder.
 
     **Returns:** plots in the order of the cover table; of the published tables those with all
-    covers and a species. A trait of a species without a measured
+    covers and a live species. A trait of a species without a measured
     value is the mean of its genus, else family, else growth form in the library.
 
     **Raises:** `InputError` for a missing file, column or plot, a value that is no number or
@@ -252,8 +252,8 @@ def read_bioscape(
             )
         if name not in tables.listed:
             raise InputError(
-                f"expected species of plot {name!r} in {species_path.name}, but there is none. "
-                "Without species there is nothing to plant.",
+                f"expected live species of plot {name!r} in {species_path.name}, but there is "
+                "none. Without species there is nothing to plant.",
                 file=cover_path,
                 row=cover[name][0],
                 column=column,
@@ -287,7 +287,8 @@ def _every_plot(tables: FieldTables, column: str, published: bool) -> list[str]:
     plots = [name for name in tables.cover if name in tables.listed]
     if lacking := sorted(tables.named - set(plots)):  # not surveyed to their end
         warnings.warn(
-            f"{tables.summary}: plots without covers or species are left out: {', '.join(lacking)}",
+            f"{tables.summary}: plots without covers or live species are left out: "
+            f"{', '.join(lacking)}",
             stacklevel=3,
         )
     return plots

@@ -303,6 +303,12 @@ def _read_species(tables: FieldTables) -> None:
                 f"diameter of {taxon} below {_SMALLEST:g} cm: read as that",
             )
         tables.listed.setdefault(plot, {})[taxon] = note
+    # Shares of the live cover are those of no plot without any.
+    tables.listed = {
+        plot: notes
+        for plot, notes in tables.listed.items()
+        if any(note.cover > 0 for note in notes.values())
+    }
 
 
 def _species_note(path: Path, several: list[tuple[int, PlotSpeciesRow]]) -> SpeciesNote:
