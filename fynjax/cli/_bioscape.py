@@ -7,11 +7,7 @@ import typer
 
 from fynjax.cli._runtime import (
     SHIPPED,
-    Checkpoint,
     PriorFile,
-    SchedulerAddress,
-    Seed,
-    WorkerCount,
     command,
 )
 
@@ -68,7 +64,15 @@ def plots_of_tables(
     """
 
 
-@command("bioscape learn", f"{_STUDY}:learn", forget=True, records=_RESOLUTION)
+@command(
+    "bioscape learn",
+    f"{_STUDY}:learn",
+    "seed",
+    "checkpoint",
+    "workers",
+    forget=True,
+    records=_RESOLUTION,
+)
 def learn(
     folders: Annotated[
         list[Path],
@@ -98,10 +102,6 @@ def learn(
         list[str] | None,
         typer.Option("--source", help="Where the data are from; may be given again."),
     ] = None,
-    checkpoint: Checkpoint = None,
-    count: WorkerCount = 0,
-    scheduler: SchedulerAddress = None,
-    seed: Seed = 0,
 ) -> None:
     """Learn what plots share, and how they vary, from the spectra of all at once.
 
@@ -114,7 +114,15 @@ def learn(
     """
 
 
-@command("bioscape validate", f"{_STUDY}:validate_plots", forget=True, records=_RESOLUTION)
+@command(
+    "bioscape validate",
+    f"{_STUDY}:validate_plots",
+    "seed",
+    "checkpoint",
+    "workers",
+    forget=True,
+    records=_RESOLUTION,
+)
 def validate_plots(
     folder: Tables,
     plots: OnlyPlots = None,
@@ -122,10 +130,6 @@ def validate_plots(
     prior: PriorFile = SHIPPED,
     size_m: Size = 5.0,
     voxel_m: Voxel = 0.1,
-    checkpoint: Checkpoint = None,
-    count: WorkerCount = 0,
-    scheduler: SchedulerAddress = None,
-    seed: Seed = 0,
 ) -> None:
     """Simulate plots from field tables alone, and compare with their measured spectra.
 
@@ -139,6 +143,9 @@ def validate_plots(
 @command(
     "bioscape calibrate",
     f"{_STUDY}:calibrate_plots",
+    "seed",
+    "checkpoint",
+    "workers",
     forget=True,
     records=_RESOLUTION,
 )
@@ -157,10 +164,6 @@ def calibrate_plots(
             help="Stand realisations used to estimate sampling variance.",
         ),
     ] = 3,
-    checkpoint: Checkpoint = None,
-    count: WorkerCount = 0,
-    scheduler: SchedulerAddress = None,
-    seed: Seed = 0,
 ) -> None:
     """Infer covers, leaf area, dead tissue, gap and leaf traits of plots from measured spectra.
 

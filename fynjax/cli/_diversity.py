@@ -6,15 +6,10 @@ from typing import Annotated
 import typer
 
 from fynjax.cli._runtime import (
-    Checkpoint,
-    SchedulerAddress,
-    Seed,
-    WorkerCount,
     command,
     listed,
 )
 
-_NUMBERS = "numbers"
 _GRADIENTS = {
     "gradients": (
         "fynjax.studies.communities:Gradients",
@@ -23,7 +18,15 @@ _GRADIENTS = {
 }
 
 
-@command("diversity", "fynjax.studies.communities:diversity", forget=True, records=_GRADIENTS)
+@command(
+    "diversity",
+    "fynjax.studies.communities:diversity",
+    "seed",
+    "checkpoint",
+    "workers",
+    forget=True,
+    records=_GRADIENTS,
+)
 def diversity(
     plot: Annotated[
         Path | None,
@@ -40,19 +43,16 @@ def diversity(
         float, typer.Option(min=0.5, max=100.0, metavar="M", help="Side of a simulated plot [m].")
     ] = 10.0,
     sensors: Annotated[
-        str, listed(str, "names", "NAME,...", "Imaging sensors, by name or file.")
+        str, listed(str, "NAME,...", "Imaging sensors, by name or file.")
     ] = "mavic_3m,aviris_ng",
     pixels: Annotated[
         str,
         listed(
-            float,
-            _NUMBERS,
-            "M,...",
-            "Edges of a pixel [m] that divide the side, multiples of the smallest.",
+            float, "M,...", "Edges of a pixel [m] that divide the side, multiples of the smallest."
         ),
     ] = "0.05,0.1,0.25,0.5,1,1.25,2.5,5",
     noise: Annotated[
-        str, listed(float, _NUMBERS, "SHARE,...", "Noise of a pixel over its reflectance.")
+        str, listed(float, "SHARE,...", "Noise of a pixel over its reflectance.")
     ] = "0.01",
     bands: Annotated[
         int, typer.Option(min=1, metavar="N", help="Bands of a sensor that are used, at most.")
@@ -76,28 +76,21 @@ def diversity(
             "count if left out.",
         ),
     ] = None,
-    richness: Annotated[
-        str, listed(int, _NUMBERS, "LOW,HIGH", "Fewest and most species.")
-    ] = "2,12",
+    richness: Annotated[str, listed(int, "LOW,HIGH", "Fewest and most species.")] = "2,12",
     evenness: Annotated[
-        str, listed(float, _NUMBERS, "LOW,HIGH", "Evenness of the covers after Pielou.")
+        str, listed(float, "LOW,HIGH", "Evenness of the covers after Pielou.")
     ] = "0.4,1",
     cover: Annotated[
-        str, listed(float, _NUMBERS, "LOW,HIGH", "Sum of the covers as shares of the ground.")
+        str, listed(float, "LOW,HIGH", "Sum of the covers as shares of the ground.")
     ] = "0.3,0.9",
     age: Annotated[
         str | None,
         listed(
             float,
-            _NUMBERS,
             "LOW,HIGH",
             "Years since fire, of the article's taxa; sizes as in the table if left out.",
         ),
     ] = None,
-    checkpoint: Checkpoint = None,
-    count: WorkerCount = 0,
-    scheduler: SchedulerAddress = None,
-    seed: Seed = 0,
 ) -> None:
     """Find what sensors can know of the diversity of communities, and at which pixel it is lost.
 

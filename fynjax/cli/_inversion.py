@@ -7,13 +7,9 @@ import typer
 
 from fynjax.cli._runtime import (
     BANDS,
-    Checkpoint,
-    OwnSeed,
     PlotPath,
     PriorFile,
-    SchedulerAddress,
     Twin,
-    WorkerCount,
     command,
     listed,
 )
@@ -30,7 +26,7 @@ Targets = Annotated[
     ),
 ]
 Bands = Annotated[
-    str | None, listed(str, "names", "A,B,...", f"What each band of the drone image is, {BANDS}")
+    str | None, listed(str, "A,B,...", f"What each band of the drone image is, {BANDS}")
 ]
 Free = Annotated[
     list[str] | None,
@@ -40,19 +36,16 @@ Free = Annotated[
         "left out.",
     ),
 ]
-_NUMBERS = "numbers with commas between"
 _TWO = "two wavelengths, such as 450,900"
 
 
-@command("calibrate", "fynjax.jobs:calibrate", forget=True)
+@command("calibrate", "fynjax.jobs:calibrate", "seed", "checkpoint", forget=True)
 def calibrate(
     plot: PlotPath,
     targets: Targets = [],  # noqa: B006
     bands: Bands = None,
     prior: PriorFile = "none",
     twin: Twin = False,
-    checkpoint: Checkpoint = None,
-    seed: OwnSeed = None,
 ) -> None:
     """Find the parameters of a plot that explain what was measured of it.
 
@@ -64,7 +57,7 @@ def calibrate(
     """
 
 
-@command("posterior", "fynjax.jobs:posterior")
+@command("posterior", "fynjax.jobs:posterior", "seed", "checkpoint")
 def posterior(
     plot: PlotPath,
     targets: Targets,
@@ -83,8 +76,6 @@ def posterior(
         int, typer.Option("--steps", min=1, help="Most steps of the chain.")
     ] = 5000,
     prior: PriorFile = "none",
-    checkpoint: Checkpoint = None,
-    seed: OwnSeed = None,
 ) -> None:
     """Sample which parameters of a plot real measurements leave possible.
 
@@ -96,11 +87,11 @@ def posterior(
     """
 
 
-@command("sensitivity", "fynjax.jobs:sensitivity", forget=True)
+@command("sensitivity", "fynjax.jobs:sensitivity", "seed", "checkpoint", "workers", forget=True)
 def sensitivity(
     plot: PlotPath,
     metrics: Annotated[
-        str, listed(str, "names", "NAME,...", "Statistics of the image.")
+        str, listed(str, "NAME,...", "Statistics of the image.")
     ] = "red.mean,nir.mean,NDVI.mean,NDVI.std",
     free: Free = None,
     plantings: Annotated[
@@ -130,10 +121,6 @@ def sensitivity(
             help="Points of the Sobol design, a power of two; takes N (parameters + 2) renders.",
         ),
     ] = 0,
-    checkpoint: Checkpoint = None,
-    count: WorkerCount = 0,
-    scheduler: SchedulerAddress = None,
-    seed: OwnSeed = None,
 ) -> None:
     """Find which parameters of a plot change which statistics of its image.
 
@@ -144,43 +131,30 @@ def sensitivity(
     """
 
 
-@command("information", "fynjax.jobs:information")
+@command("information", "fynjax.jobs:information", "seed")
 def information(
     plot: PlotPath,
     gsd: Annotated[
-        str, listed(float, _NUMBERS, "M,...", "Sides of a pixel [m], multiples of the smallest.")
+        str, listed(float, "M,...", "Sides of a pixel [m], multiples of the smallest.")
     ] = "0.1,0.2,0.5,1,2,5",
     bands: Annotated[
-        str, listed(int, _NUMBERS, "N,...", "Numbers of bands, divisors of the largest.")
+        str, listed(int, "N,...", "Numbers of bands, divisors of the largest.")
     ] = "2,4,8",
     spectrum: Annotated[
         str,
-        listed(
-            float,
-            _TWO,
-            "LOW,HIGH",
-            "Range that the bands share [nm].",
-            counts=(2,),
-        ),
+        listed(float, "LOW,HIGH", "Range that the bands share [nm].", counts=(2,), form=_TWO),
     ] = "450,900",
     noise: Annotated[
-        str, listed(float, _NUMBERS, "SHARE,...", "Noise of a pixel over its reflectance.")
+        str, listed(float, "SHARE,...", "Noise of a pixel over its reflectance.")
     ] = "0.01",
     sun_zenith: Annotated[
         str | None,
-        listed(
-            float,
-            _NUMBERS,
-            "DEG,...",
-            "Zenith angles of the sun; the plot's if left out.",
-            "--sun",
-        ),
+        listed(float, "DEG,...", "Zenith angles of the sun; the plot's if left out.", "--sun"),
     ] = None,
     free: Free = None,
     realisations: Annotated[
         int, typer.Option(min=2, help="Stand realisations used to estimate sampling variance.")
     ] = 15,
-    seed: OwnSeed = None,
 ) -> None:
     """Bound how well sensors of any pixel, bands and noise can constrain a plot.
 
@@ -191,7 +165,7 @@ def information(
     """
 
 
-@command("design", "fynjax.jobs:design")
+@command("design", "fynjax.jobs:design", "seed")
 def design(
     plot: PlotPath,
     bands: Annotated[int, typer.Option(min=1, metavar="N", help="Bands of the sensor.")] = 4,
@@ -199,23 +173,21 @@ def design(
         str,
         listed(
             str,
-            "names",
             "NAME,...",
             "What the bands are to inform of: numbers of the stand (green_leaf_area, crown_cover, "
             "shannon, ...), names or patterns of free parameters; or information, or separability.",
         ),
     ] = "green_leaf_area,dead_share,canopy_chlorophyll,crown_cover,shannon",
     spectrum: Annotated[
-        str, listed(float, _TWO, "LOW,HIGH", "Range of the detector [nm].", counts=(2,))
+        str, listed(float, "LOW,HIGH", "Range of the detector [nm].", counts=(2,), form=_TWO)
     ] = "400,2500",
     widths: Annotated[
-        str, listed(float, _TWO, "LOW,HIGH", "Least and greatest width [nm].", counts=(2,))
+        str, listed(float, "LOW,HIGH", "Least and greatest width [nm].", counts=(2,), form=_TWO)
     ] = "10,100",
     pixel: Annotated[
         str,
         listed(
             float,
-            _NUMBERS,
             "M,...",
             "Side of a pixel [m]; of several, multiples of the smallest, the best is taken.",
         ),
@@ -228,7 +200,7 @@ def design(
         ),
     ] = 100.0,
     compare: Annotated[
-        str, listed(str, "names", "NAME,...", "Other sensors, by name or file.")
+        str, listed(str, "NAME,...", "Other sensors, by name or file.")
     ] = "mavic_3m,rededge_3,sentinel_2a",
     free: Annotated[
         list[str] | None,
@@ -242,7 +214,6 @@ def design(
         int, typer.Option(min=4, metavar="N", help="Plantings over which the target is a mean.")
     ] = 6,
     starts: Annotated[int, typer.Option(min=1, metavar="N", help="Ascents.")] = 8,
-    seed: OwnSeed = None,
 ) -> None:
     """Find the most informative bands of a sensor on a plot.
 

@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from fynjax.cli._runtime import Checkpoint, SchedulerAddress, Seed, WorkerCount, command, listed
+from fynjax.cli._runtime import command, listed
 
 Spectra = Annotated[
     list[Path],
@@ -34,7 +34,7 @@ def convert(paths: Spectra, panel: PanelTable = None) -> None:
     """
 
 
-@command("fit-leaf", "fynjax.jobs:fit_leaf", forget=True)
+@command("fit-leaf", "fynjax.jobs:fit_leaf", "seed", "checkpoint", "workers", forget=True)
 def fit_leaf(
     paths: Spectra,
     version: Annotated[Literal["D", "PRO"], typer.Option(help="PROSPECT version.")] = "D",
@@ -78,9 +78,9 @@ def fit_leaf(
         str | None,
         listed(
             float,
-            "wavelengths in nm such as 1000,1830",
             "NM,...",
             "Where detectors change, such as 1000,1830; ASD files state it themselves.",
+            form="wavelengths in nm such as 1000,1830",
         ),
     ] = None,
     transmittance: Annotated[
@@ -98,10 +98,6 @@ def fit_leaf(
         Literal["none", "emcee", "nuts"],
         typer.Option(help="Sample the posterior of each leaf as well."),
     ] = "none",
-    checkpoint: Checkpoint = None,
-    count: WorkerCount = 0,
-    scheduler: SchedulerAddress = None,
-    seed: Seed = 0,
 ) -> None:
     """Fit PROSPECT to measured leaf spectra.
 

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from fynjax._core.errors import InputError
-from fynjax.cli._runtime import Checkpoint, SchedulerAddress, Seed, WorkerCount, command, listed
+from fynjax.cli._runtime import command, listed
 
 
 def _angles(text: str) -> tuple[float, float]:
@@ -22,7 +22,7 @@ def _angles(text: str) -> tuple[float, float]:
     return values[0], values[-1]
 
 
-@command("train", "fynjax.jobs:train", forget=True)
+@command("train", "fynjax.jobs:train", "seed", "checkpoint", "workers", forget=True)
 def train(
     sensor: Annotated[
         str | None,
@@ -50,10 +50,6 @@ def train(
     simulations: Annotated[
         int, typer.Option(min=1, help="Spectra to simulate; some 30 a second.")
     ] = 20000,
-    seed: Seed = 0,
-    checkpoint: Checkpoint = None,
-    count: WorkerCount = 0,
-    scheduler: SchedulerAddress = None,
 ) -> None:
     """Train a regression from spectra of a sensor to covers and leaves, for `fynjax map`.
 
@@ -64,7 +60,7 @@ def train(
     """
 
 
-@command("map", "fynjax.jobs:map_cube")
+@command("map", "fynjax.jobs:map_cube", "seed", "checkpoint", "workers")
 def map_command(
     cube: Annotated[
         Path,
@@ -97,12 +93,12 @@ def map_command(
         list[str] | None,
         listed(
             int,
-            "a row and a column, such as 12,40",
             "ROW,COLUMN",
             "Sample the full posterior of this pixel by emcee as well, counted from 1 at the "
             "upper left of the cube; some 13 minutes of a core. May be given again.",
             "--pixel",
             counts=(2,),
+            form="a row and a column, such as 12,40",
         ),
     ] = None,
     pixel_steps: Annotated[
@@ -115,10 +111,6 @@ def map_command(
             help="For --pixel: the prior of the training, if not the shipped one.",
         ),
     ] = None,
-    seed: Seed = 0,
-    checkpoint: Checkpoint = None,
-    count: WorkerCount = 0,
-    scheduler: SchedulerAddress = None,
 ) -> None:
     """Map covers, leaf area and leaf traits of a cube, each with its uncertainty.
 

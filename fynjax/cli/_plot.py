@@ -10,9 +10,7 @@ from fynjax._core.errors import InputError
 from fynjax.cli._runtime import (
     SHIPPED,
     Align,
-    Checkpoint,
     Json,
-    OwnSeed,
     PlotPath,
     PriorFile,
     Quiet,
@@ -27,7 +25,7 @@ from fynjax.cli._runtime import (
 _PAGE = "report.html"
 
 
-@command("demo", "fynjax.studies.fynbos_2006:demo")
+@command("demo", "fynjax.studies.fynbos_2006:demo", "seed")
 def demo(
     with_aviris: Annotated[
         bool,
@@ -38,7 +36,6 @@ def demo(
         ),
     ] = False,
     twin: Twin = False,
-    seed: Seed = 0,
 ) -> None:
     """Calibrate the 2006 burn plot to its real drone image, from shipped input.
 
@@ -50,7 +47,7 @@ def demo(
     """
 
 
-@command("article", "fynjax.studies.fynbos_2006:article", forget=True)
+@command("article", "fynjax.studies.fynbos_2006:article", "seed", "checkpoint", forget=True)
 def article(
     calibration: Annotated[
         Path | None,
@@ -69,8 +66,6 @@ def article(
     channels: Annotated[
         int, typer.Option(min=10, metavar="N", help="About so many of AVIRIS-NG's 425 channels.")
     ] = 425,
-    checkpoint: Checkpoint = None,
-    seed: Seed = 0,
 ) -> None:
     """Every number of the article beside those of its plot, before and after calibration.
 
@@ -119,11 +114,9 @@ def init(
         print(f"Next: fynjax render {target / 'plot.toml'}")
 
 
-@command("render", "fynjax.jobs:render", forget=True)
+@command("render", "fynjax.jobs:render", "seed", "checkpoint", forget=True)
 def render(
     plot: PlotPath,
-    checkpoint: Checkpoint = None,
-    seed: OwnSeed = None,
     truth: Truth = False,
 ) -> None:
     """Render what the drone sees of a plot.
@@ -135,10 +128,9 @@ def render(
     """
 
 
-@command("build", "fynjax.jobs:build")
+@command("build", "fynjax.jobs:build", "seed")
 def build(
     plot: PlotPath,
-    seed: OwnSeed = None,
     size: Annotated[
         float | None,
         typer.Option(metavar="M", help="Side of the plot [m]; the plot file's if left out."),
@@ -165,7 +157,7 @@ def build(
     """
 
 
-@command("plant", "fynjax.jobs:plant")
+@command("plant", "fynjax.jobs:plant", "seed")
 def plant(
     source: Annotated[
         str,
@@ -230,7 +222,6 @@ def plant(
             help="About the most triangles of a taxon; fewer make larger leaves.  [200000]"
         ),
     ] = None,
-    seed: Seed = 0,
 ) -> None:
     """Turn a plant mesh or a scan into area elements, or generate the mesh of a taxon or
     growth form.
@@ -319,7 +310,7 @@ def terrain(
     """
 
 
-@command("pattern", "fynjax.jobs:pattern")
+@command("pattern", "fynjax.jobs:pattern", "seed")
 def pattern(
     paths: Annotated[
         list[Path],
@@ -334,7 +325,6 @@ def pattern(
         str | None,
         listed(
             str,
-            "names",
             "A,B,...",
             "Names of the bands or their wavelengths [nm], in order, where files lack them.",
         ),
@@ -354,10 +344,10 @@ def pattern(
         str | None,
         listed(
             int,
-            "whole numbers from 0 to 255 with commas, such as 0,128,255",
             "N,N,...",
             "Grey of each cluster, least green first; evenly up to 255 if left out. 0 keeps "
             "a cluster free of plants.",
+            form="whole numbers from 0 to 255 with commas, such as 0,128,255",
         ),
     ] = None,
     pixel: Annotated[
@@ -365,7 +355,6 @@ def pattern(
         typer.Option(metavar="M", help="Side of a pixel [m], for an image without a place."),
     ] = None,
     align: Align = True,
-    seed: Seed = 0,
 ) -> None:
     """Make a probability map from an image: where plants are likely to stand.
 

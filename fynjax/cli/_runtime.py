@@ -15,7 +15,7 @@ import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NoReturn
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NoReturn
 
 import typer
 
@@ -134,19 +134,20 @@ def _messages(caught: Sequence[warnings.WarningMessage]) -> list[str]:
 
 def listed(
     kind: Callable[[str], Any],
-    form: str,
     metavar: str,
     help: str,
     *flags: str,
+    form: str = "",
     counts: Sequence[int] = (),
     **more: Any,
 ) -> Any:
     """An option of values with commas between; given several times, a list of such.
 
-    **Arguments:** `kind`, what makes a value of its text; `form`, what is expected, in words;
-    `counts`, how many values there may be, any number if left out; `metavar`, `help`, `flags` and
-    `more` as of any option.
+    **Arguments:** `kind`, what makes a value of its text; `form`, what is expected, in words, names
+    or numbers if left out; `counts`, how many values there may be, any number if left out;
+    `metavar`, `help`, `flags` and `more` as of any option.
     """
+    form = form or ("names" if kind is str else "numbers with commas between")
 
     def read(given: Any, param: typer.CallbackParam) -> Any:
         if given is None or isinstance(given, list):
@@ -186,7 +187,7 @@ def _packed(
 def command(
     name: str,
     job: str,
-    *,
+    *common: Literal["seed", "checkpoint", "workers"],
     forget: bool = False,
     further: Mapping[str, Any] | None = None,
     records: Mapping[str, tuple[str, Sequence[str]]] | None = None,
@@ -202,6 +203,8 @@ def command(
 
     - `name`: of the command, for results and the folder.
     - `job`: module and function, such as "fynjax.jobs:render"; imported when the command runs.
+    - `common`: which of --seed, --checkpoint, and --workers with --scheduler it has. Without one of
+      its own a command that takes a plot file has the seed of that.
     - `forget`: remove the unfinished run, which `checkpoint` names, when the run has succeeded.
     - `further`: annotations of options that stand in no signature, by name.
     - `records`: arguments of the job that are made of several options, by name: module and class,
@@ -218,12 +221,20 @@ def command(
 
     def decorate(function: Callable[..., None]) -> Callable[..., None]:
         signature = inspect.signature(function)
-        options_of_all, records_of_all = dict(shared), dict(records or {})
+        records_of_all = dict(records or {})
         plot = signature.parameters.get("plot")
-        if plot is not None and plot.annotation is PlotPath:
-            options_of_all["allow_outside"] = (AllowOutside, False)
-        if "scheduler" in signature.parameters:
+        takes_plot_file = plot is not None and plot.annotation is PlotPath
+        options_of_all: dict[str, tuple[Any, Any]] = {}
+        if "checkpoint" in common:
+            options_of_all["checkpoint"] = (Checkpoint, None)
+        if "workers" in common:
+            options_of_all |= {"count": (WorkerCount, 0), "scheduler": (SchedulerAddress, None)}
             records_of_all["workers"] = "fynjax.jobs:Workers", ("count", "scheduler")
+        if "seed" in common:
+            options_of_all["seed"] = (OwnSeed, None) if takes_plot_file else (Seed, 0)
+        options_of_all |= shared
+        if takes_plot_file:
+            options_of_all["allow_outside"] = (AllowOutside, False)
 
         @functools.wraps(function)
         def run(

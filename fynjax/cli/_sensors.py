@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from fynjax.cli._runtime import Align, OwnSeed, PlotPath, Truth, command
+from fynjax.cli._runtime import Align, PlotPath, Truth, command
 
 
 def sensors(
@@ -71,7 +71,7 @@ def _products(product: str) -> list[str]:
     return ["reflectance", "radiance"] if product == "both" else [product]
 
 
-@command("simulate", "fynjax.jobs:simulate")
+@command("simulate", "fynjax.jobs:simulate", "seed")
 def simulate(
     plot: PlotPath,
     sensor: Annotated[
@@ -105,7 +105,6 @@ def simulate(
         typer.Option("--product", callback=_products, help="Images to write."),
     ] = "both",
     truth: Truth = False,
-    seed: OwnSeed = None,
 ) -> None:
     """Simulate what any sensor measures over a plot.
 

@@ -8,11 +8,9 @@ from typing import Annotated, Any, Literal, NamedTuple
 import typer
 
 from fynjax._core.errors import InputError
-from fynjax.cli._runtime import BANDS, Seed, command, listed
+from fynjax.cli._runtime import BANDS, command, listed
 
-_Bands = Annotated[
-    str | None, listed(str, "names", "A,B,...", f"What each band of the file is, {BANDS}")
-]
+_Bands = Annotated[str | None, listed(str, "A,B,...", f"What each band of the file is, {BANDS}")]
 _Ground = Literal["auto", "labels", "smrf", "cloth", "none"]
 
 
@@ -55,10 +53,8 @@ class CloudOption(NamedTuple):
         option = typer.Option(metavar=self.metavar, help=self.help, rich_help_panel=panel)
         if self.counts:
             form = f"{self.metavar} in metres"
-            option = listed(
-                _finite, form, str(self.metavar), self.help,
-                counts=self.counts, rich_help_panel=panel,
-            )  # fmt: skip
+            option = listed(_finite, str(self.metavar), self.help,
+                counts=self.counts, rich_help_panel=panel, form=form)  # fmt: skip
         return Annotated[self.kind | None, option]
 
 
@@ -162,6 +158,7 @@ FILES = [f"{side}_{kind}" for kind in _KINDS for side in ("real", "simulated")]
 @command(
     "validate",
     "fynjax.jobs:validate",
+    "seed",
     further={option.name: option.annotation for option in CLOUD_OPTIONS},
     records={
         "data": ("fynjax.jobs:ValidationData", FILES),
@@ -237,7 +234,6 @@ def validate(
             "The options below override it.",
         ),
     ] = None,
-    seed: Seed = 0,
 ) -> None:
     """Compare simulated with real data: drone images, spectra, point clouds.
 
