@@ -13,7 +13,6 @@ from fynjax._core.errors import InputError
 from fynjax._core.precision import double_precision
 from fynjax.assembly import (
     Measured,
-    Twin,
     parameter_columns,
     placed_by_image,
     plant_twin,
@@ -236,7 +235,12 @@ def calibrate_to(
     stand, parameters_of_fit = result.stand(), parameter_table(result)
     truth = []
     if known is not None:
-        _add_truth(result, known, stand, parameters_of_fit)
+        space, u = result.fit.space, jnp.asarray(known.whitened)
+        there = with_values(result.before, result.scene.taxa, space.named(u))
+        of_stand = stand_values(result.scene.faded(), there).values()
+        stand["truth"] = [float(value) for value in of_stand]
+        columns = parameter_columns(result.fit.names, {"truth": space.physical(u)})
+        parameters_of_fit["truth"] = columns["truth"]
         truth = [twin_sentence(result, known, stand, parameters_of_fit)]
     tables = stand, parameters_of_fit, (statistics := statistic_table(result, reference))
     agreement = agreement_sentences(plot, measured, statistics, reference)
@@ -263,18 +267,6 @@ def calibrate_to(
         warnings=_short_of_sites(result.scene, result.after),
         targets=targets,
     )
-
-
-def _add_truth(
-    result: Calibration, twin: Twin, stand: pd.DataFrame, parameters: pd.DataFrame
-) -> None:
-    """Add the known values of a twin to the tables."""
-    space, scene = result.fit.space, result.scene
-    u = jnp.asarray(twin.whitened)
-    there = with_values(result.before, scene.taxa, space.named(u))
-    stand["truth"] = [float(value) for value in stand_values(scene.faded(), there).values()]
-    truth = {"truth": space.physical(u)}
-    parameters["truth"] = parameter_columns(result.fit.names, truth)["truth"]
 
 
 def _short_of_sites(scene: Scene, parameters: PlotParameters) -> list[str]:

@@ -46,7 +46,13 @@ _SHOWN = 800
 _FEWEST_STEPS = 12
 """Least steps of a walker of a pixel's posterior."""
 UNLIKENESS = "unlikeness"
-_KINDS = ("", "_sd", "_q05", "_q95")
+_KINDS = {
+    "": "{}",
+    "_sd": "standard deviation of {}",
+    "_q05": "5 % quantile of {}",
+    "_q95": "95 % quantile of {}",
+}
+"""Endings of the names of a quantity's maps, and what they are, in words."""
 
 
 class _Mask(NamedTuple):
@@ -142,7 +148,13 @@ def map_cube(
     with open_blocks(cube) as source:
         weights = _weights(source, trained)  # errors before any work
         scale = source.scale()
-        _judge_mean(run, source, weights, scale, trained.responses)
+        used = weights.any(axis=0)
+        seen = source.sample()[:, used]
+        seen = seen[np.isfinite(seen).all(axis=1)]
+        if len(seen):
+            mean = weights[:, used] @ seen.mean(axis=0) / scale
+            _check_divisor(source, scale, mean, trained.responses)
+            doubt_spectrum(run, mean, trained.responses)
         chosen = None
         if pixels:
             learned = prior_of(trained, prior)
@@ -175,8 +187,14 @@ def map_cube(
         with run.stage("Write"):
             writer.finish(run.path("maps.tif", "all maps, a band each, cloud-optimised"), record)
             if zarr:
+                words = {
+                    f"{name}{kind}": of_kind.format(quantity.words)
+                    for name, quantity in STAND_QUANTITIES.items()
+                    for kind, of_kind in _KINDS.items()
+                }
+                words[UNLIKENESS] = "distance from the simulations over that of most of them"
                 path = run.path("maps.zarr", "all maps, a variable each, for xarray")
-                writer.finish_zarr(path, record, _long_names())
+                writer.finish_zarr(path, record, words)
         posteriors: list[PixelPosterior] = []
         sections: list[Section] = []
         if chosen is not None:
@@ -237,39 +255,10 @@ def _writer(checkpoint: Path, source: CubeBlocks, training: str | Path, mask: _M
     return writer
 
 
-def _judge_mean(
-    run: Run,
-    source: CubeBlocks,
-    weights: Float[np.ndarray, "channel band"],
-    scale: float,
-    channels: BandSet,
-) -> None:
-    """Doubt a cube whose mean spectrum is none of shrubland."""
-    used = weights.any(axis=0)
-    seen = source.sample()[:, used]
-    seen = seen[np.isfinite(seen).all(axis=1)]
-    if len(seen):
-        mean = weights[:, used] @ seen.mean(axis=0) / scale
-        _check_divisor(source, scale, mean, channels)
-        doubt_spectrum(run, mean, channels)
-
-
 def _place(source: CubeBlocks) -> str:
     if source.location is not None:
         return "grid of the cube's own lookup table, each pixel the nearest of the swath"
     return "rows and columns only" if source.transform.is_identity else "grid of the cube"
-
-
-_OF_KIND = ("{}", "standard deviation of {}", "5 % quantile of {}", "95 % quantile of {}")
-
-
-def _long_names() -> dict[str, str]:
-    named = {
-        f"{name}{kind}": words.format(quantity.words)
-        for name, quantity in STAND_QUANTITIES.items()
-        for kind, words in zip(_KINDS, _OF_KIND, strict=True)
-    }
-    return named | {UNLIKENESS: "distance from the simulations over that of most of them"}
 
 
 def _check_divisor(source: CubeBlocks, scale: float, mean: np.ndarray, bands: BandSet) -> None:

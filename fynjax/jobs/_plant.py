@@ -194,7 +194,11 @@ def plant(
                 made = generate_plant(form or source, seed, **stated)
                 mesh = made.mesh
             else:
-                mesh, axis = _read_mesh(source, metres, up)
+                mesh = read_plant_mesh(source, up="z")
+                axis = up or find_up(source, mesh)
+                scaled = metres * mesh.vertices
+                mesh = PlantMesh(scaled, mesh.faces, mesh.material, mesh.materials)
+                mesh = read_plant_mesh(mesh, up=axis)
             known = None if materials is None else _read_materials(materials, mesh, made)
             if branches > 1:
                 mesh = plant_from_branches(mesh, branches, **copies)
@@ -209,16 +213,6 @@ def plant(
             write_text(run.path("plant.mtl", "its materials"), mtl)
         run.table("elements.csv", _elements(model), "the plant as area elements", "%.9g")
     return _result(run, source, model, made, mesh, axis, materials)
-
-
-def _read_mesh(
-    source: str, metres: float, up: Literal["y", "z"] | None
-) -> tuple[PlantMesh, Literal["y", "z"]]:
-    """A mesh in metres, upright, and the vertical axis of its file."""
-    mesh = read_plant_mesh(source, up="z")
-    axis = up or find_up(source, mesh)
-    mesh = PlantMesh(metres * mesh.vertices, mesh.faces, mesh.material, mesh.materials)
-    return read_plant_mesh(mesh, up=axis), axis
 
 
 @contextmanager

@@ -170,13 +170,31 @@ def _write(
         xr.Dataset({"reflectance": reflectance, "plants": plant_counts(scene, counts)}),
         record,
     )
-    pictures = _drone_pictures if set(BANDS) <= set(bands.names) else _other_pictures
     caption = "Plants, as many as their covers ask for."
     if plot.crowns_note is not None:
         caption = "Plants, which are known."
     plants = pd.DataFrame({"taxon": scene.taxa, "plants": counts.astype(int)})
+    if set(BANDS) <= set(bands.names):
+        histograms = figures.index_histograms(index_images(image, bands.names))
+        pictures: list[Part] = [
+            image_views({plot.name: image}, bands.names, camera.pixel),
+            Picture("indices.png", histograms, "histograms of vegetation indices"),
+        ]
+    else:
+        cube = Cube(
+            image,
+            bands.names,
+            np.asarray(bands.centre),
+            np.asarray(bands.fwhm),
+            np.ones(len(bands), bool),
+            camera.pixel,
+            camera.origin,
+            "reflectance",
+            None,
+        )
+        pictures = [*cube_pictures({"reflectance": cube}, plot.name)]
     parts: list[Part] = [
-        *pictures(plot, camera, image),
+        *pictures,
         *([] if truth is None else [write_truth(run, plot, scene, truth, record)]),
         Table(plants, caption),
     ]
@@ -216,16 +234,6 @@ def write_truth(
     return Picture("species.png", figure, "species that leads in each pixel")
 
 
-def _drone_pictures(plot: Plot, camera: AimedSensor, image: np.ndarray) -> list[Part]:
-    bands = camera.sensor.bands.names
-    histograms = Picture(
-        "indices.png",
-        figures.index_histograms(index_images(image, bands)),
-        "histograms of vegetation indices",
-    )
-    return [image_views({plot.name: image}, bands, camera.pixel), histograms]
-
-
 def image_views(images: Mapping[str, np.ndarray], bands: Sequence[str], pixel_m: float) -> Views:
     """Images of a drone side by side, to be chosen from: colours, its `bands`, indices."""
     views = {
@@ -254,23 +262,6 @@ def image_views(images: Mapping[str, np.ndarray], bands: Sequence[str], pixel_m:
         figure = figures.layer_map(layers, f"{name} [-]", pixel_m=pixel_m)
         views[name] = Picture(f"index_{name}.png", figure, f"map of the index {name}")
     return Views(views)
-
-
-def _other_pictures(plot: Plot, camera: AimedSensor, image: np.ndarray) -> list[Part]:
-    """Pictures of the image of a sensor without the drone's bands."""
-    bands = camera.sensor.bands
-    cube = Cube(
-        image,
-        bands.names,
-        np.asarray(bands.centre),
-        np.asarray(bands.fwhm),
-        np.ones(len(bands), bool),
-        camera.pixel,
-        camera.origin,
-        "reflectance",
-        None,
-    )
-    return list(cube_pictures({"reflectance": cube}, plot.name))
 
 
 def cube_pictures(cubes: Mapping[str, Cube], title: str) -> list[Picture]:

@@ -154,7 +154,15 @@ def sensitivity(
         if measures is not None or indices is not None:
             spread = _spread_table(names, space.names, measures, indices)
             run.table("variance.csv", spread, "shares of the metrics' variance over the priors")
-            sections.append(_variance_section(spread))
+            picture = Picture(
+                "variance.png",
+                figures.indices_plot(spread),
+                "shares of each metric's variance over the priors",
+                "Shares of each metric's variance while all priors vary, with the plants of one "
+                "planting.",
+            )
+            every = Table(spread, "Every share.", folded=True)
+            sections.append(Section("Over the priors", [picture, every]))
         record = run.record(read.inputs)
         run.page(Page(f"Sensitivity: {read.name}", " ".join(headline), sections, record=record))
     return run.result(
@@ -269,13 +277,3 @@ def _slope_section(table: pd.DataFrame, quantile: float) -> Section:
         "At the plot's parameters",
         [picture, Table(table, "Every slope, with standard errors over plantings.", folded=True)],
     )
-
-
-def _variance_section(spread: pd.DataFrame) -> Section:
-    picture = Picture(
-        "variance.png",
-        figures.indices_plot(spread),
-        "shares of each metric's variance over the priors",
-        "Shares of each metric's variance while all priors vary, with the plants of one planting.",
-    )
-    return Section("Over the priors", [picture, Table(spread, "Every share.", folded=True)])

@@ -112,7 +112,14 @@ def simulate(
                 "it"
             )
         return simulate_lidar(run, read, instrument, noise=noise is not False, files=files)
-    air = _chosen_air(read, atmosphere)
+    air = read.air or AtmosphereTable()
+    if atmosphere is not None:
+        named = str(atmosphere) in AIR_MODELS
+        air = (
+            air.replace(model=str(atmosphere), file=None)
+            if named
+            else AtmosphereTable(file=Path(atmosphere))
+        )
     asked = read.sensor.noise if noise is None and _is_own(read, instrument) else noise
     noisy = instrument.noise is not None and air.source != "none" if asked is None else asked
     _check(read, instrument, air, noisy, products)
@@ -157,15 +164,6 @@ def simulate(
 
 def _is_own(plot: Plot, instrument: Sensor) -> bool:
     return plot.sensor.name == instrument.name
-
-
-def _chosen_air(plot: Plot, atmosphere: str | Path | None) -> AtmosphereTable:
-    given = plot.air or AtmosphereTable()
-    if atmosphere is None:
-        return given
-    if str(atmosphere) in AIR_MODELS:
-        return given.replace(model=str(atmosphere), file=None)
-    return AtmosphereTable(file=Path(atmosphere))
 
 
 def _check(

@@ -149,11 +149,16 @@ def terrain(
     with in_file(path):
         if is_raster:
             with run.stage("Read the raster"):
-                terrain, numbers = _from_raster(
-                    path, bounds, size, cell, crs=crs, height_unit=height_unit,
-                    fill_gaps=fill_gaps, largest_gap=gap, band=band,
+                plot = bounds if size is None else middle_of_raster(path, size)
+                terrain = read_terrain(
+                    path, plot, crs=crs, height_unit=height_unit, fill_gaps=fill_gaps,
+                    largest_gap=gap, band=band,
                 )  # fmt: skip
-            canopy = None
+                if cell is not None:
+                    terrain = terrain.resample(cell, plot)
+                elif size is not None and plot is not None:
+                    whole_cells(plot, terrain.cell)  # else it would be wider than asked for
+            canopy, numbers = None, {"cells_filled": terrain.filled}
         else:
             with run.stage("Read the cloud"):
                 cloud = read_cloud(path, unit=unit, height_unit=height_unit, crs=crs)
@@ -246,18 +251,6 @@ def _write(run: Run, terrain: Terrain, canopy: Float[np.ndarray, "y x"] | None) 
         path = run.path("ground_distance.tif", "how far cells are from measured ground [m]")
         quantity = "distance of interpolated ground from measured"
         write_map(path, "ground_distance", terrain.gap, quantity)
-
-
-def _from_raster(
-    path: Path, bounds: Bounds | None, size: float | None, cell: float | None, **options: Any
-) -> tuple[Terrain, dict[str, float]]:
-    plot = bounds if size is None else middle_of_raster(path, size)
-    terrain = read_terrain(path, plot, **options)
-    if cell is not None:
-        terrain = terrain.resample(cell, plot)
-    elif size is not None and plot is not None:
-        whole_cells(plot, terrain.cell)  # else the terrain would be wider than asked for
-    return terrain, {"cells_filled": terrain.filled}
 
 
 def _middle(bounds: Bounds, size: float) -> Bounds:
