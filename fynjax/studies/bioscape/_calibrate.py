@@ -3,18 +3,15 @@
 import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
-from itertools import islice
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 from jaxtyping import Float
 
-from fynjax._core.checkpoint import Journal
 from fynjax._core.dry_run import begin_work
 from fynjax._core.errors import InputError
-from fynjax._core.parts import Pool, Workers, at_work
+from fynjax._core.parts import Workers, at_work
 from fynjax._core.precision import double_precision
 from fynjax.inversion import spectrum_view
 from fynjax.io.plot import DEFAULT_PRIOR, LearnedPrior, Plot, read_plot, read_prior
@@ -164,15 +161,22 @@ def calibrate_plots(
         for prior in priors
     }
     with run.stage("Infer", total=len(priors) * len(read)), at_work(workers) as pool:
-        infer = partial(_infer, pool, cases=cases, predict=predict, journal=journal)
-        estimates = infer([prior for prior in priors if prior.name != BIAS_CORRECTED])
-        _check(estimates, read, folder)
-        if corrected := [prior for prior in priors if prior.name == BIAS_CORRECTED]:
-            cases[BIAS_CORRECTED] = _bias_corrected(
-                cases[BIAS_CORRECTED], estimates[TABLES_PRIOR], view.names, flights
-            )
-            estimates |= infer(corrected)
-            _check(estimates, read, folder)
+        estimates: dict[str, list[PlotEstimate]] = {}
+        for name, of_prior in cases.items():
+            if name == BIAS_CORRECTED:
+                of_prior = _bias_corrected(of_prior, estimates[TABLES_PRIOR], view.names, flights)
+            each = [f"plot {plot.name}, {name}" for plot in read]
+            found = pool.all(infer_plot, of_prior, predict, names=each, journal=journal)
+            estimates[name] = [
+                PlotEstimate.of(case.space, arrays) for case, arrays in zip(of_prior, found)
+            ]
+            for fit, plot in zip(estimates[name], read):
+                if not (np.isfinite(fit.after).all() and np.isfinite(fit.covariance).all()):
+                    raise InputError(
+                        f"the fit of plot {plot.name!r} is not finite; is its spectrum a "
+                        "reflectance?",
+                        file=folder,
+                    )
     with run.stage("Write"):
         spectra = np.stack([np.asarray(one.value) for one in data])
         tables = _tables(read, priors, estimates, field)
@@ -275,34 +279,6 @@ def _elsewhere(
             {name: (float(mean[i]), float(sd[i])) for name, (mean, sd) in known.items()}
         )
     return Prior(OTHERS_PRIOR, plots, parameters, elsewhere)
-
-
-def _infer(
-    pool: Pool,
-    priors: Sequence[Prior],
-    *,
-    cases: Mapping[str, Sequence[PlotCase]],
-    predict: PlotSpectrumForward,
-    journal: Journal | None,
-) -> dict[str, list[PlotEstimate]]:
-    """Estimates of every plot by each of the priors."""
-    names = [f"plot {plot.name}, {prior.name}" for prior in priors for plot in prior.plots]
-    of_all = [case for prior in priors for case in cases[prior.name]]
-    found = pool.all(infer_plot, of_all, predict, names=names, journal=journal)
-    fits = (PlotEstimate.of(case.space, arrays) for case, arrays in zip(of_all, found))
-    return {prior.name: list(islice(fits, len(prior.plots))) for prior in priors}
-
-
-def _check(
-    estimates: dict[str, list[PlotEstimate]], read: Sequence[BioscapePlot], folder: Path
-) -> None:
-    for fits in estimates.values():
-        for fit, plot in zip(fits, read):
-            if not (np.isfinite(fit.after).all() and np.isfinite(fit.covariance).all()):
-                raise InputError(
-                    f"the fit of plot {plot.name!r} is not finite; is its spectrum a reflectance?",
-                    file=folder,
-                )
 
 
 def _tables(

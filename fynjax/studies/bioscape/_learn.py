@@ -20,7 +20,6 @@ from fynjax._core.precision import double_precision
 from fynjax.inversion import (
     LinearPlots,
     ParameterSpace,
-    Population,
     fit_population,
     spectrum_view,
 )
@@ -154,7 +153,9 @@ def learn(
             slopes = each(f"Differentiate {of}", u, differentiated=True)
             linear = linear_plots(statistics, predicted, slopes, u)
             population = fit_population(linear, prior)
-            wanted = plot_parameters_of(population, linear)
+            # Each plot's own parameters, whitened; the last of `linear` is that of all plots.
+            wanted = linear.design @ population.mean + population.effects @ linear.effects.T
+            wanted = wanted[:, :-1]
             u = u + np.clip(wanted - u, -_FARTHEST, _FARTHEST)
         with run.stage("Leave each plot out"):
             left_out = [
@@ -198,14 +199,6 @@ def linear_plots(
     effects = np.vstack([effect_matrix(), np.zeros(effect_matrix().shape[1])])
     residual = measured - predicted + np.einsum("psk,pk->ps", slopes, at)
     return LinearPlots(residual, slope, design, effects)
-
-
-def plot_parameters_of(
-    population: Population, linear: LinearPlots
-) -> Float[np.ndarray, "plot parameter"]:
-    """Each plot's own parameters, whitened, at the estimate."""
-    own = linear.design @ population.mean + population.effects @ linear.effects.T
-    return own[:, :-1]
 
 
 def _read(

@@ -254,9 +254,9 @@ def _species_csv(plot: BioscapePlot, population: Mapping[str, float]) -> str:
         for s in plot.species
     ]
     if plot.other_cover > 0:
-        diameter, height = _other_size(plot)
-        dead = population[f"dead_fraction.{DOME}"]
-        rows.append((OTHER, diameter, plot.other_cover, height, DOME, dead))
+        size, dead = plant_size("", DOME), population[f"dead_fraction.{DOME}"]
+        height = size.height_m * plot.height_factor
+        rows.append((OTHER, size.crown_diameter_m, plot.other_cover, height, DOME, dead))
     if plot.standing_dead > 0:
         like = plot.dominant
         sizes = like.size.crown_diameter_m, plot.standing_dead, like.size.height_m
@@ -278,12 +278,6 @@ def _species_csv(plot: BioscapePlot, population: Mapping[str, float]) -> str:
 def _dead_fraction(species: BioscapeSpecies, population: Mapping[str, float]) -> float:
     """Dead tissue of a species, `BioscapeSpecies.dead_fraction` about that of its growth form."""
     return species.dead_fraction(population[f"dead_fraction.{species.shape.growth_form}"])
-
-
-def _other_size(plot: BioscapePlot) -> tuple[float, float]:
-    """Crown diameter and height [m] of the species that are not listed."""
-    size = plant_size("", DOME)
-    return size.crown_diameter_m, size.height_m * plot.height_factor
 
 
 def _leaves_csv(plot: BioscapePlot, population: Mapping[str, float]) -> str:

@@ -229,7 +229,11 @@ def read_bioscape(
     if published := is_published(folder):
         tables = read_published(folder)
     else:
-        tables = _read_extract(folder)
+        cover_path, species_path = needed_table(folder, COVER), needed_table(folder, SPECIES)
+        covers = {row.Plot: (at, row) for at, row in read_rows(cover_path, CoverRow, COVER[1])}
+        rows = read_rows(species_path, SpeciesCoverRow, SPECIES[1])
+        listed = _species_by_plot(rows, species_path)
+        tables = FieldTables(cover_path, species_path, covers, listed, set(covers))
     trait_path = (
         needed_table(folder, TRAITS) if traits is None else existing_file(traits, TRAITS[1])
     )
@@ -237,25 +241,24 @@ def read_bioscape(
     visit_path = find_table(folder, VISITS)
     visits = tables.place | ({} if visit_path is None else _visits(visit_path))
 
-    cover_path, species_path, cover = tables.summary, tables.species, tables.cover
     column = "plot" if published else "Plot"
     if plots is None:
         plots = _every_plot(tables, column, published)
     read = []
     for name in dict.fromkeys(plots):
-        if name not in cover:
+        if name not in tables.cover:
             raise InputError(
                 f"expected a row with covers for plot {name!r}, but there is none."
-                f"{did_you_mean(name, cover)}",
-                file=cover_path,
+                f"{did_you_mean(name, tables.cover)}",
+                file=tables.summary,
                 column=column,
             )
         if name not in tables.listed:
             raise InputError(
-                f"expected live species of plot {name!r} in {species_path.name}, but there is "
+                f"expected live species of plot {name!r} in {tables.species.name}, but there is "
                 "none. Without species there is nothing to plant.",
-                file=cover_path,
-                row=cover[name][0],
+                file=tables.summary,
+                row=tables.cover[name][0],
                 column=column,
             )
         plot = _plot(name, tables, library, visits.get(name))
@@ -292,14 +295,6 @@ def _every_plot(tables: FieldTables, column: str, published: bool) -> list[str]:
             stacklevel=3,
         )
     return plots
-
-
-def _read_extract(folder: Path) -> FieldTables:
-    cover_path, species_path = needed_table(folder, COVER), needed_table(folder, SPECIES)
-    cover = {row.Plot: (where, row) for where, row in read_rows(cover_path, CoverRow, COVER[1])}
-    rows = read_rows(species_path, SpeciesCoverRow, SPECIES[1])
-    listed = _species_by_plot(rows, species_path)
-    return FieldTables(cover_path, species_path, cover, listed, set(cover))
 
 
 def _plot(

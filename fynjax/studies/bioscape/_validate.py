@@ -13,7 +13,7 @@ from fynjax._core.precision import double_precision
 from fynjax.compare import PlotSpectraPair
 from fynjax.diversity import VARIETY
 from fynjax.inversion import nadir_imager
-from fynjax.io.plot import DEFAULT_PRIOR, LearnedPrior, Plot, read_prior
+from fynjax.io.plot import DEFAULT_PRIOR, Plot, read_prior
 from fynjax.jobs import Run
 from fynjax.metrics import spectral_mask
 from fynjax.sensors import BandSet
@@ -113,7 +113,12 @@ def validate_plots(
         )
     with run.stage("Write"):
         about = plot_table(read, files, spectra, measured)
-        about["prior"] = [prior_words(learned, plot) for plot in read]
+        about["prior"] = "assumed"
+        if learned is not None:
+            about["prior"] = [
+                f"learned from {'the other plots' if learned.knows(plot.name) else 'other data'}"
+                for plot in read
+            ]
         return write_report(
             run,
             pair,
@@ -136,13 +141,6 @@ def used_bands(spectrometer: Spectrometer) -> np.ndarray:
     centre, reach = spectrometer.centre, 2.2 * spectrometer.fwhm
     inside = (centre - reach >= _MODEL_NM[0]) & (centre + reach <= _MODEL_NM[1])
     return np.flatnonzero(spectral_mask(centre) & inside)
-
-
-def prior_words(prior: LearnedPrior | None, plot: BioscapePlot) -> str:
-    """Words for the data that a plot's population was learned from."""
-    if prior is None:
-        return "assumed"
-    return "learned from the other plots" if prior.knows(plot.name) else "learned from other data"
 
 
 def species_covers(read: Sequence[BioscapePlot]) -> np.ndarray:

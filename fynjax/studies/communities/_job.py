@@ -8,7 +8,6 @@ from typing import Literal
 import numpy as np
 import pandas as pd
 
-from fynjax._core.checkpoint import Journal, signature
 from fynjax._core.dry_run import begin_work
 from fynjax._core.errors import InputError, listed, whole_number
 from fynjax._core.extras import require
@@ -17,7 +16,6 @@ from fynjax._core.precision import double_precision
 from fynjax._core.progress import stage
 from fynjax.io.instruments import load_instrument
 from fynjax.io.plot import Plot, as_plot, example_folder
-from fynjax.io.raster import file_hash
 from fynjax.io.text import existing_file, read_rows
 from fynjax.jobs import JobResult, Rows, Run
 from fynjax.report import figures
@@ -125,10 +123,7 @@ def diversity(
     design = Design(chosen, fine, tuple(noise), samples, seed, greenness)
     run = Run(output, seed=seed, plot=read)
     begin_work(dict.fromkeys(_TABLES, f"{communities} communities") | {"report.html": ""})
-    journal = None
-    if checkpoint is not None:
-        hashes = [file_hash(path) for path in read.inputs]
-        journal = Journal(checkpoint, signature(pool, hashes, gradients, design))
+    journal = run.journal(checkpoint, pool, gradients, design, files=read.inputs)
     with at_work(workers) as pool_of_workers, stage("Communities", communities):
         done = pool_of_workers.all(
             observe_community, range(communities), pool, gradients, design, journal=journal
@@ -141,7 +136,9 @@ def diversity(
         known = recognition(species, spectra, pool.taxa, design)
     headline = _headline(lost, known, threshold)
     with run.stage("Write"):
-        _write_tables(run, (pd.DataFrame(truth, columns=DIVERSITIES), table, lost, known, composed))
+        tables = pd.DataFrame(truth, columns=DIVERSITIES), table, lost, known, composed
+        for (name, what), rows in zip(_TABLES.items(), tables, strict=True):
+            run.table(name, rows, what)
         sections = _sections(table, lost, known, composed, threshold)
         record = run.record(read.inputs)
         title = f"Diversity as sensors see it: {communities} communities of {read.name}"
@@ -159,11 +156,6 @@ _TABLES = {
     "communities",
     "composition.csv": "how composition follows that of the plants",
 }
-
-
-def _write_tables(run: Run, tables: Sequence[pd.DataFrame]) -> None:
-    for (name, what), table in zip(_TABLES.items(), tables, strict=True):
-        run.table(name, table, what)
 
 
 def _check_different(what: str, values: Sequence[object]) -> None:
