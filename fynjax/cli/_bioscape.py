@@ -9,18 +9,14 @@ from fynjax.cli._runtime import (
     SHIPPED,
     PriorFile,
     command,
+    option,
 )
 
 OnlyPlots = Annotated[
     list[str] | None,
-    typer.Option(
-        "--plot", metavar="NAME", help="Only this plot; may be given again. All if left out."
-    ),
+    option("NAME", "Only this plot; may be given again. All if left out.", "--plot"),
 ]
-TraitLibrary = Annotated[
-    Path | None,
-    typer.Option(metavar="FILE", help="Trait library, if it is not in the folder."),
-]
+TraitLibrary = Annotated[Path | None, option("FILE", "Trait library, if it is not in the folder.")]
 Tables = Annotated[
     Path,
     typer.Argument(
@@ -29,13 +25,8 @@ Tables = Annotated[
         "spectra, *VegCenters.csv and *waves.csv.",
     ),
 ]
-Size = Annotated[
-    float,
-    typer.Option("--size", min=1.0, max=100.0, metavar="M", help="Side of a simulated plot [m]."),
-]
-Voxel = Annotated[
-    float, typer.Option("--voxel", min=0.02, max=1.0, metavar="M", help="Edge of a voxel [m].")
-]
+Size = Annotated[float, option("M", "Side of a simulated plot [m].", "--size", min=1.0, max=100.0)]
+Voxel = Annotated[float, option("M", "Edge of a voxel [m].", "--voxel", min=0.02, max=1.0)]
 _STUDY = "fynjax.studies.bioscape"
 _RESOLUTION = {"resolution": (f"{_STUDY}:Resolution", ("size_m", "voxel_m"))}
 
@@ -88,13 +79,7 @@ def learn(
     voxel_m: Voxel = 0.1,
     slope_voxel_m: Annotated[
         float,
-        typer.Option(
-            "--slope-voxel",
-            min=0.02,
-            max=1.0,
-            metavar="M",
-            help="Edge of a voxel for derivatives [m].",
-        ),
+        option("M", "Edge of a voxel for derivatives [m].", "--slope-voxel", min=0.02, max=1.0),
     ] = 0.25,
     title: Annotated[str, typer.Option(help="What the plots are.")] = "Plots of low shrubland",
     licence: Annotated[str, typer.Option(help="Of the numbers, for the prior file.")] = "",

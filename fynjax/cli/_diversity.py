@@ -8,6 +8,7 @@ import typer
 from fynjax.cli._runtime import (
     command,
     listed,
+    option,
 )
 
 _GRADIENTS = {
@@ -36,12 +37,8 @@ def diversity(
             "table (CSV), with usual leaves on the shipped plot; that plot if left out.",
         ),
     ] = None,
-    communities: Annotated[
-        int, typer.Option(min=10, metavar="N", help="How many are drawn.")
-    ] = 100,
-    size: Annotated[
-        float, typer.Option(min=0.5, max=100.0, metavar="M", help="Side of a simulated plot [m].")
-    ] = 10.0,
+    communities: Annotated[int, option("N", "How many are drawn.", min=10)] = 100,
+    size: Annotated[float, option("M", "Side of a simulated plot [m].", min=0.5, max=100.0)] = 10.0,
     sensors: Annotated[
         str, listed(str, "NAME,...", "Imaging sensors, by name or file.")
     ] = "mavic_3m,aviris_ng",
@@ -54,13 +51,8 @@ def diversity(
     noise: Annotated[
         str, listed(float, "SHARE,...", "Noise of a pixel over its reflectance.")
     ] = "0.01",
-    bands: Annotated[
-        int, typer.Option(min=1, metavar="N", help="Bands of a sensor that are used, at most.")
-    ] = 30,
-    samples: Annotated[
-        int,
-        typer.Option(min=1, metavar="N", help="Pixels of each species to be recognised."),
-    ] = 20,
+    bands: Annotated[int, option("N", "Bands of a sensor that are used, at most.", min=1)] = 30,
+    samples: Annotated[int, option("N", "Pixels of each species to be recognised.", min=1)] = 20,
     threshold: Annotated[
         float,
         typer.Option(
@@ -70,9 +62,9 @@ def diversity(
     ] = 0.25,
     greenness: Annotated[
         float | None,
-        typer.Option(
-            metavar="NDVI",
-            help="NDVI, from -1 to below 1, that a pixel must have to count in the metrics; all "
+        option(
+            "NDVI",
+            "NDVI, from -1 to below 1, that a pixel must have to count in the metrics; all "
             "count if left out.",
         ),
     ] = None,

@@ -12,17 +12,18 @@ from fynjax.cli._runtime import (
     Twin,
     command,
     listed,
+    option,
 )
 
 Targets = Annotated[
     list[Path],
-    typer.Option(
-        "--target",
-        metavar="FILE",
-        help="What was measured; may be given once for each kind. Drone image (GeoTIFF, "
+    option(
+        "FILE",
+        "What was measured; may be given once for each kind. Drone image (GeoTIFF, "
         "reflectance) or a table with statistic, value, sd. Spectrum (CSV, ASD, ENVI library) or "
         "image of many bands (ENVI, NetCDF, GeoTIFF), of which the mean counts. Point cloud (LAS, "
         "LAZ) or a table with metric, value, sd, grain_m, returns_m2.",
+        "--target",
     ),
 ]
 Bands = Annotated[
@@ -30,9 +31,9 @@ Bands = Annotated[
 ]
 Free = Annotated[
     list[str] | None,
-    typer.Option(
-        metavar="PATTERN",
-        help="Parameters to free, such as species.*.cover; may be repeated. The plot file's if "
+    option(
+        "PATTERN",
+        "Parameters to free, such as species.*.cover; may be repeated. The plot file's if "
         "left out.",
     ),
 ]
@@ -96,29 +97,29 @@ def sensitivity(
     free: Free = None,
     plantings: Annotated[
         int,
-        typer.Option(
-            min=2,
-            metavar="N",
-            help="Plantings over which slopes are taken, at most; fewer where the errors of each "
+        option(
+            "N",
+            "Plantings over which slopes are taken, at most; fewer where the errors of each "
             "metric's three largest elasticities are below 10 %.",
+            min=2,
         ),
     ] = 64,
     derivative_samples: Annotated[
         int,
-        typer.Option(
+        option(
+            "N",
+            "Samples for derivative-based global sensitivity (DGSM), a power of two; 0: none.",
             "--derivatives",
             min=0,
-            metavar="N",
-            help="Samples for derivative-based global sensitivity (DGSM), a power of two; 0: none.",
         ),
     ] = 0,
     sobol_samples: Annotated[
         int,
-        typer.Option(
+        option(
+            "N",
+            "Points of the Sobol design, a power of two; takes N (parameters + 2) renders.",
             "--sobol",
             min=0,
-            metavar="N",
-            help="Points of the Sobol design, a power of two; takes N (parameters + 2) renders.",
         ),
     ] = 0,
 ) -> None:
@@ -168,7 +169,7 @@ def information(
 @command("design", "fynjax.jobs:design", "seed")
 def design(
     plot: PlotPath,
-    bands: Annotated[int, typer.Option(min=1, metavar="N", help="Bands of the sensor.")] = 4,
+    bands: Annotated[int, option("N", "Bands of the sensor.", min=1)] = 4,
     target: Annotated[
         str,
         listed(
@@ -204,16 +205,14 @@ def design(
     ] = "mavic_3m,rededge_3,sentinel_2a",
     free: Annotated[
         list[str] | None,
-        typer.Option(
-            metavar="PATTERN",
-            help="Unknown parameters, such as species.*.cover; may be repeated. If left out, "
+        option(
+            "PATTERN",
+            "Unknown parameters, such as species.*.cover; may be repeated. If left out, "
             "covers, diameters, dead tissue, chlorophyll, water, dry matter and the ground.",
         ),
     ] = None,
-    plantings: Annotated[
-        int, typer.Option(min=4, metavar="N", help="Plantings over which the target is a mean.")
-    ] = 6,
-    starts: Annotated[int, typer.Option(min=1, metavar="N", help="Ascents.")] = 8,
+    plantings: Annotated[int, option("N", "Plantings over which the target is a mean.", min=4)] = 6,
+    starts: Annotated[int, option("N", "Ascents.", min=1)] = 8,
 ) -> None:
     """Find the most informative bands of a sensor on a plot.
 

@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from fynjax.cli._runtime import command, listed
+from fynjax.cli._runtime import command, listed, option
 
 Spectra = Annotated[
     list[Path],
@@ -15,10 +15,7 @@ Spectra = Annotated[
     ),
 ]
 PanelTable = Annotated[
-    Path | None,
-    typer.Option(
-        metavar="FILE", help="Table of the white panel's own reflectance, where files lack it."
-    ),
+    Path | None, option("FILE", "Table of the white panel's own reflectance, where files lack it.")
 ]
 
 
@@ -46,10 +43,7 @@ def fit_leaf(
     ] = "sphere",
     background: Annotated[
         str | None,
-        typer.Option(
-            metavar="FILE|NUMBER",
-            help="Reflectance behind the leaf of a clip or probe; black by default.",
-        ),
+        option("FILE|NUMBER", "Reflectance behind the leaf of a clip or probe; black by default."),
     ] = None,
     over_background: Annotated[
         list[Path] | None,

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from fynjax._core.errors import InputError
-from fynjax.cli._runtime import command, listed
+from fynjax.cli._runtime import command, listed, option
 
 
 def _angles(text: str) -> tuple[float, float]:
@@ -32,20 +32,13 @@ def train(
         ),
     ] = None,
     like: Annotated[
-        Path | None,
-        typer.Option(metavar="CUBE", help="Instead of a sensor: a cube, for its good bands."),
+        Path | None, option("CUBE", "Instead of a sensor: a cube, for its good bands.")
     ] = None,
     sun_zenith: Annotated[
-        str,
-        typer.Option(
-            metavar="DEG|DEG-DEG",
-            callback=_angles,
-            help="Zenith angle of the sun, or a range of it.",
-        ),
+        str, option("DEG|DEG-DEG", "Zenith angle of the sun, or a range of it.", callback=_angles)
     ] = "30",
     prior: Annotated[
-        str | None,
-        typer.Option(metavar="NAME|FILE", help="Learned prior; the shipped one if left out."),
+        str | None, option("NAME|FILE", "Learned prior; the shipped one if left out.")
     ] = None,
     simulations: Annotated[
         int, typer.Option(min=1, help="Spectra to simulate; some 30 a second.")
@@ -68,16 +61,10 @@ def map_command(
             metavar="CUBE", help="Surface reflectance: ENVI, GeoTIFF, NetCDF or zarr, of any size."
         ),
     ],
-    training: Annotated[
-        Path,
-        typer.Option(metavar="FILE", help="Training for this sensor and sun (`fynjax train`)."),
-    ],
+    training: Annotated[Path, option("FILE", "Training for this sensor and sun (`fynjax train`).")],
     likely: Annotated[
         float,
-        typer.Option(
-            metavar="SHARE",
-            help="Pixels less like the simulations than this share of these are masked.",
-        ),
+        option("SHARE", "Pixels less like the simulations than this share of these are masked."),
     ] = 0.99,
     keep_unlike: Annotated[
         bool, typer.Option("--keep-unlike", help="Do not mask them; the map of it stays.")
@@ -101,15 +88,10 @@ def map_command(
             form="a row and a column, such as 12,40",
         ),
     ] = None,
-    pixel_steps: Annotated[
-        int, typer.Option(metavar="N", min=12, help="Steps of each of its 16 walkers.")
-    ] = 400,
+    pixel_steps: Annotated[int, option("N", "Steps of each of its 16 walkers.", min=12)] = 400,
     prior: Annotated[
         str | None,
-        typer.Option(
-            metavar="NAME|FILE",
-            help="For --pixel: the prior of the training, if not the shipped one.",
-        ),
+        option("NAME|FILE", "For --pixel: the prior of the training, if not the shipped one."),
     ] = None,
 ) -> None:
     """Map covers, leaf area and leaf traits of a cube, each with its uncertainty.

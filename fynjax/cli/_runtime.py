@@ -26,6 +26,12 @@ from fynjax._core.errors import InputError
 if TYPE_CHECKING:
     from fynjax.jobs import JobResult
 
+
+def option(metavar: str, help: str, *flags: str, **more: Any) -> Any:
+    """An option that has a value, which `metavar` names in the help: typer's `Option`."""
+    return typer.Option(*flags, metavar=metavar, help=help, **more)
+
+
 Seed = Annotated[
     int, typer.Option(min=0, max=2**31 - 1, help="Seed of everything random.", show_default=True)
 ]
@@ -40,28 +46,28 @@ Twin = Annotated[
 ]
 Checkpoint = Annotated[
     Path | None,
-    typer.Option(
-        metavar="DIR",
-        help="Folder of the unfinished run; OUTPUT.checkpoint if left out. The same command goes "
+    option(
+        "DIR",
+        "Folder of the unfinished run; OUTPUT.checkpoint if left out. The same command goes "
         "on from it.",
     ),
 ]
 WorkerCount = Annotated[
     int,
-    typer.Option(
-        "--workers",
-        metavar="N",
-        min=0,
-        help="Do the parts in N processes of this machine, one core each; same results. Needs the "
+    option(
+        "N",
+        "Do the parts in N processes of this machine, one core each; same results. Needs the "
         "extra `map`. 0 does them in this process.",
+        "--workers",
+        min=0,
     ),
 ]
 SchedulerAddress = Annotated[
     str | None,
-    typer.Option(
+    option(
+        "ADDRESS",
+        "Do the parts on the workers of a dask scheduler, such as tcp://192.168.0.10:8786.",
         "--scheduler",
-        metavar="ADDRESS",
-        help="Do the parts on the workers of a dask scheduler, such as tcp://192.168.0.10:8786.",
     ),
 ]
 OwnSeed = Annotated[
@@ -79,9 +85,9 @@ PlotPath = Annotated[
 ]
 PriorFile = Annotated[
     str,
-    typer.Option(
-        metavar="FILE",
-        help="Population that the plots are of: a shipped one, a file that `fynjax bioscape learn` "
+    option(
+        "FILE",
+        "Population that the plots are of: a shipped one, a file that `fynjax bioscape learn` "
         "wrote, or none.",
     ),
 ]
@@ -93,7 +99,7 @@ BANDS = (
 Align = Annotated[
     bool, typer.Option("--align/--no-align", help="Align the bands of a capture's files.")
 ]
-Output = Annotated[Path, typer.Option(metavar="DIR", help="Folder for the results.")]
+Output = Annotated[Path, option("DIR", "Folder for the results.")]
 Json = Annotated[
     bool, typer.Option("--json", help="Print a summary as JSON on stdout, and nothing else.")
 ]
@@ -161,7 +167,7 @@ def listed(
             raise InputError(f"`{param.opts[0]}` must be {form}, but is {text!r}")
         return found
 
-    return typer.Option(*flags, metavar=metavar, help=help, callback=read, **more)
+    return option(metavar, help, *flags, callback=read, **more)
 
 
 def _given(options: Mapping[str, Any], allow_outside: bool | None) -> dict[str, Any]:

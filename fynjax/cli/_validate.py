@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal, NamedTuple
 import typer
 
 from fynjax._core.errors import InputError
-from fynjax.cli._runtime import BANDS, command, listed
+from fynjax.cli._runtime import BANDS, command, listed, option
 
 _Bands = Annotated[str | None, listed(str, "A,B,...", f"What each band of the file is, {BANDS}")]
 _Ground = Literal["auto", "labels", "smrf", "cloth", "none"]
@@ -168,32 +168,28 @@ FILES = [f"{side}_{kind}" for kind in _KINDS for side in ("real", "simulated")]
 def validate(
     real_drone: Annotated[
         str | None,
-        typer.Option(
-            metavar="FILE",
-            help="Real drone image (GeoTIFF, reflectance); or 'published': the printed statistics "
+        option(
+            "FILE",
+            "Real drone image (GeoTIFF, reflectance); or 'published': the printed statistics "
             "of the plot burnt in 2006.",
         ),
     ] = None,
-    simulated_drone: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Simulated drone image.")
-    ] = None,
+    simulated_drone: Annotated[Path | None, option("FILE", "Simulated drone image.")] = None,
     real_spectra: Annotated[
         list[Path] | None,
-        typer.Option(
-            metavar="FILE",
-            help="Real spectra: CSV, ASD, ENVI library or cube, GeoTIFF, NetCDF. May be given "
+        option(
+            "FILE",
+            "Real spectra: CSV, ASD, ENVI library or cube, GeoTIFF, NetCDF. May be given "
             "several times.",
         ),
     ] = None,
     simulated_spectra: Annotated[
-        list[Path] | None, typer.Option(metavar="FILE", help="Simulated spectra, in any of these.")
+        list[Path] | None, option("FILE", "Simulated spectra, in any of these.")
     ] = None,
     real_cloud: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Real point cloud (LAS, LAZ, PLY, XYZ).")
+        Path | None, option("FILE", "Real point cloud (LAS, LAZ, PLY, XYZ).")
     ] = None,
-    simulated_cloud: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Simulated point cloud.")
-    ] = None,
+    simulated_cloud: Annotated[Path | None, option("FILE", "Simulated point cloud.")] = None,
     real_bands: _Bands = None,
     simulated_bands: _Bands = None,
     saturation: Annotated[
@@ -217,21 +213,21 @@ def validate(
     ] = "auto",
     windows: Annotated[
         list[str] | None,
-        typer.Option(
+        option(
+            "LOW-HIGH",
+            "Wavelengths to leave out [nm], besides the water windows 1340-1460 and "
+            "1790-2100. May be given several times.",
             "--exclude",
             callback=_windows,
-            metavar="LOW-HIGH",
-            help="Wavelengths to leave out [nm], besides the water windows 1340-1460 and "
-            "1790-2100. May be given several times.",
         ),
     ] = None,
     structure_preset: Annotated[
         str | None,
-        typer.Option(
-            metavar="NAME",
-            rich_help_panel="Point clouds",
-            help="Conventions of a known tool: fynjax, lidR, leafR, PyForestScan, GEDI L2B. "
+        option(
+            "NAME",
+            "Conventions of a known tool: fynjax, lidR, leafR, PyForestScan, GEDI L2B. "
             "The options below override it.",
+            rich_help_panel="Point clouds",
         ),
     ] = None,
 ) -> None:
