@@ -10,7 +10,7 @@ import pandas as pd
 
 from fynjax._core.dry_run import begin_work
 from fynjax._core.precision import double_precision
-from fynjax.assembly import prepare, shown_unit
+from fynjax.assembly import parameter_columns, prepare
 from fynjax.inversion import Information, SensorSetting, even_bands, sweep_sensors
 from fynjax.io.plot import Plot, as_plot, plot_instrument, sensor_place
 from fynjax.jobs._result import JobResult, Rows
@@ -121,29 +121,21 @@ def bound_table(
     sweep: Sequence[tuple[SensorSetting, Information]], value: np.ndarray
 ) -> pd.DataFrame:
     """A row for each sensor and parameter, in field units."""
-    rows = []
+    tables = []
     for setting, bounds in sweep:
-        for i, name in enumerate(bounds.names):
-            _, unit, factor = shown_unit(name)
-            rows.append(
-                {
-                    "gsd_m": setting.gsd,
-                    "bands": setting.bands,
-                    "noise": setting.noise,
-                    "sun_zenith": setting.sun_zenith,
-                    "pixels": setting.pixels,
-                    "parameter": name,
-                    "unit": unit,
-                    "value": factor * value[i],
-                    "prior_sd": factor * bounds.prior_sd[i],
-                    "conditional": factor * bounds.conditional[i],
-                    "bound": factor * bounds.bound[i],
-                    "joint": factor * bounds.joint[i],
-                    "bayesian": factor * bounds.bayesian[i],
-                    "constrained": bounds.constrained[i],
-                }
-            )
-    return pd.DataFrame(rows)
+        kinds = ("prior_sd", "conditional", "bound", "joint", "bayesian")
+        numbers = {"value": value} | {kind: getattr(bounds, kind) for kind in kinds}
+        table = parameter_columns(bounds.names, numbers).assign(constrained=bounds.constrained)
+        of_sensor = {
+            "gsd_m": setting.gsd,
+            "bands": setting.bands,
+            "noise": setting.noise,
+            "sun_zenith": setting.sun_zenith,
+            "pixels": setting.pixels,
+        }
+        tables.append(pd.DataFrame(of_sensor, index=table.index).join(table))
+    table = pd.concat(tables, ignore_index=True)
+    return table.drop(columns="kind").rename(columns={"name": "parameter"})
 
 
 def limit_table(table: pd.DataFrame, covers: Sequence[str]) -> pd.DataFrame:

@@ -185,26 +185,27 @@ def _planting(ready: Prepared, number: int) -> tuple[Scene]:
 
 def _slope_table(slopes: ExpectedSensitivity) -> pd.DataFrame:
     """One row a metric and parameter, in the units of files."""
-    rows = []
-    for k, metric in enumerate(slopes.metrics):
-        for i, name in enumerate(slopes.names):
-            _, unit, factor = shown_unit(name)
-            rows.append(
-                {
-                    "metric": metric,
-                    "parameter": name,
-                    "unit": unit,
-                    "value": slopes.at[i] * factor,
-                    "metric_value": slopes.value[k],
-                    "metric_sd": slopes.value_sd[k],
-                    "slope": slopes.jacobian[k, i] / factor,
-                    "slope_error": slopes.jacobian_error[k, i] / factor,
-                    "elasticity": slopes.elasticity[k, i],
-                    "elasticity_error": slopes.elasticity_error[k, i],
-                    "distinguished": bool(slopes.distinguished[k, i]),
-                }
-            )
-    return pd.DataFrame(rows)
+    _, units, factors = zip(*map(shown_unit, slopes.names), strict=True)
+    factor = np.array(factors)
+    tables = [
+        pd.DataFrame(
+            {
+                "metric": metric,
+                "parameter": slopes.names,
+                "unit": units,
+                "value": slopes.at * factor,
+                "metric_value": slopes.value[k],
+                "metric_sd": slopes.value_sd[k],
+                "slope": slopes.jacobian[k] / factor,
+                "slope_error": slopes.jacobian_error[k] / factor,
+                "elasticity": slopes.elasticity[k],
+                "elasticity_error": slopes.elasticity_error[k],
+                "distinguished": slopes.distinguished[k],
+            }
+        )
+        for k, metric in enumerate(slopes.metrics)
+    ]
+    return pd.concat(tables, ignore_index=True)
 
 
 def _headline(table: pd.DataFrame) -> list[str]:
