@@ -125,17 +125,11 @@ def _sections(found: BandDesign, chosen: pd.DataFrame) -> list[Section]:
         "much the design has more, with the interval of 5 to 95 % over these plantings.",
     )  # fmt: skip
     ends = ", ".join(f"{value:.4g}" for value in found.starts)
+    pixels = Table(found.pixels, "The target of the best bands in pixels of each size.")
+    every = Table(found.quantities.rename_axis("sensor").reset_index(), found.target)
     return [
         Section("Bands", [shown, Table(chosen, "The bands; designed.toml has them as a sensor.")]),
         Section("Other sensors", [gain, Table(found.table, "The target of each sensor.")]),
-        Section(
-            "Pixels", [Table(found.pixels, "The target of the best bands in pixels of each size.")]
-        ),
-        Section(
-            "Every quantity",
-            [
-                Table(found.quantities.rename_axis("sensor").reset_index(), found.target),
-                f"Ends of the ascents: {ends}.",
-            ],
-        ),
+        Section("Pixels", [pixels]),
+        Section("Every quantity", [every, f"Ends of the ascents: {ends}."]),
     ]

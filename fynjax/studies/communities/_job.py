@@ -289,35 +289,20 @@ def _sections(
         "enough pixels. Leaves of a species are all alike here: real ones are not, and are "
         "recognised less often.",
     )
+    where = Table(
+        lost,
+        "Where each diversity is lost (–: at no pixel that is known). Of pixels wider than "
+        "'unknown beyond' the metric is not known.",
+    )
+    how_well = "How well species are recognised; q05 and q95 are over 20 trainings."
+    follows = (
+        "Correlation over pairs of communities (Mantel) of the Bray-Curtis dissimilarity of their "
+        "spectral species, which are clusters of the pixels of all communities, with that of their "
+        "plant species."
+    )
     return [
-        Section(
-            "Diversity",
-            [
-                curves,
-                Table(
-                    lost,
-                    "Where each diversity is lost (–: at no pixel that is known). Of pixels wider "
-                    "than 'unknown beyond' the metric is not known.",
-                ),
-            ],
-        ),
-        Section(
-            "Species",
-            [
-                skill,
-                Table(known, "How well species are recognised; q05 and q95 are over 20 trainings."),
-            ],
-        ),
-        Section(
-            "Composition",
-            [
-                Table(
-                    composed,
-                    "Correlation over pairs of communities (Mantel) of the Bray-Curtis "
-                    "dissimilarity of their spectral species, which are clusters of the pixels of "
-                    "all communities, with that of their plant species.",
-                )
-            ],
-        ),
+        Section("Diversity", [curves, where]),
+        Section("Species", [skill, Table(known, how_well)]),
+        Section("Composition", [Table(composed, follows)]),
         Section("All numbers", [Table(table, "Squared correlations.", folded=True)]),
     ]

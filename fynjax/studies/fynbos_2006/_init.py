@@ -200,7 +200,7 @@ def _at_another_age(burnt: int, text: str, folder: Path) -> str:
     )
     guide.write_text(readme, encoding="utf-8")
     litter = float(re.search(r"(?m)^litter_fraction = ([0-9.]+)", text)[1])  # type: ignore[index]
-    ground = ground_after_fire(age, litter)
+    litter, char = ground_after_fire(age, litter)
     text = re.sub(
         r"^# A plot of fynbos that burnt in 2006, at Grootbos, South Africa. ",
         f"# A plot of fynbos as it may look {age} years after a fire of {burnt}. Only the plot\n"
@@ -210,7 +210,5 @@ def _at_another_age(burnt: int, text: str, folder: Path) -> str:
     )
     text = text.replace("burnt 2006", f"burnt {burnt} (assumed)")
     text = text.replace("#   fynjax calibrate plot.toml --target statistics.csv\n", "")
-    text = re.sub(
-        r"(?m)^litter_fraction = [0-9.]+ ", f"litter_fraction = {ground.litter:.2f} ", text
-    )
-    return re.sub(r"(?m)^# char_fraction = [0-9.]+ ", f"char_fraction = {ground.char:.2f} ", text)
+    text = re.sub(r"(?m)^litter_fraction = [0-9.]+ ", f"litter_fraction = {litter:.2f} ", text)
+    return re.sub(r"(?m)^# char_fraction = [0-9.]+ ", f"char_fraction = {char:.2f} ", text)
