@@ -32,8 +32,8 @@ def demo(
         bool,
         typer.Option(
             "--with-aviris",
-            help="Fit the published numbers of the plot's AVIRIS-NG spectrum too, which tell gains "
-            "of the drone's camera from plants. Takes longer.",
+            help="Fit the published numbers of the plot's AVIRIS-NG spectrum too, by which "
+            "gains of the drone's camera are known better. Takes longer.",
         ),
     ] = False,
     twin: Twin = False,

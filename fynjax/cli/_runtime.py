@@ -1,4 +1,4 @@
-"""What every command shares: options, JAX settings, the summary, and one line for an error."""
+"""Parts that all commands share: options, JAX settings, the summary, one line for an error."""
 
 import _thread
 import functools

@@ -1,4 +1,4 @@
-"""What `fynjax build` does: the plants of a plot, its cover, its voxels and its pictures."""
+"""The job of `fynjax build`: the plants of a plot, its cover, its voxels and its pictures."""
 
 from collections.abc import Sequence
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""What `fynjax calibrate` does: the parameters of a plot that explain what was measured of it."""
+"""The job of `fynjax calibrate`: parameters of a plot that explain its measurements."""
 
 from collections.abc import Sequence
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""What `fynjax calibrate` does where the plants are known: the image counts pixel by pixel."""
+"""The job of `fynjax calibrate` where plants are known: the image counts pixel by pixel."""
 
 import dataclasses
 from collections.abc import Sequence

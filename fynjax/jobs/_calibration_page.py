@@ -28,7 +28,7 @@ from fynjax.scene import AimedSensor
 def agreement_sentences(
     plot: Plot, measured: Sequence[Measured], statistics: pd.DataFrame, reference: ReferenceImage
 ) -> list[str]:
-    """How well every sensor's data are met before and after."""
+    """Sentences on how well the data of each sensor are met before and after."""
     lines = []
     if any(sensor.kind == "image" for sensor in measured):
         published = list(reference.error_percent.values())
@@ -52,7 +52,7 @@ def agreement_sentences(
 
 
 def parameter_sentences(result: Calibration | KnownPlants) -> list[str]:
-    """Which parameters the data constrain, and where the searches ended."""
+    """Sentences on the parameters that the data constrain, and on the ends of the searches."""
     constrained, ends = result.fit.well_constrained(), result.ends
     lines = [
         f"The data at least halve the error of {len(constrained)} of {len(result.fit.names)} "
@@ -88,7 +88,7 @@ def status_of(fit: FitResult) -> str:
 def twin_sentence(
     result: Calibration, known: Twin, stand: pd.DataFrame, parameters: pd.DataFrame
 ) -> str:
-    """How much of a twin's truth lies in the 90 % intervals; tables with a column `truth`."""
+    """Share of a twin's truth in the 90 % intervals, of tables with a column `truth`, in words."""
 
     def inside(table: pd.DataFrame) -> str:
         within = table["truth"].between(table["q05"], table["q95"])
@@ -260,7 +260,7 @@ _CAMERA = (
 
 
 def _camera_sentence(camera: pd.DataFrame) -> str:
-    """How much of each band's error the camera has itself, and how sure that is."""
+    """The part of each band's error that is the camera's own, and its certainty, in words."""
     off = camera["exact_error_percent"]
     unsure = (camera["gain"] - 1.0).abs() < 2.0 * camera["sd"]
     of = [
@@ -275,7 +275,7 @@ def _camera_sentence(camera: pd.DataFrame) -> str:
 
 
 def _one_planting(statistics: pd.DataFrame) -> str:
-    """What the images show, and how far that is from the expectations of tables and headline."""
+    """Words below the images, with their distance from the expectations of the tables."""
     means = statistics[statistics["fitted"] & statistics["statistic"].str.endswith(".mean")]
     apart = (means["image_after"] / means["after"] - 1.0).abs().max()
     return (
@@ -318,7 +318,7 @@ def parameter_section(
 
 
 def search_section(run: Run, result: Calibration | KnownPlants, memory: float) -> Section:
-    """How the search went; `memory` at its peak [MiB]."""
+    """Objective after each step, ends and times of the search; `memory` at its peak [MiB]."""
     fit = result.fit
     convergence = figures.convergence_plot(fit.loss, fit.gradient_norm, rounds=fit.rounds)
     parts: list[Part] = [

@@ -49,7 +49,7 @@ def parameter_table(calibration: Calibration | KnownPlants) -> pd.DataFrame:
 
 @dataclass(frozen=True)
 class ReferenceImage:
-    """What else is known of the real image, and what another simulation made of it."""
+    """Further knowledge of the real image, and another simulation of it."""
 
     real: Mapping[str, float] = field(default_factory=dict)
     """Statistics of the real image that were not fitted, or were, by name."""

@@ -1,4 +1,4 @@
-"""The most informative bands of a sensor on a plot: what `fynjax design` does."""
+"""The job of `fynjax design`: the most informative bands of a sensor on a plot."""
 
 from collections.abc import Sequence
 from pathlib import Path

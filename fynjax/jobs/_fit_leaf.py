@@ -1,4 +1,4 @@
-"""What `fynjax fit-leaf` does: files of spectra in, traits and spectra out."""
+"""The job of `fynjax fit-leaf`: files of spectra in, traits and spectra out."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -58,7 +58,7 @@ from fynjax.report import figures
 from fynjax.report.pages import Picture, Table
 
 Sampling = Literal["none", "emcee", "nuts"]
-"""How the posterior is sampled, if at all."""
+"""Sampler of the posterior, if one is asked for."""
 _GRID = np.arange(350.0, 2501.0)
 _SHOWN = 100
 """Spectra of which a page shows the traits, at most."""

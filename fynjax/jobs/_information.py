@@ -1,4 +1,4 @@
-"""What a sensor can know about a plot: what `fynjax information` does."""
+"""The job of `fynjax information`: bounds on what sensors can know about a plot."""
 
 import dataclasses
 from collections.abc import Sequence

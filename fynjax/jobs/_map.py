@@ -1,4 +1,4 @@
-"""From a cube to maps with uncertainty: what `fynjax map` does."""
+"""The job of `fynjax map`: from a cube to maps with uncertainty."""
 
 import json
 import warnings

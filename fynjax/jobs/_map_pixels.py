@@ -1,4 +1,4 @@
-"""Full posteriors of some pixels of a map: what `fynjax map --pixel` does beside the maps."""
+"""Full posteriors of some pixels of a map, for `fynjax map --pixel`."""
 
 import warnings
 from collections.abc import Sequence

@@ -1,4 +1,4 @@
-"""From an image to a probability map of where plants stand: what `fynjax pattern` does."""
+"""The job of `fynjax pattern`: from an image to a probability map of where plants stand."""
 
 from collections.abc import Sequence
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""From a mesh, a scan or a taxon to area elements: what `fynjax plant` does."""
+"""The job of `fynjax plant`: from a mesh, a scan or a taxon to area elements."""
 
 import re
 from collections.abc import Iterator

@@ -1,4 +1,4 @@
-"""The posterior of a plot's parameters: what `fynjax posterior` does."""
+"""The job of `fynjax posterior`: the posterior of a plot's parameters."""
 
 from collections import deque
 from collections.abc import Sequence

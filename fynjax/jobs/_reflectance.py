@@ -1,4 +1,4 @@
-"""From raw pictures of a multispectral camera to reflectance: what `fynjax reflectance` does."""
+"""The job of `fynjax reflectance`: from raw pictures of a camera to reflectance."""
 
 import json
 from collections.abc import Sequence

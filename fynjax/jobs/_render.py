@@ -1,4 +1,4 @@
-"""What `fynjax render` does: the image that a plot file describes, of whatever sensor it names."""
+"""The job of `fynjax render`: the image that a plot file describes, of whatever sensor it names."""
 
 import itertools
 from collections.abc import Mapping, Sequence
@@ -43,13 +43,13 @@ SHOWN_INDICES = ("NDVI", "GNDVI", "SR", "GCI", "ARI2", "OSAVI", "GSAVI", "NormR"
 """Vegetation indices whose histograms are drawn."""
 
 _MAPPED = ("NDVI", "GNDVI", "OSAVI")
-"""Those that a page shows as maps as well."""
+"""Vegetation indices that a page shows as maps as well."""
 
 _LOOKS = {
     "true_like.png": "nearly natural colours",
     "false_colour.png": "near infrared as red",
 }
-"""What a quick look shows."""
+"""Words for a quick look, by its file."""
 
 _FEW_BANDS = 8
 """Most bands whose means the headline lists."""
@@ -213,7 +213,7 @@ def _write(
 def write_truth(
     run: Run, plot: Plot, scene: Scene, truth: PixelTruth, record: Mapping[str, str | int]
 ) -> Picture:
-    """What stands in the pixels, as files and as a map of the leading species."""
+    """Write the shares of each species in the pixels; gives a map of the leading ones."""
     write_run(run.path("truth.nc", "what each pixel sees, NetCDF"), truth.to_xarray(), record)
     organs = {
         name: np.asarray(getattr(truth, name)) for name in ("live", "dead", "wood", "flowers")

@@ -50,7 +50,7 @@ class Run:
         usual = 0 if plot is None else plot.seed
         self.seed = whole_number("seed", usual if seed is None else seed, most=2**31 - 1)
         self.files: dict[str, str] = {}
-        """What each file is, by its name."""
+        """Description of each file, by its name."""
         self.seconds: dict[str, float] = {}
         """Wall time by stage [s]."""
         self.doubts: list[str] = []

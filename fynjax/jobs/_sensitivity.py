@@ -1,4 +1,4 @@
-"""Which parameters move which metrics of a plot: what `fynjax sensitivity` does."""
+"""The job of `fynjax sensitivity`: how far each parameter moves each metric of a plot."""
 
 from collections.abc import Sequence
 from functools import partial

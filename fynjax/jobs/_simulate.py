@@ -1,4 +1,4 @@
-"""What `fynjax simulate` does with an imaging sensor: radiance, reflectance, products, record."""
+"""The job of `fynjax simulate` with an imaging sensor: radiance, reflectance, their record."""
 
 import dataclasses
 import json
@@ -36,7 +36,7 @@ from fynjax.scene import (
 from fynjax.sensors import Lidar, Sensor
 
 AIR_MODELS = ("table", "clear-sky", "none")
-"""What an atmosphere may be named by, instead of a file."""
+"""Models of the air that stand in place of a file."""
 PRODUCTS = ("reflectance", "radiance")
 """Image products that can be written."""
 

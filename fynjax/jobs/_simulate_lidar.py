@@ -1,4 +1,4 @@
-"""What `fynjax simulate` does with a LiDAR: point cloud, waveforms, pictures."""
+"""The job of `fynjax simulate` with a LiDAR: point cloud, waveforms, pictures."""
 
 from collections.abc import Sequence
 from pathlib import Path

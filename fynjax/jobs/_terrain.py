@@ -1,4 +1,4 @@
-"""What `fynjax terrain` does: the ground of a plot from a point cloud or a height raster."""
+"""The job of `fynjax terrain`: the ground of a plot from a point cloud or a height raster."""
 
 import warnings
 from pathlib import Path

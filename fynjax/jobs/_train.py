@@ -1,4 +1,4 @@
-"""From a learned prior to a regression for the spectra of a sensor: what `fynjax train` does."""
+"""The job of `fynjax train`: from a learned prior to a regression for spectra of a sensor."""
 
 import hashlib
 import json

@@ -1,4 +1,4 @@
-"""What `fynjax validate` does: real against simulated data of any of three sensors."""
+"""The job of `fynjax validate`: real against simulated data of any of three sensors."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass

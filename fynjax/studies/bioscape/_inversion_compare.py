@@ -128,7 +128,7 @@ def simple_table(
     values: dict[str, Float[np.ndarray, " plot"]],
     field: Field,
 ) -> pd.DataFrame:
-    """The same of a predictor that states no interval."""
+    """Every quantity of every plot by a predictor that states no interval."""
     parts = [
         pd.DataFrame(
             {

@@ -1,4 +1,4 @@
-"""What `fynjax bioscape calibrate` writes: tables, figures, a page."""
+"""Results of `fynjax bioscape calibrate`: tables, figures, a page."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -252,7 +252,7 @@ def _headline(findings: Findings, score: pd.DataFrame, prior: str) -> list[str]:
 
 
 def _reasons(findings: Findings, shifts: pd.DataFrame) -> list[str]:
-    """What the posteriors say of the reasons, in sentences."""
+    """Sentences on residuals, and on shifts of parameters that all plots share."""
     size = {name: np.sqrt(np.mean(rest**2)) for name, rest in findings.residuals.items()}
     sentences = [
         "Root mean square of the residuals between model and measurement: "

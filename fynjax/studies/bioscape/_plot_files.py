@@ -407,7 +407,7 @@ def _median_ratio(counts: pd.DataFrame) -> float | None:
 
 
 def _intercepts(read: Sequence[BioscapePlot]) -> pd.DataFrame:
-    """What line intercepts show from above, beside the covers that the crew judged."""
+    """Line intercepts as seen from above, beside the covers that the crew judged."""
     rows = []
     for plot in read:
         if plot.view is None:
@@ -528,7 +528,7 @@ def planted_files(
 
 
 def _cut_or_assumed(read: Sequence[BioscapePlot], learned: LearnedPrior | None) -> list[str]:
-    """What of the species is more than PROSPECT can mean, and what the prior does not know."""
+    """Warnings of values that PROSPECT cannot mean, and of forms that the prior lacks."""
     said = []
     for name, most in _MOST.items():
         thick = {s.taxon for p in read for s in p.species if name in beyond_prospect(s)}

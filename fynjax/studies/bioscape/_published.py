@@ -117,7 +117,7 @@ class QuadratSpeciesRow(TaxonRow):
 
 
 class InterceptRow(TaxonRow):
-    """What a point on a line across a plot shows from above."""
+    """A point on a line across a plot, as it is seen from above."""
 
     line_transect: str = Field(description="NS or WE.", min_length=1)
     metres_along_line: str = Field(description="0L to 10R.", min_length=1)
@@ -148,7 +148,7 @@ class Remark:
 
 @dataclass(frozen=True)
 class SpeciesNote:
-    """What the tables say of a species on a plot; None where they do not."""
+    """Notes of the tables on a species of a plot; None where they have none."""
 
     where: str
     """File and row that name the species."""

@@ -53,7 +53,7 @@ _LARGEST_EVEN = 0.125
 
 @dataclass(frozen=True)
 class Resolution:
-    """How finely plots are simulated. Raises `InputError` where voxels do not fill a plot."""
+    """Size and voxels of simulated plots. Raises `InputError` where voxels do not fill a plot."""
 
     size_m: float = 5.0
     """Side of the square that stands for a plot [m]; it repeats itself."""
@@ -164,7 +164,7 @@ def slotted_parameters(plot: Plot, slots: tuple[str, ...]) -> PlotParameters:
 
 
 def _padded(scene: Scene, plants: int, elements: int, parts: int) -> Scene:
-    """The same plot with room for more: plants that do not stand, elements without area."""
+    """A scene with room for more: plants that do not stand, elements without area."""
     planting = scene.planting
 
     def longer(values: Array | np.ndarray, length: int, fill: float = 0.0) -> Array:

@@ -1,4 +1,4 @@
-"""What a sensor can know of diversity: what `fynjax diversity` does."""
+"""The job of `fynjax diversity`: how well sensors know the diversity of communities."""
 
 import math
 from collections.abc import Sequence
@@ -35,7 +35,7 @@ _MOST_NOISE = 0.3
 
 
 class DiversityResult(JobResult):
-    """Result of `diversity`: how well spectra tell of diversity, and where that is lost."""
+    """Result of `diversity`: how well spectra know diversity, and where that is lost."""
 
     command: Literal["diversity"] = "diversity"
     lost: Rows
@@ -65,7 +65,7 @@ def diversity(
     checkpoint: str | Path | None = None,
     workers: Workers | None = None,
 ) -> DiversityResult:
-    """How well sensors of any pixel tell the diversity of communities, and tell species apart.
+    """How well sensors of any pixel know the diversity of communities, and recognise species.
 
     Communities of the species of a plot are drawn along gradients, planted and seen by each sensor
     at its finest pixel; coarser pixels are means of these, blurred by the optics of a sensor of
@@ -226,7 +226,7 @@ def _few_bands(sensor: str | Path | Sensor, most: int) -> Sensor:
 
 
 def _headline(lost: pd.DataFrame, known: pd.DataFrame, threshold: float) -> list[str]:
-    """For each sensor, at its least noise: how well any metric tells Shannon, richness and
+    """For each sensor, at its least noise: how well any metric knows Shannon, richness and
     evenness, where that is lost, and how well species are recognised."""
     lines = []
     least = lost[lost["noise"] == lost["noise"].min()]

@@ -1,4 +1,4 @@
-"""What `fynjax article` does: every number of the article beside those of the shipped plot."""
+"""The job of `fynjax article`: every number of the article beside those of the shipped plot."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -150,7 +150,7 @@ def _headline(table: pd.DataFrame) -> list[str]:
 
 
 def _pictures(table: pd.DataFrame) -> list[Picture]:
-    """What each is off by: means, spreads, and numbers of the other sensors."""
+    """Pictures of errors: means, spreads, and numbers of the other sensors."""
     of_drone = table["table"].isin(["figure 9", "table 4"])
     judged, spread = table["nearest"] != "", table["quantity"].str.endswith(".std")
     others = table["quantity"].str.contains("reflectance|gap_fraction")

@@ -1,4 +1,4 @@
-"""What `fynjax demo` does: the 2006 plot calibrated to the statistics of its real drone image."""
+"""The job of `fynjax demo`: the 2006 plot calibrated to the statistics of its real drone image."""
 
 from pathlib import Path
 
@@ -72,7 +72,7 @@ def demo(
 
 @double_precision
 def demo_targets(plot: Plot | None = None, *, with_aviris: bool = False) -> tuple[Measured, ...]:
-    """What `demo` fits: published statistics of the real drone image.
+    """Targets of `demo`: published statistics of the real drone image.
 
     **Arguments:**
 

@@ -1,4 +1,4 @@
-"""What `fynjax init` does: the 2006 plot as commented files, or as it may be at another age."""
+"""The job of `fynjax init`: the 2006 plot as commented files, or as it may be at another age."""
 
 import re
 import shutil
