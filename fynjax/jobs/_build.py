@@ -347,41 +347,33 @@ def instance_table(instances: Instances) -> pd.DataFrame:
 
 def voxel_dataset(scene: Scene, density: Float[Array, "class z y x"]) -> xr.Dataset:
     """Area density [class, z, y, x] with its coordinates, ready for `write_run`."""
-    x, y, z = scene.grid.centres
     names = [
         f"{scene.taxa[k]}, leaf" + f" {leaf}" * (len(own) > 1)
         for k, own in leaf_classes(scene.species).items()
         for leaf in range(len(own))
     ]
-    names += ["wood", "flower"]
-
-    def axis(letter: str, values: np.ndarray, what: str) -> tuple[str, np.ndarray, dict[str, str]]:
-        standard = {
-            "standard_name": "height" if letter == "z" else f"projection_{letter}_coordinate",
-            **({"positive": "up"} if letter == "z" else {}),
-        }
-        return letter, values, {"units": "m", "axis": letter.upper(), "long_name": what} | standard
-
-    level = scene.terrain is None
-    variables: dict[str, Any] = {
-        "area_density": (
-            ("class", "z", "y", "x"),
-            np.asarray(density),
-            {"long_name": "one-sided area per volume", "units": "m2 m-3"},
-        )
+    above = "ground" if scene.terrain is None else "the lowest ground"
+    axes = {
+        "x": {"long_name": "distance east of the south-west corner"},
+        "y": {"long_name": "distance north of the south-west corner"},
+        "z": {"long_name": f"height of the voxel's centre above {above}", "positive": "up"},
     }
-    if not level:
-        what = {"long_name": "height of the ground above its lowest", "units": "m"}
-        variables["ground"] = (("y", "x"), scene.terrain, what)
+    for letter, about in axes.items():
+        standard = "height" if letter == "z" else f"projection_{letter}_coordinate"
+        about |= {"units": "m", "axis": letter.upper(), "standard_name": standard}
+    of_area = {"long_name": "one-sided area per volume", "units": "m2 m-3"}
+    variables: dict[str, Any] = {
+        "area_density": (("class", "z", "y", "x"), np.asarray(density), of_area)
+    }
+    if scene.terrain is not None:
+        of_ground = {"long_name": "height of the ground above its lowest", "units": "m"}
+        variables["ground"] = (("y", "x"), scene.terrain, of_ground)
+    centres = zip(axes.items(), scene.grid.centres, strict=True)
     return xr.Dataset(
         variables,
         coords={
-            "class": ("class", names, {"long_name": "optical class"}),
-            "z": axis(
-                "z", z, f"height of the voxel's centre above {'' if level else 'the lowest '}ground"
-            ),
-            "y": axis("y", y, "distance north of the south-west corner"),
-            "x": axis("x", x, "distance east of the south-west corner"),
+            "class": ("class", [*names, "wood", "flower"], {"long_name": "optical class"}),
+            **{letter: (letter, values, about) for (letter, about), values in centres},
         },
     )
 
