@@ -6,6 +6,7 @@ import hashlib
 import importlib
 import inspect
 import json
+import math
 import os
 import re
 import signal
@@ -163,6 +164,7 @@ def listed(
             found = tuple(kind(part.strip()) for part in text.split(","))
         except ValueError:
             found = ()
+        found = found if all(isinstance(v, str) or math.isfinite(v) for v in found) else ()
         if not found or (counts and len(found) not in counts):
             raise InputError(f"`{param.opts[0]}` must be {form}, but is {text!r}")
         return found

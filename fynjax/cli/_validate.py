@@ -1,7 +1,6 @@
 """`fynjax validate`."""
 
 import re
-from math import isfinite
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
 
@@ -12,13 +11,6 @@ from fynjax.cli._runtime import BANDS, command, listed, option
 
 _Bands = Annotated[str | None, listed(str, "A,B,...", f"What each band of the file is, {BANDS}")]
 _Ground = Literal["auto", "labels", "smrf", "cloth", "none"]
-
-
-def _finite(text: str) -> float:
-    number = float(text)
-    if not isfinite(number):
-        raise ValueError
-    return number
 
 
 def _windows(texts: list[str] | None) -> list[tuple[float, float]]:
@@ -53,7 +45,7 @@ class CloudOption(NamedTuple):
         option = typer.Option(metavar=self.metavar, help=self.help, rich_help_panel=panel)
         if self.counts:
             form = f"{self.metavar} in metres"
-            option = listed(_finite, str(self.metavar), self.help,
+            option = listed(float, str(self.metavar), self.help,
                 counts=self.counts, rich_help_panel=panel, form=form)  # fmt: skip
         return Annotated[self.kind | None, option]
 

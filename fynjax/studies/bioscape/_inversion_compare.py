@@ -211,8 +211,9 @@ def shift_table(parameters: pd.DataFrame) -> pd.DataFrame:
     removed.
     """
     plots = parameters.groupby(["predictor", "parameter"], sort=False)
-    table = plots["shift"].agg(mean_shift="mean", sd_shift="std")
-    error = table["sd_shift"] / np.sqrt(plots.size())
+    shift = plots["shift"]
+    table = pd.DataFrame({"mean_shift": shift.mean(), "sd_shift": shift.std()})
+    error: pd.Series = table["sd_shift"] / np.sqrt(shift.count())
     table["mean_over_error"] = table["mean_shift"] / error.where(error > 0)
     table["constrained"] = plots["constrained"].mean()
     table = table.reset_index()

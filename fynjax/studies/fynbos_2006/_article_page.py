@@ -44,7 +44,7 @@ class ArticleResult(JobResult):
 def article(
     output: str | Path,
     *,
-    calibration: Path | None = None,
+    calibration: str | Path | None = None,
     size: float = 10.0,
     pixel: float = 0.025,
     channels: int = 425,
@@ -75,6 +75,7 @@ def article(
     with run.stage("Build the plot", "build"):
         before = build_plot(plot, seed=seed)[1]
         if calibration is not None:
+            calibration = Path(calibration)
             scene, after = build_plot(_calibrated(plot, calibration), seed=seed)
     begin_work({"article.csv": "a row for each number", "report.html": ""})
     if calibration is None:

@@ -47,7 +47,7 @@ class InitResult(JobResult):
 
 @double_precision
 def init(
-    folder: Path,
+    folder: str | Path,
     *,
     burnt: int = PUBLISHED,
     prior: str | Path = DEFAULT_PRIOR,
@@ -71,7 +71,7 @@ def init(
     **Raises:** `InputError` where a file would be overwritten, for a year out of range, and as
     `read_prior`.
     """
-    learned = read_prior(prior)
+    folder, learned = Path(folder), read_prior(prior)
     # Statistics of the published plot's image are no target for another.
     files = {k: v for k, v in FILES.items() if burnt == PUBLISHED or k != "statistics.csv"}
     there = [name for name in files if (folder / name).exists()]
