@@ -314,17 +314,6 @@ def _mapped(
             unreadable = True
             shape = (count, source.shape[1], len(source.wavelength))
             values = np.full(shape, np.nan, np.float32)
-    return _maps(trained, values, weights, scale, mask), np.asarray(unreadable)
-
-
-def _maps(
-    trained: Training,
-    values: Float[np.ndarray, "row column band"],
-    weights: Float[np.ndarray, "channel band"],
-    scale: float,
-    mask: _Mask,
-) -> Float[np.ndarray, "map row column"]:
-    """Maps of a block."""
     rows, columns, bands = values.shape
     used = weights.any(axis=0)
     pixels = values.reshape(-1, bands)[:, used]
@@ -344,7 +333,8 @@ def _maps(
             each[unlike > 1.0] = np.nan
         maps[some, :-1] = each.reshape(len(some), -1)
         maps[some, -1] = unlike
-    return np.ascontiguousarray(maps.T).reshape(-1, rows, columns)
+    block = np.ascontiguousarray(maps.T).reshape(-1, rows, columns)
+    return block, np.asarray(unreadable)
 
 
 def _in_numbers(

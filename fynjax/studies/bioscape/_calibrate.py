@@ -1,7 +1,7 @@
 """`fynjax bioscape calibrate`: field tables and spectra in, covers, stand and leaf traits out."""
 
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -163,8 +163,13 @@ def calibrate_plots(
     with run.stage("Infer", total=len(priors) * len(read)), at_work(workers) as pool:
         estimates: dict[str, list[PlotEstimate]] = {}
         for name, of_prior in cases.items():
-            if name == BIAS_CORRECTED:
-                of_prior = _bias_corrected(of_prior, estimates[TABLES_PRIOR], view.names, flights)
+            if name == BIAS_CORRECTED:  # by the mean residual of the other plots' fits
+                fits = estimates[TABLES_PRIOR]
+                rest = np.stack([np.asarray(d.value) - fit.before for d, fit in zip(data, fits)])
+                for i, case in enumerate(of_prior):
+                    less = np.delete(rest, i, axis=0)
+                    corrected, bias = bias_corrected_data(view.names, flights[i], less)
+                    of_prior[i] = case._replace(data=corrected, bias=bias)
             each = [f"plot {plot.name}, {name}" for plot in read]
             found = pool.all(infer_plot, of_prior, predict, names=each, journal=journal)
             estimates[name] = [
@@ -180,11 +185,17 @@ def calibrate_plots(
     with run.stage("Write"):
         spectra = np.stack([np.asarray(one.value) for one in data])
         tables = _tables(read, priors, estimates, field)
-        of_plots = {plot.name: measured[plot.name] for plot in read}
-        tables += _by_regression(folder, spectrometer, of_plots, field)
+        names = tuple(plot.name for plot in read)
+        if regression := read_leaf_mass_model(folder):
+            means = np.stack([measured[name].reflectance.mean(axis=0) for name in names])
+            try:
+                mass = {"leaf_mass_per_area": regression.predict(spectrometer.centre, means)}
+            except ValueError as error:
+                raise InputError(str(error), file=folder) from error
+            tables.append(simple_table(names, REGRESSION, mass, field))
         table = pd.concat(tables, ignore_index=True)
         centres = np.asarray(bands.centre)
-        findings = Findings(tuple(of_plots), centres, spectra, estimates, table)
+        findings = Findings(names, centres, spectra, estimates, table)
         if lost := [plot.name for plot in everything if plot not in read]:
             remarks.append(
                 f"{len(lost)} plots have no measured spectrum and are left out: {', '.join(lost)}"
@@ -223,36 +234,6 @@ def _stands(
     scenes = [scene.faded() for scene, _ in planted]
     stands = [scenes[i : i + realisations] for i in range(0, len(scenes), realisations)]
     return stands, [parameters for _, parameters in planted[::realisations]]
-
-
-def _bias_corrected(
-    cases: Sequence[PlotCase],
-    fits: Sequence[PlotEstimate],
-    names: Sequence[str],
-    flights: Sequence[Float[np.ndarray, "flight band"]],
-) -> list[PlotCase]:
-    """The cases with each spectrum less the mean residual of the others' `fits`."""
-    rest = np.stack([np.asarray(case.data.value) - fit.before for case, fit in zip(cases, fits)])
-    corrected = []
-    for i, case in enumerate(cases):
-        data, bias = bias_corrected_data(names, flights[i], np.delete(rest, i, axis=0))
-        corrected.append(case._replace(data=data, bias=bias))
-    return corrected
-
-
-def _by_regression(
-    folder: Path, spectrometer: Spectrometer, spectra: Mapping[str, PlotSpectra], field: Field
-) -> list[pd.DataFrame]:
-    """Leaf mass per area by the regression in the folder, if one is there."""
-    regression = read_leaf_mass_model(folder)
-    if regression is None:
-        return []
-    means = np.stack([one.reflectance.mean(axis=0) for one in spectra.values()])
-    try:
-        mass = regression.predict(spectrometer.centre, means)
-    except ValueError as error:
-        raise InputError(str(error), file=folder) from error
-    return [simple_table(tuple(spectra), REGRESSION, {"leaf_mass_per_area": mass}, field)]
 
 
 def _elsewhere(
