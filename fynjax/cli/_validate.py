@@ -41,13 +41,13 @@ class CloudOption(NamedTuple):
     @property
     def annotation(self) -> Any:
         """The option as typer takes it."""
-        panel = "Point clouds"
-        option = typer.Option(metavar=self.metavar, help=self.help, rich_help_panel=panel)
-        if self.counts:
-            form = f"{self.metavar} in metres"
-            option = listed(float, str(self.metavar), self.help,
-                counts=self.counts, rich_help_panel=panel, form=form)  # fmt: skip
-        return Annotated[self.kind | None, option]
+        more: dict[str, Any] = {"rich_help_panel": "Point clouds"}
+        if not self.counts:
+            made = typer.Option(metavar=self.metavar, help=self.help, **more)
+        else:
+            more |= {"form": f"{self.metavar} in metres", "counts": self.counts}
+            made = listed(float, str(self.metavar), self.help, **more)
+        return Annotated[self.kind | None, made]
 
 
 CLOUD_OPTIONS = (
