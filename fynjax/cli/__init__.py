@@ -120,7 +120,7 @@ _NO_MEMORY = re.compile(
     "|can't start new thread",
     re.IGNORECASE,
 )
-"""What libraries say where there is no memory left."""
+"""Words of libraries where there is no memory left."""
 
 
 def _of_this_machine(error: Exception) -> str:

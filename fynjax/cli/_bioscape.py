@@ -7,24 +7,16 @@ import typer
 
 from fynjax.cli._runtime import (
     SHIPPED,
-    Checkpoint,
     PriorFile,
-    SchedulerAddress,
-    Seed,
-    WorkerCount,
     command,
+    option,
 )
 
 OnlyPlots = Annotated[
     list[str] | None,
-    typer.Option(
-        "--plot", metavar="NAME", help="Only this plot; may be given again. All if left out."
-    ),
+    option("NAME", "Only this plot; may be given again. All if left out.", "--plot"),
 ]
-TraitLibrary = Annotated[
-    Path | None,
-    typer.Option(metavar="FILE", help="Trait library, if it is not in the folder."),
-]
+TraitLibrary = Annotated[Path | None, option("FILE", "Trait library, if it is not in the folder.")]
 Tables = Annotated[
     Path,
     typer.Argument(
@@ -33,13 +25,8 @@ Tables = Annotated[
         "spectra, *VegCenters.csv and *waves.csv.",
     ),
 ]
-Size = Annotated[
-    float,
-    typer.Option("--size", min=1.0, max=100.0, metavar="M", help="Side of a simulated plot [m]."),
-]
-Voxel = Annotated[
-    float, typer.Option("--voxel", min=0.02, max=1.0, metavar="M", help="Edge of a voxel [m].")
-]
+Size = Annotated[float, option("M", "Side of a simulated plot [m].", "--size", min=1.0, max=100.0)]
+Voxel = Annotated[float, option("M", "Edge of a voxel [m].", "--voxel", min=0.02, max=1.0)]
 _STUDY = "fynjax.studies.bioscape"
 _RESOLUTION = {"resolution": (f"{_STUDY}:Resolution", ("size_m", "voxel_m"))}
 
@@ -68,7 +55,15 @@ def plots_of_tables(
     """
 
 
-@command("bioscape learn", f"{_STUDY}:learn", forget=True, records=_RESOLUTION)
+@command(
+    "bioscape learn",
+    f"{_STUDY}:learn",
+    "seed",
+    "checkpoint",
+    "workers",
+    forget=True,
+    records=_RESOLUTION,
+)
 def learn(
     folders: Annotated[
         list[Path],
@@ -84,13 +79,7 @@ def learn(
     voxel_m: Voxel = 0.1,
     slope_voxel_m: Annotated[
         float,
-        typer.Option(
-            "--slope-voxel",
-            min=0.02,
-            max=1.0,
-            metavar="M",
-            help="Edge of a voxel for derivatives [m].",
-        ),
+        option("M", "Edge of a voxel for derivatives [m].", "--slope-voxel", min=0.02, max=1.0),
     ] = 0.25,
     title: Annotated[str, typer.Option(help="What the plots are.")] = "Plots of low shrubland",
     licence: Annotated[str, typer.Option(help="Of the numbers, for the prior file.")] = "",
@@ -98,10 +87,6 @@ def learn(
         list[str] | None,
         typer.Option("--source", help="Where the data are from; may be given again."),
     ] = None,
-    checkpoint: Checkpoint = None,
-    count: WorkerCount = 0,
-    scheduler: SchedulerAddress = None,
-    seed: Seed = 0,
 ) -> None:
     """Learn what plots share, and how they vary, from the spectra of all at once.
 
@@ -114,7 +99,15 @@ def learn(
     """
 
 
-@command("bioscape validate", f"{_STUDY}:validate_plots", forget=True, records=_RESOLUTION)
+@command(
+    "bioscape validate",
+    f"{_STUDY}:validate_plots",
+    "seed",
+    "checkpoint",
+    "workers",
+    forget=True,
+    records=_RESOLUTION,
+)
 def validate_plots(
     folder: Tables,
     plots: OnlyPlots = None,
@@ -122,10 +115,6 @@ def validate_plots(
     prior: PriorFile = SHIPPED,
     size_m: Size = 5.0,
     voxel_m: Voxel = 0.1,
-    checkpoint: Checkpoint = None,
-    count: WorkerCount = 0,
-    scheduler: SchedulerAddress = None,
-    seed: Seed = 0,
 ) -> None:
     """Simulate plots from field tables alone, and compare with their measured spectra.
 
@@ -139,6 +128,9 @@ def validate_plots(
 @command(
     "bioscape calibrate",
     f"{_STUDY}:calibrate_plots",
+    "seed",
+    "checkpoint",
+    "workers",
     forget=True,
     records=_RESOLUTION,
 )
@@ -157,10 +149,6 @@ def calibrate_plots(
             help="Stand realisations used to estimate sampling variance.",
         ),
     ] = 3,
-    checkpoint: Checkpoint = None,
-    count: WorkerCount = 0,
-    scheduler: SchedulerAddress = None,
-    seed: Seed = 0,
 ) -> None:
     """Infer covers, leaf area, dead tissue, gap and leaf traits of plots from measured spectra.
 

@@ -6,15 +6,11 @@ from typing import Annotated
 import typer
 
 from fynjax.cli._runtime import (
-    Checkpoint,
-    SchedulerAddress,
-    Seed,
-    WorkerCount,
     command,
     listed,
+    option,
 )
 
-_NUMBERS = "numbers"
 _GRADIENTS = {
     "gradients": (
         "fynjax.studies.communities:Gradients",
@@ -23,7 +19,15 @@ _GRADIENTS = {
 }
 
 
-@command("diversity", "fynjax.studies.communities:diversity", forget=True, records=_GRADIENTS)
+@command(
+    "diversity",
+    "fynjax.studies.communities:diversity",
+    "seed",
+    "checkpoint",
+    "workers",
+    forget=True,
+    records=_GRADIENTS,
+)
 def diversity(
     plot: Annotated[
         Path | None,
@@ -33,34 +37,22 @@ def diversity(
             "table (CSV), with usual leaves on the shipped plot; that plot if left out.",
         ),
     ] = None,
-    communities: Annotated[
-        int, typer.Option(min=10, metavar="N", help="How many are drawn.")
-    ] = 100,
-    size: Annotated[
-        float, typer.Option(min=0.5, max=100.0, metavar="M", help="Side of a simulated plot [m].")
-    ] = 10.0,
+    communities: Annotated[int, option("N", "How many are drawn.", min=10)] = 100,
+    size: Annotated[float, option("M", "Side of a simulated plot [m].", min=0.5, max=100.0)] = 10.0,
     sensors: Annotated[
-        str, listed(str, "names", "NAME,...", "Imaging sensors, by name or file.")
+        str, listed(str, "NAME,...", "Imaging sensors, by name or file.")
     ] = "mavic_3m,aviris_ng",
     pixels: Annotated[
         str,
         listed(
-            float,
-            _NUMBERS,
-            "M,...",
-            "Edges of a pixel [m] that divide the side, multiples of the smallest.",
+            float, "M,...", "Edges of a pixel [m] that divide the side, multiples of the smallest."
         ),
     ] = "0.05,0.1,0.25,0.5,1,1.25,2.5,5",
     noise: Annotated[
-        str, listed(float, _NUMBERS, "SHARE,...", "Noise of a pixel over its reflectance.")
+        str, listed(float, "SHARE,...", "Noise of a pixel over its reflectance.")
     ] = "0.01",
-    bands: Annotated[
-        int, typer.Option(min=1, metavar="N", help="Bands of a sensor that are used, at most.")
-    ] = 30,
-    samples: Annotated[
-        int,
-        typer.Option(min=1, metavar="N", help="Pixels of each species to be recognised."),
-    ] = 20,
+    bands: Annotated[int, option("N", "Bands of a sensor that are used, at most.", min=1)] = 30,
+    samples: Annotated[int, option("N", "Pixels of each species to be recognised.", min=1)] = 20,
     threshold: Annotated[
         float,
         typer.Option(
@@ -70,39 +62,32 @@ def diversity(
     ] = 0.25,
     greenness: Annotated[
         float | None,
-        typer.Option(
-            metavar="NDVI",
-            help="NDVI, from -1 to below 1, that a pixel must have to count in the metrics; all "
+        option(
+            "NDVI",
+            "NDVI, from -1 to below 1, that a pixel must have to count in the metrics; all "
             "count if left out.",
         ),
     ] = None,
-    richness: Annotated[
-        str, listed(int, _NUMBERS, "LOW,HIGH", "Fewest and most species.")
-    ] = "2,12",
+    richness: Annotated[str, listed(int, "LOW,HIGH", "Fewest and most species.")] = "2,12",
     evenness: Annotated[
-        str, listed(float, _NUMBERS, "LOW,HIGH", "Evenness of the covers after Pielou.")
+        str, listed(float, "LOW,HIGH", "Evenness of the covers after Pielou.")
     ] = "0.4,1",
     cover: Annotated[
-        str, listed(float, _NUMBERS, "LOW,HIGH", "Sum of the covers as shares of the ground.")
+        str, listed(float, "LOW,HIGH", "Sum of the covers as shares of the ground.")
     ] = "0.3,0.9",
     age: Annotated[
         str | None,
         listed(
             float,
-            _NUMBERS,
             "LOW,HIGH",
             "Years since fire, of the article's taxa; sizes as in the table if left out.",
         ),
     ] = None,
-    checkpoint: Checkpoint = None,
-    count: WorkerCount = 0,
-    scheduler: SchedulerAddress = None,
-    seed: Seed = 0,
 ) -> None:
     """Find what sensors can know of the diversity of communities, and at which pixel it is lost.
 
     Draws communities of a plot's species, plants them, and observes them at coarser and coarser
-    pixels. Writes how well spectral metrics tell richness, Shannon, Simpson, evenness and cover,
+    pixels. Writes how well spectral metrics know richness, Shannon, Simpson, evenness and cover,
     the pixel at which each is lost, how well species are recognised, figures and a report page.
 
     Example:  fynjax diversity --communities 20 --size 5 --pixels 0.05,0.1,0.5,1,2.5 --output out

@@ -7,52 +7,46 @@ import typer
 
 from fynjax.cli._runtime import (
     BANDS,
-    Checkpoint,
-    OwnSeed,
     PlotPath,
     PriorFile,
-    SchedulerAddress,
     Twin,
-    WorkerCount,
     command,
     listed,
+    option,
 )
 
 Targets = Annotated[
     list[Path],
-    typer.Option(
-        "--target",
-        metavar="FILE",
-        help="What was measured; may be given once for each kind. Drone image (GeoTIFF, "
+    option(
+        "FILE",
+        "What was measured; may be given once for each kind. Drone image (GeoTIFF, "
         "reflectance) or a table with statistic, value, sd. Spectrum (CSV, ASD, ENVI library) or "
         "image of many bands (ENVI, NetCDF, GeoTIFF), of which the mean counts. Point cloud (LAS, "
         "LAZ) or a table with metric, value, sd, grain_m, returns_m2.",
+        "--target",
     ),
 ]
 Bands = Annotated[
-    str | None, listed(str, "names", "A,B,...", f"What each band of the drone image is, {BANDS}")
+    str | None, listed(str, "A,B,...", f"What each band of the drone image is, {BANDS}")
 ]
 Free = Annotated[
     list[str] | None,
-    typer.Option(
-        metavar="PATTERN",
-        help="Parameters to free, such as species.*.cover; may be repeated. The plot file's if "
+    option(
+        "PATTERN",
+        "Parameters to free, such as species.*.cover; may be repeated. The plot file's if "
         "left out.",
     ),
 ]
-_NUMBERS = "numbers with commas between"
 _TWO = "two wavelengths, such as 450,900"
 
 
-@command("calibrate", "fynjax.jobs:calibrate", forget=True)
+@command("calibrate", "fynjax.jobs:calibrate", "seed", "checkpoint", forget=True)
 def calibrate(
     plot: PlotPath,
     targets: Targets = [],  # noqa: B006
     bands: Bands = None,
     prior: PriorFile = "none",
     twin: Twin = False,
-    checkpoint: Checkpoint = None,
-    seed: OwnSeed = None,
 ) -> None:
     """Find the parameters of a plot that explain what was measured of it.
 
@@ -64,7 +58,7 @@ def calibrate(
     """
 
 
-@command("posterior", "fynjax.jobs:posterior")
+@command("posterior", "fynjax.jobs:posterior", "seed", "checkpoint")
 def posterior(
     plot: PlotPath,
     targets: Targets,
@@ -83,8 +77,6 @@ def posterior(
         int, typer.Option("--steps", min=1, help="Most steps of the chain.")
     ] = 5000,
     prior: PriorFile = "none",
-    checkpoint: Checkpoint = None,
-    seed: OwnSeed = None,
 ) -> None:
     """Sample which parameters of a plot real measurements leave possible.
 
@@ -96,44 +88,40 @@ def posterior(
     """
 
 
-@command("sensitivity", "fynjax.jobs:sensitivity", forget=True)
+@command("sensitivity", "fynjax.jobs:sensitivity", "seed", "checkpoint", "workers", forget=True)
 def sensitivity(
     plot: PlotPath,
     metrics: Annotated[
-        str, listed(str, "names", "NAME,...", "Statistics of the image.")
+        str, listed(str, "NAME,...", "Statistics of the image.")
     ] = "red.mean,nir.mean,NDVI.mean,NDVI.std",
     free: Free = None,
     plantings: Annotated[
         int,
-        typer.Option(
-            min=2,
-            metavar="N",
-            help="Plantings over which slopes are taken, at most; fewer where the errors of each "
+        option(
+            "N",
+            "Plantings over which slopes are taken, at most; fewer where the errors of each "
             "metric's three largest elasticities are below 10 %.",
+            min=2,
         ),
     ] = 64,
     derivative_samples: Annotated[
         int,
-        typer.Option(
+        option(
+            "N",
+            "Samples for derivative-based global sensitivity (DGSM), a power of two; 0: none.",
             "--derivatives",
             min=0,
-            metavar="N",
-            help="Samples for derivative-based global sensitivity (DGSM), a power of two; 0: none.",
         ),
     ] = 0,
     sobol_samples: Annotated[
         int,
-        typer.Option(
+        option(
+            "N",
+            "Points of the Sobol design, a power of two; takes N (parameters + 2) renders.",
             "--sobol",
             min=0,
-            metavar="N",
-            help="Points of the Sobol design, a power of two; takes N (parameters + 2) renders.",
         ),
     ] = 0,
-    checkpoint: Checkpoint = None,
-    count: WorkerCount = 0,
-    scheduler: SchedulerAddress = None,
-    seed: OwnSeed = None,
 ) -> None:
     """Find which parameters of a plot change which statistics of its image.
 
@@ -144,43 +132,30 @@ def sensitivity(
     """
 
 
-@command("information", "fynjax.jobs:information")
+@command("information", "fynjax.jobs:information", "seed")
 def information(
     plot: PlotPath,
     gsd: Annotated[
-        str, listed(float, _NUMBERS, "M,...", "Sides of a pixel [m], multiples of the smallest.")
+        str, listed(float, "M,...", "Sides of a pixel [m], multiples of the smallest.")
     ] = "0.1,0.2,0.5,1,2,5",
     bands: Annotated[
-        str, listed(int, _NUMBERS, "N,...", "Numbers of bands, divisors of the largest.")
+        str, listed(int, "N,...", "Numbers of bands, divisors of the largest.")
     ] = "2,4,8",
     spectrum: Annotated[
         str,
-        listed(
-            float,
-            _TWO,
-            "LOW,HIGH",
-            "Range that the bands share [nm].",
-            counts=(2,),
-        ),
+        listed(float, "LOW,HIGH", "Range that the bands share [nm].", counts=(2,), form=_TWO),
     ] = "450,900",
     noise: Annotated[
-        str, listed(float, _NUMBERS, "SHARE,...", "Noise of a pixel over its reflectance.")
+        str, listed(float, "SHARE,...", "Noise of a pixel over its reflectance.")
     ] = "0.01",
     sun_zenith: Annotated[
         str | None,
-        listed(
-            float,
-            _NUMBERS,
-            "DEG,...",
-            "Zenith angles of the sun; the plot's if left out.",
-            "--sun",
-        ),
+        listed(float, "DEG,...", "Zenith angles of the sun; the plot's if left out.", "--sun"),
     ] = None,
     free: Free = None,
     realisations: Annotated[
         int, typer.Option(min=2, help="Stand realisations used to estimate sampling variance.")
     ] = 15,
-    seed: OwnSeed = None,
 ) -> None:
     """Bound how well sensors of any pixel, bands and noise can constrain a plot.
 
@@ -191,31 +166,29 @@ def information(
     """
 
 
-@command("design", "fynjax.jobs:design")
+@command("design", "fynjax.jobs:design", "seed")
 def design(
     plot: PlotPath,
-    bands: Annotated[int, typer.Option(min=1, metavar="N", help="Bands of the sensor.")] = 4,
+    bands: Annotated[int, option("N", "Bands of the sensor.", min=1)] = 4,
     target: Annotated[
         str,
         listed(
             str,
-            "names",
             "NAME,...",
             "What the bands are to inform of: numbers of the stand (green_leaf_area, crown_cover, "
             "shannon, ...), names or patterns of free parameters; or information, or separability.",
         ),
     ] = "green_leaf_area,dead_share,canopy_chlorophyll,crown_cover,shannon",
     spectrum: Annotated[
-        str, listed(float, _TWO, "LOW,HIGH", "Range of the detector [nm].", counts=(2,))
+        str, listed(float, "LOW,HIGH", "Range of the detector [nm].", counts=(2,), form=_TWO)
     ] = "400,2500",
     widths: Annotated[
-        str, listed(float, _TWO, "LOW,HIGH", "Least and greatest width [nm].", counts=(2,))
+        str, listed(float, "LOW,HIGH", "Least and greatest width [nm].", counts=(2,), form=_TWO)
     ] = "10,100",
     pixel: Annotated[
         str,
         listed(
             float,
-            _NUMBERS,
             "M,...",
             "Side of a pixel [m]; of several, multiples of the smallest, the best is taken.",
         ),
@@ -228,21 +201,18 @@ def design(
         ),
     ] = 100.0,
     compare: Annotated[
-        str, listed(str, "names", "NAME,...", "Other sensors, by name or file.")
+        str, listed(str, "NAME,...", "Other sensors, by name or file.")
     ] = "mavic_3m,rededge_3,sentinel_2a",
     free: Annotated[
         list[str] | None,
-        typer.Option(
-            metavar="PATTERN",
-            help="Unknown parameters, such as species.*.cover; may be repeated. If left out, "
+        option(
+            "PATTERN",
+            "Unknown parameters, such as species.*.cover; may be repeated. If left out, "
             "covers, diameters, dead tissue, chlorophyll, water, dry matter and the ground.",
         ),
     ] = None,
-    plantings: Annotated[
-        int, typer.Option(min=4, metavar="N", help="Plantings over which the target is a mean.")
-    ] = 6,
-    starts: Annotated[int, typer.Option(min=1, metavar="N", help="Ascents.")] = 8,
-    seed: OwnSeed = None,
+    plantings: Annotated[int, option("N", "Plantings over which the target is a mean.", min=4)] = 6,
+    starts: Annotated[int, option("N", "Ascents.", min=1)] = 8,
 ) -> None:
     """Find the most informative bands of a sensor on a plot.
 

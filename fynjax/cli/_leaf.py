@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from fynjax.cli._runtime import Checkpoint, SchedulerAddress, Seed, WorkerCount, command, listed
+from fynjax.cli._runtime import command, listed, option
 
 Spectra = Annotated[
     list[Path],
@@ -15,10 +15,7 @@ Spectra = Annotated[
     ),
 ]
 PanelTable = Annotated[
-    Path | None,
-    typer.Option(
-        metavar="FILE", help="Table of the white panel's own reflectance, where files lack it."
-    ),
+    Path | None, option("FILE", "Table of the white panel's own reflectance, where files lack it.")
 ]
 
 
@@ -34,7 +31,7 @@ def convert(paths: Spectra, panel: PanelTable = None) -> None:
     """
 
 
-@command("fit-leaf", "fynjax.jobs:fit_leaf", forget=True)
+@command("fit-leaf", "fynjax.jobs:fit_leaf", "seed", "checkpoint", "workers", forget=True)
 def fit_leaf(
     paths: Spectra,
     version: Annotated[Literal["D", "PRO"], typer.Option(help="PROSPECT version.")] = "D",
@@ -46,10 +43,7 @@ def fit_leaf(
     ] = "sphere",
     background: Annotated[
         str | None,
-        typer.Option(
-            metavar="FILE|NUMBER",
-            help="Reflectance behind the leaf of a clip or probe; black by default.",
-        ),
+        option("FILE|NUMBER", "Reflectance behind the leaf of a clip or probe; black by default."),
     ] = None,
     over_background: Annotated[
         list[Path] | None,
@@ -78,9 +72,9 @@ def fit_leaf(
         str | None,
         listed(
             float,
-            "wavelengths in nm such as 1000,1830",
             "NM,...",
             "Where detectors change, such as 1000,1830; ASD files state it themselves.",
+            form="wavelengths in nm such as 1000,1830",
         ),
     ] = None,
     transmittance: Annotated[
@@ -98,10 +92,6 @@ def fit_leaf(
         Literal["none", "emcee", "nuts"],
         typer.Option(help="Sample the posterior of each leaf as well."),
     ] = "none",
-    checkpoint: Checkpoint = None,
-    count: WorkerCount = 0,
-    scheduler: SchedulerAddress = None,
-    seed: Seed = 0,
 ) -> None:
     """Fit PROSPECT to measured leaf spectra.
 

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from fynjax._core.errors import InputError
-from fynjax.cli._runtime import Checkpoint, SchedulerAddress, Seed, WorkerCount, command, listed
+from fynjax.cli._runtime import command, listed, option
 
 
 def _angles(text: str) -> tuple[float, float]:
@@ -22,7 +22,7 @@ def _angles(text: str) -> tuple[float, float]:
     return values[0], values[-1]
 
 
-@command("train", "fynjax.jobs:train", forget=True)
+@command("train", "fynjax.jobs:train", "seed", "checkpoint", "workers", forget=True)
 def train(
     sensor: Annotated[
         str | None,
@@ -32,28 +32,17 @@ def train(
         ),
     ] = None,
     like: Annotated[
-        Path | None,
-        typer.Option(metavar="CUBE", help="Instead of a sensor: a cube, for its good bands."),
+        Path | None, option("CUBE", "Instead of a sensor: a cube, for its good bands.")
     ] = None,
     sun_zenith: Annotated[
-        str,
-        typer.Option(
-            metavar="DEG|DEG-DEG",
-            callback=_angles,
-            help="Zenith angle of the sun, or a range of it.",
-        ),
+        str, option("DEG|DEG-DEG", "Zenith angle of the sun, or a range of it.", callback=_angles)
     ] = "30",
     prior: Annotated[
-        str | None,
-        typer.Option(metavar="NAME|FILE", help="Learned prior; the shipped one if left out."),
+        str | None, option("NAME|FILE", "Learned prior; the shipped one if left out.")
     ] = None,
     simulations: Annotated[
         int, typer.Option(min=1, help="Spectra to simulate; some 30 a second.")
     ] = 20000,
-    seed: Seed = 0,
-    checkpoint: Checkpoint = None,
-    count: WorkerCount = 0,
-    scheduler: SchedulerAddress = None,
 ) -> None:
     """Train a regression from spectra of a sensor to covers and leaves, for `fynjax map`.
 
@@ -64,7 +53,7 @@ def train(
     """
 
 
-@command("map", "fynjax.jobs:map_cube")
+@command("map", "fynjax.jobs:map_cube", "seed", "checkpoint", "workers")
 def map_command(
     cube: Annotated[
         Path,
@@ -72,16 +61,10 @@ def map_command(
             metavar="CUBE", help="Surface reflectance: ENVI, GeoTIFF, NetCDF or zarr, of any size."
         ),
     ],
-    training: Annotated[
-        Path,
-        typer.Option(metavar="FILE", help="Training for this sensor and sun (`fynjax train`)."),
-    ],
+    training: Annotated[Path, option("FILE", "Training for this sensor and sun (`fynjax train`).")],
     likely: Annotated[
         float,
-        typer.Option(
-            metavar="SHARE",
-            help="Pixels less like the simulations than this share of these are masked.",
-        ),
+        option("SHARE", "Pixels less like the simulations than this share of these are masked."),
     ] = 0.99,
     keep_unlike: Annotated[
         bool, typer.Option("--keep-unlike", help="Do not mask them; the map of it stays.")
@@ -97,28 +80,19 @@ def map_command(
         list[str] | None,
         listed(
             int,
-            "a row and a column, such as 12,40",
             "ROW,COLUMN",
             "Sample the full posterior of this pixel by emcee as well, counted from 1 at the "
             "upper left of the cube; some 13 minutes of a core. May be given again.",
             "--pixel",
             counts=(2,),
+            form="a row and a column, such as 12,40",
         ),
     ] = None,
-    pixel_steps: Annotated[
-        int, typer.Option(metavar="N", min=12, help="Steps of each of its 16 walkers.")
-    ] = 400,
+    pixel_steps: Annotated[int, option("N", "Steps of each of its 16 walkers.", min=12)] = 400,
     prior: Annotated[
         str | None,
-        typer.Option(
-            metavar="NAME|FILE",
-            help="For --pixel: the prior of the training, if not the shipped one.",
-        ),
+        option("NAME|FILE", "For --pixel: the prior of the training, if not the shipped one."),
     ] = None,
-    seed: Seed = 0,
-    checkpoint: Checkpoint = None,
-    count: WorkerCount = 0,
-    scheduler: SchedulerAddress = None,
 ) -> None:
     """Map covers, leaf area and leaf traits of a cube, each with its uncertainty.
 

@@ -10,9 +10,7 @@ from fynjax._core.errors import InputError
 from fynjax.cli._runtime import (
     SHIPPED,
     Align,
-    Checkpoint,
     Json,
-    OwnSeed,
     PlotPath,
     PriorFile,
     Quiet,
@@ -21,24 +19,24 @@ from fynjax.cli._runtime import (
     Twin,
     command,
     listed,
+    option,
     show,
 )
 
 _PAGE = "report.html"
 
 
-@command("demo", "fynjax.studies.fynbos_2006:demo")
+@command("demo", "fynjax.studies.fynbos_2006:demo", "seed")
 def demo(
     with_aviris: Annotated[
         bool,
         typer.Option(
             "--with-aviris",
-            help="Fit the published numbers of the plot's AVIRIS-NG spectrum too, which tell gains "
-            "of the drone's camera from plants. Takes longer.",
+            help="Fit the published numbers of the plot's AVIRIS-NG spectrum too, by which "
+            "gains of the drone's camera are known better. Takes longer.",
         ),
     ] = False,
     twin: Twin = False,
-    seed: Seed = 0,
 ) -> None:
     """Calibrate the 2006 burn plot to its real drone image, from shipped input.
 
@@ -50,27 +48,21 @@ def demo(
     """
 
 
-@command("article", "fynjax.studies.fynbos_2006:article", forget=True)
+@command("article", "fynjax.studies.fynbos_2006:article", "seed", "checkpoint", forget=True)
 def article(
     calibration: Annotated[
         Path | None,
-        typer.Option(
-            metavar="DIR",
-            help="Results of `fynjax demo`, or of another calibration of the same plot; left out, "
+        option(
+            "DIR",
+            "Results of `fynjax demo`, or of another calibration of the same plot; left out, "
             "the demo is run first.",
         ),
     ] = None,
-    size: Annotated[
-        float, typer.Option(min=1.0, metavar="M", help="Edge of the plot that is looked at [m].")
-    ] = 10.0,
-    pixel: Annotated[
-        float, typer.Option(min=0.005, metavar="M", help="Pixel of the drone's image [m].")
-    ] = 0.025,
+    size: Annotated[float, option("M", "Edge of the plot that is looked at [m].", min=1.0)] = 10.0,
+    pixel: Annotated[float, option("M", "Pixel of the drone's image [m].", min=0.005)] = 0.025,
     channels: Annotated[
-        int, typer.Option(min=10, metavar="N", help="About so many of AVIRIS-NG's 425 channels.")
+        int, option("N", "About so many of AVIRIS-NG's 425 channels.", min=10)
     ] = 425,
-    checkpoint: Checkpoint = None,
-    seed: Seed = 0,
 ) -> None:
     """Every number of the article beside those of its plot, before and after calibration.
 
@@ -84,14 +76,12 @@ def article(
 
 def init(
     folder: Annotated[Path | None, typer.Argument(metavar="DIR", help="Folder to make.")] = None,
-    output: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="The same as the argument DIR.")
-    ] = None,
+    output: Annotated[Path | None, option("DIR", "The same as the argument DIR.")] = None,
     burnt: Annotated[
         int,
-        typer.Option(
-            metavar="YEAR",
-            help="Year of the plot's last fire. 2006 is the published plot; 2016, 2019 and others "
+        option(
+            "YEAR",
+            "Year of the plot's last fire. 2006 is the published plot; 2016, 2019 and others "
             "are built on assumptions about recovery, which their files state.",
         ),
     ] = 2006,
@@ -119,11 +109,9 @@ def init(
         print(f"Next: fynjax render {target / 'plot.toml'}")
 
 
-@command("render", "fynjax.jobs:render", forget=True)
+@command("render", "fynjax.jobs:render", "seed", "checkpoint", forget=True)
 def render(
     plot: PlotPath,
-    checkpoint: Checkpoint = None,
-    seed: OwnSeed = None,
     truth: Truth = False,
 ) -> None:
     """Render what the drone sees of a plot.
@@ -135,17 +123,13 @@ def render(
     """
 
 
-@command("build", "fynjax.jobs:build")
+@command("build", "fynjax.jobs:build", "seed")
 def build(
     plot: PlotPath,
-    seed: OwnSeed = None,
     size: Annotated[
-        float | None,
-        typer.Option(metavar="M", help="Side of the plot [m]; the plot file's if left out."),
+        float | None, option("M", "Side of the plot [m]; the plot file's if left out.")
     ] = None,
-    cell: Annotated[
-        float, typer.Option(metavar="M", help="Cells that cover is measured on [m].")
-    ] = 0.01,
+    cell: Annotated[float, option("M", "Cells that cover is measured on [m].")] = 0.01,
     mesh: Annotated[
         bool, typer.Option("--mesh", help="Also write the scene as a mesh (OBJ, MTL).")
     ] = False,
@@ -165,7 +149,7 @@ def build(
     """
 
 
-@command("plant", "fynjax.jobs:plant")
+@command("plant", "fynjax.jobs:plant", "seed")
 def plant(
     source: Annotated[
         str,
@@ -184,25 +168,19 @@ def plant(
     ] = None,
     up: Annotated[
         str | None,
-        typer.Option(
-            metavar="z|y",
-            help="Vertical axis of the file: y for .glb and .gltf if left out, as their standard "
+        option(
+            "z|y",
+            "Vertical axis of the file: y for .glb and .gltf if left out, as their standard "
             "says; y, with a warning, if a plant reaches below 0 in z and not in y; else z. GLB "
             "that trimesh made of a mesh with z up needs z.",
         ),
     ] = None,
     unit: Annotated[
         str | None,
-        typer.Option(
-            metavar="UNIT",
-            help="Unit of the mesh or scan: metre (if left out), cm, mm, foot, inch.",
-        ),
+        option("UNIT", "Unit of the mesh or scan: metre (if left out), cm, mm, foot, inch."),
     ] = None,
     maximum_extent: Annotated[
-        float | None,
-        typer.Option(
-            metavar="M", help="A larger mesh or scan [m] is taken to be in other units.  [4]"
-        ),
+        float | None, option("M", "A larger mesh or scan [m] is taken to be in other units.  [4]")
     ] = None,
     form: Annotated[
         str | None,
@@ -215,12 +193,8 @@ def plant(
         float | None,
         typer.Option(help="Spread of the branches' tilt [degrees]; grows with them if left out."),
     ] = None,
-    diameter: Annotated[
-        float | None, typer.Option(metavar="M", help="Crown of a taxon [m]; that of table 1.")
-    ] = None,
-    height: Annotated[
-        float | None, typer.Option(metavar="M", help="Height of a taxon [m]; that of table 1.")
-    ] = None,
+    diameter: Annotated[float | None, option("M", "Crown of a taxon [m]; that of table 1.")] = None,
+    height: Annotated[float | None, option("M", "Height of a taxon [m]; that of table 1.")] = None,
     flowering: Annotated[
         float | None, typer.Option(help="Part of full bloom of a taxon, 0 to 1.  [0]")
     ] = None,
@@ -230,7 +204,6 @@ def plant(
             help="About the most triangles of a taxon; fewer make larger leaves.  [200000]"
         ),
     ] = None,
-    seed: Seed = 0,
 ) -> None:
     """Turn a plant mesh or a scan into area elements, or generate the mesh of a taxon or
     growth form.
@@ -256,16 +229,14 @@ def terrain(
         ),
     ],
     cell: Annotated[
-        float | None,
-        typer.Option(metavar="M", help="Side of a cell [m]; 0.25 for a cloud, a raster's own."),
+        float | None, option("M", "Side of a cell [m]; 0.25 for a cloud, a raster's own.")
     ] = None,
     size: Annotated[
-        float | None,
-        typer.Option(metavar="M", help="Side of a square plot in the middle of the file [m]."),
+        float | None, option("M", "Side of a square plot in the middle of the file [m].")
     ] = None,
     bounds: Annotated[
         tuple[float, float, float, float] | None,
-        typer.Option(metavar="W S E N", help="Edges of the plot, in the file's coordinates [m]."),
+        option("W S E N", "Edges of the plot, in the file's coordinates [m]."),
     ] = None,
     method: Annotated[
         Literal["smrf", "cloth", "labels"] | None,
@@ -274,10 +245,7 @@ def terrain(
         ),
     ] = None,
     tolerance: Annotated[
-        float | None,
-        typer.Option(
-            metavar="M", help="Largest distance of ground from the lowest points [m]; 0.3."
-        ),
+        float | None, option("M", "Largest distance of ground from the lowest points [m]; 0.3.")
     ] = None,
     slope: Annotated[
         float | None,
@@ -285,30 +253,24 @@ def terrain(
     ] = None,
     window: Annotated[
         float | None,
-        typer.Option(
-            metavar="M",
-            help="Radius of the widest closed stand [m] (smrf); 5, or half of a smaller cloud.",
-        ),
+        option("M", "Radius of the widest closed stand [m] (smrf); 5, or half of a smaller cloud."),
     ] = None,
     largest_gap: Annotated[
         float | None,
-        typer.Option(
-            metavar="M", help="Largest distance of a cell from the nearest ground point [m]; 10."
-        ),
+        option("M", "Largest distance of a cell from the nearest ground point [m]; 10."),
     ] = None,
     unit: Annotated[
         _Unit | None, typer.Option(help="Unit of a cloud's coordinates, if not metres.")
     ] = None,
     height_unit: Annotated[_Unit | None, typer.Option(help="Unit of heights, if another.")] = None,
     crs: Annotated[
-        str | None,
-        typer.Option(metavar="EPSG:N", help="Reference system of a file that states none."),
+        str | None, option("EPSG:N", "Reference system of a file that states none.")
     ] = None,
     fill_gaps: Annotated[
         bool, typer.Option("--fill-gaps", help="Interpolate cells of a raster without height.")
     ] = False,
     band: Annotated[
-        int | None, typer.Option(metavar="N", help="Band of a raster that has the heights, from 1.")
+        int | None, option("N", "Band of a raster that has the heights, from 1.")
     ] = None,
 ) -> None:
     """Make the ground of a plot from a point cloud or a height raster.
@@ -319,7 +281,7 @@ def terrain(
     """
 
 
-@command("pattern", "fynjax.jobs:pattern")
+@command("pattern", "fynjax.jobs:pattern", "seed")
 def pattern(
     paths: Annotated[
         list[Path],
@@ -334,7 +296,6 @@ def pattern(
         str | None,
         listed(
             str,
-            "names",
             "A,B,...",
             "Names of the bands or their wavelengths [nm], in order, where files lack them.",
         ),
@@ -354,18 +315,16 @@ def pattern(
         str | None,
         listed(
             int,
-            "whole numbers from 0 to 255 with commas, such as 0,128,255",
             "N,N,...",
             "Grey of each cluster, least green first; evenly up to 255 if left out. 0 keeps "
             "a cluster free of plants.",
+            form="whole numbers from 0 to 255 with commas, such as 0,128,255",
         ),
     ] = None,
     pixel: Annotated[
-        float | None,
-        typer.Option(metavar="M", help="Side of a pixel [m], for an image without a place."),
+        float | None, option("M", "Side of a pixel [m], for an image without a place.")
     ] = None,
     align: Align = True,
-    seed: Seed = 0,
 ) -> None:
     """Make a probability map from an image: where plants are likely to stand.
 

@@ -1,4 +1,4 @@
-"""What every command shares: options, JAX settings, the summary, and one line for an error."""
+"""Parts that all commands share: options, JAX settings, the summary, one line for an error."""
 
 import _thread
 import functools
@@ -6,6 +6,7 @@ import hashlib
 import importlib
 import inspect
 import json
+import math
 import os
 import re
 import signal
@@ -15,7 +16,7 @@ import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NoReturn
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NoReturn
 
 import typer
 
@@ -25,6 +26,12 @@ from fynjax._core.errors import InputError
 
 if TYPE_CHECKING:
     from fynjax.jobs import JobResult
+
+
+def option(metavar: str, help: str, *flags: str, **more: Any) -> Any:
+    """An option that has a value, which `metavar` names in the help: typer's `Option`."""
+    return typer.Option(*flags, metavar=metavar, help=help, **more)
+
 
 Seed = Annotated[
     int, typer.Option(min=0, max=2**31 - 1, help="Seed of everything random.", show_default=True)
@@ -40,28 +47,28 @@ Twin = Annotated[
 ]
 Checkpoint = Annotated[
     Path | None,
-    typer.Option(
-        metavar="DIR",
-        help="Folder of the unfinished run; OUTPUT.checkpoint if left out. The same command goes "
+    option(
+        "DIR",
+        "Folder of the unfinished run; OUTPUT.checkpoint if left out. The same command goes "
         "on from it.",
     ),
 ]
 WorkerCount = Annotated[
     int,
-    typer.Option(
-        "--workers",
-        metavar="N",
-        min=0,
-        help="Do the parts in N processes of this machine, one core each; same results. Needs the "
+    option(
+        "N",
+        "Do the parts in N processes of this machine, one core each; same results. Needs the "
         "extra `map`. 0 does them in this process.",
+        "--workers",
+        min=0,
     ),
 ]
 SchedulerAddress = Annotated[
     str | None,
-    typer.Option(
+    option(
+        "ADDRESS",
+        "Do the parts on the workers of a dask scheduler, such as tcp://192.168.0.10:8786.",
         "--scheduler",
-        metavar="ADDRESS",
-        help="Do the parts on the workers of a dask scheduler, such as tcp://192.168.0.10:8786.",
     ),
 ]
 OwnSeed = Annotated[
@@ -79,9 +86,9 @@ PlotPath = Annotated[
 ]
 PriorFile = Annotated[
     str,
-    typer.Option(
-        metavar="FILE",
-        help="Population that the plots are of: a shipped one, a file that `fynjax bioscape learn` "
+    option(
+        "FILE",
+        "Population that the plots are of: a shipped one, a file that `fynjax bioscape learn` "
         "wrote, or none.",
     ),
 ]
@@ -93,7 +100,7 @@ BANDS = (
 Align = Annotated[
     bool, typer.Option("--align/--no-align", help="Align the bands of a capture's files.")
 ]
-Output = Annotated[Path, typer.Option(metavar="DIR", help="Folder for the results.")]
+Output = Annotated[Path, option("DIR", "Folder for the results.")]
 Json = Annotated[
     bool, typer.Option("--json", help="Print a summary as JSON on stdout, and nothing else.")
 ]
@@ -134,19 +141,20 @@ def _messages(caught: Sequence[warnings.WarningMessage]) -> list[str]:
 
 def listed(
     kind: Callable[[str], Any],
-    form: str,
     metavar: str,
     help: str,
     *flags: str,
+    form: str = "",
     counts: Sequence[int] = (),
     **more: Any,
 ) -> Any:
     """An option of values with commas between; given several times, a list of such.
 
-    **Arguments:** `kind`, what makes a value of its text; `form`, what is expected, in words;
-    `counts`, how many values there may be, any number if left out; `metavar`, `help`, `flags` and
-    `more` as of any option.
+    **Arguments:** `kind`, what makes a value of its text; `form`, what is expected, in words, names
+    or numbers if left out; `counts`, how many values there may be, any number if left out;
+    `metavar`, `help`, `flags` and `more` as of any option.
     """
+    form = form or ("names" if kind is str else "numbers with commas between")
 
     def read(given: Any, param: typer.CallbackParam) -> Any:
         if given is None or isinstance(given, list):
@@ -156,11 +164,12 @@ def listed(
             found = tuple(kind(part.strip()) for part in text.split(","))
         except ValueError:
             found = ()
+        found = found if all(isinstance(v, str) or math.isfinite(v) for v in found) else ()
         if not found or (counts and len(found) not in counts):
             raise InputError(f"`{param.opts[0]}` must be {form}, but is {text!r}")
         return found
 
-    return typer.Option(*flags, metavar=metavar, help=help, callback=read, **more)
+    return option(metavar, help, *flags, callback=read, **more)
 
 
 def _given(options: Mapping[str, Any], allow_outside: bool | None) -> dict[str, Any]:
@@ -186,7 +195,7 @@ def _packed(
 def command(
     name: str,
     job: str,
-    *,
+    *common: Literal["seed", "checkpoint", "workers"],
     forget: bool = False,
     further: Mapping[str, Any] | None = None,
     records: Mapping[str, tuple[str, Sequence[str]]] | None = None,
@@ -202,6 +211,8 @@ def command(
 
     - `name`: of the command, for results and the folder.
     - `job`: module and function, such as "fynjax.jobs:render"; imported when the command runs.
+    - `common`: which of --seed, --checkpoint, and --workers with --scheduler it has. Without one of
+      its own a command that takes a plot file has the seed of that.
     - `forget`: remove the unfinished run, which `checkpoint` names, when the run has succeeded.
     - `further`: annotations of options that stand in no signature, by name.
     - `records`: arguments of the job that are made of several options, by name: module and class,
@@ -218,12 +229,20 @@ def command(
 
     def decorate(function: Callable[..., None]) -> Callable[..., None]:
         signature = inspect.signature(function)
-        options_of_all, records_of_all = dict(shared), dict(records or {})
+        records_of_all = dict(records or {})
         plot = signature.parameters.get("plot")
-        if plot is not None and plot.annotation is PlotPath:
-            options_of_all["allow_outside"] = (AllowOutside, False)
-        if "scheduler" in signature.parameters:
+        takes_plot_file = plot is not None and plot.annotation is PlotPath
+        options_of_all: dict[str, tuple[Any, Any]] = {}
+        if "checkpoint" in common:
+            options_of_all["checkpoint"] = (Checkpoint, None)
+        if "workers" in common:
+            options_of_all |= {"count": (WorkerCount, 0), "scheduler": (SchedulerAddress, None)}
             records_of_all["workers"] = "fynjax.jobs:Workers", ("count", "scheduler")
+        if "seed" in common:
+            options_of_all["seed"] = (OwnSeed, None) if takes_plot_file else (Seed, 0)
+        options_of_all |= shared
+        if takes_plot_file:
+            options_of_all["allow_outside"] = (AllowOutside, False)
 
         @functools.wraps(function)
         def run(

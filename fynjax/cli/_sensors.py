@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from fynjax.cli._runtime import Align, OwnSeed, PlotPath, Truth, command
+from fynjax.cli._runtime import Align, PlotPath, Truth, command, option
 
 
 def sensors(
@@ -71,30 +71,24 @@ def _products(product: str) -> list[str]:
     return ["reflectance", "radiance"] if product == "both" else [product]
 
 
-@command("simulate", "fynjax.jobs:simulate")
+@command("simulate", "fynjax.jobs:simulate", "seed")
 def simulate(
     plot: PlotPath,
     sensor: Annotated[
         str | None,
-        typer.Option(
-            metavar="NAME|FILE",
-            help="Shipped sensor (aviris_ng, emit, mavic_3m, flash_lidar_paper, ...) or a sensor "
+        option(
+            "NAME|FILE",
+            "Shipped sensor (aviris_ng, emit, mavic_3m, flash_lidar_paper, ...) or a sensor "
             "file; the plot file's if left out.",
         ),
     ] = None,
-    altitude: Annotated[
-        float | None, typer.Option(metavar="M", help="Height above the ground [m].")
-    ] = None,
+    altitude: Annotated[float | None, option("M", "Height above the ground [m].")] = None,
     pixel: Annotated[
-        float | None,
-        typer.Option(metavar="M", help="Side of a pixel; from the optics if left out."),
+        float | None, option("M", "Side of a pixel; from the optics if left out.")
     ] = None,
     atmosphere: Annotated[
         str | None,
-        typer.Option(
-            metavar="NAME|FILE",
-            help="table (6S), clear-sky, none, or curves of your own (CSV, NetCDF).",
-        ),
+        option("NAME|FILE", "table (6S), clear-sky, none, or curves of your own (CSV, NetCDF)."),
     ] = None,
     noise: Annotated[
         bool | None,
@@ -105,7 +99,6 @@ def simulate(
         typer.Option("--product", callback=_products, help="Images to write."),
     ] = "both",
     truth: Truth = False,
-    seed: OwnSeed = None,
 ) -> None:
     """Simulate what any sensor measures over a plot.
 
@@ -128,29 +121,28 @@ def reflectance(
     ],
     panels: Annotated[
         list[str] | None,
-        typer.Option(
-            "--panel",
-            metavar="NAME",
-            help="Capture that shows a panel: its name, such as IMG_0000, or one of its files. "
+        option(
+            "NAME",
+            "Capture that shows a panel: its name, such as IMG_0000, or one of its files. "
             "Again for more panels, which make an empirical line.",
+            "--panel",
         ),
     ] = None,
     reflectances: Annotated[
         list[str] | None,
-        typer.Option(
-            "--panel-reflectance",
-            metavar="R[,R...]",
-            help="Reflectance of the panel: a number, one for each band in order, or a CSV file "
+        option(
+            "R[,R...]",
+            "Reflectance of the panel: a number, one for each band in order, or a CSV file "
             "(band,reflectance or wavelength_nm,reflectance).",
+            "--panel-reflectance",
         ),
     ] = None,
     areas: Annotated[
         list[str] | None,
-        typer.Option(
+        option(
+            '"X,Y X,Y ..."',
+            "Corners of its area, columns and rows of pixels; found in the picture if left out.",
             "--panel-area",
-            metavar='"X,Y X,Y ..."',
-            help="Corners of its area, columns and rows of pixels; found in the picture if left "
-            "out.",
         ),
     ] = None,
     light: Annotated[
@@ -172,15 +164,13 @@ def reflectance(
     ] = None,
     height: Annotated[
         float | None,
-        typer.Option(
-            metavar="M",
-            help="Height of flight above the ground [m]; that above the take-off, as a DJI states "
+        option(
+            "M",
+            "Height of flight above the ground [m]; that above the take-off, as a DJI states "
             "it, if left out.",
         ),
     ] = None,
-    pixel: Annotated[
-        float | None, typer.Option(metavar="M", help="Or the side of a pixel on it [m].")
-    ] = None,
+    pixel: Annotated[float | None, option("M", "Or the side of a pixel on it [m].")] = None,
     align: Align = True,
 ) -> None:
     """Turn raw pictures of a multispectral drone camera into reflectance.

@@ -1,26 +1,16 @@
 """`fynjax validate`."""
 
 import re
-from math import isfinite
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
 
 import typer
 
 from fynjax._core.errors import InputError
-from fynjax.cli._runtime import BANDS, Seed, command, listed
+from fynjax.cli._runtime import BANDS, command, listed, option
 
-_Bands = Annotated[
-    str | None, listed(str, "names", "A,B,...", f"What each band of the file is, {BANDS}")
-]
+_Bands = Annotated[str | None, listed(str, "A,B,...", f"What each band of the file is, {BANDS}")]
 _Ground = Literal["auto", "labels", "smrf", "cloth", "none"]
-
-
-def _finite(text: str) -> float:
-    number = float(text)
-    if not isfinite(number):
-        raise ValueError
-    return number
 
 
 def _windows(texts: list[str] | None) -> list[tuple[float, float]]:
@@ -51,15 +41,13 @@ class CloudOption(NamedTuple):
     @property
     def annotation(self) -> Any:
         """The option as typer takes it."""
-        panel = "Point clouds"
-        option = typer.Option(metavar=self.metavar, help=self.help, rich_help_panel=panel)
-        if self.counts:
-            form = f"{self.metavar} in metres"
-            option = listed(
-                _finite, form, str(self.metavar), self.help,
-                counts=self.counts, rich_help_panel=panel,
-            )  # fmt: skip
-        return Annotated[self.kind | None, option]
+        more: dict[str, Any] = {"rich_help_panel": "Point clouds"}
+        if not self.counts:
+            made = typer.Option(metavar=self.metavar, help=self.help, **more)
+        else:
+            more |= {"form": f"{self.metavar} in metres", "counts": self.counts}
+            made = listed(float, str(self.metavar), self.help, **more)
+        return Annotated[self.kind | None, made]
 
 
 CLOUD_OPTIONS = (
@@ -162,6 +150,7 @@ FILES = [f"{side}_{kind}" for kind in _KINDS for side in ("real", "simulated")]
 @command(
     "validate",
     "fynjax.jobs:validate",
+    "seed",
     further={option.name: option.annotation for option in CLOUD_OPTIONS},
     records={
         "data": ("fynjax.jobs:ValidationData", FILES),
@@ -171,32 +160,28 @@ FILES = [f"{side}_{kind}" for kind in _KINDS for side in ("real", "simulated")]
 def validate(
     real_drone: Annotated[
         str | None,
-        typer.Option(
-            metavar="FILE",
-            help="Real drone image (GeoTIFF, reflectance); or 'published': the printed statistics "
+        option(
+            "FILE",
+            "Real drone image (GeoTIFF, reflectance); or 'published': the printed statistics "
             "of the plot burnt in 2006.",
         ),
     ] = None,
-    simulated_drone: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Simulated drone image.")
-    ] = None,
+    simulated_drone: Annotated[Path | None, option("FILE", "Simulated drone image.")] = None,
     real_spectra: Annotated[
         list[Path] | None,
-        typer.Option(
-            metavar="FILE",
-            help="Real spectra: CSV, ASD, ENVI library or cube, GeoTIFF, NetCDF. May be given "
+        option(
+            "FILE",
+            "Real spectra: CSV, ASD, ENVI library or cube, GeoTIFF, NetCDF. May be given "
             "several times.",
         ),
     ] = None,
     simulated_spectra: Annotated[
-        list[Path] | None, typer.Option(metavar="FILE", help="Simulated spectra, in any of these.")
+        list[Path] | None, option("FILE", "Simulated spectra, in any of these.")
     ] = None,
     real_cloud: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Real point cloud (LAS, LAZ, PLY, XYZ).")
+        Path | None, option("FILE", "Real point cloud (LAS, LAZ, PLY, XYZ).")
     ] = None,
-    simulated_cloud: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Simulated point cloud.")
-    ] = None,
+    simulated_cloud: Annotated[Path | None, option("FILE", "Simulated point cloud.")] = None,
     real_bands: _Bands = None,
     simulated_bands: _Bands = None,
     saturation: Annotated[
@@ -220,24 +205,23 @@ def validate(
     ] = "auto",
     windows: Annotated[
         list[str] | None,
-        typer.Option(
+        option(
+            "LOW-HIGH",
+            "Wavelengths to leave out [nm], besides the water windows 1340-1460 and "
+            "1790-2100. May be given several times.",
             "--exclude",
             callback=_windows,
-            metavar="LOW-HIGH",
-            help="Wavelengths to leave out [nm], besides the water windows 1340-1460 and "
-            "1790-2100. May be given several times.",
         ),
     ] = None,
     structure_preset: Annotated[
         str | None,
-        typer.Option(
-            metavar="NAME",
-            rich_help_panel="Point clouds",
-            help="Conventions of a known tool: fynjax, lidR, leafR, PyForestScan, GEDI L2B. "
+        option(
+            "NAME",
+            "Conventions of a known tool: fynjax, lidR, leafR, PyForestScan, GEDI L2B. "
             "The options below override it.",
+            rich_help_panel="Point clouds",
         ),
     ] = None,
-    seed: Seed = 0,
 ) -> None:
     """Compare simulated with real data: drone images, spectra, point clouds.
 

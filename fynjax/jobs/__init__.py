@@ -1,4 +1,4 @@
-"""What each command does: read, compute, write. One function a command.
+"""The jobs of the commands: read, compute, write. One function a command.
 
 The command line calls them, and so can a notebook: `fynjax.jobs.render("plot.toml", "output")`.
 They are imported when they are first used.

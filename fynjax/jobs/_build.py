@@ -1,8 +1,8 @@
-"""What `fynjax build` does: the plants of a plot, its cover, its voxels and its pictures."""
+"""The job of `fynjax build`: the plants of a plot, its cover, its voxels and its pictures."""
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import equinox as eqx
 import jax
@@ -17,7 +17,6 @@ from fynjax._core.errors import InputError
 from fynjax._core.precision import double_precision
 from fynjax.assembly import build_plot, check_memory
 from fynjax.canopy import PlantModel
-from fynjax.canopy.mesh import PlantMesh
 from fynjax.io.instruments import scene_meshes, write_scene_mesh
 from fynjax.io.plot import Plot, as_plot
 from fynjax.io.raster import write_run
@@ -83,7 +82,7 @@ class BuildResult(JobResult):
 @double_precision
 def build(
     plot: Plot | str | Path,
-    output: Path,
+    output: str | Path,
     *,
     seed: int | None = None,
     size: float | None = None,
@@ -117,11 +116,10 @@ def build(
     """
     read = as_plot(plot)
     read = read if size is None else resized(read, size)
-    chosen = read.seed if seed is None else seed
-    run = Run(output, seed=chosen, plot=read)
+    run = Run(output, seed=seed, plot=read)
     check_memory(read, listed=True)
     with run.stage("Plant the plot", "plants"):
-        scene, parameters = build_plot(read, seed=chosen)
+        scene, parameters = build_plot(read, seed=run.seed)
         real = np.asarray(scene.counts(parameters), float)
         instances = hard_instances(scene, parameters)
         hard = hard_scene(scene, parameters)
@@ -130,7 +128,7 @@ def build(
     if mesh:  # early: it may be refused
         with run.stage("Grow the meshes", "meshes"):
             meshes, triangles = scene_meshes(
-                instances, hard, parameters, max_triangles=max_triangles, seed=chosen
+                instances, hard, parameters, max_triangles=max_triangles, seed=run.seed
             )
     rows = f"{len(read.species)} species"
     files = {"instances.csv": f"{len(instances)} plants", "cover.csv": rows, "stand.csv": rows}
@@ -157,24 +155,41 @@ def build(
         write_run(voxels, voxel_dataset(hard, density), record)
         del density
     with run.stage("Draw", "figures"):
-        pictures = _pictures(read, hard, parameters, instances, chosen, view)
+        pictures = _pictures(read, hard, parameters, instances, run.seed, view)
     if meshes is not None:
         with run.stage("Write the mesh", "write_mesh"):
-            _write_mesh(run, instances, meshes, triangles, hard.forms)
-    built = _Built(read, instances, table, stand, area)
-    return _result(run, built, pictures, memory, triangles if mesh else None, record)
-
-
-class _Built(NamedTuple):
-    """The plants of a plot, and what is measured of them."""
-
-    plot: Plot
-    instances: Instances
-    cover: pd.DataFrame
-    """Rows of `cover.csv`."""
-    stand: pd.DataFrame
-    """Rows of `stand.csv`."""
-    area: StandArea
+            # Each species in its colour.
+            colours = [tuple(figures.rgb(c).tolist()) for c in figures.species_colours(hard.forms)]
+            obj = run.path("scene.obj", f"the plants as {triangles} triangles, metres")
+            write_scene_mesh(obj, instances, meshes, colours)
+            run.path("scene.mtl", "their materials")
+    headline = _headline(read, table, area)
+    run.total()
+    parts: list[Part] = [" ".join(headline[1:]), *pictures, *_tables(read, table, stand)]
+    times = run.times(f"Wall time; peak memory of the build {memory:.0f} MiB.", folded=True)
+    whole = table.iloc[-1]
+    keys = {
+        "plants": str(whole.plants),
+        "ground under crowns": f"{whole.species_percent:.1f} %",
+        "ground seen from above": f"{100.0 * area.gap:.1f} %",
+        "crowns in full": f"{whole.crowns_percent:.1f} %",
+        "time of the build": f"{run.seconds['build']:.1f} s",
+        "its memory": f"{memory / 1024:.1f} GiB",
+    }
+    sections = [Section("", [*parts, times])]
+    run.page(Page(f"Scene: {read.name}", headline[0], sections, keys, record))
+    return run.result(
+        BuildResult,
+        headline=headline,
+        size_m=read.size_m,
+        plants=dict(zip(instances.taxa, instances.counts.tolist())),
+        cover=table,
+        stand=stand,
+        gap_fraction=area.gap,
+        warnings=area.warnings(),
+        build_memory_mib=memory,
+        triangles=triangles if mesh else None,
+    )
 
 
 def _pictures(
@@ -187,7 +202,9 @@ def _pictures(
 ) -> list[Picture]:
     """The plants from above and from obliquely above, and their areas against height."""
     periodic = scene.boundary == "periodic"
-    edges = _layers(instances, scene)
+    # Borders of the voxel layers that plants reach from level ground.
+    step = scene.grid.vertical_size
+    edges = np.arange(np.ceil(1.1 * instances.height.max(initial=step) / step) + 1.0) * step
     profile = height_profile(scene, parameters, edges)
     drawn = drawn_plants(plot, scene, parameters, instances, seed)
     above = f"{plot.name}: {len(instances)} plants from above"
@@ -219,20 +236,6 @@ def _pictures(
     ]
 
 
-def _write_mesh(
-    run: Run,
-    instances: Instances,
-    meshes: list[PlantMesh | None],
-    triangles: int,
-    forms: Sequence[str],
-) -> None:
-    """Write the plants as triangles, each species in its colour."""
-    colours = [tuple(figures.rgb(c).tolist()) for c in figures.species_colours(forms)]
-    obj = run.path("scene.obj", f"the plants as {triangles} triangles, metres")
-    write_scene_mesh(obj, instances, meshes, colours)
-    run.path("scene.mtl", "their materials")
-
-
 def drawn_plants(
     plot: Plot, scene: Scene, parameters: PlotParameters, instances: Instances, seed: int
 ) -> figures.DrawnPlants:
@@ -255,12 +258,6 @@ def drawn_plants(
         models,
         seed,
     )
-
-
-def _layers(instances: Instances, scene: Scene) -> np.ndarray:
-    """Borders of the voxel layers that plants reach from level ground [m]."""
-    step = scene.grid.vertical_size
-    return np.arange(np.ceil(1.1 * instances.height.max(initial=step) / step) + 1.0) * step
 
 
 def resized(plot: Plot, size: float) -> Plot:
@@ -288,7 +285,8 @@ def cover_table(
     """Cover of each species and of all, asked and measured [%], with the numbers of plants.
 
     What is planted is of the kind that is asked for: the ground under the species, or `crowns` less
-    what eq. (8) and (9) take off for packing and gaps.
+    what eq. (8) and (9) take off for packing and gaps. `real` are numbers of plants that covers ask
+    for, before they are rounded.
     """
     species, planted = parameters.species, cover.species
     if plot.cover_definition == "article":
@@ -349,82 +347,45 @@ def instance_table(instances: Instances) -> pd.DataFrame:
 
 def voxel_dataset(scene: Scene, density: Float[Array, "class z y x"]) -> xr.Dataset:
     """Area density [class, z, y, x] with its coordinates, ready for `write_run`."""
-    x, y, z = scene.grid.centres
     names = [
         f"{scene.taxa[k]}, leaf" + f" {leaf}" * (len(own) > 1)
         for k, own in leaf_classes(scene.species).items()
         for leaf in range(len(own))
     ]
-    names += ["wood", "flower"]
-
-    def axis(letter: str, values: np.ndarray, what: str) -> tuple[str, np.ndarray, dict[str, str]]:
-        standard = {
-            "standard_name": "height" if letter == "z" else f"projection_{letter}_coordinate",
-            **({"positive": "up"} if letter == "z" else {}),
-        }
-        return letter, values, {"units": "m", "axis": letter.upper(), "long_name": what} | standard
-
-    level = scene.terrain is None
-    variables: dict[str, Any] = {
-        "area_density": (
-            ("class", "z", "y", "x"),
-            np.asarray(density),
-            {"long_name": "one-sided area per volume", "units": "m2 m-3"},
-        )
+    above = "ground" if scene.terrain is None else "the lowest ground"
+    axes = {
+        "x": {"long_name": "distance east of the south-west corner"},
+        "y": {"long_name": "distance north of the south-west corner"},
+        "z": {"long_name": f"height of the voxel's centre above {above}", "positive": "up"},
     }
-    if not level:
-        what = {"long_name": "height of the ground above its lowest", "units": "m"}
-        variables["ground"] = (("y", "x"), scene.terrain, what)
+    for letter, about in axes.items():
+        standard = "height" if letter == "z" else f"projection_{letter}_coordinate"
+        about |= {"units": "m", "axis": letter.upper(), "standard_name": standard}
+    of_area = {"long_name": "one-sided area per volume", "units": "m2 m-3"}
+    variables: dict[str, Any] = {
+        "area_density": (("class", "z", "y", "x"), np.asarray(density), of_area)
+    }
+    if scene.terrain is not None:
+        of_ground = {"long_name": "height of the ground above its lowest", "units": "m"}
+        variables["ground"] = (("y", "x"), scene.terrain, of_ground)
+    centres = zip(axes.items(), scene.grid.centres, strict=True)
     return xr.Dataset(
         variables,
         coords={
-            "class": ("class", names, {"long_name": "optical class"}),
-            "z": axis(
-                "z", z, f"height of the voxel's centre above {'' if level else 'the lowest '}ground"
-            ),
-            "y": axis("y", y, "distance north of the south-west corner"),
-            "x": axis("x", x, "distance east of the south-west corner"),
+            "class": ("class", [*names, "wood", "flower"], {"long_name": "optical class"}),
+            **{letter: (letter, values, about) for (letter, about), values in centres},
         },
     )
 
 
-def _result(
-    run: Run,
-    built: _Built,
-    pictures: Sequence[Picture],
-    memory: float,
-    triangles: int | None,
-    record: dict[str, str | int],
-) -> BuildResult:
-    """Write the page; `memory` is that of the build [MiB], `triangles` are those of the mesh."""
-    instances, area = built.instances, built.area
-    headline = _headline(built)
-    run.total()
-    run.page(_page(run, built, headline, pictures, memory, record))
-    return run.result(
-        BuildResult,
-        headline=headline,
-        size_m=built.plot.size_m,
-        plants=dict(zip(instances.taxa, instances.counts.tolist())),
-        cover=built.cover,
-        stand=built.stand,
-        gap_fraction=area.gap,
-        warnings=area.warnings(),
-        build_memory_mib=memory,
-        triangles=triangles,
-    )
-
-
-def _headline(built: _Built) -> list[str]:
-    plot, instances, table, _, area = built
+def _headline(plot: Plot, table: pd.DataFrame, area: StandArea) -> list[str]:
     species, whole = table.iloc[:-1], table.iloc[-1]
     worst = (species.planted_percent - species.asked_percent).abs().max()
     lx, ly = plot.size_m
     how = "as many as their covers ask for." if plot.crowns_note is None else "which are known."
     known = [] if plot.crowns_note is None else [plot.crowns_note]
     return [
-        f"{plot.name}, {lx:g} m x {ly:g} m: {len(instances)} plants of {len(species)} species, "
-        f"{how}",
+        f"{plot.name}, {lx:g} m x {ly:g} m: {whole.plants} plants of {len(species)} species, {how}",
         *known,
         f"{_DEFINITIONS[plot.cover_definition]} Summed over species: asked "
         f"{whole.asked_percent:.1f} %, planted {whole.planted_percent:.1f} %, seen from above "
@@ -440,38 +401,22 @@ def _headline(built: _Built) -> list[str]:
     ]
 
 
-def _page(
-    run: Run,
-    built: _Built,
-    headline: list[str],
-    pictures: Sequence[Picture],
-    memory: float,
-    record: dict[str, str | int],
-) -> Page:
-    plot, _, table, stand, area = built
-    whole = table.iloc[-1]
-    keys = {
-        "plants": str(whole.plants),
-        "ground under crowns": f"{whole.species_percent:.1f} %",
-        "ground seen from above": f"{100.0 * area.gap:.1f} %",
-        "crowns in full": f"{whole.crowns_percent:.1f} %",
-        "time of the build": f"{run.seconds['build']:.1f} s",
-        "its memory": f"{memory / 1024:.1f} GiB",
-    }
-    cover = Table(
-        table.drop(columns="plants_asked"),
-        f"Cover. {_DEFINITIONS[plot.cover_definition]} Crowns in full: all overlap counts. Ground "
-        "under the species: overlap among its crowns counts once. Seen from above: where a crown "
-        "of the species is the highest.",
-        headers=_COVER_HEADERS,
-    )
-    areas = Table(
-        stand,
-        "Area and leaf mass over the ground of the plot: one-sided area of leaves and of the dead "
-        "tissue among them, half of the surface of wood; dry mass of leaves, live and dead.",
-        headers=_STAND_HEADERS,
-        units=_STAND_UNITS,
-    )
-    times = run.times(f"Wall time; peak memory of the build {memory:.0f} MiB.", folded=True)
-    parts: list[Part] = [" ".join(headline[1:]), *pictures, cover, areas, times]
-    return Page(f"Scene: {plot.name}", headline[0], [Section("", parts)], keys, record)
+def _tables(plot: Plot, cover: pd.DataFrame, stand: pd.DataFrame) -> list[Table]:
+    """Cover, areas and leaf mass, for the page."""
+    return [
+        Table(
+            cover.drop(columns="plants_asked"),
+            f"Cover. {_DEFINITIONS[plot.cover_definition]} Crowns in full: all overlap counts. "
+            "Ground under the species: overlap among its crowns counts once. Seen from above: "
+            "where a crown of the species is the highest.",
+            headers=_COVER_HEADERS,
+        ),
+        Table(
+            stand,
+            "Area and leaf mass over the ground of the plot: one-sided area of leaves and of the "
+            "dead tissue among them, half of the surface of wood; dry mass of leaves, live and "
+            "dead.",
+            headers=_STAND_HEADERS,
+            units=_STAND_UNITS,
+        ),
+    ]

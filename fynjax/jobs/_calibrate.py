@@ -1,4 +1,4 @@
-"""What `fynjax calibrate` does: the parameters of a plot that explain what was measured of it."""
+"""The job of `fynjax calibrate`: parameters of a plot that explain its measurements."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -13,7 +13,6 @@ from fynjax._core.errors import InputError
 from fynjax._core.precision import double_precision
 from fynjax.assembly import (
     Measured,
-    Twin,
     parameter_columns,
     placed_by_image,
     plant_twin,
@@ -36,6 +35,7 @@ from fynjax.jobs._calibration_page import (
     parameter_sentences,
     status_of,
     twin_sentence,
+    write_results,
 )
 from fynjax.jobs._calibration_tables import (
     ReferenceImage,
@@ -45,10 +45,9 @@ from fynjax.jobs._calibration_tables import (
 )
 from fynjax.jobs._doubt import doubt_targets
 from fynjax.jobs._follow import calibrated
-from fynjax.jobs._render import check_finite, write_image
+from fynjax.jobs._render import check_finite
 from fynjax.jobs._result import JobResult, Number, ParameterSummary, Record, StatisticSummary
-from fynjax.jobs._run import Run
-from fynjax.report.pages import Page
+from fynjax.jobs._run import Run, paths_of
 from fynjax.scene import PlotParameters, Scene, with_values
 
 
@@ -88,8 +87,8 @@ class CalibrateResult(JobResult):
 @double_precision
 def calibrate(
     plot: Plot | str | Path,
-    targets: Path | Sequence[Path],
-    output: Path,
+    targets: str | Path | Sequence[str | Path],
+    output: str | Path,
     *,
     prior: str | Path = NO_PRIOR,
     bands: Sequence[str] | None = None,
@@ -126,11 +125,11 @@ def calibrate(
 
     Example: `jobs.calibrate("plot.toml", Path("drone.tif"), Path("results"))`.
     """
-    paths = [targets] if isinstance(targets, Path) else list(targets)
+    paths = paths_of(targets)
     if not paths and not twin:
         raise InputError("expected what was measured (--target), or --twin")
     read = with_prior(placed_by_image(as_plot(plot), paths), prior)
-    run = Run(output, seed=read.seed if seed is None else seed, plot=read)
+    run = Run(output, seed=seed, plot=read)
     if read.known_crowns is not None and any(p.suffix.lower() in (".tif", ".tiff") for p in paths):
         if twin:
             raise InputError(
@@ -138,38 +137,25 @@ def calibrate(
                 "pixel; leave the image out, for a twin by its statistics",
                 file=paths[0],
             )
-        return _calibrate_known(read, paths, run, bands, checkpoint)
+        if len(paths) > 1:
+            raise InputError(
+                "expected the image alone: where plants are known it counts pixel by pixel, beside "
+                "which other targets would say nothing",
+                file=paths[1],
+            )
+        found, parameters, table, headline = known_plants(read, paths[0], run, bands, checkpoint)
+        target = TargetSummary(
+            kind="image",
+            file=paths[0].name,
+            description=f"{paths[0].name}: {found.degrees} means of blocks of pixels.",
+            target_valid_share=float(np.isfinite(found.measured[0]).mean()),
+        )
+        return _result(run, found, parameters, table, targets=[target], headline=headline)
     measured = read_targets(read, paths, bands=bands, seed=run.seed)
     return calibrate_to(
         read, measured or (twin_image(read),), run,
         inputs=(*read.inputs, *paths), checkpoint=checkpoint, twin=twin,
     )  # fmt: skip
-
-
-def _calibrate_known(
-    plot: Plot,
-    paths: Sequence[Path],
-    run: Run,
-    bands: Sequence[str] | None,
-    checkpoint: Path | None,
-) -> CalibrateResult:
-    """Calibrate a plot whose plants are known to an image, pixel by pixel."""
-    if len(paths) > 1:
-        raise InputError(
-            "expected the image alone: where plants are known it counts pixel by pixel, beside "
-            "which other targets would say nothing",
-            file=paths[1],
-        )
-    result, parameters, table, headline = known_plants(
-        plot, paths[0], run, bands, (*plot.inputs, *paths), checkpoint
-    )
-    target = TargetSummary(
-        kind="image",
-        file=paths[0].name,
-        description=f"{paths[0].name}: {result.degrees} means of blocks of pixels.",
-        target_valid_share=float(np.isfinite(result.measured[0]).mean()),
-    )
-    return _result(run, result, parameters, table, targets=[target], headline=headline)
 
 
 def _result(
@@ -249,71 +235,38 @@ def calibrate_to(
     stand, parameters_of_fit = result.stand(), parameter_table(result)
     truth = []
     if known is not None:
-        _add_truth(result, known, stand, parameters_of_fit)
+        space, u = result.fit.space, jnp.asarray(known.whitened)
+        there = with_values(result.before, result.scene.taxa, space.named(u))
+        of_stand = stand_values(result.scene.faded(), there).values()
+        stand["truth"] = [float(value) for value in of_stand]
+        columns = parameter_columns(result.fit.names, {"truth": space.physical(u)})
+        parameters_of_fit["truth"] = columns["truth"]
         truth = [twin_sentence(result, known, stand, parameters_of_fit)]
     tables = stand, parameters_of_fit, (statistics := statistic_table(result, reference))
+    agreement = agreement_sentences(plot, measured, statistics, reference)
+    headline = [*truth, stand_sentence(stand), *agreement, *parameter_sentences(result)]
     with run.stage("Write"):
-        page = calibration_page(run, plot, result, measured, tables, reference, inputs, truth)
-        _write(run, plot, result.scene, result, page, tables)
+        record = run.record(inputs)
+        words = "every band and index" if images else "every statistic", "field table"
+        write_results(run, plot, result, tables, result.camera, record, words)
+        dataset = calibration_dataset(result.scene, result)
+        write_run(run.path("run.nc", "the whole run, NetCDF"), dataset, record)
+        lead = [*truth, stand_sentence(stand), *agreement]
+        run.page(calibration_page(run, plot, result, measured, tables, reference, lead, record))
+    targets = [
+        TargetSummary(kind=one.kind, file=one.file.name, description=one.description, **one.extra)
+        for one in measured
+    ]
     return _result(
         run,
         result,
         parameters_of_fit,
         statistics,
         command=command,
-        headline=[
-            *truth,
-            stand_sentence(stand),
-            *agreement_sentences(plot, measured, statistics, reference),
-            *parameter_sentences(result),
-        ],
+        headline=headline,
         warnings=_short_of_sites(result.scene, result.after),
-        targets=[_target(sensor) for sensor in measured],
+        targets=targets,
     )
-
-
-def _add_truth(
-    result: Calibration, twin: Twin, stand: pd.DataFrame, parameters: pd.DataFrame
-) -> None:
-    """Add the known values of a twin to the tables."""
-    space, scene = result.fit.space, result.scene
-    u = jnp.asarray(twin.whitened)
-    there = with_values(result.before, scene.taxa, space.named(u))
-    stand["truth"] = [float(value) for value in stand_values(scene.faded(), there).values()]
-    truth = {"truth": space.physical(u)}
-    parameters["truth"] = parameter_columns(result.fit.names, truth)["truth"]
-
-
-def _target(measured: Measured) -> TargetSummary:
-    return TargetSummary(
-        kind=measured.kind,
-        file=measured.file.name,
-        description=measured.description,
-        **measured.extra,
-    )
-
-
-def _write(
-    run: Run,
-    plot: Plot,
-    scene: Scene,
-    result: Calibration,
-    page: Page,
-    tables: tuple[pd.DataFrame, pd.DataFrame, pd.DataFrame],
-) -> None:
-    stand, parameters, statistics = tables
-    run.table("stand.csv", stand, "prior and estimate of the whole stand")
-    run.table("parameters.csv", parameters, "prior, estimate, sd of every parameter")
-    each = "every statistic" if result.image_before is None else "every band and index"
-    run.table("statistics.csv", statistics, f"{each}, real and simulated")
-    for when, what in (("before", "of the field table"), ("after", "after calibration")):
-        image = getattr(result, f"image_{when}")
-        if image is not None and result.camera is not None:
-            path = run.path(f"image_{when}.tif", f"image {what}, GeoTIFF")
-            write_image(path, np.asarray(image), plot, result.camera, page.record)
-    dataset = calibration_dataset(scene, result)
-    write_run(run.path("run.nc", "the whole run, NetCDF"), dataset, page.record)
-    run.page(page)
 
 
 def _short_of_sites(scene: Scene, parameters: PlotParameters) -> list[str]:

@@ -1,4 +1,4 @@
-"""What `fynjax calibrate` does where the plants are known: the image counts pixel by pixel."""
+"""The job of `fynjax calibrate` where plants are known: the image counts pixel by pixel."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -26,11 +26,12 @@ from fynjax.jobs._calibration_page import (
     parameter_section,
     parameter_sentences,
     search_section,
+    write_results,
 )
 from fynjax.jobs._calibration_tables import parameter_table
 from fynjax.jobs._doubt import doubt_spectrum
 from fynjax.jobs._follow import follow
-from fynjax.jobs._render import check_finite, write_image
+from fynjax.jobs._render import check_finite
 from fynjax.jobs._run import Run, peak_memory_mib
 from fynjax.report import figures
 from fynjax.report.pages import Page, Picture, Section, Table
@@ -42,7 +43,6 @@ def known_plants(
     path: Path,
     run: Run,
     bands: Sequence[str] | None,
-    inputs: Sequence[Path | None],
     checkpoint: Path | None,
 ) -> tuple[KnownPlants, pd.DataFrame, pd.DataFrame, list[str]]:
     """Calibrate a plot with crowns to an image, pixel by pixel, and write what comes out.
@@ -53,7 +53,6 @@ def known_plants(
     - `path`: the image, GeoTIFF; it covers the plot and nothing else, its rows from the north.
     - `run`: the job at work.
     - `bands`: of the image, as `read_drone_image` has them.
-    - `inputs`: files for the provenance.
     - `checkpoint`: folder that keeps every step; None keeps none.
 
     **Returns:** the calibration, the tables of its parameters and of the bands, and its headline.
@@ -82,18 +81,25 @@ def known_plants(
         result = search.result(follow(search, [None], run, checkpoint)[0])
     check_finite(jnp.asarray(result.image_after), plot)
     parameters, table = parameter_table(result), band_table(result)
-    rmse = _relative_rmse(result)
+    mean = np.nanmean(result.measured, axis=(1, 2), keepdims=True)
+    rmse = [
+        100.0 * float(np.sqrt(np.nanmean(((image - result.measured) / mean) ** 2)))
+        for image in (result.image_before, result.image_after)
+    ]
     stand = result.stand()
-    headline = _headline(plot, result, stand, rmse)
+    headline = [
+        stand_sentence(stand),
+        f"{plot.name}: {result.degrees} means of {result.block} x {result.block} pixels compared; "
+        f"their relative error {rmse[0]:.2f} % before, {rmse[1]:.2f} % after.",
+        *([] if plot.crowns_note is None else [plot.crowns_note]),
+        "Covers follow from the crowns and are not free.",
+        *parameter_sentences(result),
+    ]
     with run.stage("Write"):
-        record = run.record(inputs)
-        run.table("stand.csv", stand, "prior and estimate of the whole stand")
-        run.table("parameters.csv", parameters, "prior, estimate, sd of every parameter")
-        run.table("statistics.csv", table, "every band, real and simulated")
+        record = run.record([*plot.inputs, path])
         blocks = dataclasses.replace(camera, pixel=camera.pixel * result.block)
-        for when, what in (("before", "of the plot file"), ("after", "after calibration")):
-            to = run.path(f"image_{when}.tif", f"image {what}, GeoTIFF")
-            write_image(to, getattr(result, f"image_{when}"), plot, blocks, record)
+        tables = stand, parameters, table
+        write_results(run, plot, result, tables, blocks, record, ("every band", "plot file"))
         run.page(
             Page(
                 f"Calibration: {plot.name}",
@@ -134,19 +140,6 @@ def _image_and_camera(
     return camera, image.values[order]
 
 
-def _headline(
-    plot: Plot, result: KnownPlants, stand: pd.DataFrame, rmse: tuple[float, float]
-) -> list[str]:
-    return [
-        stand_sentence(stand),
-        f"{plot.name}: {result.degrees} means of {result.block} x {result.block} pixels compared; "
-        f"their relative error {rmse[0]:.2f} % before, {rmse[1]:.2f} % after.",
-        *([] if plot.crowns_note is None else [plot.crowns_note]),
-        "Covers follow from the crowns and are not free.",
-        *parameter_sentences(result),
-    ]
-
-
 def _block(plot: Plot, bands: int, shape: tuple[int, int], pixel: float) -> int:
     """Pixels along the edge of a block."""
     stated = plot.calibration.block_m
@@ -163,30 +156,17 @@ def _block(plot: Plot, bands: int, shape: tuple[int, int], pixel: float) -> int:
     return block
 
 
-def _relative_rmse(result: KnownPlants) -> tuple[float, float]:
-    """Relative error of the image over all bands, before and after the calibration [%]."""
-    mean = np.nanmean(result.measured, axis=(1, 2), keepdims=True)
-    before, after = (
-        100.0 * float(np.sqrt(np.nanmean(((image - result.measured) / mean) ** 2)))
-        for image in (result.image_before, result.image_after)
-    )
-    return before, after
-
-
 def band_table(result: KnownPlants) -> pd.DataFrame:
     """Mean of each band over the compared blocks, and the root mean square of their errors."""
     real = result.measured
-    compared = np.isfinite(real)
-    rows: dict[str, list[float]] = {name: [] for name in ("real", "before", "after")}
-    errors: dict[str, list[float]] = {f"{when}_rmse": [] for when in ("before", "after")}
-    for i, here in enumerate(compared):
-        rows["real"].append(float(real[i][here].mean()))
-        for when in ("before", "after"):
-            image = getattr(result, f"image_{when}")[i][here]
-            rows[when].append(float(image.mean()))
-            errors[f"{when}_rmse"].append(float(np.sqrt(np.mean((image - real[i][here]) ** 2))))
+    images = {"real": real, "before": result.image_before, "after": result.image_after}
+    compared = {name: np.where(np.isfinite(real), image, np.nan) for name, image in images.items()}
+    table = {name: np.nanmean(image, axis=(1, 2)) for name, image in compared.items()}
+    for name in ("before", "after"):
+        error = (compared[name] - real) ** 2
+        table[f"{name}_rmse"] = np.sqrt(np.nanmean(error, axis=(1, 2)))
     names = [f"{band}.mean" for band in result.camera.sensor.bands.names]
-    return pd.DataFrame({"statistic": names, "fitted": True, **rows, **errors})
+    return pd.DataFrame({"statistic": names, "fitted": True, **table})
 
 
 def _pictures(result: KnownPlants, pixel: float) -> list[Picture]:

@@ -1,7 +1,6 @@
 """The page of a calibration: which figures and tables it shows, and its headline."""
 
-from collections.abc import Sequence
-from pathlib import Path
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -18,17 +17,18 @@ from fynjax.jobs._calibration_tables import (
     sensor_misfit,
     sensor_table,
 )
-from fynjax.jobs._render import SHOWN_INDICES, image_views, index_images
+from fynjax.jobs._render import SHOWN_INDICES, image_views, index_images, write_image
 from fynjax.jobs._run import Run, peak_memory_mib
 from fynjax.metrics import VEGETATION_INDICES
 from fynjax.report import figures
 from fynjax.report.pages import Page, Part, Picture, Section, Table, sensor_section
+from fynjax.scene import AimedSensor
 
 
 def agreement_sentences(
     plot: Plot, measured: Sequence[Measured], statistics: pd.DataFrame, reference: ReferenceImage
 ) -> list[str]:
-    """How well every sensor's data are met before and after."""
+    """Sentences on how well the data of each sensor are met before and after."""
     lines = []
     if any(sensor.kind == "image" for sensor in measured):
         published = list(reference.error_percent.values())
@@ -52,7 +52,7 @@ def agreement_sentences(
 
 
 def parameter_sentences(result: Calibration | KnownPlants) -> list[str]:
-    """Which parameters the data constrain, and where the searches ended."""
+    """Sentences on the parameters that the data constrain, and on the ends of the searches."""
     constrained, ends = result.fit.well_constrained(), result.ends
     lines = [
         f"The data at least halve the error of {len(constrained)} of {len(result.fit.names)} "
@@ -88,7 +88,7 @@ def status_of(fit: FitResult) -> str:
 def twin_sentence(
     result: Calibration, known: Twin, stand: pd.DataFrame, parameters: pd.DataFrame
 ) -> str:
-    """How much of a twin's truth lies in the 90 % intervals; tables with a column `truth`."""
+    """Share of a twin's truth in the 90 % intervals, of tables with a column `truth`, in words."""
 
     def inside(table: pd.DataFrame) -> str:
         within = table["truth"].between(table["q05"], table["q95"])
@@ -144,11 +144,11 @@ def calibration_page(
     measured: Sequence[Measured],
     tables: tuple[pd.DataFrame, pd.DataFrame, pd.DataFrame],
     reference: ReferenceImage,
-    inputs: Sequence[Path | None],
-    truth: Sequence[str] = (),
+    lead: Sequence[str],
+    record: Mapping[str, str | int],
 ) -> Page:
-    """The page. `tables` are those of the stand, of the parameters and of the statistics; `truth`
-    says of a twin how far it was found."""
+    """The page. `tables` are those of the stand, of the parameters and of the statistics; `lead`
+    are the first sentences."""
     stand, parameters, statistics = tables
     memory = peak_memory_mib()
     keys = {
@@ -174,9 +174,30 @@ def calibration_page(
         parameter_section(result, stand, parameters),
         search_section(run, result, memory),
     ]
-    agreement = agreement_sentences(plot, measured, statistics, reference)
-    lead = doubt_first(result.fit, " ".join([*truth, stand_sentence(stand), *agreement]))
-    return Page(f"Calibration: {plot.name}", lead, sections, keys, run.record(inputs))
+    first = doubt_first(result.fit, " ".join(lead))
+    return Page(f"Calibration: {plot.name}", first, sections, keys, record)
+
+
+def write_results(
+    run: Run,
+    plot: Plot,
+    result: Calibration | KnownPlants,
+    tables: tuple[pd.DataFrame, pd.DataFrame, pd.DataFrame],
+    camera: AimedSensor | None,
+    record: Mapping[str, str | int],
+    words: tuple[str, str],
+) -> None:
+    """Write the tables of `calibration_page`, and where there is a `camera` its images before and
+    after; `words` are for what the statistics are of, and for where the plot before is from."""
+    stand, parameters, statistics = tables
+    each, source = words
+    run.table("stand.csv", stand, "prior and estimate of the whole stand")
+    run.table("parameters.csv", parameters, "prior, estimate, sd of every parameter")
+    run.table("statistics.csv", statistics, f"{each}, real and simulated")
+    for when, what in (("before", f"of the {source}"), ("after", "after calibration")):
+        if camera is not None:
+            path = run.path(f"image_{when}.tif", f"image {what}, GeoTIFF")
+            write_image(path, np.asarray(getattr(result, f"image_{when}")), plot, camera, record)
 
 
 def _image_sections(
@@ -239,7 +260,7 @@ _CAMERA = (
 
 
 def _camera_sentence(camera: pd.DataFrame) -> str:
-    """How much of each band's error the camera has itself, and how sure that is."""
+    """The part of each band's error that is the camera's own, and its certainty, in words."""
     off = camera["exact_error_percent"]
     unsure = (camera["gain"] - 1.0).abs() < 2.0 * camera["sd"]
     of = [
@@ -254,7 +275,7 @@ def _camera_sentence(camera: pd.DataFrame) -> str:
 
 
 def _one_planting(statistics: pd.DataFrame) -> str:
-    """What the images show, and how far that is from the expectations of tables and headline."""
+    """Words below the images, with their distance from the expectations of the tables."""
     means = statistics[statistics["fitted"] & statistics["statistic"].str.endswith(".mean")]
     apart = (means["image_after"] / means["after"] - 1.0).abs().max()
     return (
@@ -297,7 +318,7 @@ def parameter_section(
 
 
 def search_section(run: Run, result: Calibration | KnownPlants, memory: float) -> Section:
-    """How the search went; `memory` at its peak [MiB]."""
+    """Objective after each step, ends and times of the search; `memory` at its peak [MiB]."""
     fit = result.fit
     convergence = figures.convergence_plot(fit.loss, fit.gradient_norm, rounds=fit.rounds)
     parts: list[Part] = [

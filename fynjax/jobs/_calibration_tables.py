@@ -49,7 +49,7 @@ def parameter_table(calibration: Calibration | KnownPlants) -> pd.DataFrame:
 
 @dataclass(frozen=True)
 class ReferenceImage:
-    """What else is known of the real image, and what another simulation made of it."""
+    """Further knowledge of the real image, and another simulation of it."""
 
     real: Mapping[str, float] = field(default_factory=dict)
     """Statistics of the real image that were not fitted, or were, by name."""
@@ -81,27 +81,21 @@ def statistic_table(calibration: Calibration, reference: ReferenceImage) -> pd.D
             "target_sd": np.concatenate([np.asarray(data.sd), np.full(len(extra), np.nan)]),
         }
     )
-    for column in ("before", "after"):
-        image = getattr(calibration, f"image_{column}")
-        values = np.full(len(names), np.nan)
-        values[: len(data.names)] = getattr(calibration, f"statistics_{column}")
-        camera = calibration.camera
-        if image is not None and camera is not None and extra:
-            values[len(data.names) :] = np.asarray(
-                _statistics(image, extra, pixel=camera.pixel, bands=camera.sensor.bands.names),
-                float,
-            )
-        table[column] = values
-    image = calibration.image_after
-    if image is not None and camera is not None:
-        imaged = next(view.names for view in calibration.views if isinstance(view, ImageView))
-        own = (*imaged, *extra)
-        bands = camera.sensor.bands.names
-        found = np.asarray(_statistics(image, own, pixel=camera.pixel, bands=bands), float)
-        table["image_after"] = table["statistic"].map(dict(zip(own, found, strict=True)))
-    with_gain = np.full(len(names), np.nan)
-    with_gain[: len(data.names)] = calibration.statistics_with_gain
-    table["with_gain"] = with_gain
+    view = next((view for view in calibration.views if isinstance(view, ImageView)), None)
+    of_image: dict[str, Any] = {}
+    for when in ("before", "after"):
+        if view is not None:
+            own, camera = (*view.names, *extra), view.camera
+            image, bands = getattr(calibration, f"image_{when}"), camera.sensor.bands.names
+            found = np.asarray(_statistics(image, own, pixel=camera.pixel, bands=bands), float)
+            of_image = dict(zip(own, found, strict=True))
+        fitted = np.asarray(getattr(calibration, f"statistics_{when}"), float)
+        expected = of_image | dict(zip(data.names, fitted, strict=True))
+        table[when] = [expected.get(name, np.nan) for name in names]
+    if view is not None:
+        table["image_after"] = table["statistic"].map(of_image)
+    with_gain = np.asarray(calibration.statistics_with_gain, float)
+    table["with_gain"] = [*with_gain, *np.full(len(extra), np.nan)]
     table["reference"] = [reference.simulated.get(n, np.nan) for n in names]
     for column in ("before", "after", "with_gain", "reference"):
         table[f"{column}_error_percent"] = 100.0 * (table[column] - real) / np.abs(real)
@@ -206,55 +200,44 @@ def _images(result: Calibration) -> dict[str, xr.DataArray]:
 
 def calibration_dataset(scene: Scene, result: Calibration) -> xr.Dataset:
     """Images, ends of the searches, parameters, statistics and plants, for the run file."""
-    fit = result.fit
-    units = [PARAMETERS[parameter_kind(name)].unit for name in fit.names]
-    free = {
-        "parameter": ("parameter", list(fit.names), {"long_name": "free parameter"}),
-        "parameter_unit": ("parameter", units, {"long_name": "its unit"}),
-    }
-    statistic = {"statistic": ("statistic", list(fit.data.names), {"long_name": "statistic"})}
-
-    def over(axis: str, coords: dict[str, Any], values: Any, name: str) -> xr.DataArray:
-        return xr.DataArray(
-            np.asarray(values, float),
-            dims=axis,
-            coords=coords,
-            attrs={"long_name": name, "units": "1"},
-        )
-
+    fit, ends = result.fit, result.ends
     every = named_values(result.after, scene.taxa)
-    number = np.arange(1, len(result.ends.objective) + 1)
-    start = {"start": ("start", number, {"long_name": "number of the search", "units": "1"})}
+    numbers = {
+        "objective": ("start", ends.objective, "objective at its end"),
+        "apart": ("start", ends.apart, "from the best end, posterior sd"),
+        "prior": ("parameter", fit.space.prior, "prior, in parameter_unit"),
+        "prior_sd": ("parameter", fit.space.prior_sd, "prior sd, in parameter_unit"),
+        "estimate": ("parameter", fit.estimate, "estimate, in parameter_unit"),
+        "estimate_sd": ("parameter", fit.sd, "posterior sd, in parameter_unit"),
+        "constrained": ("parameter", fit.constrained, "1 - posterior/prior variance"),
+        "target": ("statistic", fit.data.value, "statistic of the real image"),
+        "target_sd": ("statistic", fit.data.sd, "its standard deviation"),
+        "simulated_before": ("statistic", result.statistics_before, "before calibration"),
+        "simulated_after": ("statistic", result.statistics_after, "after calibration"),
+        "all_parameters": (
+            "any_parameter",
+            [float(value) for value in every.values()],
+            "all parameters after calibration, own units",
+        ),
+    }
+    plants = np.asarray(scene.counts(result.after))
+    what = "mean number of plants on the plot that the covers ask for"
+    units = [PARAMETERS[parameter_kind(name)].unit for name in fit.names]
+    starts = np.arange(1, len(ends.objective) + 1)
     return xr.Dataset(
         {
             **_images(result),
-            "objective": over("start", start, result.ends.objective, "objective at its end"),
-            "apart": over("start", start, result.ends.apart, "from the best end, posterior sd"),
-            "prior": over("parameter", free, fit.space.prior, "prior, in parameter_unit"),
-            "prior_sd": over("parameter", free, fit.space.prior_sd, "prior sd, in parameter_unit"),
-            "estimate": over("parameter", free, fit.estimate, "estimate, in parameter_unit"),
-            "estimate_sd": over("parameter", free, fit.sd, "posterior sd, in parameter_unit"),
-            "constrained": over("parameter", free, fit.constrained, "1 - posterior/prior variance"),
-            "target": over("statistic", statistic, fit.data.value, "statistic of the real image"),
-            "target_sd": over("statistic", statistic, fit.data.sd, "its standard deviation"),
-            "simulated_before": over(
-                "statistic", statistic, result.statistics_before, "before calibration"
-            ),
-            "simulated_after": over(
-                "statistic", statistic, result.statistics_after, "after calibration"
-            ),
-            "all_parameters": xr.DataArray(
-                np.array([float(v) for v in every.values()]),
-                dims="any_parameter",
-                coords={
-                    "any_parameter": ("any_parameter", list(every), {"long_name": "parameter"})
-                },
-                attrs={"long_name": "all parameters after calibration, own units", "units": "1"},
-            ),
-            "plants": plant_counts(
-                scene,
-                np.asarray(scene.counts(result.after)),
-                "mean number of plants on the plot that the covers ask for",
-            ),
-        }
+            **{
+                name: (axis, np.asarray(values, float), {"long_name": words, "units": "1"})
+                for name, (axis, values, words) in numbers.items()
+            },
+            "plants": plant_counts(scene, plants, what),
+        },
+        coords={
+            "start": ("start", starts, {"long_name": "number of the search", "units": "1"}),
+            "parameter": ("parameter", list(fit.names), {"long_name": "free parameter"}),
+            "parameter_unit": ("parameter", units, {"long_name": "its unit"}),
+            "statistic": ("statistic", list(fit.data.names), {"long_name": "statistic"}),
+            "any_parameter": ("any_parameter", list(every), {"long_name": "parameter"}),
+        },
     )

@@ -1,4 +1,4 @@
-"""What `fynjax convert` does: spectra of any format in, one CSV and one NetCDF out."""
+"""The job of `fynjax convert`: spectra of any format in, one CSV and one NetCDF out."""
 
 from collections.abc import Sequence
 from pathlib import Path

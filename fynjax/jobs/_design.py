@@ -1,4 +1,4 @@
-"""The most informative bands of a sensor on a plot: what `fynjax design` does."""
+"""The job of `fynjax design`: the most informative bands of a sensor on a plot."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -33,7 +33,7 @@ class DesignResult(JobResult):
 @double_precision
 def design(
     plot: Plot | str | Path,
-    output: Path,
+    output: str | Path,
     *,
     bands: int = 4,
     target: Sequence[str] = DESIGN_TARGET,
@@ -67,23 +67,17 @@ def design(
     Example: `jobs.design("plot.toml", Path("results"), bands=3, target=["dead_share"])`.
     """
     read = as_plot(plot)
-    run = Run(output, seed=read.seed if seed is None else seed, plot=read)
+    run = Run(output, seed=seed, plot=read)
     with run.stage("Build the plot"):
         ready = prepare(read, DESIGN_FREE if free is None else free, seed=run.seed)
-    names = [
-        "design.csv",
-        "designed.toml",
-        "sensors.csv",
-        "pixels.csv",
-        "spectra.nc",
-        "report.html",
-    ]
+    names = ("design.csv", "designed.toml", "sensors.csv", "pixels.csv", "spectra.nc")
+    files = dict.fromkeys((*names, "report.html"), "")
     wanted: str | Sequence[str] = target[0] if len(target) == 1 else target
     found = design_bands(
         ready.scene, bands, wanted, free=ready.space, pixel=pixel, spectrum=spectrum,
         widths=widths, snr=snr, plantings=plantings,
         compare=[load_instrument(one) for one in compare],  # type: ignore[misc]
-        starts=starts, seed=run.seed, checked=lambda: begin_work(dict.fromkeys(names, "")),
+        starts=starts, seed=run.seed, checked=lambda: begin_work(files),
     )  # fmt: skip
     chosen = pd.DataFrame(
         {"band": found.bands.names, "centre_nm": found.bands.centre, "fwhm_nm": found.bands.fwhm}
@@ -99,9 +93,9 @@ def design(
             run.path("spectra.nc", "responses, spectra and slopes over wavelength")
         )
         record = run.record(read.inputs)
-        lead = " ".join(str(found).splitlines())
-        run.page(Page(f"Design: {read.name}", lead, _sections(found, chosen), record=record))
-    headline = str(found).splitlines()
+        headline = str(found).splitlines()
+        title, sections = f"Design: {read.name}", _sections(found, chosen)
+        run.page(Page(title, " ".join(headline), sections, record=record))
     return run.result(DesignResult, headline=headline, bands=chosen, sensors=found.table)
 
 
@@ -131,17 +125,11 @@ def _sections(found: BandDesign, chosen: pd.DataFrame) -> list[Section]:
         "much the design has more, with the interval of 5 to 95 % over these plantings.",
     )  # fmt: skip
     ends = ", ".join(f"{value:.4g}" for value in found.starts)
+    pixels = Table(found.pixels, "The target of the best bands in pixels of each size.")
+    every = Table(found.quantities.rename_axis("sensor").reset_index(), found.target)
     return [
         Section("Bands", [shown, Table(chosen, "The bands; designed.toml has them as a sensor.")]),
         Section("Other sensors", [gain, Table(found.table, "The target of each sensor.")]),
-        Section(
-            "Pixels", [Table(found.pixels, "The target of the best bands in pixels of each size.")]
-        ),
-        Section(
-            "Every quantity",
-            [
-                Table(found.quantities.rename_axis("sensor").reset_index(), found.target),
-                f"Ends of the ascents: {ends}.",
-            ],
-        ),
+        Section("Pixels", [pixels]),
+        Section("Every quantity", [every, f"Ends of the ascents: {ends}."]),
     ]

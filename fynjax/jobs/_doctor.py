@@ -1,4 +1,4 @@
-"""Whether JAX computes rightly on this machine: what `fynjax doctor` does."""
+"""The job of `fynjax doctor`: whether JAX computes rightly on this machine."""
 
 import os
 import tempfile

@@ -1,4 +1,4 @@
-"""What is said, before any long work, of measurements that shrubland cannot make."""
+"""Doubts, before any long work, of measurements that shrubland cannot make."""
 
 from collections.abc import Mapping, Sequence
 

@@ -1,8 +1,8 @@
-"""What `fynjax fit-leaf` does: files of spectra in, traits and spectra out."""
+"""The job of `fynjax fit-leaf`: files of spectra in, traits and spectra out."""
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import ClassVar, Literal, NamedTuple
+from typing import ClassVar, Literal
 
 import numpy as np
 import pandas as pd
@@ -17,7 +17,6 @@ from fynjax._core.parts import Workers, at_work
 from fynjax._core.precision import double_precision
 from fynjax._core.progress import stage
 from fynjax.io.spectra import (
-    MeasuredSpectrum,
     Refused,
     measured_dataset,
     read_curve,
@@ -59,7 +58,7 @@ from fynjax.report import figures
 from fynjax.report.pages import Picture, Table
 
 Sampling = Literal["none", "emcee", "nuts"]
-"""How the posterior is sampled, if at all."""
+"""Sampler of the posterior, if one is asked for."""
 _GRID = np.arange(350.0, 2501.0)
 _SHOWN = 100
 """Spectra of which a page shows the traits, at most."""
@@ -76,14 +75,6 @@ class FitLeafResult(JobResult):
     doubtful_spectra: int
     refused: list[RefusedSpectrum]
     repairs: list[SpectrumRepair]
-
-
-class _Leaves(NamedTuple):
-    """Spectra as they are fitted, with all that was read and refused."""
-
-    spectra: xr.Dataset
-    read: list[tuple[str, MeasuredSpectrum]]
-    refused: Refused
 
 
 def _measurement(
@@ -285,9 +276,18 @@ def fit_leaf(
     behind = None if background is None else _background(background, measurement)
     instrument = _measurement(measurement, leaf_shape, behind, bool(over_background))
     area_factors(area, leaf_shape)  # refuses an unknown area before anything is read
-    spectra, _, refused = leaves = _read_leaves(
-        paths, panel, detector_changes, transmittance, over_background, behind
-    )
+    read, refused = usable_spectra(paths, panel, detector_changes, transmittance)
+    spectra = measured_dataset(read, {})
+    if behind is not None:
+        spectra = _in_nanometres(spectra)
+        if over_background:
+            second, bad = usable_spectra(over_background, panel, detector_changes)
+            if bad:
+                raise bad[0][2]
+            others = _in_nanometres(measured_dataset(second, {}))
+            spectra = _with_transmittance(spectra, others, behind)
+        else:
+            spectra["reflectance"] = spectra["reflectance"].where(np.isfinite(behind))
     names = spectra["spectrum"].values.tolist()
     run = Run(output, seed=seed)
     species = None if groups is None else _read_groups(groups, names)
@@ -308,7 +308,12 @@ def fit_leaf(
         "domain": domain,
         "seed": str(seed),
     }
-    table = _write_traits(run, fit, area, refused)
+    table = fit.table(area)
+    if refused:
+        rows = [{"file": f, "name": n, "status": f"refused: {e}"} for f, n, e in refused]
+        table = pd.concat([table, pd.DataFrame(rows)], ignore_index=True)
+    what = "parameters, deviations, 90 % intervals and status of each spectrum"
+    run.table("traits.csv", table, what)
     what = "measured, fitted and predicted R and T on the fit's bins"
     dataset = fit.to_xarray(area).assign_attrs(settings)
     write_spectra_netcdf(dataset, run.path("spectra.nc", what))
@@ -319,32 +324,9 @@ def fit_leaf(
         what = "draws of the parameters and of T from the posterior"
         dataset = draws.to_xarray(area).assign_attrs(settings)
         write_spectra_netcdf(dataset, run.path("posterior.nc", what))
-    return _result(run, leaves, fit, table, version, [panel, groups])
-
-
-def _read_leaves(
-    paths: Sequence[str | Path],
-    panel: str | Path | None,
-    detector_changes: Sequence[float] | None,
-    transmittance: Sequence[str | Path],
-    over_background: Sequence[str | Path],
-    background: Float[np.ndarray, " band"] | None,
-) -> _Leaves:
-    """The spectra of all files, those on a background where it is known."""
-    read, refused = usable_spectra(paths, panel, detector_changes, transmittance)
-    spectra = measured_dataset(read, {})
-    if background is None:
-        return _Leaves(spectra, read, refused)
-    if over_background:
-        second, bad = usable_spectra(over_background, panel, detector_changes)
-        if bad:
-            raise bad[0][2]
-        others = _in_nanometres(measured_dataset(second, {}))
-        spectra = _with_transmittance(_in_nanometres(spectra), others, background)
-    else:
-        spectra = _in_nanometres(spectra)
-        spectra["reflectance"] = spectra["reflectance"].where(np.isfinite(background))
-    return _Leaves(spectra, read, refused)
+    inputs = [*dict.fromkeys(file for file, _ in read), panel, groups]
+    said = warnings_of_reading(read, refused, "traits.csv")
+    return _result(run, spectra, refused, fit, table, f"PROSPECT-{version}", inputs, said)
 
 
 def _fit_apart(
@@ -370,17 +352,6 @@ def _fit_apart(
     return chunks.join(done.pop(i) for i in range(len(chunks.rows)))
 
 
-def _write_traits(run: Run, fit: LeafFit, area: LeafArea, refused: Refused) -> pd.DataFrame:
-    """Write a row for each leaf, and below them one for each spectrum that was refused."""
-    table = fit.table(area)
-    if refused:
-        rows = [{"file": f, "name": n, "status": f"refused: {e}"} for f, n, e in refused]
-        table = pd.concat([table, pd.DataFrame(rows)], ignore_index=True)
-    what = "parameters, deviations, 90 % intervals and status of each spectrum"
-    run.table("traits.csv", table, what)
-    return table
-
-
 def _write_species(run: Run, species: LeafGroups, version: ProspectVersion, area: LeafArea) -> None:
     """Write the mean leaf and the variants of each species, also as the leaf table of a plot."""
     what = "mean leaf and material variants of each species"
@@ -395,14 +366,15 @@ def _write_species(run: Run, species: LeafGroups, version: ProspectVersion, area
 
 def _result(
     run: Run,
-    leaves: _Leaves,
+    spectra: xr.Dataset,
+    refused: Refused,
     fit: LeafFit,
     table: pd.DataFrame,
-    version: ProspectVersion,
-    tables: Sequence[str | Path | None],
+    model: str,
+    inputs: Sequence[str | Path | None],
+    warnings: list[str],
 ) -> FitLeafResult:
     """Write the page, and count the leaves that are fitted without doubt."""
-    spectra, refused = leaves.spectra, leaves.refused
     count = spectra.sizes["spectrum"]
     good = fit.status.count("converged")
     doubtful = count - good
@@ -418,13 +390,11 @@ def _result(
     shown = Table(
         table.head(_SHOWN), f"Traits, of the first {_SHOWN} spectra at most.", folded=True
     )
-    title = f"PROSPECT-{version} of {count} spectra"
-    inputs = [*dict.fromkeys(file for file, _ in leaves.read), *tables]
-    run.pictures(title, headline, [*pictures, shown], inputs)
+    run.pictures(f"{model} of {count} spectra", headline, [*pictures, shown], inputs)
     return run.result(
         FitLeafResult,
         headline=headline,
-        warnings=warnings_of_reading(leaves.read, refused, "traits.csv"),
+        warnings=warnings,
         converged=doubtful == 0,
         status="ok"
         if doubtful == 0 and not refused

@@ -1,16 +1,16 @@
-"""What a sensor can know about a plot: what `fynjax information` does."""
+"""The job of `fynjax information`: bounds on what sensors can know about a plot."""
 
 import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import pandas as pd
 
 from fynjax._core.dry_run import begin_work
 from fynjax._core.precision import double_precision
-from fynjax.assembly import prepare, shown_unit
+from fynjax.assembly import parameter_columns, prepare
 from fynjax.inversion import Information, SensorSetting, even_bands, sweep_sensors
 from fynjax.io.plot import Plot, as_plot, plot_instrument, sensor_place
 from fynjax.jobs._result import JobResult, Rows
@@ -33,7 +33,7 @@ class InformationResult(JobResult):
 @double_precision
 def information(
     plot: Plot | str | Path,
-    output: Path,
+    output: str | Path,
     *,
     free: Sequence[str] | None = None,
     gsd: Sequence[float] = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0),
@@ -70,7 +70,7 @@ def information(
     Example: `jobs.information("plot.toml", Path("results"), gsd=(0.5, 1.0), bands=(4,))`.
     """
     read = as_plot(plot)
-    run = Run(output, seed=read.seed if seed is None else seed, plot=read)
+    run = Run(output, seed=seed, plot=read)
     with run.stage("Build the plot"):
         ready = prepare(read, free, seed=run.seed)
     altitude, _ = sensor_place(read)
@@ -121,29 +121,21 @@ def bound_table(
     sweep: Sequence[tuple[SensorSetting, Information]], value: np.ndarray
 ) -> pd.DataFrame:
     """A row for each sensor and parameter, in field units."""
-    rows = []
+    tables = []
     for setting, bounds in sweep:
-        for i, name in enumerate(bounds.names):
-            _, unit, factor = shown_unit(name)
-            rows.append(
-                {
-                    "gsd_m": setting.gsd,
-                    "bands": setting.bands,
-                    "noise": setting.noise,
-                    "sun_zenith": setting.sun_zenith,
-                    "pixels": setting.pixels,
-                    "parameter": name,
-                    "unit": unit,
-                    "value": factor * value[i],
-                    "prior_sd": factor * bounds.prior_sd[i],
-                    "conditional": factor * bounds.conditional[i],
-                    "bound": factor * bounds.bound[i],
-                    "joint": factor * bounds.joint[i],
-                    "bayesian": factor * bounds.bayesian[i],
-                    "constrained": bounds.constrained[i],
-                }
-            )
-    return pd.DataFrame(rows)
+        kinds = ("prior_sd", "conditional", "bound", "joint", "bayesian")
+        numbers = {"value": value} | {kind: getattr(bounds, kind) for kind in kinds}
+        table = parameter_columns(bounds.names, numbers).assign(constrained=bounds.constrained)
+        of_sensor = {
+            "gsd_m": setting.gsd,
+            "bands": setting.bands,
+            "noise": setting.noise,
+            "sun_zenith": setting.sun_zenith,
+            "pixels": setting.pixels,
+        }
+        tables.append(pd.DataFrame(of_sensor, index=table.index).join(table))
+    table = pd.concat(tables, ignore_index=True)
+    return table.drop(columns="kind").rename(columns={"name": "parameter"})
 
 
 def limit_table(table: pd.DataFrame, covers: Sequence[str]) -> pd.DataFrame:
@@ -174,13 +166,21 @@ def _bands(count: int) -> str:
 
 
 def _limit_sentences(table: pd.DataFrame, limits: pd.DataFrame) -> list[str]:
-    """For each number of bands, how many covers are lost at which pixels."""
+    """For each number of bands, and noise and sun where there are several, how many covers are
+    lost at which pixels."""
     finest, coarsest = table["gsd_m"].min(), table["gsd_m"].max()
+    words: dict[str, Any] = {
+        "bands": _bands,
+        "noise": lambda share: f"noise {100 * share:g} %",
+        "sun_zenith": lambda angle: f"sun at {angle:g} degrees",
+    }
+    keys = [key for key in words if key == "bands" or limits[key].nunique() > 1]
     lines = []
-    for count, part in limits.groupby("bands"):
+    for of, part in limits.groupby(keys):
         number = part["detected"].value_counts()
+        sensor = ", ".join(words[key](value) for key, value in zip(keys, of, strict=True))
         lines.append(
-            f"{_bands(int(str(count)))}: of {len(part)} covers {number.get('at every pixel', 0)} "
+            f"{sensor}: of {len(part)} covers {number.get('at every pixel', 0)} "
             f"exceed their bound at every pixel up to {coarsest:g} m, "
             f"{number.get('at fine pixels', 0)} only at fine ones, "
             f"{number.get('at no pixel', 0)} not even at {finest:g} m."

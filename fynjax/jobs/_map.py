@@ -1,4 +1,4 @@
-"""From a cube to maps with uncertainty: what `fynjax map` does."""
+"""The job of `fynjax map`: from a cube to maps with uncertainty."""
 
 import json
 import warnings
@@ -46,7 +46,13 @@ _SHOWN = 800
 _FEWEST_STEPS = 12
 """Least steps of a walker of a pixel's posterior."""
 UNLIKENESS = "unlikeness"
-_KINDS = ("", "_sd", "_q05", "_q95")
+_KINDS = {
+    "": "{}",
+    "_sd": "standard deviation of {}",
+    "_q05": "5 % quantile of {}",
+    "_q95": "95 % quantile of {}",
+}
+"""Endings of the names of a quantity's maps, and what they are, in words."""
 
 
 class _Mask(NamedTuple):
@@ -132,12 +138,23 @@ def map_cube(
     for a damaged lookup table.
     """
     run = Run(output, seed=seed)
-    _check(likely, pixel_steps)
+    if not 0.5 <= likely < 0.9995:
+        raise InputError(f"expected a share of the simulations from 0.5 to 0.999, but got {likely}")
+    if pixel_steps < _FEWEST_STEPS:
+        raise InputError(
+            f"expected {_FEWEST_STEPS} steps or more of a pixel, but got {pixel_steps}"
+        )
     trained = read_training(training)
     with open_blocks(cube) as source:
         weights = _weights(source, trained)  # errors before any work
         scale = source.scale()
-        _judge_mean(run, source, weights, scale, trained.responses)
+        used = weights.any(axis=0)
+        seen = source.sample()[:, used]
+        seen = seen[np.isfinite(seen).all(axis=1)]
+        if len(seen):
+            mean = weights[:, used] @ seen.mean(axis=0) / scale
+            _check_divisor(source, scale, mean, trained.responses)
+            doubt_spectrum(run, mean, trained.responses)
         chosen = None
         if pixels:
             learned = prior_of(trained, prior)
@@ -151,18 +168,36 @@ def map_cube(
             | ({} if chosen is None else {"pixels.csv": f"{len(places)} pixels", "pixels.nc": ""})
         )
         kept = Path(checkpoint) / "pixels"
-        journal = None if chosen is None else pixel_journal(kept, trained, chosen)
+        # Before the maps: the folder may be of other pixels.
+        journal = None if chosen is None else pixel_journal(run, kept, trained, chosen)
         mask = _Mask(likely, keep_unlike)
         writer = _writer(Path(checkpoint), source, training, mask)
         shared = str(source.path), trained, scale, mask, skip_damaged
         damaged = _map_rows(run, source, writer, workers, shared)
         step = max(1, -(-max(source.shape) // _SHOWN))
         picture = writer.read(step)
-        record = {**run.record([training]), **_origin(source, trained, mask)}
-        _write(run, writer, record, zarr)
+        of_training = {k: str(v) for k, v in trained.record.items() if k != "scores"}
+        record: dict[str, Any] = {
+            **run.record([training]),
+            "cube": source.path.name,
+            "training": json.dumps(of_training),
+            "masked_beyond": "nothing" if keep_unlike else likely,
+            "place": _place(source),
+        }
+        with run.stage("Write"):
+            writer.finish(run.path("maps.tif", "all maps, a band each, cloud-optimised"), record)
+            if zarr:
+                words = {
+                    f"{name}{kind}": of_kind.format(quantity.words)
+                    for name, quantity in STAND_QUANTITIES.items()
+                    for kind, of_kind in _KINDS.items()
+                }
+                words[UNLIKENESS] = "distance from the simulations over that of most of them"
+                path = run.path("maps.zarr", "all maps, a variable each, for xarray")
+                writer.finish_zarr(path, record, words)
         posteriors: list[PixelPosterior] = []
         sections: list[Section] = []
-        if chosen is not None and journal is not None:
+        if chosen is not None:
             with at_work(workers) as pool:
                 posteriors, sections = pixel_posteriors(
                     run, pool, trained, chosen, likely=likely, journal=journal, record=record
@@ -174,15 +209,6 @@ def map_cube(
     forget_journal(kept)
     writer.forget()
     return result
-
-
-def _check(likely: float, pixel_steps: int) -> None:
-    if not 0.5 <= likely < 0.9995:
-        raise InputError(f"expected a share of the simulations from 0.5 to 0.999, but got {likely}")
-    if pixel_steps < _FEWEST_STEPS:
-        raise InputError(
-            f"expected {_FEWEST_STEPS} steps or more of a pixel, but got {pixel_steps}"
-        )
 
 
 def _map_rows(
@@ -229,58 +255,10 @@ def _writer(checkpoint: Path, source: CubeBlocks, training: str | Path, mask: _M
     return writer
 
 
-def _judge_mean(
-    run: Run,
-    source: CubeBlocks,
-    weights: Float[np.ndarray, "channel band"],
-    scale: float,
-    channels: BandSet,
-) -> None:
-    """Doubt a cube whose mean spectrum is none of shrubland."""
-    used = weights.any(axis=0)
-    seen = source.sample()[:, used]
-    seen = seen[np.isfinite(seen).all(axis=1)]
-    if len(seen):
-        mean = weights[:, used] @ seen.mean(axis=0) / scale
-        _check_divisor(source, scale, mean, channels)
-        doubt_spectrum(run, mean, channels)
-
-
-def _origin(source: CubeBlocks, trained: Training, mask: _Mask) -> dict[str, Any]:
-    """The cube, the training and the mask, for the files of maps."""
-    return {
-        "cube": source.path.name,
-        "training": json.dumps({k: str(v) for k, v in trained.record.items() if k != "scores"}),
-        "masked_beyond": "nothing" if mask.keep_unlike else mask.likely,
-        "place": _place(source),
-    }
-
-
-def _write(run: Run, writer: MapWriter, record: dict[str, Any], zarr: bool) -> None:
-    """Write the files of maps."""
-    with run.stage("Write"):
-        writer.finish(run.path("maps.tif", "all maps, a band each, cloud-optimised"), record)
-        if zarr:
-            path = run.path("maps.zarr", "all maps, a variable each, for xarray")
-            writer.finish_zarr(path, record, _long_names())
-
-
 def _place(source: CubeBlocks) -> str:
     if source.location is not None:
         return "grid of the cube's own lookup table, each pixel the nearest of the swath"
     return "rows and columns only" if source.transform.is_identity else "grid of the cube"
-
-
-_OF_KIND = ("{}", "standard deviation of {}", "5 % quantile of {}", "95 % quantile of {}")
-
-
-def _long_names() -> dict[str, str]:
-    named = {
-        f"{name}{kind}": words.format(quantity.words)
-        for name, quantity in STAND_QUANTITIES.items()
-        for kind, words in zip(_KINDS, _OF_KIND, strict=True)
-    }
-    return named | {UNLIKENESS: "distance from the simulations over that of most of them"}
 
 
 def _check_divisor(source: CubeBlocks, scale: float, mean: np.ndarray, bands: BandSet) -> None:
@@ -336,17 +314,6 @@ def _mapped(
             unreadable = True
             shape = (count, source.shape[1], len(source.wavelength))
             values = np.full(shape, np.nan, np.float32)
-    return _maps(trained, values, weights, scale, mask), np.asarray(unreadable)
-
-
-def _maps(
-    trained: Training,
-    values: Float[np.ndarray, "row column band"],
-    weights: Float[np.ndarray, "channel band"],
-    scale: float,
-    mask: _Mask,
-) -> Float[np.ndarray, "map row column"]:
-    """Maps of a block."""
     rows, columns, bands = values.shape
     used = weights.any(axis=0)
     pixels = values.reshape(-1, bands)[:, used]
@@ -366,7 +333,8 @@ def _maps(
             each[unlike > 1.0] = np.nan
         maps[some, :-1] = each.reshape(len(some), -1)
         maps[some, -1] = unlike
-    return np.ascontiguousarray(maps.T).reshape(-1, rows, columns)
+    block = np.ascontiguousarray(maps.T).reshape(-1, rows, columns)
+    return block, np.asarray(unreadable)
 
 
 def _in_numbers(
@@ -374,15 +342,11 @@ def _in_numbers(
 ) -> QuantityMap:
     """Statistics of the map of a quantity and of its standard deviation, over pixels with data."""
     ok = np.isfinite(mean)
-    q05, q95 = np.quantile(mean[ok], [0.05, 0.95]) if ok.any() else (np.nan, np.nan)
-    return QuantityMap(
-        quantity=name,
-        unit=STAND_QUANTITIES[name].unit,
-        mean=float(mean[ok].mean()) if ok.any() else np.nan,
-        q05=float(q05),
-        q95=float(q95),
-        typical_sd=float(np.median(sd[ok])) if ok.any() else np.nan,
-    )
+    numbers = [np.nan] * 4
+    if ok.any():
+        numbers = [mean[ok].mean(), *np.quantile(mean[ok], [0.05, 0.95]), np.median(sd[ok])]
+    of_map = dict(zip(("mean", "q05", "q95", "typical_sd"), map(float, numbers), strict=True))
+    return QuantityMap(quantity=name, unit=STAND_QUANTITIES[name].unit, **of_map)
 
 
 def _summary(
@@ -424,8 +388,13 @@ def _summary(
         pd.DataFrame([one.model_dump() for one in found]), "Over the pixels that are not masked."
     )
     words = [f"{q.words}: {q.description}" for q in STAND_QUANTITIES.values()]
+    what = "maps, their standard deviations, and how unlike the simulations pixels are"
+    if source.location is not None:
+        what += "; rows and columns are the swath's, north is not up"
+    drawn = {n: (*shown[n], q.words, q.unit) for n, q in STAND_QUANTITIES.items()}
+    figure = figures.maps_figure(drawn, unlike, mask.likely)
     sections = [
-        _picture(source, shown, unlike, mask.likely),
+        Section("Maps", [Picture("maps.png", figure, what)]),
         *sections,
         Section("In numbers", [numbers, *words]),
     ]
@@ -444,21 +413,6 @@ def _summary(
         maps=found,
         posteriors=posteriors,
     )
-
-
-def _picture(
-    source: CubeBlocks,
-    maps: dict[str, tuple[np.ndarray, np.ndarray]],
-    unlike: Float[np.ndarray, "row column"],
-    likely: float,
-) -> Section:
-    """The maps and their standard deviations, by name of the quantity."""
-    what = "maps, their standard deviations, and how unlike the simulations pixels are"
-    if source.location is not None:
-        what += "; rows and columns are the swath's, north is not up"
-    drawn = {n: (*maps[n], q.words, q.unit) for n, q in STAND_QUANTITIES.items()}
-    picture = Picture("maps.png", figures.maps_figure(drawn, unlike, likely), what)
-    return Section("Maps", [picture])
 
 
 def _headline(source: CubeBlocks, pixels: int, lacking: int, out: int, mask: _Mask) -> list[str]:

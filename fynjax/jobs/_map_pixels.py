@@ -1,4 +1,4 @@
-"""Full posteriors of some pixels of a map: what `fynjax map --pixel` does beside the maps."""
+"""Full posteriors of some pixels of a map, for `fynjax map --pixel`."""
 
 import warnings
 from collections.abc import Sequence
@@ -13,7 +13,7 @@ import xarray as xr
 from jaxtyping import Bool, Float
 from pydantic import Field
 
-from fynjax._core.checkpoint import Journal, signature
+from fynjax._core.checkpoint import Journal
 from fynjax._core.errors import InputError
 from fynjax._core.parts import Pool
 from fynjax._core.sampling import effective_size
@@ -147,7 +147,7 @@ def pixel_posteriors(
     chosen: ChosenPixels,
     *,
     likely: float,
-    journal: Journal,
+    journal: Journal | None,
     record: dict[str, Any],
 ) -> tuple[list[PixelPosterior], list[Section]]:
     """Sample the posterior of some pixels by emcee, beside what the regression says of them.
@@ -180,16 +180,26 @@ def pixel_posteriors(
     by_map = estimate_pixels(trained.posterior, jnp.asarray(chosen.channels, jnp.float32), likely)
     found = [_posterior(pixel, chains[i], accepted[i], by_map, i) for i, pixel in enumerate(pixels)]
     _warn(found)
-    _write(run, pixels, chains, found, record)
-    return found, [_section(found)]
+    rows = [
+        {"row": one.row, "column": one.column, **quantity.model_dump()}
+        for one in found
+        for quantity in one.quantities
+    ]
+    table = pd.DataFrame(rows)
+    run.table("pixels.csv", table, "chosen pixels: full posterior beside the map's")
+    title = {"title": "Draws of the posteriors of pixels, by emcee"}
+    path = run.path("pixels.nc", "draws of the posteriors of the chosen pixels")
+    write_run(path, _draws(pixels, chains), record | title)
+    return found, [_section(found, table)]
 
 
-def pixel_journal(checkpoint: Path, trained: Training, chosen: ChosenPixels) -> Journal:
+def pixel_journal(
+    run: Run, checkpoint: Path, trained: Training, chosen: ChosenPixels
+) -> Journal | None:
     """The journal that keeps the ensembles of some pixels in the folder `checkpoint`. Raises
     `InputError` for a folder of other pixels."""
-    asked = list(chosen.places), chosen.channels, chosen.steps, chosen.seed
-    signed = trained.settings, trained.responses, *asked
-    return Journal(checkpoint, signature(signed, [file_hash(chosen.prior.path)]))
+    signed = trained.settings, trained.responses, chosen.places, chosen.channels, chosen.steps
+    return run.journal(checkpoint, *signed, files=[chosen.prior.path])
 
 
 def _sampled(
@@ -261,14 +271,11 @@ def _warn(found: Sequence[PixelPosterior]) -> None:
             )
 
 
-def _write(
-    run: Run,
+def _draws(
     pixels: Sequence[tuple[int, int]],
     chains: Sequence[Float[np.ndarray, "step walker quantity"]],
-    found: Sequence[PixelPosterior],
-    record: dict[str, Any],
-) -> None:
-    run.table("pixels.csv", _table(found), "chosen pixels: full posterior beside the map's")
+) -> xr.Dataset:
+    """Draws of every quantity of every pixel."""
     draws = np.stack([chain.reshape(-1, chain.shape[-1]) for chain in chains])
     variables = {
         name: (("pixel", "draw"), draws[:, :, i], {"long_name": q.words, "units": q.unit})
@@ -279,28 +286,13 @@ def _write(
         "row": ("pixel", place[:, 0], {"long_name": "row from 1 at the top", "units": "1"}),
         "column": ("pixel", place[:, 1], {"long_name": "column from 1 at the left", "units": "1"}),
     }
-    path = run.path("pixels.nc", "draws of the posteriors of the chosen pixels")
-    title = {"title": "Draws of the posteriors of pixels, by emcee"}
-    write_run(path, xr.Dataset(variables, coords=coordinates), record | title)
+    return xr.Dataset(variables, coords=coordinates)
 
 
-def _table(found: Sequence[PixelPosterior]) -> pd.DataFrame:
-    return pd.DataFrame(
-        [
-            {"row": one.row, "column": one.column, **quantity.model_dump()}
-            for one in found
-            for quantity in one.quantities
-        ]
-    )
-
-
-def _section(found: Sequence[PixelPosterior]) -> Section:
+def _section(found: Sequence[PixelPosterior], table: pd.DataFrame) -> Section:
     shown = {
         f"row {one.row}, column {one.column}": {
-            q.quantity: (
-                (q.map_q05, q.map_mean, q.map_q95),
-                (q.q05, q.mean, q.q95),
-            )
+            q.quantity: ((q.map_q05, q.map_mean, q.map_q95), (q.q05, q.mean, q.q95))
             for q in one.quantities
         }
         for one in found
@@ -321,6 +313,6 @@ def _section(found: Sequence[PixelPosterior]) -> Section:
             "Full posteriors by emcee, with stands planted and lit at every step; the regression "
             f"of the map stands for them. {sampled}.",
             Picture("pixels.png", figure, what),
-            Table(_table(found), "Chosen pixels.", folded=True),
+            Table(table, "Chosen pixels.", folded=True),
         ],
     )

@@ -1,4 +1,4 @@
-"""From an image to a probability map of where plants stand: what `fynjax pattern` does."""
+"""The job of `fynjax pattern`: from an image to a probability map of where plants stand."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -16,7 +16,7 @@ from fynjax.canopy import (
 from fynjax.io.raster import RAW_COUNTS, BandStack, read_band_stack, write_geotiff
 from fynjax.jobs._doubt import doubt_spectrum
 from fynjax.jobs._result import JobResult, Record
-from fynjax.jobs._run import Run
+from fynjax.jobs._run import Run, paths_of
 from fynjax.report import figures
 from fynjax.report.pages import Picture
 from fynjax.sensors import BandSet, mavic_3m
@@ -83,7 +83,7 @@ class PatternResult(JobResult):
 
 @double_precision
 def pattern(
-    paths: Sequence[str | Path],
+    paths: str | Path | Sequence[str | Path],
     output: str | Path,
     *,
     clusters: int = 3,
@@ -117,7 +117,7 @@ def pattern(
 
     Example: `jobs.pattern(["drone.tif"], "results", clusters=4)`.
     """
-    run = Run(output, seed=seed)
+    run, paths = Run(output, seed=seed), paths_of(paths)
     with run.stage("Read the image"):
         stack = read_band_stack(paths, bands=bands, pixel_m=pixel, align=align)
     if stack.raw:

@@ -1,7 +1,7 @@
-"""From a mesh, a scan or a taxon to area elements: what `fynjax plant` does."""
+"""The job of `fynjax plant`: from a mesh, a scan or a taxon to area elements."""
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Literal
@@ -158,11 +158,21 @@ def plant(
         "flowering": flowering,
         "max_triangles": max_triangles,
     }
-    for_files = {"materials": materials, "up": up, "unit": unit, "maximum_extent": maximum_extent}
-    _check_used(source, kind, {"form": form, **for_files, **sizes})
+    given: dict[str, object] = {"form": form, "materials": materials, "up": up, "unit": unit}
+    given |= {"maximum_extent": maximum_extent, **sizes}
+    for name, kinds in _ONLY_FOR.items():
+        if given[name] is not None and kind not in kinds:
+            raise InputError(
+                f"`{name}` is for a {' or a '.join(kinds)}, but {source!r} is a {kind}: leave it "
+                "out",
+                file=None if kind == "taxon" else source,
+            )
     if rotation_spread is not None and branches == 1:
         raise InputError("`rotation_spread` is the tilt of branches: give `branches` too")
-    metres = _metres(unit)
+    unit = "metre" if unit is None else _SHORT.get(unit, unit)
+    if unit not in UNITS:
+        raise InputError(f"`unit` must be one of {', '.join(UNITS)}, but is {unit!r}")
+    metres = UNITS[unit]
     axis = up or default_up(source)
     limit = _MAXIMUM_EXTENT if maximum_extent is None else maximum_extent
     copies: dict[str, Any] = {"seed": seed, "rotation_spread": rotation_spread}
@@ -170,7 +180,11 @@ def plant(
     doing = "Grow the plant" if kind == "taxon" else "Read the plant"
     with run.stage(doing), _named(source, kind):
         if kind == "scan":
-            model = _scanned(source, metres, n_elements, axis, limit, seed)
+            points, normals, organ = read_scan(source)
+            model = plant_model_from_points(
+                metres * points, normals, n_elements, Organ.LEAF if organ is None else organ,
+                up=axis, maximum_extent=limit, seed=seed,
+            )  # fmt: skip
             if branches > 1:
                 model = plant_from_branches(model, branches, **copies)
         else:
@@ -180,7 +194,11 @@ def plant(
                 made = generate_plant(form or source, seed, **stated)
                 mesh = made.mesh
             else:
-                mesh, axis = _read_mesh(source, metres, up)
+                mesh = read_plant_mesh(source, up="z")
+                axis = up or find_up(source, mesh)
+                scaled = metres * mesh.vertices
+                mesh = PlantMesh(scaled, mesh.faces, mesh.material, mesh.materials)
+                mesh = read_plant_mesh(mesh, up=axis)
             known = None if materials is None else _read_materials(materials, mesh, made)
             if branches > 1:
                 mesh = plant_from_branches(mesh, branches, **copies)
@@ -188,53 +206,13 @@ def plant(
                 mesh, n_elements, known, seed, solid_materials="closed", maximum_extent=limit
             )
     begin_work({"elements.csv": f"{len(model.area)} area elements", "report.html": ""})
-    _write(run, model, mesh if made is not None or branches > 1 else None)
+    with run.stage("Write"):
+        if mesh is not None and (made is not None or branches > 1):  # not the source itself
+            obj, mtl = mesh.obj("plant.mtl")
+            write_text(run.path("plant.obj", "its mesh, in metres"), obj)
+            write_text(run.path("plant.mtl", "its materials"), mtl)
+        run.table("elements.csv", _elements(model), "the plant as area elements", "%.9g")
     return _result(run, source, model, made, mesh, axis, materials)
-
-
-def _check_used(source: str, kind: str, given: Mapping[str, object]) -> None:
-    """Refuse arguments that mean nothing for this kind of source."""
-    for name, kinds in _ONLY_FOR.items():
-        if given[name] is not None and kind not in kinds:
-            raise InputError(
-                f"`{name}` is for a {' or a '.join(kinds)}, but {source!r} is a {kind}: leave it "
-                "out",
-                file=None if kind == "taxon" else source,
-            )
-
-
-def _metres(unit: str | None) -> float:
-    """Metres of a unit, metres if none is stated."""
-    unit = _SHORT.get(unit or "", unit)
-    if unit is not None and unit not in UNITS:
-        raise InputError(f"`unit` must be one of {', '.join(UNITS)}, but is {unit!r}")
-    return UNITS[unit or "metre"]
-
-
-def _scanned(
-    source: str, metres: float, n_elements: int, up: Literal["y", "z"], limit: float, seed: int
-) -> MeshPlant:
-    """The plant of a scan in a unit of `metres`."""
-    points, normals, organ = read_scan(source)
-    return plant_model_from_points(
-        metres * points,
-        normals,
-        n_elements,
-        Organ.LEAF if organ is None else organ,
-        up=up,
-        maximum_extent=limit,
-        seed=seed,
-    )
-
-
-def _read_mesh(
-    source: str, metres: float, up: Literal["y", "z"] | None
-) -> tuple[PlantMesh, Literal["y", "z"]]:
-    """A mesh in metres, upright, and the vertical axis of its file."""
-    mesh = read_plant_mesh(source, up="z")
-    axis = up or find_up(source, mesh)
-    mesh = PlantMesh(metres * mesh.vertices, mesh.faces, mesh.material, mesh.materials)
-    return read_plant_mesh(mesh, up=axis), axis
 
 
 @contextmanager
@@ -313,16 +291,6 @@ def _elements(model: MeshPlant) -> pd.DataFrame:
             "plant_height_m": model.depth,
         }
     )
-
-
-def _write(run: Run, model: MeshPlant, mesh: PlantMesh | None) -> None:
-    """Write the elements of a plant, and its mesh where that is not the source itself."""
-    with run.stage("Write"):
-        if mesh is not None:
-            obj, mtl = mesh.obj("plant.mtl")
-            write_text(run.path("plant.obj", "its mesh, in metres"), obj)
-            write_text(run.path("plant.mtl", "its materials"), mtl)
-        run.table("elements.csv", _elements(model), "the plant as area elements", "%.9g")
 
 
 def _result(

@@ -1,4 +1,4 @@
-"""The posterior of a plot's parameters: what `fynjax posterior` does."""
+"""The job of `fynjax posterior`: the posterior of a plot's parameters."""
 
 from collections import deque
 from collections.abc import Sequence
@@ -41,7 +41,7 @@ from fynjax.jobs._calibration_tables import prior_columns
 from fynjax.jobs._doubt import doubt_targets
 from fynjax.jobs._follow import calibrated as calibrated_plot
 from fynjax.jobs._result import JobResult, Number, ParameterSummary
-from fynjax.jobs._run import Run
+from fynjax.jobs._run import Run, paths_of
 from fynjax.report import figures
 from fynjax.report.pages import Page, Part, Picture, Section, Table
 
@@ -80,15 +80,15 @@ _STANDS = 400
 @double_precision
 def posterior(
     plot: Plot | str | Path,
-    targets: Path | Sequence[Path],
-    output: Path,
+    targets: str | Path | Sequence[str | Path],
+    output: str | Path,
     *,
     method: SamplingMethod = "emcee",
     free: Sequence[str] | None = None,
     target_size: float = 400.0,
     max_steps: int = 5000,
     prior: str | Path = NO_PRIOR,
-    checkpoint: Path,
+    checkpoint: str | Path,
     bands: Sequence[str] | None = None,
     seed: int | None = None,
 ) -> PosteriorResult:
@@ -128,9 +128,9 @@ def posterior(
     require("arviz", "posterior")
     if method == "nuts":
         require("blackjax", "posterior")
-    paths = [targets] if isinstance(targets, Path) else list(targets)
+    checkpoint, paths = Path(checkpoint), paths_of(targets)
     read = with_prior(placed_by_image(as_plot(plot), paths), prior)
-    run = Run(output, seed=read.seed if seed is None else seed, plot=read)
+    run = Run(output, seed=seed, plot=read)
     measured = read_targets(read, paths, bands=bands, seed=run.seed)
     doubt_targets(run, read, measured)
     with run.stage("Build the plot"):
@@ -293,6 +293,12 @@ def _page(
         "leaves that out. That statistics bend is part of the errors as well as of the surrogate, "
         "which widens both."
     )
+    shown = table.iloc[order[:_COMPARED]]
+    methods: list[Part] = []
+    if "laplace_q05" in table:  # by the Gaussian and by a chain side by side
+        kinds = {"laplace": ("laplace_q05", "laplace_q95"), sampled.method: ("q05", "q95")}
+        what = "90 % intervals of the parameters best known, by both methods"
+        methods = [Picture("methods.png", figures.interval_plot(shown, kinds), what)]
     parts += [
         Picture(
             "corner.png",
@@ -313,7 +319,7 @@ def _page(
             figures.parameter_plot(table),
             "prior and posterior of every parameter",
         ),
-        *_methods(sampled, table.iloc[order[:_COMPARED]]),
+        *methods,
         Table(table, "Every parameter.", folded=True),
     ]
     keys = {
@@ -323,17 +329,3 @@ def _page(
     }
     title = f"Posterior: {ready.plot.name}"
     return Page(title, " ".join(headline), [Section("", parts)], keys, record)
-
-
-def _methods(sampled: Posterior, best: pd.DataFrame) -> list[Part]:
-    """The parameters best known, by the Gaussian and by a chain side by side."""
-    if "laplace_q05" not in best:
-        return []
-    kinds = {"laplace": ("laplace_q05", "laplace_q95"), sampled.method: ("q05", "q95")}
-    return [
-        Picture(
-            "methods.png",
-            figures.interval_plot(best, kinds),
-            "90 % intervals of the parameters best known, by both methods",
-        )
-    ]

@@ -1,7 +1,7 @@
-"""From raw pictures of a multispectral camera to reflectance: what `fynjax reflectance` does."""
+"""The job of `fynjax reflectance`: from raw pictures of a camera to reflectance."""
 
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -40,7 +40,7 @@ from fynjax.jobs._reflectance_record import (
     panel_summary,
 )
 from fynjax.jobs._result import JobResult
-from fynjax.jobs._run import Run
+from fynjax.jobs._run import Run, paths_of
 from fynjax.report import figures
 from fynjax.report.pages import Picture
 from fynjax.sensors import (
@@ -70,7 +70,7 @@ class ReflectanceResult(JobResult):
 
 @double_precision
 def reflectance(
-    images: Sequence[str | Path],
+    images: str | Path | Sequence[str | Path],
     output: str | Path,
     *,
     panels: Sequence[str | Path] = (),
@@ -116,18 +116,27 @@ def reflectance(
     """
     run = Run(output)
     _check(panels, reflectances, areas, light, panel_sd, light_sd, height, pixel)
-    captures = find_captures(images)
+    captures = find_captures(paths_of(images))
     with run.stage("Read the panels"):
         usable, skipped, dark = usable_captures(captures)
         read = _panels(captures if panels else usable, panels, areas, light)
+        stated: Sequence[str | None] = reflectances or [None]
         known = [
-            panel_reflectance(_nth(reflectances, k), panel.capture) for k, panel in enumerate(read)
+            panel_reflectance(stated[k] if len(stated) > 1 else stated[0], panel.capture)
+            for k, panel in enumerate(read)
         ]
     light = light or ("panel" if read else "sensor")
-    of_panels = {panel.capture.name for panel in read}
-    others = {name: paths for name, paths in usable.items() if name not in of_panels}
-    unlit = {} if light == "panel" else {name: dark[name] for name in others if name in dark}
-    wanted = _to_convert(others, unlit, of_panels)
+    of_panels = dict.fromkeys(panel.capture.name for panel in read)
+    wanted = {name: paths for name, paths in usable.items() if name not in of_panels}
+    unlit = {} if light == "panel" else {name: dark[name] for name in wanted if name in dark}
+    if unlit and len(unlit) == len(wanted):
+        raise next(iter(unlit.values()))
+    wanted = {name: paths for name, paths in wanted.items() if name not in unlit}
+    if not wanted:
+        raise InputError(
+            "expected captures to convert, but there are only those of panels: "
+            f"{', '.join(of_panels)}"
+        )
     first = read_capture(*next(iter(wanted.items()))).bands[0]
     calibration = _calibration(read, known, light, panel_sd, light_sd, first.sensor)
     begin_work(
@@ -137,7 +146,14 @@ def reflectance(
     made = _convert(run, wanted, calibration, (height, pixel), align)
     headline = [*panel_sentences(read, known, light), *made.headline]
     warnings = [f"{name} is skipped: {error}" for name, error in (skipped | unlit).items()]
-    warnings += [*made.warnings, *_camera_warnings(calibration, first.absolute, made.captures)]
+    warnings += made.warnings
+    if not (first.absolute or calibration.line is not None):
+        warnings.append(RELATIVE_REFLECTANCE)
+    missing = {what for summary in made.captures.values() for what in summary.missing_corrections}
+    warnings += [
+        f"the metadata have no numbers for {what}, which is not corrected"
+        for what in sorted(missing)
+    ]
     shown = made.pictures
     if read:
         what = "picture: the panels in every band, and the area that was read"
@@ -157,7 +173,9 @@ def reflectance(
         panels=[panel_summary(panel, rho) for panel, rho in zip(read, known, strict=True)],
         captures=made.captures,
     )
-    _write_provenance(path, result, inputs)
+    kept = {"light", "panel_sd", "light_sd", "panels", "captures"}
+    about = provenance(inputs=dict.fromkeys(inputs)) | result.model_dump(mode="json", include=kept)
+    write_text(path, json.dumps(about, indent=2) + "\n")
     return result
 
 
@@ -180,23 +198,6 @@ class _Converted(NamedTuple):
     inputs: list[Path]
     headline: list[str]
     warnings: list[str]
-
-
-def _to_convert(
-    captures: dict[str, list[Path]],
-    unlit: Mapping[str, InputError],
-    of_panels: Iterable[str],
-) -> dict[str, list[Path]]:
-    """The captures that show no panel, without those whose light sensor is needed and fails."""
-    if unlit and len(unlit) == len(captures):
-        raise next(iter(unlit.values()))
-    wanted = {name: paths for name, paths in captures.items() if name not in unlit}
-    if not wanted:
-        raise InputError(
-            "expected captures to convert, but there are only those of panels: "
-            f"{', '.join(of_panels)}"
-        )
-    return wanted
 
 
 def _convert(
@@ -241,28 +242,6 @@ def _convert(
     return made
 
 
-def _camera_warnings(
-    calibration: _Calibration, absolute: bool, captures: dict[str, CaptureSummary]
-) -> list[str]:
-    """Warnings of what a camera does not state: the unit of its light sensor, corrections."""
-    unit = [] if absolute or calibration.line is not None else [RELATIVE_REFLECTANCE]
-    missing = sorted(
-        {what for summary in captures.values() for what in summary.missing_corrections}
-    )
-    return unit + [
-        f"the metadata have no numbers for {what}, which is not corrected" for what in missing
-    ]
-
-
-def _write_provenance(path: Path, result: ReflectanceResult, inputs: Sequence[Path]) -> None:
-    """Write the calibration and what was read."""
-    calibration = result.model_dump(
-        mode="json", include={"light", "panel_sd", "light_sd", "panels", "captures"}
-    )
-    record = {**provenance(inputs=dict.fromkeys(inputs)), **calibration}
-    write_text(path, json.dumps(record, indent=2) + "\n")
-
-
 def _write_capture(run: Run, name: str, cube: Cube, doubt: Cube, tags: dict[str, Any]) -> Picture:
     """Write a capture's reflectance, its standard deviation and a picture, which is returned."""
     what = f"reflectance of {len(cube.names)} bands"
@@ -305,10 +284,6 @@ def _check(
     for what, size in (("height", height), ("pixel", pixel)):
         if size is not None and not (np.isfinite(size) and size > 0.0):
             raise InputError(f"`{what}` must be positive [m], but is {size:g}")
-
-
-def _nth(values: Sequence[str], k: int) -> str | None:
-    return None if not values else values[0] if len(values) == 1 else values[k]
 
 
 def _corners(text: str) -> NDArray[np.float64]:
@@ -358,30 +333,28 @@ def _calibration(
     sensor: str,
 ) -> _Calibration:
     """The line through panels of `known` reflectance, under the light of the first's picture."""
-    if not panels or light == "sensor":
-        sd = _usual_sd(sensor, "light_sensor") if light_sd is None else light_sd
-        return _Calibration(light, panels, None, sd)
+    by_sensor = not panels or light == "sensor"
+    if light_sd is None:  # the usual one of this way, by the sensor's file
+        ways = {gains.way: gains.sd for gains in shipped_sensor(sensor).calibrations}
+        by_panel = "panels" if len(panels) == 1 else "empirical_line"
+        light_sd = float(np.max(ways["light_sensor" if by_sensor else by_panel]))
+    if by_sensor:
+        return _Calibration(light, panels, None, light_sd)
     first = panels[0].capture
     for panel in panels[1:]:
         _check_bands(panel.capture, first)
-    change = [
-        _light_ratio(panel.capture, first) if light == "both" else np.ones(len(first.bands))
-        for panel in panels
-    ]
-    signal = jnp.array([panel.mean / by for panel, by in zip(panels, change, strict=True)])
-    error = jnp.array(
-        [panel.spread / np.sqrt(panel.count) / by for panel, by in zip(panels, change, strict=True)]
-    )
+    by = np.array([panel.capture.irradiance / first.irradiance if light == "both"
+                   else np.ones(len(first.bands)) for panel in panels])  # fmt: skip
+    signal = jnp.array([panel.mean for panel in panels] / by)
+    error = jnp.array([panel.spread / np.sqrt(panel.count) for panel in panels] / by)
     rho = jnp.array(known)
-    way = "panels" if len(panels) == 1 else "empirical_line"
-    sd = _usual_sd(sensor, way) if light_sd is None else light_sd
     if len(panels) == 1:
         line = one_panel_line(
             signal[0], rho[0], signal_sd=error[0], reflectance_sd=panel_sd * rho[0]
         )
     else:
         line = empirical_line(signal, rho, signal_sd=error, reflectance_sd=panel_sd * rho)
-    return _Calibration(light, panels, line, sd)
+    return _Calibration(light, panels, line, light_sd)
 
 
 def _check_bands(capture: Capture, first: Capture) -> None:
@@ -391,10 +364,6 @@ def _check_bands(capture: Capture, first: Capture) -> None:
             f"{', '.join(capture.names)}",
             file=capture.bands[0].path,
         )
-
-
-def _light_ratio(capture: Capture, first: Capture) -> NDArray[np.float64]:
-    return capture.irradiance / first.irradiance
 
 
 def _line_of(
@@ -408,15 +377,9 @@ def _line_of(
     first = panels[0].capture
     _check_bands(capture, first)
     stated = all(b.irradiance is not None for b in (*capture.bands, *first.bands))
-    change = _light_ratio(capture, first) if stated or light == "both" else None
+    change = capture.irradiance / first.irradiance if stated or light == "both" else None
     ratio = change if light == "both" and change is not None else np.ones(len(capture.bands))
     return line.relit(jnp.asarray(ratio), jnp.asarray(light_sd * ratio)), change
-
-
-def _usual_sd(sensor: str, way: str) -> float:
-    """Relative standard deviation of a sensor's calibration, by its file [-]."""
-    gains = {gains.way: gains for gains in shipped_sensor(sensor).calibrations}
-    return float(np.max(gains[way].sd))
 
 
 def _place_text(side: float | None, spread: float | None) -> str:

@@ -1,4 +1,4 @@
-"""What is kept of a calibration to reflectance: records, sentences, warnings."""
+"""Records, sentences and warnings of a calibration to reflectance."""
 
 from collections.abc import Mapping, Sequence
 
@@ -17,7 +17,7 @@ RELATIVE_REFLECTANCE = (
     "right, reflectance itself is not. For it, photograph a panel: --panel NAME "
     "--panel-reflectance R"
 )
-"""What is said of DJI's captures without a panel; the standard deviation leaves that factor out."""
+"""Warning of DJI's captures without a panel; the standard deviation leaves that factor out."""
 
 
 class CapturedBand(Record):
@@ -135,7 +135,7 @@ def capture_sentence(name: str, summary: CaptureSummary) -> str:
 
 
 def capture_warnings(name: str, summary: CaptureSummary, light: str) -> list[str]:
-    """What a user should mind of a converted capture."""
+    """Warnings of a converted capture: saturated pixels, light that changed."""
     warnings = []
     worst = max(summary.bands, key=lambda band: band.saturated)
     if worst.saturated > 0.01:
@@ -160,7 +160,7 @@ def _by_band(names: Sequence[str], values: Sequence[float] | NDArray[np.float64]
 def panel_sentences(
     panels: Sequence[PanelView], known: Sequence[NDArray[np.float64]], light: str
 ) -> list[str]:
-    """What the reflectance rests on."""
+    """Sentences on the panels or the light sensor that the reflectance rests on."""
     if not panels:
         return ["No panel: reflectance is pi L / E by the downwelling light sensor."]
     by = {
@@ -178,7 +178,7 @@ def panel_sentences(
 
 
 def panel_summary(panel: PanelView, known: NDArray[np.float64]) -> PanelSummary:
-    """What is recorded of a panel; `known` is its reflectance in each band."""
+    """Record of a panel; `known` is its reflectance in each band."""
     return PanelSummary(
         capture=panel.capture.name,
         found=panel.found,

@@ -1,4 +1,4 @@
-"""What `fynjax render` does: the image that a plot file describes, of whatever sensor it names."""
+"""The job of `fynjax render`: the image that a plot file describes, of whatever sensor it names."""
 
 import itertools
 from collections.abc import Mapping, Sequence
@@ -14,14 +14,13 @@ import xarray as xr
 from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
-from fynjax._core.checkpoint import Journal, signature
 from fynjax._core.dry_run import begin_work, image_size
 from fynjax._core.errors import InputError
 from fynjax._core.precision import double_precision
 from fynjax._core.progress import track
 from fynjax.assembly import aim_without_air, build_plot
 from fynjax.io.plot import Plot, as_plot, plot_instrument, plot_place
-from fynjax.io.raster import Cube, file_hash, image_array, write_geotiff, write_run
+from fynjax.io.raster import Cube, image_array, write_geotiff, write_run
 from fynjax.jobs._result import JobResult, StatisticSummary
 from fynjax.jobs._run import Run
 from fynjax.metrics import BANDS, of_indices, vegetation_indices
@@ -44,13 +43,13 @@ SHOWN_INDICES = ("NDVI", "GNDVI", "SR", "GCI", "ARI2", "OSAVI", "GSAVI", "NormR"
 """Vegetation indices whose histograms are drawn."""
 
 _MAPPED = ("NDVI", "GNDVI", "OSAVI")
-"""Those that a page shows as maps as well."""
+"""Vegetation indices that a page shows as maps as well."""
 
 _LOOKS = {
     "true_like.png": "nearly natural colours",
     "false_colour.png": "near infrared as red",
 }
-"""What a quick look shows."""
+"""Words for a quick look, by its file."""
 
 _FEW_BANDS = 8
 """Most bands whose means the headline lists."""
@@ -66,7 +65,7 @@ class RenderResult(JobResult):
 @double_precision
 def render(
     plot: Plot | str | Path,
-    output: Path,
+    output: str | Path,
     *,
     seed: int | None = None,
     checkpoint: Path | None = None,
@@ -94,7 +93,7 @@ def render(
     Example: `jobs.render("plot.toml", Path("results")).headline`.
     """
     read = as_plot(plot)
-    run = Run(output, seed=read.seed if seed is None else seed, plot=read)
+    run = Run(output, seed=seed, plot=read)
     instrument = plot_instrument(read)
     with run.stage("Build the plot", "build"):
         scene, parameters = build_plot(read, seed=run.seed)
@@ -105,12 +104,13 @@ def render(
     begin_work({"image.tif": size, "run.nc": size, "report.html": "", **shares})
     with run.stage("Render", "render"):
         if is_large(camera, scene):
-            journal = None
-            if checkpoint is not None:
-                hashes = [file_hash(path) for path in read.inputs]
-                journal = Journal(checkpoint, signature(read, hashes, run.seed))
+            journal = run.journal(checkpoint, read, files=read.inputs)
             picture = TiledPicture(camera, scene, parameters)
-            image = _in_tiles(picture, journal)
+            if journal is None:
+                image = picture.image()
+            else:
+                tiles = track(picture.tiles, "Tiles")
+                image = picture.image(journal(picture.render, tile) for tile in tiles)
             seen = None
             if truth:
                 seen = truth_of_layers(picture.sight(), camera, scene, parameters)
@@ -136,13 +136,6 @@ def render(
             for band, value in means.items()
         ],
     )
-
-
-def _in_tiles(picture: TiledPicture, journal: Journal | None) -> Array:
-    """The picture, of tiles that a journal keeps."""
-    if journal is None:
-        return picture.image()
-    return picture.image(journal(picture.render, tile) for tile in track(picture.tiles, "Tiles"))
 
 
 @eqx.filter_jit
@@ -177,11 +170,33 @@ def _write(
         xr.Dataset({"reflectance": reflectance, "plants": plant_counts(scene, counts)}),
         record,
     )
-    pictures = _drone_pictures if set(BANDS) <= set(bands.names) else _other_pictures
+    caption = "Plants, as many as their covers ask for."
+    if plot.crowns_note is not None:
+        caption = "Plants, which are known."
+    plants = pd.DataFrame({"taxon": scene.taxa, "plants": counts.astype(int)})
+    if set(BANDS) <= set(bands.names):
+        histograms = figures.index_histograms(index_images(image, bands.names))
+        pictures: list[Part] = [
+            image_views({plot.name: image}, bands.names, camera.pixel),
+            Picture("indices.png", histograms, "histograms of vegetation indices"),
+        ]
+    else:
+        cube = Cube(
+            image,
+            bands.names,
+            np.asarray(bands.centre),
+            np.asarray(bands.fwhm),
+            np.ones(len(bands), bool),
+            camera.pixel,
+            camera.origin,
+            "reflectance",
+            None,
+        )
+        pictures = [*cube_pictures({"reflectance": cube}, plot.name)]
     parts: list[Part] = [
-        *pictures(plot, camera, image),
+        *pictures,
         *([] if truth is None else [write_truth(run, plot, scene, truth, record)]),
-        _plants(plot, scene, counts),
+        Table(plants, caption),
     ]
     means = itertools.islice(zip(bands.names, image.mean((1, 2)), strict=True), _FEW_BANDS)
     run.page(
@@ -198,7 +213,7 @@ def _write(
 def write_truth(
     run: Run, plot: Plot, scene: Scene, truth: PixelTruth, record: Mapping[str, str | int]
 ) -> Picture:
-    """What stands in the pixels, as files and as a map of the leading species."""
+    """Write the shares of each species in the pixels; gives a map of the leading ones."""
     write_run(run.path("truth.nc", "what each pixel sees, NetCDF"), truth.to_xarray(), record)
     organs = {
         name: np.asarray(getattr(truth, name)) for name in ("live", "dead", "wood", "flowers")
@@ -217,24 +232,6 @@ def write_truth(
     )
     figure = figures.species_map(*truth.leading(), truth.taxa, scene.forms, pixel_m=truth.pixel)
     return Picture("species.png", figure, "species that leads in each pixel")
-
-
-def _plants(plot: Plot, scene: Scene, counts: np.ndarray) -> Table:
-    """How many plants of each species stand on the plot."""
-    caption = "Plants, as many as their covers ask for."
-    if plot.crowns_note is not None:
-        caption = "Plants, which are known."
-    return Table(pd.DataFrame({"taxon": scene.taxa, "plants": counts.astype(int)}), caption)
-
-
-def _drone_pictures(plot: Plot, camera: AimedSensor, image: np.ndarray) -> list[Part]:
-    bands = camera.sensor.bands.names
-    histograms = Picture(
-        "indices.png",
-        figures.index_histograms(index_images(image, bands)),
-        "histograms of vegetation indices",
-    )
-    return [image_views({plot.name: image}, bands, camera.pixel), histograms]
 
 
 def image_views(images: Mapping[str, np.ndarray], bands: Sequence[str], pixel_m: float) -> Views:
@@ -265,23 +262,6 @@ def image_views(images: Mapping[str, np.ndarray], bands: Sequence[str], pixel_m:
         figure = figures.layer_map(layers, f"{name} [-]", pixel_m=pixel_m)
         views[name] = Picture(f"index_{name}.png", figure, f"map of the index {name}")
     return Views(views)
-
-
-def _other_pictures(plot: Plot, camera: AimedSensor, image: np.ndarray) -> list[Part]:
-    """Pictures of the image of a sensor without the drone's bands."""
-    bands = camera.sensor.bands
-    cube = Cube(
-        image,
-        bands.names,
-        np.asarray(bands.centre),
-        np.asarray(bands.fwhm),
-        np.ones(len(bands), bool),
-        camera.pixel,
-        camera.origin,
-        "reflectance",
-        None,
-    )
-    return list(cube_pictures({"reflectance": cube}, plot.name))
 
 
 def cube_pictures(cubes: Mapping[str, Cube], title: str) -> list[Picture]:

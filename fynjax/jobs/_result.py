@@ -1,4 +1,4 @@
-"""What a job returns: the record that `--json` prints and `summary.json` holds."""
+"""Results of jobs: the record that `--json` prints and `summary.json` holds."""
 
 import math
 from collections.abc import Mapping

@@ -10,13 +10,14 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import pandas as pd
 
+from fynjax._core.checkpoint import Journal, signature
 from fynjax._core.dry_run import DryRunEnd as DryRunEnd
 from fynjax._core.dry_run import dry_run as dry_run
 from fynjax._core.errors import whole_number
 from fynjax._core.memory import peak_memory
 from fynjax._core.parts import Workers as Workers
 from fynjax._core.progress import stage
-from fynjax.io.raster import provenance, write_qgis_style
+from fynjax.io.raster import file_hash, provenance, write_qgis_style
 from fynjax.io.text import write_text
 from fynjax.jobs._result import JobResult
 from fynjax.report.pages import Page, Part, Picture, Section, Table, write_page
@@ -28,10 +29,9 @@ Result = TypeVar("Result", bound=JobResult)
 _log = logging.getLogger("fynjax")
 
 
-def _plant_sources(plot: "Plot") -> str:
-    from fynjax.io.plot import plant_sources  # late: commands without a plot need no scene
-
-    return plant_sources(plot)
+def paths_of(given: str | Path | Sequence[str | Path]) -> list[Path]:
+    """One path, or several, as a list."""
+    return [Path(p) for p in ([given] if isinstance(given, str | Path) else given)]
 
 
 def peak_memory_mib() -> float:
@@ -42,18 +42,26 @@ def peak_memory_mib() -> float:
 class Run:
     """Where a job writes, what it has written, and how long its stages took."""
 
-    def __init__(self, folder: str | Path, *, seed: int = 0, plot: "Plot | None" = None):
+    def __init__(
+        self, folder: str | Path, *, seed: int | None = None, plot: "Plot | None" = None
+    ) -> None:
+        """A run that writes into `folder`; its seed, if none is stated, is the plot's, or 0."""
         self.folder = Path(folder)
-        self.seed = whole_number("seed", seed, most=2**31 - 1)
+        usual = 0 if plot is None else plot.seed
+        self.seed = whole_number("seed", usual if seed is None else seed, most=2**31 - 1)
         self.files: dict[str, str] = {}
-        """What each file is, by its name."""
+        """Description of each file, by its name."""
         self.seconds: dict[str, float] = {}
         """Wall time by stage [s]."""
         self.doubts: list[str] = []
         """Why the measurements are to be doubted."""
-        self.plants = "" if plot is None else _plant_sources(plot)
+        self.plants = ""
         """A line on where the values of the plants are from, for the result, its products and the
         page; empty of a job that plants nothing."""
+        if plot is not None:
+            from fynjax.io.plot import plant_sources  # late: commands without a plot need no scene
+
+            self.plants = plant_sources(plot)
         self._began = time.perf_counter()
 
     def doubt(self, text: str) -> None:
@@ -86,6 +94,16 @@ class Run:
         known = dict.fromkeys(Path(path) for path in inputs if path is not None)
         plants = {"plants": self.plants} if self.plants else {}
         return provenance(seed=self.seed, inputs=known) | plants
+
+    def journal(
+        self, checkpoint: str | Path | None, *signed: Any, files: Sequence[str | Path | None]
+    ) -> Journal | None:
+        """The journal in the folder `checkpoint`, None without one; of the same seed, of what is
+        `signed` and of the content of the input `files` alone: `InputError` for another's."""
+        if checkpoint is None:
+            return None
+        hashes = [file_hash(Path(path)) for path in files if path is not None]
+        return Journal(checkpoint, signature(signed, hashes, self.seed))
 
     def path(self, name: str, what: str) -> Path:
         """Where to write the file `name`, which is listed as `what`."""

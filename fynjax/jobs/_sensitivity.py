@@ -1,4 +1,4 @@
-"""Which parameters move which metrics of a plot: what `fynjax sensitivity` does."""
+"""The job of `fynjax sensitivity`: how far each parameter moves each metric of a plot."""
 
 from collections.abc import Sequence
 from functools import partial
@@ -8,7 +8,6 @@ from typing import Any, Literal
 import numpy as np
 import pandas as pd
 
-from fynjax._core.checkpoint import Journal, signature
 from fynjax._core.dry_run import begin_work
 from fynjax._core.errors import InputError
 from fynjax._core.extras import require
@@ -19,7 +18,6 @@ from fynjax.inversion import (
     LEADING_ELASTICITIES,
     DerivativeMeasures,
     ExpectedSensitivity,
-    ParameterSpace,
     PlotForward,
     SobolIndices,
     check_samples,
@@ -30,7 +28,6 @@ from fynjax.inversion import (
     sobol_indices,
 )
 from fynjax.io.plot import Plot, as_plot, drone_sensor
-from fynjax.io.raster import file_hash
 from fynjax.jobs._result import JobResult, Rows
 from fynjax.jobs._run import Run
 from fynjax.metrics import check_statistics
@@ -59,7 +56,7 @@ class SensitivityResult(JobResult):
 @double_precision
 def sensitivity(
     plot: Plot | str | Path,
-    output: Path,
+    output: str | Path,
     *,
     metrics: Sequence[str] = METRICS,
     free: Sequence[str] | None = None,
@@ -103,8 +100,14 @@ def sensitivity(
     """
     names = tuple(metrics)
     read = as_plot(plot)
-    _check(read, names, derivative_samples, sobol_samples)
-    run = Run(output, seed=read.seed if seed is None else seed, plot=read)
+    if not names:
+        raise InputError("no metric is named; an example is NDVI.mean")
+    check_statistics(names, drone_sensor(read).bands.names)
+    if sobol_samples:
+        require("SALib", "analysis")
+    for samples in filter(None, (derivative_samples, sobol_samples)):
+        check_samples(samples)
+    run = Run(output, seed=seed, plot=read)
     with run.stage("Build the plot"):
         ready = prepare(read, free, seed=run.seed)
     space = ready.space
@@ -115,11 +118,8 @@ def sensitivity(
     size = f"{len(names)} metrics by {len(space.names)} parameters"
     tables = ["slopes.csv", *(["variance.csv"] if derivative_samples or sobol_samples else [])]
     begin_work(dict.fromkeys(tables, size) | {"report.html": ""})
-    journal = None
-    if checkpoint is not None:
-        hashes = [file_hash(path) for path in read.inputs]
-        asked = (names, space.names, plantings, derivative_samples, sobol_samples, run.seed)
-        journal = Journal(checkpoint, signature(read, hashes, asked))
+    asked = (names, space.names, plantings, derivative_samples, sobol_samples)
+    journal = run.journal(checkpoint, read, asked, files=read.inputs)
     with at_work(workers) as pool:
         do = partial(pool.all, journal=journal)
         slopes = expected_sensitivity(
@@ -135,12 +135,36 @@ def sensitivity(
         over: dict[str, Any] = {
             "context": (stand,), "seed": run.seed, "batch": batch_for_device(), "do": do
         }  # fmt: skip
-        spread = _spread(predict, space, names, (derivative_samples, sobol_samples), over)
+        measures = indices = spread = None
+        if derivative_samples:
+            samples = derivative_samples
+            measures = derivative_measures(predict, space, names, samples=samples, **over)
+        if sobol_samples:
+            indices = sobol_indices(predict, space, names, samples=sobol_samples, **over)
     table = _slope_table(slopes)
     status = _status(slopes)
-    headline = [*_headline(table), status or _plantings_sentence(slopes)]
+    known = (
+        f"Means over {slopes.plantings} plantings; standard errors of the leading elasticities are "
+        f"at most {100 * slopes.leading_error.max():.0f} % of them."
+    )
+    headline = [*_headline(table), status or known]
     with run.stage("Write"):
-        _write(run, read, table, spread, slopes.quantile, headline)
+        run.table("slopes.csv", table, "slope and elasticity of every metric by every parameter")
+        sections = [_slope_section(table, slopes.quantile)]
+        if measures is not None or indices is not None:
+            spread = _spread_table(names, space.names, measures, indices)
+            run.table("variance.csv", spread, "shares of the metrics' variance over the priors")
+            picture = Picture(
+                "variance.png",
+                figures.indices_plot(spread),
+                "shares of each metric's variance over the priors",
+                "Shares of each metric's variance while all priors vary, with the plants of one "
+                "planting.",
+            )
+            every = Table(spread, "Every share.", folded=True)
+            sections.append(Section("Over the priors", [picture, every]))
+        record = run.record(read.inputs)
+        run.page(Page(f"Sensitivity: {read.name}", " ".join(headline), sections, record=record))
     return run.result(
         SensitivityResult,
         status=status or "ok",
@@ -148,53 +172,6 @@ def sensitivity(
         slopes=table,
         variance=[] if spread is None else spread,
     )
-
-
-def _check(plot: Plot, metrics: Sequence[str], derivative_samples: int, sobol_samples: int) -> None:
-    if not metrics:
-        raise InputError("no metric is named; an example is NDVI.mean")
-    check_statistics(metrics, drone_sensor(plot).bands.names)
-    if sobol_samples:
-        require("SALib", "analysis")
-    for samples in filter(None, (derivative_samples, sobol_samples)):
-        check_samples(samples)
-
-
-def _write(
-    run: Run,
-    plot: Plot,
-    slopes: pd.DataFrame,
-    spread: pd.DataFrame | None,
-    quantile: float,
-    headline: Sequence[str],
-) -> None:
-    run.table("slopes.csv", slopes, "slope and elasticity of every metric by every parameter")
-    sections = [_slope_section(slopes, quantile)]
-    if spread is not None:
-        run.table("variance.csv", spread, "shares of the metrics' variance over the priors")
-        sections.append(_variance_section(spread))
-    record = run.record(plot.inputs)
-    run.page(Page(f"Sensitivity: {plot.name}", " ".join(headline), sections, record=record))
-
-
-def _spread(
-    predict: PlotForward,
-    space: ParameterSpace,
-    names: tuple[str, ...],
-    samples: tuple[int, int],
-    options: dict[str, Any],
-) -> pd.DataFrame | None:
-    """Shares of variance over the priors, by derivatives and by Sobol's method where `samples` are
-    asked for."""
-    of_derivatives, of_sobol = samples
-    measures = indices = None
-    if of_derivatives:
-        measures = derivative_measures(predict, space, names, samples=of_derivatives, **options)
-    if of_sobol:
-        indices = sobol_indices(predict, space, names, samples=of_sobol, **options)
-    if measures is None and indices is None:
-        return None
-    return _spread_table(names, space.names, measures, indices)
 
 
 def _planting(ready: Prepared, number: int) -> tuple[Scene]:
@@ -208,26 +185,27 @@ def _planting(ready: Prepared, number: int) -> tuple[Scene]:
 
 def _slope_table(slopes: ExpectedSensitivity) -> pd.DataFrame:
     """One row a metric and parameter, in the units of files."""
-    rows = []
-    for k, metric in enumerate(slopes.metrics):
-        for i, name in enumerate(slopes.names):
-            _, unit, factor = shown_unit(name)
-            rows.append(
-                {
-                    "metric": metric,
-                    "parameter": name,
-                    "unit": unit,
-                    "value": slopes.at[i] * factor,
-                    "metric_value": slopes.value[k],
-                    "metric_sd": slopes.value_sd[k],
-                    "slope": slopes.jacobian[k, i] / factor,
-                    "slope_error": slopes.jacobian_error[k, i] / factor,
-                    "elasticity": slopes.elasticity[k, i],
-                    "elasticity_error": slopes.elasticity_error[k, i],
-                    "distinguished": bool(slopes.distinguished[k, i]),
-                }
-            )
-    return pd.DataFrame(rows)
+    _, units, factors = zip(*map(shown_unit, slopes.names), strict=True)
+    factor = np.array(factors)
+    tables = [
+        pd.DataFrame(
+            {
+                "metric": metric,
+                "parameter": slopes.names,
+                "unit": units,
+                "value": slopes.at * factor,
+                "metric_value": slopes.value[k],
+                "metric_sd": slopes.value_sd[k],
+                "slope": slopes.jacobian[k] / factor,
+                "slope_error": slopes.jacobian_error[k] / factor,
+                "elasticity": slopes.elasticity[k],
+                "elasticity_error": slopes.elasticity_error[k],
+                "distinguished": slopes.distinguished[k],
+            }
+        )
+        for k, metric in enumerate(slopes.metrics)
+    ]
+    return pd.concat(tables, ignore_index=True)
 
 
 def _headline(table: pd.DataFrame) -> list[str]:
@@ -247,13 +225,6 @@ def _headline(table: pd.DataFrame) -> list[str]:
             else f"No parameter's effect on {metric} is distinguished from zero."
         )
     return lines
-
-
-def _plantings_sentence(slopes: ExpectedSensitivity) -> str:
-    return (
-        f"Means over {slopes.plantings} plantings; standard errors of the leading elasticities are "
-        f"at most {100 * slopes.leading_error.max():.0f} % of them."
-    )
 
 
 def _status(slopes: ExpectedSensitivity) -> str:
@@ -307,13 +278,3 @@ def _slope_section(table: pd.DataFrame, quantile: float) -> Section:
         "At the plot's parameters",
         [picture, Table(table, "Every slope, with standard errors over plantings.", folded=True)],
     )
-
-
-def _variance_section(spread: pd.DataFrame) -> Section:
-    picture = Picture(
-        "variance.png",
-        figures.indices_plot(spread),
-        "shares of each metric's variance over the priors",
-        "Shares of each metric's variance while all priors vary, with the plants of one planting.",
-    )
-    return Section("Over the priors", [picture, Table(spread, "Every share.", folded=True)])

@@ -1,8 +1,8 @@
-"""What `fynjax simulate` does with an imaging sensor: radiance, reflectance, products, record."""
+"""The job of `fynjax simulate` with an imaging sensor: radiance, reflectance, their record."""
 
 import dataclasses
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -23,7 +23,7 @@ from fynjax.jobs._render import check_finite, cube_pictures, write_truth
 from fynjax.jobs._result import JobResult
 from fynjax.jobs._run import Run
 from fynjax.jobs._simulate_lidar import SimulateLidarResult, simulate_lidar
-from fynjax.jobs._simulate_record import run_record, short_record, warnings_of
+from fynjax.jobs._simulate_record import run_record, warnings_of
 from fynjax.report.pages import Page, Picture, Section
 from fynjax.scene import (
     AimedSensor,
@@ -36,7 +36,7 @@ from fynjax.scene import (
 from fynjax.sensors import Lidar, Sensor
 
 AIR_MODELS = ("table", "clear-sky", "none")
-"""What an atmosphere may be named by, instead of a file."""
+"""Models of the air that stand in place of a file."""
 PRODUCTS = ("reflectance", "radiance")
 """Image products that can be written."""
 
@@ -55,7 +55,7 @@ class SimulateResult(JobResult):
 @double_precision
 def simulate(
     plot: Plot | str | Path,
-    output: Path,
+    output: str | Path,
     *,
     sensor: str | Path | Sensor | Lidar | None = None,
     altitude: float | None = None,
@@ -97,15 +97,29 @@ def simulate(
     Example: `jobs.simulate("plot.toml", Path("results"), sensor="mavic_3m")`.
     """
     read = as_plot(plot)
-    run = Run(output, seed=read.seed if seed is None else seed, plot=read)
+    run = Run(output, seed=seed, plot=read)
     name = sensor or read.sensor.path or read.sensor.name
     instrument = name if isinstance(name, (Sensor, Lidar)) else load_instrument(name)
     files = [] if isinstance(name, (Sensor, Lidar)) or not Path(name).is_file() else [Path(name)]
     if isinstance(instrument, Lidar):
         given = {"altitude": altitude, "pixel": pixel, "atmosphere": atmosphere}
-        _check_lidar(instrument, given, products)
+        wrong = [option for option, value in given.items() if value is not None]
+        if tuple(products) != PRODUCTS:
+            wrong.append("product")
+        if wrong:
+            raise InputError(
+                f"expected no {wrong[0]} with the LiDAR {instrument.name!r}: its file says all of "
+                "it"
+            )
         return simulate_lidar(run, read, instrument, noise=noise is not False, files=files)
-    air = _chosen_air(read, atmosphere)
+    air = read.air or AtmosphereTable()
+    if atmosphere is not None:
+        named = str(atmosphere) in AIR_MODELS
+        air = (
+            air.replace(model=str(atmosphere), file=None)
+            if named
+            else AtmosphereTable(file=Path(atmosphere))
+        )
     asked = read.sensor.noise if noise is None and _is_own(read, instrument) else noise
     noisy = instrument.noise is not None and air.source != "none" if asked is None else asked
     _check(read, instrument, air, noisy, products)
@@ -132,8 +146,11 @@ def simulate(
     made = run_record(read, instrument, aimed, air, noisy, observation, run.seconds)
     with run.stage("Write"):
         picture = [] if seen is None else [write_truth(run, read, scene, seen, record)]
-        _write(run, read, instrument, cubes, picture, {**record, **short_record(made)})
-        _write_record(run, {**record, **made})
+        as_text = {k: json.dumps(made[k]) for k in ("plot", "sensor", "atmosphere", "accuracy")}
+        _write(run, read, instrument, cubes, picture, {**record, **as_text})
+        text = json.dumps({**record, **made}, indent=2, ensure_ascii=False, allow_nan=False)
+        path = run.path("run.json", "versions, seed, sensor, atmosphere, accuracy, times")
+        write_text(path, text + "\n")
     return run.result(
         SimulateResult,
         headline=_headline(read, instrument, aimed, cubes, run.seconds),
@@ -145,34 +162,8 @@ def simulate(
     )
 
 
-def _check_lidar(lidar: Lidar, given: Mapping[str, object], products: Sequence[str]) -> None:
-    """Refuse options of cameras."""
-    wrong = [name for name, value in given.items() if value is not None]
-    if tuple(products) != PRODUCTS:
-        wrong.append("product")
-    if wrong:
-        raise InputError(
-            f"expected no {wrong[0]} with the LiDAR {lidar.name!r}: its file says all of it"
-        )
-
-
-def _write_record(run: Run, record: dict[str, Any]) -> None:
-    text = json.dumps(record, indent=2, ensure_ascii=False, allow_nan=False)
-    path = run.path("run.json", "versions, seed, sensor, atmosphere, accuracy, times")
-    write_text(path, text + "\n")
-
-
 def _is_own(plot: Plot, instrument: Sensor) -> bool:
     return plot.sensor.name == instrument.name
-
-
-def _chosen_air(plot: Plot, atmosphere: str | Path | None) -> AtmosphereTable:
-    given = plot.air or AtmosphereTable()
-    if atmosphere is None:
-        return given
-    if str(atmosphere) in AIR_MODELS:
-        return given.replace(model=str(atmosphere), file=None)
-    return AtmosphereTable(file=Path(atmosphere))
 
 
 def _check(

@@ -1,4 +1,4 @@
-"""What `fynjax simulate` does with a LiDAR: point cloud, waveforms, pictures."""
+"""The job of `fynjax simulate` with a LiDAR: point cloud, waveforms, pictures."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -136,25 +136,14 @@ def _write(
     write_run(waveforms, observation.to_xarray(), record)
     what = "share of each species in each return, NetCDF"
     write_run(run.path("truth.nc", what), truth.to_xarray(), record)
-    species = _species_table(truth)
+    leading, _ = truth.leading()
+    names = ("ground or none", *truth.taxa)
+    count = np.bincount(leading + 1, minlength=len(names))
+    species = pd.DataFrame({"species": range(len(names)), "taxon": names, "returns": count})
     run.table("cloud_species.csv", species, "number of each species in cloud.laz", None)
     what = "percentiles of height of returns and of planted area"
     run.table("heights.csv", heights.table(), what, None)
     return species
-
-
-def _species_table(truth: ReturnTruth) -> pd.DataFrame:
-    """Number of each species in the cloud, and of how many returns it is the leading one."""
-    leading, _ = truth.leading()
-    count = np.bincount(leading + 1, minlength=len(truth.taxa) + 1)
-    names = ("ground or none", *truth.taxa)
-    return pd.DataFrame({"species": range(len(names)), "taxon": names, "returns": count})
-
-
-def _light_of(lidar: Lidar) -> str:
-    if isinstance(lidar.geometry, FlashGeometry):
-        return "Light that is scattered more than once comes late; it is part of the waveforms."
-    return "Light that is scattered more than once has left the narrow beam and is left out."
 
 
 def _warnings(lidar: Lidar, voxels: VoxelScene, beams: LidarBeams) -> list[str]:
@@ -216,6 +205,9 @@ def _headline(plot: Plot, lidar: Lidar, counts: dict[str, float], heights: Heigh
 def _sections(run: Run, plot: Plot, lidar: Lidar, returns: LidarReturns, heights: Heights,
               species: pd.DataFrame, remarks: list[str]) -> list[Section]:  # fmt: skip
     title = f"{plot.name}, {lidar.name}"
+    late = "has left the narrow beam and is left out."
+    if isinstance(lidar.geometry, FlashGeometry):
+        late = "comes late; it is part of the waveforms."
     parts: list[Part] = [
         " ".join(remarks),
         Picture(
@@ -234,7 +226,7 @@ def _sections(run: Run, plot: Plot, lidar: Lidar, returns: LidarReturns, heights
         ),
         Table(heights.table(), "Percentiles of height above ground.", folded=True),
         Table(species, "Species that most of a return's light comes from.", folded=True),
-        f"{lidar.source} {_light_of(lidar)}",
+        f"{lidar.source} Light that is scattered more than once {late}",
         run.times(folded=True),
     ]
     return [Section("", parts)]

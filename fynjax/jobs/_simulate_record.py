@@ -1,7 +1,6 @@
 """Record and warnings of a simulated image."""
 
 import dataclasses
-import json
 from importlib.metadata import version
 from typing import Any
 
@@ -10,11 +9,6 @@ import numpy as np
 from fynjax.io.plot import AtmosphereTable, Plot
 from fynjax.scene import AimedSensor, Observation, PlotAir
 from fynjax.sensors import OrthographicCamera, Sensor, frame_of
-
-
-def is_reduced(aimed: AimedSensor) -> bool:
-    solves = aimed.accuracy.solves
-    return solves is not None and len(aimed.sensor.bands) > solves
 
 
 def run_record(
@@ -34,7 +28,19 @@ def run_record(
         angles = {"tilt_deg": frame.tilt, "heading_deg": frame.heading}
     elif isinstance(camera, OrthographicCamera):
         angles = {"view_zenith_deg": camera.view_zenith, "view_azimuth_deg": camera.view_azimuth}
-    residual = np.asarray(observation.residual)
+    solves = accuracy.solves
+    of_air: dict[str, Any] = {
+        "model": air.source,
+        "file": None if air.file is None else air.file.name,
+    }
+    if air.source not in ("file", "none"):
+        of_air |= {
+            "water_vapour_cm": air.water_vapour_cm,
+            "aerosol_optical_depth_550": air.aerosol_optical_depth,
+            "aerosol_optical_depth_500_of_sky": plot.sky.aerosol_optical_depth,
+            "ozone_cm_atm": air.ozone_cm_atm,
+            "pressure_hpa": air.pressure_hpa,
+        }
     return {
         "versions": {n: version(n) for n in ("jax", "equinox", "numpy", "rasterio", "xarray")},
         "plot": {
@@ -64,78 +70,46 @@ def run_record(
             "pixels_averaged_in_noise": float(aimed.averaged),
             "reflectance_by": "the known air" if aimed.panels is None else "panels",
         },
-        "atmosphere": _air_record(plot, air),
+        "atmosphere": of_air,
         "accuracy": {
             **{f.name: getattr(accuracy, f.name) for f in dataclasses.fields(accuracy)},
-            "bands_reduced_to_few_solves": is_reduced(aimed),
-            "largest_residual": float(residual.max()),
+            "bands_reduced_to_few_solves": solves is not None and len(aimed.sensor.bands) > solves,
+            "largest_residual": float(np.max(observation.residual)),
             "precision": observation.reflectance.dtype.name,
         },
         "timings_s": dict(seconds),
     }
 
 
-def _air_record(plot: Plot, air: AtmosphereTable) -> dict[str, Any]:
-    """The model of the air, or the file that it is read from, with what the model takes."""
-    record = {"model": air.source, "file": None if air.file is None else air.file.name}
-    if air.source in ("file", "none"):
-        return record
-    return record | {
-        "water_vapour_cm": air.water_vapour_cm,
-        "aerosol_optical_depth_550": air.aerosol_optical_depth,
-        "aerosol_optical_depth_500_of_sky": plot.sky.aerosol_optical_depth,
-        "ozone_cm_atm": air.ozone_cm_atm,
-        "pressure_hpa": air.pressure_hpa,
-    }
-
-
-def short_record(run: dict[str, Any]) -> dict[str, str]:
-    """The record's parts as text, for the attributes of a file."""
-    return {key: json.dumps(run[key]) for key in ("plot", "sensor", "atmosphere", "accuracy")}
-
-
-def _left_out(aimed: AimedSensor, instrument: Sensor) -> list[str]:
-    lost = [
-        f"{name} ({centre:.5g} nm)"
-        for name, centre in zip(instrument.bands.names, instrument.bands.centre)
-        if name not in aimed.sensor.bands.names
-    ]
-    if not lost:
-        return []
-    named = ", ".join(lost if len(lost) <= 4 else [*lost[:3], "...", lost[-1]])
-    return [
-        f"{len(lost)} of {len(instrument.bands)} bands of {instrument.name} reach beyond the "
-        f"spectra of leaves and ground, 400 to 2500 nm, and hold no data: {named}"
-    ]
-
-
-def _of_other_pixels(aimed: AimedSensor) -> list[str]:
-    sizes = aimed.sensor.band_pixel
-    if sizes is None or len(set(sizes)) == 1:
-        return []
-    return [
-        f"bands of {aimed.sensor.name} have pixels of {min(sizes):g} to {max(sizes):g} m in its "
-        f"products; here all have {aimed.pixel:g} m"
-    ]
-
-
-def _of_slant(aimed: AimedSensor) -> list[str]:
-    slant = 1.0 / float(np.min(aimed.rays.cosine))
-    if not isinstance(aimed.air, PlotAir) or slant < 1.05:
-        return []
-    return [
-        f"the air is that of a view straight down, but lines of sight are up to {slant:.2f} times "
-        "as long: their radiance lacks the difference (give curves of your own for that view)"
-    ]
-
-
 def warnings_of(plot: Plot, aimed: AimedSensor, instrument: Sensor) -> list[str]:
-    """Warnings of a simulated image."""
-    lost = []
+    """Warnings of a simulated image: of panels, bands, pixels and air that are not as asked."""
+    said = []
     if plot.sensor.panels and aimed.panels is None:
-        lost = [f"the plot file's panels are those of {plot.sensor.name}, and left out here"]
+        said.append(f"the plot file's panels are those of {plot.sensor.name}, and left out here")
     if aimed.panels is not None and len(aimed.panels.coverage) == 1:
-        lost = [
+        said.append(
             "one panel cannot separate the light scattered by the air; reflectance_sd allows for it"
-        ]
-    return [*lost, *_left_out(aimed, instrument), *_of_other_pixels(aimed), *_of_slant(aimed)]
+        )
+    every = zip(instrument.bands.names, instrument.bands.centre, strict=True)
+    there = aimed.sensor.bands.names
+    lost = [f"{name} ({centre:.5g} nm)" for name, centre in every if name not in there]
+    if lost:
+        named = ", ".join(lost if len(lost) <= 4 else [*lost[:3], "...", lost[-1]])
+        said.append(
+            f"{len(lost)} of {len(instrument.bands)} bands of {instrument.name} reach beyond the "
+            f"spectra of leaves and ground, 400 to 2500 nm, and hold no data: {named}"
+        )
+    sizes = aimed.sensor.band_pixel
+    if sizes is not None and len(set(sizes)) > 1:
+        said.append(
+            f"bands of {aimed.sensor.name} have pixels of {min(sizes):g} to {max(sizes):g} m in "
+            f"its products; here all have {aimed.pixel:g} m"
+        )
+    slant = 1.0 / float(np.min(aimed.rays.cosine))
+    if isinstance(aimed.air, PlotAir) and slant >= 1.05:
+        said.append(
+            f"the air is that of a view straight down, but lines of sight are up to {slant:.2f} "
+            "times as long: their radiance lacks the difference (give curves of your own for that "
+            "view)"
+        )
+    return said

@@ -1,4 +1,4 @@
-"""What `fynjax terrain` does: the ground of a plot from a point cloud or a height raster."""
+"""The job of `fynjax terrain`: the ground of a plot from a point cloud or a height raster."""
 
 import warnings
 from pathlib import Path
@@ -45,7 +45,7 @@ _ROUGH = 0.27
 _LARGEST_GAP = 10.0
 _CELL = 0.25
 """Side of the cells of a cloud's terrain [m], unless stated."""
-_TOLD_RELIEF = 1.0
+_DOUBTED_RELIEF = 1.0
 """Relief of the ground [m] from which a cloud of heights above the ground is doubted."""
 _BELOW = 0.01
 """Share of the points that may lie below the ground by more than the tolerance: noise."""
@@ -138,37 +138,36 @@ def terrain(
     run = Run(output)
     path = Path(path)
     is_raster = path.suffix.lower() in _RASTERS
-    filtering = {"tolerance": tolerance, "slope": slope, "window": window}
-    _check_lengths(
-        bounds, size, {**filtering, "cell": cell, "size": size, "largest_gap": largest_gap}
-    )
-    _check_used(
-        is_raster,
-        fill_gaps,
-        {
-            **{"method": method, **filtering, "largest_gap": largest_gap, "unit": unit},
-            **{"fill_gaps": fill_gaps or None, "band": band},
-        },
-    )
+    lengths = {"tolerance": tolerance, "slope": slope, "window": window}
+    filtering = {"method": method, **lengths}
+    lengths |= {"cell": cell, "size": size, "largest_gap": largest_gap}
+    _check(
+        is_raster, bounds, lengths,
+        {"method": method, "unit": unit, "fill_gaps": fill_gaps or None, "band": band},
+    )  # fmt: skip
     gap = largest_gap or _LARGEST_GAP
     with in_file(path):
         if is_raster:
             with run.stage("Read the raster"):
-                terrain, numbers = _from_raster(
-                    path, bounds, size, cell, crs=crs, height_unit=height_unit,
-                    fill_gaps=fill_gaps, largest_gap=gap, band=band,
+                plot = bounds if size is None else middle_of_raster(path, size)
+                terrain = read_terrain(
+                    path, plot, crs=crs, height_unit=height_unit, fill_gaps=fill_gaps,
+                    largest_gap=gap, band=band,
                 )  # fmt: skip
-            canopy = None
+                if cell is not None:
+                    terrain = terrain.resample(cell, plot)
+                elif size is not None and plot is not None:
+                    whole_cells(plot, terrain.cell)  # else it would be wider than asked for
+            canopy, numbers = None, {"cells_filled": terrain.filled}
         else:
             with run.stage("Read the cloud"):
                 cloud = read_cloud(path, unit=unit, height_unit=height_unit, crs=crs)
             plot = bounds if size is None else _middle(cloud.bounds, size)
-            stated = {k: v for k, v in {"method": method, **filtering}.items() if v is not None}
+            stated = {k: v for k, v in filtering.items() if v is not None}
             terrain, canopy, numbers = _from_cloud(cloud, plot, cell or _CELL, gap, run, **stated)
     if not is_raster:
         _doubt_place(path, terrain, unit)
-    rows, columns = terrain.heights.shape
-    size_of_map = f"{rows} rows and {columns} columns of cells"
+    size_of_map = "{} rows and {} columns of cells".format(*terrain.heights.shape)
     begin_work({"terrain.tif": size_of_map, "terrain.obj": "", "report.html": ""})
     with run.stage("Write"):
         _write(run, terrain, canopy)
@@ -179,17 +178,36 @@ def terrain(
     return run.result(TerrainResult, headline=headline, terrain=summary)
 
 
-def _check_lengths(
-    bounds: Bounds | None, size: float | None, lengths: dict[str, float | None]
+def _check(
+    is_raster: bool,
+    bounds: Bounds | None,
+    lengths: dict[str, float | None],
+    others: dict[str, Any],
 ) -> None:
-    """Refuse a plot that is stated twice, and lengths that are not positive."""
+    """Refuse a plot that is stated twice, lengths that are not positive, and settings that do
+    nothing: who gives one believes that it does something."""
     if bounds is not None:
-        if size is not None:
+        if lengths["size"] is not None:
             raise InputError("expected `bounds` or `size` of the plot, but got both")
         check_bounds(bounds)
     for name, value in lengths.items():
         if value is not None:
             check_positive(name, value)
+    settings = lengths | others
+    method = settings["method"]
+    unused = {
+        "point clouds": ("method", "tolerance", "slope", "window", "unit") if is_raster else (),
+        "rasters": () if is_raster else ("fill_gaps", "band"),
+        "rasters whose gaps are filled (`fill_gaps`)": (
+            ("largest_gap",) if is_raster and not settings["fill_gaps"] else ()
+        ),
+        "the method 'smrf'": ("slope", "window") if method in ("cloth", "labels") else (),
+        "methods that filter": ("tolerance",) if method == "labels" else (),
+    }
+    for kind, names in unused.items():
+        for name in names:
+            if settings[name] is not None:
+                raise InputError(f"`{name}` is for {kind} and does nothing here: leave it out")
 
 
 def _doubt_place(path: Path, terrain: Terrain, unit: str | None) -> None:
@@ -235,36 +253,6 @@ def _write(run: Run, terrain: Terrain, canopy: Float[np.ndarray, "y x"] | None) 
         write_map(path, "ground_distance", terrain.gap, quantity)
 
 
-def _check_used(is_raster: bool, fill_gaps: bool, settings: dict[str, Any]) -> None:
-    """Refuse settings that do nothing: who gives one believes that it does something."""
-    method = settings["method"]
-    unused = {
-        "point clouds": ("method", "tolerance", "slope", "window", "unit") if is_raster else (),
-        "rasters": () if is_raster else ("fill_gaps", "band"),
-        "rasters whose gaps are filled (`fill_gaps`)": (
-            ("largest_gap",) if is_raster and not fill_gaps else ()
-        ),
-        "the method 'smrf'": ("slope", "window") if method in ("cloth", "labels") else (),
-        "methods that filter": ("tolerance",) if method == "labels" else (),
-    }
-    for kind, names in unused.items():
-        for name in names:
-            if settings[name] is not None:
-                raise InputError(f"`{name}` is for {kind} and does nothing here: leave it out")
-
-
-def _from_raster(
-    path: Path, bounds: Bounds | None, size: float | None, cell: float | None, **options: Any
-) -> tuple[Terrain, dict[str, float]]:
-    plot = bounds if size is None else middle_of_raster(path, size)
-    terrain = read_terrain(path, plot, **options)
-    if cell is not None:
-        terrain = terrain.resample(cell, plot)
-    elif size is not None and plot is not None:
-        whole_cells(plot, terrain.cell)  # else the terrain would be wider than asked for
-    return terrain, {"cells_filled": terrain.filled}
-
-
 def _middle(bounds: Bounds, size: float) -> Bounds:
     """A square in the middle of a cloud, its corner on whole decimetres."""
     west, south, east, north = check_bounds(bounds)
@@ -287,14 +275,8 @@ def _from_cloud(
     labelled = labelled_ground(cloud)
     if "method" not in options:
         options["method"] = "smrf" if labelled is None or options else "labels"
-    begin_work(
-        {
-            "terrain.tif": f"cells of {cell:g} m",
-            "terrain.obj": "",
-            "canopy_height.tif": "",
-            "report.html": "",
-        }
-    )
+    others = dict.fromkeys(("terrain.obj", "canopy_height.tif", "report.html"), "")
+    begin_work({"terrain.tif": f"cells of {cell:g} m"} | others)
     with run.stage("Find the ground"):
         ground = find_ground(cloud, **options)
     with run.stage("Fill the surface"):
@@ -304,7 +286,7 @@ def _from_cloud(
         canopy = canopy_height(cloud, terrain)
     if is_normalised(cloud):
         lost = "the shape of the ground is lost"
-        if terrain.relief > _TOLD_RELIEF:
+        if terrain.relief > _DOUBTED_RELIEF:
             lost = f"a relief of {terrain.relief:.1f} m is that of plants"
         warnings.warn(
             f"heights of the cloud seem to be above its ground already (most begin at 0), so that "

@@ -1,4 +1,4 @@
-"""From a learned prior to a regression for the spectra of a sensor: what `fynjax train` does."""
+"""The job of `fynjax train`: from a learned prior to a regression for spectra of a sensor."""
 
 import hashlib
 import json
@@ -16,7 +16,6 @@ import xarray as xr
 from jax.typing import ArrayLike
 from pydantic import Field
 
-from fynjax._core.checkpoint import Journal, signature
 from fynjax._core.dry_run import begin_work
 from fynjax._core.errors import InputError
 from fynjax._core.extras import require
@@ -152,14 +151,9 @@ def train(
     require("optax", "map")
     task = _task(sensor, like, sun_zenith, simulations, prior)
     channels, settings, count = task.channels, task.settings, task.simulations
-    inputs = [task.prior.path, *([like] if like is not None else [])]
-    begin_work(
-        {
-            "training.nc": f"{count} spectra in {len(channels.centre)} channels",
-            "scores.csv": "",
-            "report.html": "",
-        }
-    )
+    inputs = [task.prior.path, like]
+    size = f"{count} spectra in {len(channels.centre)} channels"
+    begin_work({"training.nc": size, "scores.csv": "", "report.html": ""})
     quantities, spectra, residual = _simulate(run, task, checkpoint, workers)
     with run.timed("training"):
         posterior, held_out = train_posterior(
@@ -245,8 +239,8 @@ def _simulate(
     """Quantities of stands, their spectra, and the largest residual of light."""
     ends = [*range(0, task.stands, _PART), task.stands]
     parts = [tuple(range(start, end)) for start, end in pairwise(ends)]
-    signed = task.settings, task.responses, run.seed, task.stands
-    journal = Journal(checkpoint, signature(signed, [file_hash(task.prior.path)]))
+    signed = task.settings, task.responses, task.stands
+    journal = run.journal(checkpoint, *signed, files=[task.prior.path])
     with run.stage("Simulate", "simulation", total=len(parts)), at_work(workers) as pool:
         made = pool.all(
             _simulated, parts, task.responses, task.prior, task.settings, run.seed,

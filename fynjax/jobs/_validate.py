@@ -1,4 +1,4 @@
-"""What `fynjax validate` does: real against simulated data of any of three sensors."""
+"""The job of `fynjax validate`: real against simulated data of any of three sensors."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
-import xarray as xr
 from pydantic import Field
 
 from fynjax._core.dry_run import begin_work
@@ -220,47 +219,36 @@ def validate(
         )
     begin_work(files)
     record = run.record(inputs)
+    parts: dict[str, _Part] = {}
     with run.stage("Write"):
-        headline = _write(run, drone, spectra, structure, record)
+        if drone is not None:
+            parts["drone"] = _write_drone(run, drone)
+        if spectra is not None:
+            parts["spectra"] = _write_spectra(run, spectra)
+        if parts:
+            path = run.path("validation.nc", "every number, NetCDF")
+            write_run(path, validation_dataset(drone, spectra), record)
+        if structure is not None:
+            parts["structure"] = _write_structure(run, structure, record)
+        keys = {name: value for part in parts.values() for name, value in part.keys.items()}
+        lead = "Simulated against real data, after section 4 of the scene paper."
+        sections = [part.section for part in parts.values()]
+        run.page(Page("Validation", lead, sections, keys, record))
     return run.result(
         ValidateResult,
-        headline=headline,
-        drone=None if drone is None else _drone_summary(drone),
-        spectra=None if spectra is None else _spectra_summary(spectra),
-        structure=None if structure is None else _structure_summary(structure),
+        headline=[sentence for part in parts.values() for sentence in part.headline],
+        **dict.fromkeys(("drone", "spectra", "structure"))
+        | {kind: part.summary for kind, part in parts.items()},
     )
 
 
-def _write(
-    run: Run,
-    drone: Drone | None,
-    spectra: SpectralComparison | None,
-    structure: StructureComparison | None,
-    record: dict[str, str | int],
-) -> list[str]:
-    """Write the files of all comparisons and the page, and give their sentences."""
-    parts: list[_Part] = []
-    if drone is not None:
-        parts.append(_write_drone(run, drone))
-    if spectra is not None:
-        parts.append(_write_spectra(run, spectra))
-    if drone is not None or spectra is not None:
-        path = run.path("validation.nc", "every number, NetCDF")
-        write_run(path, validation_dataset(drone, spectra), record)
-    if structure is not None:
-        parts.append(_write_structure(run, structure, record))
-    keys = {name: value for part in parts for name, value in part.keys.items()}
-    lead = "Simulated against real data, after section 4 of the scene paper."
-    run.page(Page("Validation", lead, [part.section for part in parts], keys, record))
-    return [sentence for part in parts for sentence in part.headline]
-
-
 class _Part(NamedTuple):
-    """A comparison in sentences, in its main numbers, and on the page."""
+    """A comparison in sentences, in its main numbers, on the page and in the result."""
 
     headline: list[str]
     keys: dict[str, str]
     section: Section
+    summary: Record
 
 
 def _compare_images(
@@ -300,7 +288,8 @@ def _write_drone(run: Run, drone: Drone) -> _Part:
             f"paper's DIRSIG in {nearer} of {count} numbers that are sound."
         )
         what = "numbers nearer to the real image than the paper's DIRSIG"
-        return _Part([said], {what: f"{nearer} of {count}"}, published_section(drone))
+        summary = DroneSummary(published=rows_of(drone.statistics), notes=list(drone.notes))
+        return _Part([said], {what: f"{nearer} of {count}"}, published_section(drone), summary)
     run.table("drone_bands.csv", drone.bands, "bands, real and simulated", "%.9g")
     run.table("drone_indices.csv", drone.indices, "the twenty indices, with formulas", "%.9g")
     run.table("drone_diversity.csv", drone.variety, "how much spectra of pixels differ", "%.9g")
@@ -322,18 +311,13 @@ def _write_drone(run: Run, drone: Drone) -> _Part:
         "largest difference of a band mean": f"{largest:.1f} %",
         "median histogram intersection, 20 indices": f"{overlap:.2f}",
     }
-    return _Part(headline, keys, drone_section(drone))
-
-
-def _drone_summary(drone: Drone) -> DroneSummary:
-    if isinstance(drone, PublishedComparison):
-        return DroneSummary(published=rows_of(drone.statistics), notes=list(drone.notes))
-    return DroneSummary(
+    summary = DroneSummary(
         bands=rows_of(drone.bands),
         indices=rows_of(drone.indices),
         diversity=rows_of(drone.variety),
         notes=list(drone.notes),
     )
+    return _Part(headline, keys, drone_section(drone), summary)
 
 
 def _write_spectra(run: Run, spectra: SpectralComparison) -> _Part:
@@ -344,44 +328,33 @@ def _write_spectra(run: Run, spectra: SpectralComparison) -> _Part:
         ("spectral_indices.csv", spectra.indices, "indices of the spectra, with formulas"),
     ):
         run.table(name, table, what, "%.9g")
-    section = spectral_section(spectra)
-    return _Part(_spectral_sentences(spectra), _spectral_figures(spectra), section)
-
-
-def _spectra_summary(spectra: SpectralComparison) -> SpectraSummary:
-    return SpectraSummary(
+    reading = dict(zip(spectra.misfit["region"], spectra.misfit["reading"], strict=True))
+    regions = spectra.regions.to_dict("records")
+    headline = [
+        f"Spectra, {row['region']}: angle {_defined(row['spectral_angle_deg'], '.1f', '°')}, RMSE "
+        f"{row['rmse']:.4f}, r {_defined(row['correlation'], '.3f')}, mean "
+        f"{row['real_mean']:.3f} real and {row['simulated_mean']:.3f} simulated; "
+        f"{reading[row['region']]}."
+        for row in regions
+    ]
+    keys = {}
+    for row in regions[:1]:
+        angle = _defined(row["spectral_angle_deg"], ".1f", "°")
+        keys[f"spectral angle, {row['region']}"] = angle
+        keys[f"RMSE, {row['region']}"] = f"{row['rmse']:.3f}"
+    summary = SpectraSummary(
         matching=spectra.match.method,
         regions=rows_of(spectra.regions),
         misfit=rows_of(spectra.misfit),
         indices=rows_of(spectra.indices),
         notes=list(spectra.notes),
     )
+    return _Part(headline, keys, spectral_section(spectra), summary)
 
 
 def _defined(value: float, form: str, unit: str = "") -> str:
     """A number with its unit, or that it is undefined."""
     return f"{value:{form}}{unit}" if np.isfinite(value) else "undefined"
-
-
-def _spectral_sentences(spectra: SpectralComparison) -> list[str]:
-    reading = dict(zip(spectra.misfit["region"], spectra.misfit["reading"], strict=True))
-    return [
-        f"Spectra, {row['region']}: angle {_defined(row['spectral_angle_deg'], '.1f', '°')}, RMSE "
-        f"{row['rmse']:.4f}, r {_defined(row['correlation'], '.3f')}, mean "
-        f"{row['real_mean']:.3f} real and {row['simulated_mean']:.3f} simulated; "
-        f"{reading[row['region']]}."
-        for row in spectra.regions.to_dict("records")
-    ]
-
-
-def _spectral_figures(spectra: SpectralComparison) -> dict[str, str]:
-    if spectra.regions.empty:
-        return {}
-    row = spectra.regions.iloc[0]
-    return {
-        f"spectral angle, {row['region']}": _defined(row["spectral_angle_deg"], ".1f", "°"),
-        f"RMSE, {row['region']}": f"{row['rmse']:.3f}",
-    }
 
 
 def _write_structure(
@@ -402,32 +375,26 @@ def _write_structure(
         ("histogram", curves["histogram"], "share of returns by height of both clouds"),
     ):
         run.table(f"structure_{name}.csv", rows, what, "%.9g")
-    path = run.path("structure.nc", "every number of both clouds, with maps by cell, NetCDF")
-    write_run(path, _named(structure.dataset()), record)
-    return _Part([_structure_sentence(structure)], {}, structure_section(structure))
-
-
-def _named(dataset: xr.Dataset) -> xr.Dataset:
-    """With a name and a unit for every variable, as the run files of fynjax have them."""
-    for name, variable in dataset.variables.items():
-        variable.attrs.setdefault("long_name", str(name).replace("_", " "))
+    dataset = structure.dataset()
+    for key, variable in dataset.variables.items():  # as run files have them
+        variable.attrs.setdefault("long_name", str(key).replace("_", " "))
         if variable.dtype.kind in "fiu":
             variable.attrs.setdefault("units", "1")
-    return dataset
-
-
-def _structure_sentence(structure: StructureComparison) -> str:
+    path = run.path("structure.nc", "every number of both clouds, with maps by cell, NetCDF")
+    write_run(path, dataset, record)
     changes = [
         f"{str(name).replace('_', ' ')} {change:+.0f} %"
         for name, change in structure.difference_percent.dropna().items()
     ]
     heights = structure.heights["value"]
-    return (
+    said = (
         f"Structure at {structure.grain:g} m, simulated against real: "
         f"{', '.join(changes) or 'no metric is defined in both'}; heights overlap by "
         f"{heights['height_intersection']:.2f}, their percentiles differ by "
         f"{heights['height_percentile_rmse']:.3f} m RMSE."
     )
+    summary = _structure_summary(structure)
+    return _Part([said], {}, structure_section(structure), summary)
 
 
 def _structure_summary(structure: StructureComparison) -> StructureSummary:

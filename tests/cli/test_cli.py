@@ -106,9 +106,10 @@ def test_values_with_commas_are_read_and_a_wrong_one_names_its_option(capsys, ca
     line = ["fit-leaf", spectrum, "--output", tmp_path / "o", "--detector-changes"]
     assert call(capsys, *line, "1000, 1830")[0] == 0
     assert calls[0][1]["detector_changes"] == (1000.0, 1830.0)
-    err = one_line(*call(capsys, *line, "1000;1830"))
-    assert "`--detector-changes` must be wavelengths in nm" in err
-    assert "1000;1830" in err
+    for wrong in ("1000;1830", "1000,nan"):
+        err = one_line(*call(capsys, *line, wrong))
+        assert "`--detector-changes` must be wavelengths in nm" in err
+        assert wrong in err
 
 
 def test_an_error_of_a_job_names_options(capsys, calls, monkeypatch, tmp_path):

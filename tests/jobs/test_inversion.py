@@ -1,6 +1,7 @@
-"""What the jobs on posteriors, sensitivities and bounds tell, and one of each on a tiny plot."""
+"""Results of the jobs on posteriors, sensitivities and bounds, and one of each on a tiny plot."""
 
 import re
+from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
@@ -8,6 +9,7 @@ import pandas as pd
 import pytest
 import xarray as xr
 
+from fynjax import jobs
 from fynjax._core.errors import InputError
 from fynjax.assembly import Prepared, build_plot, image_view, prepare
 from fynjax.inversion import PlotForward, Posterior, local_sensitivity, search_form
@@ -74,6 +76,23 @@ def test_a_cover_that_is_lost_at_a_pixel_is_said_to_be(values, detected, lost):
     numbers = [int(n) for n in re.findall(r"(\d+) (?:exceed|only|not)", line)]
     places = ["at every pixel", "at fine pixels", "at no pixel"]
     assert numbers == [place == detected for place in places]
+
+
+def test_covers_are_counted_for_each_noise_and_sun():
+    one = bounds((1.0, 5.0, 9.0))
+    table = pd.concat([one, one.assign(noise=0.05, bound=[20.0, 30.0, np.inf])])
+    first, second = _limit_sentences(table, limit_table(table, ["species.A.cover"]))
+    assert first.startswith("4 bands, noise 1 %: of 1 covers 1 exceed")
+    assert second.startswith("4 bands, noise 5 %: of 1 covers 0 exceed")
+    (line,) = _limit_sentences(one, limit_table(one, ["species.A.cover"]))
+    assert line.startswith("4 bands: of 1 covers")
+
+
+def test_one_file_need_not_be_in_a_list(plot, tmp_path):
+    for job in (jobs.pattern, jobs.reflectance, partial(jobs.calibrate, plot)):
+        with pytest.raises(InputError) as error:
+            job("missing_1.tif", tmp_path / "out")
+        assert "missing_1" in str(error.value)
 
 
 def test_figures_stand_what_data_bring():

@@ -75,7 +75,7 @@ percent_cover_dead,abundance_alive_count,abundance_dead_count,mean_canopy_diamet
 
 pytestmark = [
     pytest.mark.filterwarnings("ignore:.*sum to 120"),
-    pytest.mark.filterwarnings("ignore:.*left out. T003"),
+    pytest.mark.filterwarnings("ignore:.*left out. (T002, )?T003"),
 ]
 
 
@@ -205,8 +205,14 @@ def test_clonal_plants_are_not_held_against_their_cover(tables: Path) -> None:
 
 
 def test_plots_without_covers_are_left_out_and_errors_name_the_cell(tables: Path) -> None:
-    with pytest.warns(UserWarning, match=r"plot_summary.*without covers or species.*T003"):
+    with pytest.warns(UserWarning, match=r"plot_summary.*without covers or live.*T003"):
         assert [plot.name for plot in read_bioscape(tables)] == ["T001", "T002"]
+    for row in ("baccans,50,-9999", "baccans,30,-9999"):  # all of T002 is dead
+        change(tables, SPECIES, row, "baccans,0,20")
+    with pytest.warns(UserWarning, match=r"without covers or live species.*T002, T003"):
+        assert [plot.name for plot in read_bioscape(tables)] == ["T001"]
+    with pytest.raises(InputError, match="live species of plot 'T002'"):
+        read_bioscape(tables, ["T002"])
     with pytest.raises(InputError, match="row with covers for plot 'T003'"):
         read_bioscape(tables, ["T003"])
     change(tables, SUMMARY, "3,T003", "3,T002")

@@ -1,7 +1,6 @@
 """`fynjax bioscape validate` from tables to a report, and plots that share one shape."""
 
 import json
-from dataclasses import replace
 from pathlib import Path
 
 import jax.numpy as jnp
@@ -94,7 +93,7 @@ def test_a_plot_looks_as_it_does_when_rendered_alone(
 
     output, _ = result
     file = read_plot(output / "plots" / "A1" / "plot.toml")
-    file = replace(file, size_m=(2.0, 2.0), voxel_m=0.25, structure_m="even", softness=0.0)
+    file = file.replace(size_m=(2.0, 2.0), voxel_m=0.25, structure_m="even", softness=0.0)
     bands = BandSet(("a", "b"), (670.0, 860.0), (5.8, 5.8))
     seen = []
     for seed in range(6):

@@ -74,6 +74,7 @@ def test_a_community_lies_within_its_gradients():
     ("settings", "message"),
     [
         ({"richness": (3, 2)}, "expected `richness` as two numbers in order"),
+        ({"richness": None}, "expected `richness` as two numbers in order"),
         ({"richness": (2, np.inf)}, "`richness` as two numbers in order"),
         ({"richness": (np.nan, 3)}, "`richness` as two numbers in order"),
         ({"richness": 5}, "`richness` as two numbers in order, from 1 to inf, but got 5"),

@@ -14,7 +14,7 @@ def test_at_sixteen_years_the_table_is_the_published_one():
     got, want = table_after_fire(16), table1_2006()
     assert list(got.taxon) == list(want.taxon)
     np.testing.assert_allclose(got[NUMBERS], want[NUMBERS], rtol=1e-12)
-    assert ground_after_fire(16, 0.5).litter == pytest.approx(0.5)
+    assert ground_after_fire(16, 0.5)[0] == pytest.approx(0.5)
 
 
 def test_everything_grows_and_sprouters_lead():
@@ -26,7 +26,7 @@ def test_everything_grows_and_sprouters_lead():
     assert share["sprout"] == pytest.approx(0.63212 / 0.99517, rel=1e-4)
     assert share["seed"] == pytest.approx(0.39347 / 0.93052, rel=1e-4)
     assert share["dead"] == 1.0
-    char = [ground_after_fire(age, 0.5).char for age in (1, 3, 6, 16)]
+    char = [ground_after_fire(age, 0.5)[1] for age in (1, 3, 6, 16)]
     assert np.all(np.diff(char) < 0)
 
 

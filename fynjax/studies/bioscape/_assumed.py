@@ -116,7 +116,7 @@ COVERS_MEAN = (
     'Covers are those of cover_definition = "article", with the packing at which all crowns of a '
     "plot together, at random, cover what crews saw live or standing dead from above."
 )
-"""What the covers of these plots mean, for pages and summaries."""
+"""Meaning of the covers of these plots, for pages and summaries."""
 
 
 def random_packing(crowns: float, live: float) -> float:

@@ -1,24 +1,20 @@
 """`fynjax bioscape calibrate`: field tables and spectra in, covers, stand and leaf traits out."""
 
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
-from itertools import islice
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 from jaxtyping import Float
 
-from fynjax._core.checkpoint import Journal, signature
 from fynjax._core.dry_run import begin_work
 from fynjax._core.errors import InputError
-from fynjax._core.parts import Pool, Workers, at_work
+from fynjax._core.parts import Workers, at_work
 from fynjax._core.precision import double_precision
-from fynjax.inversion import Data, spectrum_view
+from fynjax.inversion import spectrum_view
 from fynjax.io.plot import DEFAULT_PRIOR, LearnedPrior, Plot, read_plot, read_prior
-from fynjax.io.raster import file_hash
 from fynjax.jobs import Run
 from fynjax.scene import PlotParameters, Scene
 from fynjax.sensors import BandSet
@@ -83,7 +79,7 @@ class Prior:
     plots: list[BioscapePlot]
     """The plots, with the traits that their scenes are built with."""
     parameters: list[PlotParameters]
-    elsewhere: list[dict[str, tuple[float, float]]] | None
+    elsewhere: Sequence[dict[str, tuple[float, float]] | None]
     """Mean and standard deviation of quantities over the other plots, for each plot; None where the
     plot's own tables are the prior."""
 
@@ -136,38 +132,74 @@ def calibrate_plots(
         raise InputError("none of the plots has a measured spectrum to learn from", file=folder)
     bands, flights = chosen_bands(spectrometer, [measured[p.name] for p in read], folder)
     begin_work({"estimates.csv": f"{len(read)} plots", "report.html": ""})
-    files, remarks = planted_files(run, folder, read, learned)
+    files, remarks = planted_files(run, read, learned)
     field = field_values(read)
     slots = slots_of(files)
     with run.stage("Plant the plots"):
         stands, parameters = _stands(files, resolution, realisations, seed)
-    priors = _priors(read, files, parameters, slots, field, learned)
+    priors = [Prior(TABLES_PRIOR, read, parameters, [None] * len(read))]
+    if len(read) >= _FEWEST_FOR_PRIOR:
+        priors.append(_elsewhere(read, slots, field, learned))
+    if len(read) >= _FEWEST_FOR_CORRECTION:
+        priors.append(replace(priors[-1], name=BIAS_CORRECTED))
     view = spectrum_view(bands, stands[0][0], parameters[0], ACCURACY)
     repeatability = flight_covariance(flights)
     error = None if learned is None else learned.error_covariance(np.asarray(bands.centre))
     data = [plot_data(view.names, f, repeatability, error) for f in flights]
     predict = PlotSpectrumForward(view, tuple(form == "deadwood" for form in slots))
-    inputs = sorted([*folder.glob("*.csv"), *folder.glob("*.json")])
-    inputs += [] if traits is None else [Path(traits)]
+    inputs = [*sorted([*folder.glob("*.csv"), *folder.glob("*.json")]), traits]
     inputs += [] if learned is None else [learned.path]
-    settings = (resolution, realisations, seed, [p.name for p in read], FREE, len(bands))
-    journal = Journal(checkpoint, signature(settings, [file_hash(p) for p in inputs]))
-    cases = _cases(priors, data, learned, stands)
-    with run.stage("Infer", total=len(priors) * len(read)), at_work(workers) as pool:
-        infer = partial(_infer, pool, cases=cases, predict=predict, journal=journal)
-        estimates = infer([prior for prior in priors if prior.name != BIAS_CORRECTED])
-        _check(estimates, read, folder)
-        if corrected := [prior for prior in priors if prior.name == BIAS_CORRECTED]:
-            cases[BIAS_CORRECTED] = _bias_corrected(
-                cases[BIAS_CORRECTED], estimates[TABLES_PRIOR], view.names, flights
+    settings = (resolution, realisations, [p.name for p in read], FREE, len(bands))
+    journal = run.journal(checkpoint, settings, files=inputs)
+    cases = {
+        prior.name: [
+            PlotCase(spectrum, prior_space(plot, known, learned), parameters, tuple(scenes))
+            for spectrum, plot, known, parameters, scenes in zip(
+                data, prior.plots, prior.elsewhere, prior.parameters, stands, strict=True
             )
-            estimates |= infer(corrected)
-            _check(estimates, read, folder)
+        ]
+        for prior in priors
+    }
+    with run.stage("Infer", total=len(priors) * len(read)), at_work(workers) as pool:
+        estimates: dict[str, list[PlotEstimate]] = {}
+        for name, of_prior in cases.items():
+            if name == BIAS_CORRECTED:  # by the mean residual of the other plots' fits
+                fits = estimates[TABLES_PRIOR]
+                rest = np.stack([np.asarray(d.value) - fit.before for d, fit in zip(data, fits)])
+                for i, case in enumerate(of_prior):
+                    less = np.delete(rest, i, axis=0)
+                    corrected, bias = bias_corrected_data(view.names, flights[i], less)
+                    of_prior[i] = case._replace(data=corrected, bias=bias)
+            each = [f"plot {plot.name}, {name}" for plot in read]
+            found = pool.all(infer_plot, of_prior, predict, names=each, journal=journal)
+            estimates[name] = [
+                PlotEstimate.of(case.space, arrays) for case, arrays in zip(of_prior, found)
+            ]
+            for fit, plot in zip(estimates[name], read):
+                if not (np.isfinite(fit.after).all() and np.isfinite(fit.covariance).all()):
+                    raise InputError(
+                        f"the fit of plot {plot.name!r} is not finite; is its spectrum a "
+                        "reflectance?",
+                        file=folder,
+                    )
     with run.stage("Write"):
-        findings = _findings(read, priors, estimates, field, bands, data)
-        of_plots = {plot.name: measured[plot.name] for plot in read}
-        findings.tables += _by_regression(folder, spectrometer, of_plots, field)
-        remarks += _left_out([plot.name for plot in everything if plot not in read])
+        spectra = np.stack([np.asarray(one.value) for one in data])
+        tables = _tables(read, priors, estimates, field)
+        names = tuple(plot.name for plot in read)
+        if regression := read_leaf_mass_model(folder):
+            means = np.stack([measured[name].reflectance.mean(axis=0) for name in names])
+            try:
+                mass = {"leaf_mass_per_area": regression.predict(spectrometer.centre, means)}
+            except ValueError as error:
+                raise InputError(str(error), file=folder) from error
+            tables.append(simple_table(names, REGRESSION, mass, field))
+        table = pd.concat(tables, ignore_index=True)
+        centres = np.asarray(bands.centre)
+        findings = Findings(names, centres, spectra, estimates, table)
+        if lost := [plot.name for plot in everything if plot not in read]:
+            remarks.append(
+                f"{len(lost)} plots have no measured spectrum and are left out: {', '.join(lost)}"
+            )
         return write_findings(run, findings, resolution, realisations, inputs, warnings=remarks)
 
 
@@ -204,56 +236,8 @@ def _stands(
     return stands, [parameters for _, parameters in planted[::realisations]]
 
 
-def _priors(
-    read: list[BioscapePlot],
-    files: Sequence[Plot],
-    parameters: list[PlotParameters],
-    slots: tuple[str, ...],
-    field: Field,
-    learned: LearnedPrior | None,
-) -> list[Prior]:
-    """The ways of knowing the plots that so many plots allow."""
-    priors = [Prior(TABLES_PRIOR, read, parameters, None)]
-    if len(read) >= _FEWEST_FOR_PRIOR:
-        priors.append(_elsewhere(read, files, slots, field, learned))
-    if len(read) >= _FEWEST_FOR_CORRECTION:
-        priors.append(replace(priors[-1], name=BIAS_CORRECTED))
-    return priors
-
-
-def _bias_corrected(
-    cases: Sequence[PlotCase],
-    fits: Sequence[PlotEstimate],
-    names: Sequence[str],
-    flights: Sequence[Float[np.ndarray, "flight band"]],
-) -> list[PlotCase]:
-    """The cases with each spectrum less the mean residual of the others' `fits`."""
-    rest = np.stack([np.asarray(case.data.value) - fit.before for case, fit in zip(cases, fits)])
-    corrected = []
-    for i, case in enumerate(cases):
-        data, bias = bias_corrected_data(names, flights[i], np.delete(rest, i, axis=0))
-        corrected.append(case._replace(data=data, bias=bias))
-    return corrected
-
-
-def _by_regression(
-    folder: Path, spectrometer: Spectrometer, spectra: Mapping[str, PlotSpectra], field: Field
-) -> list[pd.DataFrame]:
-    """Leaf mass per area by the regression in the folder, if one is there."""
-    regression = read_leaf_mass_model(folder)
-    if regression is None:
-        return []
-    means = np.stack([one.reflectance.mean(axis=0) for one in spectra.values()])
-    try:
-        mass = regression.predict(spectrometer.centre, means)
-    except ValueError as error:
-        raise InputError(str(error), file=folder) from error
-    return [simple_table(tuple(spectra), REGRESSION, {"leaf_mass_per_area": mass}, field)]
-
-
 def _elsewhere(
     read: Sequence[BioscapePlot],
-    files: Sequence[Plot],
     slots: tuple[str, ...],
     field: Field,
     learned: LearnedPrior | None,
@@ -278,81 +262,26 @@ def _elsewhere(
     return Prior(OTHERS_PRIOR, plots, parameters, elsewhere)
 
 
-def _cases(
-    priors: Sequence[Prior],
-    data: Sequence[Data],
-    learned: LearnedPrior | None,
-    stands: Sequence[Sequence[Scene]],
-) -> dict[str, list[PlotCase]]:
-    """Every plot to infer, by the name of each prior."""
-    cases: dict[str, list[PlotCase]] = {prior.name: [] for prior in priors}
-    for prior in priors:
-        for i, (spectrum, scenes) in enumerate(zip(data, stands, strict=True)):
-            known = None if prior.elsewhere is None else prior.elsewhere[i]
-            space = prior_space(prior.plots[i], known, learned)
-            case = PlotCase(spectrum, space, prior.parameters[i], tuple(scenes))
-            cases[prior.name].append(case)
-    return cases
-
-
-def _infer(
-    pool: Pool,
-    priors: Sequence[Prior],
-    *,
-    cases: Mapping[str, Sequence[PlotCase]],
-    predict: PlotSpectrumForward,
-    journal: Journal,
-) -> dict[str, list[PlotEstimate]]:
-    """Estimates of every plot by each of the priors."""
-    names = [f"plot {plot.name}, {prior.name}" for prior in priors for plot in prior.plots]
-    of_all = [case for prior in priors for case in cases[prior.name]]
-    found = pool.all(infer_plot, of_all, predict, names=names, journal=journal)
-    fits = (PlotEstimate.of(case.space, arrays) for case, arrays in zip(of_all, found))
-    return {prior.name: list(islice(fits, len(prior.plots))) for prior in priors}
-
-
-def _left_out(plots: Sequence[str]) -> list[str]:
-    """A remark on plots without a spectrum."""
-    if not plots:
-        return []
-    return [f"{len(plots)} plots have no measured spectrum and are left out: {', '.join(plots)}"]
-
-
-def _check(
-    estimates: dict[str, list[PlotEstimate]], read: Sequence[BioscapePlot], folder: Path
-) -> None:
-    for fits in estimates.values():
-        for fit, plot in zip(fits, read):
-            if not (np.isfinite(fit.after).all() and np.isfinite(fit.covariance).all()):
-                raise InputError(
-                    f"the fit of plot {plot.name!r} is not finite; is its spectrum a reflectance?",
-                    file=folder,
-                )
-
-
-def _findings(
+def _tables(
     read: Sequence[BioscapePlot],
     priors: Sequence[Prior],
     estimates: dict[str, list[PlotEstimate]],
     field: Field,
-    bands: BandSet,
-    data: Sequence[Data],
-) -> Findings:
-    names = tuple(p.name for p in read)
-    findings = Findings(
-        names, np.asarray(bands.centre), np.stack([np.asarray(d.value) for d in data]), estimates
-    )
-    for prior in priors:
-        references = [ReferencePlot(p) for p in prior.plots]
-        findings.tables.append(
-            estimate_table(read, prior.name, references, estimates[prior.name], field)
+) -> list[pd.DataFrame]:
+    """Every quantity of every plot by each prior, by the tables and by the other plots' mean."""
+    tables = [
+        estimate_table(
+            read, prior.name, [ReferencePlot(p) for p in prior.plots], estimates[prior.name], field
         )
+        for prior in priors
+    ]
+    names = tuple(p.name for p in read)
     of_tables = {
         name: np.array([p.weighted_mean(name) for p in read], float)
         for name in ("leaf_mass_per_area", "water_content")
     }
-    findings.tables.append(simple_table(names, TABLE, of_tables, field))
+    tables.append(simple_table(names, TABLE, of_tables, field))
     if len(read) > 1:
         mean = {name: others(value)[0] for name, value in field.value.items()}
-        findings.tables.append(simple_table(names, MEAN, mean, field))
-    return findings
+        tables.append(simple_table(names, MEAN, mean, field))
+    return tables

@@ -195,7 +195,7 @@ class PlotSpectrumForward(eqx.Module):
     def stand(
         self, values: Float[Array, " free"], scene: Scene, parameters: PlotParameters
     ) -> Float[Array, " quantity"]:
-        """What `STAND` names of the planted scene. Differentiable."""
+        """Quantities of the planted scene, in the order of `STAND`. Differentiable."""
         plot = self._plot(values, parameters)
         crowns = scene.crown_areas(plot) * scene.crown_share(plot)
         ground = scene.grid.extent[0] * scene.grid.extent[1]
@@ -473,7 +473,7 @@ def _stand(
     scene: Scene,
     parameters: PlotParameters,
 ) -> tuple[Float[Array, " quantity"], Float[Array, "quantity free"]]:
-    """What `STAND` names, and its derivatives by the whitened parameters."""
+    """Quantities of `STAND`, and their derivatives by the whitened parameters."""
 
     def at(u: Array) -> Array:
         return predict.stand(space.physical(u), scene, parameters)

@@ -128,7 +128,7 @@ def simple_table(
     values: dict[str, Float[np.ndarray, " plot"]],
     field: Field,
 ) -> pd.DataFrame:
-    """The same of a predictor that states no interval."""
+    """Every quantity of every plot by a predictor that states no interval."""
     parts = [
         pd.DataFrame(
             {
@@ -184,23 +184,22 @@ def parameter_table(
     plots: Sequence[str], predictor: str, estimates: Sequence[PlotEstimate]
 ) -> pd.DataFrame:
     """Every free parameter of every plot."""
-    rows = []
-    for plot, fit in zip(plots, estimates):
-        values = np.asarray(fit.space.physical(fit.whitened))
-        for i, name in enumerate(fit.space.names):
-            rows.append(
-                {
-                    "plot": plot,
-                    "predictor": predictor,
-                    "parameter": name,
-                    "what": FREE[name].what,
-                    "prior": float(fit.space.prior[i]),
-                    "estimate": values[i],
-                    "shift": fit.whitened[i],
-                    "constrained": fit.constrained[i],
-                }
-            )
-    return pd.DataFrame(rows)
+    tables = [
+        pd.DataFrame(
+            {
+                "plot": plot,
+                "predictor": predictor,
+                "parameter": fit.space.names,
+                "what": [FREE[name].what for name in fit.space.names],
+                "prior": np.asarray(fit.space.prior),
+                "estimate": np.asarray(fit.space.physical(fit.whitened)),
+                "shift": fit.whitened,
+                "constrained": fit.constrained,
+            }
+        )
+        for plot, fit in zip(plots, estimates)
+    ]
+    return pd.concat(tables, ignore_index=True)
 
 
 def shift_table(parameters: pd.DataFrame) -> pd.DataFrame:
@@ -211,21 +210,12 @@ def shift_table(parameters: pd.DataFrame) -> pd.DataFrame:
     `mean_over_error`, the mean over its standard error; the mean share of the prior variance
     removed.
     """
-    rows = []
-    for (predictor, name), part in parameters.groupby(["predictor", "parameter"], sort=False):
-        shift = part["shift"].to_numpy()
-        several = len(shift) > 1
-        spread = shift.std(ddof=1) if several else np.nan
-        error = spread / np.sqrt(len(shift))
-        rows.append(
-            {
-                "predictor": predictor,
-                "parameter": name,
-                "what": FREE[str(name)].what,
-                "mean_shift": shift.mean(),
-                "sd_shift": spread,
-                "mean_over_error": shift.mean() / error if several and error > 0 else np.nan,
-                "constrained": part["constrained"].mean(),
-            }
-        )
-    return pd.DataFrame(rows)
+    plots = parameters.groupby(["predictor", "parameter"], sort=False)
+    shift = plots["shift"]
+    table = pd.DataFrame({"mean_shift": shift.mean(), "sd_shift": shift.std()})
+    error: pd.Series = table["sd_shift"] / np.sqrt(shift.count())
+    table["mean_over_error"] = table["mean_shift"] / error.where(error > 0)
+    table["constrained"] = plots["constrained"].mean()
+    table = table.reset_index()
+    table.insert(2, "what", [FREE[name].what for name in table["parameter"]])
+    return table

@@ -1,7 +1,7 @@
-"""What `fynjax bioscape calibrate` writes: tables, figures, a page."""
+"""Results of `fynjax bioscape calibrate`: tables, figures, a page."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
@@ -34,7 +34,7 @@ _SHARED = 3.0
 """A shift this many standard errors from zero is one that plots share."""
 
 
-@dataclass
+@dataclass(frozen=True)
 class Findings:
     """Estimates and residuals of all plots."""
 
@@ -43,12 +43,8 @@ class Findings:
     measured: Float[np.ndarray, "plot band"]
     estimates: dict[str, list[PlotEstimate]]
     """Estimates by the name of their prior, in the order of the plots."""
-    tables: list[pd.DataFrame] = field(default_factory=list)
+    table: pd.DataFrame
     """Estimates of each predictor."""
-
-    @property
-    def table(self) -> pd.DataFrame:
-        return pd.concat(self.tables, ignore_index=True)
 
     @property
     def residuals(self) -> dict[str, Float[np.ndarray, "plot band"]]:
@@ -98,11 +94,13 @@ def write_findings(
     run.table("parameters.csv", parameters, "every free parameter of every plot")
     run.table("parameter_shifts.csv", shifts, "shifts that all plots share")
     run.table("spectra.csv", _spectra_table(findings), "measured and fitted spectra")
-    headline = _headline(findings, score)
+    # The prior that knows most of the model.
+    best = next(p for p in (BIAS_CORRECTED, OTHERS_PRIOR, TABLES_PRIOR) if p in findings.estimates)
+    headline = _headline(findings, score, best)
     sections = [
         Section("", [" ".join(headline[1:])]),
         _field_section(table, score),
-        _stand_section(table, _best_prior(findings)),
+        _stand_section(table, best),
         _shift_section(findings, parameters, shifts),
         Section("Plot by plot", [Table(table, "Every estimate", digits=3, folded=True)]),
         Section("How", _how(resolution, realisations)),
@@ -179,32 +177,22 @@ def _stand_section(table: pd.DataFrame, prior: str) -> Section:
             text = f"{one['estimate']:.3g} ({one['q05']:.3g} to {one['q95']:.3g})"
             row[f"{words} [{unit}]"] = text if not one["verdict"] else f"{text}, {one['verdict']}"
         rows.append(row)
+    verdicts = []
+    for name, (words, _) in WORDS.items():
+        part = chosen[chosen["quantity"] == name]
+        known = int((part["verdict"] == "").sum())
+        verdicts.append(
+            f"{words} in {known} of {len(part)} plots ({part['constrained'].mean():.0%} of the "
+            "prior variance removed on average)"
+        )
     lines = [
         f"By the {prior}: medians with 90 % intervals. “{NOT_CONSTRAINED.capitalize()}” where the "
         f"spectrum removes less than {CONSTRAINED:.0%} of the prior variance, so that the interval "
         "is mostly the prior's. Leaf area, dead tissue and ground seen are those of the planted "
         "scene; no table has them.",
-        _verdicts(chosen),
+        f"Constrained: {'; '.join(verdicts)}.",
     ]
     return Section("The stand of each plot", [*lines, Table(pd.DataFrame(rows), folded=True)])
-
-
-def _verdicts(chosen: pd.DataFrame) -> str:
-    """How many plots each quantity is constrained in."""
-    parts = []
-    for name, (words, _) in WORDS.items():
-        part = chosen[chosen["quantity"] == name]
-        known = int((part["verdict"] == "").sum())
-        parts.append(
-            f"{words} in {known} of {len(part)} plots ({part['constrained'].mean():.0%} of the "
-            "prior variance removed on average)"
-        )
-    return f"Constrained: {'; '.join(parts)}."
-
-
-def _best_prior(findings: Findings) -> str:
-    """The prior that knows most of the model."""
-    return next(p for p in (BIAS_CORRECTED, OTHERS_PRIOR, TABLES_PRIOR) if p in findings.estimates)
 
 
 def _shift_section(findings: Findings, parameters: pd.DataFrame, shifts: pd.DataFrame) -> Section:
@@ -241,9 +229,8 @@ def _shift_section(findings: Findings, parameters: pd.DataFrame, shifts: pd.Data
     return Section("Shifts from the prior", parts)
 
 
-def _headline(findings: Findings, score: pd.DataFrame) -> list[str]:
+def _headline(findings: Findings, score: pd.DataFrame, prior: str) -> list[str]:
     lines = [f"{len(findings.plots)} plots, {findings.wavelength.size} bands. {COVERS_MEAN}"]
-    prior = _best_prior(findings)
     every = {
         (row["quantity"], row["predictor"]): row
         for row in score[score["plots"] == "all"].to_dict("records")
@@ -265,7 +252,7 @@ def _headline(findings: Findings, score: pd.DataFrame) -> list[str]:
 
 
 def _reasons(findings: Findings, shifts: pd.DataFrame) -> list[str]:
-    """What the posteriors say of the reasons, in sentences."""
+    """Sentences on residuals, and on shifts of parameters that all plots share."""
     size = {name: np.sqrt(np.mean(rest**2)) for name, rest in findings.residuals.items()}
     sentences = [
         "Root mean square of the residuals between model and measurement: "

@@ -13,7 +13,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from fynjax._core.checkpoint import Journal, signature
 from fynjax._core.dry_run import begin_work
 from fynjax._core.errors import InputError
 from fynjax._core.parts import Workers, at_work
@@ -21,11 +20,9 @@ from fynjax._core.precision import double_precision
 from fynjax.inversion import (
     LinearPlots,
     ParameterSpace,
-    Population,
     fit_population,
     spectrum_view,
 )
-from fynjax.io.plot import Plot
 from fynjax.io.raster import file_hash
 from fynjax.jobs import Run
 from fynjax.scene import PlotParameters, Scene
@@ -105,8 +102,10 @@ def learn(
     run = Run(output, seed=seed)
     resolution = Resolution() if resolution is None else resolution
     wide = Resolution(resolution.size_m, max(slope_voxel_m, resolution.voxel_m))
-    read, bands, measured, files, remarks = _read(folders, run, plots, traits)
+    read, bands, measured, remarks = _read(folders, plots, traits)
     begin_work({"prior.toml": f"learned from {len(read)} plots", "report.html": ""})
+    files, said = planted_files(run, read, None)
+    remarks += said
     with run.stage("Plant the plots"):
         # Each plot rounds its numbers of plants with a seed of its own.
         seeds = [seed + i for i in range(len(files))]
@@ -115,8 +114,8 @@ def learn(
     inputs = sorted(p for folder in folders for p in Path(folder).glob("*.csv"))
     inputs += [] if traits is None else [Path(traits)]
     space, prior = population_space(), hyperprior(np.asarray(bands.centre))
-    settings = (resolution, wide, seed, [p.name for p in read], space, prior, len(bands), PASSES)
-    journal = Journal(checkpoint, signature(settings, [file_hash(p) for p in inputs]))
+    settings = (resolution, wide, [p.name for p in read], space, prior, len(bands), PASSES)
+    journal = run.journal(checkpoint, settings, files=inputs)
     forms = slots_of(files)
     models = [
         PopulationForward(spectrum_view(bands, *scenes[0], ACCURACY), forms)
@@ -154,7 +153,9 @@ def learn(
             slopes = each(f"Differentiate {of}", u, differentiated=True)
             linear = linear_plots(statistics, predicted, slopes, u)
             population = fit_population(linear, prior)
-            wanted = plot_parameters_of(population, linear)
+            # Each plot's own parameters, whitened; the last of `linear` is that of all plots.
+            wanted = linear.design @ population.mean + population.effects @ linear.effects.T
+            wanted = wanted[:, :-1]
             u = u + np.clip(wanted - u, -_FARTHEST, _FARTHEST)
         with run.stage("Leave each plot out"):
             left_out = [
@@ -200,25 +201,13 @@ def linear_plots(
     return LinearPlots(residual, slope, design, effects)
 
 
-def plot_parameters_of(
-    population: Population, linear: LinearPlots
-) -> Float[np.ndarray, "plot parameter"]:
-    """Each plot's own parameters, whitened, at the estimate."""
-    own = linear.design @ population.mean + population.effects @ linear.effects.T
-    return own[:, :-1]
-
-
 def _read(
-    folders: Sequence[str | Path],
-    run: Run,
-    plots: Sequence[str] | None,
-    traits: str | Path | None,
-) -> tuple[list[BioscapePlot], BandSet, list[np.ndarray], list[Plot], list[str]]:
-    """Plots with a measured spectrum, its bands and values, plot files, remarks."""
+    folders: Sequence[str | Path], plots: Sequence[str] | None, traits: str | Path | None
+) -> tuple[list[BioscapePlot], BandSet, list[np.ndarray], list[str]]:
+    """Plots with a measured spectrum, its bands and values, remarks."""
     read: list[BioscapePlot] = []
     spectra: list[PlotSpectra] = []
     spectrometers: list[Spectrometer] = []
-    files: list[Plot] = []
     remarks: list[str] = []
     for folder in map(Path, folders):
         everything = read_bioscape(folder, plots, traits=traits)
@@ -238,9 +227,6 @@ def _read(
             raise InputError("expected the bands of the first folder, but got others", file=folder)
         read += known
         spectra += [flown[p.name] for p in known]
-        planted, said = planted_files(run, folder, known, None)
-        files += planted
-        remarks += said
     if len(read) < _FEWEST:
         raise InputError(
             f"expected {_FEWEST} plots with a measured spectrum or more to learn what plots share, "
@@ -248,7 +234,7 @@ def _read(
             file=Path(folders[0]),
         )
     bands, flights = chosen_bands(spectrometers[0], spectra, Path(folders[0]))
-    return read, bands, [f.mean(axis=0) for f in flights], files, remarks
+    return read, bands, [f.mean(axis=0) for f in flights], remarks
 
 
 PlantedPlot = tuple[Scene, PlotParameters]

@@ -1,4 +1,4 @@
-"""What `fynjax bioscape learn` writes: a prior file, tables, figures, a page."""
+"""Results of `fynjax bioscape learn`: a prior file, tables, figures, a page."""
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
@@ -40,7 +40,7 @@ ASSUMED, LEFT_OUT = "as assumed", "learned, plot left out"
 
 @dataclass(frozen=True)
 class Lesson:
-    """What was learned, and what from."""
+    """A learned population, and the plots that it was learned from."""
 
     title: str
     licence: str

@@ -2,6 +2,7 @@
 
 import csv
 import io
+import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from datetime import UTC, datetime
@@ -42,7 +43,6 @@ from fynjax.studies.bioscape._plots import (
     Visit,
     read_bioscape,
 )
-from fynjax.studies.bioscape._published import is_published
 from fynjax.studies.bioscape._traits import SOURCES
 
 OTHER = "Other species"
@@ -176,7 +176,7 @@ def _plot_toml(plot: BioscapePlot, population: Mapping[str, float], learned: boo
         *_field_notes(plot),
         "",
         "[plot]",
-        f'name = "{_escaped(plot.name)}"',
+        f"name = {json.dumps(plot.name, ensure_ascii=False)}",
         f"size_m = {PLOT_SIDE_M}  # a square instead of the circle of this diameter",
         "voxel_m = 0.1  # assumed",
         'species_table = "species.csv"',
@@ -219,10 +219,6 @@ def _field_notes(plot: BioscapePlot) -> list[str]:
     return notes
 
 
-def _escaped(text: str) -> str:
-    return text.replace("\\", "\\\\").replace('"', '\\"')
-
-
 def _species_csv(plot: BioscapePlot, population: Mapping[str, float]) -> str:
     listed, packing = plot.listed_cover * 100, plot.packing * 100
     notes = [
@@ -258,9 +254,9 @@ def _species_csv(plot: BioscapePlot, population: Mapping[str, float]) -> str:
         for s in plot.species
     ]
     if plot.other_cover > 0:
-        diameter, height = _other_size(plot)
-        dead = population[f"dead_fraction.{DOME}"]
-        rows.append((OTHER, diameter, plot.other_cover, height, DOME, dead))
+        size, dead = plant_size("", DOME), population[f"dead_fraction.{DOME}"]
+        height = size.height_m * plot.height_factor
+        rows.append((OTHER, size.crown_diameter_m, plot.other_cover, height, DOME, dead))
     if plot.standing_dead > 0:
         like = plot.dominant
         sizes = like.size.crown_diameter_m, plot.standing_dead, like.size.height_m
@@ -282,12 +278,6 @@ def _species_csv(plot: BioscapePlot, population: Mapping[str, float]) -> str:
 def _dead_fraction(species: BioscapeSpecies, population: Mapping[str, float]) -> float:
     """Dead tissue of a species, `BioscapeSpecies.dead_fraction` about that of its growth form."""
     return species.dead_fraction(population[f"dead_fraction.{species.shape.growth_form}"])
-
-
-def _other_size(plot: BioscapePlot) -> tuple[float, float]:
-    """Crown diameter and height [m] of the species that are not listed."""
-    size = plant_size("", DOME)
-    return size.crown_diameter_m, size.height_m * plot.height_factor
 
 
 def _leaves_csv(plot: BioscapePlot, population: Mapping[str, float]) -> str:
@@ -417,7 +407,7 @@ def _median_ratio(counts: pd.DataFrame) -> float | None:
 
 
 def _intercepts(read: Sequence[BioscapePlot]) -> pd.DataFrame:
-    """What line intercepts show from above, beside the covers that the crew judged."""
+    """Line intercepts as seen from above, beside the covers that the crew judged."""
     rows = []
     for plot in read:
         if plot.view is None:
@@ -525,20 +515,20 @@ def run_bioscape(
         read = read_bioscape(folder, plots, traits=traits)
     begin_work({"plots.csv": f"{len(read)} plots"} | {f"{p.name}/plot.toml": "" for p in read})
     with run.stage("Write the plots"):
-        return write_plots(run, folder, read, learned)
+        return write_plots(run, read, learned)
 
 
 def planted_files(
-    run: Run, folder: Path, read: Sequence[BioscapePlot], learned: LearnedPrior | None
+    run: Run, read: Sequence[BioscapePlot], learned: LearnedPrior | None
 ) -> tuple[list[Plot], list[str]]:
     """Write plots into the folder `plots` of a run and read their files; what there is to say."""
-    written = write_plots(Run(run.folder / "plots"), folder, read, learned)
+    written = write_plots(Run(run.folder / "plots"), read, learned)
     files = [read_plot(run.folder / "plots" / plot.name / "plot.toml") for plot in read]
     return files, list(written.warnings)
 
 
 def _cut_or_assumed(read: Sequence[BioscapePlot], learned: LearnedPrior | None) -> list[str]:
-    """What of the species is more than PROSPECT can mean, and what the prior does not know."""
+    """Warnings of values that PROSPECT cannot mean, and of forms that the prior lacks."""
     said = []
     for name, most in _MOST.items():
         thick = {s.taxon for p in read for s in p.species if name in beyond_prospect(s)}
@@ -555,14 +545,14 @@ def _cut_or_assumed(read: Sequence[BioscapePlot], learned: LearnedPrior | None) 
 
 
 def write_plots(
-    run: Run, folder: str | Path, read: Sequence[BioscapePlot], learned: LearnedPrior | None
+    run: Run, read: Sequence[BioscapePlot], learned: LearnedPrior | None
 ) -> BioscapeResult:
     """Write what `run_bioscape` does of plots that are read."""
     index = pd.DataFrame([_index_row(plot) for plot in read])
     run.table("plots.csv", index, "all plots, one a row")
     counts = _counts(read)
     remarks = [r for plot in read for r in plot.remarks]
-    if is_published(Path(folder)):
+    if any(plot.published for plot in read):
         odd = pd.DataFrame(remarks, columns=["file", "row", "plot", "what"])
         odd = odd[["plot", "file", "row", "what"]].astype({"row": "Int64"})
         run.table("counts.csv", counts, "plants counted and from cover")

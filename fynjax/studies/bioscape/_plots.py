@@ -22,6 +22,7 @@ from fynjax.studies.bioscape._published import (
     Remark,
     SpeciesNote,
     ViewFromAbove,
+    Visit,
     is_published,
     read_published,
 )
@@ -91,20 +92,6 @@ class BioscapeSpecies:
 
 
 @dataclass(frozen=True)
-class Visit:
-    """Where a plot is and when the spectrometer flew over it."""
-
-    longitude: float
-    """Longitude of the plot, WGS84 [degree]."""
-    latitude: float
-    """Latitude of the plot, WGS84 [degree]."""
-    times: tuple[str, ...]
-    """Start of each flight line, ISO 8601, in order."""
-    remark: str
-    """Remark of the crew, or ''."""
-
-
-@dataclass(frozen=True)
 class BioscapePlot:
     """One plot as its tables describe it. Covers are shares of the plot [-]."""
 
@@ -129,6 +116,8 @@ class BioscapePlot:
     """Line intercepts, where there are any."""
     remarks: tuple[Remark, ...] = ()
     """Oddities of the plot's rows, and how it was read."""
+    published: bool = False
+    """Whether it is from the published tables, which have counts and line intercepts."""
 
     @property
     def listed_cover(self) -> float:
@@ -227,7 +216,7 @@ def read_bioscape(
     - `traits`: trait library, if it is not in the folder.
 
     **Returns:** plots in the order of the cover table; of the published tables those with all
-    covers and a species. A trait of a species without a measured
+    covers and a live species. A trait of a species without a measured
     value is the mean of its genus, else family, else growth form in the library.
 
     **Raises:** `InputError` for a missing file, column or plot, a value that is no number or
@@ -240,38 +229,40 @@ def read_bioscape(
     if published := is_published(folder):
         tables = read_published(folder)
     else:
-        tables = _read_extract(folder)
+        cover_path, species_path = needed_table(folder, COVER), needed_table(folder, SPECIES)
+        covers = {row.Plot: (at, row) for at, row in read_rows(cover_path, CoverRow, COVER[1])}
+        rows = read_rows(species_path, SpeciesCoverRow, SPECIES[1])
+        listed = _species_by_plot(rows, species_path)
+        tables = FieldTables(cover_path, species_path, covers, listed, set(covers))
     trait_path = (
         needed_table(folder, TRAITS) if traits is None else existing_file(traits, TRAITS[1])
     )
     library = TraitLibrary(read_rows(trait_path, TraitRow, TRAITS[1]), trait_path)
     visit_path = find_table(folder, VISITS)
-    visits = {} if visit_path is None else _visits(visit_path)
-    for name, place in tables.place.items():
-        visits.setdefault(name, Visit(place.longitude, place.latitude, (), place.remark))
+    visits = tables.place | ({} if visit_path is None else _visits(visit_path))
 
-    cover_path, species_path, cover = tables.summary, tables.species, tables.cover
     column = "plot" if published else "Plot"
     if plots is None:
         plots = _every_plot(tables, column, published)
     read = []
     for name in dict.fromkeys(plots):
-        if name not in cover:
+        if name not in tables.cover:
             raise InputError(
                 f"expected a row with covers for plot {name!r}, but there is none."
-                f"{did_you_mean(name, cover)}",
-                file=cover_path,
+                f"{did_you_mean(name, tables.cover)}",
+                file=tables.summary,
                 column=column,
             )
         if name not in tables.listed:
             raise InputError(
-                f"expected species of plot {name!r} in {species_path.name}, but there is none. "
-                "Without species there is nothing to plant.",
-                file=cover_path,
-                row=cover[name][0],
+                f"expected live species of plot {name!r} in {tables.species.name}, but there is "
+                "none. Without species there is nothing to plant.",
+                file=tables.summary,
+                row=tables.cover[name][0],
                 column=column,
             )
-        read.append(_plot(name, tables, library, visits.get(name)))
+        plot = _plot(name, tables, library, visits.get(name))
+        read.append(replace(plot, published=published))
     if not read:
         raise InputError("expected a plot with covers and species, but there is none", file=folder)
     for plot in read:
@@ -299,18 +290,11 @@ def _every_plot(tables: FieldTables, column: str, published: bool) -> list[str]:
     plots = [name for name in tables.cover if name in tables.listed]
     if lacking := sorted(tables.named - set(plots)):  # not surveyed to their end
         warnings.warn(
-            f"{tables.summary}: plots without covers or species are left out: {', '.join(lacking)}",
+            f"{tables.summary}: plots without covers or live species are left out: "
+            f"{', '.join(lacking)}",
             stacklevel=3,
         )
     return plots
-
-
-def _read_extract(folder: Path) -> FieldTables:
-    cover_path, species_path = needed_table(folder, COVER), needed_table(folder, SPECIES)
-    cover = {row.Plot: (where, row) for where, row in read_rows(cover_path, CoverRow, COVER[1])}
-    rows = read_rows(species_path, SpeciesCoverRow, SPECIES[1])
-    listed = _species_by_plot(rows, species_path)
-    return FieldTables(cover_path, species_path, cover, listed, set(cover))
 
 
 def _plot(

@@ -37,9 +37,9 @@ MEANS = (*PER_PLOT, COVER_ERROR)
 """Means of the population: those of the parameters of a plot, and by how much more ground is seen
 from above between leaves and stems than crews note as bare or dead [-]."""
 _SHARED = ("shoot_clumping", "structure")
-"""What the shoots and leaves of a growth form are like in every plot."""
+"""Properties of shoots and leaves that are the same in every plot."""
 EFFECTS = tuple(name for name in (*BY_FORM, *FACTORS) if name not in _SHARED)
-"""What varies between plots: dead tissue and leaf area of all forms alike, and the others."""
+"""Random effects of plots: dead tissue and leaf area of all forms alike, and the others."""
 
 _ALIKE = 0.7
 """Correlation of the errors of assumed values between growth forms."""
@@ -72,7 +72,7 @@ def population_space() -> ParameterSpace:
 
 
 def effect_matrix() -> Float[np.ndarray, "parameter effect"]:
-    """Which parameters of a plot each random effect moves."""
+    """1 where a random effect moves a parameter of a plot, else 0."""
     return np.array([[float(n.split(".")[0] == e) for e in EFFECTS] for n in PER_PLOT])
 
 

@@ -7,6 +7,7 @@ import sqlite3
 from collections import Counter
 from contextlib import closing
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -116,7 +117,7 @@ class QuadratSpeciesRow(TaxonRow):
 
 
 class InterceptRow(TaxonRow):
-    """What a point on a line across a plot shows from above."""
+    """A point on a line across a plot, as it is seen from above."""
 
     line_transect: str = Field(description="NS or WE.", min_length=1)
     metres_along_line: str = Field(description="0L to 10R.", min_length=1)
@@ -147,7 +148,7 @@ class Remark:
 
 @dataclass(frozen=True)
 class SpeciesNote:
-    """What the tables say of a species on a plot; None where they do not."""
+    """Notes of the tables on a species of a plot; None where they have none."""
 
     where: str
     """File and row that name the species."""
@@ -185,12 +186,17 @@ class ViewFromAbove:
 
 
 @dataclass(frozen=True)
-class PlotCentre:
-    """Centre of a plot."""
+class Visit:
+    """Where a plot is and when the spectrometer flew over it."""
 
     longitude: float
+    """Longitude of the plot, WGS84 [degree]."""
     latitude: float
+    """Latitude of the plot, WGS84 [degree]."""
+    times: tuple[str, ...]
+    """Start of each flight line, ISO 8601, in order."""
     remark: str
+    """Remark of the crew, or ''."""
 
 
 @dataclass
@@ -211,8 +217,8 @@ class FieldTables:
     """Years since fire, mean of the quadrants that state a number."""
     view: dict[str, ViewFromAbove] = field(default_factory=dict)
     """Line intercepts of each plot."""
-    place: dict[str, PlotCentre] = field(default_factory=dict)
-    """Centres of the plots."""
+    place: dict[str, Visit] = field(default_factory=dict)
+    """Centres of the plots, without flights."""
     remarks: list[Remark] = field(default_factory=list)
     """Oddities of the tables, and how it was read."""
 
@@ -248,6 +254,7 @@ def read_published(folder: Path) -> FieldTables:
 
 def _read_summary(tables: FieldTables) -> None:
     path = tables.summary
+    remark = partial(tables.remark, path)
     for where, row in read_rows(path, SummaryRow, SUMMARY[1]):
         tables.named.add(row.plot)
         covers = {new: getattr(row, old) for old, new in _COVERS.items()}
@@ -257,11 +264,12 @@ def _read_summary(tables: FieldTables) -> None:
         if row.veg_height_mean_cm:
             tables.height[row.plot] = row.veg_height_mean_cm / 100.0
         else:
-            tables.remark(path, where, row.plot, "no height: heights are those of growth forms")
+            remark(where, row.plot, "no height: heights are those of growth forms")
 
 
 def _read_species(tables: FieldTables) -> None:
     path = tables.species
+    remark = partial(tables.remark, path)
     rows: dict[tuple[str, str], list[tuple[int, PlotSpeciesRow]]] = {}
     for where, row in read_rows(path, PlotSpeciesRow, SPECIES[1]):
         taxon = row.taxon
@@ -273,31 +281,28 @@ def _read_species(tables: FieldTables) -> None:
                 column="accepted_genus",
             )
         if row.percent_cover_alive is None:
-            tables.remark(path, where, row.plot, f"no live cover of {taxon}: left out")
+            remark(where, row.plot, f"no live cover of {taxon}: left out")
         elif row.percent_cover_alive + (row.percent_cover_dead or 0.0) == 0:
-            tables.remark(path, where, row.plot, f"no cover of {taxon}, live or dead: left out")
+            remark(where, row.plot, f"no cover of {taxon}, live or dead: left out")
         else:
             rows.setdefault((row.plot, taxon), []).append((where, row))
     for (plot, taxon), several in rows.items():
         if len(several) > 1:
             numbers = " and ".join(str(where) for where, _ in several)
-            tables.remark(
-                path, several[-1][0], plot, f"{taxon} in rows {numbers}: covers and counts added"
-            )
+            remark(several[-1][0], plot, f"{taxon} in rows {numbers}: covers and counts added")
         note = _species_note(path, several)
         sizes = [row.mean_canopy_diameter_cm for _, row in several]
         if note.diameter is None:
-            tables.remark(
-                path, several[0][0], plot, f"no diameter of {taxon}: that of its growth form"
-            )
+            remark(several[0][0], plot, f"no diameter of {taxon}: that of its growth form")
         elif any(0 < (size or 0.0) < _SMALLEST for size in sizes):
-            tables.remark(
-                path,
-                several[0][0],
-                plot,
-                f"diameter of {taxon} below {_SMALLEST:g} cm: read as that",
-            )
+            remark(several[0][0], plot, f"diameter of {taxon} below {_SMALLEST:g} cm: read as that")
         tables.listed.setdefault(plot, {})[taxon] = note
+    # Shares of the live cover are those of no plot without any.
+    tables.listed = {
+        plot: notes
+        for plot, notes in tables.listed.items()
+        if any(note.cover > 0 for note in notes.values())
+    }
 
 
 def _species_note(path: Path, several: list[tuple[int, PlotSpeciesRow]]) -> SpeciesNote:
@@ -328,24 +333,18 @@ def _species_note(path: Path, several: list[tuple[int, PlotSpeciesRow]]) -> Spec
 
 
 def _read_quadrats(tables: FieldTables, path: Path) -> None:
+    remark = partial(tables.remark, path)
     ages: dict[str, list[float]] = {}
     for where, row in read_rows(path, QuadratRow, QUADRATS[1]):
         total = row.total_cover_check
         if total is not None and abs(total - 100.0) > 1.0:
-            tables.remark(
-                path, where, row.plot, f"covers of {row.quadrant} sum to {total:g} %: kept as noted"
-            )
+            remark(where, row.plot, f"covers of {row.quadrant} sum to {total:g} %: kept as noted")
         text = row.post_fire_age_years
         if text is None or _missing(text) is None:
             continue
         age = float(text) if re.fullmatch(r"\d+(\.\d*)?", text) else None
         if age is None or age > _OLDEST:
-            tables.remark(
-                path,
-                where,
-                row.plot,
-                f"years since fire are {text!r}, no number of years: left out",
-            )
+            remark(where, row.plot, f"years since fire are {text!r}, no number of years: left out")
         else:
             ages.setdefault(row.plot, []).append(age)
     tables.age = {plot: sum(values) / len(values) for plot, values in ages.items()}
@@ -354,13 +353,13 @@ def _read_quadrats(tables: FieldTables, path: Path) -> None:
 def _compare_quadrat_species(tables: FieldTables, path: Path) -> None:
     """The plot's table holds the sums over the quadrants: a row that is there twice may count
     twice in them."""
+    remark = partial(tables.remark, path)
     first: dict[tuple[str, str, str], int] = {}
     for where, row in read_rows(path, QuadratSpeciesRow, QUADRAT_SPECIES[1]):
         taxon = row.taxon
         key = row.plot, row.quadrant, taxon or ""
         if taxon is not None and key in first:
-            tables.remark(
-                path,
+            remark(
                 where,
                 row.plot,
                 f"{taxon} of {row.quadrant} also in row {first[key]}: its sum over the plot is "
@@ -370,6 +369,7 @@ def _compare_quadrat_species(tables: FieldTables, path: Path) -> None:
 
 
 def _read_intercepts(tables: FieldTables, path: Path) -> None:
+    remark = partial(tables.remark, path)
     points: dict[str, list[tuple[int, InterceptRow]]] = {}
     for where, row in read_rows(path, InterceptRow, INTERCEPTS[1]):
         points.setdefault(row.plot, []).append((where, row))
@@ -392,26 +392,24 @@ def _read_intercepts(tables: FieldTables, path: Path) -> None:
             elif other:
                 kinds["other"] += 1
                 if other != "other":
-                    tables.remark(path, where, plot, f"{row.other_cover_type!r} counts as other")
+                    remark(where, plot, f"{row.other_cover_type!r} counts as other")
             else:
-                tables.remark(path, where, plot, "a point with neither plant nor cover: left out")
+                remark(where, plot, "a point with neither plant nor cover: left out")
         if repeated:
-            tables.remark(
-                path, None, plot, f"{repeated} of {len(rows)} points on places that are there twice"
-            )
+            remark(None, plot, f"{repeated} of {len(rows)} points on places that are there twice")
         if live or kinds:
             tables.view[plot] = ViewFromAbove(
                 dict(live), kinds["dead"], kinds["bare"], kinds["other"]
             )
     for plot in tables.cover:
         if plot not in tables.view:
-            tables.remark(path, None, plot, "no line intercepts")
+            remark(None, plot, "no line intercepts")
 
 
 _PLACE_COLUMNS = ("bioscape_plot_id", "townsend_long", "townsend_lat", "quality_flag")
 
 
-def _read_places(path: Path) -> dict[str, PlotCentre]:
+def _read_places(path: Path) -> dict[str, Visit]:
     """Centres of the plots from the layer `plot_centers` of a GeoPackage, which is SQLite."""
     try:
         with closing(sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True)) as base:
@@ -426,7 +424,7 @@ def _read_places(path: Path) -> dict[str, PlotCentre]:
     except sqlite3.DatabaseError as error:
         raise InputError(f"expected a GeoPackage (SQLite), but: {error}", file=path) from error
     return {
-        str(plot): PlotCentre(float(x), float(y), "" if not_available(flag) is None else str(flag))
+        str(plot): Visit(float(x), float(y), (), "" if not_available(flag) is None else str(flag))
         for plot, x, y, flag in rows
         if _on_earth((x, 180.0), (y, 90.0))
     }

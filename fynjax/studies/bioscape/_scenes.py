@@ -53,7 +53,7 @@ _LARGEST_EVEN = 0.125
 
 @dataclass(frozen=True)
 class Resolution:
-    """How finely plots are simulated. Raises `InputError` where voxels do not fill a plot."""
+    """Size and voxels of simulated plots. Raises `InputError` where voxels do not fill a plot."""
 
     size_m: float = 5.0
     """Side of the square that stands for a plot [m]; it repeats itself."""
@@ -151,22 +151,20 @@ def _build(
 
 
 def slotted_parameters(plot: Plot, slots: tuple[str, ...]) -> PlotParameters:
-    """The parameters of a plot with its species in slots."""
-    rows = [_nothing(form) for form in slots]
+    """The parameters of a plot with its species in slots; other slots have no plants."""
+    size = {"mean_diameter_cm": 100.0, "cover_percent": 0.0, "height_max_m": 0.1}
+    rows = [
+        SpeciesRow.model_validate({"taxon": "nothing", "growth_form": form, **size})
+        for form in slots
+    ]
     free = {form: [i for i, f in enumerate(slots) if f == form] for form in set(slots)}
     for row in plot.species:
         rows[free[row.growth_form].pop(0)] = row
     return plot_parameters(plot.replace(species=tuple(rows)))
 
 
-def _nothing(form: str) -> SpeciesRow:
-    """A species of a growth form that has no plants."""
-    size = {"mean_diameter_cm": 100.0, "cover_percent": 0.0, "height_max_m": 0.1}
-    return SpeciesRow.model_validate({"taxon": "nothing", "growth_form": form, **size})
-
-
 def _padded(scene: Scene, plants: int, elements: int, parts: int) -> Scene:
-    """The same plot with room for more: plants that do not stand, elements without area."""
+    """A scene with room for more: plants that do not stand, elements without area."""
     planting = scene.planting
 
     def longer(values: Array | np.ndarray, length: int, fill: float = 0.0) -> Array:

@@ -14,7 +14,7 @@ from fynjax.studies.bioscape._tables import VISITS, find_table, flight_time
 
 WAVES = "*waves.csv", "a table of band centres"
 _MASKED = -0.01
-"""What the tables have in bands without a value; -9999 is a pixel without any."""
+"""Value of the tables in bands that are masked; -9999 is a pixel without any value."""
 _LARGEST = 2.0
 _WHOLE = 0.9
 """Least share of the usual bands that a spectrum must have."""

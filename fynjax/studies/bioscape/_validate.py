@@ -1,13 +1,11 @@
 """`fynjax bioscape validate`: field tables in, simulated against measured spectra out."""
 
-from collections.abc import Sequence, Set
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from jaxtyping import Float
 
-from fynjax._core.checkpoint import Journal, signature
 from fynjax._core.dry_run import begin_work
 from fynjax._core.errors import InputError
 from fynjax._core.parts import Workers, at_work
@@ -15,8 +13,7 @@ from fynjax._core.precision import double_precision
 from fynjax.compare import PlotSpectraPair
 from fynjax.diversity import VARIETY
 from fynjax.inversion import nadir_imager
-from fynjax.io.plot import DEFAULT_PRIOR, LearnedPrior, Plot, read_prior
-from fynjax.io.raster import file_hash
+from fynjax.io.plot import DEFAULT_PRIOR, Plot, read_prior
 from fynjax.jobs import Run
 from fynjax.metrics import spectral_mask
 from fynjax.sensors import BandSet
@@ -84,32 +81,44 @@ def validate_plots(
     numbered = tuple(f"band_{i + 1}" for i in keep)
     bands = BandSet(numbered, tuple(spectrometer.centre[keep]), tuple(spectrometer.fwhm[keep]))
     begin_work({"plots.csv": f"{len(read)} plots", "report.html": ""})
-    files, remarks = planted_files(run, folder, read, learned)
+    files, remarks = planted_files(run, read, learned)
     with run.stage("Plant the plots"):
         scenes = build_scenes(files, resolution, [seed + i for i in range(len(files))])
     inputs = [*sorted(folder.glob("*.csv")), traits, None if learned is None else learned.path]
-    journal = None
-    if checkpoint is not None:
-        settings = (resolution, seed, [p.name for p in read], bands.names)
-        hashes = [file_hash(Path(path)) for path in inputs if path is not None]
-        journal = Journal(checkpoint, signature(settings, hashes))
+    settings = (resolution, [p.name for p in read], bands.names)
+    journal = run.journal(checkpoint, settings, files=inputs)
     imager = nadir_imager(bands, *scenes[0], ACCURACY)
     with run.stage("Simulate", total=len(read)), at_work(workers) as pool:
         names = [f"plot {p.name}" for p in read]
         found = pool.all(simulate_plot, scenes, imager, names=names, journal=journal)
     spectra = [PlotSpectrum(*arrays) for arrays in found]
-    _check_finite(spectra, read)
+    for plot, spectrum in zip(read, spectra):
+        if not np.isfinite(spectrum.reflectance).all():
+            raise InputError(f"the simulated spectrum of plot {plot.name!r} is not finite")
     pair = PlotSpectraPair(
         tuple(p.name for p in read),
         spectrometer.centre[keep],
         np.stack([np.asarray(s.reflectance, float) for s in spectra]),
-        tuple(_flights(measured.get(p.name), keep) for p in read),
+        tuple(
+            measured[p.name].reflectance[:, keep]
+            if p.name in measured
+            else np.zeros((0, keep.size))
+            for p in read
+        ),
     )
-    if plots is None:
-        remarks += _left_out(set(measured) - set(pair.plots))
+    if plots is None and (lost := set(measured) - set(pair.plots)):
+        remarks.append(
+            f"{len(lost)} plots have spectra but no row in the table of cover, and are left out: "
+            f"{', '.join(sorted(lost))}"
+        )
     with run.stage("Write"):
         about = plot_table(read, files, spectra, measured)
-        about["prior"] = [prior_words(learned, plot) for plot in read]
+        about["prior"] = "assumed"
+        if learned is not None:
+            about["prior"] = [
+                f"learned from {'the other plots' if learned.knows(plot.name) else 'other data'}"
+                for plot in read
+            ]
         return write_report(
             run,
             pair,
@@ -117,27 +126,13 @@ def validate_plots(
             resolution,
             inputs,
             cover=species_covers(read),
-            variety=_variety(spectra),
+            variety={
+                name: np.array([s.variety[i] for s in spectra], float)
+                for i, name in enumerate(VARIETY)
+            },
             largest_residual=max(float(s.residual) for s in spectra),
             warnings=remarks,
         )
-
-
-def _left_out(plots: Set[str]) -> list[str]:
-    """A remark on plots that have spectra only."""
-    if not plots:
-        return []
-    return [
-        f"{len(plots)} plots have spectra but no row in the table of cover, and are left out: "
-        f"{', '.join(sorted(plots))}"
-    ]
-
-
-def _variety(spectra: Sequence[PlotSpectrum]) -> dict[str, Float[np.ndarray, " plot"]]:
-    """Degree to which spectra within each plot differ, by measure."""
-    return {
-        name: np.array([s.variety[i] for s in spectra], float) for i, name in enumerate(VARIETY)
-    }
 
 
 def used_bands(spectrometer: Spectrometer) -> np.ndarray:
@@ -146,17 +141,6 @@ def used_bands(spectrometer: Spectrometer) -> np.ndarray:
     centre, reach = spectrometer.centre, 2.2 * spectrometer.fwhm
     inside = (centre - reach >= _MODEL_NM[0]) & (centre + reach <= _MODEL_NM[1])
     return np.flatnonzero(spectral_mask(centre) & inside)
-
-
-def prior_words(prior: LearnedPrior | None, plot: BioscapePlot) -> str:
-    """Words for the data that a plot's population was learned from."""
-    if prior is None:
-        return "assumed"
-    return "learned from the other plots" if prior.knows(plot.name) else "learned from other data"
-
-
-def _flights(spectra: PlotSpectra | None, keep: np.ndarray) -> np.ndarray:
-    return np.zeros((0, keep.size)) if spectra is None else spectra.reflectance[:, keep]
 
 
 def species_covers(read: Sequence[BioscapePlot]) -> np.ndarray:
@@ -169,20 +153,6 @@ def species_covers(read: Sequence[BioscapePlot]) -> np.ndarray:
     return cover
 
 
-def _check_finite(spectra: Sequence[PlotSpectrum], read: Sequence[BioscapePlot]) -> None:
-    for plot, spectrum in zip(read, spectra):
-        if not np.isfinite(spectrum.reflectance).all():
-            raise InputError(f"the simulated spectrum of plot {plot.name!r} is not finite")
-
-
-def _from_above(plot: BioscapePlot) -> dict[str, float]:
-    """Share of points of the line intercepts that show bare ground, with its standard error."""
-    if plot.view is None:
-        return {}
-    share, error = plot.view.share(plot.view.bare)
-    return {"intercept_bare_percent": 100 * share, "intercept_bare_se_percent": 100 * error}
-
-
 def plot_table(
     read: Sequence[BioscapePlot],
     files: Sequence[Plot],
@@ -193,6 +163,11 @@ def plot_table(
     rows = []
     for plot, file, spectrum in zip(read, files, spectra):
         flown = measured.get(plot.name)
+        from_above = {}
+        if plot.view is not None:  # points of the line intercepts that show bare ground
+            share, error = plot.view.share(plot.view.bare)
+            from_above["intercept_bare_percent"] = 100 * share
+            from_above["intercept_bare_se_percent"] = 100 * error
         rows.append(
             {
                 "plot": plot.name,
@@ -201,7 +176,7 @@ def plot_table(
                 "dead_percent": 100 * plot.dead,
                 "bare_percent": 100 * (plot.soil + plot.rock),
                 "ground_seen_percent": 100 * float(spectrum.ground_seen),
-                **_from_above(plot),
+                **from_above,
                 "sun_zenith_deg": file.sun.zenith,
                 "sun_azimuth_deg": file.sun.azimuth,
                 "sun_from": "flight" if flights(plot.visit) else "assumed",

@@ -1,4 +1,4 @@
-"""What `fynjax bioscape validate` writes: tables, NetCDF, figures, a page."""
+"""Results of `fynjax bioscape validate`: tables, NetCDF, figures, a page."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -199,7 +199,7 @@ def _compare(
 
 
 def _diversity(table: pd.DataFrame) -> Section:
-    """The section on what spectra tell of the diversity of species."""
+    """The section on how spectra follow the diversity of species."""
     table = table.drop(columns="metric").assign(metric=table["metric"].replace(_METRICS))
     best = table[table["p_value"] <= _UNLIKELY]
     return Section(

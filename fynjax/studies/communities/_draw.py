@@ -38,7 +38,7 @@ class Gradients:
         limits["age"] = (1.0, 40.0)
         for name, (least, most) in limits.items():
             given = getattr(self, name)
-            if given is None:
+            if given is None and name == "age":
                 continue
             try:
                 low, high = (number + 0.0 for number in given)

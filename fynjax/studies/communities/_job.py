@@ -1,4 +1,4 @@
-"""What a sensor can know of diversity: what `fynjax diversity` does."""
+"""The job of `fynjax diversity`: how well sensors know the diversity of communities."""
 
 import math
 from collections.abc import Sequence
@@ -8,7 +8,6 @@ from typing import Literal
 import numpy as np
 import pandas as pd
 
-from fynjax._core.checkpoint import Journal, signature
 from fynjax._core.dry_run import begin_work
 from fynjax._core.errors import InputError, listed, whole_number
 from fynjax._core.extras import require
@@ -17,7 +16,6 @@ from fynjax._core.precision import double_precision
 from fynjax._core.progress import stage
 from fynjax.io.instruments import load_instrument
 from fynjax.io.plot import Plot, as_plot, example_folder
-from fynjax.io.raster import file_hash
 from fynjax.io.text import existing_file, read_rows
 from fynjax.jobs import JobResult, Rows, Run
 from fynjax.report import figures
@@ -37,7 +35,7 @@ _MOST_NOISE = 0.3
 
 
 class DiversityResult(JobResult):
-    """Result of `diversity`: how well spectra tell of diversity, and where that is lost."""
+    """Result of `diversity`: how well spectra know diversity, and where that is lost."""
 
     command: Literal["diversity"] = "diversity"
     lost: Rows
@@ -67,7 +65,7 @@ def diversity(
     checkpoint: str | Path | None = None,
     workers: Workers | None = None,
 ) -> DiversityResult:
-    """How well sensors of any pixel tell the diversity of communities, and tell species apart.
+    """How well sensors of any pixel know the diversity of communities, and recognise species.
 
     Communities of the species of a plot are drawn along gradients, planted and seen by each sensor
     at its finest pixel; coarser pixels are means of these, blurred by the optics of a sensor of
@@ -125,10 +123,7 @@ def diversity(
     design = Design(chosen, fine, tuple(noise), samples, seed, greenness)
     run = Run(output, seed=seed, plot=read)
     begin_work(dict.fromkeys(_TABLES, f"{communities} communities") | {"report.html": ""})
-    journal = None
-    if checkpoint is not None:
-        hashes = [file_hash(path) for path in read.inputs]
-        journal = Journal(checkpoint, signature(pool, hashes, gradients, design))
+    journal = run.journal(checkpoint, pool, gradients, design, files=read.inputs)
     with at_work(workers) as pool_of_workers, stage("Communities", communities):
         done = pool_of_workers.all(
             observe_community, range(communities), pool, gradients, design, journal=journal
@@ -141,7 +136,9 @@ def diversity(
         known = recognition(species, spectra, pool.taxa, design)
     headline = _headline(lost, known, threshold)
     with run.stage("Write"):
-        _write_tables(run, (pd.DataFrame(truth, columns=DIVERSITIES), table, lost, known, composed))
+        tables = pd.DataFrame(truth, columns=DIVERSITIES), table, lost, known, composed
+        for (name, what), rows in zip(_TABLES.items(), tables, strict=True):
+            run.table(name, rows, what)
         sections = _sections(table, lost, known, composed, threshold)
         record = run.record(read.inputs)
         title = f"Diversity as sensors see it: {communities} communities of {read.name}"
@@ -159,11 +156,6 @@ _TABLES = {
     "communities",
     "composition.csv": "how composition follows that of the plants",
 }
-
-
-def _write_tables(run: Run, tables: Sequence[pd.DataFrame]) -> None:
-    for (name, what), table in zip(_TABLES.items(), tables, strict=True):
-        run.table(name, table, what)
 
 
 def _check_different(what: str, values: Sequence[object]) -> None:
@@ -234,7 +226,7 @@ def _few_bands(sensor: str | Path | Sensor, most: int) -> Sensor:
 
 
 def _headline(lost: pd.DataFrame, known: pd.DataFrame, threshold: float) -> list[str]:
-    """For each sensor, at its least noise: how well any metric tells Shannon, richness and
+    """For each sensor, at its least noise: how well any metric knows Shannon, richness and
     evenness, where that is lost, and how well species are recognised."""
     lines = []
     least = lost[lost["noise"] == lost["noise"].min()]
@@ -297,35 +289,20 @@ def _sections(
         "enough pixels. Leaves of a species are all alike here: real ones are not, and are "
         "recognised less often.",
     )
+    where = Table(
+        lost,
+        "Where each diversity is lost (–: at no pixel that is known). Of pixels wider than "
+        "'unknown beyond' the metric is not known.",
+    )
+    how_well = "How well species are recognised; q05 and q95 are over 20 trainings."
+    follows = (
+        "Correlation over pairs of communities (Mantel) of the Bray-Curtis dissimilarity of their "
+        "spectral species, which are clusters of the pixels of all communities, with that of their "
+        "plant species."
+    )
     return [
-        Section(
-            "Diversity",
-            [
-                curves,
-                Table(
-                    lost,
-                    "Where each diversity is lost (–: at no pixel that is known). Of pixels wider "
-                    "than 'unknown beyond' the metric is not known.",
-                ),
-            ],
-        ),
-        Section(
-            "Species",
-            [
-                skill,
-                Table(known, "How well species are recognised; q05 and q95 are over 20 trainings."),
-            ],
-        ),
-        Section(
-            "Composition",
-            [
-                Table(
-                    composed,
-                    "Correlation over pairs of communities (Mantel) of the Bray-Curtis "
-                    "dissimilarity of their spectral species, which are clusters of the pixels of "
-                    "all communities, with that of their plant species.",
-                )
-            ],
-        ),
+        Section("Diversity", [curves, where]),
+        Section("Species", [skill, Table(known, how_well)]),
+        Section("Composition", [Table(composed, follows)]),
         Section("All numbers", [Table(table, "Squared correlations.", folded=True)]),
     ]

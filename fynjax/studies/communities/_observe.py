@@ -1,4 +1,4 @@
-"""What sensors of coarser and coarser pixels measure of a community."""
+"""Measurements of a community by sensors of coarser and coarser pixels."""
 
 from dataclasses import dataclass
 from functools import partial
@@ -36,7 +36,7 @@ their own first three principal components."""
 CLUSTERED = 200
 """Pixels that a community gives to the spectral species of all communities, at most."""
 _TRAITS = ("chlorophyll", "carotenoids", "water", "dry_matter")
-"""Traits of leaves that tell species from one another."""
+"""Traits of leaves in which species differ."""
 _DRAWS = 10
 """Communities that are drawn anew, at most, where one finds no room on the plot."""
 _NDVI = (670.0, 860.0)
@@ -49,7 +49,7 @@ LEADING = 0.5
 
 @dataclass(frozen=True)
 class Design:
-    """How communities are observed."""
+    """Sensors, pixels and noise by which communities are observed."""
 
     sensors: tuple[Sensor, ...]
     """Imaging sensors, each with the bands that are used."""
@@ -185,7 +185,7 @@ def _sample(
 def green(
     spectra: Float[np.ndarray, "pixel band"], sensor: Sensor, least: float | None
 ) -> Bool[np.ndarray, " pixel"]:
-    """Which pixels have an NDVI of at least `least`, of the bands nearest to 670 and 860 nm.
+    """Mask of pixels with an NDVI of at least `least`, of the bands nearest to 670 and 860 nm.
 
     **Raises:** `InputError` for a sensor that has no band within 40 nm of these.
     """

@@ -1,4 +1,4 @@
-"""How well spectra tell of diversity, at which pixel that is lost, and how species separate."""
+"""Agreement of spectra with diversity, the pixel that loses it, and recognition of species."""
 
 import warnings
 from collections.abc import Sequence
@@ -182,7 +182,7 @@ def recognition(
     taxa: Sequence[str],
     design: Design,
 ) -> pd.DataFrame:
-    """How well species are recognised by their spectra in other communities, and their distance.
+    """Accuracy with which species are recognised in other communities, and their distance.
 
     A linear discriminant is trained on half of the communities and judged on the others, in
     several partings.

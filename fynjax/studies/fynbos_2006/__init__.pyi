@@ -1,14 +1,9 @@
-from ._article import SWIR2_MEAN as SWIR2_MEAN
 from ._article import article_tables as article_tables
 from ._article_page import ArticleResult as ArticleResult
 from ._article_page import article as article
-from ._demo import DEMO_TARGETS as DEMO_TARGETS
 from ._demo import demo as demo
 from ._demo import demo_targets as demo_targets
-from ._demo import paper_simulation as paper_simulation
 from ._init import InitResult as InitResult
 from ._init import init as init
-from ._recovery import SURVEY_YEAR as SURVEY_YEAR
-from ._recovery import GroundAfterFire as GroundAfterFire
 from ._recovery import ground_after_fire as ground_after_fire
 from ._recovery import table_after_fire as table_after_fire

@@ -80,7 +80,10 @@ def article_tables(
     the printed optics give. NaN where a number is not printed, and where only an agreement is, of
     histograms and spectra that are not published.
     """
-    table, columns = _printed(), {}
+    parts = _of_bands(), _of_indices(), _of_spectra(), _of_structure()
+    table = pd.DataFrame([number for part in parts for number in part])
+    table = table.astype(dict.fromkeys(["real", "dirsig", "dirsig_off_percent"], float))
+    columns = {}
     states = {"uncalibrated": scene.parameters}
     if calibrated is not None:
         states["calibrated"] = calibrated
@@ -110,14 +113,6 @@ def article_tables(
     for name, percent in off.items():
         table[f"{name}_off_percent"] = percent
     return table[[*(c for c in table if c != "definition"), "definition"]]
-
-
-def _printed() -> pd.DataFrame:
-    """The article's numbers, and whether each can be true."""
-    parts = _of_bands(), _of_indices(), _of_spectra(), _of_structure()
-    numbers = pd.DataFrame([number for part in parts for number in part])
-    values = dict.fromkeys(["real", "dirsig", "dirsig_off_percent"], float)
-    return numbers[[*numbers.columns.drop("definition"), "definition"]].astype(values)
 
 
 class _Number(NamedTuple):

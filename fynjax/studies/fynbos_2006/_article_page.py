@@ -1,4 +1,4 @@
-"""What `fynjax article` does: every number of the article beside those of the shipped plot."""
+"""The job of `fynjax article`: every number of the article beside those of the shipped plot."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -42,9 +42,9 @@ class ArticleResult(JobResult):
 
 @double_precision
 def article(
-    output: Path,
+    output: str | Path,
     *,
-    calibration: Path | None = None,
+    calibration: str | Path | None = None,
     size: float = 10.0,
     pixel: float = 0.025,
     channels: int = 425,
@@ -75,10 +75,11 @@ def article(
     with run.stage("Build the plot", "build"):
         before = build_plot(plot, seed=seed)[1]
         if calibration is not None:
+            calibration = Path(calibration)
             scene, after = build_plot(_calibrated(plot, calibration), seed=seed)
     begin_work({"article.csv": "a row for each number", "report.html": ""})
     if calibration is None:
-        calibration = output / "demo"
+        calibration = run.folder / "demo"
         with run.timed("calibrate"):
             files = demo(calibration, seed=seed, checkpoint=checkpoint).files
         run.files |= {f"demo/{name}": what for name, what in files.items()}
@@ -150,7 +151,7 @@ def _headline(table: pd.DataFrame) -> list[str]:
 
 
 def _pictures(table: pd.DataFrame) -> list[Picture]:
-    """What each is off by: means, spreads, and numbers of the other sensors."""
+    """Pictures of errors: means, spreads, and numbers of the other sensors."""
     of_drone = table["table"].isin(["figure 9", "table 4"])
     judged, spread = table["nearest"] != "", table["quantity"].str.endswith(".std")
     others = table["quantity"].str.contains("reflectance|gap_fraction")

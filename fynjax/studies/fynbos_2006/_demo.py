@@ -1,4 +1,4 @@
-"""What `fynjax demo` does: the 2006 plot calibrated to the statistics of its real drone image."""
+"""The job of `fynjax demo`: the 2006 plot calibrated to the statistics of its real drone image."""
 
 from pathlib import Path
 
@@ -25,7 +25,7 @@ reported beside, as a check."""
 
 @double_precision
 def demo(
-    output: Path,
+    output: str | Path,
     *,
     seed: int,
     with_aviris: bool = False,
@@ -51,17 +51,19 @@ def demo(
         table = plot.calibration
         free = (*table.free, "species.*.leaf.water")
         plot = plot.replace(calibration=table.model_copy(update={"free": free}))
-    known = {t.key: t.value for t in consistent_targets()}
+    rows = table4_2006().items()
+    reference = ReferenceImage(
+        {t.key: t.value for t in consistent_targets()},
+        {f"{n}.mean": r.sim_mean for n, r in rows} | {f"{n}.std": r.sim_std for n, r in rows},
+        {f"{n}.mean": 100.0 * b.sim_abs_difference for n, b in bands_2006().items()},
+        goals={"mean of a band": 3.0, "mean of an index": 5.0},
+    )
     return calibrate_to(
         plot,
         demo_targets(plot, with_aviris=with_aviris),
         Run(output, seed=seed, plot=plot),
         inputs=plot.inputs,
-        reference=None
-        if twin
-        else ReferenceImage(
-            known, *paper_simulation(), goals={"mean of a band": 3.0, "mean of an index": 5.0}
-        ),
+        reference=None if twin else reference,
         command="demo",
         checkpoint=checkpoint,
         twin=twin,
@@ -70,7 +72,7 @@ def demo(
 
 @double_precision
 def demo_targets(plot: Plot | None = None, *, with_aviris: bool = False) -> tuple[Measured, ...]:
-    """What `demo` fits: published statistics of the real drone image.
+    """Targets of `demo`: published statistics of the real drone image.
 
     **Arguments:**
 
@@ -91,16 +93,3 @@ def demo_targets(plot: Plot | None = None, *, with_aviris: bool = False) -> tupl
     description = f"{len(names)} published statistics of the real drone image."
     image = Measured("image", plot.file, data, drone_view(plot, names), description)
     return (image, aviris_target(plot.file)) if with_aviris else (image,)
-
-
-@double_precision
-def paper_simulation() -> tuple[dict[str, float], dict[str, float]]:
-    """Published DIRSIG simulation of the 2006 plot.
-
-    **Returns:** its statistics where they are printed, by name, and the relative errors of the
-    band means [%], of which only the size is printed."""
-    statistics: dict[str, float] = {}
-    for name, row in table4_2006().items():
-        statistics[f"{name}.mean"], statistics[f"{name}.std"] = row.sim_mean, row.sim_std
-    errors = {f"{n}.mean": 100.0 * b.sim_abs_difference for n, b in bands_2006().items()}
-    return statistics, errors

@@ -1,4 +1,4 @@
-"""What `fynjax init` does: the 2006 plot as commented files, or as it may be at another age."""
+"""The job of `fynjax init`: the 2006 plot as commented files, or as it may be at another age."""
 
 import re
 import shutil
@@ -47,7 +47,7 @@ class InitResult(JobResult):
 
 @double_precision
 def init(
-    folder: Path,
+    folder: str | Path,
     *,
     burnt: int = PUBLISHED,
     prior: str | Path = DEFAULT_PRIOR,
@@ -71,7 +71,7 @@ def init(
     **Raises:** `InputError` where a file would be overwritten, for a year out of range, and as
     `read_prior`.
     """
-    learned = read_prior(prior)
+    folder, learned = Path(folder), read_prior(prior)
     # Statistics of the published plot's image are no target for another.
     files = {k: v for k, v in FILES.items() if burnt == PUBLISHED or k != "statistics.csv"}
     there = [name for name in files if (folder / name).exists()]
@@ -200,7 +200,7 @@ def _at_another_age(burnt: int, text: str, folder: Path) -> str:
     )
     guide.write_text(readme, encoding="utf-8")
     litter = float(re.search(r"(?m)^litter_fraction = ([0-9.]+)", text)[1])  # type: ignore[index]
-    ground = ground_after_fire(age, litter)
+    litter, char = ground_after_fire(age, litter)
     text = re.sub(
         r"^# A plot of fynbos that burnt in 2006, at Grootbos, South Africa. ",
         f"# A plot of fynbos as it may look {age} years after a fire of {burnt}. Only the plot\n"
@@ -210,7 +210,5 @@ def _at_another_age(burnt: int, text: str, folder: Path) -> str:
     )
     text = text.replace("burnt 2006", f"burnt {burnt} (assumed)")
     text = text.replace("#   fynjax calibrate plot.toml --target statistics.csv\n", "")
-    text = re.sub(
-        r"(?m)^litter_fraction = [0-9.]+ ", f"litter_fraction = {ground.litter:.2f} ", text
-    )
-    return re.sub(r"(?m)^# char_fraction = [0-9.]+ ", f"char_fraction = {ground.char:.2f} ", text)
+    text = re.sub(r"(?m)^litter_fraction = [0-9.]+ ", f"litter_fraction = {litter:.2f} ", text)
+    return re.sub(r"(?m)^# char_fraction = [0-9.]+ ", f"char_fraction = {char:.2f} ", text)

@@ -1,7 +1,7 @@
 """The species table of the 2006 plot as it may have been, or may be, at another age."""
 
 from importlib import resources
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -18,29 +18,16 @@ OLDEST = 40.0
 """Fynbos as old is rare, and these curves say nothing of its decline [years]."""
 
 
-class Recovery(NamedTuple):
-    """Times after a fire in which sizes and covers come within 37 % of their end [years]."""
-
-    size: float
-    cover: float
-
-
-RECOVERY = {"seed": Recovery(6.0, 4.0), "sprout": Recovery(3.0, 2.0)}
-"""By the way a taxon comes back. Assumptions: sprouters keep their roots and are quick, seedlings
-begin small; cover closes before heights end."""
+RECOVERY = {"seed": (6.0, 4.0), "sprout": (3.0, 2.0)}
+"""Times after a fire in which sizes, and covers, come within 37 % of their end [years], by the way
+a taxon comes back. Assumptions: sprouters keep their roots and are quick, seedlings begin small;
+cover closes before heights end."""
 _LITTER, _CHAR = 5.0, 3.0
 """Years in which litter gathers, and in which char is weathered and covered. Assumptions."""
 _CHARRED = 0.5
 """Share of the ground under ash and char just after the fire. An assumption."""
 _SKELETONS = 0.5
 """Share of the deadwood of an old stand that a fire leaves as skeletons. An assumption."""
-
-
-class GroundAfterFire(NamedTuple):
-    """Shares of the ground under litter and under ash and char [-]."""
-
-    litter: float
-    char: float
 
 
 def table_after_fire(age: float) -> "pd.DataFrame":
@@ -68,19 +55,18 @@ def table_after_fire(age: float) -> "pd.DataFrame":
             gathered = _SKELETONS + (1.0 - _SKELETONS) * age / SURVEYED_AGE
             table.loc[row, "cover_percent"] *= gathered
             continue
-        times = RECOVERY[way]
+        of_size, of_cover = RECOVERY[way]
         for column in ("mean_diameter_cm", "height_max_m"):
-            table.loc[row, column] *= _share(age, times.size)
-        table.loc[row, "cover_percent"] *= _share(age, times.cover)
+            table.loc[row, column] *= _share(age, of_size)
+        table.loc[row, "cover_percent"] *= _share(age, of_cover)
     return table
 
 
-def ground_after_fire(age: float, litter: float) -> GroundAfterFire:
-    """Ground cover `age` years after a fire, given the share of `litter` at 16 years [-]."""
+def ground_after_fire(age: float, litter: float) -> tuple[float, float]:
+    """Shares of the ground under litter and under ash and char [-] `age` years after a fire (1 to
+    40), given the share of `litter` at 16 years [-]. Raises `InputError` for another age."""
     _check_age(age)
-    return GroundAfterFire(
-        float(min(litter * _share(age, _LITTER), 1.0)), float(_CHARRED * np.exp(-age / _CHAR))
-    )
+    return min(litter * _share(age, _LITTER), 1.0), float(_CHARRED * np.exp(-age / _CHAR))
 
 
 def _share(age: float, time: float) -> float:
