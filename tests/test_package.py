@@ -136,8 +136,8 @@ def test_sums_of_products_are_right() -> None:
     [
         ("0.10.1", None, list(compiler.QUICK)),
         ("0.11.0", None, list(compiler.QUICK)),
-        ("0.11.1", None, list(compiler.QUICK)[:1]),
-        ("0.12.0.1", None, list(compiler.QUICK)[:1]),
+        ("0.11.1", None, list(compiler.QUICK)[:2]),
+        ("0.12.0.1", None, list(compiler.QUICK)[:2]),
         ("0.13.0", None, []),
         ("0.10.1", "--theirs", ["--theirs"]),
         ("0.10.1", "", []),
@@ -155,6 +155,12 @@ def test_flags_are_those_that_the_installed_compiler_knows(
         monkeypatch.delenv("XLA_FLAGS")
     compiler.set_flags()
     assert os.environ["XLA_FLAGS"].split() == set_to
+
+
+def test_a_graphics_card_keeps_the_level_of_its_compiler(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert compiler.LEVEL in compiler.known_flags()
+    monkeypatch.setattr(compiler, "find_spec", lambda name: name == "jax_plugins" or None)
+    assert set(compiler.QUICK) - set(compiler.known_flags()) == {compiler.LEVEL}
 
 
 def test_a_compiler_that_sums_wrongly_and_is_in_use_is_refused(
