@@ -168,6 +168,26 @@ def test_a_damaged_block_is_named(tmp_path):
         assert f"rows {start + 1} to {start + 8} cannot be read" in text
 
 
+def test_maps_that_do_not_fit_on_the_disk_end_in_a_line_and_stay_kept(tmp_path, cube):
+    resource = pytest.importorskip("resource", reason="Windows has no limits of a file's size")
+    write_cube_envi(tmp_path / "cube.hdr", cube, {})
+    names, made = [(f"m{i}", "1") for i in range(200)], tmp_path / "maps.tif"
+    with open_blocks(tmp_path / "cube.hdr") as blocks:
+        writer = MapWriter(tmp_path / "work", "s", names, blocks, 1)
+        writer.write(0, 0, np.ones((200, 9, 6)))
+        before = resource.getrlimit(resource.RLIMIT_FSIZE)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, before[1]))
+        try:
+            with pytest.raises(InputError, match=r"cannot write the maps .* Is the disk full"):
+                writer.finish(made, {})
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, before)
+        assert not made.exists()
+        MapWriter(tmp_path / "work", "s", names, blocks, 1).finish(made, {})
+    with rasterio.open(made) as file:
+        assert (file.read() == 1.0).all()
+
+
 def test_maps_go_on_where_they_were_interrupted(tmp_path, cube):
     write_cube_envi(tmp_path / "cube.hdr", cube, {})
     names = [("one", "1"), ("two", "g m-2")]

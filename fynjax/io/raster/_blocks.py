@@ -330,6 +330,14 @@ def grid_coordinates(
     return dims, coordinates
 
 
+_refusing_full_disks = refusing(
+    RasterioError,
+    OSError,
+    words="cannot write the maps ({error}). Is the disk full? If not, the same command goes on "
+    "from what was kept before",
+)
+
+
 class MapWriter:
     """Maps of one raster that are written block by block, in any order, and kept as they come.
     `finish` makes a cloud-optimised GeoTIFF of them.
@@ -394,6 +402,7 @@ class MapWriter:
             pass
 
     @cached_property
+    @_refusing_full_disks
     def _file(self) -> Path:
         """All blocks that are there as one GeoTIFF; of a swath on the swath."""
         path, like = self._folder / "maps.tif", self._like
@@ -409,6 +418,7 @@ class MapWriter:
         return path
 
     @cached_property
+    @_refusing_full_disks
     def _placed(self) -> Path:
         """The maps in their place: of a swath another file than that in the making."""
         if self._table is None:
@@ -422,6 +432,7 @@ class MapWriter:
             self._table.place(swath, onto)
         return self._on_map
 
+    @_refusing_full_disks
     def finish(self, path: Path, tags: Mapping[str, str | int]) -> None:
         """Write all of it as a cloud-optimised GeoTIFF, whole or not at all. Raises `InputError`
         where the lookup table of a swath cannot be read."""
