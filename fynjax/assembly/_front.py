@@ -529,7 +529,7 @@ def fit(
 
 
 _FARTHEST = 4.0
-"""Of a start from the prior [standard deviations]: beyond, a parameter at its bound is flat."""
+"""Farthest start from the prior [standard deviations]: beyond, a parameter at its bound is flat."""
 
 
 def _place(start: Any, space: ParameterSpace) -> Float[Array, " free"] | None:

@@ -16,7 +16,7 @@ _WALKERS = 8
 _STANDS = 40
 """Planted stands from whose sets of leaves the walkers' starts are chosen."""
 _SOLVES = 12
-"""Of the diffuse light of a stand with one set: the rest is some 0.1 % of the light."""
+"""Solves of the diffuse light of a stand with one set: the rest is some 0.1 % of the light."""
 
 
 @double_precision

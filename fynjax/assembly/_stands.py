@@ -95,7 +95,7 @@ doi:10.5281/zenodo.14198989), by their moments. Shares of the growth forms are t
 _ELSEWHERE = 0.2
 """Share of stands whose covers are as good as any, for burnt, cleared and closed ground."""
 _STANDING = (2.0, 2.0)
-"""Of the share of dead cover that stands: the rest is litter."""
+"""Beta distribution of the share of dead cover that stands: the rest is litter."""
 _MOST_CROWNS = 3.0
 """Crowns over ground, at most [-]: crowns at random then leave a twentieth free."""
 _LEAF_MASS_SD, _WATER_SD = (0.15, 0.27), (0.12, 0.25)
@@ -103,11 +103,11 @@ _LEAF_MASS_SD, _WATER_SD = (0.15, 0.27), (0.12, 0.25)
 mass, about those of the growth form: between stands and between forms of a stand. Together those
 of the same species within their forms, 0.31 and 0.27."""
 _PIGMENT_SD = (0.2, 0.2)
-"""Of the logarithm of chlorophyll, between stands and forms: an assumption."""
+"""Standard deviations of the logarithm of chlorophyll between stands and forms: an assumption."""
 _MOST_WATER = 0.05
 """[cm] What PROSPECT was made with (LOPEX, Jacquemoud et al. 1996)."""
 _SIZE_SD = 0.3
-"""Of the logarithm of crown diameters and of heights: an assumption."""
+"""Standard deviation of the logarithm of crown diameters and of heights: an assumption."""
 _TALLEST = 2.0
 """Heights above are cut [m], lest the grid be mostly air."""
 _PACKING = 0.75

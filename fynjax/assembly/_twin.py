@@ -28,7 +28,7 @@ PIXEL_NOISE = 0.01
 """Noise of a pixel of a camera over its reflectance [-]: an assumption, as no source states that of
 the shipped cameras."""
 _FARTHEST = 2.2
-"""Of a truth from the middle of the prior [standard deviations]."""
+"""Largest distance of a truth from the middle of the prior [standard deviations]."""
 _PLANTING = 1000
 """Number of the seed that plants a twin; those of a search are small."""
 

@@ -202,7 +202,7 @@ def table5_2006() -> dict[str, Table5Row]:
 
 
 def figure12_2006() -> dict[str, Figure12Row]:
-    """What the text says of figure 12's index differences, by index."""
+    """Differences of figure 12's indices as the text states them, by index."""
     return {row["index"]: Figure12Row.model_validate(row) for row in _read("figure12_2006.csv")}
 
 

@@ -37,7 +37,7 @@ OWN_SD, OFFSET_SD = 0.01, 0.003
 _SCORES = np.linspace(-4.0, 4.0, 161)
 _PROBABILITY = np.linspace(0.0, 0.9995, 2000)
 _FOLDS = 7
-"""Of the stands, each left out once to see how far what is not trained with lies."""
+"""Parts of the stands, each left out once to see how far what is not trained with lies."""
 _POINTS = 512
 """Simulations that stand for all: more do not change what is masked, and cost time."""
 _NODES, _WEIGHTS = np.polynomial.hermite_e.hermegauss(9)

@@ -47,7 +47,7 @@ class CanopyFit(eqx.Module):
     @property
     @double_precision
     def interval(self) -> dict[str, tuple[float, float]]:
-        """Its 90 % interval."""
+        """90 % interval of each parameter, by name."""
         ends = np.asarray(self.result.quantiles(0.05, 0.95)).T
         return {name: (low, high) for name, (low, high) in zip(self.names, ends.tolist())}
 

@@ -19,7 +19,7 @@ from fynjax.scene import PlotParameters, Scene, stand_realisation, with_values
 Stand = TypeVar("Stand")
 
 _FARTHEST = 2.2
-"""Of a draw of a parameter from its mean [standard deviations]."""
+"""Largest distance of a drawn parameter from its mean [standard deviations]."""
 
 
 def unit_draw(seed: int, number: int, size: int) -> Float[np.ndarray, " free"]:

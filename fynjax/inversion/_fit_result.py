@@ -84,7 +84,7 @@ class Data(eqx.Module):
     @property
     @double_precision
     def covariance(self) -> Float[Array, "statistic statistic"]:
-        """Of the errors; not of data of which only directions count."""
+        """Covariance of the errors; not of data of which only directions count."""
         if self.whitener is None:
             return jnp.diag(self.sd**2)
         return jnp.linalg.inv(self.whitener.T @ self.whitener)

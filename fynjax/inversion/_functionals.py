@@ -128,7 +128,7 @@ def stand_functionals(scene: Scene) -> dict[str, Functional]:
 _TINY = 1e-12
 """Distance from the ends of its range up to which a functional has a logarithm or logit."""
 _DRAWS = 400
-"""Of the prior."""
+"""Draws from the prior for the spread of the stand's numbers before the data."""
 _NINETY = 1.6449
 """Half of a normal's central 90 % [standard deviations]."""
 _ROUNDING = 1e-12
@@ -151,7 +151,7 @@ class StandNumbers(eqx.Module):
 
     scene: Scene
     parameters: PlotParameters
-    """Of the plot; those that are not free count."""
+    """All parameters of the plot, also those that are not free."""
     space: ParameterSpace
     """The free parameters."""
     values: tuple[Callable[[Scene, PlotParameters], Float[Array, ""]], ...] = eqx.field(static=True)

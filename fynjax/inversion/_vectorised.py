@@ -69,7 +69,7 @@ def memory_batch(function: Callable[[Array], Array], point: Float[np.ndarray, " 
 
 
 def _free_memory() -> float:
-    """Of the device [bytes]."""
+    """Free memory of the device [bytes]."""
     known = jax.local_devices()[0].memory_stats()
     if known and "bytes_limit" in known:
         return known["bytes_limit"] - known.get("bytes_in_use", 0)

@@ -35,7 +35,7 @@ from fynjax.sensors import BandSet, Gains, OrthographicCamera, Sensor
 SPECTRUM = "spectrum"
 """Statistics of a mean spectrum are called '<SPECTRUM>.<centre>nm'."""
 LIDAR = "lidar"
-"""Those of a cloud are called '<LIDAR>.<metric>'."""
+"""Statistics of a cloud are called '<LIDAR>.<metric>'."""
 
 
 class AbstractView(eqx.Module):
@@ -233,7 +233,7 @@ def _mean_spectrum(
 
 
 _WINDOW = 0.05
-"""Of quantiles in a search [-]."""
+"""Width of the window over which a search smooths quantiles, as a share of all values [-]."""
 _SEARCH_COLUMNS = 3
 """Every so many voxel columns are looked at in a search."""
 

@@ -186,7 +186,7 @@ class LeafOverBackground(AbstractMeasurement):
 
     @property
     def estimated(self) -> tuple[str, ...]:
-        """Those of gap fraction, background and recollision that are `None`."""
+        """Names among gap fraction, background and recollision that are `None`."""
         names = ("gap_fraction", "background", "recollision")
         return tuple(name for name in names if getattr(self, name) is None)
 

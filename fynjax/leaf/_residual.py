@@ -124,7 +124,7 @@ def inverse_triangular(lower: Array) -> Array:
 
 
 def whitening(problem: Problem, factors: Array) -> Whitening:
-    """Of a leaf, by which `residual` multiplies.
+    """Whitening of a leaf, by which `residual` multiplies.
 
     A square root of the inverse of F^T F + D is D^-1/2 (I - F^T N F D^-1) with
     N = (L + L L^T)^-1 and L L^T = I + F D^-1 F^T (Andrews 1968, AIAA Journal 6, 1165, for the

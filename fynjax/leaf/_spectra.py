@@ -137,7 +137,7 @@ def _table(given: Any, what: str) -> pd.DataFrame:
 
 
 def _of_array(array: Any, what: str) -> pd.DataFrame:
-    """Of a DataArray over `wavelength`, and one dimension more or none."""
+    """Spectra of a DataArray over `wavelength`, and one dimension more or none."""
     at = array.coords.get("wavelength")
     others = [] if at is None else [dim for dim in array.dims if dim not in at.dims]
     if at is None or at.ndim != 1 or len(others) > 1:

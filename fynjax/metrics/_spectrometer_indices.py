@@ -129,7 +129,7 @@ _PLAIN = (0.05, 0.1, 0.4)
 """Reflectance of bands of which every index is defined."""
 
 SPECTROMETER_INDICES: dict[str, SpectrometerIndex] = {index.name: index for index in _ALL}
-"""Those indices of figure 12 that have a published formula, by name, in the paper's order."""
+"""Indices of figure 12 that have a published formula, by name, in the paper's order."""
 
 
 def spectrometer_indices(

@@ -43,8 +43,8 @@ def check_statistics(names: Sequence[str], bands: Sequence[str] = BANDS) -> None
 
 
 def fitting_statistics(names: Sequence[str], side: float, pixel: float) -> list[str]:
-    """Those of `names` that an image with the shorter `side` and pixels of `pixel` has [m]: squares
-    of a standard deviation are at least a pixel wide, and four fit along the side."""
+    """Statistics among `names` that an image with the shorter `side` and pixels of `pixel` has [m]:
+    squares of a standard deviation are at least a pixel wide, and four fit along the side."""
     blocks = {name: match["block"] for name in names if (match := _NAME.match(name))}
     width = {n: 0.01 * float(b.removesuffix("cm")) for n, b in blocks.items() if b}
     return [n for n in names if n not in width or pixel <= width[n] <= 0.25 * side]

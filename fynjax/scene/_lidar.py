@@ -240,7 +240,7 @@ class LidarObservation(eqx.Module):
         return self.to_dataframe().plot.scatter(**(drawn | options))
 
     def __str__(self) -> str:
-        """What it is, and how high its returns are, in a sentence."""
+        """Description of the LiDAR and of the heights of its returns, in a sentence."""
         text = f"{self.lidar.name}: {len(self.beams)} pulses, {self._density:.4g} a square metre"
         if self.returns is None or not len(self.returns):
             return f"{text}; no returns."

@@ -252,7 +252,7 @@ class Observation(eqx.Module):
         return draw(**({"col": "band", "col_wrap": min(len(bands), 4)} | options))
 
     def __str__(self) -> str:
-        """What it is, and the mean of each band, in a sentence."""
+        """Description of the sensor, and the mean of each band, in a sentence."""
         shape = " x ".join(map(str, self.reflectance.shape[-2:]))
         text = f"{self.sensor}: {shape} pixels of {self.pixel:g} m in {len(self.bands)} bands"
         if isinstance(self.reflectance, jax.core.Tracer) or self.reflectance.ndim != 3:

@@ -177,12 +177,12 @@ class Window(eqx.Module):
     """Number of such columns in it, along y and x."""
 
     def grid(self, whole: VoxelGrid, times: int = 1) -> VoxelGrid:
-        """Its voxels, of the kind of those of `whole`, `times` as many along a column's edge."""
+        """Voxels of the window as those of `whole`, `times` as many along a column's edge."""
         ny, nx = self.columns
         return dataclasses.replace(whole, shape=(nx * times, ny * times, whole.shape[2]))
 
     def cut(self, field: Float[Array, "band y x"]) -> Float[Array, "band y x"]:
-        """Its part of a map that repeats itself."""
+        """The window's part of a map that repeats itself."""
         for axis, start, count in zip((1, 2), self.first, self.columns, strict=True):
             field = jnp.take(field, (start + jnp.arange(count)) % field.shape[axis], axis=axis)
         return field

@@ -48,7 +48,7 @@ class Terrain:
 
     @property
     def bounds(self) -> Bounds:
-        """Its outer edges, cells included."""
+        """Outer edges of the raster, cells included."""
         rows, columns = self.heights.shape
         x, y = self.origin
         return x, y, x + columns * self.cell, y + rows * self.cell

@@ -177,7 +177,7 @@ def _materials(
     organ_of_material: Mapping[str, Organ | str | PlantMaterial] | None,
     file: str | None,
 ) -> dict[str, PlantMaterial]:
-    """What each material of the mesh stands for, by its name."""
+    """Organ that each material of the mesh stands for, by its name."""
     if organ_of_material is None:
         by_name = {name: organ_of_name(name) for name in mesh.materials}
         if not any(organ is not None for organ in by_name.values()):

@@ -291,7 +291,7 @@ class InstrumentFile(Strict):
     name: str = Field(min_length=1)
     """Short name."""
     description: str = ""
-    """What it is, in a sentence."""
+    """Description of the instrument, in a sentence."""
     source: str = Field(min_length=1)
     """Where the numbers come from."""
     licence: str = ""

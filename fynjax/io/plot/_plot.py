@@ -65,8 +65,7 @@ class Plot(PlotTable, SceneTable):
 
     @property
     def shrubland(self) -> Shrubland:
-        """Whose values its plants have where the tables leave them open: as the plot file says,
-        else by place."""
+        """Source of what tables leave open about plants: as the plot file says, else by place."""
         if self.plants is not None or self.place_deg is None:
             return self.plants or "fynbos"
         north, east = self.place_deg

@@ -95,7 +95,7 @@ class PriorFile(Strict):
     """A population of plots: means, variation between plots and the model's remaining error."""
 
     title: str = Field(min_length=1)
-    """What the plots are."""
+    """Description of the plots, in words."""
     licence: str
     """Licence of these numbers."""
     sources: list[str]

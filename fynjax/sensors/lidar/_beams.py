@@ -195,7 +195,7 @@ def _square(cell: np.ndarray) -> np.ndarray:
 
 
 def _over_plot(beams: LidarBeams, extent: tuple[float, float], ground: float) -> LidarBeams:
-    """Those that meet the plot, at the mean height of its ground."""
+    """Beams that meet the plot, at the mean height of its ground."""
     x, y = beams.at_height(ground).T
     inside = (x >= 0.0) & (x < extent[0]) & (y >= 0.0) & (y < extent[1])
     if not inside.any():

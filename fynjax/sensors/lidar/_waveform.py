@@ -246,7 +246,7 @@ class _Receiver(eqx.Module):
         return whole.at[index + 1].add(share * energy, mode="drop")
 
     def heights(self, path: PencilPaths, start: Array, top: float) -> Float[Array, " bin"]:
-        """Of the bins, along the middle of the pencils [m]."""
+        """Heights of the bins, along the middle of the pencils [m]."""
         bins = jnp.arange(self.to_samples.shape[0], dtype=start.dtype)
         distance = start + (bins - self.tail + 0.5) * self.step
         fall = path.depth.shape[0] * path.step  # from the grid's top to its bottom
