@@ -135,5 +135,5 @@ def test_the_front_door_takes_whatever_there_is(tmp_path):
         assert check.pairs.iloc[0].ratio == pytest.approx(0.08 / 0.22, rel=1e-3)
     assert not fx.check_vegetation(BAD, gains="light_sensor").unlike
     assert not fx.check_vegetation(dict(zip(BANDS, GOOD.values()))).unlike
-    with pytest.raises(fx.errors.InputError, match="expected a camera"):
+    with pytest.raises(fx.errors.InputError, match="expected an imaging sensor"):
         fx.check_vegetation(BAD, "flash_lidar_paper")
