@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
-from typing import Any
 
 import jax
 import numpy as np
@@ -347,7 +346,9 @@ def _on_frame(
     if all(lens is None for lens in lenses):
         return list(pictures), (0, 0)
 
-    def moved_by(lens: Lens | None, band: NDArray[np.float32]) -> NDArray[Any]:
+    def moved_by(
+        lens: Lens | None, band: Float[np.ndarray, "y x"]
+    ) -> Float[np.ndarray, "row column"]:
         return band if lens is None else lens.on_frame(band[::-1])[::-1]
 
     moved = [np.stack(list(map(moved_by, lenses, picture))) for picture in pictures]
