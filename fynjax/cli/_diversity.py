@@ -87,7 +87,7 @@ def diversity(
     """Find what sensors can know of the diversity of communities, and at which pixel it is lost.
 
     Draws communities of a plot's species, plants them, and observes them at coarser and coarser
-    pixels. Writes how well spectral metrics know richness, Shannon, Simpson, evenness and cover,
+    pixels. Writes how well spectral metrics follow richness, Shannon, Simpson, evenness and cover,
     the pixel at which each is lost, how well species are recognised, figures and a report page.
 
     Example:  fynjax diversity --communities 20 --size 5 --pixels 0.05,0.1,0.5,1,2.5 --output out

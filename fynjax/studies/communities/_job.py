@@ -1,4 +1,4 @@
-"""The job of `fynjax diversity`: how well sensors know the diversity of communities."""
+"""The job of `fynjax diversity`: how well sensors see the diversity of communities."""
 
 import math
 from collections.abc import Sequence
@@ -65,7 +65,7 @@ def diversity(
     checkpoint: str | Path | None = None,
     workers: Workers | None = None,
 ) -> DiversityResult:
-    """How well sensors of any pixel know the diversity of communities, and recognise species.
+    """How well sensors of any pixel see the diversity of communities, and recognise species.
 
     Communities of the species of a plot are drawn along gradients, planted and seen by each sensor
     at its finest pixel; coarser pixels are means of these, blurred by the optics of a sensor of
