@@ -130,7 +130,7 @@ class KnownPlants(eqx.Module):
 
 @dataclasses.dataclass(frozen=True)
 class PixelSettings:
-    """How a calibration compares pixels, and how long it searches.
+    """Settings of a calibration with known plants: blocks of pixels that are compared, and steps.
 
     **Raises:** `InputError` for a `block` or `pixel_sd` that is not positive.
     """

@@ -175,7 +175,7 @@ class Subspace(eqx.Module):
 
 
 class Progress(eqx.Module):
-    """How far a search has come in its present round, and what its rounds were."""
+    """Progress of a search: the state of its present round, and records of all rounds."""
 
     u: Float[Array, " coordinate"]
     """Whitened coordinates that the round has come to."""
@@ -754,7 +754,7 @@ def search_form(
     stride: int | None = None,
     accuracy: Accuracy = COARSE,
 ) -> tuple[Scene, tuple[AbstractView, ...]]:
-    """What a fit searches with: the scene in thick layers, and coarse forms of its views.
+    """Scene and views that a fit searches with: thick layers, and coarse forms of the views.
 
     **Arguments:**
 

@@ -276,7 +276,7 @@ class _Block(NamedTuple):
 
 
 class _Measured(NamedTuple):
-    """What all sensors of one noise measure of one planting."""
+    """Statistics of one planting as all sensors of one noise measure them."""
 
     blocks: list[_Block]
     """Statistics, coarse pixels and few bands first."""

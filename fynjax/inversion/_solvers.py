@@ -134,7 +134,7 @@ def gain(
 
 @eqx.filter_jit
 def confirmed(end: Ended, data: Data, tolerance: Float[Array, ""]) -> Ended:
-    """The same end, converged only where the `gain` left is at most `tolerance`, whatever rule of
+    """End of a fit, converged only where the `gain` left is at most `tolerance`, whatever rule of
     the solver's own ended it."""
     fixed = jax.lax.stop_gradient((data, end.u, end.predicted, end.jacobian))
     settled = gain(*fixed) <= tolerance

@@ -111,9 +111,9 @@ class ReceiverTable(Strict):
     """Nearest and farthest range that is recorded; left out, from above the canopy to below the
     ground of each pulse [m]."""
     gate_margin_m: float = in_unit("m", default=0.0, ge=0, le=1000)
-    """How far beyond the gate's end the record goes on [m]."""
+    """Distance that the record goes on beyond the end of the gate [m]."""
     threshold: float = in_unit("-", default=5.0, gt=0, le=1000)
-    """What a return must stand out by, in standard deviations of the noise [-]."""
+    """Least height of a return over the noise, in standard deviations of that [-]."""
     max_returns: int = Field(default=5, ge=1, le=15)
     """Most returns that are kept of one pulse [-]."""
 
