@@ -95,7 +95,7 @@ for when, found in (("table", fit.statistics_before), ("calibrated", fit.statist
 
 # %%
 def statistics(values):
-    plot = scene.faded().with_values(dict(zip(free.names, values)))
+    plot = scene.expected().with_values(dict(zip(free.names, values)))
     image = fx.observe(plot, "mavic_3m", pixel=measured.pixel_m)
     return fx.metrics.image_statistics(image.reflectance, data.names)
 
@@ -122,7 +122,7 @@ for _ in range(15):
 # The loss, and the stand's numbers at each step over what they are by the table; dotted, the truth.
 
 # %%
-of_stand = jax.jit(lambda u: fx.inversion.stand_values(scene.with_values(free.named(u)).faded()))
+of_stand = jax.jit(lambda u: fx.inversion.stand_values(scene.with_values(free.named(u)).expected()))
 walk = pd.DataFrame(map(of_stand, path)).astype(float).filter(regex="green|share|phyll|crown")
 end = pd.Series(fx.inversion.stand_values(truth) if truth else {}, walk.columns, float)
 fig, (left, right) = plt.subplots(1, 2, figsize=(11, 4), layout="constrained")

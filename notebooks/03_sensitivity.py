@@ -71,7 +71,7 @@ _, slope = jax.jvp(lambda factors: ndvi(factors, scene), (one,), (this,))
 # taken. Whole plants come and go by jumps, which have no slope.
 
 # %%
-step, faded = 0.001, scene.faded()
+step, faded = 0.001, scene.expected()
 _, exact = jax.jvp(lambda factors: ndvi(factors, faded), (one,), (this,))
 quotient = (ndvi(one + step * this, faded) - ndvi(one - step * this, faded)) / (2 * step)
 wrong = float(jnp.abs(quotient - exact).max() / jnp.abs(exact).max())

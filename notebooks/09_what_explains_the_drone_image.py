@@ -75,7 +75,7 @@ def all_views(of):  # what each view gives, one after the other
 
 
 predict = all_views(lambda view, u, stand: view.predict(stand, plot_at(u)))
-slopes = all_views(lambda view, u, stand: view.jacobian(stand.faded(), plot_at, u)[1])
+slopes = all_views(lambda view, u, stand: view.jacobian(stand.expected(), plot_at, u)[1])
 keep = np.array([0, 1, 2, 3, 6, 8, *range(10, 15)])  # means of indices follow from bands
 start, real = jnp.zeros(len(space.names)), np.asarray(data.value, float)[keep]
 here, slope = predict(start, scene), slopes(start, scene)

@@ -11,6 +11,7 @@ from fynjax.canopy._angles import (
     projections,
 )
 from fynjax.canopy._counts import (
+    expected_count,
     instance_area,
     modelled_diameter,
     most_projected,
@@ -31,7 +32,6 @@ from fynjax.canopy._plant_model import plant_model
 from fynjax.canopy._sites import (
     assign_sites,
     clumping,
-    element_weight,
     poisson_disk,
     site_weight,
 )
@@ -81,8 +81,8 @@ __all__ = [
     "choose_greenness",
     "clumping",
     "deposit",
-    "element_weight",
     "even_levels",
+    "expected_count",
     "generate_plant",
     "instance_area",
     "leaf_angle",

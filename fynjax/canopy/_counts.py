@@ -212,6 +212,30 @@ def rounded_count(count: Any, lessened: Any = 0.0) -> Float[Array, "*species"]:
     return jnp.maximum(jnp.ceil(count - slack - lessened), 0.0)
 
 
+def expected_count(count: Any, lessened: Any) -> Float[Array, "*species"]:
+    """Number of plants of a stand in expectation, the last of which stands in part [-].
+
+    N + 1/2 - U of a real number N and a number U that is drawn evenly from 0 to 1: `rounded_count`
+    is the whole number nearest to it. Over U its mean is N, and the share of the last plant takes
+    every value from 0 to 1 alike. What a stand gives is then, in the mean over U, that of whole
+    plants, and so is its derivative by N: the difference that one plant more makes, whatever N is.
+    Of fewer than half a plant it is 2 N (1 - U).
+
+    **Arguments:**
+
+    - `count`: real number of plants N [-], at least 0.
+    - `lessened`: U, as of `rounded_count` [-], 0 to 1.
+
+    Arrays broadcast. Differentiable; the slope by `count` has the mean 1 over U.
+
+    >>> from fynjax.canopy import expected_count
+    >>> [round(float(expected_count(2.3, u)), 2) for u in (0.0, 0.2, 0.8)]
+    [2.8, 2.6, 2.0]
+    """
+    count, lessened = jnp.asarray(count), jnp.asarray(lessened)
+    return jnp.where(count > 0.5, count + 0.5 - lessened, 2.0 * count * (1.0 - lessened))
+
+
 def share_from_above(crowns: Any) -> Any:
     """Share of the area of crowns that is seen from above where they stand at random [-].
 

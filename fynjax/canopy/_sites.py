@@ -316,32 +316,6 @@ def _site_weight(count: Any, index: Any, width: Any, softness: Any) -> Float[Arr
     return jnp.where(hard, (count > index).astype(dtype), soft)
 
 
-def element_weight(share: Any, before: Any, fraction: Any) -> Float[Array, "*element"]:
-    """Weight in [0, 1] of an area element of a plant that stands in part: as if it were cut.
-
-    One side of the crown stands and the other does not; across the cut, elements fade over up to
-    `CUT` of the area. Crowns that are cut are as dense as whole ones where they stand. Crowns that
-    were thinned in all of their volume instead would hide more ground and less light for the same
-    area than the mean of crowns that stand and crowns that do not (Jensen's inequality).
-
-    **Arguments:**
-
-    - `share`: of the plant's area that stands [-], 0 to 1 (`site_weight`).
-    - `before`: share of the area that lies before the element, along the direction of the cut [-].
-    - `fraction`: share of the area that the element has [-].
-
-    Arrays broadcast. **Returns:** the mean over the element's part of the area. Weights times
-    fractions sum to `share` over a plant, with slope 1. Differentiable in `share`.
-    """
-    share = jnp.asarray(share)
-    width = 4.0 * CUT * share * (1.0 - share)  # narrower near the ends, where it finds no room
-    return _mean_of_ramp(before, fraction, share, width)
-
-
-CUT = 0.1
-"""Share of a plant's area over which its elements fade across a cut, at most; up to 1/2."""
-
-
 def _mean_of_ramp(start: Any, length: Any, middle: Any, width: Any) -> Array:
     """Mean over a stretch of `length` from `start` on of a line that falls from 1 to 0 over `width`
     about `middle`; the slopes at kinks are those of a rising `middle`."""

@@ -322,7 +322,7 @@ def calibration(search: PlotSearch, ends: Sequence[SearchState]) -> Calibration:
     return Calibration(
         scene=search.scene(won),
         stands=stands,
-        stand_statistics=search.expected(won).plain(place.u, [s.faded() for s in stands]),
+        stand_statistics=search.expected(won).plain(place.u, [s.expected() for s in stands]),
         fit=fit,
         before=search.plot(origin.u),
         after=search.plot(place.u),

@@ -75,7 +75,7 @@ class Expected(eqx.Module):
 
     A draw is one of the plantings and a place of the parameters, u plus a root of a covariance
     (`spread`) times unit normal numbers. The first draws, as many as plantings, are those that each
-    step of a search is a mean over: their plants fade, so that the mean is smooth in u.
+    step of a search is a mean over: stands in expectation, so that the mean is smooth in u.
     """
 
     predict: PlotForward
@@ -102,10 +102,10 @@ class Expected(eqx.Module):
         self, u: Array, spread: Array | np.ndarray, number: int | None = None
     ) -> tuple[list[Scene], list[Array]]:
         """The planting and the place of each of the first `number` draws about `u`. Without a
-        number those that each step of a search is a mean over, whose plants fade."""
+        number those that each step of a search is a mean over, in expectation."""
         pairs = [self.draw(i) for i in range(len(self.stands) if number is None else number)]
         # Only the draws of a step must be smooth in u; the others show whole plants.
-        stands = [stand.faded() if number is None else stand for stand, _ in pairs]
+        stands = [stand.expected() if number is None else stand for stand, _ in pairs]
         return stands, [u + jnp.asarray(spread @ normal) for _, normal in pairs]
 
     def at(self, stand: Scene, u: Array) -> Float[Array, " statistic"]:
@@ -121,7 +121,9 @@ class Expected(eqx.Module):
         return np.stack(each(self.at, stands, [jnp.asarray(u)] * len(stands)))
 
     def members(self, u: Array, spread: Array | np.ndarray) -> Float[Array, " statistic"]:
-        """Mean over the plantings, which fade, each at its own place about `u`. Differentiable."""
+        """Mean over the plantings in expectation, each at its own place about `u`.
+
+        Differentiable."""
         return jnp.stack(each(self.at, *self._places(u, spread))).mean(axis=0)
 
     def slopes(self, u: Array, spread: Array | np.ndarray) -> Float[Array, "member statistic free"]:

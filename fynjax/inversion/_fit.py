@@ -58,8 +58,8 @@ def fit(
     - `start`: whitened coordinates to start from; the prior's centre by default.
     - `offset`: added to the predicted statistics: what a coarse model lacks.
     - `context`: further arguments of `predict`. A `Scene` among them shows whole plants, so that a
-      cover moves its image by steps: fit with `scene.faded()`, whose image moves as its slope says,
-      and give what whole plants differ by as `offset`.
+      cover moves its image by steps: fit with `scene.expected()`, whose image moves as its slope
+      says, and give what whole plants differ by as `offset`.
 
     **Returns:** `FitResult`. A stop without convergence, a loss or slope that is not finite, and
     parameters that nothing depends on are stated in its `status`, not raised. Where a solver ends

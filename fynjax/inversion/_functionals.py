@@ -26,7 +26,7 @@ class Functional(NamedTuple):
     unit: str
     """Unit of the number, such as `m2 m-2`; "-" for a share."""
     value: Callable[[Scene, PlotParameters], Float[Array, ""]]
-    """Differentiable in the parameters; of a scene whose plants fade (`Scene.faded`) it is the
+    """Differentiable in the parameters; of the stand in expectation (`Scene.expected`) it is the
     expectation over the number of plants."""
 
 
@@ -158,10 +158,10 @@ class StandNumbers(eqx.Module):
     """The functionals."""
 
     def __call__(self, u: Float[Array, " free"]) -> Float[Array, " functional"]:
-        """Each functional at `u`, of plants that fade."""
+        """Each functional at `u`, of the stand in expectation."""
         plot = with_values(self.parameters, self.scene.taxa, self.space.named(u))
-        faded = self.scene.faded()
-        return jnp.stack([jnp.asarray(value(faded, plot), float) for value in self.values])
+        stand = self.scene.expected()
+        return jnp.stack([jnp.asarray(value(stand, plot), float) for value in self.values])
 
     @eqx.filter_jit
     def at(self, draws: Float[Array, "draw free"]) -> Float[Array, "draw functional"]:

@@ -368,7 +368,7 @@ class PlotSearch:
         one = Expected(self._predict, self._predict, self.space, (coarse,), 0, 1)
         calls: list[tuple[Any, ...]] = [(self._look, own, u), (one.at, coarse, u)]
         if len(self.data.names) <= _MOST_ROWS:
-            calls.append((one.slope_at, coarse.faded(), u))
+            calls.append((one.slope_at, coarse.expected(), u))
         for function, *args in calls:
             if is_new(function, *args):
                 yield of_thread(function), *args
@@ -493,7 +493,7 @@ class PlotSearch:
         covariance = radiometric_covariance(self.views, images)
         if self.settings.stand_realisations:
             covariance = covariance + chance_covariance(rest, lack, len(expected.stands))
-        # The steps of a round see plants that fade, of few draws; the offset makes up for both.
+        # Steps of a round see stands in expectation, of few draws; the offset makes up for both.
         offset = statistics - np.asarray(expected.members(u, spread))
         array = jnp.asarray
         return SearchPlace(

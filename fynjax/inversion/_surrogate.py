@@ -117,7 +117,7 @@ def surrogate_renders(
     fit = calibration.fit
     forward = PlotForward(calibration.before, fit.names, calibration.coarse_views)
     for i, u in enumerate(track(_draws(fit, seed), "Fit a surrogate", _RENDERS)):
-        stand = calibration.stands[i % len(calibration.stands)].faded()
+        stand = calibration.stands[i % len(calibration.stands)].expected()
         yield np.asarray(predicted(forward, fit.space, stand, jnp.asarray(u)))
 
 

@@ -27,7 +27,6 @@ from fynjax.scene import (
     Scene,
     aim,
     scene_structure,
-    slope_of_fading,
     with_values,
 )
 from fynjax.sensors import BandSet, Gains, OrthographicCamera, Sensor
@@ -196,7 +195,7 @@ class SpectrumView(AbstractView):
     def observe(
         self, scene: Scene, parameters: PlotParameters
     ) -> tuple[None, Float[Array, " statistic"]]:
-        return None, slope_of_fading(_mean_spectrum)(scene, parameters, self)
+        return None, _mean_spectrum(scene, parameters, self)
 
     def for_search(self, scene: Scene, accuracy: Accuracy, stride: int | None) -> "SpectrumView":
         imager = dataclasses.replace(self.imager.sampled(_SEARCH_COLUMNS), accuracy=accuracy)
@@ -206,15 +205,13 @@ class SpectrumView(AbstractView):
         self, scene: Scene, plot_at: Callable[[Array], PlotParameters], u: Float[Array, " free"]
     ) -> tuple[Float[Array, " statistic"], Float[Array, "statistic free"]]:
         bands = self.imager.sensor.bands
-        faded = scene.faded()
         # Voxels by the parameters once, for all bands; then band by band the light by the voxels.
-        voxels, backward = eqx.filter_vjp(lambda u: faded.voxels(plot_at(u), bands), u)
+        voxels, backward = eqx.filter_vjp(lambda u: scene.voxels(plot_at(u), bands), u)
 
         def row(band: Array) -> Array:
             return backward(eqx.filter_grad(lambda v: self._mean(v, band))(voxels))[0]
 
-        # Of whole plants, where the slopes are those of plants that fade.
-        value = _mean_spectrum(scene, plot_at(u), self).astype(u.dtype)
+        value = jax.lax.map(lambda band: self._mean(voxels, band), self._bands).astype(u.dtype)
         return value, jax.lax.map(row, self._bands)
 
     @property

@@ -237,7 +237,7 @@ def calibrate_to(
     if known is not None:
         space, u = result.fit.space, jnp.asarray(known.whitened)
         there = with_values(result.before, result.scene.taxa, space.named(u))
-        of_stand = stand_values(result.scene.faded(), there).values()
+        of_stand = stand_values(result.scene.expected(), there).values()
         stand["truth"] = [float(value) for value in of_stand]
         columns = parameter_columns(result.fit.names, {"truth": space.physical(u)})
         parameters_of_fit["truth"] = columns["truth"]

@@ -49,7 +49,6 @@ from fynjax.scene._scene import (
     check_projected_scene,
     ground_at,
     room_needed,
-    slope_of_fading,
     stand_realisation,
 )
 from fynjax.scene._species import (
@@ -154,7 +153,6 @@ __all__ = [
     "room_needed",
     "scene_structure",
     "seed_of_planting",
-    "slope_of_fading",
     "species_parameters",
     "species_rows",
     "stand_area",

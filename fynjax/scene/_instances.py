@@ -115,7 +115,7 @@ def hard_scene(scene: Scene, parameters: PlotParameters) -> Scene:
     **Raises:** `InputError` as `hard_instances`.
     """
     return dataclasses.replace(
-        scene.faded(False),
+        scene.expected(False),
         planting=scene.planting.only(standing_plants(scene, parameters)),
         number=jnp.asarray(hard_counts(scene, parameters), scene.dtype),
         rounding=jnp.zeros_like(scene.rounding),

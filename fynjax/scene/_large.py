@@ -73,7 +73,7 @@ class TiledPicture:
     def __init__(
         self, aimed: AimedSensor, scene: Scene, parameters: PlotParameters, *, tile: int = _TILE
     ) -> None:
-        scene, bands, rays = scene.faded(False), aimed.sensor.bands, aimed.rays
+        scene, bands, rays = scene.expected(False), aimed.sensor.bands, aimed.rays
         assert isinstance(rays, RayLattice)
         bare = eqx.tree_at(lambda s: s.planting, scene, no_plants(scene.dtype))
         whole = _without_voxels(bare, parameters, bands)

@@ -13,7 +13,6 @@ its mean density.
 import dataclasses
 import math
 from collections.abc import Sequence
-from functools import partial
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Any, Literal, overload
 
@@ -26,6 +25,7 @@ from jaxtyping import Array, Bool, Float
 from fynjax._core.errors import InputError, did_you_mean, listed
 from fynjax._core.html import as_html
 from fynjax._core.math import real_array
+from fynjax._core.programs import check_known, unfolded
 from fynjax.metrics import BANDS, of_indices, spectrometer_indices, vegetation_indices
 from fynjax.radiation import (
     AbstractRays,
@@ -37,9 +37,9 @@ from fynjax.radiation import (
 )
 from fynjax.scene._lidar import LidarObservation, observe_lidar
 from fynjax.scene._panels import PanelsInPicture, panels_in_picture
-from fynjax.scene._parameters import LightParameters, PlotParameters
+from fynjax.scene._parameters import LightParameters, PlotParameters, within_bounds
 from fynjax.scene._pixels import axis_pixels, footprint_shares
-from fynjax.scene._scene import Scene, slope_of_fading
+from fynjax.scene._scene import Scene
 from fynjax.scene._spectra import visible_sensor
 from fynjax.sensors import (
     AbstractCamera,
@@ -327,8 +327,9 @@ class AimedSensor(eqx.Module):
         air: PlotAir | Atmosphere | None = None,
         surroundings: Float[Array, " band"] | None = None,
     ) -> Observation:
-        """What the sensor measures of whole plants. Differentiable in `parameters`, `air`,
-        `surroundings`: the derivative is that of the mean over plantings, see `slope_of_fading`.
+        """What the sensor measures of whole plants. Differentiable in `scene`, `parameters`, `air`,
+        `surroundings`. Where the number of plants moves, value and derivative are those of the
+        stand in expectation (`Scene.expected`). Light has first derivatives.
 
         **Arguments:** `key`, JAX key or seed of the noise, none if left out; `air`, instead of the
         object's own; `surroundings`, reflectance in the sensor's bands of the land beyond the
@@ -439,11 +440,12 @@ class AimedSensor(eqx.Module):
 
         Without air, panels and noise; in whatever bands `voxels` has. Differentiable in `voxels`.
         """
+        voxels, rays = unfolded((voxels, self.rays))
         light = solve_light(voxels, self.accuracy)
         # As many bands at once as voxels leave memory for.
         chunk = min(max(_VOXELS // int(np.prod(voxels.shape)), 8), 32)
         factor = reflectance_factor(
-            light, self.rays, chunk=chunk, steepest=self.steepest, together=self.together
+            light, rays, chunk=chunk, steepest=self.steepest, together=self.together
         )
         return *self.averages(factor, voxels), light.residual
 
@@ -670,7 +672,6 @@ def aim(
     )
 
 
-@partial(slope_of_fading, relative=True)
 def _seen(
     scene: Scene, parameters: PlotParameters, sensor: AimedSensor, sky: Float[Array, " band"] | None
 ) -> tuple[Float[Array, "band y x"], Float[Array, " band"], Float[Array, " band"]]:
@@ -736,7 +737,7 @@ def observe(
     - `scene`: from `Scene.from_table`, `build_scene` or a plot file.
     - `sensor`: name of a shipped one, or an object (`fx.sensor` reads files). Bands beyond the
       spectra of leaves and ground are left out (`visible_sensor`).
-    - `parameters`: instead of the scene's own; of the same species.
+    - `parameters`: instead of the scene's own; of the same species, within their bounds.
     - `pixel`, `altitude`: edge of a pixel on the ground, and height of an imaging sensor above the
       ground [m]; left out, as the sensor's file has them.
     - `placement`: instead of these two, with tilt and heading. A LiDAR's file says where it flies.
@@ -745,13 +746,19 @@ def observe(
     - `options`: of an imaging sensor, as `aim` takes them: `air`, `panels`, `point_spread`,
       `accuracy`.
 
-    **Returns:** an `Observation`, or a `LidarObservation`, of the same whole plants. An image is
-    differentiable in `parameters`, see `AimedSensor.observe`; a loop of your own that moves covers
-    takes `scene.faded()`, whose images move as their slopes say. A second call with the same shapes
-    compiles nothing.
+    **Returns:** an `Observation`, or a `LidarObservation`, of the same whole plants. Both are
+    differentiable in `parameters`, and in the scene's own arrays, such as the feet of its plants. A
+    derivative by what moves the number of plants (cover, diameter) is that of the stand in
+    expectation, and the value that comes with it too: the mean over plantings is that of whole
+    plants. A loop that compares values with and without a derivative takes `scene.expected()`, of
+    which both are the same. A second call with the same shapes compiles nothing.
 
-    **Raises:** `InputError` for a name that no sensor has, with the nearest, and for what is no
-    scene, sensor or parameters; as `aim`, `AimedSensor.observe` and `observe_lidar`; and for a
+    Parameters out of their bounds are refused; inside a transformation, where values are not known,
+    they count as the bound, with the slope zero, and NaN stays NaN.
+
+    **Raises:** `InputError` for a name that no sensor has, with the nearest, for what is no scene,
+    sensor or parameters, for parameters of another length or out of bounds, and for a traced pixel
+    or altitude; as `aim`, `AimedSensor.observe` and `observe_lidar`; and for a
     placement or options of a LiDAR.
 
     >>> import fynjax as fx
@@ -788,6 +795,7 @@ def aimed_at(
     imager = _named(sensor) if isinstance(sensor, str) else sensor
     if not isinstance(imager, Sensor):
         raise InputError(f"expected a sensor or the name of one, but got {type(imager).__name__}")
+    check_known(pixel=pixel, altitude=altitude, placement=placement)
     if placement is None:
         placement = Placement(altitude, pixel)
     elif pixel is not None or altitude is not None:
@@ -809,7 +817,7 @@ def _checked(scene: Scene, parameters: PlotParameters | None) -> PlotParameters:
         raise InputError(
             f"expected `parameters` as `scene.parameters`, but got {type(parameters).__name__}"
         )
-    return parameters
+    return within_bounds(parameters, scene.taxa)
 
 
 @jax.ensure_compile_time_eval()  # known inside transformations too, as `aim` needs it

@@ -1,14 +1,16 @@
 """Everything of a plot that may be calibrated, in one pytree."""
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
+from fynjax._core.errors import InputError
 from fynjax._core.html import as_html
 from fynjax._core.parameters import (
     CENTIMETRES,
@@ -469,6 +471,56 @@ def named_values(parameters: PlotParameters, taxa: tuple[str, ...]) -> dict[str,
         record = getattr(parameters, group)
         named |= {f"{group}.{f.name}": getattr(record, f.name) for f in dataclasses.fields(record)}
     return named
+
+
+def within_bounds(parameters: PlotParameters, taxa: tuple[str, ...]) -> PlotParameters:
+    """`parameters` of the right lengths and within their bounds.
+
+    **Arguments:** `parameters`, of a plot; `taxa`, names of its species.
+
+    Values that are not known, inside a transformation, are set to the bound that they exceed, where
+    their slope is zero; NaN stays NaN, and the sun's azimuth, which repeats itself, is as it is.
+
+    **Raises:** `InputError` with the name of a parameter that has another shape, is out of bounds,
+    or NaN.
+    """
+    groups: tuple[tuple[str, Any, Sequence[str], tuple[int, ...]], ...] = (
+        ("species", parameters.species, [f.name for f in dataclasses.fields(SpeciesParameters)],
+         (len(taxa),)),
+        ("leaf", parameters.leaf, LEAF_FIELDS, (len(taxa),)),
+        ("ground", parameters.ground, [f.name for f in dataclasses.fields(GroundParameters)], ()),
+        ("light", parameters.light, [f.name for f in dataclasses.fields(LightParameters)], ()),
+    )  # fmt: skip
+    bounded = {}
+    for group, record, fields, shape in groups:
+        changed = {}
+        for field in fields:
+            if (values := getattr(record, field)) is None:
+                continue
+            if jnp.shape(values) != shape:
+                expected = f"a number for each of {len(taxa)} species" if shape else "one number"
+                raise InputError(
+                    f"expected `parameters.{group}.{field}` to be {expected}, of shape {shape}, "
+                    f"but its shape is {jnp.shape(values)}"
+                )
+            known = PARAMETERS[field]
+            if not isinstance(values, jax.core.Tracer):
+                numbers = np.asarray(values, float)
+                outside = ~((numbers >= known.lower) & (numbers <= known.upper))
+                if outside.any():
+                    name = f"{group}.{field}"
+                    if shape:
+                        between = "leaf." if group == "leaf" else ""
+                        name = f"species.{taxa[int(np.argmax(outside))]}.{between}{field}"
+                    known.check(float(numbers[outside].flat[0]), name)
+            elif field != "sun_azimuth":
+                # Not `clip`, whose slope at a bound is one half.
+                low = jnp.where(values < known.lower, known.lower, values)
+                changed[field] = jnp.where(low > known.upper, known.upper, low)
+        names, values = tuple(changed), tuple(changed.values())
+        where = lambda r, names=names: [getattr(r, name) for name in names]  # noqa: E731
+        bounded[group] = eqx.tree_at(where, record, values) if names else record
+    return PlotParameters(**bounded)
 
 
 def with_values(

@@ -80,9 +80,6 @@ class Planting(eqx.Module):
     """The elements of the individuals of each species that has plants, one after the other."""
     shape_class: Int[Array | np.ndarray, " part"]
     """Optical class of the elements of `shapes`, on a plant with the first leaf of its species."""
-    before: Float[Array | np.ndarray, " part"]
-    """Share of its organ's area on the plant that lies before each element of `shapes`, along their
-    x [-]: where a cut leaves the plant standing in part."""
 
     @property
     def fraction(self) -> Float[Array, " element"]:
@@ -167,7 +164,6 @@ class Planting(eqx.Module):
             part=more(self.part, size, 0),
             shapes=jax.tree.map(lambda values: more(values, size, 0), self.shapes),
             shape_class=more(self.shape_class, size, 0),
-            before=more(self.before, size, 0),
         )
 
     def thinned(self, most: Sequence[int]) -> "Planting":
@@ -203,7 +199,6 @@ class Planting(eqx.Module):
             count=jnp.asarray(size[which]),
             shapes=jax.tree.map(lambda *parts: jnp.concatenate(parts), *shapes),
             shape_class=jnp.asarray(np.concatenate(of_class)),
-            before=_area_before(shapes, self.before.dtype),
         )
         return few.with_elements()
 
@@ -400,7 +395,6 @@ def _of_individuals(stand: Stand, individuals: Sequence[dict[str, np.ndarray]]) 
         part=none,
         shapes=whole,
         shape_class=jnp.asarray(classes, jnp.int32),
-        before=_area_before(shapes, dtype),
     )
     few = sum(int(part["count"].sum(dtype=np.int64)) for part in plants) <= MOST_LISTED
     return planting.with_elements() if few else planting
@@ -474,21 +468,6 @@ def _classes(species: Sequence[Species]) -> list[list[int]]:
     return [[leaves[i].start if i in leaves else 0, wood, wood + 1] for i in range(len(species))]
 
 
-def _area_before(shapes: Sequence[PlantModel], dtype: Any) -> Float[Array, " part"]:
-    """`Planting.before` of several shapes, one after the other."""
-    every = []
-    for shape in shapes:
-        organ, x = np.asarray(shape.organ), np.asarray(shape.position)[:, 0]
-        fraction, before = np.asarray(shape.area_fraction, float), np.zeros(len(organ))
-        for kind in np.unique(organ):
-            mine = np.flatnonzero(organ == kind)
-            along = mine[np.argsort(x[mine], kind="stable")]
-            # Of each organ by itself, in the order of x: leaves and wood are cut at the same share.
-            before[along] = np.cumsum(fraction[along]) - fraction[along]
-        every.append(before)
-    return jnp.asarray(np.concatenate(every), dtype)
-
-
 def seed_of_planting(seed: int, number: int) -> int:
     """Seed of the plants of another planting of a scene.
 
@@ -536,7 +515,6 @@ def no_plants(dtype: str) -> Planting:
         part=index,
         shapes=shapes,
         shape_class=index,
-        before=none,
     )
 
 

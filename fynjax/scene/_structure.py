@@ -18,7 +18,7 @@ from fynjax.metrics.structure import (
 )
 from fynjax.scene._optics import seen_from_above
 from fynjax.scene._parameters import PlotParameters
-from fynjax.scene._scene import Scene, slope_of_fading
+from fynjax.scene._scene import Scene
 
 _EVEN = 0.5
 """Area projected over area of surfaces that face all directions alike [-]."""
@@ -63,7 +63,7 @@ def scene_structure(
     """Structure metrics that a LiDAR from above is expected to measure (`voxel_structure`).
 
     Means over the cells of the plot. What a leaf hides of a beam is by the inclination of its
-    species' leaves. Differentiable in `parameters`, see `slope_of_fading`.
+    species' leaves. Differentiable in `parameters`, see `Scene.standing`.
 
     **Arguments:**
 
@@ -79,36 +79,33 @@ def scene_structure(
     """
     percents = {name: _percent(name) for name in names if name not in STRUCTURE_METRICS}
 
-    def measure(scene: Scene, parameters: PlotParameters) -> Float[Array, " metric"]:
-        if grid is not None:
-            scene = dataclasses.replace(scene, grid=grid)
-        density = scene.area_density(parameters)
-        projected = seen_from_above(scene.species).astype(density.dtype) / _EVEN
-        terrain = None if scene.terrain is None else jnp.asarray(scene.terrain, density.dtype)
-        # The classes together, each with the area that blocks as much where leaves face evenly.
-        density = jnp.tensordot(projected, density, axes=1)
-        voxel = scene.grid.horizontal_size, scene.grid.vertical_size
-        found: dict[str, Array] = {}
-        if percents:
-            heights = voxel_height_percentiles(
-                density, list(percents.values()), thick=voxel[1], projection=_EVEN, ground=terrain
-            )
-            found |= dict(zip(percents, heights, strict=True))
-        if len(percents) < len(names):
-            layers = int(np.ceil((scene.grid.extent[2] - settings.base) / settings.layer - 1e-9))
-            found |= voxel_structure(
-                density,
-                settings,
-                voxel=voxel,
-                grain=grain,
-                pulses=pulses,
-                layers=max(layers, settings.first_layer(settings.lowest) + 1),
-                projection=_EVEN,
-                ground=terrain,
-            ).means()
-        return jnp.stack([found[name] for name in names])
-
-    return slope_of_fading(measure, apart=True)(scene, parameters)
+    if grid is not None:
+        scene = dataclasses.replace(scene, grid=grid)
+    density = scene.area_density(parameters)
+    projected = seen_from_above(scene.species).astype(density.dtype) / _EVEN
+    terrain = None if scene.terrain is None else jnp.asarray(scene.terrain, density.dtype)
+    # The classes together, each with the area that blocks as much where leaves face evenly.
+    density = jnp.tensordot(projected, density, axes=1)
+    voxel = scene.grid.horizontal_size, scene.grid.vertical_size
+    found: dict[str, Array] = {}
+    if percents:
+        heights = voxel_height_percentiles(
+            density, list(percents.values()), thick=voxel[1], projection=_EVEN, ground=terrain
+        )
+        found |= dict(zip(percents, heights, strict=True))
+    if len(percents) < len(names):
+        layers = int(np.ceil((scene.grid.extent[2] - settings.base) / settings.layer - 1e-9))
+        found |= voxel_structure(
+            density,
+            settings,
+            voxel=voxel,
+            grain=grain,
+            pulses=pulses,
+            layers=max(layers, settings.first_layer(settings.lowest) + 1),
+            projection=_EVEN,
+            ground=terrain,
+        ).means()
+    return jnp.stack([found[name] for name in names])
 
 
 def _percent(name: str) -> float:

@@ -1,6 +1,5 @@
 """What stands in each pixel of a sensor's image: the truth that no image shows."""
 
-from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import equinox as eqx
@@ -15,7 +14,7 @@ from fynjax.radiation import look
 from fynjax.scene._lidar import leading_flags
 from fynjax.scene._observe import AimedSensor, aimed_at, map_attributes, map_coordinates
 from fynjax.scene._parameters import PlotParameters
-from fynjax.scene._scene import Scene, slope_of_fading
+from fynjax.scene._scene import Scene
 from fynjax.sensors import Sensor
 
 if TYPE_CHECKING:
@@ -184,7 +183,6 @@ def truth_of_layers(
     )
 
 
-@partial(slope_of_fading, relative=True)
 def _layers(
     scene: Scene, parameters: PlotParameters, aimed: AimedSensor
 ) -> Float[Array, "layer y x"]:

@@ -10,6 +10,7 @@ from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
 from fynjax._core.errors import InputError
+from fynjax._core.programs import check_known
 from fynjax._core.spectral import (
     Curve,
     box_matrix,
@@ -20,7 +21,8 @@ from fynjax._core.spectral import (
 
 
 def floats(values: Any) -> tuple[float, ...]:
-    """A number, or several, as static numbers of a field."""
+    """A number, or several, as static numbers of a field. Raises `InputError` for traced ones."""
+    check_known(wavelength=values)
     return tuple(float(v) for v in np.atleast_1d(np.asarray(values, dtype=np.float64)))
 
 

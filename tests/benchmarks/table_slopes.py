@@ -135,7 +135,7 @@ def costs(scene: Scene, parameters: PlotParameters, camera: AimedSensor) -> str:
     alone = lambda p, s: camera.image(s.voxels(p, camera.sensor.bands))[0].mean()  # noqa: E731
     times = []
     for function, stand in (
-        (mean, scene), (jax.grad(mean), scene), (jax.grad(alone), scene.faded()),
+        (mean, scene), (jax.grad(mean), scene), (jax.grad(alone), scene.expected()),
     ):  # fmt: skip
         run = eqx.filter_jit(function)
         times.append(seconds(lambda run=run, stand=stand: run(parameters, stand), 5)[2])

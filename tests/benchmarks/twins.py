@@ -362,7 +362,7 @@ def of_the_stand(ready, twins):
         there = with_values(
             ready.parameters, ready.scene.taxa, ready.space.named(jnp.asarray(one["truth"]))
         )
-        truth = np.array([float(v) for v in stand_values(ready.scene.faded(), there).values()])
+        truth = np.array([float(v) for v in stand_values(ready.scene.expected(), there).values()])
         table["inside"] = (table.q05 <= truth) & (truth <= table.q95)
         tables.append(table.set_index("name")[["inside", "constrained"]].astype(float))
     print(sum(tables).div(len(tables)).round(2).to_string())

@@ -56,7 +56,7 @@ def test_they_are_those_of_the_areas_of_organs(plot):
 def test_their_slopes_are_those_of_the_expected_stand(plot):
     """By cover, of plants that fade: the number of plants is as the cover."""
     scene, parameters = plot
-    scene = dataclasses.replace(scene.faded(), dtype="float64")
+    scene = dataclasses.replace(scene.expected(), dtype="float64")
     name = f"species.{TAXA[0]}.cover"
 
     def leaf_area(cover):
@@ -92,9 +92,9 @@ def test_what_data_say_of_the_stand_is_more_than_of_any_parameter(plot):
         plot = with_values(parameters, TAXA, dict(zip(space.names, values, strict=True)))
         return functional.value(scene, plot)[None]
 
-    usual = float(functional.value(scene.faded(), parameters))
+    usual = float(functional.value(scene.expected(), parameters))
     data = Data(("leaf area",), jnp.array([1.2 * usual]), jnp.array([0.02 * usual]))
-    found = fit(predict, data, space, context=(scene.faded(),), max_steps=60)
+    found = fit(predict, data, space, context=(scene.expected(),), max_steps=60)
     table = stand_table(scene, parameters, found).set_index("name")
     row = table.loc["green_leaf_area"]
     assert row.estimate == pytest.approx(1.2 * usual, rel=0.02)

@@ -135,7 +135,7 @@ def test_slopes_of_each_view_are_those_of_central_differences(plot, views, numbe
     Of plants that fade: their value moves with their number as the slope says.
     """
     model, parameters, space = plot
-    model = model.faded()
+    model = model.expected()
     coarse = views[number].for_search(model, ACCURACY, 3)
     predict = PlotForward(parameters, space.names, [coarse])
     none = jnp.zeros(len(coarse.names))
@@ -400,9 +400,9 @@ def test_any_solver_fits_a_plot(sums, solver):
     """In the same call, with the plot's scene as context, to the same minimum."""
     model, start, data, space = sums
     forward = PlotForward(start, space.names, (Sums(),))
-    found = fit(forward, data, space, solver=solver, max_steps=200, context=(model.faded(),))
+    found = fit(forward, data, space, solver=solver, max_steps=200, context=(model.expected(),))
     assert found.converged, found.explanation
-    residual = whitened_residual(forward, data, space, context=(model.faded(),))
+    residual = whitened_residual(forward, data, space, context=(model.expected(),))
     best = scipy.optimize.least_squares(
         lambda u: np.asarray(residual(jnp.asarray(u))), np.zeros(len(space.names))
     )
@@ -762,7 +762,7 @@ def test_informative_directions_hold_what_the_prior_moves():
 def test_slopes_along_directions_are_those_of_central_differences(plot, views):
     """Of a drone's statistics: combined along directions, and spread over statistics again."""
     model, parameters, space = plot
-    model = model.faded()
+    model = model.expected()
     rows = np.random.default_rng(6).normal(size=(2, len(views[0].names)))
     chosen = Directions(jnp.asarray(rows), jnp.asarray(np.linalg.pinv(rows)))
     coarse = dataclasses.replace(views[0].for_search(model, ACCURACY, 3), directions=chosen)
@@ -792,7 +792,7 @@ def test_coarse_views_are_those_of_the_search(sums):
     (coarse,) = found.coarse_views
     assert coarse.lack == pytest.approx(0.03)
     for stand, statistics in zip(found.stands, found.stand_statistics, strict=True):
-        again = coarse.predict(stand.faded(), found.after)
+        again = coarse.predict(stand.expected(), found.after)
         np.testing.assert_allclose(again, statistics, rtol=1e-6)
 
 

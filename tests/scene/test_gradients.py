@@ -40,7 +40,7 @@ WEIGHTS = np.random.default_rng(5).normal(size=len(STATISTICS))
 @pytest.fixture(scope="module")
 def metric():
     # Where plants fade, the value moves with the number of plants as its derivative says.
-    scene, parameters = small_plot().faded(), small_parameters()
+    scene, parameters = small_plot().expected(), small_parameters()
     camera = drone(scene)
     names = tuple(named_values(parameters, TAXA))
     start = jnp.stack(list(named_values(parameters, TAXA).values()))
@@ -96,7 +96,7 @@ def test_values_and_slopes_are_finite_wherever_the_parameters_are_in_their_bound
 @pytest.mark.study
 @pytest.mark.parametrize("sensor", ["mavic_3m", "aviris_ng", "flash_lidar_paper"])
 def test_a_thousand_measurements_and_their_slopes_are_finite(sensor):
-    scene, parameters = small_plot(dtype="float32").faded(), small_parameters()
+    scene, parameters = small_plot(dtype="float32").expected(), small_parameters()
     named = named_values(parameters, TAXA)
     names, start = tuple(named), np.array(list(named.values()))
     camera = None

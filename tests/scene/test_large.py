@@ -74,8 +74,8 @@ def test_a_light_that_does_not_fit_is_refused_before_plants_are_placed(monkeypat
 
 
 def test_elements_placed_part_by_part_make_the_same_voxels(monkeypatch):
-    """Whatever their number; so does what stands alone. The derivative of plants that fade is that
-    of differences."""
+    """Whatever their number; so does what stands alone. The derivative of the stand in
+    expectation is that of differences."""
     scene, parameters = small_plot(), small_parameters()
 
     def square(by, scene):
@@ -91,10 +91,10 @@ def test_elements_placed_part_by_part_make_the_same_voxels(monkeypatch):
     monkeypatch.setattr("fynjax.scene._scene._AT_ONCE", scene.planting.plant.size // 3)
     # Another static field, lest the program that was traced before the limit serve again.
     scene = dataclasses.replace(scene, spreads=(("none", 0.0),))
+    np.testing.assert_allclose(jax.jit(square)(0.0, scene)[1], whole, rtol=1e-9, atol=1e-12)
     parts = jax.jit(jax.value_and_grad(square, has_aux=True))
-    np.testing.assert_allclose(parts(0.0, scene)[0][1], whole, rtol=1e-9, atol=1e-12)
-    (_, _), slope = parts(0.0, scene.faded())
-    up, down = (parts(by, scene.faded())[0][0] for by in (1e-6, -1e-6))
+    (_, _), slope = parts(0.0, scene.expected())
+    up, down = (parts(by, scene.expected())[0][0] for by in (1e-6, -1e-6))
     difference = (up - down) / 2e-6
     assert float(slope) == pytest.approx(float(difference), rel=1e-4)
 

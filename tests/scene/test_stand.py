@@ -84,7 +84,7 @@ def test_the_gap_is_that_of_the_columns():
 
 
 def test_area_and_gap_have_derivatives_in_cover_and_size():
-    parameters, model = crowded(), small_plot().faded()
+    parameters, model = crowded(), small_plot().expected()
 
     @eqx.filter_jit
     def total(values):

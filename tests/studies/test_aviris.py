@@ -66,7 +66,7 @@ def test_the_ranges_of_few_bands_are_those_of_the_spectrum(plot):
 def test_slopes_are_those_of_the_numbers(plot):
     scene, parameters = plot
     view = regions_view(scene, parameters)
-    scene = scene.faded()
+    scene = scene.expected()
 
     def plot_at(u):
         values = {f"species.{TAXA[0]}.leaf_area_index": u[0], "ground.brightness": u[1]}

@@ -268,7 +268,7 @@ def test_a_plot_comes_back_from_its_own_spectrum(tmp_path: Path, plots):
         [file] * len(seeds), Resolution(6.0, 0.5), seeds, room=ROOM, softness=SOFTNESS
     )
     # The spectrum is that of whole plants; the search is on plants that fade, as the command's.
-    models, parameters = [m.faded() for m, _ in scenes], scenes[0][1]
+    models, parameters = [m.expected() for m, _ in scenes], scenes[0][1]
     view = spectrum_view(bands, *scenes[0], ACCURACY)
     predict = PlotSpectrumForward(view, tuple(s == "deadwood" for s in slots))
     space = prior_space(plot)

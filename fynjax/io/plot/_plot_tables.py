@@ -402,7 +402,7 @@ class SceneTable(Strict):
 
     seed: int = Field(default=0, ge=0, lt=2**31)
     """Seed of everything random [-]."""
-    softness: float = in_unit("-", default=0.25, ge=0, le=1)
+    softness: float = in_unit("-", default=0.1, ge=0, le=1)
     """Share of a species' plants over which one more is spread where a slope is taken [-]."""
     softness_plants: float = in_unit("plants", default=1.0, ge=0, le=10)
     """Plants, less one, over which one more is spread besides; with `softness` 0 too, their number

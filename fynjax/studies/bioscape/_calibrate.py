@@ -230,8 +230,8 @@ def _stands(
     planted = build_scenes(
         [f for f, _ in each], resolution, [s for _, s in each], room=ROOM, softness=SOFTNESS
     )
-    # Plants that fade make the expectation a smooth function of the covers.
-    scenes = [scene.faded() for scene, _ in planted]
+    # In expectation the stands are smooth functions of the covers.
+    scenes = [scene.expected() for scene, _ in planted]
     stands = [scenes[i : i + realisations] for i in range(0, len(scenes), realisations)]
     return stands, [parameters for _, parameters in planted[::realisations]]
 

@@ -183,7 +183,6 @@ def _padded(scene: Scene, plants: int, elements: int, parts: int) -> Scene:
             part=longer(planting.part, elements, parts),  # the last part has no area
             shapes=shapes,
             shape_class=longer(planting.shape_class, parts + 1),
-            before=longer(planting.before, parts + 1),
         ),
     )
 

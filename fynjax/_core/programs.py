@@ -1,0 +1,48 @@
+"""Programs that JAX compiles of functions of large records."""
+
+import functools
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+import equinox as eqx
+import jax
+
+from fynjax._core.errors import InputError
+
+_F = TypeVar("_F", bound=Callable[..., Any])
+
+
+def as_one(function: _F) -> _F:
+    """The function compiled as one program where it is called alone, and not each of its operations
+    as its own: a sixth of the time. Within another program its arguments are `unfolded`."""
+
+    @functools.wraps(function)
+    def one(*args: Any, **kwargs: Any) -> Any:
+        args, kwargs = unfolded((args, kwargs))
+        return function(*args, **kwargs)
+
+    return eqx.filter_jit(one, inline=True)  # type: ignore[call-overload]
+
+
+def check_known(**numbers: Any) -> None:
+    """Raise `InputError` where a number by name, or a record of numbers, is traced."""
+    for name, value in numbers.items():
+        if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(value)):
+            raise InputError(
+                f"`{name}` must be known, but is traced by a transformation such as jit, grad or "
+                "vmap: it sets the shape of what is computed. Take it from outside as a plain "
+                "number, with a call for each of its values"
+            )
+
+
+def unfolded(tree: Any) -> Any:
+    """The same arrays, of which the compiler computes nothing beforehand. Differentiable.
+
+    What a compiled function closes over, such as a scene, are constants to the compiler, which
+    evaluates whatever follows from them alone: an image of 10 m takes 171 CPU s to compile in place
+    of 6.
+    """
+    # Leaf by leaf: one barrier of all would make a derivative by one leaf one by each.
+    return jax.tree.map(
+        lambda leaf: jax.lax.optimization_barrier(leaf) if eqx.is_array(leaf) else leaf, tree
+    )
