@@ -181,6 +181,7 @@ class Observation(eqx.Module):
             raise InputError(
                 f"expected a band of {self.sensor}, but got {band!r}. Its bands are "
                 f"{listed(f'{name} ({centre:.4g} nm)' for name, centre in known)}."
+                f"{did_you_mean(str(band), self.bands)}"
             )
         return self.reflectance[self.bands.index(band)]
 
