@@ -214,7 +214,7 @@ def _weights(
     low, high = term.window
     place, width = np.array(centre), np.array(fwhm)
     # A spectrometer's channels side by side: their mean over the window.
-    fine = np.flatnonzero(width <= 1.5 * (high - low))
+    fine = np.flatnonzero(width <= 2.0 * (high - low))
     grid, first = np.unique(place[fine], return_index=True)
     fine = fine[first]
     start, end = np.searchsorted(grid, low, "right") - 1, np.searchsorted(grid, high)
