@@ -64,11 +64,11 @@ R and a number, such as R705, is the reflectance at a wavelength [nm]: the mean 
 class VegetationIndex:
     """A vegetation index: a formula of the reflectance of its bands.
 
-    Called with these by letter it gives its value. No check, NaN or infinity where undefined.
+    Called with these by letter it gives its value, NaN or infinity where it has none.
 
     >>> from fynjax.metrics import VEGETATION_INDICES
     >>> ndvi = VEGETATION_INDICES["NDVI"]
-    >>> ndvi.terms, round(float(ndvi(N=0.4, R=0.1)), 3)
+    >>> ndvi.terms, round(float(ndvi({"N": 0.4, "R": 0.1})), 3)
     (('N', 'R'), 0.6)
     """
 
@@ -83,21 +83,18 @@ class VegetationIndex:
         """Letters of the formula, in its order."""
         return tuple(dict.fromkeys(re.findall(r"[A-Z]\w*", self.formula)))
 
-    @cached_property
-    def _tree(self) -> ast.expr:
-        return ast.parse(self.formula.replace("^", "**"), mode="eval").body
-
-    def __call__(self, *, root: Callable[[Any], Any] = jnp.sqrt, **terms: Any) -> Any:
+    def __call__(self, terms: Mapping[str, Any], root: Callable[[Any], Any] = jnp.sqrt) -> Any:
         """The value at the reflectance [-] of each of `terms`; `root` is what takes roots."""
-        return _value(self._tree, terms, root)
+        formula = ast.parse(self.formula.replace("^", "**"), mode="eval").body
+        return _value(formula, terms, root)
 
     @cached_property
     def measures(self) -> frozenset[str] | str:
         """What it measures: its bands' shares, if it is the same however bright they are together,
         which of two bands is one ratio; else itself."""
-        bright, dark = (
-            float(self(root=np.sqrt, **{k: by * usual(k) for k in self.terms})) for by in (1.0, 0.6)
-        )
+        plants = {term: usual(term) for term in self.terms}
+        shade = {term: 0.6 * value for term, value in plants.items()}
+        bright, dark = (float(self(terms, np.sqrt)) for terms in (plants, shade))
         return frozenset(self.terms) if np.isclose(bright, dark, rtol=1e-9) else self.name
 
 
@@ -172,7 +169,7 @@ class SensorBands(Protocol):
         """Full width at half maximum of each band [nm]."""
 
 
-Bands = SensorBands | Sequence[str] | ArrayLike
+Bands = SensorBands | Sequence[str] | Sequence[float] | ArrayLike
 """Bands of an image: of a sensor; by their names alone, blue, green, red, red_edge, nir, swir_1 and
 swir_2 among them; or the wavelengths of spectra [nm], increasing."""
 
@@ -193,7 +190,7 @@ def _described(bands: Bands) -> _Described:
         return _Described(tuple(bands.names), tuple(bands.centre), tuple(bands.fwhm))
     if isinstance(bands, str):
         raise InputError(f"`bands` must be a list of names; write [{bands!r}].")
-    each = list(bands)
+    each: list[Any] = list(np.atleast_1d(bands)) if not isinstance(bands, Sequence) else [*bands]
     if all(isinstance(name, str) for name in each):
         # As wide as a band may be: it is none at a stated wavelength.
         words = {term.word: (term.usual, term.widest) for term in BAND_TERMS.values()}
@@ -214,14 +211,13 @@ def _weights(
     low, high = term.window
     place, width = np.array(centre), np.array(fwhm)
     # A spectrometer's channels side by side: their mean over the window.
-    fine = np.flatnonzero(width <= 2.0 * (high - low))
+    fine = np.flatnonzero((width <= 2.0 * (high - low)) & np.isfinite(place))
     grid, first = np.unique(place[fine], return_index=True)
     fine = fine[first]
     start, end = np.searchsorted(grid, low, "right") - 1, np.searchsorted(grid, high)
-    if start >= 0 and end < grid.size and np.isfinite(grid[end]):
+    if start >= 0 and end < grid.size:
         narrower = np.minimum(width[fine[start:end]], width[fine[start + 1 : end + 1]])
         if np.all(np.diff(grid[start : end + 1]) <= 1.5 * narrower):
-            grid = grid[np.isfinite(grid)]
             row = box_matrix(grid, 0.5 * (low + high), high - low)[0]
             used = np.flatnonzero(row)
             return tuple(fine[used].tolist()), tuple(row[used].tolist())
@@ -293,16 +289,18 @@ def vegetation_indices(
     values = []
     for index, terms in _chosen(image, names, bands):
         # Evaluated twice: where it is undefined at ordinary bands, so that its slope is 0, not NaN.
-        roots: list[Array] = []
-        fixed = {name: jax.lax.stop_gradient(band) for name, band in terms.items()}
-        raw = index(root=lambda x, roots=roots: (roots.append(x), jnp.sqrt(x))[1], **fixed)
+        positive: list[Array] = []
+
+        def root(x: Array, positive: list[Array] = positive) -> Array:
+            positive.append(x > 0.0)
+            return jnp.sqrt(x)
+
+        raw = index(jax.lax.stop_gradient(terms), root)
         valid = jnp.isfinite(raw)
         # A root at zero has a value but no slope: it is defined, with no gradient.
-        slope = valid
-        for x in roots:
-            slope &= x > 0.0
+        slope = jnp.all(jnp.stack([valid, *positive]), axis=0)
         safe = {name: jnp.where(slope, band, usual(name)) for name, band in terms.items()}
-        values.append(jnp.where(slope, index(**safe), jnp.where(valid, raw, jnp.nan)))
+        values.append(jnp.where(slope, index(safe), jnp.where(valid, raw, jnp.nan)))
     return jnp.stack(values)
 
 
@@ -350,7 +348,7 @@ def smooth_vegetation_indices(
             name: _lift(jnp.where(mask[0], band, usual(name)), floor)
             for name, band in terms.items()
         }
-        values.append(index(root=root, **lifted))
+        values.append(index(lifted, root))
         masks.append(jnp.all(jnp.stack(mask), axis=0))
     return jnp.stack(values), jnp.stack(masks)
 

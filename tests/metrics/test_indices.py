@@ -92,7 +92,7 @@ exact = jax.jit(lambda x: vegetation_indices(x, NAMES))  # compiled once for a s
 def test_formula_is_spyndex_and_what_it_says(name: str) -> None:
     """What both have is equal; the formula is what Python makes of its text."""
     index, terms = VEGETATION_INDICES[name], random_terms(name)
-    value = np.asarray(index(**{k: jnp.asarray(v) for k, v in terms.items()}))
+    value = np.asarray(index({k: jnp.asarray(v) for k, v in terms.items()}))
     written = eval(
         index.formula.replace("^", "**"), {"__builtins__": {}}, {**terms, "sqrt": np.sqrt}
     )
@@ -152,7 +152,7 @@ def window(term: str) -> tuple[float, float]:
 def test_same_ratio_follows_from_the_formula(name: str) -> None:
     """By slopes: `measures` are its bands where light on all of them alike changes nothing."""
     index, terms = VEGETATION_INDICES[name], random_terms(name, 1)
-    slope = jax.grad(lambda log: index(**{k: jnp.exp(v)[0] for k, v in log.items()}))
+    slope = jax.grad(lambda log: index({k: jnp.exp(v)[0] for k, v in log.items()}))
     slopes = slope({k: jnp.log(jnp.asarray(v)) for k, v in terms.items()})
     sizes = np.array([float(v[0]) for v in slopes.values()])
     assert (abs(sizes) > 1e-9).all(), "a band that does not count"
@@ -427,7 +427,7 @@ def test_a_formula_runs_nothing_else() -> None:
     index = type(VEGETATION_INDICES["NDVI"])
     for formula in ("N.real", "exit(N)", "N[0]", "(lambda: N)()", "'N'", "N if R else N"):
         with pytest.raises(InputError, match="formula"):
-            index("X", formula, "")(N=0.3, R=0.1)
+            index("X", formula, "")({"N": 0.3, "R": 0.1})
 
 
 # -- the article ------------------------------------------------------------------------------
