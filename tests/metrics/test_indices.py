@@ -120,6 +120,30 @@ def spyndex_band(index: str, term: str) -> str:
     return min((b for b in spyndex.indices[index].bands if b in spyndex.bands), key=away)
 
 
+BY_HAND = {
+    "CAI": ({"R2031": 0.2, "R2101": 0.14, "R2211": 0.16}, 4.0),
+    "DVI_green": ({"N": 0.3, "G": 0.1}, 0.2),
+    "EVI_green": ({"N": 0.4, "R": 0.05, "G": 0.08}, 0.875 / 1.1),
+    "LCI": ({"N": 0.4, "RE": 0.2, "R": 0.1}, 0.4),
+    "MSR_Chen": ({"N": 0.36, "R": 0.04}, 2.0),
+    "MTCI": ({"R754": 0.3, "R709": 0.1, "R681": 0.05}, 4.0),
+    "NDWI_Gao": ({"R860": 0.3, "R1240": 0.2}, 0.2),
+    "OSAVI_Rondeaux": ({"N": 0.4, "R": 0.04}, 0.696),
+    "PRI": ({"R531": 0.06, "R570": 0.04}, 0.2),
+    "RDVI_root": ({"N": 0.34, "R": 0.16}, 0.6),
+    "REP": ({"R670": 0.05, "R780": 0.35, "R700": 0.1, "R740": 0.3}, 720.0),
+    "RESR": ({"RE": 0.2, "R": 0.1}, 2.0),
+    "WBI": ({"R900": 0.4, "R970": 0.32}, 1.25),
+    "WDRVI_005": ({"N": 0.4, "R": 0.08}, -0.6),
+}
+
+
+@pytest.mark.parametrize("name", BY_HAND)
+def test_those_that_spyndex_lacks_by_hand(name: str) -> None:
+    terms, value = BY_HAND[name]
+    assert VEGETATION_INDICES[name](terms) == pytest.approx(value)
+
+
 def test_most_are_compared_with_spyndex() -> None:
     assert sum(of_spyndex(name) is not None for name in EVERY) > 40
 
@@ -268,6 +292,9 @@ def test_spectrometers_have_every_index(name: str) -> None:
     for index in EVERY:
         scale = 3.0 if "REP" in index else 0.05 * abs(true[index]).max() + 0.01
         assert abs(found[index] - true[index]).max() < scale, index
+    order = np.random.default_rng(1).permutation(len(bands))
+    again = vegetation_indices(seen[order], EVERY, bands.select(order.tolist()))
+    np.testing.assert_allclose(again, np.stack([found[index] for index in EVERY]), rtol=1e-9)
 
 
 def test_bands_of_the_drone_camera_are_those_of_its_file() -> None:
