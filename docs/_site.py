@@ -264,6 +264,48 @@ def sensors() -> str:
     return table(("name", "kind", "bands", "nm", "pixel, m", "flown at, m"), rows)
 
 
+def band_terms() -> str:
+    """Letters of the formulas of vegetation indices."""
+    from fynjax.metrics import BAND_TERMS
+
+    rows = [
+        (
+            code(letter),
+            term.word.replace("_", " "),
+            f"{term.shortest:g} to {term.longest:g}",
+            f"{term.widest:g}",
+            f"{term.usual:g}",
+            " to ".join(f"{end:g}" for end in term.window),
+        )
+        for letter, term in BAND_TERMS.items()
+    ]
+    return table(
+        ("letter", "", "centre, nm", "at most wide, nm", "usual centre, nm", "of spectra, nm"), rows
+    )
+
+
+def indices() -> str:
+    """The vegetation indices, and which shipped sensors give them."""
+    from fynjax.metrics import VEGETATION_INDICES, index_bands
+    from fynjax.sensors import shipped_sensor, shipped_sensors
+
+    names = [name for name in shipped_sensors() if not name.endswith("_paper")]
+    given = {name: index_bands(shipped_sensor(name).bands) for name in names}
+    spectrometers = [name for name in names if len(shipped_sensor(name).bands) > 20]
+
+    def of(index: str) -> str:
+        have = [name for name in names if index in given[name]]
+        short = {tuple(names): "all", tuple(spectrometers): "spectrometers"}.get(tuple(have))
+        others = [code(name) for name in have if name not in spectrometers]
+        return short or ", ".join(["spectrometers", *others])
+
+    rows = [
+        (code(name), code(index.formula), plain(index.source), of(name))
+        for name, index in VEGETATION_INDICES.items()
+    ]
+    return table(("name", "formula", "source", "sensors"), rows)
+
+
 def citations() -> str:
     """BibTeX of all models."""
     import fynjax
@@ -276,7 +318,9 @@ def citations() -> str:
 
 _OWNERS: dict[str, Callable[..., str]] = {
     function.__name__: function
-    for function in (*(options, usage, keys, parameters, forms, sensors, citations),)
+    for function in (
+        *(options, usage, keys, parameters, forms, sensors, band_terms, indices, citations),
+    )
 }
 _LINE = re.compile(r"^\{\{ (\w+)(?: ([\w -]+?))? \}\}$", re.MULTILINE)
 

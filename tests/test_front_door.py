@@ -75,8 +75,32 @@ def test_a_spectrometer_has_indices_of_its_wavelengths(scene):
     frame = spectra.to_dataframe()
     assert len(frame) == 4
     assert frame.shape[1] == 2 + len(spectra.bands)
-    with pytest.raises(InputError, match=r"an index that the 416 bands .* got 'NDVX'"):
+    with pytest.raises(InputError, match=r"an index that these bands give .* got 'NDVX'"):
         spectra.index("NDVX")
+    assert np.isfinite(spectra.index("PRI")).all()
+    assert (abs(spectra.index("REP") - 715.0) < 15.0).all()
+
+
+def test_indices_of_a_satellite_are_of_its_bands(scene):
+    """As the same bands of the image give them; said by name."""
+    seen = fx.observe(scene, "sentinel_2a", pixel=1.0)
+    assert seen.index_bands["NDVI"] == {"N": ("B8",), "R": ("B4",)}
+    for name, high, low in (("NDVI", "B8", "B4"), ("NDRE", "B8", "B5"), ("NDMI", "B8", "B11")):
+        ratio = (seen[high] - seen[low]) / (seen[high] + seen[low])
+        np.testing.assert_allclose(seen.index(name), ratio, rtol=1e-6)
+    slope = jax.grad(lambda r: dataclasses.replace(seen, reflectance=r).index("NDRE").sum())(
+        seen.reflectance
+    )
+    used = np.abs(np.asarray(slope)).sum(axis=(1, 2)) > 0.0
+    assert [name for name, one in zip(seen.bands, used, strict=True) if one] == ["B5", "B8"]
+
+
+def test_a_camera_with_blue_has_its_own_evi(scene):
+    seen = fx.observe(scene, "rededge_3", pixel=1.0)
+    b, r, n = seen["blue"], seen["red"], seen["nir"]
+    np.testing.assert_allclose(
+        seen.index("EVI"), 2.5 * (n - r) / (n + 6.0 * r - 7.5 * b + 1.0), rtol=1e-5
+    )
 
 
 @pytest.fixture(scope="module")
@@ -366,8 +390,12 @@ def test_wrong_arguments_are_one_clear_error(scene, call, message):
 
 
 def test_a_band_that_there_is_not_names_its_neighbours(image):
-    with pytest.raises(InputError, match=r"got 'nit'. Did you mean 'nir'"):
+    with pytest.raises(InputError, match=r"got 'nit'\. Its bands are .*Did you mean 'nir'"):
         image["nit"]
+    with pytest.raises(InputError, match=r"'swir'\. .* green \(560 nm\), .* nir \(860 nm\)"):
+        image["swir"]
+    with pytest.raises(InputError, match=r"EVI needs .* 450 to 530 nm"):
+        image.index("EVI")
     with pytest.raises(InputError, match="NDVX"):
         image.index("NDVX")
 

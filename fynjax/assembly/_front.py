@@ -50,7 +50,7 @@ from fynjax.inversion import fit as fit_function
 from fynjax.io.instruments import load_instrument
 from fynjax.io.plot import BY_FORM, LearnedPrior, example_folder, read_plot, read_prior
 from fynjax.io.text import read_rows
-from fynjax.metrics import BANDS, check_statistics
+from fynjax.metrics import BANDS, bands_needed, check_statistics
 from fynjax.scene import (
     Observation,
     Placement,
@@ -164,8 +164,9 @@ class PlotData(Data):
         if isinstance(image, Observation):
             seen = [band for band in sensor.bands.names if band in image.bands or band in BANDS]
             values, edge = np.stack([np.asarray(image[band]) for band in seen]), image.pixel
+            own = sensor.bands.select([sensor.bands.names.index(band) for band in seen])
             every = np.ones(values.shape[1:], bool)
-            data = weighed_statistics(values, seen, every, edge, rules)
+            data = weighed_statistics(values, own, every, edge, rules)
         elif isinstance(image, str | Path):
             data, _, edge = image_data(Path(image), rules, sensor.bands, pixel=pixel, bands=bands)
         else:
@@ -212,7 +213,7 @@ class PlotData(Data):
                 )
             sd = frame["sd"].to_numpy(float) if "sd" in frame else None
             names = [str(name) for name in frame["statistic"]]
-            check_statistics(names, sensor.bands.names)
+            check_statistics(names, sensor.bands)
             data = weigh_targets(names, frame["value"].to_numpy(float), relative_sd, sd=sd)
         return cls._seen(data, sensor, Placement(altitude, pixel), gains)
 
@@ -287,9 +288,8 @@ class PlotData(Data):
     def _seen(
         cls, data: Data, camera: Sensor, placement: Placement, gains: Gains | str | None
     ) -> "PlotData":
-        named = {name.split(".")[0] for name in data.names}
-        names = camera.bands.names
-        camera = camera.select([i for i, n in enumerate(names) if n in BANDS or n in named])
+        used = bands_needed({*BANDS, *(name.split(".")[0] for name in data.names)}, camera.bands)
+        camera = camera.select([i for i, n in enumerate(camera.bands.names) if n in used])
         found = gains if isinstance(gains, Gains) else camera.gains(gains)
 
         def view(scene: Scene, parameters: PlotParameters) -> AbstractView:

@@ -46,9 +46,9 @@ from fynjax.io.plot import (
 from fynjax.io.raster import open_raster
 from fynjax.io.text import existing_file, open_table
 from fynjax.metrics import (
-    VEGETATION_INDICES,
     fitting_statistics,
     image_statistics,
+    index_bands,
     match_wavelengths,
     spectral_mask,
 )
@@ -299,11 +299,12 @@ def image_data(
         extra = {"target_valid_share": float(image.mask.mean())}
         if blur is not None:
             _doubt_focus(path, image, pixel, blur, resolved)
-        data = weighed_statistics(image.values, image.bands, image.mask, pixel, rules, side=side)
+        seen = camera.select([camera.names.index(name) for name in image.bands])
+        data = weighed_statistics(image.values, seen, image.mask, pixel, rules, side=side)
     else:
         if bands is not None:
             raise InputError("expected `bands` with a drone image, but this is a table", file=path)
-        read = read_statistics(path, {*camera.names, *VEGETATION_INDICES})
+        read = read_statistics(path, {*camera.names, *index_bands(camera)})
         keep = rules.used([row.statistic for row in read], "the target's rows")
         names = [read[i].statistic for i in keep]
         value = np.array([read[i].value for i in keep])
@@ -332,7 +333,7 @@ def _doubt_focus(path: Path, image: DroneImage, pixel: float, blur: float, resol
 
 def weighed_statistics(
     values: Float[np.ndarray, "band y x"],
-    bands: Sequence[str],
+    bands: BandSet,
     mask: Bool[np.ndarray, "y x"],
     pixel: float,
     rules: TargetRules,
@@ -344,7 +345,7 @@ def weighed_statistics(
     **Arguments:**
 
     - `values`: reflectance [-].
-    - `bands`: their names, green, red, red_edge and nir among them.
+    - `bands`: of the camera, in their order.
     - `mask`: pixels that count.
     - `pixel`: edge of a pixel on the ground [m].
     - `rules`, `side`: as for `image_data`.

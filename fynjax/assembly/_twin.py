@@ -81,7 +81,7 @@ def measure_truth(
     noise = 1.0 + PIXEL_NOISE * random.normal(size=image[0].shape)
     seen = jnp.asarray(np.asarray(image[0], float) * gain[:, None, None] * noise)
     camera = view.camera
-    found = image_statistics(seen, view.names, pixel=camera.pixel, bands=camera.sensor.bands.names)
+    found = image_statistics(seen, view.names, pixel=camera.pixel, bands=camera.sensor.bands)
     return np.asarray(found), gain
 
 
@@ -126,10 +126,10 @@ def twin_image(plot: Plot) -> Measured:
     **Raises:** `InputError` as `drone_view`, and where the plot file's targets fit none of them.
     """
     pixel = sensor_place(plot)[1]
-    bands = drone_sensor(plot).bands.names
+    bands = drone_sensor(plot).bands
     every = fitting_statistics(compared_statistics(bands), min(plot.size_m), pixel)
     used = target_rules(plot).used(every, "the statistics")
     names = tuple(every[i] for i in used)
     data = Data(names, jnp.zeros(len(names)), jnp.ones(len(names)))
-    description = f"{len(names)} statistics of a drone's image in {', '.join(bands)}."
+    description = f"{len(names)} statistics of a drone's image in {', '.join(bands.names)}."
     return Measured("image", plot.file, data, drone_view(plot, names), description)

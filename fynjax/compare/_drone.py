@@ -4,7 +4,6 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import jax.numpy as jnp
 import numpy as np
 import pandas as pd
 from jaxtyping import Float
@@ -84,30 +83,32 @@ def compare_drone_images(real: DroneImage, simulated: DroneImage) -> DroneCompar
     four = [sample[: len(BANDS)] for sample in samples]
     published = table4_2006()
     rows, full, shown = [], [], []
-    with stage("Compare the drone images", len(VEGETATION_INDICES)):
+    with stage("Compare the drone images", len(published)):
         bands = _band_table(names, *samples)
-        for name, index in VEGETATION_INDICES.items():
-            x, y = (np.asarray(vegetation_indices(jnp.asarray(s), [name])[0]) for s in four)
-            row = {"index": name, "formula": index.formula, **_pair_row(x, y)}
-            row["departure"] = index.departure
-            row["literature_formula"] = index.literature_formula
-            if index.literature is not None:
-                with np.errstate(all="ignore"):
-                    for side, sample in zip(("real", "simulated"), four, strict=True):
-                        other = np.asarray(index.literature(*map(jnp.asarray, sample)))
-                        other = other[np.isfinite(other)]
-                        row[f"literature_{side}_mean"] = other.mean() if other.size else np.nan
-            if paper := published.get(name):  # of the indices of table 4
-                row |= {
-                    "paper_real_mean": paper.real_mean,
-                    "paper_simulated_mean": paper.sim_mean,
-                    "paper_real_std": paper.real_std,
-                    "paper_real_std_consistent": _KNOWN[paper.std_consistent],
-                    "paper_simulated_std": paper.sim_std,
-                    "paper_histogram_intersection": paper.histogram_intersection,
-                    "paper_ks": paper.ks,
-                    "paper_formula_confidence": paper.formula_confidence,
-                }
+        for name, paper in published.items():
+            (x, y), other = (
+                [np.asarray(vegetation_indices(s, [one])[0]) for s in four] if one else []
+                for one in (name, paper.literature)
+            )
+            formulas = [
+                VEGETATION_INDICES[n].formula if n else "" for n in (name, paper.literature)
+            ]
+            row = {"index": name, "formula": formulas[0], **_pair_row(x, y)}
+            called = "" if paper.printed == name else f"{paper.printed} in the paper. "
+            row |= {"departure": f"{called}{paper.departure}", "literature_formula": formulas[1]}
+            for side, values in zip(("real", "simulated"), other):
+                known = values[np.isfinite(values)]
+                row[f"literature_{side}_mean"] = known.mean() if known.size else np.nan
+            row |= {
+                "paper_real_mean": paper.real_mean,
+                "paper_simulated_mean": paper.sim_mean,
+                "paper_real_std": paper.real_std,
+                "paper_real_std_consistent": _KNOWN[paper.std_consistent],
+                "paper_simulated_std": paper.sim_std,
+                "paper_histogram_intersection": paper.histogram_intersection,
+                "paper_ks": paper.ks,
+                "paper_formula_confidence": paper.formula_confidence,
+            }
             rows.append(row)
             full.append(_histograms(x, y, BINS, 0.0))
             shown.append(_histograms(x, y, _SHOWN_BINS, _CENTRAL[0]))

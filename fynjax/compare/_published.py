@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from importlib.resources import files
 from typing import Annotated, Literal
 
-import jax.numpy as jnp
 import numpy as np
 import pandas as pd
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field
@@ -45,7 +44,7 @@ def compare_with_published(image: DroneImage) -> PublishedComparison:
             | {"dirsig_abs_error_percent": 100.0 * row.sim_abs_difference}
         )
     for name, paper in table4_2006().items():
-        values = np.asarray(vegetation_indices(jnp.asarray(pixels), [name])[0])
+        values = np.asarray(vegetation_indices(pixels, [name])[0])
         values = values[np.isfinite(values)]
         mean, std = (values.mean(), values.std()) if values.size else (np.nan, np.nan)
         known = "printed" if paper.formula_confidence != "open" else "form not known"
@@ -104,6 +103,10 @@ class Table4Row(_Published):
     """One row of the paper's table 4: an index over the real and the paper's simulated image."""
 
     index: str
+    """Name in `fynjax.metrics.VEGETATION_INDICES` of the form that reproduces the printed means; of
+    EVI, whose form is not known, of one that the camera's bands allow."""
+    printed: str
+    """Name in the paper."""
     real_mean: float
     """Mean of the real image [-]."""
     real_std: float
@@ -116,14 +119,17 @@ class Table4Row(_Published):
     """Overlap of the two histograms [-]."""
     ks: float
     """Kolmogorov-Smirnov distance of the two [-]."""
-    formula: str
-    """Inferred form; G, R, RE, N are the bands."""
     formula_confidence: Literal["exact", "firm", "open"]
     std_consistent: Known
     """Whether the printed real std obeys the formula and the other rows; None if no one knows."""
     affine_of: str
     """Row of which this one is an exact affine function, so that it adds no information; empty
     where there is none."""
+    literature: str
+    """Name in `fynjax.metrics.VEGETATION_INDICES` of what the literature means by the printed name,
+    where that is another form; else empty."""
+    departure: str
+    """How the form differs from the literature's; empty where it does not."""
 
 
 class BandReference(_Published):
@@ -182,7 +188,8 @@ class Target:
 
 
 def table4_2006() -> dict[str, Table4Row]:
-    """Table 4 of the paper (2006 burn plot), by index name. Source: `data/README.md`.
+    """Table 4 of the paper (2006 burn plot), by the names of `fynjax.metrics.VEGETATION_INDICES`,
+    in its order. Source: `data/README.md`.
 
     >>> from fynjax.compare import table4_2006
     >>> len(table4_2006())
@@ -213,7 +220,7 @@ def consistent_targets(*, independent: bool = False) -> tuple[Target, ...]:
     those of their standard deviations that do not contradict the formulas.
 
     **Arguments:** `independent`: leave out rows that are exact affine functions of another one
-    (IPVI, NDWI, NormNIR, RVI), which would count the same measurement twice.
+    (IPVI, NDWI, NormNIR, GRVI), which would count the same measurement twice.
 
     **Returns:** a `Target` for each number, reflectance and indices [-].
     """

@@ -13,15 +13,16 @@ from fynjax.compare._published import figure12_2006, table5_2006
 from fynjax.compare._spectra import SpectraSample
 from fynjax.metrics import (
     SPECTRAL_REGIONS,
-    SPECTROMETER_INDICES,
+    VEGETATION_INDICES,
     WATER_WINDOWS,
     MatchingMethod,
     WavelengthMatch,
+    index_bands,
     match_wavelengths,
     misfit_decomposition,
     spectral_agreement,
     spectral_mask,
-    spectrometer_indices,
+    vegetation_indices,
 )
 
 PAPER_SWIR2_MEANS = (0.063, 0.008)
@@ -33,6 +34,12 @@ _INDEX_COLUMNS = (
 )  # fmt: skip
 _CONSTANT = 1e-6
 """Range over largest value below which a spectrum is constant, but for rounding."""
+
+FIGURE_12 = (
+    "NDVI", "NDRE", "GNDVI", "NormNIR", "LCI", "EVI", "SAVI", "ARVI", "RENDVI", "ReCI", "TVI",
+    "RESR", "GDVI", "IPVI",
+)  # fmt: skip
+"""Indices that the paper's figure 12 names and a published formula is known of, in its order."""
 
 LEFT_OUT = "MEVI and SARE are left out: no published formula of these names was found."
 """Indices that a table of a spectrometer's does not hold, in a sentence."""
@@ -261,14 +268,17 @@ def _reading(row: dict[str, float]) -> str:
 
 def _index_table(grid: np.ndarray, x: np.ndarray, y: np.ndarray) -> pd.DataFrame:
     """Indices of the mean spectra, and mean and spread of the single ones."""
+    names = [name for name in FIGURE_12 if name in index_bands(grid)]
+    if not names:
+        return pd.DataFrame(columns=list(_INDEX_COLUMNS))
     real, simulated = (
-        spectrometer_indices(grid, jnp.asarray(np.vstack([v.mean(axis=0), v]))) for v in (x, y)
+        np.asarray(vegetation_indices(np.vstack([v.mean(axis=0), v]).T, names, grid))
+        for v in (x, y)
     )
     published = figure12_2006()
     rows = []
-    for name, values in real.items():
-        index = SPECTROMETER_INDICES[name]
-        a, b = np.asarray(values), np.asarray(simulated[name])
+    for name, a, b in zip(names, real, simulated, strict=True):
+        index = VEGETATION_INDICES[name]
         paper = published.get(name)
         sign = {None: np.nan, True: 1.0, False: -1.0}[paper.simulated_higher if paper else None]
         rows.append(

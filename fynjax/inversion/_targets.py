@@ -10,21 +10,25 @@ from jaxtyping import Float
 from fynjax._core.errors import InputError
 from fynjax._core.precision import double_precision
 from fynjax.inversion._fit_result import Data
-from fynjax.metrics import BANDS
+from fynjax.metrics import BANDS, VEGETATION_INDICES, index_bands
+from fynjax.sensors import BandSet
 
 
-def compared_statistics(bands: Sequence[str] = BANDS) -> tuple[str, ...]:
+def compared_statistics(bands: BandSet | Sequence[str] = BANDS) -> tuple[str, ...]:
     """Names of what is compared with a whole image: the distributions of its bands and of some
     indices, which between them hold that of the bands together, and how their spread falls from
     small to large squares, which is by the width of crowns and gaps.
 
     **Arguments:**
 
-    - `bands`: names of the image's bands, green, red, red_edge and nir among them.
+    - `bands`: of the image, of a sensor or by their names. Indices that they do not give are left
+      out.
     """
+    found = index_bands(bands)
+    indices = (name for name in ("NDVI", "GNDVI", "GSAVI", "NormR") if name in found)
     return tuple(
         f"{layer}.{kind}"
-        for layer in (*bands, "NDVI", "GNDVI", "GSAVI", "NormR")
+        for layer in (*(bands.names if isinstance(bands, BandSet) else bands), *indices)
         for kind in (
             *("mean", "q05", "q25", "q50", "q75", "q95"),
             *("std", "std20cm", "std40cm", "std80cm", "std160cm"),
@@ -32,11 +36,6 @@ def compared_statistics(bands: Sequence[str] = BANDS) -> tuple[str, ...]:
     )
 
 
-_SAME_BANDS = {
-    "N/R": {"NDVI", "SR", "MSR", "WDRVI", "GDVI", "TVI", "RDVI", "IPVI"},
-    "N/G": {"GNDVI", "GCI", "RVI", "NDWI"},
-    "N, R, G": {"NormNIR", "NormR", "NormG", "GRNDVI"},
-}
 _SPREAD = 10.0
 """Error of a standard deviation over that of a mean [-]: against a path tracer's image of the same
 plants means are off by 1 %, standard deviations by 5 to 20 % (`tests.benchmarks.table_radiation`),
@@ -57,8 +56,9 @@ def weigh_targets(
     `relative_sd` of its value, and a standard deviation ten times that, because sensor noise and
     leaves smaller than what is modelled change spreads first. Mean and quantiles of one band repeat
     one measurement, and so do its standard deviations, and indices that are functions of the same
-    ratio of two bands: a group of n has its errors widened by sqrt(n). So are those of the three
-    bands' shares, although they hold two ratios.
+    ratio of two bands: a group of n has its errors widened by sqrt(n). So are those of three
+    bands' shares, although they hold two ratios. Which these are follows from the formulas
+    (`VegetationIndex.measures`).
 
     **Arguments:**
 
@@ -75,7 +75,8 @@ def weigh_targets(
     keys = []
     for name in names:
         layer, kind = name.split(".")
-        group = next((g for g, members in _SAME_BANDS.items() if layer in members), layer)
+        index = VEGETATION_INDICES.get(layer)
+        group = layer if index is None else index.measures
         keys.append((group, kind.startswith("std")))
     error = np.full(len(names), np.nan) if sd is None else np.array(sd, float)
     for i, key in enumerate(keys):

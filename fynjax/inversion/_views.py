@@ -122,7 +122,7 @@ class ImageView(AbstractView):
 
     def _statistics(self, image: Float[Array, "band y x"]) -> Float[Array, " statistic"]:
         pixel = self.camera.pixel if self.spacing is None else self.spacing
-        bands = self.camera.sensor.bands.names
+        bands = self.camera.sensor.bands
         return image_statistics(image, self.names, pixel=pixel, window=self.window, bands=bands)
 
     def for_search(self, scene: Scene, accuracy: Accuracy, stride: int | None) -> "ImageView":

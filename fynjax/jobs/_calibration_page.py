@@ -205,7 +205,7 @@ def _image_sections(
 ) -> list[Section]:
     before, after = np.asarray(result.image_before), np.asarray(result.image_after)
     assert result.camera is not None  # of which these images are
-    bands, pixel = result.camera.sensor.bands.names, result.camera.pixel
+    bands, pixel = result.camera.sensor.bands, result.camera.pixel
     pair = {"Before": before, "After": after}
     means = statistics[statistics["statistic"].str.endswith(".mean")]
     named = means.set_index(means["statistic"].str.removesuffix(".mean"))

@@ -86,7 +86,7 @@ def statistic_table(calibration: Calibration, reference: ReferenceImage) -> pd.D
     for when in ("before", "after"):
         if view is not None:
             own, camera = (*view.names, *extra), view.camera
-            image, bands = getattr(calibration, f"image_{when}"), camera.sensor.bands.names
+            image, bands = getattr(calibration, f"image_{when}"), camera.sensor.bands
             found = np.asarray(_statistics(image, own, pixel=camera.pixel, bands=bands), float)
             of_image = dict(zip(own, found, strict=True))
         fitted = np.asarray(getattr(calibration, f"statistics_{when}"), float)

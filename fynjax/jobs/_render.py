@@ -1,7 +1,7 @@
 """The job of `fynjax render`: the image that a plot file describes, of whatever sensor it names."""
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Literal
 
@@ -23,7 +23,7 @@ from fynjax.io.plot import Plot, as_plot, plot_instrument, plot_place
 from fynjax.io.raster import Cube, image_array, write_geotiff, write_run
 from fynjax.jobs._result import JobResult, StatisticSummary
 from fynjax.jobs._run import Run
-from fynjax.metrics import BANDS, of_indices, vegetation_indices
+from fynjax.metrics import BANDS, vegetation_indices
 from fynjax.report import figures
 from fynjax.report.pages import Page, Part, Picture, Section, Table, Views
 from fynjax.scene import (
@@ -38,6 +38,7 @@ from fynjax.scene import (
     truth_of_layers,
     truth_of_pixels,
 )
+from fynjax.sensors import BandSet
 
 SHOWN_INDICES = ("NDVI", "GNDVI", "SR", "GCI", "ARI2", "OSAVI", "GSAVI", "NormR")
 """Vegetation indices whose histograms are drawn."""
@@ -175,9 +176,9 @@ def _write(
         caption = "Plants, which are known."
     plants = pd.DataFrame({"taxon": scene.taxa, "plants": counts.astype(int)})
     if set(BANDS) <= set(bands.names):
-        histograms = figures.index_histograms(index_images(image, bands.names))
+        histograms = figures.index_histograms(index_images(image, bands))
         pictures: list[Part] = [
-            image_views({plot.name: image}, bands.names, camera.pixel),
+            image_views({plot.name: image}, bands, camera.pixel),
             Picture("indices.png", histograms, "histograms of vegetation indices"),
         ]
     else:
@@ -234,21 +235,21 @@ def write_truth(
     return Picture("species.png", figure, "species that leads in each pixel")
 
 
-def image_views(images: Mapping[str, np.ndarray], bands: Sequence[str], pixel_m: float) -> Views:
+def image_views(images: Mapping[str, np.ndarray], bands: BandSet, pixel_m: float) -> Views:
     """Images of a drone side by side, to be chosen from: colours, its `bands`, indices."""
     views = {
         "Nearly natural": Picture(
             "true_like.png",
-            figures.composites(images, bands, pixel_m=pixel_m, kind="true_like"),
+            figures.composites(images, bands.names, pixel_m=pixel_m, kind="true_like"),
             "image, nearly natural colours",
         ),
         "False colour": Picture(
             "false_colour.png",
-            figures.composites(images, bands, pixel_m=pixel_m),
+            figures.composites(images, bands.names, pixel_m=pixel_m),
             "image, near infrared as red",
         ),
     }
-    for k, band in enumerate(bands):
+    for k, band in enumerate(bands.names):
         label = figures.words(band)
         label = f"{label[0].upper()}{label[1:]}"
         layers = {title: image[k] for title, image in images.items()}
@@ -281,10 +282,10 @@ def cube_pictures(cubes: Mapping[str, Cube], title: str) -> list[Picture]:
 
 
 def index_images(
-    image: np.ndarray, bands: Sequence[str], names: tuple[str, ...] = SHOWN_INDICES
+    image: np.ndarray, bands: BandSet, names: tuple[str, ...] = SHOWN_INDICES
 ) -> dict[str, np.ndarray]:
     """Vegetation indices of every pixel [y, x] of an image in `bands`, by name."""
-    values = vegetation_indices(of_indices(image, bands), names)
+    values = vegetation_indices(image, names, bands)
     return dict(zip(names, np.asarray(values), strict=True))
 
 

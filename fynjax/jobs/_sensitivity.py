@@ -102,7 +102,7 @@ def sensitivity(
     read = as_plot(plot)
     if not names:
         raise InputError("no metric is named; an example is NDVI.mean")
-    check_statistics(names, drone_sensor(read).bands.names)
+    check_statistics(names, drone_sensor(read).bands)
     if sobol_samples:
         require("SALib", "analysis")
     for samples in filter(None, (derivative_samples, sobol_samples)):

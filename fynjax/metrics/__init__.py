@@ -8,10 +8,11 @@ from fynjax.metrics._distribution import (
     standard_deviation,
 )
 from fynjax.metrics._indices import (
+    BAND_TERMS,
     BANDS,
     VEGETATION_INDICES,
     VegetationIndex,
-    of_indices,
+    index_bands,
     smooth_vegetation_indices,
     vegetation_indices,
 )
@@ -29,13 +30,8 @@ from fynjax.metrics._spectral import (
     spectral_angle,
     spectral_mask,
 )
-from fynjax.metrics._spectrometer_indices import (
-    SPECTROMETER_BANDS,
-    SPECTROMETER_INDICES,
-    SpectrometerIndex,
-    spectrometer_indices,
-)
 from fynjax.metrics._statistics import (
+    bands_needed,
     check_statistics,
     fitting_statistics,
     image_statistics,
@@ -43,31 +39,29 @@ from fynjax.metrics._statistics import (
 
 __all__ = [
     "BANDS",
+    "BAND_TERMS",
     "SPECTRAL_REGIONS",
-    "SPECTROMETER_BANDS",
-    "SPECTROMETER_INDICES",
     "VEGETATION_INDICES",
     "WATER_WINDOWS",
     "MatchingMethod",
     "Misfit",
     "SpectralAgreement",
-    "SpectrometerIndex",
     "VegetationIndex",
     "WavelengthMatch",
+    "bands_needed",
     "check_statistics",
     "fitting_statistics",
     "histogram_intersection",
     "image_statistics",
+    "index_bands",
     "match_wavelengths",
     "mean",
     "misfit_decomposition",
-    "of_indices",
     "quantiles",
     "smooth_vegetation_indices",
     "spectral_agreement",
     "spectral_angle",
     "spectral_mask",
-    "spectrometer_indices",
     "standard_deviation",
     "vegetation_indices",
 ]

@@ -1,164 +1,284 @@
-"""The twenty vegetation indices of the drone comparison (table 4 of the fynbos scene paper).
-
-Several of the paper's indices are not what the literature means by the same name; the forms here
-are those that reproduce the paper's printed means (`fynjax/compare/data/README.md`), and each
-departure is recorded beside its formula.
-"""
+"""Vegetation indices of any sensor: each formula once, its bands chosen by wavelength and width."""
 
 from __future__ import annotations  # so that `help` shows ArrayLike by its name
 
-from collections.abc import Callable, Sequence
+import ast
+import csv
+import operator
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from importlib.resources import files
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float
 
-from fynjax._core.errors import InputError, did_you_mean
-
-Band = Float[Array, "*pixel"]
-IndexFunction = Callable[[Band, Band, Band, Band], Band]
+from fynjax._core.errors import InputError, did_you_mean, listed
+from fynjax._core.spectral import box_matrix, check_wavelength
 
 BANDS = ("green", "red", "red_edge", "nir")
-"""Order of the band axis that the indices expect."""
+"""Bands of the drone camera, in the order of its images."""
 
-_NEUTRAL = (0.05, 0.04, 0.1, 0.25)
-"""Bands of an ordinary plant pixel: stands in where a value is undefined and will be masked."""
+
+@dataclass(frozen=True)
+class BandTerm:
+    """A letter of a formula: which band of a camera, or which wavelengths of a spectrum, it is."""
+
+    word: str
+    """Name of a band that is known by its name alone."""
+    shortest: float
+    """Shortest centre of a band that fits [nm]."""
+    longest: float
+    """Longest centre of a band that fits [nm]."""
+    usual: float
+    """Of several bands that fit, the one is taken whose centre is nearest to this [nm]."""
+    widest: float
+    """Full width at half maximum that a band may have [nm]."""
+    window: tuple[float, float]
+    """Wavelengths that a spectrum is averaged over [nm]."""
+
+
+BAND_TERMS: dict[str, BandTerm] = {
+    "B": BandTerm("blue", 450.0, 530.0, 490.0, 100.0, (465.0, 485.0)),
+    "G": BandTerm("green", 510.0, 600.0, 560.0, 100.0, (544.0, 576.0)),
+    "R": BandTerm("red", 620.0, 690.0, 665.0, 100.0, (634.0, 666.0)),
+    "RE": BandTerm("red_edge", 695.0, 750.0, 705.0, 50.0, (714.0, 746.0)),
+    "N": BandTerm("nir", 760.0, 900.0, 842.0, 200.0, (834.0, 886.0)),
+    "S1": BandTerm("swir_1", 1550.0, 1750.0, 1610.0, 250.0, (1565.0, 1655.0)),
+    "S2": BandTerm("swir_2", 2080.0, 2350.0, 2190.0, 250.0, (2100.0, 2280.0)),
+}
+"""Letters of formulas. Ranges of centres are those of the catalogue Awesome Spectral Indices, the
+red edge's all of it; usual centres those of Sentinel-2, whose near infrared is B8 and whose red
+edge is B5. Spectra are averaged over the bands of `mavic_3m`, the blue of RedEdge-3 and the
+short-wave infrared of Sentinel-2, so that a spectrum and a camera give the same quantity.
+
+R and a number, such as R705, is the reflectance at a wavelength [nm]: the mean of a spectrum over
+10 nm, or a band whose centre is within 12 nm and which is at most 40 nm wide."""
 
 
 @dataclass(frozen=True)
 class VegetationIndex:
-    """One index: its formula as code and as text, and how it differs from the literature."""
+    """A vegetation index: a formula of the reflectance of its bands.
+
+    Called with these by letter it gives its value, NaN or infinity where it has none.
+
+    >>> from fynjax.metrics import VEGETATION_INDICES
+    >>> ndvi = VEGETATION_INDICES["NDVI"]
+    >>> ndvi.terms, round(float(ndvi({"N": 0.4, "R": 0.1})), 3)
+    (('N', 'R'), 0.6)
+    """
 
     name: str
-    function: IndexFunction
-    """Index of (green, red, red_edge, nir) reflectance."""
     formula: str
-    """Formula of the index in the bands' letters G, R, RE, N."""
-    departure: str = ""
-    """Meaning of the name in the literature, where the paper's form differs; else empty."""
-    literature: IndexFunction | None = None
-    """The literature's form, where it differs and the four bands allow it."""
-    literature_formula: str = ""
-    """Formula of the literature's form in the bands' letters."""
-    root_of: IndexFunction | None = None
-    """Quantity that the root is taken of, for an index that is a square root."""
+    """Of `BAND_TERMS`: numbers, + - * / ^ and sqrt."""
+    source: str
+    """Author and year; and what else the name is used for."""
+
+    @cached_property
+    def terms(self) -> tuple[str, ...]:
+        """Letters of the formula, in its order."""
+        return tuple(dict.fromkeys(re.findall(r"[A-Z]\w*", self.formula)))
+
+    def __call__(self, terms: Mapping[str, Any], root: Callable[[Any], Any] = jnp.sqrt) -> Any:
+        """The value at the reflectance [-] of each of `terms`; `root` is what takes roots."""
+        formula = ast.parse(self.formula.replace("^", "**"), mode="eval").body
+        return _value(formula, terms, root)
+
+    @cached_property
+    def measures(self) -> frozenset[str] | str:
+        """What it measures: its bands' shares, if it is the same however bright they are together,
+        which of two bands is one ratio; else itself."""
+        plants = {term: usual(term) for term in self.terms}
+        shade = {term: 0.6 * value for term, value in plants.items()}
+        bright, dark = (float(self(terms, np.sqrt)) for terms in (plants, shade))
+        return frozenset(self.terms) if np.isclose(bright, dark, rtol=1e-9) else self.name
 
 
-def _ndvi(r: Band, n: Band) -> Band:
-    return (n - r) / (n + r)
+_OPERATORS: dict[type[ast.operator], Callable[[Any, Any], Any]] = {
+    ast.Add: operator.add,
+    ast.Sub: operator.sub,
+    ast.Mult: operator.mul,
+    ast.Div: operator.truediv,
+    ast.Pow: operator.pow,
+}
 
 
-_ALL = (
-    VegetationIndex("ARI2", lambda g, r, e, n: n * (1.0 / g - 1.0 / e), "N*(1/G-1/RE)"),
-    VegetationIndex(
-        "EVI",
-        lambda g, r, e, n: 2.5 * (n - r) / (n + 6.0 * r - 7.5 * g + 1.0),
-        "2.5*(N-R)/(N+6*R-7.5*G+1)",
-        "EVI needs a blue band, which the sensor lacks. Green stands in for it, the nearest of the "
-        "tried forms to the paper's real mean (0.412 for 0.419); how the paper did it is not "
-        "stated, so EVI is no calibration target. The literature's two-band form is EVI2.",
-        lambda g, r, e, n: 2.5 * (n - r) / (n + 2.4 * r + 1.0),
-        "2.5*(N-R)/(N+2.4*R+1)",
-    ),
-    VegetationIndex("GCI", lambda g, r, e, n: n / g - 1.0, "N/G-1"),
-    VegetationIndex(
-        "GDVI",
-        lambda g, r, e, n: (n**2 - r**2) / (n**2 + r**2),
-        "(N^2-R^2)/(N^2+R^2)",
-        "The generalized difference index with exponent 2 (Wu 2014); the paper's caption says "
-        "green difference index, which is N-G.",
-        lambda g, r, e, n: n - g,
-        "N-G",
-    ),
-    VegetationIndex("GNDVI", lambda g, r, e, n: (n - g) / (n + g), "(N-G)/(N+G)"),
-    VegetationIndex("GRNDVI", lambda g, r, e, n: (n - g - r) / (n + g + r), "(N-G-R)/(N+G+R)"),
-    VegetationIndex(
-        "GSAVI",
-        lambda g, r, e, n: 1.5 * (n - g) / (n + g + 0.5),
-        "1.5*(N-G)/(N+G+0.5)",
-    ),
-    VegetationIndex("IPVI", lambda g, r, e, n: n / (n + r), "N/(N+R)"),
-    VegetationIndex(
-        "MSR",
-        lambda g, r, e, n: (n / r - 1.0) / jnp.sqrt(n / r + 1.0),
-        "(N/R-1)/sqrt(N/R+1)",
-        "As the index databases have it; Chen (1996) printed (N/R-1)/(sqrt(N/R)+1).",
-        lambda g, r, e, n: (n / r - 1.0) / (jnp.sqrt(n / r) + 1.0),
-        "(N/R-1)/(sqrt(N/R)+1)",
-    ),
-    VegetationIndex("NDVI", lambda g, r, e, n: _ndvi(r, n), "(N-R)/(N+R)"),
-    VegetationIndex("NDWI", lambda g, r, e, n: (g - n) / (g + n), "(G-N)/(G+N)"),
-    VegetationIndex("NormG", lambda g, r, e, n: g / (n + r + g), "G/(N+R+G)"),
-    VegetationIndex("NormNIR", lambda g, r, e, n: n / (n + r + g), "N/(N+R+G)"),
-    VegetationIndex("NormR", lambda g, r, e, n: r / (n + r + g), "R/(N+R+G)"),
-    VegetationIndex(
-        "OSAVI",
-        lambda g, r, e, n: (n - r) / (n + r + 0.16),
-        "(N-R)/(N+R+0.16)",
-        "Without the factor 1.16 that some tools apply (Rondeaux 1996 has both).",
-        lambda g, r, e, n: 1.16 * (n - r) / (n + r + 0.16),
-        "1.16*(N-R)/(N+R+0.16)",
-    ),
-    VegetationIndex(
-        "RDVI",
-        lambda g, r, e, n: jnp.sqrt(_ndvi(r, n)),
-        "sqrt((N-R)/(N+R))",
-        "The square root of NDVI, undefined where NDVI < 0 (such pixels are dropped); Roujean and "
-        "Breon (1995) have (N-R)/sqrt(N+R).",
-        lambda g, r, e, n: (n - r) / jnp.sqrt(n + r),
-        "(N-R)/sqrt(N+R)",
-        root_of=lambda g, r, e, n: _ndvi(r, n),
-    ),
-    VegetationIndex(
-        "RVI",
-        lambda g, r, e, n: n / g,
-        "N/G",
-        "Near infrared over green, GCI + 1; the literature's ratio index is N/R.",
-        lambda g, r, e, n: n / r,
-        "N/R",
-    ),
-    VegetationIndex("SR", lambda g, r, e, n: n / r, "N/R"),
-    VegetationIndex(
-        "TVI",
-        lambda g, r, e, n: jnp.sqrt(_ndvi(r, n) + 0.5),
-        "sqrt((N-R)/(N+R)+0.5)",
-        root_of=lambda g, r, e, n: _ndvi(r, n) + 0.5,
-    ),
-    VegetationIndex(
-        "WDRVI",
-        lambda g, r, e, n: (0.05 * n - r) / (0.05 * n + r),
-        "(0.05*N-R)/(0.05*N+R)",
-        "With the coefficient 0.05; Gitelson (2004) uses 0.1 to 0.2.",
-        lambda g, r, e, n: (0.1 * n - r) / (0.1 * n + r),
-        "(0.1*N-R)/(0.1*N+R)",
-    ),
+def _value(node: ast.expr, terms: Mapping[str, Any], root: Callable[[Any], Any]) -> Any:
+    """Value of a formula. Python's `eval` would run whatever a formula holds."""
+    match node:
+        case ast.Constant(value=int() | float() as number):
+            return number
+        case ast.Name(id=name):
+            return terms[name]
+        case ast.UnaryOp(op=ast.USub(), operand=operand):
+            return -_value(operand, terms, root)
+        case ast.BinOp(left=left, op=operation, right=right):
+            both = _value(left, terms, root), _value(right, terms, root)
+            return _OPERATORS[type(operation)](*both)
+        case ast.Call(func=ast.Name(id="sqrt"), args=[operand], keywords=[]):
+            return root(_value(operand, terms, root))
+    raise InputError(f"expected a formula of bands, numbers, + - * / ^ and sqrt, but got {node}")
+
+
+def _read() -> Iterator[VegetationIndex]:
+    text = (files("fynjax.metrics") / "data" / "vegetation_indices.csv").read_text("utf-8")
+    for row in csv.DictReader(text.splitlines()):
+        yield VegetationIndex(**row)
+
+
+VEGETATION_INDICES: dict[str, VegetationIndex] = {index.name: index for index in _read()}
+"""Every vegetation index by name, in the form of its source: `data/vegetation_indices.csv`."""
+
+_PLAIN = (
+    (400.0, 480.0, 550.0, 670.0, 700.0, 740.0, 780.0, 1300.0, 1450.0, 1650.0, 1930.0, 2200.0),
+    (0.025, 0.03, 0.06, 0.04, 0.09, 0.2, 0.27, 0.25, 0.1, 0.18, 0.06, 0.1),
 )
+"""Wavelengths [nm] and reflectance [-] of ordinary plants, which stand in where an index is
+undefined, lest its slope be NaN."""
 
-VEGETATION_INDICES: dict[str, VegetationIndex] = {index.name: index for index in _ALL}
-"""The twenty indices of table 4 by name, in alphabetical order."""
+
+@lru_cache
+def _term(name: str) -> BandTerm:
+    if name in BAND_TERMS:
+        return BAND_TERMS[name]
+    at = float(name.removeprefix("R"))
+    return BandTerm(f"{at:g} nm", at - 12.0, at + 12.0, at, 40.0, (at - 5.0, at + 5.0))
+
+
+def usual(term: str) -> float:
+    """Reflectance of ordinary plants in a term of a formula [-]."""
+    return float(np.interp(_term(term).usual, *_PLAIN))
+
+
+@runtime_checkable
+class SensorBands(Protocol):
+    """Bands of a sensor, such as a `fynjax.sensors.BandSet`."""
+
+    @property
+    def names(self) -> tuple[str, ...]: ...
+    @property
+    def centre(self) -> tuple[float, ...]:
+        """Centre of each band [nm]; NaN where not known."""
+
+    @property
+    def fwhm(self) -> tuple[float, ...]:
+        """Full width at half maximum of each band [nm]."""
+
+
+Bands = SensorBands | Sequence[str] | Sequence[float] | ArrayLike
+"""Bands of an image: of a sensor; by their names alone, blue, green, red, red_edge, nir, swir_1 and
+swir_2 among them; or the wavelengths of spectra [nm], increasing."""
+
+
+def band_names(bands: Bands) -> tuple[str, ...]:
+    """Names of `bands`."""
+    return _described(bands).names
+
+
+class _Described(NamedTuple):
+    names: tuple[str, ...]
+    centre: tuple[float, ...]
+    fwhm: tuple[float, ...]
+
+
+def _described(bands: Bands) -> _Described:
+    if isinstance(bands, SensorBands):
+        return _Described(tuple(bands.names), tuple(bands.centre), tuple(bands.fwhm))
+    if isinstance(bands, str):
+        raise InputError(f"`bands` must be a list of names; write [{bands!r}].")
+    each: list[Any] = list(np.atleast_1d(bands)) if not isinstance(bands, Sequence) else [*bands]
+    if all(isinstance(name, str) for name in each):
+        # As wide as a band may be: it is none at a stated wavelength.
+        words = {term.word: (term.usual, term.widest) for term in BAND_TERMS.values()}
+        places = [words.get(name, (np.nan, np.nan)) for name in each]
+        return _Described(tuple(each), *(tuple(p[i] for p in places) for i in (0, 1)))
+    grid = check_wavelength(np.asarray(bands))
+    gaps = np.diff(grid, prepend=-np.inf, append=np.inf)
+    widths = np.minimum(gaps[:-1], gaps[1:])  # a sample stands for what is nearest to it
+    return _Described(tuple(f"{w:g} nm" for w in grid), tuple(grid), tuple(widths))
+
+
+@lru_cache(maxsize=4096)
+def _weights(
+    name: str, centre: tuple[float, ...], fwhm: tuple[float, ...]
+) -> tuple[tuple[int, ...], tuple[float, ...]] | None:
+    """Places of the bands that a term is made of, and their weights; None where there are none."""
+    term = _term(name)
+    low, high = term.window
+    place, width = np.array(centre), np.array(fwhm)
+    # A spectrometer's channels side by side: their mean over the window.
+    fine = np.flatnonzero((width <= 2.0 * (high - low)) & np.isfinite(place))
+    grid, first = np.unique(place[fine], return_index=True)
+    fine = fine[first]
+    start, end = np.searchsorted(grid, low, "right") - 1, np.searchsorted(grid, high)
+    if start >= 0 and end < grid.size:
+        narrower = np.minimum(width[fine[start:end]], width[fine[start + 1 : end + 1]])
+        if np.all(np.diff(grid[start : end + 1]) <= 1.5 * narrower):
+            row = box_matrix(grid, 0.5 * (low + high), high - low)[0]
+            used = np.flatnonzero(row)
+            return tuple(fine[used].tolist()), tuple(row[used].tolist())
+    # A camera's band, or the one that is nearest to the usual centre.
+    fits = (term.shortest <= place) & (place <= term.longest) & (width <= term.widest)
+    if not fits.any():
+        return None
+    return (int(np.argmin(np.where(fits, abs(place - term.usual), np.inf))),), (1.0,)
+
+
+def index_bands(bands: Bands = BANDS) -> dict[str, dict[str, tuple[str, ...]]]:
+    """The vegetation indices that some bands give, and of which of them each is made.
+
+    **Arguments:** `bands` as in `vegetation_indices`.
+
+    **Returns:** for each index of `VEGETATION_INDICES` whose bands there are: by letter of its
+    formula the name of the band, or of the channels of a spectrometer, that are taken.
+
+    **Raises:** `InputError` for wavelengths that are none in nm.
+
+    >>> from fynjax.metrics import index_bands
+    >>> from fynjax.sensors import shipped_sensor
+    >>> index_bands(shipped_sensor("sentinel_2a").bands)["NDRE"]
+    {'N': ('B8',), 'RE': ('B5',)}
+    """
+    names, centre, fwhm = _described(bands)
+    found = {}
+    for index in VEGETATION_INDICES.values():
+        weights = {term: _weights(term, centre, fwhm) for term in index.terms}
+        if None not in weights.values():
+            found[index.name] = {k: tuple(names[i] for i in w[0]) for k, w in weights.items() if w}
+    return found
 
 
 def vegetation_indices(
-    image: Float[ArrayLike, "band ..."], names: Sequence[str] | None = None
+    image: Float[ArrayLike, "band ..."], names: Sequence[str], bands: Bands = BANDS
 ) -> Float[Array, "index ..."]:
-    """Vegetation indices of a four-band reflectance image, in the paper's forms [-].
+    """Vegetation indices of reflectance [-], of a camera's image or of spectra.
 
     **Arguments:**
 
-    - `image`: reflectance fractions [-] of the bands green, red, red edge, near infrared, on the
-      first axis.
-    - `names`: from `VEGETATION_INDICES`; all twenty if not given.
+    - `image`: reflectance fractions [-], bands on the first axis.
+    - `names`: from `VEGETATION_INDICES`.
+    - `bands`: of the image, in its order: a `fynjax.sensors.BandSet`; or names, of which blue,
+      green, red, red_edge, nir, swir_1 and swir_2 are known; or the wavelengths of spectra [nm].
 
-    **Returns:** one image for each index. A value that is undefined (0/0, x/0, the root of a
-    negative NDVI, a NaN in a band the index uses) is NaN; statistics take `jnp.isfinite` of it as
-    their mask.
+    Bands are taken by wavelength and width (`BAND_TERMS`), whatever they are called. Where channels
+    lie side by side, as a spectrometer's do, it is the mean of the spectrum, linear between them,
+    over the term's window; else the band whose centre is in the term's range, not wider than it
+    allows, and nearest to the usual centre. `index_bands` says which they are.
 
-    **Raises:** `InputError` for an unknown name or an image without four bands.
+    **Returns:** one image for each index [-], of red edge positions [nm]. A value that is undefined
+    (0/0, x/0, the root of a negative NDVI, a NaN in a band the index uses) is NaN; statistics take
+    `jnp.isfinite` of it as their mask.
+
+    **Raises:** `InputError` for an unknown name, an index of which there is no band, with its
+    wavelengths, and an image with another number of bands.
 
     Differentiable in `image` wherever the value is defined, and an undefined value has the gradient
-    zero, not NaN. The slope is the index's own and grows without limit towards black bands and, for
-    RDVI, towards NDVI = 0: an objective is better built on `smooth_vegetation_indices`.
+    zero, not NaN. The slope is the index's own and grows without limit towards black bands and
+    where a root is taken of zero: an objective is better built on `smooth_vegetation_indices`.
 
     >>> import jax.numpy as jnp
     >>> from fynjax.metrics import vegetation_indices
@@ -166,111 +286,119 @@ def vegetation_indices(
     >>> vegetation_indices(pixel, ["NDVI", "GNDVI"]).round(3)
     Array([0.75 , 0.707], dtype=float32)
     """
-    chosen, bands = _chosen(names), _bands(image)
     values = []
-    for index in chosen:
+    for index, terms in _chosen(image, names, bands):
         # Evaluated twice: where it is undefined at ordinary bands, so that its slope is 0, not NaN.
-        raw = index.function(*(jax.lax.stop_gradient(band) for band in bands))
+        positive: list[Array] = []
+
+        def root(x: Array, positive: list[Array] = positive) -> Array:
+            positive.append(x > 0.0)
+            return jnp.sqrt(x)
+
+        raw = index(jax.lax.stop_gradient(terms), root)
         valid = jnp.isfinite(raw)
         # A root at zero has a value but no slope: it is defined, with no gradient.
-        slope_exists = valid if index.root_of is None else valid & (raw > 0.0)
-        safe = [
-            jnp.where(slope_exists, band, jnp.asarray(neutral, band.dtype))
-            for band, neutral in zip(bands, _NEUTRAL)
-        ]
-        values.append(
-            jnp.where(slope_exists, index.function(*safe), jnp.where(valid, raw, jnp.nan))
-        )
+        slope = jnp.all(jnp.stack([valid, *positive]), axis=0)
+        safe = {name: jnp.where(slope, band, usual(name)) for name, band in terms.items()}
+        values.append(jnp.where(slope, index(safe), jnp.where(valid, raw, jnp.nan)))
     return jnp.stack(values)
 
 
 def smooth_vegetation_indices(
     image: Float[ArrayLike, "band ..."],
-    names: Sequence[str] | None = None,
+    names: Sequence[str],
+    bands: Bands = BANDS,
     *,
     floor: float = 1e-4,
 ) -> tuple[Float[Array, "index ..."], Bool[Array, "index ..."]]:
-    """Vegetation indices with bounded slopes at black bands, and where they count [-].
+    """Vegetation indices with bounded slopes at black bands, and where they count.
 
     Each band x is replaced by (x + sqrt(x^2 + 4 floor^2)) / 2, which is smooth, never below zero,
     equals `floor` at black and departs from x by less than floor^2 / x above it: 1e-5 of a
-    reflectance of 0.03 at the default. Every value is then defined but that of the two roots, RDVI
-    and TVI, where NDVI < 0 and < -1/2: the paper dropped such pixels, and they are false in the
-    second array. Their value, and that of pixels with a NaN, is a finite stand-in with the
-    gradient zero: give the mask to the statistic. What a root is taken of is lifted off zero in
-    the same way, by 1e-3.
+    reflectance of 0.03 at the default. Every ratio of sums is then defined. What a root is taken of
+    is lifted off zero in the same way, by 1e-3; where it is below zero, and in pixels with a NaN in
+    a band of the index, the second array is false, and the value a finite stand-in with the
+    gradient zero: give the mask to the statistic.
 
     **Arguments:**
 
-    - `image`, `names`: as in `vegetation_indices`.
+    - `image`, `names`, `bands`: as in `vegetation_indices`.
     - `floor`: reflectance that a black band is lifted to [-], positive.
 
     **Returns:** values and mask, one for each index.
 
     **Raises:** `InputError` as `vegetation_indices`, and for a floor that is not positive.
 
-    Infinitely differentiable in `image` (at fixed mask), with finite slopes of at most about
-    max(band) / floor^2. EVI alone, which is no target, keeps a pole where G = (1 + N + 6 R) / 7.5.
+    Infinitely differentiable in `image` (at fixed mask). Ratios of sums have finite slopes of at
+    most about max(band) / floor^2; an index with a difference in its denominator keeps its pole,
+    such as EVI_green where G = (1 + N + 6 R) / 7.5.
     """
     if not floor > 0.0:
         raise InputError(f"`floor` must be a positive reflectance, but is {floor:g}.")
-    chosen, bands = _chosen(names), _bands(image)
-    known = jnp.all(jnp.stack([jnp.isfinite(band) for band in bands]), axis=0)
-    safe = []
-    for band, neutral in zip(bands, _NEUTRAL):
-        finite = jnp.where(known, band, jnp.asarray(neutral, band.dtype))
-        safe.append(_lift(finite, floor))
     values, masks = [], []
-    for index in chosen:
-        if index.root_of is None:
-            values.append(index.function(*safe))
-            masks.append(known)
-        else:
+    for index, terms in _chosen(image, names, bands):
+        mask = [jnp.all(jnp.stack([jnp.isfinite(x) for x in terms.values()]), axis=0)]
+
+        def root(x: Array, mask: list[Array] = mask) -> Array:
+            mask.append(x >= 0.0)
             # Lifted before the root, whose slope at 0 is infinite.
-            square = index.root_of(*safe)
-            positive = known & (square >= 0.0)
-            values.append(jnp.sqrt(_lift(jnp.where(positive, square, 0.5), 1e-3)))
-            masks.append(positive)
+            return jnp.sqrt(_lift(jnp.where(mask[-1], x, 0.5), 1e-3))
+
+        lifted = {
+            name: _lift(jnp.where(mask[0], band, usual(name)), floor)
+            for name, band in terms.items()
+        }
+        values.append(index(lifted, root))
+        masks.append(jnp.all(jnp.stack(mask), axis=0))
     return jnp.stack(values), jnp.stack(masks)
 
 
-def of_indices(
-    image: Float[ArrayLike, "band ..."], bands: Sequence[str]
-) -> Float[Array, "four ..."]:
-    """The four bands of an image that indices are made of, in their order.
-
-    **Arguments:**
-
-    - `image`: reflectance, its bands on the first axis.
-    - `bands`: their names; `BANDS` are among them.
-    """
-    return jnp.stack([jnp.asarray(image)[tuple(bands).index(name)] for name in BANDS])
-
-
-def _lift(x: Band, floor: float) -> Band:
+def _lift(x: Array, floor: float) -> Array:
     return 0.5 * (x + jnp.sqrt(x**2 + 4.0 * floor**2))
 
 
-def _chosen(names: Sequence[str] | None) -> list[VegetationIndex]:
-    if names is None:
-        return list(_ALL)
+def _chosen(
+    image: Float[ArrayLike, "band ..."], names: Sequence[str], bands: Bands
+) -> Iterator[tuple[VegetationIndex, dict[str, Array]]]:
+    """Each index of `names`, with the reflectance of its terms [-]."""
     if isinstance(names, str):
         raise InputError(f"`names` must be a list of names; write [{names!r}].")
-    unknown = [name for name in names if name not in VEGETATION_INDICES]
-    if unknown or not names:
-        near = did_you_mean(unknown[0], VEGETATION_INDICES) if unknown else ""
+    image, (own, centre, fwhm) = jnp.asarray(image), _described(bands)
+    if image.ndim == 0 or image.shape[0] != len(own):
         raise InputError(
-            f"vegetation indices must be among {', '.join(VEGETATION_INDICES)}, but "
-            f"{', '.join(map(repr, unknown)) or 'none'} was given.{near}"
+            f"an image must have the {len(own)} bands {listed(own)} on its first axis, but has "
+            f"shape {image.shape}. Were the bands on the last axis?"
         )
-    return [VEGETATION_INDICES[name] for name in names]
+    image = image.astype(jnp.result_type(image.dtype, jnp.float32))
+    if not names:
+        raise InputError(f"expected the name of an index ({listed(index_bands(bands))}), got none")
+    for name in names:
+        terms = {}
+        for term in (index := _known(name, bands)).terms:
+            weights = _weights(term, centre, fwhm)
+            if weights is None:
+                raise InputError(_missing(index, _term(term), bands))
+            # Others are not touched: a NaN elsewhere in a spectrum must not reach this band.
+            parts = [image[i] if w == 1.0 else w * image[i] for i, w in zip(*weights)]
+            terms[term] = sum(parts[1:], parts[0])
+        yield index, terms
 
 
-def _bands(image: Float[ArrayLike, "band ..."]) -> list[Band]:
-    image = jnp.asarray(image)
-    if image.ndim == 0 or image.shape[0] != len(BANDS):
-        raise InputError(
-            f"an image must have the {len(BANDS)} bands {', '.join(BANDS)} on its first axis, but "
-            f"has shape {image.shape}. Were the bands on the last axis?"
-        )
-    return list(image.astype(jnp.result_type(image.dtype, jnp.float32)))
+def _known(name: str, bands: Bands) -> VegetationIndex:
+    if name in VEGETATION_INDICES:
+        return VEGETATION_INDICES[name]
+    found = index_bands(bands)
+    raise InputError(
+        f"expected an index that these bands give ({listed(found) or 'none'}), but got {name!r}."
+        f"{did_you_mean(str(name), found)}"
+    )
+
+
+def _missing(index: VegetationIndex, term: BandTerm, bands: Bands) -> str:
+    own, found = band_names(bands), index_bands(bands)
+    near = did_you_mean(index.name, found)
+    return (
+        f"{index.name} needs a band with its centre from {term.shortest:g} to {term.longest:g} nm "
+        f"and at most {term.widest:g} nm wide ({term.word.replace('_', ' ')}), which is not among "
+        f"{listed(own)}. These give {listed(found) or 'no index'}.{near}"
+    )

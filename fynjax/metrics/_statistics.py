@@ -1,17 +1,18 @@
 """Statistics of an image by name: what a calibration compares."""
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from fynjax._core.errors import InputError, did_you_mean
+from fynjax._core.errors import InputError, did_you_mean, listed
 from fynjax.metrics._distribution import mean, quantiles, standard_deviation
 from fynjax.metrics._indices import (
     BANDS,
-    VEGETATION_INDICES,
-    of_indices,
+    Bands,
+    band_names,
+    index_bands,
     smooth_vegetation_indices,
 )
 
@@ -20,26 +21,34 @@ _NAME = re.compile(
 )
 
 
-def check_statistics(names: Sequence[str], bands: Sequence[str] = BANDS) -> None:
+def check_statistics(names: Sequence[str], bands: Bands = BANDS) -> None:
     """Check the names of image statistics.
 
     **Arguments:**
 
     - `names`: such as "nir.mean" (see `image_statistics`).
-    - `bands`: of the image.
+    - `bands`: of the image, as `vegetation_indices` takes them.
 
-    **Raises:** `InputError` for a name that is no statistic of a band or an index.
+    **Raises:** `InputError` for a name that is no statistic of a band or of an index of the bands.
     """
+    own, indices = band_names(bands), index_bands(bands)
     for name in names:
         match = _NAME.match(name)
-        if match is None or match["layer"] not in (*bands, *VEGETATION_INDICES):
+        if match is None or match["layer"] not in (*own, *indices):
             layer, _, kind = name.partition(".")
-            alike = [f"{one}.{kind or 'mean'}" for one in (*bands, *VEGETATION_INDICES)]
+            alike = [f"{one}.{kind or 'mean'}" for one in (*own, *indices)]
             raise InputError(
                 "a statistic must be '<band or index>.<mean|std|stdNNcm|qNN>' with a band of "
-                f"{', '.join(bands)} or one of `fynjax.metrics.VEGETATION_INDICES`, but is "
-                f"{name!r}.{did_you_mean(name, alike) if layer else ''}"
+                f"{', '.join(own)} or an index that these give ({listed(indices) or 'none'}), but "
+                f"is {name!r}.{did_you_mean(name, alike) if layer else ''}"
             )
+
+
+def bands_needed(layers: Iterable[str], bands: Bands = BANDS) -> set[str]:
+    """Names of those of `bands` that are among `layers`, or that an index among `layers` takes."""
+    own, indices = band_names(bands), index_bands(bands)
+    taken = (name for one in layers for names in indices.get(one, {}).values() for name in names)
+    return set(own) & {*layers, *taken}
 
 
 def fitting_statistics(names: Sequence[str], side: float, pixel: float) -> list[str]:
@@ -57,7 +66,7 @@ def image_statistics(
     *,
     pixel: float | None = None,
     window: float | None = None,
-    bands: Sequence[str] = BANDS,
+    bands: Bands = BANDS,
 ) -> Float[Array, " statistic"]:
     """Statistics of bands and vegetation indices over the pixels of an image.
 
@@ -72,8 +81,8 @@ def image_statistics(
       pixels wide as come nearest; squares that the image's edge cuts are left out.
     - `window`: of percentiles, as `quantiles` has it [-]; left out, values are exact and
       derivatives those of means over a twentieth of the pixels.
-    - `bands`: names of the image's bands in their order; green, red, red_edge and nir, which
-      indices need, are among them.
+    - `bands`: of the image, in their order, as `vegetation_indices` takes them; of a sensor, or
+      by their names.
 
     **Returns:** one value for each name, in the unit of its band or index.
 
@@ -99,15 +108,13 @@ def image_statistics(
     Array([0.35, 0.75], dtype=float32)
     """
     check_statistics(names, bands)
-    indices = list(
-        dict.fromkeys(
-            layer for layer in (name.split(".")[0] for name in names) if layer not in bands
-        )
-    )
+    own = band_names(bands)
+    named = dict.fromkeys(name.split(".")[0] for name in names)
+    indices = [layer for layer in named if layer not in own]
     every = jnp.ones(image.shape[1:], bool) if valid is None else valid
-    layers = {band: (image[i], every) for i, band in enumerate(bands)}
+    layers = {band: (image[i], every) for i, band in enumerate(own)}
     if indices:
-        values, defined = smooth_vegetation_indices(of_indices(image, bands), indices)
+        values, defined = smooth_vegetation_indices(image, indices, bands)
         for i, index in enumerate(indices):
             layers[index] = (values[i], defined[i] & every)
     statistics = []

@@ -26,7 +26,7 @@ from fynjax._core.errors import InputError, did_you_mean, listed
 from fynjax._core.html import as_html
 from fynjax._core.math import real_array
 from fynjax._core.programs import check_known, unfolded
-from fynjax.metrics import BANDS, of_indices, spectrometer_indices, vegetation_indices
+from fynjax.metrics import index_bands, vegetation_indices
 from fynjax.radiation import (
     AbstractRays,
     Accuracy,
@@ -44,6 +44,7 @@ from fynjax.scene._spectra import visible_sensor
 from fynjax.sensors import (
     AbstractCamera,
     Atmosphere,
+    BandSet,
     ClearAir,
     Lidar,
     Panel,
@@ -166,6 +167,8 @@ class Observation(eqx.Module):
     """Names of the bands."""
     wavelength: tuple[float, ...] = eqx.field(static=True, default=())
     """Centre of each band [nm]."""
+    width: tuple[float, ...] = eqx.field(static=True, default=())
+    """Full width at half maximum of each band [nm]."""
     pixel: float = eqx.field(static=True, default=1.0)
     """Edge of a pixel on the ground [m]."""
     origin: tuple[float, float] = eqx.field(static=True, default=(0.0, 0.0))
@@ -174,33 +177,34 @@ class Observation(eqx.Module):
     def __getitem__(self, band: str) -> Float[Array, "y x"]:
         """Reflectance factor of a band [-]. Raises `InputError` for a band that there is not."""
         if band not in self.bands:
+            known = zip(self.bands, self.wavelength, strict=True)
             raise InputError(
-                f"expected a band of {self.sensor} ({listed(self.bands)}), but got {band!r}."
+                f"expected a band of {self.sensor}, but got {band!r}. Its bands are "
+                f"{listed(f'{name} ({centre:.4g} nm)' for name, centre in known)}."
                 f"{did_you_mean(str(band), self.bands)}"
             )
         return self.reflectance[self.bands.index(band)]
 
     def index(self, name: str) -> Float[Array, "y x"]:
-        """A vegetation index of each pixel [-]; NaN where it is undefined. Differentiable.
+        """A vegetation index of each pixel, mostly [-]; NaN where it is undefined. Differentiable.
 
-        **Arguments:** `name` of `fynjax.metrics.VEGETATION_INDICES`; of a sensor without the bands
-        green, red, red edge and near infrared of `fynjax.metrics.SPECTROMETER_INDICES`, of means
-        over the wavelengths there.
+        **Arguments:** `name` of `fynjax.metrics.VEGETATION_INDICES`. Its bands are chosen by their
+        wavelengths and widths; `index_bands` says which they are.
 
-        **Raises:** `InputError` for another name, and for a sensor that has none of the index's
-        bands.
+        **Raises:** `InputError` for another name, and for an index of which the sensor lacks a
+        band, with the wavelengths that it would have.
         """
-        if all(band in self.bands for band in BANDS):
-            return vegetation_indices(of_indices(self.reflectance, self.bands), [name])[0]
-        order = np.argsort(self.wavelength)
-        spectra = jnp.moveaxis(self.reflectance, 0, -1)[..., order]
-        found = spectrometer_indices(np.array(self.wavelength)[order], spectra)
-        if name not in found:
-            raise InputError(
-                f"expected an index that the {len(self.bands)} bands of {self.sensor} give "
-                f"({listed(found) or 'none'}), but got {name!r}.{did_you_mean(name, found)}"
-            )
-        return found[name]
+        return vegetation_indices(self.reflectance, [name], self._spectral)[0]
+
+    @property
+    def index_bands(self) -> dict[str, dict[str, tuple[str, ...]]]:
+        """Every vegetation index that the sensor gives, and the bands that it is made of, by letter
+        of its formula: those of NDVI are {'N': ('B8',), 'R': ('B4',)} with Sentinel-2."""
+        return index_bands(self._spectral)
+
+    @property
+    def _spectral(self) -> BandSet:
+        return BandSet(self.bands, self.wavelength, self.width)
 
     def to_xarray(self) -> "xr.Dataset":
         """The image as a dataset with CF names, units and coordinates from the scene's south-west
@@ -401,6 +405,7 @@ class AimedSensor(eqx.Module):
             "sensor": self.sensor.name,
             "bands": bands.names,
             "wavelength": tuple(map(float, bands.centre)),
+            "width": tuple(map(float, bands.fwhm)),
             "pixel": self.pixel,
             "origin": self.origin,
         }

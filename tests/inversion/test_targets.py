@@ -1,7 +1,5 @@
 """Errors of the targets, and the jobs that read them."""
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 from rasterio import Affine
@@ -11,11 +9,10 @@ import fynjax as fx
 from fynjax._core.errors import InputError
 from fynjax.assembly import _targets, read_targets, twin_image
 from fynjax.assembly._targets import image_target
-from fynjax.inversion import _targets as targets
 from fynjax.inversion import weigh_targets
 from fynjax.io.plot import example_folder, read_plot, sensor_place
 from fynjax.io.raster import write_geotiff
-from fynjax.metrics import BANDS, VEGETATION_INDICES
+from fynjax.metrics import BANDS
 from fynjax.sensors import shipped_sensor
 from tests.helpers import write_raster
 
@@ -25,6 +22,13 @@ def test_spreads_and_repeated_ratios_weigh_less():
     data = weigh_targets(names, np.array([0.05, 0.02, 0.7, 6.0, -0.6]), 0.01)
     share = [0.01, 0.1, 0.01 * 2**0.5, 0.01 * 2**0.5, 0.01]
     np.testing.assert_allclose(data.sd, np.array(share) * [0.05, 0.02, 0.7, 6.0, 0.6])
+
+
+def test_every_function_of_a_ratio_repeats_it():
+    """Two of near infrared over red edge count once, as do three shares of three bands."""
+    names = ("NDRE.mean", "ReCI.mean", "NormR.mean", "NormG.mean", "GRNDVI.mean", "SAVI.mean")
+    data = weigh_targets(names, np.ones(6), 0.01)
+    np.testing.assert_allclose(data.sd, 0.01 * np.sqrt([2, 2, 3, 3, 3, 1]))
 
 
 def test_a_stated_error_is_kept():
@@ -144,18 +148,3 @@ def test_bilinear_interpolation_averages_over_root_three_of_the_pixel_before():
     assert after == pytest.approx(spread[1], rel=0.02)
     assert spread[2] < 0.9 * after
     assert spread[0] > 1.1 * after
-
-
-@pytest.mark.parametrize(
-    ("group", "bands"), [("N/R", {1, 3}), ("N/G", {0, 3}), ("N, R, G", {0, 1, 3})]
-)
-def test_groups_hold_all_indices_of_the_ratios_of_their_bands(group, bands):
-    """By slopes: those of no other band, and none where all bands grow alike."""
-    at = np.array([0.06, 0.05, 0.15, 0.3])
-
-    def of_ratios(index):
-        slopes = np.array(jax.grad(lambda x: index.function(*jnp.exp(x)))(np.log(at)))
-        return set(np.flatnonzero(abs(slopes) > 1e-6)) == bands and abs(slopes.sum()) < 1e-6
-
-    found = {name for name, index in VEGETATION_INDICES.items() if of_ratios(index)}
-    assert found == targets._SAME_BANDS[group]

@@ -12,7 +12,6 @@ from fynjax.metrics import (
     spectral_agreement,
     spectral_angle,
     spectral_mask,
-    spectrometer_indices,
 )
 
 GRID = np.linspace(377.2, 2500.9, 425)
@@ -152,14 +151,3 @@ def test_what_is_undefined_has_no_slope_and_spoils_no_other(compare, n) -> None:
             np.testing.assert_array_equal(np.isnan(getattr(found, name)), constant)
         np.testing.assert_array_equal(np.isnan(found.rmse_without_gain), zero)
         assert np.isfinite(found.level + found.rmse_without_offset).all()
-
-
-def test_indices_of_a_spectrometer_without_a_value_have_no_slope() -> None:
-    grid = np.arange(400.0, 2501.0, 50.0)
-    for level in (0.0, 0.4):
-        at = jnp.full(grid.size, level)
-        slopes = jax.jacrev(lambda s: spectrometer_indices(grid, s))(at)
-        found = spectrometer_indices(grid, at)
-        assert np.isnan(found["NDVI"]) == (level == 0.0)
-        assert all(np.isfinite(slope).all() for slope in slopes.values())
-        assert np.abs(slopes["SAVI"]).max() > 0.0

@@ -6,7 +6,14 @@ import numpy as np
 import pytest
 
 from fynjax._core.errors import InputError
-from fynjax.metrics import fitting_statistics, image_statistics, quantiles
+from fynjax.metrics import (
+    bands_needed,
+    check_statistics,
+    fitting_statistics,
+    image_statistics,
+    quantiles,
+)
+from fynjax.sensors import shipped_sensor
 
 NAMES = ("nir.std", "nir.std20cm", "nir.std40cm", "NDVI.std40cm")
 
@@ -74,6 +81,17 @@ def test_bands_are_known_by_their_names_whatever_their_order():
     assert float(found[1]) == float(usual[0])
     with pytest.raises(InputError, match=r"'blue\.mean'"):
         image_statistics(image[1:], ["blue.mean"])
+
+
+def test_indices_are_those_of_the_bands_that_an_image_has():
+    bands, image = shipped_sensor("sentinel_2a").bands, np.full((13, 2, 2), 0.1)
+    image[bands.names.index("B8")] = 0.3
+    image[bands.names.index("B8A")] = 0.5
+    found = image_statistics(jnp.asarray(image), ["NDMI.mean", "B4.mean"], bands=bands)
+    np.testing.assert_allclose(found, [0.5, 0.1], rtol=1e-5)
+    with pytest.raises(InputError, match=r"'NDMI\.mean'"):
+        check_statistics(["NDMI.mean"])
+    assert bands_needed(["NDVI", "B2"], bands) == {"B2", "B4", "B8"}
 
 
 def test_squares_that_an_image_does_not_hold_are_refused_and_left_out():

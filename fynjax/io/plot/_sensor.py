@@ -8,7 +8,7 @@ from fynjax._core.errors import InputError, did_you_mean
 from fynjax.io.instruments import load_sensor
 from fynjax.io.plot._plot import Plot
 from fynjax.io.plot._plot_tables import SensorTable
-from fynjax.metrics import BANDS
+from fynjax.metrics import BANDS, bands_needed
 from fynjax.scene import visible_sensor
 from fynjax.sensors import Gains, Sensor
 
@@ -60,7 +60,8 @@ def drone_sensor(plot: Plot, bands: Collection[str] | None = None) -> Sensor:
     **Arguments:**
 
     - `plot`: as of `read_plot`.
-    - `bands`: that are needed beside green, red, red edge and near infrared; every one by default.
+    - `bands`: and indices that are needed beside green, red, red edge and near infrared; every
+      band by default.
 
     **Returns:** the sensor with these four bands, in this order, and then the others.
 
@@ -90,7 +91,8 @@ def drone_sensor(plot: Plot, bands: Collection[str] | None = None) -> Sensor:
     drone = dataclasses.replace(drone, calibrations=(_gains(plot, drone),))
     if bands is None:
         return drone
-    return drone.select([i for i, n in enumerate(drone.bands.names) if n in BANDS or n in bands])
+    needed = bands_needed({*BANDS, *bands}, drone.bands)
+    return drone.select([i for i, n in enumerate(drone.bands.names) if n in needed])
 
 
 def _gains(plot: Plot, drone: Sensor) -> Gains:

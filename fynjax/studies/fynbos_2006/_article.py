@@ -5,7 +5,6 @@ from dataclasses import replace
 from itertools import pairwise
 from typing import Any, NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 import pandas as pd
 from jaxtyping import Float
@@ -14,7 +13,7 @@ from fynjax._core.progress import advance, stage
 from fynjax.canopy import table1_2006
 from fynjax.compare import bands_2006, figure12_2006, table4_2006, table5_2006
 from fynjax.compare.structure import structure_2006
-from fynjax.metrics import BANDS, spectral_mask, vegetation_indices
+from fynjax.metrics import BANDS, VEGETATION_INDICES, spectral_mask, vegetation_indices
 from fynjax.metrics.structure import (
     STRUCTURE_METRICS,
     StructureSettings,
@@ -149,10 +148,12 @@ def _of_bands() -> Iterator[_Number]:
 def _of_indices() -> Iterator[_Number]:
     """Vegetation indices: table 4."""
     for name, row in table4_2006().items():
-        form = f"of {row.formula}, inferred from the printed numbers"
+        form = f"of {VEGETATION_INDICES[name].formula}, inferred from the printed numbers"
+        called = "" if row.printed == name else f", printed as {row.printed}"
         known = row.formula_confidence != "open"
         if not known:
             form = "of a form that is not printed and needs a blue band"
+        form += called
         yield _Number("table 4", f"{name}.mean", f"mean over the pixels {form}",
             row.real_mean, row.sim_mean, sound=known)  # fmt: skip
         doubt = "; the printed real one contradicts this form" if known else ""
@@ -298,7 +299,7 @@ def _drone(image: Float[np.ndarray, "band y x"]) -> dict[str, float]:
     """Means of bands, means and spreads of indices of an image."""
     found = {f"{name}.mean": float(band.mean()) for name, band in zip(BANDS, image, strict=True)}
     for name in table4_2006():
-        (values,) = np.asarray(vegetation_indices(jnp.asarray(image), [name]))
+        (values,) = np.asarray(vegetation_indices(image, [name]))
         values = np.where(np.isfinite(values), values, np.nan)
         found[f"{name}.mean"] = float(np.nanmean(values))
         found[f"{name}.std"] = float(np.nanstd(values))
