@@ -1,7 +1,7 @@
 """Everything of a plot that may be calibrated, in one pytree."""
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import equinox as eqx
@@ -318,6 +318,16 @@ class LightParameters(eqx.Module):
     )
 
 
+class MaterialParameters(eqx.Module):
+    """Traits of the materials of plants that are as leaves: vectors over these."""
+
+    names: tuple[str, ...] = eqx.field(static=True)
+    """First words of the names of their parameters: `species.<taxon>.<material>`, or
+    `material.<material>` where several species share one."""
+    leaf: LeafParameters
+    """PROSPECT parameters of each."""
+
+
 class PlotParameters(eqx.Module):
     """All parameters of a plot. `names` gives each number its name."""
 
@@ -326,6 +336,8 @@ class PlotParameters(eqx.Module):
     """Vectors over species; those of a species without leaves have no effect."""
     ground: GroundParameters
     light: LightParameters
+    materials: MaterialParameters | None = None
+    """Traits of further materials of the plants; None where there are none."""
 
     def __str__(self) -> str:
         """A line for each species with its main values, for the ground and for the light, in the
@@ -454,8 +466,9 @@ def named_values(parameters: PlotParameters, taxa: tuple[str, ...]) -> dict[str,
     - `parameters`: of a plot.
     - `taxa`: names of its species, as `Scene.taxa`.
 
-    Leaf parameters are `species.<taxon>.leaf.<field>`; the rest `ground.<field>` and
-    `light.<field>`. `with_values` is the inverse.
+    Leaf parameters are `species.<taxon>.leaf.<field>`, those of another material
+    `species.<taxon>.<material>.<field>` or, where species share it, `material.<material>.<field>`;
+    the rest `ground.<field>` and `light.<field>`. `with_values` is the inverse.
     """
     named: dict[str, Array] = {}
     for field in dataclasses.fields(SpeciesParameters):
@@ -465,6 +478,10 @@ def named_values(parameters: PlotParameters, taxa: tuple[str, ...]) -> dict[str,
     for name in LEAF_FIELDS:
         values = getattr(parameters.leaf, name)
         named |= {f"species.{t}.leaf.{name}": v for t, v in zip(taxa, jnp.unstack(values))}
+    if (others := parameters.materials) is not None:
+        for name in LEAF_FIELDS:
+            values = jnp.unstack(jnp.asarray(getattr(others.leaf, name)))
+            named |= {f"{m}.{name}": v for m, v in zip(others.names, values, strict=True)}
     for group in ("ground", "light"):
         record = getattr(parameters, group)
         named |= {f"{group}.{f.name}": getattr(record, f.name) for f in dataclasses.fields(record)}
@@ -485,8 +502,8 @@ def with_values(
     Differentiable in `parameters` and `values`.
     """
 
-    def vector(prefix: str, field: str, before: Any) -> Any:
-        names = [f"species.{taxon}.{prefix}{field}" for taxon in taxa]
+    def vector(owners: Sequence[str], field: str, before: Any) -> Any:
+        names = [f"{owner}.{field}" for owner in owners]
         if values.keys().isdisjoint(names):
             return before
         own = jnp.unstack(jnp.asarray(before))
@@ -498,18 +515,25 @@ def with_values(
         changes = {field: values[name] for field, name in names.items() if name in values}
         return dataclasses.replace(before, **changes)
 
+    def leaves(owners: Sequence[str], before: LeafParameters) -> LeafParameters:
+        return eqx.tree_at(
+            lambda l: [getattr(l, name) for name in LEAF_FIELDS],
+            before,
+            [vector(owners, name, getattr(before, name)) for name in LEAF_FIELDS],
+        )
+
+    own = [f"species.{taxon}" for taxon in taxa]
     species = {
-        f.name: vector("", f.name, getattr(parameters.species, f.name))
+        f.name: vector(own, f.name, getattr(parameters.species, f.name))
         for f in dataclasses.fields(SpeciesParameters)
     }
-    leaf = eqx.tree_at(
-        lambda l: [getattr(l, name) for name in LEAF_FIELDS],
-        parameters.leaf,
-        [vector("leaf.", name, getattr(parameters.leaf, name)) for name in LEAF_FIELDS],
-    )
+    others = parameters.materials
+    if others is not None:
+        others = MaterialParameters(others.names, leaves(others.names, others.leaf))
     return PlotParameters(
         SpeciesParameters(**species),
-        leaf,
+        leaves([f"{owner}.leaf" for owner in own], parameters.leaf),
         record("ground", parameters.ground),
         record("light", parameters.light),
+        others,
     )
