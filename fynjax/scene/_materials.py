@@ -24,6 +24,8 @@ from fynjax.scene._species import (
 from fynjax.scene._spectra import HIGHEST, LOWEST, Spectrum, background_spectrum
 
 _AREA_INDICES = {"leaf_area_index": Organ.LEAF, "wood_area_index": Organ.WOOD}
+_MOST_BEYOND = 0.1
+"""Share of the wavelengths at which a stated spectrum may be beyond what a material can do."""
 _ORGANS = {organ.name.lower() for organ in Organ}
 
 
@@ -160,11 +162,12 @@ class _Described:
         row, name = self._rows[key], key[1]
         self._used.add(key)
         if row.reflectance is not None:
-            pair = (
+            through = row.transmittance
+            pair = _physical(
+                name,
                 self._spectrum(row.reflectance, passed=False),
-                self._spectrum(row.transmittance, passed=True),
+                None if through is None else self._spectrum(through, passed=True),
             )
-            _check_energy(name, *pair)
             content = b"".join(b"" if s is None else s.values.tobytes() for s in pair)
             if content not in self._spectra:
                 self._spectra.append(content)
@@ -192,8 +195,11 @@ class _Described:
                 continue
             there: set[str] = set()
             for one, mesh in zip(species, plants, strict=True):
-                if taxon in (one.taxon, "*"):
-                    there |= _ORGANS if mesh is None else {*mesh.materials, *mesh.optics}
+                if taxon not in (one.taxon, "*"):
+                    continue
+                pairs = [] if mesh is None else zip(mesh.materials, mesh.optics, strict=True)
+                named = {own if optics in _ORGANS else optics for own, optics in pairs}
+                there |= named if mesh is not None else _ORGANS - {"leaf"}
             raise InputError(
                 f"{name!r} of {taxon!r} is no material of its plants, which have "
                 f"{', '.join(map(repr, sorted(there)))}.{did_you_mean(name, there)}",
@@ -209,8 +215,8 @@ class _Described:
         unset = {n: v for n, v in PETAL.items() if n not in row.model_fields_set}
         return row.replace(**unset)
 
-    def _spectrum(self, what: Path | str | Spectrum | None, *, passed: bool) -> Spectrum | None:
-        if what is None or isinstance(what, Spectrum):
+    def _spectrum(self, what: Path | str | Spectrum, *, passed: bool) -> Spectrum:
+        if isinstance(what, Spectrum):
             return what
         if (what, passed) not in self._files:
             if isinstance(what, Path):
@@ -223,18 +229,25 @@ class _Described:
         return self._files[what, passed]
 
 
-def _check_energy(name: str, reflectance: Spectrum | None, transmittance: Spectrum | None) -> None:
-    """Raise `InputError` for a material that would make light."""
-    if reflectance is None:
-        return
-    passed = 0.0 if transmittance is None else transmittance.values
-    total = reflectance.values + passed
-    if min(np.min(reflectance.values), np.min(passed)) < 0.0 or total.max() > 1.0 + 1e-6:
+def _physical(
+    name: str, reflectance: Spectrum, transmittance: Spectrum | None
+) -> tuple[Spectrum, Spectrum | None]:
+    """The spectra of a material that makes no light: single values beyond 0 and 1, as of field
+    spectra where water takes the sunlight, are cut. Raises `InputError` where they are many."""
+    r = reflectance.values
+    t = np.zeros_like(r) if transmittance is None else transmittance.values
+    beyond = np.mean((r < 0.0) | (t < 0.0) | (r + t > 1.0 + 1e-6))
+    if beyond > _MOST_BEYOND:
         raise InputError(
             f"expected reflectance and transmittance of {name!r} of 0 or more, together at most 1, "
-            f"but they are {total.max():.3g} together at the most",
+            f"but at {100 * beyond:.0f} % of the wavelengths they are not",
             file=reflectance.file,
         )
+    r = np.clip(r, 0.0, 1.0)
+    cut = dataclasses.replace(reflectance, values=r)
+    if transmittance is None:
+        return cut, None
+    return cut, dataclasses.replace(transmittance, values=np.clip(t, 0.0, 1.0 - r))
 
 
 def with_areas(row: SpeciesRow, plant: MeshPlant | None) -> SpeciesRow:
