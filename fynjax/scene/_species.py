@@ -207,8 +207,22 @@ SHIPPED_MATERIALS = ("bark", "litter", "char")
 """Shipped spectra that a material may have."""
 
 
-def _one_of(names: Iterable[str], kind: str) -> list[Any]:
-    return [{"required": [name], "properties": {name: {"type": kind}}} for name in names]
+def _has(kind: str, *names: str) -> dict[str, Any]:
+    """JSON schema of a row that states one of `names`."""
+    one = [{"required": [name], "properties": {name: {"type": kind}}} for name in names]
+    return {"anyOf": one}
+
+
+_REFUSED: Any = {
+    "anyOf": [
+        _has("string", "spectrum", "reflectance") | {"allOf": [_has("number", *_STATED)]},
+        {"allOf": [_has("string", "spectrum"), _has("string", "reflectance")]},
+        _has("string", "reflectance") | {"not": _has("string", "material")},
+        _has("string", "transmittance") | {"not": _has("string", "reflectance")},
+    ]
+}
+"""JSON schema of rows of a leaf table that state too much, or that of leaves which only another
+material has."""
 
 
 class LeafRow(Strict):
@@ -219,20 +233,8 @@ class LeafRow(Strict):
         extra="forbid",
         frozen=True,
         json_schema_extra={
-            "anyOf": [
-                *_one_of(("spectrum", "reflectance"), "string"),
-                *_one_of(LEAF_FIELDS, "number"),
-            ],
-            "not": {
-                "anyOf": [
-                    {
-                        "required": [one],
-                        "properties": {one: {"type": "string"}},
-                        "anyOf": _one_of(_STATED, "number"),
-                    }
-                    for one in ("spectrum", "reflectance")
-                ]
-            },
+            "anyOf": [_has("string", "spectrum", "reflectance"), _has("number", *LEAF_FIELDS)],
+            "not": _REFUSED,
         },
     )
     slips: ClassVar[dict[str, Slip]] = {"water": _per_area_slip, "dry_matter": _per_area_slip}

@@ -11,6 +11,7 @@ import pytest
 
 import fynjax as fx
 from fynjax.canopy import (
+    FORMS,
     MeshPlant,
     Organ,
     PlantMaterial,
@@ -248,18 +249,58 @@ def test_equal_optics_are_one_class() -> None:
 def test_facets_of_one_optics_are_one_class_and_plain_names_are_their_organ() -> None:
     alike = shrub(young="old", stems="", petals="flower")
     leaves = {("Erica", "old"): OLD, ("*", "flower"): PETAL}
-    scene = scene_of(alike, leaves)
+    shoots = [ROW | {"shoot_clumping": 0.4, "dead_fraction": 0.3}]
+    scene = scene_of(alike, leaves, table=shoots)
     (old, petal) = scene.species[0].materials
     assert (old.name, petal.name) == ("old", "flower")
     assert (old.share, petal.share) == pytest.approx((1.0, 1.0))
     assert list(leaf_classes(scene.species)[0]) == []
     assert scene.parameters.materials.names == ("species.Erica.old", "material.flower")
     # Its leaves are as those of a plot whose leaf this is.
-    plain = scene_of(shrub(young="", old="", stems="", petals=""), {"Erica": OLD})
-    own = plain.optics(plain.parameters, BANDS)[0].reflectance
-    np.testing.assert_allclose(
-        scene.optics(scene.parameters, BANDS)[0].reflectance[2], own[0], rtol=1e-12
-    )
+    plain = scene_of(shrub(young="", old="", stems="", petals=""), {"Erica": OLD}, table=shoots)
+    optics, own = (one.optics(one.parameters, BANDS)[0] for one in (scene, plain))
+    for name in ("reflectance", "transmittance"):
+        got, want = getattr(optics, name), getattr(own, name)
+        np.testing.assert_allclose(got[2], want[0], rtol=1e-12)
+    # Of petals no shoot hides a part, and none is dead.
+    np.testing.assert_allclose(optics.reflectance[3], leaf_optics(PETAL)[0], atol=2e-4)
+    np.testing.assert_allclose(optics.transmittance[3], leaf_optics(PETAL)[1], atol=2e-4)
+
+
+def test_leaves_of_one_row_differ_where_the_shoots_of_species_do(mesh: MeshPlant) -> None:
+    other = ROW | {"taxon": "Protea", "shoot_clumping": 0.5, "growth_form": "broad_leaved"}
+    leaves = {("*", name): values for (_, name), values in LEAVES.items()}
+    scene = Scene.from_table(
+        [ROW, other], size=1.2, voxel=0.2, structure="even", leaves=leaves,
+        meshes={"Erica": mesh, "Protea": mesh}, hot_spot=True,
+    )  # fmt: skip
+    names = [(i, one.name) for _, i, one in material_classes(scene.species).values()]
+    shared = [(0, "bark"), (0, "petal")]
+    assert names == [(0, "young"), (0, "old"), *shared, (1, "young"), (1, "old")]
+    assert scene.parameters.materials.names[2:] == (
+        "material.petal", "species.Protea.young", "species.Protea.old"
+    )  # fmt: skip
+    optics = scene.optics(scene.parameters, BANDS)[0]
+    first, second = optics.reflectance[2], optics.reflectance[6]
+    assert float((second / first).max()) < 0.97  # shoots of the second hide more of themselves
+    angles = [optics.angles[k] for k in optics.angle_of_class]
+    for k, species in ((2, 0), (3, 0), (6, 1), (7, 1)):
+        assert angles[k] is scene.species[species].leaf_angle
+    assert angles[4] is angles[5] is angles[0]
+    forms = ("rounded_shrub", "broad_leaved")
+    small, *sizes = (0.005, *(FORMS[form].leaf_diameter for form in forms))
+    want = [small, small, sizes[0], sizes[0], small, small, sizes[1], sizes[1]]
+    np.testing.assert_allclose(optics.leaf_diameter[jnp.array(optics.size_of_class)], want)
+
+
+def test_a_row_of_the_taxon_comes_before_one_of_any(mesh: MeshPlant) -> None:
+    leaves = LEAVES | {("*", "young"): OLD, ("*", "old"): YOUNG}
+    with pytest.raises(InputError, match=r"'young' of '\*' is no material of its plants"):
+        scene_of(mesh, leaves)  # which all have their own
+    leaves.pop(("Erica", "old"))
+    leaves.pop(("*", "young"))
+    scene = scene_of(mesh, leaves)
+    assert scene.parameters.materials.leaf.chlorophyll[:2].tolist() == [12.0, 12.0]
 
 
 def test_the_names_of_a_mesh_itself_count_where_a_row_describes_them() -> None:
