@@ -162,7 +162,7 @@ def _of_shoots(
 
 def mean_trait(
     species: Sequence[Species], parameters: PlotParameters, trait: str
-) -> Float[Array, " species"]:
+) -> Float[Array | np.ndarray, " species"]:
     """Mean of a trait over the leaf area of each species, of its leaf and its leaf materials.
 
     What is stated as a spectrum has no traits and does not count. Differentiable in `parameters`.

@@ -336,6 +336,10 @@ class Scene(eqx.Module):
         >>> thin = scene.with_values({"species.*.cover": 0.02})
         >>> thin.parameters.species.cover[:2].tolist()
         [0.02, 0.02]
+        >>> red = {("*", "flower"): {"anthocyanins": 8.0}}  # flowers of all taxa
+        >>> blooming = Scene.from_table(table1_2006(), size=2.0, voxel=0.5, leaves=red)
+        >>> blooming.parameters.materials.names
+        ('material.flower',)
         """
         rows = species_rows(table, cover_definition)
         taxa, meshes = [row.taxon for row in rows], {} if meshes is None else meshes
