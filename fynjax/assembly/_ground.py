@@ -121,7 +121,7 @@ def ground_heights(plot: Plot) -> Float64[np.ndarray, "y x"] | None:
     return height
 
 
-def one_spectrum(path: Path, what: str, *, passed: bool = False) -> Spectrum:
+def one_spectrum(path: Path, what: str, passed: bool = False) -> Spectrum:
     """The only spectrum of a file: reflectance, or transmittance if that is `passed`.
 
     **Arguments:** `path`, the file; `what` it is of, for errors.

@@ -1,9 +1,8 @@
 """Which facets of the plants are of which material, and what their optics are."""
 
 import dataclasses
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
-from typing import Protocol
 
 import jax.numpy as jnp
 import numpy as np
@@ -29,11 +28,9 @@ _MOST_BEYOND = 0.1
 _ORGANS = {organ.name.lower() for organ in Organ}
 
 
-class ReadSpectrum(Protocol):
-    """Reads the one spectrum of a file: reflectance, or transmittance if that is `passed`; takes
-    what it is of besides, for errors."""
-
-    def __call__(self, path: Path, what: str, *, passed: bool) -> Spectrum: ...
+ReadSpectrum = Callable[[Path, str, bool], Spectrum]
+"""Reads the one spectrum of a file: takes what it is of besides, for errors, and whether it is
+transmittance."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -221,7 +218,7 @@ class _Described:
         if (what, passed) not in self._files:
             if isinstance(what, Path):
                 assert self._read is not None  # whoever takes files can read them
-                found = self._read(what, "material", passed=passed)
+                found = self._read(what, "material", passed)
             else:
                 grid = np.arange(LOWEST, HIGHEST + 1.0)
                 found = Spectrum.of(grid, background_spectrum(what, grid), "a shipped spectrum")

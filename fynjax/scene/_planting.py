@@ -198,7 +198,8 @@ class Planting(eqx.Module):
             old = slice(start, start + count[example])
             shape = jax.tree.map(lambda values, old=old: values[old], whole)
             # Thinning keeps materials apart, and so classes.
-            shape = dataclasses.replace(shape, material=classes[old])
+            none = lambda x: x is None  # noqa: E731
+            shape = eqx.tree_at(lambda s: s.material, shape, classes[old], is_leaf=none)
             thin = thin_plant(shape, most[owner[example]], seed=int(start))
             shapes.append(dataclasses.replace(thin, material=None))
             of_class.append(np.asarray(thin.material))

@@ -387,7 +387,7 @@ class Scene(eqx.Module):
             plants=materials.plants,
             dtype=dtype,
         )
-        spreads = table_spreads(rows, plants, {row.taxon for row in stated if not row.material})
+        spreads = table_spreads(rows, plants, stated)
         return dataclasses.replace(scene, spreads=tuple(spreads.items()))
 
     def with_values(self, values: Mapping[str, float | Array]) -> "Scene":

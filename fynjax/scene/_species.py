@@ -356,7 +356,10 @@ _WIDTH_OF_90 = 3.29
 
 
 def table_spreads(
-    rows: Sequence[SpeciesRow], plants: Shrubland, own_leaves: Collection[str]
+    rows: Sequence[SpeciesRow],
+    plants: Shrubland,
+    leaves: Sequence[LeafRow] = (),
+    measured: Collection[str] = (),
 ) -> dict[str, float]:
     """Relative standard deviations [-] that a species table gives parameters, by their names.
 
@@ -367,7 +370,8 @@ def table_spreads(
 
     - `rows`: of the table.
     - `plants`: whose values those have that it leaves out.
-    - `own_leaves`: taxa of which leaves are stated, "*" for any other.
+    - `leaves`: rows of its leaf table, which may leave traits open too.
+    - `measured`: taxa whose leaves are measured besides.
     """
     spreads = {}
     for row in rows:
@@ -382,9 +386,14 @@ def table_spreads(
             if row.leaves_open(kind):
                 median, sd = getattr(known, kind)
                 spreads[f"species.{row.taxon}.{kind}"] = float(sd / median)
-        if not {row.taxon, "*"} & set(own_leaves):
-            leaf = f"species.{row.taxon}.leaf"
-            spreads |= {f"{leaf}.{kind}": sd for kind, sd in SHRUB_LEAF_SD.items()}
+        if row.taxon in measured:
+            continue
+        of_leaves = [leaf for leaf in leaves if not leaf.material]
+        own = [leaf for leaf in of_leaves if leaf.taxon == row.taxon]
+        own = own or [leaf for leaf in of_leaves if leaf.taxon == "*"]
+        for kind, sd in SHRUB_LEAF_SD.items():
+            if all(leaf.spectrum is None and getattr(leaf, kind) is None for leaf in own):
+                spreads[f"species.{row.taxon}.leaf.{kind}"] = sd
     return spreads
 
 

@@ -25,6 +25,8 @@ from fynjax.errors import InputError
 from fynjax.leaf import LeafParameters, prospect
 from fynjax.radiation import Accuracy, OpticalClasses, directional_reflectance, solve_light
 from fynjax.scene import (
+    SHRUB_LEAF,
+    SHRUB_LEAF_SD,
     GroundParameters,
     Scene,
     Spectrum,
@@ -378,6 +380,18 @@ def test_traits_that_are_left_out_are_those_of_the_usual_leaf() -> None:
     assert stated.chlorophyll.tolist()[0] == 20.0
     for name in ("structure", "carotenoids", "water", "dry_matter"):
         assert getattr(stated, name).tolist() == getattr(usual, name).tolist()
+
+
+def test_traits_that_a_leaf_leaves_open_stay_as_uncertain_as_those_of_shrubs() -> None:
+    scene = Scene.from_table(
+        ROWS, size=1.2, voxel=0.2, structure="even", plants="generic",
+        leaves={"Erica": {"chlorophyll": 20.0}, ("Protea", "flower"): {"anthocyanins": 8.0}},
+    )  # fmt: skip
+    own = {name for name, _ in scene.spreads if ".leaf." in name}
+    of_protea = {f"species.Protea.leaf.{name}" for name in SHRUB_LEAF_SD}
+    of_erica = {f"species.Erica.leaf.{name}" for name in SHRUB_LEAF_SD if name != "chlorophyll"}
+    assert own == of_protea | of_erica
+    assert scene.parameters.leaf.water.tolist()[0] == pytest.approx(SHRUB_LEAF.water)
 
 
 BRIGHT = Spectrum.of(WAVE, np.full(len(WAVE), 0.7), "bright")

@@ -99,9 +99,7 @@ def plot_spreads(plot: Plot) -> dict[str, float]:
 
     **Arguments:** `plot`, as `read_plot` gives it.
     """
-    own = {leaf.taxon for leaf in plot.leaves if not leaf.material}
-    own_leaves = own | set(plot.leaf_files)
-    return table_spreads(plot.species, plot.shrubland, own_leaves)
+    return table_spreads(plot.species, plot.shrubland, plot.leaves, plot.leaf_files)
 
 
 def with_prior(plot: Plot, name_or_path: str | Path) -> Plot:
