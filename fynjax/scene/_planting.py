@@ -201,7 +201,7 @@ class Planting(eqx.Module):
             none = lambda x: x is None  # noqa: E731
             shape = eqx.tree_at(lambda s: s.material, shape, classes[old], is_leaf=none)
             thin = thin_plant(shape, most[owner[example]], seed=int(start))
-            shapes.append(dataclasses.replace(thin, material=None))
+            shapes.append(eqx.tree_at(lambda s: s.material, thin, None))
             of_class.append(np.asarray(thin.material))
         size = np.array([len(c) for c in of_class], np.int32)
         few = dataclasses.replace(
