@@ -8,10 +8,10 @@ import numpy as np
 from pydantic import Field
 
 from fynjax._core.errors import InputError, in_file
-from fynjax.canopy import FORMS, MeshPlant, Organ, PlantMaterial, plant_model_from_mesh
+from fynjax.canopy import MeshPlant, Organ, PlantMaterial, plant_model_from_mesh
 from fynjax.canopy.mesh import mesh_plant
 from fynjax.io.text import Strict, number, read_rows
-from fynjax.scene import undescribed
+from fynjax.scene import check_leafy, undescribed
 
 _ELEMENTS = 3000
 """As many as a plant on a plot has at most."""
@@ -64,14 +64,7 @@ def read_plant(path: Path, form: str, described: Collection[str] = ()) -> MeshPl
             plant = plant_model_from_mesh(
                 path, _ELEMENTS, solid_materials="closed", maximum_extent=_LARGEST
             )
-    leafy = FORMS[form].leafy
-    if leafy != (float(plant.organ_area[Organ.LEAF]) > 0):
-        raise InputError(
-            f"expected a plant {'with' if leafy else 'without'} leaves for the growth form "
-            f"{form!r}, but this one has {'none' if leafy else 'some'}. Do the names of its "
-            "materials say what they are? `fynjax plant --materials` states them.",
-            file=path,
-        )
+    check_leafy(plant, form, file=path)
     return plant
 
 

@@ -9,7 +9,13 @@ from fynjax.scene._ground import COVERS, Ground, ground_shares, random_patches
 from fynjax.scene._instances import Instances, hard_counts, hard_instances, hard_scene
 from fynjax.scene._large import TiledPicture, is_large
 from fynjax.scene._lidar import LidarObservation, ReturnTruth, observe_lidar
-from fynjax.scene._materials import PlantMaterials, plant_materials, undescribed, with_areas
+from fynjax.scene._materials import (
+    PlantMaterials,
+    check_leafy,
+    plant_materials,
+    undescribed,
+    with_areas,
+)
 from fynjax.scene._observe import (
     DRONE,
     AimedSensor,
@@ -133,6 +139,7 @@ __all__ = [
     "background_spectrum",
     "band_wavelengths",
     "build_scene",
+    "check_leafy",
     "check_materials",
     "check_projected_scene",
     "check_species",

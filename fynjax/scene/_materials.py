@@ -3,12 +3,13 @@
 import dataclasses
 from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 
 from fynjax._core.errors import InputError, did_you_mean
-from fynjax.canopy import MeshPlant, Organ, PlantModel, Shrubland
+from fynjax.canopy import FORMS, MeshPlant, Organ, PlantModel, Shrubland
 from fynjax.leaf import LeafParameters
 from fynjax.scene._parameters import LEAF_FIELDS, MaterialParameters
 from fynjax.scene._species import (
@@ -111,6 +112,22 @@ def plant_materials(
         shapes.append(dataclasses.replace(mesh.plant, material=material))
     described.check_used(species, plants, file)
     return PlantMaterials(tuple(of_species), tuple(shapes), described.parameters())
+
+
+def check_leafy(plant: MeshPlant, form: str, **where: Any) -> None:
+    """Raise `InputError` for a plant with leaves where its growth form has none, or the other way
+    round.
+
+    **Arguments:** `plant`; `form`, its growth form; `where`, the file, for errors.
+    """
+    leafy = FORMS[form].leafy
+    if leafy != (float(plant.organ_area[Organ.LEAF]) > 0):
+        raise InputError(
+            f"expected a plant {'with' if leafy else 'without'} leaves for the growth form "
+            f"{form!r}, but this one has {'none' if leafy else 'some'}. Do the names of its "
+            "materials say what they are? `fynjax plant --materials` states them.",
+            **where,
+        )
 
 
 def undescribed(optics: str, organ: str, described: Collection[str]) -> str:

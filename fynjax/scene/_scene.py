@@ -46,7 +46,7 @@ from fynjax.canopy import (
 )
 from fynjax.radiation import Illumination, OpticalClasses, RahmanPintyVerstraete, VoxelScene
 from fynjax.scene._ground import Ground, ground_shares, kind_shares
-from fynjax.scene._materials import plant_materials, with_areas
+from fynjax.scene._materials import check_leafy, plant_materials, with_areas
 from fynjax.scene._optics import inclination, optical_classes, seen_from_above
 from fynjax.scene._parameters import (
     PARAMETERS,
@@ -360,6 +360,9 @@ class Scene(eqx.Module):
             raise InputError(f"expected 1 leaf variant or more, but got {leaf_variants}")
         own = drawn_leaves(leaves_of(rows, stated, plants), leaf_variants, seed)
         shapes = [meshes.get(taxon) for taxon in taxa]
+        for row, shape in zip(rows, shapes, strict=True):
+            if shape is not None:
+                check_leafy(shape, row.growth_form)
         materials = plant_materials(rows, stated, shapes, population=plants)
         rows = tuple(with_areas(*pair) for pair in zip(rows, shapes, strict=True))
         parameters = PlotParameters(

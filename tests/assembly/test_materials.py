@@ -13,6 +13,7 @@ from fynjax.canopy import PlantMesh, generate_plant
 from fynjax.errors import InputError
 from fynjax.io.plot import read_plot
 from fynjax.io.spectra import read_spectra_file
+from fynjax.jobs._build import voxel_dataset
 from fynjax.jobs._plant import plant
 from fynjax.leaf import LeafParameters, prospect
 from fynjax.scene import USUAL_LEAF, material_classes
@@ -92,6 +93,10 @@ def test_optics_of_materials_are_those_of_the_leaf_table(made: Path, tmp_path: P
     assert shares["young"] == pytest.approx(area["young"] / area.sum(), rel=1e-6)
     assert shares["old"] == pytest.approx(area["old"] / area.sum(), rel=1e-6)
     assert scene.species[1].materials == ()
+    voxels = voxel_dataset(scene, scene.area_density(parameters))
+    assert voxels["class"].values.tolist() == [
+        "Protea, leaf", "wood", "flower", "Erica, old", "Erica, young", "Erica, petal"
+    ]  # fmt: skip
 
 
 def test_optics_that_are_renamed_change_the_image_or_are_refused(

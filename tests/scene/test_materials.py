@@ -430,3 +430,9 @@ def test_materials_that_describe_nothing_or_too_much_are_refused(
 def test_a_mesh_of_an_unknown_taxon_is_refused(mesh: MeshPlant) -> None:
     with pytest.raises(InputError, match=r"unknown taxon of a mesh: 'Eric'.*mean 'Erica'"):
         Scene.from_table([ROW], size=1.2, meshes={"Eric": mesh})
+
+
+def test_a_mesh_with_leaves_of_a_form_without_is_refused(mesh: MeshPlant) -> None:
+    dead = ROW | {"growth_form": "deadwood"}
+    with pytest.raises(InputError, match="without leaves for the growth form 'deadwood'"):
+        Scene.from_table([dead], size=1.2, meshes={"Erica": mesh})
