@@ -60,7 +60,7 @@ def plant_materials(
     A facet of a mesh is of the material that it names, if a row describes it, or else of its organ:
     of the taxon's leaf, or of the materials "wood" and "flower", which also are those of generated
     plants; without a row for these, of the shipped bark and petals. Traits that a row leaves out
-    are those of the usual leaf of the growth form, of flowers those of the shipped petals.
+    are those of a leaf row, of flowers those of the shipped petals.
 
     **Arguments:**
 

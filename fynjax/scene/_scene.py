@@ -301,7 +301,8 @@ class Scene(eqx.Module):
           "article", eq. (10), see `PlantingRules`; left out, "projected", but for a table with
           packing, fill, branches or a least area, which only eq. (10) has.
         - `leaves`: PROSPECT-D parameters by taxon, in PROSPECT's units; "*" is any other. What is
-          left out is that of the usual leaf; a structure that is left out follows from dry matter.
+          left out is that of the usual leaf, anthocyanins and brown pigments 0; a structure that is
+          left out follows from dry matter.
           Of several leaves of a taxon each plant has one. By taxon and material, as
           `("Erica", "young")`, what else the plants are made of: PROSPECT-D parameters, or
           `{"reflectance": Spectrum, "transmittance": Spectrum}`, opaque without the latter, or the
