@@ -560,8 +560,8 @@ def class_count(species: Sequence[Species]) -> int:
 
 
 def organ_classes(species: Sequence[Species]) -> list[list[int]]:
-    """Optical class of the first leaf, of wood and flower of each species: of its elements that are
-    of no material, or else of the first material of the organ."""
+    """Optical class of the first leaf, of wood and flower of each of the `species`: of its elements
+    that are of no material, or else of the first material of the organ."""
     leaves, every = leaf_classes(species), material_classes(species)
     wood = _first_material(species) - 2
     classes = []
