@@ -17,12 +17,13 @@ from fynjax.assembly._ground import (
     dead_tissue,
     ground_heights,
     ground_parameters,
+    one_spectrum,
     plot_ground,
 )
 from fynjax.assembly._leaf_spectra import leaf_instrument, measured_leaves
 from fynjax.assembly._memory import check_memory
 from fynjax.assembly._plants import read_plant
-from fynjax.canopy import MeshPlant, Organ
+from fynjax.canopy import MeshPlant
 from fynjax.io.plot import Plot, plot_spreads, read_sky, read_sky_pattern, with_parameter_table
 from fynjax.io.raster import read_probability_map
 from fynjax.io.spectra import reflectances
@@ -31,6 +32,7 @@ from fynjax.scene import (
     LEAF_FIELDS,
     LeafRow,
     LightParameters,
+    MaterialParameters,
     PlantingRules,
     PlotParameters,
     Scene,
@@ -42,11 +44,11 @@ from fynjax.scene import (
     drawn_leaves,
     leaf_parameters,
     leaves_of,
+    plant_materials,
     room_needed,
     species_parameters,
+    with_areas,
 )
-
-AREA_INDICES = {"leaf_area_index": Organ.LEAF, "wood_area_index": Organ.WOOD}
 
 
 @drawn_in_double
@@ -82,12 +84,27 @@ def build_plot(
     fractions = None
     if plot.ground.map is not None and patches is not None:
         fractions = tuple(patches[1:].mean(axis=(1, 2)).tolist())
+    described = {(row.taxon, row.material) for row in plot.leaves if row.material}
     plants = [
-        None if row.plant is None else read_plant(row.plant, row.growth_form)
+        None
+        if row.plant is None
+        else read_plant(
+            row.plant,
+            row.growth_form,
+            {name for taxon, name in described if taxon in (row.taxon, "*")},
+        )
         for row in plot.species
     ]
-    leaves = plot_leaves(plot)
-    parameters = plot_parameters(plot, fractions, plants, leaves)
+    leaves, instrument = plot_leaves(plot), leaf_instrument(plot)
+    materials = plant_materials(
+        plot.species,
+        [_fitted(row, instrument) for row in plot.leaves if row.material],
+        plants,
+        population=plot.shrubland,
+        read=one_spectrum,
+        file=plot.leaf_table,
+    )
+    parameters = plot_parameters(plot, fractions, plants, leaves, materials.parameters)
     # Places are held ready as for the tables, so that plants stay where a calibration had them.
     tables = parameters
     if plot.parameters is not None:
@@ -117,7 +134,7 @@ def build_plot(
         return np.maximum(needed, rules.room)
 
     scene = build_scene(
-        [Species.of(*pair) for pair in zip(plot.species, leaves, strict=True)],
+        [Species.of(*one) for one in zip(plot.species, leaves, materials.species, strict=True)],
         tables,
         extent=plot.size_m,
         voxel=plot.voxel_m,
@@ -130,7 +147,7 @@ def build_plot(
         terrain=None if heights is None else heights - heights.min(),
         sky=_sky(plot),
         sky_pattern=None if plot.sky.pattern is None else read_sky_pattern(plot.sky.pattern),
-        plants=[None if plant is None else plant.plant for plant in plants],
+        plants=materials.plants,
         crowns=plot.known_crowns,
         room=room,
         dtype=dtype,
@@ -167,6 +184,7 @@ def plot_parameters(
     fractions: tuple[float, ...] | None = None,
     plants: Sequence[MeshPlant | None] | None = None,
     leaves: Sequence[Sequence[LeafRow]] | None = None,
+    materials: MaterialParameters | None = None,
 ) -> PlotParameters:
     """The parameters that a plot's files state, defaults of the growth forms filled in.
 
@@ -177,12 +195,13 @@ def plot_parameters(
     - `plants`: models of the species that have one, which give the leaf and wood area that the
       tables leave out.
     - `leaves`: of each species, as `plot_leaves` gives them; from the plot if left out.
+    - `materials`: traits of further materials of the plants, as `plant_materials` gives them.
 
     **Raises:** `InputError` for a leaf spectrum that cannot be used.
     """
     rows: Sequence[SpeciesRow] = plot.species
     if plants is not None:
-        rows = [_with_areas(*pair) for pair in zip(rows, plants, strict=True)]
+        rows = [with_areas(*pair) for pair in zip(rows, plants, strict=True)]
     leaves = plot_leaves(plot) if leaves is None else leaves
     return PlotParameters(
         species_parameters(rows, leaves, plot.shrubland),
@@ -193,6 +212,7 @@ def plot_parameters(
             sun_azimuth=jnp.asarray(plot.sun.azimuth),
             aerosol=jnp.asarray(plot.sky.aerosol_optical_depth),
         ),
+        materials,
     )
 
 
@@ -211,16 +231,6 @@ def plot_leaves(plot: Plot) -> list[tuple[LeafRow, ...]]:
     own_leaves = leaves_of(plot.species, rows, plot.shrubland)
     stated = [[fitted(leaf) for leaf in own] for own in own_leaves]
     return drawn_leaves(stated, plot.leaf_variants, plot.seed)
-
-
-def _with_areas(row: SpeciesRow, plant: MeshPlant | None) -> SpeciesRow:
-    """The species with the area indices of its plant where its table states none."""
-    if plant is None:
-        return row
-    # Areas over that of the crown, as the tables state them.
-    crown = np.pi / 4.0 * plant.modelled_diameter**2
-    own = {name: float(plant.organ_area[organ]) / crown for name, organ in AREA_INDICES.items()}
-    return row.replace(**{n: v for n, v in own.items() if getattr(row, n) is None})
 
 
 def _fitted(leaf: LeafRow, instrument: AbstractMeasurement) -> LeafRow:

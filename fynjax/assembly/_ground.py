@@ -11,7 +11,7 @@ from fynjax._core.errors import InputError
 from fynjax._core.parameters import parameters_of
 from fynjax.io.plot import Plot
 from fynjax.io.raster import METRES, read_cover_map, read_over_plot
-from fynjax.io.spectra import reflectances
+from fynjax.io.spectra import read_spectra_file, reflectances
 from fynjax.scene import (
     COVERS,
     Ground,
@@ -25,7 +25,7 @@ def plot_ground(plot: Plot, patches: Float64[np.ndarray, "kind y x"] | None) -> 
     """Spectra of soil and covers, the user's where there are any, lying in `patches`."""
 
     def read(path: Path | None, what: str) -> Spectrum | None:
-        return None if path is None else _one_spectrum(path, what)
+        return None if path is None else one_spectrum(path, what)
 
     ground = plot.ground
     covers = {cover: read(getattr(ground, cover), cover) for cover in COVERS}
@@ -56,7 +56,7 @@ def ground_parameters(plot: Plot, fractions: tuple[float, ...] | None = None) ->
 
 def dead_tissue(plot: Plot) -> Spectrum | None:
     """The user's spectrum of dead tissue in live shoots, where there is one."""
-    return None if plot.dead_tissue is None else _one_spectrum(plot.dead_tissue, "dead tissue")
+    return None if plot.dead_tissue is None else one_spectrum(plot.dead_tissue, "dead tissue")
 
 
 def cover_patches(plot: Plot, seed: int) -> Float64[np.ndarray, "kind y x"] | None:
@@ -121,9 +121,22 @@ def ground_heights(plot: Plot) -> Float64[np.ndarray, "y x"] | None:
     return height
 
 
-def _one_spectrum(path: Path, what: str) -> Spectrum:
-    """The only spectrum of a file."""
-    spectra = reflectances(path)
+def one_spectrum(path: Path, what: str, passed: bool = False) -> Spectrum:
+    """The only spectrum of a file: reflectance, or transmittance if that is `passed`.
+
+    **Arguments:** `path`, the file; `what` it is of, for errors.
+
+    **Raises:** `InputError` for a file that cannot be read, that has several spectra, or none.
+    """
+    if passed:
+        # A table does not say what its columns are: there they count as reflectance.
+        pairs = [
+            (s.wavelength, s.reflectance if s.transmittance is None else s.transmittance)
+            for s in read_spectra_file(path)
+        ]
+        spectra = [(wave, values) for wave, values in pairs if values is not None]
+    else:
+        spectra = reflectances(path)
     if len(spectra) > 1:
         raise InputError(
             f"expected the spectrum of one {what}, but got {len(spectra)}; keep one column",

@@ -1,5 +1,6 @@
 """Plants of a plot's species from files: meshes, or the area elements of `fynjax plant`."""
 
+from collections.abc import Collection
 from pathlib import Path
 from typing import Literal
 
@@ -7,9 +8,10 @@ import numpy as np
 from pydantic import Field
 
 from fynjax._core.errors import InputError, in_file
-from fynjax.canopy import FORMS, MeshPlant, Organ, PlantMaterial, plant_model_from_mesh
+from fynjax.canopy import MeshPlant, Organ, PlantMaterial, plant_model_from_mesh
 from fynjax.canopy.mesh import mesh_plant
 from fynjax.io.text import Strict, number, read_rows
+from fynjax.scene import check_leafy, undescribed
 
 _ELEMENTS = 3000
 """As many as a plant on a plot has at most."""
@@ -31,40 +33,48 @@ class ElementRow(Strict):
     nz: float = number("Unit normal", "-", ge=-1.001, le=1.001)
     area_m2: float = number("One-sided area", "m2", ge=0)
     organ: Literal["leaf", "wood", "flower"] = Field(description="What it is part of.")
-    optics: str = Field(default="", description="Name of its optical class.")
+    optics: str = Field(
+        default="",
+        description="Name of its optics, a material of the leaf table; left out, or that of its "
+        "organ: as all of the organ.",
+    )
     crown_diameter_m: float = number("Crown diameter of the plant", "m", gt=0, le=_LARGEST)
     plant_height_m: float = number("Height of the plant", "m", gt=0, le=_LARGEST)
 
 
-def read_plant(path: Path, form: str) -> MeshPlant:
+def read_plant(path: Path, form: str, described: Collection[str] = ()) -> MeshPlant:
     """The shape and areas of a species' plants.
 
     From a mesh in metres (closed surfaces count half, as for `fynjax plant`), or from the
     `elements.csv` that `fynjax plant` writes.
 
-    **Raises:** `InputError` for a file that is neither, and a plant with leaves where the growth
-    `form` has none or the other way round.
+    **Arguments:**
+
+    - `path`: the file.
+    - `form`: growth form of the species.
+    - `described`: materials that the leaf table describes for it.
+
+    **Raises:** `InputError` for a file that is neither, for optics that nothing describes, and a
+    plant with leaves where the growth form has none or the other way round.
     """
     with in_file(path):
         if path.suffix.lower() == ".csv":
-            plant = _from_elements(path)
+            plant = _from_elements(path, described)
         else:
             plant = plant_model_from_mesh(
                 path, _ELEMENTS, solid_materials="closed", maximum_extent=_LARGEST
             )
-    leafy = FORMS[form].leafy
-    if leafy != (float(plant.organ_area[Organ.LEAF]) > 0):
-        raise InputError(
-            f"expected a plant {'with' if leafy else 'without'} leaves for the growth form "
-            f"{form!r}, but this one has {'none' if leafy else 'some'}. Do the names of its "
-            "materials say what they are? `fynjax plant --materials` states them.",
-            file=path,
-        )
+    check_leafy(plant, form, file=path)
     return plant
 
 
-def _from_elements(path: Path) -> MeshPlant:
-    rows = [row for _, row in read_rows(path, ElementRow, "the elements of a plant")]
+def _from_elements(path: Path, described: Collection[str]) -> MeshPlant:
+    rows = []
+    for row_number, row in read_rows(path, ElementRow, "the elements of a plant"):
+        if row.optics not in ("", row.organ, *described):
+            words = undescribed(row.optics, row.organ, described)
+            raise InputError(words, file=path, row=row_number, column="optics")
+        rows.append(row)
     point = np.array([(r.x_m, r.y_m, r.z_m) for r in rows])
     normal = np.array([(r.nx, r.ny, r.nz) for r in rows])
     length = np.linalg.norm(normal, axis=1)
@@ -93,13 +103,17 @@ def _from_elements(path: Path) -> MeshPlant:
             f"{point[element, axis]:g} m. Other units, or another axis upwards?",
             file=path,
         )
-    organs = list(Organ)
+    kinds = [(Organ[r.organ.upper()], "" if r.optics == r.organ else r.optics) for r in rows]
+    places = {kind: place for place, kind in enumerate(sorted(set(kinds)))}
     return mesh_plant(
         point,
         normal / length[:, None],
         np.array([r.area_m2 for r in rows]),
-        np.array([Organ[r.organ.upper()] for r in rows], int),
-        {one.name.lower(): PlantMaterial(one) for one in organs},
+        np.array([places[kind] for kind in kinds], int),
+        {
+            f"{organ.name.lower()} {optics}".rstrip(): PlantMaterial(organ, optics)
+            for organ, optics in places
+        },
         (np.array([-radius, -radius, 0.0]), np.array([radius, radius, height])),
-        (0.0,) * len(organs),
+        (0.0,) * len(places),
     )

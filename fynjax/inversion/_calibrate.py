@@ -202,7 +202,9 @@ def _without_effect(name: str, scene: Scene, parameters: PlotParameters) -> bool
             return True
         if scene.cover_definition == "projected" and name.endswith(_OF_THE_ARTICLE):
             return True
-        if name.endswith(".leaf_spread") and scene.species[i].leaves == 1:
+        if name.endswith(".leaf_spread") and scene.species[i].leaves <= 1:
+            return True
+        if ".leaf." in name and scene.species[i].leaves == 0:
             return True
         leafless = float(parameters.species.leaf_area_index[i]) == 0.0
         of_leaves = (".leaf." in name, name.endswith(_OF_LEAVES))

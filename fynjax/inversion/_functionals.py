@@ -15,7 +15,7 @@ from fynjax._core.precision import double_precision
 from fynjax._core.seeds import generator
 from fynjax.inversion._fit_result import FitResult
 from fynjax.inversion._space import ParameterSpace
-from fynjax.scene import PlotParameters, Scene, with_values
+from fynjax.scene import PlotParameters, Scene, mean_trait, with_values
 
 
 class Functional(NamedTuple):
@@ -65,7 +65,8 @@ def _in_leaves(trait: str, factor: float) -> Callable[[Scene, PlotParameters], F
     the `factor` to g m-2."""
 
     def value(scene: Scene, parameters: PlotParameters) -> Float[Array, ""]:
-        return factor * jnp.sum(_green(scene, parameters) * getattr(parameters.leaf, trait))
+        content = mean_trait(scene.species, parameters, trait)
+        return factor * jnp.sum(_green(scene, parameters) * content)
 
     return value
 

@@ -38,7 +38,14 @@ from fynjax.inversion._functionals import Functional, stand_table
 from fynjax.inversion._search import Progress, begun, recorded, search_states, stepped
 from fynjax.inversion._space import ParameterSpace
 from fynjax.radiation import VoxelScene
-from fynjax.scene import AimedSensor, PlotParameters, Scene, with_values
+from fynjax.scene import (
+    LEAF_FIELDS,
+    AimedSensor,
+    PlotParameters,
+    Scene,
+    parameter_kind,
+    with_values,
+)
 from fynjax.sensors import Gains
 
 if TYPE_CHECKING:
@@ -284,7 +291,7 @@ class PixelModel(eqx.Module):
         even = self.scene.ground.patches is None
         return np.array(
             [
-                ".leaf." in name
+                parameter_kind(name) in LEAF_FIELDS
                 or name.endswith((".dead_fraction", ".wood_brightness"))
                 or (even and name.startswith("ground."))
                 for name in self.free

@@ -34,6 +34,7 @@ from fynjax.scene import (
     hard_scene,
     height_profile,
     leaf_classes,
+    material_classes,
     projected_cover,
     stand_area,
 )
@@ -352,6 +353,8 @@ def voxel_dataset(scene: Scene, density: Float[Array, "class z y x"]) -> xr.Data
         for k, own in leaf_classes(scene.species).items()
         for leaf in range(len(own))
     ]
+    others = material_classes(scene.species).values()
+    names += ["wood", "flower", *(f"{scene.taxa[i]}, {one.name}" for _, i, one in others)]
     above = "ground" if scene.terrain is None else "the lowest ground"
     axes = {
         "x": {"long_name": "distance east of the south-west corner"},
@@ -372,7 +375,7 @@ def voxel_dataset(scene: Scene, density: Float[Array, "class z y x"]) -> xr.Data
     return xr.Dataset(
         variables,
         coords={
-            "class": ("class", [*names, "wood", "flower"], {"long_name": "optical class"}),
+            "class": ("class", names, {"long_name": "optical class"}),
             **{letter: (letter, values, about) for (letter, about), values in centres},
         },
     )

@@ -62,7 +62,11 @@ class MaterialRow(Strict):
 
     material: str = Field(description="name of the material in the mesh", min_length=1)
     organ: Literal["leaf", "wood", "flower"]
-    optics: str = Field("", description="name of its optical class")
+    optics: str = Field(
+        "",
+        description="name of its optics, a material of the plot's leaf table; left out, as all of "
+        "its organ",
+    )
     solid: bool | None = Field(None, description="yes, no or nothing")
 
 

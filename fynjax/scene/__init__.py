@@ -9,6 +9,13 @@ from fynjax.scene._ground import COVERS, Ground, ground_shares, random_patches
 from fynjax.scene._instances import Instances, hard_counts, hard_instances, hard_scene
 from fynjax.scene._large import TiledPicture, is_large
 from fynjax.scene._lidar import LidarObservation, ReturnTruth, observe_lidar
+from fynjax.scene._materials import (
+    PlantMaterials,
+    check_leafy,
+    plant_materials,
+    undescribed,
+    with_areas,
+)
 from fynjax.scene._observe import (
     DRONE,
     AimedSensor,
@@ -19,12 +26,14 @@ from fynjax.scene._observe import (
     fitted_accuracy,
     observe,
 )
+from fynjax.scene._optics import mean_trait
 from fynjax.scene._parameters import (
     FIXED_PARAMETERS,
     LEAF_FIELDS,
     PARAMETERS,
     GroundParameters,
     LightParameters,
+    MaterialParameters,
     PlotParameters,
     SpeciesParameters,
     named_values,
@@ -39,6 +48,8 @@ from fynjax.scene._planting import (
     element_count,
     individual_seeds,
     leaf_classes,
+    material_classes,
+    organ_classes,
     seed_of_planting,
 )
 from fynjax.scene._profile import height_profile
@@ -57,8 +68,10 @@ from fynjax.scene._species import (
     USUAL_LEAF,
     CoverDefinition,
     LeafRow,
+    Material,
     Species,
     SpeciesRow,
+    check_materials,
     check_species,
     check_taxa,
     cover_definition_of,
@@ -102,9 +115,12 @@ __all__ = [
     "LeafRow",
     "LidarObservation",
     "LightParameters",
+    "Material",
+    "MaterialParameters",
     "Observation",
     "PixelTruth",
     "Placement",
+    "PlantMaterials",
     "Planting",
     "PlantingRules",
     "PlotAir",
@@ -122,6 +138,8 @@ __all__ = [
     "background_spectrum",
     "band_wavelengths",
     "build_scene",
+    "check_leafy",
+    "check_materials",
     "check_projected_scene",
     "check_species",
     "check_taxa",
@@ -141,13 +159,17 @@ __all__ = [
     "leaf_classes",
     "leaf_parameters",
     "leaves_of",
+    "material_classes",
+    "mean_trait",
     "named_values",
     "observe",
     "observe_lidar",
+    "organ_classes",
     "own_spread",
     "parameter_kind",
     "parameter_reference",
     "pixel_truth",
+    "plant_materials",
     "projected_cover",
     "random_patches",
     "room_needed",
@@ -160,7 +182,9 @@ __all__ = [
     "table_spreads",
     "truth_of_layers",
     "truth_of_pixels",
+    "undescribed",
     "usual_leaf",
     "visible_sensor",
+    "with_areas",
     "with_values",
 ]

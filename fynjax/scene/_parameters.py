@@ -2,6 +2,7 @@
 
 import dataclasses
 from collections.abc import Mapping, Sequence
+from operator import attrgetter
 from typing import TYPE_CHECKING, Any
 
 import equinox as eqx
@@ -320,6 +321,16 @@ class LightParameters(eqx.Module):
     )
 
 
+class MaterialParameters(eqx.Module):
+    """Traits of the materials of plants that are as leaves: vectors over these."""
+
+    names: tuple[str, ...] = eqx.field(static=True)
+    """First words of the names of their parameters: `species.<taxon>.<material>`, or
+    `material.<material>` where several species share one."""
+    leaf: LeafParameters
+    """PROSPECT parameters of each."""
+
+
 class PlotParameters(eqx.Module):
     """All parameters of a plot. `names` gives each number its name."""
 
@@ -328,6 +339,8 @@ class PlotParameters(eqx.Module):
     """Vectors over species; those of a species without leaves have no effect."""
     ground: GroundParameters
     light: LightParameters
+    materials: MaterialParameters | None = None
+    """Traits of further materials of the plants; None where there are none."""
 
     def __str__(self) -> str:
         """A line for each species with its main values, for the ground and for the light, in the
@@ -456,8 +469,9 @@ def named_values(parameters: PlotParameters, taxa: tuple[str, ...]) -> dict[str,
     - `parameters`: of a plot.
     - `taxa`: names of its species, as `Scene.taxa`.
 
-    Leaf parameters are `species.<taxon>.leaf.<field>`; the rest `ground.<field>` and
-    `light.<field>`. `with_values` is the inverse.
+    Leaf parameters are `species.<taxon>.leaf.<field>`, those of another material
+    `species.<taxon>.<material>.<field>` or, where species share it, `material.<material>.<field>`;
+    the rest `ground.<field>` and `light.<field>`. `with_values` is the inverse.
     """
     named: dict[str, Array] = {}
     for field in dataclasses.fields(SpeciesParameters):
@@ -467,6 +481,10 @@ def named_values(parameters: PlotParameters, taxa: tuple[str, ...]) -> dict[str,
     for name in LEAF_FIELDS:
         values = getattr(parameters.leaf, name)
         named |= {f"species.{t}.leaf.{name}": v for t, v in zip(taxa, jnp.unstack(values))}
+    if (others := parameters.materials) is not None:
+        for name in LEAF_FIELDS:
+            values = jnp.unstack(jnp.asarray(getattr(others.leaf, name)))
+            named |= {f"{m}.{name}": v for m, v in zip(others.names, values, strict=True)}
     for group in ("ground", "light"):
         record = getattr(parameters, group)
         named |= {f"{group}.{f.name}": getattr(record, f.name) for f in dataclasses.fields(record)}
@@ -484,43 +502,44 @@ def within_bounds(parameters: PlotParameters, taxa: tuple[str, ...]) -> PlotPara
     **Raises:** `InputError` with the name of a parameter that has another shape, is out of bounds,
     or NaN.
     """
-    groups: tuple[tuple[str, Any, Sequence[str], tuple[int, ...]], ...] = (
-        ("species", parameters.species, [f.name for f in dataclasses.fields(SpeciesParameters)],
-         (len(taxa),)),
-        ("leaf", parameters.leaf, LEAF_FIELDS, (len(taxa),)),
-        ("ground", parameters.ground, [f.name for f in dataclasses.fields(GroundParameters)], ()),
-        ("light", parameters.light, [f.name for f in dataclasses.fields(LightParameters)], ()),
-    )  # fmt: skip
-    bounded = {}
-    for group, record, fields, shape in groups:
-        changed = {}
+    of_species = [field.name for field in dataclasses.fields(SpeciesParameters)]
+    records: dict[str, tuple[Any, Sequence[str], Sequence[str] | None]] = {
+        "species": (parameters.species, of_species, [f"species.{t}" for t in taxa]),
+        "leaf": (parameters.leaf, LEAF_FIELDS, [f"species.{t}.leaf" for t in taxa]),
+    }
+    if (others := parameters.materials) is not None:
+        records["materials.leaf"] = others.leaf, LEAF_FIELDS, others.names
+    for group in ("ground", "light"):
+        record = getattr(parameters, group)
+        records[group] = record, [field.name for field in dataclasses.fields(record)], None
+    places, bounded = [], []
+    for group, (record, fields, owners) in records.items():
         for field in fields:
             if (values := getattr(record, field)) is None:
                 continue
+            shape = () if owners is None else (len(owners),)
             if jnp.shape(values) != shape:
-                expected = f"a number for each of {len(taxa)} species" if shape else "one number"
+                expected = "one number" if owners is None else f"a number for each of {shape[0]}"
                 raise InputError(
                     f"expected `parameters.{group}.{field}` to be {expected}, of shape {shape}, "
                     f"but its shape is {jnp.shape(values)}"
                 )
             known = PARAMETERS[field]
             if not isinstance(values, jax.core.Tracer):
-                numbers = np.asarray(values, float)
-                outside = ~((numbers >= known.lower) & (numbers <= known.upper))
-                if outside.any():
-                    name = f"{group}.{field}"
-                    if shape:
-                        between = "leaf." if group == "leaf" else ""
-                        name = f"species.{taxa[int(np.argmax(outside))]}.{between}{field}"
-                    known.check(float(numbers[outside].flat[0]), name)
+                for i, value in enumerate(np.atleast_1d(np.asarray(values, float)).tolist()):
+                    known.check(value, f"{group if owners is None else owners[i]}.{field}")
             elif field != "sun_azimuth":
                 # Not `clip`, whose slope at a bound is one half.
                 low = jnp.where(values < known.lower, known.lower, values)
-                changed[field] = jnp.where(low > known.upper, known.upper, low)
-        names, values = tuple(changed), tuple(changed.values())
-        where = lambda r, names=names: [getattr(r, name) for name in names]  # noqa: E731
-        bounded[group] = eqx.tree_at(where, record, values) if names else record
-    return PlotParameters(**bounded)
+                places.append((group, field))
+                bounded.append(jnp.where(low > known.upper, known.upper, low))
+    if not places:
+        return parameters
+    return eqx.tree_at(
+        lambda p: [getattr(attrgetter(group)(p), field) for group, field in places],
+        parameters,
+        bounded,
+    )
 
 
 def with_values(
@@ -537,8 +556,8 @@ def with_values(
     Differentiable in `parameters` and `values`.
     """
 
-    def vector(prefix: str, field: str, before: Any) -> Any:
-        names = [f"species.{taxon}.{prefix}{field}" for taxon in taxa]
+    def vector(owners: Sequence[str], field: str, before: Any) -> Any:
+        names = [f"{owner}.{field}" for owner in owners]
         if values.keys().isdisjoint(names):
             return before
         own = jnp.unstack(jnp.asarray(before))
@@ -550,18 +569,25 @@ def with_values(
         changes = {field: values[name] for field, name in names.items() if name in values}
         return dataclasses.replace(before, **changes)
 
+    def leaves(owners: Sequence[str], before: LeafParameters) -> LeafParameters:
+        return eqx.tree_at(
+            lambda l: [getattr(l, name) for name in LEAF_FIELDS],
+            before,
+            [vector(owners, name, getattr(before, name)) for name in LEAF_FIELDS],
+        )
+
+    own = [f"species.{taxon}" for taxon in taxa]
     species = {
-        f.name: vector("", f.name, getattr(parameters.species, f.name))
+        f.name: vector(own, f.name, getattr(parameters.species, f.name))
         for f in dataclasses.fields(SpeciesParameters)
     }
-    leaf = eqx.tree_at(
-        lambda l: [getattr(l, name) for name in LEAF_FIELDS],
-        parameters.leaf,
-        [vector("leaf.", name, getattr(parameters.leaf, name)) for name in LEAF_FIELDS],
-    )
+    others = parameters.materials
+    if others is not None:
+        others = MaterialParameters(others.names, leaves(others.names, others.leaf))
     return PlotParameters(
         SpeciesParameters(**species),
-        leaf,
+        leaves([f"{owner}.leaf" for owner in own], parameters.leaf),
         record("ground", parameters.ground),
         record("light", parameters.light),
+        others,
     )

@@ -31,7 +31,7 @@ from fynjax.canopy import (
     thin_plant,
     unit_shapes,
 )
-from fynjax.scene._species import Species
+from fynjax.scene._species import Material, Species
 
 INDIVIDUALS = 8
 """Shapes of a growth form among the plants of a species: their outlines, lobes and shoots differ,
@@ -80,6 +80,9 @@ class Planting(eqx.Module):
     """The elements of the individuals of each species that has plants, one after the other."""
     shape_class: Int[Array | np.ndarray, " part"]
     """Optical class of the elements of `shapes`, on a plant with the first leaf of its species."""
+    materials_from: int | None = eqx.field(static=True, default=None)
+    """First optical class of the materials of species, which all plants have alike; None: there are
+    none."""
 
     @property
     def fraction(self) -> Float[Array, " element"]:
@@ -97,7 +100,10 @@ class Planting(eqx.Module):
         kind = self.shape_class[self.part]  # with the first leaf of its species
         if self.leaf is None:
             return kind
-        return kind + jnp.where(self.organ == Organ.LEAF, self.leaf[self.plant], 0)
+        varies = self.organ == Organ.LEAF
+        if self.materials_from is not None:
+            varies &= kind < self.materials_from
+        return kind + jnp.where(varies, self.leaf[self.plant], 0)
 
     def unit_shapes(self) -> tuple[Float[Array, "element 3"], Float[Array, "element 3"]]:
         """Shifts of the elements from their plants' feet, per crown diameter and per height [-]."""
@@ -159,7 +165,7 @@ class Planting(eqx.Module):
         never = {"place": 1e9, "size": 1.0, "stature": 1.0}
         return dataclasses.replace(
             self.of_plants(lambda values: more(values, plants, 0.0)),
-            **{name: more(getattr(self, name), plants, fill) for name, fill in never.items()},
+            **{n: more(getattr(self, n), plants, fill) for n, fill in never.items()},  # type: ignore[arg-type]
             plant=more(self.plant, size, plants - 1),
             part=more(self.part, size, 0),
             shapes=jax.tree.map(lambda values: more(values, size, 0), self.shapes),
@@ -187,11 +193,12 @@ class Planting(eqx.Module):
         for start, example in zip(starts, one, strict=True):
             old = slice(start, start + count[example])
             shape = jax.tree.map(lambda values, old=old: values[old], whole)
-            shapes.append(thin_plant(shape, most[owner[example]], seed=int(start)))
-            # Thinning keeps organs apart: each of them has one class in a shape.
-            of_organ = np.zeros(len(Organ), classes.dtype)
-            of_organ[shape.organ] = classes[old]
-            of_class.append(of_organ[np.asarray(shapes[-1].organ)])
+            # Thinning keeps materials apart, and so classes.
+            none = lambda x: x is None  # noqa: E731
+            shape = eqx.tree_at(lambda s: s.material, shape, classes[old], is_leaf=none)
+            thin = thin_plant(shape, most[owner[example]], seed=int(start))
+            shapes.append(eqx.tree_at(lambda s: s.material, thin, None))
+            of_class.append(np.asarray(thin.material))
         size = np.array([len(c) for c in of_class], np.int32)
         few = dataclasses.replace(
             self,
@@ -377,12 +384,12 @@ def _of_individuals(stand: Stand, individuals: Sequence[dict[str, np.ndarray]]) 
     if not plants:
         return no_plants(dtype)
     # The elements of all shapes in one list, each in the optical class of its species and organ.
+    classes = np.concatenate([_classes_of(species, *shape) for shape in zip(own, shapes)])
+    shapes = [dataclasses.replace(shape, material=None) for shape in shapes]
     types = {"f": dtype, "i": "int32"}
     whole = jax.tree.map(
         lambda *parts: jnp.asarray(np.concatenate(parts), types[parts[0].dtype.kind]), *shapes
     )
-    of_organ = np.array(_classes(species))
-    classes = np.concatenate([of_organ[i][np.asarray(s.organ)] for i, s in zip(own, shapes)])
     none = jnp.zeros(0, jnp.int32)
     joined: dict[str, Any] = {
         name: jnp.asarray(np.concatenate([part[name] for part in plants])) for name in plants[0]
@@ -395,6 +402,7 @@ def _of_individuals(stand: Stand, individuals: Sequence[dict[str, np.ndarray]]) 
         part=none,
         shapes=whole,
         shape_class=jnp.asarray(classes, jnp.int32),
+        materials_from=_first_material(species) if material_classes(species) else None,
     )
     few = sum(int(part["count"].sum(dtype=np.int64)) for part in plants) <= MOST_LISTED
     return planting.with_elements() if few else planting
@@ -461,11 +469,15 @@ def _drawn_leaves(plants: int, species: int, leaves: int, seed: int) -> Int[np.n
     return (leaves * drawn).astype(np.int32)
 
 
-def _classes(species: Sequence[Species]) -> list[list[int]]:
-    """Optical class of the first leaf, of wood and flower of each species."""
-    leaves = leaf_classes(species)
-    wood = sum(map(len, leaves.values()))
-    return [[leaves[i].start if i in leaves else 0, wood, wood + 1] for i in range(len(species))]
+def _classes_of(species: Sequence[Species], i: int, shape: PlantModel) -> np.ndarray:
+    """Optical class of each element of the shape of a species' plants."""
+    of_organ = np.array(organ_classes(species)[i])[np.asarray(shape.organ)]
+    if shape.material is None:
+        return of_organ
+    every = material_classes(species)
+    of_material = np.array([every[_optics_key(i, one)][0] for one in species[i].materials])
+    material = np.asarray(shape.material)
+    return np.where(material < 0, of_organ, of_material[material])
 
 
 def seed_of_planting(seed: int, number: int) -> int:
@@ -488,12 +500,75 @@ def individual_seeds(seed: int, species: int) -> list[int]:
 
 def leaf_classes(species: Sequence[Species]) -> dict[int, range]:
     """Optical classes of the leaves of each species that has leaves, by its number among
-    `species`: one for each different leaf. Wood and flowers have the two classes after them."""
+    `species`: one for each different leaf, none where materials are all of its leaves. Wood and
+    flowers have the two classes after them, and `material_classes` are the last."""
     classes, first = {}, 0
     for i, one in enumerate(species):
         if FORMS[one.form].leafy:
             classes[i] = range(first, first := first + one.leaves)
     return classes
+
+
+def _first_material(species: Sequence[Species]) -> int:
+    return sum(map(len, leaf_classes(species).values())) + 2
+
+
+def _optics_key(i: int, material: Material) -> tuple[int, bool, int]:
+    """What tells the optics of a material of species `i` from others: leaves also by the shoots of
+    their species."""
+    leaf = i if material.organ == Organ.LEAF else -1
+    return leaf, material.reflectance is None, material.number
+
+
+def material_classes(
+    species: Sequence[Species],
+) -> dict[tuple[int, bool, int], tuple[int, int, Material]]:
+    """Optical classes of the materials of `species`, those of equal optics once: by what tells them
+    apart the class, the species that has it first and its material."""
+    found: dict[tuple[int, bool, int], tuple[int, int, Material]] = {}
+    first = _first_material(species)
+    for i, one in enumerate(species):
+        for material in one.materials:
+            found.setdefault(_optics_key(i, material), (first + len(found), i, material))
+    return found
+
+
+def class_count(species: Sequence[Species]) -> int:
+    """Number of optical classes of a plot of such `species`."""
+    return _first_material(species) + len(material_classes(species))
+
+
+def organ_classes(species: Sequence[Species]) -> list[list[int]]:
+    """Optical class of the first leaf, of wood and flower of each of the `species`: of its elements
+    that are of no material, or else of the first material of the organ."""
+    leaves, every = leaf_classes(species), material_classes(species)
+    wood = _first_material(species) - 2
+    classes = []
+    for i, one in enumerate(species):
+        own = [leaves[i].start if i in leaves else 0, wood, wood + 1]
+        for organ in Organ:
+            mine = [m for m in one.materials if m.organ == organ]
+            named = [m for m in mine if m.name == organ.name.lower()]
+            if named or (mine and one.share_without_material(organ) == 0.0):
+                own[organ] = every[_optics_key(i, (named or mine)[0])][0]
+        classes.append(own)
+    return classes
+
+
+def class_shares(species: Sequence[Species]) -> Float[np.ndarray, "species organ class"]:
+    """Part of the area of each organ of each species that is of each optical class, its leaves
+    alike [-]. A species without leaves has those of wood in their place."""
+    leaves, every = leaf_classes(species), material_classes(species)
+    shares = np.zeros((len(species), len(Organ), class_count(species)))
+    wood = _first_material(species) - 2
+    for i, one in enumerate(species):
+        own = [leaves.get(i, [wood]), [wood], [wood + 1]]
+        for organ, kinds in zip(Organ, own, strict=True):
+            for kind in kinds:
+                shares[i, organ, kind] = one.share_without_material(organ) / len(kinds)
+        for material in one.materials:
+            shares[i, material.organ, every[_optics_key(i, material)][0]] += material.share
+    return shares
 
 
 def no_plants(dtype: str) -> Planting:

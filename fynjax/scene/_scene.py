@@ -27,6 +27,7 @@ from fynjax._core.programs import as_one, check_known
 from fynjax._core.seeds import generator
 from fynjax.canopy import (
     FORMS,
+    MeshPlant,
     Organ,
     PlantModel,
     Shrubland,
@@ -45,6 +46,7 @@ from fynjax.canopy import (
 )
 from fynjax.radiation import Illumination, OpticalClasses, RahmanPintyVerstraete, VoxelScene
 from fynjax.scene._ground import Ground, ground_shares, kind_shares
+from fynjax.scene._materials import check_leafy, plant_materials, with_areas
 from fynjax.scene._optics import inclination, optical_classes, seen_from_above
 from fynjax.scene._parameters import (
     PARAMETERS,
@@ -60,9 +62,10 @@ from fynjax.scene._planting import (
     Crowns,
     Planting,
     Stand,
+    class_count,
+    class_shares,
     draw_planting,
     known_planting,
-    leaf_classes,
     no_plants,
     seed_of_planting,
     site_spacing,
@@ -70,6 +73,7 @@ from fynjax.scene._planting import (
 )
 from fynjax.scene._species import (
     CoverDefinition,
+    LeafStated,
     Species,
     check_projected,
     cover_definition_of,
@@ -277,7 +281,8 @@ class Scene(eqx.Module):
         boundary: Literal["periodic", "open"] = "periodic",
         rounding: Literal["random", "up"] = "random",
         cover_definition: CoverDefinition | None = None,
-        leaves: Mapping[str, Mapping[str, float] | Sequence[Mapping[str, float]]] | None = None,
+        leaves: Mapping[str | tuple[str, str], LeafStated | Sequence[LeafStated]] | None = None,
+        meshes: Mapping[str, MeshPlant] | None = None,
         leaf_variants: int = 1,
         plants: Shrubland = "fynbos",
         ground: GroundParameters | None = None,
@@ -304,9 +309,17 @@ class Scene(eqx.Module):
         - `cover_definition`: "projected", the share of the ground below the crowns of a species, or
           "article", eq. (10), see `PlantingRules`; left out, "projected", but for a table with
           packing, fill, branches or a least area, which only eq. (10) has.
-        - `leaves`: PROSPECT-D parameters by taxon, in PROSPECT's units; "*" is any other. Left out,
-          the usual leaf; a structure that is left out follows from dry matter. Of several leaves
-          of a taxon each plant has one.
+        - `leaves`: PROSPECT-D parameters by taxon, in PROSPECT's units; "*" is any other. What is
+          left out is that of the usual leaf, anthocyanins and brown pigments 0; a structure that is
+          left out follows from dry matter.
+          Of several leaves of a taxon each plant has one. By taxon and material, as
+          `("Erica", "young")`, what else the plants are made of: PROSPECT-D parameters, or
+          `{"reflectance": Spectrum, "transmittance": Spectrum}`, opaque without the latter, or the
+          name of a shipped reflectance, "bark", "litter" or "char". Materials "flower" and "wood"
+          are all flowers and wood that have no other.
+        - `meshes`: plants by taxon, as `fynjax.canopy.plant_model_from_mesh` makes them; their
+          materials are those of `leaves` by the optics that they state, or by their own names.
+          Others have the shape of their growth form.
         - `leaf_variants`: different leaves of a taxon of which one leaf is stated, drawn about it
           with the spread within species that Californian shrubs have; 1: all plants have that one.
         - `plants`: whose values growth forms and leaves have that are left out: "fynbos", learned
@@ -333,14 +346,21 @@ class Scene(eqx.Module):
         >>> thin = scene.with_values({"species.*.cover": 0.02})
         >>> thin.parameters.species.cover[:2].tolist()
         [0.02, 0.02]
+        >>> red = {("*", "flower"): {"anthocyanins": 8.0}}  # flowers of all taxa
+        >>> blooming = Scene.from_table(table1_2006(), size=2.0, voxel=0.5, leaves=red)
+        >>> blooming.parameters.materials.names
+        ('material.flower',)
         """
         check_known(size=size, voxel=voxel, structure=structure)
         rows = species_rows(table, cover_definition)
-        stated = leaf_rows({} if leaves is None else leaves, [row.taxon for row in rows])
+        taxa, meshes = [row.taxon for row in rows], {} if meshes is None else meshes
+        for taxon in meshes.keys() - set(taxa):
+            raise InputError(f"unknown taxon of a mesh: {taxon!r}.{did_you_mean(taxon, taxa)}")
+        stated = leaf_rows({} if leaves is None else leaves, taxa)
         if any(row.plant is not None for row in rows):
             raise InputError(
-                "expected growth forms, but got the mesh of a plant, which only a plot file can "
-                "name",
+                "expected growth forms, but got the file of a plant, which only a plot file can "
+                "name: give its mesh in `meshes`",
                 column="plant",
             )
         if ground is None:
@@ -350,15 +370,22 @@ class Scene(eqx.Module):
         if leaf_variants < 1:
             raise InputError(f"expected 1 leaf variant or more, but got {leaf_variants}")
         own = drawn_leaves(leaves_of(rows, stated, plants), leaf_variants, seed)
+        shapes = [meshes.get(taxon) for taxon in taxa]
+        for row, shape in zip(rows, shapes, strict=True):
+            if shape is not None:
+                check_leafy(shape, row.growth_form)
+        materials = plant_materials(rows, stated, shapes, population=plants)
+        rows = tuple(with_areas(*pair) for pair in zip(rows, shapes, strict=True))
         parameters = PlotParameters(
             species_parameters(rows, own, plants),
             leaf_parameters(own),
             ground,
             LightParameters() if light is None else light,
+            materials.parameters,
         )
         extent = size if isinstance(size, tuple) else (size, size)
         scene = build_scene(
-            [Species.of(*pair) for pair in zip(rows, own, strict=True)],
+            [Species.of(*one) for one in zip(rows, own, materials.species, strict=True)],
             parameters,
             extent=extent,
             voxel=voxel,
@@ -371,9 +398,10 @@ class Scene(eqx.Module):
             ),
             dead_tissue=dead_tissue,
             hot_spot=hot_spot,
+            plants=materials.plants,
             dtype=dtype,
         )
-        spreads = table_spreads(rows, plants, () if leaves is None else leaves)
+        spreads = table_spreads(rows, plants, stated)
         return dataclasses.replace(scene, spreads=tuple(spreads.items()))
 
     def with_values(self, values: Mapping[str, float | Array]) -> "Scene":
@@ -656,7 +684,8 @@ class Scene(eqx.Module):
         return jnp.stack([leaf, species.wood_area_index, flower], axis=-1)
 
     def area_density(self, parameters: PlotParameters) -> Float[Array, "class z y x"]:
-        """Area per volume of each optical class: the species' leaves, then wood, then flowers."""
+        """Area per volume of each optical class: the species' leaves, then wood, flowers, and
+        materials of their own (`leaf_classes`, `material_classes`)."""
         return self._deposit(parameters, [(self.grid, "class")])[0]
 
     @as_one
@@ -705,7 +734,7 @@ class Scene(eqx.Module):
                 "a smaller plot or larger voxels"
             )
         kinds = {
-            "class": sum(map(len, leaf_classes(self.species).values())) + 2,
+            "class": class_count(self.species),
             "organ": len(self.species) * len(Organ),
             "all": 1,
         }
@@ -766,12 +795,13 @@ class Scene(eqx.Module):
     def optics(
         self, parameters: PlotParameters, bands: BandSet
     ) -> tuple[OpticalClasses, Float[Array, " band"]]:
-        """Optics of the classes (the species' leaves, wood, flowers) and the share of the light
-        that comes from the sky [-], averaged over `bands`.
+        """Optics of the classes (the species' leaves, wood, flowers, further materials) and the
+        share of the light that comes from the sky [-], averaged over `bands`.
 
         **Arguments:** `parameters`, of the plot; `bands`, between 400 and 2500 nm.
 
-        **Raises:** `InputError` where a spectrum of sky or dead tissue does not cover the bands.
+        **Raises:** `InputError` where a spectrum of sky, dead tissue or a material does not cover
+        the bands.
 
         Differentiable in `parameters`.
         """
@@ -783,6 +813,10 @@ class Scene(eqx.Module):
         else:
             self.dead_tissue.check(min(bands.centre), max(bands.centre))
             dead = self.dead_tissue.at(wavelength)
+        for material in (one for species in self.species for one in species.materials):
+            for spectrum in (material.reflectance, material.transmittance):
+                if spectrum is not None:
+                    spectrum.check(min(bands.centre), max(bands.centre))
         classes = optical_classes(
             self.species, parameters, average, wavelength, dead, self.hot_spot
         )
@@ -804,7 +838,8 @@ class Scene(eqx.Module):
         averaged over `bands`; of a part of level ground, with open sides, where `window` is given.
         Differentiable in `parameters`.
 
-        Raises `InputError` where a spectrum of ground, sky or dead tissue does not cover the bands.
+        Raises `InputError` where a spectrum of ground, sky, dead tissue or a material does not
+        cover the bands.
         """
         parameters = jax.tree.map(lambda x: jnp.asarray(x, self.dtype), parameters)
         classes, sky = self.optics(parameters, bands)
@@ -849,27 +884,26 @@ class Scene(eqx.Module):
     ) -> VoxelScene:
         """`voxels` whose classes are leaves, wood and flowers of each species, species by species
         (`Organ`); sun and sight meet the same area. Where plants of a species have different leaves
-        all have the mean of their optics. Differentiable in `parameters`."""
-        voxels, leaves = self.voxels(parameters, bands, window), leaf_classes(self.species)
+        all have the mean of their optics, as facets of different materials have by their areas.
+        Differentiable in `parameters`."""
+        voxels = self.voxels(parameters, bands, window)
         optics = voxels.classes
-        wood = len(optics.reflectance) - 2
-        woods, flowers = range(wood, wood + 1), range(wood + 1, wood + 2)
-        # A species without leaves has no area of them, whatever its class.
-        of_organ = [
-            kinds
-            for species in range(len(self.species))
-            for kinds in (leaves.get(species, woods), woods, flowers)
-        ]
+        shares = class_shares(self.species).reshape(-1, len(optics.reflectance))
+        of_organ = [np.flatnonzero(row) for row in shares]
 
         def mean(optics: Array) -> Array:
-            return jnp.stack([optics[own.start : own.stop].mean(axis=0) for own in of_organ])
+            means = [
+                optics[own].mean(axis=0) if np.ptp(row[own]) == 0.0 else row[own] @ optics[own]
+                for row, own in zip(shares.astype(optics.dtype), of_organ, strict=True)
+            ]
+            return jnp.stack(means)
 
         classes = dataclasses.replace(
             optics,
             reflectance=mean(optics.reflectance),
             transmittance=mean(optics.transmittance),
-            angle_of_class=tuple(optics.angle_of_class[own.start] for own in of_organ),
-            size_of_class=tuple(optics.sizes[own.start] for own in of_organ),
+            angle_of_class=tuple(optics.angle_of_class[own[0]] for own in of_organ),
+            size_of_class=tuple(optics.sizes[own[0]] for own in of_organ),
         )
         parameters = jax.tree.map(lambda x: jnp.asarray(x, self.dtype), parameters)
         grid = self.class_grid if window is None else window.grid(self.class_grid)

@@ -31,7 +31,7 @@ from fynjax._core.parameters import parameters_of
 from fynjax._core.records import Slip, Strict, quantity
 from fynjax._core.seeds import generator
 from fynjax._core.validation import check_header, checked_row, checked_rows
-from fynjax.canopy import FORMS, AbstractLeafAngle, Shrubland, most_projected, table1_2006
+from fynjax.canopy import FORMS, AbstractLeafAngle, Organ, Shrubland, most_projected, table1_2006
 from fynjax.leaf import FLAT, ROUND, LeafParameters, structure_from_dry_matter
 from fynjax.scene._cover_words import cover_range, name_classes
 from fynjax.scene._parameters import (
@@ -40,6 +40,7 @@ from fynjax.scene._parameters import (
     PARAMETERS,
     SpeciesParameters,
 )
+from fynjax.scene._spectra import Spectrum
 
 if TYPE_CHECKING:
     FormName = str
@@ -80,6 +81,12 @@ def _of_the_form(name: str) -> Any:
     return quantity(
         PARAMETERS[name], default=None, note="that of the growth form if left out", column=name
     )
+
+
+def _of_the_leaf(name: str) -> Any:
+    """A field that is None where nothing is stated: the usual leaf has a value."""
+    note = "that of the usual leaf of the growth form if left out"
+    return quantity(PARAMETERS[name], default=None, note=note)
 
 
 @functools.cache
@@ -194,60 +201,108 @@ class SpeciesRow(Strict):
         return shipped[taxon]
 
 
-_PROSPECT_REQUIRED = ("chlorophyll", "carotenoids", "water", "dry_matter")
+_STATED = tuple(name for name in LEAF_FIELDS if name not in ("anthocyanins", "brown_pigments"))
+"""Traits that no row states beside a spectrum."""
+SHIPPED_MATERIALS = ("bark", "litter", "char")
+"""Shipped spectra that a material may have."""
+
+
+def _has(kind: str, *names: str) -> dict[str, Any]:
+    """JSON schema of a row that states one of `names`."""
+    one = [{"required": [name], "properties": {name: {"type": kind}}} for name in names]
+    return {"anyOf": one}
+
+
+_REFUSED: Any = {
+    "anyOf": [
+        _has("string", "spectrum", "reflectance") | {"allOf": [_has("number", *_STATED)]},
+        {"allOf": [_has("string", "spectrum"), _has("string", "reflectance")]},
+        _has("string", "reflectance") | {"not": _has("string", "material")},
+        _has("string", "transmittance") | {"not": _has("string", "reflectance")},
+    ]
+}
+"""JSON schema of rows of a leaf table that state too much, or that of leaves which only another
+material has."""
 
 
 class LeafRow(Strict):
-    """One row of the leaf table: PROSPECT parameters of a taxon, or a spectrum to fit."""
+    """One row of the leaf table: what the leaves of a taxon, or another material of its plants,
+    are: PROSPECT parameters, a spectrum to fit, or of a material a spectrum as it is."""
 
     model_config = ConfigDict(
         extra="forbid",
         frozen=True,
         json_schema_extra={
-            "oneOf": [
-                {"required": ["spectrum"], "properties": {"spectrum": {"type": "string"}}},
-                {
-                    "required": list(_PROSPECT_REQUIRED),
-                    "properties": {name: {"type": "number"} for name in _PROSPECT_REQUIRED},
-                },
-            ]
+            "anyOf": [_has("string", "spectrum", "reflectance"), _has("number", *LEAF_FIELDS)],
+            "not": _REFUSED,
         },
     )
     slips: ClassVar[dict[str, Slip]] = {"water": _per_area_slip, "dry_matter": _per_area_slip}
 
     taxon: str = Field(
         description="Name as in the species table; '*' is every taxon without a row of its own. Of "
-        "a taxon with several rows each plant has one of these leaves.",
+        "a taxon with several rows of its leaves each plant has one of these.",
         min_length=1,
     )
-    chlorophyll: float | None = quantity(PARAMETERS["chlorophyll"], default=None)
-    carotenoids: float | None = quantity(PARAMETERS["carotenoids"], default=None)
+    material: str = Field(
+        default="",
+        description="Material of the plant that the row describes, as its mesh names it, such as "
+        "young, old, fruit, petal or bark; 'flower' and 'wood' are the flowers and the wood that "
+        "nothing else describes, also of generated plants. Left out, or 'leaf': the leaves of the "
+        "taxon.",
+    )
+    chlorophyll: float | None = _of_the_leaf("chlorophyll")
+    carotenoids: float | None = _of_the_leaf("carotenoids")
     anthocyanins: float = _defaulted("anthocyanins")
     brown_pigments: float = _defaulted("brown_pigments")
-    water: float | None = quantity(PARAMETERS["water"], default=None)
-    dry_matter: float | None = quantity(PARAMETERS["dry_matter"], default=None)
+    water: float | None = _of_the_leaf("water")
+    dry_matter: float | None = _of_the_leaf("dry_matter")
     structure: float | None = quantity(
         PARAMETERS["structure"], default=None, note="computed from dry matter if left out"
     )
     spectrum: Annotated[Path, NamedFile("a leaf spectrum")] | None = Field(
         default=None, description="Measured reflectance to fit; a path from the table's folder."
     )
+    reflectance: (
+        Annotated[Path | str, NamedFile("a reflectance spectrum", words=SHIPPED_MATERIALS)] | None
+    ) = Field(
+        default=None,
+        description="Of a material, its reflectance as it is: a file as of spectrum (ASD, CSV "
+        "...), or the shipped bark, litter or char.",
+    )
+    transmittance: Annotated[Path, NamedFile("a transmittance spectrum")] | None = Field(
+        default=None,
+        description="Transmittance beside the reflectance, a file likewise; left out: opaque.",
+    )
+
+    @field_validator("material")
+    @classmethod
+    def _leaf_is_the_leaf(cls, value: str) -> str:
+        return "" if value == "leaf" else value
 
     @model_validator(mode="before")
     @classmethod
     def _one_source(cls, given: dict[str, Any]) -> dict[str, Any]:
-        stated = [n for n in ("structure", *_PROSPECT_REQUIRED) if given.get(n) is not None]
-        missing = [n for n in _PROSPECT_REQUIRED if n not in stated]
-        if given.get("spectrum") is None and missing:
+        has = [name for name, value in given.items() if value is not None]
+        sources = [name for name in ("spectrum", "reflectance") if name in has]
+        if not sources and not set(has) & set(LEAF_FIELDS):
             raise ValueError(
-                f"expected {', '.join(_PROSPECT_REQUIRED)}, or a spectrum, but "
-                f"{', '.join(missing)} is empty"
+                f"expected one of {', '.join(LEAF_FIELDS)}, a spectrum or, of a material, its "
+                "reflectance, but all are empty"
             )
-        if given.get("spectrum") is not None and stated:
+        both = [*(name for name in _STATED if name in has), *sources]
+        if sources and len(both) > 1:
             raise ValueError(
-                f"expected PROSPECT parameters or a spectrum, but got both ({stated[0]!r} and "
-                "'spectrum'). Leave one empty."
+                f"expected PROSPECT parameters or a spectrum, but got both ({both[0]!r} and "
+                f"{both[-1]!r}). Leave one empty."
             )
+        if "reflectance" in has and given.get("material") in (None, "", "leaf"):
+            raise ValueError(
+                "expected a material beside a reflectance that is taken as it is: of the leaves of "
+                "a taxon state PROSPECT parameters, or a 'spectrum' to fit them to"
+            )
+        if "transmittance" in has and "reflectance" not in has:
+            raise ValueError("expected a reflectance beside a transmittance, but it is empty")
         return given
 
     @field_validator("structure")
@@ -255,6 +310,11 @@ class LeafRow(Strict):
     def _of_leaves_as_heavy(cls, value: float | None, info: ValidationInfo) -> float | None:
         dry = info.data.get("dry_matter")
         return float(structure_from_dry_matter(dry)) if value is None and dry is not None else value
+
+    def filled(self, usual: "LeafRow") -> "LeafRow":
+        """The row with the traits of a `usual` leaf where it states none."""
+        left_out = [name for name in LEAF_FIELDS if getattr(self, name) is None]
+        return self.replace(**{name: getattr(usual, name) for name in left_out})
 
 
 USUAL_LEAF = LeafRow(
@@ -284,12 +344,22 @@ SHRUB_LEAF_SD = {"dry_matter": 0.6, "water": 0.6, "chlorophyll": 0.45, "caroteno
 below 15 ug cm-2, which are yellow."""
 
 
+PETAL = {
+    "structure": 2.0, "chlorophyll": 0.0, "carotenoids": 0.5, "anthocyanins": 1.0, "water": 0.008,
+    "dry_matter": 0.003,
+}  # fmt: skip
+"""Petals as leaves without chlorophyll: an assumption, for want of measured fynbos petals."""
+
+
 _WIDTH_OF_90 = 3.29
 """Standard deviations of a normal that its middle 90 % are wide."""
 
 
 def table_spreads(
-    rows: Sequence[SpeciesRow], plants: Shrubland, own_leaves: Collection[str]
+    rows: Sequence[SpeciesRow],
+    plants: Shrubland,
+    leaves: Sequence[LeafRow] = (),
+    measured: Collection[str] = (),
 ) -> dict[str, float]:
     """Relative standard deviations [-] that a species table gives parameters, by their names.
 
@@ -300,7 +370,8 @@ def table_spreads(
 
     - `rows`: of the table.
     - `plants`: whose values those have that it leaves out.
-    - `own_leaves`: taxa of which leaves are stated, "*" for any other.
+    - `leaves`: rows of its leaf table, which may leave traits open too.
+    - `measured`: taxa whose leaves are measured besides.
     """
     spreads = {}
     for row in rows:
@@ -315,9 +386,14 @@ def table_spreads(
             if row.leaves_open(kind):
                 median, sd = getattr(known, kind)
                 spreads[f"species.{row.taxon}.{kind}"] = float(sd / median)
-        if not {row.taxon, "*"} & set(own_leaves):
-            leaf = f"species.{row.taxon}.leaf"
-            spreads |= {f"{leaf}.{kind}": sd for kind, sd in SHRUB_LEAF_SD.items()}
+        if row.taxon in measured:
+            continue
+        of_leaves = [leaf for leaf in leaves if not leaf.material]
+        own = [leaf for leaf in of_leaves if leaf.taxon == row.taxon]
+        own = own or [leaf for leaf in of_leaves if leaf.taxon == "*"]
+        for kind, sd in SHRUB_LEAF_SD.items():
+            if all(leaf.spectrum is None and getattr(leaf, kind) is None for leaf in own):
+                spreads[f"species.{row.taxon}.leaf.{kind}"] = sd
     return spreads
 
 
@@ -512,40 +588,74 @@ def species_rows(
     return tuple(row for _, row in rows)
 
 
-LeafStated = Mapping[str, float]
-"""PROSPECT parameters of a leaf by name."""
+LeafStated = Mapping[str, Any]
+"""PROSPECT parameters of a leaf by name, or reflectance and transmittance of a material: each a
+`Spectrum`, the reflectance also the name of a shipped one."""
 
 
 def leaf_rows(
-    leaves: Mapping[str, LeafStated | Sequence[LeafStated]], taxa: Sequence[str]
+    leaves: Mapping[str | tuple[str, str], LeafStated | Sequence[LeafStated]], taxa: Sequence[str]
 ) -> list[LeafRow]:
-    """Leaves stated by taxon, one or several of each, with "*" for any other, as rows of a leaf
-    table.
+    """Leaves stated by taxon, one or several of each, and materials by taxon and name, with "*" for
+    any other taxon, as rows of a leaf table.
 
-    **Raises:** `InputError` for leaves that a leaf table could not have, and for those of a taxon
-    that is not among `taxa`.
+    **Raises:** `InputError` for what a leaf table could not have, for those of a taxon that is not
+    among `taxa`, and for several of one material.
     """
     rows = []
-    for taxon, stated in leaves.items():
+    for key, stated in leaves.items():
+        taxon, material = (key, "") if isinstance(key, str) else key
         if not stated:
             raise InputError(f"expected a leaf of {taxon!r}, or several, but got none")
         for leaf in [stated] if isinstance(stated, Mapping) else stated:
+            # A spectrum in memory stands for a file, and is put in its place.
+            given = {name: v for name, v in leaf.items() if isinstance(v, Spectrum)}
+            names = {name: Path(name) for name in given}
             try:
                 if "spectrum" in leaf:
                     raise InputError(
                         "expected PROSPECT parameters, but got a spectrum: fit it first"
                     )
-                rows.append(checked_row(LeafRow, {"taxon": taxon, **leaf}))
+                if any(isinstance(leaf.get(n), str | Path) and leaf[n] not in SHIPPED_MATERIALS
+                       for n in ("reflectance", "transmittance")):  # fmt: skip
+                    raise InputError(
+                        f"expected a `Spectrum` or one of {', '.join(SHIPPED_MATERIALS)}, but got "
+                        "a file: `fx.read_scene` reads files"
+                    )
+                row = {"taxon": taxon, "material": material, **leaf, **names}
+                rows.append(checked_row(LeafRow, row).replace(**given))
             except InputError as error:
-                raise InputError(f"leaves of {taxon!r}: {error}") from error
+                of = f"leaves of {taxon!r}" if not material else f"{material!r} of {taxon!r}"
+                raise InputError(f"{of}: {error}") from error
     check_taxa([(None, row) for row in rows], (*taxa, "*"))
+    check_materials([(None, row) for row in rows])
     return rows
+
+
+def check_materials(rows: Sequence[tuple[int | None, LeafRow]], file: Path | None = None) -> None:
+    """Raise `InputError` for a material of a taxon that is described twice.
+
+    **Arguments:** `rows`, of a leaf table, each with its number; `file` of the table, for errors.
+    """
+    seen: set[tuple[str, str]] = set()
+    for number, row in rows:
+        key = row.taxon, row.material
+        if row.material and key in seen:
+            raise InputError(
+                f"{row.material!r} of {row.taxon!r} is there twice: only of leaves may a taxon "
+                "have several, of which each plant has one",
+                file=file,
+                row=number,
+                column="material",
+            )
+        seen.add(key)
 
 
 def leaves_of(
     species: Sequence[SpeciesRow], leaves: Sequence[LeafRow], plants: Shrubland = "fynbos"
 ) -> list[tuple[LeafRow, ...]]:
-    """The leaves of each species: its own rows, else those of "*", else the usual leaf.
+    """The leaves of each species: its own rows, else those of "*", else the usual leaf, which also
+    has the traits that a row leaves out. Other materials are not among them.
 
     **Arguments:**
 
@@ -555,12 +665,16 @@ def leaves_of(
     """
     by_taxon: dict[str, tuple[LeafRow, ...]] = {}
     for row in leaves:
-        by_taxon[row.taxon] = (*by_taxon.get(row.taxon, ()), row)
+        if not row.material:
+            by_taxon[row.taxon] = (*by_taxon.get(row.taxon, ()), row)
     found = []
     for one in species:
-        usual = (usual_leaf(one.growth_form, plants),)
-        stated = by_taxon.get(one.taxon, by_taxon.get("*", usual))
-        found.append(stated if FORMS[one.growth_form].leafy else usual)
+        usual = usual_leaf(one.growth_form, plants)
+        stated = by_taxon.get(one.taxon, by_taxon.get("*", (usual,)))
+        leafy = FORMS[one.growth_form].leafy
+        # A spectrum is still to be fitted: it gives all traits.
+        own = [row if row.spectrum is not None else row.filled(usual) for row in stated]
+        found.append(tuple(own) if leafy else (usual,))
     return found
 
 
@@ -627,6 +741,24 @@ def drawn_leaves(
     return drawn
 
 
+class Material(eqx.Module):
+    """A material of the plants of a species, beside its leaf and the shipped bark and petals."""
+
+    name: str = eqx.field(static=True)
+    """Its name in the leaf table."""
+    organ: int = eqx.field(static=True)
+    """`Organ` of its facets."""
+    share: float = eqx.field(static=True)
+    """Part of the organ's area that is of it [-]."""
+    number: int = eqx.field(static=True)
+    """Place of its traits in `PlotParameters.materials`; of a stated spectrum its number among the
+    different ones. Materials of one number have the same optics."""
+    reflectance: Spectrum | None = None
+    """Reflectance as it was stated; None: PROSPECT of its traits."""
+    transmittance: Spectrum | None = None
+    """Transmittance beside a stated reflectance; None: opaque."""
+
+
 class Species(eqx.Module):
     """What is fixed about a species of a scene; the rest are its parameters."""
 
@@ -645,11 +777,19 @@ class Species(eqx.Module):
     leaf_ratios: Float[Array, "leaf trait"] | None = None
     """Traits of its leaves (`LEAF_FIELDS`), of which each plant has one, over their mean [-]; None:
     all plants have the same leaf."""
+    materials: tuple[Material, ...] = ()
+    """What else its plants are made of, as `PlantModel.material` counts it; those named "wood" and
+    "flower" are all wood and flowers that are of no other."""
 
     @classmethod
-    def of(cls, row: SpeciesRow, leaves: Sequence[LeafRow] = ()) -> "Species":
+    def of(
+        cls,
+        row: SpeciesRow,
+        leaves: Sequence[LeafRow] = (),
+        materials: tuple[Material, ...] = (),
+    ) -> "Species":
         """The species of a `row` of a species table, with its `leaves`, none of which states a
-        spectrum, where there are several."""
+        spectrum, where there are several, and its other `materials`."""
         ratios = None
         if len(leaves) > 1:
             traits = np.array([[getattr(leaf, name) for name in LEAF_FIELDS] for leaf in leaves])
@@ -662,12 +802,20 @@ class Species(eqx.Module):
             row.rotation_spread,
             row.minimum_area,
             leaf_ratios=None if ratios is None else jnp.asarray(ratios),
+            materials=materials,
         )
 
     @property
     def leaves(self) -> int:
-        """Number of different leaves among its plants."""
+        """Number of different leaves among its plants; 0 where all of these are of materials."""
+        if self.share_without_material(Organ.LEAF) == 0.0:
+            return 0
         return 1 if self.leaf_ratios is None else len(self.leaf_ratios)
+
+    def share_without_material(self, organ: int) -> float:
+        """Part of the area of an `organ` that is of no material: 0 where none is left [-]."""
+        left = 1.0 - sum(one.share for one in self.materials if one.organ == organ)
+        return left if left > 1e-6 else 0.0
 
 
 def species_parameters(

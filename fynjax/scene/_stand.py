@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from fynjax.canopy import Organ
+from fynjax.scene._optics import mean_trait
 from fynjax.scene._parameters import PlotParameters
 from fynjax.scene._scene import Scene
 
@@ -78,6 +79,7 @@ def stand_area(scene: Scene, parameters: PlotParameters) -> StandArea:
     shoots = bears[:, Organ.LEAF] * np.asarray(species.leaf_area_index, float)
     dead = shoots * np.asarray(species.dead_fraction, float)
     # Contents are per half the surface [g cm-2]; areas are one-sided too.
-    mass = shoots * np.asarray(parameters.leaf.dry_matter, float) * 1e4
+    dry = mean_trait(scene.species, parameters, "dry_matter")
+    mass = shoots * np.asarray(dry, float) * 1e4
     wood = bears[:, Organ.WOOD] * np.asarray(species.wood_area_index, float)
     return StandArea(shoots - dead, dead, wood, mass, float(_gap_fraction(scene, parameters)))

@@ -78,6 +78,13 @@ def test_schema_and_model_refuse_the_same_leaf_rows():
     assert not is_valid("leaf_table_row", {"taxon": "A"})
     assert not is_valid("leaf_table_row", {**good, "spectrum": "a.csv"})
     assert not is_valid("leaf_table_row", {**good, "water": 10})
+    assert is_valid("leaf_table_row", {"taxon": "A", "chlorophyll": 40})
+    bark = {"taxon": "A", "material": "bark", "reflectance": "a.csv"}
+    assert is_valid("leaf_table_row", {**bark, "transmittance": "b.csv"})
+    assert not is_valid("leaf_table_row", {**good, **bark})
+    assert not is_valid("leaf_table_row", {**bark, "spectrum": "a.csv"})
+    assert not is_valid("leaf_table_row", {"taxon": "A", "reflectance": "a.csv"})
+    assert not is_valid("leaf_table_row", {"taxon": "A", "chlorophyll": 4, "transmittance": "b"})
 
 
 def test_a_summary_of_another_shape_is_not_valid():

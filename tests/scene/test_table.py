@@ -162,13 +162,13 @@ def test_what_a_table_says_of_crowns_counts():
     ("leaves", "words"),
     [
         ({"Erica irregulars": LEAF}, "'Erica irregulars'"),
-        ({"*": {"water": 0.02}}, "chlorophyll"),
+        ({"*": {"water": None}}, "chlorophyll.*all are empty"),
         ({"*": {"spectrum": "leaf.csv"}}, "got a spectrum"),
         (
             {"*": LEAF | {"water": 200.0}},
             r"leaves of '\*': column 'water': .*from 0 to 0.2 cm, but got 200. g m-2",
         ),
-        ({"*": LEAF | {"water": None}}, "water is empty"),
+        ({"*": LEAF | {"taxn": 1.0}}, "taxn"),
     ],
 )
 def test_leaves_that_belong_to_no_plant_are_refused(leaves, words):

@@ -28,7 +28,7 @@ class PlantMaterial:
     organ: Organ | str
     """Organ: leaf, wood or flower."""
     optics: str = ""
-    """Name of its optical class (a spectrum of the user's); the material's own name if empty."""
+    """Name of its optics, as a leaf table describes them; the organ's name if empty."""
     solid: bool | None = None
     """Whether it bounds solid bodies, so that half of its area counts; None leaves that to
     `solid_materials`."""
@@ -99,7 +99,7 @@ class MeshPlant(eqx.Module):
     materials: tuple[str, ...] = eqx.field(static=True)
     """Names of the materials."""
     optics: tuple[str, ...] = eqx.field(static=True)
-    """Name of the optical class of each material."""
+    """Name of the optics of each material; its organ's where none was stated."""
     solid_share: tuple[float, ...] = eqx.field(static=True)
     """Part of each material's area that bounds bodies, so that half of it counted [-]."""
 
@@ -162,7 +162,10 @@ def mesh_plant(
         jnp.asarray(np.where(normal[:, 2:] < 0.0, -normal, normal)),
         jnp.asarray(organ, jnp.int32),
     )
-    optics = tuple(kind.optics or name for name, kind in materials.items())
+    optics = tuple(
+        kind.optics or Organ(of).name.lower()
+        for of, kind in zip(organs, materials.values(), strict=True)
+    )
     return MeshPlant(
         plant,
         width,

@@ -65,7 +65,7 @@ def plant_sources(plot: Plot, prior: LearnedPrior | None = None) -> str:
     for kind, what in _OPEN.items():
         rows = plot.species if kind == "wood_area_index" else leafy
         add(what, Counter(source_of(row, kind) for row in rows))
-    stated = {leaf.taxon for leaf in plot.leaves}
+    stated = {leaf.taxon for leaf in plot.leaves if not leaf.material}
     leaves = "" if plot.leaf_table is None else plot.leaf_table.name
 
     def leaf_source(row: SpeciesRow) -> str:
@@ -99,8 +99,7 @@ def plot_spreads(plot: Plot) -> dict[str, float]:
 
     **Arguments:** `plot`, as `read_plot` gives it.
     """
-    own_leaves = {leaf.taxon for leaf in plot.leaves} | set(plot.leaf_files)
-    return table_spreads(plot.species, plot.shrubland, own_leaves)
+    return table_spreads(plot.species, plot.shrubland, plot.leaves, plot.leaf_files)
 
 
 def with_prior(plot: Plot, name_or_path: str | Path) -> Plot:

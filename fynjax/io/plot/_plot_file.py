@@ -21,6 +21,7 @@ from fynjax.scene import (
     CoverDefinition,
     LeafRow,
     SpeciesRow,
+    check_materials,
     check_species,
     check_taxa,
     cover_definition_of,
@@ -58,9 +59,10 @@ def _read_leaves(
 ) -> tuple[LeafRow, ...]:
     rows = read_rows(path, LeafRow, "a leaf table", within=within)
     check_taxa(rows, [*(row.taxon for row in species), "*"], path)
-    named = {row.taxon for _, row in rows} | set(measured)
+    check_materials(rows, path)
+    named = {row.taxon for _, row in rows if not row.material or row.taxon != "*"} | set(measured)
     for i, (number, row) in enumerate(rows):
-        if row.taxon in measured:
+        if row.taxon in measured and not row.material:
             words = f"the plot's leaf_spectra have leaves of {row.taxon!r} too: leave one out"
             raise InputError(words, row=number, column="taxon")
         if row in [earlier for _, earlier in rows[:i]]:
@@ -177,7 +179,8 @@ def read_plot(path: str | Path, *, allow_outside: bool = False) -> Plot:
         read_sky(parsed.sky.table)
     if parsed.sky.pattern is not None:
         read_sky_pattern(parsed.sky.pattern)
-    in_tables = [*(row.plant for row in species), *(row.spectrum for row in leaves)]
+    in_tables: list[object] = [row.plant for row in species]
+    in_tables += [f for row in leaves for f in (row.spectrum, row.reflectance, row.transmittance)]
     in_tables += [file for files in spectra.values() for file in files]
     named = (file for file in parsed.named_files if file.is_file())
     plot = Plot.model_construct(  # of parts that are checked
@@ -194,7 +197,7 @@ def read_plot(path: str | Path, *, allow_outside: bool = False) -> Plot:
         air=parsed.atmosphere,
         calibration=parsed.calibration,
         leaf_files=spectra,
-        inputs=(path, *named, *(p for p in in_tables if p is not None)),
+        inputs=(path, *named, *(p for p in in_tables if isinstance(p, Path))),
     )
     _check_sensor(plot, refused)
     if plot.place_deg is None:

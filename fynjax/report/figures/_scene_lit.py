@@ -16,7 +16,7 @@ from fynjax.io.instruments import scene_meshes
 from fynjax.report.figures._scene import standing_points
 from fynjax.report.figures._scene_oblique import View, oblique_figure, relief, view_of
 from fynjax.report.figures._style import Figure
-from fynjax.scene import Instances, Scene, hard_instances, hard_scene, leaf_classes
+from fynjax.scene import Instances, Scene, hard_instances, hard_scene, organ_classes
 from fynjax.sensors import BandSet
 
 _COLOURS = BandSet(("red", "green", "blue"), (650.0, 550.0, 460.0), (40.0, 40.0, 40.0))
@@ -140,8 +140,7 @@ def _points(
     index = share * np.asarray(scene.organ_index(scene.parameters))
     crowns = np.bincount(plants.species, np.pi / 4 * plants.diameter**2, len(plants.taxa))
     total = np.maximum(index.sum(axis=1) * crowns, 1e-9)
-    leaves = leaf_classes(scene.species)
-    wood = sum(map(len, leaves.values()))
+    classes = organ_classes(scene.species)
     parts = []
     for species, mesh in enumerate(meshes):
         if mesh is None:
@@ -153,10 +152,8 @@ def _points(
         place, turned = standing_points(plants, mine, position, np.asarray(model.normal))
         disc = np.pi / 4 * plants.diameter[mine, None] ** 2
         area = disc * np.asarray(model.area_fraction) * index[species][organ]
-        first = leaves[species].start if species in leaves else 0
-        kind = np.array([first, wood, wood + 1])[organ]
-        kinds = np.broadcast_to(kind, area.shape)
-        if plants.leaf is not None:
+        kinds = np.broadcast_to(np.array(classes[species])[organ], area.shape)
+        if plants.leaf is not None and scene.species[species].leaves > 0:
             kinds = kinds + np.outer(plants.leaf[mine], organ == Organ.LEAF)
         kinds = kinds.ravel()
         parts.append(
