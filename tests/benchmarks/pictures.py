@@ -4,7 +4,8 @@
 
 `agreement.png`: RAMI's floating spheres in the red by all views beside the reference, and means of
 an image of the example plot beside Mitsuba's, as `docs/validation.md` has them; `slopes.png`: the
-table of `table_slopes` in `docs/model.md`. Prints what is drawn.
+slopes by number of `table_slopes` in `docs/model.md`; `feet.png`: slopes by places, as in
+`docs/python.md`. Prints what is drawn.
 """
 
 import json
@@ -12,11 +13,15 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
+import equinox as eqx
+import jax
 import numpy as np
+from jaxtyping import Array
 
 from fynjax.radiation import Accuracy
 from fynjax.report.figures import save_figure
 from fynjax.report.figures._style import AFTER, GREY, REAL, Figure, style
+from fynjax.scene import Scene, observe
 from tests.benchmarks._measure import data_folder, options
 from tests.radiation.scenes import reflectance_of, solver, views_of_reference
 from tests.radiation.test_reference_scenes import floating_spheres
@@ -44,6 +49,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
         figure = Figure(figsize=(5.0, 4.2))
         _slopes(figure.subplots())
         save_figure(figure, folder / "slopes.png", dpi=110)
+        figure = Figure(figsize=(4.2, 4.4))
+        _feet(figure.subplots())
+        save_figure(figure, folder / "feet.png", dpi=110)
 
 
 def _spheres(axes, tiny: bool) -> None:
@@ -79,22 +87,43 @@ def _means(axes) -> None:
 
 def _slopes(axes) -> None:
     text = (DOCS / "model.md").read_text("utf-8")
-    rows = re.search(r"\| \| by cover [^\n]* by height \|\n.*?\n\n", text, re.S)
-    table = rows[0].strip().splitlines()
-    kinds = [cell.strip() for cell in table[0].split("|")[2:-1]]
-    for mark, row in zip("os^D", table[2:], strict=True):
-        name, *cells = (cell.strip() for cell in row.split("|")[1:-1])
-        pairs = np.array([_numbers(cell)[:2] for cell in cells])
-        print(name, *pairs.ravel())
-        axes.plot(*pairs.T, mark, color=AFTER, mfc="none", label=name)
-        if name == "NDVI, mean":
-            for pair, kind in zip(pairs, kinds, strict=True):
-                axes.annotate(kind, pair, (6, -9), textcoords="offset points", fontsize=8)
-    axes.axline((0.0, 0.0), slope=1.0, color=GREY, lw=0.8, zorder=0)
-    axes.set(title="Slopes of an image by the logarithm of a factor",
-             xlabel="Difference of means over plantings",
-             ylabel="Mean of the slopes that are taken")  # fmt: skip
+    rows = re.search(r"\| plants \| .*?\n\n", text, re.S)
+    table = np.array([_numbers(row) for row in rows[0].strip().splitlines()[2:]])
+    print(table)
+    plants, before, after, error = table.T
+    axes.axhline(1.0, color=GREY, lw=0.8, zorder=0)
+    axes.plot(plants, before, "o-", color=GREY, mfc="none", lw=0.8, label="before")
+    axes.errorbar(plants, after, 2.0 * error, fmt="o-", color=AFTER, lw=0.8, label="now")
+    axes.set_xscale("log")
+    ticks = (0.5, 1, 2, 3, 5, 10, 20, 30)
+    axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
+    axes.set_xticks([], minor=True)
+    axes.set(title="Slope of the gap by the number of plants",
+             xlabel="Plants of the species", ylabel="Over what one plant more makes")  # fmt: skip
     axes.legend(fontsize=8)
+
+
+def _feet(axes) -> None:
+    """The plot of `docs/python.md` in the near infrared, and slopes by the feet of its plants."""
+    taxa = ("a", "rounded_shrub", 40, 30, 0.6), ("b", "tussock", 30, 15, 0.5)
+    columns = "taxon", "growth_form", "mean_diameter_cm", "cover_percent", "height_max_m"
+    scene = Scene.from_table([dict(zip(columns, row)) for row in taxa], size=2.0, seed=1)
+
+    def bright(foot: Array) -> tuple[Array, Array]:
+        moved = eqx.tree_at(lambda s: s.planting.foot, scene, foot)
+        image = observe(moved, "mavic_3m", pixel=0.02)["nir"]
+        return image.mean(), image
+
+    foot = scene.planting.foot
+    slope, image = eqx.filter_jit(jax.grad(bright, has_aux=True))(foot)
+    standing = np.asarray(scene.standing(scene.parameters)) > 0.0
+    axes.imshow(image, origin="lower", extent=(0, 2, 0, 2), cmap="gray")
+    arrows = np.asarray(slope)[standing]
+    arrows = 0.25 * arrows / np.hypot(*arrows.T).max()
+    axes.quiver(*np.asarray(foot)[standing].T, *arrows.T, color=AFTER, angles="xy",
+                scale_units="xy", scale=1.0, width=0.008)  # fmt: skip
+    axes.set(title="Which way each plant would move\nto brighten the near infrared",
+             xlabel="East [m]", ylabel="North [m]")  # fmt: skip
 
 
 def _numbers(text: str) -> list[float]:

@@ -1,15 +1,19 @@
 """Whether the slope of a planting is, in the mean, that of the expected stand of whole plants.
 
-    python -m tests.benchmarks.table_slopes [--size 2] [--plantings 48]
+    python -m tests.benchmarks.table_slopes [--plantings 64]
 
-Seven species of table 1. For each quantity and kind of parameter (the covers of all species times
-one factor, their diameters, leaf areas, heights): the derivative of the mean over plantings by the
-logarithm of the factor, as a difference of the means of whole plants of the same plantings, and the
-mean and median of the slopes that are taken; then what an image and a gradient cost.
+A plot of 2.4 m with few plants (1.4 rounded shrubs of 90 cm, 7.9 upright ericoids of 45 cm, 3.7
+tussocks of 50 cm) and one with many smaller ones. For each statistic and kind of parameter (the
+cover of the first species, or all of a kind, times one factor): the derivative of the mean over
+plantings by the logarithm of the factor, as a difference of the means of whole plants of the same
+plantings, beside the mean of the slopes that are taken; and the mean of the values of the stands in
+expectation over that of whole plants. Then slopes of the gap by the number of plants of one
+species, from half a plant to 30, over what one plant more makes; and what an image and a gradient
+cost.
 """
 
+import dataclasses
 from collections.abc import Sequence
-from functools import partial
 
 import equinox as eqx
 import jax
@@ -18,7 +22,6 @@ import numpy as np
 import pandas as pd
 from jaxtyping import Array, Float
 
-from fynjax.canopy import table1_2006
 from fynjax.metrics import image_statistics
 from fynjax.scene import (
     AimedSensor,
@@ -26,43 +29,79 @@ from fynjax.scene import (
     PlotParameters,
     Scene,
     aim,
-    slope_of_fading,
     stand_realisation,
 )
 from fynjax.sensors import shipped_sensor
 from tests.benchmarks._measure import options, seconds
 
-KINDS = {"cover": 0.28, "diameter": 0.28, "leaf_area_index": 0.1, "height": 0.1}
+COLUMNS = "taxon", "growth_form", "mean_diameter_cm", "cover_percent", "height_max_m"
+PLOTS = {
+    "few plants": (
+        ("a", "rounded_shrub", 90, 15, 0.8),
+        ("b", "upright_ericoid", 45, 20, 0.6),
+        ("c", "tussock", 50, 12, 0.5),
+    ),
+    "many plants": (
+        ("a", "rounded_shrub", 25, 20, 0.5),
+        ("b", "upright_ericoid", 18, 20, 0.4),
+        ("c", "tussock", 15, 12, 0.35),
+    ),
+}
+"""Species of the plots of 2.4 m, columns as in a species table."""
+KINDS = {
+    "cover of one": 0.28, "cover": 0.28, "diameter": 0.28, "leaf_area_index": 0.02, "height": 0.02,
+    "chlorophyll of one": 0.02,
+}  # fmt: skip
 """Kinds of parameters, and half the step of their differences, of the logarithm."""
-STATISTICS = ("red.mean", "nir.mean", "NDVI.mean", "NDVI.std")
+STATISTICS = ("green.mean", "red.mean", "red_edge.mean", "nir.mean", "NDVI.mean", "NDVI.std")
 QUANTITIES = ("gap", *STATISTICS, "LiDAR height, 95 %")
+NUMBERS = (0.5, 0.7, 0.85, 1.0, 1.15, 1.3, 1.45, 1.6, 1.75, 1.9, 2.0, 2.15, 2.5, 3.0, 4.0, 5.5, 8.0,
+           12.0, 20.0, 30.0)  # fmt: skip
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Print the table."""
+    """Print the tables."""
     parser = options(__doc__)
-    parser.add_argument("--size", type=float, default=2.0, help="side of the plot [m]")
-    parser.add_argument("--plantings", type=int, default=48)
+    parser.add_argument("--plantings", type=int, default=64)
     given = parser.parse_args(arguments)
-    size, plantings, species = (1.0, 2, 2) if given.tiny else (given.size, given.plantings, 7)
-    scene = Scene.from_table(table1_2006().iloc[:species], size=size, seed=1)
-    parameters = scene.parameters
-    camera = aim(scene, parameters, shipped_sensor("mavic_3m"), Placement(pixel=0.05))
-    table = pd.DataFrame(slopes(scene, parameters, camera, plantings))
-    print(f"{size:g} m, {plantings} plantings")
-    print(table.to_string(index=False, float_format=lambda v: f"{v:+.4f}"))
-    if not given.tiny:
-        print(costs(scene, parameters, camera))
+    plantings = 2 if given.tiny else given.plantings
+    size, voxel = (1.0, 0.25) if given.tiny else (2.4, 0.1)
+    for name, species in PLOTS.items():
+        species = species[:1] if given.tiny else species
+        table = [dict(zip(COLUMNS, row)) for row in species]
+        scene = Scene.from_table(table, size=size, voxel=voxel, seed=1)
+        camera = aim(scene, scene.parameters, shipped_sensor("mavic_3m"), Placement(pixel=0.1))
+        counts = ", ".join(f"{n:.1f}" for n in scene.counts(scene.parameters))
+        rows, values = slopes(scene, scene.parameters, camera, plantings)
+        print(f"{name} ({counts}), {plantings} plantings")
+        print(rows.to_string(index=False, float_format=lambda v: f"{v:+.4f}"))
+        print(values.to_string(index=False, float_format=lambda v: f"{v:.4f}"))
+        if given.tiny:
+            break
+        print(costs(scene, scene.parameters, camera))
+    print(by_number(NUMBERS[:2] if given.tiny else NUMBERS, 2 * plantings).to_string(index=False))
 
 
 def scaled(parameters: PlotParameters, log_factor: Float[Array, " kind"]) -> PlotParameters:
     """The parameters with those of each kind times a factor."""
-    where = lambda p: [getattr(p.species, kind) for kind in KINDS]  # noqa: E731
-    values = [v * jnp.exp(x) for v, x in zip(where(parameters), log_factor)]
-    return eqx.tree_at(where, parameters, values)
+    by, species = dict(zip(KINDS, jnp.exp(log_factor))), parameters.species
+    first = lambda values, factor: values.at[0].multiply(factor)  # noqa: E731
+    return eqx.tree_at(
+        lambda p: (
+            p.species.cover, p.species.diameter, p.species.leaf_area_index, p.species.height,
+            p.leaf.chlorophyll,
+        ),
+        parameters,
+        (
+            first(species.cover * by["cover"], by["cover of one"]),
+            species.diameter * by["diameter"],
+            species.leaf_area_index * by["leaf_area_index"],
+            species.height * by["height"],
+            first(parameters.leaf.chlorophyll, by["chlorophyll of one"]),
+        ),
+    )  # fmt: skip
 
 
-@partial(slope_of_fading, apart=True)
 def first_return_height(scene: Scene, parameters: PlotParameters) -> Float[Array, ""]:
     """Height below which 95 % of the first returns of a LiDAR from straight above lie [m]."""
     density = scene.area_density(parameters).sum(axis=0)[::-1]  # from the top down
@@ -74,8 +113,9 @@ def first_return_height(scene: Scene, parameters: PlotParameters) -> Float[Array
 
 def slopes(
     scene: Scene, parameters: PlotParameters, camera: AimedSensor, plantings: int
-) -> list[dict[str, object]]:
-    """A row for each kind and quantity."""
+) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """A row for each kind and quantity; and the values of stands in expectation over those of whole
+    plants."""
 
     def quantities(x: Array, scene: Scene) -> Array:
         plot = scaled(parameters, x)
@@ -83,7 +123,7 @@ def slopes(
         return jnp.concatenate(
             [
                 scene.gap_fraction(plot)[None],
-                image_statistics(image, STATISTICS),
+                image_statistics(image, STATISTICS, bands=camera.sensor.bands.names),
                 first_return_height(scene, plot)[None],
             ]
         )
@@ -91,59 +131,93 @@ def slopes(
     value = eqx.filter_jit(quantities)
 
     @eqx.filter_jit
-    def jacobian(x: Array, scene: Scene) -> Array:
-        _, push = jax.linearize(lambda x: quantities(x, scene), x)
-        return jax.lax.map(push, jnp.eye(x.size, dtype=x.dtype))
+    def jacobian(x: Array, scene: Scene) -> tuple[Array, Array]:
+        value, push = jax.linearize(lambda x: quantities(x, scene), x)
+        return value, jax.lax.map(push, jnp.eye(x.size, dtype=x.dtype))
 
     none, steps = jnp.zeros(len(KINDS), jnp.float32), list(KINDS.values())
-    differences, taken = [], []
-    for seed in range(plantings):
-        stand = stand_realisation(scene, 1000 + seed)
+    values, differences, taken = [], [], []
+    for number in range(1, plantings + 1):
+        # Sites for the largest covers that differences take.
+        stand = scene.replanted(number, 2.4 * np.asarray(scene.counts(parameters)))
         ends = [
             [np.asarray(value(none.at[i].set(sign * step), stand)) for sign in (1, -1)]
             for i, step in enumerate(steps)
         ]
         differences.append([(up - down) / (2 * step) for (up, down), step in zip(ends, steps)])
-        taken.append(np.asarray(jacobian(none, stand)))
-    apart, found = np.array(differences, float), np.array(taken, float)
-    root = np.sqrt(plantings)
+        expected, slope = jacobian(none, stand)
+        values.append([np.asarray(value(none, stand)), np.asarray(expected)])
+        taken.append(np.asarray(slope))
+    apart, found, both = (np.array(v, float) for v in (differences, taken, values))
     rows = []
     for i, kind in enumerate(KINDS):
         for k, name in enumerate(QUANTITIES):
             truth, own = apart[:, i, k], found[:, i, k]
-            error = np.hypot(truth.std(ddof=1), own.std(ddof=1)) / root
-            away = np.array([own.mean(), np.median(own)]) - truth.mean()
+            paired = (own - truth).std(ddof=1) / np.sqrt(plantings)
             rows.append(
                 {
                     "by": kind,
                     "of": name,
                     "expected stand": truth.mean(),
-                    "error": truth.std(ddof=1) / root,
+                    "error": truth.std(ddof=1) / np.sqrt(plantings),
                     "slopes, mean": own.mean(),
-                    "median": np.median(own),
                     "sd": own.std(ddof=1),
-                    "mean off, in errors": away[0] / max(error, 1e-12),
-                    "median off": away[1] / max(error, 1e-12),
+                    "ratio": own.mean() / truth.mean() if truth.mean() else np.nan,
+                    "off, in paired errors": (own - truth).mean() / max(paired, 1e-12),
                 }
             )
-    return rows
+    whole, expected = both.mean(axis=0)
+    error = (both[:, 1] - both[:, 0]).std(axis=0, ddof=1) / np.sqrt(plantings) / whole
+    ratios = {"value of": QUANTITIES, "expected over whole": expected / whole, "error": error}
+    return pd.DataFrame(rows), pd.DataFrame(ratios)
+
+
+def by_number(numbers: Sequence[float], plantings: int) -> pd.DataFrame:
+    """Mean slope of the gap by the number of rounded shrubs of 60 cm on 3 m, over what one plant
+    more makes of the same plantings; a window of one plant about a number is shared between the
+    steps that it lies in, as plants in expectation are."""
+    row = dict(zip(COLUMNS, ("a", "rounded_shrub", 60, 60, 0.6)))
+    scene = Scene.from_table([row], size=3.0, seed=1)
+
+    def gap(number: Array, stand: Scene) -> Array:
+        return dataclasses.replace(stand, number=number).gap_fraction(scene.parameters)
+
+    value, slope = eqx.filter_jit(gap), eqx.filter_jit(jax.grad(gap))
+    drawn = np.random.default_rng(1).permutation(plantings)
+    stands = [stand_realisation(scene, i) for i in range(plantings)]
+    # Four rounding numbers for each planting, all of them evenly spread.
+    rounding = (drawn[:, None] / plantings + np.arange(4) + 0.5 / plantings) / 4.0
+    as_number = lambda n: jnp.array([n], jnp.float32)  # noqa: E731
+    most = int(np.ceil(max(numbers))) + 2
+    whole = np.array([[value(as_number(n), s) for n in range(most)] for s in stands])
+    steps, rows = np.diff(whole, axis=1), []
+    for number in numbers:
+        low, high = number - 0.5, number + 0.5
+        edges = np.arange(most)
+        shares = np.clip(np.minimum(high, edges[1:]) - np.maximum(low, edges[:-1]), 0.0, 1.0)
+        made = steps @ shares
+        own = np.array(
+            [
+                np.mean(
+                    [
+                        float(slope(as_number(number), dataclasses.replace(s, rounding=r))[0])
+                        for r in jnp.asarray(u[:, None], jnp.float32)
+                    ]
+                )
+                for s, u in zip(stands, rounding)
+            ]
+        )
+        error = (own - made).std(ddof=1) / np.sqrt(plantings) / abs(made.mean())
+        rows.append({"plants": number, "ratio": own.mean() / made.mean(), "error": error})
+    return pd.DataFrame(rows).round(3)
 
 
 def costs(scene: Scene, parameters: PlotParameters, camera: AimedSensor) -> str:
-    """Times of an image, of its gradient, and of the gradient of fading plants alone."""
+    """Times of an image and of its gradient."""
     mean = lambda p, s: camera.observe(s, p).reflectance.mean()  # noqa: E731
-    alone = lambda p, s: camera.image(s.voxels(p, camera.sensor.bands))[0].mean()  # noqa: E731
-    times = []
-    for function, stand in (
-        (mean, scene), (jax.grad(mean), scene), (jax.grad(alone), scene.expected()),
-    ):  # fmt: skip
-        run = eqx.filter_jit(function)
-        times.append(seconds(lambda run=run, stand=stand: run(parameters, stand), 5)[2])
-    image, gradient, faded = times
-    return (
-        f"image {image:.2f} CPU s; gradient {gradient / image:.1f} images, without that of whole "
-        f"plants {faded / image:.1f}"
-    )
+    programs = eqx.filter_jit(mean), eqx.filter_jit(jax.grad(mean))
+    image, gradient = (seconds(lambda f=f: f(parameters, scene), 5)[2] for f in programs)
+    return f"image {image:.2f} CPU s; gradient {gradient / image:.1f} images"
 
 
 if __name__ == "__main__":
