@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from fynjax._core.dry_run import counted, rehearsing
 from fynjax._core.errors import InputError
 from fynjax._core.precision import drawn_in_double
 from fynjax.assembly._ground import (
@@ -30,6 +31,7 @@ from fynjax.io.spectra import reflectances
 from fynjax.leaf import AbstractMeasurement, fit_leaf
 from fynjax.scene import (
     LEAF_FIELDS,
+    SHRUB_LEAF,
     LeafRow,
     LightParameters,
     MaterialParameters,
@@ -42,6 +44,7 @@ from fynjax.scene import (
     build_scene,
     check_projected_scene,
     drawn_leaves,
+    hard_counts,
     leaf_parameters,
     leaves_of,
     plant_materials,
@@ -152,6 +155,8 @@ def build_plot(
         room=room,
         dtype=dtype,
     )
+    if plot.parameters is not None:
+        counted(lambda plan: replace(plan, plants=hard_counts(scene, parameters)))
     spreads = tuple(plot_spreads(plot).items())
     return replace(scene, parameters=parameters, spreads=spreads), parameters
 
@@ -247,6 +252,8 @@ def _fitted(leaf: LeafRow, instrument: AbstractMeasurement) -> LeafRow:
             "a leaf spectrum must have reflectance within 400-2500 nm, but has none",
             file=leaf.spectrum,
         )
+    if rehearsing():  # any leaf will do
+        return leaf.replace(**{name: getattr(SHRUB_LEAF, name) for name in LEAF_FIELDS})
     fit = fit_leaf(grid, many, measurement=instrument)
     found = {name: float(np.mean(getattr(fit.parameters, name))) for name in LEAF_FIELDS}
     return leaf.replace(**found)

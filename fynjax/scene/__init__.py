@@ -41,6 +41,7 @@ from fynjax.scene._parameters import (
     parameter_reference,
     with_values,
 )
+from fynjax.scene._plan import ScenePlan
 from fynjax.scene._planting import (
     MOST_LISTED,
     Crowns,
@@ -128,6 +129,7 @@ __all__ = [
     "ProjectedCover",
     "ReturnTruth",
     "Scene",
+    "ScenePlan",
     "Species",
     "SpeciesParameters",
     "SpeciesRow",
