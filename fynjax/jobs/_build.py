@@ -123,12 +123,14 @@ def build(
     with run.stage("Plant the plot", "plants"):
         scene, parameters = build_plot(read, seed=run.seed)
         plants = int(hard_counts(scene, parameters).sum())
-        if mesh:
+        if mesh:  # early: it may be refused
             check_triangles(plants, max_triangles)
         rows = f"{len(read.species)} species"
         files = {"instances.csv": f"{plants} plants", "cover.csv": rows, "stand.csv": rows}
         files["voxels.nc"] = f"{' x '.join(map(str, scene.grid.shape))} voxels"
-        begin_work(files | ({"scene.obj": f"at most some {max_triangles} triangles"} if mesh else {}))
+        begin_work(
+            files | ({"scene.obj": f"at most some {max_triangles} triangles"} if mesh else {})
+        )
         real = np.asarray(scene.counts(parameters), float)
         instances = hard_instances(scene, parameters)
         hard = hard_scene(scene, parameters)
