@@ -142,15 +142,11 @@ def sweep_sensors(
     **Raises:** `InputError` for settings that do not fit scene or sensor.
     """
     whole_number("seed", seed)
-    settings: dict[str, Any] = {
-        "gsd": gsd,
-        "bands": bands,
-        "noise": noise,
-        "sun_zenith": sun_zenith,
-    }
-    settings |= {"stand_realisations": stand_realisations, "coarse": coarse}
     quick = coarser(scene, parameters)
-    steps, lights, cameras = check_sweep(quick, parameters, sensor, placement, **settings)
+    steps, lights, cameras = check_sweep(
+        quick, parameters, sensor, placement, gsd=gsd, bands=bands, noise=noise,
+        sun_zenith=sun_zenith, stand_realisations=stand_realisations, coarse=coarse,
+    )  # fmt: skip
     plantings = [
         quick,
         *(stand_realisation(quick, i) for i in range(1, stand_realisations + 1)),

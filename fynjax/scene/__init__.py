@@ -7,7 +7,7 @@ from fynjax._core.compiler import keep_compiled
 from fynjax.scene._cover import ProjectedCover, projected_cover
 from fynjax.scene._ground import COVERS, Ground, ground_shares, random_patches
 from fynjax.scene._instances import Instances, hard_counts, hard_instances, hard_scene
-from fynjax.scene._large import TiledPicture, is_large
+from fynjax.scene._large import TiledPicture, check_image, is_large
 from fynjax.scene._lidar import LidarObservation, ReturnTruth, observe_lidar
 from fynjax.scene._materials import (
     PlantMaterials,
@@ -140,6 +140,7 @@ __all__ = [
     "background_spectrum",
     "band_wavelengths",
     "build_scene",
+    "check_image",
     "check_leafy",
     "check_materials",
     "check_projected_scene",
