@@ -11,11 +11,13 @@ from fynjax.canopy import thin_plant
 from fynjax.scene._planting import Stand, element_count
 
 _MOST_FINEST = 1e8
-"""Finest voxels that are in memory at once, about: beyond, pictures are rendered in tiles."""
-_BYTES, _SITE_BYTES, _VOXEL_BYTES, _FINEST_BYTES = 0.9e9, 700.0, 380.0, 30.0
+"""Finest voxels beyond which a picture is rendered in tiles."""
+_BYTES, _SITE_BYTES = 0.9e9, 700.0
+_VOXEL_BYTES, _FINEST_BYTES = 380.0, 30.0
+_TILED_BYTES, _TILED_VOXEL_BYTES = 1e9, 190.0
 _SECONDS, _SITE_SECONDS, _VOXEL_SECONDS, _FINEST_SECONDS = 14.0, 5e-5, 1e-5, 1.2e-7
 """What a run takes at least, and for each site, voxel and finest voxel: measured of `fynjax render`
-in 4 bands on plots of 5 to 100 m."""
+in 4 bands on plots of 5 to 40 m, and of the planting of 100 m."""
 
 
 @dataclass(frozen=True)
@@ -51,12 +53,10 @@ class ScenePlan:
     def memory(self) -> float:
         """Memory of a picture in a few bands [bytes], by order of magnitude."""
         voxels, finest = self._voxels
-        return (
-            _BYTES
-            + _SITE_BYTES * float(self.sites.sum())
-            + _VOXEL_BYTES * voxels
-            + _FINEST_BYTES * min(finest, _MOST_FINEST)
-        )
+        light = _VOXEL_BYTES * voxels + _FINEST_BYTES * finest
+        if finest > _MOST_FINEST:
+            light = _TILED_BYTES + _TILED_VOXEL_BYTES * voxels
+        return _BYTES + _SITE_BYTES * float(self.sites.sum()) + light
 
     @property
     def seconds(self) -> float:
