@@ -38,11 +38,19 @@ class ScenePlan:
     """Finest voxels along the edge of a voxel; 0: leaves fill it evenly."""
 
     @classmethod
-    def of(cls, stand: Stand, plants: np.ndarray, sites: np.ndarray, **voxels: Any) -> "ScenePlan":
+    def of(
+        cls,
+        stand: Stand,
+        plants: np.ndarray,
+        sites: np.ndarray,
+        *,
+        voxels: tuple[int, int, int],
+        finer: int,
+    ) -> "ScenePlan":
         """The plan of a stand of so many plants of each species on so many sites."""
         each = np.array([_elements(stand, i) for i in range(len(stand.species))])
         taxa = tuple(one.taxon for one in stand.species)
-        return cls(taxa, plants.astype(int), sites.astype(int), each, **voxels)
+        return cls(taxa, plants.astype(int), sites.astype(int), each, voxels, finer)
 
     @property
     def elements(self) -> int:

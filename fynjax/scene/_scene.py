@@ -1145,12 +1145,12 @@ def _plan(
     scene: Scene, stand: Stand, room: float | Float[np.ndarray, " species"], known: Array | None
 ) -> ScenePlan:
     """What `build_scene` would plant; `known` are numbers of plants that all stand."""
-    plants, sites = known, known
     if known is None:
-        plants = scene.whole_counts(scene.parameters)
+        plants = np.asarray(scene.whole_counts(scene.parameters))
         sites = sites_ready(np.asarray(scene.counts(scene.parameters)), room)
-    voxels = {"voxels": scene.grid.shape, "finer": scene.finer}
-    return ScenePlan.of(stand, np.asarray(plants), np.asarray(sites), **voxels)
+    else:
+        plants = sites = np.asarray(known)
+    return ScenePlan.of(stand, plants, sites, voxels=scene.grid.shape, finer=scene.finer)
 
 
 def check_projected_scene(
