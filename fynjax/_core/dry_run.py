@@ -1,19 +1,23 @@
 """A dry run: a job reads and checks its inputs, and ends before its work."""
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
+from typing import Any
 
-_asked: ContextVar[bool] = ContextVar("fynjax.dry_run", default=False)
+_plans: ContextVar[list[Any] | None] = ContextVar("fynjax.dry_run", default=None)
+"""Scenes that a dry run has counted; None: this is none."""
 
 
 class DryRunEnd(Exception):
     """The end of a dry run: every input was read and checked, nothing was computed or written."""
 
-    def __init__(self, files: Mapping[str, str]) -> None:
+    def __init__(self, files: Mapping[str, str], plan: Any = None) -> None:
         super().__init__("every input was read and checked; nothing was computed or written")
         self.files = dict(files)
         """The main files that the job would write, by name, with their sizes where known."""
+        self.plan = plan
+        """`fynjax.scene.ScenePlan` of the scene that the job would plant; None: none so far."""
         self.warnings: list[str] = []
         """What the command warned of until then."""
 
@@ -21,7 +25,7 @@ class DryRunEnd(Exception):
 @contextmanager
 def dry_run() -> Iterator[None]:
     """Jobs in the block read and check their inputs, and end before their work with `DryRunEnd`,
-    or with the error that the run would end with.
+    or with the error that the run would end with. Scenes that are built there have no plants.
 
     >>> from fynjax import jobs
     >>> try:
@@ -31,11 +35,26 @@ def dry_run() -> Iterator[None]:
     ...     print(end.files["elements.csv"])
     500 area elements
     """
-    before = _asked.set(True)
+    before = _plans.set([])
     try:
         yield
     finally:
-        _asked.reset(before)
+        _plans.reset(before)
+
+
+def rehearsing() -> bool:
+    """Whether this is a dry run: what takes long is left out."""
+    return _plans.get() is not None
+
+
+def counted(plan: Callable[[Any], Any]) -> bool:
+    """Whether this is a dry run, for which `plan` counts what would be planted; it is given what
+    was counted before, or None."""
+    plans = _plans.get()
+    if plans is None:
+        return False
+    plans.append(plan(plans[-1] if plans else None))
+    return True
 
 
 def begin_work(files: Mapping[str, str], inputs: Iterable[object] = ()) -> None:
@@ -46,12 +65,13 @@ def begin_work(files: Mapping[str, str], inputs: Iterable[object] = ()) -> None:
     - `files`: the main files that will be written, by name, with their sizes where known.
     - `inputs`: those that a run reads one by one as it works on them; a dry run reads them here.
 
-    **Raises:** `DryRunEnd` in the block of `dry_run`.
+    **Raises:** `DryRunEnd` in the block of `dry_run`, with the last scene that was counted.
     """
-    if _asked.get():
+    plans = _plans.get()
+    if plans is not None:
         for _ in inputs:
             pass
-        raise DryRunEnd(files)
+        raise DryRunEnd(files, plans[-1] if plans else None)
 
 
 def image_size(shape: tuple[int, ...], bands: int) -> str:

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from fynjax._core.dry_run import counted
 from fynjax._core.errors import InputError
 from fynjax._core.precision import drawn_in_double
 from fynjax.assembly._ground import (
@@ -20,16 +21,17 @@ from fynjax.assembly._ground import (
     one_spectrum,
     plot_ground,
 )
-from fynjax.assembly._leaf_spectra import leaf_instrument, measured_leaves
+from fynjax.assembly._leaf_spectra import fit_or_check, leaf_instrument, measured_leaves
 from fynjax.assembly._memory import check_memory
 from fynjax.assembly._plants import read_plant
 from fynjax.canopy import MeshPlant
 from fynjax.io.plot import Plot, plot_spreads, read_sky, read_sky_pattern, with_parameter_table
 from fynjax.io.raster import read_probability_map
 from fynjax.io.spectra import reflectances
-from fynjax.leaf import AbstractMeasurement, fit_leaf
+from fynjax.leaf import AbstractMeasurement
 from fynjax.scene import (
     LEAF_FIELDS,
+    USUAL_LEAF,
     LeafRow,
     LightParameters,
     MaterialParameters,
@@ -42,6 +44,7 @@ from fynjax.scene import (
     build_scene,
     check_projected_scene,
     drawn_leaves,
+    hard_counts,
     leaf_parameters,
     leaves_of,
     plant_materials,
@@ -152,6 +155,8 @@ def build_plot(
         room=room,
         dtype=dtype,
     )
+    if plot.parameters is not None:
+        counted(lambda plan: replace(plan, plants=hard_counts(scene, parameters)))
     spreads = tuple(plot_spreads(plot).items())
     return replace(scene, parameters=parameters, spreads=spreads), parameters
 
@@ -247,7 +252,9 @@ def _fitted(leaf: LeafRow, instrument: AbstractMeasurement) -> LeafRow:
             "a leaf spectrum must have reflectance within 400-2500 nm, but has none",
             file=leaf.spectrum,
         )
-    fit = fit_leaf(grid, many, measurement=instrument)
+    fit = fit_or_check(grid, many, instrument=instrument)
+    if fit is None:
+        return leaf.replace(**{name: getattr(USUAL_LEAF, name) for name in LEAF_FIELDS})
     found = {name: float(np.mean(getattr(fit.parameters, name))) for name in LEAF_FIELDS}
     return leaf.replace(**found)
 

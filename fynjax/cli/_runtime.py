@@ -333,9 +333,12 @@ def _show_dry_run(
             print(f"fynjax: warning: {line}", file=sys.stderr)
         if as_json:
             record = {"output": str(output), "files": end.files, "warnings": end.warnings}
+            record |= {} if end.plan is None else {"plan": end.plan.record()}
             print(json.dumps(record, indent=2))
         elif not quiet:
             print("Every input was read and checked; nothing was computed or written.")
+            if end.plan is not None:
+                print(end.plan)
             print(f"The run would write to {output}, among others")
             show_files(end.files)
 

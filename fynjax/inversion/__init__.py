@@ -24,6 +24,7 @@ from fynjax.inversion._design import (
     DESIGN_FREE,
     DESIGN_TARGET,
     BandDesign,
+    check_design,
     design,
 )
 from fynjax.inversion._expected import Expected
@@ -90,7 +91,7 @@ from fynjax.inversion._sensitivity import (
     local_sensitivity,
     sobol_indices,
 )
-from fynjax.inversion._sensor_sweep import SensorSetting, even_bands, sweep_sensors
+from fynjax.inversion._sensor_sweep import SensorSetting, check_sweep, even_bands, sweep_sensors
 from fynjax.inversion._space import ParameterSpace, make_space, match_names
 from fynjax.inversion._surrogate import (
     FittedSurrogate,
@@ -179,7 +180,9 @@ __all__ = [
     "calibrate_known_plants",
     "calibrate_plot",
     "calibration",
+    "check_design",
     "check_samples",
+    "check_sweep",
     "coarser",
     "compared_statistics",
     "derivative_measures",

@@ -1,7 +1,7 @@
 """Bands of a sensor, chosen by gradient for what they inform of in a stand."""
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from typing import NamedTuple
@@ -225,7 +225,6 @@ def design(
     compare: Sequence[str | Sensor] = CAMERAS,
     starts: int = 8,
     seed: int = 0,
-    checked: Callable[[], None] = lambda: None,
 ) -> BandDesign:
     """The most informative bands of a camera on a stand, by gradient through the renderer.
 
@@ -271,7 +270,6 @@ def design(
     - `compare`: other sensors, shipped names or objects.
     - `starts`: ascents, the first from a raster of bands.
     - `seed`: of the starts.
-    - `checked`: called when all settings are checked, before anything is rendered.
 
     **Returns:** `BandDesign`. Not differentiable; what it climbs is, in centres and widths.
 
@@ -281,32 +279,18 @@ def design(
     Source: Chaloner and Verdinelli (1995), Statistical Science 10, 273; Nadeau and Bengio (2003),
     Machine Learning 52, 239.
     """
-    stands = [scenes] if isinstance(scenes, Scene) else list(scenes)
-    limits, grid = _check(stands, bands, spectrum, widths, plantings)
-    pixels = _pixels(stands[0], pixel)
-    whole_number("starts", starts, 1)
-    whole_number("seed", seed)
-    for name, one in {"snr": snr, "error": error}.items():
-        if not 0.0 < one < np.inf:
-            raise InputError(f"`{name}` must be a positive number, but is {one:g}")
+    ready = check_design(
+        scenes, bands, target, free=free, pixel=pixel, spectrum=spectrum, widths=widths, snr=snr,
+        error=error, plantings=plantings, compare=compare, starts=starts, seed=seed,
+    )  # fmt: skip
+    stands, space, limits, grid, pixels, cameras, channels = ready
     scene = stands[0]
-    space = free
-    if space is None:
-        space = free_space(scene, scene.parameters, DESIGN_FREE, lambda name: None)
-    cameras = [_within(one, grid) for one in compare]
-    channels = _within(_CHANNELS, grid)
-    if not np.asarray(scene.planting.place).any():
-        raise InputError(
-            "expected a plot whose plants are drawn, of which there are several plantings, but its "
-            "plants are known and stand where they do: leave the crown map out"
-        )
     if len(stands) == 1:
         stands = [scene, *(stand_realisation(scene, i) for i in range(1, plantings))]
     kind = target if isinstance(target, str) and target in _OTHER_TARGETS else "quantities"
     named = {} if kind in _OTHER_TARGETS else _asked(stands, space, target)
     if kind == "quantities" and not named:
         raise InputError("what is asked for does not depend on any of the free parameters")
-    checked()
     if named:
         asked = np.stack([*named.values()], axis=1)
     else:  # of the parameters one by one, whose slopes are unit vectors; or of none
@@ -363,6 +347,69 @@ def design(
         spectra=_curves(spectra, designed, list(named), scene.taxa),
         cameras=tuple(cameras),
     )
+
+
+class _Ready(NamedTuple):
+    """Settings of `design` that fit each other."""
+
+    stands: list[Scene]
+    space: ParameterSpace
+    limits: _Limits
+    grid: Float[np.ndarray, " wavelength"]
+    pixels: tuple[float, ...]
+    """In ascending order [m]."""
+    cameras: list[Sensor]
+    """Those to compare with, their bands within the range."""
+    channels: Sensor
+
+
+@double_precision
+def check_design(
+    scenes: Scene | Sequence[Scene],
+    bands: int = 4,
+    target: str | Sequence[str] = DESIGN_TARGET,
+    *,
+    free: ParameterSpace | None = None,
+    pixel: float | Sequence[float] = 0.1,
+    spectrum: tuple[float, float] = RANGE,
+    widths: tuple[float, float] = (10.0, 100.0),
+    snr: float = 100.0,
+    error: float = 0.01,
+    plantings: int = 6,
+    compare: Sequence[str | Sensor] = CAMERAS,
+    starts: int = 8,
+    seed: int = 0,
+) -> _Ready:
+    """Check the settings of `design`, and make them what it computes with.
+
+    **Arguments:** as of `design`. The plants of `scenes` need not be drawn.
+
+    **Raises:** `InputError` for settings that do not fit each other, and an unknown target. Whether
+    a free parameter changes the target is up to the plants.
+    """
+    stands = [scenes] if isinstance(scenes, Scene) else list(scenes)
+    limits, grid = _check(stands, bands, spectrum, widths, plantings)
+    pixels = _pixels(stands[0], pixel)
+    whole_number("starts", starts, 1)
+    whole_number("seed", seed)
+    for name, one in {"snr": snr, "error": error}.items():
+        if not 0.0 < one < np.inf:
+            raise InputError(f"`{name}` must be a positive number, but is {one:g}")
+    scene = stands[0]
+    space = free
+    if space is None:
+        space = free_space(scene, scene.parameters, DESIGN_FREE, lambda name: None)
+    cameras = [_within(one, grid) for one in compare]
+    channels = _within(_CHANNELS, grid)
+    place = np.asarray(scene.planting.place)
+    if scene.known_plants or (place.size and not place.any()):
+        raise InputError(
+            "expected a plot whose plants are drawn, of which there are several plantings, but its "
+            "plants are known and stand where they do: leave the crown map out"
+        )
+    if not (isinstance(target, str) and target in _OTHER_TARGETS):
+        _check_names(scene, space, target)
+    return _Ready(stands, space, limits, grid, pixels, cameras, channels)
 
 
 def _check(
@@ -433,21 +480,30 @@ def _within(sensor: str | Sensor, grid: Float[np.ndarray, " wavelength"]) -> Sen
     return found.select(places)
 
 
-def _asked(
-    stands: Sequence[Scene], space: ParameterSpace, target: str | Sequence[str]
-) -> dict[str, Float[np.ndarray, "planting free"]]:
-    """Slopes by the whitened coordinates of each quantity whose name is asked for."""
-    scene, none = stands[0], jnp.zeros(len(space.names))
+def _check_names(
+    scene: Scene, space: ParameterSpace, target: str | Sequence[str]
+) -> tuple[dict[str, Functional], list[str]]:
+    """Numbers of the stand by their names, and what is asked for. Raises `InputError` for a name
+    that is neither of them nor of a free parameter."""
     functionals = stand_functionals(scene) | {"shannon": _SHANNON}
-    names = [*functionals, *space.names]
     wanted = [target] if isinstance(target, str) else list(target)
     for pattern in wanted:
-        if not any(fnmatchcase(name, pattern) for name in names):
+        if not any(fnmatchcase(name, pattern) for name in (*functionals, *space.names)):
             known = (*_OTHER_TARGETS, *functionals)
             raise InputError(
                 f"expected a target among {', '.join(known)} or names of free parameters, but got "
                 f"{pattern!r}.{did_you_mean(pattern, [*known, *space.names])}"
             )
+    return functionals, wanted
+
+
+def _asked(
+    stands: Sequence[Scene], space: ParameterSpace, target: str | Sequence[str]
+) -> dict[str, Float[np.ndarray, "planting free"]]:
+    """Slopes by the whitened coordinates of each quantity whose name is asked for."""
+    scene, none = stands[0], jnp.zeros(len(space.names))
+    functionals, wanted = _check_names(scene, space, target)
+    names = [*functionals, *space.names]
     values = tuple(one.value for one in functionals.values())
     own = jax.jacfwd(space.physical)(none)
     numbers = [StandNumbers(stand, scene.parameters, space, values) for stand in stands]

@@ -1,7 +1,7 @@
 """What sensors of other pixels, bands and noise could know about a plot."""
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import equinox as eqx
@@ -98,7 +98,6 @@ def sweep_sensors(
     draws: int = 4,
     coarse: Accuracy = COARSE,
     seed: int = 0,
-    checked: Callable[[], None] = lambda: None,
 ) -> list[tuple[SensorSetting, Information]]:
     """Bounds on the parameters of a plot, for each combination of sensor properties.
 
@@ -137,33 +136,25 @@ def sweep_sensors(
     - `draws`: realisations of the noise.
     - `coarse`: accuracy of the light.
     - `seed`: of the noise.
-    - `checked`: called when all settings are checked, before anything is rendered.
 
     **Returns:** each setting with its bounds, by sun, then pixel, number of bands and noise.
 
     **Raises:** `InputError` for settings that do not fit scene or sensor.
     """
     whole_number("seed", seed)
-    fine = min(gsd)
-    steps = _check(scene, len(sensor.bands), gsd, bands, noise, stand_realisations)
     quick = coarser(scene, parameters)
-    placement = dataclasses.replace(placement or Placement(), pixel=fine)
+    steps, lights, cameras = check_sweep(
+        quick, parameters, sensor, placement, gsd=gsd, bands=bands, noise=noise,
+        sun_zenith=sun_zenith, stand_realisations=stand_realisations, coarse=coarse,
+    )  # fmt: skip
     plantings = [
         quick,
         *(stand_realisation(quick, i) for i in range(1, stand_realisations + 1)),
     ]
-    centre = np.asarray(parameters.light.sun_zenith, float)
-    suns = [float(centre)] if sun_zenith is None else [float(s) for s in sun_zenith]
     at = space.physical(jnp.zeros(len(space.names)))
-    lights = [
-        eqx.tree_at(lambda p: p.light.sun_zenith, parameters, jnp.asarray(sun)) for sun in suns
-    ]
-    cameras = [
-        aim(quick, lit, sensor, placement, accuracy=coarse, point_spread=False) for lit in lights
-    ]
-    checked()
     bounds = []
-    for sun, lit, camera in zip(suns, lights, cameras):
+    for lit, camera in zip(lights, cameras):
+        sun = float(np.asarray(lit.light.sun_zenith))
         # A free zenith starts from this sun too, not from its prior's.
         free = "light.sun_zenith" in space.names
         here = at.at[space.names.index("light.sun_zenith")].set(sun) if free else at
@@ -185,15 +176,30 @@ def sweep_sensors(
     return bounds
 
 
-def _check(
+@double_precision
+def check_sweep(
     scene: Scene,
-    most: int,
+    parameters: PlotParameters,
+    sensor: Sensor,
+    placement: Placement | None = None,
+    *,
     gsd: Sequence[float],
     bands: Sequence[int],
-    noise: Sequence[float],
-    stand_realisations: int,
-) -> list[int]:
-    """Finest pixels on the side of each pixel."""
+    noise: Sequence[float] = (0.01,),
+    sun_zenith: Sequence[float] | None = None,
+    stand_realisations: int = 15,
+    coarse: Accuracy = COARSE,
+) -> tuple[list[int], list[PlotParameters], list[AimedSensor]]:
+    """Check the settings of `sweep_sensors` and aim its sensor, without rendering.
+
+    **Arguments:** as of `sweep_sensors`. The plants of `scene` do not count.
+
+    **Returns:** finest pixels on the side of each pixel; and of each sun the parameters and the
+    sensor, in the finest pixels.
+
+    **Raises:** `InputError` for settings that do not fit scene or sensor.
+    """
+    most = len(sensor.bands)
     if not gsd or not bands or not noise or min(gsd) <= 0 or min(noise) <= 0:
         raise InputError("`gsd`, `bands` and `noise` must be given and positive")
     if stand_realisations < 2:
@@ -213,7 +219,16 @@ def _check(
     for count in bands:
         if count < 1 or most % count:
             raise InputError(f"the number of bands must divide {most}, but {count} does not")
-    return steps
+    placement = dataclasses.replace(placement or Placement(), pixel=fine)
+    own = [float(np.asarray(parameters.light.sun_zenith, float))]
+    lights = [
+        eqx.tree_at(lambda p: p.light.sun_zenith, parameters, jnp.asarray(float(sun)))
+        for sun in (own if sun_zenith is None else sun_zenith)
+    ]
+    cameras = [
+        aim(scene, lit, sensor, placement, accuracy=coarse, point_spread=False) for lit in lights
+    ]
+    return steps, lights, cameras
 
 
 @eqx.filter_jit

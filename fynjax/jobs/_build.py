@@ -17,7 +17,7 @@ from fynjax._core.errors import InputError
 from fynjax._core.precision import double_precision
 from fynjax.assembly import build_plot, check_memory
 from fynjax.canopy import PlantModel
-from fynjax.io.instruments import scene_meshes, write_scene_mesh
+from fynjax.io.instruments import check_triangles, scene_meshes, write_scene_mesh
 from fynjax.io.plot import Plot, as_plot
 from fynjax.io.raster import write_run
 from fynjax.jobs._result import JobResult, Rows
@@ -30,6 +30,7 @@ from fynjax.scene import (
     ProjectedCover,
     Scene,
     StandArea,
+    hard_counts,
     hard_instances,
     hard_scene,
     height_profile,
@@ -121,20 +122,25 @@ def build(
     check_memory(read, listed=True)
     with run.stage("Plant the plot", "plants"):
         scene, parameters = build_plot(read, seed=run.seed)
+        plants = int(hard_counts(scene, parameters).sum())
+        if mesh:  # early: it may be refused
+            check_triangles(plants, max_triangles)
+        rows = f"{len(read.species)} species"
+        files = {"instances.csv": f"{plants} plants", "cover.csv": rows, "stand.csv": rows}
+        files["voxels.nc"] = f"{' x '.join(map(str, scene.grid.shape))} voxels"
+        begin_work(
+            files | ({"scene.obj": f"at most some {max_triangles} triangles"} if mesh else {})
+        )
         real = np.asarray(scene.counts(parameters), float)
         instances = hard_instances(scene, parameters)
         hard = hard_scene(scene, parameters)
         del scene  # its spare plants
     meshes, triangles = None, 0
-    if mesh:  # early: it may be refused
+    if mesh:
         with run.stage("Grow the meshes", "meshes"):
             meshes, triangles = scene_meshes(
                 instances, hard, parameters, max_triangles=max_triangles, seed=run.seed
             )
-    rows = f"{len(read.species)} species"
-    files = {"instances.csv": f"{len(instances)} plants", "cover.csv": rows, "stand.csv": rows}
-    files["voxels.nc"] = f"{' x '.join(map(str, hard.grid.shape))} voxels"
-    begin_work(files | ({"scene.obj": f"{triangles} triangles"} if mesh else {}))
     with run.stage("Fill the voxels", "voxels"):
         density = _area_density(hard, parameters)
         jax.block_until_ready(density)

@@ -2,14 +2,14 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import pandas as pd
 
 from fynjax._core.dry_run import begin_work
 from fynjax._core.precision import double_precision
 from fynjax.assembly import prepare
-from fynjax.inversion import CAMERAS, DESIGN_FREE, DESIGN_TARGET, BandDesign
+from fynjax.inversion import CAMERAS, DESIGN_FREE, DESIGN_TARGET, BandDesign, check_design
 from fynjax.inversion import design as design_bands
 from fynjax.io.instruments import load_instrument
 from fynjax.io.plot import Plot, as_plot
@@ -73,12 +73,14 @@ def design(
     names = ("design.csv", "designed.toml", "sensors.csv", "pixels.csv", "spectra.nc")
     files = dict.fromkeys((*names, "report.html"), "")
     wanted: str | Sequence[str] = target[0] if len(target) == 1 else target
-    found = design_bands(
-        ready.scene, bands, wanted, free=ready.space, pixel=pixel, spectrum=spectrum,
-        widths=widths, snr=snr, plantings=plantings,
-        compare=[load_instrument(one) for one in compare],  # type: ignore[misc]
-        starts=starts, seed=run.seed, checked=lambda: begin_work(files),
-    )  # fmt: skip
+    settings: dict[str, Any] = {
+        "free": ready.space, "pixel": pixel, "spectrum": spectrum, "widths": widths, "snr": snr,
+        "plantings": plantings, "compare": [load_instrument(one) for one in compare],
+        "starts": starts, "seed": run.seed,
+    }  # fmt: skip
+    check_design(ready.scene, bands, wanted, **settings)
+    begin_work(files)
+    found = design_bands(ready.scene, bands, wanted, **settings)
     chosen = pd.DataFrame(
         {"band": found.bands.names, "centre_nm": found.bands.centre, "fwhm_nm": found.bands.fwhm}
     )

@@ -11,7 +11,7 @@ import pandas as pd
 from fynjax._core.dry_run import begin_work
 from fynjax._core.precision import double_precision
 from fynjax.assembly import parameter_columns, prepare
-from fynjax.inversion import Information, SensorSetting, even_bands, sweep_sensors
+from fynjax.inversion import Information, SensorSetting, check_sweep, even_bands, sweep_sensors
 from fynjax.io.plot import Plot, as_plot, plot_instrument, sensor_place
 from fynjax.jobs._result import JobResult, Rows
 from fynjax.jobs._run import Run
@@ -77,20 +77,14 @@ def information(
     swept = Sensor("sweep", even_bands(max(bands), *spectrum), plot_instrument(read).camera)
     size = f"{len(ready.space.names)} parameters"
     files = {"bounds.csv": size, "limits.csv": "", "report.html": ""}
+    placement = dataclasses.replace(read.sensor.placement, altitude=altitude, pixel=None)
+    on = ready.scene, ready.parameters
+    settings: dict[str, Any] = {"gsd": gsd, "bands": bands, "noise": noise}
+    settings |= {"sun_zenith": sun_zenith, "stand_realisations": realisations}
+    check_sweep(*on, swept, placement, **settings)
+    begin_work(files)
     sweep = sweep_sensors(
-        ready.scene,
-        ready.parameters,
-        ready.space,
-        swept,
-        dataclasses.replace(read.sensor.placement, altitude=altitude, pixel=None),
-        gsd=gsd,
-        bands=bands,
-        noise=noise,
-        sun_zenith=sun_zenith,
-        error=error,
-        stand_realisations=realisations,
-        seed=run.seed,
-        checked=lambda: begin_work(files),
+        *on, ready.space, swept, placement, error=error, seed=run.seed, **settings
     )
     table = bound_table(sweep, np.asarray(ready.space.prior))
     first, best = sweep[0]

@@ -32,6 +32,7 @@ from fynjax.scene import (
     PlotParameters,
     Scene,
     TiledPicture,
+    check_image,
     hard_counts,
     hard_scene,
     is_large,
@@ -99,12 +100,14 @@ def render(
     with run.stage("Build the plot", "build"):
         scene, parameters = build_plot(read, seed=run.seed)
         camera = aim_without_air(read, scene, parameters, instrument)
+        tiled = is_large(camera, scene)
+        check_image(camera, scene, parameters, tiled=tiled)
     size = image_size(camera.shape, len(camera.sensor.bands))
     layers = image_size(camera.shape, 4 * len(scene.taxa) + 2)
     shares = {"truth.tif": layers, "truth.nc": layers} if truth else {}
     begin_work({"image.tif": size, "run.nc": size, "report.html": "", **shares})
     with run.stage("Render", "render"):
-        if is_large(camera, scene):
+        if tiled:
             journal = run.journal(checkpoint, read, files=read.inputs)
             picture = TiledPicture(camera, scene, parameters)
             if journal is None:

@@ -30,6 +30,7 @@ from fynjax.scene import (
     Observation,
     PlotParameters,
     Scene,
+    check_image,
     hard_scene,
     truth_of_pixels,
 )
@@ -128,6 +129,7 @@ def simulate(
         aimed = aim_at_plot(
             read, scene, parameters, instrument, altitude=altitude, pixel=pixel, air=air
         )
+        check_image(aimed, scene, parameters)
     size = image_size(aimed.shape, len(instrument.bands))
     written = [name for name in products if name != "radiance" or air.source != "none"]
     layers = image_size(aimed.shape, 4 * len(scene.taxa) + 2)

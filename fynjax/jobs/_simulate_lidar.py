@@ -63,7 +63,6 @@ def simulate_lidar(
     check_memory(plot, listed=True)
     with run.stage("Build the plot", "build"):
         scene, parameters = build_plot(plot, seed=run.seed)
-        scene = hard_scene(scene, parameters)
         extent, level = scene.grid.extent, scene.ground_level
         pulses = len(lidar.beams(extent[:2], top=extent[2], ground=level, seed=run.seed))
     begin_work(
@@ -71,6 +70,7 @@ def simulate_lidar(
          "waveforms.nc": f"{pulses} pulses", "report.html": ""}
     )  # fmt: skip
     with run.stage("Send the pulses", "observe"):
+        scene = hard_scene(scene, parameters)
         observation = observe(scene, lidar, parameters=parameters, noise=noise, seed=run.seed)
     voxels, beams, returns = observation.voxels, observation.beams, observation.returns
     if not returns:

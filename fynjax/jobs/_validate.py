@@ -30,7 +30,8 @@ from fynjax.compare import (
 from fynjax.compare.structure import (
     StructureComparison,
     cloud_settings,
-    compare_clouds,
+    compare_pair,
+    read_pair,
 )
 from fynjax.io.raster import write_run
 from fynjax.io.text import existing_file
@@ -208,16 +209,13 @@ def validate(
         )
     files = {"report.html": ""}
     files |= {} if drone is None and spectra is None else {"validation.nc": ""}
-    structure: StructureComparison | None = None
+    clouds = None
     if data.real_cloud and data.simulated_cloud:
-        structure = compare_clouds(
-            data.real_cloud,
-            data.simulated_cloud,
-            settings=cloud_settings(structure_preset, cloud_options or {}),
-            seed=seed,
-            checked=lambda: begin_work(files | {"structure.nc": ""}),
-        )
+        settings = cloud_settings(structure_preset, cloud_options or {})
+        clouds = read_pair(data.real_cloud, data.simulated_cloud, settings)
+        files["structure.nc"] = ""
     begin_work(files)
+    structure = None if clouds is None else compare_pair(clouds, seed=seed)
     record = run.record(inputs)
     parts: dict[str, _Part] = {}
     with run.stage("Write"):

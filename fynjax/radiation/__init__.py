@@ -20,6 +20,7 @@ from fynjax.radiation._rays import (
 from fynjax.radiation._render import (
     Accuracy,
     Light,
+    check_light,
     directional_reflectance,
     look,
     reflectance_factor,
@@ -27,7 +28,7 @@ from fynjax.radiation._render import (
     solve_light,
 )
 from fynjax.radiation._scene import Illumination, OpticalClasses, VoxelScene
-from fynjax.radiation._tiles import LightInWindows, Tiling
+from fynjax.radiation._tiles import LightInWindows, Tiling, light_tiling
 
 __all__ = [
     "AbstractRays",
@@ -50,10 +51,12 @@ __all__ = [
     "area_scattering",
     "canopy_albedo",
     "canopy_reflectance",
+    "check_light",
     "check_scene",
     "diffuse_sources",
     "directional_reflectance",
     "fluxes",
+    "light_tiling",
     "look",
     "nadir_rays",
     "parallel_rays",

@@ -129,18 +129,14 @@ class LightInWindows:
         windows: Callable[[Tiling], Callable[[int, int], VoxelScene]],
     ) -> None:
         self._scene, self._accuracy, self._held, self._windows = scene, accuracy, held, windows
-        sun = scene.illumination
-        towards = np.asarray(direction(sun.sun_zenith, sun.sun_azimuth))
-        self._sun_slope = float(np.abs(towards[:2] / towards[2]).max())
-        self._wide = wide = fit_grids(scene, accuracy).finest[1]
-        y, x = ((np.arange(n // wide) + 0.5) * wide * scene.horizontal for n in scene.shape[1:])
-        tiling = self._cut(y, x, max(len(y), len(x)), scene.height * self._sun_slope, held)
+        self._sun_slope, self._wide, tiling = light_tiling(scene, accuracy, held)
+        y, x = (n // self._wide for n in scene.shape[1:])
         voxels, fields = windows(tiling), None
         for place in track(np.ndindex(tiling.shape), "Light", math.prod(tiling.shape)):
             at = map(jnp.asarray, place)
             part = _cells_of_tile(scene, voxels(*place), accuracy, tiling, *at)
             if fields is None:
-                fields = [np.empty((*f.shape[:-2], len(y), len(x)), f.dtype) for f in part]
+                fields = [np.empty((*f.shape[:-2], y, x), f.dtype) for f in part]
             for field, tile in zip(fields, part, strict=True):
                 field[..., *tiling.pixels(*place)] = tile
         assert fields is not None
@@ -200,25 +196,55 @@ class LightInWindows:
         slopes = np.abs([*np.asarray(rays.slope_x), *np.asarray(rays.slope_y)]).max()
         # What a ray crosses and what shades it.
         reach = float(self._scene.height * (slopes + self._sun_slope) + rays.footprint)
-        return self._cut(np.asarray(rays.y), np.asarray(rays.x), tile, reach, held)
+        y, x = np.asarray(rays.y), np.asarray(rays.x)
+        return _cut(self._scene, self._accuracy, self._wide, y, x, tile, reach, held)
 
-    def _cut(self, y: np.ndarray, x: np.ndarray, tile: int, reach: float, held: int) -> Tiling:
-        """Pixels at rising `y` and `x` [m] in tiles of `tile` at most, each with a rim of `reach`
-        [m]: as wide as can be held; or as narrow as rims let it be worth while."""
-        scene, most = self._scene, max(len(y), len(x))
-        # More and smaller tiles until a window can be held, or rims outweigh what they save.
-        for parts in range(-(-most // tile), most + 1):
-            along_y, along_x = (
-                Axis.cut(scene, count, places, -(-most // parts), reach, self._wide)
-                for count, places in zip(scene.shape[1:], (y, x), strict=True)
-            )
-            tiling = Tiling(along_y, along_x, self._wide)
-            each = tiling.voxels(scene)
-            every = math.prod(tiling.shape) * each
-            if each <= held or every > _MOST_RIM * math.prod(scene.shape):
-                break
-        check_light(scene, self._accuracy, each)
-        return tiling
+
+def light_tiling(scene: VoxelScene, accuracy: Accuracy, held: int) -> tuple[float, int, Tiling]:
+    """Windows in which `LightInWindows` solves the light of a scene.
+
+    **Arguments:** as of `LightInWindows`.
+
+    **Returns:** columns that the sun's beams cross, over layers; voxels in a cell, in width; and
+    the windows.
+
+    **Raises:** `InputError` where light or windows do not fit in memory.
+    """
+    sun = scene.illumination
+    towards = np.asarray(direction(sun.sun_zenith, sun.sun_azimuth))
+    slope = float(np.abs(towards[:2] / towards[2]).max())
+    wide = fit_grids(scene, accuracy).finest[1]
+    y, x = ((np.arange(n // wide) + 0.5) * wide * scene.horizontal for n in scene.shape[1:])
+    reach = scene.height * slope
+    return slope, wide, _cut(scene, accuracy, wide, y, x, max(len(y), len(x)), reach, held)
+
+
+def _cut(
+    scene: VoxelScene,
+    accuracy: Accuracy,
+    wide: int,
+    y: np.ndarray,
+    x: np.ndarray,
+    tile: int,
+    reach: float,
+    held: int,
+) -> Tiling:
+    """Pixels at rising `y` and `x` [m] in tiles of `tile` at most, each with a rim of `reach` [m]:
+    as wide as can be held; or as narrow as rims let it be worth while."""
+    most = max(len(y), len(x))
+    # More and smaller tiles until a window can be held, or rims outweigh what they save.
+    for parts in range(-(-most // tile), most + 1):
+        along_y, along_x = (
+            Axis.cut(scene, count, places, -(-most // parts), reach, wide)
+            for count, places in zip(scene.shape[1:], (y, x), strict=True)
+        )
+        tiling = Tiling(along_y, along_x, wide)
+        each = tiling.voxels(scene)
+        every = math.prod(tiling.shape) * each
+        if each <= held or every > _MOST_RIM * math.prod(scene.shape):
+            break
+    check_light(scene, accuracy, each)
+    return tiling
 
 
 def _lit(scene: VoxelScene, window: VoxelScene, accuracy: Accuracy) -> tuple[VoxelScene, SunField]:

@@ -7,7 +7,7 @@ from fynjax._core.compiler import keep_compiled
 from fynjax.scene._cover import ProjectedCover, projected_cover
 from fynjax.scene._ground import COVERS, Ground, ground_shares, random_patches
 from fynjax.scene._instances import Instances, hard_counts, hard_instances, hard_scene
-from fynjax.scene._large import TiledPicture, is_large
+from fynjax.scene._large import TiledPicture, check_image, is_large
 from fynjax.scene._lidar import LidarObservation, ReturnTruth, observe_lidar
 from fynjax.scene._materials import (
     PlantMaterials,
@@ -41,6 +41,7 @@ from fynjax.scene._parameters import (
     parameter_reference,
     with_values,
 )
+from fynjax.scene._plan import ScenePlan
 from fynjax.scene._planting import (
     MOST_LISTED,
     Crowns,
@@ -128,6 +129,7 @@ __all__ = [
     "ProjectedCover",
     "ReturnTruth",
     "Scene",
+    "ScenePlan",
     "Species",
     "SpeciesParameters",
     "SpeciesRow",
@@ -138,6 +140,7 @@ __all__ = [
     "background_spectrum",
     "band_wavelengths",
     "build_scene",
+    "check_image",
     "check_leafy",
     "check_materials",
     "check_projected_scene",

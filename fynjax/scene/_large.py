@@ -14,7 +14,15 @@ from jaxtyping import Array, ArrayLike, Float, Int
 
 from fynjax._core.progress import track
 from fynjax.canopy import Organ
-from fynjax.radiation import LightInWindows, RayLattice, Tiling, VoxelScene, voxel_values
+from fynjax.radiation import (
+    LightInWindows,
+    RayLattice,
+    Tiling,
+    VoxelScene,
+    check_light,
+    light_tiling,
+    voxel_values,
+)
 from fynjax.scene._instances import standing_plants
 from fynjax.scene._observe import AimedSensor
 from fynjax.scene._parameters import PlotParameters
@@ -49,6 +57,25 @@ def is_large(aimed: AimedSensor, scene: Scene) -> bool:
     return few and scene.terrain is None and isinstance(rays, RayLattice) and many
 
 
+def check_image(
+    aimed: AimedSensor, scene: Scene, parameters: PlotParameters, *, tiled: bool = False
+) -> None:
+    """Raise `InputError` where the light of a picture would not fit in memory, before it is solved.
+
+    **Arguments:**
+
+    - `aimed`, `scene`, `parameters`: the sensor and what it is aimed at, whose plants do not count.
+    - `tiled`: whether it is to be a `TiledPicture`.
+    """
+    bare = eqx.tree_at(lambda s: s.planting, scene, no_plants(scene.dtype))
+    if tiled:
+        whole = _without_voxels(bare, parameters, aimed.sensor.bands)
+        light_tiling(whole, aimed.accuracy, _voxels_held(whole))
+    else:
+        shapes = jax.eval_shape(lambda: bare.voxels(parameters, aimed.sensor.bands))
+        check_light(shapes, aimed.accuracy)
+
+
 class TiledPicture:
     """A large picture, rendered tile by tile with light that is solved once for the whole scene.
 
@@ -77,8 +104,7 @@ class TiledPicture:
         assert isinstance(rays, RayLattice)
         bare = eqx.tree_at(lambda s: s.planting, scene, no_plants(scene.dtype))
         whole = _without_voxels(bare, parameters, bands)
-        # Placing the elements takes about as much again for each class.
-        held = _HELD // (voxel_values(whole) + 3 * whole.area_density.shape[0])
+        held = _voxels_held(whole)
         plants = _Plants(scene, parameters, whole.horizontal)
 
         def windows(
@@ -203,6 +229,12 @@ class _Plants:
 
 _visible_crowns = eqx.filter_jit(Scene.visible_crowns)
 _voxels, _voxels_by_organ = map(eqx.filter_jit, (Scene.voxels, Scene.voxels_by_organ))
+
+
+def _voxels_held(whole: VoxelScene) -> int:
+    """Voxels in memory at once, about."""
+    # Placing the elements takes about as much again for each class.
+    return _HELD // (voxel_values(whole) + 3 * whole.area_density.shape[0])
 
 
 @eqx.filter_jit

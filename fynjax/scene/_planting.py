@@ -236,6 +236,10 @@ class Crowns:
         mean = np.sqrt(np.mean(self.diameter[mine] ** 2))
         return float(mean), float(self.height[mine].max())
 
+    def counts(self, branches: Sequence[float]) -> Int[np.ndarray, " species"]:
+        """Plants of each species, of which so many make one crown."""
+        return np.bincount(self.species, minlength=len(branches)) * np.round(branches).astype(int)
+
 
 @dataclasses.dataclass(frozen=True)
 class Stand:

@@ -20,6 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Real
 
+from fynjax._core.dry_run import counted
 from fynjax._core.errors import InputError, did_you_mean, whole_number
 from fynjax._core.html import as_html
 from fynjax._core.precision import drawn_in_double
@@ -57,6 +58,7 @@ from fynjax.scene._parameters import (
     parameter_kind,
     with_values,
 )
+from fynjax.scene._plan import ScenePlan
 from fynjax.scene._planting import (
     SPARE_SITES,
     Crowns,
@@ -1057,6 +1059,9 @@ def build_scene(
       `rules` have where it is left out.
     - `dtype`: floating type that the scene is computed in.
 
+    In a dry run (`fynjax.jobs.dry_run`) nothing is drawn: the plants are counted (`ScenePlan`), and
+    the scene has none.
+
     **Raises:** `InputError` where the plants do not fit, crowns are outside the plot, or voxels do
     not divide the sides.
 
@@ -1119,6 +1124,10 @@ def build_scene(
                 f"{int(outside.sum())} of {outside.size} crowns are outside the plot of "
                 f"{extent[0]:g} m x {extent[1]:g} m, the first at ({x:g}, {y:g})"
             )
+    known = None if crowns is None else jnp.asarray(crowns.counts(scene.branches), dtype)
+    if counted(lambda _: _plan(scene, stand, ready, known)):
+        return dataclasses.replace(scene, number=known)
+    if crowns is not None:
         return eqx.tree_at(lambda s: s.planting, scene, known_planting(stand, crowns))
     planting = draw_planting(
         stand,
@@ -1130,6 +1139,18 @@ def build_scene(
         size_variation=rules.size_variation,
     )
     return eqx.tree_at(lambda s: s.planting, scene, planting)
+
+
+def _plan(
+    scene: Scene, stand: Stand, room: float | Float[np.ndarray, " species"], known: Array | None
+) -> ScenePlan:
+    """What `build_scene` would plant; `known` are numbers of plants that all stand."""
+    if known is None:
+        plants = np.asarray(scene.whole_counts(scene.parameters))
+        sites = sites_ready(np.asarray(scene.counts(scene.parameters)), room)
+    else:
+        plants = sites = np.asarray(known)
+    return ScenePlan.of(stand, plants, sites, voxels=scene.grid.shape, finer=scene.finer)
 
 
 def check_projected_scene(

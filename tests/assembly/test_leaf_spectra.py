@@ -1,11 +1,13 @@
 """Leaf optics of a plot's taxa from a folder of measured spectra, in one key."""
 
+from contextlib import nullcontext
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import fynjax as fx
+from fynjax._core.dry_run import dry_run
 from fynjax._core.errors import InputError
 from fynjax.assembly import _leaf_spectra, plot_parameters
 from fynjax.io.plot import plant_sources, read_plot
@@ -71,6 +73,25 @@ def test_each_taxon_has_the_mean_of_its_leaves_fitted_once(
     write_leaf(tmp_path / "spectra" / "Erica_01.csv", 0.010)
     with pytest.raises(RuntimeError, match="fitted again"):
         plot_parameters(plot)
+
+
+@pytest.mark.parametrize("key", ['leaf_spectra = "spectra"', 'leaf_table = "leaves.csv"'])
+def test_a_dry_run_checks_spectra_of_leaves_and_fits_none(
+    tmp_path: Path, cache: Path, monkeypatch: pytest.MonkeyPatch, key: str
+) -> None:
+    path = write_leaves(tmp_path, f"{key}\n")
+    (tmp_path / "leaves.csv").write_text("taxon,spectrum\n*,spectra/Erica_01.csv\n")
+    with monkeypatch.context() as patched, dry_run():
+        patched.setattr(_leaf_spectra, "fit_leaf", None)
+        assert len(plot_parameters(read_plot(path)).leaf.water) > 0
+    assert not cache.exists()
+    (tmp_path / "spectra" / "Erica_01.csv").write_text("wavelength,reflectance\n500,thick\n")
+    said = []
+    for block in (dry_run(), nullcontext()):
+        with pytest.raises((InputError, UserWarning), match=r"Erica_01.*thick") as caught, block:
+            plot_parameters(read_plot(path))
+        said.append(str(caught.value))
+    assert said[0] == said[1]
 
 
 @pytest.mark.parametrize(

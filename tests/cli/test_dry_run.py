@@ -2,6 +2,7 @@
 
 import inspect
 import json
+import re
 from pathlib import Path
 from unittest.mock import patch
 
@@ -9,8 +10,6 @@ import pytest
 
 from fynjax import jobs
 from fynjax.cli import main
-from fynjax.io.plot import read_plot
-from fynjax.studies.fynbos_2006 import _demo
 from tests.frozen.cases import CASES
 
 FROZEN = Path(__file__).parents[1] / "frozen"
@@ -29,6 +28,13 @@ def listed(folder):
     return sorted(folder.rglob("*"))
 
 
+def plant_nothing(monkeypatch):
+    """Let it fail to draw plants, and to render."""
+    monkeypatch.setattr("fynjax.scene._scene.draw_planting", None)
+    monkeypatch.setattr("fynjax.scene._scene.known_planting", None)
+    monkeypatch.setattr("fynjax.scene._observe.solve_light", None)
+
+
 MARKED = [pytest.param(c, marks=pytest.mark.study) if c == "map" else c for c in COMMANDS]
 
 
@@ -36,9 +42,6 @@ MARKED = [pytest.param(c, marks=pytest.mark.study) if c == "map" else c for c in
 def test_a_dry_run_names_files_that_the_run_writes_and_writes_none(
     command, capsys, tmp_path, monkeypatch
 ):
-    # The shipped plot on 2 m: to plant its 10 m takes ten seconds.
-    small = lambda path: read_plot(path).replace(size_m=(2.0, 2.0))  # noqa: E731
-    monkeypatch.setattr(_demo, "read_plot", small)
     frozen = json.loads((FROZEN / f"{command}.json").read_text("utf-8"))
     written = {name.partition(": ")[0] for name in frozen}
     out = tmp_path / "out"
@@ -46,7 +49,9 @@ def test_a_dry_run_names_files_that_the_run_writes_and_writes_none(
     for name, line in lines.items():
         line = [*line, "--output", out / name]
         before = listed(tmp_path)
-        status, shown, err = call(capsys, [*line, "--dry-run", "--json"])
+        with monkeypatch.context() as patched:
+            plant_nothing(patched)
+            status, shown, err = call(capsys, [*line, "--dry-run", "--json"])
         assert status == 0, err
         assert listed(tmp_path) == before
         files = json.loads(shown)["files"]
@@ -56,6 +61,33 @@ def test_a_dry_run_names_files_that_the_run_writes_and_writes_none(
         if any(str(out / name) in str(part) for parts in lines.values() for part in parts):
             with patch.dict(inspect.unwrap(jobs.train).__kwdefaults__, steps=30):
                 assert call(capsys, [*line, "--quiet"])[0] == 0
+
+
+PLANTING = ("render", "build", "calibrate", "posterior", "sensitivity", "information", "design")
+
+
+@pytest.mark.parametrize("command", PLANTING)
+def test_a_dry_run_of_a_hectare_counts_its_plants_and_plants_none(
+    command, capsys, tmp_path, monkeypatch
+):
+    line = next(iter(CASES[command].runs(tmp_path).values()))
+    for file in tmp_path.glob("*.toml"):
+        file.write_text(re.sub(r"size_m = \S+", "size_m = 100.0", file.read_text()))
+    if command == "build":
+        line = [part for part in line if part not in ("--mesh", "--triangles", 20_000)]
+    plant_nothing(monkeypatch)
+    line = [*line, "--output", tmp_path / "out", "--dry-run"]
+    status, shown, err = call(capsys, [*line, "--json"])
+    assert status == 0, err
+    plan = json.loads(shown)["plan"]
+    assert plan["voxels"][:2] == [1000, 1000]
+    assert sum(plan["plants"].values()) > 10_000
+    assert plan["elements"] > 100_000
+    assert plan["memory_gib"] > 1
+    assert plan["seconds"] > 60
+    _, shown, _ = call(capsys, line)
+    assert f"{sum(plan['plants'].values())} plants of {len(plan['plants'])} species" in shown
+    assert f"about {plan['memory_gib']} GiB of memory" in shown
 
 
 DAMAGED = {

@@ -1,5 +1,7 @@
 from ._compare import cloud_structure as cloud_structure
 from ._compare import compare_clouds as compare_clouds
+from ._compare import compare_pair as compare_pair
+from ._compare import read_pair as read_pair
 from ._grain import cut_off as cut_off
 from ._published import PublishedStructure as PublishedStructure
 from ._published import structure_2006 as structure_2006

@@ -1,9 +1,9 @@
 """Two clouds in, their structure compared at one density of returns."""
 
 import warnings
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -19,6 +19,7 @@ from fynjax.compare.structure._settings import ComparisonSettings
 from fynjax.metrics.structure import (
     STRUCTURE_METRICS,
     BinnedReturns,
+    CellGrid,
     CellStructure,
     cell_structure,
 )
@@ -31,7 +32,6 @@ def compare_clouds(
     *,
     settings: ComparisonSettings | None = None,
     seed: int = 0,
-    checked: Callable[[], None] = lambda: None,
 ) -> StructureComparison:
     """Compare the structure of a real and a simulated cloud as the paper does in figure 13.
 
@@ -48,16 +48,40 @@ def compare_clouds(
       filtered, and returns far below its ground are left out as noise and counted.
     - `settings`: of reading, cells, thinning and bootstrap; those of the paper if not given.
     - `seed`: of thinnings and bootstrap.
-    - `checked`: called when both clouds are read and have a ground and a grain, before the denser
-      is thinned.
 
     **Returns:** a `StructureComparison`.
 
     **Raises:** `InputError`, with the file where it is one's fault: no common plot, different
     reference systems, no ground, no grain that fits.
     """
-    rng = generator(seed)
     settings = ComparisonSettings() if settings is None else settings
+    return compare_pair(read_pair(real_path, simulated_path, settings), seed=seed)
+
+
+class CloudPair(NamedTuple):
+    """A real and a simulated cloud on the plot that they share."""
+
+    heights: list[HeightCloud]
+    """Returns above the ground of each."""
+    binned: list[BinnedReturns]
+    """Returns of each in the cells."""
+    grid: CellGrid
+    grains: pd.DataFrame
+    """What each grain would do."""
+    bounds: Bounds
+    """The plot."""
+    notes: list[str]
+    """Remarks on the reading."""
+    settings: ComparisonSettings
+
+
+def read_pair(
+    real_path: str | Path, simulated_path: str | Path, settings: ComparisonSettings
+) -> CloudPair:
+    """Read two clouds, and find their ground, their common plot and the grain.
+
+    **Arguments:** as of `compare_clouds`, whose errors it raises.
+    """
     paths = Path(real_path), Path(simulated_path)
     clouds, bounds, notes = _on_one_plot(paths, settings)
     slack = 0.0 if settings.bounds else max(_spacing(cloud) for cloud in clouds)
@@ -70,7 +94,16 @@ def compare_clouds(
     with stage("Choose the grain"):
         grid, grains = choose_cells(heights[sparser], bounds, slack, settings)
         binned = [part.binned(grid, settings.structure) for part in heights]
-    checked()
+    return CloudPair(heights, binned, grid, grains, bounds, notes, settings)
+
+
+def compare_pair(pair: CloudPair, *, seed: int = 0) -> StructureComparison:
+    """Compare the structure of two clouds that are read.
+
+    **Arguments:** `seed` as of `compare_clouds`.
+    """
+    rng = generator(seed)
+    heights, binned, grid, grains, bounds, notes, settings = pair
     target = min(len(part) for part in binned)
     denser = int(len(binned[1]) > len(binned[0]))
     thinned = "neither" if len(binned[0]) == len(binned[1]) else ("real", "simulated")[denser]

@@ -2,6 +2,7 @@ from ._atmosphere_file import read_atmosphere as read_atmosphere
 from ._lidar_cloud import write_cloud as write_cloud
 from ._lidar_file import LidarFile as LidarFile
 from ._lidar_file import load_lidar as load_lidar
+from ._scene_mesh import check_triangles as check_triangles
 from ._scene_mesh import scene_meshes as scene_meshes
 from ._scene_mesh import write_scene_mesh as write_scene_mesh
 from ._sensor_file import load_instrument as load_instrument

@@ -15,6 +15,18 @@ LEAST_TRIANGLES = 2000
 _MOST_PER_PLANT = 200_000
 
 
+def check_triangles(plants: int, max_triangles: int) -> None:
+    """Raise `InputError` where so many plants have more than `max_triangles`, however few each
+    has."""
+    least = plants * LEAST_TRIANGLES
+    if least > max_triangles:
+        raise InputError(
+            f"{plants} plants of {LEAST_TRIANGLES} triangles each are {least} triangles, but "
+            f"at most {max_triangles} are allowed: take a smaller plot (--size), or allow more "
+            f"(--triangles {least})"
+        )
+
+
 def scene_meshes(
     instances: Instances,
     scene: Scene,
@@ -40,13 +52,7 @@ def scene_meshes(
     Warns where a taxon is not in table 1, and has the usual leaf of its growth form.
     """
     counts = instances.counts
-    least = int(counts.sum()) * LEAST_TRIANGLES
-    if least > max_triangles:
-        raise InputError(
-            f"{counts.sum()} plants of {LEAST_TRIANGLES} triangles each are {least} triangles, but "
-            f"at most {max_triangles} are allowed: take a smaller plot (--size), or allow more "
-            f"(--triangles {least})"
-        )
+    check_triangles(int(counts.sum()), max_triangles)
     each = int(
         np.clip(max_triangles // max(int(counts.sum()), 1), LEAST_TRIANGLES, _MOST_PER_PLANT)
     )
