@@ -48,10 +48,23 @@ def test_a_scene_from_a_table_is_seen_by_a_drone(tmp_path: Path) -> None:
 
 @pytest.mark.study
 def test_gradients_and_leaves_of_the_page_on_python(tmp_path: Path) -> None:
-    names = run("".join(blocks("python", PYTHON)[:3]), tmp_path)
+    names = run("".join(blocks("python", PYTHON)[:4]), tmp_path)
+    standing = names["scene"].standing(names["scene"].parameters) > 0.0
+    assert names["by_foot"].shape == (len(standing), 2)
+    assert not names["by_foot"][~standing].any()
     assert names["slope"].species.cover.shape == (2,)
     assert bool((names["slope"].species.cover > 0).all())  # more plants, greener
     assert 0 < float(names["canopy"].min()) < float(names["canopy"].max()) < 0.7
+
+
+def test_a_loop_of_one_s_own_finds_what_was_measured(tmp_path: Path) -> None:
+    """By optimistix' BFGS and LevenbergMarquardt and jaxopt's LBFGS, in the page's own lines."""
+    every = blocks("python", PYTHON)
+    (loop,) = (block for block in every if "scene.expected()" in block)
+    names = run(every[0] + loop, tmp_path)
+    for solver in ("by_bfgs", "by_squares", "by_lbfgs"):
+        found = np.exp(np.tanh(np.asarray(names[solver])))
+        np.testing.assert_allclose(found, [0.6, 1.2], rtol=0.01, err_msg=solver)
 
 
 @pytest.mark.slow

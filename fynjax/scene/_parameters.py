@@ -517,9 +517,9 @@ def within_bounds(parameters: PlotParameters, taxa: tuple[str, ...]) -> PlotPara
         for field in fields:
             if (values := getattr(record, field)) is None:
                 continue
-            shape = () if owners is None else (len(owners),)
+            shape: tuple[int, ...] = () if owners is None else (len(owners),)
             if jnp.shape(values) != shape:
-                expected = "one number" if owners is None else f"a number for each of {shape[0]}"
+                expected = "one number" if owners is None else f"a number for each of {len(owners)}"
                 raise InputError(
                     f"expected `parameters.{group}.{field}` to be {expected}, of shape {shape}, "
                     f"but its shape is {jnp.shape(values)}"
