@@ -80,9 +80,8 @@ def build_plot(
     """
     seed = plot.seed if seed is None else seed
     check_memory(plot, room=PlantingRules.room if plot.known_crowns is None else 1.0)
-    patches = cover_patches(plot, seed)
-    fractions = None
-    if plot.ground.map is not None and patches is not None:
+    patches, fractions = cover_patches(plot), None
+    if patches is not None:
         fractions = tuple(patches[1:].mean(axis=(1, 2)).tolist())
     described = {(row.taxon, row.material) for row in plot.leaves if row.material}
     plants = [
@@ -110,6 +109,7 @@ def build_plot(
     if plot.parameters is not None:
         parameters = with_parameter_table(parameters, plot.taxa, plot.parameters)
     rules = PlantingRules(
+        size_variation=plot.size_variation,
         probability=_probability(plot),
         rounding=rounding or ("up" if plot.cover_definition == "article" else "random"),
         cover_definition=plot.cover_definition,

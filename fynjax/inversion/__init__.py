@@ -26,7 +26,7 @@ from fynjax.inversion._design import (
     BandDesign,
     design,
 )
-from fynjax.inversion._expected import Expected
+from fynjax.inversion._expected import Expected, other_plantings
 from fynjax.inversion._fit import (
     fit,
     predicted_statistics,
@@ -202,6 +202,7 @@ __all__ = [
     "make_space",
     "match_names",
     "nadir_imager",
+    "other_plantings",
     "predicted_statistics",
     "sample_posterior",
     "sample_prior",

@@ -13,6 +13,7 @@ from jaxtyping import Array, Float
 from fynjax._core.errors import InputError, whole_number
 from fynjax._core.precision import double_precision
 from fynjax._core.progress import track
+from fynjax.inversion._expected import other_plantings
 from fynjax.inversion._fit_result import scatter_covariance
 from fynjax.inversion._information import (
     Information,
@@ -30,7 +31,6 @@ from fynjax.scene import (
     PlotParameters,
     Scene,
     aim,
-    stand_realisation,
     with_values,
 )
 from fynjax.sensors import BandSet, Sensor
@@ -148,10 +148,8 @@ def sweep_sensors(
     steps = _check(scene, len(sensor.bands), gsd, bands, noise, stand_realisations)
     quick = coarser(scene, parameters)
     placement = dataclasses.replace(placement or Placement(), pixel=fine)
-    plantings = [
-        quick,
-        *(stand_realisation(quick, i) for i in range(1, stand_realisations + 1)),
-    ]
+    others = other_plantings(scene, range(1, stand_realisations + 1))
+    plantings = [quick, *(coarser(other, parameters) for other in others)]
     centre = np.asarray(parameters.light.sun_zenith, float)
     suns = [float(centre)] if sun_zenith is None else [float(s) for s in sun_zenith]
     at = space.physical(jnp.zeros(len(space.names)))

@@ -27,7 +27,6 @@ from fynjax.scene import (
     Scene,
     aim,
     slope_of_fading,
-    stand_realisation,
 )
 from fynjax.sensors import shipped_sensor
 from tests.benchmarks._measure import options, seconds
@@ -98,7 +97,7 @@ def slopes(
     none, steps = jnp.zeros(len(KINDS), jnp.float32), list(KINDS.values())
     differences, taken = [], []
     for seed in range(plantings):
-        stand = stand_realisation(scene, 1000 + seed)
+        stand = scene.reordered(1000 + seed)
         ends = [
             [np.asarray(value(none.at[i].set(sign * step), stand)) for sign in (1, -1)]
             for i, step in enumerate(steps)
