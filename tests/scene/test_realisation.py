@@ -104,6 +104,9 @@ def test_every_plot_has_realisations(name, monkeypatch):
     check_alike(scene, other)
     if "probability" in PLOTS[name]:
         assert np.asarray(other.planting.foot)[:, 0].max() < 1.2  # nobody where nobody may be
+    if "plants" in PLOTS[name]:  # a plant of the shape that was given
+        first = other.planting.shapes.position[: len(ball().organ)]
+        np.testing.assert_allclose(first, ball().position, rtol=1e-6)
     if "terrain" in PLOTS[name]:
         np.testing.assert_array_equal(other.terrain, HILL)
     patched = scene.ground.patches is not None
