@@ -56,7 +56,6 @@ def build_plot(
     plot: Plot,
     *,
     seed: int | None = None,
-    counts: Float[np.ndarray, "*draw species"] | None = None,
     rounding: Literal["up", "random"] | None = None,
     dtype: str = "float32",
 ) -> tuple[Scene, PlotParameters]:
@@ -68,8 +67,6 @@ def build_plot(
 
     - `plot`: as `read_plot` gives it.
     - `seed`: of everything random; the plot file's if left out.
-    - `counts`: plants of each species that are to find sites; `PlantingRules.room` times those of
-      the species table find them in any case, and those of a table of parameters.
     - `rounding`: of the number of plants: "up" as eq. (10) has it, or "random", whose mean over
       plantings is the real number, as a fit to a measurement means it; left out, "up" where covers
       are the article's, and "random" where they are projected.
@@ -123,11 +120,7 @@ def build_plot(
         if plot.parameters is not None:
             _check_grid(scene, tables, parameters, plot.parameters)
             check_projected_scene(scene, parameters, plot.parameters)
-        # By the parameters in force, and as was asked for besides.
-        wanted = np.asarray(scene.counts(parameters))[None]
-        if counts is not None:
-            wanted = np.concatenate([wanted, np.reshape(counts, (-1, wanted.shape[1]))])
-        needed = room_needed(scene, tables, wanted)
+        needed = room_needed(scene, tables, scene.counts(parameters))
         if not needed.any():
             return rules.room
         check_memory(plot, room=np.maximum(needed, rules.room))

@@ -146,7 +146,7 @@ def test_a_table_of_parameters_gets_its_sites_and_growth_counts_from_the_species
     plot = read_plot(path)
     scene, parameters = build_plot(plot)
     counts = 2.0 * np.asarray(scene.counts(parameters))
-    grown, _ = build_plot(plot, counts=counts)
+    grown = scene.realisation(0, counts)
     sites = np.bincount(np.asarray(grown.planting.species))
     assert (sites >= 1.1 * counts).all()
     assert (sites > np.bincount(np.asarray(scene.planting.species))).all()

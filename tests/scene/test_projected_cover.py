@@ -203,7 +203,7 @@ def test_what_has_no_place_beside_projected_covers_is_refused(change, column, wo
     assert (error.value.row, error.value.column) == (2, column)
     if column != "cover_percent":  # by itself the table then is the article's
         scene = Scene.from_table(rows, size=2.0, voxel=0.5, structure="even")
-        assert scene.cover_definition == "article"
+        assert scene.rules.cover_definition == "article"
 
 
 def test_where_the_map_has_no_plants_they_cover_nothing() -> None:
@@ -223,7 +223,7 @@ def test_a_table_is_projected_unless_it_is_said() -> None:
         plants = hard_instances(scene, scene.parameters)
         planted[definition] = projected_cover(plants, cell=0.02).species
     scene = Scene.from_table(ROWS, size=2.0, voxel=0.5, structure="even")
-    assert scene.cover_definition == "projected"
+    assert scene.rules.cover_definition == "projected"
     fitted = free_space(
         scene,
         scene.parameters,
