@@ -52,7 +52,7 @@ what = ["species.*.cover", "species.*.leaf.chlorophyll", "ground.litter*", "grou
 # cover and half of the chlorophyll, with less litter on brighter soil.
 
 # %%
-truth = None if IMAGE else scene.replanted(99).scaled(dict(zip(what, (0.55, 0.5, 0.6, 1.4))))
+truth = None if IMAGE else scene.realisation(99).scaled(dict(zip(what, (0.55, 0.5, 0.6, 1.4))))
 if truth:
     seen, IMAGE = fx.observe(truth, "mavic_3m", pixel=0.1), "example_orthophoto.tif"
     fx.io.raster.write_geotiff(IMAGE, seen.reflectance, seen.bands, pixel_m=0.1)

@@ -103,7 +103,7 @@ plt.show()
 # %%
 grad = jax.jit(jax.grad(lambda factors, stand: ndvi(factors, stand).mean()))
 plantings = 4 if FAST else 16
-each = 0.1 * np.array([grad(one, scene.replanted(k)) for k in range(plantings)])
+each = 0.1 * np.array([grad(one, scene.realisation(k)) for k in range(plantings)])
 bars = pd.DataFrame(
     {"mean": each.mean(0), "half": 2.1 * each.std(0, ddof=1) / plantings**0.5}, taxa
 )

@@ -66,7 +66,7 @@ def look(scene, factor):  # plants of the rare species, their real number, gap; 
 
 
 factors = np.linspace(0.5, 1.5, COVERS)
-plantings = [scene.replanted(k) for k in range(PLANTINGS)]
+plantings = [scene.realisation(k) for k in range(PLANTINGS)]
 seen = np.array([[look(planted, factor) for factor in factors] for planted in plantings])
 values, slopes = np.moveaxis(seen, 2, 0)  # each [planting, factor, number]
 

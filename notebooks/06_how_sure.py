@@ -140,9 +140,9 @@ labels = ("cover", "chlorophyll", "litter", "soil")
 plot = fx.ParameterSpace(labels, 0.3 * ones, 1.9 * ones, ones, 0.27 * ones)
 count = 24 if FAST else 60  # images that the polynomial is fitted to
 quick = fx.emulate(lambda x: statistics(x, scene), 0.4 * ones, 1.7 * ones, points=count)
-others = [statistics(ones, scene.replanted(k)) for k in range(1, 5 if FAST else 13)]
+others = [statistics(ones, scene.realisation(k)) for k in range(1, 5 if FAST else 13)]
 error = np.hypot(0.02, quick.error)
-seen_there = statistics(plot_truth, scene.replanted(99))
+seen_there = statistics(plot_truth, scene.realisation(99))
 data = fx.Data(tuple(names), seen_there, error).with_scatter(jnp.stack(others) - quick(ones))
 print("error of the polynomial:", ", ".join(f"{n} {e:.1%}" for n, e in zip(names, quick.error)))
 

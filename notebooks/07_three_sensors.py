@@ -122,7 +122,7 @@ changes = {
     f"half of {most}": {f"species.{most}.cover": 0.5},
     "no litter": {"ground.litter_fraction": 0.0},
 }
-chance = np.std([look(scene.replanted(k))[3] for k in range(PLANTINGS + 1)], axis=0, ddof=1)
+chance = np.std([look(scene.realisation(k))[3] for k in range(PLANTINGS + 1)], axis=0, ddof=1)
 matrix = np.array([look(scene.scaled(by))[3] - first for by in changes.values()]) / chance
 
 # %%

@@ -79,7 +79,7 @@ slopes = all_views(lambda view, u, stand: view.jacobian(stand.expected(), plot_a
 keep = np.array([0, 1, 2, 3, 6, 8, *range(10, 15)])  # means of indices follow from bands
 start, real = jnp.zeros(len(space.names)), np.asarray(data.value, float)[keep]
 here, slope = predict(start, scene), slopes(start, scene)
-ours = np.log([here, *(predict(start, scene.replanted(k)) for k in range(1, PLANTINGS))])
+ours = np.log([here, *(predict(start, scene.realisation(k)) for k in range(1, PLANTINGS))])
 error = np.linalg.inv(data.whitener.T @ data.whitener)[np.ix_(keep, keep)] / np.outer(real, real)
 error += np.cov(ours.T) * ((SIDE / 10) ** 2 + 1 / PLANTINGS)  # of the real plot, and of the mean
 misfit = np.log(real) - ours.mean(axis=0)

@@ -488,24 +488,25 @@ def test_a_fit_of_a_scene_leads_with_the_stand_and_is_gone_on_with(scene, number
 
 def test_plants_of_another_chance_stand_elsewhere(scene):
     """The same number finds the same plants; more of them join those that there were."""
-    again = scene.replanted(0)
+    again = scene.realisation(0)
     for one, other in zip(
         jax.tree.leaves(scene.planting), jax.tree.leaves(again.planting), strict=True
     ):
         np.testing.assert_array_equal(one, other)
-    other = scene.replanted(3)
+    other = scene.realisation(3)
     assert len(other.planting.foot) == len(scene.planting.foot)
     assert not np.isin(other.planting.foot, scene.planting.foot).any()
-    np.testing.assert_array_equal(other.planting.foot, scene.replanted(3).planting.foot)
+    np.testing.assert_array_equal(other.planting.foot, scene.realisation(3).planting.foot)
     counts = 4.0 * np.asarray(scene.counts(scene.parameters))
-    more = scene.replanted(0, counts)
+    more = scene.realisation(0, counts)
     assert (np.bincount(more.planting.species) >= counts).all()
     there = {tuple(foot) for foot in more.planting.foot.tolist()}
     assert {tuple(foot) for foot in scene.planting.foot.tolist()} < there
-    known = dataclasses.replace(scene, known_plants=True)
-    assert known.replanted(2) is known
-    with pytest.raises(InputError, match="given shapes cannot be drawn again"):
-        dataclasses.replace(scene, shaped=True).replanted(1)
+    again = more.realisation(0)  # that has as many sites
+    np.testing.assert_array_equal(again.planting.foot, more.planting.foot)
+    for form in (scene.padded(), fx.inversion.coarser(scene, scene.parameters)):
+        with pytest.raises(InputError, match="take a realisation of the scene itself"):
+            form.realisation(1)
 
 
 @pytest.mark.study

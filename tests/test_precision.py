@@ -116,7 +116,7 @@ def light(lines: Lines) -> None:
     lines("observe", lambda: fx.observe(plot, camera, pixel=0.25), "reflectance")
     lines("grad", lambda: jax.jit(jax.grad(ndvi))(plot.parameters).species.cover)
     thin = lines("thin", lambda: plot.with_values({"species.*.cover": 0.1}), "parameters")
-    lines("replanted", lambda: plot.replanted(1), "planting")
+    lines("realisation", lambda: plot.realisation(1), "planting")
     lines("observe thin", lambda: fx.observe(thin, camera, pixel=0.25), "reflectance")
     lines("prospect", lambda: tuple(fx.prospect(chlorophyll=40.0, wavelength=BANDS)))
     vector = jnp.array([20.0, 40.0])

@@ -11,7 +11,7 @@ import os
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
-from functools import partial
+from functools import cached_property, partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, TypeVar, get_origin, get_type_hints
@@ -242,6 +242,23 @@ def signature(*signed: Any) -> str:
 
     add((version("fynjax"), signed))
     return total.hexdigest()
+
+
+class ByContent:
+    """A dataclass that equals another of the same content, arrays too. As a static field of a
+    record it is no argument of compiled programs, and records of equal content share them."""
+
+    @cached_property
+    def _content(self) -> str:
+        return signature(self)
+
+    def __hash__(self) -> int:
+        return hash(self._content)
+
+    def __eq__(self, other: object) -> bool:
+        if self is other:
+            return True
+        return isinstance(other, ByContent) and self._content == other._content
 
 
 def _parts(value: Any) -> Sequence[Any] | None:

@@ -59,7 +59,6 @@ def build_plot(
     plot: Plot,
     *,
     seed: int | None = None,
-    counts: Float[np.ndarray, "*draw species"] | None = None,
     rounding: Literal["up", "random"] | None = None,
     dtype: str = "float32",
 ) -> tuple[Scene, PlotParameters]:
@@ -71,8 +70,6 @@ def build_plot(
 
     - `plot`: as `read_plot` gives it.
     - `seed`: of everything random; the plot file's if left out.
-    - `counts`: plants of each species that are to find sites; `PlantingRules.room` times those of
-      the species table find them in any case, and those of a table of parameters.
     - `rounding`: of the number of plants: "up" as eq. (10) has it, or "random", whose mean over
       plantings is the real number, as a fit to a measurement means it; left out, "up" where covers
       are the article's, and "random" where they are projected.
@@ -83,9 +80,8 @@ def build_plot(
     """
     seed = plot.seed if seed is None else seed
     check_memory(plot, room=PlantingRules.room if plot.known_crowns is None else 1.0)
-    patches = cover_patches(plot, seed)
-    fractions = None
-    if plot.ground.map is not None and patches is not None:
+    patches, fractions = cover_patches(plot), None
+    if patches is not None:
         fractions = tuple(patches[1:].mean(axis=(1, 2)).tolist())
     described = {(row.taxon, row.material) for row in plot.leaves if row.material}
     plants = [
@@ -113,6 +109,7 @@ def build_plot(
     if plot.parameters is not None:
         parameters = with_parameter_table(parameters, plot.taxa, plot.parameters)
     rules = PlantingRules(
+        size_variation=plot.size_variation,
         probability=_probability(plot),
         rounding=rounding or ("up" if plot.cover_definition == "article" else "random"),
         cover_definition=plot.cover_definition,
@@ -126,11 +123,7 @@ def build_plot(
         if plot.parameters is not None:
             _check_grid(scene, tables, parameters, plot.parameters)
             check_projected_scene(scene, parameters, plot.parameters)
-        # By the parameters in force, and as was asked for besides.
-        wanted = np.asarray(scene.counts(parameters))[None]
-        if counts is not None:
-            wanted = np.concatenate([wanted, np.reshape(counts, (-1, wanted.shape[1]))])
-        needed = room_needed(scene, tables, wanted)
+        needed = room_needed(scene, tables, scene.counts(parameters))
         if not needed.any():
             return rules.room
         check_memory(plot, room=np.maximum(needed, rules.room))

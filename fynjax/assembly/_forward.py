@@ -25,7 +25,6 @@ from fynjax.scene import (
     own_spread,
     parameter_kind,
     room_needed,
-    seed_of_planting,
     with_values,
 )
 
@@ -39,8 +38,6 @@ class Prepared(NamedTuple):
     space: ParameterSpace
     seed: int
     """Seed of everything random."""
-    counts: Float[np.ndarray, " species"]
-    """Plants that find sites."""
 
     @property
     def settings(self) -> CalibrationSettings:
@@ -49,20 +46,6 @@ class Prepared(NamedTuple):
         return CalibrationSettings(
             max_steps=table.max_iterations, starts=table.starts, seed=self.seed
         )
-
-    def replant(self, number: int, counts: Float[np.ndarray, " species"] | None = None) -> Scene:
-        """The scene with the plants of another seed, as `calibrate_plot` asks for it.
-
-        **Arguments:** `number` of the seed, 0 for that of `scene`; `counts`, plants that are to
-        find sites, at least those of `self.counts`. Known plants are the same in every scene.
-
-        **Raises:** `InputError` where there is no room for them.
-        """
-        if self.scene.known_plants:
-            return self.scene
-        seed = seed_of_planting(self.seed, number)
-        wanted = self.counts if counts is None else np.maximum(self.counts, counts)
-        return build_plot(self.plot, seed=seed, counts=wanted, rounding="random")[0]
 
 
 @double_precision
@@ -85,8 +68,8 @@ def prepare(plot: Plot, free: Sequence[str] | None, *, seed: int) -> Prepared:
     space = free_space(scene, parameters, patterns, lambda name: _prior_sd(plot, name))
     counts = _likely_counts(scene, parameters, space)
     if room_needed(scene, parameters, counts).any():
-        scene, _ = build_plot(plot, seed=seed, counts=counts, rounding="random")
-    return Prepared(plot, scene, parameters, space, seed, counts)
+        scene = scene.realisation(0, counts)
+    return Prepared(plot, scene, parameters, space, seed)
 
 
 def _prior_sd(plot: Plot, name: str) -> float | None:

@@ -493,8 +493,7 @@ def fit(
     - `start`: what an earlier fit found, to go on from there: parameters that it did not have start
       at their priors. Or whitened coordinates. By default the prior's centre.
     - `options`: of a function as `fynjax.inversion.fit` takes them: `tolerance`, `offset`,
-      `context`; of a scene as `fynjax.inversion.calibrate_plot`: `replant`, by default the scene's
-      own (`Scene.replanted`).
+      `context`.
 
     **Returns:** `Calibration` of a scene, `FitResult` of a function; both print what they found.
 
@@ -521,7 +520,6 @@ def fit(
     _check_problem(data, free)
     views = [view(model, model.parameters) for view in sensors]
     settings = CalibrationSettings(max_steps=max_steps) if settings is None else settings
-    options = {"replant": model.replanted} | options
     return calibrate_plot(
         model, model.parameters, data, free, views, settings,
         solver=solver, start=_place(start, free), **options,

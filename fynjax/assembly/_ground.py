@@ -17,12 +17,12 @@ from fynjax.scene import (
     Ground,
     GroundParameters,
     Spectrum,
-    random_patches,
 )
 
 
 def plot_ground(plot: Plot, patches: Float64[np.ndarray, "kind y x"] | None) -> Ground:
-    """Spectra of soil and covers, the user's where there are any, lying in `patches`."""
+    """Spectra of soil and covers, the user's where there are any, lying in `patches`, or in such as
+    the scene draws."""
 
     def read(path: Path | None, what: str) -> Spectrum | None:
         return None if path is None else one_spectrum(path, what)
@@ -30,7 +30,9 @@ def plot_ground(plot: Plot, patches: Float64[np.ndarray, "kind y x"] | None) -> 
     ground = plot.ground
     covers = {cover: read(getattr(ground, cover), cover) for cover in COVERS}
     soil = ground.soil if isinstance(ground.soil, Path) else None
-    return Ground(soil=read(soil, "soil"), patches=patches, shape=ground.rpv, **covers)
+    return Ground(
+        soil=read(soil, "soil"), patches=patches, patch=ground.patch_m, shape=ground.rpv, **covers
+    )
 
 
 def ground_parameters(plot: Plot, fractions: tuple[float, ...] | None = None) -> GroundParameters:
@@ -59,25 +61,19 @@ def dead_tissue(plot: Plot) -> Spectrum | None:
     return None if plot.dead_tissue is None else one_spectrum(plot.dead_tissue, "dead tissue")
 
 
-def cover_patches(plot: Plot, seed: int) -> Float64[np.ndarray, "kind y x"] | None:
-    """Relative density of soil and covers in the voxel columns; `None`: mixed alike everywhere.
-
-    From the plot's map, whose means are then the fractions, or drawn in patches of its width.
-    """
-    ground = plot.ground
-    columns, rows = (round(side / plot.voxel_m) for side in plot.size_m)
-    if ground.map is not None:
-        return read_cover_map(
-            ground.map,
-            plot.size_m,
-            (rows, columns),
-            origin_m=plot.map_origin_m,
-            option="map_origin_m",
-        )
-    if ground.patch_m == 0.0:
+def cover_patches(plot: Plot) -> Float64[np.ndarray, "kind y x"] | None:
+    """Relative density of soil and covers in the voxel columns by the plot's map, whose means are
+    then the fractions; `None`: there is no map."""
+    if plot.ground.map is None:
         return None
-    scale = ground.patch_m / plot.voxel_m
-    return random_patches((rows, columns), scale, periodic=plot.boundary == "periodic", seed=seed)
+    columns, rows = (round(side / plot.voxel_m) for side in plot.size_m)
+    return read_cover_map(
+        plot.ground.map,
+        plot.size_m,
+        (rows, columns),
+        origin_m=plot.map_origin_m,
+        option="map_origin_m",
+    )
 
 
 def ground_heights(plot: Plot) -> Float64[np.ndarray, "y x"] | None:

@@ -7,12 +7,9 @@ from fynjax._core.errors import InputError
 from fynjax._core.memory import total_memory
 from fynjax.canopy import projected_count
 from fynjax.io.plot import Plot
-from fynjax.scene import MOST_LISTED, PlantingRules, element_count
+from fynjax.scene import MOST_LISTED, PlantingRules, element_count, planting_memory
 
 _EVEN = 'leaves that fill them evenly (structure_m = "even")'
-_ELEMENT_BYTES, _PLANT_BYTES = 80, 700
-"""Memory that an area element takes while it is listed and placed, and a plant while a plot is
-built: measured at 100 m x 100 m."""
 
 
 def check_memory(
@@ -37,7 +34,7 @@ def check_memory(
     held = min(elements, MOST_LISTED)
     if listed:
         held = max(held, standing)
-    needed = (_ELEMENT_BYTES * held + _PLANT_BYTES * plants) / 2**30
+    needed = planting_memory(plants, held)
     if needed > there:
         raise InputError(
             f"the plants of {plot.size_m[0]:g} m x {plot.size_m[1]:g} m in voxels of "

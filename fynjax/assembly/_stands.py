@@ -38,7 +38,6 @@ from fynjax.scene import (
     SpeciesParameters,
     build_scene,
     leaf_parameters,
-    stand_realisation,
 )
 from fynjax.sensors import BandSet
 
@@ -212,7 +211,7 @@ def make_stand(
     """
     scene, planted, imager = _planted(stand_forms(prior), bands, settings)
     drawn = _draw(prior, settings, common, own)
-    stand = stand_realisation(scene, planting)
+    stand = scene.reordered(planting)
     parameters = replace(planted, species=drawn.species, light=drawn.light)
     spectra, left = _spectra(imager, stand, parameters, drawn.optics)
     quantities = _quantities(stand, parameters, drawn)

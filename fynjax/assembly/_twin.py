@@ -72,7 +72,7 @@ def measure_truth(
     differentiable.
     """
     plot = with_values(ready.parameters, ready.scene.taxa, ready.space.named(jnp.asarray(u)))
-    value, *image = look((view,), ready.replant(_PLANTING + number), plot)
+    value, *image = look((view,), ready.scene.realisation(_PLANTING + number), plot)
     if not isinstance(view, ImageView):
         return np.asarray(value, float), None
     bands = image[0].shape[0]

@@ -27,7 +27,7 @@ from fynjax.inversion._design import (
     check_design,
     design,
 )
-from fynjax.inversion._expected import Expected
+from fynjax.inversion._expected import Expected, other_plantings
 from fynjax.inversion._fit import (
     fit,
     predicted_statistics,
@@ -205,6 +205,7 @@ __all__ = [
     "make_space",
     "match_names",
     "nadir_imager",
+    "other_plantings",
     "predicted_statistics",
     "sample_posterior",
     "sample_prior",

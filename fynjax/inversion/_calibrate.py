@@ -14,7 +14,7 @@ from scipy.special import chdtrc
 from fynjax._core.html import as_html
 from fynjax._core.precision import double_precision
 from fynjax._core.progress import stage
-from fynjax.inversion._expected import Replant, mean_information, with_error
+from fynjax.inversion._expected import mean_information, with_error
 from fynjax.inversion._fit_result import Data, Ended, FitResult, fit_result, status_of
 from fynjax.inversion._functionals import Functional, stand_sentence, stand_table
 from fynjax.inversion._search import CalibrationSettings, PlotSearch, SearchState, search_states
@@ -200,7 +200,7 @@ def _without_effect(name: str, scene: Scene, parameters: PlotParameters) -> bool
             return True
         if scene.known_plants and name.endswith(_OF_COUNTS):
             return True
-        if scene.cover_definition == "projected" and name.endswith(_OF_THE_ARTICLE):
+        if scene.rules.cover_definition == "projected" and name.endswith(_OF_THE_ARTICLE):
             return True
         if name.endswith(".leaf_spread") and scene.species[i].leaves <= 1:
             return True
@@ -226,7 +226,6 @@ def calibrate_plot(
     *,
     solver: Any = None,
     start: Float[Array, " free"] | None = None,
-    replant: Replant | None = None,
 ) -> Calibration:
     """Calibrate the free parameters of a plot to what one or several sensors measured.
 
@@ -258,10 +257,9 @@ def calibrate_plot(
       one Jacobian a round. Others take one at each step, or as many gradients; of their rounds
       `fit.loss` has the beginnings alone.
     - `start`: whitened coordinates to start from; the prior's centre by default.
-    - `replant`: makes the same plot with the plants of another seed, by a number, 0 for those of
-      `scene`; and with sites for so many plants of each species, asked for where the plants of a
-      search need more than there are. Without it other plantings fill the same sites in another
-      order, and plants get no more sites; where it raises `InputError` neither.
+
+    Plantings are `Scene.realisation`s; where another seed finds no room for plants they fill the
+    same sites in another order. Plants for which there are too few sites get more.
 
     To watch, keep or stop it go through a `PlotSearch` step by step, as this function does.
 
@@ -273,9 +271,7 @@ def calibrate_plot(
     **Raises:** `InputError` for views that do not yield the data's statistics, and a start at
     which these are not finite.
     """
-    search = PlotSearch(
-        scene, parameters, data, space, views, settings, solver=solver, replant=replant
-    )
+    search = PlotSearch(scene, parameters, data, space, views, settings, solver=solver)
     ends: list[SearchState] = []
     with stage("Calibrate", search.settings.evaluations):
         for u in search_starts(search, start):

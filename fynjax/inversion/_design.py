@@ -34,10 +34,11 @@ from fynjax.inversion._bands import (
     scores,
 )
 from fynjax.inversion._calibrate import free_space
+from fynjax.inversion._expected import other_plantings
 from fynjax.inversion._functionals import Functional, StandNumbers, stand_functionals
 from fynjax.inversion._space import ParameterSpace
 from fynjax.metrics import spectral_mask
-from fynjax.scene import Scene, stand_realisation
+from fynjax.scene import Scene
 from fynjax.sensors import BandSet, OrthographicCamera, Sensor, shipped_sensor
 
 DESIGN_FREE = (
@@ -286,7 +287,7 @@ def design(
     stands, space, limits, grid, pixels, cameras, channels = ready
     scene = stands[0]
     if len(stands) == 1:
-        stands = [scene, *(stand_realisation(scene, i) for i in range(1, plantings))]
+        stands = [scene, *other_plantings(scene, range(1, plantings))]
     kind = target if isinstance(target, str) and target in _OTHER_TARGETS else "quantities"
     named = {} if kind in _OTHER_TARGETS else _asked(stands, space, target)
     if kind == "quantities" and not named:

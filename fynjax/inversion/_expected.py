@@ -1,7 +1,7 @@
 """What statistics of a plot are to be expected: means over plantings and over what is unknown of
 the parameters, their slopes and their covariance."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, TypeVar
 
@@ -11,10 +11,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from fynjax._core.errors import InputError
 from fynjax.inversion._fit_result import Data, repeated_information, scatter_covariance
 from fynjax.inversion._space import ParameterSpace
 from fynjax.inversion._views import PlotForward
-from fynjax.scene import PlotParameters, Scene, stand_realisation, with_values
+from fynjax.scene import PlotParameters, Scene, with_values
 
 Stand = TypeVar("Stand")
 
@@ -95,7 +96,7 @@ class Expected(eqx.Module):
         """The planting and the unit normal numbers of a draw."""
         stand = self.stands[number % len(self.stands)]
         if number >= len(self.stands):
-            stand = stand_realisation(stand, number)  # no number of a planting
+            stand = stand.reordered(number)  # no number of a planting
         return stand, unit_draw(self.seed, number, len(self.space.names))
 
     def _places(
@@ -248,6 +249,20 @@ def with_error(data: Data, covariance: Float[np.ndarray, "statistic statistic"])
     return data.with_covariance(covariance) if sound else data
 
 
-Replant = Callable[[int, Float[np.ndarray, " species"] | None], Scene]
-"""Makes the scene with the plants of a numbered seed, 0 being the scene's own, and sites for so
-many plants of each species, or as many as the scene has."""
+def other_plantings(
+    scene: Scene, numbers: Iterable[int], counts: Float[np.ndarray, " species"] | None = None
+) -> list[Scene]:
+    """Realisations of a scene by their `numbers`; where a seed finds no room for the plants that
+    there are, all of them have the same sites, in other orders.
+
+    **Arguments:** `scene`; `numbers`, `counts`, as of `Scene.realisation`.
+
+    **Raises:** `InputError` where there is no room for more plants, of `counts`.
+    """
+    numbers = list(numbers)
+    try:
+        return [scene.realisation(number, counts) for number in numbers]
+    except InputError:
+        if counts is not None:
+            raise
+        return [scene.reordered(number) for number in numbers]

@@ -19,11 +19,11 @@ from fynjax._core.progress import advance
 from fynjax.canopy import VoxelGrid
 from fynjax.inversion._expected import (
     Expected,
-    Replant,
     chance_covariance,
     is_new,
     mean_information,
     of_thread,
+    other_plantings,
     plants_wanted,
     unit_draw,
     with_error,
@@ -47,7 +47,6 @@ from fynjax.scene import (
     element_count,
     fitted_accuracy,
     room_needed,
-    stand_realisation,
     with_values,
 )
 
@@ -296,7 +295,6 @@ class PlotSearch:
         settings: CalibrationSettings | None = None,
         *,
         solver: Any = None,
-        replant: Replant | None = None,
     ) -> None:
         settings = CalibrationSettings() if settings is None else settings
         if scene.known_plants:
@@ -309,7 +307,7 @@ class PlotSearch:
             )
         self.data, self.space, self.views, self.settings = data, space, tuple(views), settings
         self.signed = (
-            scene, parameters, data, space, self.views, settings, replant is None, solver,
+            scene, parameters, data, space, self.views, settings, solver,
         )  # fmt: skip
         """All that its steps follow from, besides where it starts."""
         # A Broyden solver goes step by step; any other (`_solver`) through a round at once.
@@ -317,7 +315,7 @@ class PlotSearch:
         if isinstance(solver, BroydenLM) and not solver.renew:  # it needs no slopes at its steps
             least = min(float(solver.atol), settings.tolerance)
             self._own, self._solver = dataclasses.replace(solver, atol=least), None
-        self._scene, self._parameters, self._replant = scene, parameters, replant
+        self._scene, self._parameters = scene, parameters
         form = search_form(
             scene, parameters, self.views, stride=settings.stride, accuracy=settings.accuracy
         )
@@ -334,15 +332,14 @@ class PlotSearch:
         wanted = np.asarray(wanted)
         if self._planted is None or self._planted[0] != wanted.tobytes():
             counts = wanted if wanted.any() else None
-            own = (
-                self._scene if counts is None or self._replant is None else self._replant(0, counts)
-            )
+            own = self._scene if counts is None else self._scene.realisation(0, counts)
             first = coarser(own, self._parameters)
             pool = ThreadPoolExecutor(2)  # XLA compiles without Python's lock
             try:
                 for call in self._first_calls(own, first) if ahead else ():
                     pool.submit(*call)
-                others = self._other_stands(counts)
+                numbers = range(1, max(self.settings.stand_realisations, 1))
+                others = other_plantings(self._scene, numbers, counts)
             except BaseException:
                 pool.shutdown(wait=False, cancel_futures=True)
                 raise
@@ -350,17 +347,6 @@ class PlotSearch:
             coarse = (first, *(coarser(stand, self._parameters) for stand in others))
             self._planted = wanted.tobytes(), (own, *others), coarse
         return self._planted[1], self._planted[2]
-
-    def _other_stands(self, counts: np.ndarray | None) -> list[Scene]:
-        numbers = range(1, max(self.settings.stand_realisations, 1))
-        if self._replant is not None:
-            try:
-                return [self._replant(i, counts) for i in numbers]
-            except InputError:  # another seed finds no room: the same sites in another order
-                if counts is not None:
-                    raise
-                self._replant = None
-        return [stand_realisation(self._scene, i) for i in numbers]
 
     def _first_calls(self, own: Scene, coarse: Scene) -> Iterator[tuple[Any, ...]]:
         """Calls by which the programs of a search that are new are compiled."""
@@ -420,7 +406,7 @@ class PlotSearch:
         counts = np.asarray(plants_wanted(self._scene, self._parameters, self.space, places))
         scene = self._stands(wanted)[0][0] if wanted.any() else self._scene
         short = room_needed(scene, self._parameters, counts) > 0.0
-        if self._replant is None or not short.any():
+        if not short.any():
             return wanted
         most = counts.max(axis=0)
         # Some to spare, lest the next steps ask for new sites again.
@@ -788,6 +774,7 @@ def coarser(scene: Scene, parameters: PlotParameters) -> Scene:
     return dataclasses.replace(
         scene,
         planting=scene.planting.thinned(most) if scene.finer else scene.planting,
+        planted=None,
         grid=VoxelGrid((nx, ny, nz // thick), grid.horizontal_size, layer),
         finer=0,
     )

@@ -13,6 +13,7 @@ from jaxtyping import Array, Float
 from fynjax._core.errors import InputError, whole_number
 from fynjax._core.precision import double_precision
 from fynjax._core.progress import track
+from fynjax.inversion._expected import other_plantings
 from fynjax.inversion._fit_result import scatter_covariance
 from fynjax.inversion._information import (
     Information,
@@ -30,7 +31,6 @@ from fynjax.scene import (
     PlotParameters,
     Scene,
     aim,
-    stand_realisation,
     with_values,
 )
 from fynjax.sensors import BandSet, Sensor
@@ -147,10 +147,8 @@ def sweep_sensors(
         quick, parameters, sensor, placement, gsd=gsd, bands=bands, noise=noise,
         sun_zenith=sun_zenith, stand_realisations=stand_realisations, coarse=coarse,
     )  # fmt: skip
-    plantings = [
-        quick,
-        *(stand_realisation(quick, i) for i in range(1, stand_realisations + 1)),
-    ]
+    others = other_plantings(scene, range(1, stand_realisations + 1))
+    plantings = [quick, *(coarser(other, parameters) for other in others)]
     at = space.physical(jnp.zeros(len(space.names)))
     bounds = []
     for lit, camera in zip(lights, cameras):

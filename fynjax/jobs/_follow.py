@@ -45,7 +45,6 @@ def calibrated(
         ready.space,
         views,
         ready.settings,
-        replant=ready.replant,
     )
     return calibration(search, follow(search, search_starts(search), run, checkpoint))
 

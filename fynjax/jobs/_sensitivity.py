@@ -24,6 +24,7 @@ from fynjax.inversion import (
     coarser,
     derivative_measures,
     expected_sensitivity,
+    other_plantings,
     search_form,
     sobol_indices,
 )
@@ -33,7 +34,7 @@ from fynjax.jobs._run import Run
 from fynjax.metrics import check_statistics
 from fynjax.report import figures
 from fynjax.report.pages import Page, Picture, Section, Table
-from fynjax.scene import Scene, stand_realisation
+from fynjax.scene import Scene
 
 METRICS = ("red.mean", "nir.mean", "NDVI.mean", "NDVI.std")
 """Metrics of a run that names none."""
@@ -176,11 +177,8 @@ def sensitivity(
 
 def _planting(ready: Prepared, number: int) -> tuple[Scene]:
     """The plot with other plants, in the coarse form: sites of another seed, in another order."""
-    try:
-        scene = ready.replant(number)
-    except InputError:  # another seed finds no room: the same sites in another order
-        scene = ready.scene
-    return (stand_realisation(coarser(scene, ready.parameters), number),)
+    (scene,) = other_plantings(ready.scene, [number])
+    return (coarser(scene, ready.parameters).reordered(number),)
 
 
 def _slope_table(slopes: ExpectedSensitivity) -> pd.DataFrame:

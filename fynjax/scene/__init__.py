@@ -5,7 +5,7 @@ Its light is computed in float32.
 
 from fynjax._core.compiler import keep_compiled
 from fynjax.scene._cover import ProjectedCover, projected_cover
-from fynjax.scene._ground import COVERS, Ground, ground_shares, random_patches
+from fynjax.scene._ground import COVERS, Ground, ground_shares
 from fynjax.scene._instances import Instances, hard_counts, hard_instances, hard_scene
 from fynjax.scene._large import TiledPicture, check_image, is_large
 from fynjax.scene._lidar import LidarObservation, ReturnTruth, observe_lidar
@@ -51,17 +51,17 @@ from fynjax.scene._planting import (
     leaf_classes,
     material_classes,
     organ_classes,
-    seed_of_planting,
+    planting_memory,
 )
 from fynjax.scene._profile import height_profile
 from fynjax.scene._scene import (
     PlantingRules,
+    Recipe,
     Scene,
     build_scene,
     check_projected_scene,
     ground_at,
     room_needed,
-    stand_realisation,
 )
 from fynjax.scene._species import (
     SHRUB_LEAF,
@@ -127,6 +127,7 @@ __all__ = [
     "PlotAir",
     "PlotParameters",
     "ProjectedCover",
+    "Recipe",
     "ReturnTruth",
     "Scene",
     "ScenePlan",
@@ -173,15 +174,13 @@ __all__ = [
     "parameter_reference",
     "pixel_truth",
     "plant_materials",
+    "planting_memory",
     "projected_cover",
-    "random_patches",
     "room_needed",
     "scene_structure",
-    "seed_of_planting",
     "species_parameters",
     "species_rows",
     "stand_area",
-    "stand_realisation",
     "table_spreads",
     "truth_of_layers",
     "truth_of_pixels",

@@ -4,7 +4,8 @@ Where each cover lies is drawn or read once; how much there is of it is a parame
 relative densities per voxel column, scaled until every cover has the share it should have.
 """
 
-from typing import Any
+import dataclasses
+from typing import Any, Literal
 
 import equinox as eqx
 import jax
@@ -14,6 +15,7 @@ from jaxtyping import Array, Float
 from scipy.ndimage import gaussian_filter
 
 from fynjax._core.seeds import generator
+from fynjax.canopy import VoxelGrid
 from fynjax.scene._spectra import Spectrum, background_spectrum
 
 COVERS = ("litter", "char", "rock")
@@ -43,10 +45,20 @@ class Ground(eqx.Module):
     from: no spectrum of rock is shipped."""
     patches: Float[np.ndarray, "kind y x"] | None = None
     """Relative density of soil, litter, char and rock in the voxel columns; None: mixed alike."""
+    patch: float = eqx.field(static=True, default=0.0)
+    """Width of patches that a scene draws by its seed [m]; 0: none but `patches`."""
     shape: tuple[float, float, float] | None = eqx.field(static=True, default=None)
     """k, theta and rho_c of `fynjax.radiation.RahmanPintyVerstraete`, alike in all bands, of level
     ground whose spectra are measured from above, lit from 45 degrees; None: it reflects alike in
     all directions."""
+
+    def laid(self, grid: VoxelGrid, boundary: Literal["periodic", "open"], seed: int) -> "Ground":
+        """The same ground with the patches that a seed draws, if any are to be drawn."""
+        if self.patch == 0.0:
+            return self
+        shape, scale = grid.shape[1::-1], self.patch / grid.horizontal_size
+        patches = random_patches(shape, scale, periodic=boundary == "periodic", seed=seed)
+        return dataclasses.replace(self, patches=patches)
 
     def cover_spectra(self, wavelength: Float[np.ndarray, " wavelength"]) -> Any:
         """Reflectance of litter, char and rock [cover, wavelength] at whole `wavelength` [nm] [-].

@@ -119,8 +119,11 @@ def hard_scene(scene: Scene, parameters: PlotParameters) -> Scene:
         planting=scene.planting.only(standing_plants(scene, parameters)),
         number=jnp.asarray(hard_counts(scene, parameters), scene.dtype),
         rounding=jnp.zeros_like(scene.rounding),
-        softness=0.0,
-        softness_plants=0.0,
+        recipe=dataclasses.replace(
+            scene.recipe,
+            rules=dataclasses.replace(scene.rules, softness=0.0, softness_plants=0.0),
+        ),
+        planted=None,
     )
 
 

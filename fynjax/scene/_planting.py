@@ -19,6 +19,8 @@ from jaxtyping import Array, Float, Int, Real
 from scipy.spatial import cKDTree
 from scipy.special import ndtr, ndtri
 
+from fynjax._core.errors import InputError
+from fynjax._core.memory import total_memory
 from fynjax._core.seeds import generator
 from fynjax.canopy import (
     FORMS,
@@ -298,6 +300,31 @@ def sites_ready(
     return np.ceil(room * wanted).astype(int) + np.where(wanted > 0, SPARE_SITES, 0)
 
 
+_ELEMENT_BYTES, _PLANT_BYTES = 80, 700
+"""Memory that an area element takes while it is listed and placed, and a plant while a plot is
+built: measured at 100 m x 100 m."""
+
+
+def planting_memory(plants: float, listed: float) -> float:
+    """Memory that so many plants take, of whom so many area elements are listed [GiB]."""
+    return (_ELEMENT_BYTES * listed + _PLANT_BYTES * plants) / 2**30
+
+
+def _check_memory(stand: Stand, needed: Int[np.ndarray, " species"]) -> None:
+    """Raise `InputError` where so many sites of each species do not fit in memory."""
+    of_plant = [
+        element_count(*size, stand.resolved, structured=stand.structured)
+        for size in zip(stand.diameter, stand.height, strict=True)
+    ]
+    listed = min(float(needed @ of_plant), MOST_LISTED)
+    asked, there = planting_memory(needed.sum(), listed), total_memory() / 2**30
+    if asked > there:
+        raise InputError(
+            f"the sites of {needed.sum()} plants need about {asked:.0f} GiB of memory, but this "
+            f"machine has {there:.0f} GiB: take a smaller plot, larger voxels, or less cover"
+        )
+
+
 def draw_planting(
     stand: Stand,
     wanted: Float[np.ndarray, " species"],
@@ -318,16 +345,17 @@ def draw_planting(
     - `periodic`: whether the plot repeats itself.
     - `probability`, `room`, `size_variation`: as `PlantingRules` has them.
 
-    **Raises:** `InputError` where a species finds no room on the plot.
+    **Raises:** `InputError` where a species finds no room on the plot, or plants in memory.
 
     Not differentiable: the scene is, in the parameters.
     """
     species, seed = stand.species, stand.seed
     individuals: list[dict[str, np.ndarray]] = [{} for _ in species]
     taxa = [one.taxon for one in species]
-    feet = np.empty((0, 2))
+    feet, rooms = np.empty((0, 2)), _rooms(np.broadcast_to(np.asarray(room, float), len(species)))
+    _check_memory(stand, sites_ready(wanted, rooms[-1]))
     # Step by step, so that a scene of more room has the plants of one of less where they are.
-    for times in _rooms(np.broadcast_to(np.asarray(room, float), len(species))):
+    for times in rooms:
         needed = sites_ready(wanted, times)
         radius = _spacing(needed, extent, probability)
         points = poisson_disk(extent, radius, seed=seed, periodic=periodic)

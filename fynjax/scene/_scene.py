@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import Any, Literal, SupportsIndex
+from typing import Any, Literal, NamedTuple, SupportsIndex
 
 import equinox as eqx
 import jax
@@ -20,6 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Real
 
+from fynjax._core.checkpoint import ByContent
 from fynjax._core.dry_run import counted
 from fynjax._core.errors import InputError, did_you_mean, whole_number
 from fynjax._core.html import as_html
@@ -60,7 +61,6 @@ from fynjax.scene._parameters import (
 )
 from fynjax.scene._plan import ScenePlan
 from fynjax.scene._planting import (
-    SPARE_SITES,
     Crowns,
     Planting,
     Stand,
@@ -103,8 +103,8 @@ _FINEST = 0.025
 """Edge of the finest voxels, unless others are asked for [m]."""
 
 
-@dataclass(frozen=True)
-class PlantingRules:
+@dataclass(frozen=True, eq=False)
+class PlantingRules(ByContent):
     """How plants are drawn, and how one more of them appears."""
 
     room: float | Float[np.ndarray, " species"] = 2.5
@@ -159,6 +159,30 @@ class PlantingRules:
         """Edge of the boxes in which leaves lie at random, in voxels of `voxel` [m]."""
         finer = self.finer(voxel)
         return max(self.tuft, voxel / finer) if finer else voxel
+
+
+@dataclass(frozen=True, eq=False)
+class Recipe(ByContent):
+    """How the plants of a scene are drawn. With it a scene needs but a seed for another planting
+    (`Scene.realisation`). It takes no part in what is computed of the scene."""
+
+    rules: PlantingRules
+    """Rules as stated; their `room` as it came to be."""
+    plants: tuple[PlantModel | None, ...]
+    """Shape of the plants of each species, such as of a mesh; None: that of the growth form."""
+    extent: tuple[float, float]
+    """Sides of the plot, (east-west, north-south) [m]."""
+
+
+class Planted(NamedTuple):
+    """What the plants of a scene were drawn for, in NumPy's digits."""
+
+    number: Float[np.ndarray, " species"]
+    """Real number of plants of each species [-]."""
+    diameter: Float[np.ndarray, " species"]
+    """Mean crown diameter of each [m]."""
+    height: Float[np.ndarray, " species"]
+    """Greatest height of each [m]."""
 
 
 @jax.custom_jvp
@@ -216,20 +240,16 @@ class Scene(eqx.Module):
     parameters: PlotParameters
     """Parameters as stated; what observes the scene may be given others."""
     species: tuple[Species, ...]
+    recipe: Recipe = eqx.field(static=True)
+    """How its plants were drawn, and those of another `realisation` are."""
+    planted: Planted | None
+    """What its plants were drawn for; None: it has others than were drawn."""
     boundary: Literal["periodic", "open"] = eqx.field(static=True)
     rounding: Float[Array, " species"]
     """Number that the real number of plants of each species is lessened by before it is rounded up
     [-]: 0 as in eq. (10), or drawn evenly from 0 to 1, so that the mean number is the real one."""
-    softness: float = eqx.field(static=True)
-    """Share of a species' plants over which one more of them is spread where a slope is taken [-];
-    see `site_weight`."""
-    softness_plants: float = eqx.field(static=True)
-    """Plants over which one more is spread besides the share `softness` of them, and one [-], see
-    `site_weight`; 0 with `softness` 0: plants whose number has no slope."""
-    flowering: float = eqx.field(static=True)
-    """Share of full bloom [-]."""
     tuft: float = eqx.field(static=True)
-    """Edge of the smallest clump of foliage that is resolved [m]."""
+    """`PlantingRules.tuft` as it goes with the voxels [m]."""
     finer: int = eqx.field(static=True)
     """Finest voxels along an edge of one of the grid's: sun and sight follow the plants on them.
     0: leaves fill the grid's evenly."""
@@ -255,12 +275,6 @@ class Scene(eqx.Module):
     """Whether the last plants of each species stand in part instead of whole (`Scene.expected`)."""
     seed: Int[np.ndarray | Array, ""] = eqx.field(default_factory=lambda: np.zeros((), int))
     """Seed of what was drawn; no part of what is observed."""
-    probability: Real[np.ndarray, "y x"] | None = None
-    """Map of where plants were likely to stand, as of `PlantingRules`."""
-    shaped: bool = eqx.field(static=True, default=False)
-    """Whether some plants have shapes that were given, and not that of their growth form."""
-    cover_definition: CoverDefinition = eqx.field(static=True, default="article")
-    """Meaning of a species' cover, see `PlantingRules`."""
     spacing: Float[Array, ""] = eqx.field(converter=jnp.asarray, default=0.0)
     """Least distance of the sites for which projected covers count plants [m]."""
     spreads: tuple[tuple[str, float], ...] = eqx.field(static=True, default=())
@@ -282,6 +296,7 @@ class Scene(eqx.Module):
         seed: SupportsIndex = 0,
         boundary: Literal["periodic", "open"] = "periodic",
         rounding: Literal["random", "up"] = "random",
+        size_variation: float = PlantingRules.size_variation,
         cover_definition: CoverDefinition | None = None,
         leaves: Mapping[str | tuple[str, str], LeafStated | Sequence[LeafStated]] | None = None,
         meshes: Mapping[str, MeshPlant] | None = None,
@@ -308,6 +323,7 @@ class Scene(eqx.Module):
         - `seed`: of everything random.
         - `boundary`: "periodic" repeats the plot for ever, "open" does not.
         - `rounding`: of the numbers of plants, see `PlantingRules`.
+        - `size_variation`: of the crown diameters of a species [-], see `PlantingRules`.
         - `cover_definition`: "projected", the share of the ground below the crowns of a species, or
           "article", eq. (10), see `PlantingRules`; left out, "projected", but for a table with
           packing, fill, branches or a least area, which only eq. (10) has.
@@ -396,6 +412,7 @@ class Scene(eqx.Module):
             rules=PlantingRules(
                 structure=structure,
                 rounding=rounding,
+                size_variation=size_variation,
                 cover_definition=cover_definition_of(rows, cover_definition),
             ),
             dead_tissue=dead_tissue,
@@ -471,6 +488,11 @@ class Scene(eqx.Module):
     _repr_html_ = as_html
 
     @property
+    def rules(self) -> PlantingRules:
+        """How plants are drawn, and how one more of them appears."""
+        return self.recipe.rules
+
+    @property
     def taxa(self) -> tuple[str, ...]:
         """Names of the species."""
         return tuple(one.taxon for one in self.species)
@@ -486,48 +508,108 @@ class Scene(eqx.Module):
         return tuple(one.branches for one in self.species)
 
     @drawn_in_double
-    def replanted(
+    def realisation(
         self, number: int, counts: Float[np.ndarray, " species"] | None = None
     ) -> "Scene":
-        """The same plot with plants of another seed, in other places, as `calibrate_plot` asks
-        for it. Known plants stay where they are.
+        """The same plot with other plants in other places, and patches of its ground where these
+        are drawn: another planting by the same `recipe`. Known plants stay where they are.
 
         **Arguments:**
 
-        - `number`: of the seed; 0 for the scene's own plants.
+        - `number`: of the planting; 0 for this very one, to the bit.
         - `counts`: plants of each species that are to find sites, besides those that do.
 
-        **Raises:** `InputError` where there is no room for them, and for plants of given shapes,
-        which are drawn by `fynjax.assembly.build_plot`.
+        **Raises:** `InputError` where there is no room or memory for them, and for a form of a
+        scene that has other plants than were drawn: a coarser or padded one, or `hard_scene`.
         """
         if self.known_plants:
             return self
-        if self.shaped:
-            raise InputError("plants of given shapes cannot be drawn again")
-        self, taxa = self._counting(), len(self.taxa)
-        seed = seed_of_planting(int(self.seed), number)
-        stated = np.asarray(self.counts(self.parameters))
-        ready = np.bincount(np.asarray(self.planting.species), minlength=taxa) - SPARE_SITES
-        # As many sites as there are, whose number was rounded up.
-        room = np.where(stated > 0, (ready - 1.0) / np.where(stated > 0, stated, 1.0), 0.0)
-        room = np.maximum(room, PlantingRules.room)
+        if self.planted is None:
+            raise InputError(
+                "expected a scene as it was built, but this is a coarser or padded form of one, or "
+                "one of the plants that stand: take a realisation of the scene itself"
+            )
+        check_known(planted=self.planted)
+        recipe, room = self.recipe, self.rules.room
         if counts is not None:
-            room = np.maximum(room, room_needed(self, self.parameters, counts))
-        edge = self.grid.horizontal_size
-        resolved = max(self.tuft, edge / self.finer) if self.finer else edge
-        stand = _stand(self, [None] * taxa, resolved, seed)
+            needed = self._room(self.planted.number, counts)
+            if (needed > room).any():
+                rules = dataclasses.replace(self.rules, room=np.maximum(needed, room))
+                recipe = dataclasses.replace(recipe, rules=rules)
+        seed = seed_of_planting(int(self.seed), number)
+        return dataclasses.replace(self, recipe=recipe)._drawn(seed)
+
+    def _drawn(self, seed: int) -> "Scene":
+        """The scene with all that is drawn by a seed."""
+        rules, planted = self.rules, self.planted
+        assert planted is not None
         planting = draw_planting(
-            stand,
-            stated,
-            extent=self.grid.extent[:2],
+            self._stand(seed),
+            planted.number,
+            extent=self.recipe.extent,
             periodic=self.boundary == "periodic",
-            probability=self.probability,
-            room=room,
-            size_variation=PlantingRules.size_variation,
+            probability=rules.probability,
+            room=rules.room,
+            size_variation=rules.size_variation,
         )
+        scene = self._without_plants(seed)
+        return dataclasses.replace(scene, planting=planting)
+
+    def _without_plants(self, seed: int) -> "Scene":
+        """The scene with what a seed decides besides where plants stand."""
+        drawn = self.rules.rounding == "random" and not self.known_plants
+        rounding = _rounding(len(self.species), [seed], self.dtype, drawn)
+        ground = self.ground.laid(self.grid, self.boundary, seed)
+        return dataclasses.replace(self, seed=np.asarray(seed), rounding=rounding, ground=ground)
+
+    def _stand(self, seed: int) -> Stand:
+        rules, planted = self.rules, self.planted
+        assert planted is not None
+        return Stand(
+            self.species,
+            planted.diameter,
+            planted.height,
+            self.recipe.plants,
+            rules.resolved(self.grid.horizontal_size),
+            self.finer > 0,
+            seed,
+            self.dtype,
+        )
+
+    def _room(
+        self, stated: Float[np.ndarray, " species"], counts: Float[np.ndarray, "*draw species"]
+    ) -> Float[np.ndarray, " species"]:
+        """`room_needed` by a scene drawn for `stated` plants of each species."""
+        most = np.max(np.reshape(np.asarray(counts, float), (-1, len(stated))), axis=0)
+        # In expectation half a plant more, and one more spread over sites beyond their number.
+        some = np.asarray(expected_count(most, 0.0))
+        ramp = self.rules.softness * some + max(self.rules.softness_plants - 1.0, 0.0)
+        most = np.maximum(np.ceil(most), some + 0.5 * ramp)
+        planted = np.asarray(self.planting.species)
+        ready = sites_ready(stated, PlantingRules.room)
+        if planted.size:
+            ready = np.bincount(planted, minlength=len(stated))
+        short = (most > ready) & (stated > 0)
+        return np.where(short, most / np.where(short, stated, 1.0), 0.0)
+
+    def reordered(self, seed: int) -> "Scene":
+        """The same plot with other plants standing on the same sites: unlike those of a
+        `realisation` they have the places and sizes that this scene holds ready, in another order,
+        which costs next to nothing. Numbers of plants that are rounded at random are rounded anew,
+        known plants stand where they do.
+
+        **Arguments:** `seed`, of the order.
+        """
+        species, place = np.asarray(self.planting.species), np.array(self.planting.place)
+        rng = generator(seed, 211)
+        for one in np.unique(species):
+            mine = species == one
+            # The first places stand: another order lets other plants of the species stand.
+            place[mine] = rng.permutation(place[mine])
         drawn = bool(np.asarray(self.rounding).any())
-        rounding = _rounding(taxa, [seed], self.dtype, drawn)
-        return dataclasses.replace(self, planting=planting, rounding=rounding)
+        rounding = _rounding(len(self.taxa), [seed, 211], self.dtype, drawn)
+        order = jnp.asarray(place, self.planting.place.dtype)
+        return eqx.tree_at(lambda s: (s.planting.place, s.rounding), self, (order, rounding))
 
     def expected(self, expected: bool = True) -> "Scene":
         """The same plot with the stand in expectation, of which everything is a smooth function of
@@ -559,7 +641,7 @@ class Scene(eqx.Module):
         """The same scene with room for plants that never stand: scenes of the same taxa, grid and
         about as many plants then share compiled programs. For images and what a pixel sees; a table
         of its plants would have rows too many."""
-        return dataclasses.replace(self, planting=self.planting.padded())
+        return dataclasses.replace(self, planting=self.planting.padded(), planted=None)
 
     @property
     def ground_level(self) -> float:
@@ -575,7 +657,7 @@ class Scene(eqx.Module):
         if self.known_plants:
             return jnp.bincount(self.planting.species, length=len(self.taxa)).astype(float)
         species = jax.tree.map(jnp.asarray, parameters.species)
-        if self.cover_definition == "projected":
+        if self.rules.cover_definition == "projected":
             ground, parts = self.ground_area, 1.0 if self.clumping is None else self.clumping
             crown = self._within(species.diameter / 2.0)
             return projected_count(
@@ -604,9 +686,9 @@ class Scene(eqx.Module):
     def _counting(self) -> "Scene":
         """Scene that counts projected covers by the least distance of its sites [m] and by the
         clumping of its map [-]; with the article's covers or known plants the scene as it is."""
-        if self.cover_definition == "article" or self.known_plants:
+        if self.rules.cover_definition == "article" or self.known_plants:
             return self
-        scene, extent, chance = self, self.grid.extent[:2], self.probability
+        scene, extent, chance = self, self.grid.extent[:2], self.rules.probability
         periodic = self.boundary == "periodic"
         if chance is not None or not periodic:
             parts = [
@@ -645,10 +727,10 @@ class Scene(eqx.Module):
         # Number in expectation and whole number of each plant's species, read at once.
         some, number = jnp.stack([some, number])[:, planting.species]
         whole = (number > planting.place).astype(some.dtype)
-        if self.softness == 0.0 and self.softness_plants == 0.0:
+        if self.rules.softness == 0.0 and self.rules.softness_plants == 0.0:
             return whole
         share = site_weight(
-            some, planting.place, width=self.softness_plants, softness=self.softness
+            some, planting.place, width=self.rules.softness_plants, softness=self.rules.softness
         )
         return jnp.where(self.in_part, share, _whole(whole, share))
 
@@ -681,7 +763,7 @@ class Scene(eqx.Module):
         seen from outside the shoots: leaves of a shoot shade each other. Differentiable."""
         species = jax.tree.map(lambda x: jnp.asarray(x, self.dtype), parameters.species)
         full = np.array([FORMS[form].flower_fraction for form in self.forms])
-        flower = species.leaf_area_index * jnp.asarray(self.flowering * full, self.dtype)
+        flower = species.leaf_area_index * jnp.asarray(self.rules.flowering * full, self.dtype)
         leaf = species.leaf_area_index * (1.0 - species.shoot_clumping)
         return jnp.stack([leaf, species.wood_area_index, flower], axis=-1)
 
@@ -1078,22 +1160,23 @@ def build_scene(
     # Where the structure is followed, its cells need whole numbers of layers.
     even = _EVEN_LAYERS * max(1, int(_COMPOSITION / voxel + 1e-6)) if finer else _EVEN_LAYERS
     layers = -(-grid.shape[2] // even) * even
-    drawn = rules.rounding == "random" and crowns is None
-    models = [None] * len(species) if plants is None else plants
+    if crowns is not None:  # who are as they are: nothing is spread
+        rules = dataclasses.replace(rules, softness=0.0, softness_plants=0.0)
+    shapes = [None] * len(species) if plants is None else plants
     species = [
-        one if model is None else dataclasses.replace(one, leaf_angle=inclination(model))
-        for one, model in zip(species, models, strict=True)
+        one if shape is None else dataclasses.replace(one, leaf_angle=inclination(shape))
+        for one, shape in zip(species, shapes, strict=True)
     ]
+    models = jax.tree.map(np.asarray, tuple(shapes))  # whose digits no precision changes
     scene = Scene(
         planting=no_plants(dtype),
         grid=VoxelGrid((*grid.shape[:2], layers), voxel, voxel),
         parameters=parameters,
         species=tuple(species),
+        recipe=Recipe(rules, models, extent),
+        planted=None,
         boundary=boundary,
-        rounding=_rounding(len(species), [seed], dtype, drawn),
-        softness=rules.softness if crowns is None else 0.0,
-        softness_plants=rules.softness_plants if crowns is None else 0.0,
-        flowering=rules.flowering,
+        rounding=jnp.zeros(len(species), dtype),
         tuft=rules.tuft,
         finer=finer,
         ground=Ground() if ground is None else ground,
@@ -1104,17 +1187,21 @@ def build_scene(
         hot_spot=hot_spot,
         dtype=dtype,
         known_plants=crowns is not None,
-        seed=np.asarray(seed),
-        probability=rules.probability,
-        shaped=any(model is not None for model in models),
-        cover_definition=rules.cover_definition,
     )._counting()
     check_projected_scene(scene, parameters)
     if finer:
         _check_structure(scene)
         scene = dataclasses.replace(scene, tuft=_fitting_tuft(scene))
-    stand = _stand(scene, models, rules.resolved(voxel), seed)
+    size = parameters.species
+    counts, diameter, height = map(
+        np.asarray, (scene.counts(parameters), size.diameter, size.height)
+    )
     ready = rules.room if room is None else room(scene)
+    scene = dataclasses.replace(
+        scene,
+        recipe=Recipe(dataclasses.replace(rules, room=ready), models, extent),
+        planted=Planted(counts, diameter, height),
+    )
     if crowns is not None:
         within = (crowns.foot >= 0.0) & (crowns.foot < np.asarray(extent))
         outside = np.asarray(~within.all(axis=1))
@@ -1125,20 +1212,13 @@ def build_scene(
                 f"{extent[0]:g} m x {extent[1]:g} m, the first at ({x:g}, {y:g})"
             )
     known = None if crowns is None else jnp.asarray(crowns.counts(scene.branches), dtype)
-    if counted(lambda _: _plan(scene, stand, ready, known)):
-        return dataclasses.replace(scene, number=known)
-    if crowns is not None:
-        return eqx.tree_at(lambda s: s.planting, scene, known_planting(stand, crowns))
-    planting = draw_planting(
-        stand,
-        np.asarray(scene.counts(parameters)),
-        extent=extent,
-        periodic=boundary == "periodic",
-        probability=rules.probability,
-        room=ready,
-        size_variation=rules.size_variation,
-    )
-    return eqx.tree_at(lambda s: s.planting, scene, planting)
+    bare = scene._without_plants(seed)
+    if counted(lambda _: _plan(bare, scene._stand(seed), ready, known)):
+        return dataclasses.replace(bare, number=known)
+    if crowns is None:
+        return scene._drawn(seed)
+    planting = known_planting(scene._stand(seed), crowns)
+    return dataclasses.replace(bare, planting=planting)
 
 
 def _plan(
@@ -1164,7 +1244,7 @@ def check_projected_scene(
     - `parameters`: of the plot.
     - `file`: that states them, for the error.
     """
-    if scene.cover_definition == "article" or scene.known_plants:
+    if scene.rules.cover_definition == "article" or scene.known_plants:
         return
     most = most_projected(1.0 if scene.clumping is None else scene.clumping)
     for i, one in enumerate(scene.species):
@@ -1173,20 +1253,6 @@ def check_projected_scene(
         largest = float(np.broadcast_to(most, len(scene.species))[i])
         cover = float(parameters.species.cover[i])
         check_projected(one.taxon, cover, terms, largest, file=file)
-
-
-def _stand(scene: Scene, models: Sequence[PlantModel | None], resolved: float, seed: int) -> Stand:
-    size = scene.parameters.species
-    return Stand(
-        scene.species,
-        np.asarray(size.diameter),
-        np.asarray(size.height),
-        models,
-        resolved,
-        scene.finer > 0,
-        seed,
-        scene.dtype,
-    )
 
 
 def _fitting_tuft(scene: Scene) -> float:
@@ -1231,17 +1297,7 @@ def room_needed(
 
     **Returns:** 0 for a species that has the sites.
     """
-    stated = np.asarray(scene.counts(parameters), float)
-    most = np.max(np.reshape(np.asarray(counts, float), (-1, len(stated))), axis=0)
-    # One more plant is spread over some of the sites beyond their number.
-    ramp = scene.softness * most + max(scene.softness_plants - 1.0, 0.0)
-    most = np.maximum(np.ceil(most), most + 0.5 * ramp)
-    planted = np.asarray(scene.planting.species)
-    ready = sites_ready(stated, PlantingRules.room)
-    if planted.size:
-        ready = np.bincount(planted, minlength=len(stated))
-    short = (most > ready) & (stated > 0)
-    return np.where(short, most / np.where(short, stated, 1.0), 0.0)
+    return scene._room(np.asarray(scene.counts(parameters), float), np.asarray(counts))
 
 
 def _rounding(
@@ -1251,25 +1307,3 @@ def _rounding(
     if not drawn:
         return jnp.zeros(species, dtype)
     return jnp.asarray(generator(*seed, 107).random(species), dtype)
-
-
-def stand_realisation(scene: Scene, seed: int) -> Scene:
-    """The same plot with other plants standing: each species fills its sites in another order, and
-    its number, where that is rounded at random, is rounded anew. Known plants stand where they do.
-
-    **Arguments:**
-
-    - `scene`: of which the sites held ready stay, and with them the pattern of a probability map.
-    - `seed`: of the order.
-    """
-    planting = scene.planting
-    species, place = np.asarray(planting.species), np.array(planting.place)
-    rng = generator(seed, 211)
-    for one in np.unique(species):
-        mine = species == one
-        # The first places stand: another order lets other plants of the species stand.
-        place[mine] = rng.permutation(place[mine])
-    drawn = bool(np.asarray(scene.rounding).any())
-    rounding = _rounding(len(scene.taxa), [seed, 211], scene.dtype, drawn)
-    order = jnp.asarray(place, planting.place.dtype)
-    return eqx.tree_at(lambda s: (s.planting.place, s.rounding), scene, (order, rounding))

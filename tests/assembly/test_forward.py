@@ -11,5 +11,5 @@ from fynjax.io.plot import CalibrationTable
 def test_a_search_has_the_steps_and_starts_of_the_plot_file():
     plot: Any = SimpleNamespace(calibration=CalibrationTable(max_iterations=7, starts=2))
     nothing: Any = None
-    settings = Prepared(plot, nothing, nothing, nothing, 3, nothing).settings
+    settings = Prepared(plot, nothing, nothing, nothing, 3).settings
     assert settings == CalibrationSettings(max_steps=7, starts=2, seed=3)

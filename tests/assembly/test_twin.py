@@ -43,7 +43,7 @@ def test_a_twin_is_an_image_of_its_truth_with_gains_and_noise(ready, twin):
     truth = with_values(
         ready.parameters, ready.scene.taxa, ready.space.named(jnp.asarray(twin.whitened))
     )
-    scene = ready.replant(_PLANTING)
+    scene = ready.scene.realisation(_PLANTING)
     image, _ = eqx.filter_jit(ImageView.observe)(view, scene, truth)
     found = dict(zip(one.data.names, np.asarray(one.data.value), strict=True))
     mean, std = (np.asarray(f(image, axis=(1, 2)), float) for f in (jnp.mean, jnp.std))
@@ -57,7 +57,7 @@ def test_a_twin_is_an_image_of_its_truth_with_gains_and_noise(ready, twin):
 
 def test_a_twin_is_planted_by_another_chance(ready):
     """Than the scene, and than any planting of a search."""
-    feet = [np.asarray(ready.replant(i).planting.foot) for i in (*range(8), _PLANTING)]
+    feet = [np.asarray(ready.scene.realisation(i).planting.foot) for i in (*range(8), _PLANTING)]
     assert all(one.shape != feet[-1].shape or (one != feet[-1]).any() for one in feet[:-1])
 
 

@@ -29,7 +29,6 @@ from fynjax.scene import (
     PlotParameters,
     Scene,
     aim,
-    stand_realisation,
 )
 from fynjax.sensors import shipped_sensor
 from tests.benchmarks._measure import options, seconds
@@ -139,7 +138,7 @@ def slopes(
     values, differences, taken = [], [], []
     for number in range(1, plantings + 1):
         # Sites for the largest covers that differences take.
-        stand = scene.replanted(number, 2.4 * np.asarray(scene.counts(parameters)))
+        stand = scene.realisation(number, 2.4 * np.asarray(scene.counts(parameters)))
         ends = [
             [np.asarray(value(none.at[i].set(sign * step), stand)) for sign in (1, -1)]
             for i, step in enumerate(steps)
@@ -184,7 +183,7 @@ def by_number(numbers: Sequence[float], plantings: int) -> pd.DataFrame:
 
     value, slope = eqx.filter_jit(gap), eqx.filter_jit(jax.grad(gap))
     drawn = np.random.default_rng(1).permutation(plantings)
-    stands = [stand_realisation(scene, i) for i in range(plantings)]
+    stands = [scene.reordered(i) for i in range(plantings)]
     # Four rounding numbers for each planting, all of them evenly spread.
     rounding = (drawn[:, None] / plantings + np.arange(4) + 0.5 / plantings) / 4.0
     as_number = lambda n: jnp.array([n], jnp.float32)  # noqa: E731

@@ -68,7 +68,7 @@ from fynjax.inversion import (
     weigh_targets,
 )
 from fynjax.metrics import spectral_mask
-from fynjax.scene import stand_realisation, with_values
+from fynjax.scene import with_values
 from fynjax.sensors import BandSet, shipped_sensor
 from tests.benchmarks._measure import data_folder, example_plot, options
 
@@ -158,7 +158,7 @@ def simulations(ready, view, count, random, first=0):
     quick, (cheap,) = search_form(ready.scene, ready.parameters, [view])
     stands = [quick]
     stands += [
-        search_form(ready.replant(first + i), ready.parameters, [view])[0]
+        search_form(ready.scene.realisation(first + i), ready.parameters, [view])[0]
         for i in range(1, min(8, count // 4))
     ]
     none = jnp.zeros(len(view.names))
@@ -167,7 +167,7 @@ def simulations(ready, view, count, random, first=0):
     draws = random.normal(size=(count, len(ready.space.names))).clip(-2.2, 2.2)
     found = []
     for i, u in enumerate(draws):
-        stand = stand_realisation(stands[i % len(stands)], 5000 + first + i)
+        stand = stands[i % len(stands)].reordered(5000 + first + i)
         density = LogPosterior(forward, ready.space, data, none, (stand,))
         found.append(np.asarray(predicted_statistics(density, jnp.asarray(u))))
     return draws, np.array(found)
@@ -180,9 +180,7 @@ def line(chosen, ready, truths, view):
     settings = CalibrationSettings(stand_realisations=realisations, scatter_draws=scatter)
     centre = np.asarray(look((view,), ready.scene, ready.parameters)[0])
     data = weigh_targets(view.names, centre, ready.plot.calibration.target_sd)
-    search = PlotSearch(
-        ready.scene, ready.parameters, data, space, (view,), settings, replant=ready.replant
-    )
+    search = PlotSearch(ready.scene, ready.parameters, data, space, (view,), settings)
     state = search.begin(jnp.zeros(free))
     place, weights = state.place, search.weights(state.place, state.subspace)
     jacobian = weights @ place.slope
@@ -235,7 +233,7 @@ def twin(number, size, wrong, sensors):
     began = time.process_time()
     found = calibrate_plot(
         ready.scene, ready.parameters, data, ready.space, views,
-        CalibrationSettings(seed=number), replant=ready.replant,
+        CalibrationSettings(seed=number),
     )  # fmt: skip
     fit = found.fit
     # Each has as many sites as its draws need, and so programs of its own: nine fill the memory

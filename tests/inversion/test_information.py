@@ -17,7 +17,7 @@ from fynjax.inversion import (
 from fynjax.inversion._fit_result import scatter_covariance
 from fynjax.inversion._information import shared_slopes
 from fynjax.inversion._sensor_sweep import _measure, _Sweep
-from fynjax.scene import Placement, stand_realisation
+from fynjax.scene import Placement
 from fynjax.sensors import shipped_sensor
 from tests.inversion.linear import DATA, MATRIX, SPACE, posterior
 from tests.scene.plots import small_parameters, small_plot
@@ -269,7 +269,7 @@ def test_the_default_of_a_small_plot_has_bounds_in_order(seed):
     """And every cover has one in the finest pixels with all bands."""
     model, parameters = small_plot(dtype="float32"), small_parameters()
     space = free_space(model, parameters, ["species.*.cover", "ground.brightness"], lambda _: 0.3)
-    model = stand_realisation(model, 100 * seed)
+    model = model.reordered(100 * seed)
     found = sweep_sensors(
         model, parameters, space, SENSOR, Placement(50.0), gsd=[0.1, 0.2, 1.6], bands=[1, 2, 4],
         seed=seed,

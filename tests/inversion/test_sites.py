@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from fynjax.assembly import build_plot, prepare
-from fynjax.canopy import site_weight
+from fynjax.canopy import expected_count, site_weight
 from fynjax.inversion import (
     CalibrationSettings,
     Data,
@@ -22,7 +22,7 @@ from fynjax.inversion import (
 )
 from fynjax.inversion._views import AbstractView
 from fynjax.io.plot import read_plot
-from fynjax.scene import element_count, room_needed
+from fynjax.scene import Scene, element_count, room_needed
 from tests.scene.plots import small_parameters, small_plot
 from tests.small import write_plot
 
@@ -54,6 +54,19 @@ class CrownSquares(CrownCover):
 @pytest.fixture(scope="module")
 def plot():
     return planted(2.5)
+
+
+@pytest.fixture
+def asked(monkeypatch):
+    """Realisations that were asked for: their numbers and counts."""
+    realise, calls = Scene.realisation, []
+
+    def counted(scene, number, counts=None):
+        calls.append((number, counts))
+        return realise(scene, number, counts)
+
+    monkeypatch.setattr(Scene, "realisation", counted)
+    return calls
 
 
 def test_a_scene_with_more_room_has_the_same_plants_and_others(plot):
@@ -89,43 +102,38 @@ def test_the_room_that_counts_need(plot):
     assert not needed[[0, 2]].any()
 
 
-def test_room_is_needed_where_plants_that_fade_would_lack_sites(plot):
-    """One more plant is spread over sites beyond the number: without them plants are missing."""
+def test_room_is_needed_where_a_stand_in_expectation_would_lack_sites(plot):
+    """It has up to half a plant more, and one more is spread over sites beyond the number."""
     scene, parameters = plot
     stated = np.asarray(scene.counts(parameters))
     place = np.asarray(scene.planting.place)[np.asarray(scene.planting.species) == 1]
     needed, missing = [], []
-    for count in len(place) * np.array([0.7, 0.85, 0.95, 0.99]):
+    for count in len(place) * np.array([0.7, 0.85, 0.97, 0.99]):
         counts = np.where([False, True, False], count, stated)
         needed.append(room_needed(scene, parameters, counts)[1])
-        weight = site_weight(count, place, width=scene.softness_plants, softness=scene.softness)
-        missing.append(1.0 - float(np.sum(weight)) / count)
+        some = float(expected_count(count, 0.0))
+        weight = site_weight(
+            some, place, width=scene.rules.softness_plants, softness=scene.rules.softness
+        )
+        missing.append(1.0 - float(np.sum(weight)) / some)
     short = np.array(needed) > 0
     assert short.tolist() == [False, False, True, True]
     assert np.all((np.array(missing) > 1e-3) == short)
 
 
-def test_a_search_gets_the_sites_that_it_asks_for(plot):
+def test_a_search_gets_the_sites_that_it_asks_for(plot, asked):
     """Data of four times the table's crowns, where there are sites for 2.5 times as many."""
     scene, parameters = plot
     space = free_space(scene, parameters, ["*.cover"], lambda _: 1.0)
     start = np.asarray(CrownCover().observe(scene, parameters)[1])
     data = Data(("crown cover",), jnp.asarray(4.0 * start), jnp.array([0.01]))
     settings = CalibrationSettings(stand_realisations=0, rounds=1)
-    rooms = []
-
-    def replant(number, counts):
-        assert number == 0  # no other plantings were asked for
-        rooms.append(counts)
-        return planted(np.maximum(2.5, room_needed(scene, parameters, counts)))[0]
-
-    found = calibrate_plot(
-        scene, parameters, data, space, [CrownCover()], settings, replant=replant
-    )
-    assert rooms
+    found = calibrate_plot(scene, parameters, data, space, [CrownCover()], settings)
+    assert {number for number, _ in asked} == {0}  # no other plantings were asked for
     np.testing.assert_allclose(found.statistics_after, data.value, rtol=0.06)
     assert len(found.scene.planting.species) > len(scene.planting.species)
-    without = calibrate_plot(scene, parameters, data, space, [CrownCover()], settings)
+    fixed = dataclasses.replace(scene, planted=None)
+    without = calibrate_plot(fixed, parameters, data, space, [CrownCover()], settings)
     assert float(without.statistics_after[0]) < 0.85 * float(data.value[0])
 
 
@@ -139,7 +147,7 @@ def test_a_table_of_parameters_gets_its_sites_and_growth_counts_from_the_species
     plot = read_plot(path)
     scene, parameters = build_plot(plot)
     counts = 2.0 * np.asarray(scene.counts(parameters))
-    grown, _ = build_plot(plot, counts=counts)
+    grown = scene.realisation(0, counts)
     sites = np.bincount(np.asarray(grown.planting.species))
     assert (sites >= 1.1 * counts).all()
     assert (sites > np.bincount(np.asarray(scene.planting.species))).all()
@@ -177,18 +185,7 @@ def test_a_search_has_an_element_for_every_two_of_its_own_thick_boxes():
         assert counts[owner == i].max() <= element_count(d, h, 0.1, layer=0.2)
 
 
-def grower(scene, parameters, asked):
-    """Makes plots with more sites, and keeps what it was asked for."""
-
-    def replant(number, counts=None):
-        asked.append(counts)
-        room = 2.5 if counts is None else np.maximum(2.5, room_needed(scene, parameters, counts))
-        return planted(room)[0]
-
-    return replant
-
-
-def test_a_round_follows_where_plants_got_more_sites(plot, monkeypatch):
+def test_a_round_follows_where_plants_got_more_sites(plot, asked, monkeypatch):
     """However little it moved; with slopes of the plants that there are now, and sites for a half
     more than asked for."""
     monkeypatch.setattr(_search, "_SETTLED", np.inf)
@@ -196,9 +193,8 @@ def test_a_round_follows_where_plants_got_more_sites(plot, monkeypatch):
     space = free_space(scene, parameters, ["*.cover"], lambda _: 1.0)
     start = np.asarray(CrownCover().observe(scene, parameters)[1])
     data = Data(("crown cover",), jnp.asarray(4.0 * start), jnp.array([0.01]))
-    settings, asked = CalibrationSettings(stand_realisations=0, rounds=1), []
-    replant = grower(scene, parameters, asked)
-    search = PlotSearch(scene, parameters, data, space, [CrownCover()], settings, replant=replant)
+    settings = CalibrationSettings(stand_realisations=0, rounds=1)
+    search = PlotSearch(scene, parameters, data, space, [CrownCover()], settings)
     (u,) = search_starts(search)
     state = search.begin(u)
     assert not np.asarray(state.wanted).any()
@@ -266,14 +262,13 @@ def test_a_last_round_that_has_settled_keeps_errors_and_renders_the_estimate(plo
     assert np.diagonal(state.best.spread).min() < 0.9
 
 
-def test_sites_are_made_for_all_draws_of_the_prior_at_the_start(plot):
+def test_sites_are_made_for_all_draws_of_the_prior_at_the_start(plot, asked):
     scene, parameters = plot
     space = free_space(scene, parameters, ["*.cover"], lambda _: 1.0)
     start = np.asarray(CrownCover().observe(scene, parameters)[1])
     data = Data(("crown cover",), jnp.asarray(start), jnp.array([0.01]))
-    settings, asked = CalibrationSettings(stand_realisations=2, scatter_draws=6), []
-    replant = grower(scene, parameters, asked)
-    search = PlotSearch(scene, parameters, data, space, [CrownCover()], settings, replant=replant)
+    settings = CalibrationSettings(stand_realisations=2, scatter_draws=6)
+    search = PlotSearch(scene, parameters, data, space, [CrownCover()], settings)
     state = search.begin(jnp.zeros(len(space.names)))
     expected = search.expected(state)
     drawn = [scene.counts(search.plot(jnp.asarray(expected.draw(i)[1]))) for i in range(6)]

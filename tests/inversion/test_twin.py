@@ -100,9 +100,7 @@ def twins():
         data = weigh_targets(
             STATISTICS, value * (1.0 + ERROR * random.normal(size=value.size)), ERROR
         )
-        calibration = calibrate_plot(
-            scene, centre, data, space, [view], settings, replant=lambda i, _: planted(1 + i)
-        )
+        calibration = calibrate_plot(scene, centre, data, space, [view], settings)
         found.append((normal, leaf_area(stand, truth), calibration))
     return found
 

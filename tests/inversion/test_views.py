@@ -55,7 +55,7 @@ from fynjax.jobs._follow import follow
 from fynjax.jobs._run import Run
 from fynjax.metrics.structure import STRUCTURE_METRICS, voxel_structure
 from fynjax.radiation import parallel_rays, reflectance_factor, solve_light
-from fynjax.scene import stand_realisation, with_values
+from fynjax.scene import Scene, with_values
 from fynjax.scene._optics import seen_from_above
 from fynjax.sensors import BandSet, Gains
 from tests.heard import hearing
@@ -166,7 +166,7 @@ def test_a_second_forward_model_of_the_same_shapes_compiles_nothing(plot, views)
 
     at, results = space.prior, []
     other = with_values(parameters, TAXA, {"ground.brightness": jnp.asarray(0.5)})
-    for plant, start in ((model, parameters), (stand_realisation(model, 1), other)):
+    for plant, start in ((model, parameters), (model.reordered(1), other)):
         quick, coarse = search_form(plant, start, views[1:2], accuracy=ACCURACY)
         results.append(predict(PlotForward(start, space.names, coarse), at, quick))
     assert traced == [1]
@@ -365,7 +365,7 @@ def test_a_checkpoint_of_another_calibration_is_refused(sums, tmp_path):
     other = Data(data.names, data.value.at[0].mul(1.001), data.sd)
     for changed, options in (
         ((model, start, other, space), {}),
-        ((stand_realisation(model, 1), start, data, space), {}),
+        ((model.reordered(1), start, data, space), {}),
         (sums, {"max_steps": 5}),
     ):
         with pytest.raises(InputError, match="checkpoint is of another run"):
@@ -535,7 +535,8 @@ class Misleading(Sums):
 
 
 def test_a_search_without_gain_ends_at_its_start(sums):
-    found = calibrated(sums, Misleading(), rounds=1, stand_realisations=0)
+    fixed = dataclasses.replace(sums[0], planted=None)  # which gets no more sites
+    found = calibrated((fixed, *sums[1:]), Misleading(), rounds=1, stand_realisations=0)
     assert found.fit.status == FitStatus.no_gain
     np.testing.assert_allclose(found.fit.whitened, 0.0)
     np.testing.assert_allclose(found.fit.predicted, found.statistics_after)
@@ -596,24 +597,27 @@ def chance(sums):
     model, _, _, _ = sums
     parameters = small_parameters()
     root = 0.02 * np.array([[1.0, 0.0, 0.0], [0.5, 1.0, 0.0], [0.0, -0.5, 1.0]])
-    place = np.asarray(model.planting.place, float)
+    fields = {f.name: getattr(model, f.name) for f in dataclasses.fields(model)}
 
-    def replant(number, counts=None):
-        drawn = root @ np.random.default_rng([number, 5]).normal(size=3)
-        changed = np.concatenate([drawn, place[3:]])
-        return eqx.tree_at(lambda m: m.planting.place, model, jnp.asarray(changed))
+    class Drawn(Scene):
+        def realisation(self, number, counts=None):
+            drawn = root @ np.random.default_rng([number, 5]).normal(size=3)
+            changed = np.concatenate([drawn, np.asarray(self.planting.place, float)[3:]])
+            return eqx.tree_at(lambda m: m.planting.place, self, jnp.asarray(changed))
+
+    plot = Drawn(**fields).realisation(0)
 
     def space(relative_sd):
         free = [f"species.{taxon}.cover" for taxon in TAXA[:2]]
         return free_space(model, parameters, free, lambda _: relative_sd)
 
-    return parameters, space, root, replant
+    return parameters, space, root, plot
 
 
 def test_data_count_as_one_draw_of_what_plantings_scatter(chance):
     """Against the normal equations with the expectation and the covariance over plantings, where
     statistics are linear over the posterior."""
-    parameters, space, root, replant = chance
+    parameters, space, root, plot = chance
     space = space(0.03)
     count = 40
     cover = np.asarray(parameters.species.cover)[:2]
@@ -622,11 +626,9 @@ def test_data_count_as_one_draw_of_what_plantings_scatter(chance):
     settings = CalibrationSettings(
         stand_realisations=count, scatter_draws=count, rounds=3, tolerance=1e-5
     )
-    found = calibrate_plot(
-        replant(0), parameters, data, space, [Chance()], settings, replant=replant
-    )
+    found = calibrate_plot(plot, parameters, data, space, [Chance()], settings)
     assert found.fit.converged
-    places = [np.asarray(replant(i).planting.place)[:3] for i in range(count)]
+    places = [np.asarray(plot.realisation(i).planting.place)[:3] for i in range(count)]
     cover = np.asarray(found.after.species.cover)
     values = np.array([cover[0], cover[1], cover[0] + cover[1]])
     draws = np.array([values * (1.0 + 0.1 * e) + e for e in places])
@@ -651,18 +653,18 @@ def test_data_count_as_one_draw_of_what_plantings_scatter(chance):
 @pytest.mark.study
 def test_estimates_over_truths_have_the_stated_spread(chance):
     """Simulation-based calibration: truths of the prior, planted with seeds of their own."""
-    parameters, space, _, replant = chance
+    parameters, space, _, stand = chance
     space = space(0.3)
     settings = CalibrationSettings(stand_realisations=24, scatter_draws=24, rounds=1)
     random, scores, chi = np.random.default_rng(3), [], []
     for number in range(40):
         truth = random.normal(size=2)
         plot = with_values(parameters, TAXA, space.named(jnp.asarray(truth)))
-        value = Chance().predict(replant(500 + number), plot) + 0.01 * random.normal(size=3)
-        data = Data(Chance().names, value, jnp.full(3, 0.01))
-        found = calibrate_plot(
-            replant(0), parameters, data, space, [Chance()], settings, replant=replant
+        value = Chance().predict(stand.realisation(500 + number), plot) + 0.01 * random.normal(
+            size=3
         )
+        data = Data(Chance().names, value, jnp.full(3, 0.01))
+        found = calibrate_plot(stand, parameters, data, space, [Chance()], settings)
         sd = np.sqrt(np.diagonal(found.fit.covariance))
         scores.append((truth - np.asarray(found.fit.whitened)) / sd)
         chi.append(found.misfit)
@@ -689,13 +691,11 @@ class Hinge(AbstractView):
 def test_slopes_hold_over_what_is_unknown(chance):
     """The line that is best for a unit normal number above zero has the slope 1/2, and what it
     leaves has the variance 1/2 - 1/(2 pi) - 1/4."""
-    parameters, space, _, replant = chance
+    parameters, space, _, stand = chance
     view = Hinge(float(parameters.species.cover[0]))
     data = Data(view.names, jnp.array([0.03 / np.sqrt(2.0 * np.pi)]), jnp.array([0.1]))
     settings = CalibrationSettings(stand_realisations=100, scatter_draws=400, rounds=1)
-    found = calibrate_plot(
-        replant(0), parameters, data, space(0.03), [view], settings, replant=replant
-    )
+    found = calibrate_plot(stand, parameters, data, space(0.03), [view], settings)
     assert float(found.fit.jacobian[0, 0]) == pytest.approx(0.5 * 0.03, rel=0.1)
     left = float(found.data.sd[0] ** 2 - 0.1**2) / 0.03**2
     assert left == pytest.approx(0.25 - 0.5 / np.pi, rel=0.15)
@@ -717,18 +717,16 @@ class Bent(AbstractView):
 def test_estimates_have_the_stated_spread_where_statistics_bend(chance):
     """Data that tell much: a line over the prior is far from one over the posterior, so rounds
     must follow until both agree."""
-    parameters, space, _, replant = chance
+    parameters, space, _, stand = chance
     space, view = space(0.3), Bent(float(parameters.species.cover[0]))
     settings = CalibrationSettings(scatter_draws=16)
     random, scores = np.random.default_rng(3), []
     for _ in range(24):
         truth = random.normal(size=2)
         plot = with_values(parameters, TAXA, space.named(jnp.asarray(truth)))
-        value = view.predict(replant(0), plot) * (1.0 + 0.1 * random.normal())
+        value = view.predict(stand, plot) * (1.0 + 0.1 * random.normal())
         data = Data(view.names, value, 0.1 * value)
-        found = calibrate_plot(
-            replant(0), parameters, data, space, [view], settings, replant=replant
-        )
+        found = calibrate_plot(stand, parameters, data, space, [view], settings)
         sd = np.sqrt(np.diagonal(found.fit.covariance))[0]
         scores.append((truth[0] - float(found.fit.whitened[0])) / sd)
     assert 0.7 < np.sqrt(np.mean(np.square(scores))) < 1.4

@@ -11,7 +11,7 @@ import xarray as xr
 
 from fynjax import jobs
 from fynjax._core.errors import InputError
-from fynjax.assembly import Prepared, build_plot, image_view, prepare
+from fynjax.assembly import Prepared, image_view, prepare
 from fynjax.inversion import PlotForward, Posterior, local_sensitivity, search_form
 from fynjax.io.plot import read_plot
 from fynjax.jobs._information import _limit_sentences, information, limit_table
@@ -129,8 +129,7 @@ def test_slopes_are_those_of_the_expectation_over_plantings(plot, tmp_path):
     predict = PlotForward(ready.parameters, names, cheap)
     others, values = [], []
     for seed in range(100, 116):
-        scene, _ = build_plot(read, seed=seed, counts=ready.counts)
-        quick, _ = search_form(scene, ready.parameters, [view])
+        quick, _ = search_form(ready.scene.realisation(seed), ready.parameters, [view])
         local = local_sensitivity(predict, names, ["nir.mean"], at, context=(quick,))
         others.append(local.elasticity[0])
         values.append(local.value[0])

@@ -75,6 +75,12 @@ def small_plot(**changes: Any) -> Scene:
     )
 
 
+def ruled(scene: Scene, **changes: Any) -> Scene:
+    """The same plants with other `PlantingRules`."""
+    rules = dataclasses.replace(scene.rules, **changes)
+    return dataclasses.replace(scene, recipe=dataclasses.replace(scene.recipe, rules=rules))
+
+
 def drone(
     scene: Scene, accuracy: Accuracy = EXACT, pixel: float = 0.1, sensor: Sensor | None = None
 ) -> AimedSensor:

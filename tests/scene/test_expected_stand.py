@@ -23,7 +23,6 @@ from fynjax.scene import (
     hard_scene,
     observe_lidar,
     room_needed,
-    stand_realisation,
 )
 from fynjax.scene._planting import no_plants
 from fynjax.sensors import shipped_lidar
@@ -52,16 +51,14 @@ def test_the_mean_number_of_plants_is_the_real_one(plot) -> None:
     """Over plantings; the ceiling of eq. (10) has half a plant more of each species."""
     parameters = small_parameters()
     real = np.asarray(plot.counts(parameters))
-    found = [hard_counts(stand_realisation(plot, seed), parameters) for seed in range(400)]
+    found = [hard_counts(plot.reordered(seed), parameters) for seed in range(400)]
     part = real % 1.0
     error = np.sqrt(part * (1.0 - part) / 400)
     assert np.all(np.abs(np.mean(found, axis=0) - real) < 4 * error)
     assert np.ptp(found, axis=0).max() == 1
     up = small_plot(extent=(1.5, 1.5), rounding="up")
     for seed in range(3):
-        np.testing.assert_array_equal(
-            hard_counts(stand_realisation(up, seed), parameters), np.ceil(real)
-        )
+        np.testing.assert_array_equal(hard_counts(up.reordered(seed), parameters), np.ceil(real))
 
 
 def test_rounding_keeps_the_mean_and_whole_numbers() -> None:
@@ -133,7 +130,7 @@ def few():
 
     value = eqx.filter_jit(seen)
     slope = eqx.filter_jit(jax.jacfwd(seen))
-    plantings = [stand_realisation(scene, seed) for seed in range(6)]
+    plantings = [scene.reordered(seed) for seed in range(6)]
     whole = [[value(jnp.array([1.0 * n]), plot) for n in range(4)] for plot in plantings]
 
     def slopes(number: float) -> np.ndarray:
@@ -268,7 +265,7 @@ def over_plantings(plot, value, slope, plantings=PLANTINGS):
     steps = np.array([0.28, 0.28, 0.1, 0.1])
     values, differences, slopes = [], [], []
     for seed in range(plantings):
-        scene = stand_realisation(plot, seed)
+        scene = plot.reordered(seed)
         values.append(float(value(jnp.zeros(4), scene)))
         ends = [[float(value(s * step, scene)) for s in (1, -1)] for step in np.diag(steps)]
         differences.append([(up - down) / (2 * step) for (up, down), step in zip(ends, steps)])

@@ -18,7 +18,6 @@ from fynjax.scene import (
     hard_scene,
     height_profile,
     projected_cover,
-    stand_realisation,
 )
 from fynjax.scene._planting import INDIVIDUALS
 from tests.scene.plots import densities, small_parameters, small_plot
@@ -91,7 +90,7 @@ def test_the_hard_scene_has_the_area_that_sensors_see(seed: int) -> None:
     parameters = small_parameters()
     model = small_plot(rotation_spread=[8.0, 0.0, 20.0])
     if seed:
-        model = stand_realisation(model, seed)
+        model = model.reordered(seed)
     hard = hard_scene(model, parameters)
     seen, whole = (np.asarray(densities(m, parameters)) for m in (model, hard))
     np.testing.assert_allclose(whole, seen, rtol=1e-12, atol=1e-12)

@@ -7,7 +7,7 @@ import pytest
 
 from fynjax.assembly import prepare
 from fynjax.io.plot import read_plot
-from fynjax.scene import hard_instances, room_needed, stand_realisation, with_values
+from fynjax.scene import hard_instances, room_needed, with_values
 from tests.io.test_crowns import CROWNS, write
 from tests.scene.plots import densities
 
@@ -53,7 +53,7 @@ def test_covers_plant_nobody_and_diameters_scale_the_crowns(ready):
 
 
 def test_no_chance_plants_them_anew(ready):
-    for other in (stand_realisation(ready.scene, 5), ready.replant(3)):
+    for other in (ready.scene.reordered(5), ready.scene.realisation(3)):
         assert jax.tree.all(
             jax.tree.map(
                 lambda a, b: bool(jnp.array_equal(a, b)), other.planting, ready.scene.planting

@@ -33,6 +33,7 @@ from fynjax.scene import (
 )
 from fynjax.scene._optics import _leaves
 from fynjax.sensors import shipped_sensor
+from tests.scene.plots import ruled
 from tests.small import write_plot
 
 from .plots import drone, render, small_parameters, small_plot
@@ -141,7 +142,7 @@ def test_thin_plants_of_several_leaves_are_the_mixture_of_plants_of_each():
 
 def test_slope_by_the_spread_of_leaves_is_a_difference():
     scene, parameters = varied()
-    exact = dataclasses.replace(scene, softness=0.0, softness_plants=0.0)
+    exact = ruled(scene, softness=0.0, softness_plants=0.0)
 
     def spread_of_image(scene, spread):
         return jnp.std(render(scene, with_spread(parameters, spread)), axis=(1, 2))

@@ -38,6 +38,7 @@ from fynjax.scene import (
 )
 from fynjax.sensors import shipped_sensor
 from tests import reference
+from tests.scene.plots import ruled
 
 BANDS = shipped_sensor("mavic_3m").bands
 WAVE = np.arange(400.0, 2501.0)
@@ -96,7 +97,7 @@ def scene_of(mesh: MeshPlant, leaves: Any = None, **options: Any) -> Scene:
         leaves=LEAVES if leaves is None else leaves,
         **given | options,
     )
-    return dataclasses.replace(scene, flowering=1.0)
+    return ruled(scene, flowering=1.0)
 
 
 def leaf_optics(traits: dict[str, float]) -> tuple[np.ndarray, np.ndarray]:
@@ -323,7 +324,7 @@ def test_generated_plants_have_flowers_and_wood_of_their_own() -> None:
         ("Erica", "flower"): {"anthocyanins": 9.0}, ("Erica", "wood"): {"reflectance": "char"}
     }  # fmt: skip
     scene = Scene.from_table(ROWS, leaves=leaves, **options)
-    scene = dataclasses.replace(scene, flowering=1.0)
+    scene = ruled(scene, flowering=1.0)
     optics = scene.optics(scene.parameters, BANDS)[0]
     density = scene.area_density(scene.parameters).sum(axis=(1, 2, 3))
     names = {one.name: k for k, _, one in material_classes(scene.species).values()}
@@ -331,7 +332,7 @@ def test_generated_plants_have_flowers_and_wood_of_their_own() -> None:
     np.testing.assert_array_equal(optics.transmittance[names["wood"]], 0.0)
     petal = leaf_optics(PETAL | {"carotenoids": 0.5, "anthocyanins": 9.0})  # as shipped, but red
     np.testing.assert_allclose(optics.reflectance[names["flower"]], petal[0], atol=2e-4)
-    whole = dataclasses.replace(Scene.from_table(ROWS, **options), flowering=1.0)
+    whole = ruled(Scene.from_table(ROWS, **options), flowering=1.0)
     before = whole.area_density(whole.parameters).sum(axis=(1, 2, 3))
     np.testing.assert_allclose(density[:2], before[:2], rtol=1e-5)
     for k, name in ((2, "wood"), (3, "flower")):

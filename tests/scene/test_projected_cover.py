@@ -22,7 +22,6 @@ from fynjax.scene import (
     build_scene,
     hard_instances,
     projected_cover,
-    stand_realisation,
 )
 from tests.scene.plots import small_parameters
 
@@ -64,7 +63,7 @@ def _covered(scene: Scene, plantings: int) -> list[list[np.ndarray]]:
     centre = (np.arange(round(size / CELL)) + 0.5) * CELL
     diameter = np.asarray(scene.parameters.species.diameter)
     for number in range(plantings):
-        planting = scene.replanted(number + 1).planting
+        planting = scene.realisation(number + 1).planting
         order = np.argsort(np.asarray(planting.place), kind="stable")
         for one, radius in enumerate(diameter / 2.0):
             mine = order[np.asarray(planting.species)[order] == one]
@@ -141,7 +140,7 @@ def test_the_slope_of_the_gap_is_that_of_its_mean_over_plantings() -> None:
     scene, step = _scene(3.0, 0.4), 0.2
     gap = eqx.filter_jit(lambda scene, x: scene.gap_fraction(_with_cover(scene, 0.4 * jnp.exp(x))))
     slope = eqx.filter_jit(jax.grad(lambda x, scene: gap(scene, x)))
-    plantings = [stand_realisation(scene, seed) for seed in range(30)]
+    plantings = [scene.reordered(seed) for seed in range(30)]
     slopes = np.array([slope(jnp.zeros(()), one) for one in plantings])
     ends = [np.array([gap(one, s * step) for one in plantings]) for s in (1.0, -1.0)]
     differences = (ends[0] - ends[1]) / (2 * step)
@@ -204,7 +203,7 @@ def test_what_has_no_place_beside_projected_covers_is_refused(change, column, wo
     assert (error.value.row, error.value.column) == (2, column)
     if column != "cover_percent":  # by itself the table then is the article's
         scene = Scene.from_table(rows, size=2.0, voxel=0.5, structure="even")
-        assert scene.cover_definition == "article"
+        assert scene.rules.cover_definition == "article"
 
 
 def test_where_the_map_has_no_plants_they_cover_nothing() -> None:
@@ -224,7 +223,7 @@ def test_a_table_is_projected_unless_it_is_said() -> None:
         plants = hard_instances(scene, scene.parameters)
         planted[definition] = projected_cover(plants, cell=0.02).species
     scene = Scene.from_table(ROWS, size=2.0, voxel=0.5, structure="even")
-    assert scene.cover_definition == "projected"
+    assert scene.rules.cover_definition == "projected"
     fitted = free_space(
         scene,
         scene.parameters,

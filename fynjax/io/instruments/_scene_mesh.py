@@ -71,7 +71,7 @@ def scene_meshes(
             height=float(species.height[taxon_index]),
             leaf_area_index=share * float(species.leaf_area_index[taxon_index]),
             wood_area_index=share * float(species.wood_area_index[taxon_index]),
-            flowering=scene.flowering,
+            flowering=scene.rules.flowering,
             max_triangles=each,
         )
         meshes.append(made.mesh)

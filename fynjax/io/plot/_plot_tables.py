@@ -27,7 +27,7 @@ from fynjax.io.text import (
     optional_quantity,
     quantity,
 )
-from fynjax.scene import PARAMETERS, CoverDefinition, Placement
+from fynjax.scene import PARAMETERS, CoverDefinition, Placement, PlantingRules
 from fynjax.sensors import Panel, SunPosition, shipped_sensors, sun_position
 
 
@@ -402,6 +402,9 @@ class SceneTable(Strict):
 
     seed: int = Field(default=0, ge=0, lt=2**31)
     """Seed of everything random [-]."""
+    size_variation: float = in_unit("-", default=PlantingRules.size_variation, ge=0, le=2)
+    """Coefficient of variation of the crown diameters of a species; plants that are wider are
+    higher too. With 0 all crowns of a species are alike [-]."""
     softness: float = in_unit("-", default=0.1, ge=0, le=1)
     """Share of a species' plants over which one more is spread where a slope is taken [-]."""
     softness_plants: float = in_unit("plants", default=1.0, ge=0, le=10)

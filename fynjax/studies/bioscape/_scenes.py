@@ -176,6 +176,7 @@ def _padded(scene: Scene, plants: int, elements: int, parts: int) -> Scene:
     shapes = jax.tree.map(lambda a: longer(a, parts + 1), planting.shapes)
     return replace(
         scene,
+        planted=None,
         planting=replace(
             planting.of_plants(lambda values: longer(values, plants)),
             place=longer(planting.place, plants, 1e9),
