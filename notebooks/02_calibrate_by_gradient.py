@@ -90,7 +90,7 @@ for when, found in (("table", fit.statistics_before), ("calibrated", fit.statist
 # loss is half the squared misfit, in units of its error, plus half the squared distance from the
 # prior. However many parameters are free, `jax.value_and_grad` takes one backward pass for all
 # their slopes; the solver BFGS takes fifteen steps with them. One planting has to do here, whose
-# plants stand in part (`faded`), so that the image moves as smoothly as its slope says.
+# stand is the one in expectation (`scene.expected()`): a smooth function, value and slope.
 
 
 # %%

@@ -67,13 +67,13 @@ _, slope = jax.jvp(lambda factors: ndvi(factors, scene), (one,), (this,))
 # %% [markdown]
 # ## Is it right?
 #
-# Against finite differences, of plants that stand in part (`faded`): the same stand whose slope is
+# Against finite differences, of the stand in expectation (`scene.expected()`), whose slope is
 # taken. Whole plants come and go by jumps, which have no slope.
 
 # %%
-step, faded = 0.001, scene.expected()
-_, exact = jax.jvp(lambda factors: ndvi(factors, faded), (one,), (this,))
-quotient = (ndvi(one + step * this, faded) - ndvi(one - step * this, faded)) / (2 * step)
+step, stand = 0.001, scene.expected()
+_, exact = jax.jvp(lambda factors: ndvi(factors, stand), (one,), (this,))
+quotient = (ndvi(one + step * this, stand) - ndvi(one - step * this, stand)) / (2 * step)
 wrong = float(jnp.abs(quotient - exact).max() / jnp.abs(exact).max())
 print(f"Largest difference from finite differences: {wrong:.2%} of the steepest pixel")
 
@@ -138,7 +138,7 @@ place = np.array([[n.endswith(f".{kind}") for kind in kinds].index(True) for n i
 
 @jax.jit
 def mean_ndvi(u):
-    plot = faded.with_values(dict(zip(free.names, free.alone(u[place]))))
+    plot = stand.with_values(dict(zip(free.names, free.alone(u[place]))))
     return fx.observe(plot, "mavic_3m", pixel=0.1).index("NDVI").mean()[None]
 
 

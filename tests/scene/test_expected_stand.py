@@ -61,6 +61,14 @@ def test_the_mean_number_of_plants_is_the_real_one(plot) -> None:
         np.testing.assert_array_equal(hard_counts(up.reordered(seed), parameters), np.ceil(real))
 
 
+def test_numbers_of_species_are_rounded_apart(plot) -> None:
+    """And anew in each planting."""
+    drawn = np.array([plot.reordered(seed).rounding for seed in range(400)])
+    assert np.abs(np.corrcoef(drawn.T) - np.eye(3)).max() < 0.2
+    assert np.abs(np.corrcoef(drawn[1:, 0], drawn[:-1, 0])[0, 1]) < 0.2
+    np.testing.assert_allclose(drawn.mean(axis=0), 0.5, atol=4 * 0.29 / 20)
+
+
 def test_rounding_keeps_the_mean_and_whole_numbers() -> None:
     drawn = (np.arange(10_000) + 0.5) / 10_000
     for count in (0.05, 0.7, 3.0, 12.34):
