@@ -242,7 +242,8 @@ def image_and_slopes(
         plot = with_values(parameters, scene.taxa, named)
         return camera.observe(scene, plot).reflectance
 
-    return value_and_jacobian(image, at, mode="forward")
+    # The value of whole plants, whose chance is a measured plot's, and not that beside slopes.
+    return image(at), value_and_jacobian(image, at, mode="forward")[1]
 
 
 def _degrade(

@@ -805,11 +805,10 @@ def aimed_at(
         placement = Placement(altitude, pixel)
     elif pixel is not None or altitude is not None:
         raise InputError("expected `placement`, or `pixel` and `altitude`, but got both")
-    known = scene.parameters  # of an open scene the sun must be known, which is traced in a slope
-    traced = any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(parameters))
-    aimed = aim(
-        scene, known if traced else parameters, visible_sensor(imager), placement, **options
-    )
+    # Of an open scene the sun must be known, which is traced in a slope by it.
+    traced = isinstance(parameters.light.sun_zenith, jax.core.Tracer)
+    of_sun = scene.parameters if traced else parameters
+    aimed = aim(scene, of_sun, visible_sensor(imager), placement, **options)
     return aimed, parameters
 
 

@@ -246,8 +246,9 @@ class Scene(eqx.Module):
     """What its plants were drawn for; None: it has others than were drawn."""
     boundary: Literal["periodic", "open"] = eqx.field(static=True)
     rounding: Float[Array, " species"]
-    """Number that the real number of plants of each species is lessened by before it is rounded up
-    [-]: 0 as in eq. (10), or drawn evenly from 0 to 1, so that the mean number is the real one."""
+    """Number of each species, drawn evenly from 0 to 1 [-]: where numbers of plants are rounded at
+    random the real one is lessened by it before it is rounded up, so that the mean is the real one;
+    and by it the last plants stand in part (`expected_count`)."""
     tuft: float = eqx.field(static=True)
     """`PlantingRules.tuft` as it goes with the voxels [m]."""
     finer: int = eqx.field(static=True)
@@ -557,8 +558,7 @@ class Scene(eqx.Module):
 
     def _without_plants(self, seed: int) -> "Scene":
         """The scene with what a seed decides besides where plants stand."""
-        drawn = self.rules.rounding == "random" and not self.known_plants
-        rounding = _rounding(len(self.species), [seed], self.dtype, drawn)
+        rounding = _rounding(len(self.species), [seed], self.dtype)
         ground = self.ground.laid(self.grid, self.boundary, seed)
         return dataclasses.replace(self, seed=np.asarray(seed), rounding=rounding, ground=ground)
 
@@ -582,7 +582,7 @@ class Scene(eqx.Module):
         """`room_needed` by a scene drawn for `stated` plants of each species."""
         most = np.max(np.reshape(np.asarray(counts, float), (-1, len(stated))), axis=0)
         # In expectation half a plant more, and one more spread over sites beyond their number.
-        some = np.asarray(expected_count(most, 0.0))
+        some = most + (1.0 if self.rules.rounding == "up" else 0.5)
         ramp = self.rules.softness * some + max(self.rules.softness_plants - 1.0, 0.0)
         most = np.maximum(np.ceil(most), some + 0.5 * ramp)
         planted = np.asarray(self.planting.species)
@@ -606,8 +606,7 @@ class Scene(eqx.Module):
             mine = species == one
             # The first places stand: another order lets other plants of the species stand.
             place[mine] = rng.permutation(place[mine])
-        drawn = bool(np.asarray(self.rounding).any())
-        rounding = _rounding(len(self.taxa), [seed, 211], self.dtype, drawn)
+        rounding = _rounding(len(self.taxa), [seed, 211], self.dtype)
         order = jnp.asarray(place, self.planting.place.dtype)
         return eqx.tree_at(lambda s: (s.planting.place, s.rounding), self, (order, rounding))
 
@@ -711,7 +710,12 @@ class Scene(eqx.Module):
         """Whole number of plants of each species that stand, by `rounding` [-]. Its slope is 0."""
         # A whole number has no slope; `standing` has that of the expected stand.
         count = jax.lax.stop_gradient(self.counts(parameters)).astype(self.dtype)
-        return rounded_count(count, self.rounding)
+        return rounded_count(count, self._lessened)
+
+    @property
+    def _lessened(self) -> Float[Array, " species"]:
+        """What the real number of plants of each species is lessened by before it is rounded up."""
+        return self.rounding if self.rules.rounding == "random" else jnp.zeros_like(self.rounding)
 
     @as_one
     def standing(self, parameters: PlotParameters) -> Float[Array, " plant"]:
@@ -722,7 +726,9 @@ class Scene(eqx.Module):
         part (`site_weight`).
         """
         planting, count = self.planting, self.counts(parameters).astype(self.dtype)
-        number = rounded_count(jax.lax.stop_gradient(count), self.rounding)
+        number = rounded_count(jax.lax.stop_gradient(count), self._lessened)
+        if self.rules.rounding == "up":  # which adds half a plant on average
+            count = count + jnp.minimum(count, 0.5)
         some = expected_count(count, self.rounding)
         # Number in expectation and whole number of each plant's species, read at once.
         some, number = jnp.stack([some, number])[:, planting.species]
@@ -1300,10 +1306,6 @@ def room_needed(
     return scene._room(np.asarray(scene.counts(parameters), float), np.asarray(counts))
 
 
-def _rounding(
-    species: int, seed: Sequence[int], dtype: str, drawn: bool
-) -> Float[Array, " species"]:
+def _rounding(species: int, seed: Sequence[int], dtype: str) -> Float[Array, " species"]:
     """`Scene.rounding` of so many species."""
-    if not drawn:
-        return jnp.zeros(species, dtype)
     return jnp.asarray(generator(*seed, 107).random(species), dtype)

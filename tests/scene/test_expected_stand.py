@@ -304,3 +304,14 @@ def test_the_slope_varies_less_than_what_one_more_plant_makes(expectation) -> No
     """Between plantings, because it is that of several plants."""
     _, _, slopes = expectation
     assert slopes[:, 0].std() < 0.35 * abs(slopes[:, 0].mean())
+
+
+def test_numbers_that_are_rounded_up_have_shares_of_their_planting() -> None:
+    """Half a plant more than the real number on average, in whole plants and in expectation."""
+    up = small_plot(extent=(1.5, 1.5), rounding="up")
+    parameters, real = small_parameters(), np.asarray(up.counts(small_parameters()))
+    stands = [up.reordered(seed).expected() for seed in range(200)]
+    species = np.asarray(up.planting.species)
+    sums = [np.bincount(species, s.standing(parameters), minlength=3) for s in stands]
+    assert np.ptp(sums, axis=0).min() > 0.9
+    np.testing.assert_allclose(np.mean(sums, axis=0), real + 0.5, atol=4 * 0.29 / 200**0.5)
