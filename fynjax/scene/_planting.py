@@ -316,8 +316,8 @@ def _check_memory(stand: Stand, needed: Int[np.ndarray, " species"]) -> None:
         element_count(*size, stand.resolved, structured=stand.structured)
         for size in zip(stand.diameter, stand.height, strict=True)
     ]
-    listed = min(float(needed @ of_plant), MOST_LISTED)
-    asked, there = planting_memory(needed.sum(), listed), total_memory() / 2**30
+    listed = float(min(needed @ of_plant, MOST_LISTED))
+    asked, there = planting_memory(int(needed.sum()), listed), total_memory() / 2**30
     if asked > there:
         raise InputError(
             f"the sites of {needed.sum()} plants need about {asked:.0f} GiB of memory, but this "
