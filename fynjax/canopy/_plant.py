@@ -62,16 +62,16 @@ class PlantModel(eqx.Module):
     One instance is one plant. `unit_shapes` turns and leans it.
     """
 
-    position: Float[Array, "element 3"]
+    position: Float[Array | np.ndarray, "element 3"]
     """x and y in crown diameters from the plant's axis (lobes reach beyond 0.5), z in plant heights
     (0-1)."""
-    area_fraction: Float[Array, " element"]
+    area_fraction: Float[Array | np.ndarray, " element"]
     """Part of its organ's area that an element carries [-]; sums to 1 within each organ."""
-    normal: Float[Array, "element 3"]
+    normal: Float[Array | np.ndarray, "element 3"]
     """Unit normal, z upward or level."""
-    organ: Int[Array, " element"]
+    organ: Int[Array | np.ndarray, " element"]
     """`Organ` of each element."""
-    material: Int[Array, " element"] | None = None
+    material: Int[Array | np.ndarray, " element"] | None = None
     """Place of each element's material among those of its species; below 0: that of its organ.
     None: of all elements."""
 

@@ -190,7 +190,8 @@ def check_sweep(
 ) -> tuple[list[int], list[PlotParameters], list[AimedSensor]]:
     """Check the settings of `sweep_sensors` and aim its sensor, without rendering.
 
-    **Arguments:** as of `sweep_sensors`. The plants of `scene` do not count.
+    **Arguments:** `scene`, whose plants do not count, `parameters`, `sensor`, `placement`, `gsd`,
+    `bands`, `noise`, `sun_zenith`, `stand_realisations` and `coarse` as of `sweep_sensors`.
 
     **Returns:** finest pixels on the side of each pixel; and of each sun the parameters and the
     sensor, in the finest pixels.

@@ -203,7 +203,7 @@ class LightInWindows:
 def light_tiling(scene: VoxelScene, accuracy: Accuracy, held: int) -> tuple[float, int, Tiling]:
     """Windows in which `LightInWindows` solves the light of a scene.
 
-    **Arguments:** as of `LightInWindows`.
+    **Arguments:** `scene`, `accuracy` and `held` as of `LightInWindows`.
 
     **Returns:** columns that the sun's beams cross, over layers; voxels in a cell, in width; and
     the windows.

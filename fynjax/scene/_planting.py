@@ -306,7 +306,7 @@ built: measured at 100 m x 100 m."""
 
 
 def planting_memory(plants: float, listed: float) -> float:
-    """Memory that so many plants take, of whom so many area elements are listed [GiB]."""
+    """Memory that so many `plants` take, of whom so many area elements are `listed` [GiB]."""
     return (_ELEMENT_BYTES * listed + _PLANT_BYTES * plants) / 2**30
 
 
@@ -316,7 +316,7 @@ def _check_memory(stand: Stand, needed: Int[np.ndarray, " species"]) -> None:
         element_count(*size, stand.resolved, structured=stand.structured)
         for size in zip(stand.diameter, stand.height, strict=True)
     ]
-    listed = float(min(needed @ of_plant, MOST_LISTED))
+    listed = min(float(needed @ np.array(of_plant)), float(MOST_LISTED))
     asked, there = planting_memory(int(needed.sum()), listed), total_memory() / 2**30
     if asked > there:
         raise InputError(

@@ -582,9 +582,12 @@ class Scene(eqx.Module):
         """`room_needed` by a scene drawn for `stated` plants of each species."""
         most = np.max(np.reshape(np.asarray(counts, float), (-1, len(stated))), axis=0)
         # In expectation half a plant more, and one more spread over sites beyond their number.
-        some = most + (1.0 if self.rules.rounding == "up" else 0.5)
-        ramp = self.rules.softness * some + max(self.rules.softness_plants - 1.0, 0.0)
-        most = np.maximum(np.ceil(most), some + 0.5 * ramp)
+        whole, rules = np.ceil(most), self.rules
+        if rules.softness > 0.0 or rules.softness_plants > 0.0:
+            some = most + (1.0 if rules.rounding == "up" else 0.5)
+            ramp = rules.softness * some + max(rules.softness_plants - 1.0, 0.0)
+            most = some + 0.5 * ramp
+        most = np.maximum(whole, most)
         planted = np.asarray(self.planting.species)
         ready = sites_ready(stated, PlantingRules.room)
         if planted.size:

@@ -148,7 +148,7 @@ def test_a_shrub_of_several_materials_is_that_of_a_monte_carlo() -> None:
     mesh = shrub(900)
     thinner = ROW | {"leaf_area_index": 3, "wood_area_index": 0.6}
     scene = scene_of(mesh, voxel=0.05, table=[thinner])
-    own, views = own_voxels(scene, mesh), ([0.0, 30.0], [90.0, 200.0])
+    own, views = own_voxels(scene, mesh), (jnp.array([0.0, 30.0]), jnp.array([90.0, 200.0]))
     fine = Accuracy(lattice=4, sublayers=4, coarsening=(1, 1))
     light = eqx.filter_jit(lambda v: solve_light(v, fine))(scene.voxels(scene.parameters, BANDS))
     found = np.asarray(directional_reflectance(light, *views))

@@ -112,12 +112,12 @@ class MeshPlant(eqx.Module):
     def position(self) -> Float[Array, "element 3"]:
         """Elements in metres: x, y from the middle of the bounding box, z from its bottom."""
         diameter = self.modelled_diameter
-        return self.plant.position * jnp.asarray([diameter, diameter, self.depth])
+        return jnp.asarray(self.plant.position) * jnp.asarray([diameter, diameter, self.depth])
 
     @property
     def area(self) -> Float[Array, " element"]:
         """One-sided area of each element [m2]."""
-        return self.plant.area_fraction * self.organ_area[self.plant.organ]
+        return jnp.asarray(self.plant.area_fraction) * self.organ_area[self.plant.organ]
 
 
 def mesh_plant(

@@ -80,7 +80,8 @@ def read_pair(
 ) -> CloudPair:
     """Read two clouds, and find their ground, their common plot and the grain.
 
-    **Arguments:** as of `compare_clouds`, whose errors it raises.
+    **Arguments:** `real_path`, `simulated_path` and `settings` as of `compare_clouds`, whose errors
+    it raises.
     """
     paths = Path(real_path), Path(simulated_path)
     clouds, bounds, notes = _on_one_plot(paths, settings)
@@ -100,7 +101,7 @@ def read_pair(
 def compare_pair(pair: CloudPair, *, seed: int = 0) -> StructureComparison:
     """Compare the structure of two clouds that are read.
 
-    **Arguments:** `seed` as of `compare_clouds`.
+    **Arguments:** `pair`, from `read_pair`; `seed` as of `compare_clouds`.
     """
     rng = generator(seed)
     heights, binned, grid, grains, bounds, notes, settings = pair

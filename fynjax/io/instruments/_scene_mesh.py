@@ -16,7 +16,7 @@ _MOST_PER_PLANT = 200_000
 
 
 def check_triangles(plants: int, max_triangles: int) -> None:
-    """Raise `InputError` where so many plants have more than `max_triangles`, however few each
+    """Raise `InputError` where so many `plants` have more than `max_triangles`, however few each
     has."""
     least = plants * LEAST_TRIANGLES
     if least > max_triangles:
