@@ -384,7 +384,8 @@ def check_design(
     """Check the settings of `design`, and make them what it computes with.
 
     **Arguments:** `scenes`, whose plants need not be drawn, `bands`, `target`, `free`, `pixel`,
-    `spectrum`, `widths`, `snr`, `error`, `plantings`, `compare`, `starts` and `seed` as of `design`.
+    `spectrum`, `widths`, `snr`, `error`, `plantings`, `compare`, `starts` and `seed` as of
+    `design`.
 
     **Raises:** `InputError` for settings that do not fit each other, and an unknown target. Whether
     a free parameter changes the target is up to the plants.
