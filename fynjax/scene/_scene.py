@@ -544,8 +544,11 @@ class Scene(eqx.Module):
         """The scene with all that is drawn by a seed."""
         rules, planted = self.rules, self.planted
         assert planted is not None
+        stand, scene = self._stand(seed), self._without_plants(seed)
+        if counted(lambda _: _plan(scene, stand, rules.room, None)):
+            return scene
         planting = draw_planting(
-            self._stand(seed),
+            stand,
             planted.number,
             extent=self.recipe.extent,
             periodic=self.boundary == "periodic",
@@ -553,7 +556,6 @@ class Scene(eqx.Module):
             room=rules.room,
             size_variation=rules.size_variation,
         )
-        scene = self._without_plants(seed)
         return dataclasses.replace(scene, planting=planting)
 
     def _without_plants(self, seed: int) -> "Scene":
@@ -1220,12 +1222,11 @@ def build_scene(
                 f"{int(outside.sum())} of {outside.size} crowns are outside the plot of "
                 f"{extent[0]:g} m x {extent[1]:g} m, the first at ({x:g}, {y:g})"
             )
-    known = None if crowns is None else jnp.asarray(crowns.counts(scene.branches), dtype)
-    bare = scene._without_plants(seed)
-    if counted(lambda _: _plan(bare, scene._stand(seed), ready, known)):
-        return dataclasses.replace(bare, number=known)
     if crowns is None:
         return scene._drawn(seed)
+    known, bare = jnp.asarray(crowns.counts(scene.branches), dtype), scene._without_plants(seed)
+    if counted(lambda _: _plan(bare, scene._stand(seed), ready, known)):
+        return dataclasses.replace(bare, number=known)
     planting = known_planting(scene._stand(seed), crowns)
     return dataclasses.replace(bare, planting=planting)
 
