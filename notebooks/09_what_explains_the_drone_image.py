@@ -55,11 +55,9 @@ SIDE, PLANTINGS = (1.0, 3) if SMALL else (3.0, 12)
 # %%
 targets = fx.studies.fynbos_2006.demo_targets(with_aviris=True)
 data = fx.inversion.join_data([target.data for target in targets])
-plot = fx.read_scene(PLOT, size=SIDE, structure="even")  # leaves fill their voxels: quick
-views = [target.view_of(plot, plot.parameters) for target in targets]
-scene, views = fx.inversion.search_form(plot, plot.parameters, views)  # light as a fit has it
-others = [plot.realisation(k) for k in range(1, PLANTINGS)]
-others = [fx.inversion.search_form(other, plot.parameters, [])[0] for other in others]
+scene = fx.read_scene(PLOT, size=SIDE, structure="even")  # leaves fill their voxels: quick
+views = [target.view_of(scene, scene.parameters) for target in targets]
+scene, views = fx.inversion.search_form(scene, scene.parameters, views)  # light as a fit has it
 kinds = "cover diameter leaf_area_index dead_fraction leaf.chlorophyll leaf.structure leaf.water"
 causes = {k.replace("_", " ").replace(".", " "): f"species.*.{k}" for k in kinds.split()}
 causes |= {"ground": "ground.[blm]*", "dead tissue's colour": "ground.wood_brightness"}
@@ -81,7 +79,7 @@ slopes = all_views(lambda view, u, stand: view.jacobian(stand.expected(), plot_a
 keep = np.array([0, 1, 2, 3, 6, 8, *range(10, 15)])  # means of indices follow from bands
 start, real = jnp.zeros(len(space.names)), np.asarray(data.value, float)[keep]
 here, slope = predict(start, scene), slopes(start, scene)
-ours = np.log([here, *(predict(start, other) for other in others)])
+ours = np.log([here, *(predict(start, scene.reordered(k)) for k in range(1, PLANTINGS))])
 error = np.linalg.inv(data.whitener.T @ data.whitener)[np.ix_(keep, keep)] / np.outer(real, real)
 error += np.cov(ours.T) * ((SIDE / 10) ** 2 + 1 / PLANTINGS)  # of the real plot, and of the mean
 misfit = np.log(real) - ours.mean(axis=0)
