@@ -62,10 +62,10 @@ def test_gradients_and_leaves_of_the_page_on_python(tmp_path: Path) -> None:
 
 @pytest.mark.study
 def test_a_loop_of_one_s_own_finds_what_was_measured(tmp_path: Path) -> None:
-    """By optimistix' BFGS and LevenbergMarquardt and jaxopt's LBFGS, in the page's own lines."""
+    """By optimistix' BFGS and LevenbergMarquardt, in the page's own lines."""
     every = blocks("python", PYTHON)
     (loop,) = (block for block in every if "scene.expected()" in block)
-    found = "np.save('found.npy', np.exp(np.tanh(np.stack([by_bfgs, by_squares, by_lbfgs]))))"
+    found = "np.save('found.npy', np.exp(np.tanh(np.stack([by_bfgs, by_squares]))))"
     script = tmp_path / "page.py"
     script.write_text(f"import jax\nimport numpy as np\n{every[0]}{loop}{found}\n", "utf-8")
     # In a process of its own: with the digits that a user's has.
