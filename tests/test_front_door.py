@@ -15,7 +15,8 @@ import rasterio
 import fynjax as fx
 from fynjax.errors import InputError
 from fynjax.inversion import AbstractView, CalibrationSettings
-from fynjax.scene._parameters import within_bounds
+from fynjax.scene._observe import aimed_at
+from fynjax.scene._parameters import named_values, with_values, within_bounds
 from fynjax.sensors import BandSet, Gains, shipped_lidars
 
 COLUMNS = "taxon", "growth_form", "mean_diameter_cm", "cover_percent", "height_max_m"
@@ -239,6 +240,28 @@ def test_gradients_have_the_shape_of_the_parameters(scene, image):
     # Where the number of plants moves, the value is that of the stand in expectation too.
     expected = fx.observe(scene.expected(), "mavic_3m", pixel=0.25).index("NDVI").mean()
     np.testing.assert_allclose(value, float(expected), rtol=1e-5)
+
+
+def test_an_open_scene_is_aimed_at_by_the_sun_of_the_parameters():
+    """Inside a transformation too, unless the sun itself is what is traced: then by the scene's.
+    Light has room for shadows as long as those of that sun."""
+    scene = fx.Scene.from_table(TABLE, size=2.0, voxel=0.25, boundary="open", seed=1)
+
+    def margin(parameters):
+        return aimed_at(scene, "mavic_3m", parameters, pixel=0.25)[0].accuracy.margin
+
+    def inside(name, parameters):
+        value = named_values(parameters, scene.taxa)[name]
+        found = []
+        jax.eval_shape(
+            lambda x: found.append(margin(with_values(parameters, scene.taxa, {name: x}))), value
+        )
+        return found[0]
+
+    low = scene.with_values({"light.sun_zenith": 70.0}).parameters
+    assert margin(low) > 2 * margin(scene.parameters)
+    assert inside("species.Erica.cover", low) == margin(low)
+    assert inside("light.sun_zenith", low) == margin(scene.parameters)
 
 
 def by_cover(cover):

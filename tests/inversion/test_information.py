@@ -16,11 +16,11 @@ from fynjax.inversion import (
 )
 from fynjax.inversion._fit_result import scatter_covariance
 from fynjax.inversion._information import shared_slopes
-from fynjax.inversion._sensor_sweep import _measure, _Sweep
-from fynjax.scene import Placement
+from fynjax.inversion._sensor_sweep import _measure, _Sweep, image_and_slopes
+from fynjax.scene import Placement, truth_of_pixels
 from fynjax.sensors import shipped_sensor
 from tests.inversion.linear import DATA, MATRIX, SPACE, posterior
-from tests.scene.plots import small_parameters, small_plot
+from tests.scene.plots import drone, reflectance, small_parameters, small_plot
 
 SLOPES, VARIANCE = np.asarray(MATRIX), np.asarray(DATA.sd) ** 2
 PRIOR_SD = np.asarray(SPACE.prior_sd)
@@ -221,6 +221,24 @@ def never_less(found):
 
 
 SENSOR = dataclasses.replace(shipped_sensor("mavic_3m"), bands=even_bands(4, 450.0, 900.0))
+
+
+def test_images_beside_slopes_show_the_whole_plants_whose_truth_is_taken():
+    """The scatter of such images between plantings is that of measured plots, and the species that
+    lead in their pixels are those in sight, in sweeps of sensors and in designs of bands; slopes
+    by cover are of the stand in expectation, which has other plants."""
+    plot, parameters = small_plot(extent=(0.8, 0.8)), small_parameters()
+    camera, cover = drone(plot, pixel=0.2), parameters.species.cover
+    names = tuple(f"species.{taxon}.cover" for taxon in plot.taxa)
+    image, slopes = image_and_slopes(camera, plot, parameters, names, cover)
+    seen = [reflectance(camera, stand, parameters) for stand in (plot, plot.expected())]
+    np.testing.assert_allclose(image, seen[0], rtol=1e-6)
+    assert np.abs(seen[1] / seen[0] - 1.0).max() > 0.01
+    numbers = plot.counts(parameters), plot.whole_counts(parameters)
+    stands = [dataclasses.replace(plot, number=number) for number in numbers]
+    shares = [truth_of_pixels(camera, stand, parameters).species for stand in stands]
+    np.testing.assert_allclose(*shares, rtol=1e-6, atol=1e-9)
+    assert slopes.shape == (*image.shape, len(names))
 
 
 @pytest.fixture(scope="module")

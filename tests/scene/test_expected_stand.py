@@ -127,7 +127,8 @@ SHARES = 6
 
 @pytest.fixture(scope="module")
 def few():
-    """Gap and near infrared of a few plants: of whole ones by their number, and slopes by it."""
+    """Gap and near infrared of a few plants: of whole ones by their number; and in expectation, in
+    the mean over rounding numbers and plantings, with slopes by the number."""
     scene = one_species()
     camera = drone(scene, dataclasses.replace(EXACT, tolerance=1e-3), pixel=0.2)
 
@@ -137,32 +138,37 @@ def few():
         return jnp.stack([stand.gap_fraction(scene.parameters), image[3].mean()])
 
     value = eqx.filter_jit(seen)
-    slope = eqx.filter_jit(jax.jacfwd(seen))
+    one = jnp.ones(1)
+    both = eqx.filter_jit(lambda n, stand: jax.jvp(lambda n: seen(n, stand), (n,), (one,)))
     plantings = [scene.reordered(seed) for seed in range(6)]
     whole = [[value(jnp.array([1.0 * n]), plot) for n in range(4)] for plot in plantings]
 
-    def slopes(number: float) -> np.ndarray:
+    def in_part(number: float) -> np.ndarray:
         found = [
-            slope(jnp.array([number]), dataclasses.replace(plot, rounding=jnp.array([u])))[:, 0]
+            both(jnp.array([number]), dataclasses.replace(plot, rounding=jnp.array([u])))
             for plot in plantings
             for u in (np.arange(SHARES) + 0.5) / SHARES
         ]
         return np.mean(found, axis=0)
 
-    return np.mean(whole, axis=0), slopes
+    return np.mean(whole, axis=0), in_part
 
 
 @pytest.mark.parametrize("number", [1.0, 1.45, 2.0])
 def test_the_slope_of_a_few_plants_is_what_one_more_makes(few, number: float) -> None:
     """Of a species of one or two plants, in the mean over rounding numbers and plantings: between
-    two whole numbers the difference of both, on one the mean of that before and after."""
-    whole, slopes = few
+    two whole numbers the difference of both, on one the mean of that before and after. The value is
+    that of whole plants: what is seen grows with the share of a plant that stands in part."""
+    whole, in_part = few
     before = int(number)
     steps = np.diff(whole, axis=0)
+    value, slope = in_part(number)
     half = abs(number - before - 0.5)  # of the window of one plant that is in the step beside
     beside = steps[before - 1] if number - before < 0.5 else steps[before + 1]
     made = (1.0 - half) * steps[before] + half * beside
-    np.testing.assert_allclose(slopes(number), made, rtol=0.05)
+    np.testing.assert_allclose(slope, made, rtol=0.05)
+    line = whole[before] + (number - before) * steps[before]
+    np.testing.assert_allclose((value - line) / steps[before], 0.0, atol=0.05)
 
 
 def test_a_derivative_is_taken_of_the_stand_in_expectation(plot) -> None:
