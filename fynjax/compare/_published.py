@@ -129,7 +129,8 @@ class Table4Row(_Published):
     """Name in `fynjax.metrics.VEGETATION_INDICES` of what the literature means by the printed name,
     where that is another form; else empty."""
     departure: str
-    """How the form differs from the literature's; empty where it does not."""
+    """In a sentence, how the formula of `index` differs from that which the literature means by the
+    printed name; empty where it is the same."""
 
 
 class BandReference(_Published):

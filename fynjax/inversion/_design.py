@@ -280,9 +280,10 @@ def design(
     Source: Chaloner and Verdinelli (1995), Statistical Science 10, 273; Nadeau and Bengio (2003),
     Machine Learning 52, 239.
     """
+    _check_positive("error", error)
     ready = check_design(
         scenes, bands, target, free=free, pixel=pixel, spectrum=spectrum, widths=widths, snr=snr,
-        error=error, plantings=plantings, compare=compare, starts=starts, seed=seed,
+        plantings=plantings, compare=compare, starts=starts, seed=seed,
     )  # fmt: skip
     stands, space, limits, grid, pixels, cameras, channels = ready
     scene = stands[0]
@@ -360,32 +361,33 @@ class _Ready(NamedTuple):
     pixels: tuple[float, ...]
     """In ascending order [m]."""
     cameras: list[Sensor]
-    """Those to compare with, their bands within the range."""
+    """Sensors that the design is compared with, each with those of its bands only that lie within
+    the range of wavelengths that is designed for."""
     channels: Sensor
+    """AVIRIS-NG, with those of its bands that lie within that range."""
 
 
 @double_precision
 def check_design(
     scenes: Scene | Sequence[Scene],
-    bands: int = 4,
-    target: str | Sequence[str] = DESIGN_TARGET,
+    bands: int,
+    target: str | Sequence[str],
     *,
-    free: ParameterSpace | None = None,
-    pixel: float | Sequence[float] = 0.1,
-    spectrum: tuple[float, float] = RANGE,
-    widths: tuple[float, float] = (10.0, 100.0),
-    snr: float = 100.0,
-    error: float = 0.01,
-    plantings: int = 6,
-    compare: Sequence[str | Sensor] = CAMERAS,
-    starts: int = 8,
-    seed: int = 0,
+    free: ParameterSpace | None,
+    pixel: float | Sequence[float],
+    spectrum: tuple[float, float],
+    widths: tuple[float, float],
+    snr: float,
+    plantings: int,
+    compare: Sequence[str | Sensor],
+    starts: int,
+    seed: int,
 ) -> _Ready:
     """Check the settings of `design`, and make them what it computes with.
 
     **Arguments:** `scenes`, whose plants need not be drawn, `bands`, `target`, `free`, `pixel`,
-    `spectrum`, `widths`, `snr`, `error`, `plantings`, `compare`, `starts` and `seed` as of
-    `design`.
+    `spectrum`, `widths`, `snr`, `plantings`, `compare`, `starts` and `seed` as of `design`, which
+    has what they are by default.
 
     **Raises:** `InputError` for settings that do not fit each other, and an unknown target. Whether
     a free parameter changes the target is up to the plants.
@@ -395,9 +397,7 @@ def check_design(
     pixels = _pixels(stands[0], pixel)
     whole_number("starts", starts, 1)
     whole_number("seed", seed)
-    for name, one in {"snr": snr, "error": error}.items():
-        if not 0.0 < one < np.inf:
-            raise InputError(f"`{name}` must be a positive number, but is {one:g}")
+    _check_positive("snr", snr)
     scene = stands[0]
     space = free
     if space is None:
@@ -413,6 +413,11 @@ def check_design(
     if not (isinstance(target, str) and target in _OTHER_TARGETS):
         _check_names(scene, space, target)
     return _Ready(stands, space, limits, grid, pixels, cameras, channels)
+
+
+def _check_positive(name: str, value: float) -> None:
+    if not 0.0 < value < np.inf:
+        raise InputError(f"`{name}` must be a positive number, but is {value:g}")
 
 
 def _check(

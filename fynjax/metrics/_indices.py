@@ -35,7 +35,8 @@ class BandTerm:
     longest: float
     """Longest centre of a band that fits [nm]."""
     usual: float
-    """Of several bands that fit, the one is taken whose centre is nearest to this [nm]."""
+    """Usual centre of such a band [nm]. Where a sensor has several bands that fit, that with the
+    nearest centre is taken."""
     widest: float
     """Full width at half maximum that a band may have [nm]."""
     window: tuple[float, float]
@@ -74,7 +75,8 @@ class VegetationIndex:
 
     name: str
     formula: str
-    """Of `BAND_TERMS`: numbers, + - * / ^ and sqrt."""
+    """The index as text, such as "(N - R) / (N + R)": letters of `BAND_TERMS`, each the reflectance
+    of that band [-], with numbers, + - * / ^ and sqrt."""
     source: str
     """Author and year; and what else the name is used for."""
 

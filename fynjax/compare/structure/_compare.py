@@ -67,7 +67,8 @@ class CloudPair(NamedTuple):
     """Returns of each in the cells."""
     grid: CellGrid
     grains: pd.DataFrame
-    """What each grain would do."""
+    """A row for each size of cell that was tried, `grain_m` [m]: its number of cells and returns,
+    how much the metrics change to the next larger one [%], and which was taken (`choose_grain`)."""
     bounds: Bounds
     """The plot."""
     notes: list[str]
