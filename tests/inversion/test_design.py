@@ -405,6 +405,7 @@ def scene():
         ({"seed": -1}, "`seed` as a whole number"),
         ({"pixel": (0.5, 2.0)}, "at least two pixels on a plot of 2 x 2 m"),
         ({"snr": 0.0}, "`snr` must be a positive number"),
+        ({"error": 0.0}, "`error` must be a positive number"),
         ({"pixel": 0.0}, "expected `pixel` as one or more positive numbers"),
         ({"pixel": (0.2, 0.3)}, "multiple of the smallest, 0.2 m, .*but got 0.3 m"),
         ({"compare": ["mavic"]}, "mavic"),
