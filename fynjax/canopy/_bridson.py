@@ -79,6 +79,7 @@ def fill(
 
 
 _Values = Float[np.ndarray, " n"]
+_New = Float[np.ndarray, " new"]
 _Points = Complex[np.ndarray, " n"]
 _Index = Int[np.ndarray, " n"]
 
@@ -168,7 +169,9 @@ class _Grid:
             if rank is not None:
                 self._rank[cell] = rank[own]
 
-    def add(self, x: _Values, y: _Values, which: _Index) -> tuple[tuple[_Values, _Values], _Index]:
+    def add(
+        self, x: _Values, y: _Values, which: _Index
+    ) -> tuple[tuple[_New, _New], Int[np.ndarray, " new"]]:
         """Take in as many candidates as fit, the first by `which` of those that exclude each other;
         their x and y, and their values of `which`."""
         lx, ly = self._sides
@@ -210,7 +213,7 @@ class _Grid:
             accepted.append(which[first])
             points, which, cell = (np.delete(values, first) for values in (points, which, cell))
 
-    def _free(self, points: _Points, cell: _Index) -> _Index:
+    def _free(self, points: _Points, cell: _Index) -> Int[np.ndarray, " free"]:
         """Index of the points to which none of the grid is too near."""
         free = np.arange(len(points))
         for by in self._near:

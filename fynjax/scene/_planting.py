@@ -392,8 +392,7 @@ class SiteRules:
         """Sites of so many whole plants, all that Bridson's steps make of one distance, and that:
         the largest with which there are enough, up to two per cent. Raises `InputError` where a
         stated distance leaves too few."""
-        radius, wanted = self.spacing_for(plants), plants * self._choice
-        if self.spacing is not None:
+        if (radius := self.spacing) is not None:
             points = self._disk(radius)
             if len(points) < plants:
                 raise InputError(
@@ -403,7 +402,8 @@ class SiteRules:
                     "take a lower cover"
                 )
             return points, radius
-        widened = False
+        # A few more than are wanted, lest they be drawn again.
+        radius, wanted, widened = self._radius(1.005 * plants), plants * self._choice, False
         while True:
             points = self._disk(radius)
             share = len(points) / wanted
@@ -427,7 +427,7 @@ class SiteRules:
             radius *= 0.95
 
     def _disk(
-        self, radius: float, start: Float[np.ndarray, "n 2"] | None = None
+        self, radius: float, start: Float[np.ndarray, "given 2"] | None = None
     ) -> Float[np.ndarray, "n 2"]:
         return poisson_disk(
             self.extent,
@@ -496,22 +496,31 @@ def draw_planting(
 
 
 def shared_anew(
-    planting: Planting, species: Sequence[Species], rules: SiteRules
+    planting: Planting,
+    species: Sequence[Species],
+    rules: SiteRules,
+    counts: Float[np.ndarray, " species"] | None = None,
 ) -> tuple[Float[np.ndarray, " plant"], Int[np.ndarray, " plant"], Float[np.ndarray, "plant 2"]]:
     """Place, lot and foot of the plants of a planting, whose sites are shared out anew among the
-    species, lot by lot, and among the plants of each. Known plants stay."""
+    species, lot by lot, and among the plants of each. Known plants stay. With `counts` the first of
+    each species, so many as these, have sites drawn for them alone."""
     owner, lot = np.asarray(planting.species), np.array(planting.lot)
     place, foot = np.array(planting.place), np.array(planting.foot)
     rng = generator(rules.seed, 211)
     members = [np.flatnonzero((owner == i) & (lot >= 0)) for i in range(len(species))]
     members = [one[np.argsort(place[one], kind="stable")] for one in members]
+    if counts is None:
+        lots = [[one[lot[one] == number] for one in members] for number in np.unique(lot[lot >= 0])]
+    else:
+        lots = [[one[:n] for one, n in zip(members, whole_plants(counts), strict=True)]]
     # Feet in single precision may have been rounded to the border.
     inside = np.minimum(foot.astype(float), np.nextafter(rules.extent, 0.0))
-    for number in np.unique(lot[lot >= 0]):
-        mine = [one[lot[one] == number] for one in members]
+    for number, mine in enumerate(lots):
         needed = np.array([len(one) for one in mine])
-        pool = inside[np.concatenate(mine)]
-        for one, sites in zip(mine, rules.assigned(pool, needed, species, number > 0)):
+        points = inside[np.concatenate(mine)]
+        if counts is not None and needed.any():
+            points, _ = rules.whole(int(needed.sum()))
+        for one, sites in zip(mine, rules.assigned(points, needed, species, number > 0)):
             foot[one] = sites
     for one in members:
         # Other plants of the species stand: each gets the place of another, and its site.

@@ -639,17 +639,21 @@ class Scene(eqx.Module):
         short = (most > ready) & (stated > 0)
         return np.where(short, most / np.where(short, stated, 1.0), 0.0)
 
-    def reordered(self, seed: int) -> "Scene":
+    def reordered(self, seed: int, counts: Float[np.ndarray, " species"] | None = None) -> "Scene":
         """The same plot with other plants standing on the same sites: unlike those of a
         `realisation` they have the sites and sizes that this scene holds ready. The sites of the
         whole plants are shared out anew among the species, and spare ones among their spare plants,
         which costs little. Numbers of plants that are rounded at random are rounded anew, known
         plants stand where they do.
 
-        **Arguments:** `seed`, of the order.
+        **Arguments:**
+
+        - `seed`: of the order.
+        - `counts`: real number of plants of each species, for which sites are drawn anew; they must
+          be no more than are held ready. Others than the first so many then have no places of use.
         """
         planting, rules = self.planting, self._site_rules(seed)
-        changed = shared_anew(planting, self.species, rules)
+        changed = shared_anew(planting, self.species, rules, counts)
         fields = lambda s: (s.planting.place, s.planting.lot, s.planting.foot, s.rounding)  # noqa: E731
         old = planting.place, planting.lot, planting.foot
         new = [jnp.asarray(v, before.dtype) for v, before in zip(changed, old, strict=True)]

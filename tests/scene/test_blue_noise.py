@@ -119,7 +119,7 @@ def test_stated_spacing_and_attempts() -> None:
 def test_the_same_seed_sets_the_same_plants() -> None:
     one, two, other = (small(seed=seed).planting.foot for seed in (7, 7, 8))
     np.testing.assert_array_equal(one, two)
-    assert not np.isin(np.asarray(other), np.asarray(one)).any()
+    assert cKDTree(one).query(other)[0].min() > 0.0
 
 
 def test_plants_stand_in_groups_where_they_do() -> None:
