@@ -15,7 +15,9 @@ def bridson(
 
 
 @numba.njit
-def _steps(rng: np.random.Generator, side: float, radius: float, attempts: int, periodic: bool):
+def _steps(
+    rng: np.random.Generator, side: float, radius: float, attempts: int, periodic: bool
+) -> np.ndarray:
     """An active point is chosen at random, up to `attempts` candidates are
     drawn from its annulus of one to two radii until one fits, and it retires where none does."""
     cells = max(1, math.ceil(side / (radius / math.sqrt(2.0))))
