@@ -110,6 +110,8 @@ def build_plot(
         parameters = with_parameter_table(parameters, plot.taxa, plot.parameters)
     rules = PlantingRules(
         size_variation=plot.size_variation,
+        spacing=plot.spacing_m,
+        attempts=plot.attempts,
         probability=_probability(plot),
         rounding=rounding or ("up" if plot.cover_definition == "article" else "random"),
         cover_definition=plot.cover_definition,

@@ -211,8 +211,8 @@ def make_stand(
     """
     scene, planted, imager = _planted(stand_forms(prior), bands, settings)
     drawn = _draw(prior, settings, common, own)
-    stand = scene.reordered(planting)
     parameters = replace(planted, species=drawn.species, light=drawn.light)
+    stand = scene.reordered(planting, np.asarray(scene.counts(parameters), float))
     spectra, left = _spectra(imager, stand, parameters, drawn.optics)
     quantities = _quantities(stand, parameters, drawn)
     return Stands(quantities, np.asarray(spectra, float), float(left))

@@ -30,8 +30,11 @@ from fynjax.canopy._pattern import VegetationPattern, even_levels, vegetation_pa
 from fynjax.canopy._plant import Organ, PlantModel, thin_plant
 from fynjax.canopy._plant_model import plant_model
 from fynjax.canopy._sites import (
+    SITES,
     assign_sites,
+    clark_evans,
     clumping,
+    grouped,
     poisson_disk,
     site_weight,
 )
@@ -52,6 +55,7 @@ from fynjax.canopy.mesh import (
 
 __all__ = [
     "FORMS",
+    "SITES",
     "AbstractLeafAngle",
     "Crown",
     "EllipsoidalLeafAngle",
@@ -79,11 +83,13 @@ __all__ = [
     "band_roles",
     "band_word",
     "choose_greenness",
+    "clark_evans",
     "clumping",
     "deposit",
     "even_levels",
     "expected_count",
     "generate_plant",
+    "grouped",
     "instance_area",
     "leaf_angle",
     "leaf_sizes",

@@ -107,6 +107,11 @@ MOST_PROJECTED = 0.99
 """Largest projected cover that is planted, of the ground where plants may stand [-]."""
 
 
+_SPARE = 0.5
+"""Sites that each plant beyond the whole ones counts for: spare ones are between these, nearer than
+the whole ones are to each other but farther than at random. As counted on plots."""
+
+
 def most_projected(clumping: Any = 1.0) -> Any:
     """Largest projected cover that `projected_count` counts plants for [-].
 
@@ -116,7 +121,13 @@ def most_projected(clumping: Any = 1.0) -> Any:
 
 
 def projected_count(
-    cover: Any, crown: Any, ground: Any, *, spacing: Any = 0.0, clumping: Any = 1.0
+    cover: Any,
+    crown: Any,
+    ground: Any,
+    *,
+    spacing: Any = 0.0,
+    whole: Any = jnp.inf,
+    clumping: Any = 1.0,
 ) -> Float[Array, "*species"]:
     """Real number of plants whose crowns together lie over a share of the ground [-].
 
@@ -125,8 +136,9 @@ def projected_count(
     a becomes -A ln(1 - a / A). They stand on some of the sites of `poisson_disk`, no two nearer
     than `spacing`: each of n sites in a crown's disc is free of plants with probability 1 - N / P,
     P of all sites, and with n of variance (1 - q) times its mean the free share is
-    (1 - N h / A)^(a / h), h = q A / P. A map makes them clump, w times as dense in equal parts of
-    the ground: the free share is the mean of (1 - N h w / A)^(a / h) over these.
+    (1 - N h / A)^(a / h), h = q A / P. Each plant beyond the whole ones adds half a site.
+    A map or groups make them clump, w times as dense in equal parts of the ground: the free share
+    is the mean of (1 - N h w / A)^(a / h) over these.
 
     **Arguments:**
 
@@ -135,6 +147,7 @@ def projected_count(
     - `crown`: area of one crown within the plot [m2], positive.
     - `ground`: area of the plot [m2].
     - `spacing`: least distance of the sites [m]; 0: at random.
+    - `whole`: plants of the species for which the sites are [-].
     - `clumping`: w [-], [..., part] (`fynjax.canopy.clumping`); 1: alike everywhere.
 
     Arrays, one value a species, broadcast. **Returns:** N such that the mean cover of whole plants,
@@ -151,43 +164,51 @@ def projected_count(
     bare = 1.0 - jnp.minimum(jnp.asarray(cover), most_projected(part))
     # With the number of plants given, each leaves free the share 1 - a / A: a as a rate.
     area = -ground * jnp.log1p(-jnp.minimum(jnp.asarray(crown) / ground, 0.9))
-    # h = q A / P, of P = SITES / spacing^2 sites on each square metre.
-    held = site_evenness(jnp.sqrt(crown / jnp.pi) / jnp.maximum(spacing, 1e-9)) * spacing**2 / SITES
-    held = jnp.maximum(held, 1e-4 * area)  # below that it makes no difference
-    power = area / held
+    even = site_evenness(jnp.sqrt(crown / jnp.pi) / jnp.maximum(spacing, 1e-9))
+    # Where there are many more sites than fit in a crown it makes no difference how many.
+    sites = ground * jnp.minimum(SITES / jnp.maximum(spacing, 1e-9) ** 2, 1e4 * even / area)
+    power = area / (even * ground)
     # Which whole number lies below has no derivative; the way from it to the next has.
-    fixed = jax.lax.stop_gradient((bare, power, held))
-    count = -jnp.expm1(jnp.log(fixed[0]) / fixed[1]) * ground / fixed[2]
-    if part.shape[-1] > 1:
-        count = _clumped_count(count, *fixed, part, jnp.asarray(ground))
+    target, *fixed = jax.lax.stop_gradient((bare, power, even, sites, jnp.asarray(whole)))
+    count = _inverse(target, *fixed, part)
     lower = jnp.floor(count)
-    free, taken = _bare(lower, power, held, part, ground)
+    free, taken = _bare(lower, power, even, sites, fixed[-1], part)
     return lower + (free - bare) / taken
 
 
 @jax.jit
-def _clumped_count(
-    count: Array, bare: Array, power: Array, held: Array, part: Array, ground: Array
+def _inverse(
+    bare: Array, power: Array, even: Array, sites: Array, whole: Array, part: Array
 ) -> Array:
     """The number that leaves the share `bare` free, by Newton's method on the logarithm of that
-    share, from `count` of plants that do not clump, which is below it."""
+    share, from a number below it: of plants on sites for all of them that do not clump."""
 
     def step(_: Array, count: Array) -> Array:
-        free, taken = _bare(count, power, held, part, ground)
+        free, taken = _bare(count, power, even, sites, whole, part)
         return count + free * jnp.log(free / bare) / taken
 
-    return jax.lax.fori_loop(0, 20, step, count)
+    wanted, full = jnp.log(bare) / (power * sites), jnp.log1p(-even)
+    first = sites * jnp.where(wanted > full, -jnp.expm1(wanted) / even, wanted / full)
+    return jax.lax.fori_loop(0, 20, step, first)
 
 
-def _bare(count: Array, power: Array, held: Array, part: Array, ground: Any) -> tuple[Array, Array]:
+def _bare(
+    count: Array, power: Array, even: Array, sites: Array, whole: Array, part: Array
+) -> tuple[Array, Array]:
     """Share of the ground without crowns, and what one plant more takes of it [-]."""
-    each = held[..., None] * part / ground
-    # Share of the sites that are taken; the limit keeps the logarithm finite.
-    full, power = jnp.minimum(count[..., None] * each, 0.99), power[..., None]
-    free = jnp.exp(power * jnp.log1p(-full))
-    # exp(power log(1 - full - each)) less `free`, without the difference of both.
-    taken = -free * jnp.expm1(power * jnp.log1p(-jnp.minimum(each / (1.0 - full), 0.99)))
-    return free.mean(axis=-1), taken.mean(axis=-1)
+    before, after = (sites + _SPARE * jnp.maximum(n - whole, 0.0) for n in (count, count + 1.0))
+    # Plants over sites, and how much more there are with one plant more.
+    taken = (count / before)[..., None] * part
+    more = ((before - count * (after - before)) / (before * after))[..., None] * part
+    power, even, before, after = (v[..., None] for v in (power, even, before, after))
+    some, full = even * jnp.minimum(taken, 1.0), jnp.log1p(-even)
+    # Where plants would be more than sites there are as many sites as plants.
+    logarithm = jnp.log1p(-some) + full * jnp.maximum(taken - 1.0, 0.0)
+    step = jnp.log1p(-jnp.minimum(even * more / (1.0 - some), 0.99))
+    step = jnp.where(taken < 1.0, step, full * more)
+    change = power * ((after - before) * (logarithm + step) + before * step)
+    free = jnp.exp(power * before * logarithm)
+    return free.mean(axis=-1), -(free * jnp.expm1(change)).mean(axis=-1)
 
 
 def rounded_count(count: Any, lessened: Any = 0.0) -> Float[Array, "*species"]:

@@ -30,6 +30,7 @@ from fynjax.scene import (
     ProjectedCover,
     Scene,
     StandArea,
+    clark_evans_indices,
     hard_counts,
     hard_instances,
     hard_scene,
@@ -53,6 +54,7 @@ _COVER_HEADERS = {
     "crowns_percent": "crowns in full",
     "species_percent": "ground under the species",
     "visible_percent": "seen from above",
+    "clark_evans": "Clark-Evans index",
 }
 
 _STAND_HEADERS = {
@@ -316,6 +318,7 @@ def cover_table(
         # What all species cover together is no sum: where they overlap ground counts once.
         whole = cover.total if name == "species_percent" else float(np.sum(values))
         table[name] = 100.0 * np.array([*values, whole])
+    table["clark_evans"] = clark_evans_indices(instances, periodic=plot.boundary == "periodic")
     return table
 
 
@@ -393,6 +396,12 @@ def _headline(plot: Plot, table: pd.DataFrame, area: StandArea) -> list[str]:
     lx, ly = plot.size_m
     how = "as many as their covers ask for." if plot.crowns_note is None else "which are known."
     known = [] if plot.crowns_note is None else [plot.crowns_note]
+    even = [
+        f"The nearest plants are {index:.2f} times as far apart as at random (index of Clark and "
+        "Evans)."
+        for index in [whole.clark_evans]
+        if index == index  # not NaN, of fewer than two plants
+    ]
     return [
         f"{plot.name}, {lx:g} m x {ly:g} m: {whole.plants} plants of {len(species)} species, {how}",
         *known,
@@ -402,6 +411,7 @@ def _headline(plot: Plot, table: pd.DataFrame, area: StandArea) -> list[str]:
         f"{100 - whole.species_percent:.1f} % of the ground has no crown over it.",
         f"Of every species what is planted is within {worst:.2f} % of the ground of what was "
         "asked: plants are whole, and stand by chance.",
+        *even,
         f"Over the ground of the plot: live leaf area {area.leaf.sum():.2f}, dead tissue of live "
         f"shoots {area.dead.sum():.2f}, wood {area.wood.sum():.2f} m2 m-2; leaves, live and dead, "
         f"of {area.leaf_mass.sum():.0f} g m-2. From straight above {100 * area.gap:.1f} % of the "
@@ -417,7 +427,8 @@ def _tables(plot: Plot, cover: pd.DataFrame, stand: pd.DataFrame) -> list[Table]
             cover.drop(columns="plants_asked"),
             f"Cover. {_DEFINITIONS[plot.cover_definition]} Crowns in full: all overlap counts. "
             "Ground under the species: overlap among its crowns counts once. Seen from above: "
-            "where a crown of the species is the highest.",
+            "where a crown of the species is the highest. Clark-Evans index: distance of a plant "
+            "to the nearest of its species over that at random, 1; below it they are in groups.",
             headers=_COVER_HEADERS,
         ),
         Table(

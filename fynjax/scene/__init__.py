@@ -6,7 +6,13 @@ Its light is computed in float32.
 from fynjax._core.compiler import keep_compiled
 from fynjax.scene._cover import ProjectedCover, projected_cover
 from fynjax.scene._ground import COVERS, Ground, ground_shares
-from fynjax.scene._instances import Instances, hard_counts, hard_instances, hard_scene
+from fynjax.scene._instances import (
+    Instances,
+    clark_evans_indices,
+    hard_counts,
+    hard_instances,
+    hard_scene,
+)
 from fynjax.scene._large import TiledPicture, check_image, is_large
 from fynjax.scene._lidar import LidarObservation, ReturnTruth, observe_lidar
 from fynjax.scene._materials import (
@@ -147,6 +153,7 @@ __all__ = [
     "check_projected_scene",
     "check_species",
     "check_taxa",
+    "clark_evans_indices",
     "cover_definition_of",
     "drawn_leaves",
     "element_count",

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from fynjax._core.errors import InputError
+from fynjax.canopy import clark_evans
 from fynjax.scene._parameters import PlotParameters
 from fynjax.scene._scene import Scene, ground_at
 
@@ -47,6 +48,19 @@ class Instances:
     def counts(self) -> Int[np.ndarray, " species"]:
         """Plants of each species [-]."""
         return np.bincount(self.species, minlength=len(self.taxa))
+
+
+def clark_evans_indices(instances: Instances, *, periodic: bool) -> Float[np.ndarray, " index"]:
+    """Index of Clark and Evans of the plants of each species, and of all together at the end [-].
+
+    **Arguments:** `instances`, the plants; `periodic`, whether their plot repeats itself.
+
+    **Returns:** `fynjax.canopy.clark_evans`, NaN of fewer than two plants.
+    """
+    feet = np.stack([instances.x, instances.y], axis=1)
+    of_each = [feet[instances.species == i] for i in range(len(instances.taxa))]
+    extent = instances.extent
+    return np.array([clark_evans(f, extent, periodic=periodic) for f in (*of_each, feet)])
 
 
 def hard_counts(scene: Scene, parameters: PlotParameters) -> Int[np.ndarray, " species"]:

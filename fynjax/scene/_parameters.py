@@ -407,6 +407,17 @@ FIXED_PARAMETERS: dict[str, Parameter] = {
         source="Article on the scene, equation (5). Bounds assumed.",
         description="Spread of the tilt of the branches, sigma_rot of equation (5).",
     ),
+    "groups": Parameter(
+        symbol="r_g",
+        name="Radius of groups",
+        unit="m",
+        lower=0.0,
+        upper=1000.0,
+        usual=(0.0, 5.0),
+        default=0.0,
+        source="Matérn (1960), cluster process. Bounds assumed.",
+        description="Radius of the groups in which the plants stand; 0: in none.",
+    ),
     "minimum_area": Parameter(
         symbol="A_min",
         name="Least ground area",

@@ -16,7 +16,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, Real
-from scipy.spatial import cKDTree
 from scipy.special import ndtr, ndtri
 
 from fynjax._core.errors import InputError
@@ -24,12 +23,14 @@ from fynjax._core.memory import total_memory
 from fynjax._core.seeds import generator
 from fynjax.canopy import (
     FORMS,
+    SITES,
     Organ,
     PlantModel,
     assign_sites,
     plant_model,
     poisson_disk,
     random_orientation,
+    rounded_count,
     thin_plant,
     unit_shapes,
 )
@@ -57,6 +58,9 @@ class Planting(eqx.Module):
     """Species of each plant."""
     place: Float[Array | np.ndarray, " plant"]
     """Place of each plant in the order in which its species fills the sites, from 0."""
+    lot: Int[Array | np.ndarray, " plant"]
+    """Lot of sites that each plant's is of: 0 those of the whole plants, spare ones after them; -1
+    for plants that stand where they are known to be."""
     foot: Float[Array | np.ndarray, "plant 2"]
     """x and y of the foot of each plant [m]."""
     azimuth: Float[Array | np.ndarray, " plant"]
@@ -126,8 +130,8 @@ class Planting(eqx.Module):
         They get the place 0, so that each stands as long as its species has any plant.
         """
         plants = self.plants(np.flatnonzero(standing))
-        place = jnp.zeros_like(plants.place)
-        return dataclasses.replace(plants, place=place).with_elements()
+        place, lot = jnp.zeros_like(plants.place), jnp.full_like(plants.lot, -1)
+        return dataclasses.replace(plants, place=place, lot=lot).with_elements()
 
     def plants(self, index: Int[np.ndarray, " plant"]) -> "Planting":
         """The plants of an index, without their elements."""
@@ -164,7 +168,7 @@ class Planting(eqx.Module):
             return jnp.concatenate([values, missing])
 
         # A place beyond every number of plants; sizes of one, lest a zero divide.
-        never = {"place": 1e9, "size": 1.0, "stature": 1.0}
+        never = {"place": 1e9, "lot": -1, "size": 1.0, "stature": 1.0}
         return dataclasses.replace(
             self.of_plants(lambda values: more(values, plants, 0.0)),
             **{n: more(getattr(self, n), plants, fill) for n, fill in never.items()},  # type: ignore[arg-type]
@@ -213,7 +217,8 @@ class Planting(eqx.Module):
 
 
 OF_PLANTS = (
-    "species", "place", "foot", "azimuth", "tilt", "size", "stature", "leaf", "first", "count"
+    "species", "place", "lot", "foot", "azimuth", "tilt", "size", "stature", "leaf", "first",
+    "count",
 )  # fmt: skip
 """What a `Planting` has of each plant."""
 
@@ -279,6 +284,7 @@ def known_planting(stand: Stand, crowns: Crowns) -> Planting:
         # Branches of a plant have the same leaf.
         plants, branch = np.unique(mine, return_inverse=True)
         drawn["leaf"] = _drawn_leaves(len(plants), i, one.leaves, stand.seed)[branch]
+        drawn["lot"] = np.full(len(mine), -1, np.int32)
         if len(mine):
             mean, greatest = crowns.sizes(i)
             # Relative to the species, so that its diameter and height scale known plants too.
@@ -325,25 +331,133 @@ def _check_memory(stand: Stand, needed: Int[np.ndarray, " species"]) -> None:
         )
 
 
+@dataclasses.dataclass(frozen=True)
+class SiteRules:
+    """How the sites of plants are drawn."""
+
+    extent: tuple[float, float]
+    """(east-west, north-south) sides of the plot [m]."""
+    periodic: bool
+    """Whether the plot repeats itself."""
+    probability: Real[np.ndarray, "y x"] | None
+    """`PlantingRules.probability`."""
+    spacing: float | None
+    """`PlantingRules.spacing` [m]."""
+    attempts: int
+    """`PlantingRules.attempts`."""
+    seed: int
+    """Seed of everything random."""
+
+    def assigned(
+        self,
+        points: Float[np.ndarray, "n 2"],
+        needed: Int[np.ndarray, " species"],
+        species: Sequence[Species],
+        spare: bool,
+    ) -> list[Float[np.ndarray, "site 2"]]:
+        """Sites of each species among points, as `assign_sites` shares them out."""
+        return assign_sites(
+            points,
+            needed.tolist(),
+            probability=self.probability,
+            extent=self.extent,
+            names=[one.taxon for one in species],
+            groups=[one.groups for one in species],
+            spare=spare,
+            periodic=self.periodic,
+            seed=self.seed,
+        )
+
+    @property
+    def _choice(self) -> float:
+        """Sites for each plant: with a map there is room to choose, lest the last species take what
+        is left."""
+        if self.probability is None:
+            return 1.0
+        return 2.0 * 255.0 / max(float(np.mean(self.probability)), 1.0)
+
+    def spacing_for(self, plants: float) -> float:
+        """Least distance of the sites of so many whole plants [m]: as stated, or about that which
+        makes as many sites."""
+        if self.spacing is not None:
+            return self.spacing
+        return self._radius(plants)
+
+    def _radius(self, plants: float) -> float:
+        lx, ly = self.extent
+        crowd = max(plants, 1.0) * self._choice
+        return float(min(np.sqrt(SITES * lx * ly / crowd), 0.5 * min(lx, ly)))
+
+    def whole(self, plants: int) -> tuple[Float[np.ndarray, "n 2"], float]:
+        """Sites of so many whole plants, all that Bridson's steps make of one distance, and that:
+        the largest with which there are enough, up to two per cent. Raises `InputError` where a
+        stated distance leaves too few."""
+        if (radius := self.spacing) is not None:
+            points = self._disk(radius)
+            if len(points) < plants:
+                raise InputError(
+                    f"expected sites for {plants} plants, but at least {radius:g} m apart there "
+                    f"are {len(points)}: take a spacing of at most "
+                    f"{0.98 * radius * np.sqrt(len(points) / plants):.2g} m, or leave it out, or "
+                    "take a lower cover"
+                )
+            return points, radius
+        # A few more than are wanted, lest they be drawn again.
+        radius, wanted, widened = self._radius(1.005 * plants), plants * self._choice, False
+        while True:
+            points = self._disk(radius)
+            share = len(points) / wanted
+            if share < 1.0:
+                radius *= min(np.sqrt(share), 0.995)
+            elif share > 1.02 and len(points) > wanted + 2 and not widened:
+                radius, widened = min(0.998 * radius * np.sqrt(share), self._radius(1.0)), True
+            else:
+                return points, radius
+
+    def spare(
+        self, feet: Float[np.ndarray, "n 2"], plants: int, radius: float, more: int
+    ) -> tuple[Float[np.ndarray, "m 2"], float]:
+        """Sites between those at `feet` for so many `plants` in all, `more` of them new, at a
+        distance below `radius`; and that distance."""
+        radius = min(radius, self._radius(1.05 * plants))
+        while True:
+            points = self._disk(radius, feet)[len(feet) :]
+            if len(points) >= more * self._choice:
+                return points, radius
+            radius *= 0.95
+
+    def _disk(
+        self, radius: float, start: Float[np.ndarray, "given 2"] | None = None
+    ) -> Float[np.ndarray, "n 2"]:
+        return poisson_disk(
+            self.extent,
+            radius,
+            attempts=self.attempts,
+            seed=self.seed,
+            periodic=self.periodic,
+            start=start,
+        )
+
+
 def draw_planting(
     stand: Stand,
     wanted: Float[np.ndarray, " species"],
+    rules: SiteRules,
     *,
-    extent: tuple[float, float],
-    periodic: bool,
-    probability: Real[np.ndarray, "y x"] | None,
     room: float | Float[np.ndarray, " species"],
     size_variation: float,
 ) -> Planting:
     """Draw sites, orientations and sizes of the plants of a scene.
 
+    The sites of the whole plants come first; spare ones are drawn between them, less and less far
+    from others.
+
     **Arguments:**
 
     - `stand`: what they are.
     - `wanted`: real number of plants of each species [-], 0 or more.
-    - `extent`: (east-west, north-south) sides of the plot [m].
-    - `periodic`: whether the plot repeats itself.
-    - `probability`, `room`, `size_variation`: as `PlantingRules` has them.
+    - `rules`: of the sites.
+    - `room`, `size_variation`: as `PlantingRules` has them.
 
     **Raises:** `InputError` where a species finds no room on the plot, or plants in memory.
 
@@ -351,31 +465,68 @@ def draw_planting(
     """
     species, seed = stand.species, stand.seed
     individuals: list[dict[str, np.ndarray]] = [{} for _ in species]
-    taxa = [one.taxon for one in species]
-    feet, rooms = np.empty((0, 2)), _rooms(np.broadcast_to(np.asarray(room, float), len(species)))
-    _check_memory(stand, sites_ready(wanted, rooms[-1]))
-    # Step by step, so that a scene of more room has the plants of one of less where they are.
-    for times in rooms:
-        needed = sites_ready(wanted, times)
-        radius = _spacing(needed, extent, probability)
-        points = poisson_disk(extent, radius, seed=seed, periodic=periodic)
-        if len(feet):  # half the distance: room enough for all, and nobody on another
-            tree = cKDTree(feet, boxsize=extent if periodic else None)
-            points = points[tree.query(points)[0] > 0.5 * radius]
-        more = needed - np.array([len(one.get("foot", ())) for one in individuals])
-        sites = assign_sites(
-            points, more.tolist(), probability=probability, extent=extent, names=taxa, seed=seed
-        )
-        for i, places in enumerate(sites):
-            before = individuals[i]
-            where = np.concatenate([before["foot"], places]) if before else places
+    lots = _lots(wanted, np.broadcast_to(np.asarray(room, float), len(species)))
+    _check_memory(stand, lots[-1])
+    radius = np.inf
+    feet: list[list[np.ndarray]] = [[] for _ in species]
+    # Lot by lot, so that a scene of more room has the plants of one of less where they are.
+    for lot, needed in enumerate(lots):
+        there = lots[lot - 1] if lot else np.zeros_like(needed)
+        more = needed - there
+        if not more.any():
+            points = np.empty((0, 2))
+        elif lot == 0:
+            points, radius = rules.whole(int(needed.sum()))
+        else:
+            old = np.concatenate([places for one in feet for places in one])
+            points, radius = rules.spare(old, int(needed.sum()), radius, int(more.sum()))
+        for one, places in zip(feet, rules.assigned(points, more, species, lot > 0), strict=True):
+            one.append(places)
+        if lot < min(_WHOLE_STEPS, len(lots) - 1):
+            continue
+        for i, of_lots in enumerate(feet):
+            before, where = individuals[i], np.concatenate(of_lots)
             drawn = _individuals(where, i, species[i].rotation_spread, size_variation, seed)
             drawn["leaf"] = _drawn_leaves(len(where), i, species[i].leaves, seed)
+            drawn["lot"] = np.repeat(np.arange(lot + 1, dtype=np.int32), [*map(len, of_lots)])
             for name, values in before.items():  # who was there stays
                 drawn[name] = np.concatenate([values, drawn[name][len(values) :]])
             individuals[i] = drawn
-        feet = np.concatenate(sites if not len(feet) else [feet, *sites])
     return _of_individuals(stand, individuals)
+
+
+def shared_anew(
+    planting: Planting,
+    species: Sequence[Species],
+    rules: SiteRules,
+    counts: Float[np.ndarray, " species"] | None = None,
+) -> tuple[Float[np.ndarray, " plant"], Int[np.ndarray, " plant"], Float[np.ndarray, "plant 2"]]:
+    """Place, lot and foot of the plants of a planting, whose sites are shared out anew among the
+    species, lot by lot, and among the plants of each. Known plants stay. With `counts` the first of
+    each species, so many as these, have sites drawn for them alone."""
+    owner, lot = np.asarray(planting.species), np.array(planting.lot)
+    place, foot = np.array(planting.place), np.array(planting.foot)
+    rng = generator(rules.seed, 211)
+    members = [np.flatnonzero((owner == i) & (lot >= 0)) for i in range(len(species))]
+    members = [one[np.argsort(place[one], kind="stable")] for one in members]
+    if counts is None:
+        lots = [[one[lot[one] == number] for one in members] for number in np.unique(lot[lot >= 0])]
+    else:
+        lots = [[one[:n] for one, n in zip(members, whole_plants(counts), strict=True)]]
+    # Feet in single precision may have been rounded to the border.
+    inside = np.minimum(foot.astype(float), np.nextafter(rules.extent, 0.0))
+    for number, mine in enumerate(lots):
+        needed = np.array([len(one) for one in mine])
+        points = inside[np.concatenate(mine)]
+        if counts is not None and needed.any():
+            points, _ = rules.whole(int(needed.sum()))
+        for one, sites in zip(mine, rules.assigned(points, needed, species, number > 0)):
+            foot[one] = sites
+    for one in members:
+        # Other plants of the species stand: each gets the place of another, and its site.
+        order = rng.permutation(len(one))
+        place[one], lot[one], foot[one] = place[one][order], lot[one][order], foot[one][order]
+    return place, lot, foot
 
 
 def _of_individuals(stand: Stand, individuals: Sequence[dict[str, np.ndarray]]) -> Planting:
@@ -403,7 +554,7 @@ def _of_individuals(stand: Stand, individuals: Sequence[dict[str, np.ndarray]]) 
                 "species": np.full(n, i, np.int32),
                 "place": np.arange(n, dtype=dtype),
                 **{
-                    name: values if name == "leaf" else values.astype(dtype)
+                    name: values if name in ("leaf", "lot") else values.astype(dtype)
                     for name, values in these.items()
                 },
                 "first": parts + k * (np.arange(n, dtype=np.int32) % len(several)),
@@ -440,36 +591,29 @@ def _of_individuals(stand: Stand, individuals: Sequence[dict[str, np.ndarray]]) 
     return planting.with_elements() if few else planting
 
 
-def site_spacing(
-    wanted: Float[np.ndarray, " species"],
-    extent: tuple[float, float],
-    probability: Real[np.ndarray, "y x"] | None,
-) -> float:
-    """Least distance of the sites among which the plants of a scene stand [m], as `draw_planting`
-    draws them with a room of 2.5 or more."""
-    return _spacing(sites_ready(wanted, _ROOM), extent, probability)
+_ROOM, _WHOLE_STEPS = 2.5, 4
+_MORE_ROOM = _ROOM ** (1.0 / _WHOLE_STEPS)
+"""By what factor sites become more from lot to lot: those that are filled first are about as far
+from others as the whole plants are."""
 
 
-def _spacing(
-    needed: np.ndarray, extent: tuple[float, float], probability: np.ndarray | None
-) -> float:
-    # A disk radius that leaves a tenth more points than plants; Bridson packs 0.6 / r2 of them.
-    crowd = max(1.1 * float(needed.sum()), 1.0)
-    if probability is not None:  # room to choose, lest the last species take what is left
-        crowd *= 2.0 * 255.0 / max(float(np.mean(probability)), 1.0)
-    return min(0.1, float(np.sqrt(0.55 * extent[0] * extent[1] / crowd)))
+def whole_plants(wanted: Float[np.ndarray, " species"]) -> Int[np.ndarray, " species"]:
+    """Plants of each species that may stand whole, of real numbers of them."""
+    return np.asarray(rounded_count(np.asarray(wanted, float))).astype(int)
 
 
-_ROOM, _MORE_ROOM = 2.5, 1.6
-"""Sites held ready for each plant at first, and by what factor they become more."""
-
-
-def _rooms(room: Float[np.ndarray, " species"]) -> list[Float[np.ndarray, " species"]]:
-    """Sites for each plant of each species, step by step, to at least `room`."""
-    steps = [np.minimum(room, _ROOM)]
-    while (short := steps[-1] < room).any():
-        steps.append(np.where(short, _MORE_ROOM * steps[-1], steps[-1]))
-    return steps
+def _lots(
+    wanted: Float[np.ndarray, " species"], room: Float[np.ndarray, " species"]
+) -> list[Int[np.ndarray, " species"]]:
+    """Sites of each species in the first lots: of the whole plants, and then up to at least `room`
+    times its plants."""
+    steps = np.ceil(np.log(np.maximum(room, 1.0)) / np.log(_MORE_ROOM) - 1e-6)
+    most = np.where(room <= _ROOM, room, _MORE_ROOM**steps)
+    lots = [whole_plants(wanted)]
+    for step in range(1, 1 + max(1, int(steps.max(initial=0.0)))):
+        ready = sites_ready(wanted, np.minimum(_MORE_ROOM**step, most))
+        lots.append(np.maximum(lots[-1], ready))
+    return lots
 
 
 def _individuals(
@@ -610,6 +754,7 @@ def no_plants(dtype: str) -> Planting:
     return Planting(
         species=index,
         place=none,
+        lot=index,
         foot=jnp.zeros((0, 2), dtype),
         azimuth=none,
         tilt=none,

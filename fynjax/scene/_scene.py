@@ -11,6 +11,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, SupportsIndex
 
@@ -34,9 +35,11 @@ from fynjax.canopy import (
     PlantModel,
     Shrubland,
     VoxelGrid,
+    clark_evans,
     clumping,
     deposit,
     expected_count,
+    grouped,
     instance_area,
     most_projected,
     projected_count,
@@ -63,6 +66,7 @@ from fynjax.scene._plan import ScenePlan
 from fynjax.scene._planting import (
     Crowns,
     Planting,
+    SiteRules,
     Stand,
     class_count,
     class_shares,
@@ -70,8 +74,9 @@ from fynjax.scene._planting import (
     known_planting,
     no_plants,
     seed_of_planting,
-    site_spacing,
+    shared_anew,
     sites_ready,
+    whole_plants,
 )
 from fynjax.scene._species import (
     CoverDefinition,
@@ -109,11 +114,18 @@ class PlantingRules(ByContent):
 
     room: float | Float[np.ndarray, " species"] = 2.5
     """Sites held ready, as a multiple of the plants that the parameters ask for [-], at least; of
-    all species or of each. A parameter that later asks for more gets no more. A scene of more room
-    has the plants of one of 2.5 where they are, and others besides."""
+    all species or of each: first those of the whole plants, then spare ones between these. A
+    parameter that later asks for more gets no more. A scene of more room has the plants of one of
+    2.5 where they are, and others besides."""
     size_variation: float = 0.2
     """Coefficient of variation of the crown diameters of a species [-]. An assumption, as it is
     that heights lie evenly between 0.6 and 1 times the greatest; they go with the diameters."""
+    spacing: float | None = None
+    """Least distance of the plants, r of Bridson [m]. None: the largest with which there are as
+    many sites as plants; by a map twice as many as it leaves to choose from. Beyond the number
+    that the scene was built for plants stand nearer, between others."""
+    attempts: int = 30
+    """Candidates in a row that fail before a site has no more neighbours, k of Bridson [-]."""
     probability: Real[np.ndarray, "y x"] | None = None
     """Map of 0-255 over the plot of where plants are likely to stand, row 0 south; None: even."""
     rounding: Literal["random", "up"] = "random"
@@ -278,6 +290,8 @@ class Scene(eqx.Module):
     """Seed of what was drawn; no part of what is observed."""
     spacing: Float[Array, ""] = eqx.field(converter=jnp.asarray, default=0.0)
     """Least distance of the sites for which projected covers count plants [m]."""
+    whole: Float[Array, " species"] | None = None
+    """Plants of each species for which these sites are; more stand between them [-]."""
     spreads: tuple[tuple[str, float], ...] = eqx.field(static=True, default=())
     """Names of parameters of which the species table says itself how uncertain they are, with their
     relative standard deviations [-] (`table_spreads`): the priors of `fynjax.free`."""
@@ -298,6 +312,8 @@ class Scene(eqx.Module):
         boundary: Literal["periodic", "open"] = "periodic",
         rounding: Literal["random", "up"] = "random",
         size_variation: float = PlantingRules.size_variation,
+        spacing_m: float | None = None,
+        attempts: int = PlantingRules.attempts,
         cover_definition: CoverDefinition | None = None,
         leaves: Mapping[str | tuple[str, str], LeafStated | Sequence[LeafStated]] | None = None,
         meshes: Mapping[str, MeshPlant] | None = None,
@@ -325,6 +341,8 @@ class Scene(eqx.Module):
         - `boundary`: "periodic" repeats the plot for ever, "open" does not.
         - `rounding`: of the numbers of plants, see `PlantingRules`.
         - `size_variation`: of the crown diameters of a species [-], see `PlantingRules`.
+        - `spacing_m`, `attempts`: least distance of the plants [m], left out by their number, and
+          candidates for each site [-]: r and k of Bridson, see `PlantingRules`.
         - `cover_definition`: "projected", the share of the ground below the crowns of a species, or
           "article", eq. (10), see `PlantingRules`; left out, "projected", but for a table with
           packing, fill, branches or a least area, which only eq. (10) has.
@@ -414,6 +432,8 @@ class Scene(eqx.Module):
                 structure=structure,
                 rounding=rounding,
                 size_variation=size_variation,
+                spacing=spacing_m,
+                attempts=attempts,
                 cover_definition=cover_definition_of(rows, cover_definition),
             ),
             dead_tissue=dead_tissue,
@@ -479,12 +499,25 @@ class Scene(eqx.Module):
             )
         except jax.errors.TracerArrayConversionError:
             return lines[0]
-        for one, (cover, diameter, height) in zip(self.species, sizes.T, strict=True):
+        feet, owner = self._feet_standing()
+        even = partial(clark_evans, extent=self.recipe.extent, periodic=self.boundary == "periodic")
+        for i, (one, (cover, diameter, height)) in enumerate(zip(self.species, sizes.T)):
+            index = even(feet[owner == i])
             lines.append(
                 f"  {one.taxon} ({one.form}): cover {100 * cover:.3g} %, crowns of "
                 f"{100 * diameter:.3g} cm, up to {height:.3g} m"
+                + ("" if np.isnan(index) else f"; Clark-Evans index {index:.2f}")
             )
+        if len(feet) > 1:
+            lines.append(f"{len(feet)} plants, Clark-Evans index {even(feet):.2f}")
         return "\n".join(lines)
+
+    def _feet_standing(self) -> tuple[Float[np.ndarray, "plant 2"], Int[np.ndarray, " plant"]]:
+        """Feet of the plants that stand, and their species."""
+        planting = self.planting
+        species, place = np.asarray(planting.species), np.asarray(planting.place)
+        stands = place < np.asarray(self.whole_counts(self.parameters))[species]
+        return np.asarray(planting.foot)[stands], species[stands]
 
     _repr_html_ = as_html
 
@@ -550,13 +583,22 @@ class Scene(eqx.Module):
         planting = draw_planting(
             stand,
             planted.number,
-            extent=self.recipe.extent,
-            periodic=self.boundary == "periodic",
-            probability=rules.probability,
+            self._site_rules(seed),
             room=rules.room,
             size_variation=rules.size_variation,
         )
         return dataclasses.replace(scene, planting=planting)
+
+    def _site_rules(self, seed: int) -> SiteRules:
+        rules = self.rules
+        return SiteRules(
+            self.recipe.extent,
+            self.boundary == "periodic",
+            rules.probability,
+            rules.spacing,
+            rules.attempts,
+            seed,
+        )
 
     def _without_plants(self, seed: int) -> "Scene":
         """The scene with what a seed decides besides where plants stand."""
@@ -597,23 +639,26 @@ class Scene(eqx.Module):
         short = (most > ready) & (stated > 0)
         return np.where(short, most / np.where(short, stated, 1.0), 0.0)
 
-    def reordered(self, seed: int) -> "Scene":
+    def reordered(self, seed: int, counts: Float[np.ndarray, " species"] | None = None) -> "Scene":
         """The same plot with other plants standing on the same sites: unlike those of a
-        `realisation` they have the places and sizes that this scene holds ready, in another order,
-        which costs next to nothing. Numbers of plants that are rounded at random are rounded anew,
-        known plants stand where they do.
+        `realisation` they have the sites and sizes that this scene holds ready. The sites of the
+        whole plants are shared out anew among the species, and spare ones among their spare plants,
+        which costs little. Numbers of plants that are rounded at random are rounded anew, known
+        plants stand where they do.
 
-        **Arguments:** `seed`, of the order.
+        **Arguments:**
+
+        - `seed`: of the order.
+        - `counts`: real number of plants of each species, for which sites are drawn anew; they must
+          be no more than are held ready. Others than the first so many then have no places of use.
         """
-        species, place = np.asarray(self.planting.species), np.array(self.planting.place)
-        rng = generator(seed, 211)
-        for one in np.unique(species):
-            mine = species == one
-            # The first places stand: another order lets other plants of the species stand.
-            place[mine] = rng.permutation(place[mine])
+        planting, rules = self.planting, self._site_rules(seed)
+        changed = shared_anew(planting, self.species, rules, counts)
+        fields = lambda s: (s.planting.place, s.planting.lot, s.planting.foot, s.rounding)  # noqa: E731
+        old = planting.place, planting.lot, planting.foot
+        new = [jnp.asarray(v, before.dtype) for v, before in zip(changed, old, strict=True)]
         rounding = _rounding(len(self.taxa), [seed, 211], self.dtype)
-        order = jnp.asarray(place, self.planting.place.dtype)
-        return eqx.tree_at(lambda s: (s.planting.place, s.rounding), self, (order, rounding))
+        return eqx.tree_at(fields, self, (*new, rounding))
 
     def expected(self, expected: bool = True) -> "Scene":
         """The same plot with the stand in expectation, of which everything is a smooth function of
@@ -665,7 +710,12 @@ class Scene(eqx.Module):
             ground, parts = self.ground_area, 1.0 if self.clumping is None else self.clumping
             crown = self._within(species.diameter / 2.0)
             return projected_count(
-                species.cover, crown, ground, spacing=self.spacing, clumping=parts
+                species.cover,
+                crown,
+                ground,
+                spacing=self.spacing,
+                whole=jnp.inf if self.whole is None else self.whole,
+                clumping=parts,
             )
         each = instance_area(
             species.diameter,
@@ -693,18 +743,30 @@ class Scene(eqx.Module):
         if self.rules.cover_definition == "article" or self.known_plants:
             return self
         scene, extent, chance = self, self.grid.extent[:2], self.rules.probability
-        periodic = self.boundary == "periodic"
-        if chance is not None or not periodic:
-            parts = [
-                clumping(chance, extent, diameter, periodic=periodic)
-                for diameter in np.asarray(self.parameters.species.diameter)
-            ]
-            scene = dataclasses.replace(scene, clumping=jnp.asarray(np.stack(parts), self.dtype))
+        periodic, sites = self.boundary == "periodic", self._site_rules(0)
+        diameter = np.asarray(self.parameters.species.diameter)
+        groups = np.array([one.groups for one in self.species])
+        count = np.zeros(len(groups))
         # A spacing depends on the number of plants, and that on the spacing: a fixed point.
-        for _ in range(6):  # denser sites, a few more plants on them
-            spacing = site_spacing(np.asarray(scene.counts(self.parameters)), extent, chance)
+        for turn in range(6):  # denser sites, a few more plants on them
+            if (turn == 0 or groups.any()) and (chance is not None or not periodic or groups.any()):
+                share = count / max(count.sum(), 1.0)
+                parts = [
+                    clumping(
+                        grouped(chance, extent, radius, part) if radius and turn else chance,
+                        extent,
+                        wide,
+                        periodic=periodic,
+                    )
+                    for radius, part, wide in zip(groups, share, diameter, strict=True)
+                ]
+                clumps = jnp.asarray(np.stack(parts), self.dtype)
+                scene = dataclasses.replace(scene, clumping=clumps)
+            count = np.asarray(scene.counts(self.parameters), float)
+            spacing = sites.spacing_for(float(whole_plants(count).sum()))
             scene = dataclasses.replace(scene, spacing=jnp.asarray(spacing, self.dtype))
-        return scene
+        whole = jnp.asarray(whole_plants(np.asarray(scene.counts(self.parameters))), self.dtype)
+        return dataclasses.replace(scene, whole=whole)
 
     @property
     def ground_area(self) -> float:

@@ -144,6 +144,8 @@ class SpeciesRow(Strict):
     )
     shoot_clumping: float | None = _of_the_form("shoot_clumping")
     dead_fraction: float | None = _of_the_form("dead_fraction")
+    groups: float = _defaulted("groups", "clumping_m")
+    """Radius of the groups in which the plants stand, 0 for none [m]."""
 
     _cover_range: tuple[float, float] | None = PrivateAttr(default=None)
 
@@ -777,6 +779,8 @@ class Species(eqx.Module):
     leaf_ratios: Float[Array, "leaf trait"] | None = None
     """Traits of its leaves (`LEAF_FIELDS`), of which each plant has one, over their mean [-]; None:
     all plants have the same leaf."""
+    groups: float = eqx.field(static=True, default=0.0)
+    """Radius of the groups in which its plants stand, 0 for none [m] (`fynjax.canopy.grouped`)."""
     materials: tuple[Material, ...] = ()
     """What else its plants are made of, as `PlantModel.material` counts it; those named "wood" and
     "flower" are all wood and flowers that are of no other."""
@@ -802,6 +806,7 @@ class Species(eqx.Module):
             row.rotation_spread,
             row.minimum_area,
             leaf_ratios=None if ratios is None else jnp.asarray(ratios),
+            groups=row.groups,
             materials=materials,
         )
 

@@ -230,6 +230,7 @@ def test_recipes_of_other_content_differ():
             {"size_variation": 0.3}, {"tuft": 0.06}, {"room": 3.0}, {"flowering": 0.1},
             {"structure": 0.05}, {"softness": 0.2}, {"softness_plants": 2.0},
             {"rounding": "up"}, {"cover_definition": "projected"}, {"probability": WEST},
+            {"spacing": 0.2}, {"attempts": 10},
         )
     ]  # fmt: skip
     others.append(Recipe(recipe.rules, (ball(seed=1), None, None), recipe.extent))
@@ -247,15 +248,17 @@ def test_forms_that_are_built_alike_are_one_scene():
     assert bool(eqx.tree_equal(again.planting, scene.planting))
 
 
-KEYS = {"structure": "structure_m", "probability": "probability_map"}
+KEYS = {"structure": "structure_m", "spacing": "spacing_m", "probability": "probability_map"}
 """Rules of planting with another name in a plot file."""
 DECLARED = {
     "room": 1, "flowering": 1, "rounding": 2, "softness": 2, "softness_plants": 2, "tuft": 2,
-    "size_variation": 2, "probability": 2, "structure": 2, "cover_definition": 3,
+    "size_variation": 2, "probability": 2, "structure": 2, "cover_definition": 3, "spacing": 3,
+    "attempts": 2,
 }  # fmt: skip
 """Records of a scene and of its files that declare a rule of planting. `Plot` says besides which
 definition of cover holds where its file says none; `Scene.rounding` are the numbers that the rule
-drew, `Scene.tuft` is the one that goes with the voxels."""
+drew, `Scene.spacing` is that of the sites of the whole plants, `Scene.tuft` the one that goes with
+the voxels."""
 
 
 def test_a_rule_of_planting_is_declared_twice_at_most():

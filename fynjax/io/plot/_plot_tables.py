@@ -405,6 +405,11 @@ class SceneTable(Strict):
     size_variation: float = in_unit("-", default=PlantingRules.size_variation, ge=0, le=2)
     """Coefficient of variation of the crown diameters of a species; plants that are wider are
     higher too. With 0 all crowns of a species are alike [-]."""
+    spacing_m: float | None = in_unit("m", default=None, gt=0, le=100)
+    """Least distance of the plants, r of Bridson's Poisson discs; left out, the largest with which
+    there are as many sites as plants [m]."""
+    attempts: int = Field(default=PlantingRules.attempts, ge=1, le=1000)
+    """Candidates in a row that fail before a site has no more neighbours, k of Bridson [-]."""
     softness: float = in_unit("-", default=0.1, ge=0, le=1)
     """Share of a species' plants over which one more is spread where a slope is taken [-]."""
     softness_plants: float = in_unit("plants", default=1.0, ge=0, le=10)
