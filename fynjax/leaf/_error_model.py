@@ -33,7 +33,7 @@ def bin_centres() -> np.ndarray:
 
 ErrorName = Literal["exact", "laboratory", "field"]
 """What a fit takes spectra to depart from PROSPECT by, see `fit_leaf`."""
-OFFSETS = {"laboratory": 0.02, "field": 0.04}
+OFFSETS: dict[ErrorName, float] = {"laboratory": 0.02, "field": 0.04}
 """Prior standard deviation of an offset of R, the same at all bands, that a kind of instrument
 adds: of a sphere's calibration, of the shine under a leaf clip or contact probe [-]."""
 EXACT_NOISE = 1e-6

@@ -36,7 +36,6 @@ from fynjax.leaf._error_model import (
 from fynjax.leaf._measurement import (
     MEASUREMENT_PARAMETERS,
     AbstractMeasurement,
-    LeafOverBackground,
     usual_measurement,
 )
 from fynjax.leaf._parameters import LEAF_PARAMETERS
@@ -199,14 +198,15 @@ def _named_error(
         return measurement, model, "stated"
     learned = default_error_model()
     if model != "exact":
-        offset = own if model is None else OFFSETS[model]
-        known = (name for name, size in OFFSETS.items() if size == offset)
-        name = next(known, "stated") if model is None else model
-        return _with_offset(measurement, offset), learned, name
+        if model is not None:
+            return _with_offset(measurement, OFFSETS[model]), learned, model
+        known = [name for name, size in OFFSETS.items() if size == own]
+        return measurement, learned, known[0] if known else "stated"
     # A clip's shine is part of what it reads; a calibration's offset is an error.
     measurement = _with_offset(measurement, own if measurement.shines else 0.0)
-    if isinstance(measurement, LeafOverBackground) and np.ndim(measurement.background):
-        behind = np.interp(wavelength, bin_centres(), np.asarray(measurement.background))
+    behind = getattr(measurement, "background", None)
+    if behind is not None and np.ndim(behind):  # by bin of the fit
+        behind = np.interp(wavelength, bin_centres(), np.asarray(behind))
         measurement = eqx.tree_at(lambda m: m.background, measurement, behind)
     none, flat = np.zeros((0, wavelength.size)), np.full(wavelength.size, EXACT_NOISE)
     discrepancy = np.tile([-np.inf, 0.0], (len(POPULATION_TRAITS), 1))

@@ -2,9 +2,11 @@
 
 import jax
 import numpy as np
+import pandas as pd
 import pytest
 
 import fynjax as fx
+from fynjax import jobs
 from fynjax._core.errors import InputError
 from fynjax._core.precision import double_precision
 from fynjax.leaf import (
@@ -82,6 +84,21 @@ def test_exact_spectra_give_back_all_traits(version, given, bands, shine):
     fit = fit_leaf(bands, *map(np.asarray, green), error_model="exact")
     assert abs(fit.parameters.chlorophyll[0] / 40.0 - 1.0) < 1e-4
     assert fit.parameters.anthocyanins[0] < 1e-3
+
+
+def test_the_command_fits_exact_spectra_over_a_bright_face(tmp_path):
+    """R + T^2 B / (1 - R B) of a face of 0.9, from a table."""
+    truth, r, t = simulated(count=3)
+    table = pd.DataFrame((r + t**2 * 0.9 / (1.0 - r * 0.9)).T, columns=["a", "b", "c"])
+    table.insert(0, "wavelength", GRID)
+    table.to_csv(tmp_path / "over.csv", index=False)
+    options = {"measurement": "leaf-clip", "background": 0.9, "error_model": "exact"}
+    assert jobs.fit_leaf([tmp_path / "over.csv"], tmp_path / "out", **options).converged
+    found = pd.read_csv(tmp_path / "out" / "traits.csv")
+    assert (found["error_model"] == "exact").all()
+    for name, values in truth.items():
+        np.testing.assert_allclose(found[name], values, rtol=1e-4)
+        assert (found[f"{name}_prospect_lower90"] <= found[name]).all()
 
 
 def test_with_noise_exact_intervals_hold_nine_of_ten_and_find_the_noise():

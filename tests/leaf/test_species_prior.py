@@ -17,7 +17,7 @@ BY_R = ("structure", "chlorophyll", "carotenoids", "anthocyanins")
 
 @pytest.mark.parametrize(
     ("count", "error", "between"),
-    [(1, 0.2, 0.27), (3, 0.1, 0.27), (10, 0.15, 0.27), (60, 0.05, 0.6)],
+    [(1, 0.2, 0.27), (3, 0.1, 0.27), (10, 0.15, 0.27), (60, 0.05, 0.6), (60, 0.3, 0.1)],
 )
 def test_nine_of_ten_species_means_lie_within(count, error, between):
     """Species drawn with an error that their leaves partly share, and with plants that differ."""
