@@ -1,8 +1,9 @@
 """What spectra of some leaves say of the mean leaf of their species."""
 
-from collections.abc import Iterable
+from collections.abc import Sequence
 
 import numpy as np
+from jaxtyping import Bool, Int
 
 from fynjax._core.errors import InputError
 from fynjax.leaf._error_model import POPULATION_TRAITS, default_error_model
@@ -29,7 +30,7 @@ GUESS_COUNTS = 5.0
 
 def species_prior(
     fit: LeafFit,
-    leaves: Iterable[bool] | Iterable[int] | None = None,
+    leaves: Sequence[int] | Bool[np.ndarray, " leaf"] | Int[np.ndarray, " chosen"] | None = None,
 ) -> dict[str, float]:
     """How well the mean of some fitted leaves is known to be that of their species on a plot.
 
