@@ -1,6 +1,7 @@
 """From a plot's files to a plot that can be rendered."""
 
-from collections.abc import Sequence
+import warnings
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
@@ -21,7 +22,7 @@ from fynjax.assembly._ground import (
     one_spectrum,
     plot_ground,
 )
-from fynjax.assembly._leaf_spectra import fit_or_check, leaf_instrument, measured_leaves
+from fynjax.assembly._leaf_spectra import fit_or_check, leaf_instrument, mean_leaf, measured_leaves
 from fynjax.assembly._memory import check_memory
 from fynjax.assembly._plants import read_plant
 from fynjax.canopy import MeshPlant
@@ -94,10 +95,10 @@ def build_plot(
         )
         for row in plot.species
     ]
-    leaves, instrument = plot_leaves(plot), leaf_instrument(plot)
+    (leaves, leaf_spreads), instrument = _known_leaves(plot), leaf_instrument(plot)
     materials = plant_materials(
         plot.species,
-        [_fitted(row, instrument) for row in plot.leaves if row.material],
+        [_fitted(row, instrument)[0] for row in plot.leaves if row.material],
         plants,
         population=plot.shrubland,
         read=one_spectrum,
@@ -152,7 +153,7 @@ def build_plot(
     )
     if plot.parameters is not None:
         counted(lambda plan: replace(plan, plants=hard_counts(scene, parameters)))
-    spreads = tuple(plot_spreads(plot).items())
+    spreads = tuple((plot_spreads(plot) | leaf_spreads).items())
     return replace(scene, parameters=parameters, spreads=spreads), parameters
 
 
@@ -225,18 +226,41 @@ def plot_leaves(plot: Plot) -> list[tuple[LeafRow, ...]]:
 
     **Raises:** `InputError` for a leaf spectrum that cannot be used.
     """
+    return _known_leaves(plot)[0]
+
+
+def _known_leaves(plot: Plot) -> tuple[list[tuple[LeafRow, ...]], dict[str, float]]:
+    """`plot_leaves`, and how well those that were measured are known: relative standard deviations
+    by the names of parameters, as of `table_spreads`."""
     # One leaf may be that of many species.
     fitted = cache(partial(_fitted, instrument=leaf_instrument(plot)))
-    rows = [*plot.leaves, *measured_leaves(plot)]
-    own_leaves = leaves_of(plot.species, rows, plot.shrubland)
-    stated = [[fitted(leaf) for leaf in own] for own in own_leaves]
-    return drawn_leaves(stated, plot.leaf_variants, plot.seed)
+    measured = measured_leaves(plot)
+    own_leaves = leaves_of(plot.species, [*plot.leaves, *measured.rows], plot.shrubland)
+    stated, spreads = [], dict(measured.spreads)
+    for row, own in zip(plot.species, own_leaves, strict=True):
+        found = [fitted(leaf) for leaf in own]
+        stated.append([leaf for leaf, _ in found])
+        # A leaf of '*' is one of any species, which says nothing of the spread between them.
+        if all(leaf.spectrum is not None and leaf.taxon == row.taxon for leaf in own):
+            spreads |= _together(row.taxon, [spread for _, spread in found])
+    return drawn_leaves(stated, plot.leaf_variants, plot.seed), spreads
 
 
-def _fitted(leaf: LeafRow, instrument: AbstractMeasurement) -> LeafRow:
-    """The leaf itself, or with the PROSPECT parameters that its spectrum asks for."""
+def _together(taxon: str, rows: Sequence[Mapping[str, float]]) -> dict[str, float]:
+    """Spreads of the mean of rows of a leaf table: their mean, as if what the spectra are off by
+    were common to all."""
+    return {
+        f"species.{taxon}.leaf.{trait}": float(np.mean([row[trait] for row in rows]))
+        for trait in rows[0]
+        if all(trait in row for row in rows)
+    }
+
+
+def _fitted(leaf: LeafRow, instrument: AbstractMeasurement) -> tuple[LeafRow, dict[str, float]]:
+    """The leaf itself, or with the PROSPECT parameters that its spectrum asks for, and how well
+    these are known."""
     if leaf.spectrum is None:
-        return leaf
+        return leaf, {}
     spectra = reflectances(leaf.spectrum)
     grid = np.arange(400.0, 2501.0)
     many = np.stack(
@@ -249,9 +273,13 @@ def _fitted(leaf: LeafRow, instrument: AbstractMeasurement) -> LeafRow:
         )
     fit = fit_or_check(grid, many, instrument=instrument)
     if fit is None:
-        return leaf.replace(**{name: getattr(USUAL_LEAF, name) for name in LEAF_FIELDS})
-    found = {name: float(np.mean(getattr(fit.parameters, name))) for name in LEAF_FIELDS}
-    return leaf.replace(**found)
+        return leaf.replace(**{name: getattr(USUAL_LEAF, name) for name in LEAF_FIELDS}), {}
+    mean = mean_leaf(fit, np.ones(len(many), bool), leaf.spectrum.name)
+    if mean is None:
+        raise InputError("the leaf spectrum cannot be fitted: " + fit.status[0], file=leaf.spectrum)
+    for sentence in mean.said:
+        warnings.warn(sentence, stacklevel=2)
+    return leaf.replace(**mean.traits), mean.spread
 
 
 def _sky(plot: Plot) -> Spectrum | None:

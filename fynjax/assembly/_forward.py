@@ -1,6 +1,6 @@
 """What the jobs on a plot's parameters share: the plot, its free parameters, a forward model."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -17,7 +17,7 @@ from fynjax.inversion import (
     ParameterSpace,
     free_space,
 )
-from fynjax.io.plot import Plot, drone_sensor, plot_spreads
+from fynjax.io.plot import Plot, drone_sensor
 from fynjax.scene import (
     PARAMETERS,
     PlotParameters,
@@ -65,17 +65,19 @@ def prepare(plot: Plot, free: Sequence[str] | None, *, seed: int) -> Prepared:
     """
     scene, parameters = build_plot(plot, seed=seed, rounding="random")
     patterns = plot.calibration.free if free is None else tuple(free)
-    space = free_space(scene, parameters, patterns, lambda name: _prior_sd(plot, name))
+    space = free_space(
+        scene, parameters, patterns, lambda name: _prior_sd(plot, name, dict(scene.spreads))
+    )
     counts = _likely_counts(scene, parameters, space)
     if room_needed(scene, parameters, counts).any():
         scene = scene.realisation(0, counts)
     return Prepared(plot, scene, parameters, space, seed)
 
 
-def _prior_sd(plot: Plot, name: str) -> float | None:
-    """Relative standard deviation of a parameter's prior: that of the tables themselves, unless
-    `calibration.priors` has another (`own_spread`)."""
-    own = own_spread(name, plot_spreads(plot), plot.calibration.priors)
+def _prior_sd(plot: Plot, name: str, spreads: Mapping[str, float]) -> float | None:
+    """Relative standard deviation of a parameter's prior: that of the tables and spectra themselves
+    (`spreads`, as of `Scene.spreads`), unless `calibration.priors` has another (`own_spread`)."""
+    own = own_spread(name, spreads, plot.calibration.priors)
     return plot.calibration.relative_sd(name) if own is None else own
 
 

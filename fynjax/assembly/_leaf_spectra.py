@@ -2,12 +2,15 @@
 
 import hashlib
 import json
+import warnings
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
-import pandas as pd
+import numpy as np
+from jaxtyping import Bool
 
 from fynjax import __version__
 from fynjax._core.compiler import cache_folder
@@ -15,7 +18,7 @@ from fynjax._core.dry_run import rehearsing
 from fynjax._core.errors import InputError
 from fynjax.io.plot import Plot
 from fynjax.io.raster import file_hash
-from fynjax.io.spectra import read_spectra
+from fynjax.io.spectra import measured_dataset, usable_spectra, warnings_of_reading
 from fynjax.io.text import write_text
 from fynjax.leaf import (
     MEASUREMENTS,
@@ -24,9 +27,34 @@ from fynjax.leaf import (
     LeafFit,
     LeafSettings,
     fit_leaf,
+    species_prior,
     usual_measurement,
 )
 from fynjax.scene import LEAF_FIELDS, USUAL_LEAF, LeafRow
+
+_KEPT = 2
+"""Number of the form in which fits are kept."""
+
+
+class MeanLeaf(NamedTuple):
+    """What the spectra of a taxon say of its leaves."""
+
+    traits: dict[str, float]
+    """Means of `LEAF_FIELDS`."""
+    spread: dict[str, float]
+    """Relative standard deviations of these (`fynjax.leaf.species_prior`)."""
+    said: list[str]
+    """Doubts about the fits, in sentences."""
+
+
+class MeasuredLeaves(NamedTuple):
+    """The leaves of the taxa of a plot that were measured."""
+
+    rows: list[LeafRow]
+    """The mean leaf of each taxon."""
+    spreads: dict[str, float]
+    """Relative standard deviations of their priors by the names of parameters, as of
+    `fynjax.scene.table_spreads`."""
 
 
 def leaf_instrument(plot: Plot) -> AbstractMeasurement:
@@ -45,21 +73,62 @@ def fit_or_check(*spectra: Any, instrument: AbstractMeasurement) -> LeafFit | No
     return None
 
 
-def measured_leaves(plot: Plot) -> list[LeafRow]:
-    """The mean leaf of each taxon that has files of spectra, by PROSPECT fitted to all of them.
+def mean_leaf(fit: LeafFit, own: Bool[np.ndarray, " leaf"], whose: str) -> MeanLeaf | None:
+    """The mean of fitted leaves, of which those in doubt count only where there are no others.
 
-    Fits are kept in the cache of compiled programs, by the content of the files.
+    **Arguments:** `fit`; `own`, which of its leaves; `whose` they are, for the doubts.
+
+    **Returns:** None where none of the leaves could be fitted.
+    """
+    status = np.array(fit.status)
+    fitted = own & np.isfinite(fit.rmse)
+    if not fitted.any():
+        return None
+    good = own & (status == "converged")
+    counts = good if good.any() else fitted
+    said = []
+    if (doubted := own & ~good).any():
+        kinds = Counter(status[doubted].tolist()).most_common()
+        reasons = "; ".join(f"{number} {text}" for text, number in kinds)
+        name = fit.labels[int(np.argmax(doubted))]
+        what = (
+            f"they are left out of the mean of the other {good.sum()}"
+            if good.any()
+            else "they are used, since there are no others"
+        )
+        said.append(
+            f"{doubted.sum()} of {own.sum()} leaf spectra of {whose} are fitted in doubt, such as "
+            f"{name!r} ({reasons}): {what}"
+        )
+    means = {
+        name: float(np.mean(np.asarray(getattr(fit.parameters, name))[counts]))
+        for name in LEAF_FIELDS
+    }
+    return MeanLeaf(means, species_prior(fit, counts), said)
+
+
+def measured_leaves(plot: Plot) -> MeasuredLeaves:
+    """The mean leaf of each taxon that has files of spectra, by PROSPECT fitted to all of them, and
+    how well it is known.
+
+    Fits are kept in the cache of compiled programs, by the content of the files, with what was to
+    be said of them.
 
     **Arguments:** `plot`, as `read_plot` gives it.
 
-    **Raises:** `InputError` for a taxon of which no spectrum can be used. Warns of single ones.
+    **Raises:** `InputError` for a taxon of which no spectrum can be used. Warns of single ones, and
+    of fits in doubt, also where they are kept.
     """
     files = plot.leaf_files
     if not files:
-        return []
-    how = [plot.leaf_measurement, plot.leaf_background]
-    # By content, not by name: a file that was changed is fitted anew.
-    content = [__version__, how, [(taxon, [*map(file_hash, own)]) for taxon, own in files.items()]]
+        return MeasuredLeaves([], {})
+    how = [_KEPT, plot.leaf_measurement, plot.leaf_background]
+    # By content, not by name: a file that was changed is fitted anew. By name too, which the
+    # warnings have.
+    content = [
+        __version__, how,
+        [(taxon, [(file.name, file_hash(file)) for file in own]) for taxon, own in files.items()],
+    ]  # fmt: skip
     name = hashlib.sha256(json.dumps(content).encode()).hexdigest()
     kept = cache_folder() / "leaves" / f"{name}.json"
     found = None
@@ -67,31 +136,42 @@ def measured_leaves(plot: Plot) -> list[LeafRow]:
         found = json.loads(kept.read_text("utf-8"))
     if found is None:
         found = _fitted(files, leaf_instrument(plot))
-        if rehearsing():
-            return [USUAL_LEAF.replace(taxon=taxon) for taxon in files]
-        with suppress(OSError):  # a home that cannot be written costs the fit, nothing else
-            kept.parent.mkdir(parents=True, exist_ok=True)
-            write_text(kept, json.dumps(found))
-    return [USUAL_LEAF.replace(taxon=taxon, **found[taxon]) for taxon in files]
+        if not rehearsing():
+            with suppress(OSError):  # a home that cannot be written costs the fit, nothing else
+                kept.parent.mkdir(parents=True, exist_ok=True)
+                write_text(kept, json.dumps(found))
+    for sentence in found["said"]:
+        warnings.warn(sentence, stacklevel=2)
+    leaves = found["leaves"]
+    if rehearsing() and not leaves:
+        return MeasuredLeaves([USUAL_LEAF.replace(taxon=taxon) for taxon in files], {})
+    return MeasuredLeaves(
+        [USUAL_LEAF.replace(taxon=taxon, **leaves[taxon]["traits"]) for taxon in files],
+        {
+            f"species.{taxon}.leaf.{trait}": sd
+            for taxon in files
+            for trait, sd in leaves[taxon]["spread"].items()
+        },
+    )
 
 
-def _fitted(
-    files: Mapping[str, Sequence[Path]], instrument: AbstractMeasurement
-) -> dict[str, dict[str, float]]:
-    """Means of the leaf traits of each taxon over its leaves; those of doubtful fits count only
-    where there are no others. None in a dry run, which reads and checks the spectra."""
+def _fitted(files: Mapping[str, Sequence[Path]], instrument: AbstractMeasurement) -> dict[str, Any]:
+    """Of each taxon the means and spreads of its leaves, and what is to be said of all spectra. No
+    leaves in a dry run, which reads and checks the spectra."""
     taxon_of = {str(file): taxon for taxon, own in files.items() for file in own}
-    spectra = read_spectra(list(taxon_of))
+    read, refused = usable_spectra(list(taxon_of))
+    said, spectra = warnings_of_reading(read, refused), measured_dataset(read, {})
     fit = fit_or_check(spectra, instrument=instrument)
-    taxon = pd.Series([taxon_of[file] for file in spectra["file"].values])
+    taxon = np.array([taxon_of[file] for file in spectra["file"].values])
+    leaves = {}
     for one, own in files.items():
-        if not (taxon == one).any():
+        of_taxon = taxon == one
+        found = None if fit is None or not of_taxon.any() else mean_leaf(fit, of_taxon, one)
+        if not of_taxon.any() or (fit is not None and found is None):
+            for sentence in said:
+                warnings.warn(sentence, stacklevel=3)
             raise InputError(f"no leaf spectrum of {one!r} can be used", file=own[0])
-    if fit is None:
-        return {}
-    traits = pd.DataFrame({name: getattr(fit.parameters, name) for name in LEAF_FIELDS})
-    good = pd.Series([status == "converged" for status in fit.status])
-    # Doubtful fits count only where a taxon has no others.
-    counts = good | ~good.groupby(taxon).transform("any")
-    means = traits[counts].groupby(taxon[counts]).mean()
-    return {one: dict(zip(LEAF_FIELDS, means.loc[[one]].to_numpy()[0].tolist())) for one in files}
+        if found is not None:
+            said += found.said
+            leaves[one] = {"traits": found.traits, "spread": found.spread}
+    return {"leaves": leaves, "said": said}

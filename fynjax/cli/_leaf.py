@@ -67,6 +67,13 @@ def fit_leaf(
         Literal["full", "optimal"],
         typer.Option(help="Wavelengths to fit: all, or the published sub-domains."),
     ] = "full",
+    error_model: Annotated[
+        Literal["exact", "laboratory", "field"] | None,
+        typer.Option(
+            help="What spectra depart from PROSPECT by: laboratory (real leaves, a sphere), field "
+            "(real leaves, a clip or probe), exact (simulated spectra). Left out: by --measurement."
+        ),
+    ] = None,
     panel: PanelTable = None,
     detector_changes: Annotated[
         str | None,

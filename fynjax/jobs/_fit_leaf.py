@@ -36,6 +36,7 @@ from fynjax.jobs._spectra import (
 from fynjax.leaf import (
     MEASUREMENTS,
     AbstractMeasurement,
+    ErrorName,
     FitDomain,
     LeafArea,
     LeafChunks,
@@ -213,6 +214,7 @@ def fit_leaf(
     leaf_shape: LeafShape = "broad",
     area: LeafArea = "projected",
     domain: FitDomain = "full",
+    error_model: ErrorName | None = None,
     panel: str | Path | None = None,
     detector_changes: Sequence[float] | None = None,
     transmittance: Sequence[str | Path] = (),
@@ -247,6 +249,9 @@ def fit_leaf(
     - `area`: what contents are stated per in all tables, "projected" or "half_total", see
       `fynjax.leaf.area_factors`.
     - `domain`: "full" or "optimal".
+    - `error_model`: what spectra depart from PROSPECT by, as of `fynjax.fit_leaf`: "laboratory"
+      (real leaves, a sphere), "field" (real leaves, a clip or probe) or "exact" (simulated
+      spectra); left out, by `measurement`.
     - `panel`: file of the white panel's own reflectance, for spectra relative to it; those of ASD
       files that hold it are absolute already.
     - `detector_changes`: wavelengths where detectors change [nm], at which jumps are taken out of
@@ -268,8 +273,8 @@ def fit_leaf(
     `output`, and where asked for `species.csv` and `posterior.nc`.
 
     **Raises:** `InputError` if no file holds a usable spectrum, or the table of groups is wrong,
-    or for an unknown measurement, or a checkpoint of another run; `MissingExtraError` for a sampler
-    not installed.
+    or for an unknown measurement or error model, "exact" with groups, or a checkpoint of another
+    run; `MissingExtraError` for a sampler not installed.
 
     Example: `jobs.fit_leaf(["leaves.csv"], "results", version="PRO")`.
     """
@@ -297,7 +302,7 @@ def fit_leaf(
         | ({} if species is None else {"species.csv": f"{len(set(species))} species"})
         | ({} if posterior == "none" else {"posterior.nc": size})
     )
-    how = LeafSettings(version, instrument, leaf_shape, domain)
+    how = LeafSettings(version, instrument, leaf_shape, domain, error_model=error_model)
     together = None if species is None else fit_leaf_groups(spectra, groups=species, settings=how)
     fit = _fit_apart(spectra, how, checkpoint, workers) if together is None else together.leaves
     settings = {

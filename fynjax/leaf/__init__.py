@@ -5,6 +5,7 @@ from fynjax.leaf._coefficients import ProspectVersion
 from fynjax.leaf._detectors import DARKEST_JUMP, LARGEST_JUMP, correct_detector_jumps
 from fynjax.leaf._error_model import (
     ErrorModel,
+    ErrorName,
     bin_centres,
     default_error_model,
     to_bins,
@@ -40,6 +41,7 @@ from fynjax.leaf._prospect import (
     prospect,
 )
 from fynjax.leaf._result import LeafFit, LeafStatus
+from fynjax.leaf._species_prior import species_prior
 from fynjax.leaf._transmissivity import exponential_integral, layer_absorptance
 
 __all__ = [
@@ -52,6 +54,7 @@ __all__ = [
     "ROUND",
     "AbstractMeasurement",
     "ErrorModel",
+    "ErrorName",
     "FitDomain",
     "IntegratingSphere",
     "Leaf",
@@ -83,6 +86,7 @@ __all__ = [
     "recollided",
     "resolved_by_two_readings",
     "sample_leaf_posterior",
+    "species_prior",
     "structure_from_dry_matter",
     "to_bins",
     "to_nanometres",

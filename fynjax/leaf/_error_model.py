@@ -11,6 +11,7 @@ enough to average the instrument's noise and narrow enough for PROSPECT's bands.
 from collections.abc import Sequence
 from functools import cache
 from importlib import resources
+from typing import Literal
 
 import equinox as eqx
 import numpy as np
@@ -29,6 +30,15 @@ def bin_centres() -> np.ndarray:
     """
     return np.concatenate([np.arange(400.0, 781.0, 5.0), np.arange(790.0, 2501.0, 10.0)])
 
+
+ErrorName = Literal["exact", "laboratory", "field"]
+"""What a fit takes spectra to depart from PROSPECT by, see `fit_leaf`."""
+OFFSETS: dict[ErrorName, float] = {"laboratory": 0.02, "field": 0.04}
+"""Prior standard deviation of an offset of R, the same at all bands, that a kind of instrument
+adds: of a sphere's calibration, of the shine under a leaf clip or contact probe [-]."""
+EXACT_NOISE = 1e-6
+"""Least standard deviation of R and T of a fit without an error of the model, that of computed
+spectra; a larger one is found from what the fit leaves [-]."""
 
 POPULATION_TRAITS = ("structure", "chlorophyll", "carotenoids", "water", "dry_matter")
 """Traits whose correlation and discrepancy an error model holds."""

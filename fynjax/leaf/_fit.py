@@ -14,7 +14,7 @@ from scipy.special import chdtri
 from fynjax._core.precision import double_precision
 from fynjax.leaf._area import LeafShape
 from fynjax.leaf._coefficients import ProspectVersion
-from fynjax.leaf._error_model import ErrorModel, bin_centres
+from fynjax.leaf._error_model import EXACT_NOISE, ErrorModel, ErrorName
 from fynjax.leaf._measurement import AbstractMeasurement
 from fynjax.leaf._parameters import LEAF_PARAMETERS, LeafParameters
 from fynjax.leaf._problem import (
@@ -50,6 +50,12 @@ if TYPE_CHECKING:
 
 # One leaf in a hundred of ANGERS, LOPEX, NASA FFT is beyond it, and nine soils of ten.
 _POOR_FIT = 4.0
+# Noise that the search for a leaf begins with where PROSPECT is exact, over `EXACT_NOISE`, and how
+# often another is taken.
+_FIRST_NOISE, _MOST_NOISES = 100.0, 12
+# What PROSPECT leaves of R and T of a leaf that it does not describe, where it counts as exact: as
+# much as of real leaves [-].
+_POOR_EXACT = 0.01
 # Usable bins of a leaf that is fitted.
 _FEWEST = 10
 # Where dry matter absorbs [nm] (Feret et al. 2019, RSE 231, 110959), and the part of it that R must
@@ -91,8 +97,15 @@ def _describe_many(tree: tuple, factors: Any, noise: Any, optics: Optics) -> dic
     inverse = jnp.einsum("nij,nik->njk", root, root)
     loads = (rows.reshape(-1, flat.shape[1]) @ flat.T).reshape(leaves, size + 1, number)
     answers = jnp.einsum("nrj,njk->nrk", loads, inverse)
-    # The last factor is the instrument's offset, which is no property of the leaf.
+    # The last factor is the instrument's offset, which is no property of the leaf: it is of R alone
+    # and the same at all bands.
     shown = answers[:, 0, :-1] @ flat[:-1]
+    size_of_one = factors[-1, 0, 0]
+    offset = size_of_one * answers[:, 0, -1]
+    along = -size_of_one * answers[:, 1:, -1]
+    spread = jnp.einsum("np,npq,nq->n", along, covariance, along)
+    spread += size_of_one**2 * problems.inflation * inverse[:, -1, -1]
+    recorded = recorded.at[:, 0].add(offset[:, None])
     # Slopes of T, less what the factors take up of them.
     effective = slopes - (answers[:, 1:].reshape(-1, number) @ through).reshape(slopes.shape)
     pairs = (through[:, None] * through[None]).reshape(number * number, -1)
@@ -100,6 +113,8 @@ def _describe_many(tree: tuple, factors: Any, noise: Any, optics: Optics) -> dic
     known = jnp.einsum("npb,npb->nb", effective, jnp.einsum("npq,nqb->npb", covariance, effective))
     return {
         "recorded": recorded,
+        "offset": offset,
+        "offset_variance": spread,
         "corrected": model + shown.reshape(model.shape),
         "variance": known + problems.inflation[:, None] * remaining,
     }
@@ -114,6 +129,8 @@ def solve_leaves(
     of a Student likelihood with 50 degrees of freedom, and is solved again. The same for the prior
     was tried with 4 degrees: it adds half to the error of water in sclerophylls and needles.
     """
+    if setup.error == "exact":
+        return _solve_exact(setup, data, use, prior)
     problems = leaf_problems(setup, data, use, prior, np.ones(len(data)))
     found = solve(prior[0], problems, setup.factors, setup.optics)
     inflation = np.maximum(1.0, (50.0 + 10.0 * found.misfit) / (50.0 + use.sum((1, 2))))
@@ -127,6 +144,36 @@ def solve_leaves(
     return found, problems
 
 
+def _solve_exact(
+    setup: Setup, data: np.ndarray, use: np.ndarray, prior: Prior
+) -> tuple[Solution, Problem]:
+    """`solve_leaves` with noise of unknown size, the same at all bands: the variance of what the
+    fit leaves, over the bands less the parameters, is found together with the leaf.
+
+    The search begins with much noise, which the prior then helps; where it stops early, what it
+    leaves is more than the noise, and it goes on with less.
+    """
+    freedom = np.maximum(use.sum((1, 2)) - len(setup.free), 1)
+    found, inflation, again = None, np.full(len(data), _FIRST_NOISE**2), np.arange(len(data))
+    for _ in range(_MOST_NOISES):
+        problems = leaf_problems(setup, data, use, prior, inflation)
+        part = Problem(*(a[again] for a in problems))
+        start = (prior[0] if found is None else found.z)[again]
+        moved = solve(start, part, setup.factors, setup.optics)
+        if found is None:
+            found = moved
+        for whole, new in zip(found, moved):
+            whole[again] = new
+        left = np.maximum(1.0, found.misfit / freedom)
+        again = np.flatnonzero(np.abs(np.log(left / inflation)) > 0.01)
+        if not again.size:
+            break
+        inflation[again] = left[again]
+    assert found is not None
+    found.converged[again] = False
+    return found, problems
+
+
 def towards_reflectance(
     setup: Setup, data: np.ndarray, use: np.ndarray, z: np.ndarray
 ) -> Float[np.ndarray, "leaf parameter"]:
@@ -136,11 +183,13 @@ def towards_reflectance(
     prior. A leaf whose fit to R does not converge is not moved.
     """
     change = np.zeros_like(z)
+    if setup.reflectance_share == 0.0:
+        return change
     low, high = _DRY_MATTER_BANDS
-    absorbs = (bin_centres() >= low) & (bin_centres() <= high)
+    absorbs = (setup.wavelength >= low) & (setup.wavelength <= high)
     known = use[:, 0, absorbs].mean(1) >= _ENOUGH
     both = np.flatnonzero(known & (use[:, 1].sum(1) >= _FEWEST))
-    if setup.reflectance_share > 0.0 and both.size:
+    if both.size:
         at, seen = setup.names.index("dry_matter"), use[both]
         seen[:, 1] = False
         alone, _ = solve_leaves(setup, data[both], seen, leaf_priors(setup, data[both], seen))
@@ -194,7 +243,7 @@ def fit_leaf(
     free: Sequence[str] | None = None,
     outdoor: bool | None = None,
     detector_changes: Sequence[float] = (),
-    error_model: ErrorModel | None = None,
+    error_model: ErrorName | ErrorModel | None = None,
 ) -> LeafFit:
     """Fit PROSPECT to measured reflectance, transmittance, or both, of any number of leaves.
 
@@ -218,7 +267,13 @@ def fit_leaf(
       with values there that are no reflectance.
     - `detector_changes`: where detectors change [nm]; jumps there are taken out
       (`correct_detector_jumps`). `read_spectra` does so where files state them.
-    - `error_model`: covariance of the model's error, `default_error_model()` by default.
+    - `error_model`: what spectra depart from PROSPECT by. "laboratory" and "field": as real leaves
+      do (`default_error_model`; an `ErrorModel` of one's own may stand here too), with an offset of
+      R of 0.02 (a sphere's calibration) and of 0.04 (shine under a clip or probe). Left out: with
+      the measurement's own offset, which is "field" of `LeafClip`, "laboratory" of others. "exact":
+      noise that is independent from band to band, as of simulated spectra; the offset is a clip's
+      shine alone, bands are not averaged to bins, and without noise all traits that the spectra
+      tell come back to 1e-4. Of real leaves its intervals are far too narrow.
 
     **Returns:** `LeafFit` with the labels. NumPy, float64; not differentiable (see `prospect`).
 
@@ -317,7 +372,8 @@ def describe_chunk(
     inflation = np.asarray(problems.inflation)
     population = np.diag(np.linalg.inv(setup.prior_precision))
     # Before the discrepancy is added: what the spectrum leaves of the variance among leaves.
-    share = np.einsum("npp->np", covariance) / population
+    own = np.einsum("npp->np", covariance).copy()
+    share = own / population
     extra = trait_variance(setup, inflation, z)
     off = found.z - setup.prior_mean
     rarity = np.einsum("np,pq,nq->n", off, setup.prior_precision, off)
@@ -326,6 +382,7 @@ def describe_chunk(
     return description | {
         "z": z, "covariance": covariance, "chi2": misfit, "inflation": inflation,
         "converged": found.converged, "share": share, "rarity": rarity,
+        "prospect": found.z, "prospect_variance": own,
     }  # fmt: skip
 
 
@@ -349,11 +406,20 @@ def assemble(
     z = got["z"]
     unit = 1.0 / (1.0 + np.exp(-z))
     x = bounds[:, 0] + width * unit
-    ends = [
-        bounds[:, 0] + width / (1.0 + np.exp(-(z + sign * NINETY_PERCENT * deviation)))
-        for sign in (-1, 1)
-    ]
+
+    def ends(z: np.ndarray, deviation: np.ndarray) -> list[np.ndarray]:
+        return [
+            bounds[:, 0] + width / (1.0 + np.exp(-(z + sign * NINETY_PERCENT * deviation)))
+            for sign in (-1, 1)
+        ]
+
+    lower, upper = ends(z, deviation)
     scale = width * unit * (1.0 - unit)
+    # Of PROSPECT's own trait: about what explains the spectra, without the laboratory's part.
+    own_deviation = np.sqrt(got["prospect_variance"])
+    own_lower, own_upper = ends(got["prospect"], own_deviation)
+    own_unit = 1.0 / (1.0 + np.exp(-got["prospect"]))
+    own_spread = width * own_unit * (1.0 - own_unit) * own_deviation
     # From logits to units, to first order; intervals are carried over exactly.
     covariance = scale[:, :, None] * got["covariance"] * scale[:, None, :]
     few = use.sum((1, 2)) < _FEWEST
@@ -361,13 +427,15 @@ def assemble(
     off = np.nan_to_num(measured - got["recorded"], copy=False)
     rmse = np.sqrt(np.einsum("nqb,nqb->n", off, off) / np.maximum(use.sum((1, 2)), 1))
     del off
+    exact = setup.error == "exact"
+    most = (_POOR_EXACT / EXACT_NOISE) ** 2 if exact else _POOR_FIT
     at_bound = (x > bounds[:, 1] - 0.01 * width) & np.isin(names, free)
     doubts = {
         LeafStatus.failed: few,
         LeafStatus.max_steps: ~got["converged"],
         LeafStatus.at_bound: at_bound.any(1),
-        LeafStatus.poor_fit: got["inflation"] > _POOR_FIT,
-        LeafStatus.unusual: got["rarity"] > chdtri(len(free), 1.0 - _RARE),
+        LeafStatus.poor_fit: got["inflation"] > most,
+        LeafStatus.unusual: (got["rarity"] > chdtri(len(free), 1.0 - _RARE)) & (not exact),
     }
     # The first that holds.
     reason = np.select(list(doubts.values()), list(doubts), LeafStatus.converged)
@@ -381,14 +449,21 @@ def assemble(
     estimated = setup.optics.measurement.estimated
     shown = ~few & use[:, 1].any(1)  # without transmittance nothing is estimated, see leaf_priors
     own = [names.index(name) for name in estimated]
+
+    def of_leaf(values: np.ndarray) -> np.ndarray:
+        return np.where(few[:, None], np.nan, values)[:, chosen]
+
     return LeafFit(
         parameters=LeafParameters.many(**{n: known.get(n, 0.0) for n in LEAF_PARAMETERS}),
         names=fitted,
-        standard_deviation=np.where(few[:, None], np.nan, spread)[:, chosen],
+        standard_deviation=of_leaf(spread),
         covariance=covariance[:, chosen][:, :, chosen],
-        lower=np.where(few[:, None], np.nan, ends[0])[:, chosen],
-        upper=np.where(few[:, None], np.nan, ends[1])[:, chosen],
-        wavelength=bin_centres(),
+        lower=of_leaf(lower),
+        upper=of_leaf(upper),
+        prospect_deviation=of_leaf(own_spread),
+        prospect_lower=of_leaf(own_lower),
+        prospect_upper=of_leaf(own_upper),
+        wavelength=setup.wavelength,
         measured=measured,
         fitted=got["recorded"],
         reflectance=corrected[:, 0],
@@ -400,11 +475,14 @@ def assemble(
         converged=got["converged"] & ~few,
         reason=reason,
         at_bound=at_bound[:, chosen],
-        prior_share=np.where(few[:, None], np.nan, got["share"])[:, chosen],
+        prior_share=of_leaf(got["share"]),
+        offset=np.where(few, np.nan, got["offset"]),
+        offset_deviation=np.where(few, np.nan, np.sqrt(got["offset_variance"])),
         measurement=np.where(shown[:, None], x[:, own], np.nan),
         measurement_deviation=np.where(shown[:, None], spread[:, own], np.nan),
         estimated=estimated,
         version=setup.version,
         leaf_shape=setup.shape,
+        error_model=setup.error,
         source=source,
     )

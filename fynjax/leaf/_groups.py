@@ -14,7 +14,7 @@ from fynjax._core.errors import InputError
 from fynjax._core.precision import double_precision
 from fynjax._core.seeds import generator
 from fynjax.leaf._area import LeafArea, area_factors
-from fynjax.leaf._error_model import default_error_model
+from fynjax.leaf._error_model import ErrorModel, default_error_model
 from fynjax.leaf._fit import assemble, describe_chunk, solve_leaves
 from fynjax.leaf._parameters import LEAF_PARAMETERS, LeafParameters
 from fynjax.leaf._problem import USUAL_SETTINGS, LeafSettings, Setup, leaf_bounds, prepare
@@ -116,7 +116,8 @@ def fit_leaf_groups(
     **Returns:** `LeafGroups`: the mean of each species, the covariance within species, and a
     `LeafFit` of all leaves. Leaves with fewer than ten usable bins do not count for the means.
 
-    **Raises:** `InputError` as `fit_leaf`, or if `groups` does not have a name for each leaf.
+    **Raises:** `InputError` as `fit_leaf`, if `groups` does not have a name for each leaf, or for
+    the error model "exact".
 
     NumPy in and out; not differentiable.
 
@@ -137,12 +138,18 @@ def fit_leaf_groups(
     >>> bool(species.mean.chlorophyll[0] < 45.0 < species.mean.chlorophyll[1])
     True
     """
+    if settings.error_model == "exact":
+        raise InputError(
+            'expected `error_model` "laboratory" or "field", but got "exact": where PROSPECT is '
+            "exact each leaf is known from its own spectrum, so fit them without groups"
+        )
     setup, data, use, prior, source = prepare(wavelength, reflectance, transmittance, settings)
     if len(groups) != len(data):
         raise InputError(f"`groups` must name {len(data)} leaves, but has {len(groups)} names")
     labels = tuple(dict.fromkeys(str(g) for g in groups))
     member = np.array([labels.index(str(g)) for g in groups])
-    model = default_error_model() if settings.error_model is None else settings.error_model
+    stated = settings.error_model
+    model = stated if isinstance(stated, ErrorModel) else default_error_model()
     shared = float(np.nanmean(model.species_share))
     # N estimated from the near-infrared plateau is evidence about the leaf, not its species.
     line = prior[1] - setup.prior_precision

@@ -75,6 +75,12 @@ class AbstractMeasurement(eqx.Module):
         return ()
 
     @property
+    def shines(self) -> bool:
+        """Whether the offset of R is light from the surface, which a leaf has in any case, and not
+        an error of the calibration."""
+        return False
+
+    @property
     def leaf_alone(self) -> bool:
         """Whether R is that of one leaf with nothing bright behind it, so that its level in the
         near infrared says something of N."""
@@ -124,6 +130,11 @@ class LeafClip(AbstractMeasurement):
 
     offset_deviation: float = 0.04
     """Prior standard deviation of b [-]."""
+
+    @property
+    def shines(self) -> bool:
+        """Yes, by b."""
+        return True
 
     def observe(
         self, reflectance: Array, transmittance: Array, *estimated: Array

@@ -37,6 +37,8 @@ class LeafPosterior(eqx.Module):
     """Names of the sampled parameters."""
     samples: Float[np.ndarray, "leaf draw parameter"]
     """Draws in the parameters' units, of the trait a laboratory would measure."""
+    wavelength: Float[np.ndarray, " bin"]
+    """Bins of `transmittance` [nm]."""
     transmittance: Float[np.ndarray, "leaf draw bin"]
     """T of the leaf at each draw, with a draw of the model's error that the data leave [-]."""
     effective_size: Float[np.ndarray, " leaf"]
@@ -69,7 +71,7 @@ class LeafPosterior(eqx.Module):
         )
         variables["effective_size"] = ("leaf", self.effective_size, {"units": "1"})
         return leaf_dataset(
-            variables, self.source, self.status,
+            variables, self.wavelength, self.source, self.status,
             "Posterior of leaf traits and transmittance under PROSPECT",
             leaf_shape=self.leaf_shape, area=area,
         )  # fmt: skip
@@ -172,7 +174,14 @@ def sample_leaf_posterior(
     leaf = [i for i, name in enumerate(setup.free) if name in LEAF_PARAMETERS]
     names = tuple(setup.free[i] for i in leaf)
     return LeafPosterior(
-        names, samples[:, :, leaf], spectra, sizes, np.array(status), setup.shape, source
+        names,
+        samples[:, :, leaf],
+        setup.wavelength,
+        spectra,
+        sizes,
+        np.array(status),
+        setup.shape,
+        source,
     )
 
 

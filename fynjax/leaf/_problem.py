@@ -4,11 +4,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple, get_args
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
-from fynjax._core.errors import InputError
+from fynjax._core.errors import InputError, did_you_mean
 from fynjax._core.parameters import Parameter
 from fynjax.leaf._area import LeafShape, check_shape
 from fynjax.leaf._coefficients import (
@@ -20,9 +21,12 @@ from fynjax.leaf._coefficients import (
 )
 from fynjax.leaf._detectors import correct_detector_jumps
 from fynjax.leaf._error_model import (
+    EXACT_NOISE,
+    OFFSETS,
     POPULATION_TRAITS,
     PUBLISHED_DOMAINS,
     ErrorModel,
+    ErrorName,
     bin_centres,
     default_error_model,
     inside,
@@ -44,6 +48,8 @@ FitDomain = Literal["full", "optimal"]
 
 _USED = (450.0, 2400.0)
 """Ends of the wavelengths that a fit uses [nm]."""
+_ENDS = (445.0, 2405.0)
+"""Ends of the centres of the bins, or the bands, that hold these [nm]."""
 _WATER = ((1340.0, 1430.0), (1780.0, 1980.0), (2390.0, 2510.0))
 _LINE_BAND = 1130.0
 # N from R / (1 - R) (Spafford et al. 2021) and from (1 - T) / T at that band: slope, offset (fitted
@@ -54,6 +60,9 @@ _REFLECTANCE_LINE, _TRANSMITTANCE_LINE, _LINE_DEVIATION = (1.745, 0.133), (1.330
 
 ASSUMED_DISCREPANCY = {"proteins": 0.25, "carbon_constituents": 0.25}
 """Discrepancy of traits that were measured in one campaign only, see `ErrorModel` [-]."""
+
+# The logit of a parameter that is held at zero, where the model is exact.
+_NOTHING = -28.0
 
 # Leaves that are binned at once: what is made on the way takes a few arrays of their bands.
 _BLOCK = 512
@@ -101,14 +110,21 @@ class LeafSettings:
     """Whether the bands of water vapour are left out; None: of spectra that are spoilt there."""
     detector_changes: Sequence[float] = ()
     """Wavelengths where detectors change [nm], at which jumps are taken out."""
-    error_model: ErrorModel | None = None
-    """Covariance of PROSPECT's error; None: `default_error_model()`."""
+    error_model: ErrorName | ErrorModel | None = None
+    """What spectra depart from PROSPECT by: "exact", "laboratory", "field", or a covariance; None:
+    "field" of a leaf clip or probe, "laboratory" of others."""
 
     def __post_init__(self) -> None:
         check_version(self.version)
         check_shape(self.leaf_shape)
         if self.domain not in get_args(FitDomain):
             raise InputError(f'`domain` must be "full" or "optimal", but is {self.domain!r}')
+        if isinstance(self.error_model, str) and self.error_model not in get_args(ErrorName):
+            raise InputError(
+                f"`error_model` must be {', '.join(map(repr, get_args(ErrorName)))} or an "
+                f"ErrorModel, but is {self.error_model!r}."
+                f"{did_you_mean(self.error_model, get_args(ErrorName))}"
+            )
 
 
 USUAL_SETTINGS = LeafSettings()
@@ -133,6 +149,10 @@ class Setup(NamedTuple):
     reflectance_share: float
     """Weight of the fit to R alone in dry matter (`ErrorModel.reflectance_share`); 0 where dry
     matter is not fitted."""
+    wavelength: Float[np.ndarray, " bin"]
+    """Bins that the fit stands on, or the spectra's own bands where PROSPECT is exact [nm]."""
+    error: ErrorName | Literal["stated"]
+    """What spectra depart from PROSPECT by."""
 
 
 Prior = tuple[Float[np.ndarray, "leaf parameter"], Float[np.ndarray, "leaf parameter parameter"]]
@@ -144,17 +164,73 @@ def prepare(
 ) -> tuple[Setup, Float[np.ndarray, "leaf 2 bin"], Bool[np.ndarray, "leaf 2 bin"], Prior, Source]:
     """Constants of a fit, binned spectra, which bins to use, priors, and where leaves are from."""
     spectra = as_spectra(wavelength, reflectance, transmittance)
-    data = binned_data(spectra, settings.detector_changes)
-    use = usable_bins(data, settings.domain, settings.outdoor)
-    setup = make_setup(settings)
+    centres = fit_wavelengths(spectra.wavelength, settings)
+    data = binned_data(spectra, centres, settings.detector_changes)
+    use = usable_bins(data, centres, settings.domain, settings.outdoor)
+    setup = make_setup(settings, centres)
     return setup, data, use, leaf_priors(setup, data, use), spectra.source
 
 
-def make_setup(settings: LeafSettings) -> Setup:
-    """Constants of a fit. Must run with 64-bit numbers on."""
+def fit_wavelengths(
+    grid: Float[np.ndarray, " band"], settings: LeafSettings
+) -> Float[np.ndarray, " bin"]:
+    """What a fit stands on [nm]: `bin_centres()`, or the bands of `grid` themselves where PROSPECT
+    is exact, since the mean of its spectra over a bin is no spectrum of its.
+
+    Raises `InputError` where no band is one of the fit's.
+    """
+    if not ((grid >= _USED[0]) & (grid <= _USED[1])).any():
+        raise InputError(
+            f"a fit needs bands within {_USED[0]:g}-{_USED[1]:g} nm, but they run from "
+            f"{grid[0]:g} to {grid[-1]:g}; are they in another unit?"
+        )
+    if settings.error_model != "exact":
+        return bin_centres()
+    return grid[(grid >= _ENDS[0]) & (grid <= _ENDS[1])]
+
+
+def _named_error(
+    settings: LeafSettings, measurement: AbstractMeasurement, wavelength: np.ndarray
+) -> tuple[AbstractMeasurement, ErrorModel, ErrorName | Literal["stated"]]:
+    """The measurement with its offset, the covariance on the wavelengths, and what it is called."""
+    model, own = settings.error_model, measurement.offset_deviation
+    if isinstance(model, ErrorModel):
+        return measurement, model, "stated"
+    learned = default_error_model()
+    if model != "exact":
+        if model is not None:
+            return _with_offset(measurement, OFFSETS[model]), learned, model
+        known = [name for name, size in OFFSETS.items() if size == own]
+        return measurement, learned, known[0] if known else "stated"
+    # A clip's shine is part of what it reads; a calibration's offset is an error.
+    measurement = _with_offset(measurement, own if measurement.shines else 0.0)
+    behind = getattr(measurement, "background", None)
+    if behind is not None and np.ndim(behind):  # by bin of the fit
+        behind = np.interp(wavelength, bin_centres(), np.asarray(behind))
+        measurement = eqx.tree_at(lambda m: m.background, measurement, behind)
+    none, flat = np.zeros((0, wavelength.size)), np.full(wavelength.size, EXACT_NOISE)
+    discrepancy = np.tile([-np.inf, 0.0], (len(POPULATION_TRAITS), 1))
+    exact = ErrorModel(
+        none, none, flat, flat, np.zeros(wavelength.size), learned.trait_correlation, discrepancy,
+        np.zeros(len(POPULATION_TRAITS)), 0.0,
+    )  # fmt: skip
+    return measurement, exact, "exact"
+
+
+def _with_offset(measurement: AbstractMeasurement, offset: float) -> AbstractMeasurement:
+    return eqx.tree_at(lambda m: m.offset_deviation, measurement, offset)
+
+
+def make_setup(
+    settings: LeafSettings, wavelength: Float[np.ndarray, " bin"] | None = None
+) -> Setup:
+    """Constants of a fit on `fit_wavelengths`, by default those of the bins. Must run with 64-bit
+    numbers on."""
     version, measurement, shape = settings.version, settings.measurement, settings.leaf_shape
     measurement = usual_measurement(shape) if measurement is None else measurement
-    model = default_error_model() if settings.error_model is None else settings.error_model
+    centres = bin_centres() if wavelength is None else wavelength
+    measurement, model, error = _named_error(settings, measurement, centres)
+    exact = error == "exact"
     leaf = ("structure", *CONSTITUENTS[version])
     usual = tuple(n for n in leaf if n != "brown_pigments")
     free = usual if settings.free is None else tuple(settings.free)
@@ -162,9 +238,10 @@ def make_setup(settings: LeafSettings) -> Setup:
         if name not in leaf:
             raise InputError(f"`free` names {name!r}, which PROSPECT-{version} does not have")
     names, free = leaf + measurement.estimated, free + measurement.estimated
-    index, absorption = coefficients_at(version, native_wavelength())
+    index, absorption = coefficients_at(version, centres if exact else native_wavelength())
     # Means over the bins, as spectra are fitted: `bin_centres` says what that costs.
-    binned = to_bins(native_wavelength(), np.vstack([index, absorption]))
+    binned = np.vstack([index, absorption])
+    binned = binned if exact else to_bins(native_wavelength(), binned)
     bounds = leaf_bounds(names)
     known = {name: _population(name) for name in names}
     optics = Optics(
@@ -177,7 +254,7 @@ def make_setup(settings: LeafSettings) -> Setup:
         measurement,
     )
     # An instrument adds its offset to R alone.
-    offset = np.zeros((1, 2, bin_centres().size))
+    offset = np.zeros((1, 2, centres.size))
     offset[0, 0] = measurement.offset_deviation
     shared = np.stack([model.reflectance_factors, model.transmittance_factors], axis=1)
     loose = np.isin(names, free)
@@ -194,8 +271,11 @@ def make_setup(settings: LeafSettings) -> Setup:
     discrepancy = np.tile([-np.inf, 0.0], (len(names), 1))
     discrepancy[both] = model.trait_discrepancy[rows[both]]
     for i, name in enumerate(names):
-        if loose[i] and name in ASSUMED_DISCREPANCY:
+        if loose[i] and name in ASSUMED_DISCREPANCY and not exact:
             discrepancy[i] = np.log(ASSUMED_DISCREPANCY[name]), 0.0
+    prior_mean = np.asarray(to_unconstrained(jnp.asarray(middle), optics))
+    if exact:  # next to nothing is too much
+        prior_mean = np.where(loose, prior_mean, _NOTHING)
     return Setup(
         version,
         shape,
@@ -206,31 +286,32 @@ def make_setup(settings: LeafSettings) -> Setup:
         discrepancy,
         np.stack([model.reflectance_noise, model.transmittance_noise]),
         model.distrust,
-        np.asarray(to_unconstrained(jnp.asarray(middle), optics)),
+        prior_mean,
         np.linalg.inv(correlation * np.outer(spread, spread)),
         model.reflectance_share if "dry_matter" in free else 0.0,
+        centres,
+        error,
     )
 
 
 def binned_data(
-    spectra: Spectra, detector_changes: Sequence[float] = ()
+    spectra: Spectra,
+    centres: Float[np.ndarray, " bin"],
+    detector_changes: Sequence[float] = (),
 ) -> Float[np.ndarray, "leaf 2 bin"]:
-    """R and T on the fit's bins; infinite where a bin holds a value that no leaf can have.
+    """R and T on `centres`, those of the bins or some of the spectra's own bands; infinite where a
+    bin holds a value that no leaf can have.
 
-    Raises `InputError` for a spectrum in percent, and where no band is one of the fit's.
+    Raises `InputError` for a spectrum in percent.
     """
     grid, labels = spectra.wavelength, spectra.source.labels
-    if not ((grid >= _USED[0]) & (grid <= _USED[1])).any():
-        raise InputError(
-            f"a fit needs bands within {_USED[0]:g}-{_USED[1]:g} nm, but they run from "
-            f"{grid[0]:g} to {grid[-1]:g}; are they in another unit?"
-        )
-    binned = np.array_equal(grid, bin_centres())
+    own = np.isin(grid, centres)
+    binned = np.array_equal(centres, bin_centres()) and not own.all()
 
     def bins(values: np.ndarray) -> np.ndarray:
-        return values if binned else to_bins(*to_nanometres(grid, values))
+        return to_bins(*to_nanometres(grid, values)) if binned else values[:, own]
 
-    data = np.full((len(labels), 2, bin_centres().size), np.nan)
+    data = np.full((len(labels), 2, centres.size), np.nan)
     for number, part in enumerate((spectra.reflectance, spectra.transmittance)):
         for at in range(0, 0 if part is None else len(data), _BLOCK):
             rows = slice(at, at + _BLOCK)
@@ -246,16 +327,18 @@ def binned_data(
 
 
 def usable_bins(
-    data: Float[np.ndarray, "leaf 2 bin"], domain: str, outdoor: bool | None
+    data: Float[np.ndarray, "leaf 2 bin"],
+    centres: Float[np.ndarray, " bin"],
+    domain: str,
+    outdoor: bool | None,
 ) -> Bool[np.ndarray, "leaf 2 bin"]:
     """Which bins enter the fit: measured, possible, 450-2400 nm, in the domain.
 
     With `outdoor` `None` the water bands of a spectrum are left out if they hold impossible values.
     """
-    centres = bin_centres()
     with np.errstate(invalid="ignore"):
         possible = np.isfinite(data) & (data > -0.02) & (data < 1.05)
-    use = possible & (centres >= 445.0) & (centres <= 2405.0)
+    use = possible & (centres >= _ENDS[0]) & (centres <= _ENDS[1])
     water = inside(centres, _WATER)
     spoilt = (~np.isnan(data) & ~possible & water).any((1, 2))
     noisy = spoilt if outdoor is None else np.full(len(data), outdoor)
@@ -269,11 +352,13 @@ def leaf_priors(setup: Setup, data: np.ndarray, use: np.ndarray) -> Prior:
     """Prior mean and precision of each leaf.
 
     With R or T missing, N and the absorbers trade off against each other, and the plateau in the
-    near infrared constrains N; not of a pile of leaves, nor of one over a bright background.
+    near infrared constrains N; not of a pile of leaves, nor of one over a bright background, nor
+    where PROSPECT is exact.
     """
+    exact = setup.error == "exact"
     # In precisions and pulls (precision times mean), which of prior and line add up.
     count, size = len(data), len(setup.names)
-    band = int(np.argmin(np.abs(bin_centres() - _LINE_BAND)))
+    band = int(np.argmin(np.abs(setup.wavelength - _LINE_BAND)))
     back, through = data[:, 0, band], data[:, 1, band]
     has_r, has_t = use[:, 0].any(1), use[:, 1].any(1)
     with np.errstate(invalid="ignore"):
@@ -288,7 +373,7 @@ def leaf_priors(setup: Setup, data: np.ndarray, use: np.ndarray) -> Prior:
     unit = np.clip((slope * ratio + offset - low) / (high - low), 0.02, 0.98)
     # A deviation of N, carried to the logit of its place between the bounds.
     deviation = _LINE_DEVIATION / ((high - low) * unit * (1.0 - unit))
-    known = "structure" in setup.free and setup.optics.measurement.leaf_alone
+    known = "structure" in setup.free and setup.optics.measurement.leaf_alone and not exact
     weight = np.where((by_r | by_t) & known, deviation**-2.0, 0.0)
     precision = np.tile(setup.prior_precision, (count, 1, 1))
     pull = np.tile(setup.prior_precision @ setup.prior_mean, (count, 1))
@@ -299,7 +384,7 @@ def leaf_priors(setup: Setup, data: np.ndarray, use: np.ndarray) -> Prior:
             # Without transmittance nothing identifies them: taken for one leaf over black.
             at, (low, high) = setup.names.index(name), leaf_bounds([name])[0]
             unit = (none - low) / (high - low)
-            weight = np.where(has_t, 0.0, 1e4)
+            weight = np.where(has_t, 0.0, 1e4 / (EXACT_NOISE**2 if exact else 1.0))
             precision[:, at, at] += weight
             pull[:, at] += weight * np.log(unit / (1.0 - unit))
     mean = np.linalg.solve(precision, pull[:, :, None])[:, :, 0]

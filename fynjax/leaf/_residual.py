@@ -21,8 +21,8 @@ _SOLVER = BroydenLM(atol=1e-5, rtol=1e-9, renew=True, longest=2.0)
 # Sizes of batch that are compiled; steps between two looks at who has converged; how many looks.
 _SIZES = (16, 128)
 _STEPS, _ROUNDS = 2, 40
-# Leaves whose Jacobians are in memory at once, some 40 kB each.
-_BLOCK = 1024
+# Numbers of the Jacobians that are in memory at once: of some 1000 leaves on the usual bins.
+_BLOCK = 4_000_000
 
 
 class Optics(eqx.Module):
@@ -197,7 +197,8 @@ def solve(start: np.ndarray, problems: Problem, factors: Any, optics: Optics) ->
     Leaves that have converged leave the batch, which shrinks through few fixed sizes: a few slow
     leaves then cost no more than themselves, and few programs are compiled.
     """
-    blocks = (slice(at, at + _BLOCK) for at in range(0, len(start), _BLOCK))
+    size = max(_SIZES[0], _BLOCK // (problems.data[0].size * start.shape[1]))
+    blocks = (slice(at, at + size) for at in range(0, len(start), size))
     parts = [
         _solve_block(start[rows], Problem(*(a[rows] for a in problems)), factors, optics)
         for rows in blocks

@@ -4,7 +4,7 @@ import enum
 from collections import Counter
 from datetime import UTC, datetime
 from importlib.metadata import version
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import equinox as eqx
 import numpy as np
@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float, Int
 from fynjax._core.errors import InputError, did_you_mean
 from fynjax.leaf._area import LeafArea, LeafShape, area_factors
 from fynjax.leaf._coefficients import ProspectVersion
-from fynjax.leaf._error_model import bin_centres
+from fynjax.leaf._error_model import ErrorName
 from fynjax.leaf._parameters import LEAF_PARAMETERS, LeafParameters
 from fynjax.leaf._spectra import Source
 
@@ -44,6 +44,7 @@ _SENTENCES = {
     LeafStatus.max_steps: "not converged: iteration limit reached",
     LeafStatus.failed: "failed: fewer than ten usable bands within 450-2400 nm",
 }
+_POOR_EXACT = "converged, poor fit: no spectrum of PROSPECT"
 
 
 class LeafFit(eqx.Module):
@@ -57,13 +58,18 @@ class LeafFit(eqx.Module):
     Student likelihood) and is fitted again. Where T was measured, and R from 1700 to 2400 nm, dry
     matter is a weighted mean (of logits) with what R alone says (`ErrorModel.reflectance_share`):
     on campaigns left out that is nearer to what laboratories measured. The spectra are those before
-    it, so PROSPECT of `parameters` differs a little from `fitted`. Standard deviations and
-    intervals are those of the trait a laboratory would measure: they include the part of its
-    variance that spectra do not explain (`ErrorModel.trait_discrepancy`).
+    it, so PROSPECT of `parameters` differs a little from `fitted`.
+
+    There are two intervals. `standard_deviation`, `lower` and `upper` are of the trait a laboratory
+    would measure: they include the part of its variance that spectra do not explain
+    (`ErrorModel.trait_discrepancy`). `prospect_deviation`, `prospect_lower` and `prospect_upper`
+    are of the trait that PROSPECT has of this leaf, without that part: those to use where PROSPECT
+    of the leaf goes on into a canopy. With `error_model="exact"` both are the same.
 
     Spectra are used from 450 to 2400 nm (PROSPECT has no data below 400 nm, and instruments are
-    noisy at both ends), by straight lines in steps of 1 nm and as means in bins of 5 and 10 nm. A
-    leaf with fewer than ten usable bins has NaN, and its `status` says so.
+    noisy at both ends), by straight lines in steps of 1 nm and as means in bins of 5 and 10 nm,
+    with `error_model="exact"` as they are. A leaf with fewer than ten usable bins has NaN, and its
+    `status` says so.
     """
 
     parameters: LeafParameters
@@ -71,19 +77,26 @@ class LeafFit(eqx.Module):
     names: tuple[str, ...] = eqx.field(static=True)
     """Names of the fitted parameters, in the order of the arrays below."""
     standard_deviation: Float[np.ndarray, "leaf parameter"]
-    """Standard deviation of each parameter, in its unit."""
+    """Standard deviation of each parameter as a laboratory would measure it, in its unit."""
     covariance: Float[np.ndarray, "leaf parameter parameter"]
     """Covariance of the parameters, in their units."""
     lower: Float[np.ndarray, "leaf parameter"]
-    """Lower end of the 90 % interval."""
+    """Lower end of the 90 % interval of what a laboratory would measure."""
     upper: Float[np.ndarray, "leaf parameter"]
-    """Upper end of the 90 % interval."""
+    """Upper end of the 90 % interval of what a laboratory would measure."""
+    prospect_deviation: Float[np.ndarray, "leaf parameter"]
+    """Standard deviation of each parameter as PROSPECT has it, in its unit."""
+    prospect_lower: Float[np.ndarray, "leaf parameter"]
+    """Lower end of the 90 % interval of PROSPECT's own trait. It stands about what explains the
+    spectra: of dry matter from R and T before it is moved."""
+    prospect_upper: Float[np.ndarray, "leaf parameter"]
+    """Upper end of the 90 % interval of PROSPECT's own trait."""
     wavelength: Float[np.ndarray, " bin"]
-    """Bins on which the fit stands [nm]."""
+    """Bins on which the fit stands, or the bands themselves where PROSPECT is exact [nm]."""
     measured: Float[np.ndarray, "leaf 2 bin"]
     """Recorded R and T on the bins; NaN where missing or left out of the fit [-]."""
     fitted: Float[np.ndarray, "leaf 2 bin"]
-    """The model's R and T as the instrument would record them [-]."""
+    """The model's R and T as the instrument would record them, with the offset of R [-]."""
     reflectance: Float[np.ndarray, "leaf bin"]
     """R of the leaf: model plus the part of its error that the data show [-]."""
     transmittance: Float[np.ndarray, "leaf bin"]
@@ -95,7 +108,8 @@ class LeafFit(eqx.Module):
     chi2: Float[np.ndarray, " leaf"]
     """Squared misfit in units of the error model's covariance, per band; see `inflation` [-]."""
     inflation: Float[np.ndarray, " leaf"]
-    """Factor on the error covariance because the leaf fits worse than those it stems from [-]."""
+    """Factor on the error covariance because the leaf fits worse than those it stems from; where
+    PROSPECT is exact, on the variance of computed spectra, 1e-12 [-]."""
     converged: Bool[np.ndarray, " leaf"]
     """Whether the iteration reached its tolerance."""
     reason: Int[np.ndarray, " leaf"]
@@ -105,6 +119,11 @@ class LeafFit(eqx.Module):
     prior_share: Float[np.ndarray, "leaf parameter"]
     """Variance of each parameter, as far as spectra explain it, over that in the population: near 0
     the spectrum decides, near 1 the prior [-]."""
+    offset: Float[np.ndarray, " leaf"]
+    """Most probable offset of R, the same at all bands: shine under a clip, or a calibration's
+    error. A part of what looks like it may be PROSPECT's error [-]."""
+    offset_deviation: Float[np.ndarray, " leaf"]
+    """Standard deviation of `offset` [-]."""
     measurement: Float[np.ndarray, "leaf estimated"]
     """Estimates of the measurement, such as the gap fraction (see `estimated`); NaN where
     there is no transmittance, which alone shows it."""
@@ -116,13 +135,19 @@ class LeafFit(eqx.Module):
     """Version of PROSPECT."""
     leaf_shape: LeafShape = eqx.field(static=True)
     """Shape that the leaves were taken to have."""
+    error_model: ErrorName | Literal["stated"] = eqx.field(static=True)
+    """What spectra were taken to depart from PROSPECT by: "exact", "laboratory", "field", or
+    "stated" by a covariance or an offset."""
     source: Source = eqx.field(static=True)
     """Label of each leaf, and of spectra from files the file and what was repaired."""
 
     @property
     def status(self) -> tuple[str, ...]:
         """`converged`, or the reason to doubt the result, for each leaf."""
-        sentences = [_SENTENCES[LeafStatus(code)] for code in self.reason.tolist()]
+        said = _SENTENCES
+        if self.error_model == "exact":
+            said = said | {LeafStatus.poor_fit: _POOR_EXACT}
+        sentences = [said[LeafStatus(code)] for code in self.reason.tolist()]
         for i in np.flatnonzero(self.reason == LeafStatus.at_bound):
             bounded = [name for name, at in zip(self.names, self.at_bound[i]) if at]
             sentences[i] += ", ".join(bounded)
@@ -141,9 +166,10 @@ class LeafFit(eqx.Module):
 
         **Returns:** file (of spectra from files), name, parameters in the units of
         `LeafParameters`, which `table.attrs["units"]` has by column, their standard deviations and
-        the ends of their 90 % intervals, what was estimated of the measurement, rmse of the fit,
-        inflation of the error, the area, traits that the prior decides, status in words, and
-        repairs.
+        the ends of their 90 % intervals as a laboratory would measure them, and the ends of those
+        of PROSPECT's own traits; what was estimated of the measurement and the offset of R, rmse of
+        the fit, inflation of the error, the area and the error model, traits that the prior
+        decides, status in words, and repairs.
         """
         factors, units = area_factors(area, self.leaf_shape), dict[str, str]()
         columns: dict[str, Any] = {"file": list(self.source.files)} if self.source.files else {}
@@ -154,6 +180,8 @@ class LeafFit(eqx.Module):
                 f"{name}_sd": self.standard_deviation[:, i],
                 f"{name}_lower90": self.lower[:, i],
                 f"{name}_upper90": self.upper[:, i],
+                f"{name}_prospect_lower90": self.prospect_lower[:, i],
+                f"{name}_prospect_upper90": self.prospect_upper[:, i],
             }
             columns |= {key: factors[name] * values for key, values in own.items()}
             units |= dict.fromkeys(own, LEAF_PARAMETERS[name].unit)
@@ -161,7 +189,10 @@ class LeafFit(eqx.Module):
             columns[name] = self.measurement[:, i]
             columns[f"{name}_sd"] = self.measurement_deviation[:, i]
         columns |= {
+            "offset": self.offset,
+            "offset_sd": self.offset_deviation,
             "rmse": self.rmse,
+            "error_model": self.error_model,
             "error_inflation": self.inflation,
             "area": area,
             "prior_decides": [", ".join(names) for names in self._left_to_the_prior()],
@@ -187,8 +218,9 @@ class LeafFit(eqx.Module):
         **Arguments:** `area` that contents are stated per, as of `table`.
 
         **Returns:** reflectance and transmittance [leaf, wavelength] as fractions [-], with the
-        90 % interval of transmittance; traits [leaf] in the units of `LeafParameters`, and what was
-        estimated of the measurement [-]; wavelength in nm. CF conventions.
+        90 % interval of transmittance; traits [leaf] in the units of `LeafParameters`, with the
+        standard deviations of what a laboratory would measure and of PROSPECT's own traits, and
+        what was estimated of the measurement [-]; wavelength in nm. CF conventions.
         """
 
         wide = NINETY_PERCENT * self.transmittance_deviation
@@ -214,15 +246,25 @@ class LeafFit(eqx.Module):
             key: (("leaf", "wavelength"), values, {"units": "1", "long_name": text})
             for key, (values, text) in spectra.items()
         }
-        table = self.table(area)
-        for name in (*self.names, *self.estimated):
-            words = name.replace("_", " ")
+        table, factors = self.table(area), area_factors(area, self.leaf_shape)
+        for i, name in enumerate(self.names):
+            own = f"{name}_prospect_sd"
+            table[own] = factors[name] * self.prospect_deviation[:, i]
+            attributes = {
+                "units": cf_unit(name),
+                "long_name": f"standard deviation of PROSPECT's {name.replace('_', ' ')}",
+            }
+            variables[own] = ("leaf", table[own].to_numpy(), attributes)
+        for name in (*self.names, *self.estimated, "offset"):
+            words = "offset of reflectance" if name == "offset" else name.replace("_", " ")
             for key, text in ((name, words), (f"{name}_sd", f"standard deviation of {words}")):
                 attributes = {"units": cf_unit(name), "long_name": text}
                 variables[key] = ("leaf", table[key].to_numpy(), attributes)
         return leaf_dataset(
-            variables, self.source, self.status, "Leaf spectra and traits fitted with PROSPECT",
+            variables, self.wavelength, self.source, self.status,
+            "Leaf spectra and traits fitted with PROSPECT",
             prospect_version=self.version, leaf_shape=self.leaf_shape, area=area,
+            error_model=self.error_model,
         )  # fmt: skip
 
     def plot(self, leaf: str | int = 0, axes: Any = None) -> Any:
@@ -259,10 +301,11 @@ class LeafFit(eqx.Module):
         panel = panels[0]
         low, high = (np.clip(through + sign * wide, 0.0, 1.0) for sign in (-1, 1))
         blue, name = "tab:blue", "1 - T of one leaf" if self.estimated else "1 - T of leaf"
+        green = "R of model" if self.error_model == "exact" else "R of model, with offset"
         panel.fill_between(grid, low, high, color=blue, alpha=0.25, lw=0,
                            label="90 % interval of 1 - T")  # fmt: skip
         panel.plot(grid, through, color=blue, label=name)
-        panel.plot(grid, model_r, color="tab:green", label="R of model")
+        panel.plot(grid, model_r, color="tab:green", label=green)
         panel.plot(grid, r, "k.", ms=2.5, label="R measured")
         if np.isfinite(t).any():
             if self.estimated:
@@ -339,12 +382,17 @@ class LeafFit(eqx.Module):
         for name in (*self.names, *self.estimated):
             unit = table.attrs["units"].get(name, "-")
             values = table[[name, f"{name}_sd"]].dropna().to_numpy().T
+            own = ""
+            if name in self.names and values.size:
+                spread = np.nanmedian(self.prospect_deviation[:, self.names.index(name)])
+                if spread < 0.99 * np.median(values[1]):  # of N no laboratory knows
+                    own = f" as a laboratory measures it, {spread:.2g} as PROSPECT has it"
             if values.size:
                 low, high = values[0].min(), values[0].max()
                 span = f"{low:.3g} to {high:.3g}" if count > 1 else f"{low:.3g}"
                 lines.append(
                     f"  {name} {span}{'' if unit == '-' else f' {unit}'}, standard deviation "
-                    f"{np.median(values[1]):.2g}{' in the median' if count > 1 else ''}"
+                    f"{np.median(values[1]):.2g}{own}{' (medians)' if count > 1 else ''}"
                 )
         left = Counter(name for names in self._left_to_the_prior() for name in names)
         if left:
@@ -360,7 +408,12 @@ def cf_unit(name: str) -> str:
 
 
 def leaf_dataset(
-    variables: dict[str, Any], source: Source, status: Any, title: str, **settings: str
+    variables: dict[str, Any],
+    wavelength: Float[np.ndarray, " bin"],
+    source: Source,
+    status: Any,
+    title: str,
+    **settings: str,
 ) -> "xr.Dataset":
     """A dataset by leaf and bin, with the status and file of each leaf, after the CF conventions.
 
@@ -377,7 +430,7 @@ def leaf_dataset(
     return xr.Dataset(
         variables,
         {
-            "wavelength": ("wavelength", bin_centres(), attributes),
+            "wavelength": ("wavelength", wavelength, attributes),
             "leaf": ("leaf", np.array(source.labels, object)),
         },
         {

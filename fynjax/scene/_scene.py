@@ -293,8 +293,9 @@ class Scene(eqx.Module):
     whole: Float[Array, " species"] | None = None
     """Plants of each species for which these sites are; more stand between them [-]."""
     spreads: tuple[tuple[str, float], ...] = eqx.field(static=True, default=())
-    """Names of parameters of which the species table says itself how uncertain they are, with their
-    relative standard deviations [-] (`table_spreads`): the priors of `fynjax.free`."""
+    """Names of parameters of which the species table (`table_spreads`) or measured leaves
+    (`fynjax.leaf.species_prior`) say how uncertain they are, with their relative standard
+    deviations [-]: the priors of `fynjax.free`."""
     clumping: Float[Array, "species part"] | None = None
     """Relative density of plants over equal parts of the ground, where a map clumps them or an edge
     ends them, and covers are projected [-] (`fynjax.canopy.clumping`)."""

@@ -1,5 +1,6 @@
 """Leaf optics of a plot's taxa from a folder of measured spectra, in one key."""
 
+import warnings
 from contextlib import nullcontext
 from pathlib import Path
 
@@ -9,7 +10,8 @@ import pytest
 import fynjax as fx
 from fynjax._core.dry_run import dry_run
 from fynjax._core.errors import InputError
-from fynjax.assembly import _leaf_spectra, plot_parameters
+from fynjax.assembly import _leaf_spectra, build_plot, plot_parameters
+from fynjax.assembly._forward import prepare
 from fynjax.io.plot import plant_sources, read_plot
 from tests.small import write_plot
 
@@ -73,6 +75,66 @@ def test_each_taxon_has_the_mean_of_its_leaves_fitted_once(
     write_leaf(tmp_path / "spectra" / "Erica_01.csv", 0.010)
     with pytest.raises(RuntimeError, match="fitted again"):
         plot_parameters(plot)
+
+
+def test_doubts_of_kept_fits_are_said_every_time(tmp_path: Path, cache: Path) -> None:
+    """A refused file, and one that is no leaf, which counts where its taxon has no other."""
+    path = write_leaves(tmp_path)
+    line = "".join(f"{w:g},{0.1 + 1e-4 * (w - 400):.6f}\n" for w in WAVE)
+    rows = "wavelength,reflectance\n"
+    for name in ("ERICA.TETRALIX-005.csv", "calluna vulgaris.csv"):
+        (tmp_path / "spectra" / name).write_text(rows + line)
+    (tmp_path / "spectra" / "Erica_02.csv").write_text(rows + "500,7\n600,8\n700,50\n")
+    said = []
+    for _ in range(2):
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always", UserWarning)
+            leaf = plot_parameters(read_plot(path)).leaf
+        said.append([str(warning.message) for warning in caught])
+        np.testing.assert_allclose(leaf.water[1], 0.018, rtol=0.1)
+    assert len(list(cache.iterdir())) == 1
+    assert said[0] == said[1]
+    text = " ".join(said[0])
+    assert "Erica_02.csv" in text
+    assert "1 of 3 leaf spectra of Erica tetralix are fitted in doubt, such as " in text
+    assert "they are left out of the mean of the other 2" in text
+    assert "Calluna vulgaris" in text
+    assert "they are used, since there are no others" in text
+    (tmp_path / "spectra" / "Erica_01.csv").write_text(rows + line)
+    (tmp_path / "leaves.csv").write_text("taxon,spectrum\n*,spectra/Erica_01.csv\n")
+    path.write_text(
+        path.read_text().replace('leaf_spectra = "spectra"', 'leaf_table = "leaves.csv"')
+    )
+    for _ in range(2):
+        with pytest.warns(UserWarning, match=r"leaf spectra of Erica_01\.csv are fitted in doubt"):
+            plot_parameters(read_plot(path))
+
+
+def test_the_prior_of_measured_leaves_is_that_of_their_fits(tmp_path: Path) -> None:
+    """By errors, number and spread of the leaves; what the plot file states goes before."""
+    water = "species.{}.leaf.water".format
+    path = write_leaves(tmp_path)
+    for i in range(12):
+        write_leaf(tmp_path / "spectra" / f"Erica_{i}.csv", 0.010)
+    (tmp_path / "leaves.csv").write_text("taxon,spectrum\nCalluna vulgaris,spectra/Erica_1.csv\n")
+    text = path.read_text().replace("[plot]", '[plot]\nleaf_table = "leaves.csv"', 1)
+    path.write_text(text)
+
+    def widths(free: str) -> dict[str, float]:
+        space = prepare(read_plot(path), [free], seed=0).space
+        return dict(zip(space.names, (space.prior_sd / space.prior).tolist(), strict=True))
+
+    found = widths("species.*.leaf.water")
+    many, two, one = (found[water(t)] for t in ("Erica", "Erica tetralix", "Calluna vulgaris"))
+    assert 0.02 < many < 0.15 < two < 0.35
+    assert many < one
+    assert abs(one - 0.3) > 0.005
+    # 13 leaves of which one differs not at all: less than of two that differ by 45 %.
+    scene, _ = build_plot(read_plot(path))
+    assert dict(scene.spreads)[water("Erica")] == pytest.approx(many, rel=1e-6)
+    assert fx.free(scene, water("Erica")).prior_sd[0] == pytest.approx(many * 0.01, rel=0.2)
+    path.write_text(text + '\n[calibration.priors]\n"*.leaf.water" = 0.4\n')
+    assert widths("species.*.leaf.water")[water("Erica")] == pytest.approx(0.4, rel=1e-6)
 
 
 @pytest.mark.parametrize("key", ['leaf_spectra = "spectra"', 'leaf_table = "leaves.csv"'])

@@ -16,6 +16,7 @@ from fynjax.canopy import FORMS
 from fynjax.io.plot import (
     DEFAULT_PRIOR,
     plant_sources,
+    plot_spreads,
     read_plot,
     read_prior,
     with_prior,
@@ -158,11 +159,15 @@ def test_generic_plants_are_those_of_their_sources(tmp_path: Path) -> None:
     interval = 1.0 / (1.0 + np.exp(-spread) * (1.0 / median - 1.0))
     np.testing.assert_allclose(interval, [least, most], atol=0.035)
     names = "leaf_area_index", "shoot_clumping", "leaf.dry_matter"
-    found = [_prior_sd(plot, f"species.Erica irregularis.{name}") for name in names]
+    found = [
+        _prior_sd(plot, f"species.Erica irregularis.{name}", plot_spreads(plot)) for name in names
+    ]
     assert found == pytest.approx([2.6 / 3.5, 0.3, 0.6])  # stated clumping has its record's
-    assert _prior_sd(plot, "species.Restio eleocharis.shoot_clumping") == pytest.approx(0.9)
+    assert _prior_sd(
+        plot, "species.Restio eleocharis.shoot_clumping", plot_spreads(plot)
+    ) == pytest.approx(0.9)
     calm = plot.replace(calibration=plot.calibration.replace(priors={"*.leaf_area_index": 0.1}))
-    assert _prior_sd(calm, "species.Erica irregularis.leaf_area_index") == 0.1
+    assert _prior_sd(calm, "species.Erica irregularis.leaf_area_index", plot_spreads(calm)) == 0.1
 
 
 def test_generic_priors_are_wider_than_those_of_fynbos() -> None:

@@ -237,7 +237,9 @@ def test_a_plot_shows_what_was_measured_fitted_and_left(tables, plain):
     assert "1 - T of model, with gaps" in shown
     inside = np.isin(fit.wavelength, shown["R measured"].get_xdata())
     np.testing.assert_array_equal(shown["R measured"].get_ydata(), fit.measured[1, 0, inside])
-    np.testing.assert_array_equal(shown["R of model"].get_ydata(), fit.fitted[1, 0, inside])
+    np.testing.assert_array_equal(
+        shown["R of model, with offset"].get_ydata(), fit.fitted[1, 0, inside]
+    )
     left = {line.get_label(): line.get_ydata() for line in bottom.lines}
     np.testing.assert_array_equal(left["T"], (fit.measured - fit.fitted)[1, 1, inside])
     assert top.get_title() == "restio 2"

@@ -10,7 +10,7 @@ import pytest
 import fynjax as fx
 from fynjax._core.errors import InputError
 from fynjax.assembly import _forward
-from fynjax.io.plot import read_plot
+from fynjax.io.plot import plot_spreads, read_plot
 from fynjax.io.text import read_rows
 from fynjax.scene import SpeciesRow, species_rows
 from fynjax.scene._species import table_spreads
@@ -115,13 +115,20 @@ def test_a_workbook_is_read_as_text_is(tmp_path):
 def test_a_range_is_the_prior_of_its_cover(shared_data, tmp_path):
     plot = plot_of("cover_2a", shared_data, tmp_path)
     name = "species.Metalasia muricata.cover"
-    sd = _forward._prior_sd(plot, name) * plot.species[0].cover
+    sd = _forward._prior_sd(plot, name, plot_spreads(plot)) * plot.species[0].cover
     assert plot.species[0].cover - 1.645 * sd == pytest.approx(0.05, rel=1e-3)
     assert plot.species[0].cover + 1.645 * sd == pytest.approx(0.125, rel=1e-3)
     other = "species.Passerina corymbosa.cover"
-    assert _forward._prior_sd(plot, other) == plot.calibration.relative_sd(other)
+    assert _forward._prior_sd(plot, other, plot_spreads(plot)) == plot.calibration.relative_sd(
+        other
+    )
     stated = plot.calibration.model_copy(update={"priors": {name: 0.3}})
-    assert _forward._prior_sd(plot.model_copy(update={"calibration": stated}), name) == 0.3
+    assert (
+        _forward._prior_sd(
+            plot.model_copy(update={"calibration": stated}), name, plot_spreads(plot)
+        )
+        == 0.3
+    )
 
 
 def test_python_has_the_priors_of_the_command_line(tmp_path):
