@@ -19,6 +19,7 @@ from ._core.progress import progress as progress
 from ._sensor import sensor as sensor
 from .assembly import Data as Data
 from .assembly import check_vegetation as check_vegetation
+from .assembly import design as design
 from .assembly import emulate as emulate
 from .assembly import fit as fit
 from .assembly import free as free
@@ -30,7 +31,6 @@ from .inversion import BroydenLM as BroydenLM
 from .inversion import FitResult as FitResult
 from .inversion import FitStatus as FitStatus
 from .inversion import ParameterSpace as ParameterSpace
-from .inversion import design as design
 from .inversion import fit_canopy as fit_canopy
 from .inversion import whitened_residual as whitened_residual
 from .io.spectra import read_spectra as read_spectra

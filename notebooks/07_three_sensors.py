@@ -81,8 +81,9 @@ plt.show()
 # ## From which pixel on a species is lost
 #
 # No unbiased estimate from an image's means, spreads and quantiles can know a cover better than
-# the Cramér-Rao bound, which their slopes give together with their errors: noise and calibration
-# of 1 % each, and that nobody knows where each plant stands. Where the bound is larger than the
+# the Cramér-Rao bound, which their slopes give together with their errors: noise of 1 %, gains of
+# the camera and what the model is off by, and that nobody knows where each plant stands. Where the
+# bound is larger than the
 # cover, the species may as well be absent. An image can be made coarser afterwards, so a finer
 # pixel never knows less. The legend says up to which of these pixels a cover is larger than its
 # bound.

@@ -94,7 +94,7 @@ misfit = np.log(real) - ours.mean(axis=0)
 
 # %%
 prior, image = views[0].gains.covariance(4), views[0].observe(scene, scene.parameters)[0]
-by_gain = np.pad(views[0].gain_slopes(image)[keep[:6]], ((0, 5), (0, 0))) / here[:, None]
+by_gain = np.pad(views[0].factor_slopes(image)[keep[:6]], ((0, 5), (0, 0))) / here[:, None]
 places = {c: [space.names.index(n) for n in fx.free(scene, p).names] for c, p in causes.items()}
 moves = {"camera": by_gain @ np.linalg.cholesky(prior)}
 moves |= {cause: slope[:, i] / here[:, None] for cause, i in places.items()}

@@ -224,6 +224,27 @@ def test_bounds_of_a_cloud_are_refused(scene):
         fx.information(scene, free, "flash_lidar_paper", gsd=(0.5,))
 
 
+def test_bounds_and_designs_believe_the_model_as_little_as_a_fit(scene, monkeypatch):
+    """By default as it was found to be off on plots that were measured."""
+    believed = []
+
+    def stop(*arguments, model_error, **options):
+        believed.append(model_error)
+        raise InterruptedError
+
+    for name in ("sweep_sensors", "design_bands"):
+        monkeypatch.setattr(f"fynjax.assembly._front.{name}", stop)
+    free, wider = fx.free(scene, "species.*.cover"), fx.prior().model_error.wider(2.0)
+    for options in ({}, {"error": "none"}, {"error": wider}):
+        with pytest.raises(InterruptedError):
+            fx.information(scene, free, gsd=(0.5,), **options)
+        with pytest.raises(InterruptedError):
+            fx.design(scene, **options)
+    learned = fx.prior().model_error
+    assert all(bool(eqx.tree_equal(one, learned)) for one in believed[:2])
+    assert believed[2:] == [None, None, wider, wider]
+
+
 def test_gradients_have_the_shape_of_the_parameters(scene, image):
     """In one compiled program for two plots."""
 
@@ -402,6 +423,9 @@ def test_values_are_set_by_name(scene, image):
         (lambda s: fx.free(s), "expected patterns"),
         (lambda s: fx.free(s, "species.*.covr"), "fits none of the scene's parameters"),
         (lambda s: fx.prior("none"), "expected the name of a prior"),
+        (lambda s: fx.design(s, error="larned"), '"learned", "none" or a `ModelError`, but got'),
+        (lambda s: fx.design(s, model_error=None), "`design` has no option 'model_error'"),
+        (lambda s: fx.design(s, plantngs=4), "'plantngs'. Did you mean 'plantings'"),
         (lambda s: fx.sample(s), "expected what `fx.fit` returns"),
         (lambda s: fx.free(s, "*.cover", prior={"*.covr": 0.1}), "'*.covr' fits none"),
     ],

@@ -13,6 +13,7 @@ from fynjax.assembly._front import (
     Emulated,
     PlotData,
     check_vegetation,
+    design,
     emulate,
     fit,
     free,
@@ -35,7 +36,13 @@ from fynjax.assembly._stands import (
     stand_forms,
     stand_numbers,
 )
-from fynjax.assembly._targets import Measured, drone_view, placed_by_image, read_targets
+from fynjax.assembly._targets import (
+    Measured,
+    RealImage,
+    drone_view,
+    placed_by_image,
+    read_targets,
+)
 from fynjax.assembly._twin import Twin, plant_twin, twin_image
 
 __all__ = [
@@ -45,6 +52,7 @@ __all__ = [
     "Measured",
     "PlotData",
     "Prepared",
+    "RealImage",
     "StandQuantity",
     "StandSettings",
     "Stands",
@@ -55,6 +63,7 @@ __all__ = [
     "build_plot",
     "check_memory",
     "check_vegetation",
+    "design",
     "drone_view",
     "emulate",
     "fit",

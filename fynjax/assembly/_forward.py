@@ -17,9 +17,10 @@ from fynjax.inversion import (
     ParameterSpace,
     free_space,
 )
-from fynjax.io.plot import Plot, drone_sensor
+from fynjax.io.plot import Plot, drone_sensor, free_parameters, plot_error
 from fynjax.scene import (
     PARAMETERS,
+    ModelError,
     PlotParameters,
     Scene,
     own_spread,
@@ -38,13 +39,18 @@ class Prepared(NamedTuple):
     space: ParameterSpace
     seed: int
     """Seed of everything random."""
+    error: ModelError | None = None
+    """What the model is off by, by the plot's [calibration] (`plot_error`)."""
 
     @property
     def settings(self) -> CalibrationSettings:
         """How `calibrate_plot` searches, by the plot's [calibration]."""
         table = self.plot.calibration
         return CalibrationSettings(
-            max_steps=table.max_iterations, starts=table.starts, seed=self.seed
+            rounds=table.rounds,
+            max_steps=table.max_iterations,
+            starts=table.starts,
+            seed=self.seed,
         )
 
 
@@ -55,7 +61,8 @@ def prepare(plot: Plot, free: Sequence[str] | None, *, seed: int) -> Prepared:
     **Arguments:**
 
     - `plot`: as `read_plot` gives it.
-    - `free`: patterns of the names of the parameters to be free; those of the plot file if `None`.
+    - `free`: patterns of the names of the parameters to be free; those of the plot file if `None`
+      (`free_parameters`).
     - `seed`: of everything random.
 
     As many sites are held ready for plants as 99 of 100 draws of the prior need. The number of
@@ -64,14 +71,14 @@ def prepare(plot: Plot, free: Sequence[str] | None, *, seed: int) -> Prepared:
     **Raises:** `InputError` as `build_plot`, and as `free_space`.
     """
     scene, parameters = build_plot(plot, seed=seed, rounding="random")
-    patterns = plot.calibration.free if free is None else tuple(free)
+    patterns = free_parameters(plot) if free is None else tuple(free)
     space = free_space(
         scene, parameters, patterns, lambda name: _prior_sd(plot, name, dict(scene.spreads))
     )
     counts = _likely_counts(scene, parameters, space)
     if room_needed(scene, parameters, counts).any():
         scene = scene.realisation(0, counts)
-    return Prepared(plot, scene, parameters, space, seed)
+    return Prepared(plot, scene, parameters, space, seed, plot_error(plot))
 
 
 def _prior_sd(plot: Plot, name: str, spreads: Mapping[str, float]) -> float | None:

@@ -46,7 +46,7 @@ def sample_pixel(
     **Raises:** `InputError` where no stand of the prior makes a finite spectrum.
     """
     common, own = stand_numbers(prior)
-    error = prior.error_covariance(np.asarray(bands.centre))
+    error = prior.model_error.covariance(np.asarray(bands.centre))
     random = generator(seed, 0)
     candidates, likelihood = [], []
     for _ in range(_STANDS):

@@ -1,5 +1,6 @@
 """What a calibration is to reach, from files of any sensor: statistics, their errors, a view."""
 
+import math
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -57,6 +58,7 @@ from fynjax.scene import PlantingRules, PlotParameters, Scene, fitting_structure
 from fynjax.sensors import (
     BandSet,
     ClearAir,
+    Gains,
     RadiometricNoise,
     at_sensor_radiance,
     band_atmosphere,
@@ -79,10 +81,71 @@ _DRONE_BANDS = 10
 """A GeoTIFF of more bands than this is a spectrometer's."""
 _PIXEL_TOLERANCE = 0.01
 """By how much an image's pixel may differ from the sensor's and count as the same, relative [-]."""
+_MOST_SHOWN = 640_000
+"""Most pixels of an image that are kept to be shown; a larger one is shown by blocks of pixels."""
+_MOST_SAMPLED = 100_000
+"""Most pixels of an image that its distributions are drawn of."""
 _MOST_BANDS = 30
 _NARROWEST, _WIDEST = 5.0, 15.0  # nm; finer spectra are averaged to bands of the first
 _RANGE = (405.0, 2450.0)
 _CONFIDENCE = 0.95
+
+
+@dataclass(frozen=True)
+class RealImage:
+    """What there is to show of an image that a plot is calibrated to."""
+
+    values: Float[np.ndarray, "band y x"]
+    """Reflectance [-], y to the north, of the middle of the image, which is no larger than the
+    plot; means of `block` x `block` pixels; NaN where none of them counts."""
+    bands: tuple[str, ...]
+    pixel: float
+    """Edge of a pixel of `values` on the ground [m]."""
+    size: tuple[float, float]
+    """Width and height of the whole image on the ground [m]."""
+    block: int
+    """Pixels of the image along an edge of one of `values`."""
+    pixels: Float[np.ndarray, "band sample"]
+    """Reflectance of pixels of the whole image that count, every so many where these are many."""
+
+    @classmethod
+    def of(
+        cls, image: DroneImage, pixel: float, plot: tuple[float, float] | None = None
+    ) -> "RealImage":
+        """What to show of an image.
+
+        **Arguments:** the `image`; `pixel`, edge of one of its pixels [m]; `plot`, width and height
+        of the plot, to which the image is cut from its middle; by default it is not cut [m].
+        """
+        rows, columns = image.mask.shape
+        wide, high = (np.inf, np.inf) if plot is None else plot
+        high, wide = (
+            int(np.clip(np.round(np.minimum(edge / pixel, count)), 1, count))
+            for edge, count in ((high, rows), (wide, columns))
+        )
+        y, x = (rows - high) // 2, (columns - wide) // 2
+        values = image.values[:, y : y + high, x : x + wide]
+        block = min(math.ceil(math.sqrt(high * wide / _MOST_SHOWN)), high, wide)
+        seen = np.flatnonzero(image.mask)
+        seen = seen[:: -(-seen.size // _MOST_SAMPLED)]
+        return cls(
+            np.stack([_block_means(band, block) for band in values]),
+            image.bands,
+            pixel * block,
+            (columns * pixel, rows * pixel),
+            block,
+            image.values.reshape(len(image.bands), -1)[:, seen],
+        )
+
+
+def _block_means(values: Float[np.ndarray, "y x"], block: int) -> Float[np.ndarray, "row column"]:
+    """Means over the numbers in whole blocks of pixels; NaN in those that have none."""
+    rows, columns = (count // block for count in values.shape)
+    blocks = values[: rows * block, : columns * block].reshape(rows, block, columns, block)
+    known = np.isfinite(blocks)
+    count = known.sum(axis=(1, 3))
+    total = np.where(known, blocks, 0.0).sum(axis=(1, 3))
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
 
 
 @dataclass(frozen=True)
@@ -102,6 +165,8 @@ class Measured:
     """Wavelengths [nm] and reflectance of the whole measured spectrum."""
     bands: BandSet | None = None
     """Bands in which a spectrum is compared; None of another measurement."""
+    image: RealImage | None = None
+    """A drone's image, to be shown; None of a table of its statistics, and of other sensors."""
 
 
 def target_kind(path: Path) -> Kind:
@@ -240,10 +305,16 @@ def image_target(
         blur = 0.0
         if sensor.psf is not None and sensor.psf.kind == "gaussian":
             blur = float(np.mean(np.asarray(sensor.psf.width)) * sensor.pixel(altitude))
-    data, extra, found = image_data(
-        path, target_rules(plot), camera, pixel=pixel, side=min(plot.size_m), bands=bands,
-        blur=blur, resolved=resolved,
-    )  # fmt: skip
+    data, extra, found, image = image_data(
+        path,
+        target_rules(plot),
+        camera,
+        pixel=pixel,
+        plot=plot.size_m,
+        bands=bands,
+        blur=blur,
+        resolved=resolved,
+    )
     layers = {name.split(".")[0] for name in data.names}
     of = ", ".join(name for name in camera.names if name in layers)
     description = f"{path.name}: {len(data.names)} statistics of a drone's image"
@@ -257,7 +328,20 @@ def image_target(
         description += (
             f" {what} {seen:.4g} m are simulated, not those of {pixel:.4g} m of the plot's sensor."
         )
-    return Measured("image", path, data, drone_view(plot, data.names), description, extra)
+    view = drone_view(plot, data.names)
+    return Measured("image", path, data, view, description, extra, image=image)
+
+
+class ImageData(NamedTuple):
+    """A drone's image, or a table of its statistics, as targets."""
+
+    data: Data
+    extra: dict[str, Any]
+    """What the summary says of the targets."""
+    pixel: float | None
+    """Edge of a pixel [m]."""
+    image: RealImage | None
+    """The image, to be shown; None of a table."""
 
 
 def image_data(
@@ -266,11 +350,11 @@ def image_data(
     camera: BandSet,
     *,
     pixel: float | None = None,
-    side: float = np.inf,
+    plot: tuple[float, float] | None = None,
     bands: Sequence[str] | None = None,
     blur: float | None = None,
     resolved: float = 0.0,
-) -> tuple[Data, dict[str, Any], float | None]:
+) -> ImageData:
     """Statistics of a drone's image, or of a table of them, as targets.
 
     **Arguments:**
@@ -279,18 +363,17 @@ def image_data(
     - `rules`: which statistics count.
     - `camera`: bands of the camera. Those that the image has are used.
     - `pixel`: edge of a pixel on the ground where the image does not state it [m].
-    - `side`: of the plot [m]: means over squares wider than it are left out.
+    - `plot`: its width and height [m]: means over squares wider than it are left out.
     - `bands`: of the image, as `read_drone_image` has them.
     - `blur`: full width at half maximum of the camera's own blur on the ground [m]. Where it is
       given, an image that is much more blurred gets a warning.
     - `resolved`: edge of the smallest voxels of the plot, than which no simulated image is sharper
       [m].
 
-    **Returns:** the targets, what the summary says of them, and the edge of a pixel [m].
-
     **Raises:** `InputError` as the readers, for `bands` of a table, and where no pixel is known.
     """
     extra: dict[str, Any] = {}
+    shown = None
     if path.suffix.lower() in (".tif", ".tiff"):
         image = read_drone_image(path, bands=bands, camera=camera, most_pixels=None)
         pixel = pixel if image.pixel_m is None else image.pixel_m
@@ -300,6 +383,8 @@ def image_data(
         if blur is not None:
             _doubt_focus(path, image, pixel, blur, resolved)
         seen = camera.select([camera.names.index(name) for name in image.bands])
+        side = np.inf if plot is None else min(plot)
+        shown = RealImage.of(image, pixel, plot)
         data = weighed_statistics(image.values, seen, image.mask, pixel, rules, side=side)
     else:
         if bands is not None:
@@ -310,7 +395,7 @@ def image_data(
         value = np.array([read[i].value for i in keep])
         sd = np.array([read[i].sd for i in keep], float)  # NaN where the table states none
         data = weigh_targets(names, value, rules.relative_sd, sd=sd)
-    return data, extra, pixel
+    return ImageData(data, extra, pixel, shown)
 
 
 _BLURRED = 2.5
@@ -348,7 +433,8 @@ def weighed_statistics(
     - `bands`: of the camera, in their order.
     - `mask`: pixels that count.
     - `pixel`: edge of a pixel on the ground [m].
-    - `rules`, `side`: as for `image_data`.
+    - `rules`: which statistics count.
+    - `side`: of the plot [m]: means over squares wider than it are left out.
     """
     # No square of several pixels may be wider than image or plot.
     side = min(side, pixel * min(mask.shape))
@@ -419,7 +505,7 @@ def spectrum_data(path: Path, rules: TargetRules, sun_zenith: float) -> Measured
     extra = {"spectra": count, "spectrum_bands": len(bands)}
 
     def view_of(scene: Scene, parameters: PlotParameters) -> AbstractView:
-        return spectrum_view(bands, scene, parameters)
+        return spectrum_view(bands, scene, parameters, gains=Gains(GAIN, 1.0))
 
     return Measured("spectrum", path, data, view_of, description, extra, (grid, mean), bands)
 

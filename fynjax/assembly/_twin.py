@@ -14,14 +14,16 @@ from fynjax.assembly._forward import Prepared
 from fynjax.assembly._targets import Measured, drone_view, target_rules
 from fynjax.inversion import (
     AbstractView,
+    BandFactors,
     Data,
     ImageView,
     compared_statistics,
+    factors_by_view,
     look,
     weigh_targets,
 )
 from fynjax.io.plot import Plot, drone_sensor, sensor_place
-from fynjax.metrics import fitting_statistics, image_statistics
+from fynjax.metrics import fitting_statistics
 from fynjax.scene import with_values
 
 PIXEL_NOISE = 0.01
@@ -42,6 +44,9 @@ class Twin(NamedTuple):
     """True parameters of the twin, in whitened coordinates of the prior [-]."""
     gain: Float[np.ndarray, " band"] | None
     """True factor by which each band of the twin's camera is off [-]; None without a camera."""
+    model_error: tuple[Float[np.ndarray, " _band"], ...] = ()
+    """True factor by which reality is off from the model in each band of each sensor with bands
+    [-]."""
 
 
 def draw_truth(free: int, random: np.random.Generator) -> Float[np.ndarray, " free"]:
@@ -56,6 +61,7 @@ def measure_truth(
     u: Float[Array | np.ndarray, " free"],
     number: int,
     random: np.random.Generator,
+    model_error: Float[np.ndarray, " band"] | None = None,
 ) -> tuple[Float[np.ndarray, " statistic"], Float[np.ndarray, " band"] | None]:
     """A plot whose parameters are known, planted by a seed of its own, as a sensor measures it.
 
@@ -63,26 +69,27 @@ def measure_truth(
 
     - `ready`: the plot. The scene is rendered in full, at the camera's own pixels and blur.
     - `view`: the sensor's; an image gets the camera's gains, drawn from what they may be off by,
-      and noise (`PIXEL_NOISE`). Other sensors get no errors here.
+      and noise (`PIXEL_NOISE`). Other sensors get their gains alone.
     - `u`: whitened coordinates of the parameters.
     - `number`: of the seed that plants it, unlike those of a search.
     - `random`: draws gains and noise.
+    - `model_error`: factors by which reality is off from the model in the view's bands; one by
+      default.
 
-    **Returns:** the statistics, and the gains, None of a sensor that makes no image. Not
+    **Returns:** the statistics, and the gains, None of a sensor that has no bands. Not
     differentiable.
     """
     plot = with_values(ready.parameters, ready.scene.taxa, ready.space.named(jnp.asarray(u)))
     value, *image = look((view,), ready.scene.realisation(_PLANTING + number), plot)
-    if not isinstance(view, ImageView):
+    if view.bands is None:
         return np.asarray(value, float), None
-    bands = image[0].shape[0]
+    seen = np.asarray(image[0], float)
+    bands = len(seen)
     gain = np.exp(random.multivariate_normal(np.zeros(bands), view.gains.covariance(bands)))
-    # Gains are common to all pixels of a band; noise is of each pixel.
-    noise = 1.0 + PIXEL_NOISE * random.normal(size=image[0].shape)
-    seen = jnp.asarray(np.asarray(image[0], float) * gain[:, None, None] * noise)
-    camera = view.camera
-    found = image_statistics(seen, view.names, pixel=camera.pixel, bands=camera.sensor.bands)
-    return np.asarray(found), gain
+    off = gain if model_error is None else gain * model_error
+    if isinstance(view, ImageView):  # gains are common to all pixels of a band; noise is of each
+        seen = seen * (1.0 + PIXEL_NOISE * random.normal(size=seen.shape))
+    return np.asarray(view.statistics(jnp.asarray(seen), jnp.log(jnp.asarray(off))), float), gain
 
 
 @double_precision
@@ -99,10 +106,17 @@ def plant_twin(ready: Prepared, measured: Sequence[Measured], *, seed: int) -> T
     random = generator(seed, 101)
     truth = draw_truth(len(ready.space.names), random)
     found, gain = [], None
-    for one in measured:
-        view = one.view_of(ready.scene, ready.parameters)
-        value, own = measure_truth(ready, view, truth, 0, random)
-        if own is None:
+    views = [one.view_of(ready.scene, ready.parameters) for one in measured]
+    factors = BandFactors.of(views, ready.error)
+    # One error of the model for all sensors, wherever they see the same wavelength.
+    logs = factors.draw_errors(random)
+    errors = [
+        None if log is None else np.exp(np.asarray(log))
+        for log in factors_by_view(views, jnp.asarray(logs))
+    ]
+    for one, view, error in zip(measured, views, errors, strict=True):
+        value, own = measure_truth(ready, view, truth, 0, random, error)
+        if not isinstance(view, ImageView):
             covariance = np.asarray(one.data.covariance)
             # Other sensors err as the real ones are taken to, correlations included.
             value = random.multivariate_normal(value, covariance, method="eigh")
@@ -112,8 +126,10 @@ def plant_twin(ready: Prepared, measured: Sequence[Measured], *, seed: int) -> T
             data = weigh_targets(one.data.names, value, ready.plot.calibration.target_sd)
         text = f"Of a plot whose truth is known, not of a real one: {one.description}"
         curve = None if one.bands is None else (np.asarray(one.bands.centre), value)
-        found.append(dataclasses.replace(one, data=data, spectrum=curve, description=text))
-    return Twin(tuple(found), truth, gain)
+        found.append(
+            dataclasses.replace(one, data=data, spectrum=curve, description=text, image=None)
+        )
+    return Twin(tuple(found), truth, gain, tuple(e for e in errors if e is not None))
 
 
 def twin_image(plot: Plot) -> Measured:

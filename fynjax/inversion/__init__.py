@@ -28,6 +28,7 @@ from fynjax.inversion._design import (
     design,
 )
 from fynjax.inversion._expected import Expected, other_plantings
+from fynjax.inversion._factors import BandFactors, Known, PlotSpace
 from fynjax.inversion._fit import (
     fit,
     predicted_statistics,
@@ -102,6 +103,7 @@ from fynjax.inversion._surrogate import (
 from fynjax.inversion._targets import (
     GAIN,
     OFFSET,
+    SPREAD_SD,
     compared_statistics,
     join_data,
     weigh_spectrum,
@@ -110,10 +112,12 @@ from fynjax.inversion._targets import (
 )
 from fynjax.inversion._views import (
     AbstractView,
+    FactorAt,
     ImageView,
     PlotForward,
     SpectrumView,
     StructureView,
+    factors_by_view,
     look,
     nadir_imager,
     spectrum_names,
@@ -131,11 +135,13 @@ __all__ = [
     "LEADING_ELASTICITIES",
     "OFFSET",
     "PIXEL_SD",
+    "SPREAD_SD",
     "STAND_FUNCTIONALS",
     "WELL_CONSTRAINED",
     "AbstractView",
     "AmortisedPosterior",
     "BandDesign",
+    "BandFactors",
     "BroydenLM",
     "Calibration",
     "CalibrationSettings",
@@ -145,6 +151,7 @@ __all__ = [
     "Ends",
     "Expected",
     "ExpectedSensitivity",
+    "FactorAt",
     "FitResult",
     "FitStatus",
     "FittedSurrogate",
@@ -153,6 +160,7 @@ __all__ = [
     "Hyperprior",
     "ImageView",
     "Information",
+    "Known",
     "KnownPlants",
     "LinearPlots",
     "LocalSensitivity",
@@ -165,6 +173,7 @@ __all__ = [
     "PixelState",
     "PlotForward",
     "PlotSearch",
+    "PlotSpace",
     "Population",
     "Posterior",
     "PosteriorSampler",
@@ -191,6 +200,7 @@ __all__ = [
     "estimate_pixels",
     "even_bands",
     "expected_sensitivity",
+    "factors_by_view",
     "fisher_information",
     "fit",
     "fit_canopy",

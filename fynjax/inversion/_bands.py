@@ -21,8 +21,16 @@ from fynjax.inversion._search import COARSE, coarser
 from fynjax.inversion._sensor_sweep import image_and_slopes
 from fynjax.inversion._space import ParameterSpace
 from fynjax.metrics import spectral_mask
-from fynjax.scene import Placement, PlotAir, PlotParameters, Scene, aim, truth_of_pixels
-from fynjax.sensors import SPACE, BandSet, OrthographicCamera, Sensor
+from fynjax.scene import (
+    ModelError,
+    Placement,
+    PlotAir,
+    PlotParameters,
+    Scene,
+    aim,
+    truth_of_pixels,
+)
+from fynjax.sensors import ASSUMED, SPACE, BandSet, Gains, OrthographicCamera, Sensor
 
 STEP = 10.0
 """Step of the grid of wavelengths [nm]."""
@@ -74,7 +82,9 @@ class PlantingSpectra(eqx.Module):
     """Covariance of these."""
     pixels: Float[Array, ""]
     """Pixels of an image."""
-    error: float = eqx.field(static=True)
+    model_error: Float[Array, "wavelength wavelength"]
+    """Covariance of the logarithms of factors that the model is off by."""
+    relative_sd: float = eqx.field(static=True)
     """Independent error of every statistic, relative [-]."""
     target: str = eqx.field(static=True)
     """"information", "separability" or "quantities"."""
@@ -90,6 +100,18 @@ class BandStatistics(NamedTuple):
     noise: Float[Array, " band"]
     species_mean: Float[Array, "planting species band"]
     species_covariance: Float[Array, "planting species band band"]
+    model_error: Float[Array, "band band"]
+    """Covariance of the logarithms of factors that the model is off by."""
+    gain_sd: Float[Array, " band"]
+    """Standard deviation of the logarithm of the gain of each band."""
+    gain_shared: Float[Array, ""]
+    """Share of its variance that all bands have in common."""
+
+    @property
+    def factors(self) -> Float[Array, "band band"]:
+        """Covariance of the logarithms of the factors that bands are off by."""
+        common = self.gain_shared + (1.0 - self.gain_shared) * jnp.eye(len(self.gain_sd))
+        return self.model_error + self.gain_sd[:, None] * self.gain_sd * common
 
     def chosen(self, at: Int[Array, " chosen"]) -> "BandStatistics":
         """Statistics of the bands at some places."""
@@ -101,6 +123,9 @@ class BandStatistics(NamedTuple):
             self.noise[at],
             self.species_mean[:, :, at],
             self.species_covariance[:, :, at[:, None], at],
+            self.model_error[at[:, None], at],
+            self.gain_sd[at],
+            self.gain_shared,
         )
 
 
@@ -121,10 +146,14 @@ def gaussian_weights(
 
 
 def measured(
-    spectra: PlantingSpectra, weights: Float[Array, "band wavelength"], width: Float[Array, " band"]
+    spectra: PlantingSpectra,
+    weights: Float[Array, "band wavelength"],
+    width: Float[Array, " band"],
+    gains: Gains = ASSUMED,
 ) -> BandStatistics:
     """Statistics that bands of some weights and widths [nm] measure, weighted by the light as well.
 
+    The model's error in a band is the mean of that at its wavelengths, weighted by what it sees.
     A pixel collects N = width * sum(weights * photons * reflectance) photons, and its shot noise is
     reflectance / sqrt(N) (Janesick 2007, Photon transfer, chapter 3).
     """
@@ -134,6 +163,8 @@ def measured(
     rows = weights @ spectra.basis
     mean = spectra.mean @ weights.T
     count = width * (lit @ spectra.mean.mean(axis=0))
+    share = weights * spectra.mean.mean(axis=0)
+    share = share / share.sum(axis=1, keepdims=True)
     return BandStatistics(
         mean,
         jnp.einsum("bi,pij,cj->pbc", rows, spectra.second, rows),
@@ -142,6 +173,9 @@ def measured(
         mean.mean(axis=0) ** 2 / count,
         spectra.species_mean @ weights.T,
         jnp.einsum("bi,psij,cj->psbc", rows, spectra.species_second, rows),
+        share @ spectra.model_error @ share.T,
+        jnp.asarray(gains.of_bands(len(weights))),
+        jnp.asarray(gains.shared),
     )
 
 
@@ -184,7 +218,9 @@ def scores(
         suggested = jax.scipy.linalg.block_diag(of_means * covariance, of_spreads * alike)
         # Errors of the sensor: relative, and shot noise in a mean and a standard deviation.
         noise = jnp.concatenate([seen.noise, share @ of_sd]) / spectra.pixels
-        own = jnp.diag((spectra.error * centre) ** 2 + noise)
+        own = jnp.diag((spectra.relative_sd * centre) ** 2 + noise)
+        # Mean and standard deviation of a band scale with its factor.
+        own += centre[:, None] * centre * jnp.tile(seen.factors, (2, 2))
         total = (1.0 - _SHRUNK) * between + _SHRUNK * suggested + own
         total += jnp.einsum("p,psk,ptk->st", share, slopes, slopes)
         known = jnp.einsum("p,psk,pqk->sq", share, slopes, spectra.asked)
@@ -256,7 +292,8 @@ def render(
     grid: Float[np.ndarray, " wavelength"],
     pixels: Sequence[float],
     snr: float,
-    error: float,
+    relative_sd: float,
+    model_error: ModelError | None,
     target: str,
 ) -> list[PlantingSpectra]:
     """Images of all plantings with their slopes, in light of the accuracy `COARSE`: for each edge
@@ -296,6 +333,8 @@ def render(
     # Orthonormal in spectra over the mean, so that the way back scales by its square.
     basis = (into * (scale * scale).T).T
     photons = _photons(parameters, bands, snr)
+    believed = np.zeros((len(grid), len(grid)))
+    off_by = believed if model_error is None else model_error.covariance(grid)
     found = []
     for step, of_pixel in zip(steps, kept, strict=True):
         means, slope, second, second_slope, number, centre, spread = map(np.stack, zip(*of_pixel))
@@ -304,9 +343,10 @@ def render(
             "second_slope": second_slope, "photons": photons * step**2, "asked": asked,
             "species": number, "species_mean": means[:, None] + centre @ basis.T,
             "species_second": spread, "pixels": float(np.prod(side) // step**2),
+            "model_error": off_by,
         }  # fmt: skip
         arrays = jax.tree.map(jnp.asarray, arrays)
-        found.append(PlantingSpectra(**arrays, error=error, target=target))
+        found.append(PlantingSpectra(**arrays, relative_sd=relative_sd, target=target))
     return found
 
 

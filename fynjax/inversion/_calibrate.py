@@ -14,13 +14,36 @@ from scipy.special import chdtrc
 from fynjax._core.html import as_html
 from fynjax._core.precision import double_precision
 from fynjax._core.progress import stage
-from fynjax.inversion._expected import mean_information, with_error
+from fynjax.inversion._expected import mean_information
+from fynjax.inversion._factors import Known, PlotSpace
 from fynjax.inversion._fit_result import Data, Ended, FitResult, fit_result, status_of
 from fynjax.inversion._functionals import Functional, stand_sentence, stand_table
-from fynjax.inversion._search import CalibrationSettings, PlotSearch, SearchState, search_states
+from fynjax.inversion._search import (
+    CalibrationSettings,
+    PlotSearch,
+    SearchPlace,
+    SearchState,
+    posterior_root,
+    search_states,
+)
 from fynjax.inversion._space import ParameterSpace, make_space, match_names
-from fynjax.inversion._views import AbstractView, ImageView, radiometric_covariance
-from fynjax.scene import AimedSensor, PlotParameters, Scene, named_values, parameter_kind
+from fynjax.inversion._verdict import (
+    GROUPS,
+    compare_means,
+    group_of,
+    is_worse,
+    misfit_without,
+    worse_sentence,
+)
+from fynjax.inversion._views import AbstractView, ImageView, factors_by_view
+from fynjax.scene import (
+    AimedSensor,
+    ModelError,
+    PlotParameters,
+    Scene,
+    named_values,
+    parameter_kind,
+)
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -36,7 +59,10 @@ class Calibration(eqx.Module):
     stand_statistics: Float[np.ndarray, "stand statistic"]
     """Statistics of each planting of `stands` at the estimate."""
     fit: FitResult
-    """The estimate, with its uncertainty."""
+    """The estimate of the plot's parameters, with its uncertainty. Its `predicted` are statistics
+    without the factors of the bands, and its data have these factors among their errors, to first
+    order about the estimate: so it is that of parameters and factors together, the factors
+    integrated over."""
     before: PlotParameters
     """The plot's parameters where the search started, those that are not free among them."""
     after: PlotParameters
@@ -51,30 +77,49 @@ class Calibration(eqx.Module):
     """The drone's image of the full scene at the estimate, before the camera's `gain`."""
     statistics_before: Float[Array, " statistic"]
     """Statistics where the search started, of full scenes, expected over plantings."""
-    statistics_after: Float[Array, " statistic"]
+    statistics_after: Float[np.ndarray, " statistic"]
     """Statistics at the estimate, of full scenes, expected over plantings and over what is unknown
-    of the parameters."""
-    spread: Float[np.ndarray, "free free"]
+    of the parameters: of the plot alone, without gains and the model's error."""
+    statistics_with_gain: Float[np.ndarray, " statistic"]
+    """The same as cameras with the estimated gains measure them."""
+    statistics_with_error: Float[np.ndarray, " statistic"]
+    """The same with gains and with what the model is estimated to be off by: what is compared with
+    the data."""
+    space: PlotSpace
+    """Parameters and factors of the bands, with what was known of them beforehand."""
+    coordinates: Float[np.ndarray, " coordinate"]
+    """Whitened coordinates of both at the estimate."""
+    spread: Float[np.ndarray, "free coordinate"]
     """Root of the covariance of what is unknown of the parameters, over which statistics are
     expected, in whitened coordinates."""
     data: Data
-    """The targets, their errors grown by what plantings and the camera's gains change."""
-    measured: Data
-    """The targets with the errors of data, model and gains, but not of where plants stand."""
+    """The targets, their errors grown by what plantings and the factors of the bands change, and by
+    the `excess`."""
+    excess: float = eqx.field(static=True)
+    """What the data ask beyond the stated errors, at least 1: the variances of all errors of
+    statistics are so many times as large. By the `misfit` over `degrees` where it is least, and
+    nearer to 1 where these are few [-]."""
+    misfit: float = eqx.field(static=True)
+    """Squared misfit in units of the stated errors, and squared distance of parameters and factors
+    from their priors, at the estimate: of data that the model and its priors explain
+    a chi-square of `degrees`."""
+    degrees: int = eqx.field(static=True)
+    """Statistics, or directions of many, that the likelihood counts."""
     lack: Float[np.ndarray, " statistic"]
     """Statistics of full less those of coarse scenes of the same plants, at the estimate or, where
     the last round hardly moved, where it began."""
-    degrees: int = eqx.field(static=True)
-    """Statistics, or directions of many, that the likelihood counts."""
     projector: Float[np.ndarray, "statistic statistic"]
     """Projects statistics onto the directions that the likelihood counts."""
-    gain: Float[np.ndarray, " band"] | None
-    """Estimated factor by which each band of the drone's camera is off [-]: what simulated bands
-    are to be multiplied by. None without such a camera."""
-    gain_sd: Float[np.ndarray, " band"] | None
-    """Standard deviation of the logarithm of each `gain` [-]."""
-    statistics_with_gain: Float[np.ndarray, " statistic"]
-    """Statistics at the estimate, as a camera with these gains measures them."""
+    gains: tuple[Float[np.ndarray, " _band"], ...]
+    """Estimated factor by which each band of each view with bands is off [-]: what simulated bands
+    are to be multiplied by."""
+    gains_sd: tuple[Float[np.ndarray, " _band"], ...]
+    """Standard deviations of the logarithms of `gains` [-]."""
+    model_error: tuple[Float[np.ndarray, " _band"], ...]
+    """Estimated factor by which reality is off from the model in each band of each view with bands
+    [-], beside the gains."""
+    model_error_sd: tuple[Float[np.ndarray, " _band"], ...]
+    """Standard deviations of the logarithms of `model_error` [-]."""
     ends: "Ends"
     """The ends of the searches, one from each start."""
 
@@ -82,15 +127,84 @@ class Calibration(eqx.Module):
         """What was found, in sentences: of the stand first."""
         return "\n".join(
             [
+                *self.doubts(),
                 self.fit.explanation,
                 stand_sentence(self.stand()),
-                f"Chi-square {self.misfit:.1f} of {self.degrees} "
-                f"(probability {self.probability:.3g}).",
+                self.misfit_sentence(),
                 str(self.fit).partition("\n")[2],
             ]
         )
 
     _repr_html_ = as_html
+
+    @double_precision
+    def means(self) -> "pd.DataFrame":
+        """The mean of every band and index against what was measured: errors before and after, and
+        with the cameras' gains [%], and whether each came nearer (`moved`)."""
+        return compare_means(
+            self.data.names, *(
+                np.asarray(values, float)
+                for values in (
+                    self.data.value, self.statistics_before, self.statistics_after,
+                    self.statistics_with_gain,
+                )
+            ),
+        )  # fmt: skip
+
+    @property
+    def worse(self) -> bool:
+        """Whether more bands moved away from what was measured than nearer. Then the values to use
+        are those of the field table."""
+        return is_worse(self.means())
+
+    @property
+    def offered(self) -> PlotParameters:
+        """The plot's parameters to go on with: those `after`, or where the estimate is `worse`
+        those `before`."""
+        return self.before if self.worse else self.after
+
+    @double_precision
+    def misfit_by_group(self) -> "pd.DataFrame":
+        """What the misfit would be without each group of statistics, by the linear model about the
+        estimate: group, statistics, chi-square and degrees without it, and `times`, the ratio of
+        the two. First row: with all."""
+        import pandas as pd  # late: the command line need not wait for it
+
+        weights = np.asarray(self.fit.data.whitener)[: self.degrees] * self.excess**0.5
+        jacobian = np.asarray(self.fit.jacobian)
+        rest = np.asarray(self.data.value - self.fit.predicted)
+        rest = rest + jacobian @ np.asarray(self.fit.whitened)
+        groups = np.array([group_of(name) for name in self.data.names])
+        rows = []
+        for name in ("", *dict.fromkeys(groups)):
+            misfit, degrees = misfit_without(weights, rest, jacobian, groups == name)
+            if degrees > 0:
+                left = int(np.sum(groups == name))
+                rows.append((name or "none", left, misfit, degrees, misfit / degrees))
+        return pd.DataFrame(rows, columns=["left_out", "statistics", "misfit", "degrees", "times"])
+
+    @double_precision
+    def misfit_sentence(self) -> str:
+        """The misfit in words: how many times what was expected, and where it is much, by which
+        group of statistics."""
+        times = self.misfit / self.degrees
+        sentence = f"The misfit is {times:.2g} times what was expected"
+        if times < UNDESCRIBED:
+            return f"{sentence}."
+        table = self.misfit_by_group().iloc[1:]
+        if len(table) > 1:
+            least = table.iloc[int(table["times"].argmin())]
+            of = GROUPS[least["left_out"]]
+            sentence += f"; without {of} it is {least['times']:.2g} times"
+        return f"{sentence}: intervals are widened by it."
+
+    def doubts(self) -> list[str]:
+        """Sentences that stand before all others, where the estimate is worse than the field table
+        or the model does not describe the plot; none where neither is so."""
+        found = [worse_sentence(self.means())] if self.worse else []
+        if self.misfit >= UNDESCRIBED * self.degrees:
+            found.append(f"The model does not describe this plot. {self.misfit_sentence()}")
+        return found
 
     @double_precision
     def stand(self, functionals: Mapping[str, Functional] | None = None) -> "pd.DataFrame":
@@ -105,24 +219,55 @@ class Calibration(eqx.Module):
 
     @property
     @double_precision
-    def misfit(self) -> float:
-        """Squared whitened misfit and distance from the prior, at the estimate: of data that the
-        model and the prior explain a chi-square of `degrees`."""
-        rest = self.data.whiten(self.fit.predicted - self.data.value)
-        return float(rest @ rest + self.fit.whitened @ self.fit.whitened)
-
-    @property
-    @double_precision
     def probability(self) -> float:
         """That the model and its prior would give data so far from its expectation [-], were it
         linear in the parameters: below some 0.01 it does not explain them."""
         return float(chdtrc(self.degrees, self.misfit))
 
     @property
+    def gain(self) -> Float[np.ndarray, " band"] | None:
+        """The `gains` of the drone's camera; None where no sensor is one."""
+        return self._of_drone(self.gains)
+
+    @property
+    def gain_sd(self) -> Float[np.ndarray, " band"] | None:
+        """Standard deviation of the logarithm of each `gain` [-]."""
+        return self._of_drone(self.gains_sd)
+
+    def _of_drone(self, values: Sequence[np.ndarray]) -> np.ndarray | None:
+        with_bands = (view for view in self.views if view.bands is not None)
+        of = (one for one, view in zip(values, with_bands) if isinstance(view, ImageView))
+        return next(of, None)
+
+    def factors(self) -> "pd.DataFrame":
+        """What each band of each sensor is off by, the gain of the sensor and the error of the
+        model apart: the number of the sensor from 1, band, wavelength [nm], factors, and standard
+        deviations of their logarithms before and after the data [-]."""
+        import pandas as pd  # late: the command line need not wait for it
+
+        prior = self.space.factors
+        rows: list[tuple[Any, ...]] = []
+        sd = [np.sqrt(np.diagonal(np.asarray(one))) for one in (prior.of_gains, prior.of_model)]
+        known = zip(self.gains, self.gains_sd, self.model_error, self.model_error_sd, strict=True)
+        seen = [(i, view.bands) for i, view in enumerate(self.views, 1) if view.bands is not None]
+        for (number, bands), own in zip(seen, known, strict=True):
+            for i, (name, centre) in enumerate(zip(bands.names, bands.centre, strict=True)):
+                gain, gain_sd, error, error_sd = (float(values[i]) for values in own)
+                before = (float(one[len(rows)]) for one in sd)
+                rows.append((number, name, centre, gain, gain_sd, error, error_sd, *before))
+        columns = ["sensor", "band", "wavelength_nm", "gain", "gain_sd", "model_error"]
+        columns += ["model_error_sd", "gain_prior_sd", "model_error_prior_sd"]
+        return pd.DataFrame(rows, columns=columns)
+
+    @property
     def camera(self) -> AimedSensor | None:
         """The drone's camera; None where no sensor is one."""
         views = (view for view in self.views if isinstance(view, ImageView))
         return next((view.camera for view in views), None)
+
+
+UNDESCRIBED = 3.0
+"""Misfit over what was expected from which on a model is said not to describe a plot [-]."""
 
 
 class Ends(eqx.Module):
@@ -224,6 +369,7 @@ def calibrate_plot(
     views: Sequence[AbstractView],
     settings: CalibrationSettings | None = None,
     *,
+    error: ModelError | None = None,
     solver: Any = None,
     start: Float[Array, " free"] | None = None,
 ) -> Calibration:
@@ -236,8 +382,13 @@ def calibrate_plot(
     over `stand_realisations` draws of plants and of the parameters about the estimate, the same at
     every step (statistical linearisation: Garcia-Fernandez et al. 2015): of the prior in the first
     round, then of the posterior. What such a line leaves of `scatter_draws` is the covariance;
-    errors of the data, of the model and of the camera's gains add to it. All sensors observe the
-    same plants.
+    the stated errors of the data add to it. All sensors observe the same plants.
+
+    Each band of a sensor is off by a factor, its gain times the model's error at its wavelength,
+    whose logarithms have normal priors (`BandFactors`). They are parameters of the search beside
+    those of the plot, with slopes in closed form, and the same model's error for all sensors. What
+    the data ask beyond that is one number, `Calibration.excess`: after each round the variances of
+    all errors are made so many times as large, so that intervals say what is known.
 
     The search looks at some of the pixels, with coarse light in layers twice as thick
     (`search_form`). What that lacks against full scenes at their own accuracy is measured at the
@@ -253,6 +404,9 @@ def calibrate_plot(
     - `space`: the free parameters with their priors.
     - `views`: what each sensor yields of `scene`.
     - `settings`: of the search. Of known plants there is one planting.
+    - `error`: what the model is off by, over wavelength, as that of a learned population
+      (`LearnedPrior.model_error`); by default nothing: right only where the model itself made the
+      data.
     - `solver`: of a round, of optimistix or jaxopt as of `fit`; `BroydenLM` by default, which takes
       one Jacobian a round. Others take one at each step, or as many gradients; of their rounds
       `fit.loss` has the beginnings alone.
@@ -271,7 +425,7 @@ def calibrate_plot(
     **Raises:** `InputError` for views that do not yield the data's statistics, and a start at
     which these are not finite.
     """
-    search = PlotSearch(scene, parameters, data, space, views, settings, solver=solver)
+    search = PlotSearch(scene, parameters, data, space, views, settings, error=error, solver=solver)
     ends: list[SearchState] = []
     with stage("Calibrate", search.settings.evaluations):
         for u in search_starts(search, start):
@@ -290,7 +444,7 @@ def search_starts(
     - `search`: of the calibration.
     - `start`: of the first; the prior's centre by default. The others start at draws of the prior.
     """
-    free, settings = len(search.space.names), search.settings
+    free, settings = len(search.space.plot.names), search.settings
     first = jnp.zeros(free) if start is None else jnp.asarray(start, float)
     drawn = np.random.default_rng([settings.seed, 61]).normal(size=(settings.starts - 1, free))
     return [first, *map(jnp.asarray, drawn.clip(-2.0, 2.0))]
@@ -310,11 +464,17 @@ def calibration(search: PlotSearch, ends: Sequence[SearchState]) -> Calibration:
     number = int(np.argmin([search.objective(end.best, judge) for end in ends]))
     fits = [_fit_of(search, end) for end in ends]
     won, fit, origin = ends[number], fits[number], ends[0].origin
-    place, weights = won.best, search.weights(won.place, won.subspace)
-    images = place.images
-    with_image = any(isinstance(view, ImageView) for view in search.views)
-    image = images[0] if with_image else None
-    gain, gain_sd, with_gain = _gains(search.views, image, fit, weights)
+    place, images = won.best, won.best.images
+    gains, errors = _factors_of(search, won)
+    with_bands = [view for view in search.views if view.bands is not None]
+    drone = next((i for i, view in enumerate(with_bands) if isinstance(view, ImageView)), None)
+
+    def by_view(values: np.ndarray) -> list[np.ndarray]:
+        parts = factors_by_view(with_bands, jnp.asarray(values))
+        return [np.asarray(part) for part in parts]
+
+    factors = np.zeros(len(gains.mean)), gains.mean, gains.mean + errors.mean
+    shown = [_with_factors(search, place, one) for one in factors]
     stands = search.stands(won)
     objective = [search.objective(e.best, search.weights(e.place, e.subspace)) for e in ends]
     return Calibration(
@@ -326,71 +486,86 @@ def calibration(search: PlotSearch, ends: Sequence[SearchState]) -> Calibration:
         after=search.plot(place.u),
         views=search.views,
         coarse_views=search.coarse_views,
-        image_before=origin.images[0] if with_image else None,
-        image_after=image,
+        image_before=None if drone is None else origin.images[drone],
+        image_after=None if drone is None else images[drone],
         statistics_before=origin.statistics,
-        statistics_after=place.statistics,
-        spread=np.asarray(place.spread),
+        statistics_after=shown[0],
+        statistics_with_gain=shown[1],
+        statistics_with_error=shown[2],
+        space=search.space,
+        coordinates=np.asarray(place.u),
+        spread=np.asarray(place.spread)[: len(search.space.plot.names)],
         data=fit.data,
-        measured=with_error(search.data, radiometric_covariance(search.views, images)),
+        excess=float(won.place.excess),
+        misfit=search.misfit(won),
+        degrees=len(judge),
         lack=np.asarray(place.lack).mean(axis=0),
-        degrees=len(weights),
         projector=scipy.linalg.block_diag(*(own.back @ own.rows for own in won.subspace.parts)),
-        gain=gain,
-        gain_sd=gain_sd,
-        statistics_with_gain=with_gain,
+        gains=tuple(by_view(gains.factor)),
+        gains_sd=tuple(by_view(gains.sd)),
+        model_error=tuple(by_view(errors.factor)),
+        model_error_sd=tuple(by_view(errors.sd)),
         ends=_ends(objective, fits, fit),
     )
 
 
 def _fit_of(search: PlotSearch, end: SearchState) -> FitResult:
-    """The estimate of a search, with the errors at the last place it came to."""
+    """The estimate of the parameters, the factors integrated over, with the errors at the last
+    place that a search came to."""
     place, weights = end.best, search.weights(end.place, end.subspace)
+    free, slopes = len(search.space.plot.names), np.asarray(place.slopes)
+    own, by_factor = slopes[..., :free], place.slope[:, free:]
+    # Errors are independent of unit size along the directions, to which factors add.
+    moved = weights @ by_factor
+    weights = np.linalg.solve(np.linalg.cholesky(np.eye(len(moved)) + moved @ moved.T), weights)
     # The same likelihood for whoever goes on with these data: along the directions alone.
-    counted = search.data_at(end.place).along(weights)
-    slopes = np.asarray(place.slopes)
+    data = search.data_at(end.place)
+    counted = (data.with_covariance(by_factor @ by_factor.T) if by_factor.any() else data).along(
+        weights
+    )
+    # On the line through the estimate, where factors are one.
+    without = np.asarray(place.statistics) - by_factor @ np.asarray(place.u)[free:]
     reached = Ended(
-        place.u, place.statistics, jnp.asarray(place.slope), status_of(end.status), end.steps,
-        end.trace, end.rounds,
+        place.u[:free], jnp.asarray(without), jnp.asarray(own.mean(axis=0)), status_of(end.status),
+        end.steps, end.trace, end.rounds,
     )  # fmt: skip
-    result = fit_result(search.space, counted, reached)
+    result = fit_result(search.space.plot, counted, reached)
     if np.isfinite(slopes).all():
-        result = result.with_information(jnp.asarray(mean_information(weights, slopes)))
+        result = result.with_information(jnp.asarray(mean_information(weights, own)))
     return result
 
 
-def _gains(
-    views: Sequence[AbstractView],
-    image: Array | None,
-    fit: FitResult,
-    weights: Float[np.ndarray, "direction statistic"],
-) -> tuple[np.ndarray | None, np.ndarray | None, np.ndarray]:
-    """The gains of the drone's camera, the sd of their logarithms, and the statistics with them.
+def _factors_of(search: PlotSearch, end: SearchState) -> tuple[Known, Known]:
+    """What is known of the gains of all bands and of the model's error in them at the end of a
+    search."""
+    free, factors = len(search.space.plot.names), search.space.factors
+    slopes = np.asarray(end.best.slopes)
+    covariance = np.eye(factors.coordinates)
+    if np.isfinite(slopes).all():
+        known = posterior_root(search.weights(end.place, end.subspace), slopes)
+        covariance = (known @ known.T)[free:, free:]
+    found = factors.known(np.asarray(end.best.u)[free:], covariance)
+    return factors.gains(found), factors.errors(found)
 
-    Of the linear model about the estimate, in which gains and parameters are normal beforehand.
-    """
-    number = next((i for i, view in enumerate(views) if isinstance(view, ImageView)), None)
-    if number is None or image is None:
-        return None, None, np.asarray(fit.predicted)
-    view: Any = views[number]  # the image is that of the first camera
-    prior = view.gains.covariance(len(image))
-    first = sum(len(before.names) for before in views[:number])
-    slopes = np.zeros((len(fit.data.names), len(image)))
-    slopes[first : first + len(view.names)] = view.gain_slopes(image)
-    jacobian, by_gain = weights @ np.asarray(fit.jacobian), weights @ slopes
-    # Errors of the gains are in the weights already: whitened data have the covariance 1 + JJ'.
-    total = np.eye(len(weights)) + jacobian @ jacobian.T
-    # Data less what the linear model predicts at the centre of the prior.
-    rest = weights @ np.asarray(fit.data.value - fit.predicted)
-    rest = rest + jacobian @ np.asarray(fit.whitened)
-    # The gain of a Kalman filter, and what it leaves of the prior covariance.
-    share = np.linalg.solve(total, by_gain @ prior).T
-    left = prior - share @ by_gain @ prior
-    off = share @ rest
-    sd = np.sqrt(np.maximum(np.diagonal(left), 0.0))
-    # As the line has it, for means exactly: a factor, and not the exponential of a logarithm.
-    gain = 1.0 + off
-    return gain, sd / gain, np.asarray(fit.predicted) + slopes @ off
+
+def _with_factors(
+    search: PlotSearch, place: SearchPlace, factors: Float[np.ndarray, " factor"]
+) -> Float[np.ndarray, " statistic"]:
+    """Statistics at a place with other factors, given by their logarithms: expectations change with
+    them as the image of the scene's own plants does."""
+    own = search.space.factors.logarithms(place.u[len(search.space.plot.names) :])
+    images, parts = iter(place.images), []
+    for view, by, to in zip(
+        search.views,
+        factors_by_view(search.views, own),
+        factors_by_view(search.views, jnp.asarray(factors)),
+    ):
+        if by is None or to is None:
+            parts.append(np.zeros(len(view.names)))
+        else:
+            image = jnp.asarray(next(images))
+            parts.append(np.asarray(view.statistics(image, to) - view.statistics(image, by), float))
+    return np.asarray(place.statistics) + np.concatenate(parts)
 
 
 def _ends(objective: Sequence[float], fits: Sequence[FitResult], best: FitResult) -> Ends:

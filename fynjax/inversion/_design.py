@@ -1,9 +1,10 @@
 """Bands of a sensor, chosen by gradient for what they inform of in a stand."""
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
+from itertools import combinations
 from typing import NamedTuple
 
 import equinox as eqx
@@ -38,7 +39,7 @@ from fynjax.inversion._expected import other_plantings
 from fynjax.inversion._functionals import Functional, StandNumbers, stand_functionals
 from fynjax.inversion._space import ParameterSpace
 from fynjax.metrics import spectral_mask
-from fynjax.scene import Scene
+from fynjax.scene import ModelError, Scene
 from fynjax.sensors import BandSet, OrthographicCamera, Sensor, shipped_sensor
 
 DESIGN_FREE = (
@@ -58,6 +59,8 @@ _WITHIN = 1.4
 maximum [-]: beyond it lies 5e-4 of the response, which has fallen to 4e-3 of its peak."""
 _RASTER = 80
 """Centres in the raster from which the first ascent starts."""
+_PAIRED = 40
+"""Channels of which all pairs are tried, at most."""
 _DRAWS = 20
 """Random sets of bands of that raster of which the best is a start."""
 _SHANNON = Functional(
@@ -122,22 +125,39 @@ def _values_of(
 def best_channels(
     spectra: PlantingSpectra, seen: BandStatistics, count: int, among: Float[Array, " planting"]
 ) -> list[int]:
-    """The most informative channels of a sensor: each the best beside those before, then exchanged
-    one by one until no exchange adds information."""
+    """The most informative channels of a sensor: each the best beside those before, from the best
+    one or the best pair of a coarse raster, then exchanged one by one until no exchange adds
+    information."""
+    every = range(len(seen.noise))
 
-    def beside(rest: list[int]) -> tuple[float, list[int]]:
-        sets = [[*rest, i] for i in range(len(seen.noise)) if i not in rest]
+    def best(sets: list[list[int]]) -> tuple[float, list[int]]:
         found = np.asarray(_values_of(spectra, seen, jnp.asarray(sets), among))
         return float(found.max()), sets[int(found.argmax())]
 
-    value, chosen = beside([])
+    def beside(rest: list[int]) -> tuple[float, list[int]]:
+        return best([[*rest, i] for i in every if i not in rest])
+
+    begin = [beside([])]
+    if count > 1:
+        # Bands that err together tell by their ratio, which no step from a single band finds.
+        raster = every[:: -(-len(every) // _PAIRED)]
+        begin.append(best([list(pair) for pair in combinations(raster, 2)]))
+    return max(_exchanged(count, *start, beside) for start in begin)[1]
+
+
+def _exchanged(
+    count: int,
+    value: float,
+    chosen: list[int],
+    beside: Callable[[list[int]], tuple[float, list[int]]],
+) -> tuple[float, list[int]]:
     while len(chosen) < count:
         value, chosen = beside(chosen)
     while True:
         # Exchange: leave one out, and take whatever is best beside the rest.
         found = max(beside(chosen[:k] + chosen[k + 1 :]) for k in range(count))
         if found[0] <= value + 1e-9 * abs(value):
-            return sorted(chosen)
+            return value, sorted(chosen)
         value, chosen = found
 
 
@@ -221,7 +241,8 @@ def design(
     spectrum: tuple[float, float] = RANGE,
     widths: tuple[float, float] = (10.0, 100.0),
     snr: float = 100.0,
-    error: float = 0.01,
+    relative_sd: float = 0.01,
+    model_error: ModelError | None = None,
     plantings: int = 6,
     compare: Sequence[str | Sensor] = CAMERAS,
     starts: int = 8,
@@ -232,11 +253,19 @@ def design(
     A camera measures mean and standard deviation of each band over the pixels. A quantity with
     slopes g by whitened parameters u, of which the statistics have the slopes J, is estimated from
     them as a'y with a = (C + mean J J')^-1 mean J g, the best linear estimate: C is the covariance
-    of the statistics (where plants stand, an independent relative error of each, shot noise), and
-    means are over plantings. In a planting that had no share in them the variance |g - J'a|^2 +
-    (a'y)^2 + noise is left of |g|^2, with y less its mean over the others: every planting is judged
-    by estimates that others made, so that slopes that are only where plants stand are no knowledge,
-    however many bands there are. The target is the mean over plantings and quantities.
+    of the statistics (where plants stand, factors that bands are off by in all pixels, an
+    independent relative error of each, shot noise), and means are over plantings. In a planting
+    that had no share in them the variance |g - J'a|^2 + (a'y)^2 + noise is left of |g|^2, with y
+    less its mean over the others: every planting is judged by estimates that others made, so that
+    slopes that are only where plants stand are no knowledge, however many bands there are. The
+    target is the mean over plantings and quantities.
+
+    The factor of a band is the sensor's gain (`Sensor.gains`; of designed bands and channels those
+    assumed of any sensor) times the model's error, of a wide band the mean of that at its
+    wavelengths, weighted by what it sees of the plot. The logarithms have a covariance F, and
+    statistics scale with the factor of their band: of two, C has the product of their values times
+    F of their bands. In `separability` factors have no share, since they are the same for all
+    species.
 
     Centres and widths climb (L-BFGS) from the best of a raster and of random places. For each
     planting the design is made anew without it, and so is the choice of channels of AVIRIS-NG, and
@@ -266,7 +295,8 @@ def design(
       550 nm over a reflectance of 0.1, under the plot's own sun and a clear sky; elsewhere by the
       photons collected, which grow with the width of a band and the area of a pixel. The detector
       is alike at all wavelengths, and other sensors count with the same optics.
-    - `error`: independent error of every statistic, relative [-].
+    - `relative_sd`: independent error of every statistic, relative [-].
+    - `model_error`: what the model is off by over wavelength; it is believed if left out.
     - `plantings`: how many are made of one scene, at least 4.
     - `compare`: other sensors, shipped names or objects.
     - `starts`: ascents, the first from a raster of bands.
@@ -280,7 +310,7 @@ def design(
     Source: Chaloner and Verdinelli (1995), Statistical Science 10, 273; Nadeau and Bengio (2003),
     Machine Learning 52, 239.
     """
-    _check_positive("error", error)
+    _check_positive("relative_sd", relative_sd)
     ready = check_design(
         scenes, bands, target, free=free, pixel=pixel, spectrum=spectrum, widths=widths, snr=snr,
         plantings=plantings, compare=compare, starts=starts, seed=seed,
@@ -298,7 +328,7 @@ def design(
     else:  # of the parameters one by one, whose slopes are unit vectors; or of none
         own = np.eye(len(space.names))[: None if kind == "information" else 0]
         asked = np.stack([own] * len(stands))
-    tried = render(stands, space, asked, grid, pixels, snr, error, kind)
+    tried = render(stands, space, asked, grid, pixels, snr, relative_sd, model_error, kind)
     if kind == "separability":  # the same species in pixels of every size
         common = jnp.stack([image.species > 0 for image in tried]).all(axis=0)
         tried = [eqx.tree_at(lambda i: i.species, image, image.species * common) for image in tried]
@@ -318,8 +348,9 @@ def design(
     names = tuple(f"b{i + 1}" for i in range(bands))
     designed = BandSet(names, tuple(centre[order]), tuple(width[order]))
     # Each sensor with every planting, and with the one that its bands were chosen without.
-    fine = _bands_of(spectra, channels.bands)
-    seen = [_bands_of(spectra, one) for one in (designed, *(camera.bands for camera in cameras))]
+    fine = _bands_of(spectra, channels)
+    made = Sensor("designed", designed, OrthographicCamera(pixels[place]))
+    seen = [_bands_of(spectra, one) for one in (made, *cameras)]
     best = best_channels(spectra, fine, bands, every)
     rows = [
         _scores_of(spectra, one, every).mean(axis=0)
@@ -403,7 +434,8 @@ def check_design(
     if space is None:
         space = free_space(scene, scene.parameters, DESIGN_FREE, lambda name: None)
     cameras = [_within(one, grid) for one in compare]
-    channels = _within(_CHANNELS, grid)
+    # Channels are chosen as those of a camera yet to be made, and calibrated as that.
+    channels = dataclasses.replace(_within(_CHANNELS, grid), calibrations=())
     place = np.asarray(scene.planting.place)
     if scene.known_plants or (place.size and not place.any()):
         raise InputError(
@@ -535,9 +567,10 @@ def _asked(
     }
 
 
-def _bands_of(spectra: PlantingSpectra, bands: BandSet) -> BandStatistics:
-    weights = bands.weights(np.asarray(spectra.grid), max_loss=1e-2)
-    return _seen(spectra, jnp.asarray(weights), jnp.asarray(bands.fwhm))
+def _bands_of(spectra: PlantingSpectra, sensor: Sensor) -> BandStatistics:
+    weights = sensor.bands.weights(np.asarray(spectra.grid), max_loss=1e-2)
+    width = jnp.asarray(sensor.bands.fwhm)
+    return _seen(spectra, jnp.asarray(weights), width, sensor.gains())
 
 
 def _search(

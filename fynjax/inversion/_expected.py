@@ -12,8 +12,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from fynjax._core.errors import InputError
+from fynjax.inversion._factors import PlotSpace
 from fynjax.inversion._fit_result import Data, repeated_information, scatter_covariance
-from fynjax.inversion._space import ParameterSpace
 from fynjax.inversion._views import PlotForward
 from fynjax.scene import PlotParameters, Scene, with_values
 
@@ -23,11 +23,17 @@ _FARTHEST = 2.2
 """Largest distance of a drawn parameter from its mean [standard deviations]."""
 
 
-def unit_draw(seed: int, number: int, size: int) -> Float[np.ndarray, " free"]:
-    """Independent unit normal numbers of the draw of a `number`. Two in a row are opposite
-    (antithetic), so that what is linear in these leaves a mean as it is."""
-    random = np.random.default_rng([seed, 83, number // 2])
-    normal = random.normal(size=size).clip(-_FARTHEST, _FARTHEST)
+def unit_draw(seed: int, number: int, space: PlotSpace) -> Float[np.ndarray, " coordinate"]:
+    """Independent unit normal numbers of the draw of a `number`, one for each coordinate of a
+    `space`. Two in a row are opposite (antithetic), so that what is linear in these leaves a mean
+    as it is. Those of the parameters do not depend on how many factors there are."""
+    sizes = len(space.plot.names), space.factors.coordinates
+    normal = np.concatenate(
+        [
+            np.random.default_rng([seed, stream, number // 2]).normal(size=size)
+            for stream, size in zip((83, 84), sizes, strict=True)
+        ]
+    ).clip(-_FARTHEST, _FARTHEST)
     return normal if number % 2 == 0 else -normal
 
 
@@ -83,8 +89,8 @@ class Expected(eqx.Module):
     """Statistics of the coarse form."""
     along: PlotForward
     """Statistics of the coarse form, with slopes along the informative subspace alone."""
-    space: ParameterSpace
-    """The free parameters, of whose whitened coordinates u the statistics are functions."""
+    space: PlotSpace
+    """Free parameters and factors, of whose whitened coordinates u the statistics are functions."""
     stands: tuple[Scene, ...]
     """Plantings, in the coarse form."""
     seed: int = eqx.field(static=True)
@@ -92,12 +98,12 @@ class Expected(eqx.Module):
     number: int = eqx.field(static=True)
     """Draws in all; those beyond the plantings fill the same sites in another order."""
 
-    def draw(self, number: int) -> tuple[Scene, Float[np.ndarray, " free"]]:
+    def draw(self, number: int) -> tuple[Scene, Float[np.ndarray, " coordinate"]]:
         """The planting and the unit normal numbers of a draw."""
         stand = self.stands[number % len(self.stands)]
         if number >= len(self.stands):
             stand = stand.reordered(number)  # no number of a planting
-        return stand, unit_draw(self.seed, number, len(self.space.names))
+        return stand, unit_draw(self.seed, number, self.space)
 
     def _places(
         self, u: Array, spread: Array | np.ndarray, number: int | None = None
@@ -113,7 +119,7 @@ class Expected(eqx.Module):
         """Statistics of one planting at whitened coordinates."""
         return predicted(self.predict, self.space, stand, jnp.asarray(u))
 
-    def slope_at(self, stand: Scene, u: Array) -> Float[Array, "statistic free"]:
+    def slope_at(self, stand: Scene, u: Array) -> Float[Array, "statistic coordinate"]:
         """Derivatives of the statistics of one planting by the whitened coordinates."""
         return predicted_slopes(self.along, self.space, stand, jnp.asarray(u))
 
@@ -127,7 +133,9 @@ class Expected(eqx.Module):
         Differentiable."""
         return jnp.stack(each(self.at, *self._places(u, spread))).mean(axis=0)
 
-    def slopes(self, u: Array, spread: Array | np.ndarray) -> Float[Array, "member statistic free"]:
+    def slopes(
+        self, u: Array, spread: Array | np.ndarray
+    ) -> Float[Array, "member statistic coordinate"]:
         """Derivatives of the statistics by the whitened coordinates, of each planting about `u`.
 
         Their mean is the slope of the linear model that is best for all of `spread`, not only at
@@ -140,7 +148,7 @@ class Expected(eqx.Module):
         self,
         u: Array,
         spread: np.ndarray,
-        slopes: Float[np.ndarray, "statistic free"],
+        slopes: Float[np.ndarray, "statistic coordinate"],
         number: int | None = None,
     ) -> Float[np.ndarray, "draw statistic"]:
         """Statistics of every draw about `u`, or of the first `number`, with whole plants, less
@@ -161,8 +169,11 @@ class Expected(eqx.Module):
         return rest
 
     def prior_draws(self, number: int) -> Float[np.ndarray, "draw statistic"]:
-        """Statistics at `number` draws of the prior, each with other plants."""
+        """Statistics at `number` draws of the prior of the parameters, each with other plants; of
+        factors that are one."""
         pairs = [self.draw(1000 + i) for i in range(number)]
+        for _, normal in pairs:
+            normal[len(self.space.plot.names) :] = 0.0
         stands, places = zip(*pairs, strict=True)
         drawn = np.stack(each(self.at, stands, [jnp.asarray(place) for place in places]))
         return drawn[np.isfinite(drawn).all(axis=1)]
@@ -170,7 +181,7 @@ class Expected(eqx.Module):
 
 @eqx.filter_jit
 def predicted(
-    predict: PlotForward, space: ParameterSpace, stand: Scene, u: Float[Array, " free"]
+    predict: PlotForward, space: PlotSpace, stand: Scene, u: Float[Array, " coordinate"]
 ) -> Float[Array, " statistic"]:
     """Statistics of a `stand` at whitened coordinates `u`, compiled."""
     return predict(space.physical(u), stand).astype(u.dtype)
@@ -178,8 +189,8 @@ def predicted(
 
 @eqx.filter_jit
 def predicted_slopes(
-    predict: PlotForward, space: ParameterSpace, stand: Scene, u: Float[Array, " free"]
-) -> Float[Array, "statistic free"]:
+    predict: PlotForward, space: PlotSpace, stand: Scene, u: Float[Array, " coordinate"]
+) -> Float[Array, "statistic coordinate"]:
     """Derivatives of the statistics of a `stand` by whitened coordinates, compiled."""
     return predict.jacobian(space.physical, u, stand)[1]
 
@@ -214,8 +225,8 @@ def chance_covariance(
 
 def mean_information(
     weights: Float[np.ndarray, "direction statistic"],
-    slopes: Float[np.ndarray, "member statistic free"],
-) -> Float[np.ndarray, "free free"]:
+    slopes: Float[np.ndarray, "member statistic coordinate"],
+) -> Float[np.ndarray, "coordinate coordinate"]:
     """Fisher information of the mean of the slopes of several draws.
 
     **Arguments:** `weights`, which make of misfits independent ones of unit size; `slopes` of each
@@ -233,7 +244,7 @@ def mean_information(
 
 @eqx.filter_jit
 def plants_wanted(
-    scene: Scene, parameters: PlotParameters, space: ParameterSpace, places: Array
+    scene: Scene, parameters: PlotParameters, space: PlotSpace, places: Array
 ) -> Float[Array, "place species"]:
     """Plants of each species at several places of the whitened coordinates."""
 

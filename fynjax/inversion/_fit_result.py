@@ -74,6 +74,15 @@ class Data(eqx.Module):
         return Data(self.names, self.value, jnp.sqrt(jnp.diagonal(total)), whitener)
 
     @double_precision
+    def widened(self, excess: float) -> "Data":
+        """The same data, the variances of whose errors are `excess` times as large."""
+        if excess == 1.0:
+            return self
+        root = excess**0.5
+        whitener = None if self.whitener is None else self.whitener / root
+        return Data(self.names, self.value, self.sd * root, whitener)
+
+    @double_precision
     def along(self, weights: Float[np.ndarray, "direction statistic"]) -> "Data":
         """The same data, of which only directions count: `weights` makes of misfits independent
         ones of unit size, as many as there are statistics, or fewer."""
@@ -225,6 +234,13 @@ class FitResult(eqx.Module):
         good = (FitStatus.successful, FitStatus.at_bound, FitStatus.flat)
         return jnp.any(jnp.stack([self.status == status for status in good]), axis=0)
 
+    @property
+    @double_precision
+    def moved(self) -> Float[Array, " free"]:
+        """How far each estimate lies from the centre of its prior [prior standard deviations], as
+        quantiles of a normal: what data hardly constrain may move far with what they do."""
+        return self.space.together(self.whitened)
+
     def __str__(self) -> str:
         """What was found, in sentences."""
         if self.whitened.ndim > 1:
@@ -236,7 +252,8 @@ class FitResult(eqx.Module):
 
     def table(self) -> "pd.DataFrame":
         """Every parameter, in the unit of field crews: name, unit, median and standard deviation of
-        the prior, estimate and standard deviation, quantiles of 5 and 95 %, and the share of the
+        the prior, estimate and standard deviation, quantiles of 5 and 95 %; how far the estimate
+        moved from the prior's centre, in standard deviations of the prior; and the share of the
         prior variance that the data removed [-]."""
         import pandas as pd  # late: the command line need not wait for it
 
@@ -256,6 +273,7 @@ class FitResult(eqx.Module):
                 "name": list(self.names),
                 "unit": ["-" if one is None else one.shown_unit for one in records],
                 **{key: factor * np.asarray(value, float) for key, value in columns.items()},
+                "moved": np.asarray(self.moved, float),
                 "constrained": np.asarray(self.constrained, float),
             }
         )

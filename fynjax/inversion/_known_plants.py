@@ -24,7 +24,8 @@ from fynjax._core.errors import InputError
 from fynjax._core.least_squares import NO_TAGS, BroydenLM, BroydenState, figures_of
 from fynjax._core.precision import double_precision
 from fynjax._core.progress import stage
-from fynjax.inversion._calibrate import Ends
+from fynjax.inversion._calibrate import UNDESCRIBED, Ends
+from fynjax.inversion._factors import BandFactors
 from fynjax.inversion._fit_result import (
     Data,
     Ended,
@@ -35,12 +36,21 @@ from fynjax.inversion._fit_result import (
     status_of,
 )
 from fynjax.inversion._functionals import Functional, stand_table
-from fynjax.inversion._search import Progress, begun, recorded, search_states, stepped
+from fynjax.inversion._search import (
+    Progress,
+    begun,
+    excess_of,
+    recorded,
+    search_states,
+    stepped,
+)
 from fynjax.inversion._space import ParameterSpace
+from fynjax.inversion._verdict import compare_means, is_worse, worse_sentence
 from fynjax.radiation import VoxelScene
 from fynjax.scene import (
     LEAF_FIELDS,
     AimedSensor,
+    ModelError,
     PlotParameters,
     Scene,
     parameter_kind,
@@ -94,13 +104,20 @@ class KnownPlants(eqx.Module):
     image_before: Float[np.ndarray, "band y x"]
     """Simulated reflectance of the blocks with the parameters `before` [-]."""
     image_after: Float[np.ndarray, "band y x"]
-    """Simulated reflectance of the blocks with the parameters `after`, as the camera measures it
-    with the estimated gains [-]."""
+    """Simulated reflectance of the blocks with the parameters `after`, times the estimated gains
+    and the model's error: what is compared [-]."""
     gain: Float[np.ndarray, " band"]
     """Estimated factor by which each band of the camera is off [-]: what simulated bands are
     multiplied by."""
     gain_sd: Float[np.ndarray, " band"]
     """Standard deviation of the logarithm of each `gain` [-]."""
+    model_error: Float[np.ndarray, " band"]
+    """Estimated factor by which reality is off from the model in each band, beside `gain` [-]."""
+    model_error_sd: Float[np.ndarray, " band"]
+    """Standard deviation of the logarithm of each `model_error` [-]."""
+    excess: float
+    """What the data ask beyond the stated errors, at least 1: the variances of all errors of values
+    are so many times as large [-]."""
     misfit: float
     """Squared whitened misfit and distance from the prior, at the estimate: of data that the model
     and the prior explain a chi-square of `degrees`."""
@@ -110,6 +127,40 @@ class KnownPlants(eqx.Module):
         """Numbers of the whole stand before and after the data: `functionals` by name, of which any
         may be one's own (`stand_table`)."""
         return stand_table(self.scene, self.before, self.fit, functionals=functionals)
+
+    @double_precision
+    def means(self) -> "pd.DataFrame":
+        """The mean of every band over what is compared, as `Calibration.means` has them."""
+        seen = np.isfinite(self.measured)
+        images = (
+            self.measured,
+            self.image_before,
+            self.image_after / (self.gain * self.model_error)[:, None, None],
+            self.image_after / self.model_error[:, None, None],
+        )
+        values = [np.nanmean(np.where(seen, image, np.nan), axis=(1, 2)) for image in images]
+        return compare_means([f"{n}.mean" for n in self.camera.sensor.bands.names], *values)
+
+    @property
+    def worse(self) -> bool:
+        """As of `Calibration`."""
+        return is_worse(self.means())
+
+    @property
+    def offered(self) -> PlotParameters:
+        """As of `Calibration`."""
+        return self.before if self.worse else self.after
+
+    def misfit_sentence(self) -> str:
+        """The misfit in words."""
+        return f"The misfit is {self.misfit / self.degrees:.2g} times what was expected."
+
+    def doubts(self) -> list[str]:
+        """As of `Calibration`."""
+        found = [worse_sentence(self.means())] if self.worse else []
+        if self.misfit >= UNDESCRIBED * self.degrees:
+            found.append(f"The model does not describe this plot. {self.misfit_sentence()}")
+        return found
 
     @property
     @double_precision
@@ -173,11 +224,14 @@ def calibrate_known_plants(
     space: ParameterSpace,
     camera: AimedSensor,
     settings: PixelSettings | None = None,
+    *,
+    error: ModelError | None = None,
 ) -> KnownPlants:
     """Calibrate the free parameters of a plot whose plants are known to an image of it.
 
     Every compared value, the mean of a block of pixels in one band, has an error of its own. The
-    gains of the bands are estimated beside the parameters, with a normal prior of their logarithms.
+    gains of the bands, and what the model is off by in each, are estimated beside the parameters,
+    with normal priors of their logarithms.
     The search is that of `calibrate_plot` (`BroydenLM`), on the whole scene at the camera's own
     accuracy; slopes are computed anew, and errors renewed by the simulated image, until these would
     lower the objective no more.
@@ -190,6 +244,7 @@ def calibrate_known_plants(
     - `space`: the free parameters with their priors (`free_space`).
     - `camera`: from `aim`, without air.
     - `settings`: which pixels are compared, with what errors, and how long the search is.
+    - `error`: what the model is off by, over wavelength, as of `calibrate_plot`.
 
     To watch, keep or stop it go through `known_plants_search` step by step, as this function does.
 
@@ -200,7 +255,7 @@ def calibrate_known_plants(
 
     Not differentiable.
     """
-    search = known_plants_search(scene, parameters, image, space, camera, settings)
+    search = known_plants_search(scene, parameters, image, space, camera, settings, error=error)
     with stage("Calibrate", search.settings.max_steps):
         (end,) = deque(search_states(search, search.begin()), maxlen=1)
     return search.result(end)
@@ -214,10 +269,12 @@ def known_plants_search(
     space: ParameterSpace,
     camera: AimedSensor,
     settings: PixelSettings | None = None,
+    *,
+    error: ModelError | None = None,
 ) -> "PixelSearch":
     """The search of `calibrate_known_plants`, to be gone through step by step.
 
-    **Arguments:** `scene`, `parameters`, `image`, `space`, `camera` and `settings`: as of
+    **Arguments:** `scene`, `parameters`, `image`, `space`, `camera`, `settings` and `error`: as of
     `calibrate_known_plants`.
 
     **Raises:** `InputError` as `calibrate_known_plants`.
@@ -240,7 +297,7 @@ def known_plants_search(
     if not compared.any():
         raise InputError(f"no block of {block} x {block} pixels of the image has all its values")
     model = PixelModel(scene, parameters, space.names, camera, block)
-    return PixelSearch(model, space, measured, compared, settings)
+    return PixelSearch(model, space, measured, compared, settings, error)
 
 
 class PixelModel(eqx.Module):
@@ -364,7 +421,7 @@ class PixelModel(eqx.Module):
 
 class PixelState(Progress):
     """Where the search of known plants stands: all that another process needs to go on. Coordinates
-    are those of the parameters, then of the gains."""
+    are those of the parameters, then of the factors of the bands."""
 
     sd: Float[Array, " value"]
     """Errors of the compared values in this round [-]."""
@@ -374,10 +431,10 @@ class PixelState(Progress):
 
 class PixelSearch:
     """Search of a calibration of known plants, step by step, as `PlotSearch`: coordinates of the
-    parameters, then of the gains.
+    parameters, then of the factors of the bands.
 
-    **Arguments:** `space` and `settings` of `calibrate_known_plants`; `model` of the blocks, whose
-    means are `measured`, of which those that are `compared` count.
+    **Arguments:** `space`, `settings` and `error` of `calibrate_known_plants`; `model` of the
+    blocks, whose means are `measured`, of which those that are `compared` count.
     """
 
     state = PixelState
@@ -390,6 +447,7 @@ class PixelSearch:
         measured: Float[np.ndarray, "band y x"],
         compared: Bool[np.ndarray, "y x"],
         settings: PixelSettings,
+        error: ModelError | None = None,
     ) -> None:
         if settings.gains is None:
             settings = dataclasses.replace(settings, gains=model.camera.sensor.gains())
@@ -397,25 +455,24 @@ class PixelSearch:
         self.model, self.space, self.settings = model, space, settings
         self._measured, self._compared = measured, compared
         self._free = len(space.names)
-        # A little more, as the covariance of bands that are off alike, or not at all, is singular.
-        covariance = settings.gains.covariance(len(measured)) + 1e-12 * np.eye(len(measured))
-        self._gain_root = np.linalg.cholesky(covariance)
+        self._factors = BandFactors.of_bands([(model.camera.sensor.bands, settings.gains)], error)
+        self._root = np.asarray(self._factors.root)
         self._target = measured[:, compared].ravel()
         self._solver = BroydenLM(atol=settings.tolerance)
-        self.signed = (model, space, measured, compared, settings)
+        self.signed = (model, space, measured, compared, settings, error)
         """All that its steps follow from, besides where it starts."""
 
     def _values(self, u: Array) -> Array:
         return self.space.physical(jnp.asarray(u[: self._free]))
 
-    def _gain(self, u: Array) -> np.ndarray:
-        return np.exp(self._gain_root @ np.asarray(u)[self._free :])
+    def _factor(self, u: Array) -> np.ndarray:
+        return np.exp(self._root @ np.asarray(u)[self._free :])
 
     @double_precision
     def image(self, u: Array) -> Float[np.ndarray, "band y x"]:
-        """The blocks as the camera measures them."""
+        """The blocks times the factors of the bands."""
         image = np.asarray(self.model.image(self._values(u)), float)
-        return image * self._gain(u)[:, None, None]
+        return image * self._factor(u)[:, None, None]
 
     @double_precision
     def linear(
@@ -423,16 +480,16 @@ class PixelSearch:
     ) -> tuple[Float[np.ndarray, " value"], Float[np.ndarray, "value coordinate"]]:
         """Compared values at `u` and their slopes."""
         image, by_value = self.model.slopes(self._values(u))
-        gain, bands = self._gain(u), len(image)
-        image = (image * gain[:, None, None])[:, self._compared]
-        by_value = (by_value * gain[:, None, None])[:, :, self._compared]
+        factor, bands = self._factor(u), len(image)
+        image = (image * factor[:, None, None])[:, self._compared]
+        by_value = (by_value * factor[:, None, None])[:, :, self._compared]
         to_values = np.asarray(jax.jacfwd(self.space.physical)(jnp.asarray(u[: self._free])))
         # By whitened coordinates, whose priors may be correlated: a full matrix.
         own = by_value.reshape(self._free, -1).T @ to_values
-        # The logarithm of a gain scales its band.
-        by_gain = np.eye(bands)[:, None, :] * image[:, :, None]
-        by_gain = by_gain.reshape(-1, bands) @ self._gain_root
-        return image.ravel(), np.concatenate([own, by_gain], axis=1)
+        # The logarithm of a factor scales its band.
+        by_factor = np.eye(bands)[:, None, :] * image[:, :, None]
+        by_factor = by_factor.reshape(-1, bands) @ self._root
+        return image.ravel(), np.concatenate([own, by_factor], axis=1)
 
     def _whitened(self, values: np.ndarray, u: Array | np.ndarray, sd: np.ndarray) -> Array:
         return jnp.asarray(np.concatenate([(values - self._target) / sd, np.asarray(u)]))
@@ -452,7 +509,7 @@ class PixelSearch:
     def begin(self, u: Float[Array, " free"] | None = None) -> PixelState:
         """The state at whitened coordinates of the parameters, by default the prior's centre."""
         own = np.zeros(self._free) if u is None else np.asarray(u)
-        place = jnp.asarray(np.concatenate([own, np.zeros(len(self._measured))]))
+        place = jnp.asarray(np.concatenate([own, np.zeros(self._factors.coordinates)]))
         descent, sd = self._descent(place)
         whole = lambda number: jnp.asarray(number, int)  # noqa: E731
         return PixelState(
@@ -493,23 +550,25 @@ class PixelSearch:
         model, free, sd, u = self.model, self._free, np.asarray(state.sd), np.asarray(state.u)
         # At the end residuals and slopes are those of this very place.
         rest, rows = np.asarray(state.descent.residual), np.asarray(state.descent.jacobian)
-        scaled = rows[: len(sd)]
+        excess = excess_of(float(rest @ rest), len(sd))
+        scaled = rows[: len(sd)] / np.sqrt(excess)
         # Back from whitened residuals and rows to values and their slopes.
-        values, slopes = self._target + sd * rest[: len(sd)], sd[:, None] * scaled
+        values, slopes = self._target + sd * rest[: len(sd)], sd[:, None] * rows[: len(sd)]
         places = np.argwhere(self._compared)
         bands = model.camera.sensor.bands.names
         names = tuple(f"{band} {y},{x}" for band in bands for y, x in places)
-        data = Data(names, jnp.asarray(self._target), jnp.asarray(sd))
+        data = Data(names, jnp.asarray(self._target), jnp.asarray(sd)).widened(excess)
         end = Ended(
             jnp.asarray(u[:free]), jnp.asarray(values), jnp.asarray(slopes[:, :free]),
             status_of(state.status), state.steps, state.trace, state.rounds,
         )  # fmt: skip
         result = fit_result(self.space, data, end)
-        # Of parameters and gains together; the prior of both is one.
+        # Of parameters and factors together; the prior of both is one.
         covariance = np.linalg.inv(scaled.T @ scaled + np.eye(len(u)))
-        # Of the parameters alone, the gains integrated over.
+        # Of the parameters alone, the factors integrated over.
         information = np.linalg.inv(covariance[:free, :free]) - np.eye(free)
-        gains = self._gain_root @ covariance[free:, free:] @ self._gain_root.T
+        factors = self._factors.known(u[free:], covariance[free:, free:])
+        gains, errors = self._factors.gains(factors), self._factors.errors(factors)
         centre = self.space.named(jnp.zeros(free))
         named = dict(zip(self.space.names, self._values(state.u)))
         return KnownPlants(
@@ -522,9 +581,12 @@ class PixelSearch:
             measured=np.where(self._compared, self._measured, np.nan),
             image_before=np.asarray(state.before),
             image_after=self.image(state.u),
-            gain=self._gain(state.u),
-            gain_sd=np.sqrt(np.diagonal(gains)),
+            gain=gains.factor,
+            gain_sd=gains.sd,
+            model_error=errors.factor,
+            model_error_sd=errors.sd,
             misfit=float(rest @ rest),
+            excess=excess,
         )
 
 

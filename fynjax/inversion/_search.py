@@ -28,6 +28,7 @@ from fynjax.inversion._expected import (
     unit_draw,
     with_error,
 )
+from fynjax.inversion._factors import BandFactors, PlotSpace
 from fynjax.inversion._fit_result import Data, FitStatus, number_of
 from fynjax.inversion._solvers import run_solver
 from fynjax.inversion._space import ParameterSpace
@@ -38,10 +39,10 @@ from fynjax.inversion._views import (
     PlotForward,
     informative_directions,
     look,
-    radiometric_covariance,
 )
 from fynjax.radiation import Accuracy
 from fynjax.scene import (
+    ModelError,
     PlotParameters,
     Scene,
     element_count,
@@ -72,7 +73,7 @@ class CalibrationSettings:
     accuracy: Accuracy = COARSE
     """Accuracy of the light in a search."""
     rounds: int = 2
-    """Searches one after the other, each corrected by the full scene; up to three more follow while
+    """Searches one after the other, each corrected by the full scene; up to five more follow while
     the last still moved."""
     stand_realisations: int = 8
     """Draws of the plants and of what is unknown of the parameters over which statistics and slopes
@@ -126,26 +127,44 @@ _SETTLED = 0.6
 """Further rounds follow while a round moved farther than this along a principal direction, or a
 step still would [posterior standard deviations]; one that moved less keeps the errors of its
 start."""
-_FURTHER = 3
+_FURTHER = 5
 """Rounds beyond those of the settings, at most."""
+
+
+_TRUSTED = 10.0
+"""Data from which the stated errors count as found, when the data ask for larger ones."""
+
+
+def excess_of(misfit: float, degrees: int) -> float:
+    """Factor on the variances of all errors that a chi-square `misfit` of so many `degrees` asks
+    for, at least 1 [-]: the mean of an inverse chi-square distribution whose prior is the stated
+    errors, as if they had been found from `_TRUSTED` data (Gelman et al. 2013, Bayesian Data
+    Analysis, section 2.6)."""
+    if not np.isfinite(misfit):
+        return 1.0
+    return max(1.0, (misfit + _TRUSTED) / (degrees + _TRUSTED))
 
 
 class SearchPlace(eqx.Module):
     """What full and coarse scenes say about one place, over plantings and what is unknown of the
     parameters."""
 
-    u: Float[Array, " free"]
-    """Whitened coordinates of the parameters."""
-    spread: Float[Array, "free free"]
-    """Root of the covariance of what is unknown of the parameters, in whitened coordinates."""
+    u: Float[Array, " coordinate"]
+    """Whitened coordinates of the parameters, then of the factors of the bands."""
+    spread: Float[Array, "coordinate coordinate"]
+    """Root of the covariance of what is unknown of parameters and factors, in whitened
+    coordinates."""
     statistics: Float[Array, " statistic"]
     """Expected statistics of the full scene."""
     covariance: Float[Array, "statistic statistic"]
-    """Covariance of the errors of statistics by plantings, by how statistics bend with the
-    parameters, and by the camera's gains."""
+    """Covariance of the errors of statistics by plantings, and by how statistics bend with the
+    parameters."""
+    excess: Float[Array, ""]
+    """Factor on the variances of all errors of statistics: what the data ask beyond those that were
+    stated, 1 or more [-]."""
     offset: Float[Array, " statistic"]
     """Expected statistics of the full scene less those of the coarse form."""
-    slopes: Float[Array, "member statistic free"]
+    slopes: Float[Array, "member statistic coordinate"]
     """Derivatives of the statistics by the coordinates, of each member of the search."""
     whole: Float[Array, "planting statistic"]
     """Statistics of the full form of some plantings, at `u` itself; of a round that has settled,
@@ -153,10 +172,11 @@ class SearchPlace(eqx.Module):
     lack: Float[Array, "planting statistic"]
     """Statistics `whole` less those of the coarse form of the same plants."""
     images: tuple[Float[Array, "band y x"], ...]
-    """Images of the scene's own plants in the full form, of each sensor that makes one."""
+    """Images of the scene's own plants in the full form, without factors, and spectra as images of
+    one pixel: of each sensor with bands."""
 
     @property
-    def slope(self) -> Float[np.ndarray, "statistic free"]:
+    def slope(self) -> Float[np.ndarray, "statistic coordinate"]:
         """Mean of the slopes over the members."""
         return np.asarray(self.slopes).mean(axis=0)
 
@@ -216,28 +236,29 @@ class SearchState(Progress):
 
 class Expectation(eqx.Module):
     """The density that a round of a search climbs, for a solver that goes through it by itself: as
-    a `LogPosterior`, of expected statistics."""
+    a `LogPosterior`, of expected statistics, with the factors of the bands after the parameters."""
 
     expected: Expected
     """Statistics of the coarse form over the plantings of the search."""
-    spread: Float[Array, "free free"]
-    """Root of the covariance of what is unknown of the parameters, in whitened coordinates."""
+    spread: Float[Array, "coordinate coordinate"]
+    """Root of the covariance of what is unknown of parameters and factors, in whitened
+    coordinates."""
     offset: Float[Array, " statistic"]
     """Statistics of full scenes less those of the coarse form, which are added to the latter."""
     data: Data
     """The targets, with the errors at the start of the round."""
 
-    def statistics(self, u: Float[Array, " free"]) -> Float[Array, " statistic"]:
+    def statistics(self, u: Float[Array, " coordinate"]) -> Float[Array, " statistic"]:
         """Expected statistics at whitened coordinates."""
         return self.expected.members(u, self.spread) + self.offset
 
     def jacobian(
-        self, u: Float[Array, " free"]
-    ) -> tuple[Float[Array, " statistic"], Float[Array, "statistic free"]]:
+        self, u: Float[Array, " coordinate"]
+    ) -> tuple[Float[Array, " statistic"], Float[Array, "statistic coordinate"]]:
         """Expected statistics and their mean slopes."""
         return self.statistics(u), self.expected.slopes(u, self.spread).mean(axis=0)
 
-    def __call__(self, u: Float[Array, " free"]) -> Float[Array, ""]:
+    def __call__(self, u: Float[Array, " coordinate"]) -> Float[Array, ""]:
         """Logarithm of the density, up to a constant."""
         rest = self.data.whiten(self.statistics(u) - self.data.value)
         return -0.5 * (rest @ rest + u @ u)
@@ -294,6 +315,7 @@ class PlotSearch:
         views: Sequence[AbstractView],
         settings: CalibrationSettings | None = None,
         *,
+        error: ModelError | None = None,
         solver: Any = None,
     ) -> None:
         settings = CalibrationSettings() if settings is None else settings
@@ -305,9 +327,10 @@ class PlotSearch:
                 f"`views` must yield the statistics of `data` in their order, {data.names[:3]}..., "
                 f"but yield {yielded[:3]}..."
             )
-        self.data, self.space, self.views, self.settings = data, space, tuple(views), settings
+        self.data, self.views, self.settings = data, tuple(views), settings
+        self.space = PlotSpace(space, BandFactors.of(self.views, error))
         self.signed = (
-            scene, parameters, data, space, self.views, settings, solver,
+            scene, parameters, data, self.space, self.views, settings, solver,
         )  # fmt: skip
         """All that its steps follow from, besides where it starts."""
         # A Broyden solver goes step by step; any other (`_solver`) through a round at once.
@@ -350,7 +373,7 @@ class PlotSearch:
 
     def _first_calls(self, own: Scene, coarse: Scene) -> Iterator[tuple[Any, ...]]:
         """Calls by which the programs of a search that are new are compiled."""
-        u = jnp.zeros(len(self.space.names))
+        u = jnp.zeros(self.space.size)
         one = Expected(self._predict, self._predict, self.space, (coarse,), 0, 1)
         calls: list[tuple[Any, ...]] = [(self._look, own, u), (one.at, coarse, u)]
         if len(self.data.names) <= _MOST_ROWS:
@@ -400,7 +423,7 @@ class PlotSearch:
     def _short(self, u: Array, wanted: np.ndarray, draws: int) -> np.ndarray:
         """Plants for which sites must be made at `u` and at draws of the prior about it; `wanted`
         where there are enough, or where no more can be made."""
-        normals = [unit_draw(self.settings.seed, i, len(self.space.names)) for i in range(draws)]
+        normals = [unit_draw(self.settings.seed, i, self.space) for i in range(draws)]
         # The place itself first, then where the search may come to.
         places = jnp.stack([u, *(u + jnp.asarray(normal) for normal in normals)])
         counts = np.asarray(plants_wanted(self._scene, self._parameters, self.space, places))
@@ -420,12 +443,15 @@ class PlotSearch:
 
     # -- the informative subspace -----------------------------------------------------------
 
-    def _subspace(self, expected: Expected, data: Data) -> Subspace:
-        """The directions along which slopes of the many statistics of an image are taken, by the
-        errors of `data` and draws of the prior; else the statistics themselves."""
+    def _subspace(self, expected: Expected, origin: SearchPlace) -> Subspace:
+        """The directions along which slopes of the many statistics of an image are taken, by their
+        errors at `origin`, what factors change there, and draws of the prior; else the statistics
+        themselves."""
         many = [isinstance(v, ImageView) and len(v.names) > _MOST_ROWS for v in self._predict.views]
         draws = expected.prior_draws(_PRIOR_DRAWS) if any(many) else np.empty(0)
-        covariance, parts, start = np.asarray(data.covariance), [], 0
+        covariance, parts, start = np.asarray(self.data_at(origin).covariance), [], 0
+        if any(many):
+            covariance = covariance + self._by_factors(origin)
         for view, reduced in zip(self._predict.views, many, strict=True):
             part = slice(start, start := start + len(view.names))
             every = jnp.eye(len(view.names))
@@ -436,6 +462,17 @@ class PlotSearch:
             )
         return Subspace(tuple(own.rows for own in parts), tuple(own.back for own in parts))
 
+    def _by_factors(self, place: SearchPlace) -> Float[np.ndarray, "statistic statistic"]:
+        """Covariance of the statistics by what the factors of the bands may be, to first order."""
+        slopes, images = [], iter(place.images)
+        for view in self.views:
+            if view.bands is None:
+                slopes.append(np.zeros((len(view.names), 0)))
+            else:
+                slopes.append(np.asarray(_factor_slopes(view, next(images)), float))
+        of_units = scipy.linalg.block_diag(*slopes) @ self.space.factors.root
+        return np.asarray(of_units @ of_units.T)
+
     # -- what a place says ------------------------------------------------------------------
 
     @double_precision
@@ -445,7 +482,10 @@ class PlotSearch:
 
     def _look(self, stand: Scene, u: Array) -> tuple[Array, ...]:
         """Statistics and images of a stand in its full form."""
-        return look(self.views, stand, self.plot(u))
+        factors = self.space.factors
+        free = len(self.space.plot.names)
+        logarithms = factors.logarithms(u[free:]) if factors.coordinates else None
+        return look(self.views, stand, self.plot(u), logarithms)
 
     def _observe(
         self,
@@ -453,7 +493,7 @@ class PlotSearch:
         wanted: np.ndarray,
         u: Array,
         spread: np.ndarray,
-        slopes: Float[np.ndarray, "member statistic free"],
+        slopes: Float[np.ndarray, "member statistic coordinate"],
         rendered: SearchPlace | None = None,
         draws: int | None = None,
     ) -> SearchPlace:
@@ -476,21 +516,22 @@ class PlotSearch:
             images = rendered.images
         rest = expected.residues(u, spread, slopes.mean(axis=0), draws)
         statistics = rest.mean(axis=0) + lack.mean(axis=0)
-        covariance = radiometric_covariance(self.views, images)
+        covariance = np.zeros((len(self.data.names),) * 2)
         if self.settings.stand_realisations:
             covariance = covariance + chance_covariance(rest, lack, len(expected.stands))
         # Steps of a round see stands in expectation, of few draws; the offset makes up for both.
         offset = statistics - np.asarray(expected.members(u, spread))
         array = jnp.asarray
         return SearchPlace(
-            u, array(spread), array(statistics), array(covariance), array(offset), array(slopes),
-            array(whole), array(lack), images,
+            u, array(spread), array(statistics), array(covariance), array(1.0),
+            array(offset), array(slopes), array(whole), array(lack), images,
         )  # fmt: skip
 
     @double_precision
     def data_at(self, place: SearchPlace) -> Data:
         """The targets with the errors at a place."""
-        return with_error(self.data, np.asarray(place.covariance))
+        found = with_error(self.data, np.asarray(place.covariance))
+        return found.widened(float(place.excess))
 
     @double_precision
     def weights(
@@ -515,15 +556,15 @@ class PlotSearch:
     # -- the search -------------------------------------------------------------------------
 
     @double_precision
-    def begin(self, u: Float[Array, " free"], after: SearchState | None = None) -> SearchState:
+    def begin(self, u: Float[Array, " some"], after: SearchState | None = None) -> SearchState:
         """The state at whitened coordinates `u`.
 
-        **Arguments:** `u`, and the end of another start, whose sites and informative subspace this
-        one shares.
+        **Arguments:** `u`, of the parameters alone, whose factors are then one, or of both; and the
+        end of another start, whose sites and informative subspace this one shares.
 
         **Raises:** `InputError` where a statistic is not finite there.
         """
-        u, free = jnp.asarray(u), len(self.space.names)
+        u, free = self.space.whole(u), self.space.size
         none = np.zeros((free, free))
         chance = self.settings.stand_realisations
         draws = max(self.settings.scatter_draws, chance) if chance else 0
@@ -542,10 +583,7 @@ class PlotSearch:
                 f"the statistic {self.data.names[int(np.argmin(finite))]} is not finite at the "
                 "start. Is the sun near the horizon, or a parameter at the end of its range?"
             )
-        if after is None:
-            subspace = self._subspace(expected, self.data_at(origin))
-        else:
-            subspace = after.subspace
+        subspace = self._subspace(expected, origin) if after is None else after.subspace
         expected = self._expected(wanted, subspace)
         # Then over the prior, whose covariance is one in whitened coordinates.
         spread = np.eye(free) if chance else none
@@ -634,6 +672,7 @@ class PlotSearch:
             place = self._observe(expected, wanted, u, spread, slopes)
         if not np.isfinite(np.asarray(place.statistics)).all():  # what was found before stays
             return dataclasses.replace(state, u=before.u, ended=state.ended + 1)
+        place = self._asked(place, state.subspace)
         descent = self._descent(place, state.subspace)
         # The round kept its slopes, and the expectation is now over another spread.
         left = unsettled(np.asarray(descent.residual), np.asarray(descent.jacobian), moved)
@@ -643,6 +682,7 @@ class PlotSearch:
                 slopes = np.asarray(expected.slopes(u, spread))
                 rendered = None if settled else place
                 place = self._observe(expected, wanted, u, spread, slopes, rendered)
+                place = self._asked(place, state.subspace)
                 descent = self._descent(place, state.subspace)
             elif bool(status == FitStatus.successful):
                 status = FitStatus.max_rounds
@@ -655,6 +695,30 @@ class PlotSearch:
             step=whole(0), ended=whole(not goes_on),
         )  # fmt: skip
         return recorded(ended) if goes_on else ended
+
+    @double_precision
+    def misfit(self, state: SearchState) -> float:
+        """Squared misfit by the stated errors, along the directions that count, and squared
+        distance from the prior, at the place that is kept."""
+        stated = dataclasses.replace(state.place, excess=jnp.asarray(1.0))
+        return 2.0 * self.objective(state.best, self.weights(stated, state.subspace))
+
+    def _least_misfit(self, place: SearchPlace, subspace: Subspace) -> float:
+        """The same where a Gauss-Newton step from a place would end: what another step would still
+        take away is no error of the data. NaN where a slope is."""
+        stated = dataclasses.replace(place, excess=jnp.asarray(1.0))
+        weights = self.weights(stated, subspace)
+        rest = self._whitened(weights, np.asarray(place.statistics), place.u)
+        rows = np.concatenate([weights @ place.slope, np.eye(place.u.size)])
+        if not (np.isfinite(rest).all() and np.isfinite(rows).all()):
+            return float("nan")
+        basis, _ = np.linalg.qr(rows)
+        return float(rest @ rest - np.sum((basis.T @ rest) ** 2))
+
+    def _asked(self, place: SearchPlace, subspace: Subspace) -> SearchPlace:
+        """A place with the `excess` of its errors (`excess_of`)."""
+        found = excess_of(self._least_misfit(place, subspace), sum(map(len, subspace.rows)))
+        return dataclasses.replace(place, excess=jnp.asarray(found))
 
     def _settled(self, state: SearchState, moved: np.ndarray, status: Any) -> bool:
         """Whether a round after the first has converged and moved so little that expectations over
@@ -681,6 +745,9 @@ class PlotSearch:
         )
         settled = same.all() and bool(status == FitStatus.successful)
         return state.best, reason if settled else state.status
+
+
+_factor_slopes = eqx.filter_jit(lambda view, image: view.factor_slopes(image))
 
 
 def begun(
@@ -710,8 +777,8 @@ def recorded(state: Any) -> Any:
 
 def posterior_root(
     weights: Float[np.ndarray, "direction statistic"],
-    slopes: Float[np.ndarray, "member statistic free"],
-) -> Float[np.ndarray, "free free"]:
+    slopes: Float[np.ndarray, "member statistic coordinate"],
+) -> Float[np.ndarray, "coordinate coordinate"]:
     """Root of the covariance of the posterior in whitened coordinates, by what the mean of the
     slopes of several draws says. `weights` make of misfits independent ones of unit size."""
     # Data and prior add their information, the prior one in every direction.

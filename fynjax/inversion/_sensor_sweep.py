@@ -14,6 +14,7 @@ from fynjax._core.errors import InputError, whole_number
 from fynjax._core.precision import double_precision
 from fynjax._core.progress import track
 from fynjax.inversion._expected import other_plantings
+from fynjax.inversion._factors import BandFactors
 from fynjax.inversion._fit_result import scatter_covariance
 from fynjax.inversion._information import (
     Information,
@@ -27,6 +28,7 @@ from fynjax.metrics import quantiles, standard_deviation
 from fynjax.radiation import Accuracy
 from fynjax.scene import (
     AimedSensor,
+    ModelError,
     Placement,
     PlotParameters,
     Scene,
@@ -93,7 +95,8 @@ def sweep_sensors(
     bands: Sequence[int],
     noise: Sequence[float] = (0.01,),
     sun_zenith: Sequence[float] | None = None,
-    error: float = 0.01,
+    relative_sd: float = 0.01,
+    model_error: ModelError | None = None,
     stand_realisations: int = 15,
     draws: int = 4,
     coarse: Accuracy = COARSE,
@@ -109,13 +112,19 @@ def sweep_sensors(
     statistics of the sweep have one covariance and one set of slopes, and each sensor takes its
     part of both. So smaller pixels, or a multiple of the bands, never have a larger bound.
 
-    Errors are the noise of the pixels, an error of `error` times each statistic (calibration, the
-    model), and where the plants stand: nobody measured that, so its covariance is estimated from
-    the stand and other `stand_realisations` (`scatter_covariance`), and only slopes that these
-    share are information (`shared_slopes`). The fewer they are, the less certain the bounds: on a
-    plot of 4 m of fynbos (15 parameters, ten sensors), over those of 1350 plantings, 0.96 (0.45 to
-    1.84 in 80 of 100 cases) with 4 realisations, 1.04 (0.57 to 1.63) with 15, 1.06 (0.78 to 1.36)
-    with 64.
+    Errors are the noise of the pixels, an independent error of `relative_sd` times each statistic,
+    factors that bands are off by in all pixels, and where the plants stand: nobody measured that,
+    so its covariance is estimated from the stand and other `stand_realisations`
+    (`scatter_covariance`), and only slopes that these share are information (`shared_slopes`). The
+    fewer they are, the less certain the bounds: on a plot of 4 m of fynbos (15 parameters, ten
+    sensors, bands without factors), over those of 1350 plantings, 0.96 (0.45 to 1.84 in 80 of 100
+    cases) with 4 realisations, 1.04 (0.57 to 1.63) with 15, 1.06 (0.78 to 1.36) with 64.
+
+    The factor of a band is the gain of the sensor (`Sensor.gains`) times the model's error at its
+    wavelength. To first order their covariance F adds J F J' to that of the statistics, with J the
+    slopes of the statistics by the logarithms of the factors. The factor of a wide band is that of
+    the narrow ones in it together; its gain has a part of its own too, so that it is as uncertain
+    as theirs. With factors no bound is smaller than without.
 
     Each planting and sun is rendered once with its derivatives by forward mode, in the finest
     pixels and the sensor's bands; coarser pixels and wider bands are averages of those. Light has
@@ -131,7 +140,8 @@ def sweep_sensors(
     - `bands`: numbers of bands, which divide the sensor's number; they share its range.
     - `noise`: of a pixel, over its reflectance [-].
     - `sun_zenith`: [degrees]; the plot's own if left out.
-    - `error`: standard deviation of a further error of every statistic, relative [-].
+    - `relative_sd`: standard deviation of a further error of every statistic, relative [-].
+    - `model_error`: what the model is off by over wavelength; it is believed if left out.
     - `stand_realisations`: at least 2.
     - `draws`: realisations of the noise.
     - `coarse`: accuracy of the light.
@@ -150,6 +160,7 @@ def sweep_sensors(
     others = other_plantings(scene, range(1, stand_realisations + 1))
     plantings = [quick, *(coarser(other, parameters) for other in others)]
     at = space.physical(jnp.zeros(len(space.names)))
+    factors = BandFactors.of_bands([(sensor.bands, sensor.gains())], model_error)
     bounds = []
     for lit, camera in zip(lights, cameras):
         sun = float(np.asarray(lit.light.sun_zenith))
@@ -163,7 +174,8 @@ def sweep_sensors(
             image, slopes = jax.device_get(rendered)
             measured.append(_measure(image, slopes, steps, bands, noise, draws, seed))
         together = {
-            level: _Sweep.of([every[level] for every in measured], space, error) for level in noise
+            level: _Sweep.of([every[level] for every in measured], space, relative_sd, factors)
+            for level in noise
         }
         for step, size in zip(steps, gsd):
             for count in bands:
@@ -288,6 +300,8 @@ class _Block(NamedTuple):
     variance: Float[np.ndarray, " statistic"]
     """Variance by the noise of pixels; zeros for means, whose variance depends on the pixel
     (`_Measured.mean_noise`)."""
+    by_factor: Float[np.ndarray, "statistic band"]
+    """Slopes by the logarithms of factors on the sensor's bands."""
 
 
 class _Measured(NamedTuple):
@@ -313,16 +327,22 @@ def _measure(
     measured = {level: _Measured([], {}, {}) for level in noise}
     counts = sorted(set(bands))
     image, slopes = np.asarray(image, float), np.asarray(slopes, float)
+    most, free = len(image), slopes.shape[3]
     for count in counts:
-        shape = (count, -1)
+        shape = (count, most // count)
         # The mean of a band is the same whatever the pixel, and is kept once.
-        of_bands = image.mean(axis=(1, 2)).reshape(shape).mean(axis=1)
-        change = slopes.mean(axis=(1, 2)).reshape(*shape, slopes.shape[3]).mean(axis=1)
+        parts = image.mean(axis=(1, 2)).reshape(shape)
+        change = slopes.mean(axis=(1, 2)).reshape(*shape, free).mean(axis=1)
+        means = parts.mean(axis=1), change, np.zeros(count), _placed(parts / shape[1])
         for one in measured.values():
-            one.blocks.append(_Block(0, count, of_bands, change, np.zeros(count)))
+            one.blocks.append(_Block(0, count, *means))
     for step in sorted(set(steps), reverse=True):
         for count in counts:
             coarse, change = (_degrade(values, step, count) for values in (image, slopes))
+            # A factor on one of the narrow bands in each: what it adds to their mean.
+            narrow = _degrade(image, step, most).reshape(count, -1, *coarse.shape[1:])
+            parts = np.moveaxis(narrow, 1, -1) * (count / most)
+            change = np.concatenate([change, parts], axis=-1)
             pixels = coarse[0].size
             random = np.random.default_rng(seed)
             noisy = random.normal(size=(draws, *coarse.shape))
@@ -330,9 +350,24 @@ def _measure(
                 one.pixels[step] = pixels
                 one.mean_noise[step, count] = level**2 * (coarse**2).mean(axis=(1, 2)) / pixels
                 if pixels >= _SPREAD_FROM:
-                    found = jax.device_get(_spread(coarse, change, 1.0 + level * noisy))
-                    one.blocks.append(_Block(step, count, *found))
+                    spread = _spread(coarse, change, 1.0 + level * noisy)
+                    values, push, variance = jax.device_get(spread)
+                    # Each scales with a factor that its bands have in common, quantiles too, of
+                    # which the slopes are means over a window.
+                    parts = push[:, free:] * (values / push[:, free:].sum(axis=1))[:, None]
+                    by_factor = _placed(parts.reshape(count, -1, most // count))
+                    one.blocks.append(
+                        _Block(step, count, values, push[:, :free], variance, by_factor)
+                    )
     return measured
+
+
+def _placed(of_parts: Float[np.ndarray, "band *kind part"]) -> Float[np.ndarray, "statistic _band"]:
+    """Slopes of each band's statistics by factors on the narrow bands in it, as slopes by factors
+    on all narrow bands."""
+    count, part = of_parts.shape[0], of_parts.shape[-1]
+    rows = of_parts.reshape(count, -1, 1, part) * np.eye(count)[:, None, :, None]
+    return rows.reshape(-1, count * part)
 
 
 class _Sweep(NamedTuple):
@@ -350,24 +385,33 @@ class _Sweep(NamedTuple):
     pixels: dict[int, int]
 
     @classmethod
-    def of(cls, plantings: Sequence[_Measured], space: ParameterSpace, error: float) -> "_Sweep":
+    def of(
+        cls,
+        plantings: Sequence[_Measured],
+        space: ParameterSpace,
+        relative_sd: float,
+        factors: BandFactors,
+    ) -> "_Sweep":
         """From what each planting shows."""
         first = plantings[0]
         keys = [(block.step, block.bands) for block in first.blocks]
         sizes = [len(block.values) for block in first.blocks]
         rows = np.split(np.arange(sum(sizes)), np.cumsum(sizes)[:-1])
-        values, slopes, variance = (
+        values, slopes, variance, by_factor = (
             np.stack([np.concatenate([getattr(b, name) for b in one.blocks]) for one in plantings])
-            for name in ("values", "slopes", "variance")
+            for name in ("values", "slopes", "variance", "by_factor")
         )
         noise = variance.mean(axis=0)
         alike = _alike(keys, sizes)
-        sd = np.sqrt((error * values.mean(axis=0)) ** 2 + noise)
-        # Where plants stand, then calibration and noise, which statistics of the same bands share.
+        usual = values.mean(axis=0)
+        sd = np.sqrt((relative_sd * usual) ** 2 + noise)
+        # Where plants stand, then errors and noise, which statistics of the same bands share.
         covariance = scatter_covariance(values, alike) + alike * sd * sd[:, None]
         scale = np.asarray(space.prior_sd, float)
         # By parameters in units of their priors, so that a threshold means the same for all.
         shared = shared_slopes(slopes * scale, covariance, rows) / scale
+        # What plantings share does not depend on what bands are off by: so no bound falls by it.
+        covariance = covariance + _of_factors(keys, rows, usual, by_factor.mean(axis=0), factors)
         mean_noise = {
             key: np.mean([one.mean_noise[key] for one in plantings], axis=0)
             for key in first.mean_noise
@@ -413,3 +457,37 @@ def _alike(keys: Sequence[tuple[int, int]], sizes: Sequence[int]) -> np.ndarray:
     same = np.array([[one == other for other in kinds] for one in kinds])
     shared = same * (weight @ weight.T)
     return shared + np.diag(1.0 - np.diagonal(shared))
+
+
+def _of_factors(
+    keys: Sequence[tuple[int, int]],
+    rows: Sequence[np.ndarray],
+    values: Float[np.ndarray, " statistic"],
+    by_factor: Float[np.ndarray, "statistic band"],
+    factors: BandFactors,
+) -> Float[np.ndarray, "statistic statistic"]:
+    """Covariance of statistics by the factors of bands, to first order.
+
+    The gain of a wide band is the mean of those of the bands that are next narrower, weighted by
+    reflectance, and an own part that makes it as uncertain as theirs, as a sensor of few bands has
+    it: what is made of many bands then tells nothing beside these.
+    """
+    of_gains, most = np.asarray(factors.of_gains), by_factor.shape[1]
+    found = by_factor @ (of_gains + np.asarray(factors.of_model)) @ by_factor.T
+    means = {count: at for (step, count), at in zip(keys, rows) if step == 0}
+    # Roots of the own parts of gains, by number of bands, the narrowest first.
+    wide = sorted(set(means) - {most}, reverse=True)
+    own = {most: np.zeros((most, sum(wide)))}
+    for count, start in zip(wide, np.cumsum([0, *wide])):
+        weight = by_factor[means[count]] / values[means[count], None]
+        finer = min(one for one in own if one % count == 0)
+        root = weight.reshape(count, finer, -1).sum(axis=2) @ own[finer]
+        known = np.einsum("bi,ij,bj->b", weight, of_gains, weight) + (root**2).sum(axis=1)
+        missing = np.maximum(weight @ np.diagonal(of_gains) - known, 0.0)
+        root[:, start : start + count] = np.diag(np.sqrt(missing))
+        own[count] = root
+    every = np.concatenate(
+        [np.repeat(own[count], len(at) // count, axis=0) for (_, count), at in zip(keys, rows)]
+    )
+    every *= values[:, None]
+    return np.asarray(found + every @ every.T)

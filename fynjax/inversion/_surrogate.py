@@ -116,9 +116,11 @@ def surrogate_renders(
     """
     fit = calibration.fit
     forward = PlotForward(calibration.before, fit.names, calibration.coarse_views)
+    factors = calibration.coordinates[len(fit.names) :]  # as estimated, where slopes were taken
     for i, u in enumerate(track(_draws(fit, seed), "Fit a surrogate", _RENDERS)):
         stand = calibration.stands[i % len(calibration.stands)].expected()
-        yield np.asarray(predicted(forward, fit.space, stand, jnp.asarray(u)))
+        place = jnp.asarray(np.concatenate([u, factors]))
+        yield np.asarray(predicted(forward, calibration.space, stand, place))
 
 
 def _draws(fit: FitResult, seed: int) -> Float[np.ndarray, "draw free"]:

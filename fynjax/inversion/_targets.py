@@ -36,10 +36,10 @@ def compared_statistics(bands: BandSet | Sequence[str] = BANDS) -> tuple[str, ..
     )
 
 
-_SPREAD = 10.0
-"""Error of a standard deviation over that of a mean [-]: against a path tracer's image of the same
-plants means are off by 1 %, standard deviations by 5 to 20 % (`tests.benchmarks.table_radiation`),
-and the camera's noise adds to them."""
+SPREAD_SD = 0.12
+"""What spreads between pixels are off by, of the model, relative [-]: standard deviations of a path
+tracer's image of the same plants differ by 5 to 20 % (`tests.benchmarks.table_radiation`). Noise
+and leaves smaller than what is modelled change spreads and not means."""
 
 
 @double_precision
@@ -52,13 +52,16 @@ def weigh_targets(
 ) -> Data:
     """Targets with the errors that a calibration gives them.
 
-    A stated `sd` is kept. Without one, or where it is NaN, a mean or quantile gets the share
-    `relative_sd` of its value, and a standard deviation ten times that, because sensor noise and
-    leaves smaller than what is modelled change spreads first. Mean and quantiles of one band repeat
-    one measurement, and so do its standard deviations, and indices that are functions of the same
-    ratio of two bands: a group of n has its errors widened by sqrt(n). So are those of three
-    bands' shares, although they hold two ratios. Which these are follows from the formulas
-    (`VegetationIndex.measures`).
+    A stated `sd` is kept. Without one, or where it is NaN, a statistic gets the share `relative_sd`
+    of its value, independent of others. Mean and quantiles of one band repeat one measurement, and
+    so do its standard deviations, and indices that are functions of the same ratio of two bands: a
+    group of n has this error widened by sqrt(n). So are those of three bands' shares, although they
+    hold two ratios. Which these are follows from the formulas (`VegetationIndex.measures`).
+
+    The model's error of spreads comes on top: standard deviations, and the distances of quantiles
+    from the mean, are off by `SPREAD_SD`, half of the variance by a factor that all spreads of one
+    band or index share. What bands are off by as a whole is no error of their statistics here: it
+    is a parameter of a calibration (`ModelError`, `Gains`).
 
     **Arguments:**
 
@@ -67,7 +70,7 @@ def weigh_targets(
     - `relative_sd`: standard deviation over the value where none is stated, positive [-].
     - `sd`: stated standard deviations, in the units of `value`, NaN for none.
 
-    **Returns:** `Data` with independent errors.
+    **Returns:** `Data`, with correlated errors where there are spreads.
 
     **Raises:** `InputError` if `relative_sd` is not positive or a value is not finite.
     """
@@ -79,12 +82,35 @@ def weigh_targets(
         group = layer if index is None else index.measures
         keys.append((group, kind.startswith("std")))
     error = np.full(len(names), np.nan) if sd is None else np.array(sd, float)
+    stated = np.isfinite(error)
     for i, key in enumerate(keys):
-        if np.isnan(error[i]):
-            share = relative_sd * (_SPREAD if key[1] else 1.0)
+        if not stated[i]:
             # Repeats of one measurement: n of them with sqrt(n) the error count as one.
-            error[i] = max(share * abs(value[i]), 1e-4) * np.sqrt(keys.count(key))
-    return Data(tuple(names), jnp.asarray(value), jnp.asarray(error))
+            error[i] = max(relative_sd * abs(value[i]), 1e-4) * np.sqrt(keys.count(key))
+    apart = SPREAD_SD * np.where(stated, 0.0, _spreads(names, np.asarray(value, float)))
+    if not apart.any():
+        return Data(tuple(names), jnp.asarray(value), jnp.asarray(error))
+    layers = np.array([name.split(".")[0] for name in names])
+    alike = 0.5 * (layers[:, None] == layers) + 0.5 * np.eye(len(names))
+    data = Data(tuple(names), jnp.asarray(value), jnp.asarray(error))
+    return data.with_covariance(alike * np.outer(apart, apart))
+
+
+def _spreads(
+    names: Sequence[str], value: Float[np.ndarray, " statistic"]
+) -> Float[np.ndarray, " statistic"]:
+    """What of each statistic is a spread: a standard deviation, or the distance of a quantile from
+    the middle of its band, which is its mean, or the mean of what there is."""
+    kinds = [name.split(".") for name in names]
+    found = np.zeros(len(names))
+    for i, (layer, kind) in enumerate(kinds):
+        if kind.startswith("std"):
+            found[i] = value[i]
+        elif kind.startswith("q"):
+            own = [j for j, (other, k) in enumerate(kinds) if other == layer and k[0] in "mq"]
+            means = [j for j in own if kinds[j][1] == "mean"]
+            found[i] = value[i] - value[means or own].mean()
+    return found
 
 
 GAIN, OFFSET = 0.03, 0.003
@@ -100,7 +126,7 @@ def weigh_spectrum(
     *,
     noise: Float[np.ndarray, " statistic"] | None = None,
     sampling: Float[np.ndarray, "statistic statistic"] | None = None,
-    gain: float = GAIN,
+    gain: float = 0.0,
     offset: float = OFFSET,
 ) -> Data:
     """A mean spectrum as targets, with errors that its bands share.
@@ -115,7 +141,8 @@ def weigh_spectrum(
     - `relative_sd`: standard deviation of the model's error over the value, positive [-].
     - `noise`: standard deviation of each band's noise [-]; none by default.
     - `sampling`: covariance of the mean (of pixels: theirs over their number); none by default.
-    - `gain`: standard deviation of a factor on all bands [-].
+    - `gain`: standard deviation of a factor on all bands [-]; none by default, where it is that of
+      the view (`spectrum_view`).
     - `offset`: standard deviation of a reflectance added to all bands [-].
 
     **Returns:** `Data` with correlated errors.

@@ -13,7 +13,6 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-import scipy.linalg
 from jaxtyping import Array, Float, Int
 
 from fynjax.canopy import VoxelGrid
@@ -37,17 +36,56 @@ LIDAR = "lidar"
 """Statistics of a cloud are called '<LIDAR>.<metric>'."""
 
 
+def multiplied(
+    image: Float[Array, "band y x"], log_factor: Float[Array, " band"] | None
+) -> Float[Array, "band y x"]:
+    """An image times factors of its bands, given by their logarithms; None: as it is."""
+    if log_factor is None:
+        return image
+    return image * jnp.exp(log_factor).astype(image.dtype)[:, None, None]
+
+
+FactorAt = Callable[[Array], Float[Array, " band"]]
+"""Logarithms of the factors of a view's bands from the coordinates of a search."""
+
+
 class AbstractView(eqx.Module):
     """What one sensor yields of a scene."""
 
     names: eqx.AbstractVar[tuple[str, ...]]
     """Name of each statistic."""
 
+    @property
+    def bands(self) -> BandSet | None:
+        """The bands that may be off by factors; None of a sensor without bands."""
+        return None
+
+    @property
+    def gains(self) -> Gains:
+        """What the gains of the `bands` may be off by."""
+        return Gains(0.0)
+
     @abc.abstractmethod
     def observe(
         self, scene: Scene, parameters: PlotParameters
     ) -> tuple[Float[Array, "band y x"] | None, Float[Array, " statistic"]]:
-        """The image, of a sensor that makes one, and the statistics. Differentiable."""
+        """The image, or a spectrum as that of one pixel, and its statistics; of a sensor without
+        bands None and the statistics. Differentiable."""
+
+    def statistics(
+        self, image: Float[Array, "band y x"], log_factor: Float[Array, " band"] | None = None
+    ) -> Float[Array, " statistic"]:
+        """The statistics of an image that `observe` made, times factors of its bands, given by
+        their logarithms. Differentiable."""
+        raise NotImplementedError(f"{type(self).__name__} makes no image")
+
+    def factor_slopes(
+        self, image: Float[Array, "band y x"], log_factor: Float[Array, " band"] | None = None
+    ) -> Float[Array, "statistic band"]:
+        """Derivatives of the statistics of `image` by the logarithm of each band's factor, at the
+        factors `log_factor`, one by default."""
+        at = jnp.zeros(image.shape[0]) if log_factor is None else log_factor
+        return jax.jacfwd(lambda log: self.statistics(image, log))(at.astype(image.dtype))
 
     @abc.abstractmethod
     def for_search(self, scene: Scene, accuracy: Accuracy, stride: int | None) -> Self:
@@ -55,15 +93,40 @@ class AbstractView(eqx.Module):
         `accuracy`, and of a drone's image every `stride`-th pixel along each axis, or those a voxel
         apart. `scene` is that of the full form."""
 
-    def predict(self, scene: Scene, parameters: PlotParameters) -> Float[Array, " statistic"]:
-        """The statistics. Differentiable in `parameters`."""
-        return self.observe(scene, parameters)[1]
+    def predict(
+        self,
+        scene: Scene,
+        parameters: PlotParameters,
+        log_factor: Float[Array, " band"] | None = None,
+    ) -> Float[Array, " statistic"]:
+        """The statistics, with factors of the bands, given by their logarithms. Differentiable in
+        `parameters` and `log_factor`."""
+        return self._with_factors(*self.observe(scene, parameters), log_factor)
+
+    def _with_factors(
+        self,
+        image: Float[Array, "band y x"] | None,
+        plain: Float[Array, " statistic"],
+        log_factor: Float[Array, " band"] | None,
+    ) -> Float[Array, " statistic"]:
+        return plain if image is None or log_factor is None else self.statistics(image, log_factor)
 
     def jacobian(
-        self, scene: Scene, plot_at: Callable[[Array], PlotParameters], u: Float[Array, " free"]
+        self,
+        scene: Scene,
+        plot_at: Callable[[Array], PlotParameters],
+        u: Float[Array, " free"],
+        factor_at: FactorAt | None = None,
     ) -> tuple[Float[Array, " statistic"], Float[Array, "statistic free"]]:
-        """Statistics of the plot at `u`, and their derivatives."""
-        return jacobian_by_rows(lambda u: self.predict(scene, plot_at(u)).astype(u.dtype), u)
+        """Statistics of the plot at `u`, with the factors of the bands there (`factor_at` gives
+        their logarithms), and their derivatives."""
+        return jacobian_by_rows(
+            lambda u: self.predict(scene, plot_at(u), _factor(factor_at, u)).astype(u.dtype), u
+        )
+
+
+def _factor(factor_at: FactorAt | None, u: Array) -> Array | None:
+    return None if factor_at is None else factor_at(u)
 
 
 class Directions(eqx.Module):
@@ -114,13 +177,20 @@ class ImageView(AbstractView):
     directions: Directions | None = None
     """Combinations of the statistics along which slopes are taken; None: every statistic."""
 
+    @property
+    def bands(self) -> BandSet:
+        return self.camera.sensor.bands
+
     def observe(
         self, scene: Scene, parameters: PlotParameters
     ) -> tuple[Float[Array, "band y x"], Float[Array, " statistic"]]:
         image = self.camera.observe(scene, parameters).reflectance
-        return image, self._statistics(image)
+        return image, self.statistics(image)
 
-    def _statistics(self, image: Float[Array, "band y x"]) -> Float[Array, " statistic"]:
+    def statistics(
+        self, image: Float[Array, "band y x"], log_factor: Float[Array, " band"] | None = None
+    ) -> Float[Array, " statistic"]:
+        image = multiplied(image, log_factor)
         pixel = self.camera.pixel if self.spacing is None else self.spacing
         bands = self.camera.sensor.bands
         return image_statistics(image, self.names, pixel=pixel, window=self.window, bands=bands)
@@ -134,51 +204,29 @@ class ImageView(AbstractView):
         return dataclasses.replace(self, camera=camera, spacing=every, window=_WINDOW)
 
     def jacobian(
-        self, scene: Scene, plot_at: Callable[[Array], PlotParameters], u: Float[Array, " free"]
+        self,
+        scene: Scene,
+        plot_at: Callable[[Array], PlotParameters],
+        u: Float[Array, " free"],
+        factor_at: FactorAt | None = None,
     ) -> tuple[Float[Array, " statistic"], Float[Array, "statistic free"]]:
         def render(u: Array) -> Array:
             return self.camera.observe(scene, plot_at(u)).reflectance
 
         # By the chain rule: statistics by pixels, which costs little, then pixels by parameters.
         image, to_parameters = jax.vjp(render, u)
-        value, to_image = jax.vjp(self._statistics, image)
+        factor = _factor(factor_at, u)
+        value, to_image = jax.vjp(lambda image: self.statistics(image, factor), image)
         chosen = self.directions
         rows = jnp.eye(value.size) if chosen is None else chosen.rows
         # All slopes by the image at once, so that the loop holds the renderer alone.
         by_image = jax.vmap(lambda row: to_image(row)[0])(rows.astype(value.dtype))
         slopes = jax.lax.map(lambda one: to_parameters(one)[0], by_image, batch_size=1)
         slopes = slopes.astype(u.dtype)
+        if factor_at is not None:  # of the image that there is: no render
+            by_factor = self.factor_slopes(image, factor).astype(u.dtype)
+            slopes = slopes + rows.astype(u.dtype) @ by_factor @ jax.jacfwd(factor_at)(u)
         return value.astype(u.dtype), slopes if chosen is None else chosen.back @ slopes
-
-    def gain_slopes(self, image: Float[Array, "band y x"]) -> Float[Array, "statistic band"]:
-        """Derivatives of the statistics of `image` by the logarithm of each band's gain."""
-
-        def scaled(log_gain: Array) -> Array:
-            return self._statistics(image * jnp.exp(log_gain)[:, None, None])
-
-        none = jnp.zeros(image.shape[0], image.dtype)
-        return jax.jacfwd(scaled)(none)
-
-
-def radiometric_covariance(
-    views: Sequence[AbstractView], images: Sequence[Float[Array, "band y x"]]
-) -> Float[np.ndarray, "statistic statistic"]:
-    """Covariance of the statistics of all views by what the cameras' gains may be off by.
-
-    **Arguments:** `views`, and the images of those that make one.
-    """
-    blocks, remaining = [], iter(images)
-    for view in views:
-        block = np.zeros((len(view.names),) * 2)
-        if isinstance(view, ImageView):
-            # To first order in the logarithms of the gains.
-            slopes = np.asarray(_gain_slopes(view, next(remaining)), float)
-            block = slopes @ view.gains.covariance(slopes.shape[1]) @ slopes.T
-        blocks.append(block)
-    return np.asarray(scipy.linalg.block_diag(*blocks))
-
-
-_gain_slopes = eqx.filter_jit(ImageView.gain_slopes)
 
 
 class SpectrumView(AbstractView):
@@ -191,18 +239,34 @@ class SpectrumView(AbstractView):
     names: tuple[str, ...] = eqx.field(static=True)
     imager: AimedSensor
     """Looks straight down, a pixel a voxel column."""
+    gains: Gains = eqx.field(static=True, default=Gains(0.0))
+    """Errors of the gains of the bands; by default none."""
+
+    @property
+    def bands(self) -> BandSet:
+        return self.imager.sensor.bands
 
     def observe(
         self, scene: Scene, parameters: PlotParameters
-    ) -> tuple[None, Float[Array, " statistic"]]:
-        return None, _mean_spectrum(scene, parameters, self)
+    ) -> tuple[Float[Array, "band 1 1"], Float[Array, " statistic"]]:
+        image = _mean_spectrum(scene, parameters, self)[:, None, None]
+        return image, self.statistics(image)
+
+    def statistics(
+        self, image: Float[Array, "band y x"], log_factor: Float[Array, " band"] | None = None
+    ) -> Float[Array, " statistic"]:
+        return multiplied(image, log_factor)[:, 0, 0]
 
     def for_search(self, scene: Scene, accuracy: Accuracy, stride: int | None) -> "SpectrumView":
         imager = dataclasses.replace(self.imager.sampled(_SEARCH_COLUMNS), accuracy=accuracy)
         return dataclasses.replace(self, imager=imager)
 
     def jacobian(
-        self, scene: Scene, plot_at: Callable[[Array], PlotParameters], u: Float[Array, " free"]
+        self,
+        scene: Scene,
+        plot_at: Callable[[Array], PlotParameters],
+        u: Float[Array, " free"],
+        factor_at: FactorAt | None = None,
     ) -> tuple[Float[Array, " statistic"], Float[Array, "statistic free"]]:
         bands = self.imager.sensor.bands
         # Voxels by the parameters once, for all bands; then band by band the light by the voxels.
@@ -211,11 +275,16 @@ class SpectrumView(AbstractView):
         def row(band: Array) -> Array:
             return backward(eqx.filter_grad(lambda v: self._mean(v, band))(voxels))[0]
 
-        value = jax.lax.map(lambda band: self._mean(voxels, band), self._bands).astype(u.dtype)
-        return value, jax.lax.map(row, self._bands)
+        value = jax.lax.map(lambda band: self._mean(voxels, band), self._places).astype(u.dtype)
+        rows = jax.lax.map(row, self._places)
+        if factor_at is None:
+            return value, rows
+        factor = jnp.exp(factor_at(u))
+        value = value * factor
+        return value, factor[:, None] * rows + value[:, None] * jax.jacfwd(factor_at)(u)
 
     @property
-    def _bands(self) -> Int[Array, " band"]:
+    def _places(self) -> Int[Array, " band"]:
         return jnp.arange(len(self.imager.sensor.bands))
 
     def _mean(self, voxels: VoxelScene, band: Array) -> Float[Array, ""]:
@@ -226,7 +295,7 @@ def _mean_spectrum(
     scene: Scene, parameters: PlotParameters, view: SpectrumView
 ) -> Float[Array, " band"]:
     voxels = scene.voxels(parameters, view.imager.sensor.bands)
-    return jax.lax.map(lambda band: view._mean(voxels, band), view._bands)
+    return jax.lax.map(lambda band: view._mean(voxels, band), view._places)
 
 
 _WINDOW = 0.05
@@ -258,7 +327,12 @@ def nadir_imager(
 
 
 def spectrum_view(
-    bands: BandSet, scene: Scene, parameters: PlotParameters, accuracy: Accuracy | None = None
+    bands: BandSet,
+    scene: Scene,
+    parameters: PlotParameters,
+    accuracy: Accuracy | None = None,
+    *,
+    gains: Gains | None = None,
 ) -> SpectrumView:
     """The view that a spectrometer has of a plot from straight above: its mean spectrum.
 
@@ -267,11 +341,12 @@ def spectrum_view(
     - `bands`: of the spectrometer.
     - `scene`, `parameters`: the plot.
     - `accuracy`: of the light; as `aim` has it by default.
+    - `gains`: what the gains of the bands may be off by; none by default.
 
     **Returns:** `SpectrumView`.
     """
     imager = nadir_imager(bands, scene, parameters, accuracy)
-    return SpectrumView(spectrum_names(bands), imager)
+    return SpectrumView(spectrum_names(bands), imager, Gains(0.0) if gains is None else gains)
 
 
 class StructureView(AbstractView):
@@ -326,15 +401,40 @@ def structure_view(
 
 @eqx.filter_jit
 def look(
-    views: Sequence[AbstractView], scene: Scene, parameters: PlotParameters
+    views: Sequence[AbstractView],
+    scene: Scene,
+    parameters: PlotParameters,
+    log_factors: Float[Array, " factor"] | None = None,
 ) -> tuple[Array, ...]:
-    """The statistics of all views, then the images of those that make one.
+    """The statistics of all views, then the images, without factors, of those that make one.
 
-    **Arguments:** `views` of a `scene` with `parameters`. Differentiable in these.
+    **Arguments:** `views` of a `scene` with `parameters`; `log_factors`, logarithms of the factors
+    of the bands of all views, one after the other; all one by default. Differentiable in these.
     """
-    observed = [view.observe(scene, parameters) for view in views]
+    parts = factors_by_view(views, log_factors)
+    observed = []
+    for view, own in zip(views, parts, strict=True):
+        image, plain = view.observe(scene, parameters)
+        observed.append((image, view._with_factors(image, plain, own)))
     images = [image for image, _ in observed if image is not None]
     return joined([values.astype(float) for _, values in observed]), *images
+
+
+def factors_by_view(
+    views: Sequence[AbstractView], log_factors: Float[Array, " factor"] | None
+) -> list[Float[Array, " _band"] | None]:
+    """The factors of each view, of those of all; None of a view without any.
+
+    **Arguments:**
+
+    - `views`: some of which have bands.
+    - `log_factors`: logarithms of the factors of all bands, view by view [-]; None: none of any.
+    """
+    if log_factors is None:
+        return [None] * len(views)
+    sizes = [0 if view.bands is None else len(view.bands) for view in views]
+    ends = np.cumsum(sizes)
+    return [log_factors[end - n : end] if n else None for n, end in zip(sizes, ends)]
 
 
 def joined(parts: Sequence[Array]) -> Array:
@@ -350,26 +450,39 @@ def _of_fixed_type(parameters: PlotParameters) -> PlotParameters:
 
 class PlotForward(eqx.Module):
     """The forward model of a plot: statistics from the values of the parameters that `free`
-    names, in their own units, and a `Scene`. The others are those of `parameters`."""
+    names, in their own units, and a `Scene`. The others are those of `parameters`. Logarithms of
+    the factors of the bands of all views may follow the values (`look`)."""
 
     parameters: PlotParameters = eqx.field(converter=_of_fixed_type)
     free: tuple[str, ...] = eqx.field(static=True, converter=tuple)
     views: tuple[AbstractView, ...] = eqx.field(converter=tuple)
 
-    def __call__(self, values: Float[Array, " free"], scene: Scene) -> Array:
+    def __call__(self, values: Float[Array, " value"], scene: Scene) -> Array:
         plot = self._plot(values, scene)
-        return joined([view.predict(scene, plot).astype(values.dtype) for view in self.views])
+        parts = zip(self.views, self._factors(values), strict=True)
+        return joined([v.predict(scene, plot, own).astype(values.dtype) for v, own in parts])
 
     def jacobian(
-        self, values_at: Callable[[Array], Array], u: Float[Array, " free"], scene: Scene
-    ) -> tuple[Float[Array, " statistic"], Float[Array, "statistic free"]]:
+        self, values_at: Callable[[Array], Array], u: Float[Array, " coordinate"], scene: Scene
+    ) -> tuple[Float[Array, " statistic"], Float[Array, "statistic coordinate"]]:
         """Statistics and their derivatives by `u`, of which `values_at` makes the values."""
 
         def plot_at(u: Array) -> PlotParameters:
             return self._plot(values_at(u), scene)
 
-        parts = [view.jacobian(scene, plot_at, u) for view in self.views]
+        def factors_of(number: int) -> FactorAt | None:
+            if self._factors(values_at(u))[number] is None:
+                return None
+            return lambda u: jnp.asarray(self._factors(values_at(u))[number])
+
+        parts = [
+            view.jacobian(scene, plot_at, u, factors_of(i)) for i, view in enumerate(self.views)
+        ]
         return joined([value for value, _ in parts]), joined([rows for _, rows in parts])
+
+    def _factors(self, values: Array) -> list[Array | None]:
+        given = values[len(self.free) :]
+        return factors_by_view(self.views, given if given.size else None)
 
     def _plot(self, values: Array, scene: Scene) -> PlotParameters:
         named: dict[str, Any] = {name: values[i] for i, name in enumerate(self.free)}

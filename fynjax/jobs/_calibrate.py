@@ -7,6 +7,7 @@ from typing import Any, Literal
 import jax.numpy as jnp
 import numpy as np
 import pandas as pd
+from pydantic import Field
 
 from fynjax._core.dry_run import begin_work
 from fynjax._core.errors import InputError
@@ -40,6 +41,7 @@ from fynjax.jobs._calibration_page import (
 from fynjax.jobs._calibration_tables import (
     ReferenceImage,
     calibration_dataset,
+    offered_stand,
     parameter_table,
     statistic_table,
 )
@@ -82,6 +84,15 @@ class CalibrateResult(JobResult):
     statistics: list[StatisticSummary]
     weakly_constrained_directions: list[dict[str, float]]
     starts: StartSummary
+    worse_than_table: bool = Field(
+        default=False,
+        description="Whether more bands moved away from what was measured than nearer: then the "
+        "values to use, `offered`, are those of the table.",
+    )
+    misfit_times: Number = Field(
+        default=None,
+        description="Misfit and distance from the prior over what is expected of both.",
+    )
 
 
 @double_precision
@@ -170,8 +181,10 @@ def _result(
     rows = statistics.rename(columns={"real": "target"})
     return run.result(
         CalibrateResult,
-        converged=bool(fit.converged),
-        status=status_of(fit),
+        converged=bool(fit.converged) and not result.worse,
+        worse_than_table=result.worse,
+        misfit_times=result.misfit / result.degrees,
+        status=status_of(result),
         parameters=parameters[list(ParameterSummary.model_fields)].to_dict("records"),
         statistics=rows.filter(list(StatisticSummary.model_fields)).to_dict("records"),
         weakly_constrained_directions=fit.weakly_constrained_directions(),
@@ -232,7 +245,8 @@ def calibrate_to(
     if result.image_after is not None:
         check_finite(result.image_after, plot)
     reference = ReferenceImage() if reference is None else reference
-    stand, parameters_of_fit = result.stand(), parameter_table(result)
+    stand = offered_stand(result.stand(), result)
+    parameters_of_fit = parameter_table(result)
     truth = []
     if known is not None:
         space, u = result.fit.space, jnp.asarray(known.whitened)
@@ -244,12 +258,20 @@ def calibrate_to(
         truth = [twin_sentence(result, known, stand, parameters_of_fit)]
     tables = stand, parameters_of_fit, (statistics := statistic_table(result, reference))
     agreement = agreement_sentences(plot, measured, statistics, reference)
-    headline = [*truth, stand_sentence(stand), *agreement, *parameter_sentences(result)]
+    headline = [
+        *result.doubts(),
+        *truth,
+        stand_sentence(stand),
+        *agreement,
+        *parameter_sentences(result),
+    ]
     with run.stage("Write"):
         record = run.record(inputs)
         words = "every band and index" if images else "every statistic", "field table"
         write_results(run, plot, result, tables, result.camera, record, words)
         dataset = calibration_dataset(result.scene, result)
+        if len(factors := result.factors()):
+            run.table("bands.csv", factors, "gain and model's error of every band, apart")
         write_run(run.path("run.nc", "the whole run, NetCDF"), dataset, record)
         lead = [*truth, stand_sentence(stand), *agreement]
         run.page(calibration_page(run, plot, result, measured, tables, reference, lead, record))

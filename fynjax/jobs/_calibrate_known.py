@@ -23,18 +23,19 @@ from fynjax.inversion import (
 from fynjax.io.plot import Plot, drone_sensor, sensor_place
 from fynjax.jobs._calibration_page import (
     doubt_first,
+    pair_of_errors,
     parameter_section,
     parameter_sentences,
     search_section,
     write_results,
 )
-from fynjax.jobs._calibration_tables import parameter_table
+from fynjax.jobs._calibration_tables import offered_stand, parameter_table
 from fynjax.jobs._doubt import doubt_spectrum
 from fynjax.jobs._follow import follow
-from fynjax.jobs._render import check_finite
+from fynjax.jobs._render import check_finite, image_views
 from fynjax.jobs._run import Run, peak_memory_mib
 from fynjax.report import figures
-from fynjax.report.pages import Page, Picture, Section, Table
+from fynjax.report.pages import Page, Part, Picture, Section, Table
 from fynjax.scene import AimedSensor
 
 
@@ -77,6 +78,7 @@ def known_plants(
             ready.space,
             camera,
             PixelSettings(block, settings.pixel_sd, max_steps=settings.max_iterations),
+            error=ready.error,
         )
         result = search.result(follow(search, [None], run, checkpoint)[0])
     check_finite(jnp.asarray(result.image_after), plot)
@@ -86,8 +88,9 @@ def known_plants(
         100.0 * float(np.sqrt(np.nanmean(((image - result.measured) / mean) ** 2)))
         for image in (result.image_before, result.image_after)
     ]
-    stand = result.stand()
+    stand = offered_stand(result.stand(), result)
     headline = [
+        *result.doubts(),
         stand_sentence(stand),
         f"{plot.name}: {result.degrees} means of {result.block} x {result.block} pixels compared; "
         f"their relative error {rmse[0]:.2f} % before, {rmse[1]:.2f} % after.",
@@ -103,14 +106,17 @@ def known_plants(
         run.page(
             Page(
                 f"Calibration: {plot.name}",
-                doubt_first(result.fit, " ".join(headline[:2])),
+                doubt_first(result, " ".join(headline[:2])),
                 [
                     Section("The image", _pictures(result, blocks.pixel)),
                     Section("", [Table(table, "Every band.", folded=True)]),
                     parameter_section(result, stand, parameters),
                     search_section(run, result, peak_memory_mib()),
                 ],
-                {"relative error after": f"{rmse[1]:.2f} %", "wall time": f"{run.total():.0f} s"},
+                {
+                    "relative error, before → after": pair_of_errors(*rmse),
+                    "wall time": f"{run.total():.0f} s",
+                },
                 record,
             )
         )
@@ -169,24 +175,24 @@ def band_table(result: KnownPlants) -> pd.DataFrame:
     return pd.DataFrame({"statistic": names, "fitted": True, **table})
 
 
-def _pictures(result: KnownPlants, pixel: float) -> list[Picture]:
-    names = result.camera.sensor.bands.names
+def _pictures(result: KnownPlants, pixel: float) -> list[Part]:
+    bands = result.camera.sensor.bands
     images = {
         "Measured": result.measured,
         "Before": result.image_before,
         "After": result.image_after,
     }
+    residuals = {title: images[title] - result.measured for title in ("Before", "After")}
     return [
-        Picture(
-            "false_colour.png",
-            figures.composites(images, names, pixel_m=pixel),
-            "image measured, before and after, near infrared as red",
-            "False colour.",
-        ),
+        "All with one stretch, that of the measured image, and one scale of length. The pictures "
+        "after are times the camera's gains and the model's error, as they are compared.",
+        image_views(images, bands, pixel, "Measured"),
+        "Plants stand where they were mapped, so that each pixel of the simulation has its partner "
+        "in the measured image, and their difference says what is off where.",
         Picture(
             "residual.png",
-            figures.residual_maps(result.image_after - result.measured, names, pixel_m=pixel),
-            "simulated less measured",
-            "Simulated after calibration, with the camera's gains, less measured.",
+            figures.residual_maps(residuals, bands.names, pixel_m=pixel),
+            "simulated less measured, before and after",
+            "Simulated less measured, in each band before and after with one scale.",
         ),
     ]

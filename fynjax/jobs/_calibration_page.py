@@ -5,10 +5,11 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from jaxtyping import Float
 from scipy.special import ndtri
 
-from fynjax.assembly import Measured, Twin
-from fynjax.inversion import Calibration, FitResult, KnownPlants, stand_sentence
+from fynjax.assembly import Measured, RealImage, Twin
+from fynjax.inversion import Calibration, FitStatus, KnownPlants, stand_sentence
 from fynjax.io.plot import Plot
 from fynjax.jobs._calibration_tables import (
     ReferenceImage,
@@ -19,10 +20,10 @@ from fynjax.jobs._calibration_tables import (
 )
 from fynjax.jobs._render import SHOWN_INDICES, image_views, index_images, write_image
 from fynjax.jobs._run import Run, peak_memory_mib
-from fynjax.metrics import VEGETATION_INDICES
 from fynjax.report import figures
 from fynjax.report.pages import Page, Part, Picture, Section, Table, sensor_section
 from fynjax.scene import AimedSensor
+from fynjax.sensors import BandSet
 
 
 def agreement_sentences(
@@ -56,9 +57,15 @@ def parameter_sentences(result: Calibration | KnownPlants) -> list[str]:
     constrained, ends = result.fit.well_constrained(), result.ends
     lines = [
         f"The data at least halve the error of {len(constrained)} of {len(result.fit.names)} "
-        "parameters"
-        + (f": {', '.join(constrained)}. The others rest on the prior." if constrained else ".")
+        "parameters" + (f": {', '.join(constrained)}." if constrained else ".")
     ]
+    moved = np.asarray(result.fit.moved, float)
+    far = [f"{n} by {m:+.1f}" for n, m in zip(result.fit.names, moved) if abs(m) > _FAR]
+    if far:
+        lines.append(
+            f"{len(far)} of {len(moved)} lie outside the middle 90 % of their priors, in standard "
+            f"deviations of the prior: {', '.join(far)}."
+        )
     if len(ends.objective) > 1:
         minima = f"{ends.minima} minima" if ends.minima > 1 else "one minimum"
         lines.append(
@@ -70,19 +77,25 @@ def parameter_sentences(result: Calibration | KnownPlants) -> list[str]:
     if result.gain is not None and result.gain_sd is not None and result.camera is not None:
         bands = zip(result.camera.sensor.bands.names, result.gain, result.gain_sd, strict=True)
         each = ", ".join(f"{name} {gain:.3f} ± {gain * sd:.3f}" for name, gain, sd in bands)
-        prior = result.camera.sensor.gains()
-        lines.append(f"Gains of the camera: {each}; beforehand 1, uncertain by {prior}.")
+        lines.append(f"Gains of the camera: {each}; beforehand 1.")
     return [*lines, result.fit.explanation]
 
 
-def status_of(fit: FitResult) -> str:
+_FAR = float(ndtri(0.95))
+"""Distance from the centre of a prior beyond which lies a tenth of it [standard deviations]."""
+
+
+def status_of(result: Calibration | KnownPlants) -> str:
     """'ok', or why the fit is to be doubted and what to do."""
-    if fit.converged:
-        return "ok"
-    return (
-        f"not converged: {fit.explanation} Allow more steps (max_iterations in the plot file), "
-        "free fewer parameters, or take the estimate with doubt."
-    )
+    doubts, fit = result.doubts(), result.fit
+    if not fit.converged:
+        rounds = bool(fit.status == FitStatus.max_rounds)
+        key = "rounds (rounds" if rounds else "steps (max_iterations"
+        doubts.append(
+            f"not converged: {fit.explanation} Allow more {key} in the plot file), free fewer "
+            "parameters, or take the estimate with doubt."
+        )
+    return " ".join(doubts) or "ok"
 
 
 def twin_sentence(
@@ -107,14 +120,10 @@ def twin_sentence(
     return f"{text}, and {within} of {len(apart)} gains of the camera, which were {gains}."
 
 
-def doubt_first(fit: FitResult, text: str) -> str:
+def doubt_first(result: Calibration | KnownPlants, text: str) -> str:
     """A page's lead: before anything else, why the fit is to be doubted."""
-    status = status_of(fit)
+    status = status_of(result)
     return text if status == "ok" else f"{_capitalised(status)} {text}"
-
-
-_UNLIKELY = 0.01
-"""Probability below which a model counts as not explaining the data [-]."""
 
 
 def misfit_sentence(result: Calibration | KnownPlants) -> str:
@@ -122,15 +131,7 @@ def misfit_sentence(result: Calibration | KnownPlants) -> str:
     names, count, probability = len(result.data.names), result.degrees, result.probability
     of = "statistics" if count == names else f"directions of {names} statistics"
     shown = f"p = {probability:.2g}" if probability >= 1e-3 else "p < 0.001"
-    sentence = (
-        f"Misfit and distance from the prior: chi-square {result.misfit:.0f} for {count} "
-        f"{of} ({shown})"
-    )
-    if probability < _UNLIKELY:
-        return (
-            f"{sentence}: model and prior do not explain the data, so do not trust the intervals."
-        )
-    return f"{sentence}."
+    return f"{result.misfit_sentence()} (Chi-square {result.misfit:.0f} for {count} {of}, {shown}.)"
 
 
 def _capitalised(text: str) -> str:
@@ -157,13 +158,16 @@ def calibration_page(
         "peak memory": f"{memory / 1024:.1f} GiB",
     }
     if result.image_before is not None:
-        largest = largest_errors(statistics)["after"]
-        keys = {f"largest error of {what}": f"{e:.1f} %" for what, e in largest.items()} | keys
+        largest = largest_errors(statistics).iterrows()
+        keys = {
+            f"largest error of {what}, before → after": pair_of_errors(e["before"], e["after"])
+            for what, e in largest
+        } | keys
     goals = ", ".join(f"{what} within {value:g} %" for what, value in reference.goals.items())
     sections = [Section("", [f"Aimed at: {goals}."])] if goals else []
     for sensor in measured:
         if sensor.kind == "image":
-            sections += _image_sections(plot, result, statistics, reference)
+            sections += _image_sections(sensor, result, statistics, reference)
         else:
             sections.append(sensor_section(sensor, sensor_table(sensor, statistics)))
     camera = camera_table(result, statistics)
@@ -174,7 +178,7 @@ def calibration_page(
         parameter_section(result, stand, parameters),
         search_section(run, result, memory),
     ]
-    first = doubt_first(result.fit, " ".join(lead))
+    first = doubt_first(result, " ".join(lead))
     return Page(f"Calibration: {plot.name}", first, sections, keys, record)
 
 
@@ -201,50 +205,141 @@ def write_results(
 
 
 def _image_sections(
-    plot: Plot, result: Calibration, statistics: pd.DataFrame, reference: ReferenceImage
+    measured: Measured, result: Calibration, statistics: pd.DataFrame, reference: ReferenceImage
 ) -> list[Section]:
-    before, after = np.asarray(result.image_before), np.asarray(result.image_after)
-    assert result.camera is not None  # of which these images are
-    bands, pixel = result.camera.sensor.bands, result.camera.pixel
-    pair = {"Before": before, "After": after}
-    means = statistics[statistics["statistic"].str.endswith(".mean")]
-    named = means.set_index(means["statistic"].str.removesuffix(".mean"))
-    errors: dict[str, Any] = {
-        when: named[f"{when}_error_percent"].to_dict() for when in ("before", "after")
-    }
+    camera, real = result.camera, measured.image
+    assert camera is not None  # of which these images are
+    bands, pixel = camera.sensor.bands, camera.pixel
+    simulated = {"Before": np.asarray(result.image_before), "After": np.asarray(result.image_after)}
+    if real is None:
+        said = (
+            "Of the measured image only statistics are known here, so that no picture of it stands "
+            "beside the simulated ones."
+        )
+        views = image_views(simulated, bands, pixel)
+    else:
+        rows, columns = camera.shape
+        said = real_sentence(real, (columns * pixel, rows * pixel))
+        images = {"Real": _in_bands(real.values, real, bands), **simulated}
+        pixels = {"Real": real.pixel, **dict.fromkeys(simulated, pixel)}
+        views = image_views(images, bands, pixels, "Real")
+    return [
+        Section("The image", [said, _one_planting(statistics), views]),
+        Section(
+            "Against the real image",
+            [
+                *error_pictures(statistics, reference),
+                *_distributions(real, simulated, bands, statistics),
+            ],
+        ),
+    ]
+
+
+def pair_of_errors(before: float, after: float) -> str:
+    """Two errors [%] on one line."""
+    return f"{before:.1f}\N{NO-BREAK SPACE}→\N{NO-BREAK SPACE}{after:.1f}\N{NO-BREAK SPACE}%"
+
+
+def real_sentence(real: RealImage, plot: tuple[float, float]) -> str:
+    """How the real image is shown beside those of a plot, whose width and height [m] are given."""
+    said = [
+        "All with one stretch and one scale of length: that of the real image, so that what is "
+        "darker or brighter than it looks so."
+    ]
+    whole, of = (" x ".join(f"{edge:.4g}" for edge in size) for size in (real.size, plot))
+    apart = np.subtract(real.size, plot) / real.pixel
+    if np.any(apart > 1.0):
+        said.append(
+            f"Of the real image, {whole} m, the middle is shown, no larger than the plot, {of} m; "
+            "its statistics are of all of it."
+        )
+    elif np.any(apart < -1.0):
+        said.append(
+            f"The real image, {whole} m, is smaller than the plot, {of} m, and shown in its middle."
+        )
+    if real.block > 1:
+        said.append(f"Of it means of {real.block} x {real.block} pixels are shown.")
+    return " ".join(said)
+
+
+def _in_bands(
+    values: Float[np.ndarray, "_own y x"], real: RealImage, bands: BandSet
+) -> Float[np.ndarray, "band y x"]:
+    """Pixels of the real image in the camera's bands; NaN in those that it lacks."""
+    empty = np.full(values.shape[1:], np.nan)
+    own = dict(zip(real.bands, values, strict=True))
+    return np.stack([own.get(name, empty) for name in bands.names])
+
+
+def error_pictures(statistics: pd.DataFrame, reference: ReferenceImage) -> list[Picture]:
+    """Bars of the errors of means and of spreads, before, after, with gains and of `reference`;
+    none without either."""
+    columns = {"before": "before", "after": "after", "with gains": "with_gain"}
     if reference.simulated:
-        errors["DIRSIG (paper)"] = named["reference_error_percent"].to_dict()
-    value = dict(zip(statistics["statistic"], statistics["real"]))
-    target = {
-        name: (value[f"{name}.mean"], value.get(f"{name}.std", float("nan")))
-        for name in VEGETATION_INDICES
-        if f"{name}.mean" in value
-    }
-    shown = tuple(name for name in SHOWN_INDICES if name in target) or SHOWN_INDICES
-    histograms = figures.index_histograms(
-        index_images(before, bands, shown),
-        index_images(after, bands, shown),
-        {name: target[name] for name in shown if name in target},
+        columns["DIRSIG (paper)"] = "reference"
+    panels: dict[str, dict[str, dict[Any, float]]] = {}
+    for title, kind in (("Means", ".mean"), ("Standard deviations between pixels", ".std")):
+        rows = statistics[statistics["statistic"].str.endswith(kind)]
+        rows = rows.set_index(rows["statistic"].str.removesuffix(kind))
+        if len(rows):
+            panels[title] = {
+                who: {str(k): float(v) for k, v in rows[f"{column}_error_percent"].items()}
+                for who, column in columns.items()
+            }
+    caption = (
+        "Relative errors, before, after, and after as the camera with its estimated gains measures "
+        "it. What was fitted is expected over plantings; other bars are of the image."
     )
-    against = [
+    if not panels:
+        return []
+    return [
+        Picture("errors.png", figures.error_bars(panels), "errors of means and spreads", caption)
+    ]
+
+
+def _distributions(
+    real: RealImage | None,
+    simulated: Mapping[str, np.ndarray],
+    bands: BandSet,
+    statistics: pd.DataFrame,
+) -> list[Picture]:
+    """Histograms of the bands, and of indices, over the pixels of images."""
+    value = dict(zip(statistics["statistic"], statistics["real"]))
+
+    def targets(names: Sequence[str]) -> dict[str, tuple[float, float]]:
+        return {
+            name: (value[f"{name}.mean"], value.get(f"{name}.std", float("nan")))
+            for name in names
+            if f"{name}.mean" in value
+        }
+
+    pixels = {title.lower(): image for title, image in simulated.items()}
+    if real is not None:
+        pixels = {"real": _in_bands(real.pixels[..., None], real, bands), **pixels}
+    of_bands = {who: dict(zip(bands.names, image)) for who, image in pixels.items()}
+    shown = tuple(targets(SHOWN_INDICES)) or SHOWN_INDICES
+    of_indices = {who: index_images(image, bands, shown) for who, image in pixels.items()}
+    return [
         Picture(
-            "errors.png",
-            figures.error_bars(errors),
-            "error of each mean",
-            "Relative error of each mean, before and after. What was fitted is expected over "
-            "plantings; other means are those of the image.",
+            "bands.png",
+            figures.pixel_histograms(of_bands, targets(bands.names), what="Reflectance [-]"),
+            "histograms of bands",
+            f"Bands over the pixels. {_NO_DIFFERENCE}",
         ),
         Picture(
             "indices.png",
-            histograms,
+            figures.pixel_histograms(of_indices, targets(shown)),
             "histograms of indices",
-            "Indices over the pixels of the images above; the real mean and spread marked.",
+            "Indices over the pixels of the same images.",
         ),
     ]
-    return [
-        Section("The image", [_one_planting(statistics), image_views(pair, bands, pixel)]),
-        Section("Against the real image", against),
-    ]
+
+
+_NO_DIFFERENCE = (
+    "No picture of the difference is shown: where each plant stands is chance, so a pixel of the "
+    "simulation has no partner in the real image, and their difference would be of who stands "
+    "where. What can be compared is how often each reflectance occurs, and the means."
+)
 
 
 _STATISTICS = (

@@ -29,7 +29,9 @@ def prior_columns(space: ParameterSpace) -> dict[str, ArrayLike]:
 
 
 def parameter_table(calibration: Calibration | KnownPlants) -> pd.DataFrame:
-    """Every free parameter: prior, estimate, and how far the data pinned it down."""
+    """Every free parameter: prior, estimate, how far that moved from the prior's centre [prior
+    standard deviations], how far the data pinned it down, and the value to use: the estimate, or
+    where it is worse than the field table the prior."""
     fit = calibration.fit
     low, high = fit.quantiles(0.05, 0.95)
     table = parameter_columns(
@@ -44,7 +46,21 @@ def parameter_table(calibration: Calibration | KnownPlants) -> pd.DataFrame:
             "upper": fit.space.upper,
         },
     )
-    return table.assign(constrained=np.asarray(fit.constrained, float))
+    worse = calibration.worse
+    return table.assign(
+        moved=np.asarray(fit.moved, float),
+        constrained=np.asarray(fit.constrained, float),
+        offered=table["prior"] if worse else table["estimate"],
+        worse_than_table=worse,
+    )
+
+
+def offered_stand(stand: pd.DataFrame, calibration: Calibration | KnownPlants) -> pd.DataFrame:
+    """The table of the stand with the values to use: those of the estimate, or where it is worse
+    than the field table those of the prior."""
+    worse = calibration.worse
+    offered = stand["prior"] if worse else stand["estimate"]
+    return stand.assign(offered=offered, worse_than_table=worse)
 
 
 @dataclass(frozen=True)
@@ -94,10 +110,11 @@ def statistic_table(calibration: Calibration, reference: ReferenceImage) -> pd.D
         table[when] = [expected.get(name, np.nan) for name in names]
     if view is not None:
         table["image_after"] = table["statistic"].map(of_image)
-    with_gain = np.asarray(calibration.statistics_with_gain, float)
-    table["with_gain"] = [*with_gain, *np.full(len(extra), np.nan)]
+    for when in ("with_gain", "with_error"):
+        found = np.asarray(getattr(calibration, f"statistics_{when}"), float)
+        table[when] = [*found, *np.full(len(extra), np.nan)]
     table["reference"] = [reference.simulated.get(n, np.nan) for n in names]
-    for column in ("before", "after", "with_gain", "reference"):
+    for column in ("before", "after", "with_gain", "with_error", "reference"):
         table[f"{column}_error_percent"] = 100.0 * (table[column] - real) / np.abs(real)
     known = table["statistic"].map(reference.error_percent)
     table["reference_error_percent"] = table["reference_error_percent"].fillna(known)
@@ -111,8 +128,9 @@ def camera_table(calibration: Calibration, statistics: pd.DataFrame) -> pd.DataF
 
     **Returns:** a row for each band: its estimated gain, that is what a simulated band is to be
     multiplied by to be as the camera has it, standard deviations after and before the data; what a
-    simulation without error would be off by from the camera's mean, and what those before and after
-    are, and another one's. None without a camera.
+    simulation without error would be off by from the camera's mean; the factor by which reality is
+    off from the model, beside the gain, and its standard deviation; and what simulations before and
+    after are off by, and another one's. None without a camera.
     """
     view = next((v for v in calibration.views if isinstance(v, ImageView)), None)
     gain, gain_sd = calibration.gain, calibration.gain_sd
@@ -128,6 +146,10 @@ def camera_table(calibration: Calibration, statistics: pd.DataFrame) -> pd.DataF
             "exact_error_percent": 100.0 / gain - 100.0,
         }
     )
+    number = next(i for i, v in enumerate(calibration.views, 1) if v is view)
+    model = calibration.factors().set_index("sensor").loc[[number]]
+    table["model_error"] = model["model_error"].to_numpy()
+    table["model_error_sd"] = (model["model_error"] * model["model_error_sd"]).to_numpy()
     errors = statistics.set_index("statistic").filter(regex="_error_percent$")
     means = errors.reindex([f"{band}.mean" for band in bands]).reset_index(drop=True)
     return pd.concat([table, means], axis=1)
@@ -137,11 +159,18 @@ def largest_errors(statistics: pd.DataFrame) -> pd.DataFrame:
     """Largest error of the fitted means of bands and of indices [%], before and after, and with
     the camera's gains.
 
-    Rows are "a band mean" and "a fitted index mean"; one of which nothing was fitted is left out.
+    Rows are "a band mean" and "a fitted index mean"; one of which nothing was fitted is left out,
+    and where neither was there is one row, "a statistic of the image".
     """
-    means = statistics[statistics["fitted"] & statistics["statistic"].str.endswith(".mean")]
-    is_band = ~means["statistic"].str.split(".").str[0].isin(VEGETATION_INDICES)
-    parts = {"a band mean": means[is_band], "a fitted index mean": means[~is_band]}
+    fitted = statistics[statistics["fitted"]]
+    layer, kind = (fitted["statistic"].str.split(".").str[k] for k in (0, 1))
+    is_mean, is_index = kind == "mean", layer.isin(VEGETATION_INDICES)
+    parts = {
+        "a band mean": fitted[is_mean & ~is_index],
+        "a fitted index mean": fitted[is_mean & is_index],
+    }
+    if not is_mean.any():
+        parts = {"a statistic of the image": fitted[~layer.isin(["spectrum", "lidar"])]}
     rows = {
         what: [part[f"{when}_error_percent"].abs().max() for when in _WHEN]
         for what, part in parts.items()

@@ -80,7 +80,7 @@ def design(
     }  # fmt: skip
     check_design(ready.scene, bands, wanted, **settings)
     begin_work(files)
-    found = design_bands(ready.scene, bands, wanted, **settings)
+    found = design_bands(ready.scene, bands, wanted, model_error=ready.error, **settings)
     chosen = pd.DataFrame(
         {"band": found.bands.names, "centre_nm": found.bands.centre, "fwhm_nm": found.bands.fwhm}
     )

@@ -45,6 +45,7 @@ def calibrated(
         ready.space,
         views,
         ready.settings,
+        error=ready.error,
     )
     return calibration(search, follow(search, search_starts(search), run, checkpoint))
 

@@ -84,8 +84,9 @@ def information(
     check_sweep(*on, swept, placement, **settings)
     begin_work(files)
     sweep = sweep_sensors(
-        *on, ready.space, swept, placement, error=error, seed=run.seed, **settings
-    )
+        *on, ready.space, swept, placement,
+        relative_sd=error, model_error=ready.error, seed=run.seed, **settings,
+    )  # fmt: skip
     table = bound_table(sweep, np.asarray(ready.space.prior))
     first, best = sweep[0]
     covers = [n for n in ready.space.names if n.startswith("species.") and n.endswith(".cover")]

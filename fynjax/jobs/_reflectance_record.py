@@ -17,7 +17,7 @@ RELATIVE_REFLECTANCE = (
     "right, reflectance itself is not. For it, photograph a panel: --panel NAME "
     "--panel-reflectance R"
 )
-"""Warning of DJI's captures without a panel; the standard deviation leaves that factor out."""
+"""Warning of DJI's captures without a panel."""
 
 
 class CapturedBand(Record):

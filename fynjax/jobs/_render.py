@@ -179,7 +179,7 @@ def _write(
         caption = "Plants, which are known."
     plants = pd.DataFrame({"taxon": scene.taxa, "plants": counts.astype(int)})
     if set(BANDS) <= set(bands.names):
-        histograms = figures.index_histograms(index_images(image, bands))
+        histograms = figures.pixel_histograms({"simulated": index_images(image, bands)})
         pictures: list[Part] = [
             image_views({plot.name: image}, bands, camera.pixel),
             Picture("indices.png", histograms, "histograms of vegetation indices"),
@@ -238,33 +238,60 @@ def write_truth(
     return Picture("species.png", figure, "species that leads in each pixel")
 
 
-def image_views(images: Mapping[str, np.ndarray], bands: BandSet, pixel_m: float) -> Views:
-    """Images of a drone side by side, to be chosen from: colours, its `bands`, indices."""
+def image_views(
+    images: Mapping[str, np.ndarray],
+    bands: BandSet,
+    pixel_m: float | Mapping[str, float],
+    stretch: str | None = None,
+) -> Views:
+    """Images of a drone side by side, to be chosen from: colours, its `bands`, indices.
+
+    **Arguments:**
+
+    - `images`: [band, y, x] with y to the north, by title; NaN in a band that an image lacks, of
+      which it is then not shown.
+    - `bands`: of the images.
+    - `pixel_m`, `stretch`: as of `figures.composites`.
+    """
+    has = {title: np.isfinite(image).any(axis=(1, 2)) for title, image in images.items()}
+    common = np.flatnonzero(np.all(list(has.values()), axis=0))
+    coloured = {title: image[common] for title, image in images.items()}
+    names = [bands.names[k] for k in common]
     views = {
         "Nearly natural": Picture(
             "true_like.png",
-            figures.composites(images, bands.names, pixel_m=pixel_m, kind="true_like"),
+            figures.composites(coloured, names, pixel_m=pixel_m, kind="true_like", stretch=stretch),
             "image, nearly natural colours",
         ),
         "False colour": Picture(
             "false_colour.png",
-            figures.composites(images, bands.names, pixel_m=pixel_m),
+            figures.composites(coloured, names, pixel_m=pixel_m, stretch=stretch),
             "image, near infrared as red",
         ),
     }
+
+    def of_layer(layers: Mapping[str, np.ndarray], file: str, what: str, words: str) -> Picture:
+        seen = {title: layer for title, layer in layers.items() if np.isfinite(layer).any()}
+        by = stretch if stretch in seen else None
+        return Picture(file, figures.layer_map(seen, what, pixel_m=pixel_m, stretch=by), words)
+
     for k, band in enumerate(bands.names):
         label = figures.words(band)
         label = f"{label[0].upper()}{label[1:]}"
-        layers = {title: image[k] for title, image in images.items()}
-        figure = figures.layer_map(layers, f"{label}: reflectance [-]", pixel_m=pixel_m)
-        views[label] = Picture(
-            f"band_{band}.png", figure, f"reflectance in the band {figures.words(band)}"
+        views[label] = of_layer(
+            {title: image[k] for title, image in images.items()},
+            f"band_{band}.png",
+            f"{label}: reflectance [-]",
+            f"reflectance in the band {figures.words(band)}",
         )
     indices = {title: index_images(image, bands, _MAPPED) for title, image in images.items()}
     for name in _MAPPED:
-        layers = {title: of_image[name] for title, of_image in indices.items()}
-        figure = figures.layer_map(layers, f"{name} [-]", pixel_m=pixel_m)
-        views[name] = Picture(f"index_{name}.png", figure, f"map of the index {name}")
+        views[name] = of_layer(
+            {title: of_image[name] for title, of_image in indices.items()},
+            f"index_{name}.png",
+            f"{name} [-]",
+            f"map of the index {name}",
+        )
     return Views(views)
 
 

@@ -76,6 +76,16 @@ class ParameterSummary(Record):
     sd: Number = Field(description="Standard deviation after the fit.")
     q05: Number = Field(description="5 % quantile after the fit.")
     q95: Number
+    moved: Number = Field(
+        default=None,
+        description="Distance of the estimate from the prior's centre, in standard deviations of "
+        "the prior.",
+    )
+    offered: Number = Field(
+        default=None,
+        description="The value to use: the estimate, or where it is worse than the field table the "
+        "prior.",
+    )
     constrained: Number = Field(
         default=None,
         description="Share of the prior variance that the data removed, in the coordinate in which "
@@ -92,4 +102,10 @@ class StatisticSummary(Record):
     target_sd: Number = None
     before: Number
     after: Number
+    with_gain: Number = Field(
+        default=None, description="After, as a camera with the estimated gains measures it."
+    )
+    with_error: Number = Field(
+        default=None, description="The same with what the model is estimated to be off by."
+    )
     reference: Number = Field(default=None, description="Another simulation of the same plot.")

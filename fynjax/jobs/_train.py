@@ -159,7 +159,7 @@ def train(
         posterior, held_out = train_posterior(
             spectra,
             quantities,
-            task.prior.error_covariance(channels.centre),
+            task.prior.model_error.covariance(channels.centre),
             together=settings.together,
             training=NetworkSettings(steps=steps),
             seed=seed,

@@ -22,6 +22,7 @@ from fynjax.scene._materials import (
     undescribed,
     with_areas,
 )
+from fynjax.scene._model_error import ModelError
 from fynjax.scene._observe import (
     DRONE,
     AimedSensor,
@@ -124,6 +125,7 @@ __all__ = [
     "LightParameters",
     "Material",
     "MaterialParameters",
+    "ModelError",
     "Observation",
     "PixelTruth",
     "Placement",

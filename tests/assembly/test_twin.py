@@ -7,10 +7,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from fynjax.assembly import plant_twin, prepare, twin_image
+from fynjax.assembly import RealImage, plant_twin, prepare, twin_image
 from fynjax.assembly._twin import _PLANTING, PIXEL_NOISE, measure_truth
-from fynjax.inversion import Data, ImageView
-from fynjax.io.plot import read_plot
+from fynjax.inversion import Data, ImageView, spectrum_names, spectrum_view, structure_view
+from fynjax.io.plot import drone_sensor, read_plot
 from fynjax.scene import with_values
 from tests.small import write_plot
 
@@ -37,7 +37,8 @@ def twin(ready):
 
 
 def test_a_twin_is_an_image_of_its_truth_with_gains_and_noise(ready, twin):
-    """Means are those of the full image times the gains; noise of a pixel adds to the spread."""
+    """Means are those of the full image times the gains and what the model is off by; noise of a
+    pixel adds to the spread."""
     (one,) = twin.measured
     view = one.view_of(ready.scene, ready.parameters)
     truth = with_values(
@@ -47,12 +48,29 @@ def test_a_twin_is_an_image_of_its_truth_with_gains_and_noise(ready, twin):
     image, _ = eqx.filter_jit(ImageView.observe)(view, scene, truth)
     found = dict(zip(one.data.names, np.asarray(one.data.value), strict=True))
     mean, std = (np.asarray(f(image, axis=(1, 2)), float) for f in (jnp.mean, jnp.std))
+    off = twin.gain * twin.model_error[0]
     for i, band in enumerate(("green", "red", "red_edge", "nir")):
-        assert found[f"{band}.mean"] == pytest.approx(twin.gain[i] * mean[i], rel=2e-3)
+        assert found[f"{band}.mean"] == pytest.approx(off[i] * mean[i], rel=2e-3)
     square = np.asarray((image[3] ** 2).mean(), float)
-    noisy = twin.gain[3] * np.sqrt(std[3] ** 2 + PIXEL_NOISE**2 * square)
+    noisy = off[3] * np.sqrt(std[3] ** 2 + PIXEL_NOISE**2 * square)
     assert found["nir.std"] == pytest.approx(noisy, rel=5e-3)
     assert 0.05 < np.abs(np.log(twin.gain)).max() < 0.7
+    assert 0.02 < np.abs(np.log(twin.model_error[0])).max() < 0.5
+
+
+def test_all_sensors_of_a_twin_share_what_the_model_is_off_by(ready):
+    """Red of the drone and of a spectrometer at its wavelength: one factor."""
+    (image,) = [twin_image(ready.plot)]
+    red = drone_sensor(ready.plot).bands.select([1])
+    spectrum = dataclasses.replace(
+        image,
+        kind="spectrum",
+        data=Data(spectrum_names(red), jnp.zeros(1), jnp.ones(1)),
+        view_of=lambda scene, parameters: spectrum_view(red, scene, parameters),
+    )
+    by_drone, by_spectrum = plant_twin(ready, [image, spectrum], seed=1).model_error
+    assert by_spectrum[0] == pytest.approx(by_drone[1], rel=1e-6)
+    assert abs(np.log(by_spectrum[0])) > 0.002
 
 
 def test_a_twin_is_planted_by_another_chance(ready):
@@ -65,7 +83,10 @@ def test_a_seed_is_a_truth(ready, twin):
     again = plant_twin(ready, [twin_image(ready.plot)], seed=4)
     np.testing.assert_array_equal(again.whitened, twin.whitened)
     np.testing.assert_array_equal(again.measured[0].data.value, twin.measured[0].data.value)
-    other = plant_twin(ready, [twin_image(ready.plot)], seed=5)
+    shown = RealImage(np.ones((4, 2, 2)), (), 0.1, (0.2, 0.2), 1, np.ones((4, 4)))
+    real = dataclasses.replace(twin_image(ready.plot), image=shown)
+    other = plant_twin(ready, [real], seed=5)
+    assert other.measured[0].image is None  # which is no image of the twin
     assert np.abs(other.whitened - twin.whitened).max() > 0.1
     assert np.abs(other.gain / twin.gain - 1.0).max() > 0.01
 
@@ -86,7 +107,9 @@ def test_a_spectrum_of_a_twin_has_the_errors_of_the_real_one(ready, twin, monkey
     monkeypatch.setattr("fynjax.assembly._twin.measure_truth", lambda *_: (truth, None))
     sd = jnp.array([0.1, 0.3])
     one = dataclasses.replace(
-        twin.measured[0], data=Data(("a", "b"), jnp.zeros(2), sd), view_of=lambda *_: None
+        twin.measured[0],
+        data=Data(("a", "b"), jnp.zeros(2), sd),
+        view_of=lambda *_: structure_view(),
     )
     drawn = np.stack(
         [plant_twin(ready, [one], seed=seed).measured[0].data.value for seed in range(400)]

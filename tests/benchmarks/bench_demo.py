@@ -32,6 +32,7 @@ from fynjax.inversion import (
     statistics_and_jacobian,
     weigh_targets,
 )
+from fynjax.io.plot import free_parameters
 from fynjax.metrics import BANDS
 from tests.benchmarks._measure import example_plot, options, peak_gib, seconds
 
@@ -60,7 +61,7 @@ def plot_in_this_process(tiny: bool) -> None:
     row("render", lambda: render(view, scene, parameters))
 
     quick, cheap = search_form(scene, parameters, [view])
-    space = free_space(scene, parameters, read.calibration.free, read.calibration.relative_sd)
+    space = free_space(scene, parameters, free_parameters(read), read.calibration.relative_sd)
     predict = PlotForward(parameters, space.names, cheap)
     u, none = jnp.zeros(len(space.names)), jnp.zeros(len(names))
     density = LogPosterior(predict, space, Data(names, none, none + 1.0), none, (quick,))

@@ -92,7 +92,7 @@ def main(arguments=None) -> None:
         print(f"{name}: a standard deviation moves the near infrared by {slope[-1][3]:+.4f}")
     random = np.random.default_rng(1)
     bands = np.asarray(view.camera.sensor.bands.centre)
-    error = random.multivariate_normal(np.zeros(4), prior.error_covariance(bands), count)
+    error = random.multivariate_normal(np.zeros(4), prior.model_error.covariance(bands), count)
     alone = np.sqrt(0.5) * GAIN_SD
     camera = random.normal(0.0, alone, (count, 4)) + random.normal(0.0, alone, (count, 1))
     by_parameters = base + ((draws - draws.mean(axis=0)) / step) @ np.stack(slope)

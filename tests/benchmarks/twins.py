@@ -45,6 +45,7 @@ from fynjax.assembly import image_view, prepare
 from fynjax.assembly._targets import reflectance_noise, structure_settings
 from fynjax.assembly._twin import draw_truth, measure_truth
 from fynjax.inversion import (
+    BandFactors,
     CalibrationSettings,
     Data,
     ImageView,
@@ -54,6 +55,7 @@ from fynjax.inversion import (
     StructureView,
     calibrate_plot,
     compared_statistics,
+    factors_by_view,
     join_data,
     look,
     predicted_statistics,
@@ -114,8 +116,10 @@ def measure(ready, views, u, number, random):
     gains, a spectrometer and a LiDAR with the errors that a calibration assumes of them."""
     share = ready.plot.calibration.target_sd
     found = []
-    for view in views:
-        value, _ = measure_truth(ready, view, u, number, random)
+    logs = BandFactors.of(views, ready.error).draw_errors(random)
+    for view, log in zip(views, factors_by_view(views, jnp.asarray(logs)), strict=True):
+        error = None if log is None else np.exp(np.asarray(log))
+        value, _ = measure_truth(ready, view, u, number, random, error)
         if isinstance(view, ImageView):
             found.append(weigh_targets(view.names, value, share))
             continue
@@ -233,7 +237,7 @@ def twin(number, size, wrong, sensors):
     began = time.process_time()
     found = calibrate_plot(
         ready.scene, ready.parameters, data, ready.space, views,
-        CalibrationSettings(seed=number),
+        CalibrationSettings(seed=number), error=ready.error,
     )  # fmt: skip
     fit = found.fit
     # Each has as many sites as its draws need, and so programs of its own: nine fill the memory
@@ -248,7 +252,7 @@ def apart(count, ready, truths, view):
     """How well images of the two plots can be distinguished by their statistics: coarse renders,
     with gains, without noise of pixels."""
     found = []
-    slopes = np.asarray(view.gain_slopes(look((view,), ready.scene, ready.parameters)[1]))
+    slopes = np.asarray(view.factor_slopes(look((view,), ready.scene, ready.parameters)[1]))
     for i, one in enumerate((ready, truths)):
         random = np.random.default_rng([31, i])
         # Plantings of their own, or pairs of the two would have the same.
@@ -384,7 +388,7 @@ def regressions(chosen, ready, view, twins):
     lack = whole / np.asarray(look((cheap,), quick, ready.parameters)[0])
     random = np.random.default_rng(29)
     gains = random.multivariate_normal(np.zeros(4), view.gains.covariance(4), len(draws))
-    slopes = np.asarray(view.gain_slopes(look((view,), ready.scene, ready.parameters)[1]))
+    slopes = np.asarray(view.factor_slopes(look((view,), ready.scene, ready.parameters)[1]))
     noisy = simulated * lack + gains @ slopes.T
     scale = StandardScaler().fit(noisy)
     x, measured = scale.transform(noisy), scale.transform([t["measured"] for t in twins])

@@ -16,13 +16,17 @@ from fynjax.inversion import _design as bands_of_design
 from fynjax.inversion._bands import BandStatistics, PlantingSpectra, _photons, gaussian_weights
 from fynjax.inversion._design import _Limits
 from fynjax.leaf import LeafParameters, prospect
-from fynjax.scene import aim
-from fynjax.sensors import BandSet, shipped_sensor
+from fynjax.scene import ModelError, aim
+from fynjax.sensors import BandSet, Gains, shipped_sensor
 from tests.scene.plots import small_parameters
 
 GRID = np.arange(405.0, 2496.0, 10.0)
 LIMITS = _Limits(405.0, 2495.0, 10.0, 100.0)
 PRIOR_SD = {"chlorophyll": 15.0, "water": 0.005}
+# What a model is off by: of wavelengths that err together, the nearer the more.
+AT = np.linspace(400.0, 2500.0, 43)
+ALIKE = np.exp(-0.5 * ((AT - AT[:, None]) / 300.0) ** 2)
+OFF = ModelError(AT, np.linspace(0.15, 0.08, 43), ALIKE)
 
 
 @pytest.fixture(autouse=True)
@@ -61,10 +65,11 @@ def spectra_of_leaves(target="quantities", asked=((1.0, 0.0),), plantings=3, **c
         "species_mean": np.stack([mean, 1.2 * mean], axis=1),
         "species_second": np.stack([second, 0.5 * second], axis=1),
         "pixels": 400.0,
+        "model_error": np.zeros((len(GRID), len(GRID))),
         **changes,
     }
     return PlantingSpectra(
-        **{k: jnp.asarray(v) for k, v in fields.items()}, error=0.01, target=target
+        **{k: jnp.asarray(v) for k, v in fields.items()}, relative_sd=0.01, target=target
     )
 
 
@@ -72,9 +77,13 @@ def every(spectra):
     return jnp.ones(len(spectra.mean))
 
 
-def scores(spectra, centre, width):
+NO_GAINS = Gains(0.0)
+
+
+def scores(spectra, centre, width, gains=NO_GAINS):
     centre, width = (jnp.asarray(one, float) for one in (centre, width))
-    seen = bands_of_design._seen(spectra, gaussian_weights(spectra.grid, centre, width), width)
+    weights = gaussian_weights(spectra.grid, centre, width)
+    seen = bands_of_design._seen(spectra, weights, width, gains)
     return np.asarray(bands_of_design._scores_of(spectra, seen, every(spectra)))
 
 
@@ -97,7 +106,8 @@ def test_bands_lie_within_the_range():
 
 @TARGETS
 def test_the_gradient_in_centre_and_width_is_the_difference_quotient(target):
-    spectra, x = spectra_of_leaves(target), np.array([0.2, 0.55, 0.3, 0.6])
+    spectra = spectra_of_leaves(target, model_error=OFF.covariance(GRID))
+    x = np.array([0.2, 0.55, 0.3, 0.6])
     value, slope = bands_of_design._ascent(x, spectra, LIMITS, every(spectra))
     assert np.isfinite(value)
     for i in range(len(x)):
@@ -223,14 +233,22 @@ def test_a_planting_is_judged_by_what_others_show():
     assert float(bands_of_design._scores_of(spectra, away, every(spectra))[2, 0]) < 0.0
 
 
-def test_what_is_removed_is_that_of_the_fisher_information():
-    """Plantings alike: the errors are the sensor's alone, and those by hand."""
+def alike(spectra):
+    """All plantings as the first."""
+    same = jax.tree.map(lambda a: jnp.broadcast_to(a[:1] if a.ndim else a, a.shape), spectra)
+    kept = ("grid", "basis", "photons", "model_error")
+    return dataclasses.replace(same, **{name: getattr(spectra, name) for name in kept})
+
+
+@pytest.mark.parametrize("off", [None, OFF])
+@pytest.mark.parametrize("gains", [Gains(0.0), Gains((0.05, 0.1), 0.4)])
+def test_what_is_removed_is_that_of_the_fisher_information(off, gains):
+    """Plantings alike: the errors are the sensor's and the model's alone, and those by hand."""
     asked = ((0.6, 0.8),)
-    spectra = spectra_of_leaves(asked=asked)
-    alike = jax.tree.map(lambda a: jnp.broadcast_to(a[:1] if a.ndim else a, a.shape), spectra)
-    spectra = dataclasses.replace(
-        alike, grid=spectra.grid, basis=spectra.basis, photons=spectra.photons
-    )
+    believed = np.zeros((len(GRID), len(GRID)))
+    of_model = believed if off is None else off.covariance(GRID)
+    spectra = spectra_of_leaves(asked=asked, model_error=of_model)
+    spectra = alike(spectra)
     centre, width = np.array([560.0, 1650.0]), np.array([30.0, 60.0])
     weights = BandSet(("a", "b"), centre, width).weights(GRID)
     mean = weights @ np.asarray(spectra.mean[0])
@@ -246,17 +264,78 @@ def test_what_is_removed_is_that_of_the_fisher_information():
     )
     # Of the variance of n pixels of known values with noise: (4 v s^2 + 2 s^4) / n.
     of_sd = (4.0 * variance * noise + 2.0 * noise**2) / (4.0 * sd**2)
-    errors = (0.01 * np.concatenate([mean, sd])) ** 2 + np.concatenate([noise, of_sd]) / 400
+    values = np.concatenate([mean, sd])
+    errors = np.diag((0.01 * values) ** 2 + np.concatenate([noise, of_sd]) / 400)
+    # A statistic over its value is off by the band's factor, the mean of those of its wavelengths.
+    share = weights * np.asarray(spectra.mean[0]) / mean[:, None]
+    factors = share @ of_model @ share.T + gains.covariance(2)
+    errors += np.outer(values, values) * np.kron(np.ones((2, 2)), factors)
     known = fisher_information(("a", "b"), slopes, errors, np.ones(2))
     after = np.linalg.inv(np.eye(2) + known.fisher)
     direction = np.array(asked[0])
-    assert scores(spectra, centre, width)[0, 0] == pytest.approx(
+    assert scores(spectra, centre, width, gains)[0, 0] == pytest.approx(
         1.0 - direction @ after @ direction, rel=1e-8
     )
     one_by_one = {"target": "information", "asked": jnp.broadcast_to(jnp.eye(2), (3, 2, 2))}
-    gained = scores(dataclasses.replace(spectra, **one_by_one), centre, width)[0, 0]
+    gained = scores(dataclasses.replace(spectra, **one_by_one), centre, width, gains)[0, 0]
     assert gained == pytest.approx(-0.5 * np.log2(np.diag(after)).sum(), rel=1e-8)
     assert gained <= -0.5 * np.log2(np.linalg.det(after))
+
+
+def test_bands_are_off_by_what_images_with_factors_are():
+    """Of 4000 images whose wavelengths have factors drawn from the model's error, and whose bands
+    have gains: covariance of the logarithms of means and standard deviations of their bands."""
+    random = np.random.default_rng(11)
+    gains = Gains((0.04, 0.05, 0.06), 0.5)
+    spectra = alike(spectra_of_leaves(photons=np.ones(len(GRID)), model_error=OFF.covariance(GRID)))
+    bands = BandSet(("a", "b", "c"), (550.0, 670.0, 1650.0), (40.0, 100.0, 60.0))
+    weights = bands.weights(GRID)
+    pixel = 1.0 + 0.1 * random.normal(size=(50, 1))  # all wavelengths of a pixel alike
+    pixels = np.asarray(spectra.mean[0]) * pixel
+    shares = np.stack([np.interp(GRID, AT, row) for row in np.eye(len(AT))], axis=1)
+    draws = random.normal(size=(4000, len(AT))) @ np.linalg.cholesky(ALIKE + 1e-9 * np.eye(43)).T
+    off = np.exp(0.2 * (draws * np.asarray(OFF.sd)) @ shares.T)
+    sd = np.array(gains.sd)
+    one = np.sqrt(0.5) * random.normal(size=(4000, 1)) + np.sqrt(0.5) * random.normal(
+        size=(4000, 3)
+    )
+    seen = np.einsum("pw,dw,bw->dpb", pixels, off, weights) * np.exp(0.2 * sd * one)[:, None]
+    logs = np.log(np.concatenate([seen.mean(axis=1), seen.std(axis=1)], axis=1))
+    found = bands_of_design._seen(spectra, jnp.asarray(weights), jnp.asarray(bands.fwhm), gains)
+    expected = np.kron(np.ones((2, 2)), found.factors)
+    np.testing.assert_allclose(np.cov(logs.T) / 0.2**2, expected, atol=0.0015)
+    assert expected.max() > 0.02
+
+
+def test_what_only_the_level_tells_is_lost_in_the_factors():
+    """A parameter that scales all, and one that scales wavelengths beyond 1000 nm, means and
+    spreads alike: where these err together, their ratio still tells the second; where they err
+    apart, or each band has a gain of its own, it does not."""
+    level, beyond = np.asarray(spectra_of_leaves().mean[0]), GRID > 1000.0
+    second = np.eye(2)
+    changes = {
+        "mean_slope": np.stack([0.1 * np.stack([level, level * beyond], axis=1)] * 3),
+        "basis": 0.1 * np.stack([level * ~beyond, level * beyond], axis=1),
+        "second": np.stack([second] * 3),
+        "second_slope": np.stack([0.2 * np.stack([second, np.diag([0.0, 1.0])], axis=2)] * 3),
+        "species_second": np.stack([[second, second]] * 3),
+        "photons": np.full(len(GRID), 1e9),
+        "asked": np.stack([np.eye(2)] * 3),
+    }
+    spectra = alike(dataclasses.replace(spectra_of_leaves(), **changes))
+    together = ModelError([400.0, 2500.0], [0.3, 0.3], np.ones((2, 2)))
+    apart = ModelError([900.0, 1100.0], [0.3, 0.3], np.eye(2))
+
+    def told(error, gains=NO_GAINS):
+        off = jnp.asarray(error.covariance(GRID))
+        found = dataclasses.replace(spectra, model_error=off)
+        return scores(found, [700.0, 1650.0], [40.0, 40.0], gains)[0]
+
+    assert told(together.wider(0.0)).min() > 0.9
+    common = told(together)
+    assert common[0] < 0.2 < 0.9 < common[1]
+    assert told(apart).max() < 0.2
+    assert told(together, Gains(0.1, 0.0))[1] < 0.5
 
 
 def test_the_share_left_is_that_of_the_definition():
@@ -405,7 +484,7 @@ def scene():
         ({"seed": -1}, "`seed` as a whole number"),
         ({"pixel": (0.5, 2.0)}, "at least two pixels on a plot of 2 x 2 m"),
         ({"snr": 0.0}, "`snr` must be a positive number"),
-        ({"error": 0.0}, "`error` must be a positive number"),
+        ({"relative_sd": 0.0}, "`relative_sd` must be a positive number"),
         ({"pixel": 0.0}, "expected `pixel` as one or more positive numbers"),
         ({"pixel": (0.2, 0.3)}, "multiple of the smallest, 0.2 m, .*but got 0.3 m"),
         ({"compare": ["mavic"]}, "mavic"),
@@ -455,7 +534,7 @@ def test_a_design_of_a_scene(scene):
             starts=2, spectrum=(400.0, 1000.0), compare=("mavic_3m",),
         )  # fmt: skip
     camera = shipped_sensor("mavic_3m")
-    seen: BandStatistics = bands_of_design._bands_of(rendered[0][0], camera.bands)
+    seen: BandStatistics = bands_of_design._bands_of(rendered[0][0], camera)
     coarse = coarser(scene, scene.parameters)
 
     def observed(u):
@@ -478,7 +557,7 @@ def test_a_design_of_a_scene(scene):
     sd = np.sqrt(np.diagonal(seen.covariance[0]))
     np.testing.assert_allclose(sd, image.std(axis=(1, 2)), rtol=0.03)
     # Pixels twice as wide are means of these, and collect four times the light.
-    wide: BandStatistics = bands_of_design._bands_of(rendered[0][1], camera.bands)
+    wide: BandStatistics = bands_of_design._bands_of(rendered[0][1], camera)
     of_image, of_off, of_slope = (
         one.reshape(4, 4, 2, 4, 2).mean(axis=(2, 4)) for one in (image, off, bright)
     )

@@ -8,6 +8,7 @@ import pytest
 
 from fynjax._core.errors import InputError
 from fynjax.inversion import (
+    BandFactors,
     ParameterSpace,
     even_bands,
     fisher_information,
@@ -17,8 +18,8 @@ from fynjax.inversion import (
 from fynjax.inversion._fit_result import scatter_covariance
 from fynjax.inversion._information import shared_slopes
 from fynjax.inversion._sensor_sweep import _measure, _Sweep, image_and_slopes
-from fynjax.scene import Placement, truth_of_pixels
-from fynjax.sensors import shipped_sensor
+from fynjax.scene import ModelError, Placement, truth_of_pixels
+from fynjax.sensors import Gains, shipped_sensor
 from tests.inversion.linear import DATA, MATRIX, SPACE, posterior
 from tests.scene.plots import drone, reflectance, small_parameters, small_plot
 
@@ -187,6 +188,93 @@ def images(random, plantings, slopes_of_chance):
     return made
 
 
+KINDS = "conditional", "bound", "joint", "bayesian"
+FIVE = ParameterSpace(
+    "abcde", [-np.inf] * 5, [np.inf] * 5, [0.0] * 5, [1.0, 1.0, 0.1, 2.0, 5.0],
+    distribution="normal",
+)  # fmt: skip
+FOUR = even_bands(4, 450.0, 900.0)
+ALIKE = np.array([[1.0, 0.7, 0.2, 0.0], [0.7, 1.0, 0.6, 0.4], [0.2, 0.6, 1.0, 0.9],
+                  [0.0, 0.4, 0.9, 1.0]])  # fmt: skip
+OFF = ModelError(FOUR.centre, [0.12, 0.13, 0.15, 0.1], ALIKE)
+CERTAIN = Gains(0.0)
+
+
+def factors_of(gains=CERTAIN, off=None):
+    return BandFactors.of_bands([(FOUR, gains)], off)
+
+
+def of_factors(factors, steps=(1, 4), bands=(1, 2, 4), seed=0):
+    """Statistics of one image, and their covariance by factors of its four bands."""
+    image, slopes = images(np.random.default_rng(seed), 1, 0.3)[0]
+    one = _measure(image, slopes, steps, bands, [1e-9], 2, 0)[1e-9]
+    blocks = one.blocks
+    sweep, sure = (_Sweep.of([one, one], FIVE, 0.01, f) for f in (factors, factors_of()))
+    np.testing.assert_array_equal(sweep.slopes, sure.slopes)
+    values = np.concatenate([block.values for block in blocks])
+    return image, values, sweep.covariance - sure.covariance, sweep
+
+
+def by_numpy(image, steps, bands):
+    """Statistics in the order of `_measure`, by NumPy alone."""
+    found = []
+    for count in bands:
+        wide = image.reshape(count, -1, *image.shape[1:]).mean(axis=1)
+        found.append(wide.mean(axis=(1, 2)))
+    for step in sorted(steps, reverse=True):
+        side = image.shape[1] // step
+        for count in bands:
+            wide = image.reshape(count, -1, side, step, side, step).mean(axis=(1, 3, 5))
+            flat = wide.reshape(count, -1)
+            kinds = [flat.std(axis=1), *np.quantile(flat, [0.1, 0.5, 0.9], axis=1)]
+            found.append(np.stack(kinds, axis=1).ravel())
+    return np.concatenate(found)
+
+
+@pytest.mark.parametrize("off", [None, OFF])
+@pytest.mark.parametrize("gains", [CERTAIN, Gains(0.1, 1.0)])
+def test_factors_of_bands_do_to_statistics_what_they_do_to_images(gains, off):
+    """Sample covariance of the statistics of 500 images with factors of their own: means, spreads
+    and quantiles of all pixels and numbers of bands. Of gains here those that all bands share."""
+    steps, bands = (1, 4), (1, 2, 4)
+    image, values, covariance, sweep = of_factors(factors_of(gains, off))
+    np.testing.assert_allclose(by_numpy(image, steps, bands), values, rtol=1e-6)
+    sd = np.zeros(4) if off is None else np.asarray(off.sd)
+    root = np.hstack([np.linalg.cholesky(ALIKE) * sd[:, None], np.full((4, 1), gains.sd)])
+    unit = np.random.default_rng(1).normal(size=(500, 5))
+    # Of covariance one without chance, and small: what is of first order is all there is.
+    unit = np.linalg.solve(np.linalg.cholesky(np.cov(unit.T)), (unit - unit.mean(axis=0)).T).T
+    logs = unit @ root.T
+    seen = [by_numpy(image * np.exp(0.05 * log)[:, None, None], steps, bands) for log in logs]
+    expected = 0.05**-2 * np.cov(np.transpose(seen)) / np.outer(values, values)
+    relative = covariance / np.outer(values, values)
+    np.testing.assert_allclose(relative, expected, atol=0.002)
+    # Slopes of quantiles are means over a window; of means and spreads they are to the digit.
+    rows = [at if step == 0 else at[::4] for (step, _), at in zip(sweep.keys, sweep.rows)]
+    exact = np.ix_(*2 * [np.concatenate(rows)])
+    np.testing.assert_allclose(relative[exact], expected[exact], atol=6e-5)
+
+
+def test_gains_of_wide_bands_are_as_uncertain_as_those_of_narrow_ones():
+    """Of a camera with few bands each has a gain of its own, and half the variance is common; and
+    what few bands tell of parameters, many bands have no second, independent look at."""
+    gains = Gains(0.1, 0.5)
+    _, values, covariance, sweep = of_factors(factors_of(gains))
+    relative = covariance / np.outer(values, values)
+    for (_, count), at in zip(sweep.keys, sweep.rows, strict=True):
+        kinds = len(at) // count
+        expected = np.kron(gains.covariance(count), np.ones((kinds, kinds)))
+        np.testing.assert_allclose(relative[np.ix_(at, at)], expected, atol=2e-3)
+    # Wide bands given the narrow ones, of means: what is left has nothing to do with these.
+    one, two, four = (sweep.rows[i] for i in range(3))
+    for wide in (one, two):
+        weight = relative[np.ix_(wide, four)] @ np.linalg.inv(relative[np.ix_(four, four)])
+        np.testing.assert_allclose(weight.sum(axis=1), 1.0, rtol=1e-6)
+    through = np.linalg.inv(relative[np.ix_(two, two)])
+    between = relative[np.ix_(one, two)] @ through @ relative[np.ix_(two, four)]
+    np.testing.assert_allclose(relative[np.ix_(one, four)], between, atol=1e-9)
+
+
 @pytest.mark.parametrize("plantings", [3, 5, 16])
 @pytest.mark.parametrize("chance", [0.3, 3.0])
 @pytest.mark.parametrize("seed", range(3))
@@ -198,13 +286,16 @@ def test_smaller_pixels_and_more_bands_never_know_less(plantings, chance, seed):
         _measure(image, slopes, steps, bands, [0.01, 0.5], 4, seed)
         for image, slopes in images(random, plantings, chance)
     ]
-    space = ParameterSpace(
-        "abcde", [-np.inf] * 5, [np.inf] * 5, [0.0] * 5, [1.0, 1.0, 0.1, 2.0, 5.0],
-        distribution="normal",
-    )  # fmt: skip
     for noise in (0.01, 0.5):
-        sweep = _Sweep.of([one[noise] for one in measured], space, 0.01)
-        never_less({(s, n): sweep.bounds(s, n)[1] for s in steps for n in bands})
+        found = []
+        for factors in (factors_of(), factors_of(Gains(0.05, 0.5)), factors_of(off=OFF)):
+            sweep = _Sweep.of([one[noise] for one in measured], FIVE, 0.01, factors)
+            found.append({(s, n): sweep.bounds(s, n)[1] for s in steps for n in bands})
+            never_less(found[-1])
+        for known, *others in zip(*(one.values() for one in found), strict=True):
+            for kind in KINDS:  # and with factors never more
+                sure = getattr(known, kind) * (1.0 - 1e-6)
+                assert all(np.all(getattr(one, kind) >= sure) for one in others), kind
 
 
 def never_less(found):
@@ -212,7 +303,7 @@ def never_less(found):
     for (size, count), fine in found.items():
         for (larger, fewer), coarse in found.items():
             if larger >= size and count % fewer == 0:
-                for kind in ("conditional", "bound", "joint", "bayesian"):
+                for kind in KINDS:
                     limit = getattr(coarse, kind) * (1 + 1e-6)
                     assert np.all(getattr(fine, kind) <= limit), (kind, size, count, larger, fewer)
 

@@ -9,7 +9,7 @@ import fynjax as fx
 from fynjax._core.errors import InputError
 from fynjax.assembly import _targets, read_targets, twin_image
 from fynjax.assembly._targets import image_target
-from fynjax.inversion import weigh_targets
+from fynjax.inversion import SPREAD_SD, weigh_targets
 from fynjax.io.plot import example_folder, read_plot, sensor_place
 from fynjax.io.raster import write_geotiff
 from fynjax.metrics import BANDS
@@ -20,8 +20,19 @@ from tests.helpers import write_raster
 def test_spreads_and_repeated_ratios_weigh_less():
     names = ("green.mean", "green.std", "NDVI.mean", "SR.mean", "GNDVI.mean")
     data = weigh_targets(names, np.array([0.05, 0.02, 0.7, 6.0, -0.6]), 0.01)
-    share = [0.01, 0.1, 0.01 * 2**0.5, 0.01 * 2**0.5, 0.01]
+    share = [0.01, np.hypot(0.01, SPREAD_SD), 0.01 * 2**0.5, 0.01 * 2**0.5, 0.01]
     np.testing.assert_allclose(data.sd, np.array(share) * [0.05, 0.02, 0.7, 6.0, 0.6])
+
+
+def test_what_spreads_are_off_by_moves_quantiles_about_their_mean():
+    """Half of its variance moves all spreads of a band together, and none of another one."""
+    names = ("red.mean", "red.q05", "red.q95", "red.std", "nir.std")
+    value = np.array([0.05, 0.02, 0.1, 0.02, 0.1])
+    covariance = np.asarray(weigh_targets(names, value, 1e-6).covariance)
+    apart = SPREAD_SD * np.array([0.0, -0.03, 0.05, 0.02, 0.1])
+    want = np.outer(apart, apart) * (0.5 + 0.5 * np.eye(5))
+    want[4, :4] = want[:4, 4] = 0.0
+    np.testing.assert_allclose(covariance, want, atol=1e-7)
 
 
 def test_every_function_of_a_ratio_repeats_it():
@@ -100,6 +111,35 @@ def test_every_band_that_camera_and_image_have_is_a_target(tmp_path, monkeypatch
         assert ("blue.std" in twin_image(camera).data.names) == (camera is five)
     data = fx.Data.from_image(tmp_path / "five.tif", "rededge_3", statistics=("*.mean",))
     assert "blue.mean" in data.names
+
+
+def test_the_image_is_kept_to_be_shown_cut_to_the_plot_and_in_bounded_memory(tmp_path, monkeypatch):
+    plot = read_plot(example_folder() / "plot.toml")
+    plot = plot.replace(size_m=(2.0, 1.0))
+    monkeypatch.setattr(_targets, "image_view", lambda *_: None)
+    random = np.random.default_rng(2)
+    image = np.sort(random.uniform(0.1, 0.2, (4, 31, 40)), axis=0)
+    image[:, 12, 14:16] = np.nan
+    write_geotiff(tmp_path / "a.tif", image, list(BANDS), pixel_m=0.1, crs="EPSG:32734")
+    kept = image_target(plot, tmp_path / "a.tif").image
+    assert (kept.bands, kept.block, kept.pixel) == (BANDS, 1, pytest.approx(0.1))
+    assert kept.size == pytest.approx((4.0, 3.1))
+    np.testing.assert_allclose(kept.values, image[:, 10:20, 10:30], rtol=1e-6)  # from its middle
+    assert kept.pixels.shape == (4, 31 * 40 - 2)
+    monkeypatch.setattr(_targets, "_MOST_SHOWN", 50)
+    monkeypatch.setattr(_targets, "_MOST_SAMPLED", 100)
+    small = image_target(plot, tmp_path / "a.tif").image
+    assert (small.block, small.pixel) == (2, pytest.approx(0.2))
+    assert small.values.shape == (4, 5, 10)
+    assert np.isfinite(small.values).all()
+    np.testing.assert_allclose(small.values[:, 0, 0], image[:, 10:12, 10:12].mean((1, 2)))
+    np.testing.assert_allclose(small.values[:, 1, 2], image[:, 13, 14:16].mean(axis=1))
+    assert small.pixels.shape[1] <= 100
+    np.testing.assert_array_equal(small.pixels[:, 1], kept.pixels[:, 13])
+    whole = image_target(plot.replace(size_m=(9.0, 9.0)), tmp_path / "a.tif").image
+    assert whole.values.shape == (4, 6, 8)  # smaller than the plot; 5 x 5 pixels each
+    table = image_target(plot, example_folder() / "statistics.csv")
+    assert table.image is None
 
 
 def test_a_resampled_image_is_simulated_by_what_its_pixels_average_over(tmp_path, monkeypatch):

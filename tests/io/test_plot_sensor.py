@@ -160,14 +160,14 @@ def test_errors_of_calibration_are_the_sensor_s_but_for_what_a_plot_file_states(
         return drone_sensor(plot(tmp_path, tables)).gains()
 
     errors = load_sensor("mavic_3m")
-    assert gains("").of_bands(4) == pytest.approx(0.18)
+    assert gains("").of_bands(4) == pytest.approx(0.35)
     assert gains("").way == "light_sensor"
     panels = gains('[sensor]\ncalibrated_by = "panels"\n[calibration]\ngain_shared = 0.9\n')
     assert panels.of_bands(4) == pytest.approx(errors.gains("panels").sd)
     assert (panels.way, panels.shared) == ("panels", 0.9)
     assert gains("[calibration]\ngain_sd = 0.0\n").sd == 0.0
     one = gains("[calibration]\ngain_sd = {red_edge = 0.3}\n")
-    assert one.sd == (0.18, 0.18, 0.3, 0.18)
+    assert one.sd == (0.35, 0.35, 0.3, 0.35)
     assert one.shared == errors.gains().shared
     assert gains('[sensor]\npath = "mine.toml"\n').of_bands(4) == pytest.approx(0.05)
     with pytest.raises(InputError, match=r"compared \(green.*\), but got 'blue'") as error:

@@ -13,7 +13,7 @@ from fynjax.io.plot import (
     LEAFY_FORMS,
     PRIOR_PARAMETERS,
     LeftOutPlot,
-    ModelError,
+    PriorError,
     PriorFile,
     PriorParameter,
     example_folder,
@@ -37,7 +37,7 @@ def prior_file(*, lacking: str = "", **changes) -> PriorFile:
     fields = {
         "title": 'Plots of "fynbos"', "licence": "CC-BY-4.0", "sources": ["tables.csv"],
         "made_with": "fynjax 1", "plots": 3, "parameters": rows,
-        "error": ModelError(
+        "error": PriorError(
             wavelength_nm=[500.0, 700.0, 2000.0], sd=[0.3, 0.2, 0.1],
             correlation=[[1.0, 0.5, 0.0], [0.5, 1.0, -0.2], [0.0, -0.2, 1.0]],
         ),
@@ -85,7 +85,7 @@ def test_a_plot_learned_from_has_the_values_of_the_others(prior) -> None:
 
 def test_errors_between_wavelengths_are_no_smaller_than_at_them(prior) -> None:
     wavelength = np.array([400.0, 500.0, 600.0, 700.0, 1000.0, 2000.0, 2400.0])
-    covariance = prior.error_covariance(wavelength)
+    covariance = prior.model_error.covariance(wavelength)
     np.testing.assert_allclose(
         np.sqrt(np.diagonal(covariance)), np.interp(wavelength, [500, 700, 2000], [0.3, 0.2, 0.1])
     )

@@ -11,7 +11,7 @@ import pytest
 
 from fynjax._core.errors import InputError
 from fynjax.compare import read_drone_image
-from fynjax.inversion import FitResult, PlotSearch
+from fynjax.inversion import Calibration, FitResult, FitStatus, PlotSearch
 from fynjax.io.plot import example_folder, read_plot
 from fynjax.jobs import CalibrateResult, calibrate, render
 from fynjax.jobs._calibrate import _short_of_sites
@@ -130,13 +130,19 @@ def test_three_sensors_together_after_an_interruption(twin):
         *("lidar.gap_fraction", "lidar.rugosity"),
     ]
     # The start is within the errors already; so is the end.
-    assert misfit(calibration, "after") < len(names)
+    assert misfit(calibration, "with_error") < len(names)
     # No index is a target, so the headline has none.
     assert calibration.headline[1].startswith("The stand: green leaf area ")
     assert calibration.headline[2].startswith(
         "small, expected over plantings: largest error of a band mean"
     )
     assert "nan" not in " ".join(calibration.headline)
+    bands = pd.read_csv(output / "bands.csv")
+    assert len(bands) == 8  # four of the camera, four of the spectrum
+    # Both see near infrared at 860 nm: one error of the model, and gains of their own.
+    at_860 = bands[bands["wavelength_nm"] == 860.0]
+    np.testing.assert_allclose(at_860["model_error"], at_860["model_error"].iloc[0])
+    assert at_860["gain"].nunique() == 2
     files = {"image_after.tif", "spectrum.png", "structure.png", "parameters.csv", "run.nc"}
     assert files <= set(calibration.files)
     assert all((output / name).stat().st_size for name in calibration.files)
@@ -144,21 +150,32 @@ def test_three_sensors_together_after_an_interruption(twin):
     assert "<h2>The spectrum</h2>" in page
     assert "<h2>The point cloud</h2>" in page
     assert "nan %" not in page
-    assert ('<p class="lead">Not converged: ' in page) == (not calibration.converged)
+    assert ('<p class="lead">A twin, whose truth' in page) == (calibration.status == "ok")
     assert "each with its 90 % interval" in page
     assert "noise of AVIRIS-NG" in page
     assert any("RMSE of the spectrum" in line for line in calibration.headline)
     jsonschema.validate(json.loads(calibration.model_dump_json()), json_schema("summary"))
 
 
+def ended(*doubts, **fit):
+    """A calibration of such a fit, with these doubts."""
+    own = stand_in(FitResult, status=FitStatus.max_steps, **fit)
+    return stand_in(Calibration, doubts=lambda _: list(doubts), fit=own)
+
+
 def test_a_page_says_first_that_the_search_did_not_converge():
-    stopped = stand_in(FitResult, converged=False, explanation="Stopped at the limit of steps.")
+    stopped = ended(converged=False, explanation="Stopped at the limit of steps.")
     lead = doubt_first(stopped, "Plot: largest error 14 %.")
     assert lead.startswith("Not converged: Stopped at the limit of steps. Allow more steps")
     assert lead.endswith("Plot: largest error 14 %.")
     assert lead[0].lower() + lead[1:] == f"{status_of(stopped)} Plot: largest error 14 %."
-    ended = stand_in(FitResult, converged=True, explanation="")
-    assert (status_of(ended), doubt_first(ended, "Plot.")) == ("ok", "Plot.")
+    good = ended(converged=True, explanation="")
+    assert (status_of(good), doubt_first(good, "Plot.")) == ("ok", "Plot.")
+
+
+def test_a_page_says_before_all_else_that_the_table_was_nearer():
+    worse = ended("Worse than the table: 3 of 4.", converged=True, explanation="")
+    assert doubt_first(worse, "Plot.") == "Worse than the table: 3 of 4. Plot."
 
 
 @pytest.mark.slow

@@ -28,6 +28,7 @@ pixel_m = 0.1
 free = ["species.Erica*.leaf.chlorophyll", "species.*.dead_fraction", "ground.brightness",
         "species.Erica*.diameter", "species.*.cover"]
 pixel_sd = 0.01
+model_error = 0
 """
 CROWDED = (
     CROWNS
@@ -70,7 +71,7 @@ def test_traits_of_known_plants_come_out_within_their_intervals(twin):
         assert row.constrained > 0.9, name
     # Noise of 1 % and nothing else: the misfit is the chi-square of as many values.
     said = " ".join(result.headline)
-    chi2 = float(said.split("chi-square ")[1].split(" ")[0])
+    chi2 = float(said.split("Chi-square ")[1].split(" ")[0])
     assert abs(chi2 - 1600) < 4.0 * np.sqrt(2 * 1600)
     error = float(said.split(" % after")[0].split()[-1])
     assert 0.9 < error < 1.2  # of the band's mean, as the noise is of a pixel
@@ -81,7 +82,13 @@ def test_traits_of_known_plants_come_out_within_their_intervals(twin):
 def test_the_result_and_its_files_are_as_documented(twin):
     path, *_, result = twin
     jsonschema.validate(json.loads(result.model_dump_json()), json_schema("summary"))
-    for file in ("parameters.csv", "image_after.tif", "residual.png", "report.html"):
+    page = (path.parent / "out" / "report.html").read_text("utf-8")
+    before, after = re.search(r"relative error ([\d.]+) % before, ([\d.]+) % after", page).groups()
+    pair = re.search("<b>([\\d.]+)\xa0→\xa0([\\d.]+)\xa0%</b>", page).groups()
+    np.testing.assert_allclose([*map(float, pair)], [float(before), float(after)], atol=0.051)
+    assert 'data-label="False colour"' in page
+    assert page.count('class="ground"') > 3 * 8  # residuals too move with the image
+    for file in ("band_nir.png", "image_after.tif", "residual.png", "parameters.csv"):
         assert (path.parent / "out" / file).is_file()
     assert {row.statistic for row in result.statistics} == {f"{band}.mean" for band in BANDS}
 

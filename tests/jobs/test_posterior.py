@@ -64,7 +64,8 @@ def test_intervals_of_a_chain_are_those_of_laplace_where_it_is_gaussian(runs):
     for end in ("q05", "q95"):
         assert ((table[end] - table[f"laplace_{end}"]).abs() < 0.1 * wide).all(), end
     brightness = table.loc["ground.brightness"]
-    assert brightness["constrained"] > 0.7
+    # Gains and the model's error of each band leave some of it open.
+    assert brightness["constrained"] > 0.5
     assert wide["ground.brightness"] < 0.5 * (brightness["prior_q95"] - brightness["prior_q05"])
     cover = table.loc["species.Restio eleocharis.cover"]
     assert cover["constrained"] < 0.2

@@ -8,6 +8,7 @@ import pandas as pd
 import pytest
 import xarray as xr
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import to_rgba
 from matplotlib.legend import Legend
 
 from fynjax.canopy import Organ, PlantModel
@@ -19,15 +20,18 @@ from fynjax.report.figures import (
     constraint_plot,
     convergence_plot,
     error_bars,
-    index_histograms,
+    layer_map,
     leaf_fit_figure,
     measured_figure,
     parameter_plot,
+    pixel_histograms,
     plant_figure,
     recognition_plot,
+    residual_maps,
     save_figure,
     side_view,
 )
+from fynjax.report.figures._style import AFTER, BEFORE
 from fynjax.sensors.lidar import LidarReturns
 
 BANDS = ("green", "red", "red_edge", "nir")
@@ -109,13 +113,76 @@ def test_an_image_alone_is_as_large_as_two_and_its_caption_lies_inside(image):
         assert box.x1 <= figure.bbox.width
 
 
+def test_the_stretch_is_that_of_one_image(image):
+    """One that is half as bright looks so, and one that is brighter does not darken the others."""
+    images = {"Before": 0.5 * image, "Real": image, "After": 3.0 * image}
+    for kind, name in (("true_like", "green"), ("false_colour", "red")):
+        figure = composites(images, BANDS, pixel_m=0.5, kind=kind, stretch="Real")
+        before, real, _ = (axes.images[0].get_array() for axes in figure.axes)
+        (alone,) = composites({"Real": image}, BANDS, pixel_m=0.5, kind=kind).axes
+        np.testing.assert_array_equal(real, alone.images[0].get_array())
+        assert before.mean() < 0.8 * real.mean(), name
+        if kind == "true_like":  # from zero on, by the square root
+            inside = (real > 0.0) & (real < 1.0)
+            np.testing.assert_allclose(before[inside], 0.5**0.5 * real[inside], rtol=1e-6)
+        assert "of “Real”" in " ".join(text_of(figure))
+    layers = {title: each[3] for title, each in images.items()}
+    figure = layer_map(layers, "NIR", pixel_m=0.5, stretch="Real")
+    limits = {axes.images[0].get_clim() for axes in figure.axes[:3]}
+    assert limits == {tuple(np.percentile(image[3], [1, 99]))}
+
+
+def test_images_of_other_pixels_and_sizes_have_one_scale_of_length(image):
+    """The smaller in the middle."""
+    images = {"Real": image, "Before": image[:, ::2, ::3]}
+    pixels = {"Real": 0.5, "Before": 0.6}
+    for figure in (
+        composites(images, BANDS, pixel_m=pixels),
+        layer_map({title: each[0] for title, each in images.items()}, "x", pixel_m=pixels),
+    ):
+        real, before = figure.axes[:2]
+        assert real.get_xlim() == before.get_xlim() == (0.0, 6.0)
+        assert real.get_ylim() == before.get_ylim() == (0.0, 6.0)
+        assert real.images[0].get_extent() == [0, 6, 0, 6]
+        np.testing.assert_allclose(before.images[0].get_extent(), [1.8, 4.2, 1.2, 4.8])
+
+
+def test_residuals_before_and_after_share_the_scale_of_their_band(image):
+    figure = residual_maps({"Before": -image, "After": 0.1 * image}, BANDS, pixel_m=0.5)
+    maps = [axes for axes in figure.axes if axes.images]
+    assert [axes.get_title(loc="left") for axes in maps[:2]] == ["Before, green", "Before, red"]
+    for k in range(4):
+        before, after = (maps[row * 4 + k].images[0] for row in (0, 1))
+        most = np.percentile(np.abs([image[k], 0.1 * image[k]]), 99)
+        assert before.get_clim() == after.get_clim() == pytest.approx((-most, most))
+        np.testing.assert_array_equal(after.get_array(), 0.1 * image[k])
+
+
 def test_an_image_that_was_not_calibrated_is_not_called_before():
     values = {"NDVI": np.linspace(0.2, 0.8, 50)}
-    assert "before" not in text_of(index_histograms(values))
-    real = text_of(index_histograms(values, target={"NDVI": (0.5, 0.1)}))
+    assert "before" not in text_of(pixel_histograms({"simulated": values}))
+    real = text_of(pixel_histograms({"simulated": values}, target={"NDVI": (0.5, 0.1)}))
     assert "simulated" in real
     assert "before" not in real
-    assert {"before", "after"} <= set(text_of(index_histograms(values, values)))
+    two = pixel_histograms({"before": values, "after": values})
+    assert {"before", "after"} <= set(text_of(two))
+
+
+def test_histograms_of_the_real_image_lie_over_those_of_the_simulations():
+    values = np.linspace(0.2, 0.4, 500)
+    every = {who: {"nir": values + k} for k, who in enumerate(("real", "before", "after"))}
+    figure = pixel_histograms(every, {"nir": (0.25, 0.01)}, what="Reflectance [-]")
+    (axes,) = figure.axes
+    found = [patch.get_data() for patch in axes.patches if hasattr(patch, "get_data")]
+    for k, (height, edges, _) in enumerate(found):
+        middle = 0.5 * (edges[1:] + edges[:-1])
+        assert middle @ height / height.sum() == pytest.approx(0.3 + k, abs=0.02)
+    # The means of the simulations, and what is stated of the real one.
+    assert [line.get_xdata()[0] for line in axes.lines] == pytest.approx([1.3, 2.3, 0.25])
+    assert axes.get_title(loc="left") == "NIR"
+    assert {"real", "before", "after", "Reflectance [-]; height is the density of pixels"} <= set(
+        text_of(figure)
+    )
 
 
 def test_species_stand_in_one_order_in_panels_with_units(table):
@@ -160,18 +227,31 @@ def test_no_labels_overlap_with_64_parameters(table):
 
 
 def test_errors_are_absolute_cut_and_may_be_missing():
-    errors = {
+    means = {
         "before": {"nir": -30.0, "NDVI": 250.0},
         "after": {"nir": 1.0, "NDVI": float("nan")},
         "DIRSIG (paper)": {"nir": 22.19},
     }
-    figure = error_bars(errors)
-    axes = figure.axes[0]
+    spreads = {"before": {"NDVI": 50.0}, "with gains": {"NDVI": -20.0}}
+    figure = error_bars({"Means": means, "Spreads": spreads})
+    axes, below = figure.axes
     widths = [bar.get_width() for container in axes.containers for bar in container]
     np.testing.assert_allclose(widths, [30, 100, 1, np.nan, 22.19, np.nan])
     assert axes.get_xlim()[1] == pytest.approx(110)
     assert "→ 250" in text_of(figure)
     assert [label.get_text() for label in axes.get_yticklabels()] == ["NIR", "NDVI"]
+    # Spreads in a panel of their own, with a scale and with colours for the same simulations.
+    assert [one.get_title(loc="left") for one in figure.axes] == ["Means", "Spreads"]
+    assert below.get_xlim()[1] == pytest.approx(55)
+    colour = [
+        {bars.get_label(): bars[0].get_facecolor() for bars in one.containers}
+        for one in figure.axes
+    ]
+    assert colour[0]["before"] == colour[1]["before"] == to_rgba(BEFORE)
+    assert colour[0]["after"] == to_rgba(AFTER)
+    assert len({*colour[0].values(), *colour[1].values()}) == 4
+    (legend,) = figure.legends
+    assert [text.get_text() for text in legend.get_texts()] == [*means, "with gains"]
 
 
 def test_gaps_and_edges_do_not_break_a_figure(tmp_path, image):
@@ -180,8 +260,9 @@ def test_gaps_and_edges_do_not_break_a_figure(tmp_path, image):
     save_figure(composites({"a": image}, BANDS, pixel_m=0.025), tmp_path / "a.png")
     save_figure(composites({"a": flat}, BANDS, pixel_m=0.025), tmp_path / "b.png")
     nothing = np.array([np.nan, np.inf])
-    figure = index_histograms(
-        {"NDVI": nothing, "SR": np.ones(5)}, target={"NDVI": (0.7, np.nan), "SR": (7.6, 3.0)}
+    figure = pixel_histograms(
+        {"before": {"NDVI": nothing, "SR": np.ones(5)}},
+        target={"NDVI": (0.7, np.nan), "SR": (7.6, 3.0)},
     )
     save_figure(figure, tmp_path / "c.png")
     save_figure(convergence_plot([3.0]), tmp_path / "d.png")
@@ -208,7 +289,9 @@ def sorted_lines(axes):
 def test_histogram_is_a_density_with_the_target_inside():
     rng = np.random.default_rng(0)
     values = rng.normal(0.5, 0.1, 20000)
-    figure = index_histograms({"NDVI": values}, {"NDVI": values + 0.1}, {"NDVI": (0.95, 0.05)})
+    figure = pixel_histograms(
+        {"before": {"NDVI": values}, "after": {"NDVI": values + 0.1}}, {"NDVI": (0.95, 0.05)}
+    )
     axes = figure.axes[0]
     low, high = axes.get_xlim()
     assert low < 0.3

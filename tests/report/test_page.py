@@ -1,9 +1,13 @@
 """The page stands alone, escapes what users write, and shows numbers as a reader wants them."""
 
 import base64
+import json
 import re
+import shutil
+import subprocess
 from html.parser import HTMLParser
 from io import BytesIO
+from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -12,6 +16,8 @@ import pytest
 from matplotlib.figure import Figure
 from PIL import Image
 
+from fynjax.report import pages
+from fynjax.report.figures import composites
 from fynjax.report.pages import Page, Picture, Section, Table, Views, format_number, write_page
 
 
@@ -153,6 +159,90 @@ def test_rows_of_a_figure_are_marked_with_those_of_tables(tmp_path, by_place):
         names_at = np.nonzero(image[:, : columns.min() - 20, :3].min(axis=(0, 2)) < 0.5)[0]
         assert left == pytest.approx(100 * names_at.min() / image.shape[1], abs=1.5)
         assert left + wide == pytest.approx(100 * columns.max() / image.shape[1], abs=1.0)
+
+
+def test_views_of_the_ground_are_marked_where_the_picture_has_them(tmp_path):
+    """Three of them, by the colour of each; no other part of a picture is one."""
+    colours = {"a": 0, "b": 1, "c": 2}
+    images = {name: np.zeros((4, 6, 9)) for name in colours}
+    for name, channel in colours.items():
+        images[name][(3, 1, 0)[channel]] = 1.0  # near infrared, red, green
+    figure = composites(images, ("green", "red", "red_edge", "nir"), pixel_m=0.1)
+    plain = Figure(figsize=(1, 1))
+    plain.subplots()
+    parts = [Picture("images.png", figure, "x"), Picture("plain.png", plain, "x")]
+    text = html(Page("Plot", "", [Section("", parts)]), tmp_path)
+    found = re.findall(
+        r'<b class="ground" style="left: (.*?)%; top: (.*?)%; width: (.*?)%; height: (.*?)%"', text
+    )
+    assert len(found) == 3
+    picture = plt.imread(tmp_path / "images.png")[..., :3]
+    for channel, edges in zip(colours.values(), found, strict=True):
+        left, top, wide, high = map(float, edges)
+        pure = (picture[..., channel] > 0.9) & (np.delete(picture, channel, -1).max(axis=-1) < 0.2)
+        rows, columns = np.nonzero(pure)
+        for share, count, inside in ((left, 1, columns), (top, 0, rows)):
+            edge = 100 * inside.min() / picture.shape[count]
+            assert share == pytest.approx(edge, abs=0.4)
+        assert left + wide == pytest.approx(100 * columns.max() / picture.shape[1], abs=0.4)
+        assert top + high == pytest.approx(100 * rows.max() / picture.shape[0], abs=0.4)
+
+
+_BROWSER = """
+class Element {
+  constructor(found = {}) {
+    Object.assign(this, {found, style: {}, dataset: {}, on: {}, parts: [], seen: new Set()});
+    this.offsetWidth = 200; this.offsetHeight = 100; this.firstElementChild = this;
+    this.classList = {add: c => this.seen.add(c), toggle: (c, on) => on && this.seen.add(c)};
+  }
+  addEventListener(name, act) { this.on[name] = act; }
+  append(one) { this.parts.push(one); }
+  before() {} replaceWith() {} setPointerCapture() {}
+  cloneNode() { return new Element(); }
+  closest(what) { return what === "figure" ? new Element() : null; }
+  getBoundingClientRect() { return {left: 10, top: 20}; }
+  querySelectorAll(what) { return this.found[what] ?? []; }
+  querySelector(what) { return this.found[what][0]; }
+}
+const pane = () => Object.assign(new Element(), {style: {left: "10%", top: "20%", width: "25%",
+  height: "50%"}});
+const panes = [pane(), pane(), pane()], other = pane(), plain = new Element();
+const section = pictures => new Element({".picture": pictures,
+  ".ground": pictures.flatMap(picture => picture.found[".ground"] ?? [])});
+const picture = grounds => new Element({".ground": grounds});
+const sections = [section([picture(panes.slice(0, 2)), picture(panes.slice(2)), plain]),
+  section([picture([other])])];
+const document = {createElement: () => new Element(),
+  querySelectorAll: what => what === "section" ? sections : []};
+SCRIPT
+const shown = () => [...panes, other].map(p => p.parts[0].style.transform ?? "");
+const before = shown(), part = panes[0].parts[0].parts[0].style;
+panes[1].on.dblclick({clientX: 10 + 50, clientY: 20 + 50});
+const zoomed = shown();
+panes[2].on.pointerdown({clientX: 110, clientY: 70});
+panes[2].on.pointermove({clientX: 135, clientY: 57.5});
+panes[2].on.pointerup({});
+const moved = shown();
+panes[2].on.pointermove({clientX: 0, clientY: 0});
+console.log(JSON.stringify([before, zoomed, moved, shown(), part, plain.style]));
+"""
+
+
+@pytest.mark.skipif(shutil.which("node") is None, reason="no JavaScript outside a browser")
+def test_views_of_the_ground_in_a_section_zoom_and_move_together():
+    """Those of one picture and of the next; not those of another section."""
+    script = (Path(pages.__file__).parent / "page.js").read_text("utf-8")
+    asked = ["node", "-e", _BROWSER.replace("SCRIPT", script)]
+    answer = subprocess.run(asked, capture_output=True, text=True, timeout=60, check=True).stdout
+    before, zoomed, moved, after, part, plain = json.loads(answer)
+    assert before == [""] * 4
+    # About the point that was clicked, a quarter from the left and half from the top.
+    assert zoomed == ["translate(-25%, -50%) scale(2)"] * 3 + [""]
+    assert moved == ["translate(-12.5%, -62.5%) scale(2)"] * 3 + [""]
+    assert after == moved  # the pointer was let go
+    # The part of the picture that the view covers lies where it did.
+    assert part == {"width": "400%", "left": "-40%", "top": "-40%"}
+    assert plain == {}
 
 
 def test_pages_are_dark_where_the_system_is_but_not_on_paper(page, tmp_path):

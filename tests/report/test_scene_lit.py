@@ -2,6 +2,8 @@
 
 import dataclasses
 
+import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 import pandas as pd
 import pytest
@@ -93,6 +95,8 @@ def test_bare_ground_has_the_colour_of_soil_and_plants_are_green(scene):
 
 def test_plants_behind_a_hill_are_hidden(scene):
     """A ridge along the middle, in one view with and without it."""
+    behind = jnp.asarray(scene.planting.foot).at[:, 1].set(0.85)
+    scene = eqx.tree_at(lambda s: s.planting.foot, scene, behind)
     plants, hard = hard_instances(scene, scene.parameters), hard_scene(scene, scene.parameters)
     y = np.linspace(0.0, 1.0, 40)
     ridge = 0.6 * np.exp(-(((y - 0.5) / 0.08) ** 2))[:, None] * np.ones(40)

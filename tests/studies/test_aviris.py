@@ -12,9 +12,11 @@ import pytest
 
 from fynjax.compare import table5_2006
 from fynjax.inversion import (
+    BandFactors,
     Calibration,
     CalibrationSettings,
     ImageView,
+    PlotSpace,
     calibrate_plot,
     free_space,
     join_data,
@@ -105,17 +107,22 @@ def test_the_numbers_tie_the_gains_of_the_camera(plot):
 def test_gains_say_what_an_exact_simulation_is_off_by(plot):
     """A camera that has 0.8 of the light makes what is true look 25 % too bright."""
     camera = aim(*plot, shipped_sensor("mavic_3m"), Placement(50.0, 0.1))
+    views = (ImageView(("green.mean",), camera, Gains(0.3, 0.0)),)
     found = stand_in(
         Calibration,
-        views=(ImageView(("green.mean",), camera, Gains(0.3, 0.0)),),
-        gain=np.array([0.8, 1.25, 0.5, 1.1]),
-        gain_sd=np.full(4, 0.08),
+        views=views,
+        space=stand_in(PlotSpace, factors=BandFactors.of(views, None)),
+        gains=(np.array([0.8, 1.25, 0.5, 1.1]),),
+        gains_sd=(np.full(4, 0.08),),
+        model_error=(np.full(4, 1.1),),
+        model_error_sd=(np.full(4, 0.1),),
     )
     statistics = pd.DataFrame({"statistic": ["nir.mean"], "after_error_percent": [12.0]})
     table = camera_table(found, statistics)
     np.testing.assert_allclose(table["exact_error_percent"], [25.0, -20.0, 100.0, -100.0 / 11.0])
     np.testing.assert_allclose(table["sd"], [0.064, 0.1, 0.04, 0.088])
     np.testing.assert_allclose(table["prior_sd"], 0.3)
+    np.testing.assert_allclose(table["model_error_sd"], 0.11)
     np.testing.assert_array_equal(table["after_error_percent"], [np.nan, np.nan, np.nan, 12.0])
     text = _camera_sentence(table)
     assert "green +25 %, red −20 %" in text.replace("-", "−")

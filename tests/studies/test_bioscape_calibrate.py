@@ -42,6 +42,7 @@ from fynjax.studies.bioscape._inversion import (
     quantity,
 )
 from fynjax.studies.bioscape._inversion_compare import (
+    TABLES_PRIOR,
     agreement,
     estimate_table,
     field_values,
@@ -363,5 +364,14 @@ def test_one_plot_alone_goes_on_from_its_checkpoint(tmp_path: Path, monkeypatch,
         for name in ("tables_alone", "the_plot's_tables_as_prior")
     )
     assert after < 0.7 * before
+    said = results[0].headline
+    assert (
+        f"root mean square {before:.4f} before, by the tables alone, {after:.4f} after" in said[0]
+    )
+    field = first[np.isfinite(first["field"]) & (first["predictor"] == TABLES_PRIOR)]
+    assert len(field) == len(said) - 1
+    for line, (_, row) in zip(said[1:], field.iterrows(), strict=True):
+        errors = [abs(row[name] - row["field"]) for name in ("prior", "estimate")]
+        assert f"RMSE {round(errors[0], 6):.3g} before, {errors[1]:.3g} " in line
     with pytest.raises(InputError, match="another run"):
         calibrate_plots(tmp_path / "tables", tmp_path / "first", **(options | {"seed": 1}))

@@ -259,7 +259,7 @@ def test_an_inversion_starts_from_the_population(tmp_path: Path) -> None:
     for name in ("leaf_area_index", "dead_fraction", "chlorophyll", "structure"):
         assert sd[name] == pytest.approx(0.05 / 0.4), name
     mean = np.array([0.1, 0.2])
-    error = learned.error_covariance(np.array([500.0, 700.0]))
+    error = learned.model_error.covariance(np.array([500.0, 700.0]))
     data = plot_data(("a", "b"), np.stack([mean, mean]), None, error)
     np.testing.assert_allclose(np.asarray(data.sd) / mean, [0.3, 0.2], rtol=0.01)
     covariance = np.linalg.inv(np.asarray(data.whitener.T @ data.whitener))

@@ -4,7 +4,9 @@ from ._parameter_values import with_parameter_table as with_parameter_table
 from ._place import Place as Place
 from ._place import placed_by as placed_by
 from ._place import plot_place as plot_place
+from ._plants import free_parameters as free_parameters
 from ._plants import plant_sources as plant_sources
+from ._plants import plot_error as plot_error
 from ._plants import plot_spreads as plot_spreads
 from ._plants import with_prior as with_prior
 from ._plot import Plot as Plot
@@ -22,7 +24,7 @@ from ._prior import PRIOR_PARAMETERS as PRIOR_PARAMETERS
 from ._prior import SHIPPED_PRIORS as SHIPPED_PRIORS
 from ._prior import LearnedPrior as LearnedPrior
 from ._prior import LeftOutPlot as LeftOutPlot
-from ._prior import ModelError as ModelError
+from ._prior import PriorError as PriorError
 from ._prior import PriorFile as PriorFile
 from ._prior import PriorParameter as PriorParameter
 from ._prior import assumed_by_form as assumed_by_form

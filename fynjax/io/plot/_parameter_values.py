@@ -25,7 +25,8 @@ def _accepted(record: Parameter) -> dict[str, float]:
 def with_parameter_table(
     parameters: PlotParameters, taxa: tuple[str, ...], path: Path
 ) -> PlotParameters:
-    """A plot's parameters with the estimates of a table, such as `parameters.csv`.
+    """A plot's parameters with the values that a table offers, such as `parameters.csv`: its
+    estimates, or where it has a column `offered` those.
 
     **Arguments:**
 
@@ -64,8 +65,11 @@ def with_parameter_table(
             words = f"expected {kind} in {' or '.join(accepted)}, but got {unit!r}"
             raise InputError(words, row=number, column="unit")
         factor = accepted[unit]
-        record.check(row.estimate, kind, (unit, factor), row=number, column="estimate")
-        values[row.name] = jnp.asarray(row.estimate / factor)
+        used, column = row.estimate, "estimate"
+        if row.offered is not None:
+            used, column = row.offered, "offered"
+        record.check(used, kind, (unit, factor), row=number, column=column)
+        values[row.name] = jnp.asarray(used / factor)
     changed = with_values(parameters, taxa, values)
     ground = changed.ground
     covered = float(ground.litter_fraction + ground.char_fraction + ground.rock_fraction)

@@ -1,5 +1,7 @@
 """Values of plants that a plot's tables leave open: from where they are, and of what population."""
 
+import glob
+import math
 import warnings
 from collections import Counter
 from pathlib import Path
@@ -8,7 +10,7 @@ from typing import Any
 from fynjax.canopy import FORMS
 from fynjax.io.plot._plot import Plot
 from fynjax.io.plot._prior import BY_FORM, DEFAULT_PRIOR, LearnedPrior, read_prior
-from fynjax.scene import SpeciesRow, table_spreads
+from fynjax.scene import LEAF_FIELDS, ModelError, SpeciesRow, table_spreads
 
 _OPEN = {
     "leaf_area_index": "leaf area",
@@ -147,5 +149,50 @@ def with_prior(plot: Plot, name_or_path: str | Path) -> Plot:
         ground=ground,
         calibration=plot.calibration.replace(priors=spread),
         inputs=(*plot.inputs, prior.path),
+        prior=prior,
         plant_sources=sources,
     )
+
+
+_ELSEWHERE = math.sqrt(2.0)
+"""Factor on the model's error for plants of which no plot was learned from: how far regions differ
+is not known, and taken to be as far as plots do, as in `LearnedPrior.sd`."""
+
+
+def plot_error(plot: Plot) -> ModelError | None:
+    """What the model of a plot is off by: the error of the population that filled its tables
+    (`with_prior`), or else of the shipped one, times `calibration.model_error`.
+
+    **Arguments:** `plot`: a plot.
+
+    **Returns:** `ModelError`, or None with a `calibration.model_error` of 0.
+    """
+    prior = plot.prior or read_prior(DEFAULT_PRIOR)
+    assert prior is not None  # a name, and not "none"
+    scale = plot.calibration.model_error
+    if scale is None:
+        scale = _ELSEWHERE if plot.shrubland == "generic" else 1.0
+    return prior.model_error.wider(scale) if scale > 0.0 else None
+
+
+def free_parameters(plot: Plot) -> tuple[str, ...]:
+    """Patterns of the parameters that a calibration of a plot frees: those that its file states, or
+    else what is guessed and what changes from year to year.
+
+    Of every species cover, diameter and dead share; leaf area and clumping that the species table
+    leaves open; leaf traits of species of which no leaf was measured. Brown pigments and the
+    brightness of wood are not among them: what darkens and browns live shoots is their dead tissue.
+    Of the ground brightness, moisture and covers.
+
+    **Arguments:** `plot`: a plot.
+    """
+    if plot.calibration.free is not None:
+        return tuple(plot.calibration.free)
+    found = []
+    for one in plot.species:
+        kinds = ["cover", "diameter", "dead_fraction"]
+        kinds += [kind for kind in ("leaf_area_index", "shoot_clumping") if one.leaves_open(kind)]
+        if one.taxon not in plot.leaf_files:
+            kinds += [f"leaf.{name}" for name in LEAF_FIELDS if name != "brown_pigments"]
+        found += [f"species.{glob.escape(one.taxon)}.{kind}" for kind in kinds]
+    return (*found, "ground.brightness", "ground.moisture", "ground.*_fraction")

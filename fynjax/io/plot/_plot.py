@@ -16,6 +16,7 @@ from fynjax.io.plot._plot_tables import (
     SensorTable,
     SkyTable,
 )
+from fynjax.io.plot._prior import LearnedPrior
 from fynjax.scene import CoverDefinition, Crowns, LeafRow, SpeciesRow
 from fynjax.sensors import SunPosition
 
@@ -59,6 +60,8 @@ class Plot(PlotTable, SceneTable):
     crowns_note: str | None = None
     """A sentence on how far covers and sizes that follow from the crowns are from the species
     table's; `None` where the plants are not known."""
+    prior: InstanceOf[LearnedPrior] | None = None
+    """The learned population that filled in what the tables leave open; `None`: none did."""
     plant_sources: str | None = None
     """A line on where the values of the plants are from, written before a learned population filled
     in what the tables leave open; `None`: `plant_sources` says it of the tables as they are."""

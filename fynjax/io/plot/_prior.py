@@ -13,7 +13,7 @@ from pydantic import Field, model_validator
 from fynjax._core.seeds import generator
 from fynjax.canopy import FORMS
 from fynjax.io.text import Strict, in_unit, read_toml, shipped_or_own, write_text
-from fynjax.scene import PARAMETERS
+from fynjax.scene import PARAMETERS, ModelError
 
 DATA = Path(__file__).parent / "data"
 SHIPPED_PRIORS = ("fynbos_2023",)
@@ -80,7 +80,7 @@ class LeftOutPlot(Strict):
     """Means, in the order of `parameters`."""
 
 
-class ModelError(Strict):
+class PriorError(Strict):
     """What no parameter explains of the logarithm of a spectrum."""
 
     wavelength_nm: list[Annotated[float, Field(gt=300, lt=3000)]] = Field(min_length=2)
@@ -104,7 +104,7 @@ class PriorFile(Strict):
     """Program and version, size and voxels of the plots."""
     plots: int = Field(ge=1)
     """Number of plots learned from."""
-    error: ModelError
+    error: PriorError
     """The model's remaining error."""
     parameters: list[PriorParameter] = Field(min_length=1)
     """Parameters of the population."""
@@ -316,21 +316,12 @@ class LearnedPrior:
             drawn[p.name] = low + (high - low) / (1.0 + np.exp(-z))
         return drawn
 
-    def error_covariance(
-        self, wavelength: Float[np.ndarray, " band"]
-    ) -> Float[np.ndarray, "band band"]:
-        """Covariance of the error of the logarithm of reflectance, at any wavelengths [nm].
-
-        Between those of the file errors are interpolated, beyond them they are those of the ends.
-        """
-        known = np.asarray(self.file.error.wavelength_nm)
-        sd = np.asarray(self.file.error.sd)
-        covariance = np.asarray(self.file.error.correlation) * np.outer(sd, sd)
-        shares = np.stack([np.interp(wavelength, known, row) for row in np.eye(len(known))], axis=1)
-        between = shares @ covariance @ shares.T
-        # Interpolation would make errors half-way between two wavelengths smaller than at both.
-        scale = np.interp(wavelength, known, sd) / np.sqrt(np.diagonal(between))
-        return between * np.outer(scale, scale)
+    @property
+    def model_error(self) -> ModelError:
+        """What the model is off by on plots such as those learned from."""
+        error = self.file.error
+        parts = error.wavelength_nm, error.sd, error.correlation
+        return ModelError(*map(np.asarray, parts))
 
 
 def _root(covariance: Float[np.ndarray, "a a"]) -> Float[np.ndarray, "a a"]:

@@ -61,8 +61,8 @@ class StatisticRow(Strict):
     value: float = in_unit("-")
     """Value of the statistic; a reflectance is a fraction [-]."""
     sd: float | None = in_unit("-", default=None, gt=0)
-    """Standard deviation of the value; empty takes calibration.target_sd (ten times that for a std)
-    [-]."""
+    """Standard deviation of the value; empty takes calibration.target_sd, and of
+    spreads what the model's are off by (`SPREAD_SD`) [-]."""
 
     @property
     def subject(self) -> str:
@@ -98,7 +98,7 @@ class ParameterRow(Strict):
     prior_q95: float | None = in_unit("as stated", default=None)
     """Quantile of 95 % of the prior [as stated]."""
     estimate: float = in_unit("as stated")
-    """Value that is used [as stated]."""
+    """Value that is used, unless another is `offered` [as stated]."""
     sd: float | None = in_unit("as stated", default=None)
     """Standard deviation of the estimate [as stated]."""
     lower: float | None = in_unit("as stated", default=None)
@@ -111,8 +111,15 @@ class ParameterRow(Strict):
     """Median of draws [as stated]."""
     q95: float | None = in_unit("as stated", default=None)
     """Quantile of 95 % of the estimate [as stated]."""
+    moved: float | None = in_unit("-", default=None)
+    """Distance of the estimate from the prior's centre [prior standard deviations]."""
     constrained: float | None = in_unit("-", default=None)
     """Share of the prior variance that the data removed [-]."""
+    offered: float | None = in_unit("as stated", default=None)
+    """Value that is used in place of the estimate: of a calibration that is worse than the field
+    table the prior's [as stated]."""
+    worse_than_table: bool | None = None
+    """Whether more bands moved away from what was measured than nearer."""
     ess_bulk: float | None = in_unit("-", default=None)
     """Effective draws, of the bulk [-]."""
     ess_tail: float | None = in_unit("-", default=None)

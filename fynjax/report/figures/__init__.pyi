@@ -10,9 +10,9 @@ from ._fit import metric_plot as metric_plot
 from ._fit import parameter_plot as parameter_plot
 from ._fit import spectrum_plot as spectrum_plot
 from ._image import composites as composites
-from ._image import index_histograms as index_histograms
 from ._image import layer_map as layer_map
 from ._image import photo as photo
+from ._image import pixel_histograms as pixel_histograms
 from ._image import residual_maps as residual_maps
 from ._image import species_map as species_map
 from ._leaf import APART as APART
@@ -56,6 +56,7 @@ from ._structure import structure_figure as structure_figure
 from ._structure import structure_maps as structure_maps
 from ._style import FIGURE_DPI as FIGURE_DPI
 from ._style import REAL as REAL
+from ._style import ground_panels as ground_panels
 from ._style import named_rows as named_rows
 from ._style import save_figure as save_figure
 from ._style import style as style

@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
 from numpy.typing import ArrayLike, NDArray
 
 from fynjax.inversion import WELL_CONSTRAINED
@@ -233,40 +234,54 @@ _FULL_SCALE = 100.0
 """Longer bars are cut and show their value, so that the short ones stay readable [%]."""
 
 
+_BARS = {"before": BEFORE, "after": AFTER, "with gains": SKY, "DIRSIG (paper)": OTHER}
+"""Colours of bars by what they are of."""
+
+
 @style()
-def error_bars(errors: Mapping[str, Mapping[str, float]]) -> Figure:
+def error_bars(panels: Mapping[str, Mapping[str, Mapping[str, float]]]) -> Figure:
     """Absolute relative error of each statistic, one bar for each simulation.
 
-    **Arguments:** `errors`, relative errors [%], sign ignored, by simulation and statistic, such as
-    `{"before": {"NIR": 12.0}, "after": {...}, "DIRSIG (paper)": {...}}`; a statistic that a
-    simulation lacks has no bar.
+    **Arguments:** `panels`, relative errors [%], sign ignored, by the panel's title, simulation and
+    statistic, such as `{"Means": {"before": {"NIR": 12.0}, "after": {...}}, "Spreads": {...}}`; a
+    statistic that a simulation lacks has no bar, and bars of unlike sizes belong in panels of their
+    own.
     """
-    names = list(dict.fromkeys(name for values in errors.values() for name in values))
-    colours = [BEFORE, AFTER, OTHER, PURPLE]
-    count = len(errors)
-    height = 0.8 / count
-    figure = Figure(figsize=(6.4, (0.105 * count + 0.09) * len(names) + 1.0))
-    axes = figure.subplots()
-    highest = 0.0
-    for k, (simulation, values) in enumerate(errors.items()):
-        y = np.arange(len(names)) + (k - (count - 1) / 2) * height
-        share = np.array([abs(values.get(name, np.nan)) for name in names])
-        highest = max(highest, float(np.nanmax(share, initial=0.0)))
-        bars = np.minimum(share, _FULL_SCALE)
-        axes.barh(y, bars, height * 0.9, color=colours[k % 4], label=simulation)
-        for position, value in zip(y, share, strict=True):
-            if np.isfinite(value):
-                text = f"{value:.2g}" if value < 9.95 else f"{value:.0f}"
-                axes.annotate(
-                    text if value <= _FULL_SCALE else f"→ {text}",
-                    (min(value, _FULL_SCALE), position), xytext=(3, 0),
-                    textcoords="offset points", fontsize=6.5, va="center", zorder=4,
-                    bbox={"boxstyle": "square,pad=0.05", "fc": "white", "ec": "none"},
-                )  # fmt: skip
-    figure.legend(loc="outside upper left", ncols=count)
-    name_rows(axes, [words(name) for name in names])
-    axes.set_xlim(0, min(highest, _FULL_SCALE) * 1.1 or 1)
-    axes.set_xlabel("|simulated - real| / |real| [%]")
+    who = list(dict.fromkeys(name for panel in panels.values() for name in panel))
+    names = {
+        title: list(dict.fromkeys(name for values in panel.values() for name in values))
+        for title, panel in panels.items()
+    }
+    spare = iter((VERMILION, PURPLE, GREEN))
+    colours = {name: _BARS.get(name) or next(spare, GREY) for name in who}
+    height = 0.8 / len(who)
+    rows = [max(len(of), 1) for of in names.values()]
+    row = 0.105 * len(who) + 0.09
+    figure = Figure(figsize=(6.4, row * sum(rows) + 0.45 + 0.55 * len(panels)))
+    grid = figure.subplots(len(panels), 1, squeeze=False, height_ratios=rows)[:, 0]
+    for axes, (title, panel) in zip(grid, panels.items(), strict=True):
+        highest = 0.0
+        for name, values in panel.items():
+            y = np.arange(len(names[title])) + (who.index(name) - (len(who) - 1) / 2) * height
+            share = np.array([abs(values.get(each, np.nan)) for each in names[title]])
+            highest = max(highest, float(np.nanmax(share, initial=0.0)))
+            bars = np.minimum(share, _FULL_SCALE)
+            axes.barh(y, bars, height * 0.9, color=colours[name], label=name)
+            for position, value in zip(y, share, strict=True):
+                if np.isfinite(value):
+                    text = f"{value:.2g}" if value < 9.95 else f"{value:.0f}"
+                    axes.annotate(
+                        text if value <= _FULL_SCALE else f"→ {text}",
+                        (min(value, _FULL_SCALE), position), xytext=(3, 0),
+                        textcoords="offset points", fontsize=6.5, va="center", zorder=4,
+                        bbox={"boxstyle": "square,pad=0.05", "fc": "white", "ec": "none"},
+                    )  # fmt: skip
+        name_rows(axes, [words(each) for each in names[title]])
+        axes.set_xlim(0, min(highest, _FULL_SCALE) * 1.1 or 1)
+        axes.set_title(title)
+    handles = [Patch(color=colours[name], label=name) for name in who]
+    figure.legend(handles=handles, loc="outside upper left", ncols=len(who))
+    grid[-1].set_xlabel("|simulated - real| / |real| [%]")
     return figure
 
 

@@ -59,6 +59,10 @@ _STYLE: Any = {  # matplotlib's own type lists every key it knows
 }
 
 
+GROUND = "ground"
+"""Mark (`gid`) of axes that show the ground from above, all of a page with one scale of length."""
+
+
 class Figure(matplotlib.figure.Figure):
     """A figure that a notebook shows by itself, also where nothing was drawn by pyplot before."""
 
@@ -124,6 +128,13 @@ def named_rows(
             if axes.bbox.y0 <= at <= axes.bbox.y1
         ]
     return rows
+
+
+def ground_panels(figure: matplotlib.figure.Figure) -> list[tuple[float, float, float, float]]:
+    """Where a `figure`, once written, shows the ground (`GROUND`): left, top, width and height of
+    each such panel, in shares of the figure's width and height from its upper left corner."""
+    boxes = [axes.get_position() for axes in figure.axes if axes.get_gid() == GROUND]
+    return [(box.x0, 1.0 - box.y1, box.width, box.height) for box in boxes]
 
 
 def panel_grid(

@@ -1,8 +1,9 @@
 """One HTML page, made from sections: pictures and a small script inside, no network.
 
-Without JavaScript the page shows the same; with it pictures can be zoomed and moved, those of
-one place are shown one at a time, and rows of one name are marked together in all tables and in
-all figures that have a row for each name. Dark where the reader's system is; figures stay on white.
+Without JavaScript the page shows the same; with it pictures can be zoomed and moved, views of the
+ground in one section all together; pictures of one place are shown one at a time, and rows of one
+name are marked together in all tables and in all figures that have a row for each name. Dark where
+the reader's system is; figures stay on white.
 `page.html`, `page.css` and `page.js` beside this module hold what does not change.
 """
 
@@ -152,8 +153,9 @@ def write_page(page: Page, folder: Path) -> dict[str, str]:
 
 
 def _shown(picture: Picture, folder: Path) -> dict[str, Any]:
-    """A picture as a page holds it: its address, its width [pixels] and its named rows. As WebP
-    pictures of plots take a quarter of their PNG, which lies beside the page as a file."""
+    """A picture as a page holds it: its address, its width [pixels], its named rows and its views
+    of the ground. As WebP pictures of plots take a quarter of their PNG, which lies beside the page
+    as a file."""
     from PIL import Image  # late: a dry run shows no picture
 
     png = (folder / picture.file).read_bytes()
@@ -166,6 +168,7 @@ def _shown(picture: Picture, folder: Path) -> dict[str, Any]:
         "source": f"data:image/{kind};base64,{base64.b64encode(data).decode('ascii')}",
         "width": round(inches * 105),
         "rows": figures.named_rows(picture.figure),
+        "grounds": figures.ground_panels(picture.figure),
     }
 
 

@@ -1,39 +1,82 @@
-for (const image of document.querySelectorAll(".picture")) {
-  const view = document.createElement("div");
-  let scale = 1, x = 0, y = 0, held = null;
-  view.className = "view";
-  view.title = "Double-click: larger (with Shift: all of it). Ctrl and wheel: zoom. Drag: move.";
-  image.replaceWith(view);
-  view.append(image);
-  image.firstElementChild.draggable = false;
+const HOW = "Double-click: larger (with Shift: all of it). Ctrl and wheel: zoom. Drag: move.";
+// Lets `view` show part of `layer`. Panes of one state, in shares of their size, move together.
+const zoomable = (view, layer, state) => {
+  let held = null;
+  view.classList.add("zoomable");
+  view.title = HOW;
+  state.panes.push(() => {
+    layer.style.transform = `translate(${100 * state.x}%, ${100 * state.y}%) scale(${state.scale})`;
+    view.classList.toggle("zoomed", state.scale > 1);
+  });
   const show = () => {
-    x = Math.min(0, Math.max(x, view.clientWidth * (1 - scale)));
-    y = Math.min(0, Math.max(y, view.clientHeight * (1 - scale)));
-    image.style.transform = `translate(${x}px, ${y}px) scale(${scale})`;
-    view.classList.toggle("zoomed", scale > 1);
+    state.x = Math.min(0, Math.max(state.x, 1 - state.scale));
+    state.y = Math.min(0, Math.max(state.y, 1 - state.scale));
+    for (const pane of state.panes) pane();
   };
-  const zoom = (event, wanted) => {
-    const next = Math.min(16, Math.max(1, wanted)), at = view.getBoundingClientRect();
-    x = event.clientX - at.left - (event.clientX - at.left - x) * next / scale;
-    y = event.clientY - at.top - (event.clientY - at.top - y) * next / scale;
-    scale = next;
+  const at = e => {
+    const box = view.getBoundingClientRect();
+    return [(e.clientX - box.left) / layer.offsetWidth, (e.clientY - box.top) / layer.offsetHeight];
+  };
+  const zoom = (e, wanted) => {
+    const next = Math.min(16, Math.max(1, wanted)), [x, y] = at(e);
+    state.x = x - (x - state.x) * next / state.scale;
+    state.y = y - (y - state.y) * next / state.scale;
+    state.scale = next;
     show();
   };
-  view.addEventListener("dblclick", e => zoom(e, e.shiftKey ? 1 : 2 * scale));
+  view.addEventListener("dblclick", e => zoom(e, e.shiftKey ? 1 : 2 * state.scale));
   view.addEventListener("wheel", e => {
     if (!e.ctrlKey && !e.metaKey) return;
     e.preventDefault();
-    zoom(e, scale * Math.exp(-0.002 * e.deltaY));
+    zoom(e, state.scale * Math.exp(-0.002 * e.deltaY));
   }, {passive: false});
   view.addEventListener("pointerdown", e => {
-    if (scale === 1) return;
-    held = [e.clientX - x, e.clientY - y];
+    if (state.scale === 1) return;
+    const [x, y] = at(e);
+    held = [x - state.x, y - state.y];
     view.setPointerCapture(e.pointerId);
   });
   view.addEventListener("pointermove", e => {
-    if (held) { x = e.clientX - held[0]; y = e.clientY - held[1]; show(); }
+    if (!held) return;
+    const [x, y] = at(e);
+    state.x = x - held[0];
+    state.y = y - held[1];
+    show();
   });
   for (const end of ["pointerup", "pointercancel"]) view.addEventListener(end, () => held = null);
+};
+const still = () => ({scale: 1, x: 0, y: 0, panes: []});
+for (const section of document.querySelectorAll("section")) {
+  const together = still();
+  for (const picture of section.querySelectorAll(".picture")) {
+    const whole = picture.firstElementChild, grounds = picture.querySelectorAll(".ground");
+    whole.draggable = false;
+    for (const pane of grounds) {  // over each view of the ground lies that part of the picture
+      const layer = document.createElement("div"), part = whole.cloneNode();
+      const [left, top, wide, high] = ["left", "top", "width", "height"].map(
+        side => parseFloat(pane.style[side]) / 100);
+      part.alt = "";
+      part.style.width = `${100 / wide}%`;
+      part.style.left = `${-100 * left / wide}%`;
+      part.style.top = `${-100 * top / high}%`;
+      layer.append(part);
+      pane.append(layer);
+      zoomable(pane, layer, together);
+    }
+    if (grounds.length) continue;
+    const view = document.createElement("div");
+    view.className = "view";
+    picture.replaceWith(view);
+    view.append(picture);
+    zoomable(view, picture, still());
+  }
+  if (together.panes.length > 1) {
+    const hint = document.createElement("p");
+    hint.className = "caption";
+    hint.textContent = `All views of the ground move together. ${HOW}`;
+    const first = section.querySelector(".ground").closest("figure");
+    (first.closest(".views") ?? first).before(hint);
+  }
 }
 for (const views of document.querySelectorAll(".views")) {
   const figures = [...views.children], bar = document.createElement("div");

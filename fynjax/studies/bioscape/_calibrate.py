@@ -144,7 +144,7 @@ def calibrate_plots(
         priors.append(replace(priors[-1], name=BIAS_CORRECTED))
     view = spectrum_view(bands, stands[0][0], parameters[0], ACCURACY)
     repeatability = flight_covariance(flights)
-    error = None if learned is None else learned.error_covariance(np.asarray(bands.centre))
+    error = None if learned is None else learned.model_error.covariance(np.asarray(bands.centre))
     data = [plot_data(view.names, f, repeatability, error) for f in flights]
     predict = PlotSpectrumForward(view, tuple(form == "deadwood" for form in slots))
     inputs = [*sorted([*folder.glob("*.csv"), *folder.glob("*.json")]), traits]

@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from fynjax.inversion import (
+    GAIN,
     Data,
     FitResult,
     LogPosterior,
@@ -314,9 +315,9 @@ def plot_data(
     if error is not None:
         # What learned plots were off by holds what flights differ by.
         shared = error * np.outer(mean, mean)
-        return weigh_spectrum(names, mean, LEAST_SD, sampling=shared, gain=0.0)
+        return weigh_spectrum(names, mean, LEAST_SD, sampling=shared)
     sampling = None if repeatability is None else repeatability / len(flights)
-    return weigh_spectrum(names, mean, MODEL_SD, sampling=sampling)
+    return weigh_spectrum(names, mean, MODEL_SD, sampling=sampling, gain=GAIN)
 
 
 def flight_covariance(

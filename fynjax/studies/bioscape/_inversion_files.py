@@ -230,7 +230,16 @@ def _shift_section(findings: Findings, parameters: pd.DataFrame, shifts: pd.Data
 
 
 def _headline(findings: Findings, score: pd.DataFrame, prior: str) -> list[str]:
-    lines = [f"{len(findings.plots)} plots, {findings.wavelength.size} bands. {COVERS_MEAN}"]
+    rest = findings.residuals
+    before, after = (
+        np.sqrt(np.mean(rest[name] ** 2)) for name in ("tables alone", prior.split(", ")[1])
+    )
+    lines = [
+        f"{len(findings.plots)} plots, {findings.wavelength.size} bands. Model less measured "
+        f"spectra: root mean square {before:.4f} before, by the tables alone, {after:.4f} after, "
+        f"by the {prior}. {COVERS_MEAN}"
+    ]
+    table = findings.table[findings.table["predictor"] == prior]
     every = {
         (row["quantity"], row["predictor"]): row
         for row in score[score["plots"] == "all"].to_dict("records")
@@ -239,9 +248,13 @@ def _headline(findings: Findings, score: pd.DataFrame, prior: str) -> list[str]:
         score_of = every[name, prior]
         if not score_of["count"]:
             continue
+        own = table[(table["quantity"] == name) & table[["field", "estimate"]].notna().all(axis=1)]
+        # Of the plot's own tables it is zero, but for the last bit.
+        known_before = round(float(np.sqrt(np.mean((own["prior"] - own["field"]) ** 2))), 6)
         line = (
             f"{words[0].upper()}{words[1:]} by the {prior}: r {score_of['correlation']:.2f}, RMSE "
-            f"{score_of['rmse']:.3g} {unit}, bias {score_of['bias']:+.3g}"
+            f"{known_before:.3g} before, {score_of['rmse']:.3g} {unit} after, bias "
+            f"{score_of['bias']:+.3g}"
         )
         if (name, MEAN) in every:
             line += f" (mean of the other plots: RMSE {every[name, MEAN]['rmse']:.3g})"

@@ -16,7 +16,7 @@ from fynjax.inversion import Hyperprior, ParameterSpace, Population
 from fynjax.io.plot import (
     PRIOR_PARAMETERS,
     LeftOutPlot,
-    ModelError,
+    PriorError,
     PriorFile,
     PriorParameter,
     write_prior,
@@ -99,7 +99,7 @@ class Lesson:
             made_with=f"fynjax {__version__}, plots of {side:g} m in voxels of {voxel:g} m",
             plots=len(self.plots),
             parameters=rows,
-            error=ModelError(
+            error=PriorError(
                 wavelength_nm=[float(c) for c in self.bands.centre],
                 sd=sd.tolist(),
                 correlation=(covariance / np.outer(sd, sd)).tolist(),

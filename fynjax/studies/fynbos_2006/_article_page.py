@@ -170,7 +170,7 @@ def _pictures(table: pd.DataFrame) -> list[Picture]:
             if values is not None and values.notna().any()
         }
         pictures.append(
-            Picture(f"{name}.png", figures.error_bars(known), f"error of {name}", caption)
+            Picture(f"{name}.png", figures.error_bars({"": known}), f"error of {name}", caption)
         )
     return pictures
 

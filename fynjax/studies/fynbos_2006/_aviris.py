@@ -16,6 +16,7 @@ from fynjax.inversion import (
     GAIN,
     OFFSET,
     AbstractView,
+    FactorAt,
     SpectrumView,
     spectrum_view,
     weigh_spectrum,
@@ -23,7 +24,7 @@ from fynjax.inversion import (
 from fynjax.metrics import SPECTRAL_REGIONS
 from fynjax.radiation import Accuracy
 from fynjax.scene import PlotParameters, Scene
-from fynjax.sensors import BandSet
+from fynjax.sensors import BandSet, Gains
 from fynjax.studies.fynbos_2006._article import SWIR2_MEAN
 
 _CENTRES = (420.0, 680.0, 890.0, 1000.0, 1090.0, 1290.0, 1470.0, 1650.0)
@@ -46,19 +47,37 @@ class RegionsView(AbstractView):
     spectrum: SpectrumView
     """In the bands that a region's range is taken over."""
 
+    @property
+    def bands(self) -> BandSet:
+        return self.spectrum.bands
+
+    @property
+    def gains(self) -> Gains:
+        return self.spectrum.gains
+
     def observe(
         self, scene: Scene, parameters: PlotParameters
-    ) -> tuple[None, Float[Array, " statistic"]]:
-        return None, self._numbers(self.spectrum.predict(scene, parameters))
+    ) -> tuple[Float[Array, "band 1 1"], Float[Array, " statistic"]]:
+        image, spectrum = self.spectrum.observe(scene, parameters)
+        return image, self._numbers(spectrum)
+
+    def statistics(
+        self, image: Float[Array, "band y x"], log_factor: Float[Array, " band"] | None = None
+    ) -> Float[Array, " statistic"]:
+        return self._numbers(self.spectrum.statistics(image, log_factor))
 
     def for_search(self, scene: Scene, accuracy: Accuracy, stride: int | None) -> "RegionsView":
         spectrum = self.spectrum.for_search(scene, accuracy, stride)
         return dataclasses.replace(self, spectrum=spectrum)
 
     def jacobian(
-        self, scene: Scene, plot_at: Callable[[Array], PlotParameters], u: Float[Array, " free"]
+        self,
+        scene: Scene,
+        plot_at: Callable[[Array], PlotParameters],
+        u: Float[Array, " free"],
+        factor_at: FactorAt | None = None,
     ) -> tuple[Float[Array, " statistic"], Float[Array, "statistic free"]]:
-        value, rows = self.spectrum.jacobian(scene, plot_at, u)
+        value, rows = self.spectrum.jacobian(scene, plot_at, u, factor_at)
         return self._numbers(value), jax.jacrev(self._numbers)(value) @ rows
 
     def _numbers(self, reflectance: Float[Array, " band"]) -> Float[Array, " statistic"]:
@@ -76,7 +95,8 @@ def regions_view(scene: Scene, parameters: PlotParameters) -> RegionsView:
     centres = (*_CENTRES, *_CENTRES_SWIR2)
     names = tuple(f"{centre:.0f}nm" for centre in centres)
     bands = BandSet(names, centres, (_WIDTH,) * len(centres))
-    return RegionsView(NAMES, spectrum_view(bands, scene, parameters))
+    gains = Gains(GAIN, 1.0)
+    return RegionsView(NAMES, spectrum_view(bands, scene, parameters, gains=gains))
 
 
 def aviris_target(file: Path) -> Measured:

@@ -8,7 +8,7 @@ from fynjax._core.precision import double_precision
 from fynjax.assembly import Measured, drone_view
 from fynjax.compare import bands_2006, consistent_targets, table4_2006
 from fynjax.inversion import weigh_targets
-from fynjax.io.plot import Plot, example_folder, read_plot
+from fynjax.io.plot import Plot, example_folder, free_parameters, read_plot
 from fynjax.jobs import CalibrateResult, ReferenceImage, Run, calibrate_to
 from fynjax.metrics import BANDS
 from fynjax.studies.fynbos_2006._aviris import aviris_target
@@ -49,7 +49,7 @@ def demo(
     plot = read_plot(example_folder() / "plot.toml")
     if with_aviris:
         table = plot.calibration
-        free = (*table.free, "species.*.leaf.water")
+        free = [*free_parameters(plot), "species.*.leaf.water"]
         plot = plot.replace(calibration=table.model_copy(update={"free": free}))
     rows = table4_2006().items()
     reference = ReferenceImage(

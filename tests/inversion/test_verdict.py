@@ -1,0 +1,102 @@
+"""What a calibration says of itself: nearer or farther than the table, what is not described."""
+
+import numpy as np
+import pytest
+
+from fynjax.inversion import Calibration, Data
+from fynjax.inversion._verdict import compare_means, group_of, is_worse, misfit_without
+from fynjax.scene import ModelError
+from tests.helpers import stand_in
+
+NAMES = ("red.mean", "nir.mean", "red_edge.mean", "red.std", "NDVI.mean")
+REAL = np.array([0.05, 0.30, 0.10, 0.02, 0.70])
+
+
+def calibration(before, after):
+    return stand_in(
+        Calibration,
+        data=Data(NAMES, REAL, 0.01 * REAL),
+        statistics_before=REAL * before,
+        statistics_after=REAL * after,
+        statistics_with_gain=REAL,
+        before="the table's",
+        after="the estimate's",
+        misfit=5.0,
+        degrees=5,
+    )
+
+
+def test_each_mean_is_held_against_the_table():
+    table = compare_means(NAMES, REAL, 1.1 * REAL, REAL * [0.8, 1.02, 1.095, 1.0, 0.7], REAL)
+    assert table["statistic"].tolist() == [name for name in NAMES if name.endswith(".mean")]
+    assert table["band"].tolist() == [True, True, True, False]
+    assert table["moved"].tolist() == ["away", "nearer", "", "away"]
+    np.testing.assert_allclose(table["after_error_percent"], [-20.0, 2.0, 9.5, -30.0])
+    np.testing.assert_allclose(table["with_gain_error_percent"], 0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("after", "worse"),
+    [
+        ([0.7, 0.7, 1.0, 1.0, 1.0], True),  # two bands away, one nearer
+        ([0.7, 1.0, 1.0, 1.0, 0.5], False),  # one away, two nearer; an index does not count
+        ([1.1, 1.1, 1.1, 1.0, 1.0], False),  # nothing moved
+    ],
+)
+def test_a_fit_that_leads_away_from_the_bands_offers_the_table(after, worse):
+    found = calibration(1.1, np.array(after))
+    assert found.worse == worse
+    assert found.offered == ("the table's" if worse else "the estimate's")
+    said = found.doubts()
+    assert bool(said) == worse
+    if worse:
+        assert said[0].startswith("Worse than the table: 2 of 3 bands moved away")
+        assert "+10.0 % before and -30.0 % after" in said[0]
+
+
+def test_without_bands_indices_decide():
+    names = ("NDVI.mean", "SR.mean")
+    ones = np.ones(2)
+    assert is_worse(compare_means(names, ones, 1.02 * ones, 1.5 * ones, ones))
+    assert not is_worse(compare_means(names, ones, 1.5 * ones, 1.02 * ones, ones))
+
+
+def test_groups_of_statistics():
+    names = ("red.mean", "red.q05", "NDVI.std", "spectrum.550nm", "lidar.rugosity")
+    assert [*map(group_of, names)] == [
+        *("means of bands", "spreads of bands", "indices", "a spectrum", "structure")
+    ]
+
+
+def test_a_group_that_is_left_out_has_errors_without_bound():
+    """Against the normal equations with an error of the group that is a million times as large."""
+    random = np.random.default_rng(4)
+    jacobian, rest = random.normal(size=(7, 3)), 3.0 * random.normal(size=7)
+    root = random.normal(size=(7, 7)) + 3.0 * np.eye(7)
+    covariance = root @ root.T
+    group = np.array([0, 0, 1, 0, 0, 1, 0], bool)
+    weights = np.linalg.inv(np.linalg.cholesky(covariance))
+    found, degrees = misfit_without(weights, rest, jacobian, group)
+    wide = covariance + 1e8 * np.diag(group.astype(float))
+    want = rest @ np.linalg.solve(wide + jacobian @ jacobian.T, rest)
+    assert found == pytest.approx(want, rel=1e-5)
+    assert degrees == 5
+    every, degrees = misfit_without(weights, rest, jacobian, np.zeros(7, bool))
+    assert every == pytest.approx(
+        rest @ np.linalg.solve(covariance + jacobian @ jacobian.T, rest), rel=1e-9
+    )
+    assert (degrees, every > found) == (7, True)
+
+
+def test_the_model_s_error_at_any_wavelength():
+    error = ModelError(
+        np.array([500.0, 700.0]), np.array([0.1, 0.2]), np.array([[1.0, 0.5], [0.5, 1.0]])
+    )
+    covariance = error.covariance([400.0, 500.0, 600.0, 900.0])
+    np.testing.assert_allclose(np.sqrt(np.diagonal(covariance)), [0.1, 0.1, 0.15, 0.2])
+    assert covariance[0, 1] == pytest.approx(0.01)  # beyond the ends as there
+    # Half-way the mean of both ends: (.01 + .01) / 2 with the first, widened to its deviation.
+    between = np.sqrt((0.1**2 + 0.2**2 + 2 * 0.5 * 0.1 * 0.2) / 4.0)
+    assert covariance[1, 2] == pytest.approx(0.5 * (0.01 + 0.01) * 0.15 / between)
+    np.testing.assert_allclose(error.wider(2.0).covariance([500.0, 700.0]),
+                               4.0 * error.covariance([500.0, 700.0]))  # fmt: skip
