@@ -476,7 +476,8 @@ def _quantities(
     # The nearest copy of the plant, as the stand repeats itself.
     squared = np.minimum(away, side - away) ** 2
     under = squared[:, :, None, 0] + squared[:, None, :, 1] <= 0.25 * size[stands, None, None] ** 2
-    free = 1.0 - weight[:, None, None] * under  # share of a cell that each crown leaves free
+    # Share of a cell that each crown leaves free; areas are rounded.
+    free = np.maximum(1.0 - weight[:, None, None] * under, 0.0)
     is_live = owner[stands] < forms - 1
     not_live = np.prod(free[is_live], axis=0)
     open_ground = float((not_live * np.prod(free[~is_live], axis=0)).mean())

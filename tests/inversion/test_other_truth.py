@@ -20,7 +20,7 @@ def plot():
 
 
 def off(found, leaves):
-    """How far the estimates of the stand are off, on their scales, and half of 95 % of each."""
+    """How far the estimates of the stand are off, on their scales, and half of 99 % of each."""
     stand = found.stand().set_index("name")
     rows = [
         [
@@ -30,7 +30,7 @@ def off(found, leaves):
         for name, scale in NUMBERS.items()
     ]
     true, estimate, low, high = np.transpose(rows)
-    return estimate - true, 0.5 * (high - low) * ndtri(0.975) / ndtri(0.95)
+    return estimate - true, 0.5 * (high - low) * ndtri(0.995) / ndtri(0.95)
 
 
 def test_the_stand_lies_in_its_intervals(plot):

@@ -227,7 +227,7 @@ def search_of(plot, settings, times=1.0, sd=0.05):
 
 def test_without_an_expectation_a_search_starts_at_the_scene_as_it_stands(plot):
     search = search_of(plot, CalibrationSettings(stand_realisations=0))
-    state = search.begin(jnp.zeros(len(search.space.names)))
+    state = search.begin(jnp.zeros(len(search.space.plot.names)))
     np.testing.assert_allclose(state.origin.statistics, state.origin.whole[0], rtol=1e-6)
 
 
@@ -236,7 +236,7 @@ def test_a_last_round_that_has_settled_keeps_errors_and_renders_the_estimate(plo
     where the round began, and spread is the posterior's. Made anew all are about the same."""
     settings = CalibrationSettings(stand_realisations=2, scatter_draws=6, tolerance=1e-4)
     search = search_of(plot, settings, times=1.3)
-    state = search.begin(jnp.zeros(len(search.space.names)))
+    state = search.begin(jnp.zeros(len(search.space.plot.names)))
     while not state.ended:
         before, state = state.place, search.step(state)
     found, expected = state.best, search.expected(state)
@@ -256,7 +256,7 @@ def test_a_last_round_that_has_settled_keeps_errors_and_renders_the_estimate(plo
     np.testing.assert_allclose(np.sqrt(np.diagonal(again.covariance)), sd, rtol=0.3)
     # A first round has expectations over the prior: its end has others.
     first = search_of(plot, dataclasses.replace(settings, rounds=1), times=1.1)
-    state = first.begin(jnp.zeros(len(first.space.names)))
+    state = first.begin(jnp.zeros(len(first.space.plot.names)))
     while not state.ended:
         state = first.step(state)
     assert np.diagonal(state.best.spread).min() < 0.9

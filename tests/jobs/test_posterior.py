@@ -66,7 +66,7 @@ def test_intervals_of_a_chain_are_those_of_laplace_where_it_is_gaussian(runs):
     brightness = table.loc["ground.brightness"]
     # Gains and the model's error of each band leave some of it open.
     assert brightness["constrained"] > 0.5
-    assert wide["ground.brightness"] < 0.5 * (brightness["prior_q95"] - brightness["prior_q05"])
+    assert wide["ground.brightness"] < 0.7 * (brightness["prior_q95"] - brightness["prior_q05"])
     cover = table.loc["species.Restio eleocharis.cover"]
     assert cover["constrained"] < 0.2
     assert cover["prior_q05"] == pytest.approx(cover["q05"], rel=0.15)

