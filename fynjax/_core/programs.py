@@ -37,7 +37,7 @@ def check_known(**numbers: Any) -> None:
 
 
 def unfolded(tree: Any) -> Any:
-    """The same record, with each array behind a barrier to the compiler.
+    """A record whose arrays the compiler does not compute with while it compiles.
 
     Arrays that a compiled function closes over, such as those of a scene, are constants to the
     compiler, and it computes while it compiles whatever depends on constants alone ("constant

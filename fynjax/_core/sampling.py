@@ -5,6 +5,7 @@ time, and say why they stopped. They go from state to state: from one that was k
 on exactly as if nothing had happened.
 """
 
+import abc
 import dataclasses
 import warnings
 from collections import deque
@@ -72,7 +73,7 @@ class ChainState(eqx.Module):
     where there can be no step."""
 
 
-class _Sampler:
+class _Sampler(abc.ABC):
     """Goes from state to state until a chain is long enough; arguments as of `Hamiltonian`."""
 
     def __init__(
@@ -136,17 +137,20 @@ class _Sampler:
         later = tuple(map(jnp.asarray, ahead))
         return ChainState(empty, empty[..., 0], none, np.asarray(0), np.asarray(np.nan), later)
 
+    @abc.abstractmethod
     def _first(self) -> ChainState:
-        raise NotImplementedError
+        """The state at the start."""
 
+    @abc.abstractmethod
     def _after(self, state: ChainState, steps: int) -> ChainState:
-        raise NotImplementedError
+        """The state so many steps on."""
 
     def _settled(self, chain: np.ndarray) -> np.ndarray:
         return chain
 
+    @abc.abstractmethod
     def _doubted(self, status: str, faulty: int, proposals: int) -> str:
-        raise NotImplementedError
+        """The status of a chain, with what its proposals, some of them faulty, say against it."""
 
 
 class Ensemble(_Sampler):

@@ -40,7 +40,8 @@ class Prepared(NamedTuple):
     seed: int
     """Seed of everything random."""
     error: ModelError | None = None
-    """What the model is off by, by the plot's [calibration] (`plot_error`)."""
+    """Error of the model over wavelength that a calibration of the plot allows for (`plot_error`);
+    None: the model is believed."""
 
     @property
     def settings(self) -> CalibrationSettings:

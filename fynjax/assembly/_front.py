@@ -570,7 +570,7 @@ def fit(
 
 
 def _believed(error: ModelError | Literal["learned", "none"]) -> ModelError | None:
-    """What the model is off by, from its name too."""
+    """The error of the model that an argument `error` means; None for "none"."""
     if isinstance(error, ModelError):
         return error
     if error not in ("learned", "none"):

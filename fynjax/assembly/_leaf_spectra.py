@@ -37,7 +37,7 @@ _KEPT = 2
 
 
 class MeanLeaf(NamedTuple):
-    """What the spectra of a taxon say of its leaves."""
+    """Mean leaf of a taxon by PROSPECT fits of its spectra, with its uncertainty."""
 
     traits: dict[str, float]
     """Means of `LEAF_FIELDS`."""
@@ -156,8 +156,9 @@ def measured_leaves(plot: Plot) -> MeasuredLeaves:
 
 
 def _fitted(files: Mapping[str, Sequence[Path]], instrument: AbstractMeasurement) -> dict[str, Any]:
-    """Of each taxon the means and spreads of its leaves, and what is to be said of all spectra. No
-    leaves in a dry run, which reads and checks the spectra."""
+    """Mean traits of each taxon's leaves and their relative standard deviations [-], by fits of the
+    spectra in its `files`, and warnings about spectra and fits. A dry run fits none: it reads and
+    checks the spectra."""
     taxon_of = {str(file): taxon for taxon, own in files.items() for file in own}
     read, refused = usable_spectra(list(taxon_of))
     said, spectra = warnings_of_reading(read, refused), measured_dataset(read, {})

@@ -93,7 +93,7 @@ _CONFIDENCE = 0.95
 
 @dataclass(frozen=True)
 class RealImage:
-    """What there is to show of an image that a plot is calibrated to."""
+    """The real image of a plot, reduced to what the page of a calibration shows of it."""
 
     values: Float[np.ndarray, "band y x"]
     """Reflectance [-], y to the north, of the middle of the image, which is no larger than the

@@ -15,6 +15,7 @@ from fynjax.assembly._targets import Measured, drone_view, target_rules
 from fynjax.inversion import (
     AbstractView,
     BandFactors,
+    BandView,
     Data,
     ImageView,
     compared_statistics,
@@ -81,7 +82,7 @@ def measure_truth(
     """
     plot = with_values(ready.parameters, ready.scene.taxa, ready.space.named(jnp.asarray(u)))
     value, *image = look((view,), ready.scene.realisation(_PLANTING + number), plot)
-    if view.bands is None:
+    if not isinstance(view, BandView):
         return np.asarray(value, float), None
     seen = np.asarray(image[0], float)
     bands = len(seen)

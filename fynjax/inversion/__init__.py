@@ -112,6 +112,7 @@ from fynjax.inversion._targets import (
 )
 from fynjax.inversion._views import (
     AbstractView,
+    BandView,
     FactorAt,
     ImageView,
     PlotForward,
@@ -142,6 +143,7 @@ __all__ = [
     "AmortisedPosterior",
     "BandDesign",
     "BandFactors",
+    "BandView",
     "BroydenLM",
     "Calibration",
     "CalibrationSettings",

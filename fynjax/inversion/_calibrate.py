@@ -35,7 +35,7 @@ from fynjax.inversion._verdict import (
     misfit_without,
     worse_sentence,
 )
-from fynjax.inversion._views import AbstractView, ImageView, factors_by_view
+from fynjax.inversion._views import AbstractView, BandView, ImageView, factors_by_view
 from fynjax.scene import (
     AimedSensor,
     ModelError,
@@ -560,7 +560,7 @@ def _with_factors(
         factors_by_view(search.views, own),
         factors_by_view(search.views, jnp.asarray(factors)),
     ):
-        if by is None or to is None:
+        if by is None or to is None or not isinstance(view, BandView):
             parts.append(np.zeros(len(view.names)))
         else:
             image = jnp.asarray(next(images))

@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 from fynjax._core.errors import InputError
 from fynjax._core.precision import in_double
 from fynjax.inversion._space import ParameterSpace
-from fynjax.inversion._views import AbstractView
+from fynjax.inversion._views import AbstractView, BandView
 from fynjax.scene import ModelError
 from fynjax.sensors import BandSet, Gains
 
@@ -54,7 +54,7 @@ class BandFactors(eqx.Module):
     @classmethod
     def of(cls, views: Sequence[AbstractView], error: ModelError | None) -> "BandFactors":
         """The factors of the bands of `views`, by their gains and the `error` of the model."""
-        return cls.of_bands([(v.bands, v.gains) for v in views if v.bands is not None], error)
+        return cls.of_bands([(v.bands, v.gains) for v in views if isinstance(v, BandView)], error)
 
     @classmethod
     def of_bands(

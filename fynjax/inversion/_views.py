@@ -60,32 +60,12 @@ class AbstractView(eqx.Module):
         """The bands that may be off by factors; None of a sensor without bands."""
         return None
 
-    @property
-    def gains(self) -> Gains:
-        """What the gains of the `bands` may be off by."""
-        return Gains(0.0)
-
     @abc.abstractmethod
     def observe(
         self, scene: Scene, parameters: PlotParameters
     ) -> tuple[Float[Array, "band y x"] | None, Float[Array, " statistic"]]:
         """The image, or a spectrum as that of one pixel, and its statistics; of a sensor without
         bands None and the statistics. Differentiable."""
-
-    def statistics(
-        self, image: Float[Array, "band y x"], log_factor: Float[Array, " band"] | None = None
-    ) -> Float[Array, " statistic"]:
-        """The statistics of an image that `observe` made, times factors of its bands, given by
-        their logarithms. Differentiable."""
-        raise NotImplementedError(f"{type(self).__name__} makes no image")
-
-    def factor_slopes(
-        self, image: Float[Array, "band y x"], log_factor: Float[Array, " band"] | None = None
-    ) -> Float[Array, "statistic band"]:
-        """Derivatives of the statistics of `image` by the logarithm of each band's factor, at the
-        factors `log_factor`, one by default."""
-        at = jnp.zeros(image.shape[0]) if log_factor is None else log_factor
-        return jax.jacfwd(lambda log: self.statistics(image, log))(at.astype(image.dtype))
 
     @abc.abstractmethod
     def for_search(self, scene: Scene, accuracy: Accuracy, stride: int | None) -> Self:
@@ -99,17 +79,18 @@ class AbstractView(eqx.Module):
         parameters: PlotParameters,
         log_factor: Float[Array, " band"] | None = None,
     ) -> Float[Array, " statistic"]:
-        """The statistics, with factors of the bands, given by their logarithms. Differentiable in
-        `parameters` and `log_factor`."""
-        return self._with_factors(*self.observe(scene, parameters), log_factor)
+        """The statistics, with factors of the bands, if it has any, given by their logarithms.
+        Differentiable in `parameters` and `log_factor`."""
+        return self.look(scene, parameters, log_factor)[1]
 
-    def _with_factors(
+    def look(
         self,
-        image: Float[Array, "band y x"] | None,
-        plain: Float[Array, " statistic"],
-        log_factor: Float[Array, " band"] | None,
-    ) -> Float[Array, " statistic"]:
-        return plain if image is None or log_factor is None else self.statistics(image, log_factor)
+        scene: Scene,
+        parameters: PlotParameters,
+        log_factor: Float[Array, " band"] | None = None,
+    ) -> tuple[Float[Array, "band y x"] | None, Float[Array, " statistic"]]:
+        """As `observe`, the statistics with factors of the bands."""
+        return self.observe(scene, parameters)
 
     def jacobian(
         self,
@@ -123,6 +104,46 @@ class AbstractView(eqx.Module):
         return jacobian_by_rows(
             lambda u: self.predict(scene, plot_at(u), _factor(factor_at, u)).astype(u.dtype), u
         )
+
+
+class BandView(AbstractView):
+    """What a sensor with bands yields of a scene, each of which may be off by a factor."""
+
+    @property
+    @abc.abstractmethod
+    def bands(self) -> BandSet:
+        """The bands."""
+
+    @property
+    @abc.abstractmethod
+    def gains(self) -> Gains:
+        """What the gains of the `bands` may be off by."""
+
+    @abc.abstractmethod
+    def statistics(
+        self, image: Float[Array, "band y x"], log_factor: Float[Array, " band"] | None = None
+    ) -> Float[Array, " statistic"]:
+        """The statistics of an image that `observe` made, times factors of its bands, given by
+        their logarithms. Differentiable."""
+
+    def factor_slopes(
+        self, image: Float[Array, "band y x"], log_factor: Float[Array, " band"] | None = None
+    ) -> Float[Array, "statistic band"]:
+        """Derivatives of the statistics of `image` by the logarithm of each band's factor, at the
+        factors `log_factor`, one by default."""
+        at = jnp.zeros(image.shape[0]) if log_factor is None else log_factor
+        return jax.jacfwd(lambda log: self.statistics(image, log))(at.astype(image.dtype))
+
+    def look(
+        self,
+        scene: Scene,
+        parameters: PlotParameters,
+        log_factor: Float[Array, " band"] | None = None,
+    ) -> tuple[Float[Array, "band y x"] | None, Float[Array, " statistic"]]:
+        image, plain = self.observe(scene, parameters)
+        if image is None or log_factor is None:
+            return image, plain
+        return image, self.statistics(image, log_factor)
 
 
 def _factor(factor_at: FactorAt | None, u: Array) -> Array | None:
@@ -161,7 +182,7 @@ def informative_directions(
     return Directions(jnp.asarray(rows), jnp.asarray(root @ chosen))
 
 
-class ImageView(AbstractView):
+class ImageView(BandView):
     """Statistics of a drone's image (`image_statistics`)."""
 
     names: tuple[str, ...] = eqx.field(static=True, converter=tuple)
@@ -229,7 +250,7 @@ class ImageView(AbstractView):
         return value.astype(u.dtype), slopes if chosen is None else chosen.back @ slopes
 
 
-class SpectrumView(AbstractView):
+class SpectrumView(BandView):
     """Mean reflectance factor of a scene from straight above in the bands of a spectrometer.
 
     The light is solved for band by band, so that the derivatives of one band cost those of one
@@ -412,10 +433,7 @@ def look(
     of the bands of all views, one after the other; all one by default. Differentiable in these.
     """
     parts = factors_by_view(views, log_factors)
-    observed = []
-    for view, own in zip(views, parts, strict=True):
-        image, plain = view.observe(scene, parameters)
-        observed.append((image, view._with_factors(image, plain, own)))
+    observed = [view.look(scene, parameters, own) for view, own in zip(views, parts, strict=True)]
     images = [image for image, _ in observed if image is not None]
     return joined([values.astype(float) for _, values in observed]), *images
 

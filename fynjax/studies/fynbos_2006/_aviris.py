@@ -15,7 +15,7 @@ from fynjax.compare import table5_2006
 from fynjax.inversion import (
     GAIN,
     OFFSET,
-    AbstractView,
+    BandView,
     FactorAt,
     SpectrumView,
     spectrum_view,
@@ -40,7 +40,7 @@ _REGIONS = tuple(SPECTRAL_REGIONS)
 NAMES = (*(f"spectrum.{region}_range" for region in _REGIONS), "spectrum.swir2_mean")
 
 
-class RegionsView(AbstractView):
+class RegionsView(BandView):
     """Range of a mean spectrum in each of `SPECTRAL_REGIONS`, and its mean at 2100 to 2450 nm."""
 
     names: tuple[str, ...] = eqx.field(static=True)
