@@ -1,5 +1,6 @@
 """Calibrate a plot to what sensors measured of it."""
 
+import dataclasses
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
@@ -105,6 +106,9 @@ class Calibration(eqx.Module):
     a chi-square of `degrees`."""
     degrees: int = eqx.field(static=True)
     """Statistics, or directions of many, that the likelihood counts."""
+    stated: Float[np.ndarray, "direction statistic"]
+    """Makes misfits of statistics without factors independent and of unit size, by the stated
+    errors, of which there is no `excess`, and by what the factors of the bands change."""
     lack: Float[np.ndarray, " statistic"]
     """Statistics of full less those of coarse scenes of the same plants, at the estimate or, where
     the last round hardly moved, where it began."""
@@ -170,14 +174,13 @@ class Calibration(eqx.Module):
         the two. First row: with all."""
         import pandas as pd  # late: the command line need not wait for it
 
-        weights = np.asarray(self.fit.data.whitener)[: self.degrees] * self.excess**0.5
         jacobian = np.asarray(self.fit.jacobian)
         rest = np.asarray(self.data.value - self.fit.predicted)
         rest = rest + jacobian @ np.asarray(self.fit.whitened)
         groups = np.array([group_of(name) for name in self.data.names])
         rows = []
         for name in ("", *dict.fromkeys(groups)):
-            misfit, degrees = misfit_without(weights, rest, jacobian, groups == name)
+            misfit, degrees = misfit_without(self.stated, rest, jacobian, groups == name)
             if degrees > 0:
                 left = int(np.sum(groups == name))
                 rows.append((name or "none", left, misfit, degrees, misfit / degrees))
@@ -499,6 +502,7 @@ def calibration(search: PlotSearch, ends: Sequence[SearchState]) -> Calibration:
         excess=float(won.place.excess),
         misfit=search.misfit(won),
         degrees=len(judge),
+        stated=_without_factors(search, _stated(won)),
         lack=np.asarray(place.lack).mean(axis=0),
         projector=scipy.linalg.block_diag(*(own.back @ own.rows for own in won.subspace.parts)),
         gains=tuple(by_view(gains.factor)),
@@ -512,12 +516,9 @@ def calibration(search: PlotSearch, ends: Sequence[SearchState]) -> Calibration:
 def _fit_of(search: PlotSearch, end: SearchState) -> FitResult:
     """The estimate of the parameters, the factors integrated over, with the errors at the last
     place that a search came to."""
-    place, weights = end.best, search.weights(end.place, end.subspace)
+    place, weights = end.best, _without_factors(search, end)
     free, slopes = len(search.space.plot.names), np.asarray(place.slopes)
     own, by_factor = slopes[..., :free], place.slope[:, free:]
-    # Errors are independent of unit size along the directions, to which factors add.
-    moved = weights @ by_factor
-    weights = np.linalg.solve(np.linalg.cholesky(np.eye(len(moved)) + moved @ moved.T), weights)
     # The same likelihood for whoever goes on with these data: along the directions alone.
     data = search.data_at(end.place)
     counted = (data.with_covariance(by_factor @ by_factor.T) if by_factor.any() else data).along(
@@ -533,6 +534,26 @@ def _fit_of(search: PlotSearch, end: SearchState) -> FitResult:
     if np.isfinite(slopes).all():
         result = result.with_information(jnp.asarray(mean_information(weights, own)))
     return result
+
+
+def _without_factors(
+    search: PlotSearch, end: SearchState
+) -> Float[np.ndarray, "direction statistic"]:
+    """Makes misfits of statistics in which factors are one independent and of unit size, along the
+    directions that count."""
+    weights = search.weights(end.place, end.subspace)
+    # Errors are independent of unit size along the directions, to which factors add.
+    moved = weights @ end.best.slope[:, len(search.space.plot.names) :]
+    if not np.isfinite(moved).all():
+        return weights
+    root = np.linalg.cholesky(np.eye(len(moved)) + moved @ moved.T)
+    return np.asarray(np.linalg.solve(root, weights))
+
+
+def _stated(end: SearchState) -> SearchState:
+    """The end of a search with the stated errors, whatever the data ask beyond them."""
+    place = dataclasses.replace(end.place, excess=jnp.ones(()))
+    return dataclasses.replace(end, place=place)
 
 
 def _factors_of(search: PlotSearch, end: SearchState) -> tuple[Known, Known]:

@@ -992,6 +992,9 @@ def test_what_the_data_ask_beyond_their_errors_widens_intervals(sums):
     places = [space.names.index(f"species.{taxon}.cover") for taxon in TAXA]
     assert (wider[places] > 2.0).all()
     assert "times what was expected" in str(found[1])
+    # The linear model by the stated errors asks for that excess, factors of bands among them.
+    least = found[1].misfit_by_group()["misfit"][0]
+    assert (least + 10.0) / (found[1].degrees + 10.0) == pytest.approx(found[1].excess, rel=0.02)
 
 
 def test_a_signature_is_of_what_solvers_are_made_of():
