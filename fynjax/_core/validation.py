@@ -109,7 +109,11 @@ def number_slip(cell: str) -> str:
             return f"{comma} {slip}"
     head = text.rstrip("%abcdefghijklmnopqrstuvwxyzµ²/ ")
     if head and head != text and _number(head) is not None:
-        return f" Leave out the unit: write {head}."
+        # The written unit may be another than the expected one.
+        unit = text[len(head) :].strip()
+        return (
+            f" Leave out the unit, {unit!r}: write the number alone, in the unit that is expected."
+        )
     return ""
 
 

@@ -107,7 +107,7 @@ MOST_PROJECTED = 0.99
 """Largest projected cover that is planted, of the ground where plants may stand [-]."""
 
 
-_SPARE = 0.5
+_SPARE_SITE = 0.5
 """Sites that each plant beyond the whole ones counts for: spare ones are between these, nearer than
 the whole ones are to each other but farther than at random. As counted on plots."""
 
@@ -136,7 +136,8 @@ def projected_count(
     a becomes -A ln(1 - a / A). They stand on some of the sites of `poisson_disk`, no two nearer
     than `spacing`: each of n sites in a crown's disc is free of plants with probability 1 - N / P,
     P of all sites, and with n of variance (1 - q) times its mean the free share is
-    (1 - N h / A)^(a / h), h = q A / P. Each plant beyond the whole ones adds half a site.
+    (1 - N h / A)^(a / h), h = q A / P. Each plant beyond the whole ones adds half a site; more
+    plants than sites have a site each, which are then nearer to each other.
     A map or groups make them clump, w times as dense in equal parts of the ground: the free share
     is the mean of (1 - N h w / A)^(a / h) over these.
 
@@ -164,50 +165,64 @@ def projected_count(
     bare = 1.0 - jnp.minimum(jnp.asarray(cover), most_projected(part))
     # With the number of plants given, each leaves free the share 1 - a / A: a as a rate.
     area = -ground * jnp.log1p(-jnp.minimum(jnp.asarray(crown) / ground, 0.9))
-    even = site_evenness(jnp.sqrt(crown / jnp.pi) / jnp.maximum(spacing, 1e-9))
+    radius = jnp.sqrt(crown / jnp.pi) / jnp.maximum(spacing, 1e-9)
     # Where there are many more sites than fit in a crown it makes no difference how many.
-    sites = ground * jnp.minimum(SITES / jnp.maximum(spacing, 1e-9) ** 2, 1e4 * even / area)
-    power = area / (even * ground)
+    most = 1e4 * site_evenness(radius) / area
+    sites = ground * jnp.minimum(SITES / jnp.maximum(spacing, 1e-9) ** 2, most)
     # Which whole number lies below has no derivative; the way from it to the next has.
-    target, *fixed = jax.lax.stop_gradient((bare, power, even, sites, jnp.asarray(whole)))
-    count = _inverse(target, *fixed, part)
-    lower = jnp.floor(count)
-    free, taken = _bare(lower, power, even, sites, fixed[-1], part)
+    given = area / ground, radius, sites, jnp.asarray(whole)
+    target, *fixed = jax.lax.stop_gradient((bare, *given))
+    lower = jnp.floor(_inverse(target, *fixed, part))
+    free, taken = _bare(lower, *given[:3], fixed[-1], part)
     return lower + (free - bare) / taken
 
 
 @jax.jit
 def _inverse(
-    bare: Array, power: Array, even: Array, sites: Array, whole: Array, part: Array
+    bare: Array, crown: Array, radius: Array, sites: Array, whole: Array, part: Array
 ) -> Array:
     """The number that leaves the share `bare` free, by Newton's method on the logarithm of that
-    share, from a number below it: of plants on sites for all of them that do not clump."""
+    share, from that of plants on sites for all of them that do not clump."""
 
     def step(_: Array, count: Array) -> Array:
-        free, taken = _bare(count, power, even, sites, whole, part)
-        return count + free * jnp.log(free / bare) / taken
+        free, taken = _bare(count, crown, radius, sites, whole, part)
+        return jnp.maximum(count + free * jnp.log(free / bare) / taken, 0.0)
 
-    wanted, full = jnp.log(bare) / (power * sites), jnp.log1p(-even)
+    even = site_evenness(radius)
+    wanted, full = even * jnp.log(bare) / (crown * sites), jnp.log1p(-even)
     first = sites * jnp.where(wanted > full, -jnp.expm1(wanted) / even, wanted / full)
     return jax.lax.fori_loop(0, 20, step, first)
 
 
+_EXACT = 300.0
+"""Number of plants up to which the difference that one more makes is that of two shares; of more
+plants, in single precision, it is the slope half-way."""
+
+
 def _bare(
-    count: Array, power: Array, even: Array, sites: Array, whole: Array, part: Array
+    count: Array, crown: Array, radius: Array, sites: Array, whole: Array, part: Array
 ) -> tuple[Array, Array]:
-    """Share of the ground without crowns, and what one plant more takes of it [-]."""
-    before, after = (sites + _SPARE * jnp.maximum(n - whole, 0.0) for n in (count, count + 1.0))
-    # Plants over sites, and how much more there are with one plant more.
-    taken = (count / before)[..., None] * part
-    more = ((before - count * (after - before)) / (before * after))[..., None] * part
-    power, even, before, after = (v[..., None] for v in (power, even, before, after))
-    some, full = even * jnp.minimum(taken, 1.0), jnp.log1p(-even)
-    # Where plants would be more than sites there are as many sites as plants.
-    logarithm = jnp.log1p(-some) + full * jnp.maximum(taken - 1.0, 0.0)
-    step = jnp.log1p(-jnp.minimum(even * more / (1.0 - some), 0.99))
-    step = jnp.where(taken < 1.0, step, full * more)
-    change = power * ((after - before) * (logarithm + step) + before * step)
-    free = jnp.exp(power * before * logarithm)
+    """Share of the ground without crowns, and what one plant more takes of it [-].
+
+    **Arguments:** `count` of plants; `crown`, area of one over that of the ground, as a rate;
+    `radius` of a crown over the distance of the sites; `sites`; `whole` and `part` as
+    `projected_count` has `whole` and `clumping`.
+    """
+    crown, radius, sites, whole = (value[..., None] for value in (crown, radius, sites, whole))
+
+    def logarithm(count: Array) -> Array:
+        there = sites + _SPARE_SITE * jnp.maximum(count - whole, 0.0)
+        taken = count / there * part
+        # Where plants would be more than sites there are as many sites as plants, and these nearer.
+        even = site_evenness(radius * jnp.sqrt(jnp.maximum(taken, 1.0)))
+        some = there * jnp.log1p(-even * jnp.minimum(taken, 1.0))
+        return crown / even * jnp.where(taken < 1.0, some, count * part * jnp.log1p(-even))
+
+    count = count[..., None]
+    here = logarithm(count)
+    _, half_way = jax.jvp(logarithm, (count + 0.5,), (jnp.ones_like(count),))
+    change = jnp.where(count < _EXACT, logarithm(count + 1.0) - here, half_way)
+    free = jnp.exp(here)
     return free.mean(axis=-1), -(free * jnp.expm1(change)).mean(axis=-1)
 
 

@@ -103,7 +103,9 @@ def clark_evans(
     number, (lx, ly) = len(points), extent
     if number < 2:
         return float("nan")
-    points = np.minimum(np.asarray(points, float), np.nextafter(extent, 0.0))
+    points = np.asarray(points, float)
+    if periodic:  # a point beyond the border is one within
+        points = np.minimum(points % extent, np.nextafter(extent, 0.0))
     near = cKDTree(points, boxsize=extent if periodic else None).query(points, k=2)[0][:, 1]
     random = 0.5 * np.sqrt(lx * ly / number)
     if not periodic:

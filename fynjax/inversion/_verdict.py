@@ -67,9 +67,10 @@ def worse_sentence(means: pd.DataFrame) -> str:
     worst = away.iloc[int(away["after_error_percent"].abs().argmax())]
     what = "bands" if means["band"].any() else "indices"
     return (
-        f"Worse than the table: {len(away)} of {len(bands)} {what} moved away from what was "
-        f"measured, most {worst['statistic']}, off by {worst['before_error_percent']:+.1f} % "
-        f"before and {worst['after_error_percent']:+.1f} % after. The values to use are those of "
+        f"Worse than the table: of {len(bands)} {what} {len(away)} moved away from what was "
+        f"measured, by more than 1 % of it, and {(bands['moved'] == 'nearer').sum()} nearer; most "
+        f"{worst['statistic']}, off by {worst['before_error_percent']:+.1f} % before and "
+        f"{worst['after_error_percent']:+.1f} % after. The values to use are those of "
         "the table, not the estimate."
     )
 

@@ -393,11 +393,17 @@ class SiteRules:
         the largest with which there are enough, up to two per cent. Raises `InputError` where a
         stated distance leaves too few."""
         if (radius := self.spacing) is not None:
+            most = 0.5 * min(self.extent)
+            if self.periodic and radius > most:
+                raise InputError(
+                    f"expected plants at most {most:g} m apart, half of the shorter side of a plot "
+                    f"that repeats itself, but got a spacing (`spacing_m`) of {radius:g} m"
+                )
             points = self._disk(radius)
             if len(points) < plants:
                 raise InputError(
                     f"expected sites for {plants} plants, but at least {radius:g} m apart there "
-                    f"are {len(points)}: take a spacing of at most "
+                    f"are {len(points)}: take a spacing (`spacing_m`) of at most "
                     f"{0.98 * radius * np.sqrt(len(points) / plants):.2g} m, or leave it out, or "
                     "take a lower cover"
                 )

@@ -498,9 +498,9 @@ class Scene(eqx.Module):
             sizes = np.stack(
                 [np.asarray(v, float) for v in (species.cover, species.diameter, species.height)]
             )
+            feet, owner = self._feet_standing()
         except jax.errors.TracerArrayConversionError:
             return lines[0]
-        feet, owner = self._feet_standing()
         even = partial(clark_evans, extent=self.recipe.extent, periodic=self.boundary == "periodic")
         for i, (one, (cover, diameter, height)) in enumerate(zip(self.species, sizes.T)):
             index = even(feet[owner == i])
@@ -551,7 +551,7 @@ class Scene(eqx.Module):
 
         **Arguments:**
 
-        - `number`: of the planting; 0 for this very one, to the bit.
+        - `number`: of the planting; 0 for the scene as it was built, to the bit.
         - `counts`: plants of each species that are to find sites, besides those that do.
 
         **Raises:** `InputError` where there is no room or memory for them, and for a form of a
@@ -669,7 +669,8 @@ class Scene(eqx.Module):
         whole, and others about the number of plants with it (`Scene.standing`). A plant that is
         smaller in all directions, and as dense to look through, has effects in proportion to its
         area, so that the mean over plantings is that of whole plants: on a plot of 13 plants
-        within 0.3 % of a band's mean, 0.2 % of the gap and 0.5 % of the spread of NDVI.
+        within 0.3 % of a band's mean and 0.5 % of the spread of NDVI; the gap of many small ones
+        on blue noise is up to 0.7 % smaller.
 
         **Arguments:** `expected`, False for whole plants again.
 

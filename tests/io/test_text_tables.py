@@ -158,7 +158,7 @@ HEAD = "taxon;a_m;b_m\n"
         (HEAD + "x;1O;1", 2, "A letter for a digit"),
         (HEAD + "x;1.234,5;1", 2, "'1.234,5'. Marks between thousands"),
         (HEAD + "x;1 234,5;1", 2, "Marks between thousands"),
-        (HEAD + "x;40 cm;1", 2, "Leave out the unit: write 40"),
+        (HEAD + "x;40 cm;1", 2, "Leave out the unit, 'cm': write the number alone"),
         (HEAD + "x;1,5;1\ny;2;1.234", 3, "one decimal mark .*'1.234' here and '1,5' in row 2"),
         (HEAD + "x;1.234;1\ny;2;1,5", 3, "one decimal mark .*'1,5' here and '1.234' in row 2"),
         ('taxon,a_m\nx,"1,5"', 2, "A decimal comma. Write 1.5"),

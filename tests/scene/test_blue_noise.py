@@ -2,6 +2,8 @@
 
 import dataclasses
 
+import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -112,7 +114,9 @@ def test_stated_spacing_and_attempts() -> None:
     few = small(attempts=2)
     assert len(standing(few)) == len(standing(small()))
     assert index(standing(few), 6.0) < 1.62 < index(standing(small()), 6.0)
-    with pytest.raises(InputError, match=r"0\.5 m apart there are \d+: take a spacing of at most"):
+    with pytest.raises(
+        InputError, match=r"0\.5 m apart there are \d+: take a spacing \(`spacing_m`\) of at most"
+    ):
         small(spacing_m=0.5)
 
 
@@ -186,3 +190,23 @@ def test_no_plants_and_single_ones_have_sites() -> None:
         assert np.all(np.isfinite(np.asarray(scene.planting.foot)))
         assert bool(jnp.all(scene.planting.foot < 2.0))
         assert str(scene)
+
+
+def test_a_scene_is_said_with_feet_that_moved_or_have_slopes():
+    """Over the border of a plot that repeats itself, and inside a derivative."""
+    scene = Scene.from_table([TABLE[0]], size=1.0, voxel=0.25, structure="even", seed=1)
+    beyond = eqx.tree_at(lambda s: s.planting.foot, scene, scene.planting.foot - 0.3)
+    assert str(beyond).split("index")[-1] == str(scene).split("index")[-1]
+    said = []
+
+    def total(foot):
+        said.append(str(eqx.tree_at(lambda s: s.planting.foot, scene, foot)))
+        return foot.sum()
+
+    jax.grad(total)(scene.planting.foot)
+    assert said[0].startswith("A plot of 1 m x 1 m")
+
+
+def test_a_spacing_wider_than_a_plot_that_repeats_itself_is_refused_by_name():
+    with pytest.raises(InputError, match=r"at most 0\.5 m apart.*`spacing_m`\) of 5 m"):
+        Scene.from_table(TABLE, size=1.0, voxel=0.25, structure="even", spacing_m=5.0)

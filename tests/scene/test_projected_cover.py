@@ -160,6 +160,21 @@ def test_crowns_at_the_edges_of_an_open_plot() -> None:
     np.testing.assert_allclose(clumping(None, (4.0, 4.0), 1.0, periodic=True), 1.0)
 
 
+@pytest.mark.parametrize("factor", [1.0, 1.15])
+def test_one_species_that_grows_beyond_its_sites_covers_what_is_asked(factor: float) -> None:
+    """Its further plants stand on spare sites, nearer to each other than the first are; with the
+    distance of those for all of them it would cover 4 % too much."""
+    row = {"taxon": "a", "growth_form": "rounded_shrub", "mean_diameter_cm": 25,
+           "cover_percent": 55, "height_max_m": 0.5}  # fmt: skip
+    scene = Scene.from_table([row], size=2.4, voxel=0.2, structure="even", seed=3)
+    more = scene.scaled({"species.*.cover": factor}).parameters
+    found = [
+        projected_cover(hard_instances(scene.realisation(k), more), cell=0.02).species[0]
+        for k in range(12)
+    ]
+    assert np.mean(found) == pytest.approx(0.55 * factor, rel=0.025)
+
+
 def test_single_large_crowns_and_none() -> None:
     """Of a crown that covers a fifth of the plot there is one in every second planting, to cover a
     tenth; no cover needs no plant, with a slope."""
