@@ -61,11 +61,13 @@ class Calibration(eqx.Module):
     """Statistics of each planting of `stands` at the estimate."""
     fit: FitResult
     """The estimate of the plot's parameters, with its uncertainty. Its `predicted` are statistics
-    without the factors of the bands, and its data have these factors among their errors, to first
+    without the factors of the bands, on the line through the estimate (`statistics_after` are not),
+    and its data have these factors among their errors, to first
     order about the estimate: so it is that of parameters and factors together, the factors
     integrated over."""
     before: PlotParameters
-    """The plot's parameters where the search started, those that are not free among them."""
+    """The plot's parameters where the search started, those that are not free among them: the field
+    table's, unless a `start` was given, with which `worse` and `offered` are about that."""
     after: PlotParameters
     """The plot's parameters at the estimate, those that are not free among them."""
     views: tuple[AbstractView, ...]
@@ -194,11 +196,12 @@ class Calibration(eqx.Module):
         sentence = f"The misfit is {times:.2g} times what was expected"
         if times < UNDESCRIBED:
             return f"{sentence}."
-        table = self.misfit_by_group().iloc[1:]
-        if len(table) > 1:
-            least = table.iloc[int(table["times"].argmin())]
-            of = GROUPS[least["left_out"]]
-            sentence += f"; without {of} it is {least['times']:.2g} times"
+        table = self.misfit_by_group()
+        ratio = dict(zip(table["left_out"], map(float, table["times"]), strict=True))
+        every = ratio.pop("none")
+        if len(ratio) > 1:
+            least = min(ratio, key=lambda group: ratio[group])
+            sentence += f"; on a line {every:.2g}, and {ratio[least]:.2g} without {GROUPS[least]}"
         return f"{sentence}: intervals are widened by it."
 
     def doubts(self) -> list[str]:
@@ -238,7 +241,7 @@ class Calibration(eqx.Module):
         return self._of_drone(self.gains_sd)
 
     def _of_drone(self, values: Sequence[np.ndarray]) -> np.ndarray | None:
-        with_bands = (view for view in self.views if view.bands is not None)
+        with_bands = (view for view in self.views if isinstance(view, BandView))
         of = (one for one, view in zip(values, with_bands) if isinstance(view, ImageView))
         return next(of, None)
 
@@ -252,7 +255,7 @@ class Calibration(eqx.Module):
         rows: list[tuple[Any, ...]] = []
         sd = [np.sqrt(np.diagonal(np.asarray(one))) for one in (prior.of_gains, prior.of_model)]
         known = zip(self.gains, self.gains_sd, self.model_error, self.model_error_sd, strict=True)
-        seen = [(i, view.bands) for i, view in enumerate(self.views, 1) if view.bands is not None]
+        seen = [(i, v.bands) for i, v in enumerate(self.views, 1) if isinstance(v, BandView)]
         for (number, bands), own in zip(seen, known, strict=True):
             for i, (name, centre) in enumerate(zip(bands.names, bands.centre, strict=True)):
                 gain, gain_sd, error, error_sd = (float(values[i]) for values in own)
@@ -469,7 +472,7 @@ def calibration(search: PlotSearch, ends: Sequence[SearchState]) -> Calibration:
     won, fit, origin = ends[number], fits[number], ends[0].origin
     place, images = won.best, won.best.images
     gains, errors = _factors_of(search, won)
-    with_bands = [view for view in search.views if view.bands is not None]
+    with_bands = [view for view in search.views if isinstance(view, BandView)]
     drone = next((i for i, view in enumerate(with_bands) if isinstance(view, ImageView)), None)
 
     def by_view(values: np.ndarray) -> list[np.ndarray]:
@@ -521,9 +524,11 @@ def _fit_of(search: PlotSearch, end: SearchState) -> FitResult:
     own, by_factor = slopes[..., :free], place.slope[:, free:]
     # The same likelihood for whoever goes on with these data: along the directions alone.
     data = search.data_at(end.place)
-    counted = (data.with_covariance(by_factor @ by_factor.T) if by_factor.any() else data).along(
-        weights
-    )
+    counted = (
+        data.with_covariance(by_factor @ by_factor.T)
+        if by_factor.any() and np.isfinite(by_factor).all()
+        else data
+    ).along(weights)
     # On the line through the estimate, where factors are one.
     without = np.asarray(place.statistics) - by_factor @ np.asarray(place.u)[free:]
     reached = Ended(

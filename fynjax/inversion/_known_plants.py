@@ -104,8 +104,9 @@ class KnownPlants(eqx.Module):
     image_before: Float[np.ndarray, "band y x"]
     """Simulated reflectance of the blocks with the parameters `before` [-]."""
     image_after: Float[np.ndarray, "band y x"]
-    """Simulated reflectance of the blocks with the parameters `after`, times the estimated gains
-    and the model's error: what is compared [-]."""
+    """Simulated reflectance of the blocks with the parameters `after`: of the plot alone [-]."""
+    image_with_error: Float[np.ndarray, "band y x"]
+    """The same times the estimated gains and the model's error: what is compared [-]."""
     gain: Float[np.ndarray, " band"]
     """Estimated factor by which each band of the camera is off [-]: what simulated bands are
     multiplied by."""
@@ -135,8 +136,8 @@ class KnownPlants(eqx.Module):
         images = (
             self.measured,
             self.image_before,
-            self.image_after / (self.gain * self.model_error)[:, None, None],
-            self.image_after / self.model_error[:, None, None],
+            self.image_after,
+            self.image_after * self.gain[:, None, None],
         )
         values = [np.nanmean(np.where(seen, image, np.nan), axis=(1, 2)) for image in images]
         return compare_means([f"{n}.mean" for n in self.camera.sensor.bands.names], *values)
@@ -571,6 +572,7 @@ class PixelSearch:
         gains, errors = self._factors.gains(factors), self._factors.errors(factors)
         centre = self.space.named(jnp.zeros(free))
         named = dict(zip(self.space.names, self._values(state.u)))
+        image = self.image(state.u)
         return KnownPlants(
             scene=model.scene,
             camera=model.camera,
@@ -580,7 +582,8 @@ class PixelSearch:
             after=with_values(model.parameters, model.scene.taxa, named),
             measured=np.where(self._compared, self._measured, np.nan),
             image_before=np.asarray(state.before),
-            image_after=self.image(state.u),
+            image_after=image / factors.factor[:, None, None],
+            image_with_error=image,
             gain=gains.factor,
             gain_sd=gains.sd,
             model_error=errors.factor,

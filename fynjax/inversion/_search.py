@@ -34,6 +34,7 @@ from fynjax.inversion._solvers import run_solver
 from fynjax.inversion._space import ParameterSpace
 from fynjax.inversion._views import (
     AbstractView,
+    BandView,
     Directions,
     ImageView,
     PlotForward,
@@ -137,7 +138,7 @@ _TRUSTED = 10.0
 
 def excess_of(misfit: float, degrees: int) -> float:
     """Factor on the variances of all errors that a chi-square `misfit` of so many `degrees` asks
-    for, at least 1 [-]: the mean of an inverse chi-square distribution whose prior is the stated
+    for, at least 1 [-]: the scale of an inverse chi-square distribution whose prior is the stated
     errors, as if they had been found from `_TRUSTED` data (Gelman et al. 2013, Bayesian Data
     Analysis, section 2.6)."""
     if not np.isfinite(misfit):
@@ -466,10 +467,10 @@ class PlotSearch:
         """Covariance of the statistics by what the factors of the bands may be, to first order."""
         slopes, images = [], iter(place.images)
         for view in self.views:
-            if view.bands is None:
-                slopes.append(np.zeros((len(view.names), 0)))
-            else:
+            if isinstance(view, BandView):
                 slopes.append(np.asarray(_factor_slopes(view, next(images)), float))
+            else:
+                slopes.append(np.zeros((len(view.names), 0)))
         of_units = scipy.linalg.block_diag(*slopes) @ self.space.factors.root
         return np.asarray(of_units @ of_units.T)
 

@@ -42,6 +42,7 @@ def compare_means(
         for what, value in (("before", before), ("after", after), ("with_gain", with_gain))
     }
     farther = np.abs(error["after_error_percent"]) - np.abs(error["before_error_percent"])
+    farther = np.where(np.isfinite(farther), farther, np.inf)  # of no use: farther than anything
     moved = np.where(farther > 100.0 * _SAME, "away", "nearer")
     return pd.DataFrame(
         {

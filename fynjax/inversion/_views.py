@@ -55,11 +55,6 @@ class AbstractView(eqx.Module):
     names: eqx.AbstractVar[tuple[str, ...]]
     """Name of each statistic."""
 
-    @property
-    def bands(self) -> BandSet | None:
-        """The bands that may be off by factors; None of a sensor without bands."""
-        return None
-
     @abc.abstractmethod
     def observe(
         self, scene: Scene, parameters: PlotParameters
@@ -89,8 +84,8 @@ class AbstractView(eqx.Module):
         parameters: PlotParameters,
         log_factor: Float[Array, " band"] | None = None,
     ) -> tuple[Float[Array, "band y x"] | None, Float[Array, " statistic"]]:
-        """As `observe`, the statistics with factors of the bands."""
-        return self.observe(scene, parameters)
+        """The image of a view with bands, else None, and the statistics with factors of these."""
+        return None, self.observe(scene, parameters)[1]
 
     def jacobian(
         self,
@@ -141,9 +136,11 @@ class BandView(AbstractView):
         log_factor: Float[Array, " band"] | None = None,
     ) -> tuple[Float[Array, "band y x"] | None, Float[Array, " statistic"]]:
         image, plain = self.observe(scene, parameters)
-        if image is None or log_factor is None:
-            return image, plain
-        return image, self.statistics(image, log_factor)
+        if image is None:
+            raise TypeError(
+                f"{type(self).__name__} has bands, but `observe` gives no image of them"
+            )
+        return image, plain if log_factor is None else self.statistics(image, log_factor)
 
 
 def _factor(factor_at: FactorAt | None, u: Array) -> Array | None:
@@ -450,7 +447,7 @@ def factors_by_view(
     """
     if log_factors is None:
         return [None] * len(views)
-    sizes = [0 if view.bands is None else len(view.bands) for view in views]
+    sizes = [len(view.bands) if isinstance(view, BandView) else 0 for view in views]
     ends = np.cumsum(sizes)
     return [log_factors[end - n : end] if n else None for n, end in zip(sizes, ends)]
 

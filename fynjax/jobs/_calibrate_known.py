@@ -86,14 +86,15 @@ def known_plants(
     mean = np.nanmean(result.measured, axis=(1, 2), keepdims=True)
     rmse = [
         100.0 * float(np.sqrt(np.nanmean(((image - result.measured) / mean) ** 2)))
-        for image in (result.image_before, result.image_after)
+        for image in (result.image_before, result.image_after, result.image_with_error)
     ]
     stand = offered_stand(result.stand(), result)
     headline = [
         *result.doubts(),
         stand_sentence(stand),
         f"{plot.name}: {result.degrees} means of {result.block} x {result.block} pixels compared; "
-        f"their relative error {rmse[0]:.2f} % before, {rmse[1]:.2f} % after.",
+        f"their relative error {rmse[0]:.2f} % before, {rmse[1]:.2f} % after, {rmse[2]:.2f} % with "
+        "the camera's gains and the model's error as estimated.",
         *([] if plot.crowns_note is None else [plot.crowns_note]),
         "Covers follow from the crowns and are not free.",
         *parameter_sentences(result),
@@ -114,7 +115,7 @@ def known_plants(
                     search_section(run, result, peak_memory_mib()),
                 ],
                 {
-                    "relative error, before → after": pair_of_errors(*rmse),
+                    "relative error, before → after": pair_of_errors(*rmse[:2]),
                     "wall time": f"{run.total():.0f} s",
                 },
                 record,
@@ -165,10 +166,15 @@ def _block(plot: Plot, bands: int, shape: tuple[int, int], pixel: float) -> int:
 def band_table(result: KnownPlants) -> pd.DataFrame:
     """Mean of each band over the compared blocks, and the root mean square of their errors."""
     real = result.measured
-    images = {"real": real, "before": result.image_before, "after": result.image_after}
+    images = {
+        "real": real,
+        "before": result.image_before,
+        "after": result.image_after,
+        "with_error": result.image_with_error,
+    }
     compared = {name: np.where(np.isfinite(real), image, np.nan) for name, image in images.items()}
     table = {name: np.nanmean(image, axis=(1, 2)) for name, image in compared.items()}
-    for name in ("before", "after"):
+    for name in ("before", "after", "with_error"):
         error = (compared[name] - real) ** 2
         table[f"{name}_rmse"] = np.sqrt(np.nanmean(error, axis=(1, 2)))
     names = [f"{band}.mean" for band in result.camera.sensor.bands.names]
@@ -181,18 +187,19 @@ def _pictures(result: KnownPlants, pixel: float) -> list[Part]:
         "Measured": result.measured,
         "Before": result.image_before,
         "After": result.image_after,
+        "With gains and error": result.image_with_error,
     }
-    residuals = {title: images[title] - result.measured for title in ("Before", "After")}
+    residuals = {title: images[title] - result.measured for title in list(images)[1:]}
     return [
-        "All with one stretch, that of the measured image, and one scale of length. The pictures "
-        "after are times the camera's gains and the model's error, as they are compared.",
+        "All with one stretch, that of the measured image, and one scale of length. What is "
+        "compared is the last, times the camera's gains and the model's error as estimated.",
         image_views(images, bands, pixel, "Measured"),
         "Plants stand where they were mapped, so that each pixel of the simulation has its partner "
         "in the measured image, and their difference says what is off where.",
         Picture(
             "residual.png",
             figures.residual_maps(residuals, bands.names, pixel_m=pixel),
-            "simulated less measured, before and after",
-            "Simulated less measured, in each band before and after with one scale.",
+            "simulated less measured, before, after, and with gains and the model's error",
+            "Simulated less measured, in each band with one scale.",
         ),
     ]

@@ -37,7 +37,7 @@ from fynjax.inversion import (
 from fynjax.io.plot import NO_PRIOR, Plot, as_plot, with_prior
 from fynjax.io.text import atomic_path
 from fynjax.jobs._calibration_page import misfit_sentence
-from fynjax.jobs._calibration_tables import prior_columns
+from fynjax.jobs._calibration_tables import offered_stand, prior_columns
 from fynjax.jobs._doubt import doubt_targets
 from fynjax.jobs._follow import calibrated as calibrated_plot
 from fynjax.jobs._result import JobResult, Number, ParameterSummary
@@ -146,11 +146,18 @@ def posterior(
         ready, calibrated, method, target_size, max_steps, checkpoint
     )
     stand, table = tables = _tables(ready, calibrated, sampled)
+    doubts = calibrated.doubts()
     headline = [
+        *doubts,
         stand_sentence(stand),
         *_headline(ready, sampled, table),
         misfit_sentence(calibrated),
     ]
+    stand = offered_stand(stand, calibrated)
+    table = table.assign(
+        offered=table["prior"] if calibrated.worse else table["estimate"],
+        worse_than_table=calibrated.worse,
+    )
     if not sampled.converged and sampled.method != "laplace" and checkpoint.is_dir():
         headline.append(f"The chain is kept in {checkpoint}: the same command goes on with it.")
     record = run.record(inputs)
@@ -164,9 +171,9 @@ def posterior(
     return run.result(
         PosteriorResult,
         headline=headline,
-        parameters=table.to_dict("records"),
-        converged=sampled.converged,
-        status="ok" if sampled.converged else sampled.status,
+        parameters=table.filter(list(PosteriorParameter.model_fields)).to_dict("records"),
+        converged=sampled.converged and not calibrated.worse,
+        status=" ".join([*doubts, *([] if sampled.converged else [sampled.status])]) or "ok",
         posterior_status=sampled.status,
     )
 

@@ -92,7 +92,7 @@ def main(arguments=None):
             before = [error(a, b) for a, b in zip(optics(model, space.prior), optics(model, truth))]
             low, high = (np.asarray(q) for q in fit.quantiles(0.05, 0.95))
             inside = np.mean((np.asarray(truth) >= low) & (np.asarray(truth) <= high))
-            differ = 100.0 * error(found.image_after, image) / image.mean()
+            differ = 100.0 * error(found.image_with_error, image) / image.mean()
             known = np.mean(np.asarray(fit.constrained))
             optical = "; ".join(
                 f"{name} {after:.1e} ({start:.1e} before)"

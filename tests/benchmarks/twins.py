@@ -184,25 +184,28 @@ def line(chosen, ready, truths, view):
     settings = CalibrationSettings(stand_realisations=realisations, scatter_draws=scatter)
     centre = np.asarray(look((view,), ready.scene, ready.parameters)[0])
     data = weigh_targets(view.names, centre, ready.plot.calibration.target_sd)
-    search = PlotSearch(ready.scene, ready.parameters, data, space, (view,), settings)
+    search = PlotSearch(
+        ready.scene, ready.parameters, data, space, (view,), settings, error=ready.error
+    )
     state = search.begin(jnp.zeros(free))
     place, weights = state.place, search.weights(state.place, state.subspace)
     jacobian = weights @ place.slope
-    covariance = np.linalg.inv(np.eye(free) + jacobian.T @ jacobian)
+    # Of parameters and factors of the bands together; the former are what is scored.
+    covariance = np.linalg.inv(np.eye(jacobian.shape[1]) + jacobian.T @ jacobian)
     twins = []
     for number in range(chosen.seeds):
         random = np.random.default_rng([number, 17])
         truth = draw_truth(free, random)
         measured = np.asarray(measure(truths, (view,), truth, number, random).value)
         rest = weights @ (measured - np.asarray(place.statistics))
-        estimate = covariance @ jacobian.T @ rest
+        estimate = (covariance @ jacobian.T @ rest)[:free]
         misfit = rest @ np.linalg.solve(np.eye(len(rest)) + jacobian @ jacobian.T, rest)
         twins.append(
             {
                 "truth": truth,
                 "measured": measured,
                 "estimate": estimate,
-                "covariance": covariance,
+                "covariance": covariance[:free, :free],
                 "misfit": misfit,
                 "seconds": np.nan,
                 "converged": True,

@@ -88,7 +88,7 @@ def test_what_gains_may_be_is_an_error_of_the_parameters(found):
     few and uncertain pixels leave its weight."""
     result, _, compared = found
     gain = result.gain[:, None]
-    image = np.asarray(result.image_after)[:, compared]
+    image = np.asarray(result.image_with_error)[:, compared]
     sd = np.asarray(result.fit.data.sd)
     to_u = np.asarray(SPACE.slope(result.fit.whitened))
     jacobian = (SLOPES[:, :, compared] * gain).reshape(2, -1).T * to_u

@@ -20,9 +20,10 @@ from fynjax.inversion import (
     free_space,
     search_starts,
 )
-from fynjax.inversion._views import AbstractView
+from fynjax.inversion._views import AbstractView, BandView, multiplied
 from fynjax.io.plot import read_plot
 from fynjax.scene import Scene, element_count, room_needed
+from fynjax.sensors import BandSet, Gains
 from tests.scene.plots import small_parameters, small_plot
 from tests.small import write_plot
 
@@ -43,8 +44,21 @@ class CrownCover(AbstractView):
         return self
 
 
-class CrownSquares(CrownCover):
+class CrownSquares(BandView):
     """An image of one pixel: the squares of the crowns' areas, which plants that fade change."""
+
+    names: tuple[str, ...] = eqx.field(static=True, default=("crown cover",))
+    gains: Gains = eqx.field(static=True, default=Gains(0.0))
+
+    @property
+    def bands(self):
+        return BandSet(("a",), (550.0,), (10.0,))
+
+    def statistics(self, image, log_factor=None):
+        return multiplied(image, log_factor)[:, 0, 0]
+
+    def for_search(self, scene, accuracy, stride):
+        return self
 
     def observe(self, scene, parameters):
         value = jnp.sum(scene.crown_areas(parameters) ** 2)

@@ -73,7 +73,7 @@ def test_traits_of_known_plants_come_out_within_their_intervals(twin):
     said = " ".join(result.headline)
     chi2 = float(said.split("Chi-square ")[1].split(" ")[0])
     assert abs(chi2 - 1600) < 4.0 * np.sqrt(2 * 1600)
-    error = float(said.split(" % after")[0].split()[-1])
+    error = float(said.split(" % with the camera")[0].split()[-1])
     assert 0.9 < error < 1.2  # of the band's mean, as the noise is of a pixel
     found = [float(gain) for gain in re.findall(r"([\d.]+) ±", said)]
     np.testing.assert_allclose(found, GAIN, atol=0.01)
