@@ -239,7 +239,7 @@ def test_another_species_of_the_genus_is_no_slip(tables: Path) -> None:
 @pytest.mark.parametrize(
     ("file", "old", "new", "message"),
     [
-        ("CleanVegData.csv", ",30", ",45%", r"row 2, column 'PercentCoverAlive'.*45%.*write 45"),
+        ("CleanVegData.csv", ",30", ",45%", r"row 2, .*CoverAlive'.*45%.*Leave out the unit, '%'"),
         ("CleanVegData.csv", ",30", ",2a", r"row 2.*PercentCoverAlive.*cover class"),
         ("CleanVegData.csv", ",30", ",130", r"row 2.*to 100 %, but got 130"),
         ("CleanVegData.csv", ",30", ",", r"row 2, column 'PercentCoverAlive'.*missing"),
