@@ -159,7 +159,7 @@ def test_scenes_and_parameters_print_a_line_for_each_species(scene):
     lines = str(scene.parameters).splitlines()
     assert len(lines) == 1 + 2 + 2
     assert lines[1].startswith("  1: cover 0.3, diameter 0.4 m, height 0.6 m, leaf_area_index ")
-    assert "leaf.chlorophyll 53.7 ug cm-2" in lines[2]
+    assert "leaf.chlorophyll 53.6 ug cm-2" in lines[2]
     assert lines[-1] == "  light: sun_zenith 30 degree, sun_azimuth 0 degree, aerosol 0.1"
     assert "Restio (tussock)" in scene._repr_html_()
     assert "sun_zenith" in scene.parameters._repr_html_()

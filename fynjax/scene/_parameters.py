@@ -267,7 +267,7 @@ class GroundParameters(eqx.Module):
         lower=0.1,
         upper=2.5,
         usual=(0.5, 2.0),
-        default=1.28,
+        default=1.29,
         relative_sd=0.3,
         source="Default learned from 18 BioSCape plots. Bounds and prior assumed.",
         description="Factor on the reflectance of bark, deadwood and the dead tissue of shoots: "

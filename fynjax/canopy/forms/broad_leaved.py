@@ -14,7 +14,7 @@ FORM = GrowthForm(
     "fynbos, assumed, with twice its spread. Leaf diameter: mean over its taxa in "
     "`leaf_sizes`. Leaf mass, water, share of stands: the species of this form on those "
     "plots (doi:10.5281/zenodo.14198989). All else: assumed.",
-    leaf_area_index=4.8,
+    leaf_area_index=4.6,
     wood_area_index=0.50,
     flower_fraction=0.01,
     shoot_clumping=0.12,
@@ -25,7 +25,7 @@ FORM = GrowthForm(
         dead_fraction=(0.25, 0.1875), leaf_area_index=(3.5, 1.75), shoot_clumping=(0.2, 0.1)
     ),
     generic=FormPrior(
-        dead_fraction=(0.2, 0.14), leaf_area_index=(3.5, 2.6), shoot_clumping=(0.12, 0.1)
+        dead_fraction=(0.2, 0.14), leaf_area_index=(3.5, 2.6), shoot_clumping=(0.12, 0.09)
     ),
     diameter=0.675,
     height=2.445,

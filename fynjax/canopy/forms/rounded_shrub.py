@@ -14,18 +14,18 @@ FORM = GrowthForm(
     "fynbos, assumed, with twice its spread. Leaf diameter: mean over its taxa in "
     "`leaf_sizes`. Leaf mass, water, share of stands: the species of this form on those "
     "plots (doi:10.5281/zenodo.14198989). All else: assumed.",
-    leaf_area_index=3.6,
+    leaf_area_index=3.2,
     wood_area_index=0.50,
     flower_fraction=0.05,
-    shoot_clumping=0.22,
-    dead_fraction=0.53,
+    shoot_clumping=0.23,
+    dead_fraction=0.56,
     leaf_angle="spherical",
     leaf_diameter=0.004,
     prior=FormPrior(
         dead_fraction=(0.30, 0.21), leaf_area_index=(3.0, 1.5), shoot_clumping=(0.4, 0.2)
     ),
     generic=FormPrior(
-        dead_fraction=(0.2, 0.14), leaf_area_index=(3.5, 2.6), shoot_clumping=(0.22, 0.24)
+        dead_fraction=(0.2, 0.14), leaf_area_index=(3.5, 2.6), shoot_clumping=(0.23, 0.24)
     ),
     diameter=0.3,
     height=0.585,

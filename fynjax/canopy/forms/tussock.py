@@ -14,11 +14,11 @@ FORM = GrowthForm(
     "clumping as in fynbos, assumed, with twice its spread. Leaf diameter: mean over its "
     "taxa in `leaf_sizes`. Leaf mass, water, share of stands: the species of this form on "
     "those plots (doi:10.5281/zenodo.14198989). All else: assumed.",
-    leaf_area_index=3.8,
+    leaf_area_index=3.5,
     wood_area_index=0.05,
     flower_fraction=0.03,
     shoot_clumping=0.10,
-    dead_fraction=0.64,
+    dead_fraction=0.68,
     leaf_angle="erectophile",
     leaf_diameter=0.0024,
     prior=FormPrior(

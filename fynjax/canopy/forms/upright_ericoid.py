@@ -15,18 +15,18 @@ FORM = GrowthForm(
     "diameter: mean over its taxa in `leaf_sizes`, without Clutia, whose leaves are those "
     "of no ericoid shrub. Leaf mass, water, share of stands: the species of this form on "
     "those plots (doi:10.5281/zenodo.14198989). All else: assumed.",
-    leaf_area_index=3.6,
+    leaf_area_index=3.7,
     wood_area_index=0.40,
     flower_fraction=0.05,
-    shoot_clumping=0.19,
-    dead_fraction=0.61,
+    shoot_clumping=0.18,
+    dead_fraction=0.63,
     leaf_angle="erectophile",
     leaf_diameter=0.0015,
     prior=FormPrior(
         dead_fraction=(0.40, 0.24), leaf_area_index=(2.5, 1.25), shoot_clumping=(0.5, 0.25)
     ),
     generic=FormPrior(
-        dead_fraction=(0.25, 0.15), leaf_area_index=(3.5, 2.6), shoot_clumping=(0.19, 0.21)
+        dead_fraction=(0.25, 0.15), leaf_area_index=(3.5, 2.6), shoot_clumping=(0.18, 0.19)
     ),
     diameter=0.2375,
     height=1.125,
