@@ -46,14 +46,14 @@ SIDE, PLANTINGS = (1.0, 3) if SMALL else (3.0, 12)
 # %% [markdown]
 # ## The numbers, their errors, and how they move
 #
-# Of what `fynjax demo --with-aviris` fits: of the drone the means of four bands and the spreads of
+# Of what `fynjax demo` fits: of the drone the means of four bands and the spreads of
 # two indices; of the spectrometer the range of reflectance in four regions, which follows from
 # table 5, and the mean at 2100 to 2450 nm. All as logarithms, in which a difference is a share.
 # Errors are those of the light and of printed digits; where plants stand is chance, of which other
 # plantings tell (a larger plot averages more of it).
 
 # %%
-targets = fx.studies.fynbos_2006.demo_targets(with_aviris=True)
+targets = fx.studies.fynbos_2006.demo_targets()
 data = fx.inversion.join_data([target.data for target in targets])
 scene = fx.read_scene(PLOT, size=SIDE, structure="even")  # leaves fill their voxels: quick
 views = [target.view_of(scene, scene.parameters) for target in targets]
@@ -158,9 +158,9 @@ print("DIRSIG over the plot as both sensors see it:", (simulated * np.exp(gain))
 # differs between the bands of DIRSIG is the camera: over the plot as both sensors see it, printed
 # above, its bands lie nearer to each other, and all are too dark, which no camera explains. How
 # bright AVIRIS-NG itself is, is taken from its product (3 %); with 15 % the level of the gains is
-# open. Even together, model and prior leave more than twice the chi-square that they should: the
-# documentation takes that apart under "How well it agrees".
+# open. What the model is off by itself, as learned from 18 plots, is left out here; `fynjax demo`
+# has it beside the gains, and says how far that explains both sensors.
 #
-# **Where to go next**: `fynjax demo --with-aviris` is the whole calibration to these numbers, and
+# **Where to go next**: `fynjax demo` is the whole calibration to these numbers, and
 # `fynjax article` puts every printed number beside it. Whether an image can be one of vegetation at
 # all, `fx.check_vegetation` says before any fit; [08_the_paper](08_the_paper.ipynb) shows it.

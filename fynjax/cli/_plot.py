@@ -28,21 +28,21 @@ _PAGE = "report.html"
 
 @command("demo", "fynjax.studies.fynbos_2006:demo", "seed")
 def demo(
-    with_aviris: Annotated[
+    drone_alone: Annotated[
         bool,
         typer.Option(
-            "--with-aviris",
-            help="Fit the published numbers of the plot's AVIRIS-NG spectrum too, by which "
-            "gains of the drone's camera are known better. Takes longer.",
+            "--drone-alone",
+            help="Fit the drone's image alone, without the published numbers of the plot's "
+            "AVIRIS-NG spectrum. Takes half the time; the camera's gains are known less well.",
         ),
     ] = False,
     twin: Twin = False,
 ) -> None:
-    """Calibrate the 2006 burn plot to its real drone image, from shipped input.
+    """Calibrate the 2006 burn plot to its real drone image and spectrum, from shipped input.
 
     Builds the 10 m x 10 m plot from the paper's species table, renders the drone image, calibrates
-    cover, crown diameter, leaves and ground against the real image's statistics, and writes image,
-    tables, figures and a report page.
+    cover, crown diameter, leaves and ground against the published statistics of the real image and
+    of its AVIRIS-NG spectrum, and writes image, tables, figures and a report page.
 
     Example:  fynjax demo --output my_demo
     """

@@ -31,6 +31,7 @@ from fynjax.inversion._space import ParameterSpace, make_space, match_names
 from fynjax.inversion._verdict import (
     GROUPS,
     compare_means,
+    gain_sentences,
     group_of,
     is_worse,
     misfit_without,
@@ -119,8 +120,8 @@ class Calibration(eqx.Module):
     gains: tuple[Float[np.ndarray, " _band"], ...]
     """Estimated factor by which each band of each view with bands is off [-]: what simulated bands
     are to be multiplied by."""
-    gains_sd: tuple[Float[np.ndarray, " _band"], ...]
-    """Standard deviations of the logarithms of `gains` [-]."""
+    gains_covariance: tuple[Float[np.ndarray, "_band _band"], ...]
+    """Covariance of the logarithms of the `gains` of each view [-]."""
     model_error: tuple[Float[np.ndarray, " _band"], ...]
     """Estimated factor by which reality is off from the model in each band of each view with bands
     [-], beside the gains."""
@@ -231,6 +232,12 @@ class Calibration(eqx.Module):
         return float(chdtrc(self.degrees, self.misfit))
 
     @property
+    def gains_sd(self) -> tuple[Float[np.ndarray, " _band"], ...]:
+        """Standard deviations of the logarithms of `gains` [-]."""
+        variances = (np.diagonal(one) for one in self.gains_covariance)
+        return tuple(np.sqrt(np.maximum(one, 0.0)) for one in variances)
+
+    @property
     def gain(self) -> Float[np.ndarray, " band"] | None:
         """The `gains` of the drone's camera; None where no sensor is one."""
         return self._of_drone(self.gains)
@@ -239,6 +246,13 @@ class Calibration(eqx.Module):
     def gain_sd(self) -> Float[np.ndarray, " band"] | None:
         """Standard deviation of the logarithm of each `gain` [-]."""
         return self._of_drone(self.gains_sd)
+
+    def gain_sentences(self) -> list[str]:
+        """What is known of the gains of the drone's camera, in words; none without a camera."""
+        if self.gain is None or self.camera is None:
+            return []
+        covariance = self._of_drone(self.gains_covariance)
+        return gain_sentences(self.camera.sensor.bands.names, self.gain, np.asarray(covariance))
 
     def _of_drone(self, values: Sequence[np.ndarray]) -> np.ndarray | None:
         with_bands = (view for view in self.views if isinstance(view, BandView))
@@ -479,6 +493,11 @@ def calibration(search: PlotSearch, ends: Sequence[SearchState]) -> Calibration:
         parts = factors_by_view(with_bands, jnp.asarray(values))
         return [np.asarray(part) for part in parts]
 
+    def blocks(covariance: np.ndarray) -> list[np.ndarray]:
+        ends = np.cumsum([len(view.bands) for view in with_bands], dtype=int)
+        starts = [0, *ends[:-1]]
+        return [covariance[a:b, a:b] for a, b in zip(starts, ends)]
+
     factors = np.zeros(len(gains.mean)), gains.mean, gains.mean + errors.mean
     shown = [_with_factors(search, place, one) for one in factors]
     stands = search.stands(won)
@@ -509,7 +528,7 @@ def calibration(search: PlotSearch, ends: Sequence[SearchState]) -> Calibration:
         lack=np.asarray(place.lack).mean(axis=0),
         projector=scipy.linalg.block_diag(*(own.back @ own.rows for own in won.subspace.parts)),
         gains=tuple(by_view(gains.factor)),
-        gains_sd=tuple(by_view(gains.sd)),
+        gains_covariance=tuple(blocks(gains.covariance)),
         model_error=tuple(by_view(errors.factor)),
         model_error_sd=tuple(by_view(errors.sd)),
         ends=_ends(objective, fits, fit),

@@ -45,7 +45,12 @@ from fynjax.inversion._search import (
     stepped,
 )
 from fynjax.inversion._space import ParameterSpace
-from fynjax.inversion._verdict import compare_means, is_worse, worse_sentence
+from fynjax.inversion._verdict import (
+    compare_means,
+    gain_sentences,
+    is_worse,
+    worse_sentence,
+)
 from fynjax.radiation import VoxelScene
 from fynjax.scene import (
     LEAF_FIELDS,
@@ -110,8 +115,8 @@ class KnownPlants(eqx.Module):
     gain: Float[np.ndarray, " band"]
     """Estimated factor by which each band of the camera is off [-]: what simulated bands are
     multiplied by."""
-    gain_sd: Float[np.ndarray, " band"]
-    """Standard deviation of the logarithm of each `gain` [-]."""
+    gain_covariance: Float[np.ndarray, "band band"]
+    """Covariance of the logarithms of `gain` [-]."""
     model_error: Float[np.ndarray, " band"]
     """Estimated factor by which reality is off from the model in each band, beside `gain` [-]."""
     model_error_sd: Float[np.ndarray, " band"]
@@ -141,6 +146,15 @@ class KnownPlants(eqx.Module):
         )
         values = [np.nanmean(np.where(seen, image, np.nan), axis=(1, 2)) for image in images]
         return compare_means([f"{n}.mean" for n in self.camera.sensor.bands.names], *values)
+
+    @property
+    def gain_sd(self) -> Float[np.ndarray, " band"]:
+        """Standard deviation of the logarithm of each `gain` [-]."""
+        return np.asarray(np.sqrt(np.maximum(np.diagonal(self.gain_covariance), 0.0)))
+
+    def gain_sentences(self) -> list[str]:
+        """As of `Calibration`."""
+        return gain_sentences(self.camera.sensor.bands.names, self.gain, self.gain_covariance)
 
     @property
     def worse(self) -> bool:
@@ -585,7 +599,7 @@ class PixelSearch:
             image_after=image / factors.factor[:, None, None],
             image_with_error=image,
             gain=gains.factor,
-            gain_sd=gains.sd,
+            gain_covariance=gains.covariance,
             model_error=errors.factor,
             model_error_sd=errors.sd,
             misfit=float(rest @ rest),

@@ -123,3 +123,46 @@ def misfit_without(
     solved = np.linalg.lstsq(np.concatenate([rows, columns], axis=1), target)[0]
     left = target - np.concatenate([rows, columns], axis=1) @ solved
     return float(left @ left), len(weights) - rank
+
+
+def gain_sentences(
+    names: Sequence[str],
+    gain: Float[np.ndarray, " band"],
+    covariance: Float[np.ndarray, "band band"],
+) -> list[str]:
+    """What is known of the gains of a camera, in words: those of all bands, what they have in
+    common, and the ratio of two that differs most surely from one.
+
+    **Arguments:** `names` of the bands; estimated `gain` of each [-]; `covariance` of their
+    logarithms [-], without which, all zero, there is nothing to say.
+    """
+    if not covariance.any():
+        return []
+    sd = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
+    each = ", ".join(f"{n} {g:.3f} ± {g * s:.3f}" for n, g, s in zip(names, gain, sd, strict=True))
+    lines = [f"Gains of the camera: {each}; beforehand 1."]
+    if len(gain) < 2:
+        return lines
+
+    def sure(log: float, sd: float) -> str:
+        return "known" if abs(log) > _SURE * sd else "not told from 1"
+
+    log = np.log(gain)
+    level, of_level = log.mean(), np.sqrt(max(covariance.mean(), 0.0))
+    apart = log[:, None] - log
+    variance = sd[:, None] ** 2 + sd**2 - 2.0 * covariance
+    spread = np.sqrt(np.maximum(variance, 0.0))
+    surely = np.abs(np.divide(apart, spread, out=np.zeros_like(apart), where=spread > 0.0))
+    one, other = divmod(int(np.argmax(np.triu(surely, 1))), len(gain))
+    ratio, of_ratio = apart[one, other], spread[one, other]
+    lines.append(
+        f"What all have in common, their level, is {np.exp(level):.2f} ± "
+        f"{np.exp(level) * of_level:.2f}, {sure(level, of_level)}; the ratio that differs most "
+        f"surely from 1, {names[one]} over {names[other]}, is {np.exp(ratio):.2f} ± "
+        f"{np.exp(ratio) * of_ratio:.2f}, {sure(ratio, of_ratio)}."
+    )
+    return lines
+
+
+_SURE = 2.0
+"""Standard deviations from which on a gain or a ratio of two counts as known to differ from one."""

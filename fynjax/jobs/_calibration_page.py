@@ -41,7 +41,8 @@ def agreement_sentences(
             lines.append(
                 f"largest error of {what} {error['before']:.1f} % before, "
                 f"{error['after']:.1f} % after{beside}, {error['with_gain']:.1f} % with the "
-                "camera's gains as estimated."
+                f"camera's gains as estimated, {error['with_error']:.1f} % with what the model is "
+                "estimated to be off by too."
             )
         if lines:
             lines[0] = f"{plot.name}, expected over plantings: {lines[0]}"
@@ -74,11 +75,7 @@ def parameter_sentences(result: Calibration | KnownPlants) -> list[str]:
             f"{ends.apart.max():.2g} posterior sd apart; the best is kept."
         )
     lines.append(misfit_sentence(result))
-    if result.gain is not None and result.gain_sd is not None and result.camera is not None:
-        bands = zip(result.camera.sensor.bands.names, result.gain, result.gain_sd, strict=True)
-        each = ", ".join(f"{name} {gain:.3f} ± {gain * sd:.3f}" for name, gain, sd in bands)
-        lines.append(f"Gains of the camera: {each}; beforehand 1.")
-    return [*lines, result.fit.explanation]
+    return [*lines, *result.gain_sentences(), result.fit.explanation]
 
 
 _FAR = float(ndtri(0.95))
@@ -163,8 +160,8 @@ def calibration_page(
             f"largest error of {what}, before → after": pair_of_errors(e["before"], e["after"])
             for what, e in largest
         } | keys
-    goals = ", ".join(f"{what} within {value:g} %" for what, value in reference.goals.items())
-    sections = [Section("", [f"Aimed at: {goals}."])] if goals else []
+    said = [*_goal_sentences(statistics, reference), *([reference.start] * bool(reference.start))]
+    sections = [Section("", [" ".join(said)])] if said else []
     for sensor in measured:
         if sensor.kind == "image":
             sections += _image_sections(sensor, result, statistics, reference)
@@ -235,6 +232,18 @@ def _image_sections(
     ]
 
 
+def _goal_sentences(statistics: pd.DataFrame, reference: ReferenceImage) -> list[str]:
+    """What a calibration aims at, and whether it was reached with the camera's gains."""
+    if not reference.goals:
+        return []
+    error = largest_errors(statistics)["with_gain"]
+    each = [
+        f"{what} within {goal:g} % ({'reached' if error[what] <= goal else 'missed'})"
+        for what, goal in reference.goals.items()
+    ]
+    return [f"Aimed at, with the camera's gains: {', '.join(each)}."]
+
+
 def pair_of_errors(before: float, after: float) -> str:
     """Two errors [%] on one line."""
     return f"{before:.1f}\N{NO-BREAK SPACE}→\N{NO-BREAK SPACE}{after:.1f}\N{NO-BREAK SPACE}%"
@@ -274,7 +283,10 @@ def _in_bands(
 def error_pictures(statistics: pd.DataFrame, reference: ReferenceImage) -> list[Picture]:
     """Bars of the errors of means and of spreads, before, after, with gains and of `reference`;
     none without either."""
-    columns = {"before": "before", "after": "after", "with gains": "with_gain"}
+    columns = {
+        "before": "before", "after": "after", "with gains": "with_gain",
+        "with gains and the model's error": "with_error",
+    }  # fmt: skip
     if reference.simulated:
         columns["DIRSIG (paper)"] = "reference"
     panels: dict[str, dict[str, dict[Any, float]]] = {}
@@ -287,8 +299,9 @@ def error_pictures(statistics: pd.DataFrame, reference: ReferenceImage) -> list[
                 for who, column in columns.items()
             }
     caption = (
-        "Relative errors, before, after, and after as the camera with its estimated gains measures "
-        "it. What was fitted is expected over plantings; other bars are of the image."
+        "Relative errors, before, after, after as the camera with its estimated gains measures it, "
+        "and with what the model is estimated to be off by too. What was fitted is expected over "
+        "plantings; other bars are of the image."
     )
     if not panels:
         return []

@@ -74,7 +74,9 @@ class ReferenceImage:
     error_percent: Mapping[str, float] = field(default_factory=dict)
     """Relative errors of that other simulation where only these are known, without sign [%]."""
     goals: Mapping[str, float] = field(default_factory=dict)
-    """Errors that the calibration aims at, by what they are of [%]."""
+    """Errors that the calibration aims at, by row of `largest_errors` [%]."""
+    start: str = ""
+    """Why the field table is as far off as it is, in a sentence."""
 
 
 def statistic_table(calibration: Calibration, reference: ReferenceImage) -> pd.DataFrame:
@@ -156,8 +158,8 @@ def camera_table(calibration: Calibration, statistics: pd.DataFrame) -> pd.DataF
 
 
 def largest_errors(statistics: pd.DataFrame) -> pd.DataFrame:
-    """Largest error of the fitted means of bands and of indices [%], before and after, and with
-    the camera's gains.
+    """Largest error of the fitted means of bands and of indices [%], before and after, with the
+    camera's gains, and with the model's error too.
 
     Rows are "a band mean" and "a fitted index mean"; one of which nothing was fitted is left out,
     and where neither was there is one row, "a statistic of the image".
@@ -179,7 +181,7 @@ def largest_errors(statistics: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame.from_dict(rows, orient="index", columns=_WHEN)
 
 
-_WHEN = ["before", "after", "with_gain"]
+_WHEN = ["before", "after", "with_gain", "with_error"]
 _COLUMNS = ["real", "target_sd", "before", "after"]
 
 

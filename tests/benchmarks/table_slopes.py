@@ -6,11 +6,11 @@ A plot of 2.4 m with few plants (1.4 rounded shrubs of 90 cm, 7.9 upright ericoi
 tussocks of 50 cm) and one with many smaller ones. For each statistic and kind of parameter (the
 cover of the first species, or all of a kind, times one factor): the derivative of the mean over
 plantings by the logarithm of the factor, as a difference of the means of whole plants of the same
-plantings; the mean of the slopes that are taken, and of these over the step of the difference (by
-three nodes of Gauss), which is held against it, since both bend alike there; and the mean of the
-values of the stands in expectation over that of whole plants. Then slopes of the gap by the number
-of plants of one species, from half a plant to 30, over what one plant more makes; and what an image
-and a gradient cost.
+plantings; the mean of the slopes that are taken; the mean of these over the step of the difference,
+which is the difference of stands in expectation and is held against it, since both bend alike; and
+the mean of the values of the stands in expectation over that of whole plants. Then slopes of the
+gap by the number of plants of one species, from half a plant to 30, over what one plant more makes;
+and what an image and a gradient cost.
 """
 
 import dataclasses
@@ -137,8 +137,6 @@ def slopes(
 
     none, steps = jnp.zeros(len(KINDS), jnp.float32), list(KINDS.values())
     kinds = jnp.eye(len(KINDS), dtype=jnp.float32)
-    # Gauss-Legendre: the middle, then both sides.
-    nodes, shares = np.array([0.0, 0.6**0.5, -(0.6**0.5)]), np.array([8.0, 5.0, 5.0]) / 18.0
     values, differences, taken, over = [], [], [], []
     for number in range(1, plantings + 1):
         # Sites for the largest covers that differences take.
@@ -148,14 +146,14 @@ def slopes(
             for i, step in enumerate(steps)
         ]
         differences.append([(up - down) / (2 * step) for (up, down), step in zip(ends, steps)])
-        pairs = [
-            [expected(node * step * along, along, stand) for node in nodes]
+        middle = [expected(none, along, stand) for along in kinds]
+        values.append([np.asarray(value(none, stand)), np.asarray(middle[0][0])])
+        taken.append(np.asarray([slope for _, slope in middle]))
+        sides = [
+            [np.asarray(expected(sign * step * along, along, stand)[0]) for sign in (1, -1)]
             for along, step in zip(kinds, steps)
         ]
-        values.append([np.asarray(value(none, stand)), np.asarray(pairs[0][0][0])])
-        slope = np.array([[pair[1] for pair in row] for row in pairs], float)
-        taken.append(slope[:, 0])
-        over.append(np.einsum("n,knq->kq", shares, slope))
+        over.append([(up - down) / (2 * step) for (up, down), step in zip(sides, steps)])
     apart, found, wide, both = (np.array(v, float) for v in (differences, taken, over, values))
     rows = []
     for i, kind in enumerate(KINDS):

@@ -143,7 +143,7 @@ def test_demo_writes_moves_and_prints(capsys, calls, tmp_path):
     output = tmp_path / "a" / "b"
     status, out, err = call(capsys, "demo", "--output", output, "--seed", 5)
     assert (status, err) == (0, "")
-    assert calls[0][1] == {"seed": 5, "twin": False, "with_aviris": False}
+    assert calls[0][1] == {"seed": 5, "twin": False, "drone_alone": False}
     assert sorted(p.name for p in output.iterdir()) == ["image.tif", "summary.json"]
     assert [p.name for p in output.parent.iterdir()] == ["b"]
     assert "demo is done." in out

@@ -4,7 +4,13 @@ import numpy as np
 import pytest
 
 from fynjax.inversion import Calibration, Data
-from fynjax.inversion._verdict import compare_means, group_of, is_worse, misfit_without
+from fynjax.inversion._verdict import (
+    compare_means,
+    gain_sentences,
+    group_of,
+    is_worse,
+    misfit_without,
+)
 from fynjax.scene import ModelError
 from tests.helpers import stand_in
 from tests.scene.plots import small_parameters
@@ -103,3 +109,19 @@ def test_the_model_s_error_at_any_wavelength():
     assert covariance[1, 2] == pytest.approx(0.5 * (0.01 + 0.01) * 0.15 / between)
     np.testing.assert_allclose(error.wider(2.0).covariance([500.0, 700.0]),
                                4.0 * error.covariance([500.0, 700.0]))  # fmt: skip
+
+
+def test_of_gains_the_level_is_told_apart_from_their_ratios():
+    """Errors in common leave ratios known: two bands at 0.7 and 1.0 with a shared error of 20 % and
+    2 % of their own."""
+    shared = np.full((3, 3), 0.2**2) + np.diag(np.full(3, 0.02**2))
+    each, both = gain_sentences(("red", "red_edge", "nir"), np.array([0.98, 0.7, 1.0]), shared)
+    assert "red_edge 0.700 ± 0.141" in each
+    level = (0.98 * 0.7) ** (1 / 3)
+    assert f"level, is {level:.2f} ± {level * np.hypot(0.2, 0.02 / 3**0.5):.2f}, not told" in both
+    ratio_sd = 0.7 * 0.02 * 2**0.5
+    assert f"red_edge over nir, is 0.70 ± {ratio_sd:.2f}, known" in both
+    assert gain_sentences(("red",), np.array([0.9]), np.array([[0.01]])) == [
+        "Gains of the camera: red 0.900 ± 0.090; beforehand 1."
+    ]
+    assert gain_sentences(("red", "nir"), np.ones(2), np.zeros((2, 2))) == []

@@ -113,7 +113,7 @@ def test_gains_say_what_an_exact_simulation_is_off_by(plot):
         views=views,
         space=stand_in(PlotSpace, factors=BandFactors.of(views, None)),
         gains=(np.array([0.8, 1.25, 0.5, 1.1]),),
-        gains_sd=(np.full(4, 0.08),),
+        gains_covariance=(np.diag(np.full(4, 0.08**2)),),
         model_error=(np.full(4, 1.1),),
         model_error_sd=(np.full(4, 0.1),),
     )
