@@ -59,8 +59,9 @@ def plant_materials(
 
     A facet of a mesh is of the material that it names, if a row describes it, or else of its organ:
     of the taxon's leaf, or of the materials "wood" and "flower", which also are those of generated
-    plants; without a row for these, of the shipped bark and petals. Traits that a row leaves out
-    are those of a leaf row, of flowers those of the shipped petals.
+    plants; without a row for these, of the shipped bark and petals. Leaves of generated plants are
+    of further materials as far as their rows state an `outer_fraction`. Traits that a row leaves
+    out are those of a leaf row, of flowers those of the shipped petals.
 
     **Arguments:**
 
@@ -86,7 +87,10 @@ def plant_materials(
             # All of an organ is of the material that has its name.
             keys = [(kind, described.row(one, kind.name.lower())) for kind in Organ]
             of_species.append(
-                tuple(described.material(one, kind, key, 1.0) for kind, key in keys if key)
+                (
+                    *described.outer(one, file),
+                    *(described.material(one, kind, key, 1.0) for kind, key in keys if key),
+                )
             )
             shapes.append(None)
             continue
@@ -103,6 +107,13 @@ def plant_materials(
         for (kind, name), mine in parts.items():
             if (key := described.row(one, name)) is None:
                 continue
+            if key[0] == one.taxon and rows[key].outer_fraction is not None:
+                raise InputError(
+                    f"{name!r} of {one.taxon!r} has an outer_fraction, but its mesh says where the "
+                    "material is. Leave one of both out.",
+                    file=file,
+                    column="outer_fraction",
+                )
             if name != kind.name.lower():  # else it is of its organ, as elements are
                 element[mine] = len(found)
             found.append(described.material(one, kind, key, float(area[mine].sum())))
@@ -161,6 +172,26 @@ class _Described:
         """The row of a material of a species, if there is one."""
         return next((k for k in ((one.taxon, name), ("*", name)) if k in self._rows), None)
 
+    def outer(self, one: SpeciesRow, file: Path | None) -> list[Material]:
+        """Materials of the leaves of generated plants of a species, from the outermost inwards in
+        the order of their rows."""
+        if not FORMS[one.growth_form].leafy:
+            return []
+        names = dict.fromkeys(name for taxon, name in self._rows if taxon in (one.taxon, "*"))
+        found = []
+        for key in (self.row(one, name) for name in names):
+            share = None if key is None else self._rows[key].outer_fraction
+            if key is not None and share is not None:
+                found.append(self.material(one, Organ.LEAF, key, share))
+        if (total := sum(one.share for one in found)) > 1.0 + 1e-9:
+            raise InputError(
+                f"the outer_fraction of {', '.join(m.name for m in found)} of {one.taxon!r} are "
+                f"{total:g} together, more than all leaves",
+                file=file,
+                column="outer_fraction",
+            )
+        return found
+
     def name(self, one: SpeciesRow, organ: Organ, own: str, optics: str) -> str:
         """Name of the material of facets whose material in the mesh is `own`, with `optics`."""
         usual = organ.name.lower()
@@ -214,9 +245,14 @@ class _Described:
                 pairs = [] if mesh is None else zip(mesh.materials, mesh.optics, strict=True)
                 named = {own if optics in _ORGANS else optics for own, optics in pairs}
                 there |= named if mesh is not None else _ORGANS - {"leaf"}
+            grown = any(
+                mesh is None for one, mesh in zip(species, plants, strict=True)
+                if taxon in (one.taxon, "*")
+            )  # fmt: skip
+            remedy = " Leaves of plants without a mesh need its outer_fraction." if grown else ""
             raise InputError(
                 f"{name!r} of {taxon!r} is no material of its plants, which have "
-                f"{', '.join(map(repr, sorted(there)))}.{did_you_mean(name, there)}",
+                f"{', '.join(map(repr, sorted(there)))}.{did_you_mean(name, there)}{remedy}",
                 file=file,
                 column="material",
             )

@@ -551,7 +551,9 @@ def _of_individuals(stand: Stand, individuals: Sequence[dict[str, np.ndarray]]) 
         # A few individuals of the form, which the plants have in turn; or the one model given.
         if (model := stand.models[i]) is None:
             seeds = individual_seeds(seed, i)[:n]
-            several = [plant_model(one.form, number, seed=s) for s in seeds]
+            several = [
+                _with_outer_leaves(plant_model(one.form, number, seed=s), one) for s in seeds
+            ]
         else:
             several = [thin_plant(model, number, seed=seed + i)]
         k = len(several[0].organ)
@@ -649,6 +651,25 @@ def _drawn_leaves(plants: int, species: int, leaves: int, seed: int) -> Int[np.n
     keeps its own where there are more plants."""
     drawn = generator(seed, 109, species).random(plants)
     return (leaves * drawn).astype(np.int32)
+
+
+def _with_outer_leaves(plant: PlantModel, species: Species) -> PlantModel:
+    """A generated plant whose leaves farthest from its foot, in units of the crown's radius and
+    height, are of the leaf materials of its species, from the outermost inwards."""
+    outer = [i for i, one in enumerate(species.materials) if one.organ == Organ.LEAF]
+    if not outer:
+        return plant
+    organ, area = np.asarray(plant.organ), np.asarray(plant.area_fraction, float)
+    leaves = np.flatnonzero(organ == Organ.LEAF)
+    x, y, z = np.asarray(plant.position, float)[leaves].T
+    order = leaves[np.argsort(-(4.0 * (x**2 + y**2) + z**2), kind="stable")]
+    # Each leaf by where the middle of its area lies in the sum from the outermost inwards.
+    middle = np.cumsum(area[order]) - 0.5 * area[order]
+    ends = np.cumsum([species.materials[i].share for i in outer])
+    which = np.searchsorted(ends, middle, side="right")
+    material = np.full(len(organ), -1, np.int32)
+    material[order] = np.array([*outer, -1])[which]
+    return dataclasses.replace(plant, material=material)
 
 
 def _classes_of(species: Sequence[Species], i: int, shape: PlantModel) -> np.ndarray:

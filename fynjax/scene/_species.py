@@ -205,6 +205,7 @@ class SpeciesRow(Strict):
 
 _STATED = tuple(name for name in LEAF_FIELDS if name not in ("anthocyanins", "brown_pigments"))
 """Traits that no row states beside a spectrum."""
+_OTHER_ORGANS = ("wood", "flower")
 SHIPPED_MATERIALS = ("bark", "litter", "char")
 """Shipped spectra that a material may have."""
 
@@ -219,6 +220,7 @@ _REFUSED: Any = {
     "anyOf": [
         _has("string", "spectrum", "reflectance") | {"allOf": [_has("number", *_STATED)]},
         {"allOf": [_has("string", "spectrum"), _has("string", "reflectance")]},
+        _has("number", "outer_fraction") | {"not": _has("string", "material")},
         _has("string", "reflectance") | {"not": _has("string", "material")},
         _has("string", "transmittance") | {"not": _has("string", "reflectance")},
     ]
@@ -252,6 +254,13 @@ class LeafRow(Strict):
         "young, old, fruit, petal or bark; 'flower' and 'wood' are the flowers and the wood that "
         "nothing else describes, also of generated plants. Left out, or 'leaf': the leaves of the "
         "taxon.",
+    )
+    outer_fraction: float | None = Field(
+        default=None,
+        gt=0.0,
+        le=1.0,
+        description="Of a material, such as young, of plants without a mesh: the share of their "
+        "leaf area, outermost in the crown, that is of it [-].",
     )
     chlorophyll: float | None = _of_the_leaf("chlorophyll")
     carotenoids: float | None = _of_the_leaf("carotenoids")
@@ -302,6 +311,11 @@ class LeafRow(Strict):
             raise ValueError(
                 "expected a material beside a reflectance that is taken as it is: of the leaves of "
                 "a taxon state PROSPECT parameters, or a 'spectrum' to fit them to"
+            )
+        if "outer_fraction" in has and given.get("material") in (None, "", "leaf", *_OTHER_ORGANS):
+            raise ValueError(
+                "expected a material of leaves, such as young, beside an outer_fraction: the share "
+                "of the leaf area that is of it"
             )
         if "transmittance" in has and "reflectance" not in has:
             raise ValueError("expected a reflectance beside a transmittance, but it is empty")

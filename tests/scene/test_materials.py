@@ -340,6 +340,57 @@ def test_generated_plants_have_flowers_and_wood_of_their_own() -> None:
         np.testing.assert_allclose(density[k] + density[names[name]], before[k], rtol=1e-4)
 
 
+def outer_scene(leaves: Any, **options: Any) -> Scene:
+    """The shrubs of `scene_of` as the form's own plants."""
+    given = {"size": 1.2, "voxel": 0.1, "structure": "even", "seed": 4, "dtype": "float64"}
+    return ruled(Scene.from_table([ROW], leaves=leaves, **given | options), flowering=1.0)
+
+
+def test_outer_leaves_of_generated_plants_are_of_their_material() -> None:
+    """A quarter of the leaf area, farthest from the foot: each shape by hand from its elements."""
+    leaves = {"Erica": OLD, ("Erica", "young"): YOUNG | {"outer_fraction": 0.25}}
+    scene = outer_scene(leaves)
+    young = next(iter(material_classes(scene.species).values()))[0]
+    shapes, classes = scene.planting.shapes, np.asarray(scene.planting.shape_class)
+    count, position = int(scene.planting.count[0]), np.asarray(shapes.position, float)
+    for start in np.unique(np.asarray(scene.planting.first)):
+        mine = slice(start, start + count)
+        leaf = np.asarray(shapes.organ[mine]) == Organ.LEAF
+        is_young = classes[mine] == young
+        assert not is_young[~leaf].any()
+        area = np.asarray(shapes.area_fraction[mine], float)
+        assert area[is_young].sum() == pytest.approx(0.25, abs=0.6 * area[leaf].max())
+        far = np.linalg.norm(position[mine] * [2.0, 2.0, 1.0], axis=1)
+        assert far[is_young].min() >= far[leaf & ~is_young].max()
+
+
+def test_outer_leaves_are_seen_first_and_slopes_reach_them() -> None:
+    """Pale young leaves brighten red by more than their share of the way from old to young ones;
+    all leaves young, stated as outer ones, are a plot of young leaves."""
+    red = BANDS.names.index("red")
+
+    def red_of(leaves: Any) -> float:
+        scene = outer_scene(leaves)
+        image = fx.observe(scene, "mavic_3m", pixel=0.1).reflectance
+        return float(np.mean(image[red]))
+
+    outer = lambda share: {"Erica": OLD, ("*", "young"): YOUNG | {"outer_fraction": share}}  # noqa: E731
+    old, young = red_of({"Erica": OLD}), red_of({"Erica": YOUNG})
+    assert red_of(outer(1.0)) == pytest.approx(young, rel=1e-6)
+    assert (red_of(outer(0.2)) - old) / (young - old) > 0.25
+    scene = outer_scene(outer(0.2))
+    name = "species.Erica.young.chlorophyll"
+    assert name in named_values(scene.parameters, scene.taxa)
+
+    def observed(parameters: Any) -> Any:
+        return (
+            fx.observe(scene, "mavic_3m", pixel=0.1, parameters=parameters).reflectance[red].mean()
+        )
+
+    slope = jax.grad(observed)(scene.parameters).materials.leaf.chlorophyll
+    assert float(slope[0]) < 0.0
+
+
 def test_leaves_that_differ_between_plants_stand_beside_materials(mesh: MeshPlant) -> None:
     part = shrub(old="")
     leaves = {k: v for k, v in LEAVES.items() if k != ("Erica", "old")}
@@ -418,6 +469,11 @@ BRIGHT = Spectrum.of(WAVE, np.full(len(WAVE), 0.7), "bright")
         (LEAVES | {("Erica", "bark"): OLD | {"reflectance": BARK}}, "got both"),
         (LEAVES | {("Erica", "bark"): {"reflectance": BRIGHT, "transmittance": BRIGHT}},
          "'bark'.* at most 1, but at 100 % of the wavelengths"),
+        (LEAVES | {("Protea", "young"): YOUNG}, "Leaves of plants without a mesh need its outer"),
+        (LEAVES | {("Protea", k): YOUNG | {"outer_fraction": 0.6} for k in ("young", "pale")},
+         "of young, pale of 'Protea' are 1.2 together"),
+        (LEAVES | {("Protea", "wood"): YOUNG | {"outer_fraction": 0.6}}, "a material of leaves"),
+        (LEAVES | {("Erica", "young"): YOUNG | {"outer_fraction": 0.6}}, "its mesh says where"),
     ],
 )  # fmt: skip
 def test_materials_that_describe_nothing_or_too_much_are_refused(
