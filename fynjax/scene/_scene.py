@@ -668,9 +668,8 @@ class Scene(eqx.Module):
         One more plant of a species does not come at once but grows, from nothing to what it is
         whole, and others about the number of plants with it (`Scene.standing`). A plant that is
         smaller in all directions, and as dense to look through, has effects in proportion to its
-        area, so that the mean over plantings is that of whole plants: on a plot of 13 plants
-        within 0.3 % of a band's mean and 0.5 % of the spread of NDVI; the gap of many small ones
-        on blue noise is up to 0.7 % smaller.
+        area, so that the mean over plantings is that of whole plants within 0.7 % of a band's mean
+        and of the gap, 0.4 % of mean NDVI and 1.3 % of its spread (`docs/model.md`, Plants).
 
         **Arguments:** `expected`, False for whole plants again.
 
