@@ -285,7 +285,7 @@ def error_pictures(statistics: pd.DataFrame, reference: ReferenceImage) -> list[
     none without either."""
     columns = {
         "before": "before", "after": "after", "with gains": "with_gain",
-        "with gains and the model's error": "with_error",
+        "with gains and model's error": "with_error",
     }  # fmt: skip
     if reference.simulated:
         columns["DIRSIG (paper)"] = "reference"

@@ -280,7 +280,8 @@ def error_bars(panels: Mapping[str, Mapping[str, Mapping[str, float]]]) -> Figur
         axes.set_xlim(0, min(highest, _FULL_SCALE) * 1.1 or 1)
         axes.set_title(title)
     handles = [Patch(color=colours[name], label=name) for name in who]
-    figure.legend(handles=handles, loc="outside upper left", ncols=len(who))
+    columns = len(who) if len(who) < 5 else 3
+    figure.legend(handles=handles, loc="outside upper left", ncols=columns)
     grid[-1].set_xlabel("|simulated - real| / |real| [%]")
     return figure
 
