@@ -51,6 +51,7 @@ def test_counts_become_the_signal_over_the_light(bands, black, tmp_path: Path) -
     np.testing.assert_allclose(relative, np.broadcast_to(rho, relative.shape), rtol=2e-3)
     first = capture.bands[0]
     assert (first.capture, first.time) == (f"id of {name}", "2026:11:22 10:00:00.123")
+    assert first.sensor == ("mavic_3m" if bands is MAVIC else "phantom_4m")
     assert first.focal_length == 135.0
     assert first.irradiance_tilt == pytest.approx(5.0, abs=0.01)
 

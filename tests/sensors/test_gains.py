@@ -28,7 +28,7 @@ def test_shipped_errors_are_those_of_their_sources():
     light = 0.07
     assert abs(camera.mean()) < 0.01
     # Of DJI's light sensor one factor of all bands is not defined: 0.30, an assumption.
-    for name, factor in {"mavic_3m": 0.3, "rededge_3": 0.0}.items():
+    for name, factor in {"mavic_3m": 0.3, "phantom_4m": 0.3, "rededge_3": 0.0}.items():
         shared = light**2 + factor**2
         sd = np.sqrt(np.mean(camera**2) + shared)
         alone = shipped_sensor(name).gains("light_sensor")

@@ -83,7 +83,7 @@ def dji_band(path: Path, counts: NDArray[np.uint16], bits: int, stated: Stated) 
         focal_length=focal[0] if focal else lens.focal_length[0] if lens else None,
         irradiance=light[0] if light and light[0] > 0.0 else None,
         irradiance_tilt=stated.tilt("FlightPitchDegree", "FlightRollDegree"),
-        sensor="mavic_3m",
+        sensor=_camera(stated, wavelength),
         absolute=False,
         lens=lens,
         missing=() if vignetting else ("vignetting",),
@@ -99,6 +99,13 @@ def _first(stated: Stated, *keys: str) -> list[float] | None:
 def _done(stated: Stated, flag: str) -> bool:
     """Whether the camera itself has already corrected the picture."""
     return stated.maybe(flag) == [1.0]
+
+
+def _camera(stated: Stated, wavelength: float) -> str:
+    """The sensor: a Phantom has five bands, of blue and 840 nm, and places these by a shift each,
+    where a Mavic states a matrix."""
+    by_shift = stated.xmp.get("RelativeOpticalCenterX") and not stated.xmp.get("CalibratedHMatrix")
+    return "phantom_4m" if by_shift or wavelength in (450.0, 840.0) else "mavic_3m"
 
 
 def _band(stated: Stated) -> tuple[float, float]:
