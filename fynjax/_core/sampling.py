@@ -164,6 +164,8 @@ class Ensemble(_Sampler):
     - `target`: effective draws to reach, on a chain of 50 autocorrelation times or more.
     - `steps`: most steps.
     - `seed`: of the random numbers.
+    - `moves`: of `emcee.moves`, one or pairs of one and its weight; by default four of differential
+      evolution to one stretch.
     """
 
     def __init__(
@@ -174,9 +176,10 @@ class Ensemble(_Sampler):
         target: float,
         steps: int,
         seed: int,
+        moves: Any = None,
     ) -> None:
         super().__init__(start, target, steps)
-        self._density, self._seed = density, seed
+        self._density, self._seed, self._moves = density, seed, moves
 
     def _first(self) -> ChainState:
         level = _Refused(self._density)(self._start)
@@ -196,7 +199,8 @@ class Ensemble(_Sampler):
         # Differential evolution (ter Braak 2006) mixes well where parameters are correlated,
         # stretches keep the walkers from sharing a subspace. Not emcee's snooker move: up to its
         # version 3.1.6 that is no correct step, and leaves standard deviations 5 to 10 % small.
-        moves = [(emcee.moves.DEMove(), 0.8), (emcee.moves.StretchMove(), 0.2)]
+        usual = [(emcee.moves.DEMove(), 0.8), (emcee.moves.StretchMove(), 0.2)]
+        moves = usual if self._moves is None else self._moves
         sampler = emcee.EnsembleSampler(*position.shape, refused, vectorize=True, moves=moves)
         sampler.log_prob_fn = refused  # emcee's wrapper prints a traceback at an interruption
         key, *rest = random

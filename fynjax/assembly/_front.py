@@ -635,8 +635,8 @@ def sample(
     - `max_steps`: of the chain, where to give up.
     - `chains`: walkers of the ensemble (32, or four a parameter) or chains of NUTS (4).
     - `seed`: of all random numbers.
-    - `options`: of a function the `offset`, `context` and `log_prior` of its fit; `warmup`, `batch`
-      and `predictive`, as `fynjax.inversion.PosteriorSampler` has them.
+    - `options`: of a function the `offset`, `context` and `log_prior` of its fit; `moves`,
+      `warmup`, `batch` and `predictive`, as `fynjax.inversion.PosteriorSampler` has them.
 
     **Returns:** `Posterior`; its `inference_data()` is arviz'.
 

@@ -83,6 +83,8 @@ class PosteriorSampler:
     - `seed`: of all random numbers. The same seed gives the same draws.
     - `batch`: parameter sets computed at once; what the memory holds if left out.
     - `predictive`: draws whose statistics are computed.
+    - `moves`: proposals of the ensemble, of `emcee.moves`: one, or pairs of one and its weight; by
+      default four of differential evolution to one stretch.
 
     **Raises:** `InputError` for wrong arguments; `MissingExtraError` without the packages of the
     method.
@@ -111,6 +113,7 @@ class PosteriorSampler:
         seed: int = 0,
         batch: int | None = None,
         predictive: int = 100,
+        moves: Any = None,
     ) -> None:
         if method not in ("emcee", "nuts", "laplace"):
             raise InputError(f"`method` must be 'emcee', 'nuts' or 'laplace', but is {method!r}")
@@ -120,6 +123,8 @@ class PosteriorSampler:
             raise InputError(
                 "the Gaussian about the fit is that of the space's prior: no `log_prior`"
             )
+        if moves is not None:
+            _check_moves(moves, method)
         if method == "nuts":
             require("blackjax", "posterior")
         shift = jnp.zeros_like(data.value) if offset is None else jnp.asarray(offset)
@@ -144,11 +149,12 @@ class PosteriorSampler:
         size = _chain_count(method, chains, centre.size)
         # Walkers start scattered as the posterior is: a chain from one place takes long to spread.
         begin = self._random.multivariate_normal(centre, covariance, size, method="eigh")
-        self.signed = density, begin, method, seed, warmup
+        of_moves = () if moves is None else (_words_of(moves),)
+        self.signed = density, begin, method, seed, warmup, *of_moves
         limits: dict[str, Any] = {"target": target, "steps": max_steps, "seed": seed}
         if method == "emcee":
             many = lambda u: evaluate_many(density, u, batch=self._batch)  # noqa: E731
-            self._sampler = Ensemble(many, begin, **limits)
+            self._sampler = Ensemble(many, begin, moves=moves, **limits)
         else:
             self._sampler = Hamiltonian(density, begin, covariance, warmup=warmup, **limits)
 
@@ -187,6 +193,34 @@ class PosteriorSampler:
                 predicted.append(some)
                 advance(len(some))
         return _result(density, self._method, start, found, np.concatenate(predicted))
+
+
+def _listed(moves: Any) -> list[tuple[Any, float]]:
+    """Moves with their weights."""
+    each = moves if isinstance(moves, list | tuple) else [moves]
+    return [(one[0], one[1]) if isinstance(one, list | tuple) else (one, 1.0) for one in each]
+
+
+def _words_of(moves: Any) -> str:
+    """What tells moves from others, for states that are kept."""
+    said = []
+    for move, weight in _listed(moves):
+        plain = {k: v for k, v in vars(move).items() if isinstance(v, int | float | str)}
+        said.append(f"{type(move).__name__} {sorted(plain.items())} {weight:g}")
+    return "; ".join(said)
+
+
+def _check_moves(moves: Any, method: str) -> None:
+    import emcee  # late: it takes half a second
+
+    if method != "emcee":
+        raise InputError(f"`moves` are those of an ensemble by emcee, not of {method!r}")
+    for move, _ in _listed(moves):
+        if not isinstance(move, emcee.moves.Move):
+            raise InputError(
+                "`moves` must be of emcee.moves, such as emcee.moves.StretchMove(), or pairs of "
+                f"one and its weight, but got {move!r:.60}"
+            )
 
 
 def _chain_count(method: str, chains: int | None, free: int) -> int:

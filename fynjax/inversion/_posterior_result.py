@@ -65,6 +65,20 @@ class Posterior(eqx.Module):
         every = jax.vmap(jax.vmap(self.space.physical))
         return np.asarray(every(jnp.asarray(self.whitened)))
 
+    @double_precision
+    def get_chain(
+        self, *, discard: int = 0, thin: int = 1, flat: bool = False
+    ) -> Float[np.ndarray, "..."]:
+        """Draws as emcee's `get_chain` gives them, [step, walker, parameter] in the parameters' own
+        units. Steps before the chain settled, and those closer than half an autocorrelation time,
+        are left out already.
+
+        **Arguments:** `discard`, first steps that are left out; `thin`, every so many steps;
+        `flat`, all walkers as one, [draw, parameter].
+        """
+        found = np.swapaxes(self.values, 0, 1)[discard::thin]
+        return found.reshape(-1, found.shape[-1]) if flat else found
+
     @property
     @double_precision
     def own(self) -> Float[np.ndarray, "chain draw free"]:

@@ -8,6 +8,7 @@ from collections import deque
 from functools import cache
 from pathlib import Path
 
+import emcee
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -88,6 +89,24 @@ def test_the_ensemble_is_as_wide_as_what_it_samples():
     assert found.status == "converged"
     # The mean of six widths, each of 3000 draws, is known to 0.5 %.
     assert found.chain.reshape(-1, 6).std(axis=0).mean() == pytest.approx(1.0, abs=0.015)
+
+
+def test_an_ensemble_takes_moves_of_emcee_and_gives_its_chain():
+    """Stretches alone: another chain, of the same posterior, in emcee's layout."""
+    moves = emcee.moves.StretchMove(a=2.5)
+    usual, found = (drawn("emcee"), sampler("emcee", moves=moves).posterior())
+    flat = found.get_chain(flat=True)
+    apart = flat.mean(axis=0) - usual.get_chain(flat=True).mean(axis=0)
+    np.testing.assert_allclose(apart / flat.std(axis=0), 0.0, atol=0.25)
+    chain = found.get_chain()
+    assert chain.shape == (found.values.shape[1], found.values.shape[0], 3)
+    np.testing.assert_array_equal(found.get_chain(discard=2, thin=3)[0, 1], found.values[1, 2])
+    assert flat.shape == (chain.shape[0] * chain.shape[1], 3)
+    weighed = [(moves, 0.5), (emcee.moves.DEMove(), 0.5)]
+    one, other, plain = (
+        signature(sampler("emcee", moves=m).signed) for m in (moves, weighed, None)
+    )
+    assert len({one, other, plain}) == 3
 
 
 def test_few_flat_directions_are_named_and_many_are_counted():
@@ -203,6 +222,18 @@ def test_too_few_steps_are_not_called_converged():
     ],
 )
 def test_wrong_arguments_are_refused(options, text):
+    with pytest.raises(InputError, match=text):
+        sample_posterior(predict, DATA, SPACE, **options)
+
+
+@pytest.mark.parametrize(
+    ("options", "text"),
+    [
+        ({"moves": "stretch"}, "of emcee.moves, such as .* but got 'stretch'"),
+        ({"moves": emcee.moves.StretchMove(), "method": "laplace"}, "not of 'laplace'"),
+    ],
+)
+def test_moves_that_are_none_are_refused(options, text):
     with pytest.raises(InputError, match=text):
         sample_posterior(predict, DATA, SPACE, **options)
 
