@@ -47,5 +47,8 @@ from .scene import Placement as Placement
 from .scene import Scene as Scene
 from .scene import observe as observe
 from .scene import pixel_truth as pixel_truth
+from .sensors import Frame as Frame
+from .sensors import Lens as Lens
+from .sensors import Pose as Pose
 
 __version__: str

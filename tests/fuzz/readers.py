@@ -209,7 +209,7 @@ def _dji(folder: Path) -> None:
 
 def _read_dji(folder: Path) -> Any:
     capture = read_capture("DJI", sorted(folder.glob("DJI_*.TIF")))
-    lens = capture.bands[0].lens
+    lens = capture.bands[0].registration
     counts = capture.bands[0].counts  # NaN is where the lens does not reach
     return capture.radiance(), lens and np.nan_to_num(lens.on_frame(counts))
 

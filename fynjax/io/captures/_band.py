@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from fynjax._core.errors import LARGEST, InputError
 from fynjax.io.captures._camera_place import CameraPlace
-from fynjax.io.captures._lens import Lens
+from fynjax.io.captures._lens import Registration
 from fynjax.sensors import CameraRadiometry
 
 _LARGEST_EXIF = 1e7
@@ -48,7 +48,7 @@ class RawBand:
     absolute: bool = True
     """Whether radiance and irradiance are in W m-2 (sr-1) um-1. Otherwise one factor between them,
     the same in all bands, is not defined by the maker."""
-    lens: Lens | None = None
+    registration: Registration | None = None
     """Place of the band's pixels in a frame that all bands share, by the maker."""
     missing: tuple[str, ...] = ()
     """Corrections of the maker's that the file has no numbers for, such as 'vignetting'."""
