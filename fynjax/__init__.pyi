@@ -33,6 +33,7 @@ from .inversion import FitStatus as FitStatus
 from .inversion import ParameterSpace as ParameterSpace
 from .inversion import fit_canopy as fit_canopy
 from .inversion import whitened_residual as whitened_residual
+from .io.frames import read_frames as read_frames
 from .io.spectra import read_spectra as read_spectra
 from .leaf import Leaf as Leaf
 from .leaf import LeafParameters as LeafParameters

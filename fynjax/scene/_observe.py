@@ -233,7 +233,7 @@ class Observation(eqx.Module):
         factor = {"units": "1", "long_name": "reflectance factor"}
         light = {"units": "W m-2 sr-1 um-1", "long_name": "radiance at the sensor"}
         deviation = {"units": "1", "long_name": "standard deviation of the reflectance factor"}
-        data = {"reflectance": (dims, np.asarray(self.reflectance), factor)}
+        data: dict[str, Any] = {"reflectance": (dims, np.asarray(self.reflectance), factor)}
         if self.radiance is not None:
             data["radiance"] = (dims, np.asarray(self.radiance), light)
         if self.reflectance_sd is not None:
@@ -462,12 +462,13 @@ class AimedSensor(eqx.Module):
         # Heights of rays count from the zero level, that of a pose from the mean of the ground.
         altitude = height + (frame.position[2] - self.sensor_height).astype(sight.dtype)
         slope_x, slope_y = jnp.moveaxis(pose.slopes(sight), -1, 0)
-        lattice = isinstance(self.rays, RayLattice)
-        spacing = self.rays.footprint if lattice else self.rays.widest
+        rays = self.rays
+        assert isinstance(rays, RayLattice | RayField)
+        spacing = rays.footprint if isinstance(rays, RayLattice) else rays.widest
         # Pixels often end where voxels do, and have another slope on either side. They are moved
         # away by a thousandth, lest half of them have none.
         away = _ASIDE * spacing
-        rays = RayField(
+        moved = RayField(
             east - altitude * slope_x + away,
             north - altitude * slope_y + away,
             slope_x,
@@ -475,7 +476,7 @@ class AimedSensor(eqx.Module):
             jnp.full_like(slope_x, spacing),
             widest=spacing,
         )
-        return dataclasses.replace(self, rays=rays)
+        return dataclasses.replace(self, rays=moved)
 
     def check(self, parameters: PlotParameters) -> Atmosphere | None:
         """The air's curves under the sun and with the aerosol of `parameters`; None without air.
@@ -832,10 +833,10 @@ def _rays_over_terrain(frame: Frame, scene: Scene, x: Array, y: Array, spacing: 
         )
     slope = away[..., :2] / away[..., 2:]
     foot = points[..., :2] - (points[..., 2:] + scene.ground_level) * slope
-    of_rays = (foot[..., 0], foot[..., 1], slope[..., 0], slope[..., 1])
-    width = np.full(foot.shape[:2], spacing)
-    arrays = (jnp.asarray(values, scene.dtype) for values in (*of_rays, width))
-    return RayField(*arrays, widest=spacing)
+    of_rays = jnp.asarray(np.concatenate([foot, slope], axis=-1), scene.dtype)
+    east, north, slope_x, slope_y = jnp.moveaxis(of_rays, -1, 0)
+    width = jnp.full_like(east, spacing)
+    return RayField(east, north, slope_x, slope_y, width, widest=spacing)
 
 
 def _seen(

@@ -92,7 +92,7 @@ def pose_of_axes(position: Float[np.ndarray, " 3"], axes: Float[np.ndarray, "3 3
     yaw = np.degrees(np.arctan2(ahead_east, ahead_north))
     pitch = np.degrees(np.arcsin(np.clip(ahead_up, -1.0, 1.0)))
     roll = np.degrees(np.arctan2(-right_up, -axis_up))
-    return Pose(*(np.asarray(value, float) for value in (position, yaw, pitch, roll)))
+    return Pose(*(jnp.asarray(np.asarray(v, float)) for v in (position, yaw, pitch, roll)))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -172,7 +172,7 @@ class Lens:
     def holds(self, pixels: Float[np.ndarray, "*ray 2"]) -> Bool[np.ndarray, "*ray"]:
         """Whether the picture has places of it, given as columns and rows [pixel]."""
         inside = (pixels >= -0.5) & (pixels <= np.subtract(self.size, 0.5))
-        return inside.all(axis=-1)
+        return np.asarray(inside.all(axis=-1))
 
 
 def lens_of(camera: FrameCamera) -> Lens:

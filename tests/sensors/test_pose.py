@@ -51,7 +51,7 @@ def test_angles_are_those_of_aircraft():
         pose = Pose([1.0, 2.0, 30.0], *angles)
         np.testing.assert_allclose(pose.axes, [right, -forward, down], atol=1e-12)
         assert float(pose.tilt) == pytest.approx(np.degrees(np.arccos(body[2, 2])))
-        again = pose_of_axes(pose.position, pose.axes)
+        again = pose_of_axes(np.asarray(pose.position), np.asarray(pose.axes))
         np.testing.assert_allclose(again.axes, pose.axes, atol=1e-12)
         assert float(again.pitch) == pytest.approx(angles[1])
         assert float(again.roll) == pytest.approx(angles[2])
@@ -59,10 +59,12 @@ def test_angles_are_those_of_aircraft():
 
 def test_axes_that_are_no_rotation_are_refused():
     mirrored = np.diag([1.0, 1.0, -1.0])
-    assert float(pose_of_axes([0, 0, 9.0], mirrored * [1, -1, 1]).tilt) == pytest.approx(0.0)
+    assert float(pose_of_axes(np.array([0, 0, 9.0]), mirrored * [1, -1, 1]).tilt) == pytest.approx(
+        0.0
+    )
     for axes in (mirrored, 2.0 * np.eye(3), np.eye(2)):
         with pytest.raises(InputError, match="a rotation"):
-            pose_of_axes([0.0, 0.0, 9.0], axes)
+            pose_of_axes(np.array([0.0, 0.0, 9.0]), axes)
     with pytest.raises(InputError, match="three numbers"):
         Pose([0.0, 0.0])
 

@@ -108,6 +108,17 @@ class Stated:
         cosine = np.prod([np.cos(np.radians(angle[0])) for angle in angles if angle])
         return float(np.degrees(np.arccos(cosine))) if all(angles) else None
 
+    def degrees(self) -> tuple[float, float] | None:
+        """Latitude and longitude by EXIF [degrees]; `None` without both."""
+        found = []
+        for name, below in (("Latitude", "S"), ("Longitude", "W")):
+            parts = re.findall(r"[\d.]+", self.tags.get(f"EXIF_GPS{name}", ""))
+            if len(parts) != 3:
+                return None
+            size = sum(float(part) / 60**k for k, part in enumerate(parts))
+            found.append(-size if self.tags.get(f"EXIF_GPS{name}Ref") == below else size)
+        return found[0], found[1]
+
     def maybe_exif(self, key: str) -> float | None:
         number = re.search(r"[-+\d.eE]+", self.tags.get(f"EXIF_{key}", ""))
         try:

@@ -112,9 +112,16 @@ def _band(stated: Stated) -> tuple[float, float]:
 
 
 def _centre(stated: Stated) -> list[float]:
-    """Column and row of the designed optical axis [pixel]."""
-    if not stated.xmp.get("CalibratedOpticalCenterX") and stated.xmp.get("VignettingCenter"):
-        return stated.numbers("VignettingCenter", 2)
+    """Column and row of the designed optical axis [pixel], which must be stated."""
+    return optical_centre(stated) or [
+        stated.numbers(f"CalibratedOpticalCenter{axis}", 1)[0] for axis in "XY"
+    ]
+
+
+def optical_centre(stated: Stated) -> list[float] | None:
+    """Column and row of the designed optical axis [pixel]; None where they are not stated."""
+    if not stated.xmp.get("CalibratedOpticalCenterX"):
+        return stated.numbers("VignettingCenter", 2) if stated.xmp.get("VignettingCenter") else None
     return [stated.numbers(f"CalibratedOpticalCenter{axis}", 1)[0] for axis in "XY"]
 
 
