@@ -13,7 +13,7 @@ CRS, ORIGIN, GROUND = "EPSG:32734", (262_000.0, 6_220_000.0), 312.4
 """The plot's corner, 3 degrees west of the middle of its zone: grid north is another than true."""
 SIZE, FOCAL, CENTRE = (400, 300), (310.0, 306.0), (203.5, 147.0)
 """Columns and rows; focal lengths; column and row of the axis from the middle of the first [px]."""
-RADIAL, TANGENTIAL = (-0.11, 0.03, -0.004), (0.002, -0.003)
+RADIAL, TANGENTIAL = (-0.11, 0.03, -0.04), (0.002, -0.003)
 SHOTS = {
     "DJI_0001.TIF": ((2.0, 3.0, 30.0), (0.0, 0.0, 0.0)),
     "DJI_0002.TIF": ((6.0, -12.0, 28.0), (-20.0, 25.0, 0.0)),

@@ -35,6 +35,8 @@ def test_a_flight_has_the_same_pixels_whoever_states_it(tmp_path, kind):
     for frame in frames:
         np.testing.assert_allclose(frame.pixels(POINTS), made.truth(frame.name), atol=0.02)
         assert frame.lens.size == made.SIZE
+        np.testing.assert_allclose(frame.lens.radial[:3], made.RADIAL, rtol=1e-9)
+        np.testing.assert_allclose(frame.lens.tangential, made.TANGENTIAL, rtol=1e-9)
         assert frame.sees(POINTS).all()
         np.testing.assert_allclose(
             frame.pose.position[:2], made.SHOTS[frame.name][0][:2], atol=0.01

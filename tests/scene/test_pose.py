@@ -91,7 +91,10 @@ def test_lines_of_sight_run_from_the_terrain_to_where_the_camera_hung(plot, nir)
     height = np.broadcast_to(0.05 + 0.05 * np.arange(16), (16, 16)).copy()
     hill = dataclasses.replace(plot, boundary="open", terrain=height)
     pose = Pose([3.0, -2.0, 9.0], -30.0, 20.0)
-    rays = over(hill, nir, pose, Lens((4000, 4000), (1000.0, 1000.0), (2e3, 2e3))).rays
+    posed = over(hill, nir, pose, Lens((4000, 4000), (1000.0, 1000.0), (2e3, 2e3)))
+    rays, again = posed.rays, posed.from_pose(pose).rays
+    for name in ("x", "y", "slope_x", "slope_y"):
+        np.testing.assert_allclose(getattr(again, name), getattr(rays, name), atol=2e-4)
     ground = height - height.mean()
     camera = 9.0 + height.mean()
     at = (np.arange(16) + 0.5) * 0.1
