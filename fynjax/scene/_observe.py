@@ -804,8 +804,7 @@ def _in_frame(
     """Lines of sight of rays at the crossings of `axes` (x, y), and which pixels of the map lie
     wholly in the frame. Raises `InputError` where none does."""
     edges = (start + np.arange(n + 1) * pixel for start, n in zip(origin, shape[::-1], strict=True))
-    corner = frame.sees(_on_ground(scene, *edges))
-    seen = corner[:-1, :-1] & corner[:-1, 1:] & corner[1:, :-1] & corner[1:, 1:]
+    seen = frame.sees_cells(_on_ground(scene, *edges))
     if not seen.any():
         east, north, height = (float(v) for v in frame.pose.position)
         at = np.array([east, north]) - height * np.asarray(frame.pose.slopes(jnp.zeros(2)))

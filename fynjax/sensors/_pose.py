@@ -226,6 +226,17 @@ class Frame(eqx.Module):
         """Whether points over the plot lie within the picture. Arguments and errors as `pixels`."""
         return self._known_lens.holds(self.pixels(points))
 
+    def sees_cells(self, corners: Float[Any, "row column 3"]) -> Bool[np.ndarray, "y x"]:
+        """Whether cells of the ground lie wholly within the picture.
+
+        **Arguments:** `corners` of the cells, one row and one column more than there are of them,
+        as points of `sight`.
+
+        **Raises:** `InputError` without a lens.
+        """
+        corner = self.sees(corners)
+        return corner[:-1, :-1] & corner[:-1, 1:] & corner[1:, :-1] & corner[1:, 1:]
+
     def view(self, points: Float[Any, "*point 3"]) -> Float[np.ndarray, "*point 2"]:
         """Zenith angle of the camera as seen from points over the plot, and its azimuth clockwise
         from the plot's north, 0 to 360 [degrees]. Arguments as of `sight`."""
