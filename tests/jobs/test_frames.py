@@ -58,7 +58,9 @@ def test_what_lies_beyond_a_frame_is_not_seen_by_it(tmp_path):
     expected = np.zeros((8, 8), bool)
     expected[:, :4] = True
     np.testing.assert_array_equal(nadir, expected)
-    assert np.isnan(data["column"].sel(frame="DJI_0001.TIF").values[~expected]).all()
+    for name in ("column", "row", "view_zenith", "view_azimuth"):
+        layer = data[name].sel(frame="DJI_0001.TIF").values
+        np.testing.assert_array_equal(np.isfinite(layer), expected)
     count = data["seen"].values.sum(axis=0)
     np.testing.assert_array_equal(data["frames_per_pixel"], count)
     assert (result.flight.fewest_frames, result.flight.most_frames) == (count.min(), count.max())
@@ -79,6 +81,7 @@ def test_a_map_of_terrain_says_where_the_plot_lies(tmp_path):
     plot.write_text(plot.read_text() + 'terrain = "terrain.tif"\nboundary = "open"\n')
     jobs.frames(flight, tmp_path / "out", plot=plot, pixel=0.5)
     data = xr.load_dataset(tmp_path / "out" / "frames.nc").sel(frame="DJI_0003.TIF")
+    assert "32734" in data["crs"].attrs["crs_wkt"]
     x = np.array([0.25, 0.75, 1.25, 1.75])
     points = np.stack([x, np.full(4, 0.75), 0.5 * (x - 1.0)], axis=1)
     pixels = np.stack([data["column"].values[1], data["row"].values[1]], axis=1)
