@@ -38,6 +38,7 @@ PACKAGES = (
     "fynjax.io.spectra",
     "fynjax.io.instruments",
     "fynjax.io.captures",
+    "fynjax.io.frames",
     "fynjax.io.text",
     "fynjax.terrain",
     "fynjax.compare",

@@ -33,6 +33,7 @@ from .inversion import FitStatus as FitStatus
 from .inversion import ParameterSpace as ParameterSpace
 from .inversion import fit_canopy as fit_canopy
 from .inversion import whitened_residual as whitened_residual
+from .io.frames import read_frames as read_frames
 from .io.spectra import read_spectra as read_spectra
 from .leaf import Leaf as Leaf
 from .leaf import LeafParameters as LeafParameters
@@ -47,5 +48,8 @@ from .scene import Placement as Placement
 from .scene import Scene as Scene
 from .scene import observe as observe
 from .scene import pixel_truth as pixel_truth
+from .sensors import Frame as Frame
+from .sensors import Lens as Lens
+from .sensors import Pose as Pose
 
 __version__: str

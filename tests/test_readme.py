@@ -14,6 +14,7 @@ import pytest
 from typer.testing import CliRunner
 
 from fynjax.cli import app
+from tests.io.frame_files import SHOTS, write_odm
 
 ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / "README.md").read_text("utf-8")
@@ -51,13 +52,31 @@ def test_a_scene_from_a_table_is_seen_by_a_drone(tmp_path: Path) -> None:
 
 @pytest.mark.study
 def test_gradients_and_leaves_of_the_page_on_python(tmp_path: Path) -> None:
-    names = run("".join(blocks("python", PYTHON)[:4]), tmp_path)
+    every = blocks("python", PYTHON)
+    (leaves,) = (block for block in every if "fx.prospect(" in block)
+    names = run("".join([*every[:4], leaves]), tmp_path)
     standing = names["scene"].standing(names["scene"].parameters) > 0.0
     assert names["by_foot"].shape == (len(standing), 2)
     assert not names["by_foot"][~standing].any()
     assert names["slope"].species.cover.shape == (2,)
     assert bool((names["slope"].species.cover > 0).all())  # more plants, greener
     assert 0 < float(names["canopy"].min()) < float(names["canopy"].max()) < 0.7
+
+
+@pytest.mark.slow
+def test_frames_of_the_page_on_python(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    every = [block.replace("pixel=0.1", "pixel=0.25") for block in blocks("python", PYTHON)]
+    scene = every[0].replace("seed=1", "seed=1, voxel=0.25, structure='even'")
+    first = next(k for k, block in enumerate(every) if "fx.Lens(" in block)
+    pose, files, slope = every[first : first + 3]
+    write_odm(tmp_path / "flight")
+    monkeypatch.chdir(tmp_path)
+    slope = slope.replace("[10, 10]", "[4, 4]")
+    names = run("\n".join(["import jax", scene, pose, files, slope]), tmp_path)
+    assert [frame.name for frame in names["frames"]] == list(SHOTS)
+    assert all(view.seen.all() for view in names["views"])
+    assert names["oblique"].seen.all()
+    assert len({round(float(view["nir"].mean()), 4) for view in names["views"]}) == 3
 
 
 @pytest.mark.slow
@@ -103,7 +122,7 @@ def test_commands_and_their_options_exist() -> None:
         text = CliRunner().invoke(app, [*name.split(), "--help"], env={"COLUMNS": "200"}).output
         for option in ("--output", "--seed", "--json", "--quiet"):
             # In some of them nothing is drawn.
-            without = ("terrain", "bioscape plots", "reflectance", "convert", "map")
+            without = ("terrain", "bioscape plots", "reflectance", "convert", "map", "frames")
             if option != "--seed" or name not in without:
                 assert option in text, f"{name} {option}"
     used = {

@@ -109,6 +109,44 @@ def simulate(
     """
 
 
+@command("frames", "fynjax.jobs:frames")
+def frames(
+    path: Annotated[
+        Path,
+        typer.Argument(
+            metavar="FLIGHT",
+            help="Poses of the frames: OpenDroneMap's shots.geojson, Pix4D's "
+            "*_calibrated_external_camera_parameters.txt, Metashape's cameras.xml, or a folder of "
+            "one of these or of pictures of a DJI or MicaSense camera.",
+        ),
+    ],
+    plot: Annotated[Path, option("FILE", "Plot file of the plot that was flown over.")],
+    crs: Annotated[
+        str | None, option("EPSG:N", "Reference system of the plot, if its file names no map.")
+    ] = None,
+    origin: Annotated[
+        tuple[float, float] | None,
+        option("E N", "South-west corner of the plot in that system [m]."),
+    ] = None,
+    ground: Annotated[
+        float | None,
+        option(
+            "M",
+            "Height of its ground in the system of the frames' heights [m]; if left out, that of "
+            "its terrain, or of pictures of a DJI their point of take-off.",
+        ),
+    ] = None,
+    pixel: Annotated[float, option("M", "Side of a pixel on the ground [m].", min=0.005)] = 0.1,
+) -> None:
+    """Find which frames of a flight see a plot, and from which angles.
+
+    Writes a table of the frames, the pixels of the plot in each with their view angles (NetCDF),
+    a polar figure and a report page.
+
+    Example:  fynjax frames odm_report/shots.geojson --plot plot.toml --ground 312.4
+    """
+
+
 @command("reflectance", "fynjax.jobs:reflectance")
 def reflectance(
     images: Annotated[

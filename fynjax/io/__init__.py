@@ -4,5 +4,5 @@ first used."""
 import lazy_loader
 
 __getattr__, __dir__, _ = lazy_loader.attach(
-    __name__, ["captures", "instruments", "plot", "raster", "spectra", "text"]
+    __name__, ["captures", "frames", "instruments", "plot", "raster", "spectra", "text"]
 )

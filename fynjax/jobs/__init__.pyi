@@ -12,6 +12,8 @@ from ._doctor import Check as Check
 from ._doctor import doctor as doctor
 from ._fit_leaf import FitLeafResult as FitLeafResult
 from ._fit_leaf import fit_leaf as fit_leaf
+from ._frames import FramesResult as FramesResult
+from ._frames import frames as frames
 from ._information import InformationResult as InformationResult
 from ._information import information as information
 from ._map import MapResult as MapResult

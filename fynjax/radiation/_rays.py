@@ -242,10 +242,13 @@ class RayField(AbstractRays):
     slope_y: Float[Array, "row column"]
     width: Float[Array, "row column"]
     """Edge of the square over which a pixel averages on the ground [m]; voxels are averaged over
-    one voxel at most, so use more pixels where they are larger."""
+    one voxel at most, or over `widest` if that is more, so use more pixels where they are larger.
+    """
     altitude: float = eqx.field(static=True, default=math.inf)
     nodes: int = eqx.field(static=True, default=7)
     """Directions per axis at which angular functions are evaluated."""
+    widest: float = eqx.field(static=True, default=0.0)
+    """Width up to which a pixel averages cells that are smaller, such as beams of the sun [m]."""
 
     @property
     def sensor_height(self) -> float:
@@ -279,6 +282,7 @@ class RayField(AbstractRays):
             mean(self.width) * size,
             self.altitude,
             self.nodes,
+            self.widest * size,
         )
 
     @property
@@ -309,30 +313,29 @@ class RayField(AbstractRays):
         smooth: bool = False,
     ) -> Callable[[Array], Array]:
         right, up = (0.0, 0.0) if offset is None else offset
-        spacing = jnp.full_like(self.width, lattice.spacing)
-        # A footprint is no wider than a cell here, and so lies in two of them along each axis.
-        width = spacing if smooth else jnp.minimum(self.width, spacing)
+        spacing = lattice.spacing
+        # A footprint is no wider than so many cells here, and lies in one more along each axis.
+        reach = max(1, math.ceil(self.widest / spacing - 1e-6))
+        width = jnp.minimum(self.width, reach * spacing)
+        if smooth:
+            width = jnp.maximum(width, spacing)
         axes = [
             (self.y + height * self.slope_y + up, lattice.rows),
             (self.x + height * self.slope_x + right, lattice.columns),
         ]
         if smooth and lattice.boundary == "open":
-            axes = [
-                (_inside(place, count * lattice.spacing, lattice.spacing), count)
-                for place, count in axes
-            ]
-        (row, row_share), (column, column_share) = (
-            _two_cells(place, width, count, lattice) for place, count in axes
-        )
+            edge = max(self.widest, spacing)
+            axes = [(_inside(place, count * spacing, edge), count) for place, count in axes]
+        rows, columns = (_cells(place, width, count, lattice, reach) for place, count in axes)
 
         def gather(field: Array) -> Array:
             """Cell values lie side by side, so that each corner is one read."""
             cells = jnp.moveaxis(field.reshape(-1, lattice.rows * lattice.columns), 0, 1)
             total = jnp.zeros((*self.shape, cells.shape[1]), field.dtype)
-            for r, r_share in zip(row, row_share):
-                for c, c_share in zip(column, column_share):
-                    at = cells[r * lattice.columns + c]
-                    total = total + (r_share * c_share)[..., None] * at
+            for row, row_share in rows:
+                for column, column_share in columns:
+                    at = cells[row * lattice.columns + column]
+                    total = total + (row_share * column_share)[..., None] * at
             return jnp.moveaxis(total, -1, 0).reshape(*field.shape[:-2], *self.shape)
 
         return gather
@@ -345,20 +348,30 @@ def _inside(centre: Array, length: float, width: float) -> Array:
     return jnp.clip(centre, half, length - half)
 
 
-def _two_cells(
-    centre: Array, width: Array, count: int, lattice: Lattice
-) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
-    """The two cells that an interval of at most a cell's width touches, and its share in each."""
-    # Lower end of the interval in cells; what is left of that cell above it, over the width.
+def _cells(
+    centre: Array, width: Array, count: int, lattice: Lattice, reach: int
+) -> list[tuple[Array, Array]]:
+    """The cells that an interval of at most `reach` cells' width touches, and its share in each."""
+    # Lower end of the interval in cells; what of it lies below the upper end of each cell.
     low = (centre - 0.5 * width) / lattice.spacing
     first = jnp.floor(jax.lax.stop_gradient(low))
-    inside = jnp.clip((first + 1.0 - low) * lattice.spacing / width, 0.0, 1.0)
+    below = [
+        jnp.clip((first + k - low) * lattice.spacing / width, 0.0, 1.0) for k in range(1, reach + 1)
+    ]
+    shares = [
+        above - under
+        for under, above in zip([jnp.zeros_like(low), *below], [*below, jnp.ones_like(low)])
+    ]
     cell = first.astype(int)
     if lattice.boundary == "periodic":
-        return (cell % count, (cell + 1) % count), (inside, 1.0 - inside)
-    here, there = (cell >= 0) & (cell < count), (cell >= -1) & (cell < count - 1)
-    clipped = jnp.clip(cell, 0, count - 1), jnp.clip(cell + 1, 0, count - 1)
-    return clipped, (jnp.where(here, inside, 0.0), jnp.where(there, 1.0 - inside, 0.0))
+        return [((cell + k) % count, share) for k, share in enumerate(shares)]
+    return [
+        (
+            jnp.clip(cell + k, 0, count - 1),
+            jnp.where((cell + k >= 0) & (cell + k < count), share, 0.0),
+        )
+        for k, share in enumerate(shares)
+    ]
 
 
 def _range(values: Array) -> Float[Array, " 2"]:

@@ -5,9 +5,9 @@ what it measures, as a differentiable function of the scene's parameters. `obser
 sends a LiDAR's pulses instead where the sensor is one.
 
 An image lies on a map: pixels are squares on the ground, rows north, as in an orthorectified
-product, and each is seen along the line of sight that the sensor has of it. Pixels wider than a
-voxel average rays a voxel apart, because the light that escapes a clumped canopy is not that of
-its mean density.
+product, and each is seen along the line of sight that the sensor has of it: from the place where a
+camera hung, if its `Pose` is known. Pixels wider than a voxel average rays a voxel apart, because
+the light that escapes a clumped canopy is not that of its mean density.
 """
 
 import dataclasses
@@ -20,7 +20,8 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, ArrayLike, Bool, Float
+from scipy.ndimage import map_coordinates as interpolated
 
 from fynjax._core.errors import InputError, did_you_mean, listed
 from fynjax._core.html import as_html
@@ -30,6 +31,7 @@ from fynjax.metrics import index_bands, vegetation_indices
 from fynjax.radiation import (
     AbstractRays,
     Accuracy,
+    RayField,
     RayLattice,
     VoxelScene,
     reflectance_factor,
@@ -46,8 +48,12 @@ from fynjax.sensors import (
     Atmosphere,
     BandSet,
     ClearAir,
+    Frame,
+    FrameCamera,
+    Lens,
     Lidar,
     Panel,
+    Pose,
     PushbroomCamera,
     Sensor,
     at_sensor_radiance,
@@ -56,6 +62,7 @@ from fynjax.sensors import (
     clear_sky_atmosphere,
     frame_of,
     is_transparent,
+    lens_of,
     map_rays,
     shipped_lidar,
     shipped_lidars,
@@ -77,6 +84,8 @@ SAMPLES = 2
 """Rays along the edge of a voxel where pixels are wider than voxels. With a finer structure there
 is one to each of its own; in hundreds of bands they are followed once, and the light of a band is
 taken along the middle of blocks of them, this many along the edge of a voxel."""
+_ASIDE = 1e-3
+"""Share of a pixel by which rays of another pose are moved off the edges of voxels."""
 _VOXELS = 20_000_000  # times bands that are rendered at once
 
 
@@ -161,6 +170,9 @@ class Observation(eqx.Module):
     """Standard deviation of a reflectance by panels, of line and noise; None without panels [-]."""
     residual: Float[Array, " band"]
     """Estimated error of light scattered more than once, see `fynjax.radiation.Light` [-]."""
+    seen: Bool[Array, "y x"] | None = None
+    """Pixels that lie wholly in the frame of a camera of known pose; the others have what a wider
+    frame would show. None: all."""
     sensor: str = eqx.field(static=True, default="")
     """Name of the sensor."""
     bands: tuple[str, ...] = eqx.field(static=True, default=())
@@ -221,16 +233,19 @@ class Observation(eqx.Module):
         factor = {"units": "1", "long_name": "reflectance factor"}
         light = {"units": "W m-2 sr-1 um-1", "long_name": "radiance at the sensor"}
         deviation = {"units": "1", "long_name": "standard deviation of the reflectance factor"}
-        data = {"reflectance": (dims, np.asarray(self.reflectance), factor)}
+        data: dict[str, Any] = {"reflectance": (dims, np.asarray(self.reflectance), factor)}
         if self.radiance is not None:
             data["radiance"] = (dims, np.asarray(self.radiance), light)
         if self.reflectance_sd is not None:
             data["reflectance_sd"] = (dims, np.asarray(self.reflectance_sd), deviation)
+        if self.seen is not None:
+            data["seen"] = (dims[1:], np.asarray(self.seen), {"long_name": "in the camera's frame"})
         title = f"{self.sensor} over a simulated plot"
         return xr.Dataset(data, coordinates, map_attributes(title, self.pixel))
 
     def to_dataframe(self) -> "pd.DataFrame":
-        """A row for each pixel: x and y of its middle [m], and a column for each band [-]."""
+        """A row for each pixel: x and y of its middle [m], a column for each band [-], and of a
+        camera of known pose whether it is in the frame (`seen`)."""
         import pandas as pd  # late: the command line need not wait for it
 
         rows, columns = self.reflectance.shape[1:]
@@ -240,7 +255,8 @@ class Observation(eqx.Module):
             "y": self.origin[1] + self.pixel * y.ravel(),
         }
         values = np.asarray(self.reflectance).reshape(len(self.bands), -1)
-        return pd.DataFrame(places | dict(zip(self.bands, values, strict=True)))
+        table = pd.DataFrame(places | dict(zip(self.bands, values, strict=True)))
+        return table if self.seen is None else table.assign(seen=np.asarray(self.seen).ravel())
 
     def plot(self, bands: Sequence[str] | None = None, **options: Any) -> Any:
         """Draw bands of the image side by side, by xarray.
@@ -261,10 +277,12 @@ class Observation(eqx.Module):
         text = f"{self.sensor}: {shape} pixels of {self.pixel:g} m in {len(self.bands)} bands"
         if isinstance(self.reflectance, jax.core.Tracer) or self.reflectance.ndim != 3:
             return f"{text}."
-        mean = np.asarray(self.reflectance).mean(axis=(1, 2))
+        seen = np.ones(self.reflectance.shape[1:], bool) if self.seen is None else self.seen
+        mean = np.asarray(self.reflectance)[:, np.asarray(seen)].mean(axis=1)
         some = range(0, len(self.bands), -(-len(self.bands) // 8))
         shown = ", ".join(f"{self.bands[i]} {mean[i]:.3f}" for i in some)
-        return f"{text}; mean reflectance {shown}."
+        where = "" if self.seen is None else f" of the {np.mean(seen):.0%} in the frame"
+        return f"{text}; mean reflectance{where} {shown}."
 
     _repr_html_ = as_html
 
@@ -282,6 +300,9 @@ class Placement(eqx.Module):
     view has neither."""
     heading: float | None = eqx.field(static=True, default=None)
     """Direction of the heading, clockwise from north [degrees]."""
+    frame: Frame | None = None
+    """Where a frame camera hung and how it was turned, in place of altitude, tilt and heading: it
+    then need not look at the middle of the plot."""
 
 
 class AimedSensor(eqx.Module):
@@ -321,6 +342,11 @@ class AimedSensor(eqx.Module):
     is as much lower."""
     panels: PanelsInPicture | None = None
     """Panels in the picture; None: none."""
+    sight: Float[Array, "row column 2"] | None = None
+    """Lines of sight of `rays` in the frame of a camera of known pose, as of `Frame.sight`; None
+    without one."""
+    seen: Bool[Array, "y x"] | None = None
+    """Pixels that lie wholly in that frame."""
 
     def observe(
         self,
@@ -330,17 +356,26 @@ class AimedSensor(eqx.Module):
         key: Array | int | None = None,
         air: PlotAir | Atmosphere | None = None,
         surroundings: Float[Array, " band"] | None = None,
+        pose: Pose | None = None,
     ) -> Observation:
         """What the sensor measures of whole plants. Differentiable in `scene`, `parameters`, `air`,
-        `surroundings`. Where the number of plants moves, value and derivative are those of the
-        stand in expectation (`Scene.expected`). Light has first derivatives.
+        `surroundings`, `pose`. Where the number of plants moves, value and derivative are those of
+        the stand in expectation (`Scene.expected`). Light has first derivatives.
 
         **Arguments:** `key`, JAX key or seed of the noise, none if left out; `air`, instead of the
         object's own; `surroundings`, reflectance in the sensor's bands of the land beyond the
         plot, whose light air scatters into the picture [-], left out the mean of the plot (the
-        neighbourhood is more of the same). Raises `InputError` for noise without air or without a
-        noise model, and for air that does not cover the bands.
+        neighbourhood is more of the same); `pose`, of a camera that was not quite where it was
+        aimed from: the picture was laid on the map by the pose that was known, so that each pixel
+        shows the ground that the same place in the frame sees from here.
+
+        Raises `InputError` for noise without air or without a noise model, for air that does not
+        cover the bands, and for a `pose` of a sensor that was aimed without one.
         """
+        if pose is not None:
+            return self.from_pose(pose).observe(
+                scene, parameters, key=key, air=air, surroundings=surroundings
+            )
         air = self.air if air is None else air
         if key is not None and (air is None or self.sensor.noise is None):
             lack = "no noise model" if air is not None else "no air to make radiance of"
@@ -349,7 +384,7 @@ class AimedSensor(eqx.Module):
         if air is None:
             every = jnp.ones(len(self.sensor.bands), bool)
             image, _, residual = _seen(scene, parameters, self, None)
-            return Observation(image, None, every, None, residual, **self._described)
+            return Observation(image, None, every, None, residual, self.seen, **self._described)
         # The air in the bands, which it takes by rising wavelength; its sky lights the scene.
         by_band = self._air_of_bands(air, parameters.light, scene.dtype)
         order, back = _sorting(self.sensor)
@@ -395,6 +430,7 @@ class AimedSensor(eqx.Module):
             transparent,
             reflectance_sd,
             residual,
+            self.seen,
             **self._described,
         )
 
@@ -409,6 +445,38 @@ class AimedSensor(eqx.Module):
             "pixel": self.pixel,
             "origin": self.origin,
         }
+
+    def from_pose(self, pose: Pose) -> "AimedSensor":
+        """The same frame from another pose. Differentiable in `pose`.
+
+        **Arguments:** `pose`, near the one that it was aimed from: what is seen stays the same, and
+        layers are cut as for that.
+
+        **Raises:** `InputError` where the sensor was aimed without a pose.
+        """
+        frame = frame_of(self.sensor.camera)
+        if self.sight is None or frame is None:
+            raise InputError("expected a sensor that was aimed with a pose, to take another one")
+        sight = self.sight
+        east, north, height = jnp.asarray(pose.position, sight.dtype)
+        # Heights of rays count from the zero level, that of a pose from the mean of the ground.
+        altitude = height + (frame.position[2] - self.sensor_height).astype(sight.dtype)
+        slope_x, slope_y = jnp.moveaxis(pose.slopes(sight), -1, 0)
+        rays = self.rays
+        assert isinstance(rays, RayLattice | RayField)
+        spacing = rays.footprint if isinstance(rays, RayLattice) else rays.widest
+        # Pixels often end where voxels do, and have another slope on either side. They are moved
+        # away by a thousandth, lest half of them have none.
+        away = _ASIDE * spacing
+        moved = RayField(
+            east - altitude * slope_x + away,
+            north - altitude * slope_y + away,
+            slope_x,
+            slope_y,
+            jnp.full_like(slope_x, spacing),
+            widest=spacing,
+        )
+        return dataclasses.replace(self, rays=moved)
 
     def check(self, parameters: PlotParameters) -> Atmosphere | None:
         """The air's curves under the sun and with the aerosol of `parameters`; None without air.
@@ -496,6 +564,7 @@ class AimedSensor(eqx.Module):
             for n in self.shape
         )
         rays: AbstractRays = self.rays
+        view: dict[str, Any] = {}
         if isinstance(rays, RayLattice):  # a number for each column, or each row
             rays = dataclasses.replace(
                 rays, x=rays.x[columns], slope_x=rays.slope_x[columns],
@@ -503,6 +572,9 @@ class AimedSensor(eqx.Module):
             )  # fmt: skip
         else:
             rays = jax.tree.map(lambda v: v[rows, columns], rays)
+        if self.seen is not None and self.sight is not None:
+            seen = self.seen[::step, ::step] if self.fine is None else self.seen
+            view = {"sight": self.sight[rows, columns], "seen": seen}
         shape, fine = (rays.shape, None) if self.fine is None else (self.shape, rays.shape)
         return dataclasses.replace(
             self,
@@ -514,6 +586,7 @@ class AimedSensor(eqx.Module):
             samples=1,
             together=1,
             panels=None,
+            **view,
         )
 
 
@@ -579,20 +652,24 @@ def aim(
     - `scene`: whose extent, heights and boundary count.
     - `parameters`: of which the sun counts, where the scene is open.
     - `sensor`: from `fynjax.sensors.shipped_sensor` or a file.
-    - `placement`: of the sensor and its pixels; left out, as its file has them.
+    - `placement`: of the sensor and its pixels; left out, as its file has them. With a `frame` it
+      looks where that looked, and `seen` says which pixels lie in it.
     - `air`: between scene and sensor; None for reflectance alone.
     - `panels`: that lie in the picture and calibrate it, with sharp edges. For a sensor in air.
     - `point_spread`: whether the optics blur, as much on the ground whatever the image's pixel.
     - `accuracy`: of the light; left out, that of a drone's image.
 
     As many whole pixels as the scene holds lie in its middle; a periodic scene smaller than a pixel
-    fills one, for it goes on for ever.
+    fills one, for it goes on for ever. Over terrain a pixel is seen along the line of sight that
+    meets the mean height of the ground there, and of a `frame` along that which meets the ground
+    itself, as in a picture that was laid on a map with a model of the terrain.
 
     Camera, terrain and, of an open scene, the sun must be known: aim before a transformation,
     observe inside.
 
     **Raises:** `InputError` for an open scene smaller than a pixel, a sensor that is not above the
-    plants, values out of range, and what is traced but must be known.
+    plants, a frame that shows nothing of the plot, by its name, values out of range, and what is
+    traced but must be known.
     """
     _check_known("a camera", sensor.camera)
     _check_known("the terrain of a scene", scene.terrain)
@@ -607,12 +684,17 @@ def aim(
     if frame is None and (placement.tilt is not None or placement.heading is not None):
         raise InputError("an orthographic view has no tilt or heading: set its view angles instead")
     height = sensor.altitude if placement.altitude is None else placement.altitude
+    known = None if placement.frame is None else _known_frame(placement, sensor.camera)
+    if known is not None:
+        height = float(known.pose.position[2])
     if not height + base > top:
         raise InputError(
             f"the sensor must be above the plants, which reach {top - base:.2f} m, but is at "
             f"{height:g} m above the ground"
         )
     own = float(sensor.pixel(height))
+    if known is not None and known.lens is not None:
+        own = height / math.sqrt(math.prod(known.lens.focal_length)) * sensor.pixel_factor
     pixel = own if placement.pixel is None else placement.pixel
     if not 0.0 < pixel < np.inf:
         raise InputError(f"`pixel` must be a positive number of m, but is {pixel:g}.")
@@ -645,14 +727,20 @@ def aim(
     x, y = (jnp.asarray(axis, scene.dtype) for axis in axes)
     middle = (lx / 2, ly / 2)
     camera = _aimed(sensor.camera, middle, height, base, placement)
-    # The map is at the mean height of the ground: laid out there, then moved to the zero level.
-    rays = map_rays(_aimed(sensor.camera, middle, height, 0.0, placement), x, y, spacing)
-    rays = dataclasses.replace(
-        rays,
-        x=rays.x - base * rays.slope_x,
-        y=rays.y - base * rays.slope_y,
-        altitude=np.inf,  # checked above; static, it would compile anew for each height
-    )
+    sight = seen = None
+    if known is not None:
+        sight, seen = _in_frame(known, scene, (x, y), (rows, columns), (west, south), pixel)
+    if known is not None and scene.terrain is not None:
+        rays: AbstractRays = _rays_over_terrain(known, scene, x, y, spacing)
+    else:
+        # The map is at the mean height of the ground: laid out there, then moved to the zero level.
+        level = map_rays(_aimed(sensor.camera, middle, height, 0.0, placement), x, y, spacing)
+        rays = dataclasses.replace(
+            level,
+            x=level.x - base * level.slope_x,
+            y=level.y - base * level.slope_y,
+            altitude=np.inf,  # checked above; static, it would compile anew for each height
+        )
     # Rays that cross several voxels in a layer are cut into as many pieces.
     slope = float(jnp.tan(jnp.arccos(jnp.min(rays.cosine))))
     pieces = min(8, int(np.ceil(slope - 1e-6)))
@@ -674,7 +762,80 @@ def aim(
         steepest=5.0 * math.ceil(math.degrees(math.atan(slope)) / 5.0 - 1e-6),
         averaged=real_array(max(1.0, (pixel / own) ** 2)),
         panels=panels_in_picture(panels, (rows, columns), pixel, (west, south)) if panels else None,
+        sight=sight,
+        seen=seen,
     )
+
+
+def _known_frame(placement: Placement, camera: AbstractCamera) -> Frame:
+    """The frame of a placement, with the lens of the camera where it has none of its own."""
+    frame = placement.frame
+    assert frame is not None
+    _check_known("a pose", frame)
+    if not isinstance(camera, FrameCamera):
+        raise InputError(f"expected a frame camera for a pose, but got a {type(camera).__name__}")
+    if any(v is not None for v in (placement.altitude, placement.tilt, placement.heading)):
+        raise InputError("expected a pose, or altitude, tilt and heading, but got both")
+    return frame if frame.lens is not None else dataclasses.replace(frame, lens=lens_of(camera))
+
+
+def _on_ground(
+    scene: Scene, x: Float[ArrayLike, " column"], y: Float[ArrayLike, " row"]
+) -> Float[np.ndarray, "row column 3"]:
+    """Points of the ground at eastings and northings: height above its mean level [m]."""
+    east, north = np.meshgrid(np.asarray(x, float), np.asarray(y, float))
+    height = np.zeros_like(east)
+    if scene.terrain is not None:
+        at = [axis / scene.grid.horizontal_size - 0.5 for axis in (north, east)]
+        mode = "grid-wrap" if scene.boundary == "periodic" else "nearest"
+        terrain = np.asarray(scene.terrain, float) - scene.ground_level
+        height = interpolated(terrain, at, order=1, mode=mode)
+    return np.stack([east, north, height], axis=-1)
+
+
+def _in_frame(
+    frame: Frame,
+    scene: Scene,
+    axes: tuple[Array, Array],
+    shape: tuple[int, int],
+    origin: tuple[float, float],
+    pixel: float,
+) -> tuple[Float[Array, "row column 2"], Bool[Array, "y x"]]:
+    """Lines of sight of rays at the crossings of `axes` (x, y), and which pixels of the map lie
+    wholly in the frame. Raises `InputError` where none does."""
+    edges = (start + np.arange(n + 1) * pixel for start, n in zip(origin, shape[::-1], strict=True))
+    seen = frame.sees_cells(_on_ground(scene, *edges))
+    if not seen.any():
+        east, north, height = (float(v) for v in frame.pose.position)
+        at = np.array([east, north]) - height * np.asarray(frame.pose.slopes(jnp.zeros(2)))
+        lx, ly, _ = scene.grid.extent
+        raise InputError(
+            f"expected a frame that shows some of the plot of {lx:g} x {ly:g} m, but "
+            f"{frame.name or 'this one'}, from {east:.1f} m east and {north:.1f} m north of its "
+            f"corner and {height:.1f} m above it, looks at {at[0]:.1f} m east and {at[1]:.1f} m "
+            "north. Are position and height counted from the plot's corner and ground, and the "
+            "pitch from straight down?"
+        )
+    # What lies behind the camera is seen by no pixel: any line of sight will do.
+    sight = np.nan_to_num(frame.sight(_on_ground(scene, *axes)))
+    return jnp.asarray(sight, scene.dtype), jnp.asarray(seen)
+
+
+def _rays_over_terrain(frame: Frame, scene: Scene, x: Array, y: Array, spacing: float) -> RayField:
+    """Rays from the ground at the crossings of `x` and `y` to a camera."""
+    points = _on_ground(scene, x, y)
+    away = np.asarray(frame.pose.position, float) - points
+    if not (away[..., 2] > 0.0).all():
+        raise InputError(
+            f"expected a camera above all of the terrain, but {frame.name or 'it'} hangs "
+            f"{float(frame.pose.position[2]):.1f} m above its mean height"
+        )
+    slope = away[..., :2] / away[..., 2:]
+    foot = points[..., :2] - (points[..., 2:] + scene.ground_level) * slope
+    of_rays = jnp.asarray(np.concatenate([foot, slope], axis=-1), scene.dtype)
+    east, north, slope_x, slope_y = jnp.moveaxis(of_rays, -1, 0)
+    width = jnp.full_like(east, spacing)
+    return RayField(east, north, slope_x, slope_y, width, widest=spacing)
 
 
 def _seen(
@@ -713,6 +874,8 @@ def observe(
     pixel: float | None = ...,
     altitude: float | None = ...,
     placement: Placement | None = ...,
+    pose: Pose | Frame | None = ...,
+    lens: Lens | None = ...,
     noise: bool = ...,
     seed: int = ...,
     **options: Any,
@@ -731,6 +894,8 @@ def observe(
     pixel: float | None = None,
     altitude: float | None = None,
     placement: Placement | None = None,
+    pose: Pose | Frame | None = None,
+    lens: Lens | None = None,
     noise: bool = False,
     seed: int = 0,
     **options: Any,
@@ -746,6 +911,10 @@ def observe(
     - `pixel`, `altitude`: edge of a pixel on the ground, and height of an imaging sensor above the
       ground [m]; left out, as the sensor's file has them.
     - `placement`: instead of these two, with tilt and heading. A LiDAR's file says where it flies.
+    - `pose`, `lens`: of a frame camera where it hung, in place of an altitude; a `Frame`, as
+      `fx.read_frames` gives it, has both and a name. Left out, the lens is the sensor's own. The
+      image is the frame laid on the map; its `seen` says which pixels lie in it. A pose as an
+      argument of a transformation goes to `AimedSensor.observe`, of a sensor aimed from near it.
     - `noise`: whether to draw noise; of an imaging sensor in air.
     - `seed`: of the noise, and of a LiDAR's pulses.
     - `options`: of an imaging sensor, as `aim` takes them: `air`, `panels`, `point_spread`,
@@ -764,7 +933,7 @@ def observe(
     **Raises:** `InputError` for a name that no sensor has, with the nearest, for what is no scene,
     sensor or parameters, for parameters of another length or out of bounds, and for a traced pixel
     or altitude; as `aim`, `AimedSensor.observe` and `observe_lidar`; and for a
-    placement or options of a LiDAR.
+    placement, a pose or options of a LiDAR.
 
     >>> import fynjax as fx
     >>> from fynjax.canopy import table1_2006
@@ -776,10 +945,12 @@ def observe(
     sensor = _named(sensor) if isinstance(sensor, str) else sensor
     if isinstance(sensor, Lidar):
         parameters = _checked(scene, parameters)
-        if placement is not None or pixel is not None or altitude is not None or options:
+        placed = any(v is not None for v in (placement, pixel, altitude, pose, lens))
+        if placed or options:
             raise InputError(f"expected no placement or options of the LiDAR {sensor.name!r}")
         return observe_lidar(scene, parameters, sensor, noise=noise, seed=seed)
     options |= {"pixel": pixel, "altitude": altitude, "placement": placement}
+    options |= {"pose": pose, "lens": lens}
     aimed, parameters = aimed_at(scene, sensor, parameters, **options)
     return _observe(aimed, scene, parameters, key=jax.random.key(seed) if noise else None)
 
@@ -792,6 +963,8 @@ def aimed_at(
     pixel: float | None = None,
     altitude: float | None = None,
     placement: Placement | None = None,
+    pose: Pose | Frame | None = None,
+    lens: Lens | None = None,
     **options: Any,
 ) -> tuple[AimedSensor, PlotParameters]:
     """An imaging sensor over a scene, and the parameters that it sees: arguments and errors as of
@@ -802,14 +975,29 @@ def aimed_at(
         raise InputError(f"expected a sensor or the name of one, but got {type(imager).__name__}")
     check_known(pixel=pixel, altitude=altitude, placement=placement)
     if placement is None:
-        placement = Placement(altitude, pixel)
-    elif pixel is not None or altitude is not None:
-        raise InputError("expected `placement`, or `pixel` and `altitude`, but got both")
+        placement = Placement(altitude, pixel, frame=_frame(pose, lens))
+    elif any(v is not None for v in (pixel, altitude, pose, lens)):
+        raise InputError(
+            "expected `placement`, or `pixel`, `altitude`, `pose` and `lens`, but got both"
+        )
     # Of an open scene the sun must be known, which is traced in a slope by it.
     traced = isinstance(parameters.light.sun_zenith, jax.core.Tracer)
     of_sun = scene.parameters if traced else parameters
     aimed = aim(scene, of_sun, visible_sensor(imager), placement, **options)
     return aimed, parameters
+
+
+def _frame(pose: Pose | Frame | None, lens: Lens | None) -> Frame | None:
+    if isinstance(pose, Frame) and lens is None:
+        return pose
+    if isinstance(pose, Pose) and isinstance(lens, Lens | None):
+        return Frame(pose, lens)
+    if pose is None and lens is None:
+        return None
+    raise InputError(
+        "expected a pose and a lens, or a frame, which has both, but got "
+        f"{type(pose).__name__} and {type(lens).__name__}"
+    )
 
 
 def _checked(scene: Scene, parameters: PlotParameters | None) -> PlotParameters:
@@ -848,6 +1036,14 @@ def _aimed(
     frame = frame_of(camera)
     if frame is None:
         return camera
+    if placement.frame is not None:
+        pose = placement.frame.pose
+        return dataclasses.replace(
+            frame,
+            position=pose.position + jnp.asarray([0.0, 0.0, base]),
+            tilt=pose.tilt,
+            heading=pose.yaw,
+        )
     tilt = float(frame.tilt) if placement.tilt is None else placement.tilt
     heading = float(frame.heading) if placement.heading is None else placement.heading
     # A tilted sensor looks ahead: it stands behind the place that its axis meets.

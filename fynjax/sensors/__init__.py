@@ -32,6 +32,7 @@ from fynjax.sensors._noise import (
     RadiometricNoise,
     radiometric_noise,
 )
+from fynjax.sensors._pose import Frame, Lens, Pose, lens_of, pose_of_axes
 from fynjax.sensors._psf import PointSpread
 from fynjax.sensors._rays import map_rays
 from fynjax.sensors._reference import sensor_reference
@@ -90,8 +91,10 @@ __all__ = [
     "ClearAir",
     "EmpiricalLine",
     "FlashGeometry",
+    "Frame",
     "FrameCamera",
     "Gains",
+    "Lens",
     "Lidar",
     "LidarBeams",
     "LidarNoise",
@@ -100,6 +103,7 @@ __all__ = [
     "Panel",
     "PanelReading",
     "PointSpread",
+    "Pose",
     "PushbroomCamera",
     "RadiometricNoise",
     "ScanGeometry",
@@ -122,6 +126,7 @@ __all__ = [
     "group_bands",
     "irradiance_line",
     "is_transparent",
+    "lens_of",
     "lidar_folder",
     "lidar_waveforms",
     "map_rays",
@@ -130,6 +135,7 @@ __all__ = [
     "panel_coverage",
     "panel_reading",
     "place_panels",
+    "pose_of_axes",
     "radiometric_noise",
     "received_electrons",
     "sensor_folder",

@@ -107,6 +107,7 @@ DAMAGED = {
     "map": "out/train/training.nc",
     "terrain": "plot.csv",
     "reflectance": "flight/IMG_0001_3.tif",  # the last file of the last capture
+    "frames": "flight/cameras.json",
     "bioscape-plots": "tables/*CoverData.csv",
     "pattern": "a.tif",
     "validate": "simulated.las",

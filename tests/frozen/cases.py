@@ -24,6 +24,8 @@ from tests.compare.test_spectra import WAVE, cube, write_csv
 from tests.compare.test_structure import plot as drawn_cloud
 from tests.compare.test_structure import write_las
 from tests.frozen.numbers import Numbers, numbers_of
+from tests.io.frame_files import CRS as FLIGHT_CRS
+from tests.io.frame_files import GROUND, ORIGIN, write_odm
 from tests.io.rededge_files import lit, panel_scene, write_rededge
 from tests.jobs import test_simulate
 from tests.jobs.test_reflectance import PANEL, ground
@@ -290,6 +292,15 @@ def _terrain(folder: Path) -> Runs:
     line = ["terrain", folder / "plot.csv", "--size", 20, "--cell", 0.5, "--unit", "metre"]
     raster = ["terrain", folder / "out" / "cloud" / "terrain.tif", "--size", 10]
     return {"cloud": line, "raster": raster}
+
+
+@_case("frames")
+def _frames(folder: Path) -> Runs:
+    plot = write_plot(folder)
+    flight = write_odm(folder / "flight")
+    (east, north), where = ORIGIN, ["--crs", FLIGHT_CRS, "--ground", GROUND]
+    line = ["frames", flight, "--plot", plot, "--origin", east, north, *where]
+    return {"frames": [*line, "--pixel", 0.25]}
 
 
 @_case("reflectance")

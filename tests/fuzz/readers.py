@@ -27,6 +27,7 @@ from fynjax.canopy import plant_model_from_mesh, plant_model_from_points, read_s
 from fynjax.compare import read_drone_image, read_spectra_sample
 from fynjax.inversion import AmortisedPosterior
 from fynjax.io.captures import panel_reflectance, read_capture
+from fynjax.io.frames import read_frames
 from fynjax.io.instruments import load_lidar, load_sensor, read_atmosphere
 from fynjax.io.plot import (
     example_folder,
@@ -53,6 +54,7 @@ from fynjax.sensors import BandSet, group_bands, lidar_folder
 from fynjax.terrain import read_cloud, read_terrain
 from tests.canopy.test_scan import ball
 from tests.helpers import read_cube, write_ply, write_raster
+from tests.io import frame_files
 from tests.io.dji_files import SHAPE, write_dji
 from tests.io.emit_files import write_emit
 from tests.io.rededge_files import lit, panel_scene, write_rededge
@@ -209,9 +211,14 @@ def _dji(folder: Path) -> None:
 
 def _read_dji(folder: Path) -> Any:
     capture = read_capture("DJI", sorted(folder.glob("DJI_*.TIF")))
-    lens = capture.bands[0].lens
+    lens = capture.bands[0].registration
     counts = capture.bands[0].counts  # NaN is where the lens does not reach
     return capture.radiance(), lens and np.nan_to_num(lens.on_frame(counts))
+
+
+def _frames(folder: Path) -> Any:
+    where = {"crs": frame_files.CRS, "origin": frame_files.ORIGIN, "ground": frame_files.GROUND}
+    return [(f.name, f.pose.position, f.pose.axes, f.lens) for f in read_frames(folder, **where)]
 
 
 def _plot(folder: Path) -> None:
@@ -493,6 +500,11 @@ READERS: dict[str, Reader] = {
     ),
     "rededge": Reader(_capture, _read_capture),
     "dji": Reader(_dji, _read_dji),
+    "frames-odm": Reader(frame_files.write_odm, _frames),
+    "frames-pix4d": Reader(frame_files.write_pix4d, _frames),
+    "frames-metashape": Reader(frame_files.write_metashape, _frames),
+    "frames-dji": Reader(frame_files.write_dji_pictures, _frames),
+    "frames-micasense": Reader(frame_files.write_micasense_pictures, _frames),
     "panel": Reader(
         lambda f: (_capture(f), _text("panel.csv", _PANEL)(f)),
         lambda f: panel_reflectance(str(f / "panel.csv"), _read_capture(f)),

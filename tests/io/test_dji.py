@@ -78,7 +78,7 @@ def test_bands_lie_on_each_other_by_the_calibration_of_their_lenses(
     relative = capture.radiance() / capture.irradiance[:, None, None] * SCALE
     raw_miss = np.abs(relative - relative[-1]).max(axis=(1, 2))[:-1]
     assert (raw_miss > 0.05).all()
-    counts, lens = capture.bands[0].counts, capture.bands[0].lens
+    counts, lens = capture.bands[0].counts, capture.bands[0].registration
     np.testing.assert_allclose(lens.on_frame(counts), lens.on_frame(counts.astype(float)))
     (placed,), (low, left) = _on_frame(capture, relative[:, ::-1])
     rows, columns = placed.shape[1:]
@@ -151,7 +151,7 @@ def test_what_a_camera_has_already_corrected_is_left(tmp_path: Path) -> None:
         change=lambda t: t.replace('DewarpFlag="0"', 'DewarpFlag="1" drone-dji:VignettingFlag="1"'),
     )  # fmt: skip
     band = read_band(paths[3])
-    assert band.lens is None  # its homography is the identity
+    assert band.registration is None  # its homography is the identity
     np.testing.assert_array_equal(band.camera.response(SHAPE), 1.0)
     assert band.missing == ()
 

@@ -19,6 +19,7 @@ from fynjax.radiation import (
     render,
     voxel_scene,
 )
+from fynjax.radiation._rays import Lattice
 from tests import reference
 from tests.radiation.scenes import patchy, solver
 from tests.radiation.test_monte_carlo_reference import with_fields
@@ -209,6 +210,24 @@ def test_a_sensor_inside_the_canopy_is_refused(light):
             render(light, rays)
     with pytest.raises(InputError, match="above the grid"):
         render(light, nadir_rays(jnp.zeros(1), jnp.zeros(1), 0.1, (0.0, 0.0, 0.2)))
+
+
+@pytest.mark.parametrize("boundary", ["periodic", "open"])
+def test_rays_one_by_one_average_several_small_cells_as_a_lattice_does(boundary):
+    """Beams of the sun are mostly half as wide as a voxel, and so as a pixel."""
+    at = (jnp.arange(4) + 0.4) * 0.25
+    lattice = nadir_rays(at, at, 0.25, (0.3, 0.1, 5.0))
+    x, y = jnp.meshgrid(lattice.x, lattice.y)
+    slopes = jnp.meshgrid(lattice.slope_x, lattice.slope_y)
+    field = RayField(x, y, *slopes, jnp.full_like(x, 0.25), widest=0.25)
+    cells = jnp.asarray(np.random.default_rng(1).random((10, 10)))
+    for smooth in (False, True):
+        few, others = (
+            rays.sampler(jnp.asarray(0.7), Lattice(10, 10, 0.1, boundary), smooth=smooth)(cells)
+            for rays in (lattice, field)
+        )
+        np.testing.assert_allclose(others, few, rtol=1e-12)
+    assert field.together(2).widest == 0.5
 
 
 def test_blocks_of_rays_have_their_middle():

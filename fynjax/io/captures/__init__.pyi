@@ -10,3 +10,5 @@ from ._capture import usable_captures as usable_captures
 from ._panel import PanelView as PanelView
 from ._panel import panel_reflectance as panel_reflectance
 from ._panel import read_panel as read_panel
+from ._view import PictureView as PictureView
+from ._view import read_view as read_view

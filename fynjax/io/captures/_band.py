@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from fynjax._core.errors import LARGEST, InputError
 from fynjax.io.captures._camera_place import CameraPlace
-from fynjax.io.captures._lens import Lens
+from fynjax.io.captures._lens import Registration
 from fynjax.sensors import CameraRadiometry
 
 _LARGEST_EXIF = 1e7
@@ -48,7 +48,7 @@ class RawBand:
     absolute: bool = True
     """Whether radiance and irradiance are in W m-2 (sr-1) um-1. Otherwise one factor between them,
     the same in all bands, is not defined by the maker."""
-    lens: Lens | None = None
+    registration: Registration | None = None
     """Place of the band's pixels in a frame that all bands share, by the maker."""
     missing: tuple[str, ...] = ()
     """Corrections of the maker's that the file has no numbers for, such as 'vignetting'."""
@@ -107,6 +107,17 @@ class Stated:
         angles = [self.maybe(key) for key in keys]
         cosine = np.prod([np.cos(np.radians(angle[0])) for angle in angles if angle])
         return float(np.degrees(np.arccos(cosine))) if all(angles) else None
+
+    def degrees(self) -> tuple[float, float] | None:
+        """Latitude and longitude by EXIF [degrees]; `None` without both."""
+        found = []
+        for name, below in (("Latitude", "S"), ("Longitude", "W")):
+            parts = re.findall(r"[\d.]+", self.tags.get(f"EXIF_GPS{name}", ""))
+            if len(parts) != 3:
+                return None
+            size = sum(float(part) / 60**k for k, part in enumerate(parts))
+            found.append(-size if self.tags.get(f"EXIF_GPS{name}Ref") == below else size)
+        return found[0], found[1]
 
     def maybe_exif(self, key: str) -> float | None:
         number = re.search(r"[-+\d.eE]+", self.tags.get(f"EXIF_{key}", ""))

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from fynjax._core.errors import InputError, in_file
 from fynjax._core.precision import double_precision
 from fynjax.io.captures._band import RawBand, Stated
-from fynjax.io.captures._lens import Lens
+from fynjax.io.captures._lens import Registration
 from fynjax.io.captures._metadata import read_band
 from fynjax.io.raster import Alignment, align_bands, open_raster
 from fynjax.io.text import did_you_mean, existing_file
@@ -342,16 +342,16 @@ def _on_frame(
 ) -> tuple[list[Float[np.ndarray, "band row column"]], tuple[int, int]]:
     """Pictures on the frame that the lenses share, cut to what all bands cover, and the row and
     column of that where the cut begins."""
-    lenses = [band.lens for band in capture.bands]
-    if all(lens is None for lens in lenses):
+    registrations = [band.registration for band in capture.bands]
+    if all(registration is None for registration in registrations):
         return list(pictures), (0, 0)
 
     def moved_by(
-        lens: Lens | None, band: Float[np.ndarray, "y x"]
+        registration: Registration | None, band: Float[np.ndarray, "y x"]
     ) -> Float[np.ndarray, "row column"]:
-        return band if lens is None else lens.on_frame(band[::-1])[::-1]
+        return band if registration is None else registration.on_frame(band[::-1])[::-1]
 
-    moved = [np.stack(list(map(moved_by, lenses, picture))) for picture in pictures]
+    moved = [np.stack(list(map(moved_by, registrations, picture))) for picture in pictures]
     # The side with the most pixels that some band lacks goes first, until none are left.
     covered = np.isfinite(moved[0]).all(axis=0)
     low, left = 0, 0

@@ -26,8 +26,8 @@ from PIL import Image
 from fynjax._core.errors import InputError
 from fynjax.io.captures._band import RawBand, Stated
 from fynjax.io.captures._camera_place import CameraPlace, is_fix
-from fynjax.io.captures._lens import Lens
-from fynjax.sensors import CameraRadiometry
+from fynjax.io.captures._lens import Registration
+from fynjax.sensors import CameraRadiometry, Lens
 
 _BLACK_LEVEL = 0xC61A
 """Tag of a TIFF with the black level, where a Phantom 4 Multispectral has it."""
@@ -59,7 +59,8 @@ def dji_band(path: Path, counts: NDArray[np.uint16], bits: int, stated: Stated) 
     wavelength, fwhm = _band(stated)
     light = stated.maybe("Irradiance")
     vignetting = _vignetting(stated)
-    lens = _lens(stated)
+    registration = _registration(stated, counts.shape)
+    lens = None if registration is None else registration.lens
     focal = _first(stated, "CalibratedFocalLength")
     return RawBand(
         path=path,
@@ -85,7 +86,7 @@ def dji_band(path: Path, counts: NDArray[np.uint16], bits: int, stated: Stated) 
         irradiance_tilt=stated.tilt("FlightPitchDegree", "FlightRollDegree"),
         sensor=_camera(stated, wavelength),
         absolute=False,
-        lens=lens,
+        registration=registration,
         missing=() if vignetting else ("vignetting",),
         place=_place(stated),
     )
@@ -118,9 +119,16 @@ def _band(stated: Stated) -> tuple[float, float]:
 
 
 def _centre(stated: Stated) -> list[float]:
-    """Column and row of the designed optical axis [pixel]."""
-    if not stated.xmp.get("CalibratedOpticalCenterX") and stated.xmp.get("VignettingCenter"):
-        return stated.numbers("VignettingCenter", 2)
+    """Column and row of the designed optical axis [pixel], which must be stated."""
+    return optical_centre(stated) or [
+        stated.numbers(f"CalibratedOpticalCenter{axis}", 1)[0] for axis in "XY"
+    ]
+
+
+def optical_centre(stated: Stated) -> list[float] | None:
+    """Column and row of the designed optical axis [pixel]; None where they are not stated."""
+    if not stated.xmp.get("CalibratedOpticalCenterX"):
+        return stated.numbers("VignettingCenter", 2) if stated.xmp.get("VignettingCenter") else None
     return [stated.numbers(f"CalibratedOpticalCenter{axis}", 1)[0] for axis in "XY"]
 
 
@@ -137,8 +145,8 @@ def _vignetting(stated: Stated) -> dict[str, Any]:
     }
 
 
-def _lens(stated: Stated) -> Lens | None:
-    """Distortion (`DewarpData`: date; fx, fy, cx, cy, k1, k2, p1, p2, k3) and homography."""
+def _registration(stated: Stated, shape: tuple[int, ...]) -> Registration | None:
+    """Distortion and homography; none where neither is stated."""
     matrix = np.eye(3)
     if stated.xmp.get("CalibratedHMatrix"):
         matrix = np.reshape(stated.numbers("CalibratedHMatrix", 9), (3, 3))
@@ -149,9 +157,18 @@ def _lens(stated: Stated) -> Lens | None:
         raise InputError(
             f"expected an invertible matrix as 'CalibratedHMatrix', but got {matrix.tolist()}"
         )
+    lens = dji_lens(stated, shape)
+    return (
+        None if lens is None and np.array_equal(matrix, np.eye(3)) else Registration(matrix, lens)
+    )
+
+
+def dji_lens(stated: Stated, shape: tuple[int, ...]) -> Lens | None:
+    """The lens by `DewarpData` (date; fx, fy, cx, cy, k1, k2, p1, p2, k3) of a picture of `shape`
+    (rows, columns); None without, and where the camera itself has straightened the picture."""
     text = stated.xmp.get("DewarpData")
     if not text or _done(stated, "DewarpFlag"):
-        return None if np.array_equal(matrix, np.eye(3)) else Lens(matrix)
+        return None
     try:
         fx, fy, cx, cy, k1, k2, p1, p2, k3 = map(float, text[0].rpartition(";")[2].split(","))
     except ValueError:
@@ -159,7 +176,8 @@ def _lens(stated: Stated) -> Lens | None:
             f"expected a date and nine numbers as 'DewarpData', but got {text[0]}"
         ) from None
     x, y = _centre(stated)
-    return Lens(matrix, (fx, fy), (x + cx, y + cy), (k1, k2, p1, p2, k3))
+    rows, columns = shape
+    return Lens((columns, rows), (fx, fy), (x + cx, y + cy), (k1, k2, k3), (p1, p2))
 
 
 def _place(stated: Stated) -> CameraPlace | None:

@@ -1,6 +1,5 @@
 """What a MicaSense camera writes into a picture of one band."""
 
-import re
 from pathlib import Path
 from typing import Any
 
@@ -110,15 +109,8 @@ def _panel_area(stated: Stated) -> NDArray[Any] | None:
 
 def _place(stated: Stated) -> CameraPlace | None:
     """The camera's place by GPS; its heading is taken to be that of the light sensor."""
-    degrees: list[float] = []
-    for name, below in (("Latitude", "S"), ("Longitude", "W")):
-        parts = re.findall(r"[\d.]+", stated.tags.get(f"EXIF_GPS{name}", ""))
-        if len(parts) != 3:
-            return None
-        size = sum(float(part) / 60**k for k, part in enumerate(parts))
-        degrees.append(-size if stated.tags.get(f"EXIF_GPS{name}Ref") == below else size)
+    degrees = stated.degrees()
     heading = stated.maybe("IrradianceYaw")
-    latitude, longitude = degrees
-    if not heading or not is_fix(latitude, longitude):
+    if not degrees or not heading or not is_fix(*degrees):
         return None
-    return CameraPlace(latitude, longitude, heading[0], _TILT_SD)
+    return CameraPlace(*degrees, heading[0], _TILT_SD)

@@ -19,6 +19,7 @@ from ._lazy import open_cube as open_cube
 from ._netcdf import check_netcdf as check_netcdf
 from ._netcdf import content_hash as content_hash
 from ._netcdf import file_hash as file_hash
+from ._netcdf import grid_mapping as grid_mapping
 from ._netcdf import image_array as image_array
 from ._netcdf import provenance as provenance
 from ._netcdf import write_run as write_run

@@ -210,7 +210,10 @@ def image_array(
 
 
 def grid_mapping(crs: str) -> xr.DataArray:
-    """The variable "crs" that says in which reference system coordinates are (CF-1.11, 5.6)."""
+    """The variable "crs" that says in which reference system coordinates are (CF-1.11, 5.6).
+
+    **Arguments:** `crs`: anything pyproj reads, such as "EPSG:32734".
+    """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # CF has no word for some parameters
         import pyproj  # late: few runs know their place

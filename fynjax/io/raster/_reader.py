@@ -40,6 +40,8 @@ METRES = ("", "m", "metre", "metres", "meter", "meters")
 ENVI_DATA = (".dat", ".img", ".bil", ".bsq", ".bip")
 _RDF = "{http://www.w3.org/1999/02/22-rdf-syntax-ns#}"
 _DJI = "{http://www.dji.com/drone-dji/"
+_OF_LIGHT_SENSOR = re.compile(r"\{\S*/DLS/\S*\}(Yaw|Pitch|Roll)")
+"""Angles of MicaSense's light sensor [radians], which have the names of a camera's."""
 _RAW = {"RadiometricCalibration", "DarkRowValue", "BlackLevel", "BlackCurrent", "SensorGain"}
 """Metadata (XMP) that raw captures of MicaSense and DJI have."""
 RAW_COUNTS = (
@@ -173,6 +175,7 @@ class RasterFile:
             for child in description:
                 items = [item.text or "" for item in child.iter(f"{_RDF}li")] or [child.text or ""]
                 found.append((child.tag, [item.strip() for item in items]))
+        found = [item for item in found if not _OF_LIGHT_SENSOR.fullmatch(item[0])]
         found.sort(key=lambda item: not item[0].startswith(_DJI))
         stated: dict[str, list[str]] = {}
         for name, texts in found:

@@ -1,0 +1,5 @@
+"""Frames of a flight: their poses and lenses, as photogrammetry software and cameras state them."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

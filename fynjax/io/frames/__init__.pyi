@@ -1,0 +1,1 @@
+from ._read import read_frames as read_frames
