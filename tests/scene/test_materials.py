@@ -434,6 +434,13 @@ def test_voxels_by_organ_and_stand_have_the_mean_of_the_materials(mesh: MeshPlan
     assert areas.leaf_mass.sum() == pytest.approx(1e4 * dry * areas.leaf.sum(), rel=1e-6)
 
 
+def test_plants_without_leaves_are_not_asked_for_an_outer_fraction() -> None:
+    dead = ROW | {"taxon": "Dead", "growth_form": "deadwood"}
+    leaves = {("Dead", "young"): YOUNG | {"outer_fraction": 0.2}}
+    with pytest.raises(InputError, match=r"no material of its plants, which have .*'wood'\.$"):
+        Scene.from_table([ROW, dead], leaves=leaves, size=1.2, voxel=0.4, structure="even")
+
+
 def test_a_plot_that_names_no_material_has_none() -> None:
     scene = Scene.from_table(table1_2006()[:2], size=1.0, voxel=0.5)
     assert scene.parameters.materials is None
