@@ -33,7 +33,8 @@ def demo(
         typer.Option(
             "--drone-alone",
             help="Fit the drone's image alone, without the published numbers of the plot's "
-            "AVIRIS-NG spectrum. Takes half the time; the camera's gains are known less well.",
+            "AVIRIS-NG spectrum. Takes two thirds of the time; the camera's gains are known less "
+            "well.",
         ),
     ] = False,
     twin: Twin = False,

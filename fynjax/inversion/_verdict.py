@@ -152,14 +152,19 @@ def gain_sentences(
     apart = log[:, None] - log
     variance = sd[:, None] ** 2 + sd**2 - 2.0 * covariance
     spread = np.sqrt(np.maximum(variance, 0.0))
-    surely = np.abs(np.divide(apart, spread, out=np.zeros_like(apart), where=spread > 0.0))
-    one, other = divmod(int(np.argmax(np.triu(surely, 1))), len(gain))
-    ratio, of_ratio = apart[one, other], spread[one, other]
+    known = np.triu(spread > 1e-6 * sd.max(), 1)
     lines.append(
         f"What all have in common, their level, is {np.exp(level):.2f} ± "
-        f"{np.exp(level) * of_level:.2f}, {sure(level, of_level)}; the ratio that differs most "
-        f"surely from 1, {names[one]} over {names[other]}, is {np.exp(ratio):.2f} ± "
-        f"{np.exp(ratio) * of_ratio:.2f}, {sure(ratio, of_ratio)}."
+        f"{np.exp(level) * of_level:.2f}, {sure(level, of_level)}"
+    )
+    if not known.any():  # one factor of all bands: its ratios are one, and nothing is learned
+        return [*lines[:-1], f"{lines[-1]}."]
+    surely = np.divide(np.abs(apart), spread, out=np.full_like(apart, -1.0), where=known)
+    one, other = divmod(int(np.argmax(surely)), len(gain))
+    ratio, of_ratio = apart[one, other], spread[one, other]
+    lines[-1] += (
+        f"; the ratio that differs most surely from 1, {names[one]} over {names[other]}, is "
+        f"{np.exp(ratio):.2f} ± {np.exp(ratio) * of_ratio:.2f}, {sure(ratio, of_ratio)}."
     )
     return lines
 

@@ -245,10 +245,11 @@ class _Described:
                 pairs = [] if mesh is None else zip(mesh.materials, mesh.optics, strict=True)
                 named = {own if optics in _ORGANS else optics for own, optics in pairs}
                 there |= named if mesh is not None else _ORGANS - {"leaf"}
-            grown = any(
-                mesh is None for one, mesh in zip(species, plants, strict=True)
+            grown = self._rows[taxon, name].outer_fraction is None and any(
+                mesh is None and FORMS[one.growth_form].leafy
+                for one, mesh in zip(species, plants, strict=True)
                 if taxon in (one.taxon, "*")
-            )  # fmt: skip
+            )
             remedy = " Leaves of plants without a mesh need its outer_fraction." if grown else ""
             raise InputError(
                 f"{name!r} of {taxon!r} is no material of its plants, which have "

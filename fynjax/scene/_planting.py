@@ -655,21 +655,29 @@ def _drawn_leaves(plants: int, species: int, leaves: int, seed: int) -> Int[np.n
 
 def _with_outer_leaves(plant: PlantModel, species: Species) -> PlantModel:
     """A generated plant whose leaves farthest from its foot, in units of the crown's radius and
-    height, are of the leaf materials of its species, from the outermost inwards."""
-    outer = [i for i, one in enumerate(species.materials) if one.organ == Organ.LEAF]
-    if not outer:
+    height, are of the leaf materials of its species, from the outermost inwards. Each has at least
+    one element, and its share of the area."""
+    kinds = [i for i, one in enumerate(species.materials) if one.organ == Organ.LEAF]
+    if not kinds:
         return plant
-    organ, area = np.asarray(plant.organ), np.asarray(plant.area_fraction, float)
+    share = [species.materials[i].share for i in kinds]
+    if (left := species.share_without_material(Organ.LEAF)) > 0.0:
+        kinds, share = [*kinds, -1], [*share, left]
+    organ, area = np.asarray(plant.organ), np.array(plant.area_fraction, float)
     leaves = np.flatnonzero(organ == Organ.LEAF)
     x, y, z = np.asarray(plant.position, float)[leaves].T
     order = leaves[np.argsort(-(4.0 * (x**2 + y**2) + z**2), kind="stable")]
     # Each leaf by where the middle of its area lies in the sum from the outermost inwards.
-    middle = np.cumsum(area[order]) - 0.5 * area[order]
-    ends = np.cumsum([species.materials[i].share for i in outer])
-    which = np.searchsorted(ends, middle, side="right")
+    middle, number = np.cumsum(area[order]) - 0.5 * area[order], np.arange(len(kinds))
+    ends = np.maximum(np.searchsorted(middle, np.cumsum(share)) - number, 1)
+    ends = np.minimum(np.maximum.accumulate(ends) + number, len(order) - number[::-1])
+    ends[-1] = len(order)
     material = np.full(len(organ), -1, np.int32)
-    material[order] = np.array([*outer, -1])[which]
-    return dataclasses.replace(plant, material=material)
+    for kind, part, mine in zip(kinds, share, np.split(order, ends[:-1]), strict=True):
+        material[mine] = kind
+        area[mine] *= part / area[mine].sum()
+    fraction = jnp.asarray(area, plant.area_fraction.dtype)
+    return dataclasses.replace(plant, material=material, area_fraction=fraction)
 
 
 def _classes_of(species: Sequence[Species], i: int, shape: PlantModel) -> np.ndarray:

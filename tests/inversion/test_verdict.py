@@ -125,3 +125,13 @@ def test_of_gains_the_level_is_told_apart_from_their_ratios():
         "Gains of the camera: red 0.900 ± 0.090; beforehand 1."
     ]
     assert gain_sentences(("red", "nir"), np.ones(2), np.zeros((2, 2))) == []
+
+
+def test_gains_that_are_one_factor_have_a_level_and_no_ratio():
+    """Ratios of a factor that all bands share are one to the last digit, which says nothing; of
+    equal gains with errors of their own two different bands are named."""
+    shared = np.full((3, 3), 0.2**2)
+    _, level = gain_sentences(("red", "red_edge", "nir"), np.array([0.6, 0.6, 0.6]), shared)
+    assert level == "What all have in common, their level, is 0.60 ± 0.12, known."
+    _, both = gain_sentences(("red", "nir"), np.ones(2), np.diag([0.01, 0.01]))
+    assert "red over nir, is 1.00 ± 0.14, not told from 1" in both

@@ -27,6 +27,7 @@ from fynjax.inversion import (
     PlotForward,
     PlotSearch,
     _expected,
+    _views,
     calibrate_plot,
     calibration,
     fit,
@@ -90,8 +91,10 @@ def test_names_carry_the_sensor_but_for_the_drone(views):
     assert views[2].names[1] == "lidar.gap_fraction"
 
 
-def test_a_spectrum_is_the_mean_of_the_plot_in_its_bands(plot, views):
-    """Against all of its bands solved for at once."""
+@pytest.mark.parametrize("together", [6, 2])
+def test_a_spectrum_is_the_mean_of_the_plot_in_its_bands(plot, views, together, monkeypatch):
+    """Against all of its bands solved for at once; in twos, of which the last repeats a band."""
+    monkeypatch.setattr(_views, "_TOGETHER", together)
     model, parameters, _ = plot
     at = jnp.arange(20) * 0.1 + 0.05
     rays = parallel_rays(at, at, 0.1, jnp.zeros(()), jnp.zeros(()))
@@ -99,7 +102,7 @@ def test_a_spectrum_is_the_mean_of_the_plot_in_its_bands(plot, views):
         lambda m, p: reflectance_factor(solve_light(m.voxels(p, BANDS), ACCURACY), rays)
     )
     expected = every(model, parameters).mean(axis=(1, 2))
-    found = eqx.filter_jit(views[1].predict)(model, parameters)
+    found = eqx.filter_jit(lambda m, p: views[1].predict(m, p))(model, parameters)
     np.testing.assert_allclose(found, expected, rtol=1e-8)
 
 

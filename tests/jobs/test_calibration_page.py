@@ -11,6 +11,7 @@ from fynjax.assembly import Measured, RealImage
 from fynjax.inversion import Calibration, Data
 from fynjax.io.plot import Plot
 from fynjax.jobs._calibration_page import (
+    _goal_sentences,
     _image_sections,
     agreement_sentences,
     error_pictures,
@@ -132,3 +133,23 @@ def test_headlines_have_the_pair_before_and_after_whatever_was_fitted(statistics
     spreads = statistics[statistics["statistic"].isin(["nir.std", "SR.mean"])]
     (only,) = agreement_sentences(plot, [measured(None)], spreads, ReferenceImage())
     assert "largest error of a statistic of the image 40.0 % before, 30.0 % after" in only
+
+
+def test_a_goal_is_reached_by_what_the_camera_reads_of_the_plants():
+    """With gains; not by what the model is off by too, which would excuse everything."""
+    statistics = pd.DataFrame(
+        {
+            "statistic": ["red.mean", "nir.mean", "NDVI.mean", "NDVI.std"],
+            "fitted": True,
+            "before_error_percent": 50.0,
+            "after_error_percent": 20.0,
+            "with_gain_error_percent": [2.0, -3.5, 4.0, 90.0],
+            "with_error_error_percent": 0.0,
+        }
+    )
+    goals = ReferenceImage({}, goals={"a band mean": 3.0, "a fitted index mean": 5.0})
+    assert _goal_sentences(statistics, goals) == [
+        "Aimed at, with the camera's gains: a band mean within 3 % (missed), a fitted index mean "
+        "within 5 % (reached)."
+    ]
+    assert _goal_sentences(statistics, ReferenceImage({})) == []

@@ -359,9 +359,26 @@ def test_outer_leaves_of_generated_plants_are_of_their_material() -> None:
         is_young = classes[mine] == young
         assert not is_young[~leaf].any()
         area = np.asarray(shapes.area_fraction[mine], float)
-        assert area[is_young].sum() == pytest.approx(0.25, abs=0.6 * area[leaf].max())
+        assert area[is_young].sum() == pytest.approx(0.25, rel=1e-6)
+        assert area[leaf].sum() == pytest.approx(1.0, rel=1e-6)
         far = np.linalg.norm(position[mine] * [2.0, 2.0, 1.0], axis=1)
         assert far[is_young].min() >= far[leaf & ~is_young].max()
+
+
+def test_outer_leaves_of_coarse_plants_have_their_share_of_the_area() -> None:
+    """Of 12 leaf elements none ends at 3 %, 4 % or 98 %: the area is theirs all the same."""
+    for shares in ((0.03,), (0.03, 0.01), (0.5, 0.01, 0.48)):
+        rows = {("*", f"m{i}"): YOUNG | {"outer_fraction": q, "chlorophyll": 10.0 + i}
+                for i, q in enumerate(shares)}  # fmt: skip
+        scene = Scene.from_table([ROW], leaves=rows, size=1.2, voxel=0.4, structure="even", seed=4)
+        planting = scene.planting
+        part = slice(0, int(planting.count[0]))
+        area = np.asarray(planting.shapes.area_fraction[part], float)
+        classes = np.asarray(planting.shape_class[part])
+        assert np.sum(np.asarray(planting.shapes.organ[part]) == Organ.LEAF) < 20
+        found = [area[classes == k].sum() for k, _, _ in material_classes(scene.species).values()]
+        np.testing.assert_allclose(found, shares, rtol=1e-5)
+        assert area[classes == 0].sum() == pytest.approx(1.0 - sum(shares), rel=1e-5)
 
 
 def test_outer_leaves_are_seen_first_and_slopes_reach_them() -> None:
@@ -415,6 +432,13 @@ def test_voxels_by_organ_and_stand_have_the_mean_of_the_materials(mesh: MeshPlan
     dry = shares[0] * YOUNG["dry_matter"] + shares[1] * OLD["dry_matter"]
     areas = stand_area(scene, scene.parameters)
     assert areas.leaf_mass.sum() == pytest.approx(1e4 * dry * areas.leaf.sum(), rel=1e-6)
+
+
+def test_plants_without_leaves_are_not_asked_for_an_outer_fraction() -> None:
+    dead = ROW | {"taxon": "Dead", "growth_form": "deadwood"}
+    leaves = {("Dead", "young"): YOUNG | {"outer_fraction": 0.2}}
+    with pytest.raises(InputError, match=r"no material of its plants, which have .*'wood'\.$"):
+        Scene.from_table([ROW, dead], leaves=leaves, size=1.2, voxel=0.4, structure="even")
 
 
 def test_a_plot_that_names_no_material_has_none() -> None:
