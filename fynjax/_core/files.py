@@ -1,11 +1,15 @@
 """What a user, or a file of a user, names must be a file, and hold no more than memory can take."""
 
 import gzip
+import hashlib
 import io
 import os
 import stat
 import sys
 import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -23,6 +27,27 @@ _TIGHTEST = 3000
 tighter than 1 in 1032, and few measurements tighter than 1 in 10."""
 _FREELY = 1 << 28
 """Bytes that a file may state whatever its size."""
+
+
+_read: ContextVar[set[Path] | None] = ContextVar("fynjax.read", default=None)
+
+
+@contextmanager
+def noting_files() -> Iterator[set[Path]]:
+    """Give a set that takes every file that is read in the block as an input, as it was named and
+    where links lead."""
+    read: set[Path] = set()
+    before = _read.set(read)
+    try:
+        yield read
+    finally:
+        _read.reset(before)
+
+
+def note_file(path: Path) -> None:
+    """Count a file among those that are read (`noting_files`)."""
+    if (read := _read.get()) is not None:
+        read |= {path.absolute(), path.resolve()}
 
 
 def existing_file(path: str | Path, what: str) -> Path:
@@ -49,6 +74,7 @@ def existing_file(path: str | Path, what: str) -> Path:
                 f"fynjax does not read.{how_to_import(path)}",
                 file=path,
             )
+        note_file(path)
         return path
     came = "this is a folder" if stat.S_ISDIR(mode) else "this is a pipe or a device, not a file"
     raise InputError(f"expected {what}, but {came}", file=path)
@@ -123,6 +149,7 @@ def read_bytes(path: Path, largest: int = LARGEST_TEXT) -> bytes:
     **Raises:** `InputError` for a file that is larger or unfolds to more, cannot be opened, or is
     cut short or damaged.
     """
+    note_file(path)
     words = "it cannot be opened ({error.strerror})"
     with refusing(OSError, words=words, file=path), path.open("rb") as file:
         data = file.read(largest + 1)
@@ -162,6 +189,12 @@ def _file_beside(
     except (OSError, RuntimeError) as error:  # a link in a loop
         text = f"expected {what}, but {why_not(place, error)}"
     raise ValueError(f"{name!r}: {text}")
+
+
+def file_hash(path: str | Path) -> str:
+    """SHA-256 of the file `path`, in hexadecimal."""
+    with open(path, "rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ from fynjax._core.checkpoint import Journal, signature
 from fynjax._core.dry_run import DryRunEnd as DryRunEnd
 from fynjax._core.dry_run import dry_run as dry_run
 from fynjax._core.errors import whole_number
+from fynjax._core.files import note_file
 from fynjax._core.memory import peak_memory
 from fynjax._core.parts import Workers as Workers
 from fynjax._core.progress import stage
@@ -92,6 +93,8 @@ class Run:
     def record(self, inputs: Sequence[str | Path | None]) -> dict[str, str | int]:
         """Versions, seed and the hashes of the input files, for products and the page."""
         known = dict.fromkeys(Path(path) for path in inputs if path is not None)
+        for path in known:
+            note_file(path)
         plants = {"plants": self.plants} if self.plants else {}
         return provenance(seed=self.seed, inputs=known) | plants
 

@@ -19,10 +19,13 @@ from fynjax.io.text._atomic import (
     staged_folder,
     write_text,
 )
+from fynjax.io.text._earlier import SUMMARY, EarlierRun, sealed
 from fynjax.io.text._tables import read_rows
 from fynjax.io.text._toml import line_of, read_toml, shipped_or_own
 
 __all__ = [
+    "SUMMARY",
+    "EarlierRun",
     "NamedFile",
     "Slip",
     "Strict",
@@ -43,6 +46,7 @@ __all__ = [
     "read_toml",
     "remove_abandoned",
     "remove_replaced",
+    "sealed",
     "shipped_or_own",
     "staged_folder",
     "write_text",

@@ -5,7 +5,7 @@ import re
 import secrets
 import shutil
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -92,18 +92,37 @@ def remove_abandoned(folder: str | Path) -> None:
                 shutil.rmtree(each, ignore_errors=True)
 
 
+def _beside(folder: Path, partial: Path) -> Path:
+    """Keep results that may not go where they should in a new folder beside; gives that."""
+    for number in range(2, 1000):
+        free = folder.with_name(f"{folder.name}-{number}")
+        with suppress(OSError):
+            free.mkdir()  # fails where it is there: a rename would replace an empty one
+            os.replace(partial, free)
+            return free
+    return partial.rename(partial.with_suffix(".results"))
+
+
 @contextmanager
-def staged_folder(folder: str | Path) -> Iterator[Path]:
+def staged_folder(
+    folder: str | Path, check: Callable[[list[str]], None] | None = None
+) -> Iterator[Path]:
     """Give an empty folder beside `folder`; move its files into `folder` if the block succeeds.
 
-    If the block raises or is interrupted nothing reaches `folder`, and `folder` is not made.
-    Files of an earlier run that have the same name are replaced, others are left alone.
+    If the block raises or is interrupted nothing reaches `folder`, and `folder` is not made. A file
+    that stands there under the same name is replaced only where `check` lets it; others are left
+    alone.
 
-    **Arguments:** `folder`: where the files shall be.
+    **Arguments:**
+
+    - `folder`: where the files shall be.
+    - `check`: is given the names of all files before the first is moved, and raises `InputError`
+      where one may not be replaced. Without it none is.
 
     **Returns:** a context manager that gives the empty folder.
 
-    **Raises:** `InputError` if `folder` is a file or cannot be written, and where the disk is full.
+    **Raises:** `InputError` if `folder` is a file or cannot be written, where the disk is full, and
+    where a file may not be replaced: then it says in which new folder the results are.
     """
     folder = Path(folder)
     if folder.exists() and not folder.is_dir():
@@ -121,9 +140,22 @@ def staged_folder(folder: str | Path) -> Iterator[Path]:
             if of_input or shutil.disk_usage(partial).free > _FULL:
                 raise
             raise InputError("the disk is full, so no results were written", file=folder) from error
+        sources = sorted(p for p in partial.rglob("*") if p.is_file())
+        names = [source.relative_to(partial).as_posix() for source in sources]
+        there = [name for name in names if os.path.lexists(target / name)]
+        try:
+            if check is not None:
+                check(names)
+            elif there:
+                raise InputError(f"{there[0]!r} is there already", file=folder)
+        except InputError as error:
+            where = _beside(target, partial)
+            raise InputError(
+                f"{error.message}. The results are in {where} instead", file=error.file
+            ) from error
         target.mkdir(exist_ok=True)
-        for source in sorted(p for p in partial.rglob("*") if p.is_file()):
-            destination = target / source.relative_to(partial)
+        for source, name in zip(sources, names, strict=True):
+            destination = target / name
             destination.parent.mkdir(parents=True, exist_ok=True)
             os.replace(source, destination)
     finally:
