@@ -188,7 +188,8 @@ def is_own(path: Path) -> bool:
 
 
 def _is_own(status: os.stat_result) -> bool:
-    return os.name != "posix" or status.st_uid == os.geteuid()
+    user: int = getattr(os, "geteuid", lambda: status.st_uid)()  # Unix alone has it
+    return status.st_uid == user
 
 
 def _read_own(path: Path, largest: int) -> bytes | None:
