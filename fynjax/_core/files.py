@@ -1,9 +1,11 @@
 """What a user, or a file of a user, names must be a file, and hold no more than memory can take."""
 
+import errno
 import gzip
 import hashlib
 import io
 import os
+import re
 import stat
 import sys
 import zlib
@@ -109,9 +111,59 @@ def is_elsewhere(path: Path, part: Path) -> bool:
     return part.resolve().parent not in folders
 
 
+_LONGEST_NAME = 255
+"""Bytes of a name that file systems take."""
+
+_WHY = {
+    errno.ENAMETOOLONG: "the name is too long",
+    errno.ELOOP: "links lead back to themselves",
+    errno.EFBIG: "a file would be larger than this disk, or the limit of the process "
+    "(`ulimit -f`), allows",
+    errno.ENOSPC: "the disk is full",
+    errno.EROFS: "this disk cannot be written",
+    errno.EACCES: "this user may not read or write it",
+    errno.EPERM: "this user may not read or write it",
+    errno.EMFILE: "too many files are open (`ulimit -n`)",
+} | ({errno.EDQUOT: "your quota on this disk is used up"} if hasattr(errno, "EDQUOT") else {})
+
+
+_OF_WRITING = re.compile(r"HDF|NetCDF|[Ww]rit|I/O|TIFF")
+
+
+def why_failed(error: BaseException) -> str | None:
+    """What a system says of a file, in words that say what to change; None for any other error."""
+    if isinstance(error, RuntimeError) and "ymlink loop" in str(error):
+        return _WHY[errno.ELOOP]
+    return _WHY.get(error.errno or 0) if isinstance(error, OSError) else None
+
+
+def may_be_limited(error: BaseException) -> bool:
+    """Whether an error of a library of files, which does not say what stopped it, may be that of a
+    file that is larger than this process may write."""
+    try:
+        import resource
+    except ImportError:  # of Unix alone
+        return False
+    limit, _ = resource.getrlimit(resource.RLIMIT_FSIZE)
+    return limit != resource.RLIM_INFINITY and bool(_OF_WRITING.search(str(error)))
+
+
+def check_folder(path: Path) -> None:
+    """Refuse a folder for results that no system can make: a name that is no text or too long
+    (`check_name`), or links that lead back to themselves.
+
+    **Raises:** `InputError`.
+    """
+    check_name(path)
+    try:
+        path.resolve().exists()
+    except (OSError, RuntimeError) as error:
+        raise InputError(f"cannot write here: {why_failed(error) or error}", file=path) from error
+
+
 def check_name(path: Path) -> None:
     """Refuse a file or folder whose name, or that of a folder above it, has bytes that are no text
-    in this system's encoding, which libraries of files cannot open or write.
+    in this system's encoding, which libraries of files cannot open or write, or too many.
 
     **Raises:** `InputError`.
     """
@@ -124,6 +176,12 @@ def check_name(path: Path) -> None:
             f"0x{byte} is none. Rename it, or the folder that it is in",
             file=str(path).encode("utf-8", "backslashreplace").decode(),
         ) from error
+    longest = max(path.parts, key=lambda part: len(os.fsencode(part)), default="")
+    if len(os.fsencode(longest)) > _LONGEST_NAME:
+        raise InputError(
+            f"expected names of at most {_LONGEST_NAME} bytes, but {longest[:20]!r}... has "
+            f"{len(os.fsencode(longest))}"
+        )
 
 
 def why_not(path: Path, error: Exception) -> str:

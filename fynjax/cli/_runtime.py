@@ -21,7 +21,7 @@ import typer
 
 from fynjax._core.compiler import check_sums_once, keep_compiled
 from fynjax._core.dry_run import DryRunEnd, dry_run
-from fynjax._core.errors import InputError
+from fynjax._core.errors import InputError, is_odd_number
 
 if TYPE_CHECKING:
     from fynjax.jobs import JobResult
@@ -180,6 +180,8 @@ def listed(
         try:
             found = tuple(kind(part.strip()) for part in text.split(","))
         except ValueError:
+            found = ()
+        if kind is not str and any(map(is_odd_number, text.split(","))):  # 1_0 is no ten
             found = ()
         found = found if all(isinstance(v, str) or math.isfinite(v) for v in found) else ()
         if not found or (counts and len(found) not in counts):
@@ -579,11 +581,13 @@ def run_job(
     from rich.console import Console
 
     from fynjax._core.dry_run import checked_before_work
-    from fynjax._core.files import check_name, file_hash, noting_files
+    from fynjax._core.files import check_folder, file_hash, noting_files
     from fynjax._core.progress import progress
     from fynjax.io.text import SUMMARY, remove_replaced, sealed, staged_folder, write_text
 
-    check_name(output)
+    check_folder(output)
+    if checkpoint is not None:
+        check_folder(checkpoint)
     console = Console(stderr=True)
     bars = progress(console) if console.is_terminal and not quiet and not as_json else nullcontext()
     with (

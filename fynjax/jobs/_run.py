@@ -19,7 +19,7 @@ from fynjax._core.memory import peak_memory
 from fynjax._core.parts import Workers as Workers
 from fynjax._core.progress import stage
 from fynjax.io.raster import file_hash, provenance, write_qgis_style
-from fynjax.io.text import write_text
+from fynjax.io.text import table_text, write_text
 from fynjax.jobs._result import JobResult
 from fynjax.report.pages import Page, Part, Picture, Section, Table, write_page
 
@@ -115,7 +115,7 @@ class Run:
 
     def table(self, name: str, table: pd.DataFrame, what: str, form: str | None = "%.6g") -> None:
         """Write a table as CSV, its numbers in the format `form`."""
-        write_text(self.path(name, what), table.to_csv(index=False, float_format=form))
+        write_text(self.path(name, what), table_text(table, form))
 
     def picture(self, picture: Picture) -> None:
         """Write a picture that stands on no page."""

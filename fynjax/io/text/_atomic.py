@@ -1,5 +1,6 @@
 """Write beside, then rename: a reader finds the old file, the new file, or none."""
 
+import errno
 import os
 import re
 import secrets
@@ -10,6 +11,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from fynjax._core.errors import InputError, refusing
+from fynjax._core.files import may_be_limited, why_failed
 
 _FULL = 1 << 20
 """Bytes left on a disk that is full: less than any result takes."""
@@ -103,6 +105,12 @@ def _beside(folder: Path, partial: Path) -> Path:
     return partial.rename(partial.with_suffix(".results"))
 
 
+def _is_elsewhere(error: BaseException, folder: Path) -> bool:
+    """Whether an error names a file that is not below a folder: an input, such as a link."""
+    name = getattr(error, "filename", None)
+    return name is not None and not Path(os.fsdecode(name)).is_relative_to(folder)
+
+
 @contextmanager
 def staged_folder(
     folder: str | Path, check: Callable[[list[str]], None] | None = None
@@ -136,8 +144,15 @@ def staged_folder(
         try:
             yield partial
         except Exception as error:  # the libraries of formats say 'HDF error' and the like
-            of_input = isinstance(error, InputError) and "cannot write here" not in str(error)
-            if of_input or shutil.disk_usage(partial).free > _FULL:
+            why = why_failed(error)
+            if why is None and may_be_limited(error):
+                why = why_failed(OSError(errno.EFBIG, ""))
+            if isinstance(error, InputError):
+                if "cannot write here" not in str(error):
+                    raise
+            elif why is not None and not _is_elsewhere(error, partial):
+                raise InputError(f"no results were written: {why}", file=folder) from error
+            if shutil.disk_usage(partial).free > _FULL:
                 raise
             raise InputError("the disk is full, so no results were written", file=folder) from error
         sources = sorted(p for p in partial.rglob("*") if p.is_file())
@@ -153,11 +168,19 @@ def staged_folder(
             raise InputError(
                 f"{error.message}. The results are in {where} instead", file=error.file
             ) from error
-        target.mkdir(exist_ok=True)
-        for source, name in zip(sources, names, strict=True):
-            destination = target / name
-            destination.parent.mkdir(parents=True, exist_ok=True)
-            os.replace(source, destination)
+        try:
+            target.mkdir(exist_ok=True)
+            for source, name in zip(sources, names, strict=True):
+                destination = target / name
+                destination.parent.mkdir(parents=True, exist_ok=True)
+                os.replace(source, destination)
+        except OSError as error:
+            where = _beside(target, partial)
+            raise InputError(
+                f"cannot write here: {why_failed(error) or error.strerror}. The results are in "
+                f"{where} instead",
+                file=folder,
+            ) from error
     finally:
         shutil.rmtree(partial, ignore_errors=True)
         for parent in missing:  # the innermost first; none that holds anything
