@@ -6,6 +6,9 @@ import os
 import stat
 import subprocess
 import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -261,6 +264,34 @@ def test_a_checkpoint_is_of_the_code_that_made_it(monkeypatch: pytest.MonkeyPatc
     before = signature("a", 1)
     monkeypatch.setattr("fynjax._core.checkpoint.code_hash", lambda: "other")
     assert signature("a", 1) != before
+
+
+def test_a_signature_differs_wherever_its_parts_do() -> None:
+    """Each of these is another run: keys and values of tables, members of sets and records, what
+    functions are, are given and close over, types, shapes and precision."""
+
+    def scaled(by: float) -> Callable[[float], float]:
+        return lambda x: by * x
+
+    @dataclass
+    class Record:
+        a: object
+        b: object = None
+
+    numbers = np.arange(6.0)
+    runs = [
+        *({}, {"a": 1}, {"b": 1}, {"a": 2}, {"a": 1, "b": 1}, [], [1], [1, 2], [2, 1], [[1], 2]),
+        *({1, 2}, {1, 3}, {(1, 2)}, Record(1), Record(2), Record(None, 1), Record(Record(1))),
+        *(scaled(2.0), scaled(3.0), partial(scaled, 2.0), partial(scaled, by=2.0), partial(max, 2)),
+        *(1, 1.0, "1", True, None, numbers, numbers[::-1], numbers.reshape(2, 3)),
+        *(numbers.astype(np.float32), numbers.astype(int), numbers[:5]),
+    ]
+    signed = [signature(run) for run in runs]
+    assert len(set(signed)) == len(runs)
+    assert signed == [signature(run) for run in runs]
+    assert signature({2, 1}) == signature({1, 2})
+    assert signature(scaled(2.0)) == signature(scaled(2.0))
+    assert signature(numbers[::-1]) == signature(numbers[::-1].copy())
 
 
 def test_what_cannot_be_written_is_not_kept(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
