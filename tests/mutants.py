@@ -111,6 +111,18 @@ GROUPS: dict[str, list[Mutant]] = {
         Mutant("_core/files.py", "if len(os.fsencode(longest)) > _LONGEST_NAME:", "if False:",
                f"{_MACHINE} too_long"),
     ],
+    "bounds": [
+        Mutant("canopy/mesh/_bounds.py", "if suffix is not None:", "if False:",
+               "canopy/test_mesh.py packed"),
+        Mutant("canopy/mesh/_bounds.py", 'if "bufferView" not in one or "sparse" in one',
+               "if False", "canopy/test_mesh.py glb_has"),
+        Mutant("canopy/mesh/_bounds.py", "if len(children) != len(set(children)):", "if False:",
+               "canopy/test_mesh.py glb_has"),
+        Mutant("canopy/mesh/_bounds.py", "if count > MOST_TRIANGLES:", "if False:",
+               "canopy/test_mesh.py glb_has"),
+        Mutant("io/text/_toml.py", "if deep := _DEEP.search(text):", "if deep := None:",
+               f"{_STRICT} many_parts"),
+    ],
     "physics": [
         Mutant("radiation/_reduced.py", "1 if pattern.ndim == 2 else min(materials, count)", "1",
                "radiation/test_reduced.py all_that_differ"),

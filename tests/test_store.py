@@ -282,7 +282,13 @@ def test_a_signature_differs_wherever_its_parts_do() -> None:
     runs = [
         *({}, {"a": 1}, {"b": 1}, {"a": 2}, {"a": 1, "b": 1}, [], [1], [1, 2], [2, 1], [[1], 2]),
         *({1, 2}, {1, 3}, {(1, 2)}, Record(1), Record(2), Record(None, 1), Record(Record(1))),
-        *(scaled(2.0), scaled(3.0), partial(scaled, 2.0), partial(scaled, by=2.0), partial(max, 2)),
+        *(
+            scaled(2.0),
+            scaled(3.0),
+            partial(scaled, 2.0),
+            partial(scaled, by=2.0),
+            partial(scaled, by=3.0),
+        ),
         *(1, 1.0, "1", True, None, numbers, numbers[::-1], numbers.reshape(2, 3)),
         *(numbers.astype(np.float32), numbers.astype(int), numbers[:5]),
     ]

@@ -79,3 +79,20 @@ def test_1_0_is_no_ten_as_an_option(line: list[str]) -> None:
     result = CliRunner().invoke(app, line)
     assert isinstance(result.exception, InputError)
     assert re.search("`--.*` must be .*numbers?|wavelengths", str(result.exception))
+
+
+@pytest.mark.parametrize("key", ["a", '"a"', "a "])
+@pytest.mark.parametrize("form", ["{0} = 1", "[{0}]", "x = {{{0} = 1}}", "[[{0}]]"])
+def test_keys_of_many_parts_are_refused_before_they_are_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, key: str, form: str
+) -> None:
+    path = tmp_path / "plot.toml"
+    path.write_text("# A plot.\n" + form.format(".".join([key] * 8000)) + "\n", "utf-8")
+    with monkeypatch.context() as patched:
+        patched.setattr("tomllib.loads", None)
+        with pytest.raises(InputError, match=r"row 2: expected TOML whose keys have at most 32"):
+            read_plot(path)
+    sentence = "file names such as a.b.c, and numbers, 0.1.2... " * 400
+    path.write_text(f"# {sentence}\nname = '{sentence}'\n", "utf-8")
+    with pytest.raises(InputError, match="unknown name 'name'"):
+        read_plot(path)

@@ -31,7 +31,7 @@ def table_text(table: "pd.DataFrame", form: str | None = None) -> str:
     cells = table.rename(columns=_as_text)
     texts = [i for i, kind in enumerate(cells.dtypes) if kind.kind not in "biufcmM"]
     for i in texts:
-        cells.isetitem(i, cells.iloc[:, i].map(_as_text))
+        cells.isetitem(i, cells.iloc[:, i].map(_as_text).to_numpy())
     text: str = cells.to_csv(index=False, float_format=form)
     return text
 
