@@ -299,7 +299,8 @@ def test_a_checkpoint_from_somebody_else_runs_nothing_and_unfolds_to_nothing(tmp
     made = io.BytesIO()
     np.save(made, np.arange(3))
     for content in [*contents, made.getvalue()]:
-        path.write_bytes(hashlib.sha256(content).digest() + content)
+        name = f"s/{path.name}\n".encode()
+        path.write_bytes(hashlib.sha256(name + content).digest() + content)
         if content[:4] == b"PK\5\6":  # an archive of nothing
             assert Journal(tmp_path, "s").kept(0) == ()
             continue

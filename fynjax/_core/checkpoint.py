@@ -5,6 +5,7 @@ what its steps returned, and a run that starts again is given those instead of c
 """
 
 import dataclasses
+import errno
 import hashlib
 import io
 import os
@@ -12,7 +13,6 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from functools import cached_property, partial
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any, TypeVar, get_origin, get_type_hints
 from zipfile import BadZipFile
@@ -23,6 +23,7 @@ import numpy as np
 from jaxtyping import Array
 
 from fynjax._core.errors import InputError, refusing
+from fynjax._core.store import code_hash, is_own
 
 State = TypeVar("State")
 
@@ -36,20 +37,26 @@ class Journal:
         `signature` names the run: all that its steps follow from. Raises `InputError` if the
         folder has the journal of another run.
         """
-        self._folder = Path(folder)
+        self._folder, self._signature = Path(folder), signature
         self._count = 0
+        if not is_own(self._folder):
+            raise InputError(
+                "this checkpoint belongs to another user; choose another folder for your own",
+                file=self._folder,
+            )
         mark = self._folder / _MARK
         if mark.is_file():
             if mark.read_text("utf-8", "replace").strip() != signature:
                 raise InputError(
                     "this checkpoint is of another run: other files, data, parameters, settings "
-                    "or seed. Choose another output, or remove it to start again",
+                    "or seed, or of another version of fynjax. Choose another output, or remove it "
+                    "to start again",
                     file=self._folder,
                 )
             return
         words = "cannot write here: {error.strerror}"
         with refusing(OSError, words=words, file=self._folder):
-            self._folder.mkdir(parents=True, exist_ok=True)
+            self._folder.mkdir(mode=0o700, parents=True, exist_ok=True)
             _write(mark, f"{signature}\n".encode())
 
     def __call__(self, step: Callable[..., Array | np.ndarray], *of: Any) -> np.ndarray:
@@ -69,7 +76,7 @@ class Journal:
 
     def kept(self, number: int) -> tuple[np.ndarray, ...] | None:
         """What a step returned in an earlier run; None if it was not done."""
-        arrays = _load(self._folder / _STEP.format(number))
+        arrays = self._load(_STEP.format(number))
         return None if arrays is None else tuple(arrays.values())
 
     def put(self, number: int, arrays: Sequence[Array | np.ndarray]) -> None:
@@ -85,7 +92,7 @@ class Journal:
 
     def kept_state(self, name: str, kind: type[State]) -> State | None:
         """The last state of a name, of the dataclass `kind`; None if none was kept."""
-        arrays = _load(self._folder / _STATE.format(name))
+        arrays = self._load(_STATE.format(name))
         return None if arrays is None else _built(kind, arrays, "")
 
     def states(
@@ -109,19 +116,46 @@ class Journal:
                 self.put_state(name, last)
 
     def _save(self, name: str, arrays: dict[str, Any]) -> None:
-        """Write arrays by name, behind the hash of what follows it."""
+        """Write arrays by name, behind the hash of the run, the file's name and what follows."""
         content = io.BytesIO()
         try:
             named: dict[str, Any] = {key: np.asarray(value) for key, value in arrays.items()}
             np.savez(content, **named)
             data = content.getvalue()
-            _write(self._folder / name, hashlib.sha256(data).digest() + data)
+            _write(self._folder / name, self._hash(name, data) + data)
         except OSError as error:
             after = "What was kept before stays, and the same command goes on from it"
             if not (self._folder / _MARK).is_file():
                 after = "The checkpoint was removed meanwhile: the same command begins anew"
             words = f"cannot keep what was done: {error.strerror}. {after}"
             raise InputError(words, file=self._folder) from error
+
+    def _hash(self, name: str, data: bytes) -> bytes:
+        return hashlib.sha256(f"{self._signature}/{name}\n".encode() + data).digest()
+
+    def _load(self, name: str) -> dict[str, np.ndarray] | None:
+        """The arrays of the file `name`; None where there is none. `InputError` for content that
+        this run did not write under this name."""
+        path = self._folder / name
+        with refusing(OSError, words="it cannot be opened ({error.strerror})", file=path):
+            try:
+                raw = path.read_bytes()
+            except FileNotFoundError:
+                return None
+        size = hashlib.sha256().digest_size
+        damaged = InputError(
+            "no checkpoint of this step, or a damaged one; remove its folder to start again",
+            file=path,
+        )
+        if self._hash(name, raw[size:]) != raw[:size]:
+            raise damaged
+        try:  # a hash keeps nobody from writing another file with its own
+            with np.load(io.BytesIO(raw[size:]), allow_pickle=False) as file:
+                if sum(part.file_size for part in file.zip.infolist()) > len(raw):
+                    raise damaged
+                return dict(file)
+        except (OSError, ValueError, EOFError, MemoryError, AttributeError, TypeError, BadZipFile):
+            raise damaged from None
 
     def put_failure(self, number: int, text: str) -> Path | None:
         """Keep how a step failed; gives the file, or None where nothing can be written."""
@@ -133,6 +167,7 @@ class Journal:
         return path
 
 
+_PLAIN = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0)
 _KEEP_SECONDS = 5.0
 """A kill loses at most so much work of a solver, and the step under way."""
 _MARK = "calibration.mark"
@@ -177,34 +212,15 @@ def forget_journal(folder: str | Path) -> None:
         folder.rmdir()
 
 
-def _load(path: Path) -> dict[str, np.ndarray] | None:
-    """The arrays that `Journal` wrote; None where there is no file. `InputError` for any other
-    content."""
-    with refusing(OSError, words="it cannot be opened ({error.strerror})", file=path):
-        try:
-            raw = path.read_bytes()
-        except FileNotFoundError:
-            return None
-    size = hashlib.sha256().digest_size
-    damaged = InputError(
-        "no checkpoint, or a damaged one; remove its folder to start again", file=path
-    )
-    if hashlib.sha256(raw[size:]).digest() != raw[:size]:
-        raise damaged
-    try:  # a hash keeps nobody from writing another file with its own
-        with np.load(io.BytesIO(raw[size:]), allow_pickle=False) as file:
-            if sum(part.file_size for part in file.zip.infolist()) > len(raw):
-                raise damaged
-            return dict(file)
-    except (OSError, ValueError, EOFError, MemoryError, AttributeError, TypeError, BadZipFile):
-        raise damaged from None
-
-
 def _write(path: Path, data: bytes) -> None:
     """Beside, then renamed: a kill or a full disk leaves a whole file or none."""
     work = path.with_name(path.name + ".work")
+    if work.is_symlink():  # what it leads to is no work of ours
+        raise OSError(errno.ELOOP, f"{work.name} is a link", work)
     try:
-        work.write_bytes(data)
+        number = os.open(work, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | _PLAIN, 0o600)
+        with os.fdopen(number, "wb") as file:
+            file.write(data)
     except OSError:
         work.unlink(missing_ok=True)
         raise
@@ -215,7 +231,8 @@ def signature(*signed: Any) -> str:
     """A hash of all that a run follows from.
 
     It is the same in every process, and differs where a type, an array, a number, a text or a
-    function within `signed` does. Functions are known by their names and what they close over.
+    function within `signed` does, or the source of the package. Functions are known by their names
+    and what they close over.
 
     **Arguments:** `signed`, any values; modules, dataclasses and containers are taken apart.
 
@@ -240,7 +257,7 @@ def signature(*signed: Any) -> str:
                 add(part)
             entered.remove(id(value))
 
-    add((version("fynjax"), signed))
+    add((code_hash(), signed))
     return total.hexdigest()
 
 

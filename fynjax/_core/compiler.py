@@ -8,6 +8,8 @@ from importlib.metadata import version
 from importlib.util import find_spec
 from pathlib import Path
 
+from fynjax._core.store import Store, cache_folder, code_hash
+
 WRONG_SUMS = "0.10.2"
 """Version of jaxlib whose reductions on a processor may overwrite each other's sums: an image of a
 frame camera gets its first bands in place of the others, depending on processor, threads and size,
@@ -73,28 +75,67 @@ def set_flags() -> None:
     os.environ["XLA_FLAGS"] = " ".join(wanted if mended else [*wanted, OWN_SUMS])
 
 
-def cache_folder() -> Path:
-    """Folder of JAX's compiled programs: `XDG_CACHE_HOME/fynjax`, or `~/.cache/fynjax`."""
-    base = os.environ.get("XDG_CACHE_HOME")
-    return (Path(base) if base else Path.home() / ".cache") / "fynjax"
+_PROGRAMS = Store("jax", largest=2 << 30, entry=1 << 28)
+_SUMS = Store("right-sums", largest=1 << 16, entry=64)
+
+
+def programs_folder() -> Path | None:
+    """Folder of compiled programs; None where there can be none."""
+    return _PROGRAMS.folder()
 
 
 def keep_compiled() -> None:
     """Keep compiled programs for the next process, unless the environment variable
-    JAX_COMPILATION_CACHE_DIR says where, or the process has said so already: in `cache_folder`."""
+    JAX_COMPILATION_CACHE_DIR says where, or the process has said so already: in the folder `jax` of
+    the store (`fynjax._core.store`). Of those a program is run only if it has the store's hash
+    under its own key: what is put there otherwise is compiled anew."""
     import jax  # late: help and errors of the command line need none
 
+    folder = _PROGRAMS.folder()
+    if folder is None or not _take_programs(folder):
+        return  # a home that cannot be written costs compilation time, nothing else
     kept = getattr(jax.config, "jax_compilation_cache_dir", None)
     if kept or "JAX_COMPILATION_CACHE_DIR" in os.environ:
         return
-    folder = cache_folder() / "jax"
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError:
-        return  # a home that cannot be written costs compilation time, nothing else
     jax.config.update("jax_compilation_cache_dir", str(folder))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
+
+
+def _take_programs(ours: Path) -> bool:
+    """Let JAX read and write its programs in the folder `ours` through the store; gives whether
+    this version of JAX can be told so."""
+    try:
+        from jax._src import compilation_cache
+        from jax._src.compilation_cache_interface import CacheInterface
+
+        files_of = compilation_cache.get_file_cache
+    except (ImportError, AttributeError):
+        return False
+
+    class Programs(CacheInterface):
+        """JAX's way to what it keeps."""
+
+        def __init__(self, path: str) -> None:
+            self._path = Path(path)
+
+        def get(self, key: str) -> bytes | None:
+            return _PROGRAMS.get(key)
+
+        def put(self, key: str, value: bytes) -> None:
+            _PROGRAMS.put(key, value)
+
+    def file_cache(path: str) -> tuple[CacheInterface, str] | None:
+        found: tuple[CacheInterface, str] | None = files_of(path)
+        with suppress(OSError):
+            if Path(path) == cache_folder() / "jax":
+                return Programs(path), path
+        return found
+
+    if not hasattr(files_of, "of_fynjax"):
+        file_cache.of_fynjax = True  # type: ignore[attr-defined]
+        compilation_cache.get_file_cache = file_cache
+    return True
 
 
 def error_of_sums() -> float:
@@ -115,15 +156,17 @@ def error_of_sums() -> float:
 
 
 def check_sums_once() -> None:
-    """Check sums with each version of jaxlib and kind of device once: that they were right is kept
-    in `cache_folder`.
+    """Check sums with each version of jaxlib, kind of device and flags once: that they were right
+    is kept in the store.
 
     **Raises:** `RuntimeError` with the way out, where they are wrong.
     """
     import jax
 
-    kept = cache_folder() / "right-sums" / f"jaxlib-{version('jaxlib')}-{jax.default_backend()}"
-    if kept.exists():
+    flags = os.environ.get("XLA_FLAGS", "")
+    code = code_hash("_core/compiler.py")
+    key = f"jaxlib {version('jaxlib')} {jax.default_backend()} {flags} {code}"
+    if _SUMS.get(key) is not None:
         return
     off = error_of_sums()
     if not off <= WRONG_BY:
@@ -132,6 +175,4 @@ def check_sums_once() -> None:
             f"{off:.1g}), and so would every image be. `fynjax doctor` says what is wrong; a way "
             f"out is the environment variable XLA_FLAGS={OWN_SUMS}, or another version of JAX"
         )
-    with suppress(OSError):  # of a home that cannot be written: the next command checks again
-        kept.parent.mkdir(parents=True, exist_ok=True)
-        kept.touch()
+    _SUMS.put(key, b"right")

@@ -7,6 +7,8 @@ from typing import Any
 
 _plans: ContextVar[list[Any] | None] = ContextVar("fynjax.dry_run", default=None)
 """Scenes that a dry run has counted; None: this is none."""
+_checks: ContextVar[list[Callable[[Iterable[str]], None]]] = ContextVar("fynjax.checks")
+"""What looks at the names of the files before the work begins; empty once it has."""
 
 
 class DryRunEnd(Exception):
@@ -42,6 +44,17 @@ def dry_run() -> Iterator[None]:
         _plans.reset(before)
 
 
+@contextmanager
+def checked_before_work(check: Callable[[Iterable[str]], None]) -> Iterator[None]:
+    """The first job that begins its work in the block gives the names of its files to `check`,
+    which raises where they cannot be written: an hour of work is not done in vain."""
+    before = _checks.set([check])
+    try:
+        yield
+    finally:
+        _checks.reset(before)
+
+
 def rehearsing() -> bool:
     """Whether this is a dry run: what takes long is left out."""
     return _plans.get() is not None
@@ -65,8 +78,12 @@ def begin_work(files: Mapping[str, str], inputs: Iterable[object] = ()) -> None:
     - `files`: the main files that will be written, by name, with their sizes where known.
     - `inputs`: those that a run reads one by one as it works on them; a dry run reads them here.
 
-    **Raises:** `DryRunEnd` in the block of `dry_run`, with the last scene that was counted.
+    **Raises:** `DryRunEnd` in the block of `dry_run`, with the last scene that was counted; what a
+    check of the names raises (`checked_before_work`).
     """
+    checks = _checks.get([])
+    if checks:
+        checks.pop()(files)
     plans = _plans.get()
     if plans is not None:
         for _ in inputs:

@@ -7,6 +7,7 @@ import operator
 import re
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+from math import isfinite
 from pathlib import Path
 from typing import Any, ParamSpec, TypeVar
 
@@ -127,6 +128,16 @@ def whole_number(name: str, value: Any, least: int = 0, most: int | None = None)
         span = f"of at least {least}" if most is None else f"from {least} to {most}"
         raise InputError(f"expected `{name}` as a whole number {span}, but got {value!r:.60}")
     return number
+
+
+def is_odd_number(text: str) -> bool:
+    """Whether Python takes a text for a number and a reader does not: 1_0, digits of others."""
+    if text.isascii() and "_" not in text:
+        return False
+    try:
+        return bool(isfinite(float(text)))
+    except ValueError:
+        return False
 
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:

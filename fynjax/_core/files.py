@@ -1,11 +1,17 @@
 """What a user, or a file of a user, names must be a file, and hold no more than memory can take."""
 
+import errno
 import gzip
+import hashlib
 import io
 import os
+import re
 import stat
 import sys
 import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -23,6 +29,27 @@ _TIGHTEST = 3000
 tighter than 1 in 1032, and few measurements tighter than 1 in 10."""
 _FREELY = 1 << 28
 """Bytes that a file may state whatever its size."""
+
+
+_read: ContextVar[set[Path] | None] = ContextVar("fynjax.read", default=None)
+
+
+@contextmanager
+def noting_files() -> Iterator[set[Path]]:
+    """Give a set that takes every file that is read in the block as an input, as it was named and
+    where links lead."""
+    read: set[Path] = set()
+    before = _read.set(read)
+    try:
+        yield read
+    finally:
+        _read.reset(before)
+
+
+def note_file(path: Path) -> None:
+    """Count a file among those that are read (`noting_files`)."""
+    if (read := _read.get()) is not None:
+        read |= {path.absolute(), path.resolve()}
 
 
 def existing_file(path: str | Path, what: str) -> Path:
@@ -49,6 +76,7 @@ def existing_file(path: str | Path, what: str) -> Path:
                 f"fynjax does not read.{how_to_import(path)}",
                 file=path,
             )
+        note_file(path)
         return path
     came = "this is a folder" if stat.S_ISDIR(mode) else "this is a pipe or a device, not a file"
     raise InputError(f"expected {what}, but {came}", file=path)
@@ -83,9 +111,59 @@ def is_elsewhere(path: Path, part: Path) -> bool:
     return part.resolve().parent not in folders
 
 
+_LONGEST_NAME = 255
+"""Bytes of a name that file systems take."""
+
+_WHY = {
+    errno.ENAMETOOLONG: "the name is too long",
+    errno.ELOOP: "links lead back to themselves",
+    errno.EFBIG: "a file would be larger than this disk, or the limit of the process "
+    "(`ulimit -f`), allows",
+    errno.ENOSPC: "the disk is full",
+    errno.EROFS: "this disk cannot be written",
+    errno.EACCES: "this user may not read or write it",
+    errno.EPERM: "this user may not read or write it",
+    errno.EMFILE: "too many files are open (`ulimit -n`)",
+} | ({errno.EDQUOT: "your quota on this disk is used up"} if hasattr(errno, "EDQUOT") else {})
+
+
+_OF_WRITING = re.compile(r"HDF|NetCDF|[Ww]rit|I/O|TIFF")
+
+
+def why_failed(error: BaseException) -> str | None:
+    """What a system says of a file, in words that say what to change; None for any other error."""
+    if isinstance(error, RuntimeError) and "ymlink loop" in str(error):
+        return _WHY[errno.ELOOP]
+    return _WHY.get(error.errno or 0) if isinstance(error, OSError) else None
+
+
+def may_be_limited(error: BaseException) -> bool:
+    """Whether an error of a library of files, which does not say what stopped it, may be that of a
+    file that is larger than this process may write."""
+    try:
+        import resource
+    except ImportError:  # of Unix alone
+        return False
+    limit, _ = resource.getrlimit(resource.RLIMIT_FSIZE)
+    return limit != resource.RLIM_INFINITY and bool(_OF_WRITING.search(str(error)))
+
+
+def check_folder(path: Path) -> None:
+    """Refuse a folder for results that no system can make: a name that is no text or too long
+    (`check_name`), or links that lead back to themselves.
+
+    **Raises:** `InputError`.
+    """
+    check_name(path)
+    try:
+        path.resolve().exists()
+    except (OSError, RuntimeError) as error:
+        raise InputError(f"cannot write here: {why_failed(error) or error}", file=path) from error
+
+
 def check_name(path: Path) -> None:
     """Refuse a file or folder whose name, or that of a folder above it, has bytes that are no text
-    in this system's encoding, which libraries of files cannot open or write.
+    in this system's encoding, which libraries of files cannot open or write, or too many.
 
     **Raises:** `InputError`.
     """
@@ -98,6 +176,12 @@ def check_name(path: Path) -> None:
             f"0x{byte} is none. Rename it, or the folder that it is in",
             file=str(path).encode("utf-8", "backslashreplace").decode(),
         ) from error
+    longest = max(path.parts, key=lambda part: len(os.fsencode(part)), default="")
+    if len(os.fsencode(longest)) > _LONGEST_NAME:
+        raise InputError(
+            f"expected names of at most {_LONGEST_NAME} bytes, but {longest[:20]!r}... has "
+            f"{len(os.fsencode(longest))}"
+        )
 
 
 def why_not(path: Path, error: Exception) -> str:
@@ -123,6 +207,7 @@ def read_bytes(path: Path, largest: int = LARGEST_TEXT) -> bytes:
     **Raises:** `InputError` for a file that is larger or unfolds to more, cannot be opened, or is
     cut short or damaged.
     """
+    note_file(path)
     words = "it cannot be opened ({error.strerror})"
     with refusing(OSError, words=words, file=path), path.open("rb") as file:
         data = file.read(largest + 1)
@@ -162,6 +247,12 @@ def _file_beside(
     except (OSError, RuntimeError) as error:  # a link in a loop
         text = f"expected {what}, but {why_not(place, error)}"
     raise ValueError(f"{name!r}: {text}")
+
+
+def file_hash(path: str | Path) -> str:
+    """SHA-256 of the file `path`, in hexadecimal."""
+    with open(path, "rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 @dataclass(frozen=True)

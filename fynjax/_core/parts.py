@@ -32,6 +32,7 @@ import numpy as np
 from jaxtyping import Array
 
 from fynjax._core.checkpoint import Journal
+from fynjax._core.compiler import keep_compiled
 from fynjax._core.errors import InputError
 from fynjax._core.extras import require
 from fynjax._core.memory import free_memory
@@ -413,6 +414,7 @@ def _unfit(settings: _Settings) -> str:
     if other:
         return "it has " + ", ".join(other)
     os.environ.update(settings.environment)
+    keep_compiled()  # before the folder is named: what is read there goes through the store
     for name, value in settings.config:
         jax.config.update(name, value)
     return ""

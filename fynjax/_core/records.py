@@ -4,12 +4,14 @@ The JSON Schemas in `data_schemas/` are made from them; `unit` and `slip` feed t
 `InputError`.
 """
 
-from collections.abc import Callable
+import functools
+import typing
+from collections.abc import Callable, Mapping
 from typing import Any, ClassVar, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from fynjax._core.errors import LARGEST
+from fynjax._core.errors import LARGEST, is_odd_number
 from fynjax._core.parameters import Parameter
 
 Slip = Callable[[float], str | None]
@@ -91,6 +93,41 @@ def _descriptions_on_one_line(schema: dict[str, Any]) -> None:
             part["description"] = " ".join(part["description"].split())
 
 
+def _kinds(annotation: Any) -> set[Any]:
+    """The kinds of values that a field takes, alone or in lists; without words of its own."""
+    if typing.get_origin(annotation) is typing.Literal:
+        return set()
+    inner = typing.get_args(annotation)
+    return set().union(*map(_kinds, inner)) if inner else {annotation}
+
+
+@functools.cache
+def _keys_of_numbers(record: type[BaseModel]) -> list[tuple[str, bool]]:
+    """Keys of a record that take numbers, and whether they take texts, too."""
+    found = []
+    for name, field in record.model_fields.items():
+        kinds = _kinds(field.annotation)
+        if kinds & {int, float} and not kinds & {bool, Any}:
+            found += [(key, str in kinds) for key in dict.fromkeys((name, field.alias or name))]
+    return found
+
+
+class Refused:
+    """What is given for a number and is none, though Python takes it for one."""
+
+    def __init__(self, given: Any) -> None:
+        self.given = given
+
+
+def _plain(value: Any, *, texts: bool) -> Any:
+    """A value, alone or in a list, in which what is no number is `Refused`; where `texts` may
+    stand, those are no numbers anyway."""
+    if isinstance(value, list | tuple):
+        return [_plain(one, texts=texts) for one in value]
+    odd = not texts and isinstance(value, str) and is_odd_number(value)
+    return Refused(value) if isinstance(value, bool) or odd else value
+
+
 class Strict(BaseModel):
     """A record that takes no unknown names and cannot be changed; docstrings of its fields are
     their descriptions in schemas and errors."""
@@ -128,6 +165,18 @@ class Strict(BaseModel):
         if unknown := sorted(set(changes) - set(type(self).model_fields)):
             raise TypeError(f"{type(self).__name__} has no {', '.join(unknown)}")
         return self.model_copy(update=changes)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _plain_numbers(cls, given: Any) -> Any:
+        """`true` is no 1, and 1_0 no 10, where a number stands."""
+        if not isinstance(given, Mapping):
+            return given
+        checked = dict(given)
+        for key, texts in _keys_of_numbers(cls):
+            if key in checked:
+                checked[key] = _plain(checked[key], texts=texts)
+        return checked
 
     @model_validator(mode="after")
     def _measurable(self) -> Self:

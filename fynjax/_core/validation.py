@@ -11,8 +11,8 @@ from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
-from fynjax._core.errors import InputError, did_you_mean, listed
-from fynjax._core.records import Strict
+from fynjax._core.errors import InputError, did_you_mean, is_odd_number, listed
+from fynjax._core.records import Refused, Strict
 
 Row = TypeVar("Row", bound=BaseModel)
 
@@ -57,15 +57,25 @@ def expected(field: FieldInfo) -> str:
 
 
 def _number(value: Any) -> float | None:
+    if isinstance(value, bool) or (isinstance(value, str) and is_odd_number(value)):
+        return None
     try:
         return float(value)
     except (OverflowError, TypeError, ValueError):
         return None
 
 
+def _as_given(value: Any) -> Any:
+    """What a user gave, alone or in a list, where a record refuses it as a number."""
+    if isinstance(value, list):
+        return [_as_given(one) for one in value]
+    return value.given if isinstance(value, Refused) else value
+
+
 def shown(value: Any) -> str:
     """A value as the user wrote it, cut short."""
     text = repr(value) if isinstance(value, str) else str(value)
+    text = text.lower() if isinstance(value, bool) else text
     return text if len(text) <= 60 else text[:57] + "..."
 
 
@@ -77,6 +87,7 @@ _SLIPS = tuple(
             r"[+-]?\d{1,3}([.,' \xa0\u202f\u2019]\d{3})+([.,]\d+)?",
             "Marks between thousands? Leave them out.",
         ),
+        (r"[+-]?\d+(_\d+)+\.?\d*", "Marks between thousands? Leave them out."),
         (r"(<|>|=|≤|≥|~|≈|ca?\.?)+ *[\d.,]+ *%?", "A limit? Write the number to take for it."),
         (r"tr(ace)?s?\.?|present|x", "Write the number to take for it."),
         (r"[\d.,]+ *(-|–|—|\.\.+|to|bis) *[\d.,]+ *%?", "A range? Write one number, its middle."),
@@ -126,7 +137,7 @@ def sentence(error: ErrorDetails, model: type[BaseModel], name: str) -> str:
     - `model`: the record that was refused.
     - `name`: of the field.
     """
-    kind, value = error["type"], error["input"]
+    kind, value = error["type"], _as_given(error["input"])
     known = columns(model)
     if kind == "extra_forbidden":
         return f"unknown name {name!r}.{did_you_mean(name, known)} Known: {', '.join(known)}."

@@ -1,26 +1,25 @@
 """Leaves of a plot's taxa from folders of measured spectra: fitted once, and kept."""
 
-import hashlib
 import json
 import warnings
 from collections import Counter
-from collections.abc import Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Iterable, Mapping, Sequence
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool
 
-from fynjax import __version__
-from fynjax._core.compiler import cache_folder
 from fynjax._core.dry_run import rehearsing
-from fynjax._core.errors import InputError
+from fynjax._core.errors import LARGEST, InputError
+from fynjax._core.store import Store, code_hash
 from fynjax.io.plot import Plot
 from fynjax.io.raster import file_hash
 from fynjax.io.spectra import measured_dataset, usable_spectra, warnings_of_reading
-from fynjax.io.text import write_text
 from fynjax.leaf import (
+    LEAF_PARAMETERS,
     MEASUREMENTS,
     AbstractMeasurement,
     LeafChunks,
@@ -32,8 +31,9 @@ from fynjax.leaf import (
 )
 from fynjax.scene import LEAF_FIELDS, USUAL_LEAF, LeafRow
 
-_KEPT = 2
-"""Number of the form in which fits are kept."""
+_KEPT = Store("leaves", largest=1 << 26, entry=1 << 22)
+_CODE = "_core", "leaf", "io/spectra", "assembly/_leaf_spectra.py"
+"""What fits are made by: after a change of it they are made anew."""
 
 
 class MeanLeaf(NamedTuple):
@@ -111,8 +111,8 @@ def measured_leaves(plot: Plot) -> MeasuredLeaves:
     """The mean leaf of each taxon that has files of spectra, by PROSPECT fitted to all of them, and
     how well it is known.
 
-    Fits are kept in the cache of compiled programs, by the content of the files, with what was to
-    be said of them.
+    Fits are kept (`fynjax._core.store`), by the content of the files and the code that makes them,
+    with what was to be said of them.
 
     **Arguments:** `plot`, as `read_plot` gives it.
 
@@ -122,24 +122,20 @@ def measured_leaves(plot: Plot) -> MeasuredLeaves:
     files = plot.leaf_files
     if not files:
         return MeasuredLeaves([], {})
-    how = [_KEPT, plot.leaf_measurement, plot.leaf_background]
+    how = [plot.leaf_measurement, plot.leaf_background, version("jax"), str(jnp.zeros(0).dtype)]
     # By content, not by name: a file that was changed is fitted anew. By name too, which the
     # warnings have.
     content = [
-        __version__, how,
+        code_hash(*_CODE), how,
         [(taxon, [(file.name, file_hash(file)) for file in own]) for taxon, own in files.items()],
     ]  # fmt: skip
-    name = hashlib.sha256(json.dumps(content).encode()).hexdigest()
-    kept = cache_folder() / "leaves" / f"{name}.json"
-    found = None
-    with suppress(OSError, ValueError):
-        found = json.loads(kept.read_text("utf-8"))
+    key = json.dumps(content)
+    kept = _KEPT.get(key)
+    found = None if kept is None else _whole(kept, files)
     if found is None:
         found = _fitted(files, leaf_instrument(plot))
         if not rehearsing():
-            with suppress(OSError):  # a home that cannot be written costs the fit, nothing else
-                kept.parent.mkdir(parents=True, exist_ok=True)
-                write_text(kept, json.dumps(found))
+            _KEPT.put(key, json.dumps(found).encode())
     for sentence in found["said"]:
         warnings.warn(sentence, stacklevel=2)
     leaves = found["leaves"]
@@ -153,6 +149,22 @@ def measured_leaves(plot: Plot) -> MeasuredLeaves:
             for trait, sd in leaves[taxon]["spread"].items()
         },
     )
+
+
+def _whole(kept: bytes, taxa: Iterable[str]) -> dict[str, Any] | None:
+    """What was kept of the leaves of these taxa, if every number is one that a leaf can have."""
+    try:
+        found = json.loads(kept)
+        said = found["said"]
+        leaves = [found["leaves"][taxon] for taxon in taxa]
+        traits = [(name, float(leaf["traits"][name])) for leaf in leaves for name in LEAF_FIELDS]
+        spreads = [float(sd) for leaf in leaves for sd in leaf["spread"].values()]
+        plain = isinstance(said, list) and all(isinstance(text, str) for text in said)
+    except (AttributeError, LookupError, TypeError, ValueError, RecursionError):
+        return None
+    inside = all(LEAF_PARAMETERS[name].contains(value) for name, value in traits)
+    known = all(0.0 <= sd < LARGEST for sd in spreads)
+    return found if inside and known and plain else None
 
 
 def _fitted(files: Mapping[str, Sequence[Path]], instrument: AbstractMeasurement) -> dict[str, Any]:

@@ -1,5 +1,6 @@
 """The `fynjax` command. Each subcommand is a module that parses and calls one job."""
 
+import inspect
 import io
 import logging
 import os
@@ -7,13 +8,13 @@ import re
 import signal
 import sys
 from collections.abc import Callable, Sequence
-from typing import Annotated, Any
+from typing import Annotated, Any, get_args
 
 import typer
 from typer.core import TyperCommand
 
 import fynjax
-from fynjax._core.errors import InputError, MissingExtraError
+from fynjax._core.errors import InputError, MissingExtraError, is_odd_number
 from fynjax.cli._bioscape import calibrate_plots, learn, plots_of_tables, validate_plots
 from fynjax.cli._diversity import diversity
 from fynjax.cli._inversion import calibrate, design, information, posterior, sensitivity
@@ -52,13 +53,29 @@ _BIOSCAPE = {
 }
 
 
-class _Once(TyperCommand):
+def _is_number(annotation: Any) -> bool:
+    """Whether an option takes a number, by the annotation of its argument."""
+    (kind, *_) = get_args(annotation) or [annotation]
+    return not {int, float}.isdisjoint({kind, *get_args(kind)})
+
+
+def _listed(value: Any) -> list[str]:
+    """Texts that an option was given."""
+    return [str(one) for one in (value if isinstance(value, list | tuple) else [value])]
+
+
+class _Strict(TyperCommand):
     """A command that refuses a second value of an option that takes one, which would replace the
-    first without a word."""
+    first without a word, and 1_0 for ten."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        _, _, given = self.make_parser(ctx).parse_args(args=list(args))
+        texts, _, given = self.make_parser(ctx).parse_args(args=list(args))
+        known = inspect.signature(self.callback).parameters if self.callback else {}
         for option in given:
+            if option.name in known and _is_number(known[option.name].annotation):
+                for text in _listed(texts.get(option.name)):
+                    if is_odd_number(text):
+                        raise InputError(f"`{option.opts[0]}` must be a number, but is {text!r}")
             if option.param_type_name != "option" or getattr(option, "multiple", False):
                 continue
             agrees = getattr(option, "is_flag", False) and not option.secondary_opts
@@ -77,14 +94,14 @@ _SETTINGS: Any = {
 app = typer.Typer(name="fynjax", **_SETTINGS)
 for _panel, _commands in _PANELS.items():
     for _name, _function in _commands.items():
-        app.command(_name, cls=_Once, rich_help_panel=_panel)(_function)
+        app.command(_name, cls=_Strict, rich_help_panel=_panel)(_function)
 _group = typer.Typer(
     help="Field tables and spectra of BioSCape: plot files, what plots share, simulated beside "
     "measured, and back.",
     **_SETTINGS,
 )
 for _name, _function in _BIOSCAPE.items():
-    _group.command(_name, cls=_Once)(_function)
+    _group.command(_name, cls=_Strict)(_function)
 app.add_typer(_group, name="bioscape", rich_help_panel="Many plots")
 
 
@@ -159,8 +176,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """
     # An exit, unlike the signal itself, lets unfinished results be cleared away.
     signal.signal(signal.SIGTERM, lambda *_: _fail("ended; nothing was written", _TERMINATED))
-    # GDAL reports through logging, and a logger without a handler prints to stderr.
-    logging.getLogger("rasterio").addHandler(logging.NullHandler())
+    # GDAL reports through logging, matplotlib that it has no home, and a logger without a handler
+    # prints to stderr.
+    for name in ("rasterio", "matplotlib"):
+        logging.getLogger(name).addHandler(logging.NullHandler())
     for stream in (sys.stdout, sys.stderr):  # a terminal may lack letters that names of files have
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
@@ -181,6 +200,11 @@ def _run(arguments: Sequence[str] | None) -> None:
             raise
         if isinstance(error, InputError):
             _fail(f"error: {error}", 2)
+        from fynjax._core.files import why_failed  # late: it is slow to load
+
+        if (why := why_failed(error)) is not None:
+            name = getattr(error, "filename", None)
+            _fail(f"error: {'' if name is None else f'{name!s:.80}: '}{why}", 2)
         if hasattr(error, "format_message"):  # a usage error; typer brings a click of its own
             text = error.format_message()
             _fail(f"error: {text}" if text else "error: no command; see fynjax --help", 2)

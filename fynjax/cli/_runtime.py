@@ -2,7 +2,6 @@
 
 import _thread
 import functools
-import hashlib
 import importlib
 import inspect
 import json
@@ -13,16 +12,16 @@ import signal
 import sys
 import threading
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, nullcontext
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NoReturn
 
 import typer
 
-from fynjax._core.compiler import cache_folder, check_sums_once, keep_compiled
+from fynjax._core.compiler import check_sums_once, keep_compiled
 from fynjax._core.dry_run import DryRunEnd, dry_run
-from fynjax._core.errors import InputError
+from fynjax._core.errors import InputError, is_odd_number
 
 if TYPE_CHECKING:
     from fynjax.jobs import JobResult
@@ -31,6 +30,14 @@ if TYPE_CHECKING:
 def option(metavar: str, help: str, *flags: str, **more: Any) -> Any:
     """An option that has a value, which `metavar` names in the help: typer's `Option`."""
     return typer.Option(*flags, metavar=metavar, help=help, **more)
+
+
+def _folder(text: str | Path) -> Path:
+    """The path of a folder, which an empty text does not name: it comes from a shell's variable
+    that is not set, and would be the working folder."""
+    if not str(text).strip():
+        raise InputError("expected the name of a folder, but got an empty text; here is `.`")
+    return Path(text)
 
 
 Seed = Annotated[
@@ -51,6 +58,7 @@ Checkpoint = Annotated[
         "DIR",
         "Folder of the unfinished run; OUTPUT.checkpoint if left out. The same command goes "
         "on from it.",
+        parser=_folder,
     ),
 ]
 WorkerCount = Annotated[
@@ -100,7 +108,16 @@ BANDS = (
 Align = Annotated[
     bool, typer.Option("--align/--no-align", help="Align the bands of a capture's files.")
 ]
-Output = Annotated[Path, option("DIR", "Folder for the results.")]
+
+Output = Annotated[Path, option("DIR", "Folder for the results.", parser=_folder)]
+Overwrite = Annotated[
+    bool,
+    typer.Option(
+        "--overwrite",
+        help="Replace files in the folder for the results too that no earlier run of this command "
+        "wrote, or that were changed since; a warning names them. Input is never replaced.",
+    ),
+]
 Json = Annotated[
     bool, typer.Option("--json", help="Print a summary as JSON on stdout, and nothing else.")
 ]
@@ -164,6 +181,8 @@ def listed(
             found = tuple(kind(part.strip()) for part in text.split(","))
         except ValueError:
             found = ()
+        if kind is not str and any(map(is_odd_number, text.split(","))):  # 1_0 is no ten
+            found = ()
         found = found if all(isinstance(v, str) or math.isfinite(v) for v in found) else ()
         if not found or (counts and len(found) not in counts):
             raise InputError(f"`{param.opts[0]}` must be {form}, but is {text!r}")
@@ -204,8 +223,8 @@ def command(
 
     The job is given the options by their names, and the folder of the results as `output`; an
     option that is left out has the job's default. Errors and warnings that name arguments of the
-    job name the options instead. All commands have --output, --json, --quiet, --strict, --dry-run,
-    those that take a plot file --allow-outside.
+    job name the options instead. All commands have --output, --overwrite, --json, --quiet,
+    --strict, --dry-run, those that take a plot file --allow-outside.
 
     **Arguments:**
 
@@ -221,6 +240,7 @@ def command(
     shared: dict[str, tuple[Any, Any]] = {
         **{key: (annotation, None) for key, annotation in (further or {}).items()},
         "output": (Output, Path("output") / name.replace(" ", "-")),
+        "overwrite": (Overwrite, False),
         "json": (Json, False),
         "quiet": (Quiet, False),
         "strict": (Strict, False),
@@ -248,6 +268,7 @@ def command(
         def run(
             *,
             output: Path,
+            overwrite: bool,
             json: bool,
             quiet: bool,
             strict: bool,
@@ -273,7 +294,7 @@ def command(
                 return result.model_copy(update={"warnings": named})
 
             start = functools.partial(
-                run_job, name, work, output, as_json=json, quiet=quiet,
+                run_job, name, work, output, as_json=json, quiet=quiet, overwrite=overwrite,
                 checkpoint=checkpoint, forget=forget,
             )  # fmt: skip
             if dry_run:
@@ -343,24 +364,88 @@ def _show_dry_run(
             show_files(end.files)
 
 
-def _listed_files(output: Path, command: str) -> list[str]:
-    """Files that an earlier run of this command lists in its folder; none if it lists none.
-
-    Those of another command stay: they are other results, and may be what this run reads.
-    """
-    try:
-        earlier = json.loads((output / "summary.json").read_text("utf-8"))
-    except (OSError, ValueError):
-        return []
-    if not isinstance(earlier, dict) or earlier.get("command") != command:
-        return []
-    files = earlier.get("files")
-    return list(files) if isinstance(files, dict) else []
-
-
 def _stated_files() -> list[Path]:
-    """Files that the command line may name: input, which no run removes."""
+    """Files that the command line may name: input, which no run replaces or removes."""
     return [Path(text.split("=", 1)[-1]).absolute() for text in sys.argv[1:] if text]
+
+
+def _ways(path: Path) -> set[str]:
+    """A path as it is, and where links lead, if they do."""
+    found = {os.path.normcase(path)}
+    with suppress(OSError, RuntimeError, ValueError):  # a loop of links, no name
+        found.add(os.path.normcase(path.resolve()))
+    return found
+
+
+class _Guard:
+    """Lets a run replace and remove in its folder what an earlier run of the command wrote there
+    and nobody changed since, and never an input of its own."""
+
+    def __init__(self, output: Path, command: str, overwrite: bool, read: Collection[Path]) -> None:
+        """`read` has the inputs of the run, as it goes on; with `overwrite` other files are
+        replaced, too."""
+        from fynjax.io.text import SUMMARY, EarlierRun
+
+        self._output, self._overwrite, self._read = output, overwrite, read
+        self._earlier = EarlierRun(output, command)
+        self._earlier_names = list(self._earlier.hashes)
+        inputs = self._inputs()
+        self._refuse_strange(
+            name for name in (SUMMARY, *self._earlier_names)
+            if not _ways(output.absolute() / name) & inputs  # stays, edited or not
+        )  # fmt: skip
+
+    def _inputs(self) -> set[str]:
+        stated = set().union(*map(_ways, _stated_files()))
+        return stated | {os.path.normcase(way) for way in self._read}
+
+    def check(self, names: Iterable[str]) -> None:
+        """Raise `InputError` where a file of these names may not be replaced."""
+        names, inputs = list(names), self._inputs()
+        for name in names:
+            path = self._output.absolute() / name
+            if _ways(path) & inputs and os.path.lexists(path):
+                raise InputError(
+                    "this is an input of the run, which its result of the same name would "
+                    "replace. Give another --output",
+                    file=self._output / name,
+                )
+        for name, why in self._earlier.in_the_way(names).items():
+            raise InputError(
+                f"no result can be written here: {why}. Give another --output",
+                file=self._output / name,
+            )
+        self._refuse_strange(names)
+
+    def _refuse_strange(self, names: Iterable[str]) -> None:
+        for name, why in self.strange(names).items():
+            if not self._overwrite:
+                raise InputError(
+                    f"this file is kept: {why}. Give another --output, or --overwrite to replace "
+                    "what is not of such a run",
+                    file=self._output / name,
+                )
+
+    def strange(self, names: Iterable[str]) -> dict[str, str]:
+        """Files of these names that no earlier run wrote so."""
+        return self._earlier.strange(names)
+
+    def said(self, names: Sequence[str]) -> list[str]:
+        """What is to be said of files that are replaced, or stay beside the new ones."""
+        lines = [f"replaced {self._output / n}: {why}" for n, why in self.strange(names).items()]
+        left = [name for name in self._earlier_names if name not in names]
+        return lines + [
+            f"kept {self._output / name} of an earlier run: {why}"
+            for name, why in self.strange(left).items()
+        ]
+
+    def removable(self) -> list[str]:
+        """Files of the earlier run that are as it wrote them."""
+        return self._earlier.unchanged()
+
+    def kept(self) -> list[Path]:
+        """Input, which stays."""
+        return [*_stated_files(), *self._read]
 
 
 @contextmanager
@@ -371,24 +456,33 @@ def _alone(output: Path) -> Iterator[None]:
 
     from fynjax.io.text import remove_abandoned
 
-    name = hashlib.sha256(os.fsencode(os.path.normcase(output.resolve()))).hexdigest()[:16]
+    folder = output.resolve()
+    missing = [parent for parent in folder.parents if not parent.exists()]
+    # Beside the folder: runs with other homes or caches know it, too.
+    path = folder.with_name(f".{folder.name}.lock")
+    lock = FileLock(path)
     try:
-        locks = cache_folder() / "locks"
-        locks.mkdir(parents=True, exist_ok=True)
-        lock = FileLock(locks / name)
-        lock.acquire(timeout=0)
-    except Timeout:
-        raise InputError(
-            f"another run is writing into {output}: wait for its end, or give another --output"
-        ) from None
-    except (OSError, RuntimeError):
-        yield  # no home, one that cannot be written, or a file system without locks
-        return
-    try:
-        remove_abandoned(output)
-        yield
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            lock.acquire(timeout=0)
+        except Timeout:
+            raise InputError(
+                f"another run is writing into {output}: wait for its end, or give another --output"
+            ) from None
+        except (OSError, RuntimeError):
+            yield  # a file system that cannot be written, which is said later, or without locks
+            return
+        try:
+            remove_abandoned(output)
+            yield
+        finally:
+            with suppress(OSError):  # Windows removes no file that is open
+                path.unlink()
+            lock.release()
     finally:
-        lock.release()
+        for parent in missing:
+            with suppress(OSError):
+                parent.rmdir()
 
 
 _AGAIN_SECONDS = 0.05
@@ -469,6 +563,7 @@ def run_job(
     *,
     as_json: bool,
     quiet: bool,
+    overwrite: bool = False,
     checkpoint: Path | None = None,
     forget: bool = False,
 ) -> "JobResult":
@@ -477,17 +572,22 @@ def run_job(
     Where an interrupted job leaves a `checkpoint`, a line names it; with `forget` its journal goes
     in the end. The job writes into a
     folder beside `output`, whose files are moved to `output` when all of it has succeeded. Then
-    those files go that an earlier run of the same command listed and this one did not write: they
-    would stand beside results that they do not belong to. Warnings wait until then: if the job
-    fails, its error is the only line.
+    those files go that an earlier run of the same command wrote and this one did not: they would
+    stand beside results that they do not belong to. A file that is no such run's, or that was
+    changed since, is neither replaced nor removed, but with `overwrite`; an input of the run never
+    (`_Guard`). That is checked before the job, when it begins its work, and at the end. Warnings
+    wait until then: if the job fails, its error is the only line.
     """
     from rich.console import Console
 
-    from fynjax._core.files import check_name
+    from fynjax._core.dry_run import checked_before_work
+    from fynjax._core.files import check_folder, file_hash, noting_files
     from fynjax._core.progress import progress
-    from fynjax.io.text import remove_replaced, staged_folder, write_text
+    from fynjax.io.text import SUMMARY, remove_replaced, sealed, staged_folder, write_text
 
-    check_name(output)
+    check_folder(output)
+    if checkpoint is not None:
+        check_folder(checkpoint)
     console = Console(stderr=True)
     bars = progress(console) if console.is_terminal and not quiet and not as_json else nullcontext()
     with (
@@ -495,14 +595,15 @@ def run_job(
         nullcontext() if checkpoint is None else _alone(checkpoint),
         _ended_by_kill() as check_killed,
         warnings.catch_warnings(record=True) as caught,
+        noting_files() as read,
     ):
-        earlier = _listed_files(output, command)
+        guard = _Guard(output, command, overwrite, read)
         warnings.simplefilter("ignore")
         warnings.simplefilter("always", UserWarning)
-        with staged_folder(output) as folder:
+        with staged_folder(output, guard.check) as folder:
             keep_compiled()
             try:
-                with bars:
+                with bars, checked_before_work(guard.check):
                     result = job(folder)
             except (KeyboardInterrupt, SystemExit) as end:
                 _end(end, checkpoint)
@@ -510,15 +611,18 @@ def run_job(
                 end.warnings = _messages(caught)
                 raise
             _check_written(result, folder, output)
-            messages = _messages(caught)
-            result = result.model_copy(
-                update={"output": str(output), "warnings": [*result.warnings, *messages]}
-            )
-            text = result.model_dump_json(indent=2)
-            write_text(folder / "summary.json", text + "\n")
+            files = sorted(p for p in folder.rglob("*") if p.is_file())
+            hashes = {p.relative_to(folder).as_posix(): file_hash(p) for p in files}
+            written = [*hashes, SUMMARY]
+            messages = [*_messages(caught), *guard.said(written)]
+            said = [*result.warnings, *messages]
+            of_run = {"output": str(output), "warnings": said, "hashes": hashes}
+            result = result.model_copy(update=of_run)
+            seal = sealed(json.loads(result.model_dump_json()))
+            text = result.model_copy(update={"hash": seal}).model_dump_json(indent=2)
+            write_text(folder / SUMMARY, text + "\n")
             check_killed()
-            written = [p.relative_to(folder) for p in folder.rglob("*") if p.is_file()]
-        remove_replaced(output, earlier, [*written, *_stated_files()])
+        remove_replaced(output, guard.removable(), [*written, *guard.kept()])
         if forget and checkpoint is not None:
             from fynjax._core.checkpoint import forget_journal
 

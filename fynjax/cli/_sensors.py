@@ -39,6 +39,14 @@ def sensors(
 
 def doctor(
     json: Annotated[bool, typer.Option("--json", help="Print the checks as JSON.")] = False,
+    clear: Annotated[
+        bool,
+        typer.Option(
+            "--clear",
+            help="Remove what runs have kept for later ones instead: compiled programs, fits of "
+            "leaves, and that sums were right.",
+        ),
+    ] = False,
 ) -> None:
     """Check that this machine computes what fynjax relies on, and say the way out where not.
 
@@ -48,6 +56,10 @@ def doctor(
     Example:  JAX_PLATFORMS=cpu fynjax doctor
     """
     from importlib.metadata import version
+
+    if clear:
+        _clear(json)
+        return
 
     import jax
 
@@ -65,6 +77,20 @@ def doctor(
             print(f"{'right' if check.passed else 'WRONG'}  {check.name}: {check.found}{advice}")
     if not all(check.passed for check in checks):
         raise typer.Exit(1)
+
+
+def _clear(as_json: bool) -> None:
+    """Remove what is kept, and say how much it was."""
+    from fynjax._core import store
+
+    files, size = store.clear()
+    folder = store.cache_folder()
+    if as_json:
+        from json import dumps
+
+        print(dumps({"folder": str(folder), "files": files, "bytes": size}))
+    else:
+        print(f"Removed {files} files, {size / 2**20:.1f} MiB, from {folder}")
 
 
 def _products(product: str) -> list[str]:

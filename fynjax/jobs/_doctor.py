@@ -9,8 +9,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from fynjax._core.compiler import OWN_SUMS, WRONG_BY, cache_folder, error_of_sums
+from fynjax._core.compiler import OWN_SUMS, WRONG_BY, error_of_sums, programs_folder
 from fynjax._core.memory import free_memory
+from fynjax._core.store import cache_folder
 from fynjax.assembly import read_scene
 from fynjax.radiation import canopy_reflectance
 from fynjax.scene import observe
@@ -120,12 +121,17 @@ def _memory() -> Check:
 
 def _kept() -> Check:
     stated = os.environ.get("JAX_COMPILATION_CACHE_DIR")
-    folder = stated or str(cache_folder() / "jax")
     name = "JAX_COMPILATION_CACHE_DIR" if stated else "XDG_CACHE_HOME"
     advice = f"set {name} to a folder that can be written: else each run compiles anew"
+    folder = stated or "the cache of this user"
     try:
+        if not stated:
+            folder = str(cache_folder() / "jax")
+            if programs_folder() is None:
+                why = "it cannot be written, or is another user's"
+                return Check("kept programs", False, f"{folder}: {why}", advice)
         os.makedirs(folder, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):
             return Check("kept programs", True, folder, advice)
     except OSError as wrong:
-        return Check("kept programs", False, f"{folder}: {wrong.strerror}", advice)
+        return Check("kept programs", False, f"{folder}: {wrong.strerror or wrong}", advice)

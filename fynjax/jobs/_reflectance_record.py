@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from fynjax.io.captures import AlignedCapture, Capture, PanelView
 from fynjax.io.raster import Cube
+from fynjax.io.text import table_text
 from fynjax.jobs._result import Number, Record
 from fynjax.sensors import EmpiricalLine
 
@@ -212,4 +213,4 @@ def calibration_table(captures: Mapping[str, CaptureSummary]) -> str:
     table = pd.DataFrame(rows)[["capture", *columns]].rename(columns={"name": "band"})
     units = dict.fromkeys(capture.radiance_unit for capture in captures.values())
     head = f"# reflectance = gain x radiance [{' or '.join(units)}] + offset\n"
-    return head + table.to_csv(index=False)
+    return head + table_text(table)

@@ -55,6 +55,12 @@ class JobResult(Record):
     files: dict[str, str] = Field(
         default_factory=dict, description="What each file is, by its name in the folder."
     )
+    hashes: dict[str, str] = Field(
+        default_factory=dict,
+        description="SHA-256 of each file in the folder, by its name: a later run of the command "
+        "replaces or removes a file only while it has it.",
+    )
+    hash: str = Field(default="", description="SHA-256 of this record without it.")
     warnings: list[str] = []
     timings_s: dict[str, float] = Field(default_factory=dict, description="Wall time by stage [s].")
     peak_memory_mib: float | None = Field(

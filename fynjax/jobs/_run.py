@@ -14,11 +14,12 @@ from fynjax._core.checkpoint import Journal, signature
 from fynjax._core.dry_run import DryRunEnd as DryRunEnd
 from fynjax._core.dry_run import dry_run as dry_run
 from fynjax._core.errors import whole_number
+from fynjax._core.files import note_file
 from fynjax._core.memory import peak_memory
 from fynjax._core.parts import Workers as Workers
 from fynjax._core.progress import stage
 from fynjax.io.raster import file_hash, provenance, write_qgis_style
-from fynjax.io.text import write_text
+from fynjax.io.text import table_text, write_text
 from fynjax.jobs._result import JobResult
 from fynjax.report.pages import Page, Part, Picture, Section, Table, write_page
 
@@ -92,6 +93,8 @@ class Run:
     def record(self, inputs: Sequence[str | Path | None]) -> dict[str, str | int]:
         """Versions, seed and the hashes of the input files, for products and the page."""
         known = dict.fromkeys(Path(path) for path in inputs if path is not None)
+        for path in known:
+            note_file(path)
         plants = {"plants": self.plants} if self.plants else {}
         return provenance(seed=self.seed, inputs=known) | plants
 
@@ -112,7 +115,7 @@ class Run:
 
     def table(self, name: str, table: pd.DataFrame, what: str, form: str | None = "%.6g") -> None:
         """Write a table as CSV, its numbers in the format `form`."""
-        write_text(self.path(name, what), table.to_csv(index=False, float_format=form))
+        write_text(self.path(name, what), table_text(table, form))
 
     def picture(self, picture: Picture) -> None:
         """Write a picture that stands on no page."""

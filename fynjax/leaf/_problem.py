@@ -306,7 +306,8 @@ def binned_data(
     """
     grid, labels = spectra.wavelength, spectra.source.labels
     own = np.isin(grid, centres)
-    binned = np.array_equal(centres, bin_centres()) and not own.all()
+    # Not `own.all()`: of few bands each may be the centre of a bin.
+    binned = np.array_equal(centres, bin_centres()) and not np.array_equal(grid, centres)
 
     def bins(values: np.ndarray) -> np.ndarray:
         return to_bins(*to_nanometres(grid, values)) if binned else values[:, own]

@@ -1,5 +1,6 @@
 """Leaf optics of a plot's taxa from a folder of measured spectra, in one key."""
 
+import json
 import warnings
 from contextlib import nullcontext
 from pathlib import Path
@@ -10,6 +11,7 @@ import pytest
 import fynjax as fx
 from fynjax._core.dry_run import dry_run
 from fynjax._core.errors import InputError
+from fynjax._core.store import Store
 from fynjax.assembly import _leaf_spectra, build_plot, plot_parameters
 from fynjax.assembly._forward import prepare
 from fynjax.io.plot import plant_sources, read_plot
@@ -249,3 +251,47 @@ def test_folders_without_leaves_of_a_taxon_and_leaves_stated_twice_are_refused(
     path.write_text(path.read_text().replace('"other"', '"nowhere"'))
     with pytest.raises(InputError, match=r"'nowhere': .*leaf spectra"):
         read_plot(path)
+
+
+def test_kept_fits_that_no_leaf_can_have_are_made_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whole entries of another code, or with numbers out of bounds, as a fault would leave them."""
+    plot = read_plot(write_leaves(tmp_path))
+    leaf = plot_parameters(plot).leaf
+    kept, keys, get = _leaf_spectra._KEPT, [], Store.get
+    monkeypatch.setattr(Store, "get", lambda self, key: keys.append(key) or get(self, key))
+
+    def refit(*_: object, **__: object) -> None:
+        raise RuntimeError("fitted again")
+
+    monkeypatch.setattr(_leaf_spectra, "fit_leaf", refit)
+    np.testing.assert_array_equal(plot_parameters(plot).leaf.water, leaf.water)
+    whole = kept.get(keys[0])
+    changes = (
+        *({"water": float("nan")}, {"chlorophyll": -40.0}, {"structure": 90.8}, {"water": "wet"}),
+        *({"spread": -0.1}, {"said": [3]}),
+    )
+    for wrong in ({}, [], {"leaves": {}, "said": []}, *(_with(whole, **each) for each in changes)):
+        kept.put(keys[0], json.dumps(wrong).encode())
+        with pytest.raises(RuntimeError, match="fitted again"):
+            plot_parameters(plot)
+    kept.put(keys[0], whole)
+    np.testing.assert_array_equal(plot_parameters(plot).leaf.water, leaf.water)
+    monkeypatch.setattr(_leaf_spectra, "code_hash", lambda *_: "other code")
+    with pytest.raises(RuntimeError, match="fitted again"):
+        plot_parameters(plot)
+
+
+def _with(whole: bytes, **changes: object) -> dict[str, object]:
+    """What was kept with a trait of the first leaf, its first spread or the warnings changed."""
+    found = json.loads(whole)
+    first = next(iter(found["leaves"].values()))
+    for name, value in changes.items():
+        if name == "said":
+            found["said"] = value
+        elif name == "spread":
+            first["spread"][next(iter(first["spread"]))] = value
+        else:
+            first["traits"][name] = value
+    return found

@@ -1,6 +1,11 @@
 """Meshes to plant models: areas kept, frames and units right, errors that help."""
 
+import bz2
 import contextlib
+import json
+import struct
+import tarfile
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +15,7 @@ import trimesh
 from fynjax._core.errors import InputError
 from fynjax.canopy import Organ, PlantMaterial, plant_model_from_mesh, read_plant_mesh
 from fynjax.canopy._plant import organ_of_name
-from fynjax.canopy.mesh import find_up
+from fynjax.canopy.mesh import _bounds, find_up
 from fynjax.canopy.mesh._plant_mesh import PlantMesh
 
 
@@ -241,7 +246,7 @@ def test_bad_meshes(tmp_path: Path) -> None:
     path.write_bytes(b"ply\nformat binary_little_endian 1.0\nelement vertex 9\n")
     with pytest.raises(InputError, match=r"cut.ply.*cannot be read"):
         plant_model_from_mesh(path, 10)
-    with pytest.raises(InputError, match="cannot be read"):
+    with pytest.raises(InputError, match=r"none\.obj: expected a mesh, but there is no such file"):
         plant_model_from_mesh(tmp_path / "none.obj", 10)
 
 
@@ -300,4 +305,68 @@ def test_corners_that_count_back_with_normals_and_textures(tmp_path: Path) -> No
     assert read_plant_mesh(path, up="z").triangles.shape[0] == 2
     path.write_text(square.format(0) + "f 1 2 3\nf 3 0 1")
     with pytest.raises(InputError, match=r"leaf\.obj, row 10: expected corners counted from 1"):
+        read_plant_mesh(path)
+
+
+def test_a_mesh_that_is_packed_is_refused_before_it_unfolds(tmp_path: Path) -> None:
+    """Some hundred kB would be hundreds of MB, as a stranger's table may name them."""
+    line = b"v 0 0 0\n" * 1_000_000
+    with zipfile.ZipFile(tmp_path / "a.zip", "w", zipfile.ZIP_DEFLATED) as file:
+        file.writestr("a.obj", line)
+    with tarfile.open(tmp_path / "a.tar.gz", "w:gz") as file:
+        (tmp_path / "a.obj").write_bytes(line)
+        file.add(tmp_path / "a.obj", "a.obj")
+    (tmp_path / "a.obj.bz2").write_bytes(bz2.compress(line))
+    for name in ("a.zip", "a.tar.gz", "a.obj.bz2"):
+        assert (tmp_path / name).stat().st_size < 100_000
+        with pytest.raises(InputError, match=r"got an archive \(\.(zip|gz|bz2)\): unpack it first"):
+            read_plant_mesh(tmp_path / name)
+
+
+def gltf(path: Path, nodes: list[dict], **accessor: object) -> Path:
+    """A triangle, and one more accessor, in a scene of these nodes."""
+    data = np.eye(3, dtype="<f4").tobytes()
+    record = {
+        "asset": {"version": "2.0"}, "scene": 0, "scenes": [{"nodes": [0]}], "nodes": nodes,
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}}]}],
+        "accessors": [
+            {"bufferView": 0, "componentType": 5126, "count": 3, "type": "VEC3"} | accessor
+        ],
+        "bufferViews": [{"buffer": 0, "byteLength": len(data)}],
+        "buffers": [{"byteLength": len(data)}],
+    }  # fmt: skip
+    if "count" in accessor:
+        del record["accessors"][0]["bufferView"]
+    text = json.dumps(record).encode()
+    text += b" " * (-len(text) % 4)
+    parts = struct.pack("<II", len(text), 0x4E4F534A) + text
+    parts += struct.pack("<II", len(data), 0x004E4942) + data
+    path.write_bytes(b"glTF" + struct.pack("<II", 2, 12 + len(parts)) + parts)
+    return path
+
+
+def test_a_glb_has_no_more_numbers_or_copies_than_it_can_hold(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "a.glb"
+    assert len(read_plant_mesh(gltf(path, [{"mesh": 0}])).faces) == 1
+    with pytest.raises(InputError, match=r"states 12\d+ MiB of arrays without data, but its"):
+        read_plant_mesh(gltf(path, [{"mesh": 0}], count=10**7))
+    with pytest.raises(InputError, match="stands below two others, or itself"):
+        read_plant_mesh(gltf(path, [{"children": [1, 1]}, {"mesh": 0}]))
+    # Each level twice below the one above: 2^40 copies of one triangle.
+    deep = [{"children": [k + 1, k + 1]} for k in range(40)]
+    with pytest.raises(InputError, match="stands below two others, or itself"):
+        read_plant_mesh(gltf(path, [*deep, {"mesh": 0}]))
+    many = [{"children": list(range(1, 31))}, *({"mesh": 0} for _ in range(30))]
+    assert len(read_plant_mesh(gltf(path, many)).faces) == 30
+    monkeypatch.setattr(_bounds, "MOST_TRIANGLES", 29)
+    with pytest.raises(InputError, match="at most 29 triangles, but the mesh has 30, each copy"):
+        read_plant_mesh(gltf(path, many))
+    monkeypatch.setattr(_bounds, "LARGEST_FILE", 100)
+    with pytest.raises(InputError, match="Make the mesh coarser first"):
+        read_plant_mesh(path)
+    monkeypatch.undo()
+    path.write_bytes(path.read_bytes()[:60])
+    with pytest.raises(InputError, match="damaged or cut short"):
         read_plant_mesh(path)

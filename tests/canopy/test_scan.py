@@ -130,7 +130,7 @@ def test_files(tmp_path: Path) -> None:
     bare.write_text("")
     with pytest.raises(InputError, match="empty"):
         read_scan(bare)
-    with pytest.raises(InputError, match="cannot be read"):
+    with pytest.raises(InputError, match="a scan with normals, but there is no such file"):
         read_scan(tmp_path / "none.ply")
     with pytest.raises(InputError, match="no such file"):
         read_scan(tmp_path / "none.xyz")

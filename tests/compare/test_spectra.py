@@ -8,6 +8,7 @@ import xarray as xr
 from rasterio import Affine
 
 from fynjax._core.errors import InputError
+from fynjax.compare import compare_spectra
 from fynjax.compare._spectra import SpectraSample, read_spectra_sample
 from fynjax.io.raster import image_array, write_geotiff, write_run
 from tests.helpers import write_raster
@@ -128,3 +129,28 @@ def test_bad_input(tmp_path: Path) -> None:
     ):
         with pytest.raises(InputError, match=word):
             read(*paths)
+
+
+def test_widths_of_bands_are_of_the_spectrum_that_they_belong_to(tmp_path: Path) -> None:
+    """Real bands 60 nm wide every 20 nm, simulated ones 2 nm wide every 2 nm, of one surface with a
+    narrow peak: brought to the wide bands both agree, by an average over the Gaussian written out
+    here. With the widths exchanged the peak would stay as it is."""
+    fine = np.arange(450.0, 951.0, 2.0)
+    surface = 0.2 + 0.3 * np.exp(-0.5 * ((fine - 700.0) / 8.0) ** 2)
+    wide = np.arange(500.0, 901.0, 20.0)
+    response = np.exp(-4.0 * np.log(2.0) * ((fine - wide[:, None]) / 60.0) ** 2)
+    seen = response @ surface / response.sum(axis=1)
+    samples = []
+    for name, wave, values, width in (
+        ("real", wide, seen, 60.0),
+        ("simulated", fine, surface, 2.0),
+    ):
+        many = "{" + ", ".join([f"{width}"] * len(wave)) + "}"
+        waves = "{" + ", ".join(f"{w:g}" for w in wave) + "}"
+        image = np.repeat(values, 4).reshape(len(wave), 2, 2)
+        samples.append(read(write_envi(tmp_path / name, image, fwhm=many, wavelength=waves)))
+    spectra = compare_spectra(*samples).spectra
+    assert list(spectra["wavelength_nm"]) == list(wide)
+    np.testing.assert_allclose(spectra["simulated_mean"], seen, atol=2e-3)
+    np.testing.assert_allclose(spectra["real_mean"], seen, atol=1e-6)
+    assert surface.max() - seen.max() > 0.1

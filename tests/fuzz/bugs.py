@@ -30,7 +30,7 @@ class Bug(NamedTuple):
 BUGS = {
     "checkpoint without its hash": Bug(
         "_core/checkpoint.py",
-        "if hashlib.sha256(raw[size:]).digest() != raw[:size]:",
+        "if self._hash(name, raw[size:]) != raw[:size]:",
         "if False:",
         ("checkpoint", "unfinished-maps"),
     ),

@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 
 import fynjax as fx
+from fynjax.canopy import EllipsoidalLeafAngle
 from fynjax.errors import InputError
 from fynjax.inversion import fit_canopy
 from fynjax.inversion._canopy import _bins, _Model, _parts, _space
+from fynjax.leaf import prospect
 from fynjax.scene import background_spectrum
 
 WAVELENGTH = np.array([490.0, 560.0, 665.0, 705.0, 783.0, 865.0, 1610.0, 2190.0])
@@ -111,3 +113,26 @@ def test_a_fine_spectrum_is_averaged_in_bins():
     np.testing.assert_allclose(bins.sum(axis=1), 1.0)
     np.testing.assert_allclose((bins @ fine)[:2], [404.5, 414.5])
     np.testing.assert_allclose(_bins(WAVELENGTH), np.eye(8))
+
+
+@pytest.mark.slow  # compiles a fit
+def test_a_fit_to_a_view_to_the_side_is_of_that_side():
+    """What it predicts at its estimate is what the canopy reflects there, by its own call with the
+    angles named, towards the sun and away from it, which differ much."""
+    sides = {}
+    for azimuth in (10.0, 170.0):
+        light = LIGHT | {"view_zenith": 40.0, "relative_azimuth": azimuth}
+        found = fit_canopy(WAVELENGTH, np.full(8, 0.2), max_steps=1, **light)
+        traits = dict(found.estimate)
+        area, angle = traits.pop("leaf_area_index"), traits.pop("leaf_angle")
+        soil = traits.pop("soil_brightness") * np.asarray(
+            background_spectrum("dry_soil", WAVELENGTH)
+        )
+        optics = fx.LeafParameters(**traits)
+        leaf = prospect(optics, WAVELENGTH)
+        sides[azimuth] = fx.canopy_reflectance(
+            leaf.reflectance, leaf.transmittance, area, soil=np.minimum(soil, 1.0),
+            leaf_angles=EllipsoidalLeafAngle.from_mean_angle(angle), **light,
+        )  # fmt: skip
+        np.testing.assert_allclose(found.result.predicted, sides[azimuth], rtol=1e-3)
+    assert np.abs(sides[10.0] / sides[170.0] - 1.0).min() > 0.02

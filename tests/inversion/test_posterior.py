@@ -17,7 +17,7 @@ from scipy.integrate import trapezoid
 
 from fynjax._core.checkpoint import Journal, signature
 from fynjax._core.errors import InputError, MissingExtraError
-from fynjax._core.sampling import ChainState, Ensemble
+from fynjax._core.sampling import ChainState, Draws, Ensemble
 from fynjax.inversion import (
     Data,
     LogPosterior,
@@ -29,8 +29,8 @@ from fynjax.inversion import (
 from fynjax.inversion._posterior import _flatness
 from fynjax.inversion._posterior_result import _arviz
 from tests.heard import hearing
-from tests.helpers import unix
-from tests.inversion.linear import DATA, SPACE, posterior, predict
+from tests.helpers import stand_in, unix
+from tests.inversion.linear import DATA, MATRIX, SPACE, posterior, predict
 
 SAMPLERS = ["emcee", "nuts", "laplace"]
 TWO = ParameterSpace(
@@ -359,3 +359,28 @@ def test_it_is_saved_as_inference_data_and_diagnosed(tmp_path):
     sd = np.sqrt(np.diag(np.asarray(jax.jacfwd(predict)(jnp.zeros(3))) @ covariance
                          @ np.asarray(jax.jacfwd(predict)(jnp.zeros(3))).T))  # fmt: skip
     np.testing.assert_allclose((found.predicted.mean(0) - expected) / sd, 0.0, atol=0.5)
+
+
+def test_predictions_are_of_draws_from_all_over_the_chains():
+    """Of chains whose steps are told apart by what they predict: each tenth of the steps and of the
+    chains has its share of the predictions, as a draw of each place would have it."""
+    sampler = PosteriorSampler(predict, DATA, SPACE, method="emcee", target=300.0, max_steps=200)
+    steps, chains = 1000, 50
+    step, chain = np.meshgrid(np.arange(steps), np.arange(chains), indexing="ij")
+    places = np.stack([step / steps, chain / chains, 0.0 * step], axis=-1)
+    whitened = np.asarray(jax.vmap(SPACE.whitened)(jnp.asarray(places.reshape(-1, 3))))
+
+    class Sampler:
+        def draws(self, end):
+            found = drawn("emcee")
+            flat = whitened.reshape(steps, chains, 3)
+            return Draws(flat, np.zeros((steps, chains)), 300.0, 1.0, 0.3, found.status)
+
+    sampler._sampler = Sampler()
+    found = sampler.posterior(stand_in(ChainState))
+    back, *_ = np.linalg.lstsq(np.asarray(MATRIX)[:, :2], found.predicted.T, rcond=None)
+    count = len(found.predicted)
+    assert count >= 100
+    for share in back:
+        tenths = np.bincount((10 * share + 1e-6).astype(int), minlength=10) / count
+        assert np.abs(tenths - 0.1).max() < 4.0 * np.sqrt(0.09 / count)

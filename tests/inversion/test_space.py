@@ -8,6 +8,8 @@ from scipy import stats
 
 from fynjax._core.errors import InputError
 from fynjax.inversion import ParameterSpace, make_space, match_names
+from fynjax.inversion._space import _correlation
+from fynjax.scene import LEAF_FIELDS
 from fynjax.scene._parameters import OF_A_PLOT
 
 
@@ -342,3 +344,14 @@ def test_a_correlation_that_is_none_is_refused():
     ):
         with pytest.raises(InputError, match=text):
             made(bad)
+
+
+def test_traits_of_leaves_and_shoots_hang_together_in_a_plot_and_sizes_do_not():
+    """Half of what a prior of each is off by is common to the species of a plot (docs/model.md)."""
+    shoots = ("leaf_area_index", "wood_area_index", "shoot_clumping", "dead_fraction")
+    for kind in (*shoots, *(f"leaf.{trait}" for trait in LEAF_FIELDS)):
+        matrix = _correlation([f"species.A.{kind}", "species.A.cover", f"species.B.{kind}"])
+        expected = [[1.0, 0.0, 0.5], [0.0, 1.0, 0.0], [0.5, 0.0, 1.0]]
+        np.testing.assert_array_equal(matrix, expected, err_msg=kind)
+    for kind in ("cover", "diameter", "height"):
+        assert _correlation([f"species.A.{kind}", f"species.B.{kind}"]) is None

@@ -5,7 +5,7 @@ import pytest
 from spectral.io import envi
 
 from fynjax._core.errors import InputError
-from fynjax.io.spectra._envi import read_header
+from fynjax.io.spectra._envi import read_envi_library, read_header
 
 WHOLE = """ENVI
 description = {A flight, over 2 = two plots
@@ -71,3 +71,22 @@ def test_what_is_no_header_is_refused_with_the_reason(tmp_path, old, new, words)
         text = text[: text.index("band names")]
     with pytest.raises(InputError, match=words):
         read_header(written(tmp_path / "a.hdr", text=text))
+
+
+def test_a_library_s_value_for_nothing_is_that_of_the_file_and_not_of_its_reflectance(tmp_path):
+    """Before the scale is taken off, as Spectral Python has the numbers; 1 and -1 are reflectance
+    there, whatever the value for nothing is after scaling."""
+    stored = np.array([[500, -9999, 2500, 1], [-1, 600, -9999, 10000]], "<i2")
+    (tmp_path / "a.sli").write_bytes(stored.tobytes())
+    header = tmp_path / "a.hdr"
+    header.write_text(
+        "ENVI\nsamples = 4\nlines = 2\nbands = 1\nheader offset = 0\n"
+        "file type = ENVI Spectral Library\ndata type = 2\ninterleave = bsq\nbyte order = 0\n"
+        "wavelength = {500, 600, 700, 800}\nreflectance scale factor = 10000\n"
+        "data ignore value = -9999\nspectra names = {a, b}\n"
+    )
+    theirs = envi.open(str(header), str(tmp_path / "a.sli")).spectra
+    np.testing.assert_array_equal(theirs * 10_000 if theirs.max() <= 1 else theirs, stored)
+    expected = np.where(stored == -9999, np.nan, stored / 1e4)
+    for one, row in zip(read_envi_library(header), expected, strict=True):
+        np.testing.assert_allclose(one.reflectance, row, atol=1e-9)

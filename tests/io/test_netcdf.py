@@ -110,10 +110,28 @@ def test_a_staged_folder_arrives_whole_or_not_at_all(tmp_path):
     target.mkdir(parents=True)
     (target / "mine.txt").write_text("kept")
     (target / "a.txt").write_text("old")
-    with staged_folder(target) as folder:
-        (folder / "deep").mkdir()
-        (folder / "deep" / "b.txt").write_text("b")
-        (folder / "a.txt").write_text("new")
+
+    def write(check=None):
+        with staged_folder(target, check) as folder:
+            (folder / "deep").mkdir()
+            (folder / "deep" / "b.txt").write_text("b")
+            (folder / "a.txt").write_text("new")
+
+    target.with_name("run-2").mkdir()  # of the user's, who will put something there
+    for number in (3, 4):  # in a new folder each time
+        with pytest.raises(InputError, match=f"'a.txt' is there already.*run-{number} instead"):
+            write()
+        beside = target.with_name(f"run-{number}")
+        assert (beside / "a.txt").read_text() == "new"
+        assert (beside / "deep" / "b.txt").is_file()
+        assert (target / "a.txt").read_text() == "old"
+    assert [p.name for p in sorted(target.parent.iterdir())] == ["run", "run-2", "run-3", "run-4"]
+    assert not list(target.with_name("run-2").iterdir())
+    for number in (2, 3, 4):
+        shutil.rmtree(target.with_name(f"run-{number}"))
+    names = []
+    write(names.extend)
+    assert names == ["a.txt", "deep/b.txt"]
     assert (target / "a.txt").read_text() == "new"
     assert (target / "mine.txt").read_text() == "kept"
     assert (target / "deep" / "b.txt").read_text() == "b"

@@ -670,3 +670,15 @@ def test_fits_to_leaves_within_and_at_all_bounds_are_finite():
     parts = fit.parameters, fit.standard_deviation, fit.lower, fit.upper, fit.fitted
     for found in jax.tree.leaves((*parts, fit.reflectance, fit.transmittance, fit.rmse, fit.chi2)):
         assert np.isfinite(np.asarray(found)).all()
+
+
+def test_bands_that_all_are_centres_of_bins_are_fitted_as_a_whole_spectrum_is():
+    """Every 10 nm, and with a gap: bins between them hold what lies on the line between."""
+    truth, r, t = leaves(3)
+    for grid in (GRID[::10], np.setdiff1d(GRID[::10], np.arange(600.0, 651.0, 10.0))):
+        own = np.isin(GRID, grid)
+        fit = fit_leaf(grid, r[:, own], t[:, own])
+        for name in ("chlorophyll", "water", "dry_matter"):
+            found = np.asarray(getattr(fit.parameters, name))
+            np.testing.assert_allclose(found, truth[name], rtol=0.2, err_msg=name)
+    assert np.isnan(fit.measured[:, :, np.isin(bin_centres(), [620.0, 630.0])]).all()

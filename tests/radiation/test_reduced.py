@@ -223,6 +223,7 @@ def with_terrain(scene):
 # bands' maps are then no mixture of three.
 VARIANTS = {
     "even sky, Lambertian and level ground": (lambda scene: scene, 1e-7),
+    "a sky for each band, Lambertian and level ground": (with_sky, 1e-7),
     "a sky for each band, anisotropic ground": (
         lambda s: with_anisotropic_ground(with_sky(s)),
         1e-7,

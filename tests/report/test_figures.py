@@ -10,6 +10,7 @@ import xarray as xr
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_rgba
 from matplotlib.legend import Legend
+from matplotlib.text import Text
 
 from fynjax.canopy import Organ, PlantModel
 from fynjax.canopy.mesh import MeshPlant
@@ -31,7 +32,7 @@ from fynjax.report.figures import (
     save_figure,
     side_view,
 )
-from fynjax.report.figures._style import AFTER, BEFORE
+from fynjax.report.figures._style import AFTER, BEFORE, Figure, name_rows, style
 from fynjax.sensors.lidar import LidarReturns
 
 BANDS = ("green", "red", "red_edge", "nir")
@@ -420,6 +421,34 @@ def test_numbers_below_a_slender_plant_do_not_overlap():
         boxes = [label.get_window_extent() for label in shown]
         assert len(boxes) > 1
         assert not any(a.overlaps(b) for a, b in itertools.pairwise(boxes))
+
+
+@pytest.mark.parametrize("kind", [0, 1, 2])
+def test_names_with_dollars_are_text_wherever_they_stand(tmp_path, kind):
+    """A title, the names of rows, and those along an axis that are made when it is drawn."""
+    name = r"Erica $\frac{ and $x$ 5$"
+    with style():
+        figure = Figure(figsize=(4.0, 3.0))
+        axes = figure.subplots()
+        if kind == 0:
+            name_rows(axes, [name, name])
+        elif kind == 1:
+            axes.bar([name, "Restio"], [1.0, 2.0])
+        else:
+            axes.loglog([0.02, 3000.0], [1e-6, 1e6])
+        axes.set_title(name)
+        figure.legend(*axes.get_legend_handles_labels(), title=name)
+    save_figure(figure, tmp_path / "a.png")
+    save_figure(figure, tmp_path / "a.svg")  # which has text by its letters' outlines
+    assert axes.get_title(loc="left") == name
+    shown = [text for text in figure.findobj(Text) if "$" in text.get_text()]
+    assert len(shown) >= 2 + (kind == 1) + 2 * (kind == 0)
+    assert not any(text.get_parse_math() for text in shown)
+    if kind == 2:
+        numbers = [float(t.get_text()) for t in axes.get_yticklabels() if t.get_text()]
+        assert {1e-6, 1.0, 1e6} & set(numbers)
+        ticks = [float(t.get_text()) for t in axes.get_xticklabels() if t.get_text()]
+        assert {0.1, 1.0, 10.0, 100.0, 1000.0} <= set(ticks)
 
 
 def test_a_notebook_shows_figures_by_themselves():

@@ -17,6 +17,7 @@ from jaxtyping import Float, Int
 from fynjax._core.errors import InputError
 from fynjax._core.tables import TextTable, name_and_unit, open_points, places_of
 from fynjax.canopy._plant import Organ, organ_named, organ_of_name
+from fynjax.canopy.mesh._bounds import check_mesh_file
 from fynjax.canopy.mesh._facets import draw_groups
 from fynjax.canopy.mesh._plant_mesh import MeshPlant, PlantMaterial, check_extent, mesh_plant
 
@@ -217,6 +218,7 @@ def _organs(organ: Any, count: int) -> np.ndarray:
 def _ply_columns(file: str) -> dict[str, np.ndarray]:
     import trimesh
 
+    check_mesh_file(file, "a scan with normals")
     try:
         with np.errstate(all="ignore"):  # of numbers that are checked below
             cloud = trimesh.load(file, process=False)

@@ -24,6 +24,7 @@ from numpy.typing import ArrayLike
 
 import fynjax
 from fynjax._core.errors import InputError, names_file, refusing
+from fynjax._core.files import file_hash as file_hash
 from fynjax.io.raster._hdf5 import names_others
 from fynjax.io.text import atomic_path, check_stated_size
 
@@ -84,12 +85,6 @@ def _stated_size(group: Any) -> int:
     """Bytes of all values by the tables of contents."""
     own = (math.prod(v.shape) * getattr(v.dtype, "itemsize", 8) for v in group.variables.values())
     return sum(own) + sum(map(_stated_size, group.groups.values()))
-
-
-def file_hash(path: str | Path) -> str:
-    """SHA-256 of the file `path`, in hexadecimal."""
-    with open(path, "rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 _SIGNED_WHOLE = 1 << 30

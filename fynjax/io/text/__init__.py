@@ -19,10 +19,14 @@ from fynjax.io.text._atomic import (
     staged_folder,
     write_text,
 )
+from fynjax.io.text._cells import rows_text, table_text
+from fynjax.io.text._earlier import SUMMARY, EarlierRun, sealed
 from fynjax.io.text._tables import read_rows
 from fynjax.io.text._toml import line_of, read_toml, shipped_or_own
 
 __all__ = [
+    "SUMMARY",
+    "EarlierRun",
     "NamedFile",
     "Slip",
     "Strict",
@@ -43,7 +47,10 @@ __all__ = [
     "read_toml",
     "remove_abandoned",
     "remove_replaced",
+    "rows_text",
+    "sealed",
     "shipped_or_own",
     "staged_folder",
+    "table_text",
     "write_text",
 ]

@@ -1,15 +1,17 @@
 """Write beside, then rename: a reader finds the old file, the new file, or none."""
 
+import errno
 import os
 import re
 import secrets
 import shutil
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from fynjax._core.errors import InputError, refusing
+from fynjax._core.files import may_be_limited, why_failed
 
 _FULL = 1 << 20
 """Bytes left on a disk that is full: less than any result takes."""
@@ -92,18 +94,43 @@ def remove_abandoned(folder: str | Path) -> None:
                 shutil.rmtree(each, ignore_errors=True)
 
 
+def _beside(folder: Path, partial: Path) -> Path:
+    """Keep results that may not go where they should in a new folder beside; gives that."""
+    for number in range(2, 1000):
+        free = folder.with_name(f"{folder.name}-{number}")
+        with suppress(OSError):
+            free.mkdir()  # fails where it is there: a rename would replace an empty one
+            os.replace(partial, free)
+            return free
+    return partial.rename(partial.with_suffix(".results"))
+
+
+def _is_elsewhere(error: BaseException, folder: Path) -> bool:
+    """Whether an error names a file that is not below a folder: an input, such as a link."""
+    name = getattr(error, "filename", None)
+    return name is not None and not Path(os.fsdecode(name)).is_relative_to(folder)
+
+
 @contextmanager
-def staged_folder(folder: str | Path) -> Iterator[Path]:
+def staged_folder(
+    folder: str | Path, check: Callable[[list[str]], None] | None = None
+) -> Iterator[Path]:
     """Give an empty folder beside `folder`; move its files into `folder` if the block succeeds.
 
-    If the block raises or is interrupted nothing reaches `folder`, and `folder` is not made.
-    Files of an earlier run that have the same name are replaced, others are left alone.
+    If the block raises or is interrupted nothing reaches `folder`, and `folder` is not made. A file
+    that stands there under the same name is replaced only where `check` lets it; others are left
+    alone.
 
-    **Arguments:** `folder`: where the files shall be.
+    **Arguments:**
+
+    - `folder`: where the files shall be.
+    - `check`: is given the names of all files before the first is moved, and raises `InputError`
+      where one may not be replaced. Without it none is.
 
     **Returns:** a context manager that gives the empty folder.
 
-    **Raises:** `InputError` if `folder` is a file or cannot be written, and where the disk is full.
+    **Raises:** `InputError` if `folder` is a file or cannot be written, where the disk is full, and
+    where a file may not be replaced: then it says in which new folder the results are.
     """
     folder = Path(folder)
     if folder.exists() and not folder.is_dir():
@@ -117,15 +144,43 @@ def staged_folder(folder: str | Path) -> Iterator[Path]:
         try:
             yield partial
         except Exception as error:  # the libraries of formats say 'HDF error' and the like
-            of_input = isinstance(error, InputError) and "cannot write here" not in str(error)
-            if of_input or shutil.disk_usage(partial).free > _FULL:
+            why = why_failed(error)
+            if why is None and may_be_limited(error):
+                why = why_failed(OSError(errno.EFBIG, ""))
+            if isinstance(error, InputError):
+                if "cannot write here" not in str(error):
+                    raise
+            elif why is not None and not _is_elsewhere(error, partial):
+                raise InputError(f"no results were written: {why}", file=folder) from error
+            if shutil.disk_usage(partial).free > _FULL:
                 raise
             raise InputError("the disk is full, so no results were written", file=folder) from error
-        target.mkdir(exist_ok=True)
-        for source in sorted(p for p in partial.rglob("*") if p.is_file()):
-            destination = target / source.relative_to(partial)
-            destination.parent.mkdir(parents=True, exist_ok=True)
-            os.replace(source, destination)
+        sources = sorted(p for p in partial.rglob("*") if p.is_file())
+        names = [source.relative_to(partial).as_posix() for source in sources]
+        there = [name for name in names if os.path.lexists(target / name)]
+        try:
+            if check is not None:
+                check(names)
+            elif there:
+                raise InputError(f"{there[0]!r} is there already", file=folder)
+        except InputError as error:
+            where = _beside(target, partial)
+            raise InputError(
+                f"{error.message}. The results are in {where} instead", file=error.file
+            ) from error
+        try:
+            target.mkdir(exist_ok=True)
+            for source, name in zip(sources, names, strict=True):
+                destination = target / name
+                destination.parent.mkdir(parents=True, exist_ok=True)
+                os.replace(source, destination)
+        except OSError as error:
+            where = _beside(target, partial)
+            raise InputError(
+                f"cannot write here: {why_failed(error) or error.strerror}. The results are in "
+                f"{where} instead",
+                file=folder,
+            ) from error
     finally:
         shutil.rmtree(partial, ignore_errors=True)
         for parent in missing:  # the innermost first; none that holds anything

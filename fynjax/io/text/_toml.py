@@ -16,6 +16,11 @@ from fynjax._core.files import existing_file
 from fynjax._core.validation import first_error, sentence
 from fynjax.io.text._tables import read_text
 
+_DEEPEST = 32
+"""Parts of a dotted key; a file of ours has three."""
+_DEEP = re.compile(rf"""(?<![\w"'-])(?:[\w"'-]+[ \t]*\.[ \t]*){{{_DEEPEST}}}""")
+"""A longer one: Python's reader takes memory with the square of the parts, 16 kB of text 246 MB."""
+
 Model = TypeVar("Model", bound=BaseModel)
 
 
@@ -59,6 +64,13 @@ def read_toml(path: Path, model: type[Model], *, within: Path | None = None) -> 
     **Raises:** `InputError` with file, row, key, what was expected, what came and the likely slip.
     """
     text = read_text(path)
+    if deep := _DEEP.search(text):
+        raise InputError(
+            f"expected TOML whose keys have at most {_DEEPEST} parts, but {deep[0][:20]!r}... has "
+            "more",
+            file=path,
+            row=text.count("\n", 0, deep.start()) + 1,
+        )
     try:
         raw = tomllib.loads(text)
     except (RecursionError, ValueError) as error:  # also of numbers too long to convert

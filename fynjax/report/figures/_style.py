@@ -15,7 +15,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.category import StrCategoryFormatter
-from matplotlib.ticker import FuncFormatter
+from matplotlib.text import Text
+from matplotlib.ticker import FuncFormatter, LogFormatterSciNotation
 from numpy.typing import NDArray
 
 from fynjax.io.text import atomic_path
@@ -63,8 +64,35 @@ GROUND = "ground"
 """Mark (`gid`) of axes that show the ground from above, all of a page with one scale of length."""
 
 
+class _PlainPowers(LogFormatterSciNotation):
+    """Numbers along a logarithmic axis without mathematical text: 0.01, 1, 1e+06."""
+
+    def __call__(self, x: float, pos: int | None = None) -> str:
+        return f"{x:g}" if super().__call__(x, pos) else ""
+
+
 class Figure(matplotlib.figure.Figure):
-    """A figure that a notebook shows by itself, also where nothing was drawn by pyplot before."""
+    """A figure that a notebook shows by itself, also where nothing was drawn by pyplot before.
+
+    Text is text: names come from files of anybody, and matplotlib would take what stands between
+    two dollar signs for a formula, which ends in an error where it is none.
+    """
+
+    def draw(self, renderer: Any) -> None:
+        """Draw all parts, with `renderer`."""
+        for axes in self.axes:
+            for axis in (axes.xaxis, axes.yaxis):
+                for level in ("major", "minor"):
+                    kind = getattr(axis, f"get_{level}_formatter")()
+                    if type(kind) is LogFormatterSciNotation:
+                        plain = _PlainPowers(
+                            labelOnlyBase=kind.labelOnlyBase, minor_thresholds=kind.minor_thresholds
+                        )
+                        getattr(axis, f"set_{level}_formatter")(plain)
+        for text in self.findobj(Text):
+            text.set_parse_math(False)
+        with matplotlib.rc_context({"text.parse_math": False}):  # of ticks that are made now
+            super().draw(renderer)
 
     def _repr_png_(self) -> bytes:
         buffer = io.BytesIO()

@@ -1,7 +1,5 @@
 """Plot files from the field tables of BioSCape: what `fynjax bioscape plots` writes."""
 
-import csv
-import io
 import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -22,7 +20,7 @@ from fynjax.io.plot import (
     read_plot,
     read_prior,
 )
-from fynjax.io.text import write_text
+from fynjax.io.text import rows_text, write_text
 from fynjax.jobs import JobResult, Run
 from fynjax.leaf import structure_from_dry_matter
 from fynjax.scene import LEAF_FIELDS, PARAMETERS
@@ -126,11 +124,7 @@ def write_plot_files(
 
 
 def _table(rows: Iterable[Sequence[object]]) -> str:
-    text = io.StringIO()
-    csv.writer(text, lineterminator="\n").writerows(
-        [f"{c:.6g}" if isinstance(c, float) else c for c in row] for row in rows
-    )
-    return text.getvalue()
+    return rows_text([f"{c:.6g}" if isinstance(c, float) else c for c in row] for row in rows)
 
 
 def flights(visit: Visit | None) -> list[tuple[str, float, float]]:

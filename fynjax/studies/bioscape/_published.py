@@ -43,7 +43,7 @@ def _missing(value: Any) -> Any:
     value = not_available(value)
     try:
         return None if value is not None and float(value) == _MISSING else value
-    except ValueError:
+    except (TypeError, ValueError):
         return value
 
 

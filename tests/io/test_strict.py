@@ -1,0 +1,98 @@
+"""What is no number is none: `true`, 1_0, and a formula of a spreadsheet."""
+
+import csv
+import io
+import re
+from pathlib import Path
+
+import pandas as pd
+import pytest
+from pydantic import ValidationError
+from typer.testing import CliRunner
+
+import fynjax.studies.bioscape  # noqa: F401 - their records are looked at
+from fynjax._core.errors import InputError
+from fynjax._core.records import Strict, _keys_of_numbers
+from fynjax.cli import app
+from fynjax.io.plot import read_plot
+from fynjax.io.text import rows_text, table_text
+from tests.small import write_plot
+
+
+def test_a_table_for_spreadsheets_has_no_formulas() -> None:
+    """Names, of columns too; numbers, signs alone and what only contains such a sign stay."""
+    names = ["=1+1", "+x", "-A1", "@SUM(A1)", "\t=1", "-", "Erica=b", "-5", "+1e-3"]
+    table = pd.DataFrame({"name": names, "=cmd|'/c calc'!A0": -2.0, "unit": "=m"})
+    table.loc[0, "unit"] = "-"
+    table["unit"] = pd.Categorical(table["unit"])
+    cells = list(csv.reader(io.StringIO(table_text(table, "%.3g"))))
+    assert cells[0] == ["name", "'=cmd|'/c calc'!A0", "unit"]
+    shown = ["'=1+1", "'+x", "'-A1", "'@SUM(A1)", "'\t=1", "-", "Erica=b", "-5", "+1e-3"]
+    assert [row[0] for row in cells[1:]] == shown
+    assert [row[1:] for row in cells[1:3]] == [["-2", "-"], ["-2", "'=m"]]
+    assert table["name"][0] == "=1+1"  # the table itself is as it was
+    assert rows_text([["=a", 1], [None, "b"]]) == "'=a,1\n,b\n"
+
+
+def _records(kind: type[Strict]) -> set[type[Strict]]:
+    return {kind}.union(*map(_records, kind.__subclasses__()))
+
+
+NUMBERS = [
+    pytest.param(record, key, id=f"{record.__name__}-{key}")
+    for record in sorted(_records(Strict), key=lambda one: one.__qualname__)
+    if record.__module__.startswith("fynjax.")
+    for key, texts in _keys_of_numbers(record)
+    if not texts
+]
+
+
+@pytest.mark.parametrize(("record", "key"), NUMBERS)
+def test_true_is_no_number_and_1_0_no_ten(record: type[Strict], key: str) -> None:
+    """Of any record of a table or a file, alone and in a list."""
+    for value in (True, False, "1_0", "\u0661", [True, 2.0], ["1_0", "2"]):
+        with pytest.raises(ValidationError) as caught:
+            record.model_validate({key: value})
+        assert key in {str(error["loc"][0]) for error in caught.value.errors() if error["loc"]}
+
+
+def test_what_is_no_number_is_said_as_it_was_written(tmp_path: Path) -> None:
+    assert len(NUMBERS) > 150
+    plot = write_plot(tmp_path)
+    plot.write_text(re.sub(r"size_m = \S+", "size_m = true", plot.read_text()), "utf-8")
+    with pytest.raises(InputError, match=r"row \d+, column 'plot.size_m': .*but got true"):
+        read_plot(plot)
+    table = tmp_path / "species.csv"
+    plot = write_plot(tmp_path)
+    lines = table.read_text("utf-8").splitlines()
+    table.write_text(re.sub(r",\d+", ",1_0", "\n".join([lines[0], lines[1]]), count=1), "utf-8")
+    with pytest.raises(InputError, match=r"row 2, .*got '1_0'\. Marks between thousands\?"):
+        read_plot(plot)
+
+
+@pytest.mark.parametrize(
+    "line",
+    [["render", "a.toml", "--seed", "1_0"], ["fit-leaf", "a", "--detector-changes", "1_000,1830"],
+     ["plant", "a", "--elements=1_0"], ["article", "--size", "\u0661\u0660"]],
+)  # fmt: skip
+def test_1_0_is_no_ten_as_an_option(line: list[str]) -> None:
+    result = CliRunner().invoke(app, line)
+    assert isinstance(result.exception, InputError)
+    assert re.search("`--.*` must be .*numbers?|wavelengths", str(result.exception))
+
+
+@pytest.mark.parametrize("key", ["a", '"a"', "a "])
+@pytest.mark.parametrize("form", ["{0} = 1", "[{0}]", "x = {{{0} = 1}}", "[[{0}]]"])
+def test_keys_of_many_parts_are_refused_before_they_are_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, key: str, form: str
+) -> None:
+    path = tmp_path / "plot.toml"
+    path.write_text("# A plot.\n" + form.format(".".join([key] * 8000)) + "\n", "utf-8")
+    with monkeypatch.context() as patched:
+        patched.setattr("tomllib.loads", None)
+        with pytest.raises(InputError, match=r"row 2: expected TOML whose keys have at most 32"):
+            read_plot(path)
+    sentence = "file names such as a.b.c, and numbers, 0.1.2... " * 400
+    path.write_text(f"# {sentence}\nname = '{sentence}'\n", "utf-8")
+    with pytest.raises(InputError, match="unknown name 'name'"):
+        read_plot(path)

@@ -1,0 +1,300 @@
+"""Faults of one line, put into the package one at a time: the tests named must find each of them.
+
+`python -m tests.mutants [--group NAME] [--like TEXT] [--list]` copies the package, changes a line,
+runs the tests that should fail, and prints the faults that survive. It ends with the status 1 where
+one does. What no test finds is a claim without a guard.
+"""
+
+import argparse
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import NamedTuple
+
+ROOT = Path(__file__).parents[1]
+_PATIENCE = 600.0
+"""Seconds after which tests count as failed: a fault may let a loop go on."""
+
+
+class Mutant(NamedTuple):
+    """A change of one place in a file of the package."""
+
+    file: str
+    """From the package's folder."""
+    old: str
+    """Text that stands there once."""
+    new: str
+    tests: str
+    """File, or file and words of `pytest -k` after a blank, that must fail."""
+
+
+_USERS = "cli/test_users_files.py"
+_STORE = "test_store.py"
+_LEAVES = "assembly/test_leaf_spectra.py"
+_MACHINE = "cli/test_this_machine.py"
+_STRICT = "io/test_strict.py"
+_SHOWN = "report/test_shown.py"
+
+GROUPS: dict[str, list[Mutant]] = {
+    "files": [
+        Mutant("io/text/_earlier.py", "same = path.is_file() and file_hash(path) == "
+               "self.hashes[name]", "same = path.is_file()", _USERS),
+        Mutant("io/text/_earlier.py", 'elif record["hash"] != sealed(record):', "elif False:",
+               _USERS),
+        Mutant("io/text/_earlier.py", 'elif record["command"] != command:', "elif False:", _USERS),
+        Mutant("io/text/_earlier.py", 'elif not all(map(_is_inside, record["hashes"])):',
+               "elif False:", _USERS),
+        Mutant("io/text/_earlier.py", "if path.is_symlink():\n            return \"it is a link\"",
+               "if False:\n            return \"it is a link\"", _USERS),
+        Mutant("cli/_runtime.py", "if _ways(path) & inputs and os.path.lexists(path):",
+               "if False:", _USERS),
+        Mutant("cli/_runtime.py", "return stated | {os.path.normcase(way) for way in self._read}",
+               "return stated", _USERS),
+        Mutant("cli/_runtime.py", 'path = folder.with_name(f".{folder.name}.lock")',
+               'path = Path(os.environ.get("XDG_CACHE_HOME", "/tmp")) / "fynjax.lock"', _USERS),
+        Mutant("cli/_runtime.py", "if not str(text).strip():", "if False:", _USERS),
+        Mutant("_core/dry_run.py", "checks.pop()(files)", "checks.pop()", _USERS),
+        Mutant("io/text/_atomic.py", "free.mkdir()  #", "pass  #", "io/test_netcdf.py staged"),
+        Mutant("io/text/_atomic.py", "if why is None and may_be_limited(error):", "if False:",
+               f"{_MACHINE} larger"),
+    ],
+    "kept": [
+        Mutant("_core/store.py", 'name = f"{self._kind}\\0{key}\\0".encode()',
+               'name = f"{self._kind}\\0".encode()', _STORE),
+        Mutant("_core/store.py", 'if os.name == "posix" and status.st_mode & 0o077:', "if False:",
+               _STORE),
+        Mutant("_core/store.py", "os.utime(path)  #", "pass  #", _STORE),
+        Mutant("_core/store.py", "if not stat.S_ISDIR(status.st_mode) or not _is_own(status):",
+               "if False:", _STORE),
+        Mutant("_core/store.py", "if held <= self._largest:", "if True:", _STORE),
+        Mutant("_core/store.py", 'total.update(file.relative_to(package).as_posix().encode() + '
+               'b"\\0" + content)', "total.update(content)", _STORE),
+        Mutant("_core/compiler.py", 'if Path(path) == cache_folder() / "jax":', "if False:",
+               _STORE),
+        Mutant("_core/compiler.py", '_SUMS.put(key, b"right")', "pass", "jobs/test_doctor.py"),
+        Mutant("_core/checkpoint.py", 'f"{self._signature}/{name}\\n"', 'f"{self._signature}/\\n"',
+               _STORE),
+        Mutant("_core/checkpoint.py", 'f"{self._signature}/{name}\\n"', 'f"{name}\\n"', _STORE),
+        Mutant("_core/checkpoint.py", "if work.is_symlink():", "if False:", _STORE),
+        Mutant("_core/checkpoint.py", "add((code_hash(), signed))", "add(signed)", _STORE),
+        Mutant("_core/checkpoint.py", "return [*value.keys(), *value.values()]",
+               "return [*value.values()]", _STORE),
+        Mutant("_core/checkpoint.py", "return [value.func, value.args, value.keywords]",
+               "return [value.func, value.args]", _STORE),
+        Mutant("_core/checkpoint.py", "return [*names, *(cell.cell_contents for cell in cells)]",
+               "return names", _STORE),
+        Mutant("_core/checkpoint.py", 'total.update(f"{array.dtype}{array.shape}".encode() + '
+               "array.tobytes())", "total.update(array.tobytes())", _STORE),
+        Mutant("assembly/_leaf_spectra.py", "return found if inside and known and plain else None",
+               "return found", _LEAVES),
+        Mutant("assembly/_leaf_spectra.py", "code_hash(*_CODE), how,", "how,", _LEAVES),
+        Mutant("assembly/_leaf_spectra.py", 'for sentence in found["said"]:', "for sentence in []:",
+               _LEAVES),
+    ],
+    "strict": [
+        Mutant("_core/records.py", "return Refused(value) if isinstance(value, bool) or odd else "
+               "value", "return Refused(value) if odd else value", _STRICT),
+        Mutant("_core/records.py", "return Refused(value) if isinstance(value, bool) or odd else "
+               "value", "return Refused(value) if isinstance(value, bool) else value", _STRICT),
+        Mutant("cli/__init__.py", "if is_odd_number(text):", "if False:", _STRICT),
+        Mutant("cli/_runtime.py", 'any(map(is_odd_number, text.split(",")))', "False", _STRICT),
+        Mutant("io/text/_cells.py", "cells = table.rename(columns=_as_text)",
+               "cells = table.copy()", _STRICT),
+        Mutant("io/text/_cells.py", r'_FORMULA = re.compile(r"[=+\-@\t\r].", re.DOTALL)',
+               r'_FORMULA = re.compile(r"[=+\-@].", re.DOTALL)', _STRICT),
+        Mutant("report/figures/_style.py", "text.set_parse_math(False)", "pass",
+               "report/test_figures.py dollars"),
+        Mutant("_core/files.py", "if len(os.fsencode(longest)) > _LONGEST_NAME:", "if False:",
+               f"{_MACHINE} too_long"),
+    ],
+    "bounds": [
+        Mutant("canopy/mesh/_bounds.py", "if suffix is not None:", "if False:",
+               "canopy/test_mesh.py packed"),
+        Mutant("canopy/mesh/_bounds.py", 'if "bufferView" not in one or "sparse" in one',
+               "if False", "canopy/test_mesh.py glb_has"),
+        Mutant("canopy/mesh/_bounds.py", "if len(children) != len(set(children)):", "if False:",
+               "canopy/test_mesh.py glb_has"),
+        Mutant("canopy/mesh/_bounds.py", "if count > MOST_TRIANGLES:", "if False:",
+               "canopy/test_mesh.py glb_has"),
+        Mutant("io/text/_toml.py", "if deep := _DEEP.search(text):", "if deep := None:",
+               f"{_STRICT} many_parts"),
+    ],
+    "physics": [
+        Mutant("radiation/_reduced.py", "1 if pattern.ndim == 2 else min(materials, count)", "1",
+               "radiation/test_reduced.py all_that_differ"),
+        Mutant("inversion/_canopy.py", "light = jnp.asarray([sun_zenith, view_zenith, "
+               "relative_azimuth, sky_share", "light = jnp.asarray([sun_zenith, view_zenith, 0.0 * "
+               "relative_azimuth, sky_share", "inversion/test_canopy.py to_the_side"),
+        Mutant("io/spectra/_envi.py", "np.where(values == ignore, np.nan, values / scale)",
+               "np.where(values / scale == ignore, np.nan, values / scale)",
+               "io/test_envi_headers.py library"),
+        Mutant("compare/_spectral.py",
+               "real_fwhm=real.fwhm,\n        simulated_fwhm=simulated.fwhm,",
+               "real_fwhm=simulated.fwhm,\n        simulated_fwhm=real.fwhm,",
+               "compare/test_spectra.py widths_of_bands"),
+        Mutant("scene/_parameters.py", 'sd=0.25,\n        distribution="logit-normal",\n        '
+               "shared=OF_A_PLOT,", 'sd=0.25,\n        distribution="logit-normal",',
+               "inversion/test_space.py traits_of_leaves"),
+        Mutant("scene/_planting.py", "generator(seed, 109, species)", "generator(seed, 109)",
+               "scene/test_leaf_variants.py draw_their"),
+        Mutant("inversion/_posterior.py", "flat[random.integers(0, len(flat), self._predictive)]",
+               "flat[: self._predictive]", "inversion/test_posterior.py predictions_are"),
+        Mutant("leaf/_problem.py", "not np.array_equal(grid, centres)", "not own.all()",
+               "leaf/test_fit.py bands_that_all"),
+    ],
+    "figures": [
+        Mutant("report/figures/_maps.py", 'zip(cells, maps.values()):\n        label',
+               'zip(cells, [(b, a, *c) for a, b, *c in maps.values()]):\n        label', _SHOWN),
+        Mutant("report/figures/_maps.py", "np.ma.masked_invalid(values)",
+               "np.ma.masked_invalid(values)[::-1]", _SHOWN),
+        Mutant("report/figures/_maps.py", "np.ma.masked_invalid(values)",
+               "np.ma.masked_invalid(values)[:, ::-1]", _SHOWN),
+        Mutant("report/figures/_maps.py", '("#8A8A85", "#1B6B4A"), ("map", "emcee")',
+               '("#8A8A85", "#1B6B4A"), ("emcee", "map")', _SHOWN),
+        Mutant("report/figures/_maps.py", "axes.set_ylim(len(pixels) - 0.5, -0.5)",
+               "axes.set_ylim(-0.5, len(pixels) - 0.5)", _SHOWN),
+        Mutant("report/figures/_image.py", "colour, filled = _SHOWN_BY.get(title, (BEFORE, True))\n"
+               "            share", "colour, filled = _SHOWN_BY.get({'real': 'after', 'after': "
+               "'real'}.get(title, title), (BEFORE, True))\n            share", _SHOWN),
+        Mutant("report/figures/_image.py", 'values, origin="lower", extent=extent',
+               'values, origin="upper", extent=extent', _SHOWN),
+        Mutant("report/figures/_image.py", "rgb(colour) for colour in colours]",
+               "rgb(colour) for colour in colours[::-1]]", _SHOWN),
+        Mutant("report/figures/_terrain.py", "axes[1].imshow(canopy,",
+               "axes[1].imshow(canopy[::-1],", _SHOWN),
+        Mutant("report/figures/_terrain.py", 'show: dict[str, Any] = {"origin": "lower"',
+               'show: dict[str, Any] = {"origin": "upper"', _SHOWN),
+        Mutant("report/figures/_terrain.py", "east * towards[0] - north * towards[1]",
+               "east * towards[1] - north * towards[0]", _SHOWN),
+        Mutant("report/figures/_posterior.py", "np.quantile(off, [0.05, 0.5, 0.95], axis=0)",
+               "np.quantile(off, [0.25, 0.5, 0.75], axis=0)", _SHOWN),
+        Mutant("report/figures/_posterior.py", '"levels": (0.5, 0.9),', '"levels": (0.39, 0.5),',
+               _SHOWN),
+        Mutant("report/figures/_fit.py", 'axes.hlines(y + 0.16, part["q05"], part["q95"], color='
+               "BLUE", 'axes.hlines(y + 0.16, part["prior_q05"], part["prior_q95"], color=BLUE',
+               _SHOWN),
+        Mutant("report/figures/_fit.py", 'axes.plot(part["estimate"], y + 0.16, "o", ms=4, '
+               "color=BLUE)", 'axes.plot(part["prior"], y + 0.16, "o", ms=4, color=BLUE)', _SHOWN),
+        Mutant("report/figures/_fit.py",
+               "(table[end].to_numpy(float) - low) / wide for end in ends",
+               "(table[end].to_numpy(float) - low) / wide for end in ends[::-1]", _SHOWN),
+        Mutant("report/figures/_validation_spectra.py", 'shown("simulated_mean") - '
+               'shown("real_mean")', 'shown("real_mean") - shown("simulated_mean")', _SHOWN),
+        Mutant("report/figures/_validation_spectra.py",
+               'x, y = part["real_mean"].to_numpy(float), '
+               'part["simulated_mean"].to_numpy(float)',
+               'y, x = part["real_mean"].to_numpy(float), '
+               'part["simulated_mean"].to_numpy(float)', _SHOWN),
+        Mutant("report/figures/_validation_spectra.py", 'mean, spread = shown(f"{side}_mean"), '
+               'shown(f"{side}_std")', "mean, spread = shown(\"real_mean\"), "
+               'shown(f"{side}_std")', _SHOWN),
+        Mutant("report/figures/_validation.py", '"q1": row[f"{side}_p25"]',
+               '"q1": row[f"{side}_p5"]', _SHOWN),
+        Mutant("report/figures/_validation.py", "np.clip(values, -most, most), width",
+               "-np.clip(values, -most, most), width", _SHOWN),
+        Mutant("report/figures/_validation.py", "axes.stairs(density[0, k], edges[k], color=REAL",
+               "axes.stairs(density[1, k], edges[k], color=REAL", _SHOWN),
+        Mutant("report/figures/_structure.py", 'axes.imshow(values, origin="lower"',
+               'axes.imshow(values, origin="upper"', _SHOWN),
+        Mutant("report/figures/_structure.py", "for side in comparison.sides.values()]",
+               "for side in [*comparison.sides.values()][::-1]]", _SHOWN),
+        Mutant("report/figures/_structure.py", 'axes.plot(real, simulated, "s"',
+               'axes.plot(simulated, real, "s"', _SHOWN),
+        Mutant("report/figures/_structure.py", "share = getattr(comparison, side).histogram / "
+               "np.diff(", "share = comparison.real.histogram / np.diff(", _SHOWN),
+        Mutant("report/figures/_structure.py", "getattr(comparison, side).profile, middle, color",
+               "comparison.simulated.profile, middle, color", _SHOWN),
+        Mutant("report/figures/_plots_inferred.py", 'some["field"],\n                    '
+               'some["estimate"],', 'some["estimate"],\n                    some["field"],',
+               _SHOWN),
+        Mutant("report/figures/_plots_inferred.py",
+               '[some["estimate"] - some["q025"], some["q975"] - some["estimate"]]',
+               '[some["q975"] - some["estimate"], some["estimate"] - '
+               'some["q025"]]', _SHOWN),
+    ],
+}  # fmt: skip
+"""By what they are in."""
+
+
+def is_there(mutant: Mutant) -> bool:
+    """Whether the text that is changed stands in its file once, and the tests are there."""
+    text = (ROOT / "fynjax" / mutant.file).read_text("utf-8")
+    file = ROOT / "tests" / mutant.tests.split()[0]
+    return text.count(mutant.old) == 1 and mutant.old != mutant.new and file.is_file()
+
+
+def is_found(mutant: Mutant) -> bool:
+    """Whether the tests of a mutant fail with it."""
+    with tempfile.TemporaryDirectory(prefix="fynjax-mutant-") as name:
+        folder = Path(name)
+        shutil.copytree(ROOT / "fynjax", folder / "fynjax",
+                        ignore=shutil.ignore_patterns("__pycache__"))  # fmt: skip
+        for beside in ("tests", "tools", "data_schemas", "docs", "notebooks", "pyproject.toml"):
+            (folder / beside).symlink_to(ROOT / beside)
+        path = folder / "fynjax" / mutant.file
+        path.write_text(path.read_text("utf-8").replace(mutant.old, mutant.new), "utf-8")
+        file, _, words = mutant.tests.partition(" ")
+        line = ["-x", "-q", "-p", "no:cacheprovider", f"tests/{file}"]
+        try:
+            done = subprocess.run(
+                [sys.executable, "-m", "pytest", *line, *(["-k", words] if words else [])],
+                cwd=folder, env={**os.environ, "PYTHONPATH": str(folder)}, capture_output=True,
+                text=True, check=False, timeout=_PATIENCE,
+            )  # fmt: skip
+        except subprocess.TimeoutExpired:
+            return True
+    if done.returncode not in (0, 1):  # none was run, or a file cannot be read
+        raise RuntimeError(f"{mutant.tests}: {done.stdout[-500:]}{done.stderr[-500:]}")
+    return done.returncode != 0
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(prog="python -m tests.mutants")
+    parser.add_argument("--group", action="append", choices=list(GROUPS), help="all of them")
+    parser.add_argument("--like", default="", help="text in the file, the change or the tests")
+    parser.add_argument("--list", action="store_true", help="only print them")
+    parser.add_argument(
+        "--unchanged",
+        action="store_true",
+        help="change nothing: the tests must pass, or they find what is no fault",
+    )
+    options = parser.parse_args()
+    survivors: list[str] = []
+    tried: set[str] = set()
+    count = 0
+    for group in options.group or list(GROUPS):
+        for mutant in GROUPS[group]:
+            if options.like not in " ".join(mutant):
+                continue
+            count += 1
+            what = f"{group}: {mutant.file}: {' '.join(mutant.new.split())[:90]}"
+            if options.list:
+                print(what)
+                continue
+            began = time.monotonic()
+            if options.unchanged:
+                if mutant.tests in tried:
+                    continue
+                tried.add(mutant.tests)
+                mutant, what = mutant._replace(new=mutant.old), mutant.tests
+                died = not is_found(mutant)
+                print(f"{'passed' if died else 'FAILED'}  {what}", flush=True)
+                survivors += [] if died else [what]
+                continue
+            died = is_found(mutant)
+            survivors += [] if died else [what]
+            print(f"{'died' if died else 'SURVIVED':<9}{time.monotonic() - began:5.0f} s  {what}",
+                  flush=True)  # fmt: skip
+    if not options.list and not options.unchanged:
+        print(f"{count - len(survivors)} of {count} died")
+        for what in survivors:
+            print(f"survived: {what}")
+    return int(bool(survivors))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
