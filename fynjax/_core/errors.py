@@ -16,7 +16,7 @@ R = TypeVar("R")
 LARGEST = 1e15
 """No measurement is larger than this, in any unit that files may state."""
 
-_LONGEST_WORD, _LONGEST_LIST, _LONGEST = 80, 160, 1500
+_LONGEST_WORD, _LONGEST_LIST, _LONGEST = 80, 160, 3000
 
 
 def _plain(text: str, most: int) -> str:

@@ -337,7 +337,11 @@ def _validate_plots(folder: Path) -> Runs:
 
 @_case("init")
 def _init(folder: Path) -> Runs:
-    return {"paper": ["init"], "later": ["init", "--burnt", 2016]}
+    return {
+        "heath": ["init"],
+        "paper": ["init", "--example", "fynbos"],
+        "later": ["init", "--burnt", 2016],
+    }
 
 
 @_case("view")

@@ -88,8 +88,11 @@ def placed_by(plot: Plot, maps: Iterable[Path]) -> Plot:
 
 
 def raster_place(file: RasterFile) -> tuple[float, float] | None:
-    """Latitude and longitude [degree] of the middle of an open raster; `None` where it lies
-    nowhere on Earth."""
+    """Latitude and longitude [degree] of the middle of a raster; `None` where it lies nowhere on
+    Earth.
+
+    **Arguments:** `file`, open.
+    """
     if file.crs is None or not file.on_earth:
         return None
     rows, columns = file.shape

@@ -24,7 +24,10 @@ Floats = NDArray[np.float64]
 
 
 def in_the_cape(latitude: float, longitude: float) -> bool:
-    """Whether a place [degree] is in the Cape, of whose shrubland the shipped prior is."""
+    """Whether a place is in the Cape, of whose shrubland the shipped prior is.
+
+    **Arguments:** `latitude` and `longitude` [degree], south and west negative.
+    """
     return -35.0 <= latitude <= -31.0 and 17.5 <= longitude <= 27.0
 
 

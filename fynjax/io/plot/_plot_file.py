@@ -34,6 +34,12 @@ def example_folder() -> Path:
     return Path(str(files("fynjax.io.plot") / "data" / "plot_2006"))
 
 
+HEATH_TABLE = Path(str(files("fynjax.io.plot") / "data" / "heath.csv"))
+"""Table of plants of a wet heath at Glomel, Brittany, in the words of those who wrote it."""
+HEATH_PLACE = (48.22, -3.42)
+"""Latitude and longitude of that heath [degree]."""
+
+
 @names_file
 def _read_species(
     path: Path,
