@@ -9,6 +9,7 @@ from pathlib import Path
 from pydantic import ValidationError
 
 from fynjax._core.errors import InputError, did_you_mean, listed, names_file
+from fynjax._core.tables import numbers_rows
 from fynjax._core.validation import columns, number_slip, sentence, shown
 from fynjax.canopy import FORMS, form_of_taxon
 from fynjax.io.plot._column_words import (
@@ -119,7 +120,7 @@ def read_releve(path: str | Path) -> Releve:
     rows = list(table.records())
     if not rows:
         raise InputError("expected a table of plants, but there is only a header")
-    numbered = [i for i, name in enumerate(table.names) if not name and _counts(rows, i)]
+    numbered = [0] if numbers_rows(table) else []
     places, said = _places(table, heads, faults)
     faults.stop()
     used = {i for found in places.values() for i in found} | set(numbered)
@@ -159,12 +160,6 @@ def read_releve(path: str | Path) -> Releve:
     above = (table.line(row) for row in range(1, table.row))
     comments = tuple(line for line in above if line.startswith("#"))
     return Releve(path, tuple(plants), names, comments, ground, tuple(said))
-
-
-def _counts(rows: Sequence[tuple[int, list[str]]], at: int) -> bool:
-    """Whether a column counts the rows, from 0 or 1, as R and pandas write it."""
-    cells = [cells[at].strip('"') for _, cells in rows]
-    return any(cells == [str(k + first) for k in range(len(cells))] for first in (0, 1))
 
 
 def _places(
