@@ -12,6 +12,9 @@ from ._doctor import Check as Check
 from ._doctor import doctor as doctor
 from ._fit_leaf import FitLeafResult as FitLeafResult
 from ._fit_leaf import fit_leaf as fit_leaf
+from ._identify import Identified as Identified
+from ._identify import Rejected as Rejected
+from ._identify import identify as identify
 from ._information import InformationResult as InformationResult
 from ._information import information as information
 from ._init import InitResult as InitResult

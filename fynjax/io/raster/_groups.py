@@ -127,9 +127,7 @@ def with_groups(
         mapped = [key for key, one in own.variables.items() if "crs_wkt" in one.attrs]
         if len(mapped) == 1:
             own["reflectance"].attrs["grid_mapping"] = mapped[0]
-        elif (
-            neon := _neon_place(tree.texts.get(f"{place}/Metadata/Coordinate_System", {}))
-        ) is not None:
+        elif (neon := _neon_place(tree.texts.get(system, {}))) is not None:
             own = own.assign(crs=neon)
             own["reflectance"].attrs["grid_mapping"] = "crs"
     return own, around

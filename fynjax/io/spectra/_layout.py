@@ -36,7 +36,7 @@ _FEW_BANDS = 10
 
 
 @dataclass(frozen=True)
-class Layout:
+class TableLayout:
     """Where the spectra of a table stand."""
 
     by_row: bool
@@ -96,7 +96,7 @@ def _roughness(values: np.ndarray, axis: int) -> float:
     return float(np.median(bends) / size) if bends.size and size > 0.0 else np.inf
 
 
-def layout_of(table: TextTable) -> Layout:
+def layout_of(table: TextTable) -> TableLayout:
     """Whether a table holds its spectra in columns or in rows.
 
     What decides, in this order: whether the header's numbers and the first columns' numbers can be
@@ -118,14 +118,14 @@ def layout_of(table: TextTable) -> Layout:
     if not in_header:
         many = len(bands) >= _FEW_BANDS
         rejected = (f"{names}: in no order, or no wavelengths",) if many else ()
-        return Layout(False, at, {}, "", (_about(header, at, named, stands),), rejected)
+        return TableLayout(False, at, {}, "", (_about(header, at, named, stands),), rejected)
     if not stands:
-        return Layout(
+        return TableLayout(
             True, at, bands, unit, (f"{names}, as wavelengths are",),
             ("no column has numbers that are wavelengths",),
         )  # fmt: skip
     if is_number(header[at]) and len(bands) < len(header):  # a table without a header
-        return Layout(False, at, {}, "", (_about(header, at, named, stands),))
+        return TableLayout(False, at, {}, "", (_about(header, at, named, stands),))
     rough = _both(rows, at, bands)
     smooth = (
         f"values are {rough[1] / max(rough[0], 1e-9):.2g} times as rough along rows as down columns"
@@ -140,8 +140,8 @@ def layout_of(table: TextTable) -> Layout:
         and (wide[0] if wide[0] != wide[1] else not usual or rough[0] < 0.5 * rough[1])
     )
     if column_wise:
-        return Layout(False, at, {}, "", (column, smooth), samples)
-    return Layout(True, at, bands, unit, (names, smooth), (f"{column}: numbers of samples",))
+        return TableLayout(False, at, {}, "", (column, smooth), samples)
+    return TableLayout(True, at, bands, unit, (names, smooth), (f"{column}: numbers of samples",))
 
 
 def _span(values: Sequence[float]) -> float:

@@ -12,7 +12,7 @@ from fynjax._core.tables import TextTable, is_number, open_table, trimmed, witho
 from fynjax.io.spectra._layout import (
     NAME_KEYS,
     WAVELENGTH,
-    Layout,
+    TableLayout,
     check_not_numbers_alone,
     layout_of,
 )
@@ -105,10 +105,11 @@ def _paired(
     ]
 
 
-def _by_row(table: TextTable, layout: Layout) -> list[MeasuredSpectrum]:
+def _by_row(table: TextTable, layout: TableLayout) -> list[MeasuredSpectrum]:
     """Wide layout: one row a spectrum, wavelengths as column names."""
     header, file, bands = table.names, table.path, layout.bands
     meta: dict[str, Any] = {"format": "table, one row a spectrum"}
+    meta["layout"] = f"{layout.words}: {layout.evidence[0]}"
     wavelength = _to_nm(np.array(list(bands.values())), layout.unit, meta)
     others = [i for i in range(len(header)) if i not in bands]
     labels = [name.lower() for name in header]
@@ -214,7 +215,9 @@ def read_text_spectra(data: bytes, file: Path) -> list[MeasuredSpectrum]:
         titles = [list(header)]  # R names no column of row names
     at = layout.at if layout is not None and len(above) == 1 and layout.at < table.width - 1 else 0
     found = _by_column(table, titles, at)
-    if layout is not None and layout.rejected and found:
-        words = f"taken as {layout.words}: {layout.evidence[0]}; not {layout.rejected[0]}"
-        found[0] = found[0].noted(words, meta={"layout": words})
+    if layout is not None:
+        words = f"{layout.words}: {layout.evidence[0]}"
+        found = [one.noted(meta={"layout": words}) for one in found]
+        if layout.rejected and found:
+            found[0] = found[0].noted(f"taken as {words}; not {layout.rejected[0]}")
     return leaves_only(found)
