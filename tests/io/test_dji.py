@@ -214,6 +214,14 @@ def test_a_phantom_is_known_whatever_its_files_are_called(tmp_path: Path, rename
     assert find_captures([path for paths in found.values() for path in paths]) == found
 
 
+def test_a_prefix_is_known_where_pictures_state_no_capture(tmp_path: Path) -> None:
+    rho = [np.full(SHAPE, 0.3)] * len(PHANTOM)
+    for name in ("f1_DJI_001", "f1_DJI_002"):
+        change = {"change": lambda text: text.replace("CaptureUUID", "Unused")}
+        write_dji(tmp_path, name, rho, PHANTOM, **change)
+    assert list(find_captures([tmp_path])) == ["f1_DJI_001", "f1_DJI_002"]
+
+
 def test_a_mavic_may_have_a_prefix(tmp_path: Path) -> None:
     write_dji(tmp_path, f"flight2_{NAME}", [np.full(SHAPE, 0.3)] * 4)
     ((name, paths),) = find_captures([tmp_path]).items()
