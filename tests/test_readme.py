@@ -118,7 +118,7 @@ def test_commands_and_their_options_exist() -> None:
     commands |= {f"bioscape {c.name}" for c in group.typer_instance.registered_commands}
     assert named == commands >= {"demo", "render", "calibrate"}
     assert all(name.split()[0] in shown for name in named)
-    for name in named - {"sensors", "doctor", "view"}:  # which write nothing
+    for name in named - {"sensors", "doctor", "identify", "view"}:  # which write nothing
         text = CliRunner().invoke(app, [*name.split(), "--help"], env={"COLUMNS": "200"}).output
         for option in ("--output", "--seed", "--json", "--quiet"):
             # In some of them nothing is drawn.

@@ -17,7 +17,7 @@ R = TypeVar("R")
 LARGEST = 1e15
 """No measurement is larger than this, in any unit that files may state."""
 
-_LONGEST_WORD, _LONGEST_LIST, _LONGEST = 80, 160, 1500
+_LONGEST_WORD, _LONGEST_LIST, _LONGEST = 80, 160, 3000
 
 
 def _plain(text: str, most: int) -> str:
@@ -47,7 +47,8 @@ class InputError(ValueError):
 
     - `message`: what was expected, what came, and the likely slip.
     - `file`, `row`, `column`: where, when the input is a file. `row` counts from 1 as an
-      editor does (a table's header is row 1); `column` is a name or a number.
+      editor does (a table's header is row 1); `column` is a name or a number. Of a TOML file the
+      message calls them line and key.
     """
 
     def __init__(
@@ -61,10 +62,13 @@ class InputError(ValueError):
         message = _plain(message, _LONGEST)
         column = _plain(column, _LONGEST_WORD) if isinstance(column, str) else column
         where = [] if file is None else [str(file)]
+        keyed = file is not None and Path(file).suffix.lower() == ".toml"
         if row is not None:
-            where.append(f"row {row}")
-        if column is not None:
-            where.append(f"column {column!r}" if isinstance(column, str) else f"column {column}")
+            where.append(f"{'line' if keyed else 'row'} {row}")
+        if isinstance(column, str):
+            where.append(f"{'key' if keyed else 'column'} {column!r}")
+        elif column is not None:
+            where.append(f"column {column}")
         super().__init__(f"{', '.join(where)}: {message}" if where else message)
         self.message, self.file, self.row, self.column = message, file, row, column
 

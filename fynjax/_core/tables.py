@@ -303,7 +303,21 @@ def open_table(path: str | Path, what: str, *, data: bytes | None = None) -> Tex
     table, _ = _open(path, what, LARGEST_TEXT, data)
     table.row, table.skip, names = next(table._rows(0))
     table.names = tuple(trimmed(names))
+    below = [cells for _, cells in itertools.islice(table.rows(), 3)]
+    first = [cells[0] for cells in below]
+    without_name = all(len(cells) == table.width + 1 for cells in below)
+    if below and without_name and first == [str(k + 1) for k in range(len(first))]:
+        table.names = ("", *table.names)  # R's write.table names no column of row names
     return table
+
+
+def numbers_rows(table: TextTable) -> bool:
+    """Whether the first column of a table has no name of its own and counts the rows, from 0 or 1,
+    as R's write.csv and pandas' to_csv write it unless they are told not to."""
+    if table.names[:1] and not re.fullmatch(r"|unnamed: ?0|\.\.\.1|index", table.names[0].lower()):
+        return False
+    first = [cells[0] for _, cells in itertools.islice(table.rows(), _SAMPLE_LINES)]
+    return any(first == [str(k + start) for k in range(len(first))] for start in (0, 1))
 
 
 def open_points(path: str | Path, what: str, needed: Collection[str]) -> TextTable:

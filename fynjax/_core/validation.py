@@ -22,6 +22,12 @@ def columns(model: type[BaseModel]) -> dict[str, FieldInfo]:
     return {field.alias or name: field for name, field in model.model_fields.items()}
 
 
+def is_note(column: str) -> bool:
+    """Whether a column of a table holds what its writer notes, which nothing reads: its name begins
+    with "note"."""
+    return column.strip().lower().startswith("note")
+
+
 def _bounds(field: FieldInfo) -> str:
     limit: dict[str, Any] = {}
     for entry in field.metadata:
@@ -242,7 +248,8 @@ def checked_rows(
 def check_header(header: Sequence[str], model: type[BaseModel], **where: Any) -> None:
     """Raise `InputError` for a column that is missing, unknown or there twice.
 
-    A record that ignores what it does not name takes tables with further columns.
+    Every table may have columns of notes (`is_note`); a record that ignores what it does not name
+    takes tables with any further columns.
 
     **Arguments:** `header`: names of a table's columns; `model`: the record of a row; `where`: file
     and row, as `InputError` takes them.
@@ -251,7 +258,7 @@ def check_header(header: Sequence[str], model: type[BaseModel], **where: Any) ->
     rules = model if issubclass(model, Strict) else Strict
     needed = [name for name, f in known.items() if f.is_required() or name in rules.must_have]
     missing = [name for name in needed if name not in header]
-    strange = [name for name in header if name not in known]
+    strange = [name for name in header if name not in known and not is_note(name)]
     if missing:
         near = did_you_mean(missing[0], strange)
         near = near.replace("Did you mean", "Is it").replace("?", " in this table?")
@@ -260,7 +267,8 @@ def check_header(header: Sequence[str], model: type[BaseModel], **where: Any) ->
     if strange and model.model_config.get("extra") != "ignore":
         what = repr(strange[0]) if strange[0] else "a column without a name"
         raise InputError(
-            f"unknown column {what}.{did_you_mean(strange[0], known)} Known: {', '.join(known)}.",
+            f"unknown column {what}.{did_you_mean(strange[0], known)} Known: {', '.join(known)}; "
+            "columns whose names begin with note are yours.",
             **where,
             column=strange[0],
         )

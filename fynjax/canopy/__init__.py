@@ -39,6 +39,7 @@ from fynjax.canopy._sites import (
     site_weight,
 )
 from fynjax.canopy._table import leaf_sizes, table1_2006
+from fynjax.canopy._taxa import FormOfTaxon, form_of_taxon
 from fynjax.canopy.forms import FORMS
 from fynjax.canopy.mesh import (
     GeneratedPlant,
@@ -60,6 +61,7 @@ __all__ = [
     "Crown",
     "EllipsoidalLeafAngle",
     "Foliage",
+    "FormOfTaxon",
     "FormPrior",
     "GeneratedPlant",
     "Greenness",
@@ -88,6 +90,7 @@ __all__ = [
     "deposit",
     "even_levels",
     "expected_count",
+    "form_of_taxon",
     "generate_plant",
     "grouped",
     "instance_area",

@@ -22,7 +22,7 @@ from fynjax.cli._leaf import convert, fit_leaf
 from fynjax.cli._maps import map_command, train
 from fynjax.cli._plot import article, build, demo, init, pattern, plant, render, terrain, view
 from fynjax.cli._runtime import ignore_ctrl_c
-from fynjax.cli._sensors import doctor, frames, reflectance, sensors, simulate
+from fynjax.cli._sensors import doctor, frames, identify, reflectance, sensors, simulate
 from fynjax.cli._validate import validate
 
 __all__ = ["app", "main"]
@@ -34,7 +34,7 @@ _PANELS: dict[str, dict[str, Callable[..., None]]] = {
         **{"plant": plant, "terrain": terrain, "pattern": pattern},
     },
     "Leaf": {"fit-leaf": fit_leaf, "convert": convert},
-    "This machine": {"doctor": doctor},
+    "This machine": {"doctor": doctor, "identify": identify},
     "Sensors": {
         **{"sensors": sensors, "simulate": simulate},
         **{"reflectance": reflectance, "frames": frames},

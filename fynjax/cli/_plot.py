@@ -1,18 +1,17 @@
 """Commands about one plot: its files, its plants, its ground, its image, its page."""
 
+import sys
 import webbrowser
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import typer
 
 from fynjax._core.errors import InputError
 from fynjax.cli._runtime import (
-    SHIPPED,
     Align,
     Json,
     PlotPath,
-    PriorFile,
     Quiet,
     Seed,
     Truth,
@@ -78,36 +77,108 @@ def article(
 def init(
     folder: Annotated[Path | None, typer.Argument(metavar="DIR", help="Folder to make.")] = None,
     output: Annotated[Path | None, option("DIR", "The same as the argument DIR.")] = None,
+    table: Annotated[
+        Path | None,
+        option(
+            "FILE",
+            "Table of plants of your own (CSV or Excel), its columns in your own words: name, "
+            "cover, and what is known of height, crown diameter, growth or life form, family.",
+        ),
+    ] = None,
+    place: Annotated[
+        Any,
+        listed(
+            float,
+            "LAT,LON",
+            "Latitude and longitude of the plot in degrees, south and west negative; left out, "
+            "those of the image.",
+            counts=(2,),
+            form="latitude and longitude in degrees, such as 43.75,3.70",
+        ),
+    ] = None,
+    image: Annotated[
+        Path | None,
+        option("FILE", "Image of the plot: its place, time, camera and pixel become the plot's."),
+    ] = None,
+    leaves: Annotated[
+        Path | None,
+        option("DIR", "Folder of leaf spectra, named after their taxon; it is copied."),
+    ] = None,
+    example: Annotated[
+        Literal["heath", "fynbos"] | None,
+        typer.Option(
+            help="Without a table: a wet heath in Brittany, or the fynbos plot of the article with "
+            "its leaves and what the drone measured.  [heath]"
+        ),
+    ] = None,
     burnt: Annotated[
-        int,
+        int | None,
         option(
             "YEAR",
-            "Year of the plot's last fire. 2006 is the published plot; 2016, 2019 and others "
-            "are built on assumptions about recovery, which their files state.",
+            "Year of the fynbos plot's last fire. 2006 is the published plot; 2016, 2019 and "
+            "others are built on assumptions about recovery, which their files state.  [2006]",
         ),
-    ] = 2006,
-    prior: PriorFile = SHIPPED,
+    ] = None,
+    prior: Annotated[
+        str | None,
+        option(
+            "FILE",
+            "Population whose means and spreads the files state: a shipped one, a file that "
+            "`fynjax bioscape learn` wrote, or none. Left out: of the fynbos plot the shipped "
+            "one; of others only which plants are meant, by their place.",
+        ),
+    ] = None,
     seed: Seed = 0,
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Write a commented example plot that runs as it is.
+    """Write a commented plot file, of your own table or of an example, that builds as it is.
 
     Never overwrites a file.
 
-    Example:  fynjax init my_plot && fynjax render my_plot/plot.toml
+    Example:  fynjax init my_plot --table releve.xlsx --place 43.75,3.70 --image ortho.tif
+
+    Example:  fynjax init my_plot && fynjax build my_plot/plot.toml
     """
+    from fynjax.io.plot import DEFAULT_PRIOR, HEATH_PLACE, HEATH_TABLE
+    from fynjax.jobs import init_from_table
     from fynjax.studies import fynbos_2006
 
     if folder is not None and output is not None and folder != output:
         raise InputError(f"expected one folder, but got {str(folder)!r} and {str(output)!r}")
     target = folder or output or Path("fynjax_plot")
-    result = fynbos_2006.init(target, burnt=burnt, prior=prior, seed=seed)
+    given = {"--place": place, "--image": image, "--leaves": leaves}
+    with_table = [flag for flag, value in given.items() if value is not None]
+    if table is None and with_table:
+        raise InputError(
+            f"expected `--table`, your table of plants, with `{with_table[0]}`, but got none"
+        )
+    of_example = {"--example": example, "--burnt": burnt}
+    stated = [flag for flag, value in of_example.items() if value is not None]
+    if table is not None and stated:
+        raise InputError(f"expected `--table` or `{stated[0]}`, but got both: leave one out")
+    if example == "heath" and burnt is not None:
+        raise InputError("expected `--example fynbos` with `--burnt`, but got heath")
+    if example == "fynbos" or burnt is not None:
+        burnt = fynbos_2006.PUBLISHED if burnt is None else burnt
+        result = fynbos_2006.init(target, burnt=burnt, prior=prior or DEFAULT_PRIOR, seed=seed)
+    elif table is None:
+        result = init_from_table(
+            target, HEATH_TABLE, place=HEATH_PLACE, prior=prior, seed=seed, name="Wet heath, Glomel"
+        )
+    else:
+        result = init_from_table(
+            target, table, place=place, image=image, leaves=leaves, prior=prior, seed=seed
+        )
     if json:
         print(result.model_dump_json(indent=2))
-    elif not quiet:
+        return
+    for line in result.warnings:
+        if not any(line in said for said in result.headline):
+            print(f"fynjax: warning: {line}", file=sys.stderr)
+    if not quiet:
         show(result)
-        print(f"Next: fynjax render {target / 'plot.toml'}")
+        print(f"Next: fynjax build {target / 'plot.toml'}")
 
 
 @command("render", "fynjax.jobs:render", "seed", "checkpoint", forget=True)

@@ -37,6 +37,38 @@ def sensors(
     Console().print(table)
 
 
+def identify(
+    files: Annotated[
+        list[Path], typer.Argument(metavar="FILE...", help="Files to look at.", show_default=False)
+    ],
+    json: Annotated[bool, typer.Option("--json", help="Print what was found as JSON.")] = False,
+) -> None:
+    """Say what a file is taken for, and why: format, layout, unit, quantity, place, number.
+
+    Spectra, images, cubes, point clouds, plot files and tables of plants, as every command reads
+    them. Nothing is written. Exit status 1 if no reader takes one of the files.
+
+    Example:  fynjax identify leaves.csv ortho.tif
+    """
+    from fynjax.jobs import identify as identified
+
+    found = [identified(file) for file in files]
+    if json:
+        from json import dumps
+
+        print(dumps([one.model_dump() for one in found], indent=2))
+    for one in () if json else found:
+        print(f"{one.file}: {one.kind}")
+        for name, value in one.facts.items():
+            print(f"  {name + ':':<13}{value}")
+        for line in one.evidence:
+            print(f"  {line}")
+        for other in one.rejected:
+            print(f"  not {other.kind}: {other.reason}")
+    if any(one.kind == "unknown" for one in found):
+        raise typer.Exit(1)
+
+
 def doctor(
     json: Annotated[bool, typer.Option("--json", help="Print the checks as JSON.")] = False,
     clear: Annotated[

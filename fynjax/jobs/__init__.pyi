@@ -14,8 +14,14 @@ from ._fit_leaf import FitLeafResult as FitLeafResult
 from ._fit_leaf import fit_leaf as fit_leaf
 from ._frames import FramesResult as FramesResult
 from ._frames import frames as frames
+from ._identify import Identified as Identified
+from ._identify import Rejected as Rejected
+from ._identify import identify as identify
 from ._information import InformationResult as InformationResult
 from ._information import information as information
+from ._init import InitResult as InitResult
+from ._init import check_nothing_there as check_nothing_there
+from ._init import init_from_table as init_from_table
 from ._map import MapResult as MapResult
 from ._map import map_cube as map_cube
 from ._pattern import PatternResult as PatternResult

@@ -5,6 +5,7 @@ Its light is computed in float32.
 
 from fynjax._core.compiler import keep_compiled
 from fynjax.scene._cover import ProjectedCover, projected_cover
+from fynjax.scene._cover_words import cover_range, name_classes
 from fynjax.scene._ground import COVERS, Ground, ground_shares
 from fynjax.scene._instances import (
     Instances,
@@ -157,6 +158,7 @@ __all__ = [
     "check_taxa",
     "clark_evans_indices",
     "cover_definition_of",
+    "cover_range",
     "drawn_leaves",
     "element_count",
     "fitted_accuracy",
@@ -174,6 +176,7 @@ __all__ = [
     "leaves_of",
     "material_classes",
     "mean_trait",
+    "name_classes",
     "named_values",
     "observe",
     "observe_lidar",

@@ -30,7 +30,7 @@ from fynjax._core.files import NamedFile
 from fynjax._core.parameters import parameters_of
 from fynjax._core.records import Slip, Strict, quantity
 from fynjax._core.seeds import generator
-from fynjax._core.validation import check_header, checked_row, checked_rows
+from fynjax._core.validation import check_header, checked_row, checked_rows, is_note
 from fynjax.canopy import FORMS, AbstractLeafAngle, Organ, Shrubland, most_projected, table1_2006
 from fynjax.leaf import FLAT, ROUND, LeafParameters, structure_from_dry_matter
 from fynjax.scene._cover_words import cover_range, name_classes
@@ -554,7 +554,7 @@ def check_taxa(
         if row.taxon not in taxa:
             raise InputError(
                 f"unknown taxon {row.taxon!r}: it is not in the species table."
-                f"{did_you_mean(row.taxon, taxa)}",
+                f"{did_you_mean(row.taxon, taxa)} Else delete this row, or add the taxon there.",
                 file=file,
                 row=number,
                 column="taxon",
@@ -595,7 +595,7 @@ def species_rows(
         {
             str(name): str(value) if isinstance(value, bool | np.bool_) else value  # no number
             for name, value in record.items()
-            if value is not None
+            if value is not None and not is_note(str(name))
         }
         for record in records
     )

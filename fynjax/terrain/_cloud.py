@@ -125,7 +125,7 @@ def read_cloud(
     suffix, system = path.suffix.lower(), None
     unit_stated, height_stated = unit is not None, unit is not None or height_unit is not None
     if suffix in (".las", ".laz"):
-        cloud, system = _read_las(path, unit_stated, height_stated)
+        cloud, system = _read_las(path, unit_stated, height_stated, crs_stated=crs is not None)
     elif suffix == ".ply":
         cloud = _read_ply(path)
     elif suffix in (".xyz", ".txt", ".csv"):
@@ -223,8 +223,11 @@ def _cut_height(cloud: PointCloud) -> float | None:
     return float(tenth)
 
 
-def _read_las(path: Path, unit_stated: bool, height_stated: bool) -> tuple[PointCloud, CRS | None]:
-    """Points of a LAS or LAZ file, in its unit, and its reference system."""
+def _read_las(
+    path: Path, unit_stated: bool, height_stated: bool, *, crs_stated: bool
+) -> tuple[PointCloud, CRS | None]:
+    """Points of a LAS or LAZ file, in its unit, and its reference system, unless another is
+    stated."""
     laspy = require("laspy", "terrain")
     if path.suffix.lower() == ".laz":
         require("lazrs", "terrain")
@@ -257,7 +260,10 @@ def _read_las(path: Path, unit_stated: bool, height_stated: bool) -> tuple[Point
         )
     # Zero is "created, never classified": a file with nothing else has no classes.
     cloud = PointCloud(x, y, z, labels if labels.any() else None)
-    return cloud.select(~withheld), _las_crs(las.header, path, unit_stated, height_stated)
+    system = None
+    if not crs_stated:
+        system = _las_crs(las.header, path, unit_stated, height_stated)
+    return cloud.select(~withheld), system
 
 
 _LASZIP, _EXTRA_BYTES = 22204, 14
@@ -332,13 +338,24 @@ def _laszip_record(file: BinaryIO, start: int, count: int) -> bytes:
     return b""
 
 
+_NO_SYSTEM = "\0 \t\r\n'\""
+"""What may stand round the text of a record, or in place of it."""
+_UNKNOWN = ("", "unknown", "none", "null", "undefined", "n/a")
+"""Texts that state no system."""
+
+
 def _las_crs(header: Any, path: Path, unit_stated: bool, height_stated: bool) -> CRS | None:
     """The reference system of a LAS header, from its WKT or its GeoTIFF keys (GeoTIFF 1.1)."""
     records = [*header.vlrs, *(header.evlrs or [])]
     for record in records:
-        text = getattr(record, "string", "")
-        if type(record).__name__ == "WktCoordinateSystemVlr" and text.strip("\0 "):
-            return parse_crs(text.strip("\0 "), path)
+        text = getattr(record, "string", "").strip(_NO_SYSTEM)
+        if type(record).__name__ == "WktCoordinateSystemVlr" and text.lower() not in _UNKNOWN:
+            try:
+                return parse_crs(text, path)
+            except InputError as error:
+                raise InputError(
+                    f"{error.message}. If you know it, state it: --crs EPSG:... (`crs`)", file=path
+                ) from error
     for record in records:
         if type(record).__name__ != "GeoKeyDirectoryVlr":
             continue

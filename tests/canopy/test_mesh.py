@@ -370,3 +370,38 @@ def test_a_glb_has_no_more_numbers_or_copies_than_it_can_hold(
     path.write_bytes(path.read_bytes()[:60])
     with pytest.raises(InputError, match="damaged or cut short"):
         read_plant_mesh(path)
+
+
+def tube(radius: float, length: float, tip: float, sides: int = 8) -> trimesh.Trimesh:
+    """A stem of rings without caps, its upper ring `tip` times as wide."""
+    angle = 2.0 * np.pi * np.arange(sides) / sides
+    ring = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    low = np.column_stack([radius * ring, np.zeros(sides)])
+    high = np.column_stack([tip * radius * ring, np.full(sides, length)])
+    k, n = np.arange(sides), (np.arange(sides) + 1) % sides
+    faces = np.concatenate([np.stack([k, n, n + sides], 1), np.stack([k, n + sides, k + sides], 1)])
+    return trimesh.Trimesh(np.concatenate([low, high]), faces, process=False)
+
+
+@pytest.mark.parametrize(
+    ("shape", "share"),
+    [(tube(0.01, 0.3, 0.8), 0.5), (tube(0.01, 0.3, 1e-14), 0.5), (tube(0.1, 0.25, 1.0), 0.5),
+     (tube(0.2, 0.05, 1.0), 1.0), (tube(0.2, 0.01, 0.3), 1.0)],
+)  # fmt: skip
+def test_a_ring_of_open_edges_at_the_end_of_a_stem_is_no_sheet(shape, share) -> None:
+    """A tube, one that tapers to a point, a stout one; a hoop and a flat ring are sheets."""
+    with (
+        contextlib.nullcontext()
+        if share < 1.0
+        else pytest.warns(UserWarning, match="count as sheets")
+    ):
+        model = plant_model_from_mesh(named(wood=shape), 40, solid_materials="closed")
+    assert float(model.organ_area[1]) == pytest.approx(share * shape.area, rel=1e-3)
+
+
+def test_tubes_of_the_field_count_half(shared_data) -> None:
+    """Three tubes of 0.0389 m2 of surface, and 30 leaves, which are sheets."""
+    path = shared_data / "field" / "27_open-tubes-of-a-generator" / "shrub.obj"
+    model = plant_model_from_mesh(read_plant_mesh(path), 500, solid_materials="closed")
+    assert float(model.organ_area[1]) == pytest.approx(0.01947, rel=1e-3)
+    assert float(model.organ_area[0]) == pytest.approx(0.0144, rel=1e-3)

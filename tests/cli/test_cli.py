@@ -77,7 +77,7 @@ def calls(monkeypatch):
 
 @pytest.fixture
 def plot(tmp_path, capsys):
-    assert call(capsys, "init", tmp_path / "plot")[0] == 0
+    assert call(capsys, "init", tmp_path / "plot", "--example", "fynbos")[0] == 0
     return tmp_path / "plot" / "plot.toml"
 
 
@@ -467,21 +467,63 @@ def test_init_writes_a_plot_of_another_fire_and_says_what_is_assumed(capsys, tmp
     assert "--burnt" in one_line(*call(capsys, "init", tmp_path / "b", "--burnt", 2022))
 
 
-def test_init_writes_a_plot_that_reads_and_overwrites_nothing(capsys, tmp_path):
+@pytest.mark.parametrize(
+    ("example", "taxa", "plants"),
+    [([], 9, "generic"), (["--example", "heath"], 9, "generic"),
+     (["--example", "fynbos"], 13, "fynbos")],
+)  # fmt: skip
+def test_init_writes_a_plot_that_reads_and_overwrites_nothing(
+    capsys, tmp_path, example, taxa, plants
+):
     target = tmp_path / "plot"
-    status, out, err = call(capsys, "init", target, "--seed", 9)
+    status, out, err = call(capsys, "init", target, "--seed", 9, *example)
     assert (status, err) == (0, "")
-    assert f"fynjax render {target / 'plot.toml'}" in out
+    assert f"fynjax build {target / 'plot.toml'}" in out
     read = read_plot(target / "plot.toml")
     assert read.seed == 9
-    assert len(read.species) == 13
+    assert len(read.species) == taxa
+    assert read.shrubland == plants
     (target / "species.csv").write_text("mine")
     assert "overwrites nothing" in one_line(*call(capsys, "init", target))
     assert (target / "species.csv").read_text() == "mine"
-    status, out, _ = call(capsys, "init", "--output", tmp_path / "other", "--json")
+    status, out, _ = call(capsys, "init", "--output", tmp_path / "other", "--json", *example)
     assert status == 0
     assert sorted(json.loads(out)["files"]) == sorted(os.listdir(tmp_path / "other"))
     assert "one folder" in one_line(*call(capsys, "init", "a", "--output", "b"))
+
+
+def test_init_takes_a_table_of_one_s_own_by_its_words(capsys, tmp_path):
+    own = tmp_path / "releve.csv"
+    own.write_text("Species,Cover,Height (cm)\nErica arborea,40,120\n", "utf-8")
+    options = ("--table", own, "--place", "-34.2,18.9")
+    status, out, err = call(capsys, "init", tmp_path / "plot", *options)
+    assert (status, err) == (0, "")
+    assert "Growth forms by genus: Erica arborea upright_ericoid." in out
+    assert read_plot(tmp_path / "plot" / "plot.toml").place_deg == (-34.2, 18.9)
+    for arguments, word in (
+        (("--place", "1,2"), "expected `--table`"),
+        (("--table", own, "--burnt", 2016), "but got both"),
+        (("--table", own, "--place", "north"), "latitude and longitude in degrees"),
+        (("--table", own, "--place", "200,1"), "expected `place` as latitude"),
+        (("--example", "heath", "--burnt", 2016), "--example fynbos"),
+    ):  # fmt: skip
+        assert word in one_line(*call(capsys, "init", tmp_path / "other", *arguments))
+
+
+def test_init_without_a_prior_takes_nothing_that_was_learned(capsys, tmp_path):
+    from fynjax.io.plot import leaf_factors, read_prior
+
+    for prior in ("none", "fynbos_2023"):
+        arguments = ("--example", "fynbos", "--prior", prior)
+        assert call(capsys, "init", tmp_path / prior, *arguments)[0] == 0
+    none, learned = (read_plot(tmp_path / prior / "plot.toml") for prior in ("none", "fynbos_2023"))
+    assert (none.plants, learned.plants) == ("generic", "fynbos")
+    assert all(one.leaf_area_index is None for one in none.species)
+    factors = leaf_factors(read_prior("fynbos_2023").values())
+    for before, after in zip(learned.leaves, none.leaves, strict=True):
+        for name in ("chlorophyll", "water", "dry_matter"):
+            ratio = getattr(before, name) / getattr(after, name)
+            assert ratio == pytest.approx(factors[name], rel=0.01)
 
 
 @pytest.mark.parametrize("burnt", [2006, 2016])
@@ -492,7 +534,7 @@ def test_init_states_means_and_spreads_of_a_prior(capsys, tmp_path, burnt):
 
     write_prior(tmp_path / "prior.toml", prior_file())
     prior, shipped = read_prior(tmp_path / "prior.toml"), read_prior("fynbos_2023")
-    arguments = ("--burnt", burnt, "--prior", tmp_path / "prior.toml")
+    arguments = ("--burnt", burnt, "--prior", tmp_path / "prior.toml")  # of the fynbos plot
     assert call(capsys, "init", tmp_path / "plot", *arguments)[0] == 0
     plot = read_plot(tmp_path / "plot" / "plot.toml")
     assert (tmp_path / "plot" / "plot.toml").read_text().count('prior.toml: Plots of "fynbos"') == 1

@@ -13,7 +13,7 @@ from fynjax.cli import main
 from tests.frozen.cases import CASES
 
 FROZEN = Path(__file__).parents[1] / "frozen"
-COMMANDS = [name for name in CASES if name not in ("init", "sensors", "doctor", "view")]
+COMMANDS = [name for name in CASES if name not in ("init", "sensors", "doctor", "identify", "view")]
 
 
 def call(capsys, line):

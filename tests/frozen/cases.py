@@ -74,14 +74,14 @@ def run(command: str, folder: Path) -> Numbers:
     out.mkdir()
     for name, line in CASES[command].runs(folder).items():
         line = list(map(str, line))
-        if line[0] not in ("sensors", "doctor", "view"):
+        if line[0] not in ("sensors", "doctor", "identify", "view"):
             line += ["--output", str(out / name), "--quiet"]
         with patch.dict(
             inspect.unwrap(jobs.train).__kwdefaults__, steps=30
         ):  # more would amplify rounding
             result = CliRunner().invoke(app, line, catch_exceptions=False)
         assert result.exit_code == 0, f"{line}: {result.output}"
-        if line[0] in ("sensors", "doctor"):
+        if line[0] in ("sensors", "doctor", "identify"):
             (out / f"{name}.json").write_text(json.dumps(json.loads(result.stdout)))
         if line[0] == "view":
             page = Path("".join(result.stdout.split("\n")))
@@ -348,7 +348,19 @@ def _validate_plots(folder: Path) -> Runs:
 
 @_case("init")
 def _init(folder: Path) -> Runs:
-    return {"paper": ["init"], "later": ["init", "--burnt", 2016]}
+    return {
+        "heath": ["init"],
+        "paper": ["init", "--example", "fynbos"],
+        "later": ["init", "--burnt", 2016],
+    }
+
+
+@_case("identify")
+def _identify(folder: Path) -> Runs:
+    (folder / "leaves.csv").write_text("wavelength,oak,elm\n500,0.05,0.06\n800,0.45,0.42\n")
+    plants = folder / "releve.csv"
+    plants.write_text("Species,Cover,Height (cm)\nErica arborea,40,120\nUlex minor,5,40\n")
+    return {"identify": ["identify", folder / "leaves.csv", plants, "--json"]}
 
 
 @_case("view")

@@ -191,7 +191,7 @@ def test_a_link_that_a_plot_file_names_is_called_a_link(
     (tmp_path / "b.csv").symlink_to(target)
     (tmp_path / "c.csv").touch()
     owner.write_text('table = "b.csv"\n', "utf-8")
-    with pytest.raises(InputError, match=rf"row 1.*'b.csv': expected a table, but .*{words}"):
+    with pytest.raises(InputError, match=rf"line 1.*'b.csv': expected a table, but .*{words}"):
         read_toml(owner, NamesTable, within=tmp_path)
 
 

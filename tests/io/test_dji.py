@@ -197,3 +197,38 @@ def test_strange_captures_are_found_before_the_work(tmp_path: Path) -> None:
     assert "Red is missing" in str(skipped["DJI_20261122100002_0002"])
     assert "all files of one capture" in str(skipped["DJI_20261122100005_0005"])
     assert [name[-1] for name in dark] == ["4"]
+
+
+@pytest.mark.parametrize("rename", ["flight1_{}", "2024-06-01 {}", "{}", "f1_{}.renamed", "P{}x"])
+def test_a_phantom_is_known_whatever_its_files_are_called(tmp_path: Path, rename: str) -> None:
+    """By DJI's numbers, a prefix before them or not, and else by what the pictures state."""
+    rho = [np.full(SHAPE, 0.3)] * len(PHANTOM)
+    for name in ("DJI_001", "DJI_002"):
+        write_dji(tmp_path, name, rho, PHANTOM)
+    for path in list(tmp_path.iterdir()):
+        stem = rename.format(path.stem.removeprefix("DJI_") if "x" in rename else path.stem)
+        path.rename(path.with_name(f"{stem}.TIF"))
+    found = find_captures([tmp_path])
+    assert [len(paths) for paths in found.values()] == [len(PHANTOM)] * 2
+    for name, paths in found.items():
+        assert read_capture(name, paths).names == tuple(band.name for band in PHANTOM)
+    assert find_captures([path for paths in found.values() for path in paths]) == found
+
+
+def test_a_prefix_is_known_where_pictures_state_no_capture(tmp_path: Path) -> None:
+    rho = [np.full(SHAPE, 0.3)] * len(PHANTOM)
+    for name in ("f1_DJI_001", "f1_DJI_002"):
+        change = {"change": lambda text: text.replace("CaptureUUID", "Unused")}
+        write_dji(tmp_path, name, rho, PHANTOM, **change)
+    assert list(find_captures([tmp_path])) == ["f1_DJI_001", "f1_DJI_002"]
+
+
+def test_a_mavic_may_have_a_prefix(tmp_path: Path) -> None:
+    write_dji(tmp_path, f"flight2_{NAME}", [np.full(SHAPE, 0.3)] * 4)
+    ((name, paths),) = find_captures([tmp_path]).items()
+    assert read_capture(name, paths).names == ("Green", "Red", "RedEdge", "NIR")
+
+
+def test_a_phantom_of_the_field_with_a_prefix(shared_data: Path) -> None:
+    found = find_captures([shared_data / "field" / "29_p4m-files-with-a-prefix"])
+    assert [len(paths) for paths in found.values()] == [5, 5]

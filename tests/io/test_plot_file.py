@@ -108,7 +108,13 @@ def test_everything_but_plot_may_be_left_out(folder):
     assert plot.sun.zenith == 30.0
 
 
+def without_priors_of_species(path):
+    lines = path.read_text("utf-8").splitlines(keepends=True)
+    path.write_text("".join(line for line in lines if not line.startswith('"species.')), "utf-8")
+
+
 def test_growth_form_of_a_shipped_taxon_may_be_left_out(folder):
+    without_priors_of_species(folder / "plot.toml")
     (folder / "species.csv").write_text(
         "taxon,mean_diameter_cm,cover_percent,height_max_m\nDeadwood,10,10,0.5\n"
     )
@@ -207,9 +213,47 @@ def test_fractions_for_covers_are_a_warning_only(folder):
         "A,20,0.12,1,tussock\nB,20,0.4,1,tussock\n"
     )
     edit(folder / "plot.toml", 'leaf_table = "leaves.csv"', "")
+    without_priors_of_species(folder / "plot.toml")
     with pytest.warns(UserWarning, match="0.4 would be 40"):
         plot = read_plot(folder / "plot.toml")
     assert plot.cover[1] == 0.004
+
+
+OWN = "taxon,mean_diameter_cm,cover_percent,height_max_m,growth_form\nThymus vulgaris,20,9,.2,mat\n"
+
+
+def test_a_table_of_one_s_own_in_the_example_says_what_of_it_must_go(folder):
+    """First the priors of species that are not there, then the rows of leaves."""
+    (folder / "species.csv").write_text(OWN)
+    line = row_of(folder / "plot.toml", '"species.Restio*.leaf.structure"')
+    with pytest.raises(InputError, match=rf"line {line}, key 'species\.Restio.*Delete the line"):
+        read_plot(folder / "plot.toml")
+    edit(folder / "plot.toml", '"species.Restio*.leaf.structure"', '"species.T*.structure"')
+    edit(folder / "plot.toml", '"species.Restio*.leaf.*"', '"species.Thymus vulgaris.leaf.*"')
+    with pytest.raises(InputError, match=r"leaves\.csv, row .*'Euclea racemosa'.*delete this row"):
+        read_plot(folder / "plot.toml")
+
+
+def test_columns_of_notes_are_the_users_own(folder):
+    text = OWN.replace("form\n", "form,Note on age\n").replace("mat\n", "mat,old\n")
+    (folder / "own.toml").write_text('[plot]\nsize_m = 2\nspecies_table = "own.csv"\n')
+    (folder / "own.csv").write_text(text)
+    assert read_plot(folder / "own.toml").taxa == ("Thymus vulgaris",)
+    (folder / "own.csv").write_text(text.replace("Note on age", "age"))
+    with pytest.raises(InputError, match=r"unknown column 'age'.*begin with note"):
+        read_plot(folder / "own.toml")
+
+
+def test_groups_wider_than_the_plot_are_refused(folder):
+    (folder / "own.toml").write_text('[plot]\nsize_m = 2\nspecies_table = "own.csv"\n')
+    text = OWN.replace("form\n", "form,clumping_m\n")
+    for radius, refused in ((2, False), (2.1, True)):
+        (folder / "own.csv").write_text(text.replace("mat\n", f"mat,{radius}\n"))
+        if refused:
+            with pytest.raises(InputError, match=r"row 2, column 'clumping_m': .*2 m.*2\.1 m"):
+                read_plot(folder / "own.toml")
+        else:
+            assert read_plot(folder / "own.toml").species[0].groups == 2.0
 
 
 def test_small_covers_in_a_usual_table_are_no_warning(folder):

@@ -379,3 +379,23 @@ def test_only_a_few_points_far_away_are_strays(far, distance, left, tmp_path):
     with few if left == 3000 else nullcontext():
         cloud = read_cloud(path)
     assert len(cloud) == left
+
+
+@pytest.mark.parametrize("text", ["''", '""', "  ", "unknown", "None"])
+def test_a_record_that_states_no_system_is_none(tmp_path, text):
+    """Points are in metres by their numbers; no word is needed."""
+    cloud = read_cloud(written(tmp_path / "a.las", wkt=text))
+    assert cloud.crs is None
+    assert len(cloud) == len(POINTS)
+
+
+def test_a_system_that_is_not_known_can_be_stated(tmp_path):
+    path = written(tmp_path / "a.las", wkt="LOCAL OF MINE")
+    with pytest.raises(InputError, match=r"'LOCAL OF MINE', which is not known.*--crs EPSG"):
+        read_cloud(path)
+    assert CRS.from_wkt(read_cloud(path, crs="EPSG:32734").crs).to_epsg() == 32734
+
+
+def test_a_cloud_of_the_field_without_a_system(shared_data):
+    (path,) = (shared_data / "field" / "26_las-wkt-of-two-quotes").glob("*.las")
+    assert (len(read_cloud(path)), read_cloud(path).crs) == (600, None)

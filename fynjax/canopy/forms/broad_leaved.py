@@ -40,10 +40,25 @@ FORM = GrowthForm(
     chlorophyll=65.0,
     carotenoids=13.0,
     flat_leaved=Taxa(
-        genera="Osteospermum Osyris Podalyria Virgilia",
-        families="Anacardiaceae Aquifoliaceae Araliaceae Celastraceae Cunoniaceae Ebenaceae "
-        "Myricaceae Myrtaceae Oleaceae Pittosporaceae Primulaceae Proteaceae Salicaceae "
-        "Sapindaceae Sapotaceae",
+        genera="Acacia Acer Adenocarpus Alnus Amelanchier Arbutus Arctostaphylos "
+        "Atriplex Banksia Betula Buddleja Buxus Carpinus Castanea Ceanothus "
+        "Celtis Ceratonia Cercocarpus Chamaerops Citrus Cornus Corylus Cotinus "
+        "Cotoneaster Crataegus Daphne Dodonaea Elaeagnus Escallonia Eucalyptus "
+        "Euonymus Fagus Ficus Fontanesia Frangula Fraxinus Garrya Heteromeles "
+        "Hippophae Ilex Jasminum Kageneckia Larrea Laurus Ligustrum Lithraea "
+        "Malosma Malus Myrica Myrtus Nerium Nothofagus Olea Osteospermum Ostrya "
+        "Osyris Phillyrea Photinia Pistacia Pittosporum Podalyria Populus "
+        "Prosopis Prunus Pyrus Quercus Quillaja Rhamnus Rhododendron Rhus Rosa "
+        "Salix Sambucus Schinus Sorbus Symphoricarpos Tamarix Terminalia Ulmus "
+        "Umbellularia Viburnum Virgilia Vitex Ziziphus",
+        families="Adoxaceae Altingiaceae Anacardiaceae Aquifoliaceae Araliaceae "
+        "Betulaceae Buxaceae Caprifoliaceae Celastraceae Cornaceae Cunoniaceae "
+        "Ebenaceae Elaeagnaceae Fagaceae Juglandaceae Lauraceae Moraceae "
+        "Myricaceae Myrtaceae Oleaceae Pittosporaceae Primulaceae Proteaceae "
+        "Salicaceae Sapindaceae Sapotaceae Tamaricaceae Ulmaceae Viburnaceae",
     ),
-    round_leaved=Taxa(genera="Hakea Pinus", families="Cupressaceae Pinaceae"),
+    round_leaved=Taxa(
+        genera="Abies Cedrus Cupressus Hakea Juniperus Picea Pinus Taxus Tetraclinis",
+        families="Cupressaceae Pinaceae Taxaceae",
+    ),
 )

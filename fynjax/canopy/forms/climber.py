@@ -88,6 +88,12 @@ FORM = GrowthForm(
     chlorophyll=15.0,
     carotenoids=5.0,
     anthocyanins=2.0,
-    flat_leaved=Taxa(families="Convolvulaceae Cucurbitaceae Menispermaceae"),
-    round_leaved=Taxa(genera="Cassytha"),
+    flat_leaved=Taxa(
+        genera="Aristolochia Bryonia Calystegia Clematis Convolvulus Dioscorea Hedera "
+        "Humulus Lonicera Rubia Smilax Tamus Vitis",
+        families="Convolvulaceae Cucurbitaceae Dioscoreaceae Menispermaceae Smilacaceae Vitaceae",
+    ),
+    round_leaved=Taxa(
+        genera="Cassytha Cuscuta",
+    ),
 )

@@ -31,5 +31,8 @@ FORM = GrowthForm(
     water_content=0.90,
     round_leaves=True,
     stand_share=0.05,
-    round_leaved=Taxa(genera="Hoodia"),
+    round_leaved=Taxa(
+        genera="Carnegiea Cereus Echinopsis Eulychnia Ferocactus Hoodia Pachycereus Stenocereus",
+        families="Cactaceae",
+    ),
 )

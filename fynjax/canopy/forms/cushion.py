@@ -29,5 +29,7 @@ FORM = GrowthForm(
     leaf_mass_per_area=200.0,
     water_content=0.52,
     stand_share=0.05,
-    flat_leaved=Taxa(genera="Azorella"),
+    flat_leaved=Taxa(
+        genera="Androsace Anthyllis Arenaria Armeria Azorella Diapensia Minuartia Silene",
+    ),
 )

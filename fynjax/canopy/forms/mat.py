@@ -29,6 +29,11 @@ FORM = GrowthForm(
     stand_share=0.05,
     chlorophyll=50.0,
     carotenoids=10.0,
-    flat_leaved=Taxa(genera="Dryas Thymus"),
-    round_leaved=Taxa(genera="Empetrum Kalmia"),
+    flat_leaved=Taxa(
+        genera="Antennaria Dryas Fumana Helianthemum Herniaria Loiseleuria Teucrium "
+        "Thymus Trifolium",
+    ),
+    round_leaved=Taxa(
+        genera="Empetrum Kalmia",
+    ),
 )

@@ -30,5 +30,10 @@ FORM = GrowthForm(
     stand_share=0.05,
     chlorophyll=15.0,
     carotenoids=4.0,
-    flat_leaved=Taxa(genera="Hylocomium Hypnum Pleurozium Polytrichum Sphagnum"),
+    flat_leaved=Taxa(
+        genera="Bryum Campylopus Ceratodon Cetraria Cladonia Dicranum Homalothecium "
+        "Hylocomium Hypnum Leucobryum Pleurozium Polytrichum Ptilidium "
+        "Racomitrium Rhytidiadelphus Scleropodium Sphagnum",
+        families="Bryaceae Dicranaceae Hylocomiaceae Hypnaceae Polytrichaceae Sphagnaceae",
+    ),
 )

@@ -28,5 +28,8 @@ FORM = GrowthForm(
     water_content=0.85,
     round_leaves=True,
     stand_share=0.05,
-    round_leaved=Taxa(genera="Agave Puya Yucca"),
+    round_leaved=Taxa(
+        genera="Agave Dasylirion Eryngium Hechtia Nolina Puya Xanthorrhoea Yucca",
+        families="Bromeliaceae",
+    ),
 )

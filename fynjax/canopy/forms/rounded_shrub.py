@@ -38,12 +38,20 @@ FORM = GrowthForm(
     water_content=0.74,
     stand_share=0.1,
     flat_leaved=Taxa(
-        genera="Diastella",
-        families="Apiaceae Apocynaceae Asteraceae Boraginaceae Campanulaceae Fabaceae "
-        "Geissolomataceae Gentianaceae Geraniaceae Lamiaceae Malvaceae Penaeaceae "
-        "Roridulaceae Scrophulariaceae Solanaceae Zygophyllaceae",
+        genera="Artemisia Baccharis Bupleurum Cistus Coriaria Coronilla Diastella "
+        "Dorycnium Encelia Eriogonum Euphorbia Euryops Gaultheria Halimione "
+        "Halimium Helichrysum Hypericum Lavandula Ononis Phlomis Potentilla "
+        "Pteridium Retama Rosmarinus Rubus Ruscus Salvia Santolina "
+        "Sarcopoterium Satureja Scorzonera Spiraea Thymelaea Vaccinium",
+        families="Amaranthaceae Apiaceae Apocynaceae Asteraceae Boraginaceae "
+        "Brassicaceae Campanulaceae Caryophyllaceae Cistaceae Dennstaedtiaceae "
+        "Euphorbiaceae Fabaceae Geissolomataceae Gentianaceae Geraniaceae "
+        "Hypericaceae Lamiaceae Malvaceae Penaeaceae Plantaginaceae "
+        "Plumbaginaceae Polygonaceae Ranunculaceae Roridulaceae "
+        "Scrophulariaceae Solanaceae Verbenaceae Zygophyllaceae",
     ),
     round_leaved=Taxa(
-        genera="Paranomus Serruria Sorocephalus Spatalla", families="Aizoaceae Crassulaceae"
+        genera="Paranomus Serruria Sorocephalus Spatalla",
+        families="Aizoaceae Crassulaceae",
     ),
 )

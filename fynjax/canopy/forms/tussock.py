@@ -43,9 +43,16 @@ FORM = GrowthForm(
     chlorophyll=50.0,
     carotenoids=10.0,
     flat_leaved=Taxa(
-        genera="Corymbium",
-        families="Amaryllidaceae Asparagaceae Asphodelaceae Haemodoraceae Hyacinthaceae Iridaceae "
-        "Orchidaceae Poaceae Tecophilaeaceae",
+        genera="Agrostis Allium Ampelodesmos Arrhenatherum Asphodelus Avena "
+        "Brachypodium Bromus Cortaderia Corymbium Dactylis Danthonia "
+        "Deschampsia Festuca Holcus Hyparrhenia Koeleria Melica Molinia Nardus "
+        "Phragmites Poa Sesleria Stipa Triodia",
+        families="Amaryllidaceae Asparagaceae Asphodelaceae Haemodoraceae Hyacinthaceae "
+        "Iridaceae Orchidaceae Poaceae Tecophilaeaceae Typhaceae "
+        "Xanthorrhoeaceae",
     ),
-    round_leaved=Taxa(genera="Bobartia", families="Cyperaceae Juncaceae Restionaceae"),
+    round_leaved=Taxa(
+        genera="Bobartia Carex Eriophorum Juncus Luzula Lygeum Schoenus Scirpus Trichophorum",
+        families="Cyperaceae Juncaceae Restionaceae",
+    ),
 )

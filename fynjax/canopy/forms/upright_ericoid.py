@@ -40,11 +40,15 @@ FORM = GrowthForm(
     round_leaves=True,
     stand_share=1.0,
     flat_leaved=Taxa(
-        genera="Amphithalea Anthospermum Clutia Polygala Psoralea Rafnia",
+        genera="Amphithalea Anthospermum Calicotome Clutia Colletia Cytisus Genista "
+        "Nassauvia Polygala Psoralea Rafnia Spartium Ulex",
         families="Peraceae Polygalaceae Rosaceae Rubiaceae Rutaceae",
     ),
     round_leaved=Taxa(
-        genera="Aspalathus Aulax Cyclopia Disparago Elytropappus Metalasia Stoebe Thesium",
-        families="Bruniaceae Ericaceae Grubbiaceae Rhamnaceae Santalaceae Stilbaceae Thymelaeaceae",
+        genera="Adenostoma Andromeda Aspalathus Aulax Calluna Casuarina Cyclopia "
+        "Daboecia Disparago Elytropappus Ephedra Erica Leptospermum Melaleuca "
+        "Metalasia Phylica Stoebe Thesium",
+        families="Bruniaceae Ephedraceae Ericaceae Grubbiaceae Rhamnaceae Santalaceae "
+        "Stilbaceae Thymelaeaceae",
     ),
 )

@@ -19,11 +19,21 @@ def facets(triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return cross / np.where(double > 0.0, double, 1.0)[:, None], 0.5 * double
 
 
-def closed_faces(triangles: np.ndarray) -> np.ndarray:
+_WIDEST_ENDS = 0.5
+"""Area of the caps that the open ends of a tube would have over its surface, at most: that of a
+tube as long as it is wide. The rim of a sheet would have one as large as the sheet or larger."""
+_WIDEST_END = 0.1
+"""The same of a surface with one open end, as a stem that tapers to a point: a box without its lid
+is none."""
+
+
+def closed_faces(triangles: np.ndarray, *, least_ends: int | None = None) -> np.ndarray:
     """Which of the triangles [face, 3, 3] belong to a closed surface [face].
 
     Triangles that share edges are one surface; it is closed if none of its edges is open, as the
-    rim of a sheet is. Corners at the same place are one corner.
+    rim of a sheet is. Corners at the same place are one corner. With `least_ends` a surface whose
+    open edges make so many rings or more counts too, if the rings are narrow for its area: a tube
+    whose ends nobody closed.
     """
     from scipy.sparse import coo_array  # late: the parametric forms do without
     from scipy.sparse.csgraph import connected_components
@@ -46,7 +56,44 @@ def closed_faces(triangles: np.ndarray) -> np.ndarray:
     number, surface = connected_components(ties, directed=False)
     is_open = np.zeros(number, bool)
     is_open[surface[len(faces) :][count % 2 == 1]] = True
+    if least_ends is not None:
+        at = np.flatnonzero(count[edge] == 1)  # sides, whose edge is open
+        ends = np.zeros((len(points), 3))
+        ends[corner] = points
+        whole = np.bincount(surface[: len(faces)], facets(triangles)[1], number)
+        tubes = _tubes(sides[at], surface[owner[at]], ends, whole, least_ends)
+        odd = np.unique(surface[len(faces) :][(count % 2 == 1) & (count > 1)])
+        is_open[np.setdiff1d(tubes, odd)] = False
     return ~is_open[surface[: len(faces)]]
+
+
+def _tubes(
+    sides: np.ndarray, surface: np.ndarray, points: np.ndarray, area: np.ndarray, least: int
+) -> np.ndarray:
+    """Surfaces whose open edges `sides` [edge, 2] are narrow rings, `least` of them at least.
+
+    **Arguments:** `surface` of each edge; `points`, places of corners; `area` of each surface.
+    """
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    size = len(points)
+    ties = coo_array((np.ones(len(sides), bool), (sides[:, 0], sides[:, 1])), shape=(size, size))
+    number, ring = connected_components(ties, directed=False)
+    of_side = ring[sides[:, 0]]
+    length = np.bincount(
+        of_side, np.linalg.norm(np.diff(points[sides], axis=1)[:, 0], axis=1), number
+    )
+    # In a ring each corner has two edges.
+    degree = np.bincount(sides.ravel(), minlength=size)
+    clean = np.bincount(ring, (degree != 2) & (degree > 0), number) == 0
+    rings, first = np.unique(of_side, return_index=True)
+    owner = surface[first]
+    caps = np.bincount(owner, length[rings] ** 2 / (4.0 * np.pi), len(area))
+    count = np.bincount(owner, minlength=len(area))
+    widest = np.where(count > 1, _WIDEST_ENDS, _WIDEST_END)
+    broken = np.bincount(owner, ~clean[rings], len(area)) > 0
+    return np.flatnonzero((count >= least) & ~broken & (caps < widest * area))
 
 
 def draw_groups(

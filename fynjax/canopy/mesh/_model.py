@@ -84,8 +84,8 @@ def plant_model_from_mesh(
     - `up`: the vertical axis of the mesh, as in `read_plant_mesh`.
     - `solid_materials`: materials modelled as closed surfaces (a stem as a tube), of which half
       the area counts (see the note on one-sided area of this module). "closed" takes every
-      surface (triangles of a material that share edges) none of whose edges is open, and warns
-      where wood has others.
+      surface (triangles of a material that share edges) none of whose edges is open, tubes whose
+      ends are open too, and warns where wood has others.
     - `maximum_extent`: a mesh larger than this [m] is taken to be in other units.
 
     **Returns:** a `MeshPlant`. x and y are centred on the bounding box and divided by the modelled
@@ -159,7 +159,9 @@ def _solid_faces(
             given = name in solid_materials
         if given is False or not len(faces):
             continue
-        closed = closed_faces(mesh.triangles[faces])
+        # A stem may taper to a point; of leaves and petals one ring is the rim of a cup.
+        least = 1 if material.organ == Organ.WOOD else 2
+        closed = closed_faces(mesh.triangles[faces], least_ends=least)
         solid[faces] = closed if given is None else True
         if given is None and material.organ == Organ.WOOD and not closed.all():
             open_wood.append(f"{np.mean(~closed):.0%} of the triangles of {name!r}")

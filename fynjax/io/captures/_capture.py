@@ -1,9 +1,11 @@
 """Captures of a multispectral camera: the files of their bands, and their radiance."""
 
+import itertools
 import re
 import warnings
 from collections import Counter
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -25,12 +27,16 @@ from fynjax.sensors import counts_to_radiance
 _NAMES = tuple(
     re.compile(pattern + r"\.tiff?", re.IGNORECASE)
     for pattern in (
-        r"(?P<capture>DJI_(?P<time>\d{14})_(?P<number>\d+))_MS_(?P<band>G|R|RE|NIR)(_.*)?",
-        r"(?P<capture>DJI_\d+)(?P<band>[1-5])",
+        r"(?P<capture>(.*[ _\-])?DJI_(?P<time>\d{14})_(?P<number>\d+))_MS_"
+        r"(?P<band>G|R|RE|NIR)(_.*)?",
+        r"(?P<capture>(.*[ _\-])?DJI_\d+)(?P<band>[1-5])",
         r"(?P<capture>.+)_(?P<band>\d+)",
     )
 )
-"""Names of a band's file: of a Mavic 3 Multispectral, a Phantom 4 Multispectral, a MicaSense."""
+"""Names of a band's file: of a Mavic 3 Multispectral, a Phantom 4 Multispectral, a MicaSense; what
+people put before those of a DJI, which numbers its pictures anew in each folder, may be there."""
+_P4M_ORDER = ("blue", "green", "red", "rededge", "nir")
+"""Bands of a Phantom 4 Multispectral, in the order of their numbers."""
 _ORDER = ("G", "R", "RE", "NIR")
 """Bands of a Mavic 3 Multispectral, in the order of its `SensorIndex`."""
 _APART = 2.0
@@ -130,6 +136,37 @@ def _joined(captures: dict[str, list[tuple[int, Path]]]) -> dict[str, list[tuple
     return kept
 
 
+def _beginning(names: Sequence[str]) -> str:
+    """What names have in common at their beginning."""
+    alike = itertools.takewhile(lambda letters: len(set(letters)) == 1, zip(*names))
+    return "".join(letters[0] for letters in alike)
+
+
+def _stated_captures(files: Sequence[Path]) -> dict[Path, tuple[str, int]]:
+    """Name of the capture and number of the band of pictures whose metadata state both, as those of
+    a Phantom 4 Multispectral do, whatever the files are called. None of a folder whose first
+    picture does not."""
+    # Names of no DJI may be those of one whose pictures were called otherwise.
+    files = [p for p in files if not (name := _named(p)) or name.re is _NAMES[-1]]
+    found: dict[Path, tuple[str, int]] = {}
+    of_capture: dict[str, list[Path]] = {}
+    for path in files:
+        with suppress(InputError), open_raster(path, "a picture of one band") as file:
+            capture, band = (
+                "".join(file.xmp.get(key, [])[:1]).strip() for key in ("CaptureUUID", "BandName")
+            )
+            plain = re.sub(r"[^a-z]", "", band.lower())
+            if capture and plain in _P4M_ORDER:
+                of_capture.setdefault(capture, []).append(path)
+                found[path] = capture, _P4M_ORDER.index(plain) + 1
+        if not found:
+            return {}
+    names = {key: _beginning([p.stem for p in own]) for key, own in of_capture.items()}
+    alike = Counter(names.values())
+    names = {key: own if own and alike[own] == 1 else key for key, own in names.items()}
+    return {path: (names[key], number) for path, (key, number) in found.items()}
+
+
 def find_captures(paths: Sequence[str | Path]) -> dict[str, list[Path]]:
     """The files of each capture, by the capture's name and in order of their bands.
 
@@ -146,18 +183,24 @@ def find_captures(paths: Sequence[str | Path]) -> dict[str, list[Path]]:
     folder without such files.
     """
     captures: dict[str, list[tuple[int, Path]]] = {}
-    for given in map(Path, paths):
+    asked = list(map(Path, paths))
+    of_singles = _stated_captures([p for p in asked if p.is_file()])
+    for given in asked:
+        files, stated = [given], of_singles
         if given.is_dir():
-            files = [p for p in sorted(given.iterdir()) if _named(p)]
+            files = [p for p in sorted(given.iterdir()) if p.suffix.lower() in (".tif", ".tiff")]
+            stated = _stated_captures(files)
+            files = [p for p in files if p in stated or _named(p)]
             if not files:
                 raise InputError(
                     "expected pictures of a multispectral camera called NAME_1.tif, NAME_2.tif, "
                     "..., or DJI_..._MS_G.TIF, ..., but this folder has none",
                     file=given,
                 )
-        else:
-            files = [given]
         for path in files:
+            if path in stated:
+                captures.setdefault(stated[path][0], []).append((stated[path][1], path))
+                continue
             name = _named(path)
             if name is None:
                 raise InputError(

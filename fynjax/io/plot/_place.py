@@ -1,15 +1,17 @@
 """Where a plot lies on Earth: its corner and the reference system of the maps its file names."""
 
+import warnings
 from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
+from pyproj import Geod
 from rasterio.warp import transform
 
 from fynjax._core.errors import InputError
 from fynjax.io.plot._plot import Plot
-from fynjax.io.raster import open_raster
+from fynjax.io.raster import RasterFile, open_raster
 
 
 @dataclass(frozen=True)
@@ -55,12 +57,54 @@ def placed_by(plot: Plot, maps: Iterable[Path]) -> Plot:
 
     - `plot`: as `read_plot` gives it; one whose place is known comes back as it is.
     - `maps`: rasters. Those that cannot be read are left to who reads them.
+
+    Warns where a raster lies more than 100 km from the plot, and of plants that are stated as
+    fynbos outside the Cape.
     """
-    for path in maps if plot.place_deg is None else ():
+    for path in maps:
+        place = None
         with suppress(InputError), open_raster(path, "a map") as file:
-            if file.crs is not None and file.on_earth:
-                west, south, east, north = file.dataset.bounds
-                x, y = [0.5 * (west + east)], [0.5 * (south + north)]
-                (longitude,), (latitude,) = transform(file.crs, "EPSG:4326", x, y)[:2]
-                return plot.replace(place_deg=(float(latitude), float(longitude)))
+            place = raster_place(file)
+        if place is None:
+            continue
+        if plot.place_deg is None:
+            plot = plot.replace(place_deg=place)
+        elif (apart := _distance_km(plot.place_deg, place)) > _FAR_KM:
+            stated, lies = (f"{north:.2f}, {east:.2f}" for north, east in (plot.place_deg, place))
+            warnings.warn(
+                f"{path.name} lies at {lies} (latitude, longitude), {apart:.0f} km from the plot "
+                f"of {plot.file.name} at {stated}. Is it of this plot?",
+                stacklevel=2,
+            )
+        break
+    if plot.plants == "fynbos" and plot.place_deg is not None and not plot.in_the_cape:
+        north, east = plot.place_deg
+        warnings.warn(
+            f'{plot.file.name} has plants = "fynbos", but lies outside the Cape, at {north:.2f}, '
+            f'{east:.2f} (latitude, longitude): write plants = "generic", or leave it out.',
+            stacklevel=2,
+        )
     return plot
+
+
+def raster_place(file: RasterFile) -> tuple[float, float] | None:
+    """Latitude and longitude [degree] of the middle of a raster; `None` where it lies nowhere on
+    Earth.
+
+    **Arguments:** `file`, open.
+    """
+    if file.crs is None or not file.on_earth:
+        return None
+    rows, columns = file.shape
+    x, y = file.dataset.transform @ (0.5 * columns, 0.5 * rows)
+    (longitude,), (latitude,) = transform(file.crs, "EPSG:4326", [x], [y])[:2]
+    return float(latitude), float(longitude)
+
+
+_FAR_KM = 100.0
+
+
+def _distance_km(a: tuple[float, float], b: tuple[float, float]) -> float:
+    """Distance of two places, of latitude and longitude, on the ellipsoid [km]."""
+    _, _, metres = Geod(ellps="WGS84").inv(*a[::-1], *b[::-1])
+    return float(metres) / 1000.0

@@ -23,6 +23,14 @@ from fynjax.sensors import SunPosition
 Floats = NDArray[np.float64]
 
 
+def in_the_cape(latitude: float, longitude: float) -> bool:
+    """Whether a place is in the Cape, of whose shrubland the shipped prior is.
+
+    **Arguments:** `latitude` and `longitude` [degree], south and west negative.
+    """
+    return -35.0 <= latitude <= -31.0 and 17.5 <= longitude <= 27.0
+
+
 class Plot(PlotTable, SceneTable):
     """A plot as its files describe it: lengths in m, shares as fractions, paths absolute.
 
@@ -71,8 +79,12 @@ class Plot(PlotTable, SceneTable):
         """Source of what tables leave open about plants: as the plot file says, else by place."""
         if self.plants is not None or self.place_deg is None:
             return self.plants or "fynbos"
-        north, east = self.place_deg
-        return "fynbos" if -35.0 <= north <= -31.0 and 17.5 <= east <= 27.0 else "generic"
+        return "fynbos" if self.in_the_cape else "generic"
+
+    @property
+    def in_the_cape(self) -> bool:
+        """Whether its place is known and in the Cape."""
+        return self.place_deg is not None and in_the_cape(*self.place_deg)
 
     @property
     def maps(self) -> dict[str, Path]:

@@ -4,6 +4,7 @@
 """
 
 from collections.abc import Callable, Iterable, Sequence
+from fnmatch import fnmatchcase
 from importlib.resources import files
 from pathlib import Path
 
@@ -33,6 +34,12 @@ def example_folder() -> Path:
     return Path(str(files("fynjax.io.plot") / "data" / "plot_2006"))
 
 
+HEATH_TABLE = Path(str(files("fynjax.io.plot") / "data" / "heath.csv"))
+"""Table of plants of a wet heath at Glomel, Brittany, in the words of those who wrote it."""
+HEATH_PLACE = (48.22, -3.42)
+"""Latitude and longitude of that heath [degree]."""
+
+
 @names_file
 def _read_species(
     path: Path,
@@ -49,6 +56,13 @@ def _read_species(
                 f"{100 * row.diameter:g} cm",
                 row=number,
                 column="mean_diameter_cm",
+            )
+        if row.groups > min(size):
+            raise InputError(
+                f"expected groups of plants smaller than the plot ({min(size):g} m), but got a "
+                f"radius of {row.groups:g} m. Centimetres?",
+                row=number,
+                column="clumping_m",
             )
     return tuple(row for _, row in rows)
 
@@ -116,6 +130,24 @@ def _check_table(parsed: PlotFile, refused: _Refused) -> None:
         )
 
 
+def _check_priors(patterns: Iterable[str], taxa: Sequence[str], refused: _Refused) -> None:
+    """Refuse priors of species that the plot does not have."""
+
+    def is_there(pattern: str) -> bool:
+        words = pattern.removeprefix("species.").split(".")
+        starts = [".".join(words[: k + 1]) for k in range(len(words))]
+        return any(fnmatchcase(taxon, start) for taxon in taxa for start in starts)
+
+    absent = [p for p in patterns if p.startswith("species.") and not is_there(p)]
+    if absent:
+        more = f" So it is of {', '.join(map(repr, absent[1:]))}." if absent[1:] else ""
+        raise refused(
+            f"calibration.priors {absent[0]}",
+            "no taxon of the species table has this name. Delete the line, or name one that is "
+            f"there.{more}",
+        )
+
+
 def _check_sensor(plot: Plot, refused: _Refused) -> None:
     """Refuse a sensor among the plants, and a pixel that is wider than the plot."""
     altitude, pixel = sensor_place(plot)
@@ -162,7 +194,9 @@ def read_plot(path: str | Path, *, allow_outside: bool = False) -> Plot:
     table, size = parsed.plot, parsed.plot.size_m
 
     def refused(key: str, message: str) -> InputError:
-        return InputError(message, file=path, row=line_of(text, tuple(key.split("."))), column=key)
+        table, blank, pattern = key.partition(" ")  # a pattern may hold points
+        place = (table, pattern) if blank else tuple(key.split("."))
+        return InputError(message, file=path, row=line_of(text, place), column=pattern or key)
 
     _check_table(parsed, refused)
     stated = parsed.sun.place
@@ -170,6 +204,7 @@ def read_plot(path: str | Path, *, allow_outside: bool = False) -> Plot:
         stated = table.latitude_deg, table.longitude_deg
     species_path, leaf_path = table.species_table, table.leaf_table
     species = _read_species(species_path, within, size, table.cover_definition)
+    _check_priors(parsed.calibration.priors, [row.taxon for row in species], refused)
     spectra: dict[str, tuple[Path, ...]] = {}
     if table.leaf_spectra is not None:
         taxa = [row.taxon for row in species if FORMS[row.growth_form].leafy]
@@ -200,6 +235,5 @@ def read_plot(path: str | Path, *, allow_outside: bool = False) -> Plot:
         inputs=(path, *named, *(p for p in in_tables if isinstance(p, Path))),
     )
     _check_sensor(plot, refused)
-    if plot.place_deg is None:
-        plot = placed_by(plot, plot.maps.values())
+    plot = placed_by(plot, plot.maps.values())
     return plot if table.crowns is None else with_crowns(plot, table.crowns)

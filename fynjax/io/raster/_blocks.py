@@ -28,6 +28,7 @@ from fynjax._core.extras import require
 from fynjax._core.files import check_name
 from fynjax._core.memory import total_memory
 from fynjax.io.raster._crs import geotransform, parse_crs
+from fynjax.io.raster._groups import read_tree, with_groups
 from fynjax.io.raster._lookup import lookup_table
 from fynjax.io.raster._netcdf import CONVENTIONS, check_netcdf, with_history
 from fynjax.io.raster._reader import RasterFile, open_raster, wherever
@@ -145,7 +146,8 @@ def open_blocks(path: str | Path) -> Iterator[CubeBlocks]:
     """Open an image of reflectance of any size: ENVI, GeoTIFF, NetCDF or zarr.
 
     **Arguments:** `path`; of an ENVI image the header or the data. NetCDF (as EMIT's are, too) and
-    zarr hold a variable `reflectance` and its wavelengths. EMIT's are swaths, rows and columns as
+    zarr hold a variable `reflectance` and its wavelengths, NetCDF and HDF5 also in a group, as
+    those of AVIRIS-3, AVIRIS-5 and NEON do. EMIT's are swaths, rows and columns as
     the sensor saw them: `MapWriter` places what is made of them by the file's own lookup table.
 
     **Raises:** `InputError` for what is none of these, as `open_raster`, and for a variable of
@@ -153,7 +155,7 @@ def open_blocks(path: str | Path) -> Iterator[CubeBlocks]:
     """
     path = Path(path)
     check_name(path)
-    if path.suffix.lower() in (".nc", ".nc4", ".zarr"):
+    if path.suffix.lower() in (".nc", ".nc4", ".h5", ".hdf5", ".zarr"):
         with in_file(path), ExitStack() as opened:
             # The file may have two marks of no data.
             with warnings.catch_warnings(action="ignore", category=xr.SerializationWarning):
@@ -225,14 +227,14 @@ def _cube_of(path: Path, opened: ExitStack) -> CubeBlocks:
     if zarr:
         require("zarr", "map")
         kind = {"engine": "zarr", "consolidated": False, "drop_variables": check_zarr(path)}
+    tree = None if zarr else read_tree(path)
     data = opened.enter_context(xr.open_dataset(path, **kind))
+    around: list[xr.Dataset] = []
+    if tree is not None:
+        data, around = with_groups(path, tree, data, opened)
     values = _reflectance(data)
-    bands = xr.Dataset()
-    if not zarr:
-        with suppress(*_UNREADABLE):
-            # EMIT keeps its bands in a group of their own.
-            bands = opened.enter_context(xr.open_dataset(path, group="sensor_band_parameters"))
-    location = None if zarr else _location(path, data, opened)
+    has_location = tree is not None and "/location" in tree.groups
+    location = _location(path, data, opened) if has_location else None
     count = values.shape[2]
     row, memory = 4.0 * values.shape[1] * count, total_memory()
     if 2.0 * row > memory:
@@ -240,9 +242,9 @@ def _cube_of(path: Path, opened: ExitStack) -> CubeBlocks:
             f"a row of {values.shape[1]} pixels in {count} bands needs {row / 2**30:.3g} GiB, but "
             f"this machine has {memory / 2**30:.0f} GiB. Is it damaged?"
         )
-    wavelength, unit = _column(("wavelength", "wavelengths"), (data, bands), count)
-    width, _ = _column(("fwhm",), (data, bands), count)
-    good, _ = _column(("good_wavelengths", "reflectance_good"), (data, bands), count)
+    wavelength, unit = _column(("wavelength", "wavelengths", "Wavelength"), (data, *around), count)
+    width, _ = _column(("fwhm", "FWHM"), (data, *around), count)
+    good, _ = _column(("good_wavelengths", "reflectance_good"), (data, *around), count)
     if wavelength is not None and np.isfinite(wavelength).any():
         wavelength, factor = in_nanometres(wavelength, unit)
         width = None if width is None else width * factor
@@ -278,11 +280,8 @@ def _cube_of(path: Path, opened: ExitStack) -> CubeBlocks:
 
 def _location(path: Path, data: xr.Dataset, opened: ExitStack) -> xr.Dataset | None:
     """The group that holds a swath's lookup table, with the attributes of the file."""
-    with suppress(OSError):  # there is no such group
-        group = opened.enter_context(xr.open_dataset(path, group="location", decode_times=False))
-        if "glt_x" in group or "glt_y" in group:
-            return group.assign_attrs(data.attrs)
-    return None
+    group = opened.enter_context(xr.open_dataset(path, group="location", decode_times=False))
+    return group.assign_attrs(data.attrs) if "glt_x" in group or "glt_y" in group else None
 
 
 def _place(data: xr.Dataset, values: xr.DataArray) -> tuple[str | None, Affine]:
@@ -293,11 +292,33 @@ def _place(data: xr.Dataset, values: xr.DataArray) -> tuple[str | None, Affine]:
     y, x = values.dims[:2]
     if wkt is None:
         return wkt, Affine.identity()
-    if x not in values.coords or y not in values.coords:
-        return wkt, geotransform(data[mapping].attrs.get("GeoTransform"), "GeoTransform")
+    stated = geotransform(data[mapping].attrs.get("GeoTransform"), "GeoTransform")
+    if x not in values.coords or y not in values.coords or stated.b != 0.0 or stated.d != 0.0:
+        return wkt, stated
     xs, ys = np.asarray(values[x], float), np.asarray(values[y], float)
-    pixel = float(values.attrs.get("pixel_m", abs(xs[1] - xs[0]) if len(xs) > 1 else 1.0))
-    return wkt, Affine(pixel, 0.0, xs.min() - pixel / 2, 0.0, -pixel, ys.max() + pixel / 2)
+    steps = [_step(xs, str(x)), _step(ys, str(y))]
+    own = values.attrs.get("pixel_m")
+    width, height = (own or step or other or 1.0 for step, other in (steps, steps[::-1]))
+    return wkt, Affine(width, 0.0, xs.min() - width / 2, 0.0, -height, ys.max() + height / 2)
+
+
+def _step(places: np.ndarray, name: str) -> float | None:
+    """Distance of the middles of pixels that follow each other; None of one pixel.
+
+    **Raises:** `InputError` for steps that differ.
+    """
+    if len(places) < 2:
+        return None
+    steps = np.diff(places)
+    step = float(places[-1] - places[0]) / (len(places) - 1)
+    # Coordinates may be stored in 32 bits.
+    slack = 1e-2 * abs(step) + 4.0 * float(np.spacing(np.float32(np.abs(places).max())))
+    if step == 0.0 or not np.abs(steps - step).max() <= slack:
+        raise InputError(
+            f"expected pixels of one size, but {name!r} has steps from {steps.min():g} to "
+            f"{steps.max():g}. Warp the image onto a regular grid first"
+        )
+    return abs(step)
 
 
 def grid_coordinates(

@@ -288,7 +288,7 @@ def measured_dataset(spectra: Read, attributes: Mapping[str, str | int]) -> xr.D
 
 
 def _header(spectrum: MeasuredSpectrum) -> str:
-    rest = {k: v for k, v in spectrum.meta.items() if k not in ("format", "repairs")}
+    rest = {k: v for k, v in spectrum.meta.items() if k not in ("format", "repairs", "layout")}
     return json.dumps(rest, default=str, ensure_ascii=False)
 
 

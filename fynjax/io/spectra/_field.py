@@ -12,7 +12,7 @@ import numpy as np
 
 from fynjax._core.errors import InputError
 from fynjax._core.tables import open_table
-from fynjax.io.spectra._record import MeasuredSpectrum, note
+from fynjax.io.spectra._record import MeasuredSpectrum, measured, note
 from fynjax.io.spectra._text import MISSING
 
 _SVC = "/*** Spectra Vista"
@@ -65,7 +65,14 @@ def read_field_spectrum(data: bytes, file: Path) -> MeasuredSpectrum | None:
         if not label.lower().startswith(("wvl", "wave")):
             return None
     names = re.split(r"\t|\s{2,}", label.strip())
-    column = 3 if svc else next((i for i, n in enumerate(names) if "refl" in n.lower()), -1)
+    places = (i for i, n in enumerate(names) if re.search("refl|trans", n, re.IGNORECASE))
+    column = 3 if svc else next(places, -1)
+    stated = next(
+        (line for line in lines[: marks[0]] if line.lower().startswith("measurement")), ""
+    )
+    named = names[column] if not svc and 0 <= column < len(names) else ""
+    through = "trans" in (named or stated).lower()
+    quantity = "transmittance" if through else "reflectance"
     parts = [1, 2] if svc else _target_and_reference(names)
     if column < 0 and not parts:
         raise InputError("the file has no column of reflectance, nor those of target and reference")
@@ -89,7 +96,7 @@ def read_field_spectrum(data: bytes, file: Path) -> MeasuredSpectrum | None:
         wavelength, white, target = table.columns([0, *parts], (), MISSING).to_numpy().T
         with np.errstate(divide="ignore", invalid="ignore"):
             values = np.where(np.abs(white) > 0, target / white, np.nan)
-        note(meta, "reflectance formed as target over white reference")
+        note(meta, f"{quantity} formed as target over white reference")
         if not np.isfinite(values).any():
             raise InputError("the white reference is zero, so there is no reflectance")
     else:
@@ -103,12 +110,12 @@ def read_field_spectrum(data: bytes, file: Path) -> MeasuredSpectrum | None:
         meta["doubtful"] = f"error {error} of the target"
     if column >= 0 and (svc or "%" in (names[column] if len(names) > column else label)):
         values = values / 100.0
-        note(meta, "reflectance converted from percent")
+        note(meta, f"{quantity} converted from percent")
     kept, changes, jumps = _without_overlap(wavelength, values)
     if changes:
         meta |= {"splices": changes, "jumps": jumps}
         note(meta, f"overlap of detectors cut at {', '.join(f'{c:g}' for c in changes)} nm")
-    return MeasuredSpectrum(file.stem, wavelength[kept], values[kept], None, meta)
+    return measured(file.stem, wavelength[kept], values[kept], meta, through)
 
 
 def _target_and_reference(names: list[str]) -> list[int]:

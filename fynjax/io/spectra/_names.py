@@ -40,6 +40,13 @@ _NO_LEAF = re.compile(
     r"|σ|sigma|standardabweichung|standardfehler|[ée]cart type|desviaci[oó]n|desvio)([ (].*)?)",
     re.I,
 )
+_ERROR = re.compile(
+    r"se( ?\(mean)?|sem|cv|rsd|var(iance)?|error|uncertainty|rmse|iqr|n|count"
+    r"|(.*[ (])?(sd|std|stdev|std ?dev|st dev|standard deviation|standard error|std ?err(or)?|stabw"
+    r"|σ|sigma|standardabweichung|standardfehler|[ée]cart type|desviaci[oó]n|desvio)([ (].*)?",
+    re.I,
+)
+"""Names of errors and counts, which are no spectrum even where they stand alone with a mean."""
 _MEAN = re.compile(
     r"(?P<of>.*?)[ _.\-]*\b(mean|average|avg|mittel(wert)?|moyenne|m[ée]dia|promedio|gemiddelde)"
     r"\b[ _.\-]*(?P<also>.*)",
@@ -86,6 +93,22 @@ def marked(name: str, among: Collection[str] = ()) -> tuple[str, str, str]:
     _, quantity, match = max(found, key=lambda one: one[0])
     rest = name[: match.start()] + name[match.end() :]
     return quantity, rest.strip(" _.-()"), match[2]
+
+
+def unsure(among: Collection[str]) -> set[str]:
+    """Names in which a letter T, as in "T101" beside "C101", is no sure mark of transmittance: no
+    name has the R for it, and no other T of the table goes with an R.
+
+    **Arguments:** `among`, the names of all columns.
+    """
+    about = {name: marked(name, among) for name in among}
+    letters = {n: stem for n, (q, stem, m) in about.items() if q == "transmittance" and len(m) == 1}
+    reflected = {stem.lower() for q, stem, _ in about.values() if q != "transmittance"}
+    if any(stem.lower() in reflected for stem in letters.values()):
+        return set()
+    others = any(quantity != "transmittance" for quantity, _, _ in about.values())
+    numbered = {name for name, stem in letters.items() if re.fullmatch(r"[\d_ .\-]+", stem)}
+    return {name for name, stem in letters.items() if stem} if others else numbered
 
 
 def _quantity_of(letter: str) -> str:
@@ -167,6 +190,9 @@ def leaves_only(spectra: Sequence[MeasuredSpectrum]) -> list[MeasuredSpectrum]:
     if not set(numbers) <= _USUAL or max(numbers, default=_MEDIAN) < _MEDIAN:  # plants P1, P2, ...
         left = [s for s in left if not _QUANTILE.fullmatch(s.name)]
     kept = [s for s in spectra if not any(s is one for one in left)]
+    if not kept:  # a mean with its error: of the two the error is no spectrum
+        left = [s for s in left if _ERROR.fullmatch(re.sub(r"[_.\-]+", " ", s.name).strip(" ()"))]
+        kept = [s for s in spectra if not any(s is one for one in left)]
     if not kept or not left:
         return list(spectra)
     names = ", ".join(repr(s.name) for s in left)

@@ -11,6 +11,7 @@ from fynjax.io.spectra._asd import is_asd, read_asd
 from fynjax.io.spectra._envi import read_envi_library
 from fynjax.io.spectra._field import read_field_spectrum
 from fynjax.io.spectra._record import MeasuredSpectrum, check_spectrum
+from fynjax.io.spectra._small import read_small_spectrometer, read_usgs
 from fynjax.io.spectra._text import read_text_spectra
 from fynjax.io.text import existing_file, read_bytes
 
@@ -19,7 +20,8 @@ def read_spectra_file(path: str | Path) -> list[MeasuredSpectrum]:
     r"""Read every spectrum of a file.
 
     Recognised by content, not by name: ASD binary (versions 6, 7, 8); ASD's ASCII export;
-    reflectance of SVC (`.sig`) and Spectral Evolution (`.sed`); ECOSTRESS and older ASTER library
+    reflectance of SVC (`.sig`) and Spectral Evolution (`.sed`); text of Ocean Optics, Jaz and
+    Avantes; the USGS library, with its wavelengths beside it; ECOSTRESS and older ASTER library
     text; tables as `open_table` takes them (CSV, TSV, Excel) with a wavelength column and one
     column a spectrum, or wide with one row a spectrum and wavelengths as column names (EcoSIS,
     SPECCHIO);
@@ -81,8 +83,9 @@ def read_usable_spectra(
     elif suffixes[-1:] in ([".hdr"], [".sli"], [".slb"]):
         spectra = read_envi_library(path)
     elif _is_text(data) or data[:4] == b"PK\3\4":  # an Excel workbook
-        field = read_field_spectrum(data, path)
-        spectra = read_text_spectra(data, path) if field is None else [field]
+        readers = (read_field_spectrum, read_usgs, read_small_spectrometer)
+        alone = next((one for read in readers if (one := read(data, path)) is not None), None)
+        spectra = read_text_spectra(data, path) if alone is None else [alone]
     else:
         raise InputError(
             "unknown format: neither ASD binary (as6, as7, as8), ENVI spectral library, nor text"

@@ -9,10 +9,16 @@ import numpy as np
 
 from fynjax._core.errors import InputError
 from fynjax._core.tables import TextTable, is_number, open_table, trimmed, without_header
-from fynjax.io.spectra._names import leaves_only, marked
+from fynjax.io.spectra._layout import (
+    NAME_KEYS,
+    WAVELENGTH,
+    TableLayout,
+    check_not_numbers_alone,
+    layout_of,
+)
+from fynjax.io.spectra._names import leaves_only, marked, unsure
 from fynjax.io.spectra._record import MeasuredSpectrum, in_nanometres, measured, note
 
-_WAVELENGTH = re.compile(r"^(wave[ _]?length|wavelen|wvl?|wl|lambda|nm|[uµμ]m|x)\b", re.I)
 _UNITS = {
     "µm": re.compile(r"(?<![a-z])[uµμ]m\b|micro", re.I),
     "nm": re.compile(r"\bnm\b|_nm|nano", re.I),
@@ -23,12 +29,10 @@ _OTHER_UNITS = (
     (re.compile(r"[(\[](å|a)[)\]]|[åa]ngstr", re.I), "ångström", 1, 0.1),
 )
 """How a header names another unit: the power of the numbers, and the factor, that give nm."""
-_BAND_NAME = re.compile(r"^(?:[A-Za-z_. ]{0,12}?)(\d{3,4}(?:\.\d+)?|[0-2]\.\d+)\s*_?(nm|[uµμ]m)?$")
 MISSING = {"", "na", "nan", "null", "none", "-", "#n/a", "-999", "-9999", "-9999.0", "-999.0"}
 """What stands for a missing value, in small letters."""
 _REFLECTIVE = 2600.0
 """Wavelength [nm] above which no spectrometer of reflected sunlight has a band."""
-_NAME_KEYS = ("name", "id", "sample", "sample_id", "spectrum", "spectra", "file name", "filename")
 
 
 def _to_nm(wavelength: np.ndarray, label: str, meta: dict[str, Any]) -> np.ndarray:
@@ -81,12 +85,15 @@ def _paired(
     """Spectra from named columns; a transmittance column joins the reflectance of its name."""
     records: dict[str, dict[str, Any]] = {}
     names = {n: re.sub(r"\(?%\)?|\[%\]|percent", "", n, flags=re.I).strip(" _") for n in columns}
+    doubtful = unsure(names.values())
     for label, values in columns.items():
         row_meta = {**meta, "repairs": list(meta.get("repairs", []))}
         if _percent(label):
             values = values / 100.0
             note(row_meta, "converted from percent as the header says")
         quantity, base, _ = marked(names[label], names.values())
+        if names[label] in doubtful:
+            quantity, base = "", names[label]
         kind = quantity or "reflectance"
         record = records.setdefault(base or stem, {"meta": row_meta})
         if kind in record:  # two columns whose names differ only in case or marks
@@ -98,14 +105,15 @@ def _paired(
     ]
 
 
-def _by_row(table: TextTable, bands: dict[int, float], unit: str) -> list[MeasuredSpectrum]:
+def _by_row(table: TextTable, layout: TableLayout) -> list[MeasuredSpectrum]:
     """Wide layout: one row a spectrum, wavelengths as column names."""
-    header, file = table.names, table.path
+    header, file, bands = table.names, table.path, layout.bands
     meta: dict[str, Any] = {"format": "table, one row a spectrum"}
-    wavelength = _to_nm(np.array(list(bands.values())), unit, meta)
+    meta["layout"] = f"{layout.words}: {layout.evidence[0]}"
+    wavelength = _to_nm(np.array(list(bands.values())), layout.unit, meta)
     others = [i for i in range(len(header)) if i not in bands]
     labels = [name.lower() for name in header]
-    name_at = next((i for i in others if labels[i] in _NAME_KEYS), others[0] if others else None)
+    name_at = next((i for i in others if labels[i] in NAME_KEYS), others[0] if others else None)
     frame = table.columns(list(bands), others, MISSING)
     texts = frame[others].to_dict("records")
     quantities = {i: {marked(cell)[0] for cell in frame[i] if not marked(cell)[1]} for i in others}
@@ -131,15 +139,17 @@ def _by_row(table: TextTable, bands: dict[int, float], unit: str) -> list[Measur
     return list(records.values())
 
 
-def _by_column(table: TextTable, above: list[list[str]]) -> list[MeasuredSpectrum]:
-    """One column a spectrum, behind a column of wavelengths; `above` stands over the numbers."""
+def _by_column(table: TextTable, above: list[list[str]], at: int) -> list[MeasuredSpectrum]:
+    """One column a spectrum, behind the column `at` of wavelengths, before which rows are numbered;
+    `above` stands over the numbers."""
     file = table.path
     if len(above[-1:] and above[-1]) < 2:
         above = [row for row in above if len(row) > 1]
-    label_row = next((r for r in above if _WAVELENGTH.match(r[0])), above[0] if above else [])
-    named_row = next((r for r in above if r[0].lower().strip(":") in _NAME_KEYS), label_row)
+    labelled = (r for r in above if len(r) > at and WAVELENGTH.match(r[at]))
+    label_row = next(labelled, above[0] if above else [])
+    named_row = next((r for r in above if r[0].lower().strip(":") in NAME_KEYS), label_row)
     header = trimmed(named_row)
-    if header and (above == [named_row] or _WAVELENGTH.match(header[0])):
+    if header and (above == [named_row] or WAVELENGTH.match(header[at])):
         table.names, table.headed = tuple(header), True
     elif len(header) != table.width:  # a title
         header = []
@@ -149,14 +159,14 @@ def _by_column(table: TextTable, above: list[list[str]]) -> list[MeasuredSpectru
     names = [name or f"{file.stem}_{i}" for i, name in enumerate(header or [""] * width)]
     if width == 2 and not header:
         names[1] = file.stem
-    table.names = ("wavelength", *names[1:])
-    frame = table.columns(range(width), (), MISSING)
+    table.names = (*names[:at], "wavelength", *names[at + 1 :])
+    frame = table.columns(range(at, width), (), MISSING)
     meta: dict[str, Any] = {"format": "table, one column a spectrum"}
-    wavelength = _to_nm(frame[0].to_numpy(), label_row[0] if label_row else "", meta)
-    if any(name.endswith(".asd") for name in names[1:]):
+    wavelength = _to_nm(frame[at].to_numpy(), label_row[at] if len(label_row) > at else "", meta)
+    if any(name.endswith(".asd") for name in names[at + 1 :]):
         meta["panel"] = "unknown"  # as of the binary, whose export it is
     columns: dict[str, np.ndarray] = {}
-    for i in range(1, width):
+    for i in range(at + 1, width):
         name = names[i].removesuffix(".asd")
         columns[name if name not in columns else f"{name}_{i}"] = frame[i].to_numpy()
     return _paired(columns, wavelength, meta, file.stem)
@@ -172,15 +182,12 @@ def read_text_spectra(data: bytes, file: Path) -> list[MeasuredSpectrum]:
     """
     table = open_table(file, "a table of spectra", data=data)
     header = table.names
-    named = {i: _BAND_NAME.match(cell.replace(",", ".")) for i, cell in enumerate(header)}
-    bands = {i: float(m[1]) for i, m in named.items() if m}
-    below = next(table.rows(), None)
-    if below is not None and len(bands) >= 10:
-        starts = is_number(header[0]) and is_number(below[1][0])
-        if not starts or len(bands) == len(header):
-            units = {m[2] for m in named.values() if m and m[2]} if not starts else set()
-            return leaves_only(_by_row(table, bands, " ".join(sorted(units))))
-
+    if next(table.rows(), None) is not None:
+        layout = layout_of(table)
+        if layout.by_row:
+            return leaves_only(_by_row(table, layout))
+    else:
+        layout = None
     start = None
     above: list[tuple[int, list[str]]] = []
     for row, cells in table.rows(0):
@@ -190,6 +197,7 @@ def read_text_spectra(data: bytes, file: Path) -> list[MeasuredSpectrum]:
             break
         above.append((row, cells))
     if start is None:
+        check_not_numbers_alone(table)
         raise InputError(
             "unknown format: neither a column of wavelengths nor wavelengths as column names"
         )
@@ -203,4 +211,13 @@ def read_text_spectra(data: bytes, file: Path) -> list[MeasuredSpectrum]:
         for k, (row, cells) in enumerate(above):
             if len(cells) > table.width:
                 titles[k] = re.split(r"\t+ *| {2,}", table.line(row))
-    return leaves_only(_by_column(table, titles))
+    if len(titles) == 1 and len(titles[0]) == table.width - 1 and header[:1] == ("",):
+        titles = [list(header)]  # R names no column of row names
+    at = layout.at if layout is not None and len(above) == 1 and layout.at < table.width - 1 else 0
+    found = _by_column(table, titles, at)
+    if layout is not None:
+        words = f"{layout.words}: {layout.evidence[0]}"
+        found = [one.noted(meta={"layout": words}) for one in found]
+        if layout.rejected and found:
+            found[0] = found[0].noted(f"taken as {words}; not {layout.rejected[0]}")
+    return leaves_only(found)

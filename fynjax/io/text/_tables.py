@@ -4,7 +4,7 @@ from pathlib import Path
 
 from fynjax._core.errors import InputError
 from fynjax._core.files import read_bytes
-from fynjax._core.tables import as_utf8, open_table
+from fynjax._core.tables import as_utf8, numbers_rows, open_table
 from fynjax._core.validation import Row, check_header, checked_rows, columns, is_of_numbers
 
 _SIGNS = {"percent": "%", "deg": "°"}
@@ -35,7 +35,8 @@ def read_rows(
     """Read a table as rows of `model`, each with its row number.
 
     The table may be written as `fynjax._core.tables.open_table` has it: as CSV with any separator,
-    as text of several encodings, or as an Excel workbook.
+    as text of several encodings, or as an Excel workbook. A first column without a name that counts
+    the rows is left out.
 
     **Arguments:**
 
@@ -51,6 +52,8 @@ def read_rows(
     **Raises:** `InputError` with file, row, column, value and what was expected.
     """
     table = open_table(path, what)
+    if table.width > 1 and numbers_rows(table):
+        table.names = ("note: number of the row", *table.names[1:])
     check_header(table.names, model, file=table.path, row=table.row)
     known = columns(model)
     numbers = {name for name, field in known.items() if is_of_numbers(field)}

@@ -7,7 +7,7 @@ this program ships. Each value goes into a plot's files with the word for where 
 import math
 from dataclasses import dataclass
 
-from fynjax.canopy import FORMS
+from fynjax.canopy import FORMS, form_of_taxon
 from fynjax.io.plot import FACTORS, assumed_by_form
 from fynjax.leaf import FLAT, ROUND
 
@@ -35,12 +35,9 @@ class PlantShape:
 
 def plant_shape(genus: str, family: str) -> PlantShape:
     """Form and leaf shape of a genus, else of its family, else a rounded shrub with flat leaves."""
-    for kind, name in (("genera", genus), ("families", family)):
-        for growth_form, form in FORMS.items():
-            for taxa, ratio in ((form.round_leaved, ROUND), (form.flat_leaved, FLAT)):
-                if name in getattr(taxa, kind).split():
-                    source = "genus" if kind == "genera" else "family"
-                    return PlantShape(growth_form, source, ratio)
+    found = form_of_taxon(genus, family)
+    if found is not None:
+        return PlantShape(found.growth_form, found.source, ROUND if found.round_leaves else FLAT)
     return PlantShape(DOME, "default", FLAT)
 
 

@@ -3,7 +3,7 @@ from ._article_page import ArticleResult as ArticleResult
 from ._article_page import article as article
 from ._demo import demo as demo
 from ._demo import demo_targets as demo_targets
-from ._init import InitResult as InitResult
+from ._init import PUBLISHED as PUBLISHED
 from ._init import init as init
 from ._recovery import ground_after_fire as ground_after_fire
 from ._recovery import table_after_fire as table_after_fire

@@ -1,24 +1,21 @@
-"""The job of `fynjax init`: the 2006 plot as commented files, or as it may be at another age."""
+"""The job of `fynjax init --example fynbos`: the 2006 plot as commented files, or as it may be at
+another age."""
 
 import re
 import shutil
-from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Literal
 
 from fynjax._core.errors import InputError
 from fynjax._core.precision import double_precision
 from fynjax.io.plot import (
-    BY_FORM,
     DEFAULT_PRIOR,
-    LEAFY_FORMS,
-    LearnedPrior,
     example_folder,
-    leaf_factors,
     read_prior,
+    state_population,
+    without_population,
 )
 from fynjax.io.text import staged_folder
-from fynjax.jobs import JobResult
+from fynjax.jobs import InitResult, check_nothing_there
 from fynjax.studies.fynbos_2006._recovery import (
     SURVEY_YEAR,
     ground_after_fire,
@@ -33,16 +30,11 @@ FILES = {
     "README.txt": "what to do with them",
 }
 PUBLISHED = 2006
+"""Year of the last fire of the published plot."""
 ASSUMED = (
     "only the plot burnt in 2006 is published: sizes, covers and ground of another year are "
     "assumptions about recovery after fire, not measurements"
 )
-
-
-class InitResult(JobResult):
-    """Result of `init`: the files that were written."""
-
-    command: Literal["init"] = "init"
 
 
 @double_precision
@@ -53,7 +45,7 @@ def init(
     prior: str | Path = DEFAULT_PRIOR,
     seed: int = 0,
 ) -> InitResult:
-    """Write a commented example plot into `folder`; it runs as it is.
+    """Write the fynbos plot of the article, commented, into `folder`; it runs as it is.
 
     **Arguments:**
 
@@ -62,8 +54,9 @@ def init(
       assumptions about recovery, which the files state.
     - `prior`: learned population (`read_prior`) of which the files state leaf area, dead tissue and
       the brightness of dead tissue, each with its spread in another region, and of which leaves
-      have the factors; of growth forms that it lacks, what they assume themselves. "none" states
-      nothing: growth forms have their defaults, with wide priors.
+      have the factors; of growth forms that it lacks, what they assume themselves. "none" takes
+      nothing that was learned: plants are those of shrublands at large, with wide priors, and
+      leaves have no factors.
     - `seed`: seed of every random number of the plot.
 
     **Returns:** `InitResult`, with the files that were written.
@@ -74,12 +67,7 @@ def init(
     folder, learned = Path(folder), read_prior(prior)
     # Statistics of the published plot's image are no target for another.
     files = {k: v for k, v in FILES.items() if burnt == PUBLISHED or k != "statistics.csv"}
-    there = [name for name in files if (folder / name).exists()]
-    if there:
-        raise InputError(
-            f"expected a folder without {there[0]!r}; `init` overwrites nothing. Name another.",
-            file=folder,
-        )
+    check_nothing_there(folder, files)
     with staged_folder(folder) as staged:
         for name in files:
             shutil.copyfile(example_folder() / name, staged / name)
@@ -89,82 +77,16 @@ def init(
         if burnt != PUBLISHED:
             text = _at_another_age(burnt, text, staged)
         assumed = [] if burnt == PUBLISHED else [ASSUMED]
-        if learned is not None:
-            text, unlearned = _with_population(learned, text, staged)
+        if learned is None:
+            text = without_population(text, staged)
+        else:
+            text, unlearned = state_population(learned, text, staged)
             assumed += unlearned
         plot.write_text(text, encoding="utf-8")
     headline = [f"Assumed: {text}." for text in assumed]
     return InitResult(
         output=str(folder), seed=seed, headline=headline, files=files, warnings=assumed
     )
-
-
-def _with_population(prior: LearnedPrior, text: str, folder: Path) -> tuple[str, list[str]]:
-    """The plot file with means and spreads of a population, and what to say of growth forms that
-    it lacks; the tables of the plot get theirs."""
-    values = prior.values()
-    source = f"prior {prior.path.name}: {prior.file.title}"
-    notes = (
-        "# Leaf area, dead tissue, clumping: means of the growth forms, learned from spectra",
-        f"# ({source}).",
-    )
-
-    def of_form(name: str) -> Callable[[dict[str, str]], str]:
-        return lambda row: (
-            f"{values[key]:.3g}" if (key := f"{name}.{row['growth_form']}") in values else ""
-        )
-
-    rows = _rewrite(folder / "species.csv", notes, {name: of_form(name) for name in BY_FORM})
-    shipped = read_prior(DEFAULT_PRIOR)
-    assert shipped is not None
-    if prior.file != shipped.file:
-        known, new = leaf_factors(shipped.values()), leaf_factors(values)
-
-        def of_leaf(name: str) -> Callable[[dict[str, str]], str]:
-            return lambda row: (
-                f"{float(row[name]) * new[name] / known[name]:.3g}" if row[name] else ""
-            )
-
-        _rewrite(
-            folder / "leaves.csv",
-            (f"# Here times the factors of another prior instead ({source}).",),
-            {name: of_leaf(name) for name in known},
-        )
-    priors = [
-        "# Leaf area, dead tissue, clumping: spread between plots and regions, error of the mean",
-        f"# ({source}).",
-    ]
-    for row in rows:
-        for kind in BY_FORM:
-            if row["growth_form"] in LEAFY_FORMS:
-                key = f"{kind}.{row['growth_form']}"
-                relative = prior.sd(key, elsewhere=True) / values[key]
-                priors.append(f'"species.{row["taxon"]}.{kind}" = {relative:.2f}')
-    wood, spread = values["wood_brightness"], prior.sd("wood_brightness", elsewhere=True)
-    priors.append(f'"ground.wood_brightness" = {spread / wood:.2f}')
-    text = re.sub("# wood_brightness = [0-9.]+", f"wood_brightness = {wood:.2f} ", text)
-    text = re.sub(r'(?m)^"\*\.(leaf_area_index|shoot_clumping)" = .*\n', "", text)
-    text = text.replace(
-        "not measured here, and how densely they stand was guessed", "not measured here"
-    )
-    text = text.replace("[calibration.priors]\n", "\n".join(["[calibration.priors]", *priors, ""]))
-    return text, prior.unlearned(row["growth_form"] for row in rows)
-
-
-def _rewrite(
-    path: Path, notes: Sequence[str], columns: dict[str, Callable[[dict[str, str]], str]]
-) -> list[dict[str, str]]:
-    """Columns of a table computed from its rows, added at the end where it has none of the name,
-    with notes above the header; its rows as they were."""
-    lines = path.read_text(encoding="utf-8").splitlines()
-    start = next(i for i, line in enumerate(lines) if not line.startswith("#"))
-    header = lines[start].split(",")
-    rows = [dict(zip(header, line.split(","), strict=True)) for line in lines[start + 1 :]]
-    names = [*header, *(name for name in columns if name not in header)]
-    table = [{**row, **{name: of(row) for name, of in columns.items()}} for row in rows]
-    body = [",".join(names), *(",".join(row[name] for name in names) for row in table)]
-    path.write_text("\n".join([*lines[:start], *notes, *body, ""]), encoding="utf-8")
-    return rows
 
 
 def _at_another_age(burnt: int, text: str, folder: Path) -> str:
