@@ -6,6 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 import pandas as pd
 from jaxtyping import Bool, Float
+from scipy.special import ndtri
 
 from fynjax.metrics import VEGETATION_INDICES
 
@@ -134,9 +135,9 @@ def gain_sentences(
     common, and the ratio of two that differs most surely from one.
 
     **Arguments:** `names` of the bands; estimated `gain` of each [-]; `covariance` of their
-    logarithms [-], without which, all zero, there is nothing to say.
+    logarithms [-], without which, all zero or not finite, there is nothing to say.
     """
-    if not covariance.any():
+    if not (covariance.any() and np.isfinite(covariance).all() and np.isfinite(gain).all()):
         return []
     sd = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
     each = ", ".join(f"{n} {g:.3f} ± {g * s:.3f}" for n, g, s in zip(names, gain, sd, strict=True))
@@ -144,8 +145,10 @@ def gain_sentences(
     if len(gain) < 2:
         return lines
 
-    def sure(log: float, sd: float) -> str:
-        return "known" if abs(log) > _SURE * sd else "not told from 1"
+    def sure(log: float, sd: float, of: int = 1) -> str:
+        # The most extreme of several ratios is held to as much as all of them together.
+        least = -float(ndtri(0.5 * _CHANCE / of))
+        return "surely not 1" if abs(log) > least * sd else "not told from 1"
 
     log = np.log(gain)
     level, of_level = log.mean(), np.sqrt(max(covariance.mean(), 0.0))
@@ -164,10 +167,12 @@ def gain_sentences(
     ratio, of_ratio = apart[one, other], spread[one, other]
     lines[-1] += (
         f"; the ratio that differs most surely from 1, {names[one]} over {names[other]}, is "
-        f"{np.exp(ratio):.2f} ± {np.exp(ratio) * of_ratio:.2f}, {sure(ratio, of_ratio)}."
+        f"{np.exp(ratio):.2f} ± {np.exp(ratio) * of_ratio:.2f}, "
+        f"{sure(ratio, of_ratio, int(known.sum()))}."
     )
     return lines
 
 
-_SURE = 2.0
-"""Standard deviations from which on a gain or a ratio of two counts as known to differ from one."""
+_CHANCE = 0.0455
+"""Chance below which a level or a ratio of gains counts as surely not one [-]: two standard
+deviations."""

@@ -2,7 +2,7 @@
 
     python -m tests.benchmarks.table_slopes [--plantings 64]
 
-A plot of 2.4 m with few plants (1.4 rounded shrubs of 90 cm, 7.9 upright ericoids of 45 cm, 3.7
+A plot of 2.4 m with few plants (1.3 rounded shrubs of 90 cm, 7.2 upright ericoids of 45 cm, 3.5
 tussocks of 50 cm) and one with many smaller ones. For each statistic and kind of parameter (the
 cover of the first species, or all of a kind, times one factor): the derivative of the mean over
 plantings by the logarithm of the factor, as a difference of the means of whole plants of the same

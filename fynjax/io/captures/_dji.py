@@ -106,7 +106,8 @@ def _camera(stated: Stated, wavelength: float) -> str:
     """The sensor: a Phantom has five bands, of blue and 840 nm, and places these by a shift each,
     where a Mavic states a matrix."""
     by_shift = stated.xmp.get("RelativeOpticalCenterX") and not stated.xmp.get("CalibratedHMatrix")
-    return "phantom_4m" if by_shift or wavelength in (450.0, 840.0) else "mavic_3m"
+    own = min(abs(wavelength - 450.0), abs(wavelength - 840.0)) < 5.0
+    return "phantom_4m" if by_shift or own else "mavic_3m"
 
 
 def _band(stated: Stated) -> tuple[float, float]:
