@@ -38,7 +38,7 @@ softness = 0.0
 softness_plants = 0.0
 """
 RISE, NORTHWARD = 0.3, 0.1
-LINE = 'terrain = "hill.tif"\nmap_origin_m = [500000.5, 6000000.5]'
+LINE = 'terrain = "hill.tif"\nmap_origin_m = [500000.5, 6200000.5]'
 
 
 def plot(folder, line="", cover=20.0, cell=0.1, **options):
@@ -47,7 +47,7 @@ def plot(folder, line="", cover=20.0, cell=0.1, **options):
     (folder / "sky.csv").write_text("wavelength_nm,diffuse_fraction\n400,0\n1000,0\n")
     middle = (np.arange(round(4.0 / cell)) + 0.5) * cell
     height = 120.0 + RISE * middle + NORTHWARD * middle[::-1, None]  # rows from the north
-    place = Affine(cell, 0.0, 500_000.0, 0.0, -cell, 6_000_004.0)
+    place = Affine(cell, 0.0, 500_000.0, 0.0, -cell, 6_200_004.0)
     write_raster(folder / "hill.tif", height[None], transform=place, crs="EPSG:32734", **options)
     (folder / "plot.toml").write_text(TOML.format(line=line))
     return read_plot(folder / "plot.toml")

@@ -199,7 +199,8 @@ def _about(header: Sequence[str], at: int, named: bool, stands: bool) -> str:
 def check_not_numbers_alone(table: TextTable) -> None:
     """Raise `InputError` for values without wavelengths, as the library of the USGS has them."""
     rows = [cells for _, cells in itertools.islice(table.rows(), _MOST_ROWS)]
-    if table.width == 1 or all(len(cells) == 1 for cells in rows):
+    numbers = sum(len(cells) == 1 and is_number(cells[0].strip()) for cells in rows)
+    if 2 * numbers > len(rows):
         raise InputError(
             "expected a column of wavelengths beside that of the values, but the rows have one "
             "number each. The wavelengths are in another file: put both side by side, as in "
