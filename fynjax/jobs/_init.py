@@ -279,6 +279,10 @@ def _if_sun_is_up(
     return time, said
 
 
+_LESS_COMMON = ("phantom_4m",)
+"""Taken after others whose bands have the same names."""
+
+
 def _sensor_of(file: RasterFile) -> tuple[Sensor | None, str]:
     """The shipped sensor whose bands an image has, and a sentence on it."""
     with warnings.catch_warnings():
@@ -290,10 +294,12 @@ def _sensor_of(file: RasterFile) -> tuple[Sensor | None, str]:
         v for k, v in file.tags.items() if "model" in k.lower() or "description" in k.lower()
     )
     best: tuple[float, Sensor] | None = None
-    for sensor in known:
+    like: list[str] = []
+    for sensor in sorted(known, key=lambda one: one.name in _LESS_COMMON):
         own = [band_word(name) for name in sensor.bands.names]
         if any(names) and set(names) == set(own):
             score = 0.0
+            like.append(sensor.name)
         elif np.isfinite(centres).all() and len(centres) == len(own):
             apart = np.abs(np.sort(centres) - np.sort(np.asarray(sensor.bands.centre))).max()
             if apart > _SAME_BAND_NM:
@@ -311,7 +317,9 @@ def _sensor_of(file: RasterFile) -> tuple[Sensor | None, str]:
             f"No shipped sensor has the bands of the image ({shown}): the camera is left at "
             "mavic_3m. Describe yours in a sensor file, or pick one of `fynjax sensors`."
         )
-    return best[1], f"Camera: {best[1].name}, which has the bands of the image ({shown})."
+    others = [] if best[0] < 0.0 else [name for name in like if name != best[1].name]
+    also = f" Bands of these names has {' and '.join(others)} too: was it that?" if others else ""
+    return best[1], f"Camera: {best[1].name}, which has the bands of the image ({shown}).{also}"
 
 
 def _letters(text: str) -> str:

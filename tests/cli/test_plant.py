@@ -51,7 +51,7 @@ def test_a_taxon_becomes_a_mesh_and_elements(tmp_path: Path) -> None:
     assert {path.name for path in made.iterdir()} == {*summary["files"], "summary.json"}
     assert_valid_summary(summary)
     assert (made / "plant.png").stat().st_size > 20_000
-    assert (summary["form"], summary["n_leaves"]) == ("rounded_shrub", 3625)
+    assert (summary["form"], summary["n_leaves"]) == ("rounded_shrub", 3222)
     assert summary["leaf_scale"] == pytest.approx(1.0, abs=0.05)
     assert [one["solid_share"] for one in summary["materials"]] == [0.0, 1.0]
     assert summary["warnings"] == []

@@ -119,7 +119,7 @@ def test_a_staged_folder_arrives_whole_or_not_at_all(tmp_path):
 
     target.with_name("run-2").mkdir()  # of the user's, who will put something there
     for number in (3, 4):  # in a new folder each time
-        with pytest.raises(InputError, match=f"'a.txt' is there already.*run-{number} instead"):
+        with pytest.raises(InputError, match=f"'a.txt' is there already.*run-{number}, beside it"):
             write()
         beside = target.with_name(f"run-{number}")
         assert (beside / "a.txt").read_text() == "new"

@@ -16,6 +16,7 @@ from fynjax._core.records import Strict, _keys_of_numbers
 from fynjax.cli import app
 from fynjax.io.plot import read_plot
 from fynjax.io.text import rows_text, table_text
+from fynjax.scene import LeafRow
 from tests.small import write_plot
 
 
@@ -38,6 +39,8 @@ def _records(kind: type[Strict]) -> set[type[Strict]]:
     return {kind}.union(*map(_records, kind.__subclasses__()))
 
 
+NEEDED = {LeafRow: {"taxon": "a", "material": "young", "chlorophyll": 40.0}}
+"""What a record states besides, where a number by itself is too little."""
 NUMBERS = [
     pytest.param(record, key, id=f"{record.__name__}-{key}")
     for record in sorted(_records(Strict), key=lambda one: one.__qualname__)
@@ -52,7 +55,7 @@ def test_true_is_no_number_and_1_0_no_ten(record: type[Strict], key: str) -> Non
     """Of any record of a table or a file, alone and in a list."""
     for value in (True, False, "1_0", "\u0661", [True, 2.0], ["1_0", "2"]):
         with pytest.raises(ValidationError) as caught:
-            record.model_validate({key: value})
+            record.model_validate(NEEDED.get(record, {}) | {key: value})
         assert key in {str(error["loc"][0]) for error in caught.value.errors() if error["loc"]}
 
 
@@ -60,7 +63,7 @@ def test_what_is_no_number_is_said_as_it_was_written(tmp_path: Path) -> None:
     assert len(NUMBERS) > 150
     plot = write_plot(tmp_path)
     plot.write_text(re.sub(r"size_m = \S+", "size_m = true", plot.read_text()), "utf-8")
-    with pytest.raises(InputError, match=r"row \d+, column 'plot.size_m': .*but got true"):
+    with pytest.raises(InputError, match=r"line \d+, key 'plot.size_m': .*but got true"):
         read_plot(plot)
     table = tmp_path / "species.csv"
     plot = write_plot(tmp_path)
@@ -90,7 +93,7 @@ def test_keys_of_many_parts_are_refused_before_they_are_read(
     path.write_text("# A plot.\n" + form.format(".".join([key] * 8000)) + "\n", "utf-8")
     with monkeypatch.context() as patched:
         patched.setattr("tomllib.loads", None)
-        with pytest.raises(InputError, match=r"row 2: expected TOML whose keys have at most 32"):
+        with pytest.raises(InputError, match=r"line 2: expected TOML whose keys have at most 32"):
             read_plot(path)
     sentence = "file names such as a.b.c, and numbers, 0.1.2... " * 400
     path.write_text(f"# {sentence}\nname = '{sentence}'\n", "utf-8")

@@ -33,6 +33,7 @@ def statistics():
         "before": [10.0, -20.0, 5.0, 40.0, 90.0, 3.0],
         "after": [1.0, 2.0, 3.0, 30.0, 80.0, 2.0],
         "with_gain": [0.5, 1.0, 1.5, 25.0, 70.0, np.nan],
+        "with_error": [0.2, 0.4, 0.6, 20.0, 60.0, np.nan],
         "reference": [12.0, 13.0, 14.0, 15.0, 16.0, 17.0],
     }
     for column, error in errors.items():
@@ -113,15 +114,15 @@ def test_a_real_image_of_another_size_is_said_to_be(size, block, said):
 def test_bars_have_before_after_with_gains_and_the_reference(statistics):
     """Means and spreads apart."""
     simulated = ReferenceImage(simulated={"nir.mean": 0.2})
-    for reference, count in ((ReferenceImage(), 3), (simulated, 4)):
+    for reference, count in ((ReferenceImage(), 4), (simulated, 5)):
         (picture,) = error_pictures(statistics, reference)
         means, spreads = picture.figure.axes
         assert len(means.containers) == count
         assert [label.get_text() for label in means.get_yticklabels()] == [
             *("green", "NIR", "NDVI", "SR")
         ]
-        assert [bars[0].get_width() for bars in spreads.containers] == [40, 30, 25, 15][:count]
-    assert [bars[1].get_width() for bars in means.containers] == [20, 2, 1, 13]
+        assert [bars[0].get_width() for bars in spreads.containers] == [40, 30, 25, 20, 15][:count]
+    assert [bars[1].get_width() for bars in means.containers] == [20, 2, 1, 0.4, 13]
     assert error_pictures(statistics[statistics["statistic"] == "nir.q50"], simulated) == []
 
 

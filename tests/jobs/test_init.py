@@ -131,7 +131,7 @@ def test_the_place_says_whose_plants_they_are(tmp_path: Path) -> None:
         assert plot.species[0].leaf_area_index is None
     made = init_from_table(tmp_path / "e", HEATH_TABLE, place=HEATH_PLACE, prior="fynbos_2023")
     assert any("outside the Cape" in one for one in made.warnings)
-    assert read_plot_quietly(tmp_path / "e").species[0].leaf_area_index == pytest.approx(3.61)
+    assert read_plot_quietly(tmp_path / "e").species[0].leaf_area_index == pytest.approx(3.69)
 
 
 def read_plot_quietly(folder: Path):

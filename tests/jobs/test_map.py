@@ -416,6 +416,8 @@ def quick_chains(monkeypatch):
     return asked
 
 
+# Of a training of a few hundred stands a drawn one may be unlike all others.
+@pytest.mark.filterwarnings("ignore:the spectrum of row .* is unlike the simulations")
 def test_full_posteriors_of_chosen_pixels_stand_beside_the_map(
     trained, known, tmp_path, quick_chains, monkeypatch
 ):

@@ -166,7 +166,7 @@ def staged_folder(
         except InputError as error:
             where = _beside(target, partial)
             raise InputError(
-                f"{error.message}. The results are in {where} instead", file=error.file
+                f"{error.message}. The results are in {where.name}, beside it", file=error.file
             ) from error
         try:
             target.mkdir(exist_ok=True)
@@ -178,7 +178,7 @@ def staged_folder(
             where = _beside(target, partial)
             raise InputError(
                 f"cannot write here: {why_failed(error) or error.strerror}. The results are in "
-                f"{where} instead",
+                f"{where.name}, beside it",
                 file=folder,
             ) from error
     finally:
