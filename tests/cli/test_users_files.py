@@ -185,7 +185,7 @@ def test_a_file_of_the_user_is_not_replaced_and_the_results_are_kept_beside(
     (out / "notes.txt").write_text("mine")
     err = refused(capsys, "demo", "--output", out)
     assert "out/a.csv: this file is kept: no earlier run of `fynjax demo` wrote it." in err
-    assert f"The results are in out-2, beside it" in err
+    assert "The results are in out-2, beside it" in err
     assert {n: len(c) for n, c in content(tmp_path).items() if "summary" not in n} == {
         "out/a.csv": 4, "out/notes.txt": 4, "out-2/a.csv": 1, "out-2/deep/b.csv": 1,
     }  # fmt: skip
