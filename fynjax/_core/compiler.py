@@ -104,7 +104,7 @@ def keep_compiled() -> None:
 
 def _take_programs(ours: Path) -> bool:
     """Let JAX read and write its programs in the folder `ours` through the store; gives whether
-    this version of JAX can be told so."""
+    this version of JAX has a way to do so."""
     try:
         from jax._src import compilation_cache
         from jax._src.compilation_cache_interface import CacheInterface

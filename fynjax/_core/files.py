@@ -131,7 +131,8 @@ _OF_WRITING = re.compile(r"HDF|NetCDF|[Ww]rit|I/O|TIFF")
 
 
 def why_failed(error: BaseException) -> str | None:
-    """What a system says of a file, in words that say what to change; None for any other error."""
+    """The reason why the operating system refused a file (`OSError`, or a loop of links), in words
+    that say what to change; None for any other error."""
     if isinstance(error, RuntimeError) and "ymlink loop" in str(error):
         return _WHY[errno.ELOOP]
     return _WHY.get(error.errno or 0) if isinstance(error, OSError) else None

@@ -113,7 +113,8 @@ def _keys_of_numbers(record: type[BaseModel]) -> list[tuple[str, bool]]:
 
 
 class Refused:
-    """What is given for a number and is none, though Python takes it for one."""
+    """A value in the place of a number that is none, though Python takes it for one: true or false,
+    and texts such as 1_0; `given`, as the user wrote it."""
 
     def __init__(self, given: Any) -> None:
         self.given = given

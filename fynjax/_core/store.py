@@ -55,8 +55,8 @@ class Store:
     """Entries of one kind, by key. What cannot be kept is not: that costs time and nothing else."""
 
     def __init__(self, kind: str, largest: int, entry: int) -> None:
-        """Of a `kind`, which names its folder; all entries take at most `largest` bytes, one at
-        most `entry`."""
+        """A store in the folder named `kind`, whose entries take at most `largest` bytes together,
+        each at most `entry` bytes."""
         self._kind, self._largest, self._entry = kind, largest, entry
         self._held: int | None = None
 

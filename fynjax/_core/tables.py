@@ -313,7 +313,7 @@ def open_table(path: str | Path, what: str, *, data: bytes | None = None) -> Tex
 
 def numbers_rows(table: TextTable) -> bool:
     """Whether the first column of a table has no name of its own and counts the rows, from 0 or 1,
-    as R's write.csv and pandas' to_csv write it unless they are told not to."""
+    as R's write.csv and pandas' to_csv write it by default."""
     if table.names[:1] and not re.fullmatch(r"|unnamed: ?0|\.\.\.1|index", table.names[0].lower()):
         return False
     first = [cells[0] for _, cells in itertools.islice(table.rows(), _SAMPLE_LINES)]

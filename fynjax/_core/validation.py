@@ -72,7 +72,8 @@ def _number(value: Any) -> float | None:
 
 
 def _as_given(value: Any) -> Any:
-    """What a user gave, alone or in a list, where a record refuses it as a number."""
+    """A value, or a list of values, of a record's field with every `Refused` number as the user
+    wrote it."""
     if isinstance(value, list):
         return [_as_given(one) for one in value]
     return value.given if isinstance(value, Refused) else value

@@ -152,7 +152,8 @@ def measured_leaves(plot: Plot) -> MeasuredLeaves:
 
 
 def _whole(kept: bytes, taxa: Iterable[str]) -> dict[str, Any] | None:
-    """What was kept of the leaves of these taxa, if every number is one that a leaf can have."""
+    """The kept fits of the leaves of `taxa`, as `_fitted` gives them; None where `kept` is damaged,
+    lacks a taxon or has a number that no leaf can have."""
     try:
         found = json.loads(kept)
         said = found["said"]

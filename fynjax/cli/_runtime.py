@@ -431,7 +431,8 @@ class _Guard:
         return self._earlier.strange(names)
 
     def said(self, names: Sequence[str]) -> list[str]:
-        """What is to be said of files that are replaced, or stay beside the new ones."""
+        """Warnings of a run whose results are the files `names`: a line for each file that it
+        replaces and no earlier run wrote as it is, and for each that stays beside the new ones."""
         lines = [f"replaced {self._output / n}: {why}" for n, why in self.strange(names).items()]
         left = [name for name in self._earlier_names if name not in names]
         return lines + [

@@ -148,7 +148,7 @@ def gain_sentences(
     def sure(log: float, sd: float, of: int = 1) -> str:
         # The most extreme of several ratios is held to as much as all of them together.
         least = -float(ndtri(0.5 * _CHANCE / of))
-        return "surely not 1" if abs(log) > least * sd else "not told from 1"
+        return "different from 1" if abs(log) > least * sd else "1 within its error"
 
     log = np.log(gain)
     level, of_level = log.mean(), np.sqrt(max(covariance.mean(), 0.0))

@@ -118,9 +118,9 @@ def test_of_gains_the_level_is_told_apart_from_their_ratios():
     each, both = gain_sentences(("red", "red_edge", "nir"), np.array([0.98, 0.7, 1.0]), shared)
     assert "red_edge 0.700 ± 0.141" in each
     level = (0.98 * 0.7) ** (1 / 3)
-    assert f"level, is {level:.2f} ± {level * np.hypot(0.2, 0.02 / 3**0.5):.2f}, not told" in both
+    assert f"level, is {level:.2f} ± {level * np.hypot(0.2, 0.02 / 3**0.5):.2f}, 1 within" in both
     ratio_sd = 0.7 * 0.02 * 2**0.5
-    assert f"red_edge over nir, is 0.70 ± {ratio_sd:.2f}, surely not 1" in both
+    assert f"red_edge over nir, is 0.70 ± {ratio_sd:.2f}, different from 1" in both
     assert gain_sentences(("red",), np.array([0.9]), np.array([[0.01]])) == [
         "Gains of the camera: red 0.900 ± 0.090; beforehand 1."
     ]
@@ -132,9 +132,9 @@ def test_gains_that_are_one_factor_have_a_level_and_no_ratio():
     equal gains with errors of their own two different bands are named."""
     shared = np.full((3, 3), 0.2**2)
     _, level = gain_sentences(("red", "red_edge", "nir"), np.array([0.6, 0.6, 0.6]), shared)
-    assert level == "What all have in common, their level, is 0.60 ± 0.12, surely not 1."
+    assert level == "What all have in common, their level, is 0.60 ± 0.12, different from 1."
     _, both = gain_sentences(("red", "nir"), np.ones(2), np.diag([0.01, 0.01]))
-    assert "red over nir, is 1.00 ± 0.14, not told from 1" in both
+    assert "red over nir, is 1.00 ± 0.14, 1 within its error" in both
 
 
 def test_the_most_extreme_of_many_ratios_is_held_to_more():
@@ -142,6 +142,6 @@ def test_the_most_extreme_of_many_ratios_is_held_to_more():
     apart = np.exp(2.3 * 0.1 * 2**0.5)
     two = gain_sentences(("red", "nir"), np.array([apart, 1.0]), np.diag([0.01, 0.01]))
     four = gain_sentences(tuple("abcd"), np.array([apart, 1.0, 1.1, 1.1]), np.diag([0.01] * 4))
-    assert two[1].endswith("surely not 1.")
-    assert four[1].endswith("not told from 1.")
+    assert two[1].endswith("different from 1.")
+    assert four[1].endswith("1 within its error.")
     assert gain_sentences(("red", "nir"), np.ones(2), np.full((2, 2), np.nan)) == []
