@@ -10,6 +10,7 @@ import pytest
 from fynjax.canopy import (
     instance_area,
     modelled_diameter,
+    projected_count,
     rounded_count,
     share_from_above,
     soft_count,
@@ -107,3 +108,18 @@ def test_share_of_crowns_has_slopes_up_to_crowns_as_large_as_the_ground() -> Non
         value, slope = jax.value_and_grad(share_from_above)(jnp.array(edge))
         assert float(value) * sum(edge) == pytest.approx(min(sum(edge), 1.0))
         assert np.isfinite(slope).all()
+
+
+@pytest.mark.parametrize(("spacing", "crown"), [(0.35, 0.12), (0.4, 0.1), (0.3, 0.15)])
+def test_numbers_of_a_growing_cover_do_not_jump_where_they_are_whole(spacing, crown):
+    """From one whole number to the next is a line in the cover: lines meet at their ends, so that
+    a step of the cover is one of the number there as before and after."""
+    cover = np.linspace(0.1, 0.75, 6501)
+    number = np.asarray(projected_count(cover, crown, 1.0, spacing=spacing), float)
+    step = np.diff(number)
+    assert (step > 0.0).all()
+    at = np.flatnonzero(np.floor(number[1:]) > np.floor(number[:-1]))
+    assert len(at) >= 5
+    both = np.stack([step[at - 2], step[at + 2]])
+    assert (step[at] > 0.9 * both.min(axis=0)).all()
+    assert (step[at] < 1.1 * both.max(axis=0)).all()

@@ -11,6 +11,7 @@ import pytest
 from fynjax._core.checkpoint import Journal, signature
 from fynjax.inversion import ParameterSpace
 from fynjax.inversion._known_plants import PixelModel, PixelSearch, PixelSettings, PixelState
+from fynjax.scene import ModelError
 from fynjax.sensors import Gains, shipped_sensor
 from tests.scene.plots import TAXA, drone, small_parameters, small_plot
 
@@ -44,7 +45,7 @@ class Linear(PixelModel):
         return linear(values), SLOPES
 
 
-def searched(max_steps=30):
+def searched(max_steps=30, error=None):
     Linear.count, scene, mavic = 0, small_plot(), shipped_sensor("mavic_3m")
     two = dataclasses.replace(mavic, bands=mavic.bands.select([1, 3]), psf=None, noise=None)
     model = Linear(scene, small_parameters(), NAMES, drone(scene, sensor=two), 1)
@@ -52,7 +53,7 @@ def searched(max_steps=30):
     compared = np.ones((2, 3), bool)
     compared[1, 2] = False
     settings = PixelSettings(None, PIXEL_SD, GAINS, max_steps, tolerance=1e-4)
-    search = PixelSearch(model, SPACE, measured, compared, settings)
+    search = PixelSearch(model, SPACE, measured, compared, settings, error)
     states = [search.begin()]
     while not states[-1].ended:
         states.append(search.step(states[-1]))
@@ -117,6 +118,24 @@ def test_the_estimate_of_parameters_and_gains_is_where_the_posterior_is_densest(
     assert result.misfit == pytest.approx(least, rel=1e-6)
     for step in 0.02 * np.concatenate([np.eye(4), -np.eye(4)]):
         assert objective(u + step[:2], log_gain + step[2:]) > least
+
+
+def test_images_are_of_the_plot_alone_with_gains_and_with_the_model_s_error():
+    """Each made anew from the estimate; and the means that are held against the measured ones."""
+    error = ModelError(np.array([500.0, 900.0]), np.array([0.1, 0.2]), np.eye(2))
+    search, states, _, compared = searched(error=error)
+    result = search.result(states[-1])
+    alone = linear(result.fit.estimate)
+    np.testing.assert_allclose(result.image_after, alone, rtol=1e-9)
+    gain, off = result.gain[:, None, None], result.model_error[:, None, None]
+    assert np.abs(np.log(result.model_error)).min() > 1e-3
+    np.testing.assert_allclose(result.image_with_error, alone * gain * off, rtol=1e-9)
+    measured = linear([0.35, 0.1]) * np.array([1.2, 0.9])[:, None, None]
+    mean = lambda image: np.array([band[compared].mean() for band in image])  # noqa: E731
+    table = result.means()
+    for column, image in (("after", alone), ("with_gain", alone * gain)):
+        want = 100.0 * (mean(image) / mean(measured) - 1.0)
+        np.testing.assert_allclose(table[f"{column}_error_percent"], want, rtol=1e-9)
 
 
 def test_a_search_goes_on_from_any_state_that_was_kept(tmp_path):

@@ -96,6 +96,8 @@ def test_an_ensemble_takes_moves_of_emcee_and_gives_its_chain():
     moves = emcee.moves.StretchMove(a=2.5)
     usual, found = (drawn("emcee"), sampler("emcee", moves=moves).posterior())
     flat = found.get_chain(flat=True)
+    plain = sampler("emcee").posterior()
+    assert plain.values.shape != found.values.shape or (plain.values != found.values).any()
     apart = flat.mean(axis=0) - usual.get_chain(flat=True).mean(axis=0)
     np.testing.assert_allclose(apart / flat.std(axis=0), 0.0, atol=0.25)
     chain = found.get_chain()

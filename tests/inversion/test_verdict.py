@@ -1,10 +1,12 @@
 """What a calibration says of itself: nearer or farther than the table, what is not described."""
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from fynjax.inversion import Calibration, Data
 from fynjax.inversion._verdict import (
+    GROUPS,
     compare_means,
     gain_sentences,
     group_of,
@@ -121,6 +123,8 @@ def test_of_gains_the_level_is_told_apart_from_their_ratios():
     assert f"level, is {level:.2f} ± {level * np.hypot(0.2, 0.02 / 3**0.5):.2f}, 1 within" in both
     ratio_sd = 0.7 * 0.02 * 2**0.5
     assert f"red_edge over nir, is 0.70 ± {ratio_sd:.2f}, different from 1" in both
+    _, apart = gain_sentences(("red", "nir"), np.ones(2), np.diag([0.04, 0.04]))
+    assert "level, is 1.00 ± 0.14, 1 within its error" in apart  # a mean of two
     assert gain_sentences(("red",), np.array([0.9]), np.array([[0.01]])) == [
         "Gains of the camera: red 0.900 ± 0.090; beforehand 1."
     ]
@@ -145,3 +149,14 @@ def test_the_most_extreme_of_many_ratios_is_held_to_more():
     assert two[1].endswith("different from 1.")
     assert four[1].endswith("1 within its error.")
     assert gain_sentences(("red", "nir"), np.ones(2), np.full((2, 2), np.nan)) == []
+
+
+def test_the_group_without_which_the_rest_is_described_best_is_named(monkeypatch):
+    times = {"none": 4.0, "means of bands": 3.5, "spreads of bands": 1.25, "indices": 3.9}
+    table = pd.DataFrame({"left_out": list(times), "times": list(times.values())})
+    monkeypatch.setattr(Calibration, "misfit_by_group", lambda self: table)
+    found = stand_in(Calibration, misfit=40.0, degrees=10).misfit_sentence()
+    assert found == (
+        "The misfit is 4 times what was expected; on a line 4, and 1.2 without "
+        f"{GROUPS['spreads of bands']}: intervals are widened by it."
+    )

@@ -105,6 +105,14 @@ def test_a_spectrum_is_the_mean_of_the_plot_in_its_bands(plot, views, together, 
     found = eqx.filter_jit(lambda m, p: views[1].predict(m, p))(model, parameters)
     np.testing.assert_allclose(found, expected, rtol=1e-8)
 
+    def plot_at(u):
+        return with_values(parameters, model.taxa, {"ground.brightness": u[0]})
+
+    u = jnp.array([0.8])
+    _, slopes = eqx.filter_jit(lambda u: views[1].jacobian(model, plot_at, u))(u)
+    up, down = (every(model, plot_at(u + step)).mean(axis=(1, 2)) for step in (0.01, -0.01))
+    np.testing.assert_allclose(slopes[:, 0], (up - down) / 0.02, rtol=1e-3)
+
 
 def test_structure_is_that_of_all_that_a_beam_can_hit(plot, views):
     """Spherical normals: the projected area of leaves, wood and flowers is half of it."""

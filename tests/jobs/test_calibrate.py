@@ -139,6 +139,8 @@ def test_three_sensors_together_after_an_interruption(twin):
     assert "nan" not in " ".join(calibration.headline)
     bands = pd.read_csv(output / "bands.csv")
     assert len(bands) == 8  # four of the camera, four of the spectrum
+    # Of the covariance of all gains each sensor has its own block: data make none less certain.
+    assert (bands["gain_sd"] <= bands["gain_prior_sd"] + 1e-9).all()
     # Both see near infrared at 860 nm: one error of the model, and gains of their own.
     at_860 = bands[bands["wavelength_nm"] == 860.0]
     np.testing.assert_allclose(at_860["model_error"], at_860["model_error"].iloc[0])
