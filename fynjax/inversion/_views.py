@@ -295,9 +295,9 @@ class SpectrumView(BandView):
             def mean(voxels: VoxelScene, band: Array) -> Array:
                 return self._means(voxels, first + band, 1)[0]
 
-            value = self._means(voxels, first, self._together)
             members = jnp.arange(self._together)
-            by_voxels = jax.vmap(eqx.filter_grad(mean), in_axes=(None, 0))(voxels, members)
+            slope = jax.vmap(eqx.filter_value_and_grad(mean), in_axes=(None, 0))
+            value, by_voxels = slope(voxels, members)
             return value, jax.lax.map(lambda one: backward(one)[0], by_voxels)
 
         value, rows = map(self._by_band, jax.lax.map(of_group, self._firsts))
