@@ -152,7 +152,12 @@ def init_from_table(
         f"{'what the table says on it' if releve.ground else '20 % of it under litter'}. Put a "
         "spectrum of yours under [ground]."
     )
-    said.append("Covers are shares of the ground below the crowns, as seen from above.")
+    said.append(
+        "Covers are shares of the ground below the crowns, as seen from above."
+        if releve.cover_definition == "projected"
+        else "The table has packing, fill, branches or a least area, by which covers are those of "
+        'the article, eq. (10): cover_definition = "article".'
+    )
     heard = [" ".join(str(one.message).split()) for one in caught]
     heard = [one.replace(f"{staged}/", "") for one in dict.fromkeys(heard)]
     return InitResult(output=str(folder), seed=seed, headline=said, files=files, warnings=heard)
@@ -423,7 +428,7 @@ def _plot_toml(
     text = _set(text, "name", json.dumps(name, ensure_ascii=False), "")
     text = _set(text, "size_m", f"{side:g}")
     text = _set(text, "plants", f'"{plants}"')
-    text = _set(text, "cover_definition", '"projected"')
+    text = _set(text, "cover_definition", f'"{releve.cover_definition}"')
     text = _set(text, "leaf_table", None)
     if spectra is not None:
         line = f'leaf_spectra = "{spectra}"'

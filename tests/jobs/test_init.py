@@ -82,6 +82,21 @@ def test_table_place_image_and_leaves_make_a_plot(tmp_path: Path) -> None:
     assert rows[1]["note_assumed"] == "mean_diameter_cm"
 
 
+def test_covers_of_a_table_with_packing_are_those_of_the_article(tmp_path) -> None:
+    """As of any species table; the table's packing is kept, and the plot file reads."""
+    path = tmp_path / "packed.csv"
+    path.write_text(
+        "taxon;Recouvrement (%);Diamètre (cm);Hauteur (cm);growth_form;packing_percent\n"
+        "Erica arborea;60;80;120;upright_ericoid;40\n",
+        "utf-8",
+    )
+    made = init_from_table(tmp_path / "plot", path, place=GARRIGUE)
+    plot = read_plot(tmp_path / "plot" / "plot.toml")
+    assert plot.cover_definition == "article"
+    assert plot.species[0].packing == pytest.approx(0.4)
+    assert "those of the article" in " ".join(made.headline)
+
+
 @pytest.mark.parametrize(
     ("names", "tags", "sensor"),
     [(("green", "red", "red_edge", "nir"), {}, "mavic_3m"), (BANDS, {}, "rededge_3"),

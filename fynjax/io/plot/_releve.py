@@ -21,7 +21,14 @@ from fynjax.io.plot._column_words import (
     words_of,
 )
 from fynjax.io.text import TextTable, open_table
-from fynjax.scene import SpeciesRow, check_species, cover_range, name_classes
+from fynjax.scene import (
+    CoverDefinition,
+    SpeciesRow,
+    check_species,
+    cover_definition_of,
+    cover_range,
+    name_classes,
+)
 
 _MOST_FAULTS = 20
 """Faults that one message names."""
@@ -68,6 +75,11 @@ class Releve:
     """Cover of what is no plant [%]: litter, rock, char, bare."""
     said: tuple[str, ...] = ()
     """How the table was taken, in sentences."""
+
+    @property
+    def cover_definition(self) -> CoverDefinition:
+        """What its covers mean: as the article counts them where it states terms of eq. (10)."""
+        return cover_definition_of([plant.record for plant in self.plants])
 
 
 class _Faults:
@@ -154,7 +166,8 @@ def read_releve(path: str | Path) -> Releve:
             plants.append(PlantOfTable(number, given, source, tuple(assumed), about, record))
     _check_twice(rows, taxa, faults)
     faults.stop()
-    check_species([(plant.row, plant.record) for plant in plants], path, "projected")
+    every = [(plant.row, plant.record) for plant in plants]
+    check_species(every, path, cover_definition_of([record for _, record in every]))
     names = tuple(table.names[i] or f"column {i + 1}" for i in notes)
     said += _forms_said(plants)
     above = (table.line(row) for row in range(1, table.row))
