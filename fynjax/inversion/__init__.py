@@ -19,6 +19,7 @@ from fynjax.inversion._calibrate import (
     search_starts,
 )
 from fynjax.inversion._canopy import CanopyFit, fit_canopy
+from fynjax.inversion._data import Data
 from fynjax.inversion._design import (
     CAMERAS,
     DESIGN_FREE,
@@ -35,7 +36,7 @@ from fynjax.inversion._fit import (
     statistics_and_jacobian,
     whitened_residual,
 )
-from fynjax.inversion._fit_result import WELL_CONSTRAINED, Data, FitResult, FitStatus
+from fynjax.inversion._fit_result import WELL_CONSTRAINED, FitResult, FitStatus
 from fynjax.inversion._functionals import (
     STAND_FUNCTIONALS,
     Functional,

@@ -15,9 +15,10 @@ from scipy.special import chdtrc
 from fynjax._core.html import as_html
 from fynjax._core.precision import double_precision
 from fynjax._core.progress import stage
+from fynjax.inversion._data import Data
 from fynjax.inversion._expected import mean_information
 from fynjax.inversion._factors import Known, PlotSpace
-from fynjax.inversion._fit_result import Data, Ended, FitResult, fit_result, status_of
+from fynjax.inversion._fit_result import Ended, FitResult, fit_result, status_of
 from fynjax.inversion._functionals import Functional, stand_sentence, stand_table
 from fynjax.inversion._search import (
     CalibrationSettings,

@@ -12,8 +12,9 @@ from fynjax._core.errors import InputError
 from fynjax._core.precision import double_precision
 from fynjax._core.spectral import check_wavelength
 from fynjax.canopy import EllipsoidalLeafAngle
+from fynjax.inversion._data import Data
 from fynjax.inversion._fit import fit
-from fynjax.inversion._fit_result import Data, FitResult
+from fynjax.inversion._fit_result import FitResult
 from fynjax.inversion._space import ParameterSpace
 from fynjax.leaf import LEAF_PARAMETERS, LeafParameters, prospect
 from fynjax.radiation import canopy_reflectance

@@ -19,7 +19,8 @@ from jaxtyping import Array, Bool, Float, Int
 from fynjax._core.errors import InputError
 from fynjax._core.least_squares import NO_TAGS, BroydenLM, BroydenState, figures_of
 from fynjax._core.precision import compiled_in_single, double_precision
-from fynjax.inversion._fit_result import Data, Ended, FitResult, FitStatus, fit_result
+from fynjax.inversion._data import Data
+from fynjax.inversion._fit_result import Ended, FitResult, FitStatus, fit_result
 from fynjax.inversion._log_posterior import LogPosterior, Predict
 from fynjax.inversion._solvers import confirmed, gain, residual, run_solver, whitened
 from fynjax.inversion._space import ParameterSpace

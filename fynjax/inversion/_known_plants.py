@@ -25,9 +25,9 @@ from fynjax._core.least_squares import NO_TAGS, BroydenLM, BroydenState, figures
 from fynjax._core.precision import double_precision
 from fynjax._core.progress import stage
 from fynjax.inversion._calibrate import UNDESCRIBED, Ends
+from fynjax.inversion._data import Data
 from fynjax.inversion._factors import BandFactors
 from fynjax.inversion._fit_result import (
-    Data,
     Ended,
     FitResult,
     FitStatus,

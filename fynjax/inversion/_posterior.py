@@ -15,8 +15,9 @@ from fynjax._core.precision import double_precision
 from fynjax._core.progress import advance, stage
 from fynjax._core.sampling import ChainState, Draws, Ensemble, Hamiltonian
 from fynjax._core.seeds import generator
+from fynjax.inversion._data import Data
 from fynjax.inversion._fit import fit
-from fynjax.inversion._fit_result import Data, FitResult
+from fynjax.inversion._fit_result import FitResult
 from fynjax.inversion._log_posterior import LogPosterior, Predict
 from fynjax.inversion._posterior_result import Posterior
 from fynjax.inversion._space import ParameterSpace

@@ -17,6 +17,7 @@ from fynjax._core.least_squares import NO_TAGS, BroydenLM, BroydenState, figures
 from fynjax._core.precision import double_precision
 from fynjax._core.progress import advance
 from fynjax.canopy import VoxelGrid
+from fynjax.inversion._data import Data
 from fynjax.inversion._expected import (
     Expected,
     chance_covariance,
@@ -29,7 +30,7 @@ from fynjax.inversion._expected import (
     with_error,
 )
 from fynjax.inversion._factors import BandFactors, PlotSpace
-from fynjax.inversion._fit_result import Data, FitStatus, number_of
+from fynjax.inversion._fit_result import FitStatus, number_of
 from fynjax.inversion._solvers import run_solver
 from fynjax.inversion._space import ParameterSpace
 from fynjax.inversion._views import (

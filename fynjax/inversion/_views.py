@@ -7,6 +7,8 @@ statistics of all views make one vector.
 import abc
 import dataclasses
 from collections.abc import Callable, Sequence
+from contextlib import nullcontext
+from pathlib import Path
 from typing import Any, Self
 
 import equinox as eqx
@@ -15,6 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from fynjax._core.errors import in_file
 from fynjax.canopy import VoxelGrid
 from fynjax.inversion._log_posterior import jacobian_by_rows
 from fynjax.metrics import image_statistics
@@ -22,6 +25,7 @@ from fynjax.metrics.structure import STRUCTURE_METRICS, StructureSettings
 from fynjax.radiation import Accuracy, VoxelScene
 from fynjax.scene import (
     AimedSensor,
+    Placement,
     PlotParameters,
     Scene,
     aim,
@@ -53,7 +57,13 @@ class AbstractView(eqx.Module):
     """What one sensor yields of a scene."""
 
     names: eqx.AbstractVar[tuple[str, ...]]
-    """Name of each statistic."""
+    """Name of each statistic, without that of the view."""
+
+    @property
+    def statistic_names(self) -> tuple[str, ...]:
+        """Name of each statistic, behind the name of the view where it has one (`view`)."""
+        view = getattr(self, "view", "")
+        return tuple(f"{view}.{name}" for name in self.names) if view else self.names
 
     @abc.abstractmethod
     def observe(
@@ -113,6 +123,11 @@ class BandView(AbstractView):
     @abc.abstractmethod
     def gains(self) -> Gains:
         """What the gains of the `bands` may be off by."""
+
+    @property
+    def instrument(self) -> str:
+        """Name of the camera, whose views share gains; "" of a sensor that shares none."""
+        return ""
 
     @abc.abstractmethod
     def statistics(
@@ -194,10 +209,16 @@ class ImageView(BandView):
     """Share of the pixels that a quantile is the mean of, as `image_statistics` has it [-]."""
     directions: Directions | None = None
     """Combinations of the statistics along which slopes are taken; None: every statistic."""
+    view: str = eqx.field(static=True, default="")
+    """Name of the view, where there are several."""
 
     @property
     def bands(self) -> BandSet:
         return self.camera.sensor.bands
+
+    @property
+    def instrument(self) -> str:
+        return self.camera.sensor.name
 
     def observe(
         self, scene: Scene, parameters: PlotParameters
@@ -247,6 +268,43 @@ class ImageView(BandView):
         return value.astype(u.dtype), slopes if chosen is None else chosen.back @ slopes
 
 
+class ImageSight(eqx.Module):
+    """How a drone's camera sees any scene of a plot: its view of one, when that is there."""
+
+    names: tuple[str, ...] = eqx.field(static=True, converter=tuple)
+    """Statistics of its image."""
+    sensor: Sensor
+    """The camera, of bands that the statistics and the indices need."""
+    placement: Placement
+    """Where it looks from, and its pixels on the ground."""
+    gains: Gains = eqx.field(static=True)
+    """Errors of the gains of its bands."""
+    point_spread: bool = eqx.field(static=True, default=True)
+    """Whether its optics blur."""
+    file: Path | None = eqx.field(static=True, default=None)
+    """File that says so, which errors name."""
+
+    def __call__(self, scene: Scene, parameters: PlotParameters) -> ImageView:
+        """The view of a scene. **Raises:** `InputError` as `fynjax.scene.aim`."""
+        with in_file(self.file) if self.file is not None else nullcontext():
+            aimed = aim(
+                scene, parameters, self.sensor, self.placement, point_spread=self.point_spread
+            )
+            aimed.check(parameters)
+        return ImageView(self.names, aimed, self.gains)
+
+
+class SpectrumSight(eqx.Module):
+    """How a spectrometer sees any scene of a plot from straight above."""
+
+    bands: BandSet
+    gains: Gains = eqx.field(static=True)
+
+    def __call__(self, scene: Scene, parameters: PlotParameters) -> "SpectrumView":
+        """The view of a scene."""
+        return spectrum_view(self.bands, scene, parameters, gains=self.gains)
+
+
 class SpectrumView(BandView):
     """Mean reflectance factor of a scene from straight above in the bands of a spectrometer.
 
@@ -259,6 +317,8 @@ class SpectrumView(BandView):
     """Looks straight down, a pixel a voxel column."""
     gains: Gains = eqx.field(static=True, default=Gains(0.0))
     """Errors of the gains of the bands; by default none."""
+    view: str = eqx.field(static=True, default="")
+    """Name of the view, where there are several."""
 
     @property
     def bands(self) -> BandSet:
@@ -391,6 +451,16 @@ def spectrum_view(
     return SpectrumView(spectrum_names(bands), imager, Gains(0.0) if gains is None else gains)
 
 
+class StructureSight(eqx.Module):
+    """How a LiDAR sees any scene of a plot."""
+
+    seen: "StructureView"
+
+    def __call__(self, scene: Scene, parameters: PlotParameters) -> "StructureView":
+        """The view of a scene."""
+        return self.seen
+
+
 class StructureView(AbstractView):
     """Structure metrics that a LiDAR from above is expected to measure (`scene_structure`).
 
@@ -405,6 +475,8 @@ class StructureView(AbstractView):
     """[m-2]"""
     grid: VoxelGrid | None = None
     """Voxels instead of the scene's: structure depends on their height, and needs no light."""
+    view: str = eqx.field(static=True, default="")
+    """Name of the view, where there are several."""
 
     def observe(
         self, scene: Scene, parameters: PlotParameters
