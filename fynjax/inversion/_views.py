@@ -232,7 +232,9 @@ class ImageView(BandView):
         image = multiplied(image, log_factor)
         pixel = self.camera.pixel if self.spacing is None else self.spacing
         bands = self.camera.sensor.bands
-        return image_statistics(image, self.names, pixel=pixel, window=self.window, bands=bands)
+        return image_statistics(
+            image, self.names, self.camera.seen, pixel=pixel, window=self.window, bands=bands
+        )
 
     def for_search(self, scene: Scene, accuracy: Accuracy, stride: int | None) -> "ImageView":
         if stride is None:
