@@ -20,6 +20,7 @@ from .app import report as report
 from .app import terrain as terrain
 from .app.assembly import check_vegetation as check_vegetation
 from .app.assembly import prior as prior
+from .app.assembly import read_fit as read_fit
 from .app.assembly import read_problem as read_problem
 from .app.assembly import read_scene as read_scene
 from .app.io.frames import read_frames as read_frames

@@ -3,6 +3,7 @@
 import dataclasses
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import equinox as eqx
@@ -12,6 +13,7 @@ import scipy.linalg
 from jaxtyping import Array, Float
 from scipy.special import chdtrc
 
+from fynjax._core.extras import app_room
 from fynjax._core.html import as_html
 from fynjax._core.precision import double_precision
 from fynjax._core.progress import stage
@@ -223,6 +225,15 @@ class Calibration(eqx.Module):
         """The plot's parameters to go on with: those `after`, or where the estimate is `worse`
         those `before`."""
         return self.before if self.worse else self.after
+
+    def report(self, folder: str | Path, name: str = "plot") -> Any:
+        """Write the page, tables and images of the command `calibrate` into a `folder`, of a plot
+        of this `name`; `fynjax.read_fit` opens it again.
+
+        **Returns:** `fynjax.app.jobs.CalibrateResult`. **Raises:** `MissingExtraError` without the
+        packages of the app.
+        """
+        return app_room("jobs").fit_report(self, folder, name)
 
     @double_precision
     def misfit_by_group(self) -> "pd.DataFrame":

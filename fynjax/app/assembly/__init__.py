@@ -12,6 +12,7 @@ from fynjax.app.assembly._forward import (
 from fynjax.app.assembly._front import (
     check_vegetation,
     prior,
+    read_fit,
     read_scene,
 )
 from fynjax.app.assembly._ground import ground_heights
@@ -65,6 +66,7 @@ __all__ = [
     "plot_parameters",
     "plot_problem",
     "prior",
+    "read_fit",
     "read_problem",
     "read_scene",
     "read_targets",

@@ -8,12 +8,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fynjax._core.errors import InputError
+from fynjax._core.precision import double_precision
+from fynjax._core.saved import load
 from fynjax.app.assembly._build import build_plot
 from fynjax.app.compare import DroneImage, VegetationCheck, read_drone_image
 from fynjax.app.compare import check_vegetation as check_spectrum
 from fynjax.app.io.plot import LearnedPrior, example_folder, read_plot, read_prior
 from fynjax.app.io.text import read_rows
-from fynjax.inversion import imager_of
+from fynjax.inversion import Calibration, Problem, calibration, imager_of, plot_search
 from fynjax.scene import Scene, SpeciesRow
 from fynjax.sensors import ASSUMED, Gains, Lidar, Sensor
 
@@ -118,3 +120,24 @@ def prior(name: str | Path = "fynbos_2023") -> LearnedPrior:
     if found is None:
         raise InputError(f"expected the name of a prior or a prior file, but got {name!r}")
     return found
+
+
+@double_precision
+def read_fit(path: str | Path) -> Calibration:
+    """A calibration that a command or `Calibration.report` wrote, opened again.
+
+    Its search is not repeated: what follows from where it ended is computed anew, with the plants
+    of its seeds, in some seconds a square metre.
+
+    **Arguments:** `path` of the folder, or of its `fit.npz`.
+
+    **Raises:** `InputError` for a folder without one, and for a file that is none of this version.
+
+    **Example:** `fx.read_fit("results").stand()`.
+    """
+    path = Path(path)
+    path = path / "fit.npz" if path.is_dir() else path
+    problem, states = load(path)
+    if not isinstance(problem, Problem):
+        raise InputError("expected the fit of a plot", file=path)
+    return calibration(plot_search(problem), states)

@@ -273,7 +273,8 @@ def pixel_page(
     `calibration_page`."""
     stand, parameters, bands = tables
     camera, blocks = result.camera, result.blocks
-    assert camera is not None and blocks is not None
+    assert camera is not None
+    assert blocks is not None
     return Page(
         f"Calibration: {name}",
         doubt_first(result, " ".join(lead)),
@@ -305,7 +306,8 @@ def block_errors(result: Calibration) -> list[float]:
 
 def _pixel_pictures(result: Calibration, pixel: float) -> list[Part]:
     camera, blocks = result.camera, result.blocks
-    assert camera is not None and blocks is not None
+    assert camera is not None
+    assert blocks is not None
     bands = camera.sensor.bands
     images = {
         "Measured": blocks.measured,

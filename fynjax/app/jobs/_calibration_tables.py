@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
 
 import equinox as eqx
 import numpy as np
@@ -135,7 +134,8 @@ def seen_images(calibration: Calibration, when: str) -> list[tuple[ImageView, np
 def band_table(fit: Calibration) -> pd.DataFrame:
     """Mean of each band over the compared blocks, and the root mean square of their errors."""
     blocks, camera = fit.blocks, fit.camera
-    assert blocks is not None and camera is not None
+    assert blocks is not None
+    assert camera is not None
     real = blocks.measured
     images = {"before": blocks.before, "after": blocks.after, "with_error": blocks.with_error}
     compared = {name: np.where(np.isfinite(real), image, np.nan) for name, image in images.items()}

@@ -69,9 +69,7 @@ def design(
     read = as_plot(plot)
     run = Run(output, seed=seed, plot=read)
     with run.stage("Build the plot"):
-        problem = plot_problem(
-            read, None, DESIGN_FREE if free is None else free, seed=run.seed
-        )
+        problem = plot_problem(read, None, DESIGN_FREE if free is None else free, seed=run.seed)
     names = ("design.csv", "designed.toml", "sensors.csv", "pixels.csv", "spectra.nc")
     files = dict.fromkeys((*names, "report.html"), "")
     wanted: str | Sequence[str] = target[0] if len(target) == 1 else target

@@ -213,9 +213,7 @@ def _sampled(
     return sampled, surrogate_error
 
 
-def _tables(
-    calibrated: Calibration, sampled: Posterior
-) -> tuple[pd.DataFrame, pd.DataFrame]:
+def _tables(calibrated: Calibration, sampled: Posterior) -> tuple[pd.DataFrame, pd.DataFrame]:
     """The whole stand, and every parameter beside the quantiles of the Gaussian."""
     table = posterior_table(sampled)
     if sampled.method != "laplace":
@@ -224,7 +222,9 @@ def _tables(
         table = table.join(parameter_columns(sampled.names, others)[list(others)])
     drawn = sampled.whitened.reshape(-1, len(sampled.names))
     draws = drawn[:: -(-len(drawn) // _STANDS)]
-    stand = stand_table(calibrated.scene, calibrated.problem.scene.parameters, calibrated.fit, draws=draws)
+    stand = stand_table(
+        calibrated.scene, calibrated.problem.scene.parameters, calibrated.fit, draws=draws
+    )
     return stand, table
 
 
