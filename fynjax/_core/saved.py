@@ -74,7 +74,8 @@ def _packed(value: Any, arrays: dict[str, np.ndarray]) -> Any:
     if isinstance(value, jax.Array | np.ndarray | np.generic):
         name = f"a{len(arrays)}"
         arrays[name] = np.asarray(value)
-        return {"is": "jax" if isinstance(value, jax.Array) else "numpy", "array": name}
+        scalar = "scalar" if isinstance(value, np.generic) else "numpy"
+        return {"is": "jax" if isinstance(value, jax.Array) else scalar, "array": name}
     if isinstance(value, int | float) and not isinstance(value, enum.Enum):
         return value if np.isfinite(value) else {"is": "float", "text": repr(value)}
     if isinstance(value, PurePath):
@@ -141,9 +142,9 @@ def _unpacked(tree: Any, arrays: Mapping[str, np.ndarray]) -> Any:
     if not isinstance(tree, dict):
         return tree
     kind = tree["is"]
-    if kind in ("jax", "numpy"):
+    if kind in ("jax", "numpy", "scalar"):
         array = arrays[tree["array"]]
-        return jnp.asarray(array) if kind == "jax" else array
+        return jnp.asarray(array) if kind == "jax" else array[()] if kind == "scalar" else array
     if kind == "float":
         return float(tree["text"])
     if kind == "path":
@@ -172,7 +173,7 @@ def _unpacked(tree: Any, arrays: Mapping[str, np.ndarray]) -> Any:
     if not dataclasses.is_dataclass(cls):
         raise TypeError(f"{tree['class']} is no record")
     # As it was, without its checks and conversions: these were done when it was made.
-    record = object.__new__(cls)
+    record: Any = object.__new__(cls)  # type: ignore[arg-type]
     for name, value in fields.items():
         object.__setattr__(record, name, value)
     return record

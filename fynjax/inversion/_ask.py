@@ -214,10 +214,12 @@ def fit(
         if data is not None or free is not None or settings is not None or options:
             raise InputError("expected a problem alone: it has data, free parameters and settings")
         return fit_plot(model, solver=solver, start=_place(start, model.free))
+    if not isinstance(model, Scene) and not callable(model):
+        raise InputError(f"expected a problem, a scene or a function, but got {model!r:.60}")
+    check_asked(data, free)
+    assert data is not None
+    assert free is not None
     if not isinstance(model, Scene):
-        if not callable(model):
-            raise InputError(f"expected a problem, a scene or a function, but got {model!r:.60}")
-        check_asked(data, free)
         if settings is not None:
             raise InputError("expected `settings` with a scene, not with a function")
         with stage("Fit"):
@@ -225,7 +227,6 @@ def fit(
                 model, data, free, solver=solver, max_steps=max_steps,
                 start=_place(start, free), **options,
             )  # fmt: skip
-    check_asked(data, free)
     if options:
         _check_options("fit", Problem, {"scene", "data", "free", "views"}, options)
     settings = CalibrationSettings(max_steps=max_steps) if settings is None else settings

@@ -118,7 +118,7 @@ class Source:
     def view(self, scene: Scene, parameters: PlotParameters) -> "AbstractView":
         """The sensor's view of a `scene` with `parameters`, under its name."""
         view = self.view_of(scene, parameters)
-        return dataclasses.replace(view, view=self.name) if self.name else view
+        return view.named(self.name) if self.name else view
 
 
 def _array(values: Any) -> Any:

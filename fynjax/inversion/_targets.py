@@ -159,7 +159,7 @@ def weigh_spectrum(
         raise InputError("a spectrum's values and errors must be finite to be a target")
     whitener = np.linalg.inv(np.linalg.cholesky(covariance))
     sd = np.sqrt(np.diagonal(covariance))
-    return Data(tuple(names), *(jnp.asarray(a) for a in (value, sd, whitener)))
+    return Data(tuple(names), jnp.asarray(value), jnp.asarray(sd), jnp.asarray(whitener))
 
 
 STRUCTURE_SD = 0.05

@@ -65,6 +65,11 @@ class AbstractView(eqx.Module):
         view = getattr(self, "view", "")
         return tuple(f"{view}.{name}" for name in self.names) if view else self.names
 
+    def named(self, view: str) -> Self:
+        """The same under the name of a view, for which it has a field `view`."""
+        known: Any = self
+        return dataclasses.replace(known, view=view)
+
     @abc.abstractmethod
     def observe(
         self, scene: Scene, parameters: PlotParameters

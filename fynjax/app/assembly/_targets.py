@@ -531,7 +531,7 @@ def image_sight(plot: Plot, statistics: Sequence[str], *, pixel: float | None = 
     place = plot.sensor.placement if plot.sensor.name == sensor.name else Placement()
     place = dataclasses.replace(place, altitude=altitude, pixel=usual if pixel is None else pixel)
     gains, spread = sensor.gains(), plot.sensor.point_spread
-    return ImageSight(statistics, visible_sensor(sensor), place, gains, spread, plot.file)
+    return ImageSight(tuple(statistics), visible_sensor(sensor), place, gains, spread, plot.file)
 
 
 # -- spectra ----------------------------------------------------------------------------------
@@ -813,7 +813,8 @@ def pixels_of_camera(
     size = block_of(len(values), (rows, columns)) if block is None else block
     names = sensor.bands.names
     own = gains if isinstance(gains, Gains) else sensor.gains(gains)
-    sight = ImageSight([f"{n}.mean" for n in names], sensor, Placement(altitude, pixel), own)
+    every = tuple(f"{n}.mean" for n in names)
+    sight = ImageSight(every, sensor, Placement(altitude, pixel), own)
     return pixel_data(Pixels(values, size, pixel_sd), names, sight, file=file)
 
 

@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 import pandas as pd
 import xarray as xr
@@ -102,19 +103,19 @@ def statistic_table(calibration: Calibration, reference: ReferenceImage) -> pd.D
         found: dict[str, float] = {}
         for view, image in seen_images(calibration, when):
             own, camera = (*view.names, *(extra if not view.view else ())), view.camera
-            values = _statistics(
-                image, own, camera.seen, pixel=camera.pixel, bands=camera.sensor.bands
+            of_image = _statistics(
+                jnp.asarray(image), own, camera.seen, pixel=camera.pixel, bands=camera.sensor.bands
             )
             under = (*view.statistic_names, *own[len(view.names) :])
-            found |= dict(zip(under, map(float, values), strict=True))
+            found |= dict(zip(under, map(float, of_image), strict=True))
         fitted = np.asarray(getattr(calibration, f"statistics_{when}"), float)
         expected = found | dict(zip(data.names, fitted, strict=True))
         table[when] = [expected.get(name, np.nan) for name in names]
     if found:
         table["image_after"] = table["statistic"].map(found)
     for when in ("with_gain", "with_error"):
-        found = np.asarray(getattr(calibration, f"statistics_{when}"), float)
-        table[when] = [*found, *np.full(len(extra), np.nan)]
+        values = np.asarray(getattr(calibration, f"statistics_{when}"), float)
+        table[when] = [*values, *np.full(len(extra), np.nan)]
     table["reference"] = [reference.simulated.get(n, np.nan) for n in names]
     for column in ("before", "after", "with_gain", "with_error", "reference"):
         table[f"{column}_error_percent"] = 100.0 * (table[column] - real) / np.abs(real)
