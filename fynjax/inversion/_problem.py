@@ -115,7 +115,6 @@ class Problem(eqx.Module):
     views: tuple[AbstractView, ...]
     """What each sensor yields of the scene, in the order of the data."""
 
-    @double_precision
     def __init__(
         self,
         scene: Scene,
@@ -142,18 +141,7 @@ class Problem(eqx.Module):
         check_asked(data, free, measured=views is not None)
         if not isinstance(scene, Scene):
             raise InputError(f"expected a scene, but got {scene!r:.60}")
-        parameters = scene.parameters
-        counts = _likely_counts(scene, parameters, free)
-        if room_needed(scene, parameters, counts).any():
-            scene = scene.realisation(0, counts)
-        if views is None:
-            parts = () if data is None else data.parts
-            if data is not None and not parts:
-                raise InputError(
-                    "expected data with the sensors that measured them, of Data.from_image, "
-                    "from_table, from_spectrum or from_cloud"
-                )
-            views = [part.source.view(scene, parameters) for part in parts if part.source]
+        scene, views = _ready(scene, data, free, views)
         yielded = tuple(name for view in views for name in view.statistic_names)
         if data is not None and data.pixels is None and yielded != data.names:
             raise InputError(
@@ -177,6 +165,30 @@ class Problem(eqx.Module):
         return Problem(
             self.scene, data, self.free, error=self.error, settings=self.settings, views=self.views
         )
+
+
+@double_precision
+def _ready(
+    scene: Scene,
+    data: Data | None,
+    free: ParameterSpace,
+    views: Sequence[AbstractView] | None,
+) -> tuple[Scene, Sequence[AbstractView]]:
+    """A scene with sites for what may be asked of it, and its views, as the data say if none are
+    given."""
+    parameters = scene.parameters
+    counts = _likely_counts(scene, parameters, free)
+    if room_needed(scene, parameters, counts).any():
+        scene = scene.realisation(0, counts)
+    if views is not None:
+        return scene, views
+    parts = () if data is None else data.parts
+    if data is not None and not parts:
+        raise InputError(
+            "expected data with the sensors that measured them, of Data.from_image, from_table, "
+            "from_spectrum or from_cloud"
+        )
+    return scene, [part.source.view(scene, parameters) for part in parts if part.source]
 
 
 def check_asked(data: Any, free: Any, *, measured: bool = True) -> None:
