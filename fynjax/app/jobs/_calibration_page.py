@@ -22,7 +22,7 @@ from fynjax.app.jobs._calibration_tables import (
 from fynjax.app.jobs._render import SHOWN_INDICES, image_views, index_images, write_image
 from fynjax.app.jobs._run import Run, peak_memory_mib
 from fynjax.app.report import figures
-from fynjax.app.report.pages import Page, Part, Picture, Section, Table, sensor_section
+from fynjax.app.report.pages import Page, Part, Picture, Section, Table, Views, sensor_section
 from fynjax.inversion import Calibration, Data, FitStatus, ImageView, stand_sentence
 from fynjax.metrics import without_view
 from fynjax.sensors import BandSet
@@ -246,19 +246,21 @@ def _image_sections(
         images = {"Real": _in_bands(real.values, real, bands), **simulated}
         pixels = {"Real": real.pixel, **dict.fromkeys(simulated, pixel)}
         views = image_views(images, bands, pixels, "Real")
+    against = [
+        *error_pictures(statistics, reference),
+        *_distributions(real, simulated, bands, statistics),
+    ]
+    if view.view:  # files of several views lie beside each other
+        views = Views({title: _of_view(one, view) for title, one in views.pictures.items()})
+        against = [_of_view(one, view) for one in against]
     return [
         Section(_titled("The image", view), [said, _one_planting(statistics), views]),
-        Section(
-            _titled("Against the real image", view),
-            [
-                dataclasses.replace(one, file=f"{view.view}_{one.file}" if view.view else one.file)
-                for one in (
-                    *error_pictures(statistics, reference),
-                    *_distributions(real, simulated, bands, statistics),
-                )
-            ],
-        ),
+        Section(_titled("Against the real image", view), against),
     ]
+
+
+def _of_view(picture: Picture, view: ImageView) -> Picture:
+    return dataclasses.replace(picture, file=f"{view.view}_{picture.file}")
 
 
 def pixel_page(
