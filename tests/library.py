@@ -49,7 +49,7 @@ def is_alone(path: Path) -> bool:
             if top != "tests":
                 continue
             package, _, last = rest.rpartition(".")
-            for module in (package, f"{package}.{last}"):
+            for module in (f"{package}/__init__", package, f"{package}.{last}"):
                 beside = ROOT / "tests" / f"{module.replace('.', '/')}.py"
                 if beside.is_file() and not is_alone(beside):
                     return False

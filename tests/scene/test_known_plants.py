@@ -39,7 +39,7 @@ def test_every_crown_stands_whole_where_it_is(ready):
 
 
 def test_covers_plant_nobody_and_diameters_scale_the_crowns(ready):
-    assert ready.free.names == tuple(f"species.{taxon}.diameter" for taxon in ready.plot.taxa)
+    assert ready.free.names == tuple(f"species.{taxon}.diameter" for taxon in ready.scene.taxa)
     scene = ready.scene
     changed = with_values(
         ready.scene.parameters,
