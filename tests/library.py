@@ -48,9 +48,9 @@ def is_alone(path: Path) -> bool:
                 return False
             if top != "tests":
                 continue
-            package, _, last = rest.rpartition(".")
-            for module in (f"{package}/__init__", package, f"{package}.{last}"):
-                beside = ROOT / "tests" / f"{module.replace('.', '/')}.py"
+            for module in (rest, rest.rpartition(".")[0]):
+                place = ROOT / "tests" / module.replace(".", "/")
+                beside = place / "__init__.py" if place.is_dir() else place.with_suffix(".py")
                 if beside.is_file() and not is_alone(beside):
                     return False
     return True
