@@ -26,6 +26,7 @@ from fynjax.inversion import (
     Data,
     LogPosterior,
     PosteriorSampler,
+    Source,
     derivative_measures,
 )
 from fynjax.scene import hard_counts
@@ -186,7 +187,10 @@ def fits(lines: Lines) -> None:
         "own loop", lambda: space.physical(optx.least_squares(residual, solver, jnp.zeros(2)).value)
     )
     plot, settings = scene(), CalibrationSettings(stand_realisations=2, scatter_draws=6)
-    crowns = fx.Data._of(Data(("a",), np.array([0.25]), np.array([0.02])), (lambda *_: Crowns(),))
+    crowns = Data(
+        ("a",), np.array([0.25]), np.array([0.02]),
+        source=Source("structure", lambda *_: Crowns()),
+    )  # fmt: skip
     found = lines("plot", lambda: fx.fit(
         plot, crowns, fx.free(plot, "species.*.cover"), settings=settings), "spread")  # fmt: skip
     lines("fit of the plot", lambda: found.fit, "estimate", "sd")
