@@ -216,6 +216,8 @@ class ImageView(BandView):
     """Combinations of the statistics along which slopes are taken; None: every statistic."""
     view: str = eqx.field(static=True, default="")
     """Name of the view, where there are several."""
+    sun: tuple[float, float] | None = eqx.field(static=True, default=None)
+    """Zenith and azimuth of the sun [degrees]; None: those of the parameters."""
 
     @property
     def bands(self) -> BandSet:
@@ -228,7 +230,7 @@ class ImageView(BandView):
     def observe(
         self, scene: Scene, parameters: PlotParameters
     ) -> tuple[Float[Array, "band y x"], Float[Array, " statistic"]]:
-        image = self.camera.observe(scene, parameters).reflectance
+        image = self.camera.observe(scene, _under(parameters, self.sun)).reflectance
         return image, self.statistics(image)
 
     def statistics(
@@ -257,7 +259,7 @@ class ImageView(BandView):
         factor_at: FactorAt | None = None,
     ) -> tuple[Float[Array, " statistic"], Float[Array, "statistic free"]]:
         def render(u: Array) -> Array:
-            return self.camera.observe(scene, plot_at(u)).reflectance
+            return self.camera.observe(scene, _under(plot_at(u), self.sun)).reflectance
 
         # By the chain rule: statistics by pixels, which costs little, then pixels by parameters.
         image, to_parameters = jax.vjp(render, u)
@@ -290,15 +292,18 @@ class ImageSight(eqx.Module):
     """Whether its optics blur."""
     file: Path | None = eqx.field(static=True, default=None)
     """File that says so, which errors name."""
+    sun: tuple[float, float] | None = eqx.field(static=True, default=None)
+    """Zenith and azimuth of the sun [degrees]; None: those of the parameters."""
 
     def __call__(self, scene: Scene, parameters: PlotParameters) -> ImageView:
         """The view of a scene. **Raises:** `InputError` as `fynjax.scene.aim`."""
+        parameters = _under(parameters, self.sun)
         with in_file(self.file) if self.file is not None else nullcontext():
             aimed = aim(
                 scene, parameters, self.sensor, self.placement, point_spread=self.point_spread
             )
             aimed.check(parameters)
-        return ImageView(self.names, aimed, self.gains)
+        return ImageView(self.names, aimed, self.gains, sun=self.sun)
 
 
 class SpectrumSight(eqx.Module):
@@ -306,10 +311,14 @@ class SpectrumSight(eqx.Module):
 
     bands: BandSet
     gains: Gains = eqx.field(static=True)
+    sun: tuple[float, float] | None = eqx.field(static=True, default=None)
+    """Zenith and azimuth of the sun [degrees]; None: those of the parameters."""
 
     def __call__(self, scene: Scene, parameters: PlotParameters) -> "SpectrumView":
         """The view of a scene."""
-        return spectrum_view(self.bands, scene, parameters, gains=self.gains)
+        parameters = _under(parameters, self.sun)
+        view = spectrum_view(self.bands, scene, parameters, gains=self.gains)
+        return dataclasses.replace(view, sun=self.sun)
 
 
 class SpectrumView(BandView):
@@ -326,6 +335,8 @@ class SpectrumView(BandView):
     """Errors of the gains of the bands; by default none."""
     view: str = eqx.field(static=True, default="")
     """Name of the view, where there are several."""
+    sun: tuple[float, float] | None = eqx.field(static=True, default=None)
+    """Zenith and azimuth of the sun [degrees]; None: those of the parameters."""
 
     @property
     def bands(self) -> BandSet:
@@ -356,7 +367,9 @@ class SpectrumView(BandView):
         bands = self.imager.sensor.bands
         # Voxels by the parameters once, for all bands; then the light by the voxels, whose slopes
         # of one band cost those of one band.
-        voxels, backward = eqx.filter_vjp(lambda u: scene.voxels(plot_at(u), bands), u)
+        voxels, backward = eqx.filter_vjp(
+            lambda u: scene.voxels(_under(plot_at(u), self.sun), bands), u
+        )
 
         def of_group(first: Array) -> tuple[Array, Array]:
             def mean(voxels: VoxelScene, band: Array) -> Array:
@@ -399,7 +412,7 @@ class SpectrumView(BandView):
 def _mean_spectrum(
     scene: Scene, parameters: PlotParameters, view: SpectrumView
 ) -> Float[Array, " band"]:
-    voxels = scene.voxels(parameters, view.imager.sensor.bands)
+    voxels = scene.voxels(_under(parameters, view.sun), view.imager.sensor.bands)
     groups = jax.lax.map(lambda first: view._means(voxels, first, view._together), view._firsts)
     return view._by_band(groups)
 
@@ -411,6 +424,20 @@ _WINDOW = 0.05
 """Width of the window over which a search smooths quantiles, as a share of all values [-]."""
 _SEARCH_COLUMNS = 3
 """Every so many voxel columns are looked at in a search."""
+
+
+def _under(parameters: PlotParameters, sun: tuple[float, float] | None) -> PlotParameters:
+    """The parameters under a sun of this zenith and azimuth [degrees]; None: as they are."""
+    if sun is None:
+        return parameters
+    light = parameters.light
+    zenith, azimuth = (
+        jnp.asarray(new, jnp.asarray(old).dtype)
+        for new, old in zip(sun, (light.sun_zenith, light.sun_azimuth), strict=True)
+    )
+    return dataclasses.replace(
+        parameters, light=dataclasses.replace(light, sun_zenith=zenith, sun_azimuth=azimuth)
+    )
 
 
 def spectrum_names(bands: BandSet) -> tuple[str, ...]:

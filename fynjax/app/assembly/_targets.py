@@ -26,7 +26,9 @@ from fynjax.app.compare import (
 from fynjax.app.compare.structure import ComparisonSettings, cloud_structure
 from fynjax.app.io.plot import (
     Plot,
+    TargetTable,
     drone_sensor,
+    named_sensor,
     placed_by,
     read_statistics,
     read_structure,
@@ -232,7 +234,8 @@ def read_targets(
     seed: int = 0,
     by_pixel: bool = False,
 ) -> Data | None:
-    """Read what a plot is to be calibrated to: one measurement of each kind at most.
+    """Read what a plot is to be calibrated to: one measurement of each kind at most, or the views
+    that the plot file states (`Plot.targets`) where no files are given.
 
     **Arguments:**
 
@@ -250,6 +253,8 @@ def read_targets(
     found: dict[Kind, Data] = {}
     if by_pixel and plot.known_crowns is not None and any(map(_is_image, map(Path, paths))):
         return _pixels_of_plot(plot, [*map(Path, paths)], bands)
+    if not paths and plot.targets:
+        return join_data([_view_of(plot, one, bands, seed) for one in plot.targets])
     for path in map(Path, paths):
         existing_file(path, "an image, a spectrum, a point cloud or a table of their statistics")
         kind = target_kind(path)
@@ -259,16 +264,47 @@ def read_targets(
                 f"{KINDS[kind]}",
                 file=path,
             )
-        if kind == "image":
-            found[kind] = image_target(plot, path, bands)
-        elif kind == "spectrum":
-            found[kind] = spectrum_data(path, target_rules(plot), plot.sun.zenith)
-        else:
-            found[kind] = structure_data(path, target_rules(plot), *structure_settings(plot), seed)
+        found[kind] = _read_target(plot, path, kind, bands, seed)
     if bands is not None and "image" not in found:
         raise InputError("expected `bands` with a drone image, but no target is one")
     each = [found[kind] for kind in KINDS if kind in found]
     return join_data(each) if each else None
+
+
+def _read_target(
+    plot: Plot, path: Path, kind: Kind, bands: Sequence[str] | None, seed: int
+) -> Data:
+    """What one sensor measured."""
+    if kind == "image":
+        return image_target(plot, path, bands)
+    if kind == "spectrum":
+        return spectrum_data(path, target_rules(plot), plot.sun.zenith)
+    return structure_data(path, target_rules(plot), *structure_settings(plot), seed)
+
+
+def _view_of(plot: Plot, target: TargetTable, bands: Sequence[str] | None, seed: int) -> Data:
+    """One view of a plot, as its file states it: from where it was taken, and under which sun."""
+    sensor = target.of_sensor
+    if sensor is not None:
+        plot = plot.replace(sensor=named_sensor(sensor))
+    if target.sun is not None:
+        plot = plot.replace(sun=target.sun.position)
+    existing_file(target.file, "an image, a spectrum, a point cloud or a table of their statistics")
+    data = _read_target(plot, target.file, target_kind(target.file), bands, seed)
+    source = data.source
+    assert source is not None
+    sight = source.view_of
+    sun = None if target.sun is None else (plot.sun.zenith, plot.sun.azimuth)
+    if sun is not None and isinstance(sight, ImageSight | SpectrumSight):
+        sight = dataclasses.replace(sight, sun=sun)
+    if target.frame is not None:
+        if not isinstance(sight, ImageSight):
+            raise InputError("expected position_m of an image alone", file=target.file)
+        pixel = sight.placement.pixel
+        place = Placement(pixel=pixel, frame=target.frame)
+        sight = dataclasses.replace(sight, placement=place)
+    data = dataclasses.replace(data, source=dataclasses.replace(source, view_of=sight))
+    return data.renamed(target.view) if target.view else data
 
 
 def _is_image(path: Path) -> bool:

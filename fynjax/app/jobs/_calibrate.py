@@ -66,9 +66,11 @@ def calibrate(
     Example: `jobs.calibrate("plot.toml", Path("drone.tif"), Path("results"))`.
     """
     paths = paths_of(targets)
-    if not paths and not twin:
-        raise InputError("expected what was measured (--target), or --twin")
     read = with_prior(placed_by_image(as_plot(plot), paths), prior)
+    if not paths and not twin and not read.targets:
+        raise InputError(
+            "expected what was measured (--target, or [[target]] in the plot file), or --twin"
+        )
     run = Run(output, seed=seed, plot=read)
     data = read_targets(read, paths, bands=bands, seed=run.seed, by_pixel=True)
     if twin and data is not None and data.pixels is not None:
