@@ -260,7 +260,6 @@ def test_the_sampler_of_emcee_is_at_hand():
 
 def test_a_chain_in_a_file_goes_on_as_if_it_had_not_been_stopped(tmp_path, monkeypatch):
     """Stopped at its end, and between the states that a run gives; read by emcee alone."""
-    pytest.importorskip("h5py", reason="the extra `posterior` is not installed")
     path = tmp_path / "chain.h5"
     sampler("emcee", backend=path, max_steps=70).posterior()
     assert emcee.backends.HDFBackend(str(path), read_only=True).iteration == 70
@@ -312,7 +311,6 @@ def test_a_backend_in_memory_holds_the_chain():
     [("notes.txt", "notes.txt: expected an HDF5 file"), ("no/chain.h5", "there is no folder .*no")],
 )
 def test_a_file_that_cannot_keep_a_chain_is_refused(name, text, tmp_path):
-    pytest.importorskip("h5py", reason="the extra `posterior` is not installed")
     (tmp_path / "notes.txt").write_text("of the field")
     with pytest.raises(InputError, match=text):
         sampler("emcee", backend=tmp_path / name)
