@@ -21,7 +21,7 @@ import optimistix as optx
 import pandas as pd
 from jaxtyping import Array, Float
 
-from fynjax.assembly import build_plot, image_view
+from fynjax.app.assembly import build_plot, image_view
 from fynjax.inversion import (
     BroydenLM,
     LogPosterior,
