@@ -126,8 +126,9 @@ def _optimistix(
 def _jaxopt(solver: Any, kind: SolverKind, density: Density, u: Array, max_steps: int) -> Solved:
     import jaxopt
 
-    # A fit has its own derivative.
-    options: dict[str, Any] = {"implicit_diff": False, "maxiter": max_steps}
+    # A fit has its own derivative: none is taken through the solver, whose loops can end early.
+    options: dict[str, Any] = {"implicit_diff": False, "unroll": False, "jit": True}
+    options["maxiter"] = max_steps
     if kind == "jaxopt least squares":
         options["residual_fun"] = lambda u: _with_jacobian(density)(u, None)
     else:
