@@ -280,10 +280,11 @@ def sample(
     - `max_steps`: of the chain, where to give up.
     - `chains`: walkers of the ensemble (32, or four a parameter) or chains of NUTS (4).
     - `seed`: of all random numbers.
-    - `options`: of a function the `offset`, `context` and `log_prior` of its fit; `moves`,
-      `warmup`, `batch` and `predictive`, as `fynjax.inversion.PosteriorSampler` has them.
+    - `options`: as `fynjax.inversion.PosteriorSampler` has them: of emcee `moves`, and `backend`,
+      such as "chain.h5", from which the same call goes on; of NUTS `warmup`; `batch`, `predictive`;
+      of a function the `offset`, `context` and `log_prior` of its fit.
 
-    **Returns:** `Posterior`; its `inference_data()` is arviz'.
+    **Returns:** `Posterior`; `inference_data()` is arviz', `sampler` emcee's.
 
     **Raises:** `InputError` as `PosteriorSampler`, for an option that it does not have, and for a
     fit of a function without that function.

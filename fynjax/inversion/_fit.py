@@ -22,7 +22,14 @@ from fynjax._core.precision import compiled_in_single, double_precision
 from fynjax.inversion._data import Data
 from fynjax.inversion._fit_result import Ended, FitResult, FitStatus, fit_result
 from fynjax.inversion._log_posterior import LogPosterior, Predict
-from fynjax.inversion._solvers import confirmed, gain, residual, run_solver, whitened
+from fynjax.inversion._solvers import (
+    confirmed,
+    gain,
+    residual,
+    run_solver,
+    solver_kind,
+    whitened,
+)
 from fynjax.inversion._space import ParameterSpace
 
 
@@ -87,14 +94,14 @@ def fit_function(
     density = LogPosterior(predict, space, data, shift, context)
     if solver is None:
         solver = BroydenLM(renew=True)
-    if isinstance(solver, BroydenLM):  # by the same measure of what is to gain
+    kind = solver_kind(solver)
+    if kind in ("broyden", "renewing"):  # by the same measure of what is to gain
         solver = dataclasses.replace(solver, atol=jnp.minimum(solver.atol, tolerance), rtol=0.0)
     solved, rest = eqx.partition(solver, eqx.is_array)
     traced = any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves((density, u)))
     run = _run if traced else _run_compiled
     limit = jnp.asarray(tolerance)
-    of_lineax = isinstance(solver, optx.AbstractLeastSquaresSolver)
-    if of_lineax and not isinstance(solver, BroydenLM) and compiled_in_single():
+    if kind == "least squares" and compiled_in_single():
         raise InputError(
             f"a fit by {type(solver).__name__} inside `jax.jit` needs 64 bits: compile and call it "
             "inside `with jax.enable_x64(True):`, or take the default solver"
@@ -171,7 +178,7 @@ def _run(
     """
     density, u = _constant((density, u))
     solver = eqx.combine(solver, rest)
-    if isinstance(solver, BroydenLM) and solver.renew:
+    if solver_kind(solver) == "renewing":
         return _renewed(density, solver, u, max_steps)
     start = _Run(u, *density.jacobian(u), FitStatus.successful, jnp.asarray(0), jnp.asarray(True))
 

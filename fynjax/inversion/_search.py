@@ -32,7 +32,7 @@ from fynjax.inversion._expected import (
 from fynjax.inversion._factors import BandFactors, PlotSpace
 from fynjax.inversion._fit_result import FitStatus, number_of
 from fynjax.inversion._problem import COARSE, Problem
-from fynjax.inversion._solvers import run_solver
+from fynjax.inversion._solvers import run_solver, solver_kind
 from fynjax.inversion._views import (
     AbstractView,
     BandView,
@@ -234,6 +234,8 @@ class PlotSearch:
 
     **Arguments:** `problem`, and `solver` as of `fit`. One of optimistix or jaxopt goes through a
     whole round at once; the default, `BroydenLM`, takes a step at a time.
+
+    **Raises:** `InputError` for what is no solver.
     """
 
     state = SearchState
@@ -251,9 +253,10 @@ class PlotSearch:
             scene, parameters, data, self.space, self.views, settings, solver,
         )  # fmt: skip
         """All that its steps follow from, besides where it starts."""
-        # A Broyden solver goes step by step; any other (`_solver`) through a round at once.
+        # A Broyden solver, which needs no slopes at its steps, goes step by step; any other
+        # (`_solver`) through a round at once.
         self._own, self._solver = BroydenLM(atol=settings.tolerance), solver
-        if isinstance(solver, BroydenLM) and not solver.renew:  # it needs no slopes at its steps
+        if solver is not None and solver_kind(solver) == "broyden":
             least = min(float(solver.atol), settings.tolerance)
             self._own, self._solver = dataclasses.replace(solver, atol=least), None
         self._scene, self._parameters = scene, parameters

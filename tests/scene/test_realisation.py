@@ -246,6 +246,12 @@ def test_forms_that_are_built_alike_are_one_scene():
         rules=PlantingRules(structure="even"), plants=SHAPES,
     )  # fmt: skip
     assert bool(eqx.tree_equal(again.planting, scene.planting))
+    # A key, and a static argument.
+    thin = scene.with_values({"species.*.cover": 0.01})
+    assert hash(again) == hash(scene)
+    assert len({scene, again, thin}) == 2
+    count = jax.jit(lambda s: s.counts(s.parameters).sum(), static_argnums=0)
+    assert float(count(thin)) < float(count(scene))
 
 
 KEYS = {"structure": "structure_m", "spacing": "spacing_m", "probability": "probability_map"}
