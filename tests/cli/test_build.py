@@ -11,10 +11,10 @@ import pytest
 import trimesh
 import typer
 import xarray as xr
+from fynjax.app.cli._plot import build
 from typer.testing import CliRunner
 
 from fynjax._core.errors import InputError
-from fynjax.app.cli._plot import build
 from fynjax.canopy import FORMS
 from fynjax.scene import USUAL_LEAF
 from tests.helpers import assert_valid_summary

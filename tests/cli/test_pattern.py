@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 import typer
+from fynjax.app.cli._plot import pattern
 from typer.testing import CliRunner
 
 from fynjax._core.errors import InputError
-from fynjax.app.cli._plot import pattern
 from fynjax.app.io.raster import read_probability_map, write_geotiff
 from tests.canopy.test_pattern import BANDS, drawn
 from tests.helpers import assert_valid_summary

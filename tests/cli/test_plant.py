@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 import trimesh
 import typer
+from fynjax.app.cli._plot import plant
 from typer.testing import CliRunner
 
 from fynjax._core.errors import InputError
-from fynjax.app.cli._plot import plant
 from fynjax.canopy import FORMS
 from tests.helpers import assert_valid_summary
 

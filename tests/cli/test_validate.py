@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import typer
+from fynjax.app.cli._validate import validate
 from typer.testing import CliRunner
 
 from fynjax._core.errors import InputError
 from fynjax.app.cli._runtime import run_job
-from fynjax.app.cli._validate import validate
 from fynjax.app.io.text._atomic import remove_replaced
 from fynjax.app.jobs import JobResult
 from tests.compare.test_spectra import WAVE, cube, write_csv

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 import rasterio
 import typer
+from fynjax.app.cli._sensors import reflectance
 from pyproj import Transformer
 from typer.testing import CliRunner
 
 from fynjax._core.errors import InputError
-from fynjax.app.cli._sensors import reflectance
 from fynjax.app.compare import read_drone_image
 from fynjax.app.io.captures import read_capture, usable_captures
 from fynjax.app.jobs import pattern

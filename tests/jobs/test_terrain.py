@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 import rasterio
 import typer
+from fynjax.app.cli._plot import terrain as command
 from rasterio import Affine
 from rasterio.crs import CRS
 
 from fynjax._core.errors import InputError
-from fynjax.app.cli._plot import terrain as command
 from fynjax.app.jobs import terrain
 from fynjax.app.report.figures._terrain import hillshade
 from fynjax.app.terrain import Terrain, read_cloud, read_terrain, terrain_from_points, write_terrain
