@@ -7,21 +7,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-import typer
-from fynjax.app.cli._plot import plant
 from typer.testing import CliRunner
 
 from fynjax._core.errors import InputError
+from fynjax.app.cli import app
 from fynjax.canopy import FORMS
 from tests.helpers import assert_valid_summary
-
-app = typer.Typer()
-app.command()(plant)
 
 
 def run(*arguments: str) -> dict:
     """The summary of a successful run."""
-    result = CliRunner().invoke(app, [*arguments, "--json"], catch_exceptions=False)
+    result = CliRunner().invoke(app, ["plant", *arguments, "--json"], catch_exceptions=False)
     assert result.exit_code == 0
     return json.loads(result.stdout)
 

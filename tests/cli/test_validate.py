@@ -8,11 +8,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import typer
-from fynjax.app.cli._validate import validate
 from typer.testing import CliRunner
 
 from fynjax._core.errors import InputError
+from fynjax.app.cli import app
 from fynjax.app.cli._runtime import run_job
 from fynjax.app.io.text._atomic import remove_replaced
 from fynjax.app.jobs import JobResult
@@ -20,13 +19,10 @@ from tests.compare.test_spectra import WAVE, cube, write_csv
 from tests.compare.test_structure import plot, write_las
 from tests.helpers import unix
 
-app = typer.Typer()
-app.command()(validate)
-
 
 def run(*arguments: str) -> dict:
     """The summary of a successful run."""
-    result = CliRunner().invoke(app, [*arguments, "--json"], catch_exceptions=False)
+    result = CliRunner().invoke(app, ["validate", *arguments, "--json"], catch_exceptions=False)
     assert result.exit_code == 0
     return json.loads(result.stdout)
 

@@ -133,9 +133,7 @@ def _made(name: str) -> TyperCommand:
     run.__annotations__ = {p.name: p.annotation for p in parameters}
     app = typer.Typer(add_completion=False, **SETTINGS)
     about = _about(job, command, {**flags, "output": "--output"})
-    app.command(name.rpartition(" ")[2], cls=_Strict, help=about, rich_help_panel=command.panel)(
-        run
-    )
+    app.command(name.rpartition(" ")[2], cls=_Strict, help=about)(run)
     made = typer.main.get_command(app)
     assert isinstance(made, TyperCommand)
     return made
@@ -197,7 +195,7 @@ def _writing(command: Command, job: Signature, flags: Mapping[str, str]) -> Call
             if allow_outside is not None:
                 from fynjax.app.io.plot import read_plot
 
-                stated["plot"] = read_plot(stated["plot"], allow_outside=allow_outside)
+                stated["plot"] = read_plot(Path(stated["plot"]), allow_outside=allow_outside)
             try:
                 result: JobResult = _imported(command.job)(output=folder, **_packed(stated, job))
             except InputError as error:

@@ -65,7 +65,8 @@ ALLOW_OUTSIDE = _option(
 CHECKPOINT = _option(
     Path | None,
     None,
-    "Folder of the unfinished run; OUTPUT.checkpoint if left out. The same command goes on from it.",
+    "Folder of the unfinished run; OUTPUT.checkpoint if left out. The same command goes on from "
+    "it.",
     metavar="DIR",
     parser=_folder,
 )
@@ -89,12 +90,7 @@ def flag_of(argument: Argument, names: Mapping[str, str]) -> str:
 
 
 def parameter_of(
-    argument: Argument,
-    flag: str,
-    help: str,
-    *,
-    metavar: str | None = None,
-    panel: str | None = None,
+    argument: Argument, flag: str, help: str, metavar: str | None, panel: str | None
 ) -> inspect.Parameter:
     """An argument of a job as typer takes it; with `metavar`, one without a flag."""
     kind, default = argument.kind, argument.default

@@ -44,10 +44,10 @@ def init(
       negative; left out, those of the image.
     - `image`: image of the plot: its place, time, camera and pixel become the plot's.
     - `leaves`: folder of leaf spectra, named after their taxon; it is copied.
-    - `example`: without a table: a wet heath in Brittany, or the fynbos plot of the article with its
-      leaves and what the drone measured.  [heath]
-    - `burnt`: year of the fynbos plot's last fire. 2006 is the published plot; 2016, 2019 and others
-      are built on assumptions about recovery, which their files state.  [2006]
+    - `example`: without a table: a wet heath in Brittany (if left out), or the fynbos plot of the
+      article with its leaves and what the drone measured.
+    - `burnt`: year of the fynbos plot's last fire. 2006, if left out, is the published plot; 2016,
+      2019 and others are built on assumptions about recovery, which their files state.
     - `prior`: population whose means and spreads the files state: the name of a shipped one, a file
       that `fynjax bioscape learn` wrote, or none. Left out: of the fynbos plot the shipped one; of
       others only which plants are meant, by their place.

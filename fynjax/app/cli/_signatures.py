@@ -29,7 +29,7 @@ class Kind(NamedTuple):
     least: float | None = None
     most: float | None = None
     counts: tuple[int, ...] | None = None
-    """Of values with commas between, how many there may be, any number if empty; None: one value."""
+    """Of values with commas between, how many there may be, any number if empty; None: one."""
     repeated: bool = False
     """Whether several are taken, each by an option of its own."""
 
@@ -75,8 +75,8 @@ def signature_of(job: str) -> Signature:
 
     **Arguments:** `job`: module and function, such as "fynjax.app.jobs:render".
 
-    **Raises:** `LookupError` where there is no such function, where its docstring says nothing of an
-    argument, and for an annotation or a default that this cannot read.
+    **Raises:** `LookupError` where there is no such function, where its docstring says nothing of
+    an argument, and for an annotation or a default that this cannot read.
     """
     package, _, name = job.partition(":")
     module, node = _found(_module(package), name)

@@ -49,7 +49,7 @@ def design(
     starts: Annotated[int, Field(ge=1)] = 8,
     seed: Seed | None = None,
 ) -> DesignResult:
-    """Find the most informative bands of a sensor on a plot, beside those of sensors that there are.
+    """Find the most informative bands of a sensor on a plot, beside those of other sensors.
 
     **Arguments:**
 

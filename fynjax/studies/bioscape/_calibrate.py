@@ -4,12 +4,10 @@ import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated
 
 import numpy as np
 import pandas as pd
 from jaxtyping import Float
-from pydantic import Field
 
 from fynjax._core.arguments import Seed
 from fynjax._core.dry_run import begin_work
@@ -97,7 +95,7 @@ def calibrate_plots(
     traits: str | Path | None = None,
     prior: str | Path = DEFAULT_PRIOR,
     resolution: Resolution = COARSE,
-    realisations: Annotated[int, Field(ge=3, le=50)] = 3,
+    realisations: int = 3,
     seed: Seed = 0,
     checkpoint: str | Path,
     workers: Workers | None = None,
@@ -105,8 +103,8 @@ def calibrate_plots(
     """Infer covers, leaf area, dead tissue, gap and leaf traits of plots from measured spectra.
 
     Once with the plot's own tables as a weak prior, once with the other plots' means. Compares with
-    the field's community-weighted means, and with a published regression (*LMA*model*.json) if the
-    folder has it. An interrupted run goes on when the same command is given again.
+    the field's community-weighted means, and with a published regression (`*LMA*model*.json`) if
+    the folder has it. An interrupted run goes on when the same command is given again.
 
     **Arguments:**
 
@@ -121,7 +119,7 @@ def calibrate_plots(
       all.
     - `resolution`: size and voxels of the simulated plots.
     - `realisations`: stand realisations of each plot, from which the variance over them is
-      estimated.
+      estimated; at least 3.
     - `seed`: seed of the positions of the plants.
     - `checkpoint`: folder that keeps the fit of each plot, from which an interrupted run goes on.
     - `workers`: where the plots are inferred; in this process by default.
