@@ -226,6 +226,8 @@ def test_bad_sources(tmp_path: Path) -> None:
     ):
         with pytest.raises(InputError, match=word):
             run(source, "--output", str(tmp_path / "out"))
-    with pytest.raises(InputError, match="`--up`"):
-        run(str(cloud(tmp_path / "s.xyz")), "--up", "x", "--output", str(tmp_path / "out"))
+    line = ["plant", str(cloud(tmp_path / "s.xyz")), "--up", "x"]
+    result = CliRunner().invoke(app, [*line, "--output", str(tmp_path / "out")])
+    assert result.exit_code == 2
+    assert "'x' is not one of 'y', 'z'" in result.output
     assert not (tmp_path / "out").exists()

@@ -41,12 +41,8 @@ class Door(TyperCommand):
         )
         self._name = command.name
 
-    def made(self) -> TyperCommand:
-        """The command itself."""
-        return _made(self._name)
-
     def make_context(self, *arguments: Any, **more: Any) -> Any:
-        return self.made().make_context(*arguments, **more)
+        return made(self._name).make_context(*arguments, **more)
 
 
 def group_of(prefix: str) -> type[TyperGroup]:
@@ -95,7 +91,8 @@ class _Strict(TyperCommand):
 
 
 @functools.cache
-def _made(name: str) -> TyperCommand:
+def made(name: str) -> TyperCommand:
+    """A command with all its options, such as "bioscape learn"."""
     command = next(one for one in COMMANDS if one.name == name)
     job = signature_of(command.job)
     names = {argument.name for argument in job.arguments}
@@ -188,7 +185,8 @@ def _writing(command: Command, job: Signature, flags: Mapping[str, str]) -> Call
         stated = dict(command.optional) | _stated(ctx, given)
         checkpoint = None
         if "checkpoint" in given:
-            beside = output.with_name(f"{output.name}.checkpoint")
+            named = output if output.name.strip(".") else output.resolve()
+            beside = named.with_name(f"{named.name}.checkpoint")
             checkpoint = stated["checkpoint"] = given["checkpoint"] or beside
 
         def work(folder: Path) -> "JobResult":

@@ -105,13 +105,13 @@ def parameter_of(
         flag = flag if default is False else f"{flag}/--no-{flag[2:]}"
     elif kind.counts is not None:
         taken, more["callback"] = str, _listed(kind, flag, help)
-        default = _joined(default) if isinstance(default, tuple | float | int) else default
+        default = _joined(default) if default and default is not REQUIRED else default
     elif kind.of is not str:
         more |= {"min": kind.least, "max": kind.most}
     if kind.of is not bool and not kind.choices:
         more["metavar"] = metavar or named
     if kind.repeated:
-        taken, default = list[taken], None if default == () else default
+        taken, default = list[taken], default or None
     if default is None:
         taken = taken | None
     short = ["-q"] * (flag == "--quiet")

@@ -48,7 +48,7 @@ class Argument(NamedTuple):
     """Whether it may be given without its name."""
 
 
-class Record(NamedTuple):
+class MadeOf(NamedTuple):
     """An argument of a job that is made of several options, its fields."""
 
     kind: str
@@ -66,7 +66,7 @@ class Signature(NamedTuple):
     """Its docstring up to the arguments."""
     returns: str
     arguments: tuple[Argument, ...]
-    records: dict[str, Record]
+    records: dict[str, MadeOf]
     """Arguments that are made of several options, by name."""
 
 
@@ -85,7 +85,7 @@ def signature_of(job: str) -> Signature:
     docstring = ast.get_docstring(node) or ""
     texts = _described(docstring)
     arguments: list[Argument] = []
-    records: dict[str, Record] = {}
+    records: dict[str, MadeOf] = {}
     for argument, default, position in _arguments(node):
         if argument.arg not in texts:
             raise LookupError(f"the docstring of {job} says nothing of `{argument.arg}`")
@@ -99,7 +99,7 @@ def signature_of(job: str) -> Signature:
             arguments.append(one._replace(position=position))
             continue
         kind, usual = f"{made_of.module.name}:{made_of.node.name}", _stated(module, default)
-        records[argument.arg] = Record(kind, default is None, usual)
+        records[argument.arg] = MadeOf(kind, default is None, usual)
         fields = _fields(made_of.module, made_of.node, argument.arg)
         arguments += [one._replace(default=usual.get(one.name, one.default)) for one in fields]
     about, _, rest = docstring.partition("**Arguments:**")
@@ -136,13 +136,20 @@ class _Module:
             raise LookupError(f"there is no module {name}")
         self.text = file.read_text("utf-8")
 
-    @functools.cached_property
-    def statements(self) -> dict[str, ast.stmt]:
-        """What is defined or imported at the top, by name."""
-        found: dict[str, ast.stmt] = {}
-        for node in _at_top(ast.parse(self.text).body):
-            found |= dict.fromkeys(_names(node), node)
-        return found
+    @functools.cache  # noqa: B019 - modules are few, and kept
+    def statement(self, name: str) -> ast.stmt:
+        """Where a name is defined or imported at the top; the rest of the file is not read."""
+        found = re.search(
+            rf"^(?:def|class) {name}\b|^(?:\w+, )*{name}\b[^=\n]*=|"
+            rf"^(?: {{4}})?from \S+ import (?:[^\n(]*|\([^)]*)\b{name}\b",
+            self.text,
+            re.MULTILINE,
+        )
+        if found is None:
+            raise LookupError(f"{self.name} has no {name}")
+        end = re.compile(r"^[^\s)\]}]", re.MULTILINE).search(self.text, found.end())
+        text = textwrap.dedent(self.text[found.start() : end and end.start()])
+        return ast.parse(text).body[0]
 
     def absolute(self, name: str) -> str:
         """The full name of a module that is imported here."""
@@ -159,29 +166,9 @@ def _module(name: str) -> _Module:
     return _Module(name)
 
 
-def _at_top(body: list[ast.stmt]) -> Iterator[ast.stmt]:
-    for node in body:
-        if isinstance(node, ast.If):  # imports for annotations
-            yield from _at_top(node.body)
-        else:
-            yield node
-
-
-def _names(node: ast.stmt) -> list[str]:
-    if isinstance(node, ast.FunctionDef | ast.ClassDef):
-        return [node.name]
-    if isinstance(node, ast.ImportFrom):
-        return [alias.asname or alias.name for alias in node.names]
-    targets = node.targets if isinstance(node, ast.Assign) else [getattr(node, "target", None)]
-    return [part.id for one in targets for part in ast.walk(one or ast.Pass())
-            if isinstance(part, ast.Name)]  # fmt: skip
-
-
 def _found(module: _Module, name: str) -> tuple[_Module, ast.AST]:
     """Where a name is defined, and the definition: of a constant, its value."""
-    node = module.statements.get(name)
-    if node is None:
-        raise LookupError(f"{module.name} has no {name}")
+    node = module.statement(name)
     if isinstance(node, ast.ImportFrom):
         source = module.absolute("." * node.level + (node.module or ""))
         if source.split(".")[0] != "fynjax":
@@ -189,8 +176,8 @@ def _found(module: _Module, name: str) -> tuple[_Module, ast.AST]:
         alias = next(alias for alias in node.names if (alias.asname or alias.name) == name)
         return _found(_module(source), alias.name)
     if isinstance(node, ast.Assign) and isinstance(node.targets[0], ast.Tuple):
-        index = _names(node).index(name)
-        return module, node.value.elts[index]  # type: ignore[attr-defined]
+        names = [ast.unparse(one) for one in node.targets[0].elts]
+        return module, node.value.elts[names.index(name)]  # type: ignore[attr-defined]
     value = getattr(node, "value", None)
     return module, node if value is None else value
 
@@ -244,7 +231,11 @@ _PLAIN = {"bool": bool, "int": _Number(int), "float": _Number(float), "str": str
 def _parts(module: _Module, node: ast.expr) -> Iterator[Any]:
     """The alternatives of an annotation; None is left out."""
     if isinstance(node, ast.BinOp):
-        yield from (*_parts(module, node.left), *_parts(module, node.right))
+        nodes = _alternatives(node)
+        text = any(isinstance(one, ast.Name) and one.id == "str" for one in nodes)
+        for one in nodes:  # beside a text, objects are for Python alone
+            if not (text and isinstance(one, ast.Name) and one.id not in {*_PLAIN, "Names"}):
+                yield from _parts(module, one)
     elif isinstance(node, ast.Constant) and isinstance(node.value, str):
         yield from _parts(module, ast.parse(node.value, mode="eval").body)
     elif isinstance(node, ast.Name) and node.id in _PLAIN:
@@ -261,6 +252,12 @@ def _parts(module: _Module, node: ast.expr) -> Iterator[Any]:
         yield from _subscript(module, ast.unparse(node.value), node.slice)
     elif not (isinstance(node, ast.Constant) and node.value is None):
         raise LookupError(f"{module.name}: no option can be of the type {ast.unparse(node)}")
+
+
+def _alternatives(node: ast.expr) -> list[ast.expr]:
+    if not isinstance(node, ast.BinOp):
+        return [node]
+    return [*_alternatives(node.left), *_alternatives(node.right)]
 
 
 def _subscript(module: _Module, name: str, inside: ast.expr) -> Iterator[Any]:
