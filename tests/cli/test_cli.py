@@ -136,6 +136,17 @@ def test_help_and_version_are_fast_and_load_no_jax():
     assert time.perf_counter() - start < 5
 
 
+def test_without_the_packages_of_the_command_line_a_line_says_how_to_get_them():
+    """Those of the library alone are there; as `python -m fynjax`, and as the script."""
+    code = (
+        "import sys\nsys.modules['typer'] = None\nfrom fynjax.__main__ import main\n"
+        "sys.argv = ['fynjax', 'demo']\nmain()"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    line = one_line(done.returncode, done.stdout, done.stderr)
+    assert line.endswith("'typer'. Install it with: pip install \"fynjax[all]\"\n")
+
+
 def test_version(capsys):
     assert call(capsys, "--version") == (0, f"fynjax {fynjax.__version__}\n", "")
 
@@ -263,6 +274,8 @@ def test_a_bad_table_is_one_line_and_no_output(capsys, plot, tmp_path):
     [
         (InputError("two\nlines", file="a.csv", row=3), 2, "a.csv, row 3: two lines"),
         (MissingExtraError("blackjax", "posterior"), 1, 'pip install "fynjax[posterior]"'),
+        (ModuleNotFoundError(name="rasterio.io"), 1, "'rasterio'. Install it with: pip install"),
+        (ModuleNotFoundError("no fynjax.x", name="fynjax.x"), 1, "no fynjax.x"),
         (ZeroDivisionError("oh"), 1, "ZeroDivisionError: oh"),
     ],
 )

@@ -133,8 +133,9 @@ def _run(arguments: Sequence[str] | None) -> None:
         if hasattr(error, "format_message"):  # a usage error; typer brings a click of its own
             text = error.format_message()
             _fail(f"error: {text}" if text else "error: no command; see fynjax --help", 2)
-        if isinstance(error, MissingExtraError):
-            _fail(f"error: {error}", 1)
+        missing = error if isinstance(error, MissingExtraError) else MissingExtraError.of_app(error)
+        if missing is not None:
+            _fail(f"error: {missing}", 1)
         if type(error).__name__ != "Abort":  # some versions of typer turn Ctrl-C into this
             _fail(f"error: {_of_this_machine(error)} (FYNJAX_DEBUG=1 shows where)", 1)
         status = _INTERRUPTED

@@ -141,7 +141,7 @@ class _Module:
         """Where a name is defined or imported at the top; the rest of the file is not read."""
         found = re.search(
             rf"^(?:def|class) {name}\b|^(?:\w+, )*{name}\b[^=\n]*=|"
-            rf"^(?: {{4}})?from \S+ import (?:[^\n(]*|\([^)]*)\b{name}\b",
+            rf"^(?: {{4}})?from \S+ import (?:[^\n(]*|\([^)]*)\b{name}\b(?! as )",
             self.text,
             re.MULTILINE,
         )
