@@ -127,6 +127,21 @@ def test_what_is_stated_reaches_the_job_and_nothing_else(line, given, tmp_path, 
     assert given == [wanted], capsys.readouterr().err
 
 
+def test_a_hyphen_is_a_range_only_where_help_shows_one(given, tmp_path, capsys):
+    plot = str(write_plot(tmp_path))
+    for line in (["information", plot, "--spectrum", "450-900"],
+                 ["information", plot, "--gsd", "1-5"],
+                 ["init", "--table", "a.csv", "--place", "43.7-3.7"],
+                 ["train", "emit", "--sun-zenith", "20-25-30"]):  # fmt: skip
+        with pytest.raises(SystemExit) as caught:
+            main(line)
+        err = capsys.readouterr().err
+        assert caught.value.code == 2
+        assert f"`{line[-2]}` must be" in err
+        assert f"numbers with commas between, but is {line[-1]!r}. It is: " in err
+    assert given == []
+
+
 SOURCE = """
 from typing import Annotated, Literal
 from fynjax._core.arguments import Names

@@ -46,12 +46,12 @@ class Door(TyperCommand):
 
 
 def group_of(prefix: str) -> type[TyperGroup]:
-    """The commands whose names have a `prefix`, such as "bioscape "; of none, those of one word."""
+    """The commands whose names begin with the word `prefix`; of none, those of one word."""
 
     class Commands(TyperGroup):
         def __init__(self, *arguments: Any, **more: Any) -> None:
             super().__init__(*arguments, **more)
-            own = [c for c in COMMANDS if c.name.rpartition(" ")[0] == prefix.strip()]
+            own = [c for c in COMMANDS if c.name.rpartition(" ")[0] == prefix]
             doors = {command.name.rpartition(" ")[2]: Door(command) for command in own}
             self.commands = {**doors, **self.commands}
 
@@ -131,9 +131,9 @@ def made(name: str) -> TyperCommand:
     app = typer.Typer(add_completion=False, **SETTINGS)
     about = _about(job, command, {**flags, "output": "--output"})
     app.command(name.rpartition(" ")[2], cls=_Strict, help=about)(run)
-    made = typer.main.get_command(app)
-    assert isinstance(made, TyperCommand)
-    return made
+    whole = typer.main.get_command(app)
+    assert isinstance(whole, TyperCommand)
+    return whole
 
 
 def _help(argument: Argument, flags: Mapping[str, str]) -> str:

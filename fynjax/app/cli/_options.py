@@ -156,13 +156,14 @@ def _listed(kind: Kind, flag: str, help: str) -> Callable[[Any], Any]:
     counts = kind.counts or ()
     what = {str: "names", int: "whole numbers", float: "numbers"}[kind.of]  # type: ignore[index]
     expected = f"{' or '.join(map(str, counts))} {what} with commas between".strip()
+    ranges = re.search(r"\d-\d", help)  # else a hyphen may be a sign
 
     def read(given: Any) -> Any:
         if given is None or isinstance(given, list):
             return given and [read(text) for text in given]
         text = str(given)
         parts = [part.strip() for part in text.split(",")]
-        if kind.of is float and (two := _RANGE.fullmatch(text)):
+        if ranges and (two := _RANGE.fullmatch(text)):
             parts = [two[1], two[2]]
         try:
             found = tuple(kind.of(part) for part in parts)
@@ -179,7 +180,7 @@ def _listed(kind: Kind, flag: str, help: str) -> Callable[[Any], Any]:
 
 
 _RANGE = re.compile(r"\s*(\d+\.?\d*)\s*-\s*(\d+\.?\d*)\s*")
-"""Such as 930-960."""
+"""Such as 930-960, where the docstring shows one."""
 
 
 def naming_options(text: str, flags: Mapping[str, str]) -> str:
