@@ -109,7 +109,7 @@ def test_values_with_commas_are_read_and_a_wrong_one_names_its_option(capsys, ca
     for wrong in ("1000;1830", "1000,nan"):
         err = one_line(*call(capsys, *line, wrong))
         assert "`--detector-changes` must be numbers with commas between" in err
-        assert "wavelengths in nm" in err.lower()
+        assert "Wavelengths [nm] where detectors change" in err
         assert wrong in err
 
 

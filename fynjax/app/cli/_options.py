@@ -142,8 +142,10 @@ def _metavar(argument: Argument, help: str) -> str:
         return "TEXT"
     if help.startswith("Folder"):
         return "DIR"
-    named = isinstance(argument.default, str) or re.search(r"\bname\b|, or none", help)
-    return "NAME|FILE" if named else "FILE"
+    return "NAME|FILE" if _NAME.search(help) else "FILE"
+
+
+_NAME = re.compile(r"\bname of a |\bthe name\b|by name or file", re.IGNORECASE)
 
 
 def _joined(values: Any) -> str:

@@ -243,10 +243,10 @@ def fit_leaf(
       default. Where it is missing the leaf's reading is left out.
     - `over_background`: second readings of the same leaves over `background`; the first are then
       over black, and transmittance follows from both.
-    - `leaf_shape`: needle: single or apart; mat: needles side by side; culm: culms side by side.
-      Single needles reflect more at their surface. Gaps, what lies behind the leaves of a clip, and
-      light between those side by side (the recollision probability), are estimated where
-      transmittance is measured.
+    - `leaf_shape`: shape of the leaves: needle, single or apart; mat, needles side by side; culm,
+      culms side by side. Single needles reflect more at their surface. Gaps, what lies behind the
+      leaves of a clip, and light between those side by side (the recollision probability), are
+      estimated where transmittance is measured.
     - `area`: what contents are stated per in all tables: projected area, or half of the surface of
       the leaf; see `fynjax.leaf.area_factors`.
     - `domain`: wavelengths to fit: all, or the published sub-domains.
@@ -254,14 +254,14 @@ def fit_leaf(
       (real leaves, a clip or probe), exact (simulated spectra). Left out: by `measurement`.
     - `panel`: table of the white panel's own reflectance, for spectra relative to it; those of ASD
       files that hold it are absolute already.
-    - `detector_changes`: wavelengths in nm where detectors change, such as 1000,1830, at which
+    - `detector_changes`: wavelengths [nm] where detectors change, such as 1000,1830, at which
       jumps are taken out of all spectra; ASD files state them themselves.
     - `transmittance`: transmittance of the same leaves, by name or in the same order, where no name
       or file says it, as oak_R.asd and oak_T.asd do.
     - `groups`: file (CSV) with columns name (of a spectrum) and species: leaves of a species are
       fitted together; `species.csv` then holds the mean leaf and five material variants of each,
       `leaves.csv` the variants of PROSPECT-D as a leaf table.
-    - `posterior`: sample the posterior of each leaf as well, into `posterior.nc`.
+    - `posterior`: sampler of the posterior of each leaf, into `posterior.nc`, or none.
     - `seed`: seed of the posterior's random numbers; the fit itself draws none.
     - `checkpoint`: folder that keeps what each 1024 leaves of a larger table gave, from which an
       interrupted run goes on; none by default. Leaves that are fitted together (`groups`), and

@@ -148,7 +148,7 @@ def plant(
     - `unit`: unit of the mesh or scan: metre (if left out), cm, mm, foot, inch.
     - `maximum_extent`: a larger mesh or scan [m] is taken to be in other units; 4 if left out.
     - `form`: growth form of a taxon that is not in table 1, to generate it.
-    - `branches`: the source is one branch: make a plant of so many copies.
+    - `branches`: number of copies that a plant is made of, where the source is one branch.
     - `rotation_spread`: spread of the branches' tilt [degrees]; grows with them if left out.
     - `diameter`: crown of a taxon [m]; that of table 1 if left out.
     - `height`: height of a taxon [m]; that of table 1 if left out.

@@ -106,8 +106,8 @@ def posterior(
     - `plot`: plot file (`fynjax init` writes one), or a plot that was read.
     - `targets`: what was measured, as `fynjax calibrate` takes it.
     - `output`: folder of the results, made if missing.
-    - `method`: emcee: an ensemble of walkers; nuts: Hamiltonian sampling; laplace: the Gaussian
-      about the fit.
+    - `method`: way to draw: emcee, an ensemble of walkers; nuts, Hamiltonian sampling; laplace, the
+      Gaussian about the fit.
     - `free`: parameters to sample, such as species.*.cover; the plot file's if left out.
     - `target_size`: effective draws to reach.
     - `max_steps`: most steps of the chain.

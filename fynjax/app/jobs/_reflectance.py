@@ -101,9 +101,9 @@ def reflectance(
       in the same order; one serves for all.
     - `panel_areas`: corners of its area, columns and rows of pixels, as "x,y x,y x,y ..."; found in
       the picture if left out.
-    - `light`: panel: steady since the panel; sensor: pi L / E by the downwelling light sensor;
-      both: the panel, and the sensor for changes since. Left out: panel, or sensor where there is
-      no panel.
+    - `light`: what the light is known by: panel, steady since the panel; sensor, pi L / E by the
+      downwelling light sensor; both, the panel, and the sensor for changes since. Left out: panel,
+      or sensor where there is no panel.
     - `panel_sd`: relative standard deviation of the panel's reflectance.
     - `light_sd`: relative standard deviation of light and camera; that of the sensor file for this
       way if left out: 0.18 by the light sensor alone, 0.10 by a panel, 0.04 by several panels.

@@ -79,8 +79,8 @@ def simulate(
     - `altitude`: height above the ground [m]; that of the plot file, where it names this sensor, or
       else of the sensor file, if left out.
     - `pixel`: side of a pixel [m]; as `altitude`, or else from the optics, if left out.
-    - `atmosphere`: table (6S), clear-sky, none, or a file of curves of your own (CSV, NetCDF); the
-      plot file's if left out, or else table.
+    - `atmosphere`: kind of atmosphere: table (6S), clear-sky or none, or a file of curves of your
+      own (CSV, NetCDF); the plot file's if left out, or else table.
     - `noise`: draw noise; left out, as the plot file says, or else if the sensor has a model of it.
     - `products`: image to write, reflectance or radiance; both if left out.
     - `truth`: also write which species each pixel sees, and how much, and of the ground, as
