@@ -99,7 +99,8 @@ GROUPS: dict[str, list[Mutant]] = {
     "options": [
         Mutant("cli/_signatures.py", "if argument.arg not in texts:", "if False:", _OPTIONS),
         Mutant("cli/_signatures.py", "usual.get(one.name, one.default)", "one.default", _OPTIONS),
-        Mutant("cli/_signatures.py", '{"ge": "least", "le": "most"}', '{"ge": "most"}', _OPTIONS),
+        Mutant("cli/_signatures.py", '{"ge": "least", "le": "most"}',
+               '{"ge": "most", "le": "least"}', _OPTIONS),
         Mutant("cli/_doors.py", 'not in ("DEFAULT", "DEFAULT_MAP")', "not in ()", _OPTIONS),
         Mutant("cli/_doors.py", "record.usual | own", "own", _OPTIONS),
         Mutant("cli/_doors.py", "if fields or record.needed:", "if fields:",

@@ -189,6 +189,8 @@ def test_an_argument_that_is_added_is_an_option_if_the_docstring_says_what_it_is
     assert (share.kind.of, share.default, share.text) == (float, 0.5, "a part [-].")
     with pytest.raises(LookupError, match="no option can be of the type dict"):
         job(", share: dict[str, int] = 0", ".\n    - `share`: a part [-].")
+    with pytest.raises(LookupError, match="bounds are ge and le, no gt"):
+        job(", share: Annotated[int, Field(gt=0)] = 1", ".\n    - `share`: a part [-].")
     with pytest.raises(LookupError, match="no annotation"):
         job(", share=0", ".\n    - `share`: a part [-].")
     assert summary_of("own:job") == "Do it."

@@ -268,7 +268,9 @@ def _subscript(module: _Module, name: str, inside: ast.expr) -> Iterator[Any]:
         bounds = {}
         for call in items[1:]:
             for word in getattr(call, "keywords", ()):
-                bounds[{"ge": "least", "le": "most"}[str(word.arg)]] = _value(module, word.value)
+                if word.arg not in _BOUNDS:
+                    raise LookupError(f"{module.name}: bounds are ge and le, no {word.arg}")
+                bounds[_BOUNDS[word.arg]] = _value(module, word.value)
         yield from (part._replace(**bounds) for part in _parts(module, items[0]))
     elif name == "Sequence":
         yield _Many(list(_parts(module, items[0])), 0)
@@ -278,8 +280,12 @@ def _subscript(module: _Module, name: str, inside: ast.expr) -> Iterator[Any]:
         raise LookupError(f"{module.name}: no option can be of the type {name}")
 
 
+_BOUNDS = {"ge": "least", "le": "most"}
+
+
 def _kind(parts: list[Any]) -> Kind:
-    """What a command line can give of alternatives."""
+    """What a command line can give of alternatives: texts again and again, numbers and `Names` with
+    commas between, pairs of numbers both."""
     many = [part for part in parts if isinstance(part, _Many)]
     if not many:
         return _single(parts)
