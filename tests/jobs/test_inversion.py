@@ -186,7 +186,7 @@ def test_what_is_not_distinguished_from_zero_is_neither_named_nor_drawn_as_if():
 
 @pytest.mark.study
 def test_a_plot_tells_what_moves_its_metrics(plot, tmp_path):
-    result = sensitivity(plot, tmp_path, metrics=["nir.mean"], derivative_samples=4, seed=0)
+    result = sensitivity(plot, tmp_path, metrics=["nir.mean"], derivatives=4, seed=0)
     assert all((tmp_path / name).stat().st_size for name in result.files)
     slope = {row["parameter"]: row["slope"] for row in result.slopes}
     assert slope["ground.brightness"] > 0

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal
 
+from fynjax._core.arguments import Names, Seed
 from fynjax._core.dry_run import begin_work
 from fynjax._core.errors import InputError
 from fynjax._core.precision import double_precision
@@ -30,31 +31,36 @@ def calibrate(
     output: str | Path,
     *,
     prior: str | Path = NO_PRIOR,
-    bands: Sequence[str] | None = None,
-    seed: int | None = None,
+    bands: Names | None = None,
+    seed: Seed | None = None,
     checkpoint: Path | None = None,
     twin: bool = False,
 ) -> CalibrateResult:
-    """Calibrate a plot to the measurements of one or several sensors.
+    """Find the parameters of a plot that explain what was measured of it.
+
+    By one sensor or several at once. An interrupted run goes on when the same command is given
+    again.
 
     **Arguments:**
 
-    - `plot`: a plot, or the path of its plot file.
-    - `targets`: files of the measurements, at most one of each kind: a drone image (GeoTIFF) or
-      its statistics (CSV); a spectrum, or an image of many bands; a point cloud or its structure
-      (CSV). Of a plot with crowns an image (GeoTIFF) of the whole plot counts alone, pixel by
-      pixel (`Data.from_pixels`).
+    - `plot`: plot file (`fynjax init` writes one), or a plot that was read.
+    - `targets`: what was measured, at most one of each kind. Drone image (GeoTIFF, reflectance) or
+      a table with statistic, value, sd. Spectrum (CSV, ASD, ENVI library) or image of many bands
+      (ENVI, NetCDF, GeoTIFF), of which the mean counts. Point cloud (LAS, LAZ) or a table with
+      metric, value, sd, grain_m, returns_m2. Of a plot with crowns an image (GeoTIFF) of the whole
+      plot counts alone, pixel by pixel. Left out, the views that the plot file states.
     - `output`: folder of the results, made if missing.
-    - `prior`: learned population of what the plot's files leave open (`with_prior`); none by
-      default.
-    - `bands`: what each band of a drone's image is, as `read_drone_image` has it; known by name or
-      wavelength by default.
-    - `seed`: seed of every random number; that of the plot file by default.
+    - `prior`: population that the plot is of, for what its files leave open: the name of a shipped
+      one, a file that `fynjax bioscape learn` wrote, or none.
+    - `bands`: what each band of the drone image is, names with commas between, where the file does
+      not say: green, red, red_edge, nir, others as the sensor calls them, such as blue, and any
+      other name for bands that are not used.
+    - `seed`: seed of everything random; the plot file's if left out.
     - `checkpoint`: folder that keeps every step, from which an interrupted run goes on; none by
       default.
-    - `twin`: calibrate a twin of the plot in place of the plot, whose parameters are drawn from the
-      prior, to what the sensors of the targets would measure of it, or its drone where there are no
-      targets; tables and page have the truth beside the estimate.
+    - `twin`: calibrate a twin instead, whose truth is known: drawn from the prior, planted with a
+      seed of its own, measured by the sensors of the targets, or by its drone without any, with
+      noise and gains. Tables and page have the truth beside the estimate.
 
     **Returns:** `CalibrateResult`. Writes `parameters.csv`, `statistics.csv`, the images before and
     after (GeoTIFF) of a drone's camera, `run.nc`, `fit.npz` (`fynjax.read_fit` opens it again in

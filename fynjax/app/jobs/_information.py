@@ -3,11 +3,13 @@
 import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import pandas as pd
+from pydantic import Field
 
+from fynjax._core.arguments import Seed
 from fynjax._core.dry_run import begin_work
 from fynjax._core.precision import double_precision
 from fynjax.app.assembly import parameter_columns, plot_problem
@@ -42,25 +44,25 @@ def information(
     noise: Sequence[float] = (0.01,),
     sun_zenith: Sequence[float] | None = None,
     error: float = 0.01,
-    realisations: int = 15,
-    seed: int | None = None,
+    realisations: Annotated[int, Field(ge=2)] = 15,
+    seed: Seed | None = None,
 ) -> InformationResult:
-    """Bounds on a plot's parameters for sensors of every pixel, number of bands, noise and sun.
+    """Bound how well sensors of any pixel, bands, noise and sun can constrain a plot.
 
     **Arguments:**
 
-    - `plot`: a plot, or the path of its plot file.
+    - `plot`: plot file (`fynjax init` writes one), or a plot that was read.
     - `output`: folder of the results, made if missing.
-    - `free`: patterns of parameters to bound; those of the plot file by default.
+    - `free`: parameters to bound, such as species.*.cover; the plot file's if left out.
     - `gsd`: sides of a pixel on the ground [m], multiples of the smallest.
-    - `bands`: numbers of bands, each a divisor of the largest.
-    - `spectrum`: first and last wavelength that the bands share [nm].
+    - `bands`: numbers of bands, divisors of the largest.
+    - `spectrum`: first and last wavelength that the bands share [nm], such as 450,900.
     - `noise`: standard deviations of the noise of a pixel, relative to its reflectance [-].
-    - `sun_zenith`: zenith angles of the sun [degrees]; that of the plot by default.
+    - `sun_zenith`: zenith angles of the sun [degrees]; the plot's if left out.
     - `error`: standard deviation of a further error of every statistic, relative [-].
-    - `realisations`: number of stand realisations from which their sampling variance, and the
-      slopes that they share, are estimated.
-    - `seed`: seed of every random number; that of the plot file by default.
+    - `realisations`: stand realisations from which their sampling variance, and the slopes that
+      they share, are estimated.
+    - `seed`: seed of everything random; the plot file's if left out.
 
     **Returns:** `InformationResult`. Writes `bounds.csv` (conditional, joint and Bayesian
     Cramér-Rao bounds), `limits.csv`, figures and a page into `output`.

@@ -3,13 +3,14 @@
 from collections import deque
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 import pandas as pd
 from jaxtyping import Float
 from pydantic import Field
 
+from fynjax._core.arguments import Names, Seed
 from fynjax._core.checkpoint import Journal, signature
 from fynjax._core.dry_run import begin_work
 from fynjax._core.errors import InputError
@@ -84,37 +85,39 @@ def posterior(
     *,
     method: SamplingMethod = "emcee",
     free: Sequence[str] | None = None,
-    target_size: float = 400.0,
-    max_steps: int = 5000,
+    target_size: Annotated[float, Field(ge=1.0)] = 400.0,
+    max_steps: Annotated[int, Field(ge=1)] = 5000,
     prior: str | Path = NO_PRIOR,
     checkpoint: str | Path,
-    bands: Sequence[str] | None = None,
-    seed: int | None = None,
+    bands: Names | None = None,
+    seed: Seed | None = None,
 ) -> PosteriorResult:
-    """Sample the posterior of a plot's parameters given the measurements of one or several sensors.
+    """Sample which parameters of a plot real measurements leave possible.
 
-    The plot is calibrated first, with the likelihood that the sampling then explores: the data are
-    one draw of the statistics over plantings, with the errors of data, model and camera. Chains ask
-    for more renders than there is time for, so that a surrogate stands for their expectation, its
-    error stated (`fit_surrogate`).
+    By one sensor or several at once. The plot is calibrated first, with the likelihood that the
+    sampling then explores: the data are one draw of the statistics over plantings, with the errors
+    of data, model and camera. Chains ask for more renders than there is time for, so that a
+    surrogate stands for their expectation, its error stated (`fit_surrogate`). An interrupted run
+    goes on when the same command is given again.
 
     **Arguments:**
 
-    - `plot`: a plot, or the path of its plot file.
-    - `targets`: files of the measurements, as `calibrate` takes them.
+    - `plot`: plot file (`fynjax init` writes one), or a plot that was read.
+    - `targets`: what was measured, as `fynjax calibrate` takes it.
     - `output`: folder of the results, made if missing.
-    - `method`: "emcee" (ensemble), "nuts" (Hamiltonian), or "laplace" (the Gaussian at the
-      estimate).
-    - `free`: patterns of parameters to sample; those of the plot file by default.
+    - `method`: way to draw: emcee, an ensemble of walkers; nuts, Hamiltonian sampling; laplace, the
+      Gaussian about the fit.
+    - `free`: parameters to sample, such as species.*.cover; the plot file's if left out.
     - `target_size`: effective draws to reach.
-    - `max_steps`: most steps of the sampler.
-    - `prior`: learned population of what the plot's files leave open (`with_prior`); none by
-      default.
+    - `max_steps`: most steps of the chain.
+    - `prior`: population that the plot is of, for what its files leave open: the name of a shipped
+      one, a file that `fynjax bioscape learn` wrote, or none.
     - `checkpoint`: folder that keeps the calibration and the chain, from which an interrupted run
       goes on.
-    - `bands`: what each band of a drone's image is, as `read_drone_image` has it; known by name or
-      wavelength by default.
-    - `seed`: seed of every random number; that of the plot file by default.
+    - `bands`: what each band of the drone image is, names with commas between, where the file does
+      not say: green, red, red_edge, nir, others as the sensor calls them, such as blue, and any
+      other name for bands that are not used.
+    - `seed`: seed of everything random; the plot file's if left out.
 
     **Returns:** `PosteriorResult`. Writes `posterior.nc`, `parameters.csv`, figures and a page into
     `output`.

@@ -14,6 +14,7 @@ import xarray as xr
 from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
+from fynjax._core.arguments import Seed
 from fynjax._core.dry_run import begin_work, image_size
 from fynjax._core.errors import InputError
 from fynjax._core.precision import double_precision
@@ -69,22 +70,22 @@ def render(
     plot: Plot | str | Path,
     output: str | Path,
     *,
-    seed: int | None = None,
+    seed: Seed | None = None,
     checkpoint: Path | None = None,
     truth: bool = False,
 ) -> RenderResult:
-    """Render the reflectance image of a plot.
+    """Render what the drone sees of a plot.
 
-    A large image is rendered tile by tile.
+    A large image is rendered in tiles; an interrupted run goes on with the same command.
 
     **Arguments:**
 
-    - `plot`: a plot, or the path of its plot file.
+    - `plot`: plot file (`fynjax init` writes one), or a plot that was read.
     - `output`: folder of the results, made if missing.
-    - `seed`: seed of every random number; that of the plot file by default.
+    - `seed`: seed of everything random; the plot file's if left out.
     - `checkpoint`: folder that keeps the tiles of a large image, from which an interrupted run goes
       on; none by default.
-    - `truth`: whether to write also what each pixel sees of each species and of the ground.
+    - `truth`: also write which species each pixel sees, and how much, and of the ground.
 
     **Returns:** `RenderResult`. Writes `image.tif` and `run.nc` (reflectance factor [-]), figures
     and a page into `output`; with `truth` also `truth.tif` and `truth.nc` (`PixelTruth`).
