@@ -99,7 +99,7 @@ def wrong_imports(source: str, module: str, is_package: bool) -> list[str]:
             wrong.append(f"{module}:{line} imports {name}; `report` solves nothing")
         if name == "fynjax" and own in ROAD:
             wrong.append(f"{module}:{line} imports the top of the package")
-        if module == "fynjax" and name.split(".")[0] == "fynjax":
+        if module == "fynjax" and f"{name}.".startswith("fynjax.") and "_core.errors" not in name:
             wrong.append(f"{module}:{line} imports {name}; the top of the package imports nothing")
         if own is None or other not in LAYERS or other == own:
             continue

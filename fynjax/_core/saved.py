@@ -6,6 +6,7 @@ import importlib
 import json
 import zipfile
 from collections.abc import Mapping
+from importlib.metadata import version
 from pathlib import Path, PurePath
 from typing import Any
 
@@ -15,7 +16,6 @@ import jax.numpy as jnp
 import numpy as np
 from pydantic import BaseModel
 
-import fynjax
 from fynjax._core.errors import InputError
 
 _MOST_BYTES = 1 << 32
@@ -32,7 +32,7 @@ def save(path: str | Path, value: Any) -> None:
     """
     arrays: dict[str, np.ndarray] = {}
     tree = _packed(value, arrays)
-    text = json.dumps({"version": fynjax.__version__, "value": tree})
+    text = json.dumps({"version": version("fynjax"), "value": tree})
     with Path(path).open("wb") as file:
         np.savez_compressed(file, **arrays, tree=np.frombuffer(text.encode(), np.uint8))  # type: ignore[arg-type]
 
@@ -53,9 +53,9 @@ def load(path: str | Path) -> Any:
         tree = json.loads(arrays.pop("tree").tobytes().decode())
     except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
         raise InputError(f"expected a fit that fynjax wrote: {error}", file=path) from error
-    if tree["version"] != fynjax.__version__:
+    if tree["version"] != version("fynjax"):
         raise InputError(
-            f"expected a fit of fynjax {fynjax.__version__}, but this is of {tree['version']}: "
+            f"expected a fit of fynjax {version('fynjax')}, but this is of {tree['version']}: "
             "calibrate again",
             file=path,
         )

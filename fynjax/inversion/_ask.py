@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping, Sequence
 from fnmatch import fnmatchcase
 from inspect import signature
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal, Protocol
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -29,8 +29,17 @@ from fynjax.inversion._surrogate import fit_surrogate
 from fynjax.scene import ModelError, Scene, named_values, own_spread
 from fynjax.sensors import Lidar, Sensor
 
-if TYPE_CHECKING:
-    from fynjax.app.io.plot import LearnedPrior
+
+class PlotsPrior(Protocol):
+    """What a population of plots says of some kinds of parameters of each growth form, as `prior`
+    reads it from a file."""
+
+    @property
+    def kinds(self) -> tuple[str, ...]:
+        """Kinds of parameters that it says."""
+
+    def sd(self, name: str, *, elsewhere: bool = False) -> float:
+        """Standard deviation of a parameter, of a plot `elsewhere` too; "dead_fraction.mound"."""
 
 
 def imager_of(camera: str | Path | Sensor | Lidar) -> Sensor:
@@ -47,7 +56,7 @@ def imager_of(camera: str | Path | Sensor | Lidar) -> Sensor:
 def free(
     scene: Scene,
     *patterns: str,
-    prior: "LearnedPrior | Mapping[str, float] | None" = None,
+    prior: PlotsPrior | Mapping[str, float] | None = None,
     common: float | None = None,
 ) -> ParameterSpace:
     """The parameters of a scene that a fit may change, with priors about their present values.

@@ -5,6 +5,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal
 
+import jax.numpy as jnp
 from pydantic import (
     AfterValidator,
     BeforeValidator,
@@ -393,7 +394,8 @@ class TargetTable(SensorTable):
         """Pose of the frame; None of a camera that looked from above the plot's middle."""
         if self.position_m is None:
             return None
-        return Frame(Pose(self.position_m, self.yaw_deg, self.pitch_deg, self.roll_deg))
+        angles = map(jnp.asarray, (self.yaw_deg, self.pitch_deg, self.roll_deg))
+        return Frame(Pose(jnp.asarray(self.position_m), *angles))
 
     @field_validator("view")
     @classmethod
