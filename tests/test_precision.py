@@ -191,8 +191,8 @@ def fits(lines: Lines) -> None:
         ("a",), np.array([0.25]), np.array([0.02]),
         source=Source("structure", lambda *_: Crowns()),
     )  # fmt: skip
-    found = lines("plot", lambda: fx.fit(
-        plot, crowns, fx.free(plot, "species.*.cover"), settings=settings), "coordinates")  # fmt: skip
+    covers = fx.free(plot, "species.*.cover")
+    found = lines("plot", lambda: fx.fit(plot, crowns, covers, settings=settings), "coordinates")
     lines("plantings of the plot", lambda: found.plantings, "spread")
     lines("fit of the plot", lambda: found.fit, "estimate", "sd")
     lines("drawn", lambda: fx.sample(found, "laplace", target=50.0), "values")

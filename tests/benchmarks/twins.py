@@ -239,16 +239,11 @@ def twin(number, size, wrong, sensors):
     truth = draw_truth(len(ready.free.names), random)
     data = measure(truths, views, truth, number, random)
     began = time.process_time()
-    found = inversion.fit(
-        Problem(
-            ready.scene,
-            data,
-            ready.free,
-            views=views,
-            error=ready.error,
-            settings=CalibrationSettings(seed=number),
-        )  # fmt: skip
-    )
+    asked = Problem(
+        ready.scene, data, ready.free, views=views, error=ready.error,
+        settings=CalibrationSettings(seed=number),
+    )  # fmt: skip
+    found = inversion.fit(asked)
     fit = found.fit
     # Each has as many sites as its draws need, and so programs of its own: nine fill the memory
     # that the compiler may map.
