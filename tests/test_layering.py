@@ -36,7 +36,7 @@ PACKAGES = sorted(
     ".".join(path.parent.relative_to(ROOT).parts) for path in PACKAGE.rglob("__init__.py")
 )
 PLOTTING = {"matplotlib", "seaborn", "plotly"}
-SOLVING = {"calibrate_plot", "fit", "sample_posterior", "laplace_posterior"}
+SOLVING = {"calibration", "fit", "sample_posterior", "laplace_posterior"}
 SOLVERS = {"optimistix", "jaxopt", "emcee", "blackjax", "lineax", "SALib"}
 
 
@@ -124,6 +124,33 @@ def test_imports_point_one_way() -> None:
     assert not wrong, "\n".join(wrong)
 
 
+DOORS = {
+    "fynjax.inversion._ask",  # a camera by its name
+    "fynjax.inversion._calibrate",  # the report of a fit
+    "fynjax.inversion._data",  # what a file holds
+    "fynjax.inversion._problem",  # the learned error of the model
+}
+"""Modules that go from the road to the app, through `app_room`."""
+BY_NAME = {
+    "fynjax._core.extras",  # `app_room` itself
+    "fynjax._core.saved",  # the class of a record in a file
+    "fynjax.canopy.forms",  # one module for each form
+}
+"""Modules of the road that import others by a name that is no word of theirs."""
+
+
+def test_the_road_goes_to_the_app_through_one_door() -> None:
+    found: dict[str, set[str]] = {"app_room": set(), "import_module": set()}
+    for path, module in modules():
+        nodes = list(ast.walk(ast.parse(path.read_text("utf-8"))))
+        words = {getattr(node, "id", getattr(node, "attr", None)) for node in nodes}
+        for word, where in found.items():
+            if word in words and layer_of(module) in ROAD:
+                where.add(module)
+        assert "__import__" not in words
+    assert found == {"app_room": DOORS, "import_module": BY_NAME}
+
+
 def test_every_layer_is_known_and_there() -> None:
     folders = {path.parent.name for path in PACKAGE.glob("*/__init__.py")} - {"app"}
     assert folders == {*ROAD, "studies"}
@@ -153,7 +180,7 @@ def test_every_layer_is_known_and_there() -> None:
         ("fynjax.app.jobs._x", "import matplotlib.pyplot as plt"),
         ("fynjax.app.compare._x", "def f():\n    from matplotlib.figure import Figure"),
         ("fynjax.app.report.pages._x", "import optimistix"),
-        ("fynjax.app.report.pages._x", "from fynjax.inversion import calibrate_plot"),
+        ("fynjax.app.report.pages._x", "from fynjax.inversion import fit"),
     ],
 )
 def test_a_wrong_import_is_seen(module: str, source: str) -> None:

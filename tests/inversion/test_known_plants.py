@@ -146,7 +146,9 @@ def test_images_are_of_the_plot_alone_with_gains_and_with_the_model_s_error():
     np.testing.assert_allclose(result.image_after, alone, rtol=1e-9)
     (gain,), (off,) = result.gains, result.model_error
     assert np.abs(np.log(off)).min() > 1e-3
-    np.testing.assert_allclose(result.blocks.with_error, alone * (gain * off)[:, None, None], rtol=1e-9)
+    np.testing.assert_allclose(
+        result.blocks.with_error, alone * (gain * off)[:, None, None], rtol=1e-9
+    )
     measured = linear([0.35, 0.1]) * np.array([1.2, 0.9])[:, None, None]
     mean = lambda image: np.array([band[compared].mean() for band in image])  # noqa: E731
     table = result.means()

@@ -127,10 +127,10 @@ def test_images_that_do_not_fit_are_refused(twin, tmp_path):
         fitted(model.scene, full, pixel_sd=0.0)
     with pytest.raises(InputError, match="of the 4 bands of 'mavic_3m'"):
         fitted(model.scene, full[:3])
+    chance = small_plot(extent=(2.0, 2.0))
+    asked = Problem(chance, Data.from_pixels(full, pixel=0.1), free(chance, "ground.brightness"))
     with pytest.raises(InputError, match="plants are known"):
-        chance = small_plot(extent=(2.0, 2.0))
-        name = f"species.{chance.taxa[0]}.height"
-        fit(Problem(chance, Data.from_pixels(full, pixel=0.1), free(chance, name)))
+        fit(asked)
 
 
 def test_blocks_are_as_small_as_the_values_allow():

@@ -56,9 +56,7 @@ def measured(image):
 
 
 def sections(image, result, statistics):
-    return _image_sections(
-        measured(image), result.views[0], result, statistics, ReferenceImage()
-    )
+    return _image_sections(measured(image), result.views[0], result, statistics, ReferenceImage())
 
 
 def panels(picture):
