@@ -76,7 +76,7 @@ def test_lowest_versions_are_stated_for_every_dependency() -> None:
     pinned = {normalised(line) for line in run.stdout.splitlines()}
     extras = PROJECT["optional-dependencies"].values()
     assert pinned == {normalised(r) for r in PROJECT["dependencies"]} | {
-        normalised(r) for extra in extras for r in extra
+        normalised(r) for extra in extras for r in extra if not r.startswith("fynjax[")
     }
     assert all("==" in line for line in run.stdout.splitlines())
 

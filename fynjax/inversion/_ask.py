@@ -43,7 +43,12 @@ class PlotsPrior(Protocol):
 
 
 def imager_of(camera: str | Path | Sensor | Lidar) -> Sensor:
-    """An imaging sensor, from its name or file too."""
+    """An imaging sensor.
+
+    **Arguments:** `camera`, which may be its name or file too.
+
+    **Raises:** `InputError` for a LiDAR, and another type.
+    """
     sensor: Any = camera
     if isinstance(camera, str | Path):
         sensor = app_room("io.instruments").load_instrument(camera)

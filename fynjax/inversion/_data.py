@@ -236,7 +236,7 @@ class Data(eqx.Module):
 
         **Raises:** `InputError` for an image or camera that cannot be used.
         """
-        found = app_room("assembly").image_of_camera(
+        found = app_room("assembly._targets").image_of_camera(
             image, camera, pixel=pixel, footprint=footprint, altitude=altitude, bands=bands,
             statistics=statistics, relative_sd=relative_sd, gains=gains, pose=pose,
         )  # fmt: skip
@@ -265,7 +265,7 @@ class Data(eqx.Module):
 
         **Raises:** `InputError` for a table or camera that cannot be used.
         """
-        found = app_room("assembly").table_of_camera(
+        found = app_room("assembly._targets").table_of_camera(
             table, camera, pixel=pixel, altitude=altitude, relative_sd=relative_sd, gains=gains
         )
         return found.renamed(name) if name else found
@@ -293,7 +293,9 @@ class Data(eqx.Module):
 
         **Raises:** `InputError` for spectra that cannot be used.
         """
-        found = app_room("assembly").spectrum_of_file(path, sun_zenith, statistics, relative_sd)
+        found = app_room("assembly._targets").spectrum_of_file(
+            path, sun_zenith, statistics, relative_sd
+        )
         return found.renamed(name) if name else found
 
     @classmethod
@@ -321,7 +323,9 @@ class Data(eqx.Module):
 
         **Raises:** `InputError` for a cloud that cannot be used.
         """
-        found = app_room("assembly").cloud_of_file(path, scene, statistics, relative_sd, seed)
+        found = app_room("assembly._targets").cloud_of_file(
+            path, scene, statistics, relative_sd, seed
+        )
         return found.renamed(name) if name else found
 
     @classmethod
@@ -352,7 +356,7 @@ class Data(eqx.Module):
 
         **Raises:** `InputError` for an image or camera that cannot be used.
         """
-        return app_room("assembly").pixels_of_camera(
+        return app_room("assembly._targets").pixels_of_camera(
             image, camera, pixel=pixel, altitude=altitude, bands=bands, block=block,
             pixel_sd=pixel_sd, gains=gains,
         )  # fmt: skip

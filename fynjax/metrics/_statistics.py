@@ -164,6 +164,6 @@ def _square_means(
 
 
 def without_view(name: str) -> str:
-    """The name of a statistic without that of its view: "nir.mean" of "flight1.nir.mean"."""
+    """The `name` of a statistic without that of its view: "nir.mean" of "flight1.nir.mean"."""
     first, _, rest = name.partition(".")
     return rest if "." in rest and first not in ("spectrum", "lidar") else name

@@ -30,14 +30,9 @@ from fynjax.app.assembly._stands import (
 )
 from fynjax.app.assembly._targets import (
     RealImage,
-    cloud_of_file,
-    image_of_camera,
     image_sight,
-    pixels_of_camera,
     placed_by_image,
     read_targets,
-    spectrum_of_file,
-    table_of_camera,
 )
 from fynjax.app.assembly._twin import Twin, plant_twin, twin_image
 
@@ -54,13 +49,10 @@ __all__ = [
     "build_plot",
     "check_memory",
     "check_vegetation",
-    "cloud_of_file",
     "ground_heights",
-    "image_of_camera",
     "image_sight",
     "image_view",
     "parameter_columns",
-    "pixels_of_camera",
     "placed_by_image",
     "plant_twin",
     "plot_parameters",
@@ -73,9 +65,7 @@ __all__ = [
     "sample_pixel",
     "shown_unit",
     "simulate_stands",
-    "spectrum_of_file",
     "stand_forms",
     "stand_numbers",
-    "table_of_camera",
     "twin_image",
 ]
