@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
 from fynjax._core.errors import InputError, listed
-from fynjax.inversion._fit_result import Data
+from fynjax.inversion._data import Data
 from fynjax.inversion._space import ParameterSpace
 
 Predict = Callable[..., Float[Array, " statistic"]]

@@ -17,8 +17,9 @@ from fynjax._core.precision import double_precision
 from fynjax._core.progress import advance, stage
 from fynjax._core.sampling import ChainState, Draws, Ensemble, Hamiltonian
 from fynjax._core.seeds import generator
-from fynjax.inversion._fit import fit
-from fynjax.inversion._fit_result import Data, FitResult
+from fynjax.inversion._data import Data
+from fynjax.inversion._fit import fit_function
+from fynjax.inversion._fit_result import FitResult
 from fynjax.inversion._log_posterior import LogPosterior, Predict
 from fynjax.inversion._posterior_result import Posterior
 from fynjax.inversion._space import ParameterSpace
@@ -143,7 +144,7 @@ class PosteriorSampler:
         self._density = density = LogPosterior(predict, space, data, shift, context, log_prior)
         if start is None:
             with stage("Fit"):
-                start = fit(predict, data, space, offset=shift, context=context)
+                start = fit_function(predict, data, space, offset=shift, context=context)
         self._method, self._start, self._predictive = method, start, predictive
         self._steps = max_steps + (warmup if method == "nuts" else 0)
         centre, covariance = np.asarray(start.whitened, float), np.asarray(start.covariance, float)

@@ -14,12 +14,8 @@ from jaxtyping import Float
 from fynjax._core.extras import require
 from fynjax._core.html import as_html
 from fynjax._core.precision import double_precision
-from fynjax.inversion._fit_result import (
-    WELL_CONSTRAINED,
-    Data,
-    known_lines,
-    well_constrained,
-)
+from fynjax.inversion._data import Data
+from fynjax.inversion._fit_result import WELL_CONSTRAINED, known_lines, well_constrained
 from fynjax.inversion._space import ParameterSpace
 from fynjax.scene import LEAF_FIELDS, parameter_kind
 

@@ -12,7 +12,8 @@ from jaxtyping import Array, Float
 
 from fynjax._core.errors import InputError
 from fynjax._core.least_squares import BroydenLM
-from fynjax.inversion._fit_result import Data, Ended, FitStatus
+from fynjax.inversion._data import Data
+from fynjax.inversion._fit_result import Ended, FitStatus
 
 _REACH = 4.0
 """Bounds in prior standard deviations: beyond, the transform to a bounded parameter is flat."""

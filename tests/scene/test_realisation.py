@@ -13,7 +13,7 @@ import pytest
 
 import fynjax
 from fynjax._core.errors import InputError
-from fynjax.app.assembly import build_plot, prepare
+from fynjax.app.assembly import build_plot, plot_problem
 from fynjax.app.io.plot import read_plot
 from fynjax.canopy import Organ, PlantModel
 from fynjax.scene import (
@@ -137,7 +137,7 @@ def test_plots_from_files_have_realisations_and_known_plants_stay(tmp_path):
     assert bool(eqx.tree_equal(scene.realisation(0), scene))
     check_alike(scene, scene.realisation(1))
     wide = plot.calibration.replace(free=("*.diameter",), priors={"*": 0.5})
-    ready = prepare(plot.replace(calibration=wide), None, seed=3)
+    ready = plot_problem(plot.replace(calibration=wide), None, seed=3)
     assert np.max(ready.scene.rules.room) > PlantingRules.room  # the prior's sites
     assert bool(eqx.tree_equal(ready.scene.realisation(0), ready.scene))
     check_alike(ready.scene, ready.scene.realisation(1))
