@@ -10,7 +10,7 @@ from pydantic import Field
 from fynjax._core.arguments import Names, Seed
 from fynjax._core.dry_run import begin_work
 from fynjax._core.precision import double_precision
-from fynjax.app.assembly import prepare
+from fynjax.app.assembly import plot_problem
 from fynjax.app.io.instruments import load_instrument
 from fynjax.app.io.plot import Plot, as_plot
 from fynjax.app.io.text import write_text
@@ -80,18 +80,18 @@ def design(
     read = as_plot(plot)
     run = Run(output, seed=seed, plot=read)
     with run.stage("Build the plot"):
-        ready = prepare(read, DESIGN_FREE if free is None else free, seed=run.seed)
+        problem = plot_problem(read, None, DESIGN_FREE if free is None else free, seed=run.seed)
     names = ("design.csv", "designed.toml", "sensors.csv", "pixels.csv", "spectra.nc")
     files = dict.fromkeys((*names, "report.html"), "")
     wanted: str | Sequence[str] = target[0] if len(target) == 1 else target
     settings: dict[str, Any] = {
-        "free": ready.space, "pixel": pixel, "spectrum": spectrum, "widths": widths, "snr": snr,
+        "free": problem.free, "pixel": pixel, "spectrum": spectrum, "widths": widths, "snr": snr,
         "plantings": plantings, "compare": [load_instrument(one) for one in compare],
         "starts": starts, "seed": run.seed,
     }  # fmt: skip
-    check_design(ready.scene, bands, wanted, **settings)
+    check_design(problem.scene, bands, wanted, **settings)
     begin_work(files)
-    found = design_bands(ready.scene, bands, wanted, model_error=ready.error, **settings)
+    found = design_bands(problem.scene, bands, wanted, error=problem.error, **settings)
     chosen = pd.DataFrame(
         {"band": found.bands.names, "centre_nm": found.bands.centre, "fwhm_nm": found.bands.fwhm}
     )

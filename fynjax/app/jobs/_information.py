@@ -12,7 +12,7 @@ from pydantic import Field
 from fynjax._core.arguments import Seed
 from fynjax._core.dry_run import begin_work
 from fynjax._core.precision import double_precision
-from fynjax.app.assembly import parameter_columns, prepare
+from fynjax.app.assembly import parameter_columns, plot_problem
 from fynjax.app.io.plot import Plot, as_plot, plot_instrument, sensor_place
 from fynjax.app.jobs._result import JobResult, Rows
 from fynjax.app.jobs._run import Run
@@ -74,24 +74,24 @@ def information(
     read = as_plot(plot)
     run = Run(output, seed=seed, plot=read)
     with run.stage("Build the plot"):
-        ready = prepare(read, free, seed=run.seed)
+        problem = plot_problem(read, None, free, seed=run.seed)
     altitude, _ = sensor_place(read)
     swept = Sensor("sweep", even_bands(max(bands), *spectrum), plot_instrument(read).camera)
-    size = f"{len(ready.space.names)} parameters"
+    size = f"{len(problem.free.names)} parameters"
     files = {"bounds.csv": size, "limits.csv": "", "report.html": ""}
     placement = dataclasses.replace(read.sensor.placement, altitude=altitude, pixel=None)
-    on = ready.scene, ready.parameters
+    on = problem.scene, problem.scene.parameters
     settings: dict[str, Any] = {"gsd": gsd, "bands": bands, "noise": noise}
     settings |= {"sun_zenith": sun_zenith, "stand_realisations": realisations}
     check_sweep(*on, swept, placement, **settings)
     begin_work(files)
     sweep = sweep_sensors(
-        *on, ready.space, swept, placement,
-        relative_sd=error, model_error=ready.error, seed=run.seed, **settings,
+        *on, problem.free, swept, placement,
+        relative_sd=error, model_error=problem.error, seed=run.seed, **settings,
     )  # fmt: skip
-    table = bound_table(sweep, np.asarray(ready.space.prior))
+    table = bound_table(sweep, np.asarray(problem.free.prior))
     first, best = sweep[0]
-    covers = [n for n in ready.space.names if n.startswith("species.") and n.endswith(".cover")]
+    covers = [n for n in problem.free.names if n.startswith("species.") and n.endswith(".cover")]
     limits = limit_table(table, covers)
     sensor = f"{_bands(first.bands)}, pixels of {first.gsd:g} m, noise {100 * first.noise:g} %"
     weak = best.weakly_constrained_directions()

@@ -20,7 +20,7 @@ from fynjax._core.errors import InputError
 from fynjax._core.precision import double_precision
 from fynjax._core.progress import track
 from fynjax.app.assembly import aim_without_air, build_plot
-from fynjax.app.io.plot import Plot, as_plot, plot_instrument, plot_place
+from fynjax.app.io.plot import Place, Plot, as_plot, plot_instrument, plot_place
 from fynjax.app.io.raster import Cube, image_array, write_geotiff, write_run
 from fynjax.app.jobs._result import JobResult, StatisticSummary
 from fynjax.app.jobs._run import Run
@@ -162,7 +162,7 @@ def _write(
     record = run.record(plot.inputs)
     bands = camera.sensor.bands
     path = run.path("image.tif", "simulated reflectance, GeoTIFF")
-    write_image(path, image, plot, camera, record)
+    write_image(path, image, plot_place(plot), camera, record)
     reflectance = image_array(
         image,
         list(bands.names),
@@ -323,12 +323,12 @@ def index_images(
 def write_image(
     path: Path,
     image: np.ndarray,
-    plot: Plot,
+    place: Place,
     camera: AimedSensor,
     record: Mapping[str, str | int],
 ) -> None:
     """Write an image of `camera` as GeoTIFF, where the plot lies."""
-    place, bands = plot_place(plot), camera.sensor.bands
+    bands = camera.sensor.bands
     write_geotiff(
         path,
         image,
@@ -353,12 +353,12 @@ def plant_counts(
     )
 
 
-def check_finite(image: ArrayLike, plot: Plot, what: str = "rendered image") -> None:
+def check_finite(image: ArrayLike, plot: Plot | None, what: str = "rendered image") -> None:
     """No NaN reaches a product: raises `InputError` for an image that holds one, of `what`."""
     bad = int(np.sum(~np.isfinite(np.asarray(image))))
     if bad:
         raise InputError(
             f"{bad} values of the {what} are not finite. Is the sun near the horizon, or a "
             "parameter at the end of its range?",
-            file=plot.file,
+            file=None if plot is None else plot.file,
         )

@@ -15,7 +15,7 @@ from fynjax._core.errors import InputError
 from fynjax._core.extras import require
 from fynjax._core.parts import Workers, at_work
 from fynjax._core.precision import double_precision
-from fynjax.app.assembly import Prepared, batch_for_device, image_view, prepare, shown_unit
+from fynjax.app.assembly import batch_for_device, image_view, plot_problem, shown_unit
 from fynjax.app.io.plot import Plot, as_plot, drone_sensor
 from fynjax.app.jobs._result import JobResult, Rows
 from fynjax.app.jobs._run import Run
@@ -112,11 +112,11 @@ def sensitivity(
         check_samples(samples)
     run = Run(output, seed=seed, plot=read)
     with run.stage("Build the plot"):
-        ready = prepare(read, free, seed=run.seed)
-    space = ready.space
-    views = [image_view(read, ready.scene, ready.parameters, names)]
-    stand, coarse_views = search_form(ready.scene, ready.parameters, views)
-    predict = PlotForward(ready.parameters, space.names, coarse_views)
+        problem = plot_problem(read, None, free, seed=run.seed)
+    scene, space, parameters = problem.scene, problem.free, problem.scene.parameters
+    views = [image_view(read, scene, parameters, names)]
+    stand, coarse_views = search_form(scene, parameters, views)
+    predict = PlotForward(parameters, space.names, coarse_views)
     at = np.asarray(space.prior)
     size = f"{len(names)} metrics by {len(space.names)} parameters"
     tables = ["slopes.csv", *(["variance.csv"] if derivatives or sobol else [])]
@@ -130,9 +130,9 @@ def sensitivity(
             space.names,
             names,
             at,
-            partial(_planting, ready),
+            partial(_planting, scene),
             accuracy=_ACCURACY,
-            most=2 if ready.scene.known_plants else plantings,  # which are the same in each
+            most=2 if scene.known_plants else plantings,  # which are the same in each
             do=do,
         )
         over: dict[str, Any] = {
@@ -177,10 +177,10 @@ def sensitivity(
     )
 
 
-def _planting(ready: Prepared, number: int) -> tuple[Scene]:
+def _planting(plot: Scene, number: int) -> tuple[Scene]:
     """The plot with other plants, in the coarse form: sites of another seed, in another order."""
-    (scene,) = other_plantings(ready.scene, [number])
-    return (coarser(scene, ready.parameters).reordered(number),)
+    (scene,) = other_plantings(plot, [number])
+    return (coarser(scene, plot.parameters).reordered(number),)
 
 
 def _slope_table(slopes: ExpectedSensitivity) -> pd.DataFrame:
