@@ -131,7 +131,7 @@ def test_a_function_of_one_s_own_cannot_be_kept(tmp_path):
     ("tree", "said"),
     [
         # A function that a module of the package has imported from elsewhere.
-        ({"is": "function", "name": "fynjax._core.extras:importlib.import_module"}, "is not of this"),
+        ({"is": "function", "name": "fynjax._core.extras:importlib.import_module"}, "is not of"),
         ({"is": "function", "name": "fynjax._core.saved:Path.unlink"}, "is not of this package"),
         # A method in place of a field.
         (
