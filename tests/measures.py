@@ -145,8 +145,8 @@ def large_functions(modules: Trees) -> list[str]:
 
 
 def prediction_modules() -> list[str]:
-    """Modules that the prediction of the mean of a band of a scene's image enters, where nothing has
-    been compiled in the same process before."""
+    """Modules that the prediction of the mean of a band of a scene's image enters, where nothing
+    has been compiled in the same process before."""
     import fynjax as fx
     from fynjax.inversion import ImageView
     from fynjax.scene import Placement, aim

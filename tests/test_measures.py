@@ -39,12 +39,12 @@ def test_what_is_counted_is_found():
     assert measures.names_of_two({**twice, "b.py": ast.parse("")}) == []
     body = "\n    x = 0" * 81
     long = (
-        f"class A:\n  def f(self):\n    'Text.'{body}\n\ndef g(a, b, c, d, *, e, f, g, h, i): ..."
+        f"class One:\n  def f(self):\n    'Text.'{body}\n\ndef g(a, b, c, d, *, e, f, g, h, i): ..."
     )
     assert [
         line.split(": ")[1] for line in measures.large_functions({"m.py": ast.parse(long)})
     ] == [
-        "A.f, 81 lines, 0 arguments",
+        "One.f, 81 lines, 0 arguments",
         "g, 1 lines, 9 arguments",
     ]
     assert (

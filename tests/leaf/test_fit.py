@@ -20,16 +20,15 @@ from fynjax.leaf import (
     LeafStack,
     LeafStatus,
     correct_detector_jumps,
-    default_error_model,
     fit_leaf,
     fit_leaf_groups,
     prospect,
-    recollided,
     sample_leaf_posterior,
     transmittance_from_two_readings,
 )
-from fynjax.leaf._error_model import bin_centres, to_bins
+from fynjax.leaf._error_model import bin_centres, default_error_model, to_bins
 from fynjax.leaf._fit import solve_leaves
+from fynjax.leaf._measurement import recollided
 from fynjax.leaf._problem import (
     _REFLECTANCE_LINE,
     _TRANSMITTANCE_LINE,
