@@ -20,7 +20,7 @@ from fynjax.radiation._render import (
     Light,
     check_light,
     directional_reflectance,
-    look,
+    first_met,
     reflectance_factor,
     render,
     solve_light,
