@@ -22,7 +22,6 @@ from fynjax.inversion._calibrate import (
 )
 from fynjax.inversion._canopy import CanopyFit, fit_canopy
 from fynjax.inversion._data import (
-    PIXEL_SD,
     Data,
     Kind,
     Pixels,
@@ -43,21 +42,19 @@ from fynjax.inversion._emulate import Emulated, emulate
 from fynjax.inversion._expected import Expected, other_plantings
 from fynjax.inversion._factors import BandFactors, Known, PlotSpace
 from fynjax.inversion._fit import (
-    fit_function,
     predicted_statistics,
     statistics_and_jacobian,
     whitened_residual,
 )
 from fynjax.inversion._fit_result import WELL_CONSTRAINED, FitResult, FitStatus
 from fynjax.inversion._functionals import (
-    STAND_FUNCTIONALS,
     Functional,
     stand_functionals,
     stand_sentence,
     stand_table,
     stand_values,
 )
-from fynjax.inversion._information import Information, fisher_information
+from fynjax.inversion._information import Information
 from fynjax.inversion._known_plants import PixelSearch, PixelState
 from fynjax.inversion._log_posterior import LogPosterior
 from fynjax.inversion._population import (
@@ -65,9 +62,8 @@ from fynjax.inversion._population import (
     LinearPlots,
     Population,
     fit_population,
-    log_marginal,
 )
-from fynjax.inversion._posterior import PosteriorSampler, SamplingMethod, sample_posterior
+from fynjax.inversion._posterior import PosteriorSampler, SamplingMethod
 from fynjax.inversion._posterior_result import Posterior
 from fynjax.inversion._prior_sampler import (
     PriorChain,
@@ -81,26 +77,21 @@ from fynjax.inversion._sensitivity import (
     LEADING_ELASTICITIES,
     DerivativeMeasures,
     ExpectedSensitivity,
-    LocalSensitivity,
     SobolIndices,
     check_samples,
     derivative_measures,
     expected_sensitivity,
-    local_sensitivity,
     sobol_indices,
 )
 from fynjax.inversion._sensor_sweep import SensorSetting, check_sweep, even_bands, sweep_sensors
-from fynjax.inversion._space import ParameterSpace, make_space, match_names
+from fynjax.inversion._space import ParameterSpace
 from fynjax.inversion._surrogate import (
-    FittedSurrogate,
-    Surrogate,
     fit_surrogate,
     surrogate_renders,
 )
 from fynjax.inversion._targets import (
     GAIN,
     OFFSET,
-    SPREAD_SD,
     compared_statistics,
     weigh_spectrum,
     weigh_structure,
@@ -116,7 +107,6 @@ from fynjax.inversion._views import (
     SpectrumSight,
     SpectrumView,
     StructureSight,
-    StructureView,
     factors_by_view,
     look,
     nadir_imager,

@@ -52,7 +52,6 @@ from fynjax.inversion import (
     LogPosterior,
     PlotForward,
     PlotSearch,
-    StructureView,
     calibrate_plot,
     compared_statistics,
     factors_by_view,
@@ -69,6 +68,7 @@ from fynjax.inversion import (
     weigh_structure,
     weigh_targets,
 )
+from fynjax.inversion._views import StructureView
 from fynjax.metrics import spectral_mask
 from fynjax.scene import with_values
 from fynjax.sensors import BandSet, shipped_sensor
