@@ -28,7 +28,7 @@
 # %%
 import fynjax as fx
 
-FOLDER = fx.io.spectra.example_folder() / "reflectance"  # your own: a folder, a file, or several
+FOLDER = fx.io.spectra.example_leaves() / "reflectance"  # your own: a folder, a file, or several
 PANEL = FOLDER.parent / "panel.csv"  # what your white panel reflects; None if files have it
 TRANSMITTANCE = FOLDER.parent / "transmittance.csv"  # of the same leaves; None if not measured
 LABORATORY = FOLDER.parent / "laboratory.csv"  # a row for each leaf; None if there is none

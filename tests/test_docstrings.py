@@ -55,8 +55,9 @@ class _Checker(doctest.OutputChecker):
         return super().check_output(want, got, optionflags)
 
 
-def _public() -> dict[str, Any]:
-    """Public functions and classes by the full name in their package, each once."""
+def _exported() -> dict[str, Any]:
+    """Functions and classes by the full name in their package, each once: public ones, and those
+    that a package has for others."""
     names = [
         module.name
         for module in pkgutil.walk_packages(fynjax.__path__, "fynjax.")
@@ -66,15 +67,16 @@ def _public() -> dict[str, Any]:
     objects = {}
     for name in names:
         package = importlib.import_module(name)
-        for public in getattr(package, "__all__", ()):
-            value = getattr(package, public)
-            if inspect.isroutine(value) or inspect.isclass(value):
-                objects.setdefault(id(value), (f"{name}.{public}", value))
+        for exported in {**dict.fromkeys(getattr(package, "__all__", ())), **vars(package)}:
+            value = None if exported[0] == "_" else getattr(package, exported)
+            own = (getattr(value, "__module__", None) or "").startswith("fynjax.")
+            if own and (inspect.isroutine(value) or inspect.isclass(value)):
+                objects.setdefault(id(value), (f"{name}.{exported}", value))
     return dict(objects.values())
 
 
-PUBLIC = _public()
-EXAMPLES = {name: value for name, value in PUBLIC.items() if ">>>" in (inspect.getdoc(value) or "")}
+EXPORTED = _exported()
+EXAMPLES = {n: value for n, value in EXPORTED.items() if ">>>" in (inspect.getdoc(value) or "")}
 
 
 def _unnamed(function: Callable[..., Any]) -> list[str]:
@@ -88,7 +90,7 @@ def _unnamed(function: Callable[..., Any]) -> list[str]:
 def test_every_public_function_documents_its_parameters(package):
     functions = {
         name: value
-        for name, value in PUBLIC.items()
+        for name, value in EXPORTED.items()
         if name.startswith(f"{package}.") and inspect.isroutine(value)
     }
     assert len(functions) >= 10

@@ -230,6 +230,73 @@ def test_public_names_exist_and_have_docstrings(package: str) -> None:
             assert name in documented, f"{package}.{name} has no docstring below it"
 
 
+LIBRARY = [name for name in PACKAGES if name.split(".")[1:] and name.split(".")[1] in ROAD[1:]]
+
+
+def names_for_neighbours(package: str) -> set[str]:
+    """What a package of the library has for other packages beside what users are promised."""
+    module = importlib.import_module(package)
+    tree = ast.parse(Path(module.__file__ or "").read_text("utf-8"))
+    imports = [node for node in tree.body if isinstance(node, ast.ImportFrom)]
+    own = [node for node in imports if layer_of(node.module or "") == layer_of(package)]
+    names = {alias.asname or alias.name for node in own for alias in node.names}
+    used = {node.id for node in ast.walk(tree) if isinstance(node, ast.Name)}
+    return {n for n in names - used if not inspect.ismodule(getattr(module, n))} - {*module.__all__}
+
+
+def test_what_is_not_promised_is_taken_by_a_neighbour() -> None:
+    """`__all__` is what users are promised; a package has beside it what other packages use."""
+    taken = set()
+    for path in [*PACKAGE.rglob("*.py"), *PACKAGE.rglob("*.pyi"), ROOT / "docs/_site.py"]:
+        module = ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
+        names = imported_modules(
+            ast.parse(path.read_text("utf-8")), module, path.stem == "__init__"
+        )
+        home = module if path.stem == "__init__" else module.rpartition(".")[0]
+        for name, _ in names:
+            package = name.rpartition(".")[0]
+            if layer_of(package) != layer_of(module) or f"{package}.".startswith(f"{home}."):
+                taken.add(name)
+    for package in LIBRARY:
+        kept = {f"{package}.{name}" for name in names_for_neighbours(package)}
+        assert kept <= taken, f"for nobody: {sorted(kept - taken)}"
+
+
+def names_shown(text: str) -> Iterator[tuple[str, str]]:
+    """Package and name of what a text takes from packages of the library: imports, and dotted names
+    such as `fx.radiation.render`."""
+    for package, names in re.findall(r"from (fynjax[\w.]*) import (\([^)]*\)|.*)", text):
+        yield from ((package, name) for name in re.findall(r"\w+", names.partition("#")[0]))
+    for dotted in re.findall(r"\b(?:fx|fynjax)((?:\.\w+)+)", text):
+        package, _, rest = "fynjax", "", dotted
+        for part in rest.split(".")[1:]:
+            yield package, part
+            package = f"{package}.{part}"
+
+
+def test_what_users_are_shown_is_promised() -> None:
+    """Each name that README, pages, notebooks and examples of public names take."""
+    pages = [ROOT / "README.md", *(ROOT / "docs").rglob("*.md"), *(ROOT / "notebooks").glob("*.py")]
+    texts = {page.name: page.read_text("utf-8") for page in pages}
+    for package in LIBRARY:
+        module = importlib.import_module(package)
+        for name in module.__all__:
+            text = inspect.getdoc(getattr(module, name)) or ""
+            lines = [line for line in text.splitlines() if line.lstrip().startswith((">>>", "..."))]
+            texts[f"{package}.{name}"] = "\n".join(lines)
+    shown = {(p, n): where for where, text in texts.items() for p, n in names_shown(text)}
+    assert len([package for package, _ in shown if package in LIBRARY]) > 50
+    missing = {
+        (package, name): where
+        for (package, name), where in shown.items()
+        if package in LIBRARY
+        and hasattr(importlib.import_module(package), name)
+        and not inspect.ismodule(getattr(importlib.import_module(package), name))
+        and name not in importlib.import_module(package).__all__
+    }
+    assert not missing
+
+
 def attribute_docstrings(folder: str) -> set[str]:
     """Module-level names of a package with a string below them, the docstring of a constant."""
     found = set()

@@ -90,7 +90,7 @@ def check_schemas():
 def check_fits():
     """Bounds and priors of fits of plots and of leaves."""
     from fynjax.app.io.plot import CalibrationTable
-    from fynjax.inversion import make_space
+    from fynjax.inversion._space import make_space
     from fynjax.leaf import LEAF_PARAMETERS, LeafParameters
     from fynjax.leaf._problem import LeafSettings, make_setup
     from fynjax.leaf._residual import to_physical

@@ -1,8 +1,8 @@
-"""Make the example folder of leaf spectra that `fynjax.app.io.spectra.example_folder` names.
+"""Make the example folder of leaf spectra that `fynjax.app.io.spectra.example_leaves` names.
 
 No measured leaves can be shipped: those of ANGERS, LOPEX and NASA FFT state no licence. These six
 are PROSPECT-D's with what real leaves differ from it by: a draw of the error that was learned on
-those collections (`fynjax.leaf.default_error_model`), and an instrument's noise. What the
+those collections (the shipped error model of leaves), and an instrument's noise. What the
 laboratory found differs from the leaf's own trait by a draw of what spectra do not explain of it.
 
     python tools/make_example_leaves.py
@@ -16,7 +16,8 @@ import pandas as pd
 from scipy.ndimage import gaussian_filter1d
 
 import fynjax as fx
-from fynjax.leaf import bin_centres, default_error_model
+from fynjax.leaf import bin_centres
+from fynjax.leaf._error_model import default_error_model
 
 FOLDER = Path(fx.__file__).parent / "io" / "spectra" / "data" / "leaves"
 TRAITS = ("structure", "chlorophyll", "carotenoids", "water", "dry_matter")

@@ -19,7 +19,7 @@ class DryRunEnd(Exception):
         self.files = dict(files)
         """The main files that the job would write, by name, with their sizes where known."""
         self.plan = plan
-        """`fynjax.scene.ScenePlan` of the scene that the job would plant; None: none so far."""
+        """Plan of the scene that the job would plant, with its memory; None: none so far."""
         self.warnings: list[str] = []
         """What the command warned of until then."""
 

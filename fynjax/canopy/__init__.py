@@ -26,7 +26,7 @@ from fynjax.canopy._form import FormPrior, GrowthForm, LeafGeometry, Shrubland, 
 from fynjax.canopy._greenness import Greenness, band_roles, band_word, choose_greenness
 from fynjax.canopy._grid import VoxelGrid, deposit
 from fynjax.canopy._instances import random_orientation, unit_shapes
-from fynjax.canopy._pattern import VegetationPattern, even_levels, vegetation_pattern
+from fynjax.canopy._pattern import VegetationPattern, vegetation_pattern
 from fynjax.canopy._plant import Organ, PlantModel, thin_plant
 from fynjax.canopy._plant_model import plant_model
 from fynjax.canopy._sites import (
@@ -38,8 +38,8 @@ from fynjax.canopy._sites import (
     poisson_disk,
     site_weight,
 )
-from fynjax.canopy._table import leaf_sizes, table1_2006
-from fynjax.canopy._taxa import FormOfTaxon, form_of_taxon
+from fynjax.canopy._table import table1_2006
+from fynjax.canopy._taxa import form_of_taxon
 from fynjax.canopy.forms import FORMS
 from fynjax.canopy.mesh import (
     GeneratedPlant,
@@ -56,15 +56,12 @@ from fynjax.canopy.mesh import (
 
 __all__ = [
     "FORMS",
-    "SITES",
     "AbstractLeafAngle",
     "Crown",
     "EllipsoidalLeafAngle",
     "Foliage",
-    "FormOfTaxon",
     "FormPrior",
     "GeneratedPlant",
-    "Greenness",
     "GrowthForm",
     "LeafGeometry",
     "MeshPlant",
@@ -73,48 +70,22 @@ __all__ = [
     "PlantMesh",
     "PlantModel",
     "Shoots",
-    "Shrubland",
     "SphericalLeafAngle",
     "TabulatedLeafAngle",
     "Taxa",
     "TrigonometricLeafAngle",
-    "VegetationPattern",
     "VerhoefLeafAngle",
     "VoxelGrid",
-    "assign_sites",
-    "band_roles",
-    "band_word",
-    "choose_greenness",
-    "clark_evans",
-    "clumping",
-    "deposit",
-    "even_levels",
-    "expected_count",
-    "form_of_taxon",
     "generate_plant",
-    "grouped",
     "instance_area",
     "leaf_angle",
-    "leaf_sizes",
     "modelled_diameter",
-    "most_projected",
-    "plant_from_branches",
     "plant_model",
     "plant_model_from_mesh",
-    "plant_model_from_points",
     "poisson_disk",
-    "projected_count",
-    "projections",
-    "random_orientation",
     "read_plant_mesh",
-    "read_scan",
     "rounded_count",
-    "share_from_above",
-    "site_weight",
     "soft_count",
     "table1_2006",
     "target_area",
-    "thin_plant",
-    "unit_shapes",
-    "vegetation_pattern",
 ]

@@ -19,7 +19,7 @@ _REACH = tuple(product(range(-2, 3), repeat=2))
 """Cells, as (row, column), in which a point may be too near; with corners."""
 
 
-def fill(
+def fill_disks(
     rng: np.random.Generator,
     lx: float,
     ly: float,

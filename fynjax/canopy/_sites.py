@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 
 from fynjax._core.errors import InputError
 from fynjax._core.seeds import generator
-from fynjax.canopy._bridson import fill
+from fynjax.canopy._bridson import fill_disks
 
 
 def poisson_disk(
@@ -74,7 +74,7 @@ def poisson_disk(
             f"a radius of {radius} m on {lx} m x {ly} m needs about "
             f"{SITES * lx * ly / radius**2:.0f} points: are both in metres?"
         )
-    return fill(generator(seed), lx, ly, float(radius), int(attempts), bool(periodic), start)
+    return fill_disks(generator(seed), lx, ly, float(radius), int(attempts), bool(periodic), start)
 
 
 def clark_evans(

@@ -57,8 +57,6 @@ from fynjax.diversity._traits import (
 )
 
 __all__ = [
-    "FEWEST_PLOTS",
-    "VARIETY",
     "Classification",
     "DiversityParts",
     "Phylogeny",

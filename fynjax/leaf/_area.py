@@ -24,7 +24,7 @@ _HALF_OVER_PROJECTED = {"broad": FLAT, "needle": ROUND, "mat": ROUND, "culm": RO
 _NOT_PER_AREA = ("structure", "brown_pigments")
 
 
-def check_shape(shape: str) -> None:
+def check_leaf_shape(shape: str) -> None:
     """Raise `InputError` for an unknown shape."""
     _check(shape, LeafShape, "leaf_shape")
 
@@ -52,6 +52,6 @@ def area_factors(area: LeafArea, shape: LeafShape) -> dict[str, float]:
     0.6366
     """
     _check(area, LeafArea, "area")
-    check_shape(shape)
+    check_leaf_shape(shape)
     content = 1.0 if area == "projected" else 1.0 / _HALF_OVER_PROJECTED[shape]
     return {name: 1.0 if name in _NOT_PER_AREA else content for name in LEAF_PARAMETERS}

@@ -59,7 +59,7 @@ def native_wavelength() -> np.ndarray:
     return _table("D")[0]
 
 
-def check_wavelength(wavelength: np.ndarray) -> None:
+def check_in_tables(wavelength: np.ndarray) -> None:
     """Raise `InputError` unless every band centre lies inside the tables."""
     if wavelength.ndim != 1 or wavelength.size == 0:
         raise InputError(

@@ -11,7 +11,7 @@ from jaxtyping import Array, Bool, Float
 
 from fynjax._core.errors import InputError
 from fynjax._core.parameters import Parameter
-from fynjax.leaf._area import SIDE_BY_SIDE, LeafShape, check_shape
+from fynjax.leaf._area import SIDE_BY_SIDE, LeafShape, check_leaf_shape
 
 MEASUREMENT_PARAMETERS = {
     "gap_fraction": Parameter(
@@ -234,7 +234,7 @@ def usual_measurement(
 
     **Raises:** `InputError` for an unknown shape.
     """
-    check_shape(shape)
+    check_leaf_shape(shape)
     black = background is not None and not np.any(np.asarray(background))
     if shape == "broad" and black:
         return IntegratingSphere(offset_deviation)

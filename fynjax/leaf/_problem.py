@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float
 
 from fynjax._core.errors import InputError, did_you_mean
 from fynjax._core.parameters import Parameter
-from fynjax.leaf._area import LeafShape, check_shape
+from fynjax.leaf._area import LeafShape, check_leaf_shape
 from fynjax.leaf._coefficients import (
     CONSTITUENTS,
     ProspectVersion,
@@ -40,8 +40,8 @@ from fynjax.leaf._measurement import (
 )
 from fynjax.leaf._parameters import LEAF_PARAMETERS
 from fynjax.leaf._prospect import interface_transmissivity, surface_transmissivity
-from fynjax.leaf._residual import LeafProblem, Optics, to_unconstrained
-from fynjax.leaf._spectra import Spectra, SpectraSource, as_spectra, check_fractions
+from fynjax.leaf._residual import MeasuredLeaf, Optics, to_unconstrained
+from fynjax.leaf._spectra import Provenance, Spectra, as_spectra, check_fractions
 
 FitDomain = Literal["full", "optimal"]
 """Wavelengths that a fit uses: all of 450-2400 nm, or the published sub-domains."""
@@ -116,7 +116,7 @@ class LeafSettings:
 
     def __post_init__(self) -> None:
         check_version(self.version)
-        check_shape(self.leaf_shape)
+        check_leaf_shape(self.leaf_shape)
         if self.domain not in get_args(FitDomain):
             raise InputError(f'`domain` must be "full" or "optimal", but is {self.domain!r}')
         if isinstance(self.error_model, str) and self.error_model not in get_args(ErrorName):
@@ -162,7 +162,7 @@ Prior = tuple[Float[np.ndarray, "leaf parameter"], Float[np.ndarray, "leaf param
 def prepare(
     wavelength: Any, reflectance: Any, transmittance: Any, settings: LeafSettings
 ) -> tuple[
-    Setup, Float[np.ndarray, "leaf 2 bin"], Bool[np.ndarray, "leaf 2 bin"], Prior, SpectraSource
+    Setup, Float[np.ndarray, "leaf 2 bin"], Bool[np.ndarray, "leaf 2 bin"], Prior, Provenance
 ]:
     """Constants of a fit, binned spectra, which bins to use, priors, and where leaves are from."""
     spectra = as_spectra(wavelength, reflectance, transmittance)
@@ -396,7 +396,7 @@ def leaf_priors(setup: Setup, data: np.ndarray, use: np.ndarray) -> Prior:
 
 def leaf_problems(
     setup: Setup, data: np.ndarray, use: np.ndarray, prior: Prior, inflation: np.ndarray
-) -> LeafProblem:
+) -> MeasuredLeaf:
     """The problems of leaves as NumPy arrays with the leaf as first axis."""
     precision = np.where(use, 1.0 / (setup.noise**2 + setup.distrust**2), 0.0)
-    return LeafProblem(np.where(use, data, 0.0), precision, inflation, *prior)
+    return MeasuredLeaf(np.where(use, data, 0.0), precision, inflation, *prior)

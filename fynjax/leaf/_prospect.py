@@ -20,12 +20,12 @@ from jaxtyping import Array, Float
 from fynjax._core.errors import InputError, did_you_mean
 from fynjax._core.math import real_array
 from fynjax._core.precision import double_precision
-from fynjax.leaf._area import LeafShape, check_shape
+from fynjax.leaf._area import LeafShape, check_leaf_shape
 from fynjax.leaf._coefficients import (
     CONSTITUENTS,
     ProspectVersion,
+    check_in_tables,
     check_version,
-    check_wavelength,
     coefficients_at,
     native_wavelength,
 )
@@ -148,7 +148,7 @@ def surface_transmissivity(
     neighbour, and R of 139 mats at 450 nm has the median 0.038 (NASA FFT): they, and culms, count
     as flat. 40 degrees are the half angle of the authors of PROSPECT for a flat leaf.
     """
-    check_shape(shape)
+    check_leaf_shape(shape)
     if shape == "needle":
         return cylinder_transmissivity(refractive_index)
     return interface_transmissivity(incidence_half_angle, refractive_index)
@@ -440,12 +440,12 @@ def prospect(
         return LeafOptics(r.reshape(*shape, -1), t.reshape(*shape, -1), jnp.asarray(grid, r.dtype))
     check_version(version)
     grid = native_wavelength() if wavelength is None else np.asarray(wavelength, np.float64)
-    check_wavelength(grid)
+    check_in_tables(grid)
     # Everything that does not depend on the leaf is a constant, made once for a grid and version.
     fields = [getattr(parameters, name) for name in CONSTITUENTS[version]]
     dtype = jnp.result_type(parameters.structure, *fields)
     key = None if wavelength is None else grid.tobytes()
-    check_shape(leaf_shape)
+    check_leaf_shape(leaf_shape)
     if isinstance(incidence_half_angle, jax.Array) and leaf_shape != "needle":
         absorption, _, diffuse, index = _constants(version, key, leaf_shape, 40.0, dtype.name)
         first = interface_transmissivity(incidence_half_angle, jnp.asarray(index)).astype(dtype)

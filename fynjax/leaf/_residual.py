@@ -37,7 +37,7 @@ class Optics(eqx.Module):
     measurement: AbstractMeasurement
 
 
-class LeafProblem(NamedTuple):
+class MeasuredLeaf(NamedTuple):
     """One leaf: data, weights, prior. Bands without data have precision 0."""
 
     data: Float[Any, "2 bin"]
@@ -49,7 +49,7 @@ class LeafProblem(NamedTuple):
 
 class Whitening(NamedTuple):
     """What makes numbers of mean 0 and variance 1 of a leaf's misfit and of its prior, see
-    `residual`."""
+    `leaf_residual`."""
 
     misfit: Float[Any, "factor factor"]
     prior: Float[Any, "parameter parameter"]
@@ -123,8 +123,8 @@ def inverse_triangular(lower: Array) -> Array:
     return jax.lax.fori_loop(0, len(lower), row, jnp.zeros_like(lower))
 
 
-def whitening(problem: LeafProblem, factors: Array) -> Whitening:
-    """Whitening of a leaf, by which `residual` multiplies.
+def whitening(problem: MeasuredLeaf, factors: Array) -> Whitening:
+    """Whitening of a leaf, by which `leaf_residual` multiplies.
 
     A square root of the inverse of F^T F + D is D^-1/2 (I - F^T N F D^-1) with
     N = (L + L L^T)^-1 and L L^T = I + F D^-1 F^T (Andrews 1968, AIAA Journal 6, 1165, for the
@@ -136,11 +136,11 @@ def whitening(problem: LeafProblem, factors: Array) -> Whitening:
     return Whitening(root, jnp.linalg.cholesky(problem.prior_precision).T)
 
 
-Given = tuple[LeafProblem, Whitening, Array, Optics]
+Given = tuple[MeasuredLeaf, Whitening, Array, Optics]
 """A leaf's problem and whitening, and the factors [factor, 2, bin] and optics of all."""
 
 
-def residual(z: Array, given: Given) -> Float[Array, " number"]:
+def leaf_residual(z: Array, given: Given) -> Float[Array, " number"]:
     """What z departs from the data by, then from the prior, each in units of its error: minus half
     its square is the logarithm of the posterior density, up to a constant. Bands without data have
     0. Differentiable: two slopes of each band serve all parameters, see `pile`."""
@@ -154,14 +154,14 @@ def residual(z: Array, given: Given) -> Float[Array, " number"]:
 
 def _function(z: Array, given: Given) -> tuple[Array, None]:
     """As a solver of optimistix calls it."""
-    return residual(z, given), None
+    return leaf_residual(z, given), None
 
 
 @eqx.filter_jit
 def _begin(leaves: tuple, factors: Any, optics: Optics) -> tuple[BroydenState, Whitening]:
     """State of the solver at the z of each leaf, and its whitening; `leaves` is z and problems."""
 
-    def begin(z: Array, problem: LeafProblem) -> tuple[BroydenState, Whitening]:
+    def begin(z: Array, problem: MeasuredLeaf) -> tuple[BroydenState, Whitening]:
         roots = whitening(problem, factors)
         given = problem, roots, factors, optics
         return _SOLVER.init(_function, z, given, None, None, None, NO_TAGS), roots
@@ -177,7 +177,7 @@ def _advance(leaves: tuple, factors: Any, optics: Optics) -> tuple[Array, Broyde
     """
 
     def several(
-        z: Array, state: BroydenState, problem: LeafProblem, roots: Whitening
+        z: Array, state: BroydenState, problem: MeasuredLeaf, roots: Whitening
     ) -> tuple[Array, BroydenState, Array]:
         given = problem, roots, factors, optics
 
@@ -191,7 +191,7 @@ def _advance(leaves: tuple, factors: Any, optics: Optics) -> tuple[Array, Broyde
     return jax.vmap(several)(*leaves)
 
 
-def solve(start: np.ndarray, problems: LeafProblem, factors: Any, optics: Optics) -> Solution:
+def solve(start: np.ndarray, problems: MeasuredLeaf, factors: Any, optics: Optics) -> Solution:
     """The most probable z of each leaf, from `start` [leaf, parameter].
 
     Leaves that have converged leave the batch, which shrinks through few fixed sizes: a few slow
@@ -200,14 +200,14 @@ def solve(start: np.ndarray, problems: LeafProblem, factors: Any, optics: Optics
     size = max(_SIZES[0], _BLOCK // (problems.data[0].size * start.shape[1]))
     blocks = (slice(at, at + size) for at in range(0, len(start), size))
     parts = [
-        _solve_block(start[rows], LeafProblem(*(a[rows] for a in problems)), factors, optics)
+        _solve_block(start[rows], MeasuredLeaf(*(a[rows] for a in problems)), factors, optics)
         for rows in blocks
     ]
     return Solution(*(np.concatenate(values) for values in zip(*parts)))
 
 
 def _solve_block(
-    start: np.ndarray, problems: LeafProblem, factors: Any, optics: Optics
+    start: np.ndarray, problems: MeasuredLeaf, factors: Any, optics: Optics
 ) -> Solution:
     # All leaves begin; those that have not converged are packed anew before each round.
     begun = [

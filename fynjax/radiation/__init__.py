@@ -2,12 +2,10 @@
 
 from fynjax.radiation._arrays import voxel_scene
 from fynjax.radiation._canopy import CanopyAlbedo, canopy_albedo, canopy_reflectance
-from fynjax.radiation._check import check_scene, voxel_values
-from fynjax.radiation._fluxes import Fluxes, absorption, diffuse_sources, fluxes
+from fynjax.radiation._check import voxel_values
+from fynjax.radiation._fluxes import Fluxes, diffuse_sources, fluxes
 from fynjax.radiation._ground import RahmanPintyVerstraete
-from fynjax.radiation._image import Sight
 from fynjax.radiation._multiple import DiffuseField
-from fynjax.radiation._phase import area_scattering
 from fynjax.radiation._rays import (
     AbstractRays,
     Lattice,
@@ -22,7 +20,7 @@ from fynjax.radiation._render import (
     Light,
     check_light,
     directional_reflectance,
-    look,
+    first_met,
     reflectance_factor,
     render,
     solve_light,
@@ -39,25 +37,15 @@ __all__ = [
     "Illumination",
     "Lattice",
     "Light",
-    "LightInWindows",
     "OpticalClasses",
     "RahmanPintyVerstraete",
     "RayField",
     "RayLattice",
-    "Sight",
-    "Tiling",
     "VoxelScene",
-    "absorption",
-    "area_scattering",
     "canopy_albedo",
     "canopy_reflectance",
-    "check_light",
-    "check_scene",
-    "diffuse_sources",
     "directional_reflectance",
     "fluxes",
-    "light_tiling",
-    "look",
     "nadir_rays",
     "parallel_rays",
     "perspective_rays",
@@ -65,5 +53,4 @@ __all__ = [
     "render",
     "solve_light",
     "voxel_scene",
-    "voxel_values",
 ]

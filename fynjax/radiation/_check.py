@@ -308,7 +308,7 @@ def _check_values(scene: VoxelScene) -> None:
         )
 
 
-def check_memory(
+def check_light_memory(
     scene: VoxelScene,
     ordinates: int,
     factor: tuple[int, int],

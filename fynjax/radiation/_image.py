@@ -352,6 +352,143 @@ class _Lit(eqx.Module):
         return jax.lax.scan(jax.checkpoint(one), sums, (slabs, self.scattered))[0]
 
 
+class _Mixture(NamedTuple):
+    """What a slab has in the footprint of each pixel."""
+
+    total: Float[Array, "row column"]
+    """Area of all classes per volume [m2 m-3]."""
+    turned: Float[Array, "row column"]
+    """The same, projected along the ray: the ray's extinction [m-1]."""
+    common: list[Array]
+    """Area of the classes of each kind (`kinds`) that a hot spot is followed of."""
+
+
+class _Passed(NamedTuple):
+    """What a ray has passed on its way down, from piece to piece of a slab."""
+
+    depth: Float[Array, "row column"]
+    """Optical depth on the way to the sensor [-]."""
+    above: Float[Array, "row column"]
+    """Optical depth on the way to the sun [-]."""
+    sunlit: Float[Array, "row column"]
+    """Path in the slab times the gaps to sun and sensor [m]."""
+    viewed: Float[Array, "row column"]
+    """Path in the slab times the gap to the sensor [m]."""
+    states: tuple[Any, ...]
+    """What both ways have had in common, of each kind with a hot spot."""
+    end: tuple[Array, Array, Array] | None
+    """Share of the ray that terrain has stopped, and in this slab what of it the canopy lets
+    through to the sensor, and both to it and to the sun; None on level ground."""
+
+
+class _Met(NamedTuple):
+    """What a ray has met on its way down, from slab to slab."""
+
+    depth: Float[Array, "row column"]
+    above: Float[Array, "row column"]
+    """As in `_Passed`."""
+    sunlit: Float[Array, "class row column"]
+    """Area of each class, times the gaps to sun and sensor [-]."""
+    states: tuple[Any, ...]
+    """As in `_Passed`."""
+    blocked: Float[Array, "row column"]
+    """Share of the ray that terrain has stopped [-]."""
+    classes: Float[Array, "class row column"] | None
+    """Share of the ray that ends on each class [-]; None where it is not asked for."""
+
+
+class _Way:
+    """The way of rays down through the pieces of the slabs, and of sunbeams to the same points."""
+
+    def __init__(self, scene: VoxelScene, sun: SunField, rays: AbstractRays, pieces: int) -> None:
+        _, ny, nx = scene.shape
+        wide = scene.structure_factor[1]
+        self.scene, self.sun, self.rays = scene, sun, rays
+        self.step = scene.height / pieces
+        """Height of a piece [m]."""
+        self.path = self.step / rays.cosine
+        """Length of each ray in it [m]."""
+        # The unit vector towards the sun, from its slope.
+        one = jnp.ones(1, scene.area_density.dtype)
+        towards_sun = jnp.concatenate([sun.slope, one]) * sun.cosine
+        self.overlap = overlaps(scene.classes, rays, towards_sun, self.step)
+        self.voxels = Lattice(ny, nx, scene.horizontal, scene.boundary)
+        self.finest = Lattice(ny * wide, nx * wide, scene.horizontal / wide, scene.boundary)
+
+    def beams(self, height: Array) -> Callable[[Array], Array]:
+        """Sampler of a plane of `sun.depth`."""
+        scene, sun = self.scene, self.sun
+        return self.rays.sampler(height, sun.lattice(scene), sun.offset(height, scene))
+
+    def footprint(
+        self, height: Array, rays: AbstractRays | None = None
+    ) -> Callable[[Array], Array]:
+        """Sampler of what voxels have at a height, by each of the rays, or of others."""
+        return (rays or self.rays).sampler(
+            height, self.voxels, smooth=self.scene.structure is not None
+        )
+
+    def through(
+        self, mixture: _Mixture, carry: _Passed, at: tuple[Any, ...]
+    ) -> tuple[_Passed, None]:
+        """Through a piece `at` a height: area of its finest voxels, the sun's depth at its bottom,
+        that height, which it lies above, and what terrain does there."""
+        depth, above, sunlit, viewed, states, end = carry
+        structure, plane, height, terrain = at
+        # The sun's depth is linear between planes.
+        length = self.path
+        if structure is not None:
+            # Its area over the voxels' mean, which the mixture is counted in.
+            here = self.rays.sampler(height + 0.5 * self.step, self.finest)(structure)
+            length = self.path * self.scene.relative_density(here, mixture.total)
+        # Depths of the piece along the ray, and of both ways, to the sensor and to the sun.
+        along = mixture.turned * length
+        below = self.beams(height)(plane)
+        crossed = along + below - above
+        # Chance that leaves of the piece are seen and lit: with a hot spot at points of the piece,
+        # as leaves that stand in both ways count once; else in closed form.
+        if self.overlap:
+            areas = [area * (length / self.path) for area in mixture.common]
+            shared = _sum_points(
+                [o.at_points(s, a) for o, s, a in zip(self.overlap, states, areas)]
+            )
+            weight = jnp.zeros_like(depth)
+            for share, portion, extra in zip(POINTS, POINT_WEIGHTS, shared):
+                weight = weight + portion * jnp.exp(extra - crossed * share - depth - above)
+            states = tuple(o.advance(s, a) for o, s, a in zip(self.overlap, states, areas))
+        else:
+            weight = transmittance_beyond(depth + above, crossed)
+        # Chance that they are seen.
+        mean = jnp.exp(-depth) * mean_transmittance(along)
+        if terrain is not None:
+            covering, unshaded = terrain
+            blocked, gap, through = end
+            mean = mean * (1.0 - blocked)
+            weight = weight * (1.0 - blocked) * self.beams(height + self.step)(unshaded)
+        sunlit, viewed = sunlit + weight * length, viewed + mean * length
+        depth = depth + along
+        if terrain is not None:
+            # The ray ends on the ground by the largest share of it that it has met.
+            now = jnp.maximum(blocked, self.rays.sampler(height, self.voxels)(covering))
+            ended = (now - blocked) * jnp.exp(-depth)
+            lit_share = jnp.exp(shared[-1] - below) if self.overlap else jnp.exp(-below)
+            end = now, gap + ended, through + ended * lit_share
+        return _Passed(depth, below, sunlit, viewed, states, end), None
+
+    def in_blocks(self, met: _Slab, mixture: _Mixture, mixed: Array, together: int) -> _Slab:
+        """A slab as means of blocks of `together` x `together` rays."""
+        if together == 1:
+            return met
+        # Rays count by the area they meet, which light is nearly in proportion to: within a block
+        # area changes much, the light of an area little.
+        middle = self.footprint(met.height, self.rays.together(together))
+        area = middle(mixed.sum(axis=0))
+        met = _in_blocks(met._replace(viewed=met.viewed * mixture.total), together)
+        return met._replace(
+            viewed=jnp.where(area > 0, met.viewed / jnp.where(area > 0, area, 1.0), 0.0)
+        )
+
+
 def _look(
     scene: VoxelScene,
     sun: SunField,
@@ -368,146 +505,68 @@ def _look(
     light; without it the `_Slab`s, stacked along a first axis, and all of it as means of blocks of
     `together` x `together` rays. The classes that they meet are counted with `classes_met`.
     """
-    _, ny, nx = scene.shape
     classes = scene.classes
     dtype = scene.area_density.dtype
     projection = pixel_projection(classes.angles, rays)[jnp.asarray(classes.angle_of_class)]
-    cosine = rays.cosine
-    wide = scene.structure_factor[1]
-    step = scene.height / (len(layers.middles) * cut.pieces)
-    path = step / cosine
-    # The unit vector towards the sun, from its slope.
-    towards_sun = jnp.concatenate([sun.slope, jnp.ones(1, dtype)]) * sun.cosine
-    overlap = overlaps(classes, rays, towards_sun, step)
+    way = _Way(scene, sun, rays, len(layers.middles) * cut.pieces)
     members = [_members(classes, kind) for kind in kinds(classes)]
-    voxels = Lattice(ny, nx, scene.horizontal, scene.boundary)
-    finest = Lattice(ny * wide, nx * wide, scene.horizontal / wide, scene.boundary)
-
-    def beams(height: Array) -> Callable[[Array], Array]:
-        """Sampler of a plane of `sun.depth`."""
-        return rays.sampler(height, sun.lattice(scene), sun.offset(height, scene))
-
-    def piece(
-        mixture: tuple[Any, ...], carry: tuple[Any, ...], at: tuple[Any, ...]
-    ) -> tuple[tuple[Any, ...], None]:
-        total, turned, common = mixture
-        depth, above, sunlit, viewed, states, end = carry
-        structure, plane, height, terrain = at
-        # The piece begins at `height` and lies above it; the sun's depth is linear between planes.
-        length = path
-        if structure is not None:
-            # Its area over the voxels' mean, which the mixture is counted in.
-            here = rays.sampler(height + 0.5 * step, finest)(structure)
-            length = path * scene.relative_density(here, total)
-        # Depths of the piece along the ray, and of both ways, to the sensor and to the sun.
-        along = turned * length
-        below = beams(height)(plane)
-        crossed = along + below - above
-        # Chance that leaves of the piece are seen and lit: with a hot spot at points of the piece,
-        # as leaves that stand in both ways count once; else in closed form.
-        if overlap:
-            areas = [area * (length / path) for area in common]
-            shared = _sum_points([o.at_points(s, a) for o, s, a in zip(overlap, states, areas)])
-            weight = jnp.zeros_like(depth)
-            for share, portion, extra in zip(POINTS, POINT_WEIGHTS, shared):
-                weight = weight + portion * jnp.exp(extra - crossed * share - depth - above)
-            states = tuple(o.advance(s, a) for o, s, a in zip(overlap, states, areas))
-        else:
-            weight = transmittance_beyond(depth + above, crossed)
-        # Chance that they are seen.
-        mean = jnp.exp(-depth) * mean_transmittance(along)
-        if terrain is not None:
-            covering, unshaded = terrain
-            blocked, gap, through = end
-            mean = mean * (1.0 - blocked)
-            weight = weight * (1.0 - blocked) * beams(height + step)(unshaded)
-        sunlit, viewed = sunlit + weight * length, viewed + mean * length
-        depth = depth + along
-        if terrain is not None:
-            # The ray ends on the ground by the largest share of it that it has met.
-            now = jnp.maximum(blocked, rays.sampler(height, voxels)(covering))
-            ended = (now - blocked) * jnp.exp(-depth)
-            lit_share = jnp.exp(shared[-1] - below) if overlap else jnp.exp(-below)
-            end = now, gap + ended, through + ended * lit_share
-        return (depth, below, sunlit, viewed, states, end), None
-
-    def in_blocks(of_rays: Any) -> Any:
-        return jax.tree.map(lambda a: _mean_of_blocks(a, together) if a.ndim > 1 else a, of_rays)
-
-    def slab_in_blocks(met: _Slab, total: Array, mixed: Array) -> _Slab:
-        if together == 1:
-            return met
-        # Rays count by the area they meet, which light is nearly in proportion to: within a block
-        # area changes much, the light of an area little.
-        middle = rays.together(together).sampler(
-            met.height, voxels, smooth=scene.structure is not None
-        )
-        area = middle(mixed.sum(axis=0))
-        met = in_blocks(met._replace(viewed=met.viewed * total))
-        return met._replace(
-            viewed=jnp.where(area > 0, met.viewed / jnp.where(area > 0, area, 1.0), 0.0)
-        )
-
     none = jnp.zeros(rays.shape, dtype)
     hilly = scene.terrain is not None
 
-    def slab(carry: tuple[Any, ...], at: tuple[Any, ...]) -> tuple[tuple[Any, ...], Any]:
+    def slab(carry: tuple[_Met, Any], at: tuple[Any, ...]) -> tuple[tuple[_Met, Any], Any]:
         (depth, above, sunlit, states, blocked, met), sums = carry
         pieces, mixed, height, scattered = at
         # Area of each class in the pixel's footprint, and what of it the ray meets.
-        area = rays.sampler(height, voxels, smooth=scene.structure is not None)(mixed)
+        area = way.footprint(height)(mixed)
         turned = jnp.sum(area * projection, axis=0)
         common = [jnp.tensordot(jnp.asarray(m, dtype), area, axes=1) for m in members]
-        mixture = area.sum(axis=0), turned, common if overlap else []
+        mixture = _Mixture(area.sum(axis=0), turned, common if way.overlap else [])
         # Down through the pieces of the slab, the uppermost first.
-        start = (depth, above, none, none, states, (blocked, none, none) if hilly else None)
-        one = partial(piece, mixture)
+        start = _Passed(depth, above, none, none, states, (blocked, none, none) if hilly else None)
+        one = partial(way.through, mixture)
         if cut.pieces == 1:
-            ended, _ = one(start, jax.tree.map(lambda field: field[0], pieces))
+            passed, _ = one(start, jax.tree.map(lambda field: field[0], pieces))
         else:
-            ended, _ = jax.lax.scan(jax.checkpoint(one), start, pieces, reverse=True)
-        depth, above, lit_path, viewed, states, end = ended
+            passed, _ = jax.lax.scan(jax.checkpoint(one), start, pieces, reverse=True)
         ground = None
-        if end is not None:
-            blocked = end[0]
-            ground = _GroundInView(height - 0.5 * step * cut.pieces, *end[1:])
+        if passed.end is not None:
+            blocked = passed.end[0]
+            ground = _GroundInView(height - 0.5 * way.step * cut.pieces, *passed.end[1:])
         # What the slab adds: to the sunlit area of each class, and out of the diffuse light.
-        in_view = _Slab(height, viewed, ground)
-        met = None if met is None else met + viewed * area * projection
-        carry = depth, above, sunlit + lit_path * area, states, blocked, met
+        in_view = _Slab(height, passed.viewed, ground)
+        met = None if met is None else met + passed.viewed * area * projection
+        sunlit = sunlit + passed.sunlit * area
+        now = _Met(passed.depth, passed.above, sunlit, passed.states, blocked, met)
         if lit is None:
-            return (carry, sums), slab_in_blocks(in_view, mixture[0], mixed)
-        return (carry, lit.add(sums, in_view, scattered)), None
+            return (now, sums), way.in_blocks(in_view, mixture, mixed, together)
+        return (now, lit.add(sums, in_view, scattered)), None
 
     dark = jnp.zeros((0 if lit is None else classes.reflectance.shape[1], *rays.shape), dtype)
     no_class = jnp.zeros((len(classes.angle_of_class), *rays.shape), dtype)
-    start = (
-        none,
-        beams(jnp.asarray(scene.height, dtype))(layers.top),
-        no_class,
-        tuple(o.start(rays.shape) for o in overlap),
-        none,
-        no_class if classes_met else None,
-    )
+    at_top = way.beams(jnp.asarray(scene.height, dtype))(layers.top)
+    states = tuple(o.start(rays.shape) for o in way.overlap)
+    start = _Met(none, at_top, no_class, states, none, no_class if classes_met else None)
+    scattered = None if lit is None else lit.scattered
     # Recomputing a slab in the backward pass keeps memory to one slab's arrays.
-    ((depth, at_ground, sunlit, states, _, met), sums), slabs = jax.lax.scan(
+    (end, sums), slabs = jax.lax.scan(
         jax.checkpoint(slab),
         (start, (dark, dark)),
-        (
-            layers.pieces,
-            layers.composition,
-            layers.middles,
-            None if lit is None else lit.scattered,
-        ),
+        (layers.pieces, layers.composition, layers.middles, scattered),
         reverse=True,
     )
     # What is left of the ray ends on level ground, which the sun reaches as far as both ways share.
-    gap = jnp.exp(-depth)
+    gap = jnp.exp(-end.depth)
     level = None
     if not hilly:
-        shared = sum((state[0] + state[1] for state in states), start=jnp.zeros((), dtype))
-        level = _GroundInView(jnp.zeros((), dtype), gap, gap * jnp.exp(shared - at_ground))
-    return in_blocks(_View(sunlit, level, gap, met)), slabs if lit is None else sums
+        shared = sum((state[0] + state[1] for state in end.states), start=jnp.zeros((), dtype))
+        level = _GroundInView(jnp.zeros((), dtype), gap, gap * jnp.exp(shared - end.above))
+    view = _in_blocks(_View(end.sunlit, level, gap, end.classes), together)
+    return view, slabs if lit is None else sums
+
+
+def _in_blocks(of_rays: Any, together: int) -> Any:
+    """Means of blocks of `together` x `together` rays, of all that is an image."""
+    return jax.tree.map(lambda a: _mean_of_blocks(a, together) if a.ndim > 1 else a, of_rays)
 
 
 def _radiance(

@@ -6,7 +6,7 @@ to rounding whatever the grid (with periodic sides).
 """
 
 import dataclasses
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -231,107 +231,149 @@ def sweep(
     """
     ordinates = coarse.ordinates
     levels, azimuths = len(ordinates.cosine), ordinates.azimuths
-    dtype = source.dtype
-    flux = jnp.asarray(ordinates.fluxes, dtype)
-    above = sky.astype(dtype).reshape(levels, azimuths)
-    area = ground.shape
-    terrain = coarse.ground_share is not None
+    flux = jnp.asarray(ordinates.fluxes, source.dtype)
+    above = sky.astype(source.dtype).reshape(levels, azimuths)
 
     def pass_layers(
         entering: Array, hemisphere: tuple[Any, ...]
     ) -> tuple[Array, tuple[Array, ...]]:
         """Down through all layers, or up; the ground's light enters the way up."""
         outside, emitted, attenuation, shares = hemisphere
-        means, leaving, ended = [], [], []
+        passed = []
         for (group, steps), cells in zip(coarse.groups, attenuation):
-            move = coarse.moves(group, steps)
-            lengths = jnp.asarray(coarse.lengths(group, steps), dtype)[:, None, None, None]
-            around, from_ground = outside[group], entering[group]
-            # A step begins with its whole move: half a move back puts its middle on the path.
-            below = _shift(from_ground, -0.5 * move, around, coarse.boundary)
-
-            def layer(
-                radiance: Array,
-                cell: tuple[Any, ...],
-                move: np.ndarray = move,
-                lengths: Array = lengths,
-                steps: int = steps,
-                around: Array = around,
-                from_ground: Array = from_ground,
-                below: Array = below,
-            ) -> tuple[Array, tuple[Array, Array | None, Array | None]]:
-                emitted, (through, mean, emission), share = cell
-                emitted = emitted * lengths
-                # For every azimuth: the derivative is then summed over them once a layer.
-                wide = [jnp.broadcast_to(a, radiance.shape) for a in (through, mean, emission)]
-                through, mean, emission = wide
-                if terrain:  # on the way up, the ground at the bottom of the cell adds its light
-                    radiance = radiance + share[0] * (below - radiance)
-
-                def step(carry: tuple[Any, ...], _: None) -> tuple[tuple[Any, ...], None]:
-                    radiance, total, hit = carry
-                    radiance = _shift(radiance, move, around, coarse.boundary)
-                    if terrain:  # what runs into a hillside ends there, and is its light from then
-                        taken = radiance * share[2]
-                        radiance = radiance - taken + share[2] * share[3] * from_ground
-                        hit = hit + taken
-                    total = total + radiance * mean + emitted * emission
-                    return (radiance * through + emitted * mean, total, hit), None
-
-                nothing = jnp.zeros_like(radiance)
-                carry = (radiance, nothing, nothing if terrain else None)
-                (radiance, total, hit), _ = jax.lax.scan(step, carry, None, length=steps)
-                fell = None
-                if terrain:  # on the way down, it takes what falls on it
-                    fell = radiance * share[1]
-                    radiance = radiance - fell
-                return radiance, (total / steps, hit, fell)
-
-            # Layer after layer; then the other half move, so that what ends is over its own cell.
-            end, (mean, hit, fell) = jax.lax.scan(
-                jax.checkpoint(layer), below, (emitted[:, group], cells, shares)
-            )
-            end = end if fell is None else end + fell.sum(axis=0)
-            end = _shift(end, 0.5 * move, around, coarse.boundary)
-            means.append(mean)
-            leaving.append(end)
-            ended.append(end if hit is None else end + hit.sum(axis=0))
+            of_group = outside[group], entering[group], emitted[:, group]
+            passed.append(_pass_group(coarse, group, steps, of_group, cells, shares))
+        means, leaving, ended = zip(*passed)
         # The ground sends up what fell on it, and sunlight.
         falling = jnp.concatenate(ended)
         received = falling if coarse.exposure is None else falling * coarse.exposure
-        if shape is None:
-            irradiance = jnp.einsum("la,layx->yx", flux, received)
-            exitance = ground * (irradiance + sunlit) / jnp.pi
-            exitance = jnp.broadcast_to(exitance, falling.shape)
-        else:
-            weighted = (received * flux[:, :, None, None]).reshape(-1, *area)
-            # Into each upward direction its own share of what came from each downward one.
-            exitance = jnp.tensordot(shape.diffuse.T, weighted, axes=1)
-            exitance = (exitance + shape.sun[:, None, None] * sunlit) * ground / jnp.pi
-            exitance = exitance.reshape(falling.shape)
+        exitance = _sent_up(received, flux, ground, sunlit, shape)
         return exitance, (jnp.concatenate(means, axis=1), jnp.concatenate(leaving), received)
 
     # Two passes of one program: down from the top, with the sky's light; up, with the ground's.
     by_layer = jnp.moveaxis(source.reshape(2, levels, azimuths, *source.shape[1:]), 3, 1)
-    both = lambda down, up: jax.tree.map(lambda d, u: jnp.stack([d[::-1], u]), down, up)  # noqa: E731
-    shares = None
-    if coarse.ground_share is not None:
-        bottom, side = coarse.ground_share
-        none = jnp.zeros_like(bottom)
-        # Of each cell: the share of its light that the ground makes at its bottom (up), that ends
-        # there (down), that ends on ground to the side, and whether that ground shines back (up).
-        shares = both((none, bottom, side, none), (bottom, none, side, none + 1.0))
     hemispheres = (
         jnp.stack([above, jnp.zeros_like(above)]),
-        both(by_layer[0], by_layer[1]),
+        _down_and_up(by_layer[0], by_layer[1]),
         coarse.attenuation,
-        shares,
+        _ground_shares(coarse),
     )
-    entering = jnp.broadcast_to(above[:, :, None, None], (levels, azimuths, *area))
+    entering = jnp.broadcast_to(above[:, :, None, None], (levels, azimuths, *ground.shape))
     _, (mean, leaving, falling) = jax.lax.scan(pass_layers, entering, hemispheres)
     mean = jnp.moveaxis(jnp.stack([mean[0, ::-1], mean[1]]), 1, 3).reshape(source.shape)
     top = jnp.einsum("la,layx->yx", flux, leaving[1])
-    return mean, falling[0].reshape(-1, *area), top
+    return mean, falling[0].reshape(-1, *ground.shape), top
+
+
+def _down_and_up(down: Any, up: Any) -> Any:
+    """Fields of the layers for both passes: from the top down, then from the ground up."""
+    return jax.tree.map(lambda d, u: jnp.stack([d[::-1], u]), down, up)
+
+
+def _ground_shares(coarse: Coarse) -> tuple[Array, ...] | None:
+    """What terrain does to the light of each cell, for both passes; None on level ground.
+
+    The share of it that the ground makes at the cell's bottom (up), that ends there (down), that
+    ends on ground to the side, and whether that ground shines back (up).
+    """
+    if coarse.ground_share is None:
+        return None
+    bottom, side = coarse.ground_share
+    none = jnp.zeros_like(bottom)
+    shares: tuple[Array, ...] = _down_and_up(
+        (none, bottom, side, none), (bottom, none, side, none + 1.0)
+    )
+    return shares
+
+
+def _sent_up(
+    received: Float[Array, "level azimuth y x"],
+    flux: Float[Array, "level azimuth"],
+    ground: Float[Array, "y x"],
+    sunlit: Float[Array, "y x"],
+    shape: GroundShape | None,
+) -> Float[Array, "level azimuth y x"]:
+    """Radiance of the ground along each upward ordinate, by what it received and by sunlight."""
+    if shape is None:  # Lambert's law: alike in all directions
+        irradiance = jnp.einsum("la,layx->yx", flux, received)
+        return jnp.broadcast_to(ground * (irradiance + sunlit) / jnp.pi, received.shape)
+    weighted = (received * flux[:, :, None, None]).reshape(-1, *ground.shape)
+    # Into each upward direction its own share of what came from each downward one.
+    exitance = jnp.tensordot(shape.diffuse.T, weighted, axes=1)
+    exitance = (exitance + shape.sun[:, None, None] * sunlit) * ground / jnp.pi
+    return exitance.reshape(received.shape)
+
+
+class _OnTheWay(NamedTuple):
+    """What a step through a cell carries, along each ordinate."""
+
+    radiance: Float[Array, "level azimuth y x"]
+    """Radiance that travels."""
+    total: Float[Array, "level azimuth y x"]
+    """Mean radiance in the cell, summed over the steps."""
+    hit: Float[Array, "level azimuth y x"] | None
+    """What has ended on ground to the side; None on level ground."""
+
+
+def _pass_group(
+    coarse: Coarse,
+    group: slice,
+    steps: int,
+    of_group: tuple[Array, Array, Array],
+    attenuation: tuple[Array, ...],
+    shares: tuple[Array, ...] | None,
+) -> tuple[Array, Array, Array]:
+    """Ordinates that cross a layer in as many `steps`, through all layers of a pass.
+
+    `of_group` is their radiance outside an open scene, what enters the first layer, and what each
+    layer emits; `attenuation` of each layer the share that a step lets through, and the mean of
+    radiance and of emission along it. Returns the mean radiance of each layer, what leaves the
+    last one, and what of it falls on the ground, hillsides included.
+    """
+    around, from_ground, emitted = of_group
+    move = coarse.moves(group, steps)
+    lengths = jnp.asarray(coarse.lengths(group, steps), from_ground.dtype)[:, None, None, None]
+    terrain = coarse.ground_share is not None
+    # A step begins with its whole move: half a move back puts its middle on the path.
+    below = _shift(from_ground, -0.5 * move, around, coarse.boundary)
+
+    def layer(
+        radiance: Array, cell: tuple[Any, ...]
+    ) -> tuple[Array, tuple[Array, Array | None, Array | None]]:
+        emitted, (through, mean, emission), share = cell
+        emitted = emitted * lengths
+        # For every azimuth: the derivative is then summed over them once a layer.
+        wide = [jnp.broadcast_to(a, radiance.shape) for a in (through, mean, emission)]
+        through, mean, emission = wide
+        if terrain:  # on the way up, the ground at the bottom of the cell adds its light
+            radiance = radiance + share[0] * (below - radiance)
+
+        def step(carry: _OnTheWay, _: None) -> tuple[_OnTheWay, None]:
+            radiance, total, hit = carry
+            radiance = _shift(radiance, move, around, coarse.boundary)
+            if terrain:  # what runs into a hillside ends there, and is its light from then
+                taken = radiance * share[2]
+                radiance = radiance - taken + share[2] * share[3] * from_ground
+                hit = hit + taken
+            total = total + radiance * mean + emitted * emission
+            return _OnTheWay(radiance * through + emitted * mean, total, hit), None
+
+        nothing = jnp.zeros_like(radiance)
+        start = _OnTheWay(radiance, nothing, nothing if terrain else None)
+        (radiance, total, hit), _ = jax.lax.scan(step, start, None, length=steps)
+        fell = None
+        if terrain:  # on the way down, it takes what falls on it
+            fell = radiance * share[1]
+            radiance = radiance - fell
+        return radiance, (total / steps, hit, fell)
+
+    # Layer after layer; then the other half move, so that what ends is over its own cell.
+    end, (mean, hit, fell) = jax.lax.scan(
+        jax.checkpoint(layer), below, (emitted, attenuation, shares)
+    )
+    end = end if fell is None else end + fell.sum(axis=0)
+    end = _shift(end, 0.5 * move, around, coarse.boundary)
+    return mean, end, end if hit is None else end + hit.sum(axis=0)
 
 
 def _shift(

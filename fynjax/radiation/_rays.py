@@ -26,7 +26,7 @@ from fynjax.radiation._check import (
     check_whole,
     concrete,
 )
-from fynjax.radiation._resample import axis_weights, nearest_cells, sample, sample_near
+from fynjax.radiation._resample import axis_weights, nearest_cells, resample, sample_near
 
 _NEAR, _MANY, _MANY_OF_EACH = 3, 64, 201
 """Cells under a pixel up to which, and along a lattice from which on, they are read one by one: of
@@ -225,7 +225,7 @@ class RayLattice(AbstractRays):
             many = _MANY if field.ndim == 2 else _MANY_OF_EACH
             if width <= _NEAR * spacing and min(field.shape[-2:]) >= many:
                 return sample_near(field, *(nearest_cells(*axis) for axis in axes))
-            return sample(field, *(axis_weights(*axis) for axis in axes))
+            return resample(field, *(axis_weights(*axis) for axis in axes))
 
         return average
 

@@ -17,7 +17,7 @@ from jaxtyping import Array, ArrayLike, Float
 from fynjax._core.errors import InputError
 from fynjax.radiation._check import (
     as_floats,
-    check_memory,
+    check_light_memory,
     check_scene,
     check_view,
     check_whole,
@@ -270,7 +270,7 @@ def check_fit(scene: VoxelScene, accuracy: Accuracy, held: float = math.inf) -> 
     Raises `InputError` where its light does not fit in memory, too.
     """
     fit = fit_grids(scene, accuracy)
-    check_memory(scene, len(accuracy.ordinates.weights), fit.factor, fit.finer, held)
+    check_light_memory(scene, len(accuracy.ordinates.weights), fit.factor, fit.finer, held)
     return fit
 
 
@@ -415,7 +415,7 @@ def _pieces_along(
     return sublayers, _lean(steepest, across) if known else float(sublayers)
 
 
-def look(
+def first_met(
     scene: VoxelScene,
     rays: AbstractRays,
     accuracy: Accuracy | None = None,
@@ -439,7 +439,7 @@ def look(
     Differentiable in every array of the scene and of the rays.
 
     >>> import jax.numpy as jnp
-    >>> from fynjax.radiation import look, nadir_rays, voxel_scene
+    >>> from fynjax.radiation import first_met, nadir_rays, voxel_scene
     >>> scene = voxel_scene(
     ...     area_density=jnp.stack([jnp.full((2, 4, 4), 2.0), jnp.full((2, 4, 4), 1.0)]),
     ...     reflectance=jnp.array([[0.05], [0.3]]),
@@ -449,7 +449,7 @@ def look(
     ...     sun_zenith=30.0,
     ... )
     >>> centres = (jnp.arange(8) + 0.5) * 0.125
-    >>> sight = look(scene, nadir_rays(centres, centres, 0.125, camera=(0.5, 0.5, 30.0)))
+    >>> sight = first_met(scene, nadir_rays(centres, centres, 0.125, camera=(0.5, 0.5, 30.0)))
     >>> ground = sight.sunlit_ground + sight.shaded_ground
     >>> sight.canopy.mean(axis=(1, 2)).round(2), round(float(ground.mean()), 2)  # exp(-0.75)
     (Array([0.35, 0.18], dtype=float32), 0.47)
@@ -470,7 +470,7 @@ def look_up_to(
     steepest: Array | float,
     together: int = 1,
 ) -> Sight:
-    """`look` in a known sun, for rays whose zenith angle is `steepest` at most [degrees]."""
+    """`first_met` in a known sun, for rays whose zenith angle is `steepest` at most [degrees]."""
     sublayers, lean = _pieces_along(scene, accuracy, rays, steepest)
     return sight_of_rays(scene, sun, rays, sublayers, lean, together)
 

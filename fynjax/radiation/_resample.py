@@ -74,7 +74,7 @@ def sample_near(
     return jnp.sum(column_share * by_row[..., column], axis=-2)
 
 
-def sample(
+def resample(
     field: Float[Array, "*batch y x"],
     rows: Float[Array, "row y"],
     columns: Float[Array, "column x"],

@@ -16,7 +16,7 @@ from fynjax._core.math import mean_transmittance
 from fynjax.canopy import projections
 from fynjax.radiation._blocks import block_mean, spread
 from fynjax.radiation._rays import Lattice
-from fynjax.radiation._resample import axis_weights, sample
+from fynjax.radiation._resample import axis_weights, resample
 from fynjax.radiation._scene import VoxelScene
 from fynjax.radiation._terrain import covered, sun_on_ground
 
@@ -205,7 +205,7 @@ def _unshaded(
         wx = axis_weights(columns + height * slope[0], width, nx, scene.horizontal, scene.boundary)
         wy = axis_weights(rows + height * slope[1], width, ny, scene.horizontal, scene.boundary)
         # Terrain that has stopped a share of a beam keeps it stopped on the way down.
-        now = jnp.minimum(open_above, 1.0 - sample(below_ground, wy, wx))
+        now = jnp.minimum(open_above, 1.0 - resample(below_ground, wy, wx))
         return now, now
 
     start = jnp.ones((rows.shape[0], columns.shape[0]), columns.dtype)
@@ -237,7 +237,7 @@ def _canopy_above_ground(sun: SunField, scene: VoxelScene) -> Float[Array, "y x"
         )
         # The mean of what reaches the voxel's area, beam by beam: a beam of their mean depth
         # would bring less. Beside the lattice nothing is in the way.
-        return total + share * (1.0 - sample(-jnp.expm1(-depth), wy, wx)), None
+        return total + share * (1.0 - resample(-jnp.expm1(-depth), wy, wx)), None
 
     total, _ = jax.lax.scan(plane, jnp.zeros((ny, nx), dtype), (sun.depth, ends_here, heights))
     return total

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from fynjax.radiation._resample import axis_weights, sample
+from fynjax.radiation._resample import axis_weights, resample
 from fynjax.radiation._scene import VoxelScene
 
 _HORIZON = 128
@@ -103,7 +103,7 @@ def sun_on_ground(
         columns = axis_weights(x + rise * slope[0], width, nx, width, scene.boundary)
         rows = axis_weights(y + rise * slope[1], width, ny, width, scene.boundary)
         inside = rows.sum(axis=1)[:, None] * columns.sum(axis=1)
-        clearance = height + rise - sample(height, rows, columns)
+        clearance = height + rise - resample(height, rows, columns)
         share = jnp.clip(0.5 + clearance / edge, 0.0, 1.0)
         return jnp.minimum(lit, jnp.where(inside > 0.5, share, 1.0)), None
 

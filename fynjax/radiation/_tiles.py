@@ -177,7 +177,7 @@ class LightInWindows:
         held: int,
         windows: Callable[[Tiling], Callable[[int, int], VoxelScene]],
     ) -> tuple[Tiling, Callable[[int, int], Sight]]:
-        """Tiles of a picture, and what rays of the one in a row and column meet first: `look`.
+        """Tiles of a picture, and what rays of the one in a row and column meet first: `first_met`.
 
         **Arguments:** `rays`, `tile`, `steepest`, and errors, as for `picture`; `held` and
         `windows` as the class has them, whose classes may be others.

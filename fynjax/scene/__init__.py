@@ -6,7 +6,7 @@ Its light is computed in float32.
 from fynjax._core.compiler import keep_compiled
 from fynjax.scene._cover import ProjectedCover, projected_cover
 from fynjax.scene._cover_words import cover_range, name_classes
-from fynjax.scene._ground import COVERS, Ground, ground_shares
+from fynjax.scene._ground import COVERS, Ground
 from fynjax.scene._instances import (
     Instances,
     clark_evans_indices,
@@ -15,17 +15,10 @@ from fynjax.scene._instances import (
     hard_scene,
 )
 from fynjax.scene._large import TiledPicture, check_image, is_large
-from fynjax.scene._lidar import LidarObservation, ReturnTruth, observe_lidar
-from fynjax.scene._materials import (
-    PlantMaterials,
-    check_leafy,
-    plant_materials,
-    undescribed,
-    with_areas,
-)
+from fynjax.scene._lidar import LidarObservation, ReturnTruth
+from fynjax.scene._materials import check_leafy, plant_materials, undescribed, with_areas
 from fynjax.scene._model_error import ModelError
 from fynjax.scene._observe import (
-    DRONE,
     AimedSensor,
     Observation,
     Placement,
@@ -36,7 +29,6 @@ from fynjax.scene._observe import (
 )
 from fynjax.scene._optics import mean_trait
 from fynjax.scene._parameters import (
-    FIXED_PARAMETERS,
     LEAF_FIELDS,
     PARAMETERS,
     GroundParameters,
@@ -49,7 +41,6 @@ from fynjax.scene._parameters import (
     parameter_reference,
     with_values,
 )
-from fynjax.scene._plan import ScenePlan
 from fynjax.scene._planting import (
     MOST_LISTED,
     Crowns,
@@ -72,8 +63,6 @@ from fynjax.scene._scene import (
     room_needed,
 )
 from fynjax.scene._species import (
-    SHRUB_LEAF,
-    SHRUB_LEAF_SD,
     USUAL_LEAF,
     CoverDefinition,
     LeafRow,
@@ -89,16 +78,9 @@ from fynjax.scene._species import (
     leaves_of,
     own_spread,
     species_parameters,
-    species_rows,
     table_spreads,
-    usual_leaf,
 )
-from fynjax.scene._spectra import (
-    Spectrum,
-    background_spectrum,
-    band_wavelengths,
-    visible_sensor,
-)
+from fynjax.scene._spectra import Spectrum, background_spectrum, visible_sensor
 from fynjax.scene._stand import StandArea, stand_area
 from fynjax.scene._structure import fitting_structure, scene_structure
 from fynjax.scene._truth import PixelTruth, pixel_truth, truth_of_layers, truth_of_pixels
@@ -106,14 +88,7 @@ from fynjax.scene._truth import PixelTruth, pixel_truth, truth_of_layers, truth_
 keep_compiled()
 
 __all__ = [
-    "COVERS",
-    "DRONE",
-    "FIXED_PARAMETERS",
-    "LEAF_FIELDS",
-    "MOST_LISTED",
     "PARAMETERS",
-    "SHRUB_LEAF",
-    "SHRUB_LEAF_SD",
     "USUAL_LEAF",
     "AimedSensor",
     "CoverDefinition",
@@ -130,75 +105,24 @@ __all__ = [
     "Observation",
     "PixelTruth",
     "Placement",
-    "PlantMaterials",
     "Planting",
     "PlantingRules",
     "PlotAir",
     "PlotParameters",
-    "ProjectedCover",
     "Recipe",
     "ReturnTruth",
     "Scene",
-    "ScenePlan",
     "Species",
     "SpeciesParameters",
     "SpeciesRow",
     "Spectrum",
-    "StandArea",
     "TiledPicture",
     "aim",
-    "background_spectrum",
-    "band_wavelengths",
     "build_scene",
-    "check_image",
-    "check_leafy",
-    "check_materials",
-    "check_projected_scene",
-    "check_species",
-    "check_taxa",
-    "clark_evans_indices",
-    "cover_definition_of",
-    "cover_range",
-    "drawn_leaves",
-    "element_count",
-    "fitted_accuracy",
-    "fitting_structure",
-    "ground_at",
-    "ground_shares",
-    "hard_counts",
     "hard_instances",
     "hard_scene",
-    "height_profile",
-    "individual_seeds",
-    "is_large",
-    "leaf_classes",
-    "leaf_parameters",
-    "leaves_of",
-    "material_classes",
-    "mean_trait",
-    "name_classes",
     "named_values",
     "observe",
-    "observe_lidar",
-    "organ_classes",
-    "own_spread",
-    "parameter_kind",
-    "parameter_reference",
     "pixel_truth",
-    "plant_materials",
-    "planting_memory",
-    "projected_cover",
-    "room_needed",
-    "scene_structure",
-    "species_parameters",
-    "species_rows",
-    "stand_area",
-    "table_spreads",
-    "truth_of_layers",
-    "truth_of_pixels",
-    "undescribed",
-    "usual_leaf",
-    "visible_sensor",
-    "with_areas",
     "with_values",
 ]

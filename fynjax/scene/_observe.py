@@ -677,29 +677,12 @@ def aim(
     if panels and air is None:
         raise InputError("expected an atmosphere: panels calibrate radiance")
     accuracy = fitted_accuracy(DRONE if accuracy is None else accuracy, scene, parameters)
-    # Where the sensor is, and how large its pixels are.
-    lx, ly, top = scene.grid.extent
-    base = scene.ground_level
-    frame = frame_of(sensor.camera)
-    if frame is None and (placement.tilt is not None or placement.heading is not None):
-        raise InputError("an orthographic view has no tilt or heading: set its view angles instead")
-    height = sensor.altitude if placement.altitude is None else placement.altitude
     known = None if placement.frame is None else _known_frame(placement, sensor.camera)
-    if known is not None:
-        height = float(known.pose.position[2])
-    if not height + base > top:
-        raise InputError(
-            f"the sensor must be above the plants, which reach {top - base:.2f} m, but is at "
-            f"{height:g} m above the ground"
-        )
-    own = float(sensor.pixel(height))
-    if known is not None and known.lens is not None:
-        own = height / math.sqrt(math.prod(known.lens.focal_length)) * sensor.pixel_factor
-    pixel = own if placement.pixel is None else placement.pixel
-    if not 0.0 < pixel < np.inf:
-        raise InputError(f"`pixel` must be a positive number of m, but is {pixel:g}.")
+    height, own, pixel = _height_and_pixel(scene, sensor, placement, known)
+    lx, ly, _ = scene.grid.extent
     periodic = scene.boundary == "periodic"
     (columns, west), (rows, south) = (axis_pixels(s, pixel, periodic=periodic) for s in (lx, ly))
+    shape, origin = (rows, columns), (west, south)
     psf = sensor.psf if point_spread else None
     if psf is not None:  # its reach must be known inside transformations
         # The optics blur as much on the ground whatever pixels the image is resampled to.
@@ -714,10 +697,11 @@ def aim(
     wide = pixel > max(resolved, 1e-9) * (1.0 + 1e-6)
     # Blur needs neighbours beyond the edge: of a periodic scene those of its other side.
     margin = psf.reach() if psf is not None and periodic and not wide else 0
+    fine = None
     if wide:
-        ny, nx = (samples * n for n in scene.grid.shape[1::-1])
+        fine = samples * scene.grid.shape[1], samples * scene.grid.shape[0]
         spacing = scene.grid.horizontal_size / samples
-        axes = [(np.arange(n) + 0.5) * spacing for n in (nx, ny)]
+        axes = [(np.arange(n) + 0.5) * spacing for n in fine[::-1]]
     else:
         spacing = pixel
         axes = [
@@ -725,45 +709,84 @@ def aim(
             for start, n in ((west, columns), (south, rows))
         ]
     x, y = (jnp.asarray(axis, scene.dtype) for axis in axes)
-    middle = (lx / 2, ly / 2)
-    camera = _aimed(sensor.camera, middle, height, base, placement)
     sight = seen = None
     if known is not None:
-        sight, seen = _in_frame(known, scene, (x, y), (rows, columns), (west, south), pixel)
-    if known is not None and scene.terrain is not None:
-        rays: AbstractRays = _rays_over_terrain(known, scene, x, y, spacing)
-    else:
-        # The map is at the mean height of the ground: laid out there, then moved to the zero level.
-        level = map_rays(_aimed(sensor.camera, middle, height, 0.0, placement), x, y, spacing)
-        rays = dataclasses.replace(
-            level,
-            x=level.x - base * level.slope_x,
-            y=level.y - base * level.slope_y,
-            altitude=np.inf,  # checked above; static, it would compile anew for each height
-        )
+        sight, seen = _in_frame(known, scene, (x, y), shape, origin, pixel)
+    rays = _rays_to_ground(scene, sensor.camera, placement, known, height, (x, y), spacing)
     # Rays that cross several voxels in a layer are cut into as many pieces.
     slope = float(jnp.tan(jnp.arccos(jnp.min(rays.cosine))))
     pieces = min(8, int(np.ceil(slope - 1e-6)))
     if accuracy.sublayers is not None and accuracy.sublayers < pieces:
         accuracy = dataclasses.replace(accuracy, sublayers=pieces)
+    camera = _aimed(sensor.camera, (lx / 2, ly / 2), height, scene.ground_level, placement)
     return AimedSensor(
         sensor=dataclasses.replace(sensor, camera=camera, psf=psf),
         air=air,
         rays=rays,
         accuracy=accuracy,
         pixel=pixel,
-        shape=(rows, columns),
-        origin=(west, south),
+        shape=shape,
+        origin=origin,
         sensor_height=real_array(height),
         margin=margin,
-        fine=(ny, nx) if wide else None,
+        fine=fine,
         samples=samples,
         together=together if wide else 1,
         steepest=5.0 * math.ceil(math.degrees(math.atan(slope)) / 5.0 - 1e-6),
         averaged=real_array(max(1.0, (pixel / own) ** 2)),
-        panels=panels_in_picture(panels, (rows, columns), pixel, (west, south)) if panels else None,
+        panels=panels_in_picture(panels, shape, pixel, origin) if panels else None,
         sight=sight,
         seen=seen,
+    )
+
+
+def _height_and_pixel(
+    scene: Scene, sensor: Sensor, placement: Placement, known: Frame | None
+) -> tuple[float, float, float]:
+    """Height of the sensor above the ground, its own pixels there, and those of the image [m]."""
+    top, base = scene.grid.extent[2], scene.ground_level
+    if frame_of(sensor.camera) is None and (
+        placement.tilt is not None or placement.heading is not None
+    ):
+        raise InputError("an orthographic view has no tilt or heading: set its view angles instead")
+    height = sensor.altitude if placement.altitude is None else placement.altitude
+    if known is not None:
+        height = float(known.pose.position[2])
+    if not height + base > top:
+        raise InputError(
+            f"the sensor must be above the plants, which reach {top - base:.2f} m, but is at "
+            f"{height:g} m above the ground"
+        )
+    own = float(sensor.pixel(height))
+    if known is not None and known.lens is not None:
+        own = height / math.sqrt(math.prod(known.lens.focal_length)) * sensor.pixel_factor
+    pixel = own if placement.pixel is None else placement.pixel
+    if not 0.0 < pixel < np.inf:
+        raise InputError(f"`pixel` must be a positive number of m, but is {pixel:g}.")
+    return height, own, pixel
+
+
+def _rays_to_ground(
+    scene: Scene,
+    camera: AbstractCamera,
+    placement: Placement,
+    known: Frame | None,
+    height: float,
+    points: tuple[Array, Array],
+    spacing: float,
+) -> AbstractRays:
+    """Lines of sight to `points` of the map, columns and rows [m]."""
+    lx, ly, _ = scene.grid.extent
+    base, (x, y) = scene.ground_level, points
+    if known is not None and scene.terrain is not None:
+        return _rays_over_terrain(known, scene, x, y, spacing)
+    # The map is at the mean height of the ground: laid out there, then moved to the zero level.
+    level = map_rays(_aimed(camera, (lx / 2, ly / 2), height, 0.0, placement), x, y, spacing)
+    return dataclasses.replace(
+        level,
+        x=level.x - base * level.slope_x,
+        y=level.y - base * level.slope_y,
+        altitude=np.inf,  # checked above; static, it would compile anew for each height
     )
 
 

@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 
 from fynjax._core.html import as_html
 from fynjax.canopy import Organ
-from fynjax.radiation import look
+from fynjax.radiation import first_met
 from fynjax.scene._lidar import leading_flags
 from fynjax.scene._observe import AimedSensor, aimed_at, map_attributes, map_coordinates
 from fynjax.scene._parameters import PlotParameters
@@ -188,7 +188,7 @@ def _layers(
 ) -> Float[Array, "layer y x"]:
     """Shares of each organ of each species, of sunlit and of shaded ground in the pixels."""
     voxels = scene.voxels_by_organ(parameters, aimed.sensor.bands.select([0]))
-    sight = look(
+    sight = first_met(
         voxels, aimed.rays, aimed.accuracy, steepest=aimed.steepest, together=aimed.together
     )
     ground = jnp.stack([sight.sunlit_ground, sight.shaded_ground])

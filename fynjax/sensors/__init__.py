@@ -1,6 +1,6 @@
 """Sensors: bands, lines of sight, point spread and noise."""
 
-from fynjax.sensors._bands import BandSet, band_set_of_curves
+from fynjax.sensors._bands import BandSet
 from fynjax.sensors._camera import (
     AbstractCamera,
     FrameCamera,
@@ -25,13 +25,7 @@ from fynjax.sensors._empirical_line import (
     place_panels,
 )
 from fynjax.sensors._gains import ASSUMED, Gains
-from fynjax.sensors._noise import (
-    RADIANCE_UNITS,
-    AbstractNoise,
-    CameraNoise,
-    RadiometricNoise,
-    radiometric_noise,
-)
+from fynjax.sensors._noise import AbstractNoise, CameraNoise, RadiometricNoise
 from fynjax.sensors._pose import Frame, Lens, Pose, lens_of, pose_of_axes
 from fynjax.sensors._psf import PointSpread
 from fynjax.sensors._rays import map_rays
@@ -53,7 +47,6 @@ from fynjax.sensors.air import (
     band_atmosphere,
     check_within_table,
     clear_sky_atmosphere,
-    ground_irradiance,
     is_transparent,
     sun_position,
     surface_reflectance,
@@ -78,18 +71,12 @@ from fynjax.sensors.lidar import (
 )
 
 __all__ = [
-    "ASSUMED",
-    "RADIANCE_UNITS",
-    "SPACE",
     "AbstractCamera",
     "AbstractNoise",
     "Atmosphere",
     "BandSet",
     "CameraNoise",
-    "CameraRadiometry",
-    "Channels",
     "ClearAir",
-    "EmpiricalLine",
     "FlashGeometry",
     "Frame",
     "FrameCamera",
@@ -101,7 +88,6 @@ __all__ = [
     "LidarReturns",
     "OrthographicCamera",
     "Panel",
-    "PanelReading",
     "PointSpread",
     "Pose",
     "PushbroomCamera",
@@ -110,41 +96,10 @@ __all__ = [
     "Sensor",
     "SunPosition",
     "Waveforms",
-    "at_sensor_radiance",
-    "band_atmosphere",
-    "band_set_of_curves",
-    "build_lidar",
-    "build_sensor",
-    "check_within_table",
-    "clear_sky_atmosphere",
-    "counts_to_radiance",
-    "detect_returns",
-    "empirical_line",
-    "expected_returns",
-    "frame_of",
-    "ground_irradiance",
-    "group_bands",
-    "irradiance_line",
-    "is_transparent",
-    "lens_of",
-    "lidar_folder",
-    "lidar_waveforms",
-    "map_rays",
     "mavic_3m",
-    "one_panel_line",
-    "panel_coverage",
-    "panel_reading",
-    "place_panels",
-    "pose_of_axes",
-    "radiometric_noise",
-    "received_electrons",
-    "sensor_folder",
-    "sensor_reference",
     "shipped_lidar",
     "shipped_lidars",
     "shipped_sensor",
     "shipped_sensors",
     "sun_position",
-    "surface_reflectance",
-    "tabulated_atmosphere",
 ]

@@ -15,7 +15,8 @@ from fynjax.app.assembly._targets import (
 from fynjax.app.io.plot import read_plot
 from fynjax.app.io.plot._rows import StructureRow, read_structure
 from fynjax.app.io.raster import Cube, write_cube_geotiff
-from fynjax.inversion import SpectrumView, StructureView
+from fynjax.inversion import SpectrumView
+from fynjax.inversion._views import StructureView
 from fynjax.metrics.structure import STRUCTURE_METRICS
 from fynjax.sensors import BandSet, RadiometricNoise, at_sensor_radiance, shipped_sensor
 from fynjax.sensors.air import ClearAir, band_atmosphere, clear_sky_atmosphere

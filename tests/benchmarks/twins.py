@@ -71,6 +71,7 @@ from fynjax.inversion import (
     weigh_structure,
     weigh_targets,
 )
+from fynjax.inversion._views import StructureView
 from fynjax.metrics import spectral_mask
 from fynjax.scene import with_values
 from fynjax.sensors import BandSet, shipped_sensor

@@ -8,17 +8,9 @@ import pandas as pd
 import pytest
 
 from fynjax._core.errors import InputError
-from fynjax.canopy import (
-    FORMS,
-    Organ,
-    PlantModel,
-    forms,
-    leaf_angle,
-    leaf_sizes,
-    plant_model,
-    table1_2006,
-)
+from fynjax.canopy import FORMS, Organ, PlantModel, forms, leaf_angle, plant_model, table1_2006
 from fynjax.canopy._elements import _outline, free_shoots
+from fynjax.canopy._table import leaf_sizes
 
 
 def arrays(plant: PlantModel, organ: Organ) -> tuple[np.ndarray, np.ndarray]:

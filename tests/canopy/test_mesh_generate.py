@@ -17,10 +17,10 @@ from fynjax.canopy import (
     VoxelGrid,
     deposit,
     leaf_angle,
-    leaf_sizes,
     plant_model,
     table1_2006,
 )
+from fynjax.canopy._table import leaf_sizes
 from fynjax.canopy.mesh._generate import GeneratedPlant, generate_plant
 from fynjax.canopy.mesh._generate_parts import OUTLINES, blades, outline_area, tubes_of_area
 from fynjax.canopy.mesh._model import plant_model_from_mesh

@@ -11,10 +11,10 @@ from fynjax.canopy import (
     assign_sites,
     band_roles,
     choose_greenness,
-    even_levels,
     poisson_disk,
     vegetation_pattern,
 )
+from fynjax.canopy._pattern import even_levels
 
 pytest.importorskip("sklearn", reason="needs the extra `analysis`")
 

@@ -10,7 +10,7 @@ from fynjax.app.compare._plots import (
     OTHERS,
     PlotSpectraPair,
     agreement_table,
-    band_table,
+    band_agreement,
     chance_correlation,
     feature_table,
     feature_values,
@@ -80,7 +80,7 @@ def test_skill_is_zero_for_the_mean_of_others_and_one_for_the_truth(pair: PlotSp
 
 
 def test_bands_residual_and_correlation_across_plots(pair: PlotSpectraPair) -> None:
-    table = band_table(pair)
+    table = band_agreement(pair)
     residual = pair.simulated - pair.measured
     np.testing.assert_allclose(table["residual"], residual.mean(axis=0), rtol=1e-12)
     np.testing.assert_allclose(table["residual_sd"], residual.std(axis=0, ddof=1), rtol=1e-12)

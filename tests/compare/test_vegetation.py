@@ -5,7 +5,7 @@ import pytest
 
 import fynjax as fx
 from fynjax.app.compare import _vegetation as module
-from fynjax.app.compare import bands_2006, check_vegetation
+from fynjax.app.compare import bands_2006, check_shrubland
 from fynjax.errors import InputError
 from fynjax.sensors import Gains
 from tools.make_vegetation_spectra import dry_shrubland, estimate, fynbos, grid
@@ -46,7 +46,7 @@ def test_plots_that_were_left_out_are_shrubland(measured, monkeypatch, name):
         # Of many bands one spectrum a plot.
         for values in np.exp(spectra[out])[: 1 if len(inside) > 20 else None]:
             seen = inside.weights(grid(), max_loss=0.02) @ values
-            chances.append(check_vegetation(seen, inside).probability)
+            chances.append(check_shrubland(seen, inside).probability)
     assert min(chances) > module.UNLIKE
 
 
@@ -54,7 +54,7 @@ def test_the_drone_of_the_article_is_not(measured):
     """Its red edge is 0.38 of its near infrared; no measured plot is below 0.6."""
     spectra = measured[0]
     real = {name: row.real_mean for name, row in bands_2006().items()}
-    check = check_vegetation(real, MAVIC)
+    check = check_shrubland(real, MAVIC)
     assert check.unlike
     assert check.probability < 1e-4
     worst = check.pairs.iloc[0]
@@ -77,10 +77,10 @@ def test_the_chance_is_that_of_draws():
     common, own = rng.normal(size=(800, 1)), rng.normal(size=(800, 4))
     gain = np.exp(0.1 * (np.sqrt(0.5) * common + np.sqrt(0.5) * own))
     images = spectra @ MAVIC.weights(wavelength).T * gain
-    few = [check_vegetation(image, MAVIC, gains=Gains(0.1)).distance for image in images]
+    few = [check_shrubland(image, MAVIC, gains=Gains(0.1)).distance for image in images]
     # Draws have the covariance itself: chi-square of four.
     assert np.mean(few) == pytest.approx(4.0, rel=0.08)
-    large = [check_vegetation(image, MAVIC, gains=Gains(0.02)).distance for image in images[:100]]
+    large = [check_shrubland(image, MAVIC, gains=Gains(0.02)).distance for image in images[:100]]
     assert np.mean(large) > 6.0
 
 
@@ -93,19 +93,19 @@ def test_what_is_no_shrubland_is_found(name):
     sensor = sensor.select(sensor.covered(wavelength, max_loss=0.02))
     weights, centre = sensor.weights(wavelength, max_loss=0.02), np.asarray(sensor.centre)
     usual = weights @ np.exp(mean)
-    assert check_vegetation(usual, sensor).probability > 0.99
+    assert check_shrubland(usual, sensor).probability > 0.99
     edge = np.where((centre > 700.0) & (centre < 745.0), 0.65, 1.0)
     leaf, _ = fx.prospect(chlorophyll=50.0, wavelength=wavelength)
     for wrong in (usual * edge, usual[::-1], usual * 10_000.0 / 65_535.0, weights @ leaf):
-        assert check_vegetation(wrong, sensor, gains=gains).unlike
+        assert check_shrubland(wrong, sensor, gains=gains).unlike
 
 
 def test_uncertain_gains_forgive():
     real = {name: row.real_mean for name, row in bands_2006().items()}
-    sharp, loose = (check_vegetation(real, MAVIC, gains=Gains(s)).probability for s in (0.05, 0.2))
+    sharp, loose = (check_shrubland(real, MAVIC, gains=Gains(s)).probability for s in (0.05, 0.2))
     assert sharp < module.UNLIKE < loose
     # A gain that all bands share forgives brightness, and no ratio.
-    shared = check_vegetation(real, MAVIC, gains=Gains(0.2, 0.99))
+    shared = check_shrubland(real, MAVIC, gains=Gains(0.2, 0.99))
     assert shared.unlike
 
 
@@ -119,4 +119,4 @@ def test_uncertain_gains_forgive():
 )
 def test_wrong_values_are_refused(values, message):
     with pytest.raises(InputError, match=message):
-        check_vegetation(values, MAVIC)
+        check_shrubland(values, MAVIC)

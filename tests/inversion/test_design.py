@@ -11,10 +11,11 @@ import pytest
 import fynjax as fx
 from fynjax._core.errors import InputError
 from fynjax.diversity import bhattacharyya_distance, jeffries_matusita_distance
-from fynjax.inversion import COARSE, coarser, fisher_information
+from fynjax.inversion import COARSE, coarser
 from fynjax.inversion import _design as bands_of_design
 from fynjax.inversion._bands import BandStatistics, PlantingSpectra, _photons, gaussian_weights
 from fynjax.inversion._design import _Limits
+from fynjax.inversion._information import fisher_information
 from fynjax.leaf import LeafParameters, prospect
 from fynjax.scene import ModelError, aim
 from fynjax.sensors import BandSet, Gains, shipped_sensor

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from fynjax.inversion import (
-    STAND_FUNCTIONALS,
     Data,
     Functional,
     fit,
@@ -18,6 +17,7 @@ from fynjax.inversion import (
     stand_table,
     stand_values,
 )
+from fynjax.inversion._functionals import STAND_FUNCTIONALS
 from fynjax.scene import stand_area, with_values
 from tests.scene.plots import TAXA, small_parameters, small_plot
 

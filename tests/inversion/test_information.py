@@ -7,16 +7,9 @@ import numpy as np
 import pytest
 
 from fynjax._core.errors import InputError
-from fynjax.inversion import (
-    BandFactors,
-    ParameterSpace,
-    even_bands,
-    fisher_information,
-    free_space,
-    sweep_sensors,
-)
+from fynjax.inversion import BandFactors, ParameterSpace, even_bands, free_space, sweep_sensors
 from fynjax.inversion._fit_result import scatter_covariance
-from fynjax.inversion._information import shared_slopes
+from fynjax.inversion._information import fisher_information, shared_slopes
 from fynjax.inversion._sensor_sweep import _measure, _Sweep, image_and_slopes
 from fynjax.scene import ModelError, Placement, truth_of_pixels
 from fynjax.sensors import Gains, shipped_sensor

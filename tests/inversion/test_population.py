@@ -7,7 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from fynjax.inversion import Hyperprior, LinearPlots, fit_population, log_marginal
+from fynjax.inversion import Hyperprior, LinearPlots, fit_population
+from fynjax.inversion._population import log_marginal
 
 MEANS, EFFECTS, STATISTICS, PLOTS = 4, 2, 12, 60
 MU, SD = np.array([0.8, -0.5, 0.3, 0.0]), np.array([0.6, 0.25])

@@ -18,15 +18,8 @@ from scipy.integrate import trapezoid
 from fynjax._core.checkpoint import Journal, signature
 from fynjax._core.errors import InputError, MissingExtraError
 from fynjax._core.sampling import ChainState, Draws, Ensemble
-from fynjax.inversion import (
-    Data,
-    LogPosterior,
-    ParameterSpace,
-    PosteriorSampler,
-    fit,
-    sample_posterior,
-)
-from fynjax.inversion._posterior import _flatness
+from fynjax.inversion import Data, LogPosterior, ParameterSpace, PosteriorSampler, fit
+from fynjax.inversion._posterior import _flatness, sample_posterior
 from fynjax.inversion._posterior_result import _arviz
 from tests.heard import hearing
 from tests.helpers import stand_in, unix

@@ -14,10 +14,10 @@ from fynjax.inversion import (
     ParameterSpace,
     derivative_measures,
     expected_sensitivity,
-    local_sensitivity,
     sobol_indices,
 )
 from fynjax.inversion import _sensitivity as module
+from fynjax.inversion._sensitivity import local_sensitivity
 from tests.heard import hearing
 
 A, B = 7.0, 0.1

@@ -7,8 +7,8 @@ import pytest
 from scipy import stats
 
 from fynjax._core.errors import InputError
-from fynjax.inversion import ParameterSpace, make_space, match_names
-from fynjax.inversion._space import _correlation
+from fynjax.inversion import ParameterSpace
+from fynjax.inversion._space import _correlation, make_space, match_names
 from fynjax.scene import LEAF_FIELDS
 from fynjax.scene._parameters import OF_A_PLOT
 

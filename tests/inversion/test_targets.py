@@ -11,7 +11,8 @@ from fynjax.app.assembly import _targets, read_targets, twin_image
 from fynjax.app.assembly._targets import image_target
 from fynjax.app.io.plot import example_folder, read_plot, sensor_place
 from fynjax.app.io.raster import write_geotiff
-from fynjax.inversion import SPREAD_SD, weigh_targets
+from fynjax.inversion import weigh_targets
+from fynjax.inversion._targets import SPREAD_SD
 from fynjax.metrics import BANDS
 from fynjax.sensors import shipped_sensor
 from tests.helpers import write_raster

@@ -23,7 +23,8 @@ from fynjax.app.io.plot import (
     write_prior,
 )
 from fynjax.canopy import FORMS
-from fynjax.scene import SHRUB_LEAF, SHRUB_LEAF_SD, USUAL_LEAF, GroundParameters, usual_leaf
+from fynjax.scene import USUAL_LEAF, GroundParameters
+from fynjax.scene._species import SHRUB_LEAF, SHRUB_LEAF_SD, usual_leaf
 from tests.helpers import write_raster
 from tests.io.test_prior import prior_file
 from tests.small import SPECIES, write_plot

@@ -17,7 +17,6 @@ from fynjax.app.io.instruments._sensor_tables import RadianceUnit
 from fynjax.app.jobs._schemas import json_schema
 from fynjax.sensors import (
     ASSUMED,
-    RADIANCE_UNITS,
     CameraNoise,
     FrameCamera,
     Gains,
@@ -27,6 +26,7 @@ from fynjax.sensors import (
     shipped_sensor,
     shipped_sensors,
 )
+from fynjax.sensors._noise import RADIANCE_UNITS
 
 OWN = """\
 name = "own"

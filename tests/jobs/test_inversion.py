@@ -24,7 +24,8 @@ from fynjax.app.report.figures._posterior import (
     predictive_plot,
     tornado_plot,
 )
-from fynjax.inversion import PlotForward, Posterior, local_sensitivity, search_form
+from fynjax.inversion import PlotForward, Posterior, search_form
+from fynjax.inversion._sensitivity import local_sensitivity
 from tests.heard import hearing
 from tests.helpers import stand_in
 from tests.small import write_plot

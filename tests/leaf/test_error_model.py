@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize_scalar
 
-from fynjax.leaf import default_error_model
-from fynjax.leaf._error_model import POPULATION_TRAITS
+from fynjax.leaf._error_model import POPULATION_TRAITS, default_error_model
 from tools.estimate_error_model import correlation, discrepancy, reflectance_share
 
 

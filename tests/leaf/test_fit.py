@@ -20,16 +20,15 @@ from fynjax.leaf import (
     LeafStack,
     LeafStatus,
     correct_detector_jumps,
-    default_error_model,
     fit_leaf,
     fit_leaf_groups,
     prospect,
-    recollided,
     sample_leaf_posterior,
     transmittance_from_two_readings,
 )
-from fynjax.leaf._error_model import bin_centres, to_bins
+from fynjax.leaf._error_model import bin_centres, default_error_model, to_bins
 from fynjax.leaf._fit import solve_leaves
+from fynjax.leaf._measurement import recollided
 from fynjax.leaf._problem import (
     _REFLECTANCE_LINE,
     _TRANSMITTANCE_LINE,
@@ -40,7 +39,14 @@ from fynjax.leaf._problem import (
     make_setup,
     prepare,
 )
-from fynjax.leaf._residual import LeafProblem, observed, residual, solve, to_physical, whitening
+from fynjax.leaf._residual import (
+    MeasuredLeaf,
+    leaf_residual,
+    observed,
+    solve,
+    to_physical,
+    whitening,
+)
 from tools.estimate_error_model import estimate, independent_error_model
 
 GRID = np.arange(400.0, 2501.0)
@@ -122,7 +128,7 @@ def test_the_residual_is_that_of_the_dense_normal_density(leaf):
         return np.array([error.logpdf(misfit[use]), prior.logpdf(z)])
 
     def squares(z):
-        white = np.asarray(residual(z, whole))
+        white = np.asarray(leaf_residual(z, whole))
         assert np.all(white[: use.size][~use.ravel()] == 0.0)
         return np.array([np.sum(white[: use.size] ** 2), np.sum(white[use.size :] ** 2)])
 
@@ -134,7 +140,7 @@ def test_the_residual_is_that_of_the_dense_normal_density(leaf):
 def test_slopes_of_the_residual_are_differences_of_it(leaf):
     """Through instrument and leaf, by the two tangents of each band."""
     _, _, z, whole = leaf
-    call = jax.jit(lambda z: residual(z, whole))
+    call = jax.jit(lambda z: leaf_residual(z, whole))
     slopes = jax.jit(jax.jacfwd(call))(z)
     for i, step in enumerate(1e-5 * np.eye(z.size)):
         difference = (call(z + step) - call(z - step)) / 2e-5
@@ -152,9 +158,9 @@ def test_no_leaf_near_the_estimate_is_more_probable():
     setup = make_setup(LeafSettings())
     found, problems = solve_leaves(setup, data, use, leaf_priors(setup, data, use))
     assert found.converged.all()
-    call = jax.jit(residual)
+    call = jax.jit(leaf_residual)
     for i, z in enumerate(found.z):
-        problem = LeafProblem(*(jnp.asarray(part[i]) for part in problems))
+        problem = MeasuredLeaf(*(jnp.asarray(part[i]) for part in problems))
         common = jnp.asarray(setup.factors)
         whole = problem, whitening(problem, common), common, setup.optics
         tight = dict.fromkeys(("xtol", "ftol", "gtol"), 1e-13)

@@ -6,15 +6,8 @@ import numpy as np
 import pytest
 from scipy.linalg import block_diag
 
-from fynjax.leaf import (
-    IntegratingSphere,
-    LeafParameters,
-    default_error_model,
-    fit_leaf,
-    fit_leaf_groups,
-    prospect,
-)
-from fynjax.leaf._error_model import bin_centres, to_bins
+from fynjax.leaf import IntegratingSphere, LeafParameters, fit_leaf, fit_leaf_groups, prospect
+from fynjax.leaf._error_model import bin_centres, default_error_model, to_bins
 from fynjax.leaf._groups import _species
 from fynjax.leaf._problem import LeafSettings, make_setup
 

@@ -279,7 +279,7 @@ def test_bins_of_sparse_bands_are_nearer_by_lines_between_them(spectra):
 def test_the_example_leaves_agree_with_their_laboratory():
     """Six ASD files, their panel and transmittance; most of the laboratory's values lie within 90 %
     intervals, whose number the titles say."""
-    folder = fx.io.spectra.example_folder()
+    folder = fx.io.spectra.example_leaves()
     spectra = fx.read_spectra(folder / "reflectance", panel=folder / "panel.csv")
     through = fx.read_spectra(folder / "transmittance.csv")[["transmittance"]]
     fit = fx.fit_leaf(spectra.merge(through, join="outer"))

@@ -10,15 +10,14 @@ from scipy.special import exp1
 
 import fynjax as fx
 from fynjax._core.errors import InputError
-from fynjax.leaf import (
-    LeafParameters,
+from fynjax.leaf import LeafParameters, prospect
+from fynjax.leaf._prospect import (
+    _stack,
     cylinder_transmissivity,
-    exponential_integral,
     interface_transmissivity,
-    layer_absorptance,
-    prospect,
+    pile_and_slopes,
 )
-from fynjax.leaf._prospect import _stack, pile_and_slopes
+from fynjax.leaf._transmissivity import exponential_integral, layer_absorptance
 from tests.helpers import assert_gradients
 
 COLUMNS = {

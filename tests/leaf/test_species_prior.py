@@ -7,7 +7,8 @@ import pandas as pd
 import pytest
 
 from fynjax._core.errors import InputError
-from fynjax.leaf import bin_centres, default_error_model, fit_leaf, prospect, species_prior
+from fynjax.leaf import bin_centres, fit_leaf, prospect, species_prior
+from fynjax.leaf._error_model import default_error_model
 from fynjax.leaf._species_prior import BETWEEN_PLANTS
 from tools.estimate_error_model import read
 

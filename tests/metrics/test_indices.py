@@ -25,9 +25,9 @@ from fynjax.metrics import (
     SPECTRAL_REGIONS,
     VEGETATION_INDICES,
     index_bands,
-    smooth_vegetation_indices,
     vegetation_indices,
 )
+from fynjax.metrics._indices import smooth_vegetation_indices
 from fynjax.sensors import BandSet, mavic_3m, shipped_sensor
 from tests.helpers import assert_gradients
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fynjax.canopy import EllipsoidalLeafAngle, TabulatedLeafAngle, leaf_angle
-from fynjax.radiation import area_scattering
+from fynjax.radiation._phase import area_scattering
 from tests.helpers import assert_gradients
 from tests.radiation.scenes import spherical_gamma, towards
 

@@ -5,7 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from fynjax.radiation import Accuracy, absorption, nadir_rays, reflectance_factor
+from fynjax.radiation import Accuracy, nadir_rays, reflectance_factor
+from fynjax.radiation._fluxes import absorption
 from tests import reference
 from tests.radiation.scenes import fluxes_of, patchy, reflectance_of, solver
 from tests.radiation.test_monte_carlo import clumps

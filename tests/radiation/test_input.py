@@ -15,7 +15,6 @@ from fynjax.radiation import (
     Accuracy,
     OpticalClasses,
     RahmanPintyVerstraete,
-    check_scene,
     nadir_rays,
     parallel_rays,
     reflectance_factor,
@@ -23,6 +22,7 @@ from fynjax.radiation import (
     solve_light,
     voxel_scene,
 )
+from fynjax.radiation._check import check_scene
 from fynjax.radiation._render import check_fit
 from tests.radiation.scenes import patchy, solver
 

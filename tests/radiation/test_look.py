@@ -11,7 +11,7 @@ from fynjax._core.math import mean_transmittance, transmittance_beyond
 from fynjax.errors import InputError
 from fynjax.radiation import (
     Accuracy,
-    look,
+    first_met,
     nadir_rays,
     parallel_rays,
     reflectance_factor,
@@ -24,7 +24,7 @@ from tests.radiation.test_monte_carlo import clumps
 
 FINE = Accuracy(lattice=1, sublayers=4)
 CENTRES = (np.arange(8) + 0.5) * 0.15
-see = jax.jit(look, static_argnames=("accuracy", "together"))
+see = jax.jit(first_met, static_argnames=("accuracy", "together"))
 
 
 @pytest.mark.parametrize("zenith", [0.0, 35.0])
@@ -75,7 +75,7 @@ def test_the_ground_in_sight_is_the_gap_of_the_image_and_blocks_are_means():
     means = np.asarray(sight.canopy).reshape(2, 4, 2, 4, 2).mean(axis=(2, 4))
     np.testing.assert_allclose(blocks.canopy, means, atol=1e-6)
     with pytest.raises(InputError, match="must divide"):
-        look(scene, rays, together=3)
+        first_met(scene, rays, together=3)
 
 
 def test_over_terrain_shares_sum_to_one():
@@ -96,7 +96,7 @@ def test_the_slope_is_that_of_differences():
     @jax.jit
     def shown(times):
         density = scene.area_density * jnp.stack([times, 1.0 + 0.0 * times])[:, None, None, None]
-        sight = look(dataclasses.replace(scene, area_density=density), rays)
+        sight = first_met(dataclasses.replace(scene, area_density=density), rays)
         ground = jnp.stack([sight.sunlit_ground, sight.shaded_ground])
         return jnp.sum(weight * jnp.concatenate([sight.canopy, ground]))
 

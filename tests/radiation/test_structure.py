@@ -19,7 +19,7 @@ from fynjax.radiation import (
     solve_light,
     voxel_scene,
 )
-from fynjax.radiation._resample import axis_weights, nearest_cells, sample, sample_near
+from fynjax.radiation._resample import axis_weights, nearest_cells, resample, sample_near
 from fynjax.radiation._sun import trace_sun
 from tests.radiation.scenes import slab, with_shape
 
@@ -166,7 +166,7 @@ def test_cells_read_one_by_one_give_what_the_product_gives(boundary, width):
 
     @jax.jit
     def read(by):
-        product = sample(field, *(axis_weights(*axis) for axis in axes))
+        product = resample(field, *(axis_weights(*axis) for axis in axes))
         return product, single(by), jax.value_and_grad(lambda by: (single(by) ** 2).sum())(by)
 
     product, one_by_one, (_, slope) = read(0.0)

@@ -12,8 +12,8 @@ from fynjax._core.errors import InputError
 from fynjax.app.assembly import _forward
 from fynjax.app.io.plot import plot_spreads, read_plot
 from fynjax.app.io.text import read_rows
-from fynjax.scene import SpeciesRow, species_rows
-from fynjax.scene._species import table_spreads
+from fynjax.scene import SpeciesRow
+from fynjax.scene._species import species_rows, table_spreads
 
 HEAD = "taxon;mean_diameter_cm;cover_percent;height_max_m;growth_form\n"
 

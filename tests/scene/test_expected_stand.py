@@ -15,15 +15,8 @@ from jax.test_util import check_grads
 
 from fynjax.canopy import expected_count, rounded_count
 from fynjax.inversion import stand_values, structure_view
-from fynjax.scene import (
-    PlotParameters,
-    Scene,
-    hard_counts,
-    hard_instances,
-    hard_scene,
-    observe_lidar,
-    room_needed,
-)
+from fynjax.scene import PlotParameters, Scene, hard_counts, hard_instances, hard_scene, room_needed
+from fynjax.scene._lidar import observe_lidar
 from fynjax.scene._planting import no_plants
 from fynjax.sensors import shipped_lidar
 from tests.scene.plots import EXACT, densities, drone, reflectance, small_parameters, small_plot

@@ -7,15 +7,8 @@ import numpy as np
 import pytest
 
 from fynjax.metrics import image_statistics
-from fynjax.scene import (
-    PARAMETERS,
-    Placement,
-    aim,
-    named_values,
-    observe_lidar,
-    parameter_kind,
-    with_values,
-)
+from fynjax.scene import PARAMETERS, Placement, aim, named_values, parameter_kind, with_values
+from fynjax.scene._lidar import observe_lidar
 from fynjax.sensors import shipped_lidar, shipped_sensor
 from tests.scene.plots import TAXA, drone, small_parameters, small_plot
 

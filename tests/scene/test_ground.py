@@ -5,8 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from fynjax.scene import ground_shares
-from fynjax.scene._ground import random_patches
+from fynjax.scene._ground import ground_shares, random_patches
 
 SHAPE = (60, 80)
 

@@ -28,11 +28,11 @@ from fynjax.scene import (
     hard_instances,
     leaf_classes,
     named_values,
-    species_rows,
     truth_of_pixels,
 )
 from fynjax.scene._optics import _leaves
 from fynjax.scene._planting import _drawn_leaves
+from fynjax.scene._species import species_rows
 from fynjax.sensors import shipped_sensor
 from tests.scene.plots import ruled
 from tests.small import write_plot

@@ -25,8 +25,6 @@ from fynjax.errors import InputError
 from fynjax.leaf import LeafParameters, prospect
 from fynjax.radiation import Accuracy, OpticalClasses, directional_reflectance, solve_light
 from fynjax.scene import (
-    SHRUB_LEAF,
-    SHRUB_LEAF_SD,
     GroundParameters,
     Scene,
     Spectrum,
@@ -36,6 +34,7 @@ from fynjax.scene import (
     named_values,
     stand_area,
 )
+from fynjax.scene._species import SHRUB_LEAF, SHRUB_LEAF_SD
 from fynjax.sensors import shipped_sensor
 from tests import reference
 from tests.scene.plots import ruled

@@ -7,13 +7,9 @@ import pandas as pd
 import pytest
 
 from fynjax._core.errors import InputError
-from fynjax.scene import (
-    background_spectrum,
-    band_wavelengths,
-    named_values,
-    with_values,
-)
+from fynjax.scene import background_spectrum, named_values, with_values
 from fynjax.scene._optics import _shoot_optics
+from fynjax.scene._spectra import band_wavelengths
 from fynjax.sensors import mavic_3m
 from fynjax.sensors.air import clear_sky_diffuse_fraction
 from tests.scene.plots import TAXA, densities, render, small_parameters, small_plot

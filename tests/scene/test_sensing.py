@@ -11,8 +11,9 @@ import pytest
 
 from fynjax._core.errors import InputError
 from fynjax.radiation import Accuracy, nadir_rays, reflectance_factor, solve_light
-from fynjax.scene import AimedSensor, Ground, Placement, PlotAir, Spectrum, aim, observe_lidar
+from fynjax.scene import AimedSensor, Ground, Placement, PlotAir, Spectrum, aim
 from fynjax.scene import observe as observe_scene
+from fynjax.scene._lidar import observe_lidar
 from fynjax.scene._panels import panels_in_picture
 from fynjax.scene._pixels import axis_pixels, footprint_shares
 from fynjax.sensors import (

@@ -10,7 +10,7 @@ import pytest
 
 from fynjax._core.errors import InputError
 from fynjax.canopy import leaf_angle
-from fynjax.radiation import area_scattering
+from fynjax.radiation._phase import area_scattering
 from fynjax.sensors import expected_returns, lidar_waveforms
 from fynjax.sensors.lidar._path import backscatter
 from tests.helpers import assert_gradients

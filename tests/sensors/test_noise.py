@@ -9,13 +9,8 @@ import numpy as np
 import pytest
 
 from fynjax._core.errors import InputError
-from fynjax.sensors import (
-    AbstractNoise,
-    CameraNoise,
-    RadiometricNoise,
-    radiometric_noise,
-    shipped_sensor,
-)
+from fynjax.sensors import AbstractNoise, CameraNoise, RadiometricNoise, shipped_sensor
+from fynjax.sensors._noise import radiometric_noise
 from tests.helpers import assert_gradients
 
 RADIANCE = jnp.array([2.0, 40.0, 180.0])

@@ -13,15 +13,8 @@ from scipy.integrate import quad
 from scipy.ndimage import gaussian_filter
 
 from fynjax._core.errors import InputError
-from fynjax.sensors import (
-    BandSet,
-    PointSpread,
-    Sensor,
-    band_set_of_curves,
-    mavic_3m,
-    shipped_sensor,
-    shipped_sensors,
-)
+from fynjax.sensors import BandSet, PointSpread, Sensor, mavic_3m, shipped_sensor, shipped_sensors
+from fynjax.sensors._bands import band_set_of_curves
 from tests.helpers import assert_gradients
 
 COARSE = np.arange(400.0, 2520.0, 10.0)  # wider than an AVIRIS-NG channel

@@ -18,8 +18,8 @@ from fynjax.scene import leaves_of
 from fynjax.studies.bioscape._plot_files import (
     DEAD,
     OTHER,
-    leaf_parameters,
     run_bioscape,
+    species_leaf,
     write_plot_files,
 )
 from fynjax.studies.bioscape._plots import BioscapePlot, read_bioscape
@@ -350,7 +350,7 @@ def test_real_leaves_lie_where_prospect_is_valid(shared_data: Path) -> None:
         assert 0.0 <= plot.packing < 0.8
         for species in plot.species:
             assert species.shape.source != "default"
-            leaf = leaf_parameters(species)
+            leaf = species_leaf(species)
             assert 0.003 < leaf["dry_matter"] < 0.1
             assert 0.005 < leaf["water"] <= 0.05
             assert 1.2 < leaf["structure"] < 3.0

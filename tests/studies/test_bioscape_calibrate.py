@@ -39,7 +39,7 @@ from fynjax.studies.bioscape._inversion import (
     flight_covariance,
     infer_plot,
     prior_space,
-    quantity,
+    quantity_at,
 )
 from fynjax.studies.bioscape._inversion_compare import (
     TABLES_PRIOR,
@@ -66,10 +66,10 @@ def plots(tmp_path_factory: pytest.TempPathFactory):
 def test_at_one_a_plot_is_what_its_tables_say(plots):
     for plot in plots:
         reference = ReferencePlot(plot)
-        assert quantity(reference, "live_cover", 1.0) == pytest.approx(100 * plot.live)
+        assert quantity_at(reference, "live_cover", 1.0) == pytest.approx(100 * plot.live)
         mass, water = (plot.weighted_mean(t) for t in ("leaf_mass_per_area", "water_content"))
-        assert quantity(reference, "leaf_mass_per_area", 1.0) == pytest.approx(mass)
-        planted = quantity(reference, "water_content", 1.0)
+        assert quantity_at(reference, "leaf_mass_per_area", 1.0) == pytest.approx(mass)
+        planted = quantity_at(reference, "water_content", 1.0)
         cut = any(beyond_prospect(s) for s in plot.species)  # the succulent of B2
         assert planted < water if cut else planted == pytest.approx(water)
         assert reference.factor(reference.live(0.8)) == pytest.approx(0.8)
@@ -80,7 +80,7 @@ def test_at_one_a_plot_is_what_its_tables_say(plots):
             | {"water_content": replace(plot.species[0].traits["water_content"], value=50.0)},
         )
         alone = ReferencePlot(replace(plot, species=(species,)))
-        assert quantity(alone, "water_content", 2.0) == pytest.approx(200.0 / 3.0)
+        assert quantity_at(alone, "water_content", 2.0) == pytest.approx(200.0 / 3.0)
 
 
 def test_water_is_that_of_leaves_as_planted(plots):
@@ -92,7 +92,7 @@ def test_water_is_that_of_leaves_as_planted(plots):
     dry = 0.09 / species.shape.area_ratio
     assert 9 * dry > MOST_WATER
     held = 100 * MOST_WATER / (MOST_WATER + dry)
-    assert quantity(ReferencePlot(plot), "water_content", 1.0) == pytest.approx(held)
+    assert quantity_at(ReferencePlot(plot), "water_content", 1.0) == pytest.approx(held)
 
 
 def test_dead_tissue_is_at_most_all_of_a_shoot(plots):
@@ -131,7 +131,7 @@ def test_other_plots_as_prior_are_as_wide_as_they_differ(plots):
         i = space.names.index(QUANTITIES[name][0])
         reference = ReferencePlot(plot)
         at = [
-            quantity(reference, name, float(space.physical(jnp.full(len(space.names), u))[i]))
+            quantity_at(reference, name, float(space.physical(jnp.full(len(space.names), u))[i]))
             for u in (-0.1, 0.0, 0.1)
         ]
         assert at[1] == pytest.approx(mean, rel=1e-6)

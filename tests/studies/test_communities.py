@@ -30,8 +30,8 @@ from fynjax.studies.communities._observe import (
 from fynjax.studies.communities._scores import (
     METRICS,
     _lost_from,
-    agreement,
     composition,
+    correlations,
     recognition,
 )
 from fynjax.studies.fynbos_2006 import table_after_fire
@@ -226,7 +226,7 @@ def test_squared_correlations_are_those_of_numpy_and_their_intervals_hold_them()
     metrics = np.full((200, 1, 2, 1, len(METRICS)), np.nan)
     metrics[:, 0, 0, 0, :5] = truth[:, :5] + 0.5 * random.normal(size=(200, 5))
     metrics[7, 0, 0, 0, 0] = np.nan  # a community of which a metric is not known
-    table, lost = agreement(truth, metrics, _design(), 0.25)
+    table, lost = correlations(truth, metrics, _design(), 0.25)
     rows = table.set_index(["pixel_m", "metric", "diversity"])
     known = np.arange(200) != 7
     expected = np.corrcoef(metrics[known, 0, 0, 0, 0], truth[known, 0])[0, 1] ** 2
@@ -243,17 +243,17 @@ def test_squared_correlations_are_those_of_numpy_and_their_intervals_hold_them()
     assert 0.01 < gone.loc[("cv", of)].by_chance < 0.03
     assert gone.loc[("any", of)].by_chance > gone.loc[("cv", of)].by_chance
     few = np.where(np.arange(200)[:, None, None, None, None] < 9, metrics, np.nan)
-    assert agreement(truth, few, _design(), 0.25)[0].r2.isna().all()  # of nine nothing is said
+    assert correlations(truth, few, _design(), 0.25)[0].r2.isna().all()  # of nine nothing is said
     # The best metric holds where that of the greatest peak is gone.
     metrics[:, 0, 1, 0, :2] = random.normal(size=(200, 2))
     metrics[:, 0, 1, 0, 1] = truth[:, 0] + 0.9 * metrics[:, 0, 1, 0, 1]
-    _, lost = agreement(truth, metrics, _design(), 0.25)
+    _, lost = correlations(truth, metrics, _design(), 0.25)
     gone = lost.set_index(["metric", "diversity"])
     assert gone.loc[("cv", "richness")].lost_from_m == 1.0
     assert np.isinf(gone.loc[("any", "richness")].lost_from_m)
     assert np.isnan(gone.loc[("any", "richness")].unknown_beyond_m)
     truth[:, 0] = 3.0  # all alike
-    _, lost = agreement(truth, metrics, _design(), 0.25)
+    _, lost = correlations(truth, metrics, _design(), 0.25)
     alike = lost.set_index(["metric", "diversity"]).loc[("any", "richness")]
     assert alike.drop(["sensor", "noise"]).isna().all()
     known = pd.DataFrame(

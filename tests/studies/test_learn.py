@@ -85,7 +85,7 @@ def linear(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     stand = stand_in(Scene), stand_in(PlotParameters)
     monkeypatch.setattr(_learn, "build_scenes", lambda files, *a: [stand] * len(files))
     done: list[int] = []
-    for name in ("simulate", "differentiate"):
+    for name in ("plot_statistics", "differentiate"):
         part = getattr(_learn, name)
         monkeypatch.setattr(_learn, name, lambda *a, part=part: (done.append(1), part(*a))[1])
     return done

@@ -11,8 +11,7 @@ from fynjax._core.errors import InputError
 from fynjax._core.precision import double_precision
 from fynjax._core.saved import load
 from fynjax.app.assembly._build import build_plot
-from fynjax.app.compare import DroneImage, VegetationCheck, read_drone_image
-from fynjax.app.compare import check_vegetation as check_spectrum
+from fynjax.app.compare import DroneImage, VegetationCheck, check_shrubland, read_drone_image
 from fynjax.app.io.plot import LearnedPrior, example_folder, read_plot, read_prior
 from fynjax.app.io.text import read_rows
 from fynjax.inversion import Calibration, Problem, calibration, imager_of, plot_search
@@ -85,7 +84,7 @@ def check_vegetation(
 
     **Returns:** a `fynjax.app.compare.VegetationCheck`, which prints as a sentence.
 
-    **Raises:** `InputError` as `fynjax.app.compare.check_vegetation`, `read_drone_image` and
+    **Raises:** `InputError` as `fynjax.app.compare.check_shrubland`, `read_drone_image` and
     `Sensor.gains`.
 
     >>> import fynjax as fx
@@ -106,7 +105,7 @@ def check_vegetation(
         measured = np.nanmean(values, axis=(1, 2)) if values.ndim == 3 else values
     if not isinstance(gains, Gains):
         gains = ASSUMED if gains is None else camera.gains(gains)
-    return check_spectrum(measured, camera.bands, gains=gains)
+    return check_shrubland(measured, camera.bands, gains=gains)
 
 
 def prior(name: str | Path = "fynbos_2023") -> LearnedPrior:

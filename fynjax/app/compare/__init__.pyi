@@ -21,7 +21,7 @@ from ._plots import OTHERS as OTHERS
 from ._plots import PREDICTORS as PREDICTORS
 from ._plots import PlotSpectraPair as PlotSpectraPair
 from ._plots import agreement_table as agreement_table
-from ._plots import band_table as band_table
+from ._plots import band_agreement as band_agreement
 from ._plots import chance_correlation as chance_correlation
 from ._plots import feature_table as feature_table
 from ._plots import feature_values as feature_values
@@ -46,4 +46,4 @@ from ._spectral import LEFT_OUT as LEFT_OUT
 from ._spectral import SpectralComparison as SpectralComparison
 from ._spectral import compare_spectra as compare_spectra
 from ._vegetation import VegetationCheck as VegetationCheck
-from ._vegetation import check_vegetation as check_vegetation
+from ._vegetation import check_shrubland as check_shrubland

@@ -191,7 +191,7 @@ def misfit_table(pair: PlotSpectraPair) -> pd.DataFrame:
     )
 
 
-def band_table(pair: PlotSpectraPair) -> pd.DataFrame:
+def band_agreement(pair: PlotSpectraPair) -> pd.DataFrame:
     """Means, errors and the correlation across plots, by band.
 
     **Arguments:** `pair`: plots that were all measured.

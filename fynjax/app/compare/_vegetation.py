@@ -59,7 +59,7 @@ class VegetationCheck:
         return words
 
 
-def check_vegetation(
+def check_shrubland(
     reflectance: Mapping[str, float] | ArrayLike,
     bands: BandSet,
     *,
@@ -87,9 +87,9 @@ def check_vegetation(
 
     >>> import fynjax as fx
     >>> bands = fx.sensor("mavic_3m").bands
-    >>> fx.compare.check_vegetation([0.05, 0.045, 0.15, 0.22], bands).unlike
+    >>> fx.compare.check_shrubland([0.05, 0.045, 0.15, 0.22], bands).unlike
     False
-    >>> print(fx.compare.check_vegetation([0.05, 0.045, 0.08, 0.22], bands))
+    >>> print(fx.compare.check_shrubland([0.05, 0.045, 0.08, 0.22], bands))
     These bands are not such as shrubland has (chance less than 1e-6): red_edge / nir is 0.36; ...
     """
     if isinstance(reflectance, Mapping):

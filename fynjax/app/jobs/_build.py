@@ -153,7 +153,7 @@ def build(
         cover = projected_cover(instances, cell=cell, periodic=hard.boundary == "periodic")
         table = cover_table(read, parameters, instances, real, cover)
         area = stand_area(hard, parameters)
-        stand = stand_table(hard.taxa, area)
+        stand = species_stand(hard.taxa, area)
     record = run.record(read.inputs)
     with run.stage("Write", "write"):
         run.table(
@@ -323,7 +323,7 @@ def cover_table(
     return table
 
 
-def stand_table(taxa: Sequence[str], area: StandArea) -> pd.DataFrame:
+def species_stand(taxa: Sequence[str], area: StandArea) -> pd.DataFrame:
     """Leaf, dead and wood area over the ground of the plot and mass of the leaves, of each species
     and of all."""
     table = pd.DataFrame(

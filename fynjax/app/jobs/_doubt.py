@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fynjax._core.errors import InputError
-from fynjax.app.compare import check_vegetation
+from fynjax.app.compare import check_shrubland
 from fynjax.app.io.plot import Plot, drone_sensor
 from fynjax.app.jobs._run import Run
 from fynjax.inversion import Data, ImageSight
@@ -20,7 +20,7 @@ def doubt_spectrum(
     bands: BandSet,
     sensor: Sensor | None = None,
 ) -> None:
-    """Say where the mean of an image, or a spectrum, is none of shrubland (`check_vegetation`).
+    """Say where the mean of an image, or a spectrum, is none of shrubland (`check_shrubland`).
 
     It is judged as if well calibrated, and the sentence says whether the errors of a camera's
     calibration explain it. Nothing is said where fewer than two bands can be judged.
@@ -28,11 +28,11 @@ def doubt_spectrum(
     **Arguments:**
 
     - `run`: of the job, which says it at once, and in its result and on its page (`Run.doubt`).
-    - `reflectance`, `bands`: as of `check_vegetation`.
+    - `reflectance`, `bands`: as of `check_shrubland`.
     - `sensor`: the camera, with the errors of its calibration; None where it is not known.
     """
     try:
-        check = check_vegetation(reflectance, bands)
+        check = check_shrubland(reflectance, bands)
     except InputError:
         return
     if not check.unlike:
@@ -40,7 +40,7 @@ def doubt_spectrum(
     text = str(check)
     if sensor is not None:
         gains = sensor.gains()
-        loose = check_vegetation(reflectance, bands, gains=gains)
+        loose = check_shrubland(reflectance, bands, gains=gains)
         errors = f"errors of its calibration, {gains}"
         text += (
             f" Not even {errors}, explain them."

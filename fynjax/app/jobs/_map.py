@@ -19,7 +19,7 @@ from fynjax._core.errors import InputError, in_file, listed
 from fynjax._core.parts import Workers, at_work
 from fynjax._core.precision import double_precision
 from fynjax.app.assembly import STAND_QUANTITIES
-from fynjax.app.compare import check_vegetation
+from fynjax.app.compare import check_shrubland
 from fynjax.app.io.plot import DEFAULT_PRIOR
 from fynjax.app.io.raster import CubeBlocks, MapWriter, content_hash, file_hash, open_blocks
 from fynjax.app.jobs._doubt import doubt_spectrum
@@ -270,7 +270,7 @@ def _check_divisor(source: CubeBlocks, scale: float, mean: np.ndarray, bands: Ba
     if scale == 1.0:
         return
     try:
-        taken, other = (check_vegetation(mean * part, bands) for part in (1.0, scale / 32768.0))
+        taken, other = (check_shrubland(mean * part, bands) for part in (1.0, scale / 32768.0))
     except InputError:  # too few bands to judge
         return
     if taken.unlike and not other.unlike:

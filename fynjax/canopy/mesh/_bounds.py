@@ -42,7 +42,7 @@ def check_mesh_file(path: str | Path, what: str = "a mesh") -> None:
         _check_gltf(path)
 
 
-def check_triangles(count: int, file: str | None) -> None:
+def check_mesh_triangles(count: int, file: str | None) -> None:
     """Refuse more triangles, in all copies, than a plant can need."""
     if count > MOST_TRIANGLES:
         raise InputError(

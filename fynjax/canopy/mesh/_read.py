@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 
 from fynjax._core.errors import InputError
-from fynjax.canopy.mesh._bounds import check_mesh_file, check_triangles
+from fynjax.canopy.mesh._bounds import check_mesh_file, check_mesh_triangles
 from fynjax.canopy.mesh._plant_mesh import PlantMesh
 
 _USEMTL = re.compile(r"^[ \t]*usemtl[ \t]+(.*?)[ \t]*\r?$", re.MULTILINE)
@@ -105,7 +105,7 @@ def plant_mesh_of(mesh: Any) -> PlantMesh:
         for node in mesh.graph.nodes_geometry:
             frame, name = mesh.graph[node]
             pieces.append((str(name), mesh.geometry[name], np.asarray(frame, float)))
-    check_triangles(sum(len(getattr(one, "faces", ())) for _, one, _ in pieces), file)
+    check_mesh_triangles(sum(len(getattr(one, "faces", ())) for _, one, _ in pieces), file)
     vertices, faces, material, names, first = [], [], [], list[str](), 0
     for geometry_name, geometry, frame in pieces:
         if not isinstance(geometry, trimesh.Trimesh) or len(geometry.faces) == 0:

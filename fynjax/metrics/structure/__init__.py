@@ -22,16 +22,8 @@ from fynjax.metrics.structure._smooth import (
 
 __all__ = [
     "STRUCTURE_METRICS",
-    "STRUCTURE_PRESETS",
-    "BinnedReturns",
-    "CellGrid",
-    "CellStructure",
     "SmoothStructure",
     "StructureSettings",
-    "bin_returns",
-    "cell_grid",
-    "cell_structure",
     "foliage_height_diversity",
-    "voxel_height_percentiles",
     "voxel_structure",
 ]

@@ -38,11 +38,11 @@ def foliage_height_diversity(
     """
     given = np.nan_to_num(np.asarray(amount, np.float64), nan=0.0)
     layers = np.full(given.shape[:-1], given.shape[-1])
-    value, defined = diversity(np, given, layers, normalised, least_share)
+    value, defined = _layer_entropy(np, given, layers, normalised, least_share)
     return np.where(defined, value, np.nan)[()]
 
 
-def diversity(
+def _layer_entropy(
     xp: ModuleType,
     amount: Any,
     layers: Any,
@@ -109,7 +109,7 @@ def profile_metrics(
     amount, start = counts, settings.first_layer(settings.diversity_lowest)
     if settings.diversity_of == "leaf_area":
         amount, start = density * passed, max(start, first)
-    metrics["foliage_height_diversity"] = diversity(
+    metrics["foliage_height_diversity"] = _layer_entropy(
         xp,
         (amount * present)[:, start:],
         xp.sum(present[:, start:], axis=1),

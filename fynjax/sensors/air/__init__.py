@@ -6,7 +6,6 @@ from fynjax.sensors.air._atmosphere import (
     ClearAir,
     at_sensor_radiance,
     band_atmosphere,
-    ground_irradiance,
     is_transparent,
     surface_reflectance,
 )
@@ -15,18 +14,8 @@ from fynjax.sensors.air._spectrl2 import clear_sky_atmosphere, clear_sky_diffuse
 from fynjax.sensors.air._sun import SunPosition, sun_position
 
 __all__ = [
-    "SPACE",
     "Atmosphere",
     "ClearAir",
     "SunPosition",
-    "at_sensor_radiance",
-    "band_atmosphere",
-    "check_within_table",
-    "clear_sky_atmosphere",
-    "clear_sky_diffuse_fraction",
-    "ground_irradiance",
-    "is_transparent",
     "sun_position",
-    "surface_reflectance",
-    "tabulated_atmosphere",
 ]

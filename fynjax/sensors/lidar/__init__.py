@@ -20,8 +20,6 @@ from fynjax.sensors.lidar._system import (
 from fynjax.sensors.lidar._waveform import Waveforms, expected_returns, lidar_waveforms
 
 __all__ = [
-    "GROUND",
-    "VEGETATION",
     "FlashGeometry",
     "Lidar",
     "LidarBeams",
@@ -29,13 +27,6 @@ __all__ = [
     "LidarReturns",
     "ScanGeometry",
     "Waveforms",
-    "build_lidar",
-    "detect_returns",
-    "expected_returns",
-    "lidar_folder",
-    "lidar_waveforms",
-    "received_electrons",
-    "shares_of_returns",
     "shipped_lidar",
     "shipped_lidars",
 ]

@@ -10,7 +10,7 @@ from fynjax.sensors.lidar._beams import LidarBeams
 from fynjax.sensors.lidar._path import PencilPaths, canopy_fields
 from fynjax.sensors.lidar._returns import LidarReturns
 from fynjax.sensors.lidar._system import Lidar
-from fynjax.sensors.lidar._waveform import check_scene, map_beams, pulse_between
+from fynjax.sensors.lidar._waveform import check_pulse_scene, map_beams, pulse_between
 
 
 def shares_of_returns(
@@ -40,7 +40,7 @@ def shares_of_returns(
 
     **Raises:** `InputError` as `lidar_waveforms`.
     """
-    check_scene(scene, beams)
+    check_pulse_scene(scene, beams)
     dtype = scene.area_density.dtype
     hits = jax.random.exponential(key, (len(beams), len(beams.pencils)), dtype)
     most = int(returns.number.max(initial=1))

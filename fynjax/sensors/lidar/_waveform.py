@@ -106,7 +106,7 @@ def lidar_waveforms(
     >>> len(beams) > 0, len(returns) > 0
     (True, True)
     """
-    check_scene(scene, beams)
+    check_pulse_scene(scene, beams)
     if beams.samples < 1:
         raise InputError("`beams` must have samples: make them with `Lidar.beams`")
     dtype = scene.area_density.dtype
@@ -316,7 +316,7 @@ def expected_returns(
     Differentiable in the area density and the inclination of leaves, and in the height of the
     ground.
     """
-    check_scene(scene, beams)
+    check_pulse_scene(scene, beams)
     heights = jnp.asarray(edges, scene.area_density.dtype)
     platform = jnp.asarray(beams.origin[:, 2], heights.dtype)
     canopy, ground = map_beams(
@@ -387,7 +387,7 @@ def _mapped(
     return jax.lax.map(jax.checkpoint(trace_beam), each, batch_size=batch)
 
 
-def check_scene(scene: VoxelScene, beams: LidarBeams) -> None:
+def check_pulse_scene(scene: VoxelScene, beams: LidarBeams) -> None:
     """`InputError` for a scene in several bands, and for a sensor inside the grid."""
     bands = scene.classes.reflectance.shape[1]
     if bands != 1:

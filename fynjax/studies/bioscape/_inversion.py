@@ -30,7 +30,7 @@ from fynjax.inversion import (
 )
 from fynjax.leaf import LeafParameters
 from fynjax.scene import PARAMETERS, PlotParameters, Scene
-from fynjax.studies.bioscape._plot_files import leaf_parameters
+from fynjax.studies.bioscape._plot_files import species_leaf
 from fynjax.studies.bioscape._plots import BioscapePlot
 
 MODEL_SD = 0.05
@@ -127,7 +127,7 @@ class ReferencePlot:
         water is at most what PROSPECT can mean."""
         total: Any = 0.0
         for s in self.plot.species:
-            leaf = leaf_parameters(s)
+            leaf = species_leaf(s)
             water = factor * leaf["water"]
             total += s.cover / self.plot.listed_cover * water / (water + leaf["dry_matter"])
         return 100.0 * total
@@ -152,7 +152,7 @@ WORDS = {name: words for name, (_, *words) in QUANTITIES.items()} | COVERS | STA
 """Words and unit of each quantity that is estimated."""
 
 
-def quantity(reference: ReferencePlot, name: str, factor: Any) -> Any:
+def quantity_at(reference: ReferencePlot, name: str, factor: Any) -> Any:
     """One of `QUANTITIES` at a factor."""
     if name == "live_cover":
         return 100.0 * reference.live(factor)
@@ -270,7 +270,7 @@ def prior_space(
         free = QUANTITIES[name][0]
         if name == "live_cover":  # the scene's traits are already that mean, its cover is not
             centre[free] = _crowns_for(reference, mean)
-        near = [quantity(reference, name, centre[free] + d) for d in (-0.01, 0.01)]
+        near = [quantity_at(reference, name, centre[free] + d) for d in (-0.01, 0.01)]
         sd[free] = spread * 0.02 / (near[1] - near[0])
     return logit_space({n: (f.lower, f.upper, centre[n], sd[n]) for n, f in FREE.items()})
 
@@ -407,7 +407,7 @@ class PlotEstimate:
         at = np.asarray(jax.vmap(self.space.physical)(jnp.asarray(u)))
         values = dict(zip(self.space.names, at.T, strict=True))
         if name in QUANTITIES:
-            return quantity(reference, name, values[QUANTITIES[name][0]])
+            return quantity_at(reference, name, values[QUANTITIES[name][0]])
         return 100.0 * (reference.dead if name == "dead_cover" else reference.bare)(values)
 
     def removed(self, reference: ReferencePlot, name: str) -> float:

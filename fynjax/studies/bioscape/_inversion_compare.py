@@ -180,7 +180,7 @@ def _inside(table: pd.DataFrame, low: str, high: str) -> float:
     return float(((table[low] <= table["field"]) & (table["field"] <= table[high])).mean())
 
 
-def parameter_table(
+def parameters_by_plot(
     plots: Sequence[str], predictor: str, estimates: Sequence[PlotEstimate]
 ) -> pd.DataFrame:
     """Every free parameter of every plot."""

@@ -25,7 +25,7 @@ from fynjax.studies.bioscape._inversion_compare import (
     REGRESSION,
     TABLES_PRIOR,
     agreement,
-    parameter_table,
+    parameters_by_plot,
     shift_table,
 )
 from fynjax.studies.bioscape._scenes import Resolution
@@ -85,7 +85,7 @@ def write_findings(
     """Write tables, figures and the page."""
     table, score = findings.table, agreement(findings.table)
     parameters = pd.concat(
-        [parameter_table(findings.plots, name, e) for name, e in findings.estimates.items()],
+        [parameters_by_plot(findings.plots, name, e) for name, e in findings.estimates.items()],
         ignore_index=True,
     )
     shifts = shift_table(parameters)

@@ -147,7 +147,7 @@ def learn(
             scenes = coarse if differentiated else fine
             with run.stage(stage, total=len(read)):
                 found = pool.all(
-                    differentiate if differentiated else simulate,
+                    differentiate if differentiated else plot_statistics,
                     list(zip(scenes, at)), models[differentiated], space,
                     names=names, journal=journal,
                 )  # fmt: skip
@@ -253,7 +253,7 @@ PlotAt = tuple[PlantedPlot, np.ndarray]
 """A plot, and its own parameters, whitened."""
 
 
-def simulate(plot: PlotAt, model: PopulationForward, space: ParameterSpace) -> tuple[Array]:
+def plot_statistics(plot: PlotAt, model: PopulationForward, space: ParameterSpace) -> tuple[Array]:
     """The statistics of a plot."""
     return (_value(model, space, plot[0], jnp.asarray(plot[1])),)
 

@@ -68,7 +68,7 @@ def _per_area(species: BioscapeSpecies) -> dict[str, float]:
     return {"water": dry * wet / (1.0 - wet), "dry_matter": dry}
 
 
-def leaf_parameters(
+def species_leaf(
     species: BioscapeSpecies, population: Mapping[str, float] = ASSUMED_POPULATION
 ) -> dict[str, float]:
     """PROSPECT-D parameters of a species' leaf, in PROSPECT's units, per half of its surface.
@@ -87,13 +87,13 @@ def leaf_parameters(
 
 
 def beyond_prospect(species: BioscapeSpecies) -> dict[str, float]:
-    """Values above what PROSPECT can mean, which `leaf_parameters` cuts, by parameter."""
+    """Values above what PROSPECT can mean, which `species_leaf` cuts, by parameter."""
     return {n: v for n, v in _per_area(species).items() if v > _MOST[n]}
 
 
-def mean_leaf(plot: BioscapePlot, population: Mapping[str, float]) -> dict[str, float]:
+def _unlisted_leaf(plot: BioscapePlot, population: Mapping[str, float]) -> dict[str, float]:
     """Leaf of the species that are not listed: the mean of those listed, weighted with cover."""
-    leaves = [(s.cover / plot.listed_cover, leaf_parameters(s, population)) for s in plot.species]
+    leaves = [(s.cover / plot.listed_cover, species_leaf(s, population)) for s in plot.species]
     return {name: sum(share * leaf[name] for share, leaf in leaves) for name in LEAF_FIELDS}
 
 
@@ -281,9 +281,9 @@ def _leaves_csv(plot: BioscapePlot, population: Mapping[str, float]) -> str:
         "Structure follows from dry matter, pigments are assumed. sources.csv says what was",
         "measured of which species.",
     )
-    leaves = [(s.taxon, leaf_parameters(s, population)) for s in plot.species]
+    leaves = [(s.taxon, species_leaf(s, population)) for s in plot.species]
     if plot.other_cover > 0:
-        leaves.append((OTHER, mean_leaf(plot, population)))
+        leaves.append((OTHER, _unlisted_leaf(plot, population)))
     rows = [(taxon, *(leaf[name] for name in LEAF_FIELDS)) for taxon, leaf in leaves]
     return "".join(f"# {note}\n" for note in notes) + _table([("taxon", *LEAF_FIELDS), *rows])
 
@@ -301,7 +301,7 @@ def _sources(
         for name, value in population.items()
     ]
     for s in plot.species:
-        leaf, lma = leaf_parameters(s, population), s.traits["leaf_mass_per_area"]
+        leaf, lma = species_leaf(s, population), s.traits["leaf_mass_per_area"]
         renamed = s.library_name not in (None, s.taxon)
         rows += [
             (s.taxon, "cover", s.cover * 100, "%", "measured", s.note.where),
@@ -329,7 +329,7 @@ def _sources(
     if plot.other_cover > 0:
         cover = plot.other_cover * 100
         rows.append((OTHER, "cover", cover, "%", "live cover less the listed species", ""))
-        for name, value in mean_leaf(plot, population).items():
+        for name, value in _unlisted_leaf(plot, population).items():
             rows.append(
                 (OTHER, name, value, PARAMETERS[name].unit, "mean of the listed species", "")
             )

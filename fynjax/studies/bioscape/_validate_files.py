@@ -20,7 +20,7 @@ from fynjax.app.compare import (
     REGRESSION,
     PlotSpectraPair,
     agreement_table,
-    band_table,
+    band_agreement,
     feature_table,
     mean_agreement,
     misfit_table,
@@ -180,7 +180,7 @@ def _compare(
         ("agreement.csv", agreement, "agreement by plot, predictor and region"),
         ("agreement_mean.csv", mean, "agreement, means over the plots"),
         ("misfit.csv", misfit, "offset, gain and shape of each plot's misfit"),
-        ("bands.csv", band_table(measured), "residual, errors and correlation by band"),
+        ("bands.csv", band_agreement(measured), "residual, errors and correlation by band"),
         ("features.csv", features, "how well the model distinguishes plots"),
     ):
         run.table(name, table, what, None)

@@ -26,7 +26,7 @@ from fynjax.scene import SpeciesRow, check_species, cover_definition_of, visible
 from fynjax.sensors import Sensor
 from fynjax.studies.communities._draw import Gradients, check_pool
 from fynjax.studies.communities._observe import DIVERSITIES, Design, green, observe_community
-from fynjax.studies.communities._scores import agreement, composition, recognition
+from fynjax.studies.communities._scores import composition, correlations, recognition
 
 PIXELS = (0.05, 0.1, 0.25, 0.5, 1.0, 1.25, 2.5, 5.0)
 """Edges of a pixel [m] of a run that names none."""
@@ -132,7 +132,7 @@ def diversity(
     spectra, drawn = kept[: len(chosen)], kept[len(chosen) :]
     with run.stage("Score"):
         metrics, composed = composition(cover, metrics, drawn, design)
-        table, lost = agreement(truth, metrics, design, threshold)
+        table, lost = correlations(truth, metrics, design, threshold)
         known = recognition(species, spectra, pool.taxa, design)
     headline = _headline(lost, known, threshold)
     with run.stage("Write"):

@@ -33,7 +33,7 @@ _ENOUGH = 10
 """Pixels that a community needs for a hull and spectral species where others have as many."""
 
 
-def agreement(
+def correlations(
     diversity: Float[np.ndarray, "community diversity"],
     metrics: Float[np.ndarray, "community sensor pixel noise metric"],
     design: Design,

@@ -31,7 +31,7 @@ from fynjax.studies.fynbos_2006._article import SWIR2_MEAN
 _CENTRES = (420.0, 680.0, 890.0, 1000.0, 1090.0, 1290.0, 1470.0, 1650.0)
 _CENTRES_SWIR2 = (2130.0, 2210.0, 2300.0, 2430.0)
 """Where spectra of shrubland have their least and largest reflectance in each region [nm]: of
-spectra as `check_vegetation` knows them the ranges over these bands are 0.95 to 1 of those over
+spectra as `check_shrubland` knows them the ranges over these bands are 0.95 to 1 of those over
 all."""
 _WIDTH = 10.0  # nm
 _RELATIVE_SD = 0.05

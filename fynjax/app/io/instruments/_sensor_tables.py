@@ -10,7 +10,7 @@ from fynjax.app.io.text import NamedFile, Slip, Strict, in_unit, numbers_in
 RadianceUnit = Literal[
     "W m-2 sr-1 um-1", "mW m-2 sr-1 nm-1", "uW cm-2 sr-1 nm-1", "W m-2 sr-1 nm-1"
 ]
-"""The units of `fynjax.sensors.RADIANCE_UNITS`, as a type."""
+"""The units that `fynjax.sensors` knows, as a type."""
 WayOfCalibration = Literal["panels", "light_sensor", "empirical_line", "product"]
 """How images of a sensor become reflectance."""
 

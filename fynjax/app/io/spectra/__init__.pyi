@@ -1,6 +1,6 @@
 from ._asd import read_asd as read_asd
 from ._dataset import Refused as Refused
-from ._dataset import example_folder as example_folder
+from ._dataset import example_leaves as example_leaves
 from ._dataset import measured_dataset as measured_dataset
 from ._dataset import measured_table as measured_table
 from ._dataset import read_spectra as read_spectra

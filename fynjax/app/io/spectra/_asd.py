@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from fynjax._core.errors import InputError, names_file
-from fynjax.app.io.spectra._record import MeasuredSpectrum, measured, note
+from fynjax.app.io.spectra._record import MeasuredSpectrum, note, single_spectrum
 
 _HEADER = 484
 _TYPES = {
@@ -135,7 +135,7 @@ def read_asd(path: str | Path, data: bytes | None = None) -> MeasuredSpectrum:
             f"{panel.min():.3f} to {panel.max():.3f}",
         )
     ratio = _without_saturated(wavelength, ratio, splices, data[_FLAGS], meta)
-    return measured(path.stem, wavelength, ratio, meta, through)
+    return single_spectrum(path.stem, wavelength, ratio, meta, through)
 
 
 def _without_saturated(

@@ -84,7 +84,7 @@ def read_spectra(
     return measured_dataset(read, provenance(inputs=inputs))
 
 
-def example_folder() -> Path:
+def example_leaves() -> Path:
     """Folder of shipped example spectra of six leaves.
 
     `reflectance` holds an ASD file of each, relative to the white panel of `panel.csv`;

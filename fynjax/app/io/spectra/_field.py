@@ -12,7 +12,7 @@ import numpy as np
 
 from fynjax._core.errors import InputError
 from fynjax._core.tables import open_table
-from fynjax.app.io.spectra._record import MeasuredSpectrum, measured, note
+from fynjax.app.io.spectra._record import MeasuredSpectrum, note, single_spectrum
 from fynjax.app.io.spectra._text import MISSING
 
 _SVC = "/*** Spectra Vista"
@@ -115,7 +115,7 @@ def read_field_spectrum(data: bytes, file: Path) -> MeasuredSpectrum | None:
     if changes:
         meta |= {"splices": changes, "jumps": jumps}
         note(meta, f"overlap of detectors cut at {', '.join(f'{c:g}' for c in changes)} nm")
-    return measured(file.stem, wavelength[kept], values[kept], meta, through)
+    return single_spectrum(file.stem, wavelength[kept], values[kept], meta, through)
 
 
 def _target_and_reference(names: list[str]) -> list[int]:

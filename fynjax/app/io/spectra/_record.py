@@ -48,7 +48,7 @@ class MeasuredSpectrum:
         return replace(self, meta={**self.meta, **(meta or {}), "repairs": repairs}, **fields)
 
 
-def measured(
+def single_spectrum(
     name: str, wavelength: np.ndarray, values: np.ndarray, meta: dict[str, Any], through: bool
 ) -> MeasuredSpectrum:
     """A spectrum of transmittance alone (`through`), or of reflectance alone."""

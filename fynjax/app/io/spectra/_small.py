@@ -14,7 +14,7 @@ import numpy as np
 
 from fynjax._core.errors import InputError
 from fynjax._core.tables import is_number
-from fynjax.app.io.spectra._record import MeasuredSpectrum, measured, note
+from fynjax.app.io.spectra._record import MeasuredSpectrum, note, single_spectrum
 
 _BEGIN = re.compile(r">{3,} ?Begin .*Data ?<{3,}", re.I)
 _END = re.compile(r">{3,} ?End .*Data ?<{3,}", re.I)
@@ -152,7 +152,7 @@ def _reflectance(
     if noise.any() and not noise.all():
         note(meta, f"{noise.sum()} bands below 350 nm, or without light, set to missing")
         found = np.where(noise, np.nan, found)
-    return measured(file.stem, wavelength, found, meta, through)
+    return single_spectrum(file.stem, wavelength, found, meta, through)
 
 
 # -- the library of the USGS -----------------------------------------------------------------
@@ -202,7 +202,7 @@ def read_usgs(data: bytes, file: Path) -> MeasuredSpectrum | None:
                 note(meta, f"wavelengths from {other.name}, beside it")
                 name = re.sub(r"^splib\w* record=?\d*:? *", "", title, flags=re.I)
                 name = " ".join(name.split()) or file.stem
-                return measured(name, factor * wavelength, values, meta, through=False)
+                return single_spectrum(name, factor * wavelength, values, meta, through=False)
     raise InputError(
         f"a file of the USGS library ({title:.60}) holds {len(values)} values without their "
         "wavelengths, which are in another: put that (splib07a_Wavelengths_..., with as many "

@@ -17,7 +17,7 @@ from fynjax.app.io.spectra._layout import (
     layout_of,
 )
 from fynjax.app.io.spectra._names import leaves_only, marked, unsure
-from fynjax.app.io.spectra._record import MeasuredSpectrum, in_nanometres, measured, note
+from fynjax.app.io.spectra._record import MeasuredSpectrum, in_nanometres, note, single_spectrum
 
 _UNITS = {
     "µm": re.compile(r"(?<![a-z])[uµμ]m\b|micro", re.I),
@@ -76,7 +76,7 @@ def _library(table: TextTable, keys: dict[str, str]) -> MeasuredSpectrum:
         values = values / 100.0
         note(meta, "reflectance converted from percent")
     through = "transm" in (label + keys.get("measurement", "")).lower()
-    return measured(keys.get("name") or table.path.stem, wavelength, values, meta, through)
+    return single_spectrum(keys.get("name") or table.path.stem, wavelength, values, meta, through)
 
 
 def _paired(
@@ -135,7 +135,7 @@ def _by_row(table: TextTable, layout: TableLayout) -> list[MeasuredSpectrum]:
             records[name] = replace(old, reflectance=values)
             continue
         unique = name if old is None else f"{name}_row{table.row_of(number - 1)}"
-        records[unique] = measured(unique, wavelength, values, row_meta, through)
+        records[unique] = single_spectrum(unique, wavelength, values, row_meta, through)
     return list(records.values())
 
 

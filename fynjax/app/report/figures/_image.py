@@ -24,8 +24,8 @@ from fynjax.app.report.figures._style import (
     GROUND,
     REAL,
     Figure,
-    note,
     panel_grid,
+    small_print,
     style,
     words,
 )
@@ -174,7 +174,7 @@ def composites(
     )
     shown = f"Reflectance shown: {ranges}, square root. North up."
     lines = [textwrap.fill(line, int(_LETTERS * wide)) for line in (f"{what}.", shown)]
-    note(figure, "\n".join(lines))
+    small_print(figure, "\n".join(lines))
     return figure
 
 
@@ -294,7 +294,7 @@ def residual_maps(
         )
         bar.locator = MaxNLocator(4)
         bar.update_ticks()
-    note(figure, "Reflectance, simulated less measured [-]. North up.")
+    small_print(figure, "Reflectance, simulated less measured [-]. North up.")
     return figure
 
 

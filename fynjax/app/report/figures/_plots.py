@@ -7,7 +7,7 @@ from matplotlib.lines import Line2D
 from fynjax.app.compare import (
     FEATURES,
     PlotSpectraPair,
-    band_table,
+    band_agreement,
     chance_correlation,
     feature_values,
     misfit_table,
@@ -87,7 +87,7 @@ def residual_plot(pair: PlotSpectraPair) -> Figure:
 
     **Arguments:** `pair`, the simulated and the measured spectra of the plots.
     """
-    table = band_table(pair)
+    table = band_agreement(pair)
     x = table["wavelength_nm"].to_numpy()
     column = {name: table[name].to_numpy() for name in table}
     several = len(pair.plots) > 2

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from fynjax.app.io.captures import PanelView
 from fynjax.app.io.raster import Cube
-from fynjax.app.report.figures._style import VERMILION, Figure, note, style
+from fynjax.app.report.figures._style import VERMILION, Figure, small_print, style
 
 _THIN = 640
 """Pixels of a picture's longer side; larger ones are thinned for it."""
@@ -69,7 +69,7 @@ def capture_figure(cube: Cube, title: str, *, pixels: bool) -> Figure:
         axes.set_xlabel("x [pixel]" if pixels else "x [m]")
     grid[0].set_ylabel("y [pixel]" if pixels else "y [m]")
     if ranges:
-        note(
+        small_print(
             figure,
             f"Reflectance shown: {'; '.join(ranges)} (99th percentiles), square root. "
             "Saturated pixels white.",
@@ -92,7 +92,7 @@ def panel_figure(panels: Sequence[PanelView], known: Sequence[NDArray[np.float64
     for row, panel, rho in zip(grid, panels, known, strict=True):
         for k, axes in enumerate(row[: len(panel.areas)]):
             _draw_panel(axes, panel, k, float(rho[k]))
-    note(
+    small_print(
         figure,
         "Counts of each band's own picture, with the pixels that were read (outlined), their "
         "spread and the panel's reflectance.",

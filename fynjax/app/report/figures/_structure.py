@@ -8,7 +8,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 
 from fynjax.app.compare.structure import StructureComparison
-from fynjax.app.report.figures._style import AFTER, REAL, Figure, note, style, words
+from fynjax.app.report.figures._style import AFTER, REAL, Figure, small_print, style, words
 from fynjax.metrics.structure import STRUCTURE_METRICS
 
 _SIDES = (("real", REAL, "o"), ("simulated", AFTER, "s"))
@@ -32,7 +32,7 @@ def structure_figure(comparison: StructureComparison) -> Figure:
     _profile(profile, comparison)
     handles, labels = histogram.get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper left", ncols=2)
-    note(figure, _caption(comparison))
+    small_print(figure, _caption(comparison))
     return figure
 
 
@@ -62,7 +62,7 @@ def structure_maps(comparison: StructureComparison) -> Figure:
         bar.ax.locator_params(nbins=3)
     for axes, (name, _, _) in zip(grid[:, 0], _SIDES):
         axes.set_ylabel(f"{name}\nNorth [m]")
-    note(
+    small_print(
         figure,
         f"East [m]. Cells of {comparison.grain:g} m; grey is undefined. Of the thinned cloud, "
         "the median of thinnings.",

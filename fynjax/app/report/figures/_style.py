@@ -206,7 +206,7 @@ def name_rows(axes: Axes, labels: Sequence[str], *, room: int = 0) -> NDArray[np
     return y
 
 
-def note(figure: Figure, text: str) -> None:
+def small_print(figure: Figure, text: str) -> None:
     """Small print below a `figure`."""
     figure.supxlabel(text, fontsize=7.5, color="#333333")
 

@@ -8,7 +8,15 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from fynjax.app.report.figures._style import AFTER, REAL, Figure, note, panel_grid, style, words
+from fynjax.app.report.figures._style import (
+    AFTER,
+    REAL,
+    Figure,
+    panel_grid,
+    small_print,
+    style,
+    words,
+)
 
 SAMPLES = (("real", REAL), ("simulated", AFTER))
 """The two sides of a comparison, and their colours."""
@@ -60,7 +68,9 @@ def band_box_plot(bands: pd.DataFrame) -> Figure:
     left.legend(handles=handles, loc="upper left")
     difference_bars(right, [words(b) for b in bands["band"]], bands["difference_percent"])
     right.set_title("Means")
-    note(figure, "Box: quartiles; line: median; diamond: mean; whiskers: 5th and 95th percentile.")
+    small_print(
+        figure, "Box: quartiles; line: median; diamond: mean; whiskers: 5th and 95th percentile."
+    )
     return figure
 
 
@@ -126,7 +136,7 @@ def index_pair_histograms(
     handles: list[Artist] = [Patch(color=REAL, alpha=0.35, label="real")]
     handles.append(Line2D([], [], color=AFTER, label="simulated"))
     figure.legend(handles=handles, loc="outside upper left", ncols=2)
-    note(
+    small_print(
         figure,
         "Index value [-]; height is the density of pixels; dashed: means. HI: histogram "
         "intersection (central: without the outermost percent); KS: Kolmogorov-Smirnov "
