@@ -186,7 +186,7 @@ class Measure:
 
 MEASURES = {
     "places that declare a key": Measure(4, 2, places_of_keys),
-    "public names of the library": Measure(257, 250, public_names),
+    "public names of the library": Measure(259, 250, public_names),
     "names between its rooms": Measure(0, None, names_between_rooms),
     "names of two things": Measure(6, 0, names_of_two),
     "long functions": Measure(23, 15, large_functions),

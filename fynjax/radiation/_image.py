@@ -462,6 +462,7 @@ class _Way:
         mean = jnp.exp(-depth) * mean_transmittance(along)
         if terrain is not None:
             covering, unshaded = terrain
+            assert end is not None
             blocked, gap, through = end
             mean = mean * (1.0 - blocked)
             weight = weight * (1.0 - blocked) * self.beams(height + self.step)(unshaded)

@@ -55,7 +55,6 @@ from fynjax.inversion import (
     PlotForward,
     PlotSearch,
     Problem,
-    StructureView,
     compared_statistics,
     factors_by_view,
     join_data,
