@@ -58,6 +58,7 @@ from fynjax.scene._planting import (
     individual_seeds,
     leaf_classes,
     material_classes,
+    relative_sizes,
     organ_classes,
     planting_memory,
 )
@@ -170,6 +171,7 @@ __all__ = [
     "hard_scene",
     "height_profile",
     "individual_seeds",
+    "relative_sizes",
     "is_large",
     "leaf_classes",
     "leaf_parameters",
