@@ -19,7 +19,7 @@ from typing import Any, Literal, get_args, get_origin
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = (
     "fynjax",
-    "fynjax.jobs",
+    "fynjax.app.jobs",
     "fynjax.leaf",
     "fynjax.canopy",
     "fynjax.canopy.forms",
@@ -33,19 +33,19 @@ PACKAGES = (
     "fynjax.sensors.lidar",
     "fynjax.scene",
     "fynjax.inversion",
-    "fynjax.io.plot",
-    "fynjax.io.raster",
-    "fynjax.io.spectra",
-    "fynjax.io.instruments",
-    "fynjax.io.captures",
-    "fynjax.io.frames",
-    "fynjax.io.text",
-    "fynjax.terrain",
-    "fynjax.compare",
-    "fynjax.compare.structure",
-    "fynjax.assembly",
-    "fynjax.report.figures",
-    "fynjax.report.pages",
+    "fynjax.app.io.plot",
+    "fynjax.app.io.raster",
+    "fynjax.app.io.spectra",
+    "fynjax.app.io.instruments",
+    "fynjax.app.io.captures",
+    "fynjax.app.io.frames",
+    "fynjax.app.io.text",
+    "fynjax.app.terrain",
+    "fynjax.app.compare",
+    "fynjax.app.compare.structure",
+    "fynjax.app.assembly",
+    "fynjax.app.report.figures",
+    "fynjax.app.report.pages",
     "fynjax.studies.fynbos_2006",
     "fynjax.studies.bioscape",
     "fynjax.studies.communities",
@@ -87,7 +87,7 @@ def commands() -> dict[str, Any]:
     """Every command by name, as the command line holds it."""
     import typer
 
-    from fynjax.cli import app
+    from fynjax.app.cli import app
 
     found = {}
     for name, command in typer.main.get_command(app).commands.items():  # type: ignore[attr-defined]
@@ -185,7 +185,7 @@ def _references(entry: dict[str, Any]) -> list[tuple[str, bool]]:
 
 def keys(name: str) -> str:
     """Every key of a file, or every column of a table, from the schema of its model."""
-    from fynjax.jobs._schemas import json_schema
+    from fynjax.app.jobs._schemas import json_schema
 
     schema = json_schema(name)
     tables = schema.get("$defs", {})

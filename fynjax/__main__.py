@@ -1,6 +1,6 @@
 """`python -m fynjax`: the command line."""
 
-from fynjax.cli import main
+from fynjax.app.cli import main
 
 if __name__ == "__main__":
     main()

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from fynjax.io.instruments import load_instrument
+from fynjax.app.io.instruments import load_instrument
 from fynjax.sensors import Lidar, Sensor
 
 

@@ -19,7 +19,7 @@ from jaxtyping import Array, Float
 from rasterio import Affine
 
 from fynjax._core.least_squares import NO_TAGS
-from fynjax.io.raster import Cube, open_raster
+from fynjax.app.io.raster import Cube, open_raster
 
 unix = pytest.mark.skipif(sys.platform == "win32", reason="signals and links as Unix has them")
 """Mark of a test that kills a process or makes a link."""
@@ -144,7 +144,7 @@ def write_ply(path: Path, properties: Sequence[str], table: np.ndarray) -> Path:
 
 def assert_valid_summary(summary: Any) -> None:
     """A job's result, or the summary that a command wrote, is what the schema says."""
-    from fynjax.jobs._schemas import json_schema
+    from fynjax.app.jobs._schemas import json_schema
 
     if not isinstance(summary, dict):
         summary = json.loads(summary.model_dump_json())

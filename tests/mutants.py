@@ -220,9 +220,14 @@ GROUPS: dict[str, list[Mutant]] = {
 """By what they are in."""
 
 
+def _in_package(file: str) -> Path:
+    """The path of a file below `fynjax`, in which those of the app are named without `app`."""
+    return Path("fynjax") / ("app" if (ROOT / "fynjax" / "app" / file).is_file() else "") / file
+
+
 def is_there(mutant: Mutant) -> bool:
     """Whether the text that is changed stands in its file once, and the tests are there."""
-    text = (ROOT / "fynjax" / mutant.file).read_text("utf-8")
+    text = (ROOT / _in_package(mutant.file)).read_text("utf-8")
     file = ROOT / "tests" / mutant.tests.split()[0]
     return text.count(mutant.old) == 1 and mutant.old != mutant.new and file.is_file()
 
@@ -235,7 +240,7 @@ def is_found(mutant: Mutant) -> bool:
                         ignore=shutil.ignore_patterns("__pycache__"))  # fmt: skip
         for beside in ("tests", "tools", "data_schemas", "docs", "notebooks", "pyproject.toml"):
             (folder / beside).symlink_to(ROOT / beside)
-        path = folder / "fynjax" / mutant.file
+        path = folder / _in_package(mutant.file)
         path.write_text(path.read_text("utf-8").replace(mutant.old, mutant.new), "utf-8")
         file, _, words = mutant.tests.partition(" ")
         line = ["-x", "-q", "-p", "no:cacheprovider", f"tests/{file}"]

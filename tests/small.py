@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from fynjax.assembly import Prepared
+from fynjax.app.assembly import Prepared
 from fynjax.inversion import CalibrationSettings
 
 PLOT = """

@@ -42,7 +42,7 @@ def test_a_command_starts_without_what_it_may_need_later(tmp_path):
     leaf = tmp_path / "leaf.csv"
     leaf.write_text("wavelength,leaf\n" + "".join(f"{w},0.3\n" for w in range(400, 2401, 10)))
     code = (
-        "import sys\nfrom fynjax.cli import main\n"
+        "import sys\nfrom fynjax.app.cli import main\n"
         f"try: main(['fit-leaf', {str(leaf)!r}, '--dry-run'])\n"
         "except SystemExit as end: print(end.code)\n"
         "late = {'matplotlib', 'PIL', 'rasterio', 'pyproj', 'emcee', 'scipy.stats', 'scipy.signal',"

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
-from fynjax.cli import app
+from fynjax.app.cli import app
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
@@ -110,7 +110,7 @@ def test_a_call_that_cannot_be_typed_is_noticed() -> None:
 
 
 def test_options_keys_and_parameters_are_all_listed() -> None:
-    from fynjax.jobs._schemas import SCHEMAS, json_schema
+    from fynjax.app.jobs._schemas import SCHEMAS, json_schema
     from fynjax.scene import PARAMETERS
 
     for name, command in SITE.commands().items():
@@ -173,7 +173,7 @@ def test_every_public_package_has_a_page() -> None:
         for p in (ROOT / "fynjax").rglob("__init__.py")
         if "/_" not in str(p.parent.relative_to(ROOT)) and "__all__" in p.read_text("utf-8")
     }
-    assert {*SITE.PACKAGES, "fynjax.cli"} - {"fynjax.errors"} == public
+    assert {*SITE.PACKAGES, "fynjax.app", "fynjax.app.cli"} - {"fynjax.errors"} == public
     for package in SITE.PACKAGES:
         __import__(package)
         names = SITE.public_names(package)

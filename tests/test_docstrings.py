@@ -16,21 +16,21 @@ import fynjax
 import fynjax.radiation
 
 COMPLETE = (
-    "fynjax.assembly",
+    "fynjax.app.assembly",
     "fynjax.canopy",
-    "fynjax.compare",
+    "fynjax.app.compare",
     "fynjax.diversity",
     "fynjax.inversion",
-    "fynjax.io",
-    "fynjax.jobs",
+    "fynjax.app.io",
+    "fynjax.app.jobs",
     "fynjax.leaf",
     "fynjax.metrics",
     "fynjax.radiation",
-    "fynjax.report",
+    "fynjax.app.report",
     "fynjax.scene",
     "fynjax.sensors",
     "fynjax.studies",
-    "fynjax.terrain",
+    "fynjax.app.terrain",
 )
 """Packages, with those inside them, in which every public function documents its parameters."""
 

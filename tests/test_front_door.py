@@ -171,7 +171,7 @@ def test_scenes_and_parameters_print_a_line_for_each_species(scene):
 
 
 def test_a_scene_is_read_from_a_plot_file_its_folder_or_a_table(scene, tmp_path):
-    from fynjax.io.plot import example_folder
+    from fynjax.app.io.plot import example_folder
 
     options = {"size_m": (2.0, 2.0), "structure_m": "even"}
     of_file = fx.read_scene(example_folder() / "plot.toml", **options)
@@ -235,7 +235,7 @@ def test_bounds_and_designs_believe_the_model_as_little_as_a_fit(scene, monkeypa
         raise InterruptedError
 
     for name in ("sweep_sensors", "design_bands"):
-        monkeypatch.setattr(f"fynjax.assembly._front.{name}", stop)
+        monkeypatch.setattr(f"fynjax.app.assembly._front.{name}", stop)
     free, wider = fx.free(scene, "species.*.cover"), fx.prior().model_error.wider(2.0)
     for options in ({}, {"error": "none"}, {"error": wider}):
         with pytest.raises(InterruptedError):

@@ -27,7 +27,8 @@ ROAD = (
 """The road of a number: each layer may import from those before it."""
 
 BESIDE = ("io", "terrain", "compare", "assembly", "report", "jobs", "studies", "cli")
-"""Beside the road: each may import from the road and from those before it."""
+"""Beside the road, `studies` apart in `fynjax.app`: each may import from the road and from those
+before it."""
 
 LAYERS = ROAD + BESIDE
 
@@ -62,7 +63,8 @@ def imported_modules(tree: ast.AST, module: str, is_package: bool) -> Iterator[t
 def layer_of(module: str) -> str | None:
     """The layer that a module of this package belongs to; none for the top and other packages."""
     parts = module.split(".")
-    return parts[1] if len(parts) > 1 and parts[0] == "fynjax" and parts[1] in LAYERS else None
+    room = parts[2:3] if parts[:2] == ["fynjax", "app"] else parts[1:2]
+    return room[0] if parts[0] == "fynjax" and room and room[0] in LAYERS else None
 
 
 def private_owner(name: str) -> str | None:
@@ -123,8 +125,9 @@ def test_imports_point_one_way() -> None:
 
 
 def test_every_layer_is_known_and_there() -> None:
-    folders = {path.parent.name for path in PACKAGE.glob("*/__init__.py")}
-    assert folders == set(LAYERS)
+    folders = {path.parent.name for path in PACKAGE.glob("*/__init__.py")} - {"app"}
+    assert folders == {*ROAD, "studies"}
+    assert folders | {path.parent.name for path in PACKAGE.glob("app/*/__init__.py")} == set(LAYERS)
     names = [path.name for path in sorted(PACKAGE.glob("*.py"))]
     assert names == ["__init__.py", "__main__.py", "_cite.py", "_sensor.py", "errors.py"]
 
@@ -137,20 +140,20 @@ def test_every_layer_is_known_and_there() -> None:
         ("fynjax.leaf._x", "from fynjax import radiation"),
         ("fynjax.leaf._x", "from ..canopy import VoxelGrid"),
         ("fynjax.leaf._x", "from .. import io"),
-        ("fynjax.leaf._x", "def f():\n    from fynjax.io import read_plot"),
+        ("fynjax.leaf._x", "def f():\n    from fynjax.app.io import read_plot"),
         ("fynjax.leaf._x", "import importlib\nimportlib.import_module('fynjax.metrics')"),
         ("fynjax.leaf._x", "import fynjax"),
-        ("fynjax.inversion._x", "from fynjax.report import Page"),
-        ("fynjax.io._x", "from fynjax.cli import app"),
+        ("fynjax.inversion._x", "from fynjax.app.report import Page"),
+        ("fynjax.app.io._x", "from fynjax.app.cli import app"),
         ("fynjax", "from fynjax.leaf import prospect"),
-        ("fynjax.io._x", "from fynjax.scene._scene import Scene"),
-        ("fynjax.io.plot._x", "from fynjax.io.text._tables import read_table"),
-        ("fynjax.jobs._x", "from fynjax.report.pages import _page"),
-        ("fynjax.jobs._x", "from fynjax.scene import _hidden"),
-        ("fynjax.jobs._x", "import matplotlib.pyplot as plt"),
-        ("fynjax.compare._x", "def f():\n    from matplotlib.figure import Figure"),
-        ("fynjax.report.pages._x", "import optimistix"),
-        ("fynjax.report.pages._x", "from fynjax.inversion import calibrate_plot"),
+        ("fynjax.app.io._x", "from fynjax.scene._scene import Scene"),
+        ("fynjax.app.io.plot._x", "from fynjax.app.io.text._tables import read_table"),
+        ("fynjax.app.jobs._x", "from fynjax.app.report.pages import _page"),
+        ("fynjax.app.jobs._x", "from fynjax.scene import _hidden"),
+        ("fynjax.app.jobs._x", "import matplotlib.pyplot as plt"),
+        ("fynjax.app.compare._x", "def f():\n    from matplotlib.figure import Figure"),
+        ("fynjax.app.report.pages._x", "import optimistix"),
+        ("fynjax.app.report.pages._x", "from fynjax.inversion import calibrate_plot"),
     ],
 )
 def test_a_wrong_import_is_seen(module: str, source: str) -> None:
@@ -162,18 +165,18 @@ def test_a_wrong_import_is_seen(module: str, source: str) -> None:
     [
         ("fynjax.canopy._x", "from fynjax.leaf import prospect"),
         ("fynjax.canopy._x", "from ._grid import VoxelGrid"),
-        ("fynjax.io.plot._x", "from fynjax.io.plot._rows import SpeciesRow"),
-        ("fynjax.io.plot._x", "from fynjax._core.errors import InputError"),
-        ("fynjax.report.figures._x", "from matplotlib.figure import Figure"),
+        ("fynjax.app.io.plot._x", "from fynjax.app.io.plot._rows import SpeciesRow"),
+        ("fynjax.app.io.plot._x", "from fynjax._core.errors import InputError"),
+        ("fynjax.app.report.figures._x", "from matplotlib.figure import Figure"),
         ("fynjax.inversion._x", "import optimistix"),
-        ("fynjax.io._x", "import fynjax\nfrom fynjax.inversion import calibrate"),
+        ("fynjax.app.io._x", "import fynjax\nfrom fynjax.inversion import calibrate"),
     ],
 )
 def test_a_right_import_is_left_alone(module: str, source: str) -> None:
     assert not wrong_imports(source, module, is_package=False)
 
 
-HOLDERS = {"fynjax.io", "fynjax.report", "fynjax.studies"}
+HOLDERS = {"fynjax.app.io", "fynjax.app.report", "fynjax.studies"}
 """Packages that hold sub-packages and no names of their own."""
 
 

@@ -66,7 +66,7 @@ def full_name(kind):
 
 def check_schemas():
     """Range, unit, default and words of every column, and the values that a file may hold."""
-    from fynjax.jobs._schemas import json_schema
+    from fynjax.app.jobs._schemas import json_schema
     from fynjax.scene import PARAMETERS
 
     assert set(COLUMNS) | WITHOUT_A_COLUMN == set(PARAMETERS)
@@ -89,8 +89,8 @@ def check_schemas():
 
 def check_fits():
     """Bounds and priors of fits of plots and of leaves."""
+    from fynjax.app.io.plot import CalibrationTable
     from fynjax.inversion import make_space
-    from fynjax.io.plot import CalibrationTable
     from fynjax.leaf import LEAF_PARAMETERS, LeafParameters
     from fynjax.leaf._problem import LeafSettings, make_setup
     from fynjax.leaf._residual import to_physical
@@ -152,8 +152,8 @@ def check_fits():
 
 def check_plots_and_tables(folder):
     """Values of a plot file in the parameters' units, defaults, and tables in shown units."""
-    from fynjax.assembly import parameter_columns, plot_parameters
-    from fynjax.io.plot import read_plot, with_parameter_table
+    from fynjax.app.assembly import parameter_columns, plot_parameters
+    from fynjax.app.io.plot import read_plot, with_parameter_table
     from fynjax.scene import LEAF_FIELDS, PARAMETERS, named_values, parameter_reference
 
     folder.mkdir(exist_ok=True)
@@ -281,7 +281,7 @@ def test_what_is_assumed_of_leaves_and_forms_lies_within_the_bounds():
 
 
 def test_the_commented_example_states_the_ranges_of_the_records():
-    from fynjax.io.plot import example_folder
+    from fynjax.app.io.plot import example_folder
     from fynjax.scene import PARAMETERS
 
     text = (example_folder() / "plot.toml").read_text("utf-8")

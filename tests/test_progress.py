@@ -11,8 +11,8 @@ from rich.console import Console
 import fynjax as fx
 from fynjax._core.parts import Pool
 from fynjax._core.progress import advance, stage, track
-from fynjax.compare import read_drone_image
-from fynjax.io.raster import write_geotiff
+from fynjax.app.compare import read_drone_image
+from fynjax.app.io.raster import write_geotiff
 from tests.heard import hearing
 
 

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from fynjax.cli import app
+from fynjax.app.cli import app
 from tests.io.frame_files import SHOTS, write_odm
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -19,7 +19,7 @@ from fynjax._core import store
 from fynjax._core.checkpoint import Journal, signature
 from fynjax._core.errors import InputError
 from fynjax._core.store import Store, code_hash
-from fynjax.cli import app
+from fynjax.app.cli import app
 
 unix = pytest.mark.skipif(sys.platform == "win32", reason="links and modes as Unix has them")
 

@@ -1,4 +1,4 @@
-"""Make the example folder of leaf spectra that `fynjax.io.spectra.example_folder` names.
+"""Make the example folder of leaf spectra that `fynjax.app.io.spectra.example_folder` names.
 
 No measured leaves can be shipped: those of ANGERS, LOPEX and NASA FFT state no licence. These six
 are PROSPECT-D's with what real leaves differ from it by: a draw of the error that was learned on

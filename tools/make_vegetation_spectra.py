@@ -1,4 +1,4 @@
-"""Recipe of `fynjax/compare/data/vegetation_spectra.csv`: how shrubland reflects, as measured.
+"""Recipe of `fynjax/app/compare/data/vegetation_spectra.csv`: how shrubland reflects, as measured.
 
 Run `python -m tools.make_vegetation_spectra FOLDER` with the folder that holds `bioscape` and
 `satellite` of the reference data. Mean and covariance of the logarithm of reflectance on 10 nm,
@@ -17,7 +17,7 @@ import spectral
 
 TILE = 5.0
 FACTORS = 8
-OUTPUT = Path(__file__).parents[1] / "fynjax/compare/data/vegetation_spectra.csv"
+OUTPUT = Path(__file__).parents[1] / "fynjax/app/compare/data/vegetation_spectra.csv"
 WINDOWS = ((420.0, 1310.0), (1450.0, 1760.0), (1980.0, 2430.0))
 """Ends of the wavelengths that are kept [nm]."""
 

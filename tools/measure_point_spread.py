@@ -17,7 +17,7 @@ from scipy.optimize import least_squares
 from scipy.special import ndtr
 
 from fynjax._core.spectral import FWHM_PER_SIGMA
-from fynjax.io.captures._panel import find_panel
+from fynjax.app.io.captures._panel import find_panel
 
 REACH = 6.0
 """Pixels on each side of an edge that are compared: beyond lies what is not the panel."""

@@ -7,11 +7,11 @@ fynjax sets it, and none leaves it changed.
   `fynjax.radiation`, `fynjax.sensors`, `fynjax.metrics` and `fynjax.diversity`) takes the precision
   of its arrays, light that of the scene, which is float32 (`build_scene` takes another `dtype`).
 - What would lose small differences of large numbers (fits, posteriors, populations, planting, a
-  camera's radiometry) and the functions of `fynjax.jobs` and `fynjax.studies` compute in 64 bits
-  whatever the process has: they enter `jax.enable_x64(True)` and leave it (`double_precision`). In
-  a process of 32 bits their float64 arrays come back as NumPy arrays. JAX would cut its own down
-  to float32 wherever they meet others, with a warning; NumPy's keep their digits and become
-  float32 only as an argument of JAX.
+  camera's radiometry) and the functions of `fynjax.app.jobs` and `fynjax.studies` compute in 64
+  bits whatever the process has: they enter `jax.enable_x64(True)` and leave it
+  (`double_precision`). In a process of 32 bits their float64 arrays come back as NumPy arrays. JAX
+  would cut its own down to float32 wherever they meet others, with a warning; NumPy's keep their
+  digits and become float32 only as an argument of JAX.
 - A scene and the parameters of a plot are drawn in 64 bits, so that the same seed gives the same
   stand, and come back in the precision of the process (`drawn_in_double`).
 

@@ -1277,8 +1277,8 @@ def build_scene(
       `rules` have where it is left out.
     - `dtype`: floating type that the scene is computed in.
 
-    In a dry run (`fynjax.jobs.dry_run`) nothing is drawn: the plants are counted (`ScenePlan`), and
-    the scene has none.
+    In a dry run (`fynjax.app.jobs.dry_run`) nothing is drawn: the plants are counted (`ScenePlan`),
+    and the scene has none.
 
     **Raises:** `InputError` where the plants do not fit, crowns are outside the plot, or voxels do
     not divide the sides.

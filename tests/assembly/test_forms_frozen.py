@@ -7,10 +7,10 @@ import jax
 import numpy as np
 import pytest
 
-from fynjax.assembly import StandSettings, stand_numbers
-from fynjax.assembly._stands import _draw
+from fynjax.app.assembly import StandSettings, stand_numbers
+from fynjax.app.assembly._stands import _draw
+from fynjax.app.io.plot import read_prior
 from fynjax.canopy import generate_plant, plant_model
-from fynjax.io.plot import read_prior
 
 FROZEN = json.loads(Path(__file__).with_name("forms_frozen.json").read_text("utf-8"))
 """Sums that were written before the forms became records."""

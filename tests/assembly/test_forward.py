@@ -3,9 +3,9 @@
 from types import SimpleNamespace
 from typing import Any
 
-from fynjax.assembly import Prepared
+from fynjax.app.assembly import Prepared
+from fynjax.app.io.plot import CalibrationTable
 from fynjax.inversion import CalibrationSettings
-from fynjax.io.plot import CalibrationTable
 
 
 def test_a_search_has_the_steps_and_starts_of_the_plot_file():

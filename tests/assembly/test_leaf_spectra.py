@@ -12,9 +12,9 @@ import fynjax as fx
 from fynjax._core.dry_run import dry_run
 from fynjax._core.errors import InputError
 from fynjax._core.store import Store
-from fynjax.assembly import _leaf_spectra, build_plot, plot_parameters
-from fynjax.assembly._forward import prepare
-from fynjax.io.plot import plant_sources, read_plot
+from fynjax.app.assembly import _leaf_spectra, build_plot, plot_parameters
+from fynjax.app.assembly._forward import prepare
+from fynjax.app.io.plot import plant_sources, read_plot
 from tests.small import write_plot
 
 SPECIES = """taxon,mean_diameter_cm,cover_percent,height_max_m,growth_form

@@ -8,13 +8,13 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from fynjax.assembly import build_plot
+from fynjax.app.assembly import build_plot
+from fynjax.app.io.plot import read_plot
+from fynjax.app.io.spectra import read_spectra_file
+from fynjax.app.jobs._build import voxel_dataset
+from fynjax.app.jobs._plant import plant
 from fynjax.canopy import PlantMesh, generate_plant
 from fynjax.errors import InputError
-from fynjax.io.plot import read_plot
-from fynjax.io.spectra import read_spectra_file
-from fynjax.jobs._build import voxel_dataset
-from fynjax.jobs._plant import plant
 from fynjax.leaf import LeafParameters, prospect
 from fynjax.scene import USUAL_LEAF, material_classes
 from fynjax.sensors import shipped_sensor

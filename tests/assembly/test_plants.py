@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 from fynjax._core.errors import InputError
-from fynjax.assembly import build_plot, plot_parameters
-from fynjax.assembly._plants import read_plant
+from fynjax.app.assembly import build_plot, plot_parameters
+from fynjax.app.assembly._plants import read_plant
+from fynjax.app.io.plot import read_plot
+from fynjax.app.jobs._plant import plant
 from fynjax.canopy import (
     Organ,
     PlantModel,
@@ -16,8 +18,6 @@ from fynjax.canopy import (
     plant_model_from_mesh,
     thin_plant,
 )
-from fynjax.io.plot import read_plot
-from fynjax.jobs._plant import plant
 
 TOML = "[plot]\nsize_m = 2.0\n[scene]\nsoftness = 0.0\nsoftness_plants = 0.0\n"
 COLUMNS = "taxon,mean_diameter_cm,cover_percent,height_max_m,growth_form,plant\n"

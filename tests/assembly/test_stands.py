@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from fynjax.assembly import STAND_QUANTITIES, StandSettings, simulate_stands, stand_forms
-from fynjax.assembly._stands import _draw, stand_numbers
+from fynjax.app.assembly import STAND_QUANTITIES, StandSettings, simulate_stands, stand_forms
+from fynjax.app.assembly._stands import _draw, stand_numbers
+from fynjax.app.io.plot import LEAFY_FORMS, read_prior, write_prior
 from fynjax.canopy import FORMS
-from fynjax.io.plot import LEAFY_FORMS, read_prior, write_prior
 from fynjax.sensors import shipped_sensor
 from tests.io.test_prior import prior_file
 

@@ -5,17 +5,17 @@ import numpy as np
 import pytest
 
 from fynjax._core.errors import InputError
-from fynjax.assembly import build_plot
-from fynjax.assembly._targets import (
+from fynjax.app.assembly import build_plot
+from fynjax.app.assembly._targets import (
     read_targets,
     reflectance_noise,
     structure_settings,
     target_kind,
 )
+from fynjax.app.io.plot import read_plot
+from fynjax.app.io.plot._rows import StructureRow, read_structure
+from fynjax.app.io.raster import Cube, write_cube_geotiff
 from fynjax.inversion import SpectrumView, StructureView
-from fynjax.io.plot import read_plot
-from fynjax.io.plot._rows import StructureRow, read_structure
-from fynjax.io.raster import Cube, write_cube_geotiff
 from fynjax.metrics.structure import STRUCTURE_METRICS
 from fynjax.sensors import BandSet, RadiometricNoise, at_sensor_radiance, shipped_sensor
 from fynjax.sensors.air import ClearAir, band_atmosphere, clear_sky_atmosphere

@@ -7,10 +7,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from fynjax.assembly import RealImage, plant_twin, prepare, twin_image
-from fynjax.assembly._twin import _PLANTING, PIXEL_NOISE, measure_truth
+from fynjax.app.assembly import RealImage, plant_twin, prepare, twin_image
+from fynjax.app.assembly._twin import _PLANTING, PIXEL_NOISE, measure_truth
+from fynjax.app.io.plot import drone_sensor, read_plot
 from fynjax.inversion import Data, ImageView, spectrum_names, spectrum_view, structure_view
-from fynjax.io.plot import drone_sensor, read_plot
 from fynjax.scene import with_values
 from tests.small import write_plot
 
@@ -104,7 +104,7 @@ def test_a_truth_moves_what_is_measured(ready, twin):
 
 def test_a_spectrum_of_a_twin_has_the_errors_of_the_real_one(ready, twin, monkeypatch):
     truth = np.array([1.0, 2.0])
-    monkeypatch.setattr("fynjax.assembly._twin.measure_truth", lambda *_: (truth, None))
+    monkeypatch.setattr("fynjax.app.assembly._twin.measure_truth", lambda *_: (truth, None))
     sd = jnp.array([0.1, 0.3])
     one = dataclasses.replace(
         twin.measured[0],

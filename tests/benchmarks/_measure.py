@@ -11,7 +11,7 @@ import equinox as eqx
 import jax
 
 from fynjax._core.memory import peak_memory
-from fynjax.io.plot import Plot, example_folder, read_plot
+from fynjax.app.io.plot import Plot, example_folder, read_plot
 from fynjax.studies.bioscape import BioscapePlot, read_bioscape
 from fynjax.studies.bioscape._spectra import PlotSpectra, read_plot_spectra
 

@@ -10,9 +10,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from fynjax.assembly import aim_at_plot, build_plot
-from fynjax.io.instruments import load_sensor
-from fynjax.io.plot import AtmosphereTable
+from fynjax.app.assembly import aim_at_plot, build_plot
+from fynjax.app.io.instruments import load_sensor
+from fynjax.app.io.plot import AtmosphereTable
 from fynjax.scene import AimedSensor, PlotParameters, Scene, visible_sensor
 from tests.benchmarks._measure import compiled, example_plot, options
 

@@ -21,7 +21,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from fynjax.assembly import build_plot, image_view
+from fynjax.app.assembly import build_plot, image_view
+from fynjax.app.io.plot import free_parameters
 from fynjax.inversion import (
     Data,
     LogPosterior,
@@ -32,7 +33,6 @@ from fynjax.inversion import (
     statistics_and_jacobian,
     weigh_targets,
 )
-from fynjax.io.plot import free_parameters
 from fynjax.metrics import BANDS
 from tests.benchmarks._measure import example_plot, options, peak_gib, seconds
 

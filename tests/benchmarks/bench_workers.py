@@ -18,8 +18,8 @@ from typing import Any
 import numpy as np
 
 from fynjax._core.parts import Workers, at_work
+from fynjax.app.io.plot import DEFAULT_PRIOR, read_plot, read_prior
 from fynjax.inversion import spectrum_view
-from fynjax.io.plot import DEFAULT_PRIOR, read_plot, read_prior
 from fynjax.studies.bioscape import run_bioscape
 from fynjax.studies.bioscape._calibrate import chosen_bands
 from fynjax.studies.bioscape._inversion import (

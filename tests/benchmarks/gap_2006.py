@@ -13,7 +13,7 @@ import equinox as eqx
 import numpy as np
 import pandas as pd
 
-from fynjax.assembly import build_plot
+from fynjax.app.assembly import build_plot
 from fynjax.canopy import FORMS, leaf_angle
 from fynjax.scene import PlotParameters, Scene
 from tests.benchmarks._measure import example_plot, options

@@ -15,9 +15,9 @@ from types import FrameType
 from typing import Any
 
 import fynjax
-from fynjax.assembly import aim_without_air, build_plot
+from fynjax.app.assembly import aim_without_air, build_plot
+from fynjax.app.io.plot import drone_sensor, read_plot
 from fynjax.inversion import ImageView
-from fynjax.io.plot import drone_sensor, read_plot
 from tests.benchmarks._measure import options
 from tests.small import write_plot
 

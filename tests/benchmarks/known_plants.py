@@ -16,10 +16,10 @@ import time
 import jax.numpy as jnp
 import numpy as np
 
-from fynjax.assembly import aim_without_air, build_plot, prepare
+from fynjax.app.assembly import aim_without_air, build_plot, prepare
+from fynjax.app.io.plot import drone_sensor
 from fynjax.inversion import PixelSettings, calibrate_known_plants
 from fynjax.inversion._known_plants import PixelModel
-from fynjax.io.plot import drone_sensor
 from fynjax.scene import Crowns, hard_instances
 from fynjax.sensors import Gains
 from tests.benchmarks._measure import example_plot, options, peak_gib

@@ -102,7 +102,7 @@ def gaussian_scores(setup: Setup, truth: np.ndarray, problems: Problem) -> np.nd
 def draw(counts: np.ndarray, names: Sequence[str], path: Path) -> None:
     from matplotlib.figure import Figure
 
-    from fynjax.report.figures._style import BLUE, GREY, save_figure, style
+    from fynjax.app.report.figures._style import BLUE, GREY, save_figure, style
 
     total = counts[:, 0].sum()
     low, high = stats.binom.interval(0.95, total, 1.0 / BINS)

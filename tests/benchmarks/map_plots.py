@@ -13,10 +13,10 @@ from pathlib import Path
 import jax.numpy as jnp
 import numpy as np
 
-from fynjax.assembly import STAND_QUANTITIES
+from fynjax.app.assembly import STAND_QUANTITIES
+from fynjax.app.io.raster import Cube, write_cube_envi
+from fynjax.app.jobs import read_training, train
 from fynjax.inversion import estimate_pixels
-from fynjax.io.raster import Cube, write_cube_envi
-from fynjax.jobs import read_training, train
 from fynjax.studies.bioscape._inversion_compare import field_values
 from fynjax.studies.bioscape._spectra import read_spectrometer
 from tests.benchmarks._measure import bioscape_plots, data_folder, options

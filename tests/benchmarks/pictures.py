@@ -18,9 +18,9 @@ import jax
 import numpy as np
 from jaxtyping import Array
 
+from fynjax.app.report.figures import save_figure
+from fynjax.app.report.figures._style import AFTER, GREY, REAL, Figure, style
 from fynjax.radiation import Accuracy
-from fynjax.report.figures import save_figure
-from fynjax.report.figures._style import AFTER, GREY, REAL, Figure, style
 from fynjax.scene import Scene, observe
 from tests.benchmarks._measure import data_folder, options
 from tests.radiation.scenes import reflectance_of, solver, views_of_reference

@@ -17,7 +17,7 @@ from sklearn.cross_decomposition import PLSRegression
 from sklearn.ensemble import RandomForestRegressor
 from sklearn.linear_model import RidgeCV
 
-from fynjax.compare import PlotSpectraPair, agreement_table, mean_agreement
+from fynjax.app.compare import PlotSpectraPair, agreement_table, mean_agreement
 from fynjax.studies.bioscape._inversion_compare import field_values
 from fynjax.studies.bioscape._spectra import read_spectrometer
 from fynjax.studies.bioscape._validate import used_bands

@@ -17,9 +17,9 @@ import jax.numpy as jnp
 import numpy as np
 import pandas as pd
 
-from fynjax.assembly import build_plot, image_view
-from fynjax.compare import consistent_targets
-from fynjax.io.plot import (
+from fynjax.app.assembly import build_plot, image_view
+from fynjax.app.compare import consistent_targets
+from fynjax.app.io.plot import (
     BY_FORM,
     DEFAULT_PRIOR,
     leaf_factors,

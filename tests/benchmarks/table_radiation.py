@@ -27,7 +27,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from fynjax.assembly import aim_without_air, build_plot
+from fynjax.app.assembly import aim_without_air, build_plot
 from fynjax.canopy import VoxelGrid, unit_shapes
 from fynjax.radiation import Accuracy, VoxelScene, parallel_rays, reflectance_factor, solve_light
 from fynjax.scene import PlotParameters, Scene

@@ -41,9 +41,9 @@ from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 
 from fynjax._core.parts import Workers, at_work
-from fynjax.assembly import image_view, prepare
-from fynjax.assembly._targets import reflectance_noise, structure_settings
-from fynjax.assembly._twin import draw_truth, measure_truth
+from fynjax.app.assembly import image_view, prepare
+from fynjax.app.assembly._targets import reflectance_noise, structure_settings
+from fynjax.app.assembly._twin import draw_truth, measure_truth
 from fynjax.inversion import (
     BandFactors,
     CalibrationSettings,

@@ -14,8 +14,8 @@ import xarray as xr
 from typer.testing import CliRunner
 
 from fynjax._core.errors import InputError
+from fynjax.app.cli._plot import build
 from fynjax.canopy import FORMS
-from fynjax.cli._plot import build
 from fynjax.scene import USUAL_LEAF
 from tests.helpers import assert_valid_summary
 

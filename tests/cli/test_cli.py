@@ -22,9 +22,9 @@ import fynjax
 from fynjax import jobs
 from fynjax._core.compiler import known_flags
 from fynjax._core.errors import InputError, MissingExtraError
-from fynjax.cli import app, main
-from fynjax.cli._runtime import _alone
-from fynjax.io.plot import as_plot, read_plot
+from fynjax.app.cli import app, main
+from fynjax.app.cli._runtime import _alone
+from fynjax.app.io.plot import as_plot, read_plot
 from fynjax.sensors import shipped_lidars, shipped_sensors
 from fynjax.studies import fynbos_2006
 
@@ -71,7 +71,7 @@ def calls(monkeypatch):
     for name in ("render", "calibrate", "fit_leaf"):
         monkeypatch.setattr(jobs, name, job(name), raising=False)
     monkeypatch.setattr(fynbos_2006, "demo", job("demo"), raising=False)
-    monkeypatch.setattr("fynjax.cli._runtime.keep_compiled", lambda: None)
+    monkeypatch.setattr("fynjax.app.cli._runtime.keep_compiled", lambda: None)
     return made
 
 
@@ -123,7 +123,7 @@ def test_an_error_of_a_job_names_options(capsys, calls, monkeypatch, tmp_path):
 
 def test_help_and_version_are_fast_and_load_no_jax():
     code = (
-        "import sys\nfrom fynjax.cli import main\n"
+        "import sys\nfrom fynjax.app.cli import main\n"
         "try: main(['calibrate', '--help'])\nexcept SystemExit: pass\n"
         "heavy = {'jax', 'numpy', 'rasterio', 'xarray', 'matplotlib', 'pandas', 'scipy'}\n"
         "print('LOADED', sorted(heavy & set(sys.modules)))"
@@ -183,7 +183,7 @@ def test_a_plot_is_read_once_and_its_seed_taken_unless_given(
         built.append(seed)
         raise InputError("far enough")
 
-    for module in ("fynjax.io.plot", "fynjax.io.plot._plot_file"):
+    for module in ("fynjax.app.io.plot", "fynjax.app.io.plot._plot_file"):
         monkeypatch.setattr(f"{module}.read_plot", count)
     for module in ("jobs._render", "jobs._build", "jobs._simulate", "assembly._forward"):
         monkeypatch.setattr(f"fynjax.{module}.build_plot", build)
@@ -449,7 +449,7 @@ def test_output_that_is_a_file_is_refused(capsys, calls, tmp_path):
 
 @pytest.mark.parametrize("year", [2016, 2019])
 def test_init_writes_a_plot_of_another_fire_and_says_what_is_assumed(capsys, tmp_path, year):
-    from fynjax.io.plot import read_plot
+    from fynjax.app.io.plot import read_plot
 
     target = tmp_path / "plot"
     status, out, _ = call(capsys, "init", target, "--burnt", year, "--json")
@@ -511,7 +511,7 @@ def test_init_takes_a_table_of_one_s_own_by_its_words(capsys, tmp_path):
 
 
 def test_init_without_a_prior_takes_nothing_that_was_learned(capsys, tmp_path):
-    from fynjax.io.plot import leaf_factors, read_prior
+    from fynjax.app.io.plot import leaf_factors, read_prior
 
     for prior in ("none", "fynbos_2023"):
         arguments = ("--example", "fynbos", "--prior", prior)
@@ -529,7 +529,7 @@ def test_init_without_a_prior_takes_nothing_that_was_learned(capsys, tmp_path):
 @pytest.mark.parametrize("burnt", [2006, 2016])
 def test_init_states_means_and_spreads_of_a_prior(capsys, tmp_path, burnt):
     """As plots elsewhere have them; leaves move by the factors of the file over the shipped."""
-    from fynjax.io.plot import example_folder, read_prior, with_prior, write_prior
+    from fynjax.app.io.plot import example_folder, read_prior, with_prior, write_prior
     from tests.io.test_prior import prior_file
 
     write_prior(tmp_path / "prior.toml", prior_file())
@@ -562,7 +562,7 @@ def test_init_states_means_and_spreads_of_a_prior(capsys, tmp_path, burnt):
 
 def test_the_cache_folder_follows_jax_or_xdg_and_the_compiler_xla_flags(tmp_path):
     code = (
-        "from fynjax.cli._runtime import keep_compiled\nkeep_compiled()\nimport jax, os\n"
+        "from fynjax.app.cli._runtime import keep_compiled\nkeep_compiled()\nimport jax, os\n"
         "print(jax.config.jax_compilation_cache_dir, os.environ['XLA_FLAGS'])\n"
         "jax.numpy.ones(3).sum()"  # flags that the compiler does not know would end it
     )
@@ -586,7 +586,7 @@ def test_the_cache_folder_follows_jax_or_xdg_and_the_compiler_xla_flags(tmp_path
 def test_compiled_programs_that_are_kept_are_read_without_a_word(tmp_path):
     """A compiler's false alarm about its own settings, once for each program, is no news."""
     code = (
-        "import sys\nfrom fynjax.cli import main\nassert 'jax' not in sys.modules\n"
+        "import sys\nfrom fynjax.app.cli import main\nassert 'jax' not in sys.modules\n"
         "try:\n    main(['--version'])\nexcept SystemExit:\n    pass\n"
         "import jax\nprint(jax.jit(lambda x: jax.numpy.sin(x) @ x)(jax.numpy.ones((9, 9))).sum())"
     )

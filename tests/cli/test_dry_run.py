@@ -9,7 +9,7 @@ from unittest.mock import patch
 import pytest
 
 from fynjax import jobs
-from fynjax.cli import main
+from fynjax.app.cli import main
 from tests.frozen.cases import CASES
 
 FROZEN = Path(__file__).parents[1] / "frozen"

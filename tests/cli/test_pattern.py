@@ -9,8 +9,8 @@ import typer
 from typer.testing import CliRunner
 
 from fynjax._core.errors import InputError
-from fynjax.cli._plot import pattern
-from fynjax.io.raster import read_probability_map, write_geotiff
+from fynjax.app.cli._plot import pattern
+from fynjax.app.io.raster import read_probability_map, write_geotiff
 from tests.canopy.test_pattern import BANDS, drawn
 from tests.helpers import assert_valid_summary
 

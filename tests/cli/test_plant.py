@@ -11,8 +11,8 @@ import typer
 from typer.testing import CliRunner
 
 from fynjax._core.errors import InputError
+from fynjax.app.cli._plot import plant
 from fynjax.canopy import FORMS
-from fynjax.cli._plot import plant
 from tests.helpers import assert_valid_summary
 
 app = typer.Typer()

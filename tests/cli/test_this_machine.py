@@ -11,12 +11,12 @@ import jax
 import pytest
 from typer.testing import CliRunner
 
-import fynjax.cli as cli
+import fynjax.app.cli as cli
 from fynjax._core.errors import InputError
 from fynjax._core.files import existing_file, how_to_import
-from fynjax.cli import app
-from fynjax.cli._runtime import run_job
-from fynjax.io.raster import open_blocks, open_raster
+from fynjax.app.cli import app
+from fynjax.app.cli._runtime import run_job
+from fynjax.app.io.raster import open_blocks, open_raster
 
 posix = pytest.mark.skipif(sys.platform in ("win32", "darwin"), reason="names are text there")
 
@@ -83,7 +83,7 @@ def test_a_home_that_is_missing_or_a_file_costs_nothing(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("", "utf-8")
     code = (
         "from fynjax._core.compiler import keep_compiled\n"
-        "from fynjax.cli._runtime import _alone\n"
+        "from fynjax.app.cli._runtime import _alone\n"
         "from pathlib import Path\nimport sys\n"
         "keep_compiled()\nwith _alone(Path(sys.argv[1])): print('well')"
     )
@@ -128,7 +128,7 @@ SPECTRUM = "wavelength,reflectance\n" + "".join(f"{nm},0.1\n" for nm in range(40
 
 def ended(*line, folder, before="", **environment):
     """Exit status, stdout and stderr of a command in a process of its own."""
-    code = f"{before}\nfrom fynjax.cli import main\nmain()"
+    code = f"{before}\nfrom fynjax.app.cli import main\nmain()"
     hidden = {"HOME", "XDG_CACHE_HOME", "JAX_COMPILATION_CACHE_DIR", "MPLCONFIGDIR"}
     kept = {key: value for key, value in os.environ.items() if key not in hidden}
     paths = os.pathsep.join([str(Path(__file__).parents[2]), kept.get("PYTHONPATH", "")])
@@ -197,8 +197,8 @@ def test_a_file_larger_than_the_process_may_write_is_called_so(tmp_path):
 )  # fmt: skip
 def test_what_the_system_says_of_a_disk_is_said(number, words, tmp_path, monkeypatch, capsys):
     """While the results are written, and while they are moved: then they are kept beside."""
-    monkeypatch.setattr("fynjax.cli._runtime.check_sums_once", lambda: None)
-    monkeypatch.setattr("fynjax.cli._runtime.keep_compiled", lambda: None)
+    monkeypatch.setattr("fynjax.app.cli._runtime.check_sums_once", lambda: None)
+    monkeypatch.setattr("fynjax.app.cli._runtime.keep_compiled", lambda: None)
     (tmp_path / "leaf.csv").write_text(SPECTRUM)
     line = ["convert", str(tmp_path / "leaf.csv"), "--output", str(tmp_path / "out")]
 
@@ -213,7 +213,7 @@ def test_what_the_system_says_of_a_disk_is_said(number, words, tmp_path, monkeyp
         return err
 
     with monkeypatch.context() as patched:
-        patched.setattr("fynjax.jobs._run.write_text", fail)
+        patched.setattr("fynjax.app.jobs._run.write_text", fail)
         assert f"no results were written: {words}" in run()
     assert [path.name for path in tmp_path.iterdir()] == ["leaf.csv"]
     move = os.replace

@@ -12,9 +12,9 @@ import pytest
 
 from fynjax import jobs
 from fynjax._core.files import existing_file
-from fynjax.cli import main
-from fynjax.io.raster import write_geotiff
-from fynjax.io.text import EarlierRun, sealed
+from fynjax.app.cli import main
+from fynjax.app.io.raster import write_geotiff
+from fynjax.app.io.text import EarlierRun, sealed
 from fynjax.studies import fynbos_2006
 from tests.canopy.test_pattern import BANDS as PATTERN_BANDS
 from tests.canopy.test_pattern import drawn
@@ -60,7 +60,7 @@ def writes(monkeypatch):
         return jobs.JobResult(output=str(output), command="demo", seed=seed, files=listed)
 
     monkeypatch.setattr(fynbos_2006, "demo", demo)
-    monkeypatch.setattr("fynjax.cli._runtime.keep_compiled", lambda: None)
+    monkeypatch.setattr("fynjax.app.cli._runtime.keep_compiled", lambda: None)
     return files
 
 
@@ -294,7 +294,7 @@ def test_an_input_with_the_name_of_a_result_and_a_page_of_the_user_stay(
 def test_two_runs_with_two_caches_do_not_write_into_one_folder(tmp_path):
     """What holds the folder lies beside it, not in anybody's home."""
     code = (
-        "import sys, time\nfrom pathlib import Path\nfrom fynjax.cli._runtime import _alone\n"
+        "import sys, time\nfrom pathlib import Path\nfrom fynjax.app.cli._runtime import _alone\n"
         "from fynjax._core.errors import InputError\n"
         "try:\n"
         "    with _alone(Path(sys.argv[1])):\n        print('held', flush=True)\n"

@@ -12,10 +12,10 @@ import typer
 from typer.testing import CliRunner
 
 from fynjax._core.errors import InputError
-from fynjax.cli._runtime import run_job
-from fynjax.cli._validate import validate
-from fynjax.io.text._atomic import remove_replaced
-from fynjax.jobs import JobResult
+from fynjax.app.cli._runtime import run_job
+from fynjax.app.cli._validate import validate
+from fynjax.app.io.text._atomic import remove_replaced
+from fynjax.app.jobs import JobResult
 from tests.compare.test_spectra import WAVE, cube, write_csv
 from tests.compare.test_structure import plot, write_las
 from tests.helpers import unix

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter, uniform_filter
 
-from fynjax.compare import pixel_footprint
+from fynjax.app.compare import pixel_footprint
 
 FINER, SIDE, SIGMA = 6, 128, 1.0 / 2.35482
 

@@ -8,9 +8,13 @@ import pytest
 from scipy import stats
 
 from fynjax._core.errors import InputError
-from fynjax.compare.structure import ComparisonSettings
-from fynjax.compare.structure._compare import bootstrap_interval, central_interval, height_shares
-from fynjax.compare.structure._grain import choose_grain
+from fynjax.app.compare.structure import ComparisonSettings
+from fynjax.app.compare.structure._compare import (
+    bootstrap_interval,
+    central_interval,
+    height_shares,
+)
+from fynjax.app.compare.structure._grain import choose_grain
 from fynjax.metrics.structure import StructureSettings, bin_returns, cell_grid, cell_structure
 from tests.metrics.structure_clouds import fynbos_returns
 

@@ -8,10 +8,10 @@ import pytest
 from rasterio import Affine
 
 from fynjax._core.errors import InputError
-from fynjax.compare import _images
-from fynjax.compare._drone import compare_drone_images
-from fynjax.compare._images import DroneImage, read_drone_image, thinning
-from fynjax.io.raster import write_geotiff
+from fynjax.app.compare import _images
+from fynjax.app.compare._drone import compare_drone_images
+from fynjax.app.compare._images import DroneImage, read_drone_image, thinning
+from fynjax.app.io.raster import write_geotiff
 from fynjax.metrics import BANDS
 from fynjax.sensors import BandSet
 from tests.helpers import write_raster

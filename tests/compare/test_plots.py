@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from fynjax.compare._plots import (
+from fynjax.app.compare._plots import (
     FLAT,
     FLIGHT,
     MODEL,
@@ -18,7 +18,12 @@ from fynjax.compare._plots import (
     mean_agreement,
     misfit_table,
 )
-from fynjax.report.figures._plots import feature_plot, misfit_of_plots, residual_plot, spectra_plot
+from fynjax.app.report.figures._plots import (
+    feature_plot,
+    misfit_of_plots,
+    residual_plot,
+    spectra_plot,
+)
 
 GRID = np.concatenate([np.arange(420.0, 1330.0, 30.0), np.arange(1470.0, 1780.0, 30.0),
                        np.arange(2110.0, 2440.0, 30.0)])  # fmt: skip

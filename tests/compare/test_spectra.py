@@ -8,9 +8,9 @@ import xarray as xr
 from rasterio import Affine
 
 from fynjax._core.errors import InputError
-from fynjax.compare import compare_spectra
-from fynjax.compare._spectra import SpectraSample, read_spectra_sample
-from fynjax.io.raster import image_array, write_geotiff, write_run
+from fynjax.app.compare import compare_spectra
+from fynjax.app.compare._spectra import SpectraSample, read_spectra_sample
+from fynjax.app.io.raster import image_array, write_geotiff, write_run
 from tests.helpers import write_raster
 
 WAVE = np.arange(400.0, 2460.0, 20.0)

@@ -8,12 +8,16 @@ import pytest
 import rasterio
 
 from fynjax._core.errors import InputError
-from fynjax.compare.structure._cloud import CloudSettings, height_cloud
-from fynjax.compare.structure._compare import ComparisonSettings, cloud_structure, compare_clouds
-from fynjax.compare.structure._notes import comparison_notes
+from fynjax.app.compare.structure._cloud import CloudSettings, height_cloud
+from fynjax.app.compare.structure._compare import (
+    ComparisonSettings,
+    cloud_structure,
+    compare_clouds,
+)
+from fynjax.app.compare.structure._notes import comparison_notes
+from fynjax.app.report.figures._structure import structure_figure, structure_maps
+from fynjax.app.terrain import PointCloud
 from fynjax.metrics.structure import STRUCTURE_METRICS, StructureSettings
-from fynjax.report.figures._structure import structure_figure, structure_maps
-from fynjax.terrain import PointCloud
 
 laspy = pytest.importorskip("laspy")
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import fynjax as fx
-from fynjax.compare import _vegetation as module
-from fynjax.compare import bands_2006, check_vegetation
+from fynjax.app.compare import _vegetation as module
+from fynjax.app.compare import bands_2006, check_vegetation
 from fynjax.errors import InputError
 from fynjax.sensors import Gains
 from tools.make_vegetation_spectra import dry_shrubland, estimate, fynbos, grid

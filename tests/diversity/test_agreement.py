@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import fynjax as fx
-from fynjax.compare import PlotSpectraPair, plot_diversity_table
+from fynjax.app.compare import PlotSpectraPair, plot_diversity_table
 from fynjax.diversity import diversity_indices, mantel, metric_agreement, regression_agreement
 from fynjax.diversity._agreement import _PENALTIES, _left_out_by_ridge
 from fynjax.errors import InputError

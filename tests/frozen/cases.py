@@ -13,8 +13,8 @@ import pandas as pd
 from typer.testing import CliRunner
 
 from fynjax import jobs
-from fynjax.cli import app
-from fynjax.io.raster import write_geotiff
+from fynjax.app.cli import app
+from fynjax.app.io.raster import write_geotiff
 from fynjax.leaf import LeafParameters, prospect
 from fynjax.metrics import BANDS
 from tests.canopy.test_pattern import BANDS as PATTERN_BANDS

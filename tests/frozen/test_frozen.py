@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 import typer
 
-from fynjax.cli import app
+from fynjax.app.cli import app
 from tests.frozen.cases import CASES, run
 from tests.frozen.numbers import differences
 

@@ -47,9 +47,9 @@ def child(largest: int | None) -> None:
 
     from fynjax import jobs
     from fynjax._core import checkpoint, parts
-    from fynjax.cli import main
-    from fynjax.io.raster import CubeBlocks, _netcdf
-    from fynjax.jobs import _fit_leaf
+    from fynjax.app.cli import main
+    from fynjax.app.io.raster import CubeBlocks, _netcdf
+    from fynjax.app.jobs import _fit_leaf
     from fynjax.leaf import _result
     from tests.small import search_quickly
 

@@ -22,14 +22,12 @@ from rasterio.errors import NotGeoreferencedWarning
 
 from fynjax._core.checkpoint import Journal
 from fynjax._core.errors import InputError
-from fynjax.assembly import StandSettings, plot_parameters
-from fynjax.canopy import plant_model_from_mesh, plant_model_from_points, read_scan
-from fynjax.compare import read_drone_image, read_spectra_sample
-from fynjax.inversion import AmortisedPosterior
-from fynjax.io.captures import panel_reflectance, read_capture
-from fynjax.io.frames import read_frames
-from fynjax.io.instruments import load_lidar, load_sensor, read_atmosphere
-from fynjax.io.plot import (
+from fynjax.app.assembly import StandSettings, plot_parameters
+from fynjax.app.compare import read_drone_image, read_spectra_sample
+from fynjax.app.io.captures import panel_reflectance, read_capture
+from fynjax.app.io.frames import read_frames
+from fynjax.app.io.instruments import load_lidar, load_sensor, read_atmosphere
+from fynjax.app.io.plot import (
     example_folder,
     read_plot,
     read_prior,
@@ -37,7 +35,7 @@ from fynjax.io.plot import (
     read_structure,
     with_parameter_table,
 )
-from fynjax.io.raster import (
+from fynjax.app.io.raster import (
     CubeBlocks,
     MapWriter,
     open_blocks,
@@ -46,12 +44,19 @@ from fynjax.io.raster import (
     read_probability_map,
     write_geotiff,
 )
-from fynjax.io.raster._cubes import Cube, write_cube_envi, write_cube_geotiff, write_cubes_netcdf
-from fynjax.io.spectra import read_spectra_file
-from fynjax.jobs import Training, read_training, write_training
+from fynjax.app.io.raster._cubes import (
+    Cube,
+    write_cube_envi,
+    write_cube_geotiff,
+    write_cubes_netcdf,
+)
+from fynjax.app.io.spectra import read_spectra_file
+from fynjax.app.jobs import Training, read_training, write_training
+from fynjax.app.terrain import read_cloud, read_terrain
+from fynjax.canopy import plant_model_from_mesh, plant_model_from_points, read_scan
+from fynjax.inversion import AmortisedPosterior
 from fynjax.scene import COVERS
 from fynjax.sensors import BandSet, group_bands, lidar_folder
-from fynjax.terrain import read_cloud, read_terrain
 from tests.canopy.test_scan import ball
 from tests.helpers import read_cube, write_ply, write_raster
 from tests.io import frame_files

@@ -7,7 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from fynjax.assembly import build_plot, prepare
+from fynjax.app.assembly import build_plot, prepare
+from fynjax.app.io.plot import read_plot
 from fynjax.canopy import expected_count, site_weight
 from fynjax.inversion import (
     CalibrationSettings,
@@ -21,7 +22,6 @@ from fynjax.inversion import (
     search_starts,
 )
 from fynjax.inversion._views import AbstractView, BandView, multiplied
-from fynjax.io.plot import read_plot
 from fynjax.scene import Scene, element_count, room_needed
 from fynjax.sensors import BandSet, Gains
 from tests.scene.plots import small_parameters, small_plot

@@ -7,11 +7,11 @@ from scipy.ndimage import gaussian_filter, map_coordinates, uniform_filter
 
 import fynjax as fx
 from fynjax._core.errors import InputError
-from fynjax.assembly import _targets, read_targets, twin_image
-from fynjax.assembly._targets import image_target
+from fynjax.app.assembly import _targets, read_targets, twin_image
+from fynjax.app.assembly._targets import image_target
+from fynjax.app.io.plot import example_folder, read_plot, sensor_place
+from fynjax.app.io.raster import write_geotiff
 from fynjax.inversion import SPREAD_SD, weigh_targets
-from fynjax.io.plot import example_folder, read_plot, sensor_place
-from fynjax.io.raster import write_geotiff
 from fynjax.metrics import BANDS
 from fynjax.sensors import shipped_sensor
 from tests.helpers import write_raster

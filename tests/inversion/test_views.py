@@ -15,6 +15,8 @@ import scipy.optimize
 
 from fynjax._core.checkpoint import forget_journal, signature
 from fynjax._core.errors import InputError
+from fynjax.app.jobs._follow import follow
+from fynjax.app.jobs._run import Run
 from fynjax.inversion import (
     COARSE,
     AbstractView,
@@ -49,8 +51,6 @@ from fynjax.inversion import (
 from fynjax.inversion._fit_result import scatter_covariance, status_of
 from fynjax.inversion._search import Expectation
 from fynjax.inversion._views import Directions, informative_directions, multiplied
-from fynjax.jobs._follow import follow
-from fynjax.jobs._run import Run
 from fynjax.metrics.structure import STRUCTURE_METRICS, voxel_structure
 from fynjax.radiation import parallel_rays, reflectance_factor, solve_light
 from fynjax.scene import ModelError, Scene, with_values

@@ -11,8 +11,8 @@ from rasterio.enums import ColorInterp
 from scipy import ndimage
 
 from fynjax._core.errors import InputError
-from fynjax.io.raster import read_band_stack, write_geotiff
-from fynjax.io.raster._align import align_bands
+from fynjax.app.io.raster import read_band_stack, write_geotiff
+from fynjax.app.io.raster._align import align_bands
 from tests.io.test_probability import CORNER, UTM, frame, raster
 
 VALUES = np.random.default_rng(5).uniform(0.1, 0.5, (4, 20, 30)).astype(np.float32)

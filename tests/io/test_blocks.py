@@ -13,8 +13,8 @@ import xarray as xr
 from affine import Affine
 
 from fynjax._core.errors import InputError
-from fynjax.compare import read_spectra_sample
-from fynjax.io.raster import (
+from fynjax.app.compare import read_spectra_sample
+from fynjax.app.io.raster import (
     Cube,
     MapWriter,
     content_hash,
@@ -24,10 +24,10 @@ from fynjax.io.raster import (
     write_cube_geotiff,
     write_cubes_netcdf,
 )
-from fynjax.io.raster import _blocks as blocks_module
-from fynjax.io.raster import _lazy as lazy_module
-from fynjax.io.raster import _lookup as lookup_module
-from fynjax.io.raster import _netcdf as netcdf_module
+from fynjax.app.io.raster import _blocks as blocks_module
+from fynjax.app.io.raster import _lazy as lazy_module
+from fynjax.app.io.raster import _lookup as lookup_module
+from fynjax.app.io.raster import _netcdf as netcdf_module
 from tests.helpers import read_cube
 from tests.io.emit_files import FILL, GEOTRANSFORM, NOWHERE, lookup, write_emit
 

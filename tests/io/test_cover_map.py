@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from fynjax._core.errors import InputError
-from fynjax.assembly import build_plot
-from fynjax.io.plot import read_plot
-from fynjax.io.raster._over_plot import read_cover_map
-from fynjax.io.raster._writer import write_geotiff
+from fynjax.app.assembly import build_plot
+from fynjax.app.io.plot import read_plot
+from fynjax.app.io.raster._over_plot import read_cover_map
+from fynjax.app.io.raster._writer import write_geotiff
 from fynjax.sensors import mavic_3m
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from fynjax._core.errors import InputError, MissingExtraError
-from fynjax.io.plot import read_plot
+from fynjax.app.io.plot import read_plot
 from tests.small import PLOT, SPECIES
 
 CROWNS = """taxon,x_m,y_m,diameter_cm,height_m

@@ -18,23 +18,23 @@ from rasterio import Affine
 from rasterio.crs import CRS
 
 from fynjax._core.errors import InputError
-from fynjax.canopy import read_plant_mesh
-from fynjax.cli import main
-from fynjax.compare import read_drone_image, read_spectra_sample
-from fynjax.io.captures import read_capture
-from fynjax.io.instruments import load_lidar, load_sensor, read_atmosphere
-from fynjax.io.plot import example_folder, read_plot, read_statistics, read_structure
-from fynjax.io.raster import (
+from fynjax.app.cli import main
+from fynjax.app.compare import read_drone_image, read_spectra_sample
+from fynjax.app.io.captures import read_capture
+from fynjax.app.io.instruments import load_lidar, load_sensor, read_atmosphere
+from fynjax.app.io.plot import example_folder, read_plot, read_statistics, read_structure
+from fynjax.app.io.raster import (
     _netcdf,
     parse_crs,
     read_band_stack,
     read_probability_map,
     write_geotiff,
 )
-from fynjax.io.spectra import read_spectra_file
-from fynjax.io.text import NamedFile, Strict, read_toml
+from fynjax.app.io.spectra import read_spectra_file
+from fynjax.app.io.text import NamedFile, Strict, read_toml
+from fynjax.app.terrain import read_cloud, read_terrain
+from fynjax.canopy import read_plant_mesh
 from fynjax.sensors import sensor_folder
-from fynjax.terrain import read_cloud, read_terrain
 from tests.helpers import read_cube, unix
 
 

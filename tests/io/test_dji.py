@@ -8,8 +8,8 @@ import pytest
 from scipy.ndimage import map_coordinates
 
 from fynjax._core.errors import InputError
-from fynjax.io.captures import aligned_radiance, find_captures, read_capture, usable_captures
-from fynjax.io.captures._metadata import read_band
+from fynjax.app.io.captures import aligned_radiance, find_captures, read_capture, usable_captures
+from fynjax.app.io.captures._metadata import read_band
 from tests.io.dji_files import (
     MAVIC,
     PHANTOM,
@@ -71,7 +71,7 @@ def test_bands_lie_on_each_other_by_the_calibration_of_their_lenses(
 ) -> None:
     """Distortion, and the homography of a Mavic or the disparity of a Phantom, without a look at
     the picture; and with it on top."""
-    from fynjax.io.captures._capture import _on_frame
+    from fynjax.app.io.captures._capture import _on_frame
 
     paths = write_dji(tmp_path, name, seen(bands, distorted=True), bands, lens=True)
     capture = read_capture(name, paths)

@@ -5,7 +5,7 @@ import pytest
 from spectral.io import envi
 
 from fynjax._core.errors import InputError
-from fynjax.io.spectra._envi import read_envi_library, read_header
+from fynjax.app.io.spectra._envi import read_envi_library, read_header
 
 WHOLE = """ENVI
 description = {A flight, over 2 = two plots

@@ -11,8 +11,8 @@ import pytest
 
 import fynjax as fx
 from fynjax._core.errors import InputError
-from fynjax.io.captures import read_view
-from fynjax.io.frames import read_frames
+from fynjax.app.io.captures import read_view
+from fynjax.app.io.frames import read_frames
 from tests.io import frame_files as made
 from tests.io.frame_files import CRS, GROUND, ORIGIN, POINTS
 

@@ -9,7 +9,7 @@ from pyproj import CRS
 from rasterio import Affine
 
 from fynjax._core.errors import InputError
-from fynjax.io.raster import open_blocks
+from fynjax.app.io.raster import open_blocks
 
 SHAPE, COUNT = (5, 6), 4
 NM = np.array([450.0, 560.0, 660.0, 860.0])

@@ -6,9 +6,9 @@ import rasterio
 from rasterio import Affine
 
 from fynjax._core.errors import InputError
+from fynjax.app.compare import read_drone_image
+from fynjax.app.io.raster import open_image, open_raster, read_band_stack
 from fynjax.canopy import band_word
-from fynjax.compare import read_drone_image
-from fynjax.io.raster import open_image, open_raster, read_band_stack
 from fynjax.metrics import BANDS
 from tests.helpers import write_raster
 

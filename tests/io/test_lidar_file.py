@@ -9,8 +9,8 @@ import pytest
 
 from fynjax._core import extras
 from fynjax._core.errors import InputError, MissingExtraError
-from fynjax.io.instruments import load_instrument, load_lidar, write_cloud
-from fynjax.jobs._schemas import json_schema
+from fynjax.app.io.instruments import load_instrument, load_lidar, write_cloud
+from fynjax.app.jobs._schemas import json_schema
 from fynjax.sensors import Lidar, LidarReturns, Sensor, lidar_folder, shipped_lidar, shipped_lidars
 
 FLASH = (lidar_folder() / "flash_lidar_paper.toml").read_text("utf-8")

@@ -12,8 +12,8 @@ import pytest
 import xarray as xr
 
 from fynjax._core.errors import InputError
-from fynjax.io.raster import check_netcdf, image_array, provenance, write_run
-from fynjax.io.text import staged_folder
+from fynjax.app.io.raster import check_netcdf, image_array, provenance, write_run
+from fynjax.app.io.text import staged_folder
 
 BANDS = ("green", "nir")
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 from scipy.interpolate import RegularGridInterpolator
 
-from fynjax.io.raster._over_plot import OverPlot
+from fynjax.app.io.raster._over_plot import OverPlot
 
 VALUES = np.random.default_rng(0).normal(size=(2, 8, 10))  # rows from the north
 

@@ -5,9 +5,9 @@ import shutil
 import pytest
 
 from fynjax._core.errors import InputError
-from fynjax.assembly._build import plot_parameters
-from fynjax.io.plot import example_folder, read_plot
-from fynjax.io.plot._parameter_values import with_parameter_table
+from fynjax.app.assembly._build import plot_parameters
+from fynjax.app.io.plot import example_folder, read_plot
+from fynjax.app.io.plot._parameter_values import with_parameter_table
 from fynjax.scene import named_values
 
 TABLE = """name,kind,unit,prior,prior_sd,estimate,sd,lower,upper,constrained

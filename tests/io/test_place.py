@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from pyproj import Geod, Transformer
 
-from fynjax.io.captures import CameraPlace, on_earth
-from fynjax.io.captures._band import Stated
-from fynjax.io.captures._micasense import _place
-from fynjax.io.raster import Cube
+from fynjax.app.io.captures import CameraPlace, on_earth
+from fynjax.app.io.captures._band import Stated
+from fynjax.app.io.captures._micasense import _place
+from fynjax.app.io.raster import Cube
 
 SIDE = 0.2
 

@@ -11,10 +11,9 @@ from rasterio import Affine
 
 import fynjax as fx
 from fynjax._core.errors import InputError
-from fynjax.assembly import placed_by_image, plot_parameters
-from fynjax.assembly._forward import _prior_sd
-from fynjax.canopy import FORMS
-from fynjax.io.plot import (
+from fynjax.app.assembly import placed_by_image, plot_parameters
+from fynjax.app.assembly._forward import _prior_sd
+from fynjax.app.io.plot import (
     DEFAULT_PRIOR,
     plant_sources,
     plot_spreads,
@@ -23,6 +22,7 @@ from fynjax.io.plot import (
     with_prior,
     write_prior,
 )
+from fynjax.canopy import FORMS
 from fynjax.scene import SHRUB_LEAF, SHRUB_LEAF_SD, USUAL_LEAF, GroundParameters, usual_leaf
 from tests.helpers import write_raster
 from tests.io.test_prior import prior_file

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from fynjax._core.errors import InputError
-from fynjax.assembly import plot_parameters
-from fynjax.assembly._ground import plot_ground
+from fynjax.app.assembly import plot_parameters
+from fynjax.app.assembly._ground import plot_ground
+from fynjax.app.io.plot import example_folder, read_plot, read_sky, read_statistics
 from fynjax.canopy import FORMS, table1_2006
-from fynjax.io.plot import example_folder, read_plot, read_sky, read_statistics
 from fynjax.scene import USUAL_LEAF, SpeciesRow, leaves_of
 
 

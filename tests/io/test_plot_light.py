@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from fynjax._core.errors import InputError
-from fynjax.assembly import build_plot
-from fynjax.io.plot import example_folder, read_plot
+from fynjax.app.assembly import build_plot
+from fynjax.app.io.plot import example_folder, read_plot
 from fynjax.radiation import RahmanPintyVerstraete
 from fynjax.sensors import shipped_sensor
 from fynjax.sensors.lidar._path import canopy_fields, trace_pencils

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from fynjax._core.errors import InputError
-from fynjax.assembly import aim_at_plot, build_plot
-from fynjax.io.instruments import load_sensor
-from fynjax.io.plot import (
+from fynjax.app.assembly import aim_at_plot, build_plot
+from fynjax.app.io.instruments import load_sensor
+from fynjax.app.io.plot import (
     AtmosphereTable,
     drone_sensor,
     plot_instrument,

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from fynjax._core.errors import InputError
-from fynjax.canopy import FORMS
-from fynjax.io.plot import (
+from fynjax.app.io.plot import (
     BY_FORM,
     DEFAULT_PRIOR,
     LEAFY_FORMS,
@@ -22,6 +21,7 @@ from fynjax.io.plot import (
     with_prior,
     write_prior,
 )
+from fynjax.canopy import FORMS
 from fynjax.leaf import structure_from_dry_matter
 from fynjax.scene import PARAMETERS, USUAL_LEAF
 from fynjax.studies.fynbos_2006 import init

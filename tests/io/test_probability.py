@@ -13,10 +13,10 @@ from rasterio.crs import CRS
 from rasterio.errors import NotGeoreferencedWarning
 
 from fynjax._core.errors import InputError
-from fynjax.assembly._build import _probability
-from fynjax.io.plot import example_folder, read_plot
-from fynjax.io.raster import read_probability_map, write_geotiff
-from fynjax.io.raster._writer import LOCAL_FRAME
+from fynjax.app.assembly._build import _probability
+from fynjax.app.io.plot import example_folder, read_plot
+from fynjax.app.io.raster import read_probability_map, write_geotiff
+from fynjax.app.io.raster._writer import LOCAL_FRAME
 
 UTM = "EPSG:32734"
 CORNER = (310_000.0, 6_180_000.0)

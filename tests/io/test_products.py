@@ -11,8 +11,8 @@ import spectral
 import xarray as xr
 
 from fynjax._core.errors import InputError
-from fynjax.io.raster import Cube, write_geotiff, write_qgis_style
-from fynjax.io.raster._cubes import (
+from fynjax.app.io.raster import Cube, write_geotiff, write_qgis_style
+from fynjax.app.io.raster._cubes import (
     NODATA,
     write_cube_envi,
     write_cube_geotiff,

@@ -14,8 +14,8 @@ import rasterio
 from rasterio import Affine
 
 from fynjax._core.errors import InputError
-from fynjax.compare import DroneImage, read_drone_image
-from fynjax.io.raster import open_raster, write_geotiff
+from fynjax.app.compare import DroneImage, read_drone_image
+from fynjax.app.io.raster import open_raster, write_geotiff
 from tests.helpers import read_cube, unix, write_raster
 
 BANDS = ("green", "red", "red_edge", "nir")
@@ -395,7 +395,7 @@ def test_overviews_and_masks_beside_a_raster_are_used(tmp_path, image):
 def test_the_first_raster_of_a_process_is_read(tmp_path, image):
     write(tmp_path / "image.tif", image)
     code = (
-        "import sys; from fynjax.io.raster import open_raster\n"
+        "import sys; from fynjax.app.io.raster import open_raster\n"
         "with open_raster(sys.argv[1], 'an image') as raster: print(raster.shape)"
     )
     done = subprocess.run(

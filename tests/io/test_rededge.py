@@ -9,9 +9,14 @@ import pytest
 from scipy import ndimage
 
 from fynjax._core.errors import InputError
-from fynjax.io.captures._capture import aligned_radiance, find_captures, read_capture, same_capture
-from fynjax.io.captures._metadata import read_band
-from fynjax.io.captures._panel import find_panel, panel_reflectance, read_panel
+from fynjax.app.io.captures._capture import (
+    aligned_radiance,
+    find_captures,
+    read_capture,
+    same_capture,
+)
+from fynjax.app.io.captures._metadata import read_band
+from fynjax.app.io.captures._panel import find_panel, panel_reflectance, read_panel
 from tests.io.rededge_files import BANDS, IRRADIANCE, camera, lit, panel_scene, write_rededge
 
 
@@ -115,7 +120,7 @@ def test_the_vignetting_of_a_rededge_p_has_two_dimensions(tmp_path: Path) -> Non
 def test_files_that_are_no_raw_picture(tmp_path: Path) -> None:
     from PIL import Image
 
-    from fynjax.io.raster import write_geotiff
+    from fynjax.app.io.raster import write_geotiff
 
     product = tmp_path / "A_1.tif"
     write_geotiff(product, np.ones((2, 4, 4)), ["a", "b"], pixel_m=1.0)

@@ -5,9 +5,9 @@ from pathlib import Path
 import pytest
 
 from fynjax._core.errors import InputError
+from fynjax.app.io.plot import HEATH_TABLE, read_releve
+from fynjax.app.io.plot._column_words import form_of_words, heading
 from fynjax.canopy import FORMS, form_of_taxon
-from fynjax.io.plot import HEATH_TABLE, read_releve
-from fynjax.io.plot._column_words import form_of_words, heading
 
 
 def releve(folder: Path, text: str, name: str = "releve.csv"):

@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from fynjax._core.errors import InputError
-from fynjax.io.instruments import load_instrument, load_sensor
-from fynjax.io.instruments._sensor_tables import RadianceUnit
-from fynjax.jobs._schemas import json_schema
+from fynjax.app.io.instruments import load_instrument, load_sensor
+from fynjax.app.io.instruments._sensor_tables import RadianceUnit
+from fynjax.app.jobs._schemas import json_schema
 from fynjax.sensors import (
     ASSUMED,
     RADIANCE_UNITS,

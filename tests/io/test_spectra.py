@@ -14,10 +14,10 @@ import xarray as xr
 import fynjax as fx
 from fynjax import leaf
 from fynjax._core.errors import InputError
-from fynjax.cli import main
-from fynjax.io.spectra import read_spectra_file
-from fynjax.jobs._convert import convert
-from fynjax.jobs._fit_leaf import fit_leaf
+from fynjax.app.cli import main
+from fynjax.app.io.spectra import read_spectra_file
+from fynjax.app.jobs._convert import convert
+from fynjax.app.jobs._fit_leaf import fit_leaf
 from fynjax.leaf import LeafParameters, area_factors, correct_detector_jumps, prospect
 from tests.helpers import assert_valid_summary
 

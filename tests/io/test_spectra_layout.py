@@ -10,8 +10,8 @@ import pytest
 
 import fynjax as fx
 from fynjax._core.errors import InputError
-from fynjax.io.plot import read_plot
-from fynjax.io.spectra import read_spectra_file
+from fynjax.app.io.plot import read_plot
+from fynjax.app.io.spectra import read_spectra_file
 from fynjax.leaf import LeafParameters, prospect
 from tests.io.test_spectra import SED
 from tests.small import PLOT, SPECIES

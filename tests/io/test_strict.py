@@ -13,9 +13,9 @@ from typer.testing import CliRunner
 import fynjax.studies.bioscape  # noqa: F401 - their records are looked at
 from fynjax._core.errors import InputError
 from fynjax._core.records import Strict, _keys_of_numbers
-from fynjax.cli import app
-from fynjax.io.plot import read_plot
-from fynjax.io.text import rows_text, table_text
+from fynjax.app.cli import app
+from fynjax.app.io.plot import read_plot
+from fynjax.app.io.text import rows_text, table_text
 from fynjax.scene import LeafRow
 from tests.small import write_plot
 

@@ -20,10 +20,10 @@ from pydantic import Field
 from fynjax._core import tables
 from fynjax._core.errors import InputError, MissingExtraError
 from fynjax._core.tables import open_points, open_table
-from fynjax.io.plot import read_statistics
-from fynjax.io.spectra import read_spectra_file as read_file
-from fynjax.io.text import Strict, number, read_rows
-from fynjax.terrain import read_cloud
+from fynjax.app.io.plot import read_statistics
+from fynjax.app.io.spectra import read_spectra_file as read_file
+from fynjax.app.io.text import Strict, number, read_rows
+from fynjax.app.terrain import read_cloud
 
 CHANCE = np.random.default_rng(7)
 NUMBERS = np.concatenate([CHANCE.uniform(-1, 1, 30) * 10.0 ** CHANCE.integers(-12, 12, 30), [0, 7]])

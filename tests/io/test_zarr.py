@@ -16,8 +16,8 @@ import pytest
 import xarray as xr
 
 from fynjax._core.errors import InputError
-from fynjax.io.raster import _zarr as zarr_module
-from fynjax.io.raster import open_blocks
+from fynjax.app.io.raster import _zarr as zarr_module
+from fynjax.app.io.raster import open_blocks
 from tests.helpers import unix
 
 pytest.importorskip("zarr")

@@ -10,14 +10,14 @@ import pandas as pd
 import pytest
 
 from fynjax._core.errors import InputError
-from fynjax.compare import read_drone_image
+from fynjax.app.compare import read_drone_image
+from fynjax.app.io.plot import example_folder, read_plot
+from fynjax.app.jobs import CalibrateResult, calibrate, render
+from fynjax.app.jobs._calibrate import _short_of_sites
+from fynjax.app.jobs._calibration_page import doubt_first, status_of
+from fynjax.app.jobs._render import check_finite
+from fynjax.app.jobs._schemas import json_schema
 from fynjax.inversion import Calibration, FitResult, FitStatus, PlotSearch
-from fynjax.io.plot import example_folder, read_plot
-from fynjax.jobs import CalibrateResult, calibrate, render
-from fynjax.jobs._calibrate import _short_of_sites
-from fynjax.jobs._calibration_page import doubt_first, status_of
-from fynjax.jobs._render import check_finite
-from fynjax.jobs._schemas import json_schema
 from fynjax.metrics import image_statistics
 from tests.heard import hearing
 from tests.helpers import stand_in
@@ -222,7 +222,7 @@ def test_a_twin_of_a_plot_without_targets_has_an_image(tmp_path, monkeypatch):
         given.extend(measured)
         return CalibrateResult.model_construct()
 
-    monkeypatch.setattr("fynjax.jobs._calibrate.calibrate_to", calibrate_to)
+    monkeypatch.setattr("fynjax.app.jobs._calibrate.calibrate_to", calibrate_to)
     calibrate(write_plot(tmp_path, MORE), [], tmp_path / "output", twin=True)
     (one,) = given
     assert one.kind == "image"

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from fynjax._core.errors import InputError
-from fynjax.assembly import aim_without_air, prepare
+from fynjax.app.assembly import aim_without_air, prepare
+from fynjax.app.io.plot import drone_sensor, read_plot
+from fynjax.app.io.raster import write_geotiff
+from fynjax.app.jobs import calibrate
+from fynjax.app.jobs._schemas import json_schema
 from fynjax.inversion import PixelSettings, calibrate_known_plants
 from fynjax.inversion._known_plants import PixelModel, block_of
-from fynjax.io.plot import drone_sensor, read_plot
-from fynjax.io.raster import write_geotiff
-from fynjax.jobs import calibrate
-from fynjax.jobs._schemas import json_schema
 from fynjax.metrics import BANDS
 from tests.io.test_crowns import CROWNS, write
 from tests.scene.plots import small_plot

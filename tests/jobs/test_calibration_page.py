@@ -7,18 +7,18 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from fynjax.assembly import Measured, RealImage
-from fynjax.inversion import Calibration, Data
-from fynjax.io.plot import Plot
-from fynjax.jobs._calibration_page import (
+from fynjax.app.assembly import Measured, RealImage
+from fynjax.app.io.plot import Plot
+from fynjax.app.jobs._calibration_page import (
     _goal_sentences,
     _image_sections,
     agreement_sentences,
     error_pictures,
     real_sentence,
 )
-from fynjax.jobs._calibration_tables import ReferenceImage
-from fynjax.report.pages import Picture, Views
+from fynjax.app.jobs._calibration_tables import ReferenceImage
+from fynjax.app.report.pages import Picture, Views
+from fynjax.inversion import Calibration, Data
 from fynjax.sensors import shipped_sensor
 from tests.helpers import stand_in
 

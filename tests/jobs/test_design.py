@@ -2,9 +2,9 @@
 
 import numpy as np
 
+from fynjax.app.io.instruments import load_instrument
+from fynjax.app.jobs._design import _sensor_file
 from fynjax.inversion import BandDesign
-from fynjax.io.instruments import load_instrument
-from fynjax.jobs._design import _sensor_file
 from fynjax.sensors import BandSet, OrthographicCamera
 from tests.helpers import stand_in
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from fynjax._core import compiler
-from fynjax.cli import main
-from fynjax.jobs import _doctor
+from fynjax.app.cli import main
+from fynjax.app.jobs import _doctor
 
 
 @pytest.mark.parametrize(

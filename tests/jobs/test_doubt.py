@@ -8,13 +8,13 @@ import pytest
 
 import fynjax as fx
 from fynjax import jobs
-from fynjax.assembly import read_targets
-from fynjax.compare import bands_2006
-from fynjax.io.plot import read_plot
-from fynjax.io.raster import write_geotiff
-from fynjax.jobs import ValidationData, pattern, validate
-from fynjax.jobs._doubt import doubt_spectrum, doubt_targets
-from fynjax.jobs._run import Run
+from fynjax.app.assembly import read_targets
+from fynjax.app.compare import bands_2006
+from fynjax.app.io.plot import read_plot
+from fynjax.app.io.raster import write_geotiff
+from fynjax.app.jobs import ValidationData, pattern, validate
+from fynjax.app.jobs._doubt import doubt_spectrum, doubt_targets
+from fynjax.app.jobs._run import Run
 from fynjax.metrics import BANDS
 from tests.io.test_crowns import CROWNS, write
 from tests.small import write_plot

@@ -9,9 +9,9 @@ import pytest
 
 from fynjax import jobs
 from fynjax._core import parts
-from fynjax.cli import main
-from fynjax.io.plot import read_plot
-from fynjax.jobs import _fit_leaf as job
+from fynjax.app.cli import main
+from fynjax.app.io.plot import read_plot
+from fynjax.app.jobs import _fit_leaf as job
 from fynjax.leaf import LeafChunks, LeafParameters, _result, prospect
 from fynjax.scene import leaves_of
 from tests.small import write_plot
@@ -74,7 +74,7 @@ def test_files_of_two_workers_are_those_of_one_process(table, tmp_path, monkeypa
 
 
 def test_an_interrupted_fit_goes_on_and_is_that_of_one_run(table, tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr("fynjax.cli._runtime.keep_compiled", lambda: None)
+    monkeypatch.setattr("fynjax.app.cli._runtime.keep_compiled", lambda: None)
     jobs.fit_leaf([table], tmp_path / "whole")
     sizes, real = [], LeafChunks.fit
 

@@ -8,9 +8,9 @@ import pytest
 from rasterio import Affine
 from typer.testing import CliRunner
 
-from fynjax.cli import app
-from fynjax.io.plot import HEATH_TABLE
-from fynjax.jobs import identify
+from fynjax.app.cli import app
+from fynjax.app.io.plot import HEATH_TABLE
+from fynjax.app.jobs import identify
 from tests.helpers import write_raster
 from tests.io.test_groups import axes, cube, mapping
 from tests.io.test_spectra_layout import columns, rows

@@ -10,8 +10,8 @@ import rasterio
 from rasterio import Affine
 
 from fynjax._core.errors import InputError
-from fynjax.io.plot import HEATH_PLACE, HEATH_TABLE, read_plot
-from fynjax.jobs import init_from_table
+from fynjax.app.io.plot import HEATH_PLACE, HEATH_TABLE, read_plot
+from fynjax.app.jobs import init_from_table
 from fynjax.sensors import sun_position
 
 GARRIGUE = (43.75, 3.70)

@@ -11,20 +11,20 @@ import xarray as xr
 
 from fynjax import jobs
 from fynjax._core.errors import InputError
-from fynjax.assembly import Prepared, image_view, prepare
-from fynjax.inversion import PlotForward, Posterior, local_sensitivity, search_form
-from fynjax.io.plot import read_plot
-from fynjax.jobs._information import _limit_sentences, information, limit_table
-from fynjax.jobs._posterior import _headline, posterior
-from fynjax.jobs._sensitivity import _headline as sensitivity_headline
-from fynjax.jobs._sensitivity import sensitivity
-from fynjax.report.figures._posterior import (
+from fynjax.app.assembly import Prepared, image_view, prepare
+from fynjax.app.io.plot import read_plot
+from fynjax.app.jobs._information import _limit_sentences, information, limit_table
+from fynjax.app.jobs._posterior import _headline, posterior
+from fynjax.app.jobs._sensitivity import _headline as sensitivity_headline
+from fynjax.app.jobs._sensitivity import sensitivity
+from fynjax.app.report.figures._posterior import (
     bound_plot,
     corner_plot,
     indices_plot,
     predictive_plot,
     tornado_plot,
 )
+from fynjax.inversion import PlotForward, Posterior, local_sensitivity, search_form
 from tests.heard import hearing
 from tests.helpers import stand_in
 from tests.small import write_plot

@@ -24,16 +24,22 @@ from typer.testing import CliRunner
 from fynjax import jobs
 from fynjax._core import parts
 from fynjax._core.errors import InputError
-from fynjax.assembly import STAND_QUANTITIES, StandSettings, _pixels, sample_pixel, simulate_stands
-from fynjax.assembly import _stands as stands
-from fynjax.cli import app
+from fynjax.app.assembly import (
+    STAND_QUANTITIES,
+    StandSettings,
+    _pixels,
+    sample_pixel,
+    simulate_stands,
+)
+from fynjax.app.assembly import _stands as stands
+from fynjax.app.cli import app
+from fynjax.app.io.plot import read_prior
+from fynjax.app.io.raster import Cube, CubeBlocks, write_cube_envi
+from fynjax.app.jobs import _map as job
+from fynjax.app.jobs import _map_pixels
+from fynjax.app.report.pages import format_number
 from fynjax.inversion import PriorChain, estimate_pixels
-from fynjax.io.plot import read_prior
-from fynjax.io.raster import Cube, CubeBlocks, write_cube_envi
-from fynjax.jobs import _map as job
-from fynjax.jobs import _map_pixels
 from fynjax.radiation import render, solve_light
-from fynjax.report.pages import format_number
 from fynjax.sensors import group_bands, shipped_sensor
 from fynjax.studies.bioscape._spectra import read_plot_spectra, read_spectrometer
 from tests.benchmarks.map_plots import write_plots
@@ -57,7 +63,7 @@ def known():
 def trained(tmp_path_factory):
     folder = tmp_path_factory.mktemp("train")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("fynjax.jobs._train.StandSettings", SMALL)
+        patch.setattr("fynjax.app.jobs._train.StandSettings", SMALL)
         result = jobs.train(
             folder / "out", sensor=SENSOR, sun_zenith=(25.0, 35.0), simulations=200, steps=60,
             checkpoint=folder / "checkpoint",
@@ -338,9 +344,9 @@ def test_a_map_of_a_worker_is_that_of_this_process(trained, known, tmp_path, mon
 COMMAND = """
 import sys, time
 from pathlib import Path
-from fynjax.cli import main
-from fynjax.io.raster import CubeBlocks
-from fynjax.jobs import _map as job
+from fynjax.app.cli import main
+from fynjax.app.io.raster import CubeBlocks
+from fynjax.app.jobs import _map as job
 
 second, *arguments = sys.argv[1:]
 CubeBlocks.rows_at_once, real = 1, job._mapped

@@ -3,7 +3,7 @@
 import pandas as pd
 import pytest
 
-from fynjax.jobs import posterior
+from fynjax.app.jobs import posterior
 from tests.small import search_quickly, write_plot
 
 pytestmark = pytest.mark.slow

@@ -13,10 +13,10 @@ from pyproj import Transformer
 from typer.testing import CliRunner
 
 from fynjax._core.errors import InputError
-from fynjax.cli._sensors import reflectance
-from fynjax.compare import read_drone_image
-from fynjax.io.captures import read_capture, usable_captures
-from fynjax.jobs import pattern
+from fynjax.app.cli._sensors import reflectance
+from fynjax.app.compare import read_drone_image
+from fynjax.app.io.captures import read_capture, usable_captures
+from fynjax.app.jobs import pattern
 from tests.helpers import assert_valid_summary, read_cube
 from tests.io.dji_files import SCALE, write_dji
 from tests.io.rededge_files import BANDS, IRRADIANCE, lit, panel_scene, write_rededge

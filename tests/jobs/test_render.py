@@ -10,9 +10,9 @@ import rasterio
 import xarray as xr
 
 from fynjax._core.errors import InputError
-from fynjax.assembly import build_plot
-from fynjax.io.plot import read_plot
-from fynjax.jobs import render, simulate
+from fynjax.app.assembly import build_plot
+from fynjax.app.io.plot import read_plot
+from fynjax.app.jobs import render, simulate
 from fynjax.scene import TiledPicture
 from tests.helpers import compilations
 from tests.jobs import test_simulate
@@ -52,8 +52,8 @@ def test_an_interrupted_large_image_goes_on(tmp_path, monkeypatch):
         def image(self, rendered):
             return jnp.asarray(sum(rendered))
 
-    monkeypatch.setattr("fynjax.jobs._render.is_large", lambda *_: True)
-    monkeypatch.setattr("fynjax.jobs._render.TiledPicture", Picture)
+    monkeypatch.setattr("fynjax.app.jobs._render.is_large", lambda *_: True)
+    monkeypatch.setattr("fynjax.app.jobs._render.TiledPicture", Picture)
     for _ in range(2):
         result = render(plot, tmp_path / "out", checkpoint=tmp_path / "kept")
         assert result.statistics[0].before == pytest.approx(0.2)
@@ -91,7 +91,7 @@ def test_the_truth_of_the_pixels_is_written_beside_the_image(tmp_path, monkeypat
     with rasterio.open(tmp_path / "out" / "image.tif") as image:
         assert image.shape == file.shape
         assert image.transform == file.transform
-    monkeypatch.setattr("fynjax.jobs._render.is_large", lambda *_: True)
+    monkeypatch.setattr("fynjax.app.jobs._render.is_large", lambda *_: True)
     render(plot, tmp_path / "again", truth=True)  # in tiles
     with xr.open_dataset(tmp_path / "again" / "truth.nc") as tiles:
         np.testing.assert_allclose(tiles["live"][0], np.flipud(expected), atol=1e-5)

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from fynjax._core.errors import InputError
-from fynjax.jobs import Run
+from fynjax.app.jobs import Run
 
 
 def test_a_journal_is_of_one_seed_of_what_is_signed_and_of_the_content_of_files(

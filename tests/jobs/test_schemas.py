@@ -8,9 +8,9 @@ from pathlib import Path
 import jsonschema
 import pytest
 
-from fynjax.io.plot import example_folder
-from fynjax.jobs import TerrainResult
-from fynjax.jobs._schemas import SCHEMAS, json_schema, write_schemas
+from fynjax.app.io.plot import example_folder
+from fynjax.app.jobs import TerrainResult
+from fynjax.app.jobs._schemas import SCHEMAS, json_schema, write_schemas
 
 FOLDER = Path(__file__).resolve().parents[2] / "data_schemas"
 
@@ -20,7 +20,7 @@ def test_files_are_those_of_the_models(tmp_path):
     assert sorted(p.name for p in written) == sorted(p.name for p in FOLDER.glob("*.json"))
     for path in written:
         assert path.read_text("utf-8") == (FOLDER / path.name).read_text("utf-8"), (
-            f"{path.name} is out of date: run python -m fynjax.jobs._schemas"
+            f"{path.name} is out of date: run python -m fynjax.app.jobs._schemas"
         )
 
 

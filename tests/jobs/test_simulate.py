@@ -11,10 +11,10 @@ import xarray as xr
 from rasterio import Affine
 
 from fynjax._core.errors import InputError
-from fynjax.cli import main
-from fynjax.io.raster import colour_bands
-from fynjax.jobs._simulate import simulate
-from fynjax.report.figures._products import quick_looks, spectrum_figure
+from fynjax.app.cli import main
+from fynjax.app.io.raster import colour_bands
+from fynjax.app.jobs._simulate import simulate
+from fynjax.app.report.figures._products import quick_looks, spectrum_figure
 from tests.helpers import assert_valid_summary, read_cube, write_raster
 
 PLOT = """

@@ -8,9 +8,9 @@ import xarray as xr
 from rasterio import Affine
 
 from fynjax._core.errors import InputError
-from fynjax.io.plot import example_folder, read_plot
-from fynjax.jobs import simulate
-from fynjax.jobs._simulate_lidar import _seams
+from fynjax.app.io.plot import example_folder, read_plot
+from fynjax.app.jobs import simulate
+from fynjax.app.jobs._simulate_lidar import _seams
 from tests.helpers import write_raster
 from tests.sensors.lidar_scenes import flash
 from tests.small import write_plot

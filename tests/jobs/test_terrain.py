@@ -13,10 +13,10 @@ from rasterio import Affine
 from rasterio.crs import CRS
 
 from fynjax._core.errors import InputError
-from fynjax.cli._plot import terrain as command
-from fynjax.jobs import terrain
-from fynjax.report.figures._terrain import hillshade
-from fynjax.terrain import Terrain, read_cloud, read_terrain, terrain_from_points, write_terrain
+from fynjax.app.cli._plot import terrain as command
+from fynjax.app.jobs import terrain
+from fynjax.app.report.figures._terrain import hillshade
+from fynjax.app.terrain import Terrain, read_cloud, read_terrain, terrain_from_points, write_terrain
 from tests.helpers import assert_valid_summary, write_raster
 from tests.terrain.synthetic import CORNER, ground_height, needs_cloth, shrubland
 from tests.terrain.test_cloud import write_las

@@ -11,15 +11,15 @@ import xarray as xr
 from scipy import stats
 
 from fynjax._core.errors import InputError
-from fynjax.compare import table4_2006
-from fynjax.compare._drone import DroneComparison, compare_drone_images
-from fynjax.compare._images import read_drone_image
-from fynjax.compare._spectra import SpectraSample, read_spectra_sample
-from fynjax.compare._spectral import SpectralComparison, compare_spectra
-from fynjax.io.raster import write_geotiff
-from fynjax.jobs._validate import ValidationData, validate
+from fynjax.app.compare import table4_2006
+from fynjax.app.compare._drone import DroneComparison, compare_drone_images
+from fynjax.app.compare._images import read_drone_image
+from fynjax.app.compare._spectra import SpectraSample, read_spectra_sample
+from fynjax.app.compare._spectral import SpectralComparison, compare_spectra
+from fynjax.app.io.raster import write_geotiff
+from fynjax.app.jobs._validate import ValidationData, validate
+from fynjax.app.report.pages import Picture, Table, drone_section, spectral_section
 from fynjax.metrics import BANDS, VEGETATION_INDICES, spectral_mask
-from fynjax.report.pages import Picture, Table, drone_section, spectral_section
 from tests.compare.test_spectra import WAVE, cube, write_csv, write_envi
 from tests.helpers import assert_valid_summary
 

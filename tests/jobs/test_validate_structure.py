@@ -8,14 +8,14 @@ import pytest
 import xarray as xr
 
 from fynjax._core.errors import InputError
-from fynjax.compare.structure._cloud import CloudSettings, height_cloud
-from fynjax.compare.structure._compare import ComparisonSettings, compare_clouds
-from fynjax.compare.structure._pits import sunk, without_pits
-from fynjax.compare.structure._settings import cloud_settings
-from fynjax.jobs._validate import ValidationData, validate
+from fynjax.app.compare.structure._cloud import CloudSettings, height_cloud
+from fynjax.app.compare.structure._compare import ComparisonSettings, compare_clouds
+from fynjax.app.compare.structure._pits import sunk, without_pits
+from fynjax.app.compare.structure._settings import cloud_settings
+from fynjax.app.jobs._validate import ValidationData, validate
+from fynjax.app.report.pages import Table, structure_section
+from fynjax.app.terrain import PointCloud
 from fynjax.metrics.structure import STRUCTURE_METRICS, STRUCTURE_PRESETS
-from fynjax.report.pages import Table, structure_section
-from fynjax.terrain import PointCloud
 from tests.compare.test_structure import plot, write_las
 from tests.helpers import assert_valid_summary
 

@@ -12,7 +12,13 @@ import pytest
 import spyndex
 
 from fynjax._core.errors import InputError
-from fynjax.compare import bands_2006, consistent_targets, figure12_2006, table4_2006, table5_2006
+from fynjax.app.compare import (
+    bands_2006,
+    consistent_targets,
+    figure12_2006,
+    table4_2006,
+    table5_2006,
+)
 from fynjax.metrics import (
     BAND_TERMS,
     BANDS,

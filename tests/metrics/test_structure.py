@@ -8,7 +8,7 @@ import pytest
 from scipy import stats
 
 from fynjax._core.errors import InputError
-from fynjax.compare.structure import structure_2006
+from fynjax.app.compare.structure import structure_2006
 from fynjax.metrics.structure import (
     STRUCTURE_METRICS,
     STRUCTURE_PRESETS,

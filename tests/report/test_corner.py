@@ -6,7 +6,7 @@ import pytest
 from matplotlib.colors import to_rgba
 
 import fynjax as fx
-from fynjax.report.figures import corner_plot
+from fynjax.app.report.figures import corner_plot
 
 
 @pytest.fixture(scope="module")

@@ -12,10 +12,7 @@ from matplotlib.colors import to_rgba
 from matplotlib.legend import Legend
 from matplotlib.text import Text
 
-from fynjax.canopy import Organ, PlantModel
-from fynjax.canopy.mesh import MeshPlant
-from fynjax.leaf import LeafOverBackground, fit_leaf, prospect
-from fynjax.report.figures import (
+from fynjax.app.report.figures import (
     all_leaves_figure,
     composites,
     constraint_plot,
@@ -32,7 +29,10 @@ from fynjax.report.figures import (
     save_figure,
     side_view,
 )
-from fynjax.report.figures._style import AFTER, BEFORE, Figure, name_rows, style
+from fynjax.app.report.figures._style import AFTER, BEFORE, Figure, name_rows, style
+from fynjax.canopy import Organ, PlantModel
+from fynjax.canopy.mesh import MeshPlant
+from fynjax.leaf import LeafOverBackground, fit_leaf, prospect
 from fynjax.sensors.lidar import LidarReturns
 
 BANDS = ("green", "red", "red_edge", "nir")

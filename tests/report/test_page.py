@@ -16,9 +16,9 @@ import pytest
 from matplotlib.figure import Figure
 from PIL import Image
 
-from fynjax.report import pages
-from fynjax.report.figures import composites
-from fynjax.report.pages import Page, Picture, Section, Table, Views, format_number, write_page
+from fynjax.app.report import pages
+from fynjax.app.report.figures import composites
+from fynjax.app.report.pages import Page, Picture, Section, Table, Views, format_number, write_page
 
 
 class Checker(HTMLParser):

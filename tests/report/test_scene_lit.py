@@ -9,8 +9,8 @@ import pandas as pd
 import pytest
 
 import fynjax as fx
-from fynjax.report.figures._scene_lit import _COLOURS, _columns, _direction, _lit, _reaching
-from fynjax.report.figures._scene_oblique import view_of
+from fynjax.app.report.figures._scene_lit import _COLOURS, _columns, _direction, _lit, _reaching
+from fynjax.app.report.figures._scene_oblique import view_of
 from fynjax.scene import hard_instances, hard_scene
 
 SIDE, CELL = 2.0, 0.01

@@ -3,12 +3,11 @@
 import numpy as np
 import pytest
 
-from fynjax.assembly import build_plot
-from fynjax.canopy import FORMS, Organ, plant_model
-from fynjax.io.plot import example_folder, read_plot
-from fynjax.jobs._build import drawn_plants
-from fynjax.report.figures import DrawnPlants
-from fynjax.report.figures._scene import (
+from fynjax.app.assembly import build_plot
+from fynjax.app.io.plot import example_folder, read_plot
+from fynjax.app.jobs._build import drawn_plants
+from fynjax.app.report.figures import DrawnPlants
+from fynjax.app.report.figures._scene import (
     _AREAS,
     BARK,
     GROUND,
@@ -18,7 +17,8 @@ from fynjax.report.figures._scene import (
     sides,
     species_colours,
 )
-from fynjax.report.figures._scene_oblique import View, height_at, relief
+from fynjax.app.report.figures._scene_oblique import View, height_at, relief
+from fynjax.canopy import FORMS, Organ, plant_model
 from fynjax.scene import Instances, hard_instances, hard_scene, individual_seeds
 
 EXTENT = (4.0, 2.0)

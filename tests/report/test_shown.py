@@ -8,9 +8,8 @@ import pandas as pd
 import pytest
 from matplotlib.colors import to_rgba
 
-from fynjax.compare.structure import StructureComparison
-from fynjax.metrics.structure import STRUCTURE_METRICS
-from fynjax.report.figures import (
+from fynjax.app.compare.structure import StructureComparison
+from fynjax.app.report.figures import (
     corner_plot,
     interval_plot,
     layer_map,
@@ -24,11 +23,12 @@ from fynjax.report.figures import (
     structure_maps,
     terrain_figure,
 )
-from fynjax.report.figures._plots_inferred import estimates_plot
-from fynjax.report.figures._style import BLUE, words
-from fynjax.report.figures._validation import band_box_plot, index_pair_histograms
-from fynjax.report.figures._validation_spectra import mean_spectra_plot, misfit_plot
-from fynjax.terrain import Terrain
+from fynjax.app.report.figures._plots_inferred import estimates_plot
+from fynjax.app.report.figures._style import BLUE, words
+from fynjax.app.report.figures._validation import band_box_plot, index_pair_histograms
+from fynjax.app.report.figures._validation_spectra import mean_spectra_plot, misfit_plot
+from fynjax.app.terrain import Terrain
+from fynjax.metrics.structure import STRUCTURE_METRICS
 from tests.helpers import stand_in
 from tests.report.shown import (
     colour,

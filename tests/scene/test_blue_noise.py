@@ -10,8 +10,8 @@ import pytest
 from scipy.spatial import cKDTree
 
 from fynjax._core.errors import InputError
-from fynjax.assembly import build_plot
-from fynjax.io.plot import example_folder, read_plot
+from fynjax.app.assembly import build_plot
+from fynjax.app.io.plot import example_folder, read_plot
 from fynjax.scene import Scene, clark_evans_indices, hard_instances, projected_cover
 from tests.reference.bridson import bridson
 

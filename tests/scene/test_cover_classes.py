@@ -9,9 +9,9 @@ import pytest
 
 import fynjax as fx
 from fynjax._core.errors import InputError
-from fynjax.assembly import _forward
-from fynjax.io.plot import plot_spreads, read_plot
-from fynjax.io.text import read_rows
+from fynjax.app.assembly import _forward
+from fynjax.app.io.plot import plot_spreads, read_plot
+from fynjax.app.io.text import read_rows
 from fynjax.scene import SpeciesRow, species_rows
 from fynjax.scene._species import table_spreads
 

@@ -9,9 +9,9 @@ import pytest
 from scipy.stats import kstest, spearmanr, uniform
 
 from fynjax._core.errors import InputError
-from fynjax.assembly import build_plot
+from fynjax.app.assembly import build_plot
+from fynjax.app.io.plot import example_folder, read_plot
 from fynjax.canopy import table1_2006
-from fynjax.io.plot import example_folder, read_plot
 from fynjax.scene import (
     Instances,
     hard_instances,

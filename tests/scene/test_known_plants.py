@@ -5,8 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from fynjax.assembly import prepare
-from fynjax.io.plot import read_plot
+from fynjax.app.assembly import prepare
+from fynjax.app.io.plot import read_plot
 from fynjax.scene import hard_instances, room_needed, with_values
 from tests.io.test_crowns import CROWNS, write
 from tests.scene.plots import densities

@@ -11,10 +11,10 @@ import pandas as pd
 import pytest
 
 import fynjax as fx
-from fynjax.assembly import build_plot
+from fynjax.app.assembly import build_plot
+from fynjax.app.io.plot import read_plot
 from fynjax.canopy import table1_2006
 from fynjax.errors import InputError
-from fynjax.io.plot import read_plot
 from fynjax.leaf import fit_leaf_groups
 from fynjax.scene import (
     LEAF_FIELDS,

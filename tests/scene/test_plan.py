@@ -8,9 +8,9 @@ import pytest
 from fynjax import jobs
 from fynjax._core.dry_run import begin_work
 from fynjax._core.errors import InputError
-from fynjax.assembly import build_plot
-from fynjax.io.plot import example_folder, read_plot
-from fynjax.jobs._plant import plant
+from fynjax.app.assembly import build_plot
+from fynjax.app.io.plot import example_folder, read_plot
+from fynjax.app.jobs._plant import plant
 from fynjax.scene import hard_counts, hard_scene
 from tests.assembly.test_plants import COLUMNS, TOML
 from tests.io.test_crowns import CROWNS, write
@@ -93,7 +93,7 @@ def test_memory_and_time_of_the_plan_are_near_those_that_were_measured(side):
 @pytest.mark.parametrize(
     ("where", "sentence"),
     [
-        ("fynjax.assembly._memory.total_memory", "GiB of memory, but this machine has"),
+        ("fynjax.app.assembly._memory.total_memory", "GiB of memory, but this machine has"),
         ("fynjax.radiation._check._memory", "voxels in 4 bands needs about"),
     ],
 )
@@ -102,7 +102,7 @@ def test_a_dry_run_refuses_what_the_run_has_no_memory_for(where, sentence, tmp_p
     with pytest.raises(InputError, match=sentence) as dry, jobs.dry_run():
         jobs.render(shipped(2.0), tmp_path)
     # The light has the same to say when it is to be solved.
-    monkeypatch.setattr("fynjax.jobs._render.check_image", lambda *_, **__: None)
+    monkeypatch.setattr("fynjax.app.jobs._render.check_image", lambda *_, **__: None)
     with pytest.raises(InputError) as real:
         jobs.render(shipped(2.0), tmp_path)
     assert str(dry.value) == str(real.value)

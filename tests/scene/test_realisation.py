@@ -13,9 +13,9 @@ import pytest
 
 import fynjax
 from fynjax._core.errors import InputError
-from fynjax.assembly import build_plot, prepare
+from fynjax.app.assembly import build_plot, prepare
+from fynjax.app.io.plot import read_plot
 from fynjax.canopy import Organ, PlantModel
-from fynjax.io.plot import read_plot
 from fynjax.scene import (
     Ground,
     PlantingRules,

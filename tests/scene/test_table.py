@@ -7,8 +7,8 @@ import pandas as pd
 import pytest
 
 from fynjax._core.errors import InputError
-from fynjax.assembly import aim_without_air, build_plot
-from fynjax.io.plot import plot_instrument, read_plot
+from fynjax.app.assembly import aim_without_air, build_plot
+from fynjax.app.io.plot import plot_instrument, read_plot
 from fynjax.scene import Scene, SpeciesRow, Spectrum, observe
 from tests.small import write_plot
 

@@ -5,9 +5,9 @@ import pytest
 from rasterio import Affine
 
 from fynjax._core.errors import InputError
-from fynjax.assembly import build_plot
-from fynjax.assembly._ground import ground_heights
-from fynjax.io.plot import read_plot
+from fynjax.app.assembly import build_plot
+from fynjax.app.assembly._ground import ground_heights
+from fynjax.app.io.plot import read_plot
 from fynjax.scene import Placement, hard_instances, observe
 from fynjax.sensors import shipped_sensor
 from tests.helpers import write_raster

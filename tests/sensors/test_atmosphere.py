@@ -11,7 +11,7 @@ import pandas as pd
 import pytest
 
 from fynjax._core.errors import InputError
-from fynjax.io.instruments._atmosphere_file import read_atmosphere
+from fynjax.app.io.instruments._atmosphere_file import read_atmosphere
 from fynjax.sensors import BandSet
 from fynjax.sensors.air import clear_sky_diffuse_fraction
 from fynjax.sensors.air._atmosphere import (

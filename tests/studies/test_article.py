@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import fynjax as fx
-from fynjax.cli import main
+from fynjax.app.cli import main
 from fynjax.metrics import BANDS
 from fynjax.scene import with_values
 from fynjax.studies.fynbos_2006 import article_tables

@@ -10,7 +10,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from fynjax.compare import table5_2006
+from fynjax.app.compare import table5_2006
+from fynjax.app.jobs._calibration_page import _camera_sentence
+from fynjax.app.jobs._calibration_tables import camera_table
 from fynjax.inversion import (
     BandFactors,
     Calibration,
@@ -23,8 +25,6 @@ from fynjax.inversion import (
     spectrum_view,
     weigh_targets,
 )
-from fynjax.jobs._calibration_page import _camera_sentence
-from fynjax.jobs._calibration_tables import camera_table
 from fynjax.metrics import spectral_mask
 from fynjax.scene import Placement, aim, with_values
 from fynjax.sensors import BandSet, Gains, shipped_sensor

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from fynjax._core.errors import InputError
+from fynjax.app.cli import main
+from fynjax.app.io.plot import read_plot
 from fynjax.canopy import FORMS
-from fynjax.cli import main
-from fynjax.io.plot import read_plot
 from fynjax.scene import leaves_of
 from fynjax.studies.bioscape._plot_files import (
     DEAD,

@@ -11,6 +11,7 @@ import pandas as pd
 import pytest
 
 from fynjax._core.errors import InputError
+from fynjax.app.io.plot import read_plot
 from fynjax.inversion import (
     Data,
     LogPosterior,
@@ -20,7 +21,6 @@ from fynjax.inversion import (
     statistics_and_jacobian,
     weigh_spectrum,
 )
-from fynjax.io.plot import read_plot
 from fynjax.scene import stand_area
 from fynjax.sensors import BandSet
 from fynjax.studies.bioscape import read_bioscape, write_plot_files

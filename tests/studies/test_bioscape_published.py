@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from fynjax._core.errors import InputError
-from fynjax.cli import main
-from fynjax.io.plot import read_plot
+from fynjax.app.cli import main
+from fynjax.app.io.plot import read_plot
 from fynjax.studies.bioscape import read_bioscape
 from fynjax.studies.bioscape._plot_files import DEAD, OTHER, _counts, _median_ratio
 from tests.studies.test_bioscape import TRAITS, change, sources_of

@@ -9,12 +9,12 @@ import pandas as pd
 import pytest
 import xarray as xr
 
-from fynjax.assembly._build import build_plot
-from fynjax.cli import main
-from fynjax.compare import PlotSpectraPair
+from fynjax.app.assembly._build import build_plot
+from fynjax.app.cli import main
+from fynjax.app.compare import PlotSpectraPair
+from fynjax.app.io.plot import read_plot
+from fynjax.app.jobs import Run
 from fynjax.diversity import VARIETY, diversity_indices
-from fynjax.io.plot import read_plot
-from fynjax.jobs import Run
 from fynjax.sensors import BandSet
 from fynjax.studies.bioscape import read_bioscape, write_plot_files
 from fynjax.studies.bioscape._scenes import ACCURACY, Resolution, _build, build_scenes, slots_of

@@ -7,11 +7,11 @@ from scipy.spatial import ConvexHull
 
 import fynjax as fx
 from fynjax import jobs
-from fynjax.assembly import build_plot
+from fynjax.app.assembly import build_plot
+from fynjax.app.io.plot import example_folder, read_plot
 from fynjax.diversity import pielou_evenness
 from fynjax.errors import InputError
 from fynjax.inversion import COARSE, nadir_imager
-from fynjax.io.plot import example_folder, read_plot
 from fynjax.radiation import Accuracy
 from fynjax.scene import truth_of_pixels
 from fynjax.sensors import PointSpread

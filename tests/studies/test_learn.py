@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from fynjax._core.errors import InputError
+from fynjax.app.io.plot import NO_PRIOR, LearnedPrior, read_plot, read_prior
 from fynjax.inversion import SpectrumView
-from fynjax.io.plot import NO_PRIOR, LearnedPrior, read_plot, read_prior
 from fynjax.scene import LEAF_FIELDS, PlotParameters, Scene
 from fynjax.studies.bioscape import _learn, learn, read_bioscape, run_bioscape, write_plot_files
 from fynjax.studies.bioscape._assumed import ASSUMED_POPULATION

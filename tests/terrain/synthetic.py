@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from fynjax.terrain import PointCloud
+from fynjax.app.terrain import PointCloud
 
 needs_cloth = pytest.mark.skipif(
     sys.version_info >= (3, 13), reason="cloth-simulation-filter has no wheel for this Python"

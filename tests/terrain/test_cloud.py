@@ -12,7 +12,7 @@ from rasterio.crs import CRS
 
 from fynjax._core.errors import InputError, MissingExtraError
 from fynjax._core.tables import open_points
-from fynjax.terrain import PointCloud, read_cloud
+from fynjax.app.terrain import PointCloud, read_cloud
 from tests.helpers import write_ply
 from tests.terrain.synthetic import CORNER
 

@@ -10,7 +10,7 @@ from rasterio import Affine
 from rasterio.crs import CRS
 
 from fynjax._core.errors import InputError
-from fynjax.terrain import Terrain, read_terrain, write_mesh, write_terrain
+from fynjax.app.terrain import Terrain, read_terrain, write_mesh, write_terrain
 from tests.helpers import write_raster
 
 UTM = CRS.from_epsg(32734)

@@ -12,8 +12,8 @@ import pytest
 import rasterio
 
 from fynjax._core.errors import InputError
-from fynjax.jobs import terrain
-from fynjax.terrain import (
+from fynjax.app.jobs import terrain
+from fynjax.app.terrain import (
     PointCloud,
     Terrain,
     canopy_height,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fynjax._core.errors import InputError, MissingExtraError
-from fynjax.terrain import (
+from fynjax.app.terrain import (
     PointCloud,
     Terrain,
     canopy_height,

@@ -7,8 +7,8 @@ this program ships. Each value goes into a plot's files with the word for where 
 import math
 from dataclasses import dataclass
 
+from fynjax.app.io.plot import FACTORS, assumed_by_form
 from fynjax.canopy import FORMS, form_of_taxon
-from fynjax.io.plot import FACTORS, assumed_by_form
 from fynjax.leaf import FLAT, ROUND
 
 DOME = "rounded_shrub"

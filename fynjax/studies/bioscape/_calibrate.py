@@ -13,9 +13,9 @@ from fynjax._core.dry_run import begin_work
 from fynjax._core.errors import InputError
 from fynjax._core.parts import Workers, at_work
 from fynjax._core.precision import double_precision
+from fynjax.app.io.plot import DEFAULT_PRIOR, LearnedPrior, Plot, read_plot, read_prior
+from fynjax.app.jobs import Run
 from fynjax.inversion import spectrum_view
-from fynjax.io.plot import DEFAULT_PRIOR, LearnedPrior, Plot, read_plot, read_prior
-from fynjax.jobs import Run
 from fynjax.scene import PlotParameters, Scene
 from fynjax.sensors import BandSet
 from fynjax.studies.bioscape._inversion import (

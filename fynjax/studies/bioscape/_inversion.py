@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from fynjax.app.io.plot import BY_FORM, FACTORS, LearnedPrior
 from fynjax.inversion import (
     GAIN,
     Data,
@@ -27,7 +28,6 @@ from fynjax.inversion import (
     statistics_and_jacobian,
     weigh_spectrum,
 )
-from fynjax.io.plot import BY_FORM, FACTORS, LearnedPrior
 from fynjax.leaf import LeafParameters
 from fynjax.scene import PARAMETERS, PlotParameters, Scene
 from fynjax.studies.bioscape._plot_files import leaf_parameters

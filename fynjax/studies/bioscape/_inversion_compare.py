@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 from jaxtyping import Float
 
-from fynjax.compare import leave_one_out
+from fynjax.app.compare import leave_one_out
 from fynjax.studies.bioscape._inversion import FREE, WORDS, PlotEstimate, ReferencePlot
 from fynjax.studies.bioscape._plots import BioscapePlot
 

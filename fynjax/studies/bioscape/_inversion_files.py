@@ -9,9 +9,9 @@ import numpy as np
 import pandas as pd
 from jaxtyping import Float
 
-from fynjax.jobs import JobResult, Rows, Run
-from fynjax.report import figures
-from fynjax.report.pages import Page, Part, Picture, Section, Table
+from fynjax.app.jobs import JobResult, Rows, Run
+from fynjax.app.report import figures
+from fynjax.app.report.pages import Page, Part, Picture, Section, Table
 from fynjax.studies.bioscape._assumed import COVERS_MEAN
 from fynjax.studies.bioscape._inversion import MODEL_SD, WORDS, PlotEstimate
 from fynjax.studies.bioscape._inversion_compare import (

@@ -11,9 +11,8 @@ import pandas as pd
 from jaxtyping import Float
 
 from fynjax import __version__
-from fynjax.compare import MODEL, OTHERS, PlotSpectraPair, agreement_table, mean_agreement
-from fynjax.inversion import Hyperprior, ParameterSpace, Population
-from fynjax.io.plot import (
+from fynjax.app.compare import MODEL, OTHERS, PlotSpectraPair, agreement_table, mean_agreement
+from fynjax.app.io.plot import (
     PRIOR_PARAMETERS,
     LeftOutPlot,
     PriorError,
@@ -21,9 +20,10 @@ from fynjax.io.plot import (
     PriorParameter,
     write_prior,
 )
-from fynjax.jobs import JobResult, Rows, Run
-from fynjax.report import figures
-from fynjax.report.pages import Page, Picture, Section, Table
+from fynjax.app.jobs import JobResult, Rows, Run
+from fynjax.app.report import figures
+from fynjax.app.report.pages import Page, Picture, Section, Table
+from fynjax.inversion import Hyperprior, ParameterSpace, Population
 from fynjax.sensors import BandSet
 from fynjax.studies.bioscape._assumed import COVERS_MEAN
 from fynjax.studies.bioscape._population import (

@@ -11,8 +11,7 @@ import pandas as pd
 
 from fynjax._core.dry_run import begin_work
 from fynjax._core.precision import double_precision
-from fynjax.canopy import instance_area, soft_count, target_area
-from fynjax.io.plot import (
+from fynjax.app.io.plot import (
     DEFAULT_PRIOR,
     LearnedPrior,
     Plot,
@@ -20,8 +19,9 @@ from fynjax.io.plot import (
     read_plot,
     read_prior,
 )
-from fynjax.io.text import rows_text, write_text
-from fynjax.jobs import JobResult, Run
+from fynjax.app.io.text import rows_text, write_text
+from fynjax.app.jobs import JobResult, Run
+from fynjax.canopy import instance_area, soft_count, target_area
 from fynjax.leaf import structure_from_dry_matter
 from fynjax.scene import LEAF_FIELDS, PARAMETERS
 from fynjax.sensors import sun_position

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from fynjax._core.errors import InputError
-from fynjax.io.text import did_you_mean, existing_file, read_rows
+from fynjax.app.io.text import did_you_mean, existing_file, read_rows
 from fynjax.studies.bioscape._assumed import (
     DOME,
     OPEN_GROUND_LITTER,

@@ -16,8 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from fynjax.inversion import Hyperprior, ParameterSpace, SpectrumView
-from fynjax.io.plot import (
+from fynjax.app.io.plot import (
     BY_FORM,
     FACTORS,
     LEAFY_FORMS,
@@ -25,6 +24,7 @@ from fynjax.io.plot import (
     assumed_by_form,
     leaf_factors,
 )
+from fynjax.inversion import Hyperprior, ParameterSpace, SpectrumView
 from fynjax.scene import PARAMETERS, PlotParameters, Scene
 from fynjax.studies.bioscape._assumed import ASSUMED_POPULATION
 from fynjax.studies.bioscape._inversion import FREE, logit_space, scaled_leaf

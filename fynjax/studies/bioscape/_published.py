@@ -14,7 +14,7 @@ from typing import Annotated, Any
 from pydantic import BeforeValidator, Field
 
 from fynjax._core.errors import InputError
-from fynjax.io.text import number, read_rows
+from fynjax.app.io.text import number, read_rows
 from fynjax.studies.bioscape._tables import (
     CoverRow,
     OptionalText,

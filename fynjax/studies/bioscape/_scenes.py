@@ -16,10 +16,10 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from fynjax._core.errors import InputError
-from fynjax.assembly import plot_parameters
+from fynjax.app.assembly import plot_parameters
+from fynjax.app.io.plot import Plot
 from fynjax.canopy import VoxelGrid
 from fynjax.diversity import spectral_variety
-from fynjax.io.plot import Plot
 from fynjax.radiation import Accuracy, render, solve_light
 from fynjax.scene import (
     AimedSensor,

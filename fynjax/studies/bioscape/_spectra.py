@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from fynjax._core.errors import InputError
-from fynjax.io.text import TextTable, open_table
+from fynjax.app.io.text import TextTable, open_table
 from fynjax.sensors import shipped_sensor
 from fynjax.studies.bioscape._tables import VISITS, find_table, flight_time
 

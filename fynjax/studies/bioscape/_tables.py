@@ -7,7 +7,7 @@ from typing import Annotated, Any, ClassVar
 from pydantic import BeforeValidator, ConfigDict, Field
 
 from fynjax._core.errors import InputError
-from fynjax.io.text import Slip, Strict, did_you_mean, number
+from fynjax.app.io.text import Slip, Strict, did_you_mean, number
 
 
 def not_available(value: object) -> object:

@@ -10,11 +10,11 @@ from fynjax._core.dry_run import begin_work
 from fynjax._core.errors import InputError
 from fynjax._core.parts import Workers, at_work
 from fynjax._core.precision import double_precision
-from fynjax.compare import PlotSpectraPair
+from fynjax.app.compare import PlotSpectraPair
+from fynjax.app.io.plot import DEFAULT_PRIOR, Plot, read_prior
+from fynjax.app.jobs import Run
 from fynjax.diversity import VARIETY
 from fynjax.inversion import nadir_imager
-from fynjax.io.plot import DEFAULT_PRIOR, Plot, read_prior
-from fynjax.jobs import Run
 from fynjax.metrics import spectral_mask
 from fynjax.sensors import BandSet
 from fynjax.studies.bioscape._plot_files import flights, planted_files

@@ -9,7 +9,7 @@ import pandas as pd
 import xarray as xr
 from jaxtyping import Float
 
-from fynjax.compare import (
+from fynjax.app.compare import (
     DISTANCE,
     FEATURES,
     FLIGHT,
@@ -26,11 +26,11 @@ from fynjax.compare import (
     misfit_table,
     plot_diversity_table,
 )
+from fynjax.app.io.raster import write_run
+from fynjax.app.jobs import JobResult, Rows, Run
+from fynjax.app.report import figures
+from fynjax.app.report.pages import Page, Part, Picture, Section, Table, format_number
 from fynjax.diversity import FEWEST_PLOTS
-from fynjax.io.raster import write_run
-from fynjax.jobs import JobResult, Rows, Run
-from fynjax.report import figures
-from fynjax.report.pages import Page, Part, Picture, Section, Table, format_number
 from fynjax.studies.bioscape._assumed import COVERS_MEAN
 from fynjax.studies.bioscape._scenes import Resolution
 

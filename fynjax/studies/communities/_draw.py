@@ -7,9 +7,9 @@ import numpy as np
 from scipy.optimize import brentq
 
 from fynjax._core.errors import InputError, listed
+from fynjax.app.io.plot import Plot
 from fynjax.canopy import FORMS, table1_2006
 from fynjax.diversity import pielou_evenness
-from fynjax.io.plot import Plot
 from fynjax.studies.fynbos_2006 import table_after_fire
 
 _STEEPEST = 1e-4

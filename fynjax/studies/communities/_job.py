@@ -14,12 +14,12 @@ from fynjax._core.extras import require
 from fynjax._core.parts import Workers, at_work
 from fynjax._core.precision import double_precision
 from fynjax._core.progress import stage
-from fynjax.io.instruments import load_instrument
-from fynjax.io.plot import Plot, as_plot, example_folder
-from fynjax.io.text import existing_file, read_rows
-from fynjax.jobs import JobResult, Rows, Run
-from fynjax.report import figures
-from fynjax.report.pages import Page, Picture, Section, Table
+from fynjax.app.io.instruments import load_instrument
+from fynjax.app.io.plot import Plot, as_plot, example_folder
+from fynjax.app.io.text import existing_file, read_rows
+from fynjax.app.jobs import JobResult, Rows, Run
+from fynjax.app.report import figures
+from fynjax.app.report.pages import Page, Picture, Section, Table
 from fynjax.scene import SpeciesRow, check_species, cover_definition_of, visible_sensor
 from fynjax.sensors import Sensor
 from fynjax.studies.communities._draw import Gradients, check_pool

@@ -10,7 +10,8 @@ import pandas as pd
 from jaxtyping import Bool, Float
 
 from fynjax._core.errors import InputError
-from fynjax.assembly import build_plot
+from fynjax.app.assembly import build_plot
+from fynjax.app.io.plot import Plot
 from fynjax.diversity import (
     VARIETY,
     diversity_indices,
@@ -21,7 +22,6 @@ from fynjax.diversity import (
     spectral_variety,
 )
 from fynjax.inversion import COARSE, nadir_imager
-from fynjax.io.plot import Plot
 from fynjax.scene import Scene, observe, pixel_truth, truth_of_pixels
 from fynjax.sensors import PointSpread, Sensor
 from fynjax.studies.communities._draw import Gradients, draw_community

@@ -10,9 +10,9 @@ import pandas as pd
 from jaxtyping import Float
 
 from fynjax._core.progress import advance, stage
+from fynjax.app.compare import bands_2006, figure12_2006, table4_2006, table5_2006
+from fynjax.app.compare.structure import structure_2006
 from fynjax.canopy import table1_2006
-from fynjax.compare import bands_2006, figure12_2006, table4_2006, table5_2006
-from fynjax.compare.structure import structure_2006
 from fynjax.metrics import BANDS, VEGETATION_INDICES, spectral_mask, vegetation_indices
 from fynjax.metrics.structure import (
     STRUCTURE_METRICS,

@@ -9,12 +9,12 @@ import pandas as pd
 from fynjax._core.dry_run import begin_work
 from fynjax._core.errors import InputError
 from fynjax._core.precision import double_precision
-from fynjax.assembly import build_plot
-from fynjax.io.plot import Plot, example_folder, read_plot
-from fynjax.jobs import JobResult, Rows, Run
+from fynjax.app.assembly import build_plot
+from fynjax.app.io.plot import Plot, example_folder, read_plot
+from fynjax.app.jobs import JobResult, Rows, Run
+from fynjax.app.report import figures
+from fynjax.app.report.pages import Page, Picture, Section, Table
 from fynjax.metrics import BANDS
-from fynjax.report import figures
-from fynjax.report.pages import Page, Picture, Section, Table
 from fynjax.studies.fynbos_2006._article import article_tables
 from fynjax.studies.fynbos_2006._demo import demo
 

@@ -10,8 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from fynjax.assembly import Measured
-from fynjax.compare import table5_2006
+from fynjax.app.assembly import Measured
+from fynjax.app.compare import table5_2006
 from fynjax.inversion import (
     GAIN,
     OFFSET,

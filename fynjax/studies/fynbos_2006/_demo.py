@@ -5,11 +5,11 @@ from pathlib import Path
 import numpy as np
 
 from fynjax._core.precision import double_precision
-from fynjax.assembly import Measured, drone_view
-from fynjax.compare import bands_2006, consistent_targets, table4_2006
+from fynjax.app.assembly import Measured, drone_view
+from fynjax.app.compare import bands_2006, consistent_targets, table4_2006
+from fynjax.app.io.plot import Plot, example_folder, free_parameters, read_plot
+from fynjax.app.jobs import CalibrateResult, ReferenceImage, Run, calibrate_to
 from fynjax.inversion import weigh_targets
-from fynjax.io.plot import Plot, example_folder, free_parameters, read_plot
-from fynjax.jobs import CalibrateResult, ReferenceImage, Run, calibrate_to
 from fynjax.metrics import BANDS
 from fynjax.studies.fynbos_2006._aviris import aviris_target
 

@@ -7,15 +7,15 @@ from pathlib import Path
 
 from fynjax._core.errors import InputError
 from fynjax._core.precision import double_precision
-from fynjax.io.plot import (
+from fynjax.app.io.plot import (
     DEFAULT_PRIOR,
     example_folder,
     read_prior,
     state_population,
     without_population,
 )
-from fynjax.io.text import staged_folder
-from fynjax.jobs import InitResult, check_nothing_there
+from fynjax.app.io.text import staged_folder
+from fynjax.app.jobs import InitResult, check_nothing_there
 from fynjax.studies.fynbos_2006._recovery import (
     SURVEY_YEAR,
     ground_after_fire,

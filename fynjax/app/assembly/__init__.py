@@ -1,0 +1,89 @@
+"""From files to a scene: what turns a plot file and its tables into a scene and parameters."""
+
+from fynjax.app.assembly._build import build_plot, plot_parameters
+from fynjax.app.assembly._forward import (
+    Prepared,
+    batch_for_device,
+    image_view,
+    parameter_columns,
+    prepare,
+    shown_unit,
+)
+from fynjax.app.assembly._front import (
+    Emulated,
+    PlotData,
+    check_vegetation,
+    design,
+    emulate,
+    fit,
+    free,
+    information,
+    prior,
+    read_scene,
+    sample,
+)
+from fynjax.app.assembly._front import PlotData as Data
+from fynjax.app.assembly._ground import ground_heights
+from fynjax.app.assembly._memory import check_memory
+from fynjax.app.assembly._pixels import sample_pixel
+from fynjax.app.assembly._sensing import aim_at_plot, aim_without_air
+from fynjax.app.assembly._stands import (
+    STAND_QUANTITIES,
+    StandQuantity,
+    Stands,
+    StandSettings,
+    simulate_stands,
+    stand_forms,
+    stand_numbers,
+)
+from fynjax.app.assembly._targets import (
+    Measured,
+    RealImage,
+    drone_view,
+    placed_by_image,
+    read_targets,
+)
+from fynjax.app.assembly._twin import Twin, plant_twin, twin_image
+
+__all__ = [
+    "STAND_QUANTITIES",
+    "Data",
+    "Emulated",
+    "Measured",
+    "PlotData",
+    "Prepared",
+    "RealImage",
+    "StandQuantity",
+    "StandSettings",
+    "Stands",
+    "Twin",
+    "aim_at_plot",
+    "aim_without_air",
+    "batch_for_device",
+    "build_plot",
+    "check_memory",
+    "check_vegetation",
+    "design",
+    "drone_view",
+    "emulate",
+    "fit",
+    "free",
+    "ground_heights",
+    "image_view",
+    "information",
+    "parameter_columns",
+    "placed_by_image",
+    "plant_twin",
+    "plot_parameters",
+    "prepare",
+    "prior",
+    "read_scene",
+    "read_targets",
+    "sample",
+    "sample_pixel",
+    "shown_unit",
+    "simulate_stands",
+    "stand_forms",
+    "stand_numbers",
+    "twin_image",
+]

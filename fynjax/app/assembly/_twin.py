@@ -1,0 +1,152 @@
+"""A plot whose truth is known, and what sensors would measure of it."""
+
+import dataclasses
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from fynjax._core.precision import double_precision
+from fynjax._core.seeds import generator
+from fynjax.app.assembly._forward import Prepared
+from fynjax.app.assembly._targets import Measured, drone_view, target_rules
+from fynjax.app.io.plot import Plot, drone_sensor, sensor_place
+from fynjax.inversion import (
+    AbstractView,
+    BandFactors,
+    BandView,
+    Data,
+    ImageView,
+    compared_statistics,
+    factors_by_view,
+    look,
+    weigh_targets,
+)
+from fynjax.metrics import fitting_statistics
+from fynjax.scene import with_values
+
+PIXEL_NOISE = 0.01
+"""Noise of a pixel of a camera over its reflectance [-]: an assumption, as no source states that of
+the shipped cameras."""
+_FARTHEST = 2.2
+"""Largest distance of a truth from the middle of the prior [standard deviations]."""
+_PLANTING = 1000
+"""Number of the seed that plants a twin; those of a search are small."""
+
+
+class Twin(NamedTuple):
+    """A plot whose truth is known."""
+
+    measured: tuple[Measured, ...]
+    """Data of simulated sensors over the twin, in place of the targets of the real plot."""
+    whitened: Float[np.ndarray, " free"]
+    """True parameters of the twin, in whitened coordinates of the prior [-]."""
+    gain: Float[np.ndarray, " band"] | None
+    """True factor by which each band of the twin's camera is off [-]; None without a camera."""
+    model_error: tuple[Float[np.ndarray, " _band"], ...] = ()
+    """True factor by which reality is off from the model in each band of each sensor with bands
+    [-]."""
+
+
+def draw_truth(free: int, random: np.random.Generator) -> Float[np.ndarray, " free"]:
+    """Whitened coordinates of a truth, drawn from the prior."""
+    return random.normal(size=free).clip(-_FARTHEST, _FARTHEST)
+
+
+@double_precision
+def measure_truth(
+    ready: Prepared,
+    view: AbstractView,
+    u: Float[Array | np.ndarray, " free"],
+    number: int,
+    random: np.random.Generator,
+    model_error: Float[np.ndarray, " band"] | None = None,
+) -> tuple[Float[np.ndarray, " statistic"], Float[np.ndarray, " band"] | None]:
+    """A plot whose parameters are known, planted by a seed of its own, as a sensor measures it.
+
+    **Arguments:**
+
+    - `ready`: the plot. The scene is rendered in full, at the camera's own pixels and blur.
+    - `view`: the sensor's; an image gets the camera's gains, drawn from what they may be off by,
+      and noise (`PIXEL_NOISE`). Other sensors get their gains alone.
+    - `u`: whitened coordinates of the parameters.
+    - `number`: of the seed that plants it, unlike those of a search.
+    - `random`: draws gains and noise.
+    - `model_error`: factors by which reality is off from the model in the view's bands; one by
+      default.
+
+    **Returns:** the statistics, and the gains, None of a sensor that has no bands. Not
+    differentiable.
+    """
+    plot = with_values(ready.parameters, ready.scene.taxa, ready.space.named(jnp.asarray(u)))
+    value, *image = look((view,), ready.scene.realisation(_PLANTING + number), plot)
+    if not isinstance(view, BandView):
+        return np.asarray(value, float), None
+    seen = np.asarray(image[0], float)
+    bands = len(seen)
+    gain = np.exp(random.multivariate_normal(np.zeros(bands), view.gains.covariance(bands)))
+    off = gain if model_error is None else gain * model_error
+    if isinstance(view, ImageView):  # gains are common to all pixels of a band; noise is of each
+        seen = seen * (1.0 + PIXEL_NOISE * random.normal(size=seen.shape))
+    return np.asarray(view.statistics(jnp.asarray(seen), jnp.log(jnp.asarray(off))), float), gain
+
+
+@double_precision
+def plant_twin(ready: Prepared, measured: Sequence[Measured], *, seed: int) -> Twin:
+    """Draw a truth from the prior of a plot, plant it, and measure it as the real plot was.
+
+    **Arguments:**
+
+    - `ready`: the plot.
+    - `measured`: of the real plot, or `twin_image`: which statistics of which sensors. Those of an
+      image get the errors of `measure_truth`; others are drawn with the errors that they have here.
+    - `seed`: of truth and errors.
+    """
+    random = generator(seed, 101)
+    truth = draw_truth(len(ready.space.names), random)
+    found, gain = [], None
+    views = [one.view_of(ready.scene, ready.parameters) for one in measured]
+    factors = BandFactors.of(views, ready.error)
+    # One error of the model for all sensors, wherever they see the same wavelength.
+    logs = factors.draw_errors(random)
+    errors = [
+        None if log is None else np.exp(np.asarray(log))
+        for log in factors_by_view(views, jnp.asarray(logs))
+    ]
+    for one, view, error in zip(measured, views, errors, strict=True):
+        value, own = measure_truth(ready, view, truth, 0, random, error)
+        if not isinstance(view, ImageView):
+            covariance = np.asarray(one.data.covariance)
+            # Other sensors err as the real ones are taken to, correlations included.
+            value = random.multivariate_normal(value, covariance, method="eigh")
+            data = dataclasses.replace(one.data, value=jnp.asarray(value))
+        else:
+            gain = own
+            data = weigh_targets(one.data.names, value, ready.plot.calibration.target_sd)
+        text = f"Of a plot whose truth is known, not of a real one: {one.description}"
+        curve = None if one.bands is None else (np.asarray(one.bands.centre), value)
+        found.append(
+            dataclasses.replace(one, data=data, spectrum=curve, description=text, image=None)
+        )
+    return Twin(tuple(found), truth, gain, tuple(e for e in errors if e is not None))
+
+
+def twin_image(plot: Plot) -> Measured:
+    """The image of a plot's drone, for a twin of a plot of which nothing was measured.
+
+    **Arguments:** `plot`, as `read_plot` gives it.
+
+    **Returns:** every statistic that is compared with a whole image, without values.
+
+    **Raises:** `InputError` as `drone_view`, and where the plot file's targets fit none of them.
+    """
+    pixel = sensor_place(plot)[1]
+    bands = drone_sensor(plot).bands
+    every = fitting_statistics(compared_statistics(bands), min(plot.size_m), pixel)
+    used = target_rules(plot).used(every, "the statistics")
+    names = tuple(every[i] for i in used)
+    data = Data(names, jnp.zeros(len(names)), jnp.ones(len(names)))
+    description = f"{len(names)} statistics of a drone's image in {', '.join(bands.names)}."
+    return Measured("image", plot.file, data, drone_view(plot, names), description)

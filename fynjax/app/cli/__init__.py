@@ -1,0 +1,218 @@
+"""The `fynjax` command. Each subcommand is a module that parses and calls one job."""
+
+import inspect
+import io
+import logging
+import os
+import re
+import signal
+import sys
+from collections.abc import Callable, Sequence
+from typing import Annotated, Any, get_args
+
+import typer
+from typer.core import TyperCommand
+
+import fynjax
+from fynjax._core.errors import InputError, MissingExtraError, is_odd_number
+from fynjax.app.cli._bioscape import calibrate_plots, learn, plots_of_tables, validate_plots
+from fynjax.app.cli._diversity import diversity
+from fynjax.app.cli._inversion import calibrate, design, information, posterior, sensitivity
+from fynjax.app.cli._leaf import convert, fit_leaf
+from fynjax.app.cli._maps import map_command, train
+from fynjax.app.cli._plot import article, build, demo, init, pattern, plant, render, terrain, view
+from fynjax.app.cli._runtime import ignore_ctrl_c
+from fynjax.app.cli._sensors import doctor, frames, identify, reflectance, sensors, simulate
+from fynjax.app.cli._validate import validate
+
+__all__ = ["app", "main"]
+
+_PANELS: dict[str, dict[str, Callable[..., None]]] = {
+    "Plot": {
+        **{"demo": demo, "init": init, "build": build, "render": render, "view": view},
+        "article": article,
+        **{"plant": plant, "terrain": terrain, "pattern": pattern},
+    },
+    "Leaf": {"fit-leaf": fit_leaf, "convert": convert},
+    "This machine": {"doctor": doctor, "identify": identify},
+    "Sensors": {
+        **{"sensors": sensors, "simulate": simulate},
+        **{"reflectance": reflectance, "frames": frames},
+    },
+    "Inversion": {
+        **{"calibrate": calibrate, "posterior": posterior},
+        **{"sensitivity": sensitivity, "information": information},
+        "design": design,
+    },
+    "Validation": {"validate": validate},
+    "Many plots": {"train": train, "map": map_command, "diversity": diversity},
+}
+_BIOSCAPE = {
+    **{"plots": plots_of_tables, "learn": learn},
+    **{"validate": validate_plots, "calibrate": calibrate_plots},
+}
+
+
+def _is_number(annotation: Any) -> bool:
+    """Whether an option takes a number, by the annotation of its argument."""
+    (kind, *_) = get_args(annotation) or [annotation]
+    return not {int, float}.isdisjoint({kind, *get_args(kind)})
+
+
+def _listed(value: Any) -> list[str]:
+    """Texts that an option was given."""
+    return [str(one) for one in (value if isinstance(value, list | tuple) else [value])]
+
+
+class _Strict(TyperCommand):
+    """A command that refuses a second value of an option that takes one, which would replace the
+    first without a word, and 1_0 for ten."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        texts, _, given = self.make_parser(ctx).parse_args(args=list(args))
+        known = inspect.signature(self.callback).parameters if self.callback else {}
+        for option in given:
+            if option.name in known and _is_number(known[option.name].annotation):
+                for text in _listed(texts.get(option.name)):
+                    if is_odd_number(text):
+                        raise InputError(f"`{option.opts[0]}` must be a number, but is {text!r}")
+            if option.param_type_name != "option" or getattr(option, "multiple", False):
+                continue
+            agrees = getattr(option, "is_flag", False) and not option.secondary_opts
+            times = given.count(option)
+            if times > 1 and not agrees:
+                raise InputError(f"expected `{option.opts[0]}` once, but got it {times} times")
+        return super().parse_args(ctx, args)
+
+
+_SETTINGS: Any = {
+    "no_args_is_help": True,
+    "pretty_exceptions_enable": False,
+    "rich_markup_mode": "markdown",
+    "context_settings": {"help_option_names": ["-h", "--help"]},
+}
+app = typer.Typer(name="fynjax", **_SETTINGS)
+for _panel, _commands in _PANELS.items():
+    for _name, _function in _commands.items():
+        app.command(_name, cls=_Strict, rich_help_panel=_panel)(_function)
+_group = typer.Typer(
+    help="Field tables and spectra of BioSCape: plot files, what plots share, simulated beside "
+    "measured, and back.",
+    **_SETTINGS,
+)
+for _name, _function in _BIOSCAPE.items():
+    _group.command(_name, cls=_Strict)(_function)
+app.add_typer(_group, name="bioscape", rich_help_panel="Many plots")
+
+
+def _version(wanted: bool) -> bool:
+    if wanted:
+        print(f"fynjax {fynjax.__version__}")
+        raise typer.Exit
+    return wanted
+
+
+@app.callback()
+def _root(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version.")
+    ] = False,
+) -> None:
+    """From a species table and leaf spectra to a drone image, and back.
+
+    Start with `fynjax demo`, or with `fynjax init my_plot` for files of your own.
+    """
+
+
+_INTERRUPTED = 130
+"""Exit status of Ctrl-C, as shells have it."""
+_TERMINATED = 143
+"""Exit status of `kill`."""
+
+
+def _fail(message: str, status: int) -> None:
+    print(f"fynjax: {' '.join(message.split())}", file=sys.stderr)
+    sys.exit(status)
+
+
+_NO_MEMORY = re.compile(
+    "RESOURCE_EXHAUSTED|out of memory|failed to map segment|cannot allocate memory|bad_alloc"
+    "|can't start new thread",
+    re.IGNORECASE,
+)
+"""Words of libraries where there is no memory left."""
+
+
+def _of_this_machine(error: Exception) -> str:
+    """The message of an error that no input caused: little memory, no such device, or another."""
+    text = f"{type(error).__name__}: {error}"
+    if isinstance(error, MemoryError) or _NO_MEMORY.search(text):
+        return (
+            f"this machine, or the limit of the process, has too little memory ({text:.80}). "
+            "Close other programs, or ask for less at once: larger voxels or pixels, fewer bands, "
+            "fewer workers"
+        )
+    if named := os.environ.get("JAX_PLATFORMS"):
+        import jax
+
+        try:
+            jax.devices()
+        except Exception:
+            return (
+                f"JAX finds no device of JAX_PLATFORMS={named} on this machine. Unset it, or set "
+                "JAX_PLATFORMS=cpu"
+            )
+    return text
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run the command line and exit.
+
+    **Arguments:** `arguments` of the command, those of the process by default.
+
+    Exit status 0, 2 for wrong arguments or input, 3 with `--strict` for a result to be doubted, 1
+    for anything else, 130 for Ctrl-C, 143 for `kill`; all but 0 and 3 come with a line on stderr.
+    `FYNJAX_DEBUG=1` shows the traceback instead.
+    """
+    # An exit, unlike the signal itself, lets unfinished results be cleared away.
+    signal.signal(signal.SIGTERM, lambda *_: _fail("ended; nothing was written", _TERMINATED))
+    # GDAL reports through logging, matplotlib that it has no home, and a logger without a handler
+    # prints to stderr.
+    for name in ("rasterio", "matplotlib"):
+        logging.getLogger(name).addHandler(logging.NullHandler())
+    for stream in (sys.stdout, sys.stderr):  # a terminal may lack letters that names of files have
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
+    try:
+        _run(arguments)
+    finally:
+        ignore_ctrl_c()
+
+
+def _run(arguments: Sequence[str] | None) -> None:
+    status: object = 0
+    try:
+        status = app(args=None if arguments is None else list(arguments), standalone_mode=False)
+    except KeyboardInterrupt:
+        status = _INTERRUPTED
+    except Exception as error:
+        if os.environ.get("FYNJAX_DEBUG") == "1":
+            raise
+        if isinstance(error, InputError):
+            _fail(f"error: {error}", 2)
+        from fynjax._core.files import why_failed  # late: it is slow to load
+
+        if (why := why_failed(error)) is not None:
+            name = getattr(error, "filename", None)
+            _fail(f"error: {'' if name is None else f'{name!s:.80}: '}{why}", 2)
+        if hasattr(error, "format_message"):  # a usage error; typer brings a click of its own
+            text = error.format_message()
+            _fail(f"error: {text}" if text else "error: no command; see fynjax --help", 2)
+        if isinstance(error, MissingExtraError):
+            _fail(f"error: {error}", 1)
+        if type(error).__name__ != "Abort":  # some versions of typer turn Ctrl-C into this
+            _fail(f"error: {_of_this_machine(error)} (FYNJAX_DEBUG=1 shows where)", 1)
+        status = _INTERRUPTED
+    if status == _INTERRUPTED:  # and others into a status
+        _fail("interrupted; nothing was written", _INTERRUPTED)
+    sys.exit(status if isinstance(status, int) else 0)

@@ -1,0 +1,654 @@
+"""Parts that all commands share: options, JAX settings, the summary, one line for an error."""
+
+import _thread
+import functools
+import importlib
+import inspect
+import json
+import math
+import os
+import re
+import signal
+import sys
+import threading
+import warnings
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, nullcontext, suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NoReturn
+
+import typer
+
+from fynjax._core.compiler import check_sums_once, keep_compiled
+from fynjax._core.dry_run import DryRunEnd, dry_run
+from fynjax._core.errors import InputError, is_odd_number
+
+if TYPE_CHECKING:
+    from fynjax.app.jobs import JobResult
+
+
+def option(metavar: str, help: str, *flags: str, **more: Any) -> Any:
+    """An option that has a value, which `metavar` names in the help: typer's `Option`."""
+    return typer.Option(*flags, metavar=metavar, help=help, **more)
+
+
+def _folder(text: str | Path) -> Path:
+    """The path of a folder, which an empty text does not name: it comes from a shell's variable
+    that is not set, and would be the working folder."""
+    if not str(text).strip():
+        raise InputError("expected the name of a folder, but got an empty text; here is `.`")
+    return Path(text)
+
+
+Seed = Annotated[
+    int, typer.Option(min=0, max=2**31 - 1, help="Seed of everything random.", show_default=True)
+]
+Twin = Annotated[
+    bool,
+    typer.Option(
+        "--twin",
+        help="Calibrate a twin instead, whose truth is known: drawn from the prior, planted with a "
+        "seed of its own, measured with noise and gains. The report has the truth beside the "
+        "estimate.",
+    ),
+]
+Checkpoint = Annotated[
+    Path | None,
+    option(
+        "DIR",
+        "Folder of the unfinished run; OUTPUT.checkpoint if left out. The same command goes "
+        "on from it.",
+        parser=_folder,
+    ),
+]
+WorkerCount = Annotated[
+    int,
+    option(
+        "N",
+        "Do the parts in N processes of this machine, one core each; same results. Needs the "
+        "extra `map`. 0 does them in this process.",
+        "--workers",
+        min=0,
+    ),
+]
+SchedulerAddress = Annotated[
+    str | None,
+    option(
+        "ADDRESS",
+        "Do the parts on the workers of a dask scheduler, such as tcp://192.168.0.10:8786.",
+        "--scheduler",
+    ),
+]
+OwnSeed = Annotated[
+    int | None,
+    typer.Option(
+        min=0, max=2**31 - 1, help="Seed of everything random; the plot file's if left out."
+    ),
+]
+Truth = Annotated[
+    bool,
+    typer.Option("--truth", help="Also write which species each pixel sees, and how much."),
+]
+PlotPath = Annotated[
+    Path, typer.Argument(metavar="PLOT.toml", help="Plot file; `fynjax init` writes one.")
+]
+PriorFile = Annotated[
+    str,
+    option(
+        "FILE",
+        "Population that the plots are of: a shipped one, a file that `fynjax bioscape learn` "
+        "wrote, or none.",
+    ),
+]
+SHIPPED = "fynbos_2023"
+BANDS = (
+    "where the file does not say: green, red, red_edge, nir, others as the sensor calls them, such "
+    "as blue, and any other name for bands that are not used."
+)
+Align = Annotated[
+    bool, typer.Option("--align/--no-align", help="Align the bands of a capture's files.")
+]
+
+Output = Annotated[Path, option("DIR", "Folder for the results.", parser=_folder)]
+Overwrite = Annotated[
+    bool,
+    typer.Option(
+        "--overwrite",
+        help="Replace files in the folder for the results too that no earlier run of this command "
+        "wrote, or that were changed since; a warning names them. Input is never replaced.",
+    ),
+]
+Json = Annotated[
+    bool, typer.Option("--json", help="Print a summary as JSON on stdout, and nothing else.")
+]
+Strict = Annotated[
+    bool,
+    typer.Option(
+        "--strict",
+        help="Exit status 3 where the result is to be doubted, such as a search that did not "
+        "converge. The files are written all the same.",
+    ),
+]
+AllowOutside = Annotated[
+    bool,
+    typer.Option(
+        "--allow-outside",
+        help="The plot file may name files outside its folder; for plot files that you trust.",
+    ),
+]
+DryRun = Annotated[
+    bool,
+    typer.Option(
+        "--dry-run",
+        help="Read and check every input as the run would, and say what would be written; compute "
+        "and write nothing.",
+    ),
+]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress bars and no text.")]
+
+DOUBTFUL = 3
+"""Exit status with `--strict` where a result is to be doubted."""
+_TERMINATED = 143
+"""Exit status of `kill`, as shells have it."""
+
+
+def _messages(caught: Sequence[warnings.WarningMessage]) -> list[str]:
+    return list(dict.fromkeys(" ".join(str(warning.message).split()) for warning in caught))
+
+
+def listed(
+    kind: Callable[[str], Any],
+    metavar: str,
+    help: str,
+    *flags: str,
+    form: str = "",
+    counts: Sequence[int] = (),
+    **more: Any,
+) -> Any:
+    """An option of values with commas between; given several times, a list of such.
+
+    **Arguments:** `kind`, what makes a value of its text; `form`, what is expected, in words, names
+    or numbers if left out; `counts`, how many values there may be, any number if left out;
+    `metavar`, `help`, `flags` and `more` as of any option.
+    """
+    form = form or ("names" if kind is str else "numbers with commas between")
+
+    def read(given: Any, param: typer.CallbackParam) -> Any:
+        if given is None or isinstance(given, list):
+            return given and [read(text, param) for text in given]
+        text = str(given)
+        try:
+            found = tuple(kind(part.strip()) for part in text.split(","))
+        except ValueError:
+            found = ()
+        if kind is not str and any(map(is_odd_number, text.split(","))):  # 1_0 is no ten
+            found = ()
+        found = found if all(isinstance(v, str) or math.isfinite(v) for v in found) else ()
+        if not found or (counts and len(found) not in counts):
+            raise InputError(f"`{param.opts[0]}` must be {form}, but is {text!r}")
+        return found
+
+    return option(metavar, help, *flags, callback=read, **more)
+
+
+def _given(options: Mapping[str, Any], allow_outside: bool | None) -> dict[str, Any]:
+    """The options that are not left out; the plot is read where it may name files outside."""
+    given = {key: value for key, value in options.items() if value not in (None, [])}
+    if allow_outside is not None:
+        from fynjax.app.io.plot import read_plot
+
+        given["plot"] = read_plot(given["plot"], allow_outside=allow_outside)
+    return given
+
+
+def _packed(
+    given: dict[str, Any], records: Mapping[str, tuple[str, Sequence[str]]]
+) -> dict[str, Any]:
+    """The options, those that are fields of a record in it."""
+    for key, (kind, fields) in records.items():
+        parts = {field: given.pop(field) for field in fields if field in given}
+        given[key] = _imported(kind)(**parts)
+    return given
+
+
+def command(
+    name: str,
+    job: str,
+    *common: Literal["seed", "checkpoint", "workers"],
+    forget: bool = False,
+    further: Mapping[str, Any] | None = None,
+    records: Mapping[str, tuple[str, Sequence[str]]] | None = None,
+) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Make a command of a job: a signature has the options, a docstring the help.
+
+    The job is given the options by their names, and the folder of the results as `output`; an
+    option that is left out has the job's default. Errors and warnings that name arguments of the
+    job name the options instead. All commands have --output, --overwrite, --json, --quiet,
+    --strict, --dry-run, those that take a plot file --allow-outside.
+
+    **Arguments:**
+
+    - `name`: of the command, for results and the folder.
+    - `job`: module and function, such as "fynjax.app.jobs:render"; imported when the command runs.
+    - `common`: which of --seed, --checkpoint, and --workers with --scheduler it has. Without one of
+      its own a command that takes a plot file has the seed of that.
+    - `forget`: remove the unfinished run, which `checkpoint` names, when the run has succeeded.
+    - `further`: annotations of options that stand in no signature, by name.
+    - `records`: arguments of the job that are made of several options, by name: module and class,
+      and the options, named as its fields.
+    """
+    shared: dict[str, tuple[Any, Any]] = {
+        **{key: (annotation, None) for key, annotation in (further or {}).items()},
+        "output": (Output, Path("output") / name.replace(" ", "-")),
+        "overwrite": (Overwrite, False),
+        "json": (Json, False),
+        "quiet": (Quiet, False),
+        "strict": (Strict, False),
+        "dry_run": (DryRun, False),
+    }
+
+    def decorate(function: Callable[..., None]) -> Callable[..., None]:
+        signature = inspect.signature(function)
+        records_of_all = dict(records or {})
+        plot = signature.parameters.get("plot")
+        takes_plot_file = plot is not None and plot.annotation is PlotPath
+        options_of_all: dict[str, tuple[Any, Any]] = {}
+        if "checkpoint" in common:
+            options_of_all["checkpoint"] = (Checkpoint, None)
+        if "workers" in common:
+            options_of_all |= {"count": (WorkerCount, 0), "scheduler": (SchedulerAddress, None)}
+            records_of_all["workers"] = "fynjax.app.jobs:Workers", ("count", "scheduler")
+        if "seed" in common:
+            options_of_all["seed"] = (OwnSeed, None) if takes_plot_file else (Seed, 0)
+        options_of_all |= shared
+        if takes_plot_file:
+            options_of_all["allow_outside"] = (AllowOutside, False)
+
+        @functools.wraps(function)
+        def run(
+            *,
+            output: Path,
+            overwrite: bool,
+            json: bool,
+            quiet: bool,
+            strict: bool,
+            dry_run: bool,
+            allow_outside: bool | None = None,
+            **options: Any,
+        ) -> None:
+            checkpoint = None
+            if "checkpoint" in options:
+                beside = output.with_name(f"{output.name}.checkpoint")
+                checkpoint = options["checkpoint"] = options["checkpoint"] or beside
+
+            def work(folder: Path) -> "JobResult":
+                given = _given(options, allow_outside)
+                try:
+                    result: JobResult = _imported(job)(
+                        output=folder, **_packed(given, records_of_all)
+                    )
+                except InputError as error:
+                    error.args = (_naming_options(str(error), flags),)
+                    raise
+                named = [_naming_options(text, flags) for text in result.warnings]
+                return result.model_copy(update={"warnings": named})
+
+            start = functools.partial(
+                run_job, name, work, output, as_json=json, quiet=quiet, overwrite=overwrite,
+                checkpoint=checkpoint, forget=forget,
+            )  # fmt: skip
+            if dry_run:
+                _show_dry_run(start, output, as_json=json, quiet=quiet)
+                return
+            check_sums_once()
+            if start().status != "ok" and strict:
+                sys.exit(DOUBTFUL)
+
+        keyword = inspect.Parameter.KEYWORD_ONLY
+        parameters = [p.replace(kind=keyword) for p in signature.parameters.values()]
+        parameters += [
+            inspect.Parameter(key, keyword, default=default, annotation=kind)
+            for key, (kind, default) in options_of_all.items()
+        ]
+        flags = {p.name: flag for p in parameters if (flag := _flag(p))}
+        run.__signature__ = signature.replace(  # type: ignore[attr-defined]
+            parameters=parameters, return_annotation=None
+        )
+        run.__annotations__ = {p.name: p.annotation for p in parameters}
+        return run
+
+    return decorate
+
+
+def _imported(name: str) -> Callable[..., Any]:
+    module, _, attribute = name.partition(":")
+    found: Callable[..., Any] = getattr(importlib.import_module(module), attribute)
+    return found
+
+
+def _flag(parameter: inspect.Parameter) -> str | None:
+    """Spelling of an option, such as --largest-gap; None for an argument."""
+    (described,) = parameter.annotation.__metadata__
+    if isinstance(described, typer.models.ArgumentInfo):
+        return None
+    own = (described.default, *(described.param_decls or ()))  # typer has the first as a default
+    stated = [flag for flag in own if isinstance(flag, str) and flag.startswith("-")]
+    flag = stated[0] if stated else f"--{parameter.name.replace('_', '-')}"
+    return flag.partition("/")[0]
+
+
+def _naming_options(text: str, flags: Mapping[str, str]) -> str:
+    """A message that names options instead of a job's arguments."""
+    return re.sub(r"`(\w+)`", lambda m: f"`{flags.get(m[1], m[1])}`", text)
+
+
+def _show_dry_run(
+    start: Callable[[], "JobResult"], output: Path, *, as_json: bool, quiet: bool
+) -> None:
+    """Print what a command would write, once its inputs are read and checked."""
+    try:
+        with dry_run():
+            start()
+    except DryRunEnd as end:
+        for line in end.warnings:
+            print(f"fynjax: warning: {line}", file=sys.stderr)
+        if as_json:
+            record = {"output": str(output), "files": end.files, "warnings": end.warnings}
+            record |= {} if end.plan is None else {"plan": end.plan.record()}
+            print(json.dumps(record, indent=2))
+        elif not quiet:
+            print("Every input was read and checked; nothing was computed or written.")
+            if end.plan is not None:
+                print(end.plan)
+            print(f"The run would write to {output}, among others")
+            show_files(end.files)
+
+
+def _stated_files() -> list[Path]:
+    """Files that the command line may name: input, which no run replaces or removes."""
+    return [Path(text.split("=", 1)[-1]).absolute() for text in sys.argv[1:] if text]
+
+
+def _ways(path: Path) -> set[str]:
+    """A path as it is, and where links lead, if they do."""
+    found = {os.path.normcase(path)}
+    with suppress(OSError, RuntimeError, ValueError):  # a loop of links, no name
+        found.add(os.path.normcase(path.resolve()))
+    return found
+
+
+class _Guard:
+    """Lets a run replace and remove in its folder what an earlier run of the command wrote there
+    and nobody changed since, and never an input of its own."""
+
+    def __init__(self, output: Path, command: str, overwrite: bool, read: Collection[Path]) -> None:
+        """`read` has the inputs of the run, as it goes on; with `overwrite` other files are
+        replaced, too."""
+        from fynjax.app.io.text import SUMMARY, EarlierRun
+
+        self._output, self._overwrite, self._read = output, overwrite, read
+        self._earlier = EarlierRun(output, command)
+        self._earlier_names = list(self._earlier.hashes)
+        inputs = self._inputs()
+        self._refuse_strange(
+            name for name in (SUMMARY, *self._earlier_names)
+            if not _ways(output.absolute() / name) & inputs  # stays, edited or not
+        )  # fmt: skip
+
+    def _inputs(self) -> set[str]:
+        stated = set().union(*map(_ways, _stated_files()))
+        return stated | {os.path.normcase(way) for way in self._read}
+
+    def check(self, names: Iterable[str]) -> None:
+        """Raise `InputError` where a file of these names may not be replaced."""
+        names, inputs = list(names), self._inputs()
+        for name in names:
+            path = self._output.absolute() / name
+            if _ways(path) & inputs and os.path.lexists(path):
+                raise InputError(
+                    "this is an input of the run, which its result of the same name would "
+                    "replace. Give another --output",
+                    file=self._output / name,
+                )
+        for name, why in self._earlier.in_the_way(names).items():
+            raise InputError(
+                f"no result can be written here: {why}. Give another --output",
+                file=self._output / name,
+            )
+        self._refuse_strange(names)
+
+    def _refuse_strange(self, names: Iterable[str]) -> None:
+        for name, why in self.strange(names).items():
+            if not self._overwrite:
+                raise InputError(
+                    f"this file is kept: {why}. Give another --output, or --overwrite to replace "
+                    "what is not of such a run",
+                    file=self._output / name,
+                )
+
+    def strange(self, names: Iterable[str]) -> dict[str, str]:
+        """Files of these names that no earlier run wrote so."""
+        return self._earlier.strange(names)
+
+    def said(self, names: Sequence[str]) -> list[str]:
+        """Warnings of a run whose results are the files `names`: a line for each file that it
+        replaces and no earlier run wrote as it is, and for each that stays beside the new ones."""
+        lines = [f"replaced {self._output / n}: {why}" for n, why in self.strange(names).items()]
+        left = [name for name in self._earlier_names if name not in names]
+        return lines + [
+            f"kept {self._output / name} of an earlier run: {why}"
+            for name, why in self.strange(left).items()
+        ]
+
+    def removable(self) -> list[str]:
+        """Files of the earlier run that are as it wrote them."""
+        return self._earlier.unchanged()
+
+    def kept(self) -> list[Path]:
+        """Input, which stays."""
+        return [*_stated_files(), *self._read]
+
+
+@contextmanager
+def _alone(output: Path) -> Iterator[None]:
+    """Only one run at a time, of one machine, writes into a folder. What runs left there that were
+    killed long ago is cleared away."""
+    from filelock import FileLock, Timeout
+
+    from fynjax.app.io.text import remove_abandoned
+
+    folder = output.resolve()
+    missing = [parent for parent in folder.parents if not parent.exists()]
+    # Beside the folder: runs with other homes or caches know it, too.
+    path = folder.with_name(f".{folder.name}.lock")
+    lock = FileLock(path)
+    try:
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            lock.acquire(timeout=0)
+        except Timeout:
+            raise InputError(
+                f"another run is writing into {output}: wait for its end, or give another --output"
+            ) from None
+        except (OSError, RuntimeError):
+            yield  # a file system that cannot be written, which is said later, or without locks
+            return
+        try:
+            remove_abandoned(output)
+            yield
+        finally:
+            with suppress(OSError):  # Windows removes no file that is open
+                path.unlink()
+            lock.release()
+    finally:
+        for parent in missing:
+            with suppress(OSError):
+                parent.rmdir()
+
+
+_AGAIN_SECONDS = 0.05
+
+
+@contextmanager
+def _ended_by_kill() -> Iterator[Callable[[], None]]:
+    """Let `kill` end a job as Ctrl-C does, so that what is unfinished is cleared away.
+
+    Python drops what is raised inside the callback of a library, such as JAX's after a garbage
+    collection, and only says so: then the signal is sent again. The block calls what it is given
+    before results are moved, in case one was dropped at the very end.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield lambda: None
+        return
+    killed = []
+
+    def end(*_: object) -> None:
+        killed.append(True)
+        sys.exit(_TERMINATED)
+
+    def check() -> None:
+        if killed:
+            sys.exit(_TERMINATED)
+
+    def dropped(what: "sys.UnraisableHookArgs") -> None:
+        again = signal.SIGTERM if killed else signal.SIGINT
+        if isinstance(what.exc_value, KeyboardInterrupt | SystemExit):
+            # Later: it would be dropped here, too.
+            threading.Timer(_AGAIN_SECONDS, _thread.interrupt_main, (again,)).start()
+        else:
+            say(what)
+
+    say, sys.unraisablehook = sys.unraisablehook, dropped
+    before = signal.signal(signal.SIGTERM, end)
+    try:
+        yield check
+    finally:
+        signal.signal(signal.SIGTERM, before)
+        sys.unraisablehook = say
+
+
+def ignore_ctrl_c() -> None:
+    """Let a process that ends do so: a Ctrl-C would show the traceback of what it interrupts."""
+    if threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def _check_written(result: "JobResult", folder: Path, output: Path) -> None:
+    """Refuse results that another process removed while the run wrote others."""
+    lost = [name for name in result.files if not (folder / name).exists()]
+    if lost:
+        raise InputError(
+            f"{len(lost)} of {len(result.files)} results, such as {lost[0]}, were removed while "
+            "the run wrote the others, so none was kept. Give the command again",
+            file=output,
+        )
+
+
+def _end(end: KeyboardInterrupt | SystemExit, checkpoint: Path | None) -> NoReturn:
+    """End the process of a run that was interrupted or killed, and say what is kept of it."""
+    ignore_ctrl_c()
+    killed = isinstance(end, SystemExit)
+    if killed and getattr(end, "code", None) != _TERMINATED:
+        raise end
+    kept = "nothing was written"
+    if checkpoint is not None and checkpoint.is_dir():
+        kept = f"{checkpoint} keeps what was done, and the same command goes on with it"
+    print(f"fynjax: {'ended' if killed else 'interrupted'}; {kept}", file=sys.stderr)
+    sys.exit(_TERMINATED if killed else 130)
+
+
+def run_job(
+    command: str,
+    job: Callable[[Path], "JobResult"],
+    output: Path,
+    *,
+    as_json: bool,
+    quiet: bool,
+    overwrite: bool = False,
+    checkpoint: Path | None = None,
+    forget: bool = False,
+) -> "JobResult":
+    """Run `job(folder)`, print its result and return it.
+
+    Where an interrupted job leaves a `checkpoint`, a line names it; with `forget` its journal goes
+    in the end. The job writes into a
+    folder beside `output`, whose files are moved to `output` when all of it has succeeded. Then
+    those files go that an earlier run of the same command wrote and this one did not: they would
+    stand beside results that they do not belong to. A file that is no such run's, or that was
+    changed since, is neither replaced nor removed, but with `overwrite`; an input of the run never
+    (`_Guard`). That is checked before the job, when it begins its work, and at the end. Warnings
+    wait until then: if the job fails, its error is the only line.
+    """
+    from rich.console import Console
+
+    from fynjax._core.dry_run import checked_before_work
+    from fynjax._core.files import check_folder, file_hash, noting_files
+    from fynjax._core.progress import progress
+    from fynjax.app.io.text import SUMMARY, remove_replaced, sealed, staged_folder, write_text
+
+    check_folder(output)
+    if checkpoint is not None:
+        check_folder(checkpoint)
+    console = Console(stderr=True)
+    bars = progress(console) if console.is_terminal and not quiet and not as_json else nullcontext()
+    with (
+        _alone(output),
+        nullcontext() if checkpoint is None else _alone(checkpoint),
+        _ended_by_kill() as check_killed,
+        warnings.catch_warnings(record=True) as caught,
+        noting_files() as read,
+    ):
+        guard = _Guard(output, command, overwrite, read)
+        warnings.simplefilter("ignore")
+        warnings.simplefilter("always", UserWarning)
+        with staged_folder(output, guard.check) as folder:
+            keep_compiled()
+            try:
+                with bars, checked_before_work(guard.check):
+                    result = job(folder)
+            except (KeyboardInterrupt, SystemExit) as end:
+                _end(end, checkpoint)
+            except DryRunEnd as end:
+                end.warnings = _messages(caught)
+                raise
+            _check_written(result, folder, output)
+            files = sorted(p for p in folder.rglob("*") if p.is_file())
+            hashes = {p.relative_to(folder).as_posix(): file_hash(p) for p in files}
+            written = [*hashes, SUMMARY]
+            messages = [*_messages(caught), *guard.said(written)]
+            said = [*result.warnings, *messages]
+            of_run = {"output": str(output), "warnings": said, "hashes": hashes}
+            result = result.model_copy(update=of_run)
+            seal = sealed(json.loads(result.model_dump_json()))
+            text = result.model_copy(update={"hash": seal}).model_dump_json(indent=2)
+            write_text(folder / SUMMARY, text + "\n")
+            check_killed()
+        remove_replaced(output, guard.removable(), [*written, *guard.kept()])
+        if forget and checkpoint is not None:
+            from fynjax._core.checkpoint import forget_journal
+
+            forget_journal(checkpoint)
+    for line in result.warnings:
+        print(f"fynjax: warning: {line}", file=sys.stderr)
+    if as_json:
+        print(text)
+    elif not quiet:
+        show(result)
+    return result
+
+
+def show(result: "JobResult") -> None:
+    """The result in a few lines on stdout; first, why it is to be doubted."""
+    if result.status != "ok":
+        print(f"Status: {result.status}")
+    for line in result.headline:
+        print(line)
+    print(f"Written to {result.output}")
+    show_files(result.files)
+
+
+def show_files(files: Mapping[str, str]) -> None:
+    """Files and what they are, a line each, on stdout."""
+    width = max(map(len, files), default=0)
+    for name, what in files.items():
+        print(f"  {name:<{width}}  {what}".rstrip())

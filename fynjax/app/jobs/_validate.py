@@ -1,0 +1,417 @@
+"""The job of `fynjax validate`: real against simulated data of any of three sensors."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+from pydantic import Field
+
+from fynjax._core.dry_run import begin_work
+from fynjax._core.errors import InputError
+from fynjax._core.precision import double_precision
+from fynjax.app.compare import (
+    DroneComparison,
+    DroneImage,
+    PublishedComparison,
+    SpectralComparison,
+    bands_2006,
+    compare_drone_images,
+    compare_spectra,
+    compare_with_published,
+    read_drone_image,
+    read_spectra_sample,
+    shared_bands,
+    validation_dataset,
+    wins,
+)
+from fynjax.app.compare.structure import (
+    StructureComparison,
+    cloud_settings,
+    compare_pair,
+    read_pair,
+)
+from fynjax.app.io.raster import write_run
+from fynjax.app.io.text import existing_file
+from fynjax.app.jobs._doubt import doubt_spectrum
+from fynjax.app.jobs._result import JobResult, Record, Rows, rows_of
+from fynjax.app.jobs._run import Run
+from fynjax.app.report import figures
+from fynjax.app.report.pages import (
+    Page,
+    Section,
+    drone_section,
+    published_section,
+    spectral_section,
+    structure_section,
+)
+from fynjax.metrics import BANDS, WATER_WINDOWS, MatchingMethod
+from fynjax.sensors import mavic_3m
+
+PUBLISHED = "published"
+"""Stands for the paper's real drone image, of which only statistics are printed."""
+
+
+@dataclass(frozen=True)
+class ValidationData:
+    """The files of a validation; any of the three pairs may be missing."""
+
+    real_drone: str | Path | None = None
+    """Image (GeoTIFF), or 'published'."""
+    simulated_drone: str | Path | None = None
+    real_spectra: Sequence[str | Path] = ()
+    """Tables, libraries, ASD files, cubes or NetCDF, all on one grid."""
+    simulated_spectra: Sequence[str | Path] = ()
+    real_cloud: str | Path | None = None
+    """Point cloud (LAS, LAZ, PLY, XYZ)."""
+    simulated_cloud: str | Path | None = None
+
+    def __post_init__(self) -> None:
+        pairs = {
+            "drone": (self.real_drone, self.simulated_drone),
+            "spectra": (self.real_spectra, self.simulated_spectra),
+            "cloud": (self.real_cloud, self.simulated_cloud),
+        }
+        for name, (real, simulated) in pairs.items():
+            if bool(real) != bool(simulated):
+                there, lost = ("real", "simulated") if real else ("simulated", "real")
+                hint = (
+                    " Or --real-drone published, for the printed statistics of the 2006 plot."
+                    if name == "drone" and lost == "real"
+                    else ""
+                )
+                raise InputError(f"--{there}-{name} needs --{lost}-{name} beside it.{hint}")
+        if not any(real for real, _ in pairs.values()):
+            raise InputError(
+                "expected at least one pair of files: --real-drone and --simulated-drone, "
+                "--real-spectra and --simulated-spectra, or --real-cloud and --simulated-cloud"
+            )
+
+    def files(self) -> list[Path]:
+        """Every file, each of which must exist."""
+        paths: list[Path] = []
+        for what, group in (
+            ("a drone image", [self.real_drone, self.simulated_drone]),
+            ("spectra", [*self.real_spectra, *self.simulated_spectra]),
+            ("a point cloud", [self.real_cloud, self.simulated_cloud]),
+        ):
+            paths += [
+                existing_file(path, what) for path in group if path and str(path) != PUBLISHED
+            ]
+        return paths
+
+
+Drone = DroneComparison | PublishedComparison
+
+
+class DroneSummary(Record):
+    """Two drone images compared, or one with published statistics."""
+
+    bands: Rows | None = Field(default=None, description="Rows of drone_bands.csv.")
+    indices: Rows | None = Field(default=None, description="Rows of drone_indices.csv.")
+    diversity: Rows | None = Field(default=None, description="Rows of drone_diversity.csv.")
+    published: Rows | None = Field(default=None, description="Rows of drone_published.csv.")
+    notes: list[str]
+
+
+class SpectraSummary(Record):
+    """Two sets of spectra compared."""
+
+    matching: str
+    regions: Rows = Field(description="Rows of spectral_agreement.csv.")
+    misfit: Rows = Field(description="Rows of spectral_misfit.csv.")
+    indices: Rows = Field(description="Rows of spectral_indices.csv.")
+    notes: list[str]
+
+
+class StructureSummary(Record):
+    """Two point clouds compared."""
+
+    settings: dict[str, Any] = Field(description="What the metrics depend on.")
+    options: dict[str, Any] = Field(description="How the clouds were read and compared.")
+    grain_m: float
+    bounds_m: tuple[float, float, float, float]
+    plot_bounds_m: tuple[float, float, float, float]
+    grains: Rows = Field(description="Rows of structure_grains.csv.")
+    matched_returns: int
+    thinned: str
+    clouds: dict[str, dict[str, str | float | None]] = Field(
+        description="File, returns and ground of the real and the simulated cloud."
+    )
+    metrics: Rows = Field(description="Rows of structure.csv.")
+    notes: list[str]
+
+
+class ValidateResult(JobResult):
+    """What `validate` compared; None where a pair of files was not given."""
+
+    command: Literal["validate"] = "validate"
+    drone: DroneSummary | None
+    spectra: SpectraSummary | None
+    structure: StructureSummary | None
+
+
+@double_precision
+def validate(
+    data: ValidationData,
+    output: str | Path,
+    *,
+    real_bands: Sequence[str] | None = None,
+    simulated_bands: Sequence[str] | None = None,
+    saturation: float | None = None,
+    most_pixels: int = 1_000_000,
+    matching: MatchingMethod = "auto",
+    windows: Sequence[tuple[float, float]] = WATER_WINDOWS,
+    structure_preset: str | None = None,
+    cloud_options: Mapping[str, Any] | None = None,
+    seed: int = 0,
+) -> ValidateResult:
+    """Compare real with simulated drone images, spectra and point clouds.
+
+    **Arguments:**
+
+    - `data`: the files of the real and the simulated measurements.
+    - `output`: folder of the results, made if missing.
+    - `real_bands`, `simulated_bands`: names of the bands of the images, as for
+      `read_drone_image`.
+    - `saturation`: saturation threshold of the drone image, as for `read_drone_image` [-].
+    - `most_pixels`: most pixels of an image that are read.
+    - `matching`: how spectra are brought to the same bands, as for `compare_spectra`.
+    - `windows`: ranges of wavelength that are left out of the comparison [nm].
+    - `structure_preset`: a name in `fynjax.metrics.structure.STRUCTURE_PRESETS`.
+    - `cloud_options`: settings that override the preset, as for `cloud_settings`.
+    - `seed`: seed of the random numbers in the comparison of clouds.
+
+    **Returns:** `ValidateResult`. Writes tables (CSV), `validation.nc` and `structure.nc`, figures
+    and a page into `output`.
+
+    **Raises:** `InputError` as the readers and comparisons.
+
+    Example: `jobs.validate(jobs.ValidationData(real_drone="real.tif",
+    simulated_drone="image.tif"), "results")`.
+    """
+    run = Run(output, seed=seed)
+    inputs = data.files()
+    drone: Drone | None = None
+    if data.simulated_drone:
+        read = partial(read_drone_image, saturation=saturation, most_pixels=most_pixels)
+        drone = _compare_images(data, read, simulated_bands, real_bands)
+        _doubt(run, drone)
+    spectra: SpectralComparison | None = None
+    if data.simulated_spectra:
+        spectra = compare_spectra(
+            read_spectra_sample(data.real_spectra),
+            read_spectra_sample(data.simulated_spectra),
+            method=matching,
+            windows=windows,
+        )
+    files = {"report.html": ""}
+    files |= {} if drone is None and spectra is None else {"validation.nc": ""}
+    clouds = None
+    if data.real_cloud and data.simulated_cloud:
+        settings = cloud_settings(structure_preset, cloud_options or {})
+        clouds = read_pair(data.real_cloud, data.simulated_cloud, settings)
+        files["structure.nc"] = ""
+    begin_work(files)
+    structure = None if clouds is None else compare_pair(clouds, seed=seed)
+    record = run.record(inputs)
+    parts: dict[str, _Part] = {}
+    with run.stage("Write"):
+        if drone is not None:
+            parts["drone"] = _write_drone(run, drone)
+        if spectra is not None:
+            parts["spectra"] = _write_spectra(run, spectra)
+        if parts:
+            path = run.path("validation.nc", "every number, NetCDF")
+            write_run(path, validation_dataset(drone, spectra), record)
+        if structure is not None:
+            parts["structure"] = _write_structure(run, structure, record)
+        keys = {name: value for part in parts.values() for name, value in part.keys.items()}
+        lead = "Simulated against real data, after section 4 of the scene paper."
+        sections = [part.section for part in parts.values()]
+        run.page(Page("Validation", lead, sections, keys, record))
+    return run.result(
+        ValidateResult,
+        headline=[sentence for part in parts.values() for sentence in part.headline],
+        **dict.fromkeys(("drone", "spectra", "structure"))
+        | {kind: part.summary for kind, part in parts.items()},
+    )
+
+
+class _Part(NamedTuple):
+    """A comparison in sentences, in its main numbers, on the page and in the result."""
+
+    headline: list[str]
+    keys: dict[str, str]
+    section: Section
+    summary: Record
+
+
+def _compare_images(
+    data: ValidationData,
+    read: Callable[..., DroneImage],
+    simulated_bands: Sequence[str] | None,
+    real_bands: Sequence[str] | None,
+) -> Drone:
+    if str(data.real_drone) == PUBLISHED:
+        return compare_with_published(read(data.simulated_drone, bands=simulated_bands))
+    both = data.simulated_drone or "", data.real_drone or ""
+    stated = simulated_bands, real_bands
+    others = shared_bands(*both, bands=stated)
+    pair = list(zip(both, stated, strict=True))
+    simulated, real = (read(path, bands=bands, camera=others) for path, bands in pair)
+    if simulated.bands != real.bands:  # a band of one alone must leave out no pixels
+        simulated, real = (read(path, bands=bands) for path, bands in pair)
+    return compare_drone_images(real, simulated)
+
+
+def _doubt(run: Run, drone: Drone) -> None:
+    """Say where the real image is none of shrubland."""
+    if isinstance(drone, PublishedComparison):
+        real = {name: row.real_mean for name, row in bands_2006().items()}
+    else:
+        real = dict(zip(BANDS, drone.real.pixels.mean(axis=1)))  # which come first
+    doubt_spectrum(run, real, mavic_3m())
+
+
+def _write_drone(run: Run, drone: Drone) -> _Part:
+    if isinstance(drone, PublishedComparison):
+        what = "statistics beside the published ones"
+        run.table("drone_published.csv", drone.statistics, what, "%.9g")
+        nearer, count = wins(drone.statistics)
+        said = (
+            "Against the published statistics of the 2006 plot's real image: nearer than the "
+            f"paper's DIRSIG in {nearer} of {count} numbers that are sound."
+        )
+        what = "numbers nearer to the real image than the paper's DIRSIG"
+        summary = DroneSummary(published=rows_of(drone.statistics), notes=list(drone.notes))
+        return _Part([said], {what: f"{nearer} of {count}"}, published_section(drone), summary)
+    run.table("drone_bands.csv", drone.bands, "bands, real and simulated", "%.9g")
+    run.table("drone_indices.csv", drone.indices, "the twenty indices, with formulas", "%.9g")
+    run.table("drone_diversity.csv", drone.variety, "how much spectra of pixels differ", "%.9g")
+    bands = ", ".join(
+        f"{figures.words(r['band'])} {r['difference_percent']:+.1f} %"
+        for r in drone.bands.to_dict("records")
+    )
+    table = drone.indices
+    worst = table.iloc[int(np.nanargmax(table["difference_percent"].abs()))]
+    overlap = table["histogram_intersection"].median()
+    headline = [
+        f"Drone, simulated against real means: {bands}.",
+        f"Twenty indices: median histogram intersection {overlap:.2f}, median KS "
+        f"{table['ks'].median():.2f}, largest difference of a mean {worst['index']} "
+        f"{worst['difference_percent']:+.0f} %.",
+    ]
+    largest = drone.bands["difference_percent"].abs().max()
+    keys = {
+        "largest difference of a band mean": f"{largest:.1f} %",
+        "median histogram intersection, 20 indices": f"{overlap:.2f}",
+    }
+    summary = DroneSummary(
+        bands=rows_of(drone.bands),
+        indices=rows_of(drone.indices),
+        diversity=rows_of(drone.variety),
+        notes=list(drone.notes),
+    )
+    return _Part(headline, keys, drone_section(drone), summary)
+
+
+def _write_spectra(run: Run, spectra: SpectralComparison) -> _Part:
+    for name, table, what in (
+        ("spectra.csv", spectra.spectra, "both mean spectra on common bands"),
+        ("spectral_agreement.csv", spectra.regions, "agreement by region (table 5)"),
+        ("spectral_misfit.csv", spectra.misfit, "offset, gain and shape of the misfit"),
+        ("spectral_indices.csv", spectra.indices, "indices of the spectra, with formulas"),
+    ):
+        run.table(name, table, what, "%.9g")
+    reading = dict(zip(spectra.misfit["region"], spectra.misfit["reading"], strict=True))
+    regions = spectra.regions.to_dict("records")
+    headline = [
+        f"Spectra, {row['region']}: angle {_defined(row['spectral_angle_deg'], '.1f', '°')}, RMSE "
+        f"{row['rmse']:.4f}, r {_defined(row['correlation'], '.3f')}, mean "
+        f"{row['real_mean']:.3f} real and {row['simulated_mean']:.3f} simulated; "
+        f"{reading[row['region']]}."
+        for row in regions
+    ]
+    keys = {}
+    for row in regions[:1]:
+        angle = _defined(row["spectral_angle_deg"], ".1f", "°")
+        keys[f"spectral angle, {row['region']}"] = angle
+        keys[f"RMSE, {row['region']}"] = f"{row['rmse']:.3f}"
+    summary = SpectraSummary(
+        matching=spectra.match.method,
+        regions=rows_of(spectra.regions),
+        misfit=rows_of(spectra.misfit),
+        indices=rows_of(spectra.indices),
+        notes=list(spectra.notes),
+    )
+    return _Part(headline, keys, spectral_section(spectra), summary)
+
+
+def _defined(value: float, form: str, unit: str = "") -> str:
+    """A number with its unit, or that it is undefined."""
+    return f"{value:{form}}{unit}" if np.isfinite(value) else "undefined"
+
+
+def _write_structure(
+    run: Run, structure: StructureComparison, record: dict[str, str | int]
+) -> _Part:
+    table, settings = structure.table(), structure.settings_table()
+    run.table("structure.csv", table, "structure metrics with their intervals", "%.9g")
+    run.table("structure_settings.csv", settings, "every setting they depend on", None)
+    curves = structure.curves()
+    for name, rows, what in (
+        (
+            "grains",
+            structure.grains,
+            "grains that were tried, with their cells, area and bounds",
+        ),
+        ("profile", curves["profile"], "leaf area density by layer of both clouds [m2 m-3]"),
+        ("percentiles", curves["percentiles"], "percentiles of height of both clouds [m]"),
+        ("histogram", curves["histogram"], "share of returns by height of both clouds"),
+    ):
+        run.table(f"structure_{name}.csv", rows, what, "%.9g")
+    dataset = structure.dataset()
+    for key, variable in dataset.variables.items():  # as run files have them
+        variable.attrs.setdefault("long_name", str(key).replace("_", " "))
+        if variable.dtype.kind in "fiu":
+            variable.attrs.setdefault("units", "1")
+    path = run.path("structure.nc", "every number of both clouds, with maps by cell, NetCDF")
+    write_run(path, dataset, record)
+    changes = [
+        f"{str(name).replace('_', ' ')} {change:+.0f} %"
+        for name, change in structure.difference_percent.dropna().items()
+    ]
+    heights = structure.heights["value"]
+    said = (
+        f"Structure at {structure.grain:g} m, simulated against real: "
+        f"{', '.join(changes) or 'no metric is defined in both'}; heights overlap by "
+        f"{heights['height_intersection']:.2f}, their percentiles differ by "
+        f"{heights['height_percentile_rmse']:.3f} m RMSE."
+    )
+    summary = _structure_summary(structure)
+    return _Part([said], {}, structure_section(structure), summary)
+
+
+def _structure_summary(structure: StructureComparison) -> StructureSummary:
+    shown = (
+        *("file", "returns", "density", "ground", "ground_share", "below_ground"),
+        *("below_ground_share", "too_high", "highest", "nearly_highest"),
+    )
+    return StructureSummary(
+        settings=asdict(structure.settings),
+        options=structure.options,
+        grain_m=structure.grain,
+        bounds_m=structure.bounds,
+        plot_bounds_m=structure.plot,
+        grains=rows_of(structure.grains),
+        matched_returns=structure.matched_returns,
+        thinned=structure.thinned,
+        clouds={
+            n: {key: getattr(side, key) for key in shown} for n, side in structure.sides.items()
+        },
+        metrics=rows_of(structure.table()),
+        notes=list(structure.notes),
+    )

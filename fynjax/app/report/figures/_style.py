@@ -1,0 +1,216 @@
+"""How every figure looks (readable labels, colour-blind safe), and how it is written.
+
+Colours are those of Okabe and Ito (2008).
+"""
+
+import io
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+import matplotlib.figure
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.category import StrCategoryFormatter
+from matplotlib.text import Text
+from matplotlib.ticker import FuncFormatter, LogFormatterSciNotation
+from numpy.typing import NDArray
+
+from fynjax.app.io.text import atomic_path
+
+ORANGE, SKY, GREEN, BLUE, VERMILION, PURPLE = (
+    "#E69F00",
+    "#56B4E9",
+    "#009E73",
+    "#0072B2",
+    "#D55E00",
+    "#CC79A7",
+)
+GREY = "#7F7F7F"
+SERIES = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY, GREY)
+"""Colours of lines that are of one kind, in their order."""
+BEFORE, AFTER, REAL, OTHER = ORANGE, BLUE, "#222222", GREY
+"""Before calibration, after it, the real data, another simulation: the same in every figure."""
+
+FIGURE_DPI = 160
+"""Resolution of a saved figure [dots per inch]."""
+
+_STYLE: Any = {  # matplotlib's own type lists every key it knows
+    "font.size": 9,
+    "axes.titlesize": 9.5,
+    "axes.titlelocation": "left",
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.linewidth": 0.7,
+    "axes.axisbelow": True,
+    "xtick.labelsize": 8,
+    "ytick.labelsize": 8,
+    "xtick.major.width": 0.7,
+    "ytick.major.width": 0.7,
+    "legend.frameon": False,
+    "legend.fontsize": 8.5,
+    "figure.constrained_layout.use": True,
+    "figure.dpi": 100,
+    "savefig.dpi": FIGURE_DPI,
+    "grid.color": "#E3E3E3",
+    "grid.linewidth": 0.6,
+}
+
+
+GROUND = "ground"
+"""Mark (`gid`) of axes that show the ground from above, all of a page with one scale of length."""
+
+
+class _PlainPowers(LogFormatterSciNotation):
+    """Numbers along a logarithmic axis without mathematical text: 0.01, 1, 1e+06."""
+
+    def __call__(self, x: float, pos: int | None = None) -> str:
+        return f"{x:g}" if super().__call__(x, pos) else ""
+
+
+class Figure(matplotlib.figure.Figure):
+    """A figure that a notebook shows by itself, also where nothing was drawn by pyplot before.
+
+    Text is text: names come from files of anybody, and matplotlib would take what stands between
+    two dollar signs for a formula, which ends in an error where it is none.
+    """
+
+    def draw(self, renderer: Any) -> None:
+        """Draw all parts, with `renderer`."""
+        for axes in self.axes:
+            for axis in (axes.xaxis, axes.yaxis):
+                for level in ("major", "minor"):
+                    kind = getattr(axis, f"get_{level}_formatter")()
+                    if type(kind) is LogFormatterSciNotation:
+                        plain = _PlainPowers(
+                            labelOnlyBase=kind.labelOnlyBase, minor_thresholds=kind.minor_thresholds
+                        )
+                        getattr(axis, f"set_{level}_formatter")(plain)
+        for text in self.findobj(Text):
+            text.set_parse_math(False)
+        with matplotlib.rc_context({"text.parse_math": False}):  # of ticks that are made now
+            super().draw(renderer)
+
+    def _repr_png_(self) -> bytes:
+        buffer = io.BytesIO()
+        self.savefig(buffer, format="png")
+        return buffer.getvalue()
+
+
+@contextmanager
+def style() -> Iterator[None]:
+    """The look of every figure, for the block."""
+    with matplotlib.rc_context(_STYLE):
+        yield
+
+
+def save_figure(
+    figure: matplotlib.figure.Figure, path: str | Path, *, dpi: int = FIGURE_DPI
+) -> None:
+    """Write a figure as PNG, PDF or SVG, by the suffix of its file.
+
+    **Arguments:** `figure`; `path` of the file, which is replaced at once when complete; `dpi`,
+    pixels an inch of a PNG.
+    """
+    with atomic_path(path) as partial:
+        figure.savefig(partial, dpi=dpi, facecolor="white")
+
+
+def named_rows(
+    figure: matplotlib.figure.Figure,
+) -> list[tuple[str, tuple[float, float, float, float]]]:
+    """Rows of a figure that have names for ticks, such as a bar for each species.
+
+    **Arguments:** `figure`, once written: its layout is made then.
+
+    **Returns:** each name with left, top, width and height of its row, names included, in shares of
+    the figure's width and height from its upper left corner.
+    """
+    # Measured as drawn at the figure's own resolution, whatever that of the file was.
+    renderer = FigureCanvasAgg(figure).get_renderer()
+    wide, high = figure.bbox.width, figure.bbox.height
+    rows = []
+    for axes in figure.axes:
+        if not isinstance(axes.yaxis.get_major_formatter(), FuncFormatter | StrCategoryFormatter):
+            continue  # a scale of numbers
+        named = [label for label in axes.get_yticklabels() if label.get_text().strip()]
+        if not named:
+            continue
+        # Middles of the rows, whatever the scale along them.
+        to_pixels = axes.get_yaxis_transform().transform
+        middle = np.array([to_pixels((0.0, label.get_position()[1]))[1] for label in named])
+        extents = [label.get_window_extent(renderer) for label in named]
+        apart = np.diff(np.sort(middle))
+        apart = apart[apart > 0]
+        row = apart.min() if apart.size else 1.6 * max(e.height for e in extents)
+        left, right = min(e.x0 for e in extents), axes.bbox.x1
+        rows += [
+            (
+                label.get_text(),
+                (left / wide, 1.0 - (at + 0.5 * row) / high, (right - left) / wide, row / high),
+            )
+            for label, at in zip(named, middle, strict=True)
+            if axes.bbox.y0 <= at <= axes.bbox.y1
+        ]
+    return rows
+
+
+def ground_panels(figure: matplotlib.figure.Figure) -> list[tuple[float, float, float, float]]:
+    """Where a `figure`, once written, shows the ground (`GROUND`): left, top, width and height of
+    each such panel, in shares of the figure's width and height from its upper left corner."""
+    boxes = [axes.get_position() for axes in figure.axes if axes.get_gid() == GROUND]
+    return [(box.x0, 1.0 - box.y1, box.width, box.height) for box in boxes]
+
+
+def panel_grid(
+    count: int,
+    columns: int,
+    panel: tuple[float, float],
+    beside: tuple[float, float] = (0.0, 0.0),
+    **shared: Any,
+) -> tuple[Figure, list[Any]]:
+    """A figure of equal panels, row by row.
+
+    **Arguments:** `count`: of the panels; `columns`: most panels in a row; `panel`: width and
+    height of each, with its labels [inches]; `beside`: width and height of what stands beside all
+    panels [inches]; `shared`: `sharex` and `sharey`, as of `Figure.subplots`.
+
+    **Returns:** the figure and its `count` axes.
+    """
+    columns = max(min(columns, count), 1)
+    rows = max(-(-count // columns), 1)
+    size = panel[0] * columns + beside[0], panel[1] * rows + beside[1]
+    figure = Figure(figsize=size)
+    axes = list(figure.subplots(rows, columns, squeeze=False, **shared).flat)
+    for unused in axes[count:]:
+        unused.set_axis_off()
+    return figure, axes[:count]
+
+
+def name_rows(axes: Axes, labels: Sequence[str], *, room: int = 0) -> NDArray[np.float64]:
+    """Name the rows of a figure from the top.
+
+    **Arguments:** `axes`; `labels`, one a row; `room`, rows to leave space for where there are
+    fewer.
+
+    **Returns:** the height of each row on the axis.
+    """
+    y = np.arange(len(labels), dtype=float)
+    axes.set_yticks(y, labels, fontsize=7.5)
+    axes.set_ylim(max(len(labels), room) - 0.4, -0.6)
+    axes.tick_params(axis="y", length=0)
+    axes.grid(axis="x")
+    return y
+
+
+def note(figure: Figure, text: str) -> None:
+    """Small print below a `figure`."""
+    figure.supxlabel(text, fontsize=7.5, color="#333333")
+
+
+def words(name: str) -> str:
+    """The `name` of a statistic or parameter in words."""
+    return name.replace("_", " ").replace("nir", "NIR")

@@ -1,0 +1,178 @@
+"""One HTML page, made from sections: pictures and a small script inside, no network.
+
+Without JavaScript the page shows the same; with it pictures can be zoomed and moved, views of the
+ground in one section all together; pictures of one place are shown one at a time, and rows of one
+name are marked together in all tables and in all figures that have a row for each name. Dark where
+the reader's system is; figures stay on white.
+`page.html`, `page.css` and `page.js` beside this module hold what does not change.
+"""
+
+import base64
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from io import BytesIO
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pandas as pd
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+
+from fynjax.app.io.text import write_text
+from fynjax.app.report import figures
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+_QUALITY = 88  # of WebP: figures' letters stay sharp
+_UNITS = {
+    "_percent": "%", "_deg": "°", "_nm": "nm",
+    "_g_m2": "g m⁻²", "_per_m2": "m⁻²", "_m2": "m²", "_m": "m",
+}  # fmt: skip
+"""Units by the ends of columns' names."""
+
+
+def format_number(value: float, digits: int = 4) -> str:
+    """A `value` as text: `digits` significant digits, no trailing zeros, – for NaN."""
+    if not np.isfinite(value):
+        return "–"
+    if value == 0:
+        return "0"
+    if not 1e-4 <= abs(value) < 1e6:
+        return f"{value:.{digits - 1}e}".replace("-", "−")
+    decimals = max(digits - 1 - int(np.floor(np.log10(abs(value)))), 0)
+    text = f"{value:.{decimals}f}"
+    text = text.rstrip("0").rstrip(".") if "." in text else text
+    return text.replace("-", "−")
+
+
+def _cell(value: object, digits: int) -> str:
+    if value is None or value is pd.NA or (isinstance(value, float) and np.isnan(value)):
+        return "–"
+    if isinstance(value, (bool, np.bool_)):
+        return "yes" if value else "no"
+    if isinstance(value, (int, np.integer)):
+        return str(int(value)).replace("-", "−")
+    if isinstance(value, (float, np.floating)):
+        return format_number(float(value), digits)
+    return str(value)
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A figure with the file that it becomes."""
+
+    file: str
+    """Name of the file in the folder of results (PNG)."""
+    figure: "Figure"
+    what: str
+    """Description of the file, for the list of files."""
+    caption: str = ""
+    """Below the figure on the page; `what` as a sentence if left out."""
+
+    def write(self, folder: Path) -> None:
+        """Write the file into `folder`, whole or not at all."""
+        figures.save_figure(self.figure, folder / self.file)
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table of a page."""
+
+    rows: pd.DataFrame
+    caption: str = ""
+    units: Mapping[str, str] = field(default_factory=dict)
+    """Units by column, below headers; those that names of columns end with need not be said."""
+    headers: Mapping[str, str] = field(default_factory=dict)
+    """Headers by column; one without shows its name without unit and underscores."""
+    digits: int = 4
+    """Significant digits of numbers."""
+    folded: bool = False
+    """Whether the table is hidden behind its caption."""
+
+    def header(self, column: object) -> tuple[str, str]:
+        """Header and unit of a column, such as "relief" and "m" of relief_m; "" without a unit."""
+        name = str(column)
+        ending = next((end for end in _UNITS if name.endswith(end)), "")
+        words = self.headers.get(name) or name.removesuffix(ending).replace("_", " ")
+        return words, self.units.get(name) or _UNITS.get(ending, "")
+
+    @property
+    def text_columns(self) -> list[Any]:
+        """Columns that hold no numbers, in their order."""
+        return [c for c in self.rows if not pd.api.types.is_numeric_dtype(self.rows[c])]
+
+
+@dataclass(frozen=True)
+class Views:
+    """Pictures of one place, of which a reader chooses the one to see: bands, colours, indices."""
+
+    pictures: Mapping[str, Picture]
+    """Pictures by the labels of their buttons; the first is seen first."""
+
+
+Part = str | Picture | Views | Table
+"""A paragraph, a figure, figures to choose from, or a table."""
+
+
+@dataclass(frozen=True)
+class Section:
+    """Part of a page under a heading; without a title it has no heading."""
+
+    title: str
+    parts: Sequence[Part]
+
+
+@dataclass(frozen=True)
+class Page:
+    """What a page shows, from top to bottom. Every text is escaped: none can become markup."""
+
+    title: str
+    lead: str
+    sections: Sequence[Section]
+    key_figures: Mapping[str, str] = field(default_factory=dict)
+    """The numbers that matter most, shown large: value by what it is."""
+    record: Mapping[str, Any] = field(default_factory=dict)
+    """Record of how the page was made, as `fynjax.app.io.raster.provenance` has it."""
+
+
+def write_page(page: Page, folder: Path) -> dict[str, str]:
+    """Write `page`, as report.html, and its pictures into `folder`, which is made if missing.
+
+    **Returns:** a description of each file, by its name.
+    """
+    parts = [part for section in page.sections for part in section.parts]
+    pictures = [part for part in parts if isinstance(part, Picture)]
+    pictures += [p for part in parts if isinstance(part, Views) for p in part.pictures.values()]
+    for picture in pictures:
+        picture.write(folder)
+    shown = {picture.file: _shown(picture, folder) for picture in pictures}
+    template = _ENVIRONMENT.get_template("page.html")
+    write_text(folder / "report.html", template.render(page=page, shown=shown) + "\n")
+    return {"report.html": "all of it on one page"} | {p.file: p.what for p in pictures}
+
+
+def _shown(picture: Picture, folder: Path) -> dict[str, Any]:
+    """A picture as a page holds it: its address, its width [pixels], its named rows and its views
+    of the ground. As WebP pictures of plots take a quarter of their PNG, which lies beside the page
+    as a file."""
+    from PIL import Image  # late: a dry run shows no picture
+
+    png = (folder / picture.file).read_bytes()
+    webp = BytesIO()
+    with Image.open(BytesIO(png)) as image:
+        image.convert("RGB").save(webp, "WEBP", quality=_QUALITY, method=3)
+        inches = image.width / figures.FIGURE_DPI
+    kind, data = min(("png", png), ("webp", webp.getvalue()), key=lambda one: len(one[1]))
+    return {
+        "source": f"data:image/{kind};base64,{base64.b64encode(data).decode('ascii')}",
+        "width": round(inches * 105),
+        "rows": figures.named_rows(picture.figure),
+        "grounds": figures.ground_panels(picture.figure),
+    }
+
+
+_ENVIRONMENT = Environment(
+    loader=FileSystemLoader(Path(__file__).parent), autoescape=True, undefined=StrictUndefined
+)
+_ENVIRONMENT.filters["cell"] = _cell

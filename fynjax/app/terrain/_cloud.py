@@ -1,0 +1,470 @@
+"""Point clouds in: LAS and LAZ, PLY, and text (XYZ, CSV)."""
+
+import logging
+import re
+import struct
+import warnings
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+from jaxtyping import Float64, UInt8
+from numpy.typing import NDArray
+from rasterio.crs import CRS
+
+from fynjax._core.errors import InputError, in_file, listed
+from fynjax._core.extras import require
+from fynjax._core.tables import name_and_unit, open_points, places_of
+from fynjax.app.io.raster import check_metric, parse_crs
+from fynjax.app.io.text import check_stated_size, existing_file
+from fynjax.app.terrain._units import (
+    Bounds,
+    check_bounds,
+    check_coordinates,
+    check_height_range,
+    unit_factor,
+)
+
+GROUND_CLASSES = (2, 8, 9)
+"""ASPRS classes that are ground: ground, model key points, water (LAS 1.4 R15, table 17)."""
+
+_STRAY = 1000
+"""One of so many points may lie far from all others and be left out."""
+_NORMAL_CELL, _NORMAL_LEVEL = 5.0, 0.15
+"""Cells and level [m] by which heights above the ground are known."""
+_CUT, _CUT_EDGE = (0.2, 3.0), 0.05
+"""Heights [m] at which low returns are cut away, and the depth of the layers compared above it."""
+_FEWEST_AT_CUT = 20
+_NOISE_CLASSES = (7, 18)
+
+
+@dataclass(frozen=True)
+class PointCloud:
+    """Points in metres: x east, y north, z up."""
+
+    x: Float64[np.ndarray, " point"]
+    """Easting [m]."""
+    y: Float64[np.ndarray, " point"]
+    """Northing [m]."""
+    z: Float64[np.ndarray, " point"]
+    """Height [m]."""
+    classification: UInt8[np.ndarray, " point"] | None = None
+    """ASPRS class of each point (2 is ground), where the file has one."""
+    crs: str | None = None
+    """Coordinate reference system as WKT; `None` where the file states none."""
+
+    def __len__(self) -> int:
+        return len(self.x)
+
+    @property
+    def bounds(self) -> Bounds:
+        """The rectangle that holds all points."""
+        west, south = float(self.x.min()), float(self.y.min())
+        return west, south, float(self.x.max()), float(self.y.max())
+
+    def select(self, keep: NDArray[np.bool_]) -> "PointCloud":
+        """The points where `keep` is true."""
+        labels = self.classification
+        return replace(
+            self,
+            x=self.x[keep],
+            y=self.y[keep],
+            z=self.z[keep],
+            classification=None if labels is None else labels[keep],
+        )
+
+    def crop(self, bounds: Bounds, margin: float = 0.0) -> "PointCloud":
+        """The points in a rectangle and up to `margin` [m] around it."""
+        west, south, east, north = check_bounds(bounds)
+        inside = (self.x >= west - margin) & (self.x <= east + margin)
+        inside &= (self.y >= south - margin) & (self.y <= north + margin)
+        if not inside.any():
+            w, s, e, n = self.bounds
+            raise InputError(
+                f"the plot ({west:.2f}, {south:.2f}) to ({east:.2f}, {north:.2f}) has no point of "
+                f"the cloud, which covers ({w:.1f}, {s:.1f}) to ({e:.1f}, {n:.1f}). Are both in "
+                "the same coordinate reference system, x first?"
+            )
+        return self.select(inside)
+
+
+def read_cloud(
+    path: str | Path,
+    *,
+    unit: str | None = None,
+    height_unit: str | None = None,
+    crs: str | None = None,
+) -> PointCloud:
+    """Read a point cloud from a drone's photographs or a laser scanner.
+
+    **Arguments:**
+
+    - `path`: LAS or LAZ; PLY; or text (.xyz, .txt, .csv): x, y, z as the first three
+      columns or named in a header, which may also have `classification`.
+    - `unit`: one of `UNITS`, for files that are not in metres. Coordinates are then converted,
+      and a reference system, whose coordinates they are no more, is dropped.
+    - `height_unit`: the same for z alone; `unit` unless given.
+    - `crs`: reference system of a file that states none, such as "EPSG:32734".
+
+    Points marked as noise (classes 7 and 18) or withheld are left out.
+
+    **Returns:** `PointCloud`, in metres.
+
+    **Raises:** `InputError` for a file that is missing, cut short, of another format, has NaN, is
+    in degrees or in another unit than metres that was not stated. Units are known from the
+    reference system, the header, and numbers that cannot be metres of a plot (a point in 25 m2,
+    relief of twice the plot's width); feet without any of these look like metres.
+    Single heights below -500 or above 9000 m are refused; if all are, that is a warning, as are
+    heights that begin so sharply from 0.2 to 3 m that low returns seem to be cut away.
+    `MissingExtraError` for LAS without the extra `terrain`.
+    """
+    path = existing_file(path, "a point cloud")
+    if path.stat().st_size == 0:
+        raise InputError("expected a point cloud, but the file is empty", file=path)
+    suffix, system = path.suffix.lower(), None
+    unit_stated, height_stated = unit is not None, unit is not None or height_unit is not None
+    if suffix in (".las", ".laz"):
+        cloud, system = _read_las(path, unit_stated, height_stated, crs_stated=crs is not None)
+    elif suffix == ".ply":
+        cloud = _read_ply(path)
+    elif suffix in (".xyz", ".txt", ".csv"):
+        cloud = _read_text(path, unit_stated)
+    else:
+        raise InputError(
+            f"expected a point cloud (.las, .laz, .ply, .xyz, .txt or .csv), but this is a "
+            f"{suffix or 'file without a suffix'}",
+            file=path,
+        )
+    system = system if crs is None else parse_crs(crs, path)
+    if system is not None:
+        with in_file(path):
+            check_metric(system, unit_stated=unit_stated, height_stated=height_stated)
+    factor = unit_factor(unit or "metre")
+    height_factor = unit_factor(height_unit or unit or "metre")
+    if factor != 1.0:
+        system = None
+    cloud = replace(
+        cloud,
+        x=cloud.x * factor,
+        y=cloud.y * factor,
+        z=cloud.z * height_factor,
+        crs=None if system is None else system.to_wkt(),
+    )
+    labels = cloud.classification
+    if labels is not None and (noise := np.isin(labels, _NOISE_CLASSES)).any():
+        cloud = cloud.select(~noise)
+    cloud = _without_strays(cloud, path)
+    check_coordinates(cloud.x, cloud.y, cloud.z, path, unit_stated=unit_stated)
+    # Another unit than that of x and y would show in the relief.
+    check_height_range(cloud.z, path, "Take these points out.", unit_known=True)
+    if (height := _cut_height(cloud)) is not None:
+        warnings.warn(
+            f"{path}: heights begin sharply at {height:.1f} m, as those above the ground do whose "
+            "low returns were cut away. What is found for ground is then plants: take the cloud "
+            "with its ground",
+            stacklevel=2,
+        )
+    return cloud
+
+
+def _without_strays(cloud: PointCloud, path: Path) -> PointCloud:
+    """The cloud without the few points that lie farther from all others than these reach."""
+    places = np.stack([cloud.x, cloud.y])
+    if len(cloud) < _STRAY or not np.isfinite(places).all():
+        return cloud
+    low, high = np.quantile(places, (1.0 / _STRAY, 1.0 - 1.0 / _STRAY), axis=1)
+    reach = max(float((high - low).max()), 1.0)
+    far = ((places < (low - reach)[:, None]) | (places > (high + reach)[:, None])).any(axis=0)
+    if not far.any() or far.mean() >= 1.0 / _STRAY:
+        return cloud
+    x, y = places[:, np.argmax(far)]
+    warnings.warn(
+        f"{path}: {int(far.sum())} of {len(cloud)} points lie far from all others, such as at "
+        f"({x:.1f}, {y:.1f}), and are left out",
+        stacklevel=3,
+    )
+    return cloud.select(~far)
+
+
+def is_normalised(cloud: PointCloud) -> bool:
+    """Whether heights seem to be above the ground and not above the sea: the lowest point of
+    three in ten cells of 5 m at least is within 0.15 m of 0, and next to none lies deeper.
+
+    **Arguments:** `cloud`, in metres.
+    """
+    lowest = _lowest(cloud)
+    near = np.abs(lowest) <= _NORMAL_LEVEL
+    return bool(near.mean() > 0.3 and np.quantile(lowest, 0.01) > -2.0 * _NORMAL_LEVEL)
+
+
+def _lowest(cloud: PointCloud) -> NDArray[np.float64]:
+    """Height of the lowest point of each cell of 5 m that has any [m]."""
+    i, j = (np.floor((v - v.min()) / _NORMAL_CELL).astype(np.int64) for v in (cloud.x, cloud.y))
+    _, which = np.unique(j * (i.max() + 1) + i, return_inverse=True)
+    lowest = np.full(which.max() + 1, np.inf)
+    np.minimum.at(lowest, which, cloud.z)
+    return lowest
+
+
+def _cut_height(cloud: PointCloud) -> float | None:
+    """Height below which points seem to be cut away [m], or None: a tenth of a metre just below the
+    lowest point, which many cells of 5 m reach down to, with about as many points right above it as
+    further up. Ground has fewer there, as it scatters, or, where it is flat, nearly all."""
+    low = float(cloud.z.min())
+    tenth = np.floor(10.0 * low + 1e-6) / 10.0
+    if not (_CUT[0] <= low <= _CUT[1] and low - tenth < 0.01):
+        return None
+    edges = tenth + _CUT_EDGE * np.arange(3)
+    first, second = np.histogram(cloud.z, edges)[0]
+    even = min(first, second) > 0.5 * max(first, second) and min(first, second) >= _FEWEST_AT_CUT
+    if not even or (_lowest(cloud) <= tenth + _NORMAL_LEVEL).mean() <= 0.3:
+        return None
+    return float(tenth)
+
+
+def _read_las(
+    path: Path, unit_stated: bool, height_stated: bool, *, crs_stated: bool
+) -> tuple[PointCloud, CRS | None]:
+    """Points of a LAS or LAZ file, in its unit, and its reference system, unless another is
+    stated."""
+    laspy = require("laspy", "terrain")
+    if path.suffix.lower() == ".laz":
+        require("lazrs", "terrain")
+    _check_las_header(path)
+    # A logger without a handler prints to stderr, and the error below is clearer.
+    logging.getLogger("laspy").addHandler(logging.NullHandler())
+    try:
+        # Its parallel decompressor takes whatever memory a damaged table of parts asks for.
+        las = laspy.read(path, laz_backend=laspy.LazBackend.Lazrs)
+        promised = int(las.header.point_count)
+        x, y, z = (np.array(axis, np.float64) for axis in (las.x, las.y, las.z))
+        labels = np.array(las.classification, np.uint8)
+        # A flag from point format 6 on, and a bit beside the class before it.
+        names = set(las.point_format.dimension_names)
+        withheld = np.array(las.withheld, bool) if "withheld" in names else np.zeros(len(x), bool)
+    except BaseException as error:  # laspy raises whatever it stumbles over, lazrs no Exception
+        if isinstance(error, KeyboardInterrupt | SystemExit):
+            raise
+        reason = " ".join(str(error).split())
+        raise InputError(
+            f"cannot be read as {path.suffix[1:].upper()} ({reason}). Is it cut short, or of "
+            "another format? Copy it again.",
+            file=path,
+        ) from error
+    if len(x) != promised:
+        raise InputError(
+            f"expected {promised} points as the header says, but the file has {len(x)}. "
+            "It is cut short: copy it again.",
+            file=path,
+        )
+    # Zero is "created, never classified": a file with nothing else has no classes.
+    cloud = PointCloud(x, y, z, labels if labels.any() else None)
+    system = None
+    if not crs_stated:
+        system = _las_crs(las.header, path, unit_stated, height_stated)
+    return cloud.select(~withheld), system
+
+
+_LASZIP, _EXTRA_BYTES = 22204, 14
+_LAYERS = {10: 9, 11: 1, 12: 2, 13: 1}
+"""Layers of each kind of item in points of format 6 on: point, colour, colour with near infrared,
+wave packet."""
+
+
+def _check_las_header(path: Path) -> None:
+    """`InputError` where a LAS or LAZ header states more than its file can hold.
+
+    Fields as in LAS 1.4 R15, tables 3, 5 and 6, and in the LASzip specification 1.4, section 4.
+    A table that states too many chunks, or layers larger than the file, make the decompressor end
+    the process instead of raising; of layers those of the first chunk are looked at.
+    """
+    held = path.stat().st_size
+    with path.open("rb") as file:
+        head = file.read(375).ljust(375, b"\0")
+        minor, (header_size,) = head[25], struct.unpack_from("<H", head, 94)
+        start, n_records, kind, size, count = struct.unpack_from("<IIBHI", head, 96)
+        if minor >= 4:
+            first_extended, n_extended, count = struct.unpack_from("<QIQ", head, 235)
+            check_stated_size(
+                path, first_extended + 60 * n_extended if n_extended else 0,
+                f"{n_extended} extended records", packed=False,
+            )  # fmt: skip
+        check_stated_size(path, header_size + 54 * n_records, f"{n_records} records", packed=False)
+        packed = bool(kind & 0x80)
+        check_stated_size(
+            path, count * size if packed else start + count * size, f"{count} points", packed=packed
+        )
+        if not packed:
+            return
+        file.seek(start)
+        table = int.from_bytes(file.read(8), "little", signed=True)
+        if table == -1:  # written as a stream: the place stands at the end
+            file.seek(max(held - 8, 0))
+            table = int.from_bytes(file.read(8), "little", signed=True)
+        if not 0 <= table <= held - 8:
+            raise InputError(
+                "the table of its compressed parts lies outside the file. Is it cut short? Copy it "
+                "again.",
+                file=path,
+            )
+        file.seek(table + 4)
+        chunks = int.from_bytes(file.read(4), "little")
+        # Each part begins with a whole point.
+        check_stated_size(path, chunks * size, f"{chunks} compressed parts", packed=False)
+        layers, record = 0, _laszip_record(file, header_size, n_records)
+        for at in range(34, len(record) - 5, 6):
+            item, wide, _ = struct.unpack_from("<HHH", record, at)
+            layers += wide if item == _EXTRA_BYTES else _LAYERS.get(item, 0)
+        if layers:  # their sizes follow the first point and the number of points of a part
+            file.seek(start + 8 + size + 4)
+            stated = np.frombuffer(file.read(4 * layers), "<u4")
+            check_stated_size(
+                path, start + int(stated.sum(dtype=np.int64)), "layers of points", packed=False
+            )
+
+
+def _laszip_record(file: BinaryIO, start: int, count: int) -> bytes:
+    """The record that says how points are compressed; empty where there is none."""
+    for _ in range(count):
+        file.seek(start)
+        head = file.read(54)
+        if len(head) < 54:
+            break
+        kind, length = struct.unpack_from("<HH", head, 18)
+        if kind == _LASZIP and head[2:18].rstrip(b"\0") == b"laszip encoded":
+            return file.read(length)
+        start += 54 + length
+    return b""
+
+
+_NO_SYSTEM = "\0 \t\r\n'\""
+"""What may stand round the text of a record, or in place of it."""
+_UNKNOWN = ("", "unknown", "none", "null", "undefined", "n/a")
+"""Texts that state no system."""
+
+
+def _las_crs(header: Any, path: Path, unit_stated: bool, height_stated: bool) -> CRS | None:
+    """The reference system of a LAS header, from its WKT or its GeoTIFF keys (GeoTIFF 1.1)."""
+    records = [*header.vlrs, *(header.evlrs or [])]
+    for record in records:
+        text = getattr(record, "string", "").strip(_NO_SYSTEM)
+        if type(record).__name__ == "WktCoordinateSystemVlr" and text.lower() not in _UNKNOWN:
+            try:
+                return parse_crs(text, path)
+            except InputError as error:
+                raise InputError(
+                    f"{error.message}. If you know it, state it: --crs EPSG:... (`crs`)", file=path
+                ) from error
+    for record in records:
+        if type(record).__name__ != "GeoKeyDirectoryVlr":
+            continue
+        keys = {key.id: key.value_offset for key in record.geo_keys if key.tiff_tag_location == 0}
+        # ProjLinearUnits and VerticalUnits: EPSG 9002 and 9003 are feet.
+        for key, what, stated in (
+            (3076, "coordinates", unit_stated),
+            (4099, "heights", height_stated),
+        ):
+            if keys.get(key) in (9002, 9003) and not stated:
+                name = "foot" if keys[key] == 9002 else "us_survey_foot"
+                raise InputError(
+                    f"expected {what} in metres, but the file says {name}. Reproject to a metric "
+                    "system, or state the unit.",
+                    file=path,
+                )
+        # ProjectedCSType and GeographicType; 32767 is "user-defined".
+        for code in (keys.get(3072), keys.get(2048)):
+            if code and code != 32767:
+                return parse_crs(code, path)
+    return None
+
+
+def _read_ply(path: Path) -> PointCloud:
+    """Points of the vertices of a PLY file, in its unit."""
+    import trimesh
+
+    try:
+        with np.errstate(all="ignore"):  # of numbers that are checked below
+            cloud = trimesh.load(str(path), process=False)
+    except Exception as error:  # trimesh's readers raise whatever they stumble over
+        reason = " ".join(str(error).split())
+        raise InputError(
+            f"cannot be read as PLY ({reason}). Is it cut short? Copy it again.", file=path
+        ) from error
+    points = np.asarray(getattr(cloud, "vertices", np.zeros((0, 3))), np.float64)
+    if points.ndim != 2 or len(points) == 0:
+        raise InputError("expected a PLY file with points, but it has no vertices", file=path)
+    _check_precision(points, path)
+    columns = cloud.metadata.get("_ply_raw", {}).get("vertex", {}).get("data", {})
+    labels = None
+    names = columns if isinstance(columns, dict) else (columns.dtype.names or ())
+    for name in names:
+        if re.fullmatch(r"(scalar_)?class(ification)?", name.lower()):
+            labels = np.asarray(columns[name]).reshape(-1).astype(np.uint8)
+    x, y, z = points.T
+    return PointCloud(x, y, z, labels)
+
+
+def _check_precision(points: NDArray[np.float64], path: Path) -> None:
+    """Refuse map coordinates in single precision, which stand on steps of up to half a metre."""
+    largest = np.abs(points[np.isfinite(points)]).max(initial=0.0)
+    step = float(np.spacing(np.float32(largest)))
+    if step > 0.01 and np.array_equal(points.astype(np.float32), points, equal_nan=True):
+        raise InputError(
+            f"the coordinates are stored in single precision, in which they move in steps of "
+            f"{step:.2g} m. Export again in double precision, or with a local origin.",
+            file=path,
+        )
+
+
+_NAMES = {
+    "x": ("x", "easting", "east", "e"),
+    "y": ("y", "northing", "north", "n"),
+    "z": ("z", "height", "elevation", "elev", "altitude", "alt", "h"),
+    "classification": ("classification", "class", "scalar_classification", "label"),
+}
+_DEGREES = ("lon", "longitude", "lat", "latitude", "long")
+
+
+def _text_columns(
+    names: tuple[str, ...], path: Path, row: int, unit_stated: bool
+) -> dict[str, int]:
+    """Where x, y, z (and the class) stand, by the header's names."""
+    plain = [name_and_unit(name) for name in names]
+    places = places_of(names, _NAMES, file=path, row=row)
+    missing = [axis for axis in "xyz" if axis not in places]
+    if missing:
+        degrees = any(name in _DEGREES for name, _ in plain)
+        hint = (
+            " Longitude and latitude? Reproject to a metric system first."
+            if degrees
+            else " Name the columns x, y, z."
+        )
+        raise InputError(
+            f"expected columns x, y and z, but the header has {listed(names)}.{hint}",
+            file=path,
+            row=row,
+        )
+    for axis in "xyz":
+        unit = plain[places[axis]][1]
+        degrees = unit.startswith("deg")
+        if ((unit and not unit.startswith("m")) or unit == "mm") and (degrees or not unit_stated):
+            hint = "Reproject to a metric system first" if degrees else "State the unit"
+            raise InputError(
+                f"expected metres, but the header says {'degrees' if degrees else repr(unit)}. "
+                f"{hint}.",
+                file=path,
+                row=row,
+                column=names[places[axis]],
+            )
+    return places
+
+
+def _read_text(path: Path, unit_stated: bool) -> PointCloud:
+    """Points of a cloud written as text, as `open_points` takes it, in its unit."""
+    table = open_points(path, "a point cloud", "xyz")
+    if not table.headed:
+        table.names = (*"xyz", *table.names[3:])
+    places = _text_columns(table.names, path, table.row, unit_stated)
+    x, y, z, *classes = table.columns(list(places.values())).to_numpy().T
+    return PointCloud(x, y, z, classes[0].astype(np.uint8) if classes else None)
