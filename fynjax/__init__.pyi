@@ -22,6 +22,7 @@ from .app.assembly import Data as Data
 from .app.assembly import check_vegetation as check_vegetation
 from .app.assembly import design as design
 from .app.assembly import emulate as emulate
+from .app.assembly import find_plants as find_plants
 from .app.assembly import fit as fit
 from .app.assembly import free as free
 from .app.assembly import information as information

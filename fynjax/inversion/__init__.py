@@ -44,6 +44,7 @@ from fynjax.inversion._functionals import (
     stand_table,
     stand_values,
 )
+from fynjax.inversion._found import INTERVAL, FoundMaps, FoundPlants, find_places
 from fynjax.inversion._information import Information, fisher_information
 from fynjax.inversion._known_plants import (
     PIXEL_SD,
@@ -56,6 +57,7 @@ from fynjax.inversion._known_plants import (
     known_plants_search,
 )
 from fynjax.inversion._log_posterior import LogPosterior
+from fynjax.inversion._places import PlacesSettings
 from fynjax.inversion._population import (
     Hyperprior,
     LinearPlots,
@@ -127,6 +129,11 @@ from fynjax.inversion._views import (
 )
 
 __all__ = [
+    "INTERVAL",
+    "FoundMaps",
+    "FoundPlants",
+    "PlacesSettings",
+    "find_places",
     "CAMERAS",
     "COARSE",
     "DESIGN_FREE",

@@ -41,7 +41,7 @@ _WIDER = 1.6
 """Crowns of the species that share sites are at most so many times as wide as the narrowest [-]."""
 _CROWD = 3.0
 """Sites for each plant that is expected, at least [-]."""
-_MOVED = 0.4
+MOVED = 0.4
 """Standard deviation of a plant's distance from its site, along each axis [distance of sites]."""
 _LATE = ("diameter", "height", "leaf_area_index")
 """Parameters that stay as they are while plants stand in part: a plant in part is one of fewer
@@ -58,8 +58,10 @@ class PlacesSettings:
 
     steps: int = 100
     """Steps of the search with plants in part."""
-    rounds: int = 60
-    """Rounds of the search with whole plants; those after the first half are kept."""
+    rounds: int = 40
+    """Rounds of each chain of whole stands; those after the first half are kept."""
+    chains: int = 2
+    """Chains of whole stands, which begin alike and are drawn by numbers of their own."""
     jumps: int = 10
     """Images of each round in which plants come, go, move or become of another species."""
     spacing: float = 0.4
@@ -179,7 +181,7 @@ class Places(eqx.Module):
     logit: Float[Array, " candidate"]
     """Logarithm of the weight of each candidate over that of nothing at its site."""
     shift: Float[Array, "site 2"]
-    """How far the plant is from its site, over `_MOVED` times the distance of sites."""
+    """How far the plant is from its site, over `MOVED` times the distance of sites."""
     width: Float[Array, " site"]
     """Crown diameter of the plant, as a normal number."""
     tall: Float[Array, " site"]
@@ -220,7 +222,7 @@ class PlacesModel(eqx.Module):
 
     def foot(self, v: Places) -> Float[Array, "site 2"]:
         """Where each plant stands [m]."""
-        return self.candidates.place + _MOVED * self.candidates.reach[:, None] * v.shift
+        return self.candidates.place + MOVED * self.candidates.reach[:, None] * v.shift
 
     def sizes(self, v: Places) -> tuple[Float[Array, " site"], Float[Array, " site"]]:
         """Crown diameter over the species' mean, and height over its greatest [-]."""
@@ -288,7 +290,7 @@ class PlacesModel(eqx.Module):
         sites = jnp.sum(weight * jnp.log(known.chance)) + jnp.sum(none * jnp.log1p(-share))
         normal = sum(jnp.sum(x**2) for x in (v.shift, v.width, v.tall, v.u, v.band))
         return (
-            0.5 * jnp.sum(off**2) + 0.5 * normal - sites + _CROWDING * self.crowding(v, 1.0 - none)
+            0.5 * jnp.sum(off**2) + 0.5 * normal - sites + CROWDING * self.crowding(v, 1.0 - none)
         )
 
     def loss(self, v: Places) -> tuple[Float[Array, ""], Float[Array, ""]]:
@@ -314,7 +316,7 @@ class PlacesModel(eqx.Module):
         )  # fmt: skip
 
 
-_CROWDING = 10.0
+CROWDING = 10.0
 """What two plants at the same place cost, as minus the logarithm of a density. An assumption: sites
 of a drawn stand are never nearer than they keep, plants of a real one seldom."""
 

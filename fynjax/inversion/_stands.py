@@ -19,11 +19,12 @@ from scipy.spatial import cKDTree
 
 from fynjax._core.seeds import generator
 from fynjax.inversion._places import (
+    CROWDING,
     FREE_LATE,
+    MOVED,
     Places,
     PlacesModel,
     descend,
-    free_early,
 )
 
 _FAR = 1.0
@@ -70,6 +71,8 @@ class Jumps:
         self.model, self.random = model, generator(seed, 311)
         self.site, self.species = np.asarray(known.site), np.asarray(known.species)
         self.sites = len(known.place)
+        self.place = np.asarray(known.place, float)
+        self.reach = MOVED * np.asarray(known.reach, float)
         self.side = known.side
         self.extent = np.asarray(known.scene.grid.extent[:2])
         self.chance = np.asarray(known.chance, float)
@@ -107,11 +110,6 @@ class Jumps:
             setattr(self, kind, np.array(own))
         self.spread = np.sqrt(np.log1p(scene.rules.size_variation**2))
 
-    def feet(self, shift: np.ndarray | None = None) -> Float[np.ndarray, "site 2"]:
-        """Where plants of all sites are, or would be [m]."""
-        shift = self.of["shift"] if shift is None else shift
-        return np.asarray(self.model.foot(dataclasses.replace(self.v, shift=jnp.asarray(shift))))
-
     def places(self) -> Places:
         """The stand in the coordinates of the search."""
         logit = np.full(len(self.site), -_SURE)
@@ -126,9 +124,7 @@ class Jumps:
         at = np.flatnonzero(self.stands >= 0)
         kind = self.species[self.stands[at]]
         size, stature = (np.asarray(x, float)[at] for x in self.model.sizes(self.places()))
-        foot = self.feet()[at]
-        if np.isfinite(self.side).all():
-            foot = foot % self.side
+        foot = self._within(self._feet_now(at))
         return WholeStand(
             kind, at, foot, self.diameter[kind] * size, self.height[kind] * stature,
             np.asarray(self.v.u, float), np.asarray(self.v.band, float), self.misfit,
@@ -140,12 +136,14 @@ class Jumps:
 
     def render(self) -> None:
         """The image of the stand, and its misfits."""
-        self.pixels, self.heights = (np.asarray(x, float) for x in _misfits(self.model, self.places()))
+        self.image, self.pixels, self.heights = (
+            np.asarray(x, float) for x in _seen(self.model, self.places())
+        )
 
     def plant(self) -> None:
         """Whole plants where parts of plants stand together: the greatest sum of weights of a species
         within half a crown first, at its middle, as long as there is a third of a plant."""
-        left, feet = self.weight - 0.1 * self.chance, self.feet()
+        left, feet = self.weight - 0.1 * self.chance, self._feet_now(np.arange(self.sites))
         crown = self.diameter[self.species] * np.asarray(self.model.sizes(self.v)[0], float)[self.site]
         order = {}
         tree = self._tree(feet)
@@ -166,8 +164,7 @@ class Jumps:
             js, part, gap, own = order[i]
             share, s = left[js] * part * own, self.site[i]
             self.stands[s] = i
-            reach = 0.4 * float(self.model.candidates.reach[s])
-            self.of["shift"][s] += share @ gap / share.sum() / reach
+            self.of["shift"][s] += share @ gap / share.sum() / self.reach[s]
             for name in ("width", "tall"):
                 self.of[name][s] = share @ self.soft[name][self.site[js]] / share.sum()
             left[js] *= 1.0 - min(1.0, 1.0 / mass[i]) * part
@@ -177,7 +174,10 @@ class Jumps:
         return cKDTree(self._within(feet), boxsize=self.side if periodic else None)
 
     def _within(self, feet: np.ndarray) -> np.ndarray:
-        return feet % self.side if np.isfinite(self.side).all() else feet
+        """Feet on the plot: beyond an edge of one that repeats itself they come in at the other."""
+        if np.isfinite(self.side).all():
+            return feet % self.side
+        return np.clip(feet, 0.0, np.nextafter(self.extent, 0.0))
 
     def _gap(self, gap: np.ndarray) -> np.ndarray:
         with np.errstate(invalid="ignore"):
@@ -203,7 +203,7 @@ class Jumps:
             return
         for change in changes:
             self._set(change.after)
-        old = self.pixels, self.heights
+        old, image = (self.pixels, self.heights), self.image
         self.render()
         new = self.pixels, self.heights
         middle = np.array([c.centre for c in changes])
@@ -226,6 +226,7 @@ class Jumps:
         self.pixels, self.heights = (
             np.where(taken[at], now, was) for at, now, was in zip(nearest, new, old, strict=True)
         )
+        self.image = np.where(taken[nearest[0]], self.image, image)
 
     def _set(self, change: "dict[int, tuple[int, dict[str, np.ndarray]]]") -> None:
         for site, (candidate, of) in change.items():
@@ -249,14 +250,11 @@ class Jumps:
             density += self.odds[self.stands[s]] + _normal(self.of, s)
             others = stand[stand != s]
             gap = np.hypot(*self._gap(feet(others) - feet(np.array([s]))).T)
-            density -= 10.0 * float(np.maximum(1.0 - gap / self.apart, 0.0).sum())
+            density -= CROWDING * float(np.maximum(1.0 - gap / self.apart, 0.0).sum())
         return density
 
     def _feet_now(self, sites: np.ndarray) -> np.ndarray:
-        known = self.model.candidates
-        if not hasattr(self, "_base"):
-            self._base = np.asarray(known.place, float), 0.4 * np.asarray(known.reach, float)
-        return self._base[0][sites] + self._base[1][sites, None] * self.of["shift"][sites]
+        return self.place[sites] + self.reach[sites, None] * self.of["shift"][sites]
 
     def _propose(self, centre: np.ndarray) -> "_Change | None":
         random = self.random
@@ -321,7 +319,7 @@ class Jumps:
         return _Change(kind, centre, before, after, float(ratio))
 
     def _foot(self, site: int, of: dict[str, np.ndarray]) -> np.ndarray:
-        return self._base[0][site] + self._base[1][site] * of["shift"]
+        return self.place[site] + self.reach[site] * of["shift"]
 
     def _drawn(self, site: int) -> tuple[dict[str, np.ndarray], float]:
         """Place and size of a plant that comes, about those of the search by slopes, and the
@@ -358,23 +356,26 @@ def _normal(of: dict[str, np.ndarray], site: int) -> float:
 
 
 @eqx.filter_jit
-def _misfits(model: PlacesModel, v: Places) -> tuple[Array, Array]:
-    return model.misfits(*model.image(v, model.weights(v.logit)[0]))
+def _seen(model: PlacesModel, v: Places) -> tuple[Array, Array, Array]:
+    image, height = model.image(v, model.weights(v.logit)[0])
+    return image, *model.misfits(image, height)
 
 
 def whole_stands(
     model: PlacesModel, v: Places, seed: int, watch: Callable[[int, Jumps], None] | None = None
-) -> list[WholeStand]:
+) -> tuple[list[WholeStand], Float[np.ndarray, "band y x"]]:
     """Stands that pixels and table leave possible.
 
     **Arguments:** `model`; `v`, where the search with plants in part ended; `seed`; `watch`, called
     after every round.
+
+    **Returns:** the stands of the second half of the rounds, and their mean image.
     """
     settings, chain = model.settings, Jumps(model, v, seed)
     chain.plant()
     chain.render()
     chain.follow(2 * _STEPS, 1.0)
-    kept = []
+    kept, images = [], np.zeros_like(chain.image)
     for turn in range(settings.rounds):
         for _ in range(settings.jumps):
             chain.jump()
@@ -383,6 +384,7 @@ def whole_stands(
             chain.follow(_STEPS, 0.3 if late else 0.6)
         if late:
             kept.append(chain.crowns())
+            images += chain.image
         if watch is not None:
             watch(turn, chain)
-    return kept
+    return kept, images / len(kept)

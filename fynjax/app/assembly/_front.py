@@ -304,7 +304,7 @@ class PlotData(Data):
         return cls._of(data, (view,))
 
 
-def _imager(camera: str | Path | Sensor | Lidar) -> Sensor:
+def imager(camera: str | Path | Sensor | Lidar) -> Sensor:
     """An imaging sensor, from its name or file too."""
     sensor = load_instrument(camera) if isinstance(camera, str | Path) else camera
     if not isinstance(sensor, Sensor):
@@ -315,7 +315,7 @@ def _imager(camera: str | Path | Sensor | Lidar) -> Sensor:
 
 def _camera(camera: str | Path | Sensor | Lidar) -> Sensor:
     """A camera with green, red, red edge and near infrared first, then its other bands."""
-    sensor = _imager(camera)
+    sensor = imager(camera)
     names = sensor.bands.names
     if missing := [name for name in BANDS if name not in names]:
         raise InputError(
@@ -354,7 +354,7 @@ def check_vegetation(
     >>> fx.check_vegetation(bad).unlike, fx.check_vegetation(bad, gains="light_sensor").unlike
     (True, False)
     """
-    camera = _imager(sensor)
+    camera = imager(sensor)
     if isinstance(measured, str | Path):
         measured = read_drone_image(measured, camera=camera.bands)
     if isinstance(measured, DroneImage):
@@ -463,7 +463,7 @@ def information(
 
     **Raises:** `InputError` as `sweep_sensors`, and for a LiDAR.
     """
-    camera = _imager(sensor)
+    camera = imager(sensor)
     found = sweep_sensors(
         scene, scene.parameters, free, camera,
         gsd=gsd, bands=(len(camera.bands),), model_error=_believed(error),

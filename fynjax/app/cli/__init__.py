@@ -17,7 +17,7 @@ import fynjax
 from fynjax._core.errors import InputError, MissingExtraError, is_odd_number
 from fynjax.app.cli._bioscape import calibrate_plots, learn, plots_of_tables, validate_plots
 from fynjax.app.cli._diversity import diversity
-from fynjax.app.cli._inversion import calibrate, design, information, posterior, sensitivity
+from fynjax.app.cli._inversion import calibrate, crowns, design, information, posterior, sensitivity
 from fynjax.app.cli._leaf import convert, fit_leaf
 from fynjax.app.cli._maps import map_command, train
 from fynjax.app.cli._plot import article, build, demo, init, pattern, plant, render, terrain, view
@@ -40,7 +40,7 @@ _PANELS: dict[str, dict[str, Callable[..., None]]] = {
         **{"reflectance": reflectance, "frames": frames},
     },
     "Inversion": {
-        **{"calibrate": calibrate, "posterior": posterior},
+        **{"calibrate": calibrate, "crowns": crowns, "posterior": posterior},
         **{"sensitivity": sensitivity, "information": information},
         "design": design,
     },

@@ -7,6 +7,7 @@ import typer
 
 from fynjax.app.cli._runtime import (
     BANDS,
+    PlotOption,
     PlotPath,
     PriorFile,
     Twin,
@@ -55,6 +56,38 @@ def calibrate(
     run goes on when the same command is given again.
 
     Example:  fynjax calibrate plot.toml --target statistics.csv --target cloud.laz
+    """
+
+
+@command("crowns", "fynjax.app.jobs:crowns", "seed")
+def crowns(
+    image: Annotated[
+        Path,
+        typer.Argument(
+            metavar="ORTHO.tif", help="Orthophoto of the plot and nothing else: reflectance."
+        ),
+    ],
+    plot: PlotOption,
+    bands: Bands = None,
+    heights: Annotated[
+        Path | None,
+        option(
+            "FILE", "Height of the canopy above the ground [m], a raster of SfM or LiDAR that "
+            "covers the plot."
+        ),
+    ] = None,
+    rounds: Annotated[
+        int, option("N", "Rounds of each chain of whole stands.", min=2)
+    ] = 40,
+    free: Free = None,
+) -> None:
+    """Find which plants stand where, in the pixels of an orthophoto.
+
+    Writes crowns with probabilities of species, diameter and height (GeoPackage), maps of species
+    and crowns with their uncertainty (GeoTIFF), plants and covers beside the field table, figures
+    and a report page. Needs the extras map and tables.
+
+    Example:  fynjax crowns ortho.tif --plot plot.toml --output crowns
     """
 
 

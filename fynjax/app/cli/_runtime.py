@@ -92,6 +92,9 @@ Truth = Annotated[
 PlotPath = Annotated[
     Path, typer.Argument(metavar="PLOT.toml", help="Plot file; `fynjax init` writes one.")
 ]
+PlotOption = Annotated[
+    Path, option("PLOT.toml", "Plot file; `fynjax init` writes one.", "--plot")
+]
 PriorFile = Annotated[
     str,
     option(
@@ -251,7 +254,7 @@ def command(
         signature = inspect.signature(function)
         records_of_all = dict(records or {})
         plot = signature.parameters.get("plot")
-        takes_plot_file = plot is not None and plot.annotation is PlotPath
+        takes_plot_file = plot is not None and plot.annotation in (PlotPath, PlotOption)
         options_of_all: dict[str, tuple[Any, Any]] = {}
         if "checkpoint" in common:
             options_of_all["checkpoint"] = (Checkpoint, None)

@@ -62,7 +62,7 @@ def known_plants(
     """
     with run.stage("Build the plot", "build"):
         ready = prepare(plot, None, seed=run.seed)
-    camera, image = _image_and_camera(run, ready, path, bands)
+    camera, image = image_and_camera(run, ready, path, bands)
     settings = plot.calibration
     block = _block(plot, len(image), camera.shape, camera.pixel)
     begin_work(
@@ -124,7 +124,7 @@ def known_plants(
     return result, parameters, table, headline
 
 
-def _image_and_camera(
+def image_and_camera(
     run: Run, ready: Prepared, path: Path, bands: Sequence[str] | None
 ) -> tuple[AimedSensor, Float[np.ndarray, "band y x"]]:
     """The camera over the whole plot, and the image in its bands; doubts one of no shrubland."""
