@@ -58,10 +58,10 @@ class PlacesSettings:
 
     steps: int = 100
     """Steps of the search with plants in part."""
-    rounds: int = 40
+    rounds: int = 30
     """Rounds of each chain of whole stands; those after the first half are kept."""
-    chains: int = 2
-    """Chains of whole stands, which begin alike and are drawn by numbers of their own."""
+    chains: int = 3
+    """Chains of whole stands, each drawn from the weights and led on by numbers of its own."""
     jumps: int = 10
     """Images of each round in which plants come, go, move or become of another species."""
     spacing: float = 0.4
@@ -407,6 +407,9 @@ def places_model(
             f"expected an image of {len(bands)} bands, {camera.shape[0]} rows and "
             f"{camera.shape[1]} columns, as the camera's, but got one of shape {np.shape(image)}"
         )
+    seen = np.isfinite(np.asarray(image, float)).all(axis=0)
+    if not seen.any():
+        raise InputError("no block of the image has all its values")
     columns = scene.class_grid.shape[1::-1]
     if height is not None and np.shape(height) != columns:
         raise InputError(
@@ -418,7 +421,6 @@ def places_model(
     shape, together = shape_error(scene, camera, seed=settings.seed)
     covariance = shape + settings.pixel_sd**2 * np.eye(len(bands))
     single = lambda v: jnp.asarray(v, scene.dtype)  # noqa: E731
-    seen = np.isfinite(np.asarray(image, float)).all(axis=0)
     return PlacesModel(
         candidates(scene, settings), camera, jax.tree.map(single, space), single(factors.root),
         single(np.where(seen, image, np.nan)),

@@ -35,6 +35,8 @@ _SURE = 14.0
 """Logit of a plant that stands; minus that of one that does not."""
 _STRIDE = 0.3
 """Standard deviation of a move [prior standard deviations]."""
+_LEAST = 0.33
+"""Least sum of weights of which a whole plant is made to begin with [plants]."""
 _STEPS = 8
 """Steps down the slopes between rounds of jumps."""
 
@@ -141,8 +143,9 @@ class Jumps:
         )
 
     def plant(self) -> None:
-        """Whole plants where parts of plants stand together: the greatest sum of weights of a species
-        within half a crown first, at its middle, as long as there is a third of a plant."""
+        """Whole plants where parts of plants stand together, at the middle of these: drawn one by one,
+        by the square of the sum of weights of a species within half a crown, as long as there is a
+        third of a plant."""
         left, feet = self.weight - 0.1 * self.chance, self._feet_now(np.arange(self.sites))
         crown = self.diameter[self.species] * np.asarray(self.model.sizes(self.v)[0], float)[self.site]
         order = {}
@@ -157,10 +160,11 @@ class Jumps:
             order[i] = js, part, gap, self.species[js] == self.species[i]
         while True:
             mass = np.array([(left[js] * p)[own].sum() for js, p, _, own in order.values()])
-            mass = np.where(self.stands[self.site] >= 0, 0.0, mass)
-            i = int(np.argmax(mass + 0.2 * left))
-            if mass[i] < 0.33:
+            mass = np.where((self.stands[self.site] >= 0) | (mass < _LEAST), 0.0, mass)
+            if not mass.any():
                 return
+            share = mass**2 * (left + 0.01)
+            i = int(self.random.choice(len(mass), p=share / share.sum()))
             js, part, gap, own = order[i]
             share, s = left[js] * part * own, self.site[i]
             self.stands[s] = i

@@ -78,7 +78,7 @@ def crowns(
     ] = None,
     rounds: Annotated[
         int, option("N", "Rounds of each chain of whole stands.", min=2)
-    ] = 40,
+    ] = 30,
     free: Free = None,
 ) -> None:
     """Find which plants stand where, in the pixels of an orthophoto.

@@ -58,7 +58,7 @@ def crowns(
     *,
     bands: Sequence[str] | None = None,
     heights: str | Path | None = None,
-    rounds: int = 40,
+    rounds: int = 30,
     free: Sequence[str] | None = None,
     seed: int | None = None,
 ) -> CrownsResult:
