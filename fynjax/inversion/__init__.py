@@ -36,6 +36,7 @@ from fynjax.inversion._fit import (
     whitened_residual,
 )
 from fynjax.inversion._fit_result import WELL_CONSTRAINED, Data, FitResult, FitStatus
+from fynjax.inversion._found import INTERVAL, FoundMaps, FoundPlants, find_places
 from fynjax.inversion._functionals import (
     STAND_FUNCTIONALS,
     Functional,
@@ -44,7 +45,6 @@ from fynjax.inversion._functionals import (
     stand_table,
     stand_values,
 )
-from fynjax.inversion._found import INTERVAL, FoundMaps, FoundPlants, find_places
 from fynjax.inversion._information import Information, fisher_information
 from fynjax.inversion._known_plants import (
     PIXEL_SD,
@@ -129,16 +129,12 @@ from fynjax.inversion._views import (
 )
 
 __all__ = [
-    "INTERVAL",
-    "FoundMaps",
-    "FoundPlants",
-    "PlacesSettings",
-    "find_places",
     "CAMERAS",
     "COARSE",
     "DESIGN_FREE",
     "DESIGN_TARGET",
     "GAIN",
+    "INTERVAL",
     "INTERVALS",
     "LEADING_ELASTICITIES",
     "OFFSET",
@@ -164,6 +160,8 @@ __all__ = [
     "FitResult",
     "FitStatus",
     "FittedSurrogate",
+    "FoundMaps",
+    "FoundPlants",
     "Functional",
     "HeldOut",
     "Hyperprior",
@@ -180,6 +178,7 @@ __all__ = [
     "PixelSearch",
     "PixelSettings",
     "PixelState",
+    "PlacesSettings",
     "PlotForward",
     "PlotSearch",
     "PlotSpace",
@@ -210,6 +209,7 @@ __all__ = [
     "even_bands",
     "expected_sensitivity",
     "factors_by_view",
+    "find_places",
     "fisher_information",
     "fit",
     "fit_canopy",

@@ -1,7 +1,6 @@
 """Plants that were found in an image: crowns, maps and numbers, each with what is uncertain."""
 
 import dataclasses
-from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -9,8 +8,8 @@ from jaxtyping import Float
 from scipy.spatial import cKDTree
 
 from fynjax._core.progress import stage
+from fynjax._core.seeds import generator
 from fynjax.inversion._places import (
-    PlacesModel,
     PlacesSettings,
     descend,
     free_early,
@@ -27,6 +26,9 @@ INTERVAL = (0.05, 0.5, 0.95)
 """Quantiles that tables and maps have."""
 _SAME = 0.5
 """Crowns of two stands whose middles are nearer than this are one plant [crown radii]."""
+_OUTLINE = 0.07, 0.12
+"""What diameter and height of a plant whose place and species are right are off by, since lobes and
+shoots of its like differ: standard deviations of their logarithms, found on twins [-]."""
 _SELDOM = 0.2
 """Plants of fewer of the stands than this are in no table of crowns [-]."""
 
@@ -153,7 +155,10 @@ class FoundPlants:
             for w in (lambda s: None, lambda s: 25.0 * np.pi * s.diameter**2 / scene.ground_area)
         )
         forms = np.array(scene.forms)
-        rows = [("species", t, f, np.arange(len(taxa)) == i) for i, (t, f) in enumerate(zip(taxa, forms))]
+        rows = [
+            ("species", t, f, np.arange(len(taxa)) == i)
+            for i, (t, f) in enumerate(zip(taxa, forms))
+        ]
         rows += [("growth form", f, f, forms == f) for f in dict.fromkeys(forms)]
         rows += [("all", "all", "", forms == forms)]
         found = []
@@ -217,6 +222,14 @@ def _together(
     return groups
 
 
+def _with_outlines(stand: WholeStand, random: np.random.Generator) -> WholeStand:
+    """A stand with the errors of `_OUTLINE`."""
+    wide, tall = random.normal(size=(2, len(stand.species))) * np.reshape(_OUTLINE, (2, 1))
+    return stand._replace(
+        diameter=stand.diameter * np.exp(wide), height=stand.height * np.exp(tall)
+    )
+
+
 def find_places(
     scene: Scene,
     image: Float[np.ndarray, "band y x"],
@@ -226,15 +239,14 @@ def find_places(
     *,
     height: Float[np.ndarray, "y x"] | None = None,
     error: ModelError | None = None,
-    watch: Callable[[str], None] | None = None,
 ) -> FoundPlants:
     """Find the plants of a plot in an image: their places, species, diameters and heights.
 
     A search down the slopes of plants that stand in part gives weights of what stands where; whole
     stands are then drawn by these weights and by what pixels say (`whole_stands`).
 
-    **Arguments:** as of `places_model`; `settings`, `PlacesSettings` by default; `watch`, called
-    with a line on how far it is.
+    **Arguments:** `scene`, `image`, `camera`, `space`, `height` and `error` as of `places_model`;
+    `settings`, `PlacesSettings` by default.
 
     **Returns:** `FoundPlants`.
 
@@ -250,7 +262,8 @@ def find_places(
     for chain in range(settings.chains):
         with stage("Whole stands", settings.rounds):
             kept, mean = whole_stands(model, soft, settings.seed + chain)
-        stands += kept
+        random = generator(settings.seed + chain, 313)
+        stands += [_with_outlines(stand, random) for stand in kept]
         images.append(mean)
     covariance = np.linalg.inv(np.asarray(model.whiten, float))
     return FoundPlants(

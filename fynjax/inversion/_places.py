@@ -58,7 +58,7 @@ class PlacesSettings:
 
     steps: int = 100
     """Steps of the search with plants in part."""
-    rounds: int = 30
+    rounds: int = 24
     """Rounds of each chain of whole stands; those after the first half are kept."""
     chains: int = 3
     """Chains of whole stands, each drawn from the weights and led on by numbers of its own."""
@@ -66,8 +66,9 @@ class PlacesSettings:
     """Images of each round in which plants come, go, move or become of another species."""
     spacing: float = 0.4
     """Distance of sites over the diameter of the narrowest crowns that may stand there [-]."""
-    elements: int = 120
-    """Area elements of a plant in the search, at most."""
+    elements: int = 300
+    """Area elements of a plant in the search, at most. Fewer make plants clumpier than they are,
+    and those that are found smaller: of 120 elements by 7 %, of 300 by 4 %, of all by 3 %."""
     rate: float = 0.2
     """Largest step of a coordinate [prior standard deviations]."""
     pixel_sd: float = PIXEL_SD
@@ -358,7 +359,7 @@ def shape_error(
     Lobes and shoots of a plant are not known though its crown is: this, not the camera's noise, is
     the error of most pixels. Bands have most of it in common.
 
-    **Arguments:** `scene`, as it was built; `camera`, of the compared blocks; `seed`, of the shapes.
+    **Arguments:** `scene`, as it was built; `camera`, of the compared blocks; `seed` of shapes.
 
     **Returns:** covariance of the relative errors of the bands (as `_relative` has them), and how
     many blocks err as one [-]. Not differentiable.
@@ -411,6 +412,8 @@ def places_model(
     if not seen.any():
         raise InputError("no block of the image has all its values")
     columns = scene.class_grid.shape[1::-1]
+    if height is not None and scene.terrain is not None:
+        raise InputError("expected level ground with heights of a canopy, but there is a terrain")
     if height is not None and np.shape(height) != columns:
         raise InputError(
             f"expected heights of {columns[0]} x {columns[1]} voxel columns, but got an array of "

@@ -14,7 +14,8 @@ from typing import NamedTuple
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float, Int
+from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
 from fynjax._core.seeds import generator
@@ -143,35 +144,45 @@ class Jumps:
         )
 
     def plant(self) -> None:
-        """Whole plants where parts of plants stand together, at the middle of these: drawn one by one,
-        by the square of the sum of weights of a species within half a crown, as long as there is a
-        third of a plant."""
+        """Whole plants where parts of plants stand together, at the middle of these: drawn one by
+        one, by the square of the sum of weights of a species within half a crown."""
         left, feet = self.weight - 0.1 * self.chance, self._feet_now(np.arange(self.sites))
-        crown = self.diameter[self.species] * np.asarray(self.model.sizes(self.v)[0], float)[self.site]
-        order = {}
-        tree = self._tree(feet)
-        members = np.split(np.argsort(self.site, kind="stable"), np.cumsum(np.bincount(self.site, minlength=self.sites))[:-1])
+        size = np.asarray(self.model.sizes(self.v)[0], float)
+        crown = self.diameter[self.species] * size[self.site]
+        tree, sites = self._tree(feet), np.arange(self.sites)
+        of_site = np.split(np.argsort(self.site, kind="stable"), self._ends())
+        near, parts = [], []
         for i in range(len(left)):
             around = tree.query_ball_point(self._within(feet[self.site[i]]), 0.5 * crown[i])
-            js = np.concatenate([members[s] for s in around])
-            gap = self._gap(feet[self.site[js]] - feet[self.site[i]])
-            part = np.clip(2.0 - 4.0 * np.hypot(*gap.T) / crown[i], 0.0, 1.0)
-            part *= crown[js] > 0.6 * crown[i]
-            order[i] = js, part, gap, self.species[js] == self.species[i]
+            js = np.concatenate([of_site[s] for s in sites[around]])
+            gap = np.hypot(*self._gap(feet[self.site[js]] - feet[self.site[i]]).T)
+            part = np.clip(2.0 - 4.0 * gap / crown[i], 0.0, 1.0) * (crown[js] > 0.6 * crown[i])
+            near.append(js)
+            parts.append(part * (self.species[js] == self.species[i]))
+        ends = np.cumsum([0, *map(len, near)])
+        own = csr_array((np.concatenate(parts), np.concatenate(near), ends))
         while True:
-            mass = np.array([(left[js] * p)[own].sum() for js, p, _, own in order.values()])
+            mass = own @ left
             mass = np.where((self.stands[self.site] >= 0) | (mass < _LEAST), 0.0, mass)
             if not mass.any():
                 return
-            share = mass**2 * (left + 0.01)
-            i = int(self.random.choice(len(mass), p=share / share.sum()))
-            js, part, gap, own = order[i]
-            share, s = left[js] * part * own, self.site[i]
+            likely = mass**2 * (left + 0.01)
+            i = int(self.random.choice(len(mass), p=likely / likely.sum()))
+            js, s = near[i], self.site[i]
+            share = left[js] * parts[i] / mass[i]
+            gap = self._gap(feet[self.site[js]] - feet[s])
             self.stands[s] = i
-            self.of["shift"][s] += share @ gap / share.sum() / self.reach[s]
+            self.of["shift"][s] += share @ gap / self.reach[s]
             for name in ("width", "tall"):
-                self.of[name][s] = share @ self.soft[name][self.site[js]] / share.sum()
-            left[js] *= 1.0 - min(1.0, 1.0 / mass[i]) * part
+                self.of[name][s] = share @ self.soft[name][self.site[js]]
+            # Whatever else may stand within the crown is in it.
+            far = np.hypot(*gap.T) / crown[i]
+            inside = np.clip(2.0 - 4.0 * far, 0.0, 1.0) * (crown[js] > 0.6 * crown[i])
+            left[js] *= 1.0 - min(1.0, 1.0 / mass[i]) * inside
+
+    def _ends(self) -> Int[np.ndarray, " site"]:
+        """Where the candidates of each site but the last end, of all in the order of sites."""
+        return np.cumsum(np.bincount(self.site, minlength=self.sites))[:-1]
 
     def _tree(self, feet: np.ndarray) -> cKDTree:
         periodic = bool(np.isfinite(self.side).all())
@@ -201,7 +212,6 @@ class Jumps:
             one = random.random(2) * self.extent
             if all(np.hypot(*self._gap(one - other)) >= _FAR for other in centres):
                 centres.append(one)
-        before = self.stands.copy(), {n: v.copy() for n, v in self.of.items()}
         changes = [change for c in centres if (change := self._propose(c)) is not None]
         if not changes:
             return
@@ -214,7 +224,11 @@ class Jumps:
         excess = max(float(old[0].sum() / self.model.values), 1.0)
         gain, nearest = np.zeros(len(changes)), []
         for was, now, points, weight in zip(
-            old, new, (self.blocks, self.columns), (1.0 / float(self.model.together), 1.0), strict=True
+            old,
+            new,
+            (self.blocks, self.columns),
+            (1.0 / float(self.model.together), 1.0),
+            strict=True,
         ):
             gaps = np.stack([np.hypot(*self._gap(points - m).T) for m in middle])
             of = np.argmin(gaps, axis=0)

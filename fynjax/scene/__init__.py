@@ -58,9 +58,9 @@ from fynjax.scene._planting import (
     individual_seeds,
     leaf_classes,
     material_classes,
-    relative_sizes,
     organ_classes,
     planting_memory,
+    relative_sizes,
 )
 from fynjax.scene._profile import height_profile
 from fynjax.scene._scene import (
@@ -171,7 +171,6 @@ __all__ = [
     "hard_scene",
     "height_profile",
     "individual_seeds",
-    "relative_sizes",
     "is_large",
     "leaf_classes",
     "leaf_parameters",
@@ -190,6 +189,7 @@ __all__ = [
     "plant_materials",
     "planting_memory",
     "projected_cover",
+    "relative_sizes",
     "room_needed",
     "scene_structure",
     "species_parameters",

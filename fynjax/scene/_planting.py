@@ -643,7 +643,7 @@ def _individuals(
 
 
 def relative_sizes(width: Any, tall: Any, variation: float, library: Any) -> tuple[Any, Any]:
-    """Crown diameter over that of a middling plant of the species, and height over its greatest [-].
+    """Crown diameter over that of a middling plant, and height over the species' greatest [-].
 
     **Arguments:** `width`, a normal number of each plant; `tall`, another, of its height beside
     what goes with its diameter; `variation`, coefficient of variation of the diameters [-];

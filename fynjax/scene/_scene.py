@@ -619,8 +619,8 @@ class Scene(eqx.Module):
         stature: Float[Array, " plant"],
     ) -> "Scene":
         """The same plants, each standing in a share, moved and of another size: what a search for
-        plants takes slopes by. A plant that stands in part is as large as the whole one, with a part
-        of its area in leaves and wood, so that its outline is in the image; shares of 0 and 1 alone
+        plants takes slopes by. A plant that stands in part is as large as the whole one, and has a
+        part of its leaves and wood, so that its outline is in the image; shares of 0 and 1 alone
         are a stand of whole plants.
 
         **Arguments:** `shares`, 0 to 1 [-]; `foot`, x and y [m]; `size`, crown diameter over the

@@ -165,7 +165,8 @@ def run(taxa, size, seed, known, settings):
             f"crowns over {100 * least:g} cm: {len(i)} of {all_of} found ({len(i) / all_of:.2f}, "
             f"chance {np.mean(chance):.2f}), diameter {error.mean():+.2f} rms "
             f"{np.sqrt(np.mean(error**2)):.2f}, height {tall.mean():+.2f} rms "
-            f"{np.sqrt(np.mean(tall**2)):.2f}, species right {np.mean(name[j] == real.species[i]):.2f}"
+            f"{np.sqrt(np.mean(tall**2)):.2f}, species right "
+            f"{np.mean(name[j] == real.species[i]):.2f}"
             f", form right {np.mean(forms[name[j]] == forms[real.species[i]]):.2f}; intervals hold "
             f"{inside[0]:.2f} of diameters, {inside[1]:.2f} of heights"
         )
@@ -187,7 +188,8 @@ def run(taxa, size, seed, known, settings):
         ))  # fmt: skip
         if row["level"] != "species":
             print(
-                f"  {row['name']:16s} cover true {c:5.1f}, table {row['table_cover_percent']:5.1f}, "
+                f"  {row['name']:16s} cover true {c:5.1f}, "
+                f"table {row['table_cover_percent']:5.1f}, "
                 f"found {row['cover_percent']:5.1f} ({row['cover_percent_q05']:.1f} to "
                 f"{row['cover_percent_q95']:.1f}); plants {n}, table {row['table_plants']:.1f}, "
                 f"found {row['plants']:.0f} ({row['plants_q05']:.0f} to {row['plants_q95']:.0f})"

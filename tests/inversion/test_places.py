@@ -144,18 +144,21 @@ def unseen(twin, rows=ROWS):
 
 
 def test_without_pixels_the_table_is_what_is_found(twin):
-    """Weights settle where numbers of plants and chances of sites have them."""
+    """At the table's weights the slopes of prior and entropy are those of its numbers alone."""
     model = unseen(twin)
-    loss = lambda v: model.prior(v, *model.weights(v.logit)) - sum(  # noqa: E731
-        jnp.sum(w * jnp.log(w + 1e-9)) * -1.0 for w in model.weights(v.logit)
-    )
     v = model.start()
-    weight, _ = model.weights(v.logit)
-    number = np.bincount(model.candidates.species, weight, 3)
+    number = np.bincount(model.candidates.species, model.weights(v.logit)[0], 3)
     np.testing.assert_allclose(number, model.candidates.number, rtol=0.1)
-    # Twice the plants of a species cost what a normal density says.
+
+    def cost(v):
+        parts = model.weights(v.logit)
+        return float(model.prior(v, *parts) + sum(jnp.sum(w * jnp.log(w + 1e-9)) for w in parts))
+
+    # Twice the plants of a species cost more than chance says of so many sites.
     more = dataclasses.replace(v, logit=v.logit + jnp.log(2.0) * (model.candidates.species == 1))
-    assert float(loss(more)) > float(loss(v)) + 1.0
+    fewer = dataclasses.replace(v, logit=v.logit - 9.0 * (model.candidates.species == 1))
+    assert cost(more) > cost(v) + 1.0
+    assert cost(fewer) > cost(v) + 1.0
 
 
 class Blind(Jumps):
@@ -268,7 +271,9 @@ def test_images_and_settings_that_do_not_fit_are_refused(twin):
             height=np.zeros((3, 3)),
         )  # fmt: skip
     with pytest.raises(InputError, match="no block of the image"):
-        places_model(scene, np.full(model.target.shape, np.nan), model.camera, model.space, SETTINGS)
+        places_model(
+            scene, np.full(model.target.shape, np.nan), model.camera, model.space, SETTINGS
+        )
     bare = [row | {"cover_percent": 0} for row in ROWS]
     with pytest.raises(InputError, match="no plant to be found"):
         candidates(plot(1, bare), SETTINGS)

@@ -72,13 +72,12 @@ def crowns(
     heights: Annotated[
         Path | None,
         option(
-            "FILE", "Height of the canopy above the ground [m], a raster of SfM or LiDAR that "
-            "covers the plot."
+            "FILE",
+            "Height of the canopy above the ground [m], a raster of SfM or LiDAR that "
+            "covers the plot.",
         ),
     ] = None,
-    rounds: Annotated[
-        int, option("N", "Rounds of each chain of whole stands.", min=2)
-    ] = 30,
+    rounds: Annotated[int, option("N", "Rounds of each chain of whole stands.", min=2)] = 24,
     free: Free = None,
 ) -> None:
     """Find which plants stand where, in the pixels of an orthophoto.

@@ -92,9 +92,7 @@ Truth = Annotated[
 PlotPath = Annotated[
     Path, typer.Argument(metavar="PLOT.toml", help="Plot file; `fynjax init` writes one.")
 ]
-PlotOption = Annotated[
-    Path, option("PLOT.toml", "Plot file; `fynjax init` writes one.", "--plot")
-]
+PlotOption = Annotated[Path, option("PLOT.toml", "Plot file; `fynjax init` writes one.", "--plot")]
 PriorFile = Annotated[
     str,
     option(

@@ -58,7 +58,7 @@ def crowns(
     *,
     bands: Sequence[str] | None = None,
     heights: str | Path | None = None,
-    rounds: int = 30,
+    rounds: int = 24,
     free: Sequence[str] | None = None,
     seed: int | None = None,
 ) -> CrownsResult:
@@ -161,8 +161,8 @@ def _heights(plot: Plot, path: Path, shape: tuple[int, ...]) -> Float[np.ndarray
     most = max(one.height for one in plot.species)
     if np.median(height) > 3.0 * most:
         raise InputError(
-            f"expected heights above the ground, up to {most:g} m by the species table, but half of "
-            f"the plot is above {np.median(height):g} m. Subtract the height of the ground.",
+            f"expected heights above the ground, up to {most:g} m by the species table, but half "
+            f"of the plot is above {np.median(height):g} m. Subtract the height of the ground.",
             file=path,
         )
     return height
@@ -175,7 +175,9 @@ def _cell(plot: Plot) -> float:
 
 def _sure(every: pd.DataFrame, maps: FoundMaps) -> str:
     sure = int((every["presence"] >= 0.9).sum()) if len(every) else 0
-    kind = int(((every["presence"] >= 0.9) & (every["taxon_probability"] >= 0.9)).sum()) if sure else 0
+    kind = (
+        int(((every["presence"] >= 0.9) & (every["taxon_probability"] >= 0.9)).sum()) if sure else 0
+    )
     return (
         f"{sure} of {len(every)} crowns are in nine of ten stands, {kind} of them of one species "
         f"there; over {maps.likeliest[1].mean():.0%} of the plot another species, or none, is the "
@@ -239,27 +241,38 @@ def _sections(
             [
                 Picture(
                     "species_map.png",
-                    figures.species_map(kind, 1.0 - doubt, scene.taxa, scene.forms, pixel_m=maps.cell),
+                    figures.species_map(
+                        kind, 1.0 - doubt, scene.taxa, scene.forms, pixel_m=maps.cell
+                    ),
                     "likeliest species over the plot, the paler the less sure",
                 ),
                 Picture(
                     "crown_maps.png",
                     figures.layer_map(
-                        {"Probability of a crown": maps.crown, "Probability of another species": doubt},
-                        "Probability [-]", pixel_m=maps.cell,
+                        {
+                            "Probability of a crown": maps.crown,
+                            "Probability of another species": doubt,
+                        },
+                        "Probability [-]",
+                        pixel_m=maps.cell,
                     ),
-                    "probability of a crown, and that another species than the map's is the tallest",
+                    "probability of a crown, and of another species than the map's",
                 ),
                 Picture(
                     "height_map.png",
                     figures.layer_map(
                         dict(zip(("5 %", "Median", "95 %"), maps.height, strict=True)),
-                        "Height of the tallest plant [m]", pixel_m=maps.cell,
+                        "Height of the tallest plant [m]",
+                        pixel_m=maps.cell,
                     ),
                     "height of the tallest plant: 5 %, median and 95 % of the stands",
                 ),
-                Table(every.drop(columns=[c for c in every if c.startswith("p_")]),
-                      "Every crown that is in a fifth of the stands.", digits=3, folded=True),
+                Table(
+                    every.drop(columns=[c for c in every if c.startswith("p_")]),
+                    "Every crown that is in a fifth of the stands.",
+                    digits=3,
+                    folded=True,
+                ),
             ],
         ),
         Section("Plants and covers", [Table(table, "Of the field table, and found.", digits=3)]),
@@ -267,8 +280,8 @@ def _sections(
             "The image",
             [
                 "All with one stretch and one scale of length. Expected is the mean image of the "
-                f"stands, times the camera's gains as estimated. A block of {100 * pixel:.3g} cm is "
-                f"expected to be off by {sd} of its value, mostly by lobes and shoots of plants, "
+                f"stands, times the camera's gains as estimated. Blocks of {100 * pixel:.3g} cm are "
+                f"expected to be off by {sd} of their values, mostly by lobes and shoots of plants, "
                 "which are not known.",
                 image_views(images, bands, pixel, "Measured"),
                 Picture(
@@ -277,15 +290,15 @@ def _sections(
                         {"Expected": found.expected - found.measured}, bands.names, pixel_m=pixel
                     ),
                     "expected less measured",
-                    "Expected less measured. A crown that is missing is as large and round as one.",
+                    "Expected less measured. What is missing is as large and round as a crown.",
                 ),
             ],
         ),
         Section(
             "The search",
             [
-                f"{len(found.stands)} stands; {found.together:.2g} blocks err as one. Largest memory "
-                f"{peak_memory_mib():.0f} MiB.",
+                f"{len(found.stands)} stands; {found.together:.2g} blocks err as one. Largest "
+                f"memory {peak_memory_mib():.0f} MiB.",
                 run.times(),
             ],
         ),
