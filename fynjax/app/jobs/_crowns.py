@@ -280,9 +280,9 @@ def _sections(
             "The image",
             [
                 "All with one stretch and one scale of length. Expected is the mean image of the "
-                f"stands, times the camera's gains as estimated. Blocks of {100 * pixel:.3g} cm are "
-                f"expected to be off by {sd} of their values, mostly by lobes and shoots of plants, "
-                "which are not known.",
+                f"stands, times the camera's gains as estimated. Blocks of {100 * pixel:.3g} cm "
+                f"are expected to be off by {sd} of their values, mostly by lobes and shoots of "
+                "plants, which are not known.",
                 image_views(images, bands, pixel, "Measured"),
                 Picture(
                     "residual.png",
