@@ -85,15 +85,10 @@ def code(value: object) -> str:
 
 def commands() -> dict[str, Any]:
     """Every command by name, as the command line holds it."""
-    import typer
+    from fynjax.app.cli._commands import COMMANDS
+    from fynjax.app.cli._doors import made
 
-    from fynjax.app.cli import app
-
-    found = {}
-    for name, command in typer.main.get_command(app).commands.items():  # type: ignore[attr-defined]
-        inner = {f"{name} {part}": one for part, one in getattr(command, "commands", {}).items()}
-        found |= inner or {name: command}
-    return found
+    return {command.name: made(command.name) for command in COMMANDS}
 
 
 def page_of(name: str) -> str:

@@ -34,6 +34,7 @@ Start here: a plot, what a drone's camera sees of it, and how that changes with 
 """
 
 import os
+from typing import Any
 
 import lazy_loader
 
@@ -41,4 +42,16 @@ import lazy_loader
 # compiler are called features that it lacks. JAX asks for this when it is first imported.
 os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
 __version__ = "0.2.0"
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+_found, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+
+
+def __getattr__(name: str) -> Any:
+    """What is imported when it is first used; a package that the app alone needs is named."""
+    try:
+        return _found(name)
+    except ModuleNotFoundError as error:
+        if error.name is None or error.name.split(".")[0] == "fynjax":
+            raise
+        from fynjax._core.errors import MissingExtraError
+
+        raise MissingExtraError(error.name, "all") from error

@@ -53,10 +53,9 @@ SIDE, PLANTINGS = (1.0, 3) if SMALL else (3.0, 12)
 # plantings tell (a larger plot averages more of it).
 
 # %%
-targets = fx.studies.fynbos_2006.demo_targets()
-data = fx.inversion.join_data([target.data for target in targets])
+data = fx.studies.fynbos_2006.demo_targets()
 scene = fx.read_scene(PLOT, size=SIDE, structure="even")  # leaves fill their voxels: quick
-views = [target.view_of(scene, scene.parameters) for target in targets]
+views = [part.source.view(scene, scene.parameters) for part in data.parts]
 scene, views = fx.inversion.search_form(scene, scene.parameters, views)  # light as a fit has it
 kinds = "cover diameter leaf_area_index dead_fraction leaf.chlorophyll leaf.structure leaf.water"
 causes = {k.replace("_", " ").replace(".", " "): f"species.*.{k}" for k in kinds.split()}

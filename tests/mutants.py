@@ -38,6 +38,7 @@ _LEAVES = "assembly/test_leaf_spectra.py"
 _MACHINE = "cli/test_this_machine.py"
 _STRICT = "io/test_strict.py"
 _SHOWN = "report/test_shown.py"
+_OPTIONS = "cli/test_signatures.py"
 
 GROUPS: dict[str, list[Mutant]] = {
     "files": [
@@ -56,7 +57,7 @@ GROUPS: dict[str, list[Mutant]] = {
                "return stated", _USERS),
         Mutant("cli/_runtime.py", 'path = folder.with_name(f".{folder.name}.lock")',
                'path = Path(os.environ.get("XDG_CACHE_HOME", "/tmp")) / "fynjax.lock"', _USERS),
-        Mutant("cli/_runtime.py", "if not str(text).strip():", "if False:", _USERS),
+        Mutant("cli/_options.py", "if not str(text).strip():", "if False:", _USERS),
         Mutant("_core/dry_run.py", "checks.pop()(files)", "checks.pop()", _USERS),
         Mutant("io/text/_atomic.py", "free.mkdir()  #", "pass  #", "io/test_netcdf.py staged"),
         Mutant("io/text/_atomic.py", "if why is None and may_be_limited(error):", "if False:",
@@ -95,13 +96,32 @@ GROUPS: dict[str, list[Mutant]] = {
         Mutant("assembly/_leaf_spectra.py", 'for sentence in found["said"]:', "for sentence in []:",
                _LEAVES),
     ],
+    "options": [
+        Mutant("cli/_signatures.py", "if argument.arg not in texts:", "if False:", _OPTIONS),
+        Mutant("cli/_signatures.py", "usual.get(one.name, one.default)", "one.default", _OPTIONS),
+        Mutant("cli/_signatures.py", '{"ge": "least", "le": "most"}',
+               '{"ge": "most", "le": "least"}', _OPTIONS),
+        Mutant("cli/_doors.py", 'not in ("DEFAULT", "DEFAULT_MAP")', "not in ()", _OPTIONS),
+        Mutant("cli/_doors.py", "record.usual | own", "own", _OPTIONS),
+        Mutant("cli/_doors.py", "if fields or record.needed:", "if fields:",
+               "cli/test_validate.py bad_input"),
+        Mutant("cli/_doors.py", "dict(command.optional) | _stated(ctx, given)",
+               "_stated(ctx, given)", _OPTIONS),
+        Mutant("cli/_doors.py", "options.naming_options(argument.text, flags)", "argument.text",
+               _OPTIONS),
+        Mutant("cli/_options.py", 'name.removesuffix("s") if argument.kind.repeated else name',
+               "name", _OPTIONS),
+        Mutant("cli/_options.py", r're.search(r"\d-\d", help)', "True", _OPTIONS),
+        Mutant("cli/_options.py", 'f"{flag}/--no-{flag[2:]}"', "flag", _OPTIONS),
+        Mutant("__main__.py", "is None:", "is not None:", "cli/test_cli.py without_the_packages"),
+    ],
     "strict": [
         Mutant("_core/records.py", "return Refused(value) if isinstance(value, bool) or odd else "
                "value", "return Refused(value) if odd else value", _STRICT),
         Mutant("_core/records.py", "return Refused(value) if isinstance(value, bool) or odd else "
                "value", "return Refused(value) if isinstance(value, bool) else value", _STRICT),
-        Mutant("cli/__init__.py", "if is_odd_number(text):", "if False:", _STRICT),
-        Mutant("cli/_runtime.py", 'any(map(is_odd_number, text.split(",")))', "False", _STRICT),
+        Mutant("cli/_doors.py", "if is_odd_number(text):", "if False:", _STRICT),
+        Mutant("cli/_options.py", "any(map(is_odd_number, parts))", "False", _STRICT),
         Mutant("io/text/_cells.py", "cells = table.rename(columns=_as_text)",
                "cells = table.copy()", _STRICT),
         Mutant("io/text/_cells.py", r'_FORMULA = re.compile(r"[=+\-@\t\r].", re.DOTALL)',
@@ -143,6 +163,14 @@ GROUPS: dict[str, list[Mutant]] = {
                "scene/test_leaf_variants.py draw_their"),
         Mutant("inversion/_posterior.py", "flat[random.integers(0, len(flat), self._predictive)]",
                "flat[: self._predictive]", "inversion/test_posterior.py predictions_are"),
+        Mutant("inversion/_posterior_result.py", "[discard + thin - 1 :: thin]",
+               "[discard::thin]", "inversion/test_posterior.py moves_of"),
+        Mutant("inversion/_posterior_result.py", "own = list(taxa if whole else place)",
+               "own = list(place)", "inversion/test_posterior.py species_are"),
+        Mutant("_core/sampling.py", "if not np.allclose(again, last.log_prob, rtol=1e-3, "
+               "atol=1e-2):", "if False:", "inversion/test_posterior.py goes_on_as_if"),
+        Mutant("inversion/_solvers.py", "jaxopt.ArmijoSGD | jaxopt.BFGS",
+               "jaxopt.Broyden | jaxopt.BFGS", "inversion/test_fit.py no_solver"),
         Mutant("leaf/_problem.py", "not np.array_equal(grid, centres)", "not own.all()",
                "leaf/test_fit.py bands_that_all"),
     ],

@@ -1,11 +1,10 @@
 """Files of a plot so small that whole jobs run on it."""
 
-from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import pytest
 
-from fynjax.app.assembly import Prepared
 from fynjax.inversion import CalibrationSettings
 
 PLOT = """
@@ -34,9 +33,5 @@ def write_plot(folder: Path, more: str = "", voxel: float = 0.1) -> Path:
 def search_quickly(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let commands search with fewer draws of plants than they do: an expectation over half as
     many, and chance from a third."""
-    usual = Prepared.settings.fget
-
-    def few(ready: Prepared) -> CalibrationSettings:
-        return replace(usual(ready), stand_realisations=4, scatter_draws=16, full_renders=1)
-
-    monkeypatch.setattr(Prepared, "settings", property(few))
+    few = partial(CalibrationSettings, stand_realisations=4, scatter_draws=16, full_renders=1)
+    monkeypatch.setattr("fynjax.app.assembly._forward.CalibrationSettings", few)

@@ -14,7 +14,7 @@ import rasterio
 
 import fynjax as fx
 from fynjax.errors import InputError
-from fynjax.inversion import AbstractView, CalibrationSettings
+from fynjax.inversion import AbstractView, CalibrationSettings, Source
 from fynjax.scene._observe import aimed_at
 from fynjax.scene._parameters import named_values, with_values, within_bounds
 from fynjax.sensors import BandSet, Gains, shipped_lidars
@@ -230,18 +230,18 @@ def test_bounds_and_designs_believe_the_model_as_little_as_a_fit(scene, monkeypa
     """By default as it was found to be off on plots that were measured."""
     believed = []
 
-    def stop(*arguments, model_error, **options):
-        believed.append(model_error)
+    def stop(*arguments, model_error=None, **options):
+        believed.append(model_error if options else arguments[7])
         raise InterruptedError
 
-    for name in ("sweep_sensors", "design_bands"):
-        monkeypatch.setattr(f"fynjax.app.assembly._front.{name}", stop)
+    for name in ("_ask.sweep_sensors", "_design.render"):
+        monkeypatch.setattr(f"fynjax.inversion.{name}", stop)
     free, wider = fx.free(scene, "species.*.cover"), fx.prior().model_error.wider(2.0)
     for options in ({}, {"error": "none"}, {"error": wider}):
         with pytest.raises(InterruptedError):
             fx.information(scene, free, gsd=(0.5,), **options)
         with pytest.raises(InterruptedError):
-            fx.design(scene, **options)
+            fx.design(scene, free=free, **options)
     learned = fx.prior().model_error
     assert all(bool(eqx.tree_equal(one, learned)) for one in believed[:2])
     assert believed[2:] == [None, None, wider, wider]
@@ -404,8 +404,11 @@ def test_values_are_set_by_name(scene, image):
         ),
         (lambda s: fx.observe(s, 3), "expected a sensor or the name of one, but got int"),
         (lambda s: fx.observe(s, "mavic_3m", parameters=s), "`parameters` as `scene.parameters`"),
-        (lambda s: fx.fit(s, fx.Data(("a",), jnp.ones(1), jnp.ones(1)), None), "with the sensors"),
-        (lambda s: fx.fit(3, None, None), "expected a scene or a function"),
+        (
+            lambda s: fx.fit(s, fx.Data(("a",), [1.0], [1.0]), fx.free(s, "*.cover")),
+            "with the sensors",
+        ),
+        (lambda s: fx.fit(3, None, None), "expected a problem, a scene or a function"),
         (lambda s: fx.fit(jnp.sin, 2, 3), "expected `data` as `fx.Data`, but got 2"),
         (lambda s: fx.fit(jnp.sin, fx.Data(("a",), jnp.ones(1), jnp.ones(1)), 3), "got 3"),
         (lambda s: fx.fit(s, fx.Data.from_table({"nir.mean": 0.3}), 3), "`fx.ParameterSpace`"),
@@ -425,9 +428,10 @@ def test_values_are_set_by_name(scene, image):
         (lambda s: fx.free(s), "expected patterns"),
         (lambda s: fx.free(s, "species.*.covr"), "fits none of the scene's parameters"),
         (lambda s: fx.prior("none"), "expected the name of a prior"),
-        (lambda s: fx.design(s, error="larned"), '"learned", "none" or a `ModelError`, but got'),
-        (lambda s: fx.design(s, model_error=None), "`design` has no option 'model_error'"),
-        (lambda s: fx.design(s, plantngs=4), "'plantngs'. Did you mean 'plantings'"),
+        (
+            lambda s: fx.design(s, free=fx.free(s, "*.cover"), error="larned"),
+            '"learned", "none" or a `ModelError`, but got',
+        ),
         (lambda s: fx.sample(s), "expected what `fx.fit` returns"),
         (lambda s: fx.free(s, "*.cover", prior={"*.covr": 0.1}), "'*.covr' fits none"),
     ],
@@ -513,7 +517,7 @@ def numbers(scene):
     dense = scene.with_values({"species.Erica.cover": 0.45})
     value = Numbers().predict(dense, dense.parameters)
     data = fx.inversion.Data(Numbers().names, value, jnp.full(2, 0.01))
-    return fx.Data._of(data, (lambda *_: Numbers(),))
+    return dataclasses.replace(data, source=Source("structure", lambda *_: Numbers()))
 
 
 def test_a_fit_of_a_scene_leads_with_the_stand_and_is_gone_on_with(scene, numbers):
@@ -523,7 +527,7 @@ def test_a_fit_of_a_scene_leads_with_the_stand_and_is_gone_on_with(scene, number
     assert lines[1].startswith("The stand: green leaf area ")
     assert "The stand: " in found._repr_html_()
     assert set(found.stand()["unit"]) <= {"m2 m-2", "g m-2", "m", "-"}
-    own, other = (np.asarray(stand.planting.foot) for stand in found.stands)
+    own, other = (np.asarray(stand.planting.foot) for stand in found.plantings.stands)
     assert not np.isin(own, other).any()  # sites are drawn again
     at = float(found.after.species.cover[0])
     assert at == pytest.approx(0.45, abs=0.03)
@@ -580,9 +584,9 @@ def test_data_of_several_sensors_add(scene, drone):
     np.testing.assert_array_equal(table.sd, framed.sd)
     both = image + table
     assert both.names == (*image.names, "nir.std")
-    assert len(both.sensors) == 2
+    assert both.parts == (image, table)
     camera, panels = fx.sensor("mavic_3m"), fx.Data.from_table({"nir.std": 0.03}, gains="panels")
-    ways = [one.sensors[0](scene, scene.parameters).gains for one in (table, panels)]
+    ways = [one.source.view(scene, scene.parameters).gains for one in (table, panels)]
     assert ways == [camera.gains("light_sensor"), camera.gains("panels")]
     with pytest.raises(InputError, match=r"'nir.std' is in both"):
         both + table

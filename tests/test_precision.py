@@ -26,6 +26,7 @@ from fynjax.inversion import (
     Data,
     LogPosterior,
     PosteriorSampler,
+    Source,
     derivative_measures,
 )
 from fynjax.scene import hard_counts
@@ -186,9 +187,13 @@ def fits(lines: Lines) -> None:
         "own loop", lambda: space.physical(optx.least_squares(residual, solver, jnp.zeros(2)).value)
     )
     plot, settings = scene(), CalibrationSettings(stand_realisations=2, scatter_draws=6)
-    crowns = fx.Data._of(Data(("a",), np.array([0.25]), np.array([0.02])), (lambda *_: Crowns(),))
-    found = lines("plot", lambda: fx.fit(
-        plot, crowns, fx.free(plot, "species.*.cover"), settings=settings), "spread")  # fmt: skip
+    crowns = Data(
+        ("a",), np.array([0.25]), np.array([0.02]),
+        source=Source("structure", lambda *_: Crowns()),
+    )  # fmt: skip
+    covers = fx.free(plot, "species.*.cover")
+    found = lines("plot", lambda: fx.fit(plot, crowns, covers, settings=settings), "coordinates")
+    lines("plantings of the plot", lambda: found.plantings, "spread")
     lines("fit of the plot", lambda: found.fit, "estimate", "sd")
     lines("drawn", lambda: fx.sample(found, "laplace", target=50.0), "values")
     rows = [f"{w:g},{r:.5f}" for w, r in zip(grid, spectrum, strict=True)]
@@ -202,7 +207,8 @@ def plots(lines: Lines) -> None:
     plot, settings = scene(), CalibrationSettings(**few, max_steps=3)
     measured = fx.Data.from_table({"red.mean": 0.11, "nir.mean": 0.31, "nir.std": 0.1})
     free = lines("free", lambda: fx.free(plot, "species.*.cover"), "prior")
-    found = lines("plot", lambda: fx.fit(plot, measured, free, settings=settings), "spread")
+    found = lines("plot", lambda: fx.fit(plot, measured, free, settings=settings), "coordinates")
+    lines("plantings", lambda: found.plantings, "spread")
     lines("fit", lambda: found.fit, "estimate", "sd")
     lines("stand", lambda: dict(found.stand().select_dtypes(float)))
     lines("seen", lambda: fx.observe(

@@ -1,5 +1,6 @@
 """What the README says can be run, runs, and what it names is there."""
 
+import importlib.util
 import os
 import re
 import runpy
@@ -14,12 +15,14 @@ import pytest
 from typer.testing import CliRunner
 
 from fynjax.app.cli import app
+from fynjax.app.cli._commands import COMMANDS as made_of_jobs
 from tests.io.frame_files import SHOTS, write_odm
 
 ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / "README.md").read_text("utf-8")
 COMMANDS = (ROOT / "docs/commands/index.md").read_text("utf-8")
 PYTHON = (ROOT / "docs/python.md").read_text("utf-8")
+SAMPLERS = (ROOT / "docs/solvers.md").read_text("utf-8")
 
 
 def blocks(language: str, page: str = README) -> list[str]:
@@ -96,6 +99,23 @@ def test_a_loop_of_one_s_own_finds_what_was_measured(tmp_path: Path) -> None:
         np.testing.assert_allclose(values, [0.6, 1.2], rtol=0.01)
 
 
+def test_samplers_of_the_page_agree(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """emcee's chain in a file, blackjax and, where it is installed, numpyro: one posterior."""
+    monkeypatch.chdir(tmp_path)
+    fitted, by_blackjax, by_numpyro = blocks("python", SAMPLERS)
+    if importlib.util.find_spec("numpyro") is None:
+        by_numpyro = ""
+    names = run(fitted + by_blackjax + by_numpyro, tmp_path)
+    assert (tmp_path / "chain.h5").is_file()
+    values = names["draws"].get_chain(flat=True)
+    others = [names["by_blackjax"]] + [names["chains"].get_samples()] * bool(by_numpyro)
+    for whitened in others:
+        found = np.stack([names["free"].physical(u) for u in whitened])
+        off = (found.mean(axis=0) - values.mean(axis=0)) / values.std(axis=0)
+        np.testing.assert_allclose(off, 0.0, atol=0.25)
+        np.testing.assert_allclose(found.std(axis=0) / values.std(axis=0), 1.0, atol=0.25)
+
+
 @pytest.mark.slow
 def test_radiation_example_closes_the_energy(tmp_path: Path) -> None:
     names = run(blocks("python", PYTHON)[-1], tmp_path)
@@ -113,9 +133,7 @@ def test_radiation_example_closes_the_energy(tmp_path: Path) -> None:
 def test_commands_and_their_options_exist() -> None:
     shown = CliRunner().invoke(app, ["--help"]).output
     named = set(re.findall(r"^\| \[`([a-z -]+)`\]", COMMANDS, re.MULTILINE))
-    (group,) = app.registered_groups
-    commands = {command.name for command in app.registered_commands}
-    commands |= {f"bioscape {c.name}" for c in group.typer_instance.registered_commands}
+    commands = {command.name for command in made_of_jobs}
     assert named == commands >= {"demo", "render", "calibrate"}
     assert all(name.split()[0] in shown for name in named)
     for name in named - {"sensors", "doctor", "identify", "view"}:  # which write nothing

@@ -58,7 +58,7 @@ from fynjax.leaf._error_model import (
 from fynjax.leaf._fit import NINETY_PERCENT, fit_leaf, thickness
 from fynjax.leaf._measurement import AbstractMeasurement, usual_measurement
 from fynjax.leaf._problem import LeafSettings, leaf_bounds, leaf_problems, make_setup
-from fynjax.leaf._residual import Problem, observed, solve, to_physical, to_unconstrained
+from fynjax.leaf._residual import LeafProblem, observed, solve, to_physical, to_unconstrained
 
 DATA = Path(__file__).resolve().parents[1] / "fynjax" / "leaf" / "data"
 CAMPAIGNS = ("angers", "lopex", "nasa_fft", "california_asd", "divittorio_needle")
@@ -155,7 +155,7 @@ def at_measured_chemistry(leaves: LeafSet) -> tuple[np.ndarray, np.ndarray]:
     problems = leaf_problems(setup, leaves.spectra, use, prior, np.ones(count))
     none = np.zeros_like(setup.factors)
     logits = np.concatenate([
-        solve(z[at], Problem(*(part[at] for part in problems)), none, optics).z
+        solve(z[at], LeafProblem(*(part[at] for part in problems)), none, optics).z
         for at in (slice(i, i + 128) for i in range(0, count, 128))
     ])  # fmt: skip
     fitted = jax.vmap(lambda z: observed(to_physical(z, optics), optics))(logits)

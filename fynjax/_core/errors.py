@@ -160,3 +160,11 @@ class MissingExtraError(ImportError):
             f"This needs the optional package {package!r}. Install it with: "
             f'pip install "fynjax[{extra}]"'
         )
+
+    @classmethod
+    def of_app(cls, error: Exception) -> "MissingExtraError | None":
+        """What a package that cannot be found means for the files, commands and pages, which need
+        more than the library; None for another error."""
+        name = error.name if isinstance(error, ModuleNotFoundError) else None
+        package = (name or "fynjax").split(".")[0]
+        return None if package == "fynjax" else cls(package, "all")

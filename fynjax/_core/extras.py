@@ -26,3 +26,17 @@ def require(module: str, extra: str, package: str | None = None) -> ModuleType:
         if error.name is not None and error.name != module.split(".")[0]:
             raise
         raise MissingExtraError(package or module, extra) from error
+
+
+def app_room(room: str) -> ModuleType:
+    """A package of `fynjax.app`, where a method of the library reads a user's file or writes a
+    page. It is the only door: the library needs the packages of the app for nothing else.
+
+    **Raises:** `MissingExtraError` for a package that the app needs and that is not installed.
+    """
+    try:
+        return importlib.import_module(f"fynjax.app.{room}")
+    except ModuleNotFoundError as error:
+        if error.name is None or error.name.startswith("fynjax"):
+            raise
+        raise MissingExtraError(error.name, "all") from error

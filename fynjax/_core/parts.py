@@ -82,7 +82,10 @@ class Workers:
     """
 
     count: int = 0
+    """Do the parts in so many processes of this machine, one core each; same results. Needs the
+    extra `map`. 0 does them in this process."""
     scheduler: str | None = None
+    """Do the parts on the workers of a dask scheduler, such as tcp://192.168.0.10:8786."""
 
     def __post_init__(self) -> None:
         if self.count and self.scheduler is not None:

@@ -18,6 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from fynjax._core.errors import InputError
 from fynjax._core.extras import require
 
 _BLOCK = 50
@@ -166,6 +167,11 @@ class Ensemble(_Sampler):
     - `seed`: of the random numbers.
     - `moves`: of `emcee.moves`, one or pairs of one and its weight; by default four of differential
       evolution to one stretch.
+    - `backend`: of `emcee.backends`, which takes every step; in memory by default. The sampler goes
+      on from the steps that it holds.
+
+    **Raises:** `InputError` when it begins, for a `backend` of another density or of another number
+    of walkers or parameters.
     """
 
     def __init__(
@@ -177,11 +183,48 @@ class Ensemble(_Sampler):
         steps: int,
         seed: int,
         moves: Any = None,
+        backend: Any = None,
     ) -> None:
         super().__init__(start, target, steps)
         self._density, self._seed, self._moves = density, seed, moves
+        self._backend = backend
+
+    def emcee(self, state: ChainState) -> Any:
+        """emcee's sampler after the steps of `state`, from which its `run_mcmc(None, steps)` goes
+        on; None where there can be no step."""
+        if not state.ahead:
+            return None
+        import emcee  # late: it takes half a second
+
+        if (backend := self._backend) is None or _steps_of(backend) != len(state.chain):
+            backend = emcee.backends.Backend()
+            backend.reset(*self._start.shape)
+            backend.chain, backend.log_prob = np.asarray(state.chain), np.asarray(state.log_density)
+            backend.accepted, backend.iteration = np.array(state.accepted), len(state.chain)
+            backend.random_state = _random_of(state)
+        # Differential evolution (ter Braak 2006) mixes well where parameters are correlated,
+        # stretches keep the walkers from sharing a subspace. Not emcee's snooker move: up to its
+        # version 3.1.6 that is no correct step, and leaves standard deviations 5 to 10 % small.
+        usual = [(emcee.moves.DEMove(), 0.8), (emcee.moves.StretchMove(), 0.2)]
+        moves = usual if self._moves is None else self._moves
+        refused = _Refused(self._density)
+        sampler = emcee.EnsembleSampler(
+            *self._start.shape, refused, vectorize=True, moves=moves, backend=backend
+        )
+        sampler.log_prob_fn = refused  # emcee's wrapper prints a traceback at an interruption
+        return sampler
 
     def _first(self) -> ChainState:
+        if self._backend is not None and self._backend.initialized:
+            if self._backend.shape != self._start.shape:
+                walkers, parameters = self._backend.shape
+                raise InputError(
+                    f"the chain in {_said(self._backend)} has {walkers} walkers of {parameters} "
+                    f"parameters, but {self._start.shape[0]} of {self._start.shape[1]} go on with "
+                    "it: take another file, or state `chains`"
+                )
+            if self._backend.iteration:
+                return self._kept()
         level = _Refused(self._density)(self._start)
         alive = np.isfinite(level)
         if not alive.any():
@@ -191,30 +234,47 @@ class Ensemble(_Sampler):
         random: Any = np.random.RandomState(self._seed).get_state()
         return self._begun(self._start, self._start[place], level[place], *random[1:])
 
+    def _kept(self) -> ChainState:
+        """The state after the steps that the backend holds."""
+        backend = self._backend
+        last = backend.get_last_sample()
+        again = _Refused(self._density)(last.coords)
+        if not np.allclose(again, last.log_prob, rtol=1e-3, atol=1e-2):
+            off = np.abs(again - last.log_prob).max()
+            raise InputError(
+                f"the chain in {_said(backend)} is of another posterior: where its walkers stand "
+                f"the log density differs by up to {off:.3g}. Take another file for other data, "
+                "priors or free parameters"
+            )
+        state = ChainState(
+            backend.get_chain(),
+            backend.get_log_prob(),
+            np.array(backend.accepted),
+            np.asarray(0),
+            np.asarray(np.nan),
+            tuple(map(jnp.asarray, (last.coords, last.log_prob, *last.random_state[1:]))),
+        )
+        return dataclasses.replace(
+            state, effective_size=np.asarray(self.draws(state).effective_size)
+        )
+
     def _after(self, state: ChainState, steps: int) -> ChainState:
         import emcee  # late: it takes half a second
 
-        position, level, *random = map(np.asarray, state.ahead)
-        refused = _Refused(self._density)
-        # Differential evolution (ter Braak 2006) mixes well where parameters are correlated,
-        # stretches keep the walkers from sharing a subspace. Not emcee's snooker move: up to its
-        # version 3.1.6 that is no correct step, and leaves standard deviations 5 to 10 % small.
-        usual = [(emcee.moves.DEMove(), 0.8), (emcee.moves.StretchMove(), 0.2)]
-        moves = usual if self._moves is None else self._moves
-        sampler = emcee.EnsembleSampler(*position.shape, refused, vectorize=True, moves=moves)
-        sampler.log_prob_fn = refused  # emcee's wrapper prints a traceback at an interruption
-        key, *rest = random
-        number = ("MT19937", key, *(one.item() for one in rest))
-        now = sampler.run_mcmc(
-            emcee.State(position, log_prob=level, random_state=number),
-            steps,
-            skip_initial_state_check=True,
-        )
+        sampler, before = self.emcee(state), len(state.chain)
+        if self._backend is not None and sampler.backend is not self._backend:
+            raise InputError(
+                f"the chain in {_said(self._backend)} has {_steps_of(self._backend)} steps, but it "
+                f"was to go on from {before}"
+            )
+        position, level = map(np.asarray, state.ahead[:2])
+        begin = emcee.State(position, log_prob=level, random_state=_random_of(state))
+        now = sampler.run_mcmc(begin, steps, skip_initial_state_check=True)
         return ChainState(
-            np.concatenate([state.chain, sampler.get_chain()]),
-            np.concatenate([state.log_density, sampler.get_log_prob()]),
-            state.accepted + sampler.backend.accepted,
-            np.asarray(state.faulty + refused.count),
+            np.concatenate([state.chain, sampler.get_chain(discard=before)]),
+            np.concatenate([state.log_density, sampler.get_log_prob(discard=before)]),
+            np.array(sampler.backend.accepted),
+            np.asarray(state.faulty + sampler.log_prob_fn.count),
             state.effective_size,
             tuple(map(jnp.asarray, (now.coords, now.log_prob, *now.random_state[1:]))),
         )
@@ -230,6 +290,20 @@ class Ensemble(_Sampler):
     def _doubted(self, status: str, faulty: int, proposals: int) -> str:
         why = f"; {faulty} proposals had a log density that is not a number"
         return status + why if faulty else status
+
+
+def _random_of(state: ChainState) -> tuple[Any, ...]:
+    """State of NumPy's generator from which the next step of an ensemble starts."""
+    key, *rest = map(np.asarray, state.ahead[2:])
+    return "MT19937", key, *(one.item() for one in rest)
+
+
+def _steps_of(backend: Any) -> int:
+    return int(backend.iteration) if backend.initialized else 0
+
+
+def _said(backend: Any) -> str:
+    return str(getattr(backend, "filename", "`backend`"))
 
 
 class _Refused:

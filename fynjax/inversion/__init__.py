@@ -10,15 +10,27 @@ from fynjax.inversion._amortised import (
     estimate_pixels,
     train_posterior,
 )
+from fynjax.inversion._ask import fit, free, imager_of, information, sample
 from fynjax.inversion._calibrate import (
     Calibration,
     Ends,
-    calibrate_plot,
+    Plantings,
     calibration,
     free_space,
+    plot_search,
     search_starts,
 )
 from fynjax.inversion._canopy import CanopyFit, fit_canopy
+from fynjax.inversion._data import (
+    PIXEL_SD,
+    Data,
+    Kind,
+    Pixels,
+    Source,
+    block_of,
+    join_data,
+    pixel_data,
+)
 from fynjax.inversion._design import (
     CAMERAS,
     DESIGN_FREE,
@@ -27,15 +39,16 @@ from fynjax.inversion._design import (
     check_design,
     design,
 )
+from fynjax.inversion._emulate import Emulated, emulate
 from fynjax.inversion._expected import Expected, other_plantings
 from fynjax.inversion._factors import BandFactors, Known, PlotSpace
 from fynjax.inversion._fit import (
-    fit,
+    fit_function,
     predicted_statistics,
     statistics_and_jacobian,
     whitened_residual,
 )
-from fynjax.inversion._fit_result import WELL_CONSTRAINED, Data, FitResult, FitStatus
+from fynjax.inversion._fit_result import WELL_CONSTRAINED, FitResult, FitStatus
 from fynjax.inversion._found import INTERVAL, FoundMaps, FoundPlants, find_places
 from fynjax.inversion._functionals import (
     STAND_FUNCTIONALS,
@@ -46,16 +59,7 @@ from fynjax.inversion._functionals import (
     stand_values,
 )
 from fynjax.inversion._information import Information, fisher_information
-from fynjax.inversion._known_plants import (
-    PIXEL_SD,
-    KnownPlants,
-    PixelSearch,
-    PixelSettings,
-    PixelState,
-    block_of,
-    calibrate_known_plants,
-    known_plants_search,
-)
+from fynjax.inversion._known_plants import PixelSearch, PixelState
 from fynjax.inversion._log_posterior import LogPosterior
 from fynjax.inversion._places import PlacesSettings
 from fynjax.inversion._population import (
@@ -73,15 +77,8 @@ from fynjax.inversion._prior_sampler import (
     sample_prior,
     spectrum_likelihood,
 )
-from fynjax.inversion._search import (
-    COARSE,
-    CalibrationSettings,
-    PlotSearch,
-    SearchState,
-    coarser,
-    search_form,
-    search_states,
-)
+from fynjax.inversion._problem import COARSE, CalibrationSettings, Problem
+from fynjax.inversion._search import PlotSearch, SearchState, coarser, search_form, search_states
 from fynjax.inversion._sensitivity import (
     LEADING_ELASTICITIES,
     DerivativeMeasures,
@@ -107,7 +104,6 @@ from fynjax.inversion._targets import (
     OFFSET,
     SPREAD_SD,
     compared_statistics,
-    join_data,
     weigh_spectrum,
     weigh_structure,
     weigh_targets,
@@ -116,9 +112,12 @@ from fynjax.inversion._views import (
     AbstractView,
     BandView,
     FactorAt,
+    ImageSight,
     ImageView,
     PlotForward,
+    SpectrumSight,
     SpectrumView,
+    StructureSight,
     StructureView,
     factors_by_view,
     look,
@@ -153,6 +152,7 @@ __all__ = [
     "CanopyFit",
     "Data",
     "DerivativeMeasures",
+    "Emulated",
     "Ends",
     "Expected",
     "ExpectedSensitivity",
@@ -165,10 +165,11 @@ __all__ = [
     "Functional",
     "HeldOut",
     "Hyperprior",
+    "ImageSight",
     "ImageView",
     "Information",
+    "Kind",
     "Known",
-    "KnownPlants",
     "LinearPlots",
     "LocalSensitivity",
     "LogPosterior",
@@ -176,9 +177,10 @@ __all__ = [
     "ParameterSpace",
     "PixelEstimates",
     "PixelSearch",
-    "PixelSettings",
     "PixelState",
+    "Pixels",
     "PlacesSettings",
+    "Plantings",
     "PlotForward",
     "PlotSearch",
     "PlotSpace",
@@ -186,16 +188,18 @@ __all__ = [
     "Posterior",
     "PosteriorSampler",
     "PriorChain",
+    "Problem",
     "SamplingMethod",
     "SearchState",
     "SensorSetting",
     "SobolIndices",
+    "Source",
+    "SpectrumSight",
     "SpectrumView",
+    "StructureSight",
     "StructureView",
     "Surrogate",
     "block_of",
-    "calibrate_known_plants",
-    "calibrate_plot",
     "calibration",
     "check_design",
     "check_samples",
@@ -205,6 +209,7 @@ __all__ = [
     "derivative_measures",
     "design",
     "draws_like",
+    "emulate",
     "estimate_pixels",
     "even_bands",
     "expected_sensitivity",
@@ -213,11 +218,14 @@ __all__ = [
     "fisher_information",
     "fit",
     "fit_canopy",
+    "fit_function",
     "fit_population",
     "fit_surrogate",
+    "free",
     "free_space",
+    "imager_of",
+    "information",
     "join_data",
-    "known_plants_search",
     "local_sensitivity",
     "log_marginal",
     "look",
@@ -225,7 +233,10 @@ __all__ = [
     "match_names",
     "nadir_imager",
     "other_plantings",
+    "pixel_data",
+    "plot_search",
     "predicted_statistics",
+    "sample",
     "sample_posterior",
     "sample_prior",
     "search_form",

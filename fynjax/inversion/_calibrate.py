@@ -3,6 +3,7 @@
 import dataclasses
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import equinox as eqx
@@ -12,18 +13,22 @@ import scipy.linalg
 from jaxtyping import Array, Float
 from scipy.special import chdtrc
 
+from fynjax._core.extras import app_room
 from fynjax._core.html import as_html
 from fynjax._core.precision import double_precision
 from fynjax._core.progress import stage
+from fynjax.inversion._data import Data
 from fynjax.inversion._expected import mean_information
 from fynjax.inversion._factors import Known, PlotSpace
-from fynjax.inversion._fit_result import Data, Ended, FitResult, fit_result, status_of
+from fynjax.inversion._fit_result import Ended, FitResult, fit_result, status_of
 from fynjax.inversion._functionals import Functional, stand_sentence, stand_table
+from fynjax.inversion._known_plants import PixelSearch, PixelState
+from fynjax.inversion._problem import Problem
 from fynjax.inversion._search import (
-    CalibrationSettings,
     PlotSearch,
     SearchPlace,
     SearchState,
+    excess_of,
     posterior_root,
     search_states,
 )
@@ -40,26 +45,61 @@ from fynjax.inversion._verdict import (
 from fynjax.inversion._views import AbstractView, BandView, ImageView, factors_by_view
 from fynjax.scene import (
     AimedSensor,
-    ModelError,
     PlotParameters,
     Scene,
     named_values,
     parameter_kind,
+    with_values,
 )
 
 if TYPE_CHECKING:
     import pandas as pd
 
 
-class Calibration(eqx.Module):
-    """A calibrated plot."""
+class Plantings(eqx.Module):
+    """Plantings over which a calibration took expectations, where plants stand by chance."""
 
+    stands: tuple[Scene, ...]
+    """Each of them, in the coarse form of the search."""
+    statistics: Float[np.ndarray, "stand statistic"]
+    """Statistics of each at the estimate."""
+    views: tuple[AbstractView, ...]
+    """Views of these stands, one for each sensor."""
+    spread: Float[np.ndarray, "free coordinate"]
+    """Root of the covariance of what is unknown of the parameters, over which statistics are
+    expected, in whitened coordinates."""
+    stated: Float[np.ndarray, "direction statistic"]
+    """Makes misfits of statistics without factors independent and of unit size, by the stated
+    errors, of which there is no `excess`, and by what the factors of the bands change."""
+    lack: Float[np.ndarray, " statistic"]
+    """Statistics of full less those of coarse scenes of the same plants, at the estimate or, where
+    the last round hardly moved, where it began."""
+    projector: Float[np.ndarray, "statistic statistic"]
+    """Projects statistics onto the directions that the likelihood counts."""
+
+
+class Blocks(eqx.Module):
+    """Means of blocks of pixels that a calibration compared, where plants are known."""
+
+    size: int = eqx.field(static=True)
+    """Pixels along the edge of a block."""
+    measured: Float[np.ndarray, "band y x"]
+    """Reflectance of the blocks [-]; NaN where they are not compared."""
+    before: Float[np.ndarray, "band y x"]
+    """Simulated reflectance where the search started [-]."""
+    after: Float[np.ndarray, "band y x"]
+    """Simulated reflectance at the estimate: of the plot alone [-]."""
+    with_error: Float[np.ndarray, "band y x"]
+    """The same times the estimated gains and the model's error: what is compared [-]."""
+
+
+class Calibration(eqx.Module):
+    """A calibrated plot, whether plants were drawn or are known."""
+
+    problem: Problem
+    """What was asked."""
     scene: Scene
     """The scene, with more sites held ready where the search needed them."""
-    stands: tuple[Scene, ...]
-    """Plantings over which the search took expectations, in its coarse form."""
-    stand_statistics: Float[np.ndarray, "stand statistic"]
-    """Statistics of each planting of `stands` at the estimate."""
     fit: FitResult
     """The estimate of the plot's parameters, with its uncertainty. Its `predicted` are statistics
     without the factors of the bands, on the line through the estimate (`statistics_after` are not),
@@ -71,15 +111,12 @@ class Calibration(eqx.Module):
     table's, unless a `start` was given, with which `worse` and `offered` are about that."""
     after: PlotParameters
     """The plot's parameters at the estimate, those that are not free among them."""
-    views: tuple[AbstractView, ...]
-    """Views of the full scene, one for each sensor, in the order of the statistics."""
-    coarse_views: tuple[AbstractView, ...]
-    """Views of the `stands`, one for each sensor, which are in the coarse form of the search."""
-    image_before: Float[Array, "band y x"] | None
-    """The drone's image of the full scene where the search started; None without such a camera."""
-    image_after: Float[Array, "band y x"] | None
-    """The drone's image of the full scene at the estimate, before the camera's `gain`."""
-    statistics_before: Float[Array, " statistic"]
+    images_before: tuple[Float[Array | np.ndarray, "_band _y _x"], ...]
+    """What each sensor with bands sees of the full scene where the search started, a spectrum as
+    an image of one pixel; of known plants the blocks that are compared."""
+    images_after: tuple[Float[Array | np.ndarray, "_band _y _x"], ...]
+    """The same at the estimate, before the `gains`."""
+    statistics_before: Float[Array | np.ndarray, " statistic"]
     """Statistics where the search started, of full scenes, expected over plantings."""
     statistics_after: Float[np.ndarray, " statistic"]
     """Statistics at the estimate, of full scenes, expected over plantings and over what is unknown
@@ -93,12 +130,6 @@ class Calibration(eqx.Module):
     """Parameters and factors of the bands, with what was known of them beforehand."""
     coordinates: Float[np.ndarray, " coordinate"]
     """Whitened coordinates of both at the estimate."""
-    spread: Float[np.ndarray, "free coordinate"]
-    """Root of the covariance of what is unknown of the parameters, over which statistics are
-    expected, in whitened coordinates."""
-    data: Data
-    """The targets, their errors grown by what plantings and the factors of the bands change, and by
-    the `excess`."""
     excess: float = eqx.field(static=True)
     """What the data ask beyond the stated errors, at least 1: the variances of all errors of
     statistics are so many times as large. By the `misfit` over `degrees` where it is least, and
@@ -109,14 +140,6 @@ class Calibration(eqx.Module):
     a chi-square of `degrees`."""
     degrees: int = eqx.field(static=True)
     """Statistics, or directions of many, that the likelihood counts."""
-    stated: Float[np.ndarray, "direction statistic"]
-    """Makes misfits of statistics without factors independent and of unit size, by the stated
-    errors, of which there is no `excess`, and by what the factors of the bands change."""
-    lack: Float[np.ndarray, " statistic"]
-    """Statistics of full less those of coarse scenes of the same plants, at the estimate or, where
-    the last round hardly moved, where it began."""
-    projector: Float[np.ndarray, "statistic statistic"]
-    """Projects statistics onto the directions that the likelihood counts."""
     gains: tuple[Float[np.ndarray, " _band"], ...]
     """Estimated factor by which each band of each view with bands is off [-]: what simulated bands
     are to be multiplied by."""
@@ -129,6 +152,12 @@ class Calibration(eqx.Module):
     """Standard deviations of the logarithms of `model_error` [-]."""
     ends: "Ends"
     """The ends of the searches, one from each start."""
+    states: tuple[Any, ...]
+    """The searches at their ends, from which all else here follows (`calibration`)."""
+    plantings: Plantings | None = None
+    """Plantings over which expectations were taken; None where plants are known."""
+    blocks: Blocks | None = None
+    """Blocks of pixels that were compared; None where plants stand by chance."""
 
     def __str__(self) -> str:
         """What was found, in sentences: of the stand first."""
@@ -148,15 +177,42 @@ class Calibration(eqx.Module):
     def means(self) -> "pd.DataFrame":
         """The mean of every band and index against what was measured: errors before and after, and
         with the cameras' gains [%], and whether each came nearer (`moved`)."""
-        return compare_means(
-            self.data.names, *(
-                np.asarray(values, float)
-                for values in (
-                    self.data.value, self.statistics_before, self.statistics_after,
-                    self.statistics_with_gain,
-                )
-            ),
-        )  # fmt: skip
+        names = self.data.names
+        values = [
+            np.asarray(one, float)
+            for one in (
+                self.data.value, self.statistics_before, self.statistics_after,
+                self.statistics_with_gain,
+            )
+        ]  # fmt: skip
+        if self.blocks is not None and self.camera is not None:  # of all blocks of a band
+            bands = self.camera.sensor.bands.names
+            names = tuple(f"{band}.mean" for band in bands)
+            values = [one.reshape(len(bands), -1).mean(axis=1) for one in values]
+        return compare_means(names, *values)
+
+    @property
+    @double_precision
+    def data(self) -> Data:
+        """The targets, their errors grown by what plantings and the factors of the bands change,
+        and by the `excess`."""
+        return self.fit.data
+
+    @property
+    def views(self) -> tuple[AbstractView, ...]:
+        """Views of the full scene, one for each sensor, in the order of the statistics."""
+        return self.problem.views
+
+    @property
+    def image_before(self) -> Float[Array | np.ndarray, "band y x"] | None:
+        """The first drone's image of the full scene where the search started; None without a
+        drone."""
+        return self._of_drone(self.images_before)
+
+    @property
+    def image_after(self) -> Float[Array | np.ndarray, "band y x"] | None:
+        """The same at the estimate, before the camera's `gain`."""
+        return self._of_drone(self.images_after)
 
     @property
     def worse(self) -> bool:
@@ -170,12 +226,25 @@ class Calibration(eqx.Module):
         those `before`."""
         return self.before if self.worse else self.after
 
+    def report(self, folder: str | Path, name: str = "plot") -> Any:
+        """Write the page, tables and images of the command `calibrate` into a `folder`, of a plot
+        of this `name`; `fynjax.read_fit` opens it again.
+
+        **Returns:** `fynjax.app.jobs.CalibrateResult`. **Raises:** `MissingExtraError` without the
+        packages of the app.
+        """
+        return app_room("jobs").fit_report(self, folder, name)
+
     @double_precision
     def misfit_by_group(self) -> "pd.DataFrame":
         """What the misfit would be without each group of statistics, by the linear model about the
         estimate: group, statistics, chi-square and degrees without it, and `times`, the ratio of
-        the two. First row: with all."""
+        the two. First row: with all. Empty of single pixels, which are of one kind."""
         import pandas as pd  # late: the command line need not wait for it
+
+        columns = ["left_out", "statistics", "misfit", "degrees", "times"]
+        if self.plantings is None:
+            return pd.DataFrame(columns=columns)
 
         jacobian = np.asarray(self.fit.jacobian)
         rest = np.asarray(self.data.value - self.fit.predicted)
@@ -183,11 +252,11 @@ class Calibration(eqx.Module):
         groups = np.array([group_of(name) for name in self.data.names])
         rows = []
         for name in ("", *dict.fromkeys(groups)):
-            misfit, degrees = misfit_without(self.stated, rest, jacobian, groups == name)
+            misfit, degrees = misfit_without(self.plantings.stated, rest, jacobian, groups == name)
             if degrees > 0:
                 left = int(np.sum(groups == name))
                 rows.append((name or "none", left, misfit, degrees, misfit / degrees))
-        return pd.DataFrame(rows, columns=["left_out", "statistics", "misfit", "degrees", "times"])
+        return pd.DataFrame(rows, columns=columns)
 
     @double_precision
     def misfit_sentence(self) -> str:
@@ -195,7 +264,7 @@ class Calibration(eqx.Module):
         group of statistics."""
         times = self.misfit / self.degrees
         sentence = f"The misfit is {times:.2g} times what was expected"
-        if times < UNDESCRIBED:
+        if self.plantings is None or times < UNDESCRIBED:
             return f"{sentence}."
         table = self.misfit_by_group()
         ratio = dict(zip(table["left_out"], map(float, table["times"]), strict=True))
@@ -254,7 +323,7 @@ class Calibration(eqx.Module):
         covariance = self._of_drone(self.gains_covariance)
         return gain_sentences(self.camera.sensor.bands.names, self.gain, np.asarray(covariance))
 
-    def _of_drone(self, values: Sequence[np.ndarray]) -> np.ndarray | None:
+    def _of_drone(self, values: Sequence[Any]) -> Any:
         with_bands = (view for view in self.views if isinstance(view, BandView))
         of = (one for one, view in zip(values, with_bands) if isinstance(view, ImageView))
         return next(of, None)
@@ -381,81 +450,34 @@ def _without_effect(name: str, scene: Scene, parameters: PlotParameters) -> bool
 
 
 @double_precision
-def calibrate_plot(
-    scene: Scene,
-    parameters: PlotParameters,
-    data: Data,
-    space: ParameterSpace,
-    views: Sequence[AbstractView],
-    settings: CalibrationSettings | None = None,
-    *,
-    error: ModelError | None = None,
-    solver: Any = None,
-    start: Float[Array, " free"] | None = None,
+def fit_plot(
+    problem: Problem, *, solver: Any = None, start: Float[Array, " free"] | None = None
 ) -> Calibration:
-    """Calibrate the free parameters of a plot to what one or several sensors measured.
-
-    Where exactly each plant stands nobody measured: it is chance. So the data count as one draw of
-    a normal distribution of the statistics over plantings (synthetic likelihood: Wood 2010, Price
-    et al. 2018). Statistics bend over what is unknown of the parameters, and the slope at one place
-    is that of the few plants about a species' number there. So expectation and slopes are means
-    over `stand_realisations` draws of plants and of the parameters about the estimate, the same at
-    every step (statistical linearisation: Garcia-Fernandez et al. 2015): of the prior in the first
-    round, then of the posterior. What such a line leaves of `scatter_draws` is the covariance;
-    the stated errors of the data add to it. All sensors observe the same plants.
-
-    Each band of a sensor is off by a factor, its gain times the model's error at its wavelength,
-    whose logarithms have normal priors (`BandFactors`). They are parameters of the search beside
-    those of the plot, with slopes in closed form, and the same model's error for all sensors. What
-    the data ask beyond that is one number, `Calibration.excess`: after each round the variances of
-    all errors are made so many times as large, so that intervals say what is known.
-
-    The search looks at some of the pixels, with coarse light in layers twice as thick
-    (`search_form`). What that lacks against full scenes at their own accuracy is measured at the
-    start of each of the rounds, on the same plants, and added to its statistics; the covariances
-    are renewed there too. Rounds after the first only correct; more than those of the settings
-    follow while the last still moved. The estimate is the end of the last; of known plants the
-    best of the start and the rounds by the full scenes.
-
-    **Arguments:**
-
-    - `scene`, `parameters`: the plot; parameters that are not free keep these values.
-    - `data`: the statistics of all views, one after the other (`join_data`).
-    - `space`: the free parameters with their priors.
-    - `views`: what each sensor yields of `scene`.
-    - `settings`: of the search. Of known plants there is one planting.
-    - `error`: what the model is off by, over wavelength, as that of a learned population
-      (`LearnedPrior.model_error`); by default nothing: right only where the model itself made the
-      data.
-    - `solver`: of a round, of optimistix or jaxopt as of `fit`; `BroydenLM` by default, which takes
-      one Jacobian a round. Others take one at each step, or as many gradients; of their rounds
-      `fit.loss` has the beginnings alone.
-    - `start`: whitened coordinates to start from; the prior's centre by default.
-
-    Plantings are `Scene.realisation`s; where another seed finds no room for plants they fill the
-    same sites in another order. Plants for which there are too few sites get more.
-
-    To watch, keep or stop it go through a `PlotSearch` step by step, as this function does.
-
-    **Returns:** `Calibration`. Its `fit` is that of the best start, `loss`, `gradient_norm` and
-    `steps` those of all its rounds. Its `predicted` are expectations over plantings and the
-    posterior. Where plants are known and no round improves on a start, that is the estimate:
-    converged if a round ended there within the tolerance, `FitStatus.no_gain` if not.
-
-    **Raises:** `InputError` for views that do not yield the data's statistics, and a start at
-    which these are not finite.
-    """
-    search = PlotSearch(scene, parameters, data, space, views, settings, error=error, solver=solver)
-    ends: list[SearchState] = []
+    """Calibrate a plot to what one or several sensors measured, as `fit` says; `start` in whitened
+    coordinates."""
+    search = plot_search(problem, solver)
+    ends: list[Any] = []
     with stage("Calibrate", search.settings.evaluations):
         for u in search_starts(search, start):
             ends += deque(search_states(search, search.begin(u, *ends[:1])), maxlen=1)
     return calibration(search, ends)
 
 
+def plot_search(problem: Problem, solver: Any = None) -> PlotSearch | PixelSearch:
+    """The search of a problem, to be gone through step by step (`search_states`).
+
+    **Arguments:** `problem`; `solver`, as of `fit`, where plants stand by chance.
+
+    **Raises:** `InputError` for single pixels of a plot whose plants are not known.
+    """
+    if problem.measured.pixels is not None:
+        return PixelSearch(problem)
+    return PlotSearch(problem, solver)
+
+
 @double_precision
 def search_starts(
-    search: PlotSearch, start: Float[Array, " free"] | None = None
+    search: PlotSearch | PixelSearch, start: Float[Array, " free"] | None = None
 ) -> list[Float[Array, " free"]]:
     """Where the searches of a calibration start, in whitened coordinates.
 
@@ -471,7 +493,7 @@ def search_starts(
 
 
 @double_precision
-def calibration(search: PlotSearch, ends: Sequence[SearchState]) -> Calibration:
+def calibration(search: PlotSearch | PixelSearch, ends: Sequence[Any]) -> Calibration:
     """What the searches from all starts found.
 
     **Arguments:**
@@ -479,6 +501,8 @@ def calibration(search: PlotSearch, ends: Sequence[SearchState]) -> Calibration:
     - `search`: of the calibration.
     - `ends`: its state at the end from each start, the first that of the prior's centre.
     """
+    if isinstance(search, PixelSearch):
+        return _of_known_plants(search, ends[0])
     # By one likelihood: errors differ between the ends.
     judge = search.weights(ends[0].place, ends[0].subspace)
     number = int(np.argmin([search.objective(end.best, judge) for end in ends]))
@@ -487,51 +511,111 @@ def calibration(search: PlotSearch, ends: Sequence[SearchState]) -> Calibration:
     place, images = won.best, won.best.images
     gains, errors = _factors_of(search, won)
     with_bands = [view for view in search.views if isinstance(view, BandView)]
-    drone = next((i for i, view in enumerate(with_bands) if isinstance(view, ImageView)), None)
-
-    def by_view(values: np.ndarray) -> list[np.ndarray]:
-        parts = factors_by_view(with_bands, jnp.asarray(values))
-        return [np.asarray(part) for part in parts]
-
-    def blocks(covariance: np.ndarray) -> list[np.ndarray]:
-        ends = np.cumsum([len(view.bands) for view in with_bands], dtype=int)
-        starts = [0, *ends[:-1]]
-        return [covariance[a:b, a:b] for a, b in zip(starts, ends)]
-
-    factors = np.zeros(len(gains.mean)), gains.mean, gains.mean + errors.mean
-    shown = [_with_factors(search, place, one) for one in factors]
+    log_factors = np.zeros(len(gains.mean)), gains.mean, gains.mean + errors.mean
+    shown = [_with_factors(search, place, one) for one in log_factors]
     stands = search.stands(won)
     objective = [search.objective(e.best, search.weights(e.place, e.subspace)) for e in ends]
-    return Calibration(
-        scene=search.scene(won),
+    plantings = Plantings(
         stands=stands,
-        stand_statistics=search.expected(won).plain(place.u, [s.expected() for s in stands]),
+        statistics=search.expected(won).plain(place.u, [s.expected() for s in stands]),
+        views=search.coarse_views,
+        spread=np.asarray(place.spread)[: len(search.space.plot.names)],
+        stated=_without_factors(search, _stated(won)),
+        lack=np.asarray(place.lack).mean(axis=0),
+        projector=scipy.linalg.block_diag(*(own.back @ own.rows for own in won.subspace.parts)),
+    )
+    return Calibration(
+        problem=search.problem,
+        scene=search.scene(won),
         fit=fit,
         before=search.plot(origin.u),
         after=search.plot(place.u),
-        views=search.views,
-        coarse_views=search.coarse_views,
-        image_before=None if drone is None else origin.images[drone],
-        image_after=None if drone is None else images[drone],
+        images_before=origin.images,
+        images_after=images,
         statistics_before=origin.statistics,
         statistics_after=shown[0],
         statistics_with_gain=shown[1],
         statistics_with_error=shown[2],
         space=search.space,
         coordinates=np.asarray(place.u),
-        spread=np.asarray(place.spread)[: len(search.space.plot.names)],
-        data=fit.data,
         excess=float(won.place.excess),
         misfit=search.misfit(won),
         degrees=len(judge),
-        stated=_without_factors(search, _stated(won)),
-        lack=np.asarray(place.lack).mean(axis=0),
-        projector=scipy.linalg.block_diag(*(own.back @ own.rows for own in won.subspace.parts)),
-        gains=tuple(by_view(gains.factor)),
-        gains_covariance=tuple(blocks(gains.covariance)),
-        model_error=tuple(by_view(errors.factor)),
-        model_error_sd=tuple(by_view(errors.sd)),
+        **_by_view(with_bands, gains, errors),
         ends=_ends(objective, fits, fit),
+        states=tuple(ends),
+        plantings=plantings,
+    )
+
+
+def _by_view(views: Sequence[BandView], gains: Known, errors: Known) -> dict[str, Any]:
+    """What is known of gains and of the model's error, by views with bands."""
+    ends = np.cumsum([len(view.bands) for view in views], dtype=int)
+    parts = [slice(a, b) for a, b in zip([0, *ends[:-1]], ends)]
+    return {
+        "gains": tuple(gains.factor[part] for part in parts),
+        "gains_covariance": tuple(gains.covariance[part, part] for part in parts),
+        "model_error": tuple(errors.factor[part] for part in parts),
+        "model_error_sd": tuple(errors.sd[part] for part in parts),
+    }
+
+
+def _of_known_plants(search: PixelSearch, state: PixelState) -> Calibration:
+    """What a search pixel by pixel found."""
+    model, plot, problem = search.model, search.problem.free, search.problem
+    free, sd, u = len(plot.names), np.asarray(state.sd), np.asarray(state.u)
+    # At the end residuals and slopes are those of this very place.
+    rest, rows = np.asarray(state.descent.residual), np.asarray(state.descent.jacobian)
+    measured, own, misfit = problem.measured, sd.size, float(rest @ rest)
+    excess = excess_of(misfit, own)
+    scaled = rows[:own] / np.sqrt(excess)
+    # Back from whitened residuals and rows to values and their slopes.
+    value = np.asarray(measured.value)
+    values, slopes = value + sd * rest[:own], sd[:, None] * rows[:own]
+    data = Data(measured.names, jnp.asarray(value), jnp.asarray(sd)).widened(excess)
+    end = Ended(
+        jnp.asarray(u[:free]), jnp.asarray(values), jnp.asarray(slopes[:, :free]),
+        status_of(state.status), state.steps, state.trace, state.rounds,
+    )  # fmt: skip
+    # Of parameters and factors together; the prior of both is one.
+    covariance = np.linalg.inv(scaled.T @ scaled + np.eye(len(u)))
+    # Of the parameters alone, the factors integrated over.
+    information = np.linalg.inv(covariance[:free, :free]) - np.eye(free)
+    factors = search.space.factors.known(u[free:], covariance[free:, free:])
+    gains, errors = search.space.factors.gains(factors), search.space.factors.errors(factors)
+    image, before = search.image(state.u), np.asarray(state.before)
+    after = image / factors.factor[:, None, None]
+    compared = search.compared
+    found = fit_result(plot, data, end)
+    found = found.with_information(jnp.asarray(0.5 * (information + information.T)))
+
+    def at(u: Array) -> PlotParameters:
+        return with_values(model.parameters, model.scene.taxa, plot.named(u))
+
+    def of(image: np.ndarray) -> np.ndarray:
+        return image[:, compared].ravel()
+
+    return Calibration(
+        problem=problem,
+        scene=model.scene,
+        fit=found,
+        before=at(jnp.zeros(free)),
+        after=at(jnp.asarray(u[:free])),
+        images_before=(before,),
+        images_after=(after,),
+        statistics_before=of(before),
+        statistics_after=of(after),
+        statistics_with_gain=of(after * gains.factor[:, None, None]),
+        statistics_with_error=of(image),
+        space=search.space,
+        coordinates=u,
+        excess=excess,
+        misfit=misfit,
+        degrees=own,
+        **_by_view([view for view in problem.views if isinstance(view, BandView)], gains, errors),
+        ends=Ends(np.array([0.5 * misfit]), u[None, :free], np.zeros(1), 1),
+        states=(state,),
+        blocks=Blocks(model.block, search.measured, before, after, image),
     )
 
 

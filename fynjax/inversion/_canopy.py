@@ -12,8 +12,9 @@ from fynjax._core.errors import InputError
 from fynjax._core.precision import double_precision
 from fynjax._core.spectral import check_wavelength
 from fynjax.canopy import EllipsoidalLeafAngle
-from fynjax.inversion._fit import fit
-from fynjax.inversion._fit_result import Data, FitResult
+from fynjax.inversion._data import Data
+from fynjax.inversion._fit import fit_function
+from fynjax.inversion._fit_result import FitResult
 from fynjax.inversion._space import ParameterSpace
 from fynjax.leaf import LEAF_PARAMETERS, LeafParameters, prospect
 from fynjax.radiation import canopy_reflectance
@@ -180,7 +181,7 @@ leaves at large (`LEAF_PARAMETERS`) |
         data = Data(names, jnp.asarray(value), alone).with_covariance(together)
     light = jnp.asarray([sun_zenith, view_zenith, relative_azimuth, sky_share, hot_spot], float)
     model = _Model(tuple(wavelength.tolist()), jnp.asarray(weights), jnp.asarray(below), light)
-    return CanopyFit(fit(model, data, _space(), max_steps=max_steps))
+    return CanopyFit(fit_function(model, data, _space(), max_steps=max_steps))
 
 
 def _given(centre: np.ndarray, **given: Any) -> list[np.ndarray]:

@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from itertools import combinations
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import equinox as eqx
 import jax
@@ -37,6 +37,7 @@ from fynjax.inversion._bands import (
 from fynjax.inversion._calibrate import free_space
 from fynjax.inversion._expected import other_plantings
 from fynjax.inversion._functionals import Functional, StandNumbers, stand_functionals
+from fynjax.inversion._problem import believed
 from fynjax.inversion._space import ParameterSpace
 from fynjax.metrics import spectral_mask
 from fynjax.scene import ModelError, Scene
@@ -242,7 +243,7 @@ def design(
     widths: tuple[float, float] = (10.0, 100.0),
     snr: float = 100.0,
     relative_sd: float = 0.01,
-    model_error: ModelError | None = None,
+    error: ModelError | Literal["learned", "none"] | None = "learned",
     plantings: int = 6,
     compare: Sequence[str | Sensor] = CAMERAS,
     starts: int = 8,
@@ -296,7 +297,7 @@ def design(
       photons collected, which grow with the width of a band and the area of a pixel. The detector
       is alike at all wavelengths, and other sensors count with the same optics.
     - `relative_sd`: independent error of every statistic, relative [-].
-    - `model_error`: what the model is off by over wavelength; it is believed if left out.
+    - `error`: what the model is off by over wavelength, as of `Problem`.
     - `plantings`: how many are made of one scene, at least 4.
     - `compare`: other sensors, shipped names or objects.
     - `starts`: ascents, the first from a raster of bands.
@@ -328,7 +329,7 @@ def design(
     else:  # of the parameters one by one, whose slopes are unit vectors; or of none
         own = np.eye(len(space.names))[: None if kind == "information" else 0]
         asked = np.stack([own] * len(stands))
-    tried = render(stands, space, asked, grid, pixels, snr, relative_sd, model_error, kind)
+    tried = render(stands, space, asked, grid, pixels, snr, relative_sd, believed(error), kind)
     if kind == "separability":  # the same species in pixels of every size
         common = jnp.stack([image.species > 0 for image in tried]).all(axis=0)
         tried = [eqx.tree_at(lambda i: i.species, image, image.species * common) for image in tried]

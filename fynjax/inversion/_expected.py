@@ -12,8 +12,9 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from fynjax._core.errors import InputError
+from fynjax.inversion._data import Data
 from fynjax.inversion._factors import PlotSpace
-from fynjax.inversion._fit_result import Data, repeated_information, scatter_covariance
+from fynjax.inversion._fit_result import repeated_information, scatter_covariance
 from fynjax.inversion._views import PlotForward
 from fynjax.scene import PlotParameters, Scene, with_values
 

@@ -6,7 +6,6 @@ from typing import NamedTuple
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-import scipy.linalg
 from jaxtyping import Array, Float
 
 from fynjax._core.errors import InputError
@@ -54,16 +53,33 @@ class BandFactors(eqx.Module):
     @classmethod
     def of(cls, views: Sequence[AbstractView], error: ModelError | None) -> "BandFactors":
         """The factors of the bands of `views`, by their gains and the `error` of the model."""
-        return cls.of_bands([(v.bands, v.gains) for v in views if isinstance(v, BandView)], error)
+        seen = [view for view in views if isinstance(view, BandView)]
+        return cls.of_bands(
+            [(view.bands, view.gains) for view in seen], error, [view.instrument for view in seen]
+        )
 
     @classmethod
     def of_bands(
-        cls, seen: Sequence[tuple[BandSet, Gains]], error: ModelError | None
+        cls,
+        seen: Sequence[tuple[BandSet, Gains]],
+        error: ModelError | None,
+        instruments: Sequence[str] | None = None,
     ) -> "BandFactors":
-        """The factors of the bands of sensors with their gains, and the `error` of the model."""
-        of_gains = scipy.linalg.block_diag(*(g.covariance(len(bands)) for bands, g in seen))
+        """The factors of the bands of sensors with their gains, and the `error` of the model.
+        Views of one of the `instruments`, by its name, share gains but for their drift; those of ""
+        share none."""
+        names = [""] * len(seen) if instruments is None else [*instruments]
+        blocks = [
+            [
+                _shared_gains(one, other, i == j, bool(name) and names.count(name) > 1)
+                if i == j or (name and name == names[j])
+                else np.zeros((len(one[0]), len(other[0])))
+                for j, other in enumerate(seen)
+            ]
+            for i, (name, one) in enumerate(zip(names, seen, strict=True))
+        ]
+        of_gains = np.block(blocks) if blocks else np.zeros((0, 0))
         centres = np.concatenate([np.empty(0), *(bands.centre for bands, _ in seen)])
-        of_gains = of_gains.reshape(len(centres), len(centres))  # of no bands too
         of_model = np.zeros_like(of_gains)
         if error is not None and len(centres):
             of_model = error.covariance(centres)
@@ -141,6 +157,21 @@ class PlotSpace(eqx.Module):
                 f"parameter, but got {u.size}"
             )
         return jnp.concatenate([u, jnp.zeros(missing)])
+
+
+def _shared_gains(
+    one: tuple[BandSet, Gains], other: tuple[BandSet, Gains], same: bool, several: bool
+) -> Float[np.ndarray, "_band _other"]:
+    """Covariance of the logarithms of the gains of two views of one camera, or of one with itself
+    (`same`), which drifts where there are `several`."""
+    (bands, gains), (others, their) = one, other
+    if same:
+        own = gains.covariance(len(bands))
+        return own + gains.drift**2 if several else own
+    sd = np.outer(gains.of_bands(len(bands)), their.of_bands(len(others)))
+    alike = np.equal.outer(np.array(bands.names), np.array(others.names))
+    shared = min(gains.shared, their.shared)
+    return sd * (shared + (1.0 - shared) * alike)
 
 
 def _root(covariance: Float[np.ndarray, "factor factor"]) -> Float[np.ndarray, "factor coordinate"]:

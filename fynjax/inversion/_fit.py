@@ -19,14 +19,22 @@ from jaxtyping import Array, Bool, Float, Int
 from fynjax._core.errors import InputError
 from fynjax._core.least_squares import NO_TAGS, BroydenLM, BroydenState, figures_of
 from fynjax._core.precision import compiled_in_single, double_precision
-from fynjax.inversion._fit_result import Data, Ended, FitResult, FitStatus, fit_result
+from fynjax.inversion._data import Data
+from fynjax.inversion._fit_result import Ended, FitResult, FitStatus, fit_result
 from fynjax.inversion._log_posterior import LogPosterior, Predict
-from fynjax.inversion._solvers import confirmed, gain, residual, run_solver, whitened
+from fynjax.inversion._solvers import (
+    confirmed,
+    gain,
+    residual,
+    run_solver,
+    solver_kind,
+    whitened,
+)
 from fynjax.inversion._space import ParameterSpace
 
 
 @double_precision
-def fit(
+def fit_function(
     predict: Predict,
     data: Data,
     space: ParameterSpace,
@@ -77,18 +85,6 @@ def fit(
 
     **Raises:** `InputError` for what is no solver, a model that gives another number of statistics
     than there are data, and a fit inside `jax.jit` that needs 64 bits (above).
-
-    **Example:** a line through three points, whose offset and slope have wide priors.
-
-    >>> import jax.numpy as jnp
-    >>> from fynjax.inversion import Data, ParameterSpace, fit
-    >>> at = jnp.array([0.0, 1.0, 2.0])
-    >>> data = Data(("a", "b", "c"), jnp.array([1.0, 2.0, 3.0]), jnp.full(3, 0.1))
-    >>> low, high, prior, sd = (jnp.full(2, v) for v in (-100.0, 100.0, 0.5, 10.0))
-    >>> space = ParameterSpace(("offset", "slope"), low, high, prior, sd)
-    >>> line = fit(lambda x: x[0] + x[1] * at, data, space)
-    >>> line.estimate.round(2).tolist(), bool(line.converged)
-    ([1.0, 1.0], True)
     """
     if max_steps < 1:
         raise InputError(f"`max_steps` must be at least 1, but is {max_steps}")
@@ -98,14 +94,14 @@ def fit(
     density = LogPosterior(predict, space, data, shift, context)
     if solver is None:
         solver = BroydenLM(renew=True)
-    if isinstance(solver, BroydenLM):  # by the same measure of what is to gain
+    kind = solver_kind(solver)
+    if kind in ("broyden", "renewing"):  # by the same measure of what is to gain
         solver = dataclasses.replace(solver, atol=jnp.minimum(solver.atol, tolerance), rtol=0.0)
     solved, rest = eqx.partition(solver, eqx.is_array)
     traced = any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves((density, u)))
     run = _run if traced else _run_compiled
     limit = jnp.asarray(tolerance)
-    of_lineax = isinstance(solver, optx.AbstractLeastSquaresSolver)
-    if of_lineax and not isinstance(solver, BroydenLM) and compiled_in_single():
+    if kind == "least squares" and compiled_in_single():
         raise InputError(
             f"a fit by {type(solver).__name__} inside `jax.jit` needs 64 bits: compile and call it "
             "inside `with jax.enable_x64(True):`, or take the default solver"
@@ -182,7 +178,7 @@ def _run(
     """
     density, u = _constant((density, u))
     solver = eqx.combine(solver, rest)
-    if isinstance(solver, BroydenLM) and solver.renew:
+    if solver_kind(solver) == "renewing":
         return _renewed(density, solver, u, max_steps)
     start = _Run(u, *density.jacobian(u), FitStatus.successful, jnp.asarray(0), jnp.asarray(True))
 

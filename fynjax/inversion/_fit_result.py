@@ -13,10 +13,10 @@ import optimistix as optx
 from jaxtyping import Array, Bool, Float, Int
 from scipy.special import stdtrit
 
-from fynjax._core.errors import InputError, listed
 from fynjax._core.html import as_html
-from fynjax._core.precision import double_precision, in_double
+from fynjax._core.precision import double_precision
 from fynjax._core.seeds import generator
+from fynjax.inversion._data import Data
 from fynjax.inversion._space import ParameterSpace
 from fynjax.scene import PARAMETERS, parameter_kind
 
@@ -25,103 +25,6 @@ if TYPE_CHECKING:
 
 WELL_CONSTRAINED = 0.75
 """Share of its prior variance that data must remove for a parameter to be well constrained [-]."""
-
-
-def _array(values: Any) -> Any:
-    """Numbers as an array; what is one already as it is, of whatever precision."""
-    return values if isinstance(values, jax.Array | np.ndarray) else in_double(values)
-
-
-def _names(names: str | Sequence[str]) -> tuple[str, ...]:
-    return (names,) if isinstance(names, str) else tuple(names)
-
-
-class Data(eqx.Module):
-    """What was measured: statistics, each with a name, a value and an error.
-
-    **Raises:** `InputError` for another number of values or errors than of names, a whitener of
-    another shape, a value that is not finite, and an error that is not positive.
-    """
-
-    names: tuple[str, ...] = eqx.field(static=True, converter=_names)
-    """Name of each statistic, such as NDVI.mean."""
-    value: Float[Array, " statistic"] = eqx.field(converter=_array)
-    """Measured value of each statistic, in its own unit."""
-    sd: Float[Array, " statistic"] = eqx.field(converter=_array)
-    """Standard deviation, model error included, of each statistic."""
-    whitener: Float[Array, "statistic statistic"] | None = None
-    """Makes correlated errors independent, of unit size; None: they are independent."""
-
-    @double_precision
-    def with_scatter(self, deviations: Float[Array, "draw statistic"]) -> "Data":
-        """The data with an error of the model added that moves all statistics together.
-
-        **Arguments:** `deviations`, how far the statistics lie from the model's in draws of what
-        it leaves to chance. Their second moments, shrunk half-way to the diagonal because
-        draws are few, add to the variances.
-        """
-        moments = deviations.T @ deviations / deviations.shape[0]
-        return self.with_covariance(0.5 * (moments + jnp.diag(jnp.diagonal(moments))))
-
-    @double_precision
-    def with_covariance(
-        self, covariance: Float[Array | np.ndarray, "statistic statistic"]
-    ) -> "Data":
-        """The data with an error added that moves the statistics together, of this covariance."""
-        total = self.covariance + jnp.asarray(covariance)
-        # Of errors with this covariance the inverse Cholesky factor makes independent unit ones.
-        whitener = jnp.linalg.inv(jnp.linalg.cholesky(total))
-        return Data(self.names, self.value, jnp.sqrt(jnp.diagonal(total)), whitener)
-
-    @double_precision
-    def widened(self, excess: float) -> "Data":
-        """The same data, the variances of whose errors are `excess` times as large."""
-        if excess == 1.0:
-            return self
-        root = excess**0.5
-        whitener = None if self.whitener is None else self.whitener / root
-        return Data(self.names, self.value, self.sd * root, whitener)
-
-    @double_precision
-    def along(self, weights: Float[np.ndarray, "direction statistic"]) -> "Data":
-        """The same data, of which only directions count: `weights` makes of misfits independent
-        ones of unit size, as many as there are statistics, or fewer."""
-        whitener = np.zeros((len(self.names),) * 2)
-        whitener[: len(weights)] = weights
-        return Data(self.names, self.value, self.sd, jnp.asarray(whitener))
-
-    @property
-    @double_precision
-    def covariance(self) -> Float[Array, "statistic statistic"]:
-        """Covariance of the errors; not of data of which only directions count."""
-        if self.whitener is None:
-            return jnp.diag(self.sd**2)
-        return jnp.linalg.inv(self.whitener.T @ self.whitener)
-
-    def whiten(self, misfit: Float[Array, " statistic *free"]) -> Float[Array, " statistic *free"]:
-        """Misfits in units of the errors, independent of each other."""
-        if self.whitener is not None:
-            return self.whitener @ misfit
-        return misfit / (self.sd[:, None] if misfit.ndim == 2 else self.sd)
-
-    def __check_init__(self) -> None:
-        for what, given in (("value", self.value), ("sd", self.sd)):
-            if jnp.shape(given)[-1:] != (len(self.names),):
-                raise InputError(
-                    f"expected a `{what}` for each of the {len(self.names)} statistics "
-                    f"({listed(self.names)}), but got an array of shape {jnp.shape(given)}"
-                )
-        if self.whitener is not None and jnp.shape(self.whitener)[-2:] != (len(self.names),) * 2:
-            raise InputError(
-                f"expected a `whitener` of {len(self.names)} x {len(self.names)} for as many "
-                f"statistics, but got an array of shape {jnp.shape(self.whitener)}"
-            )
-        if any(isinstance(a, jax.core.Tracer) for a in (self.value, self.sd)):
-            return
-        bad = ~(np.isfinite(np.asarray(self.value)) & (np.asarray(self.sd) > 0))
-        if bad.any():
-            name = self.names[int(np.argmax(bad)) % len(self.names)]
-            raise InputError(f"the target {name} must be finite and have a positive sd")
 
 
 def scatter_covariance(

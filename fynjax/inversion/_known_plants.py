@@ -8,9 +8,7 @@ parameter that acts through optics alone.
 """
 
 import dataclasses
-from collections import deque
-from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -18,301 +16,28 @@ import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Bool, Float
-from scipy.special import chdtrc
 
 from fynjax._core.errors import InputError
 from fynjax._core.least_squares import NO_TAGS, BroydenLM, BroydenState, figures_of
 from fynjax._core.precision import double_precision
-from fynjax._core.progress import stage
-from fynjax.inversion._calibrate import UNDESCRIBED, Ends
-from fynjax.inversion._factors import BandFactors
-from fynjax.inversion._fit_result import (
-    Data,
-    Ended,
-    FitResult,
-    FitStatus,
-    fit_result,
-    number_of,
-    status_of,
-)
-from fynjax.inversion._functionals import Functional, stand_table
-from fynjax.inversion._search import (
-    Progress,
-    begun,
-    excess_of,
-    recorded,
-    search_states,
-    stepped,
-)
-from fynjax.inversion._space import ParameterSpace
-from fynjax.inversion._verdict import (
-    compare_means,
-    gain_sentences,
-    is_worse,
-    worse_sentence,
-)
+from fynjax.inversion._data import DARKEST, block_means
+from fynjax.inversion._factors import BandFactors, PlotSpace
+from fynjax.inversion._fit_result import FitStatus, number_of
+from fynjax.inversion._problem import Problem
+from fynjax.inversion._search import Progress, begun, recorded, stepped
+from fynjax.inversion._views import ImageView
 from fynjax.radiation import VoxelScene
 from fynjax.scene import (
     LEAF_FIELDS,
     AimedSensor,
-    ModelError,
     PlotParameters,
     Scene,
     parameter_kind,
     with_values,
 )
-from fynjax.sensors import Gains
 
-if TYPE_CHECKING:
-    import pandas as pd
-
-PIXEL_SD = 0.05
-"""What the model's pixel is off by, as a share of it [-]: against a path tracer 1 to 2 % where both
-have the same voxels of 10 cm (`tests/radiation/test_reference_scenes.py`), and where leaves are
-single ones the spread of pixels of 2.5 cm is 5 to 8 % less (`python -m
-tests.benchmarks.table_radiation --only plants`)."""
-MOST_VALUES = 40_000
-"""Values of an image that are compared, at most, unless a block is asked for."""
-_DARKEST = 0.002
-"""Reflectance below which the error of a pixel is that of this one [-]."""
 _ROUNDS = 4
 """Slopes are computed anew so many times at most."""
-
-
-def block_of(bands: int, shape: tuple[int, int]) -> int:
-    """Pixels along the edge of the blocks whose means are compared: as many as make at most
-    `MOST_VALUES` values of `bands` of an image of `shape`."""
-    block = 1
-    while bands * (shape[0] // block) * (shape[1] // block) > MOST_VALUES:
-        block += 1
-    return block
-
-
-class KnownPlants(eqx.Module):
-    """A plot calibrated to an image, pixel by pixel."""
-
-    scene: Scene
-    """The plot, with known plants."""
-    camera: AimedSensor
-    """The camera that took the image, of single pixels."""
-    block: int = eqx.field(static=True)
-    """Pixels along the edge of the blocks whose means are compared."""
-    fit: FitResult
-    """The estimate. Its data are the compared values, band by band, with the errors of pixels and
-    model."""
-    before: PlotParameters
-    """The plot's parameters with the free ones at the prior's centre."""
-    after: PlotParameters
-    """The plot's parameters at the estimate."""
-    measured: Float[np.ndarray, "band y x"]
-    """Reflectance of the blocks [-]; NaN where they are not compared."""
-    image_before: Float[np.ndarray, "band y x"]
-    """Simulated reflectance of the blocks with the parameters `before` [-]."""
-    image_after: Float[np.ndarray, "band y x"]
-    """Simulated reflectance of the blocks with the parameters `after`: of the plot alone [-]."""
-    image_with_error: Float[np.ndarray, "band y x"]
-    """The same times the estimated gains and the model's error: what is compared [-]."""
-    gain: Float[np.ndarray, " band"]
-    """Estimated factor by which each band of the camera is off [-]: what simulated bands are
-    multiplied by."""
-    gain_covariance: Float[np.ndarray, "band band"]
-    """Covariance of the logarithms of `gain` [-]."""
-    model_error: Float[np.ndarray, " band"]
-    """Estimated factor by which reality is off from the model in each band, beside `gain` [-]."""
-    model_error_sd: Float[np.ndarray, " band"]
-    """Standard deviation of the logarithm of each `model_error` [-]."""
-    excess: float
-    """What the data ask beyond the stated errors, at least 1: the variances of all errors of values
-    are so many times as large [-]."""
-    misfit: float
-    """Squared whitened misfit and distance from the prior, at the estimate: of data that the model
-    and the prior explain a chi-square of `degrees`."""
-
-    @double_precision
-    def stand(self, functionals: Mapping[str, Functional] | None = None) -> "pd.DataFrame":
-        """Numbers of the whole stand before and after the data: `functionals` by name, of which any
-        may be one's own (`stand_table`)."""
-        return stand_table(self.scene, self.before, self.fit, functionals=functionals)
-
-    @double_precision
-    def means(self) -> "pd.DataFrame":
-        """The mean of every band over what is compared, as `Calibration.means` has them."""
-        seen = np.isfinite(self.measured)
-        images = (
-            self.measured,
-            self.image_before,
-            self.image_after,
-            self.image_after * self.gain[:, None, None],
-        )
-        values = [np.nanmean(np.where(seen, image, np.nan), axis=(1, 2)) for image in images]
-        return compare_means([f"{n}.mean" for n in self.camera.sensor.bands.names], *values)
-
-    @property
-    def gain_sd(self) -> Float[np.ndarray, " band"]:
-        """Standard deviation of the logarithm of each `gain` [-]."""
-        return np.asarray(np.sqrt(np.maximum(np.diagonal(self.gain_covariance), 0.0)))
-
-    def gain_sentences(self) -> list[str]:
-        """As of `Calibration`."""
-        return gain_sentences(self.camera.sensor.bands.names, self.gain, self.gain_covariance)
-
-    @property
-    def worse(self) -> bool:
-        """As of `Calibration`."""
-        return is_worse(self.means())
-
-    @property
-    def offered(self) -> PlotParameters:
-        """As of `Calibration`."""
-        return self.before if self.worse else self.after
-
-    def misfit_sentence(self) -> str:
-        """The misfit in words."""
-        return f"The misfit is {self.misfit / self.degrees:.2g} times what was expected."
-
-    def doubts(self) -> list[str]:
-        """As of `Calibration`."""
-        found = [worse_sentence(self.means())] if self.worse else []
-        if self.misfit >= UNDESCRIBED * self.degrees:
-            found.append(f"The model does not describe this plot. {self.misfit_sentence()}")
-        return found
-
-    @property
-    @double_precision
-    def data(self) -> Data:
-        return self.fit.data
-
-    @property
-    def degrees(self) -> int:
-        """Values that the likelihood counts."""
-        return len(self.fit.data.names)
-
-    @property
-    @double_precision
-    def probability(self) -> float:
-        """That the model and its prior would give data so far from its expectation [-]."""
-        return float(chdtrc(self.degrees, self.misfit))
-
-    @property
-    @double_precision
-    def ends(self) -> Ends:
-        """The search has one start."""
-        u = np.asarray(self.fit.whitened)[None]
-        return Ends(np.array([0.5 * self.misfit]), u, np.zeros(1), 1)
-
-
-@dataclasses.dataclass(frozen=True)
-class PixelSettings:
-    """Settings of a calibration with known plants: blocks of pixels that are compared, and steps.
-
-    **Raises:** `InputError` for a `block` or `pixel_sd` that is not positive.
-    """
-
-    block: int | None = None
-    """Pixels along the edge of the blocks whose means are compared; None: `block_of`. Rows and
-    columns beyond the last whole block are not compared."""
-    pixel_sd: float = PIXEL_SD
-    """Error of a block's mean, of camera and model, as a share of it [-]. Errors of different
-    blocks and bands are independent: give errors that the whole plot shares to the gains, or widen
-    this."""
-    gains: Gains | None = None
-    """Errors of the calibration of the bands; None: those of the camera's sensor."""
-    max_steps: int = 30
-    """Most steps between two computations of the slopes."""
-    tolerance: float = 0.05
-    """The search ends where another step would lower the objective by less than this, half a
-    squared distance in posterior standard deviations."""
-
-    def __post_init__(self) -> None:
-        if (self.block is not None and self.block < 1) or not self.pixel_sd > 0.0:
-            raise InputError(
-                f"`block` and `pixel_sd` must be positive, but are {self.block} and "
-                f"{self.pixel_sd:g}"
-            )
-
-
-@double_precision
-def calibrate_known_plants(
-    scene: Scene,
-    parameters: PlotParameters,
-    image: Float[np.ndarray, "band row column"],
-    space: ParameterSpace,
-    camera: AimedSensor,
-    settings: PixelSettings | None = None,
-    *,
-    error: ModelError | None = None,
-) -> KnownPlants:
-    """Calibrate the free parameters of a plot whose plants are known to an image of it.
-
-    Every compared value, the mean of a block of pixels in one band, has an error of its own. The
-    gains of the bands, and what the model is off by in each, are estimated beside the parameters,
-    with normal priors of their logarithms.
-    The search is that of `calibrate_plot` (`BroydenLM`), on the whole scene at the camera's own
-    accuracy; slopes are computed anew, and errors renewed by the simulated image, until these would
-    lower the objective no more.
-
-    **Arguments:**
-
-    - `scene`, `parameters`: the plot, with `Scene.known_plants`.
-    - `image`: reflectance factor [-], rows from the south, as `camera` has them; a pixel that is
-      NaN in any band is not compared.
-    - `space`: the free parameters with their priors (`free_space`).
-    - `camera`: from `aim`, without air.
-    - `settings`: which pixels are compared, with what errors, and how long the search is.
-    - `error`: what the model is off by, over wavelength, as of `calibrate_plot`.
-
-    To watch, keep or stop it go through `known_plants_search` step by step, as this function does.
-
-    **Returns:** `KnownPlants`.
-
-    **Raises:** `InputError` for an image of another shape or without a whole block of pixels,
-    plants that are not known, and where JAX is limited to 32 bits.
-
-    Not differentiable.
-    """
-    search = known_plants_search(scene, parameters, image, space, camera, settings, error=error)
-    with stage("Calibrate", search.settings.max_steps):
-        (end,) = deque(search_states(search, search.begin()), maxlen=1)
-    return search.result(end)
-
-
-@double_precision
-def known_plants_search(
-    scene: Scene,
-    parameters: PlotParameters,
-    image: Float[np.ndarray, "band row column"],
-    space: ParameterSpace,
-    camera: AimedSensor,
-    settings: PixelSettings | None = None,
-    *,
-    error: ModelError | None = None,
-) -> "PixelSearch":
-    """The search of `calibrate_known_plants`, to be gone through step by step.
-
-    **Arguments:** `scene`, `parameters`, `image`, `space`, `camera`, `settings` and `error`: as of
-    `calibrate_known_plants`.
-
-    **Raises:** `InputError` as `calibrate_known_plants`.
-    """
-    settings = PixelSettings() if settings is None else settings
-    bands = len(camera.sensor.bands)
-    if np.shape(image) != (bands, *camera.shape):
-        raise InputError(
-            f"expected an image of {bands} bands, {camera.shape[0]} rows and {camera.shape[1]} "
-            f"columns, as the camera's, but got one of shape {np.shape(image)}"
-        )
-    if not scene.known_plants:
-        raise InputError(
-            "expected a plot whose plants are known (`crowns`): where plants stand by "
-            "chance no pixel says what stands in it"
-        )
-    block = block_of(bands, camera.shape) if settings.block is None else settings.block
-    measured = np.asarray(_blocks(jnp.asarray(np.asarray(image, float)), block))
-    compared = np.isfinite(measured).all(axis=0)
-    if not compared.any():
-        raise InputError(f"no block of {block} x {block} pixels of the image has all its values")
-    model = PixelModel(scene, parameters, space.names, camera, block)
-    return PixelSearch(model, space, measured, compared, settings, error)
 
 
 class PixelModel(eqx.Module):
@@ -377,7 +102,7 @@ class PixelModel(eqx.Module):
         return self.scene.voxels(plot, self.camera.sensor.bands)
 
     def _blocks_of(self, voxels: VoxelScene) -> Float[Array, "band y x"]:
-        return _blocks(self.camera.image(voxels)[0], self.block)
+        return block_means(self.camera.image(voxels)[0], self.block)
 
     @eqx.filter_jit
     def _optics_slopes(self, values: Array) -> Float[Array, "optics band free"]:
@@ -448,37 +173,61 @@ class PixelSearch:
     """Search of a calibration of known plants, step by step, as `PlotSearch`: coordinates of the
     parameters, then of the factors of the bands.
 
-    **Arguments:** `space`, `settings` and `error` of `calibrate_known_plants`; `model` of the
-    blocks, whose means are `measured`, of which those that are `compared` count.
+    Every compared value, the mean of a block of pixels in one band, has an error of its own. The
+    gains of the bands, and what the model is off by in each, are estimated beside the parameters,
+    with normal priors of their logarithms. The search is on the whole scene at the camera's own
+    accuracy; slopes are computed anew, and errors renewed by the simulated image, until these would
+    lower the objective no more.
+
+    **Arguments:** `problem`, whose data are of `Data.from_pixels`, and whose camera has no air.
+
+    **Raises:** `InputError` for an image of another shape than the camera's, and plants that are
+    not known.
     """
 
     state = PixelState
 
     @double_precision
-    def __init__(
-        self,
-        model: PixelModel,
-        space: ParameterSpace,
-        measured: Float[np.ndarray, "band y x"],
-        compared: Bool[np.ndarray, "y x"],
-        settings: PixelSettings,
-        error: ModelError | None = None,
-    ) -> None:
-        if settings.gains is None:
-            settings = dataclasses.replace(settings, gains=model.camera.sensor.gains())
-        assert settings.gains is not None
-        self.model, self.space, self.settings = model, space, settings
-        self._measured, self._compared = measured, compared
-        self._free = len(space.names)
-        self._factors = BandFactors.of_bands([(model.camera.sensor.bands, settings.gains)], error)
+    def __init__(self, problem: Problem) -> None:
+        scene, (view,), pixels = problem.scene, problem.views, problem.measured.pixels
+        assert isinstance(view, ImageView)
+        assert pixels is not None
+        camera = view.camera
+        bands = len(camera.sensor.bands)
+        if np.shape(pixels.image) != (bands, *camera.shape):
+            raise InputError(
+                f"expected an image of {bands} bands, {camera.shape[0]} rows and "
+                f"{camera.shape[1]} columns, as the camera's, but got one of shape "
+                f"{np.shape(pixels.image)}"
+            )
+        if not scene.known_plants:
+            raise InputError(
+                "expected a plot whose plants are known (`crowns`): where plants stand by "
+                "chance no pixel says what stands in it"
+            )
+        self.problem, self.settings = problem, problem.settings
+        self.space = PlotSpace(problem.free, BandFactors.of((view,), problem.error))
+        self._plot = problem.free
+        self.model = PixelModel(scene, scene.parameters, problem.free.names, camera, pixels.block)
+        self._measured, self.compared, self._sd = pixels.means, pixels.compared, pixels.sd
+        self._free = len(problem.free.names)
+        self._factors = self.space.factors
         self._root = np.asarray(self._factors.root)
-        self._target = measured[:, compared].ravel()
-        self._solver = BroydenLM(atol=settings.tolerance)
-        self.signed = (model, space, measured, compared, settings, error)
+        self._target = self._measured[:, self.compared].ravel()
+        self._solver = BroydenLM(atol=self.settings.tolerance)
+        self.signed = (
+            self.model, problem.free, self._measured, self.compared, view.gains, self._sd,
+            self.settings, problem.error,
+        )  # fmt: skip
         """All that its steps follow from, besides where it starts."""
 
+    @property
+    def measured(self) -> Float[np.ndarray, "band y x"]:
+        """Measured means of the blocks [-]; NaN where they are not compared."""
+        return np.where(self.compared, self._measured, np.nan)
+
     def _values(self, u: Array) -> Array:
-        return self.space.physical(jnp.asarray(u[: self._free]))
+        return self._plot.physical(jnp.asarray(u[: self._free]))
 
     def _factor(self, u: Array) -> np.ndarray:
         return np.exp(self._root @ np.asarray(u)[self._free :])
@@ -496,9 +245,9 @@ class PixelSearch:
         """Compared values at `u` and their slopes."""
         image, by_value = self.model.slopes(self._values(u))
         factor, bands = self._factor(u), len(image)
-        image = (image * factor[:, None, None])[:, self._compared]
-        by_value = (by_value * factor[:, None, None])[:, :, self._compared]
-        to_values = np.asarray(jax.jacfwd(self.space.physical)(jnp.asarray(u[: self._free])))
+        image = (image * factor[:, None, None])[:, self.compared]
+        by_value = (by_value * factor[:, None, None])[:, :, self.compared]
+        to_values = np.asarray(jax.jacfwd(self._plot.physical)(jnp.asarray(u[: self._free])))
         # By whitened coordinates, whose priors may be correlated: a full matrix.
         own = by_value.reshape(self._free, -1).T @ to_values
         # The logarithm of a factor scales its band.
@@ -516,15 +265,15 @@ class PixelSearch:
         values, slopes = self.linear(u)
         if sd is None:
             # A share of what is simulated: of the measured, noise that darkens would weigh more.
-            sd = self.settings.pixel_sd * np.maximum(values, _DARKEST)
+            sd = self._sd * np.maximum(values, DARKEST)
         rows = np.concatenate([slopes / sd[:, None], np.eye(len(u))])
         return begun(self._solver, u, self._whitened(values, u, sd), rows), jnp.asarray(sd)
 
     @double_precision
-    def begin(self, u: Float[Array, " free"] | None = None) -> PixelState:
-        """The state at whitened coordinates of the parameters, by default the prior's centre."""
-        own = np.zeros(self._free) if u is None else np.asarray(u)
-        place = jnp.asarray(np.concatenate([own, np.zeros(self._factors.coordinates)]))
+    def begin(self, u: Float[Array, " some"], after: PixelState | None = None) -> PixelState:
+        """The state at whitened coordinates `u`, of the parameters alone, whose factors are then
+        one, or of both; `after` the end of another start, of which nothing is needed."""
+        place = self.space.whole(u)
         descent, sd = self._descent(place)
         whole = lambda number: jnp.asarray(number, int)  # noqa: E731
         return PixelState(
@@ -555,61 +304,6 @@ class PixelSearch:
         errors = np.asarray(state.sd)
 
         def whitened(u: Array, _: Any) -> tuple[Array, None]:
-            return self._whitened(self.image(u)[:, self._compared].ravel(), u, errors), None
+            return self._whitened(self.image(u)[:, self.compared].ravel(), u, errors), None
 
         return stepped(solver, state, whitened)
-
-    @double_precision
-    def result(self, state: PixelState) -> KnownPlants:
-        """What a search that has ended found."""
-        model, free, sd, u = self.model, self._free, np.asarray(state.sd), np.asarray(state.u)
-        # At the end residuals and slopes are those of this very place.
-        rest, rows = np.asarray(state.descent.residual), np.asarray(state.descent.jacobian)
-        excess = excess_of(float(rest @ rest), len(sd))
-        scaled = rows[: len(sd)] / np.sqrt(excess)
-        # Back from whitened residuals and rows to values and their slopes.
-        values, slopes = self._target + sd * rest[: len(sd)], sd[:, None] * rows[: len(sd)]
-        places = np.argwhere(self._compared)
-        bands = model.camera.sensor.bands.names
-        names = tuple(f"{band} {y},{x}" for band in bands for y, x in places)
-        data = Data(names, jnp.asarray(self._target), jnp.asarray(sd)).widened(excess)
-        end = Ended(
-            jnp.asarray(u[:free]), jnp.asarray(values), jnp.asarray(slopes[:, :free]),
-            status_of(state.status), state.steps, state.trace, state.rounds,
-        )  # fmt: skip
-        result = fit_result(self.space, data, end)
-        # Of parameters and factors together; the prior of both is one.
-        covariance = np.linalg.inv(scaled.T @ scaled + np.eye(len(u)))
-        # Of the parameters alone, the factors integrated over.
-        information = np.linalg.inv(covariance[:free, :free]) - np.eye(free)
-        factors = self._factors.known(u[free:], covariance[free:, free:])
-        gains, errors = self._factors.gains(factors), self._factors.errors(factors)
-        centre = self.space.named(jnp.zeros(free))
-        named = dict(zip(self.space.names, self._values(state.u)))
-        image = self.image(state.u)
-        return KnownPlants(
-            scene=model.scene,
-            camera=model.camera,
-            block=model.block,
-            fit=result.with_information(jnp.asarray(0.5 * (information + information.T))),
-            before=with_values(model.parameters, model.scene.taxa, centre),
-            after=with_values(model.parameters, model.scene.taxa, named),
-            measured=np.where(self._compared, self._measured, np.nan),
-            image_before=np.asarray(state.before),
-            image_after=image / factors.factor[:, None, None],
-            image_with_error=image,
-            gain=gains.factor,
-            gain_covariance=gains.covariance,
-            model_error=errors.factor,
-            model_error_sd=errors.sd,
-            misfit=float(rest @ rest),
-            excess=excess,
-        )
-
-
-def _blocks(image: Float[Array, "band row column"], block: int) -> Float[Array, "band y x"]:
-    """Means over whole blocks of pixels."""
-    bands, rows, columns = image.shape
-    ny, nx = rows // block, columns // block
-    cut = image[:, : ny * block, : nx * block].reshape(bands, ny, block, nx, block)
-    return cut.mean(axis=(2, 4))

@@ -6,10 +6,10 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, ArrayLike, Float
 
 from fynjax._core.errors import InputError, listed
-from fynjax.inversion._fit_result import Data
+from fynjax.inversion._data import Data
 from fynjax.inversion._space import ParameterSpace
 
 Predict = Callable[..., Float[Array, " statistic"]]
@@ -32,19 +32,32 @@ def jacobian_by_rows(
 
 
 class LogPosterior(eqx.Module):
-    """Logarithm of the posterior density over whitened coordinates, up to a constant.
+    """Logarithm of the posterior density over whitened coordinates, up to a constant: what samplers
+    of any library for JAX explore.
 
     The prior of a `ParameterSpace` is a unit normal in its whitened coordinates u. Over a
     parameter's own values it is that density over |d value / d u|. A prior stated over values,
     `log_prior`, is carried to u by the same factor.
 
     Differentiable in u; jit and vmap work.
+
+    >>> import jax
+    >>> import jax.numpy as jnp
+    >>> from fynjax.inversion import Data, LogPosterior, ParameterSpace
+    >>> data = Data(("sum",), jnp.array([1.0]), jnp.array([0.1]))
+    >>> space = ParameterSpace(
+    ...     ("x", "y"), jnp.zeros(2), jnp.ones(2), jnp.array([0.4, 0.6]), jnp.full(2, 0.1)
+    ... )
+    >>> log_density = LogPosterior(lambda x: x.sum()[None], space, data)
+    >>> start = jnp.zeros(2)  # the prior's medians, as space.physical(start) says
+    >>> round(abs(float(log_density(start))), 6), jax.grad(log_density)(start).shape
+    (0.0, (2,))
     """
 
     predict: Predict
     space: ParameterSpace
     data: Data
-    offset: Float[Array, " statistic"]
+    offset: Float[ArrayLike, "*statistic"] = 0.0
     """Added to the predicted statistics."""
     context: tuple[Any, ...] = ()
     """Further arguments of `predict`."""

@@ -21,8 +21,8 @@ from fynjax._core.errors import InputError
 from fynjax._core.extras import require
 from fynjax._core.seeds import generator
 from fynjax.canopy import SITES, poisson_disk
+from fynjax.inversion._data import PIXEL_SD
 from fynjax.inversion._factors import BandFactors
-from fynjax.inversion._known_plants import PIXEL_SD
 from fynjax.inversion._space import ParameterSpace
 from fynjax.radiation import VoxelScene
 from fynjax.scene import (

@@ -1,8 +1,10 @@
 """The posterior of parameters by sampling, or by the Gaussian about the best fit."""
 
 import copy
+import os
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import Any, Literal
 
 import jax.numpy as jnp
@@ -15,8 +17,9 @@ from fynjax._core.precision import double_precision
 from fynjax._core.progress import advance, stage
 from fynjax._core.sampling import ChainState, Draws, Ensemble, Hamiltonian
 from fynjax._core.seeds import generator
-from fynjax.inversion._fit import fit
-from fynjax.inversion._fit_result import Data, FitResult
+from fynjax.inversion._data import Data
+from fynjax.inversion._fit import fit_function
+from fynjax.inversion._fit_result import FitResult
 from fynjax.inversion._log_posterior import LogPosterior, Predict
 from fynjax.inversion._posterior_result import Posterior
 from fynjax.inversion._space import ParameterSpace
@@ -85,9 +88,12 @@ class PosteriorSampler:
     - `predictive`: draws whose statistics are computed.
     - `moves`: proposals of the ensemble, of `emcee.moves`: one, or pairs of one and its weight; by
       default four of differential evolution to one stretch.
+    - `backend`: where the ensemble writes every step: of `emcee.backends`, or the path of an HDF5
+      file as `emcee.backends.HDFBackend` has it (extra `posterior`). From a chain that is there it
+      goes on, with the same draws as if it had not been stopped.
 
-    **Raises:** `InputError` for wrong arguments; `MissingExtraError` without the packages of the
-    method.
+    **Raises:** `InputError` for wrong arguments, and for a `backend` with the chain of another
+    posterior; `MissingExtraError` without the packages of the method.
     """
 
     _draws: Draws
@@ -114,6 +120,7 @@ class PosteriorSampler:
         batch: int | None = None,
         predictive: int = 100,
         moves: Any = None,
+        backend: Any = None,
     ) -> None:
         if method not in ("emcee", "nuts", "laplace"):
             raise InputError(f"`method` must be 'emcee', 'nuts' or 'laplace', but is {method!r}")
@@ -123,8 +130,13 @@ class PosteriorSampler:
             raise InputError(
                 "the Gaussian about the fit is that of the space's prior: no `log_prior`"
             )
+        for name, given in (("moves", moves), ("backend", backend)):
+            if given is not None and method != "emcee":
+                raise InputError(f"`{name}` is of an ensemble by emcee, not of {method!r}")
         if moves is not None:
-            _check_moves(moves, method)
+            _check_moves(moves)
+        if backend is not None:
+            backend = _backend_of(backend)
         if method == "nuts":
             require("blackjax", "posterior")
         shift = jnp.zeros_like(data.value) if offset is None else jnp.asarray(offset)
@@ -132,7 +144,7 @@ class PosteriorSampler:
         self._density = density = LogPosterior(predict, space, data, shift, context, log_prior)
         if start is None:
             with stage("Fit"):
-                start = fit(predict, data, space, offset=shift, context=context)
+                start = fit_function(predict, data, space, offset=shift, context=context)
         self._method, self._start, self._predictive = method, start, predictive
         self._steps = max_steps + (warmup if method == "nuts" else 0)
         centre, covariance = np.asarray(start.whitened, float), np.asarray(start.covariance, float)
@@ -153,8 +165,9 @@ class PosteriorSampler:
         self.signed = density, begin, method, seed, warmup, *of_moves
         limits: dict[str, Any] = {"target": target, "steps": max_steps, "seed": seed}
         if method == "emcee":
-            many = lambda u: evaluate_many(density, u, batch=self._batch)  # noqa: E731
-            self._sampler = Ensemble(many, begin, moves=moves, **limits)
+            # In 64 bits also for who goes on with emcee's sampler.
+            many = double_precision(lambda u: evaluate_many(density, u, batch=self._batch))
+            self._sampler = Ensemble(many, begin, moves=moves, backend=backend, **limits)
         else:
             self._sampler = Hamiltonian(density, begin, covariance, warmup=warmup, **limits)
 
@@ -176,14 +189,17 @@ class PosteriorSampler:
     @double_precision
     def posterior(self, state: ChainState | None = None) -> Posterior:
         """What is known at a state; by default at the end, to which it then goes."""
+        sampler = None
         if self._sampler is None:
             found = self._draws
         else:
             (end,) = [state] if state is not None else deque(self.states(), maxlen=1)
             found = self._sampler.draws(end)
+            if isinstance(self._sampler, Ensemble):
+                sampler = self._sampler.emcee(end)
         density, start = self._density, self._start
         if not len(found.chain):
-            return _result(density, self._method, start, found)
+            return _result(density, self._method, start, found, sampler)
         flat = found.chain.reshape(-1, found.chain.shape[-1])
         random = copy.deepcopy(self._random)  # the same figures whenever it is asked
         picked = flat[random.integers(0, len(flat), self._predictive)]
@@ -192,7 +208,7 @@ class PosteriorSampler:
             for some in evaluate_batches(density.statistics, picked, batch=self._batch):
                 predicted.append(some)
                 advance(len(some))
-        return _result(density, self._method, start, found, np.concatenate(predicted))
+        return _result(density, self._method, start, found, sampler, np.concatenate(predicted))
 
 
 def _listed(moves: Any) -> list[tuple[Any, float]]:
@@ -210,17 +226,35 @@ def _words_of(moves: Any) -> str:
     return "; ".join(said)
 
 
-def _check_moves(moves: Any, method: str) -> None:
+def _check_moves(moves: Any) -> None:
     import emcee  # late: it takes half a second
 
-    if method != "emcee":
-        raise InputError(f"`moves` are those of an ensemble by emcee, not of {method!r}")
     for move, _ in _listed(moves):
         if not isinstance(move, emcee.moves.Move):
             raise InputError(
                 "`moves` must be of emcee.moves, such as emcee.moves.StretchMove(), or pairs of "
                 f"one and its weight, but got {move!r:.60}"
             )
+
+
+def _backend_of(given: Any) -> Any:
+    """A backend of emcee, of an HDF5 file if a path is given."""
+    import emcee  # late: it takes half a second
+
+    if isinstance(given, emcee.backends.Backend):
+        return given
+    if not isinstance(given, str | os.PathLike):
+        raise InputError(
+            "expected `backend` as the path of an HDF5 file or as of emcee.backends, but got "
+            f"{given!r:.60}"
+        )
+    h5py = require("h5py", "posterior")
+    path = Path(given)
+    if not path.parent.is_dir():
+        raise InputError(f"there is no folder {path.parent} for the chain", file=path)
+    if path.exists() and not h5py.is_hdf5(path):
+        raise InputError("expected an HDF5 file, or none yet, to keep the chain in", file=path)
+    return emcee.backends.HDFBackend(str(path))
 
 
 def _chain_count(method: str, chains: int | None, free: int) -> int:
@@ -260,6 +294,7 @@ def _result(
     method: str,
     start: FitResult,
     found: Draws,
+    sampler: Any,
     predicted: np.ndarray | None = None,
 ) -> Posterior:
     # What lies closer than half an autocorrelation time repeats its neighbour.
@@ -281,4 +316,5 @@ def _result(
         acceptance=found.acceptance,
         converged=found.converged,
         status=status,
+        sampler=sampler,
     )

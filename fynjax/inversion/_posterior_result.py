@@ -1,7 +1,7 @@
 """Draws from a posterior, what they say, and how they mix."""
 
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
@@ -14,13 +14,10 @@ from jaxtyping import Float
 from fynjax._core.extras import require
 from fynjax._core.html import as_html
 from fynjax._core.precision import double_precision
-from fynjax.inversion._fit_result import (
-    WELL_CONSTRAINED,
-    Data,
-    known_lines,
-    well_constrained,
-)
+from fynjax.inversion._data import Data
+from fynjax.inversion._fit_result import WELL_CONSTRAINED, known_lines, well_constrained
 from fynjax.inversion._space import ParameterSpace
+from fynjax.scene import LEAF_FIELDS, parameter_kind
 
 
 class Posterior(eqx.Module):
@@ -44,6 +41,9 @@ class Posterior(eqx.Module):
     converged: bool = eqx.field(static=True)
     status: str = eqx.field(static=True)
     """`converged`, or why the draws may not be the posterior; and what is flat."""
+    sampler: Any = eqx.field(static=True, default=None)
+    """emcee's `EnsembleSampler` that ran, over whitened coordinates, with every step of its chain;
+    None of other methods."""
 
     def __str__(self) -> str:
         """What was drawn, and what is known, in sentences."""
@@ -71,13 +71,23 @@ class Posterior(eqx.Module):
     ) -> Float[np.ndarray, "..."]:
         """Draws as emcee's `get_chain` gives them, [step, walker, parameter] in the parameters' own
         units. Steps before the chain settled, and those closer than half an autocorrelation time,
-        are left out already.
+        are left out already; `sampler.get_chain()` has them all.
 
-        **Arguments:** `discard`, first steps that are left out; `thin`, every so many steps;
-        `flat`, all walkers as one, [draw, parameter].
+        **Arguments:** `discard`, first steps that are left out; `thin`, the last of every so many
+        steps; `flat`, all walkers as one, [draw, parameter].
         """
-        found = np.swapaxes(self.values, 0, 1)[discard::thin]
-        return found.reshape(-1, found.shape[-1]) if flat else found
+        return _as_emcee(self.values, discard, thin, flat)
+
+    @double_precision
+    def get_log_prob(
+        self, *, discard: int = 0, thin: int = 1, flat: bool = False
+    ) -> Float[np.ndarray, "..."]:
+        """Logarithm of the posterior density of each draw of `get_chain`, up to a constant, [step,
+        walker].
+
+        **Arguments:** as of `get_chain`.
+        """
+        return _as_emcee(self.log_density, discard, thin, flat)
 
     @property
     @double_precision
@@ -134,32 +144,48 @@ class Posterior(eqx.Module):
     def inference_data(self, attributes: dict[str, Any] | None = None) -> Any:
         """The draws as arviz's `InferenceData`: `to_netcdf` writes it, `arviz.from_netcdf` reads.
 
-        Group `posterior` holds `value` in the parameters' own units and `whitened`;
-        `sample_stats` the log density; `posterior_predictive` and `observed_data` the statistics;
-        `constant_data` prior and bounds. Needs the extra `posterior`.
+        Group `posterior` has a variable for each parameter, by its name and in its own unit; those
+        of species are one variable, as `cover` or `leaf.chlorophyll`, over the coordinate
+        `species` (`species_leaf.chlorophyll` where not of all). `unconstrained_posterior` holds the
+        draws in `whitened` coordinates; `sample_stats` the log density; `posterior_predictive` and
+        `observed_data` the `statistics`; `constant_data` their errors, prior and bounds. Needs the
+        extra `posterior`.
+
+        **Arguments:** `attributes`, further ones of the group `posterior`.
         """
         arviz = _arviz()
-        parameter, statistic = ["parameter"], ["statistic"]
+        coords = {"statistic": list(self.data.names), "parameter": list(self.names)}
+        constant = {
+            "statistics_sd": np.asarray(self.data.sd),
+            **{
+                name: np.asarray(getattr(self.space, name))
+                for name in ("prior", "prior_sd", "lower", "upper")
+            },
+        }
+        dims = {name: ["parameter"] for name in (*constant, "whitened")}
+        dims |= {name: ["statistic"] for name in ("statistics", "statistics_sd")}
+        values, (variables, taxa) = self.values, _variables(self.names)
+        draws = {}
+        for name, place in variables.items():
+            if isinstance(place, int):
+                draws[name] = values[..., place]
+                continue
+            whole = place.keys() == taxa.keys()
+            dims[name] = ["species" if whole else f"species_{name}"]
+            coords[dims[name][0]] = own = list(taxa if whole else place)
+            draws[name] = values[..., [place[taxon] for taxon in own]]
         with _many_chains():
             found = arviz.from_dict(
-                posterior={"value": self.values, "whitened": self.whitened},
-                posterior_predictive={"prediction": self.predicted[None]},
+                posterior=draws,
+                posterior_predictive={"statistics": self.predicted[None]},
                 sample_stats={"lp": self.log_density},
-                observed_data={"observation": np.asarray(self.data.value)},
-                constant_data={
-                    "observation_sd": np.asarray(self.data.sd),
-                    "prior": np.asarray(self.space.prior),
-                    "prior_sd": np.asarray(self.space.prior_sd),
-                    "lower": np.asarray(self.space.lower),
-                    "upper": np.asarray(self.space.upper),
-                },
-                coords={"parameter": list(self.names), "statistic": list(self.data.names)},
-                dims={
-                    **dict.fromkeys(("value", "whitened"), parameter),
-                    **dict.fromkeys(("prior", "prior_sd", "lower", "upper"), parameter),
-                    **dict.fromkeys(("prediction", "observation", "observation_sd"), statistic),
-                },
+                observed_data={"statistics": np.asarray(self.data.value)},
+                constant_data=constant,
+                coords=coords,
+                dims=dims,
             )
+            whitened = {"whitened": self.whitened}
+            found.add_groups(unconstrained_posterior=whitened, coords=coords, dims=dims)
         found.posterior.attrs |= {
             "method": self.method,
             "status": self.status,
@@ -168,6 +194,28 @@ class Posterior(eqx.Module):
             **(attributes or {}),
         }
         return found
+
+
+def _as_emcee(draws: np.ndarray, discard: int, thin: int, flat: bool) -> np.ndarray:
+    """Draws [chain, draw, ...] in emcee's order and by its choice of steps."""
+    found = np.swapaxes(draws, 0, 1)[discard + thin - 1 :: thin]
+    return found.reshape(-1, *found.shape[2:]) if flat else found
+
+
+def _variables(names: Sequence[str]) -> tuple[dict[str, int | dict[str, int]], dict[str, None]]:
+    """Which parameters each variable holds, those of species by their taxon; and all taxa."""
+    found: dict[str, Any] = {}
+    taxa: dict[str, None] = {}
+    for place, name in enumerate(names):
+        # The traits of a leaf have its name, or that of another material, before theirs.
+        words = 2 if parameter_kind(name) in LEAF_FIELDS else 1
+        taxon, *kind = name.removeprefix("species.").rsplit(".", words)
+        if name.startswith("species.") and kind:
+            found.setdefault(".".join(kind), {})[taxon] = place
+            taxa[taxon] = None
+        else:
+            found[name] = place
+    return found, taxa
 
 
 @contextmanager

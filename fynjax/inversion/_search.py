@@ -12,11 +12,12 @@ import optimistix as optx
 import scipy.linalg
 from jaxtyping import Array, Float, Int
 
-from fynjax._core.errors import InputError, whole_number
+from fynjax._core.errors import InputError
 from fynjax._core.least_squares import NO_TAGS, BroydenLM, BroydenState, figures_of
 from fynjax._core.precision import double_precision
 from fynjax._core.progress import advance
 from fynjax.canopy import VoxelGrid
+from fynjax.inversion._data import Data
 from fynjax.inversion._expected import (
     Expected,
     chance_covariance,
@@ -29,9 +30,9 @@ from fynjax.inversion._expected import (
     with_error,
 )
 from fynjax.inversion._factors import BandFactors, PlotSpace
-from fynjax.inversion._fit_result import Data, FitStatus, number_of
-from fynjax.inversion._solvers import run_solver
-from fynjax.inversion._space import ParameterSpace
+from fynjax.inversion._fit_result import FitStatus, number_of
+from fynjax.inversion._problem import COARSE, Problem
+from fynjax.inversion._solvers import run_solver, solver_kind
 from fynjax.inversion._views import (
     AbstractView,
     BandView,
@@ -43,7 +44,6 @@ from fynjax.inversion._views import (
 )
 from fynjax.radiation import Accuracy
 from fynjax.scene import (
-    ModelError,
     PlotParameters,
     Scene,
     element_count,
@@ -51,72 +51,6 @@ from fynjax.scene import (
     room_needed,
     with_values,
 )
-
-COARSE = Accuracy(
-    lattice=1,
-    sublayers=1,
-    coarsening=(3, 5),
-    levels=2,
-    azimuths=4,
-    tolerance=1e-2,
-    refine=False,
-)
-"""Accuracy of the light while a fit searches; what it lacks is corrected (`calibrate_plot`)."""
-
-
-@dataclasses.dataclass(frozen=True)
-class CalibrationSettings:
-    """How a calibration searches, and how far it allows for chance."""
-
-    stride: int | None = None
-    """A search renders every so many pixels of a drone's image along each axis; None: pixels that
-    lie a voxel apart."""
-    accuracy: Accuracy = COARSE
-    """Accuracy of the light in a search."""
-    rounds: int = 2
-    """Searches one after the other, each corrected by the full scene; up to five more follow while
-    the last still moved."""
-    stand_realisations: int = 8
-    """Draws of the plants and of what is unknown of the parameters over which statistics and slopes
-    are expectations, better an even number; 0: the image's plants count as standing where the
-    scene's do, and slopes are those at one place."""
-    scatter_draws: int = 48
-    """Draws of plants and parameters from which the covariance of the statistics is estimated;
-    those after the first `stand_realisations` fill the sites of these in another order."""
-    full_renders: int = 2
-    """Plantings on which what the coarse form lacks is measured, at most `stand_realisations`."""
-    max_steps: int = 30
-    """Most steps of the first round; those after have half as many. Of a `solver` that goes through
-    a round by itself, those of each round."""
-    tolerance: float = 0.05
-    """A round ends where another step would lower the objective by less than this, which is half a
-    squared distance in posterior standard deviations."""
-    starts: int = 1
-    """Searches, the others from draws of the prior; the best is kept."""
-    seed: int = 0
-    """Seed of the further starts, and of the draws that choose directions of many statistics."""
-
-    @property
-    def evaluations(self) -> int:
-        """Evaluations of the objective in two rounds from each start, about how long a search is:
-        where a round begins and after each of its steps."""
-        return self.starts * (2 + self.max_steps + (self.max_steps + 1) // 2)
-
-    def __post_init__(self) -> None:
-        whole_number("seed", self.seed)
-        for name in ("rounds", "starts", "max_steps", "full_renders"):
-            if getattr(self, name) < 1:
-                raise InputError(f"`{name}` must be at least 1, but is {getattr(self, name)}")
-        if self.stand_realisations < 0 or self.stand_realisations == 1:
-            raise InputError(
-                f"`stand_realisations` must be 0 or at least 2, but is {self.stand_realisations}"
-            )
-        if self.stand_realisations and self.scatter_draws < 3:
-            raise InputError(
-                f"`scatter_draws` must be at least 3, but is {self.scatter_draws}: a covariance "
-                "needs some"
-            )
-
 
 _SPARE = 1.5
 """Plants for which sites are made where a species has too few, as a factor on those asked for."""
@@ -294,49 +228,35 @@ def search_states(search: Any, state: Any, name: str = "") -> Iterator[Any]:
 class PlotSearch:
     """Search of a calibration from one start, step by step.
 
-    `begin` gives the state at a start, `step` the next one until `state.ended`; `calibrate_plot`
-    runs it. Who watches, keeps or stops a search does so between the steps (`search_states`). What
-    is compiled is shared by all starts.
+    `begin` gives the state at a start, `step` the next one until `state.ended`; `fit` runs it. Who
+    watches, keeps or stops a search does so between the steps (`search_states`). What is compiled
+    is shared by all starts.
 
-    **Arguments:** those of `calibrate_plot`. A `solver` of optimistix or jaxopt goes through a
+    **Arguments:** `problem`, and `solver` as of `fit`. One of optimistix or jaxopt goes through a
     whole round at once; the default, `BroydenLM`, takes a step at a time.
 
-    **Raises:** `InputError` for views that do not yield the data's statistics.
+    **Raises:** `InputError` for what is no solver.
     """
 
     state = SearchState
 
     @double_precision
-    def __init__(
-        self,
-        scene: Scene,
-        parameters: PlotParameters,
-        data: Data,
-        space: ParameterSpace,
-        views: Sequence[AbstractView],
-        settings: CalibrationSettings | None = None,
-        *,
-        error: ModelError | None = None,
-        solver: Any = None,
-    ) -> None:
-        settings = CalibrationSettings() if settings is None else settings
+    def __init__(self, problem: Problem, solver: Any = None) -> None:
+        scene, parameters, space = problem.scene, problem.scene.parameters, problem.free
+        settings, data, error = problem.settings, problem.measured.bare(), problem.error
         if scene.known_plants:
             settings = dataclasses.replace(settings, stand_realisations=0)
-        yielded = tuple(name for view in views for name in view.names)
-        if yielded != data.names:
-            raise InputError(
-                f"`views` must yield the statistics of `data` in their order, {data.names[:3]}..., "
-                f"but yield {yielded[:3]}..."
-            )
-        self.data, self.views, self.settings = data, tuple(views), settings
+        self.problem = problem
+        self.data, self.views, self.settings = data, problem.views, settings
         self.space = PlotSpace(space, BandFactors.of(self.views, error))
         self.signed = (
             scene, parameters, data, self.space, self.views, settings, solver,
         )  # fmt: skip
         """All that its steps follow from, besides where it starts."""
-        # A Broyden solver goes step by step; any other (`_solver`) through a round at once.
+        # A Broyden solver, which needs no slopes at its steps, goes step by step; any other
+        # (`_solver`) through a round at once.
         self._own, self._solver = BroydenLM(atol=settings.tolerance), solver
-        if isinstance(solver, BroydenLM) and not solver.renew:  # it needs no slopes at its steps
+        if solver is not None and solver_kind(solver) == "broyden":
             least = min(float(solver.atol), settings.tolerance)
             self._own, self._solver = dataclasses.replace(solver, atol=least), None
         self._scene, self._parameters = scene, parameters

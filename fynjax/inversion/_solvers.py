@@ -2,7 +2,7 @@
 
 import dataclasses
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Literal
 
 import equinox as eqx
 import jax
@@ -12,7 +12,8 @@ from jaxtyping import Array, Float
 
 from fynjax._core.errors import InputError
 from fynjax._core.least_squares import BroydenLM
-from fynjax.inversion._fit_result import Data, Ended, FitStatus
+from fynjax.inversion._data import Data
+from fynjax.inversion._fit_result import Ended, FitStatus
 
 _REACH = 4.0
 """Bounds in prior standard deviations: beyond, the transform to a bounded parameter is flat."""
@@ -20,27 +21,37 @@ _REACH = 4.0
 Density = Any
 """A `LogPosterior`, or what has its data, statistics, Jacobian and call."""
 
+SolverKind = Literal[
+    "broyden", "renewing", "least squares", "minimiser", "jaxopt least squares", "jaxopt minimiser"
+]
+"""How a solver is run: a `BroydenLM`, one that takes the Jacobian at each step, the kinds of
+optimistix and those of jaxopt."""
+
 Solved = tuple[Float[Array, " free"], Any, Array]
 """Whitened coordinates, a `FitStatus`, and the number of steps."""
 
 
-def run_solver(solver: Any, density: Density, u: Float[Array, " free"], max_steps: int) -> Solved:
-    """Where a solver ends that starts at `u`, and why.
+def solver_kind(solver: Any) -> SolverKind:
+    """What a solver is to a fit; the one place that decides it.
 
     **Raises:** `InputError` for what is no solver of optimistix or jaxopt that runs in JAX.
     """
     if isinstance(solver, BroydenLM):
-        options = {"jacobian": lambda u, _: whitened(density.data, u, *density.jacobian(u))}
-        plain = lambda u, _: residual(density, u)  # noqa: E731
-        return _optimistix(optx.least_squares, plain, solver, u, max_steps, options)
+        return "renewing" if solver.renew else "broyden"
     if isinstance(solver, optx.AbstractLeastSquaresSolver):
-        return _optimistix(
-            optx.least_squares, _with_jacobian(density), solver, u, max_steps, {"jac": "bwd"}
-        )
+        return "least squares"
     if isinstance(solver, optx.AbstractMinimiser):
-        return _optimistix(optx.minimise, lambda u, _: -density(u), solver, u, max_steps, {})
-    if type(solver).__module__.split(".")[0] == "jaxopt" and hasattr(solver, "init_state"):
-        return _jaxopt(solver, density, u, max_steps)
+        return "minimiser"
+    import jaxopt  # late: a fit by another solver needs none of it
+
+    if isinstance(solver, jaxopt.GaussNewton | jaxopt.LevenbergMarquardt):
+        return "jaxopt least squares"
+    if isinstance(
+        solver,
+        jaxopt.ArmijoSGD | jaxopt.BFGS | jaxopt.GradientDescent | jaxopt.LBFGS | jaxopt.LBFGSB
+        | jaxopt.NonlinearCG | jaxopt.OptaxSolver | jaxopt.ProjectedGradient,
+    ):  # fmt: skip
+        return "jaxopt minimiser"
     if isinstance(solver, type):
         what = f"the class {solver.__name__} itself: make an object of it"
     else:
@@ -49,6 +60,25 @@ def run_solver(solver: Any, density: Density, u: Float[Array, " free"], max_step
         "`solver` must be a solver of optimistix or jaxopt that runs in JAX, for least squares or "
         f"minimisation, but is {what}. One of optax goes into optimistix.OptaxMinimiser"
     )
+
+
+def run_solver(solver: Any, density: Density, u: Float[Array, " free"], max_steps: int) -> Solved:
+    """Where a solver ends that starts at `u`, and why.
+
+    **Raises:** `InputError` as `solver_kind`.
+    """
+    kind = solver_kind(solver)
+    if kind == "minimiser":
+        return _optimistix(optx.minimise, lambda u, _: -density(u), solver, u, max_steps, {})
+    if kind == "least squares":
+        return _optimistix(
+            optx.least_squares, _with_jacobian(density), solver, u, max_steps, {"jac": "bwd"}
+        )
+    if kind in ("broyden", "renewing"):
+        options = {"jacobian": lambda u, _: whitened(density.data, u, *density.jacobian(u))}
+        plain = lambda u, _: residual(density, u)  # noqa: E731
+        return _optimistix(optx.least_squares, plain, solver, u, max_steps, options)
+    return _jaxopt(solver, kind, density, u, max_steps)
 
 
 def residual(density: Density, u: Float[Array, " free"]) -> Float[Array, " residual"]:
@@ -94,22 +124,27 @@ def _optimistix(
     return found.value, status, jnp.asarray(found.stats["num_steps"])
 
 
-def _jaxopt(solver: Any, density: Density, u: Array, max_steps: int) -> Solved:
-    # A fit has its own derivative.
-    options: dict[str, Any] = {"implicit_diff": False, "maxiter": max_steps}
-    if hasattr(solver, "residual_fun"):
+def _jaxopt(solver: Any, kind: SolverKind, density: Density, u: Array, max_steps: int) -> Solved:
+    import jaxopt
+
+    # A fit has its own derivative: none is taken through the solver, whose loops can end early.
+    options: dict[str, Any] = {"implicit_diff": False, "unroll": False, "jit": True}
+    options["maxiter"] = max_steps
+    if kind == "jaxopt least squares":
         options["residual_fun"] = lambda u: _with_jacobian(density)(u, None)
     else:
         options |= {"fun": lambda u: -density(u), "value_and_grad": False, "has_aux": False}
-    projection = getattr(solver, "projection", None)
-    # Bounds are a further argument of solvers in a box; of other projections that is None.
-    boxed = getattr(projection, "__name__", "") == "projection_box"
-    reach = jnp.full_like(u, _REACH)
-    bounds: tuple[Any, ...] = (None,) * (projection is not None)
-    if boxed or type(solver).__name__ == "LBFGSB":
-        bounds = ((-reach, reach),)
+    arguments: tuple[Any, ...] = ()
+    projected = isinstance(solver, jaxopt.ProjectedGradient)
+    if isinstance(solver, jaxopt.LBFGSB) or (
+        projected and solver.projection is jaxopt.projection.projection_box
+    ):
+        reach = jnp.full_like(u, _REACH)
+        arguments = ((-reach, reach),)
+    elif projected:
+        arguments = (None,)  # what other projections take beside u
     ready = dataclasses.replace(solver, **options)
-    u, state = ready.run(u, *bounds)
+    u, state = ready.run(u, *arguments)
     settled = state.error <= ready.tol
     status = FitStatus.where(settled, FitStatus.successful, FitStatus.max_steps)
     return u, status, jnp.asarray(state.iter_num)

@@ -8,10 +8,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from fynjax._core.errors import InputError
 from fynjax._core.precision import double_precision
 from fynjax._core.progress import track
 from fynjax._core.seeds import generator
-from fynjax.inversion._calibrate import Calibration
+from fynjax.inversion._calibrate import Calibration, Plantings
 from fynjax.inversion._expected import predicted
 from fynjax.inversion._fit_result import FitResult
 from fynjax.inversion._views import PlotForward
@@ -77,8 +78,9 @@ def fit_surrogate(
     if rendered is None:
         renders = surrogate_renders(calibration, seed=seed)
         rendered = np.stack(list(renders))
-    centre, draws, count = np.asarray(fit.whitened), _draws(fit, seed), len(calibration.stands)
-    at_centre, slopes = calibration.stand_statistics, np.asarray(fit.jacobian)
+    plantings = _plantings(calibration)
+    centre, draws, count = np.asarray(fit.whitened), _draws(fit, seed), len(plantings.stands)
+    at_centre, slopes = plantings.statistics, np.asarray(fit.jacobian)
     away = draws - centre
     # What the slopes leave of the change from the same planting at the estimate.
     bent = np.stack(
@@ -88,14 +90,14 @@ def fit_surrogate(
         ]
     )
     # Slopes were taken along the directions that count: beyond, all change would seem a bend.
-    bent = bent @ calibration.projector.T
+    bent = bent @ plantings.projector.T
     directions = jnp.asarray(np.asarray(fit.modes)[:_CURVED])
     terms = np.asarray(_terms(jnp.asarray(away) @ directions.T))
     # Fitted to all draws but the first, which then show the error.
     fitted = slice(_LEFT_OUT, None)
     curvature = np.linalg.lstsq(terms[fitted], bent[fitted])[0]
     rest = (bent - terms @ curvature)[:_LEFT_OUT]
-    along = np.asarray(directions) @ calibration.spread
+    along = np.asarray(directions) @ plantings.spread
     # The mean of a product of two coordinates over the posterior is their covariance.
     over = along @ along.T
     level = over[np.triu_indices(len(directions))] @ curvature[len(directions) :]
@@ -114,13 +116,22 @@ def surrogate_renders(
 
     **Arguments:** `calibration`, `seed`: as of `fit_surrogate`.
     """
-    fit = calibration.fit
-    forward = PlotForward(calibration.before, fit.names, calibration.coarse_views)
+    fit, plantings = calibration.fit, _plantings(calibration)
+    forward = PlotForward(calibration.before, fit.names, plantings.views)
     factors = calibration.coordinates[len(fit.names) :]  # as estimated, where slopes were taken
     for i, u in enumerate(track(_draws(fit, seed), "Fit a surrogate", _RENDERS)):
-        stand = calibration.stands[i % len(calibration.stands)].expected()
+        stand = plantings.stands[i % len(plantings.stands)].expected()
         place = jnp.asarray(np.concatenate([u, factors]))
         yield np.asarray(predicted(forward, calibration.space, stand, place))
+
+
+def _plantings(calibration: Calibration) -> Plantings:
+    if calibration.plantings is None:
+        raise InputError(
+            "expected a calibration of plants that stand by chance: of known plants every pixel "
+            "counts, and the posterior is the estimate with its covariance"
+        )
+    return calibration.plantings
 
 
 def _draws(fit: FitResult, seed: int) -> Float[np.ndarray, "draw free"]:

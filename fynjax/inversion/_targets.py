@@ -3,13 +3,12 @@
 from collections.abc import Sequence
 
 import jax.numpy as jnp
-import jax.scipy.linalg
 import numpy as np
 from jaxtyping import Float
 
 from fynjax._core.errors import InputError
 from fynjax._core.precision import double_precision
-from fynjax.inversion._fit_result import Data
+from fynjax.inversion._data import Data
 from fynjax.metrics import BANDS, VEGETATION_INDICES, index_bands
 from fynjax.sensors import BandSet
 
@@ -160,7 +159,7 @@ def weigh_spectrum(
         raise InputError("a spectrum's values and errors must be finite to be a target")
     whitener = np.linalg.inv(np.linalg.cholesky(covariance))
     sd = np.sqrt(np.diagonal(covariance))
-    return Data(tuple(names), *(jnp.asarray(a) for a in (value, sd, whitener)))
+    return Data(tuple(names), jnp.asarray(value), jnp.asarray(sd), jnp.asarray(whitener))
 
 
 STRUCTURE_SD = 0.05
@@ -195,21 +194,6 @@ def weigh_structure(
     share = max(relative_sd, STRUCTURE_SD)
     error = np.maximum(np.hypot(sd, share * value), 1e-4)
     return Data(tuple(names), jnp.asarray(value), jnp.asarray(error))
-
-
-@double_precision
-def join_data(parts: Sequence[Data]) -> Data:
-    """Targets of several sensors, `parts`, as one; errors of different sensors are independent."""
-    if len(parts) == 1:
-        return parts[0]
-    names = tuple(name for part in parts for name in part.names)
-    value, sd = (
-        jnp.concatenate([getattr(part, field) for part in parts]) for field in ("value", "sd")
-    )
-    if all(part.whitener is None for part in parts):
-        return Data(names, value, sd)
-    blocks = [jnp.diag(1.0 / p.sd) if p.whitener is None else p.whitener for p in parts]
-    return Data(names, value, sd, jax.scipy.linalg.block_diag(*blocks))
 
 
 def _check_share(relative_sd: float) -> None:

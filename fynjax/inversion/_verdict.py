@@ -8,7 +8,7 @@ import pandas as pd
 from jaxtyping import Bool, Float
 from scipy.special import ndtri
 
-from fynjax.metrics import VEGETATION_INDICES
+from fynjax.metrics import VEGETATION_INDICES, without_view
 
 _SAME = 0.01
 """Change of an error, as a share of the measured value, that counts as none [-]."""
@@ -34,7 +34,9 @@ def compare_means(
     differs by less than 1 % of what was measured.
     """
     rows = [
-        i for i, name in enumerate(names) if name.endswith(".mean") or name.startswith("spectrum.")
+        i
+        for i, name in enumerate(names)
+        if name.endswith(".mean") or without_view(name).startswith("spectrum.")
     ]
     real = np.asarray(measured, float)[rows]
     scale = np.where(real == 0.0, 1.0, np.abs(real))
@@ -48,7 +50,7 @@ def compare_means(
     return pd.DataFrame(
         {
             "statistic": [names[i] for i in rows],
-            "band": [names[i].split(".")[0] not in VEGETATION_INDICES for i in rows],
+            "band": [without_view(names[i]).split(".")[0] not in VEGETATION_INDICES for i in rows],
             **error,
             "moved": np.where(np.abs(farther) > 100.0 * _SAME, moved, ""),
         }
@@ -89,7 +91,7 @@ GROUPS = {
 
 def group_of(name: str) -> str:
     """The group of `GROUPS` that a statistic belongs to."""
-    layer, _, kind = name.partition(".")
+    layer, _, kind = without_view(name).partition(".")
     if layer in ("spectrum", "lidar"):
         return "a spectrum" if layer == "spectrum" else "structure"
     if layer in VEGETATION_INDICES:

@@ -7,6 +7,8 @@ statistics of all views make one vector.
 import abc
 import dataclasses
 from collections.abc import Callable, Sequence
+from contextlib import nullcontext
+from pathlib import Path
 from typing import Any, Self
 
 import equinox as eqx
@@ -15,6 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from fynjax._core.errors import in_file
 from fynjax.canopy import VoxelGrid
 from fynjax.inversion._log_posterior import jacobian_by_rows
 from fynjax.metrics import image_statistics
@@ -22,6 +25,7 @@ from fynjax.metrics.structure import STRUCTURE_METRICS, StructureSettings
 from fynjax.radiation import Accuracy, VoxelScene
 from fynjax.scene import (
     AimedSensor,
+    Placement,
     PlotParameters,
     Scene,
     aim,
@@ -53,7 +57,18 @@ class AbstractView(eqx.Module):
     """What one sensor yields of a scene."""
 
     names: eqx.AbstractVar[tuple[str, ...]]
-    """Name of each statistic."""
+    """Name of each statistic, without that of the view."""
+
+    @property
+    def statistic_names(self) -> tuple[str, ...]:
+        """Name of each statistic, behind the name of the view where it has one (`view`)."""
+        view = getattr(self, "view", "")
+        return tuple(f"{view}.{name}" for name in self.names) if view else self.names
+
+    def named(self, view: str) -> Self:
+        """The same under the name of a view, for which it has a field `view`."""
+        known: Any = self
+        return dataclasses.replace(known, view=view)
 
     @abc.abstractmethod
     def observe(
@@ -113,6 +128,11 @@ class BandView(AbstractView):
     @abc.abstractmethod
     def gains(self) -> Gains:
         """What the gains of the `bands` may be off by."""
+
+    @property
+    def instrument(self) -> str:
+        """Name of the camera, whose views share gains; "" of a sensor that shares none."""
+        return ""
 
     @abc.abstractmethod
     def statistics(
@@ -194,15 +214,23 @@ class ImageView(BandView):
     """Share of the pixels that a quantile is the mean of, as `image_statistics` has it [-]."""
     directions: Directions | None = None
     """Combinations of the statistics along which slopes are taken; None: every statistic."""
+    view: str = eqx.field(static=True, default="")
+    """Name of the view, where there are several."""
+    sun: tuple[float, float] | None = eqx.field(static=True, default=None)
+    """Zenith and azimuth of the sun [degrees]; None: those of the parameters."""
 
     @property
     def bands(self) -> BandSet:
         return self.camera.sensor.bands
 
+    @property
+    def instrument(self) -> str:
+        return self.camera.sensor.name
+
     def observe(
         self, scene: Scene, parameters: PlotParameters
     ) -> tuple[Float[Array, "band y x"], Float[Array, " statistic"]]:
-        image = self.camera.observe(scene, parameters).reflectance
+        image = self.camera.observe(scene, _under(parameters, self.sun)).reflectance
         return image, self.statistics(image)
 
     def statistics(
@@ -211,7 +239,9 @@ class ImageView(BandView):
         image = multiplied(image, log_factor)
         pixel = self.camera.pixel if self.spacing is None else self.spacing
         bands = self.camera.sensor.bands
-        return image_statistics(image, self.names, pixel=pixel, window=self.window, bands=bands)
+        return image_statistics(
+            image, self.names, self.camera.seen, pixel=pixel, window=self.window, bands=bands
+        )
 
     def for_search(self, scene: Scene, accuracy: Accuracy, stride: int | None) -> "ImageView":
         if stride is None:
@@ -229,7 +259,7 @@ class ImageView(BandView):
         factor_at: FactorAt | None = None,
     ) -> tuple[Float[Array, " statistic"], Float[Array, "statistic free"]]:
         def render(u: Array) -> Array:
-            return self.camera.observe(scene, plot_at(u)).reflectance
+            return self.camera.observe(scene, _under(plot_at(u), self.sun)).reflectance
 
         # By the chain rule: statistics by pixels, which costs little, then pixels by parameters.
         image, to_parameters = jax.vjp(render, u)
@@ -247,6 +277,50 @@ class ImageView(BandView):
         return value.astype(u.dtype), slopes if chosen is None else chosen.back @ slopes
 
 
+class ImageSight(eqx.Module):
+    """How a drone's camera sees any scene of a plot: its view of one, when that is there."""
+
+    names: tuple[str, ...] = eqx.field(static=True, converter=tuple)
+    """Statistics of its image."""
+    sensor: Sensor
+    """The camera, of bands that the statistics and the indices need."""
+    placement: Placement
+    """Where it looks from, and its pixels on the ground."""
+    gains: Gains = eqx.field(static=True)
+    """Errors of the gains of its bands."""
+    point_spread: bool = eqx.field(static=True, default=True)
+    """Whether its optics blur."""
+    file: Path | None = eqx.field(static=True, default=None)
+    """File that says so, which errors name."""
+    sun: tuple[float, float] | None = eqx.field(static=True, default=None)
+    """Zenith and azimuth of the sun [degrees]; None: those of the parameters."""
+
+    def __call__(self, scene: Scene, parameters: PlotParameters) -> ImageView:
+        """The view of a scene. **Raises:** `InputError` as `fynjax.scene.aim`."""
+        parameters = _under(parameters, self.sun)
+        with in_file(self.file) if self.file is not None else nullcontext():
+            aimed = aim(
+                scene, parameters, self.sensor, self.placement, point_spread=self.point_spread
+            )
+            aimed.check(parameters)
+        return ImageView(self.names, aimed, self.gains, sun=self.sun)
+
+
+class SpectrumSight(eqx.Module):
+    """How a spectrometer sees any scene of a plot from straight above."""
+
+    bands: BandSet
+    gains: Gains = eqx.field(static=True)
+    sun: tuple[float, float] | None = eqx.field(static=True, default=None)
+    """Zenith and azimuth of the sun [degrees]; None: those of the parameters."""
+
+    def __call__(self, scene: Scene, parameters: PlotParameters) -> "SpectrumView":
+        """The view of a scene."""
+        parameters = _under(parameters, self.sun)
+        view = spectrum_view(self.bands, scene, parameters, gains=self.gains)
+        return dataclasses.replace(view, sun=self.sun)
+
+
 class SpectrumView(BandView):
     """Mean reflectance factor of a scene from straight above in the bands of a spectrometer.
 
@@ -259,6 +333,10 @@ class SpectrumView(BandView):
     """Looks straight down, a pixel a voxel column."""
     gains: Gains = eqx.field(static=True, default=Gains(0.0))
     """Errors of the gains of the bands; by default none."""
+    view: str = eqx.field(static=True, default="")
+    """Name of the view, where there are several."""
+    sun: tuple[float, float] | None = eqx.field(static=True, default=None)
+    """Zenith and azimuth of the sun [degrees]; None: those of the parameters."""
 
     @property
     def bands(self) -> BandSet:
@@ -289,7 +367,9 @@ class SpectrumView(BandView):
         bands = self.imager.sensor.bands
         # Voxels by the parameters once, for all bands; then the light by the voxels, whose slopes
         # of one band cost those of one band.
-        voxels, backward = eqx.filter_vjp(lambda u: scene.voxels(plot_at(u), bands), u)
+        voxels, backward = eqx.filter_vjp(
+            lambda u: scene.voxels(_under(plot_at(u), self.sun), bands), u
+        )
 
         def of_group(first: Array) -> tuple[Array, Array]:
             def mean(voxels: VoxelScene, band: Array) -> Array:
@@ -332,7 +412,7 @@ class SpectrumView(BandView):
 def _mean_spectrum(
     scene: Scene, parameters: PlotParameters, view: SpectrumView
 ) -> Float[Array, " band"]:
-    voxels = scene.voxels(parameters, view.imager.sensor.bands)
+    voxels = scene.voxels(_under(parameters, view.sun), view.imager.sensor.bands)
     groups = jax.lax.map(lambda first: view._means(voxels, first, view._together), view._firsts)
     return view._by_band(groups)
 
@@ -344,6 +424,20 @@ _WINDOW = 0.05
 """Width of the window over which a search smooths quantiles, as a share of all values [-]."""
 _SEARCH_COLUMNS = 3
 """Every so many voxel columns are looked at in a search."""
+
+
+def _under(parameters: PlotParameters, sun: tuple[float, float] | None) -> PlotParameters:
+    """The parameters under a sun of this zenith and azimuth [degrees]; None: as they are."""
+    if sun is None:
+        return parameters
+    light = parameters.light
+    zenith, azimuth = (
+        jnp.asarray(new, jnp.asarray(old).dtype)
+        for new, old in zip(sun, (light.sun_zenith, light.sun_azimuth), strict=True)
+    )
+    return dataclasses.replace(
+        parameters, light=dataclasses.replace(light, sun_zenith=zenith, sun_azimuth=azimuth)
+    )
 
 
 def spectrum_names(bands: BandSet) -> tuple[str, ...]:
@@ -391,6 +485,16 @@ def spectrum_view(
     return SpectrumView(spectrum_names(bands), imager, Gains(0.0) if gains is None else gains)
 
 
+class StructureSight(eqx.Module):
+    """How a LiDAR sees any scene of a plot."""
+
+    seen: "StructureView"
+
+    def __call__(self, scene: Scene, parameters: PlotParameters) -> "StructureView":
+        """The view of a scene."""
+        return self.seen
+
+
 class StructureView(AbstractView):
     """Structure metrics that a LiDAR from above is expected to measure (`scene_structure`).
 
@@ -405,6 +509,8 @@ class StructureView(AbstractView):
     """[m-2]"""
     grid: VoxelGrid | None = None
     """Voxels instead of the scene's: structure depends on their height, and needs no light."""
+    view: str = eqx.field(static=True, default="")
+    """Name of the view, where there are several."""
 
     def observe(
         self, scene: Scene, parameters: PlotParameters

@@ -29,8 +29,8 @@ from fynjax.leaf._problem import (
     prepare,
 )
 from fynjax.leaf._residual import (
+    LeafProblem,
     Optics,
-    Problem,
     Solution,
     batches,
     cut,
@@ -42,7 +42,7 @@ from fynjax.leaf._residual import (
     to_physical,
 )
 from fynjax.leaf._result import NINETY_PERCENT, LeafFit, LeafStatus
-from fynjax.leaf._spectra import Source
+from fynjax.leaf._spectra import SpectraSource
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -80,7 +80,7 @@ def _describe_many(tree: tuple, factors: Any, noise: Any, optics: Optics) -> dic
     number = factors.shape[0]
     flat, through = factors.reshape(number, -1), factors[:, 1]
 
-    def one(z: Array, problem: Problem) -> tuple[Array, ...]:
+    def one(z: Array, problem: LeafProblem) -> tuple[Array, ...]:
         def read(z: Array) -> tuple[Array, Array]:
             x = to_physical(z, optics)
             return spectra(x, optics), observed(x, optics)
@@ -122,7 +122,7 @@ def _describe_many(tree: tuple, factors: Any, noise: Any, optics: Optics) -> dic
 
 def solve_leaves(
     setup: Setup, data: np.ndarray, use: np.ndarray, prior: Prior
-) -> tuple[Solution, Problem]:
+) -> tuple[Solution, LeafProblem]:
     """Most probable z of each leaf, and its problem.
 
     A leaf that fits worse than the leaves of the error model has its covariance scaled up, one step
@@ -137,7 +137,7 @@ def solve_leaves(
     again = np.flatnonzero(inflation > 1.01)
     problems = problems._replace(inflation=np.where(inflation > 1.01, inflation, 1.0))
     if again.size:
-        part = Problem(*(a[again] for a in problems))
+        part = LeafProblem(*(a[again] for a in problems))
         moved = solve(found.z[again], part, setup.factors, setup.optics)
         for whole, new in zip(found, moved):
             whole[again] = new
@@ -146,7 +146,7 @@ def solve_leaves(
 
 def _solve_exact(
     setup: Setup, data: np.ndarray, use: np.ndarray, prior: Prior
-) -> tuple[Solution, Problem]:
+) -> tuple[Solution, LeafProblem]:
     """`solve_leaves` with noise of unknown size, the same at all bands: the variance of what the
     fit leaves, over the bands less the parameters, is found together with the leaf.
 
@@ -157,7 +157,7 @@ def _solve_exact(
     found, inflation, again = None, np.full(len(data), _FIRST_NOISE**2), np.arange(len(data))
     for _ in range(_MOST_NOISES):
         problems = leaf_problems(setup, data, use, prior, inflation)
-        part = Problem(*(a[again] for a in problems))
+        part = LeafProblem(*(a[again] for a in problems))
         start = (prior[0] if found is None else found.z)[again]
         moved = solve(start, part, setup.factors, setup.optics)
         if found is None:
@@ -199,7 +199,7 @@ def towards_reflectance(
 
 
 def describe(
-    setup: Setup, problems: Problem, z: np.ndarray, covariance: np.ndarray
+    setup: Setup, problems: LeafProblem, z: np.ndarray, covariance: np.ndarray
 ) -> dict[str, np.ndarray]:
     """Parameters and spectra at z, the errors the data show, and the spread of T."""
     parts = [
@@ -360,7 +360,7 @@ class LeafChunks:
 def describe_chunk(
     setup: Setup,
     found: Solution,
-    problems: Problem,
+    problems: LeafProblem,
     covariance: np.ndarray,
     use: np.ndarray,
     change: np.ndarray | float = 0.0,
@@ -391,7 +391,7 @@ def assemble(
     parts: list[dict[str, np.ndarray]],
     data: np.ndarray,
     use: np.ndarray,
-    source: Source,
+    source: SpectraSource,
 ) -> LeafFit:
     """The result in physical units, and a status for each leaf.
 

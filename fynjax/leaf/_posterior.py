@@ -20,9 +20,9 @@ from fynjax.leaf._area import LeafArea, LeafShape, area_factors
 from fynjax.leaf._fit import describe, solve_leaves, towards_reflectance, trait_variance
 from fynjax.leaf._parameters import LEAF_PARAMETERS
 from fynjax.leaf._problem import USUAL_SETTINGS, LeafSettings, Setup, prepare
-from fynjax.leaf._residual import Given, Problem, residual, to_physical, whitening
+from fynjax.leaf._residual import Given, LeafProblem, residual, to_physical, whitening
 from fynjax.leaf._result import cf_unit, leaf_dataset
-from fynjax.leaf._spectra import Source
+from fynjax.leaf._spectra import SpectraSource
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -47,7 +47,7 @@ class LeafPosterior(eqx.Module):
     """Text [leaf]: `converged`, or why the draws may not be the posterior."""
     leaf_shape: LeafShape = eqx.field(static=True)
     """Shape that the leaves were taken to have."""
-    source: Source = eqx.field(static=True)
+    source: SpectraSource = eqx.field(static=True)
     """Label of each leaf, and of spectra from files the file and what was repaired."""
 
     def to_xarray(self, area: LeafArea = "projected") -> "xr.Dataset":
@@ -83,9 +83,9 @@ def _log_density(z: Array, free: Array, given: Given) -> Array:
     return -0.5 * white @ white
 
 
-def leaf_density(setup: Setup, problem: Problem) -> Callable[[Array], Array]:
+def leaf_density(setup: Setup, problem: LeafProblem) -> Callable[[Array], Array]:
     """The log posterior density of a leaf over z [free parameter], as a pytree."""
-    problem = Problem(*(jnp.asarray(part) for part in problem))
+    problem = LeafProblem(*(jnp.asarray(part) for part in problem))
     factors = jnp.asarray(setup.factors)
     given = problem, whitening(problem, factors), factors, setup.optics
     return Partial(_log_density, free=jnp.asarray(free_columns(setup)), given=given)
@@ -153,7 +153,7 @@ def sample_leaf_posterior(
         if use[i].sum() < 10:
             status.append("failed: fewer than ten usable bands within 450-2400 nm")
             continue
-        density = leaf_density(setup, Problem(*(part[i] for part in problems)))
+        density = leaf_density(setup, LeafProblem(*(part[i] for part in problems)))
         covariance = np.linalg.inv(found.hessian[i])[np.ix_(columns, columns)]
         # Walkers start as draws from the Gaussian of the fit.
         count = max(_WALKERS, 4 * columns.size) if sampler == "emcee" else _CHAINS
@@ -187,7 +187,7 @@ def sample_leaf_posterior(
 
 def _finish(
     setup: Setup,
-    problems: Problem,
+    problems: LeafProblem,
     leaf: int,
     columns: np.ndarray,
     z: np.ndarray,
@@ -199,7 +199,7 @@ def _finish(
     count, parameters = len(z), len(setup.names)
     whole = np.tile(problems.prior_mean[leaf], (count, 1))
     whole[:, columns] = z
-    many = Problem(*(np.repeat(part[leaf : leaf + 1], count, 0) for part in problems))
+    many = LeafProblem(*(np.repeat(part[leaf : leaf + 1], count, 0) for part in problems))
     description = describe(setup, many, whole, np.zeros((count, parameters, parameters)))
     inflation = problems.inflation[leaf : leaf + 1]
     extra = np.sqrt(trait_variance(setup, inflation, whole))

@@ -40,8 +40,8 @@ from fynjax.leaf._measurement import (
 )
 from fynjax.leaf._parameters import LEAF_PARAMETERS
 from fynjax.leaf._prospect import interface_transmissivity, surface_transmissivity
-from fynjax.leaf._residual import Optics, Problem, to_unconstrained
-from fynjax.leaf._spectra import Source, Spectra, as_spectra, check_fractions
+from fynjax.leaf._residual import LeafProblem, Optics, to_unconstrained
+from fynjax.leaf._spectra import Spectra, SpectraSource, as_spectra, check_fractions
 
 FitDomain = Literal["full", "optimal"]
 """Wavelengths that a fit uses: all of 450-2400 nm, or the published sub-domains."""
@@ -161,7 +161,9 @@ Prior = tuple[Float[np.ndarray, "leaf parameter"], Float[np.ndarray, "leaf param
 
 def prepare(
     wavelength: Any, reflectance: Any, transmittance: Any, settings: LeafSettings
-) -> tuple[Setup, Float[np.ndarray, "leaf 2 bin"], Bool[np.ndarray, "leaf 2 bin"], Prior, Source]:
+) -> tuple[
+    Setup, Float[np.ndarray, "leaf 2 bin"], Bool[np.ndarray, "leaf 2 bin"], Prior, SpectraSource
+]:
     """Constants of a fit, binned spectra, which bins to use, priors, and where leaves are from."""
     spectra = as_spectra(wavelength, reflectance, transmittance)
     centres = fit_wavelengths(spectra.wavelength, settings)
@@ -394,7 +396,7 @@ def leaf_priors(setup: Setup, data: np.ndarray, use: np.ndarray) -> Prior:
 
 def leaf_problems(
     setup: Setup, data: np.ndarray, use: np.ndarray, prior: Prior, inflation: np.ndarray
-) -> Problem:
+) -> LeafProblem:
     """The problems of leaves as NumPy arrays with the leaf as first axis."""
     precision = np.where(use, 1.0 / (setup.noise**2 + setup.distrust**2), 0.0)
-    return Problem(np.where(use, data, 0.0), precision, inflation, *prior)
+    return LeafProblem(np.where(use, data, 0.0), precision, inflation, *prior)

@@ -37,7 +37,7 @@ class Optics(eqx.Module):
     measurement: AbstractMeasurement
 
 
-class Problem(NamedTuple):
+class LeafProblem(NamedTuple):
     """One leaf: data, weights, prior. Bands without data have precision 0."""
 
     data: Float[Any, "2 bin"]
@@ -123,7 +123,7 @@ def inverse_triangular(lower: Array) -> Array:
     return jax.lax.fori_loop(0, len(lower), row, jnp.zeros_like(lower))
 
 
-def whitening(problem: Problem, factors: Array) -> Whitening:
+def whitening(problem: LeafProblem, factors: Array) -> Whitening:
     """Whitening of a leaf, by which `residual` multiplies.
 
     A square root of the inverse of F^T F + D is D^-1/2 (I - F^T N F D^-1) with
@@ -136,7 +136,7 @@ def whitening(problem: Problem, factors: Array) -> Whitening:
     return Whitening(root, jnp.linalg.cholesky(problem.prior_precision).T)
 
 
-Given = tuple[Problem, Whitening, Array, Optics]
+Given = tuple[LeafProblem, Whitening, Array, Optics]
 """A leaf's problem and whitening, and the factors [factor, 2, bin] and optics of all."""
 
 
@@ -161,7 +161,7 @@ def _function(z: Array, given: Given) -> tuple[Array, None]:
 def _begin(leaves: tuple, factors: Any, optics: Optics) -> tuple[BroydenState, Whitening]:
     """State of the solver at the z of each leaf, and its whitening; `leaves` is z and problems."""
 
-    def begin(z: Array, problem: Problem) -> tuple[BroydenState, Whitening]:
+    def begin(z: Array, problem: LeafProblem) -> tuple[BroydenState, Whitening]:
         roots = whitening(problem, factors)
         given = problem, roots, factors, optics
         return _SOLVER.init(_function, z, given, None, None, None, NO_TAGS), roots
@@ -177,7 +177,7 @@ def _advance(leaves: tuple, factors: Any, optics: Optics) -> tuple[Array, Broyde
     """
 
     def several(
-        z: Array, state: BroydenState, problem: Problem, roots: Whitening
+        z: Array, state: BroydenState, problem: LeafProblem, roots: Whitening
     ) -> tuple[Array, BroydenState, Array]:
         given = problem, roots, factors, optics
 
@@ -191,7 +191,7 @@ def _advance(leaves: tuple, factors: Any, optics: Optics) -> tuple[Array, Broyde
     return jax.vmap(several)(*leaves)
 
 
-def solve(start: np.ndarray, problems: Problem, factors: Any, optics: Optics) -> Solution:
+def solve(start: np.ndarray, problems: LeafProblem, factors: Any, optics: Optics) -> Solution:
     """The most probable z of each leaf, from `start` [leaf, parameter].
 
     Leaves that have converged leave the batch, which shrinks through few fixed sizes: a few slow
@@ -200,13 +200,15 @@ def solve(start: np.ndarray, problems: Problem, factors: Any, optics: Optics) ->
     size = max(_SIZES[0], _BLOCK // (problems.data[0].size * start.shape[1]))
     blocks = (slice(at, at + size) for at in range(0, len(start), size))
     parts = [
-        _solve_block(start[rows], Problem(*(a[rows] for a in problems)), factors, optics)
+        _solve_block(start[rows], LeafProblem(*(a[rows] for a in problems)), factors, optics)
         for rows in blocks
     ]
     return Solution(*(np.concatenate(values) for values in zip(*parts)))
 
 
-def _solve_block(start: np.ndarray, problems: Problem, factors: Any, optics: Optics) -> Solution:
+def _solve_block(
+    start: np.ndarray, problems: LeafProblem, factors: Any, optics: Optics
+) -> Solution:
     # All leaves begin; those that have not converged are packed anew before each round.
     begun = [
         cut(_begin(leaves, factors, optics), rows.size)

@@ -16,7 +16,7 @@ from fynjax.leaf._area import LeafArea, LeafShape, area_factors
 from fynjax.leaf._coefficients import ProspectVersion
 from fynjax.leaf._error_model import ErrorName
 from fynjax.leaf._parameters import LEAF_PARAMETERS, LeafParameters
-from fynjax.leaf._spectra import Source
+from fynjax.leaf._spectra import SpectraSource
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -138,7 +138,7 @@ class LeafFit(eqx.Module):
     error_model: ErrorName | Literal["stated"] = eqx.field(static=True)
     """What spectra were taken to depart from PROSPECT by: "exact", "laboratory", "field", or
     "stated" by a covariance or an offset."""
-    source: Source = eqx.field(static=True)
+    source: SpectraSource = eqx.field(static=True)
     """Label of each leaf, and of spectra from files the file and what was repaired."""
 
     @property
@@ -410,7 +410,7 @@ def cf_unit(name: str) -> str:
 def leaf_dataset(
     variables: dict[str, Any],
     wavelength: Float[np.ndarray, " bin"],
-    source: Source,
+    source: SpectraSource,
     status: Any,
     title: str,
     **settings: str,

@@ -13,7 +13,7 @@ _PERCENT = 1.5
 """No leaf has a median reflectance or transmittance as large as this."""
 
 
-class Source(NamedTuple):
+class SpectraSource(NamedTuple):
     """What is known of each spectrum besides its values."""
 
     labels: tuple[str, ...]
@@ -33,7 +33,7 @@ class Spectra(NamedTuple):
     """Reflectance, NaN where missing [-]."""
     transmittance: Float[np.ndarray, "leaf band"] | None
     """Transmittance, NaN where missing [-]."""
-    source: Source
+    source: SpectraSource
 
 
 def as_spectra(wavelength: Any, reflectance: Any, transmittance: Any) -> Spectra:
@@ -90,7 +90,7 @@ def as_spectra(wavelength: Any, reflectance: Any, transmittance: Any) -> Spectra
             f"wavelengths must be in nm, {_SHORTEST:g} to {_LONGEST:g}, but run from {grid[0]:g} "
             f"to {grid[-1]:g}; are they in µm? Multiply them by 1000"
         )
-    source = Source(labels, **more)
+    source = SpectraSource(labels, **more)
     return Spectra(grid, given.get("reflectance"), given.get("transmittance"), source)
 
 

@@ -35,6 +35,7 @@ from fynjax.metrics._statistics import (
     check_statistics,
     fitting_statistics,
     image_statistics,
+    without_view,
 )
 
 __all__ = [
@@ -64,4 +65,5 @@ __all__ = [
     "spectral_mask",
     "standard_deviation",
     "vegetation_indices",
+    "without_view",
 ]

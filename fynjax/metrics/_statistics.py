@@ -161,3 +161,9 @@ def _square_means(
     total = jnp.sum(jnp.where(weight, layer[cut].reshape(shape), 0.0), axis=(1, 3))
     count = weight.sum(axis=(1, 3))
     return total / jnp.maximum(count, 1), 2 * count >= side**2
+
+
+def without_view(name: str) -> str:
+    """The `name` of a statistic without that of its view: "nir.mean" of "flight1.nir.mean"."""
+    first, _, rest = name.partition(".")
+    return rest if "." in rest and first not in ("spectrum", "lidar") else name

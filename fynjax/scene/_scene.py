@@ -490,6 +490,10 @@ class Scene(eqx.Module):
             }
         )
 
+    def __hash__(self) -> int:
+        """Of what equal scenes share, their structure; arrays have no hash."""
+        return hash(jax.tree.structure(self))
+
     def __str__(self) -> str:
         """What stands in it, in a few lines."""
         species, (x, y, _) = self.parameters.species, self.grid.extent

@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
 from fynjax._core.errors import InputError
+from fynjax._core.extras import require
 from fynjax._core.math import real_array, square_root
 from fynjax._core.records import Slip, Strict, number
 
@@ -253,8 +254,8 @@ def panel_coverage(
 
     Not differentiable.
     """
-    from rasterio import Affine
-    from rasterio.features import rasterize
+    affine = require("rasterio", "app").Affine
+    rasterize = require("rasterio.features", "app").rasterize
 
     points = np.asarray(corners, dtype=np.float64)
     if points.ndim != 2 or points.shape[1] != 2 or len(points) < 3 or not np.isfinite(points).all():
@@ -271,7 +272,7 @@ def panel_coverage(
         fine = rasterize(
             [({"type": "Polygon", "coordinates": [[*points.tolist(), points[0].tolist()]]}, 1)],
             out_shape=(int(size[1]) * _SAMPLES, int(size[0]) * _SAMPLES),
-            transform=Affine(1.0 / _SAMPLES, 0, low[0], 0, 1.0 / _SAMPLES, low[1]),
+            transform=affine(1.0 / _SAMPLES, 0, low[0], 0, 1.0 / _SAMPLES, low[1]),
             dtype="uint8",
         )
         coarse = fine.reshape(size[1], _SAMPLES, size[0], _SAMPLES).mean(axis=(1, 3))

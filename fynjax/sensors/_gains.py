@@ -27,10 +27,15 @@ class Gains:
     """Share of the variance that all bands have in common, as by light and exposure [-]."""
     way: str = "assumed"
     """Way in which the bands were calibrated, such as 'panels' or 'light_sensor'."""
+    drift: float = 0.02
+    """Standard deviation of the logarithm of a factor on all bands by which views of one camera
+    differ, as light and exposure change between frames and flights [-]; an assumption."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "sd", _one_or_many(self.sd))
         sd = np.atleast_1d(self.sd)
+        if not np.isfinite(self.drift) or self.drift < 0.0:
+            raise InputError(f"expected a drift of gains of at least 0, but got {self.drift}")
         if not (np.isfinite(sd).all() and (sd >= 0.0).all() and 0.0 <= self.shared <= 1.0):
             raise InputError(
                 "expected deviations of gains of at least 0 and a share of 0 to 1 that bands have "

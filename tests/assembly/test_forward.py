@@ -1,15 +1,18 @@
 """What the jobs on a plot's parameters share."""
 
-from types import SimpleNamespace
-from typing import Any
-
-from fynjax.app.assembly import Prepared
-from fynjax.app.io.plot import CalibrationTable
+from fynjax.app.assembly import plot_problem
+from fynjax.app.io.plot import read_plot
 from fynjax.inversion import CalibrationSettings
+from tests.small import write_plot
+
+MORE = """
+[calibration]
+free = ["ground.brightness"]
+max_iterations = 7
+starts = 2
+"""
 
 
-def test_a_search_has_the_steps_and_starts_of_the_plot_file():
-    plot: Any = SimpleNamespace(calibration=CalibrationTable(max_iterations=7, starts=2))
-    nothing: Any = None
-    settings = Prepared(plot, nothing, nothing, nothing, 3).settings
-    assert settings == CalibrationSettings(max_steps=7, starts=2, seed=3)
+def test_a_search_has_the_steps_and_starts_of_the_plot_file(tmp_path):
+    problem = plot_problem(read_plot(write_plot(tmp_path, MORE)), None, seed=3)
+    assert problem.settings == CalibrationSettings(max_steps=7, starts=2, seed=3)

@@ -13,7 +13,7 @@ from fynjax._core.dry_run import dry_run
 from fynjax._core.errors import InputError
 from fynjax._core.store import Store
 from fynjax.app.assembly import _leaf_spectra, build_plot, plot_parameters
-from fynjax.app.assembly._forward import prepare
+from fynjax.app.assembly._forward import plot_problem
 from fynjax.app.io.plot import plant_sources, read_plot
 from tests.small import write_plot
 
@@ -123,7 +123,7 @@ def test_the_prior_of_measured_leaves_is_that_of_their_fits(tmp_path: Path) -> N
     path.write_text(text)
 
     def widths(free: str) -> dict[str, float]:
-        space = prepare(read_plot(path), [free], seed=0).space
+        space = plot_problem(read_plot(path), None, [free], seed=0).free
         return dict(zip(space.names, (space.prior_sd / space.prior).tolist(), strict=True))
 
     found = widths("species.*.leaf.water")

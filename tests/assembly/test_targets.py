@@ -76,21 +76,21 @@ def test_a_file_is_known_by_what_is_in_it(tmp_path):
 
 
 def test_a_spectrum_is_compared_in_some_bands_outside_the_water_windows(plot, tmp_path):
-    (one,) = read_targets(plot, [spectrum_file(tmp_path / "s.csv")])
-    assert one.kind == "spectrum"
-    view = one.view_of(*build_plot(plot))
+    one = read_targets(plot, [spectrum_file(tmp_path / "s.csv")])
+    assert one.source.kind == "spectrum"
+    view = one.source.view(*build_plot(plot))
     assert isinstance(view, SpectrumView)
-    assert view.names == one.data.names
-    centre = np.array(one.bands.centre)
+    assert view.names == one.names
+    centre = np.array(one.source.bands.centre)
     assert 25 <= centre.size <= 30
     assert not ((centre >= 1340) & (centre <= 1460)).any()
     assert not ((centre >= 1790) & (centre <= 2100)).any()
     assert centre.min() < 450
     assert centre.max() > 2400
-    np.testing.assert_allclose(one.data.value, curve(centre), atol=2e-6)
-    covariance = np.linalg.inv(np.asarray(one.data.whitener.T @ one.data.whitener))
+    np.testing.assert_allclose(one.value, curve(centre), atol=2e-6)
+    covariance = np.linalg.inv(np.asarray(one.whitener.T @ one.whitener))
     value = curve(centre)
-    noise = reflectance_noise(one.bands, value, plot.sun.zenith)
+    noise = reflectance_noise(one.source.bands, value, plot.sun.zenith)
     share = plot.calibration.target_sd
     extra = np.diagonal(covariance) - 0.003**2 - (share * value) ** 2
     np.testing.assert_allclose(extra, noise**2, rtol=1e-6)
@@ -105,29 +105,29 @@ def test_a_finer_spectrum_is_averaged_to_bands(plot, tmp_path):
     # A sawtooth from one nanometre to the next, which is noise.
     rough = [f"{w:g},{curve(w) + 0.02 * (-1) ** i:.8f}" for i, w in enumerate(grid)]
     path.write_text("\n".join([text[0], *rough]) + "\n")
-    (one,) = read_targets(plot, [path])
-    off = np.asarray(one.data.value) - curve(np.array(one.bands.centre))
+    one = read_targets(plot, [path])
+    off = np.asarray(one.value) - curve(np.array(one.source.bands.centre))
     assert np.abs(off).max() < 0.003
 
 
 def test_of_a_cube_the_mean_counts_and_its_error_is_that_of_its_pixels(plot, tmp_path):
     path, values = cube_file(tmp_path / "cube.tif")
-    (one,) = read_targets(plot, [path])
+    one = read_targets(plot, [path])
     pixels = values.reshape(12, -1)
-    np.testing.assert_allclose(one.data.value, pixels.mean(axis=1), rtol=1e-6)
-    assert one.extra["spectra"] == 20
-    covariance = np.linalg.inv(np.asarray(one.data.whitener.T @ one.data.whitener))
+    np.testing.assert_allclose(one.value, pixels.mean(axis=1), rtol=1e-6)
+    assert one.source.extra["spectra"] == 20
+    covariance = np.linalg.inv(np.asarray(one.whitener.T @ one.whitener))
     shared = covariance[0, 1] - 0.003**2
     assert shared == pytest.approx(np.cov(pixels)[0, 1] / 20, rel=1e-4, abs=1e-12)
 
 
 def test_a_table_of_structure(plot, tmp_path):
-    (one,) = read_targets(plot, [structure_file(tmp_path / "t.csv")])
-    view = one.view_of(*build_plot(plot))
+    one = read_targets(plot, [structure_file(tmp_path / "t.csv")])
+    view = one.source.view(*build_plot(plot))
     assert isinstance(view, StructureView)
-    assert one.data.names == ("lidar.gap_fraction", "lidar.rugosity")
+    assert one.names == ("lidar.gap_fraction", "lidar.rugosity")
     assert (view.grain, view.pulses) == (1.0, 80.0)
-    np.testing.assert_allclose(one.data.sd, [np.hypot(0.05, 0.015), 0.01])
+    np.testing.assert_allclose(one.sd, [np.hypot(0.05, 0.015), 0.01])
     assert set(StructureRow.model_fields["metric"].annotation.__args__) == set(STRUCTURE_METRICS)
     for rows, message in (
         (("gap_fraction,0.3,0.05,3,80",), "expected a grain of 1, 2 m"),
@@ -146,13 +146,13 @@ def test_a_cloud_has_the_structure_of_its_cells(plot, tmp_path):
     height = np.where(x < 1.0, 0.0, 0.6 * random.uniform(size=x.size))
     path = tmp_path / "c.xyz"
     path.write_text("\n".join(f"{a:.3f} {b:.3f} {c:.3f}" for a, b, c in zip(x, y, height)) + "\n")
-    (one,) = read_targets(plot, [path])
-    value = dict(zip(one.data.names, np.asarray(one.data.value)))
-    assert one.kind == "structure"
-    view = one.view_of(*build_plot(plot))
+    one = read_targets(plot, [path])
+    value = dict(zip(one.names, np.asarray(one.value)))
+    assert one.source.kind == "structure"
+    view = one.source.view(*build_plot(plot))
     assert view.grain == 1.0
     assert view.pulses == pytest.approx(1000.0, rel=0.02)
-    sd = dict(zip(one.data.names, np.asarray(one.data.sd)))
+    sd = dict(zip(one.names, np.asarray(one.sd)))
     # Two cells are all gap, two have a sixth of their returns below 0.1 m.
     gap = value["lidar.gap_fraction"]
     assert gap == pytest.approx(0.5 * (1.0 + 1.0 / 6.0), abs=0.08)
@@ -165,8 +165,8 @@ def test_an_image_s_errors_are_those_of_how_it_was_calibrated(plot, tmp_path):
     (tmp_path / "image.csv").write_text("statistic,value,sd\nred.mean,0.05,0.001\n")
     panels = plot.replace(sensor=plot.sensor.replace(calibrated_by="panels"))
     for of, way in ((plot, "light_sensor"), (panels, "panels")):
-        (one,) = read_targets(of, [tmp_path / "image.csv"])
-        view = one.view_of(*build_plot(of))
+        one = read_targets(of, [tmp_path / "image.csv"])
+        view = one.source.view(*build_plot(of))
         np.testing.assert_allclose(
             view.gains.covariance(4), shipped_sensor("mavic_3m").gains(way).covariance(4)
         )
@@ -177,7 +177,7 @@ def test_one_target_of_each_kind_in_the_same_order(plot, tmp_path):
     table.write_text("statistic,value,sd\nnir.mean,0.3,\n")
     cloud = structure_file(tmp_path / "c.csv")
     found = read_targets(plot, [cloud, table])
-    assert [one.kind for one in found] == ["image", "structure"]
+    assert [one.source.kind for one in found.parts] == ["image", "structure"]
     with pytest.raises(InputError, match="one target of each kind"):
         read_targets(plot, [cloud, table, structure_file(tmp_path / "d.csv")])
     with pytest.raises(InputError, match=r"no such file. Did you mean 'c.csv'"):

@@ -16,9 +16,9 @@ import time
 import jax.numpy as jnp
 import numpy as np
 
-from fynjax.app.assembly import aim_without_air, build_plot, prepare
+from fynjax.app.assembly import aim_without_air, build_plot, plot_problem
 from fynjax.app.io.plot import drone_sensor
-from fynjax.inversion import PixelSettings, calibrate_known_plants
+from fynjax.inversion import ImageView, Pixels, Problem, fit, pixel_data
 from fynjax.inversion._known_plants import PixelModel
 from fynjax.scene import Crowns, hard_instances
 from fynjax.sensors import Gains
@@ -67,33 +67,34 @@ def main(arguments=None):
     if chosen.tiny:
         chosen.size, chosen.pixels, chosen.noise = 1.0, [0.1], [0.01]
     free = OPTICS + STRUCTURE * chosen.structure
-    ready = prepare(known_plot(chosen.size, free, chosen.tiny), None, seed=0)
-    space, scene = ready.space, ready.scene
+    plot = known_plot(chosen.size, free, chosen.tiny)
+    problem = plot_problem(plot, None, seed=0)
+    space, scene = problem.free, problem.scene
     random = np.random.default_rng(chosen.seed)
     truth = space.physical(jnp.asarray(random.normal(size=len(space.names)).clip(-2.0, 2.0)))
     print(f"{chosen.size:g} m, {len(scene.planting.foot)} plants, {len(space.names)} parameters")
     for pixel in chosen.pixels:
-        drone = drone_sensor(ready.plot)
-        camera = aim_without_air(ready.plot, scene, ready.parameters, drone, pixel=pixel)
-        model = PixelModel(scene, ready.parameters, space.names, camera, 1)
+        drone = drone_sensor(plot)
+        camera = aim_without_air(plot, scene, scene.parameters, drone, pixel=pixel)
+        view = ImageView((), camera, Gains(1e-5))
+        model = PixelModel(scene, scene.parameters, space.names, camera, 1)
         image = np.asarray(model.image(truth), float)
         for noise in chosen.noise:
             measured = image * (1.0 + noise * random.normal(size=image.shape))
             began = time.process_time()
-            found = calibrate_known_plants(
-                scene, ready.parameters, measured, space, camera,
-                PixelSettings(1, max(noise, EXACT), Gains(1e-5)),
-            )  # fmt: skip
+            pixels = Pixels(measured, 1, max(noise, EXACT))
+            data = pixel_data(pixels, drone.bands.names, lambda *_, view=view: view)
+            found = fit(Problem(scene, data, space, error="none"))
             seconds = time.process_time() - began
-            fit = found.fit
-            estimate = fit.estimate
+            result = found.fit
+            estimate = result.estimate
             parts = zip(optics(model, estimate), optics(model, truth))
             errors = [error(a, b) for a, b in parts]
             before = [error(a, b) for a, b in zip(optics(model, space.prior), optics(model, truth))]
-            low, high = (np.asarray(q) for q in fit.quantiles(0.05, 0.95))
+            low, high = (np.asarray(q) for q in result.quantiles(0.05, 0.95))
             inside = np.mean((np.asarray(truth) >= low) & (np.asarray(truth) <= high))
-            differ = 100.0 * error(found.image_with_error, image) / image.mean()
-            known = np.mean(np.asarray(fit.constrained))
+            differ = 100.0 * error(found.blocks.with_error, image) / image.mean()
+            known = np.mean(np.asarray(result.constrained))
             optical = "; ".join(
                 f"{name} {after:.1e} ({start:.1e} before)"
                 for name, after, start in zip(
@@ -103,7 +104,7 @@ def main(arguments=None):
             print(
                 f"pixel {pixel:g} m, noise {100 * noise:g} %: RMSE of {optical}; image "
                 f"{differ:.1e} %; in the 90 % intervals {inside:.2f}; prior variance removed "
-                f"{known:.2f}; misfit {found.misfit:.0f} of {found.degrees}; {fit.explanation} "
+                f"{known:.2f}; misfit {found.misfit:.0f} of {found.degrees}; {result.explanation} "
                 f"{seconds:.0f} CPU s",
                 flush=True,
             )

@@ -21,7 +21,7 @@ from fynjax._core.sampling import Ensemble, Hamiltonian
 from fynjax.leaf._error_model import bin_centres
 from fynjax.leaf._posterior import free_columns, leaf_density, of_many
 from fynjax.leaf._problem import LeafSettings, Setup, leaf_problems, make_setup
-from fynjax.leaf._residual import Problem, observed, solve, to_physical
+from fynjax.leaf._residual import LeafProblem, observed, solve, to_physical
 from tests.benchmarks._measure import options
 
 DRAWS = 63
@@ -30,7 +30,7 @@ BINS = 8
 
 def simulate(
     setup: Setup, count: int, seed: int, reflectance_only: bool
-) -> tuple[np.ndarray, Problem]:
+) -> tuple[np.ndarray, LeafProblem]:
     """True z of the free parameters [leaf, free], and each leaf's problem."""
     random = np.random.default_rng(seed)
     columns = free_columns(setup)
@@ -57,7 +57,7 @@ def simulate(
 def ranks(
     setup: Setup,
     truth: np.ndarray,
-    problems: Problem,
+    problems: LeafProblem,
     sampler: str,
     seed: int = 0,
 ) -> tuple[np.ndarray, int]:
@@ -67,7 +67,7 @@ def ranks(
     random = np.random.default_rng([seed, 1])
     found, short = [], 0
     for i, true in enumerate(track(truth, "Leaves")):
-        density = leaf_density(setup, Problem(*(part[i] for part in problems)))
+        density = leaf_density(setup, LeafProblem(*(part[i] for part in problems)))
         covariance = np.linalg.inv(state.hessian[i])[np.ix_(columns, columns)]
         options: dict[str, Any] = {"target": 4.0 * DRAWS, "steps": 20_000, "seed": seed + i}
         if sampler == "emcee":
@@ -91,7 +91,7 @@ def uniform(found: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return counts, stats.chisquare(counts, axis=0).pvalue
 
 
-def gaussian_scores(setup: Setup, truth: np.ndarray, problems: Problem) -> np.ndarray:
+def gaussian_scores(setup: Setup, truth: np.ndarray, problems: LeafProblem) -> np.ndarray:
     """Truth less estimate over standard deviation of the fit's Gaussian [leaf, free]."""
     columns = free_columns(setup)
     state = solve(np.tile(setup.prior_mean, (len(truth), 1)), problems, setup.factors, setup.optics)

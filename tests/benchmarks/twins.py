@@ -40,10 +40,12 @@ from sklearn.model_selection import StratifiedKFold, cross_val_predict
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 
+from fynjax import inversion
 from fynjax._core.parts import Workers, at_work
-from fynjax.app.assembly import image_view, prepare
+from fynjax.app.assembly import image_view, plot_problem
 from fynjax.app.assembly._targets import reflectance_noise, structure_settings
 from fynjax.app.assembly._twin import draw_truth, measure_truth
+from fynjax.app.io.plot import CalibrationTable
 from fynjax.inversion import (
     BandFactors,
     CalibrationSettings,
@@ -52,8 +54,8 @@ from fynjax.inversion import (
     LogPosterior,
     PlotForward,
     PlotSearch,
+    Problem,
     StructureView,
-    calibrate_plot,
     compared_statistics,
     factors_by_view,
     join_data,
@@ -81,6 +83,8 @@ FREE = (
 )
 SENSORS = ("image", "spectrum", "lidar")
 SHARES = (0.5, 0.68, 0.9)
+STATED = CalibrationTable().target_sd
+"""Error of a statistic as a share of it, as a plot file has it by default [-]."""
 FOUND = ("truth", "measured", "estimate", "covariance", "misfit", "seconds", "converged")
 GRAIN, PULSES, CELLS_APART = 1.0, 100.0, 0.1
 """Of the LiDAR: cells of its metrics [m], pulses [m-2], how cells differ by sampling [-]."""
@@ -111,81 +115,78 @@ def plot_of(size, tiny):
     return plot.replace(calibration=plot.calibration.replace(free=FREE, priors=priors))
 
 
-def measure(ready, views, u, number, random):
+def measure(problem, views, u, number, random):
     """What sensors measure of the plot at `u`, planted with its own seed: a camera with noise and
     gains, a spectrometer and a LiDAR with the errors that a calibration assumes of them."""
-    share = ready.plot.calibration.target_sd
     found = []
-    logs = BandFactors.of(views, ready.error).draw_errors(random)
+    logs = BandFactors.of(views, problem.error).draw_errors(random)
     for view, log in zip(views, factors_by_view(views, jnp.asarray(logs)), strict=True):
         error = None if log is None else np.exp(np.asarray(log))
-        value, _ = measure_truth(ready, view, u, number, random, error)
+        value, _ = measure_truth(problem, view, u, number, random, error)
         if isinstance(view, ImageView):
-            found.append(weigh_targets(view.names, value, share))
+            found.append(weigh_targets(view.names, value, STATED))
             continue
-        data = weigh(ready.plot, view, value, share)
+        data = weigh(problem.scene, view, value)
         whitener = np.diag(1.0 / data.sd) if data.whitener is None else np.asarray(data.whitener)
         value = value + np.linalg.solve(whitener, random.normal(size=value.size))
-        found.append(weigh(ready.plot, view, value, share))
+        found.append(weigh(problem.scene, view, value))
     return join_data(found)
 
 
-def weigh(plot, view, value, share):
+def weigh(scene, view, value):
     """A spectrum or metrics of a cloud with their errors."""
     if isinstance(view, StructureView):
-        cells = min(plot.size_m) ** 2 / GRAIN**2
+        cells = min(scene.grid.extent[:2]) ** 2 / GRAIN**2
         sd = CELLS_APART * np.abs(value) / np.sqrt(cells)
-        return weigh_structure(view.names, value, share, sd=sd)
-    noise = reflectance_noise(view.imager.sensor.bands, value, plot.sun.zenith)
-    return weigh_spectrum(view.names, value, share, noise=noise)
+        return weigh_structure(view.names, value, STATED, sd=sd)
+    zenith = float(scene.parameters.light.sun_zenith)
+    noise = reflectance_noise(view.imager.sensor.bands, value, zenith)
+    return weigh_spectrum(view.names, value, STATED, noise=noise)
 
 
-def view_of(sensor, ready, tiny):
+def view_of(sensor, plot, scene, tiny):
     """Of the drone's camera, AVIRIS-NG in some thirty clear bands, or a LiDAR."""
-    plot = ready.plot
     if sensor == "image":
         statistics = [n for n in compared_statistics() if "160cm" not in n or min(plot.size_m) >= 5]
-        return image_view(
-            plot, ready.scene, ready.parameters, tuple(statistics[:: 9 if tiny else 1])
-        )
+        return image_view(plot, scene, scene.parameters, tuple(statistics[:: 9 if tiny else 1]))
     if sensor == "lidar":
         return structure_view(settings=structure_settings(plot)[0], grain=GRAIN, pulses=PULSES)
     bands = shipped_sensor("aviris_ng").bands
     clear = np.flatnonzero(spectral_mask(np.asarray(bands.centre), (420.0, 2440.0)))
     bands = bands.select([int(i) for i in clear[6 :: len(clear) // 28]])
     named = BandSet(spectrum_names(bands), bands.centre, bands.fwhm)
-    return spectrum_view(named, ready.scene, ready.parameters)
+    return spectrum_view(named, scene, scene.parameters)
 
 
 def simulations(ready, view, count, random, first=0):
     """Draws of the prior and the statistics of coarse renders of them, each planted anew."""
-    quick, (cheap,) = search_form(ready.scene, ready.parameters, [view])
+    quick, (cheap,) = search_form(ready.scene, ready.scene.parameters, [view])
     stands = [quick]
     stands += [
-        search_form(ready.scene.realisation(first + i), ready.parameters, [view])[0]
+        search_form(ready.scene.realisation(first + i), ready.scene.parameters, [view])[0]
         for i in range(1, min(8, count // 4))
     ]
     none = jnp.zeros(len(view.names))
-    forward = PlotForward(ready.parameters, ready.space.names, (cheap,))
+    forward = PlotForward(ready.scene.parameters, ready.free.names, (cheap,))
     data = Data(view.names, none, none + 1)
-    draws = random.normal(size=(count, len(ready.space.names))).clip(-2.2, 2.2)
+    draws = random.normal(size=(count, len(ready.free.names))).clip(-2.2, 2.2)
     found = []
     for i, u in enumerate(draws):
         stand = stands[i % len(stands)].reordered(5000 + first + i)
-        density = LogPosterior(forward, ready.space, data, none, (stand,))
+        density = LogPosterior(forward, ready.free, data, none, (stand,))
         found.append(np.asarray(predicted_statistics(density, jnp.asarray(u))))
     return draws, np.array(found)
 
 
 def line(chosen, ready, truths, view):
     """Estimates by the line over the prior that a search starts from."""
-    space, free = ready.space, len(ready.space.names)
+    space, free = ready.free, len(ready.free.names)
     realisations, scatter = (2, 8) if chosen.tiny else (16, 200)
     settings = CalibrationSettings(stand_realisations=realisations, scatter_draws=scatter)
-    centre = np.asarray(look((view,), ready.scene, ready.parameters)[0])
-    data = weigh_targets(view.names, centre, ready.plot.calibration.target_sd)
+    centre = np.asarray(look((view,), ready.scene, ready.scene.parameters)[0])
+    data = weigh_targets(view.names, centre, STATED)
     search = PlotSearch(
-        ready.scene, ready.parameters, data, space, (view,), settings, error=ready.error
+        Problem(ready.scene, data, space, views=[view], settings=settings, error=ready.error)
     )
     state = search.begin(jnp.zeros(free))
     place, weights = state.place, search.weights(state.place, state.subspace)
@@ -224,24 +225,25 @@ def explained(truth, estimate):
 
 def experiment(size, wrong, sensors, tiny):
     """The plot as the search has it, that of which truths are planted, and the sensors' views."""
-    ready = prepare(plot_of(size, tiny), None, seed=0)
-    truths = ready
+    plot = plot_of(size, tiny)
+    truths = ready = plot_problem(plot, None, seed=0)
     if wrong is not None:
-        truths = prepare(wrong_plot(ready.plot, wrong), None, seed=0)
-    return ready, truths, tuple(view_of(sensor, ready, tiny) for sensor in sensors)
+        truths = plot_problem(wrong_plot(plot, wrong), None, seed=0)
+    return ready, truths, tuple(view_of(sensor, plot, ready.scene, tiny) for sensor in sensors)
 
 
 def twin(number, size, wrong, sensors):
     """A whole calibration of one truth: the arrays of `FOUND`."""
     ready, truths, views = experiment(size, wrong, sensors, False)
     random = np.random.default_rng([number, 17])
-    truth = draw_truth(len(ready.space.names), random)
+    truth = draw_truth(len(ready.free.names), random)
     data = measure(truths, views, truth, number, random)
     began = time.process_time()
-    found = calibrate_plot(
-        ready.scene, ready.parameters, data, ready.space, views,
-        CalibrationSettings(seed=number), error=ready.error,
+    asked = Problem(
+        ready.scene, data, ready.free, views=views, error=ready.error,
+        settings=CalibrationSettings(seed=number),
     )  # fmt: skip
+    found = inversion.fit(asked)
     fit = found.fit
     # Each has as many sites as its draws need, and so programs of its own: nine fill the memory
     # that the compiler may map.
@@ -255,7 +257,7 @@ def apart(count, ready, truths, view):
     """How well images of the two plots can be distinguished by their statistics: coarse renders,
     with gains, without noise of pixels."""
     found = []
-    slopes = np.asarray(view.factor_slopes(look((view,), ready.scene, ready.parameters)[1]))
+    slopes = np.asarray(view.factor_slopes(look((view,), ready.scene, ready.scene.parameters)[1]))
     for i, one in enumerate((ready, truths)):
         random = np.random.default_rng([31, i])
         # Plantings of their own, or pairs of the two would have the same.
@@ -308,7 +310,7 @@ def main(arguments=None):
 
 
 def report(chosen, ready, views, twins):
-    names, space = ready.space.names, ready.space
+    names, space = ready.free.names, ready.free
     truth, estimate = (np.stack([t[k] for t in twins]) for k in ("truth", "estimate"))
     sd = np.sqrt(np.stack([np.diagonal(t["covariance"]) for t in twins]))
     score = (truth - estimate) / sd
@@ -332,7 +334,7 @@ def report(chosen, ready, views, twins):
         place = [i for i, k in enumerate(kinds) if k == kind]
         values = [explained(truth[:, place], m[:, place]) for m in methods.values()]
         print(f"{kind:40s}" + "".join(f"{v:11.2f}" for v in values))
-    cover = np.asarray(ready.parameters.species.cover)
+    cover = np.asarray(ready.scene.parameters.species.cover)
     live = [i for i, t in enumerate(ready.scene.taxa) if "dead" not in t.lower()]
     common = sorted(live, key=lambda i: -cover[i])[:6]
     for i in common:
@@ -360,12 +362,12 @@ def of_the_stand(ready, twins):
     tables = []
     for one in twins:
         fit = SimpleNamespace(
-            names=ready.space.names, space=ready.space, whitened=jnp.asarray(one["estimate"]),
+            names=ready.free.names, space=ready.free, whitened=jnp.asarray(one["estimate"]),
             covariance=one["covariance"],
         )  # fmt: skip
-        table = stand_table(ready.scene, ready.parameters, fit)
+        table = stand_table(ready.scene, ready.scene.parameters, fit)
         there = with_values(
-            ready.parameters, ready.scene.taxa, ready.space.named(jnp.asarray(one["truth"]))
+            ready.scene.parameters, ready.scene.taxa, ready.free.named(jnp.asarray(one["truth"]))
         )
         truth = np.array([float(v) for v in stand_values(ready.scene.expected(), there).values()])
         table["inside"] = (table.q05 <= truth) & (truth <= table.q95)
@@ -386,12 +388,12 @@ def regressions(chosen, ready, view, twins):
         draws, simulated = simulations(ready, view, chosen.train, np.random.default_rng(23))
         np.savez(path, draws=draws, simulated=simulated)
     # What a coarse render lacks against a full one, at the prior's centre.
-    quick, (cheap,) = search_form(ready.scene, ready.parameters, [view])
-    whole = np.asarray(look((view,), ready.scene, ready.parameters)[0])
-    lack = whole / np.asarray(look((cheap,), quick, ready.parameters)[0])
+    quick, (cheap,) = search_form(ready.scene, ready.scene.parameters, [view])
+    whole = np.asarray(look((view,), ready.scene, ready.scene.parameters)[0])
+    lack = whole / np.asarray(look((cheap,), quick, ready.scene.parameters)[0])
     random = np.random.default_rng(29)
     gains = random.multivariate_normal(np.zeros(4), view.gains.covariance(4), len(draws))
-    slopes = np.asarray(view.factor_slopes(look((view,), ready.scene, ready.parameters)[1]))
+    slopes = np.asarray(view.factor_slopes(look((view,), ready.scene, ready.scene.parameters)[1]))
     noisy = simulated * lack + gains @ slopes.T
     scale = StandardScaler().fit(noisy)
     x, measured = scale.transform(noisy), scale.transform([t["measured"] for t in twins])

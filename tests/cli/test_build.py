@@ -9,18 +9,14 @@ import numpy as np
 import pandas as pd
 import pytest
 import trimesh
-import typer
 import xarray as xr
 from typer.testing import CliRunner
 
 from fynjax._core.errors import InputError
-from fynjax.app.cli._plot import build
+from fynjax.app.cli import app
 from fynjax.canopy import FORMS
 from fynjax.scene import USUAL_LEAF
 from tests.helpers import assert_valid_summary
-
-app = typer.Typer()
-app.command()(build)
 
 SPECIES = """taxon,mean_diameter_cm,cover_percent,height_max_m,growth_form,packing_percent
 Euclea racemosa,35,30,1.5,broad_leaved,20
@@ -50,7 +46,9 @@ def plot(tmp_path: Path) -> Path:
 
 def run(*arguments: object) -> dict:
     """The summary of a successful run."""
-    result = CliRunner().invoke(app, [*map(str, arguments), "--json"], catch_exceptions=False)
+    result = CliRunner().invoke(
+        app, ["build", *map(str, arguments), "--json"], catch_exceptions=False
+    )
     assert result.exit_code == 0
     return json.loads(result.stdout)
 

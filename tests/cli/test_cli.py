@@ -108,12 +108,13 @@ def test_values_with_commas_are_read_and_a_wrong_one_names_its_option(capsys, ca
     assert calls[0][1]["detector_changes"] == (1000.0, 1830.0)
     for wrong in ("1000;1830", "1000,nan"):
         err = one_line(*call(capsys, *line, wrong))
-        assert "`--detector-changes` must be wavelengths in nm" in err
+        assert "`--detector-changes` must be numbers with commas between" in err
+        assert "Wavelengths [nm] where detectors change" in err
         assert wrong in err
 
 
 def test_an_error_of_a_job_names_options(capsys, calls, monkeypatch, tmp_path):
-    def plant(source, *, output, n_elements, seed, branches):
+    def plant(source, *, output):
         raise InputError("`n_elements` is too small for `area`", file="a.obj")
 
     monkeypatch.setattr(jobs, "plant", plant, raising=False)
@@ -135,6 +136,17 @@ def test_help_and_version_are_fast_and_load_no_jax():
     assert time.perf_counter() - start < 5
 
 
+def test_without_the_packages_of_the_command_line_a_line_says_how_to_get_them():
+    """Those of the library alone are there; as `python -m fynjax`, and as the script."""
+    code = (
+        "import sys\nsys.modules['typer'] = None\nfrom fynjax.__main__ import main\n"
+        "sys.argv = ['fynjax', 'demo']\nmain()"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    line = one_line(done.returncode, done.stdout, done.stderr)
+    assert line.endswith("'typer'. Install it with: pip install \"fynjax[all]\"\n")
+
+
 def test_version(capsys):
     assert call(capsys, "--version") == (0, f"fynjax {fynjax.__version__}\n", "")
 
@@ -143,7 +155,8 @@ def test_demo_writes_moves_and_prints(capsys, calls, tmp_path):
     output = tmp_path / "a" / "b"
     status, out, err = call(capsys, "demo", "--output", output, "--seed", 5)
     assert (status, err) == (0, "")
-    assert calls[0][1] == {"seed": 5, "twin": False, "drone_alone": False}
+    kept = tmp_path / "a" / "b.checkpoint"
+    assert calls[0][1] == {"seed": 5, "checkpoint": kept}  # all else is as the job has it
     assert sorted(p.name for p in output.iterdir()) == ["image.tif", "summary.json"]
     assert [p.name for p in output.parent.iterdir()] == ["b"]
     assert "demo is done." in out
@@ -186,7 +199,7 @@ def test_a_plot_is_read_once_and_its_seed_taken_unless_given(
     for module in ("fynjax.app.io.plot", "fynjax.app.io.plot._plot_file"):
         monkeypatch.setattr(f"{module}.read_plot", count)
     for module in ("jobs._render", "jobs._build", "jobs._simulate", "assembly._forward"):
-        monkeypatch.setattr(f"fynjax.{module}.build_plot", build)
+        monkeypatch.setattr(f"fynjax.app.{module}.build_plot", build)
     for seed in ([], ["--seed", 3]):
         done = call(capsys, command, plot, "--output", tmp_path / "o", *seed)
         assert "far enough" in one_line(*done)
@@ -200,22 +213,15 @@ def test_calibrate_and_fit_leaf_pass_their_files(capsys, calls, plot, tmp_path):
     assert done[0] == 0
     assert calls[0][0] == "calibrate"
     given = calls[0][1]
-    assert (given["plot"].file, given["targets"]) == (plot, [target])
+    assert (given["plot"].file, given["targets"]) == (plot, [str(target)])
     spectra = [tmp_path / "a.csv", tmp_path / "b.asd"]
     for path in spectra:
         path.write_text("x")
     arguments = ["fit-leaf", *spectra, "--output", tmp_path / "t", "--version", "PRO"]
     assert call(capsys, *arguments)[0] == 0
     assert calls[1][1] == {
-        "paths": spectra,
+        "paths": [str(path) for path in spectra],
         "version": "PRO",
-        "workers": jobs.Workers(),
-        "measurement": "sphere",
-        "leaf_shape": "broad",
-        "area": "projected",
-        "domain": "full",
-        "posterior": "none",
-        "seed": 0,
         "checkpoint": tmp_path / "t.checkpoint",
     }
 
@@ -268,11 +274,13 @@ def test_a_bad_table_is_one_line_and_no_output(capsys, plot, tmp_path):
     [
         (InputError("two\nlines", file="a.csv", row=3), 2, "a.csv, row 3: two lines"),
         (MissingExtraError("blackjax", "posterior"), 1, 'pip install "fynjax[posterior]"'),
+        (ModuleNotFoundError(name="rasterio.io"), 1, "'rasterio'. Install it with: pip install"),
+        (ModuleNotFoundError("no fynjax.x", name="fynjax.x"), 1, "no fynjax.x"),
         (ZeroDivisionError("oh"), 1, "ZeroDivisionError: oh"),
     ],
 )
 def test_a_failing_job_leaves_nothing(capsys, calls, monkeypatch, tmp_path, error, status, words):
-    def demo(output, *, seed, twin, **_):
+    def demo(output, **_):
         (output / "half.tif").write_text("half")
         warnings.warn("lost with the run", stacklevel=1)
         raise error
@@ -286,7 +294,7 @@ def test_a_failing_job_leaves_nothing(capsys, calls, monkeypatch, tmp_path, erro
 
 
 def test_debug_shows_the_traceback(calls, monkeypatch, tmp_path):
-    def demo(output, *, seed, twin, **_):
+    def demo(output, **_):
         raise InputError("bad")
 
     monkeypatch.setattr(fynbos_2006, "demo", demo)
@@ -296,7 +304,7 @@ def test_debug_shows_the_traceback(calls, monkeypatch, tmp_path):
 
 
 def test_ctrl_c_is_130_and_leaves_nothing(capsys, calls, monkeypatch, tmp_path):
-    def demo(output, *, seed, twin, **_):
+    def demo(output, **_):
         (output / "half.tif").write_text("half")
         raise KeyboardInterrupt
 
@@ -387,11 +395,11 @@ def test_results_that_are_removed_while_others_are_written_end_in_a_line(
 
 
 def test_warnings_of_a_run_are_printed_once_and_kept(capsys, calls, monkeypatch, tmp_path):
-    def demo(output, *, seed, twin, **_):
+    def demo(output, **_):
         for _ in range(2):
             warnings.warn("3 of 600 pixels are masked", stacklevel=1)
         warnings.warn("not for users", DeprecationWarning, stacklevel=1)
-        return jobs.JobResult(output=str(output), command="demo", seed=seed)
+        return jobs.JobResult(output=str(output), command="demo", seed=0)
 
     monkeypatch.setattr(fynbos_2006, "demo", demo)
     status, out, err = call(capsys, "demo", "--output", tmp_path / "o", "--json")
@@ -503,7 +511,7 @@ def test_init_takes_a_table_of_one_s_own_by_its_words(capsys, tmp_path):
     for arguments, word in (
         (("--place", "1,2"), "expected `--table`"),
         (("--table", own, "--burnt", 2016), "but got both"),
-        (("--table", own, "--place", "north"), "latitude and longitude in degrees"),
+        (("--table", own, "--place", "north"), "2 numbers with commas between"),
         (("--table", own, "--place", "200,1"), "expected `place` as latitude"),
         (("--example", "heath", "--burnt", 2016), "--example fynbos"),
     ):  # fmt: skip

@@ -5,22 +5,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import typer
 from typer.testing import CliRunner
 
 from fynjax._core.errors import InputError
-from fynjax.app.cli._plot import pattern
+from fynjax.app.cli import app
 from fynjax.app.io.raster import read_probability_map, write_geotiff
 from tests.canopy.test_pattern import BANDS, drawn
 from tests.helpers import assert_valid_summary
 
-app = typer.Typer()
-app.command()(pattern)
-
 
 def run(*arguments: str) -> dict:
     """The summary of a successful run."""
-    result = CliRunner().invoke(app, [*arguments, "--json"], catch_exceptions=False)
+    result = CliRunner().invoke(app, ["pattern", *arguments, "--json"], catch_exceptions=False)
     assert result.exit_code == 0
     return json.loads(result.stdout)
 

@@ -7,21 +7,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-import typer
 from typer.testing import CliRunner
 
 from fynjax._core.errors import InputError
-from fynjax.app.cli._plot import plant
+from fynjax.app.cli import app
 from fynjax.canopy import FORMS
 from tests.helpers import assert_valid_summary
-
-app = typer.Typer()
-app.command()(plant)
 
 
 def run(*arguments: str) -> dict:
     """The summary of a successful run."""
-    result = CliRunner().invoke(app, [*arguments, "--json"], catch_exceptions=False)
+    result = CliRunner().invoke(app, ["plant", *arguments, "--json"], catch_exceptions=False)
     assert result.exit_code == 0
     return json.loads(result.stdout)
 
@@ -230,6 +226,8 @@ def test_bad_sources(tmp_path: Path) -> None:
     ):
         with pytest.raises(InputError, match=word):
             run(source, "--output", str(tmp_path / "out"))
-    with pytest.raises(InputError, match="`--up`"):
-        run(str(cloud(tmp_path / "s.xyz")), "--up", "x", "--output", str(tmp_path / "out"))
+    line = ["plant", str(cloud(tmp_path / "s.xyz")), "--up", "x"]
+    result = CliRunner().invoke(app, [*line, "--output", str(tmp_path / "out")])
+    assert result.exit_code == 2
+    assert "'x' is not one of 'y', 'z'" in result.output
     assert not (tmp_path / "out").exists()

@@ -197,7 +197,7 @@ def test_a_file_larger_than_the_process_may_write_is_called_so(tmp_path):
 )  # fmt: skip
 def test_what_the_system_says_of_a_disk_is_said(number, words, tmp_path, monkeypatch, capsys):
     """While the results are written, and while they are moved: then they are kept beside."""
-    monkeypatch.setattr("fynjax.app.cli._runtime.check_sums_once", lambda: None)
+    monkeypatch.setattr("fynjax.app.cli._doors.check_sums_once", lambda: None)
     monkeypatch.setattr("fynjax.app.cli._runtime.keep_compiled", lambda: None)
     (tmp_path / "leaf.csv").write_text(SPECTRUM)
     line = ["convert", str(tmp_path / "leaf.csv"), "--output", str(tmp_path / "out")]

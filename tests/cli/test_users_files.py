@@ -49,7 +49,7 @@ def writes(monkeypatch):
     """What `fynjax demo` writes, by name; `input` there is a file that it reads first."""
     files = {"a.csv": "1", "deep/b.csv": "2"}
 
-    def demo(output, *, seed, **_):
+    def demo(output, **_):
         for name, text in files.items():
             if name == "input":
                 existing_file(text, "an input")
@@ -57,7 +57,7 @@ def writes(monkeypatch):
             (output / name).parent.mkdir(exist_ok=True)
             (output / name).write_text(text)
         listed = {name: "what it is" for name in files if name != "input"}
-        return jobs.JobResult(output=str(output), command="demo", seed=seed, files=listed)
+        return jobs.JobResult(output=str(output), command="demo", seed=0, files=listed)
 
     monkeypatch.setattr(fynbos_2006, "demo", demo)
     monkeypatch.setattr("fynjax.app.cli._runtime.keep_compiled", lambda: None)

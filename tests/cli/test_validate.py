@@ -8,25 +8,21 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import typer
 from typer.testing import CliRunner
 
 from fynjax._core.errors import InputError
+from fynjax.app.cli import app
 from fynjax.app.cli._runtime import run_job
-from fynjax.app.cli._validate import validate
 from fynjax.app.io.text._atomic import remove_replaced
 from fynjax.app.jobs import JobResult
 from tests.compare.test_spectra import WAVE, cube, write_csv
 from tests.compare.test_structure import plot, write_las
 from tests.helpers import unix
 
-app = typer.Typer()
-app.command()(validate)
-
 
 def run(*arguments: str) -> dict:
     """The summary of a successful run."""
-    result = CliRunner().invoke(app, [*arguments, "--json"], catch_exceptions=False)
+    result = CliRunner().invoke(app, ["validate", *arguments, "--json"], catch_exceptions=False)
     assert result.exit_code == 0
     return json.loads(result.stdout)
 
@@ -66,14 +62,15 @@ def test_bad_input_leaves_nothing(spectra: list[str], tmp_path: Path) -> None:
         ([], "at least one pair"),
         ([*spectra, "--exclude", "900 1000"], "LOW-HIGH"),
         ([*spectra, "--exclude", "1000-900"], "lower, upper"),
-        ([*spectra, "--matching", "spline"], "nearest, linear"),
         ([*spectra[:3], str(tmp_path / "simulate.csv")], "no such file.*simulated.csv"),
         (["--real-drone", "published"], "needs --simulated-drone"),
-        ([*spectra, "--bounds", "0,0,10"], "`--bounds`.*XMIN,YMIN,XMAX,YMAX"),
-        ([*spectra, "--shift", "1,x"], r"`--shift`.*DX,DY\[,DZ\]"),
+        ([*spectra, "--bounds", "0,0,10"], "`--bounds` must be 4 numbers.*XMIN,YMIN,XMAX,YMAX"),
+        ([*spectra, "--shift", "1,x"], r"`--shift` must be 2 or 3 numbers.*DX,DY\[,DZ\]"),
     ):
         with pytest.raises(InputError, match=word):
             run(*arguments, "--output", str(out))
+    line = ["validate", *spectra, "--matching", "spline", "--output", str(out)]
+    assert "not one of 'auto', 'nearest', 'linear'" in CliRunner().invoke(app, line).output
     assert not out.exists()
 
 

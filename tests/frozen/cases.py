@@ -1,18 +1,15 @@
 """One tiny case of every command."""
 
-import inspect
 import json
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
-from unittest.mock import patch
 
 import jax
 import numpy as np
 import pandas as pd
 from typer.testing import CliRunner
 
-from fynjax import jobs
 from fynjax.app.cli import app
 from fynjax.app.io.raster import write_geotiff
 from fynjax.leaf import LeafParameters, prospect
@@ -76,10 +73,7 @@ def run(command: str, folder: Path) -> Numbers:
         line = list(map(str, line))
         if line[0] not in ("sensors", "doctor", "identify", "view"):
             line += ["--output", str(out / name), "--quiet"]
-        with patch.dict(
-            inspect.unwrap(jobs.train).__kwdefaults__, steps=30
-        ):  # more would amplify rounding
-            result = CliRunner().invoke(app, line, catch_exceptions=False)
+        result = CliRunner().invoke(app, line, catch_exceptions=False)
         assert result.exit_code == 0, f"{line}: {result.output}"
         if line[0] in ("sensors", "doctor", "identify"):
             (out / f"{name}.json").write_text(json.dumps(json.loads(result.stdout)))
@@ -260,7 +254,8 @@ def _learn(folder: Path) -> Runs:
     return {"learn": line}
 
 
-TRAIN = ["train", "sentinel_2a", "--sun-zenith", "25-35", "--simulations", 200]
+# More steps would amplify rounding.
+TRAIN = ["train", "sentinel_2a", "--sun-zenith", "25-35", "--simulations", 200, "--steps", 30]
 
 
 @_case("train", "study")
@@ -299,7 +294,7 @@ def _frames(folder: Path) -> Runs:
     plot = write_plot(folder)
     flight = write_odm(folder / "flight")
     (east, north), where = ORIGIN, ["--crs", FLIGHT_CRS, "--ground", GROUND]
-    line = ["frames", flight, "--plot", plot, "--origin", east, north, *where]
+    line = ["frames", flight, "--plot", plot, "--origin", f"{east},{north}", *where]
     return {"frames": [*line, "--pixel", 0.25]}
 
 

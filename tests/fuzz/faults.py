@@ -41,11 +41,8 @@ def child(largest: int | None) -> None:
     """
     if largest is not None:
         resource.setrlimit(resource.RLIMIT_FSIZE, (largest, largest))
-    import inspect
-
     import pytest
 
-    from fynjax import jobs
     from fynjax._core import checkpoint, parts
     from fynjax.app.cli import main
     from fynjax.app.io.raster import CubeBlocks, _netcdf
@@ -66,7 +63,6 @@ def child(largest: int | None) -> None:
     change.setattr(_fit_leaf, "_PART", 1)
     change.setattr(checkpoint, "_KEEP_SECONDS", 0.0)
     change.setattr(parts, "_machine", lambda: (2, 8 * 2**30))
-    inspect.unwrap(jobs.train).__kwdefaults__["steps"] = 30
     line = sys.argv[1:]
     at = line.index("--workers") if "--workers" in line else len(line)
     sys.argv = ["fynjax", *line[:at], *line[at + 2 :]]  # which results record

@@ -11,7 +11,6 @@ from fynjax.inversion import (
     WELL_CONSTRAINED,
     CalibrationSettings,
     ImageView,
-    calibrate_plot,
     compared_statistics,
     free_space,
     weigh_targets,
@@ -32,6 +31,7 @@ from fynjax.scene import (
     with_values,
 )
 from fynjax.sensors import shipped_sensor
+from tests.problems import calibrate_plot
 
 NAMES = compared_statistics()
 TAXA = ("Erica", "Restio", "Euclea")

@@ -167,9 +167,22 @@ def test_a_bound_of_a_solver_that_is_in_the_way_is_no_convergence():
     assert not fit(bent, far, SPACE, solver=solver, max_steps=100).converged
 
 
+class Own(jaxopt.LBFGSB):
+    """A user's own variant of a solver of jaxopt."""
+
+
+def test_a_solver_is_known_by_its_class_wherever_it_was_written():
+    assert fit(bent, BENT, SPACE, solver=Own(fun=jnp.sum, tol=1e-6), max_steps=100).converged
+
+
 def test_what_is_no_solver_in_jax_is_refused():
-    scipy_solver = jaxopt.ScipyMinimize(fun=jnp.sum, method="bfgs")
-    for solver in (optx.Newton(1e-3, 1e-3), "newton", scipy_solver):
+    """Of jaxopt too: what runs in SciPy, looks for a root, or takes the minimum to be known."""
+    of_jaxopt = (
+        jaxopt.ScipyMinimize(fun=jnp.sum, method="bfgs"),
+        jaxopt.Broyden(fun=jnp.sum),
+        jaxopt.PolyakSGD(fun=jnp.sum),
+    )
+    for solver in (optx.Newton(1e-3, 1e-3), "newton", *of_jaxopt):
         with pytest.raises(InputError, match="must be a solver of optimistix or jaxopt"):
             fit(predict, DATA, SPACE, solver=solver)
     with pytest.raises(InputError, match="the class BFGS itself: make an object of it"):

@@ -9,10 +9,22 @@ import numpy as np
 import pytest
 
 from fynjax._core.checkpoint import Journal, signature
-from fynjax.inversion import ParameterSpace
-from fynjax.inversion._known_plants import PixelModel, PixelSearch, PixelSettings, PixelState
-from fynjax.scene import ModelError
+from fynjax.inversion import (
+    CalibrationSettings,
+    ImageView,
+    ParameterSpace,
+    Pixels,
+    PixelSearch,
+    PixelState,
+    Problem,
+    _known_plants,
+    calibration,
+    pixel_data,
+)
+from fynjax.inversion._known_plants import PixelModel
+from fynjax.scene import AimedSensor, ModelError
 from fynjax.sensors import Gains, shipped_sensor
+from tests.helpers import stand_in
 from tests.scene.plots import TAXA, drone, small_parameters, small_plot
 
 NAMES = tuple(f"species.{taxon}.cover" for taxon in TAXA[:2])
@@ -46,24 +58,29 @@ class Linear(PixelModel):
 
 
 def searched(max_steps=30, error=None):
-    Linear.count, scene, mavic = 0, small_plot(), shipped_sensor("mavic_3m")
+    Linear.count, mavic = 0, shipped_sensor("mavic_3m")
     two = dataclasses.replace(mavic, bands=mavic.bands.select([1, 3]), psf=None, noise=None)
-    model = Linear(scene, small_parameters(), NAMES, drone(scene, sensor=two), 1)
+    view = ImageView((), stand_in(AimedSensor, sensor=two, shape=(2, 3)), GAINS)
     measured = linear([0.35, 0.1]) * np.array([1.2, 0.9])[:, None, None]
-    compared = np.ones((2, 3), bool)
-    compared[1, 2] = False
-    settings = PixelSettings(None, PIXEL_SD, GAINS, max_steps, tolerance=1e-4)
-    search = PixelSearch(model, SPACE, measured, compared, settings, error)
-    states = [search.begin()]
+    measured[:, 1, 2] = np.nan
+    pixels = Pixels(measured, 1, PIXEL_SD)
+    data = pixel_data(pixels, two.bands.names, lambda *_: view)
+    settings = CalibrationSettings(max_steps=max_steps, tolerance=1e-4)
+    scene = dataclasses.replace(small_plot(), known_plants=True)  # as if
+    problem = Problem(scene, data, SPACE, error=error, settings=settings)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(_known_plants, "PixelModel", Linear)
+        search = PixelSearch(problem)
+    states = [search.begin(jnp.zeros(2))]
     while not states[-1].ended:
         states.append(search.step(states[-1]))
-    return search, states, measured[:, compared].ravel(), compared
+    return search, states, np.asarray(data.value), pixels.compared
 
 
 @pytest.fixture(scope="module")
 def found():
     search, states, target, compared = searched()
-    return search.result(states[-1]), target, compared
+    return calibration(search, states[-1:]), target, compared
 
 
 @pytest.mark.parametrize("max_steps", [30, 1])
@@ -71,7 +88,7 @@ def test_slopes_are_computed_once_a_round_and_are_those_of_the_estimate(max_step
     """Whether the search converged, or came to the end of its rounds."""
     search, states, target, _ = searched(max_steps)
     last = states[-1]
-    result = search.result(last)
+    result = calibration(search, [last])
     assert Linear.count == int(last.turn) + 1
     assert bool(result.fit.converged) == (max_steps == 30)
     values, slopes = search.linear(last.u)
@@ -89,7 +106,7 @@ def test_what_gains_may_be_is_an_error_of_the_parameters(found):
     few and uncertain pixels leave its weight."""
     result, _, compared = found
     gain = result.gain[:, None]
-    image = np.asarray(result.image_with_error)[:, compared]
+    image = np.asarray(result.blocks.with_error)[:, compared]
     sd = np.asarray(result.fit.data.sd)
     to_u = np.asarray(SPACE.slope(result.fit.whitened))
     jacobian = (SLOPES[:, :, compared] * gain).reshape(2, -1).T * to_u
@@ -124,16 +141,18 @@ def test_images_are_of_the_plot_alone_with_gains_and_with_the_model_s_error():
     """Each made anew from the estimate; and the means that are held against the measured ones."""
     error = ModelError(np.array([500.0, 900.0]), np.array([0.1, 0.2]), np.eye(2))
     search, states, _, compared = searched(error=error)
-    result = search.result(states[-1])
+    result = calibration(search, states[-1:])
     alone = linear(result.fit.estimate)
     np.testing.assert_allclose(result.image_after, alone, rtol=1e-9)
-    gain, off = result.gain[:, None, None], result.model_error[:, None, None]
-    assert np.abs(np.log(result.model_error)).min() > 1e-3
-    np.testing.assert_allclose(result.image_with_error, alone * gain * off, rtol=1e-9)
+    (gain,), (off,) = result.gains, result.model_error
+    assert np.abs(np.log(off)).min() > 1e-3
+    np.testing.assert_allclose(
+        result.blocks.with_error, alone * (gain * off)[:, None, None], rtol=1e-9
+    )
     measured = linear([0.35, 0.1]) * np.array([1.2, 0.9])[:, None, None]
     mean = lambda image: np.array([band[compared].mean() for band in image])  # noqa: E731
     table = result.means()
-    for column, image in (("after", alone), ("with_gain", alone * gain)):
+    for column, image in (("after", alone), ("with_gain", alone * gain[:, None, None])):
         want = 100.0 * (mean(image) / mean(measured) - 1.0)
         np.testing.assert_allclose(table[f"{column}_error_percent"], want, rtol=1e-9)
 

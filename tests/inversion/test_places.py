@@ -145,7 +145,7 @@ def unseen(twin, rows=ROWS):
 
 def test_without_pixels_the_table_is_what_is_found(twin):
     """At the table's weights the slopes of prior and entropy are those of its numbers alone."""
-    model = unseen(twin)
+    model = crowded(unseen(twin))
     v = model.start()
     number = np.bincount(model.candidates.species, model.weights(v.logit)[0], 3)
     np.testing.assert_allclose(number, model.candidates.number, rtol=0.1)

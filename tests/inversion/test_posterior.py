@@ -100,10 +100,14 @@ def test_an_ensemble_takes_moves_of_emcee_and_gives_its_chain():
     assert plain.values.shape != found.values.shape or (plain.values != found.values).any()
     apart = flat.mean(axis=0) - usual.get_chain(flat=True).mean(axis=0)
     np.testing.assert_allclose(apart / flat.std(axis=0), 0.0, atol=0.25)
-    chain = found.get_chain()
-    assert chain.shape == (found.values.shape[1], found.values.shape[0], 3)
-    np.testing.assert_array_equal(found.get_chain(discard=2, thin=3)[0, 1], found.values[1, 2])
-    assert flat.shape == (chain.shape[0] * chain.shape[1], 3)
+    # What emcee itself gives of the same steps.
+    backend = emcee.backends.Backend()
+    backend.reset(len(found.values), 3)
+    backend.chain, backend.log_prob = np.swapaxes(found.values, 0, 1), found.log_density.T
+    backend.iteration = len(backend.chain)
+    for asked in ({}, {"discard": 2, "thin": 3}, {"thin": 4, "flat": True}):
+        np.testing.assert_array_equal(found.get_chain(**asked), backend.get_chain(**asked))
+        np.testing.assert_array_equal(found.get_log_prob(**asked), backend.get_log_prob(**asked))
     weighed = [(moves, 0.5), (emcee.moves.DEMove(), 0.5)]
     one, other, plain = (
         signature(sampler("emcee", moves=m).signed) for m in (moves, weighed, None)
@@ -228,22 +232,111 @@ def test_wrong_arguments_are_refused(options, text):
         sample_posterior(predict, DATA, SPACE, **options)
 
 
+def unwhitened(u):
+    return np.asarray(jax.vmap(jax.vmap(SPACE.physical))(jnp.asarray(u)))
+
+
+def test_the_sampler_of_emcee_is_at_hand():
+    """With the chain of which the draws are a part, its moves, and the way on."""
+    moves = emcee.moves.StretchMove(a=2.5)
+    found = sampler("emcee", moves=moves, max_steps=400).posterior()
+    ran = found.sampler
+    assert isinstance(ran, emcee.EnsembleSampler)
+    assert ran._moves == [moves]
+    chain = unwhitened(ran.get_chain())
+    assert len(chain) == ran.iteration == 400
+    step = found.get_chain()[:, None] == chain
+    places = step.all(axis=(2, 3)).argmax(axis=1)  # every draw is a step, in their order
+    np.testing.assert_array_equal(chain[places], found.get_chain())
+    assert len({*np.diff(places)}) == 1
+    np.testing.assert_array_equal(ran.get_log_prob()[places], found.get_log_prob())
+    assert 0.1 < ran.acceptance_fraction.mean() < 0.9
+    ran.run_mcmc(None, 100)
+    whole = sampler("emcee", moves=moves, max_steps=500).posterior().sampler
+    np.testing.assert_array_equal(ran.get_chain(), whole.get_chain())
+    np.testing.assert_array_equal(ran.acceptance_fraction, whole.acceptance_fraction)
+    assert sampler("laplace").posterior().sampler is None
+
+
+def test_a_chain_in_a_file_goes_on_as_if_it_had_not_been_stopped(tmp_path, monkeypatch):
+    """Stopped at its end, and between the states that a run gives; read by emcee alone."""
+    path = tmp_path / "chain.h5"
+    sampler("emcee", backend=path, max_steps=70).posterior()
+    assert emcee.backends.HDFBackend(str(path), read_only=True).iteration == 70
+    real, saved = emcee.backends.HDFBackend.save_step, []
+
+    def stopped(*given):
+        saved.append(1)
+        if len(saved) > 43:
+            raise KeyboardInterrupt
+        real(*given)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(emcee.backends.HDFBackend, "save_step", stopped)
+        with pytest.raises(KeyboardInterrupt):
+            sampler("emcee", backend=path).posterior()
+    kept = emcee.backends.HDFBackend(str(path))
+    assert kept.iteration == 113
+    found, whole = (sampler("emcee", backend=b).posterior() for b in (path, None))
+    np.testing.assert_array_equal(found.values, whole.values)
+    np.testing.assert_array_equal(found.predicted, whole.predicted)
+    assert (found.acceptance, found.status) == (whole.acceptance, whole.status)
+    assert found.sampler.backend.filename == str(path)
+    np.testing.assert_array_equal(kept.get_chain(), whole.sampler.get_chain())
+    # What has ended is taken as it is.
+    monkeypatch.setattr(emcee.EnsembleSampler, "run_mcmc", None)
+    np.testing.assert_array_equal(sampler("emcee", backend=kept).posterior().values, found.values)
+    for options, text in (
+        ({"chains": 40}, "has 32 walkers of 3 parameters, but 40 of 3"),
+        ({"offset": jnp.full(4, 0.1)}, "is of another posterior: .* differs by up to"),
+    ):
+        with pytest.raises(InputError, match=f"chain.h5 {text}"):
+            sampler("emcee", backend=path, **options).posterior()
+
+
+def test_a_backend_in_memory_holds_the_chain():
+    """And a state from elsewhere is not mixed into it."""
+    kept = emcee.backends.Backend()
+    goes = sampler("emcee", backend=kept, max_steps=100)
+    states = list(goes.states())
+    assert kept.iteration == 100
+    assert goes.posterior(states[-1]).sampler.backend is kept
+    assert goes.posterior(states[1]).sampler.iteration == 50
+    with pytest.raises(InputError, match="has 100 steps, but it was to go on from 50"):
+        deque(goes.states(states[1]), maxlen=0)
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [("notes.txt", "notes.txt: expected an HDF5 file"), ("no/chain.h5", "there is no folder .*no")],
+)
+def test_a_file_that_cannot_keep_a_chain_is_refused(name, text, tmp_path):
+    (tmp_path / "notes.txt").write_text("of the field")
+    with pytest.raises(InputError, match=text):
+        sampler("emcee", backend=tmp_path / name)
+    assert (tmp_path / "notes.txt").read_text() == "of the field"
+
+
 @pytest.mark.parametrize(
     ("options", "text"),
     [
+        ({"backend": 5}, "path of an HDF5 file or as of emcee.backends, but got 5"),
+        ({"backend": "chain.h5", "method": "nuts"}, "`backend` is of an .* not of 'nuts'"),
         ({"moves": "stretch"}, "of emcee.moves, such as .* but got 'stretch'"),
         ({"moves": emcee.moves.StretchMove(), "method": "laplace"}, "not of 'laplace'"),
     ],
 )
-def test_moves_that_are_none_are_refused(options, text):
+def test_moves_and_backends_that_are_none_are_refused(options, text):
     with pytest.raises(InputError, match=text):
         sample_posterior(predict, DATA, SPACE, **options)
 
 
 def test_a_missing_extra_names_the_line_to_type(monkeypatch):
     monkeypatch.setitem(sys.modules, "blackjax", None)
-    with pytest.raises(MissingExtraError, match=r"fynjax\[posterior\]"):
-        sample_posterior(predict, DATA, SPACE, method="nuts")
+    monkeypatch.setitem(sys.modules, "h5py", None)
+    for options in ({"method": "nuts"}, {"backend": "chain.h5"}):
+        with pytest.raises(MissingExtraError, match=r"fynjax\[posterior\]"):
+            sample_posterior(predict, DATA, SPACE, **options)
 
 
 # -- interrupted ----------------------------------------------------------------------------
@@ -350,17 +443,87 @@ def test_it_is_saved_as_inference_data_and_diagnosed(tmp_path):
     path = tmp_path / "posterior.nc"
     found.inference_data({"source": "a test"}).to_netcdf(str(path))
     back = az.from_netcdf(str(path))
-    np.testing.assert_allclose(back.posterior["value"], found.values)
-    assert list(back.posterior["parameter"].values) == list(SPACE.names)
+    assert {*back.posterior.data_vars} == {*SPACE.names}
+    for i, name in enumerate(SPACE.names):
+        np.testing.assert_array_equal(back.posterior[name], found.values[..., i])
+    np.testing.assert_array_equal(back.unconstrained_posterior["whitened"], found.whitened)
     assert back.posterior.attrs["source"] == "a test"
-    assert back.posterior_predictive["prediction"].shape == (1, 100, 4)
-    np.testing.assert_allclose(back.observed_data["observation"], DATA.value)
+    assert list(back.constant_data["parameter"].values) == list(SPACE.names)
+    assert back.posterior_predictive["statistics"].shape == (1, 100, 4)
+    np.testing.assert_allclose(back.observed_data["statistics"], DATA.value)
     # What is predicted at a draw is the model there: its spread is the posterior's through it.
     mean, covariance = posterior()
     expected = np.asarray(predict(mean))
     sd = np.sqrt(np.diag(np.asarray(jax.jacfwd(predict)(jnp.zeros(3))) @ covariance
                          @ np.asarray(jax.jacfwd(predict)(jnp.zeros(3))).T))  # fmt: skip
     np.testing.assert_allclose((found.predicted.mean(0) - expected) / sd, 0.0, atol=0.5)
+
+
+def test_parameters_of_species_are_one_variable_over_these(tmp_path):
+    """Whatever their order, also of some of the species; traits go by leaf or other material."""
+    az = arviz()
+    names = (
+        "species.Erica sp. 1.cover", "ground.brightness", "species.Restio.leaf.chlorophyll",
+        "species.Restio.cover", "species.Restio.twig.chlorophyll", "material.bark.water", "cover 2",
+        "species.Restio.diameter", "species.Erica sp. 1.diameter",
+    )  # fmt: skip
+    count = len(names)
+    sd = 0.1 + 0.01 * np.arange(count)
+    space = ParameterSpace(names, np.zeros(count), np.full(count, 2.0), np.ones(count), sd)
+    data = Data(("sum",), jnp.array([float(count)]), jnp.array([0.5]))
+    found = sample_posterior(lambda x: x.sum()[None], data, space, method="laplace", target=50.0)
+    found.inference_data().to_netcdf(str(tmp_path / "posterior.nc"))
+    draws = az.from_netcdf(str(tmp_path / "posterior.nc")).posterior
+    values = dict(zip(names, np.moveaxis(found.values, -1, 0)))
+    assert {*draws.data_vars} == {
+        "cover", "diameter", "leaf.chlorophyll", "twig.chlorophyll", "material.bark.water",
+        "ground.brightness", "cover 2",
+    }  # fmt: skip
+    for kind in ("cover", "diameter"):
+        for taxon in ("Erica sp. 1", "Restio"):
+            np.testing.assert_array_equal(
+                draws[kind].sel(species=taxon), values[f"species.{taxon}.{kind}"]
+            )
+    for kind in ("leaf.chlorophyll", "twig.chlorophyll"):
+        np.testing.assert_array_equal(
+            draws[kind].sel({f"species_{kind}": "Restio"}), values[f"species.Restio.{kind}"]
+        )
+    np.testing.assert_array_equal(draws["ground.brightness"], values["ground.brightness"])
+
+
+# -- other samplers -------------------------------------------------------------------------
+
+
+def check_draws(u):
+    """Whitened draws [draw, parameter] are those of the normal posterior."""
+    mean, covariance = posterior()
+    flat = unwhitened(np.asarray(u)[None])[0]
+    sd = np.sqrt(np.diag(covariance))
+    np.testing.assert_allclose((flat.mean(0) - mean) / sd, 0.0, atol=0.12)
+    np.testing.assert_allclose(flat.std(0) / sd, 1.0, rtol=0.07)
+
+
+def test_blackjax_explores_the_log_density():
+    import blackjax
+
+    log_density = LogPosterior(predict, SPACE, DATA)
+    warmup = blackjax.window_adaptation(blackjax.nuts, log_density)
+    (state, tuned), _ = warmup.run(jax.random.key(1), jnp.zeros(3), num_steps=300)
+    step = jax.jit(blackjax.nuts(log_density, **tuned).step)
+    draws = []
+    for key in jax.random.split(jax.random.key(2), 2000):
+        state, _ = step(key, state)
+        draws.append(state.position)
+    check_draws(draws)
+
+
+def test_numpyro_explores_the_log_density():
+    infer = pytest.importorskip("numpyro.infer", reason="numpyro is not of the environment")
+    log_density = LogPosterior(predict, SPACE, DATA)
+    kernel = infer.NUTS(potential_fn=lambda u: -log_density(u))
+    chains = infer.MCMC(kernel, num_warmup=300, num_samples=2000, progress_bar=False)
+    chains.run(jax.random.key(1), init_params=jnp.zeros(3))
+    check_draws(chains.get_samples())
 
 
 def test_predictions_are_of_draws_from_all_over_the_chains():

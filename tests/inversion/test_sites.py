@@ -7,16 +7,15 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from fynjax.app.assembly import build_plot, prepare
+from fynjax.app.assembly import build_plot, plot_problem
 from fynjax.app.io.plot import read_plot
 from fynjax.canopy import expected_count, site_weight
 from fynjax.inversion import (
     CalibrationSettings,
     Data,
     FitStatus,
-    PlotSearch,
+    _problem,
     _search,
-    calibrate_plot,
     coarser,
     free_space,
     search_starts,
@@ -24,6 +23,7 @@ from fynjax.inversion import (
 from fynjax.inversion._views import AbstractView, BandView, multiplied
 from fynjax.scene import Scene, element_count, room_needed
 from fynjax.sensors import BandSet, Gains
+from tests.problems import calibrate_plot, search_of
 from tests.scene.plots import small_parameters, small_plot
 from tests.small import write_plot
 
@@ -68,6 +68,12 @@ class CrownSquares(BandView):
 @pytest.fixture(scope="module")
 def plot():
     return planted(2.5)
+
+
+@pytest.fixture
+def as_planted(monkeypatch):
+    """Problems hold no more sites ready than the scene does, whatever the prior makes likely."""
+    monkeypatch.setattr(_problem, "_LIKELY", 0.0)
 
 
 @pytest.fixture
@@ -135,7 +141,7 @@ def test_room_is_needed_where_a_stand_in_expectation_would_lack_sites(plot):
     assert np.all((np.array(missing) > 1e-3) == short)
 
 
-def test_a_search_gets_the_sites_that_it_asks_for(plot, asked):
+def test_a_search_gets_the_sites_that_it_asks_for(plot, asked, as_planted):
     """Data of four times the table's crowns, where there are sites for 2.5 times as many."""
     scene, parameters = plot
     space = free_space(scene, parameters, ["*.cover"], lambda _: 1.0)
@@ -171,9 +177,9 @@ def test_a_prior_finds_sites_for_what_it_makes_likely(tmp_path):
     """Diameters that may be half: four times as many plants."""
     plot = read_plot(write_plot(tmp_path))
     wide = plot.calibration.replace(free=("*.diameter",), priors={"*": 0.5})
-    ready = prepare(plot.replace(calibration=wide), None, seed=0)
+    ready = plot_problem(plot.replace(calibration=wide), None, seed=0)
     narrow = plot.calibration.replace(free=("*.leaf_area_index",))
-    usual = prepare(plot.replace(calibration=narrow), None, seed=0)
+    usual = plot_problem(plot.replace(calibration=narrow), None, seed=0)
     assert len(ready.scene.planting.species) > 1.5 * len(usual.scene.planting.species)
 
 
@@ -208,7 +214,7 @@ def test_a_round_follows_where_plants_got_more_sites(plot, asked, monkeypatch):
     start = np.asarray(CrownCover().observe(scene, parameters)[1])
     data = Data(("crown cover",), jnp.asarray(4.0 * start), jnp.array([0.01]))
     settings = CalibrationSettings(stand_realisations=0, rounds=1)
-    search = PlotSearch(scene, parameters, data, space, [CrownCover()], settings)
+    search = search_of(scene, parameters, data, space, [CrownCover()], settings)
     (u,) = search_starts(search)
     state = search.begin(u)
     assert not np.asarray(state.wanted).any()
@@ -230,17 +236,17 @@ def test_a_round_follows_where_plants_got_more_sites(plot, asked, monkeypatch):
     assert len(asked) == seen
 
 
-def search_of(plot, settings, times=1.0, sd=0.05):
+def squares_search(plot, settings, times=1.0, sd=0.05):
     """A search for `times` the squares of the crowns that the plot has."""
     scene, parameters = plot
     space = free_space(scene, parameters, ["*.cover", "*.diameter"], lambda _: 0.2)
     value = times * np.asarray(CrownSquares().observe(scene, parameters)[1])
     data = Data(("crown cover",), jnp.asarray(value), jnp.asarray(sd * value))
-    return PlotSearch(scene, parameters, data, space, [CrownSquares()], settings)
+    return search_of(scene, parameters, data, space, [CrownSquares()], settings)
 
 
 def test_without_an_expectation_a_search_starts_at_the_scene_as_it_stands(plot):
-    search = search_of(plot, CalibrationSettings(stand_realisations=0))
+    search = squares_search(plot, CalibrationSettings(stand_realisations=0))
     state = search.begin(jnp.zeros(len(search.space.plot.names)))
     np.testing.assert_allclose(state.origin.statistics, state.origin.whole[0], rtol=1e-6)
 
@@ -249,7 +255,7 @@ def test_a_last_round_that_has_settled_keeps_errors_and_renders_the_estimate(plo
     """The image is that of the estimate, statistics are the coarse form's there with the offset of
     where the round began, and spread is the posterior's. Made anew all are about the same."""
     settings = CalibrationSettings(stand_realisations=2, scatter_draws=6, tolerance=1e-4)
-    search = search_of(plot, settings, times=1.3)
+    search = squares_search(plot, settings, times=1.3)
     state = search.begin(jnp.zeros(len(search.space.plot.names)))
     while not state.ended:
         before, state = state.place, search.step(state)
@@ -269,20 +275,20 @@ def test_a_last_round_that_has_settled_keeps_errors_and_renders_the_estimate(plo
     np.testing.assert_array_less(np.abs(again.statistics - found.statistics), 0.5 * sd)
     np.testing.assert_allclose(np.sqrt(np.diagonal(again.covariance)), sd, rtol=0.3)
     # A first round has expectations over the prior: its end has others.
-    first = search_of(plot, dataclasses.replace(settings, rounds=1), times=1.1)
+    first = squares_search(plot, dataclasses.replace(settings, rounds=1), times=1.1)
     state = first.begin(jnp.zeros(len(first.space.plot.names)))
     while not state.ended:
         state = first.step(state)
     assert np.diagonal(state.best.spread).min() < 0.9
 
 
-def test_sites_are_made_for_all_draws_of_the_prior_at_the_start(plot, asked):
+def test_sites_are_made_for_all_draws_of_the_prior_at_the_start(plot, asked, as_planted):
     scene, parameters = plot
     space = free_space(scene, parameters, ["*.cover"], lambda _: 1.0)
     start = np.asarray(CrownCover().observe(scene, parameters)[1])
     data = Data(("crown cover",), jnp.asarray(start), jnp.array([0.01]))
     settings = CalibrationSettings(stand_realisations=2, scatter_draws=6)
-    search = PlotSearch(scene, parameters, data, space, [CrownCover()], settings)
+    search = search_of(scene, parameters, data, space, [CrownCover()], settings)
     state = search.begin(jnp.zeros(len(space.names)))
     expected = search.expected(state)
     drawn = [scene.counts(search.plot(jnp.asarray(expected.draw(i)[1]))) for i in range(6)]

@@ -52,7 +52,7 @@ def test_a_stated_error_is_kept():
 def test_the_example_table_is_a_target_of_the_example_plot():
     """What the README has a new user type."""
     plot = read_plot(example_folder() / "plot.toml")
-    data = image_target(plot, example_folder() / "statistics.csv").data
+    data = image_target(plot, example_folder() / "statistics.csv")
     assert data.names[:2] == ("green.mean", "red.mean")
     assert float(data.sd[0]) == pytest.approx(0.0003)
 
@@ -63,8 +63,8 @@ def test_bands_of_an_image_are_stated(tmp_path):
     image = np.stack([share * level for share in (0.03, 0.04, 0.1, 0.3)])
     write_raster(tmp_path / "named.tif", image[::-1], transform=Affine(0.1, 0, 0, 0, -0.1, 0))
     bands = ["nir", "red_edge", "red", "green"]
-    (measured,) = read_targets(plot, [tmp_path / "named.tif"], bands=bands)
-    mean = dict(zip(measured.data.names, np.asarray(measured.data.value), strict=True))
+    measured = read_targets(plot, [tmp_path / "named.tif"], bands=bands)
+    mean = dict(zip(measured.names, np.asarray(measured.value), strict=True))
     assert mean["nir.mean"] == pytest.approx(0.3, rel=1e-5)
     assert mean["green.mean"] == pytest.approx(0.03, rel=1e-5)
     with pytest.raises(InputError, match="but this is a table"):
@@ -73,10 +73,9 @@ def test_bands_of_an_image_are_stated(tmp_path):
         read_targets(plot, [], bands=bands)
 
 
-def test_an_image_of_other_pixels_than_the_sensors_is_simulated_in_its_own(tmp_path, monkeypatch):
+def test_an_image_of_other_pixels_than_the_sensors_is_simulated_in_its_own(tmp_path):
     plot = read_plot(example_folder() / "plot.toml")
     own = sensor_place(plot)[1]
-    monkeypatch.setattr(_targets, "image_view", lambda plot, *_: sensor_place(plot)[1])
     image = (
         np.linspace(0.9, 1.1, 1600).reshape(40, 40)
         * np.array([0.05, 0.04, 0.1, 0.3])[:, None, None]
@@ -85,30 +84,29 @@ def test_an_image_of_other_pixels_than_the_sensors_is_simulated_in_its_own(tmp_p
         path = tmp_path / f"{pixel}.tif"
         write_geotiff(path, image, list(BANDS), pixel_m=pixel, crs="EPSG:32734")
         target = image_target(plot, path)
-        assert target.view_of(None, None) == pytest.approx(pixel)
-        assert ("are simulated" in target.description) == (pixel != own)
+        assert target.source.view_of.placement.pixel == pytest.approx(pixel)
+        assert ("are simulated" in target.source.description) == (pixel != own)
 
 
-def test_every_band_that_camera_and_image_have_is_a_target(tmp_path, monkeypatch):
+def test_every_band_that_camera_and_image_have_is_a_target(tmp_path):
     """Of a twin without an image it is every band of the camera."""
     plot = read_plot(example_folder() / "plot.toml")
     five = plot.replace(sensor=plot.sensor.replace(name="rededge_3"))
     names = ("blue", *BANDS)
     image = np.sort(np.random.default_rng(1).uniform(0.1, 0.2, (5, 20, 20)), axis=0)
-    monkeypatch.setattr(_targets, "image_view", lambda plot, a, b, names: names)
     for name, bands in (("five", names), ("four", BANDS)):
         path = tmp_path / f"{name}.tif"
         write_geotiff(path, image[-len(bands) :], list(bands), pixel_m=0.06, crs="EPSG:32734")
         for camera in (plot, five):
             target = image_target(camera, path)
             has = name == "five" and camera is five
-            assert ("blue.q25" in target.view_of(None, None)) == has
-            assert ("blue" in target.description) == has
+            assert ("blue.q25" in target.source.view_of.names) == has
+            assert ("blue" in target.source.description) == has
             if has:
-                mean = dict(zip(target.data.names, target.data.value))["blue.mean"]
+                mean = dict(zip(target.names, target.value))["blue.mean"]
                 assert float(mean) == pytest.approx(image[0].mean(), rel=1e-6)
     for camera in (plot, five):
-        assert ("blue.std" in twin_image(camera).data.names) == (camera is five)
+        assert ("blue.std" in twin_image(camera).names) == (camera is five)
     data = fx.Data.from_image(tmp_path / "five.tif", "rededge_3", statistics=("*.mean",))
     assert "blue.mean" in data.names
 
@@ -116,19 +114,18 @@ def test_every_band_that_camera_and_image_have_is_a_target(tmp_path, monkeypatch
 def test_the_image_is_kept_to_be_shown_cut_to_the_plot_and_in_bounded_memory(tmp_path, monkeypatch):
     plot = read_plot(example_folder() / "plot.toml")
     plot = plot.replace(size_m=(2.0, 1.0))
-    monkeypatch.setattr(_targets, "image_view", lambda *_: None)
     random = np.random.default_rng(2)
     image = np.sort(random.uniform(0.1, 0.2, (4, 31, 40)), axis=0)
     image[:, 12, 14:16] = np.nan
     write_geotiff(tmp_path / "a.tif", image, list(BANDS), pixel_m=0.1, crs="EPSG:32734")
-    kept = image_target(plot, tmp_path / "a.tif").image
+    kept = image_target(plot, tmp_path / "a.tif").source.image
     assert (kept.bands, kept.block, kept.pixel) == (BANDS, 1, pytest.approx(0.1))
     assert kept.size == pytest.approx((4.0, 3.1))
     np.testing.assert_allclose(kept.values, image[:, 10:20, 10:30], rtol=1e-6)  # from its middle
     assert kept.pixels.shape == (4, 31 * 40 - 2)
     monkeypatch.setattr(_targets, "_MOST_SHOWN", 50)
     monkeypatch.setattr(_targets, "_MOST_SAMPLED", 100)
-    small = image_target(plot, tmp_path / "a.tif").image
+    small = image_target(plot, tmp_path / "a.tif").source.image
     assert (small.block, small.pixel) == (2, pytest.approx(0.2))
     assert small.values.shape == (4, 5, 10)
     assert np.isfinite(small.values).all()
@@ -136,23 +133,23 @@ def test_the_image_is_kept_to_be_shown_cut_to_the_plot_and_in_bounded_memory(tmp
     np.testing.assert_allclose(small.values[:, 1, 2], image[:, 13, 14:16].mean(axis=1))
     assert small.pixels.shape[1] <= 100
     np.testing.assert_array_equal(small.pixels[:, 1], kept.pixels[:, 13])
-    whole = image_target(plot.replace(size_m=(9.0, 9.0)), tmp_path / "a.tif").image
+    whole = image_target(plot.replace(size_m=(9.0, 9.0)), tmp_path / "a.tif").source.image
     assert whole.values.shape == (4, 6, 8)  # smaller than the plot; 5 x 5 pixels each
     table = image_target(plot, example_folder() / "statistics.csv")
-    assert table.image is None
+    assert table.source.image is None
 
 
-def test_a_resampled_image_is_simulated_by_what_its_pixels_average_over(tmp_path, monkeypatch):
+def test_a_resampled_image_is_simulated_by_what_its_pixels_average_over(tmp_path):
     plot = read_plot(example_folder() / "plot.toml")
-    monkeypatch.setattr(_targets, "image_view", lambda plot, *_: sensor_place(plot)[1])
     image = np.random.default_rng(0).uniform(0.1, 0.2, (4, 40, 40))
     write_geotiff(tmp_path / "a.tif", image, list(BANDS), pixel_m=0.06, crs="EPSG:32734")
     own = image_target(plot, tmp_path / "a.tif")
     plot = plot.replace(sensor=plot.sensor.replace(footprint_m=0.043))
     sharp = image_target(plot, tmp_path / "a.tif")
-    assert (own.view_of(None, None), sharp.view_of(None, None)) == (pytest.approx(0.06), 0.043)
-    np.testing.assert_array_equal(own.data.value, sharp.data.value)
-    assert "average over 0.043 m" in sharp.description
+    pixels = [one.source.view_of.placement.pixel for one in (own, sharp)]
+    assert pixels == [pytest.approx(0.06), 0.043]
+    np.testing.assert_array_equal(own.value, sharp.value)
+    assert "average over 0.043 m" in sharp.source.description
 
 
 def test_an_image_that_is_more_blurred_than_its_camera_is_doubted(tmp_path, monkeypatch):

@@ -9,7 +9,6 @@ from scipy.stats import chi2
 from fynjax.inversion import (
     CalibrationSettings,
     ImageView,
-    calibrate_plot,
     free_space,
     weigh_targets,
 )
@@ -28,6 +27,7 @@ from fynjax.scene import (
     with_values,
 )
 from fynjax.sensors import shipped_sensor
+from tests.problems import calibrate_plot
 
 pytestmark = pytest.mark.study
 

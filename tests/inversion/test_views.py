@@ -31,7 +31,6 @@ from fynjax.inversion import (
     _expected,
     _search,
     _views,
-    calibrate_plot,
     calibration,
     fit,
     fit_surrogate,
@@ -57,6 +56,7 @@ from fynjax.scene import ModelError, Scene, with_values
 from fynjax.scene._optics import seen_from_above
 from fynjax.sensors import BandSet, Gains
 from tests.heard import hearing
+from tests.problems import calibrate_plot, search_of
 from tests.scene.plots import TAXA, densities, drone, small_parameters, small_plot
 
 BAND_MEANS = ("green.mean", "red.mean", "red_edge.mean", "nir.mean")
@@ -272,7 +272,7 @@ class Stop(Exception):
 def followed(sums, folder, **options):
     """The same calibration, its states kept in `folder`."""
     settings = {"stand_realisations": 2, "scatter_draws": 3, "max_steps": 6} | options
-    search = PlotSearch(*sums, (Sums(),), CalibrationSettings(**settings))
+    search = search_of(*sums, (Sums(),), CalibrationSettings(**settings))
     return calibration(search, follow(search, search_starts(search), Run(folder), folder))
 
 
@@ -483,7 +483,7 @@ def test_what_a_broyden_solver_is_asked_for_counts_in_a_calibration(sums, monkey
 def test_a_checkpoint_knows_the_solver(sums):
     settings = CalibrationSettings(stand_realisations=0)
     signed = [
-        signature(PlotSearch(*sums, (Sums(),), settings, solver=solver).signed)
+        signature(search_of(*sums, (Sums(),), settings, solver=solver).signed)
         for solver in (
             None,
             optx.Dogleg(1e-4, 1e-4),
@@ -556,7 +556,7 @@ def test_a_search_without_gain_ends_at_its_start(sums):
 
 def test_of_known_plants_the_best_place_is_kept(sums):
     """With the reason of the round that led there, or of one that ended there too."""
-    search = PlotSearch(*sums, (Sums(),), CalibrationSettings(stand_realisations=0))
+    search = search_of(*sums, (Sums(),), CalibrationSettings(stand_realisations=0))
     (u,) = search_starts(search)
     state = search.begin(u)
     start = state.best
@@ -799,9 +799,9 @@ class Strided(Sums):
 def test_coarse_views_are_those_of_the_search(sums):
     """With its stride, so that a surrogate goes on with renders of the same form."""
     found = calibrated(sums, Strided(), stride=3)
-    (coarse,) = found.coarse_views
+    (coarse,) = found.plantings.views
     assert coarse.lack == pytest.approx(0.03)
-    for stand, statistics in zip(found.stands, found.stand_statistics, strict=True):
+    for stand, statistics in zip(found.plantings.stands, found.plantings.statistics, strict=True):
         again = coarse.predict(stand.expected(), found.after)
         np.testing.assert_allclose(again, statistics, rtol=1e-6)
 
@@ -810,7 +810,7 @@ def test_a_surrogate_bends_as_the_model_does(sums):
     """Quadratic statistics are met where linear ones are not."""
     model, start, _, space = sums
     whole = calibrated(sums, stand_realisations=8, scatter_draws=8)
-    coarse = whole.coarse_views
+    coarse = whole.plantings.views
     surrogate, error = fit_surrogate(whole)
     assert error.max() < 0.5
     fit = whole.fit
@@ -854,6 +854,7 @@ class Painted(eqx.Module):
 
     sensor: Any
     pixel: float = 0.1
+    seen: Any = None
 
     def observe(self, scene, parameters):
         a, b, c = parameters.species.cover.astype(float)
@@ -897,6 +898,10 @@ class Bright(ImageView):
     @property
     def bands(self):
         return BandSet(("a", "b", "c"), CENTRES, (20.0,) * 3)
+
+    @property
+    def instrument(self):
+        return self.camera or ""
 
     def observe(self, scene, parameters):
         cover = parameters.species.cover.astype(float)

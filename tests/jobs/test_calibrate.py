@@ -13,8 +13,8 @@ from fynjax._core.errors import InputError
 from fynjax.app.compare import read_drone_image
 from fynjax.app.io.plot import example_folder, read_plot
 from fynjax.app.jobs import CalibrateResult, calibrate, render
-from fynjax.app.jobs._calibrate import _short_of_sites
 from fynjax.app.jobs._calibration_page import doubt_first, status_of
+from fynjax.app.jobs._fit_report import _short_of_sites
 from fynjax.app.jobs._render import check_finite
 from fynjax.app.jobs._schemas import json_schema
 from fynjax.inversion import Calibration, FitResult, FitStatus, PlotSearch
@@ -211,19 +211,19 @@ def test_a_twin_shows_its_truth(twin):
 
 
 def test_neither_a_target_nor_a_twin_is_said(tmp_path):
-    with pytest.raises(InputError, match=r"expected what was measured \(--target\), or --twin"):
+    with pytest.raises(InputError, match="expected what was measured .--target, or"):
         calibrate(write_plot(tmp_path, MORE), [], tmp_path / "output")
 
 
 def test_a_twin_of_a_plot_without_targets_has_an_image(tmp_path, monkeypatch):
     given = []
 
-    def calibrate_to(plot, measured, *_, **__):
-        given.extend(measured)
+    def calibrate_to(plot, data, *_, **__):
+        given.extend(data.parts)
         return CalibrateResult.model_construct()
 
     monkeypatch.setattr("fynjax.app.jobs._calibrate.calibrate_to", calibrate_to)
     calibrate(write_plot(tmp_path, MORE), [], tmp_path / "output", twin=True)
     (one,) = given
-    assert one.kind == "image"
-    assert {"red.mean", "NDVI.std"} <= set(one.data.names)
+    assert one.source.kind == "image"
+    assert {"red.mean", "NDVI.std"} <= set(one.names)

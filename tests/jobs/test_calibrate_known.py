@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from fynjax._core.errors import InputError
-from fynjax.app.assembly import aim_without_air, prepare
+from fynjax.app.assembly import aim_without_air, plot_problem
 from fynjax.app.io.plot import drone_sensor, read_plot
 from fynjax.app.io.raster import write_geotiff
 from fynjax.app.jobs import calibrate
 from fynjax.app.jobs._schemas import json_schema
-from fynjax.inversion import PixelSettings, calibrate_known_plants
-from fynjax.inversion._known_plants import PixelModel, block_of
+from fynjax.inversion import Data, Problem, block_of, fit, free
+from fynjax.inversion._known_plants import PixelModel
 from fynjax.metrics import BANDS
 from tests.io.test_crowns import CROWNS, write
 from tests.scene.plots import small_plot
@@ -48,15 +48,16 @@ def twin(tmp_path_factory):
     folder = tmp_path_factory.mktemp("known")
     path = write(folder, CROWDED, more=MORE)
     plot = read_plot(path)
-    ready = prepare(plot, None, seed=0)
-    camera = aim_without_air(plot, ready.scene, ready.parameters, drone_sensor(plot), pixel=0.1)
-    model = PixelModel(ready.scene, ready.parameters, ready.space.names, camera, 1)
-    truth = ready.space.physical(jnp.asarray(TRUTH))
+    problem = plot_problem(plot, None, seed=0)
+    scene, space = problem.scene, problem.free
+    camera = aim_without_air(plot, scene, scene.parameters, drone_sensor(plot), pixel=0.1)
+    model = PixelModel(scene, scene.parameters, space.names, camera, 1)
+    truth = space.physical(jnp.asarray(TRUTH))
     image = np.asarray(model.image(truth), float) * GAIN[:, None, None]
     image *= 1.0 + 0.01 * np.random.default_rng(3).normal(size=image.shape)
     write_geotiff(folder / "drone.tif", image, list(BANDS), pixel_m=0.1)
     result = calibrate(path, folder / "drone.tif", folder / "out")
-    return path, folder / "drone.tif", model, ready.space, truth, result
+    return path, folder / "drone.tif", model, space, truth, result
 
 
 def test_traits_of_known_plants_come_out_within_their_intervals(twin):
@@ -114,15 +115,22 @@ def test_images_that_do_not_fit_are_refused(twin, tmp_path):
     with pytest.raises(InputError, match="the image alone"):
         calibrate(path, [image, image], tmp_path / "out")
     full = np.full((4, 20, 20), 0.2)
-    call = (space, model.camera)
+
+    def fitted(scene, image, **options):
+        return fit(Problem(scene, Data.from_pixels(image, pixel=0.1, **options), space))
+
     with pytest.raises(InputError, match="4 bands, 20 rows"):
-        calibrate_known_plants(model.scene, model.parameters, half, *call)
+        fitted(model.scene, half)
     with pytest.raises(InputError, match="no block of"):
-        calibrate_known_plants(model.scene, model.parameters, np.nan * full, *call)
-    with pytest.raises(InputError, match="plants are known"):
-        calibrate_known_plants(small_plot(), model.parameters, full, *call)
+        fitted(model.scene, np.nan * full)
     with pytest.raises(InputError, match="must be positive"):
-        PixelSettings(pixel_sd=0.0)
+        fitted(model.scene, full, pixel_sd=0.0)
+    with pytest.raises(InputError, match="of the 4 bands of 'mavic_3m'"):
+        fitted(model.scene, full[:3])
+    chance = small_plot(extent=(2.0, 2.0))
+    asked = Problem(chance, Data.from_pixels(full, pixel=0.1), free(chance, "ground.brightness"))
+    with pytest.raises(InputError, match="plants are known"):
+        fit(asked)
 
 
 def test_blocks_are_as_small_as_the_values_allow():

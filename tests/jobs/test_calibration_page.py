@@ -1,14 +1,12 @@
 """What the page of a calibration shows, from its numbers, without a search."""
 
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
 import pytest
 
-from fynjax.app.assembly import Measured, RealImage
-from fynjax.app.io.plot import Plot
+from fynjax.app.assembly import RealImage
 from fynjax.app.jobs._calibration_page import (
     _goal_sentences,
     _image_sections,
@@ -18,7 +16,7 @@ from fynjax.app.jobs._calibration_page import (
 )
 from fynjax.app.jobs._calibration_tables import ReferenceImage
 from fynjax.app.report.pages import Picture, Views
-from fynjax.inversion import Calibration, Data
+from fynjax.inversion import Calibration, Data, ImageView, Source
 from fynjax.sensors import shipped_sensor
 from tests.helpers import stand_in
 
@@ -47,14 +45,18 @@ def result():
     level = np.random.default_rng(0).uniform(0.5, 1.0, (8, 6))
     before = 0.5 * np.array([0.04, 0.08, 0.1, 0.2, 0.4])[:, None, None] * level
     sensor = SimpleNamespace(bands=BANDS)
-    camera = SimpleNamespace(sensor=sensor, pixel=0.1, shape=level.shape)
-    images = {"image_before": before, "image_after": 2.0 * before}
-    return stand_in(Calibration, camera=camera, **images)
+    view = ImageView(("nir.mean",), SimpleNamespace(sensor=sensor, pixel=0.1, shape=level.shape))
+    images = {"images_before": (before,), "images_after": (2.0 * before,)}
+    return stand_in(Calibration, views=(view,), **images)
 
 
 def measured(image):
-    data = Data(("nir.mean",), np.ones(1), np.ones(1))
-    return Measured("image", Path("x"), data, lambda *_: None, "", image=image)
+    source = Source("image", lambda *_: None, image=image)
+    return Data(("nir.mean",), np.ones(1), np.ones(1), source=source)
+
+
+def sections(image, result, statistics):
+    return _image_sections(measured(image), result.views[0], result, statistics, ReferenceImage())
 
 
 def panels(picture):
@@ -65,9 +67,9 @@ def panels(picture):
 def test_the_real_image_stands_beside_the_simulated_ones_with_its_own_stretch(result, statistics):
     """Of a camera that has blue and an image that lacks it; the plot after is twice as bright."""
     names = ("green", "red", "red_edge", "nir")
-    values = result.image_before[[BANDS.names.index(name) for name in names]]
+    values = result.images_before[0][[BANDS.names.index(name) for name in names]]
     real = RealImage(values, names, 0.1, (0.6, 0.8), 1, values.reshape(4, -1))
-    image, against = _image_sections(measured(real), result, statistics, ReferenceImage())
+    image, against = sections(real, result, statistics)
     (views,) = (part for part in image.parts if isinstance(part, Views))
     for label in ("Nearly natural", "False colour", "NIR", "NDVI"):
         assert list(panels(views.pictures[label])) == ["Real", "Before", "After"], label
@@ -89,7 +91,7 @@ def test_the_real_image_stands_beside_the_simulated_ones_with_its_own_stretch(re
 
 
 def test_without_the_image_itself_the_page_says_so(result, statistics):
-    image, _ = _image_sections(measured(None), result, statistics, ReferenceImage())
+    image, _ = sections(None, result, statistics)
     assert "only statistics are known" in image.parts[0]
     assert list(panels(image.parts[-1].pictures["NIR"])) == ["Before", "After"]
 
@@ -127,12 +129,11 @@ def test_bars_have_before_after_with_gains_and_the_reference(statistics):
 
 
 def test_headlines_have_the_pair_before_and_after_whatever_was_fitted(statistics):
-    plot = Plot.model_construct(name="Plot")
-    first, second = agreement_sentences(plot, [measured(None)], statistics, ReferenceImage())
+    first, second = agreement_sentences("Plot", measured(None), statistics, ReferenceImage())
     assert "a band mean 20.0 % before, 2.0 % after, 1.0 % with the camera's gains" in first
     assert "a fitted index mean 5.0 % before, 3.0 % after" in second
     spreads = statistics[statistics["statistic"].isin(["nir.std", "SR.mean"])]
-    (only,) = agreement_sentences(plot, [measured(None)], spreads, ReferenceImage())
+    (only,) = agreement_sentences("Plot", measured(None), spreads, ReferenceImage())
     assert "largest error of a statistic of the image 40.0 % before, 30.0 % after" in only
 
 

@@ -45,7 +45,7 @@ def folder(tmp_path_factory):
         few = _crowns.PlacesSettings(steps=25, chains=1, jumps=4)
         patch.setattr(_crowns, "PlacesSettings", quick)
         result = _crowns.crowns(
-            folder / "ortho.tif", folder / "plot.toml", folder / "out",
+            folder / "ortho.tif", folder / "out", plot=folder / "plot.toml",
             heights=folder / "heights.tif", rounds=4, seed=1,
         )  # fmt: skip
     return folder, result
@@ -100,18 +100,18 @@ def test_images_and_plots_that_do_not_fit_are_refused(folder, tmp_path):
     half = np.full((4, 12, 24), 0.2)
     write_geotiff(tmp_path / "half.tif", half, list(BANDS), pixel_m=0.05)
     with pytest.raises(InputError, match="expected an image of the whole plot"):
-        _crowns.crowns(tmp_path / "half.tif", plot_file, tmp_path / "out")
+        _crowns.crowns(tmp_path / "half.tif", tmp_path / "out", plot=plot_file)
     write_geotiff(tmp_path / "other.tif", half[:3], ["a", "b", "c"], pixel_m=0.05)
     with pytest.raises(InputError, match="expected"):
-        _crowns.crowns(tmp_path / "other.tif", plot_file, tmp_path / "out")
+        _crowns.crowns(tmp_path / "other.tif", tmp_path / "out", plot=plot_file)
     tall = np.full((1, 24, 24), 120.0)
     write_geotiff(tmp_path / "dsm.tif", tall, ["height"], pixel_m=0.05)
     with pytest.raises(InputError, match="Subtract the height of the ground"):
         _crowns.crowns(
-            folder / "ortho.tif", plot_file, tmp_path / "out", heights=tmp_path / "dsm.tif"
+            folder / "ortho.tif", tmp_path / "out", plot=plot_file, heights=tmp_path / "dsm.tif"
         )
     (tmp_path / "species.csv").write_text((folder / "species.csv").read_text())
     (tmp_path / "crowns.csv").write_text(CROWNS.split("Restio")[0].replace("1.5,0.6", "1.0,0.6"))
     (tmp_path / "plot.toml").write_text(PLOT + 'crowns = "crowns.csv"\n')
     with pytest.raises(InputError, match="whose plants are to be found"):
-        _crowns.crowns(folder / "ortho.tif", tmp_path / "plot.toml", tmp_path / "out")
+        _crowns.crowns(folder / "ortho.tif", tmp_path / "out", plot=tmp_path / "plot.toml")

@@ -11,7 +11,7 @@ import xarray as xr
 
 from fynjax import jobs
 from fynjax._core.errors import InputError
-from fynjax.app.assembly import Prepared, image_view, prepare
+from fynjax.app.assembly import image_view, plot_problem
 from fynjax.app.io.plot import read_plot
 from fynjax.app.jobs._information import _limit_sentences, information, limit_table
 from fynjax.app.jobs._posterior import _headline, posterior
@@ -122,14 +122,15 @@ def test_slopes_are_those_of_the_expectation_over_plantings(plot, tmp_path):
     read = read_plot(plot)
     result = sensitivity(read, tmp_path, metrics=["nir.mean"], plantings=8, seed=0)
     table = pd.DataFrame(result.slopes).set_index("parameter")
-    ready = prepare(read, None, seed=0)
-    view = image_view(read, ready.scene, ready.parameters, ["nir.mean"])
-    names, at = ready.space.names, np.asarray(ready.space.prior)
-    quick, cheap = search_form(ready.scene, ready.parameters, [view])
-    predict = PlotForward(ready.parameters, names, cheap)
+    problem = plot_problem(read, None, seed=0)
+    scene, parameters = problem.scene, problem.scene.parameters
+    view = image_view(read, scene, parameters, ["nir.mean"])
+    names, at = problem.free.names, np.asarray(problem.free.prior)
+    quick, cheap = search_form(scene, parameters, [view])
+    predict = PlotForward(parameters, names, cheap)
     others, values = [], []
     for seed in range(100, 116):
-        quick, _ = search_form(ready.scene.realisation(seed), ready.parameters, [view])
+        quick, _ = search_form(scene.realisation(seed), parameters, [view])
         local = local_sensitivity(predict, names, ["nir.mean"], at, context=(quick,))
         others.append(local.elasticity[0])
         values.append(local.value[0])
@@ -185,7 +186,7 @@ def test_what_is_not_distinguished_from_zero_is_neither_named_nor_drawn_as_if():
 
 @pytest.mark.study
 def test_a_plot_tells_what_moves_its_metrics(plot, tmp_path):
-    result = sensitivity(plot, tmp_path, metrics=["nir.mean"], derivative_samples=4, seed=0)
+    result = sensitivity(plot, tmp_path, metrics=["nir.mean"], derivatives=4, seed=0)
     assert all((tmp_path / name).stat().st_size for name in result.files)
     slope = {row["parameter"]: row["slope"] for row in result.slopes}
     assert slope["ground.brightness"] > 0
@@ -260,7 +261,7 @@ def test_a_headline_of_a_posterior_writes_no_unit_where_there_is_none():
         method="laplace", names=("a", "b"), data=SimpleNamespace(names=("nir.mean",)),
         well_constrained=tuple,
     )  # fmt: skip
-    ready = stand_in(Prepared, plot=SimpleNamespace(name="small"))
-    said = _headline(ready, sampled, pd.DataFrame(rows))[-1]
+    small = SimpleNamespace(name="small")
+    said = _headline(small, sampled, pd.DataFrame(rows))[-1]
     assert "A dead fraction 0.37 (0.2 to 0.5), 50 %" in said
     assert "A cover 0.37 (0.2 to 0.5) %, 50 %" in said

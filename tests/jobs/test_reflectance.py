@@ -8,12 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import rasterio
-import typer
 from pyproj import Transformer
 from typer.testing import CliRunner
 
 from fynjax._core.errors import InputError
-from fynjax.app.cli._sensors import reflectance
+from fynjax.app.cli import app
 from fynjax.app.compare import read_drone_image
 from fynjax.app.io.captures import read_capture, usable_captures
 from fynjax.app.jobs import pattern
@@ -21,13 +20,12 @@ from tests.helpers import assert_valid_summary, read_cube
 from tests.io.dji_files import SCALE, write_dji
 from tests.io.rededge_files import BANDS, IRRADIANCE, lit, panel_scene, write_rededge
 
-app = typer.Typer()
-app.command()(reflectance)
-
 
 def run(*arguments: object) -> dict:
     """The summary of a successful run."""
-    result = CliRunner().invoke(app, [*map(str, arguments), "--json"], catch_exceptions=False)
+    result = CliRunner().invoke(
+        app, ["reflectance", *map(str, arguments), "--json"], catch_exceptions=False
+    )
     assert result.exit_code == 0
     return json.loads(result.stdout)
 

@@ -8,12 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import rasterio
-import typer
 from rasterio import Affine
 from rasterio.crs import CRS
 
 from fynjax._core.errors import InputError
-from fynjax.app.cli._plot import terrain as command
+from fynjax.app.cli import app
 from fynjax.app.jobs import terrain
 from fynjax.app.report.figures._terrain import hillshade
 from fynjax.app.terrain import Terrain, read_cloud, read_terrain, terrain_from_points, write_terrain
@@ -32,9 +31,7 @@ def cloud_file(tmp_path_factory):
 
 
 def invoke(*arguments):
-    app = typer.Typer()
-    app.command()(command)
-    app(args=[str(a) for a in arguments], standalone_mode=False)
+    app(args=["terrain", *map(str, arguments)], standalone_mode=False)
 
 
 def test_command_writes_the_terrain_of_a_cloud(cloud_file, tmp_path, capfd):
@@ -117,7 +114,7 @@ def test_command_with_bounds_units_and_the_cloth(tmp_path, capfd):
     away = np.hypot(x % 10 - 5, y % 10 - 5)
     z = 0.1 * x + np.where(away < 1.5, 4.0, 0.0)
     np.savetxt(tmp_path / "a.xyz", 100.0 * np.stack([x, y, z], axis=1))
-    edges = ["--bounds", 5, 5, 25, 25]
+    edges = ["--bounds", "5,5,25,25"]
     options = ["--method", "cloth", "--unit", "centimetre", "--json"]
     invoke(tmp_path / "a.xyz", *edges, *options, "--output", tmp_path / "out")
     summary = json.loads(capfd.readouterr().out)
@@ -260,7 +257,7 @@ def test_a_failed_command_writes_nothing_and_names_its_options(cloud_file, tmp_p
         ("--window", 100): r"plot\.csv: `--window`",
         ("--largest-gap", -3): "`--largest-gap`",
         ("--cell", 0.3, "--size", 20): r"plot\.csv: `--cell`",
-        ("--bounds", 0, 0, 5, 5): r"plot\.csv: the cloud covers",
+        ("--bounds", "0,0,5,5"): r"plot\.csv: the cloud covers",
         ("--cell", 40): r"plot\.csv: .*two cells",
     }.items():
         with pytest.raises(InputError, match=message):

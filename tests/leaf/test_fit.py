@@ -40,7 +40,7 @@ from fynjax.leaf._problem import (
     make_setup,
     prepare,
 )
-from fynjax.leaf._residual import Problem, observed, residual, solve, to_physical, whitening
+from fynjax.leaf._residual import LeafProblem, observed, residual, solve, to_physical, whitening
 from tools.estimate_error_model import estimate, independent_error_model
 
 GRID = np.arange(400.0, 2501.0)
@@ -154,7 +154,7 @@ def test_no_leaf_near_the_estimate_is_more_probable():
     assert found.converged.all()
     call = jax.jit(residual)
     for i, z in enumerate(found.z):
-        problem = Problem(*(jnp.asarray(part[i]) for part in problems))
+        problem = LeafProblem(*(jnp.asarray(part[i]) for part in problems))
         common = jnp.asarray(setup.factors)
         whole = problem, whitening(problem, common), common, setup.optics
         tight = dict.fromkeys(("xtol", "ftol", "gtol"), 1e-13)

@@ -147,7 +147,7 @@ def test_python_has_the_priors_of_the_command_line(tmp_path):
             "[plot]\nsize_m = 1.0\nvoxel_m = 0.5\n"
             f'species_table = "species.csv"\nplants = "{plants}"\n'
         )
-        line = _forward.prepare(read_plot(path), free, seed=0).space
+        line = _forward.plot_problem(read_plot(path), None, free, seed=0).free
         for scene in (own, fx.read_scene(path)):
             space = fx.free(scene, *free)
             assert space.names == line.names

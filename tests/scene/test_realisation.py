@@ -13,7 +13,7 @@ import pytest
 
 import fynjax
 from fynjax._core.errors import InputError
-from fynjax.app.assembly import build_plot, prepare
+from fynjax.app.assembly import build_plot, plot_problem
 from fynjax.app.io.plot import read_plot
 from fynjax.canopy import Organ, PlantModel
 from fynjax.scene import (
@@ -137,7 +137,7 @@ def test_plots_from_files_have_realisations_and_known_plants_stay(tmp_path):
     assert bool(eqx.tree_equal(scene.realisation(0), scene))
     check_alike(scene, scene.realisation(1))
     wide = plot.calibration.replace(free=("*.diameter",), priors={"*": 0.5})
-    ready = prepare(plot.replace(calibration=wide), None, seed=3)
+    ready = plot_problem(plot.replace(calibration=wide), None, seed=3)
     assert np.max(ready.scene.rules.room) > PlantingRules.room  # the prior's sites
     assert bool(eqx.tree_equal(ready.scene.realisation(0), ready.scene))
     check_alike(ready.scene, ready.scene.realisation(1))
@@ -246,6 +246,12 @@ def test_forms_that_are_built_alike_are_one_scene():
         rules=PlantingRules(structure="even"), plants=SHAPES,
     )  # fmt: skip
     assert bool(eqx.tree_equal(again.planting, scene.planting))
+    # A key, and a static argument.
+    thin = scene.with_values({"species.*.cover": 0.01})
+    assert hash(again) == hash(scene)
+    assert len({scene, again, thin}) == 2
+    count = jax.jit(lambda s: s.counts(s.parameters).sum(), static_argnums=0)
+    assert float(count(thin)) < float(count(scene))
 
 
 KEYS = {"structure": "structure_m", "spacing": "spacing_m", "probability": "probability_map"}
@@ -264,7 +270,7 @@ the voxels."""
 def test_a_rule_of_planting_is_declared_twice_at_most():
     """By the record that reads it from a file, and by `PlantingRules`. Fewer: lower `DECLARED`."""
     root, found = Path(fynjax.__file__).parent, Counter()
-    for path in (root / "scene" / "_scene.py", *(root / "io" / "plot").glob("*.py")):
+    for path in (root / "scene" / "_scene.py", *(root / "app" / "io" / "plot").glob("*.py")):
         for record in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             if isinstance(record, ast.ClassDef):
                 lines = (one for one in record.body if isinstance(one, ast.AnnAssign))

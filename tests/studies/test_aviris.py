@@ -19,7 +19,6 @@ from fynjax.inversion import (
     CalibrationSettings,
     ImageView,
     PlotSpace,
-    calibrate_plot,
     free_space,
     join_data,
     spectrum_view,
@@ -30,6 +29,7 @@ from fynjax.scene import Placement, aim, with_values
 from fynjax.sensors import BandSet, Gains, shipped_sensor
 from fynjax.studies.fynbos_2006._aviris import NAMES, aviris_target, regions_view
 from tests.helpers import stand_in
+from tests.problems import calibrate_plot
 from tests.scene.plots import TAXA, small_parameters, small_plot
 
 FREE = ("species.*.leaf_area_index", "ground.brightness")
@@ -43,7 +43,7 @@ def plot():
 def test_the_numbers_are_those_of_the_article():
     """Its real spectrum at 2100 to 2450 nm is 0.063; what its error there, 0.0548, is of the range,
     161 %, gives a range of 0.034."""
-    data = aviris_target(Path("plot.toml")).data
+    data = aviris_target(Path("plot.toml"))
     found = dict(zip(data.names, np.asarray(data.value), strict=True))
     assert found["spectrum.swir2_mean"] == 0.063
     assert found["spectrum.swir2_range"] == pytest.approx(0.0548 / 1.6122)
@@ -93,7 +93,7 @@ def test_the_numbers_tie_the_gains_of_the_camera(plot):
     planted = np.array([0.8, 0.75, 0.6, 0.95])
     seen = planted * np.asarray(eqx.filter_jit(drone.predict)(scene, truth), float)
     numbers = np.asarray(eqx.filter_jit(aviris.predict)(scene, truth), float)
-    regions = dataclasses.replace(aviris_target(Path("plot.toml")).data, value=jnp.asarray(numbers))
+    regions = dataclasses.replace(aviris_target(Path("plot.toml")), value=jnp.asarray(numbers))
     start = with_values(truth, TAXA, {"ground.brightness": jnp.asarray(0.7)})
     found = calibrate_plot(
         scene, start, join_data([weigh_targets(names, seen, 0.01), regions]),
@@ -118,7 +118,7 @@ def test_gains_say_what_an_exact_simulation_is_off_by(plot):
         model_error_sd=(np.full(4, 0.1),),
     )
     statistics = pd.DataFrame({"statistic": ["nir.mean"], "after_error_percent": [12.0]})
-    table = camera_table(found, statistics)
+    table = camera_table(found, statistics, views[0])
     np.testing.assert_allclose(table["exact_error_percent"], [25.0, -20.0, 100.0, -100.0 / 11.0])
     np.testing.assert_allclose(table["sd"], [0.064, 0.1, 0.04, 0.088])
     np.testing.assert_allclose(table["prior_sd"], 0.3)

@@ -3,27 +3,19 @@
 from fynjax.app.assembly._build import build_plot, plot_parameters
 from fynjax.app.assembly._find import FREE_OF_PLANTS, blocks_of, find_plants
 from fynjax.app.assembly._forward import (
-    Prepared,
     batch_for_device,
     image_view,
     parameter_columns,
-    prepare,
+    plot_problem,
+    read_problem,
     shown_unit,
 )
 from fynjax.app.assembly._front import (
-    Emulated,
-    PlotData,
     check_vegetation,
-    design,
-    emulate,
-    fit,
-    free,
-    information,
     prior,
+    read_fit,
     read_scene,
-    sample,
 )
-from fynjax.app.assembly._front import PlotData as Data
 from fynjax.app.assembly._ground import ground_heights
 from fynjax.app.assembly._memory import check_memory
 from fynjax.app.assembly._pixels import sample_pixel
@@ -38,9 +30,8 @@ from fynjax.app.assembly._stands import (
     stand_numbers,
 )
 from fynjax.app.assembly._targets import (
-    Measured,
     RealImage,
-    drone_view,
+    image_sight,
     placed_by_image,
     read_targets,
 )
@@ -49,11 +40,6 @@ from fynjax.app.assembly._twin import Twin, plant_twin, twin_image
 __all__ = [
     "FREE_OF_PLANTS",
     "STAND_QUANTITIES",
-    "Data",
-    "Emulated",
-    "Measured",
-    "PlotData",
-    "Prepared",
     "RealImage",
     "StandQuantity",
     "StandSettings",
@@ -66,24 +52,20 @@ __all__ = [
     "build_plot",
     "check_memory",
     "check_vegetation",
-    "design",
-    "drone_view",
-    "emulate",
     "find_plants",
-    "fit",
-    "free",
     "ground_heights",
+    "image_sight",
     "image_view",
-    "information",
     "parameter_columns",
     "placed_by_image",
     "plant_twin",
     "plot_parameters",
-    "prepare",
+    "plot_problem",
     "prior",
+    "read_fit",
+    "read_problem",
     "read_scene",
     "read_targets",
-    "sample",
     "sample_pixel",
     "shown_unit",
     "simulate_stands",

@@ -8,10 +8,9 @@ import numpy as np
 from jaxtyping import Float
 
 from fynjax._core.errors import InputError
-from fynjax.app.assembly._front import free as free_of
-from fynjax.app.assembly._front import imager
 from fynjax.app.compare import read_drone_image
-from fynjax.inversion import FoundPlants, PlacesSettings, find_places
+from fynjax.inversion import FoundPlants, PlacesSettings, find_places, imager_of
+from fynjax.inversion import free as free_of
 from fynjax.scene import Observation, Placement, Scene, aim
 from fynjax.sensors import Gains, Lidar, Sensor
 
@@ -91,7 +90,7 @@ def find_plants(
     >>> found.maps(cell=0.1).crown.shape
     (8, 8)
     """
-    sensor = imager(camera)
+    sensor = imager_of(camera)
     if isinstance(image, Observation):
         names, values = image.bands, np.asarray(image.reflectance, float)
         edge: float | None = image.pixel

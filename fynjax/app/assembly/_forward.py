@@ -1,73 +1,75 @@
-"""What the jobs on a plot's parameters share: the plot, its free parameters, a forward model."""
+"""What the jobs on a plot's parameters share: the problem that a plot file states."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from pathlib import Path
+from typing import Any
 
 import jax
 import numpy as np
 import pandas as pd
-from jaxtyping import Array, Float
 
 from fynjax._core.precision import double_precision
 from fynjax.app.assembly._build import build_plot
-from fynjax.app.assembly._sensing import aim_without_air
-from fynjax.app.io.plot import Plot, drone_sensor, free_parameters, plot_error
-from fynjax.inversion import (
-    CalibrationSettings,
-    ImageView,
-    ParameterSpace,
-    free_space,
-)
-from fynjax.scene import (
-    PARAMETERS,
-    ModelError,
-    PlotParameters,
-    Scene,
-    own_spread,
-    parameter_kind,
-    room_needed,
-    with_values,
-)
-
-
-class Prepared(NamedTuple):
-    """A plot as a scene, with its free parameters."""
-
-    plot: Plot
-    scene: Scene
-    parameters: PlotParameters
-    space: ParameterSpace
-    seed: int
-    """Seed of everything random."""
-    error: ModelError | None = None
-    """Error of the model over wavelength that a calibration of the plot allows for (`plot_error`);
-    None: the model is believed."""
-
-    @property
-    def settings(self) -> CalibrationSettings:
-        """How `calibrate_plot` searches, by the plot's [calibration]."""
-        table = self.plot.calibration
-        return CalibrationSettings(
-            rounds=table.rounds,
-            max_steps=table.max_iterations,
-            starts=table.starts,
-            seed=self.seed,
-        )
+from fynjax.app.assembly._targets import image_sight, placed_by_image, read_targets
+from fynjax.app.io.plot import NO_PRIOR, Plot, as_plot, free_parameters, plot_error, with_prior
+from fynjax.inversion import CalibrationSettings, Data, ImageView, Problem, free_space
+from fynjax.scene import PARAMETERS, PlotParameters, Scene, own_spread, parameter_kind
 
 
 @double_precision
-def prepare(plot: Plot, free: Sequence[str] | None, *, seed: int) -> Prepared:
-    """Build a plot and its free parameters.
+def read_problem(
+    plot: Plot | str | Path,
+    targets: Sequence[str | Path] = (),
+    free: Sequence[str] | None = None,
+    *,
+    prior: str | Path = NO_PRIOR,
+    bands: Sequence[str] | None = None,
+    seed: int | None = None,
+) -> Problem:
+    """The problem that `fynjax calibrate` solves: a plot file, and files of what was measured.
+
+    **Arguments:**
+
+    - `plot`: a plot, or the path of its plot file.
+    - `targets`: files of the measurements, as `jobs.calibrate` takes them.
+    - `free`: patterns of the names of the parameters to be free; those of the plot file by default.
+    - `prior`: learned population of what the plot's files leave open (`with_prior`); none by
+      default.
+    - `bands`: what each band of a drone's image is.
+    - `seed`: of everything random; that of the plot file by default.
+
+    **Raises:** `InputError` as the readers, `build_plot` and `free_space`.
+
+    >>> import fynjax as fx
+    >>> from fynjax.app.io.plot import example_folder, read_plot
+    >>> plot = read_plot(example_folder() / "plot.toml").replace(size_m=(1.0, 1.0))
+    >>> problem = fx.read_problem(plot, free=["species.*.cover"])  # or "plot.toml", ["ortho.tif"]
+    >>> len(problem.free.names)
+    13
+    """
+    paths = [Path(path) for path in targets]
+    read = with_prior(placed_by_image(as_plot(plot), paths), prior)
+    seed = read.seed if seed is None else seed
+    data = read_targets(read, paths, bands=bands, seed=seed, by_pixel=True)
+    return plot_problem(read, data, free, seed=seed)
+
+
+@double_precision
+def plot_problem(
+    plot: Plot, data: Data | None, free: Sequence[str] | None = None, *, seed: int
+) -> Problem:
+    """The problem of a plot that is read, and of what was measured of it.
 
     **Arguments:**
 
     - `plot`: as `read_plot` gives it.
+    - `data`: of its sensors (`read_targets`); None where nothing was measured.
     - `free`: patterns of the names of the parameters to be free; those of the plot file if `None`
       (`free_parameters`).
     - `seed`: of everything random.
 
-    As many sites are held ready for plants as 99 of 100 draws of the prior need. The number of
-    plants is rounded at random, so that its mean over plantings is that of the covers.
+    The number of plants is rounded at random, so that its mean over plantings is that of the
+    covers.
 
     **Raises:** `InputError` as `build_plot`, and as `free_space`.
     """
@@ -76,10 +78,11 @@ def prepare(plot: Plot, free: Sequence[str] | None, *, seed: int) -> Prepared:
     space = free_space(
         scene, parameters, patterns, lambda name: _prior_sd(plot, name, dict(scene.spreads))
     )
-    counts = _likely_counts(scene, parameters, space)
-    if room_needed(scene, parameters, counts).any():
-        scene = scene.realisation(0, counts)
-    return Prepared(plot, scene, parameters, space, seed, plot_error(plot))
+    table = plot.calibration
+    settings = CalibrationSettings(
+        rounds=table.rounds, max_steps=table.max_iterations, starts=table.starts, seed=seed
+    )
+    return Problem(scene, data, space, error=plot_error(plot), settings=settings)
 
 
 def _prior_sd(plot: Plot, name: str, spreads: Mapping[str, float]) -> float | None:
@@ -87,22 +90,6 @@ def _prior_sd(plot: Plot, name: str, spreads: Mapping[str, float]) -> float | No
     (`spreads`, as of `Scene.spreads`), unless `calibration.priors` has another (`own_spread`)."""
     own = own_spread(name, spreads, plot.calibration.priors)
     return plot.calibration.relative_sd(name) if own is None else own
-
-
-_DRAWS, _LIKELY = 500, 0.99
-
-
-def _likely_counts(
-    scene: Scene, parameters: PlotParameters, space: ParameterSpace
-) -> Float[np.ndarray, " species"]:
-    """Plants of each species that 99 of 100 draws of the prior do not exceed."""
-
-    def counts(u: Float[Array, " free"]) -> Float[Array, " species"]:
-        return scene.counts(with_values(parameters, scene.taxa, space.named(u)))
-
-    # A seed of its own: how many sites there are must not depend on who draws plants.
-    normal = np.random.default_rng(0).normal(size=(_DRAWS, len(space.names)))
-    return np.quantile(np.asarray(jax.jit(jax.vmap(counts))(normal)), _LIKELY, axis=0)
 
 
 def image_view(
@@ -116,11 +103,9 @@ def image_view(
     - `scene`, `parameters`: of the plot, from `build_plot`.
     - `statistics`: names such as `nir.mean` or `NDVI.std`.
 
-    **Raises:** `InputError` as `drone_sensor` and `aim_without_air`.
+    **Raises:** `InputError` as `image_sight` and `fynjax.scene.aim`.
     """
-    sensor = drone_sensor(plot, {name.split(".")[0] for name in statistics})
-    camera = aim_without_air(plot, scene, parameters, sensor)
-    return ImageView(tuple(statistics), camera, sensor.gains())
+    return image_sight(plot, statistics)(scene, parameters)
 
 
 def batch_for_device() -> int | None:

@@ -1,21 +1,22 @@
 """What a calibration is to reach, from files of any sensor: statistics, their errors, a view."""
 
+import dataclasses
 import math
 import warnings
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pandas as pd
 from jaxtyping import Bool, Float
 
 from fynjax._core.errors import InputError, in_file
 from fynjax._core.precision import double_precision
-from fynjax.app.assembly._forward import image_view
 from fynjax.app.compare import (
     DroneImage,
     pixel_footprint,
@@ -25,7 +26,9 @@ from fynjax.app.compare import (
 from fynjax.app.compare.structure import ComparisonSettings, cloud_structure
 from fynjax.app.io.plot import (
     Plot,
+    TargetTable,
     drone_sensor,
+    named_sensor,
     placed_by,
     read_statistics,
     read_structure,
@@ -36,17 +39,28 @@ from fynjax.app.io.text import existing_file, open_table
 from fynjax.inversion import (
     GAIN,
     OFFSET,
-    AbstractView,
     Data,
+    ImageSight,
+    Kind,
+    Pixels,
+    Source,
+    SpectrumSight,
+    StructureSight,
+    block_of,
     compared_statistics,
+    imager_of,
+    join_data,
+    pixel_data,
     spectrum_names,
-    spectrum_view,
     structure_view,
     weigh_spectrum,
     weigh_structure,
     weigh_targets,
 )
 from fynjax.metrics import (
+    BANDS,
+    bands_needed,
+    check_statistics,
     fitting_statistics,
     image_statistics,
     index_bands,
@@ -54,19 +68,29 @@ from fynjax.metrics import (
     spectral_mask,
 )
 from fynjax.metrics.structure import STRUCTURE_METRICS, StructureSettings
-from fynjax.scene import PlantingRules, PlotParameters, Scene, fitting_structure
+from fynjax.scene import (
+    Observation,
+    Placement,
+    PlantingRules,
+    Scene,
+    fitting_structure,
+    visible_sensor,
+)
 from fynjax.sensors import (
     BandSet,
     ClearAir,
+    Frame,
     Gains,
+    Lidar,
+    Pose,
     RadiometricNoise,
+    Sensor,
     at_sensor_radiance,
     band_atmosphere,
     clear_sky_atmosphere,
     shipped_sensor,
 )
 
-Kind = Literal["image", "spectrum", "structure"]
 KINDS: dict[Kind, str] = {
     "image": "a drone image, or a table of its statistics",
     "spectrum": "a spectrum, or an image of many bands",
@@ -148,27 +172,6 @@ def _block_means(values: Float[np.ndarray, "y x"], block: int) -> Float[np.ndarr
     return np.where(count > 0, total / np.maximum(count, 1), np.nan)
 
 
-@dataclass(frozen=True)
-class Measured:
-    """What one sensor measured, as a calibration compares it."""
-
-    kind: Kind
-    file: Path
-    data: Data
-    view_of: Callable[[Scene, PlotParameters], AbstractView]
-    """The sensor's view of a scene."""
-    description: str
-    """Sentences on what was read and how it is weighed."""
-    extra: dict[str, Any] = field(default_factory=dict)
-    """Further numbers for the summary, by name."""
-    spectrum: tuple[np.ndarray, np.ndarray] | None = None
-    """Wavelengths [nm] and reflectance of the whole measured spectrum."""
-    bands: BandSet | None = None
-    """Bands in which a spectrum is compared; None of another measurement."""
-    image: RealImage | None = None
-    """A drone's image, to be shown; None of a table of its statistics, and of other sensors."""
-
-
 def target_kind(path: Path) -> Kind:
     """What kind of measurement a file holds, by its ending and its content."""
     suffix = path.suffix.lower()
@@ -229,8 +232,10 @@ def read_targets(
     *,
     bands: Sequence[str] | None = None,
     seed: int = 0,
-) -> tuple[Measured, ...]:
-    """Read what a plot is to be calibrated to: one measurement of each kind at most.
+    by_pixel: bool = False,
+) -> Data | None:
+    """Read what a plot is to be calibrated to: one measurement of each kind at most, or the views
+    that the plot file states (`Plot.targets`) where no files are given.
 
     **Arguments:**
 
@@ -238,30 +243,127 @@ def read_targets(
     - `paths`: files of images, spectra, point clouds, or tables of their statistics.
     - `bands`: of a drone's image, as `read_drone_image` has them.
     - `seed`: of the resampling of a cloud's cells.
+    - `by_pixel`: whether every pixel counts of an image of a plot whose crowns are known.
 
-    **Returns:** what was measured: image, spectrum, structure, those that there are.
+    **Returns:** what was measured: image, spectrum, structure, those that there are; None without
+    files.
 
     **Raises:** `InputError` for two of a kind, for bands without an image, and as the readers.
     """
-    found: dict[Kind, Measured] = {}
+    found: dict[Kind, Data] = {}
+    if by_pixel and plot.known_crowns is not None and any(map(_is_image, map(Path, paths))):
+        return _pixels_of_plot(plot, [*map(Path, paths)], bands)
+    if not paths and plot.targets:
+        return join_data([_view_of(plot, one, bands, seed) for one in plot.targets])
     for path in map(Path, paths):
         existing_file(path, "an image, a spectrum, a point cloud or a table of their statistics")
         kind = target_kind(path)
         if kind in found:
             raise InputError(
-                f"expected one target of each kind, but this and {found[kind].file} are both "
+                f"expected one target of each kind, but this and {_file(found[kind])} are both "
                 f"{KINDS[kind]}",
                 file=path,
             )
-        if kind == "image":
-            found[kind] = image_target(plot, path, bands)
-        elif kind == "spectrum":
-            found[kind] = spectrum_data(path, target_rules(plot), plot.sun.zenith)
-        else:
-            found[kind] = structure_data(path, target_rules(plot), *structure_settings(plot), seed)
+        found[kind] = _read_target(plot, path, kind, bands, seed)
     if bands is not None and "image" not in found:
         raise InputError("expected `bands` with a drone image, but no target is one")
-    return tuple(found[kind] for kind in KINDS if kind in found)
+    each = [found[kind] for kind in KINDS if kind in found]
+    return join_data(each) if each else None
+
+
+def _read_target(
+    plot: Plot, path: Path, kind: Kind, bands: Sequence[str] | None, seed: int
+) -> Data:
+    """What one sensor measured."""
+    if kind == "image":
+        return image_target(plot, path, bands)
+    if kind == "spectrum":
+        return spectrum_data(path, target_rules(plot), plot.sun.zenith)
+    return structure_data(path, target_rules(plot), *structure_settings(plot), seed)
+
+
+def _view_of(plot: Plot, target: TargetTable, bands: Sequence[str] | None, seed: int) -> Data:
+    """One view of a plot, as its file states it: from where it was taken, and under which sun."""
+    sensor = target.of_sensor
+    if sensor is not None:
+        plot = plot.replace(sensor=named_sensor(sensor))
+    if target.sun is not None:
+        plot = plot.replace(sun=target.sun.position)
+    existing_file(target.file, "an image, a spectrum, a point cloud or a table of their statistics")
+    data = _read_target(plot, target.file, target_kind(target.file), bands, seed)
+    source = data.source
+    assert source is not None
+    sight = source.view_of
+    sun = None if target.sun is None else (plot.sun.zenith, plot.sun.azimuth)
+    if sun is not None and isinstance(sight, ImageSight | SpectrumSight):
+        sight = dataclasses.replace(sight, sun=sun)
+    if target.frame is not None:
+        if not isinstance(sight, ImageSight):
+            raise InputError("expected position_m of an image alone", file=target.file)
+        pixel = sight.placement.pixel
+        place = Placement(pixel=pixel, frame=target.frame)
+        sight = dataclasses.replace(sight, placement=place)
+    data = dataclasses.replace(data, source=dataclasses.replace(source, view_of=sight))
+    return data.renamed(target.view) if target.view else data
+
+
+def _is_image(path: Path) -> bool:
+    return path.suffix.lower() in (".tif", ".tiff")
+
+
+def _file(data: Data) -> Path | None:
+    return None if data.source is None else data.source.file
+
+
+def _pixels_of_plot(plot: Plot, paths: Sequence[Path], bands: Sequence[str] | None) -> Data:
+    """The image of a plot with known crowns, of which every pixel counts."""
+    if len(paths) > 1:
+        raise InputError(
+            "expected the image alone: where plants are known it counts pixel by pixel, beside "
+            "which other targets would say nothing",
+            file=paths[1],
+        )
+    path, table = paths[0], plot.calibration
+    existing_file(path, "an image")
+    drone = drone_sensor(plot)
+    image = read_drone_image(path, bands=bands, camera=drone.bands, most_pixels=None)
+    pixel = sensor_place(plot)[1] if image.pixel_m is None else image.pixel_m
+    sight = image_sight(plot, [f"{band}.mean" for band in image.bands], pixel=pixel)
+    sensor = sight.sensor
+    rows, columns = (round(side / pixel) for side in (plot.size_m[1], plot.size_m[0]))
+    if (rows, columns) != image.mask.shape:
+        raise InputError(
+            f"expected an image of the whole plot and nothing else, {rows} rows and {columns} "
+            f"columns of {pixel:g} m, but it has {image.mask.shape[0]} and "
+            f"{image.mask.shape[1]}. Cut it: gdal_translate -projwin",
+            file=path,
+        )
+    order = [image.bands.index(name) for name in sensor.bands.names]
+    values = image.values[order]
+    block = _block(plot, len(values), (rows, columns), pixel)
+    pixels = Pixels(values, block, table.pixel_sd)
+    counted = int(pixels.compared.sum()) * len(values)
+    return pixel_data(
+        pixels, sensor.bands.names, sight, file=path,
+        description=f"{path.name}: {counted} means of blocks of pixels.",
+        extra={"target_valid_share": float(pixels.compared.mean())},
+    )  # fmt: skip
+
+
+def _block(plot: Plot, bands: int, shape: tuple[int, int], pixel: float) -> int:
+    """Pixels along the edge of a block."""
+    stated = plot.calibration.block_m
+    if stated is None:
+        return block_of(bands, shape)
+    block = round(stated / pixel)
+    if not 1 <= block <= min(shape) or abs(stated - block * pixel) > 1e-3 * pixel:
+        raise InputError(
+            f"expected blocks of a whole number of pixels of {pixel:g} m, no larger than the plot, "
+            f"but got {stated:g} m",
+            file=plot.file,
+            column="calibration.block_m",
+        )
+    return block
 
 
 class TargetRules(NamedTuple):
@@ -295,7 +397,7 @@ def image_target(
     plot: Plot,
     path: Path,
     bands: Sequence[str] | None = None,
-) -> Measured:
+) -> Data:
     """The statistics of a drone's image (GeoTIFF), with its `bands`, or of a table (CSV)."""
     (altitude, pixel), sensor = sensor_place(plot), drone_sensor(plot)
     camera = sensor.bands
@@ -328,8 +430,10 @@ def image_target(
         description += (
             f" {what} {seen:.4g} m are simulated, not those of {pixel:.4g} m of the plot's sensor."
         )
-    view = drone_view(plot, data.names)
-    return Measured("image", path, data, view, description, extra, image=image)
+    sight = image_sight(plot, data.names)
+    return dataclasses.replace(
+        data, source=Source("image", sight, description, path, extra, image=image)
+    )
 
 
 class ImageData(NamedTuple):
@@ -446,26 +550,30 @@ def weighed_statistics(
     return weigh_targets(names, found, rules.relative_sd)
 
 
-def drone_view(
-    plot: Plot, statistics: Sequence[str]
-) -> Callable[[Scene, PlotParameters], AbstractView]:
-    """The view of a plot's drone, of a scene to be given later.
+def image_sight(plot: Plot, statistics: Sequence[str], *, pixel: float | None = None) -> ImageSight:
+    """How a plot's drone sees a scene of it, from where its file has it, for reflectance under the
+    plot's own sky.
 
     **Arguments:**
 
     - `plot`: as `read_plot` gives it.
     - `statistics`: names such as `nir.mean` or `NDVI.std`.
+    - `pixel`: on the ground [m], instead of the plot file's.
 
     **Raises:** `InputError` for a sensor that makes no drone's image.
     """
-    drone_sensor(plot)
-    return lambda scene, parameters: image_view(plot, scene, parameters, statistics)
+    sensor = drone_sensor(plot, {name.split(".")[0] for name in statistics})
+    altitude, usual = sensor_place(plot)
+    place = plot.sensor.placement if plot.sensor.name == sensor.name else Placement()
+    place = dataclasses.replace(place, altitude=altitude, pixel=usual if pixel is None else pixel)
+    gains, spread = sensor.gains(), plot.sensor.point_spread
+    return ImageSight(tuple(statistics), visible_sensor(sensor), place, gains, spread, plot.file)
 
 
 # -- spectra ----------------------------------------------------------------------------------
 
 
-def spectrum_data(path: Path, rules: TargetRules, sun_zenith: float) -> Measured:
+def spectrum_data(path: Path, rules: TargetRules, sun_zenith: float) -> Data:
     """The mean of a file's spectra or pixels, in some thirty bands outside the water windows.
 
     **Arguments:**
@@ -504,10 +612,9 @@ def spectrum_data(path: Path, rules: TargetRules, sun_zenith: float) -> Measured
     )
     extra = {"spectra": count, "spectrum_bands": len(bands)}
 
-    def view_of(scene: Scene, parameters: PlotParameters) -> AbstractView:
-        return spectrum_view(bands, scene, parameters, gains=Gains(GAIN, 1.0))
-
-    return Measured("spectrum", path, data, view_of, description, extra, (grid, mean), bands)
+    sight = SpectrumSight(bands, Gains(GAIN, 1.0))
+    source = Source("spectrum", sight, description, path, extra, (grid, mean), bands)
+    return dataclasses.replace(data, source=source)
 
 
 def _bands_to_compare(
@@ -566,7 +673,7 @@ def structure_data(
     settings: StructureSettings,
     grains: tuple[float, ...],
     seed: int,
-) -> Measured:
+) -> Data:
     """Structure metrics of a point cloud, or of a table of them, as targets.
 
     **Arguments:**
@@ -613,8 +720,9 @@ def structure_data(
         f"returns a square metre. Errors: of sampling by {how}, and what the smooth metrics of "
         "the voxels are off by."
     )
-    return Measured(
-        "structure", path, data, lambda *_: view, description, {**extra, "grain_m": grain}
+    extra["grain_m"] = grain
+    return dataclasses.replace(
+        data, source=Source("structure", StructureSight(view), description, path, extra)
     )
 
 
@@ -622,3 +730,146 @@ def structure_settings(plot: Plot) -> tuple[StructureSettings, tuple[float, ...]
     """Settings and grains [m] of structure that fit a plot's voxels."""
     with in_file(plot.file):
         return fitting_structure(plot.voxel_m, min(plot.size_m))
+
+
+# -- without a plot file ----------------------------------------------------------------------
+
+
+def image_of_camera(
+    image: Any,
+    camera: str | Path | Sensor | Lidar,
+    *,
+    pixel: float | None,
+    footprint: float | None,
+    altitude: float | None,
+    bands: Sequence[str] | None,
+    statistics: Sequence[str],
+    relative_sd: float,
+    gains: Gains | str | None,
+    pose: Pose | Frame | None,
+) -> Data:
+    """What `Data.from_image` returns, of its arguments."""
+    rules, sensor = TargetRules(relative_sd, tuple(statistics)), _camera(camera)
+    edge: float | None
+    if isinstance(image, Observation):
+        seen = [band for band in sensor.bands.names if band in image.bands or band in BANDS]
+        values, edge = np.stack([np.asarray(image[band]) for band in seen]), image.pixel
+        own = sensor.bands.select([sensor.bands.names.index(band) for band in seen])
+        counts = np.ones(values.shape[1:], bool) if image.seen is None else np.asarray(image.seen)
+        data = weighed_statistics(values, own, counts, edge, rules)
+    elif isinstance(image, str | Path):
+        read = image_data(Path(image), rules, sensor.bands, pixel=pixel, bands=bands)
+        data, edge = read.data, read.pixel
+    else:
+        raise InputError(
+            "expected the path of an image or what `observe` gives, but got "
+            f"{type(image).__name__}; statistics of an image go through `Data.from_table`"
+        )
+    place = Placement(altitude, footprint or edge)
+    if pose is not None:
+        frame = pose if isinstance(pose, Frame) else Frame(pose)
+        place = Placement(None, footprint or edge, frame=frame)
+    return _seen_by(data, sensor, place, gains)
+
+
+def table_of_camera(
+    table: Any,
+    camera: str | Path | Sensor | Lidar,
+    *,
+    pixel: float | None,
+    altitude: float | None,
+    relative_sd: float,
+    gains: Gains | str | None,
+) -> Data:
+    """What `Data.from_table` returns, of its arguments."""
+    sensor = _camera(camera)
+    if isinstance(table, str | Path):
+        data = image_data(Path(table), TargetRules(relative_sd), sensor.bands).data
+    else:
+        if isinstance(table, Mapping) and "statistic" not in table:
+            table = {"statistic": list(table), "value": list(table.values())}
+        frame = pd.DataFrame(table)
+        if missing := [name for name in ("statistic", "value") if name not in frame]:
+            raise InputError(
+                f"expected columns statistic and value, but {missing[0]} is missing",
+                column=missing[0],
+            )
+        sd = frame["sd"].to_numpy(float) if "sd" in frame else None
+        names = [str(name) for name in frame["statistic"]]
+        check_statistics(names, sensor.bands)
+        data = weigh_targets(names, frame["value"].to_numpy(float), relative_sd, sd=sd)
+    return _seen_by(data, sensor, Placement(altitude, pixel), gains)
+
+
+def spectrum_of_file(
+    path: str | Path, sun_zenith: float, statistics: Sequence[str], relative_sd: float
+) -> Data:
+    """What `Data.from_spectrum` returns, of its arguments."""
+    return spectrum_data(Path(path), TargetRules(relative_sd, tuple(statistics)), sun_zenith)
+
+
+def cloud_of_file(
+    path: str | Path, scene: Scene, statistics: Sequence[str], relative_sd: float, seed: int
+) -> Data:
+    """What `Data.from_cloud` returns, of its arguments."""
+    voxel, side = scene.grid.horizontal_size, min(scene.grid.extent[:2])
+    settings, grains = fitting_structure(voxel, side)
+    rules = TargetRules(relative_sd, tuple(statistics))
+    return structure_data(Path(path), rules, settings, grains, seed)
+
+
+def pixels_of_camera(
+    image: Any,
+    camera: str | Path | Sensor | Lidar,
+    *,
+    pixel: float | None,
+    altitude: float | None,
+    bands: Sequence[str] | None,
+    block: int | None,
+    pixel_sd: float,
+    gains: Gains | str | None,
+) -> Data:
+    """What `Data.from_pixels` returns, of its arguments."""
+    sensor, file = imager_of(camera), None
+    if isinstance(image, str | Path):
+        file = Path(image)
+        read = read_drone_image(file, bands=bands, camera=sensor.bands, most_pixels=None)
+        pixel = read.pixel_m if pixel is None else pixel
+        order = [name for name in sensor.bands.names if name in read.bands]
+        values = read.values[[read.bands.index(name) for name in order]]
+        sensor = sensor.select([sensor.bands.names.index(name) for name in order])
+    else:
+        values = np.asarray(image, float)
+        if values.ndim != 3 or len(values) != len(sensor.bands):
+            raise InputError(
+                f"expected an image of the {len(sensor.bands)} bands of {sensor.name!r}, rows and "
+                f"columns, but got an array of shape {values.shape}"
+            )
+    rows, columns = values.shape[1:]
+    size = block_of(len(values), (rows, columns)) if block is None else block
+    names = sensor.bands.names
+    own = gains if isinstance(gains, Gains) else sensor.gains(gains)
+    every = tuple(f"{n}.mean" for n in names)
+    sight = ImageSight(every, sensor, Placement(altitude, pixel), own)
+    return pixel_data(Pixels(values, size, pixel_sd), names, sight, file=file)
+
+
+def _seen_by(data: Data, camera: Sensor, placement: Placement, gains: Gains | str | None) -> Data:
+    used = bands_needed({*BANDS, *(name.split(".")[0] for name in data.names)}, camera.bands)
+    camera = camera.select([i for i, n in enumerate(camera.bands.names) if n in used])
+    found = gains if isinstance(gains, Gains) else camera.gains(gains)
+    sight = ImageSight(data.names, camera, placement, found)
+    return dataclasses.replace(data, source=Source("image", sight))
+
+
+def _camera(camera: str | Path | Sensor | Lidar) -> Sensor:
+    """A camera with green, red, red edge and near infrared first, then its other bands."""
+    sensor = imager_of(camera)
+    names = sensor.bands.names
+    if missing := [name for name in BANDS if name not in names]:
+        raise InputError(
+            f"expected a camera with bands {', '.join(BANDS)}, but {sensor.name!r} has no "
+            f"{missing[0]}"
+        )
+    others = [name for name in names if name not in BANDS]
+    return sensor.select([names.index(name) for name in (*BANDS, *others)])

@@ -1,7 +1,6 @@
 """A plot whose truth is known, and what sensors would measure of it."""
 
 import dataclasses
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -10,8 +9,7 @@ from jaxtyping import Array, Float
 
 from fynjax._core.precision import double_precision
 from fynjax._core.seeds import generator
-from fynjax.app.assembly._forward import Prepared
-from fynjax.app.assembly._targets import Measured, drone_view, target_rules
+from fynjax.app.assembly._targets import image_sight, target_rules
 from fynjax.app.io.plot import Plot, drone_sensor, sensor_place
 from fynjax.inversion import (
     AbstractView,
@@ -19,8 +17,11 @@ from fynjax.inversion import (
     BandView,
     Data,
     ImageView,
+    Problem,
+    Source,
     compared_statistics,
     factors_by_view,
+    join_data,
     look,
     weigh_targets,
 )
@@ -39,7 +40,7 @@ _PLANTING = 1000
 class Twin(NamedTuple):
     """A plot whose truth is known."""
 
-    measured: tuple[Measured, ...]
+    measured: Data
     """Data of simulated sensors over the twin, in place of the targets of the real plot."""
     whitened: Float[np.ndarray, " free"]
     """True parameters of the twin, in whitened coordinates of the prior [-]."""
@@ -57,7 +58,7 @@ def draw_truth(free: int, random: np.random.Generator) -> Float[np.ndarray, " fr
 
 @double_precision
 def measure_truth(
-    ready: Prepared,
+    problem: Problem,
     view: AbstractView,
     u: Float[Array | np.ndarray, " free"],
     number: int,
@@ -68,7 +69,7 @@ def measure_truth(
 
     **Arguments:**
 
-    - `ready`: the plot. The scene is rendered in full, at the camera's own pixels and blur.
+    - `problem`: the plot. The scene is rendered in full, at the camera's own pixels and blur.
     - `view`: the sensor's; an image gets the camera's gains, drawn from what they may be off by,
       and noise (`PIXEL_NOISE`). Other sensors get their gains alone.
     - `u`: whitened coordinates of the parameters.
@@ -80,8 +81,9 @@ def measure_truth(
     **Returns:** the statistics, and the gains, None of a sensor that has no bands. Not
     differentiable.
     """
-    plot = with_values(ready.parameters, ready.scene.taxa, ready.space.named(jnp.asarray(u)))
-    value, *image = look((view,), ready.scene.realisation(_PLANTING + number), plot)
+    scene = problem.scene
+    plot = with_values(scene.parameters, scene.taxa, problem.free.named(jnp.asarray(u)))
+    value, *image = look((view,), scene.realisation(_PLANTING + number), plot)
     if not isinstance(view, BandView):
         return np.asarray(value, float), None
     seen = np.asarray(image[0], float)
@@ -94,59 +96,61 @@ def measure_truth(
 
 
 @double_precision
-def plant_twin(ready: Prepared, measured: Sequence[Measured], *, seed: int) -> Twin:
+def plant_twin(problem: Problem, relative_sd: float, *, seed: int) -> Twin:
     """Draw a truth from the prior of a plot, plant it, and measure it as the real plot was.
 
     **Arguments:**
 
-    - `ready`: the plot.
-    - `measured`: of the real plot, or `twin_image`: which statistics of which sensors. Those of an
-      image get the errors of `measure_truth`; others are drawn with the errors that they have here.
+    - `problem`: the plot, and which statistics of which sensors were measured of the real one, or
+      `twin_image`. Those of an image get the errors of `measure_truth`; others are drawn with the
+      errors that they have here.
+    - `relative_sd`: error of a mean or quantile of an image as a share of it [-].
     - `seed`: of truth and errors.
     """
     random = generator(seed, 101)
-    truth = draw_truth(len(ready.space.names), random)
+    truth = draw_truth(len(problem.free.names), random)
     found, gain = [], None
-    views = [one.view_of(ready.scene, ready.parameters) for one in measured]
-    factors = BandFactors.of(views, ready.error)
+    views, factors = problem.views, BandFactors.of(problem.views, problem.error)
     # One error of the model for all sensors, wherever they see the same wavelength.
     logs = factors.draw_errors(random)
     errors = [
         None if log is None else np.exp(np.asarray(log))
         for log in factors_by_view(views, jnp.asarray(logs))
     ]
-    for one, view, error in zip(measured, views, errors, strict=True):
-        value, own = measure_truth(ready, view, truth, 0, random, error)
+    for data, view, error in zip(problem.measured.parts, views, errors, strict=True):
+        value, own = measure_truth(problem, view, truth, 0, random, error)
+        source = data.source
+        assert source is not None
         if not isinstance(view, ImageView):
-            covariance = np.asarray(one.data.covariance)
+            covariance = np.asarray(data.covariance)
             # Other sensors err as the real ones are taken to, correlations included.
             value = random.multivariate_normal(value, covariance, method="eigh")
-            data = dataclasses.replace(one.data, value=jnp.asarray(value))
+            data = dataclasses.replace(data, value=jnp.asarray(value))
         else:
             gain = own
-            data = weigh_targets(one.data.names, value, ready.plot.calibration.target_sd)
-        text = f"Of a plot whose truth is known, not of a real one: {one.description}"
-        curve = None if one.bands is None else (np.asarray(one.bands.centre), value)
-        found.append(
-            dataclasses.replace(one, data=data, spectrum=curve, description=text, image=None)
-        )
-    return Twin(tuple(found), truth, gain, tuple(e for e in errors if e is not None))
+            drawn = weigh_targets(view.names, value, relative_sd)
+            data = dataclasses.replace(drawn, names=data.names)
+        text = f"Of a plot whose truth is known, not of a real one: {source.description}"
+        curve = None if source.bands is None else (np.asarray(source.bands.centre), value)
+        source = dataclasses.replace(source, spectrum=curve, description=text, image=None)
+        found.append(dataclasses.replace(data, source=source))
+    return Twin(join_data(found), truth, gain, tuple(e for e in errors if e is not None))
 
 
-def twin_image(plot: Plot) -> Measured:
+def twin_image(plot: Plot) -> Data:
     """The image of a plot's drone, for a twin of a plot of which nothing was measured.
 
     **Arguments:** `plot`, as `read_plot` gives it.
 
     **Returns:** every statistic that is compared with a whole image, without values.
 
-    **Raises:** `InputError` as `drone_view`, and where the plot file's targets fit none of them.
+    **Raises:** `InputError` as `image_sight`, and where the plot file's targets fit none of them.
     """
     pixel = sensor_place(plot)[1]
     bands = drone_sensor(plot).bands
     every = fitting_statistics(compared_statistics(bands), min(plot.size_m), pixel)
     used = target_rules(plot).used(every, "the statistics")
     names = tuple(every[i] for i in used)
-    data = Data(names, jnp.zeros(len(names)), jnp.ones(len(names)))
     description = f"{len(names)} statistics of a drone's image in {', '.join(bands.names)}."
-    return Measured("image", plot.file, data, drone_view(plot, names), description)
+    source = Source("image", image_sight(plot, names), description, plot.file)
+    return Data(names, jnp.zeros(len(names)), jnp.ones(len(names)), source=source)

@@ -1,108 +1,33 @@
-"""The `fynjax` command. Each subcommand is a module that parses and calls one job."""
+"""The `fynjax` command. Its commands are jobs: `_commands` names them, and `_doors` makes each of
+the signature of its job."""
 
-import inspect
 import io
 import logging
 import os
 import re
 import signal
 import sys
-from collections.abc import Callable, Sequence
-from typing import Annotated, Any, get_args
+from collections.abc import Sequence
+from typing import Annotated
 
 import typer
-from typer.core import TyperCommand
 
 import fynjax
-from fynjax._core.errors import InputError, MissingExtraError, is_odd_number
-from fynjax.app.cli._bioscape import calibrate_plots, learn, plots_of_tables, validate_plots
-from fynjax.app.cli._diversity import diversity
-from fynjax.app.cli._inversion import calibrate, crowns, design, information, posterior, sensitivity
-from fynjax.app.cli._leaf import convert, fit_leaf
-from fynjax.app.cli._maps import map_command, train
-from fynjax.app.cli._plot import article, build, demo, init, pattern, plant, render, terrain, view
+from fynjax._core.errors import InputError, MissingExtraError
+from fynjax.app.cli._doors import SETTINGS, group_of
 from fynjax.app.cli._runtime import ignore_ctrl_c
-from fynjax.app.cli._sensors import doctor, frames, identify, reflectance, sensors, simulate
-from fynjax.app.cli._validate import validate
 
 __all__ = ["app", "main"]
 
-_PANELS: dict[str, dict[str, Callable[..., None]]] = {
-    "Plot": {
-        **{"demo": demo, "init": init, "build": build, "render": render, "view": view},
-        "article": article,
-        **{"plant": plant, "terrain": terrain, "pattern": pattern},
-    },
-    "Leaf": {"fit-leaf": fit_leaf, "convert": convert},
-    "This machine": {"doctor": doctor, "identify": identify},
-    "Sensors": {
-        **{"sensors": sensors, "simulate": simulate},
-        **{"reflectance": reflectance, "frames": frames},
-    },
-    "Inversion": {
-        **{"calibrate": calibrate, "crowns": crowns, "posterior": posterior},
-        **{"sensitivity": sensitivity, "information": information},
-        "design": design,
-    },
-    "Validation": {"validate": validate},
-    "Many plots": {"train": train, "map": map_command, "diversity": diversity},
-}
-_BIOSCAPE = {
-    **{"plots": plots_of_tables, "learn": learn},
-    **{"validate": validate_plots, "calibrate": calibrate_plots},
-}
-
-
-def _is_number(annotation: Any) -> bool:
-    """Whether an option takes a number, by the annotation of its argument."""
-    (kind, *_) = get_args(annotation) or [annotation]
-    return not {int, float}.isdisjoint({kind, *get_args(kind)})
-
-
-def _listed(value: Any) -> list[str]:
-    """Texts that an option was given."""
-    return [str(one) for one in (value if isinstance(value, list | tuple) else [value])]
-
-
-class _Strict(TyperCommand):
-    """A command that refuses a second value of an option that takes one, which would replace the
-    first without a word, and 1_0 for ten."""
-
-    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        texts, _, given = self.make_parser(ctx).parse_args(args=list(args))
-        known = inspect.signature(self.callback).parameters if self.callback else {}
-        for option in given:
-            if option.name in known and _is_number(known[option.name].annotation):
-                for text in _listed(texts.get(option.name)):
-                    if is_odd_number(text):
-                        raise InputError(f"`{option.opts[0]}` must be a number, but is {text!r}")
-            if option.param_type_name != "option" or getattr(option, "multiple", False):
-                continue
-            agrees = getattr(option, "is_flag", False) and not option.secondary_opts
-            times = given.count(option)
-            if times > 1 and not agrees:
-                raise InputError(f"expected `{option.opts[0]}` once, but got it {times} times")
-        return super().parse_args(ctx, args)
-
-
-_SETTINGS: Any = {
-    "no_args_is_help": True,
-    "pretty_exceptions_enable": False,
-    "rich_markup_mode": "markdown",
-    "context_settings": {"help_option_names": ["-h", "--help"]},
-}
-app = typer.Typer(name="fynjax", **_SETTINGS)
-for _panel, _commands in _PANELS.items():
-    for _name, _function in _commands.items():
-        app.command(_name, cls=_Strict, rich_help_panel=_panel)(_function)
-_group = typer.Typer(
+app = typer.Typer(name="fynjax", cls=group_of(""), **SETTINGS)
+_bioscape = typer.Typer(
+    cls=group_of("bioscape"),
     help="Field tables and spectra of BioSCape: plot files, what plots share, simulated beside "
     "measured, and back.",
-    **_SETTINGS,
+    **SETTINGS,
 )
-for _name, _function in _BIOSCAPE.items():
-    _group.command(_name, cls=_Strict)(_function)
-app.add_typer(_group, name="bioscape", rich_help_panel="Many plots")
+_bioscape.callback()(lambda: None)
+app.add_typer(_bioscape, name="bioscape", rich_help_panel="Many plots")
 
 
 def _version(wanted: bool) -> bool:
@@ -208,8 +133,9 @@ def _run(arguments: Sequence[str] | None) -> None:
         if hasattr(error, "format_message"):  # a usage error; typer brings a click of its own
             text = error.format_message()
             _fail(f"error: {text}" if text else "error: no command; see fynjax --help", 2)
-        if isinstance(error, MissingExtraError):
-            _fail(f"error: {error}", 1)
+        missing = error if isinstance(error, MissingExtraError) else MissingExtraError.of_app(error)
+        if missing is not None:
+            _fail(f"error: {missing}", 1)
         if type(error).__name__ != "Abort":  # some versions of typer turn Ctrl-C into this
             _fail(f"error: {_of_this_machine(error)} (FYNJAX_DEBUG=1 shows where)", 1)
         status = _INTERRUPTED

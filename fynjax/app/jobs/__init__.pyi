@@ -1,6 +1,5 @@
 from ._build import BuildResult as BuildResult
 from ._build import build as build
-from ._calibrate import CalibrateResult as CalibrateResult
 from ._calibrate import calibrate as calibrate
 from ._calibrate import calibrate_to as calibrate_to
 from ._calibration_tables import ReferenceImage as ReferenceImage
@@ -14,6 +13,8 @@ from ._doctor import Check as Check
 from ._doctor import doctor as doctor
 from ._fit_leaf import FitLeafResult as FitLeafResult
 from ._fit_leaf import fit_leaf as fit_leaf
+from ._fit_report import CalibrateResult as CalibrateResult
+from ._fit_report import fit_report as fit_report
 from ._frames import FramesResult as FramesResult
 from ._frames import frames as frames
 from ._identify import Identified as Identified

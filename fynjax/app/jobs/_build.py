@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import equinox as eqx
 import jax
@@ -12,6 +12,7 @@ import xarray as xr
 from jaxtyping import Array, Float
 from pydantic import Field
 
+from fynjax._core.arguments import Seed
 from fynjax._core.dry_run import begin_work
 from fynjax._core.errors import InputError
 from fynjax._core.precision import double_precision
@@ -88,25 +89,25 @@ def build(
     plot: Plot | str | Path,
     output: str | Path,
     *,
-    seed: int | None = None,
+    seed: Seed | None = None,
     size: float | None = None,
     cell: float = 0.01,
     mesh: bool = False,
-    max_triangles: int = 5_000_000,
+    max_triangles: Annotated[int, Field(ge=2000)] = 5_000_000,
     view: Literal["points", "meshes"] = "points",
 ) -> BuildResult:
-    """Build the scene of a plot with every plant, without rendering it.
+    """Plant a plot: whole plants, as many as its covers ask for.
 
     **Arguments:**
 
-    - `plot`: a plot, or the path of its plot file.
+    - `plot`: plot file (`fynjax init` writes one), or a plot that was read.
     - `output`: folder of the results, made if missing.
-    - `seed`: seed of every random number; that of the plot file by default.
-    - `size`: side of a square plot [m] instead of the file's; its maps must cover it.
+    - `seed`: seed of everything random; the plot file's if left out.
+    - `size`: side of a square plot [m]; the plot file's if left out. Its maps must cover it.
     - `cell`: side of the cells that cover is measured on [m].
-    - `mesh`, `max_triangles`: write the scene as OBJ, of at most so many triangles.
-    - `view`: what the oblique picture shows: clouds of area elements, or the generated meshes of
-      the taxa in sun and sky.
+    - `mesh`: also write the scene as a mesh (OBJ, MTL).
+    - `max_triangles`: most triangles of that mesh.
+    - `view`: oblique picture of points, or of the generated meshes of the taxa in sun and sky.
 
     **Returns:** `BuildResult`. Writes tables of the plants and of the cover of each species, the
     area density in voxels (`voxels.nc`), areas, leaf mass and gap of the stand (`stand.csv`),

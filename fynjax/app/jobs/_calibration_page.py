@@ -1,5 +1,6 @@
 """The page of a calibration: which figures and tables it shows, and its headline."""
 
+import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -8,30 +9,31 @@ import pandas as pd
 from jaxtyping import Float
 from scipy.special import ndtri
 
-from fynjax.app.assembly import Measured, RealImage, Twin
-from fynjax.app.io.plot import Plot
+from fynjax.app.assembly import RealImage, Twin
+from fynjax.app.io.plot import Place
 from fynjax.app.jobs._calibration_tables import (
     ReferenceImage,
     camera_table,
     largest_errors,
+    seen_images,
     sensor_misfit,
     sensor_table,
 )
 from fynjax.app.jobs._render import SHOWN_INDICES, image_views, index_images, write_image
 from fynjax.app.jobs._run import Run, peak_memory_mib
 from fynjax.app.report import figures
-from fynjax.app.report.pages import Page, Part, Picture, Section, Table, sensor_section
-from fynjax.inversion import Calibration, FitStatus, KnownPlants, stand_sentence
-from fynjax.scene import AimedSensor
+from fynjax.app.report.pages import Page, Part, Picture, Section, Table, Views, sensor_section
+from fynjax.inversion import Calibration, Data, FitStatus, ImageView, stand_sentence
+from fynjax.metrics import without_view
 from fynjax.sensors import BandSet
 
 
 def agreement_sentences(
-    plot: Plot, measured: Sequence[Measured], statistics: pd.DataFrame, reference: ReferenceImage
+    name: str, data: Data, statistics: pd.DataFrame, reference: ReferenceImage
 ) -> list[str]:
     """Sentences on how well the data of each sensor are met before and after."""
     lines = []
-    if any(sensor.kind == "image" for sensor in measured):
+    if any(map(is_image, data.parts)):
         published = list(reference.error_percent.values())
         for what, error in largest_errors(statistics).iterrows():
             beside = ""
@@ -45,15 +47,20 @@ def agreement_sentences(
                 "estimated to be off by too."
             )
         if lines:
-            lines[0] = f"{plot.name}, expected over plantings: {lines[0]}"
+            lines[0] = f"{name}, expected over plantings: {lines[0]}"
             lines[1:] = map(_capitalised, lines[1:])
-    for sensor in measured:
-        if sensor.kind != "image":
-            lines.append(sensor_misfit(sensor, sensor_table(sensor, statistics)))
+    for part in data.parts:
+        if not is_image(part):
+            lines.append(sensor_misfit(part, sensor_table(part, statistics)))
     return lines
 
 
-def parameter_sentences(result: Calibration | KnownPlants) -> list[str]:
+def is_image(data: Data) -> bool:
+    """Whether data are statistics of a drone's image."""
+    return data.source is not None and data.source.kind == "image"
+
+
+def parameter_sentences(result: Calibration) -> list[str]:
     """Sentences on the parameters that the data constrain, and on the ends of the searches."""
     constrained, ends = result.fit.well_constrained(), result.ends
     lines = [
@@ -82,7 +89,7 @@ _FAR = float(ndtri(0.95))
 """Distance from the centre of a prior beyond which lies a tenth of it [standard deviations]."""
 
 
-def status_of(result: Calibration | KnownPlants) -> str:
+def status_of(result: Calibration) -> str:
     """'ok', or why the fit is to be doubted and what to do."""
     doubts, fit = result.doubts(), result.fit
     if not fit.converged:
@@ -117,13 +124,13 @@ def twin_sentence(
     return f"{text}, and {within} of {len(apart)} gains of the camera, which were {gains}."
 
 
-def doubt_first(result: Calibration | KnownPlants, text: str) -> str:
+def doubt_first(result: Calibration, text: str) -> str:
     """A page's lead: before anything else, why the fit is to be doubted."""
     status = status_of(result)
     return text if status == "ok" else f"{_capitalised(status)} {text}"
 
 
-def misfit_sentence(result: Calibration | KnownPlants) -> str:
+def misfit_sentence(result: Calibration) -> str:
     """Whether model and prior explain the data."""
     names, count, probability = len(result.data.names), result.degrees, result.probability
     of = "statistics" if count == names else f"directions of {names} statistics"
@@ -137,9 +144,8 @@ def _capitalised(text: str) -> str:
 
 def calibration_page(
     run: Run,
-    plot: Plot,
+    name: str,
     result: Calibration,
-    measured: Sequence[Measured],
     tables: tuple[pd.DataFrame, pd.DataFrame, pd.DataFrame],
     reference: ReferenceImage,
     lead: Sequence[str],
@@ -162,52 +168,72 @@ def calibration_page(
         } | keys
     said = [*_goal_sentences(statistics, reference), *([reference.start] * bool(reference.start))]
     sections = [Section("", [" ".join(said)])] if said else []
-    for sensor in measured:
-        if sensor.kind == "image":
-            sections += _image_sections(sensor, result, statistics, reference)
+    for part, view in zip(result.problem.measured.parts, result.views, strict=True):
+        if isinstance(view, ImageView):
+            sections += _image_sections(part, view, result, statistics, reference)
         else:
-            sections.append(sensor_section(sensor, sensor_table(sensor, statistics)))
-    camera = camera_table(result, statistics)
-    if camera is not None:
-        sections.append(Section("The camera", [_camera_sentence(camera), Table(camera, _CAMERA)]))
+            sections.append(sensor_section(part, sensor_table(part, statistics)))
+    for view in result.views:
+        if isinstance(view, ImageView):
+            camera = camera_table(result, statistics, view)
+            title = _titled("The camera", view)
+            sections.append(Section(title, [_camera_sentence(camera), Table(camera, _CAMERA)]))
     sections += [
         Section("", [Table(statistics, _STATISTICS, folded=True)]),
         parameter_section(result, stand, parameters),
         search_section(run, result, memory),
     ]
     first = doubt_first(result, " ".join(lead))
-    return Page(f"Calibration: {plot.name}", first, sections, keys, record)
+    return Page(f"Calibration: {name}", first, sections, keys, record)
+
+
+def _titled(title: str, view: ImageView) -> str:
+    return f"{title}, {view.view}" if view.view else title
 
 
 def write_results(
     run: Run,
-    plot: Plot,
-    result: Calibration | KnownPlants,
+    place: Place,
+    result: Calibration,
     tables: tuple[pd.DataFrame, pd.DataFrame, pd.DataFrame],
-    camera: AimedSensor | None,
     record: Mapping[str, str | int],
     words: tuple[str, str],
 ) -> None:
-    """Write the tables of `calibration_page`, and where there is a `camera` its images before and
-    after; `words` are for what the statistics are of, and for where the plot before is from."""
+    """Write the tables of `calibration_page`, and of each drone the images before and after, where
+    the plot lies; `words` are for what the statistics are of, and for where the plot before is
+    from."""
     stand, parameters, statistics = tables
     each, source = words
     run.table("stand.csv", stand, "prior and estimate of the whole stand")
     run.table("parameters.csv", parameters, "prior, estimate, sd of every parameter")
     run.table("statistics.csv", statistics, f"{each}, real and simulated")
     for when, what in (("before", f"of the {source}"), ("after", "after calibration")):
-        if camera is not None:
-            path = run.path(f"image_{when}.tif", f"image {what}, GeoTIFF")
-            write_image(path, np.asarray(getattr(result, f"image_{when}")), plot, camera, record)
+        for view, image in seen_images(result, when):
+            camera, file = view.camera, f"image_{when}{f'_{view.view}' if view.view else ''}.tif"
+            if result.blocks is not None:
+                pixel = camera.pixel * result.blocks.size
+                camera = dataclasses.replace(camera, pixel=pixel)
+            path = run.path(file, f"image {what}, GeoTIFF")
+            write_image(path, image, place, camera, record)
 
 
 def _image_sections(
-    measured: Measured, result: Calibration, statistics: pd.DataFrame, reference: ReferenceImage
+    data: Data,
+    view: ImageView,
+    result: Calibration,
+    statistics: pd.DataFrame,
+    reference: ReferenceImage,
 ) -> list[Section]:
-    camera, real = result.camera, measured.image
-    assert camera is not None  # of which these images are
+    camera = view.camera
+    real = None if data.source is None else data.source.image
     bands, pixel = camera.sensor.bands, camera.pixel
-    simulated = {"Before": np.asarray(result.image_before), "After": np.asarray(result.image_after)}
+    simulated = {
+        when.capitalize(): next(one for own, one in seen_images(result, when) if own is view)
+        for when in ("before", "after")
+    }
+    if view.view:  # of this view alone, under plain names
+        statistics = statistics[statistics["statistic"].isin(view.statistic_names)]
+        statistics = statistics.assign(statistic=statistics["statistic"].map(without_view))
     if real is None:
         said = (
             "Of the measured image only statistics are known here, so that no picture of it stands "
@@ -220,14 +246,89 @@ def _image_sections(
         images = {"Real": _in_bands(real.values, real, bands), **simulated}
         pixels = {"Real": real.pixel, **dict.fromkeys(simulated, pixel)}
         views = image_views(images, bands, pixels, "Real")
+    against = [
+        *error_pictures(statistics, reference),
+        *_distributions(real, simulated, bands, statistics),
+    ]
+    if view.view:  # files of several views lie beside each other
+        views = Views({title: _of_view(one, view) for title, one in views.pictures.items()})
+        against = [_of_view(one, view) for one in against]
     return [
-        Section("The image", [said, _one_planting(statistics), views]),
-        Section(
-            "Against the real image",
-            [
-                *error_pictures(statistics, reference),
-                *_distributions(real, simulated, bands, statistics),
-            ],
+        Section(_titled("The image", view), [said, _one_planting(statistics), views]),
+        Section(_titled("Against the real image", view), against),
+    ]
+
+
+def _of_view(picture: Picture, view: ImageView) -> Picture:
+    return dataclasses.replace(picture, file=f"{view.view}_{picture.file}")
+
+
+def pixel_page(
+    run: Run,
+    name: str,
+    result: Calibration,
+    tables: tuple[pd.DataFrame, pd.DataFrame, pd.DataFrame],
+    lead: Sequence[str],
+    record: Mapping[str, str | int],
+) -> Page:
+    """The page of a calibration pixel by pixel, with `tables` and `lead` as of
+    `calibration_page`."""
+    stand, parameters, bands = tables
+    camera, blocks = result.camera, result.blocks
+    assert camera is not None
+    assert blocks is not None
+    return Page(
+        f"Calibration: {name}",
+        doubt_first(result, " ".join(lead)),
+        [
+            Section("The image", _pixel_pictures(result, camera.pixel * blocks.size)),
+            Section("", [Table(bands, "Every band.", folded=True)]),
+            parameter_section(result, stand, parameters),
+            search_section(run, result, peak_memory_mib()),
+        ],
+        {
+            "relative error, before → after": pair_of_errors(*block_errors(result)[:2]),
+            "wall time": f"{run.total():.0f} s",
+        },
+        record,
+    )
+
+
+def block_errors(result: Calibration) -> list[float]:
+    """Relative errors of the compared blocks before, after, and with gains and the model's error
+    [%]."""
+    blocks = result.blocks
+    assert blocks is not None
+    mean = np.nanmean(blocks.measured, axis=(1, 2), keepdims=True)
+    return [
+        100.0 * float(np.sqrt(np.nanmean(((image - blocks.measured) / mean) ** 2)))
+        for image in (blocks.before, blocks.after, blocks.with_error)
+    ]
+
+
+def _pixel_pictures(result: Calibration, pixel: float) -> list[Part]:
+    camera, blocks = result.camera, result.blocks
+    assert camera is not None
+    assert blocks is not None
+    bands = camera.sensor.bands
+    images = {
+        "Measured": blocks.measured,
+        "Before": blocks.before,
+        "After": blocks.after,
+        "With gains and error": blocks.with_error,
+    }
+    residuals = {title: images[title] - blocks.measured for title in list(images)[1:]}
+    return [
+        "All with one stretch, that of the measured image, and one scale of length. What is "
+        "compared is the last, times the camera's gains and the model's error as estimated.",
+        image_views(images, bands, pixel, "Measured"),
+        "Plants stand where they were mapped, so that each pixel of the simulation has its partner "
+        "in the measured image, and their difference says what is off where.",
+        Picture(
+            "residual.png",
+            figures.residual_maps(residuals, bands.names, pixel_m=pixel),
+            "simulated less measured, before, after, and with gains and the model's error",
+            "Simulated less measured, in each band with one scale.",
         ),
     ]
 
@@ -395,7 +496,7 @@ def _one_planting(statistics: pd.DataFrame) -> str:
 
 
 def parameter_section(
-    result: Calibration | KnownPlants, stand: pd.DataFrame, parameters: pd.DataFrame
+    result: Calibration, stand: pd.DataFrame, parameters: pd.DataFrame
 ) -> Section:
     """Prior and estimate of the stand, and of every parameter."""
     directions = "; ".join(
@@ -425,7 +526,7 @@ def parameter_section(
     )
 
 
-def search_section(run: Run, result: Calibration | KnownPlants, memory: float) -> Section:
+def search_section(run: Run, result: Calibration, memory: float) -> Section:
     """Objective after each step, ends and times of the search; `memory` at its peak [MiB]."""
     fit = result.fit
     convergence = figures.convergence_plot(fit.loss, fit.gradient_norm, rounds=fit.rounds)

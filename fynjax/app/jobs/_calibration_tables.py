@@ -2,19 +2,19 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
 
 import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 import pandas as pd
 import xarray as xr
 from numpy.typing import ArrayLike
 
-from fynjax.app.assembly import Measured, parameter_columns
+from fynjax.app.assembly import parameter_columns
 from fynjax.app.io.raster import image_array
 from fynjax.app.jobs._render import plant_counts
-from fynjax.inversion import Calibration, ImageView, KnownPlants, ParameterSpace
-from fynjax.metrics import VEGETATION_INDICES, image_statistics
+from fynjax.inversion import BandView, Calibration, Data, ImageView, ParameterSpace
+from fynjax.metrics import VEGETATION_INDICES, image_statistics, without_view
 from fynjax.metrics.structure import STRUCTURE_METRICS
 from fynjax.scene import PARAMETERS, Scene, named_values, parameter_kind
 
@@ -28,7 +28,7 @@ def prior_columns(space: ParameterSpace) -> dict[str, ArrayLike]:
     return {**prior, "prior_q05": low, "prior_q95": high}
 
 
-def parameter_table(calibration: Calibration | KnownPlants) -> pd.DataFrame:
+def parameter_table(calibration: Calibration) -> pd.DataFrame:
     """Every free parameter: prior, estimate, how far that moved from the prior's centre [prior
     standard deviations], how far the data pinned it down, and the value to use: the estimate, or
     where it is worse than the field table the prior."""
@@ -55,7 +55,7 @@ def parameter_table(calibration: Calibration | KnownPlants) -> pd.DataFrame:
     )
 
 
-def offered_stand(stand: pd.DataFrame, calibration: Calibration | KnownPlants) -> pd.DataFrame:
+def offered_stand(stand: pd.DataFrame, calibration: Calibration) -> pd.DataFrame:
     """The table of the stand with the values to use: those of the estimate, or where it is worse
     than the field table those of the prior."""
     worse = calibration.worse
@@ -99,22 +99,23 @@ def statistic_table(calibration: Calibration, reference: ReferenceImage) -> pd.D
             "target_sd": np.concatenate([np.asarray(data.sd), np.full(len(extra), np.nan)]),
         }
     )
-    view = next((view for view in calibration.views if isinstance(view, ImageView)), None)
-    of_image: dict[str, Any] = {}
     for when in ("before", "after"):
-        if view is not None:
-            own, camera = (*view.names, *extra), view.camera
-            image, bands = getattr(calibration, f"image_{when}"), camera.sensor.bands
-            found = np.asarray(_statistics(image, own, pixel=camera.pixel, bands=bands), float)
-            of_image = dict(zip(own, found, strict=True))
+        found: dict[str, float] = {}
+        for view, image in seen_images(calibration, when):
+            own, camera = (*view.names, *(extra if not view.view else ())), view.camera
+            of_image = _statistics(
+                jnp.asarray(image), own, camera.seen, pixel=camera.pixel, bands=camera.sensor.bands
+            )
+            under = (*view.statistic_names, *own[len(view.names) :])
+            found |= dict(zip(under, map(float, of_image), strict=True))
         fitted = np.asarray(getattr(calibration, f"statistics_{when}"), float)
-        expected = of_image | dict(zip(data.names, fitted, strict=True))
+        expected = found | dict(zip(data.names, fitted, strict=True))
         table[when] = [expected.get(name, np.nan) for name in names]
-    if view is not None:
-        table["image_after"] = table["statistic"].map(of_image)
+    if found:
+        table["image_after"] = table["statistic"].map(found)
     for when in ("with_gain", "with_error"):
-        found = np.asarray(getattr(calibration, f"statistics_{when}"), float)
-        table[when] = [*found, *np.full(len(extra), np.nan)]
+        values = np.asarray(getattr(calibration, f"statistics_{when}"), float)
+        table[when] = [*values, *np.full(len(extra), np.nan)]
     table["reference"] = [reference.simulated.get(n, np.nan) for n in names]
     for column in ("before", "after", "with_gain", "with_error", "reference"):
         table[f"{column}_error_percent"] = 100.0 * (table[column] - real) / np.abs(real)
@@ -123,21 +124,47 @@ def statistic_table(calibration: Calibration, reference: ReferenceImage) -> pd.D
     return table
 
 
-def camera_table(calibration: Calibration, statistics: pd.DataFrame) -> pd.DataFrame | None:
-    """Gains of the drone's camera, and what they say of each band's error.
+def seen_images(calibration: Calibration, when: str) -> list[tuple[ImageView, np.ndarray]]:
+    """Views of drones with the image of each, "before" or "after"."""
+    views = [view for view in calibration.views if isinstance(view, BandView)]
+    images = getattr(calibration, f"images_{when}")
+    pairs = zip(views, images, strict=True)
+    return [(view, np.asarray(one)) for view, one in pairs if isinstance(view, ImageView)]
 
-    **Arguments:** `calibration`; `statistics`, of `statistic_table`.
+
+def band_table(fit: Calibration) -> pd.DataFrame:
+    """Mean of each band over the compared blocks, and the root mean square of their errors."""
+    blocks, camera = fit.blocks, fit.camera
+    assert blocks is not None
+    assert camera is not None
+    real = blocks.measured
+    images = {"before": blocks.before, "after": blocks.after, "with_error": blocks.with_error}
+    compared = {name: np.where(np.isfinite(real), image, np.nan) for name, image in images.items()}
+    compared = {"real": real, **compared}
+    table = {name: np.nanmean(image, axis=(1, 2)) for name, image in compared.items()}
+    for name in images:
+        error = (compared[name] - real) ** 2
+        table[f"{name}_rmse"] = np.sqrt(np.nanmean(error, axis=(1, 2)))
+    names = [f"{band}.mean" for band in camera.sensor.bands.names]
+    return pd.DataFrame({"statistic": names, "fitted": True, **table})
+
+
+def camera_table(
+    calibration: Calibration, statistics: pd.DataFrame, view: ImageView
+) -> pd.DataFrame:
+    """Gains of a drone's camera, and what they say of each band's error.
+
+    **Arguments:** `calibration`; `statistics`, of `statistic_table`; `view` of the camera.
 
     **Returns:** a row for each band: its estimated gain, that is what a simulated band is to be
     multiplied by to be as the camera has it, standard deviations after and before the data; what a
     simulation without error would be off by from the camera's mean; the factor by which reality is
     off from the model, beside the gain, and its standard deviation; and what simulations before and
-    after are off by, and another one's. None without a camera.
+    after are off by, and another one's.
     """
-    view = next((v for v in calibration.views if isinstance(v, ImageView)), None)
-    gain, gain_sd = calibration.gain, calibration.gain_sd
-    if view is None or gain is None or gain_sd is None:
-        return None
+    with_bands = [one for one in calibration.views if isinstance(one, BandView)]
+    place = next(i for i, one in enumerate(with_bands) if one is view)
+    gain, gain_sd = calibration.gains[place], calibration.gains_sd[place]
     bands = view.camera.sensor.bands.names
     table = pd.DataFrame(
         {
@@ -153,7 +180,8 @@ def camera_table(calibration: Calibration, statistics: pd.DataFrame) -> pd.DataF
     table["model_error"] = model["model_error"].to_numpy()
     table["model_error_sd"] = (model["model_error"] * model["model_error_sd"]).to_numpy()
     errors = statistics.set_index("statistic").filter(regex="_error_percent$")
-    means = errors.reindex([f"{band}.mean" for band in bands]).reset_index(drop=True)
+    before = f"{view.view}." if view.view else ""
+    means = errors.reindex([f"{before}{band}.mean" for band in bands]).reset_index(drop=True)
     return pd.concat([table, means], axis=1)
 
 
@@ -165,7 +193,7 @@ def largest_errors(statistics: pd.DataFrame) -> pd.DataFrame:
     and where neither was there is one row, "a statistic of the image".
     """
     fitted = statistics[statistics["fitted"]]
-    layer, kind = (fitted["statistic"].str.split(".").str[k] for k in (0, 1))
+    layer, kind = (fitted["statistic"].map(without_view).str.split(".").str[k] for k in (0, 1))
     is_mean, is_index = kind == "mean", layer.isin(VEGETATION_INDICES)
     parts = {
         "a band mean": fitted[is_mean & ~is_index],
@@ -185,25 +213,27 @@ _WHEN = ["before", "after", "with_gain", "with_error"]
 _COLUMNS = ["real", "target_sd", "before", "after"]
 
 
-def sensor_table(measured: Measured, statistics: pd.DataFrame) -> pd.DataFrame:
+def sensor_table(data: Data, statistics: pd.DataFrame) -> pd.DataFrame:
     """The statistics of one sensor: real with its error, and simulated before and after."""
-    rows = statistics.set_index("statistic").loc[list(measured.data.names), _COLUMNS].reset_index()
-    if measured.bands is not None:
-        rows.insert(0, "wavelength_nm", measured.bands.centre)
+    rows = statistics.set_index("statistic").loc[list(data.names), _COLUMNS].reset_index()
+    if data.source is not None and data.source.bands is not None:
+        rows.insert(0, "wavelength_nm", data.source.bands.centre)
     else:
-        metrics = [name.split(".", 1)[1] for name in rows["statistic"]]
+        metrics = [without_view(name).split(".", 1)[1] for name in rows["statistic"]]
         rows.insert(0, "metric", metrics)
         rows.insert(1, "unit", [STRUCTURE_METRICS.get(name, "-") for name in metrics])
     return rows.drop(columns="statistic")
 
 
-def sensor_misfit(measured: Measured, table: pd.DataFrame) -> str:
+def sensor_misfit(data: Data, table: pd.DataFrame) -> str:
     """Misfit of a spectrum or a cloud before and after, in a sentence."""
+    source = data.source
+    assert source is not None
     error = table[["before", "after"]].sub(table["real"], axis=0)
-    if measured.bands is not None:
+    if source.bands is not None:
         rmse = np.sqrt((error**2).mean())
         return f"RMSE of the spectrum {rmse['before']:.3f} before, {rmse['after']:.3f} after."
-    what = "a structure metric" if measured.kind == "structure" else "a number of the spectrum"
+    what = "a structure metric" if source.kind == "structure" else "a number of the spectrum"
     largest = error.abs().div(table["target_sd"], axis=0).max()
     return (
         f"Largest deviation of {what} {largest['before']:.1f} of its standard "
@@ -212,20 +242,17 @@ def sensor_misfit(measured: Measured, table: pd.DataFrame) -> str:
 
 
 def _images(result: Calibration) -> dict[str, xr.DataArray]:
-    """Simulated images before and after, where an image was a target."""
-    camera = result.camera
-    if camera is None:
-        return {}
-    bands = camera.sensor.bands
+    """Simulated images before and after, of each drone."""
     return {
-        f"reflectance_{when}": image_array(
-            np.asarray(getattr(result, f"image_{when}")),
-            list(bands.names),
-            list(bands.centre),
-            pixel_m=camera.pixel,
+        f"{f'{view.view}_' if view.view else ''}reflectance_{when}": image_array(
+            image,
+            list(view.bands.names),
+            list(view.bands.centre),
+            pixel_m=view.camera.pixel,
             long_name=f"simulated reflectance factor {when} calibration",
         )
         for when in ("before", "after")
+        for view, image in seen_images(result, when)
     }
 
 

@@ -44,15 +44,16 @@ def convert(
     *,
     panel: str | Path | None = None,
 ) -> ConvertResult:
-    """Write the spectra of files of any format as one CSV and one NetCDF.
+    """Write spectra of any format as one CSV and one NetCDF.
 
-    A file or a spectrum that cannot be used does not stop the others.
+    Reads ASD, SVC, Spectral Evolution, CSV, text, ECOSTRESS and ENVI libraries, one file or whole
+    folders. A file or a spectrum that cannot be used does not stop the others.
 
     **Arguments:**
 
-    - `paths`: files of any format that `fynjax.read_spectra` takes, and folders of them.
+    - `paths`: files of spectra, or folders of them, of any format that `fynjax.read_spectra` takes.
     - `output`: folder, made if missing.
-    - `panel`: table of the white panel's own reflectance, as of `fit_leaf`.
+    - `panel`: table of the white panel's own reflectance, where files lack it.
 
     **Returns:** `ConvertResult`. Writes `spectra.csv` (wavelengths in nm, a column a spectrum,
     fractions), `spectra.nc` (CF conventions, with file, format and header of each spectrum) and

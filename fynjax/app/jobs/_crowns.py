@@ -1,9 +1,8 @@
 """The job of `fynjax crowns`: which plants stand where, found in an orthophoto."""
 
-import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 import pandas as pd
@@ -18,17 +17,27 @@ from fynjax.app.assembly import (
     aim_without_air,
     blocks_of,
     placed_by_image,
-    prepare,
+    plot_problem,
 )
-from fynjax.app.io.plot import Place, Plot, as_plot, plot_place, write_crowns
+from fynjax.app.compare import read_drone_image
+from fynjax.app.io.plot import (
+    Place,
+    Plot,
+    as_plot,
+    drone_sensor,
+    plot_place,
+    sensor_place,
+    write_crowns,
+)
 from fynjax.app.io.raster import open_raster, read_over_plot, write_geotiff
-from fynjax.app.jobs._calibrate_known import image_and_camera
+from fynjax.app.jobs._doubt import doubt_spectrum
 from fynjax.app.jobs._render import image_views
 from fynjax.app.jobs._result import JobResult, Number, Rows
 from fynjax.app.jobs._run import Run, peak_memory_mib
 from fynjax.app.report import figures
 from fynjax.app.report.pages import Page, Picture, Section, Table
 from fynjax.inversion import FoundMaps, FoundPlants, PlacesSettings, find_places
+from fynjax.scene import AimedSensor, Scene
 
 _STRUCTURE = 0.05
 """Edge of the voxels that sun and sight follow the plants on, where the plot states none [m]."""
@@ -53,12 +62,12 @@ class CrownsResult(JobResult):
 
 def crowns(
     image: str | Path,
-    plot: Plot | str | Path,
     output: str | Path,
     *,
+    plot: Plot | str | Path,
     bands: Sequence[str] | None = None,
     heights: str | Path | None = None,
-    rounds: int = 24,
+    rounds: Annotated[int, Field(ge=2)] = 24,
     free: Sequence[str] | None = None,
     seed: int | None = None,
 ) -> CrownsResult:
@@ -67,15 +76,16 @@ def crowns(
     **Arguments:**
 
     - `image`: GeoTIFF of reflectance; it covers the plot and nothing else, its rows from the north.
-    - `plot`: a plot, or the path of its plot file; its species table says what may stand there.
     - `output`: folder of the results, made if missing.
+    - `plot`: plot file of the plot, or a plot that was read; its species table says what may stand
+      there.
     - `bands`: what each band of the image is, as `read_drone_image` has it; known by name or
       wavelength by default.
     - `heights`: raster of the height of the canopy above the ground [m] that covers the plot; none
       by default.
     - `rounds`: of each chain of whole stands.
-    - `free`: patterns of parameters that are found beside the plants; by default
-      `FREE_OF_PLANTS`.
+    - `free`: patterns of parameters that are found beside the plants; by default sizes, leaf area,
+      dead tissue and leaves of the species, and the ground's brightness.
     - `seed`: seed of every random number; that of the plot file by default.
 
     **Returns:** `CrownsResult`. Writes `crowns.gpkg`, `species.tif`, `crowns.tif`, `expected.tif`,
@@ -85,7 +95,7 @@ def crowns(
     the plot, and for a plot whose crowns are known; `MissingExtraError` without the packages of the
     extras map and tables.
 
-    Example: `jobs.crowns("ortho.tif", "plot.toml", Path("results"))`.
+    Example: `jobs.crowns("ortho.tif", Path("results"), plot="plot.toml")`.
     """
     for module, extra in (("optax", "map"), ("pyogrio", "tables"), ("shapely", "tables")):
         require(module, extra)
@@ -101,11 +111,10 @@ def crowns(
         read = read.replace(structure_m=min(_STRUCTURE, read.voxel_m))
     run = Run(output, seed=seed, plot=read)
     with run.stage("Build the plot", "build"):
-        ready = prepare(read, FREE_OF_PLANTS if free is None else free, seed=run.seed)
-    scene = dataclasses.replace(ready.scene, parameters=ready.parameters)
-    whole, pixels = image_and_camera(run, ready, path, bands)
-    means, block = blocks_of(pixels, whole.pixel)
-    camera = aim_without_air(read, scene, ready.parameters, whole.sensor, pixel=block)
+        free = FREE_OF_PLANTS if free is None else free
+        problem = plot_problem(read, None, free, seed=run.seed)
+    scene = problem.scene
+    means, camera = _image_and_camera(run, read, scene, path, bands)
     height = None if heights is None else _heights(read, Path(heights), scene.class_grid.shape)
     settings = PlacesSettings(rounds=rounds, seed=run.seed)
     begin_work(
@@ -115,7 +124,7 @@ def crowns(
     )
     with run.timed("find"):
         found = find_places(
-            scene, means, camera, ready.space, settings, height=height, error=ready.error
+            scene, means, camera, problem.free, settings, height=height, error=problem.error
         )
     table, every = found.table(), found.crowns()
     maps = found.maps(_cell(read))
@@ -149,6 +158,29 @@ def crowns(
         plants=table,
         misfit=found.misfit,
     )
+
+
+def _image_and_camera(
+    run: Run, plot: Plot, scene: Scene, path: Path, bands: Sequence[str] | None
+) -> tuple[Float[np.ndarray, "band y x"], AimedSensor]:
+    """Means of blocks of pixels, and the camera that sees them; doubts an image of no shrubland."""
+    image = read_drone_image(path, bands=bands, camera=drone_sensor(plot).bands, most_pixels=None)
+    pixel = sensor_place(plot)[1] if image.pixel_m is None else image.pixel_m
+    rows, columns = (round(side / pixel) for side in plot.size_m[::-1])
+    if (rows, columns) != image.mask.shape:
+        raise InputError(
+            f"expected an image of the whole plot and nothing else, {rows} rows and {columns} "
+            f"columns of {pixel:g} m, but it has {image.mask.shape[0]} and "
+            f"{image.mask.shape[1]}. Cut it: gdal_translate -projwin",
+            file=path,
+        )
+    values, block = blocks_of(image.values, pixel)
+    drone = drone_sensor(plot, image.bands)
+    camera = aim_without_air(plot, scene, scene.parameters, drone, pixel=block)
+    seen = camera.sensor.bands
+    order = [image.bands.index(name) for name in seen.names]
+    doubt_spectrum(run, image.pixels.mean(axis=1)[order], seen, camera.sensor)
+    return values[order], camera
 
 
 def _heights(plot: Plot, path: Path, shape: tuple[int, ...]) -> Float[np.ndarray, "y x"]:

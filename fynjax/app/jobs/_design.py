@@ -2,13 +2,15 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import pandas as pd
+from pydantic import Field
 
+from fynjax._core.arguments import Names, Seed
 from fynjax._core.dry_run import begin_work
 from fynjax._core.precision import double_precision
-from fynjax.app.assembly import prepare
+from fynjax.app.assembly import plot_problem
 from fynjax.app.io.instruments import load_instrument
 from fynjax.app.io.plot import Plot, as_plot
 from fynjax.app.io.text import write_text
@@ -35,29 +37,38 @@ def design(
     plot: Plot | str | Path,
     output: str | Path,
     *,
-    bands: int = 4,
-    target: Sequence[str] = DESIGN_TARGET,
+    bands: Annotated[int, Field(ge=1)] = 4,
+    target: Names = DESIGN_TARGET,
     free: Sequence[str] | None = None,
     pixel: float | Sequence[float] = 0.1,
     spectrum: tuple[float, float] = (400.0, 2500.0),
     widths: tuple[float, float] = (10.0, 100.0),
     snr: float = 100.0,
-    plantings: int = 6,
-    compare: Sequence[str] = CAMERAS,
-    starts: int = 8,
-    seed: int | None = None,
+    plantings: Annotated[int, Field(ge=4)] = 6,
+    compare: Names = CAMERAS,
+    starts: Annotated[int, Field(ge=1)] = 8,
+    seed: Seed | None = None,
 ) -> DesignResult:
-    """The most informative bands of a camera on a plot, beside those of sensors that there are.
+    """Find the most informative bands of a sensor on a plot, beside those of other sensors.
 
     **Arguments:**
 
-    - `plot`: a plot, or the path of its plot file.
+    - `plot`: plot file (`fynjax init` writes one), or a plot that was read.
     - `output`: folder of the results, made if missing.
-    - `free`: patterns of parameters that are unknown; `DESIGN_FREE` by default.
-    - `bands`, `target`, `pixel`, `spectrum`, `widths`, `snr`, `plantings`, `starts`: as of
-      `fynjax.inversion.design`.
+    - `bands`: bands of the sensor.
+    - `target`: what the bands are to inform of: numbers of the stand (green_leaf_area, crown_cover,
+      shannon, ...), names or patterns of free parameters; or information, or separability.
+    - `free`: unknown parameters, such as species.*.cover. If left out, covers, diameters, dead
+      tissue, chlorophyll, water, dry matter and the ground.
+    - `pixel`: side of a pixel [m]; of several, multiples of the smallest, the best is taken.
+    - `spectrum`: range of the detector [nm], such as 400,2500.
+    - `widths`: least and greatest width of a band [nm], such as 10,100.
+    - `snr`: signal over shot noise of a pixel, the smallest, in 10 nm at 550 nm over a reflectance
+      of 0.1.
+    - `plantings`: plantings over which the target is a mean.
     - `compare`: other sensors, by name or file.
-    - `seed`: of everything random; that of the plot file by default.
+    - `starts`: ascents.
+    - `seed`: seed of everything random; the plot file's if left out.
 
     **Returns:** `DesignResult`. Writes `design.csv`, `designed.toml` (a sensor file),
     `sensors.csv`, `pixels.csv`, `spectra.nc`, figures and a page into `output`.
@@ -69,18 +80,18 @@ def design(
     read = as_plot(plot)
     run = Run(output, seed=seed, plot=read)
     with run.stage("Build the plot"):
-        ready = prepare(read, DESIGN_FREE if free is None else free, seed=run.seed)
+        problem = plot_problem(read, None, DESIGN_FREE if free is None else free, seed=run.seed)
     names = ("design.csv", "designed.toml", "sensors.csv", "pixels.csv", "spectra.nc")
     files = dict.fromkeys((*names, "report.html"), "")
     wanted: str | Sequence[str] = target[0] if len(target) == 1 else target
     settings: dict[str, Any] = {
-        "free": ready.space, "pixel": pixel, "spectrum": spectrum, "widths": widths, "snr": snr,
+        "free": problem.free, "pixel": pixel, "spectrum": spectrum, "widths": widths, "snr": snr,
         "plantings": plantings, "compare": [load_instrument(one) for one in compare],
         "starts": starts, "seed": run.seed,
     }  # fmt: skip
-    check_design(ready.scene, bands, wanted, **settings)
+    check_design(problem.scene, bands, wanted, **settings)
     begin_work(files)
-    found = design_bands(ready.scene, bands, wanted, model_error=ready.error, **settings)
+    found = design_bands(problem.scene, bands, wanted, error=problem.error, **settings)
     chosen = pd.DataFrame(
         {"band": found.bands.names, "centre_nm": found.bands.centre, "fwhm_nm": found.bands.fwhm}
     )

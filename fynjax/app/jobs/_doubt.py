@@ -1,14 +1,16 @@
 """Doubts, before any long work, of measurements that shrubland cannot make."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from fynjax._core.errors import InputError
-from fynjax.app.assembly import Measured
 from fynjax.app.compare import check_vegetation
 from fynjax.app.io.plot import Plot, drone_sensor
 from fynjax.app.jobs._run import Run
+from fynjax.inversion import Data, ImageSight
+from fynjax.metrics import without_view
 from fynjax.sensors import BandSet, Sensor
 
 
@@ -48,14 +50,22 @@ def doubt_spectrum(
     run.doubt(text)
 
 
-def doubt_targets(run: Run, plot: Plot, measured: Sequence[Measured]) -> None:
+def doubt_targets(run: Run, plot: Plot, data: Data) -> None:
     """`doubt_spectrum` of the means of the bands of an image, and of a spectrum, among the targets
     of a plot."""
-    for one in measured:
-        if one.kind == "image":
+    for one in data.parts:
+        source = one.source
+        assert source is not None
+        if source.pixels is not None and isinstance(source.view_of, ImageSight):
+            camera = source.view_of.sensor
+            seen = source.pixels.image
+            mean = seen[:, np.isfinite(seen).all(axis=0)].mean(axis=1)
+            doubt_spectrum(run, mean, camera.bands, camera)
+        elif source.kind == "image":
             drone = drone_sensor(plot)
-            values = dict(zip(one.data.names, map(float, one.data.value), strict=True))
+            names = map(without_view, one.names)
+            values = dict(zip(names, map(float, one.value), strict=True))
             means = {n: values.get(f"{n}.mean", float("nan")) for n in drone.bands.names}
             doubt_spectrum(run, means, drone.bands, drone)
-        elif one.bands is not None:
-            doubt_spectrum(run, one.data.value, one.bands)
+        elif source.bands is not None:
+            doubt_spectrum(run, one.value, source.bands)

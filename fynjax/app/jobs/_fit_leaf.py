@@ -10,6 +10,7 @@ import xarray as xr
 from jaxtyping import Float
 from pydantic import ConfigDict, Field
 
+from fynjax._core.arguments import Seed
 from fynjax._core.checkpoint import Journal, signature
 from fynjax._core.dry_run import begin_work
 from fynjax._core.errors import InputError
@@ -220,54 +221,53 @@ def fit_leaf(
     transmittance: Sequence[str | Path] = (),
     groups: str | Path | None = None,
     posterior: Sampling = "none",
-    seed: int = 0,
+    seed: Seed = 0,
     checkpoint: str | Path | None = None,
     workers: Workers | None = None,
 ) -> FitLeafResult:
-    """Fit PROSPECT to every leaf spectrum of every file.
+    """Fit PROSPECT to measured leaf spectra.
 
     A file or a spectrum that cannot be used does not stop the others: it becomes a row of
     `traits.csv` with the reason as status; the column `repairs` lists the repairs made while
-    reading. If none can be used the first reason is raised.
+    reading. If none can be used the first reason is raised. A table with reflectance and
+    transmittance has a column of each, such as oak_R and oak_T.
 
     **Arguments:**
 
-    - `paths`: files of any format that `fynjax.read_spectra` takes, and folders of them.
-    - `output`: folder, made if missing.
-    - `version`: "5", "D" or "PRO".
-    - `measurement`: "sphere", "leaf-clip", "probe" or "stack", see the classes of
-      `fynjax.leaf` for what each identifies.
+    - `paths`: files of spectra, or folders of them: ASD, SVC, Spectral Evolution, CSV, text, ENVI.
+    - `output`: folder of the results, made if missing.
+    - `version`: PROSPECT version.
+    - `measurement`: how it was measured: sphere, leaf-clip, probe, or stack (piles, optically
+      thick); see the classes of `fynjax.leaf` for what each identifies.
     - `background`: reflectance behind the leaf of a clip or probe, a number or a file; black by
       default. Where it is missing the leaf's reading is left out.
-    - `over_background`: files of second readings of the same leaves, over `background`; those of
-      `paths` are then over black, and transmittance follows from both
-      (`transmittance_from_two_readings`).
-    - `leaf_shape`: "broad", "needle" (single or apart), "mat" (needles side by side) or "culm"
-      (likewise). Single needles reflect more at their surface. Round leaves leave gaps: where
-      transmittance was measured their part of the field of view is estimated, of a leaf clip also
-      what lies behind, and of mats and culms the recollision probability (`recollided`).
-    - `area`: what contents are stated per in all tables, "projected" or "half_total", see
-      `fynjax.leaf.area_factors`.
-    - `domain`: "full" or "optimal".
-    - `error_model`: what spectra depart from PROSPECT by, as of `fynjax.fit_leaf`: "laboratory"
-      (real leaves, a sphere), "field" (real leaves, a clip or probe) or "exact" (simulated
-      spectra); left out, by `measurement`.
-    - `panel`: file of the white panel's own reflectance, for spectra relative to it; those of ASD
+    - `over_background`: second readings of the same leaves over `background`; the first are then
+      over black, and transmittance follows from both.
+    - `leaf_shape`: shape of the leaves: needle, single or apart; mat, needles side by side; culm,
+      culms side by side. Single needles reflect more at their surface. Gaps, what lies behind the
+      leaves of a clip, and light between those side by side (the recollision probability), are
+      estimated where transmittance is measured.
+    - `area`: what contents are stated per in all tables: projected area, or half of the surface of
+      the leaf; see `fynjax.leaf.area_factors`.
+    - `domain`: wavelengths to fit: all, or the published sub-domains.
+    - `error_model`: what spectra depart from PROSPECT by: laboratory (real leaves, a sphere), field
+      (real leaves, a clip or probe), exact (simulated spectra). Left out: by `measurement`.
+    - `panel`: table of the white panel's own reflectance, for spectra relative to it; those of ASD
       files that hold it are absolute already.
-    - `detector_changes`: wavelengths where detectors change [nm], at which jumps are taken out of
-      all spectra, see `correct_detector_jumps`; `None` for those that an ASD file states.
-    - `transmittance`: files with the transmittance of the same leaves, by name or in the same
-      order, where neither names nor files say it (`fynjax.read_spectra`).
-    - `groups`: a CSV with the columns `name` (of a spectrum) and `species`: leaves of a species are
-      fitted together, and `species.csv` holds the mean leaf and five material variants of each,
+    - `detector_changes`: wavelengths [nm] where detectors change, such as 1000,1830, at which
+      jumps are taken out of all spectra; ASD files state them themselves.
+    - `transmittance`: transmittance of the same leaves, by name or in the same order, where no name
+      or file says it, as oak_R.asd and oak_T.asd do.
+    - `groups`: file (CSV) with columns name (of a spectrum) and species: leaves of a species are
+      fitted together; `species.csv` then holds the mean leaf and five material variants of each,
       `leaves.csv` the variants of PROSPECT-D as a leaf table.
-    - `posterior`: "none", or sample it by "emcee" or "nuts" into `posterior.nc`.
+    - `posterior`: sampler of the posterior of each leaf, into `posterior.nc`, or none.
     - `seed`: seed of the posterior's random numbers; the fit itself draws none.
     - `checkpoint`: folder that keeps what each 1024 leaves of a larger table gave, from which an
       interrupted run goes on; none by default. Leaves that are fitted together (`groups`), and
       posteriors, are not kept.
-    - `workers`: where chunks of 1024 leaves are fitted; in this process by default. Leaves that
-      are fitted together (`groups`), and posteriors, stay there.
+    - `workers`: where chunks of 1024 leaves are fitted; in this process by default. Leaves that are
+      fitted together (`groups`), and posteriors, stay there.
 
     **Returns:** `FitLeafResult`. Writes `traits.csv`, `spectra.nc`, a figure and a page into
     `output`, and where asked for `species.csv` and `posterior.nc`.

@@ -9,44 +9,25 @@ from typing import Any
 import numpy as np
 
 from fynjax._core.checkpoint import Journal, signature
-from fynjax.app.assembly import Measured, Prepared
 from fynjax.app.jobs._run import Run
 from fynjax.inversion import (
     Calibration,
-    PlotSearch,
+    Problem,
     calibration,
-    join_data,
+    plot_search,
     search_starts,
     search_states,
 )
 
 
-def calibrated(
-    ready: Prepared,
-    measured: Sequence[Measured],
-    views: Sequence[Any],
-    run: Run,
-    checkpoint: Path | None,
-) -> Calibration:
+def calibrated(problem: Problem, run: Run, checkpoint: Path | None) -> Calibration:
     """Calibrate a plot to what sensors measured, from every start.
 
-    **Arguments:**
-
-    - `ready`: the plot.
-    - `measured`, `views`: what each sensor measured, and how it sees the plot.
-    - `run`, `checkpoint`: as of `follow`.
+    **Arguments:** `problem`; `run`, `checkpoint`, as of `follow`.
 
     **Raises:** `InputError` as `follow`.
     """
-    search = PlotSearch(
-        ready.scene,
-        ready.parameters,
-        join_data([sensor.data for sensor in measured]),
-        ready.space,
-        views,
-        ready.settings,
-        error=ready.error,
-    )
+    search = plot_search(problem)
     return calibration(search, follow(search, search_starts(search), run, checkpoint))
 
 

@@ -1,12 +1,13 @@
 """The job of `fynjax frames`: which frames of a flight see a plot, and from where."""
 
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import pandas as pd
 import xarray as xr
 from jaxtyping import Bool, Float
+from pydantic import Field
 from scipy.ndimage import map_coordinates
 
 from fynjax._core.dry_run import begin_work
@@ -59,21 +60,22 @@ def frames(
     crs: str | None = None,
     origin: tuple[float, float] | None = None,
     ground: float | None = None,
-    pixel: float = 0.1,
+    pixel: Annotated[float, Field(ge=0.005)] = 0.1,
 ) -> FramesResult:
-    """Find the frames of a flight that see a plot, pixel by pixel of the ground.
+    """Find which frames of a flight see a plot, and from which angles.
 
     **Arguments:**
 
-    - `path`: poses of the frames, as `fynjax.app.io.frames.read_frames` takes them: an export of
-      OpenDroneMap, Pix4D or Metashape, or pictures of a DJI or MicaSense camera.
+    - `path`: poses of the frames: OpenDroneMap's shots.geojson, Pix4D's
+      *_calibrated_external_camera_parameters.txt, Metashape's cameras.xml, or a folder of one of
+      these or of pictures of a DJI or MicaSense camera.
     - `output`: folder of the results, made if missing.
-    - `plot`: a plot, or the path of its plot file. A frame without a lens of its own has that of
-      the plot's sensor.
-    - `crs`, `origin`: reference system of the plot and its south-west corner in it [m]; left out,
-      those of the maps that the plot file names.
-    - `ground`: mean height of the plot's ground in the system of the frames' heights [m]; left out,
-      that of the plot's terrain, or as `read_frames` has it.
+    - `plot`: plot file of the plot that was flown over, or a plot that was read. A frame without a
+      lens of its own has that of the plot's sensor.
+    - `crs`: reference system of the plot, such as EPSG:32734, if its file names no map.
+    - `origin`: south-west corner of the plot in that system, east and north [m].
+    - `ground`: mean height of the plot's ground in the system of the frames' heights [m]; if left
+      out, that of its terrain, or of pictures of a DJI their point of take-off.
     - `pixel`: side of a pixel on the ground [m].
 
     **Returns:** `FramesResult`. Writes `frames.csv` (poses, and how much of the plot each frame

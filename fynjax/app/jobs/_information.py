@@ -3,14 +3,16 @@
 import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import pandas as pd
+from pydantic import Field
 
+from fynjax._core.arguments import Seed
 from fynjax._core.dry_run import begin_work
 from fynjax._core.precision import double_precision
-from fynjax.app.assembly import parameter_columns, prepare
+from fynjax.app.assembly import parameter_columns, plot_problem
 from fynjax.app.io.plot import Plot, as_plot, plot_instrument, sensor_place
 from fynjax.app.jobs._result import JobResult, Rows
 from fynjax.app.jobs._run import Run
@@ -42,25 +44,25 @@ def information(
     noise: Sequence[float] = (0.01,),
     sun_zenith: Sequence[float] | None = None,
     error: float = 0.01,
-    realisations: int = 15,
-    seed: int | None = None,
+    realisations: Annotated[int, Field(ge=2)] = 15,
+    seed: Seed | None = None,
 ) -> InformationResult:
-    """Bounds on a plot's parameters for sensors of every pixel, number of bands, noise and sun.
+    """Bound how well sensors of any pixel, bands, noise and sun can constrain a plot.
 
     **Arguments:**
 
-    - `plot`: a plot, or the path of its plot file.
+    - `plot`: plot file (`fynjax init` writes one), or a plot that was read.
     - `output`: folder of the results, made if missing.
-    - `free`: patterns of parameters to bound; those of the plot file by default.
+    - `free`: parameters to bound, such as species.*.cover; the plot file's if left out.
     - `gsd`: sides of a pixel on the ground [m], multiples of the smallest.
-    - `bands`: numbers of bands, each a divisor of the largest.
-    - `spectrum`: first and last wavelength that the bands share [nm].
+    - `bands`: numbers of bands, divisors of the largest.
+    - `spectrum`: first and last wavelength that the bands share [nm], such as 450,900.
     - `noise`: standard deviations of the noise of a pixel, relative to its reflectance [-].
-    - `sun_zenith`: zenith angles of the sun [degrees]; that of the plot by default.
+    - `sun_zenith`: zenith angles of the sun [degrees]; the plot's if left out.
     - `error`: standard deviation of a further error of every statistic, relative [-].
-    - `realisations`: number of stand realisations from which their sampling variance, and the
-      slopes that they share, are estimated.
-    - `seed`: seed of every random number; that of the plot file by default.
+    - `realisations`: stand realisations from which their sampling variance, and the slopes that
+      they share, are estimated.
+    - `seed`: seed of everything random; the plot file's if left out.
 
     **Returns:** `InformationResult`. Writes `bounds.csv` (conditional, joint and Bayesian
     Cramér-Rao bounds), `limits.csv`, figures and a page into `output`.
@@ -72,24 +74,24 @@ def information(
     read = as_plot(plot)
     run = Run(output, seed=seed, plot=read)
     with run.stage("Build the plot"):
-        ready = prepare(read, free, seed=run.seed)
+        problem = plot_problem(read, None, free, seed=run.seed)
     altitude, _ = sensor_place(read)
     swept = Sensor("sweep", even_bands(max(bands), *spectrum), plot_instrument(read).camera)
-    size = f"{len(ready.space.names)} parameters"
+    size = f"{len(problem.free.names)} parameters"
     files = {"bounds.csv": size, "limits.csv": "", "report.html": ""}
     placement = dataclasses.replace(read.sensor.placement, altitude=altitude, pixel=None)
-    on = ready.scene, ready.parameters
+    on = problem.scene, problem.scene.parameters
     settings: dict[str, Any] = {"gsd": gsd, "bands": bands, "noise": noise}
     settings |= {"sun_zenith": sun_zenith, "stand_realisations": realisations}
     check_sweep(*on, swept, placement, **settings)
     begin_work(files)
     sweep = sweep_sensors(
-        *on, ready.space, swept, placement,
-        relative_sd=error, model_error=ready.error, seed=run.seed, **settings,
+        *on, problem.free, swept, placement,
+        relative_sd=error, model_error=problem.error, seed=run.seed, **settings,
     )  # fmt: skip
-    table = bound_table(sweep, np.asarray(ready.space.prior))
+    table = bound_table(sweep, np.asarray(problem.free.prior))
     first, best = sweep[0]
-    covers = [n for n in ready.space.names if n.startswith("species.") and n.endswith(".cover")]
+    covers = [n for n in problem.free.names if n.startswith("species.") and n.endswith(".cover")]
     limits = limit_table(table, covers)
     sensor = f"{_bands(first.bands)}, pixels of {first.gsd:g} m, noise {100 * first.noise:g} %"
     weak = best.weakly_constrained_directions()

@@ -4,7 +4,7 @@ import json
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -12,6 +12,7 @@ import pandas as pd
 from jaxtyping import Float
 from pydantic import Field
 
+from fynjax._core.arguments import Seed
 from fynjax._core.checkpoint import forget_journal, signature
 from fynjax._core.dry_run import begin_work, image_size
 from fynjax._core.errors import InputError, in_file, listed
@@ -102,28 +103,31 @@ def map_cube(
     skip_damaged: bool = False,
     zarr: bool = False,
     pixels: Sequence[tuple[int, int]] = (),
-    pixel_steps: int = 400,
+    pixel_steps: Annotated[int, Field(ge=12)] = 400,
     prior: str | Path = DEFAULT_PRIOR,
-    seed: int = 0,
+    seed: Seed = 0,
     checkpoint: str | Path,
     workers: Workers | None = None,
 ) -> MapResult:
-    """Map covers, leaf area and leaf traits of a cube of reflectance, each with its uncertainty.
+    """Map covers, leaf area and leaf traits of a cube, each with its uncertainty.
+
+    The cube is read block by block. Of pixels that are asked for, the full posterior stands beside
+    it.
 
     **Arguments:**
 
-    - `cube`: ENVI, GeoTIFF, NetCDF or zarr, surface reflectance.
-    - `training`: file of `train`, for the sensor and about the sun of the cube.
+    - `cube`: surface reflectance: ENVI, GeoTIFF, NetCDF or zarr, of any size.
+    - `training`: file of `fynjax train`, for this sensor and about this sun.
     - `output`: folder of the results, made if missing.
-    - `likely`: pixels more unlike the simulations than this share of them are masked [-].
-    - `keep_unlike`: do not mask them.
-    - `skip_damaged`: leave blocks that cannot be read without data, instead of an error.
-    - `zarr`: write `maps.zarr` as well.
-    - `pixels`: row and column, counted from 1 at the upper left, of pixels whose full posterior is
-      sampled by emcee beside the map: some 13 minutes of one core for 400 steps.
-    - `pixel_steps`: steps of each walker.
-    - `prior`: the one that the training was made with, for `pixels`.
-    - `seed`: of the sampling.
+    - `likely`: pixels less like the simulations than this share of these are masked [-].
+    - `keep_unlike`: do not mask them; the map of it stays.
+    - `skip_damaged`: leave rows that cannot be read without data, instead of an error.
+    - `zarr`: write `maps.zarr` as well, a variable each.
+    - `pixels`: sample the full posterior of this pixel by emcee as well, row and column counted
+      from 1 at the upper left of the cube, such as 12,40; some 13 minutes of a core for 400 steps.
+    - `pixel_steps`: steps of each of its 16 walkers.
+    - `prior`: population that the training was made with, by name or file, for `pixels`.
+    - `seed`: seed of the sampling.
     - `checkpoint`: folder of the unfinished maps, from which an interrupted run goes on.
     - `workers`: where blocks are read and estimated; in this process by default.
 

@@ -2,8 +2,11 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
+from pydantic import Field
+
+from fynjax._core.arguments import Names, Seed
 from fynjax._core.dry_run import begin_work
 from fynjax._core.errors import InputError, in_file
 from fynjax._core.precision import double_precision
@@ -86,29 +89,35 @@ def pattern(
     paths: str | Path | Sequence[str | Path],
     output: str | Path,
     *,
-    clusters: int = 3,
-    bands: Sequence[str] | None = None,
+    clusters: Annotated[int, Field(ge=2, le=255)] = 3,
+    bands: Names | None = None,
     greenness: str = "auto",
-    greenness_weight: float = 1.0,
+    greenness_weight: Annotated[float, Field(ge=0.0)] = 1.0,
     levels: Sequence[int] | None = None,
     pixel: float | None = None,
     align: bool = True,
-    seed: int = 0,
+    seed: Seed = 0,
 ) -> PatternResult:
-    """Make a map of where plants may stand from the vegetation pattern of an image.
+    """Make a probability map from an image: where plants are likely to stand.
+
+    Pixels are clustered by K-means and the clusters ordered by greenness. The map is for
+    `probability_map` of a plot file.
 
     **Arguments:**
 
-    - `paths`: one file of several bands, or files of a single band each.
+    - `paths`: image of several bands (GeoTIFF), or the single-band files of one capture in order.
     - `output`: folder of the results, made if missing.
-    - `clusters`: number of clusters of pixels, 2 to 255.
-    - `bands`: names of the bands, or their wavelengths [nm], in the order of the files.
-    - `greenness`: index that orders the clusters, see `choose_greenness`.
-    - `greenness_weight`: weight of greenness relative to all bands together, at least 0.
-    - `levels`: grey value of each cluster, 0 to 255, least green first; evenly spaced by default.
-    - `pixel`: side of a pixel on the ground [m], for an image without a coordinate system.
-    - `align`: whether to align the bands of separate files.
-    - `seed`: seed of the clustering.
+    - `clusters`: number of clusters.
+    - `bands`: names of the bands or their wavelengths [nm], in the order of the files, with commas
+      between, where files lack them.
+    - `greenness`: what orders the clusters: auto, ndvi, excess_green, or a band that is brighter
+      where plants are (-BAND: darker); see `choose_greenness`.
+    - `greenness_weight`: how much greenness counts in clustering; 0: the bands alone.
+    - `levels`: grey of each cluster, 0 to 255, least green first, such as 0,128,255; evenly up to
+      255 if left out. 0 keeps a cluster free of plants.
+    - `pixel`: side of a pixel [m], for an image without a place.
+    - `align`: align the bands of a capture's files.
+    - `seed`: seed of everything random.
 
     **Returns:** `PatternResult`. Writes `map.tif`, a picture and a page into `output`.
 

@@ -4,12 +4,13 @@ import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import pandas as pd
 from pydantic import Field
 
+from fynjax._core.arguments import Seed
 from fynjax._core.dry_run import begin_work
 from fynjax._core.errors import InputError
 from fynjax._core.precision import double_precision
@@ -116,34 +117,45 @@ def plant(
     source: str,
     output: str | Path,
     *,
-    n_elements: int = 2000,
+    n_elements: Annotated[int, Field(ge=1, le=5_000_000)] = 2000,
     materials: str | Path | None = None,
     up: Literal["y", "z"] | None = None,
     unit: str | None = None,
     maximum_extent: float | None = None,
     form: str | None = None,
-    branches: int = 1,
+    branches: Annotated[int, Field(ge=1)] = 1,
     rotation_spread: float | None = None,
     diameter: float | None = None,
     height: float | None = None,
     flowering: float | None = None,
     max_triangles: int | None = None,
-    seed: int = 0,
+    seed: Seed = 0,
 ) -> PlantResult:
-    """Make a plant model from a mesh, from a scan, or by growing a known taxon.
+    """Turn a plant mesh or a scan into area elements, or generate a taxon or growth form.
+
+    Closed surfaces count half.
 
     **Arguments:**
 
-    - `source`: a mesh, a scan, or a taxon of table 1 or growth form to grow.
+    - `source`: mesh (OBJ, PLY, STL, GLB; metres), scan with normals (XYZ, CSV, TXT, PLY without
+      faces), or a taxon of table 1 or growth form to generate.
     - `output`: folder of the results, made if missing.
-    - `materials`: table of materials (columns material, organ, optics, solid).
-    - `up`, `n_elements`: as in `plant_model_from_mesh`; `maximum_extent` as there, 4 m if left
+    - `n_elements`: number of area elements.
+    - `materials`: file (CSV) with columns material, organ and, if wanted, optics and solid.
+    - `up`: vertical axis of the file: y for .glb and .gltf if left out, as their standard says; y,
+      with a warning, if a plant reaches below 0 in z and not in y; else z. GLB that trimesh made of
+      a mesh with z up needs z.
+    - `unit`: unit of the mesh or scan: metre (if left out), cm, mm, foot, inch.
+    - `maximum_extent`: a larger mesh or scan [m] is taken to be in other units; 4 if left out.
+    - `form`: growth form of a taxon that is not in table 1, to generate it.
+    - `branches`: number of copies that a plant is made of, where the source is one branch.
+    - `rotation_spread`: spread of the branches' tilt [degrees]; grows with them if left out.
+    - `diameter`: crown of a taxon [m]; that of table 1 if left out.
+    - `height`: height of a taxon [m]; that of table 1 if left out.
+    - `flowering`: part of full bloom of a taxon, 0 to 1; 0 if left out.
+    - `max_triangles`: about the most triangles of a taxon; fewer make larger leaves; 200000 if left
       out.
-    - `unit`: of the mesh or scan, one of `fynjax.app.io.raster.UNITS`; metres if left out.
-    - `form`: growth form of a taxon, which need not be one of table 1 then.
-    - `branches`, `rotation_spread`: as in `plant_from_branches`.
-    - `diameter`, `height`, `flowering`, `max_triangles`: as in `generate_plant`.
-    - `seed`: seed of the random numbers.
+    - `seed`: seed of everything random.
 
     **Returns:** `PlantResult`. Writes `elements.csv`, a picture and a page into `output`, and for a
     taxon or a mesh made of branches also `plant.obj` and `plant.mtl`.

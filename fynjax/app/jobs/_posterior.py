@@ -3,13 +3,14 @@
 from collections import deque
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 import pandas as pd
 from jaxtyping import Float
 from pydantic import Field
 
+from fynjax._core.arguments import Names, Seed
 from fynjax._core.checkpoint import Journal, signature
 from fynjax._core.dry_run import begin_work
 from fynjax._core.errors import InputError
@@ -17,10 +18,9 @@ from fynjax._core.extras import require
 from fynjax._core.precision import double_precision
 from fynjax._core.sampling import ChainState
 from fynjax.app.assembly import (
-    Prepared,
     parameter_columns,
     placed_by_image,
-    prepare,
+    plot_problem,
     read_targets,
     shown_unit,
 )
@@ -85,37 +85,39 @@ def posterior(
     *,
     method: SamplingMethod = "emcee",
     free: Sequence[str] | None = None,
-    target_size: float = 400.0,
-    max_steps: int = 5000,
+    target_size: Annotated[float, Field(ge=1.0)] = 400.0,
+    max_steps: Annotated[int, Field(ge=1)] = 5000,
     prior: str | Path = NO_PRIOR,
     checkpoint: str | Path,
-    bands: Sequence[str] | None = None,
-    seed: int | None = None,
+    bands: Names | None = None,
+    seed: Seed | None = None,
 ) -> PosteriorResult:
-    """Sample the posterior of a plot's parameters given the measurements of one or several sensors.
+    """Sample which parameters of a plot real measurements leave possible.
 
-    The plot is calibrated first, with the likelihood that the sampling then explores: the data are
-    one draw of the statistics over plantings, with the errors of data, model and camera. Chains ask
-    for more renders than there is time for, so that a surrogate stands for their expectation, its
-    error stated (`fit_surrogate`).
+    By one sensor or several at once. The plot is calibrated first, with the likelihood that the
+    sampling then explores: the data are one draw of the statistics over plantings, with the errors
+    of data, model and camera. Chains ask for more renders than there is time for, so that a
+    surrogate stands for their expectation, its error stated (`fit_surrogate`). An interrupted run
+    goes on when the same command is given again.
 
     **Arguments:**
 
-    - `plot`: a plot, or the path of its plot file.
-    - `targets`: files of the measurements, as `calibrate` takes them.
+    - `plot`: plot file (`fynjax init` writes one), or a plot that was read.
+    - `targets`: what was measured, as `fynjax calibrate` takes it.
     - `output`: folder of the results, made if missing.
-    - `method`: "emcee" (ensemble), "nuts" (Hamiltonian), or "laplace" (the Gaussian at the
-      estimate).
-    - `free`: patterns of parameters to sample; those of the plot file by default.
+    - `method`: way to draw: emcee, an ensemble of walkers; nuts, Hamiltonian sampling; laplace, the
+      Gaussian about the fit.
+    - `free`: parameters to sample, such as species.*.cover; the plot file's if left out.
     - `target_size`: effective draws to reach.
-    - `max_steps`: most steps of the sampler.
-    - `prior`: learned population of what the plot's files leave open (`with_prior`); none by
-      default.
+    - `max_steps`: most steps of the chain.
+    - `prior`: population that the plot is of, for what its files leave open: the name of a shipped
+      one, a file that `fynjax bioscape learn` wrote, or none.
     - `checkpoint`: folder that keeps the calibration and the chain, from which an interrupted run
       goes on.
-    - `bands`: what each band of a drone's image is, as `read_drone_image` has it; known by name or
-      wavelength by default.
-    - `seed`: seed of every random number; that of the plot file by default.
+    - `bands`: what each band of the drone image is, names with commas between, where the file does
+      not say: green, red, red_edge, nir, others as the sensor calls them, such as blue, and any
+      other name for bands that are not used.
+    - `seed`: seed of everything random; the plot file's if left out.
 
     **Returns:** `PosteriorResult`. Writes `posterior.nc`, `parameters.csv`, figures and a page into
     `output`.
@@ -131,26 +133,27 @@ def posterior(
     checkpoint, paths = Path(checkpoint), paths_of(targets)
     read = with_prior(placed_by_image(as_plot(plot), paths), prior)
     run = Run(output, seed=seed, plot=read)
-    measured = read_targets(read, paths, bands=bands, seed=run.seed)
-    doubt_targets(run, read, measured)
+    data = read_targets(read, paths, bands=bands, seed=run.seed)
+    if data is None:
+        raise InputError("expected what was measured (--target)")
+    doubt_targets(run, read, data)
     with run.stage("Build the plot"):
-        ready = prepare(read, free, seed=run.seed)
-        views = [sensor.view_of(ready.scene, ready.parameters) for sensor in measured]
-    inputs = (*(p for p in ready.plot.inputs if p is not None), *paths)
-    parameters = f"{len(ready.space.names)} parameters"
+        problem = plot_problem(read, data, free, seed=run.seed)
+    inputs = (*(p for p in read.inputs if p is not None), *paths)
+    parameters = f"{len(problem.free.names)} parameters"
     draws = f"{parameters}, {max_steps} steps of the sampler at most"
     begin_work({"posterior.nc": draws, "parameters.csv": parameters, "report.html": ""})
-    with run.stage("Calibrate", total=ready.settings.evaluations):
-        calibrated = calibrated_plot(ready, measured, views, run, checkpoint / "calibration")
+    with run.stage("Calibrate", total=problem.settings.evaluations):
+        calibrated = calibrated_plot(problem, run, checkpoint / "calibration")
     sampled, surrogate_error = _sampled(
-        ready, calibrated, method, target_size, max_steps, checkpoint
+        read, calibrated, method, target_size, max_steps, checkpoint
     )
-    stand, table = tables = _tables(ready, calibrated, sampled)
+    stand, table = tables = _tables(calibrated, sampled)
     doubts = calibrated.doubts()
     headline = [
         *doubts,
         stand_sentence(stand),
-        *_headline(ready, sampled, table),
+        *_headline(read, sampled, table),
         misfit_sentence(calibrated),
     ]
     stand = offered_stand(stand, calibrated)
@@ -167,7 +170,7 @@ def posterior(
         path = run.path("posterior.nc", "every draw, as arviz reads it (InferenceData)")
         with atomic_path(path) as work:
             sampled.inference_data({k: str(v) for k, v in record.items()}).to_netcdf(str(work))
-        run.page(_page(ready, sampled, tables, headline, record, surrogate_error))
+        run.page(_page(read, sampled, tables, headline, record, surrogate_error))
     return run.result(
         PosteriorResult,
         headline=headline,
@@ -179,7 +182,7 @@ def posterior(
 
 
 def _sampled(
-    ready: Prepared,
+    plot: Plot,
     calibrated: Calibration,
     method: SamplingMethod,
     target_size: float,
@@ -188,19 +191,20 @@ def _sampled(
 ) -> tuple[Posterior, Float[np.ndarray, " statistic"]]:
     """The draws by a surrogate, and the error of that; what the folder `checkpoint` keeps is not
     computed again."""
-    found = signature(calibrated.fit.whitened, ready.seed)
-    renders = surrogate_renders(calibrated, seed=ready.seed)
+    seed = calibrated.problem.settings.seed
+    found = signature(calibrated.fit.whitened, seed)
+    renders = surrogate_renders(calibrated, seed=seed)
     rendered = Journal(checkpoint / "surrogate", found)(lambda: np.stack([*renders]))
-    surrogate, surrogate_error = fit_surrogate(calibrated, seed=ready.seed, rendered=rendered)
+    surrogate, surrogate_error = fit_surrogate(calibrated, seed=seed, rendered=rendered)
     sampler = PosteriorSampler(
         surrogate,
         calibrated.data,
-        ready.space,
+        calibrated.problem.free,
         method=method,
         start=calibrated.fit,
         target=target_size,
         max_steps=max_steps,
-        seed=ready.seed,
+        seed=seed,
     )
     end = None
     if method != "laplace":
@@ -208,13 +212,11 @@ def _sampled(
         (end,) = deque(journal.states("chain", ChainState, sampler.states), maxlen=1)
     sampled = sampler.posterior(end)
     if not sampled.whitened.size:
-        raise InputError(f"no posterior: {sampled.status}", file=ready.plot.file)
+        raise InputError(f"no posterior: {sampled.status}", file=plot.file)
     return sampled, surrogate_error
 
 
-def _tables(
-    ready: Prepared, calibrated: Calibration, sampled: Posterior
-) -> tuple[pd.DataFrame, pd.DataFrame]:
+def _tables(calibrated: Calibration, sampled: Posterior) -> tuple[pd.DataFrame, pd.DataFrame]:
     """The whole stand, and every parameter beside the quantiles of the Gaussian."""
     table = posterior_table(sampled)
     if sampled.method != "laplace":
@@ -223,7 +225,9 @@ def _tables(
         table = table.join(parameter_columns(sampled.names, others)[list(others)])
     drawn = sampled.whitened.reshape(-1, len(sampled.names))
     draws = drawn[:: -(-len(drawn) // _STANDS)]
-    stand = stand_table(calibrated.scene, ready.parameters, calibrated.fit, draws=draws)
+    stand = stand_table(
+        calibrated.scene, calibrated.problem.scene.parameters, calibrated.fit, draws=draws
+    )
     return stand, table
 
 
@@ -250,7 +254,7 @@ def posterior_table(sampled: Posterior) -> pd.DataFrame:
     return table
 
 
-def _headline(ready: Prepared, sampled: Posterior, table: pd.DataFrame) -> list[str]:
+def _headline(plot: Plot, sampled: Posterior, table: pd.DataFrame) -> list[str]:
     shown = table.iloc[np.argsort(-sampled.constrained)[:5]]
     named = "; ".join(
         f"{figures.short_name(row.name)} {row.median:.3g} ({row.q05:.3g} to {row.q95:.3g})"
@@ -263,7 +267,7 @@ def _headline(ready: Prepared, sampled: Posterior, table: pd.DataFrame) -> list[
     trust = ": the model does not explain it, so do not trust the intervals" if off > 3.0 else ""
     halved = len(sampled.well_constrained())
     return [
-        f"{ready.plot.name}: {sampled.effective_size:.0f} effective draws by {sampled.method}.",
+        f"{plot.name}: {sampled.effective_size:.0f} effective draws by {sampled.method}.",
         f"Largest misfit: {figures.words(sampled.data.names[worst])}, {off:.1f} standard errors"
         f"{trust}.",
         f"The data at least halve the error of {halved} of {len(sampled.names)} parameters.",
@@ -272,7 +276,7 @@ def _headline(ready: Prepared, sampled: Posterior, table: pd.DataFrame) -> list[
 
 
 def _page(
-    ready: Prepared,
+    plot: Plot,
     sampled: Posterior,
     tables: tuple[pd.DataFrame, pd.DataFrame],
     headline: list[str],
@@ -334,5 +338,5 @@ def _page(
         "accepted": f"{100 * sampled.acceptance:.0f} %",
         "parameters": str(len(sampled.names)),
     }
-    title = f"Posterior: {ready.plot.name}"
+    title = f"Posterior: {plot.name}"
     return Page(title, " ".join(headline), [Section("", parts)], keys, record)

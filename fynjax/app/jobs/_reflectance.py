@@ -74,8 +74,8 @@ def reflectance(
     output: str | Path,
     *,
     panels: Sequence[str | Path] = (),
-    reflectances: Sequence[str] = (),
-    areas: Sequence[str] = (),
+    panel_reflectances: Sequence[str] = (),
+    panel_areas: Sequence[str] = (),
     light: str | None = None,
     panel_sd: float = 0.02,
     light_sd: float | None = None,
@@ -83,44 +83,50 @@ def reflectance(
     pixel: float | None = None,
     align: bool = True,
 ) -> ReflectanceResult:
-    """Convert the raw captures of a multispectral camera to reflectance.
+    """Turn raw pictures of a multispectral drone camera into reflectance.
+
+    Every capture that shows no panel is converted; one that cannot be read, lacks a band that most
+    have or a light sensor that is needed is skipped, with a warning.
 
     **Arguments:**
 
-    - `images`: folders or files (`find_captures`) of a MicaSense or DJI camera; every capture that
-      shows no panel is converted; one that cannot be read, lacks a band that most have or a light
-      sensor that is needed is skipped, with a warning.
+    - `images`: raw pictures of a MicaSense camera (RedEdge, RedEdge-P, Altum), a Mavic 3
+      Multispectral or a Phantom 4 Multispectral: folders of captures, or files of bands.
     - `output`: folder of the results, made if missing.
-    - `panels`: captures that show a panel, by name or by a file; the same capture again for a
-      second panel in it. One panel makes a line through zero, more an empirical line. By default
-      the captures whose metadata say that they show a panel.
-    - `reflectances`, `areas`: of each panel in the same order, as `panel_reflectance` has the
-      first, the second as text "x,y x,y x,y ..."; one reflectance serves for all.
-    - `light`: 'panel' (steady since the panel's picture), 'sensor' (pi L / E by the downwelling
-      light sensor) or 'both' (the panel, and the sensor for changes since). 'panel' if left out,
-      or 'sensor' where there is no panel.
-    - `panel_sd`: standard deviation of the panel's reflectance, relative [-].
-    - `light_sd`: that of light and camera together, relative [-]; if left out, that of the sensor
-      file for this way of calibration (light sensor alone, one panel, several panels).
-    - `height` of flight above the ground [m], or `pixel` on the ground [m]; with neither, the
-      height above the take-off that a DJI states, or else coordinates are in pixels. With either,
-      a capture whose files have position and heading is turned to the north and laid there.
-    - `align`: whether to align the bands of a capture.
+    - `panels`: capture that shows a panel: its name, such as IMG_0000, or one of its files. The
+      same again for a second panel in it; more panels than one make an empirical line. Left out:
+      captures whose metadata say that they show one.
+    - `panel_reflectances`: reflectance of the panel: a number, one for each band in order with
+      commas between, or a CSV file (band,reflectance or wavelength_nm,reflectance). Of each panel
+      in the same order; one serves for all.
+    - `panel_areas`: corners of its area, columns and rows of pixels, as "x,y x,y x,y ..."; found in
+      the picture if left out.
+    - `light`: what the light is known by: panel, steady since the panel; sensor, pi L / E by the
+      downwelling light sensor; both, the panel, and the sensor for changes since. Left out: panel,
+      or sensor where there is no panel.
+    - `panel_sd`: relative standard deviation of the panel's reflectance.
+    - `light_sd`: relative standard deviation of light and camera; that of the sensor file for this
+      way if left out: 0.18 by the light sensor alone, 0.10 by a panel, 0.04 by several panels.
+    - `height`: height of flight above the ground [m]; that above the take-off, as a DJI states it,
+      if left out. Where it or `pixel` is known, a capture whose files have position and heading is
+      turned to the north and laid there.
+    - `pixel`: or the side of a pixel on the ground [m].
+    - `align`: align the bands of a capture's files.
 
     **Returns:** `ReflectanceResult`. Writes for each capture its reflectance and the standard
     deviation (GeoTIFF), `calibration.csv`, `provenance.json`, figures and a page into `output`.
 
     **Raises:** `InputError` as the readers, and for panels, light and captures that do not fit.
 
-    Example: `jobs.reflectance(["flight"], "results", reflectances=["0.5"], height=40.0)`.
+    Example: `jobs.reflectance(["flight"], "results", panel_reflectances=["0.5"], height=40.0)`.
     """
     run = Run(output)
-    _check(panels, reflectances, areas, light, panel_sd, light_sd, height, pixel)
+    _check(panels, panel_reflectances, panel_areas, light, panel_sd, light_sd, height, pixel)
     captures = find_captures(paths_of(images))
     with run.stage("Read the panels"):
         usable, skipped, dark = usable_captures(captures)
-        read = _panels(captures if panels else usable, panels, areas, light)
-        stated: Sequence[str | None] = reflectances or [None]
+        read = _panels(captures if panels else usable, panels, panel_areas, light)
+        stated: Sequence[str | None] = panel_reflectances or [None]
         known = [
             panel_reflectance(stated[k] if len(stated) > 1 else stated[0], panel.capture)
             for k, panel in enumerate(read)

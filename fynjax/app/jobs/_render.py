@@ -14,12 +14,13 @@ import xarray as xr
 from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
+from fynjax._core.arguments import Seed
 from fynjax._core.dry_run import begin_work, image_size
 from fynjax._core.errors import InputError
 from fynjax._core.precision import double_precision
 from fynjax._core.progress import track
 from fynjax.app.assembly import aim_without_air, build_plot
-from fynjax.app.io.plot import Plot, as_plot, plot_instrument, plot_place
+from fynjax.app.io.plot import Place, Plot, as_plot, plot_instrument, plot_place
 from fynjax.app.io.raster import Cube, image_array, write_geotiff, write_run
 from fynjax.app.jobs._result import JobResult, StatisticSummary
 from fynjax.app.jobs._run import Run
@@ -69,22 +70,22 @@ def render(
     plot: Plot | str | Path,
     output: str | Path,
     *,
-    seed: int | None = None,
+    seed: Seed | None = None,
     checkpoint: Path | None = None,
     truth: bool = False,
 ) -> RenderResult:
-    """Render the reflectance image of a plot.
+    """Render what the drone sees of a plot.
 
-    A large image is rendered tile by tile.
+    A large image is rendered in tiles; an interrupted run goes on with the same command.
 
     **Arguments:**
 
-    - `plot`: a plot, or the path of its plot file.
+    - `plot`: plot file (`fynjax init` writes one), or a plot that was read.
     - `output`: folder of the results, made if missing.
-    - `seed`: seed of every random number; that of the plot file by default.
+    - `seed`: seed of everything random; the plot file's if left out.
     - `checkpoint`: folder that keeps the tiles of a large image, from which an interrupted run goes
       on; none by default.
-    - `truth`: whether to write also what each pixel sees of each species and of the ground.
+    - `truth`: also write which species each pixel sees, and how much, and of the ground.
 
     **Returns:** `RenderResult`. Writes `image.tif` and `run.nc` (reflectance factor [-]), figures
     and a page into `output`; with `truth` also `truth.tif` and `truth.nc` (`PixelTruth`).
@@ -161,7 +162,7 @@ def _write(
     record = run.record(plot.inputs)
     bands = camera.sensor.bands
     path = run.path("image.tif", "simulated reflectance, GeoTIFF")
-    write_image(path, image, plot, camera, record)
+    write_image(path, image, plot_place(plot), camera, record)
     reflectance = image_array(
         image,
         list(bands.names),
@@ -322,12 +323,12 @@ def index_images(
 def write_image(
     path: Path,
     image: np.ndarray,
-    plot: Plot,
+    place: Place,
     camera: AimedSensor,
     record: Mapping[str, str | int],
 ) -> None:
     """Write an image of `camera` as GeoTIFF, where the plot lies."""
-    place, bands = plot_place(plot), camera.sensor.bands
+    bands = camera.sensor.bands
     write_geotiff(
         path,
         image,
@@ -352,12 +353,12 @@ def plant_counts(
     )
 
 
-def check_finite(image: ArrayLike, plot: Plot, what: str = "rendered image") -> None:
+def check_finite(image: ArrayLike, plot: Plot | None, what: str = "rendered image") -> None:
     """No NaN reaches a product: raises `InputError` for an image that holds one, of `what`."""
     bad = int(np.sum(~np.isfinite(np.asarray(image))))
     if bad:
         raise InputError(
             f"{bad} values of the {what} are not finite. Is the sun near the horizon, or a "
             "parameter at the end of its range?",
-            file=plot.file,
+            file=None if plot is None else plot.file,
         )

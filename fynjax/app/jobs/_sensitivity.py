@@ -3,17 +3,19 @@
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import pandas as pd
+from pydantic import Field
 
+from fynjax._core.arguments import Names, Seed
 from fynjax._core.dry_run import begin_work
 from fynjax._core.errors import InputError
 from fynjax._core.extras import require
 from fynjax._core.parts import Workers, at_work
 from fynjax._core.precision import double_precision
-from fynjax.app.assembly import Prepared, batch_for_device, image_view, prepare, shown_unit
+from fynjax.app.assembly import batch_for_device, image_view, plot_problem, shown_unit
 from fynjax.app.io.plot import Plot, as_plot, drone_sensor
 from fynjax.app.jobs._result import JobResult, Rows
 from fynjax.app.jobs._run import Run
@@ -59,35 +61,35 @@ def sensitivity(
     plot: Plot | str | Path,
     output: str | Path,
     *,
-    metrics: Sequence[str] = METRICS,
+    metrics: Names = METRICS,
     free: Sequence[str] | None = None,
-    plantings: int = PLANTINGS,
-    derivative_samples: int = 0,
-    sobol_samples: int = 0,
-    seed: int | None = None,
+    plantings: Annotated[int, Field(ge=2)] = PLANTINGS,
+    derivatives: Annotated[int, Field(ge=0)] = 0,
+    sobol: Annotated[int, Field(ge=0)] = 0,
+    seed: Seed | None = None,
     checkpoint: str | Path | None = None,
     workers: Workers | None = None,
 ) -> SensitivityResult:
-    """Slopes and elasticities of a plot's metrics; over the priors too, if samples are asked for.
+    """Find which parameters of a plot change which statistics of its image.
 
-    Slopes are of the expectation over plantings, of which so many are taken that the standard
-    errors of each metric's three largest elasticities are below 10 % of them. Samples over the
-    priors are of one planting.
+    Slopes and elasticities at the plot's parameters are of the expectation over plantings, of which
+    so many are taken that the standard errors of each metric's three largest elasticities are below
+    10 % of them. Shares of variance over the priors, if asked for, are of one planting.
 
     **Arguments:**
 
-    - `plot`: a plot, or the path of its plot file.
+    - `plot`: plot file (`fynjax init` writes one), or a plot that was read.
     - `output`: folder of the results, made if missing.
-    - `metrics`: statistics of the image, such as "NDVI.mean".
-    - `free`: patterns of parameters to vary; those of the plot file by default.
-    - `plantings`: of the plot, at most; at least 2.
-    - `derivative_samples`: samples for derivative-based global sensitivity (DGSM), a power of two,
-      or 0 for none.
-    - `sobol_samples`: samples for Sobol indices, a power of two, or 0 for none. Each sample takes
-      as many renders as there are parameters, and two more.
-    - `seed`: seed of every random number; that of the plot file by default.
-    - `checkpoint`: folder that keeps what plantings and samples gave, from which an interrupted
-      run goes on; none by default.
+    - `metrics`: statistics of the image.
+    - `free`: parameters to vary, such as species.*.cover; the plot file's if left out.
+    - `plantings`: plantings over which slopes are taken, at most.
+    - `derivatives`: samples for derivative-based global sensitivity (DGSM), a power of two; 0:
+      none.
+    - `sobol`: points of the Sobol design, a power of two; takes N (parameters + 2) renders; 0:
+      none.
+    - `seed`: seed of everything random; the plot file's if left out.
+    - `checkpoint`: folder that keeps what plantings and samples gave, from which an interrupted run
+      goes on; none by default.
     - `workers`: where plantings and samples are computed; in this process by default.
 
     **Returns:** `SensitivityResult`, whose `status` says where errors stayed above 10 %. Writes
@@ -104,22 +106,22 @@ def sensitivity(
     if not names:
         raise InputError("no metric is named; an example is NDVI.mean")
     check_statistics(names, drone_sensor(read).bands)
-    if sobol_samples:
+    if sobol:
         require("SALib", "analysis")
-    for samples in filter(None, (derivative_samples, sobol_samples)):
+    for samples in filter(None, (derivatives, sobol)):
         check_samples(samples)
     run = Run(output, seed=seed, plot=read)
     with run.stage("Build the plot"):
-        ready = prepare(read, free, seed=run.seed)
-    space = ready.space
-    views = [image_view(read, ready.scene, ready.parameters, names)]
-    stand, coarse_views = search_form(ready.scene, ready.parameters, views)
-    predict = PlotForward(ready.parameters, space.names, coarse_views)
+        problem = plot_problem(read, None, free, seed=run.seed)
+    scene, space, parameters = problem.scene, problem.free, problem.scene.parameters
+    views = [image_view(read, scene, parameters, names)]
+    stand, coarse_views = search_form(scene, parameters, views)
+    predict = PlotForward(parameters, space.names, coarse_views)
     at = np.asarray(space.prior)
     size = f"{len(names)} metrics by {len(space.names)} parameters"
-    tables = ["slopes.csv", *(["variance.csv"] if derivative_samples or sobol_samples else [])]
+    tables = ["slopes.csv", *(["variance.csv"] if derivatives or sobol else [])]
     begin_work(dict.fromkeys(tables, size) | {"report.html": ""})
-    asked = (names, space.names, plantings, derivative_samples, sobol_samples)
+    asked = (names, space.names, plantings, derivatives, sobol)
     journal = run.journal(checkpoint, read, asked, files=read.inputs)
     with at_work(workers) as pool:
         do = partial(pool.all, journal=journal)
@@ -128,20 +130,20 @@ def sensitivity(
             space.names,
             names,
             at,
-            partial(_planting, ready),
+            partial(_planting, scene),
             accuracy=_ACCURACY,
-            most=2 if ready.scene.known_plants else plantings,  # which are the same in each
+            most=2 if scene.known_plants else plantings,  # which are the same in each
             do=do,
         )
         over: dict[str, Any] = {
             "context": (stand,), "seed": run.seed, "batch": batch_for_device(), "do": do
         }  # fmt: skip
         measures = indices = spread = None
-        if derivative_samples:
-            samples = derivative_samples
+        if derivatives:
+            samples = derivatives
             measures = derivative_measures(predict, space, names, samples=samples, **over)
-        if sobol_samples:
-            indices = sobol_indices(predict, space, names, samples=sobol_samples, **over)
+        if sobol:
+            indices = sobol_indices(predict, space, names, samples=sobol, **over)
     table = _slope_table(slopes)
     status = _status(slopes)
     known = (
@@ -175,10 +177,10 @@ def sensitivity(
     )
 
 
-def _planting(ready: Prepared, number: int) -> tuple[Scene]:
+def _planting(plot: Scene, number: int) -> tuple[Scene]:
     """The plot with other plants, in the coarse form: sites of another seed, in another order."""
-    (scene,) = other_plantings(ready.scene, [number])
-    return (coarser(scene, ready.parameters).reordered(number),)
+    (scene,) = other_plantings(plot, [number])
+    return (coarser(scene, plot.parameters).reordered(number),)
 
 
 def _slope_table(slopes: ExpectedSensitivity) -> pd.DataFrame:

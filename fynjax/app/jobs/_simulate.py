@@ -11,6 +11,7 @@ import jax
 import numpy as np
 from jaxtyping import Array, Bool
 
+from fynjax._core.arguments import Seed
 from fynjax._core.dry_run import begin_work, image_size
 from fynjax._core.errors import InputError
 from fynjax._core.precision import double_precision
@@ -65,26 +66,26 @@ def simulate(
     noise: bool | None = None,
     products: Sequence[str] = PRODUCTS,
     truth: bool = False,
-    seed: int | None = None,
+    seed: Seed | None = None,
 ) -> SimulateResult | SimulateLidarResult:
-    """Simulate the measurement of a plot by a camera, a spectrometer or a LiDAR.
+    """Simulate what any sensor measures over a plot: a camera, a spectrometer or a LiDAR.
 
     **Arguments:**
 
-    - `plot`: a plot, or the path of its plot file.
+    - `plot`: plot file (`fynjax init` writes one), or a plot that was read.
     - `output`: folder of the results, made if missing.
-    - `sensor`: a sensor or a LiDAR, the name of a shipped one, or the path of its file; the plot
-      file's if left out.
-    - `altitude` above the ground and `pixel` on it [m]: instead of those of the plot file, where
-      it names this sensor, or else of the sensor file.
-    - `atmosphere`: 'table', 'clear-sky' or 'none', or a file of curves (`read_atmosphere`); the
-      plot file's if left out, or else 'table'.
-    - `noise`: whether to draw it; left out, as the plot file says, or else if the sensor has a
-      model of it.
-    - `products`: any of `PRODUCTS`.
-    - `truth`: whether to write also what each pixel sees of each species and of the ground, as
-      `truth.tif` and `truth.nc` (`PixelTruth`); of a LiDAR's returns it is written always.
-    - `seed`: of plants and noise; the plot file's if left out.
+    - `sensor`: name of a shipped sensor (aviris_ng, emit, mavic_3m, flash_lidar_paper, ...) or a
+      sensor file; the plot file's if left out. From Python a sensor or a LiDAR, too.
+    - `altitude`: height above the ground [m]; that of the plot file, where it names this sensor, or
+      else of the sensor file, if left out.
+    - `pixel`: side of a pixel [m]; as `altitude`, or else from the optics, if left out.
+    - `atmosphere`: kind of atmosphere: table (6S), clear-sky or none, or a file of curves of your
+      own (CSV, NetCDF); the plot file's if left out, or else table.
+    - `noise`: draw noise; left out, as the plot file says, or else if the sensor has a model of it.
+    - `products`: image to write, reflectance or radiance; both if left out.
+    - `truth`: also write which species each pixel sees, and how much, and of the ground, as
+      `truth.tif` and `truth.nc`; of a LiDAR's returns it is written always.
+    - `seed`: seed of plants and noise; the plot file's if left out.
 
     **Returns:** `SimulateResult` for an imaging sensor, with radiance and reflectance (GeoTIFF,
     ENVI, NetCDF); `SimulateLidarResult` for a LiDAR. Writes the products, `run.json`, figures and a

@@ -108,21 +108,29 @@ def terrain(
     fill_gaps: bool = False,
     band: int | None = None,
 ) -> TerrainResult:
-    """Write the terrain of a plot from a point cloud or a height raster.
+    """Make the ground of a plot from a point cloud or a height raster.
 
     **Arguments:**
 
-    - `path`: a raster (.tif, .tiff, .img, .asc), or a cloud as `read_cloud` takes it.
+    - `path`: point cloud (LAS, LAZ, PLY, XYZ, CSV) or height raster (GeoTIFF, .img, .asc).
     - `output`: folder of the results, made if missing.
-    - `cell`: side of a cell [m]; by default 0.25 for a cloud and the cell of a raster.
-    - `bounds`: west, south, east, north of the plot in the file's coordinates [m].
-    - `size`: instead, the side of a square plot in the middle of the file [m]; of a raster, its
-      corner is that of a cell, and cells must divide it.
-    - `method`: see `find_ground`; left out, the file's own labels where it has them and nothing is
-      said of a filter, else "smrf".
-    - `tolerance`, `slope`, `window`: see `find_ground`, also for what `None` is.
-    - `largest_gap`: see `terrain_from_points` and `read_terrain`; 10 unless given.
-    - `unit`, `height_unit`, `crs`: see `read_cloud`; `fill_gaps`, `band`: see `read_terrain`.
+    - `cell`: side of a cell [m]; 0.25 for a cloud and a raster's own if left out.
+    - `bounds`: edges of the plot, west, south, east and north, in the file's coordinates [m].
+    - `size`: side of a square plot in the middle of the file [m] instead; of a raster, its corner
+      is that of a cell, and cells must divide it.
+    - `method`: ground by the file's labels (the usual, where it has them and nothing is said of a
+      filter), or by a filter; see `find_ground`.
+    - `tolerance`: largest distance of ground from the lowest points [m]; 0.3 if left out.
+    - `slope`: SMRF slope threshold [m/m]; 0.15 if left out.
+    - `window`: radius of the widest closed stand [m] (smrf); 5, or half of a smaller cloud, if left
+      out.
+    - `largest_gap`: largest distance of a cell from the nearest ground point [m]; 10 if left out.
+    - `unit`: unit of a cloud's coordinates, if not metres: metre, centimetre, millimetre, foot or
+      us_survey_foot.
+    - `height_unit`: unit of heights, if another.
+    - `crs`: reference system of a file that states none, such as EPSG:32734.
+    - `fill_gaps`: interpolate cells of a raster without height.
+    - `band`: band of a raster that has the heights, from 1.
 
     **Returns:** `TerrainResult`. Writes `terrain.tif` [m], `terrain.obj`, a picture, a page,
     from a cloud `canopy_height.tif` [m], and where ground is interpolated `ground_distance.tif` [m]

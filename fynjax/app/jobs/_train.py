@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -16,6 +16,7 @@ import xarray as xr
 from jax.typing import ArrayLike
 from pydantic import Field
 
+from fynjax._core.arguments import Seed
 from fynjax._core.dry_run import begin_work
 from fynjax._core.errors import InputError
 from fynjax._core.extras import require
@@ -116,30 +117,33 @@ class Training:
 @double_precision
 def train(
     output: str | Path,
-    *,
     sensor: str | Path | None = None,
+    *,
     like: str | Path | None = None,
-    sun_zenith: tuple[float, float] = (30.0, 30.0),
+    sun_zenith: float | tuple[float, float] = 30.0,
     prior: str | Path = DEFAULT_PRIOR,
-    simulations: int = 20000,
-    steps: int = 6000,
-    seed: int = 0,
+    simulations: Annotated[int, Field(ge=1)] = 20000,
+    steps: Annotated[int, Field(ge=1)] = 6000,
+    seed: Seed = 0,
     checkpoint: str | Path,
     workers: Workers | None = None,
 ) -> TrainResult:
-    """Simulate stands and their spectra, and train a regression from spectra to stands.
+    """Train a regression from spectra of a sensor to covers and leaves, for `fynjax map`.
+
+    Draws stands from a learned prior, simulates their spectra and trains a small network that gives
+    mean and covariance. One file serves all cubes of the sensor under that sun.
 
     **Arguments:**
 
     - `output`: folder of the results, made if missing.
-    - `sensor`: name of a shipped sensor or path of a sensor file, or instead
-    - `like`: a cube, for whose good bands to train.
-    - `sun_zenith`: least and greatest zenith angle of the sun [degrees].
-    - `prior`: learned population, see `fynjax.app.io.plot.read_prior`. Stands have its growth
-      forms.
-    - `simulations`: number of spectra, rounded up to whole stands.
-    - `steps`: of the optimisation.
-    - `seed`: of everything random.
+    - `sensor`: shipped sensor (aviris_ng, emit, enmap, sentinel_2a, ...) or a sensor file.
+    - `like`: instead of a sensor: a cube, for its good bands.
+    - `sun_zenith`: zenith angle of the sun [degrees], or a range of it, such as 25-35.
+    - `prior`: name of a shipped population, or a file that `fynjax bioscape learn` wrote. Stands
+      have its growth forms.
+    - `simulations`: spectra to simulate, rounded up to whole stands; some 30 a second.
+    - `steps`: steps of the optimisation.
+    - `seed`: seed of everything random.
     - `checkpoint`: folder that keeps the simulations, from which an interrupted run goes on.
     - `workers`: where stands are simulated; in this process by default.
 
@@ -211,13 +215,14 @@ class _Task(NamedTuple):
 def _task(
     sensor: str | Path | None,
     like: str | Path | None,
-    sun_zenith: tuple[float, float],
+    sun_zenith: float | tuple[float, float],
     simulations: int,
     prior: str | Path,
 ) -> _Task:
     if (sensor is None) == (like is None):
         raise InputError("expected either a sensor or a cube whose bands to train for (--like)")
-    low, high = sun_zenith
+    one = isinstance(sun_zenith, int | float)
+    low, high = (sun_zenith, sun_zenith) if one else sun_zenith
     if not 0.0 <= low <= high <= 75.0:
         raise InputError(
             f"expected zenith angles of the sun from 0 to 75 degrees, the least first, but got "

@@ -1,14 +1,15 @@
 """The job of `fynjax validate`: real against simulated data of any of three sensors."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 from pydantic import Field
 
+from fynjax._core.arguments import Names, Seed
 from fynjax._core.dry_run import begin_work
 from fynjax._core.errors import InputError
 from fynjax._core.precision import double_precision
@@ -28,6 +29,7 @@ from fynjax.app.compare import (
     wins,
 )
 from fynjax.app.compare.structure import (
+    CloudOptions,
     StructureComparison,
     cloud_settings,
     compare_pair,
@@ -59,14 +61,18 @@ class ValidationData:
     """The files of a validation; any of the three pairs may be missing."""
 
     real_drone: str | Path | None = None
-    """Image (GeoTIFF), or 'published'."""
+    """Real drone image (GeoTIFF, reflectance); or the name 'published': the printed statistics of
+    the plot burnt in 2006."""
     simulated_drone: str | Path | None = None
+    """Simulated drone image."""
     real_spectra: Sequence[str | Path] = ()
-    """Tables, libraries, ASD files, cubes or NetCDF, all on one grid."""
+    """Real spectra, all on one grid: CSV, ASD, ENVI library or cube, GeoTIFF, NetCDF."""
     simulated_spectra: Sequence[str | Path] = ()
+    """Simulated spectra, in any of these."""
     real_cloud: str | Path | None = None
-    """Point cloud (LAS, LAZ, PLY, XYZ)."""
+    """Real point cloud (LAS, LAZ, PLY, XYZ)."""
     simulated_cloud: str | Path | None = None
+    """Simulated point cloud."""
 
     def __post_init__(self) -> None:
         pairs = {
@@ -158,30 +164,37 @@ def validate(
     data: ValidationData,
     output: str | Path,
     *,
-    real_bands: Sequence[str] | None = None,
-    simulated_bands: Sequence[str] | None = None,
-    saturation: float | None = None,
-    most_pixels: int = 1_000_000,
+    real_bands: Names | None = None,
+    simulated_bands: Names | None = None,
+    saturation: Annotated[float, Field(ge=0.0)] | None = None,
+    pixels: Annotated[int, Field(ge=100)] = 1_000_000,
     matching: MatchingMethod = "auto",
-    windows: Sequence[tuple[float, float]] = WATER_WINDOWS,
+    exclude: Sequence[tuple[float, float]] = (),
     structure_preset: str | None = None,
-    cloud_options: Mapping[str, Any] | None = None,
-    seed: int = 0,
+    cloud_options: CloudOptions | None = None,
+    seed: Seed = 0,
 ) -> ValidateResult:
-    """Compare real with simulated drone images, spectra and point clouds.
+    """Compare simulated with real data: drone images, spectra, point clouds.
+
+    Any of the three pairs may be left out. The published values of the fynbos scene paper stand
+    beside them. The images need not lie on each other: distributions of pixels are compared.
 
     **Arguments:**
 
     - `data`: the files of the real and the simulated measurements.
     - `output`: folder of the results, made if missing.
-    - `real_bands`, `simulated_bands`: names of the bands of the images, as for
-      `read_drone_image`.
-    - `saturation`: saturation threshold of the drone image, as for `read_drone_image` [-].
-    - `most_pixels`: most pixels of an image that are read.
-    - `matching`: how spectra are brought to the same bands, as for `compare_spectra`.
-    - `windows`: ranges of wavelength that are left out of the comparison [nm].
-    - `structure_preset`: a name in `fynjax.metrics.structure.STRUCTURE_PRESETS`.
-    - `cloud_options`: settings that override the preset, as for `cloud_settings`.
+    - `real_bands`: what each band of the real image is, names with commas between, where the file
+      does not say: green, red, red_edge, nir, others as the sensor calls them, such as blue, and
+      any other name for bands that are not used.
+    - `simulated_bands`: the same of the simulated image.
+    - `saturation`: saturation threshold of a drone pixel [-].
+    - `pixels`: largest number of pixels of an image; larger ones are thinned evenly.
+    - `matching`: how the finer spectra are brought onto the bands of the coarser.
+    - `exclude`: wavelengths to leave out [nm], LOW-HIGH, such as 930-960, besides the water windows
+      1340-1460 and 1790-2100.
+    - `structure_preset`: name of the conventions of a known tool: fynjax, lidR, leafR,
+      PyForestScan, GEDI L2B. The options of point clouds override it.
+    - `cloud_options`: settings of point clouds that override the preset.
     - `seed`: seed of the random numbers in the comparison of clouds.
 
     **Returns:** `ValidateResult`. Writes tables (CSV), `validation.nc` and `structure.nc`, figures
@@ -196,7 +209,7 @@ def validate(
     inputs = data.files()
     drone: Drone | None = None
     if data.simulated_drone:
-        read = partial(read_drone_image, saturation=saturation, most_pixels=most_pixels)
+        read = partial(read_drone_image, saturation=saturation, most_pixels=pixels)
         drone = _compare_images(data, read, simulated_bands, real_bands)
         _doubt(run, drone)
     spectra: SpectralComparison | None = None
@@ -205,7 +218,7 @@ def validate(
             read_spectra_sample(data.real_spectra),
             read_spectra_sample(data.simulated_spectra),
             method=matching,
-            windows=windows,
+            windows=(*WATER_WINDOWS, *exclude),
         )
     files = {"report.html": ""}
     files |= {} if drone is None and spectra is None else {"validation.nc": ""}

@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 from jaxtyping import Float
 
+from fynjax._core.arguments import Seed
 from fynjax._core.dry_run import begin_work
 from fynjax._core.errors import InputError
 from fynjax._core.parts import Workers, at_work
@@ -53,6 +54,7 @@ from fynjax.studies.bioscape._plots import BioscapePlot, read_bioscape
 from fynjax.studies.bioscape._plsr import read_leaf_mass_model
 from fynjax.studies.bioscape._scenes import (
     ACCURACY,
+    COARSE,
     Resolution,
     build_scenes,
     slots_of,
@@ -92,24 +94,32 @@ def calibrate_plots(
     plots: Sequence[str] | None = None,
     traits: str | Path | None = None,
     prior: str | Path = DEFAULT_PRIOR,
-    resolution: Resolution | None = None,
+    resolution: Resolution = COARSE,
     realisations: int = 3,
-    seed: int = 0,
+    seed: Seed = 0,
     checkpoint: str | Path,
     workers: Workers | None = None,
 ) -> CalibratePlotsResult:
-    """Infer covers, leaf area, dead tissue, gap and leaf traits of plots from their spectra.
+    """Infer covers, leaf area, dead tissue, gap and leaf traits of plots from measured spectra.
+
+    Once with the plot's own tables as a weak prior, once with the other plots' means. Compares with
+    the field's community-weighted means, and with a published regression (`*LMA*model*.json`) if
+    the folder has it. An interrupted run goes on when the same command is given again.
 
     **Arguments:**
 
-    - `folder`, `plots`, `traits`, `resolution`: as for `validate_plots`; a `*LMA*model*.json` in
-      the folder is the published regression.
+    - `folder`: folder with *CoverData.csv, *VegData.csv, *TraitLibrary.csv and, for the measured
+      spectra, *VegCenters.csv and *waves.csv.
     - `output`: folder of the results, made if missing.
-    - `prior`: learned population (`read_prior`), with the model's error, or "none": what is
-      assumed before one is learned, and `MODEL_SD`. Plots that it was learned from have the values
-      learned from all others; variances and error are of all.
-    - `realisations`: number of stand realisations of each plot used to estimate the variance over
-      them; at least 3.
+    - `plots`: only this plot, by its name; all if left out.
+    - `traits`: trait library, if it is not in the folder.
+    - `prior`: population that the plots are of: the name of a shipped one, a file that `fynjax
+      bioscape learn` wrote, or none: what is assumed before one is learned. Plots that it was
+      learned from have the values learned from all others; variances and the model's error are of
+      all.
+    - `resolution`: size and voxels of the simulated plots.
+    - `realisations`: stand realisations of each plot, from which the variance over them is
+      estimated; at least 3.
     - `seed`: seed of the positions of the plants.
     - `checkpoint`: folder that keeps the fit of each plot, from which an interrupted run goes on.
     - `workers`: where the plots are inferred; in this process by default.
@@ -120,7 +130,6 @@ def calibrate_plots(
     a checkpoint of another run, plots whose fit failed, and workers as `Workers` has it.
     """
     run = Run(output, seed=seed)
-    resolution = Resolution() if resolution is None else resolution
     folder = Path(folder)
     if realisations < 3:
         raise InputError(f"expected three stand realisations or more, but got {realisations}")

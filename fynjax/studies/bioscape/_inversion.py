@@ -352,7 +352,8 @@ def bias_corrected_data(
     covariance += 1e-8 * np.eye(len(covariance))
     whitener = np.linalg.inv(np.linalg.cholesky(covariance))
     parts = (flights.mean(axis=0), np.sqrt(np.diagonal(covariance)), whitener)
-    return Data(tuple(names), *(jnp.asarray(part) for part in parts)), residuals.mean(axis=0)
+    found = [jnp.asarray(part) for part in parts]
+    return Data(tuple(names), found[0], found[1], found[2]), residuals.mean(axis=0)
 
 
 @dataclass(frozen=True)

@@ -7,12 +7,15 @@ of coarser voxels than values: the estimate ends where the values of the fine on
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Annotated
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
+from pydantic import Field
 
+from fynjax._core.arguments import Seed
 from fynjax._core.dry_run import begin_work
 from fynjax._core.errors import InputError
 from fynjax._core.parts import Workers, at_work
@@ -69,26 +72,33 @@ def learn(
     plots: Sequence[str] | None = None,
     traits: str | Path | None = None,
     resolution: Resolution | None = None,
-    slope_voxel_m: float = 0.25,
+    slope_voxel_m: Annotated[float, Field(ge=0.02, le=1.0)] = 0.25,
     title: str = "Plots of low shrubland",
     licence: str = "",
     sources: Sequence[str] = (),
-    seed: int = 0,
+    seed: Seed = 0,
     checkpoint: str | Path,
     workers: Workers | None = None,
 ) -> LearnResult:
     """Learn what plots share, and how they vary, from the tables and spectra of all at once.
 
+    Growth forms' leaf area, dead tissue and clumping, leaf chemistry, brightness of soil and dead
+    tissue, and the model's remaining error. An interrupted run goes on when the same command is
+    given again.
+
     **Arguments:**
 
-    - `folders`: each as for `validate_plots`, with the same bands. Names of plots differ.
+    - `folders`: folders with *CoverData.csv, *VegData.csv, *TraitLibrary.csv, *VegCenters.csv and
+      *waves.csv, with the same bands. Names of plots differ.
     - `output`: folder of the results, made if missing.
-    - `plots`: names of those to learn from; all with a spectrum if left out.
-    - `traits`: trait library, if it is not in the folders.
-    - `resolution`: size and voxels of the simulated plots, see `Resolution`.
-    - `slope_voxel_m`: edge of the voxels for derivatives [m]; that of `resolution` if smaller.
-    - `title`, `licence`, `sources`: of the population, for the prior file; the input files with
-      their hashes are added to the sources.
+    - `plots`: only this plot, by its name; all if left out.
+    - `traits`: trait library, if it is not in the folder.
+    - `resolution`: size and voxels of the simulated plots.
+    - `slope_voxel_m`: edge of a voxel for derivatives [m]; that of the plots if smaller.
+    - `title`: what the plots are, for the prior file.
+    - `licence`: licence of the numbers, for the prior file.
+    - `sources`: where the data are from, for the prior file; the input files with their hashes are
+      added.
     - `seed`: seed of the positions of the plants.
     - `checkpoint`: folder that keeps the linearisations, from which an interrupted run goes on.
     - `workers`: where the plots are simulated; in this process by default.

@@ -487,17 +487,22 @@ def run_bioscape(
     traits: str | Path | None = None,
     prior: str | Path = DEFAULT_PRIOR,
 ) -> BioscapeResult:
-    """Write a folder of plot files for each plot of BioSCape's tables, and `plots.csv`.
+    """Make plot files from the field tables of BioSCape.
 
-    Of the published tables also `counts.csv` (plants counted, and those that eq. (10) makes of
-    cover and diameter), `intercepts.csv` (what line intercepts show from above, beside the crew's
-    covers) and `remarks.csv` (what is odd in the tables, with file and row, and how it was read).
+    Writes a folder for each plot, to be rendered, with a table of where each number came from. Of
+    the published tables also `counts.csv` (plants counted, and those that eq. (10) makes of cover
+    and diameter), `intercepts.csv` (what line intercepts show from above, beside the crew's covers)
+    and `remarks.csv` (what is odd in the tables, with file and row, and how it was read).
 
     **Arguments:**
 
-    - `folder`, `plots`, `traits`: as for `read_bioscape`.
+    - `folder`: folder with the tables as published, bioscape_veg_*_vYYYYMMDD.csv, or *CoverData.csv
+      and *VegData.csv; with *TraitLibrary.csv and, for place and time, *VegCenters.csv.
     - `output`: folder of the results, made if missing.
-    - `prior`: learned population (`read_prior`), or "none": what is assumed before one is learned.
+    - `plots`: only this plot, by its name; all if left out.
+    - `traits`: trait library, if it is not in the folder.
+    - `prior`: population that the plots are of: the name of a shipped one, a file that `fynjax
+      bioscape learn` wrote, or none: what is assumed before one is learned.
 
     **Returns:** `BioscapeResult`, with the plots that were written.
 

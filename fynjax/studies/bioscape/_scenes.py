@@ -7,13 +7,14 @@ in slots, as many of each growth form as any plot needs, and what a plot does no
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import groupby
-from typing import Literal
+from typing import Annotated, Literal
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
+from pydantic import Field
 
 from fynjax._core.errors import InputError
 from fynjax.app.assembly import plot_parameters
@@ -55,9 +56,9 @@ _LARGEST_EVEN = 0.125
 class Resolution:
     """Size and voxels of simulated plots. Raises `InputError` where voxels do not fill a plot."""
 
-    size_m: float = 5.0
+    size_m: Annotated[float, Field(ge=1.0, le=100.0)] = 5.0
     """Side of the square that stands for a plot [m]; it repeats itself."""
-    voxel_m: float = 0.1
+    voxel_m: Annotated[float, Field(ge=0.02, le=1.0)] = 0.1
     """Edge of a voxel [m]."""
 
     def __post_init__(self) -> None:
@@ -73,6 +74,10 @@ class Resolution:
         evenly hide gaps: in those of 25 cm, spectra are 7 % darker in red than in those of 10 cm,
         in which the shipped prior was learned; with this, within 1 %."""
         return "even" if self.voxel_m <= _LARGEST_EVEN else _LARGEST_EVEN
+
+
+COARSE = Resolution(voxel_m=0.25)
+"""Voxels in which plots are inverted, each of which is rendered many times."""
 
 
 def slots_of(plots: Sequence[Plot]) -> tuple[str, ...]:

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from fynjax._core.arguments import Seed
 from fynjax._core.dry_run import begin_work
 from fynjax._core.errors import InputError
 from fynjax._core.parts import Workers, at_work
@@ -47,20 +48,25 @@ def validate_plots(
     traits: str | Path | None = None,
     prior: str | Path = DEFAULT_PRIOR,
     resolution: Resolution | None = None,
-    seed: int = 0,
+    seed: Seed = 0,
     checkpoint: str | Path | None = None,
     workers: Workers | None = None,
 ) -> ValidatePlotsResult:
-    """Simulate the spectra of a folder's plots from its tables and compare them with the measured.
+    """Simulate plots from field tables alone, and compare with their measured spectra.
+
+    An interrupted run goes on when the same command is given again.
 
     **Arguments:**
 
-    - `folder`, `plots`, `traits`: as for `read_bioscape`; for the measured spectra the folder has
-      `*VegCenters.csv` and `*waves.csv`.
+    - `folder`: folder with *CoverData.csv, *VegData.csv, *TraitLibrary.csv and, for the measured
+      spectra, *VegCenters.csv and *waves.csv.
     - `output`: folder of the results, made if missing.
-    - `prior`: learned population (`read_prior`), or "none": what is assumed before one is
-      learned. Plots that it was learned from have the values learned from all others.
-    - `resolution`: size and voxels of the simulated plots, see `Resolution`.
+    - `plots`: only this plot, by its name; all if left out.
+    - `traits`: trait library, if it is not in the folder.
+    - `prior`: population that the plots are of: the name of a shipped one, a file that `fynjax
+      bioscape learn` wrote, or none: what is assumed before one is learned. Plots that it was
+      learned from have the values learned from all others.
+    - `resolution`: size and voxels of the simulated plots.
     - `seed`: seed of the positions of the plants.
     - `checkpoint`: folder that keeps each plot's spectrum, from which an interrupted run goes on;
       none by default.

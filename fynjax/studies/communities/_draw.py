@@ -30,8 +30,8 @@ class Gradients:
     cover: tuple[float, float] = (0.3, 0.9)
     """Least and greatest sum of the covers, above 0 and at most 1 [-]."""
     age: tuple[float, float] | None = None
-    """Fewest and most years since fire, by which the article's taxa grow (`table_after_fire`); None
-    leaves the sizes of the species table."""
+    """Fewest and most years since fire, by which the article's taxa grow; sizes as in the species
+    table if left out."""
 
     def __post_init__(self) -> None:
         limits = {"richness": (1.0, math.inf), "evenness": (1e-2, 1.0), "cover": (1e-3, 1.0)}

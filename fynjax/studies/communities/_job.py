@@ -3,11 +3,13 @@
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 import pandas as pd
+from pydantic import Field
 
+from fynjax._core.arguments import Names, Seed
 from fynjax._core.dry_run import begin_work
 from fynjax._core.errors import InputError, listed, whole_number
 from fynjax._core.extras import require
@@ -51,21 +53,21 @@ def diversity(
     output: str | Path,
     plot: Plot | str | Path | None = None,
     *,
-    communities: int = 100,
-    size: float = 10.0,
+    communities: Annotated[int, Field(ge=10)] = 100,
+    size: Annotated[float, Field(ge=0.5, le=100.0)] = 10.0,
     gradients: Gradients | None = None,
-    sensors: Sequence[str | Path | Sensor] = ("mavic_3m", "aviris_ng"),
+    sensors: Names | Sequence[str | Path | Sensor] = ("mavic_3m", "aviris_ng"),
     pixels: Sequence[float] = PIXELS,
     noise: Sequence[float] = (0.01,),
-    bands: int = 30,
-    samples: int = 20,
+    bands: Annotated[int, Field(ge=1)] = 30,
+    samples: Annotated[int, Field(ge=1)] = 20,
     threshold: float = 0.25,
     greenness: float | None = None,
-    seed: int = 0,
+    seed: Seed = 0,
     checkpoint: str | Path | None = None,
     workers: Workers | None = None,
 ) -> DiversityResult:
-    """How well sensors of any pixel see the diversity of communities, and recognise species.
+    """Find what sensors can know of the diversity of communities, and at which pixel it is lost.
 
     Communities of the species of a plot are drawn along gradients, planted and seen by each sensor
     at its finest pixel; coarser pixels are means of these, blurred by the optics of a sensor of
@@ -74,23 +76,21 @@ def diversity(
     **Arguments:**
 
     - `output`: folder of the results, made if missing.
-    - `plot`: whose species are drawn from, with their leaves; the shipped plot by default. Or a
-      species table (CSV), whose species have usual leaves and stand on the shipped plot's ground
-      in its light.
-    - `communities`: how many are drawn, at least 10.
+    - `plot`: plot file whose species and leaves communities are drawn from; or a species table
+      (CSV), with usual leaves on the shipped plot; that plot if left out.
+    - `communities`: how many are drawn.
     - `size`: side of a simulated plot [m].
     - `gradients`: of richness, evenness, cover and years since fire.
-    - `sensors`: imaging ones, by name, file or as objects.
-    - `pixels`: edges of a pixel on the ground [m], multiples of the smallest that divide the side,
-      of which it is at least two.
+    - `sensors`: imaging sensors, by name or file; from Python as objects too.
+    - `pixels`: edges of a pixel [m] that divide the side, multiples of the smallest, at least two.
     - `noise`: standard deviations of the noise of a pixel, relative to its reflectance, 0 to 0.3.
-    - `bands`: of a sensor, evenly chosen where it has more.
+    - `bands`: bands of a sensor that are used, at most, evenly chosen.
     - `samples`: pixels of each species that a community gives to the classification, at most.
-    - `threshold`: squared correlation of a spectral metric with a diversity below which the
-      diversity is lost [-].
-    - `greenness`: NDVI that a pixel must have to count in the metrics, so that bare ground and its
-      contrast with plants do not; -1 to below 1 [-]. All pixels count by default.
-    - `seed`: of every random number.
+    - `threshold`: squared correlation with a spectral metric, between 0 and 1, below which a
+      diversity is lost.
+    - `greenness`: NDVI, from -1 to below 1, that a pixel must have to count in the metrics, so that
+      bare ground and its contrast with plants do not; all count if left out.
+    - `seed`: seed of everything random.
     - `checkpoint`: folder that keeps what communities gave, from which an interrupted run goes on.
     - `workers`: where communities are simulated; in this process by default.
 

@@ -2,10 +2,12 @@
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import pandas as pd
+from pydantic import Field
 
+from fynjax._core.arguments import Seed
 from fynjax._core.dry_run import begin_work
 from fynjax._core.errors import InputError
 from fynjax._core.precision import double_precision
@@ -45,25 +47,29 @@ def article(
     output: str | Path,
     *,
     calibration: str | Path | None = None,
-    size: float = 10.0,
-    pixel: float = 0.025,
-    channels: int = 425,
-    seed: int = 0,
+    size: Annotated[float, Field(ge=1.0)] = 10.0,
+    pixel: Annotated[float, Field(ge=0.005)] = 0.025,
+    channels: Annotated[int, Field(ge=10)] = 425,
+    seed: Seed = 0,
     checkpoint: Path | None = None,
 ) -> ArticleResult:
-    """Every number of the article's tables and section 4.4 beside those of its plot by fynjax.
+    """Every number of the article beside those of its plot, before and after calibration.
+
+    Looks at the 2006 plot with the drone's camera, AVIRIS-NG and two LiDAR systems, and puts what
+    the article prints as real, what its DIRSIG made of it and fynjax's numbers side by side, each
+    with its definition. An interrupted run goes on when the same command is given again.
 
     **Arguments:**
 
     - `output`: folder of the results, made if missing.
-    - `calibration`: folder of the results of `demo`, or of another calibration of the shipped plot;
-      left out, the demo is run first, into the folder `demo` of the results.
+    - `calibration`: folder of the results of `fynjax demo`, or of another calibration of the same
+      plot; left out, the demo is run first, into the folder `demo` of the results.
     - `size`: edge of the plot that is looked at [m]; the article's by default.
-    - `pixel`: of the drone's image [m].
-    - `channels`: about so many of the spectrometer's are simulated.
-    - `seed`: of plants and calibration.
-    - `checkpoint`: folder that keeps every step of the calibration, from which an interrupted run
-      goes on; none by default.
+    - `pixel`: pixel of the drone's image [m].
+    - `channels`: about so many of AVIRIS-NG's 425 channels are simulated.
+    - `seed`: seed of everything random.
+    - `checkpoint`: folder that keeps every step, from which an interrupted run goes on; none by
+      default.
 
     **Returns:** `ArticleResult`. Writes `article.csv`, the columns of which `article_tables` has,
     figures and a page.

@@ -10,13 +10,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from fynjax.app.assembly import Measured
 from fynjax.app.compare import table5_2006
 from fynjax.inversion import (
     GAIN,
     OFFSET,
     BandView,
+    Data,
     FactorAt,
+    Source,
     SpectrumView,
     spectrum_view,
     weigh_spectrum,
@@ -46,6 +47,8 @@ class RegionsView(BandView):
     names: tuple[str, ...] = eqx.field(static=True)
     spectrum: SpectrumView
     """In the bands that a region's range is taken over."""
+    view: str = eqx.field(static=True, default="")
+    """Name of the view, where there are several."""
 
     @property
     def bands(self) -> BandSet:
@@ -99,7 +102,7 @@ def regions_view(scene: Scene, parameters: PlotParameters) -> RegionsView:
     return RegionsView(NAMES, spectrum_view(bands, scene, parameters, gains=gains))
 
 
-def aviris_target(file: Path) -> Measured:
+def aviris_target(file: Path) -> Data:
     """The published numbers of the real AVIRIS-NG spectrum: ranges of reflectance by region, from
     table 5, where an error is printed as such and over the range; and the mean at 2100 to 2450 nm.
 
@@ -115,4 +118,5 @@ def aviris_target(file: Path) -> Measured:
         "reflectance by region (table 5), and its mean at 2100 to 2450 nm. Errors: "
         f"{100 * _RELATIVE_SD:.0f} % each for itself, a factor of 1 ± {GAIN:g} on all."
     )
-    return Measured("spectrum", file, data, regions_view, description)
+    source = Source("spectrum", regions_view, description, file)
+    return dataclasses.replace(data, source=source)

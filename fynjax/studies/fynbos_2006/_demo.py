@@ -1,15 +1,17 @@
 """The job of `fynjax demo`: the 2006 plot calibrated to what its drone and AVIRIS-NG measured."""
 
+import dataclasses
 from pathlib import Path
 
 import numpy as np
 
+from fynjax._core.arguments import Seed
 from fynjax._core.precision import double_precision
-from fynjax.app.assembly import Measured, drone_view
+from fynjax.app.assembly import image_sight
 from fynjax.app.compare import bands_2006, consistent_targets, table4_2006
 from fynjax.app.io.plot import Plot, example_folder, free_parameters, read_plot
 from fynjax.app.jobs import CalibrateResult, ReferenceImage, Run, calibrate_to
-from fynjax.inversion import weigh_targets
+from fynjax.inversion import Data, Source, weigh_targets
 from fynjax.metrics import BANDS
 from fynjax.studies.fynbos_2006._aviris import aviris_target
 
@@ -32,21 +34,27 @@ reported beside, as a check."""
 def demo(
     output: str | Path,
     *,
-    seed: int,
+    seed: Seed = 0,
     drone_alone: bool = False,
     twin: bool = False,
     checkpoint: Path | None = None,
 ) -> CalibrateResult:
-    """Calibrate the shipped 2006 plot to the published statistics of its real drone image, and to
-    those of its AVIRIS-NG spectrum.
+    """Calibrate the 2006 burn plot to its real drone image and spectrum, from shipped input.
+
+    Builds the 10 m x 10 m plot from the paper's species table, renders the drone image, and
+    calibrates cover, crown diameter, leaves and ground against the published statistics of the real
+    image and of its AVIRIS-NG spectrum.
 
     **Arguments:**
 
     - `output`: folder of the results, made if missing.
-    - `seed`: seed of every random number.
-    - `drone_alone`: fit the drone's image alone. By the spectrum gains of the drone's camera are
-      known better; without it water of the leaves is not free.
-    - `twin`: calibrate a twin of the plot, whose truth is known, as `jobs.calibrate` does.
+    - `seed`: seed of everything random.
+    - `drone_alone`: fit the drone's image alone, without the published numbers of the plot's
+      AVIRIS-NG spectrum. Takes two thirds of the time; the camera's gains are known less well, and
+      water of the leaves is not free.
+    - `twin`: calibrate a twin instead, whose truth is known: drawn from the prior, planted with a
+      seed of its own, measured with noise and gains. Tables and page have the truth beside the
+      estimate.
     - `checkpoint`: folder that keeps every step, from which an interrupted run goes on; none by
       default.
 
@@ -78,7 +86,7 @@ def demo(
 
 
 @double_precision
-def demo_targets(plot: Plot | None = None, *, drone_alone: bool = False) -> tuple[Measured, ...]:
+def demo_targets(plot: Plot | None = None, *, drone_alone: bool = False) -> Data:
     """Targets of `demo`: published statistics of the real drone image, and of the plot's AVIRIS-NG
     spectrum.
 
@@ -88,8 +96,7 @@ def demo_targets(plot: Plot | None = None, *, drone_alone: bool = False) -> tupl
       default.
     - `drone_alone`: those of the image alone.
 
-    **Returns:** of each sensor the numbers with their errors (`data`), and how it sees a scene
-    (`view_of`).
+    **Returns:** the numbers of each sensor with their errors, and how it sees a scene.
     """
     plot = read_plot(example_folder() / "plot.toml") if plot is None else plot
     targets = [t for t in consistent_targets() if t.key in DEMO_TARGETS]
@@ -99,5 +106,6 @@ def demo_targets(plot: Plot | None = None, *, drone_alone: bool = False) -> tupl
     sd = np.where([t.derived for t in targets], np.hypot(share * value, _LAST_DIGIT), np.nan)
     data = weigh_targets(names, value, share, sd=sd)
     description = f"{len(names)} published statistics of the real drone image."
-    image = Measured("image", plot.file, data, drone_view(plot, names), description)
-    return (image,) if drone_alone else (image, aviris_target(plot.file))
+    source = Source("image", image_sight(plot, names), description, plot.file)
+    image = dataclasses.replace(data, source=source)
+    return image if drone_alone else image + aviris_target(plot.file)

@@ -1,13 +1,12 @@
 """What a comparison of two clouds takes: grain, plot, thinning, how each cloud is read."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
-from typing import Any
+from typing import Any, Literal, TypedDict
 
 import numpy as np
 
 from fynjax._core.errors import InputError
-from fynjax.app.compare.structure._cloud import CloudSettings
+from fynjax.app.compare.structure._cloud import CloudSettings, GroundSource
 from fynjax.app.terrain import Bounds
 from fynjax.metrics.structure import STRUCTURE_PRESETS, StructureSettings
 
@@ -93,22 +92,82 @@ _BOTH = ("tallest", "deepest", "tolerance")
 """Settings of how a cloud is read that are stated for both at once."""
 
 
-def cloud_settings(preset: str | None, options: Mapping[str, Any]) -> ComparisonSettings:
+class CloudOptions(TypedDict, total=False):
+    """Settings of a comparison of clouds that are stated one by one; what is not stated the preset
+    says, or the comparison."""
+
+    grain: float
+    """Side of a cell [m]; by the paper's rule, of 1 to 5 m, if left out."""
+    largest_change: float
+    """Change of the metrics to the next larger grain, in their median, up to which a grain is taken
+    [-]; 0.1 if left out."""
+    bounds: Bounds
+    """The plot, XMIN,YMIN,XMAX,YMAX, in the real cloud's coordinates [m]; what both cover if left
+    out."""
+    shift: tuple[float, float] | tuple[float, float, float]
+    """What to add to the simulated cloud's coordinates [m], DX,DY[,DZ]. Write --shift=-3,4 where
+    the first is negative."""
+    real_ground: GroundSource
+    """How the real cloud's ground is found: its classes, a filter, or none where heights are above
+    the ground already; auto takes classes where there are some, else smrf."""
+    simulated_ground: GroundSource
+    """The same of the simulated cloud."""
+    tolerance: float
+    """Largest distance from the lowest surface at which a filter takes returns for ground [m]; 0.1
+    if left out."""
+    deepest: float
+    """Returns farther below the ground are noise [m]; 0.5 if left out."""
+    tallest: float
+    """Returns higher above the ground are left out: birds, wires [m]."""
+    layer: float
+    """Thickness of a layer [m]."""
+    lowest: float
+    """Height at which layers begin [m]; those of the diversity too, where the preset has one height
+    for both."""
+    diversity_lowest: float
+    """Height at which the layers of the foliage height diversity begin [m]."""
+    diversity_of: Literal["returns", "leaf_area"]
+    """What is shared out among layers for the foliage height diversity: returns are counted, or
+    their leaf area."""
+    top: Literal["cell", "plot"]
+    """Up to where layers count: the highest return of the cell or of the plot."""
+    ground_height: float
+    """Returns below this are ground, under all layers [m]."""
+    extinction: float
+    """Extinction coefficient k of leaf area density [-]."""
+    gap_height: float
+    """Threshold of the gap fraction [m]."""
+    gap_of: Literal["returns", "canopy", "leaf_area"]
+    """Gap fraction by the count of returns, of canopy cells, or from leaf area."""
+    rugosity_of: Literal["canopy", "columns"]
+    """Rugosity of the canopy's surface, or of the columns."""
+    canopy_cell: float
+    """Side of a cell of the canopy's surface [m]."""
+    cv_lowest: float
+    """Returns below this do not count for the variation of height [m]."""
+    least_returns: int
+    """Returns with which a cell counts; 5 if left out."""
+    repetitions: int
+    """Thinnings of the denser cloud; 100 if left out."""
+    histogram_bin: float
+    """Width of the bins of the height histogram [m]; 0.1 if left out."""
+
+
+def cloud_settings(preset: str | None, options: CloudOptions) -> ComparisonSettings:
     """Settings by the name of a preset and single options, which override it.
 
     **Arguments:**
 
     - `preset`: its name; `None` is not stated.
     - `options`: by the names of `StructureSettings` and `ComparisonSettings`, besides `shift`,
-      `real_ground`, `simulated_ground`, and those of reading that hold for both clouds; `None` is
-      not stated.
+      `real_ground`, `simulated_ground`, and those of reading that hold for both clouds.
     """
     if preset is not None and preset not in STRUCTURE_PRESETS:
         raise InputError(
             f"a preset of structure metrics (--structure-preset) must be one of "
             f"{', '.join(STRUCTURE_PRESETS)}, but is {preset!r}"
         )
-    stated = {name: value for name, value in options.items() if value is not None}
+    stated: dict[str, Any] = {**options}
     structure = STRUCTURE_PRESETS["fynjax" if preset is None else preset]
     names = {field.name for field in fields(StructureSettings)}
     changed = {name: stated.pop(name) for name in sorted(names & set(stated))}

@@ -20,6 +20,7 @@ from ._plot_file import example_folder as example_folder
 from ._plot_file import read_plot as read_plot
 from ._plot_tables import AtmosphereTable as AtmosphereTable
 from ._plot_tables import PlotFile as PlotFile
+from ._plot_tables import TargetTable as TargetTable
 from ._population import state_population as state_population
 from ._population import without_population as without_population
 from ._prior import BY_FORM as BY_FORM
@@ -52,5 +53,6 @@ from ._rows import read_sky_pattern as read_sky_pattern
 from ._rows import read_statistics as read_statistics
 from ._rows import read_structure as read_structure
 from ._sensor import drone_sensor as drone_sensor
+from ._sensor import named_sensor as named_sensor
 from ._sensor import plot_instrument as plot_instrument
 from ._sensor import sensor_place as sensor_place

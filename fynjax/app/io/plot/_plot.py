@@ -14,6 +14,7 @@ from fynjax.app.io.plot._plot_tables import (
     SceneTable,
     SensorTable,
     SkyTable,
+    TargetTable,
 )
 from fynjax.app.io.plot._prior import LearnedPrior
 from fynjax.canopy import Shrubland
@@ -59,6 +60,8 @@ class Plot(PlotTable, SceneTable):
     air: AtmosphereTable | None
     """The plot file's [atmosphere]; `None` where it has none."""
     calibration: CalibrationTable
+    targets: tuple[TargetTable, ...] = ()
+    """What was measured, view by view: the plot file's [[target]]."""
     inputs: tuple[Path, ...]
     """Every file that was read or is named, for the provenance record."""
     leaf_files: dict[str, tuple[Path, ...]] = Field(default_factory=dict)

@@ -231,6 +231,7 @@ def read_plot(path: str | Path, *, allow_outside: bool = False) -> Plot:
         sensor=named_sensor(parsed.sensor),
         air=parsed.atmosphere,
         calibration=parsed.calibration,
+        targets=tuple(parsed.target),
         leaf_files=spectra,
         inputs=(path, *named, *(p for p in in_tables if isinstance(p, Path))),
     )

@@ -5,6 +5,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal
 
+import jax.numpy as jnp
 from pydantic import (
     AfterValidator,
     BeforeValidator,
@@ -28,7 +29,7 @@ from fynjax.app.io.text import (
 )
 from fynjax.canopy import Shrubland
 from fynjax.scene import PARAMETERS, CoverDefinition, Placement, PlantingRules
-from fynjax.sensors import Panel, SunPosition, shipped_sensors, sun_position
+from fynjax.sensors import Frame, Panel, Pose, SunPosition, shipped_sensors, sun_position
 
 
 def _sides_fit(value: tuple[float, float]) -> tuple[float, float]:
@@ -357,6 +358,63 @@ class SensorTable(Strict):
         return Placement(self.altitude_m, self.pixel_m, self.tilt_deg, self.heading_deg)
 
 
+class TargetTable(SensorTable):
+    """What one sensor measured of the plot, and from where: one view of it. The keys of [sensor]
+    count for this view where any is stated."""
+
+    file: Annotated[Path, NamedFile("a target")]
+    """Image (GeoTIFF) or its statistics (CSV), spectrum, or point cloud or its structure."""
+    view: str = ""
+    """Name of the view, which stands before its statistics, such as 'dusk' in 'dusk.nir.mean';
+    needed where there are two of one kind."""
+    position_m: tuple[float, float, float] | None = numbers_in("m")
+    """Where the camera hung, of a single frame that was laid on the map of the plot: east and north
+    of the plot's south-west corner, and height above its ground; left out, above its middle [m]."""
+    yaw_deg: float = in_unit("degree", default=0.0, ge=-360, le=360)
+    """Direction that the frame's upper edge points to, clockwise from north [degree]."""
+    pitch_deg: float = in_unit("degree", default=0.0, ge=-90, le=90)
+    """Angle by which the camera looked ahead, to the upper edge, from straight down [degree]."""
+    roll_deg: float = in_unit("degree", default=0.0, ge=-90, le=90)
+    """Angle by which its right side was down [degree]."""
+    sun: SunTable | None = None
+    """The sun of this view; left out, that of the plot."""
+
+    @property
+    def of_sensor(self) -> SensorTable | None:
+        """The sensor of the view; None where no key states one."""
+        stated = self.model_fields_set & set(SensorTable.model_fields)
+        if not stated:
+            return None
+        return SensorTable.model_construct(
+            stated, **{name: getattr(self, name) for name in SensorTable.model_fields}
+        )
+
+    @property
+    def frame(self) -> Frame | None:
+        """Pose of the frame; None of a camera that looked from above the plot's middle."""
+        if self.position_m is None:
+            return None
+        angles = map(jnp.asarray, (self.yaw_deg, self.pitch_deg, self.roll_deg))
+        return Frame(Pose(jnp.asarray(self.position_m), *angles))
+
+    @field_validator("view")
+    @classmethod
+    def _is_a_word(cls, view: str) -> str:
+        if view and (not view.isidentifier() or view in ("spectrum", "lidar")):
+            raise ValueError(f"expected one word as the name of a view, but got {view!r}")
+        return view
+
+    @model_validator(mode="after")
+    def _a_pose_has_a_position(self) -> "TargetTable":
+        angles = {"yaw_deg", "pitch_deg", "roll_deg"} & self.model_fields_set
+        if angles and self.position_m is None:
+            raise ValueError(f"expected position_m with {min(angles)}")
+        placed = {"altitude_m", "tilt_deg", "heading_deg"} & self.model_fields_set
+        if self.position_m is not None and placed:
+            raise ValueError(f"expected position_m or {min(placed)}, but got both: leave one out")
+        return self
+
+
 class AtmosphereTable(Strict):
     """The air between sun, plot and sensor; `render` and `calibrate` do not use it."""
 
@@ -432,9 +490,19 @@ class PlotFile(Strict):
     """The air; left out, a clear one computed with 6S."""
     scene: SceneTable = SceneTable()
     calibration: CalibrationTable = CalibrationTable()
+    target: list[TargetTable] = Field(default=[])
+    """What was measured of the plot, view by view, where no target is named to the command."""
+
+    @field_validator("target")
+    @classmethod
+    def _views_differ(cls, targets: list[TargetTable]) -> list[TargetTable]:
+        names = [one.view for one in targets if one.view]
+        if twice := next((name for name in names if names.count(name) > 1), None):
+            raise ValueError(f"expected each view once, but {twice!r} is named twice")
+        return targets
 
     @property
     def named_files(self) -> Iterator[Path]:
         """Files that the tables name."""
-        tables = (table for _, table in self if isinstance(table, Strict))
+        tables = [*(table for _, table in self if isinstance(table, Strict)), *self.target]
         return (value for table in tables for _, value in table if isinstance(value, Path))

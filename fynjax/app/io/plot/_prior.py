@@ -207,6 +207,11 @@ class LearnedPrior:
     file: PriorFile
 
     @property
+    def kinds(self) -> tuple[str, ...]:
+        """Kinds of parameters that it says of each growth form."""
+        return BY_FORM
+
+    @property
     def forms(self) -> tuple[str, ...]:
         """Growth forms that it was learned with, in the order of the file."""
         kind = BY_FORM[0]

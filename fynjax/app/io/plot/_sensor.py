@@ -18,7 +18,7 @@ _DRONE_PIXEL = 0.025  # m, of the paper
 
 
 def named_sensor(table: SensorTable) -> SensorTable:
-    """The table with the name that its sensor file, where there is one, states."""
+    """The sensor `table` with the name that its sensor file, where there is one, states."""
     return table if table.path is None else table.replace(name=_load(table).name)
 
 

@@ -1,0 +1,90 @@
+"""Views of a plot that its file states: names, poses and suns of their own, gains of one camera."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from fynjax._core.errors import InputError
+from fynjax.app.assembly import read_problem
+from fynjax.inversion import BandFactors
+from tests.small import write_plot
+
+TARGETS = """
+[[target]]
+file = "noon.csv"
+view = "noon"
+
+[[target]]
+file = "dusk.csv"
+view = "dusk"
+position_m = [1.0, -8.0, 12.0]
+pitch_deg = 35
+sun = {zenith_deg = 60, azimuth_deg = 300}
+"""
+
+
+@pytest.fixture
+def plot(tmp_path):
+    path = write_plot(tmp_path)
+    for name, nir in (("noon", 0.3), ("dusk", 0.28)):
+        rows = f"statistic,value,sd\nnir.mean,{nir},0.01\nred.mean,0.05,0.005\n"
+        (tmp_path / f"{name}.csv").write_text(rows)
+    path.write_text(path.read_text() + TARGETS)
+    return path
+
+
+def test_each_view_has_its_name_pose_and_sun(plot):
+    problem = read_problem(plot, free=["species.*.cover"])
+    assert problem.data.names == (
+        "noon.nir.mean",
+        "noon.red.mean",
+        "dusk.nir.mean",
+        "dusk.red.mean",
+    )
+    assert problem.data.value.tolist() == [0.3, 0.05, 0.28, 0.05]
+    noon, dusk = problem.views
+    assert (noon.sun, dusk.sun) == (None, (60.0, 300.0))
+    assert noon.camera.seen is None
+    assert np.asarray(dusk.camera.seen).mean() > 0.9
+    scene = problem.scene
+    here, there = (np.asarray(v.predict(scene, scene.parameters)) for v in (noon, dusk))
+    # The shadow side of shrubs under a low sun: darker, red more than near infrared.
+    assert (there < here).all() or (there / here)[1] < (there / here)[0]
+    # Under the sun of the plot the same view is another.
+    other = dataclasses.replace(dusk, sun=None).predict(scene, scene.parameters)
+    assert np.abs(np.asarray(other) / there - 1.0).max() > 0.02
+
+
+def test_views_of_one_camera_share_its_gains_but_for_their_drift(plot):
+    views = read_problem(plot, free=["species.*.cover"]).views
+    covariance = np.asarray(BandFactors.of(views, None).of_gains)
+    bands, gains = len(views[0].bands), views[0].gains
+    own, shared = gains.covariance(bands), covariance[:bands, bands:]
+    np.testing.assert_allclose(shared, own, rtol=1e-12)
+    np.testing.assert_allclose(covariance[:bands, :bands], own + gains.drift**2, rtol=1e-12)
+    alone = np.asarray(BandFactors.of(views[:1], None).of_gains)
+    np.testing.assert_allclose(alone, own, rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ('view = "dusk"', 'view = "noon"', "'noon' is named twice"),
+        ('view = "dusk"', 'view = "two words"', "one word"),
+        ("position_m = [1.0, -8.0, 12.0]\n", "", "position_m with pitch_deg"),
+        ("pitch_deg = 35", "altitude_m = 50", "position_m or altitude_m"),
+        ('file = "dusk.csv"', 'file = "dust.csv"', "Did you mean"),
+        ('view = "noon"\n\n', "\n", None),
+    ],
+)
+def test_slips_in_targets_are_named(plot, old, new, words):
+    text = plot.read_text()
+    assert old in text
+    plot.write_text(text.replace(old, new))
+    if words is None:  # one of two may do without a name
+        assert read_problem(plot, free=["species.*.cover"]).data.names[0] == "nir.mean"
+        return
+    with pytest.raises(InputError, match=words) as caught:
+        read_problem(plot)
+    assert caught.value.file == plot.resolve()
