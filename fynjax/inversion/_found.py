@@ -127,7 +127,7 @@ class FoundPlants:
             low, middle, high = np.quantile(100.0 * diameter[group], INTERVAL)
             least, mean, most = np.quantile(height[group], INTERVAL)
             first = foot[group[0]]
-            x, y = first + _apart(foot[group] - first, self._side).mean(axis=0)
+            x, y = self._within(first + _apart(foot[group] - first, self._side).mean(axis=0))
             likeliest = int(share.argmax())
             rows.append(
                 {
@@ -170,6 +170,12 @@ class FoundPlants:
             row |= _quantiles(covers[:, which].sum(axis=1), "cover_percent")
             found.append(row)
         return pd.DataFrame(found)
+
+    def _within(self, foot: Float[np.ndarray, " 2"]) -> Float[np.ndarray, " 2"]:
+        """A foot on the plot: beyond an edge of one that repeats itself it comes in again."""
+        extent = np.asarray(self.scene.grid.extent[:2])
+        foot = foot % extent if self.scene.boundary == "periodic" else foot
+        return np.clip(foot, 0.0, np.nextafter(extent, 0.0))
 
     @property
     def _side(self) -> Float[np.ndarray, " 2"]:

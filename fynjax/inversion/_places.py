@@ -76,9 +76,9 @@ class PlacesSettings:
     [-]."""
     height_sd: float = 0.05
     """Error of the height of the canopy [m]."""
-    number_sd: float = 0.3
-    """Relative standard deviation of the number of plants of a species, as the table has it [-]:
-    that of its cover and of its diameter together."""
+    cover_sd: float = 0.25
+    """Relative standard deviation of the sum of the crowns of a species, as the table has it [-]:
+    that of its cover. How many plants make it follows from their diameters."""
     gains: Gains | None = None
     """Errors of the calibration of the bands; None: those of the camera's sensor."""
     seed: int = 0
@@ -273,6 +273,13 @@ class PlacesModel(eqx.Module):
         """How many times as large as stated the variances of all errors are, at least 1 [-]."""
         return jax.lax.stop_gradient(jnp.maximum(jnp.sum(pixels) / self.values, 1.0))
 
+    def _diameters(self, v: Places) -> Float[Array, " species"]:
+        """Mean crown diameter of each species over the table's [-]."""
+        scene = self.candidates.scene
+        named = dict(zip(self.space.names, self.space.physical(v.u), strict=True))
+        mine = with_values(scene.parameters, scene.taxa, named).species.diameter
+        return mine / jnp.asarray(scene.parameters.species.diameter, mine.dtype)
+
     def crowding(self, v: Places, full: Float[Array, " site"]) -> Float[Array, ""]:
         """How much plants are nearer to each other than they keep [plants]."""
         (a, b), known = self.candidates.near.T, self.candidates
@@ -282,11 +289,14 @@ class PlacesModel(eqx.Module):
         return jnp.sum(full[a] * full[b] * jnp.maximum(1.0 - distance / known.apart, 0.0))
 
     def prior(self, v: Places, weight: Array, none: Array) -> Float[Array, ""]:
-        """Minus the logarithm of the prior density of numbers, places and sizes: by the table's
-        numbers of plants, chance sites, and the distance that plants keep."""
-        known, sd = self.candidates, self.settings.number_sd
-        number = jax.ops.segment_sum(weight, known.species, len(known.number))
-        off = (number - known.number) / jnp.sqrt((sd * known.number) ** 2 + 0.25)
+        """Minus the logarithm of the prior density of covers, places and sizes: by the table's
+        covers, chance sites, and the distance that plants keep."""
+        known, sd = self.candidates, self.settings.cover_sd
+        # Crowns in those that the table has on average.
+        each = weight * self.sizes(v)[0][known.site] ** 2
+        crowns = jax.ops.segment_sum(each, known.species, len(known.number))
+        crowns = crowns * self._diameters(v) ** 2
+        off = (crowns - known.number) / jnp.sqrt((sd * known.number) ** 2 + 0.25)
         share = jax.ops.segment_sum(known.chance, known.site, len(none))
         sites = jnp.sum(weight * jnp.log(known.chance)) + jnp.sum(none * jnp.log1p(-share))
         normal = sum(jnp.sum(x**2) for x in (v.shift, v.width, v.tall, v.u, v.band))

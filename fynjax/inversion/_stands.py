@@ -31,7 +31,7 @@ from fynjax.inversion._places import (
 _FAR = 1.0
 """Plants that change in one image are at least so far apart [m]: beyond their shadows."""
 _NEAR = 0.3
-"""Plants that may change at a place are at most so far from it [m]."""
+"""Sites of plants that may change at a place are at most so far from it [m]."""
 _SURE = 14.0
 """Logit of a plant that stands; minus that of one that does not."""
 _STRIDE = 0.3
@@ -111,7 +111,9 @@ class Jumps:
             mean = np.asarray(getattr(scene.parameters.species, kind), float)
             own = [named.get(f"species.{t}.{kind}", m) for t, m in zip(scene.taxa, mean)]
             setattr(self, kind, np.array(own))
-        self.spread = np.sqrt(np.log1p(scene.rules.size_variation**2))
+        self.wider = self.diameter / np.asarray(scene.parameters.species.diameter, float)
+        self.variation = scene.rules.size_variation
+        self.spread = np.sqrt(np.log1p(self.variation**2))
 
     def places(self) -> Places:
         """The stand in the coordinates of the search."""
@@ -256,11 +258,13 @@ class Jumps:
         return int(self.stands[site]), {n: v[site].copy() for n, v in self.of.items()}
 
     def _prior(self, sites: "list[int]") -> float:
-        """Logarithm of the prior density of what stands at sites, and of all numbers."""
+        """Logarithm of the prior density of what stands at sites, and of all covers."""
         stand = np.flatnonzero(self.stands >= 0)
-        count = np.bincount(self.species[self.stands[stand]], minlength=len(self.number))
-        sd = np.sqrt((self.model.settings.number_sd * self.number) ** 2 + 0.25)
-        density = -0.5 * float(np.sum(((count - self.number) / sd) ** 2))
+        each = np.exp(self.spread * self.of["width"][stand]) / (1.0 + self.variation**2)
+        kind = self.species[self.stands[stand]]
+        crowns = np.bincount(kind, (each * self.wider[kind]) ** 2, len(self.number))
+        sd = np.sqrt((self.model.settings.cover_sd * self.number) ** 2 + 0.25)
+        density = -0.5 * float(np.sum(((crowns - self.number) / sd) ** 2))
         feet = self._feet_now
         for s in sites:
             if self.stands[s] < 0:
@@ -276,8 +280,8 @@ class Jumps:
 
     def _propose(self, centre: np.ndarray) -> "_Change | None":
         random = self.random
-        every = np.arange(self.sites)
-        close = np.hypot(*self._gap(self._feet_now(every) - centre).T) < _NEAR
+        # By sites, not feet: what may change here then is the same before and after.
+        close = np.hypot(*self._gap(self.place - centre).T) < _NEAR
         here = np.flatnonzero(close & (self.stands >= 0))
         free = close[self.site] & (self.stands[self.site] < 0)
         kind = int(random.choice(len(_KINDS), p=_KINDS_SHARE))
@@ -306,8 +310,6 @@ class Jumps:
             elif name == "move":
                 stride = _STRIDE * np.exp(random.normal())
                 moved = {n: v + stride * random.normal(size=v.shape) for n, v in of.items()}
-                if np.hypot(*self._gap(self._foot(s, moved) - centre)) >= _NEAR:
-                    return None
                 after, ratio = {s: (i, moved)}, 0.0
             elif name == "turn":  # into another species, of the same size
                 others = np.flatnonzero((self.site == s) & (np.arange(len(self.site)) != i))
@@ -321,6 +323,8 @@ class Jumps:
                 empty = free | (self.site == s)
                 empty[i] = False
                 total = np.where(empty, self.weight, 0.0)
+                if not total.any():
+                    return None
                 j = int(random.choice(len(total), p=total / total.sum()))
                 t = int(self.site[j])
                 before |= {t: self._state(t)}
@@ -335,9 +339,6 @@ class Jumps:
         ratio += self._prior(sites) - was
         self._set(before)
         return _Change(kind, centre, before, after, float(ratio))
-
-    def _foot(self, site: int, of: dict[str, np.ndarray]) -> np.ndarray:
-        return self.place[site] + self.reach[site] * of["shift"]
 
     def _drawn(self, site: int) -> tuple[dict[str, np.ndarray], float]:
         """Place and size of a plant that comes, about those of the search by slopes, and the

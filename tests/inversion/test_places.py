@@ -172,7 +172,10 @@ class Blind(Jumps):
 def test_jumps_without_pixels_draw_from_the_prior(twin):
     """Numbers of plants, sizes and places as the prior has them, whatever proposals prefer."""
     model = unseen(twin, ROWS[:1])
-    model = crowded(model)
+    # Covers may be what they will: then plants stand by the chance of each site.
+    model = dataclasses.replace(
+        crowded(model), settings=dataclasses.replace(SETTINGS, cover_sd=1e6)
+    )
     soft = model.start()
     random = np.random.default_rng(5)
     bent = {n: getattr(soft, n) + 1.0 for n in ("width", "tall")}
@@ -187,9 +190,7 @@ def test_jumps_without_pixels_draw_from_the_prior(twin):
             counts.append(len(at))
             widths.append(chain.of["width"][at])
     n, sites = np.arange(len(chain.site) + 1), len(chain.site)
-    mean, odds = chain.number[0], chain.odds[0]
-    log = gammaln(sites + 1) - gammaln(n + 1) - gammaln(sites - n + 1) + n * odds
-    log -= 0.5 * ((n - mean) / np.sqrt((SETTINGS.number_sd * mean) ** 2 + 0.25)) ** 2
+    log = gammaln(sites + 1) - gammaln(n + 1) - gammaln(sites - n + 1) + n * chain.odds[0]
     chance = np.exp(log - log.max())
     expected = n @ chance / chance.sum()
     spread = np.sqrt((n - expected) ** 2 @ chance / chance.sum())
@@ -198,6 +199,31 @@ def test_jumps_without_pixels_draw_from_the_prior(twin):
     every = np.concatenate(widths)
     assert np.mean(every) == pytest.approx(0.0, abs=0.15)
     assert np.std(every) == pytest.approx(1.0, rel=0.1)
+
+
+def test_jumps_have_the_prior_of_the_search_by_slopes(twin):
+    """Covers, sites, sizes, and the distance that plants keep."""
+    model = unseen(twin)
+    random = np.random.default_rng(2)
+    soft = model.start()
+    chain = Blind(model, dataclasses.replace(soft, width=soft.width + 0.3), 1)
+    ends = np.flatnonzero(np.r_[True, np.diff(np.sort(chain.site)) > 0])
+    first = np.argsort(chain.site, kind="stable")[ends]
+    cost, density = [], []
+    for count in (3, 6, 6):
+        chain.stands[:] = -1
+        chosen = random.choice(chain.sites, count, replace=False)
+        chain.stands[chosen] = first[chosen]
+        for value in chain.of.values():
+            value[chosen] = random.normal(size=value[chosen].shape)
+            value[chain.stands < 0] = 0.0
+        v = chain.places()
+        cost.append(float(model.prior(v, *model.weights(v.logit))))
+        near = chain._feet_now(chosen)[:, None] - chain._feet_now(chosen)
+        close = np.maximum(1.0 - np.hypot(*np.moveaxis(chain._gap(near), -1, 0)) / chain.apart, 0)
+        # A pair of those that change counts from both sides, but once in the density of all.
+        density.append(chain._prior(list(chosen)) + 10.0 * np.triu(close, 1).sum())
+    np.testing.assert_allclose(np.diff(density), -np.diff(cost), rtol=2e-3, atol=0.05)
 
 
 def crowded(model):
@@ -232,7 +258,8 @@ def test_crowns_of_stands_that_are_one_plant_are_counted_as_one():
     assert rows["p_Restio eleocharis"][1] == 0.75
     assert rows["taxon_probability"][1] == 0.75
     # Over the edge of a plot that repeats itself.
-    assert rows["x_m"][0] % SIDE == pytest.approx(0.01, abs=1e-6)
+    assert rows["x_m"][0] == pytest.approx(0.01, abs=1e-6)
+    assert rows["x_m"].between(0.0, SIDE).all()
     assert rows["diameter_cm"][0] == pytest.approx(50.0)
     table = found.table().set_index("name")
     assert table.loc["Erica irregularis", "plants"] == 1.0
