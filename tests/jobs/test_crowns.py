@@ -90,7 +90,7 @@ def test_maps_and_tables_are_as_documented(folder):
     table = pd.read_csv(folder / "out" / "plants.csv")
     assert list(table["level"]) == ["species"] * 3 + ["growth form"] * 3 + ["all"]
     page = (folder / "out" / "report.html").read_text("utf-8")
-    for text in ("Expected", "Every crown", "residual"):
+    for text in ("Expected less measured", "Every crown", "Of the field table, and found"):
         assert text in page
 
 
