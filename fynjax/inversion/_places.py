@@ -445,11 +445,16 @@ def places_model(
 def free_early(space: ParameterSpace) -> Places:
     """1 for what may change while plants stand in part, 0 for the rest."""
     early = [float(parameter_kind(name) not in _LATE) for name in space.names]
-    return Places(1.0, 1.0, 1.0, 1.0, np.array(early), 1.0)
+    return _masks(1.0, np.array(early))
 
 
-FREE_LATE = Places(0.0, 1.0, 1.0, 1.0, 1.0, 1.0)
-"""As `free_early`, while plants are whole and which stand is given."""
+def free_late() -> Places:
+    """As `free_early`, while plants are whole and which stand is given."""
+    return _masks(0.0, 1.0)
+
+
+def _masks(logit: float, u: float | np.ndarray) -> Places:
+    return Places(*(jnp.asarray(mask) for mask in (logit, 1.0, 1.0, 1.0, u, 1.0)))
 
 
 @cache

@@ -21,11 +21,11 @@ from scipy.spatial import cKDTree
 from fynjax._core.seeds import generator
 from fynjax.inversion._places import (
     CROWDING,
-    FREE_LATE,
     MOVED,
     Places,
     PlacesModel,
     descend,
+    free_late,
 )
 
 _FAR = 1.0
@@ -95,11 +95,11 @@ class Jumps:
         self.blocks = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
         grid = known.scene.class_grid
         if model.height is None:
-            self.columns = np.zeros((1, 2))
+            columns = np.zeros((1, 2))
         else:
-            n = [np.arange(k) for k in grid.shape[:2]]
-            self.columns = np.stack(np.meshgrid(*n), axis=-1).reshape(-1, 2) + 0.5
-            self.columns = self.columns * grid.horizontal_size
+            n = [np.arange(k) + 0.5 for k in grid.shape[:2]]
+            columns = np.stack(np.meshgrid(*n), axis=-1).reshape(-1, 2) * grid.horizontal_size
+        self.columns = columns
         self.tried, self.taken = np.zeros(len(_KINDS), int), np.zeros(len(_KINDS), int)
         self._size_of_species()
 
@@ -107,10 +107,13 @@ class Jumps:
         model = self.model
         scene, names = model.candidates.scene, model.space.names
         named = dict(zip(names, np.asarray(model.space.physical(self.v.u), float), strict=True))
-        for kind in ("diameter", "height"):
-            mean = np.asarray(getattr(scene.parameters.species, kind), float)
-            own = [named.get(f"species.{t}.{kind}", m) for t, m in zip(scene.taxa, mean)]
-            setattr(self, kind, np.array(own))
+
+        def own(kind: str) -> np.ndarray:
+            table = np.asarray(getattr(scene.parameters.species, kind), float)
+            each = zip(scene.taxa, table, strict=True)
+            return np.array([named.get(f"species.{taxon}.{kind}", value) for taxon, value in each])
+
+        self.diameter, self.height = own("diameter"), own("height")
         self.wider = self.diameter / np.asarray(scene.parameters.species.diameter, float)
         self.variation = scene.rules.size_variation
         self.spread = np.sqrt(np.log1p(self.variation**2))
@@ -202,14 +205,15 @@ class Jumps:
 
     def follow(self, steps: int, rate: float) -> None:
         """Steps down the slopes of places, sizes and parameters, which plants stand being given."""
-        self.v = descend(self.model, self.places(), steps, FREE_LATE, rate)
+        self.v = descend(self.model, self.places(), steps, free_late(), rate)
         self.of = {n: np.asarray(getattr(self.v, n), float).copy() for n in self.of}
         self._size_of_species()
         self.render()
 
     def jump(self) -> None:
         """Changes at places far from each other, each taken or not by what is seen around it."""
-        random, centres = self.random, []
+        random = self.random
+        centres: list[np.ndarray] = []
         for _ in range(4 * int(np.prod(self.extent) / _FAR**2) + 4):
             one = random.random(2) * self.extent
             if all(np.hypot(*self._gap(one - other)) >= _FAR for other in centres):

@@ -300,7 +300,7 @@ def _sections(
                     "height of the tallest plant: 5 %, median and 95 % of the stands",
                 ),
                 Table(
-                    every.drop(columns=[c for c in every if c.startswith("p_")]),
+                    every.drop(columns=[c for c in every if str(c).startswith("p_")]),
                     "Every crown that is in a fifth of the stands.",
                     digits=3,
                     folded=True,
