@@ -105,7 +105,7 @@ GROUPS: dict[str, list[Mutant]] = {
         Mutant("cli/_doors.py", "record.usual | own", "own", _OPTIONS),
         Mutant("cli/_doors.py", "if fields or record.needed:", "if fields:",
                "cli/test_validate.py bad_input"),
-        Mutant("cli/_doors.py", "dict(command.optional) | _stated(ctx, given)",
+        Mutant("cli/_doors.py", "{**command.optional} | _stated(ctx, given)",
                "_stated(ctx, given)", _OPTIONS),
         Mutant("cli/_doors.py", "options.naming_options(argument.text, flags)", "argument.text",
                _OPTIONS),

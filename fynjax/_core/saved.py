@@ -53,6 +53,8 @@ def load(path: str | Path) -> Any:
         tree = json.loads(arrays.pop("tree").tobytes().decode())
     except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
         raise InputError(f"expected a fit that fynjax wrote: {error}", file=path) from error
+    if not isinstance(tree, dict) or not {"version", "value"} <= tree.keys():
+        raise InputError("expected a fit that fynjax wrote", file=path)
     if tree["version"] != version("fynjax"):
         raise InputError(
             f"expected a fit of fynjax {version('fynjax')}, but this is of {tree['version']}: "
@@ -127,6 +129,9 @@ def _found(name: str) -> Any:
     found: Any = importlib.import_module(module)
     for part in inner.split("."):
         found = getattr(found, part)
+    # Not what a module has imported from elsewhere, which another file could then call.
+    if f"{getattr(found, '__module__', '')}:{getattr(found, '__qualname__', '')}" != name:
+        raise TypeError(f"{name} is not of this package")
     return found
 
 
@@ -169,10 +174,14 @@ def _unpacked(tree: Any, arrays: Mapping[str, np.ndarray]) -> Any:
     if kind == "model":
         if not issubclass(cls, BaseModel):
             raise TypeError(f"{tree['class']} is no model")
+        if not fields.keys() <= cls.model_fields.keys():
+            raise TypeError(f"{tree['class']} has no such fields")
         return cls.model_construct(set(tree["stated"]), **fields)
     if not dataclasses.is_dataclass(cls):
         raise TypeError(f"{tree['class']} is no record")
     # As it was, without its checks and conversions: these were done when it was made.
+    if not fields.keys() <= {one.name for one in dataclasses.fields(cls)}:
+        raise TypeError(f"{tree['class']} has no such fields")
     record: Any = object.__new__(cls)  # type: ignore[arg-type]
     for name, value in fields.items():
         object.__setattr__(record, name, value)

@@ -13,7 +13,7 @@ from jaxtyping import Array, Bool, Float
 
 from fynjax._core.errors import InputError, listed
 from fynjax._core.extras import app_room
-from fynjax._core.precision import double_precision, in_double
+from fynjax._core.precision import double_precision, drawn_in_double, in_double
 from fynjax.metrics import without_view
 from fynjax.scene import Observation, PlotParameters, Scene
 from fynjax.sensors import BandSet, Frame, Gains, Lidar, Pose, Sensor
@@ -115,6 +115,7 @@ class Source:
     """Name of the view, which stands before its statistics: "flight1.nir.mean"; "" of the only
     view of its kind."""
 
+    @drawn_in_double
     def view(self, scene: Scene, parameters: PlotParameters) -> "AbstractView":
         """The sensor's view of a `scene` with `parameters`, under its name."""
         view = self.view_of(scene, parameters)

@@ -312,6 +312,7 @@ def design(
     Machine Learning 52, 239.
     """
     _check_positive("relative_sd", relative_sd)
+    model_error = believed(error)
     ready = check_design(
         scenes, bands, target, free=free, pixel=pixel, spectrum=spectrum, widths=widths, snr=snr,
         plantings=plantings, compare=compare, starts=starts, seed=seed,
@@ -329,7 +330,7 @@ def design(
     else:  # of the parameters one by one, whose slopes are unit vectors; or of none
         own = np.eye(len(space.names))[: None if kind == "information" else 0]
         asked = np.stack([own] * len(stands))
-    tried = render(stands, space, asked, grid, pixels, snr, relative_sd, believed(error), kind)
+    tried = render(stands, space, asked, grid, pixels, snr, relative_sd, model_error, kind)
     if kind == "separability":  # the same species in pixels of every size
         common = jnp.stack([image.species > 0 for image in tried]).all(axis=0)
         tried = [eqx.tree_at(lambda i: i.species, image, image.species * common) for image in tried]

@@ -3,8 +3,9 @@
 The shipped plot of 3 m in expectation, covers of its species, leaf area and brightness of the
 ground free; the data are statistics of its drone image at a draw of the prior, with noise. One call
 of `fit` for each solver, to the same tolerance. Prints steps; renders, gradients and Jacobians
-asked for; CPU time once all is compiled, over that of the default; what is left of the objective
-above the least that any found; and whether the fit converged.
+asked for; CPU time once all is compiled, over that of the default, and of the first call, with
+compilation; what is left of the objective above the least that any found; and whether the fit
+converged.
 """
 
 from collections import Counter
@@ -44,7 +45,8 @@ SOLVERS: dict[str, Any] = {
     "optimistix.LevenbergMarquardt": optx.LevenbergMarquardt(1e-4, 1e-4),
     "optimistix.Dogleg": optx.Dogleg(1e-4, 1e-4),
     "optimistix.BFGS": optx.BFGS(1e-5, 1e-5),
-    "jaxopt.LBFGSB": jaxopt.LBFGSB(fun=jnp.sum, tol=1e-3),
+    # Its own search along a line compiles the image in too many places.
+    "jaxopt.LBFGSB, backtracking": jaxopt.LBFGSB(fun=jnp.sum, tol=1e-3, linesearch="backtracking"),
     "jaxopt.ProjectedGradient": jaxopt.ProjectedGradient(
         fun=jnp.sum, projection=jaxopt.projection.projection_box, tol=1e-3
     ),
@@ -116,7 +118,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     off = random.normal(size=len(names)) * np.asarray(data.sd)
     data = eqx.tree_at(lambda d: d.value, data, data.value + off)
     rows = []
-    for name, solver in list(SOLVERS.items())[: 4 if given.tiny else None]:
+    for name, solver in list(SOLVERS.items())[: 2 if given.tiny else None]:
         call = lambda s=solver: fit(  # noqa: E731
             model, data, space, solver=s, max_steps=given.steps, context=context
         )
@@ -128,7 +130,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
             {
                 "solver": name, "steps": int(found.steps),
                 **{kind: _ASKED[kind] for kind in ("renders", "gradients", "Jacobians")},
-                "CPU s": again, "first": first, "objective": float(found.loss[-1]),
+                "CPU s": again, "first call": first, "objective": float(found.loss[-1]),
                 "converged": bool(found.converged),
             }
         )  # fmt: skip

@@ -211,7 +211,7 @@ def test_a_twin_shows_its_truth(twin):
 
 
 def test_neither_a_target_nor_a_twin_is_said(tmp_path):
-    with pytest.raises(InputError, match="expected what was measured .--target, or"):
+    with pytest.raises(InputError, match="expected what was measured"):
         calibrate(write_plot(tmp_path, MORE), [], tmp_path / "output")
 
 

@@ -125,3 +125,28 @@ def test_a_function_of_one_s_own_cannot_be_kept(tmp_path):
 
     with pytest.raises(TypeError, match="not of this package"):
         saved.save(tmp_path / "fit.npz", (own,))
+
+
+@pytest.mark.parametrize(
+    ("tree", "said"),
+    [
+        # A function that a module of the package has imported from elsewhere.
+        ({"is": "function", "name": "fynjax._core.extras:importlib.import_module"}, "is not of"),
+        ({"is": "function", "name": "fynjax._core.saved:Path.unlink"}, "is not of this package"),
+        # A method in place of a field.
+        (
+            {
+                "is": "record", "class": "fynjax.inversion._data:Pixels",
+                "fields": {"compared": {"is": "function", "name": "fynjax._core.saved:load"}},
+            },
+            "has no such fields",
+        ),
+        ({"is": "tuple", "each": [1]}, "expected the fit of a plot"),
+        (7, "expected the fit of a plot"),
+    ],
+)  # fmt: skip
+def test_a_file_runs_no_code_and_shadows_no_method(tmp_path, tree, said):
+    text = json.dumps({"version": fx.__version__, "value": tree})
+    np.savez(tmp_path / "fit.npz", tree=np.frombuffer(text.encode(), np.uint8))
+    with pytest.raises(InputError, match=said):
+        fx.read_fit(tmp_path)

@@ -137,7 +137,8 @@ def read_fit(path: str | Path) -> Calibration:
     """
     path = Path(path)
     path = path / "fit.npz" if path.is_dir() else path
-    problem, states = load(path)
-    if not isinstance(problem, Problem):
+    found = load(path)
+    if not (isinstance(found, tuple) and len(found) == 2 and isinstance(found[0], Problem)):
         raise InputError("expected the fit of a plot", file=path)
+    problem, states = found
     return calibration(plot_search(problem), states)

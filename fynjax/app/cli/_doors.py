@@ -182,7 +182,7 @@ def _writing(command: Command, job: Signature, flags: Mapping[str, str]) -> Call
         allow_outside: bool | None = None,
         **given: Any,
     ) -> None:
-        stated = dict(command.optional) | _stated(ctx, given)
+        stated: dict[str, Any] = {**command.optional} | _stated(ctx, given)
         checkpoint = None
         if "checkpoint" in given:
             named = output if output.name.strip(".") else output.resolve()

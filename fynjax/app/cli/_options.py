@@ -156,7 +156,7 @@ def _joined(values: Any) -> str:
 def _listed(kind: Kind, flag: str, help: str) -> Callable[[Any], Any]:
     """Reads values with commas between; given several times, a list of such."""
     counts = kind.counts or ()
-    what = {str: "names", int: "whole numbers", float: "numbers"}[kind.of]  # type: ignore[index]
+    what = {str: "names", int: "whole numbers", float: "numbers"}[kind.of]
     expected = f"{' or '.join(map(str, counts))} {what} with commas between".strip()
     ranges = re.search(r"\d-\d", help)  # else a hyphen may be a sign
 
@@ -171,9 +171,9 @@ def _listed(kind: Kind, flag: str, help: str) -> Callable[[Any], Any]:
             found = tuple(kind.of(part) for part in parts)
         except ValueError:
             found = ()
-        numbers = kind.of is not str
-        if numbers and (any(map(is_odd_number, parts)) or not all(map(math.isfinite, found))):
-            found = ()  # 1_0 is no ten
+        if kind.of is not str:  # 1_0 is no ten
+            odd = any(map(is_odd_number, parts))
+            found = () if odd or not all(math.isfinite(float(one)) for one in found) else found
         if not found or (counts and len(found) not in counts):
             raise InputError(f"`{flag}` must be {expected}, but is {text!r}. It is: {help}")
         return found[0] if found[1:] == () and 1 in counts else found

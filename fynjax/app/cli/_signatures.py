@@ -196,7 +196,7 @@ def _described(docstring: str) -> dict[str, str]:
     """What a docstring says of each argument."""
     part = docstring.partition("**Arguments:**")[2]
     part = re.split(r"\n\n(?!- )|\n\*\*", part.lstrip("\n"), maxsplit=1)[0]
-    found = {}
+    found: dict[str, str] = {}
     for item in re.split(r"^- ", textwrap.dedent(part), flags=re.MULTILINE)[1:]:
         names, _, text = item.partition(": ")
         found |= dict.fromkeys(re.findall(r"`(\w+)`", names), " ".join(text.split()))
@@ -214,8 +214,8 @@ class _Many(NamedTuple):
     """A sequence among the alternatives of an annotation."""
 
     parts: list[Any]
-    count: int
-    """Of its items, 0 for any number."""
+    items: int
+    """How many, 0 for any number."""
     names: bool = False
 
 
@@ -297,7 +297,7 @@ def _kind(parts: list[Any]) -> Kind:
     one = _single(inner)
     if one.of is str and not any(part.names for part in many):
         return one._replace(repeated=True)
-    counts = {part.count for part in many}
+    counts = {part.items for part in many}
     alone = any(isinstance(part, _Number) for part in parts)
     return one._replace(counts=() if 0 in counts else tuple(sorted({*counts, *([1] * alone)})))
 
@@ -353,6 +353,6 @@ def _value(module: _Module, node: ast.AST) -> Any:
     if isinstance(node, ast.BinOp) and type(node.op) in _OPERATORS:
         return _OPERATORS[type(node.op)](_value(module, node.left), _value(module, node.right))
     try:
-        return ast.literal_eval(node)  # type: ignore[arg-type]
+        return ast.literal_eval(node)
     except ValueError:
         raise LookupError(f"{module.name}: no constant is {ast.unparse(node)}") from None

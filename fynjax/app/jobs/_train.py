@@ -221,8 +221,9 @@ def _task(
 ) -> _Task:
     if (sensor is None) == (like is None):
         raise InputError("expected either a sensor or a cube whose bands to train for (--like)")
-    one = isinstance(sun_zenith, int | float)
-    low, high = (sun_zenith, sun_zenith) if one else sun_zenith
+    if isinstance(sun_zenith, int | float):
+        sun_zenith = (sun_zenith, sun_zenith)
+    low, high = sun_zenith
     if not 0.0 <= low <= high <= 75.0:
         raise InputError(
             f"expected zenith angles of the sun from 0 to 75 degrees, the least first, but got "

@@ -43,7 +43,8 @@ def demo(
 
     Builds the 10 m x 10 m plot from the paper's species table, renders the drone image, and
     calibrates cover, crown diameter, leaves and ground against the published statistics of the real
-    image and of its AVIRIS-NG spectrum.
+    image and of its AVIRIS-NG spectrum. An interrupted run goes on when the same command is given
+    again.
 
     **Arguments:**
 

@@ -105,8 +105,7 @@ class CloudOptions(TypedDict, total=False):
     """The plot, XMIN,YMIN,XMAX,YMAX, in the real cloud's coordinates [m]; what both cover if left
     out."""
     shift: tuple[float, float] | tuple[float, float, float]
-    """What to add to the simulated cloud's coordinates [m], DX,DY[,DZ]. Write --shift=-3,4 where
-    the first is negative."""
+    """What to add to the simulated cloud's coordinates [m], DX,DY[,DZ]."""
     real_ground: GroundSource
     """How the real cloud's ground is found: its classes, a filter, or none where heights are above
     the ground already; auto takes classes where there are some, else smrf."""
