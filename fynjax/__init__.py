@@ -20,6 +20,7 @@ Start here: a plot, what a drone's camera sees of it, and how that changes with 
   function, by `fx.BroydenLM` or any solver of optimistix and jaxopt; `fx.whitened_residual` for a
   loop of one's own, `fx.emulate` for a polynomial in place of a costly function;
   `fx.check_vegetation` before any fit: is this an image that shrubland can have?
+- `fx.find_plants`: which plants stand where, in the pixels of an orthophoto.
 - `fx.Leaf` (short for `fx.LeafParameters`), `fx.prospect`: leaf optics; `fx.read_spectra`,
   `fx.fit_leaf`: from a folder of measured leaves to their traits.
 - `fx.canopy_reflectance`, `fx.canopy_albedo`, `fx.fit_canopy`: a uniform canopy in one line, and

@@ -19,6 +19,7 @@ from .app import jobs as jobs
 from .app import report as report
 from .app import terrain as terrain
 from .app.assembly import check_vegetation as check_vegetation
+from .app.assembly import find_plants as find_plants
 from .app.assembly import prior as prior
 from .app.assembly import read_fit as read_fit
 from .app.assembly import read_problem as read_problem

@@ -47,6 +47,7 @@ from fynjax.inversion._fit import (
     whitened_residual,
 )
 from fynjax.inversion._fit_result import WELL_CONSTRAINED, FitResult, FitStatus
+from fynjax.inversion._found import INTERVAL, FoundMaps, FoundPlants, find_places
 from fynjax.inversion._functionals import (
     Functional,
     stand_functionals,
@@ -57,6 +58,7 @@ from fynjax.inversion._functionals import (
 from fynjax.inversion._information import Information
 from fynjax.inversion._known_plants import PixelSearch, PixelState
 from fynjax.inversion._log_posterior import LogPosterior
+from fynjax.inversion._places import PlacesSettings
 from fynjax.inversion._population import (
     Hyperprior,
     LinearPlots,
@@ -130,6 +132,8 @@ __all__ = [
     "Expected",
     "FitResult",
     "FitStatus",
+    "FoundMaps",
+    "FoundPlants",
     "Functional",
     "ImageView",
     "Information",
@@ -139,6 +143,7 @@ __all__ = [
     "PixelSearch",
     "PixelState",
     "Pixels",
+    "PlacesSettings",
     "Plantings",
     "PlotForward",
     "PlotSearch",
@@ -154,6 +159,7 @@ __all__ = [
     "calibration",
     "design",
     "emulate",
+    "find_places",
     "fit",
     "fit_canopy",
     "fit_surrogate",

@@ -51,6 +51,7 @@ from fynjax.scene._planting import (
     material_classes,
     organ_classes,
     planting_memory,
+    relative_sizes,
 )
 from fynjax.scene._profile import height_profile
 from fynjax.scene._scene import (

@@ -631,11 +631,7 @@ def _individuals(
     n, rng = len(places), generator(seed, 101, species)
     azimuth, tilt = random_orientation(n, seed=seed + 1000 * (species + 1), rotation_spread=spread)
     width = rng.standard_normal(n)
-    # Log-normal with this coefficient of variation.
-    size = np.exp(np.sqrt(np.log1p(variation**2)) * width)
-    # A normal number that goes with that of the crown, as its quantile among heights.
-    own = np.sqrt(1.0 - HEIGHT_WITH_WIDTH**2) * ndtri(rng.random(n))
-    stature = SHORTEST + (1.0 - SHORTEST) * ndtr(HEIGHT_WITH_WIDTH * width + own)
+    size, stature = relative_sizes(width, ndtri(rng.random(n)), variation, np)
     return {
         "foot": places,
         "azimuth": azimuth,
@@ -644,6 +640,21 @@ def _individuals(
         "size": size / np.sqrt(np.mean(size**2)) if n else size,
         "stature": stature,
     }
+
+
+def relative_sizes(width: Any, tall: Any, variation: float, library: Any) -> tuple[Any, Any]:
+    """Crown diameter over that of a middling plant, and height over the species' greatest [-].
+
+    **Arguments:** `width`, a normal number of each plant; `tall`, another, of its height beside
+    what goes with its diameter; `variation`, coefficient of variation of the diameters [-];
+    `library`, `numpy` or `jax.numpy`. Differentiable in `width` and `tall`.
+    """
+    # Log-normal with this coefficient of variation.
+    size = library.exp(np.sqrt(np.log1p(variation**2)) * width)
+    # A normal number that goes with that of the crown, as its quantile among heights.
+    own = HEIGHT_WITH_WIDTH * width + np.sqrt(1.0 - HEIGHT_WITH_WIDTH**2) * tall
+    below = ndtr(own) if library is np else jax.scipy.special.ndtr(own)
+    return size, SHORTEST + (1.0 - SHORTEST) * below
 
 
 def _drawn_leaves(plants: int, species: int, leaves: int, seed: int) -> Int[np.ndarray, " plant"]:

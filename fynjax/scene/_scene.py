@@ -299,6 +299,9 @@ class Scene(eqx.Module):
     clumping: Float[Array, "species part"] | None = None
     """Relative density of plants over equal parts of the ground, where a map clumps them or an edge
     ends them, and covers are projected [-] (`fynjax.canopy.clumping`)."""
+    shares: Float[Array, " plant"] | None = None
+    """Share in which each plant stands, 0 to 1 [-], whatever covers are (`standing_in_part`); None:
+    as parameters ask for."""
 
     @classmethod
     @drawn_in_double
@@ -578,6 +581,58 @@ class Scene(eqx.Module):
         seed = seed_of_planting(int(self.seed), number)
         return dataclasses.replace(self, recipe=recipe)._drawn(seed)
 
+    @drawn_in_double
+    def with_plants(self, crowns: Crowns, seed: int | None = None) -> "Scene":
+        """The same plot with these plants, whatever covers are, and no others.
+
+        **Arguments:**
+
+        - `crowns`: where they stand; their diameters and heights are those that the scene's own
+          parameters give, and others scale them.
+        - `seed`: of the plants' shapes and turns; by default the scene's.
+
+        **Raises:** `InputError` as `realisation`, for a scene of other plants than were drawn.
+
+        Not differentiable; `standing_in_part` of the result is.
+        """
+        if self.planted is None:
+            raise InputError("expected a scene as it was built, but this is another form of one")
+        check_known(planted=self.planted)
+        planting = known_planting(self._stand(int(self.seed) if seed is None else seed), crowns)
+        size, owner = self.parameters.species, np.asarray(planting.species)
+        each = np.concatenate(
+            [
+                np.repeat(np.flatnonzero(crowns.species == i), round(one.branches))
+                for i, one in enumerate(self.species)
+            ]
+        )
+        planting = dataclasses.replace(
+            planting,
+            size=jnp.asarray(crowns.diameter[each] / np.asarray(size.diameter)[owner], self.dtype),
+            stature=jnp.asarray(crowns.height[each] / np.asarray(size.height)[owner], self.dtype),
+        )
+        rules = dataclasses.replace(self.rules, softness=0.0, softness_plants=0.0)
+        recipe = dataclasses.replace(self.recipe, rules=rules)
+        return dataclasses.replace(self, planting=planting, recipe=recipe, known_plants=True)
+
+    def standing_in_part(
+        self,
+        shares: Float[Array, " plant"],
+        foot: Float[Array, "plant 2"],
+        size: Float[Array, " plant"],
+        stature: Float[Array, " plant"],
+    ) -> "Scene":
+        """The same plants, each standing in a share, moved and of another size: what a search for
+        plants takes slopes by. A plant that stands in part is as large as the whole one, and has a
+        part of its leaves and wood, so that its outline is in the image; shares of 0 and 1 alone
+        are a stand of whole plants.
+
+        **Arguments:** `shares`, 0 to 1 [-]; `foot`, x and y [m]; `size`, crown diameter over the
+        species' [-]; `stature`, height over the species' greatest [-]. Differentiable in all.
+        """
+        planting = dataclasses.replace(self.planting, foot=foot, size=size, stature=stature)
+        return dataclasses.replace(self, planting=planting, shares=shares)
+
     def _drawn(self, seed: int) -> "Scene":
         """The scene with all that is drawn by a seed."""
         rules, planted = self.rules, self.planted
@@ -593,6 +648,10 @@ class Scene(eqx.Module):
             size_variation=rules.size_variation,
         )
         return dataclasses.replace(scene, planting=planting)
+
+    def spacing_of(self, plants: float) -> float:
+        """Least distance at which so many drawn plants would stand [m]."""
+        return self._site_rules(0).spacing_for(plants)
 
     def _site_rules(self, seed: int) -> SiteRules:
         rules = self.rules
@@ -797,6 +856,8 @@ class Scene(eqx.Module):
         plants, one more plant of a species is spread over those about `expected_count`, each in
         part (`site_weight`).
         """
+        if self.shares is not None:
+            return self.shares
         planting, count = self.planting, self.counts(parameters).astype(self.dtype)
         number = rounded_count(jax.lax.stop_gradient(count), self._lessened)
         if self.rules.rounding == "up":  # which adds half a plant on average
@@ -935,8 +996,9 @@ class Scene(eqx.Module):
         # the derivative.
         of_species = jnp.stack([species.diameter, species.height, *self.organ_index(parameters).T])
         diameter, height, *index = of_species[:, planting.species]
-        # A plant that stands in part is as much smaller, along all three axes.
-        small = jnp.sqrt(jnp.maximum(standing, SMALLEST**2))
+        # A plant that stands in part is as much smaller, along all three axes; or, where shares are
+        # given, as much thinner.
+        small = jnp.sqrt(jnp.maximum(standing, SMALLEST**2)) if self.shares is None else 1.0
         # Foot, ground, size and areas: all that its elements need of a plant.
         of_plant = (
             *planting.foot.T,

@@ -1,6 +1,7 @@
 """From files to a scene: what turns a plot file and its tables into a scene and parameters."""
 
 from fynjax.app.assembly._build import build_plot, plot_parameters
+from fynjax.app.assembly._find import FREE_OF_PLANTS, blocks_of, find_plants
 from fynjax.app.assembly._forward import (
     batch_for_device,
     image_view,
@@ -37,6 +38,7 @@ from fynjax.app.assembly._targets import (
 from fynjax.app.assembly._twin import Twin, plant_twin, twin_image
 
 __all__ = [
+    "FREE_OF_PLANTS",
     "STAND_QUANTITIES",
     "RealImage",
     "StandQuantity",
@@ -46,9 +48,11 @@ __all__ = [
     "aim_at_plot",
     "aim_without_air",
     "batch_for_device",
+    "blocks_of",
     "build_plot",
     "check_memory",
     "check_vegetation",
+    "find_plants",
     "ground_heights",
     "image_sight",
     "image_view",

@@ -82,6 +82,8 @@ COMMANDS = (
         "fynjax calibrate plot.toml --target statistics.csv --target cloud.laz",
         optional={"targets": ()},
     ),
+    Command("crowns", f"{_JOBS}:crowns", "Inversion",
+            "fynjax crowns ortho.tif --plot plot.toml --output crowns", given="ORTHO.tif"),
     Command(
         "posterior", f"{_JOBS}:posterior", "Inversion",
         "fynjax posterior plot.toml --target statistics.csv --method laplace",

@@ -5,6 +5,8 @@ from ._calibrate import calibrate_to as calibrate_to
 from ._calibration_tables import ReferenceImage as ReferenceImage
 from ._convert import ConvertResult as ConvertResult
 from ._convert import convert as convert
+from ._crowns import CrownsResult as CrownsResult
+from ._crowns import crowns as crowns
 from ._design import DesignResult as DesignResult
 from ._design import design as design
 from ._doctor import Check as Check

@@ -1,4 +1,5 @@
 from ._calibration import CalibrationTable as CalibrationTable
+from ._crowns_out import write_crowns as write_crowns
 from ._leaf_spectra import LeafFileRow as LeafFileRow
 from ._parameter_values import with_parameter_table as with_parameter_table
 from ._place import Place as Place

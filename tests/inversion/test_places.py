@@ -1,0 +1,309 @@
+"""Plants found in pixels: weights by slopes, whole stands by jumps, and what is made of them."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.special import gammaln
+
+import fynjax as fx
+from fynjax._core.errors import InputError
+from fynjax.inversion import FoundPlants, PlacesSettings
+from fynjax.inversion._found import _together
+from fynjax.inversion._places import candidates, descend, free_early, places_model
+from fynjax.inversion._stands import Jumps, WholeStand
+from fynjax.scene import Placement, aim, projected_cover
+from fynjax.sensors import Gains, shipped_sensor
+
+SIDE = 1.2
+ROWS = [
+    {"taxon": "Erica irregularis", "growth_form": "rounded_shrub", "mean_diameter_cm": 45,
+     "cover_percent": 22, "height_max_m": 0.6},
+    {"taxon": "Metalasia muricata", "growth_form": "upright_ericoid", "mean_diameter_cm": 30,
+     "cover_percent": 15, "height_max_m": 0.8},
+    {"taxon": "Restio eleocharis", "growth_form": "tussock", "mean_diameter_cm": 35,
+     "cover_percent": 12, "height_max_m": 0.5},
+]  # fmt: skip
+SETTINGS = PlacesSettings(steps=50, rounds=6, chains=1, gains=Gains(0.1), seed=4)
+
+
+def plot(seed, rows=ROWS):
+    return fx.Scene.from_table(rows, size=SIDE, structure=0.05, seed=seed)
+
+
+@pytest.fixture(scope="module")
+def twin():
+    """(the true scene, the model of the table with its image)."""
+    truth, table = plot(1), plot(1001)
+    image = np.asarray(fx.observe(truth, "mavic_3m", pixel=0.05).reflectance, float)
+    image *= 1.0 + 0.01 * np.random.default_rng(0).normal(size=image.shape)
+    image *= np.array([1.05, 0.95, 1.02, 0.98])[:, None, None]
+    camera = aim(table, table.parameters, shipped_sensor("mavic_3m"), Placement(pixel=0.05))
+    space = fx.free(table, "ground.brightness")
+    return truth, places_model(table, image, camera, space, SETTINGS)
+
+
+def crown_map(instances, cell=0.25):
+    """Share of cells of about `cell` under crowns."""
+    fine = projected_cover(instances, cell=0.025).top >= 0
+    count = round(SIDE / cell)
+    k = len(fine) // count
+    return fine[: k * count, : k * count].reshape(count, k, count, k).mean(axis=(1, 3))
+
+
+def test_a_twin_is_found_from_its_pixels(twin):
+    """Shapes, turns and leans of its plants are not those of the search."""
+    truth, model = twin
+    soft = descend(model, model.start(), SETTINGS.steps, free_early(model.space))
+    chain = Jumps(model, soft, 3)
+    chain.plant()
+    chain.render()
+    chain.follow(16, 1.0)
+    for _ in range(30):
+        chain.jump()
+    chain.follow(12, 0.6)
+    stand = chain.crowns()
+    found = FoundPlants(
+        plot(1001), [stand], model.space, model.camera, None, None, None, float(model.together)
+    ).instances(stand)
+    real = fx.scene.hard_instances(truth, truth.parameters)
+    there = crown_map(real)
+    # Chance: the same crowns, moved as a whole.
+    moved = [np.roll(crown_map(found), (i, j), (0, 1)) for i in range(4) for j in range(4)]
+    close = [np.corrcoef(there.ravel(), one.ravel())[0, 1] for one in moved]
+    assert close[0] > 0.8
+    assert close[0] > np.mean(close[1:]) + 3.0 * np.std(close[1:])
+    gap = np.stack([real.x[:, None] - found.x, real.y[:, None] - found.y])
+    gap -= SIDE * np.round(gap / SIDE)
+    near = np.hypot(*gap)
+    hit = near.argmin(axis=1)[near.min(axis=1) < 0.25 * real.diameter]
+    mine = np.flatnonzero(near.min(axis=1) < 0.25 * real.diameter)
+    assert len(mine) >= 0.75 * len(real)
+    assert np.mean(found.species[hit] == real.species[mine]) >= 0.75
+    assert np.abs(found.diameter[hit] / real.diameter[mine] - 1.0).mean() < 0.2
+    # What bands are off by is found too; what all are, the ground's brightness may be.
+    factor = np.exp(np.asarray(model.root @ chain.v.band))
+    np.testing.assert_allclose(factor / factor.mean(), [1.05, 0.95, 1.02, 0.98], atol=0.03)
+    assert chain.misfit < 2.0
+
+
+def test_weights_of_one_and_none_are_whole_plants(twin):
+    _, model = twin
+    known, start = model.candidates, model.start()
+    chosen = np.array([5, 60, 130])
+    weight = np.zeros(len(known.site), np.float32)
+    weight[chosen] = 1.0
+    moved = dataclasses.replace(start, width=start.width + 0.5, tall=start.tall - 0.5)
+    scene = model.stand(moved, jnp.asarray(weight))
+    whole = dataclasses.replace(scene, shares=None, planting=scene.planting.only(weight > 0))
+    bands = model.camera.sensor.bands
+    each = [model.camera.image(s.voxels(s.parameters, bands))[0] for s in (scene, whole)]
+    np.testing.assert_allclose(each[0], each[1], rtol=2e-4)
+    # A plant in part is as large, and thinner: its outline is there.
+    half = model.stand(moved, jnp.asarray(0.5 * weight))
+    area = [s.area_density(s.parameters) for s in (half, whole)]
+    share = float(half.crown_share(half.parameters) / whole.crown_share(whole.parameters))
+    np.testing.assert_allclose(area[0], 0.5 * share * area[1], atol=1e-4)
+
+
+def test_slopes_are_those_of_differences(twin):
+    _, model = twin
+    random = np.random.default_rng(1)
+    draw = lambda x: jnp.asarray(random.normal(size=x.shape), x.dtype)  # noqa: E731
+    v = jax.tree.map(lambda x: x + 0.3 * draw(x), model.start())
+    tint = jnp.asarray(random.normal(size=model.target.shape), model.target.dtype)
+
+    @jax.jit
+    def shown(v, model):
+        image, height = model.image(v, model.weights(v.logit)[0])
+        return jnp.sum(tint * image) + jnp.sum(height) + model.prior(v, *model.weights(v.logit))
+
+    slope = jax.grad(shown)(v, model)
+    for name in ("logit", "shift", "width", "tall", "u", "band"):
+        along = jax.tree.map(jnp.zeros_like, v)
+        along = dataclasses.replace(along, **{name: draw(getattr(v, name))})
+        step = 4e-3
+        up, down = (
+            float(shown(jax.tree.map(lambda a, b, s=s: a + s * b, v, along), model))
+            for s in (step, -step)
+        )
+        expected = sum(
+            float(jnp.vdot(a, b))
+            for a, b in zip(jax.tree.leaves(slope), jax.tree.leaves(along), strict=True)
+        )
+        assert (up - down) / (2.0 * step) == pytest.approx(expected, rel=0.05, abs=0.3), name
+
+
+def unseen(twin, rows=ROWS):
+    """A model without pixels: the table alone speaks."""
+    model = twin[1]
+    known = candidates(plot(7, rows), SETTINGS)
+    return dataclasses.replace(model, candidates=known)
+
+
+def test_without_pixels_the_table_is_what_is_found(twin):
+    """At the table's weights the slopes of prior and entropy are those of its numbers alone."""
+    model = crowded(unseen(twin))
+    v = model.start()
+    number = np.bincount(model.candidates.species, model.weights(v.logit)[0], 3)
+    np.testing.assert_allclose(number, model.candidates.number, rtol=0.1)
+
+    def cost(v):
+        parts = model.weights(v.logit)
+        return float(model.prior(v, *parts) + sum(jnp.sum(w * jnp.log(w + 1e-9)) for w in parts))
+
+    # Twice the plants of a species cost more than chance says of so many sites.
+    more = dataclasses.replace(v, logit=v.logit + jnp.log(2.0) * (model.candidates.species == 1))
+    fewer = dataclasses.replace(v, logit=v.logit - 9.0 * (model.candidates.species == 1))
+    assert cost(more) > cost(v) + 1.0
+    assert cost(fewer) > cost(v) + 1.0
+
+
+class Blind(Jumps):
+    """Jumps that see nothing."""
+
+    def render(self):
+        self.image = np.zeros(self.model.target.shape)
+        self.pixels, self.heights = np.zeros(self.image.shape[1:]), np.zeros((1, 1))
+
+
+def test_jumps_without_pixels_draw_from_the_prior(twin):
+    """Numbers of plants, sizes and places as the prior has them, whatever proposals prefer."""
+    model = unseen(twin, [ROWS[0] | {"cover_percent": 66}])
+    # Covers may be what they will: then plants stand by the chance of each site.
+    model = dataclasses.replace(
+        crowded(model), settings=dataclasses.replace(SETTINGS, cover_sd=1e6)
+    )
+    soft = model.start()
+    random = np.random.default_rng(5)
+    bent = {n: getattr(soft, n) + 1.0 for n in ("width", "tall")}
+    lean = soft.logit + jnp.asarray(random.normal(size=soft.logit.shape), soft.logit.dtype)
+    chain = Blind(model, dataclasses.replace(soft, logit=lean, **bent), 11)
+    chain.render()
+    counts, widths = [], []
+    for turn in range(20_000):
+        chain.jump()
+        if turn > 1000 and turn % 5 == 0:
+            at = np.flatnonzero(chain.stands >= 0)
+            counts.append(len(at))
+            widths.append(chain.of["width"][at])
+    n, sites = np.arange(len(chain.site) + 1), len(chain.site)
+    log = gammaln(sites + 1) - gammaln(n + 1) - gammaln(sites - n + 1) + n * chain.odds[0]
+    chance = np.exp(log - log.max())
+    expected = n @ chance / chance.sum()
+    spread = np.sqrt((n - expected) ** 2 @ chance / chance.sum())
+    assert np.mean(counts) == pytest.approx(expected, abs=0.15 * spread + 0.05)
+    assert np.std(counts) == pytest.approx(spread, rel=0.15)
+    every = np.concatenate(widths)
+    assert np.mean(every) == pytest.approx(0.0, abs=0.15)
+    assert np.std(every) == pytest.approx(1.0, rel=0.1)
+
+
+def test_jumps_have_the_prior_of_the_search_by_slopes(twin):
+    """Covers, sites, sizes, and the distance that plants keep."""
+    model = unseen(twin)
+    random = np.random.default_rng(2)
+    soft = model.start()
+    chain = Blind(model, dataclasses.replace(soft, width=soft.width + 0.3), 1)
+    ends = np.flatnonzero(np.r_[True, np.diff(np.sort(chain.site)) > 0])
+    first = np.argsort(chain.site, kind="stable")[ends]
+    cost, density = [], []
+    for count in (3, 6, 6):
+        chain.stands[:] = -1
+        chosen = random.choice(chain.sites, count, replace=False)
+        chain.stands[chosen] = first[chosen]
+        for value in chain.of.values():
+            value[chosen] = random.normal(size=value[chosen].shape)
+            value[chain.stands < 0] = 0.0
+        v = chain.places()
+        cost.append(float(model.prior(v, *model.weights(v.logit))))
+        near = chain._feet_now(chosen)[:, None] - chain._feet_now(chosen)
+        close = np.maximum(1.0 - np.hypot(*np.moveaxis(chain._gap(near), -1, 0)) / chain.apart, 0)
+        # A pair of those that change counts from both sides, but once in the density of all.
+        density.append(chain._prior(list(chosen)) + 10.0 * np.triu(close, 1).sum())
+    np.testing.assert_allclose(np.diff(density), -np.diff(cost), rtol=2e-3, atol=0.05)
+
+
+def crowded(model):
+    """The model with plants that may stand at one place."""
+    known = dataclasses.replace(model.candidates, apart=jnp.asarray(1e-6))
+    return dataclasses.replace(model, candidates=known)
+
+
+def stand(*plants):
+    """A stand of (species, x, y, diameter)."""
+    kind, x, y, d = np.array(plants, float).T
+    none = np.zeros(0)
+    return WholeStand(
+        kind.astype(int), np.arange(len(kind)), np.stack([x, y], 1), d, 2.0 * d, none, none, 1.0
+    )
+
+
+def test_crowns_of_stands_that_are_one_plant_are_counted_as_one():
+    found = FoundPlants(
+        plot(3),
+        [
+            stand((0, 0.02, 0.6, 0.5), (1, 0.6, 0.3, 0.2)),
+            stand((0, 1.14, 0.6, 0.6), (2, 0.6, 0.3, 0.22)),
+            stand((0, 1.16, 0.6, 0.4), (2, 0.61, 0.3, 0.2), (1, 0.3, 1.0, 0.1)),
+            stand((0, 0.0, 0.6, 0.5), (2, 0.6, 0.32, 0.2)),
+        ],
+        None, None, None, None, None, 1.0,
+    )  # fmt: skip
+    rows = found.crowns()
+    assert list(rows["presence"]) == [1.0, 1.0, 0.25]
+    assert list(rows["taxon"]) == ["Erica irregularis", "Restio eleocharis", "Metalasia muricata"]
+    assert rows["p_Restio eleocharis"][1] == 0.75
+    assert rows["taxon_probability"][1] == 0.75
+    # Over the edge of a plot that repeats itself.
+    assert rows["x_m"][0] == pytest.approx(SIDE - 0.02, abs=1e-6)
+    assert rows["x_m"].between(0.0, SIDE).all()
+    assert rows["diameter_cm"][0] == pytest.approx(50.0)
+    table = found.table().set_index("name")
+    assert table.loc["Erica irregularis", "plants"] == 1.0
+    assert table.loc["all", "plants_q95"] > 2.5
+    assert table.loc["Erica irregularis", "cover_percent"] == pytest.approx(
+        100 * np.pi / 4 * np.quantile([0.25, 0.36, 0.16, 0.25], 0.5) / SIDE**2
+    )
+    assert table.loc["tussock", "cover_percent"] == table.loc["Restio eleocharis", "cover_percent"]
+    maps = found.maps(cell=0.05)
+    assert maps.crown[12, 0] == 1.0
+    assert maps.species[2][6, 12] == 0.75
+    kind, doubt = maps.likeliest
+    assert (kind[6, 12], doubt[6, 12]) == (2, 0.25)
+    assert kind[0, 0] == -1
+    np.testing.assert_allclose(maps.height[1, 12, 0], 1.0)
+
+
+def test_stands_without_a_plant_in_common_stay_apart():
+    foot = np.array([[0.2, 0.2], [0.2, 0.5], [0.25, 0.2]])
+    groups = _together(foot, np.array([0.3, 0.3, 0.3]), np.array([0, 1, 2]), np.full(2, np.inf))
+    assert sorted(map(len, groups)) == [1, 2]
+    # Nor are two of one stand one plant, however near.
+    groups = _together(foot, np.array([0.3, 0.3, 0.3]), np.array([0, 1, 0]), np.full(2, np.inf))
+    assert sorted(map(len, groups)) == [1, 1, 1]
+
+
+def test_images_and_settings_that_do_not_fit_are_refused(twin):
+    _, model = twin
+    scene, image = plot(2), fx.observe(plot(1), "mavic_3m", pixel=0.1)
+    with pytest.raises(InputError, match="must be positive"):
+        PlacesSettings(steps=0)
+    with pytest.raises(InputError, match="the whole plot and nothing else, 2 m x 2 m"):
+        fx.find_plants(fx.Scene.from_table(ROWS, size=2.0, structure=0.1), image)
+    with pytest.raises(InputError, match="expected bands of"):
+        fx.find_plants(scene, dataclasses.replace(image, bands=tuple("abcd")))
+    with pytest.raises(InputError, match="expected heights of 12 x 12"):
+        places_model(
+            scene, np.asarray(model.target), model.camera, model.space, SETTINGS,
+            height=np.zeros((3, 3)),
+        )  # fmt: skip
+    with pytest.raises(InputError, match="no block of the image"):
+        places_model(
+            scene, np.full(model.target.shape, np.nan), model.camera, model.space, SETTINGS
+        )
+    bare = [row | {"cover_percent": 0} for row in ROWS]
+    with pytest.raises(InputError, match="no plant to be found"):
+        candidates(plot(1, bare), SETTINGS)
