@@ -47,7 +47,7 @@ from fynjax.inversion._fit import (
     whitened_residual,
 )
 from fynjax.inversion._fit_result import WELL_CONSTRAINED, FitResult, FitStatus
-from fynjax.inversion._found import INTERVAL, FoundMaps, FoundPlants, find_places
+from fynjax.inversion._found import FoundMaps, FoundPlants, find_places
 from fynjax.inversion._functionals import (
     Functional,
     stand_functionals,

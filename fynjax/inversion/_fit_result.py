@@ -266,7 +266,7 @@ class FitResult(eqx.Module):
     def with_information(self, information: Float[Array, "free free"]) -> "FitResult":
         """The same estimate, with the uncertainty that this information about the whitened
         coordinates leaves."""
-        return dataclasses.replace(self, **posterior(self.space, self.whitened, information))
+        return dataclasses.replace(self, **_posterior(self.space, self.whitened, information))
 
     def weakly_constrained_directions(self, count: int = 3) -> list[dict[str, float]]:
         """The combinations of parameters that the data say least about, main members only."""
@@ -412,12 +412,12 @@ def fit_result(space: ParameterSpace, data: Data, end: Ended) -> FitResult:
         status=status,
         steps=end.steps,
         rounds=end.rounds,
-        **posterior(space, u, scaled.T @ scaled),
+        **_posterior(space, u, scaled.T @ scaled),
     )
 
 
 @eqx.filter_jit
-def posterior(space: ParameterSpace, u: Array, information: Array) -> dict[str, Any]:
+def _posterior(space: ParameterSpace, u: Array, information: Array) -> dict[str, Any]:
     """Laplace approximation, from the data's information in whitened coordinates."""
     values, vectors = jnp.linalg.eigh(information)
     values, vectors = jnp.maximum(values[::-1], 0.0), vectors[:, ::-1]

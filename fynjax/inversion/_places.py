@@ -250,7 +250,7 @@ class PlacesModel(eqx.Module):
             with_values(scene.parameters, scene.taxa, named), self.camera.sensor.bands
         )
         factor = jnp.exp(self.root @ v.band)[:, None, None]
-        return factor * self.camera.image(voxels)[0], canopy_height(voxels)
+        return factor * self.camera.image(voxels)[0], standing_height(voxels)
 
     def misfits(
         self, image: Float[Array, "band y x"], height: Float[Array, "y x"]
@@ -343,7 +343,7 @@ def _relative(off: Array, target: Array) -> Array:
     return off / (0.5 * (target + mean))
 
 
-def canopy_height(voxels: VoxelScene) -> Float[Array, "y x"]:
+def standing_height(voxels: VoxelScene) -> Float[Array, "y x"]:
     """Mean height over the lowest ground at which a line of sight from straight above meets leaves,
     wood or level ground, over the voxel columns [m]. Differentiable."""
     density = voxels.area_density.sum(axis=0) if voxels.structure is None else voxels.structure

@@ -13,7 +13,7 @@ from fynjax._core.errors import InputError
 from fynjax.app.compare import read_drone_image
 from fynjax.app.io.plot import example_folder, read_plot
 from fynjax.app.jobs import CalibrateResult, calibrate, render
-from fynjax.app.jobs._calibration_page import doubt_first, status_of
+from fynjax.app.jobs._calibration_page import doubt_first, status_words
 from fynjax.app.jobs._fit_report import _short_of_sites
 from fynjax.app.jobs._render import check_finite
 from fynjax.app.jobs._schemas import json_schema
@@ -170,9 +170,9 @@ def test_a_page_says_first_that_the_search_did_not_converge():
     lead = doubt_first(stopped, "Plot: largest error 14 %.")
     assert lead.startswith("Not converged: Stopped at the limit of steps. Allow more steps")
     assert lead.endswith("Plot: largest error 14 %.")
-    assert lead[0].lower() + lead[1:] == f"{status_of(stopped)} Plot: largest error 14 %."
+    assert lead[0].lower() + lead[1:] == f"{status_words(stopped)} Plot: largest error 14 %."
     good = ended(converged=True, explanation="")
-    assert (status_of(good), doubt_first(good, "Plot.")) == ("ok", "Plot.")
+    assert (status_words(good), doubt_first(good, "Plot.")) == ("ok", "Plot.")
 
 
 def test_a_page_says_before_all_else_that_the_table_was_nearer():

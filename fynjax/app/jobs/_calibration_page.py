@@ -89,7 +89,7 @@ _FAR = float(ndtri(0.95))
 """Distance from the centre of a prior beyond which lies a tenth of it [standard deviations]."""
 
 
-def status_of(result: Calibration) -> str:
+def status_words(result: Calibration) -> str:
     """'ok', or why the fit is to be doubted and what to do."""
     doubts, fit = result.doubts(), result.fit
     if not fit.converged:
@@ -126,7 +126,7 @@ def twin_sentence(
 
 def doubt_first(result: Calibration, text: str) -> str:
     """A page's lead: before anything else, why the fit is to be doubted."""
-    status = status_of(result)
+    status = status_words(result)
     return text if status == "ok" else f"{_capitalised(status)} {text}"
 
 

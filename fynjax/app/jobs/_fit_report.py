@@ -20,7 +20,7 @@ from fynjax.app.jobs._calibration_page import (
     is_image,
     parameter_sentences,
     pixel_page,
-    status_of,
+    status_words,
     twin_sentence,
     write_results,
 )
@@ -167,7 +167,7 @@ def fit_report(
         converged=bool(fit.fit.converged) and not fit.worse,
         worse_than_table=fit.worse,
         misfit_times=fit.misfit / fit.degrees,
-        status=status_of(fit),
+        status=status_words(fit),
         headline=headline,
         warnings=[] if by_pixel else _short_of_sites(fit.scene, fit.after),
         targets=_targets(fit),
