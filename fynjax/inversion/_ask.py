@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping, Sequence
 from fnmatch import fnmatchcase
 from inspect import signature
 from pathlib import Path
-from typing import Any, Literal, Protocol
+from typing import Any, Literal, Protocol, runtime_checkable
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -30,6 +30,7 @@ from fynjax.scene import ModelError, Scene, named_values, own_spread
 from fynjax.sensors import Lidar, Sensor
 
 
+@runtime_checkable
 class PlotsPrior(Protocol):
     """What a population of plots says of some kinds of parameters of each growth form, as `prior`
     reads it from a file."""

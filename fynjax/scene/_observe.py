@@ -709,6 +709,8 @@ def aim(
             for start, n in ((west, columns), (south, rows))
         ]
     x, y = (jnp.asarray(axis, scene.dtype) for axis in axes)
+    # First, since it refuses an attitude that no camera can have.
+    camera = _aimed(sensor.camera, (lx / 2, ly / 2), height, scene.ground_level, placement)
     sight = seen = None
     if known is not None:
         sight, seen = _in_frame(known, scene, (x, y), shape, origin, pixel)
@@ -718,7 +720,6 @@ def aim(
     pieces = min(8, int(np.ceil(slope - 1e-6)))
     if accuracy.sublayers is not None and accuracy.sublayers < pieces:
         accuracy = dataclasses.replace(accuracy, sublayers=pieces)
-    camera = _aimed(sensor.camera, (lx / 2, ly / 2), height, scene.ground_level, placement)
     return AimedSensor(
         sensor=dataclasses.replace(sensor, camera=camera, psf=psf),
         air=air,
