@@ -3,6 +3,7 @@
 import importlib
 import warnings
 from types import ModuleType
+from typing import Any
 
 from fynjax._core.errors import MissingExtraError
 
@@ -28,14 +29,15 @@ def require(module: str, extra: str, package: str | None = None) -> ModuleType:
         raise MissingExtraError(package or module, extra) from error
 
 
-def app_room(room: str) -> ModuleType:
-    """A package of `fynjax.app`, where a method of the library reads a user's file or writes a
-    page. It is the only door: the library needs the packages of the app for nothing else.
+def app_room(room: str, name: str) -> Any:
+    """What a package of `fynjax.app` has by this `name`, where a method of the library reads a
+    user's file or writes a page. It is the only door: the library needs the packages of the app for
+    nothing else.
 
     **Raises:** `MissingExtraError` for a package that the app needs and that is not installed.
     """
     try:
-        return importlib.import_module(f"fynjax.app.{room}")
+        return getattr(importlib.import_module(f"fynjax.app.{room}"), name)
     except ModuleNotFoundError as error:
         if error.name is None or error.name.startswith("fynjax"):
             raise

@@ -5,6 +5,7 @@ import enum
 import importlib
 import json
 import zipfile
+import zlib
 from collections.abc import Mapping
 from importlib.metadata import version
 from pathlib import Path, PurePath
@@ -20,6 +21,12 @@ from fynjax._core.errors import InputError
 
 _MOST_BYTES = 1 << 32
 """Most bytes that a file may unfold to."""
+
+_DAMAGED = (
+    OSError, EOFError, ValueError, KeyError, RuntimeError, MemoryError, zlib.error,
+    zipfile.BadZipFile,
+)  # fmt: skip
+"""What reading a damaged file may raise."""
 
 
 def save(path: str | Path, value: Any) -> None:
@@ -51,7 +58,7 @@ def load(path: str | Path) -> Any:
         with np.load(path, allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
         tree = json.loads(arrays.pop("tree").tobytes().decode())
-    except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
+    except _DAMAGED as error:
         raise InputError(f"expected a fit that fynjax wrote: {error}", file=path) from error
     if not isinstance(tree, dict) or not {"version", "value"} <= tree.keys():
         raise InputError("expected a fit that fynjax wrote", file=path)
@@ -63,7 +70,7 @@ def load(path: str | Path) -> Any:
         )
     try:
         return _unpacked(tree["value"], arrays)
-    except (AttributeError, ImportError, KeyError, TypeError, ValueError) as error:
+    except (AttributeError, ImportError, KeyError, RuntimeError, TypeError, ValueError) as error:
         raise InputError(
             f"expected a fit of this code, but {error}: calibrate again", file=path
         ) from error
@@ -168,6 +175,8 @@ def _unpacked(tree: Any, arrays: Mapping[str, np.ndarray]) -> Any:
     if kind == "function":
         return _found(tree["name"])
     cls = _class(tree["class"])
+    if kind == "enum" and not issubclass(cls, enum.Enum):
+        raise TypeError(f"{tree['class']} is no enumeration")
     if kind == "enum":
         return cls[tree["name"]]
     fields = {name: _unpacked(one, arrays) for name, one in tree["fields"].items()}

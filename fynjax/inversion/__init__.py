@@ -73,7 +73,7 @@ from fynjax.inversion._prior_sampler import (
     sample_prior,
     spectrum_likelihood,
 )
-from fynjax.inversion._problem import COARSE, CalibrationSettings, Problem
+from fynjax.inversion._problem import COARSE, CalibrationSettings, Problem, believed
 from fynjax.inversion._search import PlotSearch, SearchState, coarser, search_form, search_states
 from fynjax.inversion._sensitivity import (
     LEADING_ELASTICITIES,

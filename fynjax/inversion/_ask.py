@@ -52,7 +52,7 @@ def imager_of(camera: str | Path | Sensor | Lidar) -> Sensor:
     """
     sensor: Any = camera
     if isinstance(camera, str | Path):
-        sensor = app_room("io.instruments").load_instrument(camera)
+        sensor = app_room("io.instruments", "load_instrument")(camera)
     if not isinstance(sensor, Sensor):
         what = f"the LiDAR {sensor.name!r}" if isinstance(sensor, Lidar) else repr(sensor)
         raise InputError(f"expected an imaging sensor, but got {what}")

@@ -13,6 +13,7 @@ import scipy.linalg
 from jaxtyping import Array, Float
 from scipy.special import chdtrc
 
+from fynjax._core.errors import InputError
 from fynjax._core.extras import app_room
 from fynjax._core.html import as_html
 from fynjax._core.precision import double_precision
@@ -233,7 +234,7 @@ class Calibration(eqx.Module):
         **Returns:** `fynjax.app.jobs.CalibrateResult`. **Raises:** `MissingExtraError` without the
         packages of the app.
         """
-        return app_room("jobs").fit_report(self, folder, name)
+        return app_room("jobs", "fit_report")(self, folder, name)
 
     @double_precision
     def misfit_by_group(self) -> "pd.DataFrame":
@@ -471,6 +472,8 @@ def plot_search(problem: Problem, solver: Any = None) -> PlotSearch | PixelSearc
     **Raises:** `InputError` for single pixels of a plot whose plants are not known.
     """
     if problem.measured.pixels is not None:
+        if solver is not None:
+            raise InputError("expected no `solver`: single pixels are fitted by `BroydenLM`")
         return PixelSearch(problem)
     return PlotSearch(problem, solver)
 
@@ -502,7 +505,8 @@ def calibration(search: PlotSearch | PixelSearch, ends: Sequence[Any]) -> Calibr
     - `ends`: its state at the end from each start, the first that of the prior's centre.
     """
     if isinstance(search, PixelSearch):
-        return _of_known_plants(search, ends[0])
+        rest = [float(jnp.sum(end.descent.residual**2)) for end in ends]
+        return _of_known_plants(search, ends[int(np.argmin(rest))])
     # By one likelihood: errors differ between the ends.
     judge = search.weights(ends[0].place, ends[0].subspace)
     number = int(np.argmin([search.objective(end.best, judge) for end in ends]))
@@ -599,7 +603,7 @@ def _of_known_plants(search: PixelSearch, state: PixelState) -> Calibration:
         problem=problem,
         scene=model.scene,
         fit=found,
-        before=at(jnp.zeros(free)),
+        before=at(state.start[:free]),
         after=at(jnp.asarray(u[:free])),
         images_before=(before,),
         images_after=(after,),

@@ -177,10 +177,12 @@ class Data(eqx.Module):
         return Data(self.names, self.value, self.sd, self.whitener)
 
     def renamed(self, name: str) -> "Data":
-        """The same of a view of this `name`.
+        """The same of a view of this `name`; "" is none.
 
         **Raises:** `InputError` for a name that is not one word, and for data without a sensor.
         """
+        if not name:
+            return self
         if not name.isidentifier() or name in ("spectrum", "lidar"):
             raise InputError(
                 f"expected a word as the name of a view, such as 'dusk', but got {name!r}"
@@ -190,6 +192,20 @@ class Data(eqx.Module):
         source = dataclasses.replace(self.source, name=name)
         names = tuple(f"{name}.{without_view(own)}" for own in self.names)
         return dataclasses.replace(self, names=names, source=source)
+
+    def under(self, sun: tuple[float, float] | None) -> "Data":
+        """The same of an image or a spectrum that was taken under a `sun` of this zenith and
+        azimuth [degrees]; None: as it is."""
+        if sun is None or self.source is None:
+            return self
+        zenith, azimuth = map(float, sun)
+        if not (0.0 <= zenith < 90.0 and np.isfinite(azimuth)):
+            raise InputError(f"expected the sun's zenith and azimuth in degrees, but got {sun}")
+        sight: Any = self.source.view_of
+        source = dataclasses.replace(
+            self.source, view_of=dataclasses.replace(sight, sun=(zenith, azimuth))
+        )
+        return dataclasses.replace(self, source=source)
 
     @double_precision
     def __add__(self, other: "Data") -> "Data":
@@ -211,6 +227,7 @@ class Data(eqx.Module):
         relative_sd: float = 0.01,
         gains: Gains | str | None = None,
         pose: Pose | Frame | None = None,
+        sun: tuple[float, float] | None = None,
         name: str = "",
     ) -> "Data":
         """Statistics of a drone's image of the plot.
@@ -233,15 +250,17 @@ class Data(eqx.Module):
         - `pose`: where the camera hung and how it looked, of a single frame that was laid on the
           map of the plot, from its south-west corner; a `Frame` has its lens too. Pixels outside
           the frame do not count. Left out, the camera looks straight down from above the middle.
+        - `sun`: zenith and azimuth when it was taken, clockwise from north [degrees]; that of the
+          scene by default.
         - `name`: of the view, where there are several.
 
         **Raises:** `InputError` for an image or camera that cannot be used.
         """
-        found = app_room("assembly._targets").image_of_camera(
+        found = app_room("assembly._targets", "image_of_camera")(
             image, camera, pixel=pixel, footprint=footprint, altitude=altitude, bands=bands,
             statistics=statistics, relative_sd=relative_sd, gains=gains, pose=pose,
         )  # fmt: skip
-        return found.renamed(name) if name else found
+        return found.under(sun).renamed(name)
 
     @classmethod
     @double_precision
@@ -254,6 +273,7 @@ class Data(eqx.Module):
         altitude: float | None = None,
         relative_sd: float = 0.01,
         gains: Gains | str | None = None,
+        sun: tuple[float, float] | None = None,
         name: str = "",
     ) -> "Data":
         """Statistics of a drone's image from a table.
@@ -262,14 +282,14 @@ class Data(eqx.Module):
 
         - `table`: path of a CSV, a pandas frame, or a mapping of names to values; with columns
           statistic, value and, where they are known, sd. Names such as `NDVI.mean`.
-        - `camera`, `pixel`, `altitude`, `relative_sd`, `gains`, `name`: as of `from_image`.
+        - `camera`, `pixel`, `altitude`, `relative_sd`, `gains`, `sun`, `name`: as of `from_image`.
 
         **Raises:** `InputError` for a table or camera that cannot be used.
         """
-        found = app_room("assembly._targets").table_of_camera(
+        found = app_room("assembly._targets", "table_of_camera")(
             table, camera, pixel=pixel, altitude=altitude, relative_sd=relative_sd, gains=gains
         )
-        return found.renamed(name) if name else found
+        return found.under(sun).renamed(name)
 
     @classmethod
     @double_precision
@@ -294,10 +314,10 @@ class Data(eqx.Module):
 
         **Raises:** `InputError` for spectra that cannot be used.
         """
-        found = app_room("assembly._targets").spectrum_of_file(
+        found = app_room("assembly._targets", "spectrum_of_file")(
             path, sun_zenith, statistics, relative_sd
         )
-        return found.renamed(name) if name else found
+        return found.renamed(name)
 
     @classmethod
     @double_precision
@@ -324,10 +344,10 @@ class Data(eqx.Module):
 
         **Raises:** `InputError` for a cloud that cannot be used.
         """
-        found = app_room("assembly._targets").cloud_of_file(
+        found = app_room("assembly._targets", "cloud_of_file")(
             path, scene, statistics, relative_sd, seed
         )
-        return found.renamed(name) if name else found
+        return found.renamed(name)
 
     @classmethod
     @double_precision
@@ -357,7 +377,7 @@ class Data(eqx.Module):
 
         **Raises:** `InputError` for an image or camera that cannot be used.
         """
-        return app_room("assembly._targets").pixels_of_camera(
+        return app_room("assembly._targets", "pixels_of_camera")(
             image, camera, pixel=pixel, altitude=altitude, bands=bands, block=block,
             pixel_sd=pixel_sd, gains=gains,
         )  # fmt: skip

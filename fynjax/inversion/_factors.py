@@ -66,9 +66,14 @@ class BandFactors(eqx.Module):
         instruments: Sequence[str] | None = None,
     ) -> "BandFactors":
         """The factors of the bands of sensors with their gains, and the `error` of the model.
-        Views of one of the `instruments`, by its name, share gains but for their drift; those of ""
-        share none."""
+        Views of one of the `instruments`, by its name, that were calibrated alike share gains but
+        for their drift; those of "" share none."""
         names = [""] * len(seen) if instruments is None else [*instruments]
+        # Gains by another way of calibration are others.
+        names = [
+            name and f"{name} {gains.way} {gains.shared} {gains.sd}"
+            for name, (_, gains) in zip(names, seen, strict=True)
+        ]
         blocks = [
             [
                 _shared_gains(one, other, i == j, bool(name) and names.count(name) > 1)
@@ -167,11 +172,10 @@ def _shared_gains(
     (bands, gains), (others, their) = one, other
     if same:
         own = gains.covariance(len(bands))
-        return own + gains.drift**2 if several else own
+        return own + gains.drift**2 if several and own.any() else own
     sd = np.outer(gains.of_bands(len(bands)), their.of_bands(len(others)))
     alike = np.equal.outer(np.array(bands.names), np.array(others.names))
-    shared = min(gains.shared, their.shared)
-    return sd * (shared + (1.0 - shared) * alike)
+    return sd * (gains.shared + (1.0 - gains.shared) * alike)
 
 
 def _root(covariance: Float[np.ndarray, "factor factor"]) -> Float[np.ndarray, "factor coordinate"]:

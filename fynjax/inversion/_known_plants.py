@@ -166,7 +166,9 @@ class PixelState(Progress):
     sd: Float[Array, " value"]
     """Errors of the compared values in this round [-]."""
     before: Float[Array, "band y x"]
-    """The blocks at the prior's centre, as the camera measures them."""
+    """The blocks where the search started, as the camera measures them."""
+    start: Float[Array, " coordinate"]
+    """Coordinates where it started."""
 
 
 class PixelSearch:
@@ -279,7 +281,7 @@ class PixelSearch:
         return PixelState(
             u=place, descent=descent, trace=figures_of(descent)[None], rounds=whole([1]),
             steps=whole(0), status=number_of(FitStatus.max_steps), turn=whole(0), step=whole(0),
-            ended=whole(0), sd=sd, before=jnp.asarray(self.image(place)),
+            ended=whole(0), sd=sd, before=jnp.asarray(self.image(place)), start=place,
         )  # fmt: skip
 
     @double_precision

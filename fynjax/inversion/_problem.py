@@ -210,7 +210,7 @@ def believed(error: ModelError | Literal["learned", "none"] | None) -> ModelErro
         raise InputError(
             f'expected `error` as "learned", "none" or a `ModelError`, but got {error!r}'
         )
-    return app_room("assembly").prior().model_error if error == "learned" else None
+    return app_room("assembly", "prior")().model_error if error == "learned" else None
 
 
 def _likely_counts(

@@ -41,6 +41,7 @@ from fynjax.inversion._views import (
     PlotForward,
     informative_directions,
     look,
+    under_sun,
 )
 from fynjax.radiation import Accuracy
 from fynjax.scene import (
@@ -741,8 +742,12 @@ def search_form(
     **Returns:** the scene, and the views of it.
     """
     quick = coarser(scene, parameters)
-    fitted = fitted_accuracy(accuracy, quick, parameters)
-    return quick, tuple(view.for_search(scene, fitted, stride) for view in views)
+    fitted = [
+        fitted_accuracy(accuracy, quick, under_sun(parameters, getattr(view, "sun", None)))
+        for view in views
+    ]
+    each = zip(views, fitted, strict=True)
+    return quick, tuple(view.for_search(scene, own, stride) for view, own in each)
 
 
 @double_precision

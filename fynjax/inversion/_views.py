@@ -230,7 +230,7 @@ class ImageView(BandView):
     def observe(
         self, scene: Scene, parameters: PlotParameters
     ) -> tuple[Float[Array, "band y x"], Float[Array, " statistic"]]:
-        image = self.camera.observe(scene, _under(parameters, self.sun)).reflectance
+        image = self.camera.observe(scene, under_sun(parameters, self.sun)).reflectance
         return image, self.statistics(image)
 
     def statistics(
@@ -259,7 +259,7 @@ class ImageView(BandView):
         factor_at: FactorAt | None = None,
     ) -> tuple[Float[Array, " statistic"], Float[Array, "statistic free"]]:
         def render(u: Array) -> Array:
-            return self.camera.observe(scene, _under(plot_at(u), self.sun)).reflectance
+            return self.camera.observe(scene, under_sun(plot_at(u), self.sun)).reflectance
 
         # By the chain rule: statistics by pixels, which costs little, then pixels by parameters.
         image, to_parameters = jax.vjp(render, u)
@@ -297,7 +297,7 @@ class ImageSight(eqx.Module):
 
     def __call__(self, scene: Scene, parameters: PlotParameters) -> ImageView:
         """The view of a scene. **Raises:** `InputError` as `fynjax.scene.aim`."""
-        parameters = _under(parameters, self.sun)
+        parameters = under_sun(parameters, self.sun)
         with in_file(self.file) if self.file is not None else nullcontext():
             aimed = aim(
                 scene, parameters, self.sensor, self.placement, point_spread=self.point_spread
@@ -316,7 +316,7 @@ class SpectrumSight(eqx.Module):
 
     def __call__(self, scene: Scene, parameters: PlotParameters) -> "SpectrumView":
         """The view of a scene."""
-        parameters = _under(parameters, self.sun)
+        parameters = under_sun(parameters, self.sun)
         view = spectrum_view(self.bands, scene, parameters, gains=self.gains)
         return dataclasses.replace(view, sun=self.sun)
 
@@ -368,7 +368,7 @@ class SpectrumView(BandView):
         # Voxels by the parameters once, for all bands; then the light by the voxels, whose slopes
         # of one band cost those of one band.
         voxels, backward = eqx.filter_vjp(
-            lambda u: scene.voxels(_under(plot_at(u), self.sun), bands), u
+            lambda u: scene.voxels(under_sun(plot_at(u), self.sun), bands), u
         )
 
         def of_group(first: Array) -> tuple[Array, Array]:
@@ -412,7 +412,7 @@ class SpectrumView(BandView):
 def _mean_spectrum(
     scene: Scene, parameters: PlotParameters, view: SpectrumView
 ) -> Float[Array, " band"]:
-    voxels = scene.voxels(_under(parameters, view.sun), view.imager.sensor.bands)
+    voxels = scene.voxels(under_sun(parameters, view.sun), view.imager.sensor.bands)
     groups = jax.lax.map(lambda first: view._means(voxels, first, view._together), view._firsts)
     return view._by_band(groups)
 
@@ -426,7 +426,7 @@ _SEARCH_COLUMNS = 3
 """Every so many voxel columns are looked at in a search."""
 
 
-def _under(parameters: PlotParameters, sun: tuple[float, float] | None) -> PlotParameters:
+def under_sun(parameters: PlotParameters, sun: tuple[float, float] | None) -> PlotParameters:
     """The parameters under a sun of this zenith and azimuth [degrees]; None: as they are."""
     if sun is None:
         return parameters

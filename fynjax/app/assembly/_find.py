@@ -3,15 +3,16 @@
 import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
 
 from fynjax._core.errors import InputError
 from fynjax.app.compare import read_drone_image
-from fynjax.inversion import FoundPlants, PlacesSettings, find_places, imager_of
+from fynjax.inversion import FoundPlants, PlacesSettings, believed, find_places, imager_of
 from fynjax.inversion import free as free_of
-from fynjax.scene import Observation, Placement, Scene, aim
+from fynjax.scene import ModelError, Observation, Placement, Scene, aim
 from fynjax.sensors import Gains, Lidar, Sensor
 
 FREE_OF_PLANTS = (
@@ -50,6 +51,7 @@ def find_plants(
     height: Float[np.ndarray, "y x"] | None = None,
     free: Sequence[str] = FREE_OF_PLANTS,
     gains: Gains | str | None = None,
+    error: ModelError | Literal["learned", "none"] = "learned",
     settings: PlacesSettings | None = None,
     seed: int = 0,
 ) -> FoundPlants:
@@ -68,6 +70,7 @@ def find_plants(
     - `free`: patterns of what is found beside the plants, with the priors of `fx.free`.
     - `gains`: what the calibration of its bands to reflectance may be off by, or how they were
       calibrated; the usual of the camera by default.
+    - `error`: what the model is off by over wavelength, as of `fx.fit`.
     - `settings`: of the search; `seed` then is theirs.
     - `seed`: of everything drawn.
 
@@ -93,6 +96,8 @@ def find_plants(
     sensor = imager_of(camera)
     if isinstance(image, Observation):
         names, values = image.bands, np.asarray(image.reflectance, float)
+        if image.seen is not None:  # what lies outside its frame does not count
+            values = np.where(np.asarray(image.seen), values, np.nan)
         edge: float | None = image.pixel
     else:
         read = read_drone_image(Path(image), bands=bands, camera=sensor.bands, most_pixels=None)
@@ -119,4 +124,6 @@ def find_plants(
     if gains is not None:
         known = gains if isinstance(gains, Gains) else sensor.gains(gains)
         settings = dataclasses.replace(settings, gains=known)
-    return find_places(scene, means, view, free_of(scene, *free), settings, height=height)
+    return find_places(
+        scene, means, view, free_of(scene, *free), settings, height=height, error=believed(error)
+    )

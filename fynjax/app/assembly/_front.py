@@ -140,4 +140,7 @@ def read_fit(path: str | Path) -> Calibration:
     if not (isinstance(found, tuple) and len(found) == 2 and isinstance(found[0], Problem)):
         raise InputError("expected the fit of a plot", file=path)
     problem, states = found
-    return calibration(plot_search(problem), states)
+    search = plot_search(problem)
+    if not (states and all(isinstance(one, search.state) for one in states)):
+        raise InputError("expected the fit of a plot", file=path)
+    return calibration(search, states)

@@ -222,7 +222,8 @@ def placed_by_image(plot: Plot, paths: Sequence[Path]) -> Plot:
 
     **Arguments:** `plot`, as `read_plot` gives it; `paths`, of the files.
     """
-    return placed_by(plot, [p for p in map(Path, paths) if p.suffix.lower() in (".tif", ".tiff")])
+    files = [*map(Path, paths)] or [target.file for target in plot.targets]
+    return placed_by(plot, [path for path in files if path.suffix.lower() in (".tif", ".tiff")])
 
 
 @double_precision
@@ -284,9 +285,7 @@ def _read_target(
 
 def _view_of(plot: Plot, target: TargetTable, bands: Sequence[str] | None, seed: int) -> Data:
     """One view of a plot, as its file states it: from where it was taken, and under which sun."""
-    sensor = target.of_sensor
-    if sensor is not None:
-        plot = plot.replace(sensor=named_sensor(sensor))
+    plot = plot.replace(sensor=named_sensor(target.of_sensor(plot.sensor)))
     if target.sun is not None:
         plot = plot.replace(sun=target.sun.position)
     existing_file(target.file, "an image, a spectrum, a point cloud or a table of their statistics")
@@ -300,7 +299,8 @@ def _view_of(plot: Plot, target: TargetTable, bands: Sequence[str] | None, seed:
     if target.frame is not None:
         if not isinstance(sight, ImageSight):
             raise InputError("expected position_m of an image alone", file=target.file)
-        pixel = sight.placement.pixel
+        known = _is_image(target.file) or target.pixel_m or target.footprint_m
+        pixel = sight.placement.pixel if known else None  # else that from where the frame hung
         place = Placement(pixel=pixel, frame=target.frame)
         sight = dataclasses.replace(sight, placement=place)
     data = dataclasses.replace(data, source=dataclasses.replace(source, view_of=sight))

@@ -64,6 +64,7 @@ def measure_truth(
     number: int,
     random: np.random.Generator,
     model_error: Float[np.ndarray, " band"] | None = None,
+    gain: Float[np.ndarray, " band"] | None = None,
 ) -> tuple[Float[np.ndarray, " statistic"], Float[np.ndarray, " band"] | None]:
     """A plot whose parameters are known, planted by a seed of its own, as a sensor measures it.
 
@@ -77,6 +78,7 @@ def measure_truth(
     - `random`: draws gains and noise.
     - `model_error`: factors by which reality is off from the model in the view's bands; one by
       default.
+    - `gain`: factors by which the view's bands are off; drawn here by default.
 
     **Returns:** the statistics, and the gains, None of a sensor that has no bands. Not
     differentiable.
@@ -88,7 +90,8 @@ def measure_truth(
         return np.asarray(value, float), None
     seen = np.asarray(image[0], float)
     bands = len(seen)
-    gain = np.exp(random.multivariate_normal(np.zeros(bands), view.gains.covariance(bands)))
+    if gain is None:
+        gain = np.exp(random.multivariate_normal(np.zeros(bands), view.gains.covariance(bands)))
     off = gain if model_error is None else gain * model_error
     if isinstance(view, ImageView):  # gains are common to all pixels of a band; noise is of each
         seen = seen * (1.0 + PIXEL_NOISE * random.normal(size=seen.shape))
@@ -117,8 +120,18 @@ def plant_twin(problem: Problem, relative_sd: float, *, seed: int) -> Twin:
         None if log is None else np.exp(np.asarray(log))
         for log in factors_by_view(views, jnp.asarray(logs))
     ]
-    for data, view, error in zip(problem.measured.parts, views, errors, strict=True):
-        value, own = measure_truth(problem, view, truth, 0, random, error)
+    # Views of one camera share its gains; a single view draws them where it always did.
+    shared = len({v.instrument for v in views if isinstance(v, ImageView)}) < sum(
+        isinstance(v, ImageView) for v in views
+    )
+    of_gains, drawn_gains = np.asarray(factors.of_gains), None
+    if shared:
+        none = np.zeros(len(of_gains))
+        drawn_gains = jnp.asarray(random.multivariate_normal(none, of_gains, method="eigh"))
+    gains = factors_by_view(views, drawn_gains)
+    for data, view, error, log in zip(problem.measured.parts, views, errors, gains, strict=True):
+        known = None if log is None else np.exp(np.asarray(log))
+        value, own = measure_truth(problem, view, truth, 0, random, error, known)
         source = data.source
         assert source is not None
         if not isinstance(view, ImageView):
@@ -127,7 +140,7 @@ def plant_twin(problem: Problem, relative_sd: float, *, seed: int) -> Twin:
             value = random.multivariate_normal(value, covariance, method="eigh")
             data = dataclasses.replace(data, value=jnp.asarray(value))
         else:
-            gain = own
+            gain = own if gain is None else gain
             drawn = weigh_targets(view.names, value, relative_sd)
             data = dataclasses.replace(drawn, names=data.names)
         text = f"Of a plot whose truth is known, not of a real one: {source.description}"

@@ -62,7 +62,8 @@ def doubt_targets(run: Run, plot: Plot, data: Data) -> None:
             mean = seen[:, np.isfinite(seen).all(axis=0)].mean(axis=1)
             doubt_spectrum(run, mean, camera.bands, camera)
         elif source.kind == "image":
-            drone = drone_sensor(plot)
+            sight = source.view_of
+            drone = sight.sensor if isinstance(sight, ImageSight) else drone_sensor(plot)
             names = map(without_view, one.names)
             values = dict(zip(names, map(float, one.value), strict=True))
             means = {n: values.get(f"{n}.mean", float("nan")) for n in drone.bands.names}

@@ -1,5 +1,6 @@
 """What a calibration found, as files and a page: of a command, and of a script."""
 
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal
@@ -152,7 +153,11 @@ def fit_report(
                 run.table("bands.csv", factors, "gain and model's error of every band, apart")
             dataset = calibration_dataset(fit.scene, fit)
             write_run(run.path("run.nc", "the whole run, NetCDF"), dataset, record)
-        save(run.path(FIT_FILE, "the fit, for fynjax.read_fit"), (fit.problem, fit.states))
+        try:
+            save(run.folder / FIT_FILE, (fit.problem, fit.states))
+            run.path(FIT_FILE, "the fit, for fynjax.read_fit")
+        except TypeError as error:  # of a view or a function of one's own
+            warnings.warn(f"no {FIT_FILE} is written: {error}", stacklevel=2)
         page = (
             pixel_page(run, name, fit, tables, [*fit.doubts(), *lead], record)
             if by_pixel

@@ -359,8 +359,8 @@ class SensorTable(Strict):
 
 
 class TargetTable(SensorTable):
-    """What one sensor measured of the plot, and from where: one view of it. The keys of [sensor]
-    count for this view where any is stated."""
+    """What one sensor measured of the plot, and from where: one view of it. Keys of [sensor] that
+    are stated here count in place of the plot's; another `name` or `path` has none of them."""
 
     file: Annotated[Path, NamedFile("a target")]
     """Image (GeoTIFF) or its statistics (CSV), spectrum, or point cloud or its structure."""
@@ -379,15 +379,14 @@ class TargetTable(SensorTable):
     sun: SunTable | None = None
     """The sun of this view; left out, that of the plot."""
 
-    @property
-    def of_sensor(self) -> SensorTable | None:
-        """The sensor of the view; None where no key states one."""
-        stated = self.model_fields_set & set(SensorTable.model_fields)
-        if not stated:
-            return None
-        return SensorTable.model_construct(
-            stated, **{name: getattr(self, name) for name in SensorTable.model_fields}
-        )
+    def of_sensor(self, own: SensorTable) -> SensorTable:
+        """The sensor of the view: `own`, that of the plot, with what is stated here in its
+        place. Another sensor has none of the keys of the plot's."""
+        names = self.model_fields_set & set(SensorTable.model_fields)
+        stated = {name: getattr(self, name) for name in names}
+        if not {"name", "path"} & names:
+            return own.replace(**stated)
+        return SensorTable.model_construct(names, **(dict(SensorTable()) | stated))
 
     @property
     def frame(self) -> Frame | None:

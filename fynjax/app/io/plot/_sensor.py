@@ -112,4 +112,5 @@ def _gains(plot: Plot, drone: Sensor) -> Gains:
         )
     each = zip(names, found.of_bands(len(names)), strict=True)
     one_or_many = sd if isinstance(sd, float) else tuple(stated.get(n, own) for n, own in each)
-    return Gains(one_or_many, found.shared if shared is None else shared, found.way)
+    shared = found.shared if shared is None else shared
+    return dataclasses.replace(found, sd=one_or_many, shared=shared)
