@@ -7,7 +7,8 @@ import pytest
 
 from fynjax._core.errors import InputError
 from fynjax.app.assembly import read_problem
-from fynjax.inversion import BandFactors
+from fynjax.app.io.plot import TargetTable, read_plot
+from fynjax.inversion import BandFactors, Data
 from tests.small import write_plot
 
 TARGETS = """
@@ -88,3 +89,41 @@ def test_slips_in_targets_are_named(plot, old, new, words):
     with pytest.raises(InputError, match=words) as caught:
         read_problem(plot)
     assert caught.value.file == plot.resolve()
+
+
+def test_keys_of_a_view_count_in_place_of_the_plots(plot):
+    text = plot.read_text().replace("pitch_deg = 35\n", "pitch_deg = 35\npixel_m = 0.2\n")
+    own = '[sensor]\nname = "mavic_3m"\ncalibrated_by = "panels"\npoint_spread = false\n'
+    before, _, after = text.partition("[sensor]")
+    rest = after[after.index("\n[") :] if "\n[" in after else ""
+    plot.write_text(before + own + rest)
+    read = read_plot(plot)
+    table = read.targets[1].of_sensor(read.sensor)
+    assert (table.name, table.calibrated_by, table.point_spread) == ("mavic_3m", "panels", False)
+    assert (table.pixel_m, read.sensor.pixel_m) == (0.2, None)
+    other = read.targets[1].replace(name="rededge_mx").model_copy()
+    named = TargetTable.model_construct({"file", "name"}, **(dict(other) | {"pixel_m": None}))
+    assert named.of_sensor(read.sensor).calibrated_by is None
+
+
+def test_gains_of_another_way_of_calibration_are_others(plot):
+    noon, dusk = read_problem(plot, free=["species.*.cover"]).views
+    sensor = noon.camera.sensor
+    ways = [
+        dataclasses.replace(noon, gains=sensor.gains(way)) for way in ("panels", "light_sensor")
+    ]
+    covariance = np.asarray(BandFactors.of(ways, None).of_gains)
+    bands = len(noon.bands)
+    assert not covariance[:bands, bands:].any()
+    np.testing.assert_allclose(covariance[:bands, :bands], ways[0].gains.covariance(bands))
+    assert (
+        np.linalg.eigvalsh(np.asarray(BandFactors.of((noon, dusk), None).of_gains)).min() > -1e-12
+    )
+
+
+def test_the_sun_of_a_view_is_stated_from_python_too():
+    dusk = Data.from_table({"nir.mean": 0.3}, sun=(60.0, 300.0), name="dusk")
+    assert dusk.source.view_of.sun == (60.0, 300.0)
+    assert Data.from_table({"nir.mean": 0.3}).source.view_of.sun is None
+    with pytest.raises(InputError, match="zenith and azimuth"):
+        Data.from_table({"nir.mean": 0.3}, sun=(95.0, 300.0))
