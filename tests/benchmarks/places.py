@@ -6,7 +6,6 @@ has; its image has pixels of 2.5 cm, noise of 1 % and gains of 10 %. With `--kno
 are those of the table, which tells what the search loses from what is not known.
 """
 
-import argparse
 import time
 
 import jax.numpy as jnp
@@ -20,6 +19,7 @@ from fynjax.canopy import table1_2006
 from fynjax.inversion import PlacesSettings, find_places
 from fynjax.scene import Placement, aim, hard_instances, projected_cover, with_values
 from fynjax.sensors import Gains, shipped_sensor
+from tests.benchmarks._measure import options
 
 EIGHT = [
     ("Erica irregularis", "rounded_shrub", 45, 14, 0.67),
@@ -206,14 +206,23 @@ def run(taxa, size, seed, known, settings):
         print(f"pixels told by {name_of}: species {species:.2f}, form {form:.2f}", flush=True)
 
 
-if __name__ == "__main__":
-    parser = argparse.ArgumentParser()
+def main(arguments=None):
+    """Find the plants of each twin."""
+    parser = options(__doc__)
     parser.add_argument("--size", type=float, default=3.0)
     parser.add_argument("--taxa", type=int, default=8)
     parser.add_argument("--seeds", type=int, nargs="+", default=[1])
     parser.add_argument("--known", action="store_true")
     parser.add_argument("--rounds", type=int, default=PlacesSettings.rounds)
-    given = parser.parse_args()
+    given = parser.parse_args(arguments)
+    few = {}
+    if given.tiny:
+        given.size, given.taxa, given.rounds = 1.0, 3, 2
+        few = {"steps": 4, "jumps": 2, "chains": 1}
     for one in given.seeds:
-        settings = PlacesSettings(rounds=given.rounds, gains=GAIN, seed=one)
+        settings = PlacesSettings(rounds=given.rounds, gains=GAIN, seed=one, **few)
         run(given.taxa, given.size, one, given.known, settings)
+
+
+if __name__ == "__main__":
+    main()
