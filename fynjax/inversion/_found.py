@@ -138,7 +138,14 @@ class FoundPlants:
                     **{f"p_{taxon}": p for taxon, p in zip(taxa, share)},
                 }
             )  # fmt: skip
-        return pd.DataFrame(rows)
+        columns = [
+            "x_m", "y_m", "taxon", "presence", "taxon_probability",
+            *(f"diameter{q}_cm" for q in ("", "_q05", "_q95")),
+            *(f"height{q}_m" for q in ("", "_q05", "_q95")),
+            *(f"p_{taxon}" for taxon in taxa),
+        ]  # fmt: skip
+        frame = pd.DataFrame(rows, columns=columns)
+        return frame.astype({name: float for name in columns if name != "taxon"})
 
     def table(self) -> "pd.DataFrame":
         """Plants and cover of each species, of each growth form and of all: of the species table,

@@ -10,6 +10,7 @@ from scipy.special import gammaln
 
 import fynjax as fx
 from fynjax._core.errors import InputError
+from fynjax.app.io.plot import Place, write_crowns
 from fynjax.inversion import FoundPlants, PlacesSettings
 from fynjax.inversion._found import _together
 from fynjax.inversion._places import candidates, descend, free_early, places_model
@@ -234,7 +235,7 @@ def crowded(model):
 
 def stand(*plants):
     """A stand of (species, x, y, diameter)."""
-    kind, x, y, d = np.array(plants, float).T
+    kind, x, y, d = np.array(plants, float).reshape(-1, 4).T
     none = np.zeros(0)
     return WholeStand(
         kind.astype(int), np.arange(len(kind)), np.stack([x, y], 1), d, 2.0 * d, none, none, 1.0
@@ -275,6 +276,15 @@ def test_crowns_of_stands_that_are_one_plant_are_counted_as_one():
     assert (kind[6, 12], doubt[6, 12]) == (2, 0.25)
     assert kind[0, 0] == -1
     np.testing.assert_allclose(maps.height[1, 12, 0], 1.0)
+
+
+def test_where_nothing_stands_the_tables_are_empty(tmp_path):
+    found = FoundPlants(plot(3), [stand()] * 3, None, None, None, None, None, 1.0)
+    rows = found.crowns()
+    assert (len(rows), rows["presence"].dtype, rows["x_m"].dtype) == (0, float, float)
+    write_crowns(tmp_path / "crowns.gpkg", rows, Place())
+    assert found.table().set_index("name").loc["all", "plants"] == 0.0
+    assert not found.maps(cell=0.1).crown.any()
 
 
 def test_stands_without_a_plant_in_common_stay_apart():

@@ -1,5 +1,6 @@
 """Found crowns as a GeoPackage that any GIS opens."""
 
+import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -37,7 +38,8 @@ def write_crowns(path: Path, crowns: "pd.DataFrame", place: Place) -> None:
     radius = 0.005 * crowns["diameter_cm"].to_numpy()
     shapes = shapely.buffer(feet, radius, quad_segs=_CORNERS)
     fields = [c for c in crowns.columns if c not in ("x_m", "y_m")]
-    with atomic_path(path) as partial:
+    with atomic_path(path) as partial, warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # that there is no system, without a place
         pyogrio.raw.write(
             partial, shapely.to_wkb(shapes), [crowns[c].to_numpy() for c in fields],
             np.array(fields), geometry_type="Polygon", crs=place.crs, layer="crowns",
