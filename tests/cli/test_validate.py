@@ -70,7 +70,8 @@ def test_bad_input_leaves_nothing(spectra: list[str], tmp_path: Path) -> None:
         with pytest.raises(InputError, match=word):
             run(*arguments, "--output", str(out))
     line = ["validate", *spectra, "--matching", "spline", "--output", str(out)]
-    assert "not one of 'auto', 'nearest', 'linear'" in CliRunner().invoke(app, line).output
+    said = CliRunner().invoke(app, line, env={"COLUMNS": "300"}).output
+    assert "not one of 'auto', 'nearest', 'linear'" in said
     assert not out.exists()
 
 

@@ -12,6 +12,7 @@ from typer.testing import CliRunner
 
 from fynjax.app.cli import app
 from fynjax.app.io.raster import write_geotiff
+from fynjax.app.jobs import render
 from fynjax.leaf import LeafParameters, prospect
 from fynjax.metrics import BANDS
 from tests.canopy.test_pattern import BANDS as PATTERN_BANDS
@@ -208,6 +209,14 @@ def _design(folder: Path) -> Runs:
     line += ["400,1000", "--compare", "mavic_3m", "--plantings", 4, "--starts", 1, "--pixel"]
     line += ["0.1,0.2"]
     return {"design": line}
+
+
+@_case("crowns", "study", loose={"": 1e-2})
+def _crowns(folder: Path) -> Runs:
+    plot = _small(folder)[0]
+    render(plot, folder / "rendered", seed=5)
+    image = next((folder / "rendered").glob("*.tif"))
+    return {"crowns": ["crowns", image, "--plot", plot, "--rounds", 2]}
 
 
 def _leaves(folder: Path) -> Path:
