@@ -155,7 +155,7 @@ def test_the_group_without_which_the_rest_is_described_best_is_named(monkeypatch
     times = {"none": 4.0, "means of bands": 3.5, "spreads of bands": 1.25, "indices": 3.9}
     table = pd.DataFrame({"left_out": list(times), "times": list(times.values())})
     monkeypatch.setattr(Calibration, "misfit_by_group", lambda self: table)
-    found = stand_in(Calibration, misfit=40.0, degrees=10).misfit_sentence()
+    found = stand_in(Calibration, misfit=40.0, degrees=10, plantings=()).misfit_sentence()
     assert found == (
         "The misfit is 4 times what was expected; on a line 4, and 1.2 without "
         f"{GROUPS['spreads of bands']}: intervals are widened by it."
