@@ -28,7 +28,7 @@ from tests.inversion.linear import DATA, MATRIX, SPACE, predict
 @pytest.mark.parametrize("solver", [None, BroydenLM()], ids=["default", "BroydenLM"])
 def test_estimate_and_uncertainty_are_the_normal_posterior(solver):
     result = fit(predict, DATA, SPACE, solver=solver, tolerance=1e-8, max_steps=100)
-    mean, covariance = _posterior()
+    mean, covariance = posterior()
     np.testing.assert_allclose(result.estimate, mean, rtol=2e-4)
     np.testing.assert_allclose(result.sd, np.sqrt(np.diag(covariance)), rtol=1e-3)
     share = 1 - np.diag(covariance) / np.asarray(SPACE.prior_sd) ** 2
@@ -139,7 +139,7 @@ def test_the_estimate_has_the_derivative_of_a_minimum():
     linear = jax.jit(
         jax.jacfwd(lambda v: fit(predict, Data(DATA.names, v, DATA.sd), SPACE).estimate)
     )
-    _, covariance = _posterior()
+    _, covariance = posterior()
     gain = covariance @ np.asarray(MATRIX).T / np.asarray(DATA.sd) ** 2
     np.testing.assert_allclose(linear(DATA.value), gain, rtol=1e-3, atol=1e-6)
 
