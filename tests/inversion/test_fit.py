@@ -22,7 +22,7 @@ from fynjax.inversion import (
 from fynjax.inversion._fit_result import _posterior as laplace
 from fynjax.inversion._fit_result import scatter_covariance
 from tests.helpers import descend
-from tests.inversion.linear import DATA, MATRIX, SPACE, predict
+from tests.inversion.linear import DATA, MATRIX, SPACE, posterior, predict
 
 
 @pytest.mark.parametrize("solver", [None, BroydenLM()], ids=["default", "BroydenLM"])
