@@ -46,12 +46,15 @@ _found, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
 
 
 def __getattr__(name: str) -> Any:
-    """What is imported when it is first used; a package that the app alone needs is named."""
+    """A name of the front door, imported when it is first used.
+
+    **Raises:** `MissingExtraError` where a package that the app needs is not installed.
+    """
     try:
         return _found(name)
     except ModuleNotFoundError as error:
-        if error.name is None or error.name.split(".")[0] == "fynjax":
-            raise
         from fynjax._core.errors import MissingExtraError
 
-        raise MissingExtraError(error.name, "all") from error
+        if missing := MissingExtraError.of_app(error):
+            raise missing from error
+        raise

@@ -163,8 +163,8 @@ class MissingExtraError(ImportError):
 
     @classmethod
     def of_app(cls, error: Exception) -> "MissingExtraError | None":
-        """What a package that cannot be found means for the files, commands and pages, which need
-        more than the library; None for another error."""
+        """The error of a package that files, commands and pages need beyond the library, where
+        `error` says that it cannot be found; None for another error."""
         name = error.name if isinstance(error, ModuleNotFoundError) else None
         package = (name or "fynjax").split(".")[0]
         return None if package == "fynjax" else cls(package, "all")

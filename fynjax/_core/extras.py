@@ -30,15 +30,15 @@ def require(module: str, extra: str, package: str | None = None) -> ModuleType:
 
 
 def app_room(room: str, name: str) -> Any:
-    """What a package of `fynjax.app` has by this `name`, where a method of the library reads a
-    user's file or writes a page. It is the only door: the library needs the packages of the app for
-    nothing else.
+    """The function called `name` of a package of `fynjax.app`, for a method of the library that
+    reads a user's file or writes a page. It is the only door: the library needs the packages of the
+    app for nothing else.
 
     **Raises:** `MissingExtraError` for a package that the app needs and that is not installed.
     """
     try:
         return getattr(importlib.import_module(f"fynjax.app.{room}"), name)
     except ModuleNotFoundError as error:
-        if error.name is None or error.name.startswith("fynjax"):
-            raise
-        raise MissingExtraError(error.name, "all") from error
+        if missing := MissingExtraError.of_app(error):
+            raise missing from error
+        raise

@@ -45,7 +45,7 @@ def save(path: str | Path, value: Any) -> None:
 
 
 def load(path: str | Path) -> Any:
-    """What `save` wrote.
+    """The record that `save` wrote into a file.
 
     **Raises:** `InputError` for a file that is none of `save`'s, or of another version of the
     package.

@@ -26,6 +26,7 @@ from fynjax.inversion._data import (
     Kind,
     Pixels,
     Source,
+    block_means,
     block_of,
     join_data,
     pixel_data,

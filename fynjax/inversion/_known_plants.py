@@ -195,6 +195,10 @@ class PixelSearch:
         assert isinstance(view, ImageView)
         assert pixels is not None
         camera = view.camera
+        if view.sun is not None or camera.seen is not None:
+            raise InputError(
+                "expected an image from above, under the sun of the scene, where every pixel counts"
+            )
         bands = len(camera.sensor.bands)
         if np.shape(pixels.image) != (bands, *camera.shape):
             raise InputError(

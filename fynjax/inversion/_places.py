@@ -45,7 +45,7 @@ MOVED = 0.4
 """Standard deviation of a plant's distance from its site, along each axis [distance of sites]."""
 _LATE = ("diameter", "height", "leaf_area_index")
 """Parameters that stay as they are while plants stand in part: a plant in part is one of fewer
-leaves, so that weights and these could not be told apart."""
+leaves, so that no image distinguishes its weight from these."""
 _TINY = 1e-9
 
 

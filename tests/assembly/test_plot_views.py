@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fynjax._core.errors import InputError
-from fynjax.app.assembly import read_problem
+from fynjax.app.assembly import _targets, read_problem
 from fynjax.app.io.plot import TargetTable, read_plot
 from fynjax.inversion import BandFactors, Data
 from fynjax.sensors import Gains
@@ -117,6 +117,17 @@ def test_gains_of_another_way_of_calibration_are_others(plot):
     assert (
         np.linalg.eigvalsh(np.asarray(BandFactors.of((noon, dusk), None).of_gains)).min() > -1e-12
     )
+
+
+def test_an_image_in_the_plot_file_places_the_plot(plot, monkeypatch):
+    asked = []
+    monkeypatch.setattr(_targets, "placed_by", lambda plot, maps: asked.append([*maps]) or plot)
+    plot.with_name("noon.tif").write_bytes(b"")
+    plot.write_text(plot.read_text().replace("noon.csv", "noon.tif"))
+    read = read_plot(plot)
+    _targets.placed_by_image(read, [])
+    _targets.placed_by_image(read, [plot.with_name("other.tif")])
+    assert [[path.name for path in paths] for paths in asked] == [["noon.tif"], ["other.tif"]]
 
 
 def test_the_sun_of_a_view_is_stated_from_python_too():

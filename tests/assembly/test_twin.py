@@ -92,6 +92,28 @@ def test_a_twin_is_planted_by_another_chance(problem):
     assert all(one.shape != feet[-1].shape or (one != feet[-1]).any() for one in feet[:-1])
 
 
+def test_two_views_of_one_camera_have_its_gains_but_for_their_drift(problem, monkeypatch):
+    """As the fit takes them; and the twin's gain is that of the first."""
+    seen = []
+
+    def measured(problem, view, u, number, random, error, gain):
+        seen.append(gain)
+        return np.zeros(len(view.names)), gain
+
+    monkeypatch.setattr("fynjax.app.assembly._twin.measure_truth", measured)
+    flights = join_data([problem.data.renamed("noon"), problem.data.renamed("dusk")])
+    both = Problem(problem.scene, flights, problem.free, error=None)
+    twins = [plant_twin(both, ERROR, seed=seed) for seed in range(60)]
+    logs = np.log(np.array(seen)).reshape(60, 2, -1)
+    gains = both.views[0].gains
+    apart, own = logs[:, 0] - logs[:, 1], logs[:, 0].std(axis=0)
+    # Of both views one drift each, common to all bands.
+    assert apart.std() == pytest.approx(2**0.5 * gains.drift, rel=0.25)
+    assert np.ptp(apart, axis=1).max() < 1e-6
+    np.testing.assert_allclose(own, gains.of_bands(len(own)), rtol=0.3)
+    np.testing.assert_allclose(twins[0].gain, np.exp(logs[0, 0]))
+
+
 def test_a_seed_is_a_truth(problem, twin):
     again = plant_twin(problem, ERROR, seed=4)
     np.testing.assert_array_equal(again.whitened, twin.whitened)

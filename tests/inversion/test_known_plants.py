@@ -176,3 +176,12 @@ def test_values_that_change_nothing_have_slopes_of_zero():
     image, slopes = model.slopes(jnp.array([30.0]))
     assert image.min() > 0.0
     np.testing.assert_array_equal(slopes, np.zeros((1, *image.shape)))
+
+
+def test_what_was_before_is_where_the_search_started():
+    search, states, *_ = searched()
+    start = search.begin(jnp.array([0.7, -0.4]))
+    np.testing.assert_allclose(start.start[:2], [0.7, -0.4])
+    np.testing.assert_allclose(start.before, search.image(start.u))
+    assert not np.allclose(start.before, states[0].before)
+    np.testing.assert_array_equal(search.step(start).start, start.start)

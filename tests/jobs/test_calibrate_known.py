@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from fynjax._core.errors import InputError
-from fynjax.app.assembly import aim_without_air, plot_problem
+from fynjax.app.assembly import aim_without_air, plot_problem, read_targets
 from fynjax.app.io.plot import drone_sensor, read_plot
 from fynjax.app.io.raster import write_geotiff
 from fynjax.app.jobs import calibrate
@@ -137,3 +137,18 @@ def test_blocks_are_as_small_as_the_values_allow():
     assert block_of(4, (100, 100)) == 1
     assert block_of(4, (200, 200)) == 2
     assert block_of(4, (400, 400)) == 4
+
+
+def test_an_image_in_the_plot_file_counts_pixel_by_pixel_too(twin, tmp_path):
+    path, image, *_ = twin
+    beside = path.with_name("views.toml")
+    target = f'\n[[target]]\nfile = "{image.name}"\n'
+    beside.write_text(path.read_text() + target)
+    stated = read_targets(read_plot(beside), [], by_pixel=True)
+    given = read_targets(read_plot(path), [image], by_pixel=True)
+    assert stated.names == given.names
+    np.testing.assert_array_equal(stated.value, given.value)
+    assert read_targets(read_plot(beside), []).pixels is None  # for draws by statistics
+    beside.write_text(path.read_text() + target + "sun = {zenith_deg = 60, azimuth_deg = 300}\n")
+    with pytest.raises(InputError, match="under the plot's sun"):
+        read_targets(read_plot(beside), [], by_pixel=True)

@@ -10,7 +10,14 @@ from jaxtyping import Float
 
 from fynjax._core.errors import InputError
 from fynjax.app.compare import read_drone_image
-from fynjax.inversion import FoundPlants, PlacesSettings, believed, find_places, imager_of
+from fynjax.inversion import (
+    FoundPlants,
+    PlacesSettings,
+    believed,
+    block_means,
+    find_places,
+    imager_of,
+)
 from fynjax.inversion import free as free_of
 from fynjax.scene import ModelError, Observation, Placement, Scene, aim
 from fynjax.sensors import Gains, Lidar, Sensor
@@ -36,8 +43,7 @@ def blocks_of(
     rows, columns = image.shape[1:]
     most = max(1, round(_BLOCK / pixel))
     block = max(k for k in range(1, most + 1) if not (rows % k or columns % k))
-    cut = image.reshape(len(image), rows // block, block, columns // block, block)
-    return cut.mean(axis=(2, 4)), block * pixel
+    return block_means(image, block), block * pixel
 
 
 def find_plants(

@@ -252,8 +252,11 @@ def read_targets(
     **Raises:** `InputError` for two of a kind, for bands without an image, and as the readers.
     """
     found: dict[Kind, Data] = {}
-    if by_pixel and plot.known_crowns is not None and any(map(_is_image, map(Path, paths))):
-        return _pixels_of_plot(plot, [*map(Path, paths)], bands)
+    files = [*map(Path, paths)] or [target.file for target in plot.targets]
+    if by_pixel and plot.known_crowns is not None and any(map(_is_image, files)):
+        if not paths:
+            plot = _of_known_plants(plot)
+        return _pixels_of_plot(plot, files, bands)
     if not paths and plot.targets:
         return join_data([_view_of(plot, one, bands, seed) for one in plot.targets])
     for path in map(Path, paths):
@@ -275,7 +278,7 @@ def read_targets(
 def _read_target(
     plot: Plot, path: Path, kind: Kind, bands: Sequence[str] | None, seed: int
 ) -> Data:
-    """What one sensor measured."""
+    """The statistics of one target, which one sensor measured, with their errors."""
     if kind == "image":
         return image_target(plot, path, bands)
     if kind == "spectrum":
@@ -305,6 +308,19 @@ def _view_of(plot: Plot, target: TargetTable, bands: Sequence[str] | None, seed:
         sight = dataclasses.replace(sight, placement=place)
     data = dataclasses.replace(data, source=dataclasses.replace(source, view_of=sight))
     return data.renamed(target.view) if target.view else data
+
+
+def _of_known_plants(plot: Plot) -> Plot:
+    """A plot with known crowns, with the sensor of the view that its file states: of one that looks
+    straight down under the plot's sun, since other pixels are no map."""
+    for target in plot.targets:
+        if target.frame is not None or target.sun is not None:
+            raise InputError(
+                "expected an image from above, under the plot's sun, where every pixel counts: "
+                "leave out position_m and sun, or crowns",
+                file=plot.file,
+            )
+    return plot.replace(sensor=named_sensor(plot.targets[0].of_sensor(plot.sensor)))
 
 
 def _is_image(path: Path) -> bool:

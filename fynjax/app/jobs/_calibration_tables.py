@@ -171,12 +171,12 @@ def camera_table(
             "band": bands,
             "gain": gain,
             "sd": gain * gain_sd,
-            "prior_sd": view.gains.of_bands(len(bands)),
             "exact_error_percent": 100.0 / gain - 100.0,
         }
     )
     number = next(i for i, v in enumerate(calibration.views, 1) if v is view)
     model = calibration.factors().set_index("sensor").loc[[number]]
+    table.insert(3, "prior_sd", model["gain_prior_sd"].to_numpy())  # with what views drift by
     table["model_error"] = model["model_error"].to_numpy()
     table["model_error_sd"] = (model["model_error"] * model["model_error_sd"]).to_numpy()
     errors = statistics.set_index("statistic").filter(regex="_error_percent$")

@@ -44,7 +44,7 @@ FIT_FILE = "fit.npz"
 
 
 class TargetSummary(Record):
-    """What one sensor measured."""
+    """The target that one sensor measured: its file, and how it is weighed."""
 
     kind: str
     file: str
