@@ -8,7 +8,9 @@ import pytest
 from fynjax._core.errors import InputError
 from fynjax.app.assembly import _targets, read_problem
 from fynjax.app.io.plot import TargetTable, read_plot
-from fynjax.inversion import BandFactors, Data
+from fynjax.inversion import COARSE, BandFactors, Data, search_form
+from fynjax.inversion._views import under_sun
+from fynjax.scene import fitted_accuracy
 from fynjax.sensors import Gains
 from tests.small import write_plot
 
@@ -136,3 +138,15 @@ def test_the_sun_of_a_view_is_stated_from_python_too():
     assert Data.from_table({"nir.mean": 0.3}).source.view_of.sun is None
     with pytest.raises(InputError, match="zenith and azimuth"):
         Data.from_table({"nir.mean": 0.3}, sun=(95.0, 300.0))
+
+
+def test_the_light_of_a_search_reaches_as_far_as_each_view_needs(plot):
+    """Over an open plot beams of a low sun come from farther."""
+    text = plot.read_text()
+    assert "[plot]" in text
+    plot.write_text(text.replace("[plot]", '[plot]\nboundary = "open"'))
+    problem = read_problem(plot, free=["species.*.cover"])
+    coarse, views = search_form(problem.scene, problem.scene.parameters, problem.views)
+    noon, dusk = (view.camera.accuracy for view in views)
+    low = under_sun(problem.scene.parameters, (60.0, 300.0))
+    assert dusk == fitted_accuracy(COARSE, coarse, low) != noon

@@ -15,6 +15,7 @@ from fynjax.app.io.raster import write_geotiff
 from fynjax.app.jobs import ValidationData, pattern, validate
 from fynjax.app.jobs._doubt import doubt_spectrum, doubt_targets
 from fynjax.app.jobs._run import Run
+from fynjax.inversion import Data
 from fynjax.metrics import BANDS
 from tests.io.test_crowns import CROWNS, write
 from tests.small import write_plot
@@ -80,6 +81,16 @@ def test_targets_of_a_plot_are_judged(run, tmp_path):
     (tmp_path / "image.csv").write_text("statistic,value,sd\nNDVI.std,0.1,0.01\n")
     doubt_targets(run, plot, read_targets(plot, [tmp_path / "image.csv"]))
     assert len(run.doubts) == 2
+
+
+def test_a_view_of_another_camera_is_judged_by_its_own(run, tmp_path):
+    """Whatever the plot's sensor is, one that makes no drone's image too."""
+    plot = read_plot(write_plot(tmp_path))
+    plot = plot.replace(sensor=plot.sensor.replace(name="aviris_ng"))
+    values = {f"{name}.mean": value for name, value in BAD.items()}
+    doubt_targets(run, plot, Data.from_table(values, "rededge_3"))
+    assert len(run.doubts) == 1
+    assert str(fx.sensor("rededge_3").gains()) in run.doubts[0]
 
 
 @pytest.mark.parametrize("command", ["calibrate", "posterior", "known plants"])
