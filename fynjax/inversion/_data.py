@@ -75,7 +75,8 @@ class Pixels:
 
 
 def block_means(image: Any, block: int) -> Any:
-    """Means of an image [band, row, column] over whole blocks of pixels [band, y, x]."""
+    """Means of an `image` [band, row, column] over whole blocks of `block` x `block` pixels
+    [band, y, x]; rows and columns beyond the last whole block are left out."""
     bands, rows, columns = image.shape
     ny, nx = rows // block, columns // block
     cut = image[:, : ny * block, : nx * block].reshape(bands, ny, block, nx, block)
