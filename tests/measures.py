@@ -188,14 +188,14 @@ MEASURES = {
     "places that declare a key": Measure(4, 2, places_of_keys),
     "public names of the library": Measure(263, 250, public_names),
     "names between its rooms": Measure(0, None, names_between_rooms),
-    "names of two things": Measure(4, 0, names_of_two),
-    "long functions": Measure(22, 15, large_functions),
+    "names of two things": Measure(0, 0, names_of_two),
+    "long functions": Measure(18, 15, large_functions),
     "lines of the library": Measure(
         48_000, 40_000, lambda m: _lines(m, tuple(f"{room}/" for room in ("_core", *ROOMS)))
     ),
     "lines of all": Measure(93_000, 78_000, lambda m: _lines(m, ("",))),
 }
-PREDICTION = 45
+PREDICTION = 43
 """At most so many modules does a prediction enter; aimed at: 25."""
 
 

@@ -198,7 +198,7 @@ def fits(lines: Lines) -> None:
     lines("drawn", lambda: fx.sample(found, "laplace", target=50.0), "values")
     rows = [f"{w:g},{r:.5f}" for w, r in zip(grid, spectrum, strict=True)]
     Path("leaf.csv").write_text("\n".join(["wavelength,leaf", *rows]), "utf-8")
-    lines("job", lambda: fx.jobs.fit_leaf(["leaf.csv"], "fitted"), "seed")
+    lines("job", lambda: fx.jobs.fit_leaves(["leaf.csv"], "fitted"), "seed")
     lines.found["traits.csv"] = Path("fitted/traits.csv").read_text("utf-8")
 
 

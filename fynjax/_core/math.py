@@ -3,6 +3,7 @@
 from typing import Any
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from fynjax._core.errors import InputError
@@ -29,6 +30,16 @@ def square_root(square: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
     """Square root with the slope 0 at 0, where that of the plain one is infinite; NaN of NaN."""
     some = ~(square == 0.0)  # true for NaN, which must show
     return jnp.where(some, jnp.sqrt(jnp.where(some, square, 1.0)), 0.0)
+
+
+def symmetric_power(
+    matrix: Float[np.ndarray, "n n"], power: float = 0.5
+) -> Float[np.ndarray, "n n"]:
+    """A power, such as the root, of a symmetric matrix without negative eigenvalues: symmetric
+    itself, so that no coordinate comes before another, as in a Cholesky factor. It need not have
+    full rank if the power is positive; eigenvalues that rounding made negative count as 0."""
+    values, vectors = np.linalg.eigh(matrix)
+    return np.asarray((vectors * np.maximum(values, 0.0) ** power) @ vectors.T)
 
 
 def mean_transmittance(depth: Float[Array, "*shape"]) -> Float[Array, "*shape"]:

@@ -17,43 +17,38 @@ from fynjax._core.parameters import Parameter
 Slip = Callable[[float], str | None]
 
 
-def in_unit(unit: str, *, default: Any = ..., **bounds: float) -> Any:
-    """A field of a record: a finite number with a range and a unit, which errors and schemas state.
+def in_unit(
+    unit: str, *, of: str = "", default: Any = ..., several: bool = False, **limits: Any
+) -> Any:
+    """A field of a record with a unit, which errors and schemas state: a finite number, or several.
     What it is says its docstring, which ends with the unit, as "[nm].".
 
     **Arguments:**
 
     - `unit`: such as "nm"; "-" of a number without one.
+    - `of`: stands for the docstring; the unit is added to it.
     - `default`: value where none is given; the number is required if this is left out.
-    - `bounds`: `gt` and `lt`, or with their end `ge` and `le`, in `unit`.
+    - `several`: the field's type may hold several numbers, and states their range.
+    - `limits`: `gt` and `lt`, or with their end `ge` and `le`, in `unit`; or others of pydantic,
+      such as `min_length`.
 
     **Returns:** a pydantic field.
     """
-    return numbers_in(unit, default=default, allow_inf_nan=False, **bounds)
-
-
-def numbers_in(unit: str, *, default: Any = None, **limits: Any) -> Any:
-    """A field of a record with a unit that may hold several numbers: its type states their range.
-
-    **Arguments:** `unit`, `default` as for `in_unit`, but the field may be left out unless
-    `default` is `...`; `limits` are those of pydantic, such as `min_length`.
-    """
     extra: Any = {"unit": unit}
+    if of:
+        limits["description"] = f"{of} [{unit}]."
+    if not several:
+        limits["allow_inf_nan"] = False
     return Field(default, json_schema_extra=extra, **limits)
 
 
-def number(description: str, unit: str, *, default: Any = ..., **bounds: float | None) -> Any:
-    """A field as of `in_unit`, but without a docstring.
-
-    **Arguments:** `description` stands for the docstring, `unit` is added to it; `default` and
-    `bounds` as for `in_unit`.
-    """
-    what: Any = {"allow_inf_nan": False, "description": f"{description} [{unit}]."}
-    return numbers_in(unit, default=default, **what, **bounds)
-
-
 def quantity(
-    parameter: Parameter, *, default: Any = ..., note: str = "", column: str | None = None
+    parameter: Parameter,
+    *,
+    default: Any = ...,
+    optional: bool = False,
+    note: str = "",
+    column: str | None = None,
 ) -> Any:
     """A field of a record that holds a physical parameter, in its shown unit and within its bounds.
 
@@ -61,12 +56,16 @@ def quantity(
 
     - `parameter`: the parameter's record, with unit and bounds.
     - `default`: value where none is given, in the shown unit; required if this is left out.
+    - `optional`: it may be left out: None then stands for the default of `parameter`.
     - `note`: what the description adds to unit and name.
     - `column`: name in files, where it is not that of the field.
 
     **Returns:** a pydantic field.
     """
     factor, unit = parameter.shown_factor, parameter.shown_unit
+    if optional:
+        assert parameter.default is not None
+        default, note = None, f"{factor * parameter.default:g} if left out"
     return Field(
         default,
         alias=column,
@@ -78,13 +77,6 @@ def quantity(
         allow_inf_nan=False,
         json_schema_extra={"unit": unit},
     )
-
-
-def optional_quantity(parameter: Parameter) -> Any:
-    """As `quantity`, but may be left out: `None` stands for the default of `parameter`."""
-    assert parameter.default is not None
-    default = parameter.shown_factor * parameter.default
-    return quantity(parameter, default=None, note=f"{default:g} if left out")
 
 
 def _descriptions_on_one_line(schema: dict[str, Any]) -> None:

@@ -285,15 +285,24 @@ def _separated(
     return jnp.atleast_1d(jnp.sum(known * distance) / jnp.maximum(jnp.sum(known), 1))
 
 
-def render(
+class Errors(NamedTuple):
+    """What statistics of a sensor that is designed are off by."""
+
+    snr: float
+    """Signal over shot noise of one of the smallest pixels, as of `design`."""
+    relative_sd: float
+    """Independent error of every statistic, relative [-]."""
+    of_model: ModelError | None
+    """None where the model is believed."""
+
+
+def render_plantings(
     stands: Sequence[Scene],
     space: ParameterSpace,
     asked: Float[np.ndarray, "planting quantity free"],
     grid: Float[np.ndarray, " wavelength"],
     pixels: Sequence[float],
-    snr: float,
-    relative_sd: float,
-    model_error: ModelError | None,
+    errors: Errors,
     target: str,
 ) -> list[PlantingSpectra]:
     """Images of all plantings with their slopes, in light of the accuracy `COARSE`: for each edge
@@ -332,9 +341,9 @@ def render(
             of_pixel.append((mean, mean_slope, *_of_pixels(*fine, side, step)))
     # Orthonormal in spectra over the mean, so that the way back scales by its square.
     basis = (into * (scale * scale).T).T
-    photons = _photons(parameters, bands, snr)
+    photons = _photons(parameters, bands, errors.snr)
     believed = np.zeros((len(grid), len(grid)))
-    off_by = believed if model_error is None else model_error.covariance(grid)
+    off_by = believed if errors.of_model is None else errors.of_model.covariance(grid)
     found = []
     for step, of_pixel in zip(steps, kept, strict=True):
         means, slope, second, second_slope, number, centre, spread = map(np.stack, zip(*of_pixel))
@@ -346,7 +355,7 @@ def render(
             "model_error": off_by,
         }  # fmt: skip
         arrays = jax.tree.map(jnp.asarray, arrays)
-        found.append(PlantingSpectra(**arrays, relative_sd=relative_sd, target=target))
+        found.append(PlantingSpectra(**arrays, relative_sd=errors.relative_sd, target=target))
     return found
 
 

@@ -28,10 +28,11 @@ from fynjax.inversion._bands import (
     RANGE,
     STEP,
     BandStatistics,
+    Errors,
     PlantingSpectra,
     gaussian_weights,
     measured,
-    render,
+    render_plantings,
     scores,
 )
 from fynjax.inversion._calibrate import free_space
@@ -312,7 +313,7 @@ def design(
     Machine Learning 52, 239.
     """
     _check_positive("relative_sd", relative_sd)
-    model_error = believed(error)
+    errors = Errors(snr, relative_sd, believed(error))
     ready = check_design(
         scenes, bands, target, free=free, pixel=pixel, spectrum=spectrum, widths=widths, snr=snr,
         plantings=plantings, compare=compare, starts=starts, seed=seed,
@@ -330,7 +331,7 @@ def design(
     else:  # of the parameters one by one, whose slopes are unit vectors; or of none
         own = np.eye(len(space.names))[: None if kind == "information" else 0]
         asked = np.stack([own] * len(stands))
-    tried = render(stands, space, asked, grid, pixels, snr, relative_sd, model_error, kind)
+    tried = render_plantings(stands, space, asked, grid, pixels, errors, kind)
     if kind == "separability":  # the same species in pixels of every size
         common = jnp.stack([image.species > 0 for image in tried]).all(axis=0)
         tried = [eqx.tree_at(lambda i: i.species, image, image.species * common) for image in tried]

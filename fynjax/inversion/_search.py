@@ -14,6 +14,7 @@ from jaxtyping import Array, Float, Int
 
 from fynjax._core.errors import InputError
 from fynjax._core.least_squares import NO_TAGS, BroydenLM, BroydenState, figures_of
+from fynjax._core.math import symmetric_power
 from fynjax._core.precision import double_precision
 from fynjax._core.progress import advance
 from fynjax.canopy import VoxelGrid
@@ -704,8 +705,7 @@ def posterior_root(
     """Root of the covariance of the posterior in whitened coordinates, by what the mean of the
     slopes of several draws says. `weights` make of misfits independent ones of unit size."""
     # Data and prior add their information, the prior one in every direction.
-    values, vectors = np.linalg.eigh(mean_information(weights, slopes))
-    return np.asarray((vectors / np.sqrt(1.0 + np.maximum(values, 0.0))) @ vectors.T)
+    return symmetric_power(np.eye(slopes.shape[-1]) + mean_information(weights, slopes), -0.5)
 
 
 def unsettled(residual: np.ndarray, jacobian: np.ndarray, moved: np.ndarray) -> float:

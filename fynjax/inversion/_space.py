@@ -36,6 +36,7 @@ from scipy import special
 from scipy.optimize import brentq
 
 from fynjax._core.errors import InputError
+from fynjax._core.math import symmetric_power
 from fynjax._core.parameters import Distribution, Parameter
 from fynjax._core.precision import in_double
 from fynjax.scene import PARAMETERS, parameter_kind
@@ -132,7 +133,7 @@ class ParameterSpace(eqx.Module):
         self.width, self.location, self.prior_sd = (in_double(table[i]) for i in (0, 1, 4))
         self.cut = in_double(table[2:4])
         self.distribution = kinds
-        self.mixing = None if correlation is None else in_double(_root(correlation, count))
+        self.mixing = None if correlation is None else in_double(_mixing(correlation, count))
 
     def together(self, u: Float[Array | np.ndarray, " free"]) -> Float[Array, " free"]:
         """The normal coordinate v of each parameter's own prior, from whitened coordinates."""
@@ -247,19 +248,17 @@ class ParameterSpace(eqx.Module):
         return near < jnp.minimum(_AT_BOUND * extent, _NEARER * usual)
 
 
-def _root(correlation: ArrayLike, count: int) -> np.ndarray:
-    """The symmetric root of a correlation matrix."""
+def _mixing(correlation: ArrayLike, count: int) -> np.ndarray:
+    """The root of a correlation matrix of the parameters."""
     matrix = np.asarray(correlation, float)
     good = matrix.shape == (count, count) and np.allclose(matrix, matrix.T, atol=1e-12)
     if not (good and np.allclose(np.diagonal(matrix), 1.0)):
         raise InputError(
             f"`correlation` must be symmetric with ones on its diagonal, for {count} parameters"
         )
-    # The symmetric root, in which no parameter comes before another, as in a Cholesky factor.
-    values, vectors = np.linalg.eigh(matrix)
-    if values[:1].min(initial=1.0) <= 1e-9:
+    if np.linalg.eigvalsh(matrix)[:1].min(initial=1.0) <= 1e-9:
         raise InputError("`correlation` must be positive definite: no parameter follows another")
-    return np.asarray((vectors * np.sqrt(values)) @ vectors.T)
+    return symmetric_power(matrix)
 
 
 def _quantile(u: Any, low: Any, high: Any, library: Any, special: Any) -> Any:

@@ -7,7 +7,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 from numpy.typing import ArrayLike
 from scipy.special import chdtri
 
@@ -423,22 +423,12 @@ def assemble(
     # From logits to units, to first order; intervals are carried over exactly.
     covariance = scale[:, :, None] * got["covariance"] * scale[:, None, :]
     few = use.sum((1, 2)) < _FEWEST
+    at_bound = (x > bounds[:, 1] - 0.01 * width) & np.isin(names, free)
+    reason = _status(setup, got, few, at_bound.any(1))
     measured = np.where(use, data, np.nan)
     off = np.nan_to_num(measured - got["recorded"], copy=False)
     rmse = np.sqrt(np.einsum("nqb,nqb->n", off, off) / np.maximum(use.sum((1, 2)), 1))
     del off
-    exact = setup.error == "exact"
-    most = (_POOR_EXACT / EXACT_NOISE) ** 2 if exact else _POOR_FIT
-    at_bound = (x > bounds[:, 1] - 0.01 * width) & np.isin(names, free)
-    doubts = {
-        LeafStatus.failed: few,
-        LeafStatus.max_steps: ~got["converged"],
-        LeafStatus.at_bound: at_bound.any(1),
-        LeafStatus.poor_fit: got["inflation"] > most,
-        LeafStatus.unusual: (got["rarity"] > chdtri(len(free), 1.0 - _RARE)) & (not exact),
-    }
-    # The first that holds.
-    reason = np.select(list(doubts.values()), list(doubts), LeafStatus.converged)
     for values in (x, got["recorded"], got["corrected"], got["variance"]):
         values[few] = np.nan
     corrected = np.clip(got["corrected"], 0.0, 1.0, out=got["corrected"])
@@ -486,3 +476,23 @@ def assemble(
         error_model=setup.error,
         source=source,
     )
+
+
+def _status(
+    setup: Setup,
+    got: dict[str, np.ndarray],
+    few: Bool[np.ndarray, " leaf"],
+    at_bound: Bool[np.ndarray, " leaf"],
+) -> np.ndarray:
+    """Status of each leaf: the first doubt that holds."""
+    exact = setup.error == "exact"
+    most = (_POOR_EXACT / EXACT_NOISE) ** 2 if exact else _POOR_FIT
+    rare = got["rarity"] > chdtri(len(setup.free), 1.0 - _RARE)
+    doubts = {
+        LeafStatus.failed: few,
+        LeafStatus.max_steps: ~got["converged"],
+        LeafStatus.at_bound: at_bound,
+        LeafStatus.poor_fit: got["inflation"] > most,
+        LeafStatus.unusual: rare & (not exact),
+    }
+    return np.select(list(doubts.values()), list(doubts), LeafStatus.converged)

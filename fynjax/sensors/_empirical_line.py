@@ -16,7 +16,7 @@ from jaxtyping import Array, ArrayLike, Float
 from fynjax._core.errors import InputError
 from fynjax._core.extras import require
 from fynjax._core.math import real_array, square_root
-from fynjax._core.records import Slip, Strict, number
+from fynjax._core.records import Slip, Strict, in_unit
 
 _SAMPLES = 16  # points along each edge of a pixel that a panel covers in part
 _ROUNDS = 4
@@ -207,12 +207,12 @@ class Panel(Strict):
     slips: ClassVar[dict[str, Slip]] = {
         "reflectance": lambda v: "In percent? Divide by 100." if v > 1.2 else None
     }
-    x_m: float = number("Middle of the panel, east of the plot's south-west corner", "m", ge=0)
-    y_m: float = number("Middle of the panel, north of it", "m", ge=0)
-    side_m: float = number("Its side", "m", default=0.5, gt=0, le=1000)
-    reflectance: float = number("Reflectance factor in all bands", "-", gt=0, le=1.2)
-    reflectance_sd: float = number(
-        "Standard deviation of that, relative to it", "-", default=0.01, ge=0, le=1
+    x_m: float = in_unit("m", of="Middle of the panel, east of the plot's south-west corner", ge=0)
+    y_m: float = in_unit("m", of="Middle of the panel, north of it", ge=0)
+    side_m: float = in_unit("m", of="Its side", default=0.5, gt=0, le=1000)
+    reflectance: float = in_unit("-", of="Reflectance factor in all bands", gt=0, le=1.2)
+    reflectance_sd: float = in_unit(
+        "-", of="Standard deviation of that, relative to it", default=0.01, ge=0, le=1
     )
 
 

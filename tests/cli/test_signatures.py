@@ -22,7 +22,7 @@ OWN = {"output", "overwrite", "json", "quiet", "strict", "dry_run", "allow_outsi
 
 
 def job_of(name: str):
-    """A function or a class, such as of "fynjax.app.jobs:render"."""
+    """A function or a class, such as of "fynjax.app.jobs:render_plot"."""
     module, _, attribute = name.partition(":")
     return getattr(importlib.import_module(module), attribute)
 

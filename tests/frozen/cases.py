@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 
 from fynjax.app.cli import app
 from fynjax.app.io.raster import write_geotiff
-from fynjax.app.jobs import render
+from fynjax.app.jobs import render_plot
 from fynjax.leaf import LeafParameters, prospect
 from fynjax.metrics import BANDS
 from tests.canopy.test_pattern import BANDS as PATTERN_BANDS
@@ -214,7 +214,7 @@ def _design(folder: Path) -> Runs:
 @_case("crowns", "study", loose={"": 1e-2})
 def _crowns(folder: Path) -> Runs:
     plot = _small(folder)[0]
-    render(plot, folder / "rendered", seed=5)
+    render_plot(plot, folder / "rendered", seed=5)
     image = next((folder / "rendered").glob("*.tif"))
     return {"crowns": ["crowns", image, "--plot", plot, "--rounds", 2]}
 

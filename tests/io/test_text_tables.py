@@ -22,7 +22,7 @@ from fynjax._core.errors import InputError, MissingExtraError
 from fynjax._core.tables import open_points, open_table
 from fynjax.app.io.plot import read_statistics
 from fynjax.app.io.spectra import read_spectra_file as read_file
-from fynjax.app.io.text import Strict, number, read_rows
+from fynjax.app.io.text import Strict, in_unit, read_rows
 from fynjax.app.terrain import read_cloud
 
 CHANCE = np.random.default_rng(7)
@@ -34,8 +34,8 @@ class NamedRow(Strict):
     """A row of the table that is written here."""
 
     taxon: str = Field(description="Name.")
-    a_m: float = number("A length", "m")
-    b_m: float | None = number("Another", "m", default=None)
+    a_m: float = in_unit("m", of="A length")
+    b_m: float | None = in_unit("m", of="Another", default=None)
 
 
 FRAME = pd.DataFrame({"taxon": NAMES, "a_m": NUMBERS, "b_m": NUMBERS[::-1] / 3.0})

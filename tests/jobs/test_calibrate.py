@@ -12,7 +12,7 @@ import pytest
 from fynjax._core.errors import InputError
 from fynjax.app.compare import read_drone_image
 from fynjax.app.io.plot import example_folder, read_plot
-from fynjax.app.jobs import CalibrateResult, calibrate, render
+from fynjax.app.jobs import CalibrateResult, calibrate, render_plot
 from fynjax.app.jobs._calibration_page import doubt_first, status_words
 from fynjax.app.jobs._fit_report import _short_of_sites
 from fynjax.app.jobs._render import check_finite
@@ -40,7 +40,7 @@ def rendered(tmp_path_factory):
     folder = tmp_path_factory.mktemp("jobs")
     write_plot(folder, MORE)
     (folder / "render").mkdir()
-    return render(folder / "plot.toml", folder / "render", seed=0), folder
+    return render_plot(folder / "plot.toml", folder / "render", seed=0), folder
 
 
 def misfit(summary, when):

@@ -63,8 +63,8 @@ def without_times(result):
 def test_files_of_two_workers_are_those_of_one_process(table, tmp_path, monkeypatch):
     pytest.importorskip("distributed", reason="the extra `map` is not installed")
     monkeypatch.setattr(parts, "_machine", lambda: (2, 8 * 2**30))
-    here = jobs.fit_leaf([table], tmp_path / "here")
-    there = jobs.fit_leaf([table], tmp_path / "there", workers=jobs.Workers(2))
+    here = jobs.fit_leaves([table], tmp_path / "here")
+    there = jobs.fit_leaves([table], tmp_path / "there", workers=jobs.Workers(2))
     assert here.spectra == LEAVES
     assert without_times(here) == without_times(there)
     assert set(contents(tmp_path / "here")) == {
@@ -75,7 +75,7 @@ def test_files_of_two_workers_are_those_of_one_process(table, tmp_path, monkeypa
 
 def test_an_interrupted_fit_goes_on_and_is_that_of_one_run(table, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr("fynjax.app.cli._runtime.keep_compiled", lambda: None)
-    jobs.fit_leaf([table], tmp_path / "whole")
+    jobs.fit_leaves([table], tmp_path / "whole")
     sizes, real = [], LeafChunks.fit
 
     def interrupted(leaves, setup):
@@ -115,7 +115,7 @@ def test_a_table_of_one_part_needs_no_checkpoint(table, tmp_path, monkeypatch):
 
     monkeypatch.setattr(LeafChunks, "fit", staticmethod(interrupted))
     with pytest.raises(KeyboardInterrupt):
-        jobs.fit_leaf([table], tmp_path / "out", checkpoint=tmp_path / "kept")
+        jobs.fit_leaves([table], tmp_path / "out", checkpoint=tmp_path / "kept")
     assert not (tmp_path / "kept").exists()
 
 
@@ -139,7 +139,7 @@ def test_traits_of_real_leaves_are_those_of_the_laboratory(shared_data, tmp_path
     laboratory = pd.read_csv(shared_data / "leaf" / "angers_chemistry.csv.gz").set_index("id")
     columns = {str(i): row for i, row in zip(ids, reflectance, strict=True)}
     pd.DataFrame({"wavelength": grid, **columns}).to_csv(tmp_path / "leaves.csv", index=False)
-    jobs.fit_leaf([tmp_path / "leaves.csv"], tmp_path / "out")
+    jobs.fit_leaves([tmp_path / "leaves.csv"], tmp_path / "out")
     traits = pd.read_csv(tmp_path / "out" / "traits.csv").set_index("name")
     assert len(traits) == len(ids)
     assert (traits["status"] == "converged").mean() > 0.8
@@ -157,7 +157,7 @@ def test_variants_of_species_are_a_leaf_table_of_a_plot(table, tmp_path):
     names = [f"leaf {i + 1}" for i in range(LEAVES)]
     groups = pd.DataFrame({"name": names, "species": [taxa[i % 2] for i in range(LEAVES)]})
     groups.to_csv(tmp_path / "groups.csv", index=False)
-    jobs.fit_leaf([table], tmp_path / "out", groups=tmp_path / "groups.csv")
+    jobs.fit_leaves([table], tmp_path / "out", groups=tmp_path / "groups.csv")
     (tmp_path / "leaves.csv").write_bytes((tmp_path / "out" / "leaves.csv").read_bytes())
     read = read_plot(plot)
     leaves = leaves_of(read.species, read.leaves)

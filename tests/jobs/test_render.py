@@ -12,13 +12,13 @@ import xarray as xr
 from fynjax._core.errors import InputError
 from fynjax.app.assembly import build_plot
 from fynjax.app.io.plot import read_plot
-from fynjax.app.jobs import render, simulate
+from fynjax.app.jobs import render_plot, simulate
 from fynjax.scene import TiledPicture
 from tests.helpers import compilations
 from tests.jobs import test_simulate
 
 
-@pytest.mark.parametrize("job", [render, simulate])
+@pytest.mark.parametrize("job", [render_plot, simulate])
 def test_another_seed_compiles_nothing(job, tmp_path):
     jax.clear_caches()  # other tests compile the same programs
     plot, images, programs = test_simulate.write_plot(tmp_path), [], []
@@ -28,7 +28,8 @@ def test_another_seed_compiles_nothing(job, tmp_path):
         with compilations() as compiled:
             job(plot, out, seed=number)
         programs.append(compiled)
-        with rasterio.open(out / ("image.tif" if job is render else "reflectance.tif")) as file:
+        name = "image.tif" if job is render_plot else "reflectance.tif"
+        with rasterio.open(out / name) as file:
             images.append(file.read(1))
     assert programs[0]
     assert programs[1] == []
@@ -55,17 +56,17 @@ def test_an_interrupted_large_image_goes_on(tmp_path, monkeypatch):
     monkeypatch.setattr("fynjax.app.jobs._render.is_large", lambda *_: True)
     monkeypatch.setattr("fynjax.app.jobs._render.TiledPicture", Picture)
     for _ in range(2):
-        result = render(plot, tmp_path / "out", checkpoint=tmp_path / "kept")
+        result = render_plot(plot, tmp_path / "out", checkpoint=tmp_path / "kept")
         assert result.statistics[0].before == pytest.approx(0.2)
     assert made == [(0, 0), (0, 1)]
     with pytest.raises(InputError, match="of another run"):
-        render(plot, tmp_path / "out", seed=1, checkpoint=tmp_path / "kept")
+        render_plot(plot, tmp_path / "out", seed=1, checkpoint=tmp_path / "kept")
 
 
 def test_the_page_of_a_render_counts_whole_plants(tmp_path):
     """As many as stand on the image, the whole number below or above what the cover asks for."""
     plot = test_simulate.write_plot(tmp_path)
-    render(plot, tmp_path / "out")
+    render_plot(plot, tmp_path / "out")
     with xr.open_dataset(tmp_path / "out" / "run.nc") as run:
         count = run["plants"].item()
     scene, parameters = build_plot(read_plot(plot))
@@ -78,7 +79,7 @@ def test_the_page_of_a_render_counts_whole_plants(tmp_path):
 
 def test_the_truth_of_the_pixels_is_written_beside_the_image(tmp_path, monkeypatch):
     plot = test_simulate.write_plot(tmp_path)
-    render(plot, tmp_path / "out", truth=True)
+    render_plot(plot, tmp_path / "out", truth=True)
     with xr.open_dataset(tmp_path / "out" / "truth.nc") as seen:
         organs = sum(seen[name] for name in ("live", "dead", "wood", "flowers")).sum("species")
         np.testing.assert_allclose(organs + seen.sunlit_ground + seen.shaded_ground, 1, atol=1e-5)
@@ -92,7 +93,7 @@ def test_the_truth_of_the_pixels_is_written_beside_the_image(tmp_path, monkeypat
         assert image.shape == file.shape
         assert image.transform == file.transform
     monkeypatch.setattr("fynjax.app.jobs._render.is_large", lambda *_: True)
-    render(plot, tmp_path / "again", truth=True)  # in tiles
+    render_plot(plot, tmp_path / "again", truth=True)  # in tiles
     with xr.open_dataset(tmp_path / "again" / "truth.nc") as tiles:
         np.testing.assert_allclose(tiles["live"][0], np.flipud(expected), atol=1e-5)
         np.testing.assert_allclose(tiles.shaded_ground, shade, atol=1e-5)

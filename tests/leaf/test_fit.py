@@ -250,7 +250,7 @@ def test_gaps_between_needles_are_estimated_where_transmittance_shows_them(tmp_p
 
     columns = {"wavelength": GRID, "a_R": seen_r[7], "a_T": seen_t[7]}
     pd.DataFrame(columns).to_csv(tmp_path / "needle.csv", index=False)
-    jobs.fit_leaf([tmp_path / "needle.csv"], tmp_path / "out", leaf_shape="needle")
+    jobs.fit_leaves([tmp_path / "needle.csv"], tmp_path / "out", leaf_shape="needle")
     row = pd.read_csv(tmp_path / "out" / "traits.csv").iloc[0]
     assert row["gap_fraction"] == pytest.approx(0.2, abs=0.03)
     assert "recollision" not in row
@@ -259,7 +259,7 @@ def test_gaps_between_needles_are_estimated_where_transmittance_shows_them(tmp_p
     assert row["carotenoids"] != pytest.approx(float(fit.parameters.carotenoids[7]), rel=1e-3)
     assert row["area"] == "projected"
     with pytest.raises(ValueError, match="leaf_shape"):
-        jobs.fit_leaf([tmp_path / "needle.csv"], tmp_path / "out", leaf_shape="round")
+        jobs.fit_leaves([tmp_path / "needle.csv"], tmp_path / "out", leaf_shape="round")
 
 
 def trace_row_of_cylinders(reflected, transmitted, photons=60_000, seed=0):
@@ -332,7 +332,7 @@ def test_needles_side_by_side_show_their_recollision_in_what_they_absorb(tmp_pat
     columns = {"wavelength": GRID, "a_R": np.asarray(r)[4], "a_T": np.asarray(t)[4]}
     pd.DataFrame(columns).to_csv(tmp_path / "mat.csv", index=False)
     for shape in ("mat", "culm"):
-        jobs.fit_leaf([tmp_path / "mat.csv"], tmp_path / "out", leaf_shape=shape)
+        jobs.fit_leaves([tmp_path / "mat.csv"], tmp_path / "out", leaf_shape=shape)
         row = pd.read_csv(tmp_path / "out" / "traits.csv").iloc[0]
         assert row["recollision"] == pytest.approx(fit.measurement[4, 1], abs=1e-3)
         with xr.open_dataset(tmp_path / "out" / "spectra.nc") as spectra:

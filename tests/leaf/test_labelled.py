@@ -72,7 +72,7 @@ def test_numbers_are_those_of_arrays_by_every_road_and_labels_survive(tables, pl
         assert fit.labels == tuple(NAMES)
         assert same(fit, plain)
     assert plain.labels == ("leaf_1", "leaf_2")
-    jobs.fit_leaf([tmp_path / "both.csv"], tmp_path / "out")
+    jobs.fit_leaves([tmp_path / "both.csv"], tmp_path / "out")
     written = pd.read_csv(tmp_path / "out" / "traits.csv", keep_default_na=False)
     fit.table().to_csv(tmp_path / "own.csv", index=False, float_format="%.6g")
     own = pd.read_csv(tmp_path / "own.csv", keep_default_na=False)

@@ -93,7 +93,7 @@ def test_the_command_fits_exact_spectra_over_a_bright_face(tmp_path):
     table.insert(0, "wavelength", GRID)
     table.to_csv(tmp_path / "over.csv", index=False)
     options = {"measurement": "leaf-clip", "background": 0.9, "error_model": "exact"}
-    assert jobs.fit_leaf([tmp_path / "over.csv"], tmp_path / "out", **options).converged
+    assert jobs.fit_leaves([tmp_path / "over.csv"], tmp_path / "out", **options).converged
     found = pd.read_csv(tmp_path / "out" / "traits.csv")
     assert (found["error_model"] == "exact").all()
     for name, values in truth.items():

@@ -100,11 +100,11 @@ def test_memory_and_time_of_the_plan_are_near_those_that_were_measured(side):
 def test_a_dry_run_refuses_what_the_run_has_no_memory_for(where, sentence, tmp_path, monkeypatch):
     monkeypatch.setattr(where, lambda: 2**20)
     with pytest.raises(InputError, match=sentence) as dry, jobs.dry_run():
-        jobs.render(shipped(2.0), tmp_path)
+        jobs.render_plot(shipped(2.0), tmp_path)
     # The light has the same to say when it is to be solved.
     monkeypatch.setattr("fynjax.app.jobs._render.check_image", lambda *_, **__: None)
     with pytest.raises(InputError) as real:
-        jobs.render(shipped(2.0), tmp_path)
+        jobs.render_plot(shipped(2.0), tmp_path)
     assert str(dry.value) == str(real.value)
 
 
@@ -120,4 +120,4 @@ def test_a_dry_run_refuses_a_mesh_of_too_many_triangles(tmp_path):
 def test_a_structure_of_too_many_voxels_is_refused_alike(tmp_path):
     fine = shipped(100.0).replace(structure_m=0.005)
     with pytest.raises(InputError, match="of the finest voxels, but at most"), jobs.dry_run():
-        jobs.render(fine, tmp_path)
+        jobs.render_plot(fine, tmp_path)

@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import Field
 
 from fynjax._core.errors import InputError, in_file
-from fynjax.app.io.text import Strict, number, read_rows
+from fynjax.app.io.text import Strict, in_unit, read_rows
 from fynjax.canopy import MeshPlant, Organ, PlantMaterial, plant_model_from_mesh
 from fynjax.canopy.mesh import mesh_plant
 from fynjax.scene import check_leafy, undescribed
@@ -25,21 +25,21 @@ _LARGEST = 20.0
 class ElementRow(Strict):
     """One area element of a plant."""
 
-    x_m: float = number("Place, east of the axis", "m")
-    y_m: float = number("Place, north of the axis", "m")
-    z_m: float = number("Place, above the ground", "m")
-    nx: float = number("Unit normal", "-", ge=-1.001, le=1.001)
-    ny: float = number("Unit normal", "-", ge=-1.001, le=1.001)
-    nz: float = number("Unit normal", "-", ge=-1.001, le=1.001)
-    area_m2: float = number("One-sided area", "m2", ge=0)
+    x_m: float = in_unit("m", of="Place, east of the axis")
+    y_m: float = in_unit("m", of="Place, north of the axis")
+    z_m: float = in_unit("m", of="Place, above the ground")
+    nx: float = in_unit("-", of="Unit normal", ge=-1.001, le=1.001)
+    ny: float = in_unit("-", of="Unit normal", ge=-1.001, le=1.001)
+    nz: float = in_unit("-", of="Unit normal", ge=-1.001, le=1.001)
+    area_m2: float = in_unit("m2", of="One-sided area", ge=0)
     organ: Literal["leaf", "wood", "flower"] = Field(description="What it is part of.")
     optics: str = Field(
         default="",
         description="Name of its optics, a material of the leaf table; left out, or that of its "
         "organ: as all of the organ.",
     )
-    crown_diameter_m: float = number("Crown diameter of the plant", "m", gt=0, le=_LARGEST)
-    plant_height_m: float = number("Height of the plant", "m", gt=0, le=_LARGEST)
+    crown_diameter_m: float = in_unit("m", of="Crown diameter of the plant", gt=0, le=_LARGEST)
+    plant_height_m: float = in_unit("m", of="Height of the plant", gt=0, le=_LARGEST)
 
 
 def read_plant(path: Path, form: str, described: Collection[str] = ()) -> MeshPlant:

@@ -43,7 +43,7 @@ COMMANDS = (
     ),
     Command("build", f"{_JOBS}:build", "Plot", "fynjax build plot.toml --size 20 --output scene",
             names={"max_triangles": "triangles"}),
-    Command("render", f"{_JOBS}:render", "Plot", "fynjax render plot.toml --output render"),
+    Command("render", f"{_JOBS}:render_plot", "Plot", "fynjax render plot.toml --output render"),
     Command("view", f"{_CLI}:view", "Plot", "fynjax view output/demo", given="RUN", plain=True,
             names={"print_path": "print"}),
     Command("article", f"{_PLOT}:article", "Plot", "fynjax article --calibration output/demo"),
@@ -57,7 +57,7 @@ COMMANDS = (
     Command("pattern", f"{_JOBS}:pattern", "Plot",
             "fynjax pattern orthophoto.tif --levels 0,128,255 --output pattern",
             given="IMAGE..."),
-    Command("fit-leaf", f"{_JOBS}:fit_leaf", "Leaf",
+    Command("fit-leaf", f"{_JOBS}:fit_leaves", "Leaf",
             "fynjax fit-leaf leaf_1.asd leaf_2.asd --output traits", given="SPECTRUM..."),
     Command("convert", f"{_JOBS}:convert", "Leaf",
             "fynjax convert campaign leaf_1.asd --output spectra", given="SPECTRUM..."),
@@ -94,12 +94,12 @@ COMMANDS = (
         "fynjax sensitivity plot.toml --metrics NDVI.mean,nir.mean --derivatives 64",
     ),
     Command(
-        "information", f"{_JOBS}:information", "Inversion",
+        "information", f"{_JOBS}:plot_information", "Inversion",
         "fynjax information plot.toml --free 'species.*.cover' --gsd 0.1,0.5,1,5 --bands 2,4,8",
         names={"sun_zenith": "sun"},
     ),
     Command(
-        "design", f"{_JOBS}:design", "Inversion",
+        "design", f"{_JOBS}:design_bands", "Inversion",
         "fynjax design plot.toml --bands 4 --target dead_share,shannon --output designed",
     ),
     Command(

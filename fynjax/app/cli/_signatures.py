@@ -73,7 +73,7 @@ class Signature(NamedTuple):
 def signature_of(job: str) -> Signature:
     """The signature of a job.
 
-    **Arguments:** `job`: module and function, such as "fynjax.app.jobs:render".
+    **Arguments:** `job`: module and function, such as "fynjax.app.jobs:render_plot".
 
     **Raises:** `LookupError` where there is no such function, where its docstring says nothing of
     an argument, and for an annotation or a default that this cannot read.

@@ -1,7 +1,7 @@
 """The jobs of the commands: read, compute, write. One function a command.
 
-The command line calls them, and so can a notebook: `fynjax.app.jobs.render("plot.toml", "output")`.
-They are imported when they are first used.
+The command line calls them, and so can a notebook, as
+`fynjax.app.jobs.render_plot("plot.toml", "output")`. They are imported when they are first used.
 """
 
 import lazy_loader

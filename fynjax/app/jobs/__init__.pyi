@@ -8,11 +8,11 @@ from ._convert import convert as convert
 from ._crowns import CrownsResult as CrownsResult
 from ._crowns import crowns as crowns
 from ._design import DesignResult as DesignResult
-from ._design import design as design
+from ._design import design_bands as design_bands
 from ._doctor import Check as Check
 from ._doctor import doctor as doctor
 from ._fit_leaf import FitLeafResult as FitLeafResult
-from ._fit_leaf import fit_leaf as fit_leaf
+from ._fit_leaf import fit_leaves as fit_leaves
 from ._fit_report import CalibrateResult as CalibrateResult
 from ._fit_report import fit_report as fit_report
 from ._frames import FramesResult as FramesResult
@@ -21,7 +21,7 @@ from ._identify import Identified as Identified
 from ._identify import Rejected as Rejected
 from ._identify import identify as identify
 from ._information import InformationResult as InformationResult
-from ._information import information as information
+from ._information import plot_information as plot_information
 from ._init import InitResult as InitResult
 from ._init import check_nothing_there as check_nothing_there
 from ._init import init_from_table as init_from_table
@@ -36,7 +36,7 @@ from ._posterior import posterior as posterior
 from ._reflectance import ReflectanceResult as ReflectanceResult
 from ._reflectance import reflectance as reflectance
 from ._render import RenderResult as RenderResult
-from ._render import render as render
+from ._render import render_plot as render_plot
 from ._result import JobResult as JobResult
 from ._result import Number as Number
 from ._result import ParameterSummary as ParameterSummary

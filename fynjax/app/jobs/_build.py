@@ -69,6 +69,15 @@ _STAND_UNITS = dict.fromkeys(_STAND_HEADERS, "m2 m-2") | {"leaf_mass_g_m2": "g m
 _area_density = eqx.filter_jit(Scene.area_density)
 
 
+def _files(scene: Scene, plants: int, triangles: int | None) -> dict[str, str]:
+    """What is written, and how large it is."""
+    rows = f"{len(scene.taxa)} species"
+    files = {"instances.csv": f"{plants} plants", "cover.csv": rows, "stand.csv": rows}
+    files["voxels.nc"] = f"{' x '.join(map(str, scene.grid.shape))} voxels"
+    mesh = {} if triangles is None else {"scene.obj": f"at most some {triangles} triangles"}
+    return files | mesh
+
+
 class BuildResult(JobResult):
     """Result of `build`: plants of each taxon and their cover."""
 
@@ -128,12 +137,7 @@ def build(
         plants = int(hard_counts(scene, parameters).sum())
         if mesh:  # early: it may be refused
             check_triangles(plants, max_triangles)
-        rows = f"{len(read.species)} species"
-        files = {"instances.csv": f"{plants} plants", "cover.csv": rows, "stand.csv": rows}
-        files["voxels.nc"] = f"{' x '.join(map(str, scene.grid.shape))} voxels"
-        begin_work(
-            files | ({"scene.obj": f"at most some {max_triangles} triangles"} if mesh else {})
-        )
+        begin_work(_files(scene, plants, max_triangles if mesh else None))
         real = np.asarray(scene.counts(parameters), float)
         instances = hard_instances(scene, parameters)
         hard = hard_scene(scene, parameters)

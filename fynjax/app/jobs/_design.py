@@ -18,8 +18,7 @@ from fynjax.app.jobs._result import JobResult, Rows
 from fynjax.app.jobs._run import Run
 from fynjax.app.report import figures
 from fynjax.app.report.pages import Page, Picture, Section, Table
-from fynjax.inversion import CAMERAS, DESIGN_FREE, DESIGN_TARGET, BandDesign, check_design
-from fynjax.inversion import design as design_bands
+from fynjax.inversion import CAMERAS, DESIGN_FREE, DESIGN_TARGET, BandDesign, check_design, design
 
 
 class DesignResult(JobResult):
@@ -33,7 +32,7 @@ class DesignResult(JobResult):
 
 
 @double_precision
-def design(
+def design_bands(
     plot: Plot | str | Path,
     output: str | Path,
     *,
@@ -75,7 +74,7 @@ def design(
 
     **Raises:** `InputError` as `read_plot` and `fynjax.inversion.design`.
 
-    Example: `jobs.design("plot.toml", Path("results"), bands=3, target=["dead_share"])`.
+    Example: `jobs.design_bands("plot.toml", Path("results"), bands=3, target=["dead_share"])`.
     """
     read = as_plot(plot)
     run = Run(output, seed=seed, plot=read)
@@ -91,7 +90,7 @@ def design(
     }  # fmt: skip
     check_design(problem.scene, bands, wanted, **settings)
     begin_work(files)
-    found = design_bands(problem.scene, bands, wanted, error=problem.error, **settings)
+    found = design(problem.scene, bands, wanted, error=problem.error, **settings)
     chosen = pd.DataFrame(
         {"band": found.bands.names, "centre_nm": found.bands.centre, "fwhm_nm": found.bands.fwhm}
     )

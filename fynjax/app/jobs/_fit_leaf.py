@@ -204,7 +204,7 @@ def _read_groups(path: str | Path, names: Sequence[str]) -> list[str]:
 
 
 @double_precision
-def fit_leaf(
+def fit_leaves(
     paths: Sequence[str | Path],
     output: str | Path,
     *,
@@ -276,7 +276,7 @@ def fit_leaf(
     or for an unknown measurement or error model, "exact" with groups, or a checkpoint of another
     run; `MissingExtraError` for a sampler not installed.
 
-    Example: `jobs.fit_leaf(["leaves.csv"], "results", version="PRO")`.
+    Example: `jobs.fit_leaves(["leaves.csv"], "results", version="PRO")`.
     """
     behind = None if background is None else _background(background, measurement)
     instrument = _measurement(measurement, leaf_shape, behind, bool(over_background))

@@ -33,7 +33,7 @@ class InformationResult(JobResult):
 
 
 @double_precision
-def information(
+def plot_information(
     plot: Plot | str | Path,
     output: str | Path,
     *,
@@ -69,7 +69,7 @@ def information(
 
     **Raises:** `InputError` as `read_plot`, and for settings that do not fit the plot.
 
-    Example: `jobs.information("plot.toml", Path("results"), gsd=(0.5, 1.0), bands=(4,))`.
+    Example: `jobs.plot_information("plot.toml", Path("results"), gsd=(0.5, 1.0), bands=(4,))`.
     """
     read = as_plot(plot)
     run = Run(output, seed=seed, plot=read)

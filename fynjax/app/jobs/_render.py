@@ -66,7 +66,7 @@ class RenderResult(JobResult):
 
 
 @double_precision
-def render(
+def render_plot(
     plot: Plot | str | Path,
     output: str | Path,
     *,
@@ -93,7 +93,7 @@ def render(
     **Raises:** `InputError` as `read_plot`, for an image that is not finite or does not fit in
     memory, and for a checkpoint of another run.
 
-    Example: `jobs.render("plot.toml", Path("results")).headline`.
+    Example: `jobs.render_plot("plot.toml", Path("results")).headline`.
     """
     read = as_plot(plot)
     run = Run(output, seed=seed, plot=read)

@@ -172,13 +172,8 @@ def calibrate_plots(
     with run.stage("Infer", total=len(priors) * len(read)), at_work(workers) as pool:
         estimates: dict[str, list[PlotEstimate]] = {}
         for name, of_prior in cases.items():
-            if name == BIAS_CORRECTED:  # by the mean residual of the other plots' fits
-                fits = estimates[TABLES_PRIOR]
-                rest = np.stack([np.asarray(d.value) - fit.before for d, fit in zip(data, fits)])
-                for i, case in enumerate(of_prior):
-                    less = np.delete(rest, i, axis=0)
-                    corrected, bias = bias_corrected_data(view.names, flights[i], less)
-                    of_prior[i] = case._replace(data=corrected, bias=bias)
+            if name == BIAS_CORRECTED:
+                of_prior = _corrected(of_prior, estimates[TABLES_PRIOR], flights)
             each = [f"plot {plot.name}, {name}" for plot in read]
             found = pool.all(infer_plot, of_prior, predict, names=each, journal=journal)
             estimates[name] = [
@@ -210,6 +205,20 @@ def calibrate_plots(
                 f"{len(lost)} plots have no measured spectrum and are left out: {', '.join(lost)}"
             )
         return write_findings(run, findings, resolution, realisations, inputs, warnings=remarks)
+
+
+def _corrected(
+    cases: Sequence[PlotCase],
+    fits: Sequence[PlotEstimate],
+    flights: Sequence[Float[np.ndarray, "flight band"]],
+) -> list[PlotCase]:
+    """Plots with spectra corrected by the mean residual of the other plots' fits."""
+    rest = np.stack([np.asarray(c.data.value) - fit.before for c, fit in zip(cases, fits)])
+    corrected = []
+    for i, (case, spectra) in enumerate(zip(cases, flights)):
+        data, bias = bias_corrected_data(case.data.names, spectra, np.delete(rest, i, axis=0))
+        corrected.append(case._replace(data=data, bias=bias))
+    return corrected
 
 
 def chosen_bands(

@@ -132,12 +132,7 @@ def learn(
         for scenes in (fine, coarse)
     ]
     names = [f"plot {p.name}" for p in read]
-    statistics = np.stack(
-        [
-            np.append(np.asarray(log_reflectance(jnp.asarray(m))), uncovered(p))
-            for p, m in zip(read, measured)
-        ]
-    )
+    statistics = _statistics(read, measured)
     u = np.zeros((len(read), len(PER_PLOT)))
     before = np.empty(0)
     with at_work(workers) as pool:
@@ -191,6 +186,14 @@ def learn(
     )
     with run.stage("Write"):
         return write_lesson(run, lesson, inputs, warnings=remarks)
+
+
+def _statistics(
+    plots: Sequence[BioscapePlot], measured: Sequence[Float[np.ndarray, " band"]]
+) -> Float[np.ndarray, "plot statistic"]:
+    """Of each plot the logarithms of its spectrum, and its ground that no crown covers."""
+    spectra = np.asarray(log_reflectance(jnp.asarray(np.stack(measured))))
+    return np.column_stack([spectra, [uncovered(plot) for plot in plots]])
 
 
 def linear_plots(

@@ -14,7 +14,7 @@ from typing import Annotated, Any
 from pydantic import BeforeValidator, Field
 
 from fynjax._core.errors import InputError
-from fynjax.app.io.text import number, read_rows
+from fynjax.app.io.text import in_unit, read_rows
 from fynjax.studies.bioscape._tables import (
     CoverRow,
     OptionalText,
@@ -48,7 +48,7 @@ def _missing(value: Any) -> Any:
 
 
 def _amount(description: str, unit: str, most: float | None = None) -> Any:
-    return number(description, unit, default=None, ge=0, le=most)
+    return in_unit(unit, of=description, default=None, ge=0, le=most)
 
 
 Amount = Annotated[float | None, BeforeValidator(_missing)]

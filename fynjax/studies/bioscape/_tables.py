@@ -7,7 +7,7 @@ from typing import Annotated, Any, ClassVar
 from pydantic import BeforeValidator, ConfigDict, Field
 
 from fynjax._core.errors import InputError
-from fynjax.app.io.text import Slip, Strict, did_you_mean, number
+from fynjax.app.io.text import Slip, Strict, did_you_mean, in_unit
 
 
 def not_available(value: object) -> object:
@@ -21,7 +21,7 @@ OptionalText = Annotated[str | None, BeforeValidator(not_available)]
 
 def percent(description: str, default: Any = ...) -> Any:
     """Field of a cover."""
-    return number(description, "%", default=default, ge=0, le=100)
+    return in_unit("%", of=description, default=default, ge=0, le=100)
 
 
 def _over_100(value: float) -> str | None:
@@ -58,7 +58,7 @@ class SpeciesCoverRow(TableRow):
     Plot: str = Field(description="Name of the plot.", min_length=1)
     GenusSpecies: str = Field(description="Scientific name.", min_length=1)
     Family: OptionalText = Field(default=None, description="Its family.")
-    PercentCoverAlive: float = number("Live cover", "%", gt=0, le=100)
+    PercentCoverAlive: float = in_unit("%", of="Live cover", gt=0, le=100)
 
 
 def _mass_slip(value: float) -> str | None:
@@ -82,24 +82,24 @@ class TraitRow(TableRow):
     }
     GenusSpecies: str = Field(description="Scientific name.", min_length=1)
     Family: str = Field(description="Its family.", min_length=1)
-    Mean_Nitrogen: OptionalNumber = number(
-        "Nitrogen of dry mass", "mg g-1", default=None, ge=1, le=80
+    Mean_Nitrogen: OptionalNumber = in_unit(
+        "mg g-1", of="Nitrogen of dry mass", default=None, ge=1, le=80
     )
-    Mean_Carbon: OptionalNumber = number(
-        "Carbon of dry mass", "mg g-1", default=None, ge=200, le=700
+    Mean_Carbon: OptionalNumber = in_unit(
+        "mg g-1", of="Carbon of dry mass", default=None, ge=200, le=700
     )
-    Mean_Leaf_Mass_Per_Area: OptionalNumber = number(
-        "Dry mass over projected area", "g m-2", ge=20, le=3000
+    Mean_Leaf_Mass_Per_Area: OptionalNumber = in_unit(
+        "g m-2", of="Dry mass over projected area", ge=20, le=3000
     )
-    Mean_Water_Content: OptionalNumber = number("Water, share of fresh mass", "%", gt=1, le=97)
+    Mean_Water_Content: OptionalNumber = in_unit("%", of="Water, share of fresh mass", gt=1, le=97)
 
 
 class VisitRow(TableRow):
     """Place and time of a spectrum of a plot."""
 
     BScpPID: str = Field(description="Name of the plot.", min_length=1)
-    X: float = number("Longitude, WGS84", "degree", ge=-180, le=180)
-    Y: float = number("Latitude, WGS84", "degree", ge=-90, le=90)
+    X: float = in_unit("degree", of="Longitude, WGS84", ge=-180, le=180)
+    Y: float = in_unit("degree", of="Latitude, WGS84", ge=-90, le=90)
     QltyFlg: OptionalText = Field(default=None, description="Remark of the crew.")
     start_time: str = Field(description="Start of the flight line, ISO 8601.", min_length=10)
 

@@ -6,7 +6,7 @@ from typing import Annotated, ClassVar, Literal
 from pydantic import Field, model_validator
 
 from fynjax.app.io.instruments._sensor_tables import InstrumentFile, _nanometre_slip
-from fynjax.app.io.text import Slip, Strict, in_unit, numbers_in, read_toml, shipped_or_own
+from fynjax.app.io.text import Slip, Strict, in_unit, read_toml, shipped_or_own
 from fynjax.sensors import Lidar, build_lidar, lidar_folder, shipped_lidars
 
 _Finite = Annotated[float, Field(allow_inf_nan=False)]
@@ -89,7 +89,7 @@ class ScanGeometryTable(LidarGeometryTable):
     """Full angle of the beam at 1/e2 of the irradiance [mrad]."""
     half_scan_angle_deg: float = in_unit("degree", gt=0, le=60)
     """Largest angle from straight down [degree]."""
-    line_offsets_m: list[_Finite] | None = numbers_in("m", min_length=1)
+    line_offsets_m: list[_Finite] | None = in_unit("m", default=None, min_length=1, several=True)
     """Distance of each flight line from the plot's middle, to the right of the heading; left out,
     one line over the middle [m]."""
     heading_deg: float = in_unit("degree", default=0.0, ge=-360, le=360)
@@ -107,7 +107,7 @@ class ReceiverTable(Strict):
 
     sample_m: float = in_unit("m", ge=0.001, le=5)
     """Length of a sample in range [m]."""
-    range_gate_m: tuple[_Range, _Range] | None = numbers_in("m")
+    range_gate_m: tuple[_Range, _Range] | None = in_unit("m", default=None, several=True)
     """Nearest and farthest range that is recorded; left out, from above the canopy to below the
     ground of each pulse [m]."""
     gate_margin_m: float = in_unit("m", default=0.0, ge=0, le=1000)

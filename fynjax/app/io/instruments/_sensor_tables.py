@@ -5,7 +5,7 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field, model_validator
 
-from fynjax.app.io.text import NamedFile, Slip, Strict, in_unit, numbers_in
+from fynjax.app.io.text import NamedFile, Slip, Strict, in_unit
 
 RadianceUnit = Literal[
     "W m-2 sr-1 um-1", "mW m-2 sr-1 nm-1", "uW cm-2 sr-1 nm-1", "W m-2 sr-1 nm-1"
@@ -164,13 +164,13 @@ class BandsTable(Strict):
     """Whether the bands may stand in another order than that of wavelength."""
     name: list[str] | None = Field(default=None, min_length=1)
     """Names of the bands."""
-    centre_nm: list[Centre] | None = numbers_in("nm", min_length=1)
+    centre_nm: list[Centre] | None = in_unit("nm", default=None, min_length=1, several=True)
     """Centre wavelength of each band, from 200 to 15000 [nm]."""
-    fwhm_nm: list[Width] | None = numbers_in("nm")
+    fwhm_nm: list[Width] | None = in_unit("nm", default=None, several=True)
     """Full width at half maximum of each band, or width of a box [nm]."""
-    half_width_nm: list[Width] | None = numbers_in("nm")
+    half_width_nm: list[Width] | None = in_unit("nm", default=None, several=True)
     """Half width at half maximum of each band, in place of fwhm_nm [nm]."""
-    ground_sample_distance_m: list[Positive] | None = numbers_in("m")
+    ground_sample_distance_m: list[Positive] | None = in_unit("m", default=None, several=True)
     """Pixel of each band on the ground, where they differ [m]."""
     table: Annotated[Path, NamedFile("a table of bands")] | None = None
     """Table of bands (CSV); a path from this file's folder."""
@@ -210,7 +210,7 @@ class PointSpreadTable(Strict):
 
     kind: Literal["gaussian", "box"]
     """Form of the blur."""
-    width_pixels: NonNegative | tuple[NonNegative, NonNegative] = numbers_in("pixels", default=...)
+    width_pixels: NonNegative | tuple[NonNegative, NonNegative] = in_unit("pixels", several=True)
     """Width of the blur, or [across, along]: full width at half maximum of a Gaussian that comes on
     top of the pixel's own footprint; whole width of a box [pixels of the sensor, however wide those
     of an image are]."""
@@ -234,11 +234,11 @@ class CameraNoiseTable(Strict):
 
     kind: Literal["camera"]
     """From the numbers of a data sheet."""
-    saturation_radiance: Positive | list[Positive] = numbers_in("W m-2 sr-1 um-1", default=...)
+    saturation_radiance: Positive | list[Positive] = in_unit("W m-2 sr-1 um-1", several=True)
     """Radiance that fills a pixel, of all bands or each [W m-2 sr-1 um-1]."""
-    full_well_electrons: Positive | list[Positive] = numbers_in("-", default=...)
+    full_well_electrons: Positive | list[Positive] = in_unit("-", several=True)
     """Electrons of a full pixel, of all bands or each [-]."""
-    read_noise_electrons: NonNegative | list[NonNegative] = numbers_in("electrons", default=...)
+    read_noise_electrons: NonNegative | list[NonNegative] = in_unit("electrons", several=True)
     """Standard deviation of the reading, of all bands or each [electrons]."""
     bits: int = Field(ge=1, le=32)
     """Bits of a number [-]."""
@@ -250,7 +250,7 @@ Share = Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]
 class GainsTable(Strict):
     """What the gains of the bands may be off by after one way of calibration."""
 
-    gain_sd: Share | list[Share] = numbers_in("-", default=...)
+    gain_sd: Share | list[Share] = in_unit("-", several=True)
     """Standard deviation of the factor by which the reflectance of a band may be off: one of all
     bands, or one a band [-]."""
     gain_shared: float = in_unit("-", ge=0, le=1)

@@ -5,7 +5,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from fynjax.app.io.text import Strict, in_unit, numbers_in
+from fynjax.app.io.text import Strict, in_unit
 from fynjax.scene import PARAMETERS, parameter_kind
 
 Share = Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]
@@ -22,11 +22,11 @@ class CalibrationTable(Strict):
     """Patterns of the target's statistics to use, such as '*.mean'."""
     target_sd: float = in_unit("-", default=0.01, gt=0, le=1)
     """Relative standard deviation of a mean or quantile that states none [-]."""
-    gain_sd: Share | dict[str, Share] | None = numbers_in("-")
+    gain_sd: Share | dict[str, Share] | None = in_unit("-", default=None, several=True)
     """Standard deviation of the factor by which a band of the drone's camera may be off, 0 to 1:
     one of all bands or a table by band, such as {red_edge = 0.1}; of other bands, or left out, that
     of the sensor by `sensor.calibrated_by` [-]."""
-    gain_shared: Share | None = numbers_in("-")
+    gain_shared: Share | None = in_unit("-", default=None, several=True)
     """Share of its variance that all bands have in common, as by light and exposure; left out, that
     of the sensor [-]."""
     model_error: float | None = in_unit("-", default=None, ge=0, le=10)

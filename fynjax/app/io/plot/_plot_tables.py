@@ -23,8 +23,6 @@ from fynjax.app.io.text import (
     Strict,
     did_you_mean,
     in_unit,
-    numbers_in,
-    optional_quantity,
     quantity,
 )
 from fynjax.canopy import Shrubland
@@ -55,11 +53,13 @@ class PlotTable(Strict):
 
     name: str = Field(default="plot", min_length=1)
     """Name in titles and file attributes."""
-    size_m: Size = numbers_in("m", default=...)
+    size_m: Size = in_unit("m", several=True)
     """Side of the square plot, or [east-west, north-south] [m]; 0.5 to 1000."""
     voxel_m: float = in_unit("m", default=0.1, ge=0.01, le=2)
     """Side of a voxel [m]."""
-    structure_m: Annotated[float, Field(ge=0.005, le=2)] | Literal["even"] | None = numbers_in("m")
+    structure_m: Annotated[float, Field(ge=0.005, le=2)] | Literal["even"] | None = in_unit(
+        "m", default=None, several=True
+    )
     """Largest side of the voxels on which sun and sight follow the plants [m]; left out: a quarter
     of voxel_m, but not below 0.025; 'even': leaves fill the voxels of voxel_m evenly, which hides
     gaps."""
@@ -119,7 +119,7 @@ class PlotTable(Strict):
     terrain: Raster | None = None
     """GeoTIFF of the height of the ground [m], such as `fynjax terrain` makes; for a plot with an
     open boundary."""
-    map_origin_m: tuple[float, float] | None = numbers_in("m")
+    map_origin_m: tuple[float, float] | None = in_unit("m", default=None, several=True)
     """South-west corner of the plot (x, y) in the coordinates of its maps [m]. Left out: that of a
     map as large as the plot."""
 
@@ -252,15 +252,15 @@ class GroundTable(Strict):
     ] = "dry"
     """'dry', 'wet', or the path of a spectrum (wavelength_nm, reflectance)."""
     brightness: float = quantity(PARAMETERS["brightness"], default=PARAMETERS["brightness"].default)
-    wood_brightness: float | None = optional_quantity(PARAMETERS["wood_brightness"])
+    wood_brightness: float | None = quantity(PARAMETERS["wood_brightness"], optional=True)
     moisture: float | None = quantity(
         PARAMETERS["moisture"],
         default=None,
         note="that of `soil` if left out; not with a spectrum of your own",
     )
-    litter_fraction: float | None = optional_quantity(PARAMETERS["litter_fraction"])
-    char_fraction: float | None = optional_quantity(PARAMETERS["char_fraction"])
-    rock_fraction: float | None = optional_quantity(PARAMETERS["rock_fraction"])
+    litter_fraction: float | None = quantity(PARAMETERS["litter_fraction"], optional=True)
+    char_fraction: float | None = quantity(PARAMETERS["char_fraction"], optional=True)
+    rock_fraction: float | None = quantity(PARAMETERS["rock_fraction"], optional=True)
     litter: Annotated[Path, NamedFile("a spectrum of litter")] | None = None
     """Spectrum of the litter (wavelength_nm, reflectance)."""
     char: Annotated[Path, NamedFile("a spectrum of char")] | None = None
@@ -367,7 +367,7 @@ class TargetTable(SensorTable):
     view: str = ""
     """Name of the view, which stands before its statistics, such as 'dusk' in 'dusk.nir.mean';
     needed where there are two of one kind."""
-    position_m: tuple[float, float, float] | None = numbers_in("m")
+    position_m: tuple[float, float, float] | None = in_unit("m", default=None, several=True)
     """Where the camera hung, of a single frame that was laid on the map of the plot: east and north
     of the plot's south-west corner, and height above its ground; left out, above its middle [m]."""
     yaw_deg: float = in_unit("degree", default=0.0, ge=-360, le=360)

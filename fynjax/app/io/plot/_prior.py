@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float
 from pydantic import Field, model_validator
 
+from fynjax._core.math import symmetric_power
 from fynjax._core.seeds import generator
 from fynjax.app.io.text import Strict, in_unit, read_toml, shipped_or_own, write_text
 from fynjax.canopy import FORMS
@@ -299,8 +300,8 @@ class LearnedPrior:
         given = error[np.ix_(~alike, ~alike)] - gain @ error[np.ix_(alike, ~alike)]
         first, second = int(alike.sum()), int((~alike).sum())
         of_mean = np.empty((len(own), len(rows)))
-        of_mean[:, alike] = _root(joint) @ common[:first]
-        of_mean[:, ~alike] = of_mean[:, alike] @ gain.T + own[:, :second] @ _root(given).T
+        of_mean[:, alike] = symmetric_power(joint) @ common[:first]
+        of_mean[:, ~alike] = of_mean[:, alike] @ gain.T + own[:, :second] @ symmetric_power(given)
         # By what plots and their regions differ, each with the standard deviation of plots: one
         # number for each kind, whatever the growth form.
         effect: dict[str, Any] = {}
@@ -327,12 +328,6 @@ class LearnedPrior:
         error = self.file.error
         parts = error.wavelength_nm, error.sd, error.correlation
         return ModelError(*map(np.asarray, parts))
-
-
-def _root(covariance: Float[np.ndarray, "a a"]) -> Float[np.ndarray, "a a"]:
-    """A square root, of a covariance that may have no full rank."""
-    values, vectors = np.linalg.eigh(covariance)
-    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
 
 
 def read_prior(name_or_path: str | Path) -> LearnedPrior | None:

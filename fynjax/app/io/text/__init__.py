@@ -6,9 +6,6 @@ from fynjax._core.records import (
     Slip,
     Strict,
     in_unit,
-    number,
-    numbers_in,
-    optional_quantity,
     quantity,
 )
 from fynjax._core.tables import TextTable, open_table
@@ -37,10 +34,7 @@ __all__ = [
     "existing_file",
     "in_unit",
     "line_of",
-    "number",
-    "numbers_in",
     "open_table",
-    "optional_quantity",
     "quantity",
     "read_bytes",
     "read_rows",
