@@ -45,6 +45,7 @@ from fynjax.scene._planting import (
     MOST_LISTED,
     Crowns,
     Planting,
+    PlantingRules,
     element_count,
     individual_seeds,
     leaf_classes,
@@ -55,7 +56,6 @@ from fynjax.scene._planting import (
 )
 from fynjax.scene._profile import height_profile
 from fynjax.scene._scene import (
-    PlantingRules,
     Recipe,
     Scene,
     build_scene,

@@ -8,8 +8,9 @@ a larger plot the elements are listed window by window.
 """
 
 import dataclasses
+import math
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, Literal
 
 import equinox as eqx
 import jax
@@ -18,6 +19,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int, Real
 from scipy.special import ndtr, ndtri
 
+from fynjax._core.checkpoint import ByContent
 from fynjax._core.errors import InputError
 from fynjax._core.memory import total_memory
 from fynjax._core.seeds import generator
@@ -34,7 +36,7 @@ from fynjax.canopy import (
     thin_plant,
     unit_shapes,
 )
-from fynjax.scene._species import Material, Species
+from fynjax.scene._species import CoverDefinition, Material, Species
 
 INDIVIDUALS = 8
 """Shapes of a growth form among the plants of a species: their outlines, lobes and shoots differ,
@@ -331,6 +333,71 @@ def _check_memory(stand: Stand, needed: Int[np.ndarray, " species"]) -> None:
         )
 
 
+@dataclasses.dataclass(frozen=True, eq=False)
+class PlantingRules(ByContent):
+    """How plants are drawn, and how one more of them appears."""
+
+    room: float | Float[np.ndarray, " species"] = 2.5
+    """Sites held ready, as a multiple of the plants that the parameters ask for [-], at least; of
+    all species or of each: first those of the whole plants, then spare ones between these. A
+    parameter that later asks for more gets no more. A scene of more room has the plants of one of
+    2.5 where they are, and others besides."""
+    size_variation: float = 0.2
+    """Coefficient of variation of the crown diameters of a species [-]. An assumption, as it is
+    that heights lie evenly between 0.6 and 1 times the greatest; they go with the diameters."""
+    spacing: float | None = None
+    """Least distance of the plants, r of Bridson [m]. None: the largest with which there are as
+    many sites as plants; by a map twice as many as it leaves to choose from. Beyond the number
+    that the scene was built for plants stand nearer, between others."""
+    attempts: int = 30
+    """Candidates in a row that fail before a site has no more neighbours, k of Bridson [-]."""
+    probability: Real[np.ndarray, "y x"] | None = None
+    """Map of 0-255 over the plot of where plants are likely to stand, row 0 south; None: even."""
+    rounding: Literal["random", "up"] = "random"
+    """Rule by which a real number of plants becomes a whole one. "random": up or down by a number
+    drawn for each species, so that the mean over plantings is the real number. "up": the ceiling of
+    eq. (10), which on average adds half a plant to every species."""
+    softness: float = 0.1
+    """Share of a species' plants over which one more of them is spread where a slope is taken [-];
+    see `site_weight`. What is observed has whole plants whatever it is."""
+    softness_plants: float = 1.0
+    """Plants over which one more is spread besides the share `softness` of them, and one [-], see
+    `site_weight`; 0 with `softness` 0: plants whose number has no slope."""
+    cover_definition: CoverDefinition = "article"
+    """Meaning of a species' cover, by which its plants are counted. "projected": the share of the
+    ground below its crowns, overlap among them counted once, as a relevé notes it, see
+    `fynjax.canopy.projected_count`. "article": the sum of its crowns' areas over the ground, less
+    packing and gaps, eq. (10)."""
+    flowering: float = 0.0
+    """Share of full bloom [-]."""
+    tuft: float = 0.05
+    """Edge of the smallest clump of foliage that is resolved [m]: within it leaves lie at random.
+    An assumption, about the length of a fynbos shoot's leafy tip."""
+    structure: float | Literal["even"] | None = None
+    """Edge of the voxels on which sun and sight follow the plants [m], at most. None: a quarter of
+    the scene's, but not below 2.5 cm: gaps are then alike in all voxels of up to 10 cm. "even":
+    leaves fill the scene's voxels evenly, which hides gaps (of voxels of 10 cm, 3 to 4 %) and takes
+    two thirds of the time, and a fifth of the area elements."""
+
+    def finer(self, voxel: float) -> int:
+        """Finest voxels along the edge of one of `voxel` [m]; 0 where leaves fill these evenly.
+        Raises `InputError` for lengths that are not positive."""
+        if self.structure == "even":
+            return 0
+        structure = max(_FINEST, voxel / 4.0) if self.structure is None else self.structure
+        if not (structure > 0 and self.tuft > 0):
+            raise InputError(
+                f"`structure` and `tuft` must be positive lengths [m], but are {structure} and "
+                f"{self.tuft}"
+            )
+        return max(1, math.ceil(voxel / structure - 1e-6))
+
+    def resolved(self, voxel: float) -> float:
+        """Edge of the boxes in which leaves lie at random, in voxels of `voxel` [m]."""
+        finer = self.finer(voxel)
+        return max(self.tuft, voxel / finer) if finer else voxel
+
+
 @dataclasses.dataclass(frozen=True)
 class SiteRules:
     """How the sites of plants are drawn."""
@@ -339,12 +406,7 @@ class SiteRules:
     """(east-west, north-south) sides of the plot [m]."""
     periodic: bool
     """Whether the plot repeats itself."""
-    probability: Real[np.ndarray, "y x"] | None
-    """`PlantingRules.probability`."""
-    spacing: float | None
-    """`PlantingRules.spacing` [m]."""
-    attempts: int
-    """`PlantingRules.attempts`."""
+    rules: PlantingRules
     seed: int
     """Seed of everything random."""
 
@@ -359,7 +421,7 @@ class SiteRules:
         return assign_sites(
             points,
             needed.tolist(),
-            probability=self.probability,
+            probability=self.rules.probability,
             extent=self.extent,
             names=[one.taxon for one in species],
             groups=[one.groups for one in species],
@@ -372,15 +434,15 @@ class SiteRules:
     def _choice(self) -> float:
         """Sites for each plant: with a map there is room to choose, lest the last species take what
         is left."""
-        if self.probability is None:
+        if self.rules.probability is None:
             return 1.0
-        return 2.0 * 255.0 / max(float(np.mean(self.probability)), 1.0)
+        return 2.0 * 255.0 / max(float(np.mean(self.rules.probability)), 1.0)
 
     def spacing_for(self, plants: float) -> float:
         """Least distance of the sites of so many whole plants [m]: as stated, or about that which
         makes as many sites."""
-        if self.spacing is not None:
-            return self.spacing
+        if self.rules.spacing is not None:
+            return self.rules.spacing
         return self._radius(plants)
 
     def _radius(self, plants: float) -> float:
@@ -392,7 +454,7 @@ class SiteRules:
         """Sites of so many whole plants, all that Bridson's steps make of one distance, and that:
         the largest with which there are enough, up to two per cent. Raises `InputError` where a
         stated distance leaves too few."""
-        if (radius := self.spacing) is not None:
+        if (radius := self.rules.spacing) is not None:
             most = 0.5 * min(self.extent)
             if self.periodic and radius > most:
                 raise InputError(
@@ -438,7 +500,7 @@ class SiteRules:
         return poisson_disk(
             self.extent,
             radius,
-            attempts=self.attempts,
+            attempts=self.rules.attempts,
             seed=self.seed,
             periodic=self.periodic,
             start=start,
@@ -449,9 +511,6 @@ def draw_planting(
     stand: Stand,
     wanted: Float[np.ndarray, " species"],
     rules: SiteRules,
-    *,
-    room: float | Float[np.ndarray, " species"],
-    size_variation: float,
 ) -> Planting:
     """Draw sites, orientations and sizes of the plants of a scene.
 
@@ -463,15 +522,15 @@ def draw_planting(
     - `stand`: what they are.
     - `wanted`: real number of plants of each species [-], 0 or more.
     - `rules`: of the sites.
-    - `room`, `size_variation`: as `PlantingRules` has them.
 
     **Raises:** `InputError` where a species finds no room on the plot, or plants in memory.
 
     Not differentiable: the scene is, in the parameters.
     """
     species, seed = stand.species, stand.seed
+    variation = rules.rules.size_variation
     individuals: list[dict[str, np.ndarray]] = [{} for _ in species]
-    lots = _lots(wanted, np.broadcast_to(np.asarray(room, float), len(species)))
+    lots = _lots(wanted, np.broadcast_to(np.asarray(rules.rules.room, float), len(species)))
     _check_memory(stand, lots[-1])
     radius = np.inf
     feet: list[list[np.ndarray]] = [[] for _ in species]
@@ -492,7 +551,7 @@ def draw_planting(
             continue
         for i, of_lots in enumerate(feet):
             before, where = individuals[i], np.concatenate(of_lots)
-            drawn = _individuals(where, i, species[i].rotation_spread, size_variation, seed)
+            drawn = _individuals(where, i, species[i].rotation_spread, variation, seed)
             drawn["leaf"] = _drawn_leaves(len(where), i, species[i].leaves, seed)
             drawn["lot"] = np.repeat(np.arange(lot + 1, dtype=np.int32), [*map(len, of_lots)])
             for name, values in before.items():  # who was there stays
@@ -600,6 +659,8 @@ def _of_individuals(stand: Stand, individuals: Sequence[dict[str, np.ndarray]]) 
 
 
 _ROOM, _WHOLE_STEPS = 2.5, 4
+_FINEST = 0.025
+"""Edge of the finest voxels, unless others are asked for [m]."""
 _MORE_ROOM = _ROOM ** (1.0 / _WHOLE_STEPS)
 """By what factor sites become more from lot to lot: those that are filled first are about as far
 from others as the whole plants are."""

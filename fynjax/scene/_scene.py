@@ -7,7 +7,6 @@ that what a sensor measures is a smooth, repeatable function of the parameters.
 """
 
 import dataclasses
-import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
@@ -19,7 +18,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int, Real
+from jaxtyping import Array, Bool, Float, Int
 
 from fynjax._core.checkpoint import ByContent
 from fynjax._core.dry_run import counted
@@ -66,6 +65,7 @@ from fynjax.scene._plan import ScenePlan
 from fynjax.scene._planting import (
     Crowns,
     Planting,
+    PlantingRules,
     SiteRules,
     Stand,
     class_count,
@@ -104,73 +104,6 @@ _AT_ONCE = 2**22
 _COMPOSITION = 0.1
 """Edge of the voxels in which the classes are kept apart, where sun and sight follow the structure
 on finer ones [m]."""
-_FINEST = 0.025
-"""Edge of the finest voxels, unless others are asked for [m]."""
-
-
-@dataclass(frozen=True, eq=False)
-class PlantingRules(ByContent):
-    """How plants are drawn, and how one more of them appears."""
-
-    room: float | Float[np.ndarray, " species"] = 2.5
-    """Sites held ready, as a multiple of the plants that the parameters ask for [-], at least; of
-    all species or of each: first those of the whole plants, then spare ones between these. A
-    parameter that later asks for more gets no more. A scene of more room has the plants of one of
-    2.5 where they are, and others besides."""
-    size_variation: float = 0.2
-    """Coefficient of variation of the crown diameters of a species [-]. An assumption, as it is
-    that heights lie evenly between 0.6 and 1 times the greatest; they go with the diameters."""
-    spacing: float | None = None
-    """Least distance of the plants, r of Bridson [m]. None: the largest with which there are as
-    many sites as plants; by a map twice as many as it leaves to choose from. Beyond the number
-    that the scene was built for plants stand nearer, between others."""
-    attempts: int = 30
-    """Candidates in a row that fail before a site has no more neighbours, k of Bridson [-]."""
-    probability: Real[np.ndarray, "y x"] | None = None
-    """Map of 0-255 over the plot of where plants are likely to stand, row 0 south; None: even."""
-    rounding: Literal["random", "up"] = "random"
-    """Rule by which a real number of plants becomes a whole one. "random": up or down by a number
-    drawn for each species, so that the mean over plantings is the real number. "up": the ceiling of
-    eq. (10), which on average adds half a plant to every species."""
-    softness: float = 0.1
-    """Share of a species' plants over which one more of them is spread where a slope is taken [-];
-    see `site_weight`. What is observed has whole plants whatever it is."""
-    softness_plants: float = 1.0
-    """Plants over which one more is spread besides the share `softness` of them, and one [-], see
-    `site_weight`; 0 with `softness` 0: plants whose number has no slope."""
-    cover_definition: CoverDefinition = "article"
-    """Meaning of a species' cover, by which its plants are counted. "projected": the share of the
-    ground below its crowns, overlap among them counted once, as a relevé notes it, see
-    `fynjax.canopy.projected_count`. "article": the sum of its crowns' areas over the ground, less
-    packing and gaps, eq. (10)."""
-    flowering: float = 0.0
-    """Share of full bloom [-]."""
-    tuft: float = 0.05
-    """Edge of the smallest clump of foliage that is resolved [m]: within it leaves lie at random.
-    An assumption, about the length of a fynbos shoot's leafy tip."""
-    structure: float | Literal["even"] | None = None
-    """Edge of the voxels on which sun and sight follow the plants [m], at most. None: a quarter of
-    the scene's, but not below 2.5 cm: gaps are then alike in all voxels of up to 10 cm. "even":
-    leaves fill the scene's voxels evenly, which hides gaps (of voxels of 10 cm, 3 to 4 %) and takes
-    two thirds of the time, and a fifth of the area elements."""
-
-    def finer(self, voxel: float) -> int:
-        """Finest voxels along the edge of one of `voxel` [m]; 0 where leaves fill these evenly.
-        Raises `InputError` for lengths that are not positive."""
-        if self.structure == "even":
-            return 0
-        structure = max(_FINEST, voxel / 4.0) if self.structure is None else self.structure
-        if not (structure > 0 and self.tuft > 0):
-            raise InputError(
-                f"`structure` and `tuft` must be positive lengths [m], but are {structure} and "
-                f"{self.tuft}"
-            )
-        return max(1, math.ceil(voxel / structure - 1e-6))
-
-    def resolved(self, voxel: float) -> float:
-        """Edge of the boxes in which leaves lie at random, in voxels of `voxel` [m]."""
-        finer = self.finer(voxel)
-        return max(self.tuft, voxel / finer) if finer else voxel
 
 
 @dataclass(frozen=True, eq=False)
@@ -640,13 +573,7 @@ class Scene(eqx.Module):
         stand, scene = self._stand(seed), self._without_plants(seed)
         if counted(lambda _: _plan(scene, stand, rules.room, None)):
             return scene
-        planting = draw_planting(
-            stand,
-            planted.number,
-            self._site_rules(seed),
-            room=rules.room,
-            size_variation=rules.size_variation,
-        )
+        planting = draw_planting(stand, planted.number, self._site_rules(seed))
         return dataclasses.replace(scene, planting=planting)
 
     def spacing_of(self, plants: float) -> float:
@@ -654,15 +581,7 @@ class Scene(eqx.Module):
         return self._site_rules(0).spacing_for(plants)
 
     def _site_rules(self, seed: int) -> SiteRules:
-        rules = self.rules
-        return SiteRules(
-            self.recipe.extent,
-            self.boundary == "periodic",
-            rules.probability,
-            rules.spacing,
-            rules.attempts,
-            seed,
-        )
+        return SiteRules(self.recipe.extent, self.boundary == "periodic", self.rules, seed)
 
     def _without_plants(self, seed: int) -> "Scene":
         """The scene with what a seed decides besides where plants stand."""

@@ -68,8 +68,9 @@ def calls(monkeypatch):
 
         return run
 
-    for name in ("render", "calibrate", "fit_leaf"):
-        monkeypatch.setattr(jobs, name, job(name), raising=False)
+    of_commands = {"render": "render_plot", "calibrate": "calibrate", "fit_leaf": "fit_leaves"}
+    for name, function in of_commands.items():
+        monkeypatch.setattr(jobs, function, job(name), raising=False)
     monkeypatch.setattr(fynbos_2006, "demo", job("demo"), raising=False)
     monkeypatch.setattr("fynjax.app.cli._runtime.keep_compiled", lambda: None)
     return made

@@ -522,14 +522,14 @@ def test_a_design_of_a_scene(scene):
     bends within 10 nm and the light within a band; the record holds what was found."""
     free = fx.free(scene, "species.*.cover", "ground.brightness")
     rendered = []
-    real = bands_of_design.render
+    real = bands_of_design.render_plantings
 
     def kept(*arguments):
         rendered.append(real(*arguments))
         return rendered[0]
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(bands_of_design, "render", kept)
+        patch.setattr(bands_of_design, "render_plantings", kept)
         found = fx.design(
             scene, 2, ("shannon", "species.*.cover"), free=free, pixel=(0.25, 0.5), plantings=4,
             starts=2, spectrum=(400.0, 1000.0), compare=("mavic_3m",),
