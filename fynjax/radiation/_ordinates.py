@@ -12,6 +12,8 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.extend.core import Primitive
+from jax.interpreters import ad, batching, mlir
 from jaxtyping import Array, Float
 
 from fynjax._core.math import mean_emission, mean_transmittance
@@ -233,22 +235,28 @@ def sweep(
     levels, azimuths = len(ordinates.cosine), ordinates.azimuths
     flux = jnp.asarray(ordinates.fluxes, source.dtype)
     above = sky.astype(source.dtype).reshape(levels, azimuths)
+    moves = [coarse.moves(group, steps) for group, steps in coarse.groups]
+    move = np.concatenate(moves, axis=1)
 
     def pass_layers(
         entering: Array, hemisphere: tuple[Any, ...]
     ) -> tuple[Array, tuple[Array, ...]]:
         """Down through all layers, or up; the ground's light enters the way up."""
         outside, emitted, attenuation, shares = hemisphere
+        # A step begins with its whole move: half a move back puts its middle on the path.
+        below = _shift(entering, -0.5 * move, outside, coarse.boundary)
         passed = []
         for (group, steps), cells in zip(coarse.groups, attenuation):
-            of_group = outside[group], entering[group], emitted[:, group]
+            of_group = outside[group], entering[group], below[group], emitted[:, group]
             passed.append(_pass_group(coarse, group, steps, of_group, cells, shares))
-        means, leaving, ended = zip(*passed)
+        means, ends, hits = zip(*passed)
+        # Then the other half move, so that what ends is over its own cell.
+        leaving = _shift(jnp.concatenate(ends), 0.5 * move, outside, coarse.boundary)
+        falling = leaving if hits[0] is None else leaving + jnp.concatenate(hits)
         # The ground sends up what fell on it, and sunlight.
-        falling = jnp.concatenate(ended)
         received = falling if coarse.exposure is None else falling * coarse.exposure
         exitance = _sent_up(received, flux, ground, sunlit, shape)
-        return exitance, (jnp.concatenate(means, axis=1), jnp.concatenate(leaving), received)
+        return exitance, (jnp.concatenate(means, axis=1), leaving, received)
 
     # Two passes of one program: down from the top, with the sky's light; up, with the ground's.
     by_layer = jnp.moveaxis(source.reshape(2, levels, azimuths, *source.shape[1:]), 3, 1)
@@ -319,23 +327,22 @@ def _pass_group(
     coarse: Coarse,
     group: slice,
     steps: int,
-    of_group: tuple[Array, Array, Array],
+    of_group: tuple[Array, Array, Array, Array],
     attenuation: tuple[Array, ...],
     shares: tuple[Array, ...] | None,
-) -> tuple[Array, Array, Array]:
+) -> tuple[Array, Array, Array | None]:
     """Ordinates that cross a layer in as many `steps`, through all layers of a pass.
 
-    `of_group` is their radiance outside an open scene, what enters the first layer, and what each
-    layer emits; `attenuation` of each layer the share that a step lets through, and the mean of
-    radiance and of emission along it. Returns the mean radiance of each layer, what leaves the
-    last one, and what of it falls on the ground, hillsides included.
+    `of_group` is their radiance outside an open scene, what the ground sends, the same half a move
+    back, which enters the first layer, and what each layer emits; `attenuation` of each layer the
+    share that a step lets through, and the mean of radiance and of emission along it. Returns the
+    mean radiance of each layer, what leaves the last one or falls on the ground before half a move
+    on, and what falls on hillsides; None on level ground.
     """
-    around, from_ground, emitted = of_group
+    around, from_ground, below, emitted = of_group
     move = coarse.moves(group, steps)
     lengths = jnp.asarray(coarse.lengths(group, steps), from_ground.dtype)[:, None, None, None]
     terrain = coarse.ground_share is not None
-    # A step begins with its whole move: half a move back puts its middle on the path.
-    below = _shift(from_ground, -0.5 * move, around, coarse.boundary)
 
     def layer(
         radiance: Array, cell: tuple[Any, ...]
@@ -367,13 +374,11 @@ def _pass_group(
             radiance = radiance - fell
         return radiance, (total / steps, hit, fell)
 
-    # Layer after layer; then the other half move, so that what ends is over its own cell.
     end, (mean, hit, fell) = jax.lax.scan(
         jax.checkpoint(layer), below, (emitted, attenuation, shares)
     )
     end = end if fell is None else end + fell.sum(axis=0)
-    end = _shift(end, 0.5 * move, around, coarse.boundary)
-    return mean, end, end if hit is None else end + hit.sum(axis=0)
+    return mean, end, None if hit is None else hit.sum(axis=0)
 
 
 def _shift(
@@ -386,17 +391,31 @@ def _shift(
 
     `move` [xy, level, azimuth] is known when the program is made: its shares are constants of it.
     """
-    move = move.astype(radiance.dtype)[..., None, None]
-    for axis, share in ((3, move[0]), (2, move[1])):
-        size = radiance.shape[axis]
+    periodic = boundary == "periodic"
+    shares = tuple(tuple(map(tuple, along.tolist())) for along in move)
+    moved: Array = _moved.bind(radiance, move=shares, periodic=periodic)
+    if periodic:
+        return moved
+    # From outside comes what moves out of cells that are all alike.
+    left = []
+    for share, size in zip(move, radiance.shape[:-3:-1]):
+        along = np.ones((*share.shape, size))
+        along[..., 0] -= np.maximum(share, 0)
+        along[..., -1] -= np.maximum(-share, 0)
+        left.append(along.astype(radiance.dtype))
+    entered = 1 - left[0][:, :, None, :] * left[1][:, :, :, None]
+    return moved + outside[:, :, None, None] * entered
+
+
+def _move(radiance: Array, move: Any, periodic: bool) -> Array:
+    for axis, share in zip((-1, -2), np.asarray(move, radiance.dtype)[..., None, None]):
+        size, axis = radiance.shape[axis], radiance.ndim + axis
         part = lambda of, start, size=size, axis=axis: jax.lax.slice_in_dim(  # noqa: E731
             of, start, start + size, axis=axis
         )
-        if boundary == "periodic":
-            ends = (part(radiance, size - 1, 1), part(radiance, 0, 1))
-        else:
-            edge = jnp.broadcast_to(outside[:, :, None, None], part(radiance, 0, 1).shape)
-            ends = (edge, edge)
+        ends = part(radiance, size - 1, 1), part(radiance, 0, 1)
+        if not periodic:
+            ends = jnp.zeros_like(ends[0]), jnp.zeros_like(ends[1])
         # The barrier has it written once and read three times, instead of pieced together thrice.
         padded = jax.lax.optimization_barrier(
             jnp.concatenate([ends[0], radiance, ends[1]], axis=axis)
@@ -408,3 +427,21 @@ def _shift(
             + part(padded, 2) * np.maximum(-share, 0)
         )
     return radiance
+
+
+def _move_back(cotangent: Array, radiance: Any, *, move: Any, periodic: bool) -> list[Array]:
+    back = tuple(tuple(tuple(-s for s in level) for level in along) for along in move)
+    return [_moved.bind(cotangent, move=back, periodic=periodic)]
+
+
+# An operation of its own, for the sake of its transpose, which is the opposite move: that of its
+# parts would be eight loops in place of four.
+_moved = Primitive("moved")
+_moved.def_impl(jax.jit(_move, static_argnames=("move", "periodic")))
+_moved.def_abstract_eval(lambda radiance, **_: radiance)
+mlir.register_lowering(_moved, mlir.lower_fun(_move, multiple_results=False))
+ad.deflinear2(_moved, _move_back)
+batching.primitive_batchers[_moved] = lambda args, dims, **how: (
+    _moved.bind(jnp.moveaxis(args[0], dims[0], 0), **how),
+    0,
+)
