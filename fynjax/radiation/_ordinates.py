@@ -114,9 +114,10 @@ class GroundShape(eqx.Module):
 class Coarse(eqx.Module):
     """A grid as the sweeps need it; the same for all bands."""
 
-    attenuation: tuple[tuple[Float[Array, "way z _ one y x"], ...], ...]
-    """Per group of levels: exp(-x), its mean along a step and the mean emission, x the depth of a
-    step; in the order in which light meets the layers on its way down, and on its way up."""
+    attenuation: tuple[Float[Array, "way z kind _ one y x"], ...]
+    """Per group of levels: exp(-x), its mean along a step and the mean emission (the three kinds),
+    x the depth of a step; in the order in which light meets the layers on its way down, and on its
+    way up."""
     ground_share: tuple[Float[Array, "z y x"], Float[Array, "z y x"]] | None
     """Share of the light that falls on a cell's bottom and ends there on the ground, and of that
     which comes in through a side [-]; None: the ground is flat, below the last layer."""
@@ -165,16 +166,17 @@ def coarse_grid(
     """Prepare the sweeps over the block-averaged `density`."""
     dx, dz = scene.horizontal * factor[1], scene.vertical * factor[0]
     by_angle = scene.classes.total_by_angle(density)
+    every = jnp.asarray(ordinates.cosine, density.dtype)
+    projection = projections(scene.classes.angles, every).astype(density.dtype)
     attenuation = []
     for levels, steps in _groups(ordinates, dz / dx):
         # Optical depth of a step through each cell, along the ordinates of each level.
-        cosine = jnp.asarray(ordinates.cosine[levels], density.dtype)
-        projection = projections(scene.classes.angles, cosine)
-        along = projection.astype(density.dtype) * (dz / (steps * cosine))
+        along = projection[:, levels] * (dz / (steps * every[levels]))
         # [layer, level, azimuth (one for all), y, x]; on the way down from the top layer on.
         depth = jnp.einsum("al,azyx->zlyx", along, by_angle)[:, :, None]
         depth = jnp.stack([depth[::-1], depth])
-        attenuation.append((jnp.exp(-depth), mean_transmittance(depth), mean_emission(depth)))
+        kinds = jnp.exp(-depth), mean_transmittance(depth), mean_emission(depth)
+        attenuation.append(jnp.stack(kinds, axis=2))
     # The barrier keeps the exponentials out of the sweeps, which would compute them each.
     attenuation = jax.lax.optimization_barrier(attenuation)
     coarse = Coarse(tuple(attenuation), None, None, ordinates, dx, dz, scene.boundary)
@@ -184,9 +186,7 @@ def coarse_grid(
     # exactly, and sets the scale.
     bare = dataclasses.replace(
         coarse,
-        attenuation=tuple(
-            (jnp.ones_like(a), jnp.ones_like(b), jnp.full_like(c, 0.5)) for a, b, c in attenuation
-        ),
+        attenuation=tuple(jnp.ones_like(one).at[:, :, 2].set(0.5) for one in attenuation),
         ground_share=ground_in_cells(scene, factor),
     )
     count = len(ordinates.vectors) // 2
@@ -328,7 +328,7 @@ def _pass_group(
     group: slice,
     steps: int,
     of_group: tuple[Array, Array, Array, Array],
-    attenuation: tuple[Array, ...],
+    attenuation: Float[Array, "z kind _ one y x"],
     shares: tuple[Array, ...] | None,
 ) -> tuple[Array, Array, Array | None]:
     """Ordinates that cross a layer in as many `steps`, through all layers of a pass.
@@ -347,11 +347,10 @@ def _pass_group(
     def layer(
         radiance: Array, cell: tuple[Any, ...]
     ) -> tuple[Array, tuple[Array, Array | None, Array | None]]:
-        emitted, (through, mean, emission), share = cell
+        emitted, kinds, share = cell
         emitted = emitted * lengths
         # For every azimuth: the derivative is then summed over them once a layer.
-        wide = [jnp.broadcast_to(a, radiance.shape) for a in (through, mean, emission)]
-        through, mean, emission = wide
+        through, mean, emission = jnp.broadcast_to(kinds, (3, *radiance.shape))
         if terrain:  # on the way up, the ground at the bottom of the cell adds its light
             radiance = radiance + share[0] * (below - radiance)
 
