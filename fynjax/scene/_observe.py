@@ -884,10 +884,8 @@ def _observe(
     """`AimedSensor.observe` as one program, and its derivative by any of the parameters as one."""
     if not any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves((scene, parameters))):
         return _observe_plain(aimed, scene, parameters, key=key)
-    parameters = jax.tree.map(
-        lambda x: x if getattr(x, "dtype", None) == scene.dtype else jnp.asarray(x, scene.dtype),
-        parameters,
-    )
+    # Of one type, weak ones too, lest another choice of parameters be another program.
+    parameters = jax.tree.map(lambda x: jnp.asarray(x, scene.dtype), parameters)
     return _differentiable(aimed, _with_parameters(scene, None), parameters, key)
 
 

@@ -553,7 +553,7 @@ def within_bounds(parameters: PlotParameters, taxa: tuple[str, ...]) -> PlotPara
 
 
 @partial(jax.jit, inline=True)  # one step instead of four where it is called alone
-def _bounded(values: Array, lower: float, upper: float) -> Array:
+def _bounded(values: Array, lower: Any, upper: Any) -> Array:
     # Not `clip`, whose slope at a bound is one half.
     low = jnp.where(values < lower, lower, values)
     return jnp.where(low > upper, upper, low)
