@@ -13,6 +13,7 @@ the light that escapes a clumped canopy is not that of its mean density.
 import dataclasses
 import math
 from collections.abc import Sequence
+from functools import partial
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Any, Literal, overload
 
@@ -893,11 +894,13 @@ def _with_parameters(scene: Scene, parameters: PlotParameters | None) -> Scene:
     return eqx.tree_at(lambda s: s.parameters, scene, parameters, is_leaf=lambda x: x is None)
 
 
-@eqx.filter_custom_jvp
-def _differentiable(
+def _observe_with(
     aimed: AimedSensor, scene: Scene, parameters: PlotParameters, key: Array | None
 ) -> Observation:
     return _observe_plain(aimed, _with_parameters(scene, parameters), parameters, key=key)
+
+
+_differentiable = eqx.filter_custom_jvp(_observe_with)
 
 
 @_differentiable.def_jvp
@@ -915,10 +918,8 @@ def _by_all_parameters(primals: Any, tangents: Any) -> Any:
             lambda s: s.held, scene, jnp.asarray(not scene.counts_move(tangents[2]))
         )
 
-    def seen(aimed: AimedSensor, scene: Scene, parameters: PlotParameters) -> Observation:
-        return _observe_plain(aimed, _with_parameters(scene, parameters), parameters, key=key)
-
-    return eqx.filter_jvp(seen, (aimed, scene, parameters), (*tangents[:2], change))
+    observed = partial(_observe_with, key=key)
+    return eqx.filter_jvp(observed, (aimed, scene, parameters), (*tangents[:2], change))
 
 
 def _nothing(like: Array, change: Array) -> Array:
