@@ -174,6 +174,18 @@ GROUPS: dict[str, list[Mutant]] = {
         Mutant("leaf/_problem.py", "not np.array_equal(grid, centres)", "not own.all()",
                "leaf/test_fit.py bands_that_all"),
     ],
+    "slopes": [
+        Mutant("radiation/_ordinates.py", "tuple(-s for s in level)", "tuple(s for s in level)",
+               "radiation/test_shift.py"),
+        Mutant("radiation/_ordinates.py", "along[..., -1] -= np.maximum(-share, 0)",
+               "along[..., -1] -= np.maximum(share, 0)", "radiation/test_shift.py"),
+        Mutant("radiation/_ordinates.py", "part(padded, 2) * np.maximum(-share, 0)",
+               "part(padded, 1) * np.maximum(-share, 0)", "radiation/test_shift.py"),
+        Mutant("scene/_observe.py", "not scene.counts_move(tangents[2])", "False",
+               "scene/test_one_backward.py"),
+        Mutant("scene/_observe.py", "_nothing(value, some[0]) if own is None else own",
+               "jnp.zeros_like(value) if own is None else own", "scene/test_one_backward.py"),
+    ],
     "figures": [
         Mutant("report/figures/_maps.py", 'zip(cells, maps.values()):\n        label',
                'zip(cells, [(b, a, *c) for a, b, *c in maps.values()]):\n        label', _SHOWN),

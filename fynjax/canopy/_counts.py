@@ -219,9 +219,10 @@ def _bare(
         return crown / even * jnp.where(taken < 1.0, some, count * part * jnp.log1p(-even))
 
     count = count[..., None]
-    here = logarithm(count)
-    _, half_way = jax.jvp(logarithm, (count + 0.5,), (jnp.ones_like(count),))
-    change = jnp.where(count < _EXACT, logarithm(count + 1.0) - here, half_way)
+    # At the number, at one more and half-way, all at once.
+    steps = jnp.stack([count, count + 1.0, count + 0.5])
+    (here, more, _), (*_, half_way) = jax.jvp(logarithm, (steps,), (jnp.ones_like(steps),))
+    change = jnp.where(count < _EXACT, more - here, half_way)
     free = jnp.exp(here)
     return free.mean(axis=-1), -(free * jnp.expm1(change)).mean(axis=-1)
 

@@ -12,6 +12,8 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.extend.core import Primitive
+from jax.interpreters import ad, batching, mlir
 from jaxtyping import Array, Float
 
 from fynjax._core.math import mean_emission, mean_transmittance
@@ -112,9 +114,10 @@ class GroundShape(eqx.Module):
 class Coarse(eqx.Module):
     """A grid as the sweeps need it; the same for all bands."""
 
-    attenuation: tuple[tuple[Float[Array, "way z _ one y x"], ...], ...]
-    """Per group of levels: exp(-x), its mean along a step and the mean emission, x the depth of a
-    step; in the order in which light meets the layers on its way down, and on its way up."""
+    attenuation: tuple[Float[Array, "way z kind _ one y x"], ...]
+    """Per group of levels: exp(-x), its mean along a step and the mean emission (the three kinds),
+    x the depth of a step; in the order in which light meets the layers on its way down, and on its
+    way up."""
     ground_share: tuple[Float[Array, "z y x"], Float[Array, "z y x"]] | None
     """Share of the light that falls on a cell's bottom and ends there on the ground, and of that
     which comes in through a side [-]; None: the ground is flat, below the last layer."""
@@ -163,16 +166,17 @@ def coarse_grid(
     """Prepare the sweeps over the block-averaged `density`."""
     dx, dz = scene.horizontal * factor[1], scene.vertical * factor[0]
     by_angle = scene.classes.total_by_angle(density)
+    every = jnp.asarray(ordinates.cosine, density.dtype)
+    projection = projections(scene.classes.angles, every).astype(density.dtype)
     attenuation = []
     for levels, steps in _groups(ordinates, dz / dx):
         # Optical depth of a step through each cell, along the ordinates of each level.
-        cosine = jnp.asarray(ordinates.cosine[levels], density.dtype)
-        projection = projections(scene.classes.angles, cosine)
-        along = projection.astype(density.dtype) * (dz / (steps * cosine))
+        along = projection[:, levels] * (dz / (steps * every[levels]))
         # [layer, level, azimuth (one for all), y, x]; on the way down from the top layer on.
         depth = jnp.einsum("al,azyx->zlyx", along, by_angle)[:, :, None]
         depth = jnp.stack([depth[::-1], depth])
-        attenuation.append((jnp.exp(-depth), mean_transmittance(depth), mean_emission(depth)))
+        kinds = jnp.exp(-depth), mean_transmittance(depth), mean_emission(depth)
+        attenuation.append(jnp.stack(kinds, axis=2))
     # The barrier keeps the exponentials out of the sweeps, which would compute them each.
     attenuation = jax.lax.optimization_barrier(attenuation)
     coarse = Coarse(tuple(attenuation), None, None, ordinates, dx, dz, scene.boundary)
@@ -182,9 +186,7 @@ def coarse_grid(
     # exactly, and sets the scale.
     bare = dataclasses.replace(
         coarse,
-        attenuation=tuple(
-            (jnp.ones_like(a), jnp.ones_like(b), jnp.full_like(c, 0.5)) for a, b, c in attenuation
-        ),
+        attenuation=tuple(jnp.ones_like(one).at[:, :, 2].set(0.5) for one in attenuation),
         ground_share=ground_in_cells(scene, factor),
     )
     count = len(ordinates.vectors) // 2
@@ -233,22 +235,28 @@ def sweep(
     levels, azimuths = len(ordinates.cosine), ordinates.azimuths
     flux = jnp.asarray(ordinates.fluxes, source.dtype)
     above = sky.astype(source.dtype).reshape(levels, azimuths)
+    moves = [coarse.moves(group, steps) for group, steps in coarse.groups]
+    move = np.concatenate(moves, axis=1)
 
     def pass_layers(
         entering: Array, hemisphere: tuple[Any, ...]
     ) -> tuple[Array, tuple[Array, ...]]:
         """Down through all layers, or up; the ground's light enters the way up."""
         outside, emitted, attenuation, shares = hemisphere
+        # A step begins with its whole move: half a move back puts its middle on the path.
+        below = _shift(entering, -0.5 * move, outside, coarse.boundary)
         passed = []
         for (group, steps), cells in zip(coarse.groups, attenuation):
-            of_group = outside[group], entering[group], emitted[:, group]
+            of_group = outside[group], entering[group], below[group], emitted[:, group]
             passed.append(_pass_group(coarse, group, steps, of_group, cells, shares))
-        means, leaving, ended = zip(*passed)
+        means, ends, hits = zip(*passed)
+        # Then the other half move, so that what ends is over its own cell.
+        leaving = _shift(jnp.concatenate(ends), 0.5 * move, outside, coarse.boundary)
+        falling = leaving if hits[0] is None else leaving + jnp.concatenate(hits)
         # The ground sends up what fell on it, and sunlight.
-        falling = jnp.concatenate(ended)
         received = falling if coarse.exposure is None else falling * coarse.exposure
         exitance = _sent_up(received, flux, ground, sunlit, shape)
-        return exitance, (jnp.concatenate(means, axis=1), jnp.concatenate(leaving), received)
+        return exitance, (jnp.concatenate(means, axis=1), leaving, received)
 
     # Two passes of one program: down from the top, with the sky's light; up, with the ground's.
     by_layer = jnp.moveaxis(source.reshape(2, levels, azimuths, *source.shape[1:]), 3, 1)
@@ -319,32 +327,30 @@ def _pass_group(
     coarse: Coarse,
     group: slice,
     steps: int,
-    of_group: tuple[Array, Array, Array],
-    attenuation: tuple[Array, ...],
+    of_group: tuple[Array, Array, Array, Array],
+    attenuation: Float[Array, "z kind _ one y x"],
     shares: tuple[Array, ...] | None,
-) -> tuple[Array, Array, Array]:
+) -> tuple[Array, Array, Array | None]:
     """Ordinates that cross a layer in as many `steps`, through all layers of a pass.
 
-    `of_group` is their radiance outside an open scene, what enters the first layer, and what each
-    layer emits; `attenuation` of each layer the share that a step lets through, and the mean of
-    radiance and of emission along it. Returns the mean radiance of each layer, what leaves the
-    last one, and what of it falls on the ground, hillsides included.
+    `of_group` is their radiance outside an open scene, what the ground sends, the same half a move
+    back, which enters the first layer, and what each layer emits; `attenuation` of each layer the
+    share that a step lets through, and the mean of radiance and of emission along it. Returns the
+    mean radiance of each layer, what leaves the last one or falls on the ground before half a move
+    on, and what falls on hillsides; None on level ground.
     """
-    around, from_ground, emitted = of_group
+    around, from_ground, below, emitted = of_group
     move = coarse.moves(group, steps)
     lengths = jnp.asarray(coarse.lengths(group, steps), from_ground.dtype)[:, None, None, None]
     terrain = coarse.ground_share is not None
-    # A step begins with its whole move: half a move back puts its middle on the path.
-    below = _shift(from_ground, -0.5 * move, around, coarse.boundary)
 
     def layer(
         radiance: Array, cell: tuple[Any, ...]
     ) -> tuple[Array, tuple[Array, Array | None, Array | None]]:
-        emitted, (through, mean, emission), share = cell
+        emitted, kinds, share = cell
         emitted = emitted * lengths
         # For every azimuth: the derivative is then summed over them once a layer.
-        wide = [jnp.broadcast_to(a, radiance.shape) for a in (through, mean, emission)]
-        through, mean, emission = wide
+        through, mean, emission = jnp.broadcast_to(kinds, (3, *radiance.shape))
         if terrain:  # on the way up, the ground at the bottom of the cell adds its light
             radiance = radiance + share[0] * (below - radiance)
 
@@ -367,13 +373,11 @@ def _pass_group(
             radiance = radiance - fell
         return radiance, (total / steps, hit, fell)
 
-    # Layer after layer; then the other half move, so that what ends is over its own cell.
     end, (mean, hit, fell) = jax.lax.scan(
         jax.checkpoint(layer), below, (emitted, attenuation, shares)
     )
     end = end if fell is None else end + fell.sum(axis=0)
-    end = _shift(end, 0.5 * move, around, coarse.boundary)
-    return mean, end, end if hit is None else end + hit.sum(axis=0)
+    return mean, end, None if hit is None else hit.sum(axis=0)
 
 
 def _shift(
@@ -386,17 +390,31 @@ def _shift(
 
     `move` [xy, level, azimuth] is known when the program is made: its shares are constants of it.
     """
-    move = move.astype(radiance.dtype)[..., None, None]
-    for axis, share in ((3, move[0]), (2, move[1])):
-        size = radiance.shape[axis]
+    periodic = boundary == "periodic"
+    shares = tuple(tuple(map(tuple, along.tolist())) for along in move)
+    moved: Array = _moved.bind(radiance, move=shares, periodic=periodic)
+    if periodic:
+        return moved
+    # From outside comes what moves out of cells that are all alike.
+    left = []
+    for share, size in zip(move, radiance.shape[:-3:-1]):
+        along = np.ones((*share.shape, size))
+        along[..., 0] -= np.maximum(share, 0)
+        along[..., -1] -= np.maximum(-share, 0)
+        left.append(along.astype(radiance.dtype))
+    entered = 1 - left[0][:, :, None, :] * left[1][:, :, :, None]
+    return moved + outside[:, :, None, None] * entered
+
+
+def _move(radiance: Array, move: Any, periodic: bool) -> Array:
+    for axis, share in zip((-1, -2), np.asarray(move, radiance.dtype)[..., None, None]):
+        size, axis = radiance.shape[axis], radiance.ndim + axis
         part = lambda of, start, size=size, axis=axis: jax.lax.slice_in_dim(  # noqa: E731
             of, start, start + size, axis=axis
         )
-        if boundary == "periodic":
-            ends = (part(radiance, size - 1, 1), part(radiance, 0, 1))
-        else:
-            edge = jnp.broadcast_to(outside[:, :, None, None], part(radiance, 0, 1).shape)
-            ends = (edge, edge)
+        ends = part(radiance, size - 1, 1), part(radiance, 0, 1)
+        if not periodic:
+            ends = jnp.zeros_like(ends[0]), jnp.zeros_like(ends[1])
         # The barrier has it written once and read three times, instead of pieced together thrice.
         padded = jax.lax.optimization_barrier(
             jnp.concatenate([ends[0], radiance, ends[1]], axis=axis)
@@ -408,3 +426,21 @@ def _shift(
             + part(padded, 2) * np.maximum(-share, 0)
         )
     return radiance
+
+
+def _move_back(cotangent: Array, radiance: Any, *, move: Any, periodic: bool) -> list[Array]:
+    back = tuple(tuple(tuple(-s for s in level) for level in along) for along in move)
+    return [_moved.bind(cotangent, move=back, periodic=periodic)]
+
+
+# An operation of its own, for the sake of its transpose, which is the opposite move: that of its
+# parts would be eight loops in place of four.
+_moved = Primitive("moved")
+_moved.def_impl(jax.jit(_move, static_argnames=("move", "periodic")))
+_moved.def_abstract_eval(lambda radiance, **_: radiance)
+mlir.register_lowering(_moved, mlir.lower_fun(_move, multiple_results=False))
+ad.deflinear2(_moved, _move_back)
+batching.primitive_batchers[_moved] = lambda args, dims, **how: (
+    _moved.bind(jnp.moveaxis(args[0], dims[0], 0), **how),
+    0,
+)

@@ -13,6 +13,7 @@ the light that escapes a clumped canopy is not that of its mean density.
 import dataclasses
 import math
 from collections.abc import Sequence
+from functools import partial
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Any, Literal, overload
 
@@ -875,7 +876,57 @@ def _seen(
 
 
 _atmosphere = eqx.filter_jit(PlotAir.atmosphere)
-_observe = eqx.filter_jit(AimedSensor.observe)
+_observe_plain = eqx.filter_jit(AimedSensor.observe)
+
+
+def _observe(
+    aimed: AimedSensor, scene: Scene, parameters: PlotParameters, *, key: Array | None = None
+) -> Observation:
+    """`AimedSensor.observe` as one program, and its derivative by any of the parameters as one."""
+    if not any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves((scene, parameters))):
+        return _observe_plain(aimed, scene, parameters, key=key)
+    # Of one type, weak ones too, lest another choice of parameters be another program.
+    parameters = jax.tree.map(lambda x: jnp.asarray(x, scene.dtype), parameters)
+    return _differentiable(aimed, _with_parameters(scene, None), parameters, key)
+
+
+def _with_parameters(scene: Scene, parameters: PlotParameters | None) -> Scene:
+    return eqx.tree_at(lambda s: s.parameters, scene, parameters, is_leaf=lambda x: x is None)
+
+
+def _observe_with(
+    aimed: AimedSensor, scene: Scene, parameters: PlotParameters, key: Array | None
+) -> Observation:
+    return _observe_plain(aimed, _with_parameters(scene, parameters), parameters, key=key)
+
+
+_differentiable = eqx.filter_custom_jvp(_observe_with)
+
+
+@_differentiable.def_jvp
+def _by_all_parameters(primals: Any, tangents: Any) -> Any:
+    """A derivative by some parameters outside `jit` as that by all, lest each choice of them be
+    compiled anew: the others change too, by nothing."""
+    aimed, scene, parameters, key = primals
+    change = tangents[2]
+    known = not any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(primals))
+    if known and (some := jax.tree.leaves(change)):
+        change = jax.tree.map(
+            lambda value, own: _nothing(value, some[0]) if own is None else own, parameters, change
+        )
+        scene = eqx.tree_at(
+            lambda s: s.held, scene, jnp.asarray(not scene.counts_move(tangents[2]))
+        )
+
+    observed = partial(_observe_with, key=key)
+    return eqx.filter_jvp(observed, (aimed, scene, parameters), (*tangents[:2], change))
+
+
+def _nothing(like: Array, change: Array) -> Array:
+    """Zeros as `like` that to JAX depend on `change`: not by a product, whose zero times an
+    infinite slope would be NaN, but as what surrounds none of its numbers."""
+    none = jax.lax.slice(jnp.ravel(change), (0,), (0,))
+    return jax.lax.pad(none, jnp.zeros((), none.dtype), [(0, like.size, 0)]).reshape(like.shape)
 
 
 @overload

@@ -219,6 +219,9 @@ class Scene(eqx.Module):
     """Real number of plants of each species instead of that of the parameters [-]; None: theirs."""
     in_part: Bool[Array, ""] = eqx.field(converter=jnp.asarray, default=False)
     """Whether the last plants of each species stand in part instead of whole (`Scene.expected`)."""
+    held: Bool[Array, ""] = eqx.field(converter=jnp.asarray, default=False)
+    """Whether plants stand whole in a derivative too: in one by what moves no number of plants, by
+    the program of a derivative by all parameters."""
     seed: Int[np.ndarray | Array, ""] = eqx.field(default_factory=lambda: np.zeros((), int))
     """Seed of what was drawn; no part of what is observed."""
     spacing: Float[Array, ""] = eqx.field(converter=jnp.asarray, default=0.0)
@@ -711,6 +714,15 @@ class Scene(eqx.Module):
         target = target_area(self.ground_area, species.cover)
         return soft_count(target, each, np.asarray(self.branches))
 
+    def counts_move(self, changes: PlotParameters) -> bool:
+        """Whether `counts` move with the parameters that change: those that are not None."""
+        if self.number is not None or self.known_plants or self.shares is not None:
+            return False
+        names = ["cover", "diameter"]
+        if self.rules.cover_definition == "article":
+            names += ["height", "packing", "fill"]
+        return any(getattr(changes.species, name) is not None for name in names)
+
     def _within(self, radius: Array) -> Array:
         """Area of a crown within the plot, on average over the places where it may stand [m2]."""
         disc = jnp.pi * radius**2
@@ -790,7 +802,8 @@ class Scene(eqx.Module):
         share = site_weight(
             some, planting.place, width=self.rules.softness_plants, softness=self.rules.softness
         )
-        return jnp.where(self.in_part, share, _whole(whole, share))
+        slope = jnp.where(self.held, whole, share)
+        return jnp.where(self.in_part, share, _whole(whole, slope))
 
     def crown_areas(self, parameters: PlotParameters) -> Float[Array, " plant"]:
         """Ground area of the crown of every plant that stands, else 0 [m2]. Differentiable, see
