@@ -15,7 +15,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from fynjax._core.errors import in_file
 from fynjax.canopy import VoxelGrid
@@ -294,6 +294,8 @@ class ImageSight(eqx.Module):
     """File that says so, which errors name."""
     sun: tuple[float, float] | None = eqx.field(static=True, default=None)
     """Zenith and azimuth of the sun [degrees]; None: those of the parameters."""
+    mask: Bool[Array, "y x"] | None = None
+    """Pixels that count, of those in the frame of a known pose; None: all."""
 
     def __call__(self, scene: Scene, parameters: PlotParameters) -> ImageView:
         """The view of a scene. **Raises:** `InputError` as `fynjax.scene.aim`."""
@@ -303,6 +305,8 @@ class ImageSight(eqx.Module):
                 scene, parameters, self.sensor, self.placement, point_spread=self.point_spread
             )
             aimed.check(parameters)
+        if self.mask is not None and aimed.seen is not None:
+            aimed = dataclasses.replace(aimed, seen=aimed.seen & self.mask)
         return ImageView(self.names, aimed, self.gains, sun=self.sun)
 
 

@@ -24,6 +24,7 @@ from fynjax.app.compare import (
     read_spectra_sample,
 )
 from fynjax.app.compare.structure import ComparisonSettings, cloud_structure
+from fynjax.app.io.frames import is_frame_stack
 from fynjax.app.io.plot import (
     Plot,
     TargetTable,
@@ -177,6 +178,8 @@ def target_kind(path: Path) -> Kind:
     suffix = path.suffix.lower()
     if suffix in _CLOUDS:
         return "structure"
+    if is_frame_stack(path):
+        return "image"
     if suffix in (".tif", ".tiff"):
         return "spectrum" if _band_count(path) > _DRONE_BANDS else "image"
     beside = path.with_name(path.name + ".hdr")
@@ -278,7 +281,10 @@ def read_targets(
 def _read_target(
     plot: Plot, path: Path, kind: Kind, bands: Sequence[str] | None, seed: int
 ) -> Data:
-    """The statistics of one target, which one sensor measured, with their errors."""
+    """The statistics of one target, which one sensor measured, with their errors; of a flight those
+    of each frame."""
+    if is_frame_stack(path):
+        return _flight_of(plot, path)
     if kind == "image":
         return image_target(plot, path, bands)
     if kind == "spectrum":
@@ -292,6 +298,8 @@ def _view_of(plot: Plot, target: TargetTable, bands: Sequence[str] | None, seed:
     if target.sun is not None:
         plot = plot.replace(sun=target.sun.position)
     existing_file(target.file, "an image, a spectrum, a point cloud or a table of their statistics")
+    if is_frame_stack(target.file):
+        return _flight_of(plot, target.file, target)
     data = _read_target(plot, target.file, target_kind(target.file), bands, seed)
     source = data.source
     assert source is not None
@@ -308,6 +316,20 @@ def _view_of(plot: Plot, target: TargetTable, bands: Sequence[str] | None, seed:
         sight = dataclasses.replace(sight, placement=place)
     data = dataclasses.replace(data, source=dataclasses.replace(source, view_of=sight))
     return data.renamed(target.view) if target.view else data
+
+
+def _flight_of(plot: Plot, path: Path, target: TargetTable | None = None) -> Data:
+    """Data of the frames of a flight; a sun that is stated counts for all of them."""
+    from fynjax.app.assembly._flights import flight_data  # which takes statistics from here
+
+    if target is not None and target.frame is not None:
+        raise InputError(
+            "expected no position_m of frames, which have one each", file=plot.file, column="target"
+        )
+    data = flight_data(plot, path, "" if target is None else target.view)
+    if target is None or target.sun is None:
+        return data
+    return join_data([one.under((plot.sun.zenith, plot.sun.azimuth)) for one in data.parts])
 
 
 def _of_known_plants(plot: Plot) -> Plot:
@@ -328,7 +350,7 @@ def _is_image(path: Path) -> bool:
 
 
 def _file(data: Data) -> Path | None:
-    return None if data.source is None else data.source.file
+    return data.parts[0].source.file if data.parts and data.parts[0].source else None
 
 
 def _pixels_of_plot(plot: Plot, paths: Sequence[Path], bands: Sequence[str] | None) -> Data:

@@ -1,0 +1,106 @@
+"""Frames of a flight as what a calibration is to reach: a view of each, from where it hung."""
+
+import dataclasses
+import warnings
+from collections.abc import Sequence
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+
+from fynjax._core.errors import InputError, in_file
+from fynjax.app.assembly._targets import (
+    RealImage,
+    TargetRules,
+    image_sight,
+    target_rules,
+    weighed_statistics,
+)
+from fynjax.app.compare import DroneImage
+from fynjax.app.io.frames import FrameStack, read_frame_stack
+from fynjax.app.io.plot import Plot, drone_sensor
+from fynjax.inversion import Data, Source, join_data
+from fynjax.scene import Placement
+
+
+def flight_data(plot: Plot, path: Path, view: str = "") -> Data:
+    """Statistics of each frame of a flight, as views of one camera.
+
+    **Arguments:**
+
+    - `plot`: as `read_plot` gives it, with the sensor that took the frames.
+    - `path`: of frames on the ground, as `fynjax frames --images` writes them.
+    - `view`: word that stands before the names of the frames; none by default.
+
+    **Returns:** `Data` of all frames, each with its pose, lens and sun. Only pixels that a frame
+    sees count, in the image and in what is simulated.
+
+    **Raises:** `InputError` as `read_frame_stack`, for frames of another grid than that of the
+    plot, and of bands that its sensor lacks.
+    """
+    stack = read_frame_stack(path)
+    if stack.relative:
+        warnings.warn(f"{path}: {stack.relative}", stacklevel=2)
+    with in_file(path):
+        shape = tuple(int(side / stack.pixel + 1e-6) for side in plot.size_m[::-1])
+        if stack.reflectance.shape[2:] != shape:
+            rows, columns = stack.reflectance.shape[2:]
+            raise InputError(
+                f"expected frames on the ground of a plot of {plot.size_m[0]:g} x "
+                f"{plot.size_m[1]:g} m, {shape[1]} x {shape[0]} pixels of {stack.pixel:g} m, but "
+                f"got {columns} x {rows}: are they of another plot?"
+            )
+        camera = drone_sensor(plot)
+        if lacking := [name for name in stack.bands if name not in camera.bands.names]:
+            raise InputError(
+                f"expected bands of {camera.name!r} ({', '.join(camera.bands.names)}), but the "
+                f"frames have {lacking[0]!r}: name the sensor that took them"
+            )
+        parts = [_frame_data(plot, stack, k, path) for k in range(len(stack.frames))]
+    prefix = f"{view}_" if view else ""
+    named = zip(parts, stack.views, strict=True)
+    return join_data([part.renamed(f"{prefix}{name}") for part, name in named])
+
+
+def _frame_data(plot: Plot, stack: FrameStack, number: int, path: Path) -> Data:
+    frame, values = stack.frames[number], stack.reflectance[number]
+    seen, bands = stack.seen[number], drone_sensor(plot).bands
+    own = bands.select([bands.names.index(name) for name in stack.bands])
+    rules: TargetRules = target_rules(plot)
+    data = weighed_statistics(values, own, seen, stack.pixel, rules, side=min(plot.size_m))
+    sight = dataclasses.replace(
+        image_sight(plot, data.names),
+        placement=Placement(pixel=stack.pixel, frame=frame),
+        sun=stack.sun[number],
+        mask=jnp.asarray(seen),
+    )
+    image = _as_image(path, stack, number)
+    source = Source(
+        "image",
+        sight,
+        f"{frame.name}: {len(data.names)} statistics of the {seen.mean():.0%} of the plot that it "
+        f"sees, from {frame.pose.position[2]:.0f} m.",
+        path,
+        {"target_valid_share": float(seen.mean())},
+        image=RealImage.of(image, stack.pixel, plot.size_m),
+    )
+    return dataclasses.replace(data, source=source)
+
+
+def _as_image(path: Path, stack: FrameStack, number: int) -> DroneImage:
+    seen = stack.seen[number]
+    return DroneImage(
+        file=path,
+        values=np.where(seen, stack.reflectance[number], np.nan),
+        bands=stack.bands,
+        mask=seen,
+        taken=stack.bands,
+        chosen_by="names",
+        shape=(seen.shape[0], seen.shape[1]),
+        step=1,
+        pixel_m=stack.pixel,
+        crs=None,
+        without_data=int((~seen).sum()),
+        saturated=0,
+        not_positive=0,
+    )
