@@ -31,6 +31,7 @@ from fynjax.metrics import index_bands, vegetation_indices
 from fynjax.radiation import (
     AbstractRays,
     Accuracy,
+    Light,
     RayField,
     RayLattice,
     VoxelScene,
@@ -515,12 +516,19 @@ class AimedSensor(eqx.Module):
         """
         voxels, rays = unfolded((voxels, self.rays))
         light = solve_light(voxels, self.accuracy)
+        return *dataclasses.replace(self, rays=rays).lit(light, voxels), light.residual
+
+    def lit(
+        self, light: Light, voxels: VoxelScene
+    ) -> tuple[Float[Array, "band y x"], Float[Array, " band"]]:
+        """Reflectance factor of the pixels, and its mean over the scene [-], in the `light` of
+        `voxels`, which sensors of one accuracy share. Differentiable in both."""
         # As many bands at once as voxels leave memory for.
         chunk = min(max(_VOXELS // int(np.prod(voxels.shape)), 8), 32)
         factor = reflectance_factor(
-            light, rays, chunk=chunk, steepest=self.steepest, together=self.together
+            light, self.rays, chunk=chunk, steepest=self.steepest, together=self.together
         )
-        return *self.averages(factor, voxels), light.residual
+        return self.averages(factor, voxels)
 
     def averages(
         self, factor: Float[Array, "band row column"], voxels: VoxelScene

@@ -47,3 +47,24 @@ def write_pictures(folder: Path, reflectance=ground, tags=None, names=None) -> P
             wavelengths=WAVES, tags=None if tags is None else tags[k],
         )  # fmt: skip
     return folder
+
+
+def write_stack(path: Path, stack) -> Path:
+    """Frames that lie on the ground already, as `fynjax frames` writes them."""
+    import xarray as xr
+
+    from fynjax.app.io.raster import write_run
+
+    rows, columns = stack.reflectance.shape[2:]
+    coordinates = {
+        "frame": ("frame", [f.name for f in stack.frames], {"long_name": "name of the frame"}),
+        "band": ("band", list(stack.bands), {"long_name": "band name"}),
+    }
+    for name, count in (("y", rows), ("x", columns)):
+        about = {"units": "m", "long_name": name}
+        coordinates[name] = (name, (np.arange(count) + 0.5) * stack.pixel, about)
+    angle = {"units": "degree", "long_name": "zenith angle of the camera"}
+    zenith = np.zeros((len(stack.frames), rows, columns))
+    variables = stack.variables({}) | {"view_zenith": (("frame", "y", "x"), zenith, angle)}
+    write_run(path, xr.Dataset(variables, coordinates, {"pixel_m": stack.pixel}))
+    return path

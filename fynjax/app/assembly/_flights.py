@@ -2,7 +2,6 @@
 
 import dataclasses
 import warnings
-from collections.abc import Sequence
 from pathlib import Path
 
 import jax.numpy as jnp

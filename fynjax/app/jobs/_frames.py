@@ -279,8 +279,8 @@ def _lay(
     names = [frame.name for frame in flight.frames]
     able = [names.index(name) for name in every]
     suns = _suns([every[names[k]] for k in able], plot, place)
-    angles = table.loc[able, ["view_zenith_deg", "view_azimuth_deg"]].to_numpy().T
-    features = direction_features(*angles, suns)
+    zenith, azimuth = table.loc[able, ["view_zenith_deg", "view_azimuth_deg"]].to_numpy().T
+    features = direction_features(zenith, azimuth, suns)
     share = table.loc[able, "seen"].to_numpy()
     chosen = range(len(able)) if most is None else choose_frames(features, share, most)
     places, suns = [able[k] for k in chosen], [suns[k] for k in chosen]
@@ -483,7 +483,7 @@ def _dataset(flight: _Flight, laid: _Laid | None, ground: _Ground, place: Place)
     }
     count = {"units": "1", "long_name": "frames that see the pixel", **about}
     variables["frames_per_pixel"] = (("y", "x"), seen.sum(axis=0).astype(np.int32), count)
-    attributes = {"pixel_m": ground.pixel}
+    attributes: dict[str, Any] = {"pixel_m": ground.pixel}
     if laid is not None:
         variables |= laid.stack.variables(about)
         coordinates["band"] = ("band", list(laid.stack.bands), {"long_name": "band name"})
