@@ -284,7 +284,7 @@ class ImageView(ImagesView):
             image, self.names, self.camera.seen, pixel=pixel, window=self.window, bands=bands
         )
 
-    def for_search(self, scene: Scene, accuracy: Accuracy, stride: int | None) -> "ImageView":
+    def for_search(self, scene: Scene, accuracy: Accuracy, stride: int | None) -> Self:
         if stride is None:
             stride = max(round(scene.grid.horizontal_size / self.camera.pixel), 1)
         camera = dataclasses.replace(self.camera.sampled(stride), accuracy=accuracy)
@@ -362,6 +362,23 @@ class FlightView(ImagesView):
         return dataclasses.replace(self, frames=frames)
 
 
+class BlendView(ImageView):
+    """Statistics of a mosaic whose pixels are means over the frames that saw them."""
+
+    frames: tuple[ImageView, ...] = ()
+    """Views of these; `camera` has the pixels of the mosaic."""
+
+    def image(self, scene: Scene, parameters: PlotParameters) -> Float[Array, "band y x"]:
+        images = FlightView((), self.frames).image(scene, parameters)
+        seen = jnp.stack([jnp.asarray(frame.camera.seen) for frame in self.frames])[:, None]
+        total = jnp.sum(jnp.where(seen, images, 0.0), axis=0)
+        return total / jnp.maximum(jnp.sum(seen, axis=0), 1)
+
+    def for_search(self, scene: Scene, accuracy: Accuracy, stride: int | None) -> "BlendView":
+        frames = tuple(frame.for_search(scene, accuracy, stride) for frame in self.frames)
+        return dataclasses.replace(super().for_search(scene, accuracy, stride), frames=frames)
+
+
 def together(views: Sequence[AbstractView]) -> tuple[AbstractView, ...]:
     """The same views, in their order, those of frames that share sun and light as one."""
     groups: list[list[AbstractView]] = []
@@ -387,7 +404,7 @@ def _share_light(one: AbstractView, other: ImageView) -> bool:
         same = camera.accuracy, camera.pixel, camera.shape, camera.origin, view.bands
         return (view.names, view.sun, view.spacing, view.window, camera.sensor.name, *same)
 
-    if not isinstance(one, ImageView) or one.directions is not None:
+    if type(one) is not ImageView or type(other) is not ImageView or one.directions is not None:
         return False
     bare = all(v.camera.air is None and v.camera.panels is None for v in (one, other))
     framed = one.camera.seen is not None and other.camera.seen is not None
@@ -428,15 +445,26 @@ class ImageSight(eqx.Module):
     """Zenith and azimuth of the sun [degrees]; None: those of the parameters."""
     mask: Bool[Array, "y x"] | None = None
     """Pixels that count, of those in the frame of a known pose; None: all."""
+    blended: bool = eqx.field(static=True, default=False)
+    """Whether the pixels of a mosaic are means over the frames that saw them, and not what the
+    nearest camera saw."""
 
     def __call__(self, scene: Scene, parameters: PlotParameters) -> ImageView:
         """The view of a scene. **Raises:** `InputError` as `fynjax.scene.aim`."""
-        parameters = under_sun(parameters, self.sun)
+        parameters, frame = under_sun(parameters, self.sun), self.placement.frame
         with in_file(self.file) if self.file is not None else nullcontext():
             aimed = aim(
                 scene, parameters, self.sensor, self.placement, point_spread=self.point_spread
             )
             aimed.check(parameters)
+            if self.blended and frame is not None and frame.mosaic:
+                own = dataclasses.replace(self, blended=False)
+                frames = [
+                    dataclasses.replace(own, placement=Placement(pixel=aimed.pixel, frame=one))
+                    for one in frame.mosaic
+                ]
+                each = tuple(one(scene, parameters) for one in frames)
+                return BlendView(self.names, aimed, self.gains, sun=self.sun, frames=each)
         if self.mask is not None and aimed.seen is not None:
             aimed = dataclasses.replace(aimed, seen=aimed.seen & self.mask)
         return ImageView(self.names, aimed, self.gains, sun=self.sun)

@@ -129,7 +129,9 @@ def read_frame_stack(path: str | Path) -> FrameStack:
         data = data.load()
     dims = data["reflectance"].dims
     if dims != ("frame", "band", "y", "x") or not data["reflectance"].size:
-        raise InputError(f"expected reflectance by frame, band, y and x, but got {listed(map(str, dims))}")
+        raise InputError(
+            f"expected reflectance by frame, band, y and x, but got {listed(map(str, dims))}"
+        )
     values = np.asarray(data["reflectance"].values, float)
     pixel = data.attrs.get("pixel_m")
     if not (isinstance(pixel, float | np.floating) and 0.0 < pixel < np.inf):
