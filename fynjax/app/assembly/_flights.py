@@ -17,9 +17,10 @@ from fynjax.app.assembly._targets import (
 )
 from fynjax.app.compare import DroneImage
 from fynjax.app.io.frames import FrameStack, read_frame_stack
-from fynjax.app.io.plot import Plot, drone_sensor
+from fynjax.app.io.plot import Plot, drone_sensor, read_cameras
 from fynjax.inversion import Data, Source, join_data
 from fynjax.scene import Placement
+from fynjax.sensors import Frame, FrameCamera, Pose, lens_of
 
 
 def flight_data(plot: Plot, path: Path, view: str = "") -> Data:
@@ -59,6 +60,37 @@ def flight_data(plot: Plot, path: Path, view: str = "") -> Data:
     prefix = f"{view}_" if view else ""
     named = zip(parts, stack.views, strict=True)
     return join_data([part.renamed(f"{prefix}{name}") for part, name in named])
+
+
+def mosaic_of(plot: Plot, path: Path) -> Frame:
+    """The cameras of a mosaic of a plot, as one frame; those that see nothing of it are left out.
+
+    **Arguments:**
+
+    - `plot`: as `read_plot` gives it, with the camera that took the frames.
+    - `path`: of the table of cameras.
+
+    **Raises:** `InputError` as `read_cameras`, for a sensor that is no frame camera, and where no
+    camera sees any of the plot.
+    """
+    sensor = drone_sensor(plot)
+    if not isinstance(sensor.camera, FrameCamera):
+        raise InputError(f"expected a frame camera, but {sensor.name!r} is none", file=plot.file)
+    lens = lens_of(sensor.camera)
+    east, north = (np.linspace(0.0, side, 9) for side in plot.size_m)
+    points = np.stack([*np.meshgrid(east, north), np.zeros((9, 9))], axis=-1)
+    every = [Frame(pose, lens, f"camera {k}") for k, pose in enumerate(read_cameras(path), 1)]
+    some = tuple(frame for frame in every if frame.sees(points).any())
+    if not some:
+        raise InputError(
+            f"expected cameras that see some of the plot of {plot.size_m[0]:g} x "
+            f"{plot.size_m[1]:g} m, but none of {len(every)} does. Are positions counted from its "
+            "south-west corner?",
+            file=path,
+        )
+    height = float(np.mean([frame.pose.position[2] for frame in some]))
+    middle = np.array([0.5 * plot.size_m[0], 0.5 * plot.size_m[1], height])
+    return Frame(Pose(middle), lens, path.name, some)
 
 
 def _frame_data(plot: Plot, stack: FrameStack, number: int, path: Path) -> Data:

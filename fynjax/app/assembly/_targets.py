@@ -307,13 +307,23 @@ def _view_of(plot: Plot, target: TargetTable, bands: Sequence[str] | None, seed:
     sun = None if target.sun is None else (plot.sun.zenith, plot.sun.azimuth)
     if sun is not None and isinstance(sight, ImageSight | SpectrumSight):
         sight = dataclasses.replace(sight, sun=sun)
-    if target.frame is not None:
+    frame = target.frame
+    if target.cameras is not None:
+        from fynjax.app.assembly._flights import mosaic_of
+
+        frame = mosaic_of(plot, target.cameras)
+        blend = "the mean of those" if target.blend == "mean" else "the nearest"
+        words = f" Each pixel is seen by {blend} of {len(frame.mosaic)} cameras that see it."
+        source = dataclasses.replace(
+            source, description=source.description.replace(ONE_PICTURE, "") + words
+        )
+    if frame is not None:
         if not isinstance(sight, ImageSight):
-            raise InputError("expected position_m of an image alone", file=target.file)
+            raise InputError("expected a place of cameras of an image alone", file=target.file)
         known = _is_image(target.file) or target.pixel_m or target.footprint_m
         pixel = sight.placement.pixel if known else None  # else that from where the frame hung
-        place = Placement(pixel=pixel, frame=target.frame)
-        sight = dataclasses.replace(sight, placement=place)
+        place, blended = Placement(pixel=pixel, frame=frame), target.blend == "mean"
+        sight = dataclasses.replace(sight, placement=place, blended=blended)
     data = dataclasses.replace(data, source=dataclasses.replace(source, view_of=sight))
     return data.renamed(target.view) if target.view else data
 
@@ -322,9 +332,11 @@ def _flight_of(plot: Plot, path: Path, target: TargetTable | None = None) -> Dat
     """Data of the frames of a flight; a sun that is stated counts for all of them."""
     from fynjax.app.assembly._flights import flight_data  # which takes statistics from here
 
-    if target is not None and target.frame is not None:
+    if target is not None and (target.frame is not None or target.cameras is not None):
         raise InputError(
-            "expected no position_m of frames, which have one each", file=plot.file, column="target"
+            "expected no position_m and no cameras of frames, which have one each",
+            file=plot.file,
+            column="target",
         )
     data = flight_data(plot, path, "" if target is None else target.view)
     if target is None or target.sun is None:
@@ -336,10 +348,11 @@ def _of_known_plants(plot: Plot) -> Plot:
     """A plot with known crowns, with the sensor of the view that its file states: of one that looks
     straight down under the plot's sun, since other pixels are no map."""
     for target in plot.targets:
-        if target.frame is not None or target.sun is not None:
+        placed = target.frame is not None or target.cameras is not None
+        if placed or target.sun is not None:
             raise InputError(
                 "expected an image from above, under the plot's sun, where every pixel counts: "
-                "leave out position_m and sun, or crowns",
+                "leave out position_m, cameras and sun, or crowns",
                 file=plot.file,
             )
     return plot.replace(sensor=named_sensor(plot.targets[0].of_sensor(plot.sensor)))
@@ -468,10 +481,20 @@ def image_target(
         description += (
             f" {what} {seen:.4g} m are simulated, not those of {pixel:.4g} m of the plot's sensor."
         )
+    if image is not None:
+        description += ONE_PICTURE
     sight = image_sight(plot, data.names)
     return dataclasses.replace(
         data, source=Source("image", sight, description, path, extra, image=image)
     )
+
+
+ONE_PICTURE = (
+    " It is taken for one picture from above the middle of the plot; an orthomosaic is put together "
+    "of many: MEASURED."
+)
+"""What is said of an image without positions of cameras; figures of `python -m
+tests.benchmarks.mosaic`, run once."""
 
 
 class ImageData(NamedTuple):

@@ -11,6 +11,10 @@ _NOISE = 0.3
 """Error of what a frame of the whole plot says over how much views differ [-]."""
 
 
+_SWEEPS = 5
+"""Times that every chosen frame may be exchanged for one that says more, at most."""
+
+
 def direction_features(
     zenith: Float[np.ndarray, " frame"],
     azimuth: Float[np.ndarray, " frame"],
@@ -40,7 +44,7 @@ def choose_frames(
 
     Of a Gaussian process over the angles, whose errors are as much larger as a frame sees less of
     the plot, each next frame is the one that lowers the entropy most (Krause, Singh & Guestrin
-    2008, near-optimal sensor placements).
+    2008, near-optimal sensor placements); then each is exchanged while that lowers it further.
 
     **Arguments:** `features`, as of `direction_features`; `seen`, share of the plot that each sees
     [-]; `most`, at least one.
@@ -50,12 +54,24 @@ def choose_frames(
     apart = np.sum((features[:, None] - features[None]) ** 2, axis=-1)
     kernel = np.exp(-0.5 * apart / _ALIKE**2)
     noise = _NOISE**2 / np.maximum(seen, 1e-6)
+    able = np.flatnonzero(seen > 0.0).tolist()
+
+    def information(places: list[int]) -> float:
+        whitened = kernel[np.ix_(places, places)] / np.sqrt(np.outer(noise[places], noise[places]))
+        return float(np.linalg.slogdet(np.eye(len(places)) + whitened)[1])
+
     chosen: list[int] = []
-    while len(chosen) < min(most, int(np.sum(seen > 0.0))):
-        block = kernel[np.ix_(chosen, chosen)] + np.diag(noise[chosen])
-        across = kernel[chosen]
-        left = 1.0 - np.sum(across * np.linalg.solve(block, across), axis=0) if chosen else 1.0
-        gain = np.log1p(np.maximum(left, 0.0) / noise)
-        gain[[*chosen, *np.flatnonzero(seen <= 0.0)]] = -np.inf
-        chosen.append(int(np.argmax(gain)))
+    while len(chosen) < min(most, len(able)):
+        left = [k for k in able if k not in chosen]
+        chosen.append(max(left, key=lambda k: information([*chosen, k])))
+    for _ in range(_SWEEPS):  # the first of them was chosen without the others
+        before = list(chosen)
+        for i in range(len(chosen)):
+            rest = chosen[:i] + chosen[i + 1 :]
+            chosen[i] = max(
+                [chosen[i], *(k for k in able if k not in chosen)],
+                key=lambda k: information([*rest, k]),
+            )
+        if chosen == before:
+            break
     return sorted(chosen)
