@@ -239,3 +239,32 @@ def test_frames_have_their_own_places(flight, tmp_path):
     plot.write_text(plot.read_text() + more)
     with pytest.raises(InputError, match="no position_m"):
         read_problem(plot, free=["species.*.cover"])
+
+
+def test_frames_are_validated_one_by_one(flight, tmp_path):
+    """Against the plot itself, simulated here frame by frame."""
+    import fynjax as fx
+    from fynjax.app.assembly import build_plot
+    from fynjax.app.io.frames import read_frame_stack
+    from fynjax.app.io.plot import read_plot
+
+    plot, _ = laid(flight, tmp_path)
+    real = tmp_path / "out" / "frames.nc"
+    data = jobs.ValidationData(real_drone=real, simulated_drone=plot)
+    result = jobs.validate(data, tmp_path / "validation")
+    table = pd.read_csv(tmp_path / "validation" / "drone_frames.csv")
+    assert list(dict.fromkeys(table["frame"])) == list(made.SHOTS)
+    scene, parameters = build_plot(read_plot(plot), seed=0, rounding="up")
+    stack = read_frame_stack(real)
+    for k, frame in enumerate(stack.frames):
+        own = fx.observe(scene, "mavic_3m", parameters=parameters, pixel=0.1, pose=frame)
+        rows = table[table["frame"] == frame.name].set_index("band")
+        for i, band in enumerate(stack.bands):
+            found = np.asarray(own[band])[stack.seen[k]].mean()
+            assert rows.loc[band, "simulated_mean"] == pytest.approx(found, rel=2e-3)
+            known = stack.reflectance[k, i][stack.seen[k]].mean()
+            assert rows.loc[band, "real_mean"] == pytest.approx(known, rel=1e-6)
+    assert result.drone.frames is not None
+    assert "frames the difference of a mean changes" in " ".join(result.headline)
+    with pytest.raises(InputError, match="the plot file that the frames are simulated by"):
+        jobs.validate(jobs.ValidationData(real_drone=real, simulated_drone=real), tmp_path / "no")

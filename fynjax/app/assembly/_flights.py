@@ -8,6 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from fynjax._core.errors import InputError, in_file
+from fynjax._core.precision import double_precision
+from fynjax.app.assembly._build import build_plot
 from fynjax.app.assembly._targets import (
     RealImage,
     TargetRules,
@@ -18,7 +20,7 @@ from fynjax.app.assembly._targets import (
 from fynjax.app.compare import DroneImage
 from fynjax.app.io.frames import FrameStack, read_frame_stack
 from fynjax.app.io.plot import Plot, drone_sensor, read_cameras
-from fynjax.inversion import Data, Source, join_data
+from fynjax.inversion import BandView, Data, Source, join_data, look
 from fynjax.scene import Placement
 from fynjax.sensors import Frame, FrameCamera, Pose, lens_of
 
@@ -60,6 +62,27 @@ def flight_data(plot: Plot, path: Path, view: str = "") -> Data:
     prefix = f"{view}_" if view else ""
     named = zip(parts, stack.views, strict=True)
     return join_data([part.renamed(f"{prefix}{name}") for part, name in named])
+
+
+@double_precision
+def simulated_flight(plot: Plot, path: Path, *, seed: int) -> tuple[FrameStack, FrameStack]:
+    """Frames of a flight, and what the camera sees of the plot from where each hung.
+
+    **Arguments:** `plot`, as `read_plot` gives it; `path`, as of `flight_data`; `seed` of the
+    plants.
+
+    **Returns:** both stacks, of the same pixels.
+
+    **Raises:** `InputError` as `flight_data` and `build_plot`.
+    """
+    stack, data = read_frame_stack(path), flight_data(plot, path)
+    scene, parameters = build_plot(plot, seed=seed, rounding="up")
+    views = [one.source.view(scene, parameters) for one in data.parts if one.source is not None]
+    _, *images = look(views, scene, parameters)
+    assert isinstance(views[0], BandView)
+    order = [views[0].bands.names.index(name) for name in stack.bands]
+    seen = np.where(stack.seen[:, None], np.stack([np.asarray(i)[order] for i in images]), np.nan)
+    return stack, dataclasses.replace(stack, reflectance=seen)
 
 
 def mosaic_of(plot: Plot, path: Path) -> Frame:
@@ -105,7 +128,7 @@ def _frame_data(plot: Plot, stack: FrameStack, number: int, path: Path) -> Data:
         sun=stack.sun[number],
         mask=jnp.asarray(seen),
     )
-    image = _as_image(path, stack, number)
+    image = frames_image(path, stack, number)
     source = Source(
         "image",
         sight,
@@ -118,11 +141,15 @@ def _frame_data(plot: Plot, stack: FrameStack, number: int, path: Path) -> Data:
     return dataclasses.replace(data, source=source)
 
 
-def _as_image(path: Path, stack: FrameStack, number: int) -> DroneImage:
-    seen = stack.seen[number]
+def frames_image(path: Path, stack: FrameStack, number: int | None = None) -> DroneImage:
+    """One of the frames of a file as an image, by its `number`; without one all of them, one
+    beyond the other to the north."""
+    some = slice(None) if number is None else slice(number, number + 1)
+    seen = np.concatenate(list(stack.seen[some]))
+    values = np.concatenate(list(stack.reflectance[some]), axis=1)
     return DroneImage(
         file=path,
-        values=np.where(seen, stack.reflectance[number], np.nan),
+        values=np.where(seen, values, np.nan),
         bands=stack.bands,
         mask=seen,
         taken=stack.bands,
@@ -133,5 +160,5 @@ def _as_image(path: Path, stack: FrameStack, number: int) -> DroneImage:
         crs=None,
         without_data=int((~seen).sum()),
         saturated=0,
-        not_positive=0,
+        not_positive=int((values[:, seen] <= 0.0).any(axis=0).sum()),
     )
