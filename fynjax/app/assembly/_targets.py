@@ -312,12 +312,12 @@ def _view_of(plot: Plot, target: TargetTable, bands: Sequence[str] | None, seed:
         from fynjax.app.assembly._flights import mosaic_of
 
         frame = mosaic_of(plot, target.cameras)
-        blend = "the mean of those" if target.blend == "mean" else "the nearest"
-        words = f" Each pixel is seen by {blend} of {len(frame.mosaic)} cameras that see it."
-        source = dataclasses.replace(
-            source, description=source.description.replace(ONE_PICTURE, "") + words
-        )
+        blend = "the mean of those" if target.blend == "mean" else "of the nearest"
+        words = f" Each pixel is {blend} of {len(frame.mosaic)} cameras that see it."
+        source = dataclasses.replace(source, description=source.description + words)
     if frame is not None:
+        text = source.description.replace(ONE_PICTURE, "")
+        source = dataclasses.replace(source, description=text)
         if not isinstance(sight, ImageSight):
             raise InputError("expected a place of cameras of an image alone", file=target.file)
         known = _is_image(target.file) or target.pixel_m or target.footprint_m
@@ -490,11 +490,13 @@ def image_target(
 
 
 ONE_PICTURE = (
-    " It is taken for one picture from above the middle of the plot; an orthomosaic is put together "
-    "of many: MEASURED."
+    " It is taken for one picture from above the middle of the plot. From 50 m, with overlaps of "
+    "80 and 70 %, a mosaic of the nearest cameras differs from that by up to 1 % in means and 8 % in "
+    "spreads between pixels, one of means over cameras by up to 4 % and 24 to 48 %: `cameras` "
+    "under [[target]] says where these were."
 )
-"""What is said of an image without positions of cameras; figures of `python -m
-tests.benchmarks.mosaic`, run once."""
+"""What is said of an image without positions of cameras; of a fynbos plot of 4 m, by `python -m
+tests.benchmarks.flight --only mosaic --size 4`."""
 
 
 class ImageData(NamedTuple):

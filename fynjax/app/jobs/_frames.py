@@ -96,7 +96,7 @@ def frames(
     origin: tuple[float, float] | None = None,
     ground: float | None = None,
     pixel: Annotated[float, Field(ge=0.005)] = 0.1,
-    images: Path | None = None,
+    images: str | Path | None = None,
     bands: Names | None = None,
     most: Annotated[int, Field(ge=1)] | None = None,
 ) -> FramesResult:
@@ -173,7 +173,7 @@ def frames(
     record = run.record([read.file, _file(Path(path))])
     laid = None
     if images is not None:
-        laid = _lay(run, flight, table, images, bands, most, (read, place, ground_of))
+        laid = _lay(run, flight, table, Path(images), bands, most, (read, place, ground_of))
         table, summary = laid.table, summary.model_copy(update=laid.summary)
     with run.stage("Write"):
         run.table("frames.csv", table, "poses, and what each frame sees of the plot")

@@ -1,0 +1,92 @@
+"""A flight over a twin, fitted: a frame that was left out is predicted within its errors."""
+
+from functools import partial
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import fynjax as fx
+from fynjax.app.assembly import build_plot, read_problem
+from fynjax.app.io.frames import FrameStack
+from fynjax.app.io.plot import read_plot
+from fynjax.inversion import BandFactors, CalibrationSettings
+from fynjax.inversion._views import look
+from fynjax.scene import with_values
+from tests.io.flight_pictures import write_stack
+from tests.small import write_plot
+
+LENS = fx.Lens((2000, 1500), (1600.0, 1600.0), (999.5, 749.5))
+AROUND = [(0.0, 0.0), (25.0, 20.0), (25.0, 140.0), (25.0, 260.0), (20.0, 80.0)]
+"""Zenith and azimuth of each camera as seen from the middle of the plot [degrees]."""
+FREE = ["species.*.cover", "species.*.leaf_area_index"]
+
+
+def frames():
+    found = []
+    for k, (zenith, azimuth) in enumerate(AROUND):
+        away = 30.0 * np.tan(np.radians(zenith))
+        east, north = (1.0 + away * f(np.radians(azimuth)) for f in (np.sin, np.cos))
+        pose = fx.Pose([east, north, 30.0], (azimuth + 180.0) % 360.0, zenith)
+        found.append(fx.Frame(pose, LENS, f"frame{k}"))
+    return found
+
+
+def flown(folder, some):
+    """The plot file of a twin of another truth than its table, with frames of it, of which `some`
+    are targets."""
+    folder.mkdir()
+    plot = write_plot(folder)
+    scene, parameters = build_plot(read_plot(plot), seed=77, rounding="random")
+    known = {
+        "species.Erica irregularis.leaf_area_index": 2.4,
+        "species.Restio eleocharis.leaf_area_index": 4.4,
+    }
+    truth = with_values(parameters, scene.taxa, {n: jnp.asarray(v) for n, v in known.items()})
+    gain = np.array([1.03, 0.98, 1.01, 1.02])[:, None, None]
+    seen = [fx.observe(scene, "mavic_3m", parameters=truth, pixel=0.1, pose=f) for f in some]
+    images = np.stack([np.where(s.seen, gain * np.asarray(s.reflectance), np.nan) for s in seen])
+    stack = FrameStack(
+        tuple(some), seen[0].bands, seen[0].wavelength, images, 0.1, (None,) * len(some)
+    )
+    write_stack(folder / "frames.nc", stack)
+    plot.write_text(plot.read_text() + '\n[[target]]\nfile = "frames.nc"\n')
+    return plot
+
+
+@pytest.mark.study
+def test_a_frame_that_was_left_out_is_predicted_within_its_errors(tmp_path, monkeypatch):
+    few = partial(CalibrationSettings, stand_realisations=4, scatter_draws=16, full_renders=1)
+    monkeypatch.setattr("fynjax.app.assembly._forward.CalibrationSettings", few)
+    *used, last = frames()
+    problem = read_problem(flown(tmp_path / "fit", used), free=FREE)
+    fit = fx.fit(problem)
+    other = read_problem(flown(tmp_path / "other", [last]), free=FREE)
+    scene, space, (view,) = problem.scene, problem.free, other.views
+    random = np.random.default_rng(0)
+    # What the model and the camera are off by is known from the other frames, but for the drift.
+    factors = BandFactors.of(fit.views, problem.error)
+    assert factors.of_gains.shape == (16, 16)
+    mean = np.mean([np.log(g * e) for g, e in zip(fit.gains, fit.model_error)], axis=0)
+    drawn = []
+    for k, u in enumerate(np.asarray(fit.fit.draws(24, seed=1))):
+        parameters = with_values(scene.parameters, scene.taxa, _named(space, u))
+        log = mean + random.normal(scale=view.gains.drift) + random.normal(scale=0.02, size=4)
+        stand = scene.realisation(500 + k)
+        drawn.append(np.asarray(look((view,), stand, parameters, jnp.asarray(log))[0]))
+    drawn, data = np.stack(drawn), other.data
+    sd = np.sqrt(drawn.var(axis=0, ddof=1) + np.asarray(data.sd) ** 2)
+    off = (np.asarray(data.value) - drawn.mean(axis=0)) / sd
+    assert np.mean(np.abs(off) < 1.645) > 0.8
+    assert np.abs(off).max() < 3.5
+    # And better than by the table.
+    table = np.asarray(look((view,), scene, scene.parameters)[0])
+    means = [i for i, name in enumerate(view.names) if name.endswith(".mean")]
+    before, after = (np.abs(v / np.asarray(data.value) - 1.0)[means] for v in
+                     (table, drawn.mean(axis=0)))  # fmt: skip
+    assert after.mean() < 0.7 * before.mean()
+    print(np.round(before, 3), np.round(after, 3), np.round(off[means], 2))
+
+
+def _named(space, values):
+    return {name: jnp.asarray(v) for name, v in zip(space.names, values, strict=True)}
