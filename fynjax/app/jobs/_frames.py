@@ -505,18 +505,14 @@ def _headline(summary: FramesSummary, plot: Plot) -> list[str]:
         lines.append("Some of the plot is in no frame.")
     if s.used is None:
         return lines
-    lines.append(f"Pictures of {_counted(s.used)} were laid on the ground.")
-    if s.left_out:
-        lines.append(
-            f"{len(s.left_out)} were left out, which say least beside these: {listed(s.left_out)}."
-        )
     lines.append(
-        f"By their times they have {s.suns} suns, those within {_SAME_SUN:g} degrees as one."
+        f"Laid on the ground: {len(s.used)} of {len(s.used) + len(s.left_out or [])} pictures."
+    )
+    if s.left_out:
+        lines.append(f"Left out, since they say least beside these: {listed(s.left_out)}.")
+    lines.append(
+        f"Suns by their times: {s.suns}, those within {_SAME_SUN:g} degrees as one."
         if s.suns
         else "Their times are not known: the sun of each is that of the plot file."
     )
     return lines
-
-
-def _counted(names: Sequence[str]) -> str:
-    return names[0] if len(names) == 1 else f"{len(names)} frames"
