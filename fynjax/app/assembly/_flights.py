@@ -142,8 +142,8 @@ def _frame_data(plot: Plot, stack: FrameStack, number: int, path: Path) -> Data:
 
 
 def frames_image(path: Path, stack: FrameStack, number: int | None = None) -> DroneImage:
-    """One of the frames of a file as an image, by its `number`; without one all of them, one
-    beyond the other to the north."""
+    """One of the frames of the file `path`, which is a `stack`, as an image, by its `number`;
+    without one all of them, one beyond the other to the north."""
     some = slice(None) if number is None else slice(number, number + 1)
     seen = np.concatenate(list(stack.seen[some]))
     values = np.concatenate(list(stack.reflectance[some]), axis=1)

@@ -22,6 +22,7 @@ SUFFIX = "_reflectance"
 PICTURE_TAG = "picture"
 """Tag of a picture's size and corner, where it was cut, and whether its lens was straightened."""
 TIME_TAG = "time_utc"
+"""Tag of when a picture was taken, ISO 8601 in UTC."""
 _IMAGES = (".tif", ".tiff")
 _FINEST = 8
 """Points along the edge of a pixel of the ground whose reflectance is averaged, at most."""
@@ -48,6 +49,8 @@ def pictures_of(frames: Sequence[Frame], folder: Path) -> dict[str, Path]:
 
     A file is of the frame whose name it has, or that of its capture, with or without
     "_reflectance". Of the frames of one capture, a band each, the first counts.
+
+    **Arguments:** `frames` of a flight; the `folder`.
 
     **Raises:** `InputError` for a folder without any that fit.
     """
@@ -76,6 +79,8 @@ def pictures_of(frames: Sequence[Frame], folder: Path) -> dict[str, Path]:
 
 def picture_place(path: Path, frame: Frame) -> PicturePlace:
     """Where the pixels of a file lie in its frame's picture.
+
+    **Arguments:** `path` of the file; its `frame`, with a lens.
 
     **Raises:** `InputError` for a file on a map, and for one of another size than the picture that
     does not say where it was cut.
@@ -115,14 +120,14 @@ def _stated(text: str) -> PicturePlace:
 
 
 def picture_time(path: Path) -> datetime | None:
-    """When a picture was taken, by its tag; None where it does not say."""
+    """When the picture `path` was taken, by its tag; None where it does not say."""
     with open_raster(path, "a frame of reflectance") as file:
         return utc_time(file.tags.get(TIME_TAG, ""))
 
 
 def utc_time(text: str) -> datetime | None:
-    """A time of the metadata of a camera that counts in UTC, such as "2026:11:22 10:00:00"; None of
-    anything else."""
+    """The time that a `text` of the metadata of a camera that counts in UTC means, such as
+    "2026:11:22 10:00:00"; None of anything else."""
     plain = re.sub(r"^(\d{4}):(\d{2}):(\d{2})", r"\1-\2-\3", text.strip())
     try:
         time = datetime.fromisoformat(plain)
@@ -132,12 +137,13 @@ def utc_time(text: str) -> datetime | None:
 
 
 def straightened(lens: Lens) -> Lens:
-    """The lens of a picture whose distortion was taken out."""
+    """The `lens` of a picture whose distortion was taken out."""
     return replace(lens, radial=(), tangential=(0.0, 0.0), skew=0.0, fisheye=False)
 
 
 def points_wanted(frame: Frame, pixel: float) -> int:
-    """Points along the edge of a pixel on the ground [m] that a frame's own pixels ask for."""
+    """Points along the edge of a `pixel` on the ground [m] that the own pixels of a `frame` ask
+    for."""
     assert frame.lens is not None
     own = float(frame.pose.position[2]) / max(frame.lens.focal_length)
     return int(np.clip(math.ceil(pixel / own - 1e-6), 1, _FINEST))

@@ -93,7 +93,8 @@ def _word(text: str) -> str:
 
 
 def is_frame_stack(path: Path) -> bool:
-    """Whether a file is one of frames on the ground; of a file that cannot be read it says no."""
+    """Whether the file `path` is one of frames on the ground; of one that cannot be read it says
+    no."""
     if path.suffix.lower() not in (".nc", ".nc4") or not path.is_file():
         return False
     try:
