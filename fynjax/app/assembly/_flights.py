@@ -113,7 +113,7 @@ def mosaic_of(plot: Plot, path: Path) -> Frame:
         )
     height = float(np.mean([frame.pose.position[2] for frame in some]))
     middle = np.array([0.5 * plot.size_m[0], 0.5 * plot.size_m[1], height])
-    return Frame(Pose(middle), lens, path.name, some)
+    return Frame(Pose(jnp.asarray(middle)), lens, path.name, some)
 
 
 def _frame_data(plot: Plot, stack: FrameStack, number: int, path: Path) -> Data:

@@ -5,6 +5,7 @@ from collections.abc import Collection
 from pathlib import Path
 from typing import ClassVar, Literal
 
+import jax.numpy as jnp
 import numpy as np
 from pydantic import ConfigDict, Field, ValidationInfo, field_validator, model_validator
 
@@ -78,11 +79,11 @@ def read_cameras(path: str | Path) -> tuple[Pose, ...]:
 
     **Raises:** `InputError` for a table that cannot be read, with row and column.
     """
-    return tuple(
-        Pose(np.array([row.east_m, row.north_m, row.height_m]), row.yaw_deg, row.pitch_deg,
-             row.roll_deg)
-        for _, row in read_rows(path, CameraRow, "a table of cameras")
-    )  # fmt: skip
+    poses = []
+    for _, row in read_rows(path, CameraRow, "a table of cameras"):
+        angles = map(jnp.asarray, (row.yaw_deg, row.pitch_deg, row.roll_deg))
+        poses.append(Pose(jnp.asarray([row.east_m, row.north_m, row.height_m]), *angles))
+    return tuple(poses)
 
 
 class StatisticRow(Strict):
