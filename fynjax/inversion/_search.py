@@ -38,10 +38,12 @@ from fynjax.inversion._views import (
     AbstractView,
     BandView,
     Directions,
-    ImageView,
+    FlightView,
+    ImagesView,
     PlotForward,
     informative_directions,
     look,
+    together,
     under_sun,
 )
 from fynjax.radiation import Accuracy
@@ -57,7 +59,8 @@ from fynjax.scene import (
 _SPARE = 1.5
 """Plants for which sites are made where a species has too few, as a factor on those asked for."""
 _MOST_ROWS = 24
-"""Slopes of an image's statistics are taken along so many directions at most."""
+"""Slopes of an image's statistics are taken along so many directions at most, of the frames of a
+flight together along twice as many."""
 _PRIOR_DRAWS = 60
 """Draws of the prior by which these are chosen."""
 _SETTLED = 0.6
@@ -265,7 +268,7 @@ class PlotSearch:
         form = search_form(
             scene, parameters, self.views, stride=settings.stride, accuracy=settings.accuracy
         )
-        self._predict = PlotForward(parameters, space.names, form[1])
+        self._predict = PlotForward(parameters, space.names, together(form[1]))
         self._planted: tuple[bytes, tuple[Scene, ...], tuple[Scene, ...]] | None = None
 
     # -- plantings --------------------------------------------------------------------------
@@ -336,7 +339,7 @@ class PlotSearch:
         if subspace is not None:
             views = tuple(
                 dataclasses.replace(view, directions=own)
-                if isinstance(view, ImageView) and len(own.rows) < len(view.names)
+                if isinstance(view, ImagesView) and len(own.rows) < len(view.names)
                 else view
                 for view, own in zip(along.views, subspace.parts, strict=True)
             )
@@ -370,16 +373,20 @@ class PlotSearch:
         """The directions along which slopes of the many statistics of an image are taken, by their
         errors at `origin`, what factors change there, and draws of the prior; else the statistics
         themselves."""
-        many = [isinstance(v, ImageView) and len(v.names) > _MOST_ROWS for v in self._predict.views]
+        most = [_MOST_ROWS * (1 + isinstance(v, FlightView)) for v in self._predict.views]
+        many = [
+            isinstance(v, ImagesView) and len(v.names) > own
+            for v, own in zip(self._predict.views, most, strict=True)
+        ]
         draws = expected.prior_draws(_PRIOR_DRAWS) if any(many) else np.empty(0)
         covariance, parts, start = np.asarray(self.data_at(origin).covariance), [], 0
         if any(many):
             covariance = covariance + self._by_factors(origin)
-        for view, reduced in zip(self._predict.views, many, strict=True):
+        for view, own, reduced in zip(self._predict.views, most, many, strict=True):
             part = slice(start, start := start + len(view.names))
             every = jnp.eye(len(view.names))
             parts.append(
-                informative_directions(draws[:, part], covariance[part, part], _MOST_ROWS)
+                informative_directions(draws[:, part], covariance[part, part], own)
                 if reduced
                 else Directions(every, every)
             )

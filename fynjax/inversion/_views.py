@@ -6,6 +6,7 @@ statistics of all views make one vector.
 
 import abc
 import dataclasses
+import math
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from pathlib import Path
@@ -15,14 +16,15 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from fynjax._core.errors import in_file
+from fynjax._core.programs import unfolded
 from fynjax.canopy import VoxelGrid
 from fynjax.inversion._log_posterior import jacobian_by_rows
 from fynjax.metrics import image_statistics
 from fynjax.metrics.structure import STRUCTURE_METRICS, StructureSettings
-from fynjax.radiation import Accuracy, VoxelScene
+from fynjax.radiation import Accuracy, VoxelScene, solve_light
 from fynjax.scene import (
     AimedSensor,
     Placement,
@@ -141,6 +143,11 @@ class BandView(AbstractView):
         """The statistics of an image that `observe` made, times factors of its bands, given by
         their logarithms. Differentiable."""
 
+    @property
+    def factor_count(self) -> int:
+        """Number of the factors of its bands."""
+        return len(self.bands)
+
     def factor_slopes(
         self, image: Float[Array, "band y x"], log_factor: Float[Array, " band"] | None = None
     ) -> Float[Array, "statistic band"]:
@@ -199,7 +206,44 @@ def informative_directions(
     return Directions(jnp.asarray(rows), jnp.asarray(root @ chosen))
 
 
-class ImageView(BandView):
+class ImagesView(BandView):
+    """Statistics of images, whose slopes are those by the pixels times those of the pixels."""
+
+    @abc.abstractmethod
+    def image(self, scene: Scene, parameters: PlotParameters) -> Float[Array, "*frame band y x"]:
+        """Reflectance factor of the pixels [-]. Differentiable in `parameters`."""
+
+    def observe(
+        self, scene: Scene, parameters: PlotParameters
+    ) -> tuple[Float[Array, "*frame band y x"], Float[Array, " statistic"]]:
+        image = self.image(scene, parameters)
+        return image, self.statistics(image)
+
+    def jacobian(
+        self,
+        scene: Scene,
+        plot_at: Callable[[Array], PlotParameters],
+        u: Float[Array, " free"],
+        factor_at: FactorAt | None = None,
+    ) -> tuple[Float[Array, " statistic"], Float[Array, "statistic free"]]:
+        # By the chain rule: statistics by pixels, which costs little, then pixels by parameters.
+        image, to_parameters = jax.vjp(lambda u: self.image(scene, plot_at(u)), u)
+        factor = _factor(factor_at, u)
+        value, to_image = jax.vjp(lambda image: self.statistics(image, factor), image)
+        known: Any = self
+        chosen: Directions | None = known.directions
+        rows = jnp.eye(value.size) if chosen is None else chosen.rows
+        # All slopes by the image at once, so that the loop holds the renderer alone.
+        by_image = jax.vmap(lambda row: to_image(row)[0])(rows.astype(value.dtype))
+        slopes = jax.lax.map(lambda one: to_parameters(one)[0], by_image, batch_size=1)
+        slopes = slopes.astype(u.dtype)
+        if factor_at is not None:  # of the image that there is: no render
+            by_factor = self.factor_slopes(image, factor).astype(u.dtype)
+            slopes = slopes + rows.astype(u.dtype) @ by_factor @ jax.jacfwd(factor_at)(u)
+        return value.astype(u.dtype), slopes if chosen is None else chosen.back @ slopes
+
+
+class ImageView(ImagesView):
     """Statistics of a drone's image (`image_statistics`)."""
 
     names: tuple[str, ...] = eqx.field(static=True, converter=tuple)
@@ -227,11 +271,8 @@ class ImageView(BandView):
     def instrument(self) -> str:
         return self.camera.sensor.name
 
-    def observe(
-        self, scene: Scene, parameters: PlotParameters
-    ) -> tuple[Float[Array, "band y x"], Float[Array, " statistic"]]:
-        image = self.camera.observe(scene, under_sun(parameters, self.sun)).reflectance
-        return image, self.statistics(image)
+    def image(self, scene: Scene, parameters: PlotParameters) -> Float[Array, "band y x"]:
+        return self.camera.observe(scene, under_sun(parameters, self.sun)).reflectance
 
     def statistics(
         self, image: Float[Array, "band y x"], log_factor: Float[Array, " band"] | None = None
@@ -243,7 +284,7 @@ class ImageView(BandView):
             image, self.names, self.camera.seen, pixel=pixel, window=self.window, bands=bands
         )
 
-    def for_search(self, scene: Scene, accuracy: Accuracy, stride: int | None) -> "ImageView":
+    def for_search(self, scene: Scene, accuracy: Accuracy, stride: int | None) -> Self:
         if stride is None:
             stride = max(round(scene.grid.horizontal_size / self.camera.pixel), 1)
         camera = dataclasses.replace(self.camera.sampled(stride), accuracy=accuracy)
@@ -251,30 +292,138 @@ class ImageView(BandView):
         every = camera.pixel * (stride if camera.fine is None else 1)
         return dataclasses.replace(self, camera=camera, spacing=every, window=_WINDOW)
 
-    def jacobian(
-        self,
-        scene: Scene,
-        plot_at: Callable[[Array], PlotParameters],
-        u: Float[Array, " free"],
-        factor_at: FactorAt | None = None,
-    ) -> tuple[Float[Array, " statistic"], Float[Array, "statistic free"]]:
-        def render(u: Array) -> Array:
-            return self.camera.observe(scene, under_sun(plot_at(u), self.sun)).reflectance
 
-        # By the chain rule: statistics by pixels, which costs little, then pixels by parameters.
-        image, to_parameters = jax.vjp(render, u)
-        factor = _factor(factor_at, u)
-        value, to_image = jax.vjp(lambda image: self.statistics(image, factor), image)
-        chosen = self.directions
-        rows = jnp.eye(value.size) if chosen is None else chosen.rows
-        # All slopes by the image at once, so that the loop holds the renderer alone.
-        by_image = jax.vmap(lambda row: to_image(row)[0])(rows.astype(value.dtype))
-        slopes = jax.lax.map(lambda one: to_parameters(one)[0], by_image, batch_size=1)
-        slopes = slopes.astype(u.dtype)
-        if factor_at is not None:  # of the image that there is: no render
-            by_factor = self.factor_slopes(image, factor).astype(u.dtype)
-            slopes = slopes + rows.astype(u.dtype) @ by_factor @ jax.jacfwd(factor_at)(u)
-        return value.astype(u.dtype), slopes if chosen is None else chosen.back @ slopes
+class FlightView(ImagesView):
+    """Frames under one sun, whose plants and light are computed once; what grows with their number
+    is their rays. `together` makes them of views, whose statistics and factors it has one view
+    after the other."""
+
+    names: tuple[str, ...] = eqx.field(static=True)
+    frames: tuple[ImageView, ...]
+    directions: Directions | None = None
+
+    @property
+    def bands(self) -> BandSet:
+        return self.frames[0].bands
+
+    @property
+    def gains(self) -> Gains:
+        return self.frames[0].gains
+
+    @property
+    def factor_count(self) -> int:
+        return len(self.frames) * len(self.bands)
+
+    def image(self, scene: Scene, parameters: PlotParameters) -> Float[Array, "frame band y x"]:
+        first = self.frames[0]
+        own = jax.tree.map(lambda x: jnp.asarray(x, scene.dtype), parameters)
+        voxels = unfolded(scene.voxels(under_sun(own, first.sun), first.bands))
+        light = solve_light(voxels, first.camera.accuracy)
+        images: list[Array] = [jnp.zeros(0)] * len(self.frames)
+        # Few programs serve all frames where their steepest rays count in whole steps.
+        every = [
+            dataclasses.replace(c, steepest=_STEEP * math.ceil(c.steepest / _STEEP - 1e-6))
+            for c in (frame.camera for frame in self.frames)
+        ]
+        for places in _alike(every):
+            cameras = [every[i] for i in places]
+            still = eqx.filter(cameras[0], eqx.is_array, inverse=True)
+            arrays = [eqx.filter(camera, eqx.is_array) for camera in cameras]
+            stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *arrays)
+
+            # What a frame needs for its slope is computed again, lest memory grow with frames.
+            @jax.checkpoint
+            def seen(own: Any, still: Any = still) -> Array:
+                return eqx.combine(own, still).lit(light, voxels)[0]
+
+            for i, image in zip(places, jax.lax.map(seen, unfolded(stacked)), strict=True):
+                images[i] = image
+        return jnp.stack(images)
+
+    def statistics(
+        self,
+        image: Float[Array, "frame band y x"],
+        log_factor: Float[Array, " factor"] | None = None,
+    ) -> Float[Array, " statistic"]:
+        first = self.frames[0]
+        seen = jnp.stack([jnp.asarray(frame.camera.seen) for frame in self.frames])
+        each = jnp.zeros((len(self.frames), len(self.bands)), image.dtype)
+        if log_factor is not None:
+            each = log_factor.reshape(each.shape).astype(image.dtype)
+
+        def of_one(image: Array, seen: Array, log: Array) -> Array:
+            camera = dataclasses.replace(first.camera, seen=seen)
+            return dataclasses.replace(first, camera=camera).statistics(image, log)
+
+        return jax.vmap(of_one)(image, seen, each).ravel()
+
+    def for_search(self, scene: Scene, accuracy: Accuracy, stride: int | None) -> "FlightView":
+        frames = tuple(frame.for_search(scene, accuracy, stride) for frame in self.frames)
+        return dataclasses.replace(self, frames=frames)
+
+
+class BlendView(ImageView):
+    """Statistics of a mosaic whose pixels are means over the frames that saw them."""
+
+    frames: tuple[ImageView, ...] = ()
+    """Views of these; `camera` has the pixels of the mosaic."""
+
+    def image(self, scene: Scene, parameters: PlotParameters) -> Float[Array, "band y x"]:
+        images = FlightView((), self.frames).image(scene, parameters)
+        seen = jnp.stack([jnp.asarray(frame.camera.seen) for frame in self.frames])[:, None]
+        total = jnp.sum(jnp.where(seen, images, 0.0), axis=0)
+        return total / jnp.maximum(jnp.sum(seen, axis=0), 1)
+
+    def for_search(self, scene: Scene, accuracy: Accuracy, stride: int | None) -> "BlendView":
+        frames = tuple(frame.for_search(scene, accuracy, stride) for frame in self.frames)
+        return dataclasses.replace(super().for_search(scene, accuracy, stride), frames=frames)
+
+
+def together(views: Sequence[AbstractView]) -> tuple[AbstractView, ...]:
+    """The same views, in their order, those of frames that share sun and light as one."""
+    groups: list[list[AbstractView]] = []
+    for view in views:
+        if groups and isinstance(view, ImageView) and _share_light(groups[-1][0], view):
+            groups[-1].append(view)
+        else:
+            groups.append([view])
+    return tuple(
+        group[0]
+        if len(group) == 1
+        else FlightView(
+            tuple(name for view in group for name in view.statistic_names),
+            tuple(view for view in group if isinstance(view, ImageView)),
+        )
+        for group in groups
+    )
+
+
+def _share_light(one: AbstractView, other: ImageView) -> bool:
+    def shared(view: ImageView) -> tuple[Any, ...]:
+        camera = view.camera
+        same = camera.accuracy, camera.pixel, camera.shape, camera.origin, view.bands
+        return (view.names, view.sun, view.spacing, view.window, camera.sensor.name, *same)
+
+    if type(one) is not ImageView or type(other) is not ImageView or one.directions is not None:
+        return False
+    bare = all(v.camera.air is None and v.camera.panels is None for v in (one, other))
+    framed = one.camera.seen is not None and other.camera.seen is not None
+    return bare and framed and shared(one) == shared(other)
+
+
+def _alike(cameras: Sequence[AimedSensor]) -> list[list[int]]:
+    """Places of cameras that differ in numbers alone, which one program serves."""
+    groups: list[tuple[AimedSensor, list[int]]] = []
+    for i, camera in enumerate(cameras):
+        for first, places in groups:
+            shapes = [[np.shape(x) for x in jax.tree.leaves(one)] for one in (first, camera)]
+            forms = [str(jax.tree.structure(one)) for one in (first, camera)]
+            if forms[0] == forms[1] and shapes[0] == shapes[1]:
+                places.append(i)
+                break
+        else:
+            groups.append((camera, [i]))
+    return [places for _, places in groups]
 
 
 class ImageSight(eqx.Module):
@@ -294,15 +443,30 @@ class ImageSight(eqx.Module):
     """File that says so, which errors name."""
     sun: tuple[float, float] | None = eqx.field(static=True, default=None)
     """Zenith and azimuth of the sun [degrees]; None: those of the parameters."""
+    mask: Bool[Array, "y x"] | None = None
+    """Pixels that count, of those in the frame of a known pose; None: all."""
+    blended: bool = eqx.field(static=True, default=False)
+    """Whether the pixels of a mosaic are means over the frames that saw them, and not what the
+    nearest camera saw."""
 
     def __call__(self, scene: Scene, parameters: PlotParameters) -> ImageView:
         """The view of a scene. **Raises:** `InputError` as `fynjax.scene.aim`."""
-        parameters = under_sun(parameters, self.sun)
+        parameters, frame = under_sun(parameters, self.sun), self.placement.frame
         with in_file(self.file) if self.file is not None else nullcontext():
             aimed = aim(
                 scene, parameters, self.sensor, self.placement, point_spread=self.point_spread
             )
             aimed.check(parameters)
+            if self.blended and frame is not None and frame.mosaic:
+                own = dataclasses.replace(self, blended=False)
+                frames = [
+                    dataclasses.replace(own, placement=Placement(pixel=aimed.pixel, frame=one))
+                    for one in frame.mosaic
+                ]
+                each = tuple(one(scene, parameters) for one in frames)
+                return BlendView(self.names, aimed, self.gains, sun=self.sun, frames=each)
+        if self.mask is not None and aimed.seen is not None:
+            aimed = dataclasses.replace(aimed, seen=aimed.seen & self.mask)
         return ImageView(self.names, aimed, self.gains, sun=self.sun)
 
 
@@ -417,6 +581,8 @@ def _mean_spectrum(
     return view._by_band(groups)
 
 
+_STEEP = 15.0
+"""Step of the zenith angles that no ray of some frames exceeds [degrees]."""
 _TOGETHER = 6
 """Bands of a spectrum whose light is solved for at once, at most: a 10 m plot in a third of the
 time of band by band; with twice as many it is a little less, of twice the memory."""
@@ -559,9 +725,15 @@ def look(
     **Arguments:** `views` of a `scene` with `parameters`; `log_factors`, logarithms of the factors
     of the bands of all views, one after the other; all one by default. Differentiable in these.
     """
-    parts = factors_by_view(views, log_factors)
-    observed = [view.look(scene, parameters, own) for view, own in zip(views, parts, strict=True)]
-    images = [image for image, _ in observed if image is not None]
+    shared = together(views)
+    parts = factors_by_view(shared, log_factors)
+    observed = [view.look(scene, parameters, own) for view, own in zip(shared, parts, strict=True)]
+    images = [
+        one
+        for image, _ in observed
+        if image is not None
+        for one in (image if image.ndim == 4 else (image,))
+    ]
     return joined([values.astype(float) for _, values in observed]), *images
 
 
@@ -577,7 +749,7 @@ def factors_by_view(
     """
     if log_factors is None:
         return [None] * len(views)
-    sizes = [len(view.bands) if isinstance(view, BandView) else 0 for view in views]
+    sizes = [view.factor_count if isinstance(view, BandView) else 0 for view in views]
     ends = np.cumsum(sizes)
     return [log_factors[end - n : end] if n else None for n, end in zip(sizes, ends)]
 

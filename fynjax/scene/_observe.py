@@ -32,6 +32,7 @@ from fynjax.metrics import index_bands, vegetation_indices
 from fynjax.radiation import (
     AbstractRays,
     Accuracy,
+    Light,
     RayField,
     RayLattice,
     VoxelScene,
@@ -516,12 +517,19 @@ class AimedSensor(eqx.Module):
         """
         voxels, rays = unfolded((voxels, self.rays))
         light = solve_light(voxels, self.accuracy)
+        return *dataclasses.replace(self, rays=rays).lit(light, voxels), light.residual
+
+    def lit(
+        self, light: Light, voxels: VoxelScene
+    ) -> tuple[Float[Array, "band y x"], Float[Array, " band"]]:
+        """Reflectance factor of the pixels, and its mean over the scene [-], in the `light` of
+        `voxels`, which sensors of one accuracy share. Differentiable in both."""
         # As many bands at once as voxels leave memory for.
         chunk = min(max(_VOXELS // int(np.prod(voxels.shape)), 8), 32)
         factor = reflectance_factor(
-            light, rays, chunk=chunk, steepest=self.steepest, together=self.together
+            light, self.rays, chunk=chunk, steepest=self.steepest, together=self.together
         )
-        return *self.averages(factor, voxels), light.residual
+        return self.averages(factor, voxels)
 
     def averages(
         self, factor: Float[Array, "band row column"], voxels: VoxelScene
@@ -573,9 +581,10 @@ class AimedSensor(eqx.Module):
             )  # fmt: skip
         else:
             rays = jax.tree.map(lambda v: v[rows, columns], rays)
-        if self.seen is not None and self.sight is not None:
-            seen = self.seen[::step, ::step] if self.fine is None else self.seen
-            view = {"sight": self.sight[rows, columns], "seen": seen}
+        if self.seen is not None:
+            view["seen"] = self.seen[::step, ::step] if self.fine is None else self.seen
+        if self.sight is not None:
+            view["sight"] = self.sight[rows, columns]
         shape, fine = (rays.shape, None) if self.fine is None else (self.shape, rays.shape)
         return dataclasses.replace(
             self,
@@ -715,6 +724,7 @@ def aim(
     sight = seen = None
     if known is not None:
         sight, seen = _in_frame(known, scene, (x, y), shape, origin, pixel)
+        sight = None if known.mosaic else sight  # it was taken from no single pose
     rays = _rays_to_ground(scene, sensor.camera, placement, known, height, (x, y), spacing)
     # Rays that cross several voxels in a layer are cut into as many pieces.
     slope = float(jnp.tan(jnp.arccos(jnp.min(rays.cosine))))
@@ -780,7 +790,7 @@ def _rays_to_ground(
     """Lines of sight to `points` of the map, columns and rows [m]."""
     lx, ly, _ = scene.grid.extent
     base, (x, y) = scene.ground_level, points
-    if known is not None and scene.terrain is not None:
+    if known is not None and (scene.terrain is not None or known.mosaic):
         return _rays_over_terrain(known, scene, x, y, spacing)
     # The map is at the mean height of the ground: laid out there, then moved to the zero level.
     level = map_rays(_aimed(camera, (lx / 2, ly / 2), height, 0.0, placement), x, y, spacing)
@@ -801,7 +811,9 @@ def _known_frame(placement: Placement, camera: AbstractCamera) -> Frame:
         raise InputError(f"expected a frame camera for a pose, but got a {type(camera).__name__}")
     if any(v is not None for v in (placement.altitude, placement.tilt, placement.heading)):
         raise InputError("expected a pose, or altitude, tilt and heading, but got both")
-    return frame if frame.lens is not None else dataclasses.replace(frame, lens=lens_of(camera))
+    lens = lens_of(camera) if frame.lens is None else frame.lens
+    parts = tuple(one if one.lens else dataclasses.replace(one, lens=lens) for one in frame.mosaic)
+    return dataclasses.replace(frame, lens=lens, mosaic=parts)
 
 
 def _on_ground(
@@ -849,7 +861,7 @@ def _in_frame(
 def _rays_over_terrain(frame: Frame, scene: Scene, x: Array, y: Array, spacing: float) -> RayField:
     """Rays from the ground at the crossings of `x` and `y` to a camera."""
     points = _on_ground(scene, x, y)
-    away = np.asarray(frame.pose.position, float) - points
+    away = frame.camera_over(points) - points
     if not (away[..., 2] > 0.0).all():
         raise InputError(
             f"expected a camera above all of the terrain, but {frame.name or 'it'} hangs "

@@ -194,6 +194,22 @@ class Frame(eqx.Module):
     """None: that of the sensor that takes it."""
     name: str = eqx.field(static=True, default="")
     """Name of the picture, such as that of its file; for errors and reports."""
+    mosaic: tuple["Frame", ...] = ()
+    """Frames that a mosaic was made of: of each point it shows what the nearest camera that sees it
+    saw. Its own `pose` then stands for the height. Empty: a single picture."""
+
+    def camera_over(self, points: Float[Any, "*point 3"]) -> Float[np.ndarray, "*point 3"]:
+        """Position of the camera that points over the plot are seen from [m]; of a mosaic the
+        nearest that sees each, or the nearest where none does. Arguments as of `sight`."""
+        points = np.asarray(points, float)
+        every = self.mosaic or (self,)
+        places = np.stack([np.asarray(frame.pose.position, float) for frame in every])
+        if not self.mosaic:
+            return np.broadcast_to(places[0], points.shape)
+        away = places.reshape(-1, *[1] * (points.ndim - 1), 3) - points
+        slant = np.hypot(away[..., 0], away[..., 1]) / np.maximum(away[..., 2], 1e-9)
+        seen = np.stack([frame.sees(points) for frame in every])
+        return places[np.argmin(np.where(seen, slant, slant + 1e9), axis=0)]
 
     def sight(self, points: Float[Any, "*point 3"]) -> Float[np.ndarray, "*point 2"]:
         """Lines of sight to points over the plot: their distances to the right and down the picture
@@ -234,15 +250,15 @@ class Frame(eqx.Module):
 
         **Raises:** `InputError` without a lens.
         """
+        if self.mosaic:
+            return np.any([frame.sees_cells(corners) for frame in self.mosaic], axis=0)
         corner = self.sees(corners)
         return corner[:-1, :-1] & corner[:-1, 1:] & corner[1:, :-1] & corner[1:, 1:]
 
     def view(self, points: Float[Any, "*point 3"]) -> Float[np.ndarray, "*point 2"]:
         """Zenith angle of the camera as seen from points over the plot, and its azimuth clockwise
         from the plot's north, 0 to 360 [degrees]. Arguments as of `sight`."""
-        east, north, up = np.moveaxis(
-            np.asarray(self.pose.position, float) - np.asarray(points, float), -1, 0
-        )
+        east, north, up = np.moveaxis(self.camera_over(points) - np.asarray(points, float), -1, 0)
         zenith = np.degrees(np.arctan2(np.hypot(east, north), up))
         return np.stack([zenith, np.degrees(np.arctan2(east, north)) % 360.0], axis=-1)
 

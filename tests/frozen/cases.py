@@ -22,6 +22,7 @@ from tests.compare.test_spectra import WAVE, cube, write_csv
 from tests.compare.test_structure import plot as drawn_cloud
 from tests.compare.test_structure import write_las
 from tests.frozen.numbers import Numbers, numbers_of
+from tests.io.flight_pictures import write_pictures
 from tests.io.frame_files import CRS as FLIGHT_CRS
 from tests.io.frame_files import GROUND, ORIGIN, write_odm
 from tests.io.rededge_files import lit, panel_scene, write_rededge
@@ -304,7 +305,8 @@ def _frames(folder: Path) -> Runs:
     flight = write_odm(folder / "flight")
     (east, north), where = ORIGIN, ["--crs", FLIGHT_CRS, "--ground", GROUND]
     line = ["frames", flight, "--plot", plot, "--origin", f"{east},{north}", *where]
-    return {"frames": [*line, "--pixel", 0.25]}
+    images = ["--images", write_pictures(folder / "images"), "--most", 2]
+    return {"frames": [*line, "--pixel", 0.25], "pictures": [*line, "--pixel", 0.25, *images]}
 
 
 @_case("reflectance")

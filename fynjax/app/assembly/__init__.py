@@ -2,6 +2,7 @@
 
 from fynjax.app.assembly._build import build_plot, plot_parameters
 from fynjax.app.assembly._find import FREE_OF_PLANTS, blocks_of, find_plants
+from fynjax.app.assembly._flights import frames_image, simulated_flight
 from fynjax.app.assembly._forward import (
     batch_for_device,
     image_view,
@@ -53,6 +54,7 @@ __all__ = [
     "check_memory",
     "check_vegetation",
     "find_plants",
+    "frames_image",
     "ground_heights",
     "image_sight",
     "image_view",
@@ -69,6 +71,7 @@ __all__ = [
     "sample_pixel",
     "shown_unit",
     "simulate_stands",
+    "simulated_flight",
     "stand_forms",
     "stand_numbers",
     "twin_image",

@@ -24,6 +24,7 @@ from fynjax.app.compare import (
     read_spectra_sample,
 )
 from fynjax.app.compare.structure import ComparisonSettings, cloud_structure
+from fynjax.app.io.frames import is_frame_stack
 from fynjax.app.io.plot import (
     Plot,
     TargetTable,
@@ -177,6 +178,8 @@ def target_kind(path: Path) -> Kind:
     suffix = path.suffix.lower()
     if suffix in _CLOUDS:
         return "structure"
+    if is_frame_stack(path):
+        return "image"
     if suffix in (".tif", ".tiff"):
         return "spectrum" if _band_count(path) > _DRONE_BANDS else "image"
     beside = path.with_name(path.name + ".hdr")
@@ -278,7 +281,10 @@ def read_targets(
 def _read_target(
     plot: Plot, path: Path, kind: Kind, bands: Sequence[str] | None, seed: int
 ) -> Data:
-    """The statistics of one target, which one sensor measured, with their errors."""
+    """The statistics of one target, which one sensor measured, with their errors; of a flight those
+    of each frame."""
+    if is_frame_stack(path):
+        return _flight_of(plot, path)
     if kind == "image":
         return image_target(plot, path, bands)
     if kind == "spectrum":
@@ -292,6 +298,8 @@ def _view_of(plot: Plot, target: TargetTable, bands: Sequence[str] | None, seed:
     if target.sun is not None:
         plot = plot.replace(sun=target.sun.position)
     existing_file(target.file, "an image, a spectrum, a point cloud or a table of their statistics")
+    if is_frame_stack(target.file):
+        return _flight_of(plot, target.file, target)
     data = _read_target(plot, target.file, target_kind(target.file), bands, seed)
     source = data.source
     assert source is not None
@@ -299,25 +307,52 @@ def _view_of(plot: Plot, target: TargetTable, bands: Sequence[str] | None, seed:
     sun = None if target.sun is None else (plot.sun.zenith, plot.sun.azimuth)
     if sun is not None and isinstance(sight, ImageSight | SpectrumSight):
         sight = dataclasses.replace(sight, sun=sun)
-    if target.frame is not None:
+    frame = target.frame
+    if target.cameras is not None:
+        from fynjax.app.assembly._flights import mosaic_of
+
+        frame = mosaic_of(plot, target.cameras)
+        blend = "the mean of those" if target.blend == "mean" else "of the nearest"
+        words = f" Each pixel is {blend} of {len(frame.mosaic)} cameras that see it."
+        source = dataclasses.replace(source, description=source.description + words)
+    if frame is not None:
+        text = source.description.replace(ONE_PICTURE, "")
+        source = dataclasses.replace(source, description=text)
         if not isinstance(sight, ImageSight):
-            raise InputError("expected position_m of an image alone", file=target.file)
+            raise InputError("expected a place of cameras of an image alone", file=target.file)
         known = _is_image(target.file) or target.pixel_m or target.footprint_m
         pixel = sight.placement.pixel if known else None  # else that from where the frame hung
-        place = Placement(pixel=pixel, frame=target.frame)
-        sight = dataclasses.replace(sight, placement=place)
+        place, blended = Placement(pixel=pixel, frame=frame), target.blend == "mean"
+        sight = dataclasses.replace(sight, placement=place, blended=blended)
     data = dataclasses.replace(data, source=dataclasses.replace(source, view_of=sight))
     return data.renamed(target.view) if target.view else data
+
+
+def _flight_of(plot: Plot, path: Path, target: TargetTable | None = None) -> Data:
+    """Data of the frames of a flight; a sun that is stated counts for all of them."""
+    from fynjax.app.assembly._flights import flight_data  # which takes statistics from here
+
+    if target is not None and (target.frame is not None or target.cameras is not None):
+        raise InputError(
+            "expected no position_m and no cameras of frames, which have one each",
+            file=plot.file,
+            column="target",
+        )
+    data = flight_data(plot, path, "" if target is None else target.view)
+    if target is None or target.sun is None:
+        return data
+    return join_data([one.under((plot.sun.zenith, plot.sun.azimuth)) for one in data.parts])
 
 
 def _of_known_plants(plot: Plot) -> Plot:
     """A plot with known crowns, with the sensor of the view that its file states: of one that looks
     straight down under the plot's sun, since other pixels are no map."""
     for target in plot.targets:
-        if target.frame is not None or target.sun is not None:
+        placed = target.frame is not None or target.cameras is not None
+        if placed or target.sun is not None:
             raise InputError(
                 "expected an image from above, under the plot's sun, where every pixel counts: "
-                "leave out position_m and sun, or crowns",
+                "leave out position_m, cameras and sun, or crowns",
                 file=plot.file,
             )
     return plot.replace(sensor=named_sensor(plot.targets[0].of_sensor(plot.sensor)))
@@ -328,7 +363,7 @@ def _is_image(path: Path) -> bool:
 
 
 def _file(data: Data) -> Path | None:
-    return None if data.source is None else data.source.file
+    return data.parts[0].source.file if data.parts and data.parts[0].source else None
 
 
 def _pixels_of_plot(plot: Plot, paths: Sequence[Path], bands: Sequence[str] | None) -> Data:
@@ -446,10 +481,22 @@ def image_target(
         description += (
             f" {what} {seen:.4g} m are simulated, not those of {pixel:.4g} m of the plot's sensor."
         )
+    if image is not None:
+        description += ONE_PICTURE
     sight = image_sight(plot, data.names)
     return dataclasses.replace(
         data, source=Source("image", sight, description, path, extra, image=image)
     )
+
+
+ONE_PICTURE = (
+    " It is taken for one picture from above the middle of the plot. From 50 m, with overlaps of "
+    "80 and 70 %, a mosaic of the nearest cameras differs from that by up to 1 % in means and 8 % "
+    "in spreads between pixels, one of means over cameras by up to 4 % and 24 to 48 %: `cameras` "
+    "under [[target]] says where these were."
+)
+"""What is said of an image without positions of cameras; of a fynbos plot of 4 m, by `python -m
+tests.benchmarks.flight --only mosaic --size 4`."""
 
 
 class ImageData(NamedTuple):

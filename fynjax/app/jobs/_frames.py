@@ -1,31 +1,60 @@
-"""The job of `fynjax frames`: which frames of a flight see a plot, and from where."""
+"""The job of `fynjax frames`: which frames of a flight see a plot, from where, and what they show
+of it."""
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 import pandas as pd
 import xarray as xr
 from jaxtyping import Bool, Float
 from pydantic import Field
+from rasterio.warp import transform
 from scipy.ndimage import map_coordinates
 
+from fynjax._core.arguments import Names
 from fynjax._core.dry_run import begin_work
-from fynjax._core.errors import InputError
+from fynjax._core.errors import InputError, listed
 from fynjax._core.precision import double_precision
+from fynjax._core.progress import track
 from fynjax.app.assembly import ground_heights
-from fynjax.app.io.frames import read_frames
+from fynjax.app.compare import read_drone_image
+from fynjax.app.io.frames import (
+    FrameStack,
+    choose_frames,
+    direction_features,
+    lay_picture,
+    picture_place,
+    picture_time,
+    pictures_of,
+    points_wanted,
+    read_frames,
+    straightened,
+)
 from fynjax.app.io.instruments import load_instrument
-from fynjax.app.io.plot import Plot, as_plot, plot_place
-from fynjax.app.io.raster import grid_mapping, image_array, write_run
+from fynjax.app.io.plot import Place, Plot, as_plot, drone_sensor, plot_place
+from fynjax.app.io.raster import (
+    RELATIVE_TAG,
+    grid_mapping,
+    image_array,
+    open_raster,
+    write_geotiff,
+    write_run,
+)
 from fynjax.app.jobs._result import JobResult, Record
 from fynjax.app.jobs._run import Run
 from fynjax.app.report import figures
 from fynjax.app.report.pages import Picture, Table
-from fynjax.sensors import Frame, FrameCamera, Sensor, lens_of
+from fynjax.sensors import Frame, FrameCamera, Sensor, lens_of, sun_position
 
 _MOST = 100_000_000
 """Pixels of all frames, at most."""
+_TOGETHER = 1_000_000
+"""Points of the ground that are looked up in a picture at once."""
+_SAME_SUN = 2.0
+"""Degrees within which suns of frames count as one, their mean: light is simulated once for each
+sun. Reflectance of shrubland changes by some tenths of a percent within it."""
 
 
 class FramesSummary(Record):
@@ -42,6 +71,12 @@ class FramesSummary(Record):
     smallest_zenith_deg: float
     largest_zenith_deg: float
     """Zenith angles from which pixels are seen."""
+    used: list[str] | None = None
+    """Frames whose pictures were laid on the ground."""
+    left_out: list[str] | None = None
+    """Frames with pictures that the cap left out."""
+    suns: int | None = None
+    """Suns of the frames that are used, by their times; 0: their pictures state none."""
 
 
 class FramesResult(JobResult):
@@ -61,8 +96,14 @@ def frames(
     origin: tuple[float, float] | None = None,
     ground: float | None = None,
     pixel: Annotated[float, Field(ge=0.005)] = 0.1,
+    images: str | Path | None = None,
+    bands: Names | None = None,
+    most: Annotated[int, Field(ge=1)] | None = None,
 ) -> FramesResult:
-    """Find which frames of a flight see a plot, and from which angles.
+    """Find which frames of a flight see a plot, from which angles, and what they show of it.
+
+    Pictures of reflectance are laid on the ground of the plot, which makes of each a view that
+    `calibrate` and `posterior` take.
 
     **Arguments:**
 
@@ -77,33 +118,37 @@ def frames(
     - `ground`: mean height of the plot's ground in the system of the frames' heights [m]; if left
       out, that of its terrain, or of pictures of a DJI their point of take-off.
     - `pixel`: side of a pixel on the ground [m].
+    - `images`: folder of pictures of reflectance (GeoTIFF), each on the pixels of its camera and
+      named after its frame, to be laid on the ground.
+    - `bands`: what each band of a picture is, names with commas between, where the file does not
+      say.
+    - `most`: pictures to use at most: those that together say most of how the plot looks from
+      different sides.
 
     **Returns:** `FramesResult`. Writes `frames.csv` (poses, and how much of the plot each frame
-    sees from where), `frames.nc` (of each frame that sees some of the plot the pixels that lie in
-    it, their view zenith and azimuth, and their column and row in the picture), a figure and a
-    page into `output`.
+    sees from where), `frames.nc` (of each frame that sees some of the plot, or whose picture is
+    used, the pixels that lie in it, their view zenith and azimuth, their column and row in the
+    picture, and reflectance), a GeoTIFF of each picture on the ground, a figure and a page into
+    `output`.
 
-    **Raises:** `InputError` as `read_plot` and `read_frames`, for a pixel that the plot has no room
-    for, too many pixels, and where no frame shows any of the plot.
+    **Raises:** `InputError` as `read_plot`, `read_frames` and `read_drone_image`, for a pixel that
+    the plot has no room for, too many pixels, where no frame shows any of the plot, for pictures
+    that are of no frame or do not fit its lens, and for a cap or bands without pictures.
 
     Example: `jobs.frames("odm_report/shots.geojson", "results", plot="plot.toml", ground=312.4)`.
     """
     read = as_plot(plot)
     run = Run(output)
-    place = plot_place(read)
-    crs = place.crs if crs is None else crs
-    corner = place.origin_m if origin is None else origin
-    columns, rows = (int(side / pixel + 1e-6) if pixel > 0 else 0 for side in read.size_m)
-    if min(columns, rows) < 1:
-        raise InputError(
-            f"expected a positive `pixel` that the plot of {read.size_m[0]:g} x "
-            f"{read.size_m[1]:g} m has room for, but got {pixel:g} m"
-        )
-    heights = ground_heights(read)
-    if heights is not None and ground is None:
-        ground = float(heights.mean())
+    known = plot_place(read)
+    place = Place(known.origin_m if origin is None else origin, known.crs if crs is None else crs)
+    if images is None and not (most is None and bands is None):
+        raise InputError("expected `images` beside `most` or `bands`, which are of pictures")
+    ground_of = _Ground.of(read, pixel)
+    if ground_of.heights is not None and ground is None:
+        ground = float(ground_of.heights.mean())
     with run.stage("Read the poses"):
-        found = read_frames(path, crs=crs, origin=corner, ground=ground)
+        found = read_frames(path, crs=place.crs, origin=place.origin_m, ground=ground)
+    rows, columns = ground_of.shape
     if len(found) * rows * columns > _MOST:
         raise InputError(
             f"expected {_MOST:.0e} pixels of all frames at most, but {len(found)} frames of "
@@ -115,44 +160,236 @@ def frames(
         | {"report.html": ""}
     )
     with run.stage("Find the plot"):
-        corners = _ground(read, heights, pixel, (rows + 1, columns + 1), 0.0)
-        middles = _ground(read, heights, pixel, (rows, columns), 0.5)
-        seen = np.stack([frame.sees_cells(corners) for frame in found])
-    some = np.flatnonzero(seen.any(axis=(1, 2)))
-    if not some.size:
+        seen = np.stack([frame.sees_cells(ground_of.corners) for frame in found])
+        view = [frame.view(ground_of.points(1)) for frame in found]
+    if not seen.any():
         raise InputError(
             f"expected frames that show some of the plot of {read.size_m[0]:g} x "
             f"{read.size_m[1]:g} m, but none of {len(found)} does: {_where(found[0])}. "
             "Are corner and height of the plot in the frames' system?"
         )
-    view = np.stack([found[k].view(middles) for k in some])
-    view = np.where(seen[some][..., None], view, np.nan)
-    table = _table(found, seen, some, view)
-    count = seen.sum(axis=0)
-    summary = FramesSummary(
-        frames=len(found),
-        seeing=some.size,
-        fewest_frames=int(count.min()),
-        median_frames=float(np.median(count)),
-        most_frames=int(count.max()),
-        smallest_zenith_deg=float(np.nanmin(view[..., 0])),
-        largest_zenith_deg=float(np.nanmax(view[..., 0])),
-    )
+    flight = _Flight(found, seen, np.where(seen[..., None], view, np.nan))
+    summary, table = _summary(flight), _table(flight)
     record = run.record([read.file, _file(Path(path))])
+    laid = None
+    if images is not None:
+        laid = _lay(run, flight, table, Path(images), bands, most, (read, place, ground_of))
+        table, summary = laid.table, summary.model_copy(update=laid.summary)
     with run.stage("Write"):
         run.table("frames.csv", table, "poses, and what each frame sees of the plot")
-        dataset = _dataset([found[k] for k in some], seen[some], view, middles, pixel, corner, crs)
+        dataset = _dataset(flight, laid, ground_of, place)
         where = run.path("frames.nc", "of each frame pixels of the plot, their views and places")
         write_run(where, dataset, record)
     headline = _headline(summary, read)
     picture = Picture(
         "frames.png",
-        figures.frames_figure(table, count, pixel),
+        figures.frames_figure(table, seen.sum(axis=0), pixel),
         "from where the frames see the plot, and how many see each pixel",
     )
     shown = Table(table, "Frames, in metres from the plot's corner.", folded=True)
-    run.pictures(f"Frames over {read.name}", headline, [picture, shown], [read.file])
+    inputs = [read.file, *([] if laid is None else laid.files)]
+    run.pictures(f"Frames over {read.name}", headline, [picture, shown], inputs)
     return run.result(FramesResult, headline=headline, flight=summary)
+
+
+class _Ground(NamedTuple):
+    """The ground of a plot and the grid that frames are laid on: that of a simulated image."""
+
+    pixel: float
+    shape: tuple[int, int]
+    start: tuple[float, float]
+    """North and east of the grid's first corner from that of the plot [m]."""
+    heights: Float[np.ndarray, "row column"] | None
+    """Heights of the middles of the voxel columns [m]; None: level."""
+    voxel: float
+
+    @classmethod
+    def of(cls, plot: Plot, pixel: float) -> "_Ground":
+        if not (pixel > 0.0 and pixel <= min(plot.size_m) * (1.0 + 1e-6)):
+            raise InputError(
+                f"expected a positive `pixel` that the plot of {plot.size_m[0]:g} x "
+                f"{plot.size_m[1]:g} m has room for, but got {pixel:g} m"
+            )
+        # Whole pixels in the middle of each side, as those of a simulated image.
+        wide, high = plot.size_m
+        rows, columns = (int(side / pixel + 1e-6) for side in (high, wide))
+        start = 0.5 * (high - rows * pixel), 0.5 * (wide - columns * pixel)
+        return cls(pixel, (rows, columns), start, ground_heights(plot), plot.voxel_m)
+
+    @property
+    def corners(self) -> Float[np.ndarray, "row column 3"]:
+        """Corners of the pixels, one row and one column more than there are of them."""
+        return self._at(*(np.arange(n + 1.0) for n in self.shape))
+
+    def points(self, along: int, rows: slice = slice(None)) -> Float[np.ndarray, "y x 3"]:
+        """Points `along` each edge of the pixels of some rows."""
+        high, wide = (np.arange(n)[s] for n, s in zip(self.shape, (rows, slice(None)), strict=True))
+        inside = (np.arange(along) + 0.5) / along
+        return self._at(*((axis[:, None] + inside).ravel() for axis in (high, wide)))
+
+    def _at(
+        self, row: Float[np.ndarray, " y"], column: Float[np.ndarray, " x"]
+    ) -> Float[np.ndarray, "y x 3"]:
+        """East, north and height above the mean of the ground, at places in pixels."""
+        north, east = (s + self.pixel * at for s, at in zip(self.start, (row, column), strict=True))
+        y, x = np.meshgrid(north, east, indexing="ij")
+        z = np.zeros(y.shape)
+        if self.heights is not None:
+            at = [axis / self.voxel - 0.5 for axis in (y, x)]
+            z = map_coordinates(self.heights - self.heights.mean(), at, order=1, mode="nearest")
+        return np.stack([x, y, z], axis=-1)
+
+
+class _Flight(NamedTuple):
+    """Frames of a flight, and what they see of the plot."""
+
+    frames: list[Frame]
+    seen: Bool[np.ndarray, "frame y x"]
+    """Pixels that lie wholly in each."""
+    view: Float[np.ndarray, "frame y x 2"]
+    """Zenith and azimuth of each frame as seen from these [degrees]; NaN from others."""
+
+    def some(self, places: Sequence[int]) -> "_Flight":
+        return _Flight([self.frames[k] for k in places], self.seen[places], self.view[places])
+
+
+class _Laid(NamedTuple):
+    """Pictures that were laid on the ground."""
+
+    places: list[int]
+    """Places of their frames in the flight."""
+    stack: FrameStack
+    table: pd.DataFrame
+    summary: dict[str, Any]
+    files: list[Path]
+
+
+def _lay(
+    run: Run,
+    flight: _Flight,
+    table: pd.DataFrame,
+    images: Path,
+    bands: Sequence[str] | None,
+    most: int | None,
+    known: tuple[Plot, Place, _Ground],
+) -> _Laid:
+    """Lay the pictures of a flight on the ground, and write each as a GeoTIFF."""
+    plot, place, ground = known
+    every = pictures_of([flight.frames[k] for k in np.flatnonzero(table["seen"] > 0)], images)
+    names = [frame.name for frame in flight.frames]
+    able = [names.index(name) for name in every]
+    suns = _suns([every[names[k]] for k in able], plot, place)
+    zenith, azimuth = table.loc[able, ["view_zenith_deg", "view_azimuth_deg"]].to_numpy().T
+    features = direction_features(zenith, azimuth, suns)
+    share = table.loc[able, "seen"].to_numpy()
+    chosen = range(len(able)) if most is None else choose_frames(features, share, most)
+    places, suns = [able[k] for k in chosen], [suns[k] for k in chosen]
+    camera, values, laid, relative = drone_sensor(plot).bands, [], [], ""
+    seen_bands: tuple[str, ...] = ()
+    with run.stage("Lay the pictures on the ground", total=len(places)):
+        for k in track(places, "Lay"):
+            file = every[names[k]]
+            image = read_drone_image(file, bands=bands, camera=camera, most_pixels=None)
+            if (seen_bands or image.bands) != image.bands:
+                raise InputError(
+                    f"expected the bands {', '.join(seen_bands)} as of {names[places[0]]}, but got "
+                    f"{', '.join(image.bands)}",
+                    file=file,
+                )
+            seen_bands = image.bands
+            with open_raster(file, "a frame of reflectance") as opened:
+                relative = relative or opened.tags.get(RELATIVE_TAG, "")
+            frame, found = _on_ground(flight.frames[k], file, image.values[:, ::-1], ground)
+            if not np.isfinite(found).all(axis=0).any():
+                raise InputError(
+                    f"expected data of the plot in the picture of {frame.name}, but it has none "
+                    "there",
+                    file=file,
+                )
+            laid.append(frame)
+            values.append(found)
+    centre = dict(zip(camera.names, camera.centre, strict=True))
+    waves = tuple(centre[name] for name in seen_bands)
+    stack = FrameStack(
+        tuple(laid), seen_bands, waves, np.stack(values), ground.pixel, tuple(suns), relative
+    )
+    corner = place.corner(ground.start[::-1])
+    for view, image in zip(stack.views, stack.reflectance, strict=True):
+        where = run.path(f"{view}.tif", "its picture on the ground, reflectance")
+        write_geotiff(
+            where, image, seen_bands, pixel_m=ground.pixel, origin_m=corner, wavelengths=waves,
+            crs=place.crs,
+        )  # fmt: skip
+    use = ["no picture" if name not in every else "left out" for name in names]
+    for k in places:
+        use[k] = "yes"
+    table = table.assign(used=use)
+    at = [np.full(len(names), np.nan) for _ in range(2)]
+    for k, sun in zip(places, suns, strict=True):
+        if sun is not None:
+            at[0][k], at[1][k] = sun
+    table["sun_zenith_deg"], table["sun_azimuth_deg"] = np.round(at, 6)
+    summary = {
+        "used": [names[k] for k in places],
+        "left_out": [names[k] for k in able if k not in places],
+        "suns": len({sun for sun in suns if sun is not None}),
+    }
+    return _Laid(places, stack, table, summary, [every[names[k]] for k in places])
+
+
+def _on_ground(
+    frame: Frame, file: Path, values: Float[np.ndarray, "band row column"], ground: _Ground
+) -> tuple[Frame, Float[np.ndarray, "band y x"]]:
+    """A frame with the lens of its picture, and that on the ground, rows from the top."""
+    at = picture_place(file, frame)
+    assert frame.lens is not None
+    if at.straight:
+        frame = Frame(frame.pose, straightened(frame.lens), frame.name)
+    along, (rows, columns) = points_wanted(frame, ground.pixel), ground.shape
+    step = max(_TOGETHER // (columns * along**2), 1)
+    parts = [
+        lay_picture(
+            values, frame.pixels(ground.points(along, slice(r, r + step))), at.corner, along
+        )
+        for r in range(0, rows, step)
+    ]
+    seen = frame.sees_cells(ground.corners)
+    return frame, np.where(seen, np.concatenate(parts, axis=1), np.nan)
+
+
+def _suns(files: Sequence[Path], plot: Plot, place: Place) -> list[tuple[float, float] | None]:
+    """Zenith and azimuth of the sun when each picture was taken [degrees], those that are alike as
+    their mean; None where the picture states no time or the plot no place."""
+    where = plot.place_deg
+    if where is None and place.crs is not None:
+        (east,), (north,) = ([v] for v in place.origin_m)
+        (longitude,), (latitude,) = transform(place.crs, "EPSG:4326", [east], [north])[:2]
+        where = latitude, longitude
+    times = [None if where is None else picture_time(file) for file in files]
+    known = [k for k, time in enumerate(times) if time is not None]
+    if where is None or not known:
+        return [None] * len(files)
+    at = {k: sun_position(*where, times[k]) for k in known}  # type: ignore[arg-type]
+    rays = {k: _direction(float(sun.zenith), float(sun.azimuth)) for k, sun in at.items()}
+    groups: list[list[int]] = []
+    for k in sorted(known, key=lambda k: times[k]):  # type: ignore[arg-type, return-value]
+        first = rays[groups[-1][0]] if groups else -rays[k]
+        near = np.degrees(np.arccos(np.clip(first @ rays[k], -1.0, 1.0))) <= _SAME_SUN
+        groups[-1].append(k) if near else groups.append([k])
+    found: list[tuple[float, float] | None] = [None] * len(files)
+    for group in groups:
+        x, y, z = np.mean([rays[k] for k in group], axis=0)
+        azimuth = float(np.degrees(np.arctan2(x, y)) % 360.0)
+        zenith = float(np.degrees(np.arctan2(np.hypot(x, y), z)))
+        for k in group:
+            found[k] = round(zenith, 6), round(azimuth, 6)
+    return found
+
+
+def _direction(zenith: float, azimuth: float) -> Float[np.ndarray, " 3"]:
+    """East, north and up of a direction of these angles [degrees]."""
+    z, a = np.radians([zenith, azimuth])
+    return np.array([np.sin(z) * np.sin(a), np.sin(z) * np.cos(a), np.cos(z)])
 
 
 def _file(path: Path) -> Path | None:
@@ -173,67 +410,60 @@ def _with_lens(frame: Frame, plot: Plot) -> Frame:
     return Frame(frame.pose, lens_of(sensor.camera), frame.name)
 
 
-def _ground(
-    plot: Plot,
-    heights: Float[np.ndarray, "row column"] | None,
-    pixel: float,
-    shape: tuple[int, int],
-    first: float,
-) -> Float[np.ndarray, "y x 3"]:
-    """Points of the plot's ground, `pixel` apart from `first` of it on, above its mean height."""
-    north, east = ((np.arange(n) + first) * pixel for n in shape)
-    y, x = np.meshgrid(north, east, indexing="ij")
-    z = np.zeros(shape)
-    if heights is not None:
-        at = [axis / plot.voxel_m - 0.5 for axis in (y, x)]
-        z = map_coordinates(heights - heights.mean(), at, order=1, mode="nearest")
-    return np.stack([x, y, z], axis=-1)
-
-
 def _where(frame: Frame) -> str:
     east, north, height = (float(v) for v in frame.pose.position)
     return f"{frame.name} at {east:.0f} m east, {north:.0f} m north, {height:.0f} m up"
 
 
-def _table(
-    found: list[Frame],
-    seen: Bool[np.ndarray, "frame y x"],
-    some: Any,
-    view: Float[np.ndarray, "seeing y x 2"],
-) -> pd.DataFrame:
+def _summary(flight: _Flight) -> FramesSummary:
+    count = flight.seen.sum(axis=0)
+    return FramesSummary(
+        frames=len(flight.frames),
+        seeing=int(flight.seen.any(axis=(1, 2)).sum()),
+        fewest_frames=int(count.min()),
+        median_frames=float(np.median(count)),
+        most_frames=int(count.max()),
+        smallest_zenith_deg=float(np.nanmin(flight.view[..., 0])),
+        largest_zenith_deg=float(np.nanmax(flight.view[..., 0])),
+    )
+
+
+def _table(flight: _Flight) -> pd.DataFrame:
     """A row a frame: its pose, and how much of the plot it sees from where."""
+    found = flight.frames
     poses = [[*frame.pose.position, frame.pose.yaw, frame.pose.pitch, frame.pose.roll]
              for frame in found]  # fmt: skip
     names = ["east_m", "north_m", "height_m", "yaw_deg", "pitch_deg", "roll_deg"]
     table = pd.DataFrame(np.asarray(poses, float), columns=names)
     table.insert(0, "frame", [frame.name for frame in found])
-    table["seen"] = seen.mean(axis=(1, 2))
+    table["seen"] = flight.seen.mean(axis=(1, 2))
     angles = np.full((len(found), 2), np.nan)
-    for k, one in zip(some, view, strict=True):
-        zenith, azimuth = np.radians(one[seen[k]]).T
+    for k in np.flatnonzero(flight.seen.any(axis=(1, 2))):
+        zenith, azimuth = np.radians(flight.view[k][flight.seen[k]]).T
         x, y = np.mean(np.tan(zenith) * [np.sin(azimuth), np.cos(azimuth)], axis=1)
         angles[k] = np.degrees([np.arctan(np.hypot(x, y)), np.arctan2(x, y) % (2 * np.pi)])
     table["view_zenith_deg"], table["view_azimuth_deg"] = angles.T
     return table.round(6)
 
 
-def _dataset(
-    found: list[Frame],
-    seen: Bool[np.ndarray, "frame y x"],
-    view: Float[np.ndarray, "frame y x 2"],
-    middles: Float[np.ndarray, "y x 3"],
-    pixel: float,
-    corner: tuple[float, float],
-    crs: str | None,
-) -> xr.Dataset:
+def _dataset(flight: _Flight, laid: _Laid | None, ground: _Ground, place: Place) -> xr.Dataset:
+    """What frames see of the plot: all that do, or those whose pictures were laid on the ground."""
+    some = np.flatnonzero(flight.seen.any(axis=(1, 2))).tolist()
+    found, seen, view = flight.some(some if laid is None else laid.places)
+    middles = ground.points(1)
+    if laid is not None:
+        found, seen = list(laid.stack.frames), laid.stack.seen
+        view = np.stack([frame.view(middles) for frame in found])
+        view = np.where(seen[..., None], view, np.nan)
     places = np.stack([frame.pixels(middles) for frame in found])
     places = np.where(seen[..., None], places, np.nan)
     at = image_array(
-        seen[:1], ["seen"], [np.nan], pixel_m=pixel, origin_m=corner, crs=crs, long_name="seen"
-    )
+        seen[:1], ["seen"], [np.nan], pixel_m=ground.pixel,
+        origin_m=place.corner(ground.start[::-1]), crs=place.crs, long_name="seen",
+    )  # fmt: skip
     named = {"frame": ("frame", [f.name for f in found], {"long_name": "name of the frame"})}
-    coordinates = {"y": at["y"], "x": at["x"], **named}
-    about = {} if crs is None else {"grid_mapping": "crs"}
+    coordinates: dict[str, Any] = {"y": at["y"], "x": at["x"], **named}
+    about = {} if place.crs is None else {"grid_mapping": "crs"}
     layers: dict[str, tuple[Any, str, str]] = {
         "seen": (seen.astype(np.uint8), "1", "whether the pixel lies wholly in the frame"),
         "view_zenith": (view[..., 0], "degree", "zenith angle of the camera"),
@@ -241,18 +471,26 @@ def _dataset(
         "column": (places[..., 0], "1", "column in the picture, from the middle of the first"),
         "row": (places[..., 1], "1", "row in the picture, from the middle of the top one"),
     }
+    standard = {"view_zenith": "sensor_zenith_angle", "view_azimuth": "sensor_azimuth_angle"}
     variables: dict[str, Any] = {
         name: (
             ("frame", "y", "x"),
             values if values.dtype == np.uint8 else values.astype(np.float32),
-            {"units": unit, "long_name": what, **about},
+            {"units": unit, "long_name": what, **about}
+            | ({"standard_name": standard[name]} if name in standard else {}),
         )
         for name, (values, unit, what) in layers.items()
     }
     count = {"units": "1", "long_name": "frames that see the pixel", **about}
     variables["frames_per_pixel"] = (("y", "x"), seen.sum(axis=0).astype(np.int32), count)
-    dataset = xr.Dataset(variables, coordinates)
-    return dataset if crs is None else dataset.assign(crs=grid_mapping(crs))
+    attributes: dict[str, Any] = {"pixel_m": ground.pixel}
+    if laid is not None:
+        variables |= laid.stack.variables(about)
+        coordinates["band"] = ("band", list(laid.stack.bands), {"long_name": "band name"})
+        if laid.stack.relative:
+            attributes["relative_reflectance"] = laid.stack.relative
+    dataset = xr.Dataset(variables, coordinates, attributes)
+    return dataset if place.crs is None else dataset.assign(crs=grid_mapping(place.crs))
 
 
 def _headline(summary: FramesSummary, plot: Plot) -> list[str]:
@@ -265,4 +503,16 @@ def _headline(summary: FramesSummary, plot: Plot) -> list[str]:
     ]
     if s.fewest_frames == 0:
         lines.append("Some of the plot is in no frame.")
+    if s.used is None:
+        return lines
+    lines.append(
+        f"Laid on the ground: {len(s.used)} of {len(s.used) + len(s.left_out or [])} pictures."
+    )
+    if s.left_out:
+        lines.append(f"Left out, since they say least beside these: {listed(s.left_out)}.")
+    lines.append(
+        f"Suns by their times: {s.suns}, those within {_SAME_SUN:g} degrees as one."
+        if s.suns
+        else "Their times are not known: the sun of each is that of the plot file."
+    )
     return lines

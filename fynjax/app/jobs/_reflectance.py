@@ -26,6 +26,7 @@ from fynjax.app.io.captures import (
     same_capture,
     usable_captures,
 )
+from fynjax.app.io.frames import PICTURE_TAG, TIME_TAG, PicturePlace, utc_time
 from fynjax.app.io.raster import RELATIVE_TAG, Cube, provenance, write_cube_geotiff
 from fynjax.app.io.text import write_text
 from fynjax.app.jobs._reflectance_record import (
@@ -82,6 +83,7 @@ def reflectance(
     height: float | None = None,
     pixel: float | None = None,
     align: bool = True,
+    own_pixels: bool = False,
 ) -> ReflectanceResult:
     """Turn raw pictures of a multispectral drone camera into reflectance.
 
@@ -112,6 +114,8 @@ def reflectance(
       turned to the north and laid there.
     - `pixel`: or the side of a pixel on the ground [m].
     - `align`: align the bands of a capture's files.
+    - `own_pixels`: leave every capture on the pixels of its camera, as `frames` lays them on the
+      ground, wherever it was taken.
 
     **Returns:** `ReflectanceResult`. Writes for each capture its reflectance and the standard
     deviation (GeoTIFF), `calibration.csv`, `provenance.json`, figures and a page into `output`.
@@ -122,6 +126,8 @@ def reflectance(
     """
     run = Run(output)
     _check(panels, panel_reflectances, panel_areas, light, panel_sd, light_sd, height, pixel)
+    if own_pixels and not (height is None and pixel is None):
+        raise InputError("expected the pixels of the camera, or a height or pixel, but got both")
     captures = find_captures(paths_of(images))
     with run.stage("Read the panels"):
         usable, skipped, dark = usable_captures(captures)
@@ -149,7 +155,7 @@ def reflectance(
         {f"{name}_reflectance.tif": "" for name in wanted},
         (_line_of(read_capture(*capture), calibration) for capture in wanted.items()),
     )
-    made = _convert(run, wanted, calibration, (height, pixel), align)
+    made = _convert(run, wanted, calibration, None if own_pixels else (height, pixel), align)
     headline = [*panel_sentences(read, known, light), *made.headline]
     warnings = [f"{name} is skipped: {error}" for name, error in (skipped | unlit).items()]
     warnings += made.warnings
@@ -210,11 +216,12 @@ def _convert(
     run: Run,
     captures: dict[str, list[Path]],
     calibration: _Calibration,
-    ground: tuple[float | None, float | None],
+    ground: tuple[float | None, float | None] | None,
     align: bool,
 ) -> _Converted:
     """Write the reflectance of every capture whose bands can be aligned; `ground` is the height of
-    flight and the size of a pixel [m], as far as they are stated."""
+    flight and the size of a pixel [m], as far as they are stated, None of captures that are to stay
+    on the pixels of their camera."""
     made = _Converted({}, [], [], [], [])
     failed: InputError | None = None
     for name, paths in track([*captures.items()], "Convert"):
@@ -226,13 +233,17 @@ def _convert(
             failed = problem
             made.warnings.append(f"{name} is skipped: {problem}")
             continue
-        side, spread = _ground(capture, *ground)
+        side, spread = (None, None) if ground is None else _ground(capture, *ground)
         cube, doubt = _cubes(capture, aligned, line, side)
         tags = {
             **provenance(inputs=paths),
             "calibration": f"light: {calibration.light}",
             "coordinates": _place_text(side, spread),
         }
+        if spread is None:
+            tags[PICTURE_TAG] = _in_picture(capture, aligned).text()
+        if (time := utc_time(capture.bands[0].time)) is not None:
+            tags[TIME_TAG] = time.isoformat()
         if calibration.line is None and not capture.absolute:
             tags[RELATIVE_TAG] = RELATIVE_REFLECTANCE
         picture = _write_capture(run, name, cube, doubt, tags)
@@ -246,6 +257,18 @@ def _convert(
     if failed is not None and not made.captures:
         raise failed
     return made
+
+
+def _in_picture(capture: Capture, aligned: AlignedCapture) -> PicturePlace:
+    """Where the pixels of an aligned capture lie in the picture of its first band."""
+    rows, columns = capture.bands[0].counts.shape
+    left, low = (
+        round(0.5 * (count - 1) - middle)
+        for count, middle in zip((columns, rows), aligned.middle, strict=True)
+    )
+    top = rows - low - aligned.radiance.shape[1]
+    straight = aligned.alignment is not None and capture.bands[0].registration is not None
+    return PicturePlace((columns, rows), (left, top), straight)
 
 
 def _write_capture(run: Run, name: str, cube: Cube, doubt: Cube, tags: dict[str, Any]) -> Picture:

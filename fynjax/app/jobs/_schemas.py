@@ -15,6 +15,7 @@ from pydantic import Field, TypeAdapter
 from fynjax import jobs
 from fynjax.app.io.instruments import BandRow, CurveRow, LidarFile, NoiseRow, SensorFile
 from fynjax.app.io.plot import (
+    CameraRow,
     CrownRow,
     LeafFileRow,
     ParameterRow,
@@ -43,6 +44,7 @@ SCHEMAS: dict[str, Any] = {
     "plot": PlotFile,
     "species_table_row": SpeciesRow,
     "crowns_row": CrownRow,
+    "cameras_row": CameraRow,
     "leaf_table_row": LeafRow,
     "leaf_spectra_row": LeafFileRow,
     "sky_table_row": SkyRow,

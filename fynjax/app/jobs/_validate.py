@@ -1,18 +1,20 @@
 """The job of `fynjax validate`: real against simulated data of any of three sensors."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
+import pandas as pd
 from pydantic import Field
 
 from fynjax._core.arguments import Names, Seed
 from fynjax._core.dry_run import begin_work
 from fynjax._core.errors import InputError
 from fynjax._core.precision import double_precision
+from fynjax.app.assembly import frames_image, simulated_flight
 from fynjax.app.compare import (
     DroneComparison,
     DroneImage,
@@ -35,6 +37,8 @@ from fynjax.app.compare.structure import (
     compare_pair,
     read_pair,
 )
+from fynjax.app.io.frames import FrameStack, is_frame_stack
+from fynjax.app.io.plot import as_plot
 from fynjax.app.io.raster import write_run
 from fynjax.app.io.text import existing_file
 from fynjax.app.jobs._doubt import doubt_spectrum
@@ -44,6 +48,7 @@ from fynjax.app.report import figures
 from fynjax.app.report.pages import (
     Page,
     Section,
+    Table,
     drone_section,
     published_section,
     spectral_section,
@@ -61,10 +66,11 @@ class ValidationData:
     """The files of a validation; any of the three pairs may be missing."""
 
     real_drone: str | Path | None = None
-    """Real drone image (GeoTIFF, reflectance); or the name 'published': the printed statistics of
-    the plot burnt in 2006."""
+    """Real drone image (GeoTIFF, reflectance); or frames of a flight on the ground (frames.nc of
+    frames --images); or the name 'published': the printed statistics of the plot burnt in 2006."""
     simulated_drone: str | Path | None = None
-    """Simulated drone image."""
+    """Simulated drone image; of frames the plot file, by which each is simulated from where it
+    hung."""
     real_spectra: Sequence[str | Path] = ()
     """Real spectra, all on one grid: CSV, ASD, ENVI library or cube, GeoTIFF, NetCDF."""
     simulated_spectra: Sequence[str | Path] = ()
@@ -119,6 +125,7 @@ class DroneSummary(Record):
     indices: Rows | None = Field(default=None, description="Rows of drone_indices.csv.")
     diversity: Rows | None = Field(default=None, description="Rows of drone_diversity.csv.")
     published: Rows | None = Field(default=None, description="Rows of drone_published.csv.")
+    frames: Rows | None = Field(default=None, description="Rows of drone_frames.csv.")
     notes: list[str]
 
 
@@ -208,9 +215,11 @@ def validate(
     run = Run(output, seed=seed)
     inputs = data.files()
     drone: Drone | None = None
+    by_frame: tuple[FrameStack, FrameStack] | None = None
     if data.simulated_drone:
         read = partial(read_drone_image, saturation=saturation, most_pixels=pixels)
-        drone = _compare_images(data, read, simulated_bands, real_bands)
+        by_frame = _by_frame(data, seed)
+        drone = _compare_images(data, read, simulated_bands, real_bands, by_frame)
         _doubt(run, drone)
     spectra: SpectralComparison | None = None
     if data.simulated_spectra:
@@ -234,6 +243,8 @@ def validate(
     with run.stage("Write"):
         if drone is not None:
             parts["drone"] = _write_drone(run, drone)
+            if by_frame is not None:
+                parts["drone"] = _with_frames(run, parts["drone"], *by_frame)
         if spectra is not None:
             parts["spectra"] = _write_spectra(run, spectra)
         if parts:
@@ -267,7 +278,12 @@ def _compare_images(
     read: Callable[..., DroneImage],
     simulated_bands: Sequence[str] | None,
     real_bands: Sequence[str] | None,
+    by_frame: tuple[FrameStack, FrameStack] | None,
 ) -> Drone:
+    if by_frame is not None:
+        return compare_drone_images(
+            *(frames_image(Path(str(data.real_drone)), stack) for stack in by_frame)
+        )
     if str(data.real_drone) == PUBLISHED:
         return compare_with_published(read(data.simulated_drone, bands=simulated_bands))
     both = data.simulated_drone or "", data.real_drone or ""
@@ -278,6 +294,60 @@ def _compare_images(
     if simulated.bands != real.bands:  # a band of one alone must leave out no pixels
         simulated, real = (read(path, bands=bands) for path, bands in pair)
     return compare_drone_images(real, simulated)
+
+
+def _by_frame(data: ValidationData, seed: int) -> tuple[FrameStack, FrameStack] | None:
+    """Real frames and simulated ones; None where the real image is none of these."""
+    real, simulated = Path(str(data.real_drone)), Path(str(data.simulated_drone))
+    if str(data.real_drone) == PUBLISHED or not is_frame_stack(real):
+        if simulated.suffix.lower() == ".toml":
+            raise InputError(
+                "expected frames.nc of `fynjax frames --images` as the real image beside a plot "
+                "file, or a simulated image",
+                file=real,
+            )
+        return None
+    if simulated.suffix.lower() != ".toml":
+        raise InputError(
+            "expected the plot file that the frames are simulated by, beside real ones",
+            file=simulated,
+        )
+    return simulated_flight(as_plot(simulated), real, seed=seed)
+
+
+def _with_frames(run: Run, part: "_Part", real: FrameStack, simulated: FrameStack) -> "_Part":
+    """What was said of all frames, with each of them beside the angles that it was seen from."""
+    rows = []
+    for k, frame in enumerate(real.frames):
+        seen = real.seen[k]
+        east, north, height = (float(v) for v in frame.pose.position)
+        y_at, x_at = (np.mean(where + 0.5) * real.pixel for where in np.nonzero(seen))
+        x, y = east - x_at, north - y_at
+        zenith = np.degrees(np.arctan2(np.hypot(x, y), height))
+        azimuth = np.degrees(np.arctan2(x, y)) % 360.0
+        for i, band in enumerate(real.bands):
+            there, here = (stack.reflectance[k, i][seen] for stack in (real, simulated))
+            rows.append(
+                {
+                    "frame": frame.name, "view_zenith_deg": zenith, "view_azimuth_deg": azimuth,
+                    "band": band, "real_mean": there.mean(), "simulated_mean": here.mean(),
+                    "difference_percent": 100.0 * (here.mean() / there.mean() - 1.0),
+                    "real_std": there.std(), "simulated_std": here.std(),
+                }
+            )  # fmt: skip
+    table = pd.DataFrame(rows)
+    run.table("drone_frames.csv", table, "each frame and band, real and simulated", "%.9g")
+    spread = table.groupby("band")["difference_percent"].agg(np.ptp)
+    worst = spread.idxmax()
+    said = (
+        f"Between the {len(real.frames)} frames the difference of a mean changes by "
+        f"{spread.max():.1f} % at most, in {figures.words(str(worst))}."
+    )
+    shown = Table(table, "Frame by frame, by the angles that they were seen from.", folded=True)
+    section = replace(part.section, parts=[*part.section.parts, said, shown])
+    assert isinstance(part.summary, DroneSummary)
+    summary = part.summary.model_copy(update={"frames": rows_of(table)})
+    return part._replace(headline=[*part.headline, said], section=section, summary=summary)
 
 
 def _doubt(run: Run, drone: Drone) -> None:

@@ -3,6 +3,7 @@ from ._camera_place import on_earth as on_earth
 from ._capture import AlignedCapture as AlignedCapture
 from ._capture import Capture as Capture
 from ._capture import aligned_radiance as aligned_radiance
+from ._capture import capture_of as capture_of
 from ._capture import find_captures as find_captures
 from ._capture import read_capture as read_capture
 from ._capture import same_capture as same_capture

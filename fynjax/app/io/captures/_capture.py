@@ -118,6 +118,15 @@ def _named(path: Path) -> re.Match[str] | None:
     return next((found for name in _NAMES if (found := name.fullmatch(path.name))), None)
 
 
+def capture_of(name: str) -> str:
+    """Name of the capture that a file of one band is named after; of another file its stem.
+
+    **Arguments:** `name` of the file.
+    """
+    found = _named(Path(name))
+    return Path(name).stem if found is None else found["capture"]
+
+
 def _joined(captures: dict[str, list[tuple[int, Path]]]) -> dict[str, list[tuple[int, Path]]]:
     """Captures of a Mavic 3 whose bands were written in two seconds under one number, as one."""
     kept: dict[str, list[tuple[int, Path]]] = {}

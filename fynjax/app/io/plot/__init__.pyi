@@ -42,12 +42,14 @@ from ._prior import write_prior as write_prior
 from ._releve import PlantOfTable as PlantOfTable
 from ._releve import Releve as Releve
 from ._releve import read_releve as read_releve
+from ._rows import CameraRow as CameraRow
 from ._rows import CrownRow as CrownRow
 from ._rows import ParameterRow as ParameterRow
 from ._rows import SkyPatternRow as SkyPatternRow
 from ._rows import SkyRow as SkyRow
 from ._rows import StatisticRow as StatisticRow
 from ._rows import StructureRow as StructureRow
+from ._rows import read_cameras as read_cameras
 from ._rows import read_sky as read_sky
 from ._rows import read_sky_pattern as read_sky_pattern
 from ._rows import read_statistics as read_statistics

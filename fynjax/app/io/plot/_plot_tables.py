@@ -363,7 +363,8 @@ class TargetTable(SensorTable):
     are stated here count in place of the plot's; another `name` or `path` has none of them."""
 
     file: Annotated[Path, NamedFile("a target")]
-    """Image (GeoTIFF) or its statistics (CSV), spectrum, or point cloud or its structure."""
+    """Image (GeoTIFF) or its statistics (CSV), frames of a flight on the ground (the frames.nc of
+    `fynjax frames --images`), spectrum, or point cloud or its structure."""
     view: str = ""
     """Name of the view, which stands before its statistics, such as 'dusk' in 'dusk.nir.mean';
     needed where there are two of one kind."""
@@ -376,6 +377,13 @@ class TargetTable(SensorTable):
     """Angle by which the camera looked ahead, to the upper edge, from straight down [degree]."""
     roll_deg: float = in_unit("degree", default=0.0, ge=-90, le=90)
     """Angle by which its right side was down [degree]."""
+    cameras: Annotated[Path, NamedFile("a table of cameras")] | None = None
+    """Table of where the cameras of an orthomosaic were (east_m, north_m, height_m, and where they
+    did not look straight down yaw_deg, pitch_deg, roll_deg), such as the frames.csv of `fynjax
+    frames`, or a flight plan. Left out, the mosaic is taken for one picture."""
+    blend: Literal["nearest", "mean"] = "nearest"
+    """What a pixel of the mosaic is: of the nearest camera that saw it, or the mean of all that
+    did."""
     sun: SunTable | None = None
     """The sun of this view; left out, that of the plot."""
 
@@ -408,9 +416,14 @@ class TargetTable(SensorTable):
         angles = {"yaw_deg", "pitch_deg", "roll_deg"} & self.model_fields_set
         if angles and self.position_m is None:
             raise ValueError(f"expected position_m with {min(angles)}")
-        placed = {"altitude_m", "tilt_deg", "heading_deg"} & self.model_fields_set
+        placed = {"altitude_m", "tilt_deg", "heading_deg", "cameras"} & self.model_fields_set
         if self.position_m is not None and placed:
             raise ValueError(f"expected position_m or {min(placed)}, but got both: leave one out")
+        placed -= {"cameras"}
+        if self.cameras is not None and placed:
+            raise ValueError(f"expected cameras or {min(placed)}, but got both: leave one out")
+        if self.cameras is None and "blend" in self.model_fields_set:
+            raise ValueError("expected cameras with blend: where those of the mosaic were")
         return self
 
 

@@ -5,14 +5,16 @@ from collections.abc import Collection
 from pathlib import Path
 from typing import ClassVar, Literal
 
+import jax.numpy as jnp
 import numpy as np
-from pydantic import Field, ValidationInfo, field_validator, model_validator
+from pydantic import ConfigDict, Field, ValidationInfo, field_validator, model_validator
 
 from fynjax._core.errors import InputError, names_file
 from fynjax.app.io.plot._plot import Floats
 from fynjax.app.io.text import Slip, Strict, did_you_mean, in_unit, quantity, read_rows
 from fynjax.metrics import VEGETATION_INDICES
 from fynjax.scene import PARAMETERS, SpeciesRow
+from fynjax.sensors import Pose
 
 
 class CrownRow(Strict):
@@ -48,6 +50,40 @@ class CrownRow(Strict):
                 "northing_m, in the coordinates of its maps"
             )
         return self
+
+
+class CameraRow(Strict):
+    """One row of the table of cameras: where a frame of a mosaic was taken. Other columns, such as
+    those of `fynjax frames`, are not used."""
+
+    model_config = ConfigDict(extra="ignore")
+
+    east_m: float = in_unit("m", ge=-1e5, le=1e5)
+    """East of the plot's south-west corner [m]."""
+    north_m: float = in_unit("m", ge=-1e5, le=1e5)
+    """North of the plot's south-west corner [m]."""
+    height_m: float = in_unit("m", gt=0, le=1e4)
+    """Height above the mean level of the plot's ground [m]."""
+    yaw_deg: float = in_unit("degree", default=0.0, ge=-360, le=360)
+    """Direction of the picture's upper edge, clockwise from north [degree]."""
+    pitch_deg: float = in_unit("degree", default=0.0, ge=-90, le=90)
+    """Angle of looking ahead from straight down [degree]."""
+    roll_deg: float = in_unit("degree", default=0.0, ge=-180, le=180)
+    """Angle by which the camera's right side was down [degree]."""
+
+
+def read_cameras(path: str | Path) -> tuple[Pose, ...]:
+    """Poses of the cameras of a mosaic.
+
+    **Arguments:** `path`: table of `CameraRow`.
+
+    **Raises:** `InputError` for a table that cannot be read, with row and column.
+    """
+    poses = []
+    for _, row in read_rows(path, CameraRow, "a table of cameras"):
+        angles = map(jnp.asarray, (row.yaw_deg, row.pitch_deg, row.roll_deg))
+        poses.append(Pose(jnp.asarray([row.east_m, row.north_m, row.height_m]), *angles))
+    return tuple(poses)
 
 
 class StatisticRow(Strict):

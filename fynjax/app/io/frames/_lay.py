@@ -1,0 +1,175 @@
+"""Pictures of reflectance, each on the pixels of its camera, laid on the ground of a plot."""
+
+import json
+import math
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+from scipy.ndimage import map_coordinates
+
+from fynjax._core.errors import InputError, in_file, listed
+from fynjax.app.io.captures import capture_of
+from fynjax.app.io.raster import open_raster
+from fynjax.sensors import Frame, Lens
+
+SUFFIX = "_reflectance"
+"""What `fynjax reflectance` puts after the name of a capture."""
+PICTURE_TAG = "picture"
+"""Tag of a picture's size and corner, where it was cut, and whether its lens was straightened."""
+TIME_TAG = "time_utc"
+"""Tag of when a picture was taken, ISO 8601 in UTC."""
+_IMAGES = (".tif", ".tiff")
+_FINEST = 8
+"""Points along the edge of a pixel of the ground whose reflectance is averaged, at most."""
+
+
+@dataclass(frozen=True)
+class PicturePlace:
+    """Where the pixels of a file lie in the picture that its camera took."""
+
+    size: tuple[int, int]
+    """Columns and rows of the whole picture."""
+    corner: tuple[int, int] = (0, 0)
+    """Column and row of the file's top left pixel."""
+    straight: bool = False
+    """Whether the distortion of the lens was taken out."""
+
+    def text(self) -> str:
+        """The same as a tag."""
+        return json.dumps({"size": self.size, "corner": self.corner, "straight": self.straight})
+
+
+def pictures_of(frames: Sequence[Frame], folder: Path) -> dict[str, Path]:
+    """Files of reflectance in a folder by the names of their frames.
+
+    A file is of the frame whose name it has, or that of its capture, with or without
+    "_reflectance". Of the frames of one capture, a band each, the first counts.
+
+    **Arguments:** `frames` of a flight; the `folder`.
+
+    **Raises:** `InputError` for a folder without any that fit.
+    """
+    if not folder.is_dir():
+        raise InputError("expected a folder of frames of reflectance, but it is none", file=folder)
+    files = {
+        path.stem.removesuffix(SUFFIX): path
+        for path in sorted(folder.iterdir())
+        if path.suffix.lower() in _IMAGES and not path.stem.endswith(f"{SUFFIX}_sd")
+    }
+    found: dict[str, Path] = {}
+    for frame in frames:
+        keys = Path(frame.name).stem, capture_of(frame.name)
+        path = next((files[key] for key in keys if key in files), None)
+        if path is not None and path not in found.values():
+            found[frame.name] = path
+    if not found:
+        raise InputError(
+            f"expected frames of reflectance named after those of the flight, such as "
+            f"{Path(frames[0].name).stem}{SUFFIX}.tif, but this folder has "
+            f"{listed(path.name for path in files.values()) or 'no GeoTIFF'}",
+            file=folder,
+        )
+    return found
+
+
+def picture_place(path: Path, frame: Frame) -> PicturePlace:
+    """Where the pixels of a file lie in its frame's picture.
+
+    **Arguments:** `path` of the file; its `frame`, with a lens.
+
+    **Raises:** `InputError` for a file on a map, and for one of another size than the picture that
+    does not say where it was cut.
+    """
+    assert frame.lens is not None
+    with open_raster(path, "a frame of reflectance") as file:
+        rows, columns = file.shape
+        if file.crs is not None and file.on_earth:
+            raise InputError(
+                "expected a frame on the pixels of its camera, but it was laid on a map: "
+                "`fynjax reflectance --own-pixels` leaves it where it was"
+            )
+        stated = file.tags.get(PICTURE_TAG)
+    place = PicturePlace((columns, rows))
+    with in_file(path):
+        if stated is not None:
+            place = _stated(stated)
+        if place.size != frame.lens.size:
+            wide, high = frame.lens.size
+            raise InputError(
+                f"expected {wide} x {high} pixels, as the lens of {frame.name} has, but got "
+                f"{place.size[0]} x {place.size[1]}. Is it cut, or of another camera?"
+            )
+    return place
+
+
+def _stated(text: str) -> PicturePlace:
+    try:
+        known = json.loads(text)
+        size, corner = (tuple(map(int, known[key])) for key in ("size", "corner"))
+        return PicturePlace((size[0], size[1]), (corner[0], corner[1]), bool(known["straight"]))
+    except (ValueError, KeyError, TypeError, IndexError) as error:
+        raise InputError(
+            f"expected size and corner of the picture as the tag {PICTURE_TAG!r}, but got "
+            f"{text[:60]!r}"
+        ) from error
+
+
+def picture_time(path: Path) -> datetime | None:
+    """When the picture `path` was taken, by its tag; None where it does not say."""
+    with open_raster(path, "a frame of reflectance") as file:
+        return utc_time(file.tags.get(TIME_TAG, ""))
+
+
+def utc_time(text: str) -> datetime | None:
+    """The time that a `text` of the metadata of a camera that counts in UTC means, such as
+    "2026:11:22 10:00:00"; None of anything else."""
+    plain = re.sub(r"^(\d{4}):(\d{2}):(\d{2})", r"\1-\2-\3", text.strip())
+    try:
+        time = datetime.fromisoformat(plain)
+    except ValueError:
+        return None
+    return time.replace(tzinfo=UTC) if time.tzinfo is None else time.astimezone(UTC)
+
+
+def straightened(lens: Lens) -> Lens:
+    """The `lens` of a picture whose distortion was taken out."""
+    return replace(lens, radial=(), tangential=(0.0, 0.0), skew=0.0, fisheye=False)
+
+
+def points_wanted(frame: Frame, pixel: float) -> int:
+    """Points along the edge of a `pixel` on the ground [m] that the own pixels of a `frame` ask
+    for."""
+    assert frame.lens is not None
+    own = float(frame.pose.position[2]) / max(frame.lens.focal_length)
+    return int(np.clip(math.ceil(pixel / own - 1e-6), 1, _FINEST))
+
+
+def lay_picture(
+    values: Float[np.ndarray, "band row column"],
+    places: Float[np.ndarray, "y x 2"],
+    corner: tuple[int, int],
+    points: int,
+) -> Float[np.ndarray, "band south east"]:
+    """A picture on the ground: means over `points` x `points` places of each pixel there, between
+    the picture's own (bilinear).
+
+    **Arguments:**
+
+    - `values`: rows from the top; NaN where there are no data.
+    - `places`: column and row of each point of the ground in the whole picture.
+    - `corner`: column and row of the first of `values` there.
+    - `points`: along the edge of a pixel of the ground.
+
+    **Returns:** NaN where a point lies beyond the picture or next to one without data.
+    """
+    at = np.moveaxis(places - np.asarray(corner), -1, 0)[::-1]
+    at = np.nan_to_num(at, nan=-2.0)
+    found = np.stack([map_coordinates(band, at, order=1, cval=np.nan) for band in values])
+    bands, high, wide = found.shape
+    blocks = found.reshape(bands, high // points, points, wide // points, points)
+    return np.asarray(blocks.mean(axis=(2, 4)))
