@@ -136,6 +136,7 @@ def _simulate(folder: Path) -> Runs:
     return {
         "camera": ["simulate", camera, "--seed", 4],
         "lidar": ["simulate", plot, "--sensor", "flash_lidar_paper"],
+        "angles": ["simulate", plot, "--angles"],
     }
 
 

@@ -52,6 +52,7 @@ from ._sensitivity import SensitivityResult as SensitivityResult
 from ._sensitivity import sensitivity as sensitivity
 from ._simulate import SimulateResult as SimulateResult
 from ._simulate import simulate as simulate
+from ._simulate_angles import SimulateAnglesResult as SimulateAnglesResult
 from ._simulate_lidar import SimulateLidarResult as SimulateLidarResult
 from ._terrain import TerrainResult as TerrainResult
 from ._terrain import terrain as terrain

@@ -1,3 +1,5 @@
+from ._angles import angles_plane as angles_plane
+from ._angles import angles_polar as angles_polar
 from ._communities import agreement_plot as agreement_plot
 from ._communities import recognition_plot as recognition_plot
 from ._design import design_plot as design_plot
