@@ -200,7 +200,11 @@ def _sensitivity(folder: Path) -> Runs:
 @_case("information")
 def _information(folder: Path) -> Runs:
     line = ["information", _small(folder)[0], "--gsd", "0.1,0.5", "--bands", "2,4"]
-    return {"information": [*line, "--realisations", 2]}
+    flight = ["information", line[1], "--frames", "1,5", "--oblique", "0,4", "--pulses", "50"]
+    return {
+        "information": [*line, "--realisations", 2],
+        "flight": [*flight, "--realisations", 2],
+    }
 
 
 @_case("design", "study", loose={"gain": np.inf, "": 2e-2})

@@ -1,7 +1,5 @@
 """Reflectance of a plot by direction, against photons and closed forms."""
 
-import json
-
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -14,11 +12,10 @@ from fynjax.app.assembly import build_plot
 from fynjax.app.io.plot import read_plot
 from fynjax.app.jobs import simulate
 from fynjax.app.jobs._simulate_angles import AZIMUTHS, ZENITHS, _voxels, angular_reflectance
-from fynjax.radiation import Accuracy, voxel_scene
+from fynjax.radiation import voxel_scene
 from fynjax.scene import hard_scene
 from fynjax.sensors import shipped_sensor
 from tests import reference
-from tests.radiation.test_reference_scenes import floating_spheres
 from tests.small import write_plot
 
 
@@ -56,20 +53,6 @@ def test_albedo_with_the_structure_of_plants_is_that_of_photons(tmp_path):
     for band in (1, 3):
         want = reference.fluxes(finest, photons=200_000, seed=3, band=band).albedo
         assert found.albedo[band] == pytest.approx(want.mean, rel=0.01, abs=2 * want.error)
-
-
-@pytest.mark.study
-@pytest.mark.parametrize("index", [0, 2], ids=["near infrared", "red"])
-def test_albedo_of_floating_spheres(shared_data, index):
-    """RAMI's HET01, whose albedo photons gave: the mean of all views has it within 1 %."""
-    with open(shared_data / "rt" / "het01_turbid.json", encoding="utf-8") as file:
-        case = json.load(file)["cases"][index]
-    accuracy = Accuracy(
-        lattice=2, sublayers=2, coarsening=(2, 2), levels=4, azimuths=8, tolerance=1e-4
-    )
-    found = angular_reflectance(floating_spheres(case), accuracy)
-    want = case["result"]
-    assert found.albedo[0] == pytest.approx(want["albedo"], rel=0.01, abs=2 * want["albedo_se"])
 
 
 def test_bare_ground_is_alike_from_everywhere():

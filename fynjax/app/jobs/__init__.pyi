@@ -22,6 +22,7 @@ from ._identify import Rejected as Rejected
 from ._identify import identify as identify
 from ._information import InformationResult as InformationResult
 from ._information import information as information
+from ._information_flight import FlightInformationResult as FlightInformationResult
 from ._init import InitResult as InitResult
 from ._init import check_nothing_there as check_nothing_there
 from ._init import init_from_table as init_from_table
