@@ -200,7 +200,9 @@ def _sensitivity(folder: Path) -> Runs:
 @_case("information")
 def _information(folder: Path) -> Runs:
     line = ["information", _small(folder)[0], "--gsd", "0.1,0.5", "--bands", "2,4"]
-    flight = ["information", line[1], "--frames", "1,5", "--oblique", "0,4", "--pulses", "50"]
+    (folder / "flown").mkdir()
+    flown = write_plot(folder / "flown", SMALL, voxel=0.2)
+    flight = ["information", flown, "--frames", "1,3", "--oblique", "0,4", "--pulses", "50"]
     return {
         "information": [*line, "--realisations", 2],
         "flight": [*flight, "--realisations", 2],

@@ -105,8 +105,9 @@ def test_settings_are_combined():
         flight_settings((0,), (0,), ())
 
 
+@pytest.mark.slow
 def test_more_frames_and_more_pulses_never_know_less(tmp_path):
-    plot = write_plot(tmp_path)
+    plot = write_plot(tmp_path, voxel=0.2)
     made = information(
         plot, tmp_path / "out", free=("species.*.height", "species.*.leaf_area_index"),
         frames=(1, 5), oblique=(0, 4), pulses=(20, 200), realisations=2, seed=3,

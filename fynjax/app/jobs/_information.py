@@ -49,10 +49,10 @@ def information(
     noise: Sequence[float] = (0.01,),
     sun_zenith: Sequence[float] | None = None,
     error: float = 0.01,
-    frames: Sequence[int] = (),
+    frames: Sequence[int] | None = None,
     oblique: Sequence[int] = (0,),
     overlap: float = 80.0,
-    pulses: Sequence[float] = (),
+    pulses: Sequence[float] | None = None,
     realisations: Annotated[int, Field(ge=2)] = 15,
     seed: Seed | None = None,
 ) -> InformationResult | FlightInformationResult:
@@ -90,8 +90,8 @@ def information(
     run = Run(output, seed=seed, plot=read)
     with run.stage("Build the plot"):
         problem = plot_problem(read, None, free, seed=run.seed)
-    if len(frames) or len(pulses):
-        settings = flight_settings(frames, oblique, pulses)
+    if frames or pulses:
+        settings = flight_settings(frames or (), oblique, pulses or ())
         return information_of_flight(
             run, read, problem, settings, overlap=overlap, error=error, realisations=realisations
         )

@@ -18,12 +18,11 @@ from fynjax.app.io.plot import Plot, plot_instrument
 from fynjax.app.jobs._result import JobResult, Rows
 from fynjax.app.jobs._run import Run
 from fynjax.app.report import figures
-from fynjax.app.report.pages import Page, Picture, Section, Table
+from fynjax.app.report.pages import Page, Part, Picture, Section, Table
 from fynjax.inversion import (
     COARSE,
     BandFactors,
     Information,
-    ParameterSpace,
     Problem,
     coarser,
     fisher_information,
@@ -100,7 +99,7 @@ def frame_directions(sensor: Sensor, count: int, overlap: float) -> Float[np.nda
 @eqx.filter_jit
 def _frames(
     scene: Scene, parameters: PlotParameters, sensor: Sensor, names: tuple[str, ...], at: Array,
-    views: Array,
+    views: Array, steepest: float,
 ) -> tuple[Array, Array]:  # fmt: skip
     """Mean and spread of each band in each frame, and their slopes [frame, statistic, free]."""
     nx, ny, _ = scene.grid.shape
@@ -114,7 +113,7 @@ def _frames(
 
         def of_view(view: Array) -> Array:
             rays = parallel_rays(x, y, width, view[0], view[1])
-            image = reflectance_factor(light, rays, steepest=jnp.max(views[:, 0]))
+            image = reflectance_factor(light, rays, steepest=steepest)
             return jnp.concatenate([image.mean(axis=(1, 2)), image.std(axis=(1, 2))])
 
         return jax.lax.map(of_view, views)
@@ -209,16 +208,66 @@ def flight_information(
     for planted in track([scene, *other_plantings(scene, range(1, realisations + 1))], "Look"):
         if len(views):
             quick = coarser(planted, scene.parameters)
-            directions = jnp.asarray(views)
-            seen = _frames(quick, scene.parameters, sensor, space.names, at, directions)
+            most = float(views[:, 0].max())
+            where = jnp.asarray(views)
+            seen = _frames(quick, scene.parameters, sensor, space.names, at, where, most)
             frames.append(jax.device_get(seen))
         if any(one.pulses for one in settings):
             clouds.append(jax.device_get(_cloud(planted, scene.parameters, space.names, at)))
+    scale = np.asarray(space.prior_sd, float)
     factors = BandFactors.of_bands([(sensor.bands, sensor.gains())], problem.error)
-    return [
-        _bounds(one, space, views, frames, clouds, sensor, factors, error, scene.ground_area)
-        for one in settings
-    ]
+    found = []
+    for one in settings:
+        slopes, covariance = np.zeros((0, len(scale))), np.zeros((0, 0))
+        if one.frames or one.oblique:
+            rows = [*range(one.frames), *_oblique(one.oblique, views)]
+            slopes, covariance = _of_frames(rows, frames, scale, sensor, factors, error)
+        if one.pulses:
+            slopes, covariance = _of_cloud(clouds, scale, scene.ground_area, one.pulses)
+        found.append(fisher_information(space.names, slopes, covariance, scale))
+    return found
+
+
+def _stacked(planted: list[Any]) -> tuple[np.ndarray, np.ndarray]:
+    """Values and slopes of each planting."""
+    values, slopes = (np.stack([one[i] for one in planted]).astype(float) for i in (0, 1))
+    return values, slopes
+
+
+def _of_frames(
+    rows: Sequence[int],
+    frames: list[Any],
+    scale: np.ndarray,
+    sensor: Sensor,
+    factors: BandFactors,
+    error: float,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Slopes and covariance of some frames. What plantings share is of all frames of the sweep
+    together, so that more of them never know less."""
+    values, every = _stacked(frames)
+    own, whole = frame_covariance(values, error, sensor, factors)
+    flat = every.reshape(len(every), -1, len(scale)) * scale
+    blocks = np.split(np.arange(flat.shape[1]), values.shape[1])
+    taken = np.concatenate([blocks[i] for i in rows])
+    shared = shared_slopes(flat, own, blocks) / scale
+    return shared[taken], whole[np.ix_(taken, taken)]
+
+
+def _of_cloud(
+    clouds: list[Any], scale: np.ndarray, area: float, pulses: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Slopes and covariance of heights. What plantings share does not depend on the pulses."""
+    values, every = _stacked(clouds)
+    rows = np.arange(len(_SHARES))
+    known = cloud_covariance(values, area, np.inf)
+    shared = shared_slopes(every[:, rows] * scale, known, [rows]) / scale
+    return shared, cloud_covariance(values, area, pulses)
+
+
+def _oblique(count: int, views: np.ndarray) -> list[int]:
+    """Places of so many oblique frames in the views."""
+    wanted = [(OBLIQUE_DEG, 360.0 * k / count) for k in range(count)]
+    return [int(np.flatnonzero(np.isclose(views, one).all(axis=1))[-1]) for one in wanted]
 
 
 def _views(
@@ -231,41 +280,6 @@ def _views(
         around = np.arange(count) * 360.0 / count
         parts.append(np.column_stack([np.full(count, OBLIQUE_DEG), around]))
     return np.concatenate(parts)
-
-
-def _bounds(
-    setting: FlightSetting, space: ParameterSpace, views: np.ndarray, frames: list[Any],
-    clouds: list[Any], sensor: Sensor, factors: BandFactors, error: float, area: float,
-) -> Information:  # fmt: skip
-    scale = np.asarray(space.prior_sd, float)
-    slopes, covariance = np.zeros((0, len(scale))), np.zeros((0, 0))
-    if setting.frames or setting.oblique:
-        around = np.arange(setting.oblique) * 360.0 / max(setting.oblique, 1)
-        oblique = [
-            int(np.flatnonzero(np.all(np.isclose(views, (OBLIQUE_DEG, a)), axis=1))[0])
-            for a in around
-        ]
-        values, every = (np.stack([one[i] for one in frames]).astype(float) for i in (0, 1))
-        own, _ = frame_covariance(values, error, sensor, factors)
-        size = values.shape[2]
-        flat = every.reshape(len(every), -1, len(scale)) * scale
-        # Of all frames of the sweep together, so that more of them never know less.
-        blocks = np.split(np.arange(flat.shape[1]), len(views))
-        shared = shared_slopes(flat, own, blocks) / scale
-        rows = np.concatenate([blocks[i] for i in [*range(setting.frames), *oblique]])
-        _, whole = frame_covariance(values, error, sensor, factors)
-        slopes, covariance = shared[rows], whole[np.ix_(rows, rows)]
-        assert len(rows) == size * (setting.frames + setting.oblique)
-    if setting.pulses:
-        values, every = (np.stack([one[i] for one in clouds]).astype(float) for i in (0, 1))
-        count = len(_SHARES)
-        known = cloud_covariance(values, area, np.inf)
-        shared = shared_slopes(every[:, :count] * scale, known, [np.arange(count)]) / scale
-        drawn = cloud_covariance(values, area, setting.pulses)
-        gap = np.zeros((len(slopes), count))
-        covariance = np.block([[covariance, gap], [gap.T, drawn]])
-        slopes = np.concatenate([slopes, shared])
-    return fisher_information(space.names, slopes, covariance, scale)
 
 
 def stand_bounds(problem: Problem, bounds: Information) -> Float[np.ndarray, "functional 2"]:
@@ -347,7 +361,7 @@ def information_of_flight(
             "Standard deviation that is left of the prior's, of heights, covers, leaf areas and "
             "the stand's numbers.",
         )
-        parts = [picture, Table(table, "Every bound.", folded=True)]
+        parts: list[Part] = [picture, Table(table, "Every bound.", folded=True)]
         record = run.record(plot.inputs)
         lead = " ".join(headline)
         run.page(Page(f"Information: {plot.name}", lead, [Section("", parts)], record=record))

@@ -179,66 +179,47 @@ def angles_dataset(
 
     **Arguments:** `sun`: its zenith angle and azimuth [degrees].
     """
-    brf = {"standard_name": "surface_bidirectional_reflectance", "units": "1"}
-    share = {"standard_name": "surface_albedo", "units": "1"}
-    degree = {"units": "degree"}
-    centre = {"standard_name": "sensor_band_central_radiation_wavelength", "units": "nm"}
-    azimuth = (AZIMUTHS + sun[1]) % 360.0
+
+    def about(name: str, words: str, unit: str = "degree") -> dict[str, str]:
+        named = {"standard_name": name} if name else {}
+        return {**named, "units": unit, "long_name": words}
+
+    brf = "surface_bidirectional_reflectance"
     words = "bidirectional reflectance factor, sun alone"
-    return xr.Dataset(
-        {
-            "brf": (
-                ("band", "view_zenith", "view_azimuth"),
-                found.hemisphere.astype(np.float32),
-                {**brf, "long_name": words},
-            ),
-            "brf_principal_plane": (
-                ("band", "view_angle"),
-                found.plane.astype(np.float32),
-                {**brf, "long_name": f"{words}, in the plane of the sun"},
-            ),
-            "albedo": ("band", found.albedo, {**share, "long_name": "share of light that leaves"}),
-        },
-        {
-            "band": ("band", list(bands.names), {"long_name": "band name"}),
-            "wavelength": ("band", np.asarray(bands.centre), {**centre, "long_name": "centre"}),
-            "view_zenith": (
-                "view_zenith",
-                ZENITHS,
-                {**degree, "standard_name": "sensor_zenith_angle", "long_name": "of the view"},
-            ),
-            "view_azimuth": (
-                "view_azimuth",
-                azimuth,
-                {
-                    **degree,
-                    "standard_name": "sensor_azimuth_angle",
-                    "long_name": "of the view, clockwise from north",
-                },
-            ),
-            "relative_azimuth": (
-                "view_azimuth",
-                AZIMUTHS,
-                {**degree, "long_name": "of the view, clockwise from that of the sun"},
-            ),
-            "view_angle": (
-                "view_angle",
-                found.angles,
-                {**degree, "long_name": "zenith angle of the view, above 0 on the sun's side"},
-            ),
-            "sun_zenith": (
-                (),
-                sun[0],
-                {**degree, "standard_name": "solar_zenith_angle", "long_name": "of the sun"},
-            ),
-            "sun_azimuth": (
-                (),
-                sun[1],
-                {**degree, "standard_name": "solar_azimuth_angle", "long_name": "of the sun"},
-            ),
-        },
-        {"title": "reflectance factor of a plot by direction of view"},
-    )
+    turned = "of the view, clockwise from"
+    centre = about("sensor_band_central_radiation_wavelength", "band centre", "nm")
+    axes: dict[str, tuple[str, np.ndarray, dict[str, str]]] = {
+        "view_zenith": ("view_zenith", ZENITHS, about("sensor_zenith_angle", "of the view")),
+        "view_azimuth": (
+            "view_azimuth",
+            (AZIMUTHS + sun[1]) % 360.0,
+            about("sensor_azimuth_angle", f"{turned} north"),
+        ),
+        "relative_azimuth": ("view_azimuth", AZIMUTHS, about("", f"{turned} that of the sun")),
+        "view_angle": ("view_angle", found.angles, about("", "zenith, above 0 on the sun's side")),
+    }
+    directions = ("band", "view_zenith", "view_azimuth")
+    data = {
+        "brf": (directions, found.hemisphere.astype(np.float32), about(brf, words, "1")),
+        "brf_principal_plane": (
+            ("band", "view_angle"),
+            found.plane.astype(np.float32),
+            about(brf, f"{words}, in the plane of the sun", "1"),
+        ),
+        "albedo": (
+            "band",
+            found.albedo,
+            about("surface_albedo", "share of light that leaves", "1"),
+        ),
+    }
+    coordinates = {
+        "band": ("band", list(bands.names), {"long_name": "band name"}),
+        "wavelength": ("band", np.asarray(bands.centre), centre),
+        "sun_zenith": ((), sun[0], about("solar_zenith_angle", "of the sun")),
+        "sun_azimuth": ((), sun[1], about("solar_azimuth_angle", "of the sun")),
+        **axes,
+    }
+    return xr.Dataset(data, coordinates, {"title": "reflectance factor by direction of view"})
 
 
 def _headline(plot: Plot, table: pd.DataFrame, sun: tuple[float, float]) -> list[str]:
