@@ -54,15 +54,15 @@ def test_identical_frames_know_no_more_than_their_gains_allow():
     values, _ = frames(1)
     alike = values[0] / 0.5  # a parameter that makes all brighter by twice its value
     bounds = [
-        bound_of(np.tile(values, (1, n, 1)), np.tile(alike, (n, 1)), shared) for n in (1, 10, 1000)
+        bound_of(np.tile(values, (1, n, 1)), np.tile(alike, (n, 1)), shared) for n in (1, 10, 60)
     ]
     assert bounds[0] > bounds[1] > bounds[2] > 0.5 * 0.05 * 0.999
-    assert bounds[2] == pytest.approx(0.5 * 0.05, rel=1e-3)
+    assert bounds[2] == pytest.approx(0.5 * 0.05, rel=1e-2)
     drifting = camera(0.0, 0.02)
     # The drift is each frame's own: it averages out.
-    many = bound_of(np.tile(values, (1, 100, 1)), np.tile(alike, (100, 1)), drifting)
+    many = bound_of(np.tile(values, (1, 25, 1)), np.tile(alike, (25, 1)), drifting)
     one = bound_of(values, alike, drifting)
-    assert many == pytest.approx(one / 10.0, rel=1e-6)
+    assert many == pytest.approx(one / 5.0, rel=1e-6)
 
 
 def test_quantiles_of_returns_scatter_as_drawn_ones():
