@@ -144,6 +144,14 @@ GROUPS: dict[str, list[Mutant]] = {
                f"{_STRICT} many_parts"),
     ],
     "physics": [
+        Mutant("sensors/lidar/_beams.py", "mirror / geometry.used_share - 1.0", "mirror - 1.0",
+               "sensors/test_lidar_systems.py"),
+        Mutant("sensors/lidar/_beams.py", "-across * np.tan(turn), time", "0.0 * across, time",
+               "sensors/test_lidar_systems.py"),
+        Mutant("jobs/_information_flight.py", "(of_frame + shared)", "of_frame",
+               "jobs/test_information_flight.py identical"),
+        Mutant("jobs/_simulate_angles.py", "np.diff(np.sin(edge) ** 2)", "np.diff(np.sin(edge))",
+               "jobs/test_simulate_angles.py photons"),
         Mutant("radiation/_reduced.py", "1 if pattern.ndim == 2 else min(materials, count)", "1",
                "radiation/test_reduced.py all_that_differ"),
         Mutant("inversion/_canopy.py", "light = jnp.asarray([sun_zenith, view_zenith, "

@@ -47,7 +47,12 @@ from fynjax.inversion._fit import (
     statistics_and_jacobian,
     whitened_residual,
 )
-from fynjax.inversion._fit_result import WELL_CONSTRAINED, FitResult, FitStatus
+from fynjax.inversion._fit_result import (
+    WELL_CONSTRAINED,
+    FitResult,
+    FitStatus,
+    scatter_covariance,
+)
 from fynjax.inversion._found import FoundMaps, FoundPlants, find_places
 from fynjax.inversion._functionals import (
     Functional,
@@ -56,7 +61,7 @@ from fynjax.inversion._functionals import (
     stand_table,
     stand_values,
 )
-from fynjax.inversion._information import Information
+from fynjax.inversion._information import Information, fisher_information, shared_slopes
 from fynjax.inversion._known_plants import PixelSearch, PixelState
 from fynjax.inversion._log_posterior import LogPosterior
 from fynjax.inversion._places import PlacesSettings
@@ -100,6 +105,7 @@ from fynjax.inversion._targets import (
     weigh_structure,
     weigh_targets,
 )
+from fynjax.inversion._vectorised import value_and_jacobian
 from fynjax.inversion._views import (
     AbstractView,
     BandView,

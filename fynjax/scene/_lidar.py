@@ -295,7 +295,8 @@ def observe_lidar(
     electrons = received_electrons(lidar, beams, waveforms.total, key=counting if noise else None)
     returns = None
     if not isinstance(electrons, jax.core.Tracer):
-        returns = detect_returns(lidar, beams, np.asarray(electrons), waveforms)
+        clock = jax.random.fold_in(counting, 1) if noise else None
+        returns = detect_returns(lidar, beams, np.asarray(electrons), waveforms, key=clock)
     return LidarObservation(
         scene, parameters, lidar, voxels, beams, sublayers, waveforms, electrons, returns, leaves
     )

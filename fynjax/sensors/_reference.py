@@ -60,7 +60,10 @@ def _lidar(name: str) -> dict[str, Any]:
     if isinstance(at, FlashGeometry):
         kind, angle = "flash LiDAR", at.pixel_pitch_um / at.focal_length_mm  # [mrad]
     else:
-        kind, angle = "scanning LiDAR", at.divergence_mrad
+        kind, angle = (
+            "scanning LiDAR",
+            float(np.prod(at.divergence_mrad) ** (1 / len(at.divergence_mrad))),
+        )
     return {
         "name": name,
         "kind": kind,

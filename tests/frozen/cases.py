@@ -137,6 +137,7 @@ def _simulate(folder: Path) -> Runs:
     return {
         "camera": ["simulate", camera, "--seed", 4],
         "lidar": ["simulate", plot, "--sensor", "flash_lidar_paper"],
+        "angles": ["simulate", plot, "--angles"],
     }
 
 
@@ -200,7 +201,13 @@ def _sensitivity(folder: Path) -> Runs:
 @_case("information")
 def _information(folder: Path) -> Runs:
     line = ["information", _small(folder)[0], "--gsd", "0.1,0.5", "--bands", "2,4"]
-    return {"information": [*line, "--realisations", 2]}
+    (folder / "flown").mkdir()
+    flown = write_plot(folder / "flown", SMALL, voxel=0.2)
+    flight = ["information", flown, "--frames", "1,3", "--oblique", "0,4", "--pulses", "50"]
+    return {
+        "information": [*line, "--realisations", 2],
+        "flight": [*flight, "--realisations", 2],
+    }
 
 
 @_case("design", "study", loose={"gain": np.inf, "": 2e-2})

@@ -15,6 +15,7 @@ from fynjax.sensors import Lidar, LidarReturns, Sensor, lidar_folder, shipped_li
 
 FLASH = (lidar_folder() / "flash_lidar_paper.toml").read_text("utf-8")
 SCAN = (lidar_folder() / "scanning_lidar.toml").read_text("utf-8")
+MIRROR = (lidar_folder() / "minivux_1uav.toml").read_text("utf-8")
 
 
 def test_an_array_has_its_columns_first(tmp_path):
@@ -54,6 +55,11 @@ def test_shipped_files_are_valid_and_the_same_by_both_roads(name, tmp_path):
         (SCAN, "divergence_mrad = 0.5", "divergence_mrad = 0.0005", "Radians"),
         (SCAN, "sample_m = 0.15", "sample_m = 0.15\ngate_margin_m = 1.0", "needs range_gate_m"),
         (SCAN, 'kind = "scan"', 'kind = "scanner"', "'scan'"),
+        (MIRROR, "divergence_mrad = [1.6, 0.5]", "divergence_mrad = [0.0016, 0.0005]", "Radians"),
+        (MIRROR, "divergence_mrad = [1.6, 0.5]", "divergence_mrad = 1.6", "divergence_mrad"),
+        (MIRROR, "used_share = 0.25", "used_share = 25.0", "at most 1|0 to 1"),
+        (MIRROR, "used_share = 0.25", "pulse_density_m2 = 4.0", "pulse_density_m2"),
+        (MIRROR, "range_sd_m = 0.005", "range_sd_m = -0.005", "range_sd_m"),
     ],
 )
 def test_slips_are_named_with_their_place(tmp_path, text, old, new, says):
@@ -69,6 +75,8 @@ def test_slips_are_named_with_their_place(tmp_path, text, old, new, says):
 def test_unknown_names_and_missing_files(tmp_path):
     with pytest.raises(InputError, match="Did you mean 'scanning_lidar'"):
         load_lidar("scaning_lidar")
+    with pytest.raises(InputError, match="Did you mean 'zenmuse_l2'"):
+        load_lidar("zenmuse_l1")
     with pytest.raises(InputError, match="LiDAR file"):
         load_lidar(tmp_path / "none.toml")
 
@@ -86,6 +94,7 @@ def some_returns():
         classification=np.array([3, 2, 2]),
         time=np.array([1.5, 1.5, 7.25]),
         scan_angle=np.array([-12.0, -12.0, 3.0]),
+        line=np.array([0, 0, 1]),
     )
 
 
@@ -106,6 +115,7 @@ def test_cloud_opens_in_laspy(tmp_path, suffix):
         np.asarray(cloud.scan_angle) * 0.006, [-12.0, -12.0, 3.0], atol=0.003
     )
     np.testing.assert_allclose(cloud.gps_time, [1.5, 1.5, 7.25])
+    np.testing.assert_array_equal(cloud.point_source_id, [1, 1, 2])
     np.testing.assert_allclose(cloud.reflectance, [0.25, 0.1, 5.0])
     np.testing.assert_array_equal(cloud.pulse, [0, 0, 3])
     assert cloud.header.global_encoding.wkt

@@ -82,6 +82,23 @@ def test_the_summary_says_what_was_measured(run):
     assert "small, flash_lidar_paper" in summary.headline[0]
 
 
+def test_a_scanner_of_a_known_maker_has_its_flight_lines_in_the_cloud(tmp_path):
+    write_plot(tmp_path)
+    flown = simulate(tmp_path / "plot.toml", tmp_path / "out", sensor="minivux_1uav", seed=4)
+    cloud = laspy.read(tmp_path / "out" / "cloud.laz")
+    line = np.asarray(cloud.point_source_id)
+    np.testing.assert_array_equal(np.unique(line), [1, 2])
+    angle, time = 0.006 * np.asarray(cloud.scan_angle), np.asarray(cloud.gps_time)
+    # The plot lies 30 m to the right of the first line, 60 m below it, and left of the second.
+    for number, side in ((1, 1.0), (2, -1.0)):
+        seen = side * np.rad2deg(np.arctan(30.0 / 60.0))
+        assert np.median(angle[line == number]) == pytest.approx(seen, abs=1.0)
+    assert time[line == 2].min() - time[line == 1].max() > 30.0
+    # Even in angle: density falls with the squared cosine.
+    nadir = 1e5 * 0.25 / (5.0 * 60.0 * np.deg2rad(90.0))
+    assert flown.pulses_per_m2 == pytest.approx(2.0 * nadir * 0.8, rel=0.08)
+
+
 def test_a_sensor_inside_the_canopy_is_refused(run):
     _, folder = run
     with pytest.raises(InputError, match="above the canopy"):

@@ -319,7 +319,7 @@ def returns(position):
     number = np.arange(len(position))
     kind = np.random.default_rng(2).integers(2, 4, len(position))
     even = np.ones(len(position))
-    return LidarReturns(number, position, even, even, even, number, number, kind, even, even)
+    return LidarReturns(number, position, *[even] * 3, number, number, kind, even, even, 0 * number)
 
 
 @pytest.mark.parametrize(("extent", "count"), [((4.0, 4.0), 5000), ((30.0, 10.0), 40)])

@@ -66,3 +66,10 @@ def flash(**changes: Any) -> Lidar:
     lidar = shipped_lidar("flash_lidar_paper")
     assert isinstance(lidar.geometry, FlashGeometry)
     return dataclasses.replace(lidar, geometry=dataclasses.replace(lidar.geometry, **changes))
+
+
+def mirror(**changes: Any) -> Lidar:
+    """The shipped miniVUX, with another geometry."""
+    lidar = shipped_lidar("minivux_1uav")
+    assert isinstance(lidar.geometry, ScanGeometry)
+    return dataclasses.replace(lidar, geometry=dataclasses.replace(lidar.geometry, **changes))

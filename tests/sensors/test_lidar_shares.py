@@ -29,12 +29,13 @@ def straight_down(scene, columns, each):
         direction=np.tile([0.0, 0.0, -1.0], (count, 1)),
         pencils=np.zeros((1, 2)),
         pencil_width=1e-6,
+        line=np.zeros(count, int),
         **{name: np.ones(count) for name in ("irradiance", "time", "scan_angle", "start")},
     )
     one, nothing = np.ones(count, int), np.zeros(count)
     returns = LidarReturns(
         np.arange(count), beams.origin, np.full(count, height), nothing, nothing, one, one,
-        one, nothing, nothing,
+        one, nothing, nothing, 0 * one,
     )  # fmt: skip
     return beams, returns
 

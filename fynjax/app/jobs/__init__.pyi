@@ -22,6 +22,7 @@ from ._identify import Rejected as Rejected
 from ._identify import identify as identify
 from ._information import InformationResult as InformationResult
 from ._information import plot_information as plot_information
+from ._information_flight import FlightInformationResult as FlightInformationResult
 from ._init import InitResult as InitResult
 from ._init import check_nothing_there as check_nothing_there
 from ._init import init_from_table as init_from_table
@@ -52,6 +53,7 @@ from ._sensitivity import SensitivityResult as SensitivityResult
 from ._sensitivity import sensitivity as sensitivity
 from ._simulate import SimulateResult as SimulateResult
 from ._simulate import simulate as simulate
+from ._simulate_angles import SimulateAnglesResult as SimulateAnglesResult
 from ._simulate_lidar import SimulateLidarResult as SimulateLidarResult
 from ._terrain import TerrainResult as TerrainResult
 from ._terrain import terrain as terrain

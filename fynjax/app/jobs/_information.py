@@ -14,6 +14,11 @@ from fynjax._core.dry_run import begin_work
 from fynjax._core.precision import double_precision
 from fynjax.app.assembly import parameter_columns, plot_problem
 from fynjax.app.io.plot import Plot, as_plot, plot_instrument, sensor_place
+from fynjax.app.jobs._information_flight import (
+    FlightInformationResult,
+    flight_settings,
+    information_of_flight,
+)
 from fynjax.app.jobs._result import JobResult, Rows
 from fynjax.app.jobs._run import Run
 from fynjax.app.report import figures
@@ -44,9 +49,13 @@ def plot_information(
     noise: Sequence[float] = (0.01,),
     sun_zenith: Sequence[float] | None = None,
     error: float = 0.01,
+    frames: Sequence[int] | None = None,
+    oblique: Sequence[int] = (0,),
+    overlap: float = 80.0,
+    pulses: Sequence[float] | None = None,
     realisations: Annotated[int, Field(ge=2)] = 15,
     seed: Seed | None = None,
-) -> InformationResult:
+) -> InformationResult | FlightInformationResult:
     """Bound how well sensors of any pixel, bands, noise and sun can constrain a plot.
 
     **Arguments:**
@@ -60,12 +69,18 @@ def plot_information(
     - `noise`: standard deviations of the noise of a pixel, relative to its reflectance [-].
     - `sun_zenith`: zenith angles of the sun [degrees]; the plot's if left out.
     - `error`: standard deviation of a further error of every statistic, relative [-].
+    - `frames`: in place of pixels and bands, numbers of frames of the plot file's camera, such as
+      1,5,25: those nearest to the plot.
+    - `oblique`: numbers of frames beside them that look from 45 degrees, evenly round the plot.
+    - `overlap`: share that neighbouring frames have in common [%].
+    - `pulses`: in place of pixels and bands, first returns of a LiDAR a square metre [m-2].
     - `realisations`: stand realisations from which their sampling variance, and the slopes that
       they share, are estimated.
     - `seed`: seed of everything random; the plot file's if left out.
 
     **Returns:** `InformationResult`. Writes `bounds.csv` (conditional, joint and Bayesian
-    Cramér-Rao bounds), `limits.csv`, figures and a page into `output`.
+    Cramér-Rao bounds), `limits.csv`, figures and a page into `output`; with `frames` or `pulses`
+    `FlightInformationResult` and `flight.csv`.
 
     **Raises:** `InputError` as `read_plot`, and for settings that do not fit the plot.
 
@@ -75,19 +90,24 @@ def plot_information(
     run = Run(output, seed=seed, plot=read)
     with run.stage("Build the plot"):
         problem = plot_problem(read, None, free, seed=run.seed)
+    if frames or pulses:
+        settings = flight_settings(frames or (), oblique, pulses or ())
+        return information_of_flight(
+            run, read, problem, settings, overlap=overlap, error=error, realisations=realisations
+        )
     altitude, _ = sensor_place(read)
     swept = Sensor("sweep", even_bands(max(bands), *spectrum), plot_instrument(read).camera)
     size = f"{len(problem.free.names)} parameters"
     files = {"bounds.csv": size, "limits.csv": "", "report.html": ""}
     placement = dataclasses.replace(read.sensor.placement, altitude=altitude, pixel=None)
     on = problem.scene, problem.scene.parameters
-    settings: dict[str, Any] = {"gsd": gsd, "bands": bands, "noise": noise}
-    settings |= {"sun_zenith": sun_zenith, "stand_realisations": realisations}
-    check_sweep(*on, swept, placement, **settings)
+    sweeps: dict[str, Any] = {"gsd": gsd, "bands": bands, "noise": noise}
+    sweeps |= {"sun_zenith": sun_zenith, "stand_realisations": realisations}
+    check_sweep(*on, swept, placement, **sweeps)
     begin_work(files)
     sweep = sweep_sensors(
         *on, problem.free, swept, placement,
-        relative_sd=error, model_error=problem.error, seed=run.seed, **settings,
+        relative_sd=error, model_error=problem.error, seed=run.seed, **sweeps,
     )  # fmt: skip
     table = bound_table(sweep, np.asarray(problem.free.prior))
     first, best = sweep[0]

@@ -23,6 +23,7 @@ from fynjax.app.io.text import write_text
 from fynjax.app.jobs._render import check_finite, cube_pictures, write_truth
 from fynjax.app.jobs._result import JobResult
 from fynjax.app.jobs._run import Run
+from fynjax.app.jobs._simulate_angles import SimulateAnglesResult, simulate_angles
 from fynjax.app.jobs._simulate_lidar import SimulateLidarResult, simulate_lidar
 from fynjax.app.jobs._simulate_record import run_record, warnings_of
 from fynjax.app.report.pages import Page, Picture, Section
@@ -66,8 +67,9 @@ def simulate(
     noise: bool | None = None,
     products: Sequence[str] = PRODUCTS,
     truth: bool = False,
+    angles: bool = False,
     seed: Seed | None = None,
-) -> SimulateResult | SimulateLidarResult:
+) -> SimulateResult | SimulateLidarResult | SimulateAnglesResult:
     """Simulate what any sensor measures over a plot: a camera, a spectrometer or a LiDAR.
 
     **Arguments:**
@@ -85,16 +87,19 @@ def simulate(
     - `products`: image to write, reflectance or radiance; both if left out.
     - `truth`: also write which species each pixel sees, and how much, and of the ground, as
       `truth.tif` and `truth.nc`; of a LiDAR's returns it is written always.
+    - `angles`: in place of an image, the reflectance factor of the plot from every direction, under
+      the sun alone, in the sensor's bands.
     - `seed`: seed of plants and noise; the plot file's if left out.
 
     **Returns:** `SimulateResult` for an imaging sensor, with radiance and reflectance (GeoTIFF,
     ENVI, NetCDF); `SimulateLidarResult` for a LiDAR. Writes the products, `run.json`, figures and a
     page into `output`. A LiDAR, whose file says where it flies and
-    how noisy it is (`noise=False`: the receiver without noise), gives waveforms and a point cloud.
+    how noisy it is (`noise=False`: the receiver without noise), gives waveforms and a point cloud;
+    `angles` a `SimulateAnglesResult`, `angles.nc` and `principal_plane.csv`.
 
     **Raises:** `InputError` as `read_plot`, `load_instrument` and `aim_at_plot`, for noise of a
     sensor that has no model of it, and for altitude, pixel, atmosphere or a choice of products
-    with a LiDAR; `MissingExtraError` for a LiDAR without laspy and lazrs.
+    with a LiDAR or `angles`; `MissingExtraError` for a LiDAR without laspy and lazrs.
 
     Example: `jobs.simulate("plot.toml", Path("results"), sensor="mavic_3m")`.
     """
@@ -103,17 +108,13 @@ def simulate(
     name = sensor or read.sensor.path or read.sensor.name
     instrument = name if isinstance(name, (Sensor, Lidar)) else load_instrument(name)
     files = [] if isinstance(name, (Sensor, Lidar)) or not Path(name).is_file() else [Path(name)]
-    if isinstance(instrument, Lidar):
+    if angles or isinstance(instrument, Lidar):
         given = {"altitude": altitude, "pixel": pixel, "atmosphere": atmosphere}
         wrong = [option for option, value in given.items() if value is not None]
-        if tuple(products) != PRODUCTS:
-            wrong.append("product")
-        if wrong:
-            raise InputError(
-                f"expected no {wrong[0]} with the LiDAR {instrument.name!r}: its file says all of "
-                "it"
-            )
-        return simulate_lidar(run, read, instrument, noise=noise is not False, files=files)
+        _refuse([*wrong, *["product"] * (tuple(products) != PRODUCTS)], instrument, angles)
+        if isinstance(instrument, Lidar):
+            return simulate_lidar(run, read, instrument, noise=noise is not False, files=files)
+        return simulate_angles(run, read, instrument, files=files)
     air = read.air or AtmosphereTable()
     if atmosphere is not None:
         named = str(atmosphere) in AIR_MODELS
@@ -163,6 +164,21 @@ def simulate(
         noise=bool(noisy),
         warnings=warnings_of(read, aimed, instrument),
     )
+
+
+def _refuse(options: Sequence[str], instrument: Sensor | Lidar, angles: bool) -> None:
+    """Say what a LiDAR, or reflectance by angle, has no use for."""
+    lidar = isinstance(instrument, Lidar)
+    if lidar and angles:
+        raise InputError(f"expected a sensor with bands, but {instrument.name!r} is a LiDAR")
+    if options and lidar:
+        raise InputError(
+            f"expected no {options[0]} with the LiDAR {instrument.name!r}: its file says all of it"
+        )
+    if options:
+        raise InputError(
+            f"expected no {options[0]} with angles: they are of the plot, not of an image"
+        )
 
 
 def _is_own(plot: Plot, instrument: Sensor) -> bool:

@@ -4,7 +4,7 @@ import dataclasses
 
 import equinox as eqx
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from scipy.special import ndtri
 
 from fynjax._core.errors import InputError
@@ -39,14 +39,14 @@ class FlashGeometry(eqx.Module):
 
 
 class ScanGeometry(eqx.Module):
-    """A scanner on straight flight lines that sweeps across them."""
+    """A scanner on straight flight lines that sweeps across them: with a `scan_rate` in lines even
+    in angle, of which the pulses' density follows, or else spread evenly in no known pattern."""
 
     altitude: float = eqx.field(static=True, converter=float)
     """Height of the platform above the ground [m]."""
-    pulse_density: float = eqx.field(static=True, converter=float)
-    """Pulses per level ground of all flight lines together [m-2]."""
-    divergence_mrad: float = eqx.field(static=True, converter=float)
-    """Full angle of the Gaussian beam at 1/e² of the irradiance [mrad]."""
+    divergence_mrad: tuple[float, ...] = eqx.field(static=True, converter=floats)
+    """Full angle of the Gaussian beam at 1/e² of the irradiance; one, or one across and one along
+    the flight [mrad]."""
     half_scan_angle: float = eqx.field(static=True, converter=float)
     """Largest angle from straight down [degrees]."""
     line_offsets: tuple[float, ...] = eqx.field(static=True, converter=floats)
@@ -59,6 +59,15 @@ class ScanGeometry(eqx.Module):
     """Pulses in a second [Hz]."""
     pencils: int = eqx.field(static=True, default=3)
     """Pencils along each side of the footprint."""
+    pulse_density: float = eqx.field(static=True, default=0.0)
+    """Pulses per level ground of all flight lines together, where no `scan_rate` is known [m-2]."""
+    scan_rate: float = eqx.field(static=True, default=0.0)
+    """Lines in a second of each channel [Hz]."""
+    used_share: float = eqx.field(static=True, default=1.0)
+    """Share of a mirror's turn, and so of the pulses, that falls into the swath [-]."""
+    channel_turns: tuple[float, ...] = eqx.field(static=True, converter=floats, default=(0.0,))
+    """Angle by which each channel's lines are turned against straight across the flight, clockwise
+    from above [degrees]."""
 
 
 class LidarBeams(eqx.Module):
@@ -74,6 +83,8 @@ class LidarBeams(eqx.Module):
     """When the pulse left, from the start of the first line or frame [s]."""
     scan_angle: Float[np.ndarray, " beam"]
     """Angle from straight down, positive to the right of the flight [degrees]; 0 for a flash."""
+    line: Int[np.ndarray, " beam"]
+    """Flight line, from 0; 0 for a flash."""
     pencils: Float[np.ndarray, "pencil 2"]
     """Directions of the pencils of every beam, eastward and northward from its axis [rad]."""
     pencil_width: float = eqx.field(static=True)
@@ -105,6 +116,7 @@ class LidarBeams(eqx.Module):
             irradiance=self.irradiance[which],
             time=self.time[which],
             scan_angle=self.scan_angle[which],
+            line=self.line[which],
             start=self.start[which] if len(self.start) else self.start,
         )
 
@@ -137,6 +149,7 @@ def flash_beams(
         np.tile(lit, frames),
         np.repeat(np.arange(frames) / geometry.rate, pixels),
         np.zeros(frames * pixels),
+        np.zeros(frames * pixels, int),
         _square(cell * pixel),
         pixel / geometry.pencils,
     )
@@ -146,48 +159,75 @@ def flash_beams(
 def scan_beams(
     geometry: ScanGeometry, extent: tuple[float, float], platform: float, seed: int
 ) -> LidarBeams:
-    """One beam in each cell of a square pattern, at a random place in it, on each flight line."""
-    lines = geometry.line_offsets
-    step = float(np.sqrt(len(lines) / geometry.pulse_density))
-    reach = 0.5 * float(np.hypot(*extent)) + step
-    cells = (np.arange(int(np.ceil(2.0 * reach / step))) + 0.5) * step - reach
+    """The pulses of each flight line, one line after the other."""
     rng = generator(seed, 613)
+    pulses = _swept if geometry.scan_rate else _spread
+    lines = [pulses(geometry, offset, extent, rng) for offset in geometry.line_offsets]
+    line = np.repeat(np.arange(len(lines)), [part.shape[1] for part in lines])
+    flown, across, along, time, angle = np.concatenate(lines, axis=1)
     turn = np.deg2rad(geometry.heading)
     right, ahead = np.array([np.cos(turn), -np.sin(turn)]), np.array([np.sin(turn), np.cos(turn)])
-    middle = 0.5 * np.asarray(extent)
-    parts: list[tuple[np.ndarray, ...]] = []
-    for number, offset in enumerate(lines):
-        v, u = (a.ravel() for a in np.meshgrid(cells, cells, indexing="ij"))
-        u = u + (rng.random(u.size) - 0.5) * step
-        v = v + (rng.random(v.size) - 0.5) * step
-        across = u - offset
-        angle = np.rad2deg(np.arctan2(across, geometry.altitude))
-        in_scan = np.abs(angle) <= geometry.half_scan_angle
-        u, v, across, angle = u[in_scan], v[in_scan], across[in_scan], angle[in_scan]
-        # The platform is on its line; the pulse goes across the flight.
-        foot = middle + offset * right + v[:, None] * ahead
-        down = np.column_stack([across[:, None] * right, np.full(len(u), -geometry.altitude)])
-        # The sweep takes the time that its pulses take, whatever the flight does.
-        sweep = (u + reach) / step / geometry.rate
-        time = number * _TURN_S + np.floor((v + reach) / step) * step / geometry.speed + sweep
-        origin = np.column_stack([foot, np.full(len(u), platform)])
-        parts.append((origin, down / np.linalg.norm(down, axis=1, keepdims=True), time, angle))
-    origin, direction, time, angle = (np.concatenate(part) for part in zip(*parts))
+    # The platform is on its line; the pulse goes across the flight.
+    offset = np.asarray(geometry.line_offsets)[line]
+    foot = 0.5 * np.asarray(extent) + offset[:, None] * right + flown[:, None] * ahead
+    level = across[:, None] * right + along[:, None] * ahead
+    down = np.column_stack([level, np.full(len(line), -geometry.altitude)])
     # Equal shares of the Gaussian along each axis, their variance that of the whole.
-    sigma = 1e-3 * geometry.divergence_mrad / 4.0
+    divergence = 1e-3 * np.broadcast_to(geometry.divergence_mrad, 2)
     cell = ndtri((np.arange(geometry.pencils) + 0.5) / geometry.pencils)
     if geometry.pencils > 1:
         cell = cell / np.sqrt(np.mean(cell**2))
     beams = LidarBeams(
-        origin,
-        direction,
-        np.ones(len(origin)),
-        time,
+        np.column_stack([foot, np.full(len(line), platform)]),
+        down / np.linalg.norm(down, axis=1, keepdims=True),
+        np.ones(len(line)),
+        time + line * _TURN_S,
         angle,
-        _square(cell * sigma),
-        1e-3 * geometry.divergence_mrad / max(2 * geometry.pencils, 2),
+        line,
+        _square(cell) * divergence / 4.0 @ np.stack([right, ahead]),
+        float(np.sqrt(np.prod(divergence))) / max(2 * geometry.pencils, 2),
     )
     return _over_plot(beams, extent, platform - geometry.altitude)
+
+
+def _spread(
+    geometry: ScanGeometry, offset: float, extent: tuple[float, float], rng: np.random.Generator
+) -> Float[np.ndarray, "5 pulse"]:
+    """Pulses of a line, one in each cell of a square pattern, at a random place in it: place along
+    the flight, run of the axis to the right and ahead [m], time [s], scan angle [degrees]."""
+    step = float(np.sqrt(len(geometry.line_offsets) / geometry.pulse_density))
+    reach = 0.5 * float(np.hypot(*extent)) + step
+    cells = (np.arange(int(np.ceil(2.0 * reach / step))) + 0.5) * step - reach
+    v, u = (a.ravel() for a in np.meshgrid(cells, cells, indexing="ij"))
+    u = u + (rng.random(u.size) - 0.5) * step
+    v = v + (rng.random(v.size) - 0.5) * step
+    angle = np.rad2deg(np.arctan2(u - offset, geometry.altitude))
+    # The sweep takes the time that its pulses take, whatever the flight does.
+    time = np.floor((v + reach) / step) * step / geometry.speed + (u + reach) / step / geometry.rate
+    pulses = np.stack([v, u - offset, np.zeros_like(u), time, angle])
+    return pulses[:, np.abs(angle) <= geometry.half_scan_angle]
+
+
+def _swept(
+    geometry: ScanGeometry, offset: float, extent: tuple[float, float], rng: np.random.Generator
+) -> Float[np.ndarray, "5 pulse"]:
+    """As `_spread`, by a mirror and while the plot is in reach; where both begin is random."""
+    radius, channels = 0.5 * float(np.hypot(*extent)), len(geometry.channel_turns)
+    parts, first = [], rng.random()
+    for channel, turn in enumerate(np.deg2rad(geometry.channel_turns)):
+        reach = radius + (abs(offset) + radius) * abs(float(np.tan(turn)))
+        count = int(np.ceil(2.0 * reach / geometry.speed * geometry.rate / channels))
+        time = (np.arange(count) + rng.random()) * channels / geometry.rate
+        mirror = np.modf(time * geometry.scan_rate + channel / channels + first)[0]
+        angle = (2.0 * mirror / geometry.used_share - 1.0) * geometry.half_scan_angle
+        # Angles are across the flight, however far a turned line looks ahead or back.
+        across = geometry.altitude * np.tan(np.deg2rad(angle))
+        flown = geometry.speed * time - reach
+        part = np.stack([flown, across, -across * np.tan(turn), time, angle])
+        near = (mirror < geometry.used_share) & (np.abs(across + offset) <= radius)
+        parts.append(part[:, near])
+    pulses = np.concatenate(parts, axis=1)
+    return pulses[:, np.argsort(pulses[3], kind="stable")]
 
 
 def _square(cell: np.ndarray) -> np.ndarray:
@@ -201,6 +241,6 @@ def _over_plot(beams: LidarBeams, extent: tuple[float, float], ground: float) ->
     if not inside.any():
         raise InputError(
             "no pulse falls on the plot: is `half_scan_angle_deg` too small for the "
-            "`line_offsets_m`, or `pulse_density_m2` too low for the plot?"
+            "`line_offsets_m`, or the density of pulses too low for the plot?"
         )
     return beams.select(inside)

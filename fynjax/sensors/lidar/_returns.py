@@ -40,6 +40,8 @@ class LidarReturns:
     """When the pulse left [s]."""
     scan_angle: Float[np.ndarray, " point"]
     """Scan angle of the pulse [degrees]."""
+    line: Int[np.ndarray, " point"]
+    """Flight line of the pulse, from 0."""
 
     def __len__(self) -> int:
         return len(self.beam)
@@ -82,6 +84,8 @@ def detect_returns(
     beams: LidarBeams,
     electrons: Float[Array | np.ndarray, "beam sample"],
     truth: Waveforms,
+    *,
+    key: Array | None = None,
 ) -> LidarReturns:
     """Discrete returns of recorded waveforms.
 
@@ -91,6 +95,7 @@ def detect_returns(
     - `beams`: of `lidar.beams`.
     - `electrons`: as of `received_electrons`.
     - `truth`: the noise-free waveforms, which separate ground from vegetation.
+    - `key`: a JAX key of the noise of range, `LidarNoise.range_sd_m`; without it there is none.
 
     **Returns:** `LidarReturns`. A return is a local maximum that stands out by `lidar.threshold`
     standard deviations of the noise, both above an empty record and above the dip towards a higher
@@ -120,6 +125,9 @@ def detect_returns(
     bend = np.minimum(before - 2.0 * at + after, -1e-6)
     shift = np.clip(0.5 * (before - after) / bend, -0.5, 0.5)
     distance = beams.start[beam] + (sample + 0.5 + shift) * lidar.sample
+    if key is not None:
+        drawn = jax.random.normal(key, distance.shape, distance.dtype)
+        distance = distance + lidar.noise.range_sd_m * np.asarray(drawn)
     peak = np.exp(at - 0.25 * (before - after) * shift)
     white = _per_reflectance(lidar, beams)[beam, sample] * lidar.pulse_peak
     fwhm = FWHM * lidar.sample * np.sqrt(-1.0 / bend) / (0.5 * SPEED_OF_LIGHT)
@@ -135,6 +143,7 @@ def detect_returns(
         classification=np.where(ground, GROUND, VEGETATION),
         time=beams.time[beam],
         scan_angle=beams.scan_angle[beam],
+        line=beams.line[beam],
     )
 
 

@@ -31,6 +31,8 @@ _FIELDS = {
     "line_offsets_m": "line_offsets",
     "heading_deg": "heading",
     "speed_m_s": "speed",
+    "scan_rate_hz": "scan_rate",
+    "channel_turns_deg": "channel_turns",
 }
 """Fields of the geometries by their keys in a file, where these state the unit."""
 _TAIL = 4.0
@@ -47,6 +49,9 @@ class LidarNoise(eqx.Module):
     """Electrons of daylight and dark current in a sample [-]."""
     read_noise_electrons: float = eqx.field(static=True, converter=float)
     """Standard deviation of the reading of a sample [electrons]."""
+    range_sd_m: float = eqx.field(static=True, converter=float, default=0.0)
+    """Standard deviation of a return's range beside what counting does, such as of the clock
+    [m]."""
 
     @property
     def floor(self) -> float:
@@ -128,7 +133,8 @@ class Lidar(eqx.Module):
         - `top`: of the voxel grid above its bottom [m], `VoxelScene.height`.
         - `ground`: mean height of the ground above the bottom of the grid [m]; the platform flies
           at the altitude above it.
-        - `seed`: where in its cell of the scan pattern each pulse of a scanner goes.
+        - `seed`: where in its cell of the scan pattern each pulse of a scanner goes; of a mirror,
+          where in its turn it is at first.
 
         Raises `InputError` for a sensor below `top`, and where no pulse falls on the plot.
         """

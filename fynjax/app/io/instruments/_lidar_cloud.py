@@ -42,7 +42,8 @@ def write_cloud(
     """Write returns as LAS 1.4, point format 6, whole or not at all; a name in .laz compresses.
 
     `intensity` is apparent reflectance times 20 000; `classification` 2 is ground and 3 low
-    vegetation; `gps_time` counts from the start of the flight. Extra bytes: `reflectance`,
+    vegetation; `gps_time` counts from the start of the flight, and `point_source_id` the flight
+    lines from 1 on. Extra bytes: `reflectance`,
     `echo_width` [ns], `pulse` (its index); where known `species` (from 1 on, 0 for ground or
     none) and `species_share` [-]. Steps of 0.5 mm.
 
@@ -71,6 +72,7 @@ def write_cloud(
     ...     beam=np.arange(4), position=np.array([[0, 0, 0], [0, 2, 0.5], [3, 0, 0.5], [3, 2, 0]]),
     ...     distance=50.0 + zero, reflectance=0.4 + zero, width=4.0 + zero,
     ...     number=first, of=first, classification=2 * first, time=zero, scan_angle=zero,
+    ...     line=first,
     ... )
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     path = pathlib.Path(folder) / "flight.las"
@@ -116,6 +118,7 @@ def write_cloud(
     cloud.classification = returns.classification.astype(np.uint8)
     cloud.scan_angle = np.rint(returns.scan_angle / _ANGLE_STEP).astype(np.int16)
     cloud.gps_time = returns.time
+    cloud.point_source_id = (returns.line + 1).astype(np.uint16)
     cloud.reflectance = returns.reflectance.astype(np.float32)
     cloud.echo_width = returns.width.astype(np.float32)
     cloud.pulse = returns.beam.astype(np.uint32)

@@ -10,6 +10,7 @@ from fynjax.app.io.text import Slip, Strict, in_unit, read_toml, shipped_or_own
 from fynjax.sensors import Lidar, build_lidar, lidar_folder, shipped_lidars
 
 _Finite = Annotated[float, Field(allow_inf_nan=False)]
+_Divergence = Annotated[float, Field(ge=0.01, le=100)]
 _Range = Annotated[float, Field(ge=0, le=1e6, allow_inf_nan=False)]
 
 
@@ -72,8 +73,8 @@ class FlashGeometryTable(LidarGeometryTable):
     """Distance between frames, as many as cover the plot [m]."""
 
 
-class ScanGeometryTable(LidarGeometryTable):
-    """Lines of sight of a scanner: single pulses on straight flight lines."""
+class FlightLinesTable(LidarGeometryTable):
+    """What scanners on straight flight lines have in common."""
 
     slips: ClassVar[dict[str, Slip]] = {
         "divergence_mrad": lambda v: (
@@ -81,12 +82,6 @@ class ScanGeometryTable(LidarGeometryTable):
         ),
     }
 
-    kind: Literal["scan"]
-    """Single pulses on straight flight lines."""
-    pulse_density_m2: float = in_unit("m-2", gt=0, le=1e5)
-    """Pulses of all flight lines together on level ground [m-2]."""
-    divergence_mrad: float = in_unit("mrad", ge=0.01, le=100)
-    """Full angle of the beam at 1/e2 of the irradiance [mrad]."""
     half_scan_angle_deg: float = in_unit("degree", gt=0, le=60)
     """Largest angle from straight down [degree]."""
     line_offsets_m: list[_Finite] | None = in_unit("m", default=None, min_length=1, several=True)
@@ -96,6 +91,35 @@ class ScanGeometryTable(LidarGeometryTable):
     """Direction of the flight, clockwise from north [degree]."""
     speed_m_s: float = in_unit("m s-1", gt=0, le=1000)
     """Speed of the flight [m s-1]."""
+
+
+class ScanGeometryTable(FlightLinesTable):
+    """Lines of sight of a scanner of no known pattern: single pulses, spread evenly."""
+
+    kind: Literal["scan"]
+    """Single pulses on straight flight lines, spread evenly over the ground."""
+    pulse_density_m2: float = in_unit("m-2", gt=0, le=1e5)
+    """Pulses of all flight lines together on level ground [m-2]."""
+    divergence_mrad: float = in_unit("mrad", ge=0.01, le=100)
+    """Full angle of the beam at 1/e2 of the irradiance [mrad]."""
+
+
+class MirrorGeometryTable(FlightLinesTable):
+    """Lines of sight of a scanner with a mirror: lines across the flight, even in angle."""
+
+    kind: Literal["mirror"]
+    """Single pulses in lines across straight flight lines, even in angle and time."""
+    scan_rate_hz: float = in_unit("Hz", gt=0, le=1e5)
+    """Lines in a second of each channel [Hz]."""
+    used_share: float = Field(default=1.0, gt=0, le=1)
+    """Share of the pulses that falls into the swath, such as a quarter of a full circle [-]."""
+    channel_turns_deg: list[Annotated[float, Field(gt=-60, lt=60)]] | None = numbers_in(
+        "degree", min_length=1
+    )
+    """Angle by which each channel's lines are turned against straight across the flight, clockwise
+    from above; left out, one channel that is not [degree]."""
+    divergence_mrad: tuple[_Divergence, _Divergence] = numbers_in("mrad", default=...)
+    """Full angles of the beam at 1/e2 of the irradiance, across and along the flight [mrad]."""
 
 
 class ReceiverTable(Strict):
@@ -140,13 +164,18 @@ class LidarNoiseTable(Strict):
     """Electrons of daylight and dark current in a sample [-]."""
     read_noise_electrons: float = in_unit("electrons", gt=0, le=1e6)
     """Standard deviation of the reading of a sample [electrons]."""
+    range_sd_m: float = in_unit("m", default=0.0, ge=0, le=10)
+    """Standard deviation of a return's range beside what counting does, such as of the clock
+    [m]."""
 
 
 class LidarFile(InstrumentFile):
     """A LiDAR file: laser, lines of sight, receiver and noise."""
 
     laser: LaserTable
-    geometry: FlashGeometryTable | ScanGeometryTable = Field(discriminator="kind")
+    geometry: FlashGeometryTable | ScanGeometryTable | MirrorGeometryTable = Field(
+        discriminator="kind"
+    )
     """A table of lines of sight."""
     receiver: ReceiverTable
     noise: LidarNoiseTable

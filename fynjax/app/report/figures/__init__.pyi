@@ -1,3 +1,5 @@
+from ._angles import angles_plane as angles_plane
+from ._angles import angles_polar as angles_polar
 from ._communities import agreement_plot as agreement_plot
 from ._communities import recognition_plot as recognition_plot
 from ._design import design_plot as design_plot
@@ -9,6 +11,7 @@ from ._fit import interval_plot as interval_plot
 from ._fit import metric_plot as metric_plot
 from ._fit import parameter_plot as parameter_plot
 from ._fit import spectrum_plot as spectrum_plot
+from ._flight import flight_plot as flight_plot
 from ._frames import frames_figure as frames_figure
 from ._image import composites as composites
 from ._image import layer_map as layer_map
