@@ -1,6 +1,7 @@
 """From the spectrum or the bands of a uniform canopy to its leaves, leaf area and soil."""
 
-from typing import Any
+from collections.abc import Mapping
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -8,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from fynjax._core.errors import InputError
+from fynjax._core.errors import InputError, did_you_mean
 from fynjax._core.precision import double_precision
 from fynjax._core.spectral import check_wavelength
 from fynjax.canopy import EllipsoidalLeafAngle
@@ -18,7 +19,7 @@ from fynjax.inversion._fit_result import FitResult
 from fynjax.inversion._space import ParameterSpace
 from fynjax.leaf import LEAF_PARAMETERS, LeafParameters, prospect
 from fynjax.radiation import canopy_reflectance
-from fynjax.scene import PARAMETERS, background_spectrum
+from fynjax.scene import PARAMETERS, background_spectrum, soil_shapes
 from fynjax.sensors import BandSet, Sensor
 
 _LEAF = ("chlorophyll", "carotenoids", "water", "dry_matter", "structure")
@@ -26,7 +27,9 @@ _PARTS = 6
 """Wavelengths in a band: means of Sentinel-2 are within 0.6 % of those of a whole spectrum."""
 _STEP = 10.0
 """A finer spectrum is averaged in bins as wide [nm]."""
-_RELATIVE, _ABSOLUTE = 0.02, 0.01
+RELATIVE_SD, ABSOLUTE_SD = 0.02, 0.01
+"""Errors of each band for itself, and as much again of all together [-]."""
+_HIGHEST = {"sun_zenith": 89.0, "view_zenith": 89.0, "sky_share": 1.0, "hot_spot": 100.0}
 
 
 class CanopyFit(eqx.Module):
@@ -34,6 +37,8 @@ class CanopyFit(eqx.Module):
 
     result: FitResult
     """The whole result: covariance, predicted reflectance, status."""
+    known: dict[str, float]
+    """Values of the parameters that were not fitted, in their units."""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -72,9 +77,21 @@ class CanopyFit(eqx.Module):
             unit = "" if _UNITS[name] == "-" else f" [{_UNITS[name]}]"
             own, usual = (f"{a:.3g} to {b:.3g}" for a, b in (ends[name], (low, high)))
             lines.append(f"{name + unit:24}{found[name]:>10.3g}{own:>20}{usual:>20}")
+        if self.known:
+            lines.append("Known: " + ", ".join(f"{n} {v:g}" for n, v in self.known.items()) + ".")
         if self.unconstrained:
             lines.append(f"Hardly known from these data: {', '.join(self.unconstrained)}.")
         return "\n".join(lines)
+
+
+class CanopyView(NamedTuple):
+    """How a canopy is lit and seen, as `canopy_reflectance` takes it."""
+
+    sun_zenith: float
+    view_zenith: float = 0.0
+    relative_azimuth: float = 0.0
+    sky_share: float = 0.0
+    hot_spot: float = 0.01
 
 
 @double_precision
@@ -88,6 +105,7 @@ def fit_canopy(
     sky_share: float = 0.0,
     hot_spot: float = 0.01,
     soil: Float[np.ndarray, " band"] | float | None = None,
+    known: Mapping[str, float] | None = None,
     sd: Float[np.ndarray, " band"] | float | None = None,
     max_steps: int = 40,
 ) -> CanopyFit:
@@ -102,7 +120,9 @@ def fit_canopy(
 leaves at large (`LEAF_PARAMETERS`) |
     | `leaf_area_index` | m2 m-2 | lognormal, median 2, sd 3, up to 15 |
     | `leaf_angle`, mean inclination | degrees | logit-normal, median 57, sd 12, from 15 to 85 |
-    | `soil_brightness`, factor on `soil` | - | that of a plot's soil (`PARAMETERS`) |
+    | `soil_brightness`, factor on the soil | - | that of a plot's soil (`PARAMETERS`) |
+    | `soil_moisture`, share of wet in dry and wet soil | - | logit-normal, median 0.2, sd 0.2 |
+    | `soil_shape_1` to `soil_shape_4` (`fynjax.scene.soil_shapes`) | - | normal, 0 and 1, to 4 |
 
     **Arguments:**
 
@@ -112,7 +132,10 @@ leaves at large (`LEAF_PARAMETERS`) |
       or where water vapour absorbs.
     - `sun_zenith`, `view_zenith`, `relative_azimuth`, `sky_share`, `hot_spot`: as
       `canopy_reflectance` takes them.
-    - `soil`: reflectance of the soil in each band [-]; by default the shipped dry soil.
+    - `soil`: reflectance of the soil in each band [-]; only its brightness is fitted then. By
+      default moisture and shape are fitted too, about the shipped dry soil.
+    - `known`: values of parameters that are not to be fitted, in their units, within their bounds:
+      `{"leaf_angle": 57.0}`; also `anthocyanins` and `brown_pigments`, which are 0 otherwise.
     - `sd`: standard deviation of each reflectance, the model's error included [-], independent
       between bands; those of a spectrum that is averaged count as common to each bin. By default
       0.01 and 2 % of the reflectance independent in each band, and as
@@ -120,22 +143,92 @@ leaves at large (`LEAF_PARAMETERS`) |
     - `max_steps`: of the fit, at most.
 
     **Returns:** `CanopyFit`, with 90 % intervals by the Laplace approximation; of 40 canopies drawn
-    from the prior they held 87.5 % of the truths. Several canopies may have one spectrum: where
-    intervals are wide, look at `unconstrained`. Anthocyanins and brown
-    pigments are 0. Not differentiable. The first call compiles for half a minute or so;
-    further ones with the same bands take seconds.
+    from the prior they held 91 % of the truths. Several canopies may have one spectrum: where
+    intervals are wide, look at `unconstrained`. Not differentiable. The first call compiles for
+    half a minute or so; further ones with the same bands and names of what is known take seconds.
 
     **Raises:** `InputError` for lengths that do not match, reflectance outside 0 to 1, fewer than
-    three bands with a value, and wavelengths and angles out of range.
+    three bands with a value, names and values of what is known that are none, and wavelengths and
+    angles out of range.
 
     **Source:** leaf area, leaf angle and errors after the range and noise of Weiss and Baret (2016,
-    S2ToolBox level 2 products, ATBD 1.1), as to form and width assumed.
+    S2ToolBox level 2 products, ATBD 1.1), as to form and width assumed; soil after Jiang and Fang
+    (2019, International Journal of Applied Earth Observation and Geoinformation 83, 101932).
 
     **Example:**
 
         sensor = fx.sensor("sentinel_2a")
-        print(fx.fit_canopy(sensor, measured, sun_zenith=35.0))
+        print(fx.fit_canopy(sensor, measured, sun_zenith=35.0, known={"leaf_angle": 57.0}))
     """
+    bands, centre = _centres(bands)
+    value, ground, error = _given(centre, reflectance=reflectance, soil=soil, sd=sd)
+    use = np.isfinite(value)
+    if use.sum() < 3:
+        raise InputError(f"at least three bands must have a reflectance, but {use.sum()} have")
+    if isinstance(bands, BandSet):
+        centre, value, ground, error = (a[use] for a in (centre, value, ground, error))
+        bands = bands.select(np.flatnonzero(use).tolist())
+    else:
+        bins = _bins(centre[use])
+        centre, value, ground, error = (bins @ a[use] for a in (centre, value, ground, error))
+    view = CanopyView(sun_zenith, view_zenith, relative_azimuth, sky_share, hot_spot)
+    model, space = canopy_model(bands, centre, view, None if soil is None else ground, known)
+    names = tuple(f"{at:.0f} nm" for at in centre)
+    if sd is not None:
+        data = Data(names, jnp.asarray(value), jnp.asarray(error))
+    else:
+        alone = jnp.asarray(np.hypot(ABSOLUTE_SD, RELATIVE_SD * value))
+        # As much again that all bands share: an offset and a factor.
+        together = ABSOLUTE_SD**2 + RELATIVE_SD**2 * np.outer(value, value)
+        data = Data(names, jnp.asarray(value), alone).with_covariance(together)
+    found = fit_function(model, data, space, max_steps=max_steps)
+    return CanopyFit(found, {name: float(number) for name, number in (known or {}).items()})
+
+
+def canopy_model(
+    bands: BandSet | Float[np.ndarray, " band"],
+    centre: Float[np.ndarray, " band"],
+    view: CanopyView,
+    soil: Float[np.ndarray, " band"] | None = None,
+    known: Mapping[str, float] | None = None,
+    parts: int = _PARTS,
+) -> tuple["_Model", ParameterSpace]:
+    """The bands of a canopy as a function of its free parameters, and the space of these, as
+    `fit_canopy` takes them; `centre` of each band [nm], `parts` that stand for a band."""
+    if isinstance(bands, BandSet):
+        wavelength, weights = _parts(bands, parts)
+    else:
+        wavelength, weights = centre, np.eye(centre.size)
+    if soil is None:
+        names = ("dry_soil", "wet_soil")
+        below = np.stack([background_spectrum(name, wavelength) for name in names])
+    else:
+        order = np.argsort(centre)
+        own = np.interp(wavelength, centre[order], soil[order])
+        if np.isnan(own).any():
+            raise InputError("`soil` must have a value wherever `reflectance` has one")
+        below = np.stack([own, own])
+    # In the fit all of it is traced, and not checked.
+    for name, high in _HIGHEST.items():
+        number = getattr(view, name)
+        if not 0.0 <= number <= high:
+            raise InputError(f"`{name}` must be from 0 to {high:g}, but is {number:g}")
+    fixed = _FIXED | (dict.fromkeys(_OF_SOIL, 0.0) if soil is not None else {})
+    fixed |= _checked(known or {}, () if soil is None else _OF_SOIL)
+    free = tuple(name for name in _UNITS if name not in fixed)
+    if not free:
+        raise InputError("nothing is left to fit: all parameters are in `known`")
+    values = jnp.asarray([fixed.get(name, 0.0) for name in _UNITS], float)
+    model = _Model(
+        tuple(wavelength.tolist()), jnp.asarray(weights), jnp.asarray(below),
+        jnp.asarray(soil_shapes(wavelength)), jnp.asarray(view, float), values,
+        tuple(list(_UNITS).index(name) for name in free),
+    )  # fmt: skip
+    return model, _space(free)
+
+
+def _centres(bands: Any) -> tuple[Any, Float[np.ndarray, " band"]]:
+    """Bands without their sensor, and their middles."""
     bands = bands.bands if isinstance(bands, Sensor) else bands
     try:
         centre = np.asarray(bands.centre if isinstance(bands, BandSet) else bands, float)
@@ -143,45 +236,34 @@ leaves at large (`LEAF_PARAMETERS`) |
         raise InputError(
             f"`bands` must be a sensor, its bands or wavelengths in nm, but is {bands!r}"
         ) from None
-    value, ground, error = _given(centre, reflectance=reflectance, soil=soil, sd=sd)
-    use = np.isfinite(value)
-    if use.sum() < 3:
-        raise InputError(f"at least three bands must have a reflectance, but {use.sum()} have")
-    if isinstance(bands, BandSet):
-        wavelength, weights = _parts(bands.select(np.flatnonzero(use).tolist()))
-        centre, value, ground, error = (a[use] for a in (centre, value, ground, error))
-    else:
+    if not isinstance(bands, BandSet):
         check_wavelength(centre)
-        bins = _bins(centre[use])
-        centre, value, ground, error = (bins @ a[use] for a in (centre, value, ground, error))
-        wavelength, weights = centre, np.eye(centre.size)
-    if soil is None:
-        below = background_spectrum("dry_soil", wavelength)
-    else:
-        order = np.argsort(centre)
-        below = np.interp(wavelength, centre[order], ground[order])
-        if np.isnan(below).any():
-            raise InputError("`soil` must have a value wherever `reflectance` has one")
-    # In the fit all of it is traced, and not checked.
-    for name, number, high in (
-        ("sun_zenith", sun_zenith, 89.0),
-        ("view_zenith", view_zenith, 89.0),
-        ("sky_share", sky_share, 1.0),
-        ("hot_spot", hot_spot, 100.0),
-    ):
-        if not 0.0 <= number <= high:
-            raise InputError(f"`{name}` must be from 0 to {high:g}, but is {number:g}")
-    names = tuple(f"{at:.0f} nm" for at in centre)
-    if sd is not None:
-        data = Data(names, jnp.asarray(value), jnp.asarray(error))
-    else:
-        alone = jnp.asarray(np.hypot(_ABSOLUTE, _RELATIVE * value))
-        # As much again that all bands share: an offset and a factor.
-        together = _ABSOLUTE**2 + _RELATIVE**2 * np.outer(value, value)
-        data = Data(names, jnp.asarray(value), alone).with_covariance(together)
-    light = jnp.asarray([sun_zenith, view_zenith, relative_azimuth, sky_share, hot_spot], float)
-    model = _Model(tuple(wavelength.tolist()), jnp.asarray(weights), jnp.asarray(below), light)
-    return CanopyFit(fit_function(model, data, _space(), max_steps=max_steps))
+    return bands, centre
+
+
+def _checked(known: Mapping[str, float], refused: tuple[str, ...]) -> dict[str, float]:
+    """Values of what is known, each within its bounds."""
+    for name, number in known.items():
+        if name not in _UNITS or name in refused:
+            own = [other for other in _UNITS if other not in refused]
+            hint = "; of a soil that is given only the brightness is free" if refused else ""
+            raise InputError(
+                f"`known` has no parameter {name!r}.{did_you_mean(name, own)} Parameters are "
+                f"{', '.join(own)}{hint}"
+            )
+        low, high = _bounds(name)
+        if not low <= number <= high:
+            raise InputError(
+                f"`known` must have {name} from {low:g} to {high:g} [{_UNITS[name]}], but it is "
+                f"{number:g}"
+            )
+    return dict(known)
+
+
+def _bounds(name: str) -> tuple[float, float]:
+    if name in LEAF_PARAMETERS:
+        return LEAF_PARAMETERS[name].lower, LEAF_PARAMETERS[name].upper
+    return _PRIORS[name][:2]
 
 
 def _given(centre: np.ndarray, **given: Any) -> list[np.ndarray]:
@@ -214,37 +296,46 @@ def _bins(wavelength: np.ndarray) -> Float[np.ndarray, "bin wavelength"]:
     return mean / mean.sum(axis=1, keepdims=True)
 
 
-def _space() -> ParameterSpace:
-    leaf = [LEAF_PARAMETERS[name] for name in _LEAF]
-    soil = PARAMETERS["brightness"]
-    rows = [
-        (p.lower, p.upper, p.population[0], p.population[0] * p.population[1], p.distribution)
-        for p in leaf
-        if p.population is not None
-    ]
-    rows += [
-        (0.0, 15.0, 2.0, 3.0, "lognormal"),
-        (15.0, 85.0, 57.0, 12.0, "logit-normal"),
-        (soil.lower, soil.upper, 1.0, soil.prior_sd(1.0) or 0.3, soil.distribution),
-    ]
-    lower, upper, prior, sd, kinds = zip(*rows)
-    return ParameterSpace(tuple(_UNITS), lower, upper, prior, sd, distribution=kinds)
-
-
-_UNITS = {name: LEAF_PARAMETERS[name].unit for name in _LEAF} | {
-    "leaf_area_index": "m2 m-2",
-    "leaf_angle": "degrees",
-    "soil_brightness": "-",
+_SOIL = PARAMETERS["brightness"]
+_PRIORS: dict[str, tuple[float, float, float, float, Any]] = {
+    "leaf_area_index": (0.0, 15.0, 2.0, 3.0, "lognormal"),
+    "leaf_angle": (15.0, 85.0, 57.0, 12.0, "logit-normal"),
+    "soil_brightness": (
+        *(_SOIL.lower, _SOIL.upper, 1.0, _SOIL.prior_sd(1.0) or 0.3),
+        _SOIL.distribution,
+    ),
+    "soil_moisture": (0.0, 1.0, 0.2, 0.2, "logit-normal"),
+} | {f"soil_shape_{i + 1}": (-4.0, 4.0, 0.0, 1.0, "normal") for i in range(4)}
+"""Bounds, median, standard deviation and kind of the prior of what is not of leaves."""
+_OF_SOIL = tuple(_PRIORS)[3:]
+"""What the shipped soil has beside its brightness."""
+_FIXED = {"anthocyanins": 0.0, "brown_pigments": 0.0}
+_UNITS = {name: LEAF_PARAMETERS[name].unit for name in (*_LEAF, *_FIXED)} | {
+    name: {"leaf_area_index": "m2 m-2", "leaf_angle": "degrees"}.get(name, "-") for name in _PRIORS
 }
 
 
-def _parts(bands: BandSet) -> tuple[np.ndarray, np.ndarray]:
+def _space(free: tuple[str, ...]) -> ParameterSpace:
+    rows = []
+    for name in free:
+        if name in _PRIORS:
+            rows.append(_PRIORS[name])
+            continue
+        own = LEAF_PARAMETERS[name]
+        assert own.population is not None  # of all that a leaf has free
+        median, relative = own.population
+        rows.append((own.lower, own.upper, median, median * relative, own.distribution))
+    lower, upper, prior, sd, kinds = zip(*rows)
+    return ParameterSpace(free, lower, upper, prior, sd, distribution=kinds)
+
+
+def _parts(bands: BandSet, parts: int = _PARTS) -> tuple[np.ndarray, np.ndarray]:
     """Wavelengths that stand for equal parts of each band's response, and their weights."""
     grid = np.arange(400.0, 2501.0)
-    places, weights = [], np.zeros((len(bands), len(bands), _PARTS))
+    places, weights = [], np.zeros((len(bands), len(bands), parts))
     for band, row in enumerate(bands.weights(grid)):
         # Each wavelength goes to the part in which the middle of its share of the response lies.
-        share = (np.cumsum(row) - 0.5 * row)[:, None] * _PARTS - np.arange(_PARTS)
+        share = (np.cumsum(row) - 0.5 * row)[:, None] * parts - np.arange(parts)
         part = row[:, None] * ((share >= 0) & (share < 1))
         weights[band, band] = part.sum(axis=0)
         places.append(grid @ part / weights[band, band])
@@ -256,21 +347,29 @@ class _Model(eqx.Module):
 
     wavelength: tuple[float, ...] = eqx.field(static=True)
     weights: Float[Array, "band wavelength"]
-    soil: Float[Array, " wavelength"]
-    light: Float[Array, " five"]
+    soil: Float[Array, "2 wavelength"]
+    """Dry and wet."""
+    shapes: Float[Array, "shape wavelength"]
+    view: Float[Array, " five"]
+    fixed: Float[Array, " parameter"]
+    free: tuple[int, ...] = eqx.field(static=True)
+    """Places of the free ones among all parameters."""
 
     def __call__(self, values: Float[Array, " free"]) -> Float[Array, " band"]:
-        *leaf, area, angle, brightness = values
-        fields: dict[str, Any] = dict(zip(_LEAF, leaf))
+        everything = self.fixed.at[jnp.asarray(self.free)].set(values)
+        named = dict(zip(_UNITS, everything))
+        fields: dict[str, Any] = {name: named[name] for name in (*_LEAF, *_FIXED)}
         optics = prospect(LeafParameters(**fields), np.asarray(self.wavelength))
-        ground = jnp.minimum(brightness * self.soil, 1.0)
-        sun, view, azimuth, share, size = self.light
+        wet = named["soil_moisture"]
+        mixed = (1.0 - wet) * self.soil[0] + wet * self.soil[1]
+        shape = jnp.exp(everything[-len(self.shapes) :] @ self.shapes)
+        sun, view, azimuth, share, size = self.view
         spectrum = canopy_reflectance(
             optics.reflectance,
             optics.transmittance,
-            area,
-            soil=ground,
-            leaf_angles=EllipsoidalLeafAngle.from_mean_angle(angle),
+            named["leaf_area_index"],
+            soil=jnp.minimum(named["soil_brightness"] * mixed * shape, 1.0),
+            leaf_angles=EllipsoidalLeafAngle.from_mean_angle(named["leaf_angle"]),
             sun_zenith=sun,
             view_zenith=view,
             relative_azimuth=azimuth,
