@@ -20,7 +20,8 @@ from fynjax.inversion._calibrate import (
     plot_search,
     search_starts,
 )
-from fynjax.inversion._canopy import CanopyFit, fit_canopy
+from fynjax.inversion._canopy import CanopyFit, CanopyView, fit_canopy
+from fynjax.inversion._canopy_pixels import CanopyFits, fit_canopies
 from fynjax.inversion._data import (
     Data,
     Kind,
@@ -127,6 +128,8 @@ __all__ = [
     "Calibration",
     "CalibrationSettings",
     "CanopyFit",
+    "CanopyFits",
+    "CanopyView",
     "Data",
     "Emulated",
     "Ends",
@@ -162,6 +165,7 @@ __all__ = [
     "emulate",
     "find_places",
     "fit",
+    "fit_canopies",
     "fit_canopy",
     "fit_surrogate",
     "free",
