@@ -20,7 +20,7 @@ from fynjax.inversion._calibrate import (
     plot_search,
     search_starts,
 )
-from fynjax.inversion._canopy import CanopyFit, CanopyView, fit_canopy
+from fynjax.inversion._canopy import CanopyFit, CanopyTable, CanopyView, canopy_units, fit_canopy
 from fynjax.inversion._canopy_pixels import CanopyFits, fit_canopies
 from fynjax.inversion._data import (
     Data,
@@ -129,6 +129,7 @@ __all__ = [
     "CalibrationSettings",
     "CanopyFit",
     "CanopyFits",
+    "CanopyTable",
     "CanopyView",
     "Data",
     "Emulated",
@@ -161,6 +162,7 @@ __all__ = [
     "Source",
     "SpectrumView",
     "calibration",
+    "canopy_units",
     "design",
     "emulate",
     "find_places",

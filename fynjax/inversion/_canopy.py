@@ -170,7 +170,7 @@ leaves at large (`LEAF_PARAMETERS`) |
         centre, value, ground, error = (a[use] for a in (centre, value, ground, error))
         bands = bands.select(np.flatnonzero(use).tolist())
     else:
-        bins = _bins(centre[use])
+        bins = mean_bins(centre[use])
         centre, value, ground, error = (bins @ a[use] for a in (centre, value, ground, error))
     view = CanopyView(sun_zenith, view_zenith, relative_azimuth, sky_share, hot_spot)
     model, space = canopy_model(bands, centre, view, None if soil is None else ground, known)
@@ -289,7 +289,7 @@ def _given(centre: np.ndarray, **given: Any) -> list[np.ndarray]:
     return arrays
 
 
-def _bins(wavelength: np.ndarray) -> Float[np.ndarray, "bin wavelength"]:
+def mean_bins(wavelength: np.ndarray) -> Float[np.ndarray, "bin wavelength"]:
     """Weights that average a fine spectrum; of a coarse one each value is kept."""
     step = _STEP if np.median(np.diff(wavelength)) < _STEP else 1e-6
     # A step that is finer than any spectrum keeps every value by itself.
@@ -315,6 +315,11 @@ _FIXED = {"anthocyanins": 0.0, "brown_pigments": 0.0}
 _UNITS = {name: LEAF_PARAMETERS[name].unit for name in (*_LEAF, *_FIXED)} | {
     name: {"leaf_area_index": "m2 m-2", "leaf_angle": "degrees"}.get(name, "-") for name in _PRIORS
 }
+
+
+def canopy_units() -> dict[str, str]:
+    """Units of all parameters of `fit_canopy`, by name."""
+    return dict(_UNITS)
 
 
 def _space(free: tuple[str, ...]) -> ParameterSpace:

@@ -17,6 +17,7 @@ from fynjax.inversion._canopy import (
     CanopyView,
     bands_and_centres,
     canopy_model,
+    mean_bins,
 )
 from fynjax.inversion._data import Data
 from fynjax.inversion._fit import fit_function
@@ -64,7 +65,7 @@ def fit_canopies(
 
     **Arguments:**
 
-    - `bands`, `soil`, `known`, `max_steps`: as `fit_canopy` takes them; wavelengths as they are.
+    - `bands`, `soil`, `known`, `max_steps`: as `fit_canopy` takes them.
     - `reflectance`: of each pixel in each band [-]; NaN where there is none. Values outside 0 to 1
       count as none.
     - `view`: how they are lit and seen.
@@ -95,6 +96,13 @@ def fit_canopies(
         own = own.select(np.flatnonzero(used).tolist())
     centre, values, seen = centre[used], values[:, used], seen[:, used]
     ground = None if soil is None else np.asarray(soil, float)[used]
+    if not isinstance(own, BandSet):  # each bin the mean of what there is
+        bins = mean_bins(centre)
+        share = seen @ bins.T
+        with np.errstate(invalid="ignore", divide="ignore"):
+            values = np.where(seen, values, 0.0) @ bins.T / share
+        centre, seen = bins @ centre, share > 0.0
+        ground = None if ground is None else bins @ ground
     model, space = canopy_model(own, centre, view, ground, known)  # refuses before the table
     model = eqx.tree_at(
         lambda m: m.light, model, CanopyTable.made(view), is_leaf=lambda leaf: leaf is None

@@ -11,12 +11,13 @@ import pytest
 import fynjax as fx
 from fynjax.canopy import EllipsoidalLeafAngle
 from fynjax.errors import InputError
-from fynjax.inversion import fit_canopy
-from fynjax.inversion._canopy import CanopyView, _bins, _parts, canopy_model
+from fynjax.inversion import fit_canopies, fit_canopy
+from fynjax.inversion._canopy import CanopyTable, CanopyView, _parts, canopy_model, mean_bins
 from fynjax.leaf import prospect
 from fynjax.scene import background_spectrum, soil_shapes
 
 WAVELENGTH = np.array([490.0, 560.0, 665.0, 705.0, 783.0, 865.0, 1610.0, 2190.0])
+AREA_AND_GREEN = ("leaf_area_index", "chlorophyll")
 LIGHT = {"sun_zenith": 35.0, "view_zenith": 5.0, "relative_azimuth": 60.0, "sky_share": 0.1}
 CANOPIES = 6
 TRUTH = jnp.array([45.0, 9.0, 0.012, 0.008, 1.6, 2.5, 55.0, 0.9, 0.3, 0.5, -0.4, 0.3, 0.0])
@@ -114,11 +115,11 @@ def test_wrong_input_is_refused(change, message):
 
 def test_a_fine_spectrum_is_averaged_in_bins():
     fine = np.arange(400.0, 2501.0)
-    bins = _bins(fine)
+    bins = mean_bins(fine)
     assert bins.shape[0] == 211
     np.testing.assert_allclose(bins.sum(axis=1), 1.0)
     np.testing.assert_allclose((bins @ fine)[:2], [404.5, 414.5])
-    np.testing.assert_allclose(_bins(WAVELENGTH), np.eye(8))
+    np.testing.assert_allclose(mean_bins(WAVELENGTH), np.eye(8))
 
 
 @pytest.mark.slow  # compiles a fit
@@ -197,8 +198,51 @@ def test_canopies_of_another_model_are_found_within_their_intervals():
         assert bool(found.result.converged)
         free = [name for name in traits if name in found.names]
         inside += [found.interval[n][0] < truth[n] < found.interval[n][1] for n in free]
-        errors.append([found.estimate[n] / truth[n] - 1 for n in ("chlorophyll", "leaf_area_index")])
+        errors.append([found.estimate[n] / truth[n] - 1 for n in AREA_AND_GREEN])
     assert np.mean(inside) > 0.85
-    chlorophyll, area = np.sqrt(np.mean(np.square(errors), axis=0))
+    area, chlorophyll = np.sqrt(np.mean(np.square(errors), axis=0))
     assert chlorophyll < 0.15
     assert area < 0.2
+
+
+@pytest.mark.slow  # compiles fits
+def test_pixels_with_light_from_a_table_are_fitted_as_one_by_one():
+    view = CanopyView(35.0, 5.0, 60.0)
+    wavelength = PEERS.columns[9:].to_numpy(float)
+    measured = PEERS.iloc[:3, 9:].to_numpy(float)
+    pixels = np.concatenate([measured, np.full((2, len(wavelength)), np.nan)])
+    pixels[3, [1, 5]] = 0.1  # two bands are too few
+    pixels[2, 2] = 1.7  # no reflectance
+    many = fit_canopies(wavelength, pixels, view, known={"leaf_angle": 50.0})
+    assert np.isnan(many.estimate[3:]).all()
+    assert not many.converged[3:].any()
+    missing = measured.copy()
+    missing[2, 2] = np.nan
+    for row in (0, 2):
+        one = fit_canopy(wavelength, missing[row], known={"leaf_angle": 50.0}, **view._asdict())
+        low, high = np.array([one.interval[name] for name in one.names]).T
+        width = high - low
+        np.testing.assert_allclose(
+            (many.estimate[row] - list(one.estimate.values())) / width, 0.0, atol=0.05
+        )
+        np.testing.assert_allclose((many.upper - many.lower)[row] / width, 1.0, atol=0.1)
+    with pytest.raises(InputError, match=r"must be .pixel, 11 bands."):
+        fit_canopies(wavelength, pixels[:, :5], view)
+
+
+@pytest.mark.slow  # tabulates light
+def test_a_table_of_light_is_the_light():
+    """At leaves, areas and soils drawn evenly, where none of its points are."""
+    view = CanopyView(50.0, 30.0, 120.0, 0.2, 0.05)
+    table, rng = CanopyTable.made(view), np.random.default_rng(8)
+    for _ in range(6):
+        scattered, share = rng.uniform(0.05, 0.95, 12), rng.uniform(0.3, 0.7, 12)
+        leaf = jnp.asarray(scattered * share), jnp.asarray(scattered * (1.0 - share))
+        soil = jnp.asarray(rng.uniform(0.02, 0.6, 12))
+        area, angle = rng.uniform(0.3, 6.0), rng.uniform(25.0, 75.0)
+        exact = fx.canopy_reflectance(
+            *leaf, area, soil=soil, leaf_angles=EllipsoidalLeafAngle.from_mean_angle(angle),
+            **view._asdict(),
+        )  # fmt: skip
+        error = np.abs(np.asarray(table(leaf, area, angle, soil)) - exact)
+        assert (error / np.hypot(0.01, 0.02 * np.asarray(exact))).max() < 0.5
