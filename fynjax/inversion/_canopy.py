@@ -161,19 +161,19 @@ leaves at large (`LEAF_PARAMETERS`) |
         sensor = fx.sensor("sentinel_2a")
         print(fx.fit_canopy(sensor, measured, sun_zenith=35.0, known={"leaf_angle": 57.0}))
     """
-    bands, centre = bands_and_centres(bands)
+    own, centre = bands_and_centres(bands)
     value, ground, error = _given(centre, reflectance=reflectance, soil=soil, sd=sd)
     use = np.isfinite(value)
     if use.sum() < 3:
         raise InputError(f"at least three bands must have a reflectance, but {use.sum()} have")
-    if isinstance(bands, BandSet):
+    if isinstance(own, BandSet):
         centre, value, ground, error = (a[use] for a in (centre, value, ground, error))
-        bands = bands.select(np.flatnonzero(use).tolist())
+        own = own.select(np.flatnonzero(use).tolist())
     else:
         bins = mean_bins(centre[use])
         centre, value, ground, error = (bins @ a[use] for a in (centre, value, ground, error))
     view = CanopyView(sun_zenith, view_zenith, relative_azimuth, sky_share, hot_spot)
-    model, space = canopy_model(bands, centre, view, None if soil is None else ground, known)
+    model, space = canopy_model(own, centre, view, None if soil is None else ground, known)
     names = tuple(f"{at:.0f} nm" for at in centre)
     if sd is not None:
         data = Data(names, jnp.asarray(value), jnp.asarray(error))
@@ -385,7 +385,7 @@ class CanopyTable(eqx.Module):
             0.5 * (nodes[2] + 1.0), 0.5 + 0.45 * nodes[3], 0.5 * (nodes[4] + 1.0), indexing="ij"
         )
         scattered = 1.0 - absorbed.ravel() ** 2
-        leaf = tuple(jnp.asarray(scattered * part.ravel()) for part in (share, 1.0 - share))
+        leaf: Any = tuple(jnp.asarray(scattered * part.ravel()) for part in (share, 1 - share))
         at = jax.jit(lambda a, b: _reflectance(leaf, a, b, jnp.asarray(soil.ravel()), view))
         pairs = track([(a, b) for a in areas for b in angles], "Light of canopies")
         table = np.stack([at(a, b) for a, b in pairs]).reshape(_POINTS)

@@ -1,6 +1,7 @@
 """The traits of a uniform canopy in many pixels, each fitted with light from a table."""
 
 from collections.abc import Mapping
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -125,7 +126,7 @@ def fit_canopies(
 class _Fit(eqx.Module):
     """The fit of a pixel: its values, and which of them there are, in; numbers out."""
 
-    model: eqx.Module
+    model: Any
     space: ParameterSpace
     steps: int = eqx.field(static=True)
 

@@ -152,13 +152,13 @@ def _views(
     if angles.isna().to_numpy().any():
         row = int(np.argmax(angles.isna().any(axis=1)))
         raise InputError(f"expected angles of every pixel, but row {row + 2} has none")
-    groups = angles.groupby(list(ANGLES)).indices
+    groups: Any = angles.groupby(list(ANGLES)).indices
     if len(groups) > _MANY_VIEWS:
         raise InputError(
             f"expected at most {_MANY_VIEWS} ways in which pixels are lit and seen, to a degree, "
             f"for each takes some 20 s, but there are {len(groups)}. Round them, or split the table"
         )
-    return [(CanopyView(*angle, sky_share), np.asarray(rows)) for angle, rows in groups.items()]
+    return [(CanopyView(angle[0], angle[1], angle[2], sky_share), np.asarray(rows)) for angle, rows in groups.items()]
 
 
 def _fitted(
