@@ -158,7 +158,10 @@ def _views(
             f"expected at most {_MANY_VIEWS} ways in which pixels are lit and seen, to a degree, "
             f"for each takes some 20 s, but there are {len(groups)}. Round them, or split the table"
         )
-    return [(CanopyView(angle[0], angle[1], angle[2], sky_share), np.asarray(rows)) for angle, rows in groups.items()]
+    return [
+        (CanopyView(angle[0], angle[1], angle[2], sky_share), np.asarray(rows))
+        for angle, rows in groups.items()
+    ]
 
 
 def _fitted(
