@@ -20,8 +20,12 @@ from fynjax.inversion._calibrate import (
     plot_search,
     search_starts,
 )
-from fynjax.inversion._canopy import CanopyFit, CanopyTable, CanopyView, canopy_units, fit_canopy
-from fynjax.inversion._canopy_pixels import CanopyFits, fit_canopies
+from fynjax.inversion._canopy import CanopyFit, fit_canopy
+from fynjax.inversion._canopy import CanopyTable as CanopyTable
+from fynjax.inversion._canopy import CanopyView as CanopyView
+from fynjax.inversion._canopy import canopy_units as canopy_units
+from fynjax.inversion._canopy_pixels import CanopyFits as CanopyFits
+from fynjax.inversion._canopy_pixels import fit_canopies as fit_canopies
 from fynjax.inversion._data import (
     Data,
     Kind,
@@ -128,9 +132,6 @@ __all__ = [
     "Calibration",
     "CalibrationSettings",
     "CanopyFit",
-    "CanopyFits",
-    "CanopyTable",
-    "CanopyView",
     "Data",
     "Emulated",
     "Ends",
@@ -162,12 +163,10 @@ __all__ = [
     "Source",
     "SpectrumView",
     "calibration",
-    "canopy_units",
     "design",
     "emulate",
     "find_places",
     "fit",
-    "fit_canopies",
     "fit_canopy",
     "fit_surrogate",
     "free",

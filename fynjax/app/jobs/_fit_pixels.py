@@ -65,7 +65,7 @@ def fit_pixels(
     """Leaves, leaf area, leaf angle and soil of uniform canopies from pixels of any sensor.
 
     Each pixel is fitted by PROSPECT-D and the light of a canopy without gaps or clumps
-    (`fynjax.inversion.fit_canopies`), with 90 % intervals.
+    (`fx.fit_canopy`), with 90 % intervals.
 
     **Arguments:**
 
