@@ -263,7 +263,7 @@ def form_gallery() -> str:
             f"{100 * one.height:.3g} cm high; leaf area index within the crown {leaf}; leaf angles "
             f"{one.leaf_angle}; {one.leaf_mass_per_area:.3g} g m-2 of dry mass."
         )
-        picture = f"![{form} from the side and from above](images/forms/{form}.png)"
+        picture = f"![{form} from the side and from above](images/form_{form}.png)"
         text += [f"## {form}", picture, plain(one.description), plants, usual]
     return "\n\n".join(text)
 

@@ -1,19 +1,21 @@
-"""Recipe of `docs/images/forms`: each growth form from the side and from above, its mesh in light.
+"""Recipe of `docs/images/form_*.png`: growth forms from the side and from above, meshes in light.
 
 Run `python -m tools.make_form_pictures`. Plants are of the form's usual size; the bar is 10 cm, or
 1 m of what is larger than 1.5 m.
 """
 
+import io
 from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
+from PIL import Image
 
 from fynjax.canopy import FORMS, PlantMesh, generate_plant
 
-FOLDER = Path(__file__).parents[1] / "docs/images/forms"
+FOLDER = Path(__file__).parents[1] / "docs/images"
 COLOURS = {"leaf": (0.32, 0.50, 0.20), "wood": (0.42, 0.31, 0.22), "flower": (0.80, 0.47, 0.65)}
 SUN = np.array([0.4, -0.5, 0.77])
 
@@ -53,9 +55,11 @@ def picture(form: str) -> None:
         axes.plot([left, left + bar], [foot, foot], color="black", lw=2.0)
         words = "1 m" if bar == 1.0 else "10 cm"
         axes.text(left + 0.5 * bar, foot - 0.4 * margin, words, ha="center", va="top", fontsize=8)
-    FOLDER.mkdir(parents=True, exist_ok=True)
-    figure.savefig(FOLDER / f"{form}.png", dpi=110, pil_kwargs={"optimize": True})
+    drawn = io.BytesIO()
+    figure.savefig(drawn, dpi=80)
     plt.close(figure)
+    few = Image.open(drawn).convert("RGB").quantize(12, dither=Image.Dither.NONE)
+    few.save(FOLDER / f"form_{form}.png", optimize=True)
 
 
 if __name__ == "__main__":

@@ -21,7 +21,6 @@ from fynjax.inversion._calibrate import (
     search_starts,
 )
 from fynjax.inversion._canopy import CanopyFit, fit_canopy
-from fynjax.inversion._canopy import CanopyTable as CanopyTable
 from fynjax.inversion._canopy import CanopyView as CanopyView
 from fynjax.inversion._canopy import canopy_units as canopy_units
 from fynjax.inversion._canopy_pixels import CanopyFits as CanopyFits

@@ -12,7 +12,8 @@ import fynjax as fx
 from fynjax import jobs
 from fynjax.app.jobs._canopy_input import read_canopy_pixels
 from fynjax.errors import InputError
-from fynjax.inversion import CanopyTable, CanopyView
+from fynjax.inversion import CanopyView
+from fynjax.inversion._canopy import CanopyTable
 
 PEERS = pd.read_csv(Path(__file__).parents[1] / "inversion/canopies_by_prosail.csv")
 """Canopies of prosail at the middles of Sentinel-2's bands (`tests/inversion/test_canopy.py`)."""

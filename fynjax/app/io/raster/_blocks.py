@@ -365,6 +365,13 @@ def grid_coordinates(
     """Dimensions of a grid, and its coordinates `y` and `x` of the middles of pixels with their CF
     attributes. A grid that is turned has two numbers a pixel, over row and column: dask makes them
     by blocks of `rows` when they are asked for.
+
+    **Arguments:**
+
+    - `transform`: from column and row to x and y.
+    - `crs`: reference system, None without one.
+    - `shape`: rows and columns.
+    - `rows`: of a block.
     """
     if transform.is_identity:
         axes = {"y": ("", "1"), "x": ("", "1")}
