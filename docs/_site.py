@@ -336,7 +336,8 @@ def citations() -> str:
 _OWNERS: dict[str, Callable[..., str]] = {
     function.__name__: function
     for function in (
-        *(options, usage, keys, parameters, forms, sensors, band_terms, indices, citations),
+        *(options, usage, keys, parameters, forms, form_gallery, sensors, band_terms, indices),
+        citations,
     )
 }
 _LINE = re.compile(r"^\{\{ (\w+)(?: ([\w -]+?))? \}\}$", re.MULTILINE)
