@@ -247,6 +247,27 @@ def forms() -> str:
     return table(("growth form", *(field.replace("_", " ") for field in shown)), rows)
 
 
+def form_gallery() -> str:
+    """Each growth form: pictures, real plants and defaults."""
+    from fynjax.canopy import FORMS
+
+    text = []
+    for form, one in FORMS.items():
+        genera = " ".join([one.flat_leaved.genera, one.round_leaved.genera]).split()
+        families = " ".join([one.flat_leaved.families, one.round_leaved.families]).split()
+        plants = f"*Plants:* {', '.join(sorted(genera)) or 'any that are dead'}"
+        plants += f"; {', '.join(sorted(families))}." if families else "."
+        leaf = f"{one.leaf_area_index:.3g}, of which {100 * one.dead_fraction:.0f} % dead or woody"
+        usual = (
+            f"*Where a table states nothing:* {100 * one.diameter:.3g} cm wide, "
+            f"{100 * one.height:.3g} cm high; leaf area index within the crown {leaf}; leaf angles "
+            f"{one.leaf_angle}; {one.leaf_mass_per_area:.3g} g m-2 of dry mass."
+        )
+        picture = f"![{form} from the side and from above](images/form_{form}.png)"
+        text += [f"## {form}", picture, plain(one.description), plants, usual]
+    return "\n\n".join(text)
+
+
 def sensors() -> str:
     """The shipped sensors."""
     from fynjax.sensors import sensor_reference
@@ -315,7 +336,8 @@ def citations() -> str:
 _OWNERS: dict[str, Callable[..., str]] = {
     function.__name__: function
     for function in (
-        *(options, usage, keys, parameters, forms, sensors, band_terms, indices, citations),
+        *(options, usage, keys, parameters, forms, form_gallery, sensors, band_terms, indices),
+        citations,
     )
 }
 _LINE = re.compile(r"^\{\{ (\w+)(?: ([\w -]+?))? \}\}$", re.MULTILINE)

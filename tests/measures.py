@@ -191,9 +191,9 @@ MEASURES = {
     "names of two things": Measure(0, 0, names_of_two),
     "long functions": Measure(18, 15, large_functions),
     "lines of the library": Measure(
-        48_300, 40_000, lambda m: _lines(m, tuple(f"{room}/" for room in ("_core", *ROOMS)))
+        48_500, 40_000, lambda m: _lines(m, tuple(f"{room}/" for room in ("_core", *ROOMS)))
     ),
-    "lines of all": Measure(93_700, 78_000, lambda m: _lines(m, ("",))),
+    "lines of all": Measure(93_500, 78_000, lambda m: _lines(m, ("",))),
 }
 PREDICTION = 43
 """At most so many modules does a prediction enter; aimed at: 25."""

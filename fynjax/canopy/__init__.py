@@ -22,6 +22,7 @@ from fynjax.canopy._counts import (
     target_area,
 )
 from fynjax.canopy._elements import Crown, Foliage, Shoots
+from fynjax.canopy._form import FORMS_SHOWN as FORMS_SHOWN
 from fynjax.canopy._form import FormPrior, GrowthForm, LeafGeometry, Shrubland, Taxa
 from fynjax.canopy._greenness import Greenness, band_roles, band_word, choose_greenness
 from fynjax.canopy._grid import VoxelGrid, deposit

@@ -17,6 +17,10 @@ Shrubland = Literal["fynbos", "generic"]
 """Where plants have their usual values from: 18 fynbos plots, or published shrublands at large."""
 
 
+FORMS_SHOWN = "The page docs/growth-forms.md shows them; `fynjax plant NAME` draws one."
+"""Where growth forms are seen, for errors of a wrong one."""
+
+
 @dataclass(frozen=True)
 class LeafGeometry:
     """Shape and size of one leaf, which a mesh of the plant shows."""

@@ -12,6 +12,7 @@ import numpy as np
 
 from fynjax._core.errors import InputError
 from fynjax.canopy._elements import individual_of, quasi_random, split_elements
+from fynjax.canopy._form import FORMS_SHOWN
 from fynjax.canopy._plant import Organ, PlantModel
 from fynjax.canopy.forms import FORMS
 
@@ -53,7 +54,9 @@ def plant_model(
     1.0
     """
     if form not in FORMS:
-        raise InputError(f"`form` must be one of {', '.join(FORMS)}, but is {form!r}")
+        raise InputError(
+            f"`form` must be one of {', '.join(FORMS)}, but is {form!r}. {FORMS_SHOWN}"
+        )
     if n_elements < 3:
         raise InputError(f"`n_elements` must be at least 3, one an organ, but is {n_elements}")
     made = FORMS[form]

@@ -21,6 +21,10 @@ from fynjax.inversion._calibrate import (
     search_starts,
 )
 from fynjax.inversion._canopy import CanopyFit, fit_canopy
+from fynjax.inversion._canopy import CanopyView as CanopyView
+from fynjax.inversion._canopy import canopy_units as canopy_units
+from fynjax.inversion._canopy_pixels import CanopyFits as CanopyFits
+from fynjax.inversion._canopy_pixels import fit_canopies as fit_canopies
 from fynjax.inversion._data import (
     Data,
     Kind,

@@ -81,7 +81,7 @@ from fynjax.scene._species import (
     species_parameters,
     table_spreads,
 )
-from fynjax.scene._spectra import Spectrum, background_spectrum, visible_sensor
+from fynjax.scene._spectra import Spectrum, background_spectrum, soil_shapes, visible_sensor
 from fynjax.scene._stand import StandArea, stand_area
 from fynjax.scene._structure import fitting_structure, scene_structure
 from fynjax.scene._truth import PixelTruth, pixel_truth, truth_of_layers, truth_of_pixels

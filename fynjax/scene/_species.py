@@ -31,7 +31,15 @@ from fynjax._core.parameters import parameters_of
 from fynjax._core.records import Slip, Strict, quantity
 from fynjax._core.seeds import generator
 from fynjax._core.validation import check_header, checked_row, checked_rows, is_note
-from fynjax.canopy import FORMS, AbstractLeafAngle, Organ, Shrubland, most_projected, table1_2006
+from fynjax.canopy import (
+    FORMS,
+    FORMS_SHOWN,
+    AbstractLeafAngle,
+    Organ,
+    Shrubland,
+    most_projected,
+    table1_2006,
+)
 from fynjax.leaf import FLAT, ROUND, LeafParameters, structure_from_dry_matter
 from fynjax.scene._cover_words import cover_range, name_classes
 from fynjax.scene._parameters import (
@@ -191,6 +199,11 @@ class SpeciesRow(Strict):
     @classmethod
     def _of_the_shipped_table(cls, value: Any, info: ValidationInfo) -> Any:
         taxon = info.data.get("taxon")
+        if value is not None and value not in FORMS:
+            raise ValueError(
+                f"expected one of {', '.join(map(repr, FORMS))}, but got {value!r}."
+                f"{did_you_mean(str(value), FORMS)} {FORMS_SHOWN}"
+            )
         if value is not None or taxon is None:
             return value
         shipped = _shipped_growth_forms()
@@ -198,7 +211,7 @@ class SpeciesRow(Strict):
             raise ValueError(
                 f"expected a growth form for {taxon!r}, which is not in the shipped table."
                 f"{did_you_mean(taxon, shipped)} Add a column growth_form with one of "
-                f"{', '.join(FORMS)}."
+                f"{', '.join(FORMS)}. {FORMS_SHOWN}"
             )
         return shipped[taxon]
 

@@ -110,11 +110,27 @@ def background_spectrum(
 
     `name` is dry_soil, wet_soil, bark, litter or char; sources in `data/README.md`.
     """
-    frame = _table()
+    frame = _table("background.csv")
     return np.interp(wavelength, frame["wavelength_nm"], frame[name])
 
 
-@lru_cache(maxsize=1)
-def _table() -> pd.DataFrame:
-    with (resources.files("fynjax.scene") / "data" / "background.csv").open() as table:
+def soil_shapes(
+    wavelength: Float[np.ndarray, " wavelength"],
+) -> Float[np.ndarray, "shape wavelength"]:
+    """How soils differ in shape, beside brightness and moisture [-], at `wavelength`
+    [nm, 400-2500].
+
+    Four vectors: the logarithm of a soil's reflectance changes by their sum, each times a number
+    that is 0 for the shipped dry soil and 1 as root mean square over 111 soils of the world. With
+    brightness and moisture they leave 0.015 and 0.025 of error in soils of two other libraries,
+    where these alone leave 0.064 and 0.082. Source: `data/README.md`.
+    """
+    frame = _table("soil_shapes.csv")
+    vectors = frame.drop(columns="wavelength_nm").to_numpy().T
+    return np.stack([np.interp(wavelength, frame["wavelength_nm"], row) for row in vectors])
+
+
+@lru_cache(maxsize=2)
+def _table(name: str) -> pd.DataFrame:
+    with (resources.files("fynjax.scene") / "data" / name).open() as table:
         return pd.read_csv(table)

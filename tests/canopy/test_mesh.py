@@ -405,3 +405,23 @@ def test_tubes_of_the_field_count_half(shared_data) -> None:
     model = plant_model_from_mesh(read_plant_mesh(path), 500, solid_materials="closed")
     assert float(model.organ_area[1]) == pytest.approx(0.01947, rel=1e-3)
     assert float(model.organ_area[0]) == pytest.approx(0.0144, rel=1e-3)
+
+
+@pytest.mark.parametrize("kind", ["o", "g"])
+@pytest.mark.parametrize("material", ["", "usemtl default\n"])
+def test_groups_and_objects_are_organs_where_materials_are_not(
+    kind: str, material: str, tmp_path: Path
+) -> None:
+    corners = [(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)]
+    lines = [f"v {x} {y} {z}" for x, y, z in corners]
+    lines += [f"{kind} trunk", f"{material}f 1 2 4", f"{kind} leaf_1", f"{material}f 1 3 4"]
+    lines += [f"{kind} leaf_2", f"{material}f 2 3 4"]
+    (tmp_path / "a.obj").write_text("\n".join(lines) + "\n")
+    mesh = read_plant_mesh(tmp_path / "a.obj", up="z")
+    assert set(mesh.materials) == {"trunk", "leaf"}
+    area = dict(zip(mesh.materials, mesh.material_area))
+    assert area["trunk"] == pytest.approx(0.5)
+    assert area["leaf"] == pytest.approx(0.5 + 0.75**0.5)
+    stated = (tmp_path / "a.obj").read_text().replace("f 2 3 4", "usemtl bark\nf 2 3 4")
+    (tmp_path / "b.obj").write_text(stated)
+    assert "bark" in read_plant_mesh(tmp_path / "b.obj", up="z").materials

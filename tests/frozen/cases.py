@@ -280,6 +280,14 @@ def _train(folder: Path) -> Runs:
     return {"train": TRAIN}
 
 
+@_case("fit-canopy", "study")
+def _fit_canopy(folder: Path) -> Runs:
+    peers = pd.read_csv(Path(__file__).parents[1] / "inversion" / "canopies_by_prosail.csv")
+    peers.iloc[:3, 9:].to_csv(folder / "pixels.csv", index=False)
+    known = ["--known", "leaf_angle=50", "--known", "structure=1.6"]
+    return {"table": ["fit-canopy", folder / "pixels.csv", "--sun-zenith", 35, *known]}
+
+
 @_case("map", "study")
 def _map(folder: Path) -> Runs:
     rng = np.random.default_rng(5)

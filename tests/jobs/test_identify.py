@@ -71,7 +71,8 @@ def test_what_was_rejected_is_said_with_the_reason(tmp_path: Path) -> None:
       "not 40 names of columns with numbers, 500 to 1397: names of samples"),
      ("26_las-wkt-of-two-quotes/quotes.las", "point cloud", ""),
      ("28_usgs-splib-ascii/splib_leaf.txt", "unknown", "without their wavelengths"),
-     ("30_r-write-csv-row-names/species.csv", "species table", "")],
+     ("30_r-write-csv-row-names/species.csv", "species table", ""),
+     ("27_open-tubes-of-a-generator/shrub.obj", "plant mesh", "")],
 )  # fmt: skip
 def test_files_of_the_field_are_identified(shared_data: Path, file, kind, words) -> None:
     found = identify(shared_data / "field" / file)

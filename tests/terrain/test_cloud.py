@@ -399,3 +399,63 @@ def test_a_system_that_is_not_known_can_be_stated(tmp_path):
 def test_a_cloud_of_the_field_without_a_system(shared_data):
     (path,) = (shared_data / "field" / "26_las-wkt-of-two-quotes").glob("*.las")
     assert (len(read_cloud(path)), read_cloud(path).crs) == (600, None)
+
+
+def text_file(path, text):
+    path.write_text(text)
+    return path
+
+
+def ptx(points, matrix, shape):
+    head = [*map(str, shape), "0 0 0", "1 0 0", "0 1 0", "0 0 1"]
+    rows = [" ".join(f"{n:g}" for n in row) for row in matrix]
+    return "\n".join([*head, *rows, *(f"{x} {y} {z} 0.5 9 9 9" for x, y, z in points)]) + "\n"
+
+
+def test_stations_of_ptx_are_put_together(tmp_path):
+    turned = np.array([[0, 1, 0, 0], [-1, 0, 0, 0], [0, 0, 1, 0], [10, 20, 1, 1.0]])
+    still = np.eye(4)
+    first = np.random.default_rng(0).uniform(1.0, 3.0, (6, 3)).round(3)
+    first[4] = 0.0  # nothing came back
+    text = ptx(first, still, (2, 3)) + ptx(first, turned, (3, 2))
+    cloud = read_cloud(text_file(tmp_path / "two.ptx", text))
+    kept = np.delete(first, 4, axis=0)
+    moved = np.stack([10.0 - kept[:, 1], 20.0 + kept[:, 0], 1.0 + kept[:, 2]], axis=1)
+    np.testing.assert_allclose(
+        np.stack([cloud.x, cloud.y, cloud.z], axis=1), np.concatenate([kept, moved])
+    )
+    cut = text[: int(0.8 * len(text))].rsplit("\n", 1)[0] + "\n"
+    with pytest.raises(InputError, match="cut short"):
+        read_cloud(text_file(tmp_path / "cut.ptx", cut))
+    with pytest.raises(InputError, match="ten lines of numbers"):
+        read_cloud(text_file(tmp_path / "none.ptx", "x y z\n1 2 3\n"))
+
+
+def test_pts_begins_with_its_number_of_points(tmp_path):
+    text = "3\n" + "".join(f"{i} {2 * i} {0.1 * i} -5 10 20 30\n" for i in range(1, 4))
+    cloud = read_cloud(text_file(tmp_path / "a.pts", text))
+    assert cloud.y.tolist() == [2.0, 4.0, 6.0]
+
+
+def test_stations_of_e57_are_put_together(tmp_path):
+    pye57 = pytest.importorskip("pye57")
+    points = np.random.default_rng(1).uniform(0.0, 2.0, (5, 3))
+    file = pye57.E57(str(tmp_path / "a.e57"), mode="w")
+    for shift in (0.0, 10.0):
+        axes = {f"cartesian{a}": points[:, i] for i, a in enumerate("XYZ")}
+        file.write_scan_raw(
+            axes, rotation=np.array([1.0, 0, 0, 0]), translation=np.array([shift, 0, 0])
+        )
+    file.close()
+    cloud = read_cloud(tmp_path / "a.e57")
+    np.testing.assert_allclose(cloud.x, np.concatenate([points[:, 0], points[:, 0] + 10.0]))
+    (tmp_path / "cut.e57").write_bytes((tmp_path / "a.e57").read_bytes()[:700])
+    with pytest.raises(InputError, match="cannot be read as E57"):
+        read_cloud(tmp_path / "cut.e57")
+
+
+def test_e57_without_its_package_says_which(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "pye57", None)
+    (tmp_path / "a.e57").write_bytes(b"ASTM-E57")
+    with pytest.raises(MissingExtraError, match="e57"):
+        read_cloud(tmp_path / "a.e57")

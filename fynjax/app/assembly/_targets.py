@@ -37,6 +37,7 @@ from fynjax.app.io.plot import (
 )
 from fynjax.app.io.raster import open_raster
 from fynjax.app.io.text import existing_file, open_table
+from fynjax.app.terrain import CLOUD_SUFFIXES
 from fynjax.inversion import (
     GAIN,
     OFFSET,
@@ -97,7 +98,6 @@ KINDS: dict[Kind, str] = {
     "spectrum": "a spectrum, or an image of many bands",
     "structure": "a point cloud, or a table of its structure",
 }
-_CLOUDS = (".las", ".laz", ".ply", ".xyz")
 _SPECTRA = (
     *(".asd", ".sli", ".slb", ".hdr", ".img", ".bil", ".bip", ".bsq", ".dat"),
     *(".nc", ".nc4", ".h5", ".hdf5", ".txt"),
@@ -176,7 +176,7 @@ def _block_means(values: Float[np.ndarray, "y x"], block: int) -> Float[np.ndarr
 def target_kind(path: Path) -> Kind:
     """What kind of measurement a file holds, by its ending and its content."""
     suffix = path.suffix.lower()
-    if suffix in _CLOUDS:
+    if suffix in CLOUD_SUFFIXES:
         return "structure"
     if is_frame_stack(path):
         return "image"

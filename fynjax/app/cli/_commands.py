@@ -85,6 +85,11 @@ COMMANDS = (
     Command("crowns", f"{_JOBS}:crowns", "Inversion",
             "fynjax crowns ortho.tif --plot plot.toml --output crowns", given="ORTHO.tif"),
     Command(
+        "fit-canopy", f"{_JOBS}:fit_pixels", "Inversion",
+        "fynjax fit-canopy pixels.csv --sensor sentinel_2a --sun-zenith 35 --output traits",
+        given="PIXELS",
+    ),
+    Command(
         "posterior", f"{_JOBS}:posterior", "Inversion",
         "fynjax posterior plot.toml --target statistics.csv --method laplace",
         names={"target_size": "draws", "max_steps": "steps"}, keeps=True,

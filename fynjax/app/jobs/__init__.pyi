@@ -13,6 +13,8 @@ from ._doctor import Check as Check
 from ._doctor import doctor as doctor
 from ._fit_leaf import FitLeafResult as FitLeafResult
 from ._fit_leaf import fit_leaves as fit_leaves
+from ._fit_pixels import FitPixelsResult as FitPixelsResult
+from ._fit_pixels import fit_pixels as fit_pixels
 from ._fit_report import CalibrateResult as CalibrateResult
 from ._fit_report import fit_report as fit_report
 from ._frames import FramesResult as FramesResult

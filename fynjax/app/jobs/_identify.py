@@ -15,12 +15,14 @@ from fynjax.app.io.raster import open_blocks, open_image
 from fynjax.app.io.spectra import MeasuredSpectrum, usable_spectra
 from fynjax.app.io.text import read_rows
 from fynjax.app.jobs._result import Record
-from fynjax.app.terrain import read_cloud
+from fynjax.app.terrain import CLOUD_SUFFIXES, is_normalised, read_cloud
+from fynjax.canopy import read_plant_mesh
+from fynjax.canopy.mesh import default_up, organ_of_name
 from fynjax.scene import SpeciesRow
 
 _CUBES = (".nc", ".nc4", ".h5", ".hdf5", ".zarr")
 _RASTERS = (".tif", ".tiff", ".img", ".asc", ".hgt", ".bil", ".bsq", ".bip", ".dat", ".png", ".jpg")
-_CLOUDS = (".las", ".laz", ".ply", ".xyz")
+_MESHES = (".obj", ".stl", ".glb", ".gltf")
 _MOST = 5
 """Spectra, and doubts of them, that are named."""
 
@@ -37,8 +39,8 @@ class Identified(Record):
 
     file: str
     kind: str
-    """'leaf spectra', 'image', 'cube', 'point cloud', 'plot file', 'species table', or 'table of
-    plants' in other words; 'unknown' where no reader takes it."""
+    """'leaf spectra', 'image', 'cube', 'point cloud', 'plant mesh', 'plot file', 'species table',
+    or 'table of plants' in other words; 'unknown' where no reader takes it."""
     facts: dict[str, str]
     """What is known of it: format, layout, unit, quantity, place, number and others."""
     evidence: list[str]
@@ -90,6 +92,7 @@ def _candidates(path: Path) -> list[tuple[str, _Look]]:
         "cube": _cube,
         "image": _image,
         "point cloud": _cloud,
+        "plant mesh": _mesh,
         "leaf spectra": _spectra,
         "species table": _species,
         "table of plants": _plants,
@@ -98,11 +101,12 @@ def _candidates(path: Path) -> list[tuple[str, _Look]]:
         **dict.fromkeys((".toml",), ("plot file",)),
         **dict.fromkeys(_CUBES, ("cube",)),
         **dict.fromkeys(_RASTERS, ("image", "leaf spectra")),
-        **dict.fromkeys(_CLOUDS, ("point cloud",)),
+        **dict.fromkeys(CLOUD_SUFFIXES, ("point cloud",)),
+        **dict.fromkeys(_MESHES, ("plant mesh",)),
         **dict.fromkeys((".hdr", ".sli", ".slb"), ("leaf spectra", "image")),
     }.get(suffix, ("leaf spectra", "species table", "table of plants", "point cloud"))
-    if suffix in (".las", ".laz", ".ply"):
-        order = ("point cloud",)
+    if suffix in CLOUD_SUFFIXES[:-1]:
+        order = ("point cloud", "plant mesh") if suffix == ".ply" else ("point cloud",)
     return [(kind, kinds[kind]) for kind in order]
 
 
@@ -207,14 +211,32 @@ def _cube(path: Path) -> tuple[dict[str, str], list[str]]:
 def _cloud(path: Path) -> tuple[dict[str, str], list[str]]:
     cloud = read_cloud(path)
     west, south, east, north = cloud.bounds
+    above = is_normalised(cloud)
     return {
         "format": path.suffix.lower().lstrip("."),
         "points": f"{len(cloud)}",
         "unit": "metres",
         "extent": f"{east - west:.4g} by {north - south:.4g} m, heights {cloud.z.min():.4g} to "
         f"{cloud.z.max():.4g} m",
+        "heights": "above the ground, by their lowest points" if above else "above a datum",
         "classes": "none" if cloud.classification is None else "yes",
         "system": "none stated" if cloud.crs is None else cloud.crs[:60],
+    }, []
+
+
+def _mesh(path: Path) -> tuple[dict[str, str], list[str]]:
+    mesh = read_plant_mesh(path)
+    extent = " by ".join(f"{side:.4g}" for side in np.ptp(mesh.vertices, axis=0))
+    organs = [
+        f"{name!r} {'no organ' if (organ := organ_of_name(name)) is None else organ.name.lower()}"
+        f", {'closed' if mesh.is_closed(name) else 'sheets or open'}, {area:.4g} m2"
+        for name, area in zip(mesh.materials, mesh.material_area)
+    ]
+    return {
+        "format": path.suffix.lower().lstrip("."),
+        "triangles": f"{len(mesh.faces)}",
+        "extent": f"{extent} in its unit, vertical axis {default_up(path)}",
+        "materials": "; ".join(organs[:_MOST]),
     }, []
 
 

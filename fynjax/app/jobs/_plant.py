@@ -22,6 +22,7 @@ from fynjax.app.report import figures
 from fynjax.app.report.pages import Picture, Table
 from fynjax.canopy import (
     FORMS,
+    FORMS_SHOWN,
     GeneratedPlant,
     MeshPlant,
     Organ,
@@ -166,7 +167,9 @@ def plant(
     """
     run = Run(output, seed=seed)
     if form is not None and form not in FORMS:
-        raise InputError(f"`form` must be one of {', '.join(FORMS)}, but is {form!r}")
+        raise InputError(
+            f"`form` must be one of {', '.join(FORMS)}, but is {form!r}. {FORMS_SHOWN}"
+        )
     kind = _kind(source) if form is None or Path(source).exists() else "taxon"
     sizes: dict[str, Any] = {
         "diameter": diameter,

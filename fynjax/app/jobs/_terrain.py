@@ -112,7 +112,8 @@ def terrain(
 
     **Arguments:**
 
-    - `path`: point cloud (LAS, LAZ, PLY, XYZ, CSV) or height raster (GeoTIFF, .img, .asc).
+    - `path`: point cloud (LAS, LAZ, PLY, E57, PTX, XYZ, CSV) or height raster (GeoTIFF, .img,
+      .asc).
     - `output`: folder of the results, made if missing.
     - `cell`: side of a cell [m]; 0.25 for a cloud and a raster's own if left out.
     - `bounds`: edges of the plot, west, south, east and north, in the file's coordinates [m].

@@ -6,7 +6,13 @@ terrain = terrain_from_points(cloud, ground, cell=0.25)
 write_terrain("terrain.tif", terrain)
 """
 
-from fynjax.app.terrain._cloud import GROUND_CLASSES, PointCloud, is_normalised, read_cloud
+from fynjax.app.terrain._cloud import (
+    CLOUD_SUFFIXES,
+    GROUND_CLASSES,
+    PointCloud,
+    is_normalised,
+    read_cloud,
+)
 from fynjax.app.terrain._files import (
     middle_of_raster,
     read_terrain,
@@ -25,6 +31,7 @@ from fynjax.app.terrain._surface import (
 from fynjax.app.terrain._units import Bounds, check_bounds, check_positive
 
 __all__ = [
+    "CLOUD_SUFFIXES",
     "GROUND_CLASSES",
     "TOLERANCE",
     "WINDOW",

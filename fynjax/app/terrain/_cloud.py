@@ -1,4 +1,4 @@
-"""Point clouds in: LAS and LAZ, PLY, and text (XYZ, CSV)."""
+"""Point clouds in: LAS and LAZ, PLY, E57, PTX, and text (XYZ, PTS, CSV)."""
 
 import logging
 import re
@@ -13,7 +13,7 @@ from jaxtyping import Float64, UInt8
 from numpy.typing import NDArray
 from rasterio.crs import CRS
 
-from fynjax._core.errors import InputError, in_file, listed
+from fynjax._core.errors import InputError, in_file, listed, refusing
 from fynjax._core.extras import require
 from fynjax._core.tables import name_and_unit, open_points, places_of
 from fynjax.app.io.raster import check_metric, parse_crs
@@ -37,6 +37,10 @@ _CUT, _CUT_EDGE = (0.2, 3.0), 0.05
 """Heights [m] at which low returns are cut away, and the depth of the layers compared above it."""
 _FEWEST_AT_CUT = 20
 _NOISE_CLASSES = (7, 18)
+CLOUD_SUFFIXES = (".las", ".laz", ".ply", ".e57", ".ptx", ".pts", ".xyz")
+"""Endings of files that are point clouds, and nothing else."""
+_PTX_HEADER = 10
+"""Lines before the points of a station: columns, rows, the scanner's place, and a matrix."""
 
 
 @dataclass(frozen=True)
@@ -100,8 +104,9 @@ def read_cloud(
 
     **Arguments:**
 
-    - `path`: LAS or LAZ; PLY; or text (.xyz, .txt, .csv): x, y, z as the first three
-      columns or named in a header, which may also have `classification`.
+    - `path`: LAS or LAZ; PLY; E57 and PTX, whose stations are put together; or text (.xyz, .pts,
+      .txt, .csv): x, y, z as the first three columns or named in a header, which may also have
+      `classification`.
     - `unit`: one of `UNITS`, for files that are not in metres. Coordinates are then converted,
       and a reference system, whose coordinates they are no more, is dropped.
     - `height_unit`: the same for z alone; `unit` unless given.
@@ -117,7 +122,7 @@ def read_cloud(
     relief of twice the plot's width); feet without any of these look like metres.
     Single heights below -500 or above 9000 m are refused; if all are, that is a warning, as are
     heights that begin so sharply from 0.2 to 3 m that low returns seem to be cut away.
-    `MissingExtraError` for LAS without the extra `terrain`.
+    `MissingExtraError` for LAS without the extra `terrain`, and E57 without the extra `e57`.
     """
     path = existing_file(path, "a point cloud")
     if path.stat().st_size == 0:
@@ -128,11 +133,15 @@ def read_cloud(
         cloud, system = _read_las(path, unit_stated, height_stated, crs_stated=crs is not None)
     elif suffix == ".ply":
         cloud = _read_ply(path)
-    elif suffix in (".xyz", ".txt", ".csv"):
+    elif suffix == ".e57":
+        cloud = _read_e57(path)
+    elif suffix == ".ptx":
+        cloud = _read_ptx(path)
+    elif suffix in (".xyz", ".pts", ".txt", ".csv"):
         cloud = _read_text(path, unit_stated)
     else:
         raise InputError(
-            f"expected a point cloud (.las, .laz, .ply, .xyz, .txt or .csv), but this is a "
+            f"expected a point cloud ({', '.join(CLOUD_SUFFIXES)}, .txt or .csv), but this is a "
             f"{suffix or 'file without a suffix'}",
             file=path,
         )
@@ -403,6 +412,60 @@ def _read_ply(path: Path) -> PointCloud:
             labels = np.asarray(columns[name]).reshape(-1).astype(np.uint8)
     x, y, z = points.T
     return PointCloud(x, y, z, labels)
+
+
+def _read_e57(path: Path) -> PointCloud:
+    """Points of all stations of an E57 file, as they stand together."""
+    pye57 = require("pye57", "e57")
+    parts = []
+    try:
+        file = pye57.E57(str(path))
+        for number in range(file.scan_count):
+            scan = file.read_scan(number, ignore_missing_fields=True)
+            parts.append(np.stack([scan[f"cartesian{axis}"] for axis in "XYZ"], axis=1))
+    except Exception as error:  # the library raises whatever it stumbles over
+        reason = " ".join(str(error).split())
+        raise InputError(
+            f"cannot be read as E57 ({reason}). Is it cut short? Copy it again.", file=path
+        ) from error
+    if not parts or not sum(map(len, parts)):
+        raise InputError("expected an E57 file with points, but it has none", file=path)
+    return PointCloud(*np.concatenate(parts).astype(np.float64).T)
+
+
+def _read_ptx(path: Path) -> PointCloud:
+    """Points of all stations of a PTX file (Leica), each brought to its place by its matrix."""
+    parts = []
+    with path.open("rb") as file:
+        lines = iter(file)
+        row = 0
+        for first in lines:
+            if not first.strip():
+                continue
+            head = [first, *(line for _, line in zip(range(_PTX_HEADER - 1), lines))]
+            words = "expected the header of a station of PTX, ten lines of numbers ({error})"
+            with refusing(ValueError, OverflowError, words=words, file=path):
+                columns, rows = int(head[0]), int(head[1])
+                matrix = np.array([line.split() for line in head[6:]], float)
+                if columns < 0 or rows < 0 or matrix.shape != (4, 4):
+                    raise ValueError(f"from row {row + 1} on")
+            count = columns * rows
+            check_stated_size(path, 6 * count, f"{count} points", packed=True)
+            with refusing(ValueError, words="expected x, y and z ({error})", file=path):
+                texts = [line.split(None, 3)[:3] for _, line in zip(range(count), lines)]
+                points = np.array(texts, float).reshape(-1, 3)
+            if len(points) != count:
+                raise InputError(
+                    f"expected {count} points of a station, but there are {len(points)}. It is cut "
+                    "short: copy it again.",
+                    file=path,
+                )
+            points = points[(points != 0.0).any(axis=1)]  # 0 0 0: nothing came back
+            parts.append(points @ matrix[:3, :3] + matrix[3, :3])
+            row += _PTX_HEADER + count
+    if not parts or not sum(map(len, parts)):
+        raise InputError("expected a PTX file with points, but it has none", file=path)
+    return PointCloud(*np.concatenate(parts).T)
 
 
 def _check_precision(points: NDArray[np.float64], path: Path) -> None:

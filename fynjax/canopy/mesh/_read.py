@@ -9,10 +9,13 @@ from typing import Any, Literal
 import numpy as np
 
 from fynjax._core.errors import InputError
+from fynjax.canopy._plant import organ_of_name
 from fynjax.canopy.mesh._bounds import check_mesh_file, check_mesh_triangles
 from fynjax.canopy.mesh._plant_mesh import PlantMesh
 
 _USEMTL = re.compile(r"^[ \t]*usemtl[ \t]+(.*?)[ \t]*\r?$", re.MULTILINE)
+_GROUPS = {kind: re.compile(rf"^[ \t]*{kind}[ \t]+(.*?)[ \t]*\r?$", re.MULTILINE) for kind in "go"}
+_NUMBERED = re.compile(r"[-._ ]*\d+$")
 _RELATIVE = re.compile(r"^[ \t]*[flp][ \t].*-\d", re.MULTILINE)
 _COMMENT = re.compile(r"^([ \t]*[vflp][nt]?[ \t][^#\n]*)#.*", re.MULTILINE)
 _ZERO = re.compile(r"^[ \t]*[flp][ \t](?:.*[ \t])?0(?:/|\s|$)", re.MULTILINE)
@@ -165,7 +168,7 @@ def _load_obj(file: str) -> tuple[Any, dict[str, str]]:
     if zero := _ZERO.search(text):
         row = text.count("\n", 0, zero.end()) + 1
         raise InputError("expected corners counted from 1, but got 0", file=file, row=row)
-    text = _counted_from_first(text, file)
+    text = _materials_of_groups(_counted_from_first(text, file))
     names = list(dict.fromkeys(_USEMTL.findall(text)))
     short_name = {name: f"material{index}" for index, name in enumerate(names)}
     text = _USEMTL.sub(lambda match: f"usemtl {short_name[match[1]]}", text)
@@ -177,6 +180,18 @@ def _load_obj(file: str) -> tuple[Any, dict[str, str]]:
         process=False,
     )
     return loaded, {short: name for name, short in short_name.items()}
+
+
+def _materials_of_groups(text: str) -> str:
+    """The text with its groups or objects as materials, where their names and not those of the
+    materials say organs; leaf_1 and leaf_2 become leaf."""
+    if any(organ_of_name(name) is not None for name in _USEMTL.findall(text)):
+        return text
+    for pattern in _GROUPS.values():
+        if any(organ_of_name(name) is not None for name in pattern.findall(text)):
+            plain = _USEMTL.sub("", text)
+            return pattern.sub(lambda match: f"usemtl {_NUMBERED.sub('', match[1])}", plain)
+    return text
 
 
 def _counted_from_first(text: str, file: str) -> str:

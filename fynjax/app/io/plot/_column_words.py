@@ -68,6 +68,7 @@ _FORM_WORDS = (
     ("rosette", "rosette;rosulat;agavoid;rosetten"),
     ("mat", "mat;mat forming;prostrate;creeping;rampant;tapissant;teppich;kriech;rastrer;rasteir;"
      "strisciant;kruipend;carpet;tapis"),
+    ("sward", "sward;meadow;lawn;pasture;turf;pelouse;prairie;gazon;rasen;wiese;cesped;pradera"),
     ("tussock", "tussock;grass;graminoid;gramin;sedge;rush;reed;restio;restioid;herbe graminoide;"
      "poace;cyperace;juncace;gras;graser;grasartige;seggen;binsen;horst;junco;zegge;rus"),
     ("upright_ericoid", "ericoid;heath;heather;broom;bruyere;heide;brezo;erica;ginst;genet"),

@@ -479,6 +479,7 @@ _NOT_SHRUBS = (
     "moss_layer",
     "climber",
     "tussock",
+    "sward",
     "cushion",
     "mat",
     "succulent",

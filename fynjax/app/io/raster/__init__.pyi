@@ -4,6 +4,7 @@ from ._band_stack import BandStack as BandStack
 from ._band_stack import read_band_stack as read_band_stack
 from ._blocks import CubeBlocks as CubeBlocks
 from ._blocks import MapWriter as MapWriter
+from ._blocks import grid_coordinates as grid_coordinates
 from ._blocks import open_blocks as open_blocks
 from ._crs import UNITS as UNITS
 from ._crs import check_metric as check_metric

@@ -2,6 +2,7 @@
 
 import math
 import os
+import re
 import shutil
 import struct
 import warnings
@@ -74,6 +75,8 @@ class CubeBlocks:
     location: xr.Dataset | None = None
     """Lookup table that places the pixels of a swath on a map, with the file's attributes; `None`
     for what is no swath."""
+    names: tuple[str, ...] = ()
+    """Names of the bands, empty ones where the file has none."""
 
     @property
     def files(self) -> tuple[Path, ...]:
@@ -175,6 +178,7 @@ def open_blocks(path: str | Path) -> Iterator[CubeBlocks]:
             transform=file.dataset.transform,
             crs=file.crs.to_wkt() if file.crs else None,
             source=file,
+            names=tuple(file.names[n - 1] or "" for n in file.bands),
         )
 
 
@@ -185,6 +189,30 @@ _UNREADABLE = (
 """Errors that the libraries raise at damaged files."""
 
 
+_BAND = re.compile(r"(?:sr_)?b(?:and)?_?\d+a?|blue|green|red|red_?edge\d*|nir\d*|swir_?\d*", re.I)
+"""Names of variables, each a band, as images of satellites are kept in xarray."""
+
+
+def _with_bands(data: xr.Dataset) -> xr.Dataset:
+    """The dataset with a variable `reflectance` where variables, or the coordinate `band` of its
+    only image, have names of bands."""
+    if "reflectance" in data:
+        return data
+    bands = [str(name) for name in data.data_vars if _BAND.fullmatch(str(name))]
+    if len(bands) > 1 and len({data[name].dims for name in bands}) == 1:
+        values = data[bands].to_dataarray("band").assign_attrs(data[bands[0]].attrs)
+        values.encoding = {k: v for k, v in data[bands[0]].encoding.items() if k == "grid_mapping"}
+        return data.drop_vars(bands).assign(reflectance=values)
+    images = {
+        name: v for name, v in data.data_vars.items() if v.ndim >= 3 and "band" in v.coords
+    }  # fmt: skip
+    if len(images) == 1:
+        ((name, values),) = images.items()
+        if values["band"].dtype.kind in "OSUT":
+            return data.rename({name: "reflectance"})
+    return data
+
+
 def _reflectance(data: xr.Dataset) -> xr.DataArray:
     """The variable `reflectance`, its bands last."""
     if "reflectance" not in data:
@@ -192,6 +220,13 @@ def _reflectance(data: xr.Dataset) -> xr.DataArray:
             f"expected a variable 'reflectance', but it has {listed(map(str, data)) or 'none'}"
         )
     values = data["reflectance"]
+    for axis in [d for d in values.dims if d in ("time", "t") and values.ndim > 3]:
+        if values.sizes[axis] != 1:
+            raise InputError(
+                f"expected one image, but it has {values.sizes[axis]} along {axis!r}. Take one: "
+                f"image.isel({axis}=0).to_netcdf('one.nc')"
+            )
+        values = values.isel({axis: 0})
     if values.ndim != 3 or values.dtype.kind not in "fiu" or not values.size:
         raise InputError(
             "expected reflectance as numbers of three dimensions, but it has "
@@ -228,14 +263,15 @@ def _cube_of(path: Path, opened: ExitStack) -> CubeBlocks:
         require("zarr", "map")
         kind = {"engine": "zarr", "consolidated": False, "drop_variables": check_zarr(path)}
     tree = None if zarr else read_tree(path)
-    data = opened.enter_context(xr.open_dataset(path, **kind))
+    data = _with_bands(opened.enter_context(xr.open_dataset(path, **kind)))
     around: list[xr.Dataset] = []
     if tree is not None:
         data, around = with_groups(path, tree, data, opened)
     values = _reflectance(data)
     has_location = tree is not None and "/location" in tree.groups
     location = _location(path, data, opened) if has_location else None
-    count = values.shape[2]
+    count, axis = values.shape[2], values.dims[2]
+    named = axis in values.coords and values.coords[axis].dtype.kind in "OSUT"
     row, memory = 4.0 * values.shape[1] * count, total_memory()
     if 2.0 * row > memory:
         raise InputError(
@@ -275,6 +311,7 @@ def _cube_of(path: Path, opened: ExitStack) -> CubeBlocks:
         crs=crs,
         source=values,
         location=location,
+        names=tuple(map(str, values.coords[axis].values)) if named else ("",) * count,
     )
 
 
@@ -285,7 +322,8 @@ def _location(path: Path, data: xr.Dataset, opened: ExitStack) -> xr.Dataset | N
 
 
 def _place(data: xr.Dataset, values: xr.DataArray) -> tuple[str | None, Affine]:
-    mapping = values.attrs.get("grid_mapping", "crs")
+    mapping = values.encoding.get("grid_mapping", values.attrs.get("grid_mapping", "crs"))
+    mapping = mapping if mapping in data.variables else "spatial_ref"
     wkt = data[mapping].attrs.get("crs_wkt") if mapping in data.variables else None
     if wkt is not None:
         wkt = parse_crs(str(wkt)).to_wkt()
@@ -327,6 +365,13 @@ def grid_coordinates(
     """Dimensions of a grid, and its coordinates `y` and `x` of the middles of pixels with their CF
     attributes. A grid that is turned has two numbers a pixel, over row and column: dask makes them
     by blocks of `rows` when they are asked for.
+
+    **Arguments:**
+
+    - `transform`: from column and row to x and y.
+    - `crs`: reference system, None without one.
+    - `shape`: rows and columns.
+    - `rows`: of a block.
     """
     if transform.is_identity:
         axes = {"y": ("", "1"), "x": ("", "1")}

@@ -1,0 +1,147 @@
+"""`fynjax fit-canopy`: bands by any name, numbers on any scale, tables and images."""
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+import rasterio
+import xarray as xr
+
+import fynjax as fx
+from fynjax import jobs
+from fynjax.app.jobs._canopy_input import read_canopy_pixels
+from fynjax.errors import InputError
+from fynjax.inversion import CanopyView
+from fynjax.inversion._canopy import CanopyTable
+
+PEERS = pd.read_csv(Path(__file__).parents[1] / "inversion/canopies_by_prosail.csv")
+"""Canopies of prosail at the middles of Sentinel-2's bands (`tests/inversion/test_canopy.py`)."""
+NAMES = ["B01", "B02", "B03", "B04", "B05", "B06", "B07", "B08", "B8A", "B11", "B12"]
+SPECTRA = PEERS.iloc[:, 9:].to_numpy(float)
+
+
+def table(values=SPECTRA, names=NAMES, **notes):
+    return pd.DataFrame(notes | dict(zip(names, values.T)))
+
+
+@pytest.mark.parametrize(
+    ("names", "factor", "said"),
+    [
+        (NAMES, 1.0, ""),
+        (NAMES, 100.0, "Percent"),
+        (["B1", "b2", "Band_3", "band 4", "B5", "SR_B6", "B7", "B8", "B8A", "B11", "B12"], 1e4,
+         "Ten thousandths"),
+        (["B01", "blue", "green", "red", "B5", "B6", "B7", "nir", "B8A", "swir1", "SWIR_2"], 1.0,
+         "red as B4"),
+    ],
+)  # fmt: skip
+def test_bands_and_scales_are_told(names, factor, said, tmp_path):
+    table(SPECTRA * factor, names, site="a").to_csv(tmp_path / "p.csv", index=False)
+    read = read_canopy_pixels(tmp_path / "p.csv", fx.sensor("sentinel_2a"))
+    assert read.bands.names == ("B1", "B2", "B3", "B4", "B5", "B6", "B7", "B8", "B8A", "B11", "B12")
+    np.testing.assert_allclose(read.reflectance, SPECTRA, rtol=1e-6)
+    assert said in " ".join(read.said)
+    assert list(read.notes) == ["site"]
+
+
+def test_wavelengths_with_decimal_commas_and_a_missing_value(tmp_path):
+    names = [f"R{name}" for name in PEERS.columns[9:]]
+    frame = table(names=names)
+    frame.loc[2, "R560"] = np.nan
+    frame.to_csv(tmp_path / "p.csv", sep=";", decimal=",", index=False)
+    read = read_canopy_pixels(tmp_path / "p.csv", None)
+    assert read.bands.tolist() == PEERS.columns[9:].astype(float).tolist()
+    assert np.isnan(read.reflectance[2, 2])
+    assert np.isfinite(read.reflectance).sum() == SPECTRA.size - 1
+
+
+def test_collection_2_of_landsat(tmp_path):
+    names = [f"SR_B{i}" for i in range(1, 8)]
+    seen = SPECTRA[:, [0, 1, 2, 3, 8, 9, 10]]
+    table(np.round((seen + 0.2) / 2.75e-5), names).to_csv(tmp_path / "p.csv", index=False)
+    read = read_canopy_pixels(tmp_path / "p.csv", fx.sensor("landsat_8"))
+    np.testing.assert_allclose(read.reflectance, seen, atol=2e-5)
+
+
+def test_a_stack_of_xarray_with_a_time(tmp_path):
+    cube = SPECTRA.reshape(2, 4, 11).transpose(2, 0, 1)[None]
+    where = {"time": [0], "band": NAMES, "y": [20.0, 10.0], "x": [5.0, 15.0, 25.0, 35.0]}
+    image = xr.DataArray(cube, where, ("time", "band", "y", "x"), "stackstac")
+    image.to_netcdf(tmp_path / "s.nc")
+    read = read_canopy_pixels(tmp_path / "s.nc", fx.sensor("sentinel_2a"))
+    np.testing.assert_allclose(read.reflectance, SPECTRA, rtol=1e-6)
+    assert read.shape == (2, 4)
+    twice = xr.concat([image, image.assign_coords(time=[1])], "time")
+    twice.to_netcdf(tmp_path / "t.nc")
+    with pytest.raises(InputError, match=r"2 along 'time'. Take one"):
+        read_canopy_pixels(tmp_path / "t.nc", fx.sensor("sentinel_2a"))
+
+
+@pytest.fixture
+def quick(monkeypatch):
+    """Light of a table that is made once, of a small part of its points."""
+    monkeypatch.setattr("fynjax.inversion._canopy._POINTS", (4, 2, 3, 2, 2))
+    made = CanopyTable.made(CanopyView(35.0))
+    monkeypatch.setattr(CanopyTable, "made", lambda view: made)
+
+
+@pytest.mark.slow  # compiles fits
+def test_traits_of_a_table_and_of_an_image(quick, tmp_path):
+    frame = table(site=[f"s{i}" for i in range(8)], sun_zenith=[35.0, 35.4, *[50.0] * 6])
+    frame.to_csv(tmp_path / "p.csv", index=False)
+    result = jobs.fit_pixels(
+        tmp_path / "p.csv", tmp_path / "t", sensor="sentinel_2a", known=["leaf_angle=50"]
+    )
+    traits = pd.read_csv(tmp_path / "t" / "traits.csv")
+    assert traits["site"].tolist() == frame["site"].tolist()
+    assert (traits["leaf_area_index_q05"] < traits["leaf_area_index"]).all()
+    assert "leaf_angle" not in traits
+    assert result.pixels == 8
+    assert [row.trait for row in result.traits][:2] == ["chlorophyll", "carotenoids"]
+    where = {"y": [6200015.0, 6200005.0], "x": 300005.0 + 10.0 * np.arange(4)}
+    image = xr.Dataset(
+        {name: (("y", "x"), seen.reshape(2, 4)) for name, seen in zip(NAMES, SPECTRA.T)}, where
+    )
+    image.rio.write_crs(32634).to_netcdf(tmp_path / "i.nc")
+    jobs.fit_pixels(
+        tmp_path / "i.nc", tmp_path / "m", sensor="sentinel_2a", sun_zenith=35.0,
+        known=["leaf_angle=50"],
+    )  # fmt: skip
+    with xr.open_dataset(tmp_path / "m" / "traits.nc") as maps:
+        assert maps["leaf_area_index"].shape == (2, 4)
+        assert maps["y"].values.tolist() == where["y"]
+        assert maps["chlorophyll"].attrs["units"] == "ug cm-2"
+        first = maps["leaf_area_index"].values
+    assert first[0, :2] == pytest.approx(traits["leaf_area_index"][:2], rel=1e-3)
+    with rasterio.open(tmp_path / "m" / "traits.tif") as file:
+        assert file.crs.to_epsg() == 32634
+        assert file.transform @ (0, 0) == (300000.0, 6200020.0)
+        band = file.descriptions.index("leaf_area_index") + 1
+        np.testing.assert_allclose(file.read(band), first, rtol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"sensor": None}, "--sensor sentinel_2a"),
+        ({"sensor": "mavic_3m", "names": [f"x{i}" for i in range(11)]}, "three bands of mavic_3m"),
+        ({"sun_zenith": None}, "zenith angle of the sun"),
+        ({"known": ["leaf_angle"]}, "NAME=NUMBER"),
+        ({"known": ["lai=3"]}, "no parameter 'lai'"),
+        ({"factor": 1e6}, "radiance, or counts"),
+    ],
+)
+def test_wrong_input_is_refused(change, message, quick, tmp_path):
+    given = {"sensor": "sentinel_2a", "sun_zenith": 35.0} | change
+    names, factor = given.pop("names", NAMES), given.pop("factor", 1.0)
+    table(SPECTRA * factor, names).to_csv(tmp_path / "p.csv", index=False)
+    with pytest.raises(InputError, match=message):
+        jobs.fit_pixels(tmp_path / "p.csv", tmp_path / "o", **given)
+
+
+def test_a_table_of_many_suns_is_refused(tmp_path):
+    frame = pd.concat([table()] * 4).assign(sun_zenith=np.arange(32.0))
+    frame.to_csv(tmp_path / "p.csv", index=False)
+    with pytest.raises(InputError, match="at most 20 ways"):
+        jobs.fit_pixels(tmp_path / "p.csv", tmp_path / "o", sensor="sentinel_2a")
