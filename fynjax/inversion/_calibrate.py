@@ -571,11 +571,14 @@ def _of_known_plants(search: PixelSearch, state: PixelState) -> Calibration:
     # At the end residuals and slopes are those of this very place.
     rest, rows = np.asarray(state.descent.residual), np.asarray(state.descent.jacobian)
     measured, own, misfit = problem.measured, sd.size, float(rest @ rest)
-    excess = excess_of(misfit, own)
+    degrees = round(own / float(search.errors.together))
+    excess = excess_of(misfit, degrees)
     scaled = rows[:own] / np.sqrt(excess)
     # Back from whitened residuals and rows to values and their slopes.
     value = np.asarray(measured.value)
-    values, slopes = value + sd * rest[:own], sd[:, None] * rows[:own]
+    values = value + sd * search.errors.whiten(rest[:own], back=True)
+    slopes = sd[:, None] * search.errors.whiten(rows[:own], back=True)
+    sd = sd * np.repeat(search.errors.sd, own // len(search.errors.sd))
     data = Data(measured.names, jnp.asarray(value), jnp.asarray(sd)).widened(excess)
     end = Ended(
         jnp.asarray(u[:free]), jnp.asarray(values), jnp.asarray(slopes[:, :free]),
@@ -584,7 +587,8 @@ def _of_known_plants(search: PixelSearch, state: PixelState) -> Calibration:
     # Of parameters and factors together; the prior of both is one.
     covariance = np.linalg.inv(scaled.T @ scaled + np.eye(len(u)))
     # Of the parameters alone, the factors integrated over.
-    information = np.linalg.inv(covariance[:free, :free]) - np.eye(free)
+    alone = np.linalg.inv(covariance[:free, :free]) - np.eye(free)
+    information = np.linalg.solve(np.eye(free) + alone * search.outlines(u), alone)
     factors = search.space.factors.known(u[free:], covariance[free:, free:])
     gains, errors = search.space.factors.gains(factors), search.space.factors.errors(factors)
     image, before = search.image(state.u), np.asarray(state.before)
@@ -615,7 +619,7 @@ def _of_known_plants(search: PixelSearch, state: PixelState) -> Calibration:
         coordinates=u,
         excess=excess,
         misfit=misfit,
-        degrees=own,
+        degrees=degrees,
         **_by_view([view for view in problem.views if isinstance(view, BandView)], gains, errors),
         ends=Ends(np.array([0.5 * misfit]), u[None, :free], np.zeros(1), 1),
         states=(state,),

@@ -48,20 +48,25 @@ class Pixels:
     block: int
     """Pixels along the edge of the blocks whose means are compared. Rows and columns beyond the
     last whole block are not compared."""
-    sd: float = PIXEL_SD
-    """Error of a block's mean, of camera and model, as a share of it [-]. Errors of different
-    blocks and bands are independent: give errors that the whole plot shares to the gains, or widen
-    this."""
+    sd: float | None = None
+    """Error of a block's mean, of camera and model, as a share of it, independent of other blocks
+    and bands [-]; errors that the whole plot shares are the gains'. None: `PIXEL_SD`, and besides
+    what lobes and shoots of the plants make of it, which no crown tells (`shape_error`)."""
 
     def __post_init__(self) -> None:
-        if self.block < 1 or not self.sd > 0.0:
+        if self.block < 1 or not self.own_sd > 0.0:
             raise InputError(
-                f"`block` and `pixel_sd` must be positive, but are {self.block} and {self.sd:g}"
+                f"`block` and `pixel_sd` must be positive, but are {self.block} and {self.own_sd:g}"
             )
         if not self.compared.any():
             raise InputError(
                 f"no block of {self.block} x {self.block} pixels of the image has all its values"
             )
+
+    @property
+    def own_sd(self) -> float:
+        """Error of a block's mean that it shares with no other, as a share of it [-]."""
+        return PIXEL_SD if self.sd is None else self.sd
 
     @property
     def means(self) -> Float[np.ndarray, "band y x"]:
@@ -361,7 +366,7 @@ class Data(eqx.Module):
         altitude: float | None = None,
         bands: Sequence[str] | None = None,
         block: int | None = None,
-        pixel_sd: float = PIXEL_SD,
+        pixel_sd: float | None = None,
         gains: Gains | str | None = None,
     ) -> "Data":
         """A drone's image of a plot whose plants are known (`Scene.known_plants`): every pixel
@@ -374,7 +379,8 @@ class Data(eqx.Module):
         - `camera`, `pixel`, `altitude`, `bands`, `gains`: as of `from_image`.
         - `block`: pixels along the edge of the blocks whose means are compared; as many as make
           some 40 000 values by default.
-        - `pixel_sd`: error of a block's mean, of camera and model, as a share of it [-].
+        - `pixel_sd`: error of a block's mean, of camera and model, as a share of it [-]; by default
+          of the shapes of plants too, as `Pixels.sd` has it.
 
         **Raises:** `InputError` for an image or camera that cannot be used.
         """
@@ -495,6 +501,6 @@ def pixel_data(
     places, means = np.argwhere(pixels.compared), pixels.means
     value = means[:, pixels.compared].ravel()
     every = tuple(f"{band} {y},{x}" for band in names for y, x in places)
-    sd = pixels.sd * np.maximum(value, DARKEST)
+    sd = pixels.own_sd * np.maximum(value, DARKEST)
     source = Source("pixels", view_of, pixels=pixels, **fields)
     return Data(every, jnp.asarray(value), jnp.asarray(sd), source=source)

@@ -15,6 +15,7 @@ from fynjax.inversion._places import (
     free_early,
     places_model,
 )
+from fynjax.inversion._shapes import OUTLINE
 from fynjax.inversion._space import ParameterSpace
 from fynjax.inversion._stands import WholeStand, whole_stands
 from fynjax.scene import AimedSensor, Instances, ModelError, Scene, projected_cover
@@ -26,9 +27,6 @@ INTERVAL = (0.05, 0.5, 0.95)
 """Quantiles that tables and maps have."""
 _SAME = 0.5
 """Crowns of two stands whose middles are nearer than this are one plant [crown radii]."""
-_OUTLINE = 0.07, 0.12
-"""What diameter and height of a plant whose place and species are right are off by, since lobes and
-shoots of its like differ: standard deviations of their logarithms, found on twins [-]."""
 _SELDOM = 0.2
 """Plants of fewer of the stands than this are in no table of crowns [-]."""
 
@@ -236,8 +234,10 @@ def _together(
 
 
 def _with_outlines(stand: WholeStand, random: np.random.Generator) -> WholeStand:
-    """A stand with the errors of `_OUTLINE`."""
-    wide, tall = random.normal(size=(2, len(stand.species))) * np.reshape(_OUTLINE, (2, 1))
+    """A stand with the errors of `OUTLINE`."""
+    wide, tall = random.normal(size=(2, len(stand.species))) * np.reshape(
+        [*OUTLINE.values()], (2, 1)
+    )
     return stand._replace(
         diameter=stand.diameter * np.exp(wide), height=stand.height * np.exp(tall)
     )
@@ -269,13 +269,14 @@ def find_places(
     """
     settings = PlacesSettings() if settings is None else settings
     model = places_model(scene, image, camera, space, settings, height=height, error=error)
-    with stage("Search by slopes", settings.steps):
-        soft = descend(model, model.start(), settings.steps, free_early(space))
     stands, images = [], []
     for chain in range(settings.chains):
-        with stage("Whole stands", settings.rounds):
-            kept, mean = whole_stands(model, soft, settings.seed + chain)
         random = generator(settings.seed + chain, 313)
+        one = model.drawn(random)
+        with stage("Search by slopes", settings.steps):
+            soft = descend(one, one.start(settings.seed + chain), settings.steps, free_early(space))
+        with stage("Whole stands", settings.rounds):
+            kept, mean = whole_stands(one, soft, settings.seed + chain)
         stands += [_with_outlines(stand, random) for stand in kept]
         images.append(mean)
     covariance = np.linalg.inv(np.asarray(model.whiten, float))

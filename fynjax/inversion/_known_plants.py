@@ -20,11 +20,12 @@ from jaxtyping import Array, Bool, Float
 from fynjax._core.errors import InputError
 from fynjax._core.least_squares import NO_TAGS, BroydenLM, BroydenState, figures_of
 from fynjax._core.precision import double_precision
-from fynjax.inversion._data import DARKEST, block_means
+from fynjax.inversion._data import DARKEST, Pixels, block_means
 from fynjax.inversion._factors import BandFactors, PlotSpace
 from fynjax.inversion._fit_result import FitStatus, number_of
 from fynjax.inversion._problem import Problem
 from fynjax.inversion._search import Progress, begun, recorded, stepped
+from fynjax.inversion._shapes import OUTLINE, scale_of, shape_error
 from fynjax.inversion._views import ImageView
 from fynjax.radiation import VoxelScene
 from fynjax.scene import (
@@ -32,6 +33,7 @@ from fynjax.scene import (
     AimedSensor,
     PlotParameters,
     Scene,
+    hard_counts,
     parameter_kind,
     with_values,
 )
@@ -159,12 +161,55 @@ class PixelModel(eqx.Module):
         return len(self.camera.sensor.bands), rows // self.block, columns // self.block
 
 
+class PixelErrors(eqx.Module):
+    """What blocks of pixels are off by, as shares of a scale."""
+
+    covariance: Float[Array, "band band"]
+    """Of the bands of a block."""
+    together: Float[Array, ""]
+    """Blocks that err as one, because neighbours err alike [-]."""
+    shapes: bool = eqx.field(static=True)
+    """Whether errors are of the plants' shapes too."""
+
+    @classmethod
+    def of(cls, scene: Scene, camera: AimedSensor, pixels: Pixels) -> "PixelErrors":
+        """As `Pixels.sd` states them."""
+        own = pixels.own_sd**2 * np.eye(len(camera.sensor.bands))
+        if pixels.sd is not None:
+            return cls(jnp.asarray(own), jnp.asarray(1.0), False)
+        shape, together = shape_error(scene, camera, block=pixels.block)
+        # What is a block's own is not shared with its neighbours.
+        shared = 1.0 + (together - 1.0) * np.trace(shape) / np.trace(shape + own)
+        return cls(jnp.asarray(shape + own), jnp.asarray(shared), True)
+
+    def whiten(self, off: np.ndarray, *, back: bool = False) -> np.ndarray:
+        """Errors of the values over their scale, band by band along the first axis, as independent
+        ones of unit variance, each of as many blocks as err as one; or `back` from these."""
+        root = np.linalg.cholesky(np.asarray(self.covariance, float) * float(self.together))
+        white = (root if back else np.linalg.inv(root)) @ off.reshape(len(root), -1)
+        return np.asarray(white.reshape(off.shape))
+
+    def scale(self, values: Float[np.ndarray, " value"]) -> Float[np.ndarray, " value"]:
+        """What errors are shares of [-]."""
+        if not self.shapes:
+            return np.maximum(values, DARKEST)
+        return np.asarray(
+            scale_of(jnp.asarray(values.reshape(len(self.covariance), -1, 1)))
+        ).ravel()
+
+    @property
+    def sd(self) -> Float[np.ndarray, " band"]:
+        """Error of a block in each band, over the scale [-]."""
+        return np.sqrt(np.diagonal(np.asarray(self.covariance, float)))
+
+
 class PixelState(Progress):
     """Where the search of known plants stands: all that another process needs to go on. Coordinates
     are those of the parameters, then of the factors of the bands."""
 
     sd: Float[Array, " value"]
-    """Errors of the compared values in this round [-]."""
+    """Scale of the errors of the compared values in this round [-]: of which `PixelErrors` are
+    shares."""
     before: Float[Array, "band y x"]
     """The blocks where the search started, as the camera measures them."""
     start: Float[Array, " coordinate"]
@@ -175,11 +220,12 @@ class PixelSearch:
     """Search of a calibration of known plants, step by step, as `PlotSearch`: coordinates of the
     parameters, then of the factors of the bands.
 
-    Every compared value, the mean of a block of pixels in one band, has an error of its own. The
-    gains of the bands, and what the model is off by in each, are estimated beside the parameters,
-    with normal priors of their logarithms. The search is on the whole scene at the camera's own
-    accuracy; slopes are computed anew, and errors renewed by the simulated image, until these would
-    lower the objective no more.
+    Every compared value, the mean of a block of pixels in one band, has an error of its own, and
+    every block one that its bands and neighbours share, since the shapes of its plants are not
+    known (`PixelErrors`). The gains of the bands, and what the model is off by in each, are
+    estimated beside the parameters, with normal priors of their logarithms. The search is on the
+    whole scene at the camera's own accuracy; slopes are computed anew, and errors renewed by the
+    simulated image, until these would lower the objective no more.
 
     **Arguments:** `problem`, whose data are of `Data.from_pixels`, and whose camera has no air.
 
@@ -215,17 +261,34 @@ class PixelSearch:
         self.space = PlotSpace(problem.free, BandFactors.of((view,), problem.error))
         self._plot = problem.free
         self.model = PixelModel(scene, scene.parameters, problem.free.names, camera, pixels.block)
-        self._measured, self.compared, self._sd = pixels.means, pixels.compared, pixels.sd
+        self._measured, self.compared = pixels.means, pixels.compared
+        self.errors = PixelErrors.of(scene, camera, pixels)
         self._free = len(problem.free.names)
         self._factors = self.space.factors
         self._root = np.asarray(self._factors.root)
         self._target = self._measured[:, self.compared].ravel()
         self._solver = BroydenLM(atol=self.settings.tolerance)
         self.signed = (
-            self.model, problem.free, self._measured, self.compared, view.gains, self._sd,
+            self.model, problem.free, self._measured, self.compared, view.gains, self.errors,
             self.settings, problem.error,
         )  # fmt: skip
         """All that its steps follow from, besides where it starts."""
+
+    def outlines(self, u: np.ndarray) -> Float[np.ndarray, " free"]:
+        """Variance of each parameter at `u` by the outlines of the plants, whose shapes are not
+        known: of a species' mean size that of one plant (`OUTLINE`) over their number [prior
+        standard deviations squared]."""
+        at = jnp.asarray(u[: self._free])
+        slope = np.diagonal(np.asarray(jax.jacfwd(self._plot.physical)(at)))
+        values, scene = np.asarray(self._plot.physical(at)), self.model.scene
+        number = dict(zip(scene.taxa, hard_counts(scene, self.model.parameters), strict=True))
+        of = np.zeros(self._free)
+        for i, name in enumerate(self._plot.names):
+            error = OUTLINE.get(parameter_kind(name), 0.0) if self.errors.shapes else 0.0
+            if error:
+                plants = max(int(number[name.split(".")[1]]), 1)
+                of[i] = (error * values[i] / slope[i]) ** 2 / plants
+        return of
 
     @property
     def measured(self) -> Float[np.ndarray, "band y x"]:
@@ -262,7 +325,8 @@ class PixelSearch:
         return image.ravel(), np.concatenate([own, by_factor], axis=1)
 
     def _whitened(self, values: np.ndarray, u: Array | np.ndarray, sd: np.ndarray) -> Array:
-        return jnp.asarray(np.concatenate([(values - self._target) / sd, np.asarray(u)]))
+        off = self.errors.whiten((values - self._target) / sd)
+        return jnp.asarray(np.concatenate([off, np.asarray(u)]))
 
     def _descent(
         self, u: Array, sd: np.ndarray | None = None
@@ -271,8 +335,8 @@ class PixelSearch:
         values, slopes = self.linear(u)
         if sd is None:
             # A share of what is simulated: of the measured, noise that darkens would weigh more.
-            sd = self._sd * np.maximum(values, DARKEST)
-        rows = np.concatenate([slopes / sd[:, None], np.eye(len(u))])
+            sd = self.errors.scale(values)
+        rows = np.concatenate([self.errors.whiten(slopes / sd[:, None]), np.eye(len(u))])
         return begun(self._solver, u, self._whitened(values, u, sd), rows), jnp.asarray(sd)
 
     @double_precision

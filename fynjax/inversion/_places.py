@@ -23,6 +23,7 @@ from fynjax._core.seeds import generator
 from fynjax.canopy import SITES, poisson_disk
 from fynjax.inversion._data import PIXEL_SD
 from fynjax.inversion._factors import BandFactors
+from fynjax.inversion._shapes import scale_of, shape_error
 from fynjax.inversion._space import ParameterSpace
 from fynjax.radiation import VoxelScene
 from fynjax.scene import (
@@ -30,7 +31,6 @@ from fynjax.scene import (
     Crowns,
     ModelError,
     Scene,
-    hard_instances,
     parameter_kind,
     relative_sizes,
     with_values,
@@ -212,6 +212,19 @@ class PlacesModel(eqx.Module):
     height: Float[Array, "y x"] | None
     """Measured height of the canopy in the voxel columns [m]; NaN where it is not known."""
     settings: PlacesSettings = eqx.field(static=True)
+    middle: Float[Array, " free"]
+    """About which the free parameters are spread beforehand: 0, or of one draw of the posterior a
+    draw of their prior (`drawn`) [prior standard deviations]."""
+    middle_of_bands: Float[Array, " coordinate"]
+    """As `middle`, of the coordinates of the factors."""
+
+    def drawn(self, random: np.random.Generator) -> "PlacesModel":
+        """The model of one draw of the posterior: what is fitted with a prior about a draw of the
+        prior is one, where the image depends linearly on the parameters (randomise, then optimise:
+        Bardsley et al. 2014, SIAM Journal on Scientific Computing 36:A1895)."""
+        u, band = (random.normal(size=m.shape) for m in (self.middle, self.middle_of_bands))
+        single = lambda x: jnp.asarray(x, self.middle.dtype)  # noqa: E731
+        return dataclasses.replace(self, middle=single(u), middle_of_bands=single(band))
 
     def weights(self, logit: Array) -> tuple[Float[Array, " candidate"], Float[Array, " site"]]:
         """Weight of each candidate, and of nothing at each site; those of a site sum to one."""
@@ -256,7 +269,7 @@ class PlacesModel(eqx.Module):
         self, image: Float[Array, "band y x"], height: Float[Array, "y x"]
     ) -> tuple[Float[Array, "y x"], Float[Array, "y x"]]:
         """Squared whitened misfit of each block, and of the height of each voxel column [-]."""
-        off = _relative(image - self.target, self.target)
+        off = (image - self.target) / scale_of(self.target)
         white = jnp.einsum("ab,byx->ayx", self.whiten, jnp.where(jnp.isnan(off), 0.0, off))
         pixels = jnp.sum(white**2, axis=0)
         if self.height is None:
@@ -299,7 +312,8 @@ class PlacesModel(eqx.Module):
         off = (crowns - known.number) / jnp.sqrt((sd * known.number) ** 2 + 0.25)
         share = jax.ops.segment_sum(known.chance, known.site, len(none))
         sites = jnp.sum(weight * jnp.log(known.chance)) + jnp.sum(none * jnp.log1p(-share))
-        normal = sum(jnp.sum(x**2) for x in (v.shift, v.width, v.tall, v.u, v.band))
+        apart = v.u - self.middle, v.band - self.middle_of_bands
+        normal = sum(jnp.sum(x**2) for x in (v.shift, v.width, v.tall, *apart))
         return (
             0.5 * jnp.sum(off**2) + 0.5 * normal - sites + CROWDING * self.crowding(v, 1.0 - none)
         )
@@ -314,16 +328,18 @@ class PlacesModel(eqx.Module):
         entropy = -sum(jnp.sum(w * jnp.log(w + _TINY)) for w in (weight, none))
         return data + self.prior(v, weight, none) - entropy, jnp.sum(pixels) / self.values
 
-    def start(self) -> Places:
-        """The prior's middle, with the table's weights everywhere."""
+    def start(self, seed: int | None = None) -> Places:
+        """The prior's middle, with the table's weights everywhere, and a little chance by `seed`,
+        by default that of the settings."""
         known, zero = self.candidates, jnp.zeros_like(self.candidates.reach)
         share = jax.ops.segment_sum(known.chance, known.site, len(zero))
-        drawn = generator(self.settings.seed, 307).normal(size=len(known.chance))
+        drawn = generator(self.settings.seed if seed is None else seed, 307).normal(
+            size=len(known.chance)
+        )
         logit = jnp.log(known.chance / (1.0 - share)[known.site])
         return Places(
             logit + jnp.asarray(0.1 * drawn, zero.dtype), jnp.zeros_like(known.place), zero, zero,
-            jnp.zeros(len(self.space.names), zero.dtype),
-            jnp.zeros(self.root.shape[1], zero.dtype),
+            self.middle, self.middle_of_bands,
         )  # fmt: skip
 
 
@@ -334,13 +350,6 @@ of a drawn stand are never nearer than they keep, plants of a real one seldom.""
 
 def _shortest(gap: Array, side: Array) -> Array:
     return gap - jnp.where(jnp.isinf(side), 0.0, side * jnp.round(gap / side))
-
-
-def _relative(off: Array, target: Array) -> Array:
-    """Errors over reflectance: half of that of the block and half of the band's mean, since shade
-    in which little is reflected is as uncertain as what throws it."""
-    mean = jnp.nanmean(target, axis=(1, 2), keepdims=True)
-    return off / (0.5 * (target + mean))
 
 
 def standing_height(voxels: VoxelScene) -> Float[Array, "y x"]:
@@ -354,37 +363,6 @@ def standing_height(voxels: VoxelScene) -> Float[Array, "y x"]:
     times = density.shape[-1] // voxels.shape[2]
     ny, nx = (n // times for n in height.shape)
     return height.reshape(ny, times, nx, times).mean(axis=(1, 3))
-
-
-@eqx.filter_jit
-def _plain_image(scene: Scene, camera: AimedSensor) -> Float[Array, "band y x"]:
-    return camera.image(scene.voxels(scene.parameters, camera.sensor.bands))[0]
-
-
-def shape_error(
-    scene: Scene, camera: AimedSensor, *, seed: int = 0
-) -> tuple[Float[np.ndarray, "band band"], float]:
-    """What pixels of a plot differ by where its plants have other shapes of their growth forms.
-
-    Lobes and shoots of a plant are not known though its crown is: this, not the camera's noise, is
-    the error of most pixels. Bands have most of it in common.
-
-    **Arguments:** `scene`, as it was built; `camera`, of the compared blocks; `seed` of shapes.
-
-    **Returns:** covariance of the relative errors of the bands (as `_relative` has them), and how
-    many blocks err as one [-]. Not differentiable.
-    """
-    stand = hard_instances(scene, scene.parameters)
-    feet = np.stack([stand.x, stand.y], axis=1)
-    crowns = Crowns(stand.species, feet, stand.diameter, stand.height)
-    pair = [_plain_image(scene.with_plants(crowns, seed=seed + i), camera) for i in (1, 2)]
-    off = np.asarray(_relative(pair[0] - pair[1], 0.5 * (pair[0] + pair[1])), float) / np.sqrt(2.0)
-    covariance = np.cov(off.reshape(len(off), -1))
-    wide = max(1, min(4, min(off.shape[1:]) // 4))
-    ny, nx = (n // wide for n in off.shape[1:])
-    means = off[:, : ny * wide, : nx * wide].reshape(len(off), ny, wide, nx, wide).mean(axis=(2, 4))
-    ratio = wide**2 * means.var(axis=(1, 2)).sum() / max(off.var(axis=(1, 2)).sum(), 1e-12)
-    return np.atleast_2d(covariance), float(np.clip(ratio, 1.0, wide**2))
 
 
 def places_model(
@@ -439,6 +417,7 @@ def places_model(
         single(np.where(seen, image, np.nan)),
         single(np.linalg.inv(np.linalg.cholesky(covariance))), single(together),
         None if height is None else single(height), settings,
+        single(np.zeros(len(space.names))), single(np.zeros(factors.coordinates)),
     )  # fmt: skip
 
 

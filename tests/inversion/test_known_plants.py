@@ -21,7 +21,7 @@ from fynjax.inversion import (
     calibration,
     pixel_data,
 )
-from fynjax.inversion._known_plants import PixelModel
+from fynjax.inversion._known_plants import PixelErrors, PixelModel
 from fynjax.scene import AimedSensor, ModelError
 from fynjax.sensors import Gains, shipped_sensor
 from tests.helpers import stand_in
@@ -94,11 +94,32 @@ def test_slopes_are_computed_once_a_round_and_are_those_of_the_estimate(max_step
     values, slopes = search.linear(last.u)
     np.testing.assert_allclose(result.fit.predicted, values, rtol=1e-12)
     np.testing.assert_allclose(result.fit.jacobian, slopes[:, :2], rtol=1e-9, atol=1e-12)
-    rest = (values - target) / np.asarray(last.sd)
+    rest = (values - target) / (PIXEL_SD * np.asarray(last.sd))
     u = np.asarray(last.u)
     assert result.misfit == pytest.approx(rest @ rest + u @ u)
     assert len(result.fit.loss) == len(states) - 1  # all but the end, which is that before it
     assert int(result.fit.steps) == len(result.fit.loss) - int(result.fit.rounds[-1])
+
+
+def test_errors_that_bands_and_neighbours_share_are_whitened():
+    """The information that slopes have is that of the covariance of all values."""
+    root = RANDOM.normal(size=(2, 2))
+    errors = PixelErrors(jnp.asarray(root @ root.T), jnp.asarray(3.0), True)
+    slopes = RANDOM.normal(size=(2 * 5, 3))
+    white = errors.whiten(slopes)
+    whole = np.kron(root @ root.T, np.eye(5)) * 3.0  # band by band
+    np.testing.assert_allclose(white.T @ white, slopes.T @ np.linalg.solve(whole, slopes))
+    np.testing.assert_allclose(errors.whiten(white, back=True), slopes)
+    np.testing.assert_allclose(errors.sd, np.hypot(*root.T))
+
+
+def test_what_errors_are_shares_of():
+    """Half of a value and half of its band's mean; of stated errors the value itself."""
+    values = np.array([0.1, 0.3, 0.2, 0.6])
+    shapes = PixelErrors(jnp.eye(2), jnp.asarray(1.0), True)
+    np.testing.assert_allclose(shapes.scale(values), [0.15, 0.25, 0.3, 0.5])
+    own = dataclasses.replace(shapes, shapes=False)
+    np.testing.assert_allclose(own.scale(values), values)
 
 
 def test_what_gains_may_be_is_an_error_of_the_parameters(found):

@@ -90,6 +90,30 @@ def test_a_twin_is_found_from_its_pixels(twin):
     assert chain.misfit < 2.0
 
 
+def test_pixels_of_known_crowns_are_as_wrong_as_their_shapes_make_them():
+    """Crowns are known, lobes and shoots are not."""
+    drawn = plot(1)
+    stand = fx.scene.hard_instances(drawn, drawn.parameters)
+    feet = np.stack([stand.x, stand.y], axis=1)
+    crowns = fx.scene.Crowns(stand.species, feet, stand.diameter, stand.height)
+    truth, mapped = (drawn.with_plants(crowns, seed=seed) for seed in (21, 22))
+    image = fx.observe(truth, "mavic_3m", pixel=0.05).reflectance
+    free = fx.free(mapped, "ground.brightness", "species.Erica*.diameter")
+    times = []
+    for sd in (None, 0.05):
+        data = fx.Data.from_pixels(image, pixel=0.05, pixel_sd=sd, gains=Gains(0.1))
+        found = fx.fit(mapped, data, free, error="none")
+        times.append(found.misfit / found.degrees)
+        rows = found.table().set_index("name")
+        ground, wide = rows.loc["ground.brightness"], rows.loc["species.Erica irregularis.diameter"]
+        assert abs(ground["estimate"] - 1.0) < 3.0 * ground["sd"] or sd is not None
+        # Of one plant 7 % by its outline.
+        least = 0.07 * wide["estimate"] / np.sqrt(np.sum(stand.species == 0))
+        assert (wide["sd"] > 0.95 * least) == (sd is None)
+    assert 0.3 < times[0] < 2.0
+    assert times[1] > 4.0
+
+
 def test_weights_of_one_and_none_are_whole_plants(twin):
     _, model = twin
     known, start = model.candidates, model.start()

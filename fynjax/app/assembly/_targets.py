@@ -889,7 +889,7 @@ def pixels_of_camera(
     altitude: float | None,
     bands: Sequence[str] | None,
     block: int | None,
-    pixel_sd: float,
+    pixel_sd: float | None,
     gains: Gains | str | None,
 ) -> Data:
     """What `Data.from_pixels` returns, of its arguments."""

@@ -34,10 +34,10 @@ class CalibrationTable(Strict):
     that were found on plots that were measured, 12 to 15 % from 450 to 1100 nm; 0 only where the
     model itself made the data. Left out: 1, and of generic plants 1.41, since no plot like them was
     learned from [-]."""
-    pixel_sd: float = in_unit("-", default=0.05, gt=0, le=1)
+    pixel_sd: float | None = in_unit("-", default=None, gt=0, le=1)
     """Where the plants are known: relative error of a block of pixels, of camera and model,
-    independent of other blocks. Of the light 1 to 2 % against a path tracer; where single leaves
-    are resolved, and for crowns that are not quite as stated, more [-]."""
+    independent of other blocks and bands. Left out: 0.05, and what images of the same crowns with
+    other lobes and shoots differ by, which bands and neighbours share [-]."""
     block_m: float | None = in_unit("m", default=None, gt=0, le=1000)
     """Where the plants are known: side of the blocks of pixels whose means are compared, a whole
     number of pixels; left out, the smallest of which an image has at most 40 000 values [m]."""
