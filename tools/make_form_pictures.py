@@ -31,7 +31,7 @@ def draw(axes: Axes, mesh: PlantMesh, up: int, depth: int, towards: float) -> No
     order = np.argsort(towards * corners[:, :, depth].mean(axis=1), kind="stable")
     axes.add_collection(
         PolyCollection(
-            corners[order][:, :, [0, up]], facecolors=(colours * light[:, None])[order],
+            list(corners[order][:, :, [0, up]]), facecolors=(colours * light[:, None])[order],
             edgecolors="face", linewidths=0.15,
         )
     )  # fmt: skip

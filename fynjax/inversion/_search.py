@@ -338,7 +338,7 @@ class PlotSearch:
         along = self._predict
         if subspace is not None:
             views = tuple(
-                dataclasses.replace(view, directions=own)
+                view.along(own)
                 if isinstance(view, ImagesView) and len(own.rows) < len(view.names)
                 else view
                 for view, own in zip(along.views, subspace.parts, strict=True)

@@ -209,6 +209,11 @@ def informative_directions(
 class ImagesView(BandView):
     """Statistics of images, whose slopes are those by the pixels times those of the pixels."""
 
+    def along(self, directions: Directions) -> Self:
+        """The view whose slopes are taken along directions."""
+        changed: dict[str, Any] = {"directions": directions}
+        return dataclasses.replace(self, **changed)
+
     @abc.abstractmethod
     def image(self, scene: Scene, parameters: PlotParameters) -> Float[Array, "*frame band y x"]:
         """Reflectance factor of the pixels [-]. Differentiable in `parameters`."""

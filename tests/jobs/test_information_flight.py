@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 from fynjax._core.errors import InputError
-from fynjax.app.jobs import information
+from fynjax.app.jobs import plot_information
 from fynjax.app.jobs._information_flight import (
     FlightSetting,
     cloud_covariance,
@@ -108,7 +108,7 @@ def test_settings_are_combined():
 @pytest.mark.slow
 def test_more_frames_and_more_pulses_never_know_less(tmp_path):
     plot = write_plot(tmp_path, voxel=0.2)
-    made = information(
+    made = plot_information(
         plot, tmp_path / "out", free=("species.*.height", "species.*.leaf_area_index"),
         frames=(1, 5), oblique=(0, 4), pulses=(20, 200), realisations=2, seed=3,
     )  # fmt: skip

@@ -35,7 +35,7 @@ class LaserTable(Strict):
 class LidarGeometryTable(Strict):
     """What the lines of sight of a flash and of a scanner have in common."""
 
-    kind: Literal["flash", "scan"]
+    kind: Literal["flash", "scan", "mirror"]
     altitude_m: float = in_unit("m", gt=0, le=1e6)
     """Usual height above the ground [m]."""
     pulse_rate_hz: float = in_unit("Hz", gt=0, le=1e8)
@@ -113,12 +113,12 @@ class MirrorGeometryTable(FlightLinesTable):
     """Lines in a second of each channel [Hz]."""
     used_share: float = Field(default=1.0, gt=0, le=1)
     """Share of the pulses that falls into the swath, such as a quarter of a full circle [-]."""
-    channel_turns_deg: list[Annotated[float, Field(gt=-60, lt=60)]] | None = numbers_in(
-        "degree", min_length=1
+    channel_turns_deg: list[Annotated[float, Field(gt=-60, lt=60)]] | None = in_unit(
+        "degree", default=None, min_length=1, several=True
     )
     """Angle by which each channel's lines are turned against straight across the flight, clockwise
     from above; left out, one channel that is not [degree]."""
-    divergence_mrad: tuple[_Divergence, _Divergence] = numbers_in("mrad", default=...)
+    divergence_mrad: tuple[_Divergence, _Divergence] = in_unit("mrad", several=True)
     """Full angles of the beam at 1/e2 of the irradiance, across and along the flight [mrad]."""
 
 
