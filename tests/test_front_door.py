@@ -398,10 +398,7 @@ def test_values_are_set_by_name(scene, image):
     ("call", "message"),
     [
         (lambda s: fx.observe(s, "mavic_3"), "got 'mavic_3'. Did you mean 'mavic_3m'"),
-        (
-            lambda s: fx.observe(s.parameters, "mavic_3m"),
-            "a scene, but got PlotParameters",
-        ),
+        (lambda s: fx.observe(s.parameters, "mavic_3m"), "a scene, but got PlotParameters"),
         (lambda s: fx.observe(s, 3), "expected a sensor or the name of one, but got int"),
         (lambda s: fx.observe(s, "mavic_3m", parameters=s), "`parameters` as `scene.parameters`"),
         (

@@ -43,10 +43,7 @@ def test_what_is_counted_is_found():
     )
     assert [
         line.split(": ")[1] for line in measures.large_functions({"m.py": ast.parse(long)})
-    ] == [
-        "One.f, 81 lines, 0 arguments",
-        "g, 1 lines, 9 arguments",
-    ]
+    ] == ["One.f, 81 lines, 0 arguments", "g, 1 lines, 9 arguments"]
     assert (
         measures.large_functions({"app/cli/m.py": ast.parse("def g(a,b,c,d,e,f,g,h,i): 0")}) == []
     )

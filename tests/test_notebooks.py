@@ -79,10 +79,7 @@ def test_of_fynjax_a_notebook_imports_the_front_door_alone(path: Path) -> None:
 @pytest.mark.slow
 @by_name
 def test_notebook_runs(
-    path: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capfd: pytest.CaptureFixture[str],
+    path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     """Here, not in a kernel of its own, which would import and compile everything anew. The
     documentation's build runs the notebooks in kernels."""

@@ -270,10 +270,7 @@ def test_what_is_assumed_of_leaves_and_forms_lies_within_the_bounds():
     from fynjax.studies.bioscape._assumed import pigments
 
     of_forms = ("leaf_area_index", "wood_area_index", "shoot_clumping", "dead_fraction")
-    assumed = [
-        USUAL_LEAF.model_dump(include=set(LEAF_FIELDS)),
-        *(pigments(form) for form in FORMS),
-    ]
+    assumed = [USUAL_LEAF.model_dump(include=set(LEAF_FIELDS)), *(pigments(form) for form in FORMS)]
     assumed += [{kind: getattr(d, kind) for kind in of_forms} for d in FORMS.values()]
     for values in assumed:
         for kind, value in values.items():

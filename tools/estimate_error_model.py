@@ -520,7 +520,4 @@ def write(model: ErrorModel, folder: Path) -> None:
 
 
 if __name__ == "__main__":
-    write(
-        estimate(Path(sys.argv[1])),
-        Path(sys.argv[2]) if len(sys.argv) > 2 else DATA,
-    )
+    write(estimate(Path(sys.argv[1])), Path(sys.argv[2]) if len(sys.argv) > 2 else DATA)

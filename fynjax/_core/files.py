@@ -275,9 +275,7 @@ class NamedFile:
 
     def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> CoreSchema:
         return core_schema.with_info_wrap_validator_function(
-            self._path,
-            core_schema.str_schema(),
-            serialization=core_schema.to_string_ser_schema(),
+            self._path, core_schema.str_schema(), serialization=core_schema.to_string_ser_schema()
         )
 
     def _path(self, value: Any, text: Any, info: core_schema.ValidationInfo) -> Path | str:

@@ -293,11 +293,7 @@ def shoot_elements(
 
 
 def in_bunches(
-    uniform: np.ndarray,
-    plant: Individual,
-    share: np.ndarray,
-    radius: float,
-    lowest: float = -1.0,
+    uniform: np.ndarray, plant: Individual, share: np.ndarray, radius: float, lowest: float = -1.0
 ) -> np.ndarray:
     """Points in bunches that have the `share` of them, for uniform numbers [n, 6]; above `lowest`
     of their half lengths."""

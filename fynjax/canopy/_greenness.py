@@ -114,10 +114,7 @@ def band_roles(
 
 
 def choose_greenness(
-    names: Sequence[str],
-    wavelengths: Sequence[float | None] | None = None,
-    *,
-    index: str = "auto",
+    names: Sequence[str], wavelengths: Sequence[float | None] | None = None, *, index: str = "auto"
 ) -> Greenness:
     """The greenness that an image's bands allow.
 

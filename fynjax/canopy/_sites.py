@@ -352,9 +352,7 @@ def _rounds_until_accepted(chance: np.ndarray, rng: np.random.Generator) -> np.n
 
 
 def _acceptance(
-    points: np.ndarray,
-    raster: Real[np.ndarray, "y x"] | None,
-    extent: tuple[float, float] | None,
+    points: np.ndarray, raster: Real[np.ndarray, "y x"] | None, extent: tuple[float, float] | None
 ) -> np.ndarray:
     """Chance [0, 1] that a point is accepted in one round."""
     if raster is None:

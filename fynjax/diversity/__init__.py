@@ -1,11 +1,6 @@
 """Diversity of what stands, of what an image shows, and how well species separate."""
 
-from fynjax.diversity._agreement import (
-    FEWEST_PLOTS,
-    mantel,
-    metric_agreement,
-    regression_agreement,
-)
+from fynjax.diversity._agreement import FEWEST_PLOTS, mantel, metric_agreement, regression_agreement
 from fynjax.diversity._components import (
     PrincipalComponents,
     SpectralSpecies,

@@ -352,10 +352,7 @@ def diversity_map(
             mean_spectral_angle(spectra, keep),
             "mean angle between a pixel's spectrum and the mean spectrum",
         ),
-        "hull_volume": (
-            hulls,
-            f"volume of the convex hull in {components} principal components",
-        ),
+        "hull_volume": (hulls, f"volume of the convex hull in {components} principal components"),
     }
     variables = {}
     for name, (values, words) in found.items():

@@ -46,17 +46,8 @@ from fynjax.inversion._design import (
 from fynjax.inversion._emulate import Emulated, emulate
 from fynjax.inversion._expected import Expected, other_plantings
 from fynjax.inversion._factors import BandFactors, Known, PlotSpace
-from fynjax.inversion._fit import (
-    predicted_statistics,
-    statistics_and_jacobian,
-    whitened_residual,
-)
-from fynjax.inversion._fit_result import (
-    WELL_CONSTRAINED,
-    FitResult,
-    FitStatus,
-    scatter_covariance,
-)
+from fynjax.inversion._fit import predicted_statistics, statistics_and_jacobian, whitened_residual
+from fynjax.inversion._fit_result import WELL_CONSTRAINED, FitResult, FitStatus, scatter_covariance
 from fynjax.inversion._found import FoundMaps, FoundPlants, find_places
 from fynjax.inversion._functionals import (
     Functional,
@@ -69,12 +60,7 @@ from fynjax.inversion._information import Information, fisher_information, share
 from fynjax.inversion._known_plants import PixelSearch, PixelState
 from fynjax.inversion._log_posterior import LogPosterior
 from fynjax.inversion._places import PlacesSettings
-from fynjax.inversion._population import (
-    Hyperprior,
-    LinearPlots,
-    Population,
-    fit_population,
-)
+from fynjax.inversion._population import Hyperprior, LinearPlots, Population, fit_population
 from fynjax.inversion._posterior import PosteriorSampler, SamplingMethod
 from fynjax.inversion._posterior_result import Posterior
 from fynjax.inversion._prior_sampler import (
@@ -97,10 +83,7 @@ from fynjax.inversion._sensitivity import (
 )
 from fynjax.inversion._sensor_sweep import SensorSetting, check_sweep, even_bands, sweep_sensors
 from fynjax.inversion._space import ParameterSpace
-from fynjax.inversion._surrogate import (
-    fit_surrogate,
-    surrogate_renders,
-)
+from fynjax.inversion._surrogate import fit_surrogate, surrogate_renders
 from fynjax.inversion._targets import (
     GAIN,
     OFFSET,

@@ -21,15 +21,7 @@ from fynjax.inversion._search import COARSE, coarser
 from fynjax.inversion._sensor_sweep import image_and_slopes
 from fynjax.inversion._space import ParameterSpace
 from fynjax.metrics import spectral_mask
-from fynjax.scene import (
-    ModelError,
-    Placement,
-    PlotAir,
-    PlotParameters,
-    Scene,
-    aim,
-    truth_of_pixels,
-)
+from fynjax.scene import ModelError, Placement, PlotAir, PlotParameters, Scene, aim, truth_of_pixels
 from fynjax.sensors import ASSUMED, SPACE, BandSet, Gains, OrthographicCamera, Sensor
 
 STEP = 10.0

@@ -604,9 +604,7 @@ def half_interval(gain: Float[np.ndarray, "planting sensor"]) -> Float[np.ndarra
 
 
 def _gains(
-    quantities: pd.DataFrame,
-    bands: Sequence[BandSet],
-    left: Float[np.ndarray, "planting sensor"],
+    quantities: pd.DataFrame, bands: Sequence[BandSet], left: Float[np.ndarray, "planting sensor"]
 ) -> pd.DataFrame:
     """The table of a `BandDesign`."""
     gain = left[:, :1] - left

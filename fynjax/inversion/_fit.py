@@ -22,14 +22,7 @@ from fynjax._core.precision import compiled_in_single, double_precision
 from fynjax.inversion._data import Data
 from fynjax.inversion._fit_result import Ended, FitResult, FitStatus, fit_result
 from fynjax.inversion._log_posterior import LogPosterior, Predict
-from fynjax.inversion._solvers import (
-    confirmed,
-    gain,
-    residual,
-    run_solver,
-    solver_kind,
-    whitened,
-)
+from fynjax.inversion._solvers import confirmed, gain, residual, run_solver, solver_kind, whitened
 from fynjax.inversion._space import ParameterSpace
 
 

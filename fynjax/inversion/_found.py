@@ -9,12 +9,7 @@ from scipy.spatial import cKDTree
 
 from fynjax._core.progress import stage
 from fynjax._core.seeds import generator
-from fynjax.inversion._places import (
-    PlacesSettings,
-    descend,
-    free_early,
-    places_model,
-)
+from fynjax.inversion._places import PlacesSettings, descend, free_early, places_model
 from fynjax.inversion._shapes import OUTLINE
 from fynjax.inversion._space import ParameterSpace
 from fynjax.inversion._stands import WholeStand, whole_stands

@@ -19,13 +19,7 @@ from fynjax.radiation import Accuracy
 from fynjax.scene import ModelError, PlotParameters, Scene, room_needed, with_values
 
 COARSE = Accuracy(
-    lattice=1,
-    sublayers=1,
-    coarsening=(3, 5),
-    levels=2,
-    azimuths=4,
-    tolerance=1e-2,
-    refine=False,
+    lattice=1, sublayers=1, coarsening=(3, 5), levels=2, azimuths=4, tolerance=1e-2, refine=False
 )
 """Accuracy of the light while a fit searches; what it lacks is corrected (`fit`)."""
 
@@ -169,10 +163,7 @@ class Problem(eqx.Module):
 
 @double_precision
 def _ready(
-    scene: Scene,
-    data: Data | None,
-    free: ParameterSpace,
-    views: Sequence[AbstractView] | None,
+    scene: Scene, data: Data | None, free: ParameterSpace, views: Sequence[AbstractView] | None
 ) -> tuple[Scene, Sequence[AbstractView]]:
     """A scene with sites for what may be asked of it, and its views, as the data say if none are
     given."""

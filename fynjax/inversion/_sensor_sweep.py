@@ -16,25 +16,13 @@ from fynjax._core.progress import track
 from fynjax.inversion._expected import other_plantings
 from fynjax.inversion._factors import BandFactors
 from fynjax.inversion._fit_result import scatter_covariance
-from fynjax.inversion._information import (
-    Information,
-    fisher_information,
-    shared_slopes,
-)
+from fynjax.inversion._information import Information, fisher_information, shared_slopes
 from fynjax.inversion._search import COARSE, coarser
 from fynjax.inversion._space import ParameterSpace
 from fynjax.inversion._vectorised import value_and_jacobian
 from fynjax.metrics import quantiles, standard_deviation
 from fynjax.radiation import Accuracy
-from fynjax.scene import (
-    AimedSensor,
-    ModelError,
-    Placement,
-    PlotParameters,
-    Scene,
-    aim,
-    with_values,
-)
+from fynjax.scene import AimedSensor, ModelError, Placement, PlotParameters, Scene, aim, with_values
 from fynjax.sensors import BandSet, Sensor
 
 _SHARES = (0.1, 0.5, 0.9)
@@ -244,11 +232,7 @@ def check_sweep(
 
 @eqx.filter_jit
 def image_and_slopes(
-    camera: AimedSensor,
-    scene: Scene,
-    parameters: PlotParameters,
-    names: tuple[str, ...],
-    at: Array,
+    camera: AimedSensor, scene: Scene, parameters: PlotParameters, names: tuple[str, ...], at: Array
 ) -> tuple[Float[Array, "band y x"], Float[Array, "band y x free"]]:
     def image(values: Array) -> Array:
         named = {name: values[i] for i, name in enumerate(names)}

@@ -19,14 +19,7 @@ from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
 from fynjax._core.seeds import generator
-from fynjax.inversion._places import (
-    CROWDING,
-    MOVED,
-    Places,
-    PlacesModel,
-    descend,
-    free_late,
-)
+from fynjax.inversion._places import CROWDING, MOVED, Places, PlacesModel, descend, free_late
 
 _FAR = 1.0
 """Plants that change in one image are at least so far apart [m]: beyond their shadows."""

@@ -108,9 +108,7 @@ def fit_surrogate(
 
 @double_precision
 def surrogate_renders(
-    calibration: Calibration,
-    *,
-    seed: int = 0,
+    calibration: Calibration, *, seed: int = 0
 ) -> Iterator[Float[np.ndarray, " statistic"]]:
     """The coarse renders that a surrogate is fitted to, one by one, for who watches or keeps them.
 

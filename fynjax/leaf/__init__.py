@@ -17,12 +17,7 @@ from fynjax.leaf._measurement import (
     transmittance_from_two_readings,
     usual_measurement,
 )
-from fynjax.leaf._parameters import (
-    LEAF_PARAMETERS,
-    Leaf,
-    LeafParameters,
-    structure_from_dry_matter,
-)
+from fynjax.leaf._parameters import LEAF_PARAMETERS, Leaf, LeafParameters, structure_from_dry_matter
 from fynjax.leaf._posterior import LeafPosterior, sample_leaf_posterior
 from fynjax.leaf._problem import FitDomain, LeafSettings
 from fynjax.leaf._prospect import LeafOptics, prospect

@@ -33,11 +33,7 @@ from fynjax.leaf._error_model import (
     to_bins,
     to_nanometres,
 )
-from fynjax.leaf._measurement import (
-    MEASUREMENT_PARAMETERS,
-    AbstractMeasurement,
-    usual_measurement,
-)
+from fynjax.leaf._measurement import MEASUREMENT_PARAMETERS, AbstractMeasurement, usual_measurement
 from fynjax.leaf._parameters import LEAF_PARAMETERS
 from fynjax.leaf._prospect import interface_transmissivity, surface_transmissivity
 from fynjax.leaf._residual import MeasuredLeaf, Optics, to_unconstrained
@@ -297,9 +293,7 @@ def make_setup(
 
 
 def binned_data(
-    spectra: Spectra,
-    centres: Float[np.ndarray, " bin"],
-    detector_changes: Sequence[float] = (),
+    spectra: Spectra, centres: Float[np.ndarray, " bin"], detector_changes: Sequence[float] = ()
 ) -> Float[np.ndarray, "leaf 2 bin"]:
     """R and T on `centres`, those of the bins or some of the spectra's own bands; infinite where a
     bin holds a value that no leaf can have.

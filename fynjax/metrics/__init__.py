@@ -1,12 +1,7 @@
 """Metrics: vegetation indices, distributions, agreement of spectra, published references."""
 
 from fynjax.metrics import structure as structure
-from fynjax.metrics._distribution import (
-    histogram_intersection,
-    mean,
-    quantiles,
-    standard_deviation,
-)
+from fynjax.metrics._distribution import histogram_intersection, mean, quantiles, standard_deviation
 from fynjax.metrics._indices import (
     BAND_TERMS,
     BANDS,
@@ -15,11 +10,7 @@ from fynjax.metrics._indices import (
     index_bands,
     vegetation_indices,
 )
-from fynjax.metrics._matching import (
-    MatchingMethod,
-    WavelengthMatch,
-    match_wavelengths,
-)
+from fynjax.metrics._matching import MatchingMethod, WavelengthMatch, match_wavelengths
 from fynjax.metrics._misfit import Misfit, misfit_decomposition
 from fynjax.metrics._spectral import (
     SPECTRAL_REGIONS,

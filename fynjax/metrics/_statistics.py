@@ -8,13 +8,7 @@ from jaxtyping import Array, Bool, Float
 
 from fynjax._core.errors import InputError, did_you_mean, listed
 from fynjax.metrics._distribution import mean, quantiles, standard_deviation
-from fynjax.metrics._indices import (
-    BANDS,
-    Bands,
-    band_names,
-    index_bands,
-    smooth_vegetation_indices,
-)
+from fynjax.metrics._indices import BANDS, Bands, band_names, index_bands, smooth_vegetation_indices
 
 _NAME = re.compile(
     r"^(?P<layer>[A-Za-z]\w*)\.(?P<kind>mean|std(?P<block>\d{1,4}cm)?|q(?P<percent>\d{1,2}))$"

@@ -137,9 +137,7 @@ class Transport(eqx.Module):
         return jnp.swapaxes(self.classes.total_by_angle(weighted), 0, 1)
 
     def scatter(
-        self,
-        areas: Float[Array, "kind angle cell"],
-        intensity: Float[Array, "ordinate z y x"],
+        self, areas: Float[Array, "kind angle cell"], intensity: Float[Array, "ordinate z y x"]
     ) -> Float[Array, "ordinate z y x"]:
         """Light that leaves send along each ordinate, out of the light along all."""
         # Matrix products on flat cells: [ordinate, ordinate] x [ordinate, cell].

@@ -13,13 +13,7 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from fynjax.radiation._blocks import block_mean, spread, upsample
-from fynjax.radiation._multiple import (
-    Bands,
-    Cells,
-    DiffuseField,
-    prepare_transport,
-    relative_size,
-)
+from fynjax.radiation._multiple import Bands, Cells, DiffuseField, prepare_transport, relative_size
 from fynjax.radiation._ordinates import Ordinates
 from fynjax.radiation._scene import VoxelScene
 

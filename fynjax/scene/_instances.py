@@ -134,8 +134,7 @@ def hard_scene(scene: Scene, parameters: PlotParameters) -> Scene:
         number=jnp.asarray(hard_counts(scene, parameters), scene.dtype),
         rounding=jnp.zeros_like(scene.rounding),
         recipe=dataclasses.replace(
-            scene.recipe,
-            rules=dataclasses.replace(scene.rules, softness=0.0, softness_plants=0.0),
+            scene.recipe, rules=dataclasses.replace(scene.rules, softness=0.0, softness_plants=0.0)
         ),
         planted=None,
     )

@@ -14,13 +14,7 @@ from jaxtyping import Array, Float
 
 from fynjax._core.errors import InputError
 from fynjax._core.html import as_html
-from fynjax._core.parameters import (
-    CENTIMETRES,
-    PERCENT,
-    Parameter,
-    parameter_field,
-    parameters_of,
-)
+from fynjax._core.parameters import CENTIMETRES, PERCENT, Parameter, parameter_field, parameters_of
 from fynjax.leaf import LEAF_PARAMETERS, LeafParameters
 
 if TYPE_CHECKING:

@@ -508,9 +508,7 @@ class SiteRules:
 
 
 def draw_planting(
-    stand: Stand,
-    wanted: Float[np.ndarray, " species"],
-    rules: SiteRules,
+    stand: Stand, wanted: Float[np.ndarray, " species"], rules: SiteRules
 ) -> Planting:
     """Draw sites, orientations and sizes of the plants of a scene.
 

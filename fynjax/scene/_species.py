@@ -42,12 +42,7 @@ from fynjax.canopy import (
 )
 from fynjax.leaf import FLAT, ROUND, LeafParameters, structure_from_dry_matter
 from fynjax.scene._cover_words import cover_range, name_classes
-from fynjax.scene._parameters import (
-    FIXED_PARAMETERS,
-    LEAF_FIELDS,
-    PARAMETERS,
-    SpeciesParameters,
-)
+from fynjax.scene._parameters import FIXED_PARAMETERS, LEAF_FIELDS, PARAMETERS, SpeciesParameters
 from fynjax.scene._spectra import Spectrum
 
 if TYPE_CHECKING:
@@ -478,11 +473,7 @@ def cover_definition_of(
 
 
 def check_projected(
-    taxon: str,
-    cover: float,
-    terms: Mapping[str, float],
-    most: float | None = None,
-    **where: Any,
+    taxon: str, cover: float, terms: Mapping[str, float], most: float | None = None, **where: Any
 ) -> None:
     """Raise `InputError` for what a species whose cover is projected cannot have: terms of the
     article's eq. (10), and more cover than crowns at random reach.
@@ -814,10 +805,7 @@ class Species(eqx.Module):
 
     @classmethod
     def of(
-        cls,
-        row: SpeciesRow,
-        leaves: Sequence[LeafRow] = (),
-        materials: tuple[Material, ...] = (),
+        cls, row: SpeciesRow, leaves: Sequence[LeafRow] = (), materials: tuple[Material, ...] = ()
     ) -> "Species":
         """The species of a `row` of a species table, with its `leaves`, none of which states a
         spectrum, where there are several, and its other `materials`."""

@@ -150,10 +150,7 @@ def truth_of_pixels(aimed: AimedSensor, scene: Scene, parameters: PlotParameters
 
 
 def truth_of_layers(
-    layers: Float[Array, "layer y x"],
-    aimed: AimedSensor,
-    scene: Scene,
-    parameters: PlotParameters,
+    layers: Float[Array, "layer y x"], aimed: AimedSensor, scene: Scene, parameters: PlotParameters
 ) -> PixelTruth:
     """What pixels see, from the shares that they have of each organ.
 

@@ -8,10 +8,7 @@ from fynjax.sensors._camera import (
     PushbroomCamera,
     frame_of,
 )
-from fynjax.sensors._camera_counts import (
-    CameraRadiometry,
-    counts_to_radiance,
-)
+from fynjax.sensors._camera_counts import CameraRadiometry, counts_to_radiance
 from fynjax.sensors._channels import Channels, group_bands
 from fynjax.sensors._empirical_line import (
     EmpiricalLine,

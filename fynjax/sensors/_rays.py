@@ -7,12 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
 from fynjax.radiation import RayField, RayLattice, nadir_rays, parallel_rays
-from fynjax.sensors._camera import (
-    AbstractCamera,
-    FrameCamera,
-    OrthographicCamera,
-    PushbroomCamera,
-)
+from fynjax.sensors._camera import AbstractCamera, FrameCamera, OrthographicCamera, PushbroomCamera
 
 _NARROW = 0.02
 """Spread of the rays' slopes, 1.1 degrees, up to which the leaves' projection is taken as the same

@@ -14,12 +14,7 @@ import jax.numpy as jnp
 
 from fynjax._core.errors import InputError
 from fynjax.sensors._bands import BandSet, band_set_of_curves
-from fynjax.sensors._camera import (
-    AbstractCamera,
-    FrameCamera,
-    OrthographicCamera,
-    PushbroomCamera,
-)
+from fynjax.sensors._camera import AbstractCamera, FrameCamera, OrthographicCamera, PushbroomCamera
 from fynjax.sensors._gains import Gains
 from fynjax.sensors._noise import AbstractNoise, CameraNoise, radiometric_noise
 from fynjax.sensors._psf import PointSpread

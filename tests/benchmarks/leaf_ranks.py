@@ -47,19 +47,12 @@ def simulate(
     use = np.broadcast_to((centres >= 445.0) & (centres <= 2405.0), data.shape).copy()
     if reflectance_only:
         use[:, 1] = False
-    prior = (
-        np.tile(setup.prior_mean, (count, 1)),
-        np.tile(setup.prior_precision, (count, 1, 1)),
-    )
+    prior = (np.tile(setup.prior_mean, (count, 1)), np.tile(setup.prior_precision, (count, 1, 1)))
     return z[:, columns], leaf_problems(setup, data, use, prior, np.ones(count))
 
 
 def ranks(
-    setup: Setup,
-    truth: np.ndarray,
-    problems: MeasuredLeaf,
-    sampler: str,
-    seed: int = 0,
+    setup: Setup, truth: np.ndarray, problems: MeasuredLeaf, sampler: str, seed: int = 0
 ) -> tuple[np.ndarray, int]:
     """Rank of the truth among `DRAWS` draws [leaf, free], and how many chains fell short."""
     columns = free_columns(setup)

@@ -19,12 +19,7 @@ import pandas as pd
 
 from fynjax.app.assembly import build_plot, image_view
 from fynjax.app.compare import consistent_targets
-from fynjax.app.io.plot import (
-    BY_FORM,
-    DEFAULT_PRIOR,
-    leaf_factors,
-    read_prior,
-)
+from fynjax.app.io.plot import BY_FORM, DEFAULT_PRIOR, leaf_factors, read_prior
 from fynjax.metrics import BANDS, image_statistics
 from tests.benchmarks._measure import example_plot, options
 

@@ -24,13 +24,7 @@ import pandas as pd
 from jaxtyping import Array, Float
 
 from fynjax.metrics import image_statistics
-from fynjax.scene import (
-    AimedSensor,
-    Placement,
-    PlotParameters,
-    Scene,
-    aim,
-)
+from fynjax.scene import AimedSensor, Placement, PlotParameters, Scene, aim
 from fynjax.sensors import shipped_sensor
 from tests.benchmarks._measure import options, seconds
 

@@ -5,14 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fynjax.canopy import (
-    FORMS,
-    assign_sites,
-    instance_area,
-    poisson_disk,
-    table1_2006,
-    target_area,
-)
+from fynjax.canopy import FORMS, assign_sites, instance_area, poisson_disk, table1_2006, target_area
 
 SIDE, PIXEL = 10.0, 0.01
 

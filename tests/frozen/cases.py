@@ -204,10 +204,7 @@ def _information(folder: Path) -> Runs:
     (folder / "flown").mkdir()
     flown = write_plot(folder / "flown", SMALL, voxel=0.2)
     flight = ["information", flown, "--frames", "1,3", "--oblique", "0,4", "--pulses", "50"]
-    return {
-        "information": [*line, "--realisations", 2],
-        "flight": [*flight, "--realisations", 2],
-    }
+    return {"information": [*line, "--realisations", 2], "flight": [*flight, "--realisations", 2]}
 
 
 @_case("design", "study", loose={"gain": np.inf, "": 2e-2})

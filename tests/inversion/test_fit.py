@@ -11,14 +11,7 @@ import optimistix as optx
 import pytest
 
 from fynjax.errors import InputError
-from fynjax.inversion import (
-    BroydenLM,
-    Data,
-    FitStatus,
-    ParameterSpace,
-    fit,
-    whitened_residual,
-)
+from fynjax.inversion import BroydenLM, Data, FitStatus, ParameterSpace, fit, whitened_residual
 from fynjax.inversion._fit_result import _posterior as laplace
 from fynjax.inversion._fit_result import scatter_covariance
 from tests.helpers import descend

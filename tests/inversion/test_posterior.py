@@ -371,10 +371,7 @@ with listening(Slow()):
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("method", "end", "seconds"),
-    [
-        ("emcee", "SIGKILL", 0),
-        pytest.param("nuts", "SIGINT", 1000, marks=pytest.mark.study),
-    ],
+    [("emcee", "SIGKILL", 0), pytest.param("nuts", "SIGINT", 1000, marks=pytest.mark.study)],
 )
 def test_a_killed_run_goes_on_as_if_it_had_not_been(tmp_path, method, end, seconds):
     """What was done before the end is kept: by a kill what was written, else all of it."""

@@ -54,11 +54,7 @@ def test_sobol_indices_are_those_of_the_closed_form():
 def test_mean_squared_slopes_are_those_of_the_closed_form_and_bound_the_totals():
     found = derivative_measures(ishigami, CUBE, METRICS, over="bounds", samples=8192)
     own = np.array(
-        [
-            0.5 * (1 + 2 * B * np.pi**4 / 5 + B**2 * np.pi**8 / 9),
-            A**2 / 2,
-            8 * B**2 * np.pi**6 / 7,
-        ]
+        [0.5 * (1 + 2 * B * np.pi**4 / 5 + B**2 * np.pi**8 / 9), A**2 / 2, 8 * B**2 * np.pi**6 / 7]
     )
     np.testing.assert_allclose(found.measure[0], own * (2 * np.pi) ** 2, rtol=0.02)
     assert np.all(found.bound[0] >= TOTAL)

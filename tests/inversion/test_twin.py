@@ -6,12 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from fynjax.inversion import (
-    CalibrationSettings,
-    ImageView,
-    free_space,
-    weigh_targets,
-)
+from fynjax.inversion import CalibrationSettings, ImageView, free_space, weigh_targets
 from fynjax.leaf import LeafParameters
 from fynjax.scene import (
     GroundParameters,

@@ -10,15 +10,7 @@ from scipy.ndimage import map_coordinates
 from fynjax._core.errors import InputError
 from fynjax.app.io.captures import aligned_radiance, find_captures, read_capture, usable_captures
 from fynjax.app.io.captures._metadata import read_band
-from tests.io.dji_files import (
-    MAVIC,
-    PHANTOM,
-    SCALE,
-    SHAPE,
-    Band,
-    frame_place,
-    write_dji,
-)
+from tests.io.dji_files import MAVIC, PHANTOM, SCALE, SHAPE, Band, frame_place, write_dji
 
 NAME = "DJI_20261122100000_0001"
 

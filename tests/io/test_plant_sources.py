@@ -192,9 +192,7 @@ def test_generic_priors_are_wider_than_those_of_fynbos() -> None:
     assert FORMS["column"].generic is None
 
 
-def test_the_leaf_of_shrubs_at_large_is_the_median_of_measured_species(
-    shared_data: Path,
-) -> None:
+def test_the_leaf_of_shrubs_at_large_is_the_median_of_measured_species(shared_data: Path) -> None:
     shrubs = (
         "Arctostaphylos|Baccharis|Callicarpa|Ceanothus|Chamaerops|Cornus|Corylus|Cotinus|Euonymus|"
         "Heteromeles|Hydrangea|Ilex|Prunus laurocerasus|Rhododendron|Salvia|Viburnum"

@@ -381,10 +381,7 @@ def test_overviews_and_masks_beside_a_raster_are_used(tmp_path, image):
         file.build_overviews([2])
     there = np.zeros(image.shape[1:], np.uint8)
     there[:5] = 255
-    with (
-        rasterio.Env(GDAL_TIFF_INTERNAL_MASK=False),
-        rasterio.open(path, "r+") as file,
-    ):
+    with rasterio.Env(GDAL_TIFF_INTERNAL_MASK=False), rasterio.open(path, "r+") as file:
         file.write_mask(there)
     assert {p.name for p in tmp_path.iterdir()} >= {"image.tif.ovr", "image.tif.msk"}
     with open_raster(path, "a map") as file:

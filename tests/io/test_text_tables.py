@@ -217,18 +217,10 @@ def cloud(text: str) -> Callable[[Path], Any]:
     [
         ("1,5,2,5,3,5\n" * 9, read_cloud, "'1,5,2,5,3,5' can be read with commas between"),
         ("400,0,1\n410,0,2\n420,0,3\n", read_file, "'400,0,1' can be read with commas"),
-        (
-            "wavelength,leaf\n400,0,1\n410,0,2\n",
-            read_file,
-            "expected 2 cells .*decimal comma",
-        ),
+        ("wavelength,leaf\n400,0,1\n410,0,2\n", read_file, "expected 2 cells .*decimal comma"),
         ("wavelength,leaf,elm\n400,0.1\n410,0.2\n", read_file, "expected 3 cells .* has 2"),
         ("leaf,elm\n400,0.1,0.1\n410,0.2,0.2\n", read_file, "expected 2 cells .* has 3"),
-        (
-            "wavelength;leaf\n999;0,1\n1.000;0,2\n",
-            read_file,
-            "one decimal mark .*'1.000' here",
-        ),
+        ("wavelength;leaf\n999;0,1\n1.000;0,2\n", read_file, "one decimal mark .*'1.000' here"),
     ],
 )
 def test_what_can_be_read_in_two_ways_is_refused(tmp_path, text, read, words):

@@ -111,11 +111,7 @@ def test_sizes_are_bounded_before_anything_is_read(tmp_path: Path) -> None:
         ([6, 5, 10**30], [3, 5, 4], "."),
         ([6, 5, 1e9], [3, 5, 4], "whole numbers of 1 or more"),
         ([6, 5], [3, 5, 4], "whole numbers of 1 or more"),
-        (
-            [6, 5 * 2**17, 4],
-            [3, 5, 4],
-            "16384 chunks in a row .* there are 131072",
-        ),
+        ([6, 5 * 2**17, 4], [3, 5, 4], "16384 chunks in a row .* there are 131072"),
         ("abc", "abc", "whole numbers of 1 or more"),
         (None, None, "lack something or are damaged"),
     ]:

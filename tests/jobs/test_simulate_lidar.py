@@ -114,11 +114,7 @@ def test_a_slope_comes_out_on_its_map(tmp_path):
     write_raster(tmp_path / "terrain.tif", height, transform=place, crs="EPSG:32734")
     write_plot(tmp_path, 'boundary = "open"\nterrain = "terrain.tif"\n')
     simulate(
-        tmp_path / "plot.toml",
-        tmp_path / "out",
-        sensor="flash_lidar_paper",
-        seed=4,
-        noise=False,
+        tmp_path / "plot.toml", tmp_path / "out", sensor="flash_lidar_paper", seed=4, noise=False
     )
     cloud = laspy.read(tmp_path / "out" / "cloud.laz")
     ground = np.asarray(cloud.classification) == 2

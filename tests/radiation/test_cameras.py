@@ -34,12 +34,7 @@ parts = jax.jit(lambda light, rays: render(light, rays))
 
 def tilted(rows=5, columns=6, field_of_view=20.0):
     return perspective_rays(
-        CAMERA,
-        TARGET,
-        rows=rows,
-        columns=columns,
-        field_of_view=field_of_view,
-        dtype=jnp.float64,
+        CAMERA, TARGET, rows=rows, columns=columns, field_of_view=field_of_view, dtype=jnp.float64
     )
 
 

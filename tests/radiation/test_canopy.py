@@ -19,12 +19,7 @@ import pytest
 
 from fynjax.canopy import VerhoefLeafAngle
 from fynjax.errors import InputError
-from fynjax.radiation import (
-    Accuracy,
-    canopy_albedo,
-    canopy_reflectance,
-    voxel_scene,
-)
+from fynjax.radiation import Accuracy, canopy_albedo, canopy_reflectance, voxel_scene
 from tests.radiation.scenes import reflectance_of, solver
 
 RHO, TAU, SOIL = jnp.array([0.06, 0.48]), jnp.array([0.02, 0.45]), jnp.array([0.1, 0.2])

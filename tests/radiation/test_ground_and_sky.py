@@ -112,10 +112,7 @@ def random_pattern(*shape):
 
 @pytest.mark.parametrize(
     "shape",
-    [
-        (2, 5, 8),
-        *(pytest.param(s, marks=pytest.mark.study) for s in ((5, 8), (2, 1), (2, 2, 12))),
-    ],
+    [(2, 5, 8), *(pytest.param(s, marks=pytest.mark.study) for s in ((5, 8), (2, 1), (2, 2, 12)))],
 )
 def test_the_irradiance_is_that_of_the_sky(shape):
     """Whatever the pattern: the flux on the ordinates, and on level ground without a canopy."""

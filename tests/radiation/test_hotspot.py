@@ -99,9 +99,7 @@ def test_each_class_has_its_own_leaf_size():
     """Two equal classes of two sizes: each size alone is met if only its class is there."""
     scene = patchy()
     two = with_fields(
-        scene,
-        classes__leaf_diameter=jnp.array([0.2, 0.03]),
-        classes__size_of_class=(0, 1, 0),
+        scene, classes__leaf_diameter=jnp.array([0.2, 0.03]), classes__size_of_class=(0, 1, 0)
     )
     view = [40.0], [60.0]
     for only, diameter in ((0, 0.2), (1, 0.03), (2, 0.2)):

@@ -74,9 +74,7 @@ def shrubs(every: int = 1) -> VoxelScene:
             (SphericalLeafAngle(), leaf_angle("planophile")),
             (0, 1) * ((SPECIES + 1) // 2),
         ),
-        jnp.asarray(
-            soils[0][:, None, None] * share + soils[1][:, None, None] * (1 - share),
-        ),
+        jnp.asarray(soils[0][:, None, None] * share + soils[1][:, None, None] * (1 - share)),
         Illumination(jnp.array(40.0), jnp.array(120.0), jnp.asarray(1 - sky), jnp.asarray(sky)),
         0.2,
         0.2,

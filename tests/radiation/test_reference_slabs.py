@@ -19,10 +19,7 @@ def simulate(case):
     angle = leaf_angle("spherical" if scene["lad"] == "uniform" else scene["lad"])
     light = solver(FINE)(
         slab(
-            scene["lai"],
-            [(optics["rho"], optics["tau"], optics["soil"])],
-            case["sza"],
-            angle=angle,
+            scene["lai"], [(optics["rho"], optics["tau"], optics["soil"])], case["sza"], angle=angle
         )
     )
     brf = reflectance_of(light, *views_of_reference(case["views"]))

@@ -6,13 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from fynjax.radiation import (
-    Accuracy,
-    fluxes,
-    parallel_rays,
-    reflectance_factor,
-    solve_light,
-)
+from fynjax.radiation import Accuracy, fluxes, parallel_rays, reflectance_factor, solve_light
 from tests import reference
 from tests.radiation.scenes import fluxes_of, patchy, reflectance_of, solver, towards
 from tests.radiation.test_monte_carlo_reference import bare, with_fields

@@ -59,13 +59,7 @@ class PixelRays(NamedTuple):
 
 
 def reflectance(
-    scene: VoxelScene,
-    view_zenith: Any,
-    view_azimuth: Any,
-    *,
-    photons: int,
-    seed: int,
-    band: int,
+    scene: VoxelScene, view_zenith: Any, view_azimuth: Any, *, photons: int, seed: int, band: int
 ) -> Estimate:
     """Mean reflectance factor of the scene for distant views [-], by Monte Carlo.
 

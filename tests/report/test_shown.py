@@ -30,15 +30,7 @@ from fynjax.app.report.figures._validation_spectra import mean_spectra_plot, mis
 from fynjax.app.terrain import Terrain
 from fynjax.metrics.structure import STRUCTURE_METRICS
 from tests.helpers import stand_in
-from tests.report.shown import (
-    colour,
-    corners,
-    laid_out,
-    lines,
-    panel,
-    seen_corners,
-    segments,
-)
+from tests.report.shown import colour, corners, laid_out, lines, panel, seen_corners, segments
 
 
 def ramp(rows: int, columns: int, start: float, east: float, north: float) -> np.ndarray:

@@ -12,13 +12,7 @@ from fynjax._core.errors import InputError
 from fynjax.app.assembly import build_plot
 from fynjax.app.io.plot import example_folder, read_plot
 from fynjax.canopy import table1_2006
-from fynjax.scene import (
-    Instances,
-    hard_instances,
-    hard_scene,
-    height_profile,
-    projected_cover,
-)
+from fynjax.scene import Instances, hard_instances, hard_scene, height_profile, projected_cover
 from fynjax.scene._planting import INDIVIDUALS
 from tests.scene.plots import densities, small_parameters, small_plot
 

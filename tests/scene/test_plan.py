@@ -15,12 +15,7 @@ from fynjax.scene import hard_counts, hard_scene
 from tests.assembly.test_plants import COLUMNS, TOML
 from tests.io.test_crowns import CROWNS, write
 
-MEASURED = {
-    5.0: (0.87, 16.0),
-    10.0: (1.53, 19.0),
-    20.0: (3.25, 36.0),
-    40.0: (2.76, 172.0),
-}
+MEASURED = {5.0: (0.87, 16.0), 10.0: (1.53, 19.0), 20.0: (3.25, 36.0), 40.0: (2.76, 172.0)}
 """Largest memory [GiB] and processor time [s] of `fynjax render` of the shipped plot of this side
 [m], in 4 bands, on one processor; the last in tiles, beside other work."""
 FACTOR = 2.0

@@ -135,12 +135,7 @@ def test_thinned_plants_carry_the_same_area():
 
 @pytest.mark.parametrize(
     ("voxel", "structure", "finer", "tuft"),
-    [
-        (0.1, 0.02, 5, 0.04),
-        (0.04, 0.025, 2, 0.04),
-        (0.08, None, 4, 0.04),
-        (0.4, None, 4, 0.05),
-    ],
+    [(0.1, 0.02, 5, 0.04), (0.04, 0.025, 2, 0.04), (0.08, None, 4, 0.04), (0.4, None, 4, 0.05)],
 )
 def test_other_voxels_hold_the_same_area(voxel, structure, finer, tuft):
     scene, parameters = small_plot(voxel=voxel, structure=structure), small_parameters()

@@ -28,14 +28,7 @@ from fynjax.sensors.air._sixs_table import tabulated_atmosphere
 from fynjax.sensors.air._spectrl2 import clear_sky_atmosphere
 from fynjax.sensors.air._sun import sun_position
 from tests.helpers import assert_gradients
-from tests.pasadena import (
-    band_sums,
-    fitted_water,
-    half_walk,
-    in_windows,
-    read_flight,
-    window_error,
-)
+from tests.pasadena import band_sums, fitted_water, half_walk, in_windows, read_flight, window_error
 
 MODELS = {
     "spectrl2": eqx.filter_jit(clear_sky_atmosphere),

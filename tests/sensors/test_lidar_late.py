@@ -64,8 +64,7 @@ def photons(lai, rho, tau, soil, count=60_000, seed=3):
 
 
 @pytest.mark.parametrize(
-    ("lai", "rho", "tau", "soil"),
-    [(2.0, 0.45, 0.4, 0.3), (0.5, 0.4, 0.4, 0.6)],
+    ("lai", "rho", "tau", "soil"), [(2.0, 0.45, 0.4, 0.3), (0.5, 0.4, 0.4, 0.6)]
 )
 def test_energy_and_delay_of_a_slab_are_those_of_photons(lai, rho, tau, soil):
     scene = slab(lai, rho=rho, tau=tau, ground=soil)

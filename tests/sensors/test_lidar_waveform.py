@@ -232,12 +232,7 @@ def test_gradients_of_waveforms_and_expected_returns():
         waveform = lidar_waveforms(there, lidar, beams).total
         return waveform, expected_returns(there, beams, edges)
 
-    at = (
-        scene.area_density[:, 1:3, 1, 1],
-        scene.classes.reflectance,
-        scene.ground,
-        scene.terrain,
-    )
+    at = (scene.area_density[:, 1:3, 1, 1], scene.classes.reflectance, scene.ground, scene.terrain)
     assert_gradients(measure, at, step=1e-5, rtol=2e-5)
 
 
@@ -295,11 +290,7 @@ def test_the_gate_cuts_the_record():
     np.testing.assert_allclose(cut, total(lidar, whole)[:, :64], atol=1e-12)
     late = dataclasses.replace(lidar, gate=(49.45, 50.95))
     beams = late.beams(EXTENT, top=scene.height)
-    np.testing.assert_allclose(
-        total(late, beams)[:, :9],
-        total(lidar, whole)[:, 63:72],
-        atol=1e-9,
-    )
+    np.testing.assert_allclose(total(late, beams)[:, :9], total(lidar, whole)[:, 63:72], atol=1e-9)
 
 
 def test_bad_input_is_refused():

@@ -11,12 +11,7 @@ from fynjax.app.assembly._forward import (
     read_problem,
     shown_unit,
 )
-from fynjax.app.assembly._front import (
-    check_vegetation,
-    prior,
-    read_fit,
-    read_scene,
-)
+from fynjax.app.assembly._front import check_vegetation, prior, read_fit, read_scene
 from fynjax.app.assembly._ground import ground_heights
 from fynjax.app.assembly._memory import check_memory
 from fynjax.app.assembly._pixels import sample_pixel
@@ -30,12 +25,7 @@ from fynjax.app.assembly._stands import (
     stand_forms,
     stand_numbers,
 )
-from fynjax.app.assembly._targets import (
-    RealImage,
-    image_sight,
-    placed_by_image,
-    read_targets,
-)
+from fynjax.app.assembly._targets import RealImage, image_sight, placed_by_image, read_targets
 from fynjax.app.assembly._twin import Twin, plant_twin, twin_image
 
 __all__ = [

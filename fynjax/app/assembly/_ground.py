@@ -12,12 +12,7 @@ from fynjax._core.parameters import parameters_of
 from fynjax.app.io.plot import Plot
 from fynjax.app.io.raster import METRES, read_cover_map, read_over_plot
 from fynjax.app.io.spectra import read_spectra_file, reflectances
-from fynjax.scene import (
-    COVERS,
-    Ground,
-    GroundParameters,
-    Spectrum,
-)
+from fynjax.scene import COVERS, Ground, GroundParameters, Spectrum
 
 
 def plot_ground(plot: Plot, patches: Float64[np.ndarray, "kind y x"] | None) -> Ground:

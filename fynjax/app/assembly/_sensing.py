@@ -5,20 +5,8 @@ import warnings
 
 from fynjax._core.errors import InputError, in_file
 from fynjax.app.io.instruments import read_atmosphere
-from fynjax.app.io.plot import (
-    AtmosphereTable,
-    Plot,
-    sensor_place,
-)
-from fynjax.scene import (
-    AimedSensor,
-    Placement,
-    PlotAir,
-    PlotParameters,
-    Scene,
-    aim,
-    visible_sensor,
-)
+from fynjax.app.io.plot import AtmosphereTable, Plot, sensor_place
+from fynjax.scene import AimedSensor, Placement, PlotAir, PlotParameters, Scene, aim, visible_sensor
 from fynjax.sensors import Atmosphere, OrthographicCamera, Sensor, frame_of
 
 _DISAGREE = 0.02  # share by which a pixel may differ from the optics without a warning

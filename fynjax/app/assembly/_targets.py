@@ -17,12 +17,7 @@ from jaxtyping import Bool, Float
 
 from fynjax._core.errors import InputError, in_file
 from fynjax._core.precision import double_precision
-from fynjax.app.compare import (
-    DroneImage,
-    pixel_footprint,
-    read_drone_image,
-    read_spectra_sample,
-)
+from fynjax.app.compare import DroneImage, pixel_footprint, read_drone_image, read_spectra_sample
 from fynjax.app.compare.structure import ComparisonSettings, cloud_structure
 from fynjax.app.io.frames import is_frame_stack
 from fynjax.app.io.plot import (
@@ -444,11 +439,7 @@ def target_rules(plot: Plot) -> TargetRules:
     return TargetRules(settings.target_sd, targets, plot.file)
 
 
-def image_target(
-    plot: Plot,
-    path: Path,
-    bands: Sequence[str] | None = None,
-) -> Data:
+def image_target(plot: Plot, path: Path, bands: Sequence[str] | None = None) -> Data:
     """The statistics of a drone's image (GeoTIFF), with its `bands`, or of a table (CSV)."""
     (altitude, pixel), sensor = sensor_place(plot), drone_sensor(plot)
     camera = sensor.bands

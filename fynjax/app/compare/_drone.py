@@ -12,12 +12,7 @@ from fynjax._core.progress import advance, stage
 from fynjax.app.compare._images import FEW_PIXELS, DroneImage
 from fynjax.app.compare._published import bands_2006, table4_2006
 from fynjax.diversity import VARIETY, spectral_variety
-from fynjax.metrics import (
-    BANDS,
-    VEGETATION_INDICES,
-    histogram_intersection,
-    vegetation_indices,
-)
+from fynjax.metrics import BANDS, VEGETATION_INDICES, histogram_intersection, vegetation_indices
 
 BINS = 256
 """Bins of a histogram, on the pooled range of both images."""

@@ -96,10 +96,7 @@ class DroneImage:
         text += f"{int(self.mask.sum())} pixels compared"
         left = [
             f"{count} {what}"
-            for count, what in (
-                (self.without_data, "without data"),
-                (self.saturated, "saturated"),
-            )
+            for count, what in ((self.without_data, "without data"), (self.saturated, "saturated"))
             if count
         ]
         text += f", {' and '.join(left)} left out" if left else ""

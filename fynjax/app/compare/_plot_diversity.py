@@ -25,11 +25,7 @@ REGRESSION, DISTANCE = "regression", "distance"
 
 
 def plot_diversity_table(
-    pair: PlotSpectraPair,
-    cover: ArrayLike,
-    variety: Mapping[str, ArrayLike],
-    *,
-    seed: int = 0,
+    pair: PlotSpectraPair, cover: ArrayLike, variety: Mapping[str, ArrayLike], *, seed: int = 0
 ) -> pd.DataFrame:
     """Agreement of measured and simulated spectra of plots with the diversity of their species.
 

@@ -57,9 +57,7 @@ class SpectraSample:
 
 
 def read_spectra_sample(
-    paths: Sequence[str | Path],
-    *,
-    most_spectra: int = 20_000,
+    paths: Sequence[str | Path], *, most_spectra: int = 20_000
 ) -> SpectraSample:
     """Read the spectra of one or several files, all on one grid of wavelengths.
 

@@ -60,10 +60,7 @@ class VegetationCheck:
 
 
 def check_shrubland(
-    reflectance: Mapping[str, float] | ArrayLike,
-    bands: BandSet,
-    *,
-    gains: Gains = ASSUMED,
+    reflectance: Mapping[str, float] | ArrayLike, bands: BandSet, *, gains: Gains = ASSUMED
 ) -> VegetationCheck:
     """Compare the mean of an image, or a spectrum, with measured shrubland.
 

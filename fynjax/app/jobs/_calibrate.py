@@ -8,13 +8,7 @@ from fynjax._core.arguments import Names, Seed
 from fynjax._core.dry_run import begin_work
 from fynjax._core.errors import InputError
 from fynjax._core.precision import double_precision
-from fynjax.app.assembly import (
-    placed_by_image,
-    plant_twin,
-    plot_problem,
-    read_targets,
-    twin_image,
-)
+from fynjax.app.assembly import placed_by_image, plant_twin, plot_problem, read_targets, twin_image
 from fynjax.app.io.plot import NO_PRIOR, Plot, as_plot, with_prior
 from fynjax.app.jobs._calibration_tables import ReferenceImage
 from fynjax.app.jobs._doubt import doubt_targets

@@ -17,12 +17,7 @@ from fynjax.app.io.spectra import (
 )
 from fynjax.app.jobs._result import JobResult
 from fynjax.app.jobs._run import Run
-from fynjax.app.jobs._spectra import (
-    RefusedSpectrum,
-    SpectrumRepair,
-    refused_spectra,
-    repairs,
-)
+from fynjax.app.jobs._spectra import RefusedSpectrum, SpectrumRepair, refused_spectra, repairs
 from fynjax.app.report import figures
 from fynjax.app.report.pages import Picture, Table
 
@@ -39,10 +34,7 @@ class ConvertResult(JobResult):
 
 @double_precision
 def convert(
-    paths: Sequence[str | Path],
-    output: str | Path,
-    *,
-    panel: str | Path | None = None,
+    paths: Sequence[str | Path], output: str | Path, *, panel: str | Path | None = None
 ) -> ConvertResult:
     """Write spectra of any format as one CSV and one NetCDF.
 

@@ -28,12 +28,7 @@ from fynjax.app.io.spectra import (
 from fynjax.app.io.text import Strict, read_rows
 from fynjax.app.jobs._result import JobResult
 from fynjax.app.jobs._run import Run
-from fynjax.app.jobs._spectra import (
-    RefusedSpectrum,
-    SpectrumRepair,
-    refused_spectra,
-    repairs,
-)
+from fynjax.app.jobs._spectra import RefusedSpectrum, SpectrumRepair, refused_spectra, repairs
 from fynjax.app.report import figures
 from fynjax.app.report.pages import Picture, Table
 from fynjax.leaf import (
@@ -80,10 +75,7 @@ class FitLeafResult(JobResult):
 
 
 def _measurement(
-    name: str,
-    shape: LeafShape,
-    background: Float[np.ndarray, " band"] | None,
-    second_reading: bool,
+    name: str, shape: LeafShape, background: Float[np.ndarray, " band"] | None, second_reading: bool
 ) -> AbstractMeasurement:
     """Model of what an instrument records of leaves over a background on the file's grid.
 

@@ -31,12 +31,7 @@ def calibrated(problem: Problem, run: Run, checkpoint: Path | None) -> Calibrati
     return calibration(search, follow(search, search_starts(search), run, checkpoint))
 
 
-def follow(
-    search: Any,
-    starts: Sequence[Any],
-    run: Run,
-    checkpoint: Path | None,
-) -> list[Any]:
+def follow(search: Any, starts: Sequence[Any], run: Run, checkpoint: Path | None) -> list[Any]:
     """The state of a search at its end from each start.
 
     **Arguments:**

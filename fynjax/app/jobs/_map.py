@@ -425,7 +425,7 @@ def _headline(source: CubeBlocks, pixels: int, lacking: int, out: int, mask: _Ma
     headline = [
         f"{pixels} pixels, {lacking} without data; {out} ({100 * out / valid:.0f} % of the others) "
         f"are less like the simulations than {100 * mask.likely:g} % of these, and "
-        + ("kept." if mask.keep_unlike else "masked."),
+        + ("kept." if mask.keep_unlike else "masked.")
     ]
     if source.location is not None:
         headline.append(

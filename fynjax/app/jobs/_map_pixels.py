@@ -67,9 +67,7 @@ class PixelPosterior(Record):
     quantities: list[PixelQuantity]
 
 
-def has_data(
-    channels: Float[np.ndarray, "*pixel channel"],
-) -> Bool[np.ndarray, "*pixel"]:
+def has_data(channels: Float[np.ndarray, "*pixel channel"]) -> Bool[np.ndarray, "*pixel"]:
     """Whether pixels have reflectance that a surface may have in all channels."""
     with np.errstate(invalid="ignore"):
         possible = np.isfinite(channels) & (channels > -0.05) & (channels < 2.5)
@@ -272,8 +270,7 @@ def _warn(found: Sequence[PixelPosterior]) -> None:
 
 
 def _draws(
-    pixels: Sequence[tuple[int, int]],
-    chains: Sequence[Float[np.ndarray, "step walker quantity"]],
+    pixels: Sequence[tuple[int, int]], chains: Sequence[Float[np.ndarray, "step walker quantity"]]
 ) -> xr.Dataset:
     """Draws of every quantity of every pixel."""
     draws = np.stack([chain.reshape(-1, chain.shape[-1]) for chain in chains])

@@ -16,12 +16,7 @@ from fynjax.app.jobs._result import JobResult, Record
 from fynjax.app.jobs._run import Run, paths_of
 from fynjax.app.report import figures
 from fynjax.app.report.pages import Picture
-from fynjax.canopy import (
-    Greenness,
-    VegetationPattern,
-    choose_greenness,
-    vegetation_pattern,
-)
+from fynjax.canopy import Greenness, VegetationPattern, choose_greenness, vegetation_pattern
 from fynjax.sensors import BandSet, mavic_3m
 
 _NEAR_INFRARED = 750.0  # nm

@@ -48,10 +48,7 @@ SHOWN_INDICES = ("NDVI", "GNDVI", "SR", "GCI", "ARI2", "OSAVI", "GSAVI", "NormR"
 _MAPPED = ("NDVI", "GNDVI", "OSAVI")
 """Vegetation indices that a page shows as maps as well."""
 
-_LOOKS = {
-    "true_like.png": "nearly natural colours",
-    "false_colour.png": "near infrared as red",
-}
+_LOOKS = {"true_like.png": "nearly natural colours", "false_colour.png": "near infrared as red"}
 """Words for a quick look, by its file."""
 
 _FEW_BANDS = 8

@@ -155,11 +155,7 @@ def simulate_angles(
     table.insert(0, "view_angle_deg", found.angles)
     what = "reflectance factor in the plane of the sun; on its side above 0"
     run.table("principal_plane.csv", table, what, None)
-    by_band = {
-        "nadir": found.at(0.0),
-        "towards_sun": found.at(sun[0]),
-        "albedo": found.albedo,
-    }
+    by_band = {"nadir": found.at(0.0), "towards_sun": found.at(sun[0]), "albedo": found.albedo}
     table = pd.DataFrame(by_band, index=list(names)).rename_axis("band").reset_index()
     headline = _headline(plot, table, sun)
     run.page(Page(plot.name, headline[0], _sections(plot, dataset, table), record=record))

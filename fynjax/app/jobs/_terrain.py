@@ -188,10 +188,7 @@ def terrain(
 
 
 def _check(
-    is_raster: bool,
-    bounds: Bounds | None,
-    lengths: dict[str, float | None],
-    others: dict[str, Any],
+    is_raster: bool, bounds: Bounds | None, lengths: dict[str, float | None], others: dict[str, Any]
 ) -> None:
     """Refuse a plot that is stated twice, lengths that are not positive, and settings that do
     nothing: who gives one believes that it does something."""

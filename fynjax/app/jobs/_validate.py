@@ -446,11 +446,7 @@ def _write_structure(
     run.table("structure_settings.csv", settings, "every setting they depend on", None)
     curves = structure.curves()
     for name, rows, what in (
-        (
-            "grains",
-            structure.grains,
-            "grains that were tried, with their cells, area and bounds",
-        ),
+        ("grains", structure.grains, "grains that were tried, with their cells, area and bounds"),
         ("profile", curves["profile"], "leaf area density by layer of both clouds [m2 m-3]"),
         ("percentiles", curves["percentiles"], "percentiles of height of both clouds [m]"),
         ("histogram", curves["histogram"], "share of returns by height of both clouds"),

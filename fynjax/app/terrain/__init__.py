@@ -13,12 +13,7 @@ from fynjax.app.terrain._cloud import (
     is_normalised,
     read_cloud,
 )
-from fynjax.app.terrain._files import (
-    middle_of_raster,
-    read_terrain,
-    write_mesh,
-    write_terrain,
-)
+from fynjax.app.terrain._files import middle_of_raster, read_terrain, write_mesh, write_terrain
 from fynjax.app.terrain._filter import TOLERANCE, WINDOW, GroundMethod, find_ground, labelled_ground
 from fynjax.app.terrain._raster import Terrain, whole_cells
 from fynjax.app.terrain._surface import (

@@ -93,7 +93,5 @@ FORM = GrowthForm(
         "Humulus Lonicera Rubia Smilax Tamus Vitis",
         families="Convolvulaceae Cucurbitaceae Dioscoreaceae Menispermaceae Smilacaceae Vitaceae",
     ),
-    round_leaved=Taxa(
-        genera="Cassytha Cuscuta",
-    ),
+    round_leaved=Taxa(genera="Cassytha Cuscuta"),
 )

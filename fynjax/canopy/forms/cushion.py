@@ -30,6 +30,6 @@ FORM = GrowthForm(
     water_content=0.52,
     stand_share=0.05,
     flat_leaved=Taxa(
-        genera="Androsace Anthyllis Arenaria Armeria Azorella Diapensia Minuartia Silene",
+        genera="Androsace Anthyllis Arenaria Armeria Azorella Diapensia Minuartia Silene"
     ),
 )

@@ -31,9 +31,7 @@ FORM = GrowthForm(
     carotenoids=10.0,
     flat_leaved=Taxa(
         genera="Antennaria Dryas Fumana Helianthemum Herniaria Loiseleuria Teucrium "
-        "Thymus Trifolium",
+        "Thymus Trifolium"
     ),
-    round_leaved=Taxa(
-        genera="Empetrum Kalmia",
-    ),
+    round_leaved=Taxa(genera="Empetrum Kalmia"),
 )

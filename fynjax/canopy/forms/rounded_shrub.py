@@ -51,7 +51,6 @@ FORM = GrowthForm(
         "Scrophulariaceae Solanaceae Verbenaceae Zygophyllaceae",
     ),
     round_leaved=Taxa(
-        genera="Paranomus Serruria Sorocephalus Spatalla",
-        families="Aizoaceae Crassulaceae",
+        genera="Paranomus Serruria Sorocephalus Spatalla", families="Aizoaceae Crassulaceae"
     ),
 )

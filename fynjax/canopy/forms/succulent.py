@@ -29,10 +29,6 @@ FORM = GrowthForm(
     stand_share=0.05,
     chlorophyll=35.0,
     carotenoids=8.0,
-    flat_leaved=Taxa(
-        genera="Sedum",
-    ),
-    round_leaved=Taxa(
-        genera="Arthrocnemum Opuntia Salicornia Sarcocornia Suaeda",
-    ),
+    flat_leaved=Taxa(genera="Sedum"),
+    round_leaved=Taxa(genera="Arthrocnemum Opuntia Salicornia Sarcocornia Suaeda"),
 )

@@ -27,11 +27,7 @@ def branch_rotation_spread(branches: int) -> float:
 
 
 def plant_from_branches(
-    branch: _Branch,
-    branches: int,
-    *,
-    seed: int,
-    rotation_spread: float | None = None,
+    branch: _Branch, branches: int, *, seed: int, rotation_spread: float | None = None
 ) -> _Branch:
     """A whole plant: copies of one branch, turned and tilted about its foot.
 

@@ -134,13 +134,7 @@ def plant_model_from_mesh(
         per_material = np.bincount(material[chosen], minlength=len(used))
         portion = (share / np.maximum(per_material, 1))[material[chosen]]
     return mesh_plant(
-        point,
-        normal[chosen],
-        portion,
-        material[chosen],
-        used,
-        box,
-        tuple(solid_share.tolist()),
+        point, normal[chosen], portion, material[chosen], used, box, tuple(solid_share.tolist())
     )
 
 

@@ -143,11 +143,7 @@ class CellStructure:
 
 
 def bin_returns(
-    x: ArrayLike,
-    y: ArrayLike,
-    height: ArrayLike,
-    grid: CellGrid,
-    settings: StructureSettings,
+    x: ArrayLike, y: ArrayLike, height: ArrayLike, grid: CellGrid, settings: StructureSettings
 ) -> BinnedReturns:
     """Sort returns into the cells of a plot and the layers of its canopy.
 

@@ -13,9 +13,4 @@ from fynjax.sensors.air._sixs_table import check_within_table, tabulated_atmosph
 from fynjax.sensors.air._spectrl2 import clear_sky_atmosphere, clear_sky_diffuse_fraction
 from fynjax.sensors.air._sun import SunPosition, sun_position
 
-__all__ = [
-    "Atmosphere",
-    "ClearAir",
-    "SunPosition",
-    "sun_position",
-]
+__all__ = ["Atmosphere", "ClearAir", "SunPosition", "sun_position"]

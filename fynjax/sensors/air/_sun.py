@@ -21,11 +21,7 @@ class SunPosition(NamedTuple):
 
 
 def sun_position(
-    latitude: float,
-    longitude: float,
-    time: datetime | str,
-    *,
-    altitude: float = 0.0,
+    latitude: float, longitude: float, time: datetime | str, *, altitude: float = 0.0
 ) -> SunPosition:
     """Position of the sun by the algorithm of NREL (Reda and Andreas 2004), through pvlib.
 

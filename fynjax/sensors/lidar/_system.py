@@ -119,12 +119,7 @@ class Lidar(eqx.Module):
         return dataclasses.replace(self, geometry=geometry, gate=gate, noise=noise)
 
     def beams(
-        self,
-        extent: tuple[float, float],
-        *,
-        top: float,
-        ground: float = 0.0,
-        seed: int = 0,
+        self, extent: tuple[float, float], *, top: float, ground: float = 0.0, seed: int = 0
     ) -> LidarBeams:
         """The pulses of a flight over a plot that is `extent` = (east-west, north-south) [m].
 

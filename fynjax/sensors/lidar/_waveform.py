@@ -292,11 +292,7 @@ def _one_waveform(
 
 
 def expected_returns(
-    scene: VoxelScene,
-    beams: LidarBeams,
-    edges: Float[np.ndarray, " edge"],
-    *,
-    sublayers: int = 2,
+    scene: VoxelScene, beams: LidarBeams, edges: Float[np.ndarray, " edge"], *, sublayers: int = 2
 ) -> tuple[Float[Array, " layer"], Float[Array, ""]]:
     """Expected number of beams whose light first meets the canopy in each layer, and the ground.
 
@@ -320,11 +316,7 @@ def expected_returns(
     heights = jnp.asarray(edges, scene.area_density.dtype)
     platform = jnp.asarray(beams.origin[:, 2], heights.dtype)
     canopy, ground = map_beams(
-        _one_beam_of_hits,
-        beams,
-        platform,
-        (scene, canopy_fields(scene), heights),
-        sublayers,
+        _one_beam_of_hits, beams, platform, (scene, canopy_fields(scene), heights), sublayers
     )
     return canopy.sum(axis=0), ground.sum()
 

@@ -255,10 +255,7 @@ def _stands(
 
 
 def _elsewhere(
-    read: Sequence[BioscapePlot],
-    slots: tuple[str, ...],
-    field: Field,
-    learned: LearnedPrior | None,
+    read: Sequence[BioscapePlot], slots: tuple[str, ...], field: Field, learned: LearnedPrior | None
 ) -> Prior:
     """The prior that other plots are: every species has the mean traits of the other plots."""
     known = {name: others(field.value[name]) for name in QUANTITIES}

@@ -22,12 +22,7 @@ from fynjax._core.parts import Workers, at_work
 from fynjax._core.precision import double_precision
 from fynjax.app.io.raster import file_hash
 from fynjax.app.jobs import Run
-from fynjax.inversion import (
-    LinearPlots,
-    ParameterSpace,
-    fit_population,
-    spectrum_view,
-)
+from fynjax.inversion import LinearPlots, ParameterSpace, fit_population, spectrum_view
 from fynjax.scene import PlotParameters, Scene
 from fynjax.sensors import BandSet
 from fynjax.studies.bioscape._calibrate import chosen_bands

@@ -26,12 +26,7 @@ from fynjax.app.report.pages import Page, Picture, Section, Table
 from fynjax.inversion import Hyperprior, ParameterSpace, Population
 from fynjax.sensors import BandSet
 from fynjax.studies.bioscape._assumed import COVERS_MEAN
-from fynjax.studies.bioscape._population import (
-    COVER_ERROR,
-    MEANS,
-    PER_PLOT,
-    effect_matrix,
-)
+from fynjax.studies.bioscape._population import COVER_ERROR, MEANS, PER_PLOT, effect_matrix
 from fynjax.studies.bioscape._scenes import Resolution
 
 ASSUMED, LEFT_OUT = "as assumed", "learned, plot left out"
@@ -106,10 +101,7 @@ class Lesson:
             ),
             mean_correlation=(of_means / np.outer(mean_sd, mean_sd)).tolist(),
             left_out=[
-                LeftOutPlot(
-                    plot=name,
-                    means=self._physical(one).tolist(),
-                )
+                LeftOutPlot(plot=name, means=self._physical(one).tolist())
                 for name, one in zip(self.plots, self.left_out)
             ],
         )

@@ -16,11 +16,7 @@ from fynjax.app.io.plot import (
 )
 from fynjax.app.io.text import staged_folder
 from fynjax.app.jobs import InitResult, check_nothing_there
-from fynjax.studies.fynbos_2006._recovery import (
-    SURVEY_YEAR,
-    ground_after_fire,
-    table_after_fire,
-)
+from fynjax.studies.fynbos_2006._recovery import SURVEY_YEAR, ground_after_fire, table_after_fire
 
 FILES = {
     "plot.toml": "the plot, its light and sensor, and what to calibrate",
@@ -39,11 +35,7 @@ ASSUMED = (
 
 @double_precision
 def init(
-    folder: str | Path,
-    *,
-    burnt: int = PUBLISHED,
-    prior: str | Path = DEFAULT_PRIOR,
-    seed: int = 0,
+    folder: str | Path, *, burnt: int = PUBLISHED, prior: str | Path = DEFAULT_PRIOR, seed: int = 0
 ) -> InitResult:
     """Write the fynbos plot of the article, commented, into `folder`; it runs as it is.
 

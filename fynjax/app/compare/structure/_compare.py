@@ -163,10 +163,7 @@ def compare_pair(pair: CloudPair, *, seed: int = 0) -> StructureComparison:
 
 
 def cloud_structure(
-    path: str | Path,
-    settings: ComparisonSettings | None = None,
-    *,
-    seed: int = 0,
+    path: str | Path, settings: ComparisonSettings | None = None, *, seed: int = 0
 ) -> CloudStructure:
     """The structure of one cloud: its ground, grain, metrics in each cell and their means.
 

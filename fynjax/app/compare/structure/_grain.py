@@ -10,12 +10,7 @@ from fynjax._core.errors import InputError, in_file
 from fynjax.app.compare.structure._cloud import HeightCloud
 from fynjax.app.compare.structure._settings import ComparisonSettings
 from fynjax.app.terrain import Bounds
-from fynjax.metrics.structure import (
-    CellGrid,
-    CellStructure,
-    cell_grid,
-    cell_structure,
-)
+from fynjax.metrics.structure import CellGrid, CellStructure, cell_grid, cell_structure
 
 PAPER_GRAINS = {1.0: (17.9, 51.3), 2.0: (6.1, 10.6)}
 """Change of the paper's metrics to the next larger grain [%], by grain [m]: median over metrics,

@@ -21,10 +21,7 @@ _LAYER = "layer thickness, lowest height and what counts as leaf area are not pr
 
 _PUBLISHED = {
     "foliage_height_diversity": PublishedStructure(
-        0.097,
-        1.23,
-        None,
-        f"{_LAYER}; the two contradict the agreement of the heights: no target",
+        0.097, 1.23, None, f"{_LAYER}; the two contradict the agreement of the heights: no target"
     ),
     "gap_fraction": PublishedStructure(
         0.0625, 0.0672, 100.0 * (0.0672 / 0.0625 - 1.0), "the height threshold is not printed"

@@ -29,10 +29,7 @@ class Shot:
 
 
 def placed(
-    shots: list[Shot],
-    crs: pyproj.CRS | None,
-    origin: tuple[float, float],
-    ground: float | None,
+    shots: list[Shot], crs: pyproj.CRS | None, origin: tuple[float, float], ground: float | None
 ) -> list[Frame]:
     """Shots in the coordinates of a plot with its corner at `origin` in `crs` and its ground at a
     height of `ground` [m].

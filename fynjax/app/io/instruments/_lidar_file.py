@@ -79,7 +79,7 @@ class FlightLinesTable(LidarGeometryTable):
     slips: ClassVar[dict[str, Slip]] = {
         "divergence_mrad": lambda v: (
             f"Radians? In mrad this is {v * 1000:g}." if 0 < v < 0.01 else None
-        ),
+        )
     }
 
     half_scan_angle_deg: float = in_unit("degree", gt=0, le=60)
@@ -126,7 +126,7 @@ class ReceiverTable(Strict):
     """What is recorded of the light that comes back, and what counts as a return."""
 
     slips: ClassVar[dict[str, Slip]] = {
-        "sample_m": lambda v: f"Centimetres? In m this is {v / 100:g}." if 5 < v <= 500 else None,
+        "sample_m": lambda v: f"Centimetres? In m this is {v / 100:g}." if 5 < v <= 500 else None
     }
 
     sample_m: float = in_unit("m", ge=0.001, le=5)

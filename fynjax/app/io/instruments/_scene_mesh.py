@@ -28,12 +28,7 @@ def check_triangles(plants: int, max_triangles: int) -> None:
 
 
 def scene_meshes(
-    instances: Instances,
-    scene: Scene,
-    parameters: PlotParameters,
-    *,
-    max_triangles: int,
-    seed: int,
+    instances: Instances, scene: Scene, parameters: PlotParameters, *, max_triangles: int, seed: int
 ) -> tuple[list[PlantMesh | None], int]:
     """A mesh for each species that has plants, and the triangles that all its copies make.
 

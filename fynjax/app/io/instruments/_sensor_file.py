@@ -17,13 +17,7 @@ from fynjax.app.io.instruments._sensor_tables import (
     RadiometricNoiseTable,
     SensorFile,
 )
-from fynjax.app.io.text import (
-    did_you_mean,
-    line_of,
-    read_rows,
-    read_toml,
-    shipped_or_own,
-)
+from fynjax.app.io.text import did_you_mean, line_of, read_rows, read_toml, shipped_or_own
 from fynjax.sensors import (
     Lidar,
     Sensor,
@@ -103,9 +97,7 @@ def _read_sensor(path: Path) -> Sensor:
         slip = _order_slip(bands.centre_nm, widths, bands.any_order)
         if slip is not None:
             raise InputError(
-                slip[1],
-                row=line_of(text, ("bands", "centre_nm")),
-                column="bands.centre_nm",
+                slip[1], row=line_of(text, ("bands", "centre_nm")), column="bands.centre_nm"
             )
         _warn_of_half_widths(path, bands.centre_nm, widths)
     elif bands.curves is not None:

@@ -17,14 +17,7 @@ from pydantic import (
 
 from fynjax.app.io.instruments import WayOfCalibration
 from fynjax.app.io.plot._calibration import CalibrationTable
-from fynjax.app.io.text import (
-    NamedFile,
-    Slip,
-    Strict,
-    did_you_mean,
-    in_unit,
-    quantity,
-)
+from fynjax.app.io.text import NamedFile, Slip, Strict, did_you_mean, in_unit, quantity
 from fynjax.canopy import Shrubland
 from fynjax.scene import PARAMETERS, CoverDefinition, Placement, PlantingRules
 from fynjax.sensors import Frame, Panel, Pose, SunPosition, shipped_sensors, sun_position

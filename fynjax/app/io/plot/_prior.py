@@ -384,10 +384,5 @@ def write_prior(path: Path, file: PriorFile) -> None:
         "correlation = [", *(f"    {row(r)}," for r in file.error.correlation), "]",
     ]  # fmt: skip
     for left in file.left_out:
-        lines += [
-            "",
-            "[[left_out]]",
-            f"plot = {text(left.plot)}",
-            f"means = {row(left.means)}",
-        ]
+        lines += ["", "[[left_out]]", f"plot = {text(left.plot)}", f"means = {row(left.means)}"]
     write_text(path, "\n".join(lines) + "\n")

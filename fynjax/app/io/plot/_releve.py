@@ -489,11 +489,7 @@ _NOT_SHRUBS = (
 
 
 def _record(
-    given: dict[str, str],
-    row: int,
-    table: TextTable,
-    places: dict[str, list[int]],
-    faults: _Faults,
+    given: dict[str, str], row: int, table: TextTable, places: dict[str, list[int]], faults: _Faults
 ) -> SpeciesRow | None:
     """A row of the species table; None, with its faults, where it cannot be one."""
     filled = {name: cell for name, cell in given.items() if cell}

@@ -118,10 +118,7 @@ def read_over_plot(
 
 
 def _corner(
-    file: RasterFile,
-    size: tuple[float, float],
-    origin: tuple[float, float] | None,
-    option: str,
+    file: RasterFile, size: tuple[float, float], origin: tuple[float, float] | None, option: str
 ) -> tuple[float, float]:
     """The plot's south-west corner in the raster's coordinates."""
     if origin is not None:
@@ -157,10 +154,7 @@ def _edges(
     height, width = file.shape
     columns = (corner[0] - west) / t.a, (corner[0] + size[0] - west) / t.a
     rows = (north - corner[1] - size[1]) / -t.e, (north - corner[1]) / -t.e
-    beyond = (
-        max(-columns[0], columns[1] - width) * t.a,
-        max(-rows[0], rows[1] - height) * -t.e,
-    )
+    beyond = (max(-columns[0], columns[1] - width) * t.a, max(-rows[0], rows[1] - height) * -t.e)
     if any(b > _slack(c, s) for b, c, s in zip(beyond, (t.a, -t.e), size, strict=True)):
         raise InputError(
             f"expected a raster that covers the plot, ({corner[0]:.2f}, {corner[1]:.2f}) to "

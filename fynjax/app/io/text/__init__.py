@@ -2,12 +2,7 @@
 
 from fynjax._core.errors import did_you_mean
 from fynjax._core.files import NamedFile, check_stated_size, existing_file, read_bytes
-from fynjax._core.records import (
-    Slip,
-    Strict,
-    in_unit,
-    quantity,
-)
+from fynjax._core.records import Slip, Strict, in_unit, quantity
 from fynjax._core.tables import TextTable, open_table
 from fynjax.app.io.text._atomic import (
     atomic_path,

@@ -184,10 +184,7 @@ def constraint_plot(table: pd.DataFrame) -> Figure:
 
 @style()
 def convergence_plot(
-    loss: ArrayLike,
-    gradient_norm: ArrayLike | None = None,
-    *,
-    rounds: ArrayLike | None = None,
+    loss: ArrayLike, gradient_norm: ArrayLike | None = None, *, rounds: ArrayLike | None = None
 ) -> Figure:
     """Loss, and the norm of its gradient if given, against the steps done.
 
@@ -287,11 +284,7 @@ def error_bars(panels: Mapping[str, Mapping[str, Mapping[str, float]]]) -> Figur
 
 
 @style()
-def spectrum_plot(
-    wavelength: ArrayLike,
-    reflectance: ArrayLike,
-    bands: pd.DataFrame,
-) -> Figure:
+def spectrum_plot(wavelength: ArrayLike, reflectance: ArrayLike, bands: pd.DataFrame) -> Figure:
     """A measured spectrum, and the plot's before and after calibration, in the bands compared.
 
     **Arguments:** `wavelength` [nm] and `reflectance` [-] of all of the measured spectrum; `bands`

@@ -98,8 +98,7 @@ def shifts_plot(parameters: pd.DataFrame) -> Figure:
 
 @style()
 def residuals_plot(
-    wavelength: Float[np.ndarray, " band"],
-    residuals: dict[str, Float[np.ndarray, "plot band"]],
+    wavelength: Float[np.ndarray, " band"], residuals: dict[str, Float[np.ndarray, "plot band"]]
 ) -> Figure:
     """Residuals of model and measurement, mean and spread over the plots.
 

@@ -119,10 +119,7 @@ def corner(draws: Posterior | Mapping[str, Posterior], truth: ArrayLike | None =
 
 @style()
 def predictive_plot(
-    predicted: ArrayLike,
-    observed: ArrayLike,
-    sd: ArrayLike,
-    names: Sequence[str],
+    predicted: ArrayLike, observed: ArrayLike, sd: ArrayLike, names: Sequence[str]
 ) -> Figure:
     """Posterior prediction of each statistic against the measurement, in standard errors.
 

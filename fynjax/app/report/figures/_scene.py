@@ -9,13 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Patch
 
 from fynjax.app.report.figures._style import Figure, style
-from fynjax.canopy import (
-    FORMS,
-    Organ,
-    PlantModel,
-    plant_model,
-    unit_shapes,
-)
+from fynjax.canopy import FORMS, Organ, PlantModel, plant_model, unit_shapes
 from fynjax.scene import Instances, individual_seeds, projected_cover
 
 _PALETTE = (

@@ -27,10 +27,7 @@ class View:
     """A camera in the south-south-west that looks down on the plot's middle."""
 
     def __init__(
-        self,
-        extent: tuple[float, float],
-        top: float,
-        pixels: tuple[int, int] = (_WIDTH, _HEIGHT),
+        self, extent: tuple[float, float], top: float, pixels: tuple[int, int] = (_WIDTH, _HEIGHT)
     ) -> None:
         self.size = pixels[0] * _FINER, pixels[1] * _FINER
         """Columns and rows of the picture before it is thinned to what is shown [pixels]."""
