@@ -154,9 +154,9 @@ GROUPS: dict[str, list[Mutant]] = {
                "jobs/test_simulate_angles.py photons"),
         Mutant("radiation/_reduced.py", "1 if pattern.ndim == 2 else min(materials, count)", "1",
                "radiation/test_reduced.py all_that_differ"),
-        Mutant("inversion/_canopy.py", "light = jnp.asarray([sun_zenith, view_zenith, "
-               "relative_azimuth, sky_share", "light = jnp.asarray([sun_zenith, view_zenith, 0.0 * "
-               "relative_azimuth, sky_share", "inversion/test_canopy.py to_the_side"),
+        Mutant("inversion/_canopy.py", "CanopyView(sun_zenith, view_zenith, relative_azimuth, ",
+               "CanopyView(sun_zenith, view_zenith, 0.0 * relative_azimuth, ",
+               "inversion/test_canopy.py to_the_side"),
         Mutant("io/spectra/_envi.py", "np.where(values == ignore, np.nan, values / scale)",
                "np.where(values / scale == ignore, np.nan, values / scale)",
                "io/test_envi_headers.py library"),

@@ -140,7 +140,8 @@ def test_commands_and_their_options_exist() -> None:
         text = CliRunner().invoke(app, [*name.split(), "--help"], env={"COLUMNS": "200"}).output
         for option in ("--output", "--seed", "--json", "--quiet"):
             # In some of them nothing is drawn.
-            without = ("terrain", "bioscape plots", "reflectance", "convert", "map", "frames")
+            without = ("terrain", "bioscape plots", "reflectance", "convert", "map", "frames",
+                       "fit-canopy")  # fmt: skip
             if option != "--seed" or name not in without:
                 assert option in text, f"{name} {option}"
     used = {

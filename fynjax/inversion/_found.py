@@ -264,14 +264,13 @@ def find_places(
     """
     settings = PlacesSettings() if settings is None else settings
     model = places_model(scene, image, camera, space, settings, height=height, error=error)
+    with stage("Search by slopes", settings.steps):
+        soft = descend(model, model.start(), settings.steps, free_early(space))
     stands, images = [], []
     for chain in range(settings.chains):
-        random = generator(settings.seed + chain, 313)
-        one = model.drawn(random)
-        with stage("Search by slopes", settings.steps):
-            soft = descend(one, one.start(settings.seed + chain), settings.steps, free_early(space))
         with stage("Whole stands", settings.rounds):
-            kept, mean = whole_stands(one, soft, settings.seed + chain)
+            kept, mean = whole_stands(model, soft, settings.seed + chain)
+        random = generator(settings.seed + chain, 313)
         stands += [_with_outlines(stand, random) for stand in kept]
         images.append(mean)
     covariance = np.linalg.inv(np.asarray(model.whiten, float))

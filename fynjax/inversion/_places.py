@@ -212,19 +212,6 @@ class PlacesModel(eqx.Module):
     height: Float[Array, "y x"] | None
     """Measured height of the canopy in the voxel columns [m]; NaN where it is not known."""
     settings: PlacesSettings = eqx.field(static=True)
-    middle: Float[Array, " free"]
-    """About which the free parameters are spread beforehand: 0, or of one draw of the posterior a
-    draw of their prior (`drawn`) [prior standard deviations]."""
-    middle_of_bands: Float[Array, " coordinate"]
-    """As `middle`, of the coordinates of the factors."""
-
-    def drawn(self, random: np.random.Generator) -> "PlacesModel":
-        """The model of one draw of the posterior: what is fitted with a prior about a draw of the
-        prior is one, where the image depends linearly on the parameters (randomise, then optimise:
-        Bardsley et al. 2014, SIAM Journal on Scientific Computing 36:A1895)."""
-        u, band = (random.normal(size=m.shape) for m in (self.middle, self.middle_of_bands))
-        single = lambda x: jnp.asarray(x, self.middle.dtype)  # noqa: E731
-        return dataclasses.replace(self, middle=single(u), middle_of_bands=single(band))
 
     def weights(self, logit: Array) -> tuple[Float[Array, " candidate"], Float[Array, " site"]]:
         """Weight of each candidate, and of nothing at each site; those of a site sum to one."""
@@ -312,8 +299,7 @@ class PlacesModel(eqx.Module):
         off = (crowns - known.number) / jnp.sqrt((sd * known.number) ** 2 + 0.25)
         share = jax.ops.segment_sum(known.chance, known.site, len(none))
         sites = jnp.sum(weight * jnp.log(known.chance)) + jnp.sum(none * jnp.log1p(-share))
-        apart = v.u - self.middle, v.band - self.middle_of_bands
-        normal = sum(jnp.sum(x**2) for x in (v.shift, v.width, v.tall, *apart))
+        normal = sum(jnp.sum(x**2) for x in (v.shift, v.width, v.tall, v.u, v.band))
         return (
             0.5 * jnp.sum(off**2) + 0.5 * normal - sites + CROWDING * self.crowding(v, 1.0 - none)
         )
@@ -328,18 +314,16 @@ class PlacesModel(eqx.Module):
         entropy = -sum(jnp.sum(w * jnp.log(w + _TINY)) for w in (weight, none))
         return data + self.prior(v, weight, none) - entropy, jnp.sum(pixels) / self.values
 
-    def start(self, seed: int | None = None) -> Places:
-        """The prior's middle, with the table's weights everywhere, and a little chance by `seed`,
-        by default that of the settings."""
+    def start(self) -> Places:
+        """The prior's middle, with the table's weights everywhere."""
         known, zero = self.candidates, jnp.zeros_like(self.candidates.reach)
         share = jax.ops.segment_sum(known.chance, known.site, len(zero))
-        drawn = generator(self.settings.seed if seed is None else seed, 307).normal(
-            size=len(known.chance)
-        )
+        drawn = generator(self.settings.seed, 307).normal(size=len(known.chance))
         logit = jnp.log(known.chance / (1.0 - share)[known.site])
         return Places(
             logit + jnp.asarray(0.1 * drawn, zero.dtype), jnp.zeros_like(known.place), zero, zero,
-            self.middle, self.middle_of_bands,
+            jnp.zeros(len(self.space.names), zero.dtype),
+            jnp.zeros(self.root.shape[1], zero.dtype),
         )  # fmt: skip
 
 
@@ -417,7 +401,6 @@ def places_model(
         single(np.where(seen, image, np.nan)),
         single(np.linalg.inv(np.linalg.cholesky(covariance))), single(together),
         None if height is None else single(height), settings,
-        single(np.zeros(len(space.names))), single(np.zeros(factors.coordinates)),
     )  # fmt: skip
 
 

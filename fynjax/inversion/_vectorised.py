@@ -79,7 +79,8 @@ def _free_memory() -> float:
 def value_and_jacobian(
     function: Callable[[Array], Any], at: Float[Array, " free"], *, mode: str = "auto"
 ) -> tuple[Float[Array, "*value"], Float[Array, "*value free"]]:
-    """A function's value and its Jacobian, row by row or column by column: little memory.
+    """The value and the Jacobian of a `function` at `at`, row by row or column by column: little
+    memory.
 
     `mode` is "forward", a run for each parameter; "reverse", two or three runs for each value; or
     "auto", the one of fewer runs. Values of more or fewer axes than one need "forward".
