@@ -578,7 +578,8 @@ def _of_known_plants(search: PixelSearch, state: PixelState) -> Calibration:
     value = np.asarray(measured.value)
     values = value + sd * search.errors.whiten(rest[:own], back=True)
     slopes = sd[:, None] * search.errors.whiten(rows[:own], back=True)
-    sd = sd * np.repeat(search.errors.sd, own // len(search.errors.sd))
+    alike = np.sqrt(float(search.errors.together))  # how bands err together is left out
+    sd = sd * np.repeat(alike * search.errors.sd, own // len(search.errors.sd))
     data = Data(measured.names, jnp.asarray(value), jnp.asarray(sd)).widened(excess)
     end = Ended(
         jnp.asarray(u[:free]), jnp.asarray(values), jnp.asarray(slopes[:, :free]),
@@ -588,7 +589,7 @@ def _of_known_plants(search: PixelSearch, state: PixelState) -> Calibration:
     covariance = np.linalg.inv(scaled.T @ scaled + np.eye(len(u)))
     # Of the parameters alone, the factors integrated over.
     alone = np.linalg.inv(covariance[:free, :free]) - np.eye(free)
-    information = np.linalg.solve(np.eye(free) + alone * search.outlines(u), alone)
+    information = np.linalg.solve(np.eye(free) + alone @ search.outlines(u), alone)
     factors = search.space.factors.known(u[free:], covariance[free:, free:])
     gains, errors = search.space.factors.gains(factors), search.space.factors.errors(factors)
     image, before = search.image(state.u), np.asarray(state.before)

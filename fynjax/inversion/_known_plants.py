@@ -177,7 +177,8 @@ class PixelErrors(eqx.Module):
         own = pixels.own_sd**2 * np.eye(len(camera.sensor.bands))
         if pixels.sd is not None:
             return cls(jnp.asarray(own), jnp.asarray(1.0), False)
-        shape, together = shape_error(scene, camera, block=pixels.block)
+        shape, together = shape_error(scene, camera, block=pixels.block, widest=16)
+        shape = 2.0 * shape  # the plot has shapes of its own, and the model others
         # What is a block's own is not shared with its neighbours.
         shared = 1.0 + (together - 1.0) * np.trace(shape) / np.trace(shape + own)
         return cls(jnp.asarray(shape + own), jnp.asarray(shared), True)
@@ -274,21 +275,20 @@ class PixelSearch:
         )  # fmt: skip
         """All that its steps follow from, besides where it starts."""
 
-    def outlines(self, u: np.ndarray) -> Float[np.ndarray, " free"]:
-        """Variance of each parameter at `u` by the outlines of the plants, whose shapes are not
-        known: of a species' mean size that of one plant (`OUTLINE`) over their number [prior
-        standard deviations squared]."""
-        at = jnp.asarray(u[: self._free])
-        slope = np.diagonal(np.asarray(jax.jacfwd(self._plot.physical)(at)))
-        values, scene = np.asarray(self._plot.physical(at)), self.model.scene
+    def outlines(self, u: np.ndarray) -> Float[np.ndarray, "free free"]:
+        """Covariance of the parameters at `u` by the outlines of the plants, whose shapes are not
+        known: of a species' mean size the variance of one plant (`OUTLINE`) over their number, in
+        prior standard deviations."""
+        at, scene = jnp.asarray(u[: self._free]), self.model.scene
         number = dict(zip(scene.taxa, hard_counts(scene, self.model.parameters), strict=True))
         of = np.zeros(self._free)
         for i, name in enumerate(self._plot.names):
             error = OUTLINE.get(parameter_kind(name), 0.0) if self.errors.shapes else 0.0
             if error:
-                plants = max(int(number[name.split(".")[1]]), 1)
-                of[i] = (error * values[i] / slope[i]) ** 2 / plants
-        return of
+                of[i] = error / np.sqrt(max(int(number[name.split(".")[1]]), 1))
+        sizes = np.diag(of * np.asarray(self._plot.physical(at)))
+        root = np.linalg.solve(np.asarray(jax.jacfwd(self._plot.physical)(at), float), sizes)
+        return np.asarray(root @ root.T)
 
     @property
     def measured(self) -> Float[np.ndarray, "band y x"]:

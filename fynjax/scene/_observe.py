@@ -926,9 +926,9 @@ def _by_all_parameters(primals: Any, tangents: Any) -> Any:
         change = jax.tree.map(
             lambda value, own: _nothing(value, some[0]) if own is None else own, parameters, change
         )
-        scene = eqx.tree_at(
-            lambda s: s.held, scene, jnp.asarray(not scene.counts_move(tangents[2]))
-        )
+        own = (getattr(tangents[1], name) for name in ("number", "rounding", "whole", "clumping"))
+        moves = scene.counts_move(tangents[2]) or bool(jax.tree.leaves([*own]))
+        scene = eqx.tree_at(lambda s: s.held, scene, jnp.asarray(not moves))
 
     observed = partial(_observe_with, key=key)
     return eqx.filter_jvp(observed, (aimed, scene, parameters), (*tangents[:2], change))

@@ -112,3 +112,16 @@ def test_nothing_stays_nothing_beside_an_infinite_slope():
     np.testing.assert_array_equal(jax.grad(function)(jnp.ones(3)), 1.0)
     zeros = _nothing(jnp.ones((2, 2)), jnp.asarray(3.0))
     np.testing.assert_array_equal(zeros, np.zeros((2, 2)))
+
+
+def test_numbers_of_plants_keep_their_slope_beside_a_parameter(red):
+    value, scene, _ = red
+    number, at = scene.counts(scene.parameters), scene.parameters.leaf.chlorophyll
+
+    def both(number, chlorophyll):
+        plot = eqx.tree_at(PARTS["chlorophyll"], scene.parameters, chlorophyll)
+        return value(plot, dataclasses.replace(scene, number=number))
+
+    alone = jax.grad(lambda n: both(n, at))(number)
+    assert jnp.abs(alone).min() > 0.0
+    np.testing.assert_allclose(jax.grad(both, (0, 1))(number, at)[0], alone, rtol=1e-6)

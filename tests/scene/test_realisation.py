@@ -270,7 +270,8 @@ the voxels."""
 def test_a_rule_of_planting_is_declared_twice_at_most():
     """By the record that reads it from a file, and by `PlantingRules`. Fewer: lower `DECLARED`."""
     root, found = Path(fynjax.__file__).parent, Counter()
-    for path in (root / "scene" / "_scene.py", *(root / "app" / "io" / "plot").glob("*.py")):
+    scene = (root / "scene" / name for name in ("_scene.py", "_planting.py"))
+    for path in (*scene, *(root / "app" / "io" / "plot").glob("*.py")):
         for record in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             if isinstance(record, ast.ClassDef):
                 lines = (one for one in record.body if isinstance(one, ast.AnnAssign))
