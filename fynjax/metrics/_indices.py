@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from importlib.resources import files
+from pathlib import Path
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import jax
@@ -126,13 +127,34 @@ def _value(node: ast.expr, terms: Mapping[str, Any], root: Callable[[Any], Any])
     raise InputError(f"expected a formula of bands, numbers, + - * / ^ and sqrt, but got {node}")
 
 
-def _read() -> Iterator[VegetationIndex]:
-    text = (files("fynjax.metrics") / "data" / "vegetation_indices.csv").read_text("utf-8")
-    for row in csv.DictReader(text.splitlines()):
-        yield VegetationIndex(**row)
+def _read(text: str) -> Iterator[VegetationIndex]:
+    seen = {term.word for term in BAND_TERMS.values()}
+    for line, row in enumerate(csv.DictReader(text.splitlines()), 2):
+
+        def refuse(wanted: str, got: Any, line: int = line) -> InputError:
+            return InputError(f"expected {wanted}, but got {got!r}", file=_TABLE, row=line)
+
+        if None in row or not all(row.values()):
+            raise refuse("name, formula and source, with quotes about a text with commas", row)
+        index = VegetationIndex(**row)
+        if index.name in seen or not re.fullmatch(r"\w+", index.name):
+            raise refuse("a name that is no band's and no other index's", index.name)
+        seen.add(index.name)
+        words = set(re.findall(r"[A-Za-z_]\w*", index.formula)) - {"sqrt", *BAND_TERMS}
+        if odd := sorted(word for word in words if not re.fullmatch(r"R\d+(\.\d+)?", word)):
+            raise refuse(f"letters {', '.join(BAND_TERMS)} or R and a wavelength", odd[0])
+        try:
+            with np.errstate(all="ignore"):
+                index({term: np.float64(0.3) for term in index.terms}, np.sqrt)
+        except (SyntaxError, InputError) as error:
+            raise refuse("a formula", index.formula) from error
+        yield index
 
 
-VEGETATION_INDICES: dict[str, VegetationIndex] = {index.name: index for index in _read()}
+_TABLE = Path(str(files("fynjax.metrics"))) / "data" / "vegetation_indices.csv"
+VEGETATION_INDICES: dict[str, VegetationIndex] = {
+    index.name: index for index in _read(_TABLE.read_text("utf-8"))
+}
 """Every vegetation index by name, in the form of its source: `data/vegetation_indices.csv`."""
 
 _PLAIN = (

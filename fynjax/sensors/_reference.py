@@ -49,7 +49,7 @@ def _imager(name: str) -> dict[str, Any]:
         "upper_nm": max(centres),
         "pixel_m": float(sensor.pixel()),
         "altitude_m": float(about["geometry"].get("altitude_m", np.nan)),
-        "description": about["description"],
+        "description": about.get("description", ""),
     }
 
 
@@ -72,5 +72,5 @@ def _lidar(name: str) -> dict[str, Any]:
         "upper_nm": lidar.wavelength,
         "pixel_m": 1e-3 * angle * at.altitude,
         "altitude_m": at.altitude,
-        "description": about["description"],
+        "description": about.get("description", ""),
     }

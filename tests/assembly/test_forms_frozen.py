@@ -13,8 +13,8 @@ from fynjax.app.io.plot import read_prior
 from fynjax.canopy import generate_plant, plant_model
 
 FROZEN = json.loads(Path(__file__).with_name("forms_frozen.json").read_text("utf-8"))
-"""Sums that were written before the forms became records; `stand` since draws of a prior's means are
-by the symmetric root of their covariance."""
+"""Sums that were written before the forms became records; `stand` since means are drawn by the
+symmetric root of their covariance."""
 
 
 def sums(*arrays: np.ndarray) -> list[float]:

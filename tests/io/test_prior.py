@@ -11,6 +11,7 @@ from fynjax.app.io.plot import (
     DEFAULT_PRIOR,
     LEAFY_FORMS,
     PRIOR_PARAMETERS,
+    SHIPPED_PRIORS,
     LeftOutPlot,
     PriorError,
     PriorFile,
@@ -223,3 +224,8 @@ def test_a_plot_takes_what_its_files_leave_open(tmp_path: Path) -> None:
     assert taken.calibration.relative_sd(named + "leaf_area_index") == 0.7
     assert taken.calibration.relative_sd(f"species.{first.taxon}.dead_fraction") is None
     assert with_prior(plot, "none") is plot
+
+
+@pytest.mark.parametrize("name", SHIPPED_PRIORS)
+def test_every_shipped_prior_is_read(name):
+    assert read_prior(name) is not None

@@ -17,7 +17,7 @@ from fynjax._core.errors import InputError
 from fynjax.app.cli import main
 from fynjax.app.io.spectra import read_spectra_file
 from fynjax.app.jobs._convert import convert
-from fynjax.app.jobs._fit_leaf import fit_leaf
+from fynjax.app.jobs._fit_leaf import fit_leaves
 from fynjax.leaf import LeafParameters, area_factors, correct_detector_jumps, prospect
 from tests.helpers import assert_valid_summary
 
@@ -321,7 +321,7 @@ def test_one_bad_spectrum_does_not_stop_its_file(tmp_path):
     wide.to_csv(tmp_path / "wide.csv", index=False)
     with pytest.raises(InputError, match="only NaN"):
         read_spectra_file(tmp_path / "wide.csv")
-    summary = fit_leaf([tmp_path / "wide.csv"], tmp_path / "out")
+    summary = fit_leaves([tmp_path / "wide.csv"], tmp_path / "out")
     assert (summary.spectra, summary.converged_spectra) == (2, 2)
     assert [r.name for r in summary.refused] == ["void", "percent"]
     traits = pd.read_csv(tmp_path / "out" / "traits.csv").set_index("name")
@@ -354,7 +354,7 @@ def test_text_as_a_spreadsheet_saves_it(tmp_path):
 def test_run_writes_traits_and_spectra_and_keeps_going_past_a_bad_file(tmp_path):
     good = table(tmp_path / "good.csv", {"wavelength": WAVELENGTH, "a_R": R, "a_T": T, "b": R})
     bad = table(tmp_path / "bad.csv", {"wavelength": WAVELENGTH, "r": 100 * R})
-    summary = fit_leaf([good, bad], tmp_path / "out")
+    summary = fit_leaves([good, bad], tmp_path / "out")
     assert (summary.spectra, len(summary.refused)) == (2, 1)
     traits = pd.read_csv(tmp_path / "out" / "traits.csv")
     assert traits["name"].tolist()[:2] == ["a", "b"]
@@ -373,7 +373,7 @@ def test_run_writes_traits_and_spectra_and_keeps_going_past_a_bad_file(tmp_path)
     assert 0.01 < (image[..., :3].min(-1) < 0.5).mean() < 0.5  # ink, on a page mostly white
     shutil.rmtree(tmp_path / "out")
     with pytest.raises(InputError, match=r"bad\.csv"):
-        fit_leaf([bad], tmp_path / "out")
+        fit_leaves([bad], tmp_path / "out")
     assert not (tmp_path / "out").exists()
 
 
@@ -416,7 +416,7 @@ def test_a_wrong_table_of_groups_is_refused(tmp_path, text, message):
     groups = tmp_path / "groups.csv"
     groups.write_text(text)
     with pytest.raises(InputError, match=message) as caught:
-        fit_leaf([good], tmp_path / "out", groups=groups)
+        fit_leaves([good], tmp_path / "out", groups=groups)
     assert "groups.csv" in str(caught.value)
 
 
@@ -433,7 +433,7 @@ def test_jumps_of_an_asd_are_taken_out_and_said(tmp_path):
         target = np.where(grid <= 1000, gain, 1.0) * flat * 1000
         body = target.tobytes() + bytes(18) + struct.pack("<H", 0) + np.full(2151, 1e3).tobytes()
         (tmp_path / f"{name}.asd").write_bytes(bytes(header) + body)
-    summary = fit_leaf([tmp_path / "plain.asd", tmp_path / "drift.asd"], tmp_path / "out")
+    summary = fit_leaves([tmp_path / "plain.asd", tmp_path / "drift.asd"], tmp_path / "out")
     said = [r.repair for r in summary.repairs if r.name == "drift"]
     assert any("1000 nm: +4" in sentence and "taken out" in sentence for sentence in said)
     traits = pd.read_csv(tmp_path / "out" / "traits.csv")
@@ -516,7 +516,7 @@ def test_what_lies_behind_a_clip_is_told_from_the_leaf(tmp_path):
     reading = table(tmp_path / "a.csv", {"wavelength": WAVELENGTH, "a": over(0.9)})
     fits = {}
     for behind in (0.9, None):
-        fit_leaf([reading], tmp_path / "out", measurement="leaf-clip", background=behind)
+        fit_leaves([reading], tmp_path / "out", measurement="leaf-clip", background=behind)
         fits[behind] = pd.read_csv(tmp_path / "out" / "traits.csv").iloc[0]
     for trait, truth in (("chlorophyll", 40.0), ("water", 0.01)):
         assert abs(np.log(fits[0.9][trait] / truth)) < 0.1
@@ -542,7 +542,7 @@ def test_options_that_do_not_go_together(tmp_path, monkeypatch, options, message
     if options.get("over_background") == ["t.csv"]:
         options = options | {"over_background": paths}
     with pytest.raises(InputError, match=message):
-        fit_leaf(paths, tmp_path / "out", **options)
+        fit_leaves(paths, tmp_path / "out", **options)
     assert not (tmp_path / "out").exists()
 
 
@@ -564,11 +564,11 @@ def test_every_table_states_its_area(tmp_path):
 def test_an_unknown_panel_is_said_once(tmp_path):
     for name in "ab":
         (tmp_path / f"{name}.asd").write_bytes(asd())
-    result = fit_leaf([tmp_path / "a.asd", tmp_path / "b.asd"], tmp_path / "out")
+    result = fit_leaves([tmp_path / "a.asd", tmp_path / "b.asd"], tmp_path / "out")
     (said,) = [warning for warning in result.warnings if "panel" in warning]
     assert "2 ASD spectra" in said
     curve = table(tmp_path / "panel.csv", {"wavelength": [500, 2500], "panel": [0.9, 0.9]})
-    result = fit_leaf([tmp_path / "a.asd"], tmp_path / "out", panel=curve)
+    result = fit_leaves([tmp_path / "a.asd"], tmp_path / "out", panel=curve)
     assert not result.warnings
     assert any("150 bands beyond" in repair.repair for repair in result.repairs)
 

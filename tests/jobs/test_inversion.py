@@ -13,7 +13,7 @@ from fynjax import jobs
 from fynjax._core.errors import InputError
 from fynjax.app.assembly import image_view, plot_problem
 from fynjax.app.io.plot import read_plot
-from fynjax.app.jobs._information import _limit_sentences, information, limit_table
+from fynjax.app.jobs._information import _limit_sentences, limit_table, plot_information
 from fynjax.app.jobs._posterior import _headline, posterior
 from fynjax.app.jobs._sensitivity import _headline as sensitivity_headline
 from fynjax.app.jobs._sensitivity import sensitivity
@@ -243,7 +243,7 @@ def test_a_posterior_from_three_sensors(plot, tmp_path):
 
 @pytest.mark.study
 def test_a_plot_tells_what_sensors_could_know_of_it(plot, tmp_path):
-    result = information(plot, tmp_path, gsd=[0.2, 1.0], bands=[1, 2], realisations=2, seed=0)
+    result = plot_information(plot, tmp_path, gsd=[0.2, 1.0], bands=[1, 2], realisations=2, seed=0)
     assert all((tmp_path / name).stat().st_size for name in result.files)
     assert len(result.limits) == 4
     states = {"at no pixel", "at fine pixels", "at every pixel"}

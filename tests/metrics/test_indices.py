@@ -24,6 +24,7 @@ from fynjax.metrics import (
     BANDS,
     SPECTRAL_REGIONS,
     VEGETATION_INDICES,
+    _indices,
     index_bands,
     vegetation_indices,
 )
@@ -580,3 +581,21 @@ def test_derived_bands_give_the_printed_means_to_first_order() -> None:
         assert float(value[name]) == pytest.approx(table4_2006()[name].real_mean, rel=0.03)
     for name in ("SR", "GCI", "GRVI", "MSR", "ARI2"):
         assert float(value[name]) == pytest.approx(table4_2006()[name].real_mean, rel=0.10)
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ("mine,(nir-R)/(nir+R),Me (2026)", "expected letters B, G, R, RE, N, S1, S2 or R and"),
+        ("mine,(N-Q)/(N+Q),Me (2026)", "but got 'Q'"),
+        ("mine,(N-RE)/(N+RE,Me (2026)", "expected a formula"),
+        ("mine,N+[R],Me (2026)", "expected a formula"),
+        ("nir,N/R,Me (2026)", "no band's and no other index's, but got 'nir'"),
+        ("mine,N/R,Me (2026)\nmine,R/N,Me (2026)", "row 3.*no other index's"),
+        ("mine,N/R,Me, 2026", "quotes about a text with commas"),
+        ("mine,N/R", "name, formula and source"),
+    ],
+)
+def test_a_line_that_is_no_index_is_refused(line: str, words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        list(_indices._read(f"name,formula,source\n{line}"))

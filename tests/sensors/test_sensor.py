@@ -15,6 +15,7 @@ from scipy.ndimage import gaussian_filter
 from fynjax._core.errors import InputError
 from fynjax.sensors import BandSet, PointSpread, Sensor, mavic_3m, shipped_sensor, shipped_sensors
 from fynjax.sensors._bands import band_set_of_curves
+from fynjax.sensors._reference import sensor_reference
 from tests.helpers import assert_gradients
 
 COARSE = np.arange(400.0, 2520.0, 10.0)  # wider than an AVIRIS-NG channel
@@ -29,6 +30,7 @@ def sensor(name: str) -> Sensor:
 @pytest.mark.parametrize("name", shipped_sensors())
 def test_every_shipped_sensor_returns_lines_and_constants(name: str) -> None:
     """A linear spectrum comes back at the response's mean wavelength, however narrow the band."""
+    assert name in set(sensor_reference().name)
     bands = sensor(name).bands
     grid = np.arange(350.0, 2560.0, 10.0)
     weights = np.asarray(bands.weights(grid))

@@ -144,6 +144,8 @@ def with_prior(plot: Plot, name_or_path: str | Path) -> Plot:
     ground = plot.ground
     if ground.wood_brightness is None and plot.dead_tissue is None:
         ground = ground.replace(wood_brightness=values["wood_brightness"])
+        bark = prior.sd("wood_brightness", elsewhere=True) / values["wood_brightness"]
+        spread.setdefault("ground.wood_brightness", bark)
     return plot.replace(
         species=tuple(species),
         ground=ground,

@@ -73,9 +73,10 @@ def drone_sensor(plot: Plot, bands: Collection[str] | None = None) -> Sensor:
     if missing := [name for name in BANDS if name not in names]:
         raise InputError(
             f"expected a sensor with bands {', '.join(BANDS)}, but {plot.sensor.name!r} has no "
-            f"{missing[0]}. Its products are made by `fynjax simulate {plot.file.name}`.",
+            f"{missing[0]}. Rename the bands of a file of yours. Products of any bands are made by "
+            f"`fynjax simulate {plot.file.name}`.",
             file=plot.file,
-            column="sensor.name",
+            column="sensor.path" if plot.sensor.path else "sensor.name",
         )
     pixel = sensor_place(plot)[1]
     if pixel > min(plot.size_m):
