@@ -230,6 +230,21 @@ def test_pixels_with_light_from_a_table_are_fitted_as_one_by_one():
         fit_canopies(wavelength, pixels[:, :5], view)
 
 
+def test_pixels_and_soils_that_cannot_be_fitted_are_refused():
+    view, pixels = CanopyView(35.0), np.full((2, len(WAVELENGTH)), 0.2)
+    for soil in (20.0, np.full(len(WAVELENGTH), 20.0)):
+        with pytest.raises(InputError, match=r"`soil` must be a fraction.*percentage"):
+            fit_canopies(WAVELENGTH, pixels, view, soil=soil)
+    with pytest.raises(InputError, match=r"`soil` must have one value for each of the 8 bands"):
+        fit_canopies(WAVELENGTH, pixels, view, soil=np.full(3, 0.2))
+    # A number stands for all bands: only what follows it is refused.
+    with pytest.raises(InputError, match="no parameter"):
+        fit_canopies(WAVELENGTH, pixels, view, soil=0.2, known={"none": 1.0})
+    pixels[0, 2:], pixels[1, :-2] = np.nan, np.nan
+    with pytest.raises(InputError, match="in three bands, but none has"):
+        fit_canopies(WAVELENGTH, pixels, view)
+
+
 @pytest.mark.slow  # tabulates light
 def test_a_table_of_light_is_the_light():
     """At leaves, areas and soils drawn evenly, where none of its points are."""
