@@ -130,6 +130,7 @@ def quick(monkeypatch):
 
 @pytest.mark.slow  # compiles fits
 def test_traits_of_a_table_and_of_an_image(quick, tmp_path):
+    pytest.importorskip("rioxarray", reason="the extra `map` is not installed")
     frame = table(
         site=[f"s{i}" for i in range(8)], sun_zenith=[35.0, 35.4, *[50.0] * 4, 60.0, np.nan],
         chlorophyll=np.arange(8.0),
