@@ -162,7 +162,7 @@ leaves at large (`LEAF_PARAMETERS`) |
         print(fx.fit_canopy(sensor, measured, sun_zenith=35.0, known={"leaf_angle": 57.0}))
     """
     own, centre = bands_and_centres(bands)
-    value, ground, error = _given(centre, reflectance=reflectance, soil=soil, sd=sd)
+    value, ground, error = given_by_band(centre, reflectance=reflectance, soil=soil, sd=sd)
     use = np.isfinite(value)
     if use.sum() < 3:
         raise InputError(f"at least three bands must have a reflectance, but {use.sum()} have")
@@ -208,7 +208,11 @@ def canopy_model(
         order = np.argsort(centre)
         own = np.interp(wavelength, centre[order], soil[order])
         if np.isnan(own).any():
-            raise InputError("`soil` must have a value wherever `reflectance` has one")
+            at = centre[np.isnan(soil)][0]
+            raise InputError(
+                "`soil` must have a value wherever `reflectance` has one, but has none at "
+                f"{at:g} nm"
+            )
         below = np.stack([own, own])
     # In the fit all of it is traced, and not checked.
     for name, high in _HIGHEST.items():
@@ -268,7 +272,7 @@ def _bounds(name: str) -> tuple[float, float]:
     return _PRIORS[name][:2]
 
 
-def _given(centre: np.ndarray, **given: Any) -> list[np.ndarray]:
+def given_by_band(centre: np.ndarray, **given: Any) -> list[np.ndarray]:
     """Each a value for each band, NaN where not given."""
     arrays = []
     for name, values in given.items():

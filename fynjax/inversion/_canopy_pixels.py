@@ -18,6 +18,7 @@ from fynjax.inversion._canopy import (
     CanopyView,
     bands_and_centres,
     canopy_model,
+    given_by_band,
     mean_bins,
 )
 from fynjax.inversion._data import Data
@@ -55,7 +56,7 @@ def fit_canopies(
     reflectance: Float[np.ndarray, "pixel band"],
     view: CanopyView,
     *,
-    soil: Float[np.ndarray, " band"] | None = None,
+    soil: Float[np.ndarray, " band"] | float | None = None,
     known: Mapping[str, float] | None = None,
     max_steps: int = 40,
 ) -> CanopyFits:
@@ -95,8 +96,8 @@ def fit_canopies(
         raise InputError(f"at least three bands must have a reflectance, but {used.sum()} have")
     if isinstance(own, BandSet):
         own = own.select(np.flatnonzero(used).tolist())
+    ground = None if soil is None else given_by_band(centre, soil=soil)[0][used]
     centre, values, seen = centre[used], values[:, used], seen[:, used]
-    ground = None if soil is None else np.asarray(soil, float)[used]
     if not isinstance(own, BandSet):  # each bin the mean of what there is
         bins = mean_bins(centre)
         share = seen @ bins.T
@@ -104,19 +105,20 @@ def fit_canopies(
             values = np.where(seen, values, 0.0) @ bins.T / share
         centre, seen = bins @ centre, share > 0.0
         ground = None if ground is None else bins @ ground
+    filled = seen.sum(axis=1) >= _FEWEST
+    if not filled.any():
+        raise InputError("some pixel must have a reflectance in three bands, but none has")
     model, space = canopy_model(own, centre, view, ground, known)  # refuses before the table
     model = eqx.tree_at(
         lambda m: m.light, model, CanopyTable.made(view), is_leaf=lambda leaf: leaf is None
     )
-    filled = seen.sum(axis=1) >= _FEWEST
     count = len(space.names)
     rows = np.full((len(values), 4 * count + 2), np.nan)
     points = np.concatenate([np.where(seen, values, 0.0), seen], axis=1)[filled]
-    if len(points):
-        fit = _Fit(model, space, max_steps)
-        batches = evaluate_batches(fit, points, batch=min(_AT_ONCE, len(points)))
-        total = -(-len(points) // _AT_ONCE)
-        rows[filled] = np.concatenate([*track(batches, "Fit pixels", total=total)])
+    fit = _Fit(model, space, max_steps)
+    batches = evaluate_batches(fit, points, batch=min(_AT_ONCE, len(points)))
+    total = -(-len(points) // _AT_ONCE)
+    rows[filled] = np.concatenate([*track(batches, "Fit pixels", total=total)])
     estimate, lower, upper, constrained = np.split(rows[:, : 4 * count], 4, axis=1)
     return CanopyFits(
         space.names, estimate, lower, upper, constrained, rows[:, -2] == 1.0, rows[:, -1]

@@ -425,3 +425,9 @@ def test_groups_and_objects_are_organs_where_materials_are_not(
     stated = (tmp_path / "a.obj").read_text().replace("f 2 3 4", "usemtl bark\nf 2 3 4")
     (tmp_path / "b.obj").write_text(stated)
     assert "bark" in read_plant_mesh(tmp_path / "b.obj", up="z").materials
+    one = "\n".join(lines).replace(f"{kind} trunk", f"{kind} 12")  # of leaves alone no group says
+    (tmp_path / "c.obj").write_text(one.replace("\nf", "\nusemtl skin\nf") + "\n")
+    assert "skin" in read_plant_mesh(tmp_path / "c.obj", up="z").materials
+    numbered = [*lines, f"{kind} 12", "f 1 2 3"]
+    (tmp_path / "d.obj").write_text("\n".join(numbered) + "\n")
+    assert set(read_plant_mesh(tmp_path / "d.obj", up="z").materials) == {"trunk", "leaf", "12"}

@@ -164,20 +164,23 @@ def test_what_is_known_is_not_fitted_and_helps():
 
 
 def test_shapes_are_those_of_soils_of_other_libraries(shared_data):
-    """47 soils of the Open Soil Spectral Library, seven of the Sentinel-2 ATBD and 40 of Johns
-    Hopkins, none of which the shapes were made of."""
+    """Seven soils of the Sentinel-2 ATBD, 47 of the Open Soil Spectral Library, of which some may
+    be those of the shapes, and 40 of Johns Hopkins."""
     table = np.load(shared_data / "leaf" / "soil_spectra.npz")
     grid = np.arange(400.0, 2501.0, 10.0)
-    soils = table["refl"][2:, ::10]
+    everything = table["refl"][2:, ::10]
     dry, wet = (np.log(background_spectrum(f"{name}_soil", grid)) for name in ("dry", "wet"))
     taken = np.stack([np.ones_like(dry), wet - dry], axis=1)
 
-    def left(vectors):
+    def left(vectors, soils):
         logs = np.log(np.maximum(soils, 0.005)) - dry
         found = np.linalg.lstsq(vectors, logs.T)[0]
         return np.sqrt(np.mean((np.exp((vectors @ found).T + dry) - soils) ** 2))
 
-    assert left(np.concatenate([taken, soil_shapes(grid).T], axis=1)) < 0.35 * left(taken)
+    shaped = np.concatenate([taken, soil_shapes(grid).T], axis=1)
+    parts = everything[:54], everything[54:]
+    assert [left(shaped, some) for some in parts] == pytest.approx([0.015, 0.026], abs=6e-4)
+    assert [left(taken, some) for some in parts] == pytest.approx([0.065, 0.078], abs=6e-4)
 
 
 PEERS = pd.read_csv(Path(__file__).with_name("canopies_by_prosail.csv"))
@@ -228,6 +231,21 @@ def test_pixels_with_light_from_a_table_are_fitted_as_one_by_one():
         np.testing.assert_allclose((many.upper - many.lower)[row] / width, 1.0, atol=0.1)
     with pytest.raises(InputError, match=r"must be .pixel, 11 bands."):
         fit_canopies(wavelength, pixels[:, :5], view)
+
+
+def test_pixels_and_soils_that_cannot_be_fitted_are_refused():
+    view, pixels = CanopyView(35.0), np.full((2, len(WAVELENGTH)), 0.2)
+    for soil in (20.0, np.full(len(WAVELENGTH), 20.0)):
+        with pytest.raises(InputError, match=r"`soil` must be a fraction.*percentage"):
+            fit_canopies(WAVELENGTH, pixels, view, soil=soil)
+    with pytest.raises(InputError, match=r"`soil` must have one value for each of the 8 bands"):
+        fit_canopies(WAVELENGTH, pixels, view, soil=np.full(3, 0.2))
+    # A number stands for all bands: only what follows it is refused.
+    with pytest.raises(InputError, match="no parameter"):
+        fit_canopies(WAVELENGTH, pixels, view, soil=0.2, known={"none": 1.0})
+    pixels[0, 2:], pixels[1, :-2] = np.nan, np.nan
+    with pytest.raises(InputError, match="in three bands, but none has"):
+        fit_canopies(WAVELENGTH, pixels, view)
 
 
 @pytest.mark.slow  # tabulates light

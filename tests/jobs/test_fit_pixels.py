@@ -63,6 +63,48 @@ def test_collection_2_of_landsat(tmp_path):
     read = read_canopy_pixels(tmp_path / "p.csv", fx.sensor("landsat_8"))
     np.testing.assert_allclose(read.reflectance, seen, atol=2e-5)
 
+    plain = [f"B{i}" for i in range(1, 8)]
+    frame = table(np.round((seen + 0.2) / 2.75e-5), plain)
+    frame.loc[0] = 0.0  # fill
+    frame.to_csv(tmp_path / "b.csv", index=False)
+    found = read_canopy_pixels(tmp_path / "b.csv", fx.sensor("landsat_8")).reflectance
+    np.testing.assert_allclose(found[1:], seen[1:], atol=2e-5)
+    assert np.isnan(found[0]).all()
+    with pytest.raises(InputError, match=r"no ground reflects 0\.6 in all bands.*SR_B1"):
+        read_canopy_pixels(tmp_path / "b.csv", fx.sensor("sentinel_2a"))
+
+
+@pytest.mark.parametrize(("offset", "said"), [(0.0, False), (1000.0, True)])
+def test_an_offset_of_sentinel_2_is_told(offset, said, tmp_path):
+    table(np.round(1e4 * SPECTRA + offset)).to_csv(tmp_path / "p.csv", index=False)
+    words = read_canopy_pixels(tmp_path / "p.csv", fx.sensor("sentinel_2a")).said
+    assert ("offset of 1000" in " ".join(words)) == said
+
+
+def test_bands_by_colours_and_names_of_catalogues(tmp_path):
+    names = ["coastal", "blue", "green", "red", "nir", "swir16", "swir22", "qa_2021"]
+    seen = SPECTRA[:, [0, 1, 2, 3, 8, 9, 10, 0]]
+    table(seen, names).to_csv(tmp_path / "p.csv", index=False)
+    read = read_canopy_pixels(tmp_path / "p.csv", fx.sensor("landsat_8"))
+    assert read.bands.names == tuple(f"B{i}" for i in range(1, 8))
+    assert read.said[0].endswith("swir22 as B7. Not used as bands: qa_2021.")
+    both = table(seen[:, :5], ["blue", "green", "red", "nir", "nir08"])
+    both.to_csv(tmp_path / "s.csv", index=False)
+    read = read_canopy_pixels(tmp_path / "s.csv", fx.sensor("sentinel_2a"))
+    assert read.bands.names == ("B2", "B3", "B4", "B8", "B8A")
+
+
+def test_wavelengths_are_no_other_numbers_and_none_stands_twice(tmp_path):
+    names = ["R560", "sd_665", "665", "year2021", "elevation_1000", "rho 705 nm"]
+    table(SPECTRA[:, :6], names).to_csv(tmp_path / "p.csv", index=False)
+    read = read_canopy_pixels(tmp_path / "p.csv", None)
+    assert read.bands.tolist() == [560.0, 665.0, 705.0]
+    assert read.said[0].startswith("Bands: 3 from 560 to 705 nm, R560, 665, rho 705 nm. Not used")
+    twice = ["R560", "R665", "x665", "705"]
+    table(SPECTRA[:, :4], twice).to_csv(tmp_path / "t.csv", index=False)
+    with pytest.raises(InputError, match="R665 and x665 are both of 665 nm"):
+        read_canopy_pixels(tmp_path / "t.csv", None)
+
 
 def test_a_stack_of_xarray_with_a_time(tmp_path):
     cube = SPECTRA.reshape(2, 4, 11).transpose(2, 0, 1)[None]
@@ -88,16 +130,25 @@ def quick(monkeypatch):
 
 @pytest.mark.slow  # compiles fits
 def test_traits_of_a_table_and_of_an_image(quick, tmp_path):
-    frame = table(site=[f"s{i}" for i in range(8)], sun_zenith=[35.0, 35.4, *[50.0] * 6])
+    pytest.importorskip("rioxarray", reason="the extra `map` is not installed")
+    frame = table(
+        site=[f"s{i}" for i in range(8)], sun_zenith=[35.0, 35.4, *[50.0] * 4, 60.0, np.nan],
+        chlorophyll=np.arange(8.0),
+    )  # fmt: skip
+    frame.loc[6, NAMES[2:]] = np.nan  # the only one of its sun
+    frame.loc[7, NAMES] = np.nan
     frame.to_csv(tmp_path / "p.csv", index=False)
     result = jobs.fit_pixels(
         tmp_path / "p.csv", tmp_path / "t", sensor="sentinel_2a", known=["leaf_angle=50"]
     )
     traits = pd.read_csv(tmp_path / "t" / "traits.csv")
     assert traits["site"].tolist() == frame["site"].tolist()
-    assert (traits["leaf_area_index_q05"] < traits["leaf_area_index"]).all()
+    assert traits["chlorophyll_given"].tolist() == frame["chlorophyll"].tolist()
+    assert traits["status"].eq("fewer than three bands").tolist() == [False] * 6 + [True] * 2
+    assert traits["leaf_area_index"].isna().tolist() == [False] * 6 + [True] * 2
+    assert (traits["leaf_area_index_q05"] < traits["leaf_area_index"])[:6].all()
     assert "leaf_angle" not in traits
-    assert result.pixels == 8
+    assert (result.pixels, result.without_data) == (8, 2)
     assert [row.trait for row in result.traits][:2] == ["chlorophyll", "carotenoids"]
     where = {"y": [6200015.0, 6200005.0], "x": 300005.0 + 10.0 * np.arange(4)}
     image = xr.Dataset(
@@ -138,6 +189,22 @@ def test_wrong_input_is_refused(change, message, quick, tmp_path):
     table(SPECTRA * factor, names).to_csv(tmp_path / "p.csv", index=False)
     with pytest.raises(InputError, match=message):
         jobs.fit_pixels(tmp_path / "p.csv", tmp_path / "o", **given)
+
+
+def test_soils_that_do_not_cover_the_bands_and_empty_pixels_are_refused(tmp_path):
+    frame = table()
+    frame.to_csv(tmp_path / "p.csv", index=False)
+    given = {"sensor": "sentinel_2a", "sun_zenith": 35.0}
+    pd.DataFrame({"wavelength": [400, 700, 1000], "soil": [0.1, 0.2, 0.3]}).to_csv(
+        tmp_path / "soil.csv", index=False
+    )
+    with pytest.raises(InputError, match="has none at 16"):
+        jobs.fit_pixels(tmp_path / "p.csv", tmp_path / "o", soil=tmp_path / "soil.csv", **given)
+    for i in range(8):  # two bands each, and all bands in some pixel
+        frame.loc[i, [name for j, name in enumerate(NAMES) if j not in (i, i + 3)]] = np.nan
+    frame.to_csv(tmp_path / "e.csv", index=False)
+    with pytest.raises(InputError, match="three bands, but none has"):
+        jobs.fit_pixels(tmp_path / "e.csv", tmp_path / "o", **given)
 
 
 def test_a_table_of_many_suns_is_refused(tmp_path):

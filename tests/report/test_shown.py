@@ -48,7 +48,8 @@ def test_maps_show_means_beside_their_standard_deviations_north_up():
     other = ramp(6, 9, 20.0, -1.0, 2.0)
     figure = laid_out(maps_figure(
         {"cover": (mean[::-1], sd[::-1], "live cover", "1"),
-         "mass": (other[::-1], sd[::-1] + 9.0, "leaf mass", "g m-2")}, unlike[::-1], 0.99
+         "mass": (other[::-1], sd[::-1] + 9.0, "leaf mass", "g m-2")}, unlike[::-1],
+        "unlikeness (1: 99 %)",
     ))  # fmt: skip
     np.testing.assert_allclose(seen_corners(figure, panel(figure, "live cover")), corners(mean))
     mass = panel(figure, "leaf mass [g m-2]")

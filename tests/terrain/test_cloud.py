@@ -429,6 +429,8 @@ def test_stations_of_ptx_are_put_together(tmp_path):
         read_cloud(text_file(tmp_path / "cut.ptx", cut))
     with pytest.raises(InputError, match="ten lines of numbers"):
         read_cloud(text_file(tmp_path / "none.ptx", "x y z\n1 2 3\n"))
+    with pytest.raises(InputError, match="ten lines of numbers"):
+        read_cloud(text_file(tmp_path / "one.ptx", "2\n"))
 
 
 def test_pts_begins_with_its_number_of_points(tmp_path):

@@ -19,7 +19,14 @@ ANGLES = ("sun_zenith", "view_zenith", "relative_azimuth")
 """Columns that say how a pixel is lit and seen [degrees]."""
 _TABLES = (".csv", ".txt", ".tsv", ".xlsx", ".tab")
 _BAND = re.compile(r"(?:sr[_ .]?)?b(?:and)?[_ .]?0*(\d+a?)", re.I)
-_WAVELENGTH = re.compile(r"(?:[a-z]{1,12}[ _.]?)?(\d{3,4}(?:\.\d+)?)(?:[ _.]?nm)?", re.I)
+_WAVELENGTH = re.compile(
+    r"(?:(?:r|rho|refl|reflectance|x|band|wl|w|nm)[ _.]?)?(\d{3,4}(?:\.\d+)?)(?:[ _.]?nm)?", re.I
+)
+_CATALOGUE = {
+    "coastal": 443.0, "rededge1": 704.0, "rededge2": 740.0, "rededge3": 783.0, "nir08": 865.0,
+    "nir09": 945.0, "swir16": 1610.0, "swir22": 2200.0,
+}  # fmt: skip
+"""Names of bands in catalogues of satellites (STAC), with their middles [nm]."""
 _LANDSAT = 2.75e-5, -0.2
 """Factor and offset of Landsat's collection 2."""
 _LEAST_STORED = 6000.0
@@ -68,7 +75,7 @@ def _table(path: Path, sensor: Sensor | None) -> CanopyPixels:
     numbers = [*places, *angles.values()]
     rest = [i for i in range(table.width) if i not in numbers]
     frame = table.columns(numbers, rest, missing=("", "na", "nan", "none", "null"))
-    values, said = _scaled(frame[places].to_numpy(float), [table.names[i] for i in places])
+    values, said = _scaled(frame[places].to_numpy(float), [table.names[i] for i in places], sensor)
     notes = frame[rest].set_axis([table.names[i] or "row" for i in rest], axis=1)
     seen = frame[list(angles.values())].set_axis(list(angles), axis=1)
     return CanopyPixels(bands, values, [words, *said], notes, seen if angles else None)
@@ -90,7 +97,7 @@ def _image(path: Path, sensor: Sensor | None) -> CanopyPixels:
             for start in range(0, rows, cube.rows_at_once)
         ]
         values = np.concatenate(parts).reshape(-1, len(places)).astype(float)
-        values, said = _scaled(values, [cube.names[i] for i in places])
+        values, said = _scaled(values, [cube.names[i] for i in places], sensor)
         return CanopyPixels(
             bands, values, [words, *said],
             shape=cube.shape, transform=cube.transform, crs=cube.crs,
@@ -119,9 +126,10 @@ def _places(
         words = ", ".join(f"{names[found[b]] or b + 1} as {sensor.bands.names[b]}" for b in order)
         if len(order) > 13:
             words = f"{len(order)} bands by wavelength"
-        return [found[b] for b in order], sensor.bands.select(order), f"Bands: {words}."
+        left = _left_out(names, list(found.values()))
+        return [found[b] for b in order], sensor.bands.select(order), f"Bands: {words}.{left}"
     own = _wavelengths(names) if stated is None or np.isnan(stated).all() else stated
-    order = [int(i) for i in np.argsort(own) if 400.0 <= own[i] <= 2500.0]
+    order = [int(i) for i in np.argsort(own, kind="stable") if 400.0 <= own[i] <= 2500.0]
     if len(order) < 3:
         hint = did_you_mean(next(filter(_BAND.fullmatch, names), ""), names)
         raise InputError(
@@ -131,11 +139,27 @@ def _places(
             if hint or not any(np.isfinite(own))
             else f"expected three bands from 400 to 2500 nm or more, but {len(order)} are"
         )
-    centre = own[order]
-    keep = np.concatenate([[True], np.diff(centre) > 0.0])  # detectors may overlap
+    keep = np.concatenate([[True], np.diff(own[order]) > 0.0])  # detectors may overlap
+    if stated is None and not keep.all():
+        second = int(np.argmin(keep))
+        raise InputError(
+            f"expected one column for each wavelength, but {names[order[second - 1]]} and "
+            f"{names[order[second]]} are both of {own[order[second]]:g} nm. Rename one"
+        )
     order = [i for i, k in zip(order, keep) if k]
     centre = own[order]
-    return order, centre, f"Bands: {len(order)} from {centre[0]:g} to {centre[-1]:g} nm."
+    words = f"Bands: {len(order)} from {centre[0]:g} to {centre[-1]:g} nm"
+    if stated is None:
+        some = order if len(order) <= 13 else [order[0], order[-1]]
+        words += f", {(', ' if some is order else ' to ').join(names[i] for i in some)}"
+    return order, centre, f"{words}.{_left_out(names, order)}"
+
+
+def _left_out(names: tuple[str, ...], used: list[int]) -> str:
+    """What is no band, in words."""
+    rest = [n for i, n in enumerate(names) if n and i not in used and _plain(n) not in ANGLES]
+    more = ", ..." if len(rest) > 13 else ""
+    return f" Not used as bands: {', '.join(rest[:13])}{more}." if rest else ""
 
 
 def _band_of(name: str, bands: BandSet) -> int | None:
@@ -147,9 +171,16 @@ def _band_of(name: str, bands: BandSet) -> int | None:
     if match := _BAND.fullmatch(name.strip()):
         number = f"b{match[1].lower()}"
         return plain.index(number) if number in plain else None
-    colours = {term.word.replace("_", ""): term for term in BAND_TERMS.values()}
-    term = colours.get(text.replace("_", ""))
-    return None if term is None else _nearest(term.usual, bands)
+    colour = text.replace("_", "")
+    if colour in _CATALOGUE:
+        return _nearest(_CATALOGUE[colour], bands)
+    for term in BAND_TERMS.values():
+        if term.word.replace("_", "") == colour:
+            centre, width = np.asarray(bands.centre), np.asarray(bands.fwhm)
+            fits = (centre >= term.shortest) & (centre <= term.longest) & (width <= term.widest)
+            apart = np.where(fits, np.abs(centre - term.usual), np.inf)
+            return int(np.argmin(apart)) if fits.any() else None
+    return None
 
 
 def _nearest(wavelength: float, bands: BandSet) -> int | None:
@@ -163,8 +194,11 @@ def _wavelengths(names: tuple[str, ...]) -> np.ndarray:
     return np.array([np.nan if m is None else float(m[1]) for m in found])
 
 
-def _scaled(values: np.ndarray, names: list[str]) -> tuple[np.ndarray, list[str]]:
-    """Reflectance as fractions, and what the numbers were."""
+def _scaled(
+    values: np.ndarray, names: list[str], sensor: Sensor | None
+) -> tuple[np.ndarray, list[str]]:
+    """Reflectance as fractions, and what the numbers were; nothing of a pixel that is all 0."""
+    values = np.where((values == 0.0).all(axis=1, keepdims=True), np.nan, values)
     known = values[np.isfinite(values) & (values > -0.01)]
     if not known.size:
         raise InputError("expected reflectance, but no pixel has any")
@@ -173,13 +207,25 @@ def _scaled(values: np.ndarray, names: list[str]) -> tuple[np.ndarray, list[str]
         return values, []
     if high <= 100.0:
         return values / 100.0, ["Percent, by their numbers."]
-    stored = np.quantile(known, 0.05) > _LEAST_STORED
-    if stored and all(name.lower().startswith("sr_b") for name in names):
+    low = np.quantile(known[known > 0.0], [0.01, 0.05])
+    whose = "" if sensor is None else sensor.name
+    if low[1] > _LEAST_STORED and high < 65536.0:
+        if not (whose.startswith("landsat") or all(n.lower().startswith("sr_b") for n in names)):
+            raise InputError(
+                "no ground reflects 0.6 in all bands, as these numbers say in ten thousandths. Are "
+                "they of Landsat's collection 2? Name them SR_B1, SR_B2 and so on"
+            )
         factor, offset = _LANDSAT
         scaled = np.where(values > 0.0, values * factor + offset, np.nan)
         return scaled, [f"Landsat collection 2: numbers times {factor:g}, less {-offset:g}."]
     if high <= 2.0e4:
-        return values / 1e4, ["Ten thousandths, by their numbers."]
+        said = ["Ten thousandths, by their numbers."]
+        if whose.startswith("sentinel_2") and low[0] >= 1000.0:
+            said.append(
+                "Hardly any is below 1000: is Sentinel-2's offset of 1000 (baseline 04.00, since "
+                "2022) still in them? Take it off first."
+            )
+        return values / 1e4, said
     raise InputError(
         f"expected reflectance, but 5 % of the values are above {high:.4g}. Is it radiance, or "
         "counts?"

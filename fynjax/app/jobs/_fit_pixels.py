@@ -98,7 +98,7 @@ def fit_pixels(
     centre = np.asarray(getattr(read.bands, "centre", read.bands), float)
     ground = None
     if soil is not None:
-        ground = np.interp(centre, *read_curve(soil, "the soil"))
+        ground = np.interp(centre, *read_curve(soil, "the soil"), left=np.nan, right=np.nan)
     stated: dict[str, float | None] = {
         "sun_zenith": sun_zenith,
         "view_zenith": view_zenith,
@@ -140,8 +140,13 @@ def _known(given: Sequence[str]) -> dict[str, float]:
 def _views(
     read: CanopyPixels, stated: dict[str, float | None], sky_share: float
 ) -> list[tuple[CanopyView, np.ndarray]]:
-    """How pixels are lit and seen, to a degree where a table says it, and which are so."""
+    """How pixels with three bands are lit and seen, to a degree where a table says it, and which
+    are so."""
     own = pd.DataFrame(index=range(len(read.reflectance))) if read.angles is None else read.angles
+    there = (read.reflectance >= 0.0) & (read.reflectance <= 1.0)
+    filled = there.sum(axis=1) >= 3
+    if not filled.any():
+        raise InputError("expected pixels with reflectance in at least three bands, but none has")
     columns = [own[name].round() if name in own else stated[name] for name in ANGLES]
     if columns[0] is None:
         raise InputError(
@@ -149,17 +154,19 @@ def _views(
             "with it, but there is neither"
         )
     angles = pd.DataFrame(dict(zip(ANGLES, columns)), index=own.index).astype(float)
-    if angles.isna().to_numpy().any():
-        row = int(np.argmax(angles.isna().any(axis=1)))
+    missing = angles.isna().any(axis=1).to_numpy() & filled
+    if missing.any():
+        row = int(np.argmax(missing))
         raise InputError(f"expected angles of every pixel, but row {row + 2} has none")
-    groups: Any = angles.groupby(list(ANGLES)).indices
+    places = np.flatnonzero(filled)
+    groups: Any = angles[filled].groupby(list(ANGLES)).indices
     if len(groups) > _MANY_VIEWS:
         raise InputError(
             f"expected at most {_MANY_VIEWS} ways in which pixels are lit and seen, to a degree, "
             f"for each takes some 20 s, but there are {len(groups)}. Round them, or split the table"
         )
     return [
-        (CanopyView(angle[0], angle[1], angle[2], sky_share), np.asarray(rows))
+        (CanopyView(angle[0], angle[1], angle[2], sky_share), places[rows])
         for angle, rows in groups.items()
     ]
 
@@ -170,16 +177,19 @@ def _fitted(
     known: dict[str, float],
     soil: np.ndarray | None,
 ) -> CanopyFits:
-    """The fits of all views, in the order of the pixels."""
+    """The fits of all views, in the order of the pixels; NaN of pixels in none."""
     parts = [
         fit_canopies(read.bands, read.reflectance[rows], view, soil=soil, known=known)
         for view, rows in views
     ]
-    order = np.argsort(np.concatenate([rows for _, rows in views]))
-    joined = [
-        np.concatenate([getattr(part, name) for part in parts])[order]
-        for name in ("estimate", "lower", "upper", "constrained", "converged", "misfit")
-    ]
+    order = np.concatenate([rows for _, rows in views])
+    joined = []
+    for name in ("estimate", "lower", "upper", "constrained", "converged", "misfit"):
+        found = np.concatenate([getattr(part, name) for part in parts])
+        missing = False if found.dtype == bool else np.nan
+        whole = np.full((len(read.reflectance), *found.shape[1:]), missing)
+        whole[order] = found
+        joined.append(whole)
     return CanopyFits(parts[0].names, *joined)
 
 
@@ -198,6 +208,7 @@ def _traits(read: CanopyPixels, fits: CanopyFits) -> pd.DataFrame:
     columns |= {"misfit": fits.misfit, "status": _status(fits)}
     table = pd.DataFrame(columns)
     notes = [one for one in (read.notes, read.angles) if one is not None]
+    notes = [one.rename(columns=lambda n: f"{n}_given" if n in columns else n) for one in notes]
     return pd.concat([*notes, table], axis=1)
 
 
@@ -279,7 +290,8 @@ def _result(
             for i in at
         }
         misfit = fits.misfit.reshape(read.shape) / _UNLIKE
-        shown.insert(0, Picture("traits.png", figures.maps_figure(maps, misfit, 0.95), "maps"))
+        words = f"misfit over {_UNLIKE:g} errors"
+        shown.insert(0, Picture("traits.png", figures.maps_figure(maps, misfit, words), "maps"))
     run.pictures("Traits of canopies", headline, shown, inputs)
     return run.result(
         FitPixelsResult, headline=headline, pixels=count, without_data=empty, unlike=unlike,

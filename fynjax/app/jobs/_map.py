@@ -396,7 +396,7 @@ def _summary(
     if source.location is not None:
         what += "; rows and columns are the swath's, north is not up"
     drawn = {n: (*shown[n], q.words, q.unit) for n, q in STAND_QUANTITIES.items()}
-    figure = figures.maps_figure(drawn, unlike, mask.likely)
+    figure = figures.maps_figure(drawn, unlike, f"unlikeness (1: {100 * mask.likely:g} %)")
     sections = [
         Section("Maps", [Picture("maps.png", figure, what)]),
         *sections,

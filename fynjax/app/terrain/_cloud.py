@@ -444,7 +444,7 @@ def _read_ptx(path: Path) -> PointCloud:
                 continue
             head = [first, *(line for _, line in zip(range(_PTX_HEADER - 1), lines))]
             words = "expected the header of a station of PTX, ten lines of numbers ({error})"
-            with refusing(ValueError, OverflowError, words=words, file=path):
+            with refusing(ValueError, OverflowError, IndexError, words=words, file=path):
                 columns, rows = int(head[0]), int(head[1])
                 matrix = np.array([line.split() for line in head[6:]], float)
                 if columns < 0 or rows < 0 or matrix.shape != (4, 4):

@@ -184,13 +184,16 @@ def _load_obj(file: str) -> tuple[Any, dict[str, str]]:
 
 def _materials_of_groups(text: str) -> str:
     """The text with its groups or objects as materials, where their names and not those of the
-    materials say organs; leaf_1 and leaf_2 become leaf."""
+    materials say two organs or more; leaf_1 and leaf_2 become leaf."""
     if any(organ_of_name(name) is not None for name in _USEMTL.findall(text)):
         return text
     for pattern in _GROUPS.values():
-        if any(organ_of_name(name) is not None for name in pattern.findall(text)):
+        organs = {organ_of_name(name) for name in pattern.findall(text)} - {None}
+        if len(organs) > 1:
             plain = _USEMTL.sub("", text)
-            return pattern.sub(lambda match: f"usemtl {_NUMBERED.sub('', match[1])}", plain)
+            return pattern.sub(
+                lambda match: f"usemtl {_NUMBERED.sub('', match[1]) or match[1]}", plain
+            )
     return text
 
 

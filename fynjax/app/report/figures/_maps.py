@@ -23,7 +23,7 @@ def maps_figure(
         str, tuple[Float[np.ndarray, "row column"], Float[np.ndarray, "row column"], str, str]
     ],
     unlikeness: Float[np.ndarray, "row column"],
-    likely: float,
+    words_of_it: str,
 ) -> Figure:
     """Each map, and below it its standard deviation; at the end how unlike training pixels are.
 
@@ -31,7 +31,7 @@ def maps_figure(
 
     - `maps`: mean, standard deviation, words and unit, by name; row 0 at the top.
     - `unlikeness`: 1 at the limit.
-    - `likely`: share of simulations within the limit [-].
+    - `words_of_it`: words for it.
     """
     across = 3
     rows = -(-(len(maps) + 1) // across)
@@ -46,8 +46,7 @@ def maps_figure(
         _show(figure, grid[r, c + 1], sd, "magma", "its sd", False)
     r, c = cells[len(maps)]
     _show(
-        figure, grid[r, c], np.clip(unlikeness, 0.0, 3.0), "cividis",
-        f"unlikeness (1: {100 * likely:g} %)", False,
+        figure, grid[r, c], np.clip(unlikeness, 0.0, 3.0), "cividis", words_of_it, False
     )  # fmt: skip
     for r, c in [*((a, b + 1) for a, b in cells[len(maps) :]), *cells[len(maps) + 1 :]]:
         grid[r, c].set_axis_off()
