@@ -189,7 +189,7 @@ GROUPS: dict[str, list[Mutant]] = {
                "along[..., -1] -= np.maximum(share, 0)", "radiation/test_shift.py"),
         Mutant("radiation/_ordinates.py", "part(padded, 2) * np.maximum(-share, 0)",
                "part(padded, 1) * np.maximum(-share, 0)", "radiation/test_shift.py"),
-        Mutant("scene/_observe.py", "not scene.counts_move(tangents[2])", "False",
+        Mutant("scene/_observe.py", "jnp.asarray(not moves)", "jnp.asarray(False)",
                "scene/test_one_backward.py"),
         Mutant("scene/_observe.py", "_nothing(value, some[0]) if own is None else own",
                "jnp.zeros_like(value) if own is None else own", "scene/test_one_backward.py"),
