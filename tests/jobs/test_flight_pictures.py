@@ -218,8 +218,15 @@ def _rewrite(folder, _, change):
         (lambda data: data.assign(reflectance=data["reflectance"] * np.nan), "all are missing"),
         (lambda data: data.assign(lens=("frame", ["{"] * 3)), "lens of DJI_0001.TIF as JSON"),
         (lambda data: data.assign_coords(band=["a", "b", "c", "d"]), "bands of"),
+        (lambda data: data.assign(yaw=data["yaw"].mean()), "'yaw' by frame"),
+        (lambda data: data.isel(y=slice(None, None, -1)), "y from south to north"),
+        (lambda data: data.assign(reflectance=data["reflectance"] * 100.0), "In percent"),
+        (lambda data: data.assign(solar_zenith=data["camera_height"] * 0.0 + 95.0),
+         "sun of DJI_0001.TIF at most"),
+        (lambda data: data.assign(camera_height=-data["camera_height"]),
+         "DJI_0001.TIF above the ground"),
     ],
-)
+)  # fmt: skip
 def test_damaged_frames_end_in_one_line(flight, tmp_path, change, message):
     plot, _ = laid(flight, tmp_path)
     path = tmp_path / "out" / "frames.nc"
