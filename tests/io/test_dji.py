@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 from scipy.ndimage import map_coordinates
 
 from fynjax._core.errors import InputError
@@ -43,6 +44,7 @@ def test_counts_become_the_signal_over_the_light(bands, black, tmp_path: Path) -
     np.testing.assert_allclose(relative, np.broadcast_to(rho, relative.shape), rtol=2e-3)
     first = capture.bands[0]
     assert (first.capture, first.time) == (f"id of {name}", "2026:11:22 10:00:00.123")
+    assert first.utc == first.time
     assert first.sensor == ("mavic_3m" if bands is MAVIC else "phantom_4m")
     assert first.focal_length == 135.0
     assert first.irradiance_tilt == pytest.approx(5.0, abs=0.01)
@@ -224,3 +226,16 @@ def test_a_mavic_may_have_a_prefix(tmp_path: Path) -> None:
 def test_a_phantom_of_the_field_with_a_prefix(shared_data: Path) -> None:
     found = find_captures([shared_data / "field" / "29_p4m-files-with-a-prefix"])
     assert [len(paths) for paths in found.values()] == [5, 5]
+
+
+def test_time_of_a_dji_without_utc_is_not_taken_for_it(tmp_path: Path) -> None:
+    def local(text: str) -> str:
+        return text.replace("UTCAtExposure", "OtherTime")
+
+    path = write_dji(tmp_path, NAME, [np.full(SHAPE, 0.3)] * 4, change=local)[0]
+    with Image.open(path) as file:
+        counts, tags = np.asarray(file), file.getexif()
+    tags.get_ifd(0x8769)[0x9003] = "2026:11:22 12:00:00"
+    Image.fromarray(counts).save(path, format="TIFF", exif=tags)
+    band = read_band(path)
+    assert (band.time, band.utc) == ("2026:11:22 12:00:00", "")

@@ -273,5 +273,7 @@ def test_frames_are_validated_one_by_one(flight, tmp_path):
             assert rows.loc[band, "real_mean"] == pytest.approx(known, rel=1e-6)
     assert result.drone.frames is not None
     assert "frames the difference of a mean changes" in " ".join(result.headline)
+    with pytest.raises(InputError, match="no saturation, pixels or names of bands with frames"):
+        jobs.validate(data, tmp_path / "no", saturation=0.9)
     with pytest.raises(InputError, match="the plot file that the frames are simulated by"):
         jobs.validate(jobs.ValidationData(real_drone=real, simulated_drone=real), tmp_path / "no")

@@ -110,6 +110,7 @@ def simulate(
     files = [] if isinstance(name, (Sensor, Lidar)) or not Path(name).is_file() else [Path(name)]
     if angles or isinstance(instrument, Lidar):
         given = {"altitude": altitude, "pixel": pixel, "atmosphere": atmosphere}
+        given |= {"truth": truth or None, "noise": noise or None} if angles else {}
         wrong = [option for option, value in given.items() if value is not None]
         _refuse([*wrong, *["product"] * (tuple(products) != PRODUCTS)], instrument, angles)
         if isinstance(instrument, Lidar):

@@ -1,6 +1,7 @@
 """Tables that a user writes, with their rows as pydantic models: crowns, statistics, sky;
 `fynjax.scene` has those of species and leaves."""
 
+import re
 from collections.abc import Collection
 from pathlib import Path
 from typing import ClassVar, Literal
@@ -54,7 +55,7 @@ class CrownRow(Strict):
 
 class CameraRow(Strict):
     """One row of the table of cameras: where a frame of a mosaic was taken. Other columns, such as
-    those of `fynjax frames`, are not used."""
+    those of `fynjax frames`, are not used, but for angles by other names, which are refused."""
 
     model_config = ConfigDict(extra="ignore")
 
@@ -70,6 +71,17 @@ class CameraRow(Strict):
     """Angle of looking ahead from straight down [degree]."""
     roll_deg: float = in_unit("degree", default=0.0, ge=-180, le=180)
     """Angle by which the camera's right side was down [degree]."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _no_other_angles(cls, row: dict[str, object]) -> dict[str, object]:
+        for key in row.keys() - cls.model_fields.keys():
+            if re.search("yaw|pitch|roll|heading|tilt", key, re.IGNORECASE):
+                raise ValueError(
+                    f"unknown column {key!r}. Did you mean pitch_deg, counted from straight down "
+                    "(a gimbal's + 90)?"
+                )
+        return row
 
 
 def read_cameras(path: str | Path) -> tuple[Pose, ...]:
