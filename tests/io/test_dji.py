@@ -5,12 +5,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from PIL import Image
 from scipy.ndimage import map_coordinates
 
 from fynjax._core.errors import InputError
 from fynjax.app.io.captures import aligned_radiance, find_captures, read_capture, usable_captures
+from fynjax.app.io.captures._band import Stated
+from fynjax.app.io.captures._dji import dji_band
 from fynjax.app.io.captures._metadata import read_band
+from fynjax.app.io.raster import open_raster
 from tests.io.dji_files import MAVIC, PHANTOM, SCALE, SHAPE, Band, frame_place, write_dji
 
 NAME = "DJI_20261122100000_0001"
@@ -229,13 +231,11 @@ def test_a_phantom_of_the_field_with_a_prefix(shared_data: Path) -> None:
 
 
 def test_time_of_a_dji_without_utc_is_not_taken_for_it(tmp_path: Path) -> None:
-    def local(text: str) -> str:
-        return text.replace("UTCAtExposure", "OtherTime")
-
-    path = write_dji(tmp_path, NAME, [np.full(SHAPE, 0.3)] * 4, change=local)[0]
-    with Image.open(path) as file:
-        counts, tags = np.asarray(file), file.getexif()
-    tags.get_ifd(0x8769)[0x9003] = "2026:11:22 12:00:00"
-    Image.fromarray(counts).save(path, format="TIFF", exif=tags)
-    band = read_band(path)
+    """EXIF has the time of where the drone flies."""
+    path = write_dji(tmp_path, NAME, [np.full(SHAPE, 0.3)] * 4)[0]
+    with open_raster(path, "a picture") as file:
+        xmp, counts = dict(file.xmp), file.stored_band(1)
+    del xmp["UTCAtExposure"]
+    stated = Stated(xmp, {"EXIF_DateTimeOriginal": "2026:11:22 12:00:00"})
+    band = dji_band(path, counts, 16, stated)
     assert (band.time, band.utc) == ("2026:11:22 12:00:00", "")
