@@ -115,7 +115,7 @@ def reflectance(
     - `pixel`: or the side of a pixel on the ground [m].
     - `align`: align the bands of a capture's files.
     - `own_pixels`: leave every capture on the pixels of its camera, as `frames` lays them on the
-      ground, wherever it was taken.
+      ground, wherever it was taken; not of a DJI, whose first band is moved.
 
     **Returns:** `ReflectanceResult`. Writes for each capture its reflectance and the standard
     deviation (GeoTIFF), `calibration.csv`, `provenance.json`, figures and a page into `output`.
