@@ -99,7 +99,8 @@ def simulate(
 
     **Raises:** `InputError` as `read_plot`, `load_instrument` and `aim_at_plot`, for noise of a
     sensor that has no model of it, for altitude, pixel, atmosphere or a choice of products with a
-    LiDAR or `angles`, and for truth or noise with `angles`; `MissingExtraError` for a LiDAR without laspy and lazrs.
+    LiDAR or `angles`, and for truth or noise with `angles`; `MissingExtraError` for a LiDAR without
+    laspy and lazrs.
 
     Example: `jobs.simulate("plot.toml", Path("results"), sensor="mavic_3m")`.
     """
