@@ -277,3 +277,10 @@ def test_frames_are_validated_one_by_one(flight, tmp_path):
         jobs.validate(data, tmp_path / "no", saturation=0.9)
     with pytest.raises(InputError, match="the plot file that the frames are simulated by"):
         jobs.validate(jobs.ValidationData(real_drone=real, simulated_drone=real), tmp_path / "no")
+
+
+def test_one_frame_is_compared_with_no_other(flight, tmp_path):
+    plot, _ = laid(flight, tmp_path, most=1)
+    data = jobs.ValidationData(real_drone=tmp_path / "out" / "frames.nc", simulated_drone=plot)
+    result = jobs.validate(data, tmp_path / "validation")
+    assert not any(line.startswith("Between") for line in result.headline)
