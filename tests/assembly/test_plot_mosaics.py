@@ -89,6 +89,7 @@ def test_slips_are_named(plot, more, words):
     [
         ("30.0,1\n", "-3.0,1\n", "height_m"),
         ("north_m", "north", "north_m"),
+        ("seen", "GimbalPitchDegree", "unknown column 'GimbalPitchDegree'. Did you mean pitch_deg"),
         ("-9.0,1.0,30.0,1\nb,11.0", "-900.0,1.0,30.0,1\nb,1100.0", "none of 3 does"),
     ],
 )

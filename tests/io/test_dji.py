@@ -9,7 +9,10 @@ from scipy.ndimage import map_coordinates
 
 from fynjax._core.errors import InputError
 from fynjax.app.io.captures import aligned_radiance, find_captures, read_capture, usable_captures
+from fynjax.app.io.captures._band import Stated
+from fynjax.app.io.captures._dji import dji_band
 from fynjax.app.io.captures._metadata import read_band
+from fynjax.app.io.raster import open_raster
 from tests.io.dji_files import MAVIC, PHANTOM, SCALE, SHAPE, Band, frame_place, write_dji
 
 NAME = "DJI_20261122100000_0001"
@@ -43,6 +46,7 @@ def test_counts_become_the_signal_over_the_light(bands, black, tmp_path: Path) -
     np.testing.assert_allclose(relative, np.broadcast_to(rho, relative.shape), rtol=2e-3)
     first = capture.bands[0]
     assert (first.capture, first.time) == (f"id of {name}", "2026:11:22 10:00:00.123")
+    assert first.utc == first.time
     assert first.sensor == ("mavic_3m" if bands is MAVIC else "phantom_4m")
     assert first.focal_length == 135.0
     assert first.irradiance_tilt == pytest.approx(5.0, abs=0.01)
@@ -224,3 +228,14 @@ def test_a_mavic_may_have_a_prefix(tmp_path: Path) -> None:
 def test_a_phantom_of_the_field_with_a_prefix(shared_data: Path) -> None:
     found = find_captures([shared_data / "field" / "29_p4m-files-with-a-prefix"])
     assert [len(paths) for paths in found.values()] == [5, 5]
+
+
+def test_time_of_a_dji_without_utc_is_not_taken_for_it(tmp_path: Path) -> None:
+    """EXIF has the time of where the drone flies."""
+    path = write_dji(tmp_path, NAME, [np.full(SHAPE, 0.3)] * 4)[0]
+    with open_raster(path, "a picture") as file:
+        xmp, counts = dict(file.xmp), file.stored_band(1)
+    del xmp["UTCAtExposure"]
+    stated = Stated(xmp, {"EXIF_DateTimeOriginal": "2026:11:22 12:00:00"})
+    band = dji_band(path, counts, 16, stated)
+    assert (band.time, band.utc) == ("2026:11:22 12:00:00", "")

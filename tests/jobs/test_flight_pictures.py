@@ -218,8 +218,15 @@ def _rewrite(folder, _, change):
         (lambda data: data.assign(reflectance=data["reflectance"] * np.nan), "all are missing"),
         (lambda data: data.assign(lens=("frame", ["{"] * 3)), "lens of DJI_0001.TIF as JSON"),
         (lambda data: data.assign_coords(band=["a", "b", "c", "d"]), "bands of"),
+        (lambda data: data.assign(yaw=data["yaw"].mean()), "'yaw' by frame"),
+        (lambda data: data.isel(y=slice(None, None, -1)), "y from south to north"),
+        (lambda data: data.assign(reflectance=data["reflectance"] * 100.0), "In percent"),
+        (lambda data: data.assign(solar_zenith=data["camera_height"] * 0.0 + 95.0),
+         "sun of DJI_0001.TIF at most"),
+        (lambda data: data.assign(camera_height=-data["camera_height"]),
+         "DJI_0001.TIF above the ground"),
     ],
-)
+)  # fmt: skip
 def test_damaged_frames_end_in_one_line(flight, tmp_path, change, message):
     plot, _ = laid(flight, tmp_path)
     path = tmp_path / "out" / "frames.nc"
@@ -266,5 +273,14 @@ def test_frames_are_validated_one_by_one(flight, tmp_path):
             assert rows.loc[band, "real_mean"] == pytest.approx(known, rel=1e-6)
     assert result.drone.frames is not None
     assert "frames the difference of a mean changes" in " ".join(result.headline)
+    with pytest.raises(InputError, match="no saturation, pixels or names of bands with frames"):
+        jobs.validate(data, tmp_path / "no", saturation=0.9)
     with pytest.raises(InputError, match="the plot file that the frames are simulated by"):
         jobs.validate(jobs.ValidationData(real_drone=real, simulated_drone=real), tmp_path / "no")
+
+
+def test_one_frame_is_compared_with_no_other(flight, tmp_path):
+    plot, _ = laid(flight, tmp_path, most=1)
+    data = jobs.ValidationData(real_drone=tmp_path / "out" / "frames.nc", simulated_drone=plot)
+    result = jobs.validate(data, tmp_path / "validation")
+    assert not any(line.startswith("Between") for line in result.headline)

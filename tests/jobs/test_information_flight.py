@@ -7,6 +7,7 @@ import pandas as pd
 import pytest
 
 from fynjax._core.errors import InputError
+from fynjax.app.io.plot import read_plot
 from fynjax.app.jobs import plot_information
 from fynjax.app.jobs._information_flight import (
     FlightSetting,
@@ -72,6 +73,8 @@ def test_quantiles_of_returns_scatter_as_drawn_ones():
     heights = 0.02 * np.concatenate([share, share - beside, share + beside])
     got = cloud_covariance(np.tile(heights, (2, 1)), 4.0, 100.0)
     model = cloud_covariance(np.tile(heights, (2, 1)), 4.0, np.inf)
+    # Half of the model's variance is common to all heights.
+    np.testing.assert_allclose(model[0, 2], 0.5 * 0.05**2 * heights[0] * heights[2], rtol=1e-6)
     drawn = np.random.default_rng(3).uniform(0.0, 2.0, (20_000, 400))
     want = np.cov(np.percentile(drawn, share, axis=1))
     np.testing.assert_allclose(got - model, want, rtol=0.12, atol=2e-5)
@@ -103,6 +106,30 @@ def test_settings_are_combined():
     ]  # fmt: skip
     with pytest.raises(InputError, match="positive"):
         flight_settings((0,), (0,), ())
+
+
+def test_what_does_not_go_together_is_refused(tmp_path):
+    plot = write_plot(tmp_path, voxel=0.2)
+    for options in ({"oblique": (4,)}, {"overlap": 70.0, "pulses": (20,)}):
+        with pytest.raises(InputError, match="expected frames beside oblique or overlap"):
+            plot_information(plot, tmp_path / "out", **options)
+    aside = read_plot(plot).replace(boundary="open")
+    with pytest.raises(InputError, match=r"periodic.* for frames"):
+        plot_information(aside, tmp_path / "out", frames=(1,))
+
+
+def test_gains_of_frames_are_those_of_the_plot_file(tmp_path, monkeypatch):
+    class Seen(Exception):
+        pass
+
+    def look(problem, sensor, settings, **_):
+        assert sensor.gains().sd == 0.013
+        raise Seen
+
+    monkeypatch.setattr("fynjax.app.jobs._information_flight.flight_information", look)
+    plot = write_plot(tmp_path, "\n[calibration]\ngain_sd = 0.013\n", voxel=0.2)
+    with pytest.raises(Seen):
+        plot_information(plot, tmp_path / "out", free=("species.*.height",), frames=(1,))
 
 
 @pytest.mark.slow

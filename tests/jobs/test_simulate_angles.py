@@ -107,6 +107,8 @@ def test_what_does_not_go_together_is_refused(run, tmp_path):
     for options, says in (
         ({"pixel": 0.1}, "no pixel with angles"),
         ({"products": ("radiance",)}, "no product with angles"),
+        ({"truth": True}, "no truth with angles"),
+        ({"noise": True}, "no noise with angles"),
         ({"sensor": "scanning_lidar"}, "is a LiDAR"),
     ):
         with pytest.raises(InputError, match=says):
@@ -118,3 +120,11 @@ def test_what_does_not_go_together_is_refused(run, tmp_path):
             sensor="mavic_3m",
             angles=True,
         )
+
+
+def test_bands_without_spectra_are_left_out(run, tmp_path):
+    """The first of EMIT is at 381 nm."""
+    _, folder = run
+    few = shipped_sensor("emit").select([0, 20, 70])
+    made = simulate(folder / "plot.toml", tmp_path / "out", sensor=few, angles=True, seed=4)
+    assert list(made.nadir) == list(few.bands.names[1:])

@@ -483,8 +483,8 @@ def image_target(plot: Plot, path: Path, bands: Sequence[str] | None = None) -> 
 ONE_PICTURE = (
     " It is taken for one picture from above the middle of the plot. From 50 m, with overlaps of "
     "80 and 70 %, a mosaic of the nearest cameras differs from that by up to 1 % in means and 8 % "
-    "in spreads between pixels, one of means over cameras by up to 4 % and 24 to 48 %: `cameras` "
-    "under [[target]] says where these were."
+    "in spreads between pixels, one of means over cameras by up to 4.5 % and by 24 to 46 % on "
+    "average, 48 % at most: `cameras` under [[target]] says where these were."
 )
 """What is said of an image without positions of cameras; of a fynbos plot of 4 m, by `python -m
 tests.benchmarks.flight --only mosaic --size 4`."""

@@ -11,6 +11,7 @@ from pydantic import Field
 
 from fynjax._core.arguments import Seed
 from fynjax._core.dry_run import begin_work
+from fynjax._core.errors import InputError
 from fynjax._core.precision import double_precision
 from fynjax.app.assembly import parameter_columns, plot_problem
 from fynjax.app.io.plot import Plot, as_plot, plot_instrument, sensor_place
@@ -86,7 +87,15 @@ def plot_information(
 
     Example: `jobs.plot_information("plot.toml", Path("results"), gsd=(0.5, 1.0), bands=(4,))`.
     """
+    if not frames and (tuple(oblique) != (0,) or overlap != 80.0):
+        raise InputError("expected frames beside oblique or overlap, but got none")
     read = as_plot(plot)
+    if frames and read.boundary == "open":
+        raise InputError(
+            'expected boundary = "periodic" for frames, but it is "open": oblique views would look '
+            "past the plot",
+            file=read.file,
+        )
     run = Run(output, seed=seed, plot=read)
     with run.stage("Build the plot"):
         problem = plot_problem(read, None, free, seed=run.seed)

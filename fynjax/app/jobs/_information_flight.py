@@ -14,7 +14,7 @@ from fynjax._core.dry_run import begin_work
 from fynjax._core.errors import InputError
 from fynjax._core.progress import track
 from fynjax.app.assembly import parameter_columns
-from fynjax.app.io.plot import Plot, plot_instrument
+from fynjax.app.io.plot import Plot, drone_sensor, plot_instrument
 from fynjax.app.jobs._result import JobResult, Rows
 from fynjax.app.jobs._run import Run
 from fynjax.app.report import figures
@@ -43,7 +43,7 @@ _SHARES = (25.0, 50.0, 75.0, 90.0, 95.0, 99.0)
 _BESIDE = 2.0
 """Shares of first returns below the heights that count [%], and how far off density is read."""
 _MODEL_SD = 0.05
-"""Error of the model of a cloud, relative to its values [-]."""
+"""Error of the model of a cloud, relative to its values, half of its variance in common [-]."""
 
 
 class FlightInformationResult(JobResult):
@@ -180,7 +180,9 @@ def cloud_covariance(
     share = np.asarray(_SHARES) / 100.0
     order = np.minimum.outer(share, share) - np.outer(share, share)
     drawn = order * np.outer(spacing, spacing) / (pulses * area)
-    known = np.diag((_MODEL_SD * middle) ** 2 + 1e-6)
+    # Half of the variance of the model's error is common to all heights, as an assumption.
+    model = 0.5 * _MODEL_SD**2 * (np.outer(middle, middle) + np.diag(middle**2))
+    known = model + 1e-6 * np.eye(len(middle))
     return scatter_covariance(values[:, : len(share)]) + known + drawn
 
 
@@ -340,7 +342,7 @@ def information_of_flight(
 
     **Arguments:** as of `flight_information`, with the camera of the plot file.
     """
-    sensor = plot_instrument(plot)
+    sensor = (drone_sensor if any(one.frames for one in settings) else plot_instrument)(plot)
     _views(sensor, settings, overlap)
     begin_work({"flight.csv": f"{len(settings)} flights", "report.html": ""})
     bounds = flight_information(

@@ -115,7 +115,7 @@ def reflectance(
     - `pixel`: or the side of a pixel on the ground [m].
     - `align`: align the bands of a capture's files.
     - `own_pixels`: leave every capture on the pixels of its camera, as `frames` lays them on the
-      ground, wherever it was taken.
+      ground, wherever it was taken; not of a DJI, whose first band is moved.
 
     **Returns:** `ReflectanceResult`. Writes for each capture its reflectance and the standard
     deviation (GeoTIFF), `calibration.csv`, `provenance.json`, figures and a page into `output`.
@@ -150,6 +150,8 @@ def reflectance(
             f"{', '.join(of_panels)}"
         )
     first = read_capture(*next(iter(wanted.items()))).bands[0]
+    if own_pixels and align:
+        _check_place(read_capture(*next(iter(wanted.items()))))
     calibration = _calibration(read, known, light, panel_sd, light_sd, first.sensor)
     begin_work(
         {f"{name}_reflectance.tif": "" for name in wanted},
@@ -242,7 +244,7 @@ def _convert(
         }
         if spread is None:
             tags[PICTURE_TAG] = _in_picture(capture, aligned).text()
-        if (time := utc_time(capture.bands[0].time)) is not None:
+        if (time := utc_time(capture.bands[0].utc)) is not None:
             tags[TIME_TAG] = time.isoformat()
         if calibration.line is None and not capture.absolute:
             tags[RELATIVE_TAG] = RELATIVE_REFLECTANCE
@@ -257,6 +259,18 @@ def _convert(
     if failed is not None and not made.captures:
         raise failed
     return made
+
+
+def _check_place(capture: Capture) -> None:
+    """That aligned pixels are those of the picture that a pose is of, but for its distortion."""
+    registration = capture.bands[0].registration
+    if registration is not None and not np.allclose(registration.homography, np.eye(3)):
+        raise InputError(
+            "expected a camera whose first band stays where it is, but its maker lays that on "
+            "another, whose pixels no pose is of. Take a mosaic, or frames that the flight "
+            "software has straightened",
+            file=capture.bands[0].path,
+        )
 
 
 def _in_picture(capture: Capture, aligned: AlignedCapture) -> PicturePlace:

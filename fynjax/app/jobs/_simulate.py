@@ -98,8 +98,9 @@ def simulate(
     `angles` a `SimulateAnglesResult`, `angles.nc` and `principal_plane.csv`.
 
     **Raises:** `InputError` as `read_plot`, `load_instrument` and `aim_at_plot`, for noise of a
-    sensor that has no model of it, and for altitude, pixel, atmosphere or a choice of products
-    with a LiDAR or `angles`; `MissingExtraError` for a LiDAR without laspy and lazrs.
+    sensor that has no model of it, for altitude, pixel, atmosphere or a choice of products with a
+    LiDAR or `angles`, and for truth or noise with `angles`; `MissingExtraError` for a LiDAR without
+    laspy and lazrs.
 
     Example: `jobs.simulate("plot.toml", Path("results"), sensor="mavic_3m")`.
     """
@@ -110,6 +111,7 @@ def simulate(
     files = [] if isinstance(name, (Sensor, Lidar)) or not Path(name).is_file() else [Path(name)]
     if angles or isinstance(instrument, Lidar):
         given = {"altitude": altitude, "pixel": pixel, "atmosphere": atmosphere}
+        given |= {"truth": truth or None, "noise": noise or None} if angles else {}
         wrong = [option for option, value in given.items() if value is not None]
         _refuse([*wrong, *["product"] * (tuple(products) != PRODUCTS)], instrument, angles)
         if isinstance(instrument, Lidar):

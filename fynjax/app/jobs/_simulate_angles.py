@@ -22,7 +22,7 @@ from fynjax.app.jobs._run import Run
 from fynjax.app.report import figures
 from fynjax.app.report.pages import Page, Picture, Section, Table
 from fynjax.radiation import Accuracy, Light, VoxelScene, directional_reflectance, solve_light
-from fynjax.scene import PlotParameters, Scene, hard_scene
+from fynjax.scene import PlotParameters, Scene, hard_scene, visible_sensor
 from fynjax.sensors import BandSet, Sensor
 
 ZENITHS = np.arange(0.0, 76.0, 7.5)
@@ -139,6 +139,7 @@ def simulate_angles(
             "would look past the plot",
             file=plot.file,
         )
+    instrument = visible_sensor(instrument)
     with run.stage("Build the plot", "build"):
         scene, parameters = build_plot(plot.replace(hot_spot=True), seed=run.seed)
     views = f"{len(ZENITHS)} x {len(AZIMUTHS)} views"

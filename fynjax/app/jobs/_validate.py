@@ -219,6 +219,10 @@ def validate(
     if data.simulated_drone:
         read = partial(read_drone_image, saturation=saturation, most_pixels=pixels)
         by_frame = _by_frame(data, seed)
+        if by_frame and (
+            saturation is not None or pixels != 1_000_000 or real_bands or simulated_bands
+        ):
+            raise InputError("expected no saturation, pixels or names of bands with frames")
         drone = _compare_images(data, read, simulated_bands, real_bands, by_frame)
         _doubt(run, drone)
     spectra: SpectralComparison | None = None
@@ -339,15 +343,17 @@ def _with_frames(run: Run, part: "_Part", real: FrameStack, simulated: FrameStac
     run.table("drone_frames.csv", table, "each frame and band, real and simulated", "%.9g")
     spread = table.groupby("band")["difference_percent"].agg(np.ptp)
     worst = spread.idxmax()
-    said = (
-        f"Between the {len(real.frames)} frames the difference of a mean changes by "
-        f"{spread.max():.1f} % at most, in {figures.words(str(worst))}."
-    )
+    said = []
+    if len(real.frames) > 1:
+        said.append(
+            f"Between the {len(real.frames)} frames the difference of a mean changes by "
+            f"{spread.max():.1f} % at most, in {figures.words(str(worst))}."
+        )
     shown = Table(table, "Frame by frame, by the angles that they were seen from.", folded=True)
-    section = replace(part.section, parts=[*part.section.parts, said, shown])
+    section = replace(part.section, parts=[*part.section.parts, *said, shown])
     assert isinstance(part.summary, DroneSummary)
     summary = part.summary.model_copy(update={"frames": rows_of(table)})
-    return part._replace(headline=[*part.headline, said], section=section, summary=summary)
+    return part._replace(headline=[*part.headline, *said], section=section, summary=summary)
 
 
 def _doubt(run: Run, drone: Drone) -> None:

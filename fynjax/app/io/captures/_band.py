@@ -35,7 +35,9 @@ class RawBand:
     capture: str
     """Identifier that all bands of one capture share; empty where the camera writes none."""
     time: str
-    """When it was taken, as the camera has it (UTC)."""
+    """When it was taken, as the camera has it."""
+    utc: str
+    """The same in UTC; empty where the camera states only its own time."""
     focal_length: float | None
     """Focal length of the lens [pixel]; `None` where the file does not say."""
     irradiance: float | None

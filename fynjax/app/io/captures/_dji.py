@@ -62,6 +62,7 @@ def dji_band(path: Path, counts: NDArray[np.uint16], bits: int, stated: Stated) 
     registration = _registration(stated, counts.shape)
     lens = None if registration is None else registration.lens
     focal = _first(stated, "CalibratedFocalLength")
+    utc = "".join(stated.xmp.get("UTCAtExposure", [])[:1])
     return RawBand(
         path=path,
         counts=counts,
@@ -79,8 +80,8 @@ def dji_band(path: Path, counts: NDArray[np.uint16], bits: int, stated: Stated) 
         wavelength=wavelength,
         fwhm=fwhm,
         capture="".join(stated.xmp.get("CaptureUUID", [])[:1]),
-        time="".join(stated.xmp.get("UTCAtExposure", [])[:1])
-        or stated.tags.get("EXIF_DateTimeOriginal", ""),
+        time=utc or stated.tags.get("EXIF_DateTimeOriginal", ""),  # of a DJI in local time
+        utc=utc,
         focal_length=focal[0] if focal else lens.focal_length[0] if lens else None,
         irradiance=light[0] if light and light[0] > 0.0 else None,
         irradiance_tilt=stated.tilt("FlightPitchDegree", "FlightRollDegree"),

@@ -56,6 +56,7 @@ def micasense_band(path: Path, counts: NDArray[np.uint16], bits: int, stated: St
         fwhm=stated.numbers("WavelengthFWHM", 1)[0],
         capture=stated.text("CaptureId"),
         time=stated.tags.get("EXIF_DateTimeOriginal", ""),
+        utc=stated.tags.get("EXIF_DateTimeOriginal", ""),
         # The resolution is per mm (unit 4 of EXIF), as the focal length is in mm.
         focal_length=None if not (pitch and length) else pitch * length,
         irradiance=irradiance,

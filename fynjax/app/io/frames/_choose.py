@@ -6,9 +6,9 @@ import numpy as np
 from jaxtyping import Float
 
 _ALIKE = 15.0
-"""Degrees between two views at which what they say is alike by 0.6."""
+"""Degrees between two views at which what they say is alike by 0.6, as assumed."""
 _NOISE = 0.3
-"""Error of what a frame of the whole plot says over how much views differ [-]."""
+"""Error of what a frame of the whole plot says over how much views differ, as assumed [-]."""
 
 
 _SWEEPS = 5
@@ -43,8 +43,8 @@ def choose_frames(
     """The `most` frames that together say most of reflectance as a smooth function of the angles.
 
     Of a Gaussian process over the angles, whose errors are as much larger as a frame sees less of
-    the plot, each next frame is the one that lowers the entropy most (Krause, Singh & Guestrin
-    2008, near-optimal sensor placements); then each is exchanged while that lowers it further.
+    the plot, each next frame is the one of most information gain (Krause, Singh & Guestrin 2008,
+    near-optimal sensor placements); then each is exchanged while that adds to it.
 
     **Arguments:** `features`, as of `direction_features`; `seen`, share of the plot that each sees
     [-]; `most`, at least one.

@@ -14,6 +14,7 @@ from jaxtyping import Bool, Float
 from fynjax._core.errors import InputError, listed, names_file, refusing
 from fynjax.app.io.raster import check_netcdf
 from fynjax.app.io.text import existing_file
+from fynjax.scene import PARAMETERS
 from fynjax.sensors import Frame, Lens, Pose
 
 POSE = ("camera_east", "camera_north", "camera_height", "yaw", "pitch", "roll")
@@ -128,12 +129,24 @@ def read_frame_stack(path: str | Path) -> FrameStack:
             hint = " Give it the frames: --images FOLDER" if missing[0] == "reflectance" else ""
             raise InputError(f"expected {_WHAT}, but {missing[0]!r} is missing.{hint}")
         data = data.load()
+    for name in (*POSE, "lens", "solar_zenith", "solar_azimuth"):
+        if data[name].dims != ("frame",):
+            got = listed(map(str, data[name].dims)) or "no dimension"
+            raise InputError(f"expected {name!r} by frame, but got {got}")
     dims = data["reflectance"].dims
     if dims != ("frame", "band", "y", "x") or not data["reflectance"].size:
         raise InputError(
             f"expected reflectance by frame, band, y and x, but got {listed(map(str, dims))}"
         )
+    for axis, words in (("y", "from south to north"), ("x", "from west to east")):
+        if axis in data.variables and not (np.diff(data[axis].values) > 0.0).all():
+            raise InputError(f"expected {axis} {words}, but its values do not rise")
     values = np.asarray(data["reflectance"].values, float)
+    if np.isfinite(values).any() and (usual := float(np.nanmedian(values))) > 1.5:
+        raise InputError(
+            f"expected reflectance as fractions, but its median is {usual:g}. In percent? Divide "
+            "by 100."
+        )
     pixel = data.attrs.get("pixel_m")
     if not (isinstance(pixel, float | np.floating) and 0.0 < pixel < np.inf):
         raise InputError(f"expected a positive size of a pixel, 'pixel_m', but got {pixel!r}")
@@ -146,7 +159,14 @@ def read_frame_stack(path: str | Path) -> FrameStack:
         Frame(Pose(pose[:3], *pose[3:]), _lens(str(lens), name), name)
         for pose, lens, name in zip(poses, data["lens"].values, names, strict=True)
     )
-    for frame, image in zip(frames, values, strict=True):
+    lowest = PARAMETERS["sun_zenith"].upper
+    for frame, image, sun in zip(frames, values, suns, strict=True):
+        if not frame.pose.position[2] > 0.0:
+            height = f"{float(frame.pose.position[2]):g}"
+            raise InputError(f"expected {frame.name} above the ground, but its height is {height}")
+        if sun[0] > lowest:
+            words = f"expected the sun of {frame.name} at most {lowest:g} degrees off the zenith"
+            raise InputError(f"{words}, but got {sun[0]:g}")
         if not np.isfinite(image).all(axis=0).any():
             raise InputError(f"expected pixels of {frame.name}, but all are missing")
     return FrameStack(

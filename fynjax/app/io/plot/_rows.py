@@ -1,6 +1,7 @@
 """Tables that a user writes, with their rows as pydantic models: crowns, statistics, sky;
 `fynjax.scene` has those of species and leaves."""
 
+import re
 from collections.abc import Collection
 from pathlib import Path
 from typing import ClassVar, Literal
@@ -10,6 +11,7 @@ import numpy as np
 from pydantic import ConfigDict, Field, ValidationInfo, field_validator, model_validator
 
 from fynjax._core.errors import InputError, names_file
+from fynjax._core.tables import open_table
 from fynjax.app.io.plot._plot import Floats
 from fynjax.app.io.text import Slip, Strict, did_you_mean, in_unit, quantity, read_rows
 from fynjax.metrics import VEGETATION_INDICES
@@ -52,9 +54,12 @@ class CrownRow(Strict):
         return self
 
 
+_ANGLE = re.compile("yaw|pitch|roll|heading|tilt", re.IGNORECASE)
+
+
 class CameraRow(Strict):
     """One row of the table of cameras: where a frame of a mosaic was taken. Other columns, such as
-    those of `fynjax frames`, are not used."""
+    those of `fynjax frames`, are not used, but for angles by other names, which are refused."""
 
     model_config = ConfigDict(extra="ignore")
 
@@ -72,14 +77,22 @@ class CameraRow(Strict):
     """Angle by which the camera's right side was down [degree]."""
 
 
+@names_file
 def read_cameras(path: str | Path) -> tuple[Pose, ...]:
     """Poses of the cameras of a mosaic.
 
     **Arguments:** `path`: table of `CameraRow`.
 
-    **Raises:** `InputError` for a table that cannot be read, with row and column.
+    **Raises:** `InputError` for a table that cannot be read, with row and column, and for angles
+    under other names.
     """
     poses = []
+    for name in open_table(path, "a table of cameras").names:
+        if name not in CameraRow.model_fields and _ANGLE.search(name):
+            raise InputError(
+                f"unknown column {name!r}. Did you mean pitch_deg, counted from straight down (a "
+                "gimbal's + 90)?"
+            )
     for _, row in read_rows(path, CameraRow, "a table of cameras"):
         angles = map(jnp.asarray, (row.yaw_deg, row.pitch_deg, row.roll_deg))
         poses.append(Pose(jnp.asarray([row.east_m, row.north_m, row.height_m]), *angles))
