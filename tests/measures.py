@@ -190,7 +190,7 @@ MEASURES = {
     "lines of the library": Measure(
         48_800, 40_000, lambda m: _lines(m, tuple(f"{room}/" for room in ("_core", *ROOMS)))
     ),
-    "lines of all": Measure(95_400, 78_000, lambda m: _lines(m, ("",))),
+    "lines of all": Measure(95_600, 78_000, lambda m: _lines(m, ("",))),
 }
 PREDICTION = 43
 """At most so many modules does a prediction enter; aimed at: 25."""
