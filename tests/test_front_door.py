@@ -231,10 +231,10 @@ def test_bounds_and_designs_believe_the_model_as_little_as_a_fit(scene, monkeypa
     believed = []
 
     def stop(*arguments, model_error=None, **options):
-        believed.append(model_error if options else arguments[7])
+        believed.append(model_error if options else arguments[5].of_model)
         raise InterruptedError
 
-    for name in ("_ask.sweep_sensors", "_design.render"):
+    for name in ("_ask.sweep_sensors", "_design.render_plantings"):
         monkeypatch.setattr(f"fynjax.inversion.{name}", stop)
     free, wider = fx.free(scene, "species.*.cover"), fx.prior().model_error.wider(2.0)
     for options in ({}, {"error": "none"}, {"error": wider}):
