@@ -70,7 +70,7 @@ _area_density = eqx.filter_jit(Scene.area_density)
 
 
 def _files(scene: Scene, plants: int, triangles: int | None) -> dict[str, str]:
-    """What is written, and how large it is."""
+    """Files that a build writes, each with how much is in it."""
     rows = f"{len(scene.taxa)} species"
     files = {"instances.csv": f"{plants} plants", "cover.csv": rows, "stand.csv": rows}
     files["voxels.nc"] = f"{' x '.join(map(str, scene.grid.shape))} voxels"

@@ -41,7 +41,7 @@ class CanopyPixels:
     """Bands of a sensor, or wavelengths [nm], rising."""
     reflectance: Float[np.ndarray, "pixel band"]
     said: list[str]
-    """What was taken for what."""
+    """Sentences on which columns were taken for bands, and in which scale."""
     notes: pd.DataFrame | None = None
     """Other columns of a table."""
     angles: pd.DataFrame | None = None
@@ -56,7 +56,7 @@ def read_canopy_pixels(path: str | Path, sensor: Sensor | None) -> CanopyPixels:
     """Pixels of a table (CSV, Excel) or an image (GeoTIFF, ENVI, NetCDF, zarr).
 
     Bands have names of the `sensor`, as B2, B02, SR_B2, band_2 or blue, or wavelengths in nm, as
-    665, R665 or 665nm. Fractions, percent, ten thousandths and Landsat's collection 2 are told by
+    665, R665 or 665nm. Fractions, percent, ten thousandths and Landsat's collection 2 are distinguished by
     their numbers.
 
     **Raises:** `InputError` for fewer than three bands, and what `open_table` and `open_blocks`

@@ -269,7 +269,7 @@ def _result(
     headline = [
         f"{count - empty} of {count} pixels fitted: median {area.trait.replace('_', ' ')} {middle} "
         f"{area.unit}, typically from {low} to {high}.",
-        f"The bands tell of {', '.join(told).replace('_', ' ') or 'none of the traits'}; other "
+        f"The bands constrain {', '.join(told).replace('_', ' ') or 'none of the traits'}; other "
         f"traits are nearly those of the prior. {unlike} pixels are unlike any such canopy.",
         "Next: look at the interval of each trait before you compare pixels, and state what you "
         "know (--known leaf_angle=57).",

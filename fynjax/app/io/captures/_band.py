@@ -37,7 +37,7 @@ class RawBand:
     time: str
     """When it was taken, as the camera has it."""
     utc: str
-    """The same in UTC; empty where the camera states only its own time."""
+    """Time of the exposure in UTC; empty where the camera states local time alone."""
     focal_length: float | None
     """Focal length of the lens [pixel]; `None` where the file does not say."""
     irradiance: float | None

@@ -40,7 +40,7 @@ class PicturePlace:
     """Whether the distortion of the lens was taken out."""
 
     def text(self) -> str:
-        """The same as a tag."""
+        """The place of a picture as the text of its GeoTIFF tag."""
         return json.dumps({"size": self.size, "corner": self.corner, "straight": self.straight})
 
 

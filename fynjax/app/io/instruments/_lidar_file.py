@@ -74,7 +74,7 @@ class FlashGeometryTable(LidarGeometryTable):
 
 
 class FlightLinesTable(LidarGeometryTable):
-    """What scanners on straight flight lines have in common."""
+    """Keys of every scanner that flies straight lines."""
 
     slips: ClassVar[dict[str, Slip]] = {
         "divergence_mrad": lambda v: (
