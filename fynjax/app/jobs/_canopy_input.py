@@ -56,8 +56,8 @@ def read_canopy_pixels(path: str | Path, sensor: Sensor | None) -> CanopyPixels:
     """Pixels of a table (CSV, Excel) or an image (GeoTIFF, ENVI, NetCDF, zarr).
 
     Bands have names of the `sensor`, as B2, B02, SR_B2, band_2 or blue, or wavelengths in nm, as
-    665, R665 or 665nm. Fractions, percent, ten thousandths and Landsat's collection 2 are distinguished by
-    their numbers.
+    665, R665 or 665nm. Fractions, percent, ten thousandths and Landsat's collection 2 are
+    distinguished by their numbers.
 
     **Raises:** `InputError` for fewer than three bands, and what `open_table` and `open_blocks`
     refuse.
