@@ -2,6 +2,7 @@
 
 import dataclasses
 import time
+from pathlib import Path
 
 import equinox as eqx
 import jax
@@ -263,6 +264,17 @@ def test_gradients_have_the_shape_of_the_parameters(scene, image):
     # Where the number of plants moves, the value is that of the stand in expectation too.
     expected = fx.observe(scene.expected(), "mavic_3m", pixel=0.25).index("NDVI").mean()
     np.testing.assert_allclose(value, float(expected), rtol=1e-5)
+
+
+def test_a_sensor_file_is_observed_with_by_its_path(tmp_path):
+    path = tmp_path / "mine.toml"
+    shipped = Path(fx.sensors.__file__).parent / "data/mavic_3m.toml"
+    path.write_bytes(shipped.read_bytes())
+    scene = fx.read_scene(size=1.0, voxel=0.25)
+    ours, theirs = (fx.observe(scene, name, pixel=0.25) for name in (path, "mavic_3m"))
+    assert np.array_equal(ours.reflectance, theirs.reflectance)
+    with pytest.raises(fx.errors.InputError, match=r"nobody\.toml"):
+        fx.observe(scene, str(tmp_path / "nobody.toml"), pixel=0.25)
 
 
 def test_an_open_scene_is_aimed_at_by_the_sun_of_the_parameters():

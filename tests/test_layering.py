@@ -129,6 +129,7 @@ DOORS = {
     "fynjax.inversion._calibrate",  # the report of a fit
     "fynjax.inversion._data",  # what a file holds
     "fynjax.inversion._problem",  # the learned error of the model
+    "fynjax.scene._observe",  # a sensor's file
 }
 """Modules that go from the road to the app, through `app_room`."""
 BY_NAME = {

@@ -36,6 +36,7 @@ from scipy import special
 from scipy.optimize import brentq
 
 from fynjax._core.errors import InputError
+from fynjax._core.html import as_html
 from fynjax._core.math import symmetric_power
 from fynjax._core.parameters import Distribution, Parameter
 from fynjax._core.precision import in_double
@@ -134,6 +135,21 @@ class ParameterSpace(eqx.Module):
         self.cut = in_double(table[2:4])
         self.distribution = kinds
         self.mixing = None if correlation is None else in_double(_mixing(correlation, count))
+
+    def __str__(self) -> str:
+        """Every parameter with its prior, in the unit of field crews."""
+        low, high = np.asarray(self.quantiles(0.05, 0.95))
+        lines = [f"{len(self.names)} free parameters, prior median and 5 to 95 %:"]
+        for name, median, below, above in zip(self.names, self.prior, low, high):
+            record = PARAMETERS.get(parameter_kind(name))
+            factor, unit = (record.shown_factor, record.shown_unit) if record else (1.0, "-")
+            lines.append(
+                f"  {name} [{unit}]: {factor * median:.3g}, {factor * below:.3g} to "
+                f"{factor * above:.3g}"
+            )
+        return "\n".join(lines)
+
+    _repr_html_ = as_html
 
     def together(self, u: Float[Array | np.ndarray, " free"]) -> Float[Array, " free"]:
         """The normal coordinate v of each parameter's own prior, from whitened coordinates."""

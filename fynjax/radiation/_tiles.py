@@ -163,9 +163,9 @@ class LightInWindows:
         voxels = self._windows(tiling)
 
         def render(row: int, column: int) -> Float[Array, "band row column"]:
-            window, at = voxels(row, column), map(jnp.asarray, (row, column))
+            window, at = voxels(row, column), (jnp.asarray(row), jnp.asarray(column))
             how = self._accuracy, rays, tiling, steepest
-            return _reflectance_of_tile(self._scene, self._diffuse, window, *how, *at)
+            return _reflectance_of_tile(self._scene, self._diffuse, window, *how, at)
 
         return tiling, render
 
@@ -186,9 +186,9 @@ class LightInWindows:
         voxels = windows(tiling)
 
         def met(row: int, column: int) -> Sight:
-            window, at = voxels(row, column), map(jnp.asarray, (row, column))
+            window, at = voxels(row, column), (jnp.asarray(row), jnp.asarray(column))
             how = self._accuracy, rays, tiling, steepest
-            return _sight_of_tile(self._scene, window, *how, *at)
+            return _sight_of_tile(self._scene, window, *how, at)
 
         return tiling, met
 
@@ -290,16 +290,15 @@ def _reflectance_of_tile(
     rays: RayLattice,
     tiling: Tiling,
     steepest: float,
-    row: Array,
-    column: Array,
+    at: tuple[Array, Array],
 ) -> Float[Array, "band row column"]:
     """Reflectance factor along the rays of a tile [-], from the voxels of its window."""
     window, sun = _lit(scene, window, accuracy)
 
     def cut(field: Array) -> Array:
         """The window of a map of the cells, which repeats itself."""
-        for place, axis, at in ((-2, tiling.y, row), (-1, tiling.x, column)):
-            index = jnp.asarray(axis.first)[at] + jnp.arange(axis.cells)
+        for place, axis, tile in ((-2, tiling.y, at[0]), (-1, tiling.x, at[1])):
+            index = jnp.asarray(axis.first)[tile] + jnp.arange(axis.cells)
             field = jnp.take(field, index % field.shape[place], axis=place)
         return field
 
@@ -309,7 +308,7 @@ def _reflectance_of_tile(
         falling=cut(diffuse.falling),
         ground=cut(diffuse.ground),
     )
-    part = _rays_of_tile(rays, tiling, scene.horizontal, row, column)
+    part = _rays_of_tile(rays, tiling, scene.horizontal, *at)
     radiance = render_up_to(Light(window, sun, diffuse, accuracy), part, steepest)
     return jnp.pi * radiance.total / window.illumination.incident[:, None, None]
 
@@ -322,12 +321,11 @@ def _sight_of_tile(
     rays: RayLattice,
     tiling: Tiling,
     steepest: float,
-    row: Array,
-    column: Array,
+    at: tuple[Array, Array],
 ) -> Sight:
     """What rays of a tile meet first, in the voxels of its window."""
     window, sun = _lit(scene, window, accuracy)
-    part = _rays_of_tile(rays, tiling, scene.horizontal, row, column)
+    part = _rays_of_tile(rays, tiling, scene.horizontal, *at)
     return look_up_to(window, sun, accuracy, part, steepest)
 
 

@@ -15,6 +15,7 @@ import math
 from collections.abc import Sequence
 from functools import partial
 from importlib.metadata import version
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, overload
 
 import equinox as eqx
@@ -25,6 +26,7 @@ from jaxtyping import Array, ArrayLike, Bool, Float
 from scipy.ndimage import map_coordinates as interpolated
 
 from fynjax._core.errors import InputError, did_you_mean, listed
+from fynjax._core.extras import app_room
 from fynjax._core.html import as_html
 from fynjax._core.math import real_array
 from fynjax._core.programs import check_known, unfolded
@@ -970,12 +972,12 @@ def observe(
 
 
 @overload
-def observe(scene: Scene, sensor: str | Sensor | Lidar, **options: Any) -> Any: ...
+def observe(scene: Scene, sensor: str | Path | Sensor | Lidar, **options: Any) -> Any: ...
 
 
 def observe(
     scene: Scene,
-    sensor: str | Sensor | Lidar,
+    sensor: str | Path | Sensor | Lidar,
     *,
     parameters: PlotParameters | None = None,
     pixel: float | None = None,
@@ -992,7 +994,7 @@ def observe(
     **Arguments:**
 
     - `scene`: from `Scene.from_table`, `build_scene` or a plot file.
-    - `sensor`: name of a shipped one, or an object (`fx.sensor` reads files). Bands beyond the
+    - `sensor`: name of a shipped one, path of a sensor file (.toml), or an object. Bands beyond the
       spectra of leaves and ground are left out (`visible_sensor`).
     - `parameters`: instead of the scene's own; of the same species, within their bounds.
     - `pixel`, `altitude`: edge of a pixel on the ground, and height of an imaging sensor above the
@@ -1029,7 +1031,7 @@ def observe(
     >>> image.bands, image["nir"].shape
     (('green', 'red', 'red_edge', 'nir'), (4, 4))
     """
-    sensor = _named(sensor) if isinstance(sensor, str) else sensor
+    sensor = _named(sensor) if isinstance(sensor, str | Path) else sensor
     if isinstance(sensor, Lidar):
         parameters = _checked(scene, parameters)
         placed = any(v is not None for v in (placement, pixel, altitude, pose, lens))
@@ -1044,7 +1046,7 @@ def observe(
 
 def aimed_at(
     scene: Scene,
-    sensor: str | Sensor | Lidar,
+    sensor: str | Path | Sensor | Lidar,
     parameters: PlotParameters | None = None,
     *,
     pixel: float | None = None,
@@ -1057,7 +1059,7 @@ def aimed_at(
     """An imaging sensor over a scene, and the parameters that it sees: arguments and errors as of
     `observe`."""
     parameters = _checked(scene, parameters)
-    imager = _named(sensor) if isinstance(sensor, str) else sensor
+    imager = _named(sensor) if isinstance(sensor, str | Path) else sensor
     if not isinstance(imager, Sensor):
         raise InputError(f"expected a sensor or the name of one, but got {type(imager).__name__}")
     check_known(pixel=pixel, altitude=altitude, placement=placement)
@@ -1100,15 +1102,17 @@ def _checked(scene: Scene, parameters: PlotParameters | None) -> PlotParameters:
 
 
 @jax.ensure_compile_time_eval()  # known inside transformations too, as `aim` needs it
-def _named(name: str) -> Sensor | Lidar:
+def _named(name: str | Path) -> Sensor | Lidar:
     if name in shipped_sensors():
-        return shipped_sensor(name)
+        return shipped_sensor(str(name))
     if name in shipped_lidars():
-        return shipped_lidar(name)
+        return shipped_lidar(str(name))
+    if str(name).endswith(".toml"):
+        return app_room("io.instruments", "load_instrument")(name)
     every = (*shipped_sensors(), *shipped_lidars())
     raise InputError(
-        f"expected a shipped sensor ({', '.join(every)}) or an object, but got {name!r}."
-        f"{did_you_mean(name, every)} `fx.sensor` reads a sensor file."
+        f"expected a shipped sensor ({', '.join(every)}), a sensor file (.toml) or an object, but "
+        f"got {str(name)!r}.{did_you_mean(str(name), every)}"
     )
 
 

@@ -1,5 +1,6 @@
 """What stands in each pixel of a sensor's image: the truth that no image shows."""
 
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import equinox as eqx
@@ -104,7 +105,11 @@ def _share(what: str) -> dict[str, str]:
 
 
 def pixel_truth(
-    scene: Scene, sensor: str | Sensor, *, parameters: PlotParameters | None = None, **options: Any
+    scene: Scene,
+    sensor: str | Path | Sensor,
+    *,
+    parameters: PlotParameters | None = None,
+    **options: Any,
 ) -> PixelTruth:
     """What a sensor's pixels see of each species, of its dead tissue, wood and flowers, and of the
     ground.
@@ -112,7 +117,7 @@ def pixel_truth(
     **Arguments:**
 
     - `scene`: as for `observe`.
-    - `sensor`: an imaging sensor, by name or as an object.
+    - `sensor`: an imaging sensor, by name, file or as an object.
     - `parameters`: instead of the scene's own; of the same species.
     - `options`: `pixel`, `altitude`, `placement`, `point_spread` and `accuracy`, as for `observe`.
 

@@ -156,8 +156,17 @@ def test_of_a_form_that_a_prior_lacks_its_own_assumptions_are_taken_and_said(tmp
 
 def test_a_prior_with_a_part_of_a_form_is_refused(tmp_path: Path) -> None:
     rows = [p for p in prior_file().parameters if p.name != "dead_fraction.tussock"]
-    with pytest.raises(ValueError, match=r"'dead_fraction\.tussock' is not so"):
+    with pytest.raises(ValueError, match=r"'dead_fraction\.tussock' is missing"):
         prior_file(parameters=rows)
+
+
+def test_a_mistyped_parameter_is_named_with_the_nearest(tmp_path: Path) -> None:
+    rows = list(prior_file().parameters)
+    wrong = [p.model_copy(update={"name": p.name.replace("tussock", "tusock")}) for p in rows]
+    with pytest.raises(ValueError, match=r"'\w+\.tusock'\. Did you mean '\w+\.tussock'\?"):
+        prior_file(parameters=wrong)
+    with pytest.raises(ValueError, match=r"'dead_fraction\.\w+' is twice there"):
+        prior_file(parameters=[*rows, next(p for p in rows if p.name.startswith("dead_"))])
 
 
 def test_the_shipped_prior_was_learned_before_cushions_and_columns() -> None:

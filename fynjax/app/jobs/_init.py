@@ -142,11 +142,13 @@ def init_from_table(
         read_plot(staged / "plot.toml")  # what is written can be read
     if spectra is not None:
         files[spectra] = files.pop("leaf_spectra")
-    which = {"fynbos": "fynbos, learned from 18 plots in the Cape"}
-    said.append(
-        f"Leaf area, dead tissue and leaves that nobody measured: those of "
-        f"{which.get(plants, 'published shrublands of the world')}."
-    )
+    if learned is not None and prior != DEFAULT_PRIOR:
+        whose = f"the prior {learned.path.name}, and of published shrublands where it is silent"
+    elif plants == "fynbos":
+        whose = "fynbos, learned from 18 plots in the Cape"
+    else:
+        whose = "published shrublands of the world"
+    said.append(f"Leaf area, dead tissue and leaves that nobody measured: those of {whose}.")
     said.append(
         "Ground: assumed to be the shipped dry soil, with "
         f"{'what the table says on it' if releve.ground else '20 % of it under litter'}. Put a "

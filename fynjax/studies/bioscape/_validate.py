@@ -14,7 +14,6 @@ from fynjax._core.precision import double_precision
 from fynjax.app.compare import PlotSpectraPair
 from fynjax.app.io.plot import DEFAULT_PRIOR, Plot, read_prior
 from fynjax.app.jobs import Run
-from fynjax.diversity import VARIETY
 from fynjax.inversion import nadir_imager
 from fynjax.metrics import spectral_mask
 from fynjax.sensors import BandSet
@@ -132,11 +131,7 @@ def validate_plots(
             resolution,
             inputs,
             cover=species_covers(read),
-            variety={
-                name: np.array([s.variety[i] for s in spectra], float)
-                for i, name in enumerate(VARIETY)
-            },
-            largest_residual=max(float(s.residual) for s in spectra),
+            spectra=spectra,
             warnings=remarks,
         )
 

@@ -30,9 +30,9 @@ from fynjax.app.io.raster import write_run
 from fynjax.app.jobs import JobResult, Rows, Run
 from fynjax.app.report import figures
 from fynjax.app.report.pages import Page, Part, Picture, Section, Table, format_number
-from fynjax.diversity import FEWEST_PLOTS
+from fynjax.diversity import FEWEST_PLOTS, VARIETY
 from fynjax.studies.bioscape._assumed import COVERS_MEAN
-from fynjax.studies.bioscape._scenes import Resolution
+from fynjax.studies.bioscape._scenes import PlotSpectrum, Resolution
 
 _UNITS = {
     "spectral_angle": "degree", "rmse": "-", "nrmse": "-", "correlation": "-",
@@ -109,8 +109,7 @@ def write_report(
     inputs: Sequence[str | Path | None],
     *,
     cover: Float[np.ndarray, "plot species"],
-    variety: Mapping[str, Float[np.ndarray, " plot"]],
-    largest_residual: float,
+    spectra: Sequence[PlotSpectrum],
     warnings: list[str],
 ) -> ValidatePlotsResult:
     """Write tables, spectra, figures and the page."""
@@ -126,6 +125,9 @@ def write_report(
     keys: dict[str, str] = {}
     rows: dict[str, pd.DataFrame] = {}
     if count:
+        variety = {
+            name: np.array([s.variety[i] for s in spectra], float) for i, name in enumerate(VARIETY)
+        }
         sentence, keys, sections, rows = _compare(run, pair, measured, cover, variety)
         headline.append(sentence)
     else:
@@ -158,7 +160,7 @@ def write_report(
         bands=pair.wavelength.size,
         size_m=resolution.size_m,
         voxel_m=resolution.voxel_m,
-        largest_residual=largest_residual,
+        largest_residual=max(float(s.residual) for s in spectra),
         **rows,
     )
 

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float
 from pydantic import Field, model_validator
 
+from fynjax._core.errors import did_you_mean
 from fynjax._core.math import symmetric_power
 from fynjax._core.seeds import generator
 from fynjax.app.io.text import Strict, in_unit, read_toml, shipped_or_own, write_text
@@ -119,11 +120,16 @@ class PriorFile(Strict):
         names = [p.name for p in self.parameters]
         forms = {form for _, _, form in (n.partition(".") for n in names) if form in LEAFY_FORMS}
         expected = {*FACTORS, *(f"{kind}.{form}" for kind in BY_FORM for form in forms)}
-        if set(names) != expected or len(expected) != len(names):
-            odd = sorted(set(names) ^ expected) or [n for n in names if names.count(n) > 1]
+        if unknown := [name for name in names if name not in expected]:
+            raise ValueError(
+                f"expected factors or a growth form's {', '.join(BY_FORM)}, but got "
+                f"{unknown[0]!r}.{did_you_mean(unknown[0], PRIOR_PARAMETERS)}"
+            )
+        if odd := [name for name in sorted(expected) if names.count(name) != 1]:
             raise ValueError(
                 f"expected each factor once, and each of {', '.join(BY_FORM)} of each growth form "
-                f"that the file has, but {odd[0]!r} is not so"
+                f"that the file has, but {odd[0]!r} is "
+                f"{'twice there' if odd[0] in names else 'missing'}"
             )
         for row in self.left_out:
             if len(row.means) != len(names):
