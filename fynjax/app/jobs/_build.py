@@ -26,6 +26,7 @@ from fynjax.app.report import figures
 from fynjax.app.report.pages import Page, Part, Picture, Section, Table
 from fynjax.canopy import PlantModel
 from fynjax.scene import (
+    GroundParameters,
     Instances,
     PlotParameters,
     ProjectedCover,
@@ -177,7 +178,7 @@ def build(
             obj = run.path("scene.obj", f"the plants as {triangles} triangles, metres")
             write_scene_mesh(obj, instances, meshes, colours)
             run.path("scene.mtl", "their materials")
-    headline = _headline(read, table, area)
+    headline = _headline(read, table, area, parameters)
     run.total()
     parts: list[Part] = [" ".join(headline[1:]), *pictures, *_tables(read, table, stand)]
     times = run.times(f"Wall time; peak memory of the build {memory:.0f} MiB.", folded=True)
@@ -395,7 +396,9 @@ def voxel_dataset(scene: Scene, density: Float[Array, "class z y x"]) -> xr.Data
     )
 
 
-def _headline(plot: Plot, table: pd.DataFrame, area: StandArea) -> list[str]:
+def _headline(
+    plot: Plot, table: pd.DataFrame, area: StandArea, parameters: PlotParameters
+) -> list[str]:
     species, whole = table.iloc[:-1], table.iloc[-1]
     worst = (species.planted_percent - species.asked_percent).abs().max()
     lx, ly = plot.size_m
@@ -422,7 +425,22 @@ def _headline(plot: Plot, table: pd.DataFrame, area: StandArea) -> list[str]:
         f"of {area.leaf_mass.sum():.0f} g m-2. From straight above {100 * area.gap:.1f} % of the "
         "ground shows: what has no crown over it, and what is seen through crowns, between leaves "
         "and stems.",
+        _of_ground(plot, parameters.ground),
     ]
+
+
+def _of_ground(plot: Plot, ground: GroundParameters) -> str:
+    """What the ground is taken for, and whether its soil was measured."""
+    stated, covers = plot.ground, []
+    for name in ("litter", "char", "rock"):
+        if (share := float(getattr(ground, f"{name}_fraction"))) > 0.0:
+            covers.append(f"{100.0 * share:.3g} % {name}")
+    if stated.map is not None:
+        covers = ["covers as its map has them"]
+    lies = f" with {' and '.join(covers)}" if covers else ", nothing on it"
+    if stated.soil in ("dry", "wet"):
+        return f"Ground: assumed, as the shipped {stated.soil} soil{lies}."
+    return f"Ground: the soil of {Path(stated.soil).name}{lies}."
 
 
 def _tables(plot: Plot, cover: pd.DataFrame, stand: pd.DataFrame) -> list[Table]:
