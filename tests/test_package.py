@@ -158,6 +158,31 @@ def test_flags_are_those_that_the_installed_compiler_knows(
     assert os.environ["XLA_FLAGS"].split() == set_to
 
 
+def test_a_user_may_keep_jax_as_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    code = (
+        "import os, fynjax.scene, jax; from fynjax._core.compiler import settings; "
+        "print([os.environ.get('XLA_FLAGS'), jax.config.jax_default_matmul_precision, "
+        "jax.config.jax_compilation_cache_dir]); print(settings())"
+    )
+    for name in ("XLA_FLAGS", "JAX_COMPILATION_CACHE_DIR", "JAX_DEFAULT_MATMUL_PRECISION"):
+        monkeypatch.delenv(name, raising=False)
+    said = {}
+    for value in ("on", "off"):
+        monkeypatch.setenv(compiler.OFF, value)
+        done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+        said[value] = done.stdout.splitlines()
+    flags = compiler.OWN_SUMS if compiler.version("jaxlib") == compiler.WRONG_SUMS else None
+    assert said["off"] == [str([flags, None, None]), f"none of fynjax ({compiler.OFF}=off)"]
+    assert "highest" in said["on"][0]
+    assert "fusion_emitters" in said["on"][0]
+    assert "products of matrices: highest; programs kept in /" in said["on"][1]
+    monkeypatch.setattr(compiler, "version", lambda name: "0.13.0")
+    monkeypatch.delenv(compiler.OFF)
+    assert (
+        f"{len(compiler.QUICK)} flags left out, not tried with jaxlib 0.13.0" in compiler.settings()
+    )
+
+
 def test_a_graphics_card_keeps_the_level_of_its_compiler(monkeypatch: pytest.MonkeyPatch) -> None:
     assert compiler.LEVEL in compiler.known_flags()
     monkeypatch.setattr(compiler, "find_spec", lambda name: name == "jax_plugins" or None)

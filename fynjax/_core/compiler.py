@@ -32,6 +32,31 @@ small loops: without two parts of the compiler and at a lower level half of the 
 image goes and a third of a gradient's, and what comes out is as fast."""
 
 
+OFF = "FYNJAX_JAX_SETTINGS"
+"""Environment variable; "off": JAX is left as it is, slower to compile and less exact on a graphics
+card."""
+
+
+def _left_alone() -> bool:
+    return os.environ.get(OFF, "").strip().lower() in ("off", "0", "no", "false")
+
+
+def settings() -> str:
+    """What fynjax and the user have set for all of this process, in a sentence."""
+    if _left_alone():
+        return f"none of fynjax ({OFF}=off)"
+    found = [f"XLA_FLAGS={os.environ.get('XLA_FLAGS', '')}"]
+    if missing := len(QUICK) - len(known_flags()):
+        found.append(f"{missing} flags left out, not tried with jaxlib {version('jaxlib')} here")
+    jax = sys.modules.get("jax")
+    if jax is not None:
+        found += [
+            f"products of matrices: {jax.config.jax_default_matmul_precision or 'as JAX has them'}",
+            f"programs kept in {jax.config.jax_compilation_cache_dir or 'memory alone'}",
+        ]
+    return "; ".join(found) + f" (none of it with {OFF}=off)"
+
+
 def known_flags() -> list[str]:
     """Flags of `QUICK` that the installed jaxlib knows; without `LEVEL` where JAX has a plugin for
     another device."""
@@ -46,6 +71,8 @@ def multiply_in_full() -> None:
     images came out 6e-4 off, and 416 bands up to 24 % (measured on an H100). On a processor and in
     float64 nothing changes."""
     jax = sys.modules.get("jax")
+    if _left_alone():
+        return
     if jax is None:
         os.environ.setdefault("JAX_DEFAULT_MATMUL_PRECISION", "highest")
     elif jax.config.jax_default_matmul_precision is None:
@@ -71,7 +98,9 @@ def set_flags() -> None:
                 'pip install "jax!=0.10.2"'
             )
         return
-    wanted = known_flags() if flags is None else [flags]
+    if mended and _left_alone():
+        return
+    wanted = [flags] if flags is not None else [] if _left_alone() else known_flags()
     os.environ["XLA_FLAGS"] = " ".join(wanted if mended else [*wanted, OWN_SUMS])
 
 
@@ -95,7 +124,7 @@ def keep_compiled() -> None:
     if folder is None or not _take_programs(folder):
         return  # a home that cannot be written costs compilation time, nothing else
     kept = getattr(jax.config, "jax_compilation_cache_dir", None)
-    if kept or "JAX_COMPILATION_CACHE_DIR" in os.environ:
+    if kept or "JAX_COMPILATION_CACHE_DIR" in os.environ or _left_alone():
         return
     jax.config.update("jax_compilation_cache_dir", str(folder))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)

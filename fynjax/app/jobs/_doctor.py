@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from fynjax._core.compiler import OWN_SUMS, WRONG_BY, error_of_sums, programs_folder
+from fynjax._core.compiler import OWN_SUMS, WRONG_BY, error_of_sums, programs_folder, settings
 from fynjax._core.memory import free_memory
 from fynjax._core.store import cache_folder
 from fynjax.app.assembly import read_scene
@@ -56,6 +56,7 @@ def doctor() -> list[Check]:
         _checked("64 bits", _double, 1e-6, "use a device that has float64: JAX_PLATFORMS=cpu"),
         _memory(),
         _kept(),
+        Check("settings", True, settings(), "none"),
     ]  # fmt: skip
 
 
