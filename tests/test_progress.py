@@ -3,12 +3,14 @@
 import io
 import logging
 import re
+from contextlib import suppress
 
 import numpy as np
 import pytest
 from rich.console import Console
 
 import fynjax as fx
+from fynjax._core import progress as _progress
 from fynjax._core.parts import Pool
 from fynjax._core.progress import advance, stage, track
 from fynjax.app.compare import read_drone_image
@@ -64,12 +66,28 @@ def test_a_loop_that_ends_early_closes_its_bar():
     assert not any(line.startswith("  Write") for line in lines)  # not within the loop
 
 
-def test_without_a_terminal_full_bars_are_printed_once():
+def test_without_a_terminal_a_stage_is_a_line_with_time_used_and_left(monkeypatch):
+    now = [0.0]
+    monkeypatch.setattr(_progress.time, "perf_counter", lambda: now[0])
     file = io.StringIO()
-    with fx.progress(Console(file=file, width=120)):
-        list(track(range(3), "Read"))
-    assert file.getvalue().count("Read") == 1
-    assert "3/3" in file.getvalue()
+    with fx.progress(Console(file=file, width=20)):
+        with stage("Read"):
+            now[0] += 0.5
+        with stage("Calibrate [plot]", 10):
+            for loss in (5.0, 4.0, 3.0):
+                now[0] += 20.0
+                advance(loss=loss)
+            with stage("Render"):
+                now[0] += 200.0
+        advance()  # outside a stage
+        with suppress(ValueError), stage("Write"):  # what failed has no time
+            now[0] += 5.0
+            raise ValueError
+    assert file.getvalue().splitlines() == [
+        "Calibrate [plot]: 2 of 10, 2 min 40 s left  loss 4",
+        "  Render: 3 min 20 s",
+        "Calibrate [plot]: 4 min 20 s",
+    ]
 
 
 def test_nothing_is_shown_unasked_but_stages_are_logged(capfd, caplog):

@@ -29,6 +29,8 @@ from rich.text import Text
 
 Item = TypeVar("Item")
 _log = logging.getLogger("fynjax")
+_LONG, _EVERY = 1.0, 30.0
+"""Stages of so many seconds have a line where there are no bars, and another after so many."""
 
 
 @runtime_checkable
@@ -88,9 +90,10 @@ def track(items: Iterable[Item], name: str, total: int | None = None) -> Iterato
 def progress(console: Console | None = None) -> Iterator[None]:
     """Show how far long work is while the block runs, a bar for each of its stages.
 
-    Works in a terminal, and in a notebook that has ipywidgets; elsewhere the bars are printed once
-    when they are full. The logger `fynjax` has the beginning and the time of each stage whether
-    bars are shown or not.
+    Works in a terminal, and in a notebook that has ipywidgets; elsewhere, as in the log of a batch
+    job, each stage of a second or more is a line when it ends, and says every half minute how far
+    it is. The logger `fynjax` has the beginning and the time of each stage whether bars are shown
+    or not.
 
     **Arguments:** `console`, of rich; standard error if left out.
 
@@ -98,7 +101,8 @@ def progress(console: Console | None = None) -> Iterator[None]:
     """
     if console is None:  # rich shows nothing in a notebook without ipywidgets
         console = Console(stderr=True, force_jupyter=None if find_spec("ipywidgets") else False)
-    with listening(_Bars(console)):
+    bars = console.is_terminal or console.is_jupyter
+    with listening(_Bars(console) if bars else _Lines(console)):
         yield
 
 
@@ -161,3 +165,47 @@ class _Bars:
             self._bars.update(task, advance=n)  # type: ignore[arg-type]
             if info:
                 self._bars.update(task, info=_shown(info))  # type: ignore[arg-type]
+
+
+class _Lines:
+    """A line for each stage where nothing can be drawn over: name and time used, and while it lasts
+    steps and time left."""
+
+    def __init__(self, console: Console) -> None:
+        self._console = console
+        self._open: list[tuple[str, int | None, list[float]]] = []
+        """Name and steps of each open stage; when it began, when it last spoke, and steps done."""
+
+    @contextmanager
+    def stage(self, name: str, total: int | None) -> Iterator[None]:
+        began = time.perf_counter()
+        label = "  " * len(self._open) + name
+        self._open.append((label, total, [began, began, 0.0]))
+        try:
+            yield
+        finally:
+            self._open.pop()
+        if (took := time.perf_counter() - began) >= _LONG:
+            self._say(f"{label}: {_spell(took)}")
+
+    def advance(self, n: int, **info: float | str) -> None:
+        if not self._open:
+            return
+        label, total, clock = self._open[-1]
+        clock[2] += n
+        (began, spoke, done), now = clock, time.perf_counter()
+        if now - spoke < _EVERY:
+            return
+        clock[1] = now
+        left = ""
+        if total is not None and 0 < done <= total:
+            left = f" of {total}, {_spell((now - began) * (total / done - 1.0))} left"
+        self._say(f"{label}: {done:.0f}{left}  {_shown(info)}")
+
+    def _say(self, line: str) -> None:
+        self._console.print(line.rstrip(), markup=False, highlight=False, soft_wrap=True)
+
+
+def _spell(seconds: float) -> str:
+    minutes, rest = divmod(round(seconds), 60)
+    return f"{seconds:.0f} s" if minutes < 2 else f"{minutes} min {rest} s"

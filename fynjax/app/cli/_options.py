@@ -40,7 +40,7 @@ def of_all_commands(output: Path) -> dict[str, tuple[Any, Any]]:
         "json": _option(
             bool, False, "Print a summary as JSON on stdout, and nothing else.", "--json"
         ),
-        "quiet": _option(bool, False, "No progress bars and no text.", "--quiet", "-q"),
+        "quiet": _option(bool, False, "No progress and no text.", "--quiet", "-q"),
         "strict": _option(
             bool, False,
             "Exit status 3 where the result is to be doubted, such as a search that did not "

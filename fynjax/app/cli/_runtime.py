@@ -277,7 +277,7 @@ def run_job(
     if checkpoint is not None:
         check_folder(checkpoint)
     console = Console(stderr=True)
-    bars = progress(console) if console.is_terminal and not quiet and not as_json else nullcontext()
+    bars = nullcontext() if quiet or as_json else progress(console)
     with (
         _alone(output),
         nullcontext() if checkpoint is None else _alone(checkpoint),
