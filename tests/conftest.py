@@ -35,6 +35,7 @@ if os.environ.get("FYNJAX_TYPES"):  # before the package is imported, whose func
     jaxtyping.install_import_hook("fynjax", "tests.checked.checked")
 
 from fynjax._core.compiler import known_flags
+from fynjax._core.errors import MissingExtraError
 
 # Tests compile much and run little. So they compile in a quarter of the time; what comes out runs
 # a little slower. One piece of code a program: to split it for several cores costs more. Passes
@@ -188,3 +189,14 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     slow = {item.path for item in items if item.get_closest_marker("slow")}
     here = Path(__file__).parent
     items.sort(key=lambda item: (item.path not in slow, item.path.parent != here))
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_call(item: pytest.Item) -> Iterator[None]:
+    """Where only the library is installed (`.ci/library`), what asks for an extra is left out."""
+    try:
+        yield
+    except MissingExtraError as missing:
+        if "FYNJAX_LIBRARY_ALONE" not in os.environ:
+            raise
+        pytest.skip(str(missing))
