@@ -82,12 +82,23 @@ def public_names(modules: Trees) -> list[str]:
 
 
 def names_between_rooms(modules: Trees) -> list[str]:
-    """Names of a room's `_internal`: for other rooms and the app, and no user."""
+    """Names that a room's `__init__` imports beside its `__all__`: for other rooms and the app, and
+    no promise to a user."""
     names = []
     for file, tree in modules.items():
-        if file.endswith("/_internal.py"):
-            imports = (node for node in tree.body if isinstance(node, ast.ImportFrom))
-            names += [f"{file}: {alias.name}" for node in imports for alias in node.names]
+        if file.split("/")[0] not in ROOMS or not file.endswith("/__init__.py"):
+            continue
+        promised: set[str] = set()
+        for node in tree.body:
+            if isinstance(node, ast.Assign) and getattr(node.targets[0], "id", "") == "__all__":
+                promised = set(ast.literal_eval(node.value))
+        found = {
+            alias.asname or alias.name
+            for node in tree.body
+            if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("fynjax.")
+            for alias in node.names
+        }
+        names += [f"{file}: {name}" for name in sorted(found - promised) if name[0] != "_"]
     return names
 
 
@@ -184,13 +195,13 @@ class Measure:
 MEASURES = {
     "places that declare a key": Measure(3, 2, places_of_keys),
     "public names of the library": Measure(263, 250, public_names),
-    "names between its rooms": Measure(0, None, names_between_rooms),
+    "names between its rooms": Measure(262, None, names_between_rooms),
     "names of two things": Measure(0, 0, names_of_two),
     "long functions": Measure(16, 15, large_functions),
     "lines of the library": Measure(
-        48_800, 40_000, lambda m: _lines(m, tuple(f"{room}/" for room in ("_core", *ROOMS)))
+        49_100, 40_000, lambda m: _lines(m, tuple(f"{room}/" for room in ("_core", *ROOMS)))
     ),
-    "lines of all": Measure(95_600, 78_000, lambda m: _lines(m, ("",))),
+    "lines of all": Measure(95_700, 78_000, lambda m: _lines(m, ("",))),
 }
 PREDICTION = 43
 """At most so many modules does a prediction enter; aimed at: 25."""

@@ -76,7 +76,24 @@ def _exported() -> dict[str, Any]:
 
 
 EXPORTED = _exported()
-EXAMPLES = {n: value for n, value in EXPORTED.items() if ">>>" in (inspect.getdoc(value) or "")}
+
+
+def _members(value: Any) -> dict[str, Any]:
+    """Methods and properties of a class, by name; nothing of a function."""
+    return (
+        {n: getattr(m, "__func__", m) for n, m in vars(value).items()}
+        if inspect.isclass(value)
+        else {}
+    )
+
+
+_EVERY = EXPORTED | {
+    f"{name}.{member}": what
+    for name, value in EXPORTED.items()
+    for member, what in _members(value).items()
+    if inspect.isroutine(what) or isinstance(what, property)
+}
+EXAMPLES = {n: value for n, value in _EVERY.items() if ">>>" in (inspect.getdoc(value) or "")}
 
 
 def _unnamed(function: Callable[..., Any]) -> list[str]:

@@ -125,7 +125,7 @@ def test_imports_point_one_way() -> None:
 
 
 DOORS = {
-    "fynjax.inversion._ask",  # a camera by its name
+    "fynjax.inversion._camera_data",  # an image, or a table of its statistics
     "fynjax.inversion._calibrate",  # the report of a fit
     "fynjax.inversion._data",  # what a file holds
     "fynjax.inversion._problem",  # the learned error of the model

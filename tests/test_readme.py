@@ -1,6 +1,5 @@
 """What the README says can be run, runs, and what it names is there."""
 
-import importlib.util
 import os
 import re
 import runpy
@@ -100,16 +99,13 @@ def test_a_loop_of_one_s_own_finds_what_was_measured(tmp_path: Path) -> None:
 
 
 def test_samplers_of_the_page_agree(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """emcee's chain in a file, blackjax and, where it is installed, numpyro: one posterior."""
+    """emcee's chain in a file, blackjax and numpyro: one posterior."""
     monkeypatch.chdir(tmp_path)
     fitted, by_blackjax, by_numpyro = blocks("python", SAMPLERS)
-    if importlib.util.find_spec("numpyro") is None:
-        by_numpyro = ""
     names = run(fitted + by_blackjax + by_numpyro, tmp_path)
     assert (tmp_path / "chain.h5").is_file()
     values = names["draws"].get_chain(flat=True)
-    others = [names["by_blackjax"]] + ([names["chains"].get_samples()] if by_numpyro else [])
-    for whitened in others:
+    for whitened in names["by_blackjax"], names["chains"].get_samples():
         found = np.stack([names["free"].physical(u) for u in whitened])
         off = (found.mean(axis=0) - values.mean(axis=0)) / values.std(axis=0)
         np.testing.assert_allclose(off, 0.0, atol=0.25)

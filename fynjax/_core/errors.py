@@ -156,6 +156,7 @@ class MissingExtraError(ImportError):
     """An optional package is absent; the message names the `pip install` line."""
 
     def __init__(self, package: str, extra: str) -> None:
+        self.extra = extra
         super().__init__(
             f"This needs the optional package {package!r}. Install it with: "
             f'pip install "fynjax[{extra}]"'

@@ -10,7 +10,7 @@ from fynjax.inversion._amortised import (
     estimate_pixels,
     train_posterior,
 )
-from fynjax.inversion._ask import fit, free, imager_of, information, sample
+from fynjax.inversion._ask import fit, free, information, sample
 from fynjax.inversion._calibrate import (
     Calibration,
     Ends,
@@ -20,6 +20,7 @@ from fynjax.inversion._calibrate import (
     plot_search,
     search_starts,
 )
+from fynjax.inversion._camera_data import TargetRules, imager_of, weighed_statistics
 from fynjax.inversion._canopy import CanopyFit, fit_canopy
 from fynjax.inversion._canopy import CanopyView as CanopyView
 from fynjax.inversion._canopy import canopy_units as canopy_units

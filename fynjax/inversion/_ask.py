@@ -13,10 +13,10 @@ import pandas as pd
 from jaxtyping import Array, Float
 
 from fynjax._core.errors import InputError, did_you_mean
-from fynjax._core.extras import app_room
 from fynjax._core.precision import double_precision
 from fynjax._core.progress import stage
 from fynjax.inversion._calibrate import Calibration, fit_plot, free_space
+from fynjax.inversion._camera_data import imager_of
 from fynjax.inversion._data import Data
 from fynjax.inversion._fit import fit_function
 from fynjax.inversion._fit_result import FitResult
@@ -41,22 +41,6 @@ class PlotsPrior(Protocol):
 
     def sd(self, name: str, *, elsewhere: bool = False) -> float:
         """Standard deviation of a parameter, of a plot `elsewhere` too; "dead_fraction.mound"."""
-
-
-def imager_of(camera: str | Path | Sensor | Lidar) -> Sensor:
-    """An imaging sensor.
-
-    **Arguments:** `camera`, which may be its name or file too.
-
-    **Raises:** `InputError` for a LiDAR, and another type.
-    """
-    sensor: Any = camera
-    if isinstance(camera, str | Path):
-        sensor = app_room("io.instruments", "load_instrument")(camera)
-    if not isinstance(sensor, Sensor):
-        what = f"the LiDAR {sensor.name!r}" if isinstance(sensor, Lidar) else repr(sensor)
-        raise InputError(f"expected an imaging sensor, but got {what}")
-    return sensor
 
 
 def free(
@@ -161,9 +145,9 @@ def fit(
     free: ParameterSpace | None = None,
     *,
     solver: Any = None,
-    max_steps: int = 30,
+    max_steps: int | None = None,
     settings: CalibrationSettings | None = None,
-    error: ModelError | Literal["learned", "none"] = "learned",
+    error: ModelError | Literal["learned", "none"] | None = None,
     start: Calibration | FitResult | Float[Array, " free"] | None = None,
     **options: Any,
 ) -> Any:
@@ -199,11 +183,13 @@ def fit(
       traceable function of the free parameters in their own units.
     - `data`: of a scene with the sensors that measured it (`Data.from_image` and the like).
     - `free`: the free parameters with their priors (`fx.free`, or a `ParameterSpace`).
-    - `solver`: `fx.BroydenLM()` by default, which of a scene takes one Jacobian a round; or a
-      solver object of optimistix or jaxopt, which take one at each step, or as many gradients.
-    - `max_steps`: most steps of the solver, of a scene in the first round.
-    - `settings`: of a scene: plantings, rounds and light of the search, with its own `max_steps`.
-    - `error`: what the model of a scene is off by over wavelength, as of `Problem`.
+    - `solver`: by default `fx.BroydenLM()` of a scene, one Jacobian a round, and with `renew=True`
+      of a function; or a solver object of optimistix or jaxopt, which take one at each step, or as
+      many gradients.
+    - `max_steps`: most steps of the solver, of a scene in the first round; 30 by default.
+    - `settings`: of a scene: plantings, rounds and light of the search, and its `max_steps`.
+    - `error`: what the model of a scene is off by over wavelength, as of `Problem`; "learned" by
+      default.
     - `start`: what an earlier fit found, to go on from there: parameters that it did not have start
       at their priors. Or whitened coordinates. By default the prior's centre.
     - `options`: of a function as `fit_function` takes them: `tolerance`, `offset`, `context`.
@@ -226,8 +212,11 @@ def fit(
     ([1.0, 1.0], True)
     """
     if isinstance(model, Problem):
-        if data is not None or free is not None or settings is not None or options:
-            raise InputError("expected a problem alone: it has data, free parameters and settings")
+        given = (data, free, max_steps, settings, error, options or None)
+        if any(one is not None for one in given):
+            raise InputError(
+                "expected a problem alone: it has data, free parameters, error and settings"
+            )
         return fit_plot(model, solver=solver, start=_place(start, model.free))
     if not isinstance(model, Scene) and not callable(model):
         raise InputError(f"expected a problem, a scene or a function, but got {model!r:.60}")
@@ -235,17 +224,23 @@ def fit(
     assert data is not None
     assert free is not None
     if not isinstance(model, Scene):
-        if settings is not None:
-            raise InputError("expected `settings` with a scene, not with a function")
+        if settings is not None or error is not None:
+            raise InputError("expected `settings` or `error` with a scene, not with a function")
+        steps = 30 if max_steps is None else max_steps
         with stage("Fit"):
             return fit_function(
-                model, data, free, solver=solver, max_steps=max_steps,
+                model, data, free, solver=solver, max_steps=steps,
                 start=_place(start, free), **options,
             )  # fmt: skip
     if options:
         _check_options("fit", Problem, {"scene", "data", "free", "views"}, options)
-    settings = CalibrationSettings(max_steps=max_steps) if settings is None else settings
-    problem = Problem(model, data, free, error=error, settings=settings)
+    if settings is not None and max_steps is not None:
+        raise InputError("expected `max_steps` or `settings`, which have their own, but got both")
+    if settings is None:
+        settings = CalibrationSettings(max_steps=30 if max_steps is None else max_steps)
+    problem = Problem(
+        model, data, free, error="learned" if error is None else error, settings=settings
+    )
     return fit_plot(problem, solver=solver, start=_place(start, free))
 
 
@@ -273,7 +268,7 @@ def _place(start: Any, space: ParameterSpace) -> Float[Array, " free"] | None:
 
 @double_precision
 def sample(
-    fitted: Calibration | FitResult,
+    fitted: Calibration | FitResult | Problem,
     method: SamplingMethod = "emcee",
     *,
     predict: Callable[..., Float[Array, " statistic"]] | None = None,
@@ -287,8 +282,8 @@ def sample(
 
     **Arguments:**
 
-    - `fitted`: from `fx.fit`. Statistics of a scene are then those of a quadratic surrogate, fitted
-      to renders at draws of one and a half times the Laplace posterior.
+    - `fitted`: from `fx.fit`; a problem is fitted first. Statistics of a scene are those of a
+      quadratic surrogate, fitted to renders at draws of one and a half times the Laplace posterior.
     - `method`: "emcee", "nuts" or "laplace".
     - `predict`: the function that was fitted, where `fitted` is not of a scene.
     - `target`: effective draws to reach, on a chain longer than 50 autocorrelation times.
@@ -307,6 +302,8 @@ def sample(
     options |= {"method": method, "target": target, "max_steps": max_steps, "chains": chains}
     own = {"predict", "data", "space", "start"}
     _check_options("sample", PosteriorSampler, own, options)
+    if isinstance(fitted, Problem):
+        fitted = fit(fitted)
     if isinstance(fitted, FitResult):
         if predict is None:
             raise InputError(

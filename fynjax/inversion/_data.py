@@ -15,7 +15,7 @@ from fynjax._core.errors import InputError, listed
 from fynjax._core.extras import app_room
 from fynjax._core.precision import double_precision, drawn_in_double, in_double
 from fynjax.metrics import without_view
-from fynjax.scene import Observation, PlotParameters, Scene
+from fynjax.scene import Observation, PlotParameters, Scene, fitting_structure
 from fynjax.sensors import BandSet, Frame, Gains, Lidar, Pose, Sensor
 
 if TYPE_CHECKING:
@@ -262,7 +262,9 @@ class Data(eqx.Module):
 
         **Raises:** `InputError` for an image or camera that cannot be used.
         """
-        found = app_room("assembly._targets", "image_of_camera")(
+        from fynjax.inversion._camera_data import image_of_camera  # late: it makes data
+
+        found = image_of_camera(
             image, camera, pixel=pixel, footprint=footprint, altitude=altitude, bands=bands,
             statistics=statistics, relative_sd=relative_sd, gains=gains, pose=pose,
         )  # fmt: skip
@@ -292,7 +294,9 @@ class Data(eqx.Module):
 
         **Raises:** `InputError` for a table or camera that cannot be used.
         """
-        found = app_room("assembly._targets", "table_of_camera")(
+        from fynjax.inversion._camera_data import table_of_camera  # late: it makes data
+
+        found = table_of_camera(
             table, camera, pixel=pixel, altitude=altitude, relative_sd=relative_sd, gains=gains
         )
         return found.under(sun).renamed(name)
@@ -320,9 +324,10 @@ class Data(eqx.Module):
 
         **Raises:** `InputError` for spectra that cannot be used.
         """
-        found = app_room("assembly._targets", "spectrum_of_file")(
-            path, sun_zenith, statistics, relative_sd
-        )
+        from fynjax.inversion._camera_data import TargetRules  # late: it makes data
+
+        rules = TargetRules(relative_sd, tuple(statistics))
+        found = app_room("assembly", "spectrum_data")(Path(path), rules, sun_zenith)
         return found.renamed(name)
 
     @classmethod
@@ -350,9 +355,13 @@ class Data(eqx.Module):
 
         **Raises:** `InputError` for a cloud that cannot be used.
         """
-        found = app_room("assembly._targets", "cloud_of_file")(
-            path, scene, statistics, relative_sd, seed
-        )
+        from fynjax.inversion._camera_data import TargetRules  # late: it makes data
+
+        voxel, side = scene.grid.horizontal_size, min(scene.grid.extent[:2])
+        settings, grains = fitting_structure(voxel, side)
+        rules = TargetRules(relative_sd, tuple(statistics))
+        read = app_room("assembly", "structure_data")
+        found = read(Path(path), rules, settings, grains, seed)
         return found.renamed(name)
 
     @classmethod
@@ -384,7 +393,9 @@ class Data(eqx.Module):
 
         **Raises:** `InputError` for an image or camera that cannot be used.
         """
-        return app_room("assembly._targets", "pixels_of_camera")(
+        from fynjax.inversion._camera_data import pixels_of_camera  # late: it makes data
+
+        return pixels_of_camera(
             image, camera, pixel=pixel, altitude=altitude, bands=bands, block=block,
             pixel_sd=pixel_sd, gains=gains,
         )  # fmt: skip

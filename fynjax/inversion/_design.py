@@ -5,6 +5,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from itertools import combinations
+from pathlib import Path
 from typing import Literal, NamedTuple
 
 import equinox as eqx
@@ -41,8 +42,8 @@ from fynjax.inversion._functionals import Functional, StandNumbers, stand_functi
 from fynjax.inversion._problem import believed
 from fynjax.inversion._space import ParameterSpace
 from fynjax.metrics import spectral_mask
-from fynjax.scene import ModelError, Scene
-from fynjax.sensors import BandSet, OrthographicCamera, Sensor, shipped_sensor
+from fynjax.scene import ModelError, Scene, sensor_of
+from fynjax.sensors import BandSet, Lidar, OrthographicCamera, Sensor
 
 DESIGN_FREE = (
     *(f"species.*.{kind}" for kind in ("cover", "diameter", "dead_fraction")),
@@ -512,9 +513,9 @@ def _pixels(scene: Scene, pixel: float | Sequence[float]) -> tuple[float, ...]:
     return ascending
 
 
-def _within(sensor: str | Sensor, grid: Float[np.ndarray, " wavelength"]) -> Sensor:
+def _within(sensor: str | Path | Sensor | Lidar, grid: Float[np.ndarray, " wavelength"]) -> Sensor:
     """A sensor with the bands that lie within a grid of wavelengths."""
-    found = shipped_sensor(sensor) if isinstance(sensor, str) else sensor
+    found = sensor_of(sensor)
     if not isinstance(found, Sensor):
         raise InputError(f"expected imaging sensors in `compare`, but got {found!r:.60}")
     places = found.bands.covered(grid)

@@ -201,7 +201,9 @@ def believed(error: ModelError | Literal["learned", "none"] | None) -> ModelErro
         raise InputError(
             f'expected `error` as "learned", "none" or a `ModelError`, but got {error!r}'
         )
-    return app_room("assembly", "prior")().model_error if error == "learned" else None
+    if error == "none":
+        return None
+    return app_room("io.plot", "read_prior")(app_room("io.plot", "DEFAULT_PRIOR")).model_error
 
 
 def _likely_counts(

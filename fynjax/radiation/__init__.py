@@ -3,7 +3,7 @@
 from fynjax.radiation._arrays import voxel_scene
 from fynjax.radiation._canopy import CanopyAlbedo, canopy_albedo, canopy_reflectance
 from fynjax.radiation._check import voxel_values
-from fynjax.radiation._fluxes import Fluxes, diffuse_sources, fluxes
+from fynjax.radiation._fluxes import Fluxes, absorption, diffuse_sources, fluxes
 from fynjax.radiation._ground import RahmanPintyVerstraete
 from fynjax.radiation._multiple import DiffuseField
 from fynjax.radiation._rays import (
@@ -42,6 +42,7 @@ __all__ = [
     "RayField",
     "RayLattice",
     "VoxelScene",
+    "absorption",
     "canopy_albedo",
     "canopy_reflectance",
     "directional_reflectance",

@@ -26,6 +26,7 @@ from fynjax.scene._observe import (
     aim,
     fitted_accuracy,
     observe,
+    sensor_of,
 )
 from fynjax.scene._optics import mean_trait
 from fynjax.scene._parameters import (

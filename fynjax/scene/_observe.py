@@ -1031,7 +1031,7 @@ def observe(
     >>> image.bands, image["nir"].shape
     (('green', 'red', 'red_edge', 'nir'), (4, 4))
     """
-    sensor = _named(sensor) if isinstance(sensor, str | Path) else sensor
+    sensor = sensor_of(sensor)
     if isinstance(sensor, Lidar):
         parameters = _checked(scene, parameters)
         placed = any(v is not None for v in (placement, pixel, altitude, pose, lens))
@@ -1059,7 +1059,7 @@ def aimed_at(
     """An imaging sensor over a scene, and the parameters that it sees: arguments and errors as of
     `observe`."""
     parameters = _checked(scene, parameters)
-    imager = _named(sensor) if isinstance(sensor, str | Path) else sensor
+    imager = sensor_of(sensor)
     if not isinstance(imager, Sensor):
         raise InputError(f"expected a sensor or the name of one, but got {type(imager).__name__}")
     check_known(pixel=pixel, altitude=altitude, placement=placement)
@@ -1101,18 +1101,25 @@ def _checked(scene: Scene, parameters: PlotParameters | None) -> PlotParameters:
     return within_bounds(parameters, scene.taxa)
 
 
-@jax.ensure_compile_time_eval()  # known inside transformations too, as `aim` needs it
-def _named(name: str | Path) -> Sensor | Lidar:
-    if name in shipped_sensors():
-        return shipped_sensor(str(name))
-    if name in shipped_lidars():
-        return shipped_lidar(str(name))
-    if str(name).endswith(".toml"):
-        return app_room("io.instruments", "load_instrument")(name)
+def sensor_of(sensor: str | Path | Sensor | Lidar) -> Sensor | Lidar:
+    """A `sensor` by its shipped name or its file (.toml); an object as it is.
+
+    **Raises:** `InputError` for another name, with the nearest, and as the reader of the file.
+    """
+    if not isinstance(sensor, str | Path):
+        return sensor
+    name = str(sensor)
+    with jax.ensure_compile_time_eval():  # known inside transformations too, as `aim` needs it
+        if name in shipped_sensors():
+            return shipped_sensor(name)
+        if name in shipped_lidars():
+            return shipped_lidar(name)
+        if name.endswith(".toml"):
+            return app_room("io.instruments", "load_instrument")(sensor)
     every = (*shipped_sensors(), *shipped_lidars())
     raise InputError(
         f"expected a shipped sensor ({', '.join(every)}), a sensor file (.toml) or an object, but "
-        f"got {str(name)!r}.{did_you_mean(str(name), every)}"
+        f"got {name!r}.{did_you_mean(name, every)}"
     )
 
 

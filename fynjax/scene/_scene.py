@@ -319,7 +319,7 @@ class Scene(eqx.Module):
         >>> from fynjax.scene import Scene
         >>> scene = Scene.from_table(table1_2006(), size=2.0, voxel=0.5)
         >>> len(scene.taxa), scene.grid.shape[:2]
-        (16, (4, 4))
+        (13, (4, 4))
         >>> thin = scene.with_values({"species.*.cover": 0.02})
         >>> thin.parameters.species.cover[:2].tolist()
         [0.02, 0.02]

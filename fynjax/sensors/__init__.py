@@ -93,7 +93,6 @@ __all__ = [
     "Sensor",
     "SunPosition",
     "Waveforms",
-    "mavic_3m",
     "shipped_lidar",
     "shipped_lidars",
     "shipped_sensor",

@@ -20,7 +20,7 @@ from fynjax.sensors.air import SPACE
 class Sensor(eqx.Module):
     """What measures: spectral bands, lines of sight, point spread and noise.
 
-    `fynjax.app.io.load_sensor` reads one from a file or takes a shipped one by name.
+    `fynjax.sensor` reads one from a file or takes a shipped one by name.
     """
 
     name: str = eqx.field(static=True)

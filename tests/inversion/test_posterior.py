@@ -508,7 +508,8 @@ def test_blackjax_explores_the_log_density():
 
 
 def test_numpyro_explores_the_log_density():
-    infer = pytest.importorskip("numpyro.infer", reason="numpyro is not of the environment")
+    from numpyro import infer
+
     log_density = LogPosterior(predict, SPACE, DATA)
     kernel = infer.NUTS(potential_fn=lambda u: -log_density(u))
     chains = infer.MCMC(kernel, num_warmup=300, num_samples=2000, progress_bar=False)

@@ -165,7 +165,7 @@ def test_a_mistyped_parameter_is_named_with_the_nearest(tmp_path: Path) -> None:
     wrong = [p.model_copy(update={"name": p.name.replace("tussock", "tusock")}) for p in rows]
     with pytest.raises(ValueError, match=r"'\w+\.tusock'\. Did you mean '\w+\.tussock'\?"):
         prior_file(parameters=wrong)
-    with pytest.raises(ValueError, match=r"'dead_fraction\.\w+' is twice there"):
+    with pytest.raises(ValueError, match=r"'dead_fraction\.\w+' is 2 times there"):
         prior_file(parameters=[*rows, next(p for p in rows if p.name.startswith("dead_"))])
 
 

@@ -25,7 +25,15 @@ from fynjax.app.assembly._stands import (
     stand_forms,
     stand_numbers,
 )
-from fynjax.app.assembly._targets import RealImage, image_sight, placed_by_image, read_targets
+from fynjax.app.assembly._targets import (
+    RealImage,
+    image_data,
+    image_sight,
+    placed_by_image,
+    read_targets,
+    spectrum_data,
+    structure_data,
+)
 from fynjax.app.assembly._twin import Twin, plant_twin, twin_image
 
 __all__ = [
@@ -46,6 +54,7 @@ __all__ = [
     "find_plants",
     "frames_image",
     "ground_heights",
+    "image_data",
     "image_sight",
     "image_view",
     "parameter_columns",
@@ -62,7 +71,9 @@ __all__ = [
     "shown_unit",
     "simulate_stands",
     "simulated_flight",
+    "spectrum_data",
     "stand_forms",
     "stand_numbers",
+    "structure_data",
     "twin_image",
 ]

@@ -3,17 +3,15 @@
 import dataclasses
 import math
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-import pandas as pd
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from fynjax._core.errors import InputError, in_file
 from fynjax._core.precision import double_precision
@@ -43,9 +41,8 @@ from fynjax.inversion import (
     Source,
     SpectrumSight,
     StructureSight,
+    TargetRules,
     block_of,
-    compared_statistics,
-    imager_of,
     join_data,
     pixel_data,
     spectrum_names,
@@ -53,35 +50,16 @@ from fynjax.inversion import (
     weigh_spectrum,
     weigh_structure,
     weigh_targets,
+    weighed_statistics,
 )
-from fynjax.metrics import (
-    BANDS,
-    bands_needed,
-    check_statistics,
-    fitting_statistics,
-    image_statistics,
-    index_bands,
-    match_wavelengths,
-    spectral_mask,
-)
+from fynjax.metrics import index_bands, match_wavelengths, spectral_mask
 from fynjax.metrics.structure import STRUCTURE_METRICS, StructureSettings
-from fynjax.scene import (
-    Observation,
-    Placement,
-    PlantingRules,
-    Scene,
-    fitting_structure,
-    visible_sensor,
-)
+from fynjax.scene import Placement, PlantingRules, fitting_structure, visible_sensor
 from fynjax.sensors import (
     BandSet,
     ClearAir,
-    Frame,
     Gains,
-    Lidar,
-    Pose,
     RadiometricNoise,
-    Sensor,
     at_sensor_radiance,
     band_atmosphere,
     clear_sky_atmosphere,
@@ -108,7 +86,6 @@ _MOST_SAMPLED = 100_000
 _MOST_BANDS = 30
 _NARROWEST, _WIDEST = 5.0, 15.0  # nm; finer spectra are averaged to bands of the first
 _RANGE = (405.0, 2450.0)
-_CONFIDENCE = 0.95
 
 
 @dataclass(frozen=True)
@@ -412,26 +389,6 @@ def _block(plot: Plot, bands: int, shape: tuple[int, int], pixel: float) -> int:
     return block
 
 
-class TargetRules(NamedTuple):
-    """Which statistics of a measurement count, and how far they are trusted."""
-
-    relative_sd: float = 0.01
-    """Standard deviation of a statistic over its value, where none is stated [-]."""
-    statistics: tuple[str, ...] = ("*",)
-    """Patterns of the names of the statistics that count."""
-    file: Path | None = None
-    """File that states these rules, which errors name."""
-
-    def used(self, names: Sequence[str], what: str) -> list[int]:
-        """Places of the names that count. Raises `InputError` where none does."""
-        keep = [i for i, n in enumerate(names) if any(fnmatchcase(n, p) for p in self.statistics)]
-        if not keep:
-            raise InputError(
-                f"`calibration.targets` fits none of {what}, such as {names[0]!r}", file=self.file
-            )
-        return keep
-
-
 def target_rules(plot: Plot) -> TargetRules:
     """The rules that a plot file states."""
     settings = plot.calibration
@@ -572,36 +529,6 @@ def _doubt_focus(path: Path, image: DroneImage, pixel: float, blur: float, resol
             f"`footprint_m = {pixel:.3g}` says that it is sharp",
             stacklevel=4,
         )
-
-
-def weighed_statistics(
-    values: Float[np.ndarray, "band y x"],
-    bands: BandSet,
-    mask: Bool[np.ndarray, "y x"],
-    pixel: float,
-    rules: TargetRules,
-    *,
-    side: float = np.inf,
-) -> Data:
-    """Statistics of an image in memory as targets.
-
-    **Arguments:**
-
-    - `values`: reflectance [-].
-    - `bands`: of the camera, in their order.
-    - `mask`: pixels that count.
-    - `pixel`: edge of a pixel on the ground [m].
-    - `rules`: which statistics count.
-    - `side`: of the plot [m]: means over squares wider than it are left out.
-    """
-    # No square of several pixels may be wider than image or plot.
-    side = min(side, pixel * min(mask.shape))
-    every = fitting_statistics(compared_statistics(bands), side, pixel)
-    names = [every[i] for i in rules.used(every, "the statistics")]
-    # Numbers in place of NaN, which a mask does not keep out of slopes and sums.
-    clean = jnp.asarray(np.where(mask, values, 0.0))
-    found = np.asarray(image_statistics(clean, names, jnp.asarray(mask), pixel=pixel, bands=bands))
-    return weigh_targets(names, found, rules.relative_sd)
 
 
 def image_sight(plot: Plot, statistics: Sequence[str], *, pixel: float | None = None) -> ImageSight:
@@ -784,146 +711,3 @@ def structure_settings(plot: Plot) -> tuple[StructureSettings, tuple[float, ...]
     """Settings and grains [m] of structure that fit a plot's voxels."""
     with in_file(plot.file):
         return fitting_structure(plot.voxel_m, min(plot.size_m))
-
-
-# -- without a plot file ----------------------------------------------------------------------
-
-
-def image_of_camera(
-    image: Any,
-    camera: str | Path | Sensor | Lidar,
-    *,
-    pixel: float | None,
-    footprint: float | None,
-    altitude: float | None,
-    bands: Sequence[str] | None,
-    statistics: Sequence[str],
-    relative_sd: float,
-    gains: Gains | str | None,
-    pose: Pose | Frame | None,
-) -> Data:
-    """What `Data.from_image` returns, of its arguments."""
-    rules, sensor = TargetRules(relative_sd, tuple(statistics)), _camera(camera)
-    edge: float | None
-    if isinstance(image, Observation):
-        seen = [band for band in sensor.bands.names if band in image.bands or band in BANDS]
-        values, edge = np.stack([np.asarray(image[band]) for band in seen]), image.pixel
-        own = sensor.bands.select([sensor.bands.names.index(band) for band in seen])
-        counts = np.ones(values.shape[1:], bool) if image.seen is None else np.asarray(image.seen)
-        data = weighed_statistics(values, own, counts, edge, rules)
-    elif isinstance(image, str | Path):
-        read = image_data(Path(image), rules, sensor.bands, pixel=pixel, bands=bands)
-        data, edge = read.data, read.pixel
-    else:
-        raise InputError(
-            "expected the path of an image or what `observe` gives, but got "
-            f"{type(image).__name__}; statistics of an image go through `Data.from_table`"
-        )
-    place = Placement(altitude, footprint or edge)
-    if pose is not None:
-        frame = pose if isinstance(pose, Frame) else Frame(pose)
-        place = Placement(None, footprint or edge, frame=frame)
-    return _seen_by(data, sensor, place, gains)
-
-
-def table_of_camera(
-    table: Any,
-    camera: str | Path | Sensor | Lidar,
-    *,
-    pixel: float | None,
-    altitude: float | None,
-    relative_sd: float,
-    gains: Gains | str | None,
-) -> Data:
-    """What `Data.from_table` returns, of its arguments."""
-    sensor = _camera(camera)
-    if isinstance(table, str | Path):
-        data = image_data(Path(table), TargetRules(relative_sd), sensor.bands).data
-    else:
-        if isinstance(table, Mapping) and "statistic" not in table:
-            table = {"statistic": list(table), "value": list(table.values())}
-        frame = pd.DataFrame(table)
-        if missing := [name for name in ("statistic", "value") if name not in frame]:
-            raise InputError(
-                f"expected columns statistic and value, but {missing[0]} is missing",
-                column=missing[0],
-            )
-        sd = frame["sd"].to_numpy(float) if "sd" in frame else None
-        names = [str(name) for name in frame["statistic"]]
-        check_statistics(names, sensor.bands)
-        data = weigh_targets(names, frame["value"].to_numpy(float), relative_sd, sd=sd)
-    return _seen_by(data, sensor, Placement(altitude, pixel), gains)
-
-
-def spectrum_of_file(
-    path: str | Path, sun_zenith: float, statistics: Sequence[str], relative_sd: float
-) -> Data:
-    """What `Data.from_spectrum` returns, of its arguments."""
-    return spectrum_data(Path(path), TargetRules(relative_sd, tuple(statistics)), sun_zenith)
-
-
-def cloud_of_file(
-    path: str | Path, scene: Scene, statistics: Sequence[str], relative_sd: float, seed: int
-) -> Data:
-    """What `Data.from_cloud` returns, of its arguments."""
-    voxel, side = scene.grid.horizontal_size, min(scene.grid.extent[:2])
-    settings, grains = fitting_structure(voxel, side)
-    rules = TargetRules(relative_sd, tuple(statistics))
-    return structure_data(Path(path), rules, settings, grains, seed)
-
-
-def pixels_of_camera(
-    image: Any,
-    camera: str | Path | Sensor | Lidar,
-    *,
-    pixel: float | None,
-    altitude: float | None,
-    bands: Sequence[str] | None,
-    block: int | None,
-    pixel_sd: float | None,
-    gains: Gains | str | None,
-) -> Data:
-    """What `Data.from_pixels` returns, of its arguments."""
-    sensor, file = imager_of(camera), None
-    if isinstance(image, str | Path):
-        file = Path(image)
-        read = read_drone_image(file, bands=bands, camera=sensor.bands, most_pixels=None)
-        pixel = read.pixel_m if pixel is None else pixel
-        order = [name for name in sensor.bands.names if name in read.bands]
-        values = read.values[[read.bands.index(name) for name in order]]
-        sensor = sensor.select([sensor.bands.names.index(name) for name in order])
-    else:
-        values = np.asarray(image, float)
-        if values.ndim != 3 or len(values) != len(sensor.bands):
-            raise InputError(
-                f"expected an image of the {len(sensor.bands)} bands of {sensor.name!r}, rows and "
-                f"columns, but got an array of shape {values.shape}"
-            )
-    rows, columns = values.shape[1:]
-    size = block_of(len(values), (rows, columns)) if block is None else block
-    names = sensor.bands.names
-    own = gains if isinstance(gains, Gains) else sensor.gains(gains)
-    every = tuple(f"{n}.mean" for n in names)
-    sight = ImageSight(every, sensor, Placement(altitude, pixel), own)
-    return pixel_data(Pixels(values, size, pixel_sd), names, sight, file=file)
-
-
-def _seen_by(data: Data, camera: Sensor, placement: Placement, gains: Gains | str | None) -> Data:
-    used = bands_needed({*BANDS, *(name.split(".")[0] for name in data.names)}, camera.bands)
-    camera = camera.select([i for i, n in enumerate(camera.bands.names) if n in used])
-    found = gains if isinstance(gains, Gains) else camera.gains(gains)
-    sight = ImageSight(data.names, camera, placement, found)
-    return dataclasses.replace(data, source=Source("image", sight))
-
-
-def _camera(camera: str | Path | Sensor | Lidar) -> Sensor:
-    """A camera with green, red, red edge and near infrared first, then its other bands."""
-    sensor = imager_of(camera)
-    names = sensor.bands.names
-    if missing := [name for name in BANDS if name not in names]:
-        raise InputError(
-            f"expected a camera with bands {', '.join(BANDS)}, but {sensor.name!r} has no "
-            f"{missing[0]}"
-        )
-    others = [name for name in names if name not in BANDS]
-    return sensor.select([names.index(name) for name in (*BANDS, *others)])

@@ -4,6 +4,23 @@ The command line calls them, and so can a notebook, as
 `fynjax.app.jobs.render_plot("plot.toml", "output")`. They are imported when they are first used.
 """
 
+from typing import Any
+
 import lazy_loader
 
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+_found, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+
+
+def __getattr__(name: str) -> Any:
+    """A job, imported when it is first used.
+
+    **Raises:** `MissingExtraError` where a package that the app needs is not installed.
+    """
+    try:
+        return _found(name)
+    except ModuleNotFoundError as error:
+        from fynjax._core.errors import MissingExtraError
+
+        if missing := MissingExtraError.of_app(error):
+            raise missing from error
+        raise

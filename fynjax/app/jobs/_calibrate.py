@@ -120,11 +120,12 @@ def calibrate_to(
         problem = plot_problem(plot, data, seed=run.seed)
     views = [view for view in problem.views if isinstance(view, ImageView)]
     images = [f"image_{when}{f'_{v.view}' if v.view else ''}.tif" for v in views for when in _WHEN]
+    of_chance = data is None or data.pixels is None
     begin_work(
         {"parameters.csv": f"{len(problem.free.names)} parameters", "statistics.csv": ""}
         | dict.fromkeys(images, "")
-        | {"run.nc": f"rounds of at most {problem.settings.max_steps} steps", FIT_FILE: ""}
-        | {"report.html": ""}
+        | ({"run.nc": f"rounds of at most {problem.settings.max_steps} steps"} if of_chance else {})
+        | {FIT_FILE: "", "report.html": ""}
     )
     known = None
     if twin:

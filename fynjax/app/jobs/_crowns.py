@@ -9,6 +9,7 @@ import pandas as pd
 from jaxtyping import Float
 from pydantic import Field
 
+from fynjax._core.arguments import Names, Seed
 from fynjax._core.dry_run import begin_work
 from fynjax._core.errors import InputError
 from fynjax._core.extras import require
@@ -65,11 +66,11 @@ def crowns(
     output: str | Path,
     *,
     plot: Plot | str | Path,
-    bands: Sequence[str] | None = None,
+    bands: Names | None = None,
     heights: str | Path | None = None,
     rounds: Annotated[int, Field(ge=2)] = 24,
     free: Sequence[str] | None = None,
-    seed: int | None = None,
+    seed: Seed | None = None,
 ) -> CrownsResult:
     """Find which plants stand where in an orthophoto of a plot.
 

@@ -62,7 +62,7 @@ class LidarNoise(eqx.Module):
 class Lidar(eqx.Module):
     """A LiDAR: pulse, receiver, lines of sight. All of it is static: it has no gradient.
 
-    `fynjax.app.io.load_lidar` reads one from a file or takes a shipped one by name.
+    `fynjax.sensor` reads one from a file or takes a shipped one by name.
     """
 
     name: str = eqx.field(static=True)

@@ -125,11 +125,12 @@ class PriorFile(Strict):
                 f"expected factors or a growth form's {', '.join(BY_FORM)}, but got "
                 f"{unknown[0]!r}.{did_you_mean(unknown[0], PRIOR_PARAMETERS)}"
             )
-        if odd := [name for name in sorted(expected) if names.count(name) != 1]:
+        times = {name: names.count(name) for name in sorted(expected)}
+        odd = [f"{name!r} is missing" for name, n in times.items() if n == 0]
+        if odd := odd + [f"{name!r} is {n} times there" for name, n in times.items() if n > 1]:
             raise ValueError(
                 f"expected each factor once, and each of {', '.join(BY_FORM)} of each growth form "
-                f"that the file has, but {odd[0]!r} is "
-                f"{'twice there' if odd[0] in names else 'missing'}"
+                f"that the file has, but {' and '.join(odd[:2])}"
             )
         for row in self.left_out:
             if len(row.means) != len(names):
