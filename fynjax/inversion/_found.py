@@ -9,7 +9,7 @@ from scipy.spatial import cKDTree
 
 from fynjax._core.progress import stage
 from fynjax._core.seeds import generator
-from fynjax.inversion._places import PlacesSettings, descend, free_early, places_model
+from fynjax.inversion._places import PlacesSettings, candidates, descend, free_early, places_model
 from fynjax.inversion._shapes import OUTLINE
 from fynjax.inversion._space import ParameterSpace
 from fynjax.inversion._stands import WholeStand, whole_stands
@@ -264,12 +264,14 @@ def find_places(
     """
     settings = PlacesSettings() if settings is None else settings
     model = places_model(scene, image, camera, space, settings, height=height, error=error)
-    with stage("Search by slopes", settings.steps):
-        soft = descend(model, model.start(), settings.steps, free_early(space))
     stands, images = [], []
     for chain in range(settings.chains):
+        # Each of its own start and shapes, lest all end beside the same wrong stand.
+        own = dataclasses.replace(model, candidates=candidates(scene, settings, chain))
+        with stage("Search by slopes", settings.steps):
+            soft = descend(own, own.start(chain), settings.steps, free_early(space))
         with stage("Whole stands", settings.rounds):
-            kept, mean = whole_stands(model, soft, settings.seed + chain)
+            kept, mean = whole_stands(own, soft, settings.seed + chain)
         random = generator(settings.seed + chain, 313)
         stands += [_with_outlines(stand, random) for stand in kept]
         images.append(mean)

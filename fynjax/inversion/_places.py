@@ -122,12 +122,13 @@ class Candidates(eqx.Module):
         return extent if self.scene.boundary == "periodic" else np.full(2, np.inf)
 
 
-def candidates(scene: Scene, settings: PlacesSettings) -> Candidates:
+def candidates(scene: Scene, settings: PlacesSettings, chain: int = 0) -> Candidates:
     """Sites over the plot of a scene, and the plants that may stand there.
 
     Species whose crowns are about as wide share sites, which are the denser the narrower these are.
 
-    **Arguments:** `scene`, as it was built; `settings`.
+    **Arguments:** `scene`, as it was built; `settings`; `chain`, each of which has plants of other
+    shapes at the same sites.
 
     **Raises:** `InputError` for a scene without plants, or of other plants than were drawn.
     """
@@ -161,7 +162,7 @@ def candidates(scene: Scene, settings: PlacesSettings) -> Candidates:
     owner, at, likely = (np.concatenate(v)[order] for v in (species, site, chance))
     place, far = np.concatenate(places), np.concatenate(reach)
     crowns = Crowns(owner, place[at], diameter[owner], height[owner])
-    many = scene.with_plants(crowns, seed=settings.seed)
+    many = scene.with_plants(crowns, seed=settings.seed + 1000 * chain)
     thin = many.planting.thinned([settings.elements] * len(scene.species))
     copies = np.round([scene.branches[i] for i in owner]).astype(int)
     apart = scene.spacing_of(float(number.sum()))
@@ -314,16 +315,22 @@ class PlacesModel(eqx.Module):
         entropy = -sum(jnp.sum(w * jnp.log(w + _TINY)) for w in (weight, none))
         return data + self.prior(v, weight, none) - entropy, jnp.sum(pixels) / self.values
 
-    def start(self) -> Places:
-        """The prior's middle, with the table's weights everywhere."""
+    def start(self, chain: int = 0) -> Places:
+        """The table's weights everywhere, and sizes and parameters drawn from their priors; those
+        of the first chain in the priors' middle."""
         known, zero = self.candidates, jnp.zeros_like(self.candidates.reach)
         share = jax.ops.segment_sum(known.chance, known.site, len(zero))
-        drawn = generator(self.settings.seed, 307).normal(size=len(known.chance))
+        random = generator(self.settings.seed + chain, 307)
+        drawn = random.normal(size=len(known.chance))
+        spread = 0.0 if chain == 0 else 1.0
+        u, band = (
+            jnp.asarray(spread * random.normal(size=n).clip(-2.0, 2.0), zero.dtype)
+            for n in (len(self.space.names), self.root.shape[1])
+        )
         logit = jnp.log(known.chance / (1.0 - share)[known.site])
         return Places(
             logit + jnp.asarray(0.1 * drawn, zero.dtype), jnp.zeros_like(known.place), zero, zero,
-            jnp.zeros(len(self.space.names), zero.dtype),
-            jnp.zeros(self.root.shape[1], zero.dtype),
+            u, band,
         )  # fmt: skip
 
 

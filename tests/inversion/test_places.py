@@ -161,6 +161,19 @@ def test_slopes_are_those_of_differences(twin):
         assert (up - down) / (2.0 * step) == pytest.approx(expected, rel=0.05, abs=0.3), name
 
 
+def test_each_chain_has_its_own_start_and_shapes_at_the_same_sites(twin):
+    model = twin[1]
+    first, second = (candidates(plot(7), SETTINGS, chain) for chain in (0, 1))
+    np.testing.assert_array_equal(first.place, second.place)
+    np.testing.assert_array_equal(first.scene.planting.species, second.scene.planting.species)
+    turned = [np.asarray(known.scene.planting.azimuth) for known in (first, second)]
+    assert np.mean(turned[0] != turned[1]) > 0.9
+    starts = [model.start(chain) for chain in (0, 1, 2)]
+    assert not np.any(starts[0].u)
+    assert all(np.all(np.abs(start.band) <= 2.0) for start in starts)
+    assert len({float(start.band[0]) for start in starts}) == 3
+
+
 def unseen(twin, rows=ROWS):
     """A model without pixels: the table alone speaks."""
     model = twin[1]
