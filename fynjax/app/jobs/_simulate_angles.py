@@ -159,7 +159,7 @@ def simulate_angles(
     by_band = {"nadir": found.at(0.0), "towards_sun": found.at(sun[0]), "albedo": found.albedo}
     table = pd.DataFrame(by_band, index=list(names)).rename_axis("band").reset_index()
     headline = _headline(plot, table, sun)
-    run.page(Page(plot.name, headline[0], _sections(plot, dataset, table), record=record))
+    run.page(Page(plot.name, headline[0], _sections(dataset, table), record=record))
     return run.result(
         SimulateAnglesResult,
         headline=headline,
@@ -234,7 +234,7 @@ def _headline(plot: Plot, table: pd.DataFrame, sun: tuple[float, float]) -> list
     return lines
 
 
-def _sections(plot: Plot, dataset: xr.Dataset, table: pd.DataFrame) -> list[Section]:
+def _sections(dataset: xr.Dataset, table: pd.DataFrame) -> list[Section]:
     names = table["band"].tolist()
     bands = [b for b in _BANDS if b in names] or names[:: max(len(names) - 1, 1)][:2]
     lines = names if len(names) <= _SHOWN else bands

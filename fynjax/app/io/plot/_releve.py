@@ -138,7 +138,7 @@ def read_releve(path: str | Path) -> Releve:
     used = {i for found in places.values() for i in found} | set(numbered)
     own = {name: i for i, name in enumerate(table.names) if name in _OWN and i not in used}
     notes = [i for i in range(table.width) if i not in used and i not in own.values()]
-    rows, ground = _without_ground(table, rows, places, said, faults)
+    rows, ground = _without_ground(rows, places, said, faults)
     _check_one_plot(table, rows, places, faults)
     taxa = _taxa(table, rows, places, said, faults)
     covers = _covers(table, rows, places, heads, said, faults)
@@ -148,7 +148,7 @@ def read_releve(path: str | Path) -> Releve:
     }
     plants = []
     for k, (number, cells) in enumerate(rows):
-        form, source = _form(table, cells, places, taxa[k], sizes["height"][k])
+        form, source = _form(cells, places, taxa[k], sizes["height"][k])
         given = {"taxon": taxa[k], "cover_percent": covers[k], "growth_form": form}
         assumed = []
         for kind, column, factor in (
@@ -226,7 +226,6 @@ def _places(
 
 
 def _without_ground(
-    table: TextTable,
     rows: list[tuple[int, list[str]]],
     places: dict[str, list[int]],
     said: list[str],
@@ -444,11 +443,7 @@ def _column_of_lengths(
 
 
 def _form(
-    table: TextTable,
-    cells: Sequence[str],
-    places: dict[str, list[int]],
-    taxon: str,
-    height: float | None,
+    cells: Sequence[str], places: dict[str, list[int]], taxon: str, height: float | None
 ) -> tuple[str, str]:
     """Growth form of a plant, and what it was taken from."""
     stated = [cells[i] for i in places.get("form", []) if cells[i]]
