@@ -152,8 +152,9 @@ def check_fits():
 
 def check_plots_and_tables(folder):
     """Values of a plot file in the parameters' units, defaults, and tables in shown units."""
-    from fynjax.app.assembly import parameter_columns, plot_parameters
+    from fynjax.app.assembly import plot_parameters
     from fynjax.app.io.plot import read_plot, with_parameter_table
+    from fynjax.inversion import parameter_columns
     from fynjax.scene import LEAF_FIELDS, PARAMETERS, named_values, parameter_reference
 
     folder.mkdir(exist_ok=True)

@@ -83,7 +83,7 @@ from fynjax.inversion._sensitivity import (
     sobol_indices,
 )
 from fynjax.inversion._sensor_sweep import SensorSetting, check_sweep, even_bands, sweep_sensors
-from fynjax.inversion._space import ParameterSpace
+from fynjax.inversion._space import ParameterSpace, parameter_columns, shown_unit
 from fynjax.inversion._surrogate import fit_surrogate, surrogate_renders
 from fynjax.inversion._targets import (
     GAIN,

@@ -291,8 +291,11 @@ class Calibration(eqx.Module):
 
     @double_precision
     def table(self) -> "pd.DataFrame":
-        """Every parameter before and after the data (`FitResult.table`)."""
-        return self.fit.table()
+        """Every parameter before and after the data (`FitResult.table`), and `offered`, the value
+        to use: the estimate, or where the fit is worse than the field table the prior."""
+        table, worse = self.fit.table(), self.worse
+        offered = table["prior"] if worse else table["estimate"]
+        return table.assign(offered=offered, worse_than_table=worse)
 
     @property
     @double_precision

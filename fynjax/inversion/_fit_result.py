@@ -17,7 +17,7 @@ from fynjax._core.html import as_html
 from fynjax._core.precision import double_precision
 from fynjax._core.seeds import generator
 from fynjax.inversion._data import Data
-from fynjax.inversion._space import ParameterSpace
+from fynjax.inversion._space import ParameterSpace, parameter_columns
 from fynjax.scene import PARAMETERS, parameter_kind
 
 if TYPE_CHECKING:
@@ -154,32 +154,25 @@ class FitResult(eqx.Module):
     _repr_html_ = as_html
 
     def table(self) -> "pd.DataFrame":
-        """Every parameter, in the unit of field crews: name, unit, median and standard deviation of
-        the prior, estimate and standard deviation, quantiles of 5 and 95 %; how far the estimate
-        moved from the prior's centre, in standard deviations of the prior; and the share of the
-        prior variance that the data removed [-]."""
-        import pandas as pd  # late: the command line need not wait for it
-
-        records = [PARAMETERS.get(parameter_kind(name)) for name in self.names]
-        factor = np.array([1.0 if one is None else one.shown_factor for one in records])
-        low, high = np.asarray(self.quantiles(0.05, 0.95))
-        columns = {
-            "prior": self.space.prior,
-            "prior_sd": self.space.prior_sd,
-            "estimate": self.estimate,
-            "sd": self.sd,
-            "q05": low,
-            "q95": high,
-        }
-        return pd.DataFrame(
+        """Every parameter, in the unit of field crews: name, kind, unit, median, standard deviation
+        and 90 % interval of the prior, estimate, standard deviation and 90 % interval, bounds; how
+        far the estimate moved from the prior's centre, in standard deviations of the prior; and the
+        share of the prior variance that the data removed [-]."""
+        low, high = self.quantiles(0.05, 0.95)
+        table = parameter_columns(
+            self.names,
             {
-                "name": list(self.names),
-                "unit": ["-" if one is None else one.shown_unit for one in records],
-                **{key: factor * np.asarray(value, float) for key, value in columns.items()},
-                "moved": np.asarray(self.moved, float),
-                "constrained": np.asarray(self.constrained, float),
-            }
+                **self.space.prior_columns(),
+                "estimate": self.estimate,
+                "sd": self.sd,
+                "q05": low,
+                "q95": high,
+                "lower": self.space.lower,
+                "upper": self.space.upper,
+            },
         )
+        moved, constrained = np.asarray(self.moved, float), np.asarray(self.constrained, float)
+        return table.assign(moved=moved, constrained=constrained)
 
     @double_precision
     def draws(self, number: int, *, seed: int = 0) -> Float[np.ndarray, "draw free"]:

@@ -3,7 +3,7 @@
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import equinox as eqx
 import jax
@@ -16,8 +16,11 @@ from fynjax._core.html import as_html
 from fynjax._core.precision import double_precision
 from fynjax.inversion._data import Data
 from fynjax.inversion._fit_result import WELL_CONSTRAINED, known_lines, well_constrained
-from fynjax.inversion._space import ParameterSpace
+from fynjax.inversion._space import ParameterSpace, parameter_columns
 from fynjax.scene import LEAF_FIELDS, parameter_kind
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 
 class Posterior(eqx.Module):
@@ -64,6 +67,22 @@ class Posterior(eqx.Module):
         """Draws in the parameters' own units."""
         every = jax.vmap(jax.vmap(self.space.physical))
         return np.asarray(every(jnp.asarray(self.whitened)))
+
+    @double_precision
+    def table(self) -> "pd.DataFrame":
+        """Every parameter, in the unit of field crews: name, kind, unit, prior, mean of the draws
+        (estimate), sd, quantiles, share of the prior variance that the data removed [-], and of
+        chains effective draws and R-hat (`diagnostics`)."""
+        values = self.values.reshape(-1, len(self.names))
+        low, middle, high = self.quantiles(0.05, 0.5, 0.95)
+        mean = {"estimate": values.mean(axis=0), "sd": values.std(axis=0)}
+        columns = {**self.space.prior_columns(), **mean, "q05": low, "median": middle, "q95": high}
+        table = parameter_columns(self.names, columns).assign(constrained=self.constrained)
+        if self.method == "laplace":
+            return table
+        found = self.diagnostics()
+        kinds = ("ess_bulk", "ess_tail", "r_hat")
+        return table.assign(**{kind: [found[n][kind] for n in self.names] for kind in kinds})
 
     @double_precision
     def get_chain(

@@ -22,7 +22,7 @@ import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
-from typing import Any, get_args
+from typing import TYPE_CHECKING, Any, get_args
 
 import equinox as eqx
 import jax
@@ -41,6 +41,9 @@ from fynjax._core.math import symmetric_power
 from fynjax._core.parameters import Distribution, Parameter
 from fynjax._core.precision import in_double
 from fynjax.scene import PARAMETERS, parameter_kind
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 _NEAR, _FAR = 5.0, 37.0
 _U = np.linspace(-8.5, 8.5, 1701)
@@ -141,8 +144,7 @@ class ParameterSpace(eqx.Module):
         low, high = np.asarray(self.quantiles(0.05, 0.95))
         lines = [f"{len(self.names)} free parameters, prior median and 5 to 95 %:"]
         for name, median, below, above in zip(self.names, self.prior, low, high):
-            record = PARAMETERS.get(parameter_kind(name))
-            factor, unit = (record.shown_factor, record.shown_unit) if record else (1.0, "-")
+            _, unit, factor = shown_unit(name)
             lines.append(
                 f"  {name} [{unit}]: {factor * median:.3g}, {factor * below:.3g} to "
                 f"{factor * above:.3g}"
@@ -230,6 +232,13 @@ class ParameterSpace(eqx.Module):
         """Quantiles of the prior of each parameter, in its own unit."""
         return jnp.stack([self.alone(jnp.full(len(self.names), ndtri(p))) for p in shares])
 
+    def prior_columns(self) -> dict[str, Any]:
+        """Median, standard deviation and 90 % interval of each prior, in the parameters' own units,
+        by the name of the column in a table."""
+        low, high = self.quantiles(0.05, 0.95)
+        prior = {"prior": self.prior, "prior_sd": self.prior_sd}
+        return {**prior, "prior_q05": low, "prior_q95": high}
+
     def density(self) -> tuple[Float[Array, "point free"], Float[Array, "point free"]]:
         """Values from the lowest to the highest that the prior makes likely, and its density."""
         v = jnp.broadcast_to(jnp.linspace(-4.0, 4.0, 201)[:, None], (201, len(self.names)))
@@ -262,6 +271,35 @@ class ParameterSpace(eqx.Module):
         extent = now.upper - now.lower
         extent = jnp.where(jnp.isfinite(extent), extent, usual)
         return near < jnp.minimum(_AT_BOUND * extent, _NEARER * usual)
+
+
+def shown_unit(name: str) -> tuple[str, str, float]:
+    """Kind, unit as field crews write it, and the factor to it, of the parameter called `name`."""
+    kind = parameter_kind(name)
+    record = PARAMETERS.get(kind)
+    return (kind, "-", 1.0) if record is None else (kind, record.shown_unit, record.shown_factor)
+
+
+def parameter_columns(names: Sequence[str], columns: Mapping[str, Any]) -> pd.DataFrame:
+    """A table of parameters: name, kind, unit, and columns converted to that unit.
+
+    **Arguments:**
+
+    - `names`: of the parameters.
+    - `columns`: values of the parameters, in their own units, by the name of the column.
+    """
+    import pandas as pd  # late: the command line need not wait for it
+
+    units = [shown_unit(name) for name in names]
+    factor = np.array([f for _, _, f in units])
+    return pd.DataFrame(
+        {
+            "name": list(names),
+            "kind": [kind for kind, _, _ in units],
+            "unit": [unit for _, unit, _ in units],
+            **{key: factor * np.asarray(value, float) for key, value in columns.items()},
+        }
+    )
 
 
 def _mixing(correlation: ArrayLike, count: int) -> np.ndarray:

@@ -3,14 +3,7 @@
 from fynjax.app.assembly._build import build_plot, plot_parameters
 from fynjax.app.assembly._find import FREE_OF_PLANTS, blocks_of, find_plants
 from fynjax.app.assembly._flights import frames_image, simulated_flight
-from fynjax.app.assembly._forward import (
-    batch_for_device,
-    image_view,
-    parameter_columns,
-    plot_problem,
-    read_problem,
-    shown_unit,
-)
+from fynjax.app.assembly._forward import batch_for_device, image_view, plot_problem, read_problem
 from fynjax.app.assembly._front import check_vegetation, prior, read_fit, read_scene
 from fynjax.app.assembly._ground import ground_heights
 from fynjax.app.assembly._memory import check_memory
@@ -57,7 +50,6 @@ __all__ = [
     "image_data",
     "image_sight",
     "image_view",
-    "parameter_columns",
     "placed_by_image",
     "plant_twin",
     "plot_parameters",
@@ -68,7 +60,6 @@ __all__ = [
     "read_scene",
     "read_targets",
     "sample_pixel",
-    "shown_unit",
     "simulate_stands",
     "simulated_flight",
     "spectrum_data",

@@ -2,18 +2,15 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import jax
-import numpy as np
-import pandas as pd
 
 from fynjax._core.precision import double_precision
 from fynjax.app.assembly._build import build_plot
 from fynjax.app.assembly._targets import image_sight, placed_by_image, read_targets
 from fynjax.app.io.plot import NO_PRIOR, Plot, as_plot, free_parameters, plot_error, with_prior
 from fynjax.inversion import CalibrationSettings, Data, ImageView, Problem, free_space
-from fynjax.scene import PARAMETERS, PlotParameters, Scene, own_spread, parameter_kind
+from fynjax.scene import PlotParameters, Scene, own_spread
 
 
 @double_precision
@@ -111,29 +108,3 @@ def image_view(
 def batch_for_device() -> int | None:
     """Renders at once: as many as fit on an accelerator; on a processor one fills it."""
     return 1 if jax.default_backend() == "cpu" else None
-
-
-def shown_unit(name: str) -> tuple[str, str, float]:
-    """Kind, unit as field crews write it, and the factor to it, of the parameter called `name`."""
-    kind = parameter_kind(name)
-    return kind, PARAMETERS[kind].shown_unit, PARAMETERS[kind].shown_factor
-
-
-def parameter_columns(names: Sequence[str], columns: dict[str, Any]) -> pd.DataFrame:
-    """A table of parameters: name, kind, unit, and columns converted to that unit.
-
-    **Arguments:**
-
-    - `names`: of the parameters.
-    - `columns`: values of the parameters, in their own units, by the name of the column.
-    """
-    units = [shown_unit(name) for name in names]
-    factor = np.array([f for _, _, f in units])
-    return pd.DataFrame(
-        {
-            "name": list(names),
-            "kind": [kind for kind, _, _ in units],
-            "unit": [unit for _, unit, _ in units],
-            **{key: factor * np.asarray(value, float) for key, value in columns.items()},
-        }
-    )

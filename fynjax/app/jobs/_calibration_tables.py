@@ -8,51 +8,15 @@ import jax.numpy as jnp
 import numpy as np
 import pandas as pd
 import xarray as xr
-from numpy.typing import ArrayLike
 
-from fynjax.app.assembly import parameter_columns
 from fynjax.app.io.raster import image_array
 from fynjax.app.jobs._render import plant_counts
-from fynjax.inversion import BandView, Calibration, Data, ImageView, ParameterSpace
+from fynjax.inversion import BandView, Calibration, Data, ImageView
 from fynjax.metrics import VEGETATION_INDICES, image_statistics, without_view
 from fynjax.metrics.structure import STRUCTURE_METRICS
 from fynjax.scene import PARAMETERS, Scene, named_values, parameter_kind
 
 _statistics = eqx.filter_jit(image_statistics)
-
-
-def prior_columns(space: ParameterSpace) -> dict[str, ArrayLike]:
-    """Prior of the free parameters, its standard deviation and 90 % interval, by column."""
-    low, high = space.quantiles(0.05, 0.95)
-    prior = {"prior": space.prior, "prior_sd": space.prior_sd}
-    return {**prior, "prior_q05": low, "prior_q95": high}
-
-
-def parameter_table(calibration: Calibration) -> pd.DataFrame:
-    """Every free parameter: prior, estimate, how far that moved from the prior's centre [prior
-    standard deviations], how far the data pinned it down, and the value to use: the estimate, or
-    where it is worse than the field table the prior."""
-    fit = calibration.fit
-    low, high = fit.quantiles(0.05, 0.95)
-    table = parameter_columns(
-        fit.names,
-        {
-            **prior_columns(fit.space),
-            "estimate": fit.estimate,
-            "sd": fit.sd,
-            "q05": low,
-            "q95": high,
-            "lower": fit.space.lower,
-            "upper": fit.space.upper,
-        },
-    )
-    worse = calibration.worse
-    return table.assign(
-        moved=np.asarray(fit.moved, float),
-        constrained=np.asarray(fit.constrained, float),
-        offered=table["prior"] if worse else table["estimate"],
-        worse_than_table=worse,
-    )
 
 
 def offered_stand(stand: pd.DataFrame, calibration: Calibration) -> pd.DataFrame:

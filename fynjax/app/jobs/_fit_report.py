@@ -11,7 +11,7 @@ from pydantic import Field
 
 from fynjax._core.precision import double_precision
 from fynjax._core.saved import save
-from fynjax.app.assembly import Twin, parameter_columns
+from fynjax.app.assembly import Twin
 from fynjax.app.io.plot import Place, Plot, plot_place
 from fynjax.app.io.raster import write_run
 from fynjax.app.jobs._calibration_page import (
@@ -30,14 +30,13 @@ from fynjax.app.jobs._calibration_tables import (
     band_table,
     calibration_dataset,
     offered_stand,
-    parameter_table,
     seen_images,
     statistic_table,
 )
 from fynjax.app.jobs._render import check_finite
 from fynjax.app.jobs._result import JobResult, Number, ParameterSummary, Record, StatisticSummary
 from fynjax.app.jobs._run import Run
-from fynjax.inversion import Calibration, stand_sentence, stand_values
+from fynjax.inversion import Calibration, parameter_columns, stand_sentence, stand_values
 from fynjax.scene import PlotParameters, Scene, with_values
 
 FIT_FILE = "fit.npz"
@@ -120,7 +119,7 @@ def fit_report(
     place = Place() if plot is None else plot_place(plot)
     reference = ReferenceImage() if reference is None else reference
     data = fit.problem.measured
-    stand, parameters = offered_stand(fit.stand(), fit), parameter_table(fit)
+    stand, parameters = offered_stand(fit.stand(), fit), fit.table()
     truth = []
     if twin is not None:
         space, u = fit.fit.space, jnp.asarray(twin.whitened)

@@ -13,7 +13,7 @@ from fynjax._core.arguments import Seed
 from fynjax._core.dry_run import begin_work
 from fynjax._core.errors import InputError
 from fynjax._core.precision import double_precision
-from fynjax.app.assembly import parameter_columns, plot_problem
+from fynjax.app.assembly import plot_problem
 from fynjax.app.io.plot import Plot, as_plot, plot_instrument, sensor_place
 from fynjax.app.jobs._information_flight import (
     FlightInformationResult,
@@ -24,7 +24,14 @@ from fynjax.app.jobs._result import JobResult, Rows
 from fynjax.app.jobs._run import Run
 from fynjax.app.report import figures
 from fynjax.app.report.pages import Page, Part, Picture, Section, Table
-from fynjax.inversion import Information, SensorSetting, check_sweep, even_bands, sweep_sensors
+from fynjax.inversion import (
+    Information,
+    SensorSetting,
+    check_sweep,
+    even_bands,
+    parameter_columns,
+    sweep_sensors,
+)
 from fynjax.sensors import Sensor
 
 

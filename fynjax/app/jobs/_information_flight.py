@@ -13,7 +13,6 @@ from jaxtyping import Array, Float
 from fynjax._core.dry_run import begin_work
 from fynjax._core.errors import InputError
 from fynjax._core.progress import track
-from fynjax.app.assembly import parameter_columns
 from fynjax.app.io.plot import Plot, drone_sensor, plot_instrument
 from fynjax.app.jobs._result import JobResult, Rows
 from fynjax.app.jobs._run import Run
@@ -27,6 +26,7 @@ from fynjax.inversion import (
     coarser,
     fisher_information,
     other_plantings,
+    parameter_columns,
     scatter_covariance,
     shared_slopes,
     stand_functionals,

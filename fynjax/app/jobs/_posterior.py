@@ -17,17 +17,11 @@ from fynjax._core.errors import InputError
 from fynjax._core.extras import require
 from fynjax._core.precision import double_precision
 from fynjax._core.sampling import ChainState
-from fynjax.app.assembly import (
-    parameter_columns,
-    placed_by_image,
-    plot_problem,
-    read_targets,
-    shown_unit,
-)
+from fynjax.app.assembly import placed_by_image, plot_problem, read_targets
 from fynjax.app.io.plot import NO_PRIOR, Plot, as_plot, with_prior
 from fynjax.app.io.text import atomic_path
 from fynjax.app.jobs._calibration_page import misfit_sentence
-from fynjax.app.jobs._calibration_tables import offered_stand, prior_columns
+from fynjax.app.jobs._calibration_tables import offered_stand
 from fynjax.app.jobs._doubt import doubt_targets
 from fynjax.app.jobs._follow import calibrated as calibrated_plot
 from fynjax.app.jobs._result import JobResult, Number, ParameterSummary
@@ -40,6 +34,8 @@ from fynjax.inversion import (
     PosteriorSampler,
     SamplingMethod,
     fit_surrogate,
+    parameter_columns,
+    shown_unit,
     stand_sentence,
     stand_table,
     surrogate_renders,
@@ -218,7 +214,7 @@ def _sampled(
 
 def _tables(calibrated: Calibration, sampled: Posterior) -> tuple[pd.DataFrame, pd.DataFrame]:
     """The whole stand, and every parameter beside the quantiles of the Gaussian."""
-    table = posterior_table(sampled)
+    table = sampled.table()
     if sampled.method != "laplace":
         low, high = calibrated.fit.quantiles(0.05, 0.95)
         others = {"laplace_q05": low, "laplace_q95": high}
@@ -229,29 +225,6 @@ def _tables(calibrated: Calibration, sampled: Posterior) -> tuple[pd.DataFrame, 
         calibrated.scene, calibrated.problem.scene.parameters, calibrated.fit, draws=draws
     )
     return stand, table
-
-
-def posterior_table(sampled: Posterior) -> pd.DataFrame:
-    """Every parameter: prior, mean, sd, quantiles, how far it is constrained, how it mixed."""
-    values = sampled.values.reshape(-1, len(sampled.names))
-    low, middle, high = sampled.quantiles(0.05, 0.5, 0.95)
-    table = parameter_columns(
-        sampled.names,
-        {
-            **prior_columns(sampled.space),
-            "estimate": values.mean(axis=0),
-            "sd": values.std(axis=0),
-            "q05": low,
-            "median": middle,
-            "q95": high,
-        },
-    )
-    table["constrained"] = sampled.constrained
-    diagnostics = sampled.diagnostics() if sampled.method != "laplace" else {}
-    for kind in ("ess_bulk", "ess_tail", "r_hat"):
-        if diagnostics:
-            table[kind] = [diagnostics[name][kind] for name in sampled.names]
-    return table
 
 
 def _headline(plot: Plot, sampled: Posterior, table: pd.DataFrame) -> list[str]:

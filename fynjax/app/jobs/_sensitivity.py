@@ -15,7 +15,7 @@ from fynjax._core.errors import InputError
 from fynjax._core.extras import require
 from fynjax._core.parts import Workers, at_work
 from fynjax._core.precision import double_precision
-from fynjax.app.assembly import batch_for_device, image_view, plot_problem, shown_unit
+from fynjax.app.assembly import batch_for_device, image_view, plot_problem
 from fynjax.app.io.plot import Plot, as_plot, drone_sensor
 from fynjax.app.jobs._result import JobResult, Rows
 from fynjax.app.jobs._run import Run
@@ -33,6 +33,7 @@ from fynjax.inversion import (
     expected_sensitivity,
     other_plantings,
     search_form,
+    shown_unit,
     sobol_indices,
 )
 from fynjax.metrics import check_statistics
