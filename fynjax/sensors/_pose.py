@@ -196,7 +196,8 @@ class Frame(eqx.Module):
     """Name of the picture, such as that of its file; for errors and reports."""
     mosaic: tuple["Frame", ...] = ()
     """Frames that a mosaic was made of: of each point it shows what that of the cameras saw which
-    has it in its picture and most nearly below. Its own `pose` then stands for the height. Empty: a single picture."""
+    has it in its picture and most nearly below. Its own `pose` then stands for the height.
+    Empty: a single picture."""
 
     def camera_over(self, points: Float[Any, "*point 3"]) -> Float[np.ndarray, "*point 3"]:
         """East, north and height of the camera that sees each of some points over the plot [m].

@@ -99,8 +99,11 @@ _DEGREES = pyproj.CRS.from_epsg(4326)
 
 
 def grid_north(crs: str, longitude: float, latitude: float) -> float:
-    """Direction of a system's grid north, clockwise from true north there [degrees]: its meridian
-    convergence."""
+    """Direction of a system's grid north, clockwise from true north [degrees]: its meridian
+    convergence.
+
+    **Arguments:** `crs`, projected; `longitude`, `latitude` of the place [degrees].
+    """
     return _grid(pyproj.CRS.from_user_input(crs), longitude, latitude)[0]
 
 
