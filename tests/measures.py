@@ -188,9 +188,9 @@ MEASURES = {
     "names of two things": Measure(0, 0, names_of_two),
     "long functions": Measure(18, 15, large_functions),
     "lines of the library": Measure(
-        48_800, 40_000, lambda m: _lines(m, tuple(f"{room}/" for room in ("_core", *ROOMS)))
+        48_910, 40_000, lambda m: _lines(m, tuple(f"{room}/" for room in ("_core", *ROOMS)))
     ),
-    "lines of all": Measure(95_600, 78_000, lambda m: _lines(m, ("",))),
+    "lines of all": Measure(95_800, 78_000, lambda m: _lines(m, ("",))),
 }
 PREDICTION = 43
 """At most so many modules does a prediction enter; aimed at: 25."""

@@ -75,7 +75,6 @@ __all__ = [
     "SphericalLeafAngle",
     "TabulatedLeafAngle",
     "Taxa",
-    "TiltedLeafAngle",
     "TrigonometricLeafAngle",
     "VerhoefLeafAngle",
     "VoxelGrid",

@@ -286,11 +286,17 @@ def test_pictures_that_cannot_be_used_are_skipped(flight, tmp_path):
     _, result = laid(flight, tmp_path, images=images, most=2)
     assert (result.flight.used, result.flight.left_out) == (["DJI_0001.TIF", "DJI_0003.TIF"], [])
     # Of other bands than most have.
-    three = pictures.picture("DJI_0002.TIF")[:3, ::-1]
-    waves = pictures.WAVES[:3]
-    write_geotiff(broken, three, BANDS[:3], pixel_m=1.0, wavelengths=waves)
-    _, result = laid(flight, tmp_path, images=images)
+    broken.write_bytes(whole)
+    for number in (1, 3):
+        values = pictures.picture(f"DJI_000{number}.TIF")[:, ::-1]
+        write_geotiff(
+            images / f"DJI_000{number}_reflectance.tif", np.concatenate([values, 0.5 * values[:1]]),
+            [*BANDS, "blue"], pixel_m=1.0, wavelengths=[*pictures.WAVES, 450.0],
+        )  # fmt: skip
+    plot = write_plot(tmp_path, '\n[sensor]\nname = "phantom_4m"\n')
+    result = jobs.frames(flight / "odm", tmp_path / "five", plot=plot, images=images, **PLACE)
     assert result.flight.skipped == ["DJI_0002.TIF"]
+    assert "as most pictures have" in result.warnings[0]
     for path in images.glob("*"):
         path.write_bytes(b"II*")
     named = r"none of 3 can \(DJI_0001.TIF, DJI_0002.TIF, DJI_0003.TIF\). The first: .*DJI_0001"

@@ -11,8 +11,9 @@ import fynjax as fx
 from fynjax._core.errors import InputError
 from fynjax._core.precision import double_precision
 from fynjax.canopy import TiltedLeafAngle, leaf_angle, table1_2006
+from fynjax.metrics.structure import StructureSettings
 from fynjax.radiation import canopy_reflectance
-from fynjax.scene import Placement, aim, named_values, with_values
+from fynjax.scene import Placement, aim, named_values, scene_structure, with_values
 from fynjax.scene._optics import seen_from_above
 from fynjax.sensors import Frame, Pose, shipped_sensor
 from tests.scene.plots import EXACT, TAXA, small_parameters, small_plot
@@ -69,17 +70,21 @@ def test_slopes_of_an_oblique_frame_are_those_of_differences():
 
 def test_flat_leaves_hide_more_of_the_ground():
     """From straight above a leaf hides the cosine of its angle of its area."""
-    scene, gaps = small_plot(), []
+    scene, gaps, through = small_plot(), [], []
     for mean in (20.0, 50.0, 80.0):
         parameters = inclined(mean, mean, 57.3)
         gaps.append(float(scene.gap_fraction(parameters)))
+        settings = StructureSettings()
+        found = scene_structure(scene, parameters, ["gap_fraction"], settings, grain=0.4, pulses=50)
+        through.append(float(found[0]))
         seen = np.asarray(seen_from_above(scene.species, parameters.species.leaf_angle))
         for i, name in enumerate(("spherical", "erectophile")):
             (angle,) = TiltedLeafAngle.to_means([leaf_angle(name)], jnp.array([mean]))
             vectors, weight = angle.normals()
             assert seen[i] == pytest.approx(float(weight @ vectors[:, 2]), rel=1e-3)
         np.testing.assert_allclose(seen[2:], 0.5, rtol=1e-5)  # wood and petals face all ways
-    assert gaps[0] < gaps[1] - 0.01 < gaps[2] - 0.02
+    for share in (gaps, through):
+        assert share[0] < share[1] - 0.01 < share[2] - 0.02
 
 
 @pytest.mark.parametrize("mean", [25.0, 70.0])
