@@ -362,7 +362,7 @@ def _tilts(
     nodes = jnp.asarray(_INCLINATION, weight.dtype)
     known, target = jax.lax.stop_gradient((weight, wanted))
 
-    def halved(_: int, ends: tuple[Array, Array]) -> tuple[Array, Array]:
+    def halved(_: Array, ends: tuple[Array, Array]) -> tuple[Array, Array]:
         middle = 0.5 * (ends[0] + ends[1])
         low = _tilted(known, middle) @ nodes < target
         return jnp.where(low, middle, ends[0]), jnp.where(low, ends[1], middle)
