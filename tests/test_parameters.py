@@ -34,6 +34,7 @@ COLUMNS = {
     "brown_pigments": ("leaf_table_row", "brown_pigments"),
     "water": ("leaf_table_row", "water"),
     "dry_matter": ("leaf_table_row", "dry_matter"),
+    "leaf_angle": ("species_table_row", "leaf_angle_deg"),
     "brightness": ("GroundTable", "brightness"),
     "moisture": ("GroundTable", "moisture"),
     "litter_fraction": ("GroundTable", "litter_fraction"),
@@ -159,7 +160,7 @@ def check_plots_and_tables(folder):
 
     folder.mkdir(exist_ok=True)
     shown = {k: r.shown_factor * np.mean(r.usual) for k, r in PARAMETERS.items()}
-    row = ["mean_diameter_cm", "cover_percent", "height_max_m"]
+    row = ["mean_diameter_cm", "cover_percent", "height_max_m", "leaf_angle_deg"]
     kinds = {column: kind for kind, (_, column) in COLUMNS.items()}
     cells = [TAXON, *(str(shown[kinds[column]]) for column in row)]
     (folder / "species.csv").write_text(f"taxon,{','.join(row)}\n{','.join(cells)}\n")
@@ -167,7 +168,7 @@ def check_plots_and_tables(folder):
     plot = read_plot(folder / "plot.toml")
     parameters = plot_parameters(plot)
     values = named_values(parameters, plot.taxa)
-    for kind in ("cover", "diameter", "height"):
+    for kind in ("cover", "diameter", "height", "leaf_angle"):
         np.testing.assert_allclose(
             values[full_name(kind)], np.mean(PARAMETERS[kind].usual), rtol=1e-6, err_msg=kind
         )

@@ -5,6 +5,7 @@ from fynjax.canopy._angles import (
     EllipsoidalLeafAngle,
     SphericalLeafAngle,
     TabulatedLeafAngle,
+    TiltedLeafAngle,
     TrigonometricLeafAngle,
     VerhoefLeafAngle,
     leaf_angle,

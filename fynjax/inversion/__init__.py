@@ -48,7 +48,13 @@ from fynjax.inversion._emulate import Emulated, emulate
 from fynjax.inversion._expected import Expected, other_plantings
 from fynjax.inversion._factors import BandFactors, Known, PlotSpace
 from fynjax.inversion._fit import predicted_statistics, statistics_and_jacobian, whitened_residual
-from fynjax.inversion._fit_result import WELL_CONSTRAINED, FitResult, FitStatus, scatter_covariance
+from fynjax.inversion._fit_result import (
+    WELL_CONSTRAINED,
+    FitResult,
+    FitStatus,
+    scatter_covariance,
+    scatter_of_views,
+)
 from fynjax.inversion._found import FoundMaps, FoundPlants, find_places
 from fynjax.inversion._functionals import (
     Functional,

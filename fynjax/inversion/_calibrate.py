@@ -380,7 +380,7 @@ _OF_COUNTS = (".cover", ".packing", ".fill")
 """Parameters of a species that have no effect but on how many plants there are."""
 _OF_THE_ARTICLE = (".packing", ".fill")
 """Parameters of a species that have no effect where covers are projected."""
-_OF_LEAVES = ("leaf_area_index", "shoot_clumping", "dead_fraction", "leaf_spread")
+_OF_LEAVES = ("leaf_area_index", "shoot_clumping", "dead_fraction", "leaf_spread", "leaf_angle")
 """Parameters of a species that have no effect without leaves."""
 
 

@@ -14,7 +14,7 @@ from jaxtyping import Array, Float
 from fynjax._core.errors import InputError
 from fynjax.inversion._data import Data
 from fynjax.inversion._factors import PlotSpace
-from fynjax.inversion._fit_result import repeated_information, scatter_covariance
+from fynjax.inversion._fit_result import repeated_information, scatter_covariance, scatter_of_views
 from fynjax.inversion._views import PlotForward
 from fynjax.scene import PlotParameters, Scene, with_values
 
@@ -200,6 +200,7 @@ def chance_covariance(
     draws: Float[np.ndarray, "draw statistic"],
     lack: Float[np.ndarray, "planting statistic"],
     stands: int,
+    kinds: Sequence[str] | None = None,
 ) -> Float[np.ndarray, "statistic statistic"]:
     """Covariance of what statistics of one plot differ by from their estimated expectation.
 
@@ -212,8 +213,9 @@ def chance_covariance(
     - `lack`: full less coarse render of some plantings; its mean is added to the expectation.
     - `stands`: sets of sites that the draws fill. Draws on the same sites are alike, so a set of
       sites counts as one draw.
+    - `kinds`: of each statistic what it is in its view (`scatter_of_views`); None: all of one view.
     """
-    chance = scatter_covariance(draws)
+    chance = scatter_covariance(draws) if kinds is None else scatter_of_views(draws, kinds)
     # The error of the expectation: of a mean over sets of sites, and of few renders of the lack.
     share = 1.0 / stands
     if len(lack) > 1:

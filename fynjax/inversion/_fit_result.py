@@ -59,6 +59,37 @@ def scatter_covariance(
     return np.asarray(shrunk * sd * sd[:, None])
 
 
+def scatter_of_views(
+    draws: Float[np.ndarray, "draw statistic"], kinds: Sequence[str]
+) -> Float[np.ndarray, "statistic statistic"]:
+    """`scatter_covariance` of statistics of several views of one stand, which see the same plants.
+
+    What differs from draw to draw is then much the same in all views. The target has statistics of
+    one kind, such as the mean of a band, as correlated as they are on the mean over such pairs,
+    from 0 to 0.99, and others independent. And by as much as few draws ask for (James & Stein 1961)
+    standard deviations of a kind are drawn to their geometric mean: where views seem to differ in
+    what they share, the difference of two would tell without it.
+
+    **Arguments:** `draws`, at least two; `kinds`, of each statistic what it is in its view.
+    """
+    number, size = np.unique(kinds, return_inverse=True)[1], draws.shape[1]
+    alike = (number == number[:, None]) & ~np.eye(size, dtype=bool)
+    if not alike.any():
+        return scatter_covariance(draws)
+    unit = draws - draws.mean(axis=0)
+    unit /= np.maximum(unit.std(axis=0), 1e-12)
+    mean = np.clip((unit.T @ unit)[alike].mean() / len(draws), 0.0, 0.99)
+    found = scatter_covariance(draws, np.eye(size) + mean * alike)
+    log = 0.5 * np.log(np.maximum(np.diagonal(found), 1e-300))
+    views = np.bincount(number)
+    away = log - (np.bincount(number, log) / views)[number]
+    # Of correlated normal draws logarithms of two deviations differ by chance as much as this.
+    chance = (1.0 - mean**2) / (2.0 * (len(draws) - 1))
+    seen = np.bincount(number, away**2) / np.maximum(views - 1, 1)
+    factor = np.exp(-away * np.minimum(chance / np.maximum(seen, 1e-300), 1.0)[number])
+    return np.asarray(found * np.outer(factor, factor))
+
+
 def well_constrained(
     names: Sequence[str], constrained: Float[np.ndarray, " free"], least: float = WELL_CONSTRAINED
 ) -> tuple[str, ...]:

@@ -448,7 +448,9 @@ class PlotSearch:
         statistics = rest.mean(axis=0) + lack.mean(axis=0)
         covariance = np.zeros((len(self.data.names),) * 2)
         if self.settings.stand_realisations:
-            covariance = covariance + chance_covariance(rest, lack, len(expected.stands))
+            kinds = [name for view in self.views for name in view.names]
+            chance = chance_covariance(rest, lack, len(expected.stands), kinds)
+            covariance = covariance + chance
         # Steps of a round see stands in expectation, of few draws; the offset makes up for both.
         offset = statistics - np.asarray(expected.members(u, spread))
         array = jnp.asarray

@@ -9,14 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from fynjax.canopy import (
-    FORMS,
-    AbstractLeafAngle,
-    Organ,
-    PlantModel,
-    TabulatedLeafAngle,
-    leaf_angle,
-)
+from fynjax.canopy import FORMS, AbstractLeafAngle, Organ, TiltedLeafAngle, leaf_angle
 from fynjax.leaf import LeafParameters, prospect
 from fynjax.radiation import OpticalClasses
 from fynjax.scene._parameters import LEAF_FIELDS, PARAMETERS, PlotParameters
@@ -85,7 +78,8 @@ def optical_classes(
         sizes = {
             "leaf_diameter": jnp.asarray(diameter, dtype), "size_of_class": tuple(of_class.tolist())
         }  # fmt: skip
-    return OpticalClasses(reflectance, transmittance, *class_angles(species), **sizes)
+    angles = class_angles(species, parameters.species.leaf_angle)
+    return OpticalClasses(reflectance, transmittance, *angles, **sizes)
 
 
 def _leaves(
@@ -183,18 +177,23 @@ def mean_trait(
 
 
 def class_angles(
-    species: Sequence[Species],
+    species: Sequence[Species], mean: Float[Array, " species"] | None = None
 ) -> tuple[tuple[AbstractLeafAngle, ...], tuple[int, ...]]:
-    """The distinct inclinations of a plot, and for each optical class the place of its own."""
+    """The distinct inclinations of a plot, and for each optical class the place of its own; leaves
+    of each species have the `mean` inclination [degrees], where it is given."""
     # Species without angles of their own share those of a name; wood and petals face all ways.
     angles: dict[int | str, AbstractLeafAngle] = {}
     of_species: dict[int, int | str] = {}
     keys: list[int | str] = []
     for i, classes in leaf_classes(species).items():
         given, named = species[i].leaf_angle, FORMS[species[i].form].leaf_angle
-        of_species[i] = key = named if given is None else i
+        of_species[i] = key = named if given is None and mean is None else i
         angles[key] = leaf_angle(named) if given is None else given
         keys += [key] * len(classes)
+    if mean is not None and angles:
+        of = [int(key) for key in angles]
+        tilted = TiltedLeafAngle.to_means([*angles.values()], jnp.asarray(mean)[jnp.array(of)])
+        angles = dict(zip(angles, tilted, strict=True))
     angles["spherical"] = leaf_angle("spherical")
     keys += ["spherical"] * 2
     for _, i, material in material_classes(species).values():
@@ -203,19 +202,14 @@ def class_angles(
     return tuple(angles.values()), tuple(places[key] for key in keys)
 
 
-def seen_from_above(species: Sequence[Species]) -> Float[Array, " class"]:
-    """Area seen from straight above over one-sided area, of each optical class [-]."""
-    angles, of_class = class_angles(species)
+def seen_from_above(
+    species: Sequence[Species], mean: Float[Array, " species"] | None = None
+) -> Float[Array, " class"]:
+    """Area seen from straight above over one-sided area, of each optical class [-]; `mean` as of
+    `class_angles`."""
+    angles, of_class = class_angles(species, mean)
     projected = jnp.stack([angle.projection(jnp.ones(())) for angle in angles])
     return projected[jnp.asarray(of_class)]
-
-
-def inclination(plant: PlantModel) -> AbstractLeafAngle | None:
-    """How the leaves of a plant model are inclined; None if it has none."""
-    leaf = np.asarray(plant.organ) == Organ.LEAF
-    if not leaf.any():
-        return None
-    return TabulatedLeafAngle.from_normals(plant.normal[leaf], plant.area_fraction[leaf])
 
 
 def _shoot_optics(

@@ -206,6 +206,23 @@ class SpeciesParameters(eqx.Module):
         "plants the mean leaf, 1 the leaves as stated or drawn. Of a plot in which a species has "
         "several leaves, of which each plant has one.",
     )
+    leaf_angle: Float[Array, " species"] | None = parameter_field(
+        optional=True,
+        symbol="theta_l",
+        name="Mean leaf angle",
+        unit="degree",
+        lower=5.0,
+        upper=85.0,
+        usual=(20.0, 75.0),
+        sd=12.0,
+        distribution="logit-normal",
+        source="Tilt of least relative entropy (Kullback 1959). Prior that of a uniform canopy, "
+        "`fit_canopy`. Bounds assumed: beyond, nearly all leaves lie flat or stand upright.",
+        description="Angle of a leaf from the horizontal, on the mean over the leaf area: 57.3 "
+        "where leaves face all ways alike. The distribution of the growth form, or of the species' "
+        "mesh, times a factor that grows or falls exponentially with the angle has this mean. Of a "
+        "plot in which some species states it; its other species have the mean of their form.",
+    )
 
 
 class GroundParameters(eqx.Module):

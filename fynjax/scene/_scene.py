@@ -51,7 +51,7 @@ from fynjax.canopy import (
 from fynjax.radiation import Illumination, OpticalClasses, RahmanPintyVerstraete, VoxelScene
 from fynjax.scene._ground import Ground, ground_shares, kind_shares
 from fynjax.scene._materials import check_leafy, plant_materials, with_areas
-from fynjax.scene._optics import inclination, optical_classes, seen_from_above
+from fynjax.scene._optics import optical_classes, seen_from_above
 from fynjax.scene._parameters import (
     PARAMETERS,
     GroundParameters,
@@ -85,6 +85,7 @@ from fynjax.scene._species import (
     check_projected,
     cover_definition_of,
     drawn_leaves,
+    inclination,
     leaf_parameters,
     leaf_rows,
     leaves_of,
@@ -354,7 +355,7 @@ class Scene(eqx.Module):
         materials = plant_materials(rows, stated, shapes, population=plants)
         rows = tuple(with_areas(*pair) for pair in zip(rows, shapes, strict=True))
         parameters = PlotParameters(
-            species_parameters(rows, own, plants),
+            species_parameters(rows, own, plants, shapes),
             leaf_parameters(own),
             ground,
             LightParameters() if light is None else light,
@@ -849,7 +850,7 @@ class Scene(eqx.Module):
 
         **Arguments:** `parameters`, of the plot. Differentiable, see `standing`.
         """
-        down = seen_from_above(self.species).astype(self.dtype)
+        down = seen_from_above(self.species, parameters.species.leaf_angle).astype(self.dtype)
         finest = self._finest()
         # One layer as high as the grid: straight down nothing else than its area counts.
         columns = VoxelGrid((*finest.shape[:2], 1), finest.horizontal_size, finest.extent[2])

@@ -6,6 +6,7 @@ files, pandas frames and records.
 """
 
 import functools
+import itertools
 import warnings
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from fnmatch import fnmatchcase
@@ -35,8 +36,12 @@ from fynjax.canopy import (
     FORMS,
     FORMS_SHOWN,
     AbstractLeafAngle,
+    MeshPlant,
     Organ,
+    PlantModel,
     Shrubland,
+    TabulatedLeafAngle,
+    leaf_angle,
     most_projected,
     table1_2006,
 )
@@ -147,6 +152,13 @@ class SpeciesRow(Strict):
     )
     shoot_clumping: float | None = _of_the_form("shoot_clumping")
     dead_fraction: float | None = _of_the_form("dead_fraction")
+    leaf_angle: float | None = quantity(
+        PARAMETERS["leaf_angle"],
+        default=None,
+        note="left out of all species, leaves are inclined as those of their form or mesh",
+        column="leaf_angle_deg",
+    )
+    """Mean inclination of the leaves [degree]."""
     groups: float = _defaulted("groups", "clumping_m")
     """Radius of the groups in which the plants stand, 0 for none [m]."""
 
@@ -842,6 +854,7 @@ def species_parameters(
     rows: Sequence[SpeciesRow],
     leaves: Sequence[Sequence[LeafRow]] = (),
     plants: Shrubland = "fynbos",
+    shapes: Sequence[MeshPlant | None] = (),
 ) -> SpeciesParameters:
     """Parameters of species, with those of the growth form where a row states none.
 
@@ -850,6 +863,7 @@ def species_parameters(
     - `rows`: one a species.
     - `leaves`: of each species; where one has several, there is a spread of leaves.
     - `plants`: whose values growth forms have.
+    - `shapes`: meshes of the species that have one, whose leaves are inclined as they are.
     """
 
     def column(name: str) -> Any:
@@ -861,13 +875,37 @@ def species_parameters(
             ]
         )
 
-    names = [name for name in parameters_of(SpeciesParameters) if name != "leaf_spread"]
+    optional = ("leaf_spread", "leaf_angle")
+    names = [name for name in parameters_of(SpeciesParameters) if name not in optional]
     several, as_stated = any(len(own) > 1 for own in leaves), _RECORDS["leaf_spread"].default
     assert as_stated is not None
     return SpeciesParameters(
         **{name: column(name) for name in names},
         leaf_spread=jnp.full(len(rows), as_stated) if several else None,
+        leaf_angle=_leaf_angles(rows, shapes),
     )
+
+
+def _leaf_angles(
+    rows: Sequence[SpeciesRow], shapes: Sequence[MeshPlant | None]
+) -> Float[Array, " species"] | None:
+    """Mean inclination of the leaves of each species [degrees]; None where no row states one."""
+    if all(row.leaf_angle is None for row in rows):
+        return None
+    means = []
+    for row, shape in itertools.zip_longest(rows, shapes):
+        own = None if shape is None else inclination(shape.plant)
+        usual = leaf_angle(FORMS[row.growth_form].leaf_angle) if own is None else own
+        means.append(float(usual.mean_angle) if row.leaf_angle is None else row.leaf_angle)
+    return jnp.asarray(np.clip(means, _RECORDS["leaf_angle"].lower, _RECORDS["leaf_angle"].upper))
+
+
+def inclination(plant: PlantModel) -> AbstractLeafAngle | None:
+    """How the leaves of a plant model are inclined; None if it has none."""
+    leaf = np.asarray(plant.organ) == Organ.LEAF
+    if not leaf.any():
+        return None
+    return TabulatedLeafAngle.from_normals(plant.normal[leaf], plant.area_fraction[leaf])
 
 
 def leaf_parameters(leaves: Sequence[Sequence[LeafRow]]) -> LeafParameters:

@@ -82,10 +82,10 @@ def scene_structure(
     if grid is not None:
         scene = dataclasses.replace(scene, grid=grid)
     density = scene.area_density(parameters)
-    projected = seen_from_above(scene.species).astype(density.dtype) / _EVEN
+    projected = seen_from_above(scene.species, parameters.species.leaf_angle) / _EVEN
     terrain = None if scene.terrain is None else jnp.asarray(scene.terrain, density.dtype)
     # The classes together, each with the area that blocks as much where leaves face evenly.
-    density = jnp.tensordot(projected, density, axes=1)
+    density = jnp.tensordot(projected.astype(density.dtype), density, axes=1)
     voxel = scene.grid.horizontal_size, scene.grid.vertical_size
     found: dict[str, Array] = {}
     if percents:

@@ -195,12 +195,16 @@ class Frame(eqx.Module):
     name: str = eqx.field(static=True, default="")
     """Name of the picture, such as that of its file; for errors and reports."""
     mosaic: tuple["Frame", ...] = ()
-    """Frames that a mosaic was made of: of each point it shows what the nearest camera that sees it
-    saw. Its own `pose` then stands for the height. Empty: a single picture."""
+    """Frames that a mosaic was made of: of each point it shows what that of the cameras saw which
+    has it in its picture and most nearly below. Its own `pose` then stands for the height.
+    Empty: a single picture."""
 
     def camera_over(self, points: Float[Any, "*point 3"]) -> Float[np.ndarray, "*point 3"]:
-        """Position of the camera that points over the plot are seen from [m]; of a mosaic the
-        nearest that sees each, or the nearest where none does. Arguments as of `sight`."""
+        """East, north and height of the camera that sees each of some points over the plot [m].
+
+        Of a mosaic, among the frames that have the point in their picture (of all, where none has
+        it), that from which it lies least far from straight below. Arguments as of `sight`.
+        """
         points = np.asarray(points, float)
         every = self.mosaic or (self,)
         places = np.stack([np.asarray(frame.pose.position, float) for frame in every])

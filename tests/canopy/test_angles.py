@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.optimize import brentq
 
 from fynjax._core.errors import InputError
 from fynjax.canopy import (
@@ -11,6 +12,7 @@ from fynjax.canopy import (
     EllipsoidalLeafAngle,
     SphericalLeafAngle,
     TabulatedLeafAngle,
+    TiltedLeafAngle,
     TrigonometricLeafAngle,
     VerhoefLeafAngle,
     leaf_angle,
@@ -26,6 +28,7 @@ OTHERS = {
     "Verhoef": VerhoefLeafAngle(0.3, -0.5),
     "Verhoef, spherical": VerhoefLeafAngle(-0.35, -0.15),
     "table": TabulatedLeafAngle(np.linspace(0.2, 1.0, 18)),
+    "tilted": TiltedLeafAngle(leaf_angle("erectophile"), -2.5),
 }
 ALL = {**{name: leaf_angle(name) for name in NAMES}, **OTHERS}
 
@@ -279,6 +282,56 @@ def test_gradients_of_verhoefs_distribution():
 def test_coefficients_that_are_no_distribution_are_refused():
     with pytest.raises(InputError, match=r"0\.8 and -0\.5"):
         VerhoefLeafAngle(0.8, -0.5)
+
+
+@pytest.mark.parametrize("name", ["spherical", "erectophile", "planophile", "plagiophile"])
+@pytest.mark.parametrize("mean", [12.0, 40.0, 57.3, 80.0])
+def test_tilted_leaves_have_the_mean_angle_and_their_own_projection(name, mean):
+    """Against the tilt and the shadow on a fine grid of inclinations, by scipy."""
+    leaf = (np.arange(20000) + 0.5) * (0.5 * np.pi / 20000)
+    base = np.asarray(leaf_angle(name).inclination_density(jnp.asarray(leaf)), float)
+
+    def tilted(tilt):
+        density = base * np.exp(tilt * (leaf - np.radians(mean)))
+        return density / density.sum()
+
+    tilt = brentq(lambda t: tilted(t) @ leaf - np.radians(mean), -80.0, 80.0)
+    (angle,) = TiltedLeafAngle.to_means([leaf_angle(name)], np.array([mean]))
+    assert float(angle.mean_angle) == pytest.approx(mean, abs=1e-3)
+    assert float(angle.tilt) == pytest.approx(tilt, abs=0.02)
+    turn = (np.arange(360) + 0.5) * (np.pi / 360)
+    for cosine in (1.0, 0.7, 0.2):
+        facing = cosine * np.cos(leaf)[::20, None] + np.sqrt(1 - cosine**2) * np.sin(leaf)[
+            ::20, None
+        ] * np.cos(turn)
+        shares = tilted(tilt)[::20]
+        want = shares @ np.abs(facing).mean(axis=1) / shares.sum()
+        assert float(angle.projection(cosine)) == pytest.approx(want, rel=5e-3)
+
+
+def test_leaves_at_their_own_mean_angle_are_as_they_are():
+    every = [*ALL.values()]
+    cosine = jnp.linspace(0.0, 1.0, 7)
+    same = TiltedLeafAngle.to_means(every, jnp.stack([angle.mean_angle for angle in every]))
+    np.testing.assert_allclose(projections(same, cosine), projections(every, cosine), rtol=1e-4)
+
+
+def test_the_slope_by_the_mean_angle_is_that_of_the_tilt_that_is_sought():
+    means = jnp.array([25.0, 50.0, 70.0])
+    bases = [leaf_angle("spherical"), leaf_angle("planophile"), OTHERS["ellipsoid 0.4"]]
+
+    def of_means(values):
+        return projections(TiltedLeafAngle.to_means(bases, values[0]), jnp.array([0.2, 0.6, 1.0]))
+
+    assert_gradients(jax.jit(of_means), (means,), rtol=1e-5)
+
+
+def test_a_mean_angle_that_a_table_cannot_have_is_come_near_to():
+    upright = TabulatedLeafAngle(np.array([0.0, 0.0, 1.0]))  # none below 60 degrees
+    (angle,) = TiltedLeafAngle.to_means([upright], jnp.array([20.0]))
+    assert 60.0 < float(angle.mean_angle) < 65.0
+    slope = jax.grad(lambda m: TiltedLeafAngle.to_means([upright], m)[0].projection(1.0))
+    assert slope(jnp.array([20.0])) == 0.0
 
 
 def test_mean_angle_of_ellipsoids_is_near_what_was_asked_for():

@@ -22,6 +22,7 @@ POSES = [
     Pose([0.8, 0.8, 30.0]),
     Pose([8.0, -12.0, 28.0], -30.0, 25.0),
     Pose([-14.0, 3.0, 25.0], 80.0, 30.0, 2.0),
+    Pose([-14.0, -6.0, 26.0], 60.0, 30.0),
 ]
 
 
@@ -42,7 +43,7 @@ def test_frames_together_are_what_each_is_alone(views):
     assert isinstance(flight, FlightView)
     assert flight.names == tuple(name for view in views for name in view.statistic_names)
     scene, parameters = small_plot(), small_parameters()
-    log = jnp.linspace(-0.1, 0.1, 12)
+    log = jnp.linspace(-0.1, 0.1, 16)
     found, *images = look(views, scene, parameters, log)
     parts = factors_by_view(views, log)
     for k, (view, own) in enumerate(zip(views, parts, strict=True)):
@@ -61,7 +62,7 @@ def test_slopes_together_are_those_of_each_alone(views):
         if name.endswith((".leaf_area_index", "ground.brightness", ".leaf.chlorophyll"))
     ][:3]
     values = jnp.asarray([float(named_values(parameters, scene.taxa)[name]) for name in free])
-    u = jnp.concatenate([values, jnp.linspace(-0.1, 0.1, 12)])
+    u = jnp.concatenate([values, jnp.linspace(-0.1, 0.1, 16)])
     alone, joint = (
         PlotForward(parameters, free, group).jacobian(lambda u: u, u, scene)
         for group in (tuple(views), together(views))

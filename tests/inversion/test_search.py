@@ -39,6 +39,36 @@ def test_the_error_of_the_expectation_is_part_of_the_covariance(stands, lack_sd)
     assert stated.mean() == pytest.approx(want, rel=0.06)
 
 
+@pytest.mark.parametrize("apart", [0.0, 0.2])
+@pytest.mark.parametrize("frames", [3, 25])
+def test_chance_that_frames_share_counts_once(frames, apart):
+    """A twin of frames that see the same plants, each with a little chance of its own, and as much
+    `apart` in how strongly they show plants and parameter: what is estimated from all of them is as
+    far off as is stated, where independent frames would be sure of far too much."""
+    random = np.random.default_rng(7)
+    kinds, count, size = 6, 48, 6 * frames
+    names = [f"band {k}" for k in range(kinds)] * frames
+    scale = np.exp(apart * random.normal(size=size))
+    slope = np.tile(random.normal(size=kinds), frames) * np.exp(apart * random.normal(size=size))
+
+    def draws(number):
+        plants, own = (random.normal(size=(number, n, kinds)) for n in (1, frames))
+        return (np.sqrt(0.9) * plants + np.sqrt(0.1) * own).reshape(number, size) * scale
+
+    scores = {True: [], False: []}
+    for _ in range(150):
+        drawn = draws(count)
+        misfit = draws(1)[0] - drawn.mean(axis=0)
+        for known in scores:
+            kind = names if known else None
+            error = chance_covariance(drawn, np.zeros((1, size)), count, kind) + 1e-4 * np.eye(size)
+            weights = np.linalg.solve(error, slope)
+            scores[known].append(weights @ misfit / np.sqrt(slope @ weights))
+    found, before = (np.sqrt(np.mean(np.square(scores[known]))) for known in (True, False))
+    assert 0.9 < found < 1.2
+    assert before > found + 0.1
+
+
 def test_one_planting_says_nothing_of_what_renders_differ_by():
     draws = np.random.default_rng(0).normal(size=(8, 3))
     one = chance_covariance(draws, np.ones((1, 3)), 4)

@@ -662,6 +662,28 @@ def test_data_count_as_one_draw_of_what_plantings_scatter(chance):
     np.testing.assert_allclose(found.fit.covariance, expected, rtol=0.05, atol=1e-4)
 
 
+class Seen(Chance):
+    """One of several frames that see the same."""
+
+    view: str = eqx.field(static=True, default="")
+
+
+def test_frames_of_one_flight_share_their_chance(chance):
+    """Few draws of statistics that are equal in all frames: so are their errors."""
+    parameters, space, _, plot = chance
+    views = [Seen(view=f"v{k}") for k in range(6)]
+    names = tuple(name for view in views for name in view.statistic_names)
+    cover = np.asarray(parameters.species.cover)[:2]
+    value = jnp.tile(jnp.asarray([*cover, cover.sum()]), 6)
+    data = Data(names, value, jnp.full(18, 0.002))
+    settings = CalibrationSettings(stand_realisations=6, scatter_draws=6, rounds=1)
+    found = calibrate_plot(plot, parameters, data, space(0.03), views, settings)
+    error = np.asarray(found.data.covariance) - 0.002**2 * np.eye(18)
+    own = np.sqrt(np.diagonal(error))
+    between = (error / np.outer(own, own)).reshape(6, 3, 6, 3)
+    assert min(between[0, k, v, k] for k in range(3) for v in range(1, 6)) > 0.97
+
+
 @pytest.mark.study
 def test_estimates_over_truths_have_the_stated_spread(chance):
     """Simulation-based calibration: truths of the prior, planted with seeds of their own."""

@@ -12,7 +12,10 @@ import pytest
 import fynjax as fx
 from fynjax._core.errors import InputError
 from fynjax.app.io.captures import read_view
-from fynjax.app.io.frames import read_frames
+from fynjax.app.io.captures._metadata import read_band
+from fynjax.app.io.frames import PICTURE_TAG, PicturePlace, picture_place, read_frames
+from fynjax.app.io.raster import write_geotiff
+from tests.io import dji_files as dji
 from tests.io import frame_files as made
 from tests.io.frame_files import CRS, GROUND, ORIGIN, POINTS
 
@@ -280,6 +283,40 @@ def test_pictures_without_what_is_needed_are_refused(tmp_path):
         made.write_picture(path, xmp)
         with pytest.raises(InputError, match=message):
             read_frames(path, **PLACE)
+
+
+@pytest.mark.parametrize("bands", [dji.MAVIC, dji.PHANTOM])
+def test_pixels_of_each_band_lie_where_the_maker_lays_them(tmp_path, bands):
+    """A raw pixel by way of lens and homography or shift, as the maker's guide has it, to the pixel
+    of a file cut at its edges; and back from the text of its tag."""
+    name = "DJI_20261122100000_0001" if bands is dji.MAVIC else "DJI_001"
+    dark = [np.full(dji.SHAPE, 0.1) for _ in bands]
+    files = dji.write_dji(tmp_path, name, dark, bands, lens=True)
+    known = {path.name: read_band(path).registration for path in files}
+    place = PicturePlace(dji.SHAPE[::-1], (3, 7), known)
+    tag = tmp_path / "a.tif"
+    write_geotiff(
+        tag, np.zeros((1, *dji.SHAPE)), ["a"], pixel_m=1.0, tags={PICTURE_TAG: place.text()}
+    )
+    lens = fx.Lens(dji.SHAPE[::-1], dji.FOCAL, (80.0, 60.0))
+    row, column = np.indices(dji.SHAPE, dtype=float)
+    for path, band in zip(files, bands, strict=True):
+        found = picture_place(tag, fx.Frame(fx.Pose([0.0, 0.0, 9.0]), lens, path.name))
+        expected = np.stack(dji.frame_place(band, distorted=True), axis=-1) - (3, 7)
+        moved = found.of_frame(path.name, np.stack([column, row], axis=-1))
+        np.testing.assert_allclose(moved, expected, atol=0.01)
+        assert np.abs(moved - np.stack([column, row], axis=-1)).max() > 5.0
+    with pytest.raises(InputError, match=r"expected the pose of DJI_.*that of DJI_9"):
+        picture_place(tag, fx.Frame(fx.Pose([0.0, 0.0, 9.0]), lens, "DJI_9.TIF"))
+
+
+def test_pictures_that_do_not_say_where_they_were_taken_are_left_out(tmp_path):
+    made.write_dji_pictures(tmp_path)
+    path = tmp_path / "DJI_0002.TIF"
+    made.write_picture(path, 'xmlns:drone-dji="http://www.dji.com/drone-dji/1.0/"')
+    with pytest.warns(UserWarning, match="left out: .*DJI_0002.TIF"):
+        frames = read_frames(tmp_path, **PLACE)
+    assert [frame.name for frame in frames] == ["DJI_0001.TIF", "DJI_0003.TIF"]
 
 
 def test_what_is_not_known_of_the_plot_is_asked_for(tmp_path):

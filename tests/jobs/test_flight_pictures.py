@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pandas as pd
+import pyproj
 import pytest
 import rasterio
 import xarray as xr
@@ -12,9 +13,21 @@ from fynjax import jobs
 from fynjax._core.errors import InputError
 from fynjax.app.assembly import read_problem
 from fynjax.app.io.frames import PICTURE_TAG, TIME_TAG
+from fynjax.app.io.raster import write_geotiff
+from fynjax.metrics import BANDS
 from fynjax.sensors import sun_position
 from tests.io import flight_pictures as pictures
 from tests.io import frame_files as made
+from tests.io.dji_files import (
+    FOCAL,
+    MAVIC,
+    OFF_CENTRE,
+    OPTICAL_CENTRE,
+    PHANTOM,
+    SCALE,
+    frame_place,
+    write_dji,
+)
 from tests.io.frame_files import CRS, GROUND, ORIGIN
 from tests.small import write_plot
 
@@ -133,6 +146,55 @@ def test_what_a_picture_does_not_show_is_missing_in_data_and_model(flight, tmp_p
     )
 
 
+def textured(x, y):
+    """Reflectance of a ground that bands can be aligned by, the same in all bands."""
+    waves = ((1.3, 0.2, 1.7), (0.9, 1.1, 0.4), (2.3, -0.7, 2.1), (1.7, 1.5, 0.9))
+    return 0.3 + sum(0.04 * np.sin(2 * np.pi * (c * x + s * y) / w + c) for w, c, s in waves)
+
+
+@pytest.mark.filterwarnings("ignore:.*right up to one factor")
+@pytest.mark.parametrize("bands", [MAVIC, PHANTOM])
+def test_raw_pictures_of_a_dji_come_to_lie_where_their_ground_is(tmp_path, bands):
+    """From counts by way of each lens and the maker's matrix or shift, which move bands by several
+    pixels (of 7 cm): with the pose of the band that the others are laid on."""
+    pytest.importorskip("skimage", reason="needs the extra `analysis`")
+    raw, name = tmp_path / "raw", "DJI_20261122100000_0001" if bands is MAVIC else "DJI_001"
+    raw.mkdir()
+    longitude, latitude, _ = made.geographic((1.2, 0.8, 0.0))
+    convergence = pyproj.Proj(CRS).get_factors(longitude, latitude).meridian_convergence
+    middle, scenes = np.add(OPTICAL_CENTRE, OFF_CENTRE), []
+    for band in bands:
+        column, row = frame_place(band, distorted=True)
+        right, down = (column - middle[0]) / FOCAL[0], (row - middle[1]) / FOCAL[1]
+        c, s = np.cos(np.radians(30.0)), np.sin(np.radians(30.0))
+        scenes.append(
+            textured(1.2 + 10 * (c * right - s * down), 0.8 - 10 * (s * right + c * down))
+        )
+    fix = {
+        "GpsLatitude": latitude, "GpsLongtitude": longitude, "RelativeAltitude": "+10.0",
+        "GimbalYawDegree": 30.0 + convergence, "GimbalPitchDegree": "-90", "GimbalRollDegree": "0",
+    }  # fmt: skip
+    write_dji(raw, name, scenes, bands, lens=True, more=fix)
+    jobs.reflectance(raw, tmp_path / "images", own_pixels=True)
+    place = {"crs": CRS, "origin": ORIGIN, "pixel": 0.1}
+    plot = write_plot(tmp_path)
+    jobs.frames(raw, tmp_path / "out", plot=plot, images=tmp_path / "images", **place)
+    data = xr.load_dataset(tmp_path / "out" / "frames.nc")
+    (frame,) = data["frame"].values
+    assert frame.endswith("_MS_NIR.TIF" if bands is MAVIC else "5.TIF")
+    x, y = data["x"].values - ORIGIN[0], data["y"].values - ORIGIN[1]
+    expected = textured(*np.meshgrid(x, y))
+    found = data["reflectance"].values[0] * SCALE / np.pi
+    assert np.corrcoef(found[-1].ravel(), expected.ravel())[0, 1] > 0.99
+    for values in found:
+        error = values / expected - 1.0
+        assert np.sqrt(np.mean(error**2)) < 0.03
+    # Column and row are those of the raw picture.
+    at = np.stack([data["column"].values[0], data["row"].values[0]], axis=-1)[5, 7]
+    raw_ground = scenes[-1][tuple(np.rint(at[::-1]).astype(int))]
+    assert raw_ground == pytest.approx(expected[5, 7], abs=0.02)
+
+
 def test_each_frame_has_the_sun_of_its_time(flight, tmp_path):
     """Two frames a minute apart share their mean sun; one three hours later has its own."""
     times = "2026:11:22 09:00:00", "2026:11:22 09:01:00", "2026-11-22T14:00:00+02:00"
@@ -142,10 +204,13 @@ def test_each_frame_has_the_sun_of_its_time(flight, tmp_path):
     assert result.flight.suns == 2
     table = pd.read_csv(tmp_path / "out" / "frames.csv")
     longitude, latitude, _ = made.geographic((0.0, 0.0, 0.0))
-    at = [sun_position(latitude, longitude, f"2026-11-22T{t}:30Z") for t in ("09:00", "11:59")]
+    at = [sun_position(latitude, longitude, f"2026-11-22T{t}Z") for t in ("09:00:30", "12:00:00")]
+    turn = pyproj.Proj(CRS).get_factors(longitude, latitude).meridian_convergence
+    assert turn > 1.4
     for k, sun in ((0, at[0]), (1, at[0]), (2, at[1])):
         assert table["sun_zenith_deg"][k] == pytest.approx(float(sun.zenith), abs=0.15)
-        assert table["sun_azimuth_deg"][k] == pytest.approx(float(sun.azimuth), abs=0.8)
+        # The sun's azimuth is from true north, that of the plot's angles from its grid's.
+        assert table["sun_azimuth_deg"][k] == pytest.approx(float(sun.azimuth) - turn, abs=0.3)
     assert table["sun_zenith_deg"][0] == table["sun_zenith_deg"][1]
     more = '\n[[target]]\nfile = "out/frames.nc"\nview = "noon"\n'
     text = plot.read_text()
@@ -179,10 +244,10 @@ def test_a_cap_keeps_frames_whose_angles_differ_most(flight, tmp_path):
         (lambda folder: [path.unlink() for path in folder.glob("*")], "has no GeoTIFF"),
         (lambda folder: [path.rename(folder / f"other{k}.tif") for k, path in
                          enumerate(sorted(folder.glob("*")))], "named after those of the flight"),
-        (lambda folder: _rewrite(folder, 3, lambda v, p: (v[:, 5:], p | {"height": 295})),
+        (lambda folder: _rewrite(folder, 1, lambda v, p: (v[:, 5:], p | {"height": 295})),
          "400 x 300 pixels, as the lens of DJI_0001.TIF has, but got 400 x 295"),
-        (lambda folder: _rewrite(folder, 3, lambda v, p: (v, p | {"crs": CRS})), "laid on a map"),
-        (lambda folder: _rewrite(folder, 3, lambda v, p: (9000.0 * v, p)), "reflectance"),
+        (lambda folder: _rewrite(folder, 1, lambda v, p: (v, p | {"crs": CRS})), "laid on a map"),
+        (lambda folder: _rewrite(folder, 1, lambda v, p: (9000.0 * v, p)), "reflectance"),
         (lambda folder: (folder / "DJI_0001_reflectance.tif").write_bytes(b"II*"), "DJI_0001"),
     ],
 )  # fmt: skip
@@ -197,8 +262,51 @@ def test_pictures_that_cannot_be_used_are_refused(flight, tmp_path, change, mess
         jobs.frames(flight / "odm", tmp_path / "o", plot=write_plot(tmp_path), most=2, **PLACE)
 
 
-def _rewrite(folder, _, change):
-    path = folder / "DJI_0001_reflectance.tif"
+def test_pictures_that_cannot_be_used_are_skipped(flight, tmp_path):
+    """The others are laid, and the cap has another in their place; where none is left, the error
+    names all."""
+    images = tmp_path / "images"
+    pictures.write_pictures(images)
+    broken = images / "DJI_0002_reflectance.tif"
+    whole = broken.read_bytes()
+    broken.write_bytes(b"II*")
+    _, result = laid(flight, tmp_path, images=images)
+    assert result.flight.used == ["DJI_0001.TIF", "DJI_0003.TIF"]
+    assert result.flight.skipped == ["DJI_0002.TIF"]
+    assert any("Skipped, since they cannot be used: 1" in line for line in result.headline)
+    assert result.warnings[0].startswith("DJI_0002.TIF is skipped: ")
+    table = pd.read_csv(tmp_path / "out" / "frames.csv")
+    assert list(table["used"]) == ["yes", "skipped", "yes"]
+    assert list(xr.load_dataset(tmp_path / "out" / "frames.nc")["frame"].values) == (
+        result.flight.used
+    )
+    # One that opens, but has counts in it: chosen beside the third as the first would not be.
+    broken.write_bytes(whole)
+    _rewrite(images, 2, lambda v, p: (9000.0 * v, p))
+    _, result = laid(flight, tmp_path, images=images, most=2)
+    assert (result.flight.used, result.flight.left_out) == (["DJI_0001.TIF", "DJI_0003.TIF"], [])
+    # Of other bands than most have.
+    broken.write_bytes(whole)
+    for number in (1, 3):
+        values = pictures.picture(f"DJI_000{number}.TIF")[:, ::-1]
+        write_geotiff(
+            images / f"DJI_000{number}_reflectance.tif", np.concatenate([values, 0.5 * values[:1]]),
+            [*BANDS, "blue"], pixel_m=1.0, wavelengths=[*pictures.WAVES, 450.0],
+        )  # fmt: skip
+    plot = write_plot(tmp_path, '\n[sensor]\nname = "phantom_4m"\n')
+    result = jobs.frames(flight / "odm", tmp_path / "five", plot=plot, images=images, **PLACE)
+    assert result.flight.skipped == ["DJI_0002.TIF"]
+    assert "as most pictures have" in result.warnings[0]
+    for path in images.glob("*"):
+        path.write_bytes(b"II*")
+    named = r"none of 3 can \(DJI_0001.TIF, DJI_0002.TIF, DJI_0003.TIF\). The first: .*DJI_0001"
+    with pytest.raises(InputError, match=named) as caught:
+        laid(flight, tmp_path, images=images)
+    assert "\n" not in str(caught.value)
+
+
+def _rewrite(folder, number, change):
+    path = folder / f"DJI_000{number}_reflectance.tif"
     with rasterio.open(path) as file:
         values, profile, names = file.read(), dict(file.profile), file.descriptions
     values, profile = change(values, profile)

@@ -15,7 +15,7 @@ from fynjax._core.errors import InputError
 from fynjax.app.cli import app
 from fynjax.app.compare import read_drone_image
 from fynjax.app.io.captures import read_capture, usable_captures
-from fynjax.app.jobs import pattern, reflectance
+from fynjax.app.jobs import pattern
 from tests.helpers import assert_valid_summary, read_cube
 from tests.io.dji_files import SCALE, write_dji
 from tests.io.rededge_files import BANDS, IRRADIANCE, lit, panel_scene, write_rededge
@@ -307,12 +307,6 @@ def test_a_capture_lies_where_it_was_taken(tmp_path: Path) -> None:
     assert values.count() == pytest.approx(120 * 160, rel=0.01)
     flat = run(tmp_path, "--no-align", "--pixel", "0.1", "--output", tmp_path / "pixel")
     assert flat["captures"][MAVIC_GROUND]["pixel_m"] == 0.1
-
-
-def test_own_pixels_of_a_camera_whose_first_band_is_moved_are_refused(tmp_path: Path) -> None:
-    write_dji(tmp_path, MAVIC_GROUND, [ground(k) for k in range(4)], lens=True)
-    with pytest.raises(InputError, match="Take a mosaic"):
-        reflectance(tmp_path, tmp_path / "out", own_pixels=True)
 
 
 def test_the_raw_capture_of_the_field_has_its_ndvi(shared_data: Path, tmp_path: Path) -> None:

@@ -210,7 +210,7 @@ def plot_parameters(
         rows = [with_areas(*pair) for pair in zip(rows, plants, strict=True)]
     leaves = plot_leaves(plot) if leaves is None else leaves
     return PlotParameters(
-        species_parameters(rows, leaves, plot.shrubland),
+        species_parameters(rows, leaves, plot.shrubland, plants or ()),
         leaf_parameters(leaves),
         ground_parameters(plot, fractions),
         LightParameters(

@@ -1,7 +1,9 @@
 """The job of `fynjax frames`: which frames of a flight see a plot, from where, and what they show
 of it."""
 
+from collections import Counter
 from collections.abc import Sequence
+from datetime import datetime
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
 
@@ -24,13 +26,13 @@ from fynjax.app.io.frames import (
     FrameStack,
     choose_frames,
     direction_features,
+    grid_north,
     lay_picture,
     picture_place,
     picture_time,
     pictures_of,
     points_wanted,
     read_frames,
-    straightened,
 )
 from fynjax.app.io.instruments import load_instrument
 from fynjax.app.io.plot import Place, Plot, as_plot, drone_sensor, plot_place
@@ -46,7 +48,7 @@ from fynjax.app.jobs._result import JobResult, Record
 from fynjax.app.jobs._run import Run
 from fynjax.app.report import figures
 from fynjax.app.report.pages import Picture, Table
-from fynjax.sensors import Frame, FrameCamera, Sensor, lens_of, sun_position
+from fynjax.sensors import BandSet, Frame, FrameCamera, Sensor, lens_of, sun_position
 
 _MOST = 100_000_000
 """Pixels of all frames, at most."""
@@ -75,6 +77,8 @@ class FramesSummary(Record):
     """Frames whose pictures were laid on the ground."""
     left_out: list[str] | None = None
     """Frames with pictures that the cap left out."""
+    skipped: list[str] | None = None
+    """Frames whose pictures cannot be used; the warnings say why."""
     suns: int | None = None
     """Suns of the frames that are used, by their times; 0: their pictures state none."""
 
@@ -103,7 +107,7 @@ def frames(
     """Find which frames of a flight see a plot, from which angles, and what they show of it.
 
     Pictures of reflectance are laid on the ground of the plot, which makes of each a view that
-    `calibrate` and `posterior` take.
+    `calibrate` and `posterior` take. One that cannot be used is skipped, with a warning.
 
     **Arguments:**
 
@@ -133,7 +137,7 @@ def frames(
 
     **Raises:** `InputError` as `read_plot`, `read_frames` and `read_drone_image`, for a pixel that
     the plot has no room for, too many pixels, where no frame shows any of the plot, for pictures
-    that are of no frame or do not fit its lens, and for a cap or bands without pictures.
+    of which none is of a frame and can be used, and for a cap or bands without pictures.
 
     Example: `jobs.frames("odm_report/shots.geojson", "results", plot="plot.toml", ground=312.4)`.
     """
@@ -189,7 +193,8 @@ def frames(
     shown = Table(table, "Frames, in metres from the plot's corner.", folded=True)
     inputs = [read.file, *([] if laid is None else laid.files)]
     run.pictures(f"Frames over {read.name}", headline, [picture, shown], inputs)
-    return run.result(FramesResult, headline=headline, flight=summary)
+    warnings = [] if laid is None else laid.warnings
+    return run.result(FramesResult, headline=headline, warnings=warnings, flight=summary)
 
 
 class _Ground(NamedTuple):
@@ -262,6 +267,16 @@ class _Laid(NamedTuple):
     table: pd.DataFrame
     summary: dict[str, Any]
     files: list[Path]
+    warnings: list[str]
+    """Why pictures were skipped."""
+
+
+class _Picture(NamedTuple):
+    """A picture on the ground."""
+
+    bands: tuple[str, ...]
+    values: Float[np.ndarray, "band y x"]
+    relative: str
 
 
 def _lay(
@@ -273,110 +288,172 @@ def _lay(
     most: int | None,
     known: tuple[Plot, Place, _Ground],
 ) -> _Laid:
-    """Lay the pictures of a flight on the ground, and write each as a GeoTIFF."""
+    """Lay the pictures of a flight on the ground, and write each as a GeoTIFF. One that cannot be
+    used is skipped; `InputError` where none can."""
     plot, place, ground = known
-    every = pictures_of([flight.frames[k] for k in np.flatnonzero(table["seen"] > 0)], images)
+    camera = drone_sensor(plot).bands
+    seeing = np.flatnonzero(flight.seen.any(axis=(1, 2)))
+    every = pictures_of([flight.frames[k] for k in seeing], images)
     names = [frame.name for frame in flight.frames]
-    able = [names.index(name) for name in every]
-    suns = _suns([every[names[k]] for k in able], plot, place)
-    zenith, azimuth = table.loc[able, ["view_zenith_deg", "view_azimuth_deg"]].to_numpy().T
-    features = direction_features(zenith, azimuth, suns)
-    share = table.loc[able, "seen"].to_numpy()
-    chosen = range(len(able)) if most is None else choose_frames(features, share, most)
-    places, suns = [able[k] for k in chosen], [suns[k] for k in chosen]
-    camera, values, laid, relative = drone_sensor(plot).bands, [], [], ""
-    seen_bands: tuple[str, ...] = ()
-    with run.stage("Lay the pictures on the ground", total=len(places)):
-        for k in track(places, "Lay"):
-            file = every[names[k]]
-            image = read_drone_image(file, bands=bands, camera=camera, most_pixels=None)
-            if (seen_bands or image.bands) != image.bands:
-                raise InputError(
-                    f"expected the bands {', '.join(seen_bands)} as of {names[places[0]]}, but got "
-                    f"{', '.join(image.bands)}",
-                    file=file,
-                )
-            seen_bands = image.bands
-            with open_raster(file, "a frame of reflectance") as opened:
-                relative = relative or opened.tags.get(RELATIVE_TAG, "")
-            frame, found = _on_ground(flight.frames[k], file, image.values[:, ::-1], ground)
-            if not np.isfinite(found).all(axis=0).any():
-                raise InputError(
-                    f"expected data of the plot in the picture of {frame.name}, but it has none "
-                    "there",
-                    file=file,
-                )
-            laid.append(frame)
-            values.append(found)
+    skipped: dict[int, InputError] = {}
+    times, laid = _times(every, names, skipped), dict[int, _Picture]()
+    while True:
+        if not (able := [k for k in times if k not in skipped]):
+            raise _none_left(names, skipped)
+        suns = _suns([times[k] for k in able], plot, place)
+        places = _chosen(table.loc[able], suns, most)
+        with run.stage("Lay the pictures on the ground", total=len(places)):
+            for k in track([k for k in places if k not in laid], "Lay"):
+                try:
+                    laid[k] = _picture(flight.frames[k], every[names[k]], bands, camera, ground)
+                except InputError as error:
+                    skipped[k] = error
+        _skip_others(laid, every, names, skipped)
+        if skipped.keys().isdisjoint(places):
+            break
+    sun_of = dict(zip(able, suns, strict=True))
+    seen_bands = laid[places[0]].bands
     centre = dict(zip(camera.names, camera.centre, strict=True))
-    waves = tuple(centre[name] for name in seen_bands)
     stack = FrameStack(
-        tuple(laid), seen_bands, waves, np.stack(values), ground.pixel, tuple(suns), relative
+        tuple(flight.frames[k] for k in places),
+        seen_bands,
+        tuple(centre[name] for name in seen_bands),
+        np.stack([laid[k].values for k in places]),
+        ground.pixel,
+        tuple(sun_of[k] for k in places),
+        next((laid[k].relative for k in places if laid[k].relative), ""),
     )
-    corner = place.corner(ground.start[::-1])
-    for view, image in zip(stack.views, stack.reflectance, strict=True):
-        where = run.path(f"{view}.tif", "its picture on the ground, reflectance")
-        write_geotiff(
-            where, image, seen_bands, pixel_m=ground.pixel, origin_m=corner, wavelengths=waves,
-            crs=place.crs,
-        )  # fmt: skip
-    use = ["no picture" if name not in every else "left out" for name in names]
-    for k in places:
-        use[k] = "yes"
+    _write_pictures(run, stack, place, ground)
+    use = ["left out" if name in every else "no picture" for name in names]
+    for k, how in {**dict.fromkeys(places, "yes"), **dict.fromkeys(skipped, "skipped")}.items():
+        use[k] = how
     table = table.assign(used=use)
     at = [np.full(len(names), np.nan) for _ in range(2)]
-    for k, sun in zip(places, suns, strict=True):
-        if sun is not None:
+    for k in places:
+        if (sun := sun_of[k]) is not None:
             at[0][k], at[1][k] = sun
     table["sun_zenith_deg"], table["sun_azimuth_deg"] = np.round(at, 6)
     summary = {
         "used": [names[k] for k in places],
         "left_out": [names[k] for k in able if k not in places],
-        "suns": len({sun for sun in suns if sun is not None}),
+        "skipped": [names[k] for k in sorted(skipped)],
+        "suns": len({sun_of[k] for k in places} - {None}),
     }
-    return _Laid(places, stack, table, summary, [every[names[k]] for k in places])
+    warnings = [f"{names[k]} is skipped: {error}" for k, error in sorted(skipped.items())]
+    return _Laid(places, stack, table, summary, [every[names[k]] for k in places], warnings)
 
 
-def _on_ground(
-    frame: Frame, file: Path, values: Float[np.ndarray, "band row column"], ground: _Ground
-) -> tuple[Frame, Float[np.ndarray, "band y x"]]:
-    """A frame with the lens of its picture, and that on the ground, rows from the top."""
+def _times(
+    every: dict[str, Path], names: Sequence[str], skipped: dict[int, InputError]
+) -> dict[int, datetime | None]:
+    """When the picture of each frame was taken, by the frame's place; those that cannot be opened
+    are noted as `skipped`."""
+    times: dict[int, datetime | None] = {}
+    for k, name in enumerate(names):
+        if name not in every:
+            continue
+        times[k] = None
+        try:
+            times[k] = picture_time(every[name])
+        except InputError as error:
+            skipped[k] = error
+    return times
+
+
+def _chosen(
+    table: pd.DataFrame, suns: Sequence[tuple[float, float] | None], most: int | None
+) -> list[int]:
+    """Places of the frames to use, of those that the rows of a table are of."""
+    if most is None:
+        return list(table.index)
+    zenith, azimuth = table[["view_zenith_deg", "view_azimuth_deg"]].to_numpy().T
+    features = direction_features(zenith, azimuth, suns)
+    share = table["seen"].to_numpy()
+    return [table.index[k] for k in choose_frames(features, share, most)]
+
+
+def _picture(
+    frame: Frame, file: Path, bands: Sequence[str] | None, camera: BandSet, ground: _Ground
+) -> _Picture:
+    """The picture of a frame on the ground, rows from the south."""
     at = picture_place(file, frame)
-    assert frame.lens is not None
-    if at.straight:
-        frame = Frame(frame.pose, straightened(frame.lens), frame.name)
+    image = read_drone_image(file, bands=bands, camera=camera, most_pixels=None)
+    with open_raster(file, "a frame of reflectance") as opened:
+        relative = opened.tags.get(RELATIVE_TAG, "")
     along, (rows, columns) = points_wanted(frame, ground.pixel), ground.shape
     step = max(_TOGETHER // (columns * along**2), 1)
-    parts = [
-        lay_picture(
-            values, frame.pixels(ground.points(along, slice(r, r + step))), at.corner, along
+    parts = []
+    for r in range(0, rows, step):
+        pixels = frame.pixels(ground.points(along, slice(r, r + step)))
+        parts.append(lay_picture(image.values[:, ::-1], at.of_frame(frame.name, pixels), along))
+    values = np.where(frame.sees_cells(ground.corners), np.concatenate(parts, axis=1), np.nan)
+    if not np.isfinite(values).all(axis=0).any():
+        raise InputError(
+            f"expected data of the plot in the picture of {frame.name}, but it has none there",
+            file=file,
         )
-        for r in range(0, rows, step)
-    ]
-    seen = frame.sees_cells(ground.corners)
-    return frame, np.where(seen, np.concatenate(parts, axis=1), np.nan)
+    return _Picture(image.bands, values, relative)
 
 
-def _suns(files: Sequence[Path], plot: Plot, place: Place) -> list[tuple[float, float] | None]:
-    """Zenith and azimuth of the sun when each picture was taken [degrees], those that are alike as
-    their mean; None where the picture states no time or the plot no place."""
-    where = plot.place_deg
-    if where is None and place.crs is not None:
+def _skip_others(
+    laid: dict[int, _Picture],
+    every: dict[str, Path],
+    names: Sequence[str],
+    skipped: dict[int, InputError],
+) -> None:
+    """Note as `skipped` the pictures of other bands than most have."""
+    if not laid:
+        return
+    ((usual, _),) = Counter(one.bands for one in laid.values()).most_common(1)
+    for k in [k for k, one in laid.items() if one.bands != usual]:
+        words = f"{', '.join(usual)} as most pictures have, but got {', '.join(laid.pop(k).bands)}"
+        skipped[k] = InputError(f"expected the bands {words}", file=every[names[k]])
+
+
+def _none_left(names: Sequence[str], skipped: dict[int, InputError]) -> InputError:
+    """What to say where no picture can be used."""
+    first, *others = (error for _, error in sorted(skipped.items()))
+    if not others:
+        return first
+    return InputError(
+        f"expected pictures that can be used, but none of {len(skipped)} can "
+        f"({listed(names[k] for k in sorted(skipped))}). The first: {first}"
+    )
+
+
+def _write_pictures(run: Run, stack: FrameStack, place: Place, ground: _Ground) -> None:
+    corner = place.corner(ground.start[::-1])
+    for view, image in zip(stack.views, stack.reflectance, strict=True):
+        where = run.path(f"{view}.tif", "its picture on the ground, reflectance")
+        write_geotiff(
+            where, image, stack.bands, pixel_m=ground.pixel, origin_m=corner,
+            wavelengths=stack.wavelength, crs=place.crs,
+        )  # fmt: skip
+
+
+def _suns(
+    times: Sequence[datetime | None], plot: Plot, place: Place
+) -> list[tuple[float, float] | None]:
+    """Zenith and azimuth of the sun at each time [degrees], those that are alike as their mean;
+    None where the time or the plot's place is not known. Azimuths count from grid north of the
+    plot, as those of its frames."""
+    where, turn = plot.place_deg, 0.0
+    if place.crs is not None:
         (east,), (north,) = ([v] for v in place.origin_m)
         (longitude,), (latitude,) = transform(place.crs, "EPSG:4326", [east], [north])[:2]
-        where = latitude, longitude
-    times = [None if where is None else picture_time(file) for file in files]
-    known = [k for k, time in enumerate(times) if time is not None]
+        where = (latitude, longitude) if where is None else where
+        turn = grid_north(place.crs, longitude, latitude)
+    known = sorted((time, k) for k, time in enumerate(times) if time is not None)
+    found: list[tuple[float, float] | None] = [None] * len(times)
     if where is None or not known:
-        return [None] * len(files)
-    at = {k: sun_position(*where, times[k]) for k in known}  # type: ignore[arg-type]
-    rays = {k: _direction(float(sun.zenith), float(sun.azimuth)) for k, sun in at.items()}
+        return found
+    at = {k: sun_position(*where, time) for time, k in known}
+    rays = {k: _direction(float(sun.zenith), float(sun.azimuth) - turn) for k, sun in at.items()}
     groups: list[list[int]] = []
-    for k in sorted(known, key=lambda k: times[k]):  # type: ignore[arg-type, return-value]
+    for _, k in known:
         first = rays[groups[-1][0]] if groups else -rays[k]
         near = np.degrees(np.arccos(np.clip(first @ rays[k], -1.0, 1.0))) <= _SAME_SUN
         groups[-1].append(k) if near else groups.append([k])
-    found: list[tuple[float, float] | None] = [None] * len(files)
     for group in groups:
         x, y, z = np.mean([rays[k] for k in group], axis=0)
         azimuth = float(np.degrees(np.arctan2(x, y)) % 360.0)
@@ -468,8 +545,8 @@ def _dataset(flight: _Flight, laid: _Laid | None, ground: _Ground, place: Place)
         "seen": (seen.astype(np.uint8), "1", "whether the pixel lies wholly in the frame"),
         "view_zenith": (view[..., 0], "degree", "zenith angle of the camera"),
         "view_azimuth": (view[..., 1], "degree", "azimuth of the camera, clockwise from north"),
-        "column": (places[..., 0], "1", "column in the picture, from the middle of the first"),
-        "row": (places[..., 1], "1", "row in the picture, from the middle of the top one"),
+        "column": (places[..., 0], "1", "column of the raw picture, from the middle of the first"),
+        "row": (places[..., 1], "1", "row of the raw picture, from the middle of the top one"),
     }
     standard = {"view_zenith": "sensor_zenith_angle", "view_azimuth": "sensor_azimuth_angle"}
     variables: dict[str, Any] = {
@@ -505,11 +582,14 @@ def _headline(summary: FramesSummary, plot: Plot) -> list[str]:
         lines.append("Some of the plot is in no frame.")
     if s.used is None:
         return lines
+    left, bad = s.left_out or [], s.skipped or []
     lines.append(
-        f"Laid on the ground: {len(s.used)} of {len(s.used) + len(s.left_out or [])} pictures."
+        f"Laid on the ground: {len(s.used)} of {len(s.used) + len(left) + len(bad)} pictures."
     )
-    if s.left_out:
-        lines.append(f"Left out, since they say least beside these: {listed(s.left_out)}.")
+    if bad:
+        lines.append(f"Skipped, since they cannot be used: {len(bad)}, {listed(bad)}.")
+    if left:
+        lines.append(f"Left out, since they say least beside these: {listed(left)}.")
     lines.append(
         f"Suns by their times: {s.suns}, those within {_SAME_SUN:g} degrees as one."
         if s.suns

@@ -28,6 +28,7 @@ from fynjax.inversion import (
     other_plantings,
     parameter_columns,
     scatter_covariance,
+    scatter_of_views,
     shared_slopes,
     stand_functionals,
     stand_values,
@@ -150,18 +151,15 @@ def frame_covariance(
     **Arguments:** `values` of each planting; `error`, own, of each statistic, relative [-];
     `factors` on bands, the same in all frames: gains and the model's error.
 
-    Frames see the same plants: their chance is as correlated as it is on the mean over statistics,
-    and more plantings than there are would be needed to know better. The light drifts between
-    frames (`Gains.drift`) on all bands.
+    Frames see the same plants: their chance is as correlated as it is on the mean
+    (`scatter_of_views`), and more plantings than there are would be needed to know better. The
+    light drifts between frames (`Gains.drift`) on all bands.
     """
     count, frames, size = values.shape
-    deviation = values - values.mean(axis=0)
-    unit = deviation / np.maximum(deviation.std(axis=0), 1e-12)
-    alike = np.einsum("dfs,dgs->fg", unit, unit) / (count * size)
-    together = np.clip((alike.sum() - np.trace(alike)) / max(frames * (frames - 1), 1), 0.0, 0.99)
-    target = np.kron(together + (1.0 - together) * np.eye(frames), np.eye(size))
-    usual = values.mean(axis=0).ravel()
-    own = scatter_covariance(values.reshape(count, -1), target) + np.diag((error * usual) ** 2)
+    drawn = values.reshape(count, -1)
+    usual = drawn.mean(axis=0)
+    own = scatter_of_views(drawn, [str(kind) for kind in range(size)] * frames)
+    own += np.diag((error * usual) ** 2)
     of_frame = np.kron(np.eye(frames), np.full((size, size), sensor.gains().drift ** 2))
     root = np.asarray(factors.root)
     band = np.tile(np.arange(len(root)), frames * size // len(root))

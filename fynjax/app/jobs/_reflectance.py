@@ -17,6 +17,7 @@ from fynjax.app.io.captures import (
     AlignedCapture,
     Capture,
     PanelView,
+    Registration,
     aligned_radiance,
     find_captures,
     on_earth,
@@ -115,7 +116,7 @@ def reflectance(
     - `pixel`: or the side of a pixel on the ground [m].
     - `align`: align the bands of a capture's files.
     - `own_pixels`: leave every capture on the pixels of its camera, as `frames` lays them on the
-      ground, wherever it was taken; not of a DJI, whose first band is moved.
+      ground, wherever it was taken.
 
     **Returns:** `ReflectanceResult`. Writes for each capture its reflectance and the standard
     deviation (GeoTIFF), `calibration.csv`, `provenance.json`, figures and a page into `output`.
@@ -150,8 +151,6 @@ def reflectance(
             f"{', '.join(of_panels)}"
         )
     first = read_capture(*next(iter(wanted.items()))).bands[0]
-    if own_pixels and align:
-        _check_place(read_capture(*next(iter(wanted.items()))))
     calibration = _calibration(read, known, light, panel_sd, light_sd, first.sensor)
     begin_work(
         {f"{name}_reflectance.tif": "" for name in wanted},
@@ -261,28 +260,26 @@ def _convert(
     return made
 
 
-def _check_place(capture: Capture) -> None:
-    """That aligned pixels are those of the picture that a pose is of, but for its distortion."""
-    registration = capture.bands[0].registration
-    if registration is not None and not np.allclose(registration.homography, np.eye(3)):
-        raise InputError(
-            "expected a camera whose first band stays where it is, but its maker lays that on "
-            "another, whose pixels no pose is of. Take a mosaic, or frames that the flight "
-            "software has straightened",
-            file=capture.bands[0].path,
-        )
-
-
 def _in_picture(capture: Capture, aligned: AlignedCapture) -> PicturePlace:
-    """Where the pixels of an aligned capture lie in the picture of its first band."""
+    """Where the pixels of an aligned capture lie in the picture of its first band, or in the frame
+    that the maker lays all bands on."""
     rows, columns = capture.bands[0].counts.shape
     left, low = (
         round(0.5 * (count - 1) - middle)
         for count, middle in zip((columns, rows), aligned.middle, strict=True)
     )
     top = rows - low - aligned.radiance.shape[1]
-    straight = aligned.alignment is not None and capture.bands[0].registration is not None
-    return PicturePlace((columns, rows), (left, top), straight)
+    first = capture.bands[0]
+    bands: dict[str, Registration | None] = {first.path.name: None}
+    if aligned.alignment is not None and any(band.registration for band in capture.bands):
+        # First those that the frame is the picture of: theirs is the pose that a gimbal has.
+        moved = sorted(capture.bands, key=lambda band: not _stays(band.registration))
+        bands = {band.path.name: band.registration for band in moved}
+    return PicturePlace((columns, rows), (left, top), bands)
+
+
+def _stays(registration: Registration | None) -> bool:
+    return registration is None or np.allclose(registration.homography, np.eye(3))
 
 
 def _write_capture(run: Run, name: str, cube: Cube, doubt: Cube, tags: dict[str, Any]) -> Picture:

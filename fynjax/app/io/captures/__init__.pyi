@@ -8,6 +8,7 @@ from ._capture import find_captures as find_captures
 from ._capture import read_capture as read_capture
 from ._capture import same_capture as same_capture
 from ._capture import usable_captures as usable_captures
+from ._lens import Registration as Registration
 from ._panel import PanelView as PanelView
 from ._panel import panel_reflectance as panel_reflectance
 from ._panel import read_panel as read_panel

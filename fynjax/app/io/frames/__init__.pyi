@@ -8,9 +8,9 @@ from ._lay import picture_place as picture_place
 from ._lay import picture_time as picture_time
 from ._lay import pictures_of as pictures_of
 from ._lay import points_wanted as points_wanted
-from ._lay import straightened as straightened
 from ._lay import utc_time as utc_time
 from ._read import read_frames as read_frames
+from ._shot import grid_north as grid_north
 from ._stack import FrameStack as FrameStack
 from ._stack import is_frame_stack as is_frame_stack
 from ._stack import read_frame_stack as read_frame_stack

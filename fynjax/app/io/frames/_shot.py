@@ -98,6 +98,15 @@ _projection = functools.cache(pyproj.Proj)
 _DEGREES = pyproj.CRS.from_epsg(4326)
 
 
+def grid_north(crs: str, longitude: float, latitude: float) -> float:
+    """Direction of a system's grid north, clockwise from true north [degrees]: its meridian
+    convergence.
+
+    **Arguments:** `crs`, projected; `longitude`, `latitude` of the place [degrees].
+    """
+    return _grid(pyproj.CRS.from_user_input(crs), longitude, latitude)[0]
+
+
 def _grid(crs: pyproj.CRS, longitude: float, latitude: float) -> tuple[float, float]:
     """Meridian convergence of a system's grid [degrees], and the length of its metre [-]."""
     if not crs.is_projected:

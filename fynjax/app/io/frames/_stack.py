@@ -12,6 +12,7 @@ import xarray as xr
 from jaxtyping import Bool, Float
 
 from fynjax._core.errors import InputError, listed, names_file, refusing
+from fynjax.app.io.frames._lay import lens_of_record
 from fynjax.app.io.raster import check_netcdf
 from fynjax.app.io.text import existing_file
 from fynjax.scene import PARAMETERS
@@ -184,8 +185,5 @@ def _lens(text: str, name: str) -> Lens | None:
     if not text:
         return None
     words = f"expected the lens of {name} as JSON, but it is damaged ({{error}})"
-    with refusing(ValueError, TypeError, KeyError, words=words):
-        known = json.loads(text)
-        for key in ("size", "focal_length", "centre", "radial", "tangential"):
-            known[key] = tuple(known[key])
-        return Lens(**known)
+    with refusing(ValueError, TypeError, AttributeError, words=words):
+        return lens_of_record(json.loads(text))
