@@ -195,11 +195,11 @@ class Measure:
 MEASURES = {
     "places that declare a key": Measure(3, 2, places_of_keys),
     "public names of the library": Measure(263, 250, public_names),
-    "names between its rooms": Measure(262, None, names_between_rooms),
+    "names between its rooms": Measure(263, None, names_between_rooms),
     "names of two things": Measure(0, 0, names_of_two),
     "long functions": Measure(16, 15, large_functions),
     "lines of the library": Measure(
-        49_300, 40_000, lambda m: _lines(m, tuple(f"{room}/" for room in ("_core", *ROOMS)))
+        49_400, 40_000, lambda m: _lines(m, tuple(f"{room}/" for room in ("_core", *ROOMS)))
     ),
     "lines of all": Measure(96_000, 78_000, lambda m: _lines(m, ("",))),
 }

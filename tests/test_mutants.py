@@ -1,6 +1,9 @@
 """Every fault of `python -m tests.mutants` can still be put in."""
 
+from pathlib import Path
+
 import pytest
+import yaml
 
 from tests.mutants import GROUPS, Mutant, is_found, is_there
 
@@ -12,6 +15,12 @@ ALL = [
 @pytest.mark.parametrize("mutant", ALL)
 def test_the_line_that_is_changed_is_there_once(mutant: Mutant) -> None:
     assert is_there(mutant), mutant.old
+
+
+def test_every_group_is_run_each_night() -> None:
+    nightly = Path(__file__).parents[1] / ".github/workflows/nightly.yml"
+    matrix = yaml.safe_load(nightly.read_text("utf-8"))["jobs"]["mutants"]["strategy"]["matrix"]
+    assert matrix["group"] == [*GROUPS]
 
 
 @pytest.mark.slow  # copies the package, and runs tests in a process of their own

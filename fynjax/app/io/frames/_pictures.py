@@ -29,6 +29,6 @@ def picture_shots(paths: list[Path], *, above_ground: bool) -> list[Shot]:
         shots.append(Shot(path.name, position, view.axes, view.lens, system, above_ground))
     if skipped and not shots:
         raise skipped[0]
-    for error in skipped:
-        warnings.warn(f"left out: {error}", stacklevel=2)
+    for left_out in skipped:
+        warnings.warn(f"left out: {left_out}", stacklevel=2)
     return shots
