@@ -107,6 +107,18 @@ def test_what_is_missing_is_left_out_and_counted(tmp_path: Path) -> None:
         assert len(read(write_csv(tmp_path / "c.csv", spectra)).values) == 11
 
 
+def test_flags_and_errors_before_the_reflectance_are_not_taken_for_it(tmp_path: Path) -> None:
+    spectra = cube().reshape(len(WAVE), -1).T
+    data = xr.Dataset({
+        "reflectance_good": ("band", np.ones(len(WAVE), np.int8)),
+        "reflectance_uncertainty": (("y", "band"), 0.1 * spectra),
+        "reflectance": (("y", "band"), spectra),
+    })  # fmt: skip
+    data["wavelength"] = ("band", WAVE)
+    data.to_netcdf(tmp_path / "flags.nc")
+    np.testing.assert_allclose(read(tmp_path / "flags.nc").values, spectra)
+
+
 def test_bad_input(tmp_path: Path) -> None:
     spectra = cube().reshape(len(WAVE), -1).T
     other = write_csv(tmp_path / "other.csv", spectra, WAVE + 3.0)

@@ -12,7 +12,7 @@ from fynjax._core.errors import InputError
 from tests.fuzz.bugs import BUGS, ROOT
 from tests.fuzz.mutate import damaged
 from tests.fuzz.readers import READERS, Reader
-from tests.fuzz.run import _tried, fuzz
+from tests.fuzz.run import Input, _tried, fuzz
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="limits of memory are set as Unix has them")
@@ -80,6 +80,6 @@ def test_what_counts_as_broken(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, reader: Reader, kind: str, words: str
 ) -> None:
     monkeypatch.setitem(READERS, "own", reader)
-    found, text = _tried("own", tmp_path, {"a.csv": b"0, 1, 2, " * 60})
+    found, text = _tried("own", tmp_path, Input({"a.csv": b"0, 1, 2, " * 60}))
     assert found == kind
     assert words in text

@@ -1,5 +1,6 @@
 """Spectra as a comparison needs them: from tables, libraries, ASD files, cubes and NetCDF."""
 
+import re
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -21,6 +22,8 @@ from fynjax.metrics import WATER_WINDOWS
 
 _RASTERS = (".img", ".bil", ".bip", ".bsq", ".dat", ".tif", ".tiff")
 _NETCDF = {".nc", ".nc4", ".h5", ".hdf5"}
+_BESIDE = re.compile(r"good|flag|mask|quality|uncertain|error|(?:^|_)(?:unc|std|sd)(?:_|$)", re.I)
+"""Names of variables that say how good others are."""
 
 
 @dataclass(frozen=True)
@@ -278,7 +281,8 @@ def _spectra_in(
         and "wavelength" not in str(name).lower()
         and str(name).lower() not in ("fwhm", dimension.lower())
     ]
-    named = [c for c in candidates if "reflectance" in c[0].lower()]
+    named = [c for c in candidates if "reflectance" in c[0].lower() and not _BESIDE.search(c[0])]
+    named.sort(key=lambda one: one[0].lower() != "reflectance")
     choice = named[:1] or (candidates if len(candidates) == 1 else [])
     if not choice:
         listed = ", ".join(name for name, _ in candidates) or "none"
