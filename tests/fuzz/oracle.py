@@ -71,8 +71,8 @@ def _spectral(name: str) -> Callable[[str, Path, Any], str | None]:
             ours = np.stack([one.reflectance for one in result])
             if "wavelength" in header and not np.all(np.diff(result[0].wavelength) > 0):
                 return None
-            # Of numbers that no instrument gives ours are missing.
-            missing |= np.abs(theirs / scale) > 1e4
+            # What no reflectance can be is missing.
+            missing |= (theirs / scale < -0.05) | (theirs / scale > 1.5)
             return _apart(ours, theirs / scale, "spectral", missing)
         image.scale_factor = 1.0
         theirs = np.asarray(image.load(dtype=float)).transpose(2, 0, 1)
@@ -195,9 +195,10 @@ def _cube_of_arrays(name: str) -> Callable[[str, Path, Any], str | None]:
             array: Any = zarr.open_group(folder / name, mode="r")["reflectance"]
             facts = dict(array.attrs)
             values = np.asarray(array[...], float)
-            for key, sentinel in (("_FillValue", None), ("missing_value", None)):
-                if key in facts or sentinel:
-                    return None
+            if "_FillValue" in facts or "missing_value" in facts:
+                return None
+            if array.metadata.zarr_format == 2 and array.fill_value is not None:
+                values[values == float(array.fill_value)] = np.nan
             values = values * float(facts.get("scale_factor", 1.0))
             values = values + float(facts.get("add_offset", 0.0))
         theirs = values[np.abs(values) <= 1e6]
@@ -270,7 +271,8 @@ def untouched(
         same = _records(old, start, size) == _records(new, start, size)
         same = same.all(axis=1)[: whole.x.size]
         parts = ((getattr(whole, a)[same], getattr(found, a)[same]) for a in "xyz")
-        return next(filter(None, (_apart(mine, first, "before, we") for first, mine in parts)), None)
+        found_apart = (_apart(mine, first, "before, we") for first, mine in parts)
+        return next(filter(None, found_apart), None)
     if Path(name).suffix in (".dat", ".sli"):
         same = (_records(old, 0, 4) == _records(new, 0, 4)).all(axis=1)
         first = np.frombuffer(old, "<f4")[same]
@@ -296,6 +298,8 @@ def _lines_apart(old: bytes, new: bytes, whole: Any, found: Any) -> str | None:
     if len(before) != len(after) or before[:header] != after[:header]:
         return None
     rows = [k for k, line in enumerate(before) if line and k >= header]
+    if [bool(line.strip()) for line in before] != [bool(line.strip()) for line in after]:
+        return None
     same = np.array([before[k] == after[k] for k in rows])
     wanted, came = dict(numbers_of(whole)), dict(numbers_of(found))
     for name, values in wanted.items():

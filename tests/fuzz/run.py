@@ -133,9 +133,7 @@ def _refusal(error: Exception, files: dict[str, bytes]) -> str | None:
     return None
 
 
-def _tried(
-    reader: str, folder: Path, given: Input, seeds: Path | None = None
-) -> tuple[str, str]:
+def _tried(reader: str, folder: Path, given: Input, seeds: Path | None = None) -> tuple[str, str]:
     """Kind and text of the outcome of one input, judged by the valid files below `seeds` too."""
     from fynjax._core.errors import InputError
     from tests.fuzz.readers import READERS

@@ -30,7 +30,9 @@ Numbers = dict[str, np.ndarray]
 
 _SHARE = 2e-3
 """Error that is let pass, of the range of an array: what 16 bits round."""
-_OF_THE_FILE = re.compile(r"meta|\.crs$|\.file|step$|without_data|\.taken|\.gap|names|full|saturated")
+_OF_THE_FILE = re.compile(
+    r"meta|\.crs$|\.file|step$|without_data|\.taken|\.gap|names|full|saturated"
+)
 """What differs with the way in which a file says it."""
 
 
@@ -117,7 +119,9 @@ def _envi(path: Path, chance: random.Random) -> Hidden:
     values = np.fromfile(data, "<f4").reshape(place).astype(float)
     if keys["interleave"] == "bil":
         values = values.transpose(1, 0, 2)
-    some = _two(chance, "scale", "ignore", "units", "interleave", "bytes", "offset", "bands", "type")
+    some = _two(
+        chance, "scale", "ignore", "units", "interleave", "bytes", "offset", "bands", "type"
+    )
     hidden: Hidden = None
     ignored = np.zeros(values.shape, bool)
     if "ignore" in some:
@@ -460,9 +464,7 @@ def _spectrum(path: Path, chance: random.Random) -> Hidden:
     if "decimal" in some:
         rows = [[cell.replace(".", ",") for cell in row] for row in rows]
     text = "# made for a test\n" if "comment" in some else ""
-    path.write_text(
-        text + "\n".join(separator.join(row) for row in [names, *rows]) + "\n", "utf-8"
-    )
+    path.write_text(text + "\n".join(separator.join(row) for row in [names, *rows]) + "\n", "utf-8")
     return None
 
 

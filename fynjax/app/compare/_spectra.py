@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from fynjax._core.errors import LARGEST, InputError, in_file, names_file, refusing
 from fynjax._core.files import existing_file, how_to_import
+from fynjax._core.memory import bounded_memory
 from fynjax._core.progress import stage
 from fynjax._core.spectral import check_wavelength
 from fynjax.app.compare._images import thinning
@@ -220,6 +221,7 @@ def _read_netcdf(path: Path, most: int) -> _Part:
         refusing(*broken, words="cannot be read as NetCDF ({error}). Is it cut short?"),
         warnings.catch_warnings(action="ignore", category=xr.SerializationWarning),
         np.errstate(all="ignore"),  # of two marks of no data, and of scales beyond floats
+        bounded_memory(path),
         xr.open_datatree(path, engine="netcdf4") as tree,
     ):
         nodes = [node.to_dataset(inherit=True) for node in tree.subtree]
