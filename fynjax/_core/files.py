@@ -211,7 +211,6 @@ def read_bytes(path: Path, largest: int = LARGEST_TEXT) -> bytes:
     note_file(path)
     words = "it cannot be opened ({error.strerror})"
     with refusing(OSError, words=words, file=path), path.open("rb") as file:
-        # Python takes as much memory as it is asked to read.
         data = file.read(min(largest, path.stat().st_size) + 1)
     what = "it has"
     if data[:2] == b"\x1f\x8b":

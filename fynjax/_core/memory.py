@@ -1,5 +1,4 @@
-"""Memory of this machine and of this process, on any system, in bytes: what a container, its
-group of processes or a limit of this process (`ulimit`) leaves of the machine's."""
+"""Memory that the machine, a container and limits (`ulimit`) leave this process, in bytes."""
 
 import sys
 from collections.abc import Iterator
@@ -10,8 +9,7 @@ import psutil
 
 from fynjax._core.errors import InputError
 
-_GROUPS = Path("/sys/fs/cgroup")
-_OWN_GROUPS = Path("/proc/self/cgroup")
+_GROUPS, _OWN_GROUPS = Path("/sys/fs/cgroup"), Path("/proc/self/cgroup")
 _LEAST = 1 << 28
 """Bytes that a file may take at least, where nearly nothing is free."""
 
@@ -23,8 +21,7 @@ def total_memory() -> int:
 
 def free_memory() -> int:
     """Memory that this process can still take without others being moved out [bytes]."""
-    own = psutil.Process().memory_info()
-    left = [limit - own.vms for limit in _own_limits()]
+    left = [limit - psutil.Process().memory_info().vms for limit in _own_limits()]
     return max(int(min([psutil.virtual_memory().available, *_limits(1), *left])), 0)
 
 
@@ -37,17 +34,6 @@ def peak_memory() -> int:
         peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
         peak *= 1 if sys.platform == "darwin" else 1024
     return int(peak)
-
-
-def check_memory(needed: float, what: str, advice: str, file: str | Path | None = None) -> None:
-    """Refuse with `InputError` what memory cannot hold: `needed` bytes for `what`, such as "a row
-    of 30 pixels"; `advice` ends the error, which names `file`."""
-    if needed > (there := total_memory()):
-        raise InputError(
-            f"{what} need {needed / 2**30:.3g} GiB, but this machine has {there / 2**30:.3g} GiB "
-            f"for this process. {advice}",
-            file=file,
-        )
 
 
 @contextmanager
@@ -68,8 +54,7 @@ def bounded_memory(file: str | Path) -> Iterator[None]:
         yield
     except MemoryError as error:
         raise InputError(
-            f"it unfolds to more than {budget / 2**30:.2g} GiB, half of the memory that is free. "
-            "Is it damaged? Else take a part of it",
+            f"it unfolds to more than {budget / 2**30:.2g} GiB, half of the free memory: damaged?",
             file=file,
         ) from error
     finally:
@@ -77,30 +62,27 @@ def bounded_memory(file: str | Path) -> Iterator[None]:
 
 
 def _own_limits() -> list[int]:
-    """Limits of the memory of this process [bytes]; none where there are none."""
-    try:
-        import resource
-    except ImportError:  # of Unix alone
+    """Limits of the memory of this process [bytes]."""
+    if sys.platform == "win32":
         return []
+    import resource
+
     found = (resource.getrlimit(kind)[0] for kind in (resource.RLIMIT_AS, resource.RLIMIT_DATA))
     return [limit for limit in found if limit != resource.RLIM_INFINITY]
 
 
 def _limits(free: int) -> list[int]:
-    """Limits of the groups that this process is in (version 1 or 2) and of those above, or where
-    `free` is 1 what they leave [bytes]."""
+    """Limits of the groups that this process is in, or (`free` 1) what they leave [bytes]."""
     found: list[int] = []
-    try:
-        groups = [line.split(":", 2)[1:] for line in _OWN_GROUPS.read_text("utf-8").splitlines()]
-    except OSError:  # of Linux alone
-        return found
-    for kinds, path in groups:
-        files, root = ("memory.max", "memory.current"), _GROUPS
+    text = _OWN_GROUPS.read_text("utf-8") if _OWN_GROUPS.is_file() else ""
+    for kinds, path in (line.split(":", 2)[1:] for line in text.splitlines()):
+        names, root = ("memory.max", "memory.current"), _GROUPS
         if "memory" in kinds.split(","):
-            files, root = ("memory.limit_in_bytes", "memory.usage_in_bytes"), _GROUPS / "memory"
-        for one in {root, root / path.strip("/"), *(root / path.strip("/")).parents}:
-            if (one == root or root in one.parents) and (not kinds or root != _GROUPS):
-                with suppress(OSError, ValueError):  # "max" is no number
-                    limit, used = (int((one / name).read_text("utf-8")) for name in files)
-                    found.append(limit - free * used)
+            names, root = ("memory.limit_in_bytes", "memory.usage_in_bytes"), _GROUPS / "memory"
+        elif kinds:
+            continue
+        for one in (root / path.strip("/") / "end").parents:
+            with suppress(OSError, ValueError):  # "max" is no number
+                limit, used = (int((one / name).read_text("utf-8")) for name in names)
+                found.append(limit - free * used)
     return found

@@ -574,8 +574,7 @@ def _workbook(data: bytes, path: Path, what: str) -> bytes:
             book = excel.load_workbook(io.BytesIO(data), data_only=True, read_only=True)
             for sheet in book.worksheets:
                 sheet.reset_dimensions()  # which may be stated wrongly
-                rows: list[list[str]] = []
-                width = 0
+                rows, width = list[list[str]](), 0
                 for row in sheet.iter_rows():
                     rows.append([_cell(cell) for cell in row])
                     width = max(width, len(row))

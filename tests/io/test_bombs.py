@@ -82,7 +82,7 @@ def test_points_that_memory_cannot_hold(tmp_path: Path, monkeypatch: pytest.Monk
     path = tmp_path / "cloud.laz"
     las.write(path)
     assert path.stat().st_size < 1 << 16
-    monkeypatch.setattr(memory, "total_memory", lambda: 1 << 25)
+    monkeypatch.setattr("fynjax.app.io.text._bounds.total_memory", lambda: 1 << 25)
     with pytest.raises(InputError, match=r"cloud\.laz: 400000 points need 0\.0447 GiB, but"):
         read_cloud(path)
 

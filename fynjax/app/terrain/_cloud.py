@@ -15,10 +15,9 @@ from rasterio.crs import CRS
 
 from fynjax._core.errors import InputError, in_file, listed, refusing
 from fynjax._core.extras import require
-from fynjax._core.memory import check_memory
 from fynjax._core.tables import name_and_unit, open_points, places_of
 from fynjax.app.io.raster import check_metric, parse_crs
-from fynjax.app.io.text import check_stated_size, existing_file
+from fynjax.app.io.text import check_fits, check_stated_size, existing_file
 from fynjax.app.terrain._units import (
     Bounds,
     check_bounds,
@@ -308,7 +307,7 @@ def _check_las_header(path: Path) -> None:
             path, count * size if packed else start + count * size, f"{count} points", packed=packed
         )
         advice = "Cut a part of it, or thin it, first"
-        check_memory(count * (2 * size + _POINT), f"{count} points", advice, path)
+        check_fits(count * (2 * size + _POINT), f"{count} points", advice, path)
         if not packed:
             return
         file.seek(start)

@@ -94,7 +94,6 @@ def plant_mesh_of(mesh: Any) -> PlantMesh:
             if file.lower().endswith(".obj"):
                 mesh, names_of_file = _load_obj(file)
             else:
-                # Its numbers are checked below.
                 with np.errstate(all="ignore"), bounded_memory(file):
                     mesh = trimesh.load(file, process=False)
         except InputError:

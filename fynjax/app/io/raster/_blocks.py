@@ -27,7 +27,7 @@ from fynjax._core.checkpoint import Journal, forget_journal
 from fynjax._core.errors import InputError, in_file, listed, refusing
 from fynjax._core.extras import require
 from fynjax._core.files import check_name
-from fynjax._core.memory import bounded_memory, check_memory
+from fynjax._core.memory import bounded_memory
 from fynjax.app.io.raster._crs import geotransform, parse_crs
 from fynjax.app.io.raster._groups import read_tree, with_groups
 from fynjax.app.io.raster._lookup import lookup_table
@@ -37,7 +37,7 @@ from fynjax.app.io.raster._scale import check_reflectance
 from fynjax.app.io.raster._writer import LOCAL_FRAME, grid_profile
 from fynjax.app.io.raster._zarr import check_zarr
 from fynjax.app.io.spectra import check_widths, in_nanometres
-from fynjax.app.io.text import atomic_path
+from fynjax.app.io.text import atomic_path, check_fits
 
 _SIZE = 2**27
 """Bytes of a block, about."""
@@ -274,7 +274,7 @@ def _cube_of(path: Path, opened: ExitStack) -> CubeBlocks:
     count, axis = values.shape[2], values.dims[2]
     named = axis in values.coords and values.coords[axis].dtype.kind in "OSUT"
     row = 4.0 * values.shape[1] * count
-    check_memory(2.0 * row, f"{values.shape[1]} pixels of a row in {count} bands", "Is it damaged?")
+    check_fits(2.0 * row, f"{values.shape[1]} pixels of a row in {count} bands", "Is it damaged?")
     wavelength, unit = _column(("wavelength", "wavelengths", "Wavelength"), (data, *around), count)
     width, _ = _column(("fwhm", "FWHM"), (data, *around), count)
     good, _ = _column(("good_wavelengths", "reflectance_good"), (data, *around), count)

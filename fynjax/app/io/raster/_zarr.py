@@ -14,7 +14,7 @@ import numpy as np
 
 from fynjax._core.errors import InputError
 from fynjax._core.files import read_bytes
-from fynjax._core.memory import check_memory
+from fynjax.app.io.text import check_fits
 
 _PLAIN = (
     *("bytes", "transpose", "shuffle", "delta", "fixedscaleoffset", "quantize", "bitround"),
@@ -127,7 +127,7 @@ def _check_array(folder: Path, meta: dict[str, Any]) -> bool:
     at_once = min(math.prod(-(-n // m) for n, m in zip(shape, chunks)), _AT_ONCE)
     whole = math.prod(shape) * kind.itemsize if len(shape) < 3 else 0  # of a cube rows are read
     what = f"{shape} numbers in chunks of {chunks}"
-    check_memory(2 * max(stated * at_once, whole), what, "Write smaller chunks", folder)
+    check_fits(2 * max(stated * at_once, whole), what, "Write smaller chunks", folder)
     if kind.kind not in "biufmM":
         return False
     for chunk in _files(folder) if packed else ():

@@ -1,10 +1,22 @@
-"""What a GeoPackage may hold: rows that stand in it, and no programs that make them."""
+"""What files may take of memory, and that rows of a GeoPackage stand in it."""
 
 import sqlite3
 from contextlib import closing
 from pathlib import Path
 
 from fynjax._core.errors import InputError
+from fynjax._core.memory import total_memory
+
+
+def check_fits(needed: float, what: str, advice: str, file: str | Path | None = None) -> None:
+    """Refuse with `InputError` what memory cannot hold: `needed` bytes for `what`, such as "a row
+    of 30 pixels"; `advice` ends the error, which names `file`."""
+    if needed > (there := total_memory()):
+        raise InputError(
+            f"{what} need {needed / 2**30:.3g} GiB, but this machine has {there / 2**30:.3g} GiB "
+            f"for this process. {advice}",
+            file=file,
+        )
 
 
 def check_geopackage(path: Path) -> None:
