@@ -1,18 +1,22 @@
 """A minute of damaged files with a fixed seed, and what the fuzzer itself must notice."""
 
 import random
+import shutil
 import sys
 import warnings
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from fynjax._core.errors import InputError
-from tests.fuzz.bugs import BUGS, ROOT
+from tests.fuzz.bugs import BUGS, ROOT, SILENT, found
 from tests.fuzz.mutate import damaged
+from tests.fuzz.oracle import LIBRARIES, TOUCHED, other_opinion, untouched
 from tests.fuzz.readers import READERS, Reader
-from tests.fuzz.run import Input, _tried, fuzz
+from tests.fuzz.run import Input, _contents, _tried, fuzz
+from tests.fuzz.variants import VARIANTS, difference, plain, vary
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="limits of memory are set as Unix has them")
@@ -83,3 +87,65 @@ def test_what_counts_as_broken(
     found, text = _tried("own", tmp_path, Input({"a.csv": b"0, 1, 2, " * 60}))
     assert found == kind
     assert words in text
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("reader", VARIANTS)
+def test_a_file_that_says_it_in_another_way_is_read_alike(reader: str, tmp_path: Path) -> None:
+    """Scale, ignore value, units and order, two at a time."""
+    (tmp_path / "seed").mkdir()
+    READERS[reader].write(tmp_path / "seed")
+    whole = plain(reader, READERS[reader].read(tmp_path / "seed"))
+    contents = set()
+    for number in range(12):
+        folder = tmp_path / f"{number}"
+        shutil.copytree(tmp_path / "seed", folder)
+        hidden = vary(reader, folder, random.Random(number))
+        again = plain(reader, READERS[reader].read(folder))
+        assert difference(whole, again, hidden) is None, number
+        contents.add(tuple(_contents(folder).values()))
+    assert len(contents) > (1 if reader.startswith("mesh") else 5)
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_numbers_that_are_others_are_seen(tmp_path: Path) -> None:
+    rising = np.arange(9.0)
+    assert difference({"a": rising}, {"a": rising[::-1]}) == ".a[0] is 8, not 0"
+    assert difference({"a": rising}, {"a": rising}) is None
+    assert "not nan" in str(difference([np.arange(9.0)], [np.arange(9.0)], np.array([3.0])))
+    for reader in ("las", "xyz", "cube-envi"):
+        folder = tmp_path / reader
+        folder.mkdir()
+        READERS[reader].write(folder)
+    las, xyz = (READERS[one].read(tmp_path / one) for one in ("las", "xyz"))
+    swapped = replace(las, x=las.y, y=las.x)
+    assert other_opinion("las", tmp_path / "las", las) is None
+    assert "laspy's x reads 412306 at [0], we 6.1912e+06" in str(
+        other_opinion("las", tmp_path / "las", swapped)
+    )
+    assert "pandas' x" in str(other_opinion("xyz", tmp_path / "xyz", replace(xyz, x=xyz.y)))
+    cube = READERS["cube-envi"].read(tmp_path / "cube-envi")
+    turned = replace(cube, values=cube.values[..., ::-1])
+    assert other_opinion("cube-envi", tmp_path / "cube-envi", cube) is None
+    assert "spectral reads" in str(other_opinion("cube-envi", tmp_path / "cube-envi", turned))
+    before = _contents(tmp_path / "xyz")
+    rows = before["cloud.xyz"].split(b"\n")
+    after = {"cloud.xyz": b"\n".join([b"1 2 3", *rows[1:]])}
+    first = replace(xyz, x=np.r_[1.0, xyz.x[1:]])
+    assert untouched("xyz", before, after, xyz, first) is None
+    second = replace(xyz, x=np.r_[1.0, 7.0, xyz.x[2:]])
+    assert "we 7" in str(untouched("xyz", before, after, xyz, second))
+
+
+def test_who_judges_what_is_accepted_is_known() -> None:
+    assert {*LIBRARIES, *TOUCHED, *VARIANTS} <= set(READERS)
+    assert {library.__qualname__.split(".")[0] for library in LIBRARIES.values()} >= {
+        "_spectral", "_laspy", "_rasterio", "_pandas", "_trimesh"
+    }  # fmt: skip
+
+
+@pytest.mark.study  # each copies the package and tries 200 files in processes of their own
+@pytest.mark.parametrize("name", SILENT)
+def test_bugs_without_an_error_are_found_in_200_tries(name: str) -> None:
+    was_found, line = found(BUGS[name], 200)
+    assert was_found, line
