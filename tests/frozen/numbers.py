@@ -24,7 +24,7 @@ how many there are, and of short text, such as names, a checksum. Of a picture t
 each of 8 x 6 parts of it; of a page, and of sentences, each number in them, on a scale on which a
 hundredth of any is as far."""
 
-_ROUGHLY = {": cells": 0.05, ": page": 0.02, ": said": 0.02}
+_ROUGHLY = {": colours of parts": 0.05, ": numbers shown": 0.02, ": said": 0.02}
 """What is shown may differ by: of colours, as letters are drawn otherwise by other versions; and by
 a fiftieth of the numbers of sentences, which are rounded."""
 _LATER = (*_ROUGHLY, ": gps_time")
@@ -120,14 +120,14 @@ def columns_of(path: Path) -> dict[str, np.ndarray]:
     if kind == ".png":
         return {
             "pixels": np.array(struct.unpack(">2I", path.read_bytes()[16:24])),
-            "cells": _cells(path),
+            "colours of parts": _colours(path),
         }
     if path.name == "report.html":
-        return {"page": _page(path.read_text("utf-8"))}
+        return {"numbers shown": _page(path.read_text("utf-8"))}
     return {}
 
 
-def _cells(path: Path) -> np.ndarray:
+def _colours(path: Path) -> np.ndarray:
     """Mean red, green and blue of 8 x 6 parts of a picture, from 0 to 255."""
     with Image.open(path) as image:
         parts = image.convert("RGB").resize((8, 6), Image.Resampling.BOX)
@@ -184,9 +184,9 @@ def numbers_of(folder: Path) -> Numbers:
         found[inside.as_posix()] = [1.0]
         for name, values in columns_of(path).items():
             key = f"{inside.as_posix()}: {name}"
-            if name == "cells":
+            if name == "colours of parts":
                 found[key] = [float(values.size), *values.ravel().tolist(), 255.0]
-            elif name == "page":
+            elif name == "numbers shown":
                 found[key] = _each(values)
             elif name == "gps_time" or not _DIFFERS_BY_RUN.search(name):
                 found[key] = _numbers(np.asarray(values))

@@ -1,4 +1,4 @@
-"""Valid files that say the same in another way: optional fields of formats, two at a time.
+"""Valid files that say the same in another way: optional fields of formats, in pairs and more.
 
 They are written from the values of a reader's seed without the package's writers. What a reader
 makes of them must be what it makes of the seed.
@@ -99,9 +99,9 @@ def difference(whole: Any, found: Any, hidden: Hidden = None) -> str | None:
     return None
 
 
-def _two(chance: random.Random, *options: str) -> set[str]:
-    """Two of the options, or one."""
-    return set(chance.sample(options, min(len(options), chance.choice((1, 2, 2, 2)))))
+def _some(chance: random.Random, *options: str) -> set[str]:
+    """One of the options, a pair, or up to four."""
+    return set(chance.sample(options, min(len(options), chance.choice((1, 2, 2, 3, 4)))))
 
 
 # -- ENVI -----------------------------------------------------------------------------------
@@ -119,7 +119,7 @@ def _envi(path: Path, chance: random.Random) -> Hidden:
     values = np.fromfile(data, "<f4").reshape(place).astype(float)
     if keys["interleave"] == "bil":
         values = values.transpose(1, 0, 2)
-    some = _two(
+    some = _some(
         chance, "scale", "ignore", "units", "interleave", "bytes", "offset", "bands", "type"
     )
     hidden: Hidden = None
@@ -141,8 +141,9 @@ def _envi(path: Path, chance: random.Random) -> Hidden:
         kind = chance.choice(("<i2", "<u2", "<i4", "<f4")) if divisor > 100.0 else "<f4"
         keys["reflectance scale factor"] = f"{divisor:g}"
     values = values * divisor
-    # Of integers also a number that would be reflectance had it been divided.
-    missing = chance.choice((-9999, -1)) if "u" not in kind else 65535
+    # Also one that is reflectance once it is divided.
+    usual = 65535 if "u" in kind else -9999
+    missing = chance.choice((usual, round(0.9 * divisor) if divisor > 1.0 else usual))
     values[ignored] = missing
     if "ignore" in some or "data ignore value" in keys:
         keys["data ignore value"] = str(missing)
@@ -183,7 +184,9 @@ def _tiff(path: Path, chance: random.Random, reader: str) -> Hidden:
         tags = [file.tags(i) for i in file.indexes]
         own, units = file.tags(), file.units
     image = path.name in ("cube.tif", "image.tif")
-    some = _two(chance, "scale", "nodata", "bands", "interleave", "tiles", "type", "south", "units")
+    some = _some(
+        chance, "scale", "nodata", "bands", "interleave", "tiles", "type", "south", "units"
+    )
     hidden: Hidden = None
     ignored = np.zeros(values.shape, bool)
     if "nodata" in some and image:
@@ -247,7 +250,7 @@ def _netcdf(path: Path, chance: random.Random, reader: str) -> Hidden:
     with netCDF4.Dataset(path) as data:
         held = {n: (v[...], v.dimensions, v.__dict__) for n, v in data.variables.items()}
         of_file = data.__dict__
-    some = _two(chance, "scale", "fill", "dimensions", "units", "type", "order")
+    some = _some(chance, "scale", "fill", "dimensions", "units", "type", "order")
     path.unlink()
     hidden = None
     names = list(held)
@@ -296,7 +299,7 @@ def _zarr(path: Path, chance: random.Random) -> Hidden:
 
     data = xr.open_zarr(path, consolidated=False).load()
     version = 3 if (path / "zarr.json").is_file() else 2
-    some = _two(chance, "scale", "fill", "dimensions", "units", "chunks")
+    some = _some(chance, "scale", "fill", "dimensions", "units", "chunks")
     hidden = None
     encoding: dict[str, Any] = {}
     cube = data["reflectance"].astype("f8")
@@ -328,7 +331,7 @@ def _zarr(path: Path, chance: random.Random) -> Hidden:
 def _las(path: Path, chance: random.Random) -> Hidden:
     """Points: scales and offsets of the axes, kinds and order of records, versions."""
     old = laspy.read(path)
-    some = _two(chance, "scales", "offsets", "format")
+    some = _some(chance, "scales", "offsets", "format")
     kind = chance.choice((7, 8)) if "format" in some else 6
     header = laspy.LasHeader(version="1.4", point_format=kind)
     header.scales, header.offsets = old.header.scales, old.header.offsets
@@ -353,7 +356,7 @@ def _points(path: Path, chance: random.Random) -> Hidden:
     else:
         table = pd.read_csv(path)
         values, names = table.to_numpy(float), list(table.columns)
-    some = _two(chance, "columns", "more", "separator", "comment", "letters")
+    some = _some(chance, "columns", "more", "separator", "comment", "letters")
     head = path.suffix == ".csv"
     order = list(range(len(names)))
     columns = {name: [f"{v:.9g}" for v in values[:, i]] for i, name in enumerate(names)}
@@ -384,7 +387,7 @@ def _ply(path: Path, chance: random.Random) -> Hidden:
     else:
         values = np.asarray(trimesh.load(path).vertices, float)
         columns = columns[:3]
-    some = _two(chance, "order", "type", "bytes", "more")
+    some = _some(chance, "order", "type", "bytes", "more")
     if "order" in some:
         order = list(range(len(columns)))
         chance.shuffle(order)
@@ -451,7 +454,7 @@ def _spectrum(path: Path, chance: random.Random) -> Hidden:
     """Columns of a spectrum: units of both, order of wavelengths and columns, separator."""
     table = pd.read_csv(path, sep=None, engine="python")
     waves, values = table.iloc[:, 0].to_numpy(float), table.iloc[:, 1].to_numpy(float)
-    some = _two(chance, "percent", "micrometres", "falling", "separator", "decimal", "comment")
+    some = _some(chance, "percent", "micrometres", "falling", "separator", "decimal", "comment")
     names = ["wavelength_nm", "leaf"]
     if "micrometres" in some:
         waves, names[0] = waves / 1000.0, chance.choice(("wavelength_um", "Wavelength (um)"))
@@ -471,7 +474,7 @@ def _spectrum(path: Path, chance: random.Random) -> Hidden:
 def _wide(path: Path, chance: random.Random) -> Hidden:
     """A row a spectrum: its columns in another order, and one of words between them."""
     table = pd.read_csv(path, dtype=str)
-    some = _two(chance, "order", "words", "separator")
+    some = _some(chance, "order", "words", "separator")
     columns = list(table.columns)
     if "order" in some:
         columns = [columns[0], *columns[:0:-1]]
@@ -485,7 +488,7 @@ def _wide(path: Path, chance: random.Random) -> Hidden:
 def _table(path: Path, chance: random.Random) -> Hidden:
     """A table of records: order of columns, separator, decimals, blanks and comments."""
     table = pd.read_csv(path, dtype=str, keep_default_na=False)
-    some = _two(chance, "columns", "separator", "decimal", "comment", "blanks")
+    some = _some(chance, "columns", "separator", "decimal", "comment", "blanks")
     columns = list(table.columns)
     if "columns" in some:
         chance.shuffle(columns)
@@ -503,7 +506,7 @@ def _table(path: Path, chance: random.Random) -> Hidden:
 def _workbook(path: Path, chance: random.Random) -> Hidden:
     """A sheet: order of columns, an empty row or column before, another sheet without cells."""
     rows = [list(row) for row in openpyxl.load_workbook(path).active.iter_rows(values_only=True)]
-    some = _two(chance, "columns", "sheet", "text")
+    some = _some(chance, "columns", "sheet", "text")
     order = list(range(len(rows[0])))
     if "columns" in some:
         chance.shuffle(order)
@@ -529,7 +532,7 @@ _AIR_UNITS = {
 def _air(path: Path, chance: random.Random) -> Hidden:
     """Curves of an atmosphere: order of columns, units of each."""
     table = pd.read_csv(path)
-    some = _two(chance, "columns", "units", "separator")
+    some = _some(chance, "columns", "units", "separator")
     new = {}
     for name in table.columns:
         unit = re.search(r"\[(.*)\]", name)
@@ -568,7 +571,7 @@ VARIANTS: dict[str, tuple[str, Callable[..., Hidden]]] = {
     "statistics": ("statistics.csv", _table), "structure": ("structure.csv", _table),
     "workbook": ("statistics.xlsx", _workbook), "atmosphere": ("air.csv", _air),
 }  # fmt: skip
-"""By reader: its file, and how it is written anew with two of its optional fields changed."""
+"""By reader: its file, and how it is written anew with some of its optional fields changed."""
 
 
 def vary(reader: str, folder: Path, chance: random.Random) -> Hidden:
