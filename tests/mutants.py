@@ -183,7 +183,7 @@ GROUPS: dict[str, list[Mutant]] = {
         Mutant("compare/_spectra.py", "and not _BESIDE.search(c[0])]", "]",
                "compare/test_spectra.py flags"),
         Mutant("compare/_spectra.py", 'named.sort(key=lambda one: one[0].lower() != "reflectance")',
-               "named.sort()", "compare/test_spectra.py flags"),
+               "named.sort(key=lambda one: 0)", "compare/test_spectra.py flags"),
         Mutant("io/instruments/_lidar_cloud.py", "cloud.gps_time = returns.time",
                "cloud.gps_time = returns.time[::-1]", "frozen/test_frozen.py simulate"),
         Mutant("report/figures/_image.py", 'values, origin="lower", extent=extent',

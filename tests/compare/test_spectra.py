@@ -109,14 +109,15 @@ def test_what_is_missing_is_left_out_and_counted(tmp_path: Path) -> None:
 
 def test_flags_and_errors_before_the_reflectance_are_not_taken_for_it(tmp_path: Path) -> None:
     spectra = cube().reshape(len(WAVE), -1).T
-    data = xr.Dataset({
-        "reflectance_good": ("band", np.ones(len(WAVE), np.int8)),
-        "reflectance_uncertainty": (("y", "band"), 0.1 * spectra),
-        "reflectance": (("y", "band"), spectra),
-    })  # fmt: skip
-    data["wavelength"] = ("band", WAVE)
-    data.to_netcdf(tmp_path / "flags.nc")
-    np.testing.assert_allclose(read(tmp_path / "flags.nc").values, spectra)
+    for name, others in (
+        ("surface_reflectance", ("surface_reflectance_uncertainty", "reflectance_good")),
+        ("reflectance", ("path_reflectance",)),
+    ):
+        data = xr.Dataset(dict.fromkeys(others, (("y", "band"), 0.1 * spectra)))
+        data[name] = ("y", "band"), spectra
+        data["wavelength"] = ("band", WAVE)
+        data.to_netcdf(tmp_path / f"{name}.nc")
+        np.testing.assert_allclose(read(tmp_path / f"{name}.nc").values, spectra)
 
 
 def test_bad_input(tmp_path: Path) -> None:

@@ -135,7 +135,8 @@ def _colours(path: Path) -> np.ndarray:
 
 
 def _in_text(text: str) -> list[float]:
-    """The numbers of a sentence."""
+    """The numbers of a sentence, but for those of paths and dates."""
+    text = re.sub(r"\S*[/\\]\S+|\d+-\d\d-\d\d\S*", " ", text)
     return [float(found.replace("−", "-")) for found in _DIGITS.findall(text)]
 
 

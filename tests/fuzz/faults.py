@@ -18,7 +18,7 @@ import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import closing, suppress
 from datetime import UTC, datetime
 from pathlib import Path
@@ -72,13 +72,13 @@ def child(largest: int | None) -> None:
     main(line)
 
 
-def _commands(folder: Path) -> dict[str, tuple[list[str], str]]:
-    """Inputs of every command in `folder`, and there its line and the file that may change."""
+def _commands(folder: Path, names: Sequence[str]) -> dict[str, tuple[list[str], str]]:
+    """Inputs of commands in `folder`, and there their lines and the file that may change."""
     from tests.frozen.cases import CASES, TRAIN, _fit_leaf, _map, _small
     from tests.studies.test_bioscape_validate import write_tables
 
     others: dict[str, tuple[list[str], str]] = {}
-    for name, own in _AS_FROZEN.items():
+    for name, own in [one for one in _AS_FROZEN.items() if one[0] in names]:
         (folder / name).mkdir()
         line = next(iter(CASES[name].runs(folder / name).values()))
         line = [str(part).replace(f"{folder}/", "") for part in line]
@@ -232,11 +232,12 @@ def _change(path: Path) -> None:
 class Study:
     """Runs of all commands, each beside a copy of the inputs."""
 
-    def __init__(self, folder: Path, seed: int) -> None:
+    def __init__(self, folder: Path, seed: int, names: Sequence[str], warm: bool = True) -> None:
         self.folder, self.chance = folder, random.Random(seed)
         self.inputs = folder / "inputs"
         self.inputs.mkdir()
-        self.commands = _commands(self.inputs)
+        self.commands = _commands(self.inputs, names)
+        self.warm = warm
         self.whole: dict[tuple[str, bool], tuple[dict[str, bytes], float]] = {}
         self._count = 0
 
@@ -256,7 +257,7 @@ class Study:
             place = self.place()
             if changed:
                 _change(place / own)
-            for _ in range(2):  # the second finds its programs compiled
+            for _ in range(1 + self.warm):  # the second finds its programs compiled
                 _remove_output(None, place)
                 began = time.monotonic()
                 ended = _end(_begin(line, place))
@@ -331,7 +332,7 @@ def main() -> int:
     counts: dict[str, Counter[str]] = {name: Counter() for name in [*commands, *faults]}
     seconds = 60.0 * options.minutes if options.each is None else float("inf")
     with tempfile.TemporaryDirectory() as name:
-        study = Study(Path(name), options.seed)
+        study = Study(Path(name), options.seed, commands)
 
         def used() -> float:
             times = os.times()

@@ -141,9 +141,8 @@ def _envi(path: Path, chance: random.Random) -> Hidden:
         kind = chance.choice(("<i2", "<u2", "<i4", "<f4")) if divisor > 100.0 else "<f4"
         keys["reflectance scale factor"] = f"{divisor:g}"
     values = values * divisor
-    # Also one that is reflectance once it is divided.
-    usual = 65535 if "u" in kind else -9999
-    missing = chance.choice((usual, round(0.9 * divisor) if divisor > 1.0 else usual))
+    # It must not become reflectance by being divided.
+    missing = round(0.9 * divisor) if divisor > 1.0 else -9999
     values[ignored] = missing
     if "ignore" in some or "data ignore value" in keys:
         keys["data ignore value"] = str(missing)
