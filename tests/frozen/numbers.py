@@ -29,7 +29,9 @@ _ROUGHLY = {": colours of parts": 0.05, ": numbers shown": 0.02, ": said": 0.02}
 a fiftieth of the numbers of sentences, which are rounded."""
 _LATER = (*_ROUGHLY, ": gps_time")
 """What is compared where a case has frozen any of its kind."""
-_DIGITS = re.compile(r"(?<![\w.])[-−]?\d+(?:\.\d+)?(?:e[-+]?\d+)?(?![\w.]*\d)")
+_DIGITS = re.compile(
+    r"(?<![\w.])[-−]?\d+(?:\.\d+)?(?:e[-+]?\d+)?(?![\w.]*\d)(?!\s(?:CPU )?(?:s|min|h|[MG]iB)\b)"
+)
 _OF_A_RUN = re.compile(r"seconds|memory|wall|time|version", re.IGNORECASE)
 
 _DIFFERS_BY_RUN = re.compile(
