@@ -24,9 +24,9 @@ from tests.fuzz.variants import VARIANTS, difference, plain, vary
 
 @pytest.mark.skipif(sys.platform == "win32", reason="limits of memory are set as Unix has them")
 def test_damaged_files_end_in_one_clear_error() -> None:
-    counts, broken = fuzz(list(READERS), seed=0, each=16)
+    counts, broken = fuzz(list(READERS), seed=0, each=20)
     assert [f"{o.reader} {o.number}: {o.text}" for o in broken] == []
-    assert all(count["refused"] > 1 for count in counts.values())
+    assert all(count["refused"] > 0 for count in counts.values())
     assert sum(count["accepted"] for count in counts.values()) > 100
 
 
