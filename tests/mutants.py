@@ -39,6 +39,8 @@ _MACHINE = "cli/test_this_machine.py"
 _STRICT = "io/test_strict.py"
 _SHOWN = "report/test_shown.py"
 _OPTIONS = "cli/test_signatures.py"
+_BOMBS = "io/test_bombs.py"
+_ALIKE = "fuzz/test_fuzz.py alike and"
 
 GROUPS: dict[str, list[Mutant]] = {
     "files": [
@@ -142,6 +144,50 @@ GROUPS: dict[str, list[Mutant]] = {
                "canopy/test_mesh.py glb_has"),
         Mutant("io/text/_toml.py", "if deep := _DEEP.search(text):", "if deep := None:",
                f"{_STRICT} many_parts"),
+        Mutant("io/text/_toml.py", r"""|"(?:[^"\\\n]|\\.)*"|""", "|", f"{_BOMBS} quoted"),
+        Mutant("io/raster/_zarr.py", "return at + 4 * (flags >> 2 & 1) >= len(data)",
+               "return True", f"{_BOMBS} zstd"),
+        Mutant("io/raster/_zarr.py", "(1 if block >> 1 & 3 == 1 else block >> 3)", "(block >> 3)",
+               f"{_BOMBS} zstd"),
+        Mutant("io/text/_bounds.py", "for (name,) in [*views, *made]:", "for (name,) in made:",
+               f"{_BOMBS} geopackage"),
+        Mutant("io/text/_bounds.py", "[*views, *made]", "views", f"{_BOMBS} geopackage"),
+        Mutant("_core/memory.py", "found.append(limit - free * used)", "found.append(limit)",
+               f"{_BOMBS} group"),
+        Mutant("_core/memory.py", "for one in (root / path.strip(\"/\") / \"end\").parents:",
+               "for one in [root / path.strip(\"/\")]:", f"{_BOMBS} group"),
+        Mutant("_core/memory.py", "resource.setrlimit(resource.RLIMIT_DATA, (limit, most))", "pass",
+               f"{_BOMBS} netcdf"),
+        Mutant("_core/memory.py", "resource.setrlimit(resource.RLIMIT_DATA, (before, most))",
+               "pass", f"{_BOMBS} trimesh"),
+        Mutant("terrain/_cloud.py", "check_fits(count * (2 * size + _POINT)", "check_fits(0",
+               f"{_BOMBS} points"),
+        Mutant("_core/files.py", "file.read(min(largest, path.stat().st_size) + 1)",
+               "file.read(largest + 1)", f"{_BOMBS} wide_sheet"),
+    ],
+    "read": [
+        Mutant("terrain/_cloud.py", "table.columns(list(places.values()))",
+               "table.columns(sorted(places.values()))", f"{_ALIKE} cloud-csv"),
+        Mutant("terrain/_cloud.py", "for axis in (las.x, las.y, las.z))",
+               "for axis in (las.y, las.x, las.z))", "fuzz/test_fuzz.py others_are_seen"),
+        Mutant("io/spectra/_envi.py", "np.where(values == ignore, np.nan, values / scale)",
+               "np.where(values / scale == ignore, np.nan, values / scale)",
+               f"{_ALIKE} envi-library"),
+        Mutant("io/raster/_blocks.py", "*(d for d in values.dims if d != spectral), spectral",
+               "*[d for d in values.dims if d != spectral][::-1], spectral",
+               "io/test_blocks.py"),
+        Mutant("io/raster/_reader.py", "values += offset", "values -= offset",
+               f"{_ALIKE} cube-geotiff"),
+        Mutant("io/raster/_reader.py", "if t.is_identity or t.e < 0:", "if True:",
+               f"{_ALIKE} cube-geotiff"),
+        Mutant("compare/_spectra.py", "and not _BESIDE.search(c[0])]", "]",
+               "compare/test_spectra.py flags"),
+        Mutant("compare/_spectra.py", 'named.sort(key=lambda one: one[0].lower() != "reflectance")',
+               "named.sort(key=lambda one: 0)", "compare/test_spectra.py flags"),
+        Mutant("io/instruments/_lidar_cloud.py", "cloud.gps_time = returns.time",
+               "cloud.gps_time = returns.time[::-1]", "frozen/test_frozen.py simulate"),
+        Mutant("report/figures/_image.py", 'values, origin="lower", extent=extent',
+               'values, origin="upper", extent=extent', "frozen/test_frozen.py render"),
     ],
     "physics": [
         Mutant("sensors/lidar/_beams.py", "mirror / geometry.used_share - 1.0", "mirror - 1.0",

@@ -211,7 +211,7 @@ def read_bytes(path: Path, largest: int = LARGEST_TEXT) -> bytes:
     note_file(path)
     words = "it cannot be opened ({error.strerror})"
     with refusing(OSError, words=words, file=path), path.open("rb") as file:
-        data = file.read(largest + 1)
+        data = file.read(min(largest, path.stat().st_size) + 1)
     what = "it has"
     if data[:2] == b"\x1f\x8b":
         what = "it unfolds to"

@@ -342,11 +342,8 @@ def _cluster(count: int, settings: _Settings) -> Iterator[Any]:
 
 
 def _machine() -> tuple[int, int]:
-    """Cores and memory [bytes] that this process may take; those of a container where it is in
-    one."""
-    cores = require("dask.system", "map").CPU_COUNT
-    limit = require("distributed.system", "map").MEMORY_LIMIT
-    return int(cores), min(int(limit), free_memory())
+    """Cores and memory [bytes] that this process may take, in a container too."""
+    return int(require("dask.system", "map").CPU_COUNT), free_memory()
 
 
 def _settings(*, this_machine: bool) -> _Settings:

@@ -571,12 +571,18 @@ def _workbook(data: bytes, path: Path, what: str) -> bytes:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of styles and rules that are of no matter here
-            for sheet in excel.load_workbook(io.BytesIO(data), data_only=True).worksheets:
-                if sheet.max_row * sheet.max_column > _LARGEST_SHEET:
-                    raise ValueError(f"{sheet.title!r} reaches to {sheet.dimensions}")
+            book = excel.load_workbook(io.BytesIO(data), data_only=True, read_only=True)
+            for sheet in book.worksheets:
+                sheet.reset_dimensions()  # which may be stated wrongly
+                rows, width = list[list[str]](), 0
+                for row in sheet.iter_rows():
+                    rows.append([_cell(cell) for cell in row])
+                    width = max(width, len(row))
+                    if len(rows) * max(width, 1) > _LARGEST_SHEET:
+                        raise ValueError(f"{sheet.title!r} reaches to row {len(rows)} or beyond")
                 text = io.StringIO()
-                rows = ([_cell(cell) for cell in row] for row in sheet.iter_rows())
-                csv.writer(text, lineterminator="\n").writerows(rows)
+                whole = (row + [""] * (width - len(row)) for row in rows)
+                csv.writer(text, lineterminator="\n").writerows(whole)
                 if text.getvalue().strip(',"\n'):
                     sheets[sheet.title] = text.getvalue().encode()
     except Exception as error:  # openpyxl raises whatever it stumbles over

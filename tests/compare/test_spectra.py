@@ -107,6 +107,19 @@ def test_what_is_missing_is_left_out_and_counted(tmp_path: Path) -> None:
         assert len(read(write_csv(tmp_path / "c.csv", spectra)).values) == 11
 
 
+def test_flags_and_errors_before_the_reflectance_are_not_taken_for_it(tmp_path: Path) -> None:
+    spectra = cube().reshape(len(WAVE), -1).T
+    for name, others in (
+        ("surface_reflectance", ("surface_reflectance_uncertainty", "reflectance_good")),
+        ("reflectance", ("path_reflectance",)),
+    ):
+        data = xr.Dataset(dict.fromkeys(others, (("y", "band"), 0.1 * spectra)))
+        data[name] = ("y", "band"), spectra
+        data["wavelength"] = ("band", WAVE)
+        data.to_netcdf(tmp_path / f"{name}.nc")
+        np.testing.assert_allclose(read(tmp_path / f"{name}.nc").values, spectra)
+
+
 def test_bad_input(tmp_path: Path) -> None:
     spectra = cube().reshape(len(WAVE), -1).T
     other = write_csv(tmp_path / "other.csv", spectra, WAVE + 3.0)

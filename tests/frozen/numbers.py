@@ -1,5 +1,6 @@
 """The files of a folder as a few numbers each, and what of two such sets differs."""
 
+import html
 import json
 import re
 import struct
@@ -14,11 +15,24 @@ import numpy as np
 import pandas as pd
 import rasterio
 import xarray as xr
+from PIL import Image
 
 Numbers = dict[str, list[float]]
 """By file and column: how many values are finite, their mean, the mean of each times the sine of
 its place (so that another order is seen), and their root mean square; of one value itself. Of text
-how many there are, and of short text, such as names, a checksum."""
+how many there are, and of short text, such as names, a checksum. Of a picture the mean colour of
+each of 8 x 6 parts of it; of a page, and of sentences, each number in them, on a scale on which a
+hundredth of any is as far."""
+
+_ROUGHLY = {": colours of parts": 0.05, ": numbers shown": 0.02, ": said": 0.02}
+"""What is shown may differ by: of colours, as letters are drawn otherwise by other versions; and by
+a fiftieth of the numbers of sentences, which are rounded."""
+_LATER = (*_ROUGHLY, ": gps_time")
+"""What is compared where a case has frozen any of its kind."""
+_DIGITS = re.compile(
+    r"(?<![\w.])[-−]?\d+(?:\.\d+)?(?:e[-+]?\d+)?(?![\w.]*\d)(?!\s(?:CPU )?(?:s|min|h|[MG]iB)\b)"
+)
+_OF_A_RUN = re.compile(r"seconds|memory|wall|time|version", re.IGNORECASE)
 
 _DIFFERS_BY_RUN = re.compile(
     r"(^|[._])(timings?|time|timings_s|files?|output|date|version|created|command)(\[\]|[._]|$)"
@@ -106,8 +120,41 @@ def columns_of(path: Path) -> dict[str, np.ndarray]:
     if kind in (".obj", ".mtl"):
         return _text(path)
     if kind == ".png":
-        return {"pixels": np.array(struct.unpack(">2I", path.read_bytes()[16:24]))}
+        return {
+            "pixels": np.array(struct.unpack(">2I", path.read_bytes()[16:24])),
+            "colours of parts": _colours(path),
+        }
+    if path.name == "report.html":
+        return {"numbers shown": _page(path.read_text("utf-8"))}
     return {}
+
+
+def _colours(path: Path) -> np.ndarray:
+    """Mean red, green and blue of 8 x 6 parts of a picture, from 0 to 255."""
+    with Image.open(path) as image:
+        parts = image.convert("RGB").resize((8, 6), Image.Resampling.BOX)
+    return np.asarray(parts, float).round(1)
+
+
+def _in_text(text: str) -> list[float]:
+    """The numbers of a sentence, but for those of paths and dates."""
+    text = re.sub(r"\S*[/\\]\S+|\d+-\d\d-\d\d\S*", " ", text)
+    return [float(found.replace("−", "-")) for found in _DIGITS.findall(text)]
+
+
+def _each(numbers: np.ndarray) -> list[float]:
+    """Every number, on a scale whose steps are shares of it above a thousandth."""
+    scaled = np.arcsinh(1000.0 * numbers)
+    return [float(numbers.size), *scaled.round(4).tolist(), 1.0]
+
+
+def _page(text: str) -> np.ndarray:
+    """Numbers that a page says to its reader: its sentences, key figures and tables, without times
+    and the record at its foot."""
+    text = re.sub(r"<(style|script|head|footer)\b.*?</\1>", " ", text, flags=re.DOTALL)
+    parts = re.split(r"(?=<(?:p|section|figure|div class=\"key\")\b)", text)
+    shown = [part for part in parts if not _OF_A_RUN.search(re.sub(r"<[^>]*>", " ", part))]
+    return np.array(_in_text(html.unescape(re.sub(r"<[^>]*>", " ", " ".join(shown)))))
 
 
 def _numbers(values: np.ndarray) -> list[float]:
@@ -139,8 +186,17 @@ def numbers_of(folder: Path) -> Numbers:
             continue
         found[inside.as_posix()] = [1.0]
         for name, values in columns_of(path).items():
-            if not _DIFFERS_BY_RUN.search(name):
-                found[f"{inside.as_posix()}: {name}"] = _numbers(np.asarray(values))
+            key = f"{inside.as_posix()}: {name}"
+            if name == "colours of parts":
+                found[key] = [float(values.size), *values.ravel().tolist(), 255.0]
+            elif name == "numbers shown":
+                found[key] = _each(values)
+            elif name == "gps_time" or not _DIFFERS_BY_RUN.search(name):
+                found[key] = _numbers(np.asarray(values))
+                if values.dtype.kind not in "biuf" and values.size:
+                    said = [n for one in values.ravel() for n in _in_text(str(one))]
+                    if len(str(values.ravel()[0])) >= 40 and said:
+                        found[f"{key}: said"] = _each(np.array(said))
     return found
 
 
@@ -150,6 +206,8 @@ def differences(frozen: Numbers, now: Numbers, loose: Mapping[str, float]) -> li
     `loose` has a larger share for what a pattern finds, also for how many values there are;
     of infinity, whether there are any.
     """
+    never = [kind for kind in _LATER if not any(kind in name for name in frozen)]
+    now = {k: v for k, v in now.items() if not any(kind in k for kind in never)}
     left_out = [pattern for pattern, share in loose.items() if share == np.inf]
     frozen, now = (
         {k: v for k, v in one.items() if not any(re.search(p, k) for p in left_out)}
@@ -160,6 +218,7 @@ def differences(frozen: Numbers, now: Numbers, loose: Mapping[str, float]) -> li
     for name in frozen.keys() & now.keys():
         old, new = frozen[name], now[name]
         share = max([1e-5, *(s for pattern, s in loose.items() if re.search(pattern, name))])
+        share = max([share, *(s for kind, s in _ROUGHLY.items() if name.endswith(kind))])
         sizes = [old[0] * (share > 1e-5), *[abs(old[-1])] * (len(old) - 1)]
         apart = [abs(a - b) > share * size for a, b, size in zip(old, new, sizes)]
         if len(old) != len(new) or any(apart):

@@ -3,12 +3,15 @@
 import json
 from pathlib import Path
 
+import laspy
+import numpy as np
 import pytest
 import typer
+from PIL import Image
 
 from fynjax.app.cli import app
 from tests.frozen.cases import CASES, run
-from tests.frozen.numbers import differences
+from tests.frozen.numbers import differences, numbers_of
 
 HERE = Path(__file__).parent
 MARKED = [
@@ -35,3 +38,40 @@ def test_every_command_has_a_case() -> None:
     for name, command in typer.main.get_command(app).commands.items():
         names |= {f"{name}-{part}" for part in getattr(command, "commands", ())} or {name}
     assert names == set(CASES)
+
+
+def _shown(
+    folder: Path, step: int = 1, mean: str = "0.132", turn: int = 1
+) -> dict[str, list[float]]:
+    """Numbers of a picture, a page, sentences and a cloud."""
+    folder.mkdir()
+    picture = np.full((60, 80, 3), 240, np.uint8)
+    picture[:, :40] = (200, 80, 60)
+    Image.fromarray(picture[:, ::step]).save(folder / "maps.png")
+    (folder / "report.html").write_text(
+        f'<main><p>{folder}/1.nc 2026-11-28</p><div class="key"><b>{mean}</b></div>'
+        f"<section><td>1234</td></section><p>Wall time. {len(folder.name)} s</p>"
+        "<footer>5</footer></main>"
+    )
+    sentence = f"The mean of the image in the red is {mean} after the run."
+    (folder / "summary.json").write_text(json.dumps({"headline": [sentence]}))
+    las = laspy.LasData(laspy.LasHeader(version="1.4", point_format=6))
+    las.x = las.y = las.z = np.arange(5.0)
+    las.gps_time = np.arange(5.0)[::turn] ** 2
+    las.write(folder / "cloud.las")
+    return numbers_of(folder)
+
+
+def test_pictures_pages_sentences_and_times_of_pulses_are_compared(tmp_path: Path) -> None:
+    old = _shown(tmp_path / "a")
+    assert differences(old, _shown(tmp_path / "again"), {}) == []
+    for name, change, where in (
+        ("b", {"step": -1}, ["maps.png: colours of parts"]),
+        ("c", {"mean": "0.155"}, ["report.html: numbers shown", "summary.json: headline[]: said"]),
+        ("d", {"turn": -1}, ["cloud.las: gps_time"]),
+    ):
+        lines = differences(old, _shown(tmp_path / name, **change), {})
+        assert [line.rpartition(": ")[0].split(": [")[0] for line in lines] == where
+    later = ("colours of parts", "numbers shown", ": said", ": gps_time")
+    earlier = {name: one for name, one in old.items() if not name.endswith(later)}
+    assert differences(earlier, old, {}) == []  # of a case that has frozen none of their kind

@@ -2,7 +2,8 @@
 
 `python -m tests.fuzz.faults --minutes 12 [--command NAME] [--fault NAME] [--seed N]`: after each
 fault the command is given again, and its files are compared with those of a run that nothing
-disturbed. `equal`: to the bit. `says why`: it ends with one line. `other`: anything else.
+disturbed. `equal`: to the bit. `says why`: it ends with one line. `other`: anything else. With
+`--each N` every fault is tried so often on every command.
 """
 
 import argparse
@@ -11,13 +12,14 @@ import random
 import resource
 import shutil
 import signal
+import sqlite3
 import subprocess
 import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Sequence
+from contextlib import closing, suppress
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -70,16 +72,23 @@ def child(largest: int | None) -> None:
     main(line)
 
 
-def _commands(folder: Path) -> dict[str, tuple[list[str], str]]:
-    """Inputs of every command in `folder`, and there its line and the file that may change."""
-    from tests.frozen.cases import TRAIN, _fit_leaf, _map, _small
+def _commands(folder: Path, names: Sequence[str]) -> dict[str, tuple[list[str], str]]:
+    """Inputs of commands in `folder`, and there their lines and the file that may change."""
+    from tests.frozen.cases import CASES, TRAIN, _fit_leaf, _map, _small
     from tests.studies.test_bioscape_validate import write_tables
 
+    others: dict[str, tuple[list[str], str]] = {}
+    for name, own in [one for one in _AS_FROZEN.items() if one[0] in names]:
+        (folder / name).mkdir()
+        line = next(iter(CASES[name].runs(folder / name).values()))
+        line = [str(part).replace(f"{folder}/", "") for part in line]
+        others[name] = line, next(iter(sorted(folder.glob(own)))).relative_to(folder).as_posix()
     plot, target = (path.name for path in _small(folder))
     leaves = str(_fit_leaf(folder)["D"][1].relative_to(folder))
     _map(folder)
     write_tables(folder / "tables")
     lines = {
+        **others,
         "calibrate": (["calibrate", plot, "--target", target], target),
         "posterior": (
             ["posterior", plot, "--target", target, "--steps", "8", "--draws", "10"], target
@@ -100,6 +109,13 @@ def _spectra_table(folder: Path) -> str:
     return next(str(p.relative_to(folder)) for p in (folder / "tables").glob("*waves.csv"))
 
 
+_AS_FROZEN = {
+    "diversity": "diversity/species.csv", "design": "design/species.csv",
+    "sensitivity": "sensitivity/species.csv", "frames": "frames/species.csv",
+    "crowns": "crowns/rendered/*.tif",
+}  # fmt: skip
+"""Commands that run as `tests.frozen` has them, and their file that may change."""
+NAMES = ["calibrate", "posterior", "train", "map", "fit-leaf", "calibrate-plots", *_AS_FROZEN]
 _WITH_WORKERS = ("train", "map", "calibrate-plots")
 
 
@@ -140,6 +156,10 @@ def _content(path: Path) -> bytes:
     """Bytes of a file without the time at which it was made."""
     if path.name in _TIMED:
         return b""
+    if path.suffix == ".gpkg":
+        with closing(sqlite3.connect(path)) as base:  # it keeps the time of each layer
+            rows = [line for line in base.iterdump() if "gpkg_contents" not in line]
+        return "\n".join(rows).encode()
     if path.name != "posterior.nc":
         return path.read_bytes()
     import netCDF4
@@ -212,11 +232,12 @@ def _change(path: Path) -> None:
 class Study:
     """Runs of all commands, each beside a copy of the inputs."""
 
-    def __init__(self, folder: Path, seed: int) -> None:
+    def __init__(self, folder: Path, seed: int, names: Sequence[str], warm: bool = True) -> None:
         self.folder, self.chance = folder, random.Random(seed)
         self.inputs = folder / "inputs"
         self.inputs.mkdir()
-        self.commands = _commands(self.inputs)
+        self.commands = _commands(self.inputs, names)
+        self.warm = warm
         self.whole: dict[tuple[str, bool], tuple[dict[str, bytes], float]] = {}
         self._count = 0
 
@@ -236,7 +257,7 @@ class Study:
             place = self.place()
             if changed:
                 _change(place / own)
-            for _ in range(2):  # the second finds its programs compiled
+            for _ in range(1 + self.warm):  # the second finds its programs compiled
                 _remove_output(None, place)
                 began = time.monotonic()
                 ended = _end(_begin(line, place))
@@ -300,17 +321,18 @@ class Study:
 
 
 def main() -> int:
-    names = ["calibrate", "posterior", "train", "map", "fit-leaf", "calibrate-plots"]
     parser = argparse.ArgumentParser(prog="python -m tests.fuzz.faults")
     parser.add_argument("--minutes", type=float, default=60.0, help="of the processor, about")
-    parser.add_argument("--command", action="append", choices=names, help="all of them")
+    parser.add_argument("--each", type=int, help="tries of each fault, whatever time they take")
+    parser.add_argument("--command", action="append", choices=NAMES, help="all of them")
     parser.add_argument("--fault", action="append", choices=list(FAULTS), help="all of them")
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
-    commands, faults = options.command or names, options.fault or list(FAULTS)
-    counts: dict[str, Counter[str]] = {name: Counter() for name in commands}
+    commands, faults = options.command or NAMES, options.fault or list(FAULTS)
+    counts: dict[str, Counter[str]] = {name: Counter() for name in [*commands, *faults]}
+    seconds = 60.0 * options.minutes if options.each is None else float("inf")
     with tempfile.TemporaryDirectory() as name:
-        study = Study(Path(name), options.seed)
+        study = Study(Path(name), options.seed, commands)
 
         def used() -> float:
             times = os.times()
@@ -319,17 +341,20 @@ def main() -> int:
         pairs = [(c, f) for c in commands for f in faults
                  if (f != "worker killed" or c in _WITH_WORKERS)
                  and (f != "input changed" or study.commands[c][1])]  # fmt: skip
-        while used() < 60.0 * options.minutes:
+        rounds = 0
+        while used() < seconds and rounds != options.each:
+            rounds += 1
             study.chance.shuffle(pairs)
             for command, fault in pairs:
-                if used() >= 60.0 * options.minutes:
+                if used() >= seconds:
                     break
                 kind, why = study.tried(command, fault)
                 counts[command][kind] += 1
+                counts[fault][kind] += 1
                 print(f"{command}, {fault}: {kind}: {' '.join(why.split())[:300]}", flush=True)
     kinds = ("equal", "says why", "other")
     print(f"{'command':<17}{'tried':>7}{'equal':>7}{'says why':>10}{'other':>7}")
-    total = sum(counts.values(), start=Counter())
+    total = sum((counts[name] for name in commands), start=Counter())
     for name, count in [*counts.items(), ("all", total)]:
         equal, why, other = (count[kind] for kind in kinds)
         print(f"{name:<17}{count.total():>7}{equal:>7}{why:>10}{other:>7}")

@@ -356,7 +356,8 @@ def _shipped(name: str) -> Callable[[Path], Any]:
 def _blocks(name: str) -> Callable[[Path], Any]:
     def read(folder: Path) -> Any:
         with open_blocks(folder / name) as cube:
-            return cube.scale(), [cube.read(start, 1) for start in range(min(cube.shape[0], 100))]
+            rows = [cube.read(start, 1) for start in range(min(cube.shape[0], 100))]
+            return cube.scale(), rows, cube.wavelength
 
     return read
 

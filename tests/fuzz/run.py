@@ -12,15 +12,17 @@ import traceback
 import warnings
 from collections import Counter
 from collections.abc import Iterable, Iterator
+from functools import lru_cache
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import psutil
 
 from tests.fuzz.extreme import make_extreme
 from tests.fuzz.mutate import damaged
+from tests.fuzz.variants import VARIANTS, Hidden, difference, plain, vary
 
 SECONDS = 10.0
 """Longest that a reader may take for a file."""
@@ -48,21 +50,40 @@ class Outcome:
 
 _EXTREME = 0.3
 """Share of inputs that are valid files with extreme values, of formats that have a writer."""
+_VARIED = 0.25
+"""Share of inputs that say the same as the seed in another way."""
 
 
-def inputs(seeds: Path, reader: str, seed: int, number: int) -> dict[str, bytes]:
-    """Files by name, one of them damaged or with extreme values: the same for the same numbers."""
+class Input(NamedTuple):
+    """Files that a reader is given."""
+
+    files: dict[str, bytes]
+    """By name."""
+    varied: bool = False
+    """Whether they must be read as the seed is."""
+    hidden: Hidden = None
+    """What they state to be missing of it."""
+
+
+def made(seeds: Path, reader: str, seed: int, number: int) -> Input:
+    """Files by name, one of them damaged, with extreme values, or written in another way: the same
+    for the same numbers."""
     folder = seeds / reader
     chance = random.Random(f"{reader} {seed} {number}")
-    if chance.random() < _EXTREME:
-        with tempfile.TemporaryDirectory() as name:
-            copy = Path(name) / "copy"
+    kind = chance.random()
+    with tempfile.TemporaryDirectory() as name:
+        copy = Path(name) / "copy"
+        if reader in VARIANTS and kind > 1.0 - _VARIED:
+            shutil.copytree(folder, copy)
+            hidden = vary(reader, copy, chance)
+            return Input(_contents(copy), True, hidden)
+        if kind < _EXTREME:
             shutil.copytree(folder, copy)
             if make_extreme(copy, chance):
-                return _contents(copy)
+                return Input(_contents(copy))
     files = _contents(folder)
     name = chance.choice(list(files))
-    return {**files, name: damaged(files[name], chance)}
+    return Input({**files, name: damaged(files[name], chance)})
 
 
 def _contents(folder: Path) -> dict[str, bytes]:
@@ -112,16 +133,19 @@ def _refusal(error: Exception, files: dict[str, bytes]) -> str | None:
     return None
 
 
-def _tried(reader: str, folder: Path, files: dict[str, bytes]) -> tuple[str, str]:
-    """Kind and text of the outcome of one input."""
+def _tried(reader: str, folder: Path, given: Input, seeds: Path | None = None) -> tuple[str, str]:
+    """Kind and text of the outcome of one input, judged by the valid files below `seeds` too."""
     from fynjax._core.errors import InputError
     from tests.fuzz.readers import READERS
 
+    files = given.files
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         try:
             result = READERS[reader].read(folder)
         except InputError as error:
+            if given.varied:
+                return "other", f"a valid file is refused: {str(error)[:200]!r}"
             wrong = _refusal(error, files)
             return ("other", f"error {wrong}: {str(error)!r}") if wrong else ("refused", str(error))
         except BaseException as error:  # also the panics of libraries
@@ -137,9 +161,35 @@ def _tried(reader: str, folder: Path, files: dict[str, bytes]) -> tuple[str, str
         if not issubclass(warning.category, UserWarning | _OF_LATER_VERSIONS):
             at = f"{Path(warning.filename).name}:{warning.lineno}"
             return "other", f"{warning.category.__name__} at {at}: {str(warning.message)[:200]!r}"
-    if wrong := _strange(result, READERS[reader].missing):
-        return "other", wrong
-    return "accepted", ""
+    wrong = _strange(result, READERS[reader].missing) or (
+        None if seeds is None else _misread(reader, folder, given, result, seeds)
+    )
+    return ("other", wrong) if wrong else ("accepted", "")
+
+
+@lru_cache(maxsize=1)
+def _valid(reader: str, seeds: Path) -> tuple[dict[str, bytes], Any]:
+    """The files of a seed, and what their reader gives."""
+    from tests.fuzz.readers import READERS
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return _contents(seeds / reader), READERS[reader].read(seeds / reader)
+
+
+def _misread(reader: str, folder: Path, given: Input, result: Any, seeds: Path) -> str | None:
+    """What is not as in the valid file, or as another library reads it."""
+    from tests.fuzz.oracle import LIBRARIES, TOUCHED, other_opinion, untouched
+
+    if not given.varied and reader not in {*LIBRARIES, *TOUCHED}:
+        return None
+    before, whole = _valid(reader, seeds)
+    if given.varied:
+        wrong = difference(plain(reader, whole), plain(reader, result), given.hidden)
+        return wrong and f"not read as it was written: {wrong}"
+    return other_opinion(reader, folder, result) or untouched(
+        reader, before, given.files, whole, result
+    )
 
 
 def _work(pipe: Connection, seeds: Path, seed: int) -> None:
@@ -164,9 +214,9 @@ def _work(pipe: Connection, seeds: Path, seed: int) -> None:
                 return
             for number in numbers:
                 folder.mkdir()
-                files = inputs(seeds, reader, seed, number)
-                _write(folder, files)
-                pipe.send(_tried(reader, folder, files))
+                given = made(seeds, reader, seed, number)
+                _write(folder, given.files)
+                pipe.send(_tried(reader, folder, given, seeds))
                 shutil.rmtree(folder)
                 left = (one.name for one in threading.enumerate()[1:])
                 if not all(name.startswith(("zarr", "asyncio")) for name in left):
@@ -262,7 +312,7 @@ def fuzz(
                     if outcome.kind == "other":
                         broken.append(outcome)
                         if save is not None:
-                            _save(save, outcome, inputs(seeds, reader, seed, outcome.number))
+                            _save(save, outcome, made(seeds, reader, seed, outcome.number).files)
                 if time.monotonic() >= end:
                     break
             first = last

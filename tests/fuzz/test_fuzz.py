@@ -1,25 +1,32 @@
 """A minute of damaged files with a fixed seed, and what the fuzzer itself must notice."""
 
+import itertools
 import random
+import shutil
 import sys
 import warnings
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from fynjax._core.errors import InputError
-from tests.fuzz.bugs import BUGS, ROOT
+from tests.fuzz.bugs import BUGS, ROOT, SILENT, found
 from tests.fuzz.mutate import damaged
+from tests.fuzz.oracle import LIBRARIES, TOUCHED, other_opinion, untouched
 from tests.fuzz.readers import READERS, Reader
-from tests.fuzz.run import _tried, fuzz
+from tests.fuzz.run import Input, _contents, _tried, fuzz
+from tests.fuzz.variants import VARIANTS, difference, plain, vary
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="limits of memory are set as Unix has them")
 def test_damaged_files_end_in_one_clear_error() -> None:
-    counts, broken = fuzz(list(READERS), seed=0, each=16)
+    counts, broken = fuzz(list(READERS), seed=0, each=20)
     assert [f"{o.reader} {o.number}: {o.text}" for o in broken] == []
-    assert all(count["refused"] > 1 for count in counts.values())
+    assert all(count["refused"] > 0 for count in counts.values())
     assert sum(count["accepted"] for count in counts.values()) > 100
 
 
@@ -80,6 +87,81 @@ def test_what_counts_as_broken(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, reader: Reader, kind: str, words: str
 ) -> None:
     monkeypatch.setitem(READERS, "own", reader)
-    found, text = _tried("own", tmp_path, {"a.csv": b"0, 1, 2, " * 60})
+    found, text = _tried("own", tmp_path, Input({"a.csv": b"0, 1, 2, " * 60}))
     assert found == kind
     assert words in text
+
+
+class InPairs(random.Random):
+    """Gives every pair of options once."""
+
+    number, count, pair = 0, 5, ()
+
+    def sample(self, population: Sequence[str], *given: Any, **named: Any) -> list[str]:
+        pairs = list(itertools.combinations(population, 2))
+        self.count, self.pair = len(pairs), pairs[self.number % len(pairs)]
+        return list(self.pair)
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("reader", VARIANTS)
+def test_a_file_that_says_it_in_another_way_is_read_alike(reader: str, tmp_path: Path) -> None:
+    """Scale, ignore value, units, order and more, in pairs."""
+    (tmp_path / "seed").mkdir()
+    READERS[reader].write(tmp_path / "seed")
+    whole = plain(reader, READERS[reader].read(tmp_path / "seed"))
+    chance = InPairs(0)
+    contents = set()
+    while chance.number < chance.count:
+        folder = tmp_path / f"{chance.number}"
+        shutil.copytree(tmp_path / "seed", folder)
+        hidden = vary(reader, folder, chance)
+        again = plain(reader, READERS[reader].read(folder))
+        assert difference(whole, again, hidden) is None, chance.pair
+        contents.add(tuple(_contents(folder).values()))
+        chance.number += 1
+    assert len(contents) > chance.count // 3
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_numbers_that_are_others_are_seen(tmp_path: Path) -> None:
+    rising = np.arange(9.0)
+    assert difference({"a": rising}, {"a": rising[::-1]}) == ".a[0] is 8, not 0"
+    assert difference({"a": rising}, {"a": rising}) is None
+    assert "not nan" in str(difference([np.arange(9.0)], [np.arange(9.0)], np.array([3.0])))
+    for reader in ("las", "xyz", "cube-envi"):
+        folder = tmp_path / reader
+        folder.mkdir()
+        READERS[reader].write(folder)
+    las, xyz = (READERS[one].read(tmp_path / one) for one in ("las", "xyz"))
+    swapped = replace(las, x=las.y, y=las.x)
+    assert other_opinion("las", tmp_path / "las", las) is None
+    assert "laspy's x reads 412306 at [0], we 6.1912e+06" in str(
+        other_opinion("las", tmp_path / "las", swapped)
+    )
+    assert "pandas' x" in str(other_opinion("xyz", tmp_path / "xyz", replace(xyz, x=xyz.y)))
+    cube = READERS["cube-envi"].read(tmp_path / "cube-envi")
+    turned = replace(cube, values=cube.values[..., ::-1])
+    assert other_opinion("cube-envi", tmp_path / "cube-envi", cube) is None
+    assert "spectral reads" in str(other_opinion("cube-envi", tmp_path / "cube-envi", turned))
+    before = _contents(tmp_path / "xyz")
+    rows = before["cloud.xyz"].split(b"\n")
+    after = {"cloud.xyz": b"\n".join([b"1 2 3", *rows[1:]])}
+    first = replace(xyz, x=np.r_[1.0, xyz.x[1:]])
+    assert untouched("xyz", before, after, xyz, first) is None
+    second = replace(xyz, x=np.r_[1.0, 7.0, xyz.x[2:]])
+    assert "we 7" in str(untouched("xyz", before, after, xyz, second))
+
+
+def test_who_judges_what_is_accepted_is_known() -> None:
+    assert {*LIBRARIES, *TOUCHED, *VARIANTS} <= set(READERS)
+    assert {library.__qualname__.split(".")[0] for library in LIBRARIES.values()} >= {
+        "_spectral", "_laspy", "_rasterio", "_pandas", "_trimesh"
+    }  # fmt: skip
+
+
+@pytest.mark.study  # each copies the package and tries 200 files in processes of their own
+@pytest.mark.parametrize("name", SILENT)
+def test_bugs_without_an_error_are_found_in_200_tries(name: str) -> None:
+    was_found, line = found(BUGS[name], 200)
+    assert was_found, line

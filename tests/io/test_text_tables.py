@@ -130,7 +130,7 @@ def test_excel_workbooks(tmp_path, monkeypatch):
     book = openpyxl.load_workbook(path)
     book["sheet 1"]["XFD9999"] = 1
     book.save(tmp_path / "wide.xlsx")
-    with pytest.raises(InputError, match="'sheet 1' reaches to A1:XFD9999"):
+    with pytest.raises(InputError, match="'sheet 1' reaches to row 9999 or"):
         read_rows(tmp_path / "wide.xlsx", NamedRow, "a table")
     del book["sheet 1"]._cells[9999, 16384]
     book["sheet 1"]["B3"].number_format = "0.00%"

@@ -1,5 +1,6 @@
 """Spectra as a comparison needs them: from tables, libraries, ASD files, cubes and NetCDF."""
 
+import re
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 
 from fynjax._core.errors import LARGEST, InputError, in_file, names_file, refusing
 from fynjax._core.files import existing_file, how_to_import
+from fynjax._core.memory import bounded_memory
 from fynjax._core.progress import stage
 from fynjax._core.spectral import check_wavelength
 from fynjax.app.compare._images import thinning
@@ -21,6 +23,8 @@ from fynjax.metrics import WATER_WINDOWS
 
 _RASTERS = (".img", ".bil", ".bip", ".bsq", ".dat", ".tif", ".tiff")
 _NETCDF = {".nc", ".nc4", ".h5", ".hdf5"}
+_BESIDE = re.compile(r"good|flag|mask|quality|uncertain|error|(?:^|_)(?:unc|std|sd)(?:_|$)", re.I)
+"""Names of variables that say how good others are."""
 
 
 @dataclass(frozen=True)
@@ -217,6 +221,7 @@ def _read_netcdf(path: Path, most: int) -> _Part:
         refusing(*broken, words="cannot be read as NetCDF ({error}). Is it cut short?"),
         warnings.catch_warnings(action="ignore", category=xr.SerializationWarning),
         np.errstate(all="ignore"),  # of two marks of no data, and of scales beyond floats
+        bounded_memory(path),
         xr.open_datatree(path, engine="netcdf4") as tree,
     ):
         nodes = [node.to_dataset(inherit=True) for node in tree.subtree]
@@ -278,7 +283,8 @@ def _spectra_in(
         and "wavelength" not in str(name).lower()
         and str(name).lower() not in ("fwhm", dimension.lower())
     ]
-    named = [c for c in candidates if "reflectance" in c[0].lower()]
+    named = [c for c in candidates if "reflectance" in c[0].lower() and not _BESIDE.search(c[0])]
+    named.sort(key=lambda one: one[0].lower() != "reflectance")
     choice = named[:1] or (candidates if len(candidates) == 1 else [])
     if not choice:
         listed = ", ".join(name for name, _ in candidates) or "none"

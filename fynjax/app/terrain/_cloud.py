@@ -17,7 +17,7 @@ from fynjax._core.errors import InputError, in_file, listed, refusing
 from fynjax._core.extras import require
 from fynjax._core.tables import name_and_unit, open_points, places_of
 from fynjax.app.io.raster import check_metric, parse_crs
-from fynjax.app.io.text import check_stated_size, existing_file
+from fynjax.app.io.text import check_fits, check_stated_size, existing_file
 from fynjax.app.terrain._units import (
     Bounds,
     check_bounds,
@@ -275,6 +275,8 @@ def _read_las(
     return cloud.select(~withheld), system
 
 
+_POINT = 60
+"""Bytes of a point in memory beside two copies of its record."""
 _LASZIP, _EXTRA_BYTES = 22204, 14
 _LAYERS = {10: 9, 11: 1, 12: 2, 13: 1}
 """Layers of each kind of item in points of format 6 on: point, colour, colour with near infrared,
@@ -304,6 +306,8 @@ def _check_las_header(path: Path) -> None:
         check_stated_size(
             path, count * size if packed else start + count * size, f"{count} points", packed=packed
         )
+        advice = "Cut a part of it, or thin it, first"
+        check_fits(count * (2 * size + _POINT), f"{count} points", advice, path)
         if not packed:
             return
         file.seek(start)

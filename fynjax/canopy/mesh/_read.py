@@ -9,6 +9,7 @@ from typing import Any, Literal
 import numpy as np
 
 from fynjax._core.errors import InputError
+from fynjax._core.memory import bounded_memory
 from fynjax.canopy._plant import organ_of_name
 from fynjax.canopy.mesh._bounds import check_mesh_file, check_mesh_triangles
 from fynjax.canopy.mesh._plant_mesh import PlantMesh
@@ -93,7 +94,7 @@ def plant_mesh_of(mesh: Any) -> PlantMesh:
             if file.lower().endswith(".obj"):
                 mesh, names_of_file = _load_obj(file)
             else:
-                with np.errstate(all="ignore"):  # of numbers that are checked below
+                with np.errstate(all="ignore"), bounded_memory(file):
                     mesh = trimesh.load(file, process=False)
         except InputError:
             raise
@@ -173,12 +174,11 @@ def _load_obj(file: str) -> tuple[Any, dict[str, str]]:
     short_name = {name: f"material{index}" for index, name in enumerate(names)}
     text = _USEMTL.sub(lambda match: f"usemtl {short_name[match[1]]}", text)
     library = "".join(f"newmtl {name}\nKd 1 1 1\n" for name in short_name.values())
-    loaded = trimesh.load(
-        io.BytesIO(f"mtllib names\n{text}".encode()),
-        file_type="obj",
-        resolver={"names": library.encode()},
-        process=False,
-    )
+    with bounded_memory(file):
+        loaded = trimesh.load(
+            io.BytesIO(f"mtllib names\n{text}".encode()), file_type="obj", process=False,
+            resolver={"names": library.encode()},
+        )  # fmt: skip
     return loaded, {short: name for name, short in short_name.items()}
 
 

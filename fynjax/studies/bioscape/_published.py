@@ -14,7 +14,7 @@ from typing import Annotated, Any
 from pydantic import BeforeValidator, Field
 
 from fynjax._core.errors import InputError
-from fynjax.app.io.text import in_unit, read_rows
+from fynjax.app.io.text import check_geopackage, in_unit, read_rows
 from fynjax.studies.bioscape._tables import (
     CoverRow,
     OptionalText,
@@ -411,6 +411,7 @@ _PLACE_COLUMNS = ("bioscape_plot_id", "townsend_long", "townsend_lat", "quality_
 
 def _read_places(path: Path) -> dict[str, Visit]:
     """Centres of the plots from the layer `plot_centers` of a GeoPackage, which is SQLite."""
+    check_geopackage(path)
     try:
         with closing(sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True)) as base:
             columns = [row[1] for row in base.execute("PRAGMA table_info(plot_centers)")]

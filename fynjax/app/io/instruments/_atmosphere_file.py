@@ -8,6 +8,7 @@ import numpy as np
 import xarray as xr
 
 from fynjax._core.errors import InputError, listed, names_file, refusing
+from fynjax._core.memory import bounded_memory
 from fynjax._core.spectral import check_wavelength
 from fynjax.app.io.raster import check_netcdf
 from fynjax.app.io.text import did_you_mean, existing_file, open_table
@@ -138,6 +139,7 @@ def _from_netcdf(path: Path) -> tuple[dict[str, tuple[str | None, np.ndarray]], 
     words = "expected a NetCDF file, but cannot read it: {error}"
     with (
         refusing(OSError, RuntimeError, TypeError, ValueError, words=words),
+        bounded_memory(path),
         xr.open_dataset(path, engine="netcdf4") as data,
     ):
         columns = {

@@ -8,13 +8,14 @@ import numpy as np
 
 from fynjax._core.errors import InputError, names_file
 from fynjax._core.extras import require
+from fynjax._core.memory import bounded_memory
 from fynjax._core.validation import checked_row
 from fynjax.app.io.plot._place import plot_place
 from fynjax.app.io.plot._plot import Plot
 from fynjax.app.io.plot._rows import CrownRow
 from fynjax.app.io.plot._sensor import sensor_place
 from fynjax.app.io.raster import check_metric, parse_crs
-from fynjax.app.io.text import existing_file, read_rows
+from fynjax.app.io.text import check_geopackage, existing_file, read_rows
 from fynjax.scene import Crowns, Instances, check_taxa, projected_cover
 
 _WHAT = "a table of crowns"
@@ -161,12 +162,13 @@ def _read_geopackage(path: Path, plot: Plot) -> list[tuple[int, CrownRow]]:
         if not file.read(16) == b"SQLite format 3\0":
             raise InputError("expected a GeoPackage, but it is none. Save it as one.")
     path = path.absolute()
+    check_geopackage(path)
     try:
         layers = pyogrio.list_layers(path)
         if len(layers) != 1:
             raise InputError(f"expected one layer of crowns, but it has {len(layers)}")
-        with warnings.catch_warnings():  # of what other programs wrote into it
-            warnings.simplefilter("ignore")
+        with warnings.catch_warnings(), bounded_memory(path):
+            warnings.simplefilter("ignore")  # of what other programs wrote into it
             meta, numbers, shapes, columns = pyogrio.raw.read(path, return_fids=True)
     except (pyogrio.errors.DataSourceError, pyogrio.errors.DataLayerError) as error:
         why = str(error).split(";")[0].rstrip(".")  # what follows are drivers to try

@@ -27,7 +27,7 @@ from fynjax._core.checkpoint import Journal, forget_journal
 from fynjax._core.errors import InputError, in_file, listed, refusing
 from fynjax._core.extras import require
 from fynjax._core.files import check_name
-from fynjax._core.memory import total_memory
+from fynjax._core.memory import bounded_memory
 from fynjax.app.io.raster._crs import geotransform, parse_crs
 from fynjax.app.io.raster._groups import read_tree, with_groups
 from fynjax.app.io.raster._lookup import lookup_table
@@ -37,7 +37,7 @@ from fynjax.app.io.raster._scale import check_reflectance
 from fynjax.app.io.raster._writer import LOCAL_FRAME, grid_profile
 from fynjax.app.io.raster._zarr import check_zarr
 from fynjax.app.io.spectra import check_widths, in_nanometres
-from fynjax.app.io.text import atomic_path
+from fynjax.app.io.text import atomic_path, check_fits
 
 _SIZE = 2**27
 """Bytes of a block, about."""
@@ -109,7 +109,8 @@ class CubeBlocks:
                 t = self.transform
                 return values[::-1] if t.is_identity or t.e < 0 else values
             part = self.source.isel({self.source.dims[0]: slice(start, start + rows)})
-            with np.errstate(all="ignore"):  # a scale may lead beyond what a float holds
+            # A scale may lead beyond what a float holds.
+            with np.errstate(all="ignore"), bounded_memory(self.path):
                 values = np.asarray(part.values, np.float32)
         values = np.where(np.abs(values) > 1e6, np.nan, values)
         return np.where((values == 0).all(axis=2, keepdims=True), np.nan, values)
@@ -272,12 +273,8 @@ def _cube_of(path: Path, opened: ExitStack) -> CubeBlocks:
     location = _location(path, data, opened) if has_location else None
     count, axis = values.shape[2], values.dims[2]
     named = axis in values.coords and values.coords[axis].dtype.kind in "OSUT"
-    row, memory = 4.0 * values.shape[1] * count, total_memory()
-    if 2.0 * row > memory:
-        raise InputError(
-            f"a row of {values.shape[1]} pixels in {count} bands needs {row / 2**30:.3g} GiB, but "
-            f"this machine has {memory / 2**30:.0f} GiB. Is it damaged?"
-        )
+    row = 4.0 * values.shape[1] * count
+    check_fits(2.0 * row, f"{values.shape[1]} pixels of a row in {count} bands", "Is it damaged?")
     wavelength, unit = _column(("wavelength", "wavelengths", "Wavelength"), (data, *around), count)
     width, _ = _column(("fwhm", "FWHM"), (data, *around), count)
     good, _ = _column(("good_wavelengths", "reflectance_good"), (data, *around), count)

@@ -30,10 +30,10 @@ from rasterio.windows import Window
 
 from fynjax._core.errors import LARGEST, InputError, in_file, refusing
 from fynjax._core.files import check_stated_size, existing_file, how_to_import, is_elsewhere
-from fynjax._core.memory import total_memory
 from fynjax._core.progress import track
 from fynjax.app.io.raster._crs import check_metric, is_local, stretch, utm_zone
 from fynjax.app.io.spectra import check_widths, header_numbers, in_nanometres, open_envi
+from fynjax.app.io.text import check_fits
 
 METRES = ("", "m", "metre", "metres", "meter", "meters")
 """What a raster may call the unit of its heights."""
@@ -413,14 +413,11 @@ class RasterFile:
         stored *= np.dtype(self.dataset.dtypes[0]).itemsize
         what = f"{columns} x {rows} pixels in {self.dataset.count} bands"
         check_stated_size(self.path, stored, what, packed=True)
-        memory = total_memory()
-        needed = 2.0 * math.prod(shape) * itemsize
-        if needed > memory:
-            raise InputError(
-                f"{columns} x {rows} pixels in {shape[0]} bands need {needed / 2**30:.0f} GiB, "
-                f"but this machine has {memory / 2**30:.0f} GiB. Cut a part: gdalwarp -te WEST "
-                f"SOUTH EAST NORTH {self.path.name} part.tif"
-            )
+        check_fits(
+            2.0 * math.prod(shape) * itemsize,
+            f"{columns} x {rows} pixels in {shape[0]} bands",
+            f"Cut a part: gdalwarp -te WEST SOUTH EAST NORTH {self.path.name} part.tif",
+        )
 
 
 _FORMATS = ("GTiff", "ENVI", "HFA", "AAIGrid", "SRTMHGT", "EHdr", "PNG", "JPEG")

@@ -14,7 +14,7 @@ import numpy as np
 
 from fynjax._core.errors import InputError
 from fynjax._core.files import read_bytes
-from fynjax._core.memory import total_memory
+from fynjax.app.io.text import check_fits
 
 _PLAIN = (
     *("bytes", "transpose", "shuffle", "delta", "fixedscaleoffset", "quantize", "bitround"),
@@ -126,13 +126,8 @@ def _check_array(folder: Path, meta: dict[str, Any]) -> bool:
     stated = math.prod(chunks) * kind.itemsize
     at_once = min(math.prod(-(-n // m) for n, m in zip(shape, chunks)), _AT_ONCE)
     whole = math.prod(shape) * kind.itemsize if len(shape) < 3 else 0  # of a cube rows are read
-    needed, memory = max(stated * at_once, whole), total_memory()
-    if needed > memory // 2:
-        raise InputError(
-            f"{shape} numbers in chunks of {chunks} need {needed // 2**30} GiB at once, more than "
-            f"half of this machine's memory ({memory / 2**30:.0f} GiB). Write smaller chunks",
-            file=folder,
-        )
+    what = f"{shape} numbers in chunks of {chunks}"
+    check_fits(2 * max(stated * at_once, whole), what, "Write smaller chunks", folder)
     if kind.kind not in "biufmM":
         return False
     for chunk in _files(folder) if packed else ():
@@ -169,17 +164,27 @@ def _fits(path: str, codec: str, most: int, size: int, changed: int) -> bool:
                 return len(zlib.decompressobj().decompress(file.read(), most + 1)) <= most
             except zlib.error:
                 return True
-        head = file.read(18)
-    if codec == "blosc":
-        return int.from_bytes(head[4:8], "little") <= most
-    if codec == "lz4":
-        return int.from_bytes(head[:4], "little") <= most
-    # zstd (RFC 8878, section 3.1.1.1): size of the content behind window and dictionary.
-    if head[:4] != b"\x28\xb5\x2f\xfd" or len(head) < 6:
+        if codec == "zstd":
+            return _fits_zstd(file.read(), most)
+        head = file.read(8)
+    return int.from_bytes(head[4:8] if codec == "blosc" else head[:4], "little") <= most
+
+
+def _fits_zstd(data: bytes, most: int) -> bool:
+    """Whether data are one frame of zstd (RFC 8878, section 3.1.1) that states `most` bytes or
+    fewer: behind a first one others could unfold to anything."""
+    if data[:4] != b"\x28\xb5\x2f\xfd" or len(data) < 6:
         return False
-    flags = head[4]
+    flags = data[4]
     single = flags >> 5 & 1
-    start = 5 + (1 - single) + (0, 1, 2, 4)[flags & 3]
+    at = 5 + (1 - single) + (0, 1, 2, 4)[flags & 3]
     length = (single, 2, 4, 8)[flags >> 6]
-    stated = int.from_bytes(head[start : start + length], "little") + (256 if length == 2 else 0)
-    return length > 0 and stated <= most
+    stated = int.from_bytes(data[at : at + length], "little") + (256 if length == 2 else 0)
+    if length == 0 or stated > most:
+        return False
+    at, last = at + length, False
+    while not last and at + 3 <= len(data):
+        block = int.from_bytes(data[at : at + 3], "little")
+        last = bool(block & 1)
+        at += 3 + (1 if block >> 1 & 3 == 1 else block >> 3)  # of repeated bytes one is there
+    return at + 4 * (flags >> 2 & 1) >= len(data)  # with a checksum

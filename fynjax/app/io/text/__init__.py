@@ -11,6 +11,7 @@ from fynjax.app.io.text._atomic import (
     staged_folder,
     write_text,
 )
+from fynjax.app.io.text._bounds import check_fits, check_geopackage
 from fynjax.app.io.text._cells import rows_text, table_text
 from fynjax.app.io.text._earlier import SUMMARY, EarlierRun, sealed
 from fynjax.app.io.text._tables import read_rows
@@ -24,6 +25,8 @@ __all__ = [
     "Strict",
     "TextTable",
     "atomic_path",
+    "check_fits",
+    "check_geopackage",
     "check_stated_size",
     "did_you_mean",
     "existing_file",

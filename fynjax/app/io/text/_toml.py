@@ -18,7 +18,10 @@ from fynjax.app.io.text._tables import read_text
 
 _DEEPEST = 32
 """Parts of a dotted key; a file of ours has three."""
-_DEEP = re.compile(rf"""(?<![\w"'-])(?:[\w"'-]+[ \t]*\.[ \t]*){{{_DEEPEST}}}""")
+_DEEP = re.compile(
+    r"""(?<![\w"'\\-])(?:(?:[\w-]+|"(?:[^"\\\n]|\\.)*"|'[^'\n]*')[ \t]*\.[ \t]*)"""
+    f"{{{_DEEPEST}}}"
+)
 """A longer one: Python's reader takes memory with the square of the parts, 16 kB of text 246 MB."""
 
 Model = TypeVar("Model", bound=BaseModel)

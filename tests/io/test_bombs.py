@@ -1,0 +1,216 @@
+"""Small files that unfold to much: one line, before memory or the day is gone."""
+
+import resource
+import sqlite3
+import struct
+import tracemalloc
+import zlib
+from contextlib import closing
+from pathlib import Path
+
+import laspy
+import numpy as np
+import openpyxl
+import psutil
+import pytest
+
+from fynjax._core import memory
+from fynjax._core.errors import InputError
+from fynjax.app.compare import read_spectra_sample
+from fynjax.app.io.instruments import load_sensor
+from fynjax.app.io.plot import read_plot, read_statistics
+from fynjax.app.io.raster import _zarr
+from fynjax.app.io.text import check_geopackage
+from fynjax.app.terrain import read_cloud
+from fynjax.canopy import read_plant_mesh
+from tests.helpers import read_cube
+from tests.io.test_crowns import write as write_crowns
+
+pytestmark = pytest.mark.skipif(
+    not hasattr(resource, "RLIMIT_DATA"), reason="limits of memory are set as Unix has them"
+)
+
+
+def test_a_second_frame_of_zstd_is_refused(tmp_path: Path) -> None:
+    from numcodecs import Zstd
+
+    one, more = (bytes(Zstd().encode(bytes(n))) for n in (4000, 1 << 24))
+    path = tmp_path / "0.0"
+    skipped = struct.pack("<II", 0x184D2A50, 4) + bytes(4)
+    for k, data in enumerate((one, one + more, one + one, one + skipped, one[:-2])):
+        path.write_bytes(data)
+        assert _zarr._fits(str(path), "zstd", 4000, len(data), k) == (k in (0, 4)), k
+    alike = bytes(Zstd().encode(bytes(1 << 20)))  # blocks of one byte, repeated
+    path.write_bytes(alike + alike)
+    assert not _zarr._fits(str(path), "zstd", 1 << 20, len(alike), 8)
+    checked = bytes(Zstd(checksum=True).encode(np.random.default_rng(0).bytes(300_000)))
+    path.write_bytes(checked)
+    assert _zarr._fits(str(path), "zstd", 300_000, len(checked), 9)
+
+
+@pytest.mark.parametrize(
+    "statement",
+    [
+        "CREATE VIEW {} AS WITH RECURSIVE n(x) AS (SELECT 1 UNION ALL SELECT x FROM n) "
+        "SELECT x AS fid, NULL AS geom FROM n",
+        "CREATE TABLE {} (fid INTEGER PRIMARY KEY, large BLOB AS (zeroblob(1000000000)))",
+    ],
+)
+@pytest.mark.parametrize("name", ["crowns", "gpkg_contents"])
+def test_a_geopackage_that_computes_its_rows_is_refused(
+    tmp_path: Path, statement: str, name: str
+) -> None:
+    path = tmp_path / "crowns.gpkg"
+    with closing(sqlite3.connect(path)) as base:
+        base.execute("CREATE TABLE other (fid INTEGER PRIMARY KEY, taxon TEXT)")
+        check_geopackage(path)
+        base.execute(statement.format(name))
+        base.commit()
+    with pytest.raises(InputError, match=rf"crowns\.gpkg.*'{name}.*is computed"):
+        read_plot(write_crowns(tmp_path, None, "crowns.gpkg"))
+
+
+@pytest.mark.parametrize("part", ['"x y"', "'x.y'", '"a\\"b"', "x "])
+def test_keys_of_quoted_parts_are_counted(tmp_path: Path, part: str) -> None:
+    path = tmp_path / "own.toml"
+    path.write_text("a = 1\n" + ".".join([part] * 1500) + " = 1\n", "utf-8")
+    with pytest.raises(InputError, match=r"own\.toml, line 2: .* at most 32 parts"):
+        load_sensor(path)
+
+
+def test_points_that_memory_cannot_hold(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    header = laspy.LasHeader(version="1.4", point_format=6)
+    las = laspy.LasData(header)
+    las.x = las.y = las.z = np.zeros(400_000)
+    path = tmp_path / "cloud.laz"
+    las.write(path)
+    assert path.stat().st_size < 1 << 16
+    monkeypatch.setattr("fynjax.app.io.text._bounds.total_memory", lambda: 1 << 25)
+    with pytest.raises(InputError, match=r"cloud\.laz: 400000 points need 0\.0447 GiB, but"):
+        read_cloud(path)
+
+
+def test_a_wide_sheet_takes_memory_for_what_it_holds(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    book = openpyxl.Workbook()
+    for column, value in enumerate(("statistic", "value", "sd"), 1):
+        book.active.cell(1, column).value = value
+    book.active.cell(2, 1).value, book.active.cell(2, 2).value = "NDVI.mean", 0.5
+    path = tmp_path / "statistics.xlsx"
+    book.save(path)
+    assert read_statistics(path)[0].value == 0.5
+    book.active.cell(60, 16_384).value = 1
+    book.save(path)
+    tracemalloc.start()
+    with pytest.raises(InputError, match=r"statistics\.xlsx"):
+        read_statistics(path)
+    assert tracemalloc.get_traced_memory()[1] < 1 << 26  # by cells it was 300 MiB
+    tracemalloc.stop()
+    book.active.cell(1_048_576, 16_384).value = 1
+    book.save(path)
+    with pytest.raises(InputError, match=r"cannot be read as an Excel workbook \('Sheet' reaches"):
+        read_statistics(path)
+
+
+def test_a_workbook_has_no_entities_that_grow(tmp_path: Path) -> None:
+    import zipfile
+
+    path, bomb = tmp_path / "statistics.xlsx", tmp_path / "bomb.xlsx"
+    openpyxl.Workbook().save(path)
+    lol = "".join(f"<!ENTITY l{k + 1} '{f'&l{k};' * 10}'>" for k in range(9))
+    head = f"<?xml version='1.0'?><!DOCTYPE a [<!ENTITY l0 'lol'>{lol}]>"
+    with zipfile.ZipFile(path) as old, zipfile.ZipFile(bomb, "w") as new:
+        for part in old.infolist():
+            text = old.read(part)
+            if part.filename == "xl/worksheets/sheet1.xml":
+                sheet = "<row r='1'><c r='A1' t='inlineStr'><is><t>&l9;</t></is></c></row>"
+                space = "http://schemas.openxmlformats.org/spreadsheetml/2006/main"
+                body = f"<worksheet xmlns='{space}'><sheetData>{sheet}</sheetData></worksheet>"
+                text = (head + body).encode()
+            new.writestr(part, text)
+    with pytest.raises(InputError, match=r"bomb\.xlsx"):
+        read_statistics(bomb)
+
+
+def test_a_chunk_of_netcdf_unfolds_within_the_budget(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    h5py = pytest.importorskip("h5py")
+    path = tmp_path / "cube.nc"
+    sizes = {"band": 4, "y": 8, "x": 8}
+    with h5py.File(path, "w") as file:
+        values = file.create_dataset(
+            "reflectance", (4, 8, 8), "f4", chunks=(4, 8, 8), compression="gzip"
+        )
+        packer = zlib.compressobj(9)
+        parts = [packer.compress(bytes(1 << 20)) for _ in range(512)]
+        values.id.write_direct_chunk((0, 0, 0), b"".join(parts) + packer.flush())
+        file["wavelength"] = np.array([500.0, 600.0, 700.0, 800.0])
+        for i, (name, size) in enumerate(sizes.items()):
+            file[name] = np.arange(float(size))
+            file[name].make_scale(name)
+            values.dims[i].attach_scale(file[name])
+        file["wavelength"].dims[0].attach_scale(file["band"])
+    assert path.stat().st_size < 1 << 20
+    monkeypatch.setattr(memory, "free_memory", lambda: 0)
+    monkeypatch.setattr(memory, "_LEAST", 1 << 26)
+    before = memory.peak_memory(), psutil.Process().memory_info().rss
+    with pytest.raises(InputError, match=r"cube\.nc"):
+        read_spectra_sample([path])
+    assert memory.peak_memory() < max(before[0], before[1] + (1 << 28))  # 665 MiB without
+
+
+def _png(width: int, height: int) -> bytes:
+    def part(kind: bytes, data: bytes) -> bytes:
+        return (
+            struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+        )
+
+    head = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
+    content = zlib.compress(bytes(1 << 20), 9)
+    return b"\x89PNG\r\n\x1a\n" + part(b"IHDR", head) + part(b"IDAT", content) + part(b"IEND", b"")
+
+
+def test_a_png_that_states_more_than_it_can_hold(tmp_path: Path) -> None:
+    (tmp_path / "image.png").write_bytes(_png(60_000, 60_000))
+    with pytest.raises(InputError, match=r"image\.png: .*60000 x 60000 pixels"):
+        read_cube(tmp_path / "image.png")
+
+
+def test_a_mesh_that_trimesh_unfolds_keeps_to_the_budget(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "plant.ply"
+    path.write_text("ply\n", "utf-8")
+    monkeypatch.setattr(memory, "free_memory", lambda: 0)
+    monkeypatch.setattr(memory, "_LEAST", 1 << 26)
+    monkeypatch.setattr("trimesh.load", lambda *given, **named: np.ones(1 << 28))
+    with pytest.raises(InputError, match=r"plant\.ply: it unfolds to more than 0\.062 GiB"):
+        read_plant_mesh(path)
+    assert np.ones(1 << 25).sum() > 0  # 256 MiB: the limit is gone
+
+
+@pytest.mark.parametrize("version", [1, 2])
+def test_the_memory_of_a_group_of_processes_is_what_there_is(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, version: int
+) -> None:
+    own, root = tmp_path / "own", tmp_path / "groups"
+    limit, used, line, top = {
+        1: ("memory.limit_in_bytes", "memory.usage_in_bytes", "4:cpu:/\n3:memory:/a/b", "memory"),
+        2: ("memory.max", "memory.current", "0::/a/b", "."),
+    }[version]
+    own.write_text(line + "\n", "utf-8")
+    for place, most in (("a", str(2**28)), ("a/b", "max")):
+        folder = root / top / place
+        folder.mkdir(parents=True)
+        (folder / limit).write_text(most + "\n", "utf-8")
+        (folder / used).write_text(f"{2**27}\n", "utf-8")
+    monkeypatch.setattr(memory, "_OWN_GROUPS", own)
+    monkeypatch.setattr(memory, "_GROUPS", root)
+    assert memory.total_memory() == 2**28
+    assert memory.free_memory() == 2**27
+    monkeypatch.setattr(memory, "_OWN_GROUPS", tmp_path / "none")
+    assert memory.total_memory() > 2**28
+    monkeypatch.setattr(memory, "_own_limits", lambda: [2**40, 2**29])
+    assert memory.total_memory() == 2**29
