@@ -17,7 +17,7 @@ GAINS = (0.9, 0.9, 0.45, 1.1)
 def table():
     scene = fx.read_scene(size=2.0, structure="even")
     darker = with_values(scene.parameters, scene.taxa, {"ground.brightness": 0.5})
-    found = article_tables(scene, darker, gains=GAINS, pixel=0.25, channels=20)
+    found = article_tables(scene, darker, gains=GAINS, pixel=0.25, channels=100)
     assert found.quantity.is_unique
     return found.set_index("quantity")
 
@@ -45,6 +45,17 @@ def test_table_1_is_what_the_plot_is_planted_from(table):
     species = table[table.table == "table 1"]
     assert len(species) == 3 * 13
     np.testing.assert_allclose(species.uncalibrated, species.real, rtol=1e-5)
+
+
+def test_figure_12_has_the_indices_of_our_spectrum(table):
+    for column in ("uncalibrated", "calibrated"):
+        cells = table[table.table == "figure 12"][column]
+        assert len(cells) == 10
+        assert np.isfinite(cells).all()
+        ndvi = cells["NDVI by AVIRIS-NG"]
+        assert cells["IPVI by AVIRIS-NG"] == pytest.approx((ndvi + 1.0) / 2.0, rel=1e-5)
+        assert ndvi == pytest.approx(table[column]["NDVI.mean"], abs=0.1)
+    assert table.loc["NDVI by AVIRIS-NG", "nearest"] == ""  # the real one is not printed
 
 
 def test_numbers_that_contradict_the_article_are_not_judged(table):

@@ -315,7 +315,10 @@ def _spectrometer(scene: Scene, parameters: PlotParameters, channels: int) -> di
     mean, wavelength = np.asarray(seen.reflectance.mean(axis=(1, 2))), np.array(seen.wavelength)
     inside = {region: mean[spectral_mask(wavelength, region)] for region in table5_2006()}
     ranges = {f"range of reflectance, {k}": float(np.ptp(v)) for k, v in inside.items()}
-    return ranges | {"mean reflectance, swir2": float(inside["swir2"].mean())}
+    names = [name for name in figure12_2006() if name in seen.index_bands]
+    indices = vegetation_indices(mean[:, None], names, wavelength)
+    found = {f"{n} by AVIRIS-NG": float(v) for n, v in zip(names, indices[:, 0], strict=True)}
+    return ranges | found | {"mean reflectance, swir2": float(inside["swir2"].mean())}
 
 
 def _structure(scene: Scene, parameters: PlotParameters) -> dict[str, float]:
