@@ -436,6 +436,7 @@ def test_values_are_set_by_name(scene, image):
         (lambda s: fx.prospect(chl=40.0), "unknown trait 'chl'. Known are structure, chlorophyll"),
         (lambda s: fx.free(s), "expected patterns"),
         (lambda s: fx.free(s, "species.*.covr"), "fits none of the scene's parameters"),
+        (lambda s: fx.free(s, "species.*.leaf_angle"), "State leaf_angle_deg in the species table"),
         (lambda s: fx.prior("none"), "expected the name of a prior"),
         (
             lambda s: fx.design(s, free=fx.free(s, "*.cover"), error="larned"),

@@ -79,8 +79,11 @@ def free(
     stated = prior if isinstance(prior, Mapping) else {}
     for pattern in (*patterns, *stated):
         if not any(fnmatchcase(name, pattern) for name in known):
+            unstated = pattern.endswith(".leaf_angle")
+            hint = " State leaf_angle_deg in the species table: then it is one." if unstated else ""
             raise InputError(
-                f"{pattern!r} fits none of the scene's parameters.{did_you_mean(pattern, known)}"
+                f"{pattern!r} fits none of the scene's parameters."
+                f"{hint or did_you_mean(pattern, known)}"
             )
 
     def relative_sd(name: str) -> float | None:

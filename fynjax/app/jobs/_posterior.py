@@ -99,7 +99,8 @@ def posterior(
     **Arguments:**
 
     - `plot`: plot file (`fynjax init` writes one), or a plot that was read.
-    - `targets`: what was measured, as `fynjax calibrate` takes it.
+    - `targets`: what was measured, as `fynjax calibrate` takes it; of a plot whose plants are known
+      the statistics of its image, not every pixel.
     - `output`: folder of the results, made if missing.
     - `method`: way to draw: emcee, an ensemble of walkers; nuts, Hamiltonian sampling; laplace, the
       Gaussian about the fit.
