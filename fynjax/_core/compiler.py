@@ -44,7 +44,8 @@ def _left_alone() -> bool:
 def settings() -> str:
     """What fynjax and the user have set for all of this process, in a sentence."""
     if _left_alone():
-        return f"none of fynjax ({OFF}=off)"
+        own = f", but for {OWN_SUMS}" if OWN_SUMS in os.environ.get("XLA_FLAGS", "") else ""
+        return f"none of fynjax{own} ({OFF}=off)"
     found = [f"XLA_FLAGS={os.environ.get('XLA_FLAGS', '')}"]
     if missing := len(QUICK) - len(known_flags()):
         found.append(f"{missing} flags left out, not tried with jaxlib {version('jaxlib')} here")
@@ -120,11 +121,11 @@ def keep_compiled() -> None:
     under its own key: what is put there otherwise is compiled anew."""
     import jax  # late: help and errors of the command line need none
 
-    folder = _PROGRAMS.folder()
+    folder = None if _left_alone() else _PROGRAMS.folder()
     if folder is None or not _take_programs(folder):
         return  # a home that cannot be written costs compilation time, nothing else
     kept = getattr(jax.config, "jax_compilation_cache_dir", None)
-    if kept or "JAX_COMPILATION_CACHE_DIR" in os.environ or _left_alone():
+    if kept or "JAX_COMPILATION_CACHE_DIR" in os.environ:
         return
     jax.config.update("jax_compilation_cache_dir", str(folder))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)

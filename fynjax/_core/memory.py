@@ -1,6 +1,7 @@
 """Memory that the machine, a container and limits (`ulimit`) leave this process, in bytes."""
 
 import sys
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -16,12 +17,14 @@ _LEAST = 1 << 28
 
 def total_memory() -> int:
     """Memory that this process may take in all [bytes]."""
-    return int(min([psutil.virtual_memory().total, *_limits(0), *_own_limits()]))
+    return int(min([psutil.virtual_memory().total, *_limits(0), *_own_limits().values()]))
 
 
 def free_memory() -> int:
     """Memory that this process can still take without others being moved out [bytes]."""
-    left = [limit - psutil.Process().memory_info().vms for limit in _own_limits()]
+    used = psutil.Process().memory_info()
+    taken = {"RLIMIT_AS": used.vms, "RLIMIT_DATA": getattr(used, "data", used.vms)}
+    left = [limit - taken[kind] for kind, limit in _own_limits().items()]
     return max(int(min([psutil.virtual_memory().available, *_limits(1), *left])), 0)
 
 
@@ -43,32 +46,57 @@ def bounded_memory(file: str | Path) -> Iterator[None]:
     if sys.platform != "linux":
         yield
         return
-    import resource
-
-    budget = max(free_memory() // 2, _LEAST)
-    before, most = resource.getrlimit(resource.RLIMIT_DATA)
-    limit = int(psutil.Process().memory_info().data) + budget
-    if before == resource.RLIM_INFINITY or limit < before:
-        resource.setrlimit(resource.RLIMIT_DATA, (limit, most))
-    try:
-        yield
-    except MemoryError as error:
-        raise InputError(
-            f"it unfolds to more than {budget / 2**30:.2g} GiB, half of the free memory: damaged?",
-            file=file,
-        ) from error
-    finally:
-        resource.setrlimit(resource.RLIMIT_DATA, (before, most))
+    with _Budget.shared() as budget:
+        try:
+            yield
+        except MemoryError as error:
+            raise InputError(
+                f"it unfolds to more than the {budget / 2**30:.2g} GiB that there is room for: "
+                "damaged?",
+                file=file,
+            ) from error
 
 
-def _own_limits() -> list[int]:
-    """Limits of the memory of this process [bytes]."""
+class _Budget:
+    """The limit of this process's data while files are unfolded: set by the first of the threads
+    that do so, taken back by the last."""
+
+    lock = threading.Lock()
+    users = 0
+    before, bytes = (0, 0), 0
+
+    @classmethod
+    @contextmanager
+    def shared(cls) -> Iterator[int]:
+        import resource
+
+        kind = resource.RLIMIT_DATA
+        with cls.lock:
+            if cls.users == 0:
+                cls.bytes = max(free_memory() // 2, _LEAST)
+                cls.before = now, most = resource.getrlimit(kind)
+                limit = int(psutil.Process().memory_info().data) + cls.bytes
+                if now == resource.RLIM_INFINITY or limit < now:
+                    resource.setrlimit(kind, (limit, most))
+            cls.users += 1
+        try:
+            yield cls.bytes
+        finally:
+            with cls.lock:
+                cls.users -= 1
+                if cls.users == 0:
+                    resource.setrlimit(kind, cls.before)
+
+
+def _own_limits() -> dict[str, int]:
+    """Limits of the address space and of the data of this process [bytes], those that are set."""
     if sys.platform == "win32":
-        return []
+        return {}
     import resource
 
-    found = (resource.getrlimit(kind)[0] for kind in (resource.RLIMIT_AS, resource.RLIMIT_DATA))
-    return [limit for limit in found if limit != resource.RLIM_INFINITY]
+    kinds = ("RLIMIT_AS", "RLIMIT_DATA")
+    found = {kind: resource.getrlimit(getattr(resource, kind))[0] for kind in kinds}
+    return {kind: limit for kind, limit in found.items() if limit != resource.RLIM_INFINITY}
 
 
 def _limits(free: int) -> list[int]:

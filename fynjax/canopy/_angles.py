@@ -336,10 +336,11 @@ class TiltedLeafAngle(AbstractLeafAngle):
     def inclination_density(self, inclination: Float[Array, "*n"]) -> Float[Array, "*n"]:
         """g [1/rad] at the `inclination` [rad, 0 to pi/2]. Differentiable in it, the tilt and the
         parameters of the other distribution."""
-        tilt, nodes = self.tilt.astype(inclination.dtype), jnp.asarray(_INCLINATION, float)
-        total = self.base._weights() @ jnp.exp(self.tilt * nodes)
-        more = jnp.exp(tilt * inclination) / total.astype(inclination.dtype)
-        return self.base.inclination_density(inclination) * more
+        tilt, nodes = self.tilt, jnp.asarray(_INCLINATION, float)
+        top = jnp.where(tilt > 0, 0.5 * jnp.pi, 0.0)  # nothing overflows
+        total = self.base._weights() @ jnp.exp(tilt * (nodes - top))
+        more = jnp.exp(tilt * (inclination - top)) / total
+        return self.base.inclination_density(inclination) * more.astype(inclination.dtype)
 
     def _weights(self) -> Float[Array, " node"]:
         return _tilted(self.base._weights(), self.tilt)
@@ -351,6 +352,7 @@ _STEEPEST_TILT = 60.0
 
 def _tilted(weight: Float[Array, "*n node"], tilt: Float[Array, "*n"]) -> Float[Array, "*n node"]:
     powers = tilt[..., None] * jnp.asarray(_INCLINATION, weight.dtype)
+    powers = jnp.where(weight > 0, powers, -jnp.inf)  # lest all that is there underflows
     more = weight * jnp.exp(powers - powers.max(axis=-1, keepdims=True))
     return more / more.sum(axis=-1, keepdims=True)
 

@@ -79,7 +79,9 @@ def free(
     stated = prior if isinstance(prior, Mapping) else {}
     for pattern in (*patterns, *stated):
         if not any(fnmatchcase(name, pattern) for name in known):
-            unstated = pattern.endswith(".leaf_angle")
+            unstated = pattern.endswith(".leaf_angle") and not any(
+                name.endswith(".leaf_angle") for name in known
+            )
             hint = " State leaf_angle_deg in the species table: then it is one." if unstated else ""
             raise InputError(
                 f"{pattern!r} fits none of the scene's parameters."
@@ -88,9 +90,11 @@ def free(
 
     def relative_sd(name: str) -> float | None:
         kind = name.rsplit(".", 1)[-1]
-        if prior is not None and not isinstance(prior, Mapping) and kind in prior.kinds:
+        learned = None if isinstance(prior, Mapping) else prior
+        # Of nothing no share is known.
+        if learned is not None and kind in learned.kinds and float(values[name]) != 0.0:
             form = forms[name.split(".", 1)[1].rsplit(".", 1)[0]]
-            return prior.sd(f"{kind}.{form}", elsewhere=True) / float(values[name])
+            return learned.sd(f"{kind}.{form}", elsewhere=True) / float(values[name])
         # What is stated goes before what the table says of itself, but a cover must be named.
         own = own_spread(name, dict(scene.spreads), stated)
         stated_sd = (sd for pattern, sd in stated.items() if fnmatchcase(name, pattern))
@@ -104,7 +108,7 @@ def information(
     free: ParameterSpace,
     sensor: str | Path | Sensor | Lidar = "mavic_3m",
     *,
-    gsd: Sequence[float],
+    gsd: float | Sequence[float],
     error: ModelError | Literal["learned", "none"] = "learned",
     plantings: int = 15,
     seed: int = 0,
@@ -131,7 +135,7 @@ def information(
     camera = imager_of(sensor)
     found = sweep_sensors(
         scene, scene.parameters, free, camera,
-        gsd=gsd, bands=(len(camera.bands),), model_error=believed(error),
+        gsd=np.atleast_1d(gsd).tolist(), bands=(len(camera.bands),), model_error=believed(error),
         stand_realisations=plantings, seed=seed,
     )  # fmt: skip
     value = np.abs(np.asarray(free.prior))
@@ -260,6 +264,8 @@ def _place(start: Any, space: ParameterSpace) -> Float[Array, " free"] | None:
                 f"expected `start` as an earlier fit or {len(space.names)} whitened coordinates, "
                 f"one for each free parameter, but got {found!r:.60}"
             )
+        if found is not None and not np.isfinite(np.asarray(found)).all():
+            raise InputError(f"expected a `start` of finite numbers, but got {found!r:.60}")
         return found
     if bool(eqx.tree_equal(found.space, space)):
         return found.whitened
@@ -317,6 +323,8 @@ def sample(
         )
     if not isinstance(fitted, Calibration):
         raise InputError(f"expected what `fx.fit` returns, but got {fitted!r:.60}")
+    if predict is not None:
+        raise InputError("expected `predict` with the fit of a function, not of a scene")
     found = fit_surrogate(fitted, seed=seed)
     start = fitted.fit
     return sample_posterior(

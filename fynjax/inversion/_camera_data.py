@@ -42,9 +42,8 @@ class TargetRules(NamedTuple):
         """Places of the names that count. Raises `InputError` where none does."""
         keep = [i for i, n in enumerate(names) if any(fnmatchcase(n, p) for p in self.statistics)]
         if not keep:
-            raise InputError(
-                f"`calibration.targets` fits none of {what}, such as {names[0]!r}", file=self.file
-            )
+            whose = "`statistics`" if self.file is None else "`calibration.targets`"
+            raise InputError(f"{whose} fits none of {what}, such as {names[0]!r}", file=self.file)
         return keep
 
 
@@ -123,10 +122,12 @@ def image_of_camera(
             "expected the path of an image or what `observe` gives, but got "
             f"{type(image).__name__}; statistics of an image go through `Data.from_table`"
         )
-    place = Placement(altitude, footprint or edge)
+    if footprint is not None and not footprint > 0:
+        raise InputError(f"expected a `footprint` above 0 m, but got {footprint}")
+    place = Placement(altitude, edge if footprint is None else footprint)
     if pose is not None:
         frame = pose if isinstance(pose, Frame) else Frame(pose)
-        place = Placement(None, footprint or edge, frame=frame)
+        place = dataclasses.replace(place, altitude=None, frame=frame)
     return _seen_by(data, sensor, place, gains)
 
 
@@ -149,17 +150,37 @@ def table_of_camera(
     else:
         if isinstance(table, Mapping) and "statistic" not in table:
             table = {"statistic": list(table), "value": list(table.values())}
-        frame = pd.DataFrame(table)
+        try:
+            frame = pd.DataFrame(table)
+        except (ValueError, TypeError) as error:
+            raise InputError(
+                "expected a table of statistics, as columns or a mapping of names to values, but "
+                f"got {type(table).__name__}: {error}"
+            ) from error
         if missing := [name for name in ("statistic", "value") if name not in frame]:
             raise InputError(
                 f"expected columns statistic and value, but {missing[0]} is missing",
                 column=missing[0],
             )
-        sd = frame["sd"].to_numpy(float) if "sd" in frame else None
         names = [str(name) for name in frame["statistic"]]
+        if repeated := [name for k, name in enumerate(names) if name in names[:k]]:
+            raise InputError(f"expected each statistic once, but {repeated[0]} is there again")
+        if not names:
+            raise InputError("expected statistics, but the table has none")
         check_statistics(names, sensor.bands)
-        data = weigh_targets(names, frame["value"].to_numpy(float), relative_sd, sd=sd)
+        sd = _numbers(frame, "sd") if "sd" in frame else None
+        data = weigh_targets(names, _numbers(frame, "value"), relative_sd, sd=sd)
     return _seen_by(data, sensor, Placement(altitude, pixel), gains)
+
+
+def _numbers(frame: pd.DataFrame, column: str) -> Float[np.ndarray, " row"]:
+    """A column of numbers; NaN where there is none."""
+    found = pd.to_numeric(frame[column], errors="coerce")
+    wrong = frame[found.isna() & frame[column].notna()]
+    if len(wrong):
+        name, value = wrong.iloc[0][["statistic", column]]
+        raise InputError(f"expected a number for {name}, but got {value!r}", column=column)
+    return found.to_numpy(float)
 
 
 def pixels_of_camera(
@@ -184,6 +205,9 @@ def pixels_of_camera(
         values = read.values[[read.bands.index(name) for name in order]]
         sensor = sensor.select([sensor.bands.names.index(name) for name in order])
     else:
+        if isinstance(image, Observation):
+            pixel = image.pixel if pixel is None else pixel
+            image = np.stack([np.asarray(image[band]) for band in sensor.bands.names])
         values = np.asarray(image, float)
         if values.ndim != 3 or len(values) != len(sensor.bands):
             raise InputError(

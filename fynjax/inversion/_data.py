@@ -368,7 +368,7 @@ class Data(eqx.Module):
     @double_precision
     def from_pixels(
         cls,
-        image: str | Path | Float[np.ndarray, "band row column"],
+        image: str | Path | Observation | Float[np.ndarray, "band row column"],
         camera: str | Path | Sensor | Lidar = "mavic_3m",
         *,
         pixel: float | None = None,
@@ -383,8 +383,9 @@ class Data(eqx.Module):
 
         **Arguments:**
 
-        - `image`: GeoTIFF of reflectance of the whole plot and nothing else; or an array of the
-          camera's bands in their order, rows from the south, NaN where a pixel does not count.
+        - `image`: GeoTIFF of reflectance of the whole plot and nothing else; what `observe` gives;
+          or an array of the camera's bands in their order, rows from the south, NaN where a pixel
+          does not count.
         - `camera`, `pixel`, `altitude`, `bands`, `gains`: as of `from_image`.
         - `block`: pixels along the edge of the blocks whose means are compared; as many as make
           some 40 000 values by default.

@@ -68,7 +68,9 @@ def scatter_of_views(
     one kind, such as the mean of a band, as correlated as they are on the mean over such pairs,
     from 0 to 0.99, and others independent. And by as much as few draws ask for (James & Stein 1961)
     standard deviations of a kind are drawn to their geometric mean: where views seem to differ in
-    what they share, the difference of two would tell without it.
+    what they share, the difference of two would tell without it. As the inverse of a covariance of
+    few draws is too large, it is larger by (n - 1) / (n - k - 2), of n draws and k kinds (Hartlap,
+    Simon & Schneider 2007, eq. 17).
 
     **Arguments:** `draws`, at least two; `kinds`, of each statistic what it is in its view.
     """
@@ -87,6 +89,8 @@ def scatter_of_views(
     chance = (1.0 - mean**2) / (2.0 * (len(draws) - 1))
     seen = np.bincount(number, away**2) / np.maximum(views - 1, 1)
     factor = np.exp(-away * np.minimum(chance / np.maximum(seen, 1e-300), 1.0)[number])
+    count = len(draws)
+    factor *= np.sqrt((count - 1) / max(count - len(views) - 2, 1))
     return np.asarray(found * np.outer(factor, factor))
 
 

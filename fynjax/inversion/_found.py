@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial import cKDTree
 
-from fynjax._core.progress import stage
+from fynjax._core.progress import advance, stage
 from fynjax._core.seeds import generator
 from fynjax.inversion._places import PlacesSettings, candidates, descend, free_early, places_model
 from fynjax.inversion._shapes import OUTLINE
@@ -250,8 +250,8 @@ def find_places(
 ) -> FoundPlants:
     """Find the plants of a plot in an image: their places, species, diameters and heights.
 
-    A search down the slopes of plants that stand in part gives weights of what stands where; whole
-    stands are then drawn by these weights and by what pixels say (`whole_stands`).
+    In each chain a search down the slopes of plants that stand in part gives weights of what stands
+    where; whole stands are then drawn by these weights and by what pixels say (`whole_stands`).
 
     **Arguments:** `scene`, `image`, `camera`, `space`, `height` and `error` as of `places_model`;
     `settings`, `PlacesSettings` by default.
@@ -267,9 +267,16 @@ def find_places(
     stands, images = [], []
     for chain in range(settings.chains):
         # Each of its own start and shapes, lest all end beside the same wrong stand.
-        own = dataclasses.replace(model, candidates=candidates(scene, settings, chain))
+        own = (
+            model
+            if chain == 0
+            else dataclasses.replace(model, candidates=candidates(scene, settings, chain))
+        )
         with stage("Search by slopes", settings.steps):
-            soft = descend(own, own.start(chain), settings.steps, free_early(space))
+            soft = descend(
+                own, own.start(chain), settings.steps, free_early(space),
+                watch=lambda _, misfit: advance(misfit=misfit),
+            )  # fmt: skip
         with stage("Whole stands", settings.rounds):
             kept, mean = whole_stands(own, soft, settings.seed + chain)
         random = generator(settings.seed + chain, 313)

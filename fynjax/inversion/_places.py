@@ -61,7 +61,7 @@ class PlacesSettings:
     rounds: int = 24
     """Rounds of each chain of whole stands; those after the first half are kept."""
     chains: int = 3
-    """Chains of whole stands, each drawn from the weights and led on by numbers of its own."""
+    """Chains of whole stands, each from a search down the slopes of its own."""
     jumps: int = 10
     """Images of each round in which plants come, go, move or become of another species."""
     spacing: float = 0.4
@@ -316,21 +316,19 @@ class PlacesModel(eqx.Module):
         return data + self.prior(v, weight, none) - entropy, jnp.sum(pixels) / self.values
 
     def start(self, chain: int = 0) -> Places:
-        """The table's weights everywhere, and sizes and parameters drawn from their priors; those
-        of the first chain in the priors' middle."""
+        """The table's weights everywhere and the middle of the priors; of later chains leaves,
+        ground and gains drawn from theirs."""
         known, zero = self.candidates, jnp.zeros_like(self.candidates.reach)
         share = jax.ops.segment_sum(known.chance, known.site, len(zero))
         random = generator(self.settings.seed + chain, 307)
         drawn = random.normal(size=len(known.chance))
-        spread = 0.0 if chain == 0 else 1.0
-        u, band = (
-            jnp.asarray(spread * random.normal(size=n).clip(-2.0, 2.0), zero.dtype)
-            for n in (len(self.space.names), self.root.shape[1])
-        )
+        early = np.asarray(free_early(self.space).u) * (chain > 0)
+        u = jnp.asarray(early * random.normal(size=len(early)).clip(-2.0, 2.0), zero.dtype)
+        band = (chain > 0) * random.normal(size=self.root.shape[1]).clip(-2.0, 2.0)
         logit = jnp.log(known.chance / (1.0 - share)[known.site])
         return Places(
             logit + jnp.asarray(0.1 * drawn, zero.dtype), jnp.zeros_like(known.place), zero, zero,
-            u, band,
+            u, jnp.asarray(band, zero.dtype),
         )  # fmt: skip
 
 

@@ -18,6 +18,7 @@ from jaxtyping import Array, Float, Int
 from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
+from fynjax._core.progress import advance
 from fynjax._core.seeds import generator
 from fynjax.inversion._places import CROWDING, MOVED, Places, PlacesModel, descend, free_late
 
@@ -401,6 +402,7 @@ def whole_stands(
         if late:
             kept.append(chain.crowns())
             images += chain.image
+        advance(misfit=chain.misfit)
         if watch is not None:
             watch(turn, chain)
     return kept, images / len(kept)

@@ -41,6 +41,7 @@ from fynjax.canopy import (
     PlantModel,
     Shrubland,
     TabulatedLeafAngle,
+    TiltedLeafAngle,
     leaf_angle,
     most_projected,
     table1_2006,
@@ -896,8 +897,31 @@ def _leaf_angles(
     for row, shape in itertools.zip_longest(rows, shapes):
         own = None if shape is None else inclination(shape.plant)
         usual = leaf_angle(FORMS[row.growth_form].leaf_angle) if own is None else own
-        means.append(float(usual.mean_angle) if row.leaf_angle is None else row.leaf_angle)
+        if row.leaf_angle is None:
+            means.append(float(usual.mean_angle))
+            continue
+        means.append(row.leaf_angle)
+        if own is not None:
+            _check_reached(row, own)
     return jnp.asarray(np.clip(means, _RECORDS["leaf_angle"].lower, _RECORDS["leaf_angle"].upper))
+
+
+_NOT_REACHED = 0.5
+"""Mean angles of a mesh's leaves that differ by more than this are others [degrees]."""
+
+
+def _check_reached(row: SpeciesRow, own: AbstractLeafAngle) -> None:
+    """Refuse a mean angle that the leaves of a mesh cannot have, as they lie in few directions."""
+    record = _RECORDS["leaf_angle"]
+    asked = jnp.asarray([row.leaf_angle, record.lower, record.upper])
+    tilted = TiltedLeafAngle.to_means([own] * 3, asked)
+    has, low, high = (float(angle.mean_angle) for angle in tilted)
+    if abs(has - asked[0]) > _NOT_REACHED:
+        raise InputError(
+            f"expected a mean angle of the leaves of {row.taxon} that its mesh can have, from "
+            f"{low:.0f} to {high:.0f} degrees, but got {row.leaf_angle:g}",
+            column="leaf_angle_deg",
+        )
 
 
 def inclination(plant: PlantModel) -> AbstractLeafAngle | None:

@@ -1,5 +1,7 @@
 """A scene is fitted, and asked what an image can say of it, with the library alone."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -40,3 +42,33 @@ def test_statistics_in_memory_are_fitted_and_the_posterior_is_drawn():
         fx.fit(scene, of_table, free, settings=QUICK, max_steps=2)
     with pytest.raises(InputError, match="with a scene"):
         fx.fit(lambda x: x[:4], of_table, free, error="none")
+
+
+@pytest.mark.parametrize(
+    ("table", "words"),
+    [
+        ({"NDVI.mean": "0.5x"}, "a number for NDVI.mean, but got '0.5x'"),
+        ({"statistic": ["nir.mean"], "value": [0.3], "sd": ["a"]}, "a number for nir.mean"),
+        (5, "a table of statistics, as columns or a mapping of names to values"),
+        ({"statistic": ["nir.mean"] * 2, "value": [0.3, 0.4]}, "nir.mean is there again"),
+        ({}, "the table has none"),
+    ],
+)
+def test_a_table_that_is_none_is_refused(table, words):
+    with pytest.raises(InputError, match=re.escape(words)):
+        fx.Data.from_table(table, pixel=0.25)
+
+
+def test_what_a_camera_measured_is_checked():
+    scene = fx.Scene.from_table(ROWS, size=1.0, voxel=0.25, structure="even", seed=1)
+    image = fx.observe(scene, "mavic_3m", pixel=0.25)
+    with pytest.raises(InputError, match="a `footprint` above 0 m"):
+        fx.Data.from_image(image, footprint=0.0)
+    with pytest.raises(InputError, match="`statistics` fits none of"):
+        fx.Data.from_image(image, statistics=["blue.*"])
+    pixels = fx.Data.from_pixels(image).pixels
+    np.testing.assert_array_equal(pixels.image[3], np.asarray(image["nir"], float))
+    free = fx.free(scene, "species.*.cover")
+    data = fx.Data.from_image(image)
+    with pytest.raises(InputError, match="a `start` of finite numbers"):
+        fx.fit(scene, data, free, start=np.full(2, np.nan))

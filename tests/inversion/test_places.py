@@ -11,12 +11,13 @@ from scipy.special import gammaln
 import fynjax as fx
 from fynjax._core.errors import InputError
 from fynjax.app.io.plot import Place, write_crowns
-from fynjax.inversion import FoundPlants, PlacesSettings
+from fynjax.inversion import FoundPlants, PlacesSettings, _found, find_places
 from fynjax.inversion._found import _together
 from fynjax.inversion._places import candidates, descend, free_early, places_model
 from fynjax.inversion._stands import Jumps, WholeStand
 from fynjax.scene import Placement, aim, projected_cover
 from fynjax.sensors import Gains, shipped_sensor
+from tests.heard import hearing
 
 SIDE = 1.2
 ROWS = [
@@ -172,6 +173,25 @@ def test_each_chain_has_its_own_start_and_shapes_at_the_same_sites(twin):
     assert not np.any(starts[0].u)
     assert all(np.all(np.abs(start.band) <= 2.0) for start in starts)
     assert len({float(start.band[0]) for start in starts}) == 3
+
+
+def test_a_search_takes_a_start_and_shapes_of_its_own_for_each_chain(twin, monkeypatch):
+    model, begun = twin[1], []
+
+    def recorded(model, v, *args, **options):
+        begun.append((model.candidates.scene.planting.azimuth, v.band))
+        return v
+
+    settings = dataclasses.replace(SETTINGS, chains=2, rounds=2, jumps=1)
+    monkeypatch.setattr(_found, "descend", recorded)
+    with hearing() as heard:
+        found = find_places(plot(1001), model.target, model.camera, model.space, settings)
+    assert len(found.stands) == 2
+    (one, first), (other, second) = begun
+    assert np.mean(np.asarray(one) != np.asarray(other)) > 0.9
+    assert not np.any(first)
+    assert np.all(second != 0.0)
+    assert heard.count == 4  # rounds
 
 
 def unseen(twin, rows=ROWS):

@@ -3,6 +3,8 @@
 import resource
 import sqlite3
 import struct
+import sys
+import threading
 import tracemalloc
 import zlib
 from contextlib import closing
@@ -186,7 +188,7 @@ def test_a_mesh_that_trimesh_unfolds_keeps_to_the_budget(
     monkeypatch.setattr(memory, "free_memory", lambda: 0)
     monkeypatch.setattr(memory, "_LEAST", 1 << 26)
     monkeypatch.setattr("trimesh.load", lambda *given, **named: np.ones(1 << 28))
-    with pytest.raises(InputError, match=r"plant\.ply: it unfolds to more than 0\.062 GiB"):
+    with pytest.raises(InputError, match=r"plant\.ply: it unfolds to more than the 0\.062 GiB"):
         read_plant_mesh(path)
     assert np.ones(1 << 25).sum() > 0  # 256 MiB: the limit is gone
 
@@ -212,5 +214,29 @@ def test_the_memory_of_a_group_of_processes_is_what_there_is(
     assert memory.free_memory() == 2**27
     monkeypatch.setattr(memory, "_OWN_GROUPS", tmp_path / "none")
     assert memory.total_memory() > 2**28
-    monkeypatch.setattr(memory, "_own_limits", lambda: [2**40, 2**29])
+    monkeypatch.setattr(memory, "_own_limits", lambda: {"RLIMIT_AS": 2**40, "RLIMIT_DATA": 2**29})
     assert memory.total_memory() == 2**29
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="only Linux limits the data of a process")
+def test_threads_share_a_limit_and_the_last_takes_it_back(monkeypatch: pytest.MonkeyPatch) -> None:
+    kind = resource.RLIMIT_DATA
+    before = resource.getrlimit(kind)
+    entered, left = threading.Event(), threading.Event()
+
+    def first() -> None:
+        with memory.bounded_memory("first"):
+            entered.set()
+            left.wait(10.0)
+
+    thread = threading.Thread(target=first)
+    thread.start()
+    entered.wait(10.0)
+    with memory.bounded_memory("second"):
+        limit = resource.getrlimit(kind)[0]
+        left.set()
+        thread.join()
+        assert resource.getrlimit(kind)[0] == limit != before[0]
+        used = psutil.Process().memory_info()
+        assert memory.free_memory() == pytest.approx(limit - used.data, rel=0.05)
+    assert resource.getrlimit(kind) == before

@@ -120,7 +120,7 @@ def test_what_a_picture_does_not_show_is_missing_in_data_and_model(flight, tmp_p
     with rasterio.open(images / "DJI_0003_reflectance.tif", "w", **profile) as file:
         file.write(values[:, row:, column:])
         file.descriptions = ("green", "red", "red_edge", "nir")
-        where = {"size": [400, 300], "corner": [column, row], "straight": False}
+        where = {"size": [400, 300], "corner": [column, row]}
         file.update_tags(**{PICTURE_TAG: json.dumps(where)})
     plot, _ = laid(flight, tmp_path, images=images)
     data = xr.load_dataset(tmp_path / "out" / "frames.nc")

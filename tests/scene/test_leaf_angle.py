@@ -10,7 +10,14 @@ import pytest
 import fynjax as fx
 from fynjax._core.errors import InputError
 from fynjax._core.precision import double_precision
-from fynjax.canopy import TiltedLeafAngle, leaf_angle, table1_2006
+from fynjax.canopy import (
+    FORMS,
+    PlantMesh,
+    TiltedLeafAngle,
+    leaf_angle,
+    plant_model_from_mesh,
+    table1_2006,
+)
 from fynjax.metrics.structure import StructureSettings
 from fynjax.radiation import canopy_reflectance
 from fynjax.scene import Placement, aim, named_values, scene_structure, with_values
@@ -132,3 +139,46 @@ def test_a_table_says_the_mean_angle_and_a_fit_may_have_it_free():
     assert without.parameters.species.leaf_angle is None
     with pytest.raises(InputError, match=r"leaf_angle_deg"):
         fx.Scene.from_table(rows.assign(leaf_angle_deg=91.0), size=1.0, voxel=0.5)
+
+
+def blades(upright=True):
+    """A mesh of narrow blades that all stand upright, or lie."""
+    random, vertices, faces = np.random.default_rng(0), [], []
+    for _ in range(40):
+        x, y, turn = *random.uniform(-0.15, 0.15, 2), random.uniform(0.0, np.pi)
+        along = np.array([np.cos(turn), np.sin(turn), 0.0]) * 0.02
+        up = np.array([0.0, 0.0, 0.4]) if upright else np.array([-along[1], along[0], 0.0]) * 5.0
+        foot = np.array([x, y, 0.0 if upright else random.uniform(0.0, 0.3)])
+        n = len(vertices)
+        vertices += [foot, foot + along, foot + along + up, foot + up]
+        faces += [(n, n + 1, n + 2), (n, n + 2, n + 3)]
+    mesh = PlantMesh(np.array(vertices), np.array(faces), np.zeros(len(faces), int), ("leaf",))
+    return plant_model_from_mesh(mesh, 200)
+
+
+@pytest.mark.parametrize("upright", [True, False])
+def test_a_mesh_whose_leaves_lie_one_way_stays_as_it_is_where_another_species_is_stated(upright):
+    rows = table1_2006().to_dict("records")[:2]
+    mesh = {rows[1]["taxon"]: blades(upright)}
+    each = []
+    own = float(leaf_angle(FORMS[rows[0]["growth_form"]].leaf_angle).mean_angle)
+    for angle in (None, own):
+        rows[0]["leaf_angle_deg"] = angle
+        scene = fx.Scene.from_table(rows, size=1.0, voxel=0.25, structure="even", meshes=mesh)
+        image = fx.observe(scene, "mavic_3m", pixel=0.25).reflectance
+        gap = float(scene.gap_fraction(scene.parameters))
+        each.append((*np.asarray(image).mean(axis=(1, 2)), gap))
+    np.testing.assert_allclose(each[1], each[0], rtol=0.02)
+    rows[0]["leaf_angle_deg"], rows[1]["leaf_angle_deg"] = None, 40.0
+    with pytest.raises(InputError, match=r"its mesh can have, from \d+ to \d+ degrees, but got 40"):
+        fx.Scene.from_table(rows, size=1.0, voxel=0.25, structure="even", meshes=mesh)
+
+
+@pytest.mark.parametrize("tilt", [-60.0, 60.0])
+def test_the_steepest_tilt_has_a_density_in_single_precision(tilt):
+    tilted = TiltedLeafAngle(leaf_angle("spherical"), jnp.float32(tilt))
+    with jax.enable_x64(False):
+        at = jnp.linspace(0.001, 1.57, 4000, dtype=jnp.float32)
+        density = np.asarray(tilted.inclination_density(at), float)
+    assert np.isfinite(density).all()
+    assert np.trapezoid(density, np.asarray(at, float)) == pytest.approx(1.0, abs=0.05)

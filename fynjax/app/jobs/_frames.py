@@ -404,7 +404,8 @@ def _skip_others(
     """Note as `skipped` the pictures of other bands than most have."""
     if not laid:
         return
-    ((usual, _),) = Counter(one.bands for one in laid.values()).most_common(1)
+    often = Counter(one.bands for one in laid.values())
+    usual = max(often, key=lambda bands: (often[bands], len(bands)))
     for k in [k for k, one in laid.items() if one.bands != usual]:
         words = f"{', '.join(usual)} as most pictures have, but got {', '.join(laid.pop(k).bands)}"
         skipped[k] = InputError(f"expected the bands {words}", file=every[names[k]])

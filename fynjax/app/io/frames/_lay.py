@@ -152,6 +152,11 @@ def picture_place(path: Path, frame: Frame) -> PicturePlace:
 
 
 def _stated(text: str) -> PicturePlace:
+    if '"straight"' in text:
+        raise InputError(
+            "expected a picture as `fynjax reflectance` writes it now, but an earlier version "
+            "wrote this one: write it anew"
+        )
     try:
         known = json.loads(text)
         size, corner = (tuple(map(int, known[key])) for key in ("size", "corner"))

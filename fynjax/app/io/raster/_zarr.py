@@ -8,7 +8,7 @@ import zlib
 from collections.abc import Iterator
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 
@@ -165,14 +165,15 @@ def _fits(path: str, codec: str, most: int, size: int, changed: int) -> bool:
             except zlib.error:
                 return True
         if codec == "zstd":
-            return _fits_zstd(file.read(), most)
+            return _fits_zstd(file, most)
         head = file.read(8)
     return int.from_bytes(head[4:8] if codec == "blosc" else head[:4], "little") <= most
 
 
-def _fits_zstd(data: bytes, most: int) -> bool:
-    """Whether data are one frame of zstd (RFC 8878, section 3.1.1) that states `most` bytes or
+def _fits_zstd(file: BinaryIO, most: int) -> bool:
+    """Whether a file is one frame of zstd (RFC 8878, section 3.1.1) that states `most` bytes or
     fewer: behind a first one others could unfold to anything."""
+    data, whole = file.read(18), os.fstat(file.fileno()).st_size
     if data[:4] != b"\x28\xb5\x2f\xfd" or len(data) < 6:
         return False
     flags = data[4]
@@ -183,8 +184,9 @@ def _fits_zstd(data: bytes, most: int) -> bool:
     if length == 0 or stated > most:
         return False
     at, last = at + length, False
-    while not last and at + 3 <= len(data):
-        block = int.from_bytes(data[at : at + 3], "little")
+    while not last and at + 3 <= whole:
+        file.seek(at)
+        block = int.from_bytes(file.read(3), "little")
         last = bool(block & 1)
         at += 3 + (1 if block >> 1 & 3 == 1 else block >> 3)  # of repeated bytes one is there
-    return at + 4 * (flags >> 2 & 1) >= len(data)  # with a checksum
+    return at + 4 * (flags >> 2 & 1) >= whole  # with a checksum
