@@ -119,8 +119,8 @@ def test_light_scattered_once_is_that_of_a_turbid_medium(mean):
         sent = np.abs(lit * seen) * np.where(lit * seen > 0.0, rho, tau)
         want = sent.mean() / (sun[2] * eye[2]) * (1.0 - np.exp(-area * way)) / way
         found = canopy_reflectance(
-            [rho], [tau], area, soil=0.0, leaf_angles=angle, sun_zenith=35.0, view_zenith=view,
-            relative_azimuth=turned, hot_spot=0.0,
+            np.array([rho]), np.array([tau]), area, soil=0.0, leaf_angles=angle,
+            sun_zenith=35.0, view_zenith=view, relative_azimuth=turned, hot_spot=0.0,
         )  # fmt: skip
         assert float(found[0]) == pytest.approx(want, rel=0.01)
 
