@@ -223,7 +223,12 @@ def _read_dji(folder: Path) -> Any:
 
 def _frames(folder: Path) -> Any:
     where = {"crs": frame_files.CRS, "origin": frame_files.ORIGIN, "ground": frame_files.GROUND}
-    return [(f.name, f.pose.position, f.pose.axes, f.lens) for f in read_frames(folder, **where)]
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        frames = read_frames(folder, **where)
+    if left_out := [str(one.message) for one in caught if "left out" in str(one.message)]:
+        raise InputError(left_out[0])  # refused by name, while the others are read
+    return [(f.name, f.pose.position, f.pose.axes, f.lens) for f in frames]
 
 
 def _plot(folder: Path) -> None:

@@ -17,7 +17,14 @@ from fynjax.app.jobs import Run
 from fynjax.diversity import VARIETY, diversity_indices
 from fynjax.sensors import BandSet
 from fynjax.studies.bioscape import read_bioscape, write_plot_files
-from fynjax.studies.bioscape._scenes import ACCURACY, Resolution, _build, build_scenes, slots_of
+from fynjax.studies.bioscape._scenes import (
+    ACCURACY,
+    PlotSpectrum,
+    Resolution,
+    _build,
+    build_scenes,
+    slots_of,
+)
 from fynjax.studies.bioscape._spectra import Spectrometer
 from fynjax.studies.bioscape._validate import species_covers, used_bands, validate_plots
 from fynjax.studies.bioscape._validate_files import ValidatePlotsResult, write_report
@@ -167,10 +174,13 @@ def test_the_diversity_of_five_plots_and_more_is_reported(tmp_path: Path) -> Non
     about = pd.DataFrame({"plot": names})
     cover = random.uniform(size=(7, 4))
     variety = {name: random.uniform(size=7) for name in VARIETY}
-    found = write_report(
-        Run(tmp_path), pair, about, COARSE, [], cover=cover, variety=variety,
-        largest_residual=0.0, warnings=[],
-    )  # fmt: skip
+    spectra = [
+        PlotSpectrum(one, np.array(0.1), np.array(own), np.array(0.01 * k))
+        for k, (one, *own) in enumerate(zip(simulated, *variety.values(), strict=True))
+    ]
+    run = Run(tmp_path)
+    found = write_report(run, pair, about, COARSE, [], cover=cover, spectra=spectra, warnings=[])
+    assert found.largest_residual == pytest.approx(0.06)
     table = pd.read_csv(tmp_path / "diversity.csv")
     assert len(table) == len(found.diversity) == 2 * (5 * 12 + 1)
     row = table.query("source == 'simulated' and diversity == 'shannon' and metric == 'rao'")

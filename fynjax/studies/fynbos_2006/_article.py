@@ -13,7 +13,7 @@ from fynjax._core.progress import advance, stage
 from fynjax.app.compare import bands_2006, figure12_2006, table4_2006, table5_2006
 from fynjax.app.compare.structure import structure_2006
 from fynjax.canopy import table1_2006
-from fynjax.metrics import BANDS, VEGETATION_INDICES, spectral_mask, vegetation_indices
+from fynjax.metrics import BANDS, VEGETATION_INDICES, index_bands, spectral_mask, vegetation_indices
 from fynjax.metrics.structure import (
     STRUCTURE_METRICS,
     StructureSettings,
@@ -315,7 +315,8 @@ def _spectrometer(scene: Scene, parameters: PlotParameters, channels: int) -> di
     mean, wavelength = np.asarray(seen.reflectance.mean(axis=(1, 2))), np.array(seen.wavelength)
     inside = {region: mean[spectral_mask(wavelength, region)] for region in table5_2006()}
     ranges = {f"range of reflectance, {k}": float(np.ptp(v)) for k, v in inside.items()}
-    names = [name for name in figure12_2006() if name in seen.index_bands]
+    there = index_bands(wavelength)
+    names = [name for name in figure12_2006() if name in there]
     indices = vegetation_indices(mean[:, None], names, wavelength)
     found = {f"{n} by AVIRIS-NG": float(v) for n, v in zip(names, indices[:, 0], strict=True)}
     return ranges | found | {"mean reflectance, swir2": float(inside["swir2"].mean())}
