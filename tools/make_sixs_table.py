@@ -1,4 +1,4 @@
-"""Recipe of `sixs_continental.nc`: atmospheric curves computed with 6SV 1.1.
+"""Recipe of `sixs_continental.nc.gz`: atmospheric curves computed with 6SV 1.1.
 
 Run `python -m tools.make_sixs_table SOLAR [OUTPUT [AEROSOL]]`. `SOLAR` is a text file with one
 header line and two columns, wavelength [nm] and solar irradiance at one astronomical unit
@@ -18,6 +18,7 @@ are tabulated apart:
 - Ozone is nearly grey over a line's width and becomes an absorption coefficient.
 """
 
+import gzip
 import re
 import subprocess
 import sys
@@ -260,14 +261,15 @@ def main(arguments: Sequence[str]) -> None:
     solar = Path(arguments[0])
     aerosol = arguments[2] if len(arguments) > 2 else "continental"
     folder = Path(__file__).resolve().parents[1] / "fynjax" / "sensors" / "data"
-    default = folder / f"sixs_{aerosol}.nc"
+    default = folder / f"sixs_{aerosol}.nc.gz"
     output = Path(arguments[1]) if len(arguments) > 1 else default
     data = build(solar, aerosol)
-    packed = {"zlib": True, "complevel": 9, "shuffle": True}
-    encoding = {name: {"dtype": "float32", **packed} for name in data.data_vars}
+    encoding = {name: {"dtype": "float32"} for name in data.data_vars}
     # Steps of 1.6e-4 in ln T, the precision that 6SV prints.
-    encoding["gas"] = {"dtype": "uint16", "scale_factor": 1.6e-4, "_FillValue": 65535, **packed}
-    data.to_netcdf(output, encoding=encoding)
+    encoding["gas"] = {"dtype": "int32", "scale_factor": 1.6e-4, "_FillValue": -1}
+    # The classic format, which SciPy reads: the library needs no other reader.
+    text = data.to_netcdf(None, engine="scipy", format="NETCDF3_64BIT", encoding=encoding)
+    output.write_bytes(gzip.compress(bytes(text), 9, mtime=0))
 
 
 if __name__ == "__main__":

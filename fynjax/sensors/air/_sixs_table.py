@@ -96,7 +96,7 @@ def _load() -> _Table:
 
     with (
         resources.as_file(resources.files("fynjax.sensors") / "data") as folder,
-        xr.open_dataset(folder / "sixs_continental.nc", engine="netcdf4") as data,
+        xr.open_dataset(folder / "sixs_continental.nc.gz", engine="scipy") as data,
     ):
         return _prepare(
             {str(k): np.asarray(v.values, np.float64) for k, v in data.variables.items()}
