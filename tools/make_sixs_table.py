@@ -26,6 +26,7 @@ from collections.abc import Sequence
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -264,7 +265,7 @@ def main(arguments: Sequence[str]) -> None:
     default = folder / f"sixs_{aerosol}.nc.gz"
     output = Path(arguments[1]) if len(arguments) > 1 else default
     data = build(solar, aerosol)
-    encoding = {name: {"dtype": "float32"} for name in data.data_vars}
+    encoding: dict[Any, dict[str, Any]] = {n: {"dtype": "float32"} for n in data.data_vars}
     # Steps of 1.6e-4 in ln T, the precision that 6SV prints.
     encoding["gas"] = {"dtype": "int32", "scale_factor": 1.6e-4, "_FillValue": -1}
     # The classic format, which SciPy reads: the library needs no other reader.
