@@ -42,7 +42,8 @@ def _left_alone() -> bool:
 
 
 def settings() -> str:
-    """What fynjax and the user have set for all of this process, in a sentence."""
+    """Settings of JAX and XLA that hold for this whole process: flags of the compiler, precision of
+    products, folder of kept programs; in a sentence."""
     if _left_alone():
         own = f", but for {OWN_SUMS}" if OWN_SUMS in os.environ.get("XLA_FLAGS", "") else ""
         return f"none of fynjax{own} ({OFF}=off)"

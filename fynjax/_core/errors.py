@@ -169,3 +169,16 @@ class MissingExtraError(ImportError):
         name = error.name if isinstance(error, ModuleNotFoundError) else None
         package = (name or "fynjax").split(".")[0]
         return None if package == "fynjax" else cls(package, "all")
+
+    @classmethod
+    def unless_found(cls, found: Callable[[str], Any], name: str) -> Any:
+        """What `found` imports by its `name`, when it is first used.
+
+        **Raises:** `MissingExtraError` where a package that the app needs is not installed.
+        """
+        try:
+            return found(name)
+        except ModuleNotFoundError as error:
+            if missing := cls.of_app(error):
+                raise missing from error
+            raise

@@ -36,9 +36,5 @@ def app_room(room: str, name: str) -> Any:
 
     **Raises:** `MissingExtraError` for a package that the app needs and that is not installed.
     """
-    try:
-        return getattr(importlib.import_module(f"fynjax.app.{room}"), name)
-    except ModuleNotFoundError as error:
-        if missing := MissingExtraError.of_app(error):
-            raise missing from error
-        raise
+    found = lambda name: getattr(importlib.import_module(f"fynjax.app.{room}"), name)  # noqa: E731
+    return MissingExtraError.unless_found(found, name)

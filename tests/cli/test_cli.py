@@ -27,6 +27,7 @@ from fynjax.app.cli._runtime import _alone
 from fynjax.app.io.plot import as_plot, read_plot
 from fynjax.sensors import shipped_lidars, shipped_sensors
 from fynjax.studies import fynbos_2006
+from tests.helpers import unix
 
 
 class Fake(jobs.JobResult):
@@ -316,7 +317,7 @@ def test_ctrl_c_is_130_and_leaves_nothing(capsys, calls, monkeypatch, tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="signals as Unix has them")
+@unix
 @pytest.mark.parametrize("dropped", [False, True])
 @pytest.mark.parametrize(
     ("number", "status", "word"),
@@ -355,7 +356,7 @@ def test_a_signal_ends_a_run_also_where_a_library_drops_it(
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="signals as Unix has them")
+@unix
 def test_another_ctrl_c_while_a_run_ends_changes_nothing(capsys, calls, monkeypatch, tmp_path):
     def demo(output, **_):
         (output / "half.tif").write_text("half")

@@ -18,6 +18,7 @@ from fynjax.app.io.text import EarlierRun, sealed
 from fynjax.studies import fynbos_2006
 from tests.canopy.test_pattern import BANDS as PATTERN_BANDS
 from tests.canopy.test_pattern import drawn
+from tests.helpers import unix
 
 
 def call(capsys, *arguments):
@@ -124,7 +125,7 @@ CHANGED = {
 }
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="links as Unix has them")
+@unix
 @pytest.mark.parametrize("words", CHANGED)
 def test_what_was_changed_since_stays_unless_asked(capsys, writes, tmp_path, words):
     out = tmp_path / "out"
@@ -198,7 +199,7 @@ def test_a_file_of_the_user_is_not_replaced_and_the_results_are_kept_beside(
     assert f"replaced {out / 'a.csv'}: no earlier run" in err
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="links as Unix has them")
+@unix
 def test_what_stands_in_the_way_is_not_replaced_even_if_asked(capsys, writes, tmp_path):
     out, elsewhere = tmp_path / "out", tmp_path / "elsewhere"
     (out / "a.csv").mkdir(parents=True)
@@ -219,7 +220,7 @@ def test_what_stands_in_the_way_is_not_replaced_even_if_asked(capsys, writes, tm
     assert link.is_symlink()
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="links as Unix has them")
+@unix
 def test_an_input_of_the_run_is_never_replaced(capsys, writes, tmp_path, monkeypatch):
     """Also where an earlier run wrote it, and where it is named by a link."""
     out = tmp_path / "out"

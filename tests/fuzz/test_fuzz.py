@@ -3,7 +3,6 @@
 import itertools
 import random
 import shutil
-import sys
 import warnings
 from collections.abc import Sequence
 from dataclasses import replace
@@ -20,9 +19,10 @@ from tests.fuzz.oracle import LIBRARIES, TOUCHED, other_opinion, untouched
 from tests.fuzz.readers import READERS, Reader
 from tests.fuzz.run import Input, _contents, _tried, fuzz
 from tests.fuzz.variants import VARIANTS, difference, plain, vary
+from tests.helpers import unix
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="limits of memory are set as Unix has them")
+@unix
 def test_damaged_files_end_in_one_clear_error() -> None:
     counts, broken = fuzz(list(READERS), seed=0, each=20)
     assert [f"{o.reader} {o.number}: {o.text}" for o in broken] == []

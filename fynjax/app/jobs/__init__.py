@@ -16,11 +16,6 @@ def __getattr__(name: str) -> Any:
 
     **Raises:** `MissingExtraError` where a package that the app needs is not installed.
     """
-    try:
-        return _found(name)
-    except ModuleNotFoundError as error:
-        from fynjax._core.errors import MissingExtraError
+    from fynjax._core.errors import MissingExtraError  # late: `import fynjax` is quick
 
-        if missing := MissingExtraError.of_app(error):
-            raise missing from error
-        raise
+    return MissingExtraError.unless_found(_found, name)

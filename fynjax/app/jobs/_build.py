@@ -430,7 +430,8 @@ def _headline(
 
 
 def _of_ground(plot: Plot, ground: GroundParameters) -> str:
-    """What the ground is taken for, and whether its soil was measured."""
+    """Soil of the plot, measured or assumed, and the shares of litter, char and rock on it, in a
+    sentence."""
     stated, covers = plot.ground, []
     for name in ("litter", "char", "rock"):
         if (share := float(getattr(ground, f"{name}_fraction"))) > 0.0:

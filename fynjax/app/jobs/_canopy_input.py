@@ -156,7 +156,7 @@ def _places(
 
 
 def _left_out(names: tuple[str, ...], used: list[int]) -> str:
-    """What is no band, in words."""
+    """Names of the columns or bands of a file that were not taken as bands, in a sentence."""
     rest = [n for i, n in enumerate(names) if n and i not in used and _plain(n) not in ANGLES]
     more = ", ..." if len(rest) > 13 else ""
     return f" Not used as bands: {', '.join(rest[:13])}{more}." if rest else ""

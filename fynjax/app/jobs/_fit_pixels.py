@@ -140,8 +140,8 @@ def _known(given: Sequence[str]) -> dict[str, float]:
 def _views(
     read: CanopyPixels, stated: dict[str, float | None], sky_share: float
 ) -> list[tuple[CanopyView, np.ndarray]]:
-    """How pixels with three bands are lit and seen, to a degree where a table says it, and which
-    are so."""
+    """Angles of sun and view, to a degree where the table states them, and the places of the pixels
+    that have these and reflectance in three bands or more."""
     own = pd.DataFrame(index=range(len(read.reflectance))) if read.angles is None else read.angles
     there = (read.reflectance >= 0.0) & (read.reflectance <= 1.0)
     filled = there.sum(axis=1) >= 3
@@ -260,7 +260,7 @@ def _result(
     empty = int(np.isnan(fits.misfit).sum())
     unlike = int((fits.misfit > _UNLIKE).sum())
     count = len(fits.misfit)
-    told = [row.trait for row in rows if (row.constrained or 0.0) >= 0.5]
+    constrained = [row.trait for row in rows if (row.constrained or 0.0) >= 0.5]
     main = {row.trait: row for row in rows}
     area = main.get("leaf_area_index") or rows[0]
     low, middle, high = (
@@ -269,8 +269,8 @@ def _result(
     headline = [
         f"{count - empty} of {count} pixels fitted: median {area.trait.replace('_', ' ')} {middle} "
         f"{area.unit}, typically from {low} to {high}.",
-        f"The bands constrain {', '.join(told).replace('_', ' ') or 'none of the traits'}; other "
-        f"traits are nearly those of the prior. {unlike} pixels are unlike any such canopy.",
+        f"The bands constrain {', '.join(constrained).replace('_', ' ') or 'none of the traits'}; "
+        f"other traits are nearly those of the prior. {unlike} pixels are unlike any such canopy.",
         "Next: look at the interval of each trait before you compare pixels, and state what you "
         "know (--known leaf_angle=57).",
         *read.said,
@@ -278,8 +278,8 @@ def _result(
     table = pd.DataFrame([row.model_dump() for row in rows])
     shown: list[Any] = [Table(table, "Traits: medians over pixels, with the typical interval.")]
     if read.shape is not None:
-        shapes = [name for name in told if name.startswith("soil_shape")]
-        at = [i for i, n in enumerate(fits.names) if n in told and n not in shapes] or [0]
+        shapes = [name for name in constrained if name.startswith("soil_shape")]
+        at = [i for i, n in enumerate(fits.names) if n in constrained and n not in shapes] or [0]
         maps = {
             fits.names[i]: (
                 fits.estimate[:, i].reshape(read.shape),

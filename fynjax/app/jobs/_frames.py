@@ -412,7 +412,7 @@ def _skip_others(
 
 
 def _none_left(names: Sequence[str], skipped: dict[int, InputError]) -> InputError:
-    """What to say where no picture can be used."""
+    """The error where no picture of a flight can be used: it names each, the first with why."""
     first, *others = (error for _, error in sorted(skipped.items()))
     if not others:
         return first

@@ -40,8 +40,8 @@ class PicturePlace:
     corner: tuple[int, int] = (0, 0)
     """Column and row of the file's top left pixel."""
     bands: Mapping[str, Registration | None] = field(default_factory=dict)
-    """How the pixels of the pictures of bands, by their files' names, came to lie in the whole
-    picture; None: as they were. Empty: of any frame as they were."""
+    """Lens and homography by which the picture of each band, by the name of its file, was laid on
+    the whole one; None: it was not moved. Empty: none was."""
 
     def text(self) -> str:
         """The place of a picture as the text of its GeoTIFF tag."""
