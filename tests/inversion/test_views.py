@@ -47,7 +47,7 @@ from fynjax.inversion import (
     weigh_targets,
     whitened_residual,
 )
-from fynjax.inversion._fit_result import scatter_covariance, status_of
+from fynjax.inversion._fit_result import scatter_covariance, scatter_of_views, status_of
 from fynjax.inversion._search import Expectation
 from fynjax.inversion._views import Directions, informative_directions, multiplied
 from fynjax.metrics.structure import STRUCTURE_METRICS, voxel_structure
@@ -1104,3 +1104,18 @@ def test_a_calibration_takes_any_solver(sums, whole, solver, monkeypatch):
     assert (
         np.abs((np.asarray(found.fit.whitened) - np.asarray(whole.fit.whitened)) / sd).max() < 0.2
     )
+
+
+def test_errors_stated_from_few_draws_of_many_views_are_those_made():
+    """Generalised least squares of one number, with covariances of 16 draws of 25 views."""
+    random, kinds, off = np.random.default_rng(3), [*"abcdef"] * 25, []
+    own = np.kron(np.full((25, 25), 0.9) + 0.1 * np.eye(25), np.eye(6))
+    root = np.linalg.cholesky(own)
+    for _ in range(60):
+        slope = random.normal(size=150)
+        weights = np.linalg.solve(
+            scatter_of_views(random.normal(size=(16, 150)) @ root.T, kinds), slope
+        )
+        information = slope @ weights
+        off.append(weights @ (root @ random.normal(size=150)) / np.sqrt(information))
+    assert 0.8 < np.sqrt(np.mean(np.square(off))) < 1.2  # 1.4 of covariances as they are
