@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 _MARKS = "\t;|,"
 """Separators, the likelier first; where none of them serves, blanks separate."""
-_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
+_NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 _WITH_COMMA = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?", re.ASCII)
 _THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2}([.,]\d{3})+")
 _COMMENT = re.compile(r"\s*(#|//)\s*")
@@ -39,6 +39,8 @@ _LARGEST_WORKBOOK = 1 << 26
 core for so many."""
 _LARGEST_SHEET = 1 << 24
 """Cells that a sheet may reach over."""
+_LONGEST_NAME = 1000
+"""Characters of a column's name."""
 _LEAST = -900.0
 """A number below it may stand for none, such as -999."""
 
@@ -302,13 +304,26 @@ def open_table(path: str | Path, what: str, *, data: bytes | None = None) -> Tex
     """
     table, _ = _open(path, what, LARGEST_TEXT, data)
     table.row, table.skip, names = next(table._rows(0))
-    table.names = tuple(trimmed(names))
+    table.names = _short(trimmed(names), path, table.row)
     below = [cells for _, cells in itertools.islice(table.rows(), 3)]
     first = [cells[0] for cells in below]
     without_name = all(len(cells) == table.width + 1 for cells in below)
     if below and without_name and first == [str(k + 1) for k in range(len(first))]:
         table.names = ("", *table.names)  # R's write.table names no column of row names
     return table
+
+
+def _short(names: Sequence[str], path: Path, row: int) -> tuple[str, ...]:
+    """Names of columns; `InputError` where one is so long that to look for words in it takes
+    minutes."""
+    if (longest := max(map(len, names), default=0)) > _LONGEST_NAME:
+        raise InputError(
+            f"expected names of columns of at most {_LONGEST_NAME} characters, but one has "
+            f"{longest}. Does a quotation mark not end, or is this no table?",
+            file=path,
+            row=row,
+        )
+    return tuple(names)
 
 
 def numbers_rows(table: TextTable) -> bool:
@@ -345,7 +360,7 @@ def open_points(path: str | Path, what: str, needed: Collection[str]) -> TextTab
     if not all(not cell or is_number(cell) for cell in cells):
         starts_with_word = not is_number(next(filter(None, cells)))
         if starts_with_word or set(needed) <= _plain(cells):
-            table.names, table.skip = tuple(cells), start + 1
+            table.names, table.skip = _short(cells, path, table.row), start + 1
             return table
     table.skip = start
     cells = trimmed(split_line(re.split(r"\s#", first)[0], table.separator))
@@ -354,7 +369,7 @@ def open_points(path: str | Path, what: str, needed: Collection[str]) -> TextTab
         comment = _COMMENT.sub("", lines[above], count=1)
         for named in (trimmed(split_line(comment, table.separator)), comment.split()):
             if len(named) == len(cells) and set(needed) <= _plain(named):
-                table.names, table.row = tuple(named), above + 1
+                table.names, table.row = _short(named, path, above + 1), above + 1
                 return table
     if len(cells) < len(needed):
         *most, last = needed
@@ -405,11 +420,11 @@ def places_of(
 
 def name_and_unit(header: str) -> tuple[str, str]:
     """A column's name and its unit, in small letters: "X [cm]" is ("x", "cm")."""
-    match = re.fullmatch(
+    match = len(header) <= _LONGEST_NAME and re.fullmatch(
         r"(.*?[^\s_\[(])?[\s_\[(]+(m|cm|mm|ft|feet|foot|us_?ft|deg|degrees?|metres?|meters?)[\])]*",
         header.strip().lower(),
     )
-    if match is None:
+    if not match:
         return header.strip().lower(), ""
     return (match.group(1) or "").strip(), match.group(2)
 
