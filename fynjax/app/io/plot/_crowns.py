@@ -87,8 +87,8 @@ def with_crowns(plot: Plot, path: Path) -> Plot:
     times = sum(np.pi / 4.0 * (0.01 * row.diameter_cm) ** 2 for _, row in rows)
     if (times := times / float(np.prod(plot.size_m))) > _MOST_COVER:
         raise InputError(
-            f"expected crowns that of which few lie over each other, but these would cover the plot {times:.0f} "
-            f"times, and {_MOST_COVER} are possible. Are diameters in centimetres?"
+            f"expected crowns that cover the plot at most {_MOST_COVER} times over each other, but "
+            f"these do so {times:.0f} times. Are diameters in centimetres?"
         )
     crowns = Crowns(
         species=np.array([plot.taxa.index(row.taxon) for _, row in rows]),
