@@ -290,7 +290,9 @@ class NamedFile:
         return _file_beside(owner, name, self.what, within, self.folder)
 
 
-def check_stated_size(path: Path, stated: int, what: str, *, packed: bool) -> None:
+def check_stated_size(
+    path: Path, stated: int, what: str, *, packed: bool, held: int | None = None
+) -> None:
     """Refuse a file whose header states more content than the file can hold, before any is read.
 
     **Arguments:**
@@ -299,10 +301,11 @@ def check_stated_size(path: Path, stated: int, what: str, *, packed: bool) -> No
     - `stated`: bytes of content by the header.
     - `what`: that content, such as "30 000 points".
     - `packed`: whether the content may be compressed.
+    - `held`: bytes that it holds; those of the file if left out.
 
     **Raises:** `InputError`.
     """
-    held = path.stat().st_size
+    held = path.stat().st_size if held is None else held
     if stated < 0 or stated > (max(_TIGHTEST * held, _FREELY) if packed else held):
         raise InputError(
             f"it states {what}, but its {held} bytes cannot hold them. Is it cut short or "

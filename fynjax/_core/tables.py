@@ -589,10 +589,13 @@ def _workbook(data: bytes, path: Path, what: str) -> bytes:
             book = excel.load_workbook(io.BytesIO(data), data_only=True, read_only=True)
             for sheet in book.worksheets:
                 sheet.reset_dimensions()  # which may be stated wrongly
-                rows, width = list[list[str]](), 0
+                rows, width, letters = list[list[str]](), 0, 0
                 for row in sheet.iter_rows():
                     rows.append([_cell(cell) for cell in row])
                     width = max(width, len(row))
+                    letters += sum(map(len, rows[-1]))
+                    if letters > _LARGEST_WORKBOOK:  # cells may share one text
+                        raise ValueError(f"{sheet.title!r} holds over {letters >> 20} MiB of text")
                     if len(rows) * max(width, 1) > _LARGEST_SHEET:
                         raise ValueError(f"{sheet.title!r} reaches to row {len(rows)} or beyond")
                 text = io.StringIO()

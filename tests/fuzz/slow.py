@@ -216,21 +216,24 @@ def _small_chunks(folder: Path) -> Callable[[Path], Any]:
 
 
 def _stated_zarr(folder: Path, shape: list[int], chunks: list[int]) -> Callable[[Path], Any]:
-    from fynjax.app.io.raster import open_blocks
     from tests.fuzz.readers import READERS
 
     READERS["blocks-zarr"].write(folder)
-    for place, sizes in (("reflectance", shape),):
-        meta = folder / "cube.zarr" / place / ".zarray"
-        record = json.loads(meta.read_text("utf-8"))
-        meta.write_text(json.dumps({**record, "shape": sizes, "chunks": chunks}), "utf-8")
+    meta = folder / "cube.zarr" / "reflectance" / ".zarray"
+    record = json.loads(meta.read_text("utf-8"))
+    meta.write_text(json.dumps({**record, "shape": shape, "chunks": chunks}), "utf-8")
+    for chunk in meta.parent.glob("[0-9]*"):
+        chunk.unlink()
+    return lambda folder: _all_rows(folder / "cube.zarr")
 
-    def read(folder: Path) -> Any:
-        with open_blocks(folder / "cube.zarr") as cube:
-            cube.scale()
-            for start in range(0, cube.shape[0], cube.rows_at_once):
-                cube.read(start, min(cube.rows_at_once, cube.shape[0] - start))
-    return read
+
+def _all_rows(path: Path) -> None:
+    from fynjax.app.io.raster import open_blocks
+
+    with open_blocks(path) as cube:
+        cube.scale()
+        for start in range(0, cube.shape[0], cube.rows_at_once):
+            cube.read(start, min(cube.rows_at_once, cube.shape[0] - start))
 
 
 def _netcdf(filters: int, stored: int, count: int) -> Callable[[Path], Callable[[Path], Any]]:
@@ -269,8 +272,6 @@ def _tiff(compress: str, side: int, **options: Any) -> Callable[[Path], Callable
     def make(folder: Path) -> Callable[[Path], Any]:
         import rasterio
 
-        from fynjax.app.compare import read_drone_image
-
         with rasterio.open(
             folder / "image.tif", "w", driver="GTiff", height=side, width=side, count=3,
             dtype="uint8", compress=compress, tiled=True, blockxsize=512, blockysize=512,
@@ -280,7 +281,7 @@ def _tiff(compress: str, side: int, **options: Any) -> Callable[[Path], Callable
                 rows = min(512, side - row)
                 zeros = np.full((3, rows, side), 7, "u1")
                 file.write(zeros, window=rasterio.windows.Window(0, row, side, rows))
-        return lambda folder: read_drone_image(folder / "image.tif")
+        return lambda folder: _all_rows(folder / "image.tif")
     return make
 
 
@@ -318,13 +319,17 @@ def _sheet(row: str, rows: int, strings: str = "") -> Callable[[Path], Callable[
         body = "".join(f"<row r='{i + 1}'>{row}</row>" for i in range(rows))
         new = {
             "xl/worksheets/sheet1.xml": f"<worksheet xmlns='{space}'><sheetData>{body}</sheetData></worksheet>",
-            "xl/sharedStrings.xml": f"<sst xmlns='{space}'><si><t>{strings}</t></si></sst>",
         }
+        kind = "application/vnd.openxmlformats-officedocument.spreadsheetml.sharedStrings+xml"
+        part = f'<Override PartName="/xl/sharedStrings.xml" ContentType="{kind}"/></Types>'
         with zipfile.ZipFile(plain) as old, zipfile.ZipFile(
             folder / "statistics.xlsx", "w", zipfile.ZIP_DEFLATED
         ) as packed:
             for one in old.infolist():
-                packed.writestr(one.filename, new.get(one.filename, old.read(one)))
+                text = new.get(one.filename, old.read(one).decode())
+                packed.writestr(one.filename, text.replace("</Types>", part))
+            text = f"<sst xmlns='{space}'><si><t>{strings}</t></si></sst>"
+            packed.writestr("xl/sharedStrings.xml", text)
         plain.unlink()
         return READERS["workbook"].read
     return make
@@ -337,7 +342,7 @@ def _cloud(kind: str, points: int) -> Callable[[Path], Callable[[Path], Any]]:
         from fynjax.app.terrain import read_cloud
 
         las = laspy.LasData(laspy.LasHeader(version="1.4", point_format=6))
-        las.x = las.y = las.z = np.zeros(points)
+        las.x = las.y = las.z = np.arange(points) // (points // 4)
         las.write(folder / f"cloud.{kind}")
         return lambda folder: read_cloud(folder / f"cloud.{kind}")
     return make

@@ -103,7 +103,7 @@ def test_sizes_are_bounded_before_anything_is_read(tmp_path: Path) -> None:
     path = write(tmp_path / "cube.zarr")
     meta = path / "reflectance" / ".zarray"
     for shape, chunks, words in [
-        ([1, 2**35, 4], [3, 5, 4], "pixels of a row in .* need .* GiB"),
+        ([1, 2**35, 4], [3, 5, 4], "at most 1048576 chunks"),
         ([6, 5, 4], [2**20, 2**20, 2**20], "need .* GiB, but this machine has"),
         ([6, 5, 4], [0, 5, 4], "whole numbers of 1 or more"),
         ([0, 5, 4], [3, 5, 4], "whole numbers of 1 or more"),
