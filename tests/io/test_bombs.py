@@ -1,6 +1,7 @@
 """Small files that unfold to much: one line, before memory or the day is gone."""
 
 import json
+import re
 import resource
 import sqlite3
 import struct
@@ -27,7 +28,7 @@ from fynjax.app.compare import read_spectra_sample
 from fynjax.app.io.instruments import load_sensor, read_atmosphere
 from fynjax.app.io.plot import read_plot, read_statistics
 from fynjax.app.io.raster import _zarr, parse_crs
-from fynjax.app.io.spectra import read_spectra_file
+from fynjax.app.io.spectra import in_nanometres, read_spectra_file
 from fynjax.app.io.text import check_geopackage
 from fynjax.app.terrain import read_cloud
 from fynjax.canopy import read_plant_mesh
@@ -54,6 +55,25 @@ def test_a_second_frame_of_zstd_is_refused(tmp_path: Path) -> None:
     checked = bytes(Zstd(checksum=True).encode(np.random.default_rng(0).bytes(300_000)))
     path.write_bytes(checked)
     assert _zarr._fits(str(path), "zstd", 300_000, len(checked), 9)
+
+
+def test_a_chunk_of_blosc_that_is_cut_short_is_refused(tmp_path: Path) -> None:
+    """It would be filled with what stands behind it in memory."""
+    from numcodecs import Blosc
+
+    data = bytes(Blosc(clevel=0).encode(np.random.default_rng(0).random(500)))
+    path = tmp_path / "0.0"
+    for k, one in enumerate((data, data[:33], data[:-1], data + b"\0", data[:8])):
+        path.write_bytes(one)
+        assert _zarr._fits(str(path), "blosc", 4000, len(one), 100 + k) == (k == 0), k
+
+
+@pytest.mark.parametrize("wrong", [-np.inf, np.inf, -9999.0, 1e20])
+def test_wavelengths_that_are_none(wrong: float) -> None:
+    with pytest.raises(
+        InputError, match=f"wavelengths in Nanometers .* one is {re.escape(format(wrong, 'g'))}"
+    ):
+        in_nanometres(np.array([500.0, np.nan, wrong]), "nm")
 
 
 @pytest.mark.parametrize(

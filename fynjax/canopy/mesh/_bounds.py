@@ -10,7 +10,7 @@ from fynjax._core.files import check_stated_size, existing_file
 
 LARGEST_FILE = 1 << 30
 """Bytes of a mesh file; a scanned plant of ten million triangles has a half of it."""
-MOST_TRIANGLES = 50_000_000
+MOST_TRIANGLES = 20_000_000
 """Triangles of a mesh, each copy that its file places counted."""
 _PACKED = (".zip", ".gz", ".tgz", ".bz2", ".xz", ".tar", ".7z", ".3mf")
 _NUMBERS = 16 * 8

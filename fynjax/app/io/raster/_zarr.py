@@ -144,8 +144,8 @@ def _check_array(folder: Path, meta: dict[str, Any]) -> bool:
         held += now.st_size
         if packed and not _fits(chunk.path, packed[0], stated, now.st_size, now.st_mtime_ns):
             raise InputError(
-                f"expected chunks of {stated} bytes, but this one unfolds to more, or does not "
-                "say to how many. Is it damaged?",
+                f"expected chunks of {stated} bytes, but this one unfolds to more, does not say "
+                "to how many, or is cut short. Is it damaged?",
                 file=chunk.path,
             )
     stated = math.prod(shape) * kind.itemsize
@@ -178,7 +178,9 @@ def _fits(path: str, codec: str, most: int, size: int, changed: int) -> bool:
                 return True
         if codec == "zstd":
             return _fits_zstd(file, most)
-        head = file.read(8)
+        head = file.read(16)
+    if codec == "blosc" and int.from_bytes(head[12:], "little") != size:
+        return False  # it would read on behind the end
     return int.from_bytes(head[4:8] if codec == "blosc" else head[:4], "little") <= most
 
 
