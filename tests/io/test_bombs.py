@@ -1,7 +1,6 @@
 """Small files that unfold to much: one line, before memory or the day is gone."""
 
 import json
-import re
 import resource
 import sqlite3
 import struct
@@ -74,6 +73,7 @@ def test_wavelengths_that_are_none(wrong: float) -> None:
         InputError, match=f"wavelengths in Nanometers .* one is {re.escape(format(wrong, 'g'))}"
     ):
         in_nanometres(np.array([500.0, np.nan, wrong]), "nm")
+    assert f"one is {wrong:g}" in str(caught.value)
 
 
 @pytest.mark.parametrize(
