@@ -69,9 +69,7 @@ def test_a_chunk_of_blosc_that_is_cut_short_is_refused(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("wrong", [-np.inf, np.inf, -9999.0, 1e20])
 def test_wavelengths_that_are_none(wrong: float) -> None:
-    with pytest.raises(
-        InputError, match=f"wavelengths in Nanometers .* one is {re.escape(format(wrong, 'g'))}"
-    ):
+    with pytest.raises(InputError, match="wavelengths in Nanometers") as caught:
         in_nanometres(np.array([500.0, np.nan, wrong]), "nm")
     assert f"one is {wrong:g}" in str(caught.value)
 
