@@ -336,3 +336,13 @@ def test_lists_that_are_no_lists_lead_nowhere(tmp_path):
         assert EarlierRun(tmp_path, "demo").hashes == {}
     (tmp_path / "summary.json").write_bytes(b"\xff\xfe")
     assert EarlierRun(tmp_path, "demo").hashes == {}
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="Windows has no such pipes")
+def test_a_pipe_or_a_device_for_a_list_of_results_is_not_read(tmp_path):
+    for k, make in enumerate((os.mkfifo, lambda path: path.symlink_to("/dev/zero"))):
+        folder = tmp_path / str(k)
+        folder.mkdir()
+        make(folder / "summary.json")
+        assert EarlierRun(folder, "terrain").hashes == {}
+        assert EarlierRun(folder, "terrain").strange(["summary.json"])

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from fynjax._core.errors import LARGEST, InputError
+from fynjax._core.errors import LARGEST, InputError, stated_number
 from fynjax.app.io.captures._camera_place import CameraPlace
 from fynjax.app.io.captures._lens import Registration
 from fynjax.sensors import CameraRadiometry
@@ -98,7 +98,7 @@ class Stated:
         """Numbers, if the key is there and they are numbers."""
         try:
             parts = [part for text in self.xmp.get(key, []) for part in text.split(",")]
-            values = [float(part) for part in parts]
+            values = [stated_number(part) for part in parts]
         except ValueError:
             return None
         return values if values and np.all(np.abs(values) < LARGEST) else None

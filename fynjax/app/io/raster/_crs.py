@@ -11,7 +11,7 @@ from rasterio import Affine
 from rasterio.crs import CRS
 from rasterio.errors import CRSError
 
-from fynjax._core.errors import InputError, listed
+from fynjax._core.errors import InputError, listed, stated_number
 
 UNITS: dict[str, float] = {
     "metre": 1.0,
@@ -149,7 +149,7 @@ def geotransform(numbers: Any, name: str) -> Affine:
         return Affine.identity()
     text = re.split(r"[\s,]+", numbers.strip()) if isinstance(numbers, str) else np.ravel(numbers)
     try:
-        transform = Affine.from_gdal(*(float(number) for number in text))
+        transform = Affine.from_gdal(*(stated_number(number) for number in text))
         sound = np.isfinite(transform.to_gdal()).all() and transform.determinant != 0.0
     except (TypeError, ValueError):
         sound = False
