@@ -278,7 +278,7 @@ def test_an_input_with_the_name_of_a_result_and_a_page_of_the_user_stay(
     for command in ("terrain", "pattern"):
         source = "terrain.tif" if command == "terrain" else "map.tif"
         for name in (source, work / source):
-            err = refused(capsys, command, name, "--output", ".", "--overwrite")
+            err = refused(capsys, command, name, "--output", ".", "--overwrite", "--quiet")
             assert f"error: {source}: this is an input of the run" in err
     (work / "report.html").write_text("mine")
     before["work/report.html"] = b"mine"
