@@ -83,8 +83,9 @@ def test_numbers_of_texts_are_strict_in_every_format(tmp_path: Path, wrong: str)
     header = tmp_path / "cube.hdr"
     text = "ENVI\nsamples = 1\nlines = 1\nbands = 1\ndata type = 4\ninterleave = bsq\n"
     (tmp_path / "cube.dat").write_bytes(bytes(4000))
-    for key in ("samples = 1", "reflectance scale factor = 2", "wavelength = {500}"):
-        stated = re.sub(r"\d+", wrong, key)
+    place = "map info = {UTM, 5, 1, 0, 0, 1, 1, 34, South}"
+    for key in ("samples = 1", place, "reflectance scale factor = 2", "wavelength = {500}"):
+        stated = re.sub(r"\d+", wrong, key, count=1)
         header.write_text(f"{text}{stated}\n", "utf-8")
         with pytest.raises(InputError, match=r"cube\.hdr"), open_blocks(header) as cube:
             cube.wavelength, cube.read(0, 1)

@@ -93,6 +93,8 @@ def read_header(path: Path) -> dict[str, Any]:
             raise ValueError("it starts otherwise")
         header = _fields(text)
         layout = _layout(header)
+        for number in header.get("map info", [])[1:7]:  # which GDAL reads as far as it can
+            stated_number(number)
     except KeyError as error:
         raise InputError(f"{_NO_HEADER} ({error} is missing)") from error
     except ValueError as error:
