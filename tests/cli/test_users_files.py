@@ -231,6 +231,10 @@ def test_an_input_of_the_run_is_never_replaced(capsys, writes, tmp_path, monkeyp
         for more in ((), ("--overwrite",)):
             err = refused(capsys, "demo", "--output", out, *more)
             assert "out/a.csv: this is an input of the run" in err
+    (tmp_path / "link.csv").unlink()
+    os.link(out / "a.csv", tmp_path / "link.csv")  # the same file by another name
+    writes["input"] = tmp_path / "link.csv"
+    assert "out/a.csv: this is an input" in refused(capsys, "demo", "--output", out, "--overwrite")
     # Nor is it removed; and what was edited since and is an input is nothing to refuse.
     del writes["a.csv"]
     (tmp_path / "link.csv").unlink()
@@ -346,3 +350,16 @@ def test_a_pipe_or_a_device_for_a_list_of_results_is_not_read(tmp_path):
         make(folder / "summary.json")
         assert EarlierRun(folder, "terrain").hashes == {}
         assert EarlierRun(folder, "terrain").strange(["summary.json"])
+
+
+@pytest.mark.parametrize(
+    "name", ["a\x1b[2Jb", "a\nb", "a\rb", "a\u202eb", "a\x9bb", "=1+1", "$\\frac{"]
+)
+def test_a_name_does_not_control_the_terminal(capsys, writes, tmp_path, name):
+    for _ in range(2):
+        _, out, err = call(capsys, "demo", "--output", tmp_path / name)
+        assert (out + err).replace("\n", "").isprintable()
+    (tmp_path / name / "a.csv").write_text("mine") if (tmp_path / name).is_dir() else None
+    _, out, err = call(capsys, "demo", "--output", tmp_path / name)
+    assert (out + err).replace("\n", "").isprintable()
+    assert err.count("\n") <= 1
