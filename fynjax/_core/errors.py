@@ -149,13 +149,6 @@ def is_odd_number(text: str) -> bool:
         return False
 
 
-def stated_number(value: Any) -> float:
-    """A number as a file states it, also as text; `ValueError` where `is_odd_number`."""
-    if isinstance(value, str) and is_odd_number(value):
-        raise ValueError(f"no number: {value[:60]!r}")
-    return float(value)
-
-
 def did_you_mean(name: str, known: Iterable[str]) -> str:
     """' Did you mean ...?' for the nearest of `known` to `name`, or nothing if none is near."""
     known = list(known)

@@ -40,7 +40,6 @@ core for so many."""
 _LARGEST_SHEET = 1 << 24
 """Cells that a sheet may reach over."""
 _LONGEST_NAME = 1000
-"""Characters of a column's name."""
 _LEAST = -900.0
 """A number below it may stand for none, such as -999."""
 
@@ -278,10 +277,6 @@ class TextTable:
         """A line of the file, from 1, as it is written."""
         return next(self._file(row - 1), "").strip()
 
-    def row_of(self, index: int) -> int:
-        """Line in the file, from 1, of the row at `index`, from 0."""
-        return next(itertools.islice(self.rows(), index, None))[0]
-
 
 def open_table(path: str | Path, what: str, *, data: bytes | None = None) -> TextTable:
     """Find how a table is written; its first row is the header.
@@ -304,26 +299,16 @@ def open_table(path: str | Path, what: str, *, data: bytes | None = None) -> Tex
     """
     table, _ = _open(path, what, LARGEST_TEXT, data)
     table.row, table.skip, names = next(table._rows(0))
-    table.names = _short(trimmed(names), path, table.row)
+    table.names = tuple(trimmed(names))
+    if max(map(len, table.names), default=0) > _LONGEST_NAME:  # words are looked for in them
+        words = "expected names of columns of at most 1000 characters. Does a quotation not end?"
+        raise InputError(words, file=path, row=table.row)
     below = [cells for _, cells in itertools.islice(table.rows(), 3)]
     first = [cells[0] for cells in below]
     without_name = all(len(cells) == table.width + 1 for cells in below)
     if below and without_name and first == [str(k + 1) for k in range(len(first))]:
         table.names = ("", *table.names)  # R's write.table names no column of row names
     return table
-
-
-def _short(names: Sequence[str], path: Path, row: int) -> tuple[str, ...]:
-    """Names of columns; `InputError` where one is so long that to look for words in it takes
-    minutes."""
-    if (longest := max(map(len, names), default=0)) > _LONGEST_NAME:
-        raise InputError(
-            f"expected names of columns of at most {_LONGEST_NAME} characters, but one has "
-            f"{longest}. Does a quotation mark not end, or is this no table?",
-            file=path,
-            row=row,
-        )
-    return tuple(names)
 
 
 def numbers_rows(table: TextTable) -> bool:
@@ -360,7 +345,7 @@ def open_points(path: str | Path, what: str, needed: Collection[str]) -> TextTab
     if not all(not cell or is_number(cell) for cell in cells):
         starts_with_word = not is_number(next(filter(None, cells)))
         if starts_with_word or set(needed) <= _plain(cells):
-            table.names, table.skip = _short(cells, path, table.row), start + 1
+            table.names, table.skip = tuple(cells), start + 1
             return table
     table.skip = start
     cells = trimmed(split_line(re.split(r"\s#", first)[0], table.separator))
@@ -369,7 +354,7 @@ def open_points(path: str | Path, what: str, needed: Collection[str]) -> TextTab
         comment = _COMMENT.sub("", lines[above], count=1)
         for named in (trimmed(split_line(comment, table.separator)), comment.split()):
             if len(named) == len(cells) and set(needed) <= _plain(named):
-                table.names, table.row = _short(named, path, above + 1), above + 1
+                table.names, table.row = tuple(named), above + 1
                 return table
     if len(cells) < len(needed):
         *most, last = needed

@@ -76,17 +76,12 @@ def _check_gltf(path: Path) -> None:
         below = [[int(c) for c in one.get("children", [])] for one in record.get("nodes", [])]
         children = [c for one in below for c in one]
     check_stated_size(path, stated, f"{stated >> 20} MiB of arrays without data", packed=True)
-    if len(children) != len(set(children)):
-        raise InputError(
-            "the mesh cannot be read: a part of its scene stands below two others, or itself",
-            file=path,
-        )
-    level = sorted({*range(len(below))} - {*children})
+    level = {*range(len(below))} - {*children}
     for _ in range(_DEEPEST):
-        level = [c for one in level if one < len(below) for c in below[one]]
-    if level:
+        level = {c for one in level if one < len(below) for c in below[one]}
+    if level or len(children) != len(set(children)):
         raise InputError(
-            f"the mesh cannot be read: parts of its scene stand more than {_DEEPEST} deep, one "
-            "below the other. Join them first",
+            "the mesh cannot be read: a part of its scene stands below two others or itself, or "
+            f"more than {_DEEPEST} deep",
             file=path,
         )

@@ -17,6 +17,7 @@ from fynjax.canopy.mesh._plant_mesh import PlantMesh
 
 _USEMTL = re.compile(r"^[ \t]*usemtl[ \t](.*)", re.MULTILINE)
 _GROUPS = {kind: re.compile(rf"^[ \t]*{kind}[ \t](.*)", re.MULTILINE) for kind in "go"}
+_ENDS = f"-._ \t\r{string.digits}"
 _RELATIVE = re.compile(r"^[ \t]*[flp][ \t].*-\d", re.MULTILINE)
 _COMMENT = re.compile(r"^([ \t]*[vflp][nt]?[ \t][^#\n]*)#.*", re.MULTILINE)
 _ZERO = re.compile(r"^[ \t]*[flp][ \t](?:.*[ \t])?0(?:/|\s|$)", re.MULTILINE)
@@ -189,14 +190,8 @@ def _materials_of_groups(text: str) -> str:
         organs = {organ_of_name(name) for name in pattern.findall(text)} - {None}
         if len(organs) > 1:
             plain = _USEMTL.sub("", text)
-            return pattern.sub(lambda match: f"usemtl {_without_number(match[1].strip())}", plain)
+            return pattern.sub(lambda m: f"usemtl {m[1].rstrip(_ENDS).lstrip() or m[1]}", plain)
     return text
-
-
-def _without_number(name: str) -> str:
-    """A name without the number at its end, where it is more than one."""
-    bare = name.rstrip(string.digits)
-    return name if bare == name else bare.rstrip("-._ ") or name
 
 
 def _counted_from_first(text: str, file: str) -> str:

@@ -7,9 +7,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from fynjax._core.errors import LARGEST, InputError, stated_number
+from fynjax._core.errors import LARGEST, InputError
 from fynjax.app.io.captures._camera_place import CameraPlace
 from fynjax.app.io.captures._lens import Registration
+from fynjax.app.io.text import stated_number
 from fynjax.sensors import CameraRadiometry
 
 _LARGEST_EXIF = 1e7

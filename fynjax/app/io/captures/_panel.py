@@ -13,10 +13,10 @@ from pydantic import model_validator
 from scipy import ndimage
 from scipy.spatial import ConvexHull
 
-from fynjax._core.errors import InputError, in_file, names_file, stated_number
+from fynjax._core.errors import InputError, in_file, names_file
 from fynjax._core.precision import double_precision
 from fynjax.app.io.captures._capture import Capture
-from fynjax.app.io.text import Strict, in_unit, read_rows
+from fynjax.app.io.text import Strict, in_unit, read_rows, stated_number
 from fynjax.sensors import BandSet, PanelReading, panel_coverage, panel_reading
 
 _EVEN = 0.08

@@ -7,7 +7,8 @@ import numpy as np
 import pyproj
 from jaxtyping import Float
 
-from fynjax._core.errors import LARGEST, InputError, listed, refusing, stated_number
+from fynjax._core.errors import LARGEST, InputError, listed, refusing
+from fynjax.app.io.text import stated_number
 from fynjax.sensors import Frame, Lens, pose_of_axes
 
 

@@ -12,11 +12,12 @@ from jaxtyping import Bool, Float
 from rasterio import Affine
 from rasterio.enums import ColorInterp
 
-from fynjax._core.errors import InputError, in_file, stated_number
+from fynjax._core.errors import InputError, in_file
 from fynjax.app.io.raster._align import Alignment, align_bands
 from fynjax.app.io.raster._image import band_of_file, open_image
 from fynjax.app.io.raster._reader import RAW_COUNTS, open_raster
 from fynjax.app.io.raster._writer import north_up
+from fynjax.app.io.text import stated_number
 
 _COLOURS = {ColorInterp.red: "red", ColorInterp.green: "green", ColorInterp.blue: "blue"}
 

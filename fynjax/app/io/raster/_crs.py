@@ -11,7 +11,8 @@ from rasterio import Affine
 from rasterio.crs import CRS
 from rasterio.errors import CRSError
 
-from fynjax._core.errors import InputError, listed, stated_number
+from fynjax._core.errors import InputError, listed
+from fynjax.app.io.text import stated_number
 
 UNITS: dict[str, float] = {
     "metre": 1.0,

@@ -28,12 +28,12 @@ from rasterio.enums import ColorInterp
 from rasterio.errors import CRSError, NotGeoreferencedWarning, RasterioError
 from rasterio.windows import Window
 
-from fynjax._core.errors import LARGEST, InputError, in_file, refusing, stated_number
+from fynjax._core.errors import LARGEST, InputError, in_file, refusing
 from fynjax._core.files import check_stated_size, existing_file, how_to_import, is_elsewhere
 from fynjax._core.progress import track
 from fynjax.app.io.raster._crs import check_metric, is_local, stretch, utm_zone
 from fynjax.app.io.spectra import check_widths, header_numbers, in_nanometres, open_envi
-from fynjax.app.io.text import check_fits
+from fynjax.app.io.text import check_fits, stated_number
 
 METRES = ("", "m", "metre", "metres", "meter", "meters")
 """What a raster may call the unit of its heights."""

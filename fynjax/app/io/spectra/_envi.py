@@ -6,9 +6,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fynjax._core.errors import LARGEST, InputError, in_file, names_file, refusing, stated_number
+from fynjax._core.errors import LARGEST, InputError, in_file, names_file, refusing
 from fynjax._core.files import is_elsewhere, read_bytes
 from fynjax.app.io.spectra._record import MeasuredSpectrum, in_nanometres, note
+from fynjax.app.io.text import stated_number
 
 _INTERLEAVES = ("bsq", "bil", "bip")
 """Orders of the values in a data file: bands one by one, by line, by pixel."""
