@@ -21,7 +21,13 @@ def check_fits(needed: float, what: str, advice: str, file: str | Path | None = 
 
 
 def stated_number(value: Any) -> float:
-    """A number as a file states it, also as text; `ValueError` where `is_odd_number`."""
+    """A number as a file states it, also as text.
+
+    **Arguments:** `value`, a number or a text.
+
+    **Raises:** `ValueError` for a text that is none, also where Python would take it for one, such
+    as 1_0 and digits of other scripts.
+    """
     if isinstance(value, str) and is_odd_number(value):
         raise ValueError(f"no number: {value[:60]!r}")
     return float(value)
