@@ -20,12 +20,17 @@ LARGEST = 1e15
 _LONGEST_WORD, _LONGEST_LIST, _LONGEST = 80, 160, 3000
 
 
+def printable(text: str) -> str:
+    """Text on one line, without characters that control a terminal."""
+    return "".join(c if c.isprintable() else " " if c.isspace() else repr(c)[1:-1] for c in text)
+
+
 def _plain(text: str, most: int) -> str:
     """Text without characters that control a terminal, and with what is very long cut.
 
     Files come from anybody: what of them an error shows is a cell, not a page.
     """
-    text = "".join(c if c.isprintable() else " " if c.isspace() else repr(c)[1:-1] for c in text)
+    text = printable(text)
     text = re.sub(rf"\S{{{_LONGEST_WORD + 1},}}", lambda m: m[0][: _LONGEST_WORD - 3] + "...", text)
     text = re.sub(  # a cell that is quoted, but not what stands between two apostrophes
         rf"(?<=[\s(])(['\"])((?!\1).){{{_LONGEST_WORD + 1},}}\1(?=[\s.,;:)?]|$)",
@@ -61,7 +66,7 @@ class InputError(ValueError):
     ) -> None:
         message = _plain(message, _LONGEST)
         column = _plain(column, _LONGEST_WORD) if isinstance(column, str) else column
-        where = [] if file is None else [str(file)]
+        where = [] if file is None else [printable(str(file))]
         keyed = file is not None and Path(file).suffix.lower() == ".toml"
         if row is not None:
             where.append(f"{'line' if keyed else 'row'} {row}")

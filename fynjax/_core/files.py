@@ -242,7 +242,7 @@ def _file_beside(
             existing_file(place, what)  # as it is named: of a link that leads nowhere it says so
         return path
     except InputError as error:
-        text = str(error).removeprefix(f"{error.file}: ")
+        text = error.message
     except ValueError:  # a null character
         text = f"expected {what}, but no file can have this name"
     except (OSError, RuntimeError) as error:  # a link in a loop
@@ -290,7 +290,7 @@ class NamedFile:
         return _file_beside(owner, name, self.what, within, self.folder)
 
 
-def check_stated_size(path: Path, stated: int, what: str, *, packed: bool) -> None:
+def check_stated_size(path: Path, stated: int, what: str, *, packed: bool, held: int = -1) -> None:
     """Refuse a file whose header states more content than the file can hold, before any is read.
 
     **Arguments:**
@@ -299,10 +299,11 @@ def check_stated_size(path: Path, stated: int, what: str, *, packed: bool) -> No
     - `stated`: bytes of content by the header.
     - `what`: that content, such as "30 000 points".
     - `packed`: whether the content may be compressed.
+    - `held`: bytes that it holds; those of the file if left out.
 
     **Raises:** `InputError`.
     """
-    held = path.stat().st_size
+    held = path.stat().st_size if held < 0 else held
     if stated < 0 or stated > (max(_TIGHTEST * held, _FREELY) if packed else held):
         raise InputError(
             f"it states {what}, but its {held} bytes cannot hold them. Is it cut short or "

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 _MARKS = "\t;|,"
 """Separators, the likelier first; where none of them serves, blanks separate."""
-_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
+_NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 _WITH_COMMA = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?", re.ASCII)
 _THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2}([.,]\d{3})+")
 _COMMENT = re.compile(r"\s*(#|//)\s*")
@@ -39,6 +39,7 @@ _LARGEST_WORKBOOK = 1 << 26
 core for so many."""
 _LARGEST_SHEET = 1 << 24
 """Cells that a sheet may reach over."""
+_LONGEST_NAME = 1000
 _LEAST = -900.0
 """A number below it may stand for none, such as -999."""
 
@@ -276,10 +277,6 @@ class TextTable:
         """A line of the file, from 1, as it is written."""
         return next(self._file(row - 1), "").strip()
 
-    def row_of(self, index: int) -> int:
-        """Line in the file, from 1, of the row at `index`, from 0."""
-        return next(itertools.islice(self.rows(), index, None))[0]
-
 
 def open_table(path: str | Path, what: str, *, data: bytes | None = None) -> TextTable:
     """Find how a table is written; its first row is the header.
@@ -303,6 +300,9 @@ def open_table(path: str | Path, what: str, *, data: bytes | None = None) -> Tex
     table, _ = _open(path, what, LARGEST_TEXT, data)
     table.row, table.skip, names = next(table._rows(0))
     table.names = tuple(trimmed(names))
+    if max(map(len, table.names), default=0) > _LONGEST_NAME:  # words are looked for in them
+        words = "expected names of columns of at most 1000 characters. Does a quotation not end?"
+        raise InputError(words, file=path, row=table.row)
     below = [cells for _, cells in itertools.islice(table.rows(), 3)]
     first = [cells[0] for cells in below]
     without_name = all(len(cells) == table.width + 1 for cells in below)
@@ -405,11 +405,11 @@ def places_of(
 
 def name_and_unit(header: str) -> tuple[str, str]:
     """A column's name and its unit, in small letters: "X [cm]" is ("x", "cm")."""
-    match = re.fullmatch(
+    match = len(header) <= _LONGEST_NAME and re.fullmatch(
         r"(.*?[^\s_\[(])?[\s_\[(]+(m|cm|mm|ft|feet|foot|us_?ft|deg|degrees?|metres?|meters?)[\])]*",
         header.strip().lower(),
     )
-    if match is None:
+    if not match:
         return header.strip().lower(), ""
     return (match.group(1) or "").strip(), match.group(2)
 
@@ -574,10 +574,13 @@ def _workbook(data: bytes, path: Path, what: str) -> bytes:
             book = excel.load_workbook(io.BytesIO(data), data_only=True, read_only=True)
             for sheet in book.worksheets:
                 sheet.reset_dimensions()  # which may be stated wrongly
-                rows, width = list[list[str]](), 0
+                rows, width, letters = list[list[str]](), 0, 0
                 for row in sheet.iter_rows():
                     rows.append([_cell(cell) for cell in row])
                     width = max(width, len(row))
+                    letters += sum(map(len, rows[-1]))
+                    if letters > _LARGEST_WORKBOOK:  # cells may share one text
+                        raise ValueError(f"{sheet.title!r} holds over {letters >> 20} MiB of text")
                     if len(rows) * max(width, 1) > _LARGEST_SHEET:
                         raise ValueError(f"{sheet.title!r} reaches to row {len(rows)} or beyond")
                 text = io.StringIO()

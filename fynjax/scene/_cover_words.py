@@ -23,9 +23,9 @@ CLASSES: dict[str, tuple[float, float]] = {
 (1964, Acta Botanica Neerlandica 13, 394). The scale says of r and + only that they cover little: up
 to 0.1 and 1 % are taken."""
 _TRACE = re.compile(r"tr(ace)?s?\.?|present|x|p", re.IGNORECASE)
-_LIMIT = re.compile(r"(<|≤|<=|>|≥|>=)\s*(\d+[.,]?\d*)\s*%?")
+_LIMIT = re.compile(r"(<|≤|<=|>|≥|>=)\s*(\d+(?:[.,]\d*)?)\s*%?")
 _RANGE = re.compile(
-    r"(\d+[.,]?\d*)\s*%?\s*(?:-|–|—|\.\.+|to|bis)\s*(\d+[.,]?\d*)\s*%?", re.IGNORECASE
+    r"(\d+(?:[.,]\d*)?)\s*%?\s*(?:-|–|—|\.\.+|to|bis)\s*(\d+(?:[.,]\d*)?)\s*%?", re.IGNORECASE
 )
 _DIGITS = ("1", "2", "3", "4", "5")
 _FEW = 3

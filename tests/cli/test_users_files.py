@@ -231,6 +231,10 @@ def test_an_input_of_the_run_is_never_replaced(capsys, writes, tmp_path, monkeyp
         for more in ((), ("--overwrite",)):
             err = refused(capsys, "demo", "--output", out, *more)
             assert "out/a.csv: this is an input of the run" in err
+    (tmp_path / "link.csv").unlink()
+    os.link(out / "a.csv", tmp_path / "link.csv")  # the same file by another name
+    writes["input"] = tmp_path / "link.csv"
+    assert "out/a.csv: this is an input" in refused(capsys, "demo", "--output", out, "--overwrite")
     # Nor is it removed; and what was edited since and is an input is nothing to refuse.
     del writes["a.csv"]
     (tmp_path / "link.csv").unlink()
@@ -278,7 +282,7 @@ def test_an_input_with_the_name_of_a_result_and_a_page_of_the_user_stay(
     for command in ("terrain", "pattern"):
         source = "terrain.tif" if command == "terrain" else "map.tif"
         for name in (source, work / source):
-            err = refused(capsys, command, name, "--output", ".", "--overwrite")
+            err = refused(capsys, command, name, "--output", ".", "--overwrite", "--quiet")
             assert f"error: {source}: this is an input of the run" in err
     (work / "report.html").write_text("mine")
     before["work/report.html"] = b"mine"
@@ -336,3 +340,26 @@ def test_lists_that_are_no_lists_lead_nowhere(tmp_path):
         assert EarlierRun(tmp_path, "demo").hashes == {}
     (tmp_path / "summary.json").write_bytes(b"\xff\xfe")
     assert EarlierRun(tmp_path, "demo").hashes == {}
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="Windows has no such pipes")
+def test_a_pipe_or_a_device_for_a_list_of_results_is_not_read(tmp_path):
+    for k, make in enumerate((os.mkfifo, lambda path: path.symlink_to("/dev/zero"))):
+        folder = tmp_path / str(k)
+        folder.mkdir()
+        make(folder / "summary.json")
+        assert EarlierRun(folder, "terrain").hashes == {}
+        assert EarlierRun(folder, "terrain").strange(["summary.json"])
+
+
+@pytest.mark.parametrize(
+    "name", ["a\x1b[2Jb", "a\nb", "a\rb", "a\u202eb", "a\x9bb", "=1+1", "$\\frac{"]
+)
+def test_a_name_does_not_control_the_terminal(capsys, writes, tmp_path, name):
+    for _ in range(2):
+        _, out, err = call(capsys, "demo", "--output", tmp_path / name)
+        assert (out + err).replace("\n", "").isprintable()
+    (tmp_path / name / "a.csv").write_text("mine") if (tmp_path / name).is_dir() else None
+    _, out, err = call(capsys, "demo", "--output", tmp_path / name)
+    assert (out + err).replace("\n", "").isprintable()
+    assert err.count("\n") <= 1

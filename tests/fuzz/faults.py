@@ -24,6 +24,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
 import psutil
 
 ROOT = Path(__file__).parents[2]
@@ -160,6 +161,10 @@ def _content(path: Path) -> bytes:
         with closing(sqlite3.connect(path)) as base:  # it keeps the time of each layer
             rows = [line for line in base.iterdump() if "gpkg_contents" not in line]
         return "\n".join(rows).encode()
+    if path.suffix == ".npz":
+        with np.load(path) as file:  # it names the folder of the inputs
+            arrays = {name: file[name].tobytes() for name in file.files}
+        return repr(sorted(arrays.items())).replace(str(path.parents[1]), "").encode()
     if path.name != "posterior.nc":
         return path.read_bytes()
     import netCDF4

@@ -17,6 +17,12 @@ _WORDS = [
     *(b"..", b"../../../etc/hostname", b"/dev/zero", b".", b"nan", b"none", b"true", b"a" * 300),
     *(b"a" * 140_000, b"[" * 100_000, b"(" * 3000, b"EPSG:4326", b"%s%n", b"a.b.c.d"),
 ]
+RUNS = [
+    *(b" ", b"\t", b"a", b"0", b"-", b".", b",", b";", b'"', b"'", b"#", b"[", b"(", b"{", b"="),
+    *(b"\\", b"\n", b"\r", b"a.", b"a ", b"0 ", b"1,", b'" ', b"<a>", b"[a]\n", b">>>", b"/", b"_"),
+    *(b"e", b"%"),
+]
+"""What a text may be made long with, in which a search can take the square of its length."""
 _SMALL = [
     bytes([value]) * width for value in (0x00, 0xFF, 0x7F, 0x80, 0x01) for width in (1, 2, 4, 8)
 ]
@@ -67,6 +73,16 @@ def _lines(data: bytearray, chance: random.Random) -> bytearray:
     return bytearray(b"\n".join(lines))
 
 
+def _run(data: bytearray, chance: random.Random) -> bytearray:
+    """Some letters a hundred thousand times, in a line or behind one."""
+    ends = [end.start() for end in re.finditer(rb"\n|\Z", bytes(data[:20_000]))]
+    at = chance.choice((0, len(data), chance.randrange(len(data)), chance.choice(ends)))
+    data[at:at] = chance.choice(RUNS) * chance.choice((1000, 100_000)) + chance.choice(
+        (b"", b"!x\n")
+    )
+    return data
+
+
 def _token(
     pattern: re.Pattern[bytes], instead: list[bytes]
 ) -> Callable[[bytearray, random.Random], bytearray]:
@@ -93,7 +109,7 @@ def _encoding(data: bytearray, chance: random.Random) -> bytearray:
 
 
 _KINDS = {
-    _bits: 4, _values: 4, _cut: 2, _block: 3, _lines: 3, _encoding: 0.3,
+    _bits: 4, _values: 4, _cut: 2, _block: 3, _lines: 3, _run: 1, _encoding: 0.3,
     _token(_NUMBER, _NUMBERS): 6, _token(_WORD, _WORDS): 5,
 }  # fmt: skip
 

@@ -1,13 +1,17 @@
 """Small files that unfold to much: one line, before memory or the day is gone."""
 
+import json
 import resource
 import sqlite3
 import struct
 import sys
 import threading
+import time
 import tracemalloc
+import warnings
 import zlib
-from contextlib import closing
+from collections.abc import Callable
+from contextlib import closing, suppress
 from pathlib import Path
 
 import laspy
@@ -15,13 +19,15 @@ import numpy as np
 import openpyxl
 import psutil
 import pytest
+import xarray as xr
 
 from fynjax._core import memory
 from fynjax._core.errors import InputError
 from fynjax.app.compare import read_spectra_sample
-from fynjax.app.io.instruments import load_sensor
+from fynjax.app.io.instruments import load_sensor, read_atmosphere
 from fynjax.app.io.plot import read_plot, read_statistics
-from fynjax.app.io.raster import _zarr
+from fynjax.app.io.raster import _zarr, parse_crs
+from fynjax.app.io.spectra import in_nanometres, read_spectra_file
 from fynjax.app.io.text import check_geopackage
 from fynjax.app.terrain import read_cloud
 from fynjax.canopy import read_plant_mesh
@@ -50,6 +56,42 @@ def test_a_second_frame_of_zstd_is_refused(tmp_path: Path) -> None:
     assert _zarr._fits(str(path), "zstd", 300_000, len(checked), 9)
 
 
+def test_a_chunk_of_blosc_that_is_cut_short_is_refused(tmp_path: Path) -> None:
+    """It would be filled with what stands behind it in memory."""
+    from numcodecs import Blosc
+
+    data = bytes(Blosc(clevel=0).encode(np.random.default_rng(0).random(500)))
+    path = tmp_path / "0.0"
+    for k, one in enumerate((data, data[:33], data[:-1], data + b"\0", data[:8])):
+        path.write_bytes(one)
+        assert _zarr._fits(str(path), "blosc", 4000, len(one), 100 + k) == (k == 0), k
+
+
+@pytest.mark.parametrize("wrong", [-np.inf, np.inf, -9999.0, 1e20])
+def test_wavelengths_that_are_none(wrong: float) -> None:
+    with pytest.raises(InputError, match="wavelengths in Nanometers") as caught:
+        in_nanometres(np.array([500.0, np.nan, wrong]), "nm")
+    assert f"one is {wrong:g}" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("shape", "chunks", "says"),
+    [
+        ([100_000, 100_000, 4], [10, 10, 4], "at most 1048576 chunks"),
+        ([10_000, 10_000, 4], [1000, 1000, 4], "its .* bytes cannot hold them"),
+    ],
+)
+def test_a_zarr_group_states_no_more_than_it_can_hold(
+    tmp_path: Path, shape: list[int], chunks: list[int], says: str
+) -> None:
+    data = xr.Dataset({"reflectance": (("y", "x", "band"), np.ones((4, 3, 4), np.float32))})
+    data.to_zarr(tmp_path / "cube.zarr", zarr_format=2, consolidated=False)
+    meta = tmp_path / "cube.zarr" / "reflectance" / ".zarray"
+    meta.write_text(json.dumps({**json.loads(meta.read_text()), "shape": shape, "chunks": chunks}))
+    with pytest.raises(InputError, match=rf"cube\.zarr.*{says}"):
+        _zarr.check_zarr(tmp_path / "cube.zarr")
+
+
 @pytest.mark.parametrize(
     "statement",
     [
@@ -70,6 +112,64 @@ def test_a_geopackage_that_computes_its_rows_is_refused(
         base.commit()
     with pytest.raises(InputError, match=rf"crowns\.gpkg.*'{name}.*is computed"):
         read_plot(write_crowns(tmp_path, None, "crowns.gpkg"))
+
+
+@pytest.mark.parametrize(
+    ("reader", "name", "text"),
+    [
+        (read_plant_mesh, "plant.obj", "v 0 0 0\nv 1 0 0\nv 0 1 1\nusemtl a{}b\nf 1 2 3\n"),
+        (read_plant_mesh, "plant.obj", "v 0 0 0\nv 1 0 0\nv 0 1 1\ng leaf\ng wood-{}b\nf 1 2 3\n"),
+        (read_spectra_file, "leaf.csv", "{}x1,2\n3,4\n"),
+        (read_spectra_file, "leaf.txt", "{}Begin\n3 4\n"),
+        (read_spectra_file, "leaf.txt", "SpectraSuite\nW,a{}[nm\n3,4\n"),
+        (read_atmosphere, "air.csv", "wavelength{},direct\n3,4\n"),
+        (load_sensor, "own.toml", "[sensor]\nname = 1\n{}\n"),
+        (load_sensor, "own.toml", "[sensor]\nname = 1\n[other]\na{}b\n"),
+    ],
+)
+@pytest.mark.parametrize("run", ["0", " ", "-", ">", ".", "_", "a", "a "])
+def test_a_long_run_of_letters_takes_no_time(
+    tmp_path: Path, reader: Callable[[Path], object], name: str, text: str, run: str
+) -> None:
+    path = tmp_path / name
+    path.write_text(text.format(run * 120_000), "utf-8")
+    began = time.process_time()
+    with warnings.catch_warnings(), suppress(InputError):
+        warnings.simplefilter("ignore")
+        reader(path)
+    assert time.process_time() - began < 5.0  # minutes where the square of the letters is taken
+
+
+def test_parts_of_a_scene_that_stand_very_deep(tmp_path: Path) -> None:
+    nodes = [{"children": [i + 1]} for i in range(20_000)] + [{}]
+    record = {"asset": {"version": "2.0"}, "scenes": [{"nodes": [0]}], "nodes": nodes}
+    (tmp_path / "plant.gltf").write_text(json.dumps(record), "utf-8")
+    with pytest.raises(InputError, match=r"plant\.gltf: .* more than 64 deep"):
+        read_plant_mesh(tmp_path / "plant.gltf")
+
+
+def test_crowns_that_cover_the_plot_very_often(tmp_path: Path) -> None:
+    places = np.random.default_rng(0).uniform(0.1, 1.9, (200, 2))
+    rows = [f"Erica irregularis,{x:.6f},{y:.6f},190,0.5" for x, y in places]
+    table = "\n".join(["taxon,x_m,y_m,diameter_cm,height_m", *rows]) + "\n"
+    with pytest.raises(InputError, match=r"crowns\.csv: .* at most 100 times .* 142 times"):
+        read_plot(write_crowns(tmp_path, table))
+
+
+def test_rows_of_one_name_are_numbered_in_one_pass(tmp_path: Path) -> None:
+    names = ",".join(map(str, range(400, 1000, 10)))
+    row = "leaf," + ",".join(["0.3"] * 60)
+    (tmp_path / "leaf.csv").write_text("\n".join([f"name,{names}", *[row] * 3000]), "utf-8")
+    began = time.process_time()
+    names = [one.name for one in read_spectra_file(tmp_path / "leaf.csv")]
+    assert time.process_time() - began < 10.0  # a minute where each row reads the rows before it
+    assert names[:2] == ["leaf", "leaf_row3"]
+    assert names[-1] == "leaf_row3001"
+
+
+def test_a_reference_system_of_lists_within_lists(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="coordinate reference system"):
+        parse_crs("[" * 60_000)
 
 
 @pytest.mark.parametrize("part", ['"x y"', "'x.y'", '"a\\"b"', "x "])
@@ -113,6 +213,26 @@ def test_a_wide_sheet_takes_memory_for_what_it_holds(
     book.save(path)
     with pytest.raises(InputError, match=r"cannot be read as an Excel workbook \('Sheet' reaches"):
         read_statistics(path)
+
+
+def test_cells_that_share_a_long_text_are_not_written_out(tmp_path: Path) -> None:
+    import zipfile
+
+    path, bomb = tmp_path / "plain.xlsx", tmp_path / "statistics.xlsx"
+    openpyxl.Workbook().save(path)
+    space = "http://schemas.openxmlformats.org/spreadsheetml/2006/main"
+    rows = "<row><c t='s'><v>0</v></c></row>" * 3000
+    kind = "application/vnd.openxmlformats-officedocument.spreadsheetml.sharedStrings+xml"
+    part = f'<Override PartName="/xl/sharedStrings.xml" ContentType="{kind}"/></Types>'
+    sheet = f"<worksheet xmlns='{space}'><sheetData>{rows}</sheetData></worksheet>"
+    with zipfile.ZipFile(path) as old, zipfile.ZipFile(bomb, "w") as new:
+        for one in old.infolist():
+            text = old.read(one).decode().replace("</Types>", part)
+            new.writestr(one, sheet if one.filename == "xl/worksheets/sheet1.xml" else text)
+        words = f"<sst xmlns='{space}'><si><t>{'x ' * 15_000}</t></si></sst>"
+        new.writestr("xl/sharedStrings.xml", words)
+    with pytest.raises(InputError, match=r"statistics\.xlsx: .* holds over 64 MiB of text"):
+        read_statistics(bomb)
 
 
 def test_a_workbook_has_no_entities_that_grow(tmp_path: Path) -> None:

@@ -14,7 +14,10 @@ import fynjax.studies.bioscape  # noqa: F401 - their records are looked at
 from fynjax._core.errors import InputError
 from fynjax._core.records import Strict, _keys_of_numbers
 from fynjax.app.cli import app
+from fynjax.app.io.frames._shot import finite
 from fynjax.app.io.plot import read_plot
+from fynjax.app.io.raster import open_blocks
+from fynjax.app.io.raster._crs import geotransform
 from fynjax.app.io.text import rows_text, table_text
 from fynjax.scene import LeafRow
 from tests.small import write_plot
@@ -23,12 +26,14 @@ from tests.small import write_plot
 def test_a_table_for_spreadsheets_has_no_formulas() -> None:
     """Names, of columns too; numbers, signs alone and what only contains such a sign stay."""
     names = ["=1+1", "+x", "-A1", "@SUM(A1)", "\t=1", "-", "Erica=b", "-5", "+1e-3"]
+    names += ["\n=1", "\uff1d1+1", "\uff20A1"]  # also wide ones, as spreadsheets in Japan take them
     table = pd.DataFrame({"name": names, "=cmd|'/c calc'!A0": -2.0, "unit": "=m"})
     table.loc[0, "unit"] = "-"
     table["unit"] = pd.Categorical(table["unit"])
     cells = list(csv.reader(io.StringIO(table_text(table, "%.3g"))))
     assert cells[0] == ["name", "'=cmd|'/c calc'!A0", "unit"]
     shown = ["'=1+1", "'+x", "'-A1", "'@SUM(A1)", "'\t=1", "-", "Erica=b", "-5", "+1e-3"]
+    shown += ["'\n=1", "'\uff1d1+1", "'\uff20A1"]
     assert [row[0] for row in cells[1:]] == shown
     assert [row[1:] for row in cells[1:3]] == [["-2", "-"], ["-2", "'=m"]]
     assert table["name"][0] == "=1+1"  # the table itself is as it was
@@ -71,6 +76,24 @@ def test_what_is_no_number_is_said_as_it_was_written(tmp_path: Path) -> None:
     table.write_text(re.sub(r",\d+", ",1_0", "\n".join([lines[0], lines[1]]), count=1), "utf-8")
     with pytest.raises(InputError, match=r"row 2, .*got '1_0'\. Marks between thousands\?"):
         read_plot(plot)
+
+
+@pytest.mark.parametrize("wrong", ["1_0", "\uff11\uff12", "\u0661", "0x10", "1d3", "\u22125"])
+def test_numbers_of_texts_are_strict_in_every_format(tmp_path: Path, wrong: str) -> None:
+    header = tmp_path / "cube.hdr"
+    text = "ENVI\nsamples = 1\nlines = 1\nbands = 1\ndata type = 4\ninterleave = bsq\n"
+    (tmp_path / "cube.dat").write_bytes(bytes(4000))
+    place = "map info = {UTM, 5, 1, 0, 0, 1, 1, 34, South}"
+    for key in ("samples = 1", place, "reflectance scale factor = 2", "wavelength = {500}"):
+        stated = re.sub(r"\d+", wrong, key, count=1)
+        header.write_text(f"{text}{stated}\n", "utf-8")
+        with pytest.raises(InputError, match=r"cube\.hdr"), open_blocks(header) as cube:
+            cube.wavelength, cube.read(0, 1)
+    for numbers in (f"0 1 0 0 0 {wrong}", f"{wrong} 1 0 0 0 -1"):
+        with pytest.raises(InputError, match="six numbers"):
+            geotransform(numbers, "GeoTransform")
+    with pytest.raises(InputError, match="expected 2 numbers"):
+        finite(["1", wrong], 2, "a place")
 
 
 @pytest.mark.parametrize(

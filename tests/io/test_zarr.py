@@ -103,7 +103,7 @@ def test_sizes_are_bounded_before_anything_is_read(tmp_path: Path) -> None:
     path = write(tmp_path / "cube.zarr")
     meta = path / "reflectance" / ".zarray"
     for shape, chunks, words in [
-        ([1, 2**35, 4], [3, 5, 4], "pixels of a row in .* need .* GiB"),
+        ([1, 2**35, 4], [3, 5, 4], "at most 1048576 chunks"),
         ([6, 5, 4], [2**20, 2**20, 2**20], "need .* GiB, but this machine has"),
         ([6, 5, 4], [0, 5, 4], "whole numbers of 1 or more"),
         ([0, 5, 4], [3, 5, 4], "whole numbers of 1 or more"),
@@ -134,7 +134,7 @@ def test_a_chunk_unfolds_to_no_more_than_is_stated(tmp_path: Path) -> None:
     for codec, held in {
         "gzip": gzip.compress(plain),
         "zlib": zlib.compress(plain),
-        "blosc": bytes([2, 1, 1, 4]) + struct.pack("<III", 4000, 4000, 30) + b"\0\0",
+        "blosc": bytes([2, 1, 1, 4]) + struct.pack("<III", 4000, 4000, 18) + b"\0\0",
         "lz4": struct.pack("<I", 4000) + b"\0" * 20,
         "zstd": zstd + b"\x60" + struct.pack("<H", 4000 - 256) + b"\xa1\0\0" + b"\0" * 20,
     }.items():

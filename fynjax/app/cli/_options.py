@@ -181,7 +181,7 @@ def _listed(kind: Kind, flag: str, help: str) -> Callable[[Any], Any]:
     return read
 
 
-_RANGE = re.compile(r"\s*(\d+\.?\d*)\s*-\s*(\d+\.?\d*)\s*")
+_RANGE = re.compile(r"\s*(\d+(?:\.\d*)?)\s*-\s*(\d+(?:\.\d*)?)\s*")
 """Such as 930-960, where the docstring shows one."""
 
 

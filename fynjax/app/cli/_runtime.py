@@ -10,11 +10,11 @@ import warnings
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, NoReturn
+from typing import TYPE_CHECKING, NoReturn, TextIO
 
 from fynjax._core.compiler import keep_compiled
 from fynjax._core.dry_run import DryRunEnd, dry_run
-from fynjax._core.errors import InputError
+from fynjax._core.errors import InputError, printable
 
 if TYPE_CHECKING:
     from fynjax.app.jobs import JobResult
@@ -29,6 +29,11 @@ def _messages(caught: Sequence[warnings.WarningMessage]) -> list[str]:
     return list(dict.fromkeys(" ".join(str(warning.message).split()) for warning in caught))
 
 
+def _say(line: str, file: TextIO | None = None) -> None:
+    """Print a line, which may show names from files, on stdout or `file`."""
+    print(printable(line), file=file)
+
+
 def show_dry_run(
     start: Callable[[], "JobResult"], output: Path, *, as_json: bool, quiet: bool
 ) -> None:
@@ -38,7 +43,7 @@ def show_dry_run(
             start()
     except DryRunEnd as end:
         for line in end.warnings:
-            print(f"fynjax: warning: {line}", file=sys.stderr)
+            _say(f"fynjax: warning: {line}", file=sys.stderr)
         if as_json:
             record = {"output": str(output), "files": end.files, "warnings": end.warnings}
             record |= {} if end.plan is None else {"plan": end.plan.record()}
@@ -47,7 +52,7 @@ def show_dry_run(
             print("Every input was read and checked; nothing was computed or written.")
             if end.plan is not None:
                 print(end.plan)
-            print(f"The run would write to {output}, among others")
+            _say(f"The run would write to {output}, among others")
             show_files(end.files)
 
 
@@ -57,10 +62,12 @@ def _stated_files() -> list[Path]:
 
 
 def _ways(path: Path) -> set[str]:
-    """A path as it is, and where links lead, if they do."""
+    """A path as it is, where links lead, if they do, and the file itself, whatever its names."""
     found = {os.path.normcase(path)}
     with suppress(OSError, RuntimeError, ValueError):  # a loop of links, no name
         found.add(os.path.normcase(path.resolve()))
+        state = path.stat()
+        found.add(f"{state.st_dev}:{state.st_ino}")
     return found
 
 
@@ -83,8 +90,7 @@ class _Guard:
         )  # fmt: skip
 
     def _inputs(self) -> set[str]:
-        stated = set().union(*map(_ways, _stated_files()))
-        return stated | {os.path.normcase(way) for way in self._read}
+        return set().union(*map(_ways, [*_stated_files(), *self._read]))
 
     def check(self, names: Iterable[str]) -> None:
         """Raise `InputError` where a file of these names may not be replaced."""
@@ -240,7 +246,7 @@ def _end(end: KeyboardInterrupt | SystemExit, checkpoint: Path | None) -> NoRetu
     kept = "nothing was written"
     if checkpoint is not None and checkpoint.is_dir():
         kept = f"{checkpoint} keeps what was done, and the same command goes on with it"
-    print(f"fynjax: {'ended' if killed else 'interrupted'}; {kept}", file=sys.stderr)
+    _say(f"fynjax: {'ended' if killed else 'interrupted'}; {kept}", file=sys.stderr)
     sys.exit(_TERMINATED if killed else 130)
 
 
@@ -316,7 +322,7 @@ def run_job(
 
             forget_journal(checkpoint)
     for line in result.warnings:
-        print(f"fynjax: warning: {line}", file=sys.stderr)
+        _say(f"fynjax: warning: {line}", file=sys.stderr)
     if as_json:
         print(text)
     elif not quiet:
@@ -329,8 +335,8 @@ def show(result: "JobResult") -> None:
     if result.status != "ok":
         print(f"Status: {result.status}")
     for line in result.headline:
-        print(line)
-    print(f"Written to {result.output}")
+        _say(line)
+    _say(f"Written to {result.output}")
     show_files(result.files)
 
 
@@ -338,4 +344,4 @@ def show_files(files: Mapping[str, str]) -> None:
     """Files and what they are, a line each, on stdout."""
     width = max(map(len, files), default=0)
     for name, what in files.items():
-        print(f"  {name:<{width}}  {what}".rstrip())
+        _say(f"  {name:<{width}}  {what}".rstrip())

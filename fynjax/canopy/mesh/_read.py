@@ -2,6 +2,7 @@
 
 import io
 import re
+import string
 import warnings
 from pathlib import Path
 from typing import Any, Literal
@@ -14,9 +15,9 @@ from fynjax.canopy._plant import organ_of_name
 from fynjax.canopy.mesh._bounds import check_mesh_file, check_mesh_triangles
 from fynjax.canopy.mesh._plant_mesh import PlantMesh
 
-_USEMTL = re.compile(r"^[ \t]*usemtl[ \t]+(.*?)[ \t]*\r?$", re.MULTILINE)
-_GROUPS = {kind: re.compile(rf"^[ \t]*{kind}[ \t]+(.*?)[ \t]*\r?$", re.MULTILINE) for kind in "go"}
-_NUMBERED = re.compile(r"[-._ ]*\d+$")
+_USEMTL = re.compile(r"^[ \t]*usemtl[ \t](.*)", re.MULTILINE)
+_GROUPS = {kind: re.compile(rf"^[ \t]*{kind}[ \t](.*)", re.MULTILINE) for kind in "go"}
+_ENDS = f"-._ \t\r{string.digits}"
 _RELATIVE = re.compile(r"^[ \t]*[flp][ \t].*-\d", re.MULTILINE)
 _COMMENT = re.compile(r"^([ \t]*[vflp][nt]?[ \t][^#\n]*)#.*", re.MULTILINE)
 _ZERO = re.compile(r"^[ \t]*[flp][ \t](?:.*[ \t])?0(?:/|\s|$)", re.MULTILINE)
@@ -110,7 +111,7 @@ def plant_mesh_of(mesh: Any) -> PlantMesh:
             frame, name = mesh.graph[node]
             pieces.append((str(name), mesh.geometry[name], np.asarray(frame, float)))
     check_mesh_triangles(sum(len(getattr(one, "faces", ())) for _, one, _ in pieces), file)
-    vertices, faces, material, names, first = [], [], [], list[str](), 0
+    vertices, faces, material, names, first = [], [], [], dict[str, int](), 0
     for geometry_name, geometry, frame in pieces:
         if not isinstance(geometry, trimesh.Trimesh) or len(geometry.faces) == 0:
             continue
@@ -120,12 +121,10 @@ def plant_mesh_of(mesh: Any) -> PlantMesh:
         name = names_of_file.get(name, name)
         corners = np.asarray(geometry.faces)
         _check_shape(np.asarray(geometry.vertices), corners, file)
-        if name not in names:
-            names.append(name)
         vertices.append(np.asarray(geometry.vertices, float) @ frame[:3, :3].T + frame[:3, 3])
         # A frame that mirrors turns the triangles over.
         faces.append(first + (corners if np.linalg.det(frame[:3, :3]) > 0 else corners[:, ::-1]))
-        material.append(np.full(len(corners), names.index(name)))
+        material.append(np.full(len(corners), names.setdefault(name, len(names))))
         first += len(geometry.vertices)
     if not faces:
         raise InputError(
@@ -170,9 +169,9 @@ def _load_obj(file: str) -> tuple[Any, dict[str, str]]:
         row = text.count("\n", 0, zero.end()) + 1
         raise InputError("expected corners counted from 1, but got 0", file=file, row=row)
     text = _materials_of_groups(_counted_from_first(text, file))
-    names = list(dict.fromkeys(_USEMTL.findall(text)))
+    names = list(dict.fromkeys(map(str.strip, _USEMTL.findall(text))))
     short_name = {name: f"material{index}" for index, name in enumerate(names)}
-    text = _USEMTL.sub(lambda match: f"usemtl {short_name[match[1]]}", text)
+    text = _USEMTL.sub(lambda match: f"usemtl {short_name[match[1].strip()]}", text)
     library = "".join(f"newmtl {name}\nKd 1 1 1\n" for name in short_name.values())
     with bounded_memory(file):
         loaded = trimesh.load(
@@ -191,9 +190,7 @@ def _materials_of_groups(text: str) -> str:
         organs = {organ_of_name(name) for name in pattern.findall(text)} - {None}
         if len(organs) > 1:
             plain = _USEMTL.sub("", text)
-            return pattern.sub(
-                lambda match: f"usemtl {_NUMBERED.sub('', match[1]) or match[1]}", plain
-            )
+            return pattern.sub(lambda m: f"usemtl {m[1].rstrip(_ENDS).lstrip() or m[1]}", plain)
     return text
 
 

@@ -274,7 +274,7 @@ def _organ_column(table: TextTable, cells: np.ndarray) -> np.ndarray:
             raise InputError(
                 f"expected 0 or leaf, 1 or wood, 2 or flower, but found {value!r}",
                 file=table.path,
-                row=table.row_of(int(np.argmax(index == k))),
+                row=[*table.rows()][int(np.argmax(index == k))][0],
                 column="organ",
             )
         organs[k] = organ

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from fynjax._core.errors import LARGEST, InputError
 from fynjax.app.io.captures._camera_place import CameraPlace
 from fynjax.app.io.captures._lens import Registration
+from fynjax.app.io.text import stated_number
 from fynjax.sensors import CameraRadiometry
 
 _LARGEST_EXIF = 1e7
@@ -98,7 +99,7 @@ class Stated:
         """Numbers, if the key is there and they are numbers."""
         try:
             parts = [part for text in self.xmp.get(key, []) for part in text.split(",")]
-            values = [float(part) for part in parts]
+            values = [stated_number(part) for part in parts]
         except ValueError:
             return None
         return values if values and np.all(np.abs(values) < LARGEST) else None

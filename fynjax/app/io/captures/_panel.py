@@ -16,7 +16,7 @@ from scipy.spatial import ConvexHull
 from fynjax._core.errors import InputError, in_file, names_file
 from fynjax._core.precision import double_precision
 from fynjax.app.io.captures._capture import Capture
-from fynjax.app.io.text import Strict, in_unit, read_rows
+from fynjax.app.io.text import Strict, in_unit, read_rows, stated_number
 from fynjax.sensors import BandSet, PanelReading, panel_coverage, panel_reading
 
 _EVEN = 0.08
@@ -88,7 +88,7 @@ def panel_reflectance(given: str | None, capture: Capture) -> Float[np.ndarray, 
             )
         return np.array([band.panel_reflectance for band in bands])
     try:
-        values = np.array([float(part) for part in given.split(",")])
+        values = np.array([stated_number(part) for part in given.split(",")])
     except ValueError:
         return _of_file(Path(given), capture)
     if values.size not in (1, len(bands)):

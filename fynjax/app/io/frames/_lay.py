@@ -162,7 +162,10 @@ def _stated(text: str) -> PicturePlace:
         size, corner = (tuple(map(int, known[key])) for key in ("size", "corner"))
         bands = {str(name): _registration(one) for name, one in known.get("bands", {}).items()}
         return PicturePlace((size[0], size[1]), (corner[0], corner[1]), bands)
-    except (ValueError, KeyError, TypeError, IndexError, AttributeError) as error:
+    except (
+        *(ValueError, LookupError, TypeError, AttributeError),
+        *(ArithmeticError, RecursionError),
+    ) as error:
         raise InputError(
             f"expected size and corner of the picture as the tag {PICTURE_TAG!r}, but got "
             f"{text[:60]!r}"

@@ -70,7 +70,7 @@ def _system(chunk: ElementTree.Element) -> pyproj.CRS:
     text = (chunk.findtext("reference") or "").strip()
     try:
         system = pyproj.CRS.from_user_input(text)
-    except pyproj.exceptions.CRSError as error:
+    except (pyproj.exceptions.CRSError, RecursionError, ValueError) as error:
         raise InputError(
             f"expected the chunk's reference system as WKT, but got {text[:60]!r}"
         ) from error

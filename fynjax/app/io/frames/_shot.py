@@ -8,6 +8,7 @@ import pyproj
 from jaxtyping import Float
 
 from fynjax._core.errors import LARGEST, InputError, listed, refusing
+from fynjax.app.io.text import stated_number
 from fynjax.sensors import Frame, Lens, pose_of_axes
 
 
@@ -124,7 +125,7 @@ def _grid(crs: pyproj.CRS, longitude: float, latitude: float) -> tuple[float, fl
 def finite(values: object, count: int, what: str) -> Float[np.ndarray, " value"]:
     """`count` numbers. Raises `InputError`, naming `what` they are, for anything else."""
     try:
-        numbers = np.asarray(values, float).ravel()
+        numbers = np.array([stated_number(one) for one in np.ravel(np.asarray(values))])
     except (TypeError, ValueError):
         numbers = np.array([])
     if numbers.size != count or not (np.abs(numbers) < LARGEST).all():

@@ -185,5 +185,5 @@ def _lens(text: str, name: str) -> Lens | None:
     if not text:
         return None
     words = f"expected the lens of {name} as JSON, but it is damaged ({{error}})"
-    with refusing(ValueError, TypeError, AttributeError, words=words):
+    with refusing(ValueError, TypeError, AttributeError, RecursionError, words=words):
         return lens_of_record(json.loads(text))

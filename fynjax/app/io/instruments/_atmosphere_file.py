@@ -38,7 +38,7 @@ _WIDTH = {"um-1": 1.0, "nm-1": 1e3, "micron-1": 1.0}
 _SHARES = {"": 1.0, "1": 1.0, "-": 1.0, "fraction": 1.0, "%": 0.01, "percent": 0.01}
 _LARGEST = {"length": 1e6, "irradiance": 4000.0, "radiance": 1500.0, "share": 1.0}
 _BELOW = re.compile(r"(nm|um|micron|sr|cm|m)-?(\d?)")
-_HEADER = re.compile(r"^\s*([A-Za-z_ ]+?)\s*(?:[\[(](.*)[\])])?\s*$")
+_HEADER = re.compile(r"([A-Za-z_ ]++)(?:[\[(](.*)[\])])?")
 
 
 @names_file
@@ -125,9 +125,9 @@ def _from_table(path: Path) -> tuple[dict[str, tuple[str | None, np.ndarray]], l
     values = table.columns(range(table.width)).to_numpy()
     columns: dict[str, tuple[str | None, np.ndarray]] = {}
     for index, label in enumerate(table.names):
-        match = _HEADER.match(label)
+        match = _HEADER.fullmatch(label)
         name, unit = (match[1], match[2]) if match else (label, None)
-        name = name.lower().replace(" ", "_")
+        name = name.strip().lower().replace(" ", "_")
         if name in columns:
             raise InputError("this column is there twice", row=table.row, column=label)
         columns[name] = (unit, values[:, index])

@@ -19,6 +19,8 @@ from fynjax.app.io.text import check_geopackage, existing_file, read_rows
 from fynjax.scene import Crowns, Instances, check_taxa, projected_cover
 
 _WHAT = "a table of crowns"
+_MOST_COVER = 100
+"""Times that crowns may cover a plot; ten are much, and each is laid over its cells."""
 
 
 @names_file
@@ -82,6 +84,12 @@ def with_crowns(plot: Plot, path: Path) -> Plot:
         first = places.setdefault((row.taxon, *place), number)
         if first != number:
             raise InputError(f"{row.taxon!r} stands here in row {first} already", row=number)
+    times = sum(np.pi / 4.0 * (0.01 * row.diameter_cm) ** 2 for _, row in rows)
+    if (times := times / float(np.prod(plot.size_m))) > _MOST_COVER:
+        raise InputError(
+            f"expected crowns that cover the plot at most {_MOST_COVER} times over each other, but "
+            f"these do so {times:.0f} times. Are diameters in centimetres?"
+        )
     crowns = Crowns(
         species=np.array([plot.taxa.index(row.taxon) for _, row in rows]),
         foot=np.array([(x, y) for _, x, y in places]),

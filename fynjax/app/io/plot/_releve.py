@@ -33,7 +33,7 @@ from fynjax.scene import (
 _MOST_FAULTS = 20
 """Faults that one message names."""
 _OWN = tuple(columns(SpeciesRow))
-_NUMBER = re.compile(r"([+-]?\d*[.,]?\d+)\s*([^\d\s].*)?")
+_NUMBER = re.compile(r"([+-]?(?:\d+(?:[.,]\d+)?|[.,]\d+))\s*([^\d\s].*)?")
 _BROAD_FROM_M = 1.5
 """Height from which a plant of which nothing else is known is taken to be broad-leaved [m]."""
 _TALLEST_M = 8.0
@@ -354,7 +354,7 @@ def _covers(
             faults.add(row, name, f"expected a cover, but got {shown(cell)}.{hint}")
         plain = cell.removesuffix("%").strip()
         found.append(plain.replace(",", ".") if _NUMBER.fullmatch(plain) else cell)
-    numbers = [float(cell) for cell in found if re.fullmatch(r"\d*\.?\d+", cell)]
+    numbers = [float(cell) for cell in found if re.fullmatch(r"(\d*\.)?\d+", cell)]
     unit = heads[at].unit
     shares = unit == "fraction"
     if not shares and unit != "%" and len(numbers) == len(found) > 1:

@@ -17,6 +17,7 @@ from fynjax.app.io.raster._align import Alignment, align_bands
 from fynjax.app.io.raster._image import band_of_file, open_image
 from fynjax.app.io.raster._reader import RAW_COUNTS, open_raster
 from fynjax.app.io.raster._writer import north_up
+from fynjax.app.io.text import stated_number
 
 _COLOURS = {ColorInterp.red: "red", ColorInterp.green: "green", ColorInterp.blue: "blue"}
 
@@ -227,7 +228,7 @@ def _is_mask(band: np.ndarray) -> bool:
 def _numbers(xmp: dict[str, list[str]], key: str) -> list[float]:
     """Positive numbers that a camera states under a name."""
     try:
-        values = [float(part) for text in xmp.get(key, []) for part in text.split(",")]
+        values = [stated_number(part) for text in xmp.get(key, []) for part in text.split(",")]
     except ValueError:
         return []
     return [value for value in values if np.isfinite(value) and value > 0.0]

@@ -12,6 +12,7 @@ from rasterio.crs import CRS
 from rasterio.errors import CRSError
 
 from fynjax._core.errors import InputError, listed
+from fynjax.app.io.text import stated_number
 
 UNITS: dict[str, float] = {
     "metre": 1.0,
@@ -24,6 +25,10 @@ UNITS: dict[str, float] = {
 """Metres in each unit that coordinates may be stated in."""
 
 
+_LONGEST = 1 << 16
+"""Characters of a coordinate reference system; WKT of one takes some two thousand."""
+
+
 def parse_crs(text: str | int, file: Path | None = None) -> CRS:
     """A coordinate reference system from text.
 
@@ -32,11 +37,13 @@ def parse_crs(text: str | int, file: Path | None = None) -> CRS:
     **Raises:** `InputError` for a system that is not known.
     """
     try:
+        if len(str(text)) > _LONGEST:
+            raise ValueError
         with rasterio.Env():  # GDAL's own words go to the log
             system = CRS.from_user_input(text)
             system.to_wkt()  # GDAL takes some damaged texts that it cannot write
         return system
-    except CRSError as error:
+    except (CRSError, RecursionError, ValueError) as error:  # the text may be JSON too
         raise InputError(
             f"expected a coordinate reference system such as EPSG:32734, but got "
             f"{str(text)[:60]!r}, which is not known",
@@ -143,7 +150,7 @@ def geotransform(numbers: Any, name: str) -> Affine:
         return Affine.identity()
     text = re.split(r"[\s,]+", numbers.strip()) if isinstance(numbers, str) else np.ravel(numbers)
     try:
-        transform = Affine.from_gdal(*(float(number) for number in text))
+        transform = Affine.from_gdal(*(stated_number(number) for number in text))
         sound = np.isfinite(transform.to_gdal()).all() and transform.determinant != 0.0
     except (TypeError, ValueError):
         sound = False

@@ -33,7 +33,7 @@ from fynjax._core.files import check_stated_size, existing_file, how_to_import, 
 from fynjax._core.progress import track
 from fynjax.app.io.raster._crs import check_metric, is_local, stretch, utm_zone
 from fynjax.app.io.spectra import check_widths, header_numbers, in_nanometres, open_envi
-from fynjax.app.io.text import check_fits
+from fynjax.app.io.text import check_fits, stated_number
 
 METRES = ("", "m", "metre", "metres", "meter", "meters")
 """What a raster may call the unit of its heights."""
@@ -396,7 +396,7 @@ class RasterFile:
     def _divisor(self) -> float:
         """Divisor of the values that the ENVI header states; 1 without one."""
         try:
-            divisor = float(self.header.get("reflectance scale factor", 1.0))
+            divisor = stated_number(self.header.get("reflectance scale factor", 1.0))
         except (TypeError, ValueError):
             divisor = math.nan
         if not (math.isfinite(divisor) and divisor > 0.0):
@@ -578,7 +578,7 @@ def _unreadable(path: Path, what: str, error: Exception) -> InputError:
 def _positive(text: str | None) -> float:
     """A positive number, or NaN."""
     try:
-        value = float(text or "nan")
+        value = stated_number(text or "nan")
     except ValueError:
         return math.nan
     return value if math.isfinite(value) and value > 0.0 else math.nan

@@ -13,7 +13,7 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from fynjax._core.errors import InputError
-from fynjax._core.files import read_bytes
+from fynjax._core.files import check_stated_size, read_bytes
 from fynjax.app.io.text import check_fits
 
 _PLAIN = (
@@ -25,6 +25,8 @@ _PACKED = ("blosc", "zstd", "lz4", "gzip", "zlib")
 """Codecs that compress, of which one can know before what they unfold to."""
 _AT_ONCE = 10
 """Chunks that zarr decodes at the same time."""
+_MOST_CHUNKS = 1 << 20
+"""Chunks of an array; zarr takes some 50 us for each, also for one that is not there."""
 _LONGEST = 1 << 24
 """Bytes of metadata; those of a cube are a thousandth of it."""
 
@@ -124,20 +126,30 @@ def _check_array(folder: Path, meta: dict[str, Any]) -> bool:
     except TypeError:  # a type that NumPy has not, such as texts of any length
         kind = np.dtype("O")
     stated = math.prod(chunks) * kind.itemsize
-    at_once = min(math.prod(-(-n // m) for n, m in zip(shape, chunks)), _AT_ONCE)
+    count = math.prod(-(-n // m) for n, m in zip(shape, chunks))
+    at_once = min(count, _AT_ONCE)
     whole = math.prod(shape) * kind.itemsize if len(shape) < 3 else 0  # of a cube rows are read
     what = f"{shape} numbers in chunks of {chunks}"
     check_fits(2 * max(stated * at_once, whole), what, "Write smaller chunks", folder)
+    if count > _MOST_CHUNKS:
+        raise InputError(
+            f"expected at most {_MOST_CHUNKS} chunks, but {what} are {count}. Write larger chunks",
+            file=folder,
+        )
     if kind.kind not in "biufmM":
         return False
-    for chunk in _files(folder) if packed else ():
+    held = 0
+    for chunk in _files(folder):
         now = chunk.stat()
-        if not _fits(chunk.path, packed[0], stated, now.st_size, now.st_mtime_ns):
+        held += now.st_size
+        if packed and not _fits(chunk.path, packed[0], stated, now.st_size, now.st_mtime_ns):
             raise InputError(
-                f"expected chunks of {stated} bytes, but this one unfolds to more, or does not "
-                "say to how many. Is it damaged?",
+                f"expected chunks of {stated} bytes, but this one unfolds to more, does not say "
+                "to how many, or is cut short. Is it damaged?",
                 file=chunk.path,
             )
+    stated = math.prod(shape) * kind.itemsize
+    check_stated_size(folder, stated, f"{shape} numbers", packed=True, held=held)
     return True
 
 
@@ -166,7 +178,9 @@ def _fits(path: str, codec: str, most: int, size: int, changed: int) -> bool:
                 return True
         if codec == "zstd":
             return _fits_zstd(file, most)
-        head = file.read(8)
+        head = file.read(16)
+    if codec == "blosc" and int.from_bytes(head[12:], "little") != size:
+        return False  # it would read on behind the end
     return int.from_bytes(head[4:8] if codec == "blosc" else head[:4], "little") <= most
 
 

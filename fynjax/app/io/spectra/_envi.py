@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from fynjax._core.errors import LARGEST, InputError, in_file, names_file, refusing
 from fynjax._core.files import is_elsewhere, read_bytes
 from fynjax.app.io.spectra._record import MeasuredSpectrum, in_nanometres, note
+from fynjax.app.io.text import stated_number
 
 _INTERLEAVES = ("bsq", "bil", "bip")
 """Orders of the values in a data file: bands one by one, by line, by pixel."""
@@ -38,6 +39,11 @@ class Layout(NamedTuple):
     """Type of a value, with its order of bytes."""
 
 
+def _whole(value: Any) -> int:
+    stated_number(value)
+    return int(value)
+
+
 def _fields(text: str) -> dict[str, Any]:
     """Fields of a header by their names; lines that start with a semicolon are remarks."""
     fields: dict[str, Any] = {}
@@ -61,11 +67,11 @@ def _fields(text: str) -> dict[str, Any]:
 
 
 def _layout(header: dict[str, Any]) -> Layout:
-    kind, order = str(header["data type"]), int(header.get("byte order", 0))
+    kind, order = str(header["data type"]), _whole(header.get("byte order", 0))
     if kind not in _TYPES or order not in (0, 1):
         raise ValueError(f"no data type {kind:.20} or byte order {order}")
-    lines, samples, bands = (int(header[name]) for name in ("lines", "samples", "bands"))
-    offset = int(header.get("header offset", 0))
+    lines, samples, bands = (_whole(header[name]) for name in ("lines", "samples", "bands"))
+    offset = _whole(header.get("header offset", 0))
     if min(lines, samples, bands, offset) < 0:
         raise ValueError("a number of lines, samples, bands or bytes is negative")
     return Layout(lines, samples, bands, offset, np.dtype("<>"[order] + _TYPES[kind]))
@@ -88,6 +94,8 @@ def read_header(path: Path) -> dict[str, Any]:
             raise ValueError("it starts otherwise")
         header = _fields(text)
         layout = _layout(header)
+        for number in header.get("map info", [])[1:7]:  # which GDAL reads as far as it can
+            stated_number(number)
     except KeyError as error:
         raise InputError(f"{_NO_HEADER} ({error} is missing)") from error
     except ValueError as error:
@@ -169,7 +177,7 @@ def header_numbers(
     if key not in header:
         return np.full(count, default)
     with refusing(ValueError, words="expected lists of numbers, but {error}", column=key):
-        values = np.array(header[key], dtype=float).reshape(-1)
+        values = np.array([stated_number(value) for value in np.ravel(header[key])])
     if (np.abs(values) > LARGEST).any():
         raise InputError(f"expected numbers within {LARGEST:g}", column=key)
     if values.size != count:
@@ -195,8 +203,8 @@ def read_envi_library(path: str | Path) -> list[MeasuredSpectrum]:
         stated = header_numbers(header, "wavelength", layout.ncols)
         wavelength, factor = in_nanometres(stated, header.get("wavelength units", ""))
         with refusing(TypeError, ValueError, words="expected a number, but {error}"):
-            scale = float(header.get("reflectance scale factor", 1.0))
-            ignore = float(header.get("data ignore value", "nan"))
+            scale = stated_number(header.get("reflectance scale factor", 1.0))
+            ignore = stated_number(header.get("data ignore value", "nan"))
     lines, bands = layout.nrows, layout.ncols
     values = np.fromfile(data_path, layout.dtype, lines * bands, offset=layout.offset)
     values = values.reshape(lines, bands).astype(float)

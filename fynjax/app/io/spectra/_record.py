@@ -75,9 +75,10 @@ def in_nanometres(wavelength: NDArray[np.float64], unit: str) -> tuple[NDArray[n
     of both, and for a wavelength that no spectrometer has.
     """
     unit = unit.strip().lower()
-    highest = float(np.nanmax(wavelength))
-    if highest > _LONGEST:
-        words = f"expected wavelengths in Nanometers or Micrometers, but one is {highest:g}"
+    lowest, highest = float(np.nanmin(wavelength)), float(np.nanmax(wavelength))
+    if not 0.0 <= lowest <= highest <= _LONGEST:
+        wrong = lowest if lowest < 0.0 else highest
+        words = f"expected wavelengths in Nanometers or Micrometers, but one is {wrong:g}"
         raise InputError(words, column="wavelength")
     micrometres = unit.startswith(_MICROMETRES)
     if not micrometres and not unit.startswith(_NANOMETRES) and unit not in _UNSTATED:

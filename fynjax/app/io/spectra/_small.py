@@ -16,8 +16,8 @@ from fynjax._core.errors import InputError
 from fynjax._core.tables import is_number
 from fynjax.app.io.spectra._record import MeasuredSpectrum, note, single_spectrum
 
-_BEGIN = re.compile(r">{3,} ?Begin .*Data ?<{3,}", re.I)
-_END = re.compile(r">{3,} ?End .*Data ?<{3,}", re.I)
+_BEGIN = re.compile(r"\s*>{3,}+ ?Begin [^<>]*Data ?<{3,}", re.I)
+_END = re.compile(r"\s*>{3,}+ ?End [^<>]*Data ?<{3,}", re.I)
 _OCEAN = re.compile(
     r"(SpectraSuite|OOIBase32|Jaz|OceanView|Overture|Ocean Optics).*|Data from .* Node", re.I
 )
@@ -53,7 +53,7 @@ def _roles(line: str) -> dict[str, int]:
         cells = line.split()
     found: dict[str, int] = {}
     for i, cell in enumerate(cells):
-        plain = re.sub(r"\s*[\[(].*", "", cell).lower()
+        plain = re.split(r"[\[(]", cell)[0].rstrip().lower()
         role = next((role for role, words in _COLUMNS.items() if re.fullmatch(words, plain)), "")
         found.setdefault(role, i)
     return {role: i for role, i in found.items() if role}
@@ -71,7 +71,7 @@ def read_small_spectrometer(data: bytes, file: Path) -> MeasuredSpectrum | None:
     """
     encoding = "utf-16" if data[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8"
     lines = data.decode(encoding, errors="replace").splitlines()
-    begin = next((i for i, line in enumerate(lines[:200]) if _BEGIN.search(line)), None)
+    begin = next((i for i, line in enumerate(lines[:200]) if _BEGIN.match(line)), None)
     first = next((i for i, line in enumerate(lines[:200]) if len(_numbers(line) or ()) > 1), None)
     if begin is not None:
         start, maker = begin + 1, "Ocean Optics"
@@ -93,7 +93,7 @@ def read_small_spectrometer(data: bytes, file: Path) -> MeasuredSpectrum | None:
         return None
     rows = []
     for line in lines[max(start, first) :]:
-        if _END.search(line):
+        if _END.match(line):
             break
         numbers = _numbers(line)
         if numbers is not None:

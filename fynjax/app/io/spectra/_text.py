@@ -119,6 +119,7 @@ def _by_row(table: TextTable, layout: TableLayout) -> list[MeasuredSpectrum]:
     quantities = {i: {marked(cell)[0] for cell in frame[i] if not marked(cell)[1]} for i in others}
     kind_at = next((i for i in others if "transmittance" in quantities[i]), None)
     records: dict[str, MeasuredSpectrum] = {}
+    rows: list[int] = []
     for number, (values, cells) in enumerate(zip(frame[list(bands)].to_numpy(), texts), start=1):
         name = (cells[name_at] if name_at is not None else "") or f"{file.stem}_{number}"
         row_meta = {**meta, "repairs": list(meta.get("repairs", []))}
@@ -134,7 +135,9 @@ def _by_row(table: TextTable, layout: TableLayout) -> list[MeasuredSpectrum]:
         if old is not None and not through and old.reflectance is None:
             records[name] = replace(old, reflectance=values)
             continue
-        unique = name if old is None else f"{name}_row{table.row_of(number - 1)}"
+        if old is not None:
+            rows = rows or [row for row, _ in table.rows()]
+        unique = name if old is None else f"{name}_row{rows[number - 1]}"
         records[unique] = single_spectrum(unique, wavelength, values, row_meta, through)
     return list(records.values())
 

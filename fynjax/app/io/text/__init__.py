@@ -11,7 +11,7 @@ from fynjax.app.io.text._atomic import (
     staged_folder,
     write_text,
 )
-from fynjax.app.io.text._bounds import check_fits, check_geopackage
+from fynjax.app.io.text._bounds import check_fits, check_geopackage, stated_number
 from fynjax.app.io.text._cells import rows_text, table_text
 from fynjax.app.io.text._earlier import SUMMARY, EarlierRun, sealed
 from fynjax.app.io.text._tables import read_rows
@@ -43,6 +43,7 @@ __all__ = [
     "sealed",
     "shipped_or_own",
     "staged_folder",
+    "stated_number",
     "table_text",
     "write_text",
 ]

@@ -1,10 +1,11 @@
-"""What files may take of memory, and that rows of a GeoPackage stand in it."""
+"""What files may take of memory and state as numbers, and that rows of a GeoPackage stand in it."""
 
 import sqlite3
 from contextlib import closing
 from pathlib import Path
+from typing import Any
 
-from fynjax._core.errors import InputError
+from fynjax._core.errors import InputError, is_odd_number
 from fynjax._core.memory import total_memory
 
 
@@ -17,6 +18,19 @@ def check_fits(needed: float, what: str, advice: str, file: str | Path | None = 
             f"for this process. {advice}",
             file=file,
         )
+
+
+def stated_number(value: Any) -> float:
+    """A number as a file states it, also as text.
+
+    **Arguments:** `value`, a number or a text.
+
+    **Raises:** `ValueError` for a text that is none, also where Python would take it for one, such
+    as 1_0 and digits of other scripts.
+    """
+    if isinstance(value, str) and is_odd_number(value):
+        raise ValueError(f"no number: {value[:60]!r}")
+    return float(value)
 
 
 def check_geopackage(path: Path) -> None:

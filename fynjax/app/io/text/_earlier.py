@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import stat
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -38,7 +39,9 @@ class EarlierRun:
         self._why = ""
         path = self._folder / SUMMARY
         try:
-            record = json.loads(path.read_bytes()) if path.stat().st_size < _LARGEST else None
+            state = path.stat()
+            read = stat.S_ISREG(state.st_mode) and state.st_size < _LARGEST  # a pipe has no end
+            record = json.loads(path.read_bytes()) if read else None
         except FileNotFoundError:
             return
         except (OSError, ValueError, RecursionError):

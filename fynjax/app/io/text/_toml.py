@@ -45,8 +45,8 @@ def line_of(text: str, loc: tuple[str | int, ...]) -> int | None:
             table = header[1].strip()
             if names and table == names[0]:
                 row = number
-        elif (key := re.match(r"\s*[\"']?([^\"'=]+?)[\"']?\s*=", line)) and (
-            [*filter(None, [table]), key[1]] == names[:2]
+        elif (key := re.match(r"\s*+[\"']?([^\"'=]++)[\"']?\s*=", line)) and (
+            [*filter(None, [table]), key[1].strip()] == names[:2]
         ):
             return number
     return row
