@@ -78,7 +78,7 @@ table.drop(columns="dirsig_off_percent").round(3)
 #
 # Take canopies of leaves of any chlorophyll, structure and dry matter, of any area and over any
 # soil, and ask what share of the near infrared they reflect at 730 nm. The real drone image has the
-# share that is drawn as a line; 95 spectra of fynbos plots by AVIRIS-NG (BioSCape), averaged over
+# share that is drawn as a line; spectra of fynbos plots by AVIRIS-NG (BioSCape), averaged over
 # this camera's bands, have 0.62 to 0.83. `fx.check_vegetation` holds all four bands against such
 # spectra. Published errors of such cameras reach 28 % (Fawcett et al. 2020, Remote Sensing 12:514),
 # so the calibration of this band is the likely cause.

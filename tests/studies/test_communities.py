@@ -61,16 +61,16 @@ def test_relatives_by_the_shipped_tree_spread_further_and_have_slopes():
     phylogeny = read_phylogeny(TREE_2006, [t for t in POOL.taxa if t != "Deadwood"])
     np.testing.assert_allclose(phylogeny.length @ phylogeny.carries, 135.9)
     assert _related(None, POOL) == ()
-    random, within = np.random.default_rng(2), Gradients(richness=(6, 6))
+    random, within = np.random.default_rng(2), Gradients(richness=(4, 4))
     means = []
     for tree in ((), path):
         covers = [draw_community(POOL, within, random, tree).cover > 0 for _ in range(60)]
         means.append([path[np.ix_(c, c)].mean() for c in covers])
-    assert np.std(means[1]) > 1.3 * np.std(means[0])
+    assert np.std(means[1]) > 1.2 * np.std(means[0])
     cover, step = jnp.array(POOL.cover), 1e-4
     slope = jax.grad(lambda c: rao_entropy(c, path))(cover)
     ahead, back = (rao_entropy(cover.at[3].add(d), path) for d in (step, -step))
-    assert slope[3] == pytest.approx((ahead - back) / (2 * step), rel=1e-5)
+    assert slope[3] == pytest.approx(float(ahead - back) / (2 * step), rel=1e-5)
     share = cover / cover.sum()
     assert rao_entropy(cover, path) == pytest.approx(float(share @ path @ share))
 
