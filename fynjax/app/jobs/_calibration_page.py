@@ -184,7 +184,7 @@ def calibration_page(
         search_section(run, result, memory),
     ]
     first = doubt_first(result, " ".join(lead))
-    return Page(f"Calibration: {name}", first, sections, keys, record)
+    return Page("calibrate", f"Calibration: {name}", first, sections, keys, record)
 
 
 def _titled(title: str, view: ImageView) -> str:
@@ -278,6 +278,7 @@ def pixel_page(
     assert camera is not None
     assert blocks is not None
     return Page(
+        "calibrate",
         f"Calibration: {name}",
         doubt_first(result, " ".join(lead)),
         [

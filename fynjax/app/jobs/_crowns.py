@@ -144,6 +144,7 @@ def crowns(
         _write_maps(run, place, found, maps, record)
         run.page(
             Page(
+                "crowns",
                 f"Crowns: {read.name}",
                 " ".join(headline),
                 _sections(run, found, maps, table, every),

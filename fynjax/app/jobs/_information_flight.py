@@ -364,7 +364,15 @@ def information_of_flight(
         parts: list[Part] = [picture, Table(table, "Every bound.", folded=True)]
         record = run.record(plot.inputs)
         lead = " ".join(headline)
-        run.page(Page(f"Information: {plot.name}", lead, [Section("", parts)], record=record))
+        run.page(
+            Page(
+                "information",
+                f"Information: {plot.name}",
+                lead,
+                [Section("", parts)],
+                record=record,
+            )
+        )
     return run.result(FlightInformationResult, headline=headline, bounds=table)
 
 

@@ -313,4 +313,4 @@ def _page(
         "parameters": str(len(sampled.names)),
     }
     title = f"Posterior: {plot.name}"
-    return Page(title, " ".join(headline), [Section("", parts)], keys, record)
+    return Page("posterior", title, " ".join(headline), [Section("", parts)], keys, record)

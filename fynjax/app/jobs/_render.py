@@ -203,6 +203,7 @@ def _write(
     means = itertools.islice(zip(bands.names, image.mean((1, 2)), strict=True), _FEW_BANDS)
     run.page(
         Page(
+            "render",
             plot.name,
             f"What {camera.sensor.name} sees of the plot, without air and noise.",
             [Section("", parts)],

@@ -168,7 +168,15 @@ def sensitivity(
             every = Table(spread, "Every share.", folded=True)
             sections.append(Section("Over the priors", [picture, every]))
         record = run.record(read.inputs)
-        run.page(Page(f"Sensitivity: {read.name}", " ".join(headline), sections, record=record))
+        run.page(
+            Page(
+                "sensitivity",
+                f"Sensitivity: {read.name}",
+                " ".join(headline),
+                sections,
+                record=record,
+            )
+        )
     return run.result(
         SensitivityResult,
         status=status or "ok",

@@ -285,7 +285,7 @@ def _write(
     write_cubes_netcdf(path, cubes, record)
     lead = f"What {instrument.name} measures of the plot."
     sections = [Section("", [*cube_pictures(cubes, plot.name), *more])]
-    run.page(Page(plot.name, lead, sections, record=record))
+    run.page(Page("simulate", plot.name, lead, sections, record=record))
 
 
 def _headline(

@@ -102,7 +102,7 @@ def simulate_lidar(
             "pulses per m²": f"{counts['pulses_per_m2']:.1f}",
             "ground": f"{100 * counts['ground_returns'] / counts['returns']:.1f} %",
         }
-        run.page(Page(f"LiDAR: {plot.name}", headline[0], sections, keys, record))
+        run.page(Page("simulate lidar", f"LiDAR: {plot.name}", headline[0], sections, keys, record))
     return run.result(
         SimulateLidarResult,
         headline=headline,

@@ -259,7 +259,7 @@ def validate(
         keys = {name: value for part in parts.values() for name, value in part.keys.items()}
         lead = "Simulated against real data, after section 4 of the scene paper."
         sections = [part.section for part in parts.values()]
-        run.page(Page("Validation", lead, sections, keys, record))
+        run.page(Page("validate", "Validation", lead, sections, keys, record))
     return run.result(
         ValidateResult,
         headline=[sentence for part in parts.values() for sentence in part.headline],

@@ -150,7 +150,7 @@ def diversity(
         sections = _sections(table, lost, known, composed, threshold)
         record = run.record(read.inputs)
         title = f"Diversity as sensors see it: {communities} communities of {read.name}"
-        run.page(Page(title, " ".join(headline), sections, record=record))
+        run.page(Page("diversity", title, " ".join(headline), sections, record=record))
     return run.result(
         DiversityResult, headline=headline, lost=lost, recognition=known, composition=composed
     )

@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import pairwise
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
@@ -142,8 +143,8 @@ def _of_bands() -> Iterator[_Number]:
         for quantity, (column, _, _) in _TABLE_1.items():
             what = "field survey; the input of a simulation, which a calibration may change"
             yield _Number("table 1", f"{species.taxon}: {quantity}", what, float(species[column]))
-    for quantity, (number, printed, what) in _OPTICS.items():
-        yield _Number(f"table {number}", quantity, what, printed)
+    for _, row in _optics().iterrows():
+        yield _Number(f"table {row.table}", row.quantity, row.definition, row.printed)
     for name, band in bands_2006().items():
         what = "mean over the pixels; the real one follows from table 4; of DIRSIG no sign"
         yield _Number(
@@ -233,45 +234,9 @@ def _of_structure() -> Iterator[_Number]:
                     yield _Number("section 4.4", f"{quantity}, {grain:g} m{ending}", what, real)
 
 
-_SHIPPED, _PITCH = "what the shipped sensor has", "pitch of a pixel x height / focal length"
-_OPTICS = {
-    "AVIRIS-NG: bands": (2, 425, _SHIPPED),
-    "AVIRIS-NG: first band [nm]": (2, 380, _SHIPPED),
-    "AVIRIS-NG: last band [nm]": (2, 2500, _SHIPPED),
-    "AVIRIS-NG: distance of bands [nm]": (2, 5, _SHIPPED),
-    "AVIRIS-NG: columns": (2, 640, _SHIPPED),
-    "AVIRIS-NG: pitch of a pixel [um]": (2, 27, _SHIPPED),
-    "AVIRIS-NG: focal length [mm]": (2, 26.6, _SHIPPED),
-    "AVIRIS-NG: height [m]": (2, 1000, _SHIPPED),
-    "AVIRIS-NG: pixel [m]": (2, 3.0, _PITCH),
-    **{
-        f"Mavic 3M: {band}, {what} [nm]": (2, value, _SHIPPED)
-        for band, values in zip(BANDS, ((560, 16), (650, 16), (730, 16), (860, 26)), strict=True)
-        for what, value in zip(("centre", "half width"), values, strict=True)
-    },
-    "Mavic 3M: columns": (2, 640, _SHIPPED),
-    "Mavic 3M: rows": (2, 480, _SHIPPED),
-    "Mavic 3M: pitch of a pixel [um]": (2, 2, _SHIPPED),
-    "Mavic 3M: focal length [mm]": (2, 4, _SHIPPED),
-    "Mavic 3M: height [m]": (2, 50, _SHIPPED),
-    "Mavic 3M: pixel [m]": (2, 0.025, _PITCH),
-    "LiDAR: height [m]": (3, 50, _SHIPPED),
-    "LiDAR: half divergence [rad]": (3, 0.071, _SHIPPED),
-    "LiDAR: columns": (3, 128, _SHIPPED),
-    "LiDAR: pitch of a pixel [um]": (3, 100, _SHIPPED),
-    "LiDAR: focal length [mm]": (3, 128, _SHIPPED),
-    "LiDAR: distance of frames [m]": (3, 5, _SHIPPED),
-    "LiDAR: pulses [s-1]": (3, 1, _SHIPPED),
-    "LiDAR: gate opens [m]": (3, 40, _SHIPPED),
-    "LiDAR: gate closes [m]": (3, 50, _SHIPPED),
-    "LiDAR: line width [nm]": (3, 0.01, _SHIPPED),
-    "LiDAR: pulse [ns]": (3, 2, _SHIPPED),
-    "LiDAR: wavelength [nm]": (3, 1064, _SHIPPED),
-    "LiDAR: sample [m]": (3, 0.15, _SHIPPED),
-    "LiDAR: pixel [m]": (3, 0.04, _PITCH),
-    "LiDAR: width of the beam on the ground [m]": (3, 7.11, "2 x height x tan(half divergence)"),
-}
-"""Printed of the sensors: table, value, and what stands beside."""
+def _optics() -> pd.DataFrame:
+    """What tables 2 and 3 print of the sensors, and what stands beside."""
+    return pd.read_csv(Path(__file__).parent / "data" / "optics.csv")
 
 
 def _sensors() -> dict[str, float]:
@@ -294,7 +259,7 @@ def _sensors() -> dict[str, float]:
         lidar.pulse_length, lidar.wavelength, lidar.sample, 100e-6 / 0.128 * 50.0,
         2.0 * 50.0 * np.tan(0.071),
     ]  # fmt: skip
-    return dict(zip(_OPTICS, map(float, values), strict=True))
+    return dict(zip(_optics()["quantity"], map(float, values), strict=True))
 
 
 def _species(scene: Scene, parameters: PlotParameters) -> dict[str, float]:

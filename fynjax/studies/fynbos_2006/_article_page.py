@@ -115,7 +115,7 @@ def article(
     counts = Table(nearest, "How many numbers each is nearest in.", headers=_WHO)
     inputs = [*plot.inputs, calibration / "parameters.csv"]
     sections = [Section("", [counts, *_pictures(table)]), *_tables(table)]
-    run.page(Page("The article's numbers", lead, sections, record=run.record(inputs)))
+    run.page(Page("article", "The article's numbers", lead, sections, record=run.record(inputs)))
     return run.result(ArticleResult, headline=headline, nearest=nearest)
 
 

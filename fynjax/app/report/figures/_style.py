@@ -4,6 +4,7 @@ Colours are those of Okabe and Ito (2008).
 """
 
 import io
+import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -11,12 +12,14 @@ from typing import Any
 
 import matplotlib
 import matplotlib.figure
+import matplotlib.image
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.category import StrCategoryFormatter
 from matplotlib.text import Text
 from matplotlib.ticker import FuncFormatter, LogFormatterSciNotation
+from matplotlib.transforms import Bbox
 from numpy.typing import NDArray
 
 from fynjax.app.io.text import atomic_path
@@ -163,6 +166,49 @@ def ground_panels(figure: matplotlib.figure.Figure) -> list[tuple[float, float, 
     each such panel, in shares of the figure's width and height from its upper left corner."""
     boxes = [axes.get_position() for axes in figure.axes if axes.get_gid() == GROUND]
     return [(box.x0, 1.0 - box.y1, box.width, box.height) for box in boxes]
+
+
+def stacked_panels(figure: matplotlib.figure.Figure, width: float) -> list[NDArray[np.uint8]]:
+    """A written `figure` for a narrow page: its panels one below the other, each with its own
+    labels, then legends; one panel as wide as `width` [inches]. Each as [y, x, RGB] at
+    `FIGURE_DPI`; none where its parts find no room."""
+    axes = [each for each in figure.axes if each.get_visible() and each.has_data()]
+    panels: dict[Any, list[Any]] = {each: [each] for each in axes if not hasattr(each, "_colorbar")}
+    for each in axes:
+        if (bar := getattr(each, "_colorbar", None)) is not None:
+            panels.setdefault(bar.mappable.axes, [each]).append(each)
+    size = figure.get_size_inches()
+    several = len(panels) + len(figure.legends) > 1
+    for each in panels if len(panels) > 1 else ():
+        each.tick_params(labelleft=each.axison, labelbottom=each.axison)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            figure.set_size_inches(size if several else (width, size[1]))
+            buffer = io.BytesIO()
+            tight = {} if several else {"bbox_inches": "tight"}
+            figure.savefig(buffer, format="png", dpi=FIGURE_DPI, facecolor="white", **tight)
+            buffer.seek(0)
+            picture = matplotlib.image.imread(buffer)[..., :3]
+            whole: NDArray[np.uint8] = np.round(255.0 * picture).astype(np.uint8)
+            if not several:
+                return [whole]
+            renderer = figure._get_renderer()  # type: ignore[attr-defined]
+            parts = [
+                Bbox.union([a.get_tightbbox(renderer) for a in own]) for own in panels.values()
+            ]
+            parts += [part.get_window_extent(renderer) for part in figure.legends]
+    except (UserWarning, ValueError):
+        return []
+    finally:
+        figure.set_size_inches(size)
+    high, scale = len(whole), FIGURE_DPI / figure.dpi
+    cut = []
+    for box in parts:
+        x0, x1 = (round(scale * x) for x in (box.x0 - 2, box.x1 + 2))
+        y0, y1 = (high - round(scale * y) for y in (box.y1 + 2, box.y0 - 2))
+        cut.append(whole[max(y0, 0) : y1, max(x0, 0) : x1])
+    return cut
 
 
 def panel_grid(
