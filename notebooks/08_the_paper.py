@@ -25,6 +25,8 @@
 # - **You learn** what a species table alone predicts, and how to ask whether a number can be true.
 # - **You need** what notebook [05](05_plot_in_3d.ipynb) shows: a scene and an image of it.
 # - **It takes** about two minutes.
+#
+# ![Figures of eight notebooks](../docs/images/notebooks.png)
 
 # %%
 import fynjax as fx  # before jax, so that kept programs are read without a word

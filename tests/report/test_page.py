@@ -53,6 +53,7 @@ def page():
         {"name": ["<b>x</b>", "y"], "cover": [0.123456, np.nan], "n": [3, -4], "ok": [True, False]}
     )
     return Page(
+        "build",
         "Plot <1>",
         "A & B",
         [
@@ -108,7 +109,7 @@ def test_views_are_all_on_the_page_each_with_its_label(tmp_path):
         return Picture(file, Figure(figsize=(1, 1)), "a band")
 
     views = Views({"Red": picture("red.png"), "NDVI <1>": picture("ndvi.png")})
-    files = write_page(Page("Plot", "", [Section("", [views])]), tmp_path)
+    files = write_page(Page("build", "Plot", "", [Section("", [views])]), tmp_path)
     assert files == {
         "report.html": "all of it on one page",
         "red.png": "a band",
@@ -137,7 +138,7 @@ def test_rows_of_a_figure_are_marked_with_those_of_tables(tmp_path, by_place):
     axes.set_xlim(0, 1)
     table = Table(pd.DataFrame({"species": ["Erica <1>"], "cover": [0.2]}))
     parts = [Picture("bars.png", figure, "bars"), table]
-    text = html(Page("Plot", "", [Section("", parts)]), tmp_path)
+    text = html(Page("build", "Plot", "", [Section("", parts)]), tmp_path)
     assert text.count('data-name="Erica &lt;1&gt;"') == 2
     assert Checker(text).stack == []
     image = plt.imread(tmp_path / "bars.png")
@@ -171,7 +172,7 @@ def test_views_of_the_ground_are_marked_where_the_picture_has_them(tmp_path):
     plain = Figure(figsize=(1, 1))
     plain.subplots()
     parts = [Picture("images.png", figure, "x"), Picture("plain.png", plain, "x")]
-    text = html(Page("Plot", "", [Section("", parts)]), tmp_path)
+    text = html(Page("build", "Plot", "", [Section("", parts)]), tmp_path)
     found = re.findall(
         r'<b class="ground" style="left: (.*?)%; top: (.*?)%; width: (.*?)%; height: (.*?)%"', text
     )
@@ -264,7 +265,7 @@ def test_what_users_write_is_text(page, tmp_path):
 
 def test_table_has_units_headers_and_readable_numbers(page, tmp_path):
     text = html(page, tmp_path)
-    assert "cover<small>[m2 m-2]</small>" in text
+    assert "cover<small>[m² m⁻²]</small>" in text
     assert ">Count</th>" in text
     for cell in ("0.1235", "–", "−4", "yes", "no"):
         assert f">{cell}</td>" in text
