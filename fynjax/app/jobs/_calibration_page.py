@@ -184,7 +184,15 @@ def calibration_page(
         search_section(run, result, memory),
     ]
     first = doubt_first(result, " ".join(lead))
-    return Page("calibrate", f"Calibration: {name}", first, sections, keys, record)
+    title = f"Calibration: {name}"
+    return Page("calibrate", title, first, sections, keys, record, *_answer(result, lead))
+
+
+def _answer(result: Calibration, lead: Sequence[str]) -> tuple[str, str]:
+    """The result in a line, before beside after, and whether it may be trusted."""
+    status = status_words(result)
+    trust = misfit_sentence(result) if status == "ok" else _capitalised(status)
+    return next((said for said in lead if " before" in said), lead[0]), trust
 
 
 def _titled(title: str, view: ImageView) -> str:
@@ -292,6 +300,7 @@ def pixel_page(
             "wall time": f"{run.total():.0f} s",
         },
         record,
+        *_answer(result, lead),
     )
 
 

@@ -201,14 +201,17 @@ def _write(
         Table(plants, caption),
     ]
     means = itertools.islice(zip(bands.names, image.mean((1, 2)), strict=True), _FEW_BANDS)
+    keys = {f"mean {band.replace('_', ' ')}": f"{value:.3f}" for band, value in means}
     run.page(
         Page(
             "render",
             plot.name,
             f"What {camera.sensor.name} sees of the plot, without air and noise.",
             [Section("", parts)],
-            {f"mean {band.replace('_', ' ')}": f"{value:.3f}" for band, value in means},
+            keys,
             record,
+            f"Mean reflectance by {camera.sensor.name}: "
+            + ", ".join(f"{name.removeprefix('mean ')} {value}" for name, value in keys.items()),
         )
     )
 

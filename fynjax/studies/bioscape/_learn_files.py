@@ -214,7 +214,15 @@ def write_lesson(
     ]
     lead = f"What {len(lesson.plots)} plots share, and how they vary, learned from their spectra."
     run.page(
-        Page("bioscape learn", "A population of plots", lead, sections, {}, run.record(inputs))
+        Page(
+            "bioscape learn",
+            "A population of plots",
+            lead,
+            sections,
+            {},
+            run.record(inputs),
+            headline[0],
+        )
     )
     return run.result(
         LearnResult,
