@@ -1,10 +1,12 @@
 """The page stands alone, escapes what users write, and shows numbers as a reader wants them."""
 
 import base64
+import dataclasses
 import json
 import re
 import shutil
 import subprocess
+import tomllib
 from html.parser import HTMLParser
 from io import BytesIO
 from pathlib import Path
@@ -17,8 +19,9 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from fynjax.app.report import pages
-from fynjax.app.report.figures import composites
+from fynjax.app.report.figures import composites, stacked_panels
 from fynjax.app.report.pages import Page, Picture, Section, Table, Views, format_number, write_page
+from fynjax.app.report.pages._page import _typeset
 
 
 class Checker(HTMLParser):
@@ -311,3 +314,75 @@ def test_headers_of_a_wide_table_may_break_so_that_its_columns_fit(page, tmp_pat
     rule = re.search(r"\nth \{([^}]*)\}", html(page, tmp_path))
     assert rule is not None
     assert "white-space: normal" in rule[1]
+
+
+def test_every_page_begins_with_result_trust_and_next_step():
+    """Each command that writes a page has its lines, short enough for a phone, and no other has."""
+    root = Path(pages.__file__).parents[3]
+    source = "\n".join(f.read_text("utf-8") for f in root.rglob("*.py"))
+    made = set(re.findall(r'(?:\bPage|run\.pictures)\(\s*"([a-z -]+)"', source))
+    answers = tomllib.loads((Path(pages.__file__).parent / "answers.toml").read_text("utf-8"))
+    assert made == set(answers) > {"calibrate", "posterior", "validate", "fit-leaf", "map"}
+    for command, said in answers.items():
+        assert set(said) == {"trust", "next"}, command
+        assert all(20 < len(line) < 160 and line[-1] == "." for line in said.values()), command
+
+
+def test_the_answer_stands_before_all_else_and_the_record_is_folded(page, tmp_path):
+    lead = "First. All of 2.5 m2 of leaves."
+    record = {"command": "fynjax demo", "input_sha256": '{"a.csv": "12ab"}'}
+    text = html(dataclasses.replace(page, lead=lead, record=record, trust="Hardly."), tmp_path)
+    heads = re.findall(r"<h[123]>(.*?)</h[123]>", text)
+    assert heads[1:4] == ["Result", "May it be trusted?", "What next?"]
+    assert "<p>First.</p>" in text
+    assert "<p>Hardly.</p>" in text
+    assert text.index("What next?") < text.index('class="key"') < text.index("<section>")
+    assert "2.5 m² of leaves" in text
+    footer = text[text.index("<footer>") :]
+    assert footer.startswith("<footer><details>")
+    assert "SHA-256 of a.csv</td>" in footer
+    assert "{" not in footer[: footer.index("</footer>")]
+
+
+@pytest.mark.parametrize(
+    ("plain", "typeset"),
+    [
+        ("2 m2 m-2", "2 m² m⁻²"),
+        ("W m-2 sr-1 um-1", "W m⁻² sr⁻¹ µm⁻¹"),
+        ("40 ug cm-2", "40 µg cm⁻²"),
+        ("plot_m2, m20, PM2.5, s1 and m1", "plot_m2, m20, PM2.5, s1 and m1"),
+        ("from m2-3 on", "from m2-3 on"),
+    ],
+)
+def test_units_are_typeset_and_names_are_not(plain, typeset):
+    assert _typeset(plain) == typeset
+
+
+def test_a_phone_has_the_panels_below_each_other_and_nothing_wider(page, tmp_path):
+    """Each panel once, by its colour, and the legend last; a wide single panel drawn anew."""
+    figure = Figure(figsize=(9, 3), layout="constrained")
+    for axes, colour in zip(figure.subplots(1, 3, sharey=True), ("red", "lime", "blue")):
+        axes.plot([0, 1], color=colour, lw=6, label=colour)
+    parts = stacked_panels(figure, 4.0)
+    assert len(parts) == 3
+    pure = np.eye(3) * 255
+    for own, part in enumerate(parts):
+        count = [int((part == one).all(axis=-1).sum()) for one in pure]
+        assert count[own] > 500
+        assert sum(count) == count[own]
+    figure.legend(loc="outside right upper")
+    assert len(stacked_panels(figure, 4.0)) == 4
+    assert tuple(figure.get_size_inches()) == (9, 3)
+    single = Figure(figsize=(9, 3), layout="constrained")
+    single.subplots().plot([0, 1])
+    (slim,) = stacked_panels(single, 4.0)
+    assert slim.shape[1] < 4.3 * 160
+    text = html(dataclasses.replace(page, sections=[Section("", [Picture("a.png", figure, "x")])]),
+                tmp_path)  # fmt: skip
+    assert text.count("<img ") == 1 + 4
+    assert 'name="viewport" content="width=device-width' in text
+    style = re.search(r"<style>(.*?)</style>", text, re.S)[1]
+    assert ".picture { position: relative; max-width: 100%" in style
+    assert ".narrow img { display: block; max-width: 100%" in style
+    assert ".scroll { overflow-x: auto" in style
+    assert not re.search(r"min-width: *[4-9]\d\d", style)

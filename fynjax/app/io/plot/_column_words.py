@@ -26,7 +26,7 @@ _RAUNKIAER = {
 
 def words_of(text: str) -> str:
     """Text in small letters, without accents, its words one blank apart."""
-    plain = unicodedata.normalize("NFKD", text.replace("ß", "ss"))
+    plain = unicodedata.normalize("NFKD", re.sub("[Øø⌀]", " diam ", text.replace("ß", "ss")))
     plain = "".join(c for c in plain if not unicodedata.combining(c)).casefold()
     return " ".join(re.findall(r"[a-z0-9%]+", plain))
 
