@@ -177,17 +177,19 @@ def stacked_panels(figure: matplotlib.figure.Figure, width: float) -> list[NDArr
     for each in axes:
         if (bar := getattr(each, "_colorbar", None)) is not None:
             panels.setdefault(bar.mappable.axes, [each]).append(each)
-    size = figure.get_size_inches()
+    wide, tall = figure.get_size_inches().tolist()
     several = len(panels) + len(figure.legends) > 1
     for each in panels if len(panels) > 1 else ():
         each.tick_params(labelleft=each.axison, labelbottom=each.axison)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error")
-            figure.set_size_inches(size if several else (width, size[1]))
+            figure.set_size_inches(wide if several else width, tall)
             buffer = io.BytesIO()
-            tight = {} if several else {"bbox_inches": "tight"}
-            figure.savefig(buffer, format="png", dpi=FIGURE_DPI, facecolor="white", **tight)
+            edges: Any = None if several else "tight"
+            figure.savefig(
+                buffer, format="png", dpi=FIGURE_DPI, facecolor="white", bbox_inches=edges
+            )
             buffer.seek(0)
             picture = matplotlib.image.imread(buffer)[..., :3]
             whole: NDArray[np.uint8] = np.round(255.0 * picture).astype(np.uint8)
@@ -201,7 +203,7 @@ def stacked_panels(figure: matplotlib.figure.Figure, width: float) -> list[NDArr
     except (UserWarning, ValueError):
         return []
     finally:
-        figure.set_size_inches(size)
+        figure.set_size_inches(wide, tall)
     high, scale = len(whole), FIGURE_DPI / figure.dpi
     cut = []
     for box in parts:

@@ -219,7 +219,9 @@ def _address(image: "Image") -> str:
 def _typeset(text: str) -> str:
     """A text with the exponents and the micro of its units: m2 m-2 becomes m² m⁻²."""
     text = re.sub(r"(?<![\w.])u(?=[gm]\b)", "µ", text)
-    pattern = r"(?<![\w.])((?:[kcmµn]?m)(?=[23-])|[kcmµn]?m|k?g|s|sr|h)(-[1-3]|[23])(?![\w.]*\d|[\w-])"
+    pattern = (
+        r"(?<![\w.])((?:[kcmµn]?m)(?=[23-])|[kcmµn]?m|k?g|s|sr|h)(-[1-3]|[23])(?![\w.]*\d|[\w-])"
+    )
     return re.sub(pattern, lambda unit: unit[1] + unit[2].translate(_RAISED), text)
 
 
