@@ -199,7 +199,7 @@ def stacked_panels(figure: matplotlib.figure.Figure, width: float) -> list[NDArr
             parts = [
                 Bbox.union([a.get_tightbbox(renderer) for a in own]) for own in panels.values()
             ]
-            parts += [part.get_window_extent(renderer) for part in figure.legends]
+            parts += [part.get_window_extent(renderer).padded(9) for part in figure.legends]
     except (UserWarning, ValueError):
         return []
     finally:
