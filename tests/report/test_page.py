@@ -7,6 +7,7 @@ import re
 import shutil
 import subprocess
 import tomllib
+import warnings
 from html.parser import HTMLParser
 from io import BytesIO
 from pathlib import Path
@@ -19,9 +20,8 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from fynjax.app.report import pages
-from fynjax.app.report.figures import composites, stacked_panels
+from fynjax.app.report.figures import composites, save_figure, stacked_panels
 from fynjax.app.report.pages import Page, Picture, Section, Table, Views, format_number, write_page
-from fynjax.app.report.pages._page import _typeset
 
 
 class Checker(HTMLParser):
@@ -345,17 +345,91 @@ def test_the_answer_stands_before_all_else_and_the_record_is_folded(page, tmp_pa
 
 
 @pytest.mark.parametrize(
-    ("plain", "typeset"),
+    ("plain", "printed"),
     [
         ("2 m2 m-2", "2 m² m⁻²"),
         ("W m-2 sr-1 um-1", "W m⁻² sr⁻¹ µm⁻¹"),
         ("40 ug cm-2", "40 µg cm⁻²"),
         ("plot_m2, m20, PM2.5, s1 and m1", "plot_m2, m20, PM2.5, s1 and m1"),
         ("from m2-3 on", "from m2-3 on"),
+        ("1.2 plants m-2, 3 W/m2 [m2]", "1.2 plants m⁻², 3 W/m² [m²]"),
+        ("um", "µm"),
+        ("Chlorophyll\n[ug\ncm-2]", "Chlorophyll\n[µg\ncm⁻²]"),
+        ("um arbusto", "um arbusto"),
+        ("m2.csv, site-m2 and 5 m2.laz", "m2.csv, site-m2 and 5 m2.laz"),
+        ("plot s2 of site m-2, quadrat m3", "plot s2 of site m-2, quadrat m3"),
+        ("data/m2/h3 of [h2]", "data/m2/h3 of [h2]"),
     ],
 )
-def test_units_are_typeset_and_names_are_not(plain, typeset):
-    assert _typeset(plain) == typeset
+def test_units_are_typeset_and_names_are_not(plain, printed):
+    assert typeset(plain) == printed
+
+
+def test_a_scale_of_several_panels_stands_below_them_on_a_phone():
+    """None of the panels is cut in two by it, and words below all are kept."""
+    figure = Figure(figsize=(9, 3), layout="constrained")
+    axes = figure.subplots(1, 2)
+    maps = [one.imshow([[value]], vmin=0, vmax=1, cmap="gray") for one, value in zip(axes, (0, 1))]
+    axes[1].set_facecolor("red")
+    maps[1].set_alpha(0.0)
+    figure.colorbar(maps[0], ax=list(axes), location="bottom")
+    figure.supxlabel("for all")
+    left, right, scale, word = stacked_panels(figure, 4.0)
+    red = [int((part == (255, 0, 0)).all(axis=-1).sum()) for part in (left, right, scale, word)]
+    assert red[1] > 10_000
+    assert red == [0, red[1], 0, 0]
+    assert len(np.unique(scale)) > 100
+    assert word.min() < 50
+    assert left.shape[1] < 5 * 160
+
+
+def test_a_figure_whose_panels_reach_into_each_other_stays_whole():
+    figure = Figure(figsize=(9, 3))
+    for axes in figure.subplots(1, 2, gridspec_kw={"wspace": 0.02}):
+        axes.plot([0, 1])
+        axes.set_ylabel("a\nb\nc")
+    assert stacked_panels(figure, 4.0) == []
+
+
+def test_an_upright_word_for_all_panels_lies_on_a_phone():
+    figure = Figure(figsize=(9, 3), layout="constrained")
+    for axes in figure.subplots(1, 2):
+        axes.plot([0, 1])
+    figure.supylabel("a bound [m2 m-2] of all", color="red")
+    *_, word = stacked_panels(figure, 4.0)
+    assert len(word) < 40 < 100 < word.shape[1]
+
+
+def test_units_in_a_figure_are_typeset(tmp_path):
+    figure = Figure()
+    axes = figure.subplots()
+    axes.set_title("area [m2 m-2]")
+    axes.barh([0], [1], tick_label=["m2 m-2"])
+    save_figure(figure, tmp_path / "a.png")
+    assert axes.get_title() == "area [m² m⁻²]"
+    assert axes.get_yticklabels()[0].get_text() == "m2 m-2"
+
+
+def test_words_beside_a_panel_are_whole_on_a_phone():
+    """Names of rows end well within the piece that is cut out."""
+    figure = Figure(figsize=(9, 2), layout="constrained")
+    for axes in figure.subplots(1, 2):
+        axes.barh([0], [1], tick_label=["Mmmmmmmm mmmmmmmmmmmmmmmmmmmm"])
+    for part in stacked_panels(figure, 4.0):
+        assert (part[:, :2] == 255).all()
+        assert part[:, 3:40].min() < 100
+
+
+def test_a_picture_that_warns_when_it_is_drawn_is_drawn_all_the_same():
+    """Of warnings those of a layout without room alone leave a phone with the whole picture."""
+    for kind, count in ((RuntimeWarning, 2), (UserWarning, 0)):
+        figure = Figure(figsize=(9, 3), layout="constrained")
+        for axes in figure.subplots(1, 2):
+            axes.plot([0, 1])
+            axes.xaxis.set_major_formatter(lambda *_, kind=kind: warnings.warn("x", kind, 2) or "")
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            assert len(stacked_panels(figure, 4.0)) == count
 
 
 def test_a_phone_has_the_panels_below_each_other_and_nothing_wider(page, tmp_path):
@@ -371,7 +445,9 @@ def test_a_phone_has_the_panels_below_each_other_and_nothing_wider(page, tmp_pat
         assert count[own] > 500
         assert sum(count) == count[own]
     figure.legend(loc="outside right upper")
-    assert len(stacked_panels(figure, 4.0)) == 4
+    *_, legend = stacked_panels(figure, 4.0)
+    assert len(_) == 3
+    assert all((legend == one).all(axis=-1).any() for one in pure)
     assert tuple(figure.get_size_inches()) == (9, 3)
     single = Figure(figsize=(9, 3), layout="constrained")
     single.subplots().plot([0, 1])

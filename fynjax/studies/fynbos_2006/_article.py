@@ -320,8 +320,10 @@ def _spectrometer(
     ranges = {f"range of reflectance, {k}": float(np.ptp(v)) for k, v in inside.items()}
     there = index_bands(wavelength)
     names = [name for name in figure12_2006() if name in there]
-    indices = vegetation_indices(mean[:, None], names, wavelength)
-    found = {f"{n} by AVIRIS-NG": float(v) for n, v in zip(names, indices[:, 0], strict=True)}
+    found = {}
+    if names:  # of few channels some index has none
+        indices = np.asarray(vegetation_indices(mean[:, None], names, wavelength))[:, 0]
+        found = {f"{n} by AVIRIS-NG": float(v) for n, v in zip(names, indices, strict=True)}
     return ranges | found | {"mean reflectance, swir2": float(inside["swir2"].mean())}
 
 

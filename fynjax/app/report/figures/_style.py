@@ -4,6 +4,8 @@ Colours are those of Okabe and Ito (2008).
 """
 
 import io
+import itertools
+import re
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -118,6 +120,8 @@ def save_figure(
     **Arguments:** `figure`; `path` of the file, which is replaced at once when complete; `dpi`,
     pixels an inch of a PNG.
     """
+    for text in figure.findobj(lambda one: isinstance(one, Text) and "[" in one.get_text()):
+        text.set_text(typeset(text.get_text()))  # type: ignore[attr-defined]
     with atomic_path(path) as partial:
         figure.savefig(partial, dpi=dpi, facecolor="white")
 
@@ -171,20 +175,19 @@ def ground_panels(figure: matplotlib.figure.Figure) -> list[tuple[float, float, 
 def stacked_panels(figure: matplotlib.figure.Figure, width: float) -> list[NDArray[np.uint8]]:
     """A written `figure` for a narrow page: its panels one below the other, each with its own
     labels, then legends; one panel as wide as `width` [inches]. Each as [y, x, RGB] at
-    `FIGURE_DPI`; none where its parts find no room."""
+    `FIGURE_DPI`; none where its parts find no room, or reach into each other."""
     axes = [each for each in figure.axes if each.get_visible() and each.has_data()]
-    panels: dict[Any, list[Any]] = {each: [each] for each in axes if not hasattr(each, "_colorbar")}
-    for each in axes:
-        if (bar := getattr(each, "_colorbar", None)) is not None:
-            panels.setdefault(bar.mappable.axes, [each]).append(each)
+    panels = [each for each in axes if not hasattr(each, "_colorbar")]
     wide, tall = figure.get_size_inches().tolist()
+    dots = figure.dpi
     several = len(panels) + len(figure.legends) > 1
     for each in panels if len(panels) > 1 else ():
         each.tick_params(labelleft=each.axison, labelbottom=each.axison)
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("error")
+            warnings.simplefilter("error", UserWarning)
             figure.set_size_inches(wide if several else width, tall)
+            figure.set_dpi(FIGURE_DPI)  # words are as wide as they are drawn
             buffer = io.BytesIO()
             edges: Any = None if several else "tight"
             figure.savefig(
@@ -196,21 +199,53 @@ def stacked_panels(figure: matplotlib.figure.Figure, width: float) -> list[NDArr
             if not several:
                 return [whole]
             renderer = figure._get_renderer()  # type: ignore[attr-defined]
-            parts = [
-                Bbox.union([a.get_tightbbox(renderer) for a in own]) for own in panels.values()
-            ]
-            parts += [part.get_window_extent(renderer).padded(9) for part in figure.legends]
+            parts = _parts(figure, panels, [each for each in axes if each not in panels], renderer)
     except (UserWarning, ValueError):
         return []
     finally:
         figure.set_size_inches(wide, tall)
-    high, scale = len(whole), FIGURE_DPI / figure.dpi
-    cut = []
-    for box in parts:
-        x0, x1 = (round(scale * x) for x in (box.x0 - 2, box.x1 + 2))
-        y0, y1 = (high - round(scale * y) for y in (box.y1 + 2, box.y0 - 2))
-        cut.append(whole[max(y0, 0) : y1, max(x0, 0) : x1])
-    return cut
+        figure.set_dpi(dots)
+    places = [_pixels(box, len(whole)) for box in parts]
+    cut = [np.array(whole[place]) for place in places[: len(panels)]]
+    for place in places[: len(panels)]:
+        whole[place] = 255  # of what is beside panels none shows a piece of one
+    beside = [whole[place] for place in places[len(panels) :]]
+    cut += [part if len(part) <= part.shape[1] else np.rot90(part, -1) for part in beside]
+    return cut if all(part.size for part in cut) else []
+
+
+def _pixels(box: Bbox, high: int) -> tuple[slice, slice]:
+    """Rows and columns of a box in a picture of a height [pixels]."""
+    x0, x1, y0, y1 = (
+        round(x) for x in (box.x0 - 3, box.x1 + 3, high - box.y1 - 3, high - box.y0 + 3)
+    )
+    return slice(max(y0, 0), y1), slice(max(x0, 0), x1)
+
+
+def _parts(
+    figure: matplotlib.figure.Figure, panels: list[Axes], scales: list[Axes], renderer: Any
+) -> list[Bbox]:
+    """Where each panel lies with its own scale of colours, then scales of several, words and
+    legends of all."""
+    boxes: dict[Axes, Any] = {each: each.get_tightbbox(renderer) for each in panels}
+    if any(
+        a.padded(-3).overlaps(b.padded(-3)) for a, b in itertools.combinations(boxes.values(), 2)
+    ):
+        raise ValueError("panels reach into each other")
+    shared = []
+    for scale in scales:
+        box = scale.get_tightbbox(renderer)
+        own = scale._colorbar.mappable.axes  # type: ignore[attr-defined]
+        both = Bbox.union([boxes.get(own, box), box])
+        if own in boxes and not any(both.overlaps(boxes[each]) for each in panels if each != own):
+            boxes[own] = both
+        else:
+            shared.append(box)
+    words = [text for text in figure.texts if text.get_text()]
+    shared += [text.get_window_extent(renderer).padded(3) for text in words]
+    return [*boxes.values(), *shared, *(
+        legend.get_window_extent(renderer).padded(9) for legend in figure.legends
+    )]  # fmt: skip
 
 
 def panel_grid(
@@ -262,3 +297,26 @@ def small_print(figure: Figure, text: str) -> None:
 def words(name: str) -> str:
     """The `name` of a statistic or parameter in words."""
     return name.replace("_", " ").replace("nir", "NIR")
+
+
+def typeset(text: str) -> str:
+    """A text with the exponents and the micro of its units: 2 m2 m-2 becomes 2 m² m⁻². One unit
+    alone only after a number or in brackets, as taxa, plots and files may have such names."""
+    return _OF_UNITS.sub(_raised, text)
+
+
+def _raised(found: re.Match[str]) -> str:
+    units, before = found[0], found.string[: found.start()]
+    alone = not re.search(r"[ /\n]", units)
+    stated = before.endswith(("[", "(")) or re.search(
+        r"(\d|\b(per|in|plants|returns|pulses)) $", before
+    )
+    if (alone or not re.search(r"\d", units)) and not (stated or units == found.string):
+        return units
+    units = re.sub(r"(?<![a-z])u(?=[gmW])", "µ", units)
+    return re.sub(r"-?[1-3]", lambda power: power[0].translate(_RAISED), units)
+
+
+_UNIT = r"(?:[cdkmnuµ]?m(?:[23]|-[1-3])?|(?:[kmuµ]?[gW]|k?J|sr|s|h|ha|mol|K)(?:-[1-3])?)"
+_OF_UNITS = re.compile(rf"(?<![\w./-]){_UNIT}(?:[ /\n]{_UNIT})*(?![\w/'(-]|\.\w)")
+_RAISED = str.maketrans("-123", "⁻¹²³")

@@ -216,19 +216,9 @@ def _address(image: "Image") -> str:
     return f"data:image/{kind};base64,{base64.b64encode(data).decode('ascii')}"
 
 
-def _typeset(text: str) -> str:
-    """A text with the exponents and the micro of its units: m2 m-2 becomes m² m⁻²."""
-    text = re.sub(r"(?<![\w.])u(?=[gm]\b)", "µ", text)
-    pattern = (
-        r"(?<![\w.])((?:[kcmµn]?m)(?=[23-])|[kcmµn]?m|k?g|s|sr|h)(-[1-3]|[23])(?![\w.]*\d|[\w-])"
-    )
-    return re.sub(pattern, lambda unit: unit[1] + unit[2].translate(_RAISED), text)
-
-
-_RAISED = str.maketrans("-123", "⁻¹²³")
 _ASKED = "Result", "May it be trusted?", "What next?"
 _ANSWERS = tomllib.loads((Path(__file__).parent / "answers.toml").read_text("utf-8"))
 _ENVIRONMENT = Environment(
     loader=FileSystemLoader(Path(__file__).parent), autoescape=True, undefined=StrictUndefined
 )
-_ENVIRONMENT.filters |= {"cell": _cell, "units": _typeset}
+_ENVIRONMENT.filters |= {"cell": _cell, "units": figures.typeset}
