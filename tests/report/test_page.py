@@ -20,7 +20,7 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from fynjax.app.report import pages
-from fynjax.app.report.figures import composites, save_figure, stacked_panels
+from fynjax.app.report.figures import composites, save_figure, stacked_panels, typeset
 from fynjax.app.report.pages import Page, Picture, Section, Table, Views, format_number, write_page
 
 

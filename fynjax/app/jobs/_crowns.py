@@ -268,7 +268,9 @@ def _sections(
     images = {"Measured": found.measured, "Expected": found.expected}
     kind, doubt = maps.likeliest
     scene = found.scene
-    sd = ", ".join(f"{n} {100 * s:.0f} %" for n, s in zip(bands.names, found.pixel_sd, strict=True))
+    order = np.argsort(bands.centre)
+    sd = ", ".join(f"{bands.names[k]} {100 * found.pixel_sd[k]:.0f} %" for k in order)
+    residual = np.asarray(found.expected - found.measured)[order]
     return [
         Section(
             "Crowns",
@@ -321,7 +323,7 @@ def _sections(
                 Picture(
                     "residual.png",
                     figures.residual_maps(
-                        {"Expected": found.expected - found.measured}, bands.names, pixel_m=pixel
+                        {"Expected": residual}, [bands.names[k] for k in order], pixel_m=pixel
                     ),
                     "expected less measured",
                     "Expected less measured. What is missing is as large and round as a crown.",

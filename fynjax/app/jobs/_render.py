@@ -200,8 +200,8 @@ def _write(
         *([] if truth is None else [write_truth(run, plot, scene, truth, record)]),
         Table(plants, caption),
     ]
-    means = itertools.islice(zip(bands.names, image.mean((1, 2)), strict=True), _FEW_BANDS)
-    keys = {f"mean {band.replace('_', ' ')}": f"{value:.3f}" for band, value in means}
+    few = np.argsort(bands.centre[:_FEW_BANDS])
+    keys = {f"mean {bands.names[k].replace('_', ' ')}": f"{image[k].mean():.3f}" for k in few}
     run.page(
         Page(
             "render",
@@ -277,7 +277,8 @@ def image_views(
         by = stretch if stretch in seen else None
         return Picture(file, figures.layer_map(seen, what, pixel_m=pixel_m, stretch=by), words)
 
-    for k, band in enumerate(bands.names):
+    for k in np.argsort(bands.centre):
+        band = bands.names[k]
         label = figures.words(band)
         label = f"{label[0].upper()}{label[1:]}"
         views[label] = of_layer(

@@ -130,8 +130,9 @@ def diversity(
     fine = _checked_pixels(pixels, size, pool.voxel_m)
     design = Design(chosen, fine, tuple(noise), samples, seed, greenness, _related(tree, read))
     run = Run(output, seed=seed, plot=read)
+    inputs = read.inputs if tree is None else (*read.inputs, _file_of(tree))
     begin_work(dict.fromkeys(_TABLES, f"{communities} communities") | {"report.html": ""})
-    journal = run.journal(checkpoint, pool, gradients, design, files=read.inputs)
+    journal = run.journal(checkpoint, pool, gradients, design, files=inputs)
     with at_work(workers) as pool_of_workers, stage("Communities", communities):
         done = pool_of_workers.all(
             observe_community, range(communities), pool, gradients, design, journal=journal
@@ -148,7 +149,7 @@ def diversity(
         for (name, what), rows in zip(_TABLES.items(), tables, strict=True):
             run.table(name, rows, what)
         sections = _sections(table, lost, known, composed, threshold)
-        record = run.record(read.inputs)
+        record = run.record(inputs)
         title = f"Diversity as sensors see it: {communities} communities of {read.name}"
         run.page(Page("diversity", title, " ".join(headline), sections, record=record))
     return run.result(
@@ -203,13 +204,16 @@ def _pool(plot: Plot | str | Path) -> Plot:
     )  # fmt: skip
 
 
+def _file_of(tree: str | Path) -> Path:
+    return TREE_2006 if str(tree) == "fynbos" else Path(tree)
+
+
 def _related(tree: str | Path | None, pool: Plot) -> tuple[tuple[float, ...], ...]:
     """Path between each two species in a tree, 0 to those without leaves; empty without a tree."""
     if tree is None:
         return ()
-    file = TREE_2006 if str(tree) == "fynbos" else Path(tree)
     living, apart = alive(pool), np.zeros((len(pool.species),) * 2)
-    phylogeny = read_phylogeny(file, [pool.taxa[i] for i in living])
+    phylogeny = read_phylogeny(_file_of(tree), [pool.taxa[i] for i in living])
     apart[np.ix_(living, living)] = phylogeny.distance
     return tuple(map(tuple, apart.tolist()))
 

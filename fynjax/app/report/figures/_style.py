@@ -188,17 +188,18 @@ def stacked_panels(figure: matplotlib.figure.Figure, width: float) -> list[NDArr
             warnings.simplefilter("error", UserWarning)
             figure.set_size_inches(wide if several else width, tall)
             figure.set_dpi(FIGURE_DPI)  # words are as wide as they are drawn
-            buffer = io.BytesIO()
-            edges: Any = None if several else "tight"
-            figure.savefig(
-                buffer, format="png", dpi=FIGURE_DPI, facecolor="white", bbox_inches=edges
-            )
-            buffer.seek(0)
-            picture = matplotlib.image.imread(buffer)[..., :3]
-            whole: NDArray[np.uint8] = np.round(255.0 * picture).astype(np.uint8)
             if not several:
-                return [whole]
-            renderer = figure._get_renderer()  # type: ignore[attr-defined]
+                buffer = io.BytesIO()
+                edges: Any = {"bbox_inches": "tight", "pil_kwargs": {"compress_level": 1}}
+                figure.savefig(buffer, format="png", dpi=FIGURE_DPI, facecolor="white", **edges)
+                buffer.seek(0)
+                picture = matplotlib.image.imread(buffer)[..., :3]
+                return [np.round(255.0 * picture).astype(np.uint8)]
+            canvas = FigureCanvasAgg(figure)
+            figure.set_facecolor("white")
+            canvas.draw()
+            whole: NDArray[np.uint8] = np.array(canvas.buffer_rgba())[..., :3]
+            renderer = canvas.get_renderer()
             parts = _parts(figure, panels, [each for each in axes if each not in panels], renderer)
     except (UserWarning, ValueError):
         return []

@@ -189,7 +189,8 @@ def _shown(picture: Picture, folder: Path) -> dict[str, Any]:
     from PIL.Image import fromarray  # late: a dry run shows no picture
     from PIL.Image import open as open_image
 
-    with open_image(folder / picture.file) as read:
+    png = (folder / picture.file).read_bytes()
+    with open_image(BytesIO(png)) as read:
         whole = read.convert("RGB")
     rows, grounds = figures.named_rows(picture.figure), figures.ground_panels(picture.figure)
     narrow = []
@@ -197,7 +198,7 @@ def _shown(picture: Picture, folder: Path) -> dict[str, Any]:
         parts = figures.stacked_panels(picture.figure, _NARROW / figures.FIGURE_DPI)
         narrow = [(_address(fromarray(part)), round(0.66 * part.shape[1])) for part in parts]
     return {
-        "source": _address(whole),
+        "source": _address(whole, png),
         "width": whole.width,
         "rows": rows,
         "grounds": grounds,
@@ -205,14 +206,13 @@ def _shown(picture: Picture, folder: Path) -> dict[str, Any]:
     }
 
 
-def _address(image: "Image") -> str:
-    """An image as an address; as WebP, of which pictures of plots take a quarter of their PNG."""
-    png, webp = BytesIO(), BytesIO()
-    image.save(png, "PNG")
+def _address(image: "Image", png: bytes = b"") -> str:
+    """An image as an address: as WebP, of which pictures of plots take a quarter of their `png`, or
+    as that where it is smaller."""
+    webp = BytesIO()
     image.save(webp, "WEBP", quality=_QUALITY, method=3)
-    kind, data = min(
-        ("png", png.getvalue()), ("webp", webp.getvalue()), key=lambda one: len(one[1])
-    )
+    smaller = 0 < len(png) < len(webp.getvalue())
+    kind, data = ("png", png) if smaller else ("webp", webp.getvalue())
     return f"data:image/{kind};base64,{base64.b64encode(data).decode('ascii')}"
 
 
