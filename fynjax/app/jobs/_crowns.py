@@ -142,16 +142,9 @@ def crowns(
         place = _place(read, path)
         write_crowns(run.path("crowns.gpkg", what), every, place)
         _write_maps(run, place, found, maps, record)
-        run.page(
-            Page(
-                "crowns",
-                f"Crowns: {read.name}",
-                " ".join(headline),
-                _sections(run, found, maps, table, every),
-                {"misfit of a value": f"{found.misfit:.2f}", "wall time": f"{run.total():.0f} s"},
-                record,
-            )
-        )
+        title, sections = f"Crowns: {read.name}", _sections(run, found, maps, table, every)
+        keys = {"misfit of a value": f"{found.misfit:.2f}", "wall time": f"{run.total():.0f} s"}
+        run.page(Page("crowns", title, " ".join(headline), sections, keys, record))
     return run.result(
         CrownsResult,
         headline=headline,

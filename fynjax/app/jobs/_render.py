@@ -202,18 +202,10 @@ def _write(
     ]
     few = np.argsort(bands.centre[:_FEW_BANDS])
     keys = {f"mean {bands.names[k].replace('_', ' ')}": f"{image[k].mean():.3f}" for k in few}
-    run.page(
-        Page(
-            "render",
-            plot.name,
-            f"What {camera.sensor.name} sees of the plot, without air and noise.",
-            [Section("", parts)],
-            keys,
-            record,
-            f"Mean reflectance by {camera.sensor.name}: "
-            + ", ".join(f"{name.removeprefix('mean ')} {value}" for name, value in keys.items()),
-        )
-    )
+    lead = f"What {camera.sensor.name} sees of the plot, without air and noise."
+    means = ", ".join(f"{name.removeprefix('mean ')} {value}" for name, value in keys.items())
+    first, sections = f"Mean reflectance by {camera.sensor.name}: {means}", [Section("", parts)]
+    run.page(Page("render", plot.name, lead, sections, keys, record, first))
 
 
 def write_truth(
