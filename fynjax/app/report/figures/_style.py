@@ -235,9 +235,9 @@ def _parts(
         raise ValueError("panels reach into each other")
     shared = []
     for scale in scales:
-        box = scale.get_tightbbox(renderer)
+        box: Any = scale.get_tightbbox(renderer)
         own = scale._colorbar.mappable.axes  # type: ignore[attr-defined]
-        both = Bbox.union([boxes.get(own, box), box])
+        both = Bbox.union([boxes[own] if own in boxes else box, box])
         if own in boxes and not any(both.overlaps(boxes[each]) for each in panels if each != own):
             boxes[own] = both
         else:
