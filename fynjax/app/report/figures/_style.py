@@ -237,7 +237,7 @@ def _parts(
     for scale in scales:
         box: Any = scale.get_tightbbox(renderer)
         own = scale._colorbar.mappable.axes  # type: ignore[attr-defined]
-        both = Bbox.union([boxes[own] if own in boxes else box, box])
+        both = Bbox.union([boxes.get(own, box), box])
         if own in boxes and not any(both.overlaps(boxes[each]) for each in panels if each != own):
             boxes[own] = both
         else:
