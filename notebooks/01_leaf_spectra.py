@@ -24,6 +24,8 @@
 #   and to hold the result against a laboratory.
 # - **You need** fynjax alone, and for your own leaves their files.
 # - **It takes** about a minute.
+#
+# ![A leaf spectrum and its fit](../docs/images/fit-leaf.png)
 
 # %%
 import fynjax as fx

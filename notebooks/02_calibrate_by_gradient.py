@@ -24,6 +24,8 @@
 #   leaves open.
 # - **You need** fynjax; for a plot of your own its species table and an orthophoto of reflectance.
 # - **It takes** two to three minutes the first time, most of it compilation.
+#
+# ![Images before and after a calibration](../docs/images/calibrate.png)
 
 # %%
 import fynjax as fx  # before jax, so that kept programs are read without a word

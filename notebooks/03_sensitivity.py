@@ -24,6 +24,8 @@
 #   field table leaves open.
 # - **You need** `pip install fynjax[analysis]`.
 # - **It takes** two minutes the first time, most of it compilation.
+#
+# ![Where plants would move to brighten the near infrared](../docs/images/feet.png)
 
 # %%
 import fynjax as fx  # before jax, so that kept programs are read without a word

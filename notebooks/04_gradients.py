@@ -23,6 +23,8 @@
 #   light and of an image are.
 # - **You need** to know what a derivative is.
 # - **It takes** one to two minutes, most of them compilation.
+#
+# ![Slopes of numbers of plants](../docs/images/slopes.png)
 
 # %%
 import fynjax as fx  # before jax, so that kept programs are read without a word

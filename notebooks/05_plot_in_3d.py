@@ -23,6 +23,8 @@
 # - **You learn** how a table becomes a scene and an image, and what an image is in Python.
 # - **You need** nothing but this; a species table of your own if you like.
 # - **It takes** about a minute.
+#
+# ![Plants in the colours of their species](../docs/images/plot_oblique.png)
 
 # %%
 import fynjax as fx  # before jax, so that kept programs are read without a word

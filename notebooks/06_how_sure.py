@@ -23,6 +23,8 @@
 #   and to see in one picture what the data added to the prior (what was known before).
 # - **You need** `pip install fynjax[posterior]`; without blackjax NUTS is left out.
 # - **It takes** a minute.
+#
+# ![Figures of eight notebooks](../docs/images/notebooks.png)
 
 # %%
 import fynjax as fx  # before jax, so that kept programs are read without a word

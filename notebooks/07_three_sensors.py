@@ -23,6 +23,8 @@
 # - **You learn** to put one question to several sensors, and to weigh an answer against chance.
 # - **You need** what notebook [05](05_plot_in_3d.ipynb) shows: a scene and an image of it.
 # - **It takes** one to two minutes, half of them compilation.
+#
+# ![Error of a cover by size of pixel](../docs/images/information.png)
 
 # %%
 import fynjax as fx  # before jax, so that kept programs are read without a word

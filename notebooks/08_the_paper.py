@@ -25,6 +25,8 @@
 # - **You learn** what a species table alone predicts, and how to ask whether a number can be true.
 # - **You need** what notebook [05](05_plot_in_3d.ipynb) shows: a scene and an image of it.
 # - **It takes** about two minutes.
+#
+# ![Figures of eight notebooks](../docs/images/notebooks.png)
 
 # %%
 import fynjax as fx  # before jax, so that kept programs are read without a word
@@ -78,7 +80,7 @@ table.drop(columns="dirsig_off_percent").round(3)
 #
 # Take canopies of leaves of any chlorophyll, structure and dry matter, of any area and over any
 # soil, and ask what share of the near infrared they reflect at 730 nm. The real drone image has the
-# share that is drawn as a line; 95 spectra of fynbos plots by AVIRIS-NG (BioSCape), averaged over
+# share that is drawn as a line; spectra of fynbos plots by AVIRIS-NG (BioSCape), averaged over
 # this camera's bands, have 0.62 to 0.83. `fx.check_vegetation` holds all four bands against such
 # spectra. Published errors of such cameras reach 28 % (Fawcett et al. 2020, Remote Sensing 12:514),
 # so the calibration of this band is the likely cause.

@@ -26,6 +26,8 @@
 # - **You learn** how to weigh causes of a misfit one at a time, and what a second sensor adds.
 # - **You need** what notebook [08](08_the_paper.ipynb) shows: the article's numbers.
 # - **It takes** one to two minutes, most of them compilation.
+#
+# ![Figures of eight notebooks](../docs/images/notebooks.png)
 
 # %%
 import fynjax as fx  # before jax, so that kept programs are read without a word

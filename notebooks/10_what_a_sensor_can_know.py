@@ -23,6 +23,8 @@
 # - **You learn** how often pixels show their species, and which metrics follow which diversity.
 # - **You need** what notebook [07](07_three_sensors.ipynb) shows; `pip install "fynjax[analysis]"`.
 # - **It takes** three to five minutes.
+#
+# ![Figures of eight notebooks](../docs/images/notebooks.png)
 
 # %%
 import fynjax as fx  # before jax, so that kept programs are read without a word

@@ -24,6 +24,8 @@
 #   frames know.
 # - **You need** what notebook [05](05_plot_in_3d.ipynb) shows: a scene and an image of it.
 # - **It takes** about a minute, most of it compilation.
+#
+# ![What frames from the side know](../docs/images/flight.png)
 
 # %%
 import fynjax as fx  # before jax, so that kept programs are read without a word

@@ -25,6 +25,8 @@
 # - **You need** fynjax; for a plot of your own its crowns (polygons or points with taxon and
 #   diameter) and an orthophoto of reflectance.
 # - **It takes** some three minutes the first time.
+#
+# ![Figures of eight notebooks](../docs/images/notebooks.png)
 
 # %%
 import fynjax as fx  # before jax, so that kept programs are read without a word

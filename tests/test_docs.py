@@ -36,7 +36,7 @@ SITE = load_site()
 
 def check_call(line: str) -> None:
     """Fail unless a line of the command line names a command and options that there are."""
-    program, name, *arguments = shlex.split(line)
+    program, name, *arguments = shlex.split(line.removeprefix(".venv/bin/"), comments=True)
     assert program == "fynjax"
     if name.startswith("--"):
         return
@@ -50,7 +50,8 @@ def calls(text: str) -> list[str]:
     """Calls of fynjax in the shell blocks of a text, line by line."""
     blocks = re.findall(r"^```sh\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
     lines = [line for block in blocks for line in block.splitlines()]
-    return [part for line in lines for part in line.split(" && ") if part.startswith("fynjax")]
+    parts = [part.strip() for line in lines for part in line.split(" && ")]
+    return [part for part in parts if part.removeprefix(".venv/bin/").startswith("fynjax ")]
 
 
 def follow(page: Path, *, everything: bool) -> None:
@@ -101,6 +102,30 @@ def test_every_command_has_a_page_whose_examples_can_be_typed() -> None:
         assert f"{{{{ options {name} }}}}" in page
         assert f"{{{{ usage {name} }}}}" in page
     assert examples >= len(commands)
+
+
+@pytest.mark.parametrize("page", [ROOT / "README.md", *PAGES], ids=lambda page: page.stem)
+def test_every_line_that_a_page_has_to_type_can_be_typed(page: Path) -> None:
+    for line in calls(page.read_text("utf-8")):
+        check_call(line)
+
+
+def test_first_pages_need_no_words_that_nothing_explains() -> None:
+    """They lead to the glossary, and say how a bare `fynjax` is found."""
+    first = [ROOT / "README.md", *(DOCS / name for name in ("index.md", "install.md"))]
+    first += [*TUTORIALS, DOCS / "commands" / "index.md"]
+    strange = r"DIRSIG|path.traced|\bplantings?\b|clumping|max_iterations|gains of a camera"
+    for page in first:
+        text = page.read_text("utf-8")
+        assert not re.findall(strange, text), page
+        assert "glossary.md" in text or page.name == "install.md", page
+        assert "bin/activate" in text or "install.md" in text, page
+
+
+def test_agreement_with_measurements_comes_first_and_faults_last() -> None:
+    heads = re.findall(r"^## (.*)$", (DOCS / "validation.md").read_text("utf-8"), re.M)
+    assert heads[0] == "BioSCape's plots"
+    assert heads[-2:] == ["Time and memory", "Faults and damaged files"]
 
 
 def test_a_call_that_cannot_be_typed_is_noticed() -> None:

@@ -2,6 +2,7 @@
 
 import ast
 import io
+import re
 from functools import partial
 from pathlib import Path
 
@@ -33,6 +34,8 @@ def test_the_jupyter_file_is_the_script_without_outputs(path: Path) -> None:
     paired = jupytext.read(path.with_suffix(".ipynb"))
     cells = [[(c.cell_type, c.source) for c in notebook.cells] for notebook in (script, paired)]
     assert cells[0] == cells[1], "`jupytext --sync notebooks/*.py` makes both equal"
+    (shown,) = re.findall(r"!\[[^]]+\]\((\S+)\)", cells[0][0][1])  # which GitHub shows
+    assert (path.parent / shown).is_file()
     assert not any(c.get("outputs") or c.get("execution_count") for c in paired.cells)
 
 

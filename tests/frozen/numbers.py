@@ -149,9 +149,9 @@ def _each(numbers: np.ndarray) -> list[float]:
 
 
 def _page(text: str) -> np.ndarray:
-    """Numbers that a page says to its reader: its sentences, key figures and tables, without times
-    and the record at its foot."""
-    text = re.sub(r"<(style|script|head|footer)\b.*?</\1>", " ", text, flags=re.DOTALL)
+    """Numbers that a page says to its reader: its sentences, key figures and tables, without times,
+    the lines at its head, which say the first of it again, and the record at its foot."""
+    text = re.sub(r"<(style|script|head|header|footer)\b.*?</\1>", " ", text, flags=re.DOTALL)
     parts = re.split(r"(?=<(?:p|section|figure|div class=\"key\")\b)", text)
     shown = [part for part in parts if not _OF_A_RUN.search(re.sub(r"<[^>]*>", " ", part))]
     return np.array(_in_text(html.unescape(re.sub(r"<[^>]*>", " ", " ".join(shown)))))

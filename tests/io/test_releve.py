@@ -6,7 +6,7 @@ import pytest
 
 from fynjax._core.errors import InputError
 from fynjax.app.io.plot import HEATH_TABLE, read_releve
-from fynjax.app.io.plot._column_words import form_of_words, heading
+from fynjax.app.io.plot._column_words import form_of_words, ground_of_words, heading
 from fynjax.canopy import FORMS, form_of_taxon
 
 
@@ -187,3 +187,45 @@ def test_the_shipped_heath_states_its_source() -> None:
     assert any("ecotraj" in line for line in read.comments)
     assert sum(plant.record.cover for plant in read.plants) == pytest.approx(1.19)
     assert not any(plant.assumed for plant in read.plants)
+
+
+@pytest.mark.parametrize(
+    ("name", "role", "unit"),
+    [
+        ("Rec. (%)", "cover", "%"),
+        ("PFC (%)", "cover", "%"),
+        ("Haut. (cm)", "height", "cm"),
+        ("Max ht (mm)", "height", "mm"),
+        ("Altura total (m)", "height", "m"),
+        ("Kronen-Ø (cm)", "diameter", "cm"),
+        ("Crown spread (m)", "diameter", "m"),
+        ("Canopy radius (m)", "", "m"),
+        ("DAS (cm)", "", "cm"),
+    ],
+)
+def test_short_headings_of_other_vegetation_are_known(name, role, unit):
+    found = heading(name)
+    assert (found.role, found.unit) == (role, unit)
+
+
+@pytest.mark.parametrize(
+    ("words", "form"),
+    [
+        ("subarbusto", "rounded_shrub"),
+        ("arbusto decumbente", "mat"),
+        ("palmeira", "rosette"),
+        ("capim", "tussock"),
+        ("cipó", "climber"),
+        ("hummock grass", "tussock"),
+        ("grass tree", "rosette"),
+        ("mallee", "broad_leaved"),
+        ("geoxílio", "rounded_shrub"),
+    ],
+)
+def test_life_forms_of_cerrado_and_kwongan_have_a_growth_form(words, form):
+    assert form_of_words(words) == form
+
+
+def test_ground_in_other_words_is_no_plant():
+    found = [ground_of_words(w) for w in ("Solo exposto", "Serapilheira", "terra nua", "mantillo")]
+    assert found == ["bare", "litter", "bare", "litter"]

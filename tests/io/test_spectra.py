@@ -251,7 +251,8 @@ def test_envi_library(tmp_path):
 @pytest.mark.parametrize(
     ("columns", "message"),
     [
-        ({"wavelength": WAVELENGTH, "r": 100 * R}, "percent"),
+        ({"wavelength": WAVELENGTH, "r": 1000 * R}, "percent"),
+        ({"wavelength": WAVELENGTH, "r": 100 * R, "s": R}, "percent"),
         ({"wavelength_nm": WAVELENGTH / 1000, "r": R}, "stated in 'nm'.*they µm"),
         ({"wavelength_um": WAVELENGTH, "r": R}, "stated in 'µm'.*they nm"),
         ({"wavelength": WAVELENGTH, "r": np.nan * R}, "only NaN"),
@@ -266,6 +267,26 @@ def test_impossible_tables_are_refused_with_the_files_name(tmp_path, columns, me
     with pytest.raises(InputError, match=message) as caught:
         read_spectra_file(path)
     assert "bad.csv" in str(caught.value)
+
+
+def test_a_table_all_in_percent_is_known_by_its_numbers(tmp_path):
+    """A column or a row a spectrum, and Avantes' text of two columns; where one spectrum has
+    fractions all stay as they are."""
+    columns = {"Wellenlaenge": WAVELENGTH, "a": 100 * R, "b": 50 * R}
+    table(tmp_path / "columns.csv", columns)
+    rows = pd.DataFrame([100 * R, 50 * R], columns=[f"{w:g}" for w in WAVELENGTH])
+    rows.insert(0, "id", ["a", "b"])
+    rows.to_csv(tmp_path / "rows.csv", index=False)
+    for name in ("columns.csv", "rows.csv"):
+        a, b = read_spectra_file(tmp_path / name)
+        np.testing.assert_allclose(a.reflectance, R)
+        np.testing.assert_allclose(b.reflectance, R / 2)
+        assert "converted from percent" in " ".join(a.meta["repairs"])
+    lines = "".join(f"{w:8.2f};{100 * t:9.4f}\n" for w, t in zip(WAVELENGTH, T))
+    head = "Integration time: 50.00 ms\nWave   ;Transmittance\n[nm]   ;[%]\n\n"
+    (tmp_path / "leaf.ttt").write_text(head + lines)
+    (leaf,) = read_spectra_file(tmp_path / "leaf.ttt")
+    np.testing.assert_allclose(leaf.transmittance, T, atol=1e-6)
 
 
 def test_missing_values_among_plain_numbers_of_a_row(tmp_path):
@@ -353,7 +374,7 @@ def test_text_as_a_spreadsheet_saves_it(tmp_path):
 
 def test_run_writes_traits_and_spectra_and_keeps_going_past_a_bad_file(tmp_path):
     good = table(tmp_path / "good.csv", {"wavelength": WAVELENGTH, "a_R": R, "a_T": T, "b": R})
-    bad = table(tmp_path / "bad.csv", {"wavelength": WAVELENGTH, "r": 100 * R})
+    bad = table(tmp_path / "bad.csv", {"wavelength": WAVELENGTH, "r": 1000 * R})
     summary = fit_leaves([good, bad], tmp_path / "out")
     assert (summary.spectra, len(summary.refused)) == (2, 1)
     traits = pd.read_csv(tmp_path / "out" / "traits.csv")

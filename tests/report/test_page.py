@@ -1,10 +1,13 @@
 """The page stands alone, escapes what users write, and shows numbers as a reader wants them."""
 
 import base64
+import dataclasses
 import json
 import re
 import shutil
 import subprocess
+import tomllib
+import warnings
 from html.parser import HTMLParser
 from io import BytesIO
 from pathlib import Path
@@ -17,7 +20,7 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from fynjax.app.report import pages
-from fynjax.app.report.figures import composites
+from fynjax.app.report.figures import composites, save_figure, stacked_panels, typeset
 from fynjax.app.report.pages import Page, Picture, Section, Table, Views, format_number, write_page
 
 
@@ -53,6 +56,7 @@ def page():
         {"name": ["<b>x</b>", "y"], "cover": [0.123456, np.nan], "n": [3, -4], "ok": [True, False]}
     )
     return Page(
+        "build",
         "Plot <1>",
         "A & B",
         [
@@ -108,7 +112,7 @@ def test_views_are_all_on_the_page_each_with_its_label(tmp_path):
         return Picture(file, Figure(figsize=(1, 1)), "a band")
 
     views = Views({"Red": picture("red.png"), "NDVI <1>": picture("ndvi.png")})
-    files = write_page(Page("Plot", "", [Section("", [views])]), tmp_path)
+    files = write_page(Page("build", "Plot", "", [Section("", [views])]), tmp_path)
     assert files == {
         "report.html": "all of it on one page",
         "red.png": "a band",
@@ -137,7 +141,7 @@ def test_rows_of_a_figure_are_marked_with_those_of_tables(tmp_path, by_place):
     axes.set_xlim(0, 1)
     table = Table(pd.DataFrame({"species": ["Erica <1>"], "cover": [0.2]}))
     parts = [Picture("bars.png", figure, "bars"), table]
-    text = html(Page("Plot", "", [Section("", parts)]), tmp_path)
+    text = html(Page("build", "Plot", "", [Section("", parts)]), tmp_path)
     assert text.count('data-name="Erica &lt;1&gt;"') == 2
     assert Checker(text).stack == []
     image = plt.imread(tmp_path / "bars.png")
@@ -171,7 +175,7 @@ def test_views_of_the_ground_are_marked_where_the_picture_has_them(tmp_path):
     plain = Figure(figsize=(1, 1))
     plain.subplots()
     parts = [Picture("images.png", figure, "x"), Picture("plain.png", plain, "x")]
-    text = html(Page("Plot", "", [Section("", parts)]), tmp_path)
+    text = html(Page("build", "Plot", "", [Section("", parts)]), tmp_path)
     found = re.findall(
         r'<b class="ground" style="left: (.*?)%; top: (.*?)%; width: (.*?)%; height: (.*?)%"', text
     )
@@ -264,7 +268,7 @@ def test_what_users_write_is_text(page, tmp_path):
 
 def test_table_has_units_headers_and_readable_numbers(page, tmp_path):
     text = html(page, tmp_path)
-    assert "cover<small>[m2 m-2]</small>" in text
+    assert "cover<small>[m² m⁻²]</small>" in text
     assert ">Count</th>" in text
     for cell in ("0.1235", "–", "−4", "yes", "no"):
         assert f">{cell}</td>" in text
@@ -310,3 +314,151 @@ def test_headers_of_a_wide_table_may_break_so_that_its_columns_fit(page, tmp_pat
     rule = re.search(r"\nth \{([^}]*)\}", html(page, tmp_path))
     assert rule is not None
     assert "white-space: normal" in rule[1]
+
+
+def test_every_page_begins_with_result_trust_and_next_step():
+    """Each command that writes a page has its lines, short enough for a phone, and no other has."""
+    root = Path(pages.__file__).parents[3]
+    source = "\n".join(f.read_text("utf-8") for f in root.rglob("*.py"))
+    made = set(re.findall(r'(?:\bPage|run\.pictures)\(\s*"([a-z -]+)"', source))
+    answers = tomllib.loads((Path(pages.__file__).parent / "answers.toml").read_text("utf-8"))
+    assert made == set(answers) > {"calibrate", "posterior", "validate", "fit-leaf", "map"}
+    for command, said in answers.items():
+        assert set(said) == {"trust", "next"}, command
+        assert all(20 < len(line) < 160 and line[-1] == "." for line in said.values()), command
+
+
+def test_the_answer_stands_before_all_else_and_the_record_is_folded(page, tmp_path):
+    lead = "First. All of 2.5 m2 of leaves."
+    record = {"command": "fynjax demo", "input_sha256": '{"a.csv": "12ab"}'}
+    text = html(dataclasses.replace(page, lead=lead, record=record, trust="Hardly."), tmp_path)
+    heads = re.findall(r"<h[123]>(.*?)</h[123]>", text)
+    assert heads[1:4] == ["Result", "May it be trusted?", "What next?"]
+    assert "<p>First.</p>" in text
+    assert "<p>Hardly.</p>" in text
+    assert text.index("What next?") < text.index('class="key"') < text.index("<section>")
+    assert "2.5 m² of leaves" in text
+    footer = text[text.index("<footer>") :]
+    assert footer.startswith("<footer><details>")
+    assert "SHA-256 of a.csv</td>" in footer
+    assert "{" not in footer[: footer.index("</footer>")]
+
+
+@pytest.mark.parametrize(
+    ("plain", "printed"),
+    [
+        ("2 m2 m-2", "2 m² m⁻²"),
+        ("W m-2 sr-1 um-1", "W m⁻² sr⁻¹ µm⁻¹"),
+        ("40 ug cm-2", "40 µg cm⁻²"),
+        ("plot_m2, m20, PM2.5, s1 and m1", "plot_m2, m20, PM2.5, s1 and m1"),
+        ("from m2-3 on", "from m2-3 on"),
+        ("1.2 plants m-2, 3 W/m2 [m2]", "1.2 plants m⁻², 3 W/m² [m²]"),
+        ("um", "µm"),
+        ("Chlorophyll\n[ug\ncm-2]", "Chlorophyll\n[µg\ncm⁻²]"),
+        ("um arbusto", "um arbusto"),
+        ("m2.csv, site-m2 and 5 m2.laz", "m2.csv, site-m2 and 5 m2.laz"),
+        ("plot s2 of site m-2, quadrat m3", "plot s2 of site m-2, quadrat m3"),
+        ("data/m2/h3 of [h2]", "data/m2/h3 of [h2]"),
+    ],
+)
+def test_units_are_typeset_and_names_are_not(plain, printed):
+    assert typeset(plain) == printed
+
+
+def test_a_scale_of_several_panels_stands_below_them_on_a_phone():
+    """None of the panels is cut in two by it, and words below all are kept."""
+    figure = Figure(figsize=(9, 3), layout="constrained")
+    axes = figure.subplots(1, 2)
+    maps = [one.imshow([[value]], vmin=0, vmax=1, cmap="gray") for one, value in zip(axes, (0, 1))]
+    axes[1].set_facecolor("red")
+    maps[1].set_alpha(0.0)
+    figure.colorbar(maps[0], ax=list(axes), location="bottom")
+    figure.supxlabel("for all")
+    left, right, scale, word = stacked_panels(figure, 4.0)
+    red = [int((part == (255, 0, 0)).all(axis=-1).sum()) for part in (left, right, scale, word)]
+    assert red[1] > 10_000
+    assert red == [0, red[1], 0, 0]
+    assert len(np.unique(scale)) > 100
+    assert word.min() < 50
+    assert left.shape[1] < 5 * 160
+
+
+def test_a_figure_whose_panels_reach_into_each_other_stays_whole():
+    figure = Figure(figsize=(9, 3))
+    for axes in figure.subplots(1, 2, gridspec_kw={"wspace": 0.02}):
+        axes.plot([0, 1])
+        axes.set_ylabel("a\nb\nc")
+    assert stacked_panels(figure, 4.0) == []
+
+
+def test_an_upright_word_for_all_panels_lies_on_a_phone():
+    figure = Figure(figsize=(9, 3), layout="constrained")
+    for axes in figure.subplots(1, 2):
+        axes.plot([0, 1])
+    figure.supylabel("a bound [m2 m-2] of all", color="red")
+    *_, word = stacked_panels(figure, 4.0)
+    assert len(word) < 40 < 100 < word.shape[1]
+
+
+def test_units_in_a_figure_are_typeset(tmp_path):
+    figure = Figure()
+    axes = figure.subplots()
+    axes.set_title("area [m2 m-2]")
+    axes.barh([0], [1], tick_label=["m2 m-2"])
+    save_figure(figure, tmp_path / "a.png")
+    assert axes.get_title() == "area [m² m⁻²]"
+    assert axes.get_yticklabels()[0].get_text() == "m2 m-2"
+
+
+def test_words_beside_a_panel_are_whole_on_a_phone():
+    """Names of rows end well within the piece that is cut out."""
+    figure = Figure(figsize=(9, 2), layout="constrained")
+    for axes in figure.subplots(1, 2):
+        axes.barh([0], [1], tick_label=["Mmmmmmmm mmmmmmmmmmmmmmmmmmmm"])
+    for part in stacked_panels(figure, 4.0):
+        assert (part[:, :2] == 255).all()
+        assert part[:, 3:40].min() < 100
+
+
+def test_a_picture_that_warns_when_it_is_drawn_is_drawn_all_the_same():
+    """Of warnings those of a layout without room alone leave a phone with the whole picture."""
+    for kind, count in ((RuntimeWarning, 2), (UserWarning, 0)):
+        figure = Figure(figsize=(9, 3), layout="constrained")
+        for axes in figure.subplots(1, 2):
+            axes.plot([0, 1])
+            axes.xaxis.set_major_formatter(lambda *_, kind=kind: warnings.warn("x", kind, 2) or "")
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            assert len(stacked_panels(figure, 4.0)) == count
+
+
+def test_a_phone_has_the_panels_below_each_other_and_nothing_wider(page, tmp_path):
+    """Each panel once, by its colour, and the legend last; a wide single panel drawn anew."""
+    figure = Figure(figsize=(9, 3), layout="constrained")
+    for axes, colour in zip(figure.subplots(1, 3, sharey=True), ("red", "lime", "blue")):
+        axes.plot([0, 1], color=colour, lw=6, label=colour)
+    parts = stacked_panels(figure, 4.0)
+    assert len(parts) == 3
+    pure = np.eye(3) * 255
+    for own, part in enumerate(parts):
+        count = [int((part == one).all(axis=-1).sum()) for one in pure]
+        assert count[own] > 500
+        assert sum(count) == count[own]
+    figure.legend(loc="outside right upper")
+    *_, legend = stacked_panels(figure, 4.0)
+    assert len(_) == 3
+    assert all((legend == one).all(axis=-1).any() for one in pure)
+    assert tuple(figure.get_size_inches()) == (9, 3)
+    single = Figure(figsize=(9, 3), layout="constrained")
+    single.subplots().plot([0, 1])
+    (slim,) = stacked_panels(single, 4.0)
+    assert slim.shape[1] < 4.3 * 160
+    text = html(dataclasses.replace(page, sections=[Section("", [Picture("a.png", figure, "x")])]),
+                tmp_path)  # fmt: skip
+    assert text.count("<img ") == 1 + 4
+    assert 'name="viewport" content="width=device-width' in text
+    style = re.search(r"<style>(.*?)</style>", text, re.S)[1]
+    assert ".picture { position: relative; max-width: 100%" in style
+    assert ".narrow img { display: block; max-width: 100%" in style
+    assert ".scroll { overflow-x: auto" in style
+    assert not re.search(r"min-width: *[4-9]\d\d", style)

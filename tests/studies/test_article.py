@@ -8,6 +8,7 @@ from fynjax.app.cli import main
 from fynjax.metrics import BANDS
 from fynjax.scene import with_values
 from fynjax.studies.fynbos_2006 import article_tables
+from fynjax.studies.fynbos_2006._article import _measured
 from fynjax.studies.fynbos_2006._article_page import _gains
 
 GAINS = (0.9, 0.9, 0.45, 1.1)
@@ -103,3 +104,19 @@ def test_gains_follow_from_the_statistics_of_a_calibration(tmp_path):
     assert _gains(tmp_path) == pytest.approx(GAINS)
     (tmp_path / "statistics.csv").write_text("\n".join([header, *rows[1:]]))
     assert _gains(tmp_path) is None  # as of a calibration without such a camera
+
+
+def test_instruments_bring_the_plot_back_but_for_their_noise_and_panels():
+    """Air, noise and empirical line of even ground: the reflectance that it has. Of a plot of
+    another shape too, with panels that would change its mean by a tenth if they counted."""
+    bare = fx.Scene.from_table(
+        [{"taxon": "One", "growth_form": "mat", "cover_percent": 2.0, "mean_diameter_cm": 10,
+          "height_max_m": 0.1}], size=(2.5, 5.0), voxel=0.25, structure="even"
+    )  # fmt: skip
+    plain = np.asarray(fx.observe(bare, "mavic_3m", pixel=0.125).reflectance.mean(axis=(1, 2)))
+    measured = _measured(bare, bare.parameters, 0.125, 0)
+    assert measured.shape == (4, 20 * 40 - (4 + 3) * (2 * 4 + 4))
+    np.testing.assert_allclose(measured.mean(axis=1), plain, rtol=0.03)
+    assert 0.001 < (measured.std(axis=1) / plain).min() < 0.1  # noise was drawn
+    other = _measured(bare, bare.parameters, 0.125, 1)
+    assert not np.array_equal(other, measured)

@@ -1,5 +1,7 @@
 """Communities along gradients, and their scores: against known correlations and classes."""
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pandas as pd
 import pytest
@@ -9,7 +11,7 @@ import fynjax as fx
 from fynjax import jobs
 from fynjax.app.assembly import build_plot
 from fynjax.app.io.plot import example_folder, read_plot
-from fynjax.diversity import pielou_evenness
+from fynjax.diversity import pielou_evenness, rao_entropy, read_phylogeny
 from fynjax.errors import InputError
 from fynjax.inversion import COARSE, nadir_imager
 from fynjax.radiation import Accuracy
@@ -17,7 +19,7 @@ from fynjax.scene import truth_of_pixels
 from fynjax.sensors import PointSpread
 from fynjax.studies.communities import Gradients, diversity, draw_community
 from fynjax.studies.communities._draw import shares_of
-from fynjax.studies.communities._job import _few_bands, _headline, _pool
+from fynjax.studies.communities._job import TREE_2006, _few_bands, _headline, _pool, _related
 from fynjax.studies.communities._observe import (
     Design,
     _coarser,
@@ -47,6 +49,30 @@ def test_shares_have_the_evenness(count, evenness):
     assert shares.sum() == pytest.approx(1.0)
     assert float(pielou_evenness(shares)) == pytest.approx(evenness, abs=1e-9)
     np.testing.assert_allclose(shares[1:] / shares[:-1], shares[1] / shares[0])
+
+
+def test_relatives_by_the_shipped_tree_spread_further_and_have_slopes():
+    """Ages of splits by hand; all tips as old as the root; slopes by differences."""
+    path = np.array(_related("fynbos", POOL))
+    row = {taxon: i for i, taxon in enumerate(POOL.taxa)}
+    assert path[row["Erica irregularis"], row["Euclea racemosa"]] == pytest.approx(2 * 94.9)
+    assert path[row["Cassytha ciliolata"], row["Restio eleocharis"]] == pytest.approx(2 * 135.9)
+    assert not path[row["Deadwood"]].any()
+    phylogeny = read_phylogeny(TREE_2006, [t for t in POOL.taxa if t != "Deadwood"])
+    np.testing.assert_allclose(phylogeny.length @ phylogeny.carries, 135.9)
+    assert _related(None, POOL) == ()
+    random, within = np.random.default_rng(2), Gradients(richness=(4, 4))
+    means = []
+    for tree in ((), path):
+        covers = [draw_community(POOL, within, random, tree).cover > 0 for _ in range(60)]
+        means.append([path[np.ix_(c, c)].mean() for c in covers])
+    assert np.std(means[1]) > 1.2 * np.std(means[0])
+    cover, step = jnp.array(POOL.cover), 1e-4
+    slope = jax.grad(lambda c: rao_entropy(c, path))(cover)
+    ahead, back = (rao_entropy(cover.at[3].add(d), path) for d in (step, -step))
+    assert slope[3] == pytest.approx(float(ahead - back) / (2 * step), rel=1e-5)
+    share = cover / cover.sum()
+    assert rao_entropy(cover, path) == pytest.approx(float(share @ path @ share))
 
 
 def test_a_community_lies_within_its_gradients():

@@ -192,7 +192,7 @@ def build(
         "its memory": f"{memory / 1024:.1f} GiB",
     }
     sections = [Section("", [*parts, times])]
-    run.page(Page(f"Scene: {read.name}", headline[0], sections, keys, record))
+    run.page(Page("build", f"Scene: {read.name}", headline[0], sections, keys, record))
     return run.result(
         BuildResult,
         headline=headline,

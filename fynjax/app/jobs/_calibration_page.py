@@ -184,7 +184,15 @@ def calibration_page(
         search_section(run, result, memory),
     ]
     first = doubt_first(result, " ".join(lead))
-    return Page(f"Calibration: {name}", first, sections, keys, record)
+    title = f"Calibration: {name}"
+    return Page("calibrate", title, first, sections, keys, record, *_answer(result, lead))
+
+
+def _answer(result: Calibration, lead: Sequence[str]) -> tuple[str, str]:
+    """The result in a line, before beside after, and whether it may be trusted."""
+    status = status_words(result)
+    trust = misfit_sentence(result) if status == "ok" else _capitalised(status)
+    return next((said for said in lead if " before" in said), lead[0]), trust
 
 
 def _titled(title: str, view: ImageView) -> str:
@@ -278,6 +286,7 @@ def pixel_page(
     assert camera is not None
     assert blocks is not None
     return Page(
+        "calibrate",
         f"Calibration: {name}",
         doubt_first(result, " ".join(lead)),
         [
@@ -291,6 +300,7 @@ def pixel_page(
             "wall time": f"{run.total():.0f} s",
         },
         record,
+        *_answer(result, lead),
     )
 
 
@@ -317,7 +327,9 @@ def _pixel_pictures(result: Calibration, pixel: float) -> list[Part]:
         "After": blocks.after,
         "With gains and error": blocks.with_error,
     }
-    residuals = {title: images[title] - blocks.measured for title in list(images)[1:]}
+    order = np.argsort(bands.centre)
+    off = {title: images[title] - blocks.measured for title in list(images)[1:]}
+    residuals = {title: np.asarray(each)[order] for title, each in off.items()}
     return [
         "All with one stretch, that of the measured image, and one scale of length. What is "
         "compared is the last, times the camera's gains and the model's error as estimated.",
@@ -326,7 +338,7 @@ def _pixel_pictures(result: Calibration, pixel: float) -> list[Part]:
         "in the measured image, and their difference says what is off where.",
         Picture(
             "residual.png",
-            figures.residual_maps(residuals, bands.names, pixel_m=pixel),
+            figures.residual_maps(residuals, [bands.names[k] for k in order], pixel_m=pixel),
             "simulated less measured, before, after, and with gains and the model's error",
             "Simulated less measured, in each band with one scale.",
         ),
@@ -430,7 +442,8 @@ def _distributions(
     pixels = {title.lower(): image for title, image in simulated.items()}
     if real is not None:
         pixels = {"real": _in_bands(real.pixels[..., None], real, bands), **pixels}
-    of_bands = {who: dict(zip(bands.names, image)) for who, image in pixels.items()}
+    order = np.argsort(bands.centre)
+    of_bands = {who: {bands.names[k]: image[k] for k in order} for who, image in pixels.items()}
     shown = tuple(targets(SHOWN_INDICES)) or SHOWN_INDICES
     of_indices = {who: index_images(image, bands, shown) for who, image in pixels.items()}
     return [

@@ -146,7 +146,8 @@ def camera_table(
     errors = statistics.set_index("statistic").filter(regex="_error_percent$")
     before = f"{view.view}." if view.view else ""
     means = errors.reindex([f"{before}{band}.mean" for band in bands]).reset_index(drop=True)
-    return pd.concat([table, means], axis=1)
+    order = np.argsort(view.camera.sensor.bands.centre)
+    return pd.concat([table, means], axis=1).iloc[order].reset_index(drop=True)
 
 
 def largest_errors(statistics: pd.DataFrame) -> pd.DataFrame:

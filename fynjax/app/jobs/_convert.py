@@ -87,7 +87,9 @@ def convert(
     inputs = [*dict.fromkeys(file for file, _ in spectra), panel]
     picture = Picture("spectra.png", figures.measured_figure(dataset), "every spectrum")
     sources = Table(pd.DataFrame(rows), "What was read, repaired and refused.", folded=True)
-    run.pictures(f"{len(spectra)} measured spectra", headline, [picture, sources], inputs)
+    run.pictures(
+        "convert", f"{len(spectra)} measured spectra", headline, [picture, sources], inputs
+    )
     return run.result(
         ConvertResult,
         headline=headline,

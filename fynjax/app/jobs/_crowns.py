@@ -142,15 +142,9 @@ def crowns(
         place = _place(read, path)
         write_crowns(run.path("crowns.gpkg", what), every, place)
         _write_maps(run, place, found, maps, record)
-        run.page(
-            Page(
-                f"Crowns: {read.name}",
-                " ".join(headline),
-                _sections(run, found, maps, table, every),
-                {"misfit of a value": f"{found.misfit:.2f}", "wall time": f"{run.total():.0f} s"},
-                record,
-            )
-        )
+        title, sections = f"Crowns: {read.name}", _sections(run, found, maps, table, every)
+        keys = {"misfit of a value": f"{found.misfit:.2f}", "wall time": f"{run.total():.0f} s"}
+        run.page(Page("crowns", title, " ".join(headline), sections, keys, record))
     return run.result(
         CrownsResult,
         headline=headline,
@@ -267,7 +261,9 @@ def _sections(
     images = {"Measured": found.measured, "Expected": found.expected}
     kind, doubt = maps.likeliest
     scene = found.scene
-    sd = ", ".join(f"{n} {100 * s:.0f} %" for n, s in zip(bands.names, found.pixel_sd, strict=True))
+    order = np.argsort(bands.centre)
+    sd = ", ".join(f"{bands.names[k]} {100 * found.pixel_sd[k]:.0f} %" for k in order)
+    residual = np.asarray(found.expected - found.measured)[order]
     return [
         Section(
             "Crowns",
@@ -320,7 +316,7 @@ def _sections(
                 Picture(
                     "residual.png",
                     figures.residual_maps(
-                        {"Expected": found.expected - found.measured}, bands.names, pixel_m=pixel
+                        {"Expected": residual}, [bands.names[k] for k in order], pixel_m=pixel
                     ),
                     "expected less measured",
                     "Expected less measured. What is missing is as large and round as a crown.",

@@ -107,7 +107,7 @@ def design_bands(
         record = run.record(read.inputs)
         headline = str(found).splitlines()
         title, sections = f"Design: {read.name}", _sections(found, chosen)
-        run.page(Page(title, " ".join(headline), sections, record=record))
+        run.page(Page("design", title, " ".join(headline), sections, record=record))
     return run.result(DesignResult, headline=headline, bands=chosen, sensors=found.table)
 
 

@@ -387,7 +387,7 @@ def _result(
     shown = Table(
         table.head(_SHOWN), f"Traits, of the first {_SHOWN} spectra at most.", folded=True
     )
-    run.pictures(f"{model} of {count} spectra", headline, [*pictures, shown], inputs)
+    run.pictures("fit-leaf", f"{model} of {count} spectra", headline, [*pictures, shown], inputs)
     return run.result(
         FitLeafResult,
         headline=headline,

@@ -292,7 +292,7 @@ def _result(
         misfit = fits.misfit.reshape(read.shape) / _UNLIKE
         words = f"misfit over {_UNLIKE:g} errors"
         shown.insert(0, Picture("traits.png", figures.maps_figure(maps, misfit, words), "maps"))
-    run.pictures("Traits of canopies", headline, shown, inputs)
+    run.pictures("fit-canopy", "Traits of canopies", headline, shown, inputs)
     return run.result(
         FitPixelsResult, headline=headline, pixels=count, without_data=empty, unlike=unlike,
         traits=rows, converged=bool(fits.converged[~np.isnan(fits.misfit)].all()),

@@ -192,7 +192,7 @@ def frames(
     )
     shown = Table(table, "Frames, in metres from the plot's corner.", folded=True)
     inputs = [read.file, *([] if laid is None else laid.files)]
-    run.pictures(f"Frames over {read.name}", headline, [picture, shown], inputs)
+    run.pictures("frames", f"Frames over {read.name}", headline, [picture, shown], inputs)
     warnings = [] if laid is None else laid.warnings
     return run.result(FramesResult, headline=headline, warnings=warnings, flight=summary)
 

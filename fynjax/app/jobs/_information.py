@@ -144,7 +144,8 @@ def plot_information(
         sections = [_cover_section(table, limits, covers)] if covers else []
         sections.append(_direction_section(sensor, weak, table))
         record = run.record(read.inputs)
-        run.page(Page(f"Information: {read.name}", " ".join(headline), sections, record=record))
+        title, lead = f"Information: {read.name}", " ".join(headline)
+        run.page(Page("information", title, lead, sections, record=record))
     return run.result(
         InformationResult, headline=headline, limits=limits, weakly_constrained_directions=weak
     )

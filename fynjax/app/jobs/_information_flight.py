@@ -364,7 +364,8 @@ def information_of_flight(
         parts: list[Part] = [picture, Table(table, "Every bound.", folded=True)]
         record = run.record(plot.inputs)
         lead = " ".join(headline)
-        run.page(Page(f"Information: {plot.name}", lead, [Section("", parts)], record=record))
+        title, sections = f"Information: {plot.name}", [Section("", parts)]
+        run.page(Page("information", title, lead, sections, record=record))
     return run.result(FlightInformationResult, headline=headline, bounds=table)
 
 

@@ -402,7 +402,7 @@ def _summary(
         *sections,
         Section("In numbers", [numbers, *words]),
     ]
-    run.page(Page(f"Maps of {source.path.name}", headline[0], sections, record=record))
+    run.page(Page("map", f"Maps of {source.path.name}", headline[0], sections, record=record))
     return run.result(
         MapResult,
         headline=headline,

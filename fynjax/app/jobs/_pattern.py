@@ -163,7 +163,7 @@ def pattern(
         what = "the image, the map and the clusters' spectra"
         picture = Picture("pattern.png", figures.pattern_figure(stack, pattern, green), what)
         title = f"Probability map of {Path(paths[0]).name}"
-        run.pictures(title, headline, [picture], paths)
+        run.pictures("pattern", title, headline, [picture], paths)
     return _result(run, headline, stack, pattern, green, greenness_weight)
 
 

@@ -353,7 +353,7 @@ def _result(
     picture = Picture("plant.png", figures.plant_figure(model), what)
     rows = Table(pd.DataFrame([m.model_dump() for m in materials]), "Its materials.")
     inputs = [source if made is None else None, stated]
-    run.pictures(f"Plant: {Path(source).name}", headline, [picture, rows], inputs)
+    run.pictures("plant", f"Plant: {Path(source).name}", headline, [picture, rows], inputs)
     return run.result(
         PlantResult,
         headline=headline,

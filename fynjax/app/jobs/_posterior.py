@@ -2,6 +2,7 @@
 
 from collections import deque
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -167,13 +168,15 @@ def posterior(
         path = run.path("posterior.nc", "every draw, as arviz reads it (InferenceData)")
         with atomic_path(path) as work:
             sampled.inference_data({k: str(v) for k, v in record.items()}).to_netcdf(str(work))
-        run.page(_page(read, sampled, tables, headline, record, surrogate_error))
+        page = _page(read, sampled, tables, headline, record, surrogate_error)
+        unsure = " ".join([*doubts, *([] if sampled.converged else [sampled.status])])
+        run.page(replace(page, result=headline[len(doubts)], trust=unsure))
     return run.result(
         PosteriorResult,
         headline=headline,
         parameters=table.filter(list(PosteriorParameter.model_fields)).to_dict("records"),
         converged=sampled.converged and not calibrated.worse,
-        status=" ".join([*doubts, *([] if sampled.converged else [sampled.status])]) or "ok",
+        status=unsure or "ok",
         posterior_status=sampled.status,
     )
 
@@ -313,4 +316,4 @@ def _page(
         "parameters": str(len(sampled.names)),
     }
     title = f"Posterior: {plot.name}"
-    return Page(title, " ".join(headline), [Section("", parts)], keys, record)
+    return Page("posterior", title, " ".join(headline), [Section("", parts)], keys, record)

@@ -174,7 +174,9 @@ def reflectance(
     what = "gain, offset and their uncertainty, for each capture and band"
     write_text(run.path("calibration.csv", what), calibration_table(made.captures))
     inputs = [path for panel in read for path in panel.capture.paths] + made.inputs
-    run.pictures(f"Reflectance of {len(made.captures)} captures", headline, shown, inputs)
+    run.pictures(
+        "reflectance", f"Reflectance of {len(made.captures)} captures", headline, shown, inputs
+    )
     path = run.path("provenance.json", "what was read, how, and what came of it")
     result = run.result(
         ReflectanceResult,

@@ -200,16 +200,12 @@ def _write(
         *([] if truth is None else [write_truth(run, plot, scene, truth, record)]),
         Table(plants, caption),
     ]
-    means = itertools.islice(zip(bands.names, image.mean((1, 2)), strict=True), _FEW_BANDS)
-    run.page(
-        Page(
-            plot.name,
-            f"What {camera.sensor.name} sees of the plot, without air and noise.",
-            [Section("", parts)],
-            {f"mean {band.replace('_', ' ')}": f"{value:.3f}" for band, value in means},
-            record,
-        )
-    )
+    few = np.argsort(bands.centre[:_FEW_BANDS])
+    keys = {f"mean {bands.names[k].replace('_', ' ')}": f"{image[k].mean():.3f}" for k in few}
+    lead = f"What {camera.sensor.name} sees of the plot, without air and noise."
+    means = ", ".join(f"{name.removeprefix('mean ')} {value}" for name, value in keys.items())
+    first, sections = f"Mean reflectance by {camera.sensor.name}: {means}", [Section("", parts)]
+    run.page(Page("render", plot.name, lead, sections, keys, record, first))
 
 
 def write_truth(
@@ -273,7 +269,8 @@ def image_views(
         by = stretch if stretch in seen else None
         return Picture(file, figures.layer_map(seen, what, pixel_m=pixel_m, stretch=by), words)
 
-    for k, band in enumerate(bands.names):
+    for k in np.argsort(bands.centre):
+        band = bands.names[k]
         label = figures.words(band)
         label = f"{label[0].upper()}{label[1:]}"
         views[label] = of_layer(

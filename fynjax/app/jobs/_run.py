@@ -127,11 +127,13 @@ class Run:
     def page(self, page: Page) -> None:
         """Write the page with its figures, doubts first, and where values of plants are from."""
         lead = " ".join(filter(None, [*self.doubts, page.lead, self.plants]))
-        page = dataclasses.replace(page, lead=lead)
+        first, trust = page.answer["Result"], " ".join(self.doubts) or page.trust
+        page = dataclasses.replace(page, lead=lead, result=first, trust=trust)
         self.files |= write_page(page, self.folder)
 
     def pictures(
         self,
+        command: str,
         title: str,
         headline: Sequence[str],
         pictures: Sequence[Part],
@@ -139,11 +141,11 @@ class Run:
     ) -> None:
         """Write a page of pictures below what the terminal says.
 
-        **Arguments:** `title`; `headline` of the result; `pictures`, and what else stands there;
-        `inputs`, files that the results come from.
+        **Arguments:** `command`; `title`; `headline` of the result; `pictures`, and what else is
+        there; `inputs`, files that the results come from.
         """
         parts = [*headline[1:], *pictures]
-        self.page(Page(title, headline[0], [Section("", parts)], record=self.record(inputs)))
+        self.page(Page(command, title, headline[0], [Section("", parts)], {}, self.record(inputs)))
 
     def times(self, caption: str = "Wall time.", *, folded: bool = False) -> Table:
         """The stages' times, for the page."""

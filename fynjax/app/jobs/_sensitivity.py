@@ -168,7 +168,8 @@ def sensitivity(
             every = Table(spread, "Every share.", folded=True)
             sections.append(Section("Over the priors", [picture, every]))
         record = run.record(read.inputs)
-        run.page(Page(f"Sensitivity: {read.name}", " ".join(headline), sections, record=record))
+        title, lead = f"Sensitivity: {read.name}", " ".join(headline)
+        run.page(Page("sensitivity", title, lead, sections, record=record))
     return run.result(
         SensitivityResult,
         status=status or "ok",

@@ -153,7 +153,8 @@ def simulate(
     with run.stage("Write"):
         picture = [] if seen is None else [write_truth(run, read, scene, seen, record)]
         as_text = {k: json.dumps(made[k]) for k in ("plot", "sensor", "atmosphere", "accuracy")}
-        _write(run, read, instrument, cubes, picture, {**record, **as_text})
+        said = _headline(read, instrument, aimed, cubes, run.seconds)[0]
+        _write(run, read, instrument, cubes, picture, {**record, **as_text}, said)
         text = json.dumps({**record, **made}, indent=2, ensure_ascii=False, allow_nan=False)
         path = run.path("run.json", "versions, seed, sensor, atmosphere, accuracy, times")
         write_text(path, text + "\n")
@@ -275,6 +276,7 @@ def _write(
     cubes: dict[str, Cube],
     more: list[Picture],
     record: dict[str, Any],
+    said: str,
 ) -> None:
     """Write the products and the page, with `more` pictures at its end."""
     for name, cube in cubes.items():
@@ -285,7 +287,7 @@ def _write(
     write_cubes_netcdf(path, cubes, record)
     lead = f"What {instrument.name} measures of the plot."
     sections = [Section("", [*cube_pictures(cubes, plot.name), *more])]
-    run.page(Page(plot.name, lead, sections, record=record))
+    run.page(Page("simulate", plot.name, lead, sections, record=record, result=said))
 
 
 def _headline(

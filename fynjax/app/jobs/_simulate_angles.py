@@ -159,7 +159,9 @@ def simulate_angles(
     by_band = {"nadir": found.at(0.0), "towards_sun": found.at(sun[0]), "albedo": found.albedo}
     table = pd.DataFrame(by_band, index=list(names)).rename_axis("band").reset_index()
     headline = _headline(plot, table, sun)
-    run.page(Page(plot.name, headline[0], _sections(dataset, table), record=record))
+    run.page(
+        Page("simulate angles", plot.name, headline[0], _sections(dataset, table), record=record)
+    )
     return run.result(
         SimulateAnglesResult,
         headline=headline,

@@ -1,6 +1,7 @@
 """The job of `fynjax simulate` with a LiDAR: point cloud, waveforms, pictures."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
@@ -102,7 +103,9 @@ def simulate_lidar(
             "pulses per m²": f"{counts['pulses_per_m2']:.1f}",
             "ground": f"{100 * counts['ground_returns'] / counts['returns']:.1f} %",
         }
-        run.page(Page(f"LiDAR: {plot.name}", headline[0], sections, keys, record))
+        page = Page("simulate lidar", f"LiDAR: {plot.name}", headline[0], sections, keys, record)
+        held = "" if heights.rmse is None else headline[2]
+        run.page(replace(page, trust=held))
     return run.result(
         SimulateLidarResult,
         headline=headline,

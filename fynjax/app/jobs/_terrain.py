@@ -183,7 +183,7 @@ def terrain(
     summary = _summary(terrain, numbers)
     headline = _headline(summary)
     picture = Picture("terrain.png", figures.terrain_figure(terrain, canopy), "picture of it")
-    run.pictures(f"Terrain of {path.name}", headline, [picture], [path])
+    run.pictures("terrain", f"Terrain of {path.name}", headline, [picture], [path])
     return run.result(TerrainResult, headline=headline, terrain=summary)
 
 

@@ -181,7 +181,7 @@ def train(
         run.table("scores.csv", table, what)
     headline = _headline(task, held_out, scores)
     shown = table.sort_values("explained", ascending=False)
-    run.pictures(f"Training: {task.sensor}", headline, [Table(shown, SCORES)], inputs)
+    run.pictures("train", f"Training: {task.sensor}", headline, [Table(shown, SCORES)], inputs)
     return run.result(
         TrainResult,
         headline=headline,

@@ -259,7 +259,8 @@ def validate(
         keys = {name: value for part in parts.values() for name, value in part.keys.items()}
         lead = "Simulated against real data, after section 4 of the scene paper."
         sections = [part.section for part in parts.values()]
-        run.page(Page("Validation", lead, sections, keys, record))
+        first = " ".join(part.headline[0] for part in parts.values())
+        run.page(Page("validate", "Validation", lead, sections, keys, record, first))
     return run.result(
         ValidateResult,
         headline=[sentence for part in parts.values() for sentence in part.headline],
@@ -477,7 +478,9 @@ def _write_structure(
         f"{heights['height_percentile_rmse']:.3f} m RMSE."
     )
     summary = _structure_summary(structure)
-    return _Part([said], {}, structure_section(structure), summary)
+    cells = next(iter(structure.real.cells.values())).size
+    keys = {f"cells of {structure.grain:g} m, returns": f"{cells}, {structure.matched_returns}"}
+    return _Part([said], keys, structure_section(structure), summary)
 
 
 def _structure_summary(structure: StructureComparison) -> StructureSummary:

@@ -106,7 +106,7 @@ def write_findings(
         Section("How", _how(resolution, realisations)),
     ]
     title = "Cover and leaf traits from spectra of plots"
-    run.page(Page(title, headline[0], sections, record=run.record(inputs)))
+    run.page(Page("bioscape calibrate", title, headline[0], sections, record=run.record(inputs)))
     stopped = {
         name
         for fits in findings.estimates.values()

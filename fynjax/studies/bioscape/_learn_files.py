@@ -213,7 +213,8 @@ def write_lesson(
         Section("How", [*_HOW, Table(error, digits=3, folded=True)]),
     ]
     lead = f"What {len(lesson.plots)} plots share, and how they vary, learned from their spectra."
-    run.page(Page("A population of plots", lead, sections, {}, run.record(inputs)))
+    title, record = "A population of plots", run.record(inputs)
+    run.page(Page("bioscape learn", title, lead, sections, {}, record, headline[0]))
     return run.result(
         LearnResult,
         headline=headline,

@@ -147,7 +147,8 @@ def write_report(
         f"{len(pair.plots)} plots simulated from cover, species and leaf traits alone, {count} of "
         "them compared with measured spectra."
     )
-    run.page(Page("Spectra of plots from their field tables", lead, sections, keys, record))
+    title = "Spectra of plots from their field tables"
+    run.page(Page("bioscape validate", title, lead, sections, keys, record))
     if unmeasured:
         text = f"{len(unmeasured)} plots have no measured spectrum and were only simulated"
         warnings = [f"{text}: {', '.join(unmeasured)}", *warnings]

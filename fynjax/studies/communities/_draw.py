@@ -4,6 +4,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.optimize import brentq
 
 from fynjax._core.errors import InputError, listed
@@ -12,6 +13,8 @@ from fynjax.canopy import FORMS, table1_2006
 from fynjax.diversity import pielou_evenness
 from fynjax.studies.fynbos_2006 import table_after_fire
 
+_SETS = 200
+"""Sets of species of which one is taken by how related they are."""
 _STEEPEST = 1e-4
 """Cover of a species over that of the next more abundant one, at least [-]."""
 
@@ -54,23 +57,25 @@ class Gradients:
 
 def check_pool(pool: Plot, gradients: Gradients) -> None:
     """**Raises:** `InputError` for a pool from which no such communities can be drawn."""
-    alive = _alive(pool)
+    leafy = alive(pool)
     if pool.known_crowns is not None or pool.parameters is not None:
         raise InputError("expected a plot without known crowns and without a table of parameters")
-    if len(alive) < gradients.richness[1]:
+    if len(leafy) < gradients.richness[1]:
         raise InputError(
-            f"the species table has {len(alive)} species with leaves, but communities are to have "
+            f"the species table has {len(leafy)} species with leaves, but communities are to have "
             f"up to {gradients.richness[1]} (`richness`)"
         )
     if gradients.age is not None:
         known = set(table1_2006()["taxon"])
-        if strange := [pool.taxa[i] for i in alive if pool.taxa[i] not in known]:
+        if strange := [pool.taxa[i] for i in leafy if pool.taxa[i] not in known]:
             raise InputError(
                 f"years since fire are known of the article's taxa alone, not of {listed(strange)}"
             )
 
 
-def draw_community(pool: Plot, gradients: Gradients, random: np.random.Generator) -> Plot:
+def draw_community(
+    pool: Plot, gradients: Gradients, random: np.random.Generator, related: ArrayLike = ()
+) -> Plot:
     """A plot whose species are some of a pool's; the others have no cover.
 
     Covers of the species fall by a common factor from each to the next rarer one, the factor that
@@ -81,10 +86,18 @@ def draw_community(pool: Plot, gradients: Gradients, random: np.random.Generator
     - `pool`: a plot with the species, their sizes and leaves.
     - `gradients`: within which the community lies.
     - `random`: of its numbers.
+    - `related`: path between each two species in a tree of descent. With it communities are drawn
+      along a gradient of the mean path between their species as well: of 200 sets of species the
+      one that is nearest to a number drawn evenly between their least and greatest.
     """
     count = int(random.integers(gradients.richness[0], gradients.richness[1] + 1))
     cover = random.uniform(*gradients.cover) * shares_of(random.uniform(*gradients.evenness), count)
-    chosen = random.permutation(_alive(pool))[:count]
+    apart = np.asarray(related)
+    sets = [random.permutation(alive(pool))[:count] for _ in range(_SETS if apart.size else 1)]
+    chosen = sets[0]
+    if apart.size:
+        paths = np.array([apart[np.ix_(one, one)].mean() for one in sets])
+        chosen = sets[np.argmin(np.abs(paths - random.uniform(paths.min(), paths.max())))]
     covers = dict(zip(chosen.tolist(), cover.tolist(), strict=True))
     grown = np.ones((len(pool.species), 2))
     if gradients.age is not None:
@@ -119,6 +132,6 @@ def shares_of(evenness: float, count: int) -> np.ndarray:
     return series(float(brentq(lacking, _STEEPEST, 1.0)))
 
 
-def _alive(pool: Plot) -> np.ndarray:
+def alive(pool: Plot) -> np.ndarray:
     """Places in the species table of those with leaves."""
     return np.flatnonzero([FORMS[row.growth_form].leafy for row in pool.species])

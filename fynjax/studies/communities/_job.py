@@ -22,12 +22,16 @@ from fynjax.app.io.text import existing_file, read_rows
 from fynjax.app.jobs import JobResult, Rows, Run
 from fynjax.app.report import figures
 from fynjax.app.report.pages import Page, Picture, Section, Table
+from fynjax.diversity import read_phylogeny
 from fynjax.scene import SpeciesRow, check_species, cover_definition_of, visible_sensor
 from fynjax.sensors import Sensor
-from fynjax.studies.communities._draw import Gradients, check_pool
-from fynjax.studies.communities._observe import DIVERSITIES, Design, green, observe_community
+from fynjax.studies import fynbos_2006
+from fynjax.studies.communities._draw import Gradients, alive, check_pool
+from fynjax.studies.communities._observe import Design, green, observe_community
 from fynjax.studies.communities._scores import composition, correlations, recognition
 
+TREE_2006 = Path(fynbos_2006.__file__).parent / "data" / "phylogeny.nwk"
+"""Dated tree of the article's taxa."""
 PIXELS = (0.05, 0.1, 0.25, 0.5, 1.0, 1.25, 2.5, 5.0)
 """Edges of a pixel [m] of a run that names none."""
 _ROUNDING = 1e-6
@@ -63,6 +67,7 @@ def diversity(
     samples: Annotated[int, Field(ge=1)] = 20,
     threshold: float = 0.25,
     greenness: float | None = None,
+    tree: str | Path | None = None,
     seed: Seed = 0,
     checkpoint: str | Path | None = None,
     workers: Workers | None = None,
@@ -90,6 +95,9 @@ def diversity(
       diversity is lost.
     - `greenness`: NDVI, from -1 to below 1, that a pixel must have to count in the metrics, so that
       bare ground and its contrast with plants do not; all count if left out.
+    - `tree`: Newick file of the descent of the species, or fynbos, the dated tree of the article's
+      taxa: communities then go from near to distant relatives too, and their phylogenetic
+      diversity is asked for, Rao's quadratic entropy with the paths in the tree.
     - `seed`: seed of everything random.
     - `checkpoint`: folder that keeps what communities gave, from which an interrupted run goes on.
     - `workers`: where communities are simulated; in this process by default.
@@ -120,10 +128,11 @@ def diversity(
     _check_different("noise", noise)
     chosen = _sensors(sensors, bands, greenness)
     fine = _checked_pixels(pixels, size, pool.voxel_m)
-    design = Design(chosen, fine, tuple(noise), samples, seed, greenness)
+    design = Design(chosen, fine, tuple(noise), samples, seed, greenness, _related(tree, read))
     run = Run(output, seed=seed, plot=read)
+    inputs = read.inputs if tree is None else (*read.inputs, _file_of(tree))
     begin_work(dict.fromkeys(_TABLES, f"{communities} communities") | {"report.html": ""})
-    journal = run.journal(checkpoint, pool, gradients, design, files=read.inputs)
+    journal = run.journal(checkpoint, pool, gradients, design, files=inputs)
     with at_work(workers) as pool_of_workers, stage("Communities", communities):
         done = pool_of_workers.all(
             observe_community, range(communities), pool, gradients, design, journal=journal
@@ -136,13 +145,13 @@ def diversity(
         known = recognition(species, spectra, pool.taxa, design)
     headline = _headline(lost, known, threshold)
     with run.stage("Write"):
-        tables = pd.DataFrame(truth, columns=DIVERSITIES), table, lost, known, composed
+        tables = pd.DataFrame(truth, columns=design.diversities), table, lost, known, composed
         for (name, what), rows in zip(_TABLES.items(), tables, strict=True):
             run.table(name, rows, what)
         sections = _sections(table, lost, known, composed, threshold)
-        record = run.record(read.inputs)
+        record = run.record(inputs)
         title = f"Diversity as sensors see it: {communities} communities of {read.name}"
-        run.page(Page(title, " ".join(headline), sections, record=record))
+        run.page(Page("diversity", title, " ".join(headline), sections, record=record))
     return run.result(
         DiversityResult, headline=headline, lost=lost, recognition=known, composition=composed
     )
@@ -193,6 +202,20 @@ def _pool(plot: Plot | str | Path) -> Plot:
         cover_definition=cover_definition_of(species, None),
         inputs=(read.file, path, *(row.plant for row in species if row.plant is not None)),
     )  # fmt: skip
+
+
+def _file_of(tree: str | Path) -> Path:
+    return TREE_2006 if str(tree) == "fynbos" else Path(tree)
+
+
+def _related(tree: str | Path | None, pool: Plot) -> tuple[tuple[float, ...], ...]:
+    """Path between each two species in a tree, 0 to those without leaves; empty without a tree."""
+    if tree is None:
+        return ()
+    living, apart = alive(pool), np.zeros((len(pool.species),) * 2)
+    phylogeny = read_phylogeny(_file_of(tree), [pool.taxa[i] for i in living])
+    apart[np.ix_(living, living)] = phylogeny.distance
+    return tuple(map(tuple, apart.tolist()))
 
 
 def _checked_pixels(pixels: Sequence[float], size: float, voxel: float) -> tuple[float, ...]:

@@ -63,6 +63,14 @@ class Design:
     """Seed of communities, plantings and noise."""
     greenness: float | None = None
     """NDVI that a pixel must have to count in the metrics [-]; None: all pixels do."""
+    related: tuple[tuple[float, ...], ...] = ()
+    """Path between each two species of the table in a tree of descent; empty: no tree."""
+
+    @property
+    def diversities(self) -> tuple[str, ...]:
+        """What is asked of a community: `DIVERSITIES`, and with a tree "phylogenetic", Rao's
+        quadratic entropy with the paths in it, in its unit."""
+        return DIVERSITIES + ("phylogenetic",) * bool(self.related)
 
 
 def observe_community(
@@ -70,15 +78,15 @@ def observe_community(
 ) -> tuple[np.ndarray, ...]:
     """Diversity of the plants of a community, and of its spectra.
 
-    **Returns:** `DIVERSITIES`; the cover of each species as seen from straight above; the spectral
-    metrics `OF_IMAGE` [sensor, pixel, noise, metric]; the species of sampled pixels [sensor, pixel,
-    sample], -1 for none; for each sensor their spectra [pixel, noise, sample, band]; and for each
-    sensor spectra of other pixels, drawn from all that count [pixel, noise, drawn, band], NaN where
-    there are fewer.
+    **Returns:** `Design.diversities`; the cover of each species as seen from straight above; the
+    spectral metrics `OF_IMAGE` [sensor, pixel, noise, metric]; the species of sampled pixels
+    [sensor, pixel, sample], -1 for none; for each sensor their spectra [pixel, noise, sample,
+    band]; and for each sensor spectra of other pixels, drawn from all that count [pixel, noise,
+    drawn, band], NaN where there are fewer.
     """
     random = np.random.default_rng([design.seed, 71, number])
     for left in reversed(range(_DRAWS)):
-        plot = draw_community(pool, gradients, random)
+        plot = draw_community(pool, gradients, random, design.related)
         try:
             scene, _ = build_plot(plot, seed=int(random.integers(2**31)), rounding="random")
             break
@@ -118,7 +126,9 @@ def observe_community(
         drawn.append(some)
     asked = diversity_indices(cover[None])
     asked["functional"] = np.asarray(rao_entropy(cover[None], functional_distance(pool, scene)))
-    stand = np.array([asked[name][0] for name in DIVERSITIES])
+    if design.related:
+        asked["phylogenetic"] = np.asarray(rao_entropy(cover[None], design.related))
+    stand = np.array([asked[name][0] for name in design.diversities])
     return stand, cover, metrics, np.stack(species), *spectra, *drawn
 
 

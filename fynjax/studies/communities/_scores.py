@@ -13,7 +13,7 @@ from jaxtyping import Float, Int
 from fynjax._core.errors import InputError
 from fynjax._core.resampling import INTERVAL, correlation_over, plot_draws
 from fynjax.diversity import bray_curtis, classify, mantel, separability, spectral_species
-from fynjax.studies.communities._observe import DIVERSITIES, OF_IMAGE, Design, hull
+from fynjax.studies.communities._observe import OF_IMAGE, Design, hull
 
 METRICS = (*OF_IMAGE, "spectral_species")
 """Spectral metrics of a community: `OF_IMAGE`, and the Shannon entropy of its spectral species."""
@@ -57,7 +57,7 @@ def correlations(
     pixels = np.array(design.pixels)
     rows, lost = [], []
     for (s, sensor), (n, noise), (d, what) in product(
-        enumerate(design.sensors), enumerate(design.noise), enumerate(DIVERSITIES)
+        enumerate(design.sensors), enumerate(design.noise), enumerate(design.diversities)
     ):
         found, chance = (
             np.stack([

@@ -3,8 +3,10 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import pairwise
+from pathlib import Path
 from typing import Any, NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 import pandas as pd
 from jaxtyping import Float
@@ -21,8 +23,8 @@ from fynjax.metrics.structure import (
     cell_grid,
     cell_structure,
 )
-from fynjax.scene import PlotParameters, Scene, observe
-from fynjax.sensors import shipped_lidar, shipped_sensor
+from fynjax.scene import PlotAir, PlotParameters, Scene, observe
+from fynjax.sensors import CameraNoise, Panel, shipped_lidar, shipped_sensor
 
 SWIR2_MEAN = {"real": 0.063, "dirsig": 0.008}
 """Mean reflectance at 2100 to 2450 nm, from the article's text on AVIRIS-NG [-]."""
@@ -57,6 +59,8 @@ def article_tables(
     gains: Sequence[float] | None = None,
     pixel: float = 0.025,
     channels: int = 425,
+    chain: bool = False,
+    seed: int = 0,
 ) -> pd.DataFrame:
     """Every number that the article prints in tables 1 to 5, figures 9 and 12 and section 4.4, what
     its DIRSIG made of it, and what a scene gives.
@@ -68,10 +72,17 @@ def article_tables(
     - `gains`: factors of the drone's bands that the calibration estimated; none by default.
     - `pixel`: of the drone's image [m]; the article's by default.
     - `channels`: about so many of the spectrometer's are simulated.
+    - `chain`: also what the instruments make of the plot. The drone's camera looks through 50 m of
+      air at two panels on the plot, of reflectance 0.05 and 0.5, and is calibrated by their
+      empirical line; pixels of the panels do not count. Its noise is assumed, as its maker states
+      none: 10 000 electrons in the brightest pixel, 3 of reading, 12 bits. AVIRIS-NG has its own
+      noise, and the air is taken out again as it is.
+    - `seed`: of the noise.
 
     **Returns:** a row for each number with the columns table, quantity, real, dirsig,
     uncalibrated, nearest and definition; with `calibrated` a column of that name, and with `gains`
-    calibrated_with_gains, the calibrated plot through a camera with these gains. Columns that end
+    calibrated_with_gains, the calibrated plot through a camera with these gains. `chain` adds
+    uncalibrated_measured and calibrated_measured. Columns that end
     with off_percent have what each is off by in percent of the real number; of DIRSIG it is printed
     in some rows where its value is not. `nearest` names the column that is least off; it is empty
     where only one is known, and for numbers that contradict the article's own formulas. Of tables 2
@@ -86,18 +97,18 @@ def article_tables(
     states = {"uncalibrated": scene.parameters}
     if calibrated is not None:
         states["calibrated"] = calibrated
-    with stage("Look at the plot", total=4 * len(states)):
+    with stage("Look at the plot", total=(4 + chain) * len(states)):
         for name, state in states.items():
             seen = observe(scene, "mavic_3m", pixel=pixel, parameters=state)
             image = np.asarray(seen.reflectance)
             advance()
-            columns[name] = {
-                **_species(scene, state),
-                **_sensors(),
-                **_drone(image),
-                **_spectrometer(scene, state, channels),
-                **_structure(scene, state),
-            }
+            columns[name] = _drone(image) | _spectrometer(scene, state, channels)
+            columns[name] |= _species(scene, state) | _sensors() | _structure(scene, state)
+            if chain:
+                columns[f"{name}_measured"] = {
+                    **_drone(_measured(scene, state, pixel, seed)),
+                    **_spectrometer(scene, state, channels, air=PlotAir(), noise=True, seed=seed),
+                }
     if gains is not None and calibrated is not None:
         columns["calibrated_with_gains"] = _drone(image * np.reshape(gains, (-1, 1, 1)))
     for name, values in columns.items():
@@ -132,8 +143,8 @@ def _of_bands() -> Iterator[_Number]:
         for quantity, (column, _, _) in _TABLE_1.items():
             what = "field survey; the input of a simulation, which a calibration may change"
             yield _Number("table 1", f"{species.taxon}: {quantity}", what, float(species[column]))
-    for quantity, (number, printed, what) in _OPTICS.items():
-        yield _Number(f"table {number}", quantity, what, printed)
+    for _, row in _optics().iterrows():
+        yield _Number(f"table {row.table}", row.quantity, row.definition, row.printed)
     for name, band in bands_2006().items():
         what = "mean over the pixels; the real one follows from table 4; of DIRSIG no sign"
         yield _Number(
@@ -223,45 +234,9 @@ def _of_structure() -> Iterator[_Number]:
                     yield _Number("section 4.4", f"{quantity}, {grain:g} m{ending}", what, real)
 
 
-_SHIPPED, _PITCH = "what the shipped sensor has", "pitch of a pixel x height / focal length"
-_OPTICS = {
-    "AVIRIS-NG: bands": (2, 425, _SHIPPED),
-    "AVIRIS-NG: first band [nm]": (2, 380, _SHIPPED),
-    "AVIRIS-NG: last band [nm]": (2, 2500, _SHIPPED),
-    "AVIRIS-NG: distance of bands [nm]": (2, 5, _SHIPPED),
-    "AVIRIS-NG: columns": (2, 640, _SHIPPED),
-    "AVIRIS-NG: pitch of a pixel [um]": (2, 27, _SHIPPED),
-    "AVIRIS-NG: focal length [mm]": (2, 26.6, _SHIPPED),
-    "AVIRIS-NG: height [m]": (2, 1000, _SHIPPED),
-    "AVIRIS-NG: pixel [m]": (2, 3.0, _PITCH),
-    **{
-        f"Mavic 3M: {band}, {what} [nm]": (2, value, _SHIPPED)
-        for band, values in zip(BANDS, ((560, 16), (650, 16), (730, 16), (860, 26)), strict=True)
-        for what, value in zip(("centre", "half width"), values, strict=True)
-    },
-    "Mavic 3M: columns": (2, 640, _SHIPPED),
-    "Mavic 3M: rows": (2, 480, _SHIPPED),
-    "Mavic 3M: pitch of a pixel [um]": (2, 2, _SHIPPED),
-    "Mavic 3M: focal length [mm]": (2, 4, _SHIPPED),
-    "Mavic 3M: height [m]": (2, 50, _SHIPPED),
-    "Mavic 3M: pixel [m]": (2, 0.025, _PITCH),
-    "LiDAR: height [m]": (3, 50, _SHIPPED),
-    "LiDAR: half divergence [rad]": (3, 0.071, _SHIPPED),
-    "LiDAR: columns": (3, 128, _SHIPPED),
-    "LiDAR: pitch of a pixel [um]": (3, 100, _SHIPPED),
-    "LiDAR: focal length [mm]": (3, 128, _SHIPPED),
-    "LiDAR: distance of frames [m]": (3, 5, _SHIPPED),
-    "LiDAR: pulses [s-1]": (3, 1, _SHIPPED),
-    "LiDAR: gate opens [m]": (3, 40, _SHIPPED),
-    "LiDAR: gate closes [m]": (3, 50, _SHIPPED),
-    "LiDAR: line width [nm]": (3, 0.01, _SHIPPED),
-    "LiDAR: pulse [ns]": (3, 2, _SHIPPED),
-    "LiDAR: wavelength [nm]": (3, 1064, _SHIPPED),
-    "LiDAR: sample [m]": (3, 0.15, _SHIPPED),
-    "LiDAR: pixel [m]": (3, 0.04, _PITCH),
-    "LiDAR: width of the beam on the ground [m]": (3, 7.11, "2 x height x tan(half divergence)"),
-}
-"""Printed of the sensors: table, value, and what stands beside."""
+def _optics() -> pd.DataFrame:
+    """What tables 2 and 3 print of the sensors, and what stands beside."""
+    return pd.read_csv(Path(__file__).parent / "data" / "optics.csv")
 
 
 def _sensors() -> dict[str, float]:
@@ -284,7 +259,7 @@ def _sensors() -> dict[str, float]:
         lidar.pulse_length, lidar.wavelength, lidar.sample, 100e-6 / 0.128 * 50.0,
         2.0 * 50.0 * np.tan(0.071),
     ]  # fmt: skip
-    return dict(zip(_OPTICS, map(float, values), strict=True))
+    return dict(zip(_optics()["quantity"], map(float, values), strict=True))
 
 
 def _species(scene: Scene, parameters: PlotParameters) -> dict[str, float]:
@@ -295,7 +270,32 @@ def _species(scene: Scene, parameters: PlotParameters) -> dict[str, float]:
     }
 
 
-def _drone(image: Float[np.ndarray, "band y x"]) -> dict[str, float]:
+def _measured(
+    scene: Scene, parameters: PlotParameters, pixel: float, seed: int
+) -> Float[np.ndarray, "band pixel"]:
+    """The drone's image as its camera measures it, without the panels and the pixels beside."""
+    across = max(3, round(0.5 / pixel))
+    wide = pixel * across
+    panels = tuple(
+        Panel(
+            x_m=pixel + wide / 2 + k * (wide + pixel),
+            y_m=pixel + wide / 2,
+            side_m=wide,
+            reflectance=r,
+        )
+        for k, r in enumerate((0.05, 0.5))
+    )
+    drone: Any = shipped_sensor("mavic_3m")
+    over = {"pixel": pixel, "parameters": parameters, "air": PlotAir(), "panels": panels}
+    full = np.asarray(observe(scene, drone, **over).radiance).max(axis=(1, 2))
+    noise = CameraNoise(full, jnp.full(4, 1e4), jnp.full(4, 3.0), 12)
+    image = observe(scene, replace(drone, noise=noise), noise=True, seed=seed, **over).reflectance
+    plants = np.ones(image.shape[1:], bool)
+    plants[: across + 3, : 2 * across + 4] = False
+    return np.asarray(image)[:, plants]
+
+
+def _drone(image: Float[np.ndarray, "band ..."]) -> dict[str, float]:
     """Means of bands, means and spreads of indices of an image."""
     found = {f"{name}.mean": float(band.mean()) for name, band in zip(BANDS, image, strict=True)}
     for name in table4_2006():
@@ -306,19 +306,24 @@ def _drone(image: Float[np.ndarray, "band y x"]) -> dict[str, float]:
     return found
 
 
-def _spectrometer(scene: Scene, parameters: PlotParameters, channels: int) -> dict[str, float]:
+def _spectrometer(
+    scene: Scene, parameters: PlotParameters, channels: int, **chain: Any
+) -> dict[str, float]:
     """Numbers of the mean spectrum as AVIRIS-NG sees the plot."""
     sensor = shipped_sensor("aviris_ng")
     chosen = range(4, len(sensor.bands) - 4, max(1, len(sensor.bands) // channels))
-    seen = observe(scene, sensor.select(list(chosen)), pixel=3.0, parameters=parameters)
-    advance()
-    mean, wavelength = np.asarray(seen.reflectance.mean(axis=(1, 2))), np.array(seen.wavelength)
+    seen = observe(scene, sensor.select(list(chosen)), pixel=3.0, parameters=parameters, **chain)
+    clear = np.asarray(seen.transparent)
+    mean = np.asarray(seen.reflectance.mean(axis=(1, 2)))[clear]
+    wavelength = np.array(seen.wavelength)[clear]
     inside = {region: mean[spectral_mask(wavelength, region)] for region in table5_2006()}
     ranges = {f"range of reflectance, {k}": float(np.ptp(v)) for k, v in inside.items()}
     there = index_bands(wavelength)
     names = [name for name in figure12_2006() if name in there]
-    indices = vegetation_indices(mean[:, None], names, wavelength)
-    found = {f"{n} by AVIRIS-NG": float(v) for n, v in zip(names, indices[:, 0], strict=True)}
+    found = {}
+    if names:  # of few channels some index has none
+        indices = np.asarray(vegetation_indices(mean[:, None], names, wavelength))[:, 0]
+        found = {f"{n} by AVIRIS-NG": float(v) for n, v in zip(names, indices, strict=True)}
     return ranges | found | {"mean reflectance, swir2": float(inside["swir2"].mean())}
 
 

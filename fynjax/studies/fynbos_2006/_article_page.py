@@ -4,6 +4,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal
 
+import numpy as np
 import pandas as pd
 from pydantic import Field
 
@@ -25,6 +26,8 @@ _WHO = {
     "uncalibrated": "uncalibrated",
     "calibrated": "calibrated",
     "calibrated_with_gains": "with gains",
+    "uncalibrated_measured": "uncalibrated, as measured",
+    "calibrated_measured": "calibrated, as measured",
 }
 _CALIBRATED = (
     "The calibration has seen ten numbers of the drone's image (means of the four bands, of NDVI, "
@@ -47,9 +50,10 @@ def article(
     output: str | Path,
     *,
     calibration: str | Path | None = None,
-    size: Annotated[float, Field(ge=1.0)] = 10.0,
+    size: float | tuple[float, float] = 10.0,
     pixel: Annotated[float, Field(ge=0.005)] = 0.025,
     channels: Annotated[int, Field(ge=10)] = 425,
+    chain: bool = False,
     seed: Seed = 0,
     checkpoint: Path | None = None,
 ) -> ArticleResult:
@@ -64,9 +68,12 @@ def article(
     - `output`: folder of the results, made if missing.
     - `calibration`: folder of the results of `fynjax demo`, or of another calibration of the same
       plot; left out, the demo is run first, into the folder `demo` of the results.
-    - `size`: edge of the plot that is looked at [m]; the article's by default.
+    - `size`: edge of the plot that is looked at, or its two [m], such as 5,10 and 5 of the
+      article's relevés; the article's 10 by default.
     - `pixel`: pixel of the drone's image [m].
     - `channels`: about so many of AVIRIS-NG's 425 channels are simulated.
+    - `chain`: also the images as instruments measure them: through air, with noise, the drone's by
+      the empirical line of two panels.
     - `seed`: seed of everything random.
     - `checkpoint`: folder that keeps every step, from which an interrupted run goes on; none by
       default.
@@ -76,7 +83,7 @@ def article(
 
     **Raises:** `InputError` for a folder without a calibration of the plot.
     """
-    plot = read_plot(example_folder() / "plot.toml").replace(size_m=(size, size))
+    plot = read_plot(example_folder() / "plot.toml").replace(size_m=_sides(size))
     run = Run(output, seed=seed, plot=plot)
     with run.stage("Build the plot", "build"):
         before = build_plot(plot, seed=seed)[1]
@@ -93,7 +100,9 @@ def article(
     gains = _gains(calibration)
     with run.timed("observe"):
         scene = replace(scene, parameters=before)
-        table = article_tables(scene, after, gains=gains, pixel=pixel, channels=channels)
+        table = article_tables(
+            scene, after, gains=gains, pixel=pixel, channels=channels, chain=chain, seed=seed
+        )
     judged = table[table["nearest"] != ""]
     nearest = judged.groupby("table")["nearest"].value_counts().unstack(fill_value=0)
     columns = [name for name in _WHO if name in table]
@@ -106,8 +115,16 @@ def article(
     counts = Table(nearest, "How many numbers each is nearest in.", headers=_WHO)
     inputs = [*plot.inputs, calibration / "parameters.csv"]
     sections = [Section("", [counts, *_pictures(table)]), *_tables(table)]
-    run.page(Page("The article's numbers", lead, sections, record=run.record(inputs)))
+    run.page(Page("article", "The article's numbers", lead, sections, record=run.record(inputs)))
     return run.result(ArticleResult, headline=headline, nearest=nearest)
+
+
+def _sides(size: float | tuple[float, float]) -> tuple[float, float]:
+    """Both edges of the plot [m]."""
+    wide, deep = np.broadcast_to(size, 2).tolist()
+    if not min(wide, deep) >= 1.0:
+        raise InputError(f"expected a `size` of at least 1 m, but got {min(wide, deep):g} m")
+    return wide, deep
 
 
 def _calibrated(plot: Plot, folder: Path) -> Plot:

@@ -31,6 +31,8 @@ _OTHER_UNITS = (
 """How a header names another unit: the power of the numbers, and the factor, that give nm."""
 MISSING = {"", "na", "nan", "null", "none", "-", "#n/a", "-999", "-9999", "-9999.0", "-999.0"}
 """What stands for a missing value, in small letters."""
+_PERCENT = 1.5, 110.0
+"""What a twentieth of a spectrum in percent is above, and what it is not [%]."""
 _REFLECTIVE = 2600.0
 """Wavelength [nm] above which no spectrometer of reflected sunlight has a band."""
 
@@ -60,6 +62,19 @@ def _percent(label: str) -> bool:
     return "%" in label or "percent" in label.lower()
 
 
+def _as_fractions(values: np.ndarray, meta: dict[str, Any]) -> np.ndarray:
+    """Values [spectrum, band] of a table that states no unit, from percent where every spectrum has
+    such numbers."""
+    known = values[np.isfinite(values).any(axis=1)]
+    if not known.size:
+        return values
+    high = np.nanpercentile(known, 95.0, axis=1)
+    if np.nanmedian(known) <= _PERCENT[0] or high.min() <= _PERCENT[0] or high.max() > _PERCENT[1]:
+        return values
+    note(meta, f"converted from percent, which values up to {np.nanmax(known):.3g} are")
+    return values / 100.0
+
+
 def _library(table: TextTable, keys: dict[str, str]) -> MeasuredSpectrum:
     """The spectrum of a file of the ECOSTRESS library, below its header of `keys`."""
     meta = {"format": "ECOSTRESS", "header": keys}
@@ -86,6 +101,9 @@ def _paired(
     records: dict[str, dict[str, Any]] = {}
     names = {n: re.sub(r"\(?%\)?|\[%\]|percent", "", n, flags=re.I).strip(" _") for n in columns}
     doubtful = unsure(names.values())
+    if not any(map(_percent, columns)):
+        values = _as_fractions(np.array([*columns.values()]), meta)
+        columns = dict(zip(columns, values, strict=True))
     for label, values in columns.items():
         row_meta = {**meta, "repairs": list(meta.get("repairs", []))}
         if _percent(label):
@@ -120,7 +138,8 @@ def _by_row(table: TextTable, layout: TableLayout) -> list[MeasuredSpectrum]:
     kind_at = next((i for i in others if "transmittance" in quantities[i]), None)
     records: dict[str, MeasuredSpectrum] = {}
     rows: list[int] = []
-    for number, (values, cells) in enumerate(zip(frame[list(bands)].to_numpy(), texts), start=1):
+    table_values = _as_fractions(frame[list(bands)].to_numpy(), meta)
+    for number, (values, cells) in enumerate(zip(table_values, texts), start=1):
         name = (cells[name_at] if name_at is not None else "") or f"{file.stem}_{number}"
         row_meta = {**meta, "repairs": list(meta.get("repairs", []))}
         row_meta["columns"] = {header[i]: cells[i] for i in others}

@@ -63,7 +63,9 @@ from ._style import REAL as REAL
 from ._style import ground_panels as ground_panels
 from ._style import named_rows as named_rows
 from ._style import save_figure as save_figure
+from ._style import stacked_panels as stacked_panels
 from ._style import style as style
+from ._style import typeset as typeset
 from ._style import words as words
 from ._terrain import terrain_figure as terrain_figure
 from ._validation import band_box_plot as band_box_plot

@@ -3,7 +3,6 @@
 Every function returns a matplotlib figure that belongs to no window; `save_figure` writes it.
 """
 
-import re
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -28,6 +27,7 @@ from fynjax.app.report.figures._style import (
     name_rows,
     panel_grid,
     style,
+    typeset,
     words,
 )
 from fynjax.inversion import WELL_CONSTRAINED
@@ -38,9 +38,7 @@ def _unit(unit: str) -> str:
     """' [µg cm⁻²]' for 'ug cm-2', nothing for a pure number."""
     if unit in ("-", "1", ""):
         return ""
-    raised = "⁰¹²³⁴⁵⁶⁷⁸⁹"
-    text = re.sub(r"(?<=[a-z])(-?)(\d)", lambda m: ("⁻" if m[1] else "") + raised[int(m[2])], unit)
-    return f" [{re.sub(r'^u(?=g)', 'µ', text)}]"
+    return f" [{typeset(unit)}]"
 
 
 _ROW = 0.185
@@ -231,7 +229,12 @@ _FULL_SCALE = 100.0
 """Longer bars are cut and show their value, so that the short ones stay readable [%]."""
 
 
-_BARS = {"before": BEFORE, "after": AFTER, "with gains": SKY, "DIRSIG (paper)": OTHER}
+_BARS = {
+    **dict.fromkeys(("before", "uncalibrated"), BEFORE),
+    **dict.fromkeys(("after", "calibrated"), AFTER),
+    "with gains": SKY,
+    "DIRSIG (paper)": OTHER,
+}
 """Colours of bars by what they are of."""
 
 

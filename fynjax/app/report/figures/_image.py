@@ -279,7 +279,7 @@ def residual_maps(
     values = {title: np.asarray(each, float) for title, each in residuals.items()}
     count = len(band_names)
     rows, side = len(values), min(2.6, _TOGETHER / count)
-    figure = Figure(figsize=(side * count, (side + 0.1) * rows + 0.5))
+    figure = Figure(figsize=(side * count, (side + 0.2) * rows + 0.7))
     grid = figure.subplots(rows, count, squeeze=False)
     ground = _Ground(values, pixel_m)
     for k, name in enumerate(band_names):

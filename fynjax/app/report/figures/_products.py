@@ -1,14 +1,14 @@
 """Pictures of an image product: quick looks and spectra."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 import matplotlib
 import numpy as np
 
 from fynjax.app.io.raster import QUANTITIES, Cube, colour_bands
 from fynjax.app.report.figures._image import composites
-from fynjax.app.report.figures._style import BLUE, GREY, SKY, Figure, style
+from fynjax.app.report.figures._style import BLUE, GREY, SKY, Figure, style, typeset
 
 _FEW = 25  # bands of which each is drawn
 _FEW_PIXELS = 64
@@ -47,7 +47,7 @@ def spectrum_figure(cubes: Mapping[str, Cube]) -> Figure:
     for axes, (name, cube) in zip(grid, cubes.items(), strict=True):
         _draw(axes, cube)
         unit = QUANTITIES[cube.quantity][0]
-        axes.set_ylabel(f"{name} [{'-' if unit == '1' else _typeset(unit)}]")
+        axes.set_ylabel(f"{name} [{'-' if unit == '1' else typeset(unit)}]")
         axes.set_ylim(bottom=min(0.0, axes.get_ylim()[0]))
         axes.grid(True)
     rows, columns = next(iter(cubes.values())).values.shape[1:]
@@ -82,11 +82,4 @@ def _draw(axes: matplotlib.axes.Axes, cube: Cube) -> None:
     spread = np.stack([mean - low, high - mean])
     axes.errorbar(
         x, mean, yerr=spread, fmt="o", ms=4.5, color=BLUE, ecolor=GREY, elinewidth=1.2, capsize=2
-    )
-
-
-def _typeset(unit: str) -> str:
-    parts: Sequence[str] = unit.replace("um", "µm").split()
-    return " ".join(
-        p if "-" not in p else f"{p.split('-')[0]}$^{{-{p.split('-')[1]}}}$" for p in parts
     )

@@ -1,7 +1,8 @@
 """Pictures of a scene: from above, obliquely, and its height profile. All axes in metres."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -277,6 +278,7 @@ def _legend(
     colours: Sequence[str],
     visible: np.ndarray | None = None,
     total: float | None = None,
+    ground: Mapping[str, Any] | None = None,
 ) -> None:
     handles = []
     for index, (taxon, count) in enumerate(zip(instances.taxa, instances.counts)):
@@ -285,8 +287,9 @@ def _legend(
             text += f", {100 * visible[index]:.1f} % of the ground"
         handles.append(Patch(facecolor=colours[index], edgecolor="none", label=text))
     if total is not None:
-        bare = f"ground under no crown\n{100 * (1 - total):.1f} %"
-        handles.append(Patch(facecolor=GROUND, edgecolor="#B8AD95", lw=0.5, label=bare))
+        ground = {f"ground under no crown\n{100 * (1 - total):.1f} %": GROUND}
+    for text, colour in (ground or {}).items():
+        handles.append(Patch(facecolor=colour, edgecolor="#B8AD95", lw=0.5, label=text))
     figure.legend(
         handles=handles, loc="outside right center", fontsize=7.5, labelspacing=0.75,
         handlelength=1.2, handleheight=1.6,

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Float
-from scipy.ndimage import map_coordinates
+from scipy.ndimage import gaussian_filter, map_coordinates
 
 from fynjax.app.report.figures._scene import (
     GROUND,
@@ -21,6 +21,8 @@ from fynjax.scene import Instances, projected_cover
 
 _WIDTH, _HEIGHT, _FINER = 1120, 840, 2
 _SOIL = "#B08F68"
+_SHADE = 0.42
+"""Part by which the ground below crowns is drawn darker."""
 
 
 class View:
@@ -174,7 +176,9 @@ def oblique_figure(
         arrowprops={"arrowstyle": "<|-", "lw": 1.3, "color": "black"},
     )  # fmt: skip
     if forms is not None:
-        _legend(figure, instances, species_colours(forms))
+        below = tuple((1.0 - _SHADE) * rgb(GROUND))
+        soils = {"ground": GROUND, "ground below a crown": below}
+        _legend(figure, instances, species_colours(forms), ground=soils)
     return figure
 
 
@@ -185,7 +189,10 @@ def _sand(instances: Instances, x: np.ndarray, y: np.ndarray, periodic: bool) ->
     cell = lx / count
     rows = max(1, round(ly / cell))
     shade = projected_cover(instances, (lx, rows * cell), cell=cell, periodic=periodic).top >= 0
-    light = 1.0 - 0.42 * shade
+    # Grains and clods, the same for every plot.
+    grain = np.random.default_rng(0).normal(size=shade.shape)
+    clods = gaussian_filter(grain, 4.0, mode="wrap") * 14.0
+    light = (1.0 - _SHADE * shade) * (1.0 + 0.05 * np.clip(grain + clods, -2.5, 2.5))
     i = np.minimum((x / cell).astype(int), count - 1)
     j = np.minimum((y / cell).astype(int), rows - 1)
     return np.asarray(rgb(GROUND) * light[j, i, None])

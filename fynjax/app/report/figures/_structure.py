@@ -8,7 +8,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 
 from fynjax.app.compare.structure import StructureComparison
-from fynjax.app.report.figures._style import AFTER, REAL, Figure, small_print, style, words
+from fynjax.app.report.figures._style import AFTER, REAL, Figure, small_print, style, typeset, words
 from fynjax.metrics.structure import STRUCTURE_METRICS
 
 _SIDES = (("real", REAL, "o"), ("simulated", AFTER, "s"))
@@ -80,7 +80,7 @@ def _title(metric: str) -> str:
         "height_cv": "Variation (CV)\nof height",
     }
     unit = STRUCTURE_METRICS[metric]
-    unit = {"1": "-", "m2 m-3": "m² m⁻³"}.get(unit, unit)
+    unit = "-" if unit == "1" else typeset(unit)
     return f"{short.get(metric, words(metric))} [{unit}]"
 
 

@@ -4,6 +4,9 @@ Colours are those of Okabe and Ito (2008).
 """
 
 import io
+import itertools
+import re
+import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -11,12 +14,14 @@ from typing import Any
 
 import matplotlib
 import matplotlib.figure
+import matplotlib.image
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.category import StrCategoryFormatter
 from matplotlib.text import Text
 from matplotlib.ticker import FuncFormatter, LogFormatterSciNotation
+from matplotlib.transforms import Bbox
 from numpy.typing import NDArray
 
 from fynjax.app.io.text import atomic_path
@@ -115,6 +120,8 @@ def save_figure(
     **Arguments:** `figure`; `path` of the file, which is replaced at once when complete; `dpi`,
     pixels an inch of a PNG.
     """
+    for text in figure.findobj(lambda one: isinstance(one, Text) and "[" in one.get_text()):
+        text.set_text(typeset(text.get_text()))  # type: ignore[attr-defined]
     with atomic_path(path) as partial:
         figure.savefig(partial, dpi=dpi, facecolor="white")
 
@@ -163,6 +170,83 @@ def ground_panels(figure: matplotlib.figure.Figure) -> list[tuple[float, float, 
     each such panel, in shares of the figure's width and height from its upper left corner."""
     boxes = [axes.get_position() for axes in figure.axes if axes.get_gid() == GROUND]
     return [(box.x0, 1.0 - box.y1, box.width, box.height) for box in boxes]
+
+
+def stacked_panels(figure: matplotlib.figure.Figure, width: float) -> list[NDArray[np.uint8]]:
+    """A written `figure` for a narrow page: its panels one below the other, each with its own
+    labels, then legends; one panel as wide as `width` [inches]. Each as [y, x, RGB] at
+    `FIGURE_DPI`; none where its parts find no room, or reach into each other."""
+    axes = [each for each in figure.axes if each.get_visible() and each.has_data()]
+    panels = [each for each in axes if not hasattr(each, "_colorbar")]
+    wide, tall = figure.get_size_inches().tolist()
+    dots = figure.dpi
+    several = len(panels) + len(figure.legends) > 1
+    for each in panels if len(panels) > 1 else ():
+        each.tick_params(labelleft=each.axison, labelbottom=each.axison)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", UserWarning)
+            figure.set_size_inches(wide if several else width, tall)
+            figure.set_dpi(FIGURE_DPI)  # words are as wide as they are drawn
+            if not several:
+                buffer = io.BytesIO()
+                edges: Any = {"bbox_inches": "tight", "pil_kwargs": {"compress_level": 1}}
+                figure.savefig(buffer, format="png", dpi=FIGURE_DPI, facecolor="white", **edges)
+                buffer.seek(0)
+                picture = matplotlib.image.imread(buffer)[..., :3]
+                return [np.round(255.0 * picture).astype(np.uint8)]
+            canvas = FigureCanvasAgg(figure)
+            figure.set_facecolor("white")
+            canvas.draw()
+            whole: NDArray[np.uint8] = np.array(canvas.buffer_rgba())[..., :3]
+            renderer = canvas.get_renderer()
+            parts = _parts(figure, panels, [each for each in axes if each not in panels], renderer)
+    except (UserWarning, ValueError):
+        return []
+    finally:
+        figure.set_size_inches(wide, tall)
+        figure.set_dpi(dots)
+    places = [_pixels(box, len(whole)) for box in parts]
+    cut = [np.array(whole[place]) for place in places[: len(panels)]]
+    for place in places[: len(panels)]:
+        whole[place] = 255  # of what is beside panels none shows a piece of one
+    beside = [whole[place] for place in places[len(panels) :]]
+    cut += [part if len(part) <= part.shape[1] else np.rot90(part, -1) for part in beside]
+    return cut if all(part.size for part in cut) else []
+
+
+def _pixels(box: Bbox, high: int) -> tuple[slice, slice]:
+    """Rows and columns of a box in a picture of a height [pixels]."""
+    x0, x1, y0, y1 = (
+        round(x) for x in (box.x0 - 3, box.x1 + 3, high - box.y1 - 3, high - box.y0 + 3)
+    )
+    return slice(max(y0, 0), y1), slice(max(x0, 0), x1)
+
+
+def _parts(
+    figure: matplotlib.figure.Figure, panels: list[Axes], scales: list[Axes], renderer: Any
+) -> list[Bbox]:
+    """Where each panel lies with its own scale of colours, then scales of several, words and
+    legends of all."""
+    boxes: dict[Axes, Any] = {each: each.get_tightbbox(renderer) for each in panels}
+    if any(
+        a.padded(-3).overlaps(b.padded(-3)) for a, b in itertools.combinations(boxes.values(), 2)
+    ):
+        raise ValueError("panels reach into each other")
+    shared = []
+    for scale in scales:
+        box: Any = scale.get_tightbbox(renderer)
+        own = scale._colorbar.mappable.axes  # type: ignore[attr-defined]
+        both = Bbox.union([boxes.get(own, box), box])
+        if own in boxes and not any(both.overlaps(boxes[each]) for each in panels if each != own):
+            boxes[own] = both
+        else:
+            shared.append(box)
+    words = [text for text in figure.texts if text.get_text()]
+    shared += [text.get_window_extent(renderer).padded(3) for text in words]
+    return [*boxes.values(), *shared, *(
+        legend.get_window_extent(renderer).padded(9) for legend in figure.legends
+    )]  # fmt: skip
 
 
 def panel_grid(
@@ -214,3 +298,26 @@ def small_print(figure: Figure, text: str) -> None:
 def words(name: str) -> str:
     """The `name` of a statistic or parameter in words."""
     return name.replace("_", " ").replace("nir", "NIR")
+
+
+def typeset(text: str) -> str:
+    """A text with the exponents and the micro of its units: 2 m2 m-2 becomes 2 m² m⁻². One unit
+    alone only after a number or in brackets, as taxa, plots and files may have such names."""
+    return _OF_UNITS.sub(_raised, text)
+
+
+def _raised(found: re.Match[str]) -> str:
+    units, before = found[0], found.string[: found.start()]
+    alone = not re.search(r"[ /\n]", units)
+    stated = before.endswith(("[", "(")) or re.search(
+        r"(\d|\b(per|in|plants|returns|pulses)) $", before
+    )
+    if (alone or not re.search(r"\d", units)) and not (stated or units == found.string):
+        return units
+    units = re.sub(r"(?<![a-z])u(?=[gmW])", "µ", units)
+    return re.sub(r"-?[1-3]", lambda power: power[0].translate(_RAISED), units)
+
+
+_UNIT = r"(?:[cdkmnuµ]?m(?:[23]|-[1-3])?|(?:[kmuµ]?[gW]|k?J|sr|s|h|ha|mol|K)(?:-[1-3])?)"
+_OF_UNITS = re.compile(rf"(?<![\w./-]){_UNIT}(?:[ /\n]{_UNIT})*(?![\w/'(-]|\.\w)")
+_RAISED = str.maketrans("-123", "⁻¹²³")

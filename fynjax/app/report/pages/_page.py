@@ -8,6 +8,9 @@ the reader's system is; figures stay on white.
 """
 
 import base64
+import json
+import re
+import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from io import BytesIO
@@ -23,8 +26,11 @@ from fynjax.app.report import figures
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+    from PIL.Image import Image
 
 _QUALITY = 88  # of WebP: figures' letters stay sharp
+_NARROW = 640
+"""Pixels of a picture's width above which a phone needs its panels one below the other."""
 _UNITS = {
     "_percent": "%", "_deg": "°", "_nm": "nm",
     "_g_m2": "g m⁻²", "_per_m2": "m⁻²", "_m2": "m²", "_m": "m",
@@ -125,15 +131,40 @@ class Section:
 
 @dataclass(frozen=True)
 class Page:
-    """What a page shows, from top to bottom. Every text is escaped: none can become markup."""
+    """What a page shows, from top to bottom. Every text is escaped: none can become markup.
 
+    It begins with three lines: the result, whether it may be trusted, and what to do next, the last
+    two of `answers.toml` beside this module where the page does not say them.
+    """
+
+    command: str
+    """What made the page, a key of `answers.toml`."""
     title: str
     lead: str
+    """All of the result in words; its first sentence is the first line."""
     sections: Sequence[Section]
     key_figures: Mapping[str, str] = field(default_factory=dict)
     """The numbers that matter most, shown large: value by what it is."""
     record: Mapping[str, Any] = field(default_factory=dict)
     """Record of how the page was made, as `fynjax.app.io.raster.provenance` has it."""
+    result: str = ""
+    """The first line, where it is not the lead's first sentence."""
+    trust: str = ""
+    """The second line, where the run itself knows."""
+
+    @property
+    def answer(self) -> dict[str, str]:
+        """The three lines, by what they answer."""
+        said = _ANSWERS[self.command]
+        first = self.result or re.split(r"(?<=[.!?])\s+(?=[A-Z0-9])", self.lead)[0]
+        return dict(zip(_ASKED, (first, self.trust or said["trust"], said["next"]), strict=True))
+
+    @property
+    def provenance(self) -> dict[str, Any]:
+        """The record, each input with its hash as a row of its own."""
+        hashes = json.loads(str(self.record.get("input_sha256", "{}")))
+        rows = {k: v for k, v in self.record.items() if k != "input_sha256"}
+        return rows | {f"SHA-256 of {name}": value for name, value in hashes.items()}
 
 
 def write_page(page: Page, folder: Path) -> dict[str, str]:
@@ -153,26 +184,41 @@ def write_page(page: Page, folder: Path) -> dict[str, str]:
 
 
 def _shown(picture: Picture, folder: Path) -> dict[str, Any]:
-    """A picture as a page holds it: its address, its width [pixels], its named rows and its views
-    of the ground. As WebP pictures of plots take a quarter of their PNG, which lies beside the page
-    as a file."""
-    from PIL import Image  # late: a dry run shows no picture
+    """A picture as a page holds it: its address, its width [pixels], its named rows, its views of
+    the ground, and of a wide one what a phone shows: its panels below each other."""
+    from PIL.Image import fromarray  # late: a dry run shows no picture
+    from PIL.Image import open as open_image
 
     png = (folder / picture.file).read_bytes()
-    webp = BytesIO()
-    with Image.open(BytesIO(png)) as image:
-        image.convert("RGB").save(webp, "WEBP", quality=_QUALITY, method=3)
-        inches = image.width / figures.FIGURE_DPI
-    kind, data = min(("png", png), ("webp", webp.getvalue()), key=lambda one: len(one[1]))
+    with open_image(BytesIO(png)) as read:
+        whole = read.convert("RGB")
+    rows, grounds = figures.named_rows(picture.figure), figures.ground_panels(picture.figure)
+    narrow = []
+    if whole.width > _NARROW:
+        parts = figures.stacked_panels(picture.figure, _NARROW / figures.FIGURE_DPI)
+        narrow = [(_address(fromarray(part)), round(0.66 * part.shape[1])) for part in parts]
     return {
-        "source": f"data:image/{kind};base64,{base64.b64encode(data).decode('ascii')}",
-        "width": round(inches * 105),
-        "rows": figures.named_rows(picture.figure),
-        "grounds": figures.ground_panels(picture.figure),
+        "source": _address(whole, png),
+        "width": whole.width,
+        "rows": rows,
+        "grounds": grounds,
+        "narrow": narrow,
     }
 
 
+def _address(image: "Image", png: bytes = b"") -> str:
+    """An image as an address: as WebP, of which pictures of plots take a quarter of their `png`, or
+    as that where it is smaller."""
+    webp = BytesIO()
+    image.save(webp, "WEBP", quality=_QUALITY, method=3)
+    smaller = 0 < len(png) < len(webp.getvalue())
+    kind, data = ("png", png) if smaller else ("webp", webp.getvalue())
+    return f"data:image/{kind};base64,{base64.b64encode(data).decode('ascii')}"
+
+
+_ASKED = "Result", "May it be trusted?", "What next?"
+_ANSWERS = tomllib.loads((Path(__file__).parent / "answers.toml").read_text("utf-8"))
 _ENVIRONMENT = Environment(
     loader=FileSystemLoader(Path(__file__).parent), autoescape=True, undefined=StrictUndefined
 )
-_ENVIRONMENT.filters["cell"] = _cell
+_ENVIRONMENT.filters |= {"cell": _cell, "units": figures.typeset}
