@@ -206,6 +206,10 @@ def informative_directions(
     return Directions(jnp.asarray(rows), jnp.asarray(root @ chosen))
 
 
+_AT_ONCE = 4
+"""Coordinates whose slopes are computed together, which share the light: memory grows with them."""
+
+
 class ImagesView(BandView):
     """Statistics of images, whose slopes are those by the pixels times those of the pixels."""
 
@@ -231,16 +235,32 @@ class ImagesView(BandView):
         u: Float[Array, " free"],
         factor_at: FactorAt | None = None,
     ) -> tuple[Float[Array, " statistic"], Float[Array, "statistic free"]]:
-        # By the chain rule: statistics by pixels, which costs little, then pixels by parameters.
-        image, to_parameters = jax.vjp(lambda u: self.image(scene, plot_at(u)), u)
-        factor = _factor(factor_at, u)
-        value, to_image = jax.vjp(lambda image: self.statistics(image, factor), image)
+        # By the chain rule: statistics by pixels, which costs little, and pixels by parameters.
+        def image_at(u: Array) -> Array:
+            return self.image(scene, plot_at(u))
+
         known: Any = self
         chosen: Directions | None = known.directions
-        rows = jnp.eye(value.size) if chosen is None else chosen.rows
-        # All slopes by the image at once, so that the loop holds the renderer alone.
-        by_image = jax.vmap(lambda row: to_image(row)[0])(rows.astype(value.dtype))
-        slopes = jax.lax.map(lambda one: to_parameters(one)[0], by_image, batch_size=1)
+        factor = _factor(factor_at, u)
+        if chosen is None and u.size < len(self.names):  # a pass forward for each coordinate
+            of_image = lambda image: self.statistics(image, factor)  # noqa: E731
+
+            def along(way: Array) -> tuple[Array, Array, Array]:
+                image, moved = jax.jvp(image_at, (u,), (way,))
+                return image, *jax.jvp(of_image, (image,), (moved,))
+
+            images, values, columns = jax.lax.map(
+                along, jnp.eye(u.size, dtype=u.dtype), batch_size=_AT_ONCE
+            )
+            image, value, slopes = images[0], values[0], columns.T
+            rows = jnp.eye(value.size)
+        else:  # a pass back for each combination
+            image, to_parameters = jax.vjp(image_at, u)
+            value, to_image = jax.vjp(lambda image: self.statistics(image, factor), image)
+            rows = jnp.eye(value.size) if chosen is None else chosen.rows
+            # All slopes by the image at once, so that the loop holds the renderer alone.
+            by_image = jax.vmap(lambda row: to_image(row)[0])(rows.astype(value.dtype))
+            slopes = jax.lax.map(lambda one: to_parameters(one)[0], by_image, batch_size=1)
         slopes = slopes.astype(u.dtype)
         if factor_at is not None:  # of the image that there is: no render
             by_factor = self.factor_slopes(image, factor).astype(u.dtype)
