@@ -206,10 +206,6 @@ def informative_directions(
     return Directions(jnp.asarray(rows), jnp.asarray(root @ chosen))
 
 
-_AT_ONCE = 4
-"""Coordinates whose slopes are computed together, which share the light: memory grows with them."""
-
-
 class ImagesView(BandView):
     """Statistics of images, whose slopes are those by the pixels times those of the pixels."""
 
@@ -235,32 +231,16 @@ class ImagesView(BandView):
         u: Float[Array, " free"],
         factor_at: FactorAt | None = None,
     ) -> tuple[Float[Array, " statistic"], Float[Array, "statistic free"]]:
-        # By the chain rule: statistics by pixels, which costs little, and pixels by parameters.
-        def image_at(u: Array) -> Array:
-            return self.image(scene, plot_at(u))
-
+        # By the chain rule: statistics by pixels, which costs little, then pixels by parameters.
+        image, to_parameters = jax.vjp(lambda u: self.image(scene, plot_at(u)), u)
+        factor = _factor(factor_at, u)
+        value, to_image = jax.vjp(lambda image: self.statistics(image, factor), image)
         known: Any = self
         chosen: Directions | None = known.directions
-        factor = _factor(factor_at, u)
-        if chosen is None and u.size < len(self.names):  # a pass forward for each coordinate
-            of_image = lambda image: self.statistics(image, factor)  # noqa: E731
-
-            def along(way: Array) -> tuple[Array, Array, Array]:
-                image, moved = jax.jvp(image_at, (u,), (way,))
-                return image, *jax.jvp(of_image, (image,), (moved,))
-
-            images, values, columns = jax.lax.map(
-                along, jnp.eye(u.size, dtype=u.dtype), batch_size=_AT_ONCE
-            )
-            image, value, slopes = images[0], values[0], columns.T
-            rows = jnp.eye(value.size)
-        else:  # a pass back for each combination
-            image, to_parameters = jax.vjp(image_at, u)
-            value, to_image = jax.vjp(lambda image: self.statistics(image, factor), image)
-            rows = jnp.eye(value.size) if chosen is None else chosen.rows
-            # All slopes by the image at once, so that the loop holds the renderer alone.
-            by_image = jax.vmap(lambda row: to_image(row)[0])(rows.astype(value.dtype))
-            slopes = jax.lax.map(lambda one: to_parameters(one)[0], by_image, batch_size=1)
+        rows = jnp.eye(value.size) if chosen is None else chosen.rows
+        # All slopes by the image at once, so that the loop holds the renderer alone.
+        by_image = jax.vmap(lambda row: to_image(row)[0])(rows.astype(value.dtype))
+        slopes = jax.lax.map(lambda one: to_parameters(one)[0], by_image, batch_size=1)
         slopes = slopes.astype(u.dtype)
         if factor_at is not None:  # of the image that there is: no render
             by_factor = self.factor_slopes(image, factor).astype(u.dtype)
@@ -316,6 +296,10 @@ class ImageView(ImagesView):
         # The distance of the pixels that are left, by which squares of several are made.
         every = camera.pixel * (stride if camera.fine is None else 1)
         return dataclasses.replace(self, camera=camera, spacing=every, window=_WINDOW)
+
+
+_AT_ONCE = 4
+"""Coordinates whose slopes are computed together, which share the light: memory grows with them."""
 
 
 class FlightView(ImagesView):
@@ -381,6 +365,30 @@ class FlightView(ImagesView):
             return dataclasses.replace(first, camera=camera).statistics(image, log)
 
         return jax.vmap(of_one)(image, seen, each).ravel()
+
+    def jacobian(
+        self,
+        scene: Scene,
+        plot_at: Callable[[Array], PlotParameters],
+        u: Float[Array, " free"],
+        factor_at: FactorAt | None = None,
+    ) -> tuple[Float[Array, " statistic"], Float[Array, "statistic free"]]:
+        if self.directions is not None or u.size >= len(self.names):
+            return super().jacobian(scene, plot_at, u, factor_at)
+        factor = _factor(factor_at, u)
+
+        # Frames have more statistics than there are coordinates: a pass forward for each of these.
+        def along(way: Array) -> tuple[Array, tuple[Array, Array]]:
+            image, moved = jax.jvp(lambda u: self.image(scene, plot_at(u)), (u,), (way,))
+            return image, jax.jvp(lambda image: self.statistics(image, factor), (image,), (moved,))
+
+        every = jnp.eye(u.size, dtype=u.dtype)
+        images, (values, columns) = jax.lax.map(along, every, batch_size=_AT_ONCE)
+        slopes = columns.T.astype(u.dtype)
+        if factor_at is not None:  # of the image that there is: no render
+            by_factor = self.factor_slopes(images[0], factor).astype(u.dtype)
+            slopes = slopes + by_factor @ jax.jacfwd(factor_at)(u)
+        return values[0].astype(u.dtype), slopes
 
     def for_search(self, scene: Scene, accuracy: Accuracy, stride: int | None) -> "FlightView":
         frames = tuple(frame.for_search(scene, accuracy, stride) for frame in self.frames)
