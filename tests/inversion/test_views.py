@@ -992,6 +992,21 @@ def test_parameters_gains_and_model_error_are_estimated_together(sums, cameras):
     np.testing.assert_allclose(found.statistics_with_error[:3], both, rtol=1e-6)
 
 
+def test_factors_of_bands_are_no_chance(sums):
+    """A camera of unknown gains shows the plants as surely as one that is calibrated."""
+    model, space = sums[0], free_space(sums[0], small_parameters(), HEIGHTS, lambda _: 0.3)
+    value = np.asarray(small_parameters().species.cover, float)
+    data, settings = Data(("a", "b", "c"), value, 0.02 * value), {"scatter_draws": 16}
+    chance = []
+    for sd in (0.01, 0.5):
+        view = Bright(("a", "b", "c"), None, gains=Gains(sd, sd))
+        asked = CalibrationSettings(stand_realisations=4, **settings)
+        search = search_of(model, small_parameters(), data, space, (view,), asked)
+        chance.append(np.asarray(search.begin(jnp.zeros(len(space.names))).place.covariance))
+    assert (np.diagonal(chance[0]) > 0.0).all()
+    np.testing.assert_allclose(chance[1], chance[0], rtol=1e-6)
+
+
 def curvature(function, at, step=1e-4):
     """Second derivatives by central differences."""
     eye = step * np.eye(len(at))
