@@ -40,11 +40,21 @@ def scatter_covariance(
     **Arguments:** `draws`, at least two; `target`, a positive definite correlation matrix, by
     default the identity: none are correlated.
     """
-    count, size = draws.shape
+    count = len(draws)
     deviation = draws - draws.mean(axis=0)
     sd = deviation.std(axis=0, ddof=1)
     unit = deviation / np.where(sd > 0, sd, 1.0)
     correlation = unit.T @ unit / (count - 1)
+    return np.asarray(_shrunk(correlation, count, target) * sd * sd[:, None])
+
+
+def _shrunk(
+    correlation: Float[np.ndarray, "statistic statistic"],
+    count: int,
+    target: Float[np.ndarray, "statistic statistic"] | None = None,
+) -> Float[np.ndarray, "statistic statistic"]:
+    """Correlations of `count` draws, drawn towards those of a target (`scatter_covariance`)."""
+    size = len(correlation)
     if target is None:
         target, apart = np.diag(np.diagonal(correlation)), correlation
     else:
@@ -55,8 +65,22 @@ def scatter_covariance(
     above = (1.0 - 2.0 / size) * square + total**2
     below = (count - 2.0 / size) * (square - total**2 / size)
     share = 1.0 if below <= 0 else min(1.0, above / below)
-    shrunk = (1.0 - share) * correlation + share * target
-    return np.asarray(shrunk * sd * sd[:, None])
+    return np.asarray((1.0 - share) * correlation + share * target)
+
+
+def _correlation(drawn: Float[np.ndarray, "draw row column"]) -> Float[np.ndarray, "row row"]:
+    """Correlations of rows over draws and over the columns that two rows have in common, drawn to
+    none by a hundredth so that they have an inverse; what is 0 in all draws is missing."""
+    product = np.einsum("nik,njk->ij", drawn, drawn)
+    square = np.sum(drawn**2, axis=0)
+    there = (square > 0).astype(float)
+    common = np.sqrt((square @ there.T) * (there @ square.T))
+    values, vectors = np.linalg.eigh(product / np.maximum(common, 1e-300))
+    found = (vectors * np.maximum(values, 0.0)) @ vectors.T
+    sd = np.sqrt(np.diagonal(found))
+    found /= np.maximum(np.outer(sd, sd), 1e-300)
+    np.fill_diagonal(found, 1.0)
+    return np.asarray(0.99 * found + 0.01 * np.eye(len(found)))
 
 
 def scatter_of_views(
@@ -64,33 +88,62 @@ def scatter_of_views(
 ) -> Float[np.ndarray, "statistic statistic"]:
     """`scatter_covariance` of statistics of several views of one stand, which see the same plants.
 
-    What differs from draw to draw is then much the same in all views. The target has statistics of
-    one kind, such as the mean of a band, as correlated as they are on the mean over such pairs,
-    from 0 to 0.99, and others independent. And by as much as few draws ask for (James & Stein 1961)
-    standard deviations of a kind are drawn to their geometric mean: where views seem to differ in
-    what they share, the difference of two would tell without it. As the inverse of a covariance of
-    few draws is too large, it is larger by (n - 1) / (n - k - 2), of n draws and k kinds (Hartlap,
-    Simon & Schneider 2007, eq. 17).
+    What differs from draw to draw is then much the same in all views. The target has correlations
+    of kinds of statistics, such as the mean of a band, which all views share, times those of views,
+    which all kinds share. And by as much as few draws ask for (James & Stein 1961) standard
+    deviations of a kind are drawn to their geometric mean: where views seem to differ in what they
+    share, the difference of two would tell without it. What is left of the chance that few draws
+    lead to is measured on draws that are left out: each is looked for among the others as if it
+    were a change by a parameter, and the covariance is larger by the mean square of what is found
+    over the variance stated for it, at least 1.
 
-    **Arguments:** `draws`, at least two; `kinds`, of each statistic what it is in its view.
+    **Arguments:** `draws`, at least two; `kinds`, of each statistic what it is in its view, one
+    view after the other.
     """
-    number, size = np.unique(kinds, return_inverse=True)[1], draws.shape[1]
-    alike = (number == number[:, None]) & ~np.eye(size, dtype=bool)
-    if not alike.any():
+    kind = np.unique(kinds, return_inverse=True)[1]
+    if len(kinds) == kind.max() + 1:
         return scatter_covariance(draws)
-    unit = draws - draws.mean(axis=0)
-    unit /= np.maximum(unit.std(axis=0), 1e-12)
-    mean = np.clip((unit.T @ unit)[alike].mean() / len(draws), 0.0, 0.99)
-    found = scatter_covariance(draws, np.eye(size) + mean * alike)
-    log = 0.5 * np.log(np.maximum(np.diagonal(found), 1e-300))
-    views = np.bincount(number)
-    away = log - (np.bincount(number, log) / views)[number]
-    # Of correlated normal draws logarithms of two deviations differ by chance as much as this.
-    chance = (1.0 - mean**2) / (2.0 * (len(draws) - 1))
-    seen = np.bincount(number, away**2) / np.maximum(views - 1, 1)
-    factor = np.exp(-away * np.minimum(chance / np.maximum(seen, 1e-300), 1.0)[number])
+    same = kind == kind[:, None]
+    view = np.tril(same, -1).sum(axis=1)  # how often its kind came before
+    found = _of_views(draws, kind, view)
+    folds = np.arange(len(draws)) % max(min(8, len(draws) // 2), 2)
+    squares = []
+    for fold in range(folds.max() + 1):
+        known, left = draws[folds != fold], draws[folds == fold]
+        if len(known) < 2 or len(left) < 2:
+            continue
+        away = left - known.mean(axis=0)
+        inverse = np.linalg.pinv(_of_views(known, kind, view), hermitian=True)
+        product = away @ inverse @ away.T
+        stated = np.maximum(np.diagonal(product), 1e-300)[:, None]
+        squares.append((product**2 / stated)[~np.eye(len(left), dtype=bool)])
+    return np.asarray(found * max(np.mean(np.concatenate(squares)) if squares else 1.0, 1.0))
+
+
+def _of_views(
+    draws: Float[np.ndarray, "draw statistic"],
+    kind: Int[np.ndarray, " statistic"],
+    view: Int[np.ndarray, " statistic"],
+) -> Float[np.ndarray, "statistic statistic"]:
+    """Covariance of statistics of views of one stand, by their kinds and views, before what few
+    draws make of its inverse."""
     count = len(draws)
-    factor *= np.sqrt((count - 1) / max(count - len(views) - 2, 1))
+    unit = draws - draws.mean(axis=0)
+    unit /= np.maximum(unit.std(axis=0, ddof=1), 1e-12)
+    laid = np.zeros((count, view.max() + 1, kind.max() + 1))
+    laid[:, view, kind] = unit
+    of_views = _correlation(laid)
+    of_kinds = _shrunk(_correlation(laid.swapaxes(1, 2)), count)
+    found = scatter_covariance(draws, of_views[view][:, view] * of_kinds[kind][:, kind])
+    pairs = (kind == kind[:, None]) & ~np.eye(len(kind), dtype=bool)
+    mean = np.clip((unit.T @ unit)[pairs].mean() / (count - 1), 0.0, 0.99)
+    log = 0.5 * np.log(np.maximum(np.diagonal(found), 1e-300))
+    views = np.bincount(kind)
+    away = log - (np.bincount(kind, log) / views)[kind]
+    # Of correlated normal draws logarithms of two deviations differ by chance as much as this.
+    chance = (1.0 - mean**2) / (2.0 * (count - 1))
+    seen = np.bincount(kind, away**2) / np.maximum(views - 1, 1)
+    factor = np.exp(-away * np.minimum(chance / np.maximum(seen, 1e-300), 1.0)[kind])
     return np.asarray(found * np.outer(factor, factor))
 
 

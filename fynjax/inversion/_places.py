@@ -341,15 +341,26 @@ def _shortest(gap: Array, side: Array) -> Array:
     return gap - jnp.where(jnp.isinf(side), 0.0, side * jnp.round(gap / side))
 
 
+_NOTHING = 1e-12
+"""Area per volume that counts as none [m2 m-3]."""
+
+
 def standing_height(voxels: VoxelScene) -> Float[Array, "y x"]:
     """Mean height over the lowest ground at which a line of sight from straight above meets leaves,
     wood or level ground, over the voxel columns [m]. Differentiable."""
-    density = voxels.area_density.sum(axis=0) if voxels.structure is None else voxels.structure
-    edge = voxels.vertical * voxels.shape[0] / density.shape[0]
-    # Leaves of all directions show half their area.
-    above = 0.5 * edge * jnp.cumsum(density[::-1], axis=0)
+    classes = voxels.classes
+    angles = [classes.angles[i].projection(jnp.ones(())) for i in classes.angle_of_class]
+    shown = jnp.stack(angles).astype(voxels.area_density.dtype)
+    density = jnp.tensordot(shown, voxels.area_density, axes=1)
+    high, times = voxels.structure_factor
+    if voxels.structure is not None:
+        inside = density / (voxels.area_density.sum(axis=0) + _NOTHING)
+        for axis, number in enumerate((high, times, times)):
+            inside = jnp.repeat(inside, number, axis=axis)
+        density = inside * voxels.structure
+    edge = voxels.vertical / high
+    above = edge * jnp.cumsum(density[::-1], axis=0)
     height = edge * jnp.sum(-jnp.expm1(-above), axis=0)
-    times = density.shape[-1] // voxels.shape[2]
     ny, nx = (n // times for n in height.shape)
     return height.reshape(ny, times, nx, times).mean(axis=(1, 3))
 

@@ -61,6 +61,8 @@ _SPARE = 1.5
 _MOST_ROWS = 24
 """Slopes of an image's statistics are taken along so many directions at most, of the frames of a
 flight together along twice as many."""
+_FEW = 100
+"""Coordinates by which slopes of all statistics of a flight are taken, at most."""
 _PRIOR_DRAWS = 60
 """Draws of the prior by which these are chosen."""
 _SETTLED = 0.6
@@ -374,8 +376,11 @@ class PlotSearch:
         errors at `origin`, what factors change there, and draws of the prior; else the statistics
         themselves."""
         most = [_MOST_ROWS * (1 + isinstance(v, FlightView)) for v in self._predict.views]
+        # Of a flight all slopes are known where parameters are few: one pass for each of these.
         many = [
-            isinstance(v, ImagesView) and len(v.names) > own
+            isinstance(v, ImagesView)
+            and len(v.names) > own
+            and not (isinstance(v, FlightView) and self.space.size <= _FEW)
             for v, own in zip(self._predict.views, most, strict=True)
         ]
         draws = expected.prior_draws(_PRIOR_DRAWS) if any(many) else np.empty(0)

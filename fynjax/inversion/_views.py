@@ -298,6 +298,10 @@ class ImageView(ImagesView):
         return dataclasses.replace(self, camera=camera, spacing=every, window=_WINDOW)
 
 
+_AT_ONCE = 4
+"""Coordinates whose slopes are computed together, which share the light: memory grows with them."""
+
+
 class FlightView(ImagesView):
     """Frames under one sun, whose plants and light are computed once; what grows with their number
     is their rays. `together` makes them of views, whose statistics and factors it has one view
@@ -361,6 +365,30 @@ class FlightView(ImagesView):
             return dataclasses.replace(first, camera=camera).statistics(image, log)
 
         return jax.vmap(of_one)(image, seen, each).ravel()
+
+    def jacobian(
+        self,
+        scene: Scene,
+        plot_at: Callable[[Array], PlotParameters],
+        u: Float[Array, " free"],
+        factor_at: FactorAt | None = None,
+    ) -> tuple[Float[Array, " statistic"], Float[Array, "statistic free"]]:
+        if self.directions is not None or u.size >= len(self.names):
+            return super().jacobian(scene, plot_at, u, factor_at)
+        factor = _factor(factor_at, u)
+
+        # Frames have more statistics than there are coordinates: a pass forward for each of these.
+        def along(way: Array) -> tuple[Array, tuple[Array, Array]]:
+            image, moved = jax.jvp(lambda u: self.image(scene, plot_at(u)), (u,), (way,))
+            return image, jax.jvp(lambda image: self.statistics(image, factor), (image,), (moved,))
+
+        every = jnp.eye(u.size, dtype=u.dtype)
+        images, (values, columns) = jax.lax.map(along, every, batch_size=_AT_ONCE)
+        slopes = columns.T.astype(u.dtype)
+        if factor_at is not None:  # of the image that there is: no render
+            by_factor = self.factor_slopes(images[0], factor).astype(u.dtype)
+            slopes = slopes + by_factor @ jax.jacfwd(factor_at)(u)
+        return values[0].astype(u.dtype), slopes
 
     def for_search(self, scene: Scene, accuracy: Accuracy, stride: int | None) -> "FlightView":
         frames = tuple(frame.for_search(scene, accuracy, stride) for frame in self.frames)

@@ -4,14 +4,13 @@ picture.
     python -m tests.benchmarks.flight
 
 The first table has, for 1, 5 and 25 frames of one plot under one sun, in the form in which a fit
-searches, the processor time of compiling and of computing all statistics, and of their slopes along
-the directions that a fit takes, with the memory that XLA plans for these. The second has what means
-and spreads of a mosaic are off by when it is simulated as one picture from above the middle of the
-plot: of the pixels of the nearest cameras, and of means over all cameras that see a pixel, from
-50 m with 80 % and 70 % of overlap, over where the flight lines happen to lie.
+searches, the processor time of compiling and of computing all statistics, and of their slopes by
+the covers, with the memory that XLA plans for these. The second has what means and spreads of a
+mosaic are off by when it is simulated as one picture from above the middle of the plot: of the
+pixels of the nearest cameras, and of means over all cameras that see a pixel, from 50 m with 80 %
+and 70 % of overlap, over where the flight lines happen to lie.
 """
 
-import dataclasses
 from collections.abc import Sequence
 
 import equinox as eqx
@@ -35,8 +34,6 @@ NAMES = tuple(
     for layer in ("green", "red", "red_edge", "nir", "NDVI")
     for kind in ("mean", "std", "q05", "q25", "q50", "q75", "q95")
 )
-ROWS = 48
-"""Directions along which a fit takes slopes of a flight."""
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -91,21 +88,12 @@ def cost(size: float, counts: Sequence[int], tiny: bool) -> None:
         forward = PlotForward(parameters, free, (flight,))
         stand = quick.expected()
         _, build, run, _ = compiled(lambda v, s, f=forward: f(v, s), values, stand)
-        rows = np.linalg.qr(np.random.default_rng(0).normal(size=(len(flight.names), ROWS)))[0].T
         assert isinstance(flight, FlightView | ImageView)
-        chosen = dataclasses.replace(flight, directions=_directions(rows[:ROWS]))
-        forward = PlotForward(parameters, free, (chosen,))
         _, builds, slopes, planned = compiled(
             lambda v, s, f=forward: f.jacobian(lambda u: u, v, s)[1], values, stand
         )
         print(f"{number:6d} {build:9.1f} {run:9.2f} {builds:9.1f} {slopes:9.2f} {planned:11.2f} "
               f"{peak_gib():9.2f}")  # fmt: skip
-
-
-def _directions(rows: np.ndarray):
-    from fynjax.inversion._views import Directions
-
-    return Directions(jnp.asarray(rows), jnp.asarray(rows.T))
 
 
 @double_precision

@@ -70,6 +70,13 @@ def test_slopes_together_are_those_of_each_alone(views):
     np.testing.assert_allclose(joint[0], alone[0], rtol=1e-5)
     np.testing.assert_allclose(joint[1], alone[1], rtol=2e-4, atol=1e-6)
     assert np.abs(np.asarray(joint[1])).max() > 0.01
+    # By few coordinates slopes are taken forward: of three values, and of one of all factors.
+    ways = jnp.concatenate([jnp.eye(3, 19), jnp.linspace(-1.0, 1.0, 19)[None].at[:, :3].set(0.0)])
+    few = PlotForward(parameters, free, together(views)).jacobian(
+        lambda w: u + w @ ways, jnp.zeros(4), scene
+    )
+    np.testing.assert_allclose(few[0], joint[0], rtol=1e-6)
+    np.testing.assert_allclose(few[1], joint[1] @ ways.T, rtol=1e-3, atol=1e-5)
 
 
 def test_only_frames_of_one_camera_and_sun_share_light(views):

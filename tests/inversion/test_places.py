@@ -13,8 +13,9 @@ from fynjax._core.errors import InputError
 from fynjax.app.io.plot import Place, write_crowns
 from fynjax.inversion import FoundPlants, PlacesSettings, _found, find_places
 from fynjax.inversion._found import _together
-from fynjax.inversion._places import candidates, descend, free_early, places_model
+from fynjax.inversion._places import candidates, descend, free_early, places_model, standing_height
 from fynjax.inversion._stands import Jumps, WholeStand
+from fynjax.radiation import Illumination, OpticalClasses, VoxelScene
 from fynjax.scene import Placement, aim, projected_cover
 from fynjax.sensors import Gains, shipped_sensor
 from tests.heard import hearing
@@ -160,6 +161,29 @@ def test_slopes_are_those_of_differences(twin):
             for a, b in zip(jax.tree.leaves(slope), jax.tree.leaves(along), strict=True)
         )
         assert (up - down) / (2.0 * step) == pytest.approx(expected, rel=0.05, abs=0.3), name
+
+
+@pytest.mark.parametrize("finer", [1, 2])
+def test_heights_are_where_a_line_of_sight_meets_what_leaves_show(finer):
+    """Of even leaves to a height h the mean over lines is h - (1 - e^-k) h / k, with k what they
+    show over the ground: flat ones all of their area, all directions alike half of it."""
+    top, area, layers = 1.0, 1.6, 200
+    density = np.full((2, layers, 1, 1), area / top)
+    density[0], density[1] = 0.75 * density[0], 0.25 * density[1]
+    optics = jnp.full((2, 1), 0.1)
+    angles = (fx.canopy.leaf_angle("spherical"), fx.canopy.EllipsoidalLeafAngle(1e4))
+    structure = None
+    if finer > 1:  # half of the cells hold all
+        even = np.full((finer * layers, finer, finer), area / top)
+        structure = jnp.asarray(even * np.array([[2.0, 0.0], [0.0, 2.0]]))
+    voxels = VoxelScene(
+        jnp.asarray(density), OpticalClasses(optics, optics, angles, (0, 1)), jnp.zeros(1),
+        Illumination(jnp.zeros(()), jnp.zeros(()), jnp.ones(1), jnp.zeros(1)), 0.5, top / layers,
+        structure=structure,
+    )  # fmt: skip
+    shown = area * (0.75 * 0.5 + 0.25 * 1.0) * finer
+    expected = (top - top * (1.0 - np.exp(-shown)) / shown) / finer
+    assert float(standing_height(voxels)[0, 0]) == pytest.approx(expected, rel=5e-3)
 
 
 def test_each_chain_has_its_own_start_and_shapes_at_the_same_sites(twin):

@@ -992,6 +992,21 @@ def test_parameters_gains_and_model_error_are_estimated_together(sums, cameras):
     np.testing.assert_allclose(found.statistics_with_error[:3], both, rtol=1e-6)
 
 
+def test_factors_of_bands_are_no_chance(sums):
+    """A camera of unknown gains shows the plants as surely as one that is calibrated."""
+    model, space = sums[0], free_space(sums[0], small_parameters(), HEIGHTS, lambda _: 0.3)
+    value = np.asarray(small_parameters().species.cover, float)
+    data, settings = Data(("a", "b", "c"), value, 0.02 * value), {"scatter_draws": 16}
+    chance = []
+    for sd in (0.01, 0.5):
+        view = Bright(("a", "b", "c"), None, gains=Gains(sd, sd))
+        asked = CalibrationSettings(stand_realisations=4, **settings)
+        search = search_of(model, small_parameters(), data, space, (view,), asked)
+        chance.append(np.asarray(search.begin(jnp.zeros(len(space.names))).place.covariance))
+    assert (np.diagonal(chance[0]) > 0.0).all()
+    np.testing.assert_allclose(chance[1], chance[0], rtol=1e-6)
+
+
 def curvature(function, at, step=1e-4):
     """Second derivatives by central differences."""
     eye = step * np.eye(len(at))
@@ -1106,16 +1121,39 @@ def test_a_calibration_takes_any_solver(sums, whole, solver, monkeypatch):
     )
 
 
-def test_errors_stated_from_few_draws_of_many_views_are_those_made():
-    """Generalised least squares of one number, with covariances of 16 draws of 25 views."""
-    random, kinds, off = np.random.default_rng(3), [*"abcdef"] * 25, []
-    own = np.kron(np.full((25, 25), 0.9) + 0.1 * np.eye(25), np.eye(6))
+@pytest.mark.parametrize(("views", "kinds", "count"), [(25, 6, 16), (9, 20, 48)])
+def test_errors_stated_from_few_draws_of_many_views_are_those_made(views, kinds, count):
+    """Generalised least squares of one number, of which the statistics change as by chance, and
+    whose errors are little larger than they have to be."""
+    random, off, wide = np.random.default_rng(3), [], []
+    apart = np.abs(np.subtract.outer(np.arange(views), np.arange(views)))
+    of_views = 0.97 ** np.minimum(apart, views - apart)
+    near = np.abs(np.subtract.outer(np.arange(kinds), np.arange(kinds)))
+    own = 0.7 * np.kron(of_views, np.exp(-near / 8.0))
+    # Some of it is not of views and of kinds apart: every other kind is the more of its view.
+    uneven = np.ones(kinds) + 0.5 * (np.arange(kinds) % 2)
+    rest = np.kron(0.6 + 0.4 * np.eye(views), np.exp(-near / 2.0) * np.outer(uneven, uneven))
+    own += 0.3 * rest
     root = np.linalg.cholesky(own)
-    for _ in range(60):
-        slope = random.normal(size=150)
-        weights = np.linalg.solve(
-            scatter_of_views(random.normal(size=(16, 150)) @ root.T, kinds), slope
-        )
+    names = [str(kind) for kind in range(kinds)] * views
+    for _ in range(40):
+        slope = root @ random.normal(size=len(own))
+        drawn = random.normal(size=(count, len(own))) @ root.T
+        weights = np.linalg.solve(scatter_of_views(drawn, names), slope)
         information = slope @ weights
-        off.append(weights @ (root @ random.normal(size=150)) / np.sqrt(information))
-    assert 0.8 < np.sqrt(np.mean(np.square(off))) < 1.2  # 1.4 of covariances as they are
+        off.append(weights @ (root @ random.normal(size=len(own))) / np.sqrt(information))
+        wide.append(np.sqrt(slope @ np.linalg.solve(own, slope) / information))
+    assert 0.6 < np.sqrt(np.mean(np.square(off))) < 1.2
+    assert np.mean(wide) < 2.0
+
+
+def test_views_of_unlike_statistics_and_statistics_that_never_change_have_a_covariance():
+    random = np.random.default_rng(1)
+    drawn = random.normal(size=(16, 1)) + 0.3 * random.normal(size=(16, 7))
+    drawn[:, 4] = 2.0
+    found = scatter_of_views(drawn, ["a", "b", "c", "a", "b", "a", "d"])
+    assert np.isfinite(found).all()
+    moving = np.delete(np.arange(7), 4)
+    assert np.linalg.eigvalsh(found[np.ix_(moving, moving)]).min() > 0.0
+    sd = np.sqrt(np.diagonal(found)[moving])
+    assert (found[np.ix_(moving, moving)] / np.outer(sd, sd) > 0.53).all()

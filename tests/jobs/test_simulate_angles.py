@@ -1,5 +1,7 @@
 """Reflectance of a plot by direction, against photons and closed forms."""
 
+import json
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -12,10 +14,11 @@ from fynjax.app.assembly import build_plot
 from fynjax.app.io.plot import read_plot
 from fynjax.app.jobs import simulate
 from fynjax.app.jobs._simulate_angles import AZIMUTHS, ZENITHS, _voxels, angular_reflectance
-from fynjax.radiation import voxel_scene
+from fynjax.radiation import Accuracy, voxel_scene
 from fynjax.scene import hard_scene
 from fynjax.sensors import shipped_sensor
 from tests import reference
+from tests.radiation.test_reference_scenes import floating_spheres
 from tests.small import write_plot
 
 
@@ -53,6 +56,23 @@ def test_albedo_with_the_structure_of_plants_is_that_of_photons(tmp_path):
     for band in (1, 3):
         want = reference.fluxes(finest, photons=200_000, seed=3, band=band).albedo
         assert found.albedo[band] == pytest.approx(want.mean, rel=0.01, abs=2 * want.error)
+
+
+@pytest.mark.study
+@pytest.mark.parametrize("index", [0, 2], ids=["near infrared", "red"])
+def test_floating_spheres_of_rami(shared_data, index):
+    """Of the turbid spheres of HET01 all views of a Monte Carlo within 1 % and two standard errors,
+    and their albedo within 1 %. Its zenith angles are positive away from the sun."""
+    with open(shared_data / "rt" / "het01_turbid.json", encoding="utf-8") as file:
+        case = json.load(file)["cases"][index]
+    want, accuracy = case["result"], Accuracy(sublayers=2, levels=4, azimuths=8)
+    found = angular_reflectance(floating_spheres(case, 2.0, 4), accuracy)
+    across = found.hemisphere[0, :, np.flatnonzero(AZIMUTHS == 90.0)[0]]
+    got = [found.at(-z)[0] if a == 0 else across[z == ZENITHS][0] for z, a in case["views"]]
+    off = np.abs(np.array(got) / want["brf"] - 1.0) - 2.0 * np.array(want["brf_se"]) / want["brf"]
+    print(np.round(100.0 * (np.array(got) / want["brf"] - 1.0), 2), found.albedo / want["albedo"])
+    assert off.max() < 0.01
+    assert found.albedo[0] == pytest.approx(want["albedo"], rel=0.01)
 
 
 def test_bare_ground_is_alike_from_everywhere():

@@ -268,7 +268,7 @@ def _view_of(plot: Plot, target: TargetTable, bands: Sequence[str] | None, seed:
     """One view of a plot, as its file states it: from where it was taken, and under which sun."""
     plot = plot.replace(sensor=named_sensor(target.of_sensor(plot.sensor)))
     if target.sun is not None:
-        plot = plot.replace(sun=target.sun.position)
+        plot = plot.replace(sun=target.sun.position(plot.grid_north_deg))
     existing_file(target.file, "an image, a spectrum, a point cloud or a table of their statistics")
     if is_frame_stack(target.file):
         return _flight_of(plot, target.file, target)

@@ -10,6 +10,7 @@ from pyproj import Geod
 from rasterio.warp import transform
 
 from fynjax._core.errors import InputError
+from fynjax.app.io.frames import grid_north
 from fynjax.app.io.plot._plot import Plot
 from fynjax.app.io.raster import RasterFile, open_raster
 
@@ -49,24 +50,31 @@ def plot_place(plot: Plot) -> Place:
 
 
 def placed_by(plot: Plot, maps: Iterable[Path]) -> Plot:
-    """The plot with the latitude and longitude of the first of some rasters that lies on Earth.
+    """The plot with the latitude and longitude of the first of some rasters that lies on Earth, and
+    with its north.
 
-    Whether plants are those of fynbos depends on it (`Plot.shrubland`).
+    Whether plants are those of fynbos depends on the place (`Plot.shrubland`), and from which
+    north the azimuth of the sun counts where place and time give it, on the raster's grid.
 
     **Arguments:**
 
-    - `plot`: as `read_plot` gives it; one whose place is known comes back as it is.
+    - `plot`: as `read_plot` gives it; what is known of its place and north stays.
     - `maps`: rasters. Those that cannot be read are left to who reads them.
 
     Warns where a raster lies more than 100 km from the plot, and of plants that are stated as
     fynbos outside the Cape.
     """
     for path in maps:
-        place = None
+        place, turn = None, 0.0
         with suppress(InputError), open_raster(path, "a map") as file:
             place = raster_place(file)
+            if place is not None:
+                assert file.crs is not None
+                turn = grid_north(file.crs.to_wkt(), *place[::-1])
         if place is None:
             continue
+        if plot.grid_north_deg is None:
+            plot = plot.replace(grid_north_deg=turn, sun=plot.sun_table.position(turn))
         if plot.place_deg is None:
             plot = plot.replace(place_deg=place)
         elif (apart := _distance_km(plot.place_deg, place)) > _FAR_KM:

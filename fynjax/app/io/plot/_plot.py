@@ -14,6 +14,7 @@ from fynjax.app.io.plot._plot_tables import (
     SceneTable,
     SensorTable,
     SkyTable,
+    SunTable,
     TargetTable,
 )
 from fynjax.app.io.plot._prior import LearnedPrior
@@ -49,7 +50,12 @@ class Plot(PlotTable, SceneTable):
     leaves: tuple[LeafRow, ...]
     """Rows of the leaf table; empty where the plot has none."""
     sun: SunPosition
-    """Direction to the sun and sunlight of the day, from its angles or from place and time."""
+    """Direction to the sun, from the plot's north, and sunlight of the day."""
+    sun_table: SunTable
+    """The plot file's [sun]."""
+    grid_north_deg: float | None = None
+    """Direction of the plot's north, the grid north of its maps or of an image of it, clockwise
+    from true north [degree]; `None` where nothing says: true north."""
     place_deg: tuple[float, float] | None = None
     """Latitude and longitude [degree], as the plot file states them or its maps, or an image of it,
     lie; `None` where nothing says."""

@@ -199,13 +199,17 @@ class SunTable(Strict):
         north, east = self.latitude_deg, self.longitude_deg
         return None if north is None or east is None else (north, east)
 
-    @property
-    def position(self) -> SunPosition:
+    def position(self, grid_north_deg: float | None = None) -> SunPosition:
         """Where the sun stands, by its angles or by place and time; with the sunlight of the day,
-        that at one astronomical unit where no time is given."""
+        that at one astronomical unit where no time is given.
+
+        Azimuths count from the plot's north. `grid_north_deg`: its direction, clockwise from true
+        north, for those by place and time; `None`: true north.
+        """
         if self.time is None or self.latitude_deg is None or self.longitude_deg is None:
             return SunPosition(self.zenith_deg, self.azimuth_deg, 1.0)
-        return sun_position(self.latitude_deg, self.longitude_deg, self.time)
+        sun = sun_position(self.latitude_deg, self.longitude_deg, self.time)
+        return sun._replace(azimuth=(sun.azimuth - (grid_north_deg or 0.0)) % 360.0)
 
 
 class SkyTable(Strict):
