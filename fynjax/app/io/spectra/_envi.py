@@ -95,8 +95,11 @@ def read_header(path: Path) -> dict[str, Any]:
         header = _fields(text)
         layout = _layout(header)
         place = header.get("map info")
-        for number in place[1:7] if isinstance(place, list) else ():  # GDAL reads as far as it can
-            stated_number(number)
+        for number in place[1:7] if isinstance(place, list) else ():
+            try:  # GDAL takes 2 for 2.0D+05
+                number and stated_number(number)
+            except ValueError as error:
+                raise ValueError(f"map info: {error}") from error
     except KeyError as error:
         raise InputError(f"{_NO_HEADER} ({error} is missing)") from error
     except ValueError as error:

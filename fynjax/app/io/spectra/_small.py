@@ -16,8 +16,8 @@ from fynjax._core.errors import InputError
 from fynjax._core.tables import is_number
 from fynjax.app.io.spectra._record import MeasuredSpectrum, note, single_spectrum
 
-_BEGIN = re.compile(r"\s*>{3,}+ ?Begin [^<>]*Data ?<{3,}", re.I)
-_END = re.compile(r"\s*>{3,}+ ?End [^<>]*Data ?<{3,}", re.I)
+_BEGIN = re.compile(r"[^>]*+>{3,}+ ?Begin [^<>]*Data ?<{3,}", re.I)
+_END = re.compile(r"[^>]*+>{3,}+ ?End [^<>]*Data ?<{3,}", re.I)
 _OCEAN = re.compile(
     r"(SpectraSuite|OOIBase32|Jaz|OceanView|Overture|Ocean Optics).*|Data from .* Node", re.I
 )
