@@ -218,6 +218,18 @@ def test_a_part_that_fails_is_named_and_the_others_are_kept(two, tmp_path, where
 
 
 @unix
+def test_what_cannot_be_removed_of_a_journal_stays(tmp_path: Path) -> None:
+    """The results are there: nothing of the journal ends the run any more."""
+    kept, link = tmp_path / "kept", tmp_path / "link"
+    Journal(kept, "s").put(0, [np.ones(2)])
+    (kept / "calibration.0001.npz").mkdir()
+    (kept / "notes.txt").write_text("mine")
+    link.symlink_to(kept)
+    forget_journal(link)
+    assert {path.name for path in kept.iterdir()} == {"calibration.0001.npz", "notes.txt"}
+
+
+@unix
 def test_a_part_that_kills_every_worker_is_named(tmp_path: Path) -> None:
     failures = dask.config.set({"distributed.scheduler.allowed-failures": 1})
     with (

@@ -207,8 +207,9 @@ def forget_journal(folder: str | Path) -> None:
     folder = Path(folder)
     for pattern in (_MARK, "calibration.*.npz", "calibration.*.txt", "calibration.*.work"):
         for path in folder.glob(pattern):
-            path.unlink()
-    if folder.is_dir() and not any(folder.iterdir()):
+            with suppress(OSError):
+                path.unlink()
+    with suppress(OSError):  # something else is in it, or it is a link
         folder.rmdir()
 
 

@@ -39,7 +39,7 @@ _LARGEST_WORKBOOK = 1 << 26
 core for so many."""
 _LARGEST_SHEET = 1 << 24
 """Cells that a sheet may reach over."""
-_LONGEST_NAME = 1000
+_LONGEST_NAME, _LONGEST_LINE = 1000, 1 << 15
 _LEAST = -900.0
 """A number below it may stand for none, such as -999."""
 
@@ -300,9 +300,9 @@ def open_table(path: str | Path, what: str, *, data: bytes | None = None) -> Tex
     table, _ = _open(path, what, LARGEST_TEXT, data)
     table.row, table.skip, names = next(table._rows(0))
     table.names = tuple(trimmed(names))
-    if max(map(len, table.names), default=0) > _LONGEST_NAME:  # words are looked for in them
-        words = "expected names of columns of at most 1000 characters. Does a quotation not end?"
-        raise InputError(words, file=path, row=table.row)
+    if max(map(len, table.names), default=0) > _LONGEST_LINE:  # words are looked for in them
+        words = f"expected names of columns of at most {_LONGEST_LINE} characters"
+        raise InputError(f"{words}. Does a quotation not end?", file=path, row=table.row)
     below = [cells for _, cells in itertools.islice(table.rows(), 3)]
     first = [cells[0] for cells in below]
     without_name = all(len(cells) == table.width + 1 for cells in below)

@@ -3,8 +3,10 @@
 import bz2
 import contextlib
 import json
+import math
 import struct
 import tarfile
+import time
 import zipfile
 from pathlib import Path
 
@@ -352,11 +354,11 @@ def test_a_glb_has_no_more_numbers_or_copies_than_it_can_hold(
     assert len(read_plant_mesh(gltf(path, [{"mesh": 0}])).faces) == 1
     with pytest.raises(InputError, match=r"states 12\d+ MiB of arrays without data, but its"):
         read_plant_mesh(gltf(path, [{"mesh": 0}], count=10**7))
-    with pytest.raises(InputError, match="stands below two others or itself"):
+    with pytest.raises(InputError, match="stands below two others, or itself"):
         read_plant_mesh(gltf(path, [{"children": [1, 1]}, {"mesh": 0}]))
     # Each level twice below the one above: 2^40 copies of one triangle.
     deep = [{"children": [k + 1, k + 1]} for k in range(40)]
-    with pytest.raises(InputError, match="stands below two others or itself"):
+    with pytest.raises(InputError, match="stands below two others, or itself"):
         read_plant_mesh(gltf(path, [*deep, {"mesh": 0}]))
     many = [{"children": list(range(1, 31))}, *({"mesh": 0} for _ in range(30))]
     assert len(read_plant_mesh(gltf(path, many)).faces) == 30
@@ -370,6 +372,37 @@ def test_a_glb_has_no_more_numbers_or_copies_than_it_can_hold(
     path.write_bytes(path.read_bytes()[:60])
     with pytest.raises(InputError, match="damaged or cut short"):
         read_plant_mesh(path)
+
+
+def test_parts_of_a_scene_may_stand_deep_but_not_below_themselves(tmp_path: Path) -> None:
+    """A chain of bones, each turned by one degree about y and 0.01 m along its own z."""
+    count, half = 3000, math.radians(0.5)
+    bone = {"rotation": [0.0, math.sin(half), 0.0, math.cos(half)], "translation": [0, 0, 0.01]}
+    nodes = [bone | {"children": [k + 1]} for k in range(count - 1)] + [bone | {"mesh": 0}]
+    began = time.process_time()
+    mesh = read_plant_mesh(gltf(tmp_path / "a.glb", nodes), up="z")
+    assert time.process_time() - began < 5.0  # hours where the frames of each are multiplied anew
+    angle = math.radians(1.0) * np.arange(count + 1)
+    foot = 0.01 * np.array([np.sin(angle[:-1]).sum(), 0.0, np.cos(angle[:-1]).sum()])
+    turn = [[np.cos(angle[-1]), 0, np.sin(angle[-1])], [0, 1, 0],
+            [-np.sin(angle[-1]), 0, np.cos(angle[-1])]]  # fmt: skip
+    np.testing.assert_allclose(mesh.vertices, foot + np.eye(3) @ np.transpose(turn), atol=1e-9)
+    for ends in ([0], [1]):  # the last leads back to the first, or to the second
+        circle = [{"children": [1]}, {"children": [2]}, {"mesh": 0, "children": ends}]
+        with pytest.raises(InputError, match=r"stands below two others, or itself|below itself"):
+            read_plant_mesh(gltf(tmp_path / "a.glb", circle))
+
+
+@pytest.mark.parametrize(
+    ("names", "materials"),
+    [(("leaf.001", "leaf 2", "stem_3"), ("leaf", "stem")),
+     (("leaf1.2", "leaf2.1", "stem"), ("leaf1", "leaf2", "stem")),
+     (("old leaf", "stem_", "12"), ("old leaf", "stem_", "12"))],
+)  # fmt: skip
+def test_groups_of_an_obj_lose_the_number_at_their_end(tmp_path: Path, names, materials) -> None:
+    faces = "".join(f"g  {name} \r\nf 1 2 3\r\n" for name in names)
+    (tmp_path / "a.obj").write_bytes(f"v 0 0 0\r\nv 1 0 0\r\nv 0 0 1\r\n{faces}".encode())
+    assert {*read_plant_mesh(tmp_path / "a.obj", up="z").materials} == {*materials}
 
 
 def tube(radius: float, length: float, tip: float, sides: int = 8) -> trimesh.Trimesh:

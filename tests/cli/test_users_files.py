@@ -1,11 +1,13 @@
 """No run replaces or removes what is the user's: not its input, not what others wrote, not what was
 changed since."""
 
+import errno
 import hashlib
 import json
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -218,6 +220,36 @@ def test_what_stands_in_the_way_is_not_replaced_even_if_asked(capsys, writes, tm
     assert call(capsys, "demo", "--output", link)[0] == 0
     assert (out / "deep" / "b.csv").read_text() == "2"
     assert link.is_symlink()
+
+
+def test_the_output_may_be_a_disk_of_its_own(capsys, writes, tmp_path, monkeypatch):
+    """As a folder is that is mounted: no file can be renamed into it from beside."""
+    out, rename = tmp_path / "out", os.replace
+    out.mkdir()
+    (out / "notes.txt").write_text("mine")
+
+    def within(source, target):
+        if Path(source).is_relative_to(out) != Path(target).is_relative_to(out):
+            raise OSError(errno.EXDEV, os.strerror(errno.EXDEV), source)
+        rename(source, target)
+
+    monkeypatch.setattr(os, "replace", within)
+    for text in ("1", "new"):
+        writes["a.csv"] = text
+        assert call(capsys, "demo", "--output", out)[::2] == (0, "")
+        assert {*content(tmp_path)} == {
+            f"out/{name}" for name in ("a.csv", "deep/b.csv", "notes.txt", "summary.json")
+        }
+        assert (out / "a.csv").read_text() == text
+
+    def full(source, target):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), target)
+
+    monkeypatch.setattr("shutil.copyfile", full)
+    before = content(out)
+    assert "The results are in out-2, beside it" in refused(capsys, "demo", "--output", out)
+    assert content(out) == before
+    assert (tmp_path / "out-2" / "a.csv").read_text() == "new"
 
 
 @unix

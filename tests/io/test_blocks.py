@@ -123,6 +123,22 @@ def test_wavelengths_in_micrometres_are_known(tmp_path, cube, kind, unit):
     whole(path)
 
 
+@pytest.mark.parametrize("kind", ["hdr", "nc"])
+def test_a_negative_wavelength_states_that_a_band_has_none(tmp_path, cube, kind):
+    path, stated = tmp_path / f"cube.{kind}", [-1.0, 560.0, -9999.0, 860.0]
+    if kind == "hdr":
+        write_cube_envi(path, cube, {})
+        text = path.read_text("utf-8")
+        row = "wavelength = {" + ", ".join(map(str, stated)) + "}"
+        path.write_text(re.sub(r"^wavelength = {.*?}", row, text, flags=re.M | re.S), "utf-8")
+    else:
+        values = (("y", "x", "band"), np.moveaxis(cube.values, 0, 2))
+        bands = {"reflectance": values, "wavelength": ("band", stated, {"units": "nm"})}
+        xr.Dataset(bands).to_netcdf(path)
+    with open_blocks(path) as blocks:
+        np.testing.assert_array_equal(blocks.wavelength, [np.nan, 560.0, np.nan, 860.0])
+
+
 def test_wavelengths_in_another_unit_than_stated_are_refused(tmp_path, cube):
     bands = {
         "reflectance": (("y", "x", "band"), np.moveaxis(cube.values, 0, 2)),

@@ -140,14 +140,6 @@ def test_a_long_run_of_letters_takes_no_time(
     assert time.process_time() - began < 5.0  # minutes where the square of the letters is taken
 
 
-def test_parts_of_a_scene_that_stand_very_deep(tmp_path: Path) -> None:
-    nodes = [{"children": [i + 1]} for i in range(20_000)] + [{}]
-    record = {"asset": {"version": "2.0"}, "scenes": [{"nodes": [0]}], "nodes": nodes}
-    (tmp_path / "plant.gltf").write_text(json.dumps(record), "utf-8")
-    with pytest.raises(InputError, match=r"plant\.gltf: .* more than 64 deep"):
-        read_plant_mesh(tmp_path / "plant.gltf")
-
-
 def test_crowns_that_cover_the_plot_very_often(tmp_path: Path) -> None:
     places = np.random.default_rng(0).uniform(0.1, 1.9, (200, 2))
     rows = [f"Erica irregularis,{x:.6f},{y:.6f},190,0.5" for x, y in places]

@@ -51,6 +51,12 @@ def test_fields_and_layout_are_those_of_spectral_python(tmp_path, kind, order):
     assert layout.dtype == np.dtype(expected.dtype)
 
 
+@pytest.mark.parametrize("place", ["none, unknown", "", "{{}}", "{{Arbitrary, 1, 1, 0, 0,}}"])
+def test_a_place_that_is_no_whole_list_is_left_to_gdal(tmp_path, place):
+    text = WHOLE[: WHOLE.index("map info")] + f"map info = {place}\n"
+    assert read_header(written(tmp_path / "a.hdr", text=text))["layout"].nbands == 4
+
+
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
@@ -62,6 +68,7 @@ def test_fields_and_layout_are_those_of_spectral_python(tmp_path, kind, order):
         ("{order}", "2", "byte order 2"),
         ("850.25 }}", "850.25", "brace of wavelength is never closed"),
         ("interleave = bil", "interleave = bli", "expected the interleave"),
+        ("200000", "2.0D+05", "map info.*'2.0D[+]05'"),
     ],
 )
 def test_what_is_no_header_is_refused_with_the_reason(tmp_path, old, new, words):

@@ -143,6 +143,23 @@ def test_ocean_optics(tmp_path: Path, program: str, kind: str, factor: float) ->
         text(tmp_path, OCEAN.format(program=program, kind=kind) + values(1e5) + end)
 
 
+@pytest.mark.parametrize("before", ["", "\ufeff", " ", "# "])
+def test_ocean_optics_without_its_head(tmp_path: Path, before: str) -> None:
+    begin = OCEAN.format(program="", kind="").splitlines()[-1]
+    found = text(tmp_path, f"{before}{begin}\n{values(100.0)}\n")
+    np.testing.assert_allclose(found, LEAVES[0][BETWEEN], rtol=1e-5)
+
+
+def test_a_long_title_may_stand_above_a_table(tmp_path: Path) -> None:
+    rows = f"wavelength,a\n{values(1.0, ',')}\n"
+    (tmp_path / "long.csv").write_text("Measured on the mountain. " * 60 + f"\n{rows}")
+    (spectrum,) = read_spectra_file(tmp_path / "long.csv")
+    np.testing.assert_allclose(spectrum.reflectance, LEAVES[0][BETWEEN], rtol=1e-5)
+    (tmp_path / "long.csv").write_text("Measured on the mountain. " * 2000 + f"\n{rows}")
+    with pytest.raises(InputError, match=r"row 1: .* of at most 32768 characters"):
+        read_spectra_file(tmp_path / "long.csv")
+
+
 @pytest.mark.parametrize("processed", [True, False])
 def test_jaz_and_what_it_is_formed_of(tmp_path: Path, processed: bool) -> None:
     """Dark 1000, white 5000: the sample says the same as the processed column."""

@@ -60,6 +60,8 @@ def test_what_others_write_is_read(tmp_path: Path) -> None:
     given += [(2, {"compressors": Zlib(), "filters": [Shuffle(4)]})]
     given += [(3, {}), (3, {"compressors": codecs.BloscCodec()})]
     given += [(3, {"compressors": codecs.GzipCodec()}), (3, {"compressors": None})]
+    packed = (codecs.BloscCodec(), codecs.ZstdCodec(), codecs.GzipCodec())
+    given += [(3, {"compressors": [one, codecs.Crc32cCodec()]}) for one in packed]
     for version, encoding in given:
         path = write(tmp_path / "cube.zarr", version, **encoding)
         with open_blocks(path) as cube:

@@ -16,9 +16,6 @@ _PACKED = (".zip", ".gz", ".tgz", ".bz2", ".xz", ".tar", ".7z", ".3mf")
 _NUMBERS = 16 * 8
 """Most bytes of an entry of a GLB's accessor: a matrix of four by four."""
 
-_DEEPEST = 64
-"""Parts of a glTF scene one below the other: to place one, trimesh goes through all above it."""
-
 
 def check_mesh_file(path: str | Path, what: str = "a mesh") -> None:
     """Refuse a mesh file, or `what` it is to be, that is packed, too large, or states more than it
@@ -73,15 +70,10 @@ def _check_gltf(path: Path) -> None:
             for one in record.get("accessors", [])
             if "bufferView" not in one or "sparse" in one
         )
-        below = [[int(c) for c in one.get("children", [])] for one in record.get("nodes", [])]
-        children = [c for one in below for c in one]
+        children = [int(c) for node in record.get("nodes", []) for c in node.get("children", [])]
     check_stated_size(path, stated, f"{stated >> 20} MiB of arrays without data", packed=True)
-    level = {*range(len(below))} - {*children}
-    for _ in range(_DEEPEST):
-        level = {c for one in level if one < len(below) for c in below[one]}
-    if level or len(children) != len(set(children)):
+    if len(children) != len(set(children)):
         raise InputError(
-            "the mesh cannot be read: a part of its scene stands below two others or itself, or "
-            f"more than {_DEEPEST} deep",
+            "the mesh cannot be read: a part of its scene stands below two others, or itself",
             file=path,
         )

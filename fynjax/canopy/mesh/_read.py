@@ -1,6 +1,7 @@
 """Mesh files and trimesh's objects as triangles with materials."""
 
 import io
+import itertools
 import re
 import string
 import warnings
@@ -17,7 +18,6 @@ from fynjax.canopy.mesh._plant_mesh import PlantMesh
 
 _USEMTL = re.compile(r"^[ \t]*usemtl[ \t](.*)", re.MULTILINE)
 _GROUPS = {kind: re.compile(rf"^[ \t]*{kind}[ \t](.*)", re.MULTILINE) for kind in "go"}
-_ENDS = f"-._ \t\r{string.digits}"
 _RELATIVE = re.compile(r"^[ \t]*[flp][ \t].*-\d", re.MULTILINE)
 _COMMENT = re.compile(r"^([ \t]*[vflp][nt]?[ \t][^#\n]*)#.*", re.MULTILINE)
 _ZERO = re.compile(r"^[ \t]*[flp][ \t](?:.*[ \t])?0(?:/|\s|$)", re.MULTILINE)
@@ -107,9 +107,7 @@ def plant_mesh_of(mesh: Any) -> PlantMesh:
     if isinstance(mesh, trimesh.Trimesh):
         pieces = [("", mesh, np.eye(4))]
     elif isinstance(mesh, trimesh.Scene):
-        for node in mesh.graph.nodes_geometry:
-            frame, name = mesh.graph[node]
-            pieces.append((str(name), mesh.geometry[name], np.asarray(frame, float)))
+        pieces = [(str(n), mesh.geometry[n], frame) for n, frame in _placed(mesh.graph, file)]
     check_mesh_triangles(sum(len(getattr(one, "faces", ())) for _, one, _ in pieces), file)
     vertices, faces, material, names, first = [], [], [], dict[str, int](), 0
     for geometry_name, geometry, frame in pieces:
@@ -135,6 +133,28 @@ def plant_mesh_of(mesh: Any) -> PlantMesh:
     return PlantMesh(
         np.concatenate(vertices), np.concatenate(faces), np.concatenate(material), tuple(names)
     )
+
+
+def _placed(graph: Any, file: str | None) -> list[tuple[Any, np.ndarray]]:
+    """Geometries that a scene places, each with its frame.
+
+    A frame is that of the node above times the node's own: trimesh multiplies all above each anew.
+    """
+    edges, above = graph.transforms.edge_data, graph.transforms.parents
+    frames = {graph.base_frame: np.eye(4)}
+    for node in graph.nodes_geometry:
+        way = [node]
+        while way[-1] not in frames:
+            if way[-1] not in above or len(way) > len(above):
+                words = (
+                    "the mesh cannot be read: a part of its scene stands below itself, or nowhere"
+                )
+                raise InputError(words, file=file)
+            way.append(above[way[-1]])
+        for upper, lower in itertools.pairwise(reversed(way)):
+            own = edges[upper, lower].get("matrix")
+            frames[lower] = frames[upper] if own is None else frames[upper] @ np.asarray(own, float)
+    return [(graph.transforms.node_data[n]["geometry"], frames[n]) for n in graph.nodes_geometry]
 
 
 def _check_shape(vertices: np.ndarray, corners: np.ndarray, file: str | None) -> None:
@@ -190,8 +210,14 @@ def _materials_of_groups(text: str) -> str:
         organs = {organ_of_name(name) for name in pattern.findall(text)} - {None}
         if len(organs) > 1:
             plain = _USEMTL.sub("", text)
-            return pattern.sub(lambda m: f"usemtl {m[1].rstrip(_ENDS).lstrip() or m[1]}", plain)
+            return pattern.sub(lambda match: f"usemtl {_unnumbered(match[1].strip())}", plain)
     return text
+
+
+def _unnumbered(name: str) -> str:
+    """A name without the number at its end: "Leaf.001" is "Leaf", "12" remains."""
+    bare = name.rstrip(string.digits)
+    return (name if bare == name else bare.rstrip("-._ ")) or name
 
 
 def _counted_from_first(text: str, file: str) -> str:

@@ -151,6 +151,10 @@ def picture_place(path: Path, frame: Frame) -> PicturePlace:
     return place
 
 
+_DAMAGED = (ValueError, LookupError, TypeError, AttributeError, ArithmeticError, RecursionError)
+"""What damaged JSON ends in."""
+
+
 def _stated(text: str) -> PicturePlace:
     if '"straight"' in text:
         raise InputError(
@@ -162,10 +166,7 @@ def _stated(text: str) -> PicturePlace:
         size, corner = (tuple(map(int, known[key])) for key in ("size", "corner"))
         bands = {str(name): _registration(one) for name, one in known.get("bands", {}).items()}
         return PicturePlace((size[0], size[1]), (corner[0], corner[1]), bands)
-    except (
-        *(ValueError, LookupError, TypeError, AttributeError),
-        *(ArithmeticError, RecursionError),
-    ) as error:
+    except _DAMAGED as error:
         raise InputError(
             f"expected size and corner of the picture as the tag {PICTURE_TAG!r}, but got "
             f"{text[:60]!r}"

@@ -278,6 +278,8 @@ def _cube_of(path: Path, opened: ExitStack) -> CubeBlocks:
     wavelength, unit = _column(("wavelength", "wavelengths", "Wavelength"), (data, *around), count)
     width, _ = _column(("fwhm", "FWHM"), (data, *around), count)
     good, _ = _column(("good_wavelengths", "reflectance_good"), (data, *around), count)
+    if wavelength is not None:  # some files state by -1 or -9999 that a band has none
+        wavelength = np.where(np.isfinite(wavelength) & (wavelength < 0.0), np.nan, wavelength)
     if wavelength is not None and not np.isnan(wavelength).all():
         wavelength, factor = in_nanometres(wavelength, unit)
         width = None if width is None else width * factor

@@ -113,6 +113,7 @@ class RasterFile:
         if self.header:
             with in_file(self.header_path):
                 stated = header_numbers(self.header, "wavelength", count)
+                stated[stated < 0.0] = np.nan  # as headers state that a band has none
                 width = header_numbers(self.header, "fwhm", count)
             unit = str(self.header.get("wavelength units", ""))
         else:

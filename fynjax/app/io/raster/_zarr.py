@@ -16,9 +16,11 @@ from fynjax._core.errors import InputError
 from fynjax._core.files import check_stated_size, read_bytes
 from fynjax.app.io.text import check_fits
 
+_SUMS = ("crc32", "crc32c", "adler32", "fletcher32")
+"""Codecs that add a sum of four bytes."""
 _PLAIN = (
     *("bytes", "transpose", "shuffle", "delta", "fixedscaleoffset", "quantize", "bitround"),
-    *("packbits", "crc32", "crc32c", "adler32", "fletcher32", "vlen-utf8", "vlen-bytes"),
+    *("packbits", "vlen-utf8", "vlen-bytes", *_SUMS),
 )
 """Codecs whose values are as large as the numbers that they stand for, or texts."""
 _PACKED = ("blosc", "zstd", "lz4", "gzip", "zlib")
@@ -139,10 +141,12 @@ def _check_array(folder: Path, meta: dict[str, Any]) -> bool:
     if kind.kind not in "biufmM":
         return False
     held = 0
+    behind = codecs[codecs.index(packed[0]) + 1 :] if packed else []
+    sums = 4 * sum(one in _SUMS for one in behind)
     for chunk in _files(folder):
         now = chunk.stat()
         held += now.st_size
-        if packed and not _fits(chunk.path, packed[0], stated, now.st_size, now.st_mtime_ns):
+        if packed and not _fits(chunk.path, packed[0], stated, now.st_size - sums, now.st_mtime_ns):
             raise InputError(
                 f"expected chunks of {stated} bytes, but this one unfolds to more, does not say "
                 "to how many, or is cut short. Is it damaged?",
@@ -177,17 +181,17 @@ def _fits(path: str, codec: str, most: int, size: int, changed: int) -> bool:
             except zlib.error:
                 return True
         if codec == "zstd":
-            return _fits_zstd(file, most)
+            return _fits_zstd(file, most, size)
         head = file.read(16)
     if codec == "blosc" and int.from_bytes(head[12:], "little") != size:
         return False  # it would read on behind the end
     return int.from_bytes(head[4:8] if codec == "blosc" else head[:4], "little") <= most
 
 
-def _fits_zstd(file: BinaryIO, most: int) -> bool:
-    """Whether a file is one frame of zstd (RFC 8878, section 3.1.1) that states `most` bytes or
-    fewer: behind a first one others could unfold to anything."""
-    data, whole = file.read(18), os.fstat(file.fileno()).st_size
+def _fits_zstd(file: BinaryIO, most: int, whole: int) -> bool:
+    """Whether the first `whole` bytes of a file are one frame of zstd (RFC 8878, section 3.1.1)
+    that states `most` bytes or fewer: behind a first one others could unfold to anything."""
+    data = file.read(18)
     if data[:4] != b"\x28\xb5\x2f\xfd" or len(data) < 6:
         return False
     flags = data[4]

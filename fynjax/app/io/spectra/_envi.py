@@ -94,8 +94,12 @@ def read_header(path: Path) -> dict[str, Any]:
             raise ValueError("it starts otherwise")
         header = _fields(text)
         layout = _layout(header)
-        for number in header.get("map info", [])[1:7]:  # which GDAL reads as far as it can
-            stated_number(number)
+        place = header.get("map info")
+        for number in place[1:7] if isinstance(place, list) else ():
+            try:  # GDAL takes 2 for 2.0D+05
+                number and stated_number(number)
+            except ValueError as error:
+                raise ValueError(f"map info: {error}") from error
     except KeyError as error:
         raise InputError(f"{_NO_HEADER} ({error} is missing)") from error
     except ValueError as error:
@@ -177,7 +181,7 @@ def header_numbers(
     if key not in header:
         return np.full(count, default)
     with refusing(ValueError, words="expected lists of numbers, but {error}", column=key):
-        values = np.array([stated_number(value) for value in np.ravel(header[key])])
+        values = np.array([stated_number(value) for value in np.ravel(header[key]).tolist()])
     if (np.abs(values) > LARGEST).any():
         raise InputError(f"expected numbers within {LARGEST:g}", column=key)
     if values.size != count:

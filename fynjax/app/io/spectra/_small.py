@@ -16,8 +16,8 @@ from fynjax._core.errors import InputError
 from fynjax._core.tables import is_number
 from fynjax.app.io.spectra._record import MeasuredSpectrum, note, single_spectrum
 
-_BEGIN = re.compile(r"\s*>{3,}+ ?Begin [^<>]*Data ?<{3,}", re.I)
-_END = re.compile(r"\s*>{3,}+ ?End [^<>]*Data ?<{3,}", re.I)
+_BEGIN = re.compile(r"[^>]*+>{3,}+ ?Begin [^<>]*Data ?<{3,}", re.I)
+_END = re.compile(r"[^>]*+>{3,}+ ?End [^<>]*Data ?<{3,}", re.I)
 _OCEAN = re.compile(
     r"(SpectraSuite|OOIBase32|Jaz|OceanView|Overture|Ocean Optics).*|Data from .* Node", re.I
 )
@@ -69,7 +69,7 @@ def read_small_spectrometer(data: bytes, file: Path) -> MeasuredSpectrum | None:
 
     **Raises:** `InputError` for counts without a reference, and a file without values.
     """
-    encoding = "utf-16" if data[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8"
+    encoding = "utf-16" if data[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig"
     lines = data.decode(encoding, errors="replace").splitlines()
     begin = next((i for i, line in enumerate(lines[:200]) if _BEGIN.match(line)), None)
     first = next((i for i, line in enumerate(lines[:200]) if len(_numbers(line) or ()) > 1), None)

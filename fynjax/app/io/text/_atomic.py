@@ -105,6 +105,15 @@ def _beside(folder: Path, partial: Path) -> Path:
     return partial.rename(partial.with_suffix(".results"))
 
 
+def _move(
+    folder: Path, target: Path, names: Iterable[str], one: Callable[[Path, Path], object]
+) -> None:
+    """Move files of these names to another folder, by `one` each."""
+    for name in names:
+        (target / name).parent.mkdir(parents=True, exist_ok=True)
+        one(folder / name, target / name)
+
+
 def _is_elsewhere(error: BaseException, folder: Path) -> bool:
     """Whether an error names a file that is not below a folder: an input, such as a link."""
     name = getattr(error, "filename", None)
@@ -170,10 +179,18 @@ def staged_folder(
             ) from error
         try:
             target.mkdir(exist_ok=True)
-            for source, name in zip(sources, names, strict=True):
-                destination = target / name
-                destination.parent.mkdir(parents=True, exist_ok=True)
-                os.replace(source, destination)
+            try:
+                _move(partial, target, names, os.replace)
+            except OSError as error:
+                if error.errno != errno.EXDEV:
+                    raise
+                # A mounted disk: all is on it before the first file replaces another.
+                near = target / partial.name
+                try:
+                    _move(partial, near, names, shutil.copyfile)
+                    _move(near, target, names, os.replace)
+                finally:
+                    shutil.rmtree(near, ignore_errors=True)
         except OSError as error:
             where = _beside(target, partial)
             raise InputError(
