@@ -388,7 +388,8 @@ def notebook_page(path: Path, folder: str) -> tuple[str, dict[str, bytes]]:
     text, resources = MarkdownExporter().from_notebook_node(
         notebook, resources={"unique_key": path.stem}
     )
-    text = text.replace("](../docs/", "](../").replace(".ipynb)", ".md)")  # links from one notebook to another
+    # Links to pages, and from one notebook to another.
+    text = text.replace("](../docs/", "](../").replace(".ipynb)", ".md)")
     return text, {f"{folder}/{name}": data for name, data in resources.get("outputs", {}).items()}
 
 
