@@ -97,3 +97,20 @@ def test_a_library_s_value_for_nothing_is_that_of_the_file_and_not_of_its_reflec
     expected = np.where(stored == -9999, np.nan, stored / 1e4)
     for one, row in zip(read_envi_library(header), expected, strict=True):
         np.testing.assert_allclose(one.reflectance, row, atol=1e-9)
+
+
+@pytest.mark.parametrize("key", ["samples", "lines", "bands", "header offset", "byte order"])
+def test_a_list_where_a_number_is_to_be_is_refused(tmp_path, key):
+    path = written(tmp_path / "a.hdr", text=WHOLE + f"{key} = {{{{ 1, 2 }}}}\n")
+    with pytest.raises(InputError, match="no number"):
+        read_header(path)
+
+
+def test_a_list_of_scales_of_a_library_is_refused(tmp_path):
+    np.full((2, 3), 0.3, np.float32).tofile(tmp_path / "a.sli")
+    text = "ENVI\nsamples = 3\nlines = 2\nbands = 1\ndata type = 4\nbyte order = 0\n"
+    text += "wavelength = { 450, 550, 650 }\nspectra names = { a, b }\n"
+    for key in ("reflectance scale factor", "data ignore value"):
+        (tmp_path / "a.hdr").write_text(text + f"{key} = {{ 1, 2 }}\n")
+        with pytest.raises(InputError, match="expected a number"):
+            read_envi_library(tmp_path / "a.hdr")

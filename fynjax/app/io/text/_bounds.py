@@ -25,11 +25,11 @@ def stated_number(value: Any) -> float:
 
     **Arguments:** `value`, a number or a text.
 
-    **Raises:** `ValueError` for a text that is none, also where Python would take it for one, such
-    as 1_0 and digits of other scripts.
+    **Raises:** `ValueError` for a list, and for a text that is no number, also where Python would
+    take it for one, such as 1_0 and digits of other scripts.
     """
-    if isinstance(value, str) and is_odd_number(value):
-        raise ValueError(f"no number: {value[:60]!r}")
+    if isinstance(value, list | tuple | dict) or (isinstance(value, str) and is_odd_number(value)):
+        raise ValueError(f"no number: {str(value)[:60]!r}")
     return float(value)
 
 
