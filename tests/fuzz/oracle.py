@@ -69,8 +69,8 @@ def _spectral(name: str) -> Callable[[str, Path, Any], str | None]:
             theirs = np.asarray(image.spectra, float)
             missing = theirs == ignore
             ours = np.stack([one.reflectance for one in result])
-            if "wavelength" in header:  # ours are in the order of wavelengths
-                theirs = theirs[:, np.argsort(np.array(header["wavelength"], float), kind="stable")]
+            if (centres := image.bands.centers) is not None:  # ours are in their order
+                theirs = theirs[:, np.argsort(centres, kind="stable")]
                 missing = theirs == ignore
             # What no reflectance can be is missing.
             missing |= (theirs / scale < -0.05) | (theirs / scale > 1.5)
