@@ -176,7 +176,7 @@ def expected(size: float) -> dict[str, np.ndarray]:
     problem = plot_problem(plot_of(size, False), None, seed=0)
     settings = [FlightSetting(1, 0, 0.0), FlightSetting(1, OBLIQUE, 0.0)]
     bounds = flight_information(
-        problem, inversion_sensor(size), settings, overlap=80.0, error=STATED, realisations=15
+        problem, inversion_sensor(size), settings, overlap=80.0, error=STATED, realisations=48
     )
     return {
         flight: np.asarray(one.bayesian / one.prior_sd)
