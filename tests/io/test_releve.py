@@ -229,3 +229,33 @@ def test_life_forms_of_cerrado_and_kwongan_have_a_growth_form(words, form):
 def test_ground_in_other_words_is_no_plant():
     found = [ground_of_words(w) for w in ("Solo exposto", "Serapilheira", "terra nua", "mantillo")]
     assert found == ["bare", "litter", "bare", "litter"]
+
+
+def test_a_row_without_the_greatest_height_has_the_mean_one(tmp_path: Path) -> None:
+    text = (
+        "Especie;Cobertura (%);Altura media (m);Altura máxima (m);Forma de vida\n"
+        "Adesmia arborea;9;1,3;;arbusto\nTrevoa quinquenervia;5;s/d;2,1;arbusto\n"
+        "Proustia cuneifolia;5;s/d;sin dato;arbusto\n"
+    )
+    read = releve(tmp_path, text)
+    assert column(read, "height_max_m")[:2] == ["1.3", "2.1"]
+    assert [plant.assumed[-1:] == ("height_max_m",) for plant in read.plants] == [
+        False,
+        False,
+        True,
+    ]
+    assert (
+        "Where 'Altura máxima (m)' is empty, the height is that of 'Altura media (m)'." in read.said
+    )
+
+
+def test_of_a_herb_the_family_and_of_a_rosette_its_genus_says_the_form(tmp_path: Path) -> None:
+    text = (
+        "Especie;Familia;Forma de vida;Cobertura (%)\n"
+        "Xyzus altus;Poaceae;Hierba perenne;7\nXyzus minor;Poaceae;H;7\n"
+        "Xyzus ruber;Asparagaceae;Arbusto;7\nXyzus albus;Asteraceae;planta herbácea;7\n"
+        "Puya chilensis;Bromeliaceae;Roseta suculenta;7\nXyzus planus;;hierba en roseta;7\n"
+    )
+    forms = column(releve(tmp_path, text), "growth_form")
+    assert forms[:4] == ["tussock", "tussock", "rounded_shrub", "rounded_shrub"]
+    assert forms[4:] == ["rosette", "rosette"]

@@ -167,3 +167,35 @@ def test_what_cannot_be_is_refused(tmp_path: Path) -> None:
     init_from_table(tmp_path / "p", table(tmp_path))
     with pytest.raises(InputError, match="overwrites nothing"):
         init_from_table(tmp_path / "p", table(tmp_path))
+
+
+def test_leaves_of_taxa_with_authors_and_the_way_to_an_image_of_integers(tmp_path: Path) -> None:
+    plants = tmp_path / "matorral.csv"
+    plants.write_text(
+        "Especie;Cobertura (%)\nLithraea caustica (Molina) Hook. & Arn.;40\n"
+        "Puya chilensis Molina;5\nErica sp. 1;3\n",
+        "utf-8",
+    )
+    (tmp_path / "hojas").mkdir()
+    for name in ("Lithraea_caustica_001", "Erica_sp_2_001"):
+        leaf = "wavelength_nm,reflectance\n400,0.05\n800,0.45\n"
+        (tmp_path / "hojas" / f"{name}.csv").write_text(leaf)
+    ortho = image(tmp_path)
+    made = init_from_table(tmp_path / "plot", plants, image=ortho, leaves=tmp_path / "hojas")
+    with pytest.warns(UserWarning, match="Erica_sp_2_001"):
+        leaf_files = read_plot(tmp_path / "plot" / "plot.toml").leaf_files
+    assert list(leaf_files) == ["Lithraea caustica (Molina) Hook. & Arn."]
+    assert "such as 'Erica_sp_2_001.csv'" in " ".join(made.warnings)
+    assert "integers" not in " ".join(made.headline)
+    for name in ("README.txt", "plot.toml"):
+        assert "--target ../ortho.tif" in (tmp_path / "plot" / name).read_text("utf-8")
+    (tmp_path / "hojas" / "Lithraea_caustica_001.csv").unlink()
+    with pytest.raises(InputError, match="begin with a taxon") as caught:
+        init_from_table(tmp_path / "other", plants, leaves=tmp_path / "hojas")
+    assert caught.value.file == tmp_path / "hojas"
+    with rasterio.open(ortho) as file:
+        profile = {**file.profile, "dtype": "uint16"}
+    with rasterio.open(ortho, "w", **profile) as file:
+        file.write(np.full((profile["count"], 30, 30), 2000, np.uint16))
+    again = init_from_table(tmp_path / "again", plants, image=ortho)
+    assert "The image holds integers and states no scale" in " ".join(again.headline)

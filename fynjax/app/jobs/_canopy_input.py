@@ -121,7 +121,8 @@ def _places(
             raise InputError(
                 f"expected at least three bands of {sensor.name} "
                 f"({', '.join(sensor.bands.names[:13])}), but of {', '.join(names[:13])} only "
-                f"{len(order)} are"
+                f"{len(order)} are. Name bands as there, as blue, green, red, nir, swir_1, or by "
+                "their wavelengths: 665"
             )
         words = ", ".join(f"{names[found[b]] or b + 1} as {sensor.bands.names[b]}" for b in order)
         if len(order) > 13:

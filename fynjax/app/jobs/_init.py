@@ -5,7 +5,9 @@ import csv
 import io
 import json
 import math
+import os
 import re
+import shlex
 import shutil
 import warnings
 from collections.abc import Collection, Iterable
@@ -30,6 +32,7 @@ from fynjax.app.io.plot import (
     read_plot,
     read_prior,
     read_releve,
+    spectra_by_taxon,
     state_population,
 )
 from fynjax.app.io.raster import RasterFile, open_image
@@ -70,6 +73,8 @@ class _Image:
     """What an image says of how it was taken."""
 
     path: Path
+    target: str
+    """The file, as a command in the folder of the plot names it."""
     place: tuple[float, float] | None
     pixel_m: float | None
     sensor: str
@@ -114,7 +119,7 @@ def init_from_table(
     folder = Path(folder)
     learned = None if prior is None else read_prior(prior)
     releve = read_releve(table)
-    seen = None if image is None else _image(Path(image))
+    seen = None if image is None else _image(Path(image), folder)
     place, of_place = _place(place, seen)
     fynbos = prior != NO_PRIOR and place is not None and in_the_cape(*place)
     plants = "fynbos" if fynbos or (learned and prior == DEFAULT_PRIOR) else "generic"
@@ -130,7 +135,7 @@ def init_from_table(
     with staged_folder(folder) as staged, warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", UserWarning)
         (staged / "species.csv").write_text(_species_csv(releve), encoding="utf-8")
-        spectra = None if leaves is None else _copied_leaves(Path(leaves), staged)
+        spectra = None if leaves is None else _copied_leaves(Path(leaves), releve, staged)
         text = _plot_toml(
             name or releve.path.stem, releve, place, seen, spectra, plants=plants, seed=seed
         )
@@ -199,8 +204,8 @@ def _place(
 # -- the image ------------------------------------------------------------------------------
 
 
-def _image(path: Path) -> _Image:
-    """What an image of the plot says of place, time, camera and pixel."""
+def _image(path: Path, folder: Path) -> _Image:
+    """What an image of the plot says of place, time, camera and pixel; `folder` of the plot."""
     with open_image(path, "an image of the plot") as file, in_file(file.path):
         place, said = raster_place(file), list[str]()
         pixel = None
@@ -218,8 +223,19 @@ def _image(path: Path) -> _Image:
             if own < 1.0:
                 altitude = float(f"{sensor.altitude * pixel / own:.3g}")
             said.append(f"Pixel: {pixel:.4g} m.")
+        integers = all(np.dtype(kind).kind in "iu" for kind in file.dataset.dtypes)
+        if (
+            integers
+            and set(file.dataset.scales) == {1.0}
+            and "reflectance scale factor" not in file.header
+        ):
+            said.append(
+                "The image holds integers and states no scale: calibrate and validate take "
+                "reflectance, and say how to state it."
+            )
         return _Image(
             file.path,
+            shlex.quote(os.path.relpath(file.path.resolve(), folder.resolve())),
             place,
             pixel,
             "" if sensor is None else sensor.name,
@@ -336,9 +352,12 @@ def _letters(text: str) -> str:
 # -- what is written ------------------------------------------------------------------------
 
 
-def _copied_leaves(source: Path, folder: Path) -> str:
+def _copied_leaves(source: Path, releve: Releve, folder: Path) -> str:
     """Leaf spectra copied beside the plot file; the name that it has for them."""
     if source.is_dir():
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # said when the copy is read
+            spectra_by_taxon(source, [plant.cells["taxon"] for plant in releve.plants])
         shutil.copytree(source, folder / "leaf_spectra")
         return "leaf_spectra"
     source = existing_file(source, "a folder or table of leaf spectra")
@@ -417,7 +436,7 @@ def _plot_toml(
 ) -> str:
     """The example's plot file with the comments that it has, and the values of this plot."""
     text = (example_folder() / "plot.toml").read_text(encoding="utf-8")
-    target = "" if image is None else f"\n#   fynjax calibrate plot.toml --target {image.path.name}"
+    target = "" if image is None else f"\n#   fynjax calibrate plot.toml --target {image.target}"
     head = (
         f"# {name}: a plot of {len(releve.plants)} taxa, written by fynjax init from "
         f"{releve.path.name}. Everything that can\n"
@@ -518,7 +537,7 @@ def _with_own_calibration(text: str) -> str:
 
 
 def _guide(releve: Releve, image: _Image | None) -> str:
-    target = "image.tif" if image is None else image.path.name
+    target = "image.tif" if image is None else image.target
     lines = [
         f"A plot for fynjax, written from {releve.path.name}. Run, in this folder:",
         "",

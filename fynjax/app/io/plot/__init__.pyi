@@ -1,6 +1,7 @@
 from ._calibration import CalibrationTable as CalibrationTable
 from ._crowns_out import write_crowns as write_crowns
 from ._leaf_spectra import LeafFileRow as LeafFileRow
+from ._leaf_spectra import spectra_by_taxon as spectra_by_taxon
 from ._parameter_values import with_parameter_table as with_parameter_table
 from ._place import Place as Place
 from ._place import placed_by as placed_by

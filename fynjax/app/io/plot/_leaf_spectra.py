@@ -34,7 +34,8 @@ def spectra_by_taxon(
 
     - `path`: a folder, in which the name of a file, or of a folder above it, begins with that of
       its taxon, in letters of any size and with any signs for the blank
-      ("calluna_vulgaris_00012.asd", "Calluna vulgaris/leaf 3.asd"); or a table of `LeafFileRow`.
+      ("calluna_vulgaris_00012.asd", "Calluna vulgaris/leaf 3.asd"), an author behind the epithet
+      left out or not; or a table of `LeafFileRow`.
     - `taxa`: names in the species table.
     - `within`: folder in which the files must lie; None allows all.
 
@@ -51,7 +52,8 @@ def spectra_by_taxon(
         return {taxon: tuple(files) for taxon, files in found.items()}
     others = []
     # The longest name first: "Erica cinerea" before "Erica".
-    wanted = sorted(((_letters(taxon), taxon) for taxon in taxa), key=lambda w: -len(w[0]))
+    named = [*((_letters(taxon), taxon) for taxon in taxa), *_without_authors(taxa).items()]
+    wanted = sorted(named, key=lambda w: -len(w[0]))
     for file in sorted(p for p in path.rglob("*") if p.is_file()):
         parts = file.relative_to(path).parts
         if any(part.startswith(".") for part in parts):
@@ -83,6 +85,15 @@ def spectra_by_taxon(
             stacklevel=4,
         )
     return {taxon: tuple(files) for taxon, files in found.items()}
+
+
+def _without_authors(taxa: Sequence[str]) -> dict[str, str]:
+    """Taxa by genus and epithet, of those with an author behind: "Erica cinerea L."."""
+    found: dict[str, list[str]] = {}
+    for taxon in taxa:
+        if match := re.match(r"([^\W\d_]+ [^\W\d_]{3,}) \(?[^\W\d_a-z]", taxon):
+            found.setdefault(_letters(match[1]), []).append(taxon)
+    return {short: same[0] for short, same in found.items() if len(same) == 1}
 
 
 def _letters(name: str) -> str:

@@ -34,6 +34,21 @@ _MOST_FAULTS = 20
 """Faults that one message names."""
 _OWN = tuple(columns(SpeciesRow))
 _NUMBER = re.compile(r"([+-]?(?:\d+(?:[.,]\d+)?|[.,]\d+))\s*([^\d\s].*)?")
+_MISSING = (
+    "",
+    "na",
+    "nan",
+    "n a",
+    "nd",
+    "n d",
+    "s d",
+    "s i",
+    "k a",
+    "no data",
+    "sin dato",
+    "sin datos",
+)
+"""What stands for a size that was not measured, in the words of `words_of`."""
 _BROAD_FROM_M = 1.5
 """Height from which a plant of which nothing else is known is taken to be broad-leaved [m]."""
 _TALLEST_M = 8.0
@@ -383,21 +398,26 @@ def _lengths(
         for i in where
         if re.search(r"\b(max|maxim\w*|greatest|top|hmax)\b", words_of(table.names[i]))
     ]
-    if kind == "height" and len(where) > 1:
-        where = largest[:1] or where
+    first = largest[:1] if kind == "height" and len(where) > 1 else []
     columns_of = {
         i: _column_of_lengths(table, rows, i, heads[i], kind, said, faults) for i in where
     }
-    if len(where) > 1:
+    if len(where) > 1 and not first:
         how = "the largest" if kind == "height" else "the mean"
         said.append(f"The {kind} is {how} of {' and '.join(repr(table.names[i]) for i in where)}.")
     values: list[float | None] = []
+    fell_back = False
     for k in range(len(rows)):
-        own = [v for i in where if (v := columns_of[i][k]) is not None]
+        known = {i: v for i in where if (v := columns_of[i][k]) is not None}
+        own = [known[i] for i in first if i in known] or list(known.values())
+        fell_back |= bool(own) and not known.keys() >= set(first)
         if not own:
             values.append(None)
         else:
             values.append(max(own) if kind == "height" else sum(own) / len(own))
+    if fell_back:
+        others = " or ".join(repr(table.names[i]) for i in where if i not in first)
+        said.append(f"Where {table.names[first[0]]!r} is empty, the height is that of {others}.")
     return values
 
 
@@ -412,7 +432,7 @@ def _column_of_lengths(
 ) -> list[float | None]:
     name, numbers, units = table.names[at], list[float | None](), list[str]()
     for row, cells in rows:
-        cell = "" if words_of(cells[at]) in ("", "na", "nan", "n a") else cells[at]
+        cell = "" if words_of(cells[at]) in _MISSING else cells[at]
         match = _NUMBER.fullmatch(cell)
         unit = heading(f"x ({match[2]})").unit if match and match[2] else ""
         if cell and (match is None or (match[2] and unit not in METRES)):
@@ -458,10 +478,12 @@ def _form(
     found = form_of_taxon(genus)
     if found is not None and not (by_words in _NOT_SHRUBS and found.growth_form not in _NOT_SHRUBS):
         return found.growth_form, "genus"
-    if by_words:
-        return by_words, "life form"
     family = family or (genus if genus.endswith("aceae") else "")
-    if (by_family := form_of_taxon("", family.capitalize())) is not None:
+    by_family = form_of_taxon("", family.capitalize())
+    herb = by_words == "rounded_shrub" and any(_HERB.search(words_of(word)) for word in stated)
+    if by_words and not (herb and by_family and by_family.growth_form in _NOT_SHRUBS):
+        return by_words, "life form"
+    if by_family is not None:
         return by_family.growth_form, "family"
     if by_taxon := form_of_words(taxon):
         return by_taxon, "name"
@@ -477,10 +499,16 @@ _NOT_SHRUBS = (
     "sward",
     "cushion",
     "mat",
+    "rosette",
     "succulent",
     "column",
 )
 """Forms that a life form tells more surely than a genus does."""
+_HERB = re.compile(
+    r"\b(herb|hierba|erba|erva|kraut|kruid|forb|annual|perennial|annuelle|vivace|bulb|geo[pf]|"
+    r"h?emicr|thero|terof)|^(h|t|th|g)$"
+)
+"""Life forms that grasses and their like share with herbs: of these the family says more."""
 
 
 def _record(

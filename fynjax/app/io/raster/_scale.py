@@ -42,14 +42,23 @@ def check_reflectance(brightest: float, path: Path, *, eight_bits: bool = False)
     else:
         hint = (
             f". Is it in integers of 0 to 10000? Then state it: {_remedy(path, 10000)}. Times "
-            f"32768, as Metashape and MicaSense write it? {_remedy(path, 32768)}. Raw counts of a "
-            "camera, or radiance, are none: make reflectance of them first (fynjax reflectance)"
+            f"32768, as Metashape and MicaSense write it? {_remedy(path, 32768)}. {_without(path)}"
+            "Raw counts of a camera, or radiance, are none: make reflectance of them first (fynjax "
+            "reflectance)"
         )
     raise InputError(
         "expected reflectance as a fraction, but the median of the brightest band is "
         f"{brightest:g}{hint}",
         file=path,
     )
+
+
+def _without(path: Path) -> str:
+    """How the first scale is stated where GDAL's own tools are not installed."""
+    if path.suffix.lower() not in (".tif", ".tiff"):
+        return ""
+    opened = f"d = rasterio.open({path.name!r}, 'r+'); d.scales = [0.0001] * d.count; d.close()"
+    return f"Without GDAL's tools, in Python: import rasterio; {opened}. "
 
 
 def _remedy(path: Path, divisor: int) -> str:
