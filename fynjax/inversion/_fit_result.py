@@ -26,6 +26,9 @@ if TYPE_CHECKING:
 WELL_CONSTRAINED = 0.75
 """Share of its prior variance that data must remove for a parameter to be well constrained [-]."""
 
+_FEWEST = 6
+"""Draws of which some can be left out, at least."""
+
 
 def scatter_covariance(
     draws: Float[np.ndarray, "draw statistic"],
@@ -95,29 +98,34 @@ def scatter_of_views(
     share, the difference of two would tell without it. What is left of the chance that few draws
     lead to is measured on draws that are left out: each is looked for among the others as if it
     were a change by a parameter, and the covariance is larger by the mean square of what is found
-    over the variance stated for it, at least 1.
+    over the variance stated for it, at least 1. Of fewer than six draws too few are left for that,
+    and no correlation is known: as many times the variance of each statistic, on the mean over its
+    kind, as there are statistics, which no correlations of such variances exceed.
 
     **Arguments:** `draws`, at least two; `kinds`, of each statistic what it is in its view, one
     view after the other.
+
+    **Returns:** the covariance, NaN where a statistic is not finite.
     """
     kind = np.unique(kinds, return_inverse=True)[1]
-    if len(kinds) == kind.max() + 1:
+    if len(kinds) == kind.max() + 1 or not np.isfinite(draws).all():
         return scatter_covariance(draws)
+    if len(draws) < _FEWEST:
+        mean = np.bincount(kind, draws.var(axis=0, ddof=1)) / np.bincount(kind)
+        return np.diag(len(kinds) * mean[kind])
     same = kind == kind[:, None]
     view = np.tril(same, -1).sum(axis=1)  # how often its kind came before
     found = _of_views(draws, kind, view)
-    folds = np.arange(len(draws)) % max(min(8, len(draws) // 2), 2)
+    folds = np.arange(len(draws)) % min(8, len(draws) // 2)
     squares = []
     for fold in range(folds.max() + 1):
         known, left = draws[folds != fold], draws[folds == fold]
-        if len(known) < 2 or len(left) < 2:
-            continue
         away = left - known.mean(axis=0)
         inverse = np.linalg.pinv(_of_views(known, kind, view), hermitian=True)
         product = away @ inverse @ away.T
         stated = np.maximum(np.diagonal(product), 1e-300)[:, None]
         squares.append((product**2 / stated)[~np.eye(len(left), dtype=bool)])
-    return np.asarray(found * max(np.mean(np.concatenate(squares)) if squares else 1.0, 1.0))
+    return np.asarray(found * max(np.mean(np.concatenate(squares)), 1.0))
 
 
 def _of_views(

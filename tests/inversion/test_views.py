@@ -1157,3 +1157,30 @@ def test_views_of_unlike_statistics_and_statistics_that_never_change_have_a_cova
     assert np.linalg.eigvalsh(found[np.ix_(moving, moving)]).min() > 0.0
     sd = np.sqrt(np.diagonal(found)[moving])
     assert (found[np.ix_(moving, moving)] / np.outer(sd, sd) > 0.53).all()
+
+
+@pytest.mark.parametrize("count", [3, 4, 5, 6])
+def test_very_few_draws_of_views_state_errors_neither_far_too_small_nor_without_end(count):
+    """What generalised least squares is off by, over what is stated of it, on the mean over its
+    logarithm; stated errors over those of the covariance itself."""
+    random, views, kinds = np.random.default_rng(8), 9, 10
+    apart = np.abs(np.subtract.outer(np.arange(kinds), np.arange(kinds)))
+    own = np.kron(np.full((views, views), 0.9) + 0.1 * np.eye(views), 0.8**apart)
+    root, names = np.linalg.cholesky(own), [str(kind) for kind in range(kinds)] * views
+    off, wide = [], []
+    for _ in range(60):
+        found = scatter_of_views(random.normal(size=(count, len(own))) @ root.T, names)
+        slope, error = root @ random.normal(size=(2, len(own), 1))
+        weights = np.linalg.solve(found, slope)
+        information = float(np.sum(slope * weights))
+        off.append(abs(float(np.sum(weights * error))) / np.sqrt(information))
+        wide.append(np.sqrt(np.sum(slope * np.linalg.solve(own, slope)) / information))
+    assert np.median(off) < 1.5
+    assert np.median(wide) < 20.0
+
+
+@pytest.mark.parametrize("names", ["abab", "abcd"])
+def test_a_statistic_that_is_not_finite_has_no_covariance(names):
+    drawn = np.random.default_rng(2).normal(size=(16, 4))
+    drawn[3, 2] = np.nan
+    assert np.isnan(scatter_of_views(drawn, [*names])[2, 2])

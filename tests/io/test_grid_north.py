@@ -7,6 +7,7 @@ from affine import Affine
 from pyproj import Geod, Transformer
 
 from fynjax.app.assembly import placed_by_image
+from fynjax.app.io.frames import grid_north
 from fynjax.app.io.plot import read_plot
 from fynjax.sensors import sun_position
 from tests.small import write_plot
@@ -69,3 +70,31 @@ def test_a_map_in_degrees_or_without_place_turns_nothing(tmp_path) -> None:
     raster(tmp_path / "map.tif", crs=None)
     plot = placed_by_image(read_plot(plot_at(tmp_path, BY_TIME)), [tmp_path / "map.tif"])
     assert plot.grid_north_deg is None
+
+
+def test_a_sun_that_was_put_in_place_of_the_files_stays(tmp_path) -> None:
+    raster(tmp_path / "map.tif")
+    plot = read_plot(plot_at(tmp_path, BY_TIME))
+    plot = plot.replace(sun=plot.sun._replace(zenith=12.0))
+    placed = placed_by_image(plot, [tmp_path / "map.tif"])
+    assert placed.sun == plot.sun
+    assert placed.grid_north_deg == pytest.approx(turn(), abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("crs", "place", "east"),
+    [("EPSG:32734", (-34.4, 18.05), 1), ("EPSG:32734", (-34.4, 23.9), -1),
+     ("EPSG:32633", (48.0, 12.2), -1), ("EPSG:32633", (48.0, 17.8), 1)],
+)  # fmt: skip
+def test_a_sun_on_the_grid_is_where_a_way_to_it_leads(tmp_path, crs, place, east) -> None:
+    """On both sides of a zone's middle, north and south of the equator, by the end of a way of
+    500 m to the sun; grid north lies `east` or west of true north."""
+    at = f'latitude_deg = {place[0]}\nlongitude_deg = {place[1]}\ntime = "{TIME}"'
+    sun = read_plot(plot_at(tmp_path, at)).sun_table
+    turned = grid_north(crs, *place[::-1])
+    end = Geod(ellps="WGS84").fwd(*place[::-1], sun.position().azimuth, 500.0)
+    to_zone = Transformer.from_crs(4326, crs, always_xy=True)
+    way = np.subtract(to_zone.transform(*end[:2]), to_zone.transform(*place[::-1]))
+    assert np.sign(turned) == east
+    expected = np.degrees(np.arctan2(*way)) % 360.0
+    assert sun.position(turned).azimuth == pytest.approx(expected, abs=0.01)

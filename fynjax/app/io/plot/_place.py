@@ -74,7 +74,9 @@ def placed_by(plot: Plot, maps: Iterable[Path]) -> Plot:
         if place is None:
             continue
         if plot.grid_north_deg is None:
-            plot = plot.replace(grid_north_deg=turn, sun=plot.sun_table.position(turn))
+            own = plot.sun == plot.sun_table.position()  # and not one that was put in its place
+            sun = plot.sun_table.position(turn) if own else plot.sun
+            plot = plot.replace(grid_north_deg=turn, sun=sun)
         if plot.place_deg is None:
             plot = plot.replace(place_deg=place)
         elif (apart := _distance_km(plot.place_deg, place)) > _FAR_KM:
