@@ -301,8 +301,11 @@ def words(name: str) -> str:
 
 
 def typeset(text: str) -> str:
-    """A text with the exponents and the micro of its units: 2 m2 m-2 becomes 2 m² m⁻². One unit
-    alone only after a number or in brackets, as taxa, plots and files may have such names."""
+    """A text with the exponents and the micro of its units: 2 m2 m-2 becomes 2 m² m⁻².
+
+    **Arguments:** `text`. One unit alone is typeset only after a number or in brackets, as taxa,
+    plots and files may have such names.
+    """
     return _OF_UNITS.sub(_raised, text)
 
 

@@ -221,4 +221,4 @@ _ANSWERS = tomllib.loads((Path(__file__).parent / "answers.toml").read_text("utf
 _ENVIRONMENT = Environment(
     loader=FileSystemLoader(Path(__file__).parent), autoescape=True, undefined=StrictUndefined
 )
-_ENVIRONMENT.filters |= {"cell": _cell, "units": figures.typeset}
+_ENVIRONMENT.filters |= {"cell": _cell, "units": lambda text: figures.typeset(text)}
