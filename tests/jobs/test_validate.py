@@ -266,7 +266,7 @@ def test_a_run_writes_every_number_once(folder: Path, tmp_path: Path) -> None:
         assert row["variance"] == pytest.approx(pixels.var(axis=1, ddof=1).sum())
     assert summary.spectra.matching == "same"
     html = (tmp_path / "report.html").read_text("utf-8")
-    assert html.count("<img") == 6
+    assert html.count("<figure") == 6
     for words in ("0.885", "48.31", "sqrt((N-R)/(N+R))", "Gauch", "MEVI"):
         assert words in html, words
     assert any("a gain" in line or "gain" in line for line in summary.headline)
