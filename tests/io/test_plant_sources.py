@@ -124,7 +124,7 @@ def test_maps_and_the_image_say_where_a_plot_is(tmp_path, crs, corner, plants):
         if far
         else (nullcontext())
     ):
-        assert placed_by_image(said, [tmp_path / "map.tif"]) is said
+        assert placed_by_image(said, [tmp_path / "map.tif"]).place_deg == said.place_deg
     for keys, word in (("latitude_deg = 53.0\n", "longitude_deg is missing"),
                        ("latitude_deg = 1.0\nlongitude_deg = 2.0\n" + PLACE.format(1, 2, 0),
                         "but got both")):  # fmt: skip
