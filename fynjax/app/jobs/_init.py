@@ -205,7 +205,8 @@ def _place(
 
 
 def _image(path: Path, folder: Path) -> _Image:
-    """What an image of the plot says of place, time, camera and pixel; `folder` of the plot."""
+    """Place, time, camera and pixel of an image of the plot, as its file states them; `folder` is
+    that of the plot."""
     with open_image(path, "an image of the plot") as file, in_file(file.path):
         place, said = raster_place(file), list[str]()
         pixel = None

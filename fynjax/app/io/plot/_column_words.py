@@ -41,7 +41,7 @@ class Heading:
     """What the heading of a column says."""
 
     role: str
-    """What it holds, such as "cover"; empty of one that no word names."""
+    """Quantity that the column holds, such as "cover"; empty where no word of its heading says."""
     unit: str
     """Its unit, such as "cm" or "%"; empty where none is stated."""
     exact: bool

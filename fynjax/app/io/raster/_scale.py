@@ -54,11 +54,12 @@ def check_reflectance(brightest: float, path: Path, *, eight_bits: bool = False)
 
 
 def _without(path: Path) -> str:
-    """How the first scale is stated where GDAL's own tools are not installed."""
+    """Line of Python that writes a scale of 0.0001 into a GeoTIFF, for users without GDAL's command
+    line tools; empty of other files."""
     if path.suffix.lower() not in (".tif", ".tiff"):
         return ""
     opened = f"d = rasterio.open({path.name!r}, 'r+'); d.scales = [0.0001] * d.count; d.close()"
-    return f"Without GDAL's tools, in Python: import rasterio; {opened}. "
+    return f"Without GDAL's tools, for 0 to 10000, in Python: import rasterio; {opened}. "
 
 
 def _remedy(path: Path, divisor: int) -> str:

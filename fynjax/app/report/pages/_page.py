@@ -138,7 +138,7 @@ class Page:
     """
 
     command: str
-    """What made the page, a key of `answers.toml`."""
+    """Command that wrote the page, such as "render": a key of `answers.toml`."""
     title: str
     lead: str
     """All of the result in words; its first sentence is the first line."""
