@@ -196,14 +196,16 @@ def report(ready: Problem, known: dict[str, np.ndarray] | None, keep: Path) -> N
             place = np.full(len(kinds), True) if kind == "all" else kinds == kind
             row = {"flight": flight, "kind": kind, "twins": len(kept)}
             row["sd of fits"] = sd[:, place].mean()
-            row["of information"] = np.nan if known is None else known[flight][place].mean()
+            if known is not None:
+                row["of information"] = known[flight][place].mean()
             row["rms error"] = np.sqrt(np.mean((truth - estimate)[:, place] ** 2))
             row["held"] = inside[:, place].mean()
             rows.append(row)
-        spread = inside.mean(axis=1).std(ddof=1) / np.sqrt(len(kept)) if len(kept) > 1 else np.nan
+        held = inside.mean(axis=1)
+        spread = f" +- {held.std(ddof=1) / np.sqrt(len(held)):.3f}" if len(held) > 1 else ""
         print(f"{flight}: converged {np.mean([one['converged'] for one in kept]):.2f}, median "
               f"{np.median([one['seconds'] for one in kept]):.0f} CPU s, held "
-              f"{inside.mean():.3f} +- {spread:.3f}")  # fmt: skip
+              f"{inside.mean():.3f}{spread}")  # fmt: skip
     print(pd.DataFrame(rows).round(2).to_string(index=False))
 
 

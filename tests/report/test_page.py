@@ -384,7 +384,7 @@ def test_a_scale_of_several_panels_stands_below_them_on_a_phone():
 
 
 def test_a_figure_whose_panels_reach_into_each_other_stays_whole():
-    figure = Figure(figsize=(9, 3))
+    figure = Figure(figsize=(9, 3), layout="none")
     for axes in figure.subplots(1, 2, gridspec_kw={"wspace": 0.02}):
         axes.plot([0, 1])
         axes.set_ylabel("a\nb\nc")
