@@ -67,8 +67,8 @@ class Plantings(eqx.Module):
     views: tuple[AbstractView, ...]
     """Views of these stands, one for each sensor."""
     spread: Float[np.ndarray, "free coordinate"]
-    """Root of the covariance of what is unknown of the parameters, over which statistics are
-    expected, in whitened coordinates."""
+    """Root of the covariance of what is unknown of the parameters where factors of bands are given,
+    over which statistics are expected, in whitened coordinates."""
     stated: Float[np.ndarray, "direction statistic"]
     """Makes misfits of statistics without factors independent and of unit size, by the stated
     errors, of which there is no `excess`, and by what the factors of the bands change."""

@@ -114,9 +114,7 @@ class Expected(eqx.Module):
         pairs = [self.draw(i) for i in range(len(self.stands) if number is None else number)]
         # Only the draws of a step must be smooth in u; the others show whole plants.
         stands = [stand.expected() if number is None else stand for stand, _ in pairs]
-        # Factors of bands are multiplied exactly: what statistics do about them is no chance.
-        known = np.arange(len(spread)) < len(self.space.plot.names)
-        return stands, [u + jnp.asarray(known * (spread @ normal)) for _, normal in pairs]
+        return stands, [u + jnp.asarray(spread @ normal) for _, normal in pairs]
 
     def at(self, stand: Scene, u: Array) -> Float[Array, " statistic"]:
         """Statistics of one planting at whitened coordinates."""

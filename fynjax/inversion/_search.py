@@ -94,8 +94,9 @@ class SearchPlace(eqx.Module):
     u: Float[Array, " coordinate"]
     """Whitened coordinates of the parameters, then of the factors of the bands."""
     spread: Float[Array, "coordinate coordinate"]
-    """Root of the covariance of what is unknown of parameters and factors, in whitened
-    coordinates."""
+    """Root of the covariance of what is unknown of the parameters where factors are given, in
+    whitened coordinates; zeros for the factors, which are multiplied exactly: what statistics do
+    about them is no chance."""
     statistics: Float[Array, " statistic"]
     """Expected statistics of the full scene."""
     covariance: Float[Array, "statistic statistic"]
@@ -523,7 +524,8 @@ class PlotSearch:
         subspace = self._subspace(expected, origin) if after is None else after.subspace
         expected = self._expected(wanted, subspace)
         # Then over the prior, whose covariance is one in whitened coordinates.
-        spread = np.eye(free) if chance else none
+        spread = np.diag(np.arange(free) < len(self.space.plot.names)).astype(float)
+        spread = spread if chance else none
         slopes = np.asarray(expected.slopes(u, spread))
         place = self._observe(expected, wanted, u, spread, slopes, origin)
         descent = self._descent(place, subspace)
@@ -588,7 +590,8 @@ class PlotSearch:
         if settings.stand_realisations:
             # Over the posterior that the slopes of this round say, about the new place.
             weights = self.weights(before, state.subspace)
-            spread = posterior_root(weights, np.asarray(before.slopes))
+            free = len(self.space.plot.names)
+            spread[:free, :free] = posterior_root(weights, np.asarray(before.slopes)[..., :free])
         wanted = self._short(u, np.asarray(state.wanted), 0)
         grown = not np.array_equal(wanted, np.asarray(state.wanted))
         if grown:  # it had fewer plants than it asked for: go on from there, once more at most

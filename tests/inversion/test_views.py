@@ -1007,6 +1007,30 @@ def test_factors_of_bands_are_no_chance(sums):
     np.testing.assert_allclose(chance[1], chance[0], rtol=1e-6)
 
 
+def test_parameters_are_unknown_given_the_bands_factors(sums):
+    """Expectations after the first round are over what is unknown of the parameters where factors
+    are given: of normal laws the inverse of their block of the precision."""
+    model, space = sums[0], free_space(sums[0], small_parameters(), HEIGHTS, lambda _: 0.3)
+    value = np.asarray(small_parameters().species.cover, float)
+    data = Data(("a", "b", "c"), value, 0.02 * value)
+    view = Bright(("a", "b", "c"), None, gains=Gains(0.5, 0.5))
+    asked = CalibrationSettings(stand_realisations=2, scatter_draws=6, rounds=1)
+    search = search_of(model, small_parameters(), data, space, (view,), asked)
+    state = search.begin(jnp.zeros(len(space.names)))
+    while not state.ended:
+        before, state = state, search.step(state)
+    free = len(space.names)
+    weights, slopes = search.weights(before.place, before.subspace), before.place.slopes
+    rows = weights @ np.asarray(slopes).mean(axis=0)
+    whole = np.linalg.inv(np.eye(rows.shape[1]) + rows.T @ rows)
+    of_factors = np.linalg.solve(whole[free:, free:], whole[free:, :free])
+    given = whole[:free, :free] - whole[:free, free:] @ of_factors
+    root = np.asarray(state.place.spread)
+    np.testing.assert_allclose((root @ root.T)[:free, :free], given, rtol=0.02, atol=1e-3)
+    assert not root[free:].any()
+    assert (np.diagonal(given) < 0.8 * np.diagonal(whole)[:free]).any()
+
+
 def curvature(function, at, step=1e-4):
     """Second derivatives by central differences."""
     eye = step * np.eye(len(at))
