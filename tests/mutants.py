@@ -315,6 +315,8 @@ GROUPS: dict[str, list[Mutant]] = {
                "np.asarray(before.slopes))[:free, :free]", "inversion/test_views.py given_the"),
         Mutant("inversion/_views.py", "slopes = slopes + by_factor @ jax",
                "slopes = slopes - by_factor @ jax", "inversion/test_flight.py of_each_alone"),
+        Mutant("inversion/_found.py", "(1.0 + within / between) ** 2", "1000",
+               "inversion/test_places.py few_chains"),
         Mutant("inversion/_places.py", "inside * voxels.structure", "voxels.structure",
                "inversion/test_places.py heights_are"),
         Mutant("app/io/plot/_place.py", "plot.sun_table.position(turn)",

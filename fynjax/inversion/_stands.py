@@ -55,6 +55,8 @@ class WholeStand(NamedTuple):
     """Coordinates of the factors of the bands."""
     misfit: float
     """Of a value: 1 is expected of a model that describes the plot [-]."""
+    chain: int = 0
+    """The chain that it is of."""
 
 
 class Jumps:
