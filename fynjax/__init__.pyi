@@ -50,7 +50,9 @@ from .leaf import prospect as prospect
 from .radiation import canopy_albedo as canopy_albedo
 from .radiation import canopy_reflectance as canopy_reflectance
 from .scene import Placement as Placement
+from .scene import Program as Program
 from .scene import Scene as Scene
+from .scene import compile as compile
 from .scene import observe as observe
 from .scene import pixel_truth as pixel_truth
 from .sensors import Frame as Frame

@@ -194,14 +194,14 @@ class Measure:
 
 MEASURES = {
     "places that declare a key": Measure(3, 2, places_of_keys),
-    "public names of the library": Measure(263, 250, public_names),
+    "public names of the library": Measure(265, 250, public_names),
     "names between its rooms": Measure(263, None, names_between_rooms),
     "names of two things": Measure(0, 0, names_of_two),
     "long functions": Measure(16, 15, large_functions),
     "lines of the library": Measure(
-        49_700, 40_000, lambda m: _lines(m, tuple(f"{room}/" for room in ("_core", *ROOMS)))
+        49_900, 40_000, lambda m: _lines(m, tuple(f"{room}/" for room in ("_core", *ROOMS)))
     ),
-    "lines of all": Measure(96_700, 78_000, lambda m: _lines(m, ("",))),
+    "lines of all": Measure(97_000, 78_000, lambda m: _lines(m, ("",))),
 }
 PREDICTION = 43
 """At most so many modules does a prediction enter; aimed at: 25."""

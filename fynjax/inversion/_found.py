@@ -102,7 +102,8 @@ class FoundPlants:
 
         Columns: x_m and y_m of its foot from the plot's south-west corner, taxon (the likeliest),
         presence and taxon_probability [-], diameter_cm and height_m with their 5 % and 95 %
-        quantiles, and p_<taxon>, the probability of each species given that it stands.
+        quantiles as of `table`, and p_<taxon>, the probability of each species given that it
+        stands.
         """
         import pandas as pd  # late: the command line need not wait for it
 
@@ -112,14 +113,15 @@ class FoundPlants:
             for n in ("foot", "diameter", "height", "species")
         )
         groups = _together(foot, diameter, owner, self._side)
+        chain = np.array([stand.chain for stand in self.stands])
         taxa, rows = self.scene.taxa, []
         for group in groups:
             presence = len(group) / len(self.stands)
             if presence < _SELDOM:
                 continue
             share = np.bincount(kind[group], minlength=len(taxa)) / len(group)
-            low, middle, high = np.quantile(100.0 * diameter[group], INTERVAL)
-            least, mean, most = np.quantile(height[group], INTERVAL)
+            middle, low, high = _interval(100.0 * diameter[group], chain[owner[group]])
+            mean, least, most = _interval(height[group], chain[owner[group]])
             first = foot[group[0]]
             x, y = self._within(first + _apart(foot[group] - first, self._side).mean(axis=0))
             likeliest = int(share.argmax())
@@ -171,9 +173,9 @@ class FoundPlants:
         for level, name, form, which in rows:
             row = {"level": level, "name": name, "form": form}
             row |= {"table_plants": number[which].sum()}
-            row |= _interval(counts[:, which].sum(axis=1), chain, "plants")
+            row |= _named("plants", _interval(counts[:, which].sum(axis=1), chain))
             row |= {"table_cover_percent": (number * stated)[which].sum()}
-            row |= _interval(covers[:, which].sum(axis=1), chain, "cover_percent")
+            row |= _named("cover_percent", _interval(covers[:, which].sum(axis=1), chain))
             found.append(row)
         return pd.DataFrame(found)
 
@@ -199,8 +201,12 @@ class FoundPlants:
         )
 
 
-def _interval(values: np.ndarray, chain: np.ndarray, name: str) -> dict[str, float]:
-    """Mean and 90 % interval of what is not negative, of stands of several chains."""
+def _named(name: str, found: tuple[float, float, float]) -> dict[str, float]:
+    return dict(zip((name, f"{name}_q05", f"{name}_q95"), found, strict=True))
+
+
+def _interval(values: np.ndarray, chain: np.ndarray) -> tuple[float, float, float]:
+    """Mean and 90 % interval of what is not negative, of stands of several chains (`table`)."""
     each = [values[chain == one] for one in np.unique(chain)]
     low, high = np.quantile(values, INTERVAL[::2])
     between = np.var([np.mean(one) for one in each], ddof=1) if len(each) > 1 else 0.0
@@ -209,7 +215,7 @@ def _interval(values: np.ndarray, chain: np.ndarray, name: str) -> dict[str, flo
         degrees = (len(each) - 1) * (1.0 + within / between) ** 2
         half = stats.t.ppf(INTERVAL[-1], degrees) * np.sqrt(within + between)
         low, high = values.mean() - half, values.mean() + half
-    return {name: values.mean(), f"{name}_q05": max(low, 0.0), f"{name}_q95": high}
+    return float(values.mean()), max(float(low), 0.0), float(high)
 
 
 def _apart(gap: np.ndarray, side: np.ndarray) -> np.ndarray:

@@ -56,6 +56,7 @@ from fynjax.scene._planting import (
     relative_sizes,
 )
 from fynjax.scene._profile import height_profile
+from fynjax.scene._program import Program, compile
 from fynjax.scene._scene import (
     Recipe,
     Scene,
@@ -111,6 +112,7 @@ __all__ = [
     "PlantingRules",
     "PlotAir",
     "PlotParameters",
+    "Program",
     "Recipe",
     "ReturnTruth",
     "Scene",
@@ -121,6 +123,7 @@ __all__ = [
     "TiledPicture",
     "aim",
     "build_scene",
+    "compile",
     "hard_instances",
     "hard_scene",
     "named_values",

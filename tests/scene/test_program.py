@@ -1,0 +1,147 @@
+"""Programs of images that are compiled beforehand and kept as bytes."""
+
+import dataclasses
+import os
+import subprocess
+import sys
+
+import equinox as eqx
+import jax
+import numpy as np
+import pytest
+
+import fynjax as fx
+from fynjax._core.errors import InputError, MissingExtraError
+from fynjax.canopy import table1_2006
+from fynjax.scene import _program
+
+MADE = 'fx.Scene.from_table(table1_2006()[:2], size=1.0, voxel=0.25, structure="even", seed={})'
+CAMERA = {"pixel": 0.25, "point_spread": False}
+
+
+def plot(seed=0, rows=slice(2)):
+    return fx.Scene.from_table(
+        table1_2006()[rows], size=1.0, voxel=0.25, structure="even", seed=seed
+    )
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return plot()
+
+
+@pytest.fixture(scope="module")
+def program(scene):
+    return fx.compile(scene, "mavic_3m", **CAMERA)
+
+
+@pytest.fixture(scope="module")
+def kept(program):
+    return program.to_bytes()
+
+
+def observed(scene, parameters=None):
+    return fx.observe(scene, "mavic_3m", parameters=parameters, **CAMERA).reflectance
+
+
+def test_a_program_gives_the_image_of_other_parameters_and_seeds(scene, program):
+    other = plot(1)
+    for of in (scene, other):
+        np.testing.assert_allclose(program(of), observed(of), rtol=1e-5)
+    where = lambda p: p.leaf.chlorophyll  # noqa: E731
+    darker = eqx.tree_at(where, scene.parameters, 2.0 * where(scene.parameters))
+    found = program(scene, darker)
+    np.testing.assert_allclose(found, observed(scene, darker), rtol=1e-5)
+    assert np.abs(found - program(scene)).max() > 1e-3
+    assert program.bands == ("green", "red", "red_edge", "nir")
+
+
+def test_another_process_has_image_and_gradient_without_tracing(scene, kept, monkeypatch):
+    def traced(*_):
+        raise AssertionError("traced")
+
+    mean = lambda image: image[3].mean()  # noqa: E731
+    real = jax.grad(lambda p: mean(observed(scene, p)))(scene.parameters)
+    monkeypatch.setattr(_program, "_observe_with", traced)
+    again = fx.Program.from_bytes(kept)
+    found = jax.grad(lambda p: mean(again(scene, p)))(scene.parameters)
+    for a, b in zip(jax.tree.leaves(found), jax.tree.leaves(real), strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-4, atol=1e-6 * np.abs(b).max())
+    assert np.abs(found.leaf.chlorophyll).max() > 0.0
+
+
+def test_another_process_knows_the_shapes_of_a_scene(scene, program, kept, tmp_path):
+    (tmp_path / "kept").write_bytes(kept)
+    lines = (
+        "import pathlib, fynjax as fx",
+        "from fynjax.canopy import table1_2006",
+        "program = fx.Program.from_bytes(pathlib.Path('kept').read_bytes())",
+        f"print(float(program({MADE.format(0)}).sum()))",
+    )
+    run = [sys.executable, "-c", "\n".join(lines)]
+    told = {
+        wide: subprocess.run(
+            run, cwd=tmp_path, capture_output=True, text=True,
+            env=os.environ | {"JAX_ENABLE_X64": wide},
+        )
+        for wide in ("1", "0")
+    }  # fmt: skip
+    # The session computes in 64 bits.
+    assert "InputError: expected jax_enable_x64" in told["0"].stderr
+    told = told["1"]
+    assert told.returncode == 0, told.stderr
+    assert float(told.stdout) == pytest.approx(float(program(scene).sum()), rel=1e-5)
+
+
+@pytest.mark.parametrize("rows", [slice(2, 4), slice(1)])
+def test_another_table_is_refused(program, rows):
+    with pytest.raises(InputError, match="taxa, sides or settings of this one are others"):
+        program(plot(rows=rows))
+
+
+def test_another_number_of_plants_is_refused(scene, program):
+    fewer = table1_2006()[:2]
+    fewer["cover_percent"] = 0.3 * fewer["cover_percent"]
+    other = fx.Scene.from_table(fewer, size=1.0, voxel=0.25, structure="even")
+    with pytest.raises(InputError, match="numbers of plants of this one are others"):
+        program(other)
+    other = "open" if scene.boundary == "periodic" else "periodic"
+    with pytest.raises(InputError, match="settings of this one are others"):
+        program(dataclasses.replace(scene, boundary=other))
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda b: b"hello", "these are others"),
+        (lambda b: b[:18], "these are others"),
+        (lambda b: b[:200], "bytes are damaged"),
+        (lambda b: b[:-1], "bytes are damaged"),
+        (lambda b: b[:-9] + bytes([b[-9] ^ 1]) + b[-8:], "bytes are damaged"),
+        (lambda b: b[:15] + b"\xff\xff\xff\xff" + b[19:], "bytes are damaged"),
+        (lambda b: b.replace(b'"cpu"', b'"tpu"', 1), "one for tpu. Compile it anew"),
+        (lambda b: b.replace(b'"fynjax": "', b'"fynjax": "9', 1), "bytes are damaged"),
+    ],
+)
+def test_other_bytes_end_in_one_line(kept, change, words):
+    with pytest.raises(InputError, match=words):
+        fx.Program.from_bytes(change(kept))
+
+
+def test_another_version_is_refused(kept, monkeypatch):
+    monkeypatch.setattr(_program, "version", lambda _: "9.9")
+    with pytest.raises(InputError, match=r"of fynjax 9\.9, but got one of"):
+        fx.Program.from_bytes(kept)
+
+
+def test_what_is_missing_is_named(kept, monkeypatch):
+    monkeypatch.setitem(sys.modules, "flatbuffers", None)
+    with pytest.raises(MissingExtraError, match=r"fynjax\[map\]"):
+        fx.Program.from_bytes(kept)
+
+
+def test_a_scene_that_is_traced_is_refused(scene):
+    with pytest.raises(InputError, match="`scene` must be known"):
+        jax.grad(lambda foot: fx.compile(
+            eqx.tree_at(lambda s: s.planting.foot, scene, foot), "mavic_3m", **CAMERA
+        )(scene).sum())(scene.planting.foot)  # fmt: skip
