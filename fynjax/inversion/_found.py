@@ -103,7 +103,7 @@ class FoundPlants:
         Columns: x_m and y_m of its foot from the plot's south-west corner, taxon (the likeliest),
         presence and taxon_probability [-], diameter_cm and height_m with their 5 % and 95 %
         quantiles as of `table`, and p_<taxon>, the probability of each species given that it
-        stands.
+        stands. Of a plant that a single chain has these quantiles are too near to each other.
         """
         import pandas as pd  # late: the command line need not wait for it
 
@@ -148,9 +148,10 @@ class FoundPlants:
         and found, with 5 % and 95 % quantiles. Cover is the sum of the crowns' areas over the plot
         [%]; `form` is empty for all together.
 
-        Means of the stands. Each chain comes to leaves of its own, about which its stands differ
+        Means of the chains. Each chain comes to leaves of its own, about which its stands differ
         little, so chains are taken for the few draws that they are (Rubin 1987, Multiple Imputation
-        for Nonresponse in Surveys, eq. 3.1.6: Student's t). One chain has but its own quantiles.
+        for Nonresponse in Surveys, eq. 3.1.6: Student's t). One chain has but its own median and
+        quantiles.
         """
         import pandas as pd
 
@@ -206,16 +207,20 @@ def _named(name: str, found: tuple[float, float, float]) -> dict[str, float]:
 
 
 def _interval(values: np.ndarray, chain: np.ndarray) -> tuple[float, float, float]:
-    """Mean and 90 % interval of what is not negative, of stands of several chains (`table`)."""
+    """Middle and 90 % interval of what is not negative (`table`): mean of chains and Student's t
+    where there are several that differ, else median and quantiles."""
     each = [values[chain == one] for one in np.unique(chain)]
-    low, high = np.quantile(values, INTERVAL[::2])
-    between = np.var([np.mean(one) for one in each], ddof=1) if len(each) > 1 else 0.0
+    means = np.array([np.mean(one) for one in each])
+    between = means.var(ddof=1) * (1.0 + 1.0 / len(each)) if len(each) > 1 else 0.0
     if between > 0.0:
-        within, between = np.mean([np.var(one) for one in each]), between * (1.0 + 1.0 / len(each))
+        left = sum(len(one) * np.var(one) for one in each)
+        within = left / max(len(values) - len(each), 1)
         degrees = (len(each) - 1) * (1.0 + within / between) ** 2
         half = stats.t.ppf(INTERVAL[-1], degrees) * np.sqrt(within + between)
-        low, high = values.mean() - half, values.mean() + half
-    return float(values.mean()), max(float(low), 0.0), float(high)
+        low, middle, high = means.mean() + half * np.array([-1.0, 0.0, 1.0])
+    else:
+        low, middle, high = np.quantile(values, INTERVAL)
+    return float(middle), max(float(low), 0.0), float(high)
 
 
 def _apart(gap: np.ndarray, side: np.ndarray) -> np.ndarray:

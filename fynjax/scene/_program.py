@@ -34,9 +34,14 @@ class Program:
     A call traces nothing of fynjax. `to_bytes` makes of it what `pathlib.Path.write_bytes` keeps.
     """
 
-    def __init__(self, exported: export.Exported, bands: tuple[str, ...], known: str) -> None:
+    def __init__(
+        self, exported: export.Exported, bands: tuple[str, ...], known: str, lowest: float
+    ) -> None:
         self.bands = bands
         """Names of the bands of the image."""
+        self.lowest = lowest
+        """Largest zenith angle of the sun for which the program has room, 90 over a plot that
+        repeats itself [degrees]."""
         self._exported, self._known = exported, known
         self._call = jax.jit(exported.call)
 
@@ -46,17 +51,26 @@ class Program:
         """Reflectance factor of a scene at `parameters`, or at its own [-].
 
         Differentiable once, in reverse mode (`jax.grad`, `jax.vjp`), in parameters and in the
-        scene's own arrays, with its plants as they are whole or in part. In forward mode take
-        `fx.observe`.
+        scene's own arrays. Any derivative is that of the stand in expectation, and so is the value
+        that comes with it (`Scene.expected`); of `fx.observe` only those are that move the number
+        of plants. In forward mode take `fx.observe`.
 
-        **Raises:** `InputError` for a scene of other shapes, taxa or settings than the one that the
-        program was compiled with, and for parameters as of `fx.observe`.
+        **Raises:** `InputError` for a scene of other shapes, taxa, terrain or settings than the one
+        that the program was compiled with, for a sun below `lowest` whose place is known, and for
+        parameters as of `fx.observe`.
         """
-        leaves, known = _given(scene, parameters)
+        leaves, known, part = _given(scene, parameters)
+        zenith = (scene.parameters if parameters is None else parameters).light.sun_zenith
+        if not isinstance(zenith, jax.core.Tracer) and float(zenith) > self.lowest:
+            raise InputError(
+                f"expected a sun at most {self.lowest:g} degrees from the zenith, for which the "
+                f"program has room beside the plot, but it is {float(zenith):g}. {_ANEW}"
+            )
         shapes = [(*np.shape(leaf),) for leaf in leaves]
         asked = [own.shape for own in self._exported.in_avals]
         if known != self._known or shapes != asked:
-            what = "taxa, sides or settings" if known != self._known else "numbers of plants"
+            same = known == self._known
+            what = "numbers of plants" if same else "taxa, sides, terrain or settings"
             raise InputError(
                 f"expected a scene with the shapes that the program was compiled with, but {what} "
                 "of this one are others; another seed of one table and other values of parameters "
@@ -69,7 +83,18 @@ class Program:
                 "expected jax_enable_x64 as it was where the program was compiled, on, but it is "
                 f"off. {_ANEW}, or switch it on"
             )
-        found: Array = self._call(own)
+
+        @jax.custom_vjp
+        def image(leaves: list[Array]) -> Array:
+            return self._call(leaves)
+
+        def forward(leaves: list[Array]) -> Any:
+            stand = [*leaves]
+            stand[part] = jax.numpy.ones_like(leaves[part])
+            return jax.vjp(self._call, stand)
+
+        image.defvjp(forward, lambda pull, change: pull(change))
+        found: Array = image(own)
         return found
 
     def __repr__(self) -> str:
@@ -85,7 +110,7 @@ class Program:
         body = bytes(self._exported.serialize(vjp_order=1))
         head = {
             "fynjax": version("fynjax"), "jax": jax.__version__, "bands": self.bands,
-            "platforms": self._exported.platforms, "known": self._known,
+            "platforms": self._exported.platforms, "known": self._known, "lowest": self.lowest,
             "sha256": hashlib.sha256(body).hexdigest(),
         }  # fmt: skip
         text = json.dumps(head).encode()
@@ -111,6 +136,7 @@ class Program:
             whole = hashlib.sha256(body).hexdigest() == head["sha256"]
             known, made, by = (str(head[name]) for name in ("known", "fynjax", "jax"))
             platforms = [str(name) for name in head["platforms"]]
+            lowest = float(head["lowest"])
         except (ValueError, KeyError, TypeError):
             whole = False
         if not whole:
@@ -130,7 +156,7 @@ class Program:
                 f"expected a program that JAX {jax.__version__} reads, but JAX {by} made this one. "
                 f"{_ANEW}"
             ) from error
-        return cls(exported, bands, known)
+        return cls(exported, bands, known, lowest)
 
 
 def compile(
@@ -139,13 +165,14 @@ def compile(
     """The image of a sensor over a scene as a program that is compiled now, not when it is first
     asked for, and that can be kept for other processes (`Program.to_bytes`).
 
-    **Arguments:** `scene`, `sensor`, and `options` as of `fx.observe` without noise; `gradient`:
-    whether its derivative is compiled too.
+    **Arguments:** `scene`, `sensor`, and `options` as of `fx.observe`, without noise, and without
+    parameters, which each call has; `gradient`: whether its derivative is compiled too.
 
     **Returns:** a `Program`, which gives the reflectance of this scene and of every one of the same
-    shapes: other parameters, and another seed of the same table.
+    shapes: other parameters, and another seed of the same table. Over an open scene there is room
+    for a sun that stands 5 degrees lower.
 
-    **Raises:** `InputError` as `fx.observe`.
+    **Raises:** `InputError` as `fx.observe`, and for other options.
 
     >>> import fynjax as fx
     >>> from fynjax.canopy import table1_2006
@@ -157,9 +184,15 @@ def compile(
     >>> bool((fx.Program.from_bytes(kept)(scene) == program(scene)).all())
     True
     """
-    aimed, _ = aimed_at(scene, sensor, **options)
     check_known(scene=scene)
-    leaves, known = _given(scene, None)
+    for name in ("parameters", "noise", "seed"):
+        if name in options:
+            raise InputError(f"expected no `{name}` of a program: each call has its parameters")
+    aimed, _ = aimed_at(scene, sensor, **options)
+    lowest = 90.0
+    if scene.boundary == "open":
+        lowest = min(float(scene.parameters.light.sun_zenith) + 5.0, 85.0)
+    leaves, known, _ = _given(scene, None)
     record = _record(scene, None)
     arrays, rest = eqx.partition(record, eqx.is_array)
     tree = jax.tree.structure(arrays)
@@ -168,7 +201,9 @@ def compile(
         plot, parameters = eqx.combine(jax.tree.unflatten(tree, leaves), rest)
         return _observe_with(aimed, plot, parameters, None).reflectance
 
-    program = Program(export.export(jax.jit(image))(leaves), aimed.sensor.bands.names, known)
+    program = Program(
+        export.export(jax.jit(image))(leaves), aimed.sensor.bands.names, known, lowest
+    )
     jax.block_until_ready(program(scene))
     if gradient:
         jax.block_until_ready(jax.grad(lambda p: program(scene, p).sum())(scene.parameters))
@@ -176,14 +211,20 @@ def compile(
 
 
 def _record(scene: Scene, parameters: PlotParameters | None) -> tuple[Scene, PlotParameters]:
-    """What an image follows from: the scene, and parameters of one type apart from it."""
+    """A scene without its parameters, and the parameters, each of one type: all that its image
+    follows from."""
     parameters = _checked(scene, parameters)
     parameters = jax.tree.map(lambda x: jax.numpy.asarray(x, scene.dtype), parameters)
     return _with_parameters(scene, None), parameters
 
 
-def _given(scene: Scene, parameters: PlotParameters | None) -> tuple[list[Any], str]:
-    """The arrays that a program takes, and a hash of all else that it follows from."""
+def _given(scene: Scene, parameters: PlotParameters | None) -> tuple[list[Any], str, int]:
+    """The arrays that a program takes, a hash of all else that it follows from, and which of the
+    arrays says whether plants stand in part."""
     arrays, rest = eqx.partition(_record(scene, parameters), eqx.is_array)
-    text = f"{jax.tree.structure(arrays)} {jax.tree.leaves(rest)}"
-    return jax.tree.leaves(arrays), hashlib.sha256(text.encode()).hexdigest()
+    known = hashlib.sha256(f"{jax.tree.structure(arrays)} {jax.tree.leaves(rest)}".encode())
+    if scene.terrain is not None:  # by which cameras are aimed
+        known.update(np.asarray(scene.terrain).tobytes())
+    paths, leaves = zip(*jax.tree_util.tree_leaves_with_path(arrays), strict=True)
+    part = [jax.tree_util.keystr(path) for path in paths].index("[0].in_part")
+    return [*leaves], known.hexdigest(), part

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.special import gammaln
+from scipy.stats import t as student
 
 import fynjax as fx
 from fynjax._core.errors import InputError
@@ -210,7 +211,7 @@ def test_a_search_takes_a_start_and_shapes_of_its_own_for_each_chain(twin, monke
     monkeypatch.setattr(_found, "descend", recorded)
     with hearing() as heard:
         found = find_places(plot(1001), model.target, model.camera, model.space, settings)
-    assert len(found.stands) == 2
+    assert [stand.chain for stand in found.stands] == [0, 1]
     (one, first), (other, second) = begun
     assert np.mean(np.asarray(one) != np.asarray(other)) > 0.9
     assert not np.any(first)
@@ -347,7 +348,7 @@ def test_crowns_of_stands_that_are_one_plant_are_counted_as_one():
     assert table.loc["Erica irregularis", "plants"] == 1.0
     assert table.loc["all", "plants_q95"] > 2.5
     assert table.loc["Erica irregularis", "cover_percent"] == pytest.approx(
-        100 * np.pi / 4 * np.mean([0.25, 0.36, 0.16, 0.25]) / SIDE**2
+        100 * np.pi / 4 * np.quantile([0.25, 0.36, 0.16, 0.25], 0.5) / SIDE**2
     )
     assert table.loc["tussock", "cover_percent"] == table.loc["Restio eleocharis", "cover_percent"]
     maps = found.maps(cell=0.05)
@@ -384,6 +385,20 @@ def test_intervals_of_few_chains_hold_what_chains_differ_by():
     one = dataclasses.replace(own, stands=[s._replace(chain=0) for s in stands])
     assert one.table().iloc[-1]["cover_percent_q95"] == pytest.approx(high)
     assert one.table().iloc[-1]["plants_q05"] == 1.0
+
+
+def test_a_crown_of_uneven_chains_has_the_mean_of_chains():
+    """One stand of a chain counts as its whole chain does; by hand (Rubin 1987, eq. 3.1.6)."""
+    wide = (0.5, 0.52, 0.54, 0.6)
+    stands = [
+        stand((0, 0.6, 0.6, d))._replace(chain=k) for d, k in zip(wide, (0, 0, 0, 1), strict=True)
+    ]
+    row = FoundPlants(plot(3), stands, None, None, None, None, None, 1.0).crowns().iloc[0]
+    within, between = 3 * np.var(wide[:3]) / 2, 1.5 * np.var([0.52, 0.6], ddof=1)
+    half = student.ppf(0.95, (1 + within / between) ** 2) * np.sqrt(within + between)
+    assert row["diameter_cm"] == pytest.approx(56.0)
+    assert row["diameter_q95_cm"] == pytest.approx(100 * (0.56 + half))
+    assert row["diameter_q05_cm"] == pytest.approx(100 * (0.56 - half))
 
 
 def test_where_nothing_stands_the_tables_are_empty(tmp_path):

@@ -7,6 +7,7 @@ import sys
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -56,7 +57,75 @@ def test_a_program_gives_the_image_of_other_parameters_and_seeds(scene, program)
     assert program.bands == ("green", "red", "red_edge", "nir")
 
 
-def test_another_process_has_image_and_gradient_without_tracing(scene, kept, monkeypatch):
+def test_a_program_follows_the_sun(scene, program):
+    low = scene.scaled({"light.sun_zenith": 1.5}).parameters
+    assert np.abs(program(scene, low) - program(scene)).max() > 1e-3
+    np.testing.assert_allclose(program(scene, low), observed(scene, low), rtol=1e-5)
+
+
+def test_value_and_slope_are_of_one_stand(scene, program):
+    """Of a loss that bends both belong to the stand in expectation: by all parameters as
+    `fx.observe` has them, by leaves alone as differences of that stand."""
+    stand = scene.expected()
+    assert np.abs(program(stand) - program(scene)).max() > 1e-3
+
+    def loss(image):
+        return ((image[3] - 0.1) ** 2).mean()
+
+    value, slope = jax.value_and_grad(lambda p: loss(program(scene, p)))(scene.parameters)
+    real = jax.value_and_grad(lambda p: loss(observed(scene, p)))(scene.parameters)
+    assert float(value) == pytest.approx(float(real[0]), rel=1e-5)
+    for a, b in zip(jax.tree.leaves(slope), jax.tree.leaves(real[1]), strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-4, atol=1e-6 * np.abs(b).max())
+
+    def by_leaves(content):
+        where = lambda p: p.leaf.dry_matter  # noqa: E731
+        return loss(program(scene, eqx.tree_at(where, scene.parameters, content)))
+
+    content = scene.parameters.leaf.dry_matter
+    value, slope = jax.value_and_grad(by_leaves)(content)
+    assert float(value) == pytest.approx(float(loss(program(stand))), rel=1e-5)
+    step = 0.05
+    more, less = (
+        float(loss(program(stand, eqx.tree_at(
+            lambda p: p.leaf.dry_matter, scene.parameters, (1.0 + one) * content
+        ))))
+        for one in (step, -step)
+    )  # fmt: skip
+    assert float(slope @ content) == pytest.approx((more - less) / (2 * step), rel=0.01)
+
+
+def test_an_open_plot_has_room_for_a_sun_a_little_lower(scene):
+    open_plot = dataclasses.replace(scene, boundary="open")
+    program = fx.compile(open_plot, "mavic_3m", **CAMERA)
+    at = lambda zenith: eqx.tree_at(  # noqa: E731
+        lambda p: p.light.sun_zenith, open_plot.parameters, jnp.asarray(zenith)
+    )
+    sun = float(open_plot.parameters.light.sun_zenith)
+    assert program.lowest == pytest.approx(sun + 5.0)
+    lower = at(sun + 4.0)
+    np.testing.assert_allclose(program(open_plot, lower), observed(open_plot, lower), rtol=1e-3)
+    with pytest.raises(InputError, match="sun at most"):
+        program(open_plot, at(sun + 6.0))
+
+
+@pytest.mark.parametrize("name", ["parameters", "noise", "seed"])
+def test_what_each_call_has_is_refused(scene, name):
+    with pytest.raises(InputError, match=f"no `{name}` of a program"):
+        fx.compile(scene, "mavic_3m", **CAMERA, **{name: None})
+
+
+def test_another_terrain_is_refused(scene):
+    """Cameras are aimed by its heights, which the program has no argument for."""
+    grid = scene.class_grid.shape
+    first, other = (
+        _program._given(dataclasses.replace(scene, terrain=h * np.ones(grid[:2][::-1])), None)[1]
+        for h in (0.1, 0.2)
+    )
+    assert first != other
+
+
+def test_bytes_give_image_and_gradient_without_tracing(scene, kept, monkeypatch):
     def traced(*_):
         raise AssertionError("traced")
 
@@ -73,10 +142,12 @@ def test_another_process_has_image_and_gradient_without_tracing(scene, kept, mon
 def test_another_process_knows_the_shapes_of_a_scene(scene, program, kept, tmp_path):
     (tmp_path / "kept").write_bytes(kept)
     lines = (
-        "import pathlib, fynjax as fx",
+        "import pathlib, jax, fynjax as fx",
         "from fynjax.canopy import table1_2006",
         "program = fx.Program.from_bytes(pathlib.Path('kept').read_bytes())",
-        f"print(float(program({MADE.format(0)}).sum()))",
+        f"scene = {MADE.format(0)}",
+        "slope = jax.grad(lambda p: program(scene, p)[3].mean())(scene.parameters)",
+        "print(float(program(scene).sum()), float(slope.leaf.dry_matter.sum()))",
     )
     run = [sys.executable, "-c", "\n".join(lines)]
     told = {
@@ -90,12 +161,14 @@ def test_another_process_knows_the_shapes_of_a_scene(scene, program, kept, tmp_p
     assert "InputError: expected jax_enable_x64" in told["0"].stderr
     told = told["1"]
     assert told.returncode == 0, told.stderr
-    assert float(told.stdout) == pytest.approx(float(program(scene).sum()), rel=1e-5)
+    slope = jax.grad(lambda p: program(scene, p)[3].mean())(scene.parameters)
+    real = float(program(scene).sum()), float(slope.leaf.dry_matter.sum())
+    assert [*map(float, told.stdout.split())] == pytest.approx(real, rel=1e-4)
 
 
 @pytest.mark.parametrize("rows", [slice(2, 4), slice(1)])
 def test_another_table_is_refused(program, rows):
-    with pytest.raises(InputError, match="taxa, sides or settings of this one are others"):
+    with pytest.raises(InputError, match="terrain or settings of this one are others"):
         program(plot(rows=rows))
 
 
