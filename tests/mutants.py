@@ -319,6 +319,8 @@ GROUPS: dict[str, list[Mutant]] = {
                "scene/test_program.py of_one_stand"),
         Mutant("scene/_program.py", "float(zenith) > self.lowest", "False",
                "scene/test_program.py a_little_lower"),
+        Mutant("scene/_program.py", "self._check_sun(leaves[sun])  # known here", "# known here",
+               "scene/test_program.py a_little_lower"),
         Mutant("scene/_program.py", "if scene.terrain is not None:", "if False:",
                "scene/test_program.py another_terrain"),
         Mutant("scene/_program.py", "or shapes != asked", "",

@@ -630,10 +630,14 @@ def fitted_accuracy(accuracy: Accuracy, scene: Scene, parameters: PlotParameters
     if scene.boundary == "open" and margin is None:
         _check_known("the sun over an open scene", parameters.light.sun_zenith)
         # The sun may move after aiming; the margin, which is static, does not.
-        lowest = min(float(parameters.light.sun_zenith) + 5.0, 85.0)
         columns = grid.extent[2] / grid.horizontal_size
-        margin = int(np.ceil(columns * np.tan(np.deg2rad(lowest))))
+        margin = int(np.ceil(columns * np.tan(np.deg2rad(lowest_sun(parameters)))))
     return dataclasses.replace(accuracy, coarsening=blocks, margin=margin)
+
+
+def lowest_sun(parameters: PlotParameters) -> float:
+    """Zenith angle of the sun for which there is room beside an open scene [degrees]."""
+    return min(float(parameters.light.sun_zenith) + 5.0, 85.0)
 
 
 def _check_known(what: str, values: Any) -> None:

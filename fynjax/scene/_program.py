@@ -16,7 +16,8 @@ from jaxtyping import Array, Float
 from fynjax._core.errors import InputError
 from fynjax._core.extras import require
 from fynjax._core.programs import check_known
-from fynjax.scene._observe import _checked, _observe_with, _with_parameters, aimed_at
+from fynjax.radiation import Accuracy
+from fynjax.scene._observe import _checked, _observe_with, _with_parameters, aimed_at, lowest_sun
 from fynjax.scene._parameters import PlotParameters
 from fynjax.scene._scene import Scene
 from fynjax.sensors import Sensor
@@ -53,19 +54,14 @@ class Program:
         Differentiable once, in reverse mode (`jax.grad`, `jax.vjp`), in parameters and in the
         scene's own arrays. Any derivative is that of the stand in expectation, and so is the value
         that comes with it (`Scene.expected`); of `fx.observe` only those are that move the number
-        of plants. In forward mode take `fx.observe`.
+        of plants. In forward mode, and of `jax.vmap` and `jax.jacrev`, take `fx.observe`.
 
         **Raises:** `InputError` for a scene of other shapes, taxa, terrain or settings than the one
-        that the program was compiled with, for a sun below `lowest` whose place is known, and for
-        parameters as of `fx.observe`.
+        that the program was compiled with, for a sun below `lowest` outside `jit`, for a traced
+        terrain, and for parameters as of `fx.observe`.
         """
-        leaves, known, part = _given(scene, parameters)
-        zenith = (scene.parameters if parameters is None else parameters).light.sun_zenith
-        if not isinstance(zenith, jax.core.Tracer) and float(zenith) > self.lowest:
-            raise InputError(
-                f"expected a sun at most {self.lowest:g} degrees from the zenith, for which the "
-                f"program has room beside the plot, but it is {float(zenith):g}. {_ANEW}"
-            )
+        leaves, known, sun, part = _given(scene, parameters)
+        self._check_sun(leaves[sun])
         shapes = [(*np.shape(leaf),) for leaf in leaves]
         asked = [own.shape for own in self._exported.in_avals]
         if known != self._known or shapes != asked:
@@ -89,6 +85,7 @@ class Program:
             return self._call(leaves)
 
         def forward(leaves: list[Array]) -> Any:
+            self._check_sun(leaves[sun])  # known here outside `jit`
             stand = [*leaves]
             stand[part] = jax.numpy.ones_like(leaves[part])
             return jax.vjp(self._call, stand)
@@ -96,6 +93,13 @@ class Program:
         image.defvjp(forward, lambda pull, change: pull(change))
         found: Array = image(own)
         return found
+
+    def _check_sun(self, zenith: Any) -> None:
+        if not isinstance(zenith, jax.core.Tracer) and float(zenith) > self.lowest:
+            raise InputError(
+                f"expected a sun at most {self.lowest:g} degrees from the zenith, for which the "
+                f"program has room beside the plot, but it is {float(zenith):g}. {_ANEW}"
+            )
 
     def __repr__(self) -> str:
         shape = " x ".join(map(str, self._exported.out_avals[0].shape))
@@ -170,7 +174,7 @@ def compile(
 
     **Returns:** a `Program`, which gives the reflectance of this scene and of every one of the same
     shapes: other parameters, and another seed of the same table. Over an open scene there is room
-    for a sun that stands 5 degrees lower.
+    for a sun that stands 5 degrees lower, or as much as the stated `accuracy` has.
 
     **Raises:** `InputError` as `fx.observe`, and for other options.
 
@@ -189,10 +193,7 @@ def compile(
         if name in options:
             raise InputError(f"expected no `{name}` of a program: each call has its parameters")
     aimed, _ = aimed_at(scene, sensor, **options)
-    lowest = 90.0
-    if scene.boundary == "open":
-        lowest = min(float(scene.parameters.light.sun_zenith) + 5.0, 85.0)
-    leaves, known, _ = _given(scene, None)
+    leaves, known, *_ = _given(scene, None)
     record = _record(scene, None)
     arrays, rest = eqx.partition(record, eqx.is_array)
     tree = jax.tree.structure(arrays)
@@ -202,12 +203,22 @@ def compile(
         return _observe_with(aimed, plot, parameters, None).reflectance
 
     program = Program(
-        export.export(jax.jit(image))(leaves), aimed.sensor.bands.names, known, lowest
+        export.export(jax.jit(image))(leaves),
+        aimed.sensor.bands.names,
+        known,
+        _lowest(scene, **options),
     )
     jax.block_until_ready(program(scene))
     if gradient:
         jax.block_until_ready(jax.grad(lambda p: program(scene, p).sum())(scene.parameters))
     return program
+
+
+def _lowest(scene: Scene, accuracy: Accuracy | None = None, **_: Any) -> float:
+    """Zenith angle of the lowest sun that a program has room for [degrees]."""
+    if scene.boundary != "open" or (accuracy is not None and accuracy.margin is not None):
+        return 90.0
+    return max(lowest_sun(scene.parameters), float(scene.parameters.light.sun_zenith))
 
 
 def _record(scene: Scene, parameters: PlotParameters | None) -> tuple[Scene, PlotParameters]:
@@ -218,13 +229,15 @@ def _record(scene: Scene, parameters: PlotParameters | None) -> tuple[Scene, Plo
     return _with_parameters(scene, None), parameters
 
 
-def _given(scene: Scene, parameters: PlotParameters | None) -> tuple[list[Any], str, int]:
+def _given(scene: Scene, parameters: PlotParameters | None) -> tuple[list[Any], str, int, int]:
     """The arrays that a program takes, a hash of all else that it follows from, and which of the
-    arrays says whether plants stand in part."""
+    arrays says where the sun is, and which whether plants stand in part."""
+    check_known(terrain=scene.terrain)
     arrays, rest = eqx.partition(_record(scene, parameters), eqx.is_array)
     known = hashlib.sha256(f"{jax.tree.structure(arrays)} {jax.tree.leaves(rest)}".encode())
     if scene.terrain is not None:  # by which cameras are aimed
-        known.update(np.asarray(scene.terrain).tobytes())
+        known.update(np.asarray(scene.terrain, float).tobytes())
     paths, leaves = zip(*jax.tree_util.tree_leaves_with_path(arrays), strict=True)
-    part = [jax.tree_util.keystr(path) for path in paths].index("[0].in_part")
-    return [*leaves], known.hexdigest(), part
+    names = [jax.tree_util.keystr(path) for path in paths]
+    sun, part = (names.index(name) for name in ("[1].light.sun_zenith", "[0].in_part"))
+    return [*leaves], known.hexdigest(), sun, part

@@ -14,6 +14,7 @@ import pytest
 import fynjax as fx
 from fynjax._core.errors import InputError, MissingExtraError
 from fynjax.canopy import table1_2006
+from fynjax.radiation import Accuracy
 from fynjax.scene import _program
 
 MADE = 'fx.Scene.from_table(table1_2006()[:2], size=1.0, voxel=0.25, structure="even", seed={})'
@@ -107,6 +108,20 @@ def test_an_open_plot_has_room_for_a_sun_a_little_lower(scene):
     np.testing.assert_allclose(program(open_plot, lower), observed(open_plot, lower), rtol=1e-3)
     with pytest.raises(InputError, match="sun at most"):
         program(open_plot, at(sun + 6.0))
+    with pytest.raises(InputError, match="sun at most"):
+        jax.grad(lambda p: program(open_plot, p).sum())(at(sun + 6.0))
+
+
+@pytest.mark.parametrize(
+    ("sun", "accuracy", "lowest"), [(86.0, None, 86.0), (30.0, Accuracy(margin=9), 90.0)]
+)
+def test_what_a_program_has_room_for(scene, sun, accuracy, lowest):
+    """A sun below all that there is room for is that of `fx.observe`; a stated margin is the
+    user's word."""
+    zenith = lambda s: s.parameters.light.sun_zenith  # noqa: E731
+    low = eqx.tree_at(zenith, dataclasses.replace(scene, boundary="open"), jnp.asarray(sun))
+    assert _program._lowest(low, accuracy=accuracy) == pytest.approx(lowest)
+    assert _program._lowest(scene, accuracy=None) == 90.0
 
 
 @pytest.mark.parametrize("name", ["parameters", "noise", "seed"])
@@ -116,13 +131,16 @@ def test_what_each_call_has_is_refused(scene, name):
 
 
 def test_another_terrain_is_refused(scene):
-    """Cameras are aimed by its heights, which the program has no argument for."""
+    """Cameras are aimed by its heights when a program is compiled."""
     grid = scene.class_grid.shape
     first, other = (
         _program._given(dataclasses.replace(scene, terrain=h * np.ones(grid[:2][::-1])), None)[1]
         for h in (0.1, 0.2)
     )
     assert first != other
+    flat = dataclasses.replace(scene, terrain=np.zeros(grid[:2][::-1]))
+    with pytest.raises(InputError, match="`terrain` must be known"):
+        eqx.filter_jit(lambda s: _program._given(s, None)[0])(flat)
 
 
 def test_bytes_give_image_and_gradient_without_tracing(scene, kept, monkeypatch):
