@@ -183,10 +183,20 @@ def test_a_user_may_keep_jax_as_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
     )
 
 
-def test_a_graphics_card_keeps_the_level_of_its_compiler(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_graphics_card_has_flags_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
     assert compiler.LEVEL in compiler.known_flags()
     monkeypatch.setattr(compiler, "find_spec", lambda name: name == "jax_plugins" or None)
-    assert set(compiler.QUICK) - set(compiler.known_flags()) == {compiler.LEVEL}
+    flags = set(compiler.known_flags())
+    assert set(compiler.QUICK) - flags == {compiler.LEVEL}
+    assert flags - set(compiler.QUICK) == set(compiler.CARD)
+    assert "flags left out" not in compiler.settings()
+
+
+def test_flags_of_a_card_are_known_to_the_compiler() -> None:
+    """XLA ends the process where it does not know one."""
+    code = "import jax; jax.numpy.ones(3).sum()"
+    environment = os.environ | {"XLA_FLAGS": " ".join(compiler.CARD)}
+    subprocess.run([sys.executable, "-c", code], check=True, env=environment)
 
 
 def test_a_compiler_that_sums_wrongly_and_is_in_use_is_refused(

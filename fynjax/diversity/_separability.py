@@ -6,7 +6,7 @@ from typing import Any, Literal
 
 import numpy as np
 import pandas as pd
-from jaxtyping import Float, Int, Shaped
+from jaxtyping import Int, Shaped
 from numpy.typing import ArrayLike, NDArray
 
 from fynjax._core.errors import InputError, listed, whole_number
@@ -171,11 +171,6 @@ class Classification:
     def accuracy(self) -> float:
         """Share of pixels that were recognised [-]."""
         return float(np.trace(self.confusion) / self.confusion.sum())
-
-    @property
-    def class_accuracy(self) -> Float[np.ndarray, " class"]:
-        """Share of each class that was recognised [-] (producer's accuracy)."""
-        return np.diag(self.confusion) / self.confusion.sum(axis=1)
 
     def merged(self, of: Mapping[str, str]) -> "Classification":
         """The same by growth form, or any other class that species belong to.

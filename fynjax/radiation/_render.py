@@ -386,17 +386,8 @@ def render_up_to(
     `together` x `together` rays."""
     check_whole("chunk", chunk)
     sublayers, lean = _pieces_along(light.scene, light.accuracy, rays, steepest)
-    return render_rays(
-        light.scene,
-        light.sun,
-        light.diffuse,
-        rays,
-        light.accuracy.ordinates,
-        sublayers,
-        lean,
-        chunk,
-        together,
-    )
+    field = light.scene, light.sun, light.diffuse
+    return render_rays(*field, rays, light.accuracy.ordinates, sublayers, lean, chunk, together)
 
 
 def _pieces_along(

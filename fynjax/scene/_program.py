@@ -202,12 +202,8 @@ def compile(
         plot, parameters = eqx.combine(jax.tree.unflatten(tree, leaves), rest)
         return _observe_with(aimed, plot, parameters, None).reflectance
 
-    program = Program(
-        export.export(jax.jit(image))(leaves),
-        aimed.sensor.bands.names,
-        known,
-        _lowest(scene, **options),
-    )
+    exported, names = export.export(jax.jit(image))(leaves), aimed.sensor.bands.names
+    program = Program(exported, names, known, _lowest(scene, **options))
     jax.block_until_ready(program(scene))
     if gradient:
         jax.block_until_ready(jax.grad(lambda p: program(scene, p).sum())(scene.parameters))

@@ -90,7 +90,9 @@ class Truth(NamedTuple):
 
     stand: dict[str, float]
     """Numbers of the stand, counted."""
-    image: Observation
+    plants: list["Plants"]
+    """Of each species."""
+    image: Observation | None
 
 
 class Plants(NamedTuple):
@@ -336,8 +338,9 @@ def ground(what: Known, plot: PlotParameters, random: Any, same: frozenset[str])
 
 def grow_plot(
     what: Known, number: int, same: frozenset[str]
-) -> tuple[reference.Leaves, VoxelScene, dict[str, float]]:
-    """The leaves of a truth, the optics, ground and light about them, and what there is of them."""
+) -> tuple[reference.Leaves, VoxelScene, Truth]:
+    """The leaves of a truth, the optics, ground and light about them, and the truth without its
+    image."""
     scene, space = what.scene, what.space
     random = np.random.default_rng([number, 2])
     u = random.normal(size=len(space.names)).clip(-2.2, 2.2)
@@ -390,7 +393,7 @@ def grow_plot(
     )
     soil = jnp.asarray(ground(what, plot, stream(5), same))
     world = VoxelScene(empty, classes, soil, sun, VOXEL, VOXEL)
-    return leaves, world, counted(what, plot, leaves, stand, over, world)
+    return leaves, world, Truth(counted(what, plot, leaves, stand, over, world), stand, None)
 
 
 def counted(
@@ -470,8 +473,8 @@ def photograph(
 def truth(what: Known, number: int, *, same: tuple[str, ...] = (), samples: int = 16) -> Truth:
     """A truth by its number, all that is random by it."""
     alike = frozenset(same)
-    leaves, world, stand = grow_plot(what, number, alike)
-    return Truth(stand, photograph(what, leaves, world, number, alike, samples))
+    leaves, world, grown = grow_plot(what, number, alike)
+    return grown._replace(image=photograph(what, leaves, world, number, alike, samples))
 
 
 def fit(what: Known, image: Observation, gains: Gains | None = None, **options: Any) -> Any:

@@ -2,8 +2,11 @@
 
 `python -m tests.benchmarks.places --size 3 --taxa 8 --seeds 1 2`: the truth is a plot of the table
 with leaves, sizes and leaf areas drawn from their priors, drawn with another seed than the search
-has; its image has pixels of 2.5 cm, noise of 1 % and gains of 10 %. With `--known` leaves and gains
-are those of the table, which tells what the search loses from what is not known.
+has; its image has pixels of 2.5 cm, noise of 1 % and gains of 10 %. Covers are the table's, but for
+whole plants, or with `--covers` off by 25 %, as the search takes them. With `--known` leaves and gains
+are those of the table, which tells what the search loses from what is not known. With `--explicit`
+the truth is not the model's: stands of other crowns, of single leaves, in an image by path tracing
+(`tests.benchmarks.other_truths`) with pixels of 5 cm.
 """
 
 import time
@@ -17,8 +20,9 @@ from fynjax._core.memory import peak_memory
 from fynjax.app.assembly import FREE_OF_PLANTS, blocks_of
 from fynjax.canopy import table1_2006
 from fynjax.inversion import PlacesSettings, find_places
-from fynjax.scene import Placement, aim, hard_instances, projected_cover, with_values
+from fynjax.scene import Instances, Placement, aim, hard_instances, projected_cover, with_values
 from fynjax.sensors import Gains, shipped_sensor
+from tests.benchmarks import other_truths
 from tests.benchmarks._measure import options
 
 EIGHT = [
@@ -42,10 +46,32 @@ def rows_of(taxa):
     return [dict(zip(COLUMNS, row, strict=True)) for row in EIGHT[:taxa]]
 
 
-def twin(taxa, size, seed, known):
+def explicit(number, size, samples):
+    """(scene of the table, parameters that are free, plants, image) of a truth of single leaves."""
+    what = other_truths.known(number, size)
+    truth = other_truths.truth(what, number, samples=samples)
+    table = fx.Scene.from_table(
+        other_truths.TABLE, size=size, structure=0.05, seed=1000 + number,
+        light=what.scene.parameters.light,
+    )  # fmt: skip
+    foot, diameter, height = (np.concatenate(parts) for parts in zip(*truth.plants, strict=True))
+    species = np.repeat(np.arange(len(table.taxa)), [len(p.foot) for p in truth.plants])
+    flat = np.zeros(len(foot))
+    plants = Instances(
+        table.taxa, (size, size), species, *foot.T, flat, flat, flat, diameter, height
+    )
+    return table, fx.free(table, *FREE_OF_PLANTS), plants, np.asarray(truth.image.reflectance)
+
+
+def twin(taxa, size, seed, known, covers=False):
     """(scene of the table, parameters that are free, true scene and parameters, its image)."""
     rows, random = rows_of(taxa), np.random.default_rng(seed)
     table = fx.Scene.from_table(rows, size=size, structure=0.05, seed=1000 + seed)
+    if covers:
+        off = 1.0 + PlacesSettings.cover_sd * np.random.default_rng([seed, 1]).normal(
+            size=len(rows)
+        )
+        rows = [r | {"cover_percent": r["cover_percent"] * max(f, 0.1)} for r, f in zip(rows, off)]
     truth = fx.Scene.from_table(rows, size=size, seed=seed)
     parameters, space = truth.parameters, fx.free(table, *FREE_OF_PLANTS)
     gain = np.ones(4)
@@ -110,36 +136,47 @@ def recognised(table, truth, parameters, image, known):
     return result
 
 
-def run(taxa, size, seed, known, settings):
+def run(taxa, size, seed, known, covers, settings):
     """One twin: everything that is asked for, as lines."""
-    table, space, truth, parameters, image = twin(taxa, size, seed, known)
-    means, block = blocks_of(image, PIXEL)
+    table, space, truth, parameters, image = twin(taxa, size, seed, known, covers)
+    real = hard_instances(truth, parameters)
+    search(
+        f"{taxa} taxa, {'known' if known else 'off'}", table, space, real, image, PIXEL, settings
+    )
+    for name_of, (species, form) in recognised(table, truth, parameters, image, known).items():
+        print(f"pixels told by {name_of}: species {species:.2f}, form {form:.2f}", flush=True)
+
+
+def search(what, table, space, real, image, pixel, settings):
+    """The plants that are found in an image beside those that stand, as lines."""
+    size, seed = table.grid.extent[0], settings.seed
+    means, block = blocks_of(image, pixel)
     camera = aim(table, table.parameters, shipped_sensor("mavic_3m"), Placement(pixel=block))
     began, cpu = time.time(), time.process_time()
     found = find_places(table, means, camera, space, settings)
     print(
-        f"== {taxa} taxa, {size:g} m, seed {seed}, {'known' if known else 'off'}: "
+        f"== {what}, {size:g} m, seed {seed}: "
         f"CPU {(time.process_time() - cpu) / 60:.1f} min, wall {(time.time() - began) / 60:.1f} "
         f"min, {peak_memory() / 2**20:.0f} MiB, misfit {found.misfit:.2f}, together "
         f"{found.together:.1f}, sd {found.pixel_sd.round(3)}"
     )
-    cell, real = 0.025, hard_instances(truth, parameters)
+    cell = 0.025
     cover = projected_cover(real, cell=cell)
     maps = found.maps(cell)
     there, mine = coarse(cover.top >= 0.0, cell), coarse(maps.crown, cell)
     kind = np.append(real.species, -1)[cover.top]
     each = [
         np.corrcoef(coarse(kind == i, cell).ravel(), coarse(maps.species[i], cell).ravel())[0, 1]
-        for i in range(len(truth.taxa))
+        for i in range(len(table.taxa))
         if (kind == i).any() and maps.species[i].any()
     ]
     print(
         f"map of crowns at 25 cm: correlation {np.corrcoef(there.ravel(), mine.ravel())[0, 1]:.2f}"
         f", cover {mine.mean():.2f} of {there.mean():.2f}; of species {np.round(each, 2)}"
     )
-    crowns, forms = found.crowns(), np.array(truth.forms)
+    crowns, forms = found.crowns(), np.array(table.forms)
     crowns = crowns[crowns["presence"] >= 0.5].reset_index(drop=True)
-    name = np.array([truth.taxa.index(t) for t in crowns["taxon"]])
+    name = np.array([table.taxa.index(t) for t in crowns["taxon"]])
     a, b = matched(real, crowns, size)
     random, chance = np.random.default_rng(0), []
     for _ in range(20):
@@ -172,12 +209,12 @@ def run(taxa, size, seed, known, settings):
         )
     print(f"crowns in half the stands or more: {len(crowns)}, true {len(real)}, matched {len(a)}")
     table_of, size2 = found.table(), size**2
-    area = np.bincount(real.species, 25.0 * np.pi * real.diameter**2 / size2, len(truth.taxa))
+    area = np.bincount(real.species, 25.0 * np.pi * real.diameter**2 / size2, len(table.taxa))
     count = real.counts
     held = []
     for _, row in table_of.iterrows():
         which = (
-            np.array(truth.taxa) == row["name"] if row["level"] == "species"
+            np.array(table.taxa) == row["name"] if row["level"] == "species"
             else forms == row["name"] if row["level"] == "growth form" else forms == forms
         )  # fmt: skip
         c, n = area[which].sum(), count[which].sum()
@@ -200,10 +237,9 @@ def run(taxa, size, seed, known, settings):
             f"{level}: intervals hold {np.mean([h[1] for h in rows]):.2f} of covers, "
             f"{np.mean([h[2] for h in rows]):.2f} of counts; cover off by "
             f"{np.mean([h[3] for h in rows]):.1f} points, the table by "
-            f"{np.mean([h[4] for h in rows]):.1f}"
+            f"{np.mean([h[4] for h in rows]):.1f}",
+            flush=True,
         )
-    for name_of, (species, form) in recognised(table, truth, parameters, image, known).items():
-        print(f"pixels told by {name_of}: species {species:.2f}, form {form:.2f}", flush=True)
 
 
 def main(arguments=None):
@@ -213,6 +249,8 @@ def main(arguments=None):
     parser.add_argument("--taxa", type=int, default=8)
     parser.add_argument("--seeds", type=int, nargs="+", default=[1])
     parser.add_argument("--known", action="store_true")
+    parser.add_argument("--covers", action="store_true")
+    parser.add_argument("--explicit", action="store_true")
     parser.add_argument("--rounds", type=int, default=PlacesSettings.rounds)
     given = parser.parse_args(arguments)
     few = {}
@@ -221,7 +259,11 @@ def main(arguments=None):
         few = {"steps": 4, "jumps": 2, "chains": 1}
     for one in given.seeds:
         settings = PlacesSettings(rounds=given.rounds, gains=GAIN, seed=one, **few)
-        run(given.taxa, given.size, one, given.known, settings)
+        if not given.explicit:
+            run(given.taxa, given.size, one, given.known, given.covers, settings)
+            continue
+        truth = explicit(one, given.size, 2 if given.tiny else 16)
+        search("4 taxa, single leaves", *truth, other_truths.PIXEL, settings)
 
 
 if __name__ == "__main__":

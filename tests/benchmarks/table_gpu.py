@@ -1,9 +1,11 @@
-"""Radiation on an accelerator and on the CPU: `python -m tests.benchmarks.table_gpu [--quick]`.
+"""What an accelerator gains: `python -m tests.benchmarks.table_gpu [--quick]`.
 
-Shrubs in voxels of 10 cm, in float32: an image of 10 m, its value and gradient, and
-416 bands. A row each: wall time after compilation, largest memory of the device, and by how
-much the result differs from the CPU's, over its largest value (at most 1e-4 is asked for). Where
-there is no accelerator the table is that of the CPU, and says so. `--quick` takes small plots.
+Shrubs in voxels of 10 cm, in float32: an image of 10 m, its value and gradient, and 416 bands; then
+plots of 13 taxa as `fx.observe` makes them, of 2, 10 and 20 m. A row each: wall time to trace, to
+compile (in brackets CPU time of all cores) and to run, largest memory of the device so far, wall
+time of the CPU, and by how much the result differs from the CPU's, over its largest value (at most
+1e-4 is asked for). Last the leaves of 100 000 spectra, fitted. Where there is no accelerator the
+table is that of the CPU, and says so. `--quick` takes small plots.
 """
 
 import time
@@ -15,7 +17,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from fynjax.canopy import SphericalLeafAngle
+import fynjax as fx
+from fynjax.canopy import SphericalLeafAngle, table1_2006
+from fynjax.leaf import fit_leaf, prospect
 from fynjax.radiation import (
     Accuracy,
     Illumination,
@@ -26,6 +30,7 @@ from fynjax.radiation import (
     solve_light,
 )
 from tests.benchmarks._measure import options
+from tests.benchmarks.bench_leaf import leaves
 
 ACCURACY = Accuracy(sublayers=1, levels=2, refine=False, margin=19)
 SPECTRA = np.array(
@@ -86,15 +91,52 @@ def gradient(side: float) -> tuple[Callable[..., Any], VoxelScene]:
     return both, scene
 
 
-def on(device: Any, function: Callable[..., Any], scene: VoxelScene) -> tuple[float, np.ndarray]:
-    """Wall time after compilation [s], and the result."""
+def plot(side: float, *, slope: bool) -> tuple[Callable[..., Any], Any]:
+    """The drone's image of a plot of 13 taxa, or the slopes of its mean by all parameters; of less
+    than 2 m of one taxon, in voxels filled evenly."""
+    few = {"voxel": 0.25, "structure": "even"} if side < 2.0 else {}
+    scene = fx.Scene.from_table(table1_2006()[: 1 if few else 13], size=side, **few)
+    arrays, rest = eqx.partition(scene, eqx.is_array)
+
+    def show(arrays: Any) -> Any:
+        return fx.observe(eqx.combine(arrays, rest), "mavic_3m", pixel=0.025).reflectance
+
+    def slopes(arrays: Any) -> Any:
+        def value(parameters: Any) -> Any:
+            return jnp.mean(show(eqx.tree_at(lambda s: s.parameters, arrays, parameters)))
+
+        found = jax.value_and_grad(value)(arrays.parameters)
+        return jnp.concatenate([jnp.ravel(leaf) for leaf in jax.tree.leaves(found)])
+
+    return slopes if slope else show, arrays
+
+
+def on(device: Any, function: Callable[..., Any], scene: Any) -> tuple[str, float, np.ndarray]:
+    """Seconds to trace and compile as text, wall time of a run [s], and the result."""
     with jax.default_device(device):
         placed = jax.device_put(scene, device)
-        compiled = jax.jit(function).lower(placed).compile()
-        jax.block_until_ready(compiled(placed))
+        times = [(time.perf_counter(), time.process_time())]
+        stage: Any = jax.jit(function)
+        for step in ("lower", "compile"):
+            stage = getattr(stage, step)(*[placed] * (step == "lower"))
+            times.append((time.perf_counter(), time.process_time()))
+        jax.block_until_ready(stage(placed))
         began = time.perf_counter()
-        result = jax.block_until_ready(compiled(placed))
-        return time.perf_counter() - began, np.asarray(result)
+        result = jax.block_until_ready(stage(placed))
+        took = time.perf_counter() - began
+    (traced, _), (compiled, busy) = np.diff(times, axis=0)
+    return f"{traced:6.1f} {compiled:6.1f} ({busy:4.0f})", took, np.asarray(result)
+
+
+def fits(device: Any, count: int) -> float:
+    """Wall time of the fits of `count` spectra, compiled before [s]."""
+    with jax.default_device(device):
+        spectra = np.asarray(jax.jit(jax.vmap(prospect))(leaves(count)).reflectance)
+        noise = np.random.default_rng(1).normal(1.0, 0.03, (count, 1)).astype(np.float32)
+        for _ in range(2):
+            began = time.perf_counter()
+            fit_leaf(np.arange(400.0, 2501.0), spectra * noise)
+    return time.perf_counter() - began
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -105,20 +147,33 @@ def main(arguments: Sequence[str] | None = None) -> None:
     device, cpu = jax.devices()[0], jax.devices("cpu")[0]
     print(f"on {device.device_kind}" + ("" if device != cpu else ": no accelerator was found"))
     side, bands = (2.0, 40) if given.quick or given.tiny else (10.0, 416)
-    rows = (
+    rows = [
         (f"image, {side:g} m", lambda: image(side)),
         (f"value and gradient, {side:g} m", lambda: gradient(side)),
         (f"{bands} bands, {side:g} m", lambda: image(side, bands)),
+    ]
+    for wide in (1.0,) if given.tiny else (2.0,) if given.quick else (2.0, 10.0, 20.0):
+        rows += [
+            (f"{what}, {wide:g} m", lambda wide=wide, slope=slope: plot(wide, slope=slope))
+            for what, slope in (("plot's image", False), ("its value and gradient", True))
+        ]
+    print(
+        f"{'':28s} {'trace':>6s} {'compile (CPU)':>13s} {'run':>8s} {'GiB':>7s} {'CPU runs':>8s} "
+        f"{'difference':>11s}"
     )
-    print(f"{'':28s} {'s':>8s} {'GiB':>7s} {'CPU s':>8s} {'difference':>11s}")
     for name, make in rows:
         function, scene = make()
-        seconds, result = on(device, function, scene)
+        making, seconds, result = on(device, function, scene)
         peak = (device.memory_stats() or {}).get("peak_bytes_in_use")
         held = "-" if peak is None else f"{peak / 2**30:.2f}"
-        beside, truth = on(cpu, function, scene) if device != cpu else (seconds, result)
+        beside, truth = on(cpu, function, scene)[1:] if device != cpu else (seconds, result)
         difference = np.abs(result - truth).max() / np.abs(truth).max()
-        print(f"{name:28s} {seconds:8.2f} {held:>7s} {beside:8.2f} {difference:11.1e}", flush=True)
+        print(
+            f"{name:28s} {making} {seconds:8.3f} {held:>7s} {beside:8.3f} {difference:11.1e}",
+            flush=True,
+        )
+    count = 50 if given.tiny else 1000 if given.quick else 100_000
+    print(f"leaves of {count} spectra fitted in {fits(device, count):.1f} s")
 
 
 if __name__ == "__main__":

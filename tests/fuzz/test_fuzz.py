@@ -24,7 +24,7 @@ from tests.helpers import unix
 
 @unix
 def test_damaged_files_end_in_one_clear_error() -> None:
-    counts, broken = fuzz(list(READERS), seed=0, each=20)
+    counts, broken = fuzz(list(READERS), seed=0, each=10)
     assert [f"{o.reader} {o.number}: {o.text}" for o in broken] == []
     assert all(count["refused"] > 0 for count in counts.values())
     assert sum(count["accepted"] for count in counts.values()) > 100

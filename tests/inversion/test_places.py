@@ -363,7 +363,7 @@ def test_crowns_of_stands_that_are_one_plant_are_counted_as_one():
 def test_intervals_of_few_chains_hold_what_chains_differ_by():
     """Chains that differ by more than their own stands: the table's intervals hold nine of ten
     covers drawn as the chains are, which quantiles of all stands do not; one chain has these."""
-    random, held = np.random.default_rng(4), []
+    random, held, scene = np.random.default_rng(4), [], plot(3)
     for _ in range(300):
         mean = 40.0 + 3.0 * random.normal(size=4)  # of the truth, and of three chains
         values = mean[:, None] + random.normal(size=(4, 12))
@@ -372,7 +372,7 @@ def test_intervals_of_few_chains_hold_what_chains_differ_by():
             for k, chain in enumerate(values[1:])
             for value in chain
         ]
-        own = FoundPlants(plot(3), stands, None, None, None, None, None, 1.0)
+        own = FoundPlants(scene, stands, None, None, None, None, None, 1.0)
         row = own.table().iloc[-1]
         low, high = np.quantile(values[1:], (0.05, 0.95))
         truth = values[0, 0]
