@@ -13,8 +13,8 @@ from tests import benchmarks
 FOLDER = Path(benchmarks.__file__).parent
 NAMES = sorted(path.stem for path in FOLDER.glob("*.py") if path.stem[0] != "_")
 LONG = {"bench_demo", "bench_workers", "flight", "flight_twins", "journeys", "known_plants",
-        "map_plots", "other_truths", "pictures", "places", "table_compile", "table_gpu", "table_radiation",
-        "table_slopes", "table_solvers", "twins"}  # fmt: skip
+        "map_plots", "other_truths", "pictures", "places", "table_compile", "table_gpu",
+        "table_radiation", "table_slopes", "table_solvers", "twins"}  # fmt: skip
 """More than 12 s, run with the studies; imported in the check too."""
 FIGURES = {
     "bench_bands": (r"worst mean (\S+) %", 0.0, 0.1),

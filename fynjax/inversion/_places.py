@@ -58,7 +58,7 @@ class PlacesSettings:
 
     steps: int = 100
     """Steps of the search with plants in part."""
-    rounds: int = 24
+    rounds: int = 48
     """Rounds of each chain of whole stands; those after the first half are kept."""
     chains: int = 3
     """Chains of whole stands, each from a search down the slopes of its own."""
@@ -97,7 +97,7 @@ class Candidates(eqx.Module):
     scene: Scene
     """The plot with every plant that may stand, at its site."""
     owner: Int[Array, " part"]
-    """Candidate that each plant of `scene` is, or is a branch of."""
+    """Candidate that each plant of `scene` is, or is a branch of; beyond the last: of none."""
     species: Int[Array, " candidate"]
     """Species of each candidate."""
     site: Int[Array, " candidate"]
@@ -108,6 +108,8 @@ class Candidates(eqx.Module):
     """Distance of the sites of its kind [m]."""
     chance: Float[Array, " candidate"]
     """Share of such sites at which such a plant stands, by the table [-]."""
+    taken: Float[Array, " site"]
+    """Share of such sites at which any plant stands, by the table [-]."""
     number: Float[Array, " species"]
     """Plants of each species, by the table [-]."""
     near: Int[Array, "pair 2"]
@@ -120,6 +122,23 @@ class Candidates(eqx.Module):
         """Sides after which the plot repeats itself; infinite where it does not [m]."""
         extent = np.asarray(self.scene.grid.extent[:2])
         return extent if self.scene.boundary == "periodic" else np.full(2, np.inf)
+
+    def only(self, chosen: Int[np.ndarray, " candidate"]) -> "Candidates":
+        """Some of the candidates, at the same sites. A stand of few of many takes a third of the
+        time; as many are of the same shapes, mostly, and so share their compiled programs."""
+        place = np.full(len(self.species), -1)
+        place[chosen] = np.arange(len(chosen))
+        mine = place[np.asarray(self.owner)]
+        index = np.flatnonzero(mine >= 0)
+        planting = self.scene.planting.plants(index).with_elements().padded()
+        # Plants that fill up the shapes are of no candidate.
+        owner = np.full(len(planting.species), len(chosen))
+        owner[: len(index)] = mine[index]
+        return dataclasses.replace(
+            self, scene=dataclasses.replace(self.scene, planting=planting),
+            owner=jnp.asarray(owner), species=self.species[chosen], site=self.site[chosen],
+            chance=self.chance[chosen],
+        )  # fmt: skip
 
 
 def candidates(scene: Scene, settings: PlacesSettings, chain: int = 0) -> Candidates:
@@ -172,8 +191,8 @@ def candidates(scene: Scene, settings: PlacesSettings, chain: int = 0) -> Candid
         dataclasses.replace(many, planting=thin),
         jnp.asarray(np.repeat(np.arange(len(copies)), copies)),
         jnp.asarray(owner), jnp.asarray(at), single(place), single(far), single(likely),
-        single(number), jnp.asarray(tree.query_pairs(apart + far.max(), output_type="ndarray")),
-        single(apart),
+        single(np.bincount(at, likely, len(place))), single(number),
+        jnp.asarray(tree.query_pairs(apart + far.max(), output_type="ndarray")), single(apart),
     )  # fmt: skip
 
 
@@ -238,7 +257,8 @@ class PlacesModel(eqx.Module):
         known = self.candidates
         at = known.site[known.owner]
         size, stature = (one[at] for one in self.sizes(v))
-        return known.scene.standing_in_part(weight[known.owner], self.foot(v)[at], size, stature)
+        share = weight.at[known.owner].get(mode="fill", fill_value=0.0)
+        return known.scene.standing_in_part(share, self.foot(v)[at], size, stature)
 
     def image(
         self, v: Places, weight: Float[Array, " candidate"]
@@ -298,8 +318,7 @@ class PlacesModel(eqx.Module):
         crowns = jax.ops.segment_sum(each, known.species, len(known.number))
         crowns = crowns * self._diameters(v) ** 2
         off = (crowns - known.number) / jnp.sqrt((sd * known.number) ** 2 + 0.25)
-        share = jax.ops.segment_sum(known.chance, known.site, len(none))
-        sites = jnp.sum(weight * jnp.log(known.chance)) + jnp.sum(none * jnp.log1p(-share))
+        sites = jnp.sum(weight * jnp.log(known.chance)) + jnp.sum(none * jnp.log1p(-known.taken))
         normal = sum(jnp.sum(x**2) for x in (v.shift, v.width, v.tall, v.u, v.band))
         return (
             0.5 * jnp.sum(off**2) + 0.5 * normal - sites + CROWDING * self.crowding(v, 1.0 - none)
@@ -319,13 +338,12 @@ class PlacesModel(eqx.Module):
         """The table's weights everywhere and the middle of the priors; of later chains leaves,
         ground and gains drawn from theirs."""
         known, zero = self.candidates, jnp.zeros_like(self.candidates.reach)
-        share = jax.ops.segment_sum(known.chance, known.site, len(zero))
         random = generator(self.settings.seed + chain, 307)
         drawn = random.normal(size=len(known.chance))
         early = np.asarray(free_early(self.space).u) * (chain > 0)
         u = jnp.asarray(early * random.normal(size=len(early)).clip(-2.0, 2.0), zero.dtype)
         band = (chain > 0) * random.normal(size=self.root.shape[1]).clip(-2.0, 2.0)
-        logit = jnp.log(known.chance / (1.0 - share)[known.site])
+        logit = jnp.log(known.chance / (1.0 - known.taken)[known.site])
         return Places(
             logit + jnp.asarray(0.1 * drawn, zero.dtype), jnp.zeros_like(known.place), zero, zero,
             u, jnp.asarray(band, zero.dtype),

@@ -75,8 +75,8 @@ class Jumps:
         self.side = known.side
         self.extent = np.asarray(known.scene.grid.extent[:2])
         self.chance = np.asarray(known.chance, float)
-        share = np.bincount(self.site, self.chance, self.sites)
-        self.odds = np.log(self.chance) - np.log1p(-share)[self.site]
+        taken = np.asarray(known.taken, float)
+        self.odds = np.log(self.chance) - np.log1p(-taken)[self.site]
         self.number, self.apart = np.asarray(known.number, float), float(known.apart)
         weight = np.asarray(model.weights(v.logit)[0], float)
         self.weight = weight + 0.1 * self.chance
@@ -96,6 +96,11 @@ class Jumps:
             n = [np.arange(k) + 0.5 for k in grid.shape[:2]]
             columns = np.stack(np.meshgrid(*n), axis=-1).reshape(-1, 2) * grid.horizontal_size
         self.columns = columns
+        of_each = np.bincount(known.owner, known.scene.planting.count, len(self.site))
+        self.cheapest = np.argsort(of_each, kind="stable")
+        """Candidates, those of fewest area elements first."""
+        self.most = max(16, int(1.25 * self.number.sum()))
+        """Candidates that are rendered."""
         self.tried, self.taken = np.zeros(len(_KINDS), int), np.zeros(len(_KINDS), int)
         self._size_of_species()
 
@@ -114,20 +119,25 @@ class Jumps:
         self.variation = scene.rules.size_variation
         self.spread = np.sqrt(np.log1p(self.variation**2))
 
-    def places(self) -> Places:
-        """The stand in the coordinates of the search."""
-        logit = np.full(len(self.site), -_SURE)
-        logit[self.stands[self.stands >= 0]] = _SURE
+    def places(self) -> tuple[PlacesModel, Places]:
+        """The stand in the coordinates of the search, and the model of its plants and of some that
+        do not stand, whose number changes seldom."""
+        standing = self.stands[self.stands >= 0]
+        while len(standing) > self.most:
+            self.most += self.most // 2
+        others = np.setdiff1d(self.cheapest, standing, assume_unique=True)
+        chosen = np.sort(np.append(standing, others[: self.most - len(standing)]))
+        few = dataclasses.replace(self.model, candidates=self.model.candidates.only(chosen))
         single = lambda x: jnp.asarray(x, self.v.u.dtype)  # noqa: E731
-        return dataclasses.replace(
-            self.v, logit=single(logit), **{n: single(value) for n, value in self.of.items()}
-        )
+        logit = single(np.where(np.isin(chosen, standing), _SURE, -_SURE))
+        own = {n: single(value) for n, value in self.of.items()}
+        return few, dataclasses.replace(self.v, logit=logit, **own)
 
     def crowns(self) -> WholeStand:
         """The stand as it is."""
         at = np.flatnonzero(self.stands >= 0)
         kind = self.species[self.stands[at]]
-        size, stature = (np.asarray(x, float)[at] for x in self.model.sizes(self.places()))
+        size, stature = (np.asarray(x, float)[at] for x in self.model.sizes(self.places()[1]))
         foot = self._within(self._feet_now(at))
         return WholeStand(
             kind, at, foot, self.diameter[kind] * size, self.height[kind] * stature,
@@ -141,7 +151,7 @@ class Jumps:
     def render(self) -> None:
         """The image of the stand, and its misfits."""
         self.image, self.pixels, self.heights = (
-            np.asarray(x, float) for x in _seen(self.model, self.places())
+            np.asarray(x, float) for x in _seen(*self.places())
         )
 
     def plant(self) -> None:
@@ -201,7 +211,7 @@ class Jumps:
 
     def follow(self, steps: int, rate: float) -> None:
         """Steps down the slopes of places, sizes and parameters, which plants stand being given."""
-        self.v = descend(self.model, self.places(), steps, free_late(), rate)
+        self.v = descend(*self.places(), steps, free_late(), rate)
         self.of = {n: np.asarray(getattr(self.v, n), float).copy() for n in self.of}
         self._size_of_species()
         self.render()

@@ -3,10 +3,10 @@
 `python -m tests.benchmarks.places --size 3 --taxa 8 --seeds 1 2`: the truth is a plot of the table
 with leaves, sizes and leaf areas drawn from their priors, drawn with another seed than the search
 has; its image has pixels of 2.5 cm, noise of 1 % and gains of 10 %. Covers are the table's, but for
-whole plants, or with `--covers` off by 25 %, as the search takes them. With `--known` leaves and gains
-are those of the table, which tells what the search loses from what is not known. With `--explicit`
-the truth is not the model's: stands of other crowns, of single leaves, in an image by path tracing
-(`tests.benchmarks.other_truths`) with pixels of 5 cm.
+whole plants, or with `--covers` off by 25 %, as the search takes them. With `--known` leaves and
+gains are those of the table, which tells what the search loses from what is not known. With
+`--explicit` the truth is not the model's: stands of other crowns, of single leaves, in an image by
+path tracing (`tests.benchmarks.other_truths`) with pixels of 5 cm.
 """
 
 import time

@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -134,6 +135,38 @@ def test_weights_of_one_and_none_are_whole_plants(twin):
     area = [s.area_density(s.parameters) for s in (half, whole)]
     share = float(half.crown_share(half.parameters) / whole.crown_share(whole.parameters))
     np.testing.assert_allclose(area[0], 0.5 * share * area[1], atol=1e-4)
+
+
+def test_few_of_the_candidates_are_seen_as_among_all(twin):
+    """Image, height, slopes and prior of a stand do not depend on what does not stand; more plants
+    take another size once."""
+    _, model = twin
+    known = model.candidates
+    chain = Jumps(model, model.start(), 3)
+    standing = np.array([3, 50, 100, len(known.site) - 1])
+    chain.stands[chain.site[standing]] = standing
+    few, own = chain.places()
+    assert few.candidates.species.shape == (chain.most,)
+    logit = np.full(len(known.site), -14.0, np.float32)
+    logit[standing] = 14.0
+    among_all = dataclasses.replace(own, logit=jnp.asarray(logit))
+
+    def seen(model, v):
+        image, height = model.image(v, model.weights(v.logit)[0])
+        prior = model.prior(v, *model.weights(v.logit))
+        return image, height, prior, eqx.filter_grad(lambda v: model.loss(v)[0])(v)
+
+    *one, slope = eqx.filter_jit(seen)(few, own)
+    *other, whole = eqx.filter_jit(seen)(model, among_all)
+    for a, b in zip(one, other, strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-3, atol=1e-4 * float(jnp.abs(b).max()))
+    for name in ("shift", "width", "tall", "u", "band"):
+        a, b = getattr(slope, name), getattr(whole, name)
+        np.testing.assert_allclose(a, b, atol=2e-3 * float(jnp.abs(b).max()))
+    most = chain.most
+    chain.stands[:] = -1
+    chain.stands[: most + 1] = np.unique(chain.site, return_index=True)[1][: most + 1]
+    assert len(chain.places()[1].logit) == most + most // 2
 
 
 def test_slopes_are_those_of_differences(twin):
@@ -300,8 +333,8 @@ def test_jumps_have_the_prior_of_the_search_by_slopes(twin):
         for value in chain.of.values():
             value[chosen] = random.normal(size=value[chosen].shape)
             value[chain.stands < 0] = 0.0
-        v = chain.places()
-        cost.append(float(model.prior(v, *model.weights(v.logit))))
+        few, v = chain.places()
+        cost.append(float(few.prior(v, *few.weights(v.logit))))
         near = chain._feet_now(chosen)[:, None] - chain._feet_now(chosen)
         close = np.maximum(1.0 - np.hypot(*np.moveaxis(chain._gap(near), -1, 0)) / chain.apart, 0)
         # A pair of those that change counts from both sides, but once in the density of all.

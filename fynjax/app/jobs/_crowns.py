@@ -68,7 +68,7 @@ def crowns(
     plot: Plot | str | Path,
     bands: Names | None = None,
     heights: str | Path | None = None,
-    rounds: Annotated[int, Field(ge=2)] = 24,
+    rounds: Annotated[int, Field(ge=2)] = 48,
     free: Sequence[str] | None = None,
     seed: Seed | None = None,
 ) -> CrownsResult:
