@@ -31,7 +31,7 @@ flag or was not tried: XLA ends the process where it does not know one. fynjax c
 small loops: without two parts of the compiler and at a lower level half of the compilation of an
 image goes and a third of a gradient's, and what comes out is as fast."""
 CARD = {
-    f"--xla_gpu_force_compilation_parallelism={min(os.cpu_count() or 1, 16)}": (0, 13),
+    "--xla_gpu_force_compilation_parallelism=16": (0, 13),
     "--xla_gpu_enable_triton_gemm=false": (0, 13),
 }
 """The same for graphics cards. On an H100 with 16 cores, JAX 0.11.2, image and gradient of 10 m

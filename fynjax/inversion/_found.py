@@ -10,7 +10,14 @@ from scipy.spatial import cKDTree
 
 from fynjax._core.progress import advance, stage
 from fynjax._core.seeds import generator
-from fynjax.inversion._places import PlacesSettings, candidates, descend, free_early, places_model
+from fynjax.inversion._places import (
+    PlacesSettings,
+    candidates,
+    crowns_of_table,
+    descend,
+    free_early,
+    places_model,
+)
 from fynjax.inversion._shapes import OUTLINE
 from fynjax.inversion._space import ParameterSpace
 from fynjax.inversion._stands import WholeStand, whole_stands
@@ -157,7 +164,7 @@ class FoundPlants:
 
         scene, taxa = self.scene, self.scene.taxa
         size = scene.parameters.species
-        number = np.asarray(scene.counts(scene.parameters), float)
+        number = crowns_of_table(scene)
         stated = 100.0 * np.pi / 4.0 * np.asarray(size.diameter, float) ** 2 / scene.ground_area
         counts, covers = (
             np.array([np.bincount(s.species, w(s), len(taxa)) for s in self.stands])

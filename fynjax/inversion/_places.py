@@ -108,7 +108,7 @@ class Candidates(eqx.Module):
     """Distance of the sites of its kind [m]."""
     chance: Float[Array, " candidate"]
     """Share of such sites at which such a plant stands, by the table [-]."""
-    taken: Float[Array, " site"]
+    occupied: Float[Array, " site"]
     """Share of such sites at which any plant stands, by the table [-]."""
     number: Float[Array, " species"]
     """Plants of each species, by the table [-]."""
@@ -124,8 +124,8 @@ class Candidates(eqx.Module):
         return extent if self.scene.boundary == "periodic" else np.full(2, np.inf)
 
     def only(self, chosen: Int[np.ndarray, " candidate"]) -> "Candidates":
-        """Some of the candidates, at the same sites. A stand of few of many takes a third of the
-        time; as many are of the same shapes, mostly, and so share their compiled programs."""
+        """Some of the candidates, at the same sites: a stand of few of many takes a third of the
+        time. Arrays of as many are mostly of the same size, so that one compiled program serves."""
         place = np.full(len(self.species), -1)
         place[chosen] = np.arange(len(chosen))
         mine = place[np.asarray(self.owner)]
@@ -141,6 +141,11 @@ class Candidates(eqx.Module):
         )  # fmt: skip
 
 
+def crowns_of_table(scene: Scene) -> Float[np.ndarray, " species"]:
+    """Real number of whole plants of each species by the table, of all their branches [-]."""
+    return np.asarray(scene.counts(scene.parameters), float) / np.asarray(scene.branches)
+
+
 def candidates(scene: Scene, settings: PlacesSettings, chain: int = 0) -> Candidates:
     """Sites over the plot of a scene, and the plants that may stand there.
 
@@ -153,7 +158,7 @@ def candidates(scene: Scene, settings: PlacesSettings, chain: int = 0) -> Candid
     """
     diameter = np.asarray(scene.parameters.species.diameter, float)
     height = np.asarray(scene.parameters.species.height, float)
-    number = np.asarray(scene.counts(scene.parameters), float)
+    number = crowns_of_table(scene)
     extent, periodic = scene.grid.extent[:2], scene.boundary == "periodic"
     groups: list[list[int]] = []
     for i in np.argsort(diameter, kind="stable"):
@@ -318,7 +323,7 @@ class PlacesModel(eqx.Module):
         crowns = jax.ops.segment_sum(each, known.species, len(known.number))
         crowns = crowns * self._diameters(v) ** 2
         off = (crowns - known.number) / jnp.sqrt((sd * known.number) ** 2 + 0.25)
-        sites = jnp.sum(weight * jnp.log(known.chance)) + jnp.sum(none * jnp.log1p(-known.taken))
+        sites = jnp.sum(weight * jnp.log(known.chance)) + jnp.sum(none * jnp.log1p(-known.occupied))
         normal = sum(jnp.sum(x**2) for x in (v.shift, v.width, v.tall, v.u, v.band))
         return (
             0.5 * jnp.sum(off**2) + 0.5 * normal - sites + CROWDING * self.crowding(v, 1.0 - none)
@@ -343,7 +348,7 @@ class PlacesModel(eqx.Module):
         early = np.asarray(free_early(self.space).u) * (chain > 0)
         u = jnp.asarray(early * random.normal(size=len(early)).clip(-2.0, 2.0), zero.dtype)
         band = (chain > 0) * random.normal(size=self.root.shape[1]).clip(-2.0, 2.0)
-        logit = jnp.log(known.chance / (1.0 - known.taken)[known.site])
+        logit = jnp.log(known.chance / (1.0 - known.occupied)[known.site])
         return Places(
             logit + jnp.asarray(0.1 * drawn, zero.dtype), jnp.zeros_like(known.place), zero, zero,
             u, jnp.asarray(band, zero.dtype),

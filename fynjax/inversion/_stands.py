@@ -12,6 +12,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
@@ -75,8 +76,8 @@ class Jumps:
         self.side = known.side
         self.extent = np.asarray(known.scene.grid.extent[:2])
         self.chance = np.asarray(known.chance, float)
-        taken = np.asarray(known.taken, float)
-        self.odds = np.log(self.chance) - np.log1p(-taken)[self.site]
+        occupied = np.asarray(known.occupied, float)
+        self.odds = np.log(self.chance) - np.log1p(-occupied)[self.site]
         self.number, self.apart = np.asarray(known.number, float), float(known.apart)
         weight = np.asarray(model.weights(v.logit)[0], float)
         self.weight = weight + 0.1 * self.chance
@@ -137,7 +138,8 @@ class Jumps:
         """The stand as it is."""
         at = np.flatnonzero(self.stands >= 0)
         kind = self.species[self.stands[at]]
-        size, stature = (np.asarray(x, float)[at] for x in self.model.sizes(self.places()[1]))
+        now = dataclasses.replace(self.v, **jax.tree.map(jnp.asarray, self.of))
+        size, stature = (np.asarray(x, float)[at] for x in self.model.sizes(now))
         foot = self._within(self._feet_now(at))
         return WholeStand(
             kind, at, foot, self.diameter[kind] * size, self.height[kind] * stature,

@@ -41,8 +41,8 @@ class Program:
         self.bands = bands
         """Names of the bands of the image."""
         self.lowest = lowest
-        """Largest zenith angle of the sun for which the program has room, 90 over a plot that
-        repeats itself [degrees]."""
+        """Largest zenith angle of the sun that is taken, 90 over a plot that repeats itself and
+        where the stated `accuracy` has a margin, which is not checked [degrees]."""
         self._exported, self._known = exported, known
         self._call = jax.jit(exported.call)
 
@@ -174,7 +174,7 @@ def compile(
 
     **Returns:** a `Program`, which gives the reflectance of this scene and of every one of the same
     shapes: other parameters, and another seed of the same table. Over an open scene there is room
-    for a sun that stands 5 degrees lower, or as much as the stated `accuracy` has.
+    for a sun that stands 5 degrees lower, or for what the margin of `accuracy` was stated for.
 
     **Raises:** `InputError` as `fx.observe`, and for other options.
 

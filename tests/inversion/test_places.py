@@ -137,6 +137,16 @@ def test_weights_of_one_and_none_are_whole_plants(twin):
     np.testing.assert_allclose(area[0], 0.5 * share * area[1], atol=1e-4)
 
 
+def test_branches_of_a_plant_are_one_crown():
+    """Cover over the area of a crown, of however many branches each is (eq. 10 of the article)."""
+    of_three = {"branches": 3, "packing_percent": 0, "fill_percent": 100}
+    three = candidates(plot(3, [ROWS[0] | of_three]), SETTINGS)
+    assert float(three.number[0]) == pytest.approx(0.22 * SIDE**2 / (np.pi / 4 * 0.45**2))
+    assert len(three.owner) == 3 * len(three.site)
+    few = three.only(np.array([1, 2]))
+    assert np.bincount(few.owner)[:2].tolist() == [3, 3]
+
+
 def test_few_of_the_candidates_are_seen_as_among_all(twin):
     """Image, height, slopes and prior of a stand do not depend on what does not stand; more plants
     take another size once."""

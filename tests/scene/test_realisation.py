@@ -167,7 +167,7 @@ def test_plantings_have_the_law_that_is_stated():
     numbers = [hard_counts(scene.realisation(i), scene.parameters) for i in range(24)]
     real = np.asarray(scene.counts(scene.parameters))
     error = np.sqrt(real % 1.0 * (1.0 - real % 1.0) / 24)
-    assert np.all(np.abs(np.mean(numbers, axis=0) - real) < 4 * error)
+    assert np.all(np.abs(np.mean(numbers, axis=0) - real) < 3 * error)
 
 
 def test_other_parameters_leave_the_recipe_as_it_is():
