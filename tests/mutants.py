@@ -337,6 +337,8 @@ GROUPS: dict[str, list[Mutant]] = {
                "inversion/test_places.py own_for_each"),
         Mutant("inversion/_found.py", "(1.0 + within / between) ** 2", "1000",
                "inversion/test_places.py few_chains"),
+        Mutant("inversion/_places.py", "np.maximum(settings.elements, own // 4)",
+               "np.maximum(settings.elements, 0 * own)", "inversion/test_places.py a_quarter"),
         Mutant("inversion/_places.py", " / np.asarray(scene.branches)", "",
                "inversion/test_places.py one_crown"),
         Mutant("inversion/_places.py", 'get(mode="fill", fill_value=0.0)', "get()",

@@ -137,6 +137,19 @@ def test_weights_of_one_and_none_are_whole_plants(twin):
     np.testing.assert_allclose(area[0], 0.5 * share * area[1], atol=1e-4)
 
 
+def test_large_crowns_keep_a_quarter_of_their_area_elements():
+    """Of as few as small ones they would be clumpier, and less like what is seen."""
+    large = {"taxon": "Euclea racemosa", "growth_form": "broad_leaved", "mean_diameter_cm": 60,
+             "cover_percent": 25, "height_max_m": 1.2}  # fmt: skip
+    table = plot(3, [large, ROWS[2]])
+    own = [int(table.planting.count[table.planting.species == i].max()) for i in (0, 1)]
+    known = candidates(table, SETTINGS)
+    of_each = np.asarray(known.scene.planting.count)
+    of_large, of_small = (of_each[known.species[known.owner] == i].max() for i in (0, 1))
+    assert own[0] > 4 * SETTINGS.elements > 4 * of_small
+    assert of_large == pytest.approx(own[0] / 4, rel=0.05)
+
+
 def test_branches_of_a_plant_are_one_crown():
     """Cover over the area of a crown, of however many branches each is (eq. 10 of the article)."""
     of_three = {"branches": 3, "packing_percent": 0, "fill_percent": 100}
