@@ -110,6 +110,10 @@ def compilations() -> Iterator[list[str]]:
         jax.monitoring.unregister_event_duration_listener(listen)
 
 
+IMAGE_PROGRAMS = {"jit(_voxels_under)", "jit(solve_light)", "jit(_measured)"}
+"""Names of the programs that an image is made by."""
+
+
 def write_raster(
     path: Path,
     bands: np.ndarray,

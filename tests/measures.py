@@ -199,7 +199,7 @@ MEASURES = {
     "names of two things": Measure(0, 0, names_of_two),
     "long functions": Measure(16, 15, large_functions),
     "lines of the library": Measure(
-        49_950, 40_000, lambda m: _lines(m, tuple(f"{room}/" for room in ("_core", *ROOMS)))
+        50_000, 40_000, lambda m: _lines(m, tuple(f"{room}/" for room in ("_core", *ROOMS)))
     ),
     "lines of all": Measure(97_000, 78_000, lambda m: _lines(m, ("",))),
 }

@@ -12,17 +12,20 @@ from fynjax._core.errors import InputError
 _F = TypeVar("_F", bound=Callable[..., Any])
 
 
-def as_one(function: _F) -> _F:
+def as_one(function: _F, *, inline: bool = True) -> _F:
     """The function compiled as one program where it is called alone, and not each of its operations
     as its own: a sixth of the time. Where another program calls it, its arguments are kept from the
-    compiler's constant folding (`unfolded`)."""
+    compiler's constant folding (`unfolded`).
+
+    **Arguments:** `function`; `inline`, False where its derivative is to be a program as well.
+    """
 
     @functools.wraps(function)
     def one(*args: Any, **kwargs: Any) -> Any:
         args, kwargs = unfolded((args, kwargs))
         return function(*args, **kwargs)
 
-    return eqx.filter_jit(one, inline=True)  # type: ignore[call-overload]
+    return eqx.filter_jit(one, inline=inline)  # type: ignore[call-overload]
 
 
 def check_known(**numbers: Any) -> None:

@@ -29,7 +29,7 @@ from fynjax._core.errors import InputError, did_you_mean, listed
 from fynjax._core.extras import app_room
 from fynjax._core.html import as_html
 from fynjax._core.math import real_array
-from fynjax._core.programs import check_known, unfolded
+from fynjax._core.programs import as_one, check_known, unfolded
 from fynjax.metrics import index_bands, vegetation_indices
 from fynjax.radiation import (
     AbstractRays,
@@ -384,23 +384,36 @@ class AimedSensor(eqx.Module):
         if key is not None and (air is None or self.sensor.noise is None):
             lack = "no noise model" if air is not None else "no air to make radiance of"
             raise InputError(f"noise was asked for, but {self.sensor.name!r} has {lack}")
-        parameters = jax.tree.map(lambda x: jnp.asarray(x, scene.dtype), parameters)
-        if air is None:
-            every = jnp.ones(len(self.sensor.bands), bool)
-            image, _, residual = _seen(scene, parameters, self, None)
-            return Observation(image, None, every, None, residual, self.seen, **self._described)
-        # The air in the bands, which it takes by rising wavelength; its sky lights the scene.
-        by_band = self._air_of_bands(air, parameters.light, scene.dtype)
-        order, back = _sorting(self.sensor)
-        if surroundings is not None and jnp.shape(surroundings) != order.shape:
+        if surroundings is not None and jnp.shape(surroundings) != (len(self.sensor.bands),):
             raise InputError(
-                f"`surroundings` must have one value for each of the {order.size} bands, but has "
-                f"shape {jnp.shape(surroundings)}."
+                f"`surroundings` must have one value for each of the {len(self.sensor.bands)} "
+                f"bands, but has shape {jnp.shape(surroundings)}."
             )
-        # Opaque bands have no light to share: no 0 / 0 there.
-        total = by_band.direct + by_band.diffuse
-        sky = (by_band.diffuse / jnp.maximum(total, jnp.finfo(total.dtype).tiny))[back]
-        image, mean, residual = _seen(scene, parameters, self, sky)
+        parameters = jax.tree.map(lambda x: jnp.asarray(x, scene.dtype), parameters)
+        by_band = sky = None
+        if air is not None:
+            by_band, sky = _air_and_sky(self, air, parameters.light, scene.dtype)
+        # Three programs, not one, where this is called alone: pixels of another size then share two
+        # of them, and another planting all but the first.
+        voxels = _voxels(scene.unnamed(), parameters, self.sensor.bands, sky)
+        light = _light(voxels, self.accuracy)
+        return _measured(self, light, voxels, by_band, surroundings, key)
+
+    def _measured(
+        self,
+        light: Light,
+        voxels: VoxelScene,
+        by_band: Atmosphere | None,
+        surroundings: Float[Array, " band"] | None,
+        key: Array | int | None,
+    ) -> Observation:
+        """What `observe` gives, of the light and the air in the bands."""
+        image, mean = self.lit(light, voxels)
+        residual = light.residual
+        if by_band is None:
+            every = jnp.ones(len(self.sensor.bands), bool)
+            return Observation(image, None, every, None, residual, self.seen, **self._described)
+        order, back = _sorting(self.sensor)
         if self.panels is not None:
             image = self.panels.laid_on(image)
         # From reflectance to radiance at the sensor, with its noise.
@@ -500,15 +513,21 @@ class AimedSensor(eqx.Module):
         self.sensor.bands.weights(curves.wavelength)
         return curves
 
-    def _air_of_bands(
+    def _air_and_sky(
         self, air: PlotAir | Atmosphere, light: LightParameters, dtype: str
-    ) -> Atmosphere:
+    ) -> tuple[Atmosphere, Float[Array, " band"]]:
+        """The air in the bands, by rising wavelength, and the share of its light that is diffuse in
+        each, in their own order [-]."""
         curves = air
         if isinstance(air, PlotAir):
             curves = air.atmosphere(light, self.sensor_height)
         assert isinstance(curves, Atmosphere)
-        bands = self.sensor.bands.select(_sorting(self.sensor)[0].tolist())
-        return jax.tree.map(lambda v: v.astype(dtype), band_atmosphere(curves, bands))
+        order, back = _sorting(self.sensor)
+        averages = band_atmosphere(curves, self.sensor.bands.select(order.tolist()))
+        by_band = jax.tree.map(lambda v: v.astype(dtype), averages)
+        # Opaque bands have no light to share: no 0 / 0 there.
+        total = by_band.direct + by_band.diffuse
+        return by_band, (by_band.diffuse / jnp.maximum(total, jnp.finfo(total.dtype).tiny))[back]
 
     def image(
         self, voxels: VoxelScene
@@ -881,41 +900,39 @@ def _rays_over_terrain(frame: Frame, scene: Scene, x: Array, y: Array, spacing: 
     return RayField(east, north, slope_x, slope_y, width, widest=spacing)
 
 
-def _seen(
-    scene: Scene, parameters: PlotParameters, sensor: AimedSensor, sky: Float[Array, " band"] | None
-) -> tuple[Float[Array, "band y x"], Float[Array, " band"], Float[Array, " band"]]:
-    """What `AimedSensor.image` gives of a scene, under its own sky or with a share `sky` of diffuse
-    light in each band [-]."""
-    voxels = scene.voxels(parameters, sensor.sensor.bands)
-    if sky is not None:
-        where = lambda s: (s.illumination.sun, s.illumination.sky)  # noqa: E731
-        voxels = eqx.tree_at(where, voxels, (1.0 - sky, sky))
-    return sensor.image(voxels)
+def _voxels_under(
+    scene: Scene, parameters: PlotParameters, bands: BandSet, sky: Float[Array, " band"] | None
+) -> VoxelScene:
+    """`Scene.voxels` under its own sky, or with a share `sky` of diffuse light in each band [-]."""
+    voxels = scene.voxels(parameters, bands)
+    if sky is None:
+        return voxels
+    where = lambda s: (s.illumination.sun, s.illumination.sky)  # noqa: E731
+    return eqx.tree_at(where, voxels, (1.0 - sky, sky))
 
 
 _atmosphere = eqx.filter_jit(PlotAir.atmosphere)
-_observe_plain = eqx.filter_jit(AimedSensor.observe)
+_air_and_sky = as_one(AimedSensor._air_and_sky, inline=False)
+_voxels = as_one(_voxels_under, inline=False)
+_light = as_one(solve_light, inline=False)
+_measured = as_one(AimedSensor._measured, inline=False)
 
 
 def _observe(
     aimed: AimedSensor, scene: Scene, parameters: PlotParameters, *, key: Array | None = None
 ) -> Observation:
-    """`AimedSensor.observe` as one program, and its derivative by any of the parameters as one."""
+    """`AimedSensor.observe`, and its derivative by any of the parameters by the same programs."""
     if not any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves((scene, parameters))):
-        return _observe_plain(aimed, scene, parameters, key=key)
+        return aimed.observe(scene, parameters, key=key)
     # Of one type, weak ones too, lest another choice of parameters be another program.
     parameters = jax.tree.map(lambda x: jnp.asarray(x, scene.dtype), parameters)
-    return _differentiable(aimed, _with_parameters(scene, None), parameters, key)
-
-
-def _with_parameters(scene: Scene, parameters: PlotParameters | None) -> Scene:
-    return eqx.tree_at(lambda s: s.parameters, scene, parameters, is_leaf=lambda x: x is None)
+    return _differentiable(aimed, scene.unnamed(), parameters, key)
 
 
 def _observe_with(
     aimed: AimedSensor, scene: Scene, parameters: PlotParameters, key: Array | None
 ) -> Observation:
-    return _observe_plain(aimed, _with_parameters(scene, parameters), parameters, key=key)
+    return aimed.observe(scene, parameters, key=key)
 
 
 _differentiable = eqx.filter_custom_jvp(_observe_with)

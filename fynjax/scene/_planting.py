@@ -154,16 +154,23 @@ class Planting(eqx.Module):
         part = np.arange(len(plant), dtype=np.int32) + (first - before)[plant]
         return dataclasses.replace(self, plant=jnp.asarray(plant), part=jnp.asarray(part))
 
-    def padded(self) -> "Planting":
-        """The same with plants that never stand and elements of theirs, up to sizes of which there
-        are few: plots of as many plants then share compiled programs. Plants whose elements are
-        too many to be listed stay as they are."""
+    @property
+    def sizes(self) -> tuple[int, int, int]:
+        """Numbers of plants, of their elements and of the elements of shapes."""
+        return len(self.species), len(self.plant), len(self.shape_class)
+
+    def padded(self, sizes: tuple[int, int, int] | None = None) -> "Planting":
+        """The same with plants that never stand and elements of theirs, up to `sizes`, with a plant
+        more at least, or of which there are few: plots of as many plants then share compiled
+        programs. Plants whose elements are too many to be listed stay as they are."""
         if not self.listed:
             return self
-        most = max(len(self.plant), len(self.shape_class), 32 * (len(self.species) + 1))
-        step = 1 << max(most.bit_length() - 2, 0)  # two sizes from a power of two to the next
-        size = -(-most // step) * step
-        plants = size // 32
+        if sizes is None:
+            most = max(*self.sizes[1:], 32 * (self.sizes[0] + 1))
+            step = 1 << max(most.bit_length() - 2, 0)  # two sizes from a power of two to the next
+            size = -(-most // step) * step
+            sizes = size // 32, size, size
+        plants, elements, parts = sizes
 
         def more(values: Array | np.ndarray, count: int, fill: float) -> Array:
             missing = jnp.full((count - len(values), *values.shape[1:]), fill, values.dtype)
@@ -174,10 +181,10 @@ class Planting(eqx.Module):
         return dataclasses.replace(
             self.of_plants(lambda values: more(values, plants, 0.0)),
             **{n: more(getattr(self, n), plants, fill) for n, fill in never.items()},  # type: ignore[arg-type]
-            plant=more(self.plant, size, plants - 1),
-            part=more(self.part, size, 0),
-            shapes=jax.tree.map(lambda values: more(values, size, 0), self.shapes),
-            shape_class=more(self.shape_class, size, 0),
+            plant=more(self.plant, elements, plants - 1),
+            part=more(self.part, elements, 0),
+            shapes=jax.tree.map(lambda values: more(values, parts, 0), self.shapes),
+            shape_class=more(self.shape_class, parts, 0),
         )
 
     def thinned(self, most: Sequence[int]) -> "Planting":

@@ -17,7 +17,7 @@ from fynjax._core.errors import InputError
 from fynjax._core.extras import require
 from fynjax._core.programs import check_known
 from fynjax.radiation import Accuracy
-from fynjax.scene._observe import _checked, _observe_with, _with_parameters, aimed_at, lowest_sun
+from fynjax.scene._observe import _checked, _observe_with, aimed_at, lowest_sun
 from fynjax.scene._parameters import PlotParameters
 from fynjax.scene._scene import Scene
 from fynjax.sensors import Sensor
@@ -56,9 +56,9 @@ class Program:
         that comes with it (`Scene.expected`); of `fx.observe` only those are that move the number
         of plants. In forward mode, and of `jax.vmap` and `jax.jacrev`, take `fx.observe`.
 
-        **Raises:** `InputError` for a scene of other shapes, taxa, terrain or settings than the one
-        that the program was compiled with, for a sun below `lowest` outside `jit`, for a traced
-        terrain, and for parameters as of `fx.observe`.
+        **Raises:** `InputError` for a scene of other shapes, growth forms, terrain or settings than
+        the one that the program was compiled with, for a sun below `lowest` outside `jit`, for a
+        traced terrain, and for parameters as of `fx.observe`.
         """
         leaves, known, sun, part = _given(scene, parameters)
         self._check_sun(leaves[sun])
@@ -66,7 +66,7 @@ class Program:
         asked = [own.shape for own in self._exported.in_avals]
         if known != self._known or shapes != asked:
             same = known == self._known
-            what = "numbers of plants" if same else "taxa, sides, terrain or settings"
+            what = "numbers of plants" if same else "growth forms, sides, terrain or settings"
             raise InputError(
                 f"expected a scene with the shapes that the program was compiled with, but {what} "
                 "of this one are others; another seed of one table and other values of parameters "
@@ -222,7 +222,7 @@ def _record(scene: Scene, parameters: PlotParameters | None) -> tuple[Scene, Plo
     follows from."""
     parameters = _checked(scene, parameters)
     parameters = jax.tree.map(lambda x: jax.numpy.asarray(x, scene.dtype), parameters)
-    return _with_parameters(scene, None), parameters
+    return scene.unnamed(), parameters
 
 
 def _given(scene: Scene, parameters: PlotParameters | None) -> tuple[list[Any], str, int, int]:

@@ -673,11 +673,32 @@ class Scene(eqx.Module):
         """
         return eqx.tree_at(lambda s: s.in_part, self, jnp.full_like(self.in_part, expected))
 
-    def padded(self) -> "Scene":
-        """The same scene with room for plants that never stand: scenes of the same taxa, grid and
-        about as many plants then share compiled programs. For images and what a pixel sees; a table
-        of its plants would have rows too many."""
-        return dataclasses.replace(self, planting=self.planting.padded(), planted=None)
+    def padded(self, sizes: tuple[int, int, int] | None = None) -> "Scene":
+        """The same scene with room for plants that never stand: scenes of the same growth forms and
+        grid and about as many plants then share compiled programs. For images and what a pixel
+        sees; a table of its plants would have rows too many.
+
+        **Arguments:** `sizes`, numbers of plants, of their elements and of those of shapes
+        (`Planting.sizes`) up to which room is made, with a plant more than there are at least; left
+        out, one of few sizes, up to half as large again. An image of a small plot then takes up to
+        a quarter longer.
+        """
+        return dataclasses.replace(self, planting=self.planting.padded(sizes), planted=None)
+
+    def unnamed(self) -> "Scene":
+        """All of the scene that an image with given parameters follows from: scenes of other names,
+        seeds and rules of planting then share compiled programs."""
+        kept = "rounding", "softness", "softness_plants", "cover_definition", "flowering"
+        rules = PlantingRules(**{name: getattr(self.rules, name) for name in kept})
+        species = (dataclasses.replace(one, taxon="", groups=0.0) for one in self.species)
+        return dataclasses.replace(
+            self,
+            parameters=None,  # type: ignore[arg-type]
+            species=tuple(species),
+            recipe=Recipe(rules, (), (0.0, 0.0)),
+            planted=None,
+            spreads=(),
+        )
 
     @property
     def ground_level(self) -> float:

@@ -4,7 +4,8 @@ The plot of the README, 2 m, in pixels of 10 cm. First the programs by themselve
 traced function, fusions of the compiled one, CPU time to trace, lower and compile, CPU time and
 memory of a run. Then CPU time of what a person does one after another, from empty caches: image,
 gradient by all parameters, another metric, gradients by some of the parameters, larger pixels, a
-second plot of like size. `--beside FOLDER`, again for each other version of the repository, has its
+second plot of like size, and one of other taxa and covers, both with room for plants that never
+stand (`Scene.padded`). `--beside FOLDER`, again for each other version of the repository, has its
 numbers beside, and by how much results differ over their largest. Each version has processes of its
 own, one after the other.
 """
@@ -31,11 +32,14 @@ COLUMNS = "taxon", "growth_form", "mean_diameter_cm", "cover_percent", "height_m
 RESULTS = "results.npz"
 
 
-def plot(tiny: bool, seed: int = 1) -> Any:
-    """The README's plot; where `tiny`, a smaller one in voxels filled evenly."""
+def plot(tiny: bool, seed: int = 1, other: str = "", share: float = 1.0) -> Any:
+    """The README's plot, or one of `other` names with a `share` of its covers [-]; where `tiny`, a
+    smaller one in voxels filled evenly."""
     import fynjax as fx
 
-    table = [dict(zip(COLUMNS, taxon, strict=True)) for taxon in TAXA]
+    table: list[dict[str, Any]] = [dict(zip(COLUMNS, taxon, strict=True)) for taxon in TAXA]
+    for row in table:
+        row |= {"taxon": row["taxon"] + other, "cover_percent": share * row["cover_percent"]}
     if tiny:
         return fx.Scene.from_table(table[:1], size=1.0, seed=seed, voxel=0.25, structure="even")
     return fx.Scene.from_table(table, size=2.0, seed=seed)
@@ -140,6 +144,11 @@ def steps(tiny: bool, folder: Path) -> dict[str, float]:
     step("gradient, larger pixels", lambda: gradient(scene, 2 * pixel))
     step("image, second plot", lambda: image(other, pixel))
     step("gradient, second plot", lambda: gradient(other, pixel))
+    one, like = plot(tiny).padded(), plot(tiny, other=" minor", share=0.95).padded()
+    step("image, with room", lambda: image(one, pixel), 10)
+    step("gradient, with room", lambda: gradient(one, pixel), 10)
+    step("image, other table, with room", lambda: image(like, pixel))
+    step("gradient, other table, with room", lambda: gradient(like, pixel))
     np.savez(folder / RESULTS, **results)  # type: ignore[arg-type]
     return numbers
 

@@ -288,7 +288,7 @@ def test_noise_is_seeded_and_as_large_as_its_model_says(model, drone):
     )  # fmt: skip
     clean = observe(quiet, model, small_parameters(), jax.random.key(0))
     pixels, light = (jnp.moveaxis(v, 0, -1) for v in (clean.reflectance, clean.radiance))
-    bands = quiet._air_of_bands(quiet.air, small_parameters().light, model.dtype)
+    bands = quiet._air_and_sky(quiet.air, small_parameters().light, model.dtype)[0]
     around = pixels.mean((0, 1))  # more of the same plot
     np.testing.assert_allclose(light, at_sensor_radiance(bands, pixels, around), rtol=1e-5)
     first, again, other = (

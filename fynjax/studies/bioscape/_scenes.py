@@ -10,7 +10,6 @@ from itertools import groupby
 from typing import Annotated, Literal
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -117,15 +116,13 @@ def build_scenes(
         for plot, seed in zip(plots, seeds, strict=True)
     ]
     layers = max(scene.grid.shape[2] for scene, _ in built)
-    sizes = [
-        tuple(len(a) for a in (p.species, p.plant, p.shapes.organ))
-        for p in (scene.planting for scene, _ in built)
-    ]
-    plants, elements, parts = (max(size) for size in zip(*sizes))
+    plants, elements, parts = (
+        max(size) for size in zip(*(scene.planting.sizes for scene, _ in built), strict=True)
+    )
     side = round(resolution.size_m / resolution.voxel_m)
     grid = VoxelGrid((side, side, layers), resolution.voxel_m, resolution.voxel_m)
     return [
-        (_padded(replace(scene, grid=grid), plants, elements, parts), parameters)
+        (replace(scene, grid=grid).padded((plants + 1, elements, parts)), parameters)
         for scene, parameters in built
     ]
 
@@ -166,31 +163,6 @@ def slotted_parameters(plot: Plot, slots: tuple[str, ...]) -> PlotParameters:
     for row in plot.species:
         rows[free[row.growth_form].pop(0)] = row
     return plot_parameters(plot.replace(species=tuple(rows)))
-
-
-def _padded(scene: Scene, plants: int, elements: int, parts: int) -> Scene:
-    """A scene with room for more: plants that do not stand, elements without area."""
-    planting = scene.planting
-
-    def longer(values: Array | np.ndarray, length: int, fill: float = 0.0) -> Array:
-        missing = length - len(values)
-        return jnp.pad(
-            values, ((0, missing),) + ((0, 0),) * (values.ndim - 1), constant_values=fill
-        )
-
-    shapes = jax.tree.map(lambda a: longer(a, parts + 1), planting.shapes)
-    return replace(
-        scene,
-        planted=None,
-        planting=replace(
-            planting.of_plants(lambda values: longer(values, plants)),
-            place=longer(planting.place, plants, 1e9),
-            plant=longer(planting.plant, elements),
-            part=longer(planting.part, elements, parts),  # the last part has no area
-            shapes=shapes,
-            shape_class=longer(planting.shape_class, parts + 1),
-        ),
-    )
 
 
 @eqx.filter_jit
