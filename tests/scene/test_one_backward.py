@@ -78,6 +78,13 @@ def test_another_metric_and_another_scene_of_the_parameters_compile_nothing_larg
     assert float(factor) == pytest.approx(2.0 * stand * by_cover, rel=1e-9)
 
 
+def test_a_second_gradient_compiles_nothing(red):
+    value, scene, _ = red
+    with compilations() as compiled:
+        jax.grad(value)(scene.parameters)
+    assert not compiled
+
+
 def large(function, at):
     """Names of the large programs that a gradient compiles, and the gradient."""
     with compilations() as compiled:

@@ -201,6 +201,16 @@ def test_another_number_of_plants_is_refused(scene, program):
         program(dataclasses.replace(scene, boundary=other))
 
 
+def test_with_room_for_plants_it_is_of_other_names_and_covers(scene):
+    other = table1_2006()[:2]
+    other["cover_percent"] = 0.95 * other["cover_percent"]
+    other["taxon"] += " minor"
+    like = fx.Scene.from_table(other, size=1.0, voxel=0.25, structure="even").padded()
+    program = fx.compile(scene.padded(), "mavic_3m", **CAMERA)
+    np.testing.assert_allclose(program(like), observed(like), rtol=1e-5)
+    assert np.abs(program(like) - program(scene.padded())).max() > 1e-4
+
+
 @pytest.mark.parametrize(
     ("change", "words"),
     [
