@@ -691,14 +691,14 @@ class Scene(eqx.Module):
         kept = "rounding", "softness", "softness_plants", "cover_definition", "flowering"
         rules = PlantingRules(**{name: getattr(self.rules, name) for name in kept})
         species = (dataclasses.replace(one, taxon="", groups=0.0) for one in self.species)
-        return dataclasses.replace(
+        scene = dataclasses.replace(
             self,
-            parameters=None,  # type: ignore[arg-type]
             species=tuple(species),
             recipe=Recipe(rules, (), (0.0, 0.0)),
             planted=None,
             spreads=(),
         )
+        return eqx.tree_at(lambda s: s.parameters, scene, None)
 
     @property
     def ground_level(self) -> float:

@@ -1,0 +1,53 @@
+"""The record of when studies last passed."""
+
+from types import SimpleNamespace
+
+import pytest
+
+from tests import passes
+
+
+def report(file, outcome, when="call", marks=("study",)):
+    return SimpleNamespace(
+        keywords=dict.fromkeys(marks), nodeid=f"{file}::test_a", when=when,
+        passed=outcome == "passed", failed=outcome == "failed",
+    )  # fmt: skip
+
+
+def test_every_file_with_studies_has_passed_once_and_no_other_is_noted():
+    assert passes.read().keys() == passes.with_studies()
+
+
+@pytest.fixture
+def record(tmp_path, monkeypatch):
+    record = tmp_path / "studies.csv"
+    record.write_text("file,tests,date,commit\nb.py,2,2026-01-01,abc\nc.py,1,2026-01-02,abd\n")
+    monkeypatch.setattr(passes, "_passed", {})
+    monkeypatch.setattr(passes, "_failed", set())
+    return record
+
+
+def test_files_whose_studies_passed_are_noted_and_others_keep_their_row(record):
+    for one in (
+        report("a.py", "passed"), report("a.py", "passed"), report("a.py", "passed", "setup"),
+        report("a.py", "passed", marks=()), report("b.py", "passed"), report("b.py", "failed"),
+        report("d.py", "failed", "setup"), report("d.py", "passed"), report("e.py", "skipped"),
+    ):  # fmt: skip
+        passes.pytest_runtest_logreport(one)
+    passes.note(passes._passed, passes._failed, ("2026-02-01", "def"), record)
+    assert record.read_text().splitlines() == [
+        "file,tests,date,commit",
+        "a.py,2,2026-02-01,def",
+        "b.py,2,2026-01-01,abc",
+        "c.py,1,2026-01-02,abd",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("keyword", "args", "more"),
+    [("a", ["tests"], {}), ("", ["tests/a.py::test_a"], {}), ("", ["tests"], {"workerinput": {}})],
+)
+def test_a_part_of_a_file_is_not_noted(keyword, args, more, monkeypatch):
+    monkeypatch.setattr(passes, "note", lambda *_: pytest.fail("noted"))
+    config = SimpleNamespace(option=SimpleNamespace(keyword=keyword), args=args, **more)
+    passes.pytest_sessionfinish(SimpleNamespace(config=config, shouldfail=False, shouldstop=False))
