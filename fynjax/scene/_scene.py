@@ -688,6 +688,8 @@ class Scene(eqx.Module):
     def unnamed(self) -> "Scene":
         """All of the scene that an image with given parameters follows from: scenes of other names,
         seeds and rules of planting then share compiled programs."""
+        if self.parameters is None:  # it is already
+            return self
         kept = "rounding", "softness", "softness_plants", "cover_definition", "flowering"
         rules = PlantingRules(**{name: getattr(self.rules, name) for name in kept})
         species = (dataclasses.replace(one, taxon="", groups=0.0) for one in self.species)
