@@ -14,7 +14,7 @@ from typing import NamedTuple
 import pytest
 
 RECORD = Path(__file__).with_name("studies.csv")
-STUDY = re.compile(r"mark\.study|\"study\"")
+STUDY = re.compile(r"mark\.study|@_case\(.*\"study\"")
 
 
 class Pass(NamedTuple):
@@ -25,7 +25,7 @@ class Pass(NamedTuple):
     tests: int
     """Number of studies that passed."""
     date: str
-    """Of the end of the run."""
+    """Of the end of the run; empty before the first."""
     commit: str
     """That was run; with + where files were changed beside it."""
 
@@ -93,8 +93,8 @@ def pytest_sessionfinish(session: pytest.Session) -> None:
 if __name__ == "__main__":
     since = lambda row: f"{row.commit.rstrip('+')}..HEAD"  # noqa: E731
     count = lambda row: _git("rev-list", "--count", since(row), "--", "../fynjax")  # noqa: E731
-    behind = {row: int(count(row) or -1) for row in read().values()}
+    rows = read().values()
+    behind = {row: int(count(row)) for row in rows if row.date}
+    print(*(f"{row.file:50s} no pass is noted" for row in rows if not row.date), sep="\n")
     for row, count in sorted(behind.items(), key=lambda pair: -pair[1]):
         print(f"{row.file:50s} {row.tests:4d} on {row.date}, {count} changes of the library ago")
-    for file in sorted(with_studies() - read().keys()):
-        print(f"{file:50s} no pass is noted")
