@@ -80,10 +80,14 @@ def pytest_runtest_logreport(report: pytest.TestReport) -> None:
             _passed[file] = _passed.get(file, 0) + 1
 
 
-def pytest_sessionfinish(session: pytest.Session) -> None:
+def pytest_sessionfinish(session: pytest.Session, exitstatus: int) -> None:
     """Note them where files were run whole."""
-    some = session.config.option.keyword or any("::" in word for word in session.config.args)
-    if hasattr(session.config, "workerinput") or some or session.shouldfail or session.shouldstop:
+    asked, config = session.config.option, session.config
+    whole = asked.markexpr == "study" and not (asked.keyword or asked.deselect)
+    ended = exitstatus in (pytest.ExitCode.OK, pytest.ExitCode.TESTS_FAILED)
+    if hasattr(config, "workerinput") or any("::" in word for word in config.args):
+        return
+    if not (whole and ended) or session.shouldfail or session.shouldstop:
         return
     changed = _git("status", "--porcelain", "--untracked-files=no", "--", ":!studies.csv")
     commit = _git("rev-parse", "--short=10", "HEAD") + "+" * bool(changed)
@@ -94,7 +98,7 @@ if __name__ == "__main__":
     since = lambda row: f"{row.commit.rstrip('+')}..HEAD"  # noqa: E731
     count = lambda row: _git("rev-list", "--count", since(row), "--", "../fynjax")  # noqa: E731
     rows = read().values()
-    behind = {row: int(count(row)) for row in rows if row.date}
+    behind = {row: int(count(row) or -1) for row in rows if row.date}
     print(*(f"{row.file:50s} no pass is noted" for row in rows if not row.date), sep="\n")
     for row, count in sorted(behind.items(), key=lambda pair: -pair[1]):
         print(f"{row.file:50s} {row.tests:4d} on {row.date}, {count} changes of the library ago")

@@ -43,11 +43,27 @@ def test_files_whose_studies_passed_are_noted_and_others_keep_their_row(record):
     ]
 
 
+WHOLE = {"keyword": "", "markexpr": "study", "deselect": None}
+
+
 @pytest.mark.parametrize(
-    ("keyword", "args", "more"),
-    [("a", ["tests"], {}), ("", ["tests/a.py::test_a"], {}), ("", ["tests"], {"workerinput": {}})],
+    ("asked", "args", "status"),
+    [
+        ({"keyword": "a"}, ["tests"], 0),
+        ({"markexpr": "study and not slow"}, ["tests"], 0),
+        ({"deselect": ["tests/a.py::test_a"]}, ["tests"], 0),
+        ({}, ["tests/a.py::test_a"], 0),
+        ({}, ["tests"], 2),
+        ({}, ["tests"], None),
+        ({}, ["tests"], 1),
+    ],
 )
-def test_a_part_of_a_file_is_not_noted(keyword, args, more, monkeypatch):
-    monkeypatch.setattr(passes, "note", lambda *_: pytest.fail("noted"))
-    config = SimpleNamespace(option=SimpleNamespace(keyword=keyword), args=args, **more)
-    passes.pytest_sessionfinish(SimpleNamespace(config=config, shouldfail=False, shouldstop=False))
+def test_a_part_of_a_file_is_not_noted(asked, args, status, monkeypatch):
+    noted = []
+    monkeypatch.setattr(passes, "note", lambda *_: noted.append(1))
+    config = SimpleNamespace(option=SimpleNamespace(**WHOLE | asked), args=args)
+    if status is None:
+        config.workerinput = {}
+    session = SimpleNamespace(config=config, shouldfail=False, shouldstop=False)
+    passes.pytest_sessionfinish(session, status or 0)
+    assert len(noted) == (status == 1)

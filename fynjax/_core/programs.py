@@ -28,10 +28,15 @@ def as_one(function: _F, *, inline: bool = True) -> _F:
     return eqx.filter_jit(one, inline=inline)  # type: ignore[call-overload]
 
 
+def concrete(*values: Any) -> bool:
+    """Whether all values are known, that is outside a transformation."""
+    return not any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(values))
+
+
 def check_known(**numbers: Any) -> None:
     """Raise `InputError` where a number by name, or a record of numbers, is traced."""
     for name, value in numbers.items():
-        if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(value)):
+        if not concrete(value):
             raise InputError(
                 f"`{name}` must be known, but is traced by a transformation such as jit, grad or "
                 "vmap: it sets the shape of what is computed. Take it from outside as a plain "

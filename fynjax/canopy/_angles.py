@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from fynjax._core.errors import InputError
+from fynjax._core.programs import concrete
 
 # Gauss-Legendre nodes of the inclination and the half turn of azimuths. A normal and its
 # opposite are the same leaf, so inclinations up to 90 degrees cover all of them.
@@ -192,7 +193,7 @@ class VerhoefLeafAngle(AbstractLeafAngle):
     """Coefficient b, LIDFb [-]: how far it has two peaks."""
 
     def __check_init__(self) -> None:
-        if any(isinstance(value, jax.core.Tracer) for value in (self.first, self.second)):
+        if not concrete(self.first, self.second):
             return
         a, b = float(self.first), float(self.second)
         if not abs(a) + abs(b) <= 1.0 + 1e-6:

@@ -14,6 +14,7 @@ from jaxtyping import Array, Bool, Float
 from fynjax._core.errors import InputError, listed
 from fynjax._core.extras import app_room
 from fynjax._core.precision import double_precision, drawn_in_double, in_double
+from fynjax._core.programs import concrete
 from fynjax.metrics import without_view
 from fynjax.scene import Observation, PlotParameters, Scene, fitting_structure
 from fynjax.sensors import BandSet, Frame, Gains, Lidar, Pose, Sensor
@@ -465,7 +466,7 @@ class Data(eqx.Module):
                 f"expected a `whitener` of {len(self.names)} x {len(self.names)} for as many "
                 f"statistics, but got an array of shape {jnp.shape(self.whitener)}"
             )
-        if any(isinstance(a, jax.core.Tracer) for a in (self.value, self.sd)):
+        if not concrete(self.value, self.sd):
             return
         bad = ~(np.isfinite(np.asarray(self.value)) & (np.asarray(self.sd) > 0))
         if bad.any():

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from fynjax._core.errors import InputError
+from fynjax._core.programs import concrete
 from fynjax.inversion._data import Data
 from fynjax.inversion._factors import PlotSpace
 from fynjax.inversion._fit_result import repeated_information, scatter_covariance, scatter_of_views
@@ -44,7 +45,7 @@ def each(
     """`function` of each of the `stands` at its place, of two at a time: programs of JAX run beside
     each other where there are cores, and memory holds those of two at most."""
     pairs = list(zip(stands, places, strict=True))
-    if any(isinstance(place, jax.core.Tracer) for place in places):
+    if not concrete(places):
         return [function(*pair) for pair in pairs]
     call = of_thread(function)
     # The first call compiles; two threads at once would compile the same program twice.

@@ -19,6 +19,7 @@ from jaxtyping import Array, Bool, Float, Int
 from fynjax._core.errors import InputError
 from fynjax._core.least_squares import NO_TAGS, BroydenLM, BroydenState, figures_of
 from fynjax._core.precision import compiled_in_single, double_precision
+from fynjax._core.programs import concrete
 from fynjax.inversion._data import Data
 from fynjax.inversion._fit_result import Ended, FitResult, FitStatus, fit_result
 from fynjax.inversion._log_posterior import LogPosterior, Predict
@@ -91,7 +92,7 @@ def fit_function(
     if kind in ("broyden", "renewing"):  # by the same measure of what is to gain
         solver = dataclasses.replace(solver, atol=jnp.minimum(solver.atol, tolerance), rtol=0.0)
     solved, rest = eqx.partition(solver, eqx.is_array)
-    traced = any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves((density, u)))
+    traced = not concrete(density, u)
     run = _run if traced else _run_compiled
     limit = jnp.asarray(tolerance)
     if kind == "least squares" and compiled_in_single():

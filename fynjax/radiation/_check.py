@@ -11,14 +11,10 @@ from jaxtyping import Array, Float
 
 from fynjax._core.errors import InputError
 from fynjax._core.memory import total_memory
+from fynjax._core.programs import concrete
 from fynjax.radiation._blocks import block_mean
 from fynjax.radiation._ground import RahmanPintyVerstraete
 from fynjax.radiation._scene import VoxelScene
-
-
-def concrete(*values: Any) -> bool:
-    """Whether all values are known, that is outside a transformation."""
-    return not any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(values))
 
 
 def as_floats(name: str, value: Any, dtype: Any = None) -> Float[Array, "*any"]:

@@ -16,6 +16,7 @@ from jaxtyping import Array, ArrayLike, Float
 
 from fynjax._core.errors import InputError
 from fynjax._core.geometry import direction
+from fynjax._core.programs import concrete
 from fynjax.canopy import AbstractLeafAngle, projections
 from fynjax.radiation._check import (
     check_attitude,
@@ -24,7 +25,6 @@ from fynjax.radiation._check import (
     check_shape,
     check_view,
     check_whole,
-    concrete,
 )
 from fynjax.radiation._resample import axis_weights, nearest_cells, resample, sample_near
 

@@ -15,13 +15,13 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
 from fynjax._core.errors import InputError
+from fynjax._core.programs import concrete
 from fynjax.radiation._check import (
     as_floats,
     check_light_memory,
     check_scene,
     check_view,
     check_whole,
-    concrete,
     short,
 )
 from fynjax.radiation._image import Radiance, Sight, render_rays, sight_of_rays

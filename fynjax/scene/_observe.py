@@ -29,7 +29,7 @@ from fynjax._core.errors import InputError, did_you_mean, listed
 from fynjax._core.extras import app_room
 from fynjax._core.html import as_html
 from fynjax._core.math import real_array
-from fynjax._core.programs import as_one, check_known, unfolded
+from fynjax._core.programs import as_one, check_known, concrete, unfolded
 from fynjax.metrics import index_bands, vegetation_indices
 from fynjax.radiation import (
     AbstractRays,
@@ -374,7 +374,8 @@ class AimedSensor(eqx.Module):
         shows the ground that the same place in the frame sees from here.
 
         Raises `InputError` for noise without air or without a noise model, for air that does not
-        cover the bands, and for a `pose` of a sensor that was aimed without one.
+        cover the bands, for a `pose` of a sensor that was aimed without one, and outside
+        transformations for parameters out of bounds, and as `check`.
         """
         if pose is not None:
             return self.from_pose(pose).observe(
@@ -384,19 +385,26 @@ class AimedSensor(eqx.Module):
         if key is not None and (air is None or self.sensor.noise is None):
             lack = "no noise model" if air is not None else "no air to make radiance of"
             raise InputError(f"noise was asked for, but {self.sensor.name!r} has {lack}")
-        if surroundings is not None and jnp.shape(surroundings) != (len(self.sensor.bands),):
+        surroundings = None if surroundings is None else jnp.asarray(surroundings)
+        if surroundings is not None and surroundings.shape != (len(self.sensor.bands),):
             raise InputError(
                 f"`surroundings` must have one value for each of the {len(self.sensor.bands)} "
-                f"bands, but has shape {jnp.shape(surroundings)}."
+                f"bands, but has shape {surroundings.shape}."
             )
         parameters = jax.tree.map(lambda x: jnp.asarray(x, scene.dtype), parameters)
-        by_band = sky = None
+        bands, by_band, sky = self.sensor.bands, None, None
+        if concrete(parameters, air):
+            within_bounds(parameters, scene.taxa)
+            _check_air(air, parameters.light, self.sensor_height)
         if air is not None:
-            by_band, sky = _air_and_sky(self, air, parameters.light, scene.dtype)
+            by_band, sky = _air_and_sky(
+                air, parameters.light, bands, self.sensor_height, scene.dtype
+            )
         # Three programs, not one, where this is called alone: pixels of another size then share two
         # of them, and another planting all but the first.
-        voxels = _voxels(scene.unnamed(), parameters, self.sensor.bands, sky)
+        voxels = _voxels(scene.unnamed(), parameters, bands, sky)
         light = _light(voxels, self.accuracy)
+        key = jax.random.key(key) if isinstance(key, int | np.integer) else key
         return _measured(self, light, voxels, by_band, surroundings, key)
 
     def _measured(
@@ -405,7 +413,7 @@ class AimedSensor(eqx.Module):
         voxels: VoxelScene,
         by_band: Atmosphere | None,
         surroundings: Float[Array, " band"] | None,
-        key: Array | int | None,
+        key: Array | None,
     ) -> Observation:
         """What `observe` gives, of the light and the air in the bands."""
         image, mean = self.lit(light, voxels)
@@ -413,7 +421,7 @@ class AimedSensor(eqx.Module):
         if by_band is None:
             every = jnp.ones(len(self.sensor.bands), bool)
             return Observation(image, None, every, None, residual, self.seen, **self._described)
-        order, back = _sorting(self.sensor)
+        order, back = _sorting(self.sensor.bands)
         if self.panels is not None:
             image = self.panels.laid_on(image)
         # From reflectance to radiance at the sensor, with its noise.
@@ -504,30 +512,11 @@ class AimedSensor(eqx.Module):
         if self.air is None:
             return None
         curves = self.air
-        if isinstance(self.air, PlotAir):
-            known = self.air.clear_air(parameters.light, self.sensor_height)
-            if self.air.model == "table":
-                check_within_table(known)
-            curves = _atmosphere(self.air, parameters.light, self.sensor_height)
-        assert isinstance(curves, Atmosphere)
+        _check_air(curves, parameters.light, self.sensor_height)
+        if isinstance(curves, PlotAir):
+            curves = _atmosphere(curves, parameters.light, self.sensor_height)
         self.sensor.bands.weights(curves.wavelength)
         return curves
-
-    def _air_and_sky(
-        self, air: PlotAir | Atmosphere, light: LightParameters, dtype: str
-    ) -> tuple[Atmosphere, Float[Array, " band"]]:
-        """The air in the bands, by rising wavelength, and the share of its light that is diffuse in
-        each, in their own order [-]."""
-        curves = air
-        if isinstance(air, PlotAir):
-            curves = air.atmosphere(light, self.sensor_height)
-        assert isinstance(curves, Atmosphere)
-        order, back = _sorting(self.sensor)
-        averages = band_atmosphere(curves, self.sensor.bands.select(order.tolist()))
-        by_band = jax.tree.map(lambda v: v.astype(dtype), averages)
-        # Opaque bands have no light to share: no 0 / 0 there.
-        total = by_band.direct + by_band.diffuse
-        return by_band, (by_band.diffuse / jnp.maximum(total, jnp.finfo(total.dtype).tiny))[back]
 
     def image(
         self, voxels: VoxelScene
@@ -661,7 +650,7 @@ def lowest_sun(parameters: PlotParameters) -> float:
 
 def _check_known(what: str, values: Any) -> None:
     """Raise `InputError` where any of `values` is traced."""
-    if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(values)):
+    if not concrete(values):
         raise InputError(
             f"{what} must be known, but is traced: call `aim` before the transformation, and "
             "`observe` of the sensor that it aims inside"
@@ -900,6 +889,34 @@ def _rays_over_terrain(frame: Frame, scene: Scene, x: Array, y: Array, spacing: 
     return RayField(east, north, slope_x, slope_y, width, widest=spacing)
 
 
+def _check_air(
+    air: PlotAir | Atmosphere | None, light: LightParameters, height: Float[Array, ""]
+) -> None:
+    """Raise `InputError` where a model does not reach to known air, or to the sun."""
+    if isinstance(air, PlotAir):
+        known = air.clear_air(light, height)
+        if air.model == "table":
+            check_within_table(known)
+
+
+def _air_in_bands(
+    air: PlotAir | Atmosphere,
+    light: LightParameters,
+    bands: BandSet,
+    height: Float[Array, ""],
+    dtype: str,
+) -> tuple[Atmosphere, Float[Array, " band"]]:
+    """Air below and above a sensor at a `height` [m] in the bands, by rising wavelength, and the
+    share of its light that is diffuse in each, in their own order [-]."""
+    curves = air.atmosphere(light, height) if isinstance(air, PlotAir) else air
+    order, back = _sorting(bands)
+    averages = band_atmosphere(curves, bands.select(order.tolist()))
+    by_band = jax.tree.map(lambda v: v.astype(dtype), averages)
+    # Opaque bands have no light to share: no 0 / 0 there.
+    total = by_band.direct + by_band.diffuse
+    return by_band, (by_band.diffuse / jnp.maximum(total, jnp.finfo(total.dtype).tiny))[back]
+
+
 def _voxels_under(
     scene: Scene, parameters: PlotParameters, bands: BandSet, sky: Float[Array, " band"] | None
 ) -> VoxelScene:
@@ -912,7 +929,7 @@ def _voxels_under(
 
 
 _atmosphere = eqx.filter_jit(PlotAir.atmosphere)
-_air_and_sky = as_one(AimedSensor._air_and_sky, inline=False)
+_air_and_sky = as_one(_air_in_bands, inline=False)
 _voxels = as_one(_voxels_under, inline=False)
 _light = as_one(solve_light, inline=False)
 _measured = as_one(AimedSensor._measured, inline=False)
@@ -922,7 +939,7 @@ def _observe(
     aimed: AimedSensor, scene: Scene, parameters: PlotParameters, *, key: Array | None = None
 ) -> Observation:
     """`AimedSensor.observe`, and its derivative by any of the parameters by the same programs."""
-    if not any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves((scene, parameters))):
+    if concrete(scene, parameters):
         return aimed.observe(scene, parameters, key=key)
     # Of one type, weak ones too, lest another choice of parameters be another program.
     parameters = jax.tree.map(lambda x: jnp.asarray(x, scene.dtype), parameters)
@@ -944,8 +961,7 @@ def _by_all_parameters(primals: Any, tangents: Any) -> Any:
     compiled anew: the others change too, by nothing."""
     aimed, scene, parameters, key = primals
     change = tangents[2]
-    known = not any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(primals))
-    if known and (some := jax.tree.leaves(change)):
+    if concrete(primals) and (some := jax.tree.leaves(change)):
         change = jax.tree.map(
             lambda value, own: _nothing(value, some[0]) if own is None else own, parameters, change
         )
@@ -1180,7 +1196,7 @@ def _aimed(
     return placed
 
 
-def _sorting(sensor: Sensor) -> tuple[np.ndarray, np.ndarray]:
+def _sorting(bands: BandSet) -> tuple[np.ndarray, np.ndarray]:
     """Places of the bands by rising wavelength, and the way back."""
-    order = np.argsort(sensor.bands.centre)
+    order = np.argsort(bands.centre)
     return order, np.argsort(order)

@@ -171,6 +171,12 @@ class Planting(eqx.Module):
             size = -(-most // step) * step
             sizes = size // 32, size, size
         plants, elements, parts = sizes
+        least = self.sizes[0] + 1, *self.sizes[1:]
+        if any(size < own for size, own in zip(sizes, least, strict=True)):
+            raise InputError(
+                f"expected room for at least {least[0]} plants, {least[1]} elements and "
+                f"{least[2]} of shapes, but got {sizes}"
+            )
 
         def more(values: Array | np.ndarray, count: int, fill: float) -> Array:
             missing = jnp.full((count - len(values), *values.shape[1:]), fill, values.dtype)

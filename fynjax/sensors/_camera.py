@@ -5,22 +5,17 @@ the line of sight of each pixel of the map.
 """
 
 import abc
-from typing import Any
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from fynjax._core.errors import InputError
 from fynjax._core.math import real_array
+from fynjax._core.programs import concrete
 
 Real = float | Float[Array, ""]
-
-
-def _known(*values: Any) -> bool:
-    return not any(isinstance(v, jax.core.Tracer) for v in values)
 
 
 class AbstractCamera(eqx.Module):
@@ -53,7 +48,7 @@ class FrameCamera(AbstractCamera):
     """Azimuth that the upper edge of the image points to, clockwise from north [degrees]."""
 
     def __check_init__(self) -> None:
-        if not _known(self.focal_length_mm, self.pixel_pitch_um, self.tilt):
+        if not concrete(self.focal_length_mm, self.pixel_pitch_um, self.tilt):
             return
         half_field = np.degrees(np.arctan(0.5 * self.array[1] * float(self.pixel_at(1.0))))
         if not abs(float(self.tilt)) + half_field < 90.0:
@@ -110,7 +105,7 @@ class OrthographicCamera(AbstractCamera):
     """Azimuth of the direction from the ground to the camera, clockwise from north [degrees]."""
 
     def __check_init__(self) -> None:
-        if _known(self.view_zenith) and not 0.0 <= float(self.view_zenith) < 90.0:
+        if concrete(self.view_zenith) and not 0.0 <= float(self.view_zenith) < 90.0:
             raise InputError(
                 f"`view_zenith` must be in [0, 90) degrees, but is {float(self.view_zenith):g}."
             )

@@ -14,6 +14,7 @@ from fynjax.radiation import Accuracy, nadir_rays, reflectance_factor, solve_lig
 from fynjax.scene import AimedSensor, Ground, Placement, PlotAir, Spectrum, aim
 from fynjax.scene import observe as observe_scene
 from fynjax.scene._lidar import observe_lidar
+from fynjax.scene._observe import _air_in_bands
 from fynjax.scene._panels import panels_in_picture
 from fynjax.scene._pixels import axis_pixels, footprint_shares
 from fynjax.sensors import (
@@ -27,7 +28,7 @@ from fynjax.sensors import (
     mavic_3m,
     shipped_sensor,
 )
-from tests.helpers import assert_gradients, compilations
+from tests.helpers import IMAGE_PROGRAMS, assert_gradients, compilations
 from tests.scene.plots import small_parameters, small_plot
 
 FAST = Accuracy(
@@ -193,6 +194,40 @@ def test_even_panels_come_back_through_the_air(kind):
         run(sensing, model, parameters, jnp.ones(4))
 
 
+@pytest.mark.parametrize(
+    ("group", "name", "value", "air", "words"),
+    [
+        ("leaf", "chlorophyll", jnp.nan, None, "chlorophyll"),
+        ("species", "leaf_area_index", -1.0, None, "leaf_area_index"),
+        ("light", "sun_zenith", 95.0, None, "sun_zenith"),
+        ("light", "sun_zenith", 84.0, PlotAir("table"), "sun"),
+        ("light", "sun_zenith", 31.0, PlotAir("clear-sky", water_vapour=40.0), "water_vapour"),
+    ],
+)
+def test_what_is_known_is_checked_outside_transformations(
+    model, drone, group, name, value, air, words
+):
+    aimed, plot = over(model, drone, air=air), small_parameters()
+    where = lambda p: getattr(getattr(p, group), name)  # noqa: E731
+    wrong = eqx.tree_at(where, plot, jnp.full_like(where(plot), value))
+    with pytest.raises(InputError, match=words):
+        aimed.observe(model, wrong)
+
+
+def test_seeds_and_surroundings_compile_nothing_anew(model, drone):
+    sensor = dataclasses.replace(drone, noise=CameraNoise(300.0, *NOISE[1], 32))
+    aimed, plot, noisy = over(model, sensor, air=PlotAir()), small_parameters(), []
+    for seed, land in ((1, 0.2), (2, 0.2), (1, 0.3)):
+        with compilations() as compiled:
+            seen = aimed.observe(model, plot, key=seed, surroundings=jnp.full(4, land))
+        noisy.append(np.asarray(seen.radiance))
+        assert bool(IMAGE_PROGRAMS.intersection(compiled)) == (len(noisy) == 1)
+    again = aimed.observe(model, plot, key=jax.random.key(1), surroundings=jnp.full(4, 0.2))
+    np.testing.assert_array_equal(again.radiance, noisy[0])
+    assert (noisy[1] != noisy[0]).any()
+    assert (noisy[2] != noisy[0]).any()
+
+
 def test_bands_in_any_order_see_the_same():
     """Air, noise and surroundings of each band are its own, however the sensor lists its bands."""
     order = [3, 0, 4, 1, 2]  # not undone by itself
@@ -288,7 +323,9 @@ def test_noise_is_seeded_and_as_large_as_its_model_says(model, drone):
     )  # fmt: skip
     clean = observe(quiet, model, small_parameters(), jax.random.key(0))
     pixels, light = (jnp.moveaxis(v, 0, -1) for v in (clean.reflectance, clean.radiance))
-    bands = quiet._air_and_sky(quiet.air, small_parameters().light, model.dtype)[0]
+    bands, _ = _air_in_bands(
+        quiet.air, small_parameters().light, quiet.sensor.bands, quiet.sensor_height, model.dtype
+    )
     around = pixels.mean((0, 1))  # more of the same plot
     np.testing.assert_allclose(light, at_sensor_radiance(bands, pixels, around), rtol=1e-5)
     first, again, other = (

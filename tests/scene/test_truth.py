@@ -110,6 +110,15 @@ def test_room_for_plants_that_never_stand_changes_nothing(scene, truth):
         more = fx.Scene.from_table(table, size=2.0, voxel=0.25, structure="even", seed=3)
         return [np.shape(leaf) for leaf in jax.tree.leaves(more.padded())]
 
+    sizes = scene.planting.sizes
+    room = (sizes[0] + 1, sizes[1] + 500, sizes[2])
+    wider = fx.observe(scene.padded(room), "mavic_3m", pixel=0.25)["nir"]
+    np.testing.assert_allclose(wider, image, atol=1e-6)
+    for few in ((sizes[0], *room[1:]), (*room[:2], sizes[2] - 1)):
+        with pytest.raises(
+            InputError, match=f"at least {sizes[0] + 1} plants, {sizes[1]} elements"
+        ):
+            scene.padded(few)
     plants = scene.planting.plants(np.arange(len(scene.planting.species)))
     assert plants.padded() is plants  # its elements are not listed: too many for images at once
     assert shapes(40) == shapes(36) == [np.shape(leaf) for leaf in jax.tree.leaves(padded)]
