@@ -167,7 +167,7 @@ class Planting(eqx.Module):
             return self
         if sizes is None:
             most = max(*self.sizes[1:], 32 * (self.sizes[0] + 1))
-            step = 1 << max(most.bit_length() - 2, 0)  # two sizes from a power of two to the next
+            step = 1 << max(most.bit_length() - 3, 0)  # four sizes from a power of two to the next
             size = -(-most // step) * step
             sizes = size // 32, size, size
         plants, elements, parts = sizes
