@@ -131,7 +131,8 @@ class Candidates(eqx.Module):
         place[chosen] = np.arange(len(chosen))
         mine = place[np.asarray(self.owner)]
         index = np.flatnonzero(mine >= 0)
-        planting = self.scene.planting.plants(index).with_elements().padded()
+        planting = self.scene.planting.plants(index).with_elements()
+        planting = planting.padded(planting.room(2))  # few: each compiles much
         # Plants that fill up the shapes are of no candidate.
         owner = np.full(len(planting.species), len(chosen))
         owner[: len(index)] = mine[index]

@@ -159,18 +159,20 @@ class Planting(eqx.Module):
         """Numbers of plants, of their elements and of the elements of shapes."""
         return len(self.species), len(self.plant), len(self.shape_class)
 
+    def room(self, steps: Literal[2, 4] = 4) -> tuple[int, int, int]:
+        """The next of few sizes, `steps` from a power of two to the next, with a plant more."""
+        most = max(*self.sizes[1:], 32 * (self.sizes[0] + 1))
+        step = 1 << max(most.bit_length() - 1 - steps // 2, 0)
+        size = -(-most // step) * step
+        return size // 32, size, size
+
     def padded(self, sizes: tuple[int, int, int] | None = None) -> "Planting":
         """The same with plants that never stand and elements of theirs, up to `sizes`, with a plant
         more at least, or of which there are few: plots of as many plants then share compiled
         programs. Plants whose elements are too many to be listed stay as they are."""
         if not self.listed:
             return self
-        if sizes is None:
-            most = max(*self.sizes[1:], 32 * (self.sizes[0] + 1))
-            step = 1 << max(most.bit_length() - 3, 0)  # four sizes from a power of two to the next
-            size = -(-most // step) * step
-            sizes = size // 32, size, size
-        plants, elements, parts = sizes
+        sizes = plants, elements, parts = self.room() if sizes is None else sizes
         least = self.sizes[0] + 1, *self.sizes[1:]
         if any(size < own for size, own in zip(sizes, least, strict=True)):
             raise InputError(
