@@ -66,6 +66,12 @@ def _git(*words: str) -> str:
     return run.stdout.strip()
 
 
+def _commit() -> str:
+    changed = _git("status", "--porcelain", "--untracked-files=no", "--", ":!studies.csv")
+    return _git("rev-parse", "--short=10", "HEAD") + "+" * bool(changed)
+
+
+_run = _commit()  # as it is when the run begins
 _passed: dict[str, int] = {}
 _failed: set[str] = set()
 
@@ -89,9 +95,7 @@ def pytest_sessionfinish(session: pytest.Session, exitstatus: int) -> None:
         return
     if not (whole and ended) or session.shouldfail or session.shouldstop:
         return
-    changed = _git("status", "--porcelain", "--untracked-files=no", "--", ":!studies.csv")
-    commit = _git("rev-parse", "--short=10", "HEAD") + "+" * bool(changed)
-    note(_passed, _failed, (datetime.now(UTC).strftime("%Y-%m-%d"), commit))
+    note(_passed, _failed, (datetime.now(UTC).strftime("%Y-%m-%d"), _run))
 
 
 if __name__ == "__main__":

@@ -174,7 +174,7 @@ def test_commands_are_those_of_ci() -> None:
     ci = (ROOT / ".ci" / "environment").read_text("utf-8")
     (tests,) = [line for text in blocks("sh") for line in text.splitlines() if "pytest" in line]
     assert "pytest -n 2" in tests
-    assert '"$bin/pytest" -n 2' in ci
+    assert '"$bin/pytest" -n "${FYNJAX_CHECK_WORKERS:-2}"' in ci
     for step in (
         "install -c constraints.txt pip",
         'install -c constraints.txt -e ".[all]" --group dev',
