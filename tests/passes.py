@@ -62,7 +62,11 @@ def with_studies() -> set[str]:
 
 
 def _git(*words: str) -> str:
-    run = subprocess.run(["git", *words], cwd=RECORD.parent, capture_output=True, text=True)
+    command = ["git", *words]
+    try:
+        run = subprocess.run(command, cwd=RECORD.parent, capture_output=True, text=True)
+    except OSError:  # no git
+        return ""
     return run.stdout.strip()
 
 
@@ -89,7 +93,8 @@ def pytest_runtest_logreport(report: pytest.TestReport) -> None:
 def pytest_sessionfinish(session: pytest.Session, exitstatus: int) -> None:
     """Note them where files were run whole."""
     asked, config = session.config.option, session.config
-    whole = asked.markexpr == "study" and not (asked.keyword or asked.deselect)
+    some = asked.keyword or asked.deselect or getattr(asked, "lf", False)
+    whole = asked.markexpr == "study" and not some and _run.strip("+")
     ended = exitstatus in (pytest.ExitCode.OK, pytest.ExitCode.TESTS_FAILED)
     if hasattr(config, "workerinput") or any("::" in word for word in config.args):
         return
@@ -102,7 +107,8 @@ if __name__ == "__main__":
     since = lambda row: f"{row.commit.rstrip('+')}..HEAD"  # noqa: E731
     count = lambda row: _git("rev-list", "--count", since(row), "--", "../fynjax")  # noqa: E731
     rows = read().values()
-    behind = {row: int(count(row) or -1) for row in rows if row.date}
+    # Of a commit that is not there, as in a clone without history, more than any.
+    behind = {row: float(count(row) or "inf") for row in rows if row.date}
     print(*(f"{row.file:50s} no pass is noted" for row in rows if not row.date), sep="\n")
     for row, count in sorted(behind.items(), key=lambda pair: -pair[1]):
-        print(f"{row.file:50s} {row.tests:4d} on {row.date}, {count} changes of the library ago")
+        print(f"{row.file:50s} {row.tests:4d} on {row.date}, {count:g} changes of the library ago")

@@ -61,6 +61,7 @@ WHOLE = {"keyword": "", "markexpr": "study", "deselect": None}
 def test_a_part_of_a_file_is_not_noted(asked, args, status, monkeypatch):
     noted = []
     monkeypatch.setattr(passes, "note", lambda *_: noted.append(1))
+    monkeypatch.setattr(passes, "_run", "abc")
     config = SimpleNamespace(option=SimpleNamespace(**WHOLE | asked), args=args)
     if status is None:
         config.workerinput = {}

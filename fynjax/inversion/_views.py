@@ -632,7 +632,9 @@ def under_sun(parameters: PlotParameters, sun: tuple[float, float] | None) -> Pl
     light = parameters.light
     zenith, azimuth = (
         jnp.asarray(new, jnp.asarray(old).dtype)
-        for new, old in zip(sun, (light.sun_zenith, light.sun_azimuth), strict=True)
+        for new, old in zip(
+            (sun[0], sun[1] % 360.0), (light.sun_zenith, light.sun_azimuth), strict=True
+        )
     )
     return dataclasses.replace(
         parameters, light=dataclasses.replace(light, sun_zenith=zenith, sun_azimuth=azimuth)

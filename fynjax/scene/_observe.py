@@ -374,8 +374,8 @@ class AimedSensor(eqx.Module):
         shows the ground that the same place in the frame sees from here.
 
         Raises `InputError` for noise without air or without a noise model, for air that does not
-        cover the bands, for a `pose` of a sensor that was aimed without one, and outside
-        transformations for parameters out of bounds, and as `check`.
+        cover the bands, for a `pose` of a sensor that was aimed without one, and where parameters
+        and air are known for parameters out of bounds, and as `check`.
         """
         if pose is not None:
             return self.from_pose(pose).observe(

@@ -680,7 +680,7 @@ class Scene(eqx.Module):
 
         **Arguments:** `sizes`, numbers of plants, of their elements and of those of shapes
         (`Planting.sizes`) up to which room is made, with a plant more than there are at least; left
-        out, one of few sizes, up to a quarter larger. An image of 2 m then takes 6 % longer.
+        out, few sizes, of elements up to a quarter larger. An image of 2 m then takes 6 % longer.
         """
         return dataclasses.replace(self, planting=self.planting.padded(sizes), planted=None)
 

@@ -49,7 +49,7 @@ from fynjax.inversion import (
 )
 from fynjax.inversion._fit_result import scatter_covariance, scatter_of_views, status_of
 from fynjax.inversion._search import Expectation
-from fynjax.inversion._views import Directions, informative_directions, multiplied
+from fynjax.inversion._views import Directions, informative_directions, multiplied, under_sun
 from fynjax.metrics.structure import STRUCTURE_METRICS, voxel_structure
 from fynjax.radiation import parallel_rays, reflectance_factor, solve_light
 from fynjax.scene import ModelError, Scene, with_values
@@ -1208,3 +1208,8 @@ def test_a_statistic_that_is_not_finite_has_no_covariance(names):
     drawn = np.random.default_rng(2).normal(size=(16, 4))
     drawn[3, 2] = np.nan
     assert np.isnan(scatter_of_views(drawn, [*names])[2, 2])
+
+
+def test_a_sun_west_of_north_is_that_of_a_whole_turn_more():
+    light = under_sun(small_parameters(), (40.0, -10.0)).light
+    assert (float(light.sun_zenith), float(light.sun_azimuth)) == (40.0, 350.0)
