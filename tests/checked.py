@@ -11,12 +11,13 @@ from typing import Any, Self, get_args, get_origin
 from beartype import BeartypeConf, FrozenDict, beartype
 from numpy.typing import ArrayLike
 from pydantic import ValidationInfo
-from typer import CallbackParam
+from typer import CallbackParam, Context
 
 # At runtime the nested sequences of numpy's ArrayLike are no tuples: these have no `__reversed__`.
 nested = [hint for hint in get_args(ArrayLike) if "NestedSequence" in str(get_origin(hint))]
-# Of no class that can be checked: a protocol, a mark for typer, and what depends on the class.
-unchecked = (Self, ValidationInfo, CallbackParam)
+# Of no class that can be checked: a protocol, a mark for typer, a class of which typer has its own,
+# and what depends on the class.
+unchecked = (Self, ValidationInfo, CallbackParam, Context)
 # An integer passes for a float, as for mypy.
 check = beartype(
     conf=BeartypeConf(
