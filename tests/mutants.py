@@ -374,6 +374,8 @@ GROUPS: dict[str, list[Mutant]] = {
                "scene/test_one_backward.py"),
         Mutant("scene/_scene.py", '"cover_definition", "flowering"\n        rules',
                '"cover_definition"\n        rules', "scene/test_one_backward.py is_kept"),
+        Mutant("inversion/_views.py", "sun[1] % 360.0", "sun[1]",
+               "inversion/test_views.py west_of_north"),
         Mutant("scene/_observe.py", "            within_bounds(parameters, scene.taxa)\n", "",
                "scene/test_sensing.py known_is_checked"),
         Mutant("scene/_observe.py", "check_air(air, parameters.light",

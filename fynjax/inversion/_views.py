@@ -630,15 +630,10 @@ def under_sun(parameters: PlotParameters, sun: tuple[float, float] | None) -> Pl
     if sun is None:
         return parameters
     light = parameters.light
-    zenith, azimuth = (
-        jnp.asarray(new, jnp.asarray(old).dtype)
-        for new, old in zip(
-            (sun[0], sun[1] % 360.0), (light.sun_zenith, light.sun_azimuth), strict=True
-        )
-    )
-    return dataclasses.replace(
-        parameters, light=dataclasses.replace(light, sun_zenith=zenith, sun_azimuth=azimuth)
-    )
+    zenith = jnp.asarray(sun[0], jnp.asarray(light.sun_zenith).dtype)
+    azimuth = jnp.asarray(sun[1] % 360.0, jnp.asarray(light.sun_azimuth).dtype)
+    light = dataclasses.replace(light, sun_zenith=zenith, sun_azimuth=azimuth)
+    return dataclasses.replace(parameters, light=light)
 
 
 def spectrum_names(bands: BandSet) -> tuple[str, ...]:

@@ -415,7 +415,9 @@ class AimedSensor(eqx.Module):
         surroundings: Float[Array, " band"] | None,
         key: Array | None,
     ) -> Observation:
-        """What `observe` gives, of the light and the air in the bands."""
+        """The image that a sensor measures in the `light` of `voxels`, and through the air as it is
+        in the bands (`by_band`, by rising wavelength; None: without air): reflectance factor [-],
+        and with air radiance with its noise [W m-2 sr-1 um-1]."""
         image, mean = self.lit(light, voxels)
         residual = light.residual
         if by_band is None:

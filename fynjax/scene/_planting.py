@@ -160,16 +160,21 @@ class Planting(eqx.Module):
         return len(self.species), len(self.plant), len(self.shape_class)
 
     def room(self, steps: Literal[2, 4] = 4) -> tuple[int, int, int]:
-        """The next of few sizes, `steps` from a power of two to the next, with a plant more."""
+        """Numbers as of `sizes` that hold these plants and one more, the next of few: there are
+        `steps` of them from a power of two to the next."""
         most = max(*self.sizes[1:], 32 * (self.sizes[0] + 1))
         step = 1 << max(most.bit_length() - 1 - steps // 2, 0)
         size = -(-most // step) * step
         return size // 32, size, size
 
     def padded(self, sizes: tuple[int, int, int] | None = None) -> "Planting":
-        """The same with plants that never stand and elements of theirs, up to `sizes`, with a plant
-        more at least, or of which there are few: plots of as many plants then share compiled
-        programs. Plants whose elements are too many to be listed stay as they are."""
+        """These plants, and others that never stand, with area elements that count nothing: plots
+        of about as many plants then have arrays of one shape and share compiled programs.
+
+        **Arguments:** `sizes`, as the property, of the arrays that are made, with a plant more than
+        there are at least; left out, those of `room`. Raises `InputError` for smaller ones. Plants
+        whose elements are too many to be listed stay as they are.
+        """
         if not self.listed:
             return self
         sizes = plants, elements, parts = self.room() if sizes is None else sizes

@@ -674,9 +674,9 @@ class Scene(eqx.Module):
         return eqx.tree_at(lambda s: s.in_part, self, jnp.full_like(self.in_part, expected))
 
     def padded(self, sizes: tuple[int, int, int] | None = None) -> "Scene":
-        """The same scene with room for plants that never stand: scenes of the same growth forms and
-        grid and about as many plants then share compiled programs. For images and what a pixel
-        sees; a table of its plants would have rows too many.
+        """A scene that looks as this one, with more plants in its arrays that never stand: scenes
+        of the same growth forms and grid and about as many plants then share compiled programs. For
+        images and what a pixel sees; a table of its plants would have rows too many.
 
         **Arguments:** `sizes`, numbers of plants, of their elements and of those of shapes
         (`Planting.sizes`) up to which room is made, with a plant more than there are at least; left

@@ -116,9 +116,7 @@ def build_scenes(
         for plot, seed in zip(plots, seeds, strict=True)
     ]
     layers = max(scene.grid.shape[2] for scene, _ in built)
-    plants, elements, parts = (
-        max(size) for size in zip(*(scene.planting.sizes for scene, _ in built), strict=True)
-    )
+    plants, elements, parts = map(max, zip(*(one.planting.sizes for one, _ in built)))
     side = round(resolution.size_m / resolution.voxel_m)
     grid = VoxelGrid((side, side, layers), resolution.voxel_m, resolution.voxel_m)
     return [
