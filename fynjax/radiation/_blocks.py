@@ -37,13 +37,16 @@ def upsample(
 
 def _upsample_axis(field: Array, axis: int, factor: int, boundary: str) -> Array:
     count = field.shape[axis]
-    wide = [(0, 0)] * field.ndim
-    wide[axis] = (1, 1)
-    padded = jnp.pad(field, wide, mode="wrap" if boundary == "periodic" else "edge")
-    part = lambda start: jax.lax.slice_in_dim(padded, start, start + count, axis=axis)  # noqa: E731
+    part = lambda start, end: jax.lax.slice_in_dim(field, start, end, axis=axis)  # noqa: E731
+    first, last = part(0, 1), part(count - 1, count)
+    beyond = (last, first) if boundary == "periodic" else (first, last)
+    # Not by `jnp.pad`, whose derivative keeps whole fields of zeros.
+    below = jnp.concatenate([beyond[0], part(0, count - 1)], axis)
+    above = jnp.concatenate([part(1, count), beyond[1]], axis)
     # Centres of the voxels from that of their cell, in cells: a neighbour has that share.
     offsets = (np.arange(factor) + 0.5) / factor - 0.5
-    pieces = [(1 - abs(o)) * field + abs(o) * part(0 if o < 0 else 2) for o in map(float, offsets)]
+    near = lambda o: below if o < 0 else above  # noqa: E731
+    pieces = [(1 - abs(o)) * field + abs(o) * near(o) for o in map(float, offsets)]
     shape = list(field.shape)
     shape[axis] *= factor
     return jnp.stack(pieces, axis=field.ndim + axis + 1).reshape(shape)

@@ -285,9 +285,10 @@ def test_radial_spectrum_of_a_whole_plot_is_that_of_the_oracle() -> None:
     """10 m x 10 m at 10 cm, as a scene has it: packing and every ring from 0.1 to 2.5 / r.
 
     At the plot's own frequencies a ring of m has a relative scatter of 1 / sqrt(m); half of the
-    plane is independent. Both sides scatter, over two seeds each.
+    plane is independent. Both sides scatter, over six seeds each. All active points that draw in
+    turn put 4 % more power on the steep flank below 1 / r, by 12 seeds, and 3 % less beneath it.
     """
-    side, radius, seeds = 10.0, 0.1, 2
+    side, radius, seeds = 10.0, 0.1, 6
     order = np.arange(-250, 251)
     wave = np.stack(np.meshgrid(order[250:], order, indexing="ij"), -1).reshape(-1, 2)
     size = np.hypot(*wave.T) * radius / side
@@ -311,4 +312,4 @@ def test_radial_spectrum_of_a_whole_plot_is_that_of_the_oracle() -> None:
     assert packing[0] == pytest.approx(packing[1], rel=0.01)
     ours, theirs = np.mean(own, axis=0), np.mean(peer, axis=0)
     scatter = np.sqrt(2.0 / (seeds * np.bincount(ring[(ring >= 0) & (ring < 16)], minlength=16)))
-    assert np.all(np.abs(ours - theirs) < 4.0 * scatter * theirs), ours / theirs
+    assert np.all(np.abs(ours / theirs - 1.0) < 0.04 + 3.0 * scatter), ours / theirs

@@ -59,7 +59,8 @@ def test_an_image_of_the_plot_itself_moves_no_parameter_beyond_its_error(rendere
     for one in same.parameters:
         assert abs(one.estimate - one.prior) < 2.0 * one.sd, one.name
     known = {one.kind: one for one in same.parameters}
-    assert known["brightness"].sd < 0.1 * known["brightness"].prior_sd
+    # As well as a model is believed that is off by some 12 % of what real images show.
+    assert known["brightness"].sd < 0.25 * known["brightness"].prior_sd
 
 
 def test_no_product_holds_nan():
